@@ -1,0 +1,207 @@
+"""House style of the figures, and saving: every picture goes with the numbers that were plotted."""
+
+import csv
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from stillwork.checks import InputError
+
+# Okabe and Ito's palette: told apart by colour-blind readers, and in grey by lightness.
+BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, RED, PURPLE = (
+    "#000000",
+    "#E69F00",
+    "#56B4E9",
+    "#009E73",
+    "#F0E442",
+    "#0072B2",
+    "#D55E00",
+    "#CC79A7",
+)
+GREY = "#7F7F7F"
+
+STYLE = {
+    "figure.dpi": 100,
+    "savefig.dpi": 150,
+    "font.family": "DejaVu Sans",
+    "font.size": 9,
+    "axes.titlesize": 9,
+    "axes.titlelocation": "left",
+    "axes.labelsize": 9,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "grid.color": "#DDDDDD",
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.3,
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "svg.hashsalt": "stillwork",
+}
+WIDTH = 7.2  # inches, every figure: they stand below one another on a page
+
+
+def new(rows: int = 1, columns: int = 1, height: float | None = None, **options):
+    """New figure in the house style: ``figure, axes = new(2, 3)``.
+
+    Parameters
+    ----------
+    rows, columns : int
+        Grid of axes.
+    height : float, optional
+        Inches; by default 2.4 a row plus room for the labels.
+    **options
+        Passed to `matplotlib.figure.Figure.subplots` (``sharex``, ``squeeze``, ``gridspec_kw``, ...).
+    """
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    # Titles, labels and legends read the settings when they are made, after this call: so set them for good.
+    cycle = matplotlib.cycler(color=[BLUE, RED, GREEN, ORANGE, PURPLE, SKY, BLACK])
+    matplotlib.rcParams.update({**STYLE, "axes.prop_cycle": cycle})
+    figure = Figure(figsize=(WIDTH, height or 2.4 * rows + 0.5), layout="constrained")
+    axes = figure.subplots(rows, columns, **options)
+    return figure, axes
+
+
+def mark_published(axes, x, y, label: str = "published", **options):
+    """Draw published values with the one marker that means so in every figure: an open black diamond."""
+    style = {
+        "marker": "D",
+        "markersize": 5,
+        "linestyle": "none",
+        "color": BLACK,
+        "markerfacecolor": "none",
+    }
+    return axes.plot(np.atleast_1d(x), np.atleast_1d(y), label=label, zorder=5, **{**style, **options})
+
+
+@dataclass(frozen=True)
+class SavedFigure:
+    """A saved figure; Jupyter shows the picture, text shows the names of the files."""
+
+    path: Path  # without suffix
+    png: bytes
+
+    def _repr_png_(self) -> bytes:
+        return self.png
+
+    def __repr__(self) -> str:
+        return f"{self.path.name}.png, {self.path.name}.csv"
+
+
+def save(figure, path: Path) -> SavedFigure:
+    """Write a figure as ``path.png`` and its plotted numbers as ``path.csv``.
+
+    Two calls with the same data write the same bytes.
+
+    Raises
+    ------
+    InputError
+        When an axis that shows data has no label: a reader would have to guess the unit.
+    """
+    rows = plotted(figure)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", metadata={"Software": None}, dpi=STYLE["savefig.dpi"])
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(("panel", "series", "x", "y", "z"))
+    writer.writerows(rows)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.with_name(path.name + ".png").write_bytes(buffer.getvalue())
+    path.with_name(path.name + ".csv").write_text(text.getvalue(), encoding="utf-8")
+    return SavedFigure(path, buffer.getvalue())
+
+
+def plotted(figure) -> list[tuple[str, str, str, str, str]]:
+    """Numbers that a figure shows: rows of panel, series, x, y and (maps only) z, to 7 digits."""
+    rows = []
+    for number, axes in enumerate(figure.axes, 1):
+        if axes.get_label() == "<colorbar>":
+            continue
+        if axes.axison and axes.has_data() and not (axes.get_xlabel() or axes.get_ylabel()):
+            shared = axes.get_shared_x_axes().get_siblings(axes) + axes.get_shared_y_axes().get_siblings(axes)
+            if not any(other.get_xlabel() or other.get_ylabel() for other in shared):
+                raise InputError(f"panel {number} has no axis labels; name the quantities with their units")
+        panel = axes.get_title(loc="left") or axes.get_title() or f"panel {number}"
+        rows += [(panel, *row) for row in _lines(axes) + _collections(axes) + _images(axes)]
+        rows += [(panel, *row) for row in _bars(axes)]
+    return rows
+
+
+def _lines(axes) -> list[tuple]:
+    rows = []
+    for number, line in enumerate(axes.lines, 1):
+        if line.get_transform() == axes.transData:  # not axhline and the like
+            rows += _numbers(
+                _name(line, f"line {number}"),
+                line.get_xdata(orig=False),
+                line.get_ydata(orig=False),
+            )
+    return rows
+
+
+def _collections(axes) -> list[tuple]:
+    rows = []
+    for number, collection in enumerate(axes.collections, 1):
+        name = _name(collection, f"{type(collection).__name__} {number}")
+        if type(collection).__name__ == "QuadMesh":
+            corners = np.asarray(collection.get_coordinates())
+            middle = (corners[:-1, :-1] + corners[1:, 1:]) / 2
+            rows += _numbers(name, middle[..., 0], middle[..., 1], collection.get_array())
+        elif len(offsets := np.ma.filled(collection.get_offsets(), np.nan)) > 1 or hasattr(
+            collection, "get_sizes"
+        ):
+            if type(collection).__name__ == "PathCollection":
+                rows += _numbers(name, offsets[:, 0], offsets[:, 1])
+                continue
+        if type(collection).__name__ in (
+            "PolyCollection",
+            "FillBetweenPolyCollection",
+            "LineCollection",
+        ):
+            for path in collection.get_paths():
+                rows += _numbers(name, path.vertices[:, 0], path.vertices[:, 1])
+    return rows
+
+
+def _images(axes) -> list[tuple]:
+    rows = []
+    for number, image in enumerate(axes.images, 1):
+        values = np.ma.filled(np.ma.asarray(image.get_array(), dtype=float), np.nan)
+        if values.ndim == 2:
+            left, right, bottom, top = image.get_extent()
+            x = left + (np.arange(values.shape[1]) + 0.5) * (right - left) / values.shape[1]
+            y = top + (np.arange(values.shape[0]) + 0.5) * (bottom - top) / values.shape[0]
+            if image.origin == "lower":
+                y = y[::-1]
+            rows += _numbers(_name(image, f"image {number}"), *np.meshgrid(x, y), values)
+    return rows
+
+
+def _bars(axes) -> list[tuple]:
+    rows = []
+    for number, bars in enumerate(axes.containers, 1):
+        patches = [p for p in getattr(bars, "patches", []) if hasattr(p, "get_height")]
+        if patches:
+            x = [p.get_x() + p.get_width() / 2 for p in patches]
+            rows += _numbers(_name(bars, f"bars {number}"), x, [p.get_y() + p.get_height() for p in patches])
+    return rows
+
+
+def _name(artist, default: str) -> str:
+    label = str(artist.get_label() or "")
+    return default if not label or label.startswith("_") else label
+
+
+def _numbers(name: str, x, y, z=None) -> list[tuple]:
+    columns = [np.ravel(np.ma.filled(np.ma.asarray(c, dtype=float), np.nan)) for c in (x, y)]
+    if z is None:
+        return [(name, f"{a:.7g}", f"{b:.7g}", "") for a, b in zip(*columns, strict=True)]
+    depth = np.ravel(np.ma.filled(np.ma.asarray(z, dtype=float), np.nan))
+    return [(name, f"{a:.7g}", f"{b:.7g}", f"{c:.7g}") for a, b, c in zip(*columns, depth, strict=True)]

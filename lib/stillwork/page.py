@@ -1,0 +1,54 @@
+"""A notebook's page: where its figures go and where its numbers are held against the ledger."""
+
+from dataclasses import dataclass, field
+
+from stillwork import paths
+from stillwork.checks import InputError
+from stillwork.claims import ClaimsTable, make_claim
+from stillwork.figures import SavedFigure, save
+
+
+@dataclass
+class Page:
+    """The page of one notebook: ``page = Page("isolation/02-convergence")``.
+
+    In a build it writes to the folder that the runner gives, in Jupyter to ``build/interactive/``.
+
+    Attributes
+    ----------
+    notebook : str
+        Room and name of the notebook, without suffix.
+    claims : ClaimsTable
+        What the notebook has claimed so far; show it at the end.
+    """
+
+    notebook: str
+    claims: ClaimsTable = field(default_factory=ClaimsTable, init=False, repr=False)
+
+    def __post_init__(self):
+        room, _, name = self.notebook.partition("/")
+        if room not in paths.ROOMS or not name:
+            raise InputError(
+                f"notebook is {self.notebook!r}; give 'room/name', e.g. 'isolation/02-convergence'"
+            )
+
+    def save(self, name: str, figure) -> SavedFigure:
+        """Write ``<name>.png`` and the plotted numbers ``<name>.csv``; returns a picture for the notebook."""
+        return save(figure, paths.output(self.notebook) / name)
+
+    def check(self, claim: str, ours: float, interval: tuple[float, float] | None = None) -> str:
+        """Hold `ours` against the ledger's entry `claim` (with the room in front); returns the verdict.
+
+        Parameters
+        ----------
+        claim : str
+            Id in ``published.toml``.
+        ours : float or bool
+            The replicated value; for an ordering the fraction of runs that obey it.
+        interval : tuple of float, optional
+            Its interval over runs.
+        """
+        made = make_claim(claim, ours, interval, self.notebook)
+        self.claims.add(made)
+        self.claims.write(paths.output(self.notebook) / "claims.json")
+        return made.verdict
