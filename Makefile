@@ -34,7 +34,7 @@ test: $(READY) ## Style, unit tests, all notebooks, and what is committed agains
 	$(BIN)/ruff format --check .
 	$(BIN)/python -m pytest tests --ignore=tests/committed -n logical --dist loadfile
 	rm -rf build/nbval
-	MPLBACKEND=Agg STILLWORK_OUTPUT=$(CURDIR)/build/nbval $(BIN)/python -m pytest notebooks \
+	MPLBACKEND=Agg STILLWORK_OUTPUT="$(CURDIR)/build/nbval" $(BIN)/python -m pytest notebooks \
 		--nbval --nbval-current-env --nbval-cell-timeout 600 -n logical --dist loadfile
 	$(BIN)/python -m pytest tests/committed
 
