@@ -1,0 +1,1 @@
+"""Self-tuning feedforward vibration isolation: FeRLS against FeLMS on a six-axis hard-mount isolator."""
