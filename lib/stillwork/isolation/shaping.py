@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 from scipy import signal
+
 from stillwork.checks import InputError, require_array, require_count, require_number
 
 Sections = Float64[np.ndarray, "sections 6"]
