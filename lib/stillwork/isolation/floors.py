@@ -33,7 +33,7 @@ class ShapedFloor:
     sample_rate: float = SAMPLE_RATE
 
     def __post_init__(self):
-        require_number("sample_rate", self.sample_rate, above=0)
+        require_number("sample_rate", self.sample_rate, above=0.0)
         require_array("scale", self.scale, ndim=1)
         for rows in require_array("sections", self.sections, shape=(len(self.scale), None, 6)):
             if any(np.any(np.abs(np.roots(row[3:])) >= 1) for row in rows):
@@ -60,7 +60,7 @@ class ShapedFloor:
 
 def flat_floor(
     low_pass_hz: float = 80.0,
-    level: ArrayLike = FLAT_LEVEL,
+    level: float | ArrayLike = FLAT_LEVEL,
     *,
     high_pass_hz: float = 3.0,
     channels: int = SENSORS,
@@ -82,9 +82,9 @@ def flat_floor(
     sample_rate : float
         Hz.
     """
-    require_number("sample_rate", sample_rate, above=0)
+    require_number("sample_rate", sample_rate, above=0.0)
     require_number("low_pass_hz", low_pass_hz, above=high_pass_hz, below=sample_rate / 2)
-    require_number("high_pass_hz", high_pass_hz, above=0)
+    require_number("high_pass_hz", high_pass_hz, above=0.0)
     channels = require_count("channels", channels)
     level = np.broadcast_to(require_array("level", level), channels) * np.ones(channels)
     sections = np.vstack(
@@ -100,7 +100,7 @@ def flat_floor(
 
 def colored_floor(
     low_pass_hz: float = 80.0,
-    level: ArrayLike = FLAT_LEVEL,
+    level: float | ArrayLike = FLAT_LEVEL,
     *,
     gain: float = 4.0,
     high_pass_hz: float = 3.0,
@@ -109,20 +109,24 @@ def colored_floor(
 ) -> ShapedFloor:
     """The 'colored' floor of Fig. 2: `flat_floor` raised at 40-90 Hz and around 150 Hz.
 
-    The paper names the bands, not the heights: each is a second-order peak of amplitude `gain` (4: 12 dB,
-    assumed), at 60 Hz (the geometric mean of the band), 50 Hz wide, and at 150 Hz, 30 Hz wide (assumed).
+    The paper names the bands, not the heights: each is a second-order peak of about `gain` times the amplitude
+    (4: 12 dB, assumed), at 60 Hz (the band's geometric mean), 50 Hz wide, and at 150 Hz, 30 Hz wide (assumed).
     Other parameters as in `flat_floor`.
     """
-    require_number("gain", gain, at_least=1)
+    require_number("gain", gain, at_least=1.0)
     flat = flat_floor(
         low_pass_hz, level, high_pass_hz=high_pass_hz, channels=channels, sample_rate=sample_rate
     )
-    peaks = [_peak(centre, width, gain, sample_rate) for centre, width in ((60.0, 50.0), (150.0, 30.0))]
-    raised = np.concatenate([flat.sections, np.tile(peaks, (channels, 1, 1))], axis=1)
+    sections = _peaks([(60.0, 50.0), (150.0, 30.0)], gain, sample_rate)
+    raised = np.concatenate([flat.sections, np.tile(sections, (flat.channels, 1, 1))], axis=1)
     return ShapedFloor(raised, flat.scale, flat.sample_rate)
 
 
-def _peak(centre_hz: float, width_hz: float, gain: float, sample_rate: float):
-    """Section 1 + (gain - 1) B with B the resonator that is 1 at its centre."""
-    b, a = signal.iirpeak(centre_hz, centre_hz / width_hz, fs=sample_rate)
-    return np.concatenate([a + (gain - 1) * b, a])
+def _peaks(bands: list[tuple[float, float]], gain: float, sample_rate: float):
+    """Sections of 1 + (gain - 1) sum of B over (centre, width), with B a resonator that is 1 at its centre."""
+    resonators = [signal.iirpeak(centre, centre / width, fs=sample_rate) for centre, width in bands]
+    whole = np.ones(1)
+    for _, a in resonators:
+        whole = np.polymul(whole, a)
+    raised = sum(np.polymul(b, np.polydiv(whole, a)[0]) for b, a in resonators)
+    return signal.tf2sos(np.polyadd(whole, (gain - 1) * raised), whole)
