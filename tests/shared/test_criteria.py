@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-
 from stillwork.checks import InputError
 from stillwork.criteria import (
     BAND_EDGE,
