@@ -3,6 +3,7 @@
 import argparse
 import json
 import os
+import re
 import sys
 
 from stillwork import paths
@@ -11,7 +12,10 @@ from stillwork.checks import InputError, nearest
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; returns the exit code (2 for wrong input, 130 when interrupted)."""
-    options = _parser().parse_args(arguments)
+    parser, words = _parser()
+    options, unknown = parser.parse_known_args(arguments)
+    if unknown:
+        parser.error(f"unknown {unknown[0]!r}{nearest(unknown[0], words)}")
     try:
         return options.run(options)
     except (InputError, FileNotFoundError) as error:
@@ -24,8 +28,9 @@ def main(arguments: list[str] | None = None) -> int:
         return 141
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(prog="python -m stillwork", description=__doc__, allow_abbrev=False)
+def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
+    """The parser, and all its options."""
+    parser = argparse.ArgumentParser(prog="python -m stillwork", description=__doc__, allow_abbrev=False)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     figures = commands.add_parser("figures", help="build the figures that are stale", allow_abbrev=False)
@@ -54,18 +59,8 @@ def _parser() -> argparse.ArgumentParser:
 
     doctor = commands.add_parser("doctor", help="compare this environment with environment.txt")
     doctor.set_defaults(run=_doctor)
-    return parser
-
-
-class _Parser(argparse.ArgumentParser):
-    """Names the nearest word for a misspelt command or option."""
-
-    def error(self, message: str):
-        words = [*self._option_string_actions]
-        for action in self._actions:
-            words += list(action.choices or {})
-        wrong = next((word for word in sys.argv[1:] if word not in words), "")
-        super().error(message + (nearest(wrong, words) if wrong else ""))
+    usage = " ".join(command.format_usage() for command in commands.choices.values())
+    return parser, re.findall(r"--?[a-z]+", usage)
 
 
 def _count(text: str) -> int:
