@@ -36,8 +36,8 @@ class FeLms:
     trace: str = "regressors"
 
     def __post_init__(self):
-        require_number("step_size", self.step_size, above=0)
-        require_number("regularisation", self.regularisation, above=0)
+        require_number("step_size", self.step_size, above=0.0)
+        require_number("regularisation", self.regularisation, above=0.0)
         require_choice("trace", self.trace, ("regressors", "literal"))
 
     def trace_copies(self, actuators: int) -> float:
@@ -64,14 +64,14 @@ class FeRls:
         algorithm.
     """
 
-    initial_covariance: ArrayLike
+    initial_covariance: ArrayLike | float
     forgetting: float = float(np.exp(-2e-4 / 10))
     growth_limit: float = 10.0
 
     def __post_init__(self):
-        require_number("forgetting", self.forgetting, above=0, at_most=1)
+        require_number("forgetting", self.forgetting, above=0.0, at_most=1.0)
         if self.growth_limit != np.inf:
-            require_number("growth_limit", self.growth_limit, at_least=1)
+            require_number("growth_limit", self.growth_limit, at_least=1.0)
         initial = require_array("initial_covariance", self.initial_covariance)
         if initial.ndim > 2 or (initial.ndim == 2 and initial.shape[0] != initial.shape[1]):
             raise InputError(

@@ -194,7 +194,7 @@ def steady_covariance(regressors: ArrayLike, forgetting: float) -> Float64[np.nd
         When a direction of the regressors is silent: it has no steady value.
     """
     regressors = require_array("regressors", regressors, ndim=2)
-    forgetting = require_number("forgetting", forgetting, above=0, below=1)
+    forgetting = require_number("forgetting", forgetting, above=0.0, below=1.0)
     size = np.sqrt(np.mean(regressors**2, axis=1))
     if np.min(size) == 0:
         raise InputError(f"regressors: row {int(np.argmin(size))} is zero; leave it out")

@@ -25,9 +25,9 @@ class Notch:
     depth: float = 0.01  # gain at the frequency
 
     def __post_init__(self):
-        require_number("frequency_hz", self.frequency_hz, above=0)
-        require_number("width", self.width, above=0)
-        require_number("depth", self.depth, at_least=0, at_most=1)
+        require_number("frequency_hz", self.frequency_hz, above=0.0)
+        require_number("width", self.width, above=0.0)
+        require_number("depth", self.depth, at_least=0.0, at_most=1.0)
 
 
 # The paper gives the mains' frequencies but no widths; narrow ones keep the band between them.
@@ -46,7 +46,7 @@ class SecondaryPath:
 
     def __post_init__(self):
         for name in ("mass", "damping", "stiffness", "actuator_pole"):
-            require_number(name, getattr(self, name), above=0)
+            require_number(name, getattr(self, name), above=0.0)
 
     @property
     def suspension(self) -> list[float]:
@@ -64,7 +64,7 @@ class NoiseShaping:
     notches: tuple[Notch, ...] = (RESONANCE, *MAINS)
 
     def __post_init__(self):
-        require_number("highpass_hz", self.highpass_hz, above=0)
+        require_number("highpass_hz", self.highpass_hz, above=0.0)
         require_number("lowpass_hz", self.lowpass_hz, above=self.highpass_hz)
         require_count("order", self.order)
 
@@ -89,8 +89,8 @@ def weak_integrator(order: int, cutoff: float, beta: float, sample_time: float) 
         Powers of beta H are the same filter again on its own output (`regressors`).
     """
     require_count("order", order)
-    require_number("cutoff", cutoff, above=0)
-    require_number("beta", beta, above=0)
+    require_number("cutoff", cutoff, above=0.0)
+    require_number("beta", beta, above=0.0)
     # (s + a)^n = a^n has the roots a (w - 1) with w the n-th roots of unity; the one at s = 0 is the integrator.
     unity = np.exp(2j * np.pi * np.arange(1, order) / order)
     return _tustin(cutoff * (unity - 1), -cutoff * np.ones(order), beta, sample_time)
@@ -168,7 +168,7 @@ def conditioning(sample_time: float, highpass_hz: float = 0.1, lowpass_hz: float
     The published low-pass is analogue and lies above half the sampling rate, so its corner cannot be prewarped;
     plain Tustin keeps its phase within 0.2 degrees up to 300 Hz.
     """
-    require_number("highpass_hz", highpass_hz, above=0)
+    require_number("highpass_hz", highpass_hz, above=0.0)
     require_number("lowpass_hz", lowpass_hz, above=highpass_hz)
     high = signal.buttap(2)[1] * 2 * np.pi * highpass_hz
     low = signal.buttap(2)[1] * 2 * np.pi * lowpass_hz
@@ -194,8 +194,8 @@ def skyhook(
     notch : Notch, optional
         Keeps the loop off the parasitic resonance.
     """
-    require_number("gain", gain, at_least=0)
-    require_number("cutoff", cutoff, above=0)
+    require_number("gain", gain, at_least=0.0)
+    require_number("cutoff", cutoff, above=0.0)
     zeros, poles = _notches(() if notch is None else (notch,), sample_time)
     return _tustin(zeros, [-cutoff, *poles], gain, sample_time)
 
@@ -251,12 +251,12 @@ def _notches(notches: tuple[Notch, ...], sample_time: float) -> tuple[list, list
 
 def _prewarped(name: str, frequency_hz: float, sample_time: float) -> float:
     """Frequency, rad/s, that Tustin's rule moves to `frequency_hz`."""
-    require_number("sample_time", sample_time, above=0)
+    require_number("sample_time", sample_time, above=0.0)
     require_number(name, frequency_hz, below=0.5 / sample_time)
     return 2 / sample_time * np.tan(np.pi * frequency_hz * sample_time)
 
 
 def _tustin(zeros, poles, gain: float, sample_time: float) -> Sections:
-    require_number("sample_time", sample_time, above=0)
+    require_number("sample_time", sample_time, above=0.0)
     digital = signal.bilinear_zpk(np.asarray(zeros), np.asarray(poles), gain, 1 / sample_time)
     return signal.zpk2sos(*digital)
