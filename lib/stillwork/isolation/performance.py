@@ -1,0 +1,261 @@
+"""How well the platform holds still in z, θx and θy: transmissibility, spectra, power (section 5.2)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Complex128, Float64
+from numpy.typing import ArrayLike
+from scipy import signal
+
+from stillwork.checks import InputError, require_array, require_choice, require_number
+from stillwork.isolation.adaptation import FeLms, FeRls
+from stillwork.isolation.floors import ShapedFloor
+from stillwork.isolation.recorded_floors import RecordedFloor
+from stillwork.isolation.responses import responses
+from stillwork.isolation.rig import Rig
+from stillwork.isolation.simulate import simulate
+from stillwork.isolation.steady import steady_state
+from stillwork.isolation.twin import Twin
+from stillwork.spectra import ResponseEstimate, Spectrum, estimate_response, estimate_spectrum
+
+DIRECTIONS = ("z", "θx", "θy")
+_ROWS = [2, 3, 4]  # of (x, y, z, θx, θy, θz)
+CASES = ("passive", "feedback", "FeLMS", "FeRLS")
+BAND_HZ = (1.0, 300.0)  # the paper's range of interest
+SETTLE_S = 5.0  # start of a record that is cut off: two dozen time constants of the weak integrators
+
+
+@dataclass(frozen=True)
+class Axes:
+    """From sensor readings to motion of a rigid body in z, θx, θy about the centre of mass.
+
+    Attributes
+    ----------
+    floor : ndarray, shape (3, sensors)
+        Of the floor plate.
+    platform : ndarray, shape (3, outputs)
+        Of the platform.
+    floor_readings : ndarray, shape (sensors, 3)
+        Readings of the floor sensors per motion of the plate.
+    """
+
+    floor: Float64[np.ndarray, "3 sensors"]
+    platform: Float64[np.ndarray, "3 outputs"]
+    floor_readings: Float64[np.ndarray, "sensors 3"]
+
+
+def central_axes(rig: Rig | None) -> Axes:
+    """Axes of a rig.
+
+    Raises
+    ------
+    InputError
+        When the model has no geometry, or its floor sensors do not fix z, θx and θy.
+    """
+    if rig is None:
+        raise InputError("the model has no geometry, so no z, θx and θy; take one with a body and struts")
+    readings = rig.floor_sensors.jacobian[:, _ROWS]
+    if np.linalg.matrix_rank(readings, 1e-9) < 3:
+        raise InputError("floor_sensors do not fix z, θx and θy of the plate; place three apart")
+    platform = np.linalg.pinv(rig.platform_sensors.jacobian)[_ROWS]
+    return Axes(np.linalg.pinv(readings), platform, readings)
+
+
+@dataclass(frozen=True)
+class CaseRecord:
+    """What the sensors show of one case, in z, θx, θy (m/s^2 and rad/s^2), noise included.
+
+    Attributes
+    ----------
+    name : str
+        One of `CASES`.
+    floor, platform : ndarray, shape (3, samples)
+        Accelerations.
+    sample_rate : float
+        Hz.
+    """
+
+    name: str
+    floor: Float64[np.ndarray, "3 samples"]
+    platform: Float64[np.ndarray, "3 samples"]
+    sample_rate: float
+
+    def spectrum(self, resolution_hz: float) -> Spectrum:
+        """Spectrum of the platform."""
+        return estimate_spectrum(self.platform, self.sample_rate, resolution_hz)
+
+    def response(self, resolution_hz: float) -> ResponseEstimate:
+        """Transmissibility from floor to platform."""
+        return estimate_response(self.floor, self.platform, self.sample_rate, resolution_hz)
+
+    def output_noise(self, resolution_hz: float) -> Spectrum:
+        """Spectrum of the platform that no filter of the floor signals explains: the feedforward's limit."""
+        found = self.response(resolution_hz)
+        return Spectrum(found.frequencies_hz, found.residual, found.averages)
+
+
+def tune(
+    twin: Twin, floor: ShapedFloor, duration_s: float, seed: int
+) -> dict[str, Float64[np.ndarray, "actuators regressors"]]:
+    """Weights that FeLMS and FeRLS reach from zero in `duration_s`, with the published settings.
+
+    FeRLS starts from ten times the steady covariance's diagonal, section 5.1.1.
+    """
+    covariance = 10 * np.diag(steady_state(twin, floor).covariance)
+    return {
+        name: simulate(
+            twin, floor, duration_s, adaptation=settings, seed=seed, keep_every_s=duration_s
+        ).final_weights
+        for name, settings in (("FeLMS", FeLms()), ("FeRLS", FeRls(covariance)))
+    }
+
+
+def record_case(
+    twin: Twin,
+    floor: ShapedFloor | RecordedFloor,
+    name: str,
+    duration_s: float,
+    seed: int,
+    *,
+    weights: ArrayLike | None = None,
+    noise: bool = True,
+) -> CaseRecord:
+    """Record a case with frozen weights; runs with the same seed see the same floor and sensor noise.
+
+    Parameters
+    ----------
+    twin : Twin
+        Rig with geometry.
+    floor : ShapedFloor or RecordedFloor
+        How the floor moves.
+    name : str
+        One of `CASES`; ``passive`` opens the skyhook loop.
+    duration_s : float
+        Seconds kept, after 5 s of settling.
+    seed : int
+        Of floor and noise.
+    weights : array_like, shape (actuators, regressors), optional
+        Frozen feedforward weights; without them there is no feedforward.
+    noise : bool
+        Whether sensors are noisy.
+    """
+    require_choice("name", name, CASES)
+    require_number("duration_s", duration_s, above=0.0)
+    axes = central_axes(twin.rig)
+    run = simulate(
+        twin,
+        floor,
+        SETTLE_S + duration_s,
+        weights=weights,
+        feedback=name != "passive",
+        noise=noise,
+        seed=seed,
+        signals_from_s=SETTLE_S,
+    )
+    return CaseRecord(
+        name, axes.floor @ run.sensed_floor, axes.platform @ run.measured_platform, run.sample_rate
+    )
+
+
+def exact_transmissibility(
+    twin: Twin, frequencies_hz: ArrayLike, *, weights: ArrayLike | None = None, feedback: bool = True
+) -> Complex128[np.ndarray, "3 3 frequencies"]:
+    """Transmissibility from floor to platform in z, θx, θy without any noise, from the model's responses.
+
+    Platform directions along the first axis, floor directions along the second.
+    """
+    axes = central_axes(twin.rig)
+    if weights is None:
+        weights = np.zeros((twin.actuators, twin.regressors))
+    whole = responses(twin, frequencies_hz, feedback).transmissibility(weights)
+    return (axes.platform @ whole @ axes.floor_readings).transpose(1, 2, 0)
+
+
+def expected_density(
+    twin: Twin,
+    floor: ShapedFloor,
+    frequencies_hz: ArrayLike,
+    *,
+    weights: ArrayLike | None = None,
+    feedback: bool = True,
+) -> dict[str, Float64[np.ndarray, "3 frequencies"]]:
+    """Spectrum of the measured platform in z, θx, θy by cause, without simulation and without mains.
+
+    Returns
+    -------
+    dict
+        ``floor``, ``floor noise`` (n0 through the feedforward) and ``output noise`` (n1, also through the
+        skyhook loop), each (m/s^2)^2/Hz or (rad/s^2)^2/Hz; the causes are independent, so their sum is the
+        spectrum.
+    """
+    axes = central_axes(twin.rig)
+    paths = responses(twin, frequencies_hz, feedback)
+    if weights is None:
+        weights = np.zeros((twin.actuators, twin.regressors))
+    command = paths.secondary @ (np.asarray(weights, dtype=float) @ paths.regressors)
+    by_floor = axes.platform @ (paths.primary + command)
+    by_sensors = axes.platform @ command
+    # n1 reaches the reading directly and through the loop: (I + L)^-1 = I - P2 K.
+    skyhook = (
+        feedback
+        * signal.freqz_sos(twin.skyhook_filter, paths.frequencies_hz, fs=twin.instruments.sample_rate)[1]
+    )
+    sensitivity = np.eye(twin.outputs) - paths.secondary * skyhook[:, None, None]
+    by_output = axes.platform @ (sensitivity * paths.conditioning[:, None, None])
+    return {
+        "floor": _power(by_floor, floor.density(paths.frequencies_hz).T),
+        "floor noise": _power(by_sensors, twin.instruments.floor_noise**2),
+        "output noise": _power(by_output, twin.instruments.platform_noise**2),
+    }
+
+
+def without_lines(spectrum: Spectrum, lines_hz: ArrayLike) -> Spectrum:
+    """Spectrum with a straight bridge over two bins on either side of each line (a Hann window's main lobe)."""
+    f, density = spectrum.frequencies_hz, spectrum.density.copy()
+    for line in require_array("lines_hz", lines_hz, ndim=1):
+        middle = int(np.argmin(np.abs(f - line)))
+        ends = [max(middle - 3, 0), min(middle + 3, len(f) - 1)]
+        inside = slice(ends[0] + 1, ends[1])
+        density[:, inside] = [np.interp(f[inside], f[ends], row[ends]) for row in density]
+    return Spectrum(f, density, spectrum.averages)
+
+
+def power_trial(
+    rng: np.random.Generator, *, twin: Twin, floor: ShapedFloor, adaptation_s: float, record_s: float
+) -> dict[str, np.ndarray]:
+    """One repetition of the experiment of Fig. 8 for `run_study`: adapt, freeze, record, compare.
+
+    Mains lines are bridged: their size in the twins is assumed.
+
+    Returns
+    -------
+    dict of ndarray, shape (3,)
+        ``FeLMS``, ``FeRLS``: share of the power at 1-300 Hz that the feedforward removes from the feedback-only
+        case, per cent; ``limit``: the same if only the output noise were left. ``in band``, ``above band``: power
+        with FeRLS over that of the output noise at 3-200 and 300-500 Hz; ``low end``: power with FeRLS over
+        feedback only at 1-2 Hz.
+    """
+    seed = int(rng.integers(2**31))
+    weights = tune(twin, floor, adaptation_s, seed)
+    records = {
+        name: record_case(twin, floor, name, record_s, seed + 1, weights=weights.get(name))
+        for name in ("feedback", "FeLMS", "FeRLS")
+    }
+    lines = twin.instruments.mains_hz
+    spectra = {name: without_lines(record.spectrum(1.0), lines) for name, record in records.items()}
+    limit = without_lines(records["feedback"].output_noise(1.0), lines)
+    before, after = spectra["feedback"], spectra["FeRLS"]
+    total = before.power(*BAND_HZ)
+    return {
+        **{name: 100 * (1 - spectra[name].power(*BAND_HZ) / total) for name in ("FeLMS", "FeRLS")},
+        "limit": 100 * (1 - limit.power(*BAND_HZ) / total),
+        "in band": after.power(3.0, 200.0) / limit.power(3.0, 200.0),
+        "above band": after.power(300.0, 500.0) / limit.power(300.0, 500.0),
+        "low end": after.power(1.0, 2.0) / before.power(1.0, 2.0),
+    }
+
+
+def _power(gain, density):
+    """Sum over independent sources of |gain|^2 density, (3, frequencies); density (frequencies, sources) or 1."""
+    power = np.abs(gain) ** 2 * np.reshape(density, (-1, 1, np.size(density) // len(gain) or 1))
+    return np.ascontiguousarray(power.sum(axis=2).T)
