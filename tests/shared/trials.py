@@ -1,7 +1,5 @@
 """Trials for studies; in a module of their own, so that other processes can import them."""
 
-import threading
-
 
 def draw(rng, mean=0.0, size=3):
     return {"level": rng.normal(mean), "path": rng.normal(size=size)}
@@ -13,7 +11,3 @@ def uneven(rng):
 
 def failing(rng):
     raise ValueError("no convergence")
-
-
-def thread(rng):
-    return {"thread": threading.get_ident()}
