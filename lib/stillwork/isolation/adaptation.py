@@ -151,23 +151,28 @@ def _ferls_update(weights, covariance, regressor, error, forgetting, limits, gai
 
 @kernel
 def _limit(covariance, limits, scratch):
-    """Bring the diagonal of P back to its limits in place, as if the regressor had been seen once more.
-
-    Adding c e_i e_i' to the inverse of P takes a multiple of p_i p_i' off P (matrix inversion lemma); c is
-    chosen such that P_ii lands on its limit. P stays symmetric and positive definite.
-    """
-    n = len(limits)
-    for i in range(n):
+    """Bring the diagonal of P back to its limits in place, as if the regressor had been seen once more."""
+    for i in range(len(limits)):
         if covariance[i, i] > limits[i]:
-            for j in range(n):
-                scratch[j] = covariance[i, j]
-            share = (scratch[i] - limits[i]) / (scratch[i] * scratch[i])
-            for j in range(n):
-                scaled = scratch[j] * share
-                for k in range(j + 1):
-                    value = covariance[j, k] - scaled * scratch[k]
-                    covariance[j, k] = value
-                    covariance[k, j] = value
+            _add_information(covariance, i, 1.0 / limits[i] - 1.0 / covariance[i, i], scratch)
+
+
+@kernel
+def _add_information(covariance, axis, information, scratch):
+    """Add to one diagonal element of the inverse of P, in place, by the matrix inversion lemma.
+
+    P stays symmetric, and positive definite for information above zero.
+    """
+    n = len(covariance)
+    for j in range(n):
+        scratch[j] = covariance[axis, j]
+    share = information / (1.0 + information * scratch[axis])
+    for j in range(n):
+        scaled = scratch[j] * share
+        for k in range(j + 1):
+            value = covariance[j, k] - scaled * scratch[k]
+            covariance[j, k] = value
+            covariance[k, j] = value
 
 
 @kernel
