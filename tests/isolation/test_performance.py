@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from stillwork.checks import InputError
 from stillwork.isolation.floors import flat_floor
-from stillwork.isolation.modes import shares, suspension_modes
+from stillwork.isolation.modes import suspension_modes
 from stillwork.isolation.performance import (
     CASES,
     central_axes,
@@ -106,10 +106,6 @@ def test_skyhook_damps_every_mode_about_as_an_ideal_one(twin):
     # Lag and delay act as a phase of w (T + tau), up to 16 degrees at 47 Hz.
     assert closed.damping == pytest.approx(ideal, rel=0.15)
     assert np.all(closed.damping > suspension_modes(twin, feedback=False).damping)
-
-
-def test_shares_of_a_mode_add_up(twin):
-    assert shares(twin.rig).sum(axis=0) == pytest.approx(np.ones(6))
 
 
 def test_questions_that_have_no_answer(twin):

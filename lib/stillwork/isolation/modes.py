@@ -7,10 +7,7 @@ from jaxtyping import Float64
 
 from stillwork.checks import InputError
 from stillwork.isolation.responses import control_paths
-from stillwork.isolation.rig import Rig
 from stillwork.isolation.twin import Twin
-
-DISPLACEMENTS = ("x", "y", "z", "θx", "θy", "θz")
 
 
 @dataclass(frozen=True)
@@ -60,9 +57,3 @@ def suspension_modes(twin: Twin, feedback: bool = True) -> Modes:
         )
     order = np.argsort(size[near])
     return Modes(size[near][order] / (2 * np.pi), (-poles.real / size)[near][order])
-
-
-def shares(rig: Rig) -> Float64[np.ndarray, "6 modes"]:
-    """Share of each displacement x, y, z, θx, θy, θz in the kinetic energy of each undamped mode."""
-    shapes = rig.modes[1]
-    return shapes * (rig.mass_matrix @ shapes)
