@@ -57,6 +57,11 @@ def cleaned(notebook: dict, executed: dict) -> dict:
     return {**notebook, "cells": cells, "metadata": metadata}
 
 
+def notebook_text(notebook: dict) -> str:
+    """The file's text, in the one order that accepting writes."""
+    return json.dumps(notebook, indent=1, ensure_ascii=False, sort_keys=True) + "\n"
+
+
 def _text_only(output: dict) -> dict | None:
     if output["output_type"] == "stream":
         return output
@@ -70,8 +75,7 @@ def _take_over_outputs(task: Task) -> None:
     file = notebook_file(task.notebook.name)
     notebook = json.loads(file.read_text(encoding="utf-8"))
     executed = json.loads(task.executed.read_text(encoding="utf-8"))
-    text = json.dumps(cleaned(notebook, executed), indent=1, ensure_ascii=False, sort_keys=True) + "\n"
-    publish.replace_file(file, text.encode())
+    publish.replace_file(file, notebook_text(cleaned(notebook, executed)).encode())
 
 
 def _write_ours(room: str, claims: list[Claim]) -> None:
