@@ -6,14 +6,14 @@ from stillwork.checks import InputError
 from stillwork.isolation.floors import flat_floor
 from stillwork.isolation.modes import suspension_modes
 from stillwork.isolation.performance import (
-    CASES,
     central_axes,
     exact_transmissibility,
     expected_density,
     record_case,
+    reduction_db,
     tune,
-    without_lines,
 )
+from stillwork.isolation.power import floor_level_for, power_trial, reduction_percent, without_lines
 from stillwork.isolation.steady import steady_state
 from stillwork.isolation.twin import load_twin
 from stillwork.spectra import Spectrum
@@ -36,25 +36,25 @@ def test_axes_undo_the_sensors_geometry(twin):
     assert axes.platform @ (twin.rig.platform_sensors.jacobian @ motion) == pytest.approx(motion[2:5])
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", ["passive", "feedback", "FeRLS"])
 def test_simulated_spectra_agree_with_the_expected_ones(twin, weights, case):
     given = weights if case.startswith("Fe") else None
-    record = record_case(twin, flat_floor(), case, 60.0, 3, weights=given)
+    record = record_case(twin, flat_floor(), case, 30.0, 3, weights=given)
     causes = expected_density(
         twin, flat_floor(), np.arange(1.0, 401.0), weights=given, feedback=case != "passive"
     )
     expected = sum(causes.values())
     spectrum = record.spectrum(1.0)
-    # 119 half-overlapping segments of 1 s; the suspension's skirts leak below 20 Hz.
+    # 59 half-overlapping segments of 1 s; the suspension's skirts leak below 20 Hz.
     for low, high in ((20, 100), (100, 200), (200, 300), (300, 400)):
         ratio = spectrum.density[:, low:high].sum(axis=1) / expected[:, low - 1 : high - 1].sum(axis=1)
-        assert ratio == pytest.approx(1, abs=0.1)
+        assert ratio == pytest.approx(1, abs=0.12)
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", ["passive", "feedback", "FeRLS"])
 def test_estimated_transmissibility_agrees_with_the_exact_one_without_noise(twin, weights, case):
     given = weights if case.startswith("Fe") else None
-    estimate = record_case(twin, flat_floor(1500.0), case, 60.0, 5, weights=given, noise=False).response(0.5)
+    estimate = record_case(twin, flat_floor(1500.0), case, 40.0, 5, weights=given, noise=False).response(0.5)
     band = (estimate.frequencies_hz > 8) & (estimate.frequencies_hz < 300)
     exact = exact_transmissibility(
         twin, estimate.frequencies_hz[band], weights=given, feedback=case != "passive"
@@ -73,7 +73,7 @@ def test_platform_follows_the_floor_at_low_frequency_and_rolls_off(twin):
 
 def test_feedforward_removes_most_of_the_power_and_the_output_noise_is_the_limit(twin):
     floor = flat_floor(1500.0)
-    weights = tune(twin, floor, 60.0, 1)["FeRLS"]
+    weights = tune(twin, floor, 0.1, 40.0, 1)["FeRLS"]
     before = record_case(twin, floor, "feedback", 30.0, 2)
     after = record_case(twin, floor, "FeRLS", 30.0, 2, weights=weights)
     total, left, limit = (
@@ -85,6 +85,43 @@ def test_feedforward_removes_most_of_the_power_and_the_output_noise_is_the_limit
     # The limit is n1 through the skyhook loop: compare with the model.
     model = expected_density(twin, floor, np.arange(1.0, 301.0))["output noise"].sum(axis=1)
     assert limit == pytest.approx(model, rel=0.15)
+
+
+def test_a_weaker_floor_leaves_the_asked_share(twin, weights):
+    removed = np.array([80.0, 90.0, 93.0])
+    level = floor_level_for(twin, flat_floor(), weights, removed)
+    f = np.geomspace(1.0, 300.0, 4000)
+    before, after = (expected_density(twin, flat_floor(), f, weights=w) for w in (None, weights))
+    found = reduction_percent(
+        f,
+        *(c["floor"] * level[:, None] ** 2 + c["floor noise"] + c["output noise"] for c in (before, after)),
+    )
+    assert found == pytest.approx(removed, abs=0.02)
+    with pytest.raises(InputError, match="ask for less"):
+        floor_level_for(twin, flat_floor(), weights, [99.99999, 90.0, 90.0])
+
+
+def test_reduction_in_bands_of_a_constant_factor():
+    f = np.arange(0.0, 260.0, 0.25)
+    before = np.ones((3, 3, 1)) * np.exp(1j * f)
+    centres, found = reduction_db(f, before, before / 100)
+    assert found == pytest.approx(40.0) and centres[0] < 3.2 and centres[-1] > 200
+
+
+def test_trial_holds_together(twin):
+    trial = power_trial(
+        np.random.default_rng(0),
+        twin=twin,
+        floor=flat_floor(1500.0),
+        felms_s=1.0,
+        ferls_s=30.0,
+        record_s=15.0,
+    )
+    removed = {name: trial[f"removed {name}"] for name in ("FeLMS", "FeRLS", "limit", "with mains")}
+    assert np.all(removed["FeLMS"] < removed["FeRLS"]) and np.all(removed["FeRLS"] < removed["limit"])
+    # Without mains in the twin a bridge changes nothing but the noise under it.
+    assert removed["with mains"] == pytest.approx(removed["FeRLS"], abs=0.3)
+    assert trial["density FeRLS"].shape == (3, 2501)
 
 
 def test_lines_are_bridged():
