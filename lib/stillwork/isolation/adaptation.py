@@ -131,21 +131,22 @@ def _ferls_update(weights, covariance, regressor, error, forgetting, limits, gai
         denominator += total * regressor[i]
     shrink = 1.0 / denominator
     forget = 1.0 / forgetting
-    excess = False
     for i in range(n):
         scaled = gain[i] * shrink
         for j in range(i + 1):
             value = (covariance[i, j] - scaled * gain[j]) * forget
             covariance[i, j] = value
             covariance[j, i] = value
-        excess |= covariance[i, i] > limits[i]
     for i in range(n):
         gain[i] *= shrink  # P(k-1) psi over the denominator is P(k) psi
     for a in range(len(error)):
+        scaled = error[a]
         for i in range(n):
-            weights[a, i] -= error[a] * gain[i]
-    if excess:
-        _limit(covariance, limits, gain)
+            weights[a, i] -= scaled * gain[i]
+    for i in range(n):
+        if covariance[i, i] > limits[i]:
+            _limit(covariance, limits, gain)
+            break
     return denominator
 
 

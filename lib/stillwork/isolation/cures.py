@@ -164,8 +164,12 @@ def _cure_run(
     kept,
 ):
     n, sensors = len(start), floor.shape[1]
-    weights, covariance = np.zeros((1, n)), np.diag(start)
-    limits = growth * start if cure == LIMIT else np.full(n, np.inf)
+    weights, covariance, limits = np.zeros((1, n)), np.zeros((n, n)), np.empty(n)
+    bound = 0.0
+    for i in range(n):
+        covariance[i, i] = start[i]
+        limits[i] = growth * start[i] if cure == LIMIT else np.inf
+        bound += growth * start[i]
     psi, shaped, gain = np.empty(n), np.empty(n), np.empty(n)
     error = np.empty(1)
     command, wanted, squares, largest, first = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -198,8 +202,11 @@ def _cure_run(
             information = n * (1 - forgetting) / (growth * start[axis])
             _add_information(covariance, axis, information, gain)
         elif cure == TRACE_BOUND:
-            excess = np.trace(covariance) / (growth * np.sum(start))
-            if excess > 1:
+            trace = 0.0
+            for i in range(n):
+                trace += covariance[i, i]
+            excess = trace / bound
+            if excess > 1.0:
                 for i in range(n):
                     for j in range(n):
                         covariance[i, j] /= excess
