@@ -121,7 +121,7 @@ def test_trial_holds_together(twin):
     assert np.all(removed["FeLMS"] < removed["FeRLS"]) and np.all(removed["FeRLS"] < removed["limit"])
     # Without mains in the twin a bridge changes nothing but the noise under it.
     assert removed["with mains"] == pytest.approx(removed["FeRLS"], abs=0.3)
-    assert trial["density FeRLS"].shape == (3, 2501)
+    assert trial["density FeRLS"].shape == (3, 10_001)
 
 
 def test_lines_are_bridged():

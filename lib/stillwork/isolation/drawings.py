@@ -7,6 +7,7 @@ from stillwork.criteria import criterion_density
 from stillwork.isolation.floors import ShapedFloor, colored_floor
 from stillwork.isolation.modes import Modes
 from stillwork.isolation.path_fit import diagonal_path, fit_error_db, parametric_fit
+from stillwork.isolation.performance_plots import thinned
 from stillwork.isolation.rig import Rig
 from stillwork.isolation.twin import Twin
 from stillwork.spectra import Spectrum
@@ -97,7 +98,8 @@ def draw_floors(floors: dict[str, ShapedFloor], measured: dict[str, Spectrum], g
     f = np.geomspace(1, 1000, 400)
     colors = dict(zip(floors, (figures.BLUE, figures.SKY, figures.RED), strict=False))
     for name, spectrum in measured.items():
-        shown = (spectrum.frequencies_hz >= 1.0) & (spectrum.frequencies_hz <= 1000)
+        inside = (spectrum.frequencies_hz >= 1.0) & (spectrum.frequencies_hz <= 1000)
+        shown = np.flatnonzero(inside)[thinned(spectrum.frequencies_hz[inside])]
         axes.loglog(
             spectrum.frequencies_hz[shown],
             spectrum.density.mean(axis=0)[shown],

@@ -33,7 +33,7 @@ def draw_transmissibility(frequencies_hz: np.ndarray, cases: dict[str, np.ndarra
         Lower end of the diagonal panels.
     """
     figure, axes = figures.new(3, 3, height=6.6, sharex=True)
-    shown = _thinned(frequencies_hz)
+    shown = thinned(frequencies_hz)
     f = frequencies_hz[shown]
     units = np.array([["", " (m/rad)", " (m/rad)"], [" (rad/m)", "", ""], [" (rad/m)", "", ""]])
     for i, to in enumerate(DIRECTIONS):
@@ -69,7 +69,7 @@ def draw_reduction(frequencies_hz: np.ndarray, reductions: dict[str, np.ndarray]
         dB over the feedback-only case, positive for less vibration.
     """
     figure, axes = figures.new(1, 3, height=2.7, sharey=True)
-    shown = _thinned(frequencies_hz)
+    shown = thinned(frequencies_hz)
     f = frequencies_hz[shown]
     for k, (panel, direction) in enumerate(zip(axes, DIRECTIONS, strict=True)):
         panel.fill_between([3, 200], 20, 40, color=figures.GREY, alpha=0.2, lw=0, label="published, 3-200 Hz")
@@ -101,7 +101,7 @@ def draw_power(frequencies_hz: np.ndarray, densities: dict[str, np.ndarray]):
     units = ("(m/s²)²", "(rad/s²)²", "(rad/s²)²")
     inside = (frequencies_hz >= BAND_HZ[0]) & (frequencies_hz <= 1000)
     f = frequencies_hz[inside]
-    points = _thinned(f)
+    points = thinned(f)
     for name, density in densities.items():
         running = np.cumsum(density[:, inside], axis=1) * (f[1] - f[0])
         for k in range(3):
@@ -190,7 +190,7 @@ def _coarse() -> np.ndarray:
     return np.geomspace(0.05, 2400, 500)
 
 
-def _thinned(frequencies_hz: np.ndarray) -> np.ndarray:
+def thinned(frequencies_hz: np.ndarray) -> np.ndarray:
     """Indices of at most 240 points, evenly spaced in the logarithm."""
     positive = np.flatnonzero(frequencies_hz > 0)
     f = frequencies_hz[positive]
