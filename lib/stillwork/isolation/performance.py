@@ -14,7 +14,7 @@ from stillwork.isolation.floors import ShapedFloor
 from stillwork.isolation.recorded_floors import RecordedFloor
 from stillwork.isolation.responses import responses
 from stillwork.isolation.rig import Rig
-from stillwork.isolation.simulate import simulate
+from stillwork.isolation.simulation import simulate
 from stillwork.isolation.steady import steady_state
 from stillwork.isolation.twin import Twin
 from stillwork.spectra import ResponseEstimate, Spectrum, estimate_response, estimate_spectrum

@@ -96,7 +96,8 @@ def steady_state(
     disturbance = paths.error @ paths.primary  # e per a0
     seen = (floor_power + sensor_power)[:, None, :]
     correlation = _mean(shaped * seen, shaped)
-    if np.linalg.cond(correlation / np.sqrt(np.outer(np.diag(correlation), np.diag(correlation)))) > 1e12:
+    size = np.sqrt(np.diag(correlation))
+    if np.min(size) == 0 or np.linalg.cond(correlation / np.outer(size, size)) > 1e12:
         raise InputError("floor leaves a combination of regressors silent; give every sensor some motion")
 
     # E[e psi_N'] = b + sum_f G W Q with G = e per u and Q = psi (psi_N)^H.

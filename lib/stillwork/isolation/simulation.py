@@ -185,6 +185,8 @@ def _algorithm(twin: Twin, adaptation):
 def _segments(twin: Twin, floor, duration_s) -> list[tuple[int, Floor]]:
     rate = twin.instruments.sample_rate
     given = floor if isinstance(floor, list) else [(duration_s, floor)]
+    if not given:
+        raise InputError("floor is an empty list; give (seconds, floor) pairs")
     segments = []
     for seconds, part in given:
         if part.channels != twin.sensors:
