@@ -13,7 +13,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.checks import InputError, require_array, require_choice, require_number
-from stillwork.kernels import kernel
+from stillwork.kernels import inlined_kernel, kernel
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class FeRls:
         return (covariance + covariance.T) / 2, self.growth_limit * np.diag(covariance)
 
 
-@kernel
+@inlined_kernel
 def _ferls_update(weights, covariance, regressor, error, forgetting, limits, gain):
     """One sample of FeRLS in place, eq. (29)-(30).
 
