@@ -144,7 +144,8 @@ def _execute(job: Job, folder: Path, on_cell: Callable[[], object]) -> Outcome:
 def _where(begun: list[str]) -> str:
     if not begun:
         return "kernel start"
-    return f"cell [{len(begun)}] {next(iter(begun[-1].strip().splitlines()), '')}"
+    first = next(iter(begun[-1].strip().splitlines()), "")
+    return f"cell [{len(begun)}] {first if len(first) <= 60 else first[:59] + '…'}"
 
 
 def _plain(text: str) -> str:
