@@ -115,7 +115,7 @@ def test_trial_holds_together(twin):
         floor=flat_floor(1500.0),
         felms_s=1.0,
         ferls_s=30.0,
-        record_s=15.0,
+        record_s=25.0,
     )
     removed = {name: trial[f"removed {name}"] for name in ("FeLMS", "FeRLS", "limit", "with mains")}
     assert np.all(removed["FeLMS"] < removed["FeRLS"]) and np.all(removed["FeRLS"] < removed["limit"])

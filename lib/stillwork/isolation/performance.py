@@ -11,7 +11,7 @@ from stillwork.checks import InputError, require_array, require_choice, require_
 from stillwork.criteria import BAND_EDGE
 from stillwork.isolation.adaptation import FeLms, FeRls
 from stillwork.isolation.floors import ShapedFloor
-from stillwork.isolation.recorded_floors import RecordedFloor
+from stillwork.isolation.recorded_floors import RecordedFloor, SpectralFloor
 from stillwork.isolation.responses import responses
 from stillwork.isolation.rig import Rig
 from stillwork.isolation.simulation import simulate
@@ -176,13 +176,27 @@ def exact_transmissibility(
 
 def expected_density(
     twin: Twin,
-    floor: ShapedFloor,
+    floor: ShapedFloor | SpectralFloor,
     frequencies_hz: ArrayLike,
     *,
     weights: ArrayLike | None = None,
     feedback: bool = True,
+    sensed: bool = True,
 ) -> dict[str, Float64[np.ndarray, "3 frequencies"]]:
-    """Spectrum of the measured platform in z, θx, θy by cause, without simulation and without mains.
+    """Spectrum of the platform in z, θx, θy by cause, without simulation and without mains.
+
+    Parameters
+    ----------
+    twin, floor
+        Rig with geometry; a floor with a density.
+    frequencies_hz : array_like, shape (frequencies,)
+        Above zero.
+    weights : array_like, shape (actuators, regressors), optional
+        Frozen feedforward weights.
+    feedback : bool
+        Whether the skyhook loop is closed.
+    sensed : bool
+        What the platform's sensors show; otherwise how the platform really moves.
 
     Returns
     -------
@@ -205,6 +219,10 @@ def expected_density(
     )
     sensitivity = np.eye(twin.outputs) - paths.secondary * skyhook[:, None, None]
     by_output = axes.platform @ (sensitivity * paths.conditioning[:, None, None])
+    if not sensed:  # the reading is conditioner (motion + n1)
+        behind = paths.conditioning[:, None, None]
+        by_floor, by_sensors = by_floor / behind, by_sensors / behind
+        by_output = by_output / behind - axes.platform
     return {
         "floor": _power(by_floor, floor.density(paths.frequencies_hz).T),
         "floor noise": _power(by_sensors, twin.instruments.floor_noise**2),
