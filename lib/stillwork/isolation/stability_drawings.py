@@ -1,13 +1,13 @@
 """Figures of numerical stability (notebook 07)."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from stillwork import figures
 from stillwork.isolation.cures import CureRun
-from stillwork.isolation.simulation import Run
+from stillwork.isolation.silence import Outcome
 from stillwork.isolation.stability import FORMS, CovarianceRun, covariance_run
 
 _LINES = ("-", "--", "-", ":", "-.")
@@ -33,12 +33,11 @@ def draw_forms(runs: Mapping[str, Mapping[str, CovarianceRun]], experiment: floa
             if np.isfinite(run.breakdown):
                 for axes in (upper, lower):
                     axes.axvline(run.breakdown, color=figures.GREY, lw=0.8, ls=":")
-                upper.annotate(
-                    f"indefinite at {run.breakdown:.0f}",
-                    (run.breakdown, 1e-17),
+                lower.annotate(
+                    f"indefinite at {run.breakdown:.0f} ",
+                    (run.breakdown, 1e-13),
                     fontsize=8,
                     ha="right",
-                    rotation=90,
                     va="bottom",
                     color=figures.GREY,
                 )
@@ -50,11 +49,11 @@ def draw_forms(runs: Mapping[str, Mapping[str, CovarianceRun]], experiment: floa
         upper.axvspan(0, experiment, color=figures.GREY, alpha=0.12, lw=0)
         lower.axvspan(0, experiment, color=figures.GREY, alpha=0.12, lw=0)
         upper.set(title=precision, ylabel="antisymmetric part of P", ylim=(FLOOR / 3, 10))
-        lower.set(xlabel="time constants of the forgetting", ylabel="error of P", ylim=(1e-13, 1e3))
+        lower.set(xlabel="time constants of the forgetting", ylabel="error of P", ylim=(1e-14, 1e3))
         for axes in (upper, lower):
             axes.set_yticks(10.0 ** np.arange(-18, 4, 3) if axes is upper else 10.0 ** np.arange(-12, 4, 3))
     grid[0, 0].annotate(
-        "the paper's 200 s", (experiment / 2, 2.0), ha="center", va="top", fontsize=8, color=figures.GREY
+        "the paper's 200 s", (experiment / 2, 5.0), ha="center", va="top", fontsize=8, color=figures.GREY
     )
     figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
@@ -77,22 +76,22 @@ def draw_windup(runs: Mapping[str, Mapping[str, CovarianceRun]]):
     return figure
 
 
-def draw_loop(runs: Mapping[str, Run], silence_s: tuple[float, float], message: str):
-    """Filtered error of a twin's closed loop around a silent stretch; a loop that broke ends where it broke."""
-    figure, axes = figures.new(1, 1, height=2.8)
-    for style, (name, run) in zip(("-", "--", "-."), runs.items(), strict=False):
-        axes.semilogy(run.time_s, np.sqrt(run.error_power), style, label=name)
-    axes.axvspan(*silence_s, color=figures.GREY, alpha=0.12, lw=0)
-    axes.annotate(
-        "one floor sensor silent",
-        (np.mean(silence_s), 0.98),
-        xycoords=("data", "axes fraction"),
-        ha="center",
-        va="top",
-        fontsize=8,
-    )
-    axes.set(xlabel="time, s", ylabel="filtered error, rms, N", title=message)
-    axes.legend(loc="upper left")
+def draw_return(outcomes: Mapping[str, Sequence[Outcome]], return_s: float):
+    """Filtered error around the return of a silent sensor; a cross marks where a run broke."""
+    figure, grid = figures.new(1, len(outcomes), height=3.0, sharey=True, squeeze=False)
+    for axes, (name, runs) in zip(grid[0], outcomes.items(), strict=True):
+        for number, run in enumerate(runs, 1):
+            near = run.time_s > return_s - 5
+            axes.semilogy(run.time_s[near] - return_s, run.error[near], lw=0.9, label=f"floor {number}")
+            if run.broke_s is not None:
+                end = (run.broke_s - return_s, run.error[-1])
+                axes.plot(
+                    *end, "x", color=axes.lines[-1].get_color(), ms=9, mew=2, label=f"floor {number}, broke"
+                )
+        axes.axvspan(-5, 0, color=figures.GREY, alpha=0.12, lw=0)
+        axes.set(xlabel="time since the sensor's return, s", title=name, xlim=(-5, 15))
+        axes.legend(loc="upper right")
+    grid[0, 0].set(ylabel="filtered error, rms, N")
     return figure
 
 

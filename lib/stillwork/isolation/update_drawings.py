@@ -43,7 +43,7 @@ def draw_agreement(time_s: ArrayLike, residuals: Mapping[str, ArrayLike], weight
     """Weights of the first actuator on the left, differences between the forms on the right."""
     figure, (left, right) = figures.new(1, 2, height=3.0)
     for number, row in enumerate(np.transpose(weights), 1):
-        left.plot(time_s, row, label=f"w{number}")
+        left.plot(time_s, row, "-" if number <= 7 else "--", label=f"w{number}")
     left.set(xlabel="time, s", ylabel="weight, N per (m/s²)", title="identification from zero weights")
     left.legend(ncols=3)
     for name, values in residuals.items():
@@ -75,26 +75,26 @@ def draw_gain(forgetting: float, samples: int, sample_time: float):
 
 def draw_costs(actuators: int, regressors: int, times: Mapping[str, MeasuredTime], sample_time: float):
     """Multiplications of each form, and measured times against the sampling interval."""
-    figure, (left, right) = figures.new(1, 2, height=3.0)
+    figure, (upper, lower) = figures.new(2, 1, height=4.6)
     counts = multiplications(actuators, regressors)
-    _bars(left, {_NAMES[name]: count for name, count in counts.items()}, "{:,.0f}")
-    left.set(
+    _bars(upper, {_NAMES[name]: count for name, count in counts.items()}, "{:,.0f}")
+    upper.set(
         xlabel="multiplications and divisions per sample",
         title=f"{actuators} outputs x {regressors} regressors",
     )
     shown = {**_NAMES, "C": "the recursion in C"}
-    _bars(right, {text: times[name].median_us for name, text in shown.items() if name in times}, "{:.2g}")
-    right.axvline(1e6 * sample_time, color=figures.BLACK, lw=1, ls="--")
-    right.annotate(
-        "sampling interval",
-        (1e6 * sample_time, -0.45),
+    _bars(lower, {text: times[name].median_us for name, text in shown.items() if name in times}, "{:.2g}")
+    lower.axvline(1e6 * sample_time, color=figures.BLACK, lw=1, ls="--")
+    lower.annotate(
+        f"sampling interval, {1e6 * sample_time:.0f} µs",
+        (1e6 * sample_time, 3.0),
         ha="right",
         va="center",
         fontsize=8,
         xytext=(-3, 0),
         textcoords="offset points",
     )
-    right.set(xlabel="measured time per update, µs", title="measured, 6 outputs x 9 regressors")
+    lower.set(xlabel="measured time per update, µs", title="measured, 6 outputs x 9 regressors")
     return figure
 
 
