@@ -107,7 +107,7 @@ def _ferls_update(weights, covariance, regressor, error, forgetting, limits, gai
         P, exactly symmetric; one triangle is computed and mirrored, so it stays so.
     regressor : (n,)
         psi_N.
-    error : (actuators,)
+    error : (actuators or more,)
         e.
     forgetting : float
         lambda.
@@ -139,7 +139,7 @@ def _ferls_update(weights, covariance, regressor, error, forgetting, limits, gai
             covariance[j, i] = value
     for i in range(n):
         gain[i] *= shrink  # P(k-1) psi over the denominator is P(k) psi
-    for a in range(len(error)):
+    for a in range(weights.shape[0]):
         scaled = error[a]
         for i in range(n):
             weights[a, i] -= scaled * gain[i]
@@ -186,7 +186,7 @@ def _felms_update(weights, regressor, error, step_size, regularisation, trace_co
         W.
     regressor : (n,)
         psi_N.
-    error : (actuators,)
+    error : (actuators or more,)
         e.
     step_size, regularisation : float
         mu and epsilon.
@@ -199,7 +199,7 @@ def _felms_update(weights, regressor, error, step_size, regularisation, trace_co
     for i in range(n):
         power += regressor[i] * regressor[i]
     rate = step_size / (regularisation + trace_copies * power)
-    for a in range(len(error)):
+    for a in range(weights.shape[0]):
         scaled = rate * error[a]
         for i in range(n):
             weights[a, i] -= scaled * regressor[i]

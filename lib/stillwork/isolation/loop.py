@@ -12,7 +12,7 @@ import numpy as np
 from stillwork.checks import InputError
 from stillwork.isolation.adaptation import _felms_update, _ferls_update
 from stillwork.isolation.twin import Twin
-from stillwork.kernels import kernel
+from stillwork.kernels import inlined_kernel, kernel
 
 FROZEN, FELMS, FERLS = 0, 1, 2  # what the kernel does with the weights
 STABLE, OVERLOAD, INDEFINITE = 0, 1, 2  # why it stopped
@@ -71,7 +71,7 @@ def loop_of(twin: Twin, feedback: bool, weights: np.ndarray, covariance: np.ndar
     """Loop of a twin at rest, with its skyhook closed or open."""
     a, b, c, d = twin.plant.discrete(twin.sample_time)
     matrix = np.block([[a, b], [c, d]]).T
-    inputs, outputs = (-(-size // 8) * 8 for size in matrix.shape)
+    inputs, outputs = (padded(size) for size in matrix.shape)
     plant = aligned(inputs, outputs)
     plant[: len(matrix), : matrix.shape[1]] = matrix
     filters = twin.error_filter
@@ -91,8 +91,8 @@ def loop_of(twin: Twin, feedback: bool, weights: np.ndarray, covariance: np.ndar
         conditioning=bank_of(rows_of(twin.instruments.conditioning), twin.outputs + twin.sensors),
         skyhook=bank_of(skyhook if feedback else 0 * skyhook, twin.outputs),
         shaping=bank_of(rows_of(twin.noise_shaping), twin.sensors),
-        integrator=bank_of(np.tile(rows_of(twin.integrator), (powers, 1)), 2 * twin.sensors),
-        error=bank_of(rows_of(filters.sections[0]), twin.outputs),
+        integrator=bank_of(np.tile(rows_of(twin.integrator), (powers, 1)), padded(2 * twin.sensors)),
+        error=bank_of(rows_of(filters.sections[0]), padded(twin.outputs)),
         modes=np.zeros((0, 5, 0))
         if diagonal
         else np.stack([rows_of(each) for each in filters.sections], axis=2),
@@ -116,6 +116,11 @@ def bank_of(rows: np.ndarray, channels: int) -> Bank:
     return Bank(np.ascontiguousarray(rows), aligned(len(rows), channels), aligned(len(rows), channels))
 
 
+def padded(size: int) -> int:
+    """Next multiple of eight: whole vectors take less time than a part of one."""
+    return -(-size // 8) * 8
+
+
 def aligned(*shape: int) -> np.ndarray:
     """Zeros that start at a cache line: vectors that straddle two lines halve the speed of the banks."""
     size = int(np.prod(shape))
@@ -124,7 +129,7 @@ def aligned(*shape: int) -> np.ndarray:
     return raw[offset : offset + size].reshape(shape)
 
 
-@kernel
+@inlined_kernel
 def _filter(sections, first, second, values):
     """One sample of every channel of a bank, in place.
 
@@ -142,7 +147,7 @@ def _filter(sections, first, second, values):
             values[c] = out
 
 
-@kernel
+@inlined_kernel
 def _filter_each(sections, first, second, values):
     """The same where every channel has a cascade of its own."""
     for s in range(sections.shape[0]):
@@ -157,14 +162,11 @@ def _filter_each(sections, first, second, values):
 @kernel
 def _filter_block(sections, first, second, signals):
     """A block of samples, (samples, channels), through a bank with a cascade for each channel, in place."""
-    values = np.empty(signals.shape[1])
     for k in range(len(signals)):
-        values[:] = signals[k]
-        _filter_each(sections, first, second, values)
-        signals[k] = values
+        _filter_each(sections, first, second, signals[k])
 
 
-@kernel
+@inlined_kernel
 def _multiply(matrix, vector, product):
     """product = matrix' vector, four inputs at a time: one pass through memory where there would be four."""
     for i in range(len(product)):
@@ -249,10 +251,10 @@ def _advance(
 
     resonance = np.empty(actuators)
     damping = np.empty(outputs)
-    error = np.empty(actuators)
+    error = np.zeros(error_1.shape[1])
     axes = np.empty(outputs)
     shaped = np.empty(sensors)
-    both = np.empty(2 * sensors)
+    both = np.zeros(integrator_1.shape[1])
     regressor = np.empty(count)
     filtered = np.empty(count)
     gain = np.empty(count)
