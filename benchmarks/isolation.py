@@ -20,10 +20,10 @@ sys.path.insert(0, str(ROOT / "lib"))
 os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1", MKL_NUM_THREADS="1")
 
 import numpy as np  # noqa: E402
+from stillwork.isolation import loop, simulation  # noqa: E402
 from stillwork.isolation.adaptation import FeLms, FeRls, _ferls_update  # noqa: E402
 from stillwork.isolation.floors import flat_floor  # noqa: E402
 from stillwork.isolation.online import _run_felms, _run_ferls  # noqa: E402
-from stillwork.isolation.simulation import simulate  # noqa: E402
 from stillwork.isolation.twin import load_twin  # noqa: E402
 
 ACTUATORS, REGRESSORS = 6, 9
@@ -102,25 +102,26 @@ def main() -> None:
             rows.append((f"update 9 x 6: {name} per output / numba", updates[peer][0] / recursion, ">= 400"))
     rows.append(("update 9 x 6: FeRLS / FeLMS alone", recursion / updates["FeLMS"][0], ""))
     loops = loop_times()
-    loop = {name: median for name, (median, _, _) in loops.items()}
-    rows.append(("closed loop with FeRLS, us per sample", loop["FeRLS"], "<= 0.5"))
-    rows.append(("closed loop with FeLMS, us per sample", loop["FeLMS"], ""))
-    rows.append(("closed loop: FeRLS / FeLMS", loop["FeRLS"] / loop["FeLMS"], "<= 1.3"))
+    felms, ferls = (loops[f"closed loop {name}"][0] for name in ("FeLMS", "FeRLS"))
+    rows.append(("closed loop with FeRLS, us per sample", ferls, "<= 0.5"))
+    rows.append(("closed loop: FeRLS / FeLMS", ferls / felms, "<= 1.3"))
     cold, warm = compilation()
     rows.append(("cold compilation of all kernels, s", cold[1] - warm[1], "<= 10"))
     rows.append(("kernels used / compiled in the second run", f"{warm[3]:.0f} / {warm[2]:.0f}", "/ 0"))
     rows.append(("import stillwork, s", import_time(), "<= 0.2"))
 
     print(f"{machine()}; median of {REPEATS} repeats")
-    print("\nupdate of 9 regressors x 6 outputs       microseconds per sample (lowest .. highest)")
-    for name, (median, low, high) in updates.items():
+    print(
+        "\nupdate of 9 regressors x 6 outputs, and closed loop: microseconds per sample (lowest .. highest)"
+    )
+    for name, (median, low, high) in {**updates, **loops}.items():
         print(f"  {name:38s} {median:10.3f}   ({low:.3f} .. {high:.3f})")
     print()
     for name, value, target in rows:
         text = value if isinstance(value, str) else f"{value:.3g}"
         print(f"  {name:56s} {text:>9s}   {target:8s} {verdict(value, target)}")
     if "--write" in sys.argv[1:]:
-        write({**updates, **{f"closed loop {name}": times for name, times in loops.items()}})
+        write({**updates, **loops})
 
 
 def verdict(value, target: str) -> str:
@@ -270,19 +271,39 @@ def compiled(psi, error, start) -> dict:
 
 
 def loop_times() -> dict[str, tuple[float, float, float]]:
-    """Whole closed loop of the rigid-body twin, floor and noise included; times as in `in_turn`."""
+    """Closed loop of the rigid-body twin, alone and with floor and noise drawn; times as in `in_turn`."""
     twin, seconds = load_twin("rigid_body"), 20.0
     covariance = np.full(twin.regressors, 0.6)  # about the steady value on this floor
+    algorithms = {"FeLMS": FeLms(), "FeRLS": FeRls(covariance)}
+    samples = round(seconds / twin.sample_time)
+    sources = simulation._Sources(twin, [(samples, flat_floor())], True, 0)
+    blocks = [sources.draw(simulation.BLOCK) for _ in range(samples // simulation.BLOCK)]
 
-    def contender(settings):
+    def alone(settings):
+        code, numbers, start = simulation._algorithm(twin, settings)
+        kept = simulation._Kept(twin, simulation.BLOCK, simulation.BLOCK, simulation.BLOCK)
+
         def run():
+            closed = loop.loop_of(twin, True, np.zeros((twin.actuators, twin.regressors)), start)
+            signals = kept.block(0, simulation.BLOCK)
             begin = time.thread_time()
-            simulate(twin, flat_floor(), seconds, adaptation=settings)
-            return time.thread_time() - begin, round(seconds * twin.instruments.sample_rate)
+            for floor, noise in blocks:
+                loop._advance(floor, noise, closed, signals, simulation.BLOCK, 0, code, *numbers, np.inf)
+            return time.thread_time() - begin, len(blocks) * simulation.BLOCK
 
         return run
 
-    return in_turn({"FeLMS": contender(FeLms()), "FeRLS": contender(FeRls(covariance))})
+    def drawn(settings):
+        def run():
+            begin = time.thread_time()
+            simulation.simulate(twin, flat_floor(), seconds, adaptation=settings)
+            return time.thread_time() - begin, samples
+
+        return run
+
+    contenders = {f"closed loop {name}": alone(settings) for name, settings in algorithms.items()}
+    contenders |= {f"simulation {name}": drawn(settings) for name, settings in algorithms.items()}
+    return in_turn(contenders)
 
 
 def compilation() -> tuple[list[float], list[float]]:
