@@ -11,7 +11,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.checks import InputError, require_array, require_choice, require_count, require_number
-from stillwork.kernels import kernel
+from stillwork.kernels import inlined_kernel, kernel
 
 FORMS = ("one product", "both products", "triangle", "Joseph", "square root")
 OVERFLOW = 1e100  # so large that its square is still a number
@@ -145,12 +145,17 @@ def _recur(form, matrix, regressors, forgetting, scratch):
         n = len(psi)
         denominator = forgetting
         for i in range(n):
-            column[i] = matrix[i, 0] * psi[0]
-            row[i] = matrix[0, i] * psi[0]
+            total = matrix[i, 0] * psi[0]
             for j in range(1, n):
-                column[i] += matrix[i, j] * psi[j]
-                row[i] += matrix[j, i] * psi[j]
-            denominator += psi[i] * column[i]
+                total += matrix[i, j] * psi[j]
+            column[i] = total
+            denominator += psi[i] * total
+        if form == BOTH_PRODUCTS or form == JOSEPH:
+            for i in range(n):
+                total = matrix[0, i] * psi[0]
+                for j in range(1, n):
+                    total += matrix[j, i] * psi[j]
+                row[i] = total
         shrink = one / denominator
         forget = one / forgetting
         if form == ONE_PRODUCT:
@@ -183,7 +188,7 @@ def _recur(form, matrix, regressors, forgetting, scratch):
                     matrix[i, j] = (matrix[i, j] - back[i] * (column[j] * shrink)) * forget + gains
 
 
-@kernel
+@inlined_kernel
 def _square_root(factor, psi, forgetting, scratch):
     """Potter's update of S with P = S S'."""
     one = factor.dtype.type(1)
