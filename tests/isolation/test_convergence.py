@@ -9,13 +9,11 @@ from stillwork.isolation.convergence import (
     algorithms,
     converge,
     convergence_trial,
-    follow_sideways,
-    mean_course,
-    narrow_floor,
     settling_times,
     try_starts,
 )
 from stillwork.isolation.floors import colored_floor, flat_floor
+from stillwork.isolation.mean_convergence import follow_sideways, mean_course, narrow_floor
 from stillwork.isolation.steady import steady_state
 from stillwork.isolation.tracking import respond, settled, switch_between, tracking_trial
 from stillwork.isolation.twin import load_twin

@@ -7,8 +7,9 @@ from numpy.typing import ArrayLike
 
 from stillwork import figures
 from stillwork.claims import load_entries
-from stillwork.isolation.convergence import ALGORITHMS, Course, Sideways, Starts, mean_course
+from stillwork.isolation.convergence import ALGORITHMS, Course, Starts
 from stillwork.isolation.floors import ShapedFloor
+from stillwork.isolation.mean_convergence import Sideways, mean_course
 from stillwork.isolation.responses import responses
 from stillwork.isolation.steady import Steady, steady_state
 from stillwork.isolation.twin import Twin

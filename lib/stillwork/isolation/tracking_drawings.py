@@ -5,7 +5,8 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from stillwork import figures
-from stillwork.isolation.convergence import ALGORITHMS, mean_course
+from stillwork.isolation.convergence import ALGORITHMS
+from stillwork.isolation.mean_convergence import mean_course
 from stillwork.isolation.tracking import GROUPS, SHARE, Response, Switch
 from stillwork.isolation.twin import Twin
 from stillwork.studies import Study
