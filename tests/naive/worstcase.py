@@ -18,7 +18,7 @@ def secular_root(A, b, bound):
         alpha = scale * 10.0**exponent
         return np.log(secular_value(A, b, bound, alpha) / alpha)
 
-    return scale * 10.0 ** brentq(gap, -12, 12, xtol=1e-15, rtol=4e-16, maxiter=500)
+    return scale * 10.0 ** brentq(gap, -12, 12, xtol=1e-15, rtol=9e-16, maxiter=500)
 
 
 def min_max(A, b, bound):

@@ -6,7 +6,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from naive import worstcase as naive
-
 from stillwork.checks import InputError
 from stillwork.worstcase import (
     ZeroEstimateWarning,

@@ -109,10 +109,11 @@ def solve_silently(matrix: ArrayLike, target: ArrayLike, bound: float) -> MinMax
     """`min_max_solve` without its warning, for sweeps in which a zero estimate is a result."""
     matrix = require_array("matrix", matrix, ndim=2)
     target = require_array("target", target, ndim=1)
-    bound = require_number("bound", bound, at_least=0)
+    bound = require_number("bound", bound, at_least=0.0)
     matrix_unit = _size(matrix)
     target_unit = _size(target)
-    function, right, rank = decompose(matrix / matrix_unit, target / target_unit, bound / matrix_unit)
+    scaled, aimed = matrix / matrix_unit, target / target_unit
+    function, right, rank = decompose(scaled, aimed, bound / matrix_unit)
     bound = function.bound
     threshold = free = 0.0
     if np.any(function.coefficients):
@@ -134,14 +135,13 @@ def solve_silently(matrix: ArrayLike, target: ArrayLike, bound: float) -> MinMax
         case = "regularised"
         alpha, evaluations = function.root()
     weights = np.sqrt(function.eigenvalues) * function.coefficients / (function.eigenvalues + alpha)
-    estimate = right @ weights * (target_unit / matrix_unit)
-    residual = matrix @ estimate - target
+    estimate = right @ weights
+    residual = scaled @ estimate - aimed
+    worst = np.linalg.norm(residual) + bound * np.linalg.norm(estimate)
     return MinMaxSolution(
-        estimate=estimate,
+        estimate=estimate * (target_unit / matrix_unit),
         alpha=float(alpha * matrix_unit**2),
-        worst_case_residual=float(
-            np.linalg.norm(residual) + bound * matrix_unit * np.linalg.norm(estimate)
-        ),
+        worst_case_residual=float(worst * target_unit),
         perturbation=_worst_perturbation(residual, estimate, bound * matrix_unit),
         case=case,
         threshold=threshold * matrix_unit,

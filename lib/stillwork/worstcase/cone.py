@@ -28,7 +28,7 @@ def solve_cone_program(matrix: ArrayLike, target: ArrayLike, bound: float) -> tu
 
     matrix = require_array("matrix", matrix, ndim=2)
     target = require_array("target", target, shape=matrix.shape[:1])
-    bound = require_number("bound", bound, at_least=0)
+    bound = require_number("bound", bound, at_least=0.0)
     unknown = cvxpy.Variable(matrix.shape[1])
     cost = cvxpy.norm(matrix @ unknown - target, 2) + bound * cvxpy.norm(unknown, 2)
     cvxpy.Problem(cvxpy.Minimize(cost)).solve(solver=cvxpy.CLARABEL)

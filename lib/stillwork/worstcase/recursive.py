@@ -111,8 +111,8 @@ class MinMax(_MinMaxUpdate):
     iterations: int = 1
 
     def __post_init__(self):
-        require_number("bound", self.bound, at_least=0)
-        require_number("forgetting", self.forgetting, above=0, below=1)
+        require_number("bound", self.bound, at_least=0.0)
+        require_number("forgetting", self.forgetting, above=0.0, below=1.0)
         self._check()
 
     @property
@@ -141,7 +141,7 @@ class GrowingMinMax(_MinMaxUpdate):
     _weight: ClassVar[float] = 1.0
 
     def __post_init__(self):
-        require_number("row_bound", self.row_bound, at_least=0)
+        require_number("row_bound", self.row_bound, at_least=0.0)
         self._check()
 
     def bounds(self, first: int, count: int) -> np.ndarray:
@@ -164,8 +164,8 @@ class LeastSquares:
     initial_covariance: float = 1e4
 
     def __post_init__(self):
-        require_number("forgetting", self.forgetting, above=0, below=1)
-        require_number("initial_covariance", self.initial_covariance, above=0)
+        require_number("forgetting", self.forgetting, above=0.0, below=1.0)
+        require_number("initial_covariance", self.initial_covariance, above=0.0)
 
     def start(self, unknowns: int) -> tuple[np.ndarray, ...]:
         return float(self.initial_covariance) * np.eye(unknowns), np.zeros(unknowns)
@@ -193,8 +193,8 @@ class Ridge:
     forgetting: float
 
     def __post_init__(self):
-        require_number("penalty", self.penalty, above=0)
-        require_number("forgetting", self.forgetting, above=0, below=1)
+        require_number("penalty", self.penalty, above=0.0)
+        require_number("forgetting", self.forgetting, above=0.0, below=1.0)
 
     def start(self, unknowns: int) -> tuple[np.ndarray, ...]:
         return np.zeros((unknowns, unknowns)), np.zeros(unknowns), np.zeros(3), np.zeros(unknowns)
@@ -316,7 +316,7 @@ def worst_case_residuals(
     estimates = require_array("estimates", estimates, shape=regressors.shape)
     outputs = require_array("outputs", outputs, shape=regressors.shape[1:])
     bounds = require_array("bounds", bounds, shape=regressors.shape[1:])
-    forgetting = require_number("forgetting", forgetting, above=0, at_most=1)
+    forgetting = require_number("forgetting", forgetting, above=0.0, at_most=1.0)
     worst = np.empty(len(outputs))
     rows, points = np.ascontiguousarray(regressors.T), np.ascontiguousarray(estimates.T)
     steps._worst_residuals(rows, outputs, bounds, forgetting, points, worst)

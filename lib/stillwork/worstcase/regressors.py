@@ -84,8 +84,8 @@ def exponential_bound(row: float, forgetting: float, samples: int | None = None)
     samples : int, optional
         Number of rows so far.
     """
-    row = require_number("row", row, at_least=0)
-    forgetting = require_number("forgetting", forgetting, above=0, below=1)
+    row = require_number("row", row, at_least=0.0)
+    forgetting = require_number("forgetting", forgetting, above=0.0, below=1.0)
     memory = 1 / (1 - forgetting)
     if samples is not None:
         memory *= 1 - forgetting ** require_count("samples", samples)
@@ -108,8 +108,8 @@ def noise_bound(deviation: float, unknowns: int, forgetting: float) -> float:
     forgetting : float
         lambda, between 0 and 1.
     """
-    deviation = require_number("deviation", deviation, at_least=0)
-    forgetting = require_number("forgetting", forgetting, above=0, below=1)
+    deviation = require_number("deviation", deviation, at_least=0.0)
+    forgetting = require_number("forgetting", forgetting, above=0.0, below=1.0)
     return float(deviation * (1 / np.sqrt(1 - forgetting) + np.sqrt(require_count("unknowns", unknowns))))
 
 

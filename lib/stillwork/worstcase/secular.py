@@ -27,27 +27,35 @@ def _next_alpha(alpha, image, norm, residual, first, second, low, high):
 
     It solves bound(1/alpha)^-1 = eta^-1, which is nearly straight in 1/alpha at both ends. With
     P = (A'A + alpha I)^-1: image f(alpha), norm |x|^2, residual |A x - b|^2, first x'P x, second x'P^2 x.
-    Outside the bracket it falls back to the bracket's middle or to the fixed-point step.
+    Outside the bracket it falls back to the bracket's middle, or strides while one end is missing. The second value
+    returned says whether the step was so short that its cube, the error it leaves, is rounding.
     """
     per_norm = first / norm
     per_residual = alpha * first / residual
     slope = 1.0 - alpha * (per_norm + per_residual)  # of log bound over log alpha
-    bend = alpha * alpha * (
-        3.0 * second / norm
-        - 2.0 * per_norm * per_norm
-        - first / residual
-        + 3.0 * alpha * second / residual
-        + 2.0 * per_residual * per_residual
+    bend = (
+        alpha
+        * alpha
+        * (
+            3.0 * second / norm
+            - 2.0 * per_norm * per_norm
+            - first / residual
+            + 3.0 * alpha * second / residual
+            + 2.0 * per_residual * per_residual
+        )
     )  # 1 + alpha^2 d^2 log bound / d alpha^2
     curvature = (slope - 1.0) ** 2 - bend
     miss = 1.0 - alpha / image
     ratio = 1.0 - 2.0 * miss * slope / (2.0 * slope * slope - miss * curvature)
     step = alpha / ratio
-    if low <= step <= high and step < np.inf:
-        return step
-    if low > 0.0 and high < np.inf:
-        return np.sqrt(low * high)
-    return image
+    # the bracket itself is uncertain by rounding
+    if (1.0 - 1e-9) * low <= step <= (1.0 + 1e-9) * high and step < np.inf:
+        return step, abs(step - alpha) <= 1e-5 * alpha
+    if low == 0.0:
+        return image / 8.0, False
+    if high == np.inf:
+        return image * 8.0, False
+    return np.sqrt(low * high), False
 
 
 @kernel
@@ -73,11 +81,10 @@ def _secular_root(eigenvalues, c_squared, d_squared, bound, start):
         evaluations += 1
         image = bound * np.sqrt(residual / norm)
         low, high = _bracket(alpha, image, low, high)
-        step = _next_alpha(alpha, image, norm, residual, first, second, low, high)
-        change = abs(step - alpha)
+        step, near = _next_alpha(alpha, image, norm, residual, first, second, low, high)
+        if near or step == alpha:
+            return step, evaluations
         alpha = step
-        if change <= 1e-5 * alpha or high <= low:  # the cube of the change is rounding
-            break
     return alpha, evaluations
 
 
@@ -116,12 +123,12 @@ class SecularFunction:
         unscaled = self.coefficients / self.eigenvalues
         return float(np.linalg.norm(np.sqrt(self.eigenvalues) * unscaled) / np.linalg.norm(unscaled))
 
-    def __call__(self, alpha: ArrayLike) -> np.ndarray:
-        """f(alpha), eq. (4), elementwise."""
+    def __call__(self, alpha) -> np.ndarray | float:
+        """f(alpha), eq. (4), for a number or an array of alphas."""
         norm, residual, _ = self._terms(alpha)
         return self.bound * np.sqrt(residual / norm)
 
-    def slope(self, alpha: ArrayLike) -> np.ndarray:
+    def slope(self, alpha) -> np.ndarray | float:
         """f'(alpha), elementwise: f (q / |x|^2 + alpha q / |r|^2) with q = x'(A'A + alpha I)^-1 x."""
         norm, residual, slope = self._terms(alpha)
         alpha = np.asarray(alpha, dtype=float)
@@ -129,7 +136,7 @@ class SecularFunction:
 
     def iterates(self, start: float, steps: int) -> np.ndarray:
         """start, f(start), f(f(start)), ...: the iteration (21), `steps` + 1 values."""
-        values = [require_number("start", start, above=0)]
+        values = [require_number("start", start, above=0.0)]
         for _ in range(require_count("steps", steps)):
             values.append(float(self(values[-1])))
         return np.array(values)
@@ -148,17 +155,15 @@ class SecularFunction:
                 f"bound is {self.bound:g}; the secular equation has a positive root only for a bound "
                 f"between {lowest:g} and {self.threshold:g}"
             )
-        if start is None:
-            start = float(self(0.0)) if self.excess > 0 else self._far_start()
-        return _secular_root(
-            self.eigenvalues, self.coefficients**2, self.excess**2, self.bound, require_number("start", start, above=0)
-        )
+        start = self._far_start() if start is None else require_number("start", start, above=0.0)
+        return _secular_root(self.eigenvalues, self.coefficients**2, self.excess**2, self.bound, start)
 
     def _far_start(self) -> float:
         # where bound(1/alpha)^-1, linear from alpha = infinity, would meet eta^-1
         squares = self.coefficients**2
         lowest, middle, highest = (squares @ self.eigenvalues**power for power in range(3))
-        return float((highest / middle - middle / lowest) / (self.threshold / self.bound - 1))
+        spread = highest / middle - middle / (lowest + self.excess**2)
+        return float(spread / (self.threshold / self.bound - 1))
 
     def _terms(self, alpha):
         alpha = np.asarray(alpha, dtype=float)[..., None]
@@ -202,7 +207,7 @@ def decompose(matrix: ArrayLike, target: ArrayLike, bound: float) -> tuple[Secul
             f"matrix has {rows} rows for {unknowns} unknowns; give at least as many rows as unknowns"
         )
     target = require_array("target", target, shape=(rows,))
-    bound = require_number("bound", bound, at_least=0)
+    bound = require_number("bound", bound, at_least=0.0)
     left, singular, right = np.linalg.svd(matrix, full_matrices=False)
     rank = int(np.sum(singular > rows * ROUNDING * singular[0]))
     left, singular, right = left[:, :rank], singular[:rank], right[:rank]

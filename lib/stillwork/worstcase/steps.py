@@ -106,15 +106,18 @@ def _exact_solution(
             second += turned[i] * turned[i]
         image = bound * np.sqrt(residual / norm)
         low, high = _bracket(alpha, image, low, high)
-        step = max(_next_alpha(alpha, image, norm, residual, first, second, low, high), least)
-        change = step - alpha
-        if abs(change) <= 1e-5 * alpha or high <= low:
-            # the cube of the change is rounding: two terms of the series of x in alpha end it
+        step, near = _next_alpha(alpha, image, norm, residual, first, second, low, high)
+        if near and step > least:
+            # two terms of the series of x in alpha make up for the last step
+            change = step - alpha
             _solve_forward(factor, turned, half)
             _solve_backward(factor, inverse_pivots, half, work)
             for i in range(len(x)):
                 x[i] -= change * (turned[i] - change * work[i])
             return step, evaluations
+        step = max(step, least)
+        if step == alpha:
+            return alpha, evaluations
         alpha = step
 
 
