@@ -197,7 +197,7 @@ class Ridge:
         require_number("forgetting", self.forgetting, above=0.0, below=1.0)
 
     def start(self, unknowns: int) -> tuple[np.ndarray, ...]:
-        return np.zeros((unknowns, unknowns)), np.zeros(unknowns), np.zeros(3), np.zeros(unknowns)
+        return np.zeros((unknowns, unknowns)), np.zeros(unknowns), np.zeros(unknowns)
 
     def advance(self, state, first: int, rows, outputs) -> Track:
         out = _empty(rows)

@@ -9,12 +9,12 @@ import numpy as np
 from stillwork.kernels import kernel
 from stillwork.worstcase.secular import ROUNDING, _bracket, _next_alpha
 
-ALPHA, ENERGY, COUNT = 0, 1, 2  # places in the array `scalars`
+ALPHA, ENERGY, COUNT = 0, 1, 2  # places in the array `scalars`: alpha, z, samples seen
 
 
 @kernel
-def _accumulate(row, output, forgetting, information, correlation, scalars):
-    # returns |s|^2 and the mean eigenvalue of R
+def _accumulate(row, output, forgetting, information, correlation):
+    # returns |s|^2 and the trace of R
     size = 0.0
     trace = 0.0
     for i in range(len(row)):
@@ -23,9 +23,7 @@ def _accumulate(row, output, forgetting, information, correlation, scalars):
         correlation[i] = forgetting * correlation[i] + row[i] * output
         size += correlation[i] * correlation[i]
         trace += information[i, i]
-    scalars[ENERGY] = forgetting * scalars[ENERGY] + output * output
-    scalars[COUNT] += 1.0
-    return size, trace / len(row)
+    return size, trace
 
 
 @kernel
@@ -133,31 +131,39 @@ def _run_exact(
     half = np.zeros(n)
     work = np.zeros(n)
     turned = np.zeros(n)
+    row = np.zeros(n)
+    alpha = scalars[ALPHA]
+    energy = scalars[ENERGY]
+    seen = scalars[COUNT]
     for t in range(len(outputs)):
-        error = outputs[t]
+        output = outputs[t]
+        error = output
         for i in range(n):
-            error -= rows[t, i] * estimate[i]
+            row[i] = rows[t, i]
+            error -= row[i] * estimate[i]
         errors[t] = error
-        size, mean = _accumulate(rows[t], outputs[t], forgetting, information, correlation, scalars)
-        energy = scalars[ENERGY]
-        if scalars[COUNT] <= n or bounds[t] * bounds[t] * energy >= size:  # Theorem 1, |A'b| <= eta |b|
-            scalars[ALPHA] = np.inf
-            evaluations[t] = 0
+        size, trace = _accumulate(row, output, forgetting, information, correlation)
+        energy = forgetting * energy + output * output
+        seen += 1.0
+        count = 0
+        if seen <= n or bounds[t] * bounds[t] * energy >= size:  # Theorem 1: eta >= |A'b| / |b|
+            alpha = np.inf
             for i in range(n):
                 estimate[i] = 0.0
         else:
-            # alpha_t itself is nearer to alpha_t+1 than lam alpha_t, from which (15) starts
-            start = scalars[ALPHA] if scalars[ALPHA] < np.inf else mean
-            least = ROUNDING * n * mean
+            # alpha_t itself is nearer to alpha_(t+1) than lam alpha_t, from which (15) starts
+            start = alpha if alpha < np.inf else trace / n
             alpha, count = _exact_solution(
-                information, correlation, energy, bounds[t], start, least, estimate,
+                information, correlation, energy, bounds[t], start, ROUNDING * trace, estimate,
                 factor, inverse_pivots, half, work, turned,
             )  # fmt: skip
-            scalars[ALPHA] = alpha
-            evaluations[t] = count
-        alphas[t] = scalars[ALPHA]
+        alphas[t] = alpha
+        evaluations[t] = count
         for i in range(n):
             estimates[t, i] = estimate[i]
+    scalars[ALPHA] = alpha
+    scalars[ENERGY] = energy
+    scalars[COUNT] = seen
 
 
 @kernel
@@ -171,71 +177,79 @@ def _run_approximate(
     """
     n = len(estimate)
     half = np.zeros(n)
-    gain = np.zeros(n)
     work = np.zeros(n)
+    gain = np.zeros(n)
+    row = np.zeros(n)
+    alpha = scalars[ALPHA]
+    energy = scalars[ENERGY]
+    seen = scalars[COUNT]
     for t in range(len(outputs)):
-        error = outputs[t]
+        output = outputs[t]
+        error = output
         for i in range(n):
-            error -= rows[t, i] * estimate[i]
+            row[i] = rows[t, i]
+            error -= row[i] * estimate[i]
         errors[t] = error
-        size, mean = _accumulate(rows[t], outputs[t], forgetting, information, correlation, scalars)
-        energy = scalars[ENERGY]
+        size, trace = _accumulate(row, output, forgetting, information, correlation)
+        energy = forgetting * energy + output * output
+        seen += 1.0
+        least = ROUNDING * trace
         bound = bounds[t]
-        least = ROUNDING * n * mean
         count = 0
-        solves = iterations
-        if scalars[COUNT] <= n or bound * bound * energy >= size:
-            solves = 0
+        if seen <= n or bound * bound * energy >= size:
             alpha = np.inf
             for i in range(n):
                 estimate[i] = 0.0
-        elif scalars[ALPHA] == np.inf:
+        elif alpha == np.inf:
             # out of the zero solution, and at the first step, there is no lam alpha: solve exactly
-            solves = 1
             alpha, count = _exact_solution(
-                information, correlation, energy, bound, mean, least, estimate,
+                information, correlation, energy, bound, trace / n, least, estimate,
                 factor, inverse_pivots, half, work, gain,
             )  # fmt: skip
+            _factorise(information, alpha, correlation, factor, inverse_pivots, half, work)
         else:
-            _solve_forward(factor, rows[t], half)
-            _solve_backward(factor, inverse_pivots, half, gain)
+            _solve_forward(factor, row, half)
             weight = forgetting
             for i in range(n):
-                weight += rows[t, i] * gain[i]
-            for i in range(n):
-                estimate[i] += gain[i] * (error / weight)
-            norm, residual = _squares(information, correlation, energy, estimate)
-            alpha = max(bound * np.sqrt(residual / norm), least)
-            count = iterations
-        for repeat in range(solves):
-            if repeat > 0:
+                weight += half[i] * half[i] * inverse_pivots[i]
+            share = error / weight
+            for i in range(n - 1, -1, -1):  # h = x + P a e / (lam + a'P a)
+                entry = half[i] * inverse_pivots[i]
+                for j in range(i + 1, n):
+                    entry -= factor[j, i] * gain[j]
+                gain[i] = entry
+                estimate[i] += entry * share
+            for _ in range(iterations):
                 norm, residual = _squares(information, correlation, energy, estimate)
                 alpha = max(bound * np.sqrt(residual / norm), least)
-            _factorise(information, alpha, correlation, factor, inverse_pivots, half, work)
-            _solve_backward(factor, inverse_pivots, half, estimate)
-        scalars[ALPHA] = alpha
+                _factorise(information, alpha, correlation, factor, inverse_pivots, half, work)
+                _solve_backward(factor, inverse_pivots, half, estimate)
+            count = iterations
         alphas[t] = alpha
         evaluations[t] = count
         for i in range(n):
             estimates[t, i] = estimate[i]
+    scalars[ALPHA] = alpha
+    scalars[ENERGY] = energy
+    scalars[COUNT] = seen
 
 
 @kernel
-def _run_ridge(
-    rows, outputs, penalty, forgetting, information, correlation, scalars, estimate, estimates, errors
-):
+def _run_ridge(rows, outputs, penalty, forgetting, information, correlation, estimate, estimates, errors):
     """(R + penalty I)^-1 s at every step."""
     n = len(estimate)
     factor = np.zeros((n, n))
     inverse_pivots = np.zeros(n)
     half = np.zeros(n)
     work = np.zeros(n)
+    row = np.zeros(n)
     for t in range(len(outputs)):
         error = outputs[t]
         for i in range(n):
-            error -= rows[t, i] * estimate[i]
+            row[i] = rows[t, i]
+            error -= row[i] * estimate[i]
         errors[t] = error
-        _accumulate(rows[t], outputs[t], forgetting, information, correlation, scalars)
+        _accumulate(row, outputs[t], forgetting, information, correlation)
         _factorise(information, penalty, correlation, factor, inverse_pivots, half, work)
         _solve_backward(factor, inverse_pivots, half, estimate)
         for i in range(n):
@@ -273,8 +287,9 @@ def _worst_residuals(rows, outputs, bounds, forgetting, estimates, worst):
     n = rows.shape[1]
     information = np.zeros((n, n))
     correlation = np.zeros(n)
-    scalars = np.zeros(3)
+    energy = 0.0
     for t in range(len(outputs)):
-        _accumulate(rows[t], outputs[t], forgetting, information, correlation, scalars)
-        norm, residual = _squares(information, correlation, scalars[ENERGY], estimates[t])
+        _accumulate(rows[t], outputs[t], forgetting, information, correlation)
+        energy = forgetting * energy + outputs[t] * outputs[t]
+        norm, residual = _squares(information, correlation, energy, estimates[t])
         worst[t] = np.sqrt(residual) + bounds[t] * np.sqrt(norm)
