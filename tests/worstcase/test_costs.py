@@ -6,7 +6,6 @@ import subprocess
 import sys
 
 import pytest
-
 from stillwork.checks import InputError
 from stillwork.worstcase.costs import multiplications, slope
 
@@ -86,7 +85,7 @@ print(json.dumps([count / half, float(sum(float(v) for v in out[3][half:])) / ha
 """
 
 
-@pytest.mark.parametrize("unknowns", [4, 9, 20])
+@pytest.mark.parametrize("unknowns", [4, 12])
 @pytest.mark.parametrize(
     ("update", "accuracy"),
     [("least squares", 0.01), ("ridge", 0.01), ("approximate", 0.01), ("exact", 0.02), ("fast", 0.1)],

@@ -79,6 +79,18 @@ def fir_trial(
     return found
 
 
+def least_squares_limit(parameters: tuple[float, float], period: int, input_noise: float) -> np.ndarray:
+    """What least squares tends to in Fig. 1's setting: (R + s I)^-1 R x.
+
+    R is the input's covariance, for two taps of a square wave of amplitude 1 with an even `period`; s the
+    variance of the uniform input noise, input_noise^2 / 3.
+    """
+    parameters = require_array("parameters", parameters, shape=(2,))
+    neighbour = 1 - 4 / period
+    covariance = np.array([[1, neighbour], [neighbour, 1]])
+    return np.linalg.solve(covariance + input_noise**2 / 3 * np.eye(2), covariance @ parameters)
+
+
 def _growing_windows(regressors, outputs):
     # least squares and total least squares of rows 0..t for all t, from sums of products: (A'A) x = A'b, and
     # the eigenvector of the smallest eigenvalue of [A b]'[A b]

@@ -258,7 +258,10 @@ def _run_ridge(rows, outputs, penalty, forgetting, information, correlation, est
 
 @kernel
 def _run_least_squares(rows, outputs, forgetting, covariance, estimate, estimates, errors):
-    """Exponentially weighted recursive least squares, covariance form."""
+    """Exponentially weighted recursive least squares, covariance form.
+
+    One triangle is computed and mirrored: rounding that differs between the two grows as 1 / forgetting^t.
+    """
     n = len(estimate)
     growth = 1.0 / forgetting
     spread = np.zeros(n)
@@ -277,8 +280,9 @@ def _run_least_squares(rows, outputs, forgetting, covariance, estimate, estimate
             estimate[i] += spread[i] * (error / weight)
             estimates[t, i] = estimate[i]
             share = spread[i] / weight
-            for j in range(n):
+            for j in range(i + 1):
                 covariance[i, j] = (covariance[i, j] - share * spread[j]) * growth
+                covariance[j, i] = covariance[i, j]
 
 
 @kernel
