@@ -91,7 +91,7 @@ def draw_bounds(matrix: np.ndarray, target: np.ndarray, consistent: np.ndarray):
                 fontsize=8,
             )
         axes.set(xlabel="α", ylabel="bound η, unit of A", title=title, ylim=(0, 1.15 * function.threshold))
-        axes.legend(loc="lower right" if function.excess else "center right")
+        axes.legend(loc="lower right")
     return figure
 
 

@@ -63,7 +63,7 @@ def draw_tracking(memories: list[int], found: dict[str, np.ndarray]):
     for name, values in found.items():
         axes.semilogx(memories, values, "o-", markersize=4, color=colours[name], label=name)
     axes.axhline(1, color=figures.BLACK, linewidth=0.8)
-    axes.set(xlabel="memory 1 / (1 − λ), samples", ylabel="rms error / rms output", ylim=(0.4, 1.6))
+    axes.set(xlabel="memory 1 / (1 − λ), samples", ylabel="rms error / rms output", ylim=(0.4, 1.1))
     axes.legend()
     return figure
 

@@ -48,8 +48,8 @@ def draw_accuracy(records: dict[str, dict[str, np.ndarray]]):
         left.minorticks_off()
         right.minorticks_off()
         # below, where (20) starts from the exact solution, the error is rounding
-        left.set_ylim(bottom=1e-8)
-        right.set_ylim(bottom=1e-9)
+        left.set_ylim(bottom=1e-10)
+        right.set_ylim(bottom=1e-10)
     for axes in grid[-1]:
         axes.set_xlabel("time, samples")
     grid[0, 0].legend(ncols=3, loc="lower center")
