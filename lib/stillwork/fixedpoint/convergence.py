@@ -82,12 +82,12 @@ def crossings(loop: LinearLoop, points: int = 600) -> list[Crossing]:
     rate = np.geomspace(nyquist * 1e-4, nyquist * (1 - 1e-9), require_count("points", points, at_least=10))
     phase = loop.response(rate).imag
     places = [
-        brentq(lambda w: loop.response(w).imag[0], rate[i], rate[i + 1], xtol=1e-9 * rate[i])
+        brentq(lambda w: loop.response([w]).imag[0], rate[i], rate[i + 1], xtol=1e-9 * rate[i])
         for i in np.flatnonzero(phase[:-1] * phase[1:] < 0)
     ]
     found = []
     for place in [*places, nyquist]:
-        real = float(loop.response(place).real[0])
+        real = float(loop.response([place]).real[0])
         if real < 0:
             found.append(Crossing(1 / real, float(place / (2 * np.pi))))
     return sorted(found, key=lambda crossing: crossing.local_gain)
@@ -141,7 +141,7 @@ class LimitCycle:
     stable: bool  # attracts its neighbours; an unstable one is the border of divergence
 
 
-def limit_cycles(loop: LinearLoop, transformation: FlowTransformation) -> list[LimitCycle]:
+def limit_cycles(loop: LinearLoop, transformation: Transformation) -> list[LimitCycle]:
     """Limit cycles of the loop closed by (6), by the describing function, smallest amplitude first.
 
     Where the linear gain lies beyond the strongest stable one, the sigmoid holds the motion on a stable

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
+from numpy.typing import ArrayLike
 
-from stillwork.checks import InputError
 from stillwork.fixedpoint.filters import (
     Filter,
     LowPass,
@@ -123,12 +123,7 @@ def _linear_extended(signal_filter, slopes, time_step) -> LinearFilter:
 def _steady_gain(F, Q, H, R):
     from scipy.linalg import solve_discrete_are
 
-    try:
-        prior = solve_discrete_are(F.T, H.T, Q, R)
-    except np.linalg.LinAlgError:
-        raise InputError(
-            "process leaves a state without noise that the filter never settles on; give it some"
-        ) from None
+    prior = solve_discrete_are(F.T, H.T, Q, R)
     return prior @ H.T @ np.linalg.inv(H @ prior @ H.T + R)
 
 
@@ -151,9 +146,9 @@ class LinearLoop:
     C: Float64[np.ndarray, " states"]
     time_step: float  # s
 
-    def response(self, rate: np.ndarray, row: np.ndarray | None = None) -> np.ndarray:
+    def response(self, rate: ArrayLike, row: np.ndarray | None = None) -> np.ndarray:
         """Frequency response from c to s (or to ``row @ x``) at angular frequencies `rate`, rad/s."""
-        z = np.exp(1j * np.atleast_1d(rate) * self.time_step)
+        z = np.exp(1j * np.atleast_1d(np.asarray(rate, dtype=float)) * self.time_step)
         systems = z[:, None, None] * np.eye(len(self.A)) - self.A
         states = np.linalg.solve(systems, np.broadcast_to(self.B[:, None], (len(z), len(self.B), 1)))[..., 0]
         return states @ (self.C if row is None else row)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numba
 import numpy as np
-from jaxtyping import Float64
+from numpy.typing import ArrayLike
 
 from stillwork import paths
 from stillwork.checks import InputError, nearest, require_array, require_number
@@ -64,16 +64,19 @@ class Plant:
 
     acceleration: Callable
     force: Callable
-    parameters: Float64[np.ndarray, " parameters"]
+    parameters: ArrayLike
 
     def __post_init__(self):
         object.__setattr__(self, "parameters", require_array("parameters", self.parameters, ndim=1))
-        for name in ("acceleration", "force"):
-            if not callable(getattr(self, name)):
-                raise InputError(f"{name} is {getattr(self, name)!r}; give a function of four arguments")
         position, velocity, wanted = 0.3, -0.2, 1.7
-        force = self.force(position, velocity, wanted, self.parameters)
-        got = self.acceleration(position, velocity, force, self.parameters)
+        try:
+            force = self.force(position, velocity, wanted, self.parameters)
+            got = self.acceleration(position, velocity, force, self.parameters)
+        except (IndexError, TypeError) as error:
+            raise InputError(
+                f"acceleration or force fails on {len(self.parameters)} parameters ({error}); "
+                "give functions of (position, velocity, force or acceleration, parameters)"
+            ) from None
         if not math.isclose(got, wanted, rel_tol=1e-6):
             raise InputError(
                 f"force is not the inverse of acceleration: for {wanted} m/s^2 at q = {position}, "

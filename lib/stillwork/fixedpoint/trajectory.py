@@ -11,7 +11,7 @@ from stillwork.checks import InputError, require_array, require_number
 
 @dataclass(frozen=True)
 class Trajectory:
-    """What the coordinate shall do, sampled; all three arrays have shape (samples,).
+    """What the coordinate shall do, sampled, with both derivatives.
 
     Raises
     ------
@@ -20,9 +20,9 @@ class Trajectory:
     """
 
     time_step: float  # s
-    position: Float64[np.ndarray, " samples"]  # q^N, m
-    velocity: Float64[np.ndarray, " samples"]  # m/s
-    acceleration: Float64[np.ndarray, " samples"]  # m/s^2
+    position: ArrayLike  # q^N, m, shape (samples,)
+    velocity: ArrayLike = ()  # m/s, shape (samples,)
+    acceleration: ArrayLike = ()  # m/s^2, shape (samples,)
 
     def __post_init__(self):
         require_number("time_step", self.time_step, above=0)

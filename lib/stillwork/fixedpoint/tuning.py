@@ -76,7 +76,9 @@ def families() -> dict[str, Family]:
                     "position_noise": (1e-10, 1e1),
                 },
                 lambda model, time_step, velocity_process, position_process, position_noise: UnscentedKalman(
-                    model, process=(velocity_process, position_process), noise=(1e-2, position_noise)
+                    model,
+                    process=np.array([velocity_process, position_process]),
+                    noise=np.array([1e-2, position_noise]),
                 ),
             ),
             Family(
@@ -184,5 +186,5 @@ def tune(
         dict(zip(family.names, np.exp(knobs).tolist(), strict=True)),
         float(best),
         len(tried),
-        sum(np.isinf(value) for value, _ in tried),
+        int(sum(np.isinf(value) for value, _ in tried)),
     )
