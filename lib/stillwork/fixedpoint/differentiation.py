@@ -7,6 +7,21 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.checks import require_array, require_count, require_number
+from stillwork.fixedpoint.noise import Noise
+
+
+def quotient_trial(
+    rng: np.random.Generator, noise: Noise, samples: int, time_step: float
+) -> dict[str, float]:
+    """One record of noise: mean of the quotient over its deviation, variance over (s / dt)^2, correlation."""
+    error = noise.draw(rng, samples)
+    quotient = difference_quotient(error, time_step)
+    scale = noise.standard_deviation / time_step
+    return {
+        "mean": float(quotient.mean() / (np.sqrt(2) * scale)),
+        "variance": float(quotient.var() / scale**2),
+        "correlation": float(np.corrcoef(quotient, error[1:])[0, 1]),
+    }
 
 
 def difference_quotient(measured: ArrayLike, time_step: float) -> Float64[np.ndarray, " quotients"]:
@@ -92,7 +107,12 @@ class SteadyErrors:
 
 
 def steady_errors(
-    transition: ArrayLike, process: ArrayLike, assumed: ArrayLike, deviation: float, time_step: float
+    transition: ArrayLike,
+    process: ArrayLike,
+    assumed: ArrayLike,
+    deviation: float,
+    time_step: float,
+    true_process: ArrayLike | None = None,
 ) -> SteadyErrors:
     """Steady state of a filter of x = [velocity, position] fed with z = [difference quotient, position].
 
@@ -109,12 +129,17 @@ def steady_errors(
         True standard deviation of the measured position, m.
     time_step : float
         s.
+    true_process : array_like, shape (2, 2), optional
+        What really drives the state; Q without.
     """
     from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 
     transition = require_array("transition", transition, shape=(2, 2))
     process = require_array("process", process, shape=(2, 2))
     assumed = require_array("assumed", assumed, shape=(2, 2))
+    if true_process is None:
+        true_process = process
+    true_process = require_array("true_process", true_process, shape=(2, 2))
     require_number("deviation", deviation, at_least=0)
     require_number("time_step", time_step, above=0)
     prior = solve_discrete_are(transition.T, np.eye(2), process, assumed)
@@ -128,7 +153,7 @@ def steady_errors(
     step[:2, :2] = left @ transition
     step[:2, 2] = -stale
     drive = np.zeros((3, 3))
-    drive[:2, :2] = left @ process @ left.T
+    drive[:2, :2] = left @ true_process @ left.T
     enters = np.append(-fresh, 1.0)
     drive += deviation**2 * np.outer(enters, enters)
     true = solve_discrete_lyapunov(step, drive)[:2, :2]

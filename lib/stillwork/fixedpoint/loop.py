@@ -99,6 +99,7 @@ def simulate(
     noise: ArrayLike | None = None,
     *,
     resolution: float = 0.0,
+    grid: float = 0.0,
     integration: str = "semi-implicit",
     start: tuple[float, float] | None = None,
     bound: float = 10.0,
@@ -121,6 +122,8 @@ def simulate(
         Added to the position when it is measured, m.
     resolution : float
         Step of an encoder that rounds the measured position, m; 0 without one.
+    grid : float
+        Where a line of the encoder stands, m.
     integration : str
         ``semi-implicit`` moves the position with the new velocity, ``explicit`` with the old one.
     start : tuple of float, optional
@@ -141,6 +144,7 @@ def simulate(
     samples = len(trajectory.position)
     noise = np.zeros(samples) if noise is None else require_array("noise", noise, shape=(samples,))
     require_number("resolution", resolution, at_least=0)
+    require_number("grid", grid)
     require_number("bound", bound, above=1)
     require_choice("integration", integration, INTEGRATIONS)
     require_same_step(controller.signal_filter, trajectory.time_step)
@@ -167,6 +171,7 @@ def simulate(
         trajectory.acceleration,
         noise,
         float(resolution),
+        float(grid),
         integration == "semi-implicit",
         start,
         np.array(limits),
@@ -212,6 +217,7 @@ def _closed_loop(
     nominal_acceleration,
     noise,
     resolution,
+    grid,
     semi_implicit,
     start,
     limits,
@@ -226,7 +232,7 @@ def _closed_loop(
     for i in range(len(nominal_position)):
         measured = position + noise[i]
         if resolution > 0.0:
-            measured = np.round(measured / resolution) * resolution
+            measured = np.round((measured - grid) / resolution) * resolution + grid
         if not _filter_step(
             kind,
             options,

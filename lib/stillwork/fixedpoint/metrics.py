@@ -1,5 +1,6 @@
 """What a run is judged by, and the Monte Carlo over noise seeds."""
 
+from collections.abc import Sequence
 from concurrent.futures import Executor
 
 import numpy as np
@@ -8,7 +9,7 @@ from stillwork.checks import InputError, require_number
 from stillwork.fixedpoint.loop import Controller, Run, simulate
 from stillwork.fixedpoint.noise import Noise
 from stillwork.fixedpoint.plant import Plant
-from stillwork.fixedpoint.trajectory import Trajectory
+from stillwork.fixedpoint.trajectory import Trajectory, asin_trajectory
 from stillwork.studies import Study, run_study
 
 QUANTITIES = ("position", "velocity", "roughness", "position_shift", "velocity_shift")
@@ -78,9 +79,44 @@ def trial(
     integration: str = "semi-implicit",
 ) -> dict[str, float]:
     """One run with noise from `rng`, judged."""
-    added = noise.draw(rng, len(trajectory.position))
-    run = simulate(plant, controller, trajectory, added, resolution=noise.resolution, integration=integration)
-    return judge(run)
+    return judge(noisy_run(plant, controller, trajectory, noise, rng, integration))
+
+
+def noisy_run(
+    plant: Plant,
+    controller: Controller,
+    trajectory: Trajectory,
+    noise: Noise,
+    rng: np.random.Generator | int,
+    integration: str = "semi-implicit",
+) -> Run:
+    """One run with noise from a generator or a seed."""
+    rng = np.random.default_rng(rng)
+    return simulate(
+        plant,
+        controller,
+        trajectory,
+        noise.draw(rng, len(trajectory.position)),
+        resolution=noise.resolution,
+        grid=noise.draw_grid(rng),
+        integration=integration,
+    )
+
+
+def sweep(
+    plant: Plant,
+    controllers: dict[str, Controller],
+    noise: Noise,
+    frequencies_hz: Sequence[float],
+    *,
+    runs: int,
+    seed: int,
+) -> list[dict[str, Study]]:
+    """`compare` on the default trajectory at several frequencies."""
+    return [
+        compare(plant, controllers, asin_trajectory(frequency_hz=f), noise, runs=runs, seed=seed)
+        for f in frequencies_hz
+    ]
 
 
 def _rms(values) -> float:

@@ -59,12 +59,19 @@ class Noise:
             return rng.logistic(0.0, self.standard_deviation / LOGISTIC_DEVIATION, samples)
         return np.zeros(samples)
 
+    def draw_grid(self, rng: np.random.Generator) -> float:
+        """Where a line of the encoder stands, m: anywhere in one step, so that runs differ; 0 without one."""
+        return float(rng.uniform(0.0, self.resolution)) if self.resolution else 0.0
+
     def measure(
         self, position: Float64[np.ndarray, " samples"], rng: np.random.Generator
     ) -> Float64[np.ndarray, " samples"]:
         """The coordinate as measured, m."""
         measured = position + self.draw(rng, len(position))
-        return np.round(measured / self.resolution) * self.resolution if self.resolution else measured
+        if not self.resolution:
+            return measured
+        grid = self.draw_grid(rng)
+        return np.round((measured - grid) / self.resolution) * self.resolution + grid
 
 
 PUBLISHED_CASES = {
