@@ -1,6 +1,7 @@
 """Speed of the fixedpoint room beside named peers, measured in one run: `make bench`.
 
-Times are medians over repeats that take the contenders in turn, so that a busy machine slows all of them alike.
+Times are processor time of one thread, medians over repeats that take the contenders in turn, so that a busy
+machine slows all of them alike.
 With `--write` the filters' times are stored in `data/fixedpoint/filter_times.csv` for notebook 07.
 """
 
@@ -115,15 +116,15 @@ long run(const double *q, const double *z, const double *u, long samples, double
 
 COLD = """
 import sys, time
-start = time.perf_counter()
+start = time.process_time()
 import numpy as np
 from stillwork.fixedpoint import *
-imported = time.perf_counter() - start
+imported = time.process_time() - start
 models = load_oscillator()
 exact, approximate = models["exact"].plant, models["approximate"].plant
 for controller in (published_controllers(approximate) | added_controllers(approximate)).values():
     simulate(exact, controller, asin_trajectory(duration=0.1))
-total = time.perf_counter() - start
+total = time.process_time() - start
 import numba, stillwork
 missed = sum(
     sum(kernel.stats.cache_misses.values())
@@ -183,7 +184,7 @@ def in_turn(contenders) -> dict[str, tuple[float, float, float]]:
         run()
     for _ in range(REPEATS):
         for name, run in contenders.items():
-            start = time.perf_counter()
+            start = time.process_time()
             run()
             taken[name].append((time.process_time() - start) / SAMPLES * 1e9)
     return {name: (float(np.median(t)), min(t), max(t)) for name, t in taken.items()}
@@ -257,12 +258,12 @@ def filterpy_time(signal_filter, expected, samples: int = 400) -> float:
     peer = UnscentedKalmanFilter(2, 2, STEP, lambda x: x, move, points)
     peer.x, peer.P = np.array([0.0, measured[0]]), signal_filter.initial_variance * np.eye(2)
     peer.Q, peer.R = signal_filter.process, signal_filter.noise
-    last, start = measured[0], time.perf_counter()
+    last, start = measured[0], time.process_time()
     for k in range(samples):
         peer.predict(u=force[k - 1] if k else 0.0)
         peer.update(np.array([(measured[k] - last) / STEP, measured[k]]))
         last = measured[k]
-    taken = (time.perf_counter() - start) / samples * 1e9
+    taken = (time.process_time() - start) / samples * 1e9
     assert np.abs(peer.x - expected[samples - 1, [1, 0]]).max() < 1e-9
     return taken
 
@@ -271,11 +272,11 @@ def whole_study(exact, approximate) -> None:
     """12 s at 1 kHz, three filters, five noise cases, 40 seeds: noise, loops and metrics."""
     controllers = dict(list(published_controllers(approximate).items())[:3])
     trajectory = asin_trajectory()
-    start = time.perf_counter()
+    start = time.process_time()
     for noise in PUBLISHED_CASES.values():
         compare(exact, controllers, trajectory, noise, runs=40, seed=0)
     print()
-    report("study of 3 filters x 5 noises x 40 seeds, s", time.perf_counter() - start, "below", 5.0)
+    report("study of 3 filters x 5 noises x 40 seeds, s", time.process_time() - start, "below", 5.0)
 
 
 def cold_start() -> None:
@@ -323,7 +324,7 @@ def write(times) -> None:
     kept = source.read_text(encoding="utf-8").partition(heading)[0]
     source.write_text(
         f"{kept}{heading}\n"
-        "Nanoseconds a sample of each filter's kernel, published settings: median, lowest and highest of "
+        "Nanoseconds of processor time a sample of each filter's kernel, published settings: median, lowest and highest of "
         f"{REPEATS} repeats over\n{SAMPLES} samples, written by `python benchmarks/fixedpoint.py --write`. Measured, "
         "not computed: another machine\ngives other times, which is why notebook 07 reads this file.\n\n"
         f"Machine: {machine()}, numba {numba.__version__}; other programs were running.\n",

@@ -12,7 +12,7 @@ from stillwork.fixedpoint.loop import Controller, simulate
 from stillwork.fixedpoint.metrics import compare, judge, noisy_run
 from stillwork.fixedpoint.noise import Noise
 from stillwork.fixedpoint.plant import load_oscillator, partial_derivatives
-from stillwork.fixedpoint.plots import COLOURS, METRICS
+from stillwork.fixedpoint.plots import COLOURS, METRICS, log_axis
 from stillwork.fixedpoint.plots_convergence import limit_cycle_condition
 from stillwork.fixedpoint.published import KALMAN, LITERAL, published_controllers
 from stillwork.fixedpoint.trajectory import asin_trajectory
@@ -77,8 +77,11 @@ def draw_ranking(frequency_hz: float, sharpness: float, amplitude: float):
     figure, panels = figures.new(1, 2, height=2.2, sharey=True)
     for axes, quantity in zip(panels, ("position", "roughness"), strict=True):
         for place, (name, study) in enumerate(found.items()):
-            axes.plot(study[quantity].mean(), place, "o", color=COLOURS[name], label=name)
+            axes.plot(
+                METRICS[quantity][2] * study[quantity].mean(), place, "o", color=COLOURS[name], label=name
+            )
         axes.set(xscale="log", xlabel=METRICS[quantity][0])
+        log_axis(axes.xaxis)
     panels[0].set_yticks(range(len(found)), list(found))
     panels[0].set_ylim(len(found) - 0.5, -0.5)
     return figure

@@ -23,23 +23,23 @@ def judge(run: Run, settle: float = 2.0) -> dict[str, float]:
     dict
         position, velocity: RMS tracking error, m and m/s. roughness: RMS change of the true acceleration
         from sample to sample, m/s^2: what "hectic" means here, and the opposite of smooth. position_shift,
-        velocity_shift: by how many seconds the filter's estimate runs ahead of the truth (behind: negative),
-        by regression of its error on the true derivative: an offset that no averaging removes.
+        velocity_shift: by how many seconds the filter's estimate runs ahead of the truth (behind: negative):
+        regression of its error on the true velocity, and on the deformed acceleration, which is what the
+        controller's model believes the acceleration to be; both averaged over 50 samples against the noise.
         All are infinite when the run diverged.
     """
     first = round(require_number("settle", settle, at_least=0) / run.trajectory.time_step)
-    if first > len(run.position) - 2:
-        raise InputError(f"settle is {settle:g} s, the run lasts {run.time[-1]:g} s; settle in less")
+    if first > len(run.position) - 51:
+        raise InputError(f"settle is {settle:g} s, the run lasts {run.time[-1]:g} s; leave 51 samples")
     if run.diverged_at is not None:
         return dict.fromkeys(QUANTITIES, np.inf)
     part = slice(first, None)
-    # The nominal acceleration stands for the true one, which the noise drives through the loop.
     return {
         "position": _rms(run.position_error[part]),
         "velocity": _rms(run.velocity_error[part]),
         "roughness": _rms(np.diff(run.acceleration[part])),
         "position_shift": _shift(run.position_estimate - run.position, run.velocity, part),
-        "velocity_shift": _shift(run.velocity_estimate - run.velocity, run.trajectory.acceleration, part),
+        "velocity_shift": _shift(run.velocity_estimate - run.velocity, run.deformed, part),
     }
 
 
@@ -124,4 +124,10 @@ def _rms(values) -> float:
 
 
 def _shift(error, derivative, part) -> float:
-    return float(error[part] @ derivative[part] / (derivative[part] @ derivative[part]))
+    error, derivative = _averaged(error[part]), _averaged(derivative[part])
+    return float(error @ derivative / (derivative @ derivative))
+
+
+def _averaged(values, samples=50):
+    whole = len(values) // samples * samples
+    return values[:whole].reshape(-1, samples).mean(axis=1)

@@ -34,7 +34,7 @@ def tracking(runs: dict[str, Run], quantity: str = "position", detail: tuple[flo
     name = {"position": "q", "velocity": "q'"}[quantity]
     figure, (motion, envelope, stretch) = figures.new(3, height=7.2)
     nominal = next(iter(runs.values())).trajectory
-    coarse = slice(None, None, 60)
+    coarse = slice(None, None, 100)
     motion.plot(nominal.time[coarse], getattr(nominal, quantity)[coarse], "k--", label="nominal", zorder=5)
     for label, run in runs.items():
         style = {"color": COLOURS[label], "label": label}
@@ -47,11 +47,9 @@ def tracking(runs: dict[str, Run], quantity: str = "position", detail: tuple[flo
         part = (time >= detail[0]) & (time < detail[1])
         stretch.plot(time[part], error[part], **style)
     motion.set(xlabel="time in s", ylabel=f"{name} in {unit}", title="motion")
-    envelope.set(
-        xlabel="time in s", ylabel=f"error in {small}", title="tracking error: smallest to largest in 60 ms"
-    )
+    envelope.set(xlabel="time in s", ylabel=f"error in {small}", title="error, range in 60 ms")
     envelope.set_ylim(*_range_after(runs, quantity, factor))
-    stretch.set(xlabel="time in s", ylabel=f"error in {small}", title="tracking error around a corner")
+    stretch.set(xlabel="time in s", ylabel=f"error in {small}", title="error at a corner")
     handles, labels = motion.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
     return figure
@@ -71,7 +69,7 @@ def phase(runs: dict[str, Run], last: float = 5.0):
     first = len(nominal.position) - round(last / nominal.time_step)
     step = 12
     whole.plot(nominal.position[first::step], nominal.velocity[first::step], "k--", label="nominal", zorder=5)
-    near = np.flatnonzero(nominal.position[first:] > 0.93 * nominal.position.max()) + first
+    near = np.flatnonzero(nominal.position[first:] > 0.93 * nominal.position.max())[::3] + first
     corner.plot(nominal.position[near], nominal.velocity[near], "k--", label="nominal", zorder=5)
     for label, run in runs.items():
         style = {"color": COLOURS[label], "label": label, "linewidth": 0.9}
@@ -84,11 +82,22 @@ def phase(runs: dict[str, Run], last: float = 5.0):
     return figure
 
 
+# Label, title, and factor to the label's unit.
 METRICS = {
-    "position": ("RMS error of q in m", "position"),
-    "velocity": ("RMS error of q' in m/s", "velocity"),
-    "roughness": ("roughness in m/s²", "change of q'' a sample"),
+    "position": ("RMS error of q in mm", "position", 1e3),
+    "velocity": ("RMS error of q' in mm/s", "velocity", 1e3),
+    "roughness": ("roughness in m/s²", "change of q'' a sample", 1.0),
 }
+
+
+def log_axis(axis):
+    """A logarithmic axis with few, plain numbers: decades, or 1, 2 and 5 where it spans less than two."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    low, high = axis.get_view_interval()
+    axis.set_major_locator(LogLocator(subs=(1.0,) if high / low > 80 else (1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_locator(NullLocator())
 
 
 def errors_by_case(studies: dict[str, dict[str, Study]], quantities=("position", "velocity", "roughness")):
@@ -99,7 +108,7 @@ def errors_by_case(studies: dict[str, dict[str, Study]], quantities=("position",
             offset = 0.12 * (list(next(iter(studies.values()))).index(name) - 1.5)
             means, lows, highs = [], [], []
             for study in studies.values():
-                values = study[name][quantity]
+                values = METRICS[quantity][2] * study[name][quantity]
                 low, high = mean_interval(values)
                 means.append(values.mean())
                 lows.append(values.mean() - low)
@@ -114,6 +123,7 @@ def errors_by_case(studies: dict[str, dict[str, Study]], quantities=("position",
                 label=name,
             )
         axes.set(xscale="log", xlabel=METRICS[quantity][0], title=METRICS[quantity][1])
+        log_axis(axes.xaxis)
     panels[0].set_yticks(range(len(studies)), list(studies))
     panels[0].invert_yaxis()
     handles, labels = panels[0].get_legend_handles_labels()
@@ -126,9 +136,11 @@ def errors_over_frequency(frequencies_hz, studies: dict[str, list[dict[str, Stud
     figure, panels = figures.new(1, len(studies), height=3.3, sharey=True)
     for axes, (case, sweep) in zip(np.atleast_1d(panels), studies.items(), strict=True):
         for name in sweep[0]:
-            values = [study[name][quantity].mean() for study in sweep]
+            values = [METRICS[quantity][2] * study[name][quantity].mean() for study in sweep]
             axes.loglog(frequencies_hz, values, "o-", markersize=3, color=COLOURS[name], label=name)
         axes.set(xlabel="frequency of the trajectory in Hz", title=case)
+        log_axis(axes.xaxis)
+        log_axis(axes.yaxis)
     np.atleast_1d(panels)[0].set_ylabel(METRICS[quantity][0])
     handles, labels = np.atleast_1d(panels)[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
@@ -141,7 +153,7 @@ def claims_over_frequency(frequencies_hz, fractions: dict[str, np.ndarray], chos
     grid = np.array(list(fractions.values()), dtype=float)
     rows = np.arange(len(fractions))
     image = axes.pcolormesh(
-        np.arange(len(frequencies_hz)), rows, grid, cmap="RdYlGn", vmin=0, vmax=1, label="fraction of runs"
+        np.arange(len(frequencies_hz)), rows, grid, cmap="Blues", vmin=0, vmax=1, label="fraction of runs"
     )
     axes.set_yticks(rows, list(fractions))
     axes.set_xticks(range(len(frequencies_hz)), [f"{f:g}" for f in frequencies_hz])
@@ -150,7 +162,15 @@ def claims_over_frequency(frequencies_hz, fractions: dict[str, np.ndarray], chos
     axes.set(xlabel=f"frequency of the trajectory in Hz (elsewhere: {chosen_hz:g} Hz)")
     for row in rows:
         for column, value in enumerate(grid[row]):
-            axes.text(column, row, f"{value:.2g}", ha="center", va="center", fontsize=7)
+            axes.text(
+                column,
+                row,
+                f"{value:.2g}",
+                ha="center",
+                va="center",
+                fontsize=7,
+                color="w" if value > 0.5 else "k",
+            )
     figure.colorbar(image, ax=axes, label="fraction of runs that obey")
     return figure
 
@@ -160,14 +180,13 @@ def estimate_shift(runs: dict[str, Run], settle: float = 2.0):
     figure, panels = figures.new(1, 2, height=3.4)
     rows = (
         ("position", "velocity", "velocity q' in m/s", "error of q's estimate in mm"),
-        ("velocity", "acceleration", "nominal acceleration q'' in m/s²", "error of q' 's estimate in mm/s"),
+        ("velocity", "deformed", "the model's acceleration in m/s²", "error of q' 's estimate in mm/s"),
     )
     for axes, (quantity, derivative, across, up) in zip(panels, rows, strict=True):
         for name, run in runs.items():
             part = slice(round(settle / run.trajectory.time_step), None, 40)
             error = 1e3 * (getattr(run, f"{quantity}_estimate") - getattr(run, quantity))[part]
-            motion = run.velocity if derivative == "velocity" else run.trajectory.acceleration
-            axes.plot(motion[part], error, ".", markersize=3, color=COLOURS[name], label=name)
+            axes.plot(getattr(run, derivative)[part], error, ".", ms=3, color=COLOURS[name], label=name)
         reach = np.array(axes.get_xlim())
         axes.plot(reach, reach, "k:", linewidth=1, label="one sample (1 ms) ahead")
         axes.set(xlabel=across, ylabel=up)

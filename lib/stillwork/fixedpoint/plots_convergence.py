@@ -41,8 +41,8 @@ def contraction(transformations: dict[str, Transformation], response_gain: float
 
 def filter_responses(filters: dict[str, LinearFilter], time_step: float):
     """Frequency responses from the measured position to the three estimates, over the ideal derivatives."""
-    figure, panels = figures.new(2, 3, height=4.8, sharex=True)
-    frequency = np.geomspace(0.5, 499, 200)
+    figure, panels = figures.new(2, 3, height=5.2, sharex=True)
+    frequency = np.geomspace(0.5, 499, 90)
     z = np.exp(2j * np.pi * frequency * time_step)
     for name, device in filters.items():
         states = np.linalg.solve(
@@ -57,11 +57,11 @@ def filter_responses(filters: dict[str, LinearFilter], time_step: float):
             panels[1, column].semilogx(frequency, angle, color=COLOURS[name], label=name)
     for column, title in enumerate(("estimate of q", "of q', over jω", "of q'', over (jω)²")):
         panels[0, column].set(title=title, ylim=(1e-3, 10))
-        panels[1, column].set(xlabel="frequency in Hz", ylim=(-720, 90))
+        panels[1, column].set(xlabel="frequency in Hz", ylim=(-400, 90))
     panels[0, 0].set_ylabel("gain")
     panels[1, 0].set_ylabel("phase in degrees")
     handles, labels = panels[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+    figure.legend(handles, labels, loc="outside upper center", ncols=3)
     return figure
 
 
@@ -147,6 +147,8 @@ def limit_cycle_sweep(gains, predicted, simulated):
         )
         axes.axvline(1.1, color=figures.BLACK, linestyle=":", linewidth=1)
         axes.set(xlabel="-A in m/s² (dotted: published)", ylabel=title)
+    middle = np.nanmean([p[0] for p in predicted])
+    panels[0].set_ylim(0.95 * middle, 1.05 * middle)
     panels[0].legend()
     return figure
 
@@ -161,7 +163,7 @@ def noise_gain(deviations, remaining, weakest: float, marks: dict[str, float]):
     )
     for (name, place), line in zip(marks.items(), (":", "-."), strict=False):
         axes.axvline(place, color=figures.BLACK, linestyle=line, linewidth=1)
-        axes.text(place * 0.96, remaining.min() * 1.1, name, rotation=90, ha="right", va="bottom", fontsize=8)
+        axes.text(place * 0.92, remaining.min() * 1.1, name, rotation=90, ha="right", va="bottom", fontsize=8)
     axes.set(
         xlabel="standard deviation of response - desired in m/s²", ylabel="strength: minus the local gain"
     )

@@ -8,7 +8,7 @@ from stillwork.fixedpoint.differentiation import (
     quotient_autocorrelation,
     quotient_cross_correlation,
 )
-from stillwork.fixedpoint.plots import COLOURS, METRICS
+from stillwork.fixedpoint.plots import COLOURS, METRICS, log_axis
 from stillwork.studies import Study, mean_interval
 
 
@@ -62,8 +62,8 @@ def tuned_errors(studies: dict[str, dict[str, Study]], quantities=("velocity", "
     for row, (case, study) in zip(np.atleast_2d(panels), studies.items(), strict=True):
         for axes, quantity in zip(row, quantities, strict=True):
             for place, (name, runs) in enumerate(study.items()):
-                mean = runs[quantity].mean()
-                low, high = mean_interval(runs[quantity])
+                values = METRICS[quantity][2] * runs[quantity]
+                mean, (low, high) = values.mean(), mean_interval(values)
                 axes.errorbar(
                     mean,
                     place,
@@ -90,4 +90,6 @@ def cost_against_error(cost_ns: dict[str, float], errors: dict[str, float], unit
         axes.plot(cost_ns[name], error, "o", color=COLOURS[name], label=name)
         axes.annotate(name, (cost_ns[name], error), xytext=(6, 4), textcoords="offset points", fontsize=8)
     axes.set(xscale="log", xlabel="measured time a sample in ns", ylabel=unit, xlim=(20, 3000))
+    axes.set_ylim(0, 1.15 * max(errors.values()))
+    log_axis(axes.xaxis)
     return figure

@@ -24,7 +24,9 @@ from stillwork.fixedpoint.trajectory import Trajectory
 from stillwork.fixedpoint.transformation import RobustTransformation
 
 # Two knobs that every loop has: Lambda in 1/s, and the strength of (8), minus its local gain.
-SHARED = {"exponent": (6.0, 80.0), "strength": (0.02, 1.0)}
+SHARED = {"exponent": (6.0, 160.0), "strength": (0.02, 1.4)}
+
+STARTS = 3  # simplexes
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,7 @@ def families() -> dict[str, Family]:
         for family in (
             Family(
                 WINDOW,
-                {"length": (3.0, 40.0)},
+                {"length": (1.0, 40.0)},
                 lambda model, time_step, length: MovingWindow(round(length)),
             ),
             Family(
@@ -83,7 +85,7 @@ def families() -> dict[str, Family]:
             ),
             Family(
                 EXTENDED,
-                {"disturbance_step": (1e-3, 1e2), "velocity_step": (1e-6, 1e-1)},
+                {"disturbance_step": (1e-3, 1e2), "velocity_step": (1e-6, 1.0)},
                 lambda model, time_step, disturbance_step, velocity_step: ExtendedKalman(
                     model, disturbance_step=disturbance_step, velocity_step=velocity_step
                 ),
@@ -122,9 +124,9 @@ def tune(
     seed: int,
     criterion: str = "velocity",
 ) -> Tuned:
-    """Search by a Sobol sequence, then by Nelder and Mead's simplex from the best point.
+    """Search by a Sobol sequence, then by Nelder and Mead's simplex from each of the best points.
 
-    The sequence takes the largest power of two within half the budget.
+    The sequence takes the largest power of two within half the budget, the simplexes share the rest.
 
     Parameters
     ----------
@@ -168,16 +170,21 @@ def tune(
     sobol = qmc.Sobol(len(low), rng=np.random.default_rng(seed)).random_base2(int(np.log2(budget / 2)))
     for point in low + sobol * (high - low):
         cost(point)
-    start = min(tried, key=lambda t: t[0])[1]
-    simplex = np.vstack(
-        [start, *(np.clip(start + 0.1 * (high - low) * row, low, high) for row in np.eye(len(low)))]
-    )
-    minimize(
-        cost,
-        start,
-        method="Nelder-Mead",
-        options={"initial_simplex": simplex, "maxfev": budget - len(tried), "xatol": 1e-12, "fatol": 0.0},
-    )
+    starts = [knobs for _, knobs in sorted(tried, key=lambda t: t[0])[:STARTS]]
+    for number, start in enumerate(starts):
+        left = (budget - len(tried)) // (len(starts) - number)
+        steps = 0.1 * (high - low) * np.where(start + 0.1 * (high - low) > high, -1.0, 1.0)
+        minimize(
+            cost,
+            start,
+            method="Nelder-Mead",
+            options={
+                "initial_simplex": np.vstack([start, start + np.diag(steps)]),
+                "maxfev": left,
+                "xatol": 1e-12,
+                "fatol": 0.0,
+            },
+        )
     best, knobs = min(tried, key=lambda t: t[0])
     if np.isinf(best):
         raise InputError(f"{family.name}: every one of {len(tried)} settings diverged; widen the ranges")
