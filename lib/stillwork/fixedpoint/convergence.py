@@ -64,7 +64,7 @@ class StableRange:
         return self.strongest.local_gain, self.weakest.local_gain
 
 
-def crossings(loop: LinearLoop, points: int = 600) -> list[Crossing]:
+def crossings(loop: LinearLoop, points: int = 300) -> list[Crossing]:
     """All negative gains at which poles cross the unit circle, strongest first.
 
     A crossing is where the open loop's frequency response is real: 1 = gain response.
@@ -141,18 +141,20 @@ class LimitCycle:
     stable: bool  # attracts its neighbours; an unstable one is the border of divergence
 
 
-def limit_cycles(loop: LinearLoop, transformation: Transformation) -> list[LimitCycle]:
+def limit_cycles(
+    loop: LinearLoop, transformation: Transformation, region: StableRange | None = None
+) -> list[LimitCycle]:
     """Limit cycles of the loop closed by (6), by the describing function, smallest amplitude first.
 
     Where the linear gain lies beyond the strongest stable one, the sigmoid holds the motion on a stable
     cycle; where the loop needs a weakest gain, a large motion starves it: an unstable cycle, beyond which
-    the loop diverges.
+    the loop diverges. `region` spares the search for the stable range where it is known.
     """
     from scipy.optimize import brentq
 
     if not isinstance(transformation, FlowTransformation):
         raise InputError("transformation (8) works in the linear part of its sigmoid; it has no limit cycle")
-    linear, region = transformation.local_gain, stable_range(loop)
+    linear, region = transformation.local_gain, region or stable_range(loop)
     if region.strongest is None:
         return []
     cycles = []

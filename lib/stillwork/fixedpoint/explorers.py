@@ -69,11 +69,11 @@ def draw_noisy(kind: str, amplitude: float, frequency_hz: float, integration: st
 
 
 def draw_ranking(frequency_hz: float, sharpness: float, amplitude: float):
-    """RMS errors of the four controllers, mean over three noise records."""
+    """RMS errors of the four controllers, mean over two noise records."""
     exact, approximate = _models()
     trajectory = asin_trajectory(sharpness=float(sharpness), frequency_hz=float(frequency_hz))
     noise = Noise("gaussian", float(amplitude))
-    found = compare(exact, published_controllers(approximate), trajectory, noise, runs=3, seed=0)
+    found = compare(exact, published_controllers(approximate), trajectory, noise, runs=2, seed=0)
     figure, panels = figures.new(1, 2, height=2.2, sharey=True)
     for axes, quantity in zip(panels, ("position", "roughness"), strict=True):
         for place, (name, study) in enumerate(found.items()):
@@ -96,7 +96,7 @@ def motion_at_rest(time_step: float):
 
 def draw_beliefs(assumed_scale: float, noise_deviation: float):
     """Believed and true standard deviation of the Kalman filter's errors when its R is scaled."""
-    scales = np.geomspace(1e-4, 1e4, 60)
+    scales = np.geomspace(1e-4, 1e4, 30)
     step = 1e-3
     process, assumed = np.diag([1e-1, 1e-3]), np.diag([1e-2, 1e-3])
     still = motion_at_rest(step)
@@ -123,12 +123,13 @@ def draw_limit_cycle(gain: float, window_length: int, exponent: float):
         MovingWindow(int(window_length)), transformation, KinematicDesign(float(exponent)), approximate
     )
     loop = linear_loop(exact, controller, 1e-3)
+    region = stable_range(loop)
     figure = limit_cycle_condition(loop, transformation)
     cycles = [
         f"{c.frequency_hz:.1f} Hz at {c.iteration_error:.3g} m/s² ({'stable' if c.stable else 'unstable'})"
-        for c in limit_cycles(loop, transformation)
+        for c in limit_cycles(loop, transformation, region)
     ]
-    low, high = stable_range(loop).limits
+    low, high = region.limits
     figure.axes[0].set_title(
         f"stable gains {low:.3g} to {high:.3g}, here {transformation.local_gain:.3g}; "
         f"cycles: {', '.join(cycles) or 'none'}"

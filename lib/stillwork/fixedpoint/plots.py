@@ -100,34 +100,27 @@ def log_axis(axis):
     axis.set_minor_locator(NullLocator())
 
 
+def points_with_intervals(axes, runs: list[np.ndarray], places, name: str):
+    """Means of the runs as points, their 95 % intervals as bars."""
+    intervals = [mean_interval(values) for values in runs]
+    axes.plot([values.mean() for values in runs], places, "o", ms=4, color=COLOURS[name], label=name)
+    label = f"{name}, 95 % interval"
+    axes.hlines(places, *zip(*intervals, strict=True), color=COLOURS[name], label=label)
+
+
 def errors_by_case(studies: dict[str, dict[str, Study]], quantities=("position", "velocity", "roughness")):
     """Mean and 95 % interval of each filter's errors, one row of points a noise case."""
-    figure, panels = figures.new(1, len(quantities), height=0.5 + 0.55 * len(studies) + 1.0, sharey=True)
+    figure, panels = figures.new(1, len(quantities), height=0.55 * len(studies) + 1.5, sharey=True)
+    names = list(next(iter(studies.values())))
     for axes, quantity in zip(panels, quantities, strict=True):
-        for name in next(iter(studies.values())):
-            offset = 0.12 * (list(next(iter(studies.values()))).index(name) - 1.5)
-            means, lows, highs = [], [], []
-            for study in studies.values():
-                values = METRICS[quantity][2] * study[name][quantity]
-                low, high = mean_interval(values)
-                means.append(values.mean())
-                lows.append(values.mean() - low)
-                highs.append(high - values.mean())
-            axes.errorbar(
-                means,
-                np.arange(len(studies)) + offset,
-                xerr=[lows, highs],
-                fmt="o",
-                markersize=4,
-                color=COLOURS[name],
-                label=name,
-            )
+        for number, name in enumerate(names):
+            runs = [METRICS[quantity][2] * study[name][quantity] for study in studies.values()]
+            points_with_intervals(axes, runs, np.arange(len(runs)) + 0.12 * (number - 1.5), name)
         axes.set(xscale="log", xlabel=METRICS[quantity][0], title=METRICS[quantity][1])
         log_axis(axes.xaxis)
     panels[0].set_yticks(range(len(studies)), list(studies))
     panels[0].invert_yaxis()
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+    figure.legend(handles=panels[0].lines, loc="outside upper center", ncols=len(names))
     return figure
 
 

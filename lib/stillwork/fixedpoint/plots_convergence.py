@@ -6,6 +6,7 @@ from stillwork import figures
 from stillwork.fixedpoint.convergence import Crossing, StableRange, describing_function, iterate
 from stillwork.fixedpoint.linear import LinearFilter, LinearLoop
 from stillwork.fixedpoint.plots import COLOURS
+from stillwork.fixedpoint.published import LITERAL
 from stillwork.fixedpoint.transformation import FlowTransformation, Transformation
 
 
@@ -50,11 +51,12 @@ def filter_responses(filters: dict[str, LinearFilter], time_step: float):
             np.broadcast_to(device.B[:, :1], (len(z), *device.B[:, :1].shape)),
         )[..., 0]
         response = states @ device.C.T + device.D[:, 0]
+        line = "--" if name == LITERAL else "-"  # in places it covers its neighbour
         for column in range(3):
             ratio = response[:, column] / (2j * np.pi * frequency) ** column
-            panels[0, column].loglog(frequency, np.abs(ratio), color=COLOURS[name], label=name)
+            panels[0, column].loglog(frequency, np.abs(ratio), line, color=COLOURS[name], label=name)
             angle = np.degrees(np.unwrap(np.angle(ratio)))
-            panels[1, column].semilogx(frequency, angle, color=COLOURS[name], label=name)
+            panels[1, column].semilogx(frequency, angle, line, color=COLOURS[name], label=name)
     for column, title in enumerate(("estimate of q", "of q', over jω", "of q'', over (jω)²")):
         panels[0, column].set(title=title, ylim=(1e-3, 10))
         panels[1, column].set(xlabel="frequency in Hz", ylim=(-400, 90))
@@ -163,7 +165,7 @@ def noise_gain(deviations, remaining, weakest: float, marks: dict[str, float]):
     )
     for (name, place), line in zip(marks.items(), (":", "-."), strict=False):
         axes.axvline(place, color=figures.BLACK, linestyle=line, linewidth=1)
-        axes.text(place * 0.92, remaining.min() * 1.1, name, rotation=90, ha="right", va="bottom", fontsize=8)
+        axes.text(place * 1.06, remaining.max(), name, rotation=90, ha="left", va="top", fontsize=8)
     axes.set(
         xlabel="standard deviation of response - desired in m/s²", ylabel="strength: minus the local gain"
     )
