@@ -28,7 +28,7 @@ from stillwork.fixedpoint import (  # noqa: E402
     load_oscillator,
     published_controllers,
 )
-from stillwork.fixedpoint.filters import _filter_record, model_of  # noqa: E402
+from stillwork.fixedpoint.filtering import _filter_record, model_of  # noqa: E402
 
 STEP = 1e-3
 SAMPLES = 20_000

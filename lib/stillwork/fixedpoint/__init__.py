@@ -21,13 +21,13 @@ from stillwork.fixedpoint.differentiation import (
     quotient_cross_correlation,
     steady_errors,
 )
+from stillwork.fixedpoint.filtering import filter_signal
 from stillwork.fixedpoint.filters import (
     ExtendedKalman,
     LowPass,
     MovingWindow,
     SavitzkyGolay,
     UnscentedKalman,
-    filter_signal,
 )
 from stillwork.fixedpoint.kinematics import KinematicDesign
 from stillwork.fixedpoint.linear import linear_filter, linear_loop

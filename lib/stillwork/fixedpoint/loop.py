@@ -7,7 +7,8 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.checks import InputError, require_array, require_choice, require_number
-from stillwork.fixedpoint.filters import Filter, _filter_step, model_of, require_same_step
+from stillwork.fixedpoint.filtering import _filter_step, model_of, require_same_step
+from stillwork.fixedpoint.filters import Filter
 from stillwork.fixedpoint.kinematics import KinematicDesign
 from stillwork.fixedpoint.plant import Plant, partial_derivatives
 from stillwork.fixedpoint.trajectory import Trajectory
