@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -47,6 +48,21 @@ class StateModel:
             return bool(np.all(np.abs(self.poles) < 1))
         return bool(np.all(self.poles.real < 0))
 
+    @property
+    def zeros(self) -> Complex128[np.ndarray, " zeros"]:
+        """Finite invariant zeros of a square model, from a balanced pencil."""
+        if len(self.c) != self.b.shape[1]:
+            raise InputError("model is not square; its zeros need as many inputs as outputs")
+        rate = np.linalg.norm(linalg.matrix_balance(self.a, permute=False)[0])
+        n = len(self.a)
+        whole = np.block([[self.a / rate, self.b], [self.c, self.d]])
+        whole, _ = linalg.matrix_balance(whole, permute=False, separate=True)
+        mass = np.zeros_like(whole)
+        mass[:n, :n] = np.eye(n)
+        values = linalg.eig(whole, mass, right=False, homogeneous_eigvals=True)
+        finite = np.abs(values[1]) > 1e-10 * np.abs(values[0])
+        return (rate * values[0][finite] / values[1][finite]).astype(complex)
+
     def select(self, inputs: Sequence[int], outputs: Sequence[int]) -> "StateModel":
         """Keep only these inputs and outputs."""
         i, o = list(inputs), list(outputs)
@@ -59,14 +75,21 @@ class StateModel:
         response = np.repeat(self.d[:, :, None].astype(complex), len(omega), axis=2)
         if not len(self.a):
             return response
-        a, (scale, _) = linalg.matrix_balance(self.a, permute=False, separate=True)
-        b, c = self.b / scale[:, None], self.c * scale
-        poles, vectors = linalg.eig(a)
-        if np.linalg.cond(vectors) < WORST_CONDITION:
-            residues = (c @ vectors)[:, None, :] * linalg.solve(vectors, b).T[None]
+        a, b, c, poles, residues = self._decomposed
+        if residues is not None:
             return response + residues @ (1 / (point[None, :] - poles[:, None]))
         shifted = point[:, None, None] * np.eye(len(a)) - a
         return response + np.moveaxis(c @ np.linalg.solve(shifted, b[None].astype(complex)), 0, -1)
+
+    @cached_property
+    def _decomposed(self):
+        """Balanced A, B, C, the poles, and the residues where the eigenvectors allow them."""
+        a, (scale, _) = linalg.matrix_balance(self.a, permute=False, separate=True)
+        b, c = self.b / scale[:, None], self.c * scale
+        poles, vectors = linalg.eig(a)
+        if np.linalg.cond(vectors) > WORST_CONDITION:
+            return a, b, c, poles, None
+        return a, b, c, poles, (c @ vectors)[:, None, :] * linalg.solve(vectors, b).T[None]
 
     def to_control(self):
         """The same model as `control.StateSpace`."""
