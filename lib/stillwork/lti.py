@@ -55,7 +55,7 @@ class StateModel:
             raise InputError("model is not square; its zeros need as many inputs as outputs")
         rate = np.linalg.norm(linalg.matrix_balance(self.a, permute=False)[0])
         n = len(self.a)
-        whole = np.block([[self.a / rate, self.b], [self.c, self.d]])
+        whole = np.block([[self.a / rate, self.b / rate], [self.c, self.d]])
         whole, _ = linalg.matrix_balance(whole, permute=False, separate=True)
         mass = np.zeros_like(whole)
         mass[:n, :n] = np.eye(n)

@@ -192,6 +192,23 @@ def test_interconnection_is_that_of_python_control():
     assert np.allclose(loop.frequency_response(omega)[0, 0], theirs(1j * omega), rtol=1e-9)
 
 
+@pytest.mark.parametrize("feedthrough", [0.0, 0.7])
+def test_zeros_are_those_of_python_control_and_of_the_response(feedthrough):
+    model = lti.replace(random_modal(4, 1, 1), feedthrough=np.array([[feedthrough]]))
+    zeros = model.state_space().zeros
+    theirs = control.zeros(model.to_control())
+    theirs = theirs[np.abs(theirs) < 1e6]
+    assert len(zeros) == len(theirs)
+    assert np.allclose(np.sort(np.abs(zeros)), np.sort(np.abs(theirs)), rtol=1e-6)
+    states = model.state_space()
+    for zero in zeros:
+        value = states.d + states.c @ np.linalg.solve(zero * np.eye(len(states.a)) - states.a, states.b)
+        nearby = states.d + states.c @ np.linalg.solve(
+            zero * 1.1 * np.eye(len(states.a)) - states.a, states.b
+        )
+        assert abs(value[0, 0]) < 1e-6 * abs(nearby[0, 0])
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [

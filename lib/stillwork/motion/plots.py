@@ -5,13 +5,20 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from stillwork import figures
-from stillwork.lti import StateModel
+from stillwork.checks import InputError
+from stillwork.lti import StateModel, resonance_grid
 from stillwork.motion.applications import Application
 from stillwork.motion.bandwidth import SIX_DB, Loop
 from stillwork.motion.controller import Pid, PidFamily
-from stillwork.motion.designs import Design, stage_loops
-from stillwork.motion.loops import channel
-from stillwork.motion.machines import stage_mass
+from stillwork.motion.designs import Design, stage_compensator, stage_loops
+from stillwork.motion.discretisation import VARIANTS, transition
+from stillwork.motion.disturbance import CumulativePower, cumulative_power
+from stillwork.motion.loops import channel, closed_loop
+from stillwork.motion.machines import chain, stage, stage_mass
+from stillwork.motion.performance import rms
+from stillwork.motion.reduction import roll_off, truncate
+from stillwork.motion.setpoint import Setpoint, published_setpoint
+from stillwork.motion.tracking import Feedforward, error_loop, tracking_error
 
 LABELS = {
     "input_sensitivity": "input sensitivity $S_I$",
@@ -208,4 +215,120 @@ def draw_design(
     for axis, peak in zip(figure.axes, peaks, strict=True):
         verdict = f"peak {20 * np.log10(peak):.1f} dB" if stable else "unstable"
         axis.set_title(f"{axis.get_title(loc='left')}: {verdict}")
+    return figure
+
+
+def draw_tracking(setpoint: Setpoint, errors: Mapping[str, np.ndarray]):
+    """Tracking errors in nm over the move, one panel a case, with the scaled acceleration and the scan."""
+    figure, axes = figures.new(2, 2, height=4.4, sharex=True, sharey=True)
+    shown = setpoint.time <= setpoint.scan[1]
+    scaled = setpoint.derivatives[2] / np.abs(setpoint.derivatives[2]).max()
+    top = 1e9 * max(np.abs(error).max() for error in errors.values())
+    for axis, (name, error) in zip(axes.ravel(), errors.items(), strict=True):
+        axis.plot(
+            setpoint.time, top * scaled, color=figures.GREY, linewidth=0.8, label="acceleration, scaled"
+        )
+        axis.plot(setpoint.time, 1e9 * error, linewidth=0.9, color=figures.BLUE, label="error")
+        axis.axvspan(*setpoint.scan, color=figures.GREY, alpha=0.12, linewidth=0)
+        axis.set_title(f"{name}: {1e9 * rms(error[setpoint.scanning]):.2f} nm rms in the scan")
+    axes[0, 0].set_xlim(0, setpoint.time[shown][-1] + 0.02)
+    axes[0, 0].legend(loc="upper right", fontsize=7)
+    for axis in axes[:, 0]:
+        axis.set_ylabel("error (nm)")
+    for axis in axes[-1]:
+        axis.set_xlabel("time (s)")
+    return figure
+
+
+def draw_feedforward(acceleration_kg: float, snap: float, bandwidth_hz: float):
+    """Explorer: the error of the loop without observer for given feedforward gains."""
+    setpoint = published_setpoint()
+    controller = PidFamily(stage_mass())(bandwidth_hz).state_space()
+    loop = error_loop(closed_loop(stage().at([0], [4]), None, controller))
+    error = tracking_error(loop, setpoint, Feedforward(acceleration=acceleration_kg, snap=1e-6 * snap))
+    figure, axis = figures.new(1, 1, height=2.8)
+    axis.plot(setpoint.time, 1e9 * error, label="error")
+    axis.axvspan(*setpoint.scan, color=figures.GREY, alpha=0.12, linewidth=0)
+    axis.set_title(f"{1e9 * rms(error[setpoint.scanning]):.1f} nm rms in the scan (grey)")
+    axis.set_xlabel("time (s)")
+    axis.set_ylabel("error (nm)")
+    return figure
+
+
+def draw_cumulative(power: Mapping[str, CumulativePower]):
+    """Cumulative power of the measured and of the true error, nm^2."""
+    figure, axes = figures.new(1, 2, height=3.2, sharey=True)
+    for label, each in power.items():
+        for axis, values in zip(axes, (each.measured, each.true), strict=True):
+            axis.semilogx(each.omega / (2 * np.pi), 1e18 * values, label=label)
+    for axis, title in zip(axes, ("measured error $e_{meas}$", "true error $e_{true}$"), strict=True):
+        axis.set_title(title)
+        axis.set_xlabel("frequency (Hz)")
+        axis.set_xlim(1, None)
+    axes[0].set_ylabel("cumulative power (nm²)")
+    axes[0].legend(loc="upper left")
+    return figure
+
+
+def draw_disturbance(bandwidth_hz: float, process_noise: float, damping: float):
+    """Explorer: cumulative power of the errors at rest without observer and with active damping."""
+    plant, step = stage().at([0], [4]), 1e-4
+    controller = PidFamily(stage_mass())(bandwidth_hz).state_space()
+    designs = {"PID": Design(), "AD": Design(Application(damping=damping, selectivity=2.0))}
+    noise = {"w": process_noise, "v": 1e-9, "d": 1e-9}
+    grid = resonance_grid(plant.poles, 0.01, 0.5 / step, 300, 15)
+    power = {}
+    for name, design in designs.items():
+        loop = closed_loop(plant, stage_compensator(5, design), controller)
+        if not loop.is_stable:
+            raise InputError(f"{name} is unstable at {bandwidth_hz:g} Hz; lower the bandwidth")
+        power[name] = cumulative_power(loop, step, noise, grid)
+    return draw_cumulative(power)
+
+
+def draw_reduction(retained: int, cutoff_hz: float):
+    """Explorer: model error of the reduced ten-mass chain, with and without compliance."""
+    full = chain(np.full(10, 2.0)).at([0], [0])
+    omega = resonance_grid(full.poles, 0.3, 300.0, 300, 20)
+    exact = full.frequency_response(omega)[0, 0]
+    compensated = truncate(full, int(retained), 10 - int(retained))
+    curves = {
+        "full": (omega, exact),
+        "error, truncated": (omega, exact - truncate(full, int(retained)).frequency_response(omega)[0, 0]),
+        "error, with compliance": (omega, exact - compensated.frequency_response(omega)[0, 0]),
+        "error, rolled off": (
+            omega,
+            exact - roll_off(compensated, cutoff_hz).frequency_response(omega)[0, 0],
+        ),
+    }
+    return bode(curves, "magnitude (dB re 1 m/N)", styles={"full": {"color": figures.GREY}}, height=3.2)[0]
+
+
+def draw_heavy_mass(place: int, mass_kg: float):
+    """Explorer: force to position at mass 1 of the five-mass chain with one mass changed."""
+    masses = np.full(5, 1.6)
+    masses[int(place) - 1] = mass_kg
+    curves = {}
+    for label, values in (("all 1.6 kg", np.full(5, 1.6)), (f"mass {int(place)}: {mass_kg:g} kg", masses)):
+        machine = chain(values).at([0], [0])
+        omega = resonance_grid(machine.poles, 5.0, 100.0, 300, 30)
+        curves[label] = (omega, machine.frequency_response(omega)[0, 0])
+    return bode(curves, "$f_1$ to $x_1$ (dB re 1 m/N)", height=3.2)[0]
+
+
+def draw_transition_error(frequency_hz: float, damping: float):
+    """Explorer: error of the printed and of the lightly damped transition matrix over the sample time."""
+    steps = np.geomspace(1e-6, 0.4 / frequency_hz, 200)
+    figure, axis = figures.new(1, 1, height=2.8)
+    for variant in VARIANTS[1:]:
+        w = 2 * np.pi * frequency_hz
+        error = []
+        for step in steps:
+            exact = transition(w, damping, step)
+            size = np.array([[1, 1 / w], [w, 1]])  # the size of each entry, which itself passes zero
+            error.append((np.abs(transition(w, damping, step, variant) - exact) / size).max())
+        axis.loglog(1e3 * steps, error, label=variant)
+    axis.set_xlabel("sample time (ms)")
+    axis.set_ylabel("largest error, scaled entries")
+    axis.legend()
     return figure

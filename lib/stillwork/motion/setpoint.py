@@ -19,6 +19,14 @@ class Setpoint:
     scan: tuple[float, float]  # s, start and end of the scanning phase
     acceleration_end: float  # s, where the constant velocity begins
 
+    def __post_init__(self):
+        require_number("step", self.step, above=0.0)
+        rows = require_array("derivatives", self.derivatives, shape=(5, None))
+        if np.any(rows[1] < -1e-9 * max(np.abs(rows[1]).max(), 1e-300)):
+            raise InputError("derivatives: the setpoint moves backwards; a scan needs a monotone position")
+        if not 0 <= self.scan[0] < self.scan[1]:
+            raise InputError(f"scan is {self.scan}; give its start and its end in s")
+
     @property
     def time(self) -> Float64[np.ndarray, " samples"]:
         """Seconds from the start of the move."""
@@ -109,11 +117,10 @@ def point_to_point(
         signs += [sign, 0, -sign, 0]
         times += [t_snap, plateau, t_snap, middle]
     moving = [(s * snap, t) for s, t in zip(signs, times, strict=True) if t > 1e-12]
-    rise = sum(t for _, t in moving)
+    rise = float(sum(t for _, t in moving))
     segments = [*moving, (0.0, cruise), *((-s, t) for s, t in moving)]
-    derivatives = from_snap(*zip(*segments, strict=True), step)
-    if np.any(derivatives[1] < -1e-9 * velocity):
-        raise InputError("the setpoint moves backwards; check its limits")
+    snaps, times = np.array(segments).T
+    derivatives = from_snap(snaps, times, step)
     return Setpoint(step, derivatives, (rise + settling, rise + cruise), rise)
 
 

@@ -1,5 +1,6 @@
 """Stability in the presence of the modes that the observer does not know: the check of section 3.4.1."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -7,6 +8,7 @@ from jaxtyping import Complex128, Float64
 
 from stillwork.checks import InputError
 from stillwork.lti import ModalModel, StateModel, interconnect
+from stillwork.motion.observer import Observer
 
 
 class SmallGain(NamedTuple):
@@ -15,6 +17,12 @@ class SmallGain(NamedTuple):
     gain: Float64[np.ndarray, " frequencies"]  # |H11 S|
     nominal: Complex128[np.ndarray, "2 frequencies"]  # H11, from both ports of S to f
     discarded: Complex128[np.ndarray, "2 frequencies"]  # S: Sigma_d and Sigma_d - T_DC
+
+
+def without_compliance(observer: Observer) -> Observer:
+    """The same observer, gain included, with T_DC taken out: it moves into S."""
+    feedthrough = np.zeros_like(observer.model.feedthrough)
+    return replace(observer, model=replace(observer.model, feedthrough=feedthrough))
 
 
 def small_gain(
