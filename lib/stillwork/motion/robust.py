@@ -97,6 +97,8 @@ def regularised_gains(model: TimeVaryingModel, bound: NormBound, margin: float =
     ----------
     model : TimeVaryingModel
     bound : NormBound
+        The rule does not see how large E is: with one output and margin 1 it halves R even for errors that
+        vanish. Only the exact search, or no uncertainty at all, returns to the Kalman filter.
     margin : float
         :math:`\alpha > 0`; the thesis takes 1.
 
