@@ -1,6 +1,7 @@
 """Figures of the motion room that more than one notebook draws, and the drawings behind its explorers."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -8,16 +9,18 @@ from stillwork import figures
 from stillwork.checks import InputError
 from stillwork.lti import StateModel, resonance_grid
 from stillwork.motion.applications import Application
-from stillwork.motion.bandwidth import SIX_DB, Loop
+from stillwork.motion.bandwidth import SIX_DB, Loop, make_loop
 from stillwork.motion.controller import Pid, PidFamily
 from stillwork.motion.designs import Design, stage_compensator, stage_loops
 from stillwork.motion.discretisation import VARIANTS, transition
 from stillwork.motion.disturbance import CumulativePower, cumulative_power
+from stillwork.motion.drive import drive_loop, seen_by_controller
 from stillwork.motion.loops import channel, closed_loop
-from stillwork.motion.machines import chain, stage, stage_mass
+from stillwork.motion.machines import chain, drive, stage, stage_mass
 from stillwork.motion.performance import rms
 from stillwork.motion.reduction import roll_off, truncate
 from stillwork.motion.setpoint import Setpoint, published_setpoint
+from stillwork.motion.three_masses import scaled_springs, three_masses
 from stillwork.motion.tracking import Feedforward, error_loop, tracking_error
 
 LABELS = {
@@ -330,5 +333,51 @@ def draw_transition_error(frequency_hz: float, damping: float):
         axis.loglog(1e3 * steps, error, label=variant)
     axis.set_xlabel("sample time (ms)")
     axis.set_ylabel("largest error, scaled entries")
+    axis.legend()
+    return figure
+
+
+def draw_drive(stiffness_error: float, damping: float, bandwidth_hz: float):
+    """Explorer: what the controller of the two-inertia drive sees, with an observer whose stiffness is off."""
+    plant = drive()
+    model = replace(plant, stiffness=plant.stiffness * (1 + stiffness_error))
+    omega = 2 * np.pi * np.geomspace(2, 60, 400)
+    cases = {
+        "no observer": None,
+        "MC": Application(compensate=True),
+        "AD": Application(damping=damping),
+        "MC and AD": Application(compensate=True, damping=damping),
+    }
+    curves = {
+        name: (omega, seen_by_controller(drive_loop(plant, model, each, bandwidth_hz), omega))
+        for name, each in cases.items()
+    }
+    return bode(curves, "magnitude (dB re 1 rad/A)", height=3.2)[0]
+
+
+def draw_three_masses(bandwidth_hz: float):
+    """Explorer: Nyquist plot of Example 1.5.1 for both sensor positions."""
+    masses = np.full(3, 4.0)
+    machine = three_masses(masses, scaled_springs(masses, 45.0))
+    controller = PidFamily(masses.sum())(bandwidth_hz)
+    return nyquist({f"$x_{k + 1}$": make_loop(machine.at([0], [k])) for k in (0, 1)}, controller)
+
+
+def nyquist(loops: Mapping[str, Loop], controller: Pid):
+    """Nyquist plot of open loops near -1, with the verdict of the closed-loop eigenvalues."""
+    figure, axis = figures.new(1, 1, height=4.2)
+    for label, loop in loops.items():
+        open_loop = loop.at(controller).loop
+        stable = bool(np.all(loop.poles(controller).real < 0))
+        near = np.abs(open_loop) < 30
+        axis.plot(
+            open_loop.real[near], open_loop.imag[near], label=f"{label}: {'stable' if stable else 'unstable'}"
+        )
+    axis.plot([-1], [0], "+", color=figures.BLACK, markersize=12, label="-1")
+    axis.set_xlim(-6, 6)
+    axis.set_ylim(-6, 6)
+    axis.set_aspect("equal")
+    axis.set_xlabel("real part")
+    axis.set_ylabel("imaginary part")
     axis.legend()
     return figure
