@@ -2,12 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
 from stillwork import figures
 from stillwork.checks import InputError
-from stillwork.lti import StateModel, resonance_grid
+from stillwork.lti import ModalModel, StateModel, resonance_grid
 from stillwork.motion.applications import Application
 from stillwork.motion.bandwidth import SIX_DB, Loop, make_loop
 from stillwork.motion.controller import Pid, PidFamily
@@ -17,9 +18,11 @@ from stillwork.motion.disturbance import CumulativePower, cumulative_power
 from stillwork.motion.drive import drive_loop, seen_by_controller
 from stillwork.motion.loops import channel, closed_loop
 from stillwork.motion.machines import chain, drive, stage, stage_mass
+from stillwork.motion.observer import published_noise
 from stillwork.motion.performance import rms
 from stillwork.motion.reduction import roll_off, truncate
 from stillwork.motion.setpoint import Setpoint, published_setpoint
+from stillwork.motion.structure import as_stage, fit_modes, measured_accelerance, structure_loops
 from stillwork.motion.three_masses import scaled_springs, three_masses
 from stillwork.motion.tracking import Feedforward, error_loop, tracking_error
 
@@ -90,6 +93,7 @@ def over_masses(
     limit: float = SIX_DB,
     low_hz: float = 1.0,
     high_hz: float = 2e3,
+    label: str = "mass",
 ):
     """One loop function of every measured mass, one panel a case, with the allowed peak.
 
@@ -104,7 +108,7 @@ def over_masses(
             hertz = loop.omega / (2 * np.pi)
             shown = (hertz >= low_hz) & (hertz <= high_hz)
             response = getattr(loop.at(controller), function)
-            axis.semilogx(hertz[shown], decibel(response)[shown], label=f"mass {number}", linewidth=1.0)
+            axis.semilogx(hertz[shown], decibel(response)[shown], label=f"{label} {number}", linewidth=1.0)
         axis.axhline(20 * np.log10(limit), color=figures.BLACK, linestyle=":", linewidth=1.0)
         axis.set_title(title)
         axis.set_xlabel("frequency (Hz)")
@@ -258,16 +262,16 @@ def draw_feedforward(acceleration_kg: float, snap: float, bandwidth_hz: float):
     return figure
 
 
-def draw_cumulative(power: Mapping[str, CumulativePower]):
-    """Cumulative power of the measured and of the true error, nm^2."""
+def draw_cumulative(power: Mapping[str, CumulativePower], low_hz: float = 1.0):
+    """Cumulative power of the measured and of the true error above `low_hz`, nm^2."""
     figure, axes = figures.new(1, 2, height=3.2, sharey=True)
     for label, each in power.items():
+        shown = each.omega >= 2 * np.pi * low_hz
         for axis, values in zip(axes, (each.measured, each.true), strict=True):
-            axis.semilogx(each.omega / (2 * np.pi), 1e18 * values, label=label)
+            axis.semilogx(each.omega[shown] / (2 * np.pi), 1e18 * values[shown], label=label)
     for axis, title in zip(axes, ("measured error $e_{meas}$", "true error $e_{true}$"), strict=True):
         axis.set_title(title)
         axis.set_xlabel("frequency (Hz)")
-        axis.set_xlim(1, None)
     axes[0].set_ylabel("cumulative power (nm²)")
     axes[0].legend(loc="upper left")
     return figure
@@ -381,3 +385,25 @@ def nyquist(loops: Mapping[str, Loop], controller: Pid):
     axis.set_ylabel("imaginary part")
     axis.legend()
     return figure
+
+
+@cache
+def _fitted_structure() -> ModalModel:
+    guesses = [810.0, 824.0, 851.0, 900.0, 1519.0, 2640.0, 3007.0]
+    fit = fit_modes(measured_accelerance(1), guesses, (100.0, 3100.0))
+    return as_stage(fit, stage_mass())[0]
+
+
+def draw_structure(damping: float, noise_model: float):
+    """Explorer: the mirrored sensor of the measured structure, bare and with MC and AD."""
+    machine = _fitted_structure()
+    application = Application(compensate=True, damping=damping, selectivity=2.0)
+    bare = structure_loops(machine, None, 5, published_noise(), None)[1]
+    used = structure_loops(machine, application, 5, published_noise(), noise_model)[1]
+    controller = PidFamily(stage_mass())(45.0)
+    omega = used.omega[(used.omega > 2 * np.pi * 100) & (used.omega < 2 * np.pi * 3000)]
+    curves = {
+        "plant": (omega, bare.at(controller, omega).equivalent_plant),
+        "with MC and AD": (omega, used.at(controller, omega).equivalent_plant),
+    }
+    return bode(curves, "magnitude (dB re 1 m/N)", height=3.2)[0]
