@@ -75,21 +75,44 @@ class StateModel:
         response = np.repeat(self.d[:, :, None].astype(complex), len(omega), axis=2)
         if not len(self.a):
             return response
-        a, b, c, poles, residues = self._decomposed
+        poles, residues = self._residues
         if residues is not None:
             return response + residues @ (1 / (point[None, :] - poles[:, None]))
+        scale, a, _, _ = self._decomposed
+        b, c = self.b / scale[:, None], self.c * scale
         shifted = point[:, None, None] * np.eye(len(a)) - a
         return response + np.moveaxis(c @ np.linalg.solve(shifted, b[None].astype(complex)), 0, -1)
 
     @cached_property
     def _decomposed(self):
-        """Balanced A, B, C, the poles, and the residues where the eigenvectors allow them."""
+        """Scale that balances A, the balanced A, its poles, and its eigenvectors where they are not too skew."""
         a, (scale, _) = linalg.matrix_balance(self.a, permute=False, separate=True)
-        b, c = self.b / scale[:, None], self.c * scale
         poles, vectors = linalg.eig(a)
-        if np.linalg.cond(vectors) > WORST_CONDITION:
-            return a, b, c, poles, None
-        return a, b, c, poles, (c @ vectors)[:, None, :] * linalg.solve(vectors, b).T[None]
+        skew = np.linalg.cond(vectors) > WORST_CONDITION
+        return scale, a, poles.astype(complex), None if skew else vectors.astype(complex)
+
+    @cached_property
+    def _residues(self):
+        """Poles, and the residue of every pole where the eigenvectors allow it."""
+        scale, _, poles, vectors = self._decomposed
+        if vectors is None:
+            return poles, None
+        right = linalg.solve(vectors, self.b / scale[:, None])
+        return poles, ((self.c * scale) @ vectors)[:, None, :] * right.T[None]
+
+    @cached_property
+    def _recursion(self):
+        """Poles, drive and read-out of the decoupled recursion, one of each conjugate pair, real and imaginary."""
+        scale, _, poles, vectors = self._decomposed
+        one = poles.imag >= 0  # a pair contributes twice the real part of one of them
+        twice = np.where(poles[one].imag > 0, 2.0, 1.0)
+        left = linalg.inv(vectors)[one]
+        parts = [
+            poles[one],
+            (left @ (self.b / scale[:, None])).T,
+            ((self.c * scale) @ vectors[:, one]) * twice,
+        ]
+        return left / scale, [np.ascontiguousarray(half) for part in parts for half in (part.real, part.imag)]
 
     def to_control(self):
         """The same model as `control.StateSpace`."""
@@ -528,24 +551,17 @@ def simulate(
     inputs = require_array("inputs", inputs, shape=(model.b.shape[1], None))
     initial = np.zeros(len(model.a)) if initial is None else initial
     initial = require_array("initial", initial, shape=(len(model.a),))
-    a, (scale, _) = linalg.matrix_balance(model.a, permute=False, separate=True)
-    b, c, start = model.b / scale[:, None], model.c * scale, initial / scale
     direct = model.d @ inputs
-    if not len(a):
+    if not len(model.a):
         return direct
-    poles, vectors = linalg.eig(a)
-    poles, vectors = poles.astype(complex), vectors.astype(complex)
-    if np.linalg.cond(vectors) > WORST_CONDITION:
-        return direct + _step_dense(a, np.ascontiguousarray((b @ inputs).T), c, start)
-    one = poles.imag >= 0  # a conjugate pair contributes twice the real part of one of them
-    twice = np.where(poles[one].imag > 0, 2.0, 1.0)
-    left = linalg.inv(vectors)[one]
-    drive = np.ascontiguousarray(left @ b)
-    read = np.ascontiguousarray((c @ vectors[:, one]) * twice)
-    state = left @ start
-    parts = [poles[one], drive, read, state]
-    arrays = [np.ascontiguousarray(part) for each in parts for part in (each.real, each.imag)]
-    return direct + _step_decoupled(*arrays, np.ascontiguousarray(inputs.T))
+    scale, a, _, vectors = model._decomposed
+    if vectors is None:
+        driven = np.ascontiguousarray((model.b / scale[:, None] @ inputs).T)
+        return direct + _step_dense(a, driven, model.c * scale, initial / scale)
+    left, parts = model._recursion
+    start = left @ initial
+    halves = [np.ascontiguousarray(half) for half in (start.real, start.imag)]
+    return direct + _step_decoupled(*parts, *halves, np.ascontiguousarray(inputs.T))
 
 
 @kernel
@@ -575,15 +591,24 @@ def _step_decoupled(pole_re, pole_im, drive_re, drive_im, read_re, read_im, star
     re, im = start_re.copy(), start_im.copy()
     for k in range(samples):
         for o in range(outputs):
-            total = 0.0
-            for i in range(n):
-                total += read_re[o, i] * re[i] - read_im[o, i] * im[i]
-            y[o, k] = total
+            # Four sums side by side: one alone would wait for each of its additions.
+            even_re, even_im, odd_re, odd_im = 0.0, 0.0, 0.0, 0.0
+            for i in range(0, n - 1, 2):
+                even_re += read_re[o, i] * re[i]
+                even_im += read_im[o, i] * im[i]
+                odd_re += read_re[o, i + 1] * re[i + 1]
+                odd_im += read_im[o, i + 1] * im[i + 1]
+            if n % 2:
+                even_re += read_re[o, n - 1] * re[n - 1]
+                even_im += read_im[o, n - 1] * im[n - 1]
+            y[o, k] = (even_re + odd_re) - (even_im + odd_im)
         for i in range(n):
             next_re = pole_re[i] * re[i] - pole_im[i] * im[i]
-            next_im = pole_re[i] * im[i] + pole_im[i] * re[i]
-            for j in range(inputs):
-                next_re += drive_re[i, j] * u[k, j]
-                next_im += drive_im[i, j] * u[k, j]
-            re[i], im[i] = next_re, next_im
+            im[i] = pole_re[i] * im[i] + pole_im[i] * re[i]
+            re[i] = next_re
+        for j in range(inputs):
+            force = u[k, j]
+            for i in range(n):
+                re[i] += drive_re[j, i] * force
+                im[i] += drive_im[j, i] * force
     return y

@@ -1,23 +1,29 @@
 """Figures of the motion room that more than one notebook draws, and the drawings behind its explorers."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
 from stillwork import figures
 from stillwork.checks import InputError
-from stillwork.lti import StateModel, resonance_grid
+from stillwork.lti import ModalModel, StateModel, resonance_grid
 from stillwork.motion.applications import Application
-from stillwork.motion.bandwidth import SIX_DB, Loop
+from stillwork.motion.bandwidth import SIX_DB, Loop, make_loop
 from stillwork.motion.controller import Pid, PidFamily
 from stillwork.motion.designs import Design, stage_compensator, stage_loops
 from stillwork.motion.discretisation import VARIANTS, transition
 from stillwork.motion.disturbance import CumulativePower, cumulative_power
+from stillwork.motion.drive import drive_loop, seen_by_controller
 from stillwork.motion.loops import channel, closed_loop
-from stillwork.motion.machines import chain, stage, stage_mass
+from stillwork.motion.machines import chain, drive, stage, stage_mass
+from stillwork.motion.observer import published_noise
 from stillwork.motion.performance import rms
 from stillwork.motion.reduction import roll_off, truncate
 from stillwork.motion.setpoint import Setpoint, published_setpoint
+from stillwork.motion.structure import as_stage, fit_modes, measured_accelerance, structure_loops
+from stillwork.motion.three_masses import scaled_springs, three_masses
 from stillwork.motion.tracking import Feedforward, error_loop, tracking_error
 
 LABELS = {
@@ -87,6 +93,7 @@ def over_masses(
     limit: float = SIX_DB,
     low_hz: float = 1.0,
     high_hz: float = 2e3,
+    label: str = "mass",
 ):
     """One loop function of every measured mass, one panel a case, with the allowed peak.
 
@@ -101,7 +108,7 @@ def over_masses(
             hertz = loop.omega / (2 * np.pi)
             shown = (hertz >= low_hz) & (hertz <= high_hz)
             response = getattr(loop.at(controller), function)
-            axis.semilogx(hertz[shown], decibel(response)[shown], label=f"mass {number}", linewidth=1.0)
+            axis.semilogx(hertz[shown], decibel(response)[shown], label=f"{label} {number}", linewidth=1.0)
         axis.axhline(20 * np.log10(limit), color=figures.BLACK, linestyle=":", linewidth=1.0)
         axis.set_title(title)
         axis.set_xlabel("frequency (Hz)")
@@ -255,16 +262,16 @@ def draw_feedforward(acceleration_kg: float, snap: float, bandwidth_hz: float):
     return figure
 
 
-def draw_cumulative(power: Mapping[str, CumulativePower]):
-    """Cumulative power of the measured and of the true error, nm^2."""
+def draw_cumulative(power: Mapping[str, CumulativePower], low_hz: float = 1.0):
+    """Cumulative power of the measured and of the true error above `low_hz`, nm^2."""
     figure, axes = figures.new(1, 2, height=3.2, sharey=True)
     for label, each in power.items():
+        shown = each.omega >= 2 * np.pi * low_hz
         for axis, values in zip(axes, (each.measured, each.true), strict=True):
-            axis.semilogx(each.omega / (2 * np.pi), 1e18 * values, label=label)
+            axis.semilogx(each.omega[shown] / (2 * np.pi), 1e18 * values[shown], label=label)
     for axis, title in zip(axes, ("measured error $e_{meas}$", "true error $e_{true}$"), strict=True):
         axis.set_title(title)
         axis.set_xlabel("frequency (Hz)")
-        axis.set_xlim(1, None)
     axes[0].set_ylabel("cumulative power (nm²)")
     axes[0].legend(loc="upper left")
     return figure
@@ -332,3 +339,71 @@ def draw_transition_error(frequency_hz: float, damping: float):
     axis.set_ylabel("largest error, scaled entries")
     axis.legend()
     return figure
+
+
+def draw_drive(stiffness_error: float, damping: float, bandwidth_hz: float):
+    """Explorer: what the controller of the two-inertia drive sees, with an observer whose stiffness is off."""
+    plant = drive()
+    model = replace(plant, stiffness=plant.stiffness * (1 + stiffness_error))
+    omega = 2 * np.pi * np.geomspace(2, 60, 400)
+    cases = {
+        "no observer": None,
+        "MC": Application(compensate=True),
+        "AD": Application(damping=damping),
+        "MC and AD": Application(compensate=True, damping=damping),
+    }
+    curves = {
+        name: (omega, seen_by_controller(drive_loop(plant, model, each, bandwidth_hz), omega))
+        for name, each in cases.items()
+    }
+    return bode(curves, "magnitude (dB re 1 rad/A)", height=3.2)[0]
+
+
+def draw_three_masses(bandwidth_hz: float):
+    """Explorer: Nyquist plot of Example 1.5.1 for both sensor positions."""
+    masses = np.full(3, 4.0)
+    machine = three_masses(masses, scaled_springs(masses, 45.0))
+    controller = PidFamily(masses.sum())(bandwidth_hz)
+    return nyquist({f"$x_{k + 1}$": make_loop(machine.at([0], [k])) for k in (0, 1)}, controller)
+
+
+def nyquist(loops: Mapping[str, Loop], controller: Pid):
+    """Nyquist plot of open loops near -1, with the verdict of the closed-loop eigenvalues."""
+    figure, axis = figures.new(1, 1, height=4.2)
+    for label, loop in loops.items():
+        open_loop = loop.at(controller).loop
+        stable = bool(np.all(loop.poles(controller).real < 0))
+        near = np.abs(open_loop) < 30
+        axis.plot(
+            open_loop.real[near], open_loop.imag[near], label=f"{label}: {'stable' if stable else 'unstable'}"
+        )
+    axis.plot([-1], [0], "+", color=figures.BLACK, markersize=12, label="-1")
+    axis.set_xlim(-6, 6)
+    axis.set_ylim(-6, 6)
+    axis.set_aspect("equal")
+    axis.set_xlabel("real part")
+    axis.set_ylabel("imaginary part")
+    axis.legend()
+    return figure
+
+
+@cache
+def _fitted_structure() -> ModalModel:
+    guesses = [810.0, 824.0, 851.0, 900.0, 1519.0, 2640.0, 3007.0]
+    fit = fit_modes(measured_accelerance(1), guesses, (100.0, 3100.0))
+    return as_stage(fit, stage_mass())[0]
+
+
+def draw_structure(damping: float, noise_model: float):
+    """Explorer: the mirrored sensor of the measured structure, bare and with MC and AD."""
+    machine = _fitted_structure()
+    application = Application(compensate=True, damping=damping, selectivity=2.0)
+    bare = structure_loops(machine, None, 5, published_noise(), None)[1]
+    used = structure_loops(machine, application, 5, published_noise(), noise_model)[1]
+    controller = PidFamily(stage_mass())(45.0)
+    omega = used.omega[(used.omega > 2 * np.pi * 100) & (used.omega < 2 * np.pi * 3000)]
+    curves = {
+        "plant": (omega, bare.at(controller, omega).equivalent_plant),
+        "with MC and AD": (omega, used.at(controller, omega).equivalent_plant),
+    }
+    return bode(curves, "magnitude (dB re 1 m/N)", height=3.2)[0]
