@@ -1,0 +1,65 @@
+# The workbook's commands. The first one that needs Python makes .venv with the pinned packages.
+# Another interpreter: make PYTHON=python3.12 ...; an environment of your own: make ENVIRONMENT=/path/to/it ...
+
+PYTHON ?= python3
+ARGS ?=
+
+ifdef ENVIRONMENT
+BIN := $(ENVIRONMENT)/bin
+READY :=
+else
+BIN := .venv/bin
+READY := .venv/complete
+endif
+
+export PYTHONPATH := $(CURDIR)/lib
+# One thread a process, as in a build: the same sums, and no fight for the cores.
+export OMP_NUM_THREADS := 1
+export OPENBLAS_NUM_THREADS := 1
+export MKL_NUM_THREADS := 1
+export NUMEXPR_NUM_THREADS := 1
+export VECLIB_MAXIMUM_THREADS := 1
+export MATPLOTLIBRC := /dev/null
+
+.PHONY: help figures test lab bench accept doctor clean
+
+help: ## Show this list
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-8s  %s\n", $$1, $$2 }' Makefile
+
+figures: $(READY) ## Build what is stale; ARGS="ROOM/NOTEBOOK -p NAME=VALUE --jobs N --why"
+	@$(BIN)/python -m stillwork figures $(ARGS)
+
+test: $(READY) ## Style, unit tests, all notebooks, and what is committed against what they give now
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/python -m pytest tests --ignore=tests/committed -n logical --dist loadfile
+	rm -rf build/nbval
+	MPLBACKEND=Agg STILLWORK_OUTPUT="$(CURDIR)/build/nbval" $(BIN)/python -m pytest notebooks \
+		--nbval --nbval-current-env --nbval-cell-timeout 600 -n logical --dist loadfile
+	$(BIN)/python -m pytest tests/committed
+
+lab: $(READY) ## Open JupyterLab on the notebooks, on this machine only
+	JUPYTER_PREFER_ENV_PATH=1 $(BIN)/python -m jupyter lab --ServerApp.root_dir=notebooks --ServerApp.ip=127.0.0.1 $(ARGS)
+
+bench: $(READY) ## Measure speed beside named peers
+	@for file in benchmarks/*.py; do $(BIN)/python $$file $(ARGS) || exit 1; done
+
+accept: $(READY) ## Take a build over into the notebooks, the ledger and the README
+	@$(BIN)/python -m stillwork accept
+
+doctor: $(READY) ## Compare the environment with environment.txt
+	@$(BIN)/python -m stillwork doctor
+
+clean: ## Remove what can be made again (not .venv, not figures/)
+	rm -rf build .pytest_cache .ruff_cache .hypothesis
+	find lib tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# The last line marks the environment as whole: one that was interrupted is made anew.
+.venv/complete: environment.txt pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' || \
+		{ echo "$(PYTHON) is not a Python 3.11, 3.12 or 3.13; name one: make PYTHON=/path/to/python3.12"; exit 1; }
+	@echo "Making .venv with the pinned packages (a minute or two, once)"
+	@$(PYTHON) -m venv --clear .venv
+	@.venv/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r environment.txt
+	@.venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@touch .venv/complete

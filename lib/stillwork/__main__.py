@@ -1,0 +1,120 @@
+"""Command line: ``python -m stillwork figures|claims|accept|doctor``."""
+
+import argparse
+import json
+import os
+import re
+import sys
+
+from stillwork import paths
+from stillwork.checks import InputError, nearest
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run a command; returns the exit code (2 for wrong input, 130 when interrupted)."""
+    parser, words = _parser()
+    options, unknown = parser.parse_known_args(arguments)
+    if unknown:
+        parser.error(f"unknown {unknown[0]!r}{nearest(unknown[0], words)}")
+    try:
+        return options.run(options)
+    except (InputError, FileNotFoundError) as error:
+        print(f"stillwork: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:  # the reader, e.g. `head`, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+
+
+def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
+    """The parser, and all its options."""
+    parser = argparse.ArgumentParser(prog="python -m stillwork", description=__doc__, allow_abbrev=False)
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    figures = commands.add_parser("figures", help="build the figures that are stale", allow_abbrev=False)
+    figures.add_argument("target", nargs="?", metavar="ROOM[/NOTEBOOK]", help="by default everything")
+    figures.add_argument(
+        "-p",
+        dest="settings",
+        metavar="NAME=VALUE",
+        action="append",
+        default=[],
+        help="set a parameter; the results go to build/variants/",
+    )
+    figures.add_argument("--jobs", type=_count, metavar="N", help="kernels at once (default: one a core)")
+    figures.add_argument("--scheduler", metavar="ADDRESS", help="run on the workers of a Dask cluster")
+    figures.add_argument("--force", action="store_true", help="build what is up to date, too")
+    figures.add_argument("--why", action="store_true", help="only say what would be built, and why")
+    figures.set_defaults(run=_figures)
+
+    claims = commands.add_parser("claims", help="print the ledger", allow_abbrev=False)
+    claims.add_argument("room", nargs="?", metavar="ROOM")
+    claims.add_argument("--json", action="store_true")
+    claims.set_defaults(run=_claims)
+
+    accept = commands.add_parser("accept", help="take the built results over into notebooks/ and the ledger")
+    accept.set_defaults(run=_accept)
+
+    doctor = commands.add_parser("doctor", help="compare this environment with environment.txt")
+    doctor.set_defaults(run=_doctor)
+    usage = " ".join(command.format_usage() for command in commands.choices.values())
+    return parser, re.findall(r"--?[a-z]+", usage)
+
+
+def _count(text: str) -> int:
+    if not text.isdigit() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of kernels; give 1 or more")
+    return int(text)
+
+
+def _figures(options) -> int:
+    from stillwork.workbook.build import build_figures
+
+    settings = {}
+    for text in options.settings:
+        name, equals, value = text.partition("=")
+        if not equals or not name.isidentifier():
+            raise InputError(f"-p {text!r} is not a setting; give -p NAME=VALUE")
+        if name in settings:
+            raise InputError(f"-p {name} is given twice; keep one")
+        settings[name] = value
+    return build_figures(
+        options.target,
+        settings,
+        jobs=options.jobs,
+        scheduler=options.scheduler,
+        force=options.force,
+        why=options.why,
+    )
+
+
+def _claims(options) -> int:
+    from stillwork.claims import ledger
+    from stillwork.workbook.report import ledger_text
+
+    if options.room not in (None, *paths.ROOMS):
+        raise InputError(f"there is no room {options.room!r}{nearest(options.room, paths.ROOMS)}")
+    claims = ledger(room=options.room)
+    if options.json:
+        print(json.dumps([claim.as_dict() for claim in claims], indent=1, ensure_ascii=False))
+    else:
+        print(ledger_text(claims))
+    return 0
+
+
+def _accept(_options) -> int:
+    from stillwork.workbook.accept import accept
+
+    return accept()
+
+
+def _doctor(_options) -> int:
+    from stillwork.workbook.doctor import doctor
+
+    return doctor()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

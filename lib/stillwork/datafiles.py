@@ -1,0 +1,124 @@
+"""Named columns of numbers out of CSV, MAT and NPZ files; reading one executes nothing."""
+
+from pathlib import Path
+
+import numpy as np
+
+from stillwork.checks import InputError
+
+
+def read_columns(path: Path) -> dict[str, np.ndarray]:
+    """Every numeric column or array of a file by name, each one-dimensional; a matrix gives one a channel.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read as what its name says.
+    """
+    readers = {".csv": _csv, ".txt": _csv, ".tsv": _csv, ".mat": _mat, ".npz": _npz}
+    if path.suffix.lower() not in readers:
+        raise InputError(
+            f"{path.name}: files of type {path.suffix or '(none)'!r} are not read; "
+            "export CSV, MAT (version 7) or NPZ"
+        )
+    return readers[path.suffix.lower()](path)
+
+
+def _csv(path: Path) -> dict[str, np.ndarray]:
+    import pandas as pd
+
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        lines = (line.strip() for line in file)
+        head = [line for line in lines if line and not line.startswith("#")]
+    if not head:
+        raise InputError(f"{path.name} is empty; give a line of names and rows of numbers")
+    body = head[min(1, len(head) - 1)]
+    separator = next((mark for mark in ("\t", ";", ",") if mark in body), r"\s+")
+    decimal = "," if separator == ";" and "," in body and "." not in body else "."
+    first = [field for field in head[0].split(separator if separator != r"\s+" else None) if field.strip()]
+    named = not all(_is_number(field.replace(decimal, ".")) for field in first)
+    try:
+        table = pd.read_csv(
+            path,
+            sep=separator,
+            decimal=decimal,
+            comment="#",
+            header=0 if named else None,
+            index_col=False,
+            skipinitialspace=True,
+            encoding="utf-8-sig",
+        )
+    except (pd.errors.ParserError, UnicodeDecodeError) as error:
+        raise InputError(f"{path.name} is not a table ({error}); give rows of equally many numbers") from None
+    # A separator at the end of every row makes one more, empty column.
+    table = table[
+        [n for n in table if not (table[n].isna().all() and (not named or n.startswith("Unnamed")))]
+    ]
+    columns = {}
+    for number, (name, column) in enumerate(table.items(), 1):
+        numbers = pd.to_numeric(column, errors="coerce").to_numpy(dtype=float)
+        text = column[np.isnan(numbers) & column.notna().to_numpy()]
+        if len(text):
+            raise InputError(
+                f"{path.name}, column {name}: {text.iloc[0]!r} in row {text.index[0] + 1} is not a number; mend it"
+            )
+        columns[str(name).strip() if named else f"column {number}"] = numbers
+    return columns
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _npz(path: Path) -> dict[str, np.ndarray]:
+    columns = {}
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            for name in file.files:
+                _add(columns, name, file[name])
+    except Exception as error:  # a damaged archive raises from zipfile, zlib or numpy
+        raise InputError(
+            f"{path.name} cannot be read ({error}); save plain numeric arrays with numpy.savez"
+        ) from None
+    return columns
+
+
+def _mat(path: Path) -> dict[str, np.ndarray]:
+    from scipy.io import loadmat
+
+    try:
+        tree = loadmat(path, simplify_cells=True)
+    except Exception as error:  # on a damaged file scipy raises whatever its parser stumbles over
+        raise InputError(
+            f"{path.name} cannot be read ({error}); save it with -v7, or export CSV or NPZ"
+        ) from None
+    columns = {}
+
+    def walk(prefix: str, branch: dict) -> None:
+        for name, value in branch.items():
+            if isinstance(value, dict):
+                walk(f"{prefix}{name}.", value)
+            elif not name.startswith("__"):
+                _add(columns, prefix + name, np.asarray(value))
+
+    walk("", tree)
+    return columns
+
+
+def _add(columns: dict, name: str, array: np.ndarray) -> None:
+    """Add an array as one or several channels; text and complex arrays are no measurements."""
+    if array.dtype.kind not in "fiu":
+        return
+    rows = np.atleast_1d(np.squeeze(array)).astype(float)
+    if rows.ndim > 2:
+        raise InputError(f"array {name!r} has shape {array.shape}; give channels by samples")
+    if rows.ndim == 1:
+        columns[name] = rows
+        return
+    if rows.shape[0] > rows.shape[1]:  # samples outnumber channels
+        rows = rows.T
+    columns.update({f"{name} {number}": row for number, row in enumerate(rows, 1)})

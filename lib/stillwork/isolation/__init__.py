@@ -1,0 +1,48 @@
+"""Isolation: self-tuning feedforward vibration isolation with FeRLS and FeLMS.
+
+A run in four lines::
+
+    from stillwork.isolation import FeRls, flat_floor, load_twin, simulate, steady_state
+
+    twin = load_twin("rigid_body")                  # or "fitted", or the path of a TOML file of the same form
+    floor = flat_floor(80.0)                        # or colored_floor(), ground_floor(...), record_floor(...)
+    steady = steady_state(twin, floor)              # optimum weights and covariance, in the frequency domain
+    run = simulate(twin, floor, 100.0, adaptation=FeRls(10 * np.diag(steady.covariance)), seed=1)
+
+The four cases of the paper are ``simulate(..., feedback=False)``, ``simulate(...)``,
+``simulate(..., weights=W)`` and ``simulate(..., adaptation=FeLms() or FeRls(...))``; ``signals_from_s=20.0``
+keeps a0, a1, u, psi_N and e at the full rate from there on; ``[(100.0, flat), (100.0, colored)]`` in place of
+the floor changes it in mid-run; ``twin.varied(platform_noise=1e-5, estimate="full")`` is another twin.
+"""
+
+from importlib import import_module
+
+# Public names and the modules they come from, imported at first use.
+_NAMES = {
+    "adaptation": ("FeLms", "FeRls"),
+    "floors": ("ShapedFloor", "flat_floor", "colored_floor"),
+    "online": ("Adaptation", "Stepper", "UnstableAdaptation", "adapt", "identify", "steady_covariance"),
+    "recorded_floors": (
+        "RecordedFloor",
+        "criterion_floor",
+        "ground_floor",
+        "record_floor",
+        "synthesise_floor",
+    ),
+    "rig": ("Lines", "Rig"),
+    "simulation": ("Run", "simulate"),
+    "steady": ("Steady", "steady_state"),
+    "twin": ("Twin", "load_twin", "twin_from_table"),
+}
+_MODULE = {name: module for module, names in _NAMES.items() for name in names}
+__all__ = sorted(_MODULE)
+
+
+def __getattr__(name: str):
+    if name not in _MODULE:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULE[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

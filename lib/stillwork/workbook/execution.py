@@ -1,0 +1,180 @@
+"""One notebook in one kernel: from its source to the bytes of its results.
+
+`execute` writes nothing that outlives it and returns plain values, so it runs alike in a thread and on a
+worker of a cluster. Whoever called it publishes the results.
+"""
+
+import logging
+import platform
+import re
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from importlib import metadata
+from pathlib import Path
+
+from stillwork import paths
+from stillwork.workbook.jupyter_kernel import kernel_manager
+
+
+@dataclass(frozen=True)
+class Job:
+    """What to execute.
+
+    Attributes
+    ----------
+    build : str
+        Which build asks; `stop` ends all its kernels.
+    notebook, source : str
+        Name ``room/nn-result`` and the file's text.
+    settings : dict
+        Parameters that differ from the published settings.
+    """
+
+    build: str
+    notebook: str
+    source: str
+    settings: dict[str, object]
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Where and why a notebook failed."""
+
+    where: str
+    error: str
+    traceback: str = ""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a job: the files it wrote and the executed notebook, or a failure."""
+
+    files: dict[str, bytes] = field(default_factory=dict)
+    executed: bytes = b""
+    software: dict[str, object] = field(default_factory=dict)
+    failure: Failure | None = None
+    seconds: float = 0.0
+
+
+def execute(job: Job, on_cell: Callable[[], object] = lambda: None) -> Outcome:
+    """Execute a notebook in a kernel of its own; a failure is an outcome, not an exception.
+
+    Parameters
+    ----------
+    job : Job
+    on_cell : callable
+        Called when a code cell begins.
+    """
+    begin = time.monotonic()
+    with tempfile.TemporaryDirectory(prefix="stillwork-", ignore_cleanup_errors=True) as folder:
+        outcome = _execute(job, Path(folder), on_cell)
+    return replace(outcome, seconds=time.monotonic() - begin)
+
+
+def _execute(job: Job, folder: Path, on_cell: Callable[[], object]) -> Outcome:
+    import nbformat
+    from nbclient.exceptions import DeadKernelError
+    from papermill import execute_notebook
+    from papermill.exceptions import PapermillExecutionError
+    from papermill.translators import papermill_translators
+
+    papermill_translators.register("python", _translator())
+    for noisy in ("papermill", "traitlets"):  # what they log is in the outcome
+        logging.getLogger(noisy).setLevel(logging.CRITICAL)
+    source = nbformat.reads(job.source, as_version=4)
+    source.metadata.setdefault("language_info", {"name": "python"})
+    begun = []
+
+    def note(cell, cell_index):
+        if cell.cell_type == "code" and "injected-parameters" not in cell.metadata.get("tags", []):
+            begun.append(cell.source)
+            on_cell()
+
+    output = folder / "output"
+    manager = kernel_manager(job.build, folder, output)
+    try:
+        executed = execute_notebook(
+            source,
+            None,
+            parameters=job.settings,
+            progress_bar=False,
+            kernel_name="python3",
+            start_timeout=120,
+            kernel_manager_class=manager,
+            shutdown_kernel="immediate",
+            resources={"metadata": {"path": str(paths.root())}},
+            on_cell_start=note,
+            record_timing=False,
+            iopub_timeout=60,
+        )
+    except PapermillExecutionError as error:
+        message = f"{error.ename}: {error.evalue}".strip().splitlines()[-1]
+        return Outcome(failure=Failure(_where(begun), message, _plain("\n".join(error.traceback))))
+    except DeadKernelError:
+        return Outcome(failure=Failure(_where(begun), manager.last_words()))
+    except RuntimeError as error:  # the kernel did not come up
+        return Outcome(failure=Failure(_where(begun), f"{manager.last_words()} ({error})"))
+    finally:
+        manager.end()
+    _forget_run(executed)
+    try:
+        files = _collect(output, job.notebook)
+    except ValueError as error:
+        return Outcome(failure=Failure("files", str(error)))
+    return Outcome(files, nbformat.writes(executed).encode() + b"\n", _software())
+
+
+def _where(begun: list[str]) -> str:
+    if not begun:
+        return "kernel start"
+    first = next(iter(begun[-1].strip().splitlines()), "")
+    return f"cell [{len(begun)}] {first if len(first) <= 60 else first[:59] + '…'}"
+
+
+def _plain(text: str) -> str:
+    return re.sub(r"\x1b\[[0-9;]*m", "", text)
+
+
+def _forget_run(notebook) -> None:
+    """Drop what papermill notes about the run: times and folders of this machine."""
+    notebook.metadata.pop("papermill", None)
+    for cell in notebook.cells:
+        cell.metadata.pop("papermill", None)
+        if not cell.metadata.get("tags"):
+            cell.metadata.pop("tags", None)
+        elif "injected-parameters" in cell.metadata.tags:
+            cell["id"] = "injected-parameters"
+
+
+def _collect(output: Path, notebook: str) -> dict[str, bytes]:
+    home = output / notebook
+    files = {}
+    for file in sorted(output.rglob("*")):
+        if file.is_file():
+            if not file.is_relative_to(home):
+                page = file.parent.relative_to(output).as_posix()
+                raise ValueError(f"the notebook writes to the page {page!r}; name it Page({notebook!r})")
+            files[file.relative_to(home).as_posix()] = file.read_bytes()
+    return files
+
+
+def _software() -> dict[str, object]:
+    from stillwork.workbook.environment import drift
+
+    versions = {name: metadata.version(name) for name in ("numpy", "numba")}
+    return {"python": platform.python_version(), **versions, "drift": drift()}
+
+
+def _translator():
+    from papermill.translators import PythonTranslator
+
+    class Translator(PythonTranslator):
+        """Papermill's, and tuples, which it would turn into strings."""
+
+        @classmethod
+        def translate(cls, val):
+            return repr(val) if isinstance(val, tuple | list) else super().translate(val)
+
+    return Translator

@@ -1,0 +1,121 @@
+"""The workbook's notebooks, and which of them a command means."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+from stillwork import paths
+from stillwork.checks import InputError, nearest
+from stillwork.workbook.parameters import Parameter, read_parameters
+
+
+@dataclass(frozen=True)
+class Notebook:
+    """A notebook as it stands in the workbook.
+
+    Attributes
+    ----------
+    name : str
+        ``room/nn-result``.
+    source : str
+        The file's text.
+    cells : dict of str to str
+        Code cells by id, without the parameters cell.
+    parameters : dict of str to Parameter
+        In the order of the notebook.
+    """
+
+    name: str
+    source: str
+    cells: dict[str, str]
+    parameters: dict[str, Parameter]
+
+    @property
+    def room(self) -> str:
+        return self.name.partition("/")[0]
+
+
+def read_notebook(name: str) -> Notebook:
+    """Read ``notebooks/<name>.ipynb``.
+
+    Raises
+    ------
+    InputError
+        When it is no notebook or its parameters cell has another form; the message names the line.
+    """
+    file = notebook_file(name)
+    source = file.read_text(encoding="utf-8")
+    try:
+        cells = [cell for cell in json.loads(source)["cells"] if cell["cell_type"] == "code"]
+    except (ValueError, KeyError, TypeError):
+        raise InputError(f"{file}: not a notebook; save it again from Jupyter") from None
+    tagged = [cell for cell in cells if "parameters" in cell["metadata"].get("tags", [])]
+    if len(tagged) > 1:
+        raise InputError(f"{file}: {len(tagged)} cells are tagged 'parameters'; keep one")
+    parameters = read_parameters(str(file), _text(tagged[0])) if tagged else {}
+    code = {cell.get("id", str(i)): _text(cell) for i, cell in enumerate(cells) if cell not in tagged}
+    return Notebook(name, source, code, parameters)
+
+
+def notebook_file(name: str) -> Path:
+    """Path of the notebook ``room/nn-result``."""
+    return paths.root() / "notebooks" / f"{name}.ipynb"
+
+
+def select(target: str | None = None) -> list[Notebook]:
+    """Read the notebooks that `target` means: one, all of a room, or (None) all of the workbook.
+
+    Raises
+    ------
+    InputError
+        When there is no such room or notebook; the nearest is named.
+    """
+    folder = paths.root() / "notebooks"
+    names = [
+        f"{room}/{file.stem}" for room in paths.ROOMS for file in sorted((folder / room).glob("[!.]*.ipynb"))
+    ]
+    if target:
+        wanted = target.removeprefix("notebooks/").removesuffix(".ipynb").rstrip("/")
+        rooms = {name.partition("/")[0] for name in names}
+        chosen = [name for name in names if wanted in (name, name.partition("/")[0])]
+        if not chosen:
+            raise InputError(f"there is no notebook or room {target!r}{nearest(wanted, [*names, *rooms])}")
+        names = chosen
+    return [read_notebook(name) for name in names]
+
+
+def assign(notebooks: list[Notebook], settings: dict[str, str]) -> list[tuple[Notebook, dict[str, object]]]:
+    """Give each notebook the `settings` that it declares; those that declare none of them drop out.
+
+    Returns
+    -------
+    list of (Notebook, dict)
+        The values that differ from the published settings.
+
+    Raises
+    ------
+    InputError
+        When no notebook has a parameter of that name, or its type is another.
+    """
+    known = {name for notebook in notebooks for name in notebook.parameters}
+    for name in settings:
+        if name not in known:
+            where = notebooks[0].name if len(notebooks) == 1 else "no notebook here"
+            has = "has no" if len(notebooks) == 1 else "has a"
+            raise InputError(f"{where} {has} parameter {name!r}{nearest(name, known)}")
+    chosen = []
+    for notebook in notebooks:
+        mine = {name: text for name, text in settings.items() if name in notebook.parameters}
+        if settings and not mine:
+            continue
+        try:
+            values = {name: notebook.parameters[name].read(text) for name, text in mine.items()}
+        except InputError as error:
+            raise InputError(f"{notebook.name}: {error}") from None
+        changed = {k: v for k, v in values.items() if repr(v) != repr(notebook.parameters[k].value)}
+        chosen.append((notebook, changed))
+    return chosen
+
+
+def _text(cell: dict) -> str:
+    return "".join(cell["source"])

@@ -1,0 +1,283 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from naive import adaptation as naive
+from stillwork.checks import InputError
+from stillwork.isolation.adaptation import FeLms, FeRls, _felms_update, _ferls_update
+from stillwork.isolation.online import Stepper, UnstableAdaptation, adapt, identify, steady_covariance
+
+FORGETTING = 0.99
+PRINTED = {"forgetting": FORGETTING, "growth_limit": np.inf}
+
+
+def record(n=4, actuators=3, samples=150, seed=0, spread=1.0):
+    """Correlated regressors of unequal size, and a disturbance that they explain but for noise."""
+    rng = np.random.default_rng(seed)
+    mixing = np.eye(n) + 0.3 * rng.standard_normal((n, n))
+    regressors = np.geomspace(1, spread, n)[:, None] * (mixing @ rng.standard_normal((n, samples)))
+    optimum = rng.standard_normal((actuators, n))
+    return regressors, -optimum @ regressors + 0.1 * rng.standard_normal((actuators, samples)), optimum
+
+
+@pytest.mark.parametrize(("n", "actuators", "samples"), [(9, 6, 120), (4, 2, 200), (1, 1, 50), (5, 1, 80)])
+def test_efficient_form_is_the_full_inverse(n, actuators, samples):
+    regressors, disturbance, _ = record(n, actuators, samples)
+    epsilon = 0.05
+    history, gain = naive.full_inverse_ferls(regressors, disturbance, epsilon, FORGETTING)
+    run = identify(FeRls(1 / epsilon, **PRINTED), regressors, disturbance, every=1)
+    # Rounding of a 54 x 54 inverse at a condition number of about 1e3, twice over.
+    np.testing.assert_allclose(run.history, history, rtol=0, atol=1e-11 * np.abs(history).max())
+    np.testing.assert_allclose(np.kron(np.eye(actuators), run.covariance), gain, atol=1e-11 * gain.max())
+
+
+@pytest.mark.parametrize("forgetting", [0.97, 1.0])
+def test_newton_form_with_its_gain_is_the_same(forgetting):
+    regressors, disturbance, _ = record(samples=60)
+    run = identify(FeRls(10.0, forgetting, np.inf), regressors, disturbance)
+    np.testing.assert_allclose(
+        run.weights, naive.newton_ferls(regressors, disturbance, 0.1, forgetting), atol=1e-12
+    )
+
+
+@given(
+    seed=st.integers(0, 10**6),
+    forgetting=st.floats(0.9, 1.0),
+    n=st.integers(1, 8),
+    actuators=st.integers(1, 5),
+)
+@settings(max_examples=30, deadline=None)
+def test_identification_is_weighted_least_squares(seed, forgetting, n, actuators):
+    regressors, disturbance, _ = record(n, actuators, 100, seed)
+    start = np.diag(np.geomspace(0.5, 2, n))
+    run = identify(FeRls(start, forgetting, np.inf), regressors, disturbance)
+    weights, covariance = naive.weighted_least_squares(regressors, disturbance, start, forgetting)
+    np.testing.assert_allclose(run.weights, weights, atol=1e-9)
+    np.testing.assert_allclose(run.covariance, covariance, atol=1e-10 * np.abs(covariance).max())
+
+
+@given(
+    seed=st.integers(0, 10**6),
+    scale=st.floats(-6, 6),
+    spread=st.floats(1, 1e3),
+    limit=st.sampled_from([1.0, 10.0, np.inf]),
+)
+@settings(max_examples=30, deadline=None)
+def test_covariance_stays_symmetric_and_definite(seed, scale, spread, limit):
+    regressors, disturbance, _ = record(6, 2, 400, seed, spread)
+    regressors = 10**scale * regressors
+    start = steady_covariance(regressors, FORGETTING)
+    run = identify(FeRls(start, FORGETTING, limit), regressors, disturbance)
+    assert np.array_equal(run.covariance, run.covariance.T)
+    size = np.sqrt(np.diag(run.covariance))
+    assert np.linalg.eigvalsh(run.covariance / np.outer(size, size))[0] > 0
+    assert np.all(np.diag(run.covariance) <= limit * np.diag(start) * (1 + 1e-12))
+
+
+@given(seed=st.integers(0, 10**6), powers=st.lists(st.integers(-12, 12), min_size=4, max_size=4))
+@settings(max_examples=30, deadline=None)
+def test_ferls_does_not_depend_on_the_units_of_a_regressor(seed, powers):
+    regressors, disturbance, _ = record(4, 2, 100, seed)
+    units = 2.0 ** np.array(powers)  # powers of two: no rounding of their own
+    start = np.array([1.0, 2.0, 3.0, 4.0])
+    run = identify(FeRls(start, FORGETTING, 2.0), regressors, disturbance)
+    scaled = identify(FeRls(start / units**2, FORGETTING, 2.0), units[:, None] * regressors, disturbance)
+    np.testing.assert_array_equal(scaled.weights * units, run.weights)
+
+
+@given(seed=st.integers(0, 10**6), order=st.permutations(range(5)), rows=st.permutations(range(3)))
+@settings(max_examples=30, deadline=None)
+def test_order_of_regressors_and_actuators_is_immaterial(seed, order, rows):
+    regressors, disturbance, _ = record(5, 3, 100, seed)
+    for algorithm in (FeRls(1.0, **PRINTED), FeLms(0.1)):
+        run = identify(algorithm, regressors, disturbance)
+        moved = identify(algorithm, regressors[order], disturbance[rows])
+        np.testing.assert_allclose(moved.weights, run.weights[rows][:, order], rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("trace", ["literal", "regressors"])
+def test_felms_is_its_naive_twin(trace):
+    regressors, disturbance, _ = record()
+    run = identify(FeLms(0.02, 1e-3, trace), regressors, disturbance)
+    twin = naive.felms(regressors, disturbance, 0.02, 1e-3, trace == "literal")
+    np.testing.assert_allclose(run.weights, twin, atol=1e-13)
+
+
+def test_felms_is_newton_with_the_instantaneous_hessian():
+    # Eq. (31): A^-1 = 54 / (eps + Tr) I with the step mu / 54 is eq. (19).
+    regressors, disturbance, _ = record(9, 6, 1)
+    psi = naive.regression_matrix(regressors[:, 0], 6)
+    inverse_hessian = 54 / (1e-5 + np.trace(psi.T @ psi)) * np.eye(54)
+    step = -(1e-4 / 54) * inverse_hessian @ psi.T @ disturbance[:, 0]
+    run = identify(FeLms(1e-4, 1e-5, "literal"), regressors, disturbance)
+    np.testing.assert_allclose(run.weights, step.reshape(6, 9), rtol=1e-13)
+
+
+def test_limit_is_added_information():
+    rng = np.random.default_rng(4)
+    root = rng.standard_normal((5, 5))
+    covariance = root @ root.T + 0.1 * np.eye(5)
+    covariance = (covariance + covariance.T) / 2
+    psi, e = rng.standard_normal(5), rng.standard_normal(2)
+    unlimited, limits = covariance.copy(), 0.6 * np.diag(covariance)
+    weights, same = np.zeros((2, 5)), np.zeros((2, 5))
+    _ferls_update(weights, covariance, psi, e, 0.9, limits, np.empty(5))
+    _ferls_update(same, unlimited, psi, e, 0.9, np.full(5, np.inf), np.empty(5))
+    assert np.any(np.diag(unlimited) > limits)  # the limit had something to do
+    np.testing.assert_allclose(covariance, naive.limited(unlimited, limits), atol=1e-13)
+    np.testing.assert_array_equal(weights, same)
+
+
+def test_limit_is_silent_while_every_direction_is_excited():
+    regressors, disturbance, _ = record(samples=3000)
+    start = steady_covariance(regressors, FORGETTING)
+    free = identify(FeRls(start, FORGETTING, np.inf), regressors, disturbance)
+    limited = identify(FeRls(start, FORGETTING), regressors, disturbance)
+    np.testing.assert_array_equal(limited.weights, free.weights)
+
+
+def test_silent_direction_winds_up_as_the_inverse_of_the_forgetting():
+    regressors, disturbance, _ = record(samples=500)
+    regressors[2] = 0
+    free = identify(FeRls(1.0, **PRINTED), regressors, disturbance)
+    assert free.covariance[2, 2] == pytest.approx(FORGETTING**-500, rel=1e-10)
+    limited = identify(FeRls(1.0, FORGETTING), regressors, disturbance)
+    assert limited.covariance[2, 2] == pytest.approx(10.0, rel=1e-12)
+    np.testing.assert_allclose(limited.weights[:, [0, 1, 3]], free.weights[:, [0, 1, 3]], atol=1e-9)
+
+
+def test_silent_combination_is_bounded_though_every_regressor_is_excited():
+    regressors, disturbance, _ = record(3, 2, 4000)
+    regressors[2] = regressors[0] - regressors[1]
+    limited = identify(FeRls(1.0, FORGETTING), regressors, disturbance)
+    assert np.linalg.eigvalsh(limited.covariance)[-1] <= 30.0  # the trace of the limits
+    free = identify(FeRls(1.0, **PRINTED), regressors[:, :2000], disturbance[:, :2000])
+    assert np.linalg.eigvalsh(free.covariance)[-1] > 1e6
+
+
+def test_the_three_ways_to_call_it_agree():
+    regressors, disturbance, _ = record()
+    errors = []
+    for algorithm in (FeRls(1.0, FORGETTING), FeLms(0.1)):
+        stepper = Stepper(algorithm, np.zeros((3, 4)))
+        errors = []
+        for psi, d in zip(regressors.T, disturbance.T, strict=True):
+            errors.append(d + stepper.weights @ psi)
+            stepper.step(psi, errors[-1])
+        run = identify(algorithm, regressors, disturbance, every=50)
+        replay = adapt(algorithm, regressors, np.array(errors).T, every=50)
+        np.testing.assert_allclose(stepper.weights, run.weights, atol=1e-12)
+        np.testing.assert_allclose(replay.history, run.history, atol=1e-12)
+        np.testing.assert_array_equal(run.samples, [50, 100, 150])
+        assert stepper.samples == 150
+
+
+def test_start_and_continuation_are_one_run():
+    regressors, disturbance, optimum = record()
+    half = identify(FeRls(1.0, **PRINTED), regressors[:, :70], disturbance[:, :70])
+    rest = identify(FeRls(half.covariance, **PRINTED), regressors[:, 70:], disturbance[:, 70:], half.weights)
+    whole = identify(FeRls(1.0, **PRINTED), regressors, disturbance)
+    np.testing.assert_allclose(rest.weights, whole.weights, atol=1e-13)
+    assert np.abs(whole.weights - optimum).max() < 0.1
+
+
+def test_steady_covariance_is_where_the_recursion_settles():
+    regressors, disturbance, _ = record(samples=40_000)
+    run = identify(FeRls(1.0, 0.9995, np.inf), regressors, disturbance)
+    expected = steady_covariance(regressors, 0.9995)
+    # 2000 effective samples: the sample covariance scatters by sqrt(2 / 4000) in each element.
+    np.testing.assert_allclose(np.diag(run.covariance), np.diag(expected), rtol=0.1)
+
+
+def test_diverging_step_names_sample_and_cause():
+    regressors, disturbance, _ = record(samples=2000)
+    with pytest.raises(UnstableAdaptation, match=r"at sample \d+: the error .* smaller step_size") as caught:
+        identify(FeLms(3.0), regressors, disturbance)
+    assert 0 < caught.value.sample < 2000
+    assert "without bound" in caught.value.cause
+
+
+def test_lost_definiteness_names_sample_and_cause():
+    # A regressor that is silent for forty time constants, in a combination: beyond what float64 resolves.
+    regressors, disturbance, _ = record(3, 1, 20_000)
+    regressors[2] = regressors[0] - regressors[1] * (1 + 1e-9)
+    with pytest.raises(UnstableAdaptation, match="no longer positive definite"):
+        identify(FeRls(1.0, 0.98, np.inf), regressors, disturbance)
+    assert np.all(np.isfinite(identify(FeRls(1.0, 0.98), regressors, disturbance).weights))
+
+
+def test_stepper_reports_instability():
+    stepper = Stepper(FeLms(3.0), np.full((1, 2), 1e308))
+    with pytest.raises(UnstableAdaptation, match="sample 0"):
+        stepper.step([1.0, 1.0], [-1.7e308])
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: FeRls(1.0, 1.2), "forgetting is 1.2; give a finite number above 0 and at most 1"),
+        (lambda: FeRls(1.0, 0.0), "forgetting is 0"),
+        (lambda: FeRls(1.0, np.nan), "forgetting is nan"),
+        (lambda: FeRls(1.0, growth_limit=0.5), "growth_limit is 0.5"),
+        (lambda: FeRls(-1.0), "initial_covariance is not positive definite"),
+        (lambda: FeRls([[1.0, 2.0], [0.0, 1.0]]), "initial_covariance is not symmetric"),
+        (lambda: FeRls([[1.0, 2.0], [2.0, 1.0]]), "initial_covariance is not positive definite"),
+        (lambda: FeRls(np.ones((2, 3))), "initial_covariance has shape"),
+        (lambda: FeRls([1.0, 1.0]).start(3), "there are 3 regressors"),
+        (lambda: FeLms(0.0), "step_size is 0"),
+        (lambda: FeLms(regularisation=-1.0), "regularisation is -1"),
+        (lambda: FeLms(trace="litteral"), "did you mean 'literal'"),
+        (lambda: identify(FeLms(), np.ones((2, 5)), np.ones((1, 4))), "disturbance has 4 samples"),
+        (lambda: adapt(FeLms(), np.ones((2, 5)), np.ones((1, 4))), "errors has 4 samples"),
+        (lambda: identify(FeLms(), np.full((2, 5), np.nan), np.ones((1, 5))), "regressors holds 10 NaN"),
+        (lambda: identify(FeLms(), np.ones(5), np.ones((1, 5))), "regressors has shape"),
+        (lambda: identify(FeLms(), np.ones((2, 5)), np.ones((1, 5)), np.ones((2, 2))), "weights has shape"),
+        (lambda: identify(FeLms(), np.ones((2, 5)), np.ones((1, 5)), every=0), "every is 0"),
+        (lambda: Stepper(FeLms(), np.ones(3)), "weights has shape"),
+        (lambda: Stepper(FeRls([1.0, 1.0]), np.zeros((1, 3))), "there are 3 regressors"),
+        (lambda: Stepper(FeLms(), np.zeros((1, 2))).step([1.0], [1.0]), "regressor has shape"),
+        (lambda: Stepper(FeLms(), np.zeros((1, 2))).step([1.0, np.nan], [1.0]), "regressor holds 1 NaN"),
+        (lambda: Stepper(FeLms(), np.zeros((1, 2))).step([1.0, 1.0], [1.0, 1.0]), "error has shape"),
+        (lambda: steady_covariance(np.zeros((2, 5)), 0.9), "row 0 is zero"),
+        (lambda: steady_covariance(np.ones((2, 5)), 0.9), "a combination of rows is silent"),
+        (lambda: steady_covariance(np.ones((1, 5)), 1.0), "forgetting is 1"),
+    ],
+)
+def test_bad_input_is_refused(call, message):
+    with pytest.raises(InputError, match=message):
+        call()
+
+
+def test_stepper_keeps_its_state_when_input_is_refused():
+    stepper = Stepper(FeRls(1.0), np.zeros((1, 2)))
+    stepper.step([1.0, 2.0], [0.5])
+    weights, covariance = stepper.weights.copy(), stepper.covariance.copy()
+    with pytest.raises(InputError):
+        stepper.step([1.0, np.inf], [0.5])
+    np.testing.assert_array_equal(stepper.weights, weights)
+    np.testing.assert_array_equal(stepper.covariance, covariance)
+
+
+def test_inputs_are_left_alone():
+    weights, covariance = np.zeros((3, 4)), np.eye(4)
+    regressors, disturbance, _ = record()
+    identify(FeRls(covariance), regressors, disturbance, weights)
+    assert not weights.any() and np.array_equal(covariance, np.eye(4))
+
+
+def test_update_kernels_run_without_compilation_too():
+    # The interpreted kernel is an independent check of what numba makes of it.
+    rng = np.random.default_rng(3)
+    psi, e = rng.standard_normal(9), rng.standard_normal(6)
+    for update, extra in (
+        (_ferls_update, (0.99, np.full(9, np.inf), np.empty(9))),
+        (_felms_update, (0.1, 1e-5, 6.0)),
+    ):
+        results = []
+        for function in (update, update.py_func):
+            weights, covariance = np.ones((6, 9)), np.eye(9)
+            state = (weights, covariance) if update is _ferls_update else (weights,)
+            function(*state, psi, e, *extra)
+            results.append((weights, covariance))
+        np.testing.assert_allclose(results[0][0], results[1][0], rtol=1e-14)
+        np.testing.assert_allclose(results[0][1], results[1][1], rtol=1e-14, atol=1e-16)

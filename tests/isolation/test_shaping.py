@@ -1,0 +1,209 @@
+import control
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import signal
+from stillwork.checks import InputError
+from stillwork.isolation import shaping
+
+SAMPLE_TIME = 2e-4
+CUTOFF = 4 * np.pi
+FREQUENCIES = np.geomspace(0.05, 2400, 600)
+Z = np.exp(2j * np.pi * FREQUENCIES * SAMPLE_TIME)
+S = 2 / SAMPLE_TIME * (Z - 1) / (Z + 1)  # where Tustin's rule evaluates a continuous filter
+
+
+def response(sections):
+    return signal.freqz_sos(sections, FREQUENCIES, fs=1 / SAMPLE_TIME)[1]
+
+
+def warped(frequency_hz):
+    return 2 / SAMPLE_TIME * np.tan(np.pi * frequency_hz * SAMPLE_TIME)
+
+
+def notch(s, frequency_hz, width, depth):
+    w = warped(frequency_hz)
+    return (s**2 + depth * width * w * s + w**2) / (s**2 + width * w * s + w**2)
+
+
+def band(s):
+    """The noise shaping of Section 4.2 without its suspension, written out."""
+    high, low = warped(6.0), warped(300.0)
+    result = s**3 / ((s + high) * (s**2 + high * s + high**2))
+    result = result * low**3 / ((s + low) * (s**2 + low * s + low**2))
+    for frequency, width in ((962.0, 1.0), (50.0, 0.1), (100.0, 0.1), (200.0, 0.1)):
+        result = result * notch(s, frequency, width, 0.01)
+    return result
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 4, 6])
+def test_weak_integrator_is_eq_11(order):
+    got = response(shaping.weak_integrator(order, CUTOFF, 1.0, SAMPLE_TIME))
+    lowpass = (CUTOFF / (S + CUTOFF)) ** order
+    # The difference of eq. (11) cancels below the cut-off: its own rounding is eps / |1 - L|.
+    np.testing.assert_allclose(got, (1 - lowpass) / S, rtol=1e-9)
+
+
+def test_weak_integrator_is_controls_tustin():
+    s = control.tf("s")
+    lowpass = (CUTOFF / (s + CUTOFF)) ** 3
+    continuous = control.minreal((1 - lowpass) / s, 1e-6, verbose=False)
+    discrete = control.c2d(continuous, SAMPLE_TIME, "tustin")
+    expected = discrete(Z)
+    np.testing.assert_allclose(
+        response(shaping.weak_integrator(3, CUTOFF, 1.0, SAMPLE_TIME)), expected, rtol=1e-4
+    )
+
+
+def test_normalisation_closed_form():
+    # The H2 norm of (s² + 3as + 3a²) / (s + a)³ is sqrt(33 / 16 a); sampling adds terms of order a Ts.
+    expected = 1 / np.sqrt(SAMPLE_TIME * 33 / 16 / CUTOFF)
+    assert shaping.normalisation(3, CUTOFF, SAMPLE_TIME) == pytest.approx(expected, rel=CUTOFF * SAMPLE_TIME)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 5])
+def test_normalised_integrator_passes_white_noise_with_unchanged_power(order):
+    beta = shaping.normalisation(order, CUTOFF, SAMPLE_TIME)
+    # Parseval over the unit circle, half a step off z = 1 and z = -1; the impulse response decays long before.
+    z = np.exp(1j * np.pi * (np.arange(2**19) + 0.5) / 2**19)
+    s = 2 / SAMPLE_TIME * (z - 1) / (z + 1)
+    power = np.mean(np.abs(beta * (1 - (CUTOFF / (s + CUTOFF)) ** order) / s) ** 2)
+    assert power == pytest.approx(1.0, rel=1e-9)
+
+
+def test_noise_shaping_is_section_4_2():
+    path = shaping.SecondaryPath()
+    got = response(shaping.noise_shaping(shaping.NoiseShaping(), path, SAMPLE_TIME))
+    expected = band(S) * S**2 / (1.4 * S**2 + 290 * S + 60e3)
+    np.testing.assert_allclose(got, expected, rtol=1e-7, atol=1e-12)
+
+
+def test_inverse_times_path_is_the_noise_shaping():
+    path, settings = shaping.SecondaryPath(), shaping.NoiseShaping()
+    through = response(shaping.secondary_path(path, SAMPLE_TIME))
+    inverse = response(shaping.inverse_secondary_shaping(settings, path, SAMPLE_TIME))
+    wanted = response(shaping.noise_shaping(settings, path, SAMPLE_TIME))
+    np.testing.assert_allclose(inverse * through, wanted, rtol=1e-7)
+    w_a = 2 * np.pi * 300
+    np.testing.assert_allclose(inverse, band(S) * (S + w_a) / w_a, rtol=1e-7, atol=1e-10)
+
+
+def test_secondary_path_is_controls_tustin_of_eq_2():
+    s = control.tf("s")
+    w_a = 2 * np.pi * 300
+    continuous = s**2 / (1.4 * s**2 + 290 * s + 60e3) * w_a / (s + w_a)
+    expected = control.c2d(continuous, SAMPLE_TIME, "tustin")(Z)
+    np.testing.assert_allclose(
+        response(shaping.secondary_path(shaping.SecondaryPath(), SAMPLE_TIME)), expected, rtol=1e-6
+    )
+
+
+@given(
+    mass=st.floats(0.1, 100),
+    damping=st.floats(1, 1e4),
+    stiffness=st.floats(1e3, 1e6),
+    pole=st.floats(50, 5e3),
+)
+def test_any_mode_is_inverted(mass, damping, stiffness, pole):
+    path, settings = shaping.SecondaryPath(), shaping.NoiseShaping()
+    mode = shaping.SecondaryPath(mass, damping, stiffness, pole)
+    inverse = shaping.inverse_secondary_shaping(settings, path, SAMPLE_TIME, mode)
+    product = response(inverse) * response(shaping.secondary_path(mode, SAMPLE_TIME))
+    wanted = response(shaping.noise_shaping(settings, path, SAMPLE_TIME))
+    assert np.abs(product - wanted).max() < 1e-6 * np.abs(wanted).max()
+
+
+@pytest.mark.parametrize("order", [2, 3, 4])
+def test_filters_have_their_poles_inside_and_none_at_minus_one(order):
+    path, settings = shaping.SecondaryPath(), shaping.NoiseShaping(order=order)
+    for design in (shaping.noise_shaping, shaping.inverse_secondary_shaping):
+        poles = signal.sos2zpk(design(settings, path, SAMPLE_TIME))[1]
+        assert np.abs(poles).max() < 1
+        assert np.abs(poles + 1).min() > 0.1
+
+
+def test_notches_lie_where_they_should():
+    path, settings = shaping.SecondaryPath(), shaping.NoiseShaping()
+    sections = shaping.inverse_secondary_shaping(settings, path, SAMPLE_TIME)
+    bare = shaping.inverse_secondary_shaping(shaping.NoiseShaping(notches=()), path, SAMPLE_TIME)
+    # Neighbouring notches still act a little on one another's centre.
+    for frequency in (962.0, 50.0, 100.0, 200.0):
+        ratio = [abs(signal.freqz_sos(s, [frequency], fs=5000)[1][0]) for s in (sections, bare)]
+        assert ratio[0] / ratio[1] == pytest.approx(0.01, rel=0.3)
+
+
+def test_conditioning_matches_the_analogue_filter_in_the_band():
+    sections = shaping.conditioning(SAMPLE_TIME)
+    inside = FREQUENCIES < 300
+    jw = 2j * np.pi * FREQUENCIES[inside]
+    high, low = 2 * np.pi * 0.1, 2 * np.pi * 3000
+    analogue = jw**2 / (jw**2 + np.sqrt(2) * high * jw + high**2)
+    analogue = analogue * low**2 / (jw**2 + np.sqrt(2) * low * jw + low**2)
+    ratio = response(sections)[inside] / analogue
+    assert np.abs(np.angle(ratio, deg=True)).max() < 0.2
+    assert np.abs(np.abs(ratio) - 1).max() < 1e-3
+
+
+def test_skyhook_is_eq_1():
+    got = response(shaping.skyhook(225.0, SAMPLE_TIME))
+    np.testing.assert_allclose(got, 225 / (S + 1) * notch(S, 962.0, 1.0, 0.01), rtol=1e-8)
+    np.testing.assert_allclose(
+        response(shaping.skyhook(225.0, SAMPLE_TIME, notch=None)), 225 / (S + 1), rtol=1e-9
+    )
+
+
+def test_regressors_stack_the_powers_sensor_by_sensor():
+    rng = np.random.default_rng(0)
+    floor = rng.standard_normal((2, 400))
+    integrator = shaping.weak_integrator(3, CUTOFF, 175.0, SAMPLE_TIME)
+    stack = shaping.regressors(floor, integrator, 3)
+    assert stack.shape == (8, 400)
+    for sensor in range(2):
+        for power in range(4):
+            expected = floor[sensor]
+            for _ in range(power):
+                expected = signal.lfilter(*signal.sos2tf(integrator), expected)
+            np.testing.assert_allclose(
+                stack[2 * power + sensor], expected, atol=1e-8 * np.abs(expected).max()
+            )
+
+
+def test_shaping_before_or_after_the_integrators_is_the_same():
+    rng = np.random.default_rng(1)
+    floor = rng.standard_normal((3, 5000))
+    integrator = shaping.weak_integrator(3, CUTOFF, 175.0, SAMPLE_TIME)
+    shape = shaping.noise_shaping(shaping.NoiseShaping(), shaping.SecondaryPath(), SAMPLE_TIME)
+    first = shaping.regressors(signal.sosfilt(shape, floor), integrator)
+    last = signal.sosfilt(shape, shaping.regressors(floor, integrator))
+    np.testing.assert_allclose(first, last, atol=1e-9 * np.abs(last).max())
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: shaping.weak_integrator(0, CUTOFF, 1.0, SAMPLE_TIME), "order is 0"),
+        (lambda: shaping.weak_integrator(3, -1.0, 1.0, SAMPLE_TIME), "cutoff is -1"),
+        (lambda: shaping.weak_integrator(3, CUTOFF, 1.0, 0.0), "sample_time is 0"),
+        (lambda: shaping.SecondaryPath(mass=0.0), "mass is 0"),
+        (lambda: shaping.Notch(50.0, depth=2.0), "depth is 2"),
+        (lambda: shaping.NoiseShaping(lowpass_hz=5.0), "lowpass_hz is 5; give a finite number above 6"),
+        (
+            lambda: shaping.noise_shaping(
+                shaping.NoiseShaping(lowpass_hz=3000.0), shaping.SecondaryPath(), SAMPLE_TIME
+            ),
+            "lowpass_hz is 3000; give a finite number below 2500",
+        ),
+        (
+            lambda: shaping.inverse_secondary_shaping(
+                shaping.NoiseShaping(order=1), shaping.SecondaryPath(), SAMPLE_TIME
+            ),
+            "order is 1; the inverse needs",
+        ),
+        (lambda: shaping.regressors(np.ones(5), np.ones((1, 6))), "signals has shape"),
+        (lambda: shaping.regressors(np.ones((1, 5)), np.ones((1, 5))), "integrator has shape"),
+    ],
+)
+def test_bad_input_is_refused(call, message):
+    with pytest.raises(InputError, match=message):
+        call()

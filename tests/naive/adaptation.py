@@ -1,0 +1,75 @@
+"""Slow, obvious twins of the adaptation kernels, in the words of the FeRLS paper's equations."""
+
+import numpy as np
+
+
+def regression_matrix(regressor, actuators):
+    """Psi of eq. (14): the regressors of every actuator in its own block of columns."""
+    return np.kron(np.eye(actuators), regressor[None, :])
+
+
+def full_inverse_ferls(regressors, disturbance, epsilon, forgetting):
+    """Eq. (25)-(26) as printed: the information matrix of all parameters, inverted at every sample.
+
+    Returns the weights after every sample, (samples, actuators, n), and the last adaptation gain matrix.
+    """
+    n, samples = regressors.shape
+    actuators = len(disturbance)
+    w = np.zeros(actuators * n)
+    total = np.zeros((actuators * n, actuators * n))
+    history = []
+    for k in range(samples):
+        psi = regression_matrix(regressors[:, k], actuators)
+        e = disturbance[:, k] + psi @ w
+        total = forgetting * total + psi.T @ psi
+        gain = np.linalg.inv(forgetting ** (k + 1) * epsilon * np.eye(len(w)) + total)
+        w = w - gain @ psi.T @ e
+        history.append(w.reshape(actuators, n).copy())
+    return np.array(history), gain
+
+
+def newton_ferls(regressors, disturbance, epsilon, forgetting):
+    """Eq. (20)-(24): Newton's step alpha A^-1 with the exponentially weighted Hessian of eq. (21)-(22)."""
+    n, samples = regressors.shape
+    w = np.zeros((len(disturbance), n))
+    for k in range(samples):
+        alpha = (1 - forgetting) / (1 - forgetting ** (k + 1)) if forgetting < 1 else 1 / (1 + k)
+        hessian = forgetting ** (k + 1) * epsilon * np.eye(n)
+        for j in range(k + 1):
+            hessian = hessian + forgetting ** (k - j) * np.outer(regressors[:, j], regressors[:, j])
+        hessian = alpha * hessian
+        e = disturbance[:, k] + w @ regressors[:, k]
+        w = w - alpha * np.outer(e, np.linalg.solve(hessian, regressors[:, k]))
+    return w
+
+
+def felms(regressors, disturbance, step_size, regularisation, literal):
+    """Eq. (18)-(19) with the regression matrix written out; without `literal` the trace of one block."""
+    actuators, (n, samples) = len(disturbance), regressors.shape
+    w = np.zeros(actuators * n)
+    for k in range(samples):
+        psi = regression_matrix(regressors[:, k], actuators)
+        e = disturbance[:, k] + psi @ w
+        trace = np.trace(psi.T @ psi) / (1 if literal else actuators)
+        w = w - step_size / (regularisation + trace) * psi.T @ e
+    return w.reshape(actuators, n)
+
+
+def weighted_least_squares(regressors, disturbance, initial_covariance, forgetting):
+    """W that minimises sum of lambda^(K-k) |d + W psi|^2 + lambda^(K+1) tr(W P0^-1 W'), and its covariance."""
+    samples = regressors.shape[1]
+    weights = forgetting ** np.arange(samples - 1, -1, -1)
+    information = forgetting**samples * np.linalg.inv(initial_covariance)
+    information = information + (weights * regressors) @ regressors.T
+    return -np.linalg.solve(information, (weights * regressors) @ disturbance.T).T, np.linalg.inv(information)
+
+
+def limited(covariance, limits):
+    """P after adding information along each axis whose variance exceeds its limit, by explicit inverses."""
+    for i, limit in enumerate(limits):
+        if covariance[i, i] > limit:
+            axis = np.zeros(len(limits))
+            axis[i] = 1
+            information = (1 / limit - 1 / covariance[i, i]) * np.outer(axis, axis)
+            covariance = np.linalg.inv(np.linalg.inv(covariance) + information)
+    return covariance

@@ -1,0 +1,100 @@
+"""Vibration criteria and noise models against published table values and continuity."""
+
+import numpy as np
+import pytest
+from stillwork.checks import InputError
+from stillwork.criteria import (
+    BAND_EDGE,
+    CRITERIA,
+    NOISE_MODELS,
+    criterion_density,
+    criterion_met,
+    criterion_velocity,
+    ground_noise_model,
+    one_third_octave_velocity,
+)
+
+# S_a / f and rms acceleration 1 to 80 Hz of the flat part, computed independently from the published velocities.
+TABLE = {
+    "VC-C": (2.6639e-8, 9.23e-3),
+    "VC-D": (6.6596e-9, 4.62e-3),
+    "VC-E": (1.6596e-9, 2.30e-3),
+    "VC-F": (4.149e-10, 1.15e-3),
+    "VC-G": (1.0372e-10, 5.76e-4),
+}
+
+
+@pytest.mark.parametrize("name", TABLE)
+def test_density_of_the_flat_criteria(name):
+    slope, rms = TABLE[name]
+    f = np.linspace(1, 80, 2000)
+    assert criterion_density(name, f) / f == pytest.approx(slope, rel=1e-4)
+    assert np.sqrt(np.trapezoid(criterion_density(name, f), f)) == pytest.approx(rms, rel=2e-3)
+
+
+def test_published_velocities_and_names():
+    f = np.array([10.0, 80.0])
+    for name, published in (("VC-A", 50), ("VC-B", 25), ("VC-E", 3.12), ("VC-M", 0.012), ("ISO office", 400)):
+        assert criterion_velocity(name, f) == pytest.approx(published * 1e-6, rel=1e-12)
+    for letter in "ABCDE":
+        assert np.all(criterion_velocity(f"BBN-{letter}", f) == criterion_velocity(f"VC-{letter}", f))
+
+
+@pytest.mark.parametrize(("name", "micro_g"), [("VC-A", 260), ("VC-B", 130)])
+def test_coarse_criteria_are_constant_acceleration_below_8_hz(name, micro_g):
+    f = np.array([4.0, 5.0, 8.0])
+    acceleration = 2 * np.pi * f * criterion_velocity(name, f)
+    assert acceleration == pytest.approx(acceleration[0], rel=1e-12)
+    # The table's 260 and 130 ug are rounded from the velocities.
+    assert acceleration[0] / 9.80665e-6 == pytest.approx(micro_g, rel=0.02)
+
+
+@pytest.mark.parametrize("name", CRITERIA)
+def test_density_gives_the_criterion_back_in_every_band(name):
+    f = np.geomspace(3.5, 100, 40_000)
+    centres, velocity = one_third_octave_velocity(f, criterion_density(name, f))
+    # A band of constant velocity density/frequency holds v^2 ln(2^(1/3))/0.23156 = 0.99816 of v^2.
+    expected = criterion_velocity(name, centres) * np.sqrt(np.log(2) / 3 / (BAND_EDGE - 1 / BAND_EDGE))
+    flat = centres > 8.0 * BAND_EDGE if criterion_velocity(name, [5.0])[0] > 20e-6 else centres > 0
+    assert velocity[flat] == pytest.approx(expected[flat], rel=1e-6)
+    assert velocity == pytest.approx(criterion_velocity(name, centres), rel=0.03)  # the band of the knee
+
+
+def test_a_sine_falls_into_its_band():
+    f = np.arange(0, 200, 0.01)
+    density = np.where(np.abs(f - 20.0) < 0.005, 1 / 0.01, 0.0)  # 1 (m/s^2)^2 at 20 Hz
+    centres, velocity = one_third_octave_velocity(f, density)
+    assert velocity.argmax() == np.abs(centres - 20).argmin()
+    assert velocity.max() == pytest.approx(1 / (2 * np.pi * 20), rel=1e-3)
+    assert np.sort(velocity)[-2] == 0
+
+
+def test_finest_criterion_met():
+    centres = 2.0 ** (np.arange(9, 20) / 3)
+    assert criterion_met(centres, np.full(11, 3.119e-6)) == "VC-E"
+    assert criterion_met(centres, np.full(11, 3.121e-6)) == "VC-D"
+    assert criterion_met(centres, np.full(11, 1e-3)) == "none"
+
+
+def test_noise_models_at_published_points_and_at_every_knot():
+    values = {("NLNM", 10): -168.0, ("NLNM", 1): -166.4, ("NHNM", 10): -91.5, ("NHNM", 1): -116.85}
+    for (name, f), published in values.items():
+        assert 10 * np.log10(ground_noise_model(name, [f])[0]) == pytest.approx(published, abs=0.005)
+    periods = np.geomspace(0.1, 1e5, 2_000_001)
+    for name in NOISE_MODELS:
+        jumps = np.abs(np.diff(10 * np.log10(ground_noise_model(name, 1 / periods))))
+        # Two decimals of A, and of B times up to five decades, are printed; one wrong copy jumps by 1.2 dB.
+        assert jumps.max() < 0.05
+
+
+def test_bad_questions_are_answered():
+    with pytest.raises(InputError, match="did you mean 'VC-C'"):
+        criterion_velocity("VCC", [10.0])
+    with pytest.raises(InputError, match="did you mean 'NLNM'"):
+        ground_noise_model("NLN", [1.0])
+    with pytest.raises(InputError, match="1e-5 to 10 Hz"):
+        ground_noise_model("NHNM", [20.0])
+    with pytest.raises(InputError, match="8 to 80 Hz"):
+        criterion_met([1.0], [1e-6])
+    with pytest.raises(InputError, match="wider or finer"):
+        one_third_octave_velocity([10.0, 10.1], [1.0, 1.0])

@@ -1,0 +1,327 @@
+"""What a build makes, what it leaves alone, and what it says."""
+
+import json
+import os
+import pty
+import shutil
+import subprocess
+import sys
+import termios
+
+import pytest
+from workbook import toy as toys
+
+FIRST, SECOND, OTHER = "isolation/01-first", "isolation/02-second", "motion/01-first"
+ALL = {FIRST, SECOND, OTHER}
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    """Three notebooks in two rooms, built once; tests work on copies."""
+    toy = toys.make(tmp_path_factory.mktemp("built"))
+    toy.add_page(FIRST)
+    toy.add(
+        SECOND, parameters="seed: int = 1  # of the noise\nlevel: float = 1.0  # V\nrecord: str = ''  # file"
+    )
+    toy.add_page(OTHER)
+    assert toy.run("figures").returncode == 0
+    yield toy
+    toys.clean_up(toy)
+
+
+@pytest.fixture
+def toy(built, tmp_path):
+    """A built workbook that a test may change."""
+    root = tmp_path / "copy"
+    shutil.copytree(built.root, root)
+    copy = toys.Toy(root)
+    yield copy
+    toys.clean_up(copy)
+
+
+def reasons(toy, *arguments) -> dict[str, str]:
+    """What ``--why`` says, by notebook, without those that are up to date."""
+    done = toy.run("figures", "--why", *arguments)
+    assert done.returncode == 0, done.stderr
+    lines = (line.split(": ", 1) for line in done.stdout.splitlines())
+    return {name: reason for name, reason in lines if reason != "up to date"}
+
+
+def test_a_second_build_touches_nothing_and_loads_little(toy):
+    before = toy.stamps()
+    script = (
+        "import sys\nfrom stillwork.__main__ import main\nassert main(['figures']) == 0\n"
+        "print([name for name in ('papermill', 'nbformat', 'matplotlib', 'pandas', 'numba') if name in sys.modules])"
+    )
+    command = [sys.executable, "-c", script]
+    done = subprocess.run(command, cwd=toy.root, env=toy.environment(), capture_output=True, text=True)
+    assert done.stdout == "nothing to do: 3 up to date\n[]\n", done.stderr
+    assert toy.stamps() == before
+
+
+def change_parameter(toy):
+    toy.replace(f"notebooks/{FIRST}.ipynb", "seed: int = 1", "seed: int = 2")
+
+
+def change_cell(toy):
+    toy.replace(f"notebooks/{FIRST}.ipynb", "gain(level))", "gain(2 * level))")
+
+
+def change_library(toy):
+    toy.replace("lib/stillwork/isolation/model.py", "2.0", "2.5")
+
+
+def change_shared_module(toy):
+    toy.replace("lib/stillwork/checks.py", "import difflib", "import difflib  # again")
+
+
+def change_data(toy):
+    toy.write("data/motion/rig.toml", "mass = 2.0\n")
+
+
+def add_data(toy):
+    toy.write("data/motion/records/floor.csv", "1,2\n")
+
+
+def change_ledger(toy):
+    toy.replace("data/motion/published.toml", "published = 2.0", "published = 2.1")
+
+
+def change_pin(toy):
+    toy.replace("environment.txt", "numpy==2.4.5", "numpy==2.4.6")
+
+
+def remove_output(toy):
+    (toy.root / f"figures/{FIRST}/fig-1.csv").unlink()
+
+
+def edit_output(toy):
+    toy.write(f"figures/{FIRST}/fig-1.csv", "1,2\n")
+
+
+def forget_state(toy):
+    shutil.rmtree(toy.root / "build")
+
+
+@pytest.mark.parametrize(
+    ("change", "stale", "reason"),
+    [
+        (change_parameter, {FIRST}, "parameter seed: 1 -> 2"),
+        (change_cell, {FIRST}, "cell claim changed"),
+        (change_library, {FIRST, SECOND}, "lib/stillwork/isolation/model.py changed"),
+        (change_shared_module, ALL, "lib/stillwork/checks.py changed"),
+        (change_data, {OTHER}, "data/motion/rig.toml changed"),
+        (add_data, {OTHER}, "data/motion/records/floor.csv added"),
+        (change_ledger, {OTHER}, "ledger motion.gain changed"),
+        (change_pin, ALL, "environment: numpy 2.4.5 -> 2.4.6"),
+        (remove_output, {FIRST}, "output fig-1.csv missing"),
+        (edit_output, {FIRST}, "output fig-1.csv was changed by hand"),
+        (forget_state, ALL, "never built"),
+    ],
+)
+def test_a_change_makes_exactly_its_dependents_stale(toy, change, stale, reason):
+    change(toy)
+    assert reasons(toy) == dict.fromkeys(stale, reason)
+
+
+def test_what_cannot_change_a_result_makes_nothing_stale(toy):
+    toy.replace("data/motion/published.toml", "published = 2.0", "ours = 2.0\npublished = 2.0")
+    toy.replace(f"notebooks/{FIRST}.ipynb", "# of the noise", "# root of the streams")
+    toy.replace(f"notebooks/{FIRST}.ipynb", "# A toy", "# Another story")
+    toy.replace("lib/stillwork/workbook/report.py", '"""The ledger', '"""A ledger')
+    toy.replace("lib/stillwork/__main__.py", '"""Command line', '"""A command line')
+    assert reasons(toy) == {}
+
+
+@pytest.mark.slow
+def test_a_build_builds_what_why_says_and_nothing_else(toy):
+    before = toy.stamps()
+    change_data(toy)
+    done = toy.run("figures")
+    assert "build motion/01-first: data/motion/rig.toml changed" in done.stdout.splitlines()
+    assert "1 built, 0 failed, 2 up to date" in done.stdout
+    after = toy.stamps()
+    changed = {path for path in after if "figures/isolation" in path and before.get(path) != after[path]}
+    assert not changed
+    assert reasons(toy) == {}
+
+
+@pytest.mark.slow
+def test_builds_are_byte_identical_whatever_the_number_of_kernels(toy):
+    def results():
+        kept = toy.files("figures", "build/notebooks")
+        return {name: content for name, content in kept.items()}
+
+    first = results()
+    assert {name.rpartition(".")[2] for name in first} == {"png", "csv", "json", "ipynb"}
+    for jobs in ("1", "2"):
+        assert toy.run("figures", "--force", "--jobs", jobs).returncode == 0
+        assert results() == first
+
+
+@pytest.mark.slow
+def test_other_settings_go_to_a_folder_of_their_own(toy):
+    before = toy.files("figures", "data", "notebooks", "build/notebooks")
+    done = toy.run("figures", SECOND, "-p", "seed=3", "-p", "level=2")
+    assert done.returncode == 0, done.stdout
+    variant = "build/variants/isolation/02-second/seed=3,level=2.0"
+    assert toy.files(variant)[f"{variant}/out.csv"] == b"3,4.0\n"
+    assert set(toy.files(variant)) == {
+        f"{variant}/{n}" for n in ("out.csv", "provenance.json", "02-second.ipynb")
+    }
+    assert toy.files("figures", "data", "notebooks", "build/notebooks") == before
+    assert reasons(toy, SECOND, "-p", "seed=3", "-p", "level=2") == {}
+    change_library(toy)
+    assert list(reasons(toy, SECOND, "-p", "seed=3", "-p", "level=2").values()) == [
+        "lib/stillwork/isolation/model.py changed"
+    ]
+
+
+@pytest.mark.slow
+def test_settings_of_every_type_reach_the_notebook(toy):
+    toy.add(
+        "motion/02-types",
+        "assert corner == (2.0, 'a\"b\\\\n'), corner",
+        "assert bands == [0.5] and type(bands) is list",
+        "assert record is None and fast is True and level == 3.0 and type(level) is float",
+        parameters=(
+            "seed: int = 1  # a\nlevel: float = 1.0  # b\nfast: bool = False  # c\nrecord: str | None = 'x'  # d\n"
+            "corner: tuple[float, str] = (1.0, 'y')  # e\nbands: list[float] = []  # f"
+        ),
+    )
+    settings = ["corner=(2, 'a\"b\\\\n')", "bands=[0.5]", "record=none", "fast=true", "level=3"]
+    done = toy.run("figures", "motion/02-types", *(word for text in settings for word in ("-p", text)))
+    assert done.returncode == 0, done.stdout
+
+
+@pytest.mark.slow
+def test_kernels_are_alike_whatever_a_user_has_at_home(toy):
+    toy.write("home/ipython/profile_default/startup/00.py", "seed_of_the_user = 1\n")
+    toy.write("home/jupyter/kernels/python3/kernel.json", '{"argv": ["false"], "display_name": "Mine"}')
+    toy.write("home/matplotlibrc", "lines.linewidth: 9\n")
+    toy.add(
+        "motion/02-home",
+        "import os, stillwork, matplotlib\nassert stillwork.__file__.startswith(os.environ['TOY'])",
+        "assert 'seed_of_the_user' not in globals()",
+        "assert matplotlib.rcParams['lines.linewidth'] != 9",
+        "assert os.environ['OPENBLAS_NUM_THREADS'] == os.environ['OMP_NUM_THREADS'] == '1'",
+    )
+    home = {
+        "IPYTHONDIR": f"{toy.root}/home/ipython",
+        "JUPYTER_DATA_DIR": f"{toy.root}/home/jupyter",
+        "MATPLOTLIBRC": f"{toy.root}/home/matplotlibrc",
+        "OMP_NUM_THREADS": "7",
+    }
+    command = toy.command("figures", "motion/02-home")
+    done = subprocess.run(command, cwd=toy.root, env=toy.environment() | home, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout
+
+
+def test_the_published_setting_given_by_hand_is_the_published_build(toy):
+    assert reasons(toy, "-p", "seed=1", "-p", "level=1") == {}
+
+
+def test_a_setting_goes_to_every_notebook_that_has_the_parameter(toy):
+    assert set(reasons(toy, "-p", "record=a.csv")) == {f"{SECOND} (record='a.csv')"}
+    assert len(reasons(toy, "-p", "seed=2")) == 3
+    assert len(reasons(toy, "isolation", "-p", "seed=2")) == 2
+
+
+@pytest.mark.slow
+def test_a_file_named_by_a_parameter_is_an_input(toy):
+    toy.write("mine.csv", "1\n")
+    assert toy.run("figures", "-p", "record=mine.csv").returncode == 0
+    assert reasons(toy, "-p", "record=mine.csv") == {}
+    toy.write("mine.csv", "2\n")
+    assert list(reasons(toy, "-p", "record=mine.csv").values()) == ["file mine.csv changed"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["-p", "sed=3"], "no notebook here has a parameter 'sed'; did you mean 'seed'?"),
+        ([SECOND, "-p", "recrd=3"], "isolation/02-second has no parameter 'recrd'; did you mean 'record'?"),
+        (["-p", "seed=1.5"], "isolation/01-first: parameter seed is '1.5'; give an int (published: 1)"),
+        (["-p", "level=high"], "parameter level is 'high'; give a float"),
+        (["-p", "seed"], "-p 'seed' is not a setting; give -p NAME=VALUE"),
+        (["-p", "seed=2", "-p", "seed=3"], "-p seed is given twice"),
+        (["isolaton"], "no notebook or room 'isolaton'; did you mean 'isolation'?"),
+        (["isolation/01-frst"], "did you mean 'isolation/01-first'?"),
+        (["--jobs", "0"], "'0' is not a number of kernels"),
+        (["--job", "1"], "did you mean '--jobs'?"),
+    ],
+)
+def test_wrong_input_is_refused_before_a_kernel_starts(toy, arguments, message):
+    before = toy.stamps()
+    done = toy.run("figures", *arguments)
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert toy.stamps() == before
+
+
+def test_a_malformed_parameters_cell_is_refused_before_a_kernel_starts(toy):
+    toy.replace(f"notebooks/{OTHER}.ipynb", "level: float = 1.0  # V", "level = 1.0  # V")
+    done = toy.run("figures")
+    assert done.returncode == 2
+    assert "motion/01-first.ipynb: parameters cell, line 2: 'level = 1.0  # V'" in done.stderr
+
+
+@pytest.mark.parametrize("name", [FIRST, f"notebooks/{FIRST}.ipynb"])
+def test_a_notebook_may_be_named_by_its_file(toy, name):
+    assert "nothing to do: 1 up to date" in toy.run("figures", name).stdout
+
+
+def test_provenance(toy):
+    record = json.loads((toy.root / f"figures/{FIRST}/provenance.json").read_text())
+    assert record["parameters"] == {"seed": 1, "level": 1.0}
+    assert record["seed"] == 1
+    assert record["commit"] is None  # the toy is no git checkout
+    assert record["python"] == ".".join(map(str, sys.version_info[:3]))
+    assert len(record["environment_sha256"]) == 64
+
+
+@pytest.mark.slow
+def test_provenance_names_the_commit_and_whether_inputs_differ_from_it(toy):
+    def git(*arguments):
+        identity = ["-c", "user.name=toy", "-c", "user.email=toy@example.org"]
+        command = ["git", "-C", str(toy.root), *identity, *arguments]
+        return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
+
+    git("init", "--quiet")
+    git("add", "lib", "data", "notebooks", "environment.txt")
+    git("commit", "--quiet", "-m", "toy")
+    change_data(toy)
+    assert toy.run("figures", "--force").returncode == 0
+    records = {
+        name: json.loads((toy.root / f"figures/{name}/provenance.json").read_text())
+        for name in (FIRST, OTHER)
+    }
+    assert {record["commit"] for record in records.values()} == {git("rev-parse", "HEAD")}
+    assert not records[FIRST]["dirty"]
+    assert records[OTHER]["dirty"]
+
+
+@pytest.mark.slow
+def test_a_terminal_shows_a_bar_with_the_time_left(toy):
+    toy.add(SECOND, "import time\ntime.sleep(1)")
+    screen, terminal = pty.openpty()
+    termios.tcsetwinsize(terminal, (24, 80))
+    process = subprocess.Popen(
+        toy.command("figures"),
+        cwd=toy.root,
+        env=toy.environment(),
+        stdout=subprocess.DEVNULL,
+        stderr=terminal,
+    )
+    os.close(terminal)
+    shown = b""
+    while True:
+        try:
+            shown += os.read(screen, 4096)
+        except OSError:  # the runner has closed its end
+            break
+    assert process.wait() == 0
+    os.close(screen)
+    assert b"figures:" in shown
+    assert b"<" in shown  # elapsed<left
+    assert b"cell" in shown

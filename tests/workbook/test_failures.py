@@ -1,0 +1,168 @@
+"""Whatever goes wrong in a build: the last good figures stand, the others go on, nothing is left behind."""
+
+import os
+import resource
+import signal
+
+import pytest
+from workbook.toy import until
+
+pytestmark = pytest.mark.slow
+
+# Say which process it is, whole, and wait to be killed.
+WAIT = """\
+import os, time
+from pathlib import Path
+begun = Path(os.environ["TOY"], "{}")
+written = begun.with_suffix(".part").write_text(str(os.getpid()))
+begun.with_suffix(".part").rename(begun)
+time.sleep(1000)"""
+
+
+def built_then(toy, *sources):
+    """Build two good notebooks, then make the first one end with `sources`; returns the good figures."""
+    toy.add("isolation/01-first")
+    toy.add("isolation/02-second")
+    assert toy.run("figures").returncode == 0
+    good = toy.files("figures")
+    toy.add("isolation/01-first", *sources)
+    toy.replace("notebooks/isolation/02-second.ipynb", "seed: int = 1", "seed: int = 2")
+    return good
+
+
+def assert_only_second_was_built(toy, good):
+    first = {name: content for name, content in good.items() if "01-first" in name}
+    now = toy.files("figures")
+    assert first == {name: content for name, content in now.items() if "01-first" in name}
+    assert now["figures/isolation/02-second/out.csv"] == b"2,2.0\n"
+    assert toy.leftovers() == []
+
+
+def test_a_notebook_that_raises(toy):
+    good = built_then(toy, "ratio = 1 / 0")
+    done = toy.run("figures")
+    assert done.returncode == 1
+    assert "1 built, 1 failed" in done.stdout
+    table = done.stdout.splitlines()[-2]
+    assert (
+        table.split()
+        == "isolation/01-first cell [4] ratio = 1 / 0 ZeroDivisionError: division by zero".split()
+    )
+    assert_only_second_was_built(toy, good)
+    assert toy.run("figures", "--why").stdout.splitlines() == [
+        "isolation/01-first: cell cell-1 added",
+        "isolation/02-second: up to date",
+    ]
+
+
+def test_a_kernel_that_is_killed_and_had_children(toy):
+    child = "import subprocess\nchild = subprocess.Popen(['sleep', '1000'])"
+    good = built_then(toy, child, "import os\nos.kill(os.getpid(), 9)")
+    done = toy.run("figures")
+    assert done.returncode == 1
+    assert "cell [5] import os" in done.stdout
+    assert "killed by SIGKILL" in done.stdout
+    assert_only_second_was_built(toy, good)
+
+
+def test_a_kernel_that_is_killed_from_outside(toy):
+    good = built_then(toy, WAIT.format("begun"))
+    process = toy.start("figures", "--jobs", "2")
+    toy.wait_for("begun")
+    os.kill(int((toy.root / "begun").read_text()), signal.SIGKILL)
+    printed = process.communicate(timeout=60)[0]
+    assert process.returncode == 1
+    assert "cell [4] import os, time" in printed
+    assert_only_second_was_built(toy, good)
+
+
+LARGE = "written = (folder / 'large.csv').write_bytes(bytes(3_000_000))"
+
+
+def limit_files():
+    """Files of this process and its children end at 2 MB, as on a full disk; a child may lift it."""
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2_000_000, resource.RLIM_INFINITY))
+
+
+def test_a_disk_that_is_full_for_the_notebook(toy):
+    good = built_then(toy, LARGE)
+    done = toy.run("figures", preexec_fn=limit_files)
+    assert done.returncode == 1
+    assert "File too large" in done.stdout.splitlines()[-2]
+    assert "cell [4]" in done.stdout.splitlines()[-2]
+    assert_only_second_was_built(toy, good)
+
+
+def test_a_disk_that_is_full_for_the_results(toy):
+    lift = "import resource\nhard = resource.RLIM_INFINITY\nresource.setrlimit(resource.RLIMIT_FSIZE, (hard, hard))"
+    good = built_then(toy, lift, LARGE)
+    done = toy.run("figures", preexec_fn=limit_files)
+    assert done.returncode == 1
+    assert "writing the results" in done.stdout.splitlines()[-2]
+    assert "File too large" in done.stdout.splitlines()[-2]
+    assert_only_second_was_built(toy, good)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_an_interrupt_of_a_parallel_build(toy, number):
+    toy.add("isolation/01-first")
+    toy.add("isolation/02-second")
+    assert toy.run("figures").returncode == 0
+    good = toy.files("figures", "build/notebooks", "build/state")
+    for name in ("01-first", "02-second", "03-third"):
+        toy.add(
+            f"isolation/{name}",
+            "import subprocess\nchild = subprocess.Popen(['sleep', '1000'])",
+            WAIT.format(name),
+        )
+    process = toy.start("figures", "--jobs", "2")
+    toy.wait_for("01-first", "02-second")
+    printed = toy.interrupt(process, number)
+    assert process.returncode == 128 + number
+    assert "0 built, 3 failed" in printed
+    assert [line.split()[-1] for line in printed.splitlines()[-4:-1]] == ["interrupted"] * 3
+    assert toy.files("figures", "build/notebooks", "build/state") == good
+    assert toy.leftovers() == []
+
+
+def test_an_interrupt_while_kernels_start(toy):
+    toy.add("isolation/01-first")
+    toy.add("isolation/02-second")
+    process = toy.start("figures", "--jobs", "2")
+    until(lambda: len(toy.processes()) > 1)
+    toy.interrupt(process, signal.SIGINT)
+    assert process.returncode == 130
+    assert not (toy.root / "figures").exists()
+    assert toy.leftovers() == []
+
+
+def test_kernels_die_with_a_runner_that_is_killed(toy):
+    toy.add("isolation/01-first", WAIT.format("begun"))
+    process = toy.start("figures")
+    toy.wait_for("begun")
+    process.kill()
+    process.communicate()
+    until(lambda: not toy.processes())
+    toy.add("isolation/01-first")
+    assert toy.run("figures").returncode == 0
+
+
+def test_a_page_of_another_name(toy):
+    toy.add(
+        "isolation/01-first",
+        "other = paths.output('isolation/02-x')\nother.mkdir()\n(other / 'a.csv').touch()",
+    )
+    done = toy.run("figures")
+    assert done.returncode == 1
+    assert "writes to the page 'isolation/02-x'" in done.stdout
+    assert toy.leftovers() == []
+
+
+def test_two_builds_at_once(toy):
+    toy.add("isolation/01-first", WAIT.format("begun"))
+    process = toy.start("figures")
+    toy.wait_for("begun")
+    second = toy.run("figures")
+    assert second.returncode == 2
+    assert "another build" in second.stderr
+    toy.interrupt(process, signal.SIGINT)
