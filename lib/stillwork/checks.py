@@ -16,7 +16,7 @@ def nearest(word: str, candidates: Iterable[str]) -> str:
     return f"; did you mean {close[0]!r}?" if close else ""
 
 
-def require_choice(name: str, value: str, choices: Iterable[str]) -> str:
+def require_choice(name: str, value, choices: Iterable[str]) -> str:
     """Return `value` when it is one of `choices`, else raise `InputError` with the nearest one."""
     choices = list(choices)
     if value not in choices:
@@ -28,7 +28,7 @@ def require_choice(name: str, value: str, choices: Iterable[str]) -> str:
 
 def require_number(
     name: str,
-    value: float,
+    value,
     *,
     above: float | None = None,
     below: float | None = None,
@@ -62,7 +62,7 @@ def require_number(
     return number
 
 
-def require_count(name: str, value: int, *, at_least: int = 1) -> int:
+def require_count(name: str, value, *, at_least: int = 1) -> int:
     """Return `value` as an int of at least `at_least`, else raise `InputError`."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < at_least:
         raise InputError(f"{name} is {value!r}; give a whole number, at least {at_least}")

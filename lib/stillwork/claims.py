@@ -196,9 +196,10 @@ def _entries(tree: dict, path: tuple[str, ...]) -> Iterator[Entry]:
 
 def _entry(name: str, fields: dict) -> Entry:
     known = [key for key in Entry.__dataclass_fields__ if key != "id"]
-    for key in fields:
-        if key not in known:
-            raise InputError(f"{name}: unknown field {key!r}{nearest(key, known)}")
+    for given, allowed in ((fields, known), (fields.get("tolerance", {}), Tolerance.__dataclass_fields__)):
+        for key in given:
+            if key not in allowed:
+                raise InputError(f"{name}: unknown field {key!r}{nearest(key, allowed)}")
     try:
         tolerance = Tolerance(**fields["tolerance"]) if "tolerance" in fields else None
         return Entry(id=name, **{**fields, "tolerance": tolerance})
@@ -295,7 +296,7 @@ def ledger(figures: Path | None = None, room: str | None = None) -> list[Claim]:
         for each in ([room] if room else paths.ROOMS)
         for name, entry in load_entries(each).items()
     }
-    pattern = f"{room or '*'}/*/claims.json"
+    pattern = f"{room or '[!.]*'}/[!.]*/claims.json"  # a build's half-written folders are hidden
     for file in sorted(figures.glob(pattern)):
         notebook = file.parent.relative_to(figures).as_posix()
         for name, found in json.loads(file.read_text(encoding="utf-8")).items():

@@ -138,35 +138,29 @@ def _lines(axes) -> list[tuple]:
     rows = []
     for number, line in enumerate(axes.lines, 1):
         if line.get_transform() == axes.transData:  # not axhline and the like
-            rows += _numbers(
-                _name(line, f"line {number}"),
-                line.get_xdata(orig=False),
-                line.get_ydata(orig=False),
-            )
+            x, y = line.get_xdata(orig=False), line.get_ydata(orig=False)
+            rows += _numbers(_name(axes, line, f"line {number}"), x, y)
     return rows
 
 
 def _collections(axes) -> list[tuple]:
     rows = []
     for number, collection in enumerate(axes.collections, 1):
-        name = _name(collection, f"{type(collection).__name__} {number}")
-        if type(collection).__name__ == "QuadMesh":
+        kind = type(collection).__name__
+        name = _name(axes, collection, f"{kind} {number}")
+        if kind == "QuadMesh":
             corners = np.asarray(collection.get_coordinates())
             middle = (corners[:-1, :-1] + corners[1:, 1:]) / 2
             rows += _numbers(name, middle[..., 0], middle[..., 1], collection.get_array())
-        elif len(offsets := np.ma.filled(collection.get_offsets(), np.nan)) > 1 or hasattr(
-            collection, "get_sizes"
-        ):
-            if type(collection).__name__ == "PathCollection":
-                rows += _numbers(name, offsets[:, 0], offsets[:, 1])
-                continue
-        if type(collection).__name__ in (
-            "PolyCollection",
-            "FillBetweenPolyCollection",
-            "LineCollection",
-        ):
+        elif kind == "QuadContourSet":
+            for path, level in zip(collection.get_paths(), collection.levels, strict=False):
+                x, y = path.vertices.T
+                rows += _numbers(name, x, y, np.full(len(x), level))
+        elif kind == "PathCollection":
+            rows += _numbers(name, *np.ma.filled(collection.get_offsets(), np.nan).T)
+        elif kind in ("PolyCollection", "FillBetweenPolyCollection", "LineCollection"):
             for path in collection.get_paths():
-                rows += _numbers(name, path.vertices[:, 0], path.vertices[:, 1])
+                rows += _numbers(name, *path.vertices.T)
     return rows
 
 
@@ -180,23 +174,28 @@ def _images(axes) -> list[tuple]:
             y = top + (np.arange(values.shape[0]) + 0.5) * (bottom - top) / values.shape[0]
             if image.origin == "lower":
                 y = y[::-1]
-            rows += _numbers(_name(image, f"image {number}"), *np.meshgrid(x, y), values)
+            rows += _numbers(_name(axes, image, f"image {number}"), *np.meshgrid(x, y), values)
     return rows
 
 
 def _bars(axes) -> list[tuple]:
     rows = []
     for number, bars in enumerate(axes.containers, 1):
-        patches = [p for p in getattr(bars, "patches", []) if hasattr(p, "get_height")]
+        patches = getattr(bars, "patches", ())
+        middle = [(p.get_x() + p.get_width() / 2, p.get_y() + p.get_height() / 2) for p in patches]
+        end = [(p.get_x() + p.get_width(), p.get_y() + p.get_height()) for p in patches]
         if patches:
-            x = [p.get_x() + p.get_width() / 2 for p in patches]
-            rows += _numbers(_name(bars, f"bars {number}"), x, [p.get_y() + p.get_height() for p in patches])
+            name = _name(axes, bars, f"bars {number}")
+            x, y = (end, middle) if bars.orientation == "horizontal" else (middle, end)
+            rows += _numbers(name, [x for x, _ in x], [y for _, y in y])
     return rows
 
 
-def _name(artist, default: str) -> str:
-    label = str(artist.get_label() or "")
-    return default if not label or label.startswith("_") else label
+def _name(axes, artist, default: str) -> str:
+    """The artist's label, or that of the group (error bars, stems) that it is part of."""
+    groups = [group for group in axes.containers if artist in group.get_children()]
+    labels = [str(one.get_label() or "") for one in (artist, *groups)]
+    return next((label for label in labels if label and not label.startswith("_")), default)
 
 
 def _numbers(name: str, x, y, z=None) -> list[tuple]:

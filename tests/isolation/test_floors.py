@@ -10,6 +10,7 @@ from stillwork.isolation.recorded_floors import (
     GROUND_CRITERION,
     criterion_floor,
     ground_floor,
+    ground_spectrum,
     measured_ground_density,
     record_floor,
     synthesise_floor,
@@ -66,11 +67,12 @@ def test_levels_may_differ_between_sensors():
 def test_synthesis_has_exactly_the_expected_density_line_by_line():
     f = np.array([2.0, 40.0, 200.0])
     s = np.array([1e-6, 4e-6, 1e-8])
+
+    def one_second(seed):
+        return synthesise_floor(f, s, 1.0, seed, sample_rate=500.0).acceleration
+
     lines = np.mean(
-        [
-            2 * np.abs(np.fft.rfft(synthesise_floor(f, s, 1.0, seed).acceleration, axis=1)) ** 2 / 5000**2
-            for seed in range(400)
-        ],
+        [2 * np.abs(np.fft.rfft(one_second(seed), axis=1)) ** 2 / 500**2 for seed in range(400)],
         axis=(0, 1),
     )
     grid = np.arange(len(lines))  # Hz
@@ -113,6 +115,9 @@ def test_ground_is_the_measured_one_below_100_hz_and_the_criterion_above():
     above = spectrum.power(120.0, 290.0).mean()
     grid = np.linspace(120, 290, 500)
     assert above == pytest.approx(np.trapezoid(criterion_density(GROUND_CRITERION, grid), grid), rel=0.02)
+    assert ground_spectrum().density(np.array([150.0, 400.0])) == pytest.approx(
+        np.tile([criterion_density(GROUND_CRITERION, [150.0])[0], 0.0], (3, 1)), rel=1e-3
+    )
     loud = ground_floor(5.0, 1, gain=10.0).acceleration
     assert loud == pytest.approx(10 * ground_floor(5.0, 1).acceleration, rel=1e-12)
 

@@ -8,11 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import linalg
 from stillwork.checks import InputError
-from stillwork.lti import StateModel
+from stillwork.lti import ModalModel, StateModel
 from stillwork.motion.applications import Application, compensator
+from stillwork.motion.controller import PidFamily
 from stillwork.motion.designs import stage_observer
 from stillwork.motion.feedback import band_pass, damping_gain, fed_back, place, stiffness_gain
+from stillwork.motion.loops import closed_loop
 from stillwork.motion.machines import chain, stage
+from stillwork.motion.observer import kalman_observer, published_noise
 from stillwork.motion.reduction import truncate
 
 MODEL = truncate(stage().at([0], [4]), 4, 3)
@@ -109,6 +112,35 @@ def test_compensator_reads_what_the_definition_says():
     assert np.allclose(response[1], high_pass * flexible, rtol=1e-7, atol=1e-9 * np.abs(flexible).max())
 
 
+def test_active_stiffness_through_the_observer_moves_the_resonance():
+    plant = stage().at([0], [4]).modes([0, 1])
+    observer = kalman_observer(plant, published_noise())
+    block = compensator(observer, Application(stiffness=1.2))
+    loop = closed_loop(plant, block, PidFamily(12.5)(20.0).state_space())
+    poles = loop.poles[loop.poles.imag > 0.8 * plant.frequencies[1]]
+    # Separation: among the poles is the stiffened mode, beside that of the observer.
+    assert np.abs(np.abs(poles) / (1.2 * plant.frequencies[1]) - 1).min() < 0.02
+
+
+def test_velocity_observer_leaves_the_rigid_position_out():
+    reduced = replace(truncate(stage().at([0], [4]), 4), measures="velocity")
+    observer = kalman_observer(reduced, published_noise())
+    assert len(observer.a) == 7
+    # It reads the velocities of the flexible modes, states 2, 4 and 6 after the rigid velocity.
+    assert np.array_equal(np.flatnonzero(observer.flexible_outputs[0]), [2, 4, 6])
+    # A constant force and no measured speed leave a constant innovation, which corrects the modal positions
+    # at a constant rate: the estimated velocities do not vanish. The noise model takes the innovation away.
+    plain, mended = (
+        compensator(kalman_observer(reduced, published_noise(), q), Application(compensate=True))
+        for q in (None, 0.03)
+    )
+    spoiled, kept = (np.abs(block.frequency_response([1e-4])[1, 0, 0]) for block in (plain, mended))
+    innovation = reduced.input_shapes[0, 0] / observer.gain[0, 0]
+    expected = abs(observer.flexible_outputs[0, 2::2] @ observer.gain[1::2, 0] * innovation)
+    assert spoiled == pytest.approx(expected, rel=1e-6)
+    assert kept < 1e-2 * spoiled
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [
@@ -125,6 +157,16 @@ def test_compensator_reads_what_the_definition_says():
                 StateModel(-np.eye(2), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1))), [-1.0, -2.0]
             ),
             "not controllable",
+        ),
+        (
+            lambda: damping_gain(
+                ModalModel(
+                    np.full(2, 9.0), np.full(2, 0.1), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1))
+                ),
+                0.1,
+                "pole placement",
+            ),
+            "not controllable",  # two modes of one frequency cannot be told apart by one actuator
         ),
         (lambda: Application(damping=-0.1), "damping"),
         (

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from stillwork import motion
 from stillwork.checks import InputError
 from stillwork.lti import zoh_modes
+from stillwork.motion import riccati
 from stillwork.motion.designs import stage_observer
 from stillwork.motion.machines import stage
 from stillwork.motion.observer import Noise, Observer, kalman_observer, published_noise
@@ -100,3 +102,17 @@ def test_an_observer_without_gain_is_refused():
     good = stage_observer(5)
     with pytest.raises(InputError, match="unstable"):
         Observer(good.model, good.a, good.b, good.c, 0 * good.gain)
+
+
+def test_a_large_residual_is_refused(monkeypatch):
+    monkeypatch.setattr(riccati, "WORST_RESIDUAL", 1e-30)
+    with pytest.raises(InputError, match="relative residual"):
+        continuous_gain([[0.0, 1.0], [-3.0, -0.1]], [[0.0], [1.0]], [[1.0, 0.0]], 1.0, 1e-4)
+    with pytest.raises(InputError, match="relative residual"):
+        discrete_gain([[0.9, 0.1], [0.0, 0.7]], [[0.0], [1.0]], [[1.0, 0.0]], 1.0, 1e-4)
+
+
+def test_public_names_resolve():
+    assert all(getattr(motion, name) is not None for name in motion.__all__)
+    with pytest.raises(AttributeError, match="no attribute"):
+        motion.robot  # noqa: B018

@@ -9,6 +9,15 @@ from workbook.toy import until
 
 pytestmark = pytest.mark.slow
 
+# Say which process it is, whole, and wait to be killed.
+WAIT = """\
+import os, time
+from pathlib import Path
+begun = Path(os.environ["TOY"], "{}")
+written = begun.with_suffix(".part").write_text(str(os.getpid()))
+begun.with_suffix(".part").rename(begun)
+time.sleep(1000)"""
+
 
 def built_then(toy, *sources):
     """Build two good notebooks, then make the first one end with `sources`; returns the good figures."""
@@ -57,15 +66,13 @@ def test_a_kernel_that_is_killed_and_had_children(toy):
 
 
 def test_a_kernel_that_is_killed_from_outside(toy):
-    wait = "import os, time\nfrom pathlib import Path\nPath(os.environ['TOY'], 'pid').write_text(str(os.getpid()))"
-    good = built_then(toy, wait, "time.sleep(1000)")
+    good = built_then(toy, WAIT.format("begun"))
     process = toy.start("figures", "--jobs", "2")
-    toy.wait_for("pid")
-    until((toy.root / "pid").read_text)
-    os.kill(int((toy.root / "pid").read_text()), signal.SIGKILL)
+    toy.wait_for("begun")
+    os.kill(int((toy.root / "begun").read_text()), signal.SIGKILL)
     printed = process.communicate(timeout=60)[0]
     assert process.returncode == 1
-    assert "cell [5] time.sleep(1000)" in printed
+    assert "cell [4] import os, time" in printed
     assert_only_second_was_built(toy, good)
 
 
@@ -94,9 +101,6 @@ def test_a_disk_that_is_full_for_the_results(toy):
     assert "writing the results" in done.stdout.splitlines()[-2]
     assert "File too large" in done.stdout.splitlines()[-2]
     assert_only_second_was_built(toy, good)
-
-
-WAIT = "import os, time\nfrom pathlib import Path\nPath(os.environ['TOY'], '{}').touch()\ntime.sleep(1000)"
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])

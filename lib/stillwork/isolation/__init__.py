@@ -30,7 +30,7 @@ _NAMES = {
         "synthesise_floor",
     ),
     "rig": ("Lines", "Rig"),
-    "simulate": ("Run", "simulate"),
+    "simulation": ("Run", "simulate"),
     "steady": ("Steady", "steady_state"),
     "twin": ("Twin", "load_twin", "twin_from_table"),
 }

@@ -13,7 +13,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.checks import InputError, require_array, require_choice, require_number
-from stillwork.kernels import kernel
+from stillwork.kernels import inlined_kernel, kernel
 
 
 @dataclass(frozen=True)
@@ -60,8 +60,8 @@ class FeRls:
     forgetting : float
         lambda in (0, 1]; exp(-sample time / time constant).
     growth_limit : float
-        How far an element of the diagonal of P may grow beyond its initial value; ``inf`` for the printed
-        algorithm.
+        How far an element of the diagonal of P may grow beyond its initial value, at least 1; ``inf`` for the
+        printed algorithm. A floor that gets quieter by more than this, in power, is followed more slowly.
     """
 
     initial_covariance: ArrayLike | float
@@ -95,7 +95,7 @@ class FeRls:
         return (covariance + covariance.T) / 2, self.growth_limit * np.diag(covariance)
 
 
-@kernel
+@inlined_kernel
 def _ferls_update(weights, covariance, regressor, error, forgetting, limits, gain):
     """One sample of FeRLS in place, eq. (29)-(30).
 
@@ -107,7 +107,7 @@ def _ferls_update(weights, covariance, regressor, error, forgetting, limits, gai
         P, exactly symmetric; one triangle is computed and mirrored, so it stays so.
     regressor : (n,)
         psi_N.
-    error : (actuators,)
+    error : (actuators or more,)
         e.
     forgetting : float
         lambda.
@@ -131,43 +131,49 @@ def _ferls_update(weights, covariance, regressor, error, forgetting, limits, gai
         denominator += total * regressor[i]
     shrink = 1.0 / denominator
     forget = 1.0 / forgetting
-    excess = False
     for i in range(n):
         scaled = gain[i] * shrink
         for j in range(i + 1):
             value = (covariance[i, j] - scaled * gain[j]) * forget
             covariance[i, j] = value
             covariance[j, i] = value
-        excess |= covariance[i, i] > limits[i]
     for i in range(n):
         gain[i] *= shrink  # P(k-1) psi over the denominator is P(k) psi
-    for a in range(len(error)):
+    for a in range(weights.shape[0]):
+        scaled = error[a]
         for i in range(n):
-            weights[a, i] -= error[a] * gain[i]
-    if excess:
-        _limit(covariance, limits, gain)
+            weights[a, i] -= scaled * gain[i]
+    for i in range(n):
+        if covariance[i, i] > limits[i]:
+            _limit(covariance, limits, gain)
+            break
     return denominator
 
 
 @kernel
 def _limit(covariance, limits, scratch):
-    """Bring the diagonal of P back to its limits in place, as if the regressor had been seen once more.
-
-    Adding c e_i e_i' to the inverse of P takes a multiple of p_i p_i' off P (matrix inversion lemma); c is
-    chosen such that P_ii lands on its limit. P stays symmetric and positive definite.
-    """
-    n = len(limits)
-    for i in range(n):
+    """Bring the diagonal of P back to its limits in place, as if the regressor had been seen once more."""
+    for i in range(len(limits)):
         if covariance[i, i] > limits[i]:
-            for j in range(n):
-                scratch[j] = covariance[i, j]
-            share = (scratch[i] - limits[i]) / (scratch[i] * scratch[i])
-            for j in range(n):
-                scaled = scratch[j] * share
-                for k in range(j + 1):
-                    value = covariance[j, k] - scaled * scratch[k]
-                    covariance[j, k] = value
-                    covariance[k, j] = value
+            _add_information(covariance, i, 1.0 / limits[i] - 1.0 / covariance[i, i], scratch)
+
+
+@kernel
+def _add_information(covariance, axis, information, scratch):
+    """Add to one diagonal element of the inverse of P, in place, by the matrix inversion lemma.
+
+    P stays symmetric, and positive definite for information above zero.
+    """
+    n = len(covariance)
+    for j in range(n):
+        scratch[j] = covariance[axis, j]
+    share = information / (1.0 + information * scratch[axis])
+    for j in range(n):
+        scaled = scratch[j] * share
+        for k in range(j + 1):
+            value = covariance[j, k] - scaled * scratch[k]
+            covariance[j, k] = value
+            covariance[k, j] = value
 
 
 @kernel
@@ -180,7 +186,7 @@ def _felms_update(weights, regressor, error, step_size, regularisation, trace_co
         W.
     regressor : (n,)
         psi_N.
-    error : (actuators,)
+    error : (actuators or more,)
         e.
     step_size, regularisation : float
         mu and epsilon.
@@ -193,7 +199,7 @@ def _felms_update(weights, regressor, error, step_size, regularisation, trace_co
     for i in range(n):
         power += regressor[i] * regressor[i]
     rate = step_size / (regularisation + trace_copies * power)
-    for a in range(len(error)):
+    for a in range(weights.shape[0]):
         scaled = rate * error[a]
         for i in range(n):
             weights[a, i] -= scaled * regressor[i]

@@ -265,27 +265,44 @@ def _runaway(sample: int, settings) -> UnstableAdaptation:
 
 
 @kernel
-def _filtered_error(weights, regressor, signal, fits, error):
-    """Error of one sample: as recorded, or e = d + W psi."""
+def _error_of(weights, regressor, disturbance, error):
+    """Fill e = d + W psi; returns its largest magnitude, NaN if any is."""
+    largest = 0.0
     for a in range(len(error)):
-        error[a] = signal[a]
-        if fits:
-            for i in range(len(regressor)):
-                error[a] += weights[a, i] * regressor[i]
+        total = disturbance[a]
+        for i in range(len(regressor)):
+            total += weights[a, i] * regressor[i]
+        error[a] = total
+        if not abs(total) <= largest:
+            largest = abs(total)
+    return largest
 
 
 @kernel
-def _run_ferls(weights, covariance, forgetting, limits, regressors, signals, fits, ceiling, history, every):
+def _keep(weights, entry):
+    """Copy, in loops: assigning whole arrays takes the compiler two seconds."""
+    for a in range(weights.shape[0]):
+        for i in range(weights.shape[1]):
+            entry[a, i] = weights[a, i]
+
+
+@kernel
+def _run_ferls(
+    weights, covariance, forgetting, limits, regressors, signals, fits, ceiling, history, every
+):
     error, gain = np.empty(signals.shape[1]), np.empty(regressors.shape[1])
+    due = every - 1
     for k in range(len(regressors)):
-        _filtered_error(weights, regressors[k], signals[k], fits, error)
-        if not np.max(np.abs(error)) <= ceiling:
+        if not fits:
+            error = signals[k]
+        elif not _error_of(weights, regressors[k], signals[k], error) <= ceiling:
             return k, True
         leverage = _ferls_update(weights, covariance, regressors[k], error, forgetting, limits, gain)
         if not leverage >= forgetting:
             return k, False
-        if (k + 1) % every == 0:
-            history[k // every] = weights
+        if k == due:
+            _keep(weights, history[k // every])
+            due += every
     return len(regressors), True
 
 
@@ -294,11 +311,14 @@ def _run_felms(
     weights, step_size, regularisation, trace_copies, regressors, signals, fits, ceiling, history, every
 ):
     error = np.empty(signals.shape[1])
+    due = every - 1
     for k in range(len(regressors)):
-        _filtered_error(weights, regressors[k], signals[k], fits, error)
-        if not np.max(np.abs(error)) <= ceiling:
+        if not fits:
+            error = signals[k]
+        elif not _error_of(weights, regressors[k], signals[k], error) <= ceiling:
             return k
         _felms_update(weights, regressors[k], error, step_size, regularisation, trace_copies)
-        if (k + 1) % every == 0:
-            history[k // every] = weights
+        if k == due:
+            _keep(weights, history[k // every])
+            due += every
     return len(regressors)

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import signal
 
 from stillwork.checks import InputError, require_array
@@ -31,14 +32,14 @@ class Plant:
         body.
     """
 
-    mass: np.ndarray
-    damping: np.ndarray
-    stiffness: np.ndarray
-    actuation: np.ndarray
-    observation: np.ndarray
-    floor_damping: np.ndarray
-    floor_stiffness: np.ndarray
-    floor_inertia: np.ndarray
+    mass: ArrayLike
+    damping: ArrayLike
+    stiffness: ArrayLike
+    actuation: ArrayLike
+    observation: ArrayLike
+    floor_damping: ArrayLike
+    floor_stiffness: ArrayLike
+    floor_inertia: ArrayLike
 
     def __post_init__(self):
         mass = require_array("mass", self.mass, ndim=2)

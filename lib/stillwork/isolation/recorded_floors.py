@@ -51,6 +51,35 @@ class RecordedFloor:
         return self.acceleration.shape[1] / self.sample_rate
 
 
+@dataclass(frozen=True)
+class SpectralFloor:
+    """Floor known by its power spectral density alone, alike and independent at all sensors.
+
+    Attributes
+    ----------
+    frequencies_hz : ndarray, shape (frequencies,)
+        Positive and rising.
+    levels : ndarray, shape (frequencies,)
+        Acceleration PSD, (m/s^2)^2/Hz; straight in between, zero outside.
+    source : str
+        Where it comes from.
+    channels : int
+        Sensors.
+    """
+
+    frequencies_hz: Float64[np.ndarray, " frequencies"]
+    levels: Float64[np.ndarray, " frequencies"]
+    source: str
+    channels: int = SENSORS
+
+    def density(self, frequencies_hz: ArrayLike) -> Float64[np.ndarray, "channels frequencies"]:
+        """Acceleration PSD of every sensor, (m/s^2)^2/Hz."""
+        f = require_array("frequencies_hz", frequencies_hz, ndim=1)
+        return np.tile(
+            np.interp(f, self.frequencies_hz, self.levels, left=0.0, right=0.0), (self.channels, 1)
+        )
+
+
 def synthesise_floor(
     frequencies_hz: ArrayLike,
     density: ArrayLike,
@@ -144,24 +173,15 @@ def measured_ground_density(
     return f, velocity * (2 * np.pi * f) ** 2
 
 
-def ground_floor(
-    duration: float,
-    seed: int,
-    *,
-    gain: float = 1.0,
-    criterion: str = GROUND_CRITERION,
-    upper_hz: float = UPPER_HZ,
-    **options,
-) -> RecordedFloor:
-    """Floor with the measured vertical ground spectrum below 100 Hz and a vibration criterion above.
+def ground_spectrum(
+    *, gain: float = 1.0, criterion: str = GROUND_CRITERION, upper_hz: float = UPPER_HZ
+) -> SpectralFloor:
+    """Measured vertical ground spectrum below 100 Hz and a vibration criterion above.
 
-    The record holds spectra without phase and nothing above 100 Hz, so the motion is synthesised, and above
-    100 Hz it is assumed: the criterion's curve, up to `upper_hz`.
+    The records end at 100 Hz; above it the floor is assumed to follow the criterion's curve, up to `upper_hz`.
 
     Parameters
     ----------
-    duration, seed, **options
-        As in `synthesise_floor`.
     gain : float
         Amplitude of the whole floor relative to the measured one.
     criterion : str
@@ -172,15 +192,31 @@ def ground_floor(
     require_number("gain", gain, above=0.0)
     require_number("upper_hz", upper_hz, above=GROUND_UPPER_HZ)
     f, density = measured_ground_density("Z")
-    above = np.geomspace(GROUND_UPPER_HZ, upper_hz, 50)[1:]
-    whole = np.concatenate([density, criterion_density(criterion, above)])
+    below = f < GROUND_UPPER_HZ
+    above = np.geomspace(GROUND_UPPER_HZ, upper_hz, 50)
+    return SpectralFloor(
+        np.concatenate([f[below], above]),
+        gain**2 * np.concatenate([density[below], criterion_density(criterion, above)]),
+        f"measured ground to 100 Hz, {criterion} above",
+    )
+
+
+def ground_floor(
+    duration: float,
+    seed: int,
+    *,
+    gain: float = 1.0,
+    criterion: str = GROUND_CRITERION,
+    upper_hz: float = UPPER_HZ,
+    **options,
+) -> RecordedFloor:
+    """Motion with the spectrum of `ground_spectrum`; the record has no phase, so the motion is synthesised.
+
+    Parameters are those of `ground_spectrum` and `synthesise_floor`.
+    """
+    ground = ground_spectrum(gain=gain, criterion=criterion, upper_hz=upper_hz)
     return synthesise_floor(
-        np.concatenate([f, above]),
-        gain**2 * whole,
-        duration,
-        seed,
-        source=f"measured ground to 100 Hz, {criterion} above",
-        **options,
+        ground.frequencies_hz, ground.levels, duration, seed, source=ground.source, **options
     )
 
 

@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float64
+from numpy.typing import ArrayLike
 from scipy import linalg
 
 from stillwork.checks import InputError, require_array, require_number
@@ -26,8 +27,8 @@ class Lines:
         Any length but zero; kept with length 1.
     """
 
-    positions: np.ndarray
-    directions: np.ndarray
+    positions: ArrayLike
+    directions: ArrayLike
 
     def __post_init__(self):
         positions = require_array("positions", self.positions, shape=(None, 3))
@@ -65,10 +66,10 @@ class Rig:
     """
 
     mass: float
-    inertia: np.ndarray
+    inertia: ArrayLike
     struts: Lines
-    stiffness: np.ndarray
-    damping: np.ndarray
+    stiffness: ArrayLike
+    damping: ArrayLike
     floor_sensors: Lines
     actuators: Lines
     platform_sensors: Lines

@@ -36,7 +36,7 @@ def require_names(where: str, given, required, optional=()) -> None:
             raise InputError(f"{where}: {name!r} is missing; add it")
 
 
-def build(record: type, table: dict, where: str):
+def build(record: type, table, where: str):
     """Make the dataclass `record` from a TOML table; its own checks speak with `where` in front."""
     if not isinstance(table, dict):
         raise InputError(f"{where} is {table!r}; give a table [{where}]")

@@ -72,7 +72,8 @@ class Instruments:
         """Sections from force to the acceleration of the parasitic resonance."""
         omega = 2 * self.sample_rate * np.tan(np.pi * self.parasitic_hz / self.sample_rate)
         denominator = [1, 2 * self.parasitic_damping * omega, omega**2]
-        return signal.tf2sos(*signal.bilinear([self.parasitic_gain, 0, 0], denominator, self.sample_rate))
+        sections = signal.tf2sos(*signal.bilinear([1, 0, 0], denominator, self.sample_rate))
+        return sections * [*[self.parasitic_gain] * 3, 1, 1, 1]
 
     @cached_property
     def conditioning(self) -> np.ndarray:

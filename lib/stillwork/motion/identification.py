@@ -72,5 +72,7 @@ def impact_response(force: ArrayLike, response: ArrayLike, rate: float) -> Ident
     keep = slice(1, None)
     dead = (s_ff == 0) | (s_aa == 0)
     if np.any(dead[keep]):
-        raise InputError(f"force or response has no power at all at {int(dead[keep].sum())} frequencies; hit harder")
+        raise InputError(
+            f"force or response has no power at all at {int(dead[keep].sum())} frequencies; hit harder"
+        )
     return Identified(omega[keep], (s_fa / s_ff)[keep], (np.abs(s_fa) ** 2 / (s_ff * s_aa))[keep])

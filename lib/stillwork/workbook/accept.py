@@ -7,9 +7,9 @@ import tomlkit
 from stillwork import paths
 from stillwork.claims import Claim, ledger
 from stillwork.workbook import publish
-from stillwork.workbook.build import Task, tasks
 from stillwork.workbook.notebooks import notebook_file
 from stillwork.workbook.report import refresh_readme
+from stillwork.workbook.tasks import Task, tasks
 
 
 def accept() -> int:
@@ -35,6 +35,9 @@ def accept() -> int:
             print(f"claimed by no notebook: {claim.entry.id}")
         elif claim.verdict == "deviates" and not claim.entry.reason:
             print(f"deviates without a reason: {claim.entry.id}")
+    for folder in sorted((paths.root() / "figures").glob("[!.]*/[!.]*/")):
+        if folder not in {task.target for task in built}:
+            print(f"belongs to no notebook, remove it: {folder.relative_to(paths.root())}")
     print(f"accepted {len(built)} notebooks and {len(claims)} ledger entries")
     return 0
 
@@ -57,6 +60,11 @@ def cleaned(notebook: dict, executed: dict) -> dict:
     return {**notebook, "cells": cells, "metadata": metadata}
 
 
+def notebook_text(notebook: dict) -> str:
+    """The file's text, in the one order that accepting writes."""
+    return json.dumps(notebook, indent=1, ensure_ascii=False, sort_keys=True) + "\n"
+
+
 def _text_only(output: dict) -> dict | None:
     if output["output_type"] == "stream":
         return output
@@ -70,8 +78,7 @@ def _take_over_outputs(task: Task) -> None:
     file = notebook_file(task.notebook.name)
     notebook = json.loads(file.read_text(encoding="utf-8"))
     executed = json.loads(task.executed.read_text(encoding="utf-8"))
-    text = json.dumps(cleaned(notebook, executed), indent=1, ensure_ascii=False, sort_keys=True) + "\n"
-    publish.replace_file(file, text.encode())
+    publish.replace_file(file, notebook_text(cleaned(notebook, executed)).encode())
 
 
 def _write_ours(room: str, claims: list[Claim]) -> None:

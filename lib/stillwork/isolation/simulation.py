@@ -132,25 +132,22 @@ def simulate(
     )
 
     code, numbers, covariance = _algorithm(twin, adaptation)
-    system = loop.system_of(twin, feedback)
-    state = loop.rest(twin, system, start, covariance)
+    closed = loop.loop_of(twin, feedback, start, covariance)
     sources = _Sources(twin, segments, noise, require_count("seed", seed, at_least=0))
     kept = _Kept(twin, total, every, first)
 
     done = 0
     while done < total:
-        # Blocks end where a history entry is due and where the signals start.
-        samples = min(max(BLOCK // every, 1) * every, total - done)
+        # A block ends where the signals start.
+        samples = min(BLOCK, total - done)
         if done < first:
             samples = min(samples, first - done)
-        floor_block, floor_noise, platform_noise = sources.draw(samples)
+        floor_block, noise_block = sources.draw(samples)
         signals = kept.block(done, samples)
         status, reached = loop._advance(
             floor_block,
-            floor_noise,
-            platform_noise,
-            system,
-            state,
+            noise_block,
+            closed,
             signals,
             every,
             done % every,
@@ -163,7 +160,7 @@ def simulate(
         if done + samples > first:
             kept.floor[done - first : done - first + samples] = floor_block
         done += samples
-    return kept.run(rate, every, state)
+    return kept.run(rate, closed)
 
 
 def _algorithm(twin: Twin, adaptation):
@@ -188,6 +185,8 @@ def _algorithm(twin: Twin, adaptation):
 def _segments(twin: Twin, floor, duration_s) -> list[tuple[int, Floor]]:
     rate = twin.instruments.sample_rate
     given = floor if isinstance(floor, list) else [(duration_s, floor)]
+    if not given:
+        raise InputError("floor is an empty list; give (seconds, floor) pairs")
     segments = []
     for seconds, part in given:
         if part.channels != twin.sensors:
@@ -235,20 +234,19 @@ class _Sources:
     """Floor motion and sensor noise, block by block, each from its own random stream."""
 
     def __init__(self, twin: Twin, segments: list[tuple[int, Floor]], noise: bool, seed: int):
-        streams = np.random.SeedSequence(seed).spawn(3)
-        self.floor_stream, *self.noise_streams = (np.random.Generator(np.random.SFC64(s)) for s in streams)
+        streams = np.random.SeedSequence(seed).spawn(2)
+        self.floor_stream, self.noise_stream = (np.random.Generator(np.random.SFC64(s)) for s in streams)
         instruments = twin.instruments
         self.rate = instruments.sample_rate
-        self.levels = [
-            level * np.sqrt(self.rate / 2) * noise
-            for level in (instruments.floor_noise, instruments.platform_noise)
-        ]
-        self.mains = [
-            np.asarray(amplitudes) * noise
-            for amplitudes in (instruments.floor_mains, instruments.platform_mains)
-        ]
-        self.mains_hz = np.asarray(instruments.mains_hz)
-        self.channels = (twin.sensors, twin.outputs)
+        each = [twin.outputs, twin.sensors]
+        density = np.repeat([instruments.platform_noise, instruments.floor_noise], each)
+        self.deviation = noise * density * np.sqrt(self.rate / 2)
+        self.mains = noise * np.repeat([instruments.platform_mains, instruments.floor_mains], each, axis=0).T
+        # Sines of a block by addition theorem: one table for all blocks.
+        self.omega = 2 * np.pi * np.asarray(instruments.mains_hz) / self.rate
+        angle = np.outer(np.arange(BLOCK), self.omega)
+        self.waves = np.hstack([np.sin(angle), np.cos(angle)])
+        self.sensors = twin.sensors
         self.segments = list(segments)
         self.done = 0
         self._enter()
@@ -257,12 +255,12 @@ class _Sources:
         self.left, self.part = self.segments.pop(0)
         self.position = 0
         if isinstance(self.part, ShapedFloor):
-            self.shaping = loop._rows(self.part.sections)
-            self.memory = np.zeros((*self.shaping.shape[:2], 2))
+            rows = np.stack([loop.rows_of(each) for each in self.part.sections], axis=2)
+            self.shaping = loop.bank_of(rows, self.sensors)
 
-    def draw(self, samples: int):
-        """Next block of (floor, floor noise, platform noise), each (samples, channels)."""
-        floor = np.empty((samples, self.channels[0]))
+    def draw(self, samples: int) -> tuple[np.ndarray, np.ndarray]:
+        """Next block of a0, (samples, sensors), and of (n1, n0), (samples, outputs + sensors)."""
+        floor = np.empty((samples, self.sensors))
         filled = 0
         while filled < samples:
             if not self.left:
@@ -272,16 +270,17 @@ class _Sources:
             filled += take
             self.left -= take
             self.position += take
-        time = np.arange(self.done, self.done + samples) / self.rate
-        waves = np.sin(2 * np.pi * np.outer(time, self.mains_hz))
-        noises = [
-            self._noise(stream, level, samples, channels) + (waves @ mains)[:, None]
-            for stream, level, channels, mains in zip(
-                self.noise_streams, self.levels, self.channels, self.mains, strict=True
+        noise = np.zeros((samples, len(self.deviation)))
+        if self.deviation.any():
+            self.noise_stream.standard_normal(out=noise)
+            noise *= self.deviation
+        if self.mains.any():
+            start = (self.omega * self.done)[:, None]
+            noise += self.waves[:samples] @ np.vstack(
+                [np.cos(start) * self.mains, np.sin(start) * self.mains]
             )
-        ]
         self.done += samples
-        return floor, *noises
+        return floor, noise
 
     def _fill(self, floor):
         if isinstance(self.part, RecordedFloor):
@@ -289,13 +288,7 @@ class _Sources:
             return
         self.floor_stream.standard_normal(out=floor)
         floor *= self.part.scale
-        loop._filter_block(self.shaping, self.memory, floor)
-
-    @staticmethod
-    def _noise(stream, level, samples, channels):
-        if level == 0:
-            return np.zeros((samples, channels))
-        return level * stream.standard_normal((samples, channels))
+        loop._filter_block(*self.shaping, floor)
 
 
 class _Kept:
@@ -314,18 +307,18 @@ class _Kept:
         """Views for the kernel to fill."""
         start = done - self.first
         long = [array[start : start + samples] if start >= 0 else array[:0] for array in self.long]
-        rows = slice(done // self.every, (done + samples) // self.every)
+        rows = slice(done // self.every, (done + samples) // self.every)  # due in this block
         return loop.Signals(*long, self.weights[rows], self.power[rows])
 
-    def run(self, rate: float, every: int, state: loop.State) -> Run:
+    def run(self, rate: float, closed: loop.Loop) -> Run:
         platform, measured, sensed, command, regressors, error = (array.T for array in self.long)
         return Run(
             sample_rate=rate,
-            time_s=every / rate * np.arange(1, len(self.power) + 1),
+            time_s=self.every / rate * np.arange(1, len(self.power) + 1),
             weights=self.weights,
             error_power=self.power,
-            final_weights=state.weights,
-            covariance=state.covariance,
+            final_weights=closed.weights,
+            covariance=closed.covariance,
             signals_start_s=self.first / rate,
             floor=self.floor.T,
             platform=platform,

@@ -1,0 +1,56 @@
+"""The ledger: complete, accepted, explained, and what a fresh run finds again."""
+
+import json
+import math
+
+import pytest
+from stillwork import paths
+from stillwork.claims import DRIFT, ledger
+from stillwork.workbook.inputs import digest
+from stillwork.workbook.report import readme_with_summary
+
+from .test_figures import COMMITTED, REBUILT
+
+ENTRIES = ledger()
+IDS = [claim.entry.id for claim in ENTRIES]
+
+
+def test_there_is_a_ledger():
+    assert ENTRIES
+
+
+@pytest.mark.parametrize("claim", ENTRIES, ids=IDS)
+def test_every_entry_is_built_accepted_and_explained(claim):
+    assert claim.verdict != "not built", "no notebook claims it"
+    assert claim.entry.ours is not None, "run `make accept`"
+    assert not claim.moved, f"accepted {claim.entry.ours}, the committed figures have {claim.ours}"
+    assert claim.verdict == "replicated" or claim.entry.reason, "give the reason"
+
+
+@pytest.mark.parametrize("claim", ledger(REBUILT), ids=IDS)
+def test_a_fresh_run_finds_the_accepted_value_and_verdict(claim):
+    committed = ENTRIES[IDS.index(claim.entry.id)]
+    assert not claim.moved, f"accepted {claim.entry.ours}, now {claim.ours}"
+    assert claim.verdict == committed.verdict
+    assert claim.notebook == committed.notebook
+    assert bool(claim.interval) == bool(committed.interval)
+    if claim.verdict != "not built" and claim.entry.kind != "exact":  # an identity's residual is rounding
+        now, before = ((each.ours, *(each.interval or ())) for each in (claim, committed))
+        width = max(map(abs, before))
+        for a, b in zip(now, before, strict=True):
+            assert math.isclose(a, b, rel_tol=DRIFT, abs_tol=DRIFT * width)
+
+
+def test_the_readme_shows_the_ledger_as_it_is():
+    text = (paths.root() / "README.md").read_text(encoding="utf-8")
+    assert "<!-- ledger:begin -->" in text
+    assert readme_with_summary(text) == text
+
+
+@pytest.mark.parametrize("file", sorted(COMMITTED.glob("*/*/provenance.json")), ids=lambda f: f.parent.name)
+def test_figures_come_from_a_commit_and_the_pinned_environment(file):
+    record = json.loads(file.read_text(encoding="utf-8"))
+    assert record["commit"], "built outside git"
+    assert not record["dirty"], "commit the inputs, then build again"
+    assert record["environment_sha256"] == digest((paths.root() / "environment.txt").read_bytes())
+    assert record["drift"] == []

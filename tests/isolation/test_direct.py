@@ -1,0 +1,113 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from naive import adaptation as naive
+from naive import counting
+from stillwork.checks import InputError
+from stillwork.isolation.adaptation import _felms_update, _ferls_update
+from stillwork.isolation.direct import FORMS, average_gain, direct_run, multiplications
+
+
+def record(n=3, actuators=2, samples=60):
+    rng = np.random.default_rng(0)
+    regressors = rng.standard_normal((n, samples))
+    return regressors, rng.standard_normal((actuators, n)) @ regressors + 0.1 * rng.standard_normal(
+        (actuators, samples)
+    )
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("forgetting", [0.95, 1.0])
+def test_every_form_is_the_naive_full_inverse(form, forgetting):
+    regressors, disturbance = record()
+    history, gain = naive.full_inverse_ferls(regressors, disturbance, 0.1, forgetting)
+    run = direct_run(form, regressors, disturbance, 0.1, forgetting)
+    np.testing.assert_allclose(run.weights, history, atol=1e-12)
+    for i in range(len(run.blocks)):
+        np.testing.assert_allclose(run.blocks[i, i], gain[:3, :3], atol=1e-13)
+        for j in range(len(run.blocks)):
+            assert i == j or not run.blocks[i, j].any()
+
+
+@given(forgetting=st.floats(0.5, 1.0), samples=st.integers(1, 200))
+def test_average_gain_makes_an_average(forgetting, samples):
+    alpha = average_gain(forgetting, samples)
+    for k in {0, samples // 2, samples - 1}:
+        assert alpha[k] * sum(forgetting ** (k - j) for j in range(k + 1)) == pytest.approx(1, rel=1e-9)
+    assert alpha[0] == pytest.approx(1.0)
+
+
+def test_average_gain_falls_to_its_limit():
+    alpha = average_gain(0.99, 5000)
+    assert np.all(np.diff(alpha) <= 0)
+    assert alpha[-1] == pytest.approx(0.01, rel=1e-12)
+
+
+@pytest.mark.parametrize(("actuators", "n"), [(1, 1), (2, 3), (3, 2)])
+def test_multiplications_are_those_of_the_update_written_out(actuators, n):
+    rng = np.random.default_rng(1)
+    expected = multiplications(actuators, n)
+    assert expected["full inverse"] == _count_inverse(rng, actuators, actuators * n, actuators)
+    assert expected["block inverse"] == _count_inverse(rng, actuators, n, 1)
+    psi, error = rng.standard_normal(n), rng.standard_normal(actuators)
+    one = counting.Counted(1.0)
+
+    # The kernels themselves, interpreted on numbers that count.
+    def objects(array):
+        return np.array(counting.counted(array), dtype=object)
+
+    counting.Counted.count = 0
+    _ferls_update.py_func(
+        objects(np.zeros((actuators, n))),
+        objects(np.eye(n)),
+        objects(psi),
+        objects(error),
+        one,
+        np.full(n, np.inf),
+        np.empty(n, dtype=object),
+    )
+    assert counting.Counted.count == expected["recursion"]
+    counting.Counted.count = 0
+    _felms_update.py_func(objects(np.zeros((actuators, n))), objects(psi), objects(error), one, one, one)
+    assert counting.Counted.count == expected["FeLMS"]
+
+
+def _count_inverse(rng, actuators, size, rows):
+    """One update with dense matrices: `rows` rows of the regression matrix, `size` parameters in the inverse."""
+    information = counting.counted(np.diag(rng.uniform(1, 2, size)))
+    matrix = counting.counted(rng.standard_normal((rows, size)))
+    error = counting.counted(rng.standard_normal(actuators))
+    counting.Counted.count = 0
+    forgotten = [[0.9 * x for x in row] for row in information]
+    squares = counting.product(list(zip(*matrix, strict=True)), matrix)
+    summed = [[a + b for a, b in zip(x, y, strict=True)] for x, y in zip(forgotten, squares, strict=True)]
+    gain = counting.inverse(summed)
+    if rows > 1 or (actuators == 1 == rows and size == 1):
+        gradient = counting.product(list(zip(*matrix, strict=True)), [[e] for e in error])
+        counting.product(gain, gradient)
+    else:
+        direction = counting.product(gain, [[x] for x in matrix[0]])
+        counting.product(direction, [error])
+    return counting.Counted.count
+
+
+def test_published_size_is_54_parameters():
+    counts = multiplications(6, 9)
+    assert counts["full inverse"] > 54**3
+    assert counts["recursion"] < 300
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: direct_run("full", *record(), 0.1, 0.9), "did you mean 'full inverse'"),
+        (lambda: direct_run("Newton", *record(), 0.0, 0.9), "epsilon is 0"),
+        (lambda: direct_run("Newton", *record(), 0.1, 1.1), "forgetting is 1.1"),
+        (lambda: direct_run("Newton", np.ones((2, 5)), np.ones((1, 4)), 0.1, 0.9), "disturbance has shape"),
+        (lambda: multiplications(0, 9), "actuators is 0"),
+    ],
+)
+def test_bad_input_is_refused(call, message):
+    with pytest.raises(InputError, match=message):
+        call()

@@ -1,0 +1,155 @@
+"""The closed loop's kernel against its slow twin, and the promises of `simulate`."""
+
+import numpy as np
+import pytest
+from naive import closed_loop
+from stillwork.checks import InputError
+from stillwork.isolation import simulation as module
+from stillwork.isolation.adaptation import FeLms, FeRls
+from stillwork.isolation.floors import flat_floor
+from stillwork.isolation.online import UnstableAdaptation
+from stillwork.isolation.recorded_floors import RecordedFloor
+from stillwork.isolation.simulation import simulate
+from stillwork.isolation.twin import load_twin
+
+SAMPLES = 1500
+
+
+def rigs():
+    rigid, fitted = load_twin("rigid_body"), load_twin("fitted")
+    return {
+        "rigid": rigid,
+        "fitted": fitted,
+        "full estimate": rigid.varied(estimate="full"),
+        "one integrator": fitted.varied(integrator_powers=1),
+        "no integrator": fitted.varied(integrator_powers=0),
+        "order 2": rigid.varied(integrator_order=2, integrator_cutoff_hz=0.5),
+    }
+
+
+RIGS = rigs()
+
+
+def record(twin, seed=0, samples=SAMPLES):
+    rng = np.random.default_rng(seed)
+    floor = 0.02 * rng.standard_normal((twin.sensors, samples))
+    return RecordedFloor(floor, twin.instruments.sample_rate, "white")
+
+
+@pytest.mark.parametrize("name", RIGS)
+@pytest.mark.parametrize("case", ["passive", "feedback", "frozen", "felms", "ferls"])
+def test_kernel_agrees_with_its_slow_twin(name, case):
+    twin = RIGS[name]
+    rng = np.random.default_rng(5)
+    start = 0.1 * rng.standard_normal((twin.actuators, twin.regressors))
+    floor = record(twin)
+    options, slow = {}, {}
+    if case == "passive":
+        options["feedback"] = slow["feedback"] = False
+    if case in ("frozen", "felms", "ferls"):
+        options["weights"] = slow["weights"] = start
+    if case == "felms":
+        options["adaptation"] = FeLms(step_size=1e-3, trace="literal")
+        slow["felms"] = (1e-3, 1e-5, twin.actuators)
+    if case == "ferls":
+        options["adaptation"] = FeRls(0.3, growth_limit=np.inf)
+        slow["ferls"] = (0.3 * np.eye(twin.regressors), options["adaptation"].forgetting)
+    run = simulate(twin, floor, seed=3, keep_every_s=2e-4, signals_from_s=0.0, **options)
+    source = module._Sources(twin, [(SAMPLES, floor)], True, 3)
+    expected = closed_loop.run(twin, *source.draw(SAMPLES), **slow)
+    for got, wanted in (
+        (run.platform, expected["platform"]),
+        (run.measured_platform, expected["measured"]),
+        (run.sensed_floor, expected["sensed"]),
+        (run.command, expected["command"]),
+        (run.filtered_regressors, expected["psi_n"]),
+        (run.error, expected["error"]),
+    ):
+        assert np.max(np.abs(got.T - wanted)) <= 1e-9 * np.max(np.abs(wanted))
+    assert np.max(np.abs(run.weights - expected["weights"])) <= 1e-9 * np.max(np.abs(start))
+    assert run.error_power == pytest.approx(np.sum(expected["error"] ** 2, axis=1), rel=1e-7, abs=1e-20)
+
+
+def test_run_does_not_depend_on_its_blocks(monkeypatch):
+    twin = RIGS["rigid"]
+    floors = [(0.7, flat_floor(80.0)), (0.4, record(twin, samples=2500)), (0.3, flat_floor(1500.0))]
+    options = {"adaptation": FeRls(0.5), "seed": 4, "keep_every_s": 0.0302, "signals_from_s": 0.5}
+    whole = simulate(twin, floors, **options)
+    monkeypatch.setattr(module, "BLOCK", 97)
+    parts = simulate(twin, floors, **options)
+    # The mains' sines start anew in each block, which rounds differently.
+    assert parts.weights == pytest.approx(whole.weights, abs=1e-10)
+    assert parts.error_power == pytest.approx(whole.error_power, rel=1e-9)
+    assert parts.floor == pytest.approx(whole.floor, abs=1e-15)
+    assert parts.platform == pytest.approx(whole.platform, abs=1e-11)
+    assert whole.time_s[-1] == pytest.approx(46 * 0.0302)
+    assert whole.floor.shape[1] == 7000 - 2500
+
+
+def test_same_seed_same_floor_whatever_the_controller_does():
+    twin, floor = RIGS["fitted"], flat_floor(80.0)
+    runs = [
+        simulate(twin, floor, 1.0, seed=7, signals_from_s=0.0, **options)
+        for options in ({}, {"feedback": False}, {"adaptation": FeLms()}, {"noise": False})
+    ]
+    for other in runs[1:]:
+        assert np.array_equal(runs[0].floor, other.floor)
+    assert not np.array_equal(runs[0].floor, simulate(twin, floor, 1.0, seed=8, signals_from_s=0.0).floor)
+
+
+def test_without_noise_the_loop_is_linear_in_the_floor():
+    twin = RIGS["rigid"]
+    one, two = record(twin, 1), record(twin, 2)
+    both = RecordedFloor(2 * one.acceleration - 3 * two.acceleration, one.sample_rate, "mixed")
+    platform = [simulate(twin, floor, noise=False, signals_from_s=0.0).platform for floor in (one, two, both)]
+    assert platform[2] == pytest.approx(2 * platform[0] - 3 * platform[1], abs=1e-12)
+
+
+def test_memory_is_what_is_kept():
+    run = simulate(RIGS["fitted"], flat_floor(80.0), 2.0, keep_every_s=0.5, signals_from_s=1.9)
+    assert run.weights.shape == (4, 6, 9)
+    assert run.platform.shape == (6, 500)
+    assert simulate(RIGS["fitted"], flat_floor(80.0), 0.2).platform.shape == (6, 0)
+
+
+def test_divergence_is_reported_with_sample_and_cause():
+    twin = RIGS["fitted"]
+    with pytest.raises(UnstableAdaptation, match=r"sample \d+.*force limit of 1000 N.*smaller") as caught:
+        simulate(twin, flat_floor(80.0), 30.0, adaptation=FeLms(step_size=0.5))
+    run = simulate(
+        twin,
+        flat_floor(80.0),
+        caught.value.sample / 5000,
+        adaptation=FeLms(step_size=0.5),
+        signals_from_s=0.0,
+    )
+    assert np.all(np.isfinite(run.command)) and np.abs(run.command).max() <= 1000
+
+
+def test_a_floor_that_is_not_a_number_stops_at_once():
+    floor = record(RIGS["fitted"])
+    object.__setattr__(floor, "acceleration", np.where(np.arange(SAMPLES) == 400, np.nan, floor.acceleration))
+    with pytest.raises(UnstableAdaptation, match=r"sample 40\d"):
+        simulate(RIGS["fitted"], floor, weights=np.ones((6, 9)))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"weights": np.zeros((6, 3))}, "weights has shape"),
+        ({"weights": np.full((6, 9), np.nan)}, "weights holds 54 NaN"),
+        ({"duration_s": None}, "duration_s is missing"),
+        ({"duration_s": -1.0}, "duration_s is -1"),
+        ({"seed": -1}, "seed is -1"),
+        ({"keep_every_s": 0.0}, "keep_every_s"),
+        ({"floor": flat_floor(80.0, channels=2)}, "2 channels"),
+        ({"floor": flat_floor(80.0, sample_rate=4000.0)}, "4000 Hz"),
+        ({"floor": record(RIGS["fitted"])}, "shorter than the 1 s"),
+        ({"floor": [(1.0, flat_floor(80.0))]}, "leave it out"),
+        ({"floor": []}, "empty"),
+    ],
+)
+def test_bad_input_is_named(change, message):
+    given = {"floor": flat_floor(80.0), "duration_s": 1.0, **change}
+    with pytest.raises(InputError, match=message):
+        simulate(RIGS["fitted"], given.pop("floor"), given.pop("duration_s"), **given)

@@ -1,0 +1,32 @@
+"""The published fit against python-control and against paths whose answer is known."""
+
+import control
+import numpy as np
+import pytest
+from stillwork.checks import InputError
+from stillwork.isolation.path_fit import fit_error_db, fit_reaches_hz, parametric_fit, resonance_hz
+from stillwork.isolation.twin import load_twin
+
+
+def test_fit_is_eq_2_by_tustin_with_one_delay():
+    twin = load_twin("rigid_body")
+    s, pole = control.tf("s"), 2 * np.pi * 300
+    path = s**2 / (1.4 * s**2 + 290 * s + 60e3) * pole / (s + pole)
+    f = np.array([1.0, 20.0, 100.0, 500.0])
+    z = np.exp(2j * np.pi * f * 2e-4)
+    expected = control.c2d(path, 2e-4, "tustin")(z) / z
+    assert parametric_fit(twin, f) == pytest.approx(expected, rel=1e-6)
+
+
+def test_resonance_is_found_where_it_was_put():
+    twin = load_twin("fitted").varied(parasitic_hz=700.0, parasitic_gain=1.0, parasitic_damping=0.001)
+    assert resonance_hz(twin, 600.0, 800.0) == pytest.approx(700.0, abs=0.7)
+
+
+def test_reach_of_the_fit_is_where_the_error_crosses():
+    twin = load_twin("fitted")
+    reach = fit_reaches_hz(twin, 5.0, within_db=1.0)
+    error = np.abs(fit_error_db(twin, np.array([reach - 1, reach]))).max(axis=0)
+    assert error[0] <= 1.0 < error[1]
+    with pytest.raises(InputError, match="above_hz"):
+        fit_reaches_hz(twin, 0.0)

@@ -1,0 +1,154 @@
+"""Performance from simulation against the same from the model's responses, and modes against closed forms."""
+
+import numpy as np
+import pytest
+from stillwork.checks import InputError
+from stillwork.isolation.floors import flat_floor
+from stillwork.isolation.modes import suspension_modes
+from stillwork.isolation.performance import (
+    central_axes,
+    exact_transmissibility,
+    expected_density,
+    record_case,
+    reduction_db,
+    tune,
+)
+from stillwork.isolation.power import floor_level_for, power_trial, reduction_percent, without_lines
+from stillwork.isolation.steady import steady_state
+from stillwork.isolation.twin import load_twin
+from stillwork.spectra import Spectrum
+
+
+@pytest.fixture(scope="module")
+def twin():
+    return load_twin("rigid_body").varied(mains_hz=[], floor_mains=[], platform_mains=[])
+
+
+@pytest.fixture(scope="module")
+def weights(twin):
+    return steady_state(twin, flat_floor()).weights
+
+
+def test_axes_undo_the_sensors_geometry(twin):
+    axes = central_axes(twin.rig)
+    assert axes.floor @ axes.floor_readings == pytest.approx(np.eye(3), abs=1e-12)
+    motion = np.array([0.0, 0.0, 0.3, -0.2, 0.7, 0.0])
+    assert axes.platform @ (twin.rig.platform_sensors.jacobian @ motion) == pytest.approx(motion[2:5])
+
+
+@pytest.mark.parametrize("case", ["passive", "feedback", "FeRLS"])
+def test_simulated_spectra_agree_with_the_expected_ones(twin, weights, case):
+    given = weights if case.startswith("Fe") else None
+    record = record_case(twin, flat_floor(), case, 30.0, 3, weights=given)
+    causes = expected_density(
+        twin, flat_floor(), np.arange(1.0, 401.0), weights=given, feedback=case != "passive"
+    )
+    expected = sum(causes.values())
+    spectrum = record.spectrum(1.0)
+    # 59 half-overlapping segments of 1 s; the suspension's skirts leak below 20 Hz.
+    for low, high in ((20, 100), (100, 200), (200, 300), (300, 400)):
+        ratio = spectrum.density[:, low:high].sum(axis=1) / expected[:, low - 1 : high - 1].sum(axis=1)
+        assert ratio == pytest.approx(1, abs=0.12)
+
+
+@pytest.mark.parametrize("case", ["passive", "feedback", "FeRLS"])
+def test_estimated_transmissibility_agrees_with_the_exact_one_without_noise(twin, weights, case):
+    given = weights if case.startswith("Fe") else None
+    estimate = record_case(twin, flat_floor(1500.0), case, 40.0, 5, weights=given, noise=False).response(0.5)
+    band = (estimate.frequencies_hz > 8) & (estimate.frequencies_hz < 300)
+    exact = exact_transmissibility(
+        twin, estimate.frequencies_hz[band], weights=given, feedback=case != "passive"
+    )
+    scale = np.abs(np.einsum("iif->if", exact)).max(axis=1)
+    error = np.abs(estimate.response[:, :, band] - exact)
+    assert np.einsum("iif->if", error).max(axis=1) / scale == pytest.approx(0, abs=0.05)
+
+
+def test_platform_follows_the_floor_at_low_frequency_and_rolls_off(twin):
+    passive = exact_transmissibility(twin, np.array([0.5, 35.2, 1000.0]), feedback=False)
+    assert np.abs(passive[:, :, 0]) == pytest.approx(np.eye(3), abs=2e-3)
+    assert abs(passive[0, 0, 1]) == pytest.approx(1 / (2 * 0.12), rel=0.05)  # resonance: 1 / 2 zeta
+    assert abs(passive[0, 0, 2]) < 0.02
+
+
+def test_feedforward_removes_most_of_the_power_and_the_output_noise_is_the_limit(twin):
+    floor = flat_floor(1500.0)
+    weights = tune(twin, floor, 0.1, 40.0, 1)["FeRLS"]
+    before = record_case(twin, floor, "feedback", 30.0, 2)
+    after = record_case(twin, floor, "FeRLS", 30.0, 2, weights=weights)
+    total, left, limit = (
+        spectrum.power(1.0, 300.0)
+        for spectrum in (before.spectrum(1.0), after.spectrum(1.0), before.output_noise(1.0))
+    )
+    assert np.all(left < 0.09 * total)
+    assert np.all(left > limit)
+    # The limit is n1 through the skyhook loop: compare with the model.
+    model = expected_density(twin, floor, np.arange(1.0, 301.0))["output noise"].sum(axis=1)
+    assert limit == pytest.approx(model, rel=0.15)
+
+
+def test_a_weaker_floor_leaves_the_asked_share(twin, weights):
+    removed = np.array([80.0, 90.0, 93.0])
+    level = floor_level_for(twin, flat_floor(), weights, removed)
+    f = np.geomspace(1.0, 300.0, 4000)
+    before, after = (expected_density(twin, flat_floor(), f, weights=w) for w in (None, weights))
+    found = reduction_percent(
+        f,
+        *(c["floor"] * level[:, None] ** 2 + c["floor noise"] + c["output noise"] for c in (before, after)),
+    )
+    assert found == pytest.approx(removed, abs=0.02)
+    with pytest.raises(InputError, match="ask for less"):
+        floor_level_for(twin, flat_floor(), weights, [99.99999, 90.0, 90.0])
+
+
+def test_reduction_in_bands_of_a_constant_factor():
+    f = np.arange(0.0, 260.0, 0.25)
+    before = np.ones((3, 3, 1)) * np.exp(1j * f)
+    centres, found = reduction_db(f, before, before / 100)
+    assert found == pytest.approx(40.0) and centres[0] < 3.2 and centres[-1] > 200
+
+
+def test_trial_holds_together(twin):
+    trial = power_trial(
+        np.random.default_rng(0),
+        twin=twin,
+        floor=flat_floor(1500.0),
+        felms_s=1.0,
+        ferls_s=30.0,
+        record_s=25.0,
+    )
+    removed = {name: trial[f"removed {name}"] for name in ("FeLMS", "FeRLS", "limit", "with mains")}
+    assert np.all(removed["FeLMS"] < removed["FeRLS"]) and np.all(removed["FeRLS"] < removed["limit"])
+    # Without mains in the twin a bridge changes nothing but the noise under it.
+    assert removed["with mains"] == pytest.approx(removed["FeRLS"], abs=0.3)
+    assert trial["density FeRLS"].shape == (3, 10_001)
+
+
+def test_lines_are_bridged():
+    f = np.arange(0.0, 100.0)
+    density = 2.0 + 0.1 * f[None]
+    spoiled = density.copy()
+    spoiled[0, 49:52] = 50.0
+    assert without_lines(Spectrum(f, spoiled, 9), [50.0]).density == pytest.approx(density)
+
+
+def test_modes_of_the_open_loop_are_those_of_the_rig(twin):
+    found = suspension_modes(twin, feedback=False)
+    assert found.frequencies_hz == pytest.approx(twin.rig.frequencies_hz, rel=1e-3)
+    assert found.damping == pytest.approx(twin.rig.damping_ratios(), rel=2e-3)
+
+
+def test_skyhook_damps_every_mode_about_as_an_ideal_one(twin):
+    closed, ideal = suspension_modes(twin), twin.rig.damping_ratios(twin.skyhook.gain)
+    # Lag and delay act as a phase of w (T + tau), up to 16 degrees at 47 Hz.
+    assert closed.damping == pytest.approx(ideal, rel=0.15)
+    assert np.all(closed.damping > suspension_modes(twin, feedback=False).damping)
+
+
+def test_questions_that_have_no_answer(twin):
+    with pytest.raises(InputError, match="no geometry"):
+        central_axes(load_twin("fitted").rig)
+    with pytest.raises(InputError, match="lower the skyhook gain"):
+        suspension_modes(twin.varied(gain=2000.0))
+    with pytest.raises(InputError, match="did you mean 'FeRLS'"):
+        record_case(twin, flat_floor(), "FERLS", 1.0, 0)

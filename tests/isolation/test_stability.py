@@ -1,0 +1,146 @@
+import numpy as np
+import pytest
+from naive import cures as naive
+from stillwork.checks import InputError
+from stillwork.isolation.adaptation import FeRls
+from stillwork.isolation.cures import CURES, run_cure
+from stillwork.isolation.floors import flat_floor
+from stillwork.isolation.shaping import NoiseShaping, SecondaryPath, noise_shaping, weak_integrator
+from stillwork.isolation.silence import run_to_the_end
+from stillwork.isolation.stability import FORMS, _recur, covariance_run
+from stillwork.isolation.twin import load_twin
+
+FORGETTING = 0.99
+
+
+def regressors(n=5, samples=2000, seed=0):
+    rng = np.random.default_rng(seed)
+    return (np.eye(n) + 0.3 * rng.standard_normal((n, n))) @ rng.standard_normal((n, samples))
+
+
+@pytest.mark.parametrize("code", range(len(FORMS)))
+@pytest.mark.parametrize(("dtype", "tolerance"), [(np.float64, 1e-13), (np.float32, 1e-5)])
+def test_one_update_of_each_form_is_the_inverse(code, dtype, tolerance):
+    rng = np.random.default_rng(1)
+    root = rng.standard_normal((4, 4)) + 3 * np.eye(4)
+    start, psi = root @ root.T, rng.standard_normal((1, 4))
+    matrix = (np.linalg.cholesky(start) if FORMS[code] == "square root" else start).astype(dtype)
+    _recur(code, matrix, psi.astype(dtype), dtype(0.9), np.empty((3, 4), dtype))
+    found = matrix @ matrix.T if FORMS[code] == "square root" else matrix
+    expected = np.linalg.inv(0.9 * np.linalg.inv(start) + psi.T @ psi)
+    assert matrix.dtype == dtype
+    np.testing.assert_allclose(found, expected, atol=tolerance * np.abs(expected).max())
+
+
+@pytest.mark.parametrize(("form", "rate"), [("one product", 1.0), ("both products", -1.0), ("Joseph", -1.0)])
+def test_what_becomes_of_an_antisymmetric_error(form, rate):
+    # Far above rounding and far below P: the error is followed on its own.
+    psi, code = regressors(), FORMS.index(form)
+    matrix = np.linalg.inv(psi @ psi.T / psi.shape[1]) * (1 - FORGETTING)
+    upper = np.triu(np.ones((5, 5)), 1)
+    matrix = matrix + 1e-9 * np.linalg.norm(matrix) * (upper - upper.T)
+    before, samples = np.linalg.norm(matrix - matrix.T), 500
+    _recur(code, matrix, np.ascontiguousarray(psi.T[:samples]), FORGETTING, np.empty((3, 5)))
+    growth = np.linalg.norm(matrix - matrix.T) / before
+    found = np.log(growth) / (-samples * np.log(FORGETTING))
+    if rate > 0:
+        assert found == pytest.approx(rate, abs=1e-3)
+    else:
+        assert found < -0.5
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_every_form_follows_the_inverse_while_it_lasts(form):
+    run = covariance_run(form, regressors(), FORGETTING, np.eye(5), 10)
+    assert np.all(run.error < 1e-9)
+    assert np.all(np.abs(run.smallest - 1) < 1e-9)
+    assert run.breakdown == np.inf
+
+
+def test_one_product_breaks_and_the_triangle_does_not():
+    psi, start = regressors(), 0.01 * np.eye(5)
+    broken = covariance_run("one product", psi, FORGETTING, start, 60)
+    assert 30 < broken.breakdown < 45
+    assert broken.growth_rate() == pytest.approx(-np.log(FORGETTING) / (1 - FORGETTING), abs=0.01)
+    single = covariance_run("one product", psi, FORGETTING, start, 60, "float32")
+    assert 12 < single.breakdown < 25
+    for precision in ("float64", "float32"):
+        safe = covariance_run("triangle", psi, FORGETTING, start, 60, precision)
+        assert safe.breakdown == np.inf and not safe.asymmetry.any()
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_silence_winds_every_form_up(form):
+    psi = regressors()
+    psi[3] = 0
+    run = covariance_run(form, psi, FORGETTING, 0.01 * np.eye(5), 20)
+    np.testing.assert_allclose(run.largest, FORGETTING ** (-run.time_constants / (1 - FORGETTING)), rtol=1e-6)
+
+
+def closed_loop(cure, samples=400):
+    rng = np.random.default_rng(2)
+    integrator = weak_integrator(3, 4 * np.pi, 200.0, 2e-4)
+    shaping = noise_shaping(NoiseShaping(), SecondaryPath(), 2e-4)
+    floor, noise = rng.standard_normal((2, samples)), 0.1 * rng.standard_normal(samples)
+    floor[1, samples // 3 :] *= 1e-3
+    optimum, start = np.array([0.3, -0.2, 0.5, 1.0]), np.array([0.02, 0.02, 0.5, 0.5])
+    run = run_cure(
+        cure,
+        [(floor, optimum)],
+        integrator,
+        shaping,
+        start,
+        FORGETTING,
+        growth=1.5,
+        noise=noise,
+        keep_every=1,
+    )
+    history, errors = naive.closed_loop(
+        cure, floor, optimum, integrator, shaping, start, FORGETTING, 1.5, noise
+    )
+    return run, history, errors, optimum, start
+
+
+@pytest.mark.parametrize("cure", CURES)
+def test_closed_loop_with_each_cure_is_its_naive_twin(cure):
+    run, history, errors, optimum, start = closed_loop(cure)
+    growth = np.array([np.diag(p) / start for _, p in history])
+    np.testing.assert_allclose(run.growth, growth, rtol=1e-6)
+    np.testing.assert_allclose(run.error_power, errors**2, rtol=1e-6, atol=1e-9 * np.max(errors**2))
+    distance = [np.sqrt(np.sum((w - optimum) ** 2 / start) / np.sum(optimum**2 / start)) for w, _ in history]
+    np.testing.assert_allclose(run.misalignment, distance, rtol=1e-7)
+    if cure != "none":  # the cure had something to do
+        free = closed_loop("none")[0]
+        assert np.abs(run.growth - free.growth).max() > 0.1
+
+
+def test_limit_protects_the_twin_where_the_printed_algorithm_breaks():
+    # A tenth of the published time constant: ten times the gain, so that a short silence is enough.
+    twin, forgetting = load_twin("rigid_body"), float(np.exp(-2e-4))
+    floor, quiet = flat_floor(), flat_floor(level=[1.5e-3, 1.5e-3, 0.0])
+    start = 10 * np.array([0.48, 0.48, 0.48, 0.6, 0.6, 0.6, 0.79, 0.79, 0.79])
+    stages = [(2.0, floor), (12.0, quiet), (2.0, floor)]
+    broken = run_to_the_end(twin, stages, FeRls(start, forgetting, np.inf), seed=3)
+    assert 14.0 < broken.broke_s < 15.0 and broken.peak(14.0) == np.inf
+    assert broken.time_s[-1] <= broken.broke_s
+    kept = run_to_the_end(twin, stages, FeRls(start, forgetting), seed=3)
+    assert kept.broke_s is None and kept.peak(14.0) < 3
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: covariance_run("triangel", np.ones((2, 50)), 0.9, np.eye(2), 2), "did you mean 'triangle'"),
+        (lambda: covariance_run("triangle", np.ones((2, 50)), 1.0, np.eye(2), 2), "forgetting is 1"),
+        (lambda: covariance_run("triangle", np.ones((2, 50)), 0.9, np.eye(3), 2), "initial has shape"),
+        (lambda: covariance_run("triangle", np.ones((2, 1)), 0.9, np.eye(2), 2), "give at least 2"),
+        (lambda: covariance_run("triangle", np.ones((2, 50)), 0.9, np.eye(2), 2, "float16"), "precision is"),
+        (
+            lambda: run_cure("leak", [], np.ones((1, 6)), np.ones((1, 6)), np.ones(1), 0.9),
+            "did you mean 'leakage'",
+        ),
+    ],
+)
+def test_bad_input_is_refused(call, message):
+    with pytest.raises(InputError, match=message):
+        call()

@@ -1,0 +1,134 @@
+"""Twins from TOML: what is read, what is refused, and that anyone's rig can be given."""
+
+import tomllib
+
+import numpy as np
+import pytest
+from stillwork import paths
+from stillwork.checks import InputError
+from stillwork.isolation.twin import load_twin, twin_from_table
+
+
+def table(name="rigid_body"):
+    return tomllib.loads(paths.data("isolation", f"{name}.toml").read_text(encoding="utf-8"))
+
+
+def changed(path, value, name="rigid_body"):
+    """Table with one value replaced, or removed where `value` is None."""
+    whole = table(name)
+    part = whole
+    *parents, last = path.split(".")
+    for parent in parents:
+        part = part[parent]
+    if value is None:
+        del part[last]
+    else:
+        part[last] = value
+    return whole
+
+
+@pytest.mark.parametrize("name", ["rigid_body", "fitted"])
+def test_shipped_twins_have_the_published_sizes(name):
+    twin = load_twin(name)
+    assert (twin.actuators, twin.outputs, twin.sensors, twin.regressors) == (6, 6, 3, 9)
+    assert twin.feedforward.path.suspension == [1.4, 290.0, 60e3]
+
+
+def test_a_model_of_ones_own(tmp_path):
+    source = paths.data("isolation", "rigid_body.toml").read_text(encoding="utf-8")
+    own = tmp_path / "own.toml"
+    own.write_text(source.replace("mass = 5.4 ", "mass = 6 "), encoding="utf-8")
+    assert load_twin(own).rig.mass == 6.0
+    assert load_twin(str(own)).rig.mass == 6.0
+
+
+def test_actuators_and_sensors_may_sit_elsewhere_than_the_struts():
+    whole = table()
+    turned = np.roll(whole["struts"]["directions"], 2, axis=0).tolist()
+    whole["actuators"] = {"positions": whole["struts"]["positions"], "directions": turned}
+    twin = twin_from_table(whole)
+    assert twin.plant.actuation != pytest.approx(load_twin("rigid_body").plant.actuation)
+    assert twin.plant.observation == pytest.approx(load_twin("rigid_body").plant.observation)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        ("body.mass", None, "body: 'mass' is missing"),
+        ("body.mas", 5.4, "unknown name 'mas'; did you mean 'mass'"),
+        ("body.mass", -5.4, "mass is -5.4"),
+        ("body.mass", "heavy", "mass is 'heavy'"),
+        ("body.inertia", [[1.0, 0.0], [0.0, 1.0]], "inertia has shape"),
+        ("struts.stiffness", "stiff", "stiffness is not an array"),
+        ("struts.positions", [[0.0, 0.0, 0.0]], "directions has shape"),
+        ("struts.stiffnes", 1.0, "unknown name 'stiffnes'; did you mean 'stiffness'"),
+        ("floor_sensors.directions", None, "floor_sensors: 'directions' is missing"),
+        ("floor_sensors.place", 1.0, "unknown name 'place'"),
+        ("instruments", None, "'instruments' is missing"),
+        ("instruments.sample_rate", 0.0, "sample_rate is 0"),
+        ("instruments.sample_rate", None, "'sample_rate' is missing"),
+        ("instruments.samplerate", 1.0, "did you mean 'sample_rate'"),
+        ("instruments.parasitic_hz", 3000.0, "parasitic_hz is 3000"),
+        ("instruments.floor_noise", -1e-5, "floor_noise is -1e-05"),
+        ("instruments.mains_hz", [50.0], "one amplitude for each"),
+        ("skyhook.gain", -1.0, "gain is -1"),
+        ("skyhook", 225.0, "give a table"),
+        ("feedforward.beta", 0.0, "beta is 0"),
+        ("feedforward.estimate", "ful", "did you mean 'full'"),
+        ("feedforward.estimate", 6, "estimate is 6"),
+        ("feedforward.integrator_order", 2.5, "integrator_order is 2.5"),
+        ("feedforward.shaping.highpass_hz", 400.0, "lowpass_hz is 300"),
+        ("feedforward.path.mass", 0.0, "mass is 0"),
+        ("feedforward.path.actuator_pole_hz", None, "'actuator_pole_hz' is missing"),
+        ("name", None, "'name' is missing"),
+        ("plnt", {}, "unknown name 'plnt'"),
+    ],
+)
+def test_bad_models_are_refused_by_name(path, value, message):
+    with pytest.raises(InputError, match=message):
+        twin_from_table(changed(path, value))
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        ("plant.mass", -1.0, "mass is not symmetric and positive"),
+        ("plant.damping", -1.0, "feeds energy"),
+        ("plant.floor_damping", [[1.0]], "floor_damping has shape"),
+        ("plant.floor_inertia", None, "'floor_inertia' is missing"),
+    ],
+)
+def test_bad_matrices_are_refused_by_name(path, value, message):
+    with pytest.raises(InputError, match=message):
+        twin_from_table(changed(path, value, "fitted"))
+
+
+def test_more_sensors_than_actuators_are_refused():
+    whole = table()
+    whole["platform_sensors"] = {"positions": [[0.1, 0, 0]] * 3, "directions": np.eye(3).tolist()}
+    with pytest.raises(InputError, match="6 actuators and 3 platform sensors"):
+        twin_from_table(whole)
+
+
+def test_files_that_are_no_models(tmp_path):
+    with pytest.raises(InputError, match="did you mean 'fitted'"):
+        load_twin("fited")
+    with pytest.raises(InputError, match="no file"):
+        load_twin(tmp_path / "none.toml")
+    broken = tmp_path / "broken.toml"
+    broken.write_text("mass = = 1", encoding="utf-8")
+    with pytest.raises(InputError, match="not valid TOML"):
+        load_twin(broken)
+    broken.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match="not valid TOML"):
+        load_twin(broken)
+
+
+def test_varied_changes_what_it_names_and_refuses_the_rest():
+    twin = load_twin("fitted")
+    other = twin.varied(platform_noise=1e-5, gain=0.0, estimate="full")
+    assert (other.instruments.platform_noise, other.skyhook.gain) == (1e-5, 0.0)
+    assert other.feedforward.estimate == "full"
+    assert twin.instruments.platform_noise != 1e-5
+    with pytest.raises(InputError, match="did you mean 'platform_noise'"):
+        twin.varied(platform_nois=0.0)

@@ -1,0 +1,40 @@
+"""Slow, obvious twin of the smallest closed loop with a cure, in plain numpy."""
+
+import numpy as np
+from scipy import signal
+
+
+def closed_loop(cure, floor, optimum, integrator, shaping, start, forgetting, growth, noise):
+    """Weights, covariance and error of every sample; the filters run over the whole past each time."""
+    sensors, samples = floor.shape
+    n = len(start)
+    stack = [floor]
+    while len(stack) < n // sensors:
+        stack.append(signal.sosfilt(integrator, stack[-1], axis=-1))
+    psi = np.concatenate(stack)
+    shaped = signal.sosfilt(shaping, psi, axis=-1)
+    weights, p = np.zeros(n), np.diag(start)
+    before, history, errors = [], [], []
+    arriving = 0.0
+    for k in range(samples):
+        before.append(arriving + noise[k])
+        e = signal.sosfilt(shaping, before)[-1]
+        arriving = (weights - optimum) @ psi[:, k]
+        x = shaped[:, k]
+        p = np.linalg.inv(forgetting * np.linalg.inv(p) + np.outer(x, x))
+        weights = weights - e * p @ x
+        if cure == "leakage":
+            axis = np.eye(n)[k % n]
+            amount = n * (1 - forgetting) / (growth * start[k % n])
+            p = np.linalg.inv(np.linalg.inv(p) + amount * np.outer(axis, axis))
+        elif cure == "trace bound":
+            p = p * min(1, growth * start.sum() / np.trace(p))
+        elif cure == "limit":
+            for i in range(n):
+                if p[i, i] > growth * start[i]:
+                    axis = np.eye(n)[i]
+                    amount = 1 / (growth * start[i]) - 1 / p[i, i]
+                    p = np.linalg.inv(np.linalg.inv(p) + amount * np.outer(axis, axis))
+        errors.append(e)
+        history.append((weights, p))
+    return history, np.array(errors)

@@ -1,0 +1,115 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+from stillwork.checks import (
+    InputError,
+    nearest,
+    require_array,
+    require_choice,
+    require_count,
+    require_number,
+)
+
+numbers = st.floats(allow_nan=False, allow_infinity=False)
+
+
+def test_nearest_suggests_only_what_is_near():
+    assert nearest("forgeting", ["forgetting", "leakage"]) == "; did you mean 'forgetting'?"
+    assert nearest("xyz", ["forgetting"]) == ""
+    assert nearest("a", []) == ""
+
+
+def test_choice():
+    assert require_choice("floor", "flat", ["flat", "colored"]) == "flat"
+    with pytest.raises(
+        InputError, match=r"floor is 'flt'; use one of 'flat', 'colored'; did you mean 'flat'\?"
+    ):
+        require_choice("floor", "flt", ["flat", "colored"])
+
+
+@given(numbers)
+def test_a_finite_number_passes_unchanged(value):
+    assert require_number("x", value) == value
+    assert require_number("x", np.float64(value)) == value
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, "three", None, [1.0, 2.0]])
+def test_what_is_no_finite_number_is_refused(value):
+    with pytest.raises(InputError, match=r"x is .*give a finite number"):
+        require_number("x", value)
+
+
+@given(numbers, numbers)
+def test_bounds_hold_as_named(value, bound):
+    for option, good in (
+        ("above", value > bound),
+        ("at_least", value >= bound),
+        ("below", value < bound),
+        ("at_most", value <= bound),
+    ):
+        if good:
+            assert require_number("x", value, **{option: bound}) == value
+        else:
+            with pytest.raises(InputError, match=f"give a finite number {option.replace('_', ' ')}"):
+                require_number("x", value, **{option: bound})
+
+
+def test_both_bounds_are_told():
+    with pytest.raises(InputError, match=r"forgetting is 1.5; give a finite number above 0 and at most 1"):
+        require_number("forgetting", 1.5, above=0, at_most=1)
+
+
+@pytest.mark.parametrize("value", [0, -1, 1.0, True, "3", None])
+def test_counts_are_whole_and_positive(value):
+    with pytest.raises(InputError, match=r"runs is .*; give a whole number, at least 1"):
+        require_count("runs", value)
+
+
+def test_counts_may_be_of_numpy():
+    count = require_count("runs", np.int64(3))
+    assert count == 3
+    assert type(count) is int
+
+
+@given(arrays.arrays(np.float64, arrays.array_shapes(), elements=numbers))
+def test_a_good_array_passes(value):
+    array = require_array("x", value.tolist())
+    assert array.dtype == np.float64
+    assert array.flags.c_contiguous
+    assert np.array_equal(array, value)
+
+
+def test_a_view_becomes_contiguous():
+    assert require_array("x", np.zeros((4, 6))[::2, ::3]).flags.c_contiguous
+
+
+@given(arrays.arrays(np.float64, arrays.array_shapes(max_dims=3), elements=numbers), st.data())
+def test_the_first_bad_entry_is_named(value, data):
+    where = tuple(data.draw(st.integers(0, n - 1)) for n in value.shape)
+    value[where] = data.draw(st.sampled_from([np.nan, np.inf, -np.inf]))
+    with pytest.raises(InputError) as error:
+        require_array("x", value)
+    assert f"x holds 1 NaN or infinite values, the first at index {where}" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("value", "options", "message"),
+    [
+        ([[1.0], [2.0, 3.0]], {}, "x is not an array of numbers"),
+        (["a"], {}, "x is not an array of numbers"),
+        ([1.0], {"ndim": 2}, r"x has shape \(1,\); give an array with 2 axes"),
+        (1.0, {"ndim": 1}, r"x has shape \(\); give an array with 1 axes"),
+        (np.zeros((2, 3)), {"shape": (2, 4)}, r"x has shape \(2, 3\); give 2 x 4"),
+        (np.zeros((2, 3)), {"shape": (None, 4)}, "give any x 4"),
+        (np.zeros(3), {"shape": (3, 1)}, "give 3 x 1"),
+    ],
+)
+def test_wrong_shapes_are_told(value, options, message):
+    with pytest.raises(InputError, match=message):
+        require_array("x", value, **options)
+
+
+def test_a_free_axis():
+    assert require_array("x", np.zeros((2, 3)), shape=(None, 3)).shape == (2, 3)

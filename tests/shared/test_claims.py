@@ -1,0 +1,268 @@
+import json
+import math
+
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from stillwork.checks import InputError
+from stillwork.claims import (
+    DRIFT,
+    Claim,
+    ClaimsTable,
+    Entry,
+    Tolerance,
+    ledger,
+    load_entries,
+    make_claim,
+)
+
+values = st.floats(-1e6, 1e6).filter(lambda v: abs(v) > 1e-6)
+levels = st.floats(0, 1)
+
+
+def entry(kind="value", published=2.0, **fields):
+    fields = {"place": "Table 1", "quantity": "gain", "unit": "Hz", **fields}
+    if kind in ("value", "exact", "slope"):
+        fields.setdefault("tolerance", Tolerance("printed digits", relative=0.01))
+    return Entry(id="motion.gain", kind=kind, published=published, **fields)
+
+
+@given(values, values, levels)
+def test_relative_tolerance(published, ours, relative):
+    claim = Claim(entry(published=published, tolerance=Tolerance("x", relative=relative)), ours)
+    distance = abs(ours - published)
+    assume(abs(distance - relative * abs(published)) > 1e-9 * abs(published))  # the edge itself rounds
+    assert (claim.verdict == "replicated") == (distance < relative * abs(published))
+
+
+@given(values, values, levels)
+def test_absolute_tolerance(published, ours, absolute):
+    claim = Claim(entry(published=published, tolerance=Tolerance("x", absolute=absolute)), ours)
+    assert claim.verdict == ("replicated" if abs(ours - published) <= absolute else "deviates")
+
+
+@given(values, values, values, values)
+def test_interval_tolerance_looks_at_the_interval_only(published, ours, one, other):
+    low, high = sorted((one, other))
+    claim = Claim(entry(published=published, tolerance=Tolerance("x", interval=0.95)), ours, (low, high))
+    assert claim.verdict == ("replicated" if low <= published <= high else "deviates")
+
+
+def test_an_interval_rule_without_an_interval_is_refused():
+    claim = Claim(entry(tolerance=Tolerance("x", interval=0.95)), 2.0)
+    with pytest.raises(InputError, match=r"pass interval=\(low, high\)"):
+        claim.verdict  # noqa: B018
+
+
+@given(values, levels, st.floats(0, 10))
+def test_a_wider_tolerance_never_turns_replicated_into_deviates(ours, relative, more):
+    narrow = Claim(entry(tolerance=Tolerance("x", relative=relative)), ours)
+    wide = Claim(entry(tolerance=Tolerance("x", relative=relative + more)), ours)
+    assert not (narrow.verdict == "replicated" and wide.verdict == "deviates")
+
+
+@given(levels)
+def test_an_ordering_must_hold_in_every_run(fraction):
+    claim = Claim(entry("ordering", published=1.0), fraction)
+    assert claim.verdict == ("replicated" if fraction == 1 else "deviates")
+
+
+@given(values)
+def test_reported_is_never_judged(ours):
+    assert Claim(entry("reported", reason="rig not described"), ours).verdict == "reported"
+
+
+@pytest.mark.parametrize("kind", ["value", "exact", "ordering", "slope"])
+def test_nothing_found_is_not_built(kind):
+    assert Claim(entry(kind)).verdict == "not built"
+
+
+def test_deviation_is_relative_and_has_no_meaning_at_zero():
+    assert Claim(entry(published=2.0), 2.5).deviation == 0.25
+    assert Claim(entry(published=-2.0), -2.5).deviation == 0.25
+    assert Claim(entry(published=0.0), 1.0).deviation is None
+    assert Claim(entry()).deviation is None
+
+
+@given(values, st.floats(-0.01, 0.01))
+def test_moved_is_farther_than_another_machines_rounding(accepted, step):
+    ours = accepted * (1 + step)
+    distance = abs(ours - accepted) / max(abs(ours), abs(accepted))
+    assume(abs(distance - DRIFT) > 1e-9)
+    assert Claim(entry(ours=accepted), ours).moved == (distance > DRIFT)
+
+
+def test_nothing_accepted_has_not_moved_and_identities_never_do():
+    assert not Claim(entry(), 5.0).moved
+    residual = entry("exact", published=0.0, tolerance=Tolerance("x", absolute=1e-9), ours=1e-16)
+    assert not Claim(residual, 3e-15).moved
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"kind": "vlaue"}, "kind is 'vlaue'.*did you mean 'value'"),
+        ({"kind": "value", "tolerance": None}, "a value needs a tolerance"),
+        ({"kind": "ordering", "tolerance": Tolerance("x", absolute=1)}, "ordering takes no tolerance"),
+        ({"kind": "reported"}, "say in reason why it is not judged"),
+        ({"basis": "guessed"}, "basis is 'guessed'"),
+        ({"place": ""}, "place is empty"),
+        ({"quantity": ""}, "quantity is empty"),
+        ({"published": math.nan}, "published is nan"),
+    ],
+)
+def test_an_incomplete_entry_is_refused(fields, message):
+    with pytest.raises(InputError, match=message):
+        entry(**{"kind": "value", **fields})
+
+
+@pytest.mark.parametrize(
+    ("rules", "message"),
+    [
+        ({}, "exactly one"),
+        ({"relative": 0.1, "absolute": 0.1}, "exactly one"),
+        ({"relative": -0.1}, "at least 0"),
+        ({"relative": 0.1, "source": ""}, "say in source"),
+    ],
+)
+def test_a_tolerance_has_one_rule_and_a_source(rules, message):
+    with pytest.raises(InputError, match=message):
+        Tolerance(**{"source": "digits", **rules})
+
+
+LEDGER = """\
+[motion.table-1.pid]
+place = "Table 1"
+quantity = "bandwidth"
+unit = "Hz"
+published = 37.0
+kind = "value"
+tolerance = { relative = 0.03, source = "digits" }
+
+[motion.order]
+place = "Fig. 2"
+quantity = "PID below the observer"
+unit = ""
+published = 1.0
+kind = "ordering"
+reason = "one run differs"
+"""
+
+
+@pytest.fixture
+def workbook(tmp_path, monkeypatch):
+    """A workbook with a ledger of the room `motion`; give it another text or found values."""
+    monkeypatch.setenv("STILLWORK_ROOT", str(tmp_path))
+
+    def write(text=LEDGER, **found):
+        file = tmp_path / "data" / "motion" / "published.toml"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text, encoding="utf-8")
+        for notebook, values in found.items():
+            claims = tmp_path / "figures" / "motion" / notebook / "claims.json"
+            claims.parent.mkdir(parents=True)
+            claims.write_text(json.dumps(values), encoding="utf-8")
+
+    return write
+
+
+def test_reads_nested_ids(workbook):
+    workbook()
+    entries = load_entries("motion")
+    assert list(entries) == ["motion.table-1.pid", "motion.order"]
+    assert entries["motion.table-1.pid"].tolerance == Tolerance("digits", relative=0.03)
+    assert entries["motion.order"].room == "motion"
+    assert load_entries("isolation") == {}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("published = 37.0", "publishd = 37.0", "motion.table-1.pid: unknown field 'publishd'; did you mean"),
+        ("published = 37.0", "", "motion.table-1.pid: .*published"),
+        ('source = "digits"', 'sauce = "digits"', "motion.table-1.pid: unknown field 'sauce'"),
+        ("37.0", "'high'", "(?s)motion.table-1.pid: .*published"),
+        ("[motion.order]", "[motion.order", "not valid TOML"),
+        (
+            "[motion.table-1.pid]",
+            "[motion]\nx = 1\n[motion.table-1.pid]",
+            "motion.x: a value outside any entry",
+        ),
+    ],
+)
+def test_a_wrong_ledger_names_the_entry(workbook, old, new, message):
+    assert old in LEDGER
+    workbook(LEDGER.replace(old, new))
+    with pytest.raises(InputError, match=message):
+        load_entries("motion")
+
+
+def test_a_claim_of_an_unknown_entry_names_the_nearest(workbook):
+    workbook()
+    with pytest.raises(InputError, match=r"no entry 'motion.ordr'; did you mean 'motion.order'\?"):
+        make_claim("motion.ordr", 1.0)
+    with pytest.raises(InputError, match=r"room is 'moton'; .*did you mean 'motion'"):
+        make_claim("moton.order", 1.0)
+
+
+@pytest.mark.parametrize("interval", [None, (1.0, math.inf)])
+def test_only_finite_values_are_claimed(workbook, interval):
+    workbook()
+    with pytest.raises(InputError, match=r"motion.order"):
+        make_claim("motion.order", math.nan if interval is None else 1.0, interval)
+
+
+def test_the_ledger_joins_entries_with_what_was_found(workbook):
+    workbook(**{"01-x": {"motion.table-1.pid": {"ours": 37.5, "interval": [37, 38]}}})
+    pid, order = ledger()
+    assert (pid.verdict, pid.notebook, pid.interval) == ("replicated", "motion/01-x", (37, 38))
+    assert order.verdict == "not built"
+    assert pid.as_dict() == {
+        "id": "motion.table-1.pid",
+        "place": "Table 1",
+        "quantity": "bandwidth",
+        "unit": "Hz",
+        "kind": "value",
+        "basis": "predicted",
+        "published": 37.0,
+        "ours": 37.5,
+        "interval": [37, 38],
+        "verdict": "replicated",
+        "tolerance": "digits",
+        "reason": "",
+        "notebook": "motion/01-x",
+    }
+    assert [claim.entry.id for claim in ledger(room="isolation")] == []
+
+
+def test_half_written_results_do_not_count(workbook):
+    found = {"motion.order": {"ours": 1.0}}
+    workbook(**{"01-x": found, ".01-x.new": found})
+    assert [claim.verdict for claim in ledger()] == ["not built", "replicated"]
+
+
+def test_a_value_claimed_twice_or_unknown_is_refused(workbook):
+    found = {"motion.order": {"ours": 1.0}}
+    workbook(**{"01-x": found, "02-y": found})
+    with pytest.raises(InputError, match="claimed by motion/01-x and by motion/02-y"):
+        ledger()
+    workbook(LEDGER.replace("motion.order", "motion.other"))
+    with pytest.raises(InputError, match=r"no entry 'motion.order'; did you mean 'motion.other'"):
+        ledger()
+
+
+def test_the_table_prints_verdicts_and_reasons_and_keeps_the_last_value(workbook, tmp_path):
+    workbook()
+    table = ClaimsTable()
+    table.add(make_claim("motion.order", 1.0))
+    table.add(make_claim("motion.table-1.pid", 37.123456789, (36.0, 38.0)))
+    table.add(make_claim("motion.order", 0.9))
+    printed = repr(table)
+    assert printed.splitlines()[0].split() == "claim place published ours interval unit verdict".split()
+    assert "motion.table-1.pid  Table 1  37         37.1  36 .. 38  Hz    replicated" in printed
+    assert printed.endswith("motion.order: one run differs")
+    table.write(tmp_path / "deep" / "claims.json")
+    assert json.loads((tmp_path / "deep" / "claims.json").read_text()) == {
+        "motion.table-1.pid": {"ours": 37.123457, "interval": [36.0, 38.0]},
+        "motion.order": {"ours": 0.9},
+    }

@@ -1,0 +1,102 @@
+import ipywidgets
+import numpy as np
+import pytest
+from stillwork import figures
+from stillwork.checks import InputError
+from stillwork.explore import Choice, Slider, StaticPicture, explore
+
+CONTROLS = {
+    "gain": Slider(0.0, 10.0, published=2.0, unit="V"),
+    "rate": Slider(1.0, 1e4, published=100.0, log=True),
+    "order": Slider(1, 5, published=3, step=1),
+    "floor": Choice(("flat", "colored"), published="flat"),
+}
+
+
+def draw(gain=2.0, rate=100.0, order=3, floor="flat"):
+    if gain > 9:
+        raise InputError("gain is too high; give <9")
+    figure, axes = figures.new(height=1)
+    axes.plot(np.arange(5), gain * np.arange(5) ** order + rate, ":" if floor == "flat" else "-")
+    axes.set_xlabel("time (s)")
+    return figure
+
+
+def parts(box):
+    """Widgets of an explorer: controls by name, Reset, message, picture."""
+    *rows, last, picture = box.children
+    controls = dict(zip(CONTROLS, (row.children[0] for row in rows), strict=True))
+    return controls, *last.children, picture
+
+
+def test_in_a_build_it_is_a_picture_at_the_published_setting(monkeypatch):
+    monkeypatch.setenv("STILLWORK_OUTPUT", "/somewhere")
+    shown = explore(draw, **CONTROLS)
+    assert isinstance(shown, StaticPicture)
+    assert repr(shown) == (
+        "explorer at the published setting: gain = 2.0, rate = 100.0, order = 3, floor = flat"
+    )
+    assert shown._repr_png_() == explore(draw, **CONTROLS).png
+    assert shown.png.startswith(b"\x89PNG")
+
+
+def test_moving_a_control_redraws_and_reset_returns():
+    controls, reset, message, picture = parts(explore(draw, **CONTROLS))
+    at_home = picture.value
+    assert bytes(at_home).startswith(b"\x89PNG")
+    assert message.value == "at the published setting"
+    for name, value in (("gain", 5.0), ("rate", 1000.0), ("order", 2), ("floor", "colored")):
+        before = picture.value
+        controls[name].value = value
+        assert picture.value != before
+        assert message.value == "moved from the published setting"
+    reset.click()
+    assert {name: control.value for name, control in controls.items()} == {
+        name: control.published for name, control in CONTROLS.items()
+    }
+    assert picture.value == at_home
+    assert message.value == "at the published setting"
+
+
+def test_each_control_shows_its_name_unit_and_published_value():
+    box = explore(draw, **CONTROLS)
+    controls = parts(box)[0]
+    assert controls["gain"].description == "gain (V)"
+    assert [row.children[1].value for row in box.children[:4]] == [
+        "published: 2.0",
+        "published: 100.0",
+        "published: 3",
+        "published: flat",
+    ]
+    assert isinstance(controls["order"], ipywidgets.IntSlider)
+    assert isinstance(controls["rate"], ipywidgets.FloatLogSlider)
+    assert (controls["rate"].min, controls["rate"].max) == (0, 4)
+
+
+def test_a_fractional_setting_gets_a_fractional_slider():
+    assert isinstance(Slider(0, 1, published=0.5).widget("x"), ipywidgets.FloatSlider)
+    assert Slider(0, 1, published=0.5).widget("x").step == pytest.approx(0.02)
+    assert Slider(0, 1, published=0.5, step=0.1).widget("x").step == 0.1
+
+
+def test_an_impossible_setting_says_why_and_keeps_the_last_picture():
+    controls, _, message, picture = parts(explore(draw, **CONTROLS))
+    before = picture.value
+    controls["gain"].value = 10.0
+    assert message.value == "no picture: gain is too high; give &lt;9"
+    assert picture.value == before
+    controls["gain"].value = 3.0
+    assert picture.value != before
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Slider(0, 1, published=2), "published is 2; .*at most 1"),
+        (lambda: Slider(0, 1, published=0.5, log=True), "low is 0; .*above 0"),
+        (lambda: Choice(("flat", "colored"), "flt"), "did you mean 'flat'"),
+    ],
+)
+def test_a_published_setting_must_be_on_the_control(make, message):
+    with pytest.raises(InputError, match=message):
+        make()

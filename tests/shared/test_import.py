@@ -1,0 +1,21 @@
+import subprocess
+import sys
+
+import pytest
+
+HEAVY = ("numba", "matplotlib", "pandas", "control", "scipy", "cvxpy", "numpy", "papermill")
+
+
+@pytest.mark.parametrize(
+    ("module", "allowed"),
+    [
+        ("stillwork", ()),
+        ("stillwork.page", ("numpy",)),
+        ("stillwork.explore", ("numpy",)),
+        ("stillwork.workbook.build", ("numpy",)),
+    ],
+)
+def test_an_import_loads_no_more_than_it_needs(module, allowed):
+    script = f"import sys, {module}\nprint([name for name in {HEAVY} if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == str(list(allowed))

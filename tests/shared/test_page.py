@@ -1,0 +1,75 @@
+import json
+
+import pytest
+from stillwork import figures, paths
+from stillwork.checks import InputError
+from stillwork.page import Page
+
+LEDGER = """\
+[motion.gain]
+place = "Table 1"
+quantity = "gain"
+unit = ""
+published = 2.0
+kind = "value"
+tolerance = { relative = 0.01, source = "digits" }
+"""
+
+
+@pytest.fixture
+def workbook(tmp_path, monkeypatch):
+    monkeypatch.setenv("STILLWORK_ROOT", str(tmp_path))
+    file = tmp_path / "data" / "motion" / "published.toml"
+    file.parent.mkdir(parents=True)
+    file.write_text(LEDGER, encoding="utf-8")
+    return tmp_path
+
+
+def drawing():
+    figure, axes = figures.new()
+    axes.plot([1, 2], label="line")
+    axes.set_xlabel("time (s)")
+    return figure
+
+
+def test_in_jupyter_it_writes_below_build(workbook):
+    saved = Page("motion/01-x").save("fig-1", drawing())
+    folder = workbook / "build" / "interactive" / "motion" / "01-x"
+    assert saved.path == folder / "fig-1"
+    assert sorted(file.name for file in folder.iterdir()) == ["fig-1.csv", "fig-1.png"]
+
+
+def test_in_a_build_it_writes_where_the_runner_says(workbook, monkeypatch, tmp_path):
+    monkeypatch.setenv("STILLWORK_OUTPUT", str(tmp_path / "given"))
+    page = Page("motion/01-x")
+    page.save("fig-1", drawing())
+    assert page.check("motion.gain", 2.01) == "replicated"
+    assert page.check("motion.gain", 2.5, interval=(2.4, 2.6)) == "deviates"
+    folder = tmp_path / "given" / "motion" / "01-x"
+    assert sorted(file.name for file in folder.iterdir()) == ["claims.json", "fig-1.csv", "fig-1.png"]
+    assert json.loads((folder / "claims.json").read_text()) == {
+        "motion.gain": {"ours": 2.5, "interval": [2.4, 2.6]}
+    }
+    assert "deviates" in repr(page.claims)
+    assert not (workbook / "build").exists()
+
+
+@pytest.mark.parametrize("name", ["motion", "moton/01-x", "motion/", ""])
+def test_a_page_has_a_room_and_a_name(name):
+    with pytest.raises(InputError, match="give 'room/name'"):
+        Page(name)
+
+
+def test_two_pages_do_not_share_claims(workbook):
+    first, second = Page("motion/01-x"), Page("motion/02-y")
+    first.check("motion.gain", 2.0)
+    assert second.claims.claims == []
+
+
+def test_the_root_is_the_checkout_or_what_the_variable_says(workbook, monkeypatch, tmp_path):
+    assert paths.root() == workbook
+    monkeypatch.setenv("STILLWORK_ROOT", str(tmp_path / "nowhere"))
+    with pytest.raises(FileNotFoundError, match="set STILLWORK_ROOT"):
+        paths.root()
+    monkeypatch.delenv("STILLWORK_ROOT")
+    assert (paths.root() / "lib" / "stillwork").is_dir()

@@ -1,0 +1,181 @@
+"""`tests/committed` passes on an accepted workbook and notices what differs."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from workbook import toy as toys
+
+pytestmark = pytest.mark.slow
+
+ROOT = Path(__file__).parents[2]
+NAME = "isolation/01-first"
+README = "# Toy\n\n<!-- ledger:begin -->\n<!-- ledger:end -->\n"
+
+
+def git(toy, *arguments):
+    identity = ["-c", "user.name=toy", "-c", "user.email=toy@example.org"]
+    subprocess.run(["git", "-C", str(toy.root), *identity, *arguments], check=True, capture_output=True)
+
+
+def pytest_on(toy, *arguments) -> subprocess.CompletedProcess:
+    environment = toy.environment() | {"STILLWORK_ROOT": str(toy.root)}
+    if "--nbval" in arguments:
+        environment["STILLWORK_OUTPUT"] = str(toy.root / "build" / "nbval")
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--color=no", *arguments]
+    return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
+
+
+def failed(done) -> set[str]:
+    """Names of the failed tests, without their parameters."""
+    return set(re.findall(r"^(?:FAILED|ERROR) \S*?::(?:\w+::)?(\w+)", done.stdout, re.MULTILINE))
+
+
+@pytest.fixture(scope="module")
+def accepted(tmp_path_factory):
+    """A workbook of one notebook: built at a commit, accepted, run again by nbval."""
+    toy = toys.make(tmp_path_factory.mktemp("accepted"))
+    toy.add_page(NAME)
+    cells = toy.root / f"notebooks/{NAME}.ipynb"
+    end = ', {"cell_type": "markdown", "id": "end", "metadata": {}, "source": "All agrees."}]}'
+    cells.write_text(cells.read_text().removesuffix("]}") + end)
+    (toy.root / "data/motion/published.toml").unlink()
+    (toy.root / "environment.txt").write_text("")
+    toy.write("README.md", README)
+    toy.write(".gitignore", "build/\n__pycache__/\n")
+    git(toy, "init", "--quiet")
+    git(toy, "add", ".")
+    git(toy, "commit", "--quiet", "-m", "toy")
+    assert toy.run("figures").returncode == 0
+    assert toy.run("accept").returncode == 0
+    done = pytest_on(toy, str(toy.root / "notebooks"), "--nbval", "--nbval-current-env")
+    assert done.returncode == 0, done.stdout
+    yield toy
+    toys.clean_up(toy)
+
+
+@pytest.fixture
+def toy(accepted):
+    """The accepted workbook; what a test does to it is undone."""
+    before = accepted.files("figures", "data", "notebooks", "build/nbval") | {
+        "README.md": (accepted.root / "README.md").read_bytes()
+    }
+    yield accepted
+    for folder in ("figures", "data", "notebooks", "build/nbval"):
+        for file in (accepted.root / folder).rglob("*"):
+            if file.is_file() and file.relative_to(accepted.root).as_posix() not in before:
+                file.unlink()
+    for name, content in before.items():
+        (accepted.root / name).write_bytes(content)
+
+
+def test_an_accepted_workbook_passes(toy):
+    done = pytest_on(toy, "tests/committed")
+    assert done.returncode == 0, done.stdout
+    assert "skipped" not in done.stdout
+
+
+def test_nbval_notices_another_output(toy):
+    toy.replace(f"notebooks/{NAME}.ipynb", "'replicated'", "'deviates'")
+    done = pytest_on(toy, str(toy.root / "notebooks"), "--nbval", "--nbval-current-env")
+    assert done.returncode == 1
+    assert "1 failed" in done.stdout
+
+
+def move_a_number(toy):
+    file = toy.root / f"figures/{NAME}/fig-1.csv"
+    lines = file.read_text().splitlines()
+    *start, y, z = lines[2].split(",")
+    lines[2] = ",".join([*start, str(float(y) + 0.01), z])
+    file.write_text("\n".join(lines) + "\n")
+
+
+def round_a_number(toy):
+    """What another machine may do."""
+    file = toy.root / f"figures/{NAME}/fig-1.csv"
+    lines = file.read_text().splitlines()
+    *start, y, z = lines[2].split(",")
+    lines[2] = ",".join([*start, str(float(y) * (1 + 1e-5)), z])
+    file.write_text("\n".join(lines) + "\n")
+
+
+def drop_a_figure(toy):
+    (toy.root / f"figures/{NAME}/fig-1.csv").unlink()
+    toy.write(f"figures/{NAME}/fig-2.csv", "panel,series,x,y,z\n")
+
+
+def move_the_accepted_value(toy):
+    toy.replace("data/isolation/published.toml", "ours = 2.0", "ours = 2.01")
+
+
+def add_an_entry(toy):
+    ledger = toy.root / "data/isolation/published.toml"
+    ledger.write_text(ledger.read_text() + toys.LEDGER.format(room="isolation").replace(".gain", ".other"))
+
+
+def deviate(toy):
+    toy.replace("data/isolation/published.toml", "published = 2.0", "published = 2.5")
+
+
+def edit_the_readme(toy):
+    toy.replace("README.md", "| `isolation` | 1 |", "| `isolation` | 2 |")
+
+
+def forget_the_outputs(toy):
+    toy.add_page(NAME)
+
+
+def rename_the_page(toy):
+    toy.replace(f"notebooks/{NAME}.ipynb", "Page('isolation/01-first')", "Page('isolation/01-frst')")
+
+
+def define_a_function(toy):
+    toy.replace(f"notebooks/{NAME}.ipynb", "page.claims", "def f(): pass")
+
+
+def change_a_pin(toy):
+    toy.replace(f"figures/{NAME}/provenance.json", '"environment_sha256": "', '"environment_sha256": "0')
+
+
+LEDGER, FRESH = (
+    "test_every_entry_is_built_accepted_and_explained",
+    "test_a_fresh_run_finds_the_accepted_value_and_verdict",
+)
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (round_a_number, set()),
+        (move_a_number, {"test_a_fresh_run_plots_the_committed_numbers"}),
+        (
+            drop_a_figure,
+            {
+                "test_every_figure_was_rebuilt_and_every_rebuilt_one_is_committed",
+                "test_every_table_has_its_picture",
+                "test_a_fresh_run_plots_the_committed_numbers",
+            },
+        ),
+        (move_the_accepted_value, {LEDGER, FRESH}),
+        (add_an_entry, {LEDGER, "test_the_readme_shows_the_ledger_as_it_is"}),
+        (deviate, {LEDGER, "test_the_readme_shows_the_ledger_as_it_is"}),
+        (edit_the_readme, {"test_the_readme_shows_the_ledger_as_it_is"}),
+        (
+            forget_the_outputs,
+            {
+                "test_was_accepted_with_clean_text_outputs",
+                "test_begins_with_a_title_and_ends_with_words",
+                "test_its_file_is_the_one_that_accept_writes",
+            },
+        ),
+        (rename_the_page, {"test_its_page_is_named_after_its_file"}),
+        (define_a_function, {"test_defines_no_algorithm"}),
+        (change_a_pin, {"test_figures_come_from_a_commit_and_the_pinned_environment"}),
+    ],
+)
+def test_what_differs_is_noticed(toy, change, expected):
+    change(toy)
+    done = pytest_on(toy, "tests/committed")
+    assert failed(done) == expected, done.stdout

@@ -1,0 +1,110 @@
+"""The environment that make builds on first use: never a half-made one, never a wrong Python."""
+
+import os
+import shutil
+import stat
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+STUB = """\
+#!/bin/sh
+echo "$@" >> calls
+case "$*" in
+    "-m venv --clear .venv") rm -rf .venv && mkdir -p .venv/bin && cp stub .venv/bin/python ;;
+    *"-r environment.txt") test ! -e broken ;;
+    -c*) test ! -e old ;;
+esac
+"""
+
+
+@pytest.fixture
+def checkout(tmp_path):
+    """A folder with the Makefile and a Python that only notes how it was called."""
+    for name in ("Makefile", "environment.txt", "pyproject.toml"):
+        shutil.copy(ROOT / name, tmp_path)
+    stub = tmp_path / "stub"
+    stub.write_text(STUB)
+    stub.chmod(stub.stat().st_mode | stat.S_IEXEC)
+    return tmp_path
+
+
+def make(checkout, *arguments):
+    clean = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")}
+    command = ["make", "PYTHON=./stub", *arguments]
+    return subprocess.run(command, cwd=checkout, env=clean, capture_output=True, text=True)
+
+
+def calls(checkout) -> list[str]:
+    """Calls since the last look."""
+    log = checkout / "calls"
+    lines = log.read_text().splitlines() if log.exists() else []
+    log.unlink(missing_ok=True)
+    return [line for line in lines if not line.startswith("-c")]
+
+
+MADE = ["-m venv --clear .venv", "pip install -r", "pip install -e"]
+
+
+def short(lines: list[str]) -> list[str]:
+    """Calls without pip's options."""
+    kept = []
+    for line in lines:
+        if "pip install" in line:
+            line = "pip install -r" if "--require-hashes -r environment.txt" in line else "pip install -e"
+        kept.append(line)
+    return kept
+
+
+def test_the_first_use_makes_the_environment_and_the_next_does_not(checkout):
+    assert make(checkout, "figures", "ARGS=isolation -p seed=3").returncode == 0
+    assert short(calls(checkout)) == [*MADE, "-m stillwork figures isolation -p seed=3"]
+    assert make(checkout, "doctor").returncode == 0
+    assert short(calls(checkout)) == ["-m stillwork doctor"]
+
+
+def test_a_half_made_environment_is_made_again(checkout):
+    (checkout / "broken").touch()
+    assert make(checkout, "figures").returncode != 0
+    assert short(calls(checkout)) == MADE[:2]
+    (checkout / "broken").unlink()
+    assert make(checkout, "figures").returncode == 0
+    assert short(calls(checkout)) == [*MADE, "-m stillwork figures"]
+
+
+def test_another_pin_makes_the_environment_again(checkout):
+    make(checkout, "figures")
+    calls(checkout)
+    later = (checkout / ".venv" / "complete").stat().st_mtime + 10
+    os.utime(checkout / "environment.txt", (later, later))
+    assert make(checkout, "figures").returncode == 0
+    assert short(calls(checkout))[:3] == MADE
+
+
+def test_another_python_is_refused(checkout):
+    (checkout / "old").touch()
+    done = make(checkout, "figures")
+    assert done.returncode != 0
+    assert "./stub is not a Python 3.11, 3.12 or 3.13; name one: make PYTHON=" in done.stdout
+    assert calls(checkout) == []
+
+
+def test_an_environment_of_ones_own_is_left_alone(checkout):
+    own = checkout / "own" / "bin"
+    own.mkdir(parents=True)
+    shutil.copy(checkout / "stub", own / "python")
+    assert make(checkout, f"ENVIRONMENT={own.parent}", "figures").returncode == 0
+    assert calls(checkout) == ["-m stillwork figures"]
+    assert not (checkout / ".venv").exists()
+
+
+def test_help_lists_every_target(checkout):
+    shown = make(checkout, "help").stdout
+    targets = next(
+        line for line in (ROOT / "Makefile").read_text().splitlines() if line.startswith(".PHONY:")
+    )
+    assert {line.split()[1] for line in shown.splitlines()} == set(targets.split()[1:])
+    assert calls(checkout) == []
