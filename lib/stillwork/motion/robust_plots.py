@@ -29,7 +29,7 @@ def state_errors(scan: Scan, truth: np.ndarray, estimates: Mapping[str, np.ndarr
     truth : ndarray, shape (states, samples)
     estimates : mapping of str to ndarray, shape (states, samples)
     """
-    from matplotlib.ticker import SymmetricalLogLocator
+    from matplotlib.ticker import FixedLocator
 
     figure, axes = figures.new(3, 2, sharex=True)
     time = scan.setpoint.time
@@ -41,7 +41,7 @@ def state_errors(scan: Scan, truth: np.ndarray, estimates: Mapping[str, np.ndarr
             error = (truth[k] - estimate[k]) * factor
             axis.plot(time, error, label=name, color=COLOURS.get(name), linewidth=0.9)
         axis.set_yscale("symlog", linthresh=10.0)
-        axis.yaxis.set_major_locator(SymmetricalLogLocator(base=1000.0, linthresh=10.0))
+        axis.yaxis.set_major_locator(FixedLocator([-1e9, -1e6, -1e3, 0.0, 1e3, 1e6, 1e9]))
         for edge in scan.setpoint.scan:
             axis.axvline(edge, color=figures.BLACK, linewidth=0.8)
         axis.set_title(mode)
