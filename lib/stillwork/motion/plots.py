@@ -132,6 +132,8 @@ def rejections(
     sources : sequence of str
         Inputs of `closed_loop`.
     """
+    from matplotlib.ticker import NullFormatter
+
     rows = (len(sources) + 1) // 2
     figure, axes = figures.new(rows, 2, sharex=True, squeeze=False)
     names = {"u_ff": "$u_{ff}$", "w": "$w$", "v": "$v$", "d": "$d$", "r": "$r$"}
@@ -148,7 +150,8 @@ def rejections(
         axis.set_axis_off()
     for axis in axes[-1]:
         axis.set_xlabel("frequency (Hz)")
-    axes[0, 0].legend(loc="lower center", fontsize=7)
+        axis.xaxis.set_minor_formatter(NullFormatter())
+    axes[0, 0].legend(loc="best", fontsize=7)
     return figure
 
 
