@@ -132,6 +132,8 @@ def rejections(
     sources : sequence of str
         Inputs of `closed_loop`.
     """
+    from matplotlib.ticker import NullFormatter
+
     rows = (len(sources) + 1) // 2
     figure, axes = figures.new(rows, 2, sharex=True, squeeze=False)
     names = {"u_ff": "$u_{ff}$", "w": "$w$", "v": "$v$", "d": "$d$", "r": "$r$"}
@@ -140,6 +142,7 @@ def rejections(
             response = channel(loop, source, "e_true").frequency_response(omega)[0, 0]
             # The differences are local: the first case lies broad and grey below the others.
             style = {"color": figures.GREY, "linewidth": 2.5} if number == 0 else {"linewidth": 1.0}
+            style["linestyle"] = "--" if number > 1 else "-"
             axis.semilogx(omega / (2 * np.pi), decibel(response), label=label, **style)
         axis.set_title(f"{names[source]} to $e_{{true}}$")
         axis.set_ylabel("dB re 1 m/N" if source in ("u_ff", "w") else "dB")
@@ -147,7 +150,8 @@ def rejections(
         axis.set_axis_off()
     for axis in axes[-1]:
         axis.set_xlabel("frequency (Hz)")
-    axes[0, 0].legend(loc="lower center", fontsize=7)
+        axis.xaxis.set_minor_formatter(NullFormatter())
+    axes[0, 0].legend(loc="best", fontsize=7)
     return figure
 
 
@@ -264,6 +268,8 @@ def draw_feedforward(acceleration_kg: float, snap: float, bandwidth_hz: float):
 
 def draw_cumulative(power: Mapping[str, CumulativePower], low_hz: float = 1.0):
     """Cumulative power of the measured and of the true error above `low_hz`, nm^2."""
+    from matplotlib.ticker import NullFormatter
+
     figure, axes = figures.new(1, 2, height=3.2, sharey=True)
     for label, each in power.items():
         shown = each.omega >= 2 * np.pi * low_hz
@@ -272,6 +278,7 @@ def draw_cumulative(power: Mapping[str, CumulativePower], low_hz: float = 1.0):
     for axis, title in zip(axes, ("measured error $e_{meas}$", "true error $e_{true}$"), strict=True):
         axis.set_title(title)
         axis.set_xlabel("frequency (Hz)")
+        axis.xaxis.set_minor_formatter(NullFormatter())
     axes[0].set_ylabel("cumulative power (nm²)")
     axes[0].legend(loc="upper left")
     return figure
