@@ -48,6 +48,9 @@ def require_number(
     )
     hint = f"give a finite number{' ' + wanted if wanted else ''}"
     try:
+        # float() takes a flag for a number, and numpy's complex numbers without their imaginary part.
+        if isinstance(value, bool | np.bool_ | np.complexfloating):
+            raise TypeError
         number = float(value)
     except (TypeError, ValueError):
         raise InputError(f"{name} is {value!r}, not a number; {hint}") from None
@@ -93,7 +96,12 @@ def require_array(
         Type of the returned array.
     """
     try:
-        array = np.ascontiguousarray(value, dtype=dtype)
+        given = np.asarray(value)
+        if given.dtype.kind == "c" and np.dtype(dtype).kind != "c":
+            raise InputError(f"{name} is complex; give real numbers, such as the real part or the magnitude")
+        array = np.ascontiguousarray(given, dtype=dtype)
+    except InputError:
+        raise
     except (TypeError, ValueError):
         raise InputError(f"{name} is not an array of numbers; give a rectangular array") from None
     if np.ndim(value) == 0:

@@ -35,7 +35,9 @@ def test_a_finite_number_passes_unchanged(value):
     assert require_number("x", np.float64(value)) == value
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, "three", None, [1.0, 2.0]])
+@pytest.mark.parametrize(
+    "value", [np.nan, np.inf, -np.inf, "three", None, [1.0, 2.0], True, np.True_, 1j, np.complex128(1 + 1j)]
+)
 def test_what_is_no_finite_number_is_refused(value):
     with pytest.raises(InputError, match=r"x is .*give a finite number"):
         require_number("x", value)
@@ -99,6 +101,8 @@ def test_the_first_bad_entry_is_named(value, data):
     [
         ([[1.0], [2.0, 3.0]], {}, "x is not an array of numbers"),
         (["a"], {}, "x is not an array of numbers"),
+        ([1j], {}, "x is complex; give real numbers"),
+        (np.ones(2, complex), {}, "x is complex; give real numbers"),
         ([1.0], {"ndim": 2}, r"x has shape \(1,\); give an array with 2 axes"),
         (1.0, {"ndim": 1}, r"x has shape \(\); give an array with 1 axes"),
         (np.zeros((2, 3)), {"shape": (2, 4)}, r"x has shape \(2, 3\); give 2 x 4"),
