@@ -160,6 +160,10 @@ def test_assign_keeps_what_differs_and_drops_who_has_none(workbook):
     assert [changed for _, changed in assign(select(), {})] == [{}, {}]
     with pytest.raises(InputError, match="did you mean 'runs'"):
         assign(select(), {"run": "3"})
+    with pytest.raises(InputError, match="'forgetting'; it has seed, rate$"):
+        assign(select("motion/01-x"), {"forgetting": "3"})
+    with pytest.raises(InputError, match="'forgetting'; they have seed, rate, runs$"):
+        assign(select(), {"forgetting": "3"})
 
 
 def test_one_differs_from_true_and_from_a_float(workbook):

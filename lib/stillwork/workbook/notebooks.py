@@ -97,12 +97,15 @@ def assign(notebooks: list[Notebook], settings: dict[str, str]) -> list[tuple[No
     InputError
         When no notebook has a parameter of that name, or its type is another.
     """
-    known = {name for notebook in notebooks for name in notebook.parameters}
+    known = list(dict.fromkeys(name for notebook in notebooks for name in notebook.parameters))
     for name in settings:
         if name not in known:
             where = notebooks[0].name if len(notebooks) == 1 else "no notebook here"
             has = "has no" if len(notebooks) == 1 else "has a"
-            raise InputError(f"{where} {has} parameter {name!r}{nearest(name, known)}")
+            hint = nearest(name, known)
+            if known and not hint:
+                hint = f"; {'it has' if len(notebooks) == 1 else 'they have'} {', '.join(known)}"
+            raise InputError(f"{where} {has} parameter {name!r}{hint}")
     chosen = []
     for notebook in notebooks:
         mine = {name: text for name, text in settings.items() if name in notebook.parameters}
