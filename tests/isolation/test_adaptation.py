@@ -5,7 +5,14 @@ from hypothesis import strategies as st
 from naive import adaptation as naive
 from stillwork.checks import InputError
 from stillwork.isolation.adaptation import FeLms, FeRls, _felms_update, _ferls_update
-from stillwork.isolation.online import Stepper, UnstableAdaptation, adapt, identify, steady_covariance
+from stillwork.isolation.online import (
+    Stepper,
+    UnstableAdaptation,
+    _require_settings,
+    adapt,
+    identify,
+    steady_covariance,
+)
 
 FORGETTING = 0.99
 PRINTED = {"forgetting": FORGETTING, "growth_limit": np.inf}
@@ -213,8 +220,53 @@ def test_stepper_reports_instability():
 
 
 @pytest.mark.parametrize(
+    ("settings", "regressor", "error"),
+    [
+        (FeLms(step_size=1e300), [1.0, 1.0], [1e100]),
+        (FeRls(1.0), [1e200, 1.0], [1.0]),
+        (FeRls(1.0), [1.0, 1.0], [-1.7e308]),
+    ],
+)
+def test_stepper_keeps_its_state_when_the_update_cannot_be_used(settings, regressor, error):
+    stepper = Stepper(settings, np.full((1, 2), 1.7e308))
+    weights = stepper.weights.copy()
+    covariance = None if stepper.covariance is None else stepper.covariance.copy()
+    with pytest.raises(UnstableAdaptation):
+        stepper.step(regressor, error)
+    np.testing.assert_array_equal(stepper.weights, weights)
+    if covariance is not None:
+        np.testing.assert_array_equal(stepper.covariance, covariance)
+    assert stepper.samples == 0
+
+
+def test_stepper_hands_out_a_copy():
+    stepper = Stepper(FeLms(), np.zeros((1, 2)))
+    stepper.step([1.0, 1.0], [1.0])[:] = np.inf
+    assert np.all(np.isfinite(stepper.weights))
+
+
+@pytest.mark.parametrize(("settings", "burst"), [(FeLms(step_size=1e300), 1.0), (FeRls(1.0), 1e200)])
+def test_replay_and_stepper_name_the_same_sample(settings, burst):
+    regressors, errors = np.random.default_rng(0).standard_normal((2, 50)), np.zeros((1, 50))
+    regressors[:, 37] *= burst
+    errors[0, 37] = 1e300
+    with pytest.raises(UnstableAdaptation) as replayed:
+        adapt(settings, regressors, errors)
+    stepper = Stepper(settings, np.zeros((1, 2)))
+    with pytest.raises(UnstableAdaptation) as stepped:
+        for psi, e in zip(regressors.T, errors.T, strict=True):
+            stepper.step(psi, e)
+    assert replayed.value.sample == stepped.value.sample == 37
+    assert str(replayed.value) == str(stepped.value)
+
+
+@pytest.mark.parametrize(
     ("call", "message"),
     [
+        (lambda: FeRls(1.0, True), "forgetting is True, not a number"),
+        (lambda: FeRls(np.array([1.0 + 1j])), "initial_covariance is complex"),
+        # What adapt, identify and Stepper ask; under test the type checker would answer before them.
+        (lambda: _require_settings("rls"), "settings is 'rls'; give FeLms"),
         (lambda: FeRls(1.0, 1.2), "forgetting is 1.2; give a finite number above 0 and at most 1"),
         (lambda: FeRls(1.0, 0.0), "forgetting is 0"),
         (lambda: FeRls(1.0, np.nan), "forgetting is nan"),

@@ -15,7 +15,7 @@ RUNAWAY = 1e6
 
 
 class UnstableAdaptation(ArithmeticError):
-    """The adaptation diverged; says in which sample, why, and what to do.
+    """The adaptation, or the loop around it, diverged; says in which sample, why, and what to do.
 
     Attributes
     ----------
@@ -25,8 +25,8 @@ class UnstableAdaptation(ArithmeticError):
         What was seen.
     """
 
-    def __init__(self, sample: int, cause: str, advice: str):
-        super().__init__(f"the adaptation became unstable at sample {sample}: {cause}; {advice}")
+    def __init__(self, sample: int, cause: str, advice: str, what: str = "the adaptation"):
+        super().__init__(f"{what} became unstable at sample {sample}: {cause}; {advice}")
         self.sample = sample
         self.cause = cause
 
@@ -132,15 +132,15 @@ class Stepper:
     Attributes
     ----------
     weights : ndarray, shape (actuators, n)
-        W, updated in place.
+        W after the last sample that could be used.
     covariance : ndarray, shape (n, n), or None
-        P, updated in place; None for FeLMS.
+        P after the same sample; None for FeLMS.
     samples : int
         How many samples were seen.
     """
 
     def __init__(self, settings: FeLms | FeRls, weights: ArrayLike):
-        self.settings = settings
+        self.settings = _require_settings(settings)
         self.weights = require_array("weights", weights, ndim=2).copy()
         self.covariance, self._limits = None, None
         if isinstance(settings, FeRls):
@@ -149,33 +149,39 @@ class Stepper:
         self.samples = 0
 
     def step(self, regressor: ArrayLike, error: ArrayLike) -> Float64[np.ndarray, "actuators n"]:
-        """Take in psi_N, shape (n,), and e, shape (actuators,), of one sample; returns the new weights.
+        """Take in psi_N, shape (n,), and e, shape (actuators,), of one sample; returns a copy of the new weights.
+
+        After an exception weights and covariance are those of the sample before: safe to hold or to fade out.
 
         Raises
         ------
         InputError
-            Wrong shape or NaN; the weights are as before.
+            Wrong shape or NaN.
         UnstableAdaptation
             The update could not be used.
         """
         actuators, n = self.weights.shape
         regressor = require_array("regressor", regressor, shape=(n,))
         error = require_array("error", error, shape=(actuators,))
-        settings = self.settings
+        settings, weights, covariance = self.settings, self.weights.copy(), None
         if isinstance(settings, FeRls):
-            gain, limits = self._gain, self._limits
-            covariance, forgetting = self.covariance, settings.forgetting
-            leverage = _ferls_update(self.weights, covariance, regressor, error, forgetting, limits, gain)
+            covariance, forgetting = self.covariance.copy(), settings.forgetting
+            leverage = _ferls_update(
+                weights, covariance, regressor, error, forgetting, self._limits, self._gain
+            )
             if not leverage >= forgetting:
                 raise _not_definite(self.samples)
+            if not (leverage < np.inf and _all_finite(covariance)):
+                raise _runaway(self.samples, settings)
         else:
             copies = settings.trace_copies(actuators)
             step_size, regularisation = settings.step_size, settings.regularisation
-            _felms_update(self.weights, regressor, error, step_size, regularisation, copies)
-        if not np.all(np.isfinite(self.weights)):
+            _felms_update(weights, regressor, error, step_size, regularisation, copies)
+        if not _all_finite(weights):
             raise _runaway(self.samples, settings)
+        self.weights, self.covariance = weights, covariance
         self.samples += 1
-        return self.weights
+        return weights.copy()
 
 
 def steady_covariance(regressors: ArrayLike, forgetting: float) -> Float64[np.ndarray, "n n"]:
@@ -209,7 +215,14 @@ def steady_covariance(regressors: ArrayLike, forgetting: float) -> Float64[np.nd
     return (1 - forgetting) * (inverse + inverse.T) / 2
 
 
+def _require_settings(settings) -> FeLms | FeRls:
+    if not isinstance(settings, FeLms | FeRls):
+        raise InputError(f"settings is {settings!r}; give FeLms(...) or FeRls(...)")
+    return settings
+
+
 def _run(settings, regressors, name, signals, weights, every) -> Adaptation:
+    settings = _require_settings(settings)
     regressors = require_array("regressors", regressors, ndim=2)
     signals = require_array(name, signals, ndim=2)
     n, samples = regressors.shape
@@ -244,7 +257,7 @@ def _run(settings, regressors, name, signals, weights, every) -> Adaptation:
     else:
         rates = settings.step_size, settings.regularisation, settings.trace_copies(actuators)
         stopped = _run_felms(weights, *rates, *inputs)
-    if stopped < samples or not np.all(np.isfinite(weights)):
+    if stopped < samples:
         raise _runaway(stopped, settings)
     return Adaptation(weights, covariance, every * np.arange(1, len(history) + 1), history)
 
@@ -279,6 +292,16 @@ def _error_of(weights, regressor, disturbance, error):
 
 
 @kernel
+def _all_finite(matrix):
+    """Without leaving early, so that the compiler compares several elements at once."""
+    bad = 0
+    for i in range(matrix.shape[0]):
+        for j in range(matrix.shape[1]):
+            bad += not abs(matrix[i, j]) < np.inf
+    return bad == 0
+
+
+@kernel
 def _keep(weights, entry):
     """Copy, in loops: assigning whole arrays takes the compiler two seconds."""
     for a in range(weights.shape[0]):
@@ -298,6 +321,8 @@ def _run_ferls(weights, covariance, forgetting, limits, regressors, signals, fit
         leverage = _ferls_update(weights, covariance, regressors[k], error, forgetting, limits, gain)
         if not leverage >= forgetting:
             return k, False
+        if not (leverage < np.inf and _all_finite(covariance) and _all_finite(weights)):
+            return k, True
         if k == due:
             _keep(weights, history[k // every])
             due += every
@@ -316,6 +341,8 @@ def _run_felms(
         elif not _error_of(weights, regressors[k], signals[k], error) <= ceiling:
             return k
         _felms_update(weights, regressors[k], error, step_size, regularisation, trace_copies)
+        if not _all_finite(weights):
+            return k
         if k == due:
             _keep(weights, history[k // every])
             due += every
