@@ -126,6 +126,24 @@ def test_divergence_is_reported_with_sample_and_cause():
     assert np.all(np.isfinite(run.command)) and np.abs(run.command).max() <= 1000
 
 
+@pytest.mark.parametrize(
+    ("gain", "options", "message"),
+    [
+        (1e5, {}, r"^the skyhook loop became unstable.* give the skyhook a smaller gain$"),
+        (
+            1.0,
+            {"weights": np.full((6, 9), 1e6)},
+            r"^the loop with the given weights became .*smaller weights",
+        ),
+        (1.0, {"adaptation": FeLms(step_size=0.5)}, r"^the adaptation became .* smaller step_size, better"),
+        (1.0, {"adaptation": FeRls(1e8, 0.999)}, r"^the adaptation became .* smaller initial_covariance, b"),
+    ],
+)
+def test_divergence_blames_what_moved_the_platform(gain, options, message):
+    with pytest.raises(UnstableAdaptation, match=message):
+        simulate(RIGS["fitted"].varied(gain=gain), flat_floor(80.0), 30.0, **options)
+
+
 def test_a_floor_that_is_not_a_number_stops_at_once():
     floor = record(RIGS["fitted"])
     object.__setattr__(floor, "acceleration", np.where(np.arange(SAMPLES) == 400, np.nan, floor.acceleration))
@@ -137,6 +155,8 @@ def test_a_floor_that_is_not_a_number_stops_at_once():
     ("change", "message"),
     [
         ({"weights": np.zeros((6, 3))}, "weights has shape"),
+        ({"signals_from_s": 50.0}, "signals_from_s is 50 but the run lasts"),
+        ({"signals_from_s": -1.0}, "signals_from_s is -1; give a finite number at least 0"),
         ({"weights": np.full((6, 9), np.nan)}, "weights holds 54 NaN"),
         ({"duration_s": None}, "duration_s is missing"),
         ({"duration_s": -1.0}, "duration_s is -1"),

@@ -123,9 +123,13 @@ def simulate(
         raise InputError(f"duration_s is {duration_s}; give at least one sample")
     start = np.zeros((twin.actuators, twin.regressors)) if weights is None else weights
     start = require_array("weights", start, shape=(twin.actuators, twin.regressors))
-    first = (
-        total if signals_from_s is None else round(require_number("signals_from_s", signals_from_s) * rate)
-    )
+    first = total
+    if signals_from_s is not None:
+        first = round(require_number("signals_from_s", signals_from_s, at_least=0.0) * rate)
+        if first >= total:
+            raise InputError(
+                f"signals_from_s is {signals_from_s:g} but the run lasts {total / rate:g} s; give less"
+            )
 
     code, numbers, covariance = _algorithm(twin, adaptation)
     closed = loop.loop_of(twin, feedback, start, covariance)
@@ -152,7 +156,7 @@ def simulate(
             twin.instruments.force_limit,
         )
         if status != loop.STABLE:
-            raise _unstable(status, done + reached, twin)
+            raise _unstable(status, done + reached, twin, adaptation, start)
         if done + samples > first:
             kept.floor[done - first : done - first + samples] = floor_block
         done += samples
@@ -212,18 +216,23 @@ def _segments(twin: Twin, floor, duration_s) -> list[tuple[int, Floor]]:
     return segments
 
 
-def _unstable(status: int, sample: int, twin: Twin) -> UnstableAdaptation:
+def _unstable(status: int, sample: int, twin: Twin, adaptation, weights) -> UnstableAdaptation:
     if status == loop.INDEFINITE:
         return UnstableAdaptation(
             sample,
             "the covariance is no longer positive definite",
             "start with a smaller initial_covariance or give it a finite growth_limit",
         )
-    return UnstableAdaptation(
-        sample,
-        f"a command exceeds the force limit of {twin.instruments.force_limit:g} N",
-        "start with a smaller initial_covariance or step_size, better weights or a better path estimate",
-    )
+    cause = f"a command exceeds the force limit of {twin.instruments.force_limit:g} N"
+    if adaptation is not None:
+        small = "step_size" if isinstance(adaptation, FeLms) else "initial_covariance"
+        return UnstableAdaptation(
+            sample, cause, f"start with a smaller {small}, better weights or a better path estimate"
+        )
+    if weights.any():
+        advice = "nothing adapts here: give smaller weights, or a smaller skyhook gain"
+        return UnstableAdaptation(sample, cause, advice, "the loop with the given weights")
+    return UnstableAdaptation(sample, cause, "give the skyhook a smaller gain", "the skyhook loop")
 
 
 class _Kept:
