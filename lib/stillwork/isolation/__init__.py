@@ -2,6 +2,7 @@
 
 A run in four lines::
 
+    import numpy as np
     from stillwork.isolation import FeRls, flat_floor, load_twin, simulate, steady_state
 
     twin = load_twin("rigid_body")                  # or "fitted", or the path of a TOML file of the same form

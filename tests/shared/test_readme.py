@@ -1,0 +1,33 @@
+"""What the README tells a reader to type works as it stands there."""
+
+import re
+import shlex
+
+import numpy as np
+import pytest
+
+from stillwork import paths
+from stillwork.__main__ import main
+
+README = (paths.root() / "README.md").read_text(encoding="utf-8")
+SETTINGS = [text for text in re.findall(r'ARGS="([^"]*)"', README) if "-p" in text]
+
+
+def test_the_readme_shows_how_to_set_parameters():
+    assert len(SETTINGS) >= 2
+
+
+@pytest.mark.parametrize("arguments", SETTINGS)
+def test_parameters_exist(arguments, capsys):
+    assert main(["figures", *shlex.split(arguments), "--why"]) == 0
+    assert "never built" in capsys.readouterr().out
+
+
+def test_the_snippet_finds_the_weights_it_announces(capsys):
+    (code,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    exec(code, {})
+    (announced,) = re.findall(r"print\(.*\)\s*# (.*)", code)
+    numbers = [
+        np.array(re.findall(r"-?\d+\.?\d*", text), float) for text in (announced, capsys.readouterr().out)
+    ]
+    np.testing.assert_allclose(numbers[1], numbers[0], atol=1e-3)
