@@ -152,3 +152,14 @@ def test_questions_that_have_no_answer(twin):
         suspension_modes(twin.varied(gain=2000.0))
     with pytest.raises(InputError, match="did you mean 'FeRLS'"):
         record_case(twin, flat_floor(), "FERLS", 1.0, 0)
+
+
+@pytest.mark.parametrize("line", [3, 50, 401, 1999])
+def test_a_drawn_curve_keeps_a_peak_one_line_wide(line):
+    from stillwork.isolation.performance_plots import thinned
+
+    density = np.full(4001, 1e-6)
+    density[line] = 1.0
+    points = thinned(np.arange(4001) * 0.25, density)
+    assert line in points
+    assert len(points) <= 480 and np.all(np.diff(points) > 0)

@@ -99,13 +99,14 @@ def draw_floors(floors: dict[str, ShapedFloor], measured: dict[str, Spectrum], g
     colors = dict(zip(floors, (figures.BLUE, figures.SKY, figures.RED), strict=False))
     for name, spectrum in measured.items():
         inside = (spectrum.frequencies_hz >= 1.0) & (spectrum.frequencies_hz <= 1000)
-        shown = np.flatnonzero(inside)[thinned(spectrum.frequencies_hz[inside])]
+        density = spectrum.density.mean(axis=0)
+        shown = np.flatnonzero(inside)[thinned(spectrum.frequencies_hz[inside], density[inside])]
         axes.loglog(
             spectrum.frequencies_hz[shown],
-            spectrum.density.mean(axis=0)[shown],
+            density[shown],
             color=colors[name],
-            lw=0.6,
-            alpha=0.5,
+            lw=2.5,
+            alpha=0.35,
             label=f"{name}, estimated",
         )
     for name, floor in floors.items():

@@ -55,7 +55,7 @@ def draw_isolated(isolated: Isolated, resolution_hz: float = 0.5):
                 continue  # rounding
             f = spectrum.frequencies_hz
             inside = np.flatnonzero((f >= _SHOWN_HZ[0]) & (f <= _SHOWN_HZ[1]))
-            points = inside[thinned(f[inside])]
+            points = inside[thinned(f[inside], spectrum.density[k, inside])]
             panel.loglog(f[points], spectrum.density[k, points], lw=0.9, color=_COLORS[name], label=name)
         top = max(line.get_ydata().max() for line in panel.lines)
         panel.set(

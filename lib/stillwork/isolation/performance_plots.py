@@ -12,7 +12,7 @@ from stillwork.isolation.twin import load_twin
 _STYLES = {
     "passive": {"color": figures.BLUE, "ls": "--"},
     "feedback": {"color": figures.BLUE},
-    "FeLMS": {"color": figures.GREEN},
+    "FeLMS": {"color": figures.GREEN, "ls": "--", "zorder": 3},  # lies on FeRLS
     "FeRLS": {"color": figures.BLACK},
     "output noise": {"color": figures.RED, "ls": ":"},
 }
@@ -26,24 +26,25 @@ def draw_transmissibility(frequencies_hz: np.ndarray, cases: dict[str, np.ndarra
     Parameters
     ----------
     frequencies_hz : ndarray, shape (frequencies,)
-        Thinned to at most 240 points evenly spaced in the logarithm.
+        Thinned for the figure; peaks are kept.
     cases : dict of str to ndarray, shape (3, 3, frequencies)
         Responses.
     low_db : float
         Lower end of the diagonal panels.
     """
     figure, axes = figures.new(3, 3, height=6.6, sharex=True)
-    shown = thinned(frequencies_hz)
-    f = frequencies_hz[shown]
+    f = frequencies_hz
     units = np.array([["", " (m/rad)", " (m/rad)"], [" (rad/m)", "", ""], [" (rad/m)", "", ""]])
     for i, to in enumerate(DIRECTIONS):
         for j, start in enumerate(DIRECTIONS):
             panel = axes[i, j]
             for name, response in cases.items():
-                size = np.abs(response[i, j][shown])
-                real = size > _ROUNDING
-                if real.any():
-                    panel.semilogx(f[real], 20 * np.log10(size[real]), label=name, lw=0.9, **_STYLES[name])
+                size = np.abs(response[i, j])
+                shown = thinned(f, size)
+                shown = shown[size[shown] > _ROUNDING]
+                if len(shown):
+                    decibels = 20 * np.log10(size[shown])
+                    panel.semilogx(f[shown], decibels, label=name, lw=0.9, **_STYLES[name])
             # An off-diagonal panel takes its scale from the lengths involved: rad/m is large, m/rad small.
             shift = {"": 0.0, " (m/rad)": -25.0, " (rad/m)": 25.0}[units[i, j]]
             panel.set(
@@ -69,8 +70,7 @@ def draw_reduction(frequencies_hz: np.ndarray, reductions: dict[str, np.ndarray]
         dB over the feedback-only case, positive for less vibration.
     """
     figure, axes = figures.new(1, 3, height=2.7, sharey=True)
-    shown = thinned(frequencies_hz)
-    f = frequencies_hz[shown]
+    f = frequencies_hz
     for k, (panel, direction) in enumerate(zip(axes, DIRECTIONS, strict=True)):
         panel.fill_between([3, 200], 20, 40, color=figures.GREY, alpha=0.2, lw=0, label="published, 3-200 Hz")
         for (name, reduction), style in zip(
@@ -78,7 +78,8 @@ def draw_reduction(frequencies_hz: np.ndarray, reductions: dict[str, np.ndarray]
             ({"color": figures.SKY, "lw": 0.8}, {"color": figures.BLACK}, {"color": figures.RED, "ls": "--"}),
             strict=False,
         ):
-            panel.semilogx(f, reduction[k][shown], label=name, **style)
+            shown = thinned(f, reduction[k])
+            panel.semilogx(f[shown], reduction[k][shown], label=name, **style)
         panel.axhline(0, color=figures.GREY, lw=0.8)
         panel.set(title=direction, xlabel="frequency, Hz", ylim=(-15, 65), xlim=(f[0], f[-1]))
     axes[0].set_ylabel("reduction, dB")
@@ -87,7 +88,9 @@ def draw_reduction(frequencies_hz: np.ndarray, reductions: dict[str, np.ndarray]
     return figure
 
 
-def draw_power(frequencies_hz: np.ndarray, densities: dict[str, np.ndarray]):
+def draw_power(
+    frequencies_hz: np.ndarray, densities: dict[str, np.ndarray], published: tuple[float, float, float]
+):
     """Fig. 8: power spectral density of the platform and its running sum from 1 Hz, in z, θx and θy.
 
     Parameters
@@ -96,24 +99,37 @@ def draw_power(frequencies_hz: np.ndarray, densities: dict[str, np.ndarray]):
         Evenly spaced.
     densities : dict of str to ndarray, shape (3, frequencies)
         By case, (m/s^2)^2/Hz and (rad/s^2)^2/Hz.
+    published : tuple of float
+        Published share of the power at 1-300 Hz removed in z, θx, θy, per cent.
     """
     figure, axes = figures.new(2, 3, height=5.0, sharex=True)
     units = ("(m/s²)²", "(rad/s²)²", "(rad/s²)²")
     inside = (frequencies_hz >= BAND_HZ[0]) & (frequencies_hz <= 1000)
     f = frequencies_hz[inside]
-    points = thinned(f)
     for name, density in densities.items():
         running = np.cumsum(density[:, inside], axis=1) * (f[1] - f[0])
         for k in range(3):
-            axes[0, k].loglog(f[points], density[k, inside][points], label=name, lw=0.9, **_STYLES[name])
-            axes[1, k].loglog(f[points], running[k, points], label=name, lw=1.2, **_STYLES[name])
+            for panel, row, width in ((axes[0, k], density[k, inside], 0.9), (axes[1, k], running[k], 1.2)):
+                points = thinned(f, row)
+                panel.loglog(f[points], row[points], label=name, **{"lw": width, **_STYLES[name]})
     for k, direction in enumerate(DIRECTIONS):
         axes[0, k].set(title=f"(a) {direction}", ylabel=f"PSD, {units[k]}/Hz")
         axes[1, k].set(
             title=f"(b) {direction}", ylabel=f"power from 1 Hz, {units[k]}", xlabel="frequency, Hz"
         )
-        axes[1, k].axvline(300, color=figures.GREY, ls=":", lw=1)
-    handles, labels = axes[0, 0].get_legend_handles_labels()
+        before = np.sum(densities["feedback"][k, inside & (frequencies_hz <= BAND_HZ[1])]) * (f[1] - f[0])
+        figures.mark_published(
+            axes[1, k], BAND_HZ[1], before * (1 - published[k] / 100), "published share of feedback at 300 Hz"
+        )
+        axes[1, k].axvline(BAND_HZ[1], color=figures.GREY, ls=":", lw=1)
+        axes[1, k].annotate(
+            f"{published[k]:g} % less\nat 300 Hz",
+            (280, 0.04),
+            xycoords=("data", "axes fraction"),
+            ha="right",
+            fontsize=7,
+        )
+    handles, labels = axes[1, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4)
     return figure
 
@@ -190,9 +206,21 @@ def _coarse() -> np.ndarray:
     return np.geomspace(0.05, 2400, 500)
 
 
-def thinned(frequencies_hz: np.ndarray) -> np.ndarray:
-    """Indices of at most 240 points, evenly spaced in the logarithm."""
+def thinned(frequencies_hz: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Indices that draw a curve over a logarithmic axis without losing a peak, at most 480.
+
+    Of 240 bins even in the logarithm the smallest and the largest value are kept, so that a mains line one bin
+    wide is drawn at its full height.
+
+    Parameters
+    ----------
+    frequencies_hz : ndarray, shape (frequencies,)
+        Increasing; those not above zero are left out.
+    values : ndarray, shape (frequencies,)
+        The curve.
+    """
     positive = np.flatnonzero(frequencies_hz > 0)
     f = frequencies_hz[positive]
-    wanted = np.geomspace(f[0], f[-1], 240)
-    return positive[np.unique(np.clip(np.searchsorted(f, wanted * (1 - 1e-12)), 0, len(f) - 1))]
+    starts = np.unique(np.searchsorted(f, np.geomspace(f[0], f[-1], 240) * (1 - 1e-12)))
+    bins = np.split(positive, starts[1:])
+    return np.unique([pick(values[each]) + each[0] for each in bins for pick in (np.argmin, np.argmax)])
