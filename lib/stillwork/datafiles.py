@@ -1,5 +1,6 @@
 """Named columns of numbers out of CSV, MAT and NPZ files; reading one executes nothing."""
 
+import csv
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +51,13 @@ def _csv(path: Path) -> dict[str, np.ndarray]:
         )
     except (pd.errors.ParserError, UnicodeDecodeError) as error:
         raise InputError(f"{path.name} is not a table ({error}); give rows of equally many numbers") from None
+    if named and len(head) > 1:
+        names = len(_fields(head[0], separator))
+        widest = max(len(_without_empty_end(_fields(line.split("#")[0], separator))) for line in head[1:])
+        if widest > names:  # pandas drops the columns without a name
+            raise InputError(
+                f"{path.name} names {names} columns and holds {widest}; give every column a name, or none"
+            )
     # A separator at the end of every row makes one more, empty column.
     table = table[
         [n for n in table if not (table[n].isna().all() and (not named or n.startswith("Unnamed")))]
@@ -64,6 +72,17 @@ def _csv(path: Path) -> dict[str, np.ndarray]:
             )
         columns[str(name).strip() if named else f"column {number}"] = numbers
     return columns
+
+
+def _fields(line: str, separator: str) -> list[str]:
+    return line.split() if separator == r"\s+" else next(csv.reader([line], delimiter=separator), [])
+
+
+def _without_empty_end(fields: list[str]) -> list[str]:
+    """A separator at the end of a row makes no column."""
+    while fields and not fields[-1].strip():
+        fields = fields[:-1]
+    return fields
 
 
 def _is_number(text: str) -> bool:

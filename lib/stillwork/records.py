@@ -127,7 +127,7 @@ def load_record(
     Raises
     ------
     InputError
-        For an unknown unit or channel, NaN, gaps, uneven time, an implausible or contradictory rate, too short
+        For an unknown unit or channel, NaN, a channel that never moves, gaps, uneven time, an implausible or contradictory rate, too short
         a record or too many channels. The message says what to do.
     """
     path = Path(path)
@@ -157,6 +157,11 @@ def load_record(
         raise InputError(f"{path.name}: channels differ in length ({listing}); choose with channels=[...]")
     for name, column in columns.items():
         _require_whole(f"{path.name}, channel {name}", column, rate)
+        if np.ptp(column) == 0:
+            raise InputError(
+                f"{path.name}, channel {name} stands at {column[0]:.4g} throughout; leave it out with "
+                "channels=[...] or mend the sensor"
+            )
     return Record(np.array(list(columns.values())) * factor, rate, si_unit, tuple(columns), path.name)
 
 

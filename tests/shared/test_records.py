@@ -333,3 +333,27 @@ def test_acceleration_of_a_sine(unit, order, frequency):
     error = np.abs(moved.signals[0] - expected)[500:-500].max() / omega**order
     # The line taken off and the fading leave a little of a dozen periods.
     assert moved.unit == "m/s^2" and error < (1e-12 if order == 0 else 5e-3)
+
+
+def test_a_column_without_a_name_is_refused_with_both_counts(tmp_path):
+    rows = "\n".join(f"{n / 100},{n % 7},{n % 5}" for n in range(400))
+    file = tmp_path / "floor.csv"
+    file.write_text(f"time,a\n{rows}\n")
+    with pytest.raises(InputError, match="names 2 columns and holds 3"):
+        load_record(file, "m/s^2")
+
+
+def test_a_separator_at_the_end_of_every_row_is_no_column(tmp_path):
+    rows = "\n".join(f"{n / 100},{n % 7}," for n in range(400))
+    file = tmp_path / "floor.csv"
+    file.write_text(f"time,a\n{rows}\n")
+    assert load_record(file, "m/s^2").names == ("a",)
+
+
+def test_a_channel_that_never_moves_is_refused(tmp_path):
+    rows = "\n".join(f"{n / 100},{n % 7},9.81" for n in range(400))
+    file = tmp_path / "floor.csv"
+    file.write_text(f"time,a,stuck\n{rows}\n")
+    with pytest.raises(InputError, match="channel stuck stands at"):
+        load_record(file, "m/s^2")
+    assert load_record(file, "m/s^2", channels=["a"]).names == ("a",)
