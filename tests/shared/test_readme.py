@@ -5,7 +5,6 @@ import shlex
 
 import numpy as np
 import pytest
-
 from stillwork import paths
 from stillwork.__main__ import main
 
@@ -20,7 +19,7 @@ def test_the_readme_shows_how_to_set_parameters():
 @pytest.mark.parametrize("arguments", SETTINGS)
 def test_parameters_exist(arguments, capsys):
     assert main(["figures", *shlex.split(arguments), "--why"]) == 0
-    assert "never built" in capsys.readouterr().out
+    assert arguments.split()[0] in capsys.readouterr().out
 
 
 def test_the_snippet_finds_the_weights_it_announces(capsys):
