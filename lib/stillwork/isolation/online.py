@@ -234,11 +234,11 @@ def _run(settings, regressors, name, signals, weights, every) -> Adaptation:
         )
     every = require_count("every", every)
     start = np.zeros((actuators, n)) if weights is None else weights
-    weights = require_array("weights", start, shape=(actuators, n)).copy()
+    start = require_array("weights", start, shape=(actuators, n))
     history = np.empty((samples // every, actuators, n))
     fits = name == "disturbance"
     ceiling = (
-        RUNAWAY * (np.abs(signals).max() + np.abs(signals + weights @ regressors).max()) if samples else 0.0
+        RUNAWAY * (np.abs(signals).max() + np.abs(signals + start @ regressors).max()) if samples else 0.0
     )
     inputs = (
         np.ascontiguousarray(regressors.T),
@@ -248,17 +248,21 @@ def _run(settings, regressors, name, signals, weights, every) -> Adaptation:
         history,
         every,
     )
-    covariance = None
-    if isinstance(settings, FeRls):
-        covariance, limits = settings.start(n)
-        stopped, definite = _run_ferls(weights, covariance, settings.forgetting, limits, *inputs)
-        if not definite:
-            raise _not_definite(stopped)
-    else:
-        rates = settings.step_size, settings.regularisation, settings.trace_copies(actuators)
-        stopped = _run_felms(weights, *rates, *inputs)
-    if stopped < samples:
-        raise _runaway(stopped, settings)
+    # Overflow lasts, so a look at the end tells; only a run that overflowed is repeated to find the sample.
+    for watch in (False, True):
+        weights, covariance = start.copy(), None
+        if isinstance(settings, FeRls):
+            covariance, limits = settings.start(n)
+            stopped, definite = _run_ferls(weights, covariance, settings.forgetting, limits, *inputs, watch)
+            if not definite:
+                raise _not_definite(stopped)
+        else:
+            rates = settings.step_size, settings.regularisation, settings.trace_copies(actuators)
+            stopped = _run_felms(weights, *rates, *inputs, watch)
+        if stopped < samples:
+            raise _runaway(stopped, settings)
+        if np.all(np.isfinite(weights)) and (covariance is None or np.all(np.isfinite(covariance))):
+            break
     return Adaptation(weights, covariance, every * np.arange(1, len(history) + 1), history)
 
 
@@ -310,7 +314,9 @@ def _keep(weights, entry):
 
 
 @kernel
-def _run_ferls(weights, covariance, forgetting, limits, regressors, signals, fits, ceiling, history, every):
+def _run_ferls(
+    weights, covariance, forgetting, limits, regressors, signals, fits, ceiling, history, every, watch
+):
     error, gain = np.empty(signals.shape[1]), np.empty(regressors.shape[1])
     due = every - 1
     for k in range(len(regressors)):
@@ -321,7 +327,7 @@ def _run_ferls(weights, covariance, forgetting, limits, regressors, signals, fit
         leverage = _ferls_update(weights, covariance, regressors[k], error, forgetting, limits, gain)
         if not leverage >= forgetting:
             return k, False
-        if not (leverage < np.inf and _all_finite(covariance) and _all_finite(weights)):
+        if not leverage < np.inf or (watch and not (_all_finite(covariance) and _all_finite(weights))):
             return k, True
         if k == due:
             _keep(weights, history[k // every])
@@ -331,7 +337,17 @@ def _run_ferls(weights, covariance, forgetting, limits, regressors, signals, fit
 
 @kernel
 def _run_felms(
-    weights, step_size, regularisation, trace_copies, regressors, signals, fits, ceiling, history, every
+    weights,
+    step_size,
+    regularisation,
+    trace_copies,
+    regressors,
+    signals,
+    fits,
+    ceiling,
+    history,
+    every,
+    watch,
 ):
     error = np.empty(signals.shape[1])
     due = every - 1
@@ -341,7 +357,7 @@ def _run_felms(
         elif not _error_of(weights, regressors[k], signals[k], error) <= ceiling:
             return k
         _felms_update(weights, regressors[k], error, step_size, regularisation, trace_copies)
-        if not _all_finite(weights):
+        if watch and not _all_finite(weights):
             return k
         if k == due:
             _keep(weights, history[k // every])
