@@ -6,7 +6,7 @@ from naive import adaptation as naive
 from naive import counting
 from stillwork.checks import InputError
 from stillwork.isolation.adaptation import _felms_update, _ferls_update
-from stillwork.isolation.direct import FORMS, average_gain, direct_run, multiplications
+from stillwork.isolation.direct import FORMS, average_gain, direct_run, largest_condition, multiplications
 
 
 def record(n=3, actuators=2, samples=60):
@@ -36,6 +36,14 @@ def test_average_gain_makes_an_average(forgetting, samples):
     for k in {0, samples // 2, samples - 1}:
         assert alpha[k] * sum(forgetting ** (k - j) for j in range(k + 1)) == pytest.approx(1, rel=1e-9)
     assert alpha[0] == pytest.approx(1.0)
+
+
+def test_largest_condition_is_seen_on_the_way():
+    # One direction at a time: after the first sample (1 + 0.01) / 0.01, after the second as good as one.
+    assert largest_condition([[1.0, 0.0], [0.0, 1.0]], 0.01, 1.0) == pytest.approx(101.0)
+    regressors, disturbance = record()
+    last = np.linalg.cond(direct_run("block inverse", regressors, disturbance, 0.1, 0.95).gain)
+    assert largest_condition(regressors, 0.1, 0.95) > last
 
 
 def test_average_gain_falls_to_its_limit():

@@ -87,6 +87,21 @@ def direct_run(
     return DirectRun(history, gain)
 
 
+def largest_condition(regressors: ArrayLike, epsilon: float, forgetting: float) -> float:
+    """Largest condition number of the information matrix of one block on the way, eq. (28).
+
+    The matrix of all parameters repeats the block, so it has the same one.
+    """
+    regressors = require_array("regressors", regressors, ndim=2)
+    require_number("epsilon", epsilon, above=0.0)
+    require_number("forgetting", forgetting, above=0.0, at_most=1.0)
+    information, largest = epsilon * np.eye(len(regressors)), 1.0
+    for psi in regressors.T:
+        information = forgetting * information + np.outer(psi, psi)
+        largest = max(largest, float(np.linalg.cond(information)))
+    return largest
+
+
 def average_gain(forgetting: float, samples: int) -> Float64[np.ndarray, "samples"]:
     """alpha(k) that makes an exponentially weighted sum an average, eq. (22) and (B.4)."""
     require_number("forgetting", forgetting, above=0.0, at_most=1.0)
