@@ -47,28 +47,42 @@ def draw_switches(panels: Mapping[str, Mapping[str, Response]]):
     return figure
 
 
-def draw_settling(studies: Mapping[str, Study]):
-    """Settling times of all weights and of each group, run by run."""
-    figure, axes = figures.new(1, len(studies), height=3.2, sharey=True)
+def draw_settling(
+    studies: Mapping[str, Study], expected: Mapping[str, Mapping[str, Response]], duration_s: float
+):
+    """Settling times of all weights and of each group: run by run, and of the noise-free mean course.
+
+    A run that has not settled at its end `duration_s` is a triangle there: its time is longer, or endless.
+    """
+    figure, axes = figures.new(1, len(studies), height=3.6, sharey=True)
     at = np.arange(len(GROUPS))
     for panel, (title, study) in zip(np.atleast_1d(axes), studies.items(), strict=True):
         for shift, name, color in zip((-0.15, 0.15), ALGORITHMS, (figures.ORANGE, figures.BLUE), strict=True):
-            times = np.array([study[f"{name} {group}"] for group in GROUPS])
-            panel.plot(
-                np.repeat(at + shift, study.runs),
-                times.ravel(),
-                "o",
-                ms=3,
-                color=color,
-                alpha=0.6,
-                label=name,
-            )
+            times = np.array([study[f"{name} {group}"] for group in GROUPS]).ravel()
+            places = np.repeat(at + shift, study.runs)
+            ended = np.isfinite(times)
+            panel.plot(places[ended], times[ended], "o", ms=3, color=color, alpha=0.6, label=f"{name}, runs")
+            if not ended.all():
+                # Side by side, or several would look like one.
+                spread = places[~ended] + 0.04 * (np.arange(np.sum(~ended)) % 3 - 1)
+                panel.plot(
+                    spread,
+                    np.full(len(spread), duration_s),
+                    "^",
+                    ms=5,
+                    color=color,
+                    mfc="none",
+                    label=f"{name}, not settled in {duration_s:g} s",
+                )
+            means = [expected[title][name].settling_s(group) for group in GROUPS]
+            panel.plot(at + shift, means, "_", ms=12, mew=2, color=color, label=f"{name}, mean course")
         panel.set_yscale("log")
         panel.set_xticks(at, list(GROUPS))
         panel.set_title(title)
         panel.set_xlabel("weights")
-    np.atleast_1d(axes)[0].set_ylabel(f"time until {SHARE:.0%} of the\nshift are left (s)")
-    np.atleast_1d(axes)[0].legend()
+    axes = np.atleast_1d(axes)
+    axes[0].set_ylabel(f"time to stay within {SHARE:.0%}\nof the shift (s)")
+    figure.legend(*axes[-1].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
 
 
