@@ -26,10 +26,11 @@ def draw_floor(floor: RecordedFloor, resolution_hz: float = 0.25):
     figure, (left, right) = figures.new(1, 2, height=3.2)
     for number, row in enumerate(floor.acceleration, 1):
         kept = _largest(row, 400)
-        left.plot(kept / floor.sample_rate, row[kept], lw=0.5, label=f"sensor {number}")
+        left.plot(kept / floor.sample_rate, np.abs(row[kept]), lw=0.7, label=f"sensor {number}")
     left.set(
-        xlabel="time, s", ylabel="floor acceleration, m/s²", title="over time (largest of each interval)"
+        xlabel="time, s", ylabel="|floor acceleration|, m/s²", title="envelope (largest of each interval)"
     )
+    left.set_ylim(0, 1.25 * np.abs(floor.acceleration).max())  # room for the legend
     left.legend(loc="upper right", ncols=3)
     spectrum = estimate_spectrum(floor.acceleration, floor.sample_rate, resolution_hz)
     for number, row in enumerate(spectrum.density, 1):
@@ -59,7 +60,7 @@ def draw_isolated(isolated: Isolated, resolution_hz: float = 0.5):
             panel.loglog(f[points], spectrum.density[k, points], lw=0.9, color=_COLORS[name], label=name)
         top = max(line.get_ydata().max() for line in panel.lines)
         panel.set(
-            title=direction, xlabel="frequency, Hz", ylabel=f"PSD, {units[k]}", ylim=(top * 1e-9, top * 3)
+            title=direction, xlabel="frequency, Hz", ylabel=f"PSD, {units[k]}", ylim=(top * 1e-6, top * 3)
         )
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return figure

@@ -120,9 +120,7 @@ def isolate(twin: Twin, floor: RecordedFloor, seed: int) -> Isolated:
     """Run a floor through the passive rig, with feedback, with FeRLS from zero, and with the weights it ends at.
 
     The frozen weights are judged on the floor they were tuned on, with other sensor noise. FeRLS starts from
-    (1 - lambda) over the power of each filtered regressor, the steady value for uncorrelated regressors. The
-    published start, ten times the steady value, is at the edge where the sensors hear mostly their own noise:
-    on the measured ground it diverged for one of four seeds.
+    (1 - lambda) over the power of each filtered regressor, the steady value for uncorrelated regressors.
     """
     axes = central_axes(twin.rig)
 
