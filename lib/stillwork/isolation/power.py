@@ -5,6 +5,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.checks import InputError, require_array
+from stillwork.criteria import BAND_EDGE
 from stillwork.isolation.floors import ShapedFloor
 from stillwork.isolation.performance import expected_density, record_case, tune
 from stillwork.isolation.twin import Twin
@@ -33,6 +34,31 @@ def without_lines(spectrum: Spectrum, lines_hz: ArrayLike) -> Spectrum:
         inside = slice(ends[0] + 1, ends[1])
         density[:, inside] = [np.interp(f[inside], f[ends], row[ends]) for row in density]
     return Spectrum(f, density, spectrum.averages)
+
+
+def limit_ratio_db(
+    frequencies_hz: ArrayLike, density: ArrayLike, limit: ArrayLike, lines_hz: ArrayLike
+) -> tuple[Float64[np.ndarray, " bands"], Float64[np.ndarray, "3 bands"]]:
+    """Mean density of several runs over that of the limit, in one-third-octave bands from 3 to 200 Hz, dB.
+
+    Parameters
+    ----------
+    frequencies_hz : array_like, shape (frequencies,)
+        Evenly spaced, at most 0.5 Hz apart.
+    density, limit : array_like, shape (runs, 3, frequencies)
+        Power spectral densities.
+    lines_hz : array_like, shape (lines,)
+        Mains lines, bridged because their size in the twins is assumed.
+    """
+    f = require_array("frequencies_hz", frequencies_hz, ndim=1)
+    centres = 2.0 ** (np.arange(5, 24) / 3)
+    inside = [(f >= centre / BAND_EDGE) & (f < centre * BAND_EDGE) for centre in centres]
+    over, under = (
+        without_lines(Spectrum(f, np.mean(np.asarray(each), axis=0), len(each)), lines_hz).density
+        for each in (density, limit)
+    )
+    ratio = [over[:, band].mean(axis=1) / under[:, band].mean(axis=1) for band in inside]
+    return centres, 10 * np.log10(np.stack(ratio, axis=1))
 
 
 def floor_level_for(
