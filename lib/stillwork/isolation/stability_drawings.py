@@ -11,7 +11,7 @@ from stillwork.isolation.silence import Outcome
 from stillwork.isolation.stability import FORMS, CovarianceRun, covariance_run
 
 _LINES = ("-", "--", "-", ":", "-.")
-FLOOR = 1e-19  # where exact zeros are drawn
+FLOOR = 1e-19  # where exact zeros are drawn; the axis says so
 
 
 def draw_forms(runs: Mapping[str, Mapping[str, CovarianceRun]], experiment: float):
@@ -34,7 +34,7 @@ def draw_forms(runs: Mapping[str, Mapping[str, CovarianceRun]], experiment: floa
                 for axes in (upper, lower):
                     axes.axvline(run.breakdown, color=figures.GREY, lw=0.8, ls=":")
                 lower.annotate(
-                    f"indefinite at {run.breakdown:.0f} ",
+                    f"indefinite at {run.breakdown:.1f} ",
                     (run.breakdown, 1e-13),
                     fontsize=8,
                     ha="right",
@@ -49,6 +49,7 @@ def draw_forms(runs: Mapping[str, Mapping[str, CovarianceRun]], experiment: floa
         upper.axvspan(0, experiment, color=figures.GREY, alpha=0.12, lw=0)
         lower.axvspan(0, experiment, color=figures.GREY, alpha=0.12, lw=0)
         upper.set(title=precision, ylabel="antisymmetric part of P", ylim=(FLOOR / 3, 10))
+        _name_zero(upper)
         lower.set(xlabel="time constants of the forgetting", ylabel="error of P", ylim=(1e-14, 1e3))
         for axes in (upper, lower):
             axes.set_yticks(10.0 ** np.arange(-18, 4, 3) if axes is upper else 10.0 ** np.arange(-12, 4, 3))
@@ -57,6 +58,18 @@ def draw_forms(runs: Mapping[str, Mapping[str, CovarianceRun]], experiment: floa
     )
     figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
+
+
+def _name_zero(axes):
+    axes.annotate(
+        "exactly 0 is drawn here",
+        (0.99, FLOOR * 2),
+        xycoords=("axes fraction", "data"),
+        ha="right",
+        va="bottom",
+        fontsize=8,
+        color=figures.GREY,
+    )
 
 
 def draw_windup(runs: Mapping[str, Mapping[str, CovarianceRun]]):
@@ -146,6 +159,9 @@ def explore_forms(regressors: ArrayLike, initial: ArrayLike):
 
     def draw(precision: str, samples_per_constant: float, time_constants: float):
         figure, axes = figures.new(1, 1, height=3.0)
+        # Laying out again at every move would take longer than the recursion.
+        figure.set_layout_engine(None)
+        figure.subplots_adjust(left=0.1, right=0.62, bottom=0.16, top=0.9)
         forgetting = float(np.exp(-1 / samples_per_constant))
         for style, form in zip(_LINES, FORMS, strict=True):
             run = covariance_run(form, regressors, forgetting, initial, time_constants, precision)
@@ -159,7 +175,13 @@ def explore_forms(regressors: ArrayLike, initial: ArrayLike):
             ylim=(FLOOR / 3, 10),
             title=f"{precision}, time constant of {samples_per_constant:.0f} samples",
         )
+        axes.set_yticks(10.0 ** np.arange(-18, 1, 3), minor=False)
+        axes.minorticks_off()
+        _name_zero(axes)
         axes.legend(loc="upper left", bbox_to_anchor=(1, 1))
         return figure
 
+    # Both precisions are compiled here, not at a reader's first move.
+    for precision in ("float64", "float32"):
+        covariance_run("triangle", regressors, 0.5, initial, 1, precision, per_time_constant=1)
     return draw
