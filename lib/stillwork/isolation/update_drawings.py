@@ -39,27 +39,37 @@ def rounded_up(residual: float) -> float:
     return 0.0 if residual == 0 else float(10.0 ** np.ceil(np.log10(residual)))
 
 
-def draw_agreement(time_s: ArrayLike, recursion: ArrayLike, direct: Mapping[str, ArrayLike], every: int = 25):
-    """Weights of one actuator, (samples, n): the recursion as lines, the direct forms as marks upon them."""
-    figure, axes = figures.new(1, 1, height=3.6)
+def draw_agreement(
+    time_s: ArrayLike,
+    recursion: ArrayLike,
+    differences: Mapping[str, ArrayLike],
+    bound: float,
+):
+    """Weights of one actuator by the recursion, (samples, n), and how far the direct forms are from it.
+
+    Parameters
+    ----------
+    time_s : array_like, shape (samples,)
+        s.
+    recursion : array_like, shape (samples, n)
+        One row of W.
+    differences : mapping of form to array_like, shape (samples,)
+        Largest difference of any weight, relative to the largest weight.
+    bound : float
+        What rounding may reach.
+    """
+    figure, (upper, lower) = figures.new(2, 1, height=4.8, sharex=True)
     for number, row in enumerate(np.transpose(recursion), 1):
-        axes.plot(time_s, row, "-" if number <= 7 else "--", label=f"w{number}, recursion")
-    for first, (marker, (name, weights)) in enumerate(zip("ox+", direct.items(), strict=True)):
-        some = slice(first * every // 3, None, every)
-        for number, row in enumerate(np.transpose(weights), 1):
-            label = name if number == 1 else f"_{name} w{number}"
-            axes.plot(
-                np.asarray(time_s)[some],
-                row[some],
-                marker,
-                color=figures.BLACK,
-                ms=4,
-                mfc="none",
-                mew=0.8,
-                label=label,
-            )
-    axes.set(xlabel="time, s", ylabel="weight of the first actuator, N per (m/s²)")
-    axes.legend(loc="center left", bbox_to_anchor=(1, 0.5))
+        color = (figures.BLUE, figures.RED, figures.GREEN)[(number - 1) // 3]
+        upper.plot(time_s, row, ("-", "--", ":")[(number - 1) % 3], color=color, label=f"w{number}")
+    for style, (name, difference) in zip(("-", "--", ":"), differences.items(), strict=True):
+        shown = np.where(np.asarray(difference) > 0, difference, np.nan)
+        lower.semilogy(time_s, shown, style, label=name)
+    lower.axhline(bound, color=figures.BLACK, lw=0.8, ls="-.", label="bound of rounding")
+    upper.set(ylabel="weight of the first\nactuator, N per (m/s²)", title="recursion")
+    lower.set(xlabel="time, s", ylabel="relative difference", title="direct forms to recursion, all weights")
+    upper.legend(loc="center left", bbox_to_anchor=(1, 0.5))
+    lower.legend(loc="center left", bbox_to_anchor=(1, 0.5))
     return figure
 
 
