@@ -166,6 +166,45 @@ def convergence_trial(
     return found
 
 
+def steady_trial(
+    rng: np.random.Generator,
+    *,
+    twin: Twin,
+    floor: ShapedFloor,
+    steady: Steady,
+    settled: dict,
+    duration_s: float,
+) -> dict[str, np.ndarray]:
+    """Scatter of the weights around the oracle's fixed point once settled, for `run_study`.
+
+    Every run starts at the fixed point and its first half is left out, so no transient from zero is in it, and
+    the deviation is taken from the oracle, so slow wandering counts in full.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Of the repetition.
+    twin, floor, steady
+        Rig, floor, and oracle of the two.
+    settled : dict of str to FeLms or FeRls
+        Algorithms as they are in their steady state.
+    duration_s : float
+        Length of the run, s.
+
+    Returns
+    -------
+    dict of ndarray, shape (parameters,)
+        Mean squared deviation over the second half of the run, by algorithm.
+    """
+    seed = int(rng.integers(2**31))
+    found = {}
+    for name, adaptation in settled.items():
+        run = simulate(twin, floor, duration_s, adaptation=adaptation, weights=steady.weights, seed=seed)
+        late = run.weights[run.time_s > duration_s / 2, 0]
+        found[name] = np.mean((late - steady.weights[0]) ** 2, axis=0)
+    return found
+
+
 @dataclass(frozen=True)
 class Starts:
     """What FeRLS does in the first seconds from P(-1) = I / epsilon.

@@ -102,24 +102,25 @@ def run_interval(study: Study, algorithm: str, quantity: str) -> tuple[np.ndarra
     return values.mean(axis=0), spans[:, 0], spans[:, 1]
 
 
-def draw_readings(courses: Mapping[str, Course], parameter: int = 8):
-    """One parameter under different readings of the text, with the published time constants."""
-    figure, axes = figures.new(1, 2, height=3.2, sharey=True)
-    colors = (figures.BLUE, figures.ORANGE, figures.PURPLE)
+def draw_readings(times: Mapping[str, np.ndarray]):
+    """Time constants of w4 to w9 on the mean course under different readings, with the published ones."""
+    figure, axes = figures.new(1, 2, height=3.4)
+    number = np.arange(4, 10)
+    looks = ((figures.BLUE, "o"), (figures.ORANGE, "s"), (figures.PURPLE, "^"))
     for panel, algorithm in zip(axes, ALGORITHMS, strict=True):
-        mine = {name: course for name, course in courses.items() if name.startswith(algorithm)}
-        for (name, course), color in zip(mine.items(), colors, strict=False):
-            trace = course.weights[:, parameter - 1]
-            panel.plot(course.time_s, trace, color=color, label=name.removeprefix(f"{algorithm}, "))
-        published = published_row(algorithm, "tau")[parameter - 1]
-        final = published_row(algorithm, "final")[parameter - 1]
-        figures.mark_published(panel, published, 0.37 * final, label="published: 63 % from its final value")
+        mine = {name: each for name, each in times.items() if name.startswith(algorithm)}
+        for (name, each), (color, marker) in zip(mine.items(), looks, strict=True):
+            panel.plot(
+                number, each[3:], marker, color=color, mfc="none", label=name.removeprefix(f"{algorithm}, ")
+            )
+        figures.mark_published(panel, number, published_row(algorithm, "tau")[3:])
         panel.set_title(algorithm)
-        panel.set_xscale("log")
-        panel.set_xlabel("time (s)")
-        panel.set_ylim(top=2.2)
-        panel.legend(loc="upper left")
-    axes[0].set_ylabel(f"w{parameter} (N per m/s²)")
+        panel.set_yscale("log")
+        panel.set_ylim(top=6 * max(each[3:].max() for each in mine.values()))
+        panel.set_xticks(number, [f"w{i}" for i in number])
+        panel.set_xlabel("parameter")
+        panel.legend(loc="upper left", fontsize=8)
+    axes[0].set_ylabel("time to stay within 63 % (s)")
     return figure
 
 
