@@ -15,7 +15,7 @@ from stillwork.isolation.convergence import (
 from stillwork.isolation.floors import colored_floor, flat_floor
 from stillwork.isolation.mean_convergence import follow_sideways, mean_course, narrow_floor
 from stillwork.isolation.steady import steady_state
-from stillwork.isolation.tracking import respond, settled, switch_between, tracking_trial
+from stillwork.isolation.tracking import Response, respond, settled, switch_between, tracking_trial
 from stillwork.isolation.twin import load_twin
 from stillwork.studies import run_study
 
@@ -132,3 +132,17 @@ def test_expected_course_wants_rising_times():
         mean_course(FITTED, STEADY, "FeRLS", [0.0, 1.0])
     with pytest.raises(InputError, match="FeRLS"):
         mean_course(FITTED, STEADY, "FeRL", [1.0])
+
+
+def test_a_run_that_still_leaves_the_band_at_its_end_has_not_settled():
+    switch = switch_between(FITTED, FLOOR, colored_floor(80.0))
+    time = np.arange(1.0, 101.0)
+    left = np.where(time <= 20, 1.0, 0.0)
+
+    def settling(left):
+        weights = switch.end.weights[0] - left[:, None] * switch.shift
+        return Response(time, weights, switch).settling_s()
+
+    assert settling(left) == 21.0
+    assert settling(np.where(time == 50, -0.4, left)) == 51.0  # an overshoot
+    assert settling(np.where(time == 95, 0.4, left)) == np.inf
