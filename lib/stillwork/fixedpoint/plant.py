@@ -25,6 +25,9 @@ SIGNATURE = "float64(float64, float64, float64, float64[::1])"
 def callback(function: Callable, signature: str = SIGNATURE):
     """Compile a model function to a C callback, cached beside the file that defines it.
 
+    The cache notices a change of that file, not of another one from which the function calls: keep what
+    belongs to a model in one file.
+
     Raises
     ------
     InputError

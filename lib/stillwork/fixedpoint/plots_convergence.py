@@ -33,7 +33,7 @@ def contraction(transformations: dict[str, Transformation], response_gain: float
     decay.set(
         xlabel="iteration", ylabel="|response - desired| in m/s²", title="static iteration", ylim=(1e-4, 60)
     )
-    decay.legend()
+    figure.legend(handles=decay.lines, loc="outside upper center", ncols=2)
     multiplier.set(xlabel="|response - desired| in m/s²", ylabel="ratio of two errors", ylim=(0, 1.05))
     multiplier.set_title("multiplier: below 1 contracts")
     multiplier.legend()
