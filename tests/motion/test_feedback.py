@@ -168,7 +168,16 @@ def test_velocity_observer_leaves_the_rigid_position_out():
             ),
             "not controllable",  # two modes of one frequency cannot be told apart by one actuator
         ),
+        (
+            lambda: stiffness_gain(
+                replace(MODEL, input_shapes=MODEL.input_shapes * [[1], [0], [1], [1]]), 1.5
+            ),
+            "node",
+        ),
+        (lambda: damping_gain(MODEL, 1.2, "pole placement"), "below 1"),
+        (lambda: place(MODEL.state_space(), 1j * np.arange(8.0)), "conjugate pairs"),
         (lambda: Application(damping=-0.1), "damping"),
+        (lambda: Application(selection="best"), "selection"),
         (
             lambda: compensator(
                 stage_observer(5), Application(damping=0.1, selection="pole placement", selectivity=2.0)

@@ -116,6 +116,7 @@ def test_no_observer_nearby_is_better_than_the_optimum(seed):
         assert h2_norm(regular.close(moved)) >= best.regular_norm * (1 - 1e-9)
 
 
+@pytest.mark.slow
 def test_the_optimum_of_the_stage_tracks_nothing_and_is_reached_by_inequalities(problem):
     generalised = problem.generalised()
     riccati = h2_riccati(generalised, *regularisation(problem))

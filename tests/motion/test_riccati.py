@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from stillwork import motion
 from stillwork.checks import InputError
-from stillwork.lti import zoh_modes
+from stillwork.lti import ModalModel, zoh_modes
 from stillwork.motion import riccati
 from stillwork.motion.designs import stage_observer
 from stillwork.motion.machines import stage
@@ -82,6 +82,17 @@ def test_discrete_gain_approaches_the_continuous_one_with_order_one():
     assert np.allclose(orders, 1.0, atol=0.1)
 
 
+def test_random_walk_has_its_closed_form():
+    found = continuous_gain([[0.0]], [[1.0]], [[1.0]], 4.0, 9.0)
+    assert found.gain[0, 0] == pytest.approx(2 / 3, rel=1e-12)
+    assert found.covariance[0, 0] == pytest.approx(6.0, rel=1e-12)
+
+
+def test_a_stable_mode_need_not_be_driven():
+    found = continuous_gain(np.diag([-1.0, -2.0]), [[1.0], [0.0]], [[1.0, 1.0]], 3.0, 1.0)
+    assert found.gain[:, 0] == pytest.approx([1.0, 0.0], abs=1e-9)  # p^2 + 2 p = 3
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [
@@ -90,7 +101,23 @@ def test_discrete_gain_approaches_the_continuous_one_with_order_one():
         (lambda: continuous_gain([[0.0]], [[1.0]], [[1.0]], 1.0, 0.0), "sensor is not positive definite"),
         (lambda: continuous_gain(np.diag([0.0, -1.0]), np.eye(2), [[0.0, 1.0]], 1.0, 1.0), "not observable"),
         (lambda: discrete_gain(np.diag([1.0, 0.5]), np.eye(2), [[0.0, 1.0]], 1.0, 1.0), "not observable"),
+        (lambda: continuous_gain(-np.eye(2), np.eye(2), np.zeros((1, 2)), 1.0, 1.0), "c is zero"),
+        (
+            lambda: discrete_gain(np.eye(2) / 2, np.zeros((2, 1)), np.ones((1, 2)), 1.0, 1.0),
+            "noise_input is zero",
+        ),
+        (lambda: continuous_gain([[0, 1], [0, 0]], [[1], [0]], [[1, 0]], 1.0, 1.0), "not driven"),
+        (lambda: discrete_gain([[1, 1], [0, 1]], [[1], [0]], [[1, 0]], 1.0, 1.0), "not driven"),
         (lambda: kalman_observer(stage().at([0], [4]), published_noise(), -1.0), "noise_model"),
+        (
+            lambda: kalman_observer(
+                ModalModel(np.full(2, 9.0), np.zeros(2), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1))),
+                published_noise(),
+            ),
+            "not observable",  # one sensor cannot tell two undamped modes of one frequency apart
+        ),
+        (lambda: stage_observer(0), "position"),
+        (lambda: stage_observer(8), "masses 1 to 7"),
     ],
 )
 def test_bad_input_is_named(call, message):

@@ -1,5 +1,7 @@
 """Setpoints, judgement of a scan, feedforward and exact simulation, held against brute force."""
 
+from dataclasses import replace
+
 import control
 import numpy as np
 import pytest
@@ -27,6 +29,8 @@ from stillwork.motion.tracking import (
 
 PLANT = stage().at([0], [4])
 CONTROLLER = PidFamily(stage_mass())(35.626).state_space()
+SHORT = Setpoint(1e-3, from_snap([1.0], [0.01], 1e-3), (0.0, 0.01), 0.01)
+UNSTABLE = closed_loop(PLANT, None, PidFamily(stage_mass())(200.0).state_space())
 
 
 def test_published_setpoint():
@@ -169,7 +173,17 @@ def test_noise_has_the_power_that_the_norm_predicts():
             lambda: Setpoint(1e-3, from_snap([1.0, -3.0], [0.01, 0.02], 1e-3), (0.0, 0.01), 0.01),
             "moves backwards",
         ),
-        (lambda: Setpoint(1e-3, from_snap([1.0], [0.01], 1e-3), (0.02, 0.01), 0.01), "scan"),
+        (
+            lambda: replace(SHORT, derivatives=SHORT.derivatives * [[-1.0], [1.0], [1.0], [1.0], [1.0]]),
+            "moves backwards",  # the velocity says otherwise
+        ),
+        (lambda: replace(SHORT, scan=(0.02, 0.01)), "scan"),
+        (lambda: replace(SHORT, scan=(0.0, 1.0)), "within the 0.01 s of the move"),
+        (lambda: tracking_error(error_loop(UNSTABLE), SHORT, Feedforward()), "loop is unstable"),
+        (lambda: fit_feedforward(error_loop(UNSTABLE), SHORT), "loop is unstable"),
+        (lambda: noise_error(UNSTABLE, 1e-4, 9, {"w": 1.0}, np.random.default_rng(1)), "loop is unstable"),
+        (lambda: cumulative_power(UNSTABLE, 1e-4, {"w": 1.0}, np.array([1.0, 2.0])), "loop is unstable"),
+        (lambda: cumulative_power(UNSTABLE, 1e-4, {"w": -1.0}, np.array([1.0, 2.0])), "deviations"),
         (lambda: point_to_point(-1.0, 1.0, 1.0, 1.0, 1.0, 0.1, 1e-3), "snap"),
         (lambda: point_to_point(1.0, 1.0, 1.0, 1.0, 0.1, 0.2, 1e-3), "settling"),
         (lambda: moving(np.zeros(5), 1.0, 10.0), "exposure"),

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.checks import InputError, require_number
+from stillwork.checks import InputError, require_choice, require_number
 from stillwork.lti import StateModel, interconnect
-from stillwork.motion.feedback import band_pass, damping_gain, stiffness_gain
+from stillwork.motion.feedback import SELECTIONS, band_pass, damping_gain, stiffness_gain
 from stillwork.motion.observer import Observer
 
 
@@ -27,6 +27,7 @@ class Application:
 
     def __post_init__(self):
         require_number("damping", self.damping, at_least=0.0, below=1.0)
+        require_choice("selection", self.selection, SELECTIONS)
         require_number("stiffness", self.stiffness, above=0.0)
         for name in ("selectivity", "common", "high_pass_hz"):
             if getattr(self, name) is not None:

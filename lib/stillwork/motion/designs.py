@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from stillwork.checks import require_choice
+from stillwork.checks import InputError, require_choice, require_count
 from stillwork.lti import ModalModel, StateModel
 from stillwork.motion.applications import Application, compensator
 from stillwork.motion.bandwidth import SIX_DB, Bandwidth, Loop, PeakConstraint, make_loop, maximise_bandwidth
@@ -52,6 +52,8 @@ def stage_observer(
 ) -> Observer:
     """Observer of the stage for the measured mass `position` (1 to 7), reduced as in section 3.1."""
     plant = stage() if plant is None else plant
+    if require_count("position", position) > len(plant.output_shapes):
+        raise InputError(f"position is {position}; the stage has masses 1 to {len(plant.output_shapes)}")
     reduced = truncate(plant.at([0], [position - 1]), RETAINED, COMPENSATED)
     return kalman_observer(reduced, noise or published_noise(), noise_model)
 

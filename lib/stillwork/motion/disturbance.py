@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.checks import InputError, require_array, require_choice
+from stillwork.checks import InputError, require_array, require_choice, require_number
 from stillwork.lti import StateModel, zoh
-from stillwork.motion.loops import INPUTS
+from stillwork.motion.loops import INPUTS, require_stable
 
 
 class CumulativePower(NamedTuple):
@@ -41,6 +41,8 @@ def cumulative_power(
         raise InputError(f"omega must ascend and end at the Nyquist frequency {np.pi / step:g} rad/s at most")
     for name in deviations:
         require_choice("deviations", name, ("w", "v", "d"))
+        require_number(f"deviations[{name!r}]", deviations[name], at_least=0.0)
+    require_stable(loop)
     places = [INPUTS.index(name) for name in deviations]
     response = zoh(loop.select(places, [0, 1]), step).frequency_response(omega)
     weights = 2 * step * np.array(list(deviations.values())) ** 2

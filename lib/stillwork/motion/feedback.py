@@ -23,6 +23,15 @@ def _flexible(model: ModalModel, name: str, value: float | ArrayLike) -> np.ndar
     return require_array(name, value, shape=(len(flexible.frequencies),))
 
 
+def _require_reach(model: ModalModel) -> None:
+    """Refuse an actuator on a node of a flexible mode."""
+    reach = np.linalg.norm(model.input_shapes[model.rigid_modes :], axis=1)
+    if np.any(reach < 1e-9 * np.linalg.norm(model.input_shapes)):
+        raise InputError(
+            "input_shapes: the actuator sits on a node of a mode and cannot move it; leave that mode out"
+        )
+
+
 def damping_gain(
     model: ModalModel, increase: float | ArrayLike, selection: str = "each mode"
 ) -> Float64[np.ndarray, "inputs states"]:
@@ -47,12 +56,11 @@ def damping_gain(
     increase = _flexible(model, "increase", increase)
     rigid = model.rigid_modes
     w, shapes = model.frequencies[rigid:], model.input_shapes[rigid:]
-    if np.any(np.linalg.norm(shapes, axis=1) < 1e-9 * np.linalg.norm(model.input_shapes)):
-        raise InputError(
-            "input_shapes: the actuator sits on a node of a mode and cannot damp it; leave it out"
-        )
+    _require_reach(model)
     if selection == "pole placement":
         z = model.damping[rigid:] + increase
+        if np.any(np.abs(z) >= 1):
+            raise InputError(f"increase asks for damping ratios up to {z.max():.3g}; keep them below 1")
         upper = w * (-z + 1j * np.sqrt(1 - z**2))
         gain = place(model.state_space(), np.concatenate([np.zeros(2 * rigid), upper, upper.conj()]))
         gain[:, : 2 * rigid] = 0
@@ -83,6 +91,9 @@ def place(model: StateModel, poles: ArrayLike) -> Float64[np.ndarray, "1 states"
     poles = np.asarray(poles, dtype=complex)
     if poles.shape != (n,):
         raise InputError(f"poles has shape {poles.shape}; give {n}, one a state")
+    polynomial = np.poly(poles)
+    if np.any(np.abs(polynomial.imag) > 1e-9 * np.abs(polynomial)):
+        raise InputError("poles are not real or in conjugate pairs; the gain would be complex")
     rate = np.abs(poles).max() or 1.0
     whole = np.block(
         [[model.a / rate, model.b / np.linalg.norm(model.b)], [np.ones((1, n)), np.zeros((1, 1))]]
@@ -112,6 +123,7 @@ def stiffness_gain(model: ModalModel, factor: float | ArrayLike) -> Float64[np.n
     factor = _flexible(model, "factor", factor)
     for each in factor:
         require_number("factor", each, above=0.0)
+    _require_reach(model)
     rigid = model.rigid_modes
     gain = np.zeros((model.input_shapes.shape[1], 2 * len(model.frequencies)))
     wanted = (factor**2 - 1) * model.frequencies[rigid:] ** 2

@@ -47,6 +47,10 @@ def closed_loop_response(
     _, to_output = csd(excitation, outputs, **settings)
     power, out_power = (welch(signal, **settings)[1] for signal in (excitation, outputs))
     keep = slice(1, None)
+    if np.any(power[keep] == 0) or np.any(to_input[keep] == 0) or np.any(out_power[keep] == 0):
+        raise InputError(
+            "excitation, inputs or outputs have no power at some frequencies; excite all of them"
+        )
     coherence = np.abs(to_output) ** 2 / (power * out_power)
     return Identified(2 * np.pi * hertz[keep], (to_output / to_input)[keep], coherence[keep])
 

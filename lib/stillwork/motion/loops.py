@@ -100,6 +100,15 @@ def channel(loop: StateModel, source: str, target: str, inputs: int = 1, outputs
     )
 
 
+def require_stable(loop: StateModel) -> None:
+    """Refuse a closed loop that is unstable: its errors grow without bound and have no spectrum."""
+    if not loop.is_stable:
+        fastest = loop.poles.real.max()
+        raise InputError(
+            f"the closed loop is unstable (a pole at {fastest:+.3g} 1/s); lower the bandwidth or the gains"
+        )
+
+
 class LoopResponse(NamedTuple):
     """Frequency responses of a single loop, each of shape (frequencies,)."""
 

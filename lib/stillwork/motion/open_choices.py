@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.checks import InputError
+from stillwork.checks import InputError, require_choice
 from stillwork.motion.applications import Application
 from stillwork.motion.bandwidth import Bandwidth, PeakConstraint, maximise_bandwidth
 from stillwork.motion.controller import PidFamily
@@ -60,6 +60,7 @@ def open_choices(name: str, choices: tuple[str, ...] = tuple(CHOICES)) -> OpenCh
     """Bandwidth of a published design under each of `choices`; without an observer R has no effect."""
     found = {}
     for choice in choices:
+        require_choice("choices", choice, CHOICES)
         settings = dict(CHOICES[choice])
         if "noise" in settings:
             settings["noise"] = settings["noise"]()

@@ -170,7 +170,7 @@ def controllers(cases: Mapping[str, tuple[Loop, Pid]], omega: np.ndarray):
     axes[1, 0].set_ylabel("phase (deg)")
     for axis in axes[1]:
         axis.set_xlabel("frequency (Hz)")
-    axes[0, 0].legend(loc="upper center", fontsize=7)
+    axes[0, 0].legend(loc="best", fontsize=7)
     return figure
 
 

@@ -39,12 +39,15 @@ def _checked(a, g, c, q, r):
             factors.append(np.linalg.cholesky(matrix))
         except np.linalg.LinAlgError:
             raise InputError(f"{name} is not positive definite; give the intensity of real noise") from None
+    for name, matrix in (("noise_input", g), ("c", c)):
+        if not np.any(matrix):
+            raise InputError(f"{name} is zero; an observer takes a disturbance and a measurement")
     return a, g @ factors[0], np.linalg.solve(factors[1], c), factors[1]
 
 
 def _require_observable(a: np.ndarray, c: np.ndarray, stable) -> None:
     """Popov-Belevitch-Hautus test (3.16) of every mode that the observer cannot leave alone."""
-    size = np.linalg.norm(a)
+    size = np.linalg.norm(a) or 1.0
     for value in linalg.eigvals(a):
         if not stable(value):
             pencil = np.vstack([(a - value * np.eye(len(a))) / size, c / np.linalg.norm(c)])
@@ -52,6 +55,19 @@ def _require_observable(a: np.ndarray, c: np.ndarray, stable) -> None:
             if np.linalg.svd(pencil / columns, compute_uv=False)[-1] < 1e-10:
                 raise InputError(
                     f"the mode at s = {value:.3g} is not observable and not stable; measure it or leave it out"
+                )
+
+
+def _require_driven(a: np.ndarray, g: np.ndarray, on_boundary) -> None:
+    """No stabilising solution exists when a mode on the stability boundary gets no noise."""
+    size = np.linalg.norm(a) or 1.0
+    for value in linalg.eigvals(a):
+        if on_boundary(value):
+            pencil = np.hstack([(a - value * np.eye(len(a))) / size, g / np.linalg.norm(g)])
+            rows = np.maximum(np.linalg.norm(pencil, axis=1), 1e-14)
+            if np.linalg.svd(pencil / rows[:, None], compute_uv=False)[-1] < 1e-10:
+                raise InputError(
+                    f"the mode at s = {value:.3g} is not driven and not stable; let noise_input reach it"
                 )
 
 
@@ -70,12 +86,13 @@ def continuous_gain(
     Raises
     ------
     InputError
-        When an intensity is not positive definite, a mode on or right of the imaginary axis is not
-        observable, or the solution leaves too large a residual.
+        When an intensity is not positive definite, `noise_input` or `c` is zero, a mode on or right of the
+        imaginary axis is not observable, one on the axis is not driven by the noise, or the solution leaves
+        too large a residual.
     """
     a, g, c, root = _checked(a, noise_input, c, process, sensor)
     scale = _state_scale(a, g, c)
-    rate = np.linalg.norm(a * scale[None, :] / scale[:, None])  # its eigenvalues may all be zero
+    rate = np.linalg.norm(a * scale[None, :] / scale[:, None]) or 1.0  # its eigenvalues may all be zero
     for _ in range(2):  # the second time every state is scaled by its own standard deviation
         a_s = a * scale[None, :] / scale[:, None] / rate
         g_s, c_s = g / scale[:, None] / np.sqrt(rate), c * scale / np.sqrt(rate)
@@ -83,6 +100,7 @@ def continuous_gain(
         size = np.sqrt(np.linalg.norm(g_s) / np.linalg.norm(c_s))
         g_s, c_s = g_s / size, c_s * size
         _require_observable(a_s, c_s, stable=lambda value: value.real < -1e-12)
+        _require_driven(a_s, g_s, on_boundary=lambda value: abs(value.real) <= 1e-12)
         try:
             p = linalg.solve_continuous_are(a_s.T, c_s.T, g_s @ g_s.T, np.eye(len(c)))
         except (np.linalg.LinAlgError, ValueError) as error:
@@ -130,6 +148,7 @@ def discrete_gain(
         size = np.sqrt(np.linalg.norm(g_s) / np.linalg.norm(c_s))
         g_s, c_s = g_s / size, c_s * size
         _require_observable(a_s, c_s, stable=lambda value: abs(value) < 1 - 1e-12)
+        _require_driven(a_s, g_s, on_boundary=lambda value: abs(abs(value) - 1) <= 1e-12)
         try:
             p = linalg.solve_discrete_are(a_s.T, c_s.T, g_s @ g_s.T, np.eye(len(c)))
         except (np.linalg.LinAlgError, ValueError) as error:

@@ -22,10 +22,15 @@ class Setpoint:
     def __post_init__(self):
         require_number("step", self.step, above=0.0)
         rows = require_array("derivatives", self.derivatives, shape=(5, None))
-        if np.any(rows[1] < -1e-9 * max(np.abs(rows[1]).max(), 1e-300)):
+        # Positions are sums of many steps: allow them the rounding of the longest one.
+        backwards = np.diff(rows[0], prepend=rows[0, :1]) < -1e-12 * np.abs(rows[0]).max()
+        if np.any(rows[1] < -1e-9 * max(np.abs(rows[1]).max(), 1e-300)) or np.any(backwards):
             raise InputError("derivatives: the setpoint moves backwards; a scan needs a monotone position")
-        if not 0 <= self.scan[0] < self.scan[1]:
-            raise InputError(f"scan is {self.scan}; give its start and its end in s")
+        end = (rows.shape[1] - 1) * self.step
+        if not 0 <= self.scan[0] < self.scan[1] <= end * (1 + 1e-9):
+            raise InputError(
+                f"scan is {self.scan}; give its start and its end in s, within the {end:g} s of the move"
+            )
 
     @property
     def time(self) -> Float64[np.ndarray, " samples"]:

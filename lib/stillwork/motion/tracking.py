@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.checks import InputError, require_choice
+from stillwork.checks import InputError, require_choice, require_number
 from stillwork.lti import StateModel, interconnect, simulate, zoh
-from stillwork.motion.loops import INPUTS, OUTPUTS
+from stillwork.motion.loops import INPUTS, OUTPUTS, require_stable
 from stillwork.motion.performance import rms
 from stillwork.motion.setpoint import Setpoint
 
@@ -80,6 +80,7 @@ def tracking_model(loop: StateModel, feedforward: Feedforward, step: float) -> S
     """
     if loop.b.shape[1] != 2:
         raise InputError(f"loop has {loop.b.shape[1]} inputs; give error_loop(closed_loop(...))")
+    require_stable(loop)
     a, drive = _held(loop, 0, step)
     _, force = _held(loop, 1, step)
     direct = np.zeros((len(loop.c), 5))
@@ -147,6 +148,8 @@ def noise_error(
     """
     for name in deviations:
         require_choice("deviations", name, ("w", "v", "d"))
+        require_number(f"deviations[{name!r}]", deviations[name], at_least=0.0)
+    require_stable(loop)
     places = [INPUTS.index(name) for name in deviations]
     model = zoh(loop.select(places, [0, 1]), step)
     noise = rng.standard_normal((len(places), samples)) * np.array(list(deviations.values()))[:, None]
