@@ -21,7 +21,7 @@ export NUMEXPR_NUM_THREADS := 1
 export VECLIB_MAXIMUM_THREADS := 1
 export MATPLOTLIBRC := /dev/null
 
-.PHONY: help figures test lab bench accept doctor clean
+.PHONY: help figures test lab site bench accept doctor clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-8s  %s\n", $$1, $$2 }' Makefile
@@ -40,6 +40,9 @@ test: $(READY) ## Style, unit tests, all notebooks, and what is committed agains
 
 lab: $(READY) ## Open JupyterLab on the notebooks, on this machine only
 	JUPYTER_PREFER_ENV_PATH=1 $(BIN)/python -m jupyter lab --ServerApp.root_dir=notebooks --ServerApp.ip=127.0.0.1 $(ARGS)
+
+site: $(READY) ## Write the static site to build/site/index.html
+	@$(BIN)/python -m stillwork site
 
 bench: $(READY) ## Measure speed beside named peers
 	@for file in benchmarks/*.py; do $(BIN)/python $$file $(ARGS) || exit 1; done

@@ -1,4 +1,4 @@
-"""Command line: ``python -m stillwork figures|claims|accept|doctor``."""
+"""Command line: ``python -m stillwork figures|claims|accept|site|doctor``."""
 
 import argparse
 import json
@@ -57,6 +57,9 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
     accept = commands.add_parser("accept", help="take the built results over into notebooks/ and the ledger")
     accept.set_defaults(run=_accept)
 
+    site = commands.add_parser("site", help="write the static site to build/site")
+    site.set_defaults(run=_site)
+
     doctor = commands.add_parser("doctor", help="compare this environment with environment.txt")
     doctor.set_defaults(run=_doctor)
     usage = " ".join(command.format_usage() for command in commands.choices.values())
@@ -108,6 +111,12 @@ def _accept(_options) -> int:
     from stillwork.workbook.accept import accept
 
     return accept()
+
+
+def _site(_options) -> int:
+    from stillwork.site.build import build_site
+
+    return build_site()
 
 
 def _doctor(_options) -> int:
