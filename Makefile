@@ -21,7 +21,7 @@ export NUMEXPR_NUM_THREADS := 1
 export VECLIB_MAXIMUM_THREADS := 1
 export MATPLOTLIBRC := /dev/null
 
-.PHONY: help figures test lab site bench accept doctor clean
+.PHONY: help figures test lab site browser bench accept doctor clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-8s  %s\n", $$1, $$2 }' Makefile
@@ -32,7 +32,7 @@ figures: $(READY) ## Build what is stale; ARGS="ROOM/NOTEBOOK -p NAME=VALUE --jo
 test: $(READY) ## Style, unit tests, all notebooks, and what is committed against what they give now
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/python -m pytest tests --ignore=tests/committed -n logical --dist loadfile
+	$(BIN)/python -m pytest tests --ignore=tests/committed --ignore=tests/browser -n logical --dist loadfile
 	rm -rf build/nbval
 	MPLBACKEND=Agg STILLWORK_OUTPUT="$(CURDIR)/build/nbval" $(BIN)/python -m pytest notebooks \
 		--nbval --nbval-current-env --nbval-cell-timeout 600 -n logical --dist loadfile
@@ -43,6 +43,9 @@ lab: $(READY) ## Open JupyterLab on the notebooks, on this machine only
 
 site: $(READY) ## Write the static site to build/site/index.html
 	@$(BIN)/python -m stillwork site
+
+browser: $(READY) ## Check the site and an explorer in Chromium (Debian: apt-get install chromium chromium-driver)
+	$(BIN)/python -m pytest tests/browser $(ARGS)
 
 bench: $(READY) ## Measure speed beside named peers
 	@for file in benchmarks/*.py; do $(BIN)/python $$file $(ARGS) || exit 1; done

@@ -12,7 +12,7 @@ from markupsafe import Markup
 import stillwork
 from stillwork import paths
 from stillwork.checks import InputError
-from stillwork.claims import KINDS, ledger
+from stillwork.claims import KINDS, Claim, ledger
 from stillwork.site import picture, reference
 from stillwork.site.links import broken_links
 from stillwork.site.mathematics import markdown
@@ -86,7 +86,7 @@ def site_files() -> dict[str, bytes]:
     return files
 
 
-def _room(name: str, work: dict, claims: list, pages: list[NotebookPage]) -> dict:
+def _room(name: str, work: dict, claims: list[Claim], pages: list[NotebookPage]) -> dict:
     """What a template shows of a room."""
     mine = [claim for claim in claims if claim.entry.room == name]
     return {
@@ -109,6 +109,7 @@ def _renderer(**shared):
         lstrip_blocks=True,
     )
     environment.filters["number"] = lambda value: "" if value is None else f"{value:.4g}"
+    environment.filters["off_by"] = _off_by
     environment.filters["slug"] = lambda verdict: verdict.replace(" ", "-")
     site = {
         "version": stillwork.__version__,
@@ -122,6 +123,15 @@ def _renderer(**shared):
         return page.render(root=root, site=site, **shared, **values).encode()
 
     return render
+
+
+def _off_by(claim: Claim) -> str:
+    """Distance from the published value as a reader takes it in: per cent, far off as a factor."""
+    if claim.deviation is None:
+        return ""
+    if claim.deviation < 10:
+        return f"{100 * claim.deviation:.2g} %" if claim.deviation < 1 else f"{100 * claim.deviation:.0f} %"
+    return f"factor {claim.ours / claim.entry.published:.3g}"
 
 
 def _guides() -> list[Path]:

@@ -3,11 +3,6 @@
 
 const form = document.getElementById("filters");
 
-// The counts' bars: shares of a flex row.
-for (const part of document.querySelectorAll(".bar [data-share]")) {
-  part.style.flexGrow = part.dataset.share;
-}
-
 if (form) {
   const body = document.querySelector("#claims tbody");
   const rows = Array.from(body.rows);
