@@ -276,7 +276,7 @@ def loop_times() -> dict[str, tuple[float, float, float]]:
     covariance = np.full(twin.regressors, 0.6)  # about the steady value on this floor
     algorithms = {"FeLMS": FeLms(), "FeRLS": FeRls(covariance)}
     samples = round(seconds / twin.sample_time)
-    sources = simulation._Sources(twin, [(samples, flat_floor())], True, 0)
+    sources = simulation.Sources(twin, [(samples, flat_floor())], True, 0)
     blocks = [sources.draw(simulation.BLOCK) for _ in range(samples // simulation.BLOCK)]
 
     def alone(settings):

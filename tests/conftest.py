@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import pytest
 from hypothesis import settings
 
@@ -7,6 +9,7 @@ settings.load_profile("workbook")
 
 
 @pytest.fixture(autouse=True)
-def not_in_batch(monkeypatch):
-    """Tests look at the library as a person does, unless they say otherwise."""
+def as_a_person(monkeypatch):
+    """Tests look at this checkout's library as a person does, unless they say otherwise."""
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1] / "lib"))
     monkeypatch.delenv("STILLWORK_OUTPUT", raising=False)

@@ -30,10 +30,10 @@ def require_number(
     name: str,
     value,
     *,
-    above: float | None = None,
-    below: float | None = None,
-    at_least: float | None = None,
-    at_most: float | None = None,
+    above: float | int | None = None,
+    below: float | int | None = None,
+    at_least: float | int | None = None,
+    at_most: float | int | None = None,
 ) -> float:
     """Return `value` as a finite float within the given bounds, else raise `InputError`."""
     wanted = " and ".join(

@@ -1,8 +1,13 @@
-"""The one place for compile flags of the per-sample kernels."""
+"""The one place for compile flags of the per-sample kernels, and for where their machine code is kept."""
 
+import hashlib
 import inspect
+from functools import cache
+from pathlib import Path
 
 import numba
+
+from stillwork import paths
 
 # No fast-math: reordered sums break the symmetry that recursive least squares rests on.
 FLAGS = {"cache": True, "nogil": True, "error_model": "numpy"}
@@ -13,9 +18,40 @@ def kernel(function):
 
     The function is unwrapped first, because the tests' type checker wraps every function of the package.
     """
-    return numba.njit(**FLAGS)(inspect.unwrap(function))
+    return _compiled(function)
 
 
 def inlined_kernel(function):
     """As `kernel`, but copied into its callers: for what runs every sample and is as short as a call is long."""
-    return numba.njit(inline="always", **FLAGS)(inspect.unwrap(function))
+    return _compiled(function, inline="always")
+
+
+def _compiled(function, **options):
+    """Numba's dispatcher, with its cache in `cache_folder` unless NUMBA_CACHE_DIR names another."""
+    given = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = given or cache_folder()
+    try:
+        return numba.njit(**FLAGS, **options)(inspect.unwrap(function))
+    finally:
+        numba.config.CACHE_DIR = given
+
+
+@cache
+def cache_folder() -> str:
+    """Folder for the machine code of the kernels as they are written now.
+
+    Numba's own rule looks at the file of a kernel, not at those of the kernels it calls: after a change of one
+    of these it would go on with the old code. So the folder's name is a digest of every file that has kernels.
+    Empty, which is numba's rule, where there is no workbook to write to.
+    """
+    digest = hashlib.sha256()
+    for file in sorted(Path(__file__).parent.rglob("*.py")):
+        text = file.read_bytes()
+        if b"kernel" in text:
+            digest.update(text)
+    try:
+        folder = paths.root() / "build" / "kernels" / digest.hexdigest()[:16]
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return ""
+    return str(folder)

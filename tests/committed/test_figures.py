@@ -11,9 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from stillwork import paths
-from stillwork.claims import DRIFT
 
 COMMITTED = paths.root() / "figures"
+# Of the range that a series spans. Builds with AVX2 and FMA against SSE2 alone (numba, numpy and OpenBLAS
+# all held to it) were seen to differ by up to 2.5e-6; the rest is room for another system's libm.
+TOLERANCE = 1e-4
+
 REBUILT = Path(os.environ.get("STILLWORK_REBUILT") or paths.root() / "build" / "nbval")
 
 
@@ -69,5 +72,4 @@ def test_a_fresh_run_plots_the_committed_numbers(name):
     for key, values in before.items():
         assert now[key].shape == values.shape, key
         for column, axis in enumerate("xyz"):
-            # as far apart as a claim may drift between machines
-            assert distance(now[key][:, column], values[:, column]) <= DRIFT, (key, axis)
+            assert distance(now[key][:, column], values[:, column]) <= TOLERANCE, (key, axis)

@@ -48,6 +48,9 @@ def test_a_perfect_estimate_without_delay_converges_like_one():
     ).varied(gain=0.0, parasitic_gain=0.0, conditioning_highpass_hz=1e-3, conditioning_lowpass_hz=1e6)
     steady = steady_state(twin, flat_floor(30.0), noise=False)
     assert steady.rls_eigenvalues.real == pytest.approx(1, abs=5e-3)
+    # FeLMS then sees the spread of R itself, the same for every actuator.
+    spread = np.repeat(np.linalg.eigvalsh(steady.correlation) / np.trace(steady.correlation), 6)
+    assert np.sort(steady.lms_eigenvalues.real) == pytest.approx(spread, rel=1e-2)
     assert steady.least_error_power <= steady.error_power <= 1.001 * steady.least_error_power
 
 

@@ -16,6 +16,7 @@ def test_accepts_a_build(toy):
     toy.add_page("isolation/01-first")
     toy.add("motion/01-first", "print('hello')")
     toy.write("README.md", README)
+    toy.write("figures/motion/00-gone/fig-1.csv", "panel,series,x,y,z\n")
 
     refused = toy.run("accept")
     assert refused.returncode == 1
@@ -25,6 +26,7 @@ def test_accepts_a_build(toy):
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines() == [
         "claimed by no notebook: motion.gain",
+        "belongs to no notebook, remove it: figures/motion/00-gone",
         "accepted 2 notebooks and 2 ledger entries",
     ]
 

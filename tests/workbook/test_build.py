@@ -177,6 +177,46 @@ def test_other_settings_go_to_a_folder_of_their_own(toy):
     ]
 
 
+@pytest.mark.slow
+def test_settings_of_every_type_reach_the_notebook(toy):
+    toy.add(
+        "motion/02-types",
+        "assert corner == (2.0, 'a\"b\\\\n'), corner",
+        "assert bands == [0.5] and type(bands) is list",
+        "assert record is None and fast is True and level == 3.0 and type(level) is float",
+        parameters=(
+            "seed: int = 1  # a\nlevel: float = 1.0  # b\nfast: bool = False  # c\nrecord: str | None = 'x'  # d\n"
+            "corner: tuple[float, str] = (1.0, 'y')  # e\nbands: list[float] = []  # f"
+        ),
+    )
+    settings = ["corner=(2, 'a\"b\\\\n')", "bands=[0.5]", "record=none", "fast=true", "level=3"]
+    done = toy.run("figures", "motion/02-types", *(word for text in settings for word in ("-p", text)))
+    assert done.returncode == 0, done.stdout
+
+
+@pytest.mark.slow
+def test_kernels_are_alike_whatever_a_user_has_at_home(toy):
+    toy.write("home/ipython/profile_default/startup/00.py", "seed_of_the_user = 1\n")
+    toy.write("home/jupyter/kernels/python3/kernel.json", '{"argv": ["false"], "display_name": "Mine"}')
+    toy.write("home/matplotlibrc", "lines.linewidth: 9\n")
+    toy.add(
+        "motion/02-home",
+        "import os, stillwork, matplotlib\nassert stillwork.__file__.startswith(os.environ['TOY'])",
+        "assert 'seed_of_the_user' not in globals()",
+        "assert matplotlib.rcParams['lines.linewidth'] != 9",
+        "assert os.environ['OPENBLAS_NUM_THREADS'] == os.environ['OMP_NUM_THREADS'] == '1'",
+    )
+    home = {
+        "IPYTHONDIR": f"{toy.root}/home/ipython",
+        "JUPYTER_DATA_DIR": f"{toy.root}/home/jupyter",
+        "MATPLOTLIBRC": f"{toy.root}/home/matplotlibrc",
+        "OMP_NUM_THREADS": "7",
+    }
+    command = toy.command("figures", "motion/02-home")
+    done = subprocess.run(command, cwd=toy.root, env=toy.environment() | home, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout
+
+
 def test_the_published_setting_given_by_hand_is_the_published_build(toy):
     assert reasons(toy, "-p", "seed=1", "-p", "level=1") == {}
 

@@ -4,7 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from stillwork.checks import InputError
-from stillwork.workbook.notebooks import Parameter, assign, read_notebook, select
+from stillwork.workbook.notebooks import assign, read_notebook, select
+from stillwork.workbook.parameters import Parameter
 from workbook.toy import cell, notebook
 
 

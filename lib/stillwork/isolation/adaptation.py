@@ -60,8 +60,8 @@ class FeRls:
     forgetting : float
         lambda in (0, 1]; exp(-sample time / time constant).
     growth_limit : float
-        How far an element of the diagonal of P may grow beyond its initial value; ``inf`` for the printed
-        algorithm.
+        How far an element of the diagonal of P may grow beyond its initial value, at least 1; ``inf`` for the
+        printed algorithm. A floor that gets quieter by more than this, in power, is followed more slowly.
     """
 
     initial_covariance: ArrayLike | float

@@ -287,9 +287,7 @@ def _keep(weights, entry):
 
 
 @kernel
-def _run_ferls(
-    weights, covariance, forgetting, limits, regressors, signals, fits, ceiling, history, every
-):
+def _run_ferls(weights, covariance, forgetting, limits, regressors, signals, fits, ceiling, history, every):
     error, gain = np.empty(signals.shape[1]), np.empty(regressors.shape[1])
     due = every - 1
     for k in range(len(regressors)):

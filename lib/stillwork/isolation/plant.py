@@ -70,7 +70,7 @@ class Plant:
     def continuous(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """State space (A, B, C, D) from (f, a0) to a1."""
         inverse = np.linalg.inv(self.mass)
-        n, actuators = self.actuation.shape
+        n = len(inverse)
         sensors = self.floor_damping.shape[1]
         a = np.block([[-self.damping @ inverse, np.eye(n)], [-self.stiffness @ inverse, np.zeros((n, n))]])
         through = inverse @ self.actuation
@@ -79,7 +79,6 @@ class Plant:
         )
         c = self.observation @ np.hstack([inverse, np.zeros((n, n))])
         d = np.hstack([self.observation @ through, np.zeros((len(c), sensors))])
-        assert d.shape[1] == actuators + sensors
         return a, b, c, d
 
     def discrete(self, sample_time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

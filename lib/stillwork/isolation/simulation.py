@@ -9,14 +9,10 @@ from numpy.typing import ArrayLike
 from stillwork.checks import InputError, require_array, require_count, require_number
 from stillwork.isolation import loop
 from stillwork.isolation.adaptation import FeLms, FeRls
-from stillwork.isolation.floors import ShapedFloor
 from stillwork.isolation.online import UnstableAdaptation
 from stillwork.isolation.recorded_floors import RecordedFloor
+from stillwork.isolation.sources import BLOCK, Floor, Sources
 from stillwork.isolation.twin import Twin
-
-BLOCK = 4096  # samples drawn at a time: small enough for the cache, large enough to forget the call
-
-Floor = ShapedFloor | RecordedFloor
 
 
 @dataclass(frozen=True)
@@ -133,7 +129,7 @@ def simulate(
 
     code, numbers, covariance = _algorithm(twin, adaptation)
     closed = loop.loop_of(twin, feedback, start, covariance)
-    sources = _Sources(twin, segments, noise, require_count("seed", seed, at_least=0))
+    sources = Sources(twin, segments, noise, require_count("seed", seed, at_least=0))
     kept = _Kept(twin, total, every, first)
 
     done = 0
@@ -228,67 +224,6 @@ def _unstable(status: int, sample: int, twin: Twin) -> UnstableAdaptation:
         f"a command exceeds the force limit of {twin.instruments.force_limit:g} N",
         "start with a smaller initial_covariance or step_size, better weights or a better path estimate",
     )
-
-
-class _Sources:
-    """Floor motion and sensor noise, block by block, each from its own random stream."""
-
-    def __init__(self, twin: Twin, segments: list[tuple[int, Floor]], noise: bool, seed: int):
-        streams = np.random.SeedSequence(seed).spawn(2)
-        self.floor_stream, self.noise_stream = (np.random.Generator(np.random.SFC64(s)) for s in streams)
-        instruments = twin.instruments
-        self.rate = instruments.sample_rate
-        each = [twin.outputs, twin.sensors]
-        density = np.repeat([instruments.platform_noise, instruments.floor_noise], each)
-        self.deviation = noise * density * np.sqrt(self.rate / 2)
-        self.mains = noise * np.repeat([instruments.platform_mains, instruments.floor_mains], each, axis=0).T
-        # Sines of a block by addition theorem: one table for all blocks.
-        self.omega = 2 * np.pi * np.asarray(instruments.mains_hz) / self.rate
-        angle = np.outer(np.arange(BLOCK), self.omega)
-        self.waves = np.hstack([np.sin(angle), np.cos(angle)])
-        self.sensors = twin.sensors
-        self.segments = list(segments)
-        self.done = 0
-        self._enter()
-
-    def _enter(self):
-        self.left, self.part = self.segments.pop(0)
-        self.position = 0
-        if isinstance(self.part, ShapedFloor):
-            rows = np.stack([loop.rows_of(each) for each in self.part.sections], axis=2)
-            self.shaping = loop.bank_of(rows, self.sensors)
-
-    def draw(self, samples: int) -> tuple[np.ndarray, np.ndarray]:
-        """Next block of a0, (samples, sensors), and of (n1, n0), (samples, outputs + sensors)."""
-        floor = np.empty((samples, self.sensors))
-        filled = 0
-        while filled < samples:
-            if not self.left:
-                self._enter()
-            take = min(samples - filled, self.left)
-            self._fill(floor[filled : filled + take])
-            filled += take
-            self.left -= take
-            self.position += take
-        noise = np.zeros((samples, len(self.deviation)))
-        if self.deviation.any():
-            self.noise_stream.standard_normal(out=noise)
-            noise *= self.deviation
-        if self.mains.any():
-            start = (self.omega * self.done)[:, None]
-            noise += self.waves[:samples] @ np.vstack(
-                [np.cos(start) * self.mains, np.sin(start) * self.mains]
-            )
-        self.done += samples
-        return floor, noise
-
-    def _fill(self, floor):
-        if isinstance(self.part, RecordedFloor):
-            floor[:] = self.part.acceleration[:, self.position : self.position + len(floor)].T
-            return
-        self.floor_stream.standard_normal(out=floor)
-        floor *= self.part.scale
-        loop._filter_block(*self.shaping, floor)
 
 
 class _Kept:

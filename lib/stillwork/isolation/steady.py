@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from stillwork.checks import InputError, require_array, require_number
 from stillwork.isolation.floors import ShapedFloor
+from stillwork.isolation.recorded_floors import SpectralFloor
 from stillwork.isolation.responses import responses
 from stillwork.isolation.twin import Twin
 
@@ -30,6 +31,8 @@ class Steady:
         Weights with the smallest E[e'e]: Wiener's solution. Equal to the fixed point for a perfect estimate.
     error_power, least_error_power : float
         E[e'e] at the two, N^2.
+    update : ndarray, shape (actuators regressors, actuators regressors)
+        A, on the rows of W one after another: mean of e psi_N' per deviation of W from the fixed point.
     correlation : ndarray, shape (regressors, regressors)
         R = E[psi_N psi_N'].
     covariance : ndarray, shape (regressors, regressors)
@@ -45,6 +48,7 @@ class Steady:
     least_squares: Float64[np.ndarray, "actuators regressors"]
     error_power: float
     least_error_power: float
+    update: Float64[np.ndarray, "modes modes"]
     correlation: Float64[np.ndarray, "regressors regressors"]
     covariance: Float64[np.ndarray, "regressors regressors"]
     rls_eigenvalues: Complex128[np.ndarray, "modes"]
@@ -53,7 +57,7 @@ class Steady:
 
 def steady_state(
     twin: Twin,
-    floor: ShapedFloor,
+    floor: ShapedFloor | SpectralFloor,
     *,
     forgetting: float = FORGETTING,
     noise: bool = True,
@@ -67,7 +71,7 @@ def steady_state(
     ----------
     twin : Twin
         Model.
-    floor : ShapedFloor
+    floor : ShapedFloor or SpectralFloor
         Anything with a ``density(frequencies_hz)`` per sensor, sensors independent.
     forgetting : float
         lambda.
@@ -131,6 +135,7 @@ def steady_state(
         least_squares=least,
         error_power=power(weights),
         least_error_power=power(least),
+        update=mean_update,
         correlation=correlation,
         covariance=(1 - forgetting) * inverse,
         rls_eigenvalues=np.linalg.eigvals(np.kron(np.eye(actuators), inverse) @ mean_update).astype(complex),

@@ -39,24 +39,27 @@ def rounded_up(residual: float) -> float:
     return 0.0 if residual == 0 else float(10.0 ** np.ceil(np.log10(residual)))
 
 
-def draw_agreement(time_s: ArrayLike, residuals: Mapping[str, ArrayLike], weights: ArrayLike):
-    """Weights of the first actuator on the left, differences between the forms on the right."""
-    figure, (left, right) = figures.new(1, 2, height=3.0)
-    for number, row in enumerate(np.transpose(weights), 1):
-        left.plot(time_s, row, "-" if number <= 7 else "--", label=f"w{number}")
-    left.set(xlabel="time, s", ylabel="weight, N per (m/s²)", title="identification from zero weights")
-    left.legend(ncols=3)
-    for name, values in residuals.items():
-        right.semilogy(time_s, np.maximum(values, 1e-18), lw=0.9, label=name)
-    right.set(
-        xlabel="time, s",
-        ylabel="largest difference / largest weight",
-        title="distance to the recursion (29)-(30)",
-        ylim=(1e-18, 1e-6),
-    )
-    right.axhline(np.finfo(float).eps, color=figures.GREY, lw=0.8, ls="--")
-    right.annotate("rounding unit of float64", (time_s[0], 3e-16), fontsize=8, color=figures.GREY)
-    right.legend()
+def draw_agreement(time_s: ArrayLike, recursion: ArrayLike, direct: Mapping[str, ArrayLike], every: int = 25):
+    """Weights of one actuator, (samples, n): the recursion as lines, the direct forms as marks upon them."""
+    figure, axes = figures.new(1, 1, height=3.6)
+    for number, row in enumerate(np.transpose(recursion), 1):
+        axes.plot(time_s, row, "-" if number <= 7 else "--", label=f"w{number}, recursion")
+    for first, (marker, (name, weights)) in enumerate(zip("ox+", direct.items(), strict=True)):
+        some = slice(first * every // 3, None, every)
+        for number, row in enumerate(np.transpose(weights), 1):
+            label = name if number == 1 else f"_{name} w{number}"
+            axes.plot(
+                np.asarray(time_s)[some],
+                row[some],
+                marker,
+                color=figures.BLACK,
+                ms=4,
+                mfc="none",
+                mew=0.8,
+                label=label,
+            )
+    axes.set(xlabel="time, s", ylabel="weight of the first actuator, N per (m/s²)")
+    axes.legend(loc="center left", bbox_to_anchor=(1, 0.5))
     return figure
 
 

@@ -7,9 +7,9 @@ import tomlkit
 from stillwork import paths
 from stillwork.claims import Claim, ledger
 from stillwork.workbook import publish
-from stillwork.workbook.build import Task, tasks
 from stillwork.workbook.notebooks import notebook_file
 from stillwork.workbook.report import refresh_readme
+from stillwork.workbook.tasks import Task, tasks
 
 
 def accept() -> int:
@@ -35,6 +35,9 @@ def accept() -> int:
             print(f"claimed by no notebook: {claim.entry.id}")
         elif claim.verdict == "deviates" and not claim.entry.reason:
             print(f"deviates without a reason: {claim.entry.id}")
+    for folder in sorted((paths.root() / "figures").glob("[!.]*/[!.]*/")):
+        if folder not in {task.target for task in built}:
+            print(f"belongs to no notebook, remove it: {folder.relative_to(paths.root())}")
     print(f"accepted {len(built)} notebooks and {len(claims)} ledger entries")
     return 0
 

@@ -6,7 +6,7 @@ import os
 import sys
 
 from stillwork.workbook.environment import drift, pins
-from stillwork.workbook.execution import KERNEL_SETTINGS
+from stillwork.workbook.jupyter_kernel import KERNEL_SETTINGS
 
 
 def doctor() -> int:

@@ -9,7 +9,7 @@ from pathlib import Path
 import stillwork
 from stillwork import paths
 from stillwork.workbook.environment import pins
-from stillwork.workbook.execution import KERNEL_SETTINGS
+from stillwork.workbook.jupyter_kernel import KERNEL_SETTINGS
 from stillwork.workbook.notebooks import Notebook
 
 LIBRARY = Path(stillwork.__file__).parent

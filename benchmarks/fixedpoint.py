@@ -1,0 +1,336 @@
+"""Speed of the fixedpoint room beside named peers, measured in one run: `make bench`.
+
+Times are processor time of one thread, medians over repeats that take the contenders in turn, so that a busy
+machine slows all of them alike.
+With `--write` the filters' times are stored in `data/fixedpoint/filter_times.csv` for notebook 07.
+"""
+
+import ctypes
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "lib"))
+
+import numpy as np  # noqa: E402
+from stillwork.fixedpoint import (  # noqa: E402
+    PUBLISHED_CASES,
+    UnscentedKalman,
+    added_controllers,
+    asin_trajectory,
+    compare,
+    load_oscillator,
+    published_controllers,
+)
+from stillwork.fixedpoint.filtering import _filter_record, model_of  # noqa: E402
+
+STEP = 1e-3
+SAMPLES = 20_000
+REPEATS = 9
+
+C_SOURCE = r"""
+/* The unscented Kalman filter for the oscillator as one would write it by hand, n = 2. */
+#include <math.h>
+enum { N = 2, POINTS = 2 * N + 1 };
+static int root(const double p[N][N], double spread, double l[N][N]) {
+    if (!(p[0][0] > 0)) return 0;
+    l[0][0] = sqrt(spread * p[0][0]);
+    l[1][0] = spread * p[1][0] / l[0][0];
+    double rest = spread * p[1][1] - l[1][0] * l[1][0];
+    if (!(rest > 0)) return 0;
+    l[0][1] = 0;
+    l[1][1] = sqrt(rest);
+    return 1;
+}
+static int draw(const double x[N], const double p[N][N], double spread, double s[POINTS][N]) {
+    double l[N][N];
+    if (!root(p, spread, l)) return 0;
+    for (int j = 0; j < N; j++) {
+        s[0][j] = x[j];
+        for (int i = 0; i < N; i++) {
+            s[1 + i][j] = x[j] + l[j][i];
+            s[1 + N + i][j] = x[j] - l[j][i];
+        }
+    }
+    return 1;
+}
+static void moments(double s[POINTS][N], double wm, double wc, double w, const double add[N][N],
+                    double x[N], double p[N][N]) {
+    for (int j = 0; j < N; j++) {
+        x[j] = wm * s[0][j];
+        for (int i = 1; i < POINTS; i++) x[j] += w * s[i][j];
+    }
+    for (int a = 0; a < N; a++)
+        for (int b = 0; b < N; b++) {
+            p[a][b] = add[a][b] + wc * (s[0][a] - x[a]) * (s[0][b] - x[b]);
+            for (int i = 1; i < POINTS; i++) p[a][b] += w * (s[i][a] - x[a]) * (s[i][b] - x[b]);
+        }
+}
+long run(const double *q, const double *z, const double *u, long samples, double dt, const double *weights,
+         const double *Q, const double *R, double variance, double *out) {
+    double x[N] = {0, z[0]}, p[N][N] = {{variance, 0}, {0, variance}}, last = z[0], force = 0;
+    double spread = weights[0], wm = weights[1], wc = weights[2], w = weights[3];
+    double Qm[N][N] = {{Q[0], Q[1]}, {Q[2], Q[3]}}, Rm[N][N] = {{R[0], R[1]}, {R[2], R[3]}};
+    for (long k = 0; k < samples; k++) {
+        double s[POINTS][N], seen[N], S[N][N], cross[N][N], gain[N][N], before = x[0];
+        if (!draw(x, p, spread, s)) return k;
+        for (int i = 0; i < POINTS; i++) {
+            double v = s[i][0], y = s[i][1];
+            double pull = q[1] * y - q[3] * (q[2] * q[2] - y * y) * v + q[4] * v + q[5] * fabs(v) * v;
+            s[i][0] += dt * (force - pull) / q[0];
+            s[i][1] += dt * s[i][0];
+        }
+        moments(s, wm, wc, w, Qm, x, p);
+        if (!draw(x, p, spread, s)) return k;
+        moments(s, wm, wc, w, Rm, seen, S);
+        for (int a = 0; a < N; a++)
+            for (int b = 0; b < N; b++) {
+                cross[a][b] = wc * (s[0][a] - x[a]) * (s[0][b] - seen[b]);
+                for (int i = 1; i < POINTS; i++) cross[a][b] += w * (s[i][a] - x[a]) * (s[i][b] - seen[b]);
+            }
+        double det = S[0][0] * S[1][1] - S[0][1] * S[1][0];
+        if (!(det > 0)) return k;
+        for (int a = 0; a < N; a++) {
+            gain[a][0] = (cross[a][0] * S[1][1] - cross[a][1] * S[1][0]) / det;
+            gain[a][1] = (cross[a][1] * S[0][0] - cross[a][0] * S[0][1]) / det;
+        }
+        double i0 = (z[k] - last) / dt - seen[0], i1 = z[k] - seen[1];
+        for (int a = 0; a < N; a++) x[a] += gain[a][0] * i0 + gain[a][1] * i1;
+        for (int a = 0; a < N; a++)
+            for (int b = 0; b < N; b++) p[a][b] -= cross[a][0] * gain[b][0] + cross[a][1] * gain[b][1];
+        last = z[k];
+        force = u[k];
+        out[3 * k] = x[1];
+        out[3 * k + 1] = x[0];
+        out[3 * k + 2] = (x[0] - before) / dt;
+    }
+    return samples;
+}
+"""
+
+COLD = """
+import sys, time
+start = time.process_time()
+import numpy as np
+from stillwork.fixedpoint import *
+imported = time.process_time() - start
+models = load_oscillator()
+exact, approximate = models["exact"].plant, models["approximate"].plant
+for controller in (published_controllers(approximate) | added_controllers(approximate)).values():
+    simulate(exact, controller, asin_trajectory(duration=0.1))
+total = time.process_time() - start
+import numba, stillwork
+missed = sum(
+    sum(kernel.stats.cache_misses.values())
+    for name, module in list(sys.modules.items()) if name.startswith("stillwork.fixedpoint")
+    for kernel in vars(module).values() if isinstance(kernel, numba.core.registry.CPUDispatcher)
+)
+print(imported, total, missed)
+"""
+
+
+def main() -> None:
+    models = load_oscillator()
+    exact, approximate = models["exact"].plant, models["approximate"].plant
+    print(f"machine: {machine()}")
+    times = filter_times(approximate)
+    peers(approximate, times)
+    whole_study(exact, approximate)
+    cold_start()
+    if "--write" in sys.argv:
+        write(times)
+
+
+def record() -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(0)
+    time_axis = np.arange(SAMPLES) * STEP
+    measured = np.sin(2 * np.pi * 0.2 * time_axis) + 1e-4 * rng.standard_normal(SAMPLES)
+    return measured, 100 * np.sin(2 * np.pi * 0.2 * time_axis)
+
+
+def runner(signal_filter):
+    """A call of the filter's kernel over the record, with fresh workspace."""
+    measured, force = record()
+    model, estimates = model_of(signal_filter), np.empty((SAMPLES, 3))
+
+    def run():
+        done = _filter_record(*signal_filter.packed(), *model, measured, force, STEP, np.zeros(3), estimates)
+        assert done == SAMPLES
+        return estimates
+
+    return run
+
+
+def filter_times(approximate) -> dict[str, tuple[float, float, float]]:
+    """Nanoseconds per sample: median, lowest, highest."""
+    controllers = published_controllers(approximate) | added_controllers(approximate)
+    contenders = {name: runner(controller.signal_filter) for name, controller in controllers.items()}
+    times = in_turn(contenders)
+    print("\nfilters, ns a sample (median, lowest .. highest of", REPEATS, "repeats)")
+    for name, (median, low, high) in times.items():
+        print(f"  {name:24s} {median:7.0f}  {low:7.0f} .. {high:.0f}")
+    return times
+
+
+def in_turn(contenders) -> dict[str, tuple[float, float, float]]:
+    taken = {name: [] for name in contenders}
+    for run in contenders.values():
+        run()
+    for _ in range(REPEATS):
+        for name, run in contenders.items():
+            start = time.process_time()
+            run()
+            taken[name].append((time.process_time() - start) / SAMPLES * 1e9)
+    return {name: (float(np.median(t)), min(t), max(t)) for name, t in taken.items()}
+
+
+def peers(approximate, times) -> None:
+    """The unscented filter beside C and beside filterpy, on the same record and to the same numbers."""
+    signal_filter = UnscentedKalman(approximate)
+    ours = runner(signal_filter)
+    expected = ours().copy()
+    contenders = {"ours": ours}
+    if shutil.which("gcc"):
+        contenders["C, gcc -O3 -march=native"] = c_filter(signal_filter, expected)
+    else:
+        print("no gcc: the comparison with C is left out")
+    taken = in_turn(contenders)
+    print("\nunscented Kalman filter, n = 2, beside its peers")
+    for name, (median, _, _) in taken.items():
+        if name != "ours":
+            report(f"ours / {name}", taken["ours"][0] / median, "at most", 3.0)
+    slow = filterpy_time(signal_filter, expected)
+    report("filterpy / ours", slow / taken["ours"][0], "at least", 300.0)
+
+
+def c_filter(signal_filter, expected):
+    folder = Path(tempfile.mkdtemp())
+    (folder / "peer.c").write_text(C_SOURCE)
+    build = ["gcc", "-O3", "-march=native", "-shared", "-fPIC", "peer.c", "-o", "peer.so", "-lm"]
+    subprocess.run(build, check=True, cwd=folder)
+    library = ctypes.CDLL(str(folder / "peer.so"))
+    library.run.restype = ctypes.c_long
+    measured, force = record()
+    packed, out = signal_filter.packed(), np.empty((SAMPLES, 3))
+    pointers = [
+        array.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
+        for array in (signal_filter.plant.parameters, measured, force, packed.options)
+    ]
+    matrices = [
+        np.ascontiguousarray(m).ctypes.data_as(ctypes.c_void_p) for m in (packed.process, packed.noise)
+    ]
+
+    def run():
+        done = library.run(
+            *pointers[:3],
+            ctypes.c_long(SAMPLES),
+            ctypes.c_double(STEP),
+            pointers[3],
+            *matrices,
+            ctypes.c_double(signal_filter.initial_variance),
+            out.ctypes.data_as(ctypes.c_void_p),
+        )
+        assert done == SAMPLES
+        return out
+
+    assert np.abs(run() - expected)[:, :2].max() < 1e-9
+    return run
+
+
+def filterpy_time(signal_filter, expected, samples: int = 400) -> float:
+    """Nanoseconds a sample."""
+    from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
+
+    measured, force = record()
+    plant = signal_filter.plant
+
+    def move(x, dt, u):
+        velocity = x[0] + dt * plant.acceleration(x[1], x[0], u, plant.parameters)
+        return np.array([velocity, x[1] + dt * velocity])
+
+    points = MerweScaledSigmaPoints(2, 1e-2, 1e-3, 0.0)
+    peer = UnscentedKalmanFilter(2, 2, STEP, lambda x: x, move, points)
+    peer.x, peer.P = np.array([0.0, measured[0]]), signal_filter.initial_variance * np.eye(2)
+    peer.Q, peer.R = signal_filter.process, signal_filter.noise
+    last, start = measured[0], time.process_time()
+    for k in range(samples):
+        peer.predict(u=force[k - 1] if k else 0.0)
+        peer.update(np.array([(measured[k] - last) / STEP, measured[k]]))
+        last = measured[k]
+    taken = (time.process_time() - start) / samples * 1e9
+    assert np.abs(peer.x - expected[samples - 1, [1, 0]]).max() < 1e-9
+    return taken
+
+
+def whole_study(exact, approximate) -> None:
+    """12 s at 1 kHz, three filters, five noise cases, 40 seeds: noise, loops and metrics."""
+    controllers = dict(list(published_controllers(approximate).items())[:3])
+    trajectory = asin_trajectory()
+    start = time.process_time()
+    for noise in PUBLISHED_CASES.values():
+        compare(exact, controllers, trajectory, noise, runs=40, seed=0)
+    print()
+    report("study of 3 filters x 5 noises x 40 seeds, s", time.process_time() - start, "below", 5.0)
+
+
+def cold_start() -> None:
+    with tempfile.TemporaryDirectory() as cache:
+        for name, limit in (("cold", 8.0), ("second run", None)):
+            imported, total, missed = map(float, python(COLD, NUMBA_CACHE_DIR=cache).split())
+            label = f"{name}: import and first call of every filter, s (import {imported:.1f})"
+            if limit:
+                report(label, total, "below", limit)
+            else:
+                print(f"  {label:62s} {total:8.2f}")
+                report("second run: kernels compiled", missed, "at most", 0.0)
+
+
+def report(name: str, value: float, rule: str, target: float) -> None:
+    met = value >= target if rule == "at least" else value <= target
+    print(f"  {name:62s} {value:8.2f}   target: {rule} {target:g}   {'met' if met else 'MISSED'}")
+
+
+def python(code: str, **environment) -> str:
+    env = {**os.environ, **environment, "PYTHONPATH": str(ROOT / "lib")}
+    return subprocess.run(
+        [sys.executable, "-c", code], env=env, stdout=subprocess.PIPE, text=True, check=True
+    ).stdout
+
+
+def machine() -> str:
+    name, info = platform.machine(), Path("/proc/cpuinfo")
+    if info.exists():
+        lines = [line for line in info.read_text().splitlines() if "model name" in line]
+        name = lines[0].partition(":")[2].strip() if lines else name
+    return f"{name}, {platform.system()}, Python {platform.python_version()}, numpy {np.__version__}"
+
+
+def write(times) -> None:
+    """The table that notebook 07 reads, and the machine it was measured on."""
+    import numba
+
+    folder = ROOT / "data" / "fixedpoint"
+    lines = ["filter,median_ns,lowest_ns,highest_ns"]
+    lines += [f'"{name}",{median:.3g},{low:.3g},{high:.3g}' for name, (median, low, high) in times.items()]
+    (folder / "filter_times.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    source = folder / "SOURCE.md"
+    heading = "\n## filter_times.csv\n"
+    kept = source.read_text(encoding="utf-8").partition(heading)[0]
+    source.write_text(
+        f"{kept}{heading}\n"
+        "Nanoseconds of processor time a sample of each filter's kernel, published settings: median, lowest and highest of "
+        f"{REPEATS} repeats over\n{SAMPLES} samples, written by `python benchmarks/fixedpoint.py --write`. Measured, "
+        "not computed: another machine\ngives other times, which is why notebook 07 reads this file.\n\n"
+        f"Machine: {machine()}, numba {numba.__version__}; other programs were running.\n",
+        encoding="utf-8",
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,225 @@
+"""Speed of the worstcase room beside named peers, measured in one run: `make bench`.
+
+A time is CPU time, the lowest of many short repeats that take the contenders in turn: other work on the machine can
+only add to it. With `--write` the times against n go to `data/worstcase/update_times/` for notebook 03.
+"""
+
+import csv
+import os
+import platform
+import sys
+import time
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "lib"))
+
+import numpy as np  # noqa: E402
+from stillwork.worstcase import LeastSquares, MinMax, Ridge, Stepper, solve_cone_program  # noqa: E402
+from stillwork.worstcase.costs import slope  # noqa: E402
+
+FORGETTING = 0.95
+SIZES = (5, 10, 20, 50, 100, 200)
+REPEATS = 25
+RUN_SECONDS = 2e-3  # length of one repeat
+
+UPDATES = {
+    "RLS": LeastSquares(FORGETTING),
+    "ridge": Ridge(1.0, FORGETTING),
+    "approximate 1": MinMax(1.0, FORGETTING, "approximate", 1),
+    "approximate 2": MinMax(1.0, FORGETTING, "approximate", 2),
+    "approximate 3": MinMax(1.0, FORGETTING, "approximate", 3),
+    "exact": MinMax(1.0, FORGETTING, "exact"),
+    "fast": MinMax(1.0, FORGETTING, "fast"),
+}
+
+
+def main() -> None:
+    print(f"{machine()}; one thread; lowest of {REPEATS} repeats (and their median)\n")
+    small = update_times(5) | peer_times(5) | call_times(5)
+    print("one update at n = 5                      microseconds")
+    for name, times in small.items():
+        print(f"  {name:36s} {min(times):10.3f}   ({np.median(times):.3f})")
+
+    cone = "SOCP, Clarabel alone, reduced data"
+    rows = [
+        ("approximate / RLS kernel", "approximate 1", "RLS", "<= 2.5"),
+        ("exact / RLS kernel", "exact", "RLS", "<= 8"),
+        ("SOCP (Clarabel alone, reduced data) / approximate", cone, "approximate 1", ">= 500"),
+        ("SOCP (cvxpy) / approximate", "SOCP, cvxpy", "approximate 1", ">= 500"),
+        ("approximate / RLS, one call a sample", "approximate 1, call", "RLS, call", "<= 2.5"),
+        ("exact / RLS, one call a sample", "exact, call", "RLS, call", "<= 8"),
+        ("padasip RLS / RLS kernel", "padasip RLS", "RLS", ""),
+        ("padasip RLS / approximate kernel", "padasip RLS", "approximate 1", ""),
+        ("padasip RLS / approximate, one call a sample", "padasip RLS", "approximate 1, call", ""),
+    ]
+    print()
+    for name, one, other, target in rows:
+        value = min(small[one]) / min(small[other])
+        print(f"  {name:52s} {value:10.2f}   {target:8s} {verdict(value, target)}")
+
+    table = growth()
+    print("\nmicroseconds an update, against n")
+    print(
+        "  " + "".join(f"{name:>15s}" for name in ("n", *table)) + "\n" + "  " + "-" * 15 * (len(table) + 1)
+    )
+    for i, n in enumerate(SIZES):
+        print("  " + f"{n:15d}" + "".join(f"{table[name][i]:15.2f}" for name in table))
+    print(
+        "  "
+        + f"{'slope, n >= 50':>15s}"
+        + "".join(f"{slope(SIZES[3:], v[3:]):15.2f}" for v in table.values())
+    )
+    if "--write" in sys.argv[1:]:
+        write(table)
+
+
+def update_times(n: int) -> dict[str, list[float]]:
+    """CPU microseconds a sample of every kernel, over a record."""
+    rng = np.random.default_rng(n)
+    first = 4 * n
+    rows = rng.standard_normal((first + 4000, n))
+    outputs = rows @ rng.standard_normal(n) + 0.3 * rng.standard_normal(len(rows))
+    lengths, states = {}, {}
+    for name, estimator in UPDATES.items():
+        states[name] = estimator.start(n)
+        estimator.advance(states[name], 0, rows[:first], outputs[:first])  # past the start, where all is zero
+        cost = min(run(estimator, states[name], rows[first:], outputs[first:], 20) for _ in range(3))
+        lengths[name] = int(np.clip(RUN_SECONDS * 1e6 / cost, 5, 4000))
+    times = {name: [] for name in UPDATES}
+    for _ in range(REPEATS):
+        for name, estimator in UPDATES.items():
+            times[name].append(run(estimator, states[name], rows[first:], outputs[first:], lengths[name]))
+    return times
+
+
+def run(estimator, state, rows, outputs, samples) -> float:
+    state = tuple(array.copy() for array in state)
+    rows, outputs = rows[:samples], outputs[:samples]
+    began = time.process_time()
+    estimator.advance(state, len(rows), rows, outputs)
+    return (time.process_time() - began) / samples * 1e6
+
+
+def call_times(n: int, samples: int = 200) -> dict[str, list[float]]:
+    """CPU microseconds a sample where each sample is a call from Python."""
+    import padasip
+
+    rng = np.random.default_rng(n)
+    rows = rng.standard_normal((samples, n))
+    outputs = rows @ rng.standard_normal(n) + 0.3 * rng.standard_normal(samples)
+    steppers = {
+        f"{name}, call": lambda e=UPDATES[name]: Stepper(e, n).update
+        for name in ("RLS", "approximate 1", "exact", "fast")
+    }
+    makers = {**steppers, "padasip RLS": lambda: _padasip(padasip.filters.FilterRLS(n, mu=FORGETTING))}
+    times = {name: [] for name in makers}
+    for _ in range(REPEATS):
+        for name, make in makers.items():
+            update = make()
+            began = time.process_time()
+            for row, output in zip(rows, outputs, strict=True):
+                update(row, output)
+            times[name].append((time.process_time() - began) / samples * 1e6)
+    return times
+
+
+def _padasip(peer):
+    def update(row, output):
+        peer.predict(row)
+        peer.adapt(output, row)
+
+    return update
+
+
+def peer_times(n: int, repeats: int = 15) -> dict[str, list[float]]:
+    """CPU microseconds of one cone program: through cvxpy with all rows, and by Clarabel alone on n + 1 rows."""
+    rng = np.random.default_rng(n)
+    rows = rng.standard_normal((120, n)) * FORGETTING ** (np.arange(119, -1, -1) / 2)[:, None]
+    outputs = rows @ rng.standard_normal(n) + 0.3 * rng.standard_normal(120)
+    factor = np.linalg.qr(np.column_stack([rows, outputs]), mode="r")  # |A x - b| is that of n + 1 rows
+    times = {"SOCP, cvxpy": [], "SOCP, Clarabel alone, reduced data": []}
+    for _ in range(repeats):
+        began = time.process_time()
+        _, cost = solve_cone_program(rows, outputs, 1.0)
+        times["SOCP, cvxpy"].append((time.process_time() - began) * 1e6)
+        seconds, value = clarabel_alone(factor[:, :n], factor[:, n], 1.0)
+        assert abs(value - cost) < 1e-6 * cost
+        times["SOCP, Clarabel alone, reduced data"].append(seconds * 1e6)
+    return times
+
+
+def clarabel_alone(matrix, target, bound):
+    """Seconds and cost of min t + bound u with |A x - b| <= t, |x| <= u; the solver's own entry, nothing else."""
+    import clarabel
+    from scipy import sparse
+
+    rows, n = matrix.shape
+    cone = np.zeros((rows + n + 2, n + 2))
+    cone[0, n] = -1
+    cone[1 : rows + 1, :n] = -matrix
+    cone[rows + 1, n + 1] = -1
+    cone[rows + 2 :, :n] = -np.eye(n)
+    right = np.concatenate([[0], -target, [0], np.zeros(n)])
+    costs = np.concatenate([np.zeros(n), [1.0, bound]])
+    cones = [clarabel.SecondOrderConeT(rows + 1), clarabel.SecondOrderConeT(n + 1)]
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    quadratic, linear = sparse.csc_matrix((n + 2, n + 2)), sparse.csc_matrix(cone)
+    began = time.process_time()
+    solution = clarabel.DefaultSolver(quadratic, costs, linear, right, cones, settings).solve()
+    return time.process_time() - began, solution.obj_val
+
+
+def growth() -> dict[str, list[float]]:
+    """CPU microseconds an update against n, by update; with the cone program of Clarabel alone."""
+    table = {name: [] for name in (*UPDATES, "SOCP")}
+    for n in SIZES:
+        for name, times in update_times(n).items():
+            table[name].append(min(times))
+        table["SOCP"].append(min(peer_times(n, 5)["SOCP, Clarabel alone, reduced data"]))
+    return table
+
+
+def write(table: dict[str, list[float]]) -> None:
+    folder = ROOT / "data" / "worstcase" / "update_times"
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / "update_times.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(("unknowns", *(f"{name} (us)" for name in table)))
+        for i, n in enumerate(SIZES):
+            writer.writerow((n, *(f"{values[i]:.4g}" for values in table.values())))
+    (folder / "SOURCE.md").write_text(
+        "# Measured times of the updates against the number of unknowns\n\n"
+        "Made by `python benchmarks/worstcase.py --write`; CPU microseconds an update, one thread, the lowest of "
+        f"{REPEATS} repeats.\n"
+        f"Machine: {machine()}.\n"
+        "`SOCP` is Clarabel alone on data reduced to n + 1 rows, without cvxpy.\n"
+        "Times differ from run to run and from machine to machine; the committed table is one run.\n",
+        encoding="utf-8",
+    )
+    print(f"\nwrote {folder}")
+
+
+def machine() -> str:
+    model = platform.processor() or platform.machine()
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                model = line.partition(":")[2].strip()
+                break
+    except OSError:
+        pass
+    return f"{model}, {os.cpu_count()} logical cores, {platform.system()}, Python {platform.python_version()}"
+
+
+def verdict(value: float, target: str) -> str:
+    if not target:
+        return ""
+    sign, number = target.split()
+    return "met" if (value <= float(number) if sign == "<=" else value >= float(number)) else "MISSED"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,188 @@
+"""Pictures of runs: tracking, phase, errors over noise and frequency."""
+
+import numpy as np
+
+from stillwork import figures
+from stillwork.fixedpoint.loop import Run
+from stillwork.fixedpoint.published import EXTENDED, KALMAN, LITERAL, LOW_PASS, POLYNOMIAL, WINDOW
+from stillwork.studies import Study, mean_interval
+
+COLOURS = {
+    WINDOW: figures.BLUE,
+    LOW_PASS: figures.GREEN,
+    KALMAN: figures.RED,
+    LITERAL: figures.ORANGE,
+    EXTENDED: figures.PURPLE,
+    POLYNOMIAL: figures.SKY,
+}
+SHARP_TURN = 6.25  # s, a corner of the default trajectory
+
+
+def tracking(runs: dict[str, Run], quantity: str = "position", detail: tuple[float, float] = (6.1, 6.4)):
+    """Nominal and true motion; the tracking error's envelope over the run; the error in a stretch of it.
+
+    Parameters
+    ----------
+    runs : dict of str to Run
+        By the filter's name.
+    quantity : str
+        ``position`` or ``velocity``.
+    detail : tuple of float
+        The stretch, s.
+    """
+    unit, small, factor = {"position": ("m", "mm", 1e3), "velocity": ("m/s", "mm/s", 1e3)}[quantity]
+    name = {"position": "q", "velocity": "q'"}[quantity]
+    figure, (motion, envelope, stretch) = figures.new(3, height=7.2)
+    nominal = next(iter(runs.values())).trajectory
+    coarse = slice(None, None, 100)
+    motion.plot(nominal.time[coarse], getattr(nominal, quantity)[coarse], "k--", label="nominal", zorder=5)
+    for label, run in runs.items():
+        style = {"color": COLOURS[label], "label": label}
+        time, true = run.time, getattr(run, quantity)
+        error = factor * getattr(run, f"{quantity}_error")
+        motion.plot(time[coarse], true[coarse], linewidth=1, **style)
+        bins = len(time) // 60
+        middle, blocks = time[: bins * 60].reshape(bins, 60)[:, 30], error[: bins * 60].reshape(bins, 60)
+        envelope.fill_between(middle, blocks.min(axis=1), blocks.max(axis=1), alpha=0.6, lw=0.8, **style)
+        part = (time >= detail[0]) & (time < detail[1])
+        stretch.plot(time[part], error[part], **style)
+    motion.set(xlabel="time in s", ylabel=f"{name} in {unit}", title="motion")
+    envelope.set(xlabel="time in s", ylabel=f"error in {small}", title="error, range in 60 ms")
+    envelope.set_ylim(*_range_after(runs, quantity, factor))
+    stretch.set(xlabel="time in s", ylabel=f"error in {small}", title="error at a corner")
+    handles, labels = motion.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+    return figure
+
+
+def _range_after(runs, quantity, factor, settle=2.0):
+    """Limits that show the settled errors: the start may be off by far more."""
+    settled = [factor * getattr(run, f"{quantity}_error")[run.time >= settle] for run in runs.values()]
+    reach = 1.15 * max(np.nanmax(np.abs(error)) for error in settled)
+    return -reach, reach
+
+
+def phase(runs: dict[str, Run], last: float = 5.0):
+    """Phase trajectories over the last seconds, whole and at a corner."""
+    figure, (whole, corner) = figures.new(1, 2, height=3.6)
+    nominal = next(iter(runs.values())).trajectory
+    first = len(nominal.position) - round(last / nominal.time_step)
+    step = 12
+    whole.plot(nominal.position[first::step], nominal.velocity[first::step], "k--", label="nominal", zorder=5)
+    near = np.flatnonzero(nominal.position[first:] > 0.93 * nominal.position.max())[::3] + first
+    corner.plot(nominal.position[near], nominal.velocity[near], "k--", label="nominal", zorder=5)
+    for label, run in runs.items():
+        style = {"color": COLOURS[label], "label": label, "linewidth": 0.9}
+        whole.plot(run.position[first::step], run.velocity[first::step], **style)
+        corner.plot(run.position[near], run.velocity[near], **style)
+    for axes, title in ((whole, "one period"), (corner, "at a corner")):
+        axes.set(xlabel="q in m", ylabel="q' in m/s", title=title)
+    handles, labels = whole.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+    return figure
+
+
+# Label, title, and factor to the label's unit.
+METRICS = {
+    "position": ("RMS error of q in mm", "position", 1e3),
+    "velocity": ("RMS error of q' in mm/s", "velocity", 1e3),
+    "roughness": ("roughness in m/s²", "change of q'' a sample", 1.0),
+}
+
+
+def log_axis(axis):
+    """A logarithmic axis with few, plain numbers: decades, or 1, 2 and 5 where it spans less than two."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    low, high = axis.get_view_interval()
+    axis.set_major_locator(LogLocator(subs=(1.0,) if high / low > 80 else (1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_locator(NullLocator())
+
+
+def points_with_intervals(axes, runs: list[np.ndarray], places, name: str):
+    """Means of the runs as points, their 95 % intervals as bars."""
+    intervals = [mean_interval(values) for values in runs]
+    axes.plot([values.mean() for values in runs], places, "o", ms=4, color=COLOURS[name], label=name)
+    label = f"{name}, 95 % interval"
+    axes.hlines(places, *zip(*intervals, strict=True), color=COLOURS[name], label=label)
+
+
+def errors_by_case(studies: dict[str, dict[str, Study]], quantities=("position", "velocity", "roughness")):
+    """Mean and 95 % interval of each filter's errors, one row of points a noise case."""
+    figure, panels = figures.new(1, len(quantities), height=0.55 * len(studies) + 1.5, sharey=True)
+    names = list(next(iter(studies.values())))
+    for axes, quantity in zip(panels, quantities, strict=True):
+        for number, name in enumerate(names):
+            runs = [METRICS[quantity][2] * study[name][quantity] for study in studies.values()]
+            points_with_intervals(axes, runs, np.arange(len(runs)) + 0.12 * (number - 1.5), name)
+        axes.set(xscale="log", xlabel=METRICS[quantity][0], title=METRICS[quantity][1])
+        log_axis(axes.xaxis)
+    panels[0].set_yticks(range(len(studies)), list(studies))
+    panels[0].invert_yaxis()
+    figure.legend(handles=panels[0].lines, loc="outside upper center", ncols=len(names))
+    return figure
+
+
+def errors_over_frequency(frequencies_hz, studies: dict[str, list[dict[str, Study]]], quantity="position"):
+    """RMS error against the trajectory's frequency, a panel a noise case; the published setting is not known."""
+    figure, panels = figures.new(1, len(studies), height=3.3, sharey=True)
+    for axes, (case, sweep) in zip(np.atleast_1d(panels), studies.items(), strict=True):
+        for name in sweep[0]:
+            values = [METRICS[quantity][2] * study[name][quantity].mean() for study in sweep]
+            axes.loglog(frequencies_hz, values, "o-", markersize=3, color=COLOURS[name], label=name)
+        axes.set(xlabel="frequency of the trajectory in Hz", title=case)
+        log_axis(axes.xaxis)
+        log_axis(axes.yaxis)
+    np.atleast_1d(panels)[0].set_ylabel(METRICS[quantity][0])
+    handles, labels = np.atleast_1d(panels)[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+    return figure
+
+
+def claims_over_frequency(frequencies_hz, fractions: dict[str, np.ndarray], chosen_hz: float):
+    """Fraction of runs that obey each statement, against the trajectory's frequency."""
+    figure, axes = figures.new(1, height=0.34 * len(fractions) + 1.2)
+    grid = np.array(list(fractions.values()), dtype=float)
+    rows = np.arange(len(fractions))
+    image = axes.pcolormesh(
+        np.arange(len(frequencies_hz)), rows, grid, cmap="Blues", vmin=0, vmax=1, label="fraction of runs"
+    )
+    axes.set_yticks(rows, list(fractions))
+    axes.set_xticks(range(len(frequencies_hz)), [f"{f:g}" for f in frequencies_hz])
+    axes.grid(False)
+    axes.invert_yaxis()
+    axes.set(xlabel=f"frequency of the trajectory in Hz (elsewhere: {chosen_hz:g} Hz)")
+    for row in rows:
+        for column, value in enumerate(grid[row]):
+            axes.text(
+                column,
+                row,
+                f"{value:.2g}",
+                ha="center",
+                va="center",
+                fontsize=7,
+                color="w" if value > 0.5 else "k",
+            )
+    figure.colorbar(image, ax=axes, label="fraction of runs that obey")
+    return figure
+
+
+def estimate_shift(runs: dict[str, Run], settle: float = 2.0):
+    """Error of the filter's estimates against the derivative: a shift in time is a straight line."""
+    figure, panels = figures.new(1, 2, height=3.4)
+    rows = (
+        ("position", "velocity", "velocity q' in m/s", "error of q's estimate in mm"),
+        ("velocity", "deformed", "the model's acceleration in m/s²", "error of q' 's estimate in mm/s"),
+    )
+    for axes, (quantity, derivative, across, up) in zip(panels, rows, strict=True):
+        for name, run in runs.items():
+            part = slice(round(settle / run.trajectory.time_step), None, 40)
+            error = 1e3 * (getattr(run, f"{quantity}_estimate") - getattr(run, quantity))[part]
+            axes.plot(getattr(run, derivative)[part], error, ".", ms=3, color=COLOURS[name], label=name)
+        reach = np.array(axes.get_xlim())
+        axes.plot(reach, reach, "k:", linewidth=1, label="one sample (1 ms) ahead")
+        axes.set(xlabel=across, ylabel=up)
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+    return figure

@@ -1,0 +1,138 @@
+"""Response of the weights to a change of the floor (section 5.1.2, Fig. 6)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from stillwork.checks import require_choice
+from stillwork.isolation.adaptation import FeLms, FeRls
+from stillwork.isolation.convergence import ALGORITHMS
+from stillwork.isolation.floors import ShapedFloor
+from stillwork.isolation.simulation import simulate
+from stillwork.isolation.steady import Steady, steady_state
+from stillwork.isolation.twin import Twin
+
+GROUPS = {"all": slice(0, 9), "w1-w3": slice(0, 3), "w4-w6": slice(3, 6), "w7-w9": slice(6, 9)}
+LEAD_S = 30.0  # on the first floor, from its optimum: three memories of FeRLS, so that its noise has settled
+SHARE = 0.37  # of the shift that is left after one time constant
+
+
+@dataclass(frozen=True)
+class Switch:
+    """A change of the floor, and where the weights settle before and after it.
+
+    Attributes
+    ----------
+    before, after : ShapedFloor
+        The two floors.
+    start, end : Steady
+        Oracles of the two.
+    """
+
+    before: ShapedFloor
+    after: ShapedFloor
+    start: Steady
+    end: Steady
+
+    @property
+    def shift(self) -> Float64[np.ndarray, "parameters"]:
+        """Way of the first actuator's optimum."""
+        return self.end.weights[0] - self.start.weights[0]
+
+
+def switch_between(twin: Twin, before: ShapedFloor, after: ShapedFloor) -> Switch:
+    """Switch of a twin from one floor to another."""
+    return Switch(before, after, steady_state(twin, before), steady_state(twin, after))
+
+
+def settled(switch: Switch, step_size: float, forgetting: float) -> dict[str, FeLms | FeRls]:
+    """The two algorithms as they are after a long time on the first floor.
+
+    P is given in full, so it is also its own start on the new floor; it may grow beyond its printed law only
+    where the floor gets quieter by more than the limit of `FeRls`.
+    """
+    covariance = (1 - forgetting) * np.linalg.inv(switch.start.correlation)
+    return {
+        "FeLMS": FeLms(step_size=step_size),
+        "FeRLS": FeRls((covariance + covariance.T) / 2, forgetting, growth_limit=np.inf),
+    }
+
+
+@dataclass(frozen=True)
+class Response:
+    """Course of the first actuator's weights around a switch at time zero.
+
+    Attributes
+    ----------
+    time_s : ndarray, shape (kept,)
+        From the switch on; negative before it.
+    weights : ndarray, shape (kept, parameters)
+    switch : Switch
+    """
+
+    time_s: Float64[np.ndarray, "kept"]
+    weights: Float64[np.ndarray, "kept parameters"]
+    switch: Switch
+
+    def left(self, group: str = "all") -> Float64[np.ndarray, "kept"]:
+        """Share of the shift still to go: projection of a group of weights on it, 1 before, 0 in the end."""
+        rows = GROUPS[require_choice("group", group, GROUPS)]
+        shift = self.switch.shift[rows]
+        return (self.switch.end.weights[0, rows] - self.weights[:, rows]) @ shift / (shift @ shift)
+
+    def settling_s(self, group: str = "all") -> float:
+        """Time from which on less than 37 % of the shift is left; the end of the run if never."""
+        after = self.time_s > 0
+        late = np.flatnonzero(np.abs(self.left(group)[after]) > SHARE)
+        index = 0 if len(late) == 0 else min(late[-1] + 1, np.count_nonzero(after) - 1)
+        return float(self.time_s[after][index])
+
+    @property
+    def noise(self) -> float:
+        """Noise of the parameters before the switch in units of the shift, standard deviation."""
+        return float(self.left()[self.time_s <= 0].std())
+
+
+def respond(twin: Twin, switch: Switch, adaptation: FeLms | FeRls, duration_s: float, seed: int) -> Response:
+    """Simulate a switch of the floor.
+
+    Parameters
+    ----------
+    twin, switch
+        Rig and change of its floor.
+    adaptation : FeLms or FeRls
+        From `settled`.
+    duration_s : float
+        Length of the run after the switch, s.
+    seed : int
+        Of floor and noise.
+    """
+    run = simulate(
+        twin,
+        [(LEAD_S, switch.before), (duration_s, switch.after)],
+        adaptation=adaptation,
+        weights=switch.start.weights,
+        seed=seed,
+    )
+    return Response(run.time_s - LEAD_S, np.ascontiguousarray(run.weights[:, 0]), switch)
+
+
+def tracking_trial(
+    rng: np.random.Generator, *, twin: Twin, switch: Switch, both: dict, duration_s: float
+) -> dict[str, float]:
+    """One switch for `run_study`: both algorithms on the same floor.
+
+    Returns
+    -------
+    dict of float
+        ``"FeLMS all"``, ``"FeRLS w4-w6"``, ...: settling time of each group, s; ``"FeLMS noise"``, ...
+    """
+    seed = int(rng.integers(2**31))
+    found = {}
+    for name in ALGORITHMS:
+        response = respond(twin, switch, both[name], duration_s, seed)
+        for group in GROUPS:
+            found[f"{name} {group}"] = response.settling_s(group)
+        found[f"{name} noise"] = response.noise
+    return found

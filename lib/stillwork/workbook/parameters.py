@@ -1,0 +1,131 @@
+"""Parameters of a notebook: lines ``name: type = literal``, checked before anything runs."""
+
+import ast
+import typing
+from dataclasses import dataclass
+from types import UnionType
+
+from stillwork.checks import InputError
+
+TYPES = {"int": int, "float": float, "str": str, "bool": bool, "list": list, "tuple": tuple}
+FORM = "write 'name: type = literal  # comment', one parameter a line"
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One line of a notebook's parameters cell; `value` is the published setting."""
+
+    name: str
+    annotation: str
+    value: object
+
+    def read(self, text: str) -> object:
+        """Turn the text of ``-p NAME=VALUE`` into a value of the declared type.
+
+        Raises
+        ------
+        InputError
+            When the text is not of that type.
+        """
+        for candidate in _candidates(text):
+            try:
+                return _converted(candidate, _type(self.annotation))
+            except TypeError:
+                continue
+        raise InputError(
+            f"parameter {self.name} is {text!r}; give {_article(self.annotation)} (published: {self.value!r})"
+        )
+
+
+def read_parameters(file: str, source: str) -> dict[str, Parameter]:
+    """Parameters that a cell declares; `file` is named in the `InputError` about a malformed line."""
+    lines = source.splitlines()
+
+    def wrong(line: int, why: str) -> InputError:
+        return InputError(f"{file}: parameters cell, line {line}: {lines[line - 1].strip()!r} {why}; {FORM}")
+
+    try:
+        statements = ast.parse(source).body
+    except SyntaxError as error:
+        raise wrong(error.lineno or 1, "is not Python") from None
+    found = {}
+    for statement in statements:
+        line = statement.lineno
+        if not (
+            isinstance(statement, ast.AnnAssign)
+            and isinstance(statement.target, ast.Name)
+            and statement.value is not None
+        ):
+            raise wrong(line, "declares no parameter")
+        annotation = ast.unparse(statement.annotation)
+        try:
+            value = _converted(ast.literal_eval(statement.value), _type(annotation))
+        except ValueError:
+            raise wrong(line, "does not have a literal value or a plain type") from None
+        except TypeError:
+            raise wrong(line, f"is not {_article(annotation)}") from None
+        found[statement.target.id] = Parameter(statement.target.id, annotation, value)
+    return found
+
+
+def _type(annotation: str):
+    """The type that an annotation of plain types spells; ValueError for any other."""
+
+    def build(node):
+        match node:
+            case ast.Name(id=name) if name in TYPES:
+                return TYPES[name]
+            case ast.Constant(value=None):
+                return None
+            case ast.Constant(value=value) if value is ...:
+                return ...
+            case ast.BinOp(op=ast.BitOr(), left=left, right=right):
+                return build(left) | build(right)
+            case ast.Subscript(value=ast.Name(id=("list" | "tuple") as name), slice=inner):
+                parts = inner.elts if isinstance(inner, ast.Tuple) else [inner]
+                return TYPES[name][tuple(build(part) for part in parts)]
+        raise ValueError(annotation)
+
+    return build(ast.parse(annotation, mode="eval").body)
+
+
+def _converted(value, kind):
+    """`value` as a `kind` (a whole number serves as a float); TypeError when it is none."""
+    origin, parts = typing.get_origin(kind), typing.get_args(kind)
+    if origin is UnionType:
+        for part in sorted(parts, key=lambda part: part is not type(value)):
+            try:
+                return _converted(value, part)
+            except TypeError:
+                continue
+    elif kind is None or kind is type(None):
+        if value is None:
+            return None
+    elif origin in (list, tuple) and isinstance(value, list | tuple):
+        if origin is list or parts[1:] == (...,):
+            return origin(_converted(each, parts[0]) for each in value)
+        if len(parts) == len(value):
+            return tuple(_converted(each, part) for each, part in zip(value, parts, strict=True))
+    elif kind is float and isinstance(value, int | float) and not isinstance(value, bool):
+        return float(value)
+    elif type(value) is kind:
+        return value
+    raise TypeError(kind)
+
+
+def _candidates(text: str):
+    """What a shell's text may mean: a Python literal, a word for one, a comma-separated list, itself."""
+    words = {"none": None, "true": True, "false": False}
+    if text.lower() in words:
+        yield words[text.lower()]
+    try:
+        yield ast.literal_eval(text)
+    except (ValueError, SyntaxError):
+        pass
+    if "," in text:
+        yield [next(_candidates(part.strip())) for part in text.strip("[]()").split(",")]
+    yield text
+
+
+def _article(annotation: str) -> str:
+    return f"{'an' if annotation[0] in 'aeiou' else 'a'} {annotation}"

@@ -1,0 +1,106 @@
+"""Pictures of the time updates: distance from batch, accuracy of (20), cost against n."""
+
+import csv
+
+import numpy as np
+
+from stillwork import figures, paths
+from stillwork.worstcase.costs import multiplications
+from stillwork.worstcase.experiments import FIG_2_PARAMETERS, path
+from stillwork.worstcase.theory import recursion_trial
+
+COLOURS = {
+    "least squares": figures.BLACK,
+    "ridge": figures.GREY,
+    "approximate": figures.BLUE,
+    "exact": figures.RED,
+    "fast": figures.GREEN,
+    "SOCP": figures.PURPLE,
+}
+
+
+def draw_exactness(found: dict[str, np.ndarray]):
+    """Distance of the exact and the fast recursion from the batch solution, along time."""
+    figure, axes = figures.new(height=2.6)
+    for name in ("exact", "fast"):
+        values = np.where(found[name] > 0, found[name], np.nan)
+        axes.semilogy(values, color=COLOURS[name], linewidth=0.9, label=f"{name} recursion")
+    axes.axhline(np.finfo(float).eps, color=figures.BLACK, linewidth=0.8, linestyle="--")
+    axes.text(0, 0.7 * np.finfo(float).eps, "rounding of one operation", va="top", fontsize=8)
+    axes.set(xlabel="time, samples", ylabel="|x − batch| / max |batch|", ylim=(1e-18, 1e-12))
+    axes.legend()
+    return figure
+
+
+def draw_accuracy(records: dict[str, dict[str, np.ndarray]]):
+    """Error of alpha and of the estimate of (20) with 1, 2 and 3 iterations; one row of axes a record."""
+    figure, grid = figures.new(len(records), 2, sharex=True, squeeze=False)
+    for (title, found), (left, right) in zip(records.items(), grid, strict=True):
+        for iterations, colour in ((1, figures.BLUE), (2, figures.ORANGE), (3, figures.GREEN)):
+            label = f"{iterations} iteration{'s' * (iterations > 1)}"
+            left.semilogy(found[f"alpha_{iterations}"], color=colour, linewidth=0.8, label=label)
+            values = np.where(
+                found[f"approximate_{iterations}"] > 0, found[f"approximate_{iterations}"], np.nan
+            )
+            right.semilogy(values, color=colour, linewidth=0.8, label=label)
+        left.set(ylabel="relative error of α", title=title)
+        right.set(ylabel="|x − batch| / max |batch|", title=f"{title}: estimate")
+        left.minorticks_off()
+        right.minorticks_off()
+        # below, where (20) starts from the exact solution, the error is rounding
+        left.set_ylim(bottom=1e-10)
+        right.set_ylim(bottom=1e-10)
+    for axes in grid[-1]:
+        axes.set_xlabel("time, samples")
+    grid[0, 0].legend(ncols=3, loc="lower center")
+    return figure
+
+
+def draw_counts(sizes: list[int], evaluations: float):
+    """Multiplications an update against n, with what the paper claims as slopes."""
+    figure, axes = figures.new(height=3.4)
+    for update in ("least squares", "ridge", "approximate", "exact", "fast"):
+        needed = 1.0 if update == "approximate" else evaluations
+        counts = [multiplications(update, n, needed) for n in sizes]
+        axes.loglog(sizes, counts, "o-", markersize=3, color=COLOURS[update], label=update)
+    n = np.array([sizes[0], sizes[-1]], dtype=float)
+    for power, name, colour in ((2, "n²", figures.BLACK), (3, "n³", figures.BLUE)):
+        axes.loglog(n, 0.5 * n**power, color=colour, linewidth=0.8, linestyle="--", label=f"∝ {name}")
+    axes.set(xlabel="number of unknowns n", ylabel="multiplications an update")
+    axes.legend(ncols=2)
+    return figure
+
+
+def measured_times() -> dict[str, np.ndarray]:
+    """The committed table of benchmark times: ``unknowns`` and microseconds an update, by name."""
+    file = paths.data("worstcase", "update_times/update_times.csv")
+    with file.open(newline="", encoding="utf-8") as lines:
+        names, *rows = csv.reader(lines)
+    columns = np.array(rows, dtype=float).T
+    return {name.removesuffix(" (us)"): column for name, column in zip(names, columns, strict=True)}
+
+
+def draw_times(times: dict[str, np.ndarray]):
+    """Measured time an update against n (the committed table)."""
+    figure, axes = figures.new(height=3.4)
+    styles = {
+        "RLS": ("least squares", "o-"),
+        "ridge": ("ridge", "o-"),
+        "approximate 1": ("approximate", "o-"),
+        "approximate 3": ("approximate", "v:"),
+        "exact": ("exact", "o-"),
+        "fast": ("fast", "o-"),
+        "SOCP": ("SOCP", "s-"),
+    }
+    for name, (kind, style) in styles.items():
+        axes.loglog(times["unknowns"], times[name], style, markersize=3, color=COLOURS[kind], label=name)
+    axes.set(xlabel="number of unknowns n", ylabel="microseconds an update")
+    axes.legend(ncols=2)
+    return figure
+
+
+def explore_accuracy(bound: float, noise: float, seed: int = 1):
+    """`draw_accuracy` on one record of the setting of Fig. 2."""
+    truth = path("constant", FIG_2_PARAMETERS, 120)
+    found = recursion_trial(np.random.default_rng(seed), truth, bound, 0.95, noise)
+    return draw_accuracy({f"η = {bound:.3g}": found})

@@ -1,0 +1,78 @@
+import numpy as np
+import pytest
+from stillwork.checks import InputError
+from stillwork.fixedpoint import (
+    UnscentedKalman,
+    correlations,
+    difference_quotient,
+    linear_filter,
+    quotient_autocorrelation,
+    quotient_covariance,
+    quotient_cross_correlation,
+    steady_errors,
+)
+
+STEP = 1e-3
+
+
+def test_covariance_of_quotient_and_position(rng):
+    error = 1e-4 * rng.standard_normal(300_000)
+    found = np.cov(np.vstack([difference_quotient(error, STEP), error[1:]]))
+    assert found == pytest.approx(quotient_covariance(1e-4, STEP), rel=0.02)
+
+
+def test_correlations_of_white_error(rng):
+    found = correlations(rng.logistic(size=200_000), STEP, reach=3)
+    spread = 4 / np.sqrt(200_000)
+    for lag, own, cross in zip(found.lags, found.quotient, found.cross, strict=True):
+        assert own == pytest.approx(quotient_autocorrelation(int(lag)), abs=spread)
+        assert cross == pytest.approx(quotient_cross_correlation(int(lag)), abs=spread)
+
+
+def test_steady_errors_against_a_long_run(rng):
+    """The believed and the true covariance, by simulating the filter's error with the noise that it gets."""
+    F = np.array([[0.95, -0.05], [0.95e-3, 1.0 - 0.05e-3]])
+    Q, R = np.diag([1e-2, 1e-9]), np.diag([2e-2, 1e-8])
+    found = steady_errors(F, Q, R, 1e-4, STEP)
+    n, k = 1e-4 * rng.standard_normal(80_001), found.gain
+    w = rng.standard_normal((80_001, 2)) * np.sqrt(np.diag(Q))
+    e, errors = np.zeros(2), []
+    for i in range(1, 80_001):
+        v = np.array([(n[i] - n[i - 1]) / STEP, n[i]])
+        e = (np.eye(2) - k) @ (F @ e + w[i]) - k @ v
+        errors.append(e)
+    assert np.cov(np.array(errors[1000:]).T) == pytest.approx(found.true, rel=0.05, abs=1e-9)
+
+
+def test_gain_is_the_filter_s(approximate):
+    """The same steady gain as in the linear form of the unscented filter, which iterates its own way."""
+    kalman = UnscentedKalman(approximate)
+    linear = linear_filter(kalman, STEP)
+    from stillwork.fixedpoint.plant import partial_derivatives
+
+    by_q, by_v, _ = partial_derivatives(approximate, 0.0, 0.0, 0.0)
+    row = np.array([1 + STEP * by_v, STEP * by_q])
+    F = np.array([row, STEP * row + [0, 1]])
+    gain = steady_errors(F, kalman.process, kalman.noise, 1e-4, STEP).gain
+    assert linear.B[:2, 0] == pytest.approx(gain @ [1 / STEP, 1.0], rel=1e-9)
+
+
+def test_white_and_independent_noise_is_what_the_filter_believes():
+    """With negligible noise of its own making the true error is what the process noise leaves."""
+    F, Q, R = np.diag([0.9, 0.8]), np.diag([1.0, 2.0]), np.diag([0.5, 0.7])
+    found = steady_errors(F, Q, R, 0.0, STEP)
+    assert (np.linalg.eigvalsh(found.believed - found.true) > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: quotient_covariance(-1.0, STEP), "deviation"),
+        (lambda: quotient_covariance(1.0, 0.0), "time_step"),
+        (lambda: correlations(np.zeros((2, 2)), STEP), "error has shape"),
+        (lambda: steady_errors(np.eye(3), np.eye(2), np.eye(2), 1.0, STEP), "transition has shape"),
+    ],
+)
+def test_bad_input(call, message):
+    with pytest.raises(InputError, match=message):
+        call()

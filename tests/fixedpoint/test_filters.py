@@ -1,0 +1,228 @@
+"""Every filter against its naive twin, scipy or filterpy, on the same data."""
+
+import numpy as np
+import pytest
+from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
+from hypothesis import given
+from hypothesis import strategies as st
+from naive import fixedpoint as naive
+from scipy.signal import savgol_coeffs
+from stillwork.checks import InputError
+from stillwork.fixedpoint import (
+    ExtendedKalman,
+    LowPass,
+    MovingWindow,
+    SavitzkyGolay,
+    SigmaPoints,
+    UnscentedKalman,
+    filter_signal,
+)
+from stillwork.fixedpoint.windows import end_point_weights
+
+STEP = 1e-3
+
+
+@pytest.fixture
+def record(approximate, rng):
+    """A noisy motion and a force that explains part of it."""
+    time = np.arange(400) * STEP
+    measured = 0.5 * np.sin(3 * time) + 0.1 * np.sin(40 * time) + 1e-4 * rng.standard_normal(400)
+    force = 20 * np.cos(3 * time) + rng.standard_normal(400)
+    return measured, force
+
+
+def twins(approximate):
+    p = approximate.parameters
+    kalman, extended = UnscentedKalman(approximate), ExtendedKalman(approximate)
+    process, noise = extended.packed().process, extended.packed().noise
+    return {
+        "window": (MovingWindow(), naive.MovingWindow(12, STEP)),
+        "short window": (MovingWindow(1), naive.MovingWindow(1, STEP)),
+        "low pass": (LowPass(), naive.LowPass(350.0, STEP)),
+        "Savitzky-Golay": (SavitzkyGolay(15, 3, STEP), naive.SavitzkyGolay(15, 3, STEP)),
+        "UKF": (kalman, naive.PlantUnscented(p, kalman.process, kalman.noise, 1e-3, STEP)),
+        "literal UKF": (
+            UnscentedKalman(approximate, literal=True),
+            naive.PlantUnscented(p, kalman.process, kalman.noise, 1e-3, STEP, literal=True),
+        ),
+        "EKF": (extended, naive.PlantExtended(p, process, noise, (1e-2, 1.0, 10.0), STEP)),
+    }
+
+
+NAMES = ["window", "short window", "low pass", "Savitzky-Golay", "UKF", "literal UKF", "EKF"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_naive_twin(name, approximate, record):
+    measured, force = record
+    fast, slow = twins(approximate)[name]
+    found = filter_signal(fast, measured, force, time_step=STEP, start_velocity=1.5)
+    last, expected = 0.0, []
+    for z, u in zip(measured, force, strict=True):
+        expected.append(np.array(slow(z, last, np.array([0.0, 1.5, 0.0]))))
+        last = u
+    expected = np.array(expected).T
+    for got, want in zip((found.position, found.velocity, found.acceleration), expected, strict=True):
+        # The unscented weights of 1e4 cost four digits, differences over 1 ms three more a derivative.
+        assert np.abs(got - want).max() < 1e-9 * max(1.0, np.abs(want).max())
+
+
+def test_window_weights_are_a_straight_line_s_end():
+    """Closed form: (4 N - 2 - 6 j) / (N (N + 1)), j samples back."""
+    n = 13
+    back = np.arange(n)[::-1]
+    assert end_point_weights(n, 1) == pytest.approx((4 * n - 2 - 6 * back) / (n * (n + 1)), rel=1e-12)
+
+
+@pytest.mark.parametrize(("samples", "degree"), [(5, 2), (25, 3), (61, 4)])
+@pytest.mark.parametrize("derivative", [0, 1, 2])
+def test_savitzky_golay_weights(samples, degree, derivative):
+    expected = savgol_coeffs(samples, degree, derivative, pos=samples - 1, use="dot")
+    found = end_point_weights(samples, degree, derivative)
+    assert found == pytest.approx(expected, rel=1e-8, abs=1e-12)
+
+
+@given(st.floats(-2, 2), st.floats(-2, 2), st.floats(-5, 5))
+def test_savitzky_golay_reproduces_a_parabola(position, velocity, acceleration):
+    time = np.arange(60) * STEP
+    found = filter_signal(
+        SavitzkyGolay(15, 2, STEP), position + velocity * time + acceleration * time**2 / 2, time_step=STEP
+    )
+    end = time[-1]
+    assert found.position[-1] == pytest.approx(
+        position + velocity * end + acceleration * end**2 / 2, abs=1e-9
+    )
+    assert found.velocity[-1] == pytest.approx(velocity + acceleration * end, abs=1e-9)
+    assert found.acceleration[-1] == pytest.approx(acceleration, abs=1e-6)
+
+
+@given(st.floats(-2, 2), st.floats(-2, 2))
+def test_steady_motion_passes_every_filter_that_presumes_it(position, velocity):
+    """A known steady motion leaves no transient: the start of the buffers is right."""
+    measured = position + velocity * np.arange(100) * STEP
+    for signal_filter in (MovingWindow(), SavitzkyGolay()):
+        found = filter_signal(signal_filter, measured, start_velocity=velocity)
+        assert found.position == pytest.approx(measured, abs=1e-9)
+        assert found.velocity == pytest.approx(np.full(100, velocity), abs=1e-8)
+        assert found.acceleration == pytest.approx(np.zeros(100), abs=2e-5)
+
+
+def test_low_pass_settles_at_one():
+    found = filter_signal(LowPass(), np.ones(500))
+    assert found.position[-1] == pytest.approx(1.0, abs=1e-12)
+    assert abs(found.velocity[-1]) < 1e-9
+
+
+def test_unscented_is_filterpy_s(approximate, record):
+    """filterpy draws its points anew around the prediction, as the corrected (14) does."""
+    measured, force = record
+    p, kalman = approximate.parameters, UnscentedKalman(approximate)
+
+    def move(x, dt, u):
+        velocity = x[0] + dt * naive.oscillator(p, x[1], x[0], u)
+        return np.array([velocity, x[1] + dt * velocity])
+
+    points = MerweScaledSigmaPoints(2, 1e-2, 1e-3, 0.0)
+    peer = UnscentedKalmanFilter(2, 2, STEP, lambda x: x, move, points)
+    peer.x, peer.P = np.array([0.0, measured[0]]), 1e-3 * np.eye(2)
+    peer.Q, peer.R = kalman.process, kalman.noise
+    found = filter_signal(kalman, measured, force)
+    last_z, last_u, expected = measured[0], 0.0, []
+    for z, u in zip(measured, force, strict=True):
+        peer.predict(u=last_u)
+        peer.update(np.array([(z - last_z) / STEP, z]))
+        expected.append(peer.x.copy())
+        last_z, last_u = z, u
+    expected = np.array(expected)
+    assert np.abs(found.velocity - expected[:, 0]).max() < 1e-9
+    assert np.abs(found.position - expected[:, 1]).max() < 1e-9
+
+
+def test_extended_is_filterpy_s(approximate, record):
+    measured, force = record
+    m, k, a, b1, b2, d = p = approximate.parameters
+    ours = ExtendedKalman(approximate)
+    found = filter_signal(ours, measured, force)
+    peer = ExtendedKalmanFilter(3, 1)
+    peer.x, peer.P = np.array([0.0, measured[0], 0.0]), np.diag([1.0, 1e-4, 100.0])
+    peer.Q, peer.R = ours.packed().process, ours.packed().noise
+    H = np.array([[0.0, 1.0, 0.0]])
+    last, expected = 0.0, []
+    for z, u in zip(measured, force, strict=True):
+        v, q, w = peer.x
+        by_v = (b1 * (a**2 - q**2) - b2 - 2 * d * abs(v)) / m
+        by_q = (-k - 2 * b1 * q * v) / m
+        row = np.array([1 + STEP * by_v, STEP * by_q, STEP])
+        peer.F = np.array([row, STEP * row + [0, 1, 0], [0, 0, 1]])
+        velocity = v + STEP * (naive.oscillator(p, q, v, last) + w)
+        moved = np.array([velocity, q + STEP * velocity, w])
+        peer.x = moved
+        peer.P = peer.F @ peer.P @ peer.F.T + peer.Q
+        peer.update(np.array([z]), lambda x: H, lambda x: x[1:2])
+        expected.append(peer.x.copy())
+        last = u
+    expected = np.array(expected)
+    assert np.abs(found.velocity - expected[:, 0]).max() < 1e-9
+    assert np.abs(found.position - expected[:, 1]).max() < 1e-9
+
+
+def test_the_literal_filter_runs_one_step_ahead(approximate):
+    """(14) as printed compares z_k with the estimate of k-1: on a ramp it settles dt v ahead."""
+    ramp = 0.3 * np.arange(3000) * STEP
+    # A force that holds the model on the ramp, so that only (14) can shift the estimate.
+    force = approximate.force(np.append(ramp[1:], ramp[-1]), 0.3, 0.0, approximate.parameters)
+    shift = {}
+    for literal in (False, True):
+        found = filter_signal(UnscentedKalman(approximate, literal=literal), ramp, force, start_velocity=0.3)
+        shift[literal] = (found.position[-1] - ramp[-1]) / 0.3
+    assert shift[True] == pytest.approx(STEP, rel=0.05)
+    assert abs(shift[False]) < 0.02 * STEP
+
+
+@pytest.mark.parametrize("size", [1, 2, 5])
+def test_sigma_weights(size):
+    spread, first, first_covariance, other = SigmaPoints(0.3, 2.0, 0.5).weights(size)
+    expected = MerweScaledSigmaPoints(size, 0.3, 2.0, 0.5)
+    assert first == pytest.approx(expected.Wm[0])
+    assert first_covariance == pytest.approx(expected.Wc[0])
+    assert other == pytest.approx(expected.Wm[1])
+    assert spread == pytest.approx(0.09 * (size + 0.5))
+
+
+def test_lost_definiteness_is_reported_with_the_sample(approximate):
+    """The printed (14) with a large initial variance makes P indefinite in one step."""
+    with pytest.raises(InputError, match="stops being positive definite at sample 1"):
+        filter_signal(UnscentedKalman(approximate, literal=True, initial_variance=1.0), np.zeros(10))
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda m: UnscentedKalman(m, process=np.array([1e-1, -1e-3])), "process is not positive definite"),
+        (lambda m: UnscentedKalman(m, noise=np.array([1e-2, 0.0])), "noise is not positive definite"),
+        (
+            lambda m: UnscentedKalman(m, noise=np.array([[1.0, 2.0], [2.0, 1.0]])),
+            "noise is not positive definite",
+        ),
+        (
+            lambda m: UnscentedKalman(m, process=np.array([[1.0, 0.5], [0.4, 1.0]])),
+            "process is not symmetric",
+        ),
+        (lambda m: UnscentedKalman(m, process=np.eye(3)), "process has shape"),
+        (lambda m: UnscentedKalman(m, initial_variance=0.0), "initial_variance"),
+        (lambda m: ExtendedKalman(m, noise_deviation=0.0), "noise_deviation"),
+        (lambda m: ExtendedKalman(m, initial_deviation=(1.0, -1.0, 1.0)), "initial_deviation"),
+        (lambda m: SigmaPoints(alpha=0.0), "alpha"),
+        (lambda m: MovingWindow(0), "length"),
+        (lambda m: LowPass(-1.0), "bandwidth"),
+        (lambda m: SavitzkyGolay(2, 2), "samples"),
+        (lambda m: SavitzkyGolay(9, 1), "degree"),
+        (lambda m: filter_signal(LowPass(), np.array([0.0, np.nan])), "measured holds 1 NaN"),
+        (lambda m: filter_signal(LowPass(), np.zeros(5), np.zeros(4)), "force has shape"),
+        (lambda m: filter_signal(SavitzkyGolay(), np.zeros(5), time_step=2e-3), "made for 0.001 s"),
+        (lambda m: filter_signal(LowPass(), np.zeros(5), time_step=0.0), "time_step"),
+    ],
+)
+def test_bad_input(call, message, approximate):
+    with pytest.raises(InputError, match=message):
+        call(approximate)

@@ -1,0 +1,188 @@
+import numpy as np
+import pytest
+from naive import fixedpoint as naive
+from stillwork.checks import InputError
+from stillwork.fixedpoint import (
+    Controller,
+    FlowTransformation,
+    KinematicDesign,
+    LowPass,
+    MovingWindow,
+    Noise,
+    Plant,
+    RobustTransformation,
+    SavitzkyGolay,
+    UnscentedKalman,
+    added_controllers,
+    asin_trajectory,
+    compare,
+    judge,
+    published_controllers,
+    simulate,
+)
+from stillwork.studies import Study
+
+STEP = 1e-3
+
+
+def twin_filter(controller, parameters):
+    signal_filter = controller.signal_filter
+    if isinstance(signal_filter, MovingWindow):
+        return naive.MovingWindow(signal_filter.length, STEP)
+    if isinstance(signal_filter, LowPass):
+        return naive.LowPass(signal_filter.bandwidth, STEP)
+    if isinstance(signal_filter, SavitzkyGolay):
+        return naive.SavitzkyGolay(signal_filter.samples, signal_filter.degree, STEP)
+    packed = signal_filter.packed()
+    if isinstance(signal_filter, UnscentedKalman):
+        return naive.PlantUnscented(
+            parameters, packed.process, packed.noise, 1e-3, STEP, signal_filter.literal
+        )
+    return naive.PlantExtended(
+        parameters, packed.process, packed.noise, signal_filter.initial_deviation, STEP
+    )
+
+
+NAMES = [
+    "moving window",
+    "low pass",
+    "Kalman filter",
+    "Kalman, literal (14)",
+    "EKF with disturbance",
+    "Savitzky-Golay",
+]
+
+
+@pytest.mark.parametrize("integration", ["semi-implicit", "explicit"])
+@pytest.mark.parametrize("name", NAMES)
+def test_loop_is_its_naive_twin(name, integration, exact, approximate, short, rng):
+    controller = (published_controllers(approximate) | added_controllers(approximate))[name]
+    noise = 1e-5 * rng.standard_normal(len(short.position))
+    run = simulate(exact, controller, short, noise, integration=integration)
+    flow = isinstance(controller.transformation, FlowTransformation)
+    expected = naive.closed_loop(
+        twin_filter(controller, approximate.parameters),
+        naive.flow(-1.1, 3.0) if flow else naive.robust(4e7, -1.05, 9e-2 / 4e7),
+        controller.kinematics.gains,
+        controller.signal_filter.error_from_measurement,
+        exact.parameters,
+        approximate.parameters,
+        (short.position, short.velocity, short.acceleration),
+        noise,
+        STEP,
+        integration == "semi-implicit",
+    )
+    found = (run.position, run.velocity, run.acceleration, run.deformed, run.force)
+    for got, want in zip(found, expected, strict=True):
+        # The printed form of (8) rounds to 4e7 x 1e-16, the unscented weights cost four digits.
+        assert np.abs(got - want).max() < 1e-6 * max(1.0, np.abs(want).max())
+
+
+@pytest.mark.parametrize("integrals", [0, 2])
+def test_any_order_of_kinematics(integrals, exact, approximate, short):
+    controller = Controller(LowPass(), RobustTransformation(), KinematicDesign(16.0, integrals), approximate)
+    run = simulate(exact, controller, short, resolution=1e-4)
+    expected = naive.closed_loop(
+        naive.LowPass(350.0, STEP),
+        naive.robust(4e7, -1.05, 9e-2 / 4e7),
+        controller.kinematics.gains,
+        True,
+        exact.parameters,
+        approximate.parameters,
+        (short.position, short.velocity, short.acceleration),
+        np.zeros(len(short.position)),
+        STEP,
+        resolution=1e-4,
+    )
+    assert run.position == pytest.approx(expected[0], abs=1e-7)
+
+
+def test_a_perfect_model_without_noise_tracks_exactly(exact, short):
+    """The fixed point is the desired acceleration; what is left is the order of the integration, O(dt)."""
+    controller = Controller(UnscentedKalman(exact), RobustTransformation(), KinematicDesign(36.0), exact)
+    run = simulate(exact, controller, short)
+    assert np.abs(run.position_error).max() < 2e-4
+    assert np.abs(run.force - np.roll(run.force, 1))[50:].max() < 5
+
+
+def test_divergence_is_reported_with_time_and_cause(exact, approximate, short):
+    wild = Controller(SavitzkyGolay(40), RobustTransformation(), KinematicDesign(36.0), approximate)
+    run = simulate(exact, wild, short, start=(0.0, 0.0))
+    assert run.diverged_at == pytest.approx(0.1, abs=0.1)
+    assert run.cause == "the plant left the bound of 10 m and 10 m/s"
+    done = round(run.diverged_at / STEP)
+    assert np.isfinite(run.position[:done]).all() and np.isnan(run.position[done + 1 :]).all()
+    assert all(np.isinf(value) for value in judge(run, settle=0.1).values())
+
+
+def test_a_lost_covariance_is_reported(exact, approximate, short):
+    kalman = UnscentedKalman(approximate, literal=True, initial_variance=1.0)
+    run = simulate(
+        exact, Controller(kalman, RobustTransformation(), KinematicDesign(36.0), approximate), short
+    )
+    assert run.diverged_at == pytest.approx(STEP)
+    assert run.cause == "the filter's covariance is no longer positive definite"
+
+
+def infinite_force(position, velocity, acceleration, parameters):
+    return acceleration / (1.0 - 1.0 * (abs(acceleration) > 40.0))
+
+
+def plain(position, velocity, force, parameters):
+    return force
+
+
+def test_an_infinite_force_is_reported(exact, approximate, short):
+    model = Plant(plain, infinite_force, np.zeros(0))
+    controller = Controller(LowPass(), RobustTransformation(), KinematicDesign(16.0), model)
+    run = simulate(exact, controller, short)
+    assert run.cause == "the commanded force is not finite"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"integration": "implicit"}, "did you mean 'semi-implicit'"),
+        ({"noise": np.zeros(3)}, "noise has shape"),
+        ({"noise": np.full(600, np.nan)}, "noise holds 600 NaN"),
+        ({"resolution": -1.0}, "resolution"),
+        ({"start": (0.0, np.nan)}, "start holds 1 NaN"),
+        ({"bound": 0.5}, "bound"),
+    ],
+)
+def test_bad_input(change, message, exact, approximate, short):
+    controller = published_controllers(approximate)["low pass"]
+    with pytest.raises(InputError, match=message):
+        simulate(exact, controller, short, **change)
+
+
+def test_wrong_controllers(exact, approximate, short):
+    with pytest.raises(InputError, match="kinematics has order 1"):
+        Controller(LowPass(), FlowTransformation(), KinematicDesign(1.0, order=1), approximate)
+    slow = Controller(
+        SavitzkyGolay(time_step=2e-3), RobustTransformation(), KinematicDesign(9.0), approximate
+    )
+    with pytest.raises(InputError, match=r"the filter was made for 0\.002 s"):
+        simulate(exact, slow, short)
+    run = simulate(exact, published_controllers(approximate)["low pass"], short)
+    with pytest.raises(InputError, match=r"settle is 0\.6 s"):
+        judge(run, settle=0.6)
+
+
+def test_every_controller_sees_the_same_noise(exact, approximate):
+    controllers = published_controllers(approximate)
+    twice = {"one": controllers["low pass"], "two": controllers["low pass"]}
+    found = compare(exact, twice, asin_trajectory(duration=2.2), Noise("gaussian", 1e-4), runs=3, seed=1)
+    assert isinstance(found["one"], Study)
+    assert (found["one"]["position"] == found["two"]["position"]).all()
+    assert len(set(found["one"]["position"])) == 3
+
+
+def test_judge_by_hand(exact, approximate, short):
+    run = simulate(exact, published_controllers(approximate)["Kalman filter"], short)
+    numbers = judge(run, settle=0.3)
+    error = short.position[300:] - run.position[300:]
+    assert numbers["position"] == pytest.approx(np.sqrt(np.mean(error**2)))
+    assert numbers["roughness"] == pytest.approx(np.sqrt(np.mean(np.diff(run.acceleration[300:]) ** 2)))
+    literal = simulate(exact, published_controllers(approximate)["Kalman, literal (14)"], short)
+    assert judge(literal, settle=0.3)["position_shift"] == pytest.approx(STEP, rel=0.05)

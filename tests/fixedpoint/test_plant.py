@@ -1,0 +1,89 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from naive import fixedpoint as naive
+from stillwork.checks import InputError
+from stillwork.fixedpoint import Plant, VanDerPol, load_oscillator
+from stillwork.fixedpoint.plant import callback, partial_derivatives
+
+NUMBERS = st.floats(-20, 20)
+
+
+def test_table_i(models):
+    assert models["exact"] == VanDerPol(1.5, 125.0, 2.1, 0.6, 3.5, 4.3)
+    assert models["approximate"] == VanDerPol(2.0, 150.0, 1.2, 1.5, 2.5, 1.3)
+
+
+@given(NUMBERS, NUMBERS, NUMBERS)
+def test_oscillator_is_equation_11(position, velocity, force):
+    plant = load_oscillator()["exact"].plant
+    expected = naive.oscillator(plant.parameters, position, velocity, force)
+    found = plant.acceleration(position, velocity, force, plant.parameters)
+    assert found == pytest.approx(expected, rel=1e-12, abs=1e-9)
+    again = plant.force(position, velocity, expected, plant.parameters)
+    assert again == pytest.approx(force, rel=1e-9, abs=1e-7)
+
+
+def test_partial_derivatives_match_those_by_hand(models):
+    model = models["exact"]
+    q, v = 0.4, -0.7
+    by_position, by_velocity, by_force = partial_derivatives(model.plant, q, v, 3.0)
+    assert by_position == pytest.approx(
+        (-model.stiffness - 2 * model.excitation * q * v) / model.mass, rel=1e-8
+    )
+    slope = model.excitation * (model.separator**2 - q**2) - model.damping - 2 * model.drag * abs(v)
+    assert by_velocity == pytest.approx(slope / model.mass, rel=1e-8)
+    assert by_force == pytest.approx(1 / model.mass, rel=1e-8)
+
+
+def half_force(position, velocity, acceleration, parameters):
+    return 0.5 * acceleration
+
+
+def whole_acceleration(position, velocity, force, parameters):
+    return force
+
+
+def uncompilable(position, velocity, force, parameters):
+    return {"force": [force, parameters]}["force"][0] if len(str({force: {}})) else eval("force")
+
+
+def test_force_must_invert_acceleration():
+    with pytest.raises(InputError, match="force is not the inverse of acceleration"):
+        Plant(whole_acceleration, half_force, np.zeros(1))
+
+
+def test_functions_must_take_four_arguments():
+    with pytest.raises(InputError, match="acceleration or force fails on 0 parameters"):
+        Plant(lambda q, v: 0.0, whole_acceleration, np.zeros(0))
+
+
+def test_a_function_that_numba_cannot_compile_is_named():
+    with pytest.raises(InputError, match="uncompilable cannot be compiled"):
+        callback(uncompilable)
+
+
+def test_parameters_must_be_numbers():
+    with pytest.raises(InputError, match="parameters holds 1 NaN"):
+        Plant(whole_acceleration, whole_acceleration, np.array([np.nan]))
+    with pytest.raises(InputError, match="mass"):
+        VanDerPol(0.0, 1.0, 1.0, 1.0, 1.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[exact]\nmass = 1", "lacks stiffness"),
+        ("[exakt]\nmass = 1", r"no table \[exact\]; did you mean 'exakt'"),
+        ("[exact]\nmas = 1", "unknown parameter 'mas'; did you mean 'mass'"),
+        ("[exact", "not valid TOML"),
+    ],
+)
+def test_wrong_toml(tmp_path, text, message):
+    file = tmp_path / "own.toml"
+    file.write_text(text)
+    with pytest.raises(InputError, match=message):
+        load_oscillator(file)
+    with pytest.raises(InputError, match="does not exist"):
+        load_oscillator(tmp_path / "none.toml")

@@ -1,0 +1,82 @@
+import numpy as np
+import pytest
+from stillwork.checks import InputError
+from stillwork.fixedpoint import (
+    Trajectory,
+    asin_trajectory,
+    record_trajectory,
+    sine_trajectory,
+    trapezoid_trajectory,
+)
+
+MAKERS = [sine_trajectory, asin_trajectory, trapezoid_trajectory]
+
+
+@pytest.mark.parametrize("make", MAKERS)
+def test_derivatives_are_exact(make):
+    """The error of a central difference falls with the square of the step: the observed order is 2."""
+    errors = []
+    for step in (1e-3, 5e-4):
+        t = make(duration=5.0, time_step=step)
+        velocity = (t.position[2:] - t.position[:-2]) / (2 * step)
+        errors.append(np.sqrt(np.mean((velocity - t.velocity[1:-1]) ** 2)))
+        assert np.abs(velocity - t.velocity[1:-1]).max() < 2e-3
+        bend = (t.position[2:] - 2 * t.position[1:-1] + t.position[:-2]) / step**2
+        assert np.sqrt(np.mean((bend - t.acceleration[1:-1]) ** 2)) < 2e-2
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.05)
+
+
+@pytest.mark.parametrize("make", MAKERS)
+def test_amplitude_and_period(make):
+    t = make(amplitude=0.3, frequency_hz=0.5, duration=4.0)
+    assert np.abs(t.position).max() == pytest.approx(0.3, rel=1e-6)
+    assert t.position[2000:] == pytest.approx(t.position[:2000], abs=1e-9)
+    assert abs(t.position[0]) < 1e-12
+
+
+def test_asin_becomes_a_sine_and_a_triangle():
+    assert asin_trajectory(sharpness=1e-4).position == pytest.approx(sine_trajectory().position, abs=1e-8)
+    sharp = asin_trajectory(sharpness=1 - 1e-9, frequency_hz=0.25, duration=4.0)
+    assert sharp.position[500] == pytest.approx(0.5, abs=1e-4)
+
+
+def test_trapezoid_dwells():
+    t = trapezoid_trajectory(rounding=0.4, frequency_hz=0.25, duration=4.0)
+    assert t.velocity[1000] == 0 and t.position[1000] == pytest.approx(1.0)
+    assert np.abs(np.diff(t.acceleration)).max() < 0.1  # continuous
+
+
+def test_record_gives_back_a_motion():
+    t = sine_trajectory(frequency_hz=1.0, duration=2.0)
+    got = record_trajectory(t.time[::7], t.position[::7], 1e-3)
+    n = len(got.position)
+    assert got.position == pytest.approx(t.position[:n], abs=1e-8)
+    assert got.velocity == pytest.approx(t.velocity[:n], abs=1e-5)
+    assert got.acceleration[20:-20] == pytest.approx(t.acceleration[20 : n - 20], abs=1e-3)
+
+
+def test_trajectory_without_derivatives():
+    q = np.sin(np.arange(100) * 0.01)
+    with pytest.raises(InputError, match="needs both derivatives at every sample: record_trajectory"):
+        Trajectory(0.01, q)
+    with pytest.raises(InputError, match="velocity is not the derivative of position"):
+        Trajectory(0.01, q, np.zeros(100), np.zeros(100))
+    with pytest.raises(InputError, match="acceleration is not the derivative of velocity"):
+        Trajectory(0.01, q, np.cos(np.arange(100) * 0.01), np.zeros(100))
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: asin_trajectory(sharpness=1.0), "sharpness"),
+        (lambda: asin_trajectory(frequency_hz=0.0), "frequency_hz"),
+        (lambda: trapezoid_trajectory(rounding=0.0), "rounding"),
+        (lambda: sine_trajectory(duration=-1.0), "duration"),
+        (lambda: sine_trajectory(time_step=0.0), "time_step"),
+        (lambda: record_trajectory(np.array([0, 1, 1, 2, 3, 4]), np.zeros(6)), "time must rise"),
+        (lambda: record_trajectory(np.arange(6), np.zeros(5)), "position has shape"),
+    ],
+)
+def test_bad_input(call, message):
+    with pytest.raises(InputError, match=message):
+        call()

@@ -1,0 +1,109 @@
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from naive import fixedpoint as naive
+from stillwork.checks import InputError
+from stillwork.fixedpoint import (
+    ContractionWarning,
+    Controller,
+    FlowTransformation,
+    KinematicDesign,
+    LowPass,
+    RobustTransformation,
+    contraction_range,
+    deform,
+    iterate,
+    response_gain,
+    simulate,
+    sine_trajectory,
+)
+
+NUMBERS = st.floats(-1e3, 1e3)
+
+
+@given(NUMBERS, NUMBERS, NUMBERS)
+def test_twins(previous, response, desired):
+    assert deform(FlowTransformation(), previous, response, desired) == pytest.approx(
+        naive.flow(-1.1, 3.0)(previous, response, desired), rel=1e-12, abs=1e-12
+    )
+    # The printed form of (8) adds and subtracts 4e7: it has an accuracy of 1e-7 m/s^2 only.
+    assert deform(RobustTransformation(), previous, response, desired) == pytest.approx(
+        naive.robust(4e7, -1.05, 9e-2 / 4e7)(previous, response, desired), abs=1e-7
+    )
+
+
+@given(NUMBERS, NUMBERS)
+def test_the_desired_response_is_the_fixed_point(previous, desired):
+    for transformation in (FlowTransformation(), RobustTransformation()):
+        assert deform(transformation, previous, desired, desired) == previous
+
+
+@given(st.floats(0.2, 4.0), st.floats(0.05, 0.95), st.floats(-50, 50))
+def test_contraction_inside_the_range(gain, place, desired):
+    low, high = contraction_range(gain)
+    inside = FlowTransformation(gain=3.0 * (low + place * (high - low)), width=3.0)
+    found = iterate(inside, desired, 500, response_gain=gain, response_offset=5.0, start=desired + 1.0)
+    assert gain * found[-1] + 5.0 == pytest.approx(desired, abs=1e-6)
+
+
+def test_no_contraction_outside_the_range():
+    low, _ = contraction_range(1.0)
+    found = iterate(FlowTransformation(gain=3.0 * 1.2 * low), 0.0, 500, start=1.0)
+    assert abs(found[-1]) > 0.1  # a cycle of two
+    assert found[-1] == pytest.approx(-found[-2], rel=1e-6)
+    with np.errstate(over="ignore"):
+        assert abs(iterate(RobustTransformation(slope=1e-5), 0.0, 50, start=1.0)[-1]) > 1e5
+
+
+def test_multiplier_near_the_fixed_point():
+    for transformation in (FlowTransformation(), RobustTransformation()):
+        errors = iterate(transformation, 2.0, 3, response_gain=4 / 3, start=2.0 * 3 / 4 + 1e-5) - 1.5
+        assert errors[1] / errors[0] == pytest.approx(1 + transformation.local_gain * 4 / 3, abs=1e-4)
+
+
+@pytest.mark.parametrize("integrals", [0, 1, 2, 3])
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_kinematics_places_all_poles(integrals, order):
+    gains = KinematicDesign(7.0, integrals, order).gains
+    assert len(gains) == order + integrals
+    expected = np.poly(np.full(order + integrals, -7.0))
+    assert [1.0, *gains[::-1]] == pytest.approx(expected, rel=1e-12)
+
+
+def test_published_kinematics():
+    assert KinematicDesign(24.0).gains == pytest.approx([24.0**3, 3 * 24.0**2, 3 * 24.0])
+
+
+def test_a_gain_outside_the_range_warns_with_the_range(exact, approximate):
+    assert response_gain(exact, approximate) == pytest.approx(2.0 / 1.5)
+    strong = Controller(LowPass(), FlowTransformation(gain=-6.0), KinematicDesign(16.0), approximate)
+    with pytest.warns(ContractionWarning, match=r"local gain -2, outside the contraction range \(-1.5, 0\)"):
+        simulate(exact, strong, sine_trajectory(duration=0.05))
+    wrong_sign = Controller(LowPass(), FlowTransformation(gain=1.1), KinematicDesign(16.0), approximate)
+    with pytest.warns(ContractionWarning):
+        simulate(exact, wrong_sign, sine_trajectory(duration=0.05))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        good = Controller(LowPass(), RobustTransformation(), KinematicDesign(16.0), approximate)
+        simulate(exact, good, sine_trajectory(duration=0.05))
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: FlowTransformation(gain=0.0), "gain is 0"),
+        (lambda: FlowTransformation(width=0.0), "width"),
+        (lambda: RobustTransformation(offset=-1.0), "offset"),
+        (lambda: RobustTransformation(slope=0.0), "slope"),
+        (lambda: contraction_range(0.0), "response_gain"),
+        (lambda: KinematicDesign(0.0), "exponent"),
+        (lambda: KinematicDesign(1.0, integrals=-1), "integrals"),
+        (lambda: KinematicDesign(1.0, order=0), "order"),
+    ],
+)
+def test_bad_input(call, message):
+    with pytest.raises(InputError, match=message):
+        call()

@@ -1,0 +1,134 @@
+"""Time constants against closed forms, expected courses against simulation, and tracking of a switch."""
+
+import numpy as np
+import pytest
+from stillwork.checks import InputError
+from stillwork.isolation.adaptation import FeLms, FeRls
+from stillwork.isolation.convergence import (
+    Course,
+    algorithms,
+    converge,
+    convergence_trial,
+    settling_times,
+    try_starts,
+)
+from stillwork.isolation.floors import colored_floor, flat_floor
+from stillwork.isolation.mean_convergence import follow_sideways, mean_course, narrow_floor
+from stillwork.isolation.steady import steady_state
+from stillwork.isolation.tracking import respond, settled, switch_between, tracking_trial
+from stillwork.isolation.twin import load_twin
+from stillwork.studies import run_study
+
+FITTED = load_twin("fitted").varied(platform_noise=1e-6, mains_hz=[], floor_mains=[], platform_mains=[])
+FLOOR = flat_floor(80.0)
+STEADY = steady_state(FITTED, FLOOR)
+SETTINGS = {
+    "step_size": 1e-4,
+    "trace": "regressors",
+    "memory_s": 10.0,
+    "initial_covariance": 1.0,
+    "sample_time": 2e-4,
+}
+
+
+@pytest.mark.parametrize("share", [0.63, 0.37])
+def test_settling_time_of_a_first_order_course(share):
+    time = np.arange(1, 5001) * 1e-2
+    final = np.array([2.0, -0.5])
+    traces = final * (1 - np.exp(-time[:, None] / np.array([4.0, 1.5])))
+    expected = -np.log(share) * np.array([4.0, 1.5])
+    assert settling_times(time, traces, final, share) == pytest.approx(expected, abs=0.0101)
+
+
+def test_settling_time_counts_the_last_excursion():
+    time = np.arange(1.0, 11.0)
+    trace = np.array([0, 1, 1, 1, 1.7, 1, 1, 1, 1, 1.0])
+    late = np.where(time == 10, 3.0, 1.0)
+    inside = np.full(10, 0.9)
+    traces = np.stack([trace, late, inside], axis=1)
+    assert settling_times(time, traces, np.ones(3)).tolist() == [6.0, 10.0, 1.0]
+
+
+def test_final_values_are_those_of_the_last_tenth():
+    time = np.arange(1.0, 101.0)
+    ramp = np.where(time > 90, 5.0 + (-1.0) ** time, 0.0)
+    course = Course(time, ramp[:, None], np.where(time > 90, 2.0, 9.0))
+    assert (course.final[0], course.deviation[0], course.final_error) == (5.0, 1.0, 2.0)
+
+
+@pytest.mark.parametrize(("name", "duration"), [("FeLMS", 60.0), ("FeRLS", 30.0)])
+def test_expected_course_is_the_mean_of_simulations(name, duration):
+    adaptation = algorithms(STEADY, **SETTINGS)[name]
+    runs = [converge(FITTED, FLOOR, adaptation, duration, seed) for seed in range(4)]
+    mean = np.mean([run.weights for run in runs], axis=0)[49::50]
+    expected = mean_course(FITTED, STEADY, name, runs[0].time_s[49::50])
+    # The course of FeLMS is for weights that follow slowly; its step is normalised with a noisy trace.
+    assert np.abs(mean - expected).max() < (0.08 if name == "FeLMS" else 0.06)
+    assert np.sqrt(np.mean((mean - expected) ** 2)) < 0.025
+
+
+def test_literal_trace_is_six_times_slower():
+    quick = converge(FITTED, FLOOR, FeLms(), 20.0, 1)
+    slow = converge(FITTED, FLOOR, FeLms(trace="literal"), 120.0, 1)
+    assert slow.weights[-1, 6:] == pytest.approx(quick.weights[-1, 6:], rel=0.15)
+
+
+def test_algorithms_start_from_multiples_of_the_steady_diagonal():
+    both = algorithms(STEADY, **{**SETTINGS, "initial_covariance": 10.0})
+    assert both["FeRLS"].initial_covariance == pytest.approx(10 * np.diag(STEADY.covariance), rel=1e-4)
+    assert both["FeRLS"].forgetting == pytest.approx(np.exp(-2e-4 / 10))
+    for name, bad in (("memory_s", 0.0), ("initial_covariance", -1.0)):
+        with pytest.raises(InputError, match=name):
+            algorithms(STEADY, **{**SETTINGS, name: bad})
+
+
+def test_trial_is_reproducible_and_complete():
+    both = algorithms(STEADY, **SETTINGS)
+    options = {"twin": FITTED, "floor": FLOOR, "both": both, "duration_s": 2.0, "progress": False}
+    one = run_study(convergence_trial, 2, 5, **options)
+    two = run_study(convergence_trial, 2, 5, **options)
+    assert one["FeRLS final"].shape == (2, 9)
+    assert np.array_equal(one["FeLMS tau"], two["FeLMS tau"])
+    assert not np.array_equal(one["FeLMS final"][0], one["FeLMS final"][1])
+
+
+def test_small_epsilon_diverges_and_large_does_not():
+    starts = try_starts(FITTED, FLOOR, [1e-5, 1.0], FeRls(1.0).forgetting, 1.0, 1)
+    assert starts.stopped_s[0] < 0.2 and np.isnan(starts.stopped_s[1])
+    assert starts.peak_command[0] > 100 > starts.peak_command[1]
+
+
+def test_sideways_error_follows_the_mean_update():
+    rigid = load_twin("rigid_body")
+    for floor, sign in ((narrow_floor(rigid, 20.0, 24.0), -1), (FLOOR, 1)):
+        course = follow_sideways(rigid, floor, 60.0, 10.0, 2)
+        assert np.sign(course.eigenvalue) == sign
+        assert np.abs(np.log(course.size / course.predicted)).max() < 0.15
+    with pytest.raises(InputError, match="no geometry"):
+        follow_sideways(FITTED, FLOOR, 1.0, 10.0, 2)
+
+
+def test_weights_follow_a_switch_to_the_new_optimum_and_as_expected():
+    switch = switch_between(FITTED, FLOOR, colored_floor(80.0))
+    both = settled(switch, 1e-4, float(np.exp(-2e-5)))
+    response = respond(FITTED, switch, both["FeRLS"], 40.0, 1)
+    assert response.left()[response.time_s < 0] == pytest.approx(1, abs=0.25)
+    assert response.left()[-100:].mean() == pytest.approx(0, abs=0.1)
+    later = respond(FITTED, switch, both["FeLMS"], 40.0, 1)
+    time = np.array([20.0, 40.0])
+    expected = mean_course(FITTED, switch.end, "FeLMS", time, start=switch.start)
+    left = (switch.end.weights[0] - expected) @ switch.shift / (switch.shift @ switch.shift)
+    seen = [later.left()[np.argmin(np.abs(later.time_s - t))] for t in time]
+    assert seen == pytest.approx(left, abs=0.15)
+    assert response.settling_s() < later.settling_s()
+    found = tracking_trial(np.random.default_rng(1), twin=FITTED, switch=switch, both=both, duration_s=5.0)
+    assert set(found) >= {"FeLMS all", "FeRLS w4-w6", "FeRLS noise"}
+    with pytest.raises(InputError, match="did you mean 'w4-w6'"):
+        response.left("w4-w5")
+
+
+def test_expected_course_wants_rising_times():
+    with pytest.raises(InputError, match="rise"):
+        mean_course(FITTED, STEADY, "FeRLS", [0.0, 1.0])
+    with pytest.raises(InputError, match="FeRLS"):
+        mean_course(FITTED, STEADY, "FeRL", [1.0])

@@ -1,0 +1,301 @@
+import warnings
+
+import cvxpy
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from naive import worstcase as naive
+from stillwork.checks import InputError
+from stillwork.worstcase import (
+    ZeroEstimateWarning,
+    min_max_solve,
+    secular_function,
+    solve_cone_program,
+)
+from stillwork.worstcase.batch import solve_silently
+
+
+def problem(seed, rows=12, unknowns=3, noise=1.0, conditioning=0.0):
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(rows, unknowns)) * 10.0 ** np.linspace(0, -conditioning, unknowns)
+    return A, A @ rng.normal(size=unknowns) + noise * rng.normal(size=rows)
+
+
+def threshold(A, b):
+    return np.linalg.norm(A.T @ b) / np.linalg.norm(b)
+
+
+def cost(A, b, bound, x):
+    return np.linalg.norm(A @ x - b) + bound * np.linalg.norm(x)
+
+
+@pytest.mark.parametrize("share", [0.01, 0.2, 0.7, 0.97])
+@pytest.mark.parametrize("shape", [(5, 1), (12, 3), (40, 8)])
+def test_solution_agrees_with_bisection(shape, share):
+    A, b = problem(1, *shape, conditioning=1.0)
+    bound = share * threshold(A, b)
+    found = min_max_solve(A, b, bound)
+    x, alpha = naive.min_max(A, b, bound)
+    assert found.case == "regularised"
+    assert found.alpha == pytest.approx(alpha, rel=1e-10)
+    assert found.estimate == pytest.approx(x, rel=1e-10)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_cost_is_that_of_the_cone_program(seed):
+    A, b = problem(seed, 20, 4)
+    for share in (0.1, 0.5, 0.9, 1.5):
+        bound = share * threshold(A, b)
+        x = cvxpy.Variable(4)
+        objective = cvxpy.norm(A @ x - b) + bound * cvxpy.norm(x)
+        best = cvxpy.Problem(cvxpy.Minimize(objective)).solve(solver=cvxpy.CLARABEL)
+        ours = solve_silently(A, b, bound).worst_case_residual
+        assert ours == pytest.approx(best, rel=1e-7)
+        assert ours <= best * (1 + 1e-9)
+        assert solve_cone_program(A, b, bound)[1] == pytest.approx(best, rel=1e-7)
+
+
+def test_cost_is_that_of_a_direct_search():
+    for seed in range(3):
+        A, b = problem(seed, 9, 2)
+        bound = 0.5 * threshold(A, b)
+        best = naive.minimise_cost(A, b, bound)
+        assert min_max_solve(A, b, bound).worst_case_residual == pytest.approx(best, rel=1e-9)
+
+
+def test_worst_perturbation_attains_the_cost_and_random_ones_do_not_exceed_it():
+    rng = np.random.default_rng(3)
+    A, b = problem(3)
+    bound = 0.4 * threshold(A, b)
+    found = min_max_solve(A, b, bound)
+    assert np.linalg.norm(found.perturbation, 2) == pytest.approx(bound, rel=1e-12)
+    attained = np.linalg.norm((A + found.perturbation) @ found.estimate - b)
+    assert attained == pytest.approx(found.worst_case_residual, rel=1e-12)
+    for _ in range(2000):
+        dA = rng.normal(size=A.shape)
+        dA *= bound / np.linalg.norm(dA, 2)
+        assert np.linalg.norm((A + dA) @ found.estimate - b) <= found.worst_case_residual * (1 + 1e-12)
+
+
+def test_alpha_obeys_its_defining_equation():
+    A, b = problem(4)
+    bound = 0.3 * threshold(A, b)
+    found = min_max_solve(A, b, bound)
+    residual = np.linalg.norm(A @ found.estimate - b)
+    assert found.alpha == pytest.approx(bound * residual / np.linalg.norm(found.estimate), rel=1e-12)
+
+
+def test_newton_needs_few_evaluations_over_many_problems():
+    counts = []
+    for seed in range(200):
+        A, b = problem(seed, 15, 5, noise=10.0 ** (seed % 9 - 6), conditioning=seed % 5)
+        counts.append(solve_silently(A, b, threshold(A, b) * (0.005 + 0.99 * (seed % 7) / 7)).evaluations)
+    assert max(counts) <= 12
+
+
+def test_extreme_bounds_still_have_accurate_roots():
+    A, b = problem(5)
+    for share in (1e-9, 1 - 1e-6):
+        bound = share * threshold(A, b)
+        assert min_max_solve(A, b, bound).alpha == pytest.approx(naive.min_max(A, b, bound)[1], rel=1e-5)
+
+
+# b in the column space of A
+
+
+def consistent(seed, unknowns=3):
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(6, unknowns)) * np.array([1.0, 0.3, 2.0])[:unknowns]
+    x = rng.normal(size=unknowns)
+    return A, A @ x, x
+
+
+def test_consistent_data_give_least_squares_up_to_the_free_bound():
+    A, b, x = consistent(0)
+    U, S, _ = np.linalg.svd(A, full_matrices=False)
+    c = U.T @ b
+    free = np.linalg.norm(c / S) / np.linalg.norm(c / S**2)
+    found = min_max_solve(A, b, 0.999 * free)
+    assert found.free_bound == pytest.approx(free, rel=1e-10)
+    assert found.case == "least squares"
+    assert found.alpha == 0
+    assert found.estimate == pytest.approx(x, rel=1e-10)
+
+
+@pytest.mark.parametrize("place", [0.001, 0.5, 0.999])
+def test_consistent_data_between_the_bounds_match_the_cone_program(place):
+    A, b, _ = consistent(1)
+    low = min_max_solve(A, b, 0.0)
+    bound = low.free_bound + place * (low.threshold - low.free_bound)
+    found = min_max_solve(A, b, bound)
+    assert found.case == "regularised"
+    assert found.alpha > 0
+    assert found.worst_case_residual == pytest.approx(solve_cone_program(A, b, bound)[1], rel=1e-7)
+
+
+def test_consistent_data_with_equal_singular_values_have_a_segment_of_solutions():
+    A = np.array([[2.0, 0.0], [0.0, 2.0], [0.0, 0.0]])
+    b = np.array([1.0, -3.0, 0.0])
+    found = min_max_solve(A, b, 2.0)
+    assert found.case == "segment"
+    whole = cost(A, b, 2.0, found.estimate)
+    assert whole == pytest.approx(cost(A, b, 2.0, 0.37 * found.estimate), rel=1e-14)
+    assert whole == pytest.approx(np.linalg.norm(b), rel=1e-14)
+    assert min_max_solve(A, b, 1.999).case == "least squares"
+    assert solve_silently(A, b, 2.001).case == "zero"
+
+
+def test_square_and_consistent_perturbation_attains_the_cost():
+    A, b, _ = consistent(2)
+    found = min_max_solve(A[:3], b[:3], 0.01)
+    attained = np.linalg.norm((A[:3] + found.perturbation) @ found.estimate - b[:3])
+    assert attained == pytest.approx(found.worst_case_residual, rel=1e-9)
+
+
+def test_rank_deficient_data_give_the_shortest_solution():
+    rng = np.random.default_rng(6)
+    A = rng.normal(size=(10, 2)) @ rng.normal(size=(2, 4))
+    b = rng.normal(size=10)
+    bound = 0.3 * threshold(A, b)
+    found = min_max_solve(A, b, bound)
+    assert found.rank == 2
+    assert found.worst_case_residual == pytest.approx(solve_cone_program(A, b, bound)[1], rel=1e-7)
+    null = np.linalg.svd(A)[2][2:]
+    assert np.abs(null @ found.estimate).max() < 1e-12
+    assert min_max_solve(A, b, 0.0).estimate == pytest.approx(np.linalg.pinv(A) @ b, abs=1e-12)
+
+
+def test_zero_data_are_answered_without_a_warning():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert min_max_solve(np.ones((3, 1)), np.zeros(3), 1.0).case == "zero"
+        assert min_max_solve(np.zeros((3, 2)), np.ones(3), 1.0).case == "zero"
+
+
+def test_a_bound_above_the_threshold_warns_and_gives_zero():
+    A, b = problem(7)
+    with pytest.warns(ZeroEstimateWarning, match="estimate is zero"):
+        found = min_max_solve(A, b, 1.01 * threshold(A, b))
+    assert not found.estimate.any()
+    assert found.alpha == np.inf
+    assert found.worst_case_residual == pytest.approx(np.linalg.norm(b))
+
+
+# invariants
+
+seeds = st.integers(0, 2**32 - 1)
+shares = st.floats(0.01, 0.99)
+
+
+@settings(max_examples=50)
+@given(seeds, shares, st.floats(-150, 150), st.floats(-150, 150))
+def test_the_answer_does_not_depend_on_units(seed, share, unit_a, unit_b):
+    A, b = problem(seed)
+    p, q = 10.0**unit_a, 10.0**unit_b
+    bound = share * threshold(A, b)
+    first = min_max_solve(A, b, bound)
+    second = min_max_solve(p * A, q * b, p * bound)
+    assert second.estimate * (p / q) == pytest.approx(first.estimate, rel=1e-8)
+    assert second.worst_case_residual / q == pytest.approx(first.worst_case_residual, rel=1e-9)
+
+
+@settings(max_examples=50)
+@given(seeds, shares)
+def test_rotations_of_data_and_parameters_rotate_the_answer(seed, share):
+    rng = np.random.default_rng(seed)
+    A, b = problem(seed)
+    Q = np.linalg.qr(rng.normal(size=(12, 12)))[0]
+    W = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    bound = share * threshold(A, b)
+    first = min_max_solve(A, b, bound)
+    second = min_max_solve(Q @ A @ W, Q @ b, bound)
+    assert W @ second.estimate == pytest.approx(first.estimate, rel=1e-8, abs=1e-12)
+    assert second.alpha == pytest.approx(first.alpha, rel=1e-8)
+
+
+@settings(max_examples=50)
+@given(seeds)
+def test_limits_are_least_squares_and_zero(seed):
+    A, b = problem(seed)
+    x = np.linalg.lstsq(A, b, rcond=None)[0]
+    assert min_max_solve(A, b, 0.0).estimate == pytest.approx(x, rel=1e-9)
+    assert min_max_solve(A, b, 1e-9).estimate == pytest.approx(x, rel=1e-5)
+    assert not solve_silently(A, b, threshold(A, b) * (1 + 1e-9)).estimate.any()
+    near = min_max_solve(A, b, threshold(A, b) * (1 - 1e-6)).estimate
+    assert np.linalg.norm(near) < 1e-3 * np.linalg.norm(x)
+
+
+@settings(max_examples=50)
+@given(seeds, shares, shares)
+def test_a_larger_bound_shrinks_the_estimate_and_raises_the_cost(seed, one, two):
+    A, b = problem(seed)
+    low, high = (min_max_solve(A, b, share * threshold(A, b)) for share in sorted((one, two)))
+    assert np.linalg.norm(high.estimate) <= np.linalg.norm(low.estimate) * (1 + 1e-9)
+    assert high.worst_case_residual >= low.worst_case_residual * (1 - 1e-12)
+    assert high.alpha >= low.alpha * (1 - 1e-9)
+
+
+# the secular function
+
+
+def test_secular_function_and_slope_agree_with_normal_equations_and_differences():
+    A, b = problem(8)
+    f = secular_function(A, b, 0.7)
+    alphas = np.geomspace(1e-3, 1e3, 13)
+    assert f(alphas) == pytest.approx([naive.secular_value(A, b, 0.7, a) for a in alphas], rel=1e-11)
+    h = 1e-5 * alphas
+    differences = [
+        (naive.secular_value(A, b, 0.7, a + d) - naive.secular_value(A, b, 0.7, a - d)) / (2 * d)
+        for a, d in zip(alphas, h, strict=True)
+    ]
+    assert f.slope(alphas) == pytest.approx(differences, rel=1e-5)
+
+
+@settings(max_examples=40)
+@given(seeds, st.floats(0.05, 0.9), st.floats(-6, 6))
+def test_fixed_point_iterates_approach_the_root_monotonically(seed, share, decade):
+    A, b = problem(seed, 8, 3)
+    f = secular_function(A, b, share * threshold(A, b))
+    root, _ = f.root()
+    path = f.iterates(10.0**decade, 200)
+    steps = np.diff(path) * np.sign(root - path[0])
+    assert (steps >= -1e-9 * np.maximum(path[1:], root)).all()
+    assert abs(path[-1] - root) <= abs(path[0] - root)
+
+
+def test_root_is_the_same_from_any_start():
+    A, b = problem(9)
+    f = secular_function(A, b, 0.5 * threshold(A, b))
+    roots = [f.root(start)[0] for start in (1e-9, 1e-3, 1.0, 1e4, 1e12)]
+    assert roots == pytest.approx([naive.secular_root(A, b, f.bound)] * 5, rel=1e-10)
+
+
+def test_secular_function_without_a_root_says_so():
+    A, b = problem(10)
+    with pytest.raises(InputError, match="positive root only for a bound between 0 and"):
+        secular_function(A, b, 2 * threshold(A, b)).root()
+    with pytest.raises(InputError, match="orthogonal"):
+        secular_function(np.array([[1.0], [0.0]]), [0.0, 1.0], 0.1)
+
+
+# bad input
+
+
+@pytest.mark.parametrize(
+    ("A", "b", "bound", "message"),
+    [
+        (np.ones((3, 1)), np.ones(3), -1.0, "bound is -1.*at least 0"),
+        (np.ones((3, 1)), np.ones(3), np.nan, "bound is nan"),
+        (np.ones((3, 1)), np.ones(3), np.inf, "bound is inf"),
+        (np.ones((2, 3)), np.ones(2), 1.0, "2 rows for 3 unknowns; give at least as many rows"),
+        (np.ones((3, 0)), np.ones(3), 1.0, "no columns"),
+        (np.ones((3, 1)), np.ones(4), 1.0, "target has shape"),
+        (np.array([[1.0], [np.nan]]), np.ones(2), 1.0, "matrix holds 1 NaN"),
+        (np.ones((3, 1)), [1.0, np.inf, 2.0], 1.0, "target holds 1 NaN or infinite"),
+        ("words", np.ones(3), 1.0, "matrix is not an array"),
+    ],
+)
+def test_bad_input_is_named(A, b, bound, message):
+    with pytest.raises(InputError, match=message):
+        min_max_solve(A, b, bound)

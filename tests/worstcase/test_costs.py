@@ -1,0 +1,109 @@
+"""The formulas of `costs` against a count: the kernels run uncompiled on numbers that count their products."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+from stillwork.checks import InputError
+from stillwork.worstcase.costs import multiplications, slope
+
+COUNT = """
+import json, sys
+import numpy as np
+count = 0
+
+class Number(float):
+    def _made(value):
+        return value if value is NotImplemented else Number(value)
+    def _counted(self, other):
+        global count
+        count += 1
+    def __mul__(self, other): self._counted(other); return Number(float(self) * float(other))
+    def __truediv__(self, other): self._counted(other); return Number(float(self) / float(other))
+    def __rtruediv__(self, other): self._counted(other); return Number(float(other) / float(self))
+    __rmul__ = __mul__
+    def __add__(self, other): return Number(float(self) + float(other))
+    def __sub__(self, other): return Number(float(self) - float(other))
+    def __rsub__(self, other): return Number(float(other) - float(self))
+    def __neg__(self): return Number(-float(self))
+    __radd__ = __add__
+
+def numbers(array):
+    out = np.empty(np.shape(array), dtype=object)
+    for index in np.ndindex(out.shape):
+        out[index] = Number(array[index])
+    return out
+
+class Numpy:
+    inf, int64 = np.inf, np.int64
+    argsort, copysign, hypot = staticmethod(np.argsort), staticmethod(np.copysign), staticmethod(np.hypot)
+    def zeros(self, shape, dtype=None): return np.zeros(shape, dtype) if dtype else numbers(np.zeros(shape))
+    def sqrt(self, value):
+        global count
+        count += 1
+        return Number(np.sqrt(float(value)))
+    def dot(self, a, b):
+        global count
+        count += a.shape[0] * a.shape[1] * b.shape[1]
+        return numbers(np.dot(a.astype(float), b.astype(float)))
+
+from stillwork.worstcase import rank_one, secular, steps
+for module in (rank_one, secular, steps):
+    module.np = Numpy()
+
+update, n = sys.argv[1], int(sys.argv[2])
+rng = np.random.default_rng(0)
+samples = 6 * n
+rows = rng.normal(size=(samples, n))
+outputs = rows @ rng.normal(size=n) + 0.3 * rng.normal(size=samples)
+out = [numbers(np.zeros((samples, n)))] + [numbers(np.zeros(samples)) for _ in range(3)]
+weight, bounds = Number(0.95), numbers(np.full(samples, 0.5))
+square, column = numbers(np.zeros((n, n))), [numbers(np.zeros(n)) for _ in range(3)]
+scalars = numbers(np.array([np.inf, 0.0, 0.0]))
+rows, outputs = numbers(rows), numbers(outputs)
+state = {
+    "least squares": [numbers(1e4 * np.eye(n)), column[0]],
+    "ridge": [square, column[0], column[1]],
+    "exact": [square, column[0], scalars, column[1]],
+    "approximate": [square, column[0], scalars, column[1], numbers(np.zeros((n, n))), column[2]],
+    "fast": [column[2], numbers(np.eye(n)), column[0], scalars, column[1]],
+}[update]
+run = {
+    "least squares": lambda r, y, b, o: steps._run_least_squares(r, y, weight, *state, *o[:2]),
+    "ridge": lambda r, y, b, o: steps._run_ridge(r, y, Number(1.0), weight, *state, *o[:2]),
+    "exact": lambda r, y, b, o: steps._run_exact(r, y, b, weight, *state, *o),
+    "approximate": lambda r, y, b, o: steps._run_approximate(r, y, b, weight, 2, *state, *o),
+    "fast": lambda r, y, b, o: rank_one._run_fast(r, y, b, weight, *state, *o),
+}[update]
+half = samples // 2
+run(rows[:half], outputs[:half], bounds[:half], [a[:half] for a in out])
+count = 0
+run(rows[half:], outputs[half:], bounds[half:], [a[half:] for a in out])
+print(json.dumps([count / half, float(sum(float(v) for v in out[3][half:])) / half]))
+"""
+
+
+@pytest.mark.parametrize("unknowns", [4, 12])
+@pytest.mark.parametrize(
+    ("update", "accuracy"),
+    [("least squares", 0.01), ("ridge", 0.01), ("approximate", 0.01), ("exact", 0.02), ("fast", 0.1)],
+)
+def test_formulas_agree_with_a_count(update, accuracy, unknowns):
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run(
+        [sys.executable, "-c", COUNT, update, str(unknowns)], env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    counted, evaluations = json.loads(done.stdout)
+    assert multiplications(update, unknowns, evaluations) == pytest.approx(counted, rel=accuracy)
+
+
+def test_slope_of_a_power_law():
+    assert slope([5, 10, 40], [2 * 5**2.5, 2 * 10**2.5, 2 * 40**2.5]) == pytest.approx(2.5)
+
+
+def test_unknown_update_is_named():
+    with pytest.raises(InputError, match="did you mean 'exact'"):
+        multiplications("exakt", 5)

@@ -1,0 +1,204 @@
+import warnings
+
+import numpy as np
+import pytest
+from naive import worstcase as naive
+from stillwork import figures
+from stillwork.checks import InputError
+from stillwork.studies import run_study
+from stillwork.worstcase import (
+    draw_contraction,
+    draw_geometry,
+    draw_identification,
+    draw_measured,
+    draw_tracking,
+    draw_updates,
+    exponential_bound,
+    fir_regressors,
+    measured,
+    min_max_solve,
+    total_least_squares,
+)
+from stillwork.worstcase.experiments import (
+    FIG_2_PARAMETERS,
+    fir_trial,
+    least_squares_limit,
+    path,
+    settled,
+    tracking_trial,
+)
+from stillwork.worstcase.theory import (
+    convergence_trial,
+    counter_example,
+    recursion_trial,
+    scalar_trial,
+    solution_trial,
+    weighting_trial,
+)
+
+FIG_1 = {"parameters": (1.0, 0.5), "period": 20, "samples": 60, "input_noise": 0.1, "output_noise": 1.0}
+
+
+def fig_1_record(seed):
+    """Regressors and outputs of `fir_trial`, made again with scalar loops."""
+    rng = np.random.default_rng(seed)
+    clean = np.array([1.0 if (k % 20) < 10 else -1.0 for k in range(61)])
+    error = rng.uniform(-0.1, 0.1, 61)
+    noise = rng.uniform(-1.0, 1.0, 60)
+    rows = np.array([[clean[t] + error[t], clean[t - 1] + error[t - 1]] for t in range(1, 61)])
+    outputs = np.array([clean[t] + 0.5 * clean[t - 1] + noise[t - 1] for t in range(1, 61)])
+    return rows, outputs, np.array([[error[t], error[t - 1]] for t in range(1, 61)])
+
+
+def test_fir_trial_agrees_with_batch_solutions():
+    found = fir_trial(np.random.default_rng(3), **FIG_1)
+    rows, outputs, errors = fig_1_record(3)
+    for t in (12, 30, 59):
+        A, b = rows[: t + 1], outputs[: t + 1]
+        bound = np.sqrt(2) * 0.1 * np.sqrt(t + 1)
+        solution = min_max_solve(A, b, bound)
+        assert found["bound"][t] == pytest.approx(bound)
+        assert found["min_max"][:, t] == pytest.approx(solution.estimate, rel=1e-9)
+        assert found["min_max_worst"][t] == pytest.approx(solution.worst_case_residual, rel=1e-9)
+        assert found["least"][:, t] == pytest.approx(np.linalg.lstsq(A, b, rcond=None)[0], rel=1e-8)
+        total = total_least_squares(A, b)
+        assert found["total"][:, t] == pytest.approx(total.estimate, rel=1e-7)
+        assert found["total_matrix"][t] == pytest.approx(np.linalg.norm(total.matrix_correction), rel=1e-6)
+        assert found["total_target"][t] == pytest.approx(np.linalg.norm(total.target_correction), rel=1e-6)
+        worst = np.linalg.norm(A @ total.estimate - b) + bound * np.linalg.norm(total.estimate)
+        assert found["total_worst"][t] == pytest.approx(worst, rel=1e-7)
+        assert found["perturbation"][t] == pytest.approx(np.linalg.norm(errors[: t + 1], 2), rel=1e-9)
+    assert np.isnan(found["total"][:, :2]).all()
+
+
+@pytest.mark.parametrize(("period", "noise"), [(20, 0.1), (4, 0.5)])
+def test_least_squares_tends_to_its_limit(period, noise):
+    settings = {**FIG_1, "period": period, "samples": 100_000, "input_noise": noise, "output_noise": 0.1}
+    found = fir_trial(np.random.default_rng(0), **settings)["least"][:, -1]
+    assert found == pytest.approx(least_squares_limit((1.0, 0.5), period, noise), abs=3e-3)
+
+
+def test_paths_start_alike_and_keep_their_length():
+    for kind in ("constant", "jump", "drift"):
+        values = path(kind, FIG_2_PARAMETERS, 200)
+        assert values[:, 0] == pytest.approx(FIG_2_PARAMETERS)
+        assert np.linalg.norm(values, axis=0) == pytest.approx(np.full(200, np.linalg.norm(FIG_2_PARAMETERS)))
+    assert path("jump", (1.0, 2.0), 10)[:, 5] == pytest.approx([-1, -2])
+    assert path("drift", (1.0, 0.0), 4)[:, 1] == pytest.approx([0, 1], abs=1e-12)
+
+
+def test_tracking_trial_draws_rows_within_the_bound_and_reports_error_norms():
+    truth = path("constant", FIG_2_PARAMETERS, 100)
+    found = tracking_trial(np.random.default_rng(1), truth, 1.0, 0.95, 0.25, 0.1, 10.0)
+    assert found["zero"] == pytest.approx(np.full(100, np.linalg.norm(FIG_2_PARAMETERS)))
+    assert set(found) == {"min_max", "rls", "ridge", "zero", "norm", "vanished"}
+    # without noise and errors RLS finds the truth, and so does min-max for a small bound
+    clean = tracking_trial(np.random.default_rng(1), 20 * truth, 1e-6, 0.95, 0.0, 0.0, 1e-6)
+    assert clean["rls"][-1] < 1e-3
+    assert clean["min_max"][-1] < 1e-3
+    assert settled(np.full((3, 100), 2.0), 0.95) == pytest.approx([2, 2, 2])
+
+
+def test_trials_of_the_theory_agree_with_naive_solutions():
+    solution = run_study(solution_trial, 5, 0, progress=False, perturbations=20)
+    assert solution["cost"].max() < 1e-7
+    assert solution["attained"].max() < 1e-12
+    assert (solution["crossings"] == 1).all()
+    weights = weighting_trial(np.random.default_rng(0), 0.25, 0.95, 30)
+    assert weights["over_limit"] == pytest.approx(
+        weights["over_sum"] * exponential_bound(0.25, 0.95, 30) / exponential_bound(0.25, 0.95)
+    )
+    assert scalar_trial(np.random.default_rng(0))["bounded"] == 1
+    assert convergence_trial(np.random.default_rng(0), 3, 400)["converged"] == 1
+
+
+def test_counter_example_is_steep_by_plain_differences():
+    function = counter_example(0.5, 0.02)
+    A = np.array([[1.0, 0.0], [0.0, 0.1], [0.0, 0.0]])
+    b = np.array([1.0, 0.1, 0.02])
+    slopes = [
+        (naive.secular_value(A, b, 0.5, a * 1.001) - naive.secular_value(A, b, 0.5, a)) / (0.001 * a)
+        for a in np.geomspace(1e-4, 1e-1, 50)
+    ]
+    assert max(slopes) > 2
+    assert function(0.01) == pytest.approx(naive.secular_value(A, b, 0.5, 0.01), rel=1e-12)
+
+
+def test_recursion_trial_finds_the_misprint():
+    truth = path("constant", FIG_2_PARAMETERS, 40)
+    found = recursion_trial(np.random.default_rng(0), truth, 0.8, 0.95, 0.1)
+    assert np.nanmax(found["corrected"]) < 1e-11
+    assert np.nanmedian(found["as_printed"]) > 1e-3
+    assert found["exact"].max() < 1e-12
+
+
+def test_measured_pair_is_the_shipped_record():
+    pair, spectra = measured.load_pair((100.0, 1500.0), (300.0, 600.0))
+    assert pair.input.shape == pair.output.shape == (60_800,)
+    assert pair.sample_rate == 3200
+    assert 0.25 * pair.input.std() < pair.noise < pair.input.std()
+    loud = spectra["frequency"][np.argmax(spectra["coherence"] * (spectra["frequency"] > 50))]
+    assert 100 < loud < 300  # the machine's line, see SOURCE.md
+    found = measured.window_residuals(pair, 8, [64], 5)
+    start = 8
+    regressors = fir_regressors(pair.input, 8)
+    x = np.linalg.lstsq(regressors[:, start : start + 64].T, pair.output[start : start + 64], rcond=None)[0]
+    later = slice(start + 64, start + 128)
+    miss = np.linalg.norm(pair.output[later] - x @ regressors[:, later]) / np.linalg.norm(pair.output[later])
+    assert found["least squares"][0][0] == pytest.approx(miss, rel=1e-9)
+
+
+def test_pictures_can_be_saved_with_their_numbers(tmp_path):
+    pictures = {
+        "geometry": draw_geometry.explore_geometry(0.4, 0.5),
+        "contraction": draw_contraction.explore_counter_example(0.5, 0.02),
+        "updates": draw_updates.explore_accuracy(1.118, 0.1),
+        "counts": draw_updates.draw_counts([5, 50], 2.0),
+        "times": draw_updates.draw_times(draw_updates.measured_times()),
+        "fig-1": draw_identification.explore_fig_1(20, 0.1, 1.0, 0.5),
+        "fig-2": draw_tracking.explore_tracking(1.34, 0.1, 1.0, "jump"),
+        "measured": draw_measured.explore_sweep(8, 128),
+    }
+    for name, figure in pictures.items():
+        saved = figures.save(figure, tmp_path / name)
+        assert len(saved.png) > 5000
+        assert len((tmp_path / f"{name}.csv").read_text().splitlines()) > 5
+
+
+def test_extreme_settings_of_the_explorers_draw_without_warnings():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for share in (0.0, 1.3):
+            draw_geometry.explore_geometry(share, 0.0)
+        for bound, excess in ((0.05, 0.001), (0.6, 1.0)):
+            draw_contraction.explore_counter_example(bound, excess)
+        with pytest.raises(InputError, match="a positive root only for a bound"):
+            draw_contraction.explore_counter_example(0.95, 1.0)
+        draw_updates.explore_accuracy(3.0, 0.01)
+        draw_updates.explore_accuracy(0.02, 1.0)
+        draw_identification.explore_fig_1(4, 1.0, 0.01, -1.0)
+        draw_tracking.explore_tracking(5.0, 1.0, 50.0, "drift")
+        draw_measured.explore_sweep(48, 64)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (
+            lambda: fir_trial(np.random.default_rng(0), **{**FIG_1, "samples": 4}),
+            "samples is 4; give more than 4",
+        ),
+        (lambda: path("jmp", (1.0, 2.0), 10), "kind is 'jmp'"),
+        (lambda: path("drift", (1.0,), 10), "two parameters or more"),
+        (lambda: settled(np.ones(10), 0.95), "errors has 10 samples; give more than 60"),
+        (
+            lambda: measured.window_residuals(
+                measured.load_pair((100.0, 1500.0), (300.0, 600.0))[0], 8, [8], 5
+            ),
+            "lengths holds 8; give more than 8",
+        ),
+    ],
+)
+def test_bad_input_is_named(make, message):
+    with pytest.raises(InputError, match=message):
+        make()

@@ -1,0 +1,87 @@
+import numpy as np
+import pytest
+from scipy import signal
+from stillwork.checks import InputError
+from stillwork.worstcase import (
+    arx_regressors,
+    exponential_bound,
+    fir_regressors,
+    noise_bound,
+    row_bound,
+    total_least_squares,
+)
+
+
+def test_fir_regressors_convolve():
+    rng = np.random.default_rng(0)
+    u, x = rng.normal(size=50), rng.normal(size=4)
+    assert x @ fir_regressors(u, 4) == pytest.approx(signal.lfilter(x, [1.0], u), abs=1e-13)
+
+
+@pytest.mark.parametrize("delay", [0, 2])
+def test_arx_regressors_run_the_difference_equation(delay):
+    rng = np.random.default_rng(1)
+    u = rng.normal(size=60)
+    y = signal.lfilter([0.0] * delay + [0.5, -0.3, 0.1], [1.0, -1.2, 0.7], u)
+    a = arx_regressors(u, y, output_lags=2, input_lags=3, delay=delay)
+    assert np.array([1.2, -0.7, 0.5, -0.3, 0.1]) @ a == pytest.approx(y, abs=1e-12)
+
+
+def test_bounds_hold_for_perturbations_within_them():
+    rng = np.random.default_rng(2)
+    epsilon = row_bound([0.3, 0.4])
+    assert epsilon == pytest.approx(0.5)
+    rows = rng.normal(size=(400, 2))
+    rows *= epsilon / np.linalg.norm(rows, axis=1, keepdims=True)
+    for t in (1, 5, 400):
+        weights = 0.95 ** (np.arange(t - 1, -1, -1) / 2)
+        size = np.linalg.norm(weights[:, None] * rows[:t], 2)
+        allowed = exponential_bound(epsilon, 0.95, t)
+        assert size <= allowed * (1 + 1e-12)
+        assert allowed <= exponential_bound(epsilon, 0.95)
+    assert exponential_bound(0.25, 0.95) == pytest.approx(0.25 / np.sqrt(0.05))
+    # the bound is attained when every row errs in the same direction
+    weights = 0.95 ** (np.arange(9, -1, -1) / 2)
+    same = np.linalg.norm(weights[:, None] * np.array([[0.3, 0.4]]), 2)
+    assert same == pytest.approx(exponential_bound(0.5, 0.95, 10))
+
+
+def test_noise_bound_is_the_norm_of_noise_and_below_the_guaranteed_one():
+    rng = np.random.default_rng(3)
+    weights = 0.99 ** (np.arange(1999, -1, -1) / 2)
+    sizes = [np.linalg.norm(weights[:, None] * rng.normal(size=(2000, 20)), 2) for _ in range(20)]
+    assert 0.8 * noise_bound(1.0, 20, 0.99) < np.mean(sizes) < noise_bound(1.0, 20, 0.99)
+    assert noise_bound(1.0, 20, 0.99) < exponential_bound(np.sqrt(20), 0.99)
+
+
+def test_total_least_squares_makes_the_corrected_system_consistent():
+    rng = np.random.default_rng(4)
+    A = rng.normal(size=(30, 3))
+    b = A @ np.array([1.0, -2.0, 0.5]) + 0.1 * rng.normal(size=30)
+    found = total_least_squares(A, b)
+    corrected = (A + found.matrix_correction) @ found.estimate
+    assert corrected == pytest.approx(b + found.target_correction, abs=1e-12)
+    # Closed form: (A'A - sigma^2 I) x = A'b with the smallest singular value of [A b]
+    sigma = np.linalg.svd(np.column_stack([A, b]), compute_uv=False)[-1]
+    assert found.estimate == pytest.approx(np.linalg.solve(A.T @ A - sigma**2 * np.eye(3), A.T @ b))
+    size = np.linalg.norm(np.column_stack([found.matrix_correction, found.target_correction]))
+    assert size == pytest.approx(sigma)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: fir_regressors([1.0, np.nan], 1), "signal holds 1 NaN"),
+        (lambda: fir_regressors([1.0, 2.0], 0), "taps is 0"),
+        (lambda: arx_regressors([1.0, 2.0], [1.0], output_lags=1, input_lags=1), "output has shape"),
+        (lambda: row_bound([0.1, -0.1]), "negative"),
+        (lambda: exponential_bound(-1.0, 0.9), "row is -1"),
+        (lambda: exponential_bound(1.0, 1.0), "forgetting is 1"),
+        (lambda: noise_bound(1.0, 5, 0.0), "forgetting is 0"),
+        (lambda: total_least_squares(np.eye(2), np.ones(2)), "2 rows for 2 unknowns"),
+        (lambda: total_least_squares([[1.0, 1.0], [1.0, 1.0], [0.0, 0.0]], [1.0, 2.0, 3.0]), "no solution"),
+    ],
+)
+def test_bad_input_is_named(make, message):
+    with pytest.raises(InputError, match=message):
+        make()

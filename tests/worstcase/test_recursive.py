@@ -1,0 +1,255 @@
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from naive import worstcase as naive
+from stillwork.checks import InputError
+from stillwork.worstcase import (
+    GrowingMinMax,
+    LeastSquares,
+    MinMax,
+    Ridge,
+    Stepper,
+    ZeroEstimateWarning,
+    min_max_solve,
+    run,
+    worst_case_residuals,
+)
+
+FORGETTING = 0.9
+EXACT = ("exact", "fast")
+
+
+def record(seed=0, unknowns=4, samples=60, noise=0.3, size=1.0):
+    rng = np.random.default_rng(seed)
+    rows = rng.normal(size=(samples, unknowns))
+    return rows, rows @ (size * rng.normal(size=unknowns)) + noise * rng.normal(size=samples)
+
+
+def through_zero():
+    """Record whose output vanishes for a while, so that the estimate goes to zero and comes back."""
+    rows, outputs = record(5, samples=90)
+    rng = np.random.default_rng(55)
+    outputs[30:60] = rng.normal(size=30)
+    return rows, outputs
+
+
+@pytest.mark.parametrize("update", EXACT)
+@pytest.mark.parametrize("bound", [0.05, 0.8, 1.5])
+@pytest.mark.parametrize("unknowns", [1, 2, 5])
+def test_exact_recursion_is_the_batch_solution_at_every_step(update, bound, unknowns):
+    rows, outputs = record(unknowns=unknowns)
+    estimates, alphas = naive.batch_estimates(rows, outputs, FORGETTING, np.full(60, bound))
+    track = run(MinMax(bound, FORGETTING, update), rows.T, outputs)
+    assert np.array_equal(np.isinf(track.alphas), np.isinf(alphas))
+    finite = np.isfinite(alphas)
+    assert track.alphas[finite] == pytest.approx(alphas[finite], rel=1e-9)
+    assert track.estimates.T == pytest.approx(estimates, rel=1e-9, abs=1e-11)
+
+
+@pytest.mark.parametrize("update", EXACT)
+def test_exact_recursion_leaves_and_reenters_through_the_zero_solution(update):
+    rows, outputs = through_zero()
+    estimates, alphas = naive.batch_estimates(rows, outputs, FORGETTING, np.full(90, 1.6))
+    zero = np.isinf(alphas[5:])
+    assert 5 < zero.sum() < 70
+    assert not zero[-1]  # the record really comes back
+    track = run(MinMax(1.6, FORGETTING, update), rows.T, outputs)
+    assert np.array_equal(np.isinf(track.alphas), np.isinf(alphas))
+    assert track.estimates.T == pytest.approx(estimates, rel=1e-8, abs=1e-11)
+
+
+def test_theorem_two_letter_by_letter_gives_the_same():
+    rows, outputs = through_zero()
+    for bound in (0.3, 1.6):
+        expected = naive.theorem_two(rows, outputs, FORGETTING, bound)
+        track = run(MinMax(bound, FORGETTING), rows.T, outputs)
+        assert track.estimates.T == pytest.approx(expected, rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.parametrize("iterations", [1, 2, 3])
+@pytest.mark.parametrize("bound", [0.1, 1.0, 1.6])
+def test_approximate_update_is_algorithm_20(iterations, bound):
+    rows, outputs = through_zero()
+    estimates, alphas = naive.iterative_algorithm(rows, outputs, FORGETTING, bound, iterations)
+    track = run(MinMax(bound, FORGETTING, "approximate", iterations), rows.T, outputs)
+    assert np.array_equal(np.isinf(track.alphas), np.isinf(alphas))
+    finite = np.isfinite(alphas)
+    assert track.alphas[finite] == pytest.approx(alphas[finite], rel=1e-8)
+    assert track.estimates.T == pytest.approx(estimates, rel=1e-7, abs=1e-10)
+
+
+def test_more_fixed_point_iterations_come_nearer():
+    rows, outputs = record(7, samples=300)
+    exact = run(MinMax(1.0, FORGETTING), rows.T, outputs)
+    means = []
+    for iterations in (1, 2, 3):
+        track = run(MinMax(1.0, FORGETTING, "approximate", iterations), rows.T, outputs)
+        means.append(np.abs(track.alphas[20:] / exact.alphas[20:] - 1).mean())
+    assert means[0] > 1.5 * means[1] > 2 * means[2]
+
+
+@pytest.mark.parametrize("update", ["exact", "approximate", "fast"])
+def test_growing_window_has_unit_weights_and_a_growing_bound(update):
+    rows, outputs = record(8, unknowns=2)
+    track = run(GrowingMinMax(0.15, update, *((5,) if update == "approximate" else ())), rows.T, outputs)
+    bounds = 0.15 * np.sqrt(np.arange(1, 61))
+    estimates, _ = naive.batch_estimates(rows, outputs, 1.0, bounds)
+    accuracy = 1e-3 if update == "approximate" else 1e-9
+    assert track.estimates.T == pytest.approx(estimates, rel=accuracy, abs=accuracy)
+
+
+def test_least_squares_and_ridge_agree_with_augmented_problems():
+    rows, outputs = record(9)
+    track = run(LeastSquares(FORGETTING, 100.0), rows.T, outputs)
+    expected = naive.recursive_least_squares(rows, outputs, FORGETTING, 100.0)
+    assert track.estimates.T == pytest.approx(expected, rel=1e-8, abs=1e-10)
+    track = run(Ridge(0.7, FORGETTING), rows.T, outputs)
+    assert track.estimates.T == pytest.approx(
+        naive.ridge(rows, outputs, FORGETTING, 0.7), rel=1e-9, abs=1e-11
+    )
+    assert (track.alphas == 0.7).all()
+
+
+@pytest.mark.parametrize(
+    "estimator",
+    [
+        MinMax(0.5, FORGETTING),
+        MinMax(0.5, FORGETTING, "approximate", 2),
+        MinMax(0.5, FORGETTING, "fast"),
+        GrowingMinMax(0.1),
+        LeastSquares(FORGETTING),
+        Ridge(1.0, FORGETTING),
+    ],
+    ids=lambda e: f"{type(e).__name__}-{getattr(e, 'update', '')}",
+)
+def test_stepper_gives_the_same_numbers_as_the_record(estimator):
+    rows, outputs = record(10)
+    track = run(estimator, rows.T, outputs)
+    stepper = Stepper(estimator, 4)
+    stepped = np.array([stepper.update(a, y) for a, y in zip(rows, outputs, strict=True)])
+    assert np.array_equal(stepped, track.estimates.T)
+    previous = np.vstack([np.zeros(4), stepped[:-1]])
+    assert track.errors == pytest.approx(outputs - np.sum(rows * previous, axis=1), abs=1e-12)
+    assert np.array_equal(run(estimator, rows.T, outputs).estimates, track.estimates)  # no state left behind
+
+
+def test_stepper_is_unchanged_by_a_refused_sample():
+    rows, outputs = record(11)
+    stepper, twin = (Stepper(MinMax(0.5, FORGETTING), 4) for _ in range(2))
+    for a, y in zip(rows[:20], outputs[:20], strict=True):
+        stepper.update(a, y)
+        twin.update(a, y)
+    for bad in ((np.array([1, 2, np.nan, 4]), 1.0), (rows[0], np.inf), (np.ones(3), 1.0)):
+        with pytest.raises(InputError):
+            stepper.update(*bad)
+    assert np.array_equal(stepper.update(rows[20], outputs[20]), twin.update(rows[20], outputs[20]))
+
+
+@settings(max_examples=25)
+@given(st.integers(0, 2**32 - 1), st.floats(-8, 8), st.floats(-8, 8))
+def test_tracks_do_not_depend_on_units(seed, unit_a, unit_y):
+    rows, outputs = record(seed)
+    p, q = 10.0**unit_a, 10.0**unit_y
+    for update in ("exact", "approximate", "fast"):
+        first = run(MinMax(0.6, FORGETTING, update), rows.T, outputs)
+        second = run(MinMax(0.6 * p, FORGETTING, update), p * rows.T, q * outputs)
+        assert second.estimates * (p / q) == pytest.approx(first.estimates, rel=1e-6, abs=1e-9)
+
+
+@settings(max_examples=25)
+@given(st.integers(0, 2**32 - 1))
+def test_tracks_rotate_with_the_parameters(seed):
+    rows, outputs = record(seed)
+    W = np.linalg.qr(np.random.default_rng(seed).normal(size=(4, 4)))[0]
+    for update in ("exact", "approximate", "fast"):
+        first = run(MinMax(0.6, FORGETTING, update), rows.T, outputs)
+        second = run(MinMax(0.6, FORGETTING, update), (rows @ W).T, outputs)
+        assert W @ second.estimates == pytest.approx(first.estimates, rel=1e-6, abs=1e-8)
+
+
+def test_bound_zero_is_least_squares():
+    rows, outputs = record(12)
+    expected = naive.ridge(rows, outputs, FORGETTING, 0.0)
+    for update in ("exact", "approximate", "fast"):
+        track = run(MinMax(0.0, FORGETTING, update), rows.T, outputs)
+        assert track.estimates.T[4:] == pytest.approx(expected[4:], rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.parametrize("update", ["exact", "approximate", "fast"])
+def test_noise_free_and_rank_deficient_records_stay_finite(update):
+    rows, outputs = record(13, noise=0.0)
+    track = run(MinMax(0.01, FORGETTING, update), rows.T, outputs)
+    assert np.isfinite(track.estimates).all()
+    assert track.estimates[:, -1] == pytest.approx(np.linalg.lstsq(rows, outputs, rcond=None)[0], rel=1e-5)
+    doubled = np.vstack([rows.T, rows.T])
+    noisy = outputs + 0.1 * np.random.default_rng(0).normal(size=60)
+    track = run(MinMax(0.5, FORGETTING, update), doubled, noisy)
+    A, b = naive.weighted(doubled.T, noisy, FORGETTING)
+    accuracy = 2e-2 if update == "approximate" else 1e-7
+    assert track.estimates[:, -1] == pytest.approx(min_max_solve(A, b, 0.5).estimate, rel=accuracy)
+
+
+@pytest.mark.parametrize("update", EXACT)
+def test_long_records_lose_no_digits(update):
+    rng = np.random.default_rng(14)
+    rows = rng.normal(size=(100_000, 6))
+    outputs = rows @ rng.normal(size=6) + 0.1 * rng.normal(size=100_000)
+    track = run(MinMax(0.5, 0.95, update), rows.T, outputs)
+    A, b = naive.weighted(rows[-2000:], outputs[-2000:], 0.95)
+    assert track.estimates[:, -1] == pytest.approx(min_max_solve(A, b, 0.5).estimate, rel=1e-11)
+
+
+def test_worst_case_residuals_are_the_criterion():
+    rows, outputs = record(15)
+    track = run(MinMax(0.6, FORGETTING), rows.T, outputs)
+    worst = worst_case_residuals(rows.T, outputs, track.estimates, np.full(60, 0.6), FORGETTING)
+    for t in (10, 59):
+        A, b = naive.weighted(rows[: t + 1], outputs[: t + 1], FORGETTING)
+        assert worst[t] == pytest.approx(min_max_solve(A, b, 0.6).worst_case_residual, rel=1e-11)
+
+
+def test_a_bound_that_explains_everything_away_warns():
+    rows, outputs = record(16)
+    with pytest.warns(ZeroEstimateWarning, match="every estimate is zero"):
+        track = run(MinMax(50.0, FORGETTING), rows.T, outputs)
+    assert not track.estimates.any()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        run(MinMax(0.5, FORGETTING), rows.T, outputs)
+
+
+@pytest.mark.parametrize("forgetting", [0.0, 1.0, 1.2, -0.1, np.nan])
+def test_forgetting_outside_the_open_unit_interval_is_refused(forgetting):
+    for make in (
+        lambda: MinMax(1.0, forgetting),
+        lambda: LeastSquares(forgetting),
+        lambda: Ridge(1.0, forgetting),
+    ):
+        with pytest.raises(InputError, match=r"forgetting is .*above 0 and below 1"):
+            make()
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: MinMax(-1.0, 0.9), "bound is -1"),
+        (lambda: MinMax(np.inf, 0.9), "bound is inf"),
+        (lambda: MinMax(1.0, 0.9, "aproximate"), "did you mean 'approximate'"),
+        (lambda: MinMax(1.0, 0.9, "approximate", 0), "iterations is 0"),
+        (lambda: MinMax(1.0, 0.9, "exact", 2), "iterations is for update 'approximate'"),
+        (lambda: GrowingMinMax(-0.1), "row_bound is -0.1"),
+        (lambda: Ridge(0.0, 0.9), "penalty is 0.*above 0"),
+        (lambda: LeastSquares(0.9, 0.0), "initial_covariance is 0"),
+        (lambda: Stepper(MinMax(1.0, 0.9), 0), "unknowns is 0"),
+        (lambda: run(MinMax(1.0, 0.9), np.ones((3, 3)), np.ones(3)), "3 samples for 3 unknowns; give more"),
+        (lambda: run(MinMax(1.0, 0.9), np.ones((3, 9)), np.ones(8)), "outputs has shape"),
+        (lambda: run(MinMax(1.0, 0.9), np.ones((0, 9)), np.ones(9)), "no rows"),
+        (lambda: run(MinMax(1.0, 0.9), np.full((2, 9), np.nan), np.ones(9)), "regressors holds 18 NaN"),
+    ],
+)
+def test_bad_input_is_named(make, message):
+    with pytest.raises(InputError, match=message):
+        make()
