@@ -40,12 +40,13 @@ class Item:
 
 @dataclass(frozen=True)
 class Module:
-    """A module of the library: ``stillwork.isolation.twin``."""
+    """A module of the library: ``stillwork.isolation.twin``; `doc` and `source` as in its file."""
 
     name: str
     doc: str
     source: str
     items: tuple[Item, ...]
+    constants: dict[str, int]  # line by name
 
     @property
     def room(self) -> str:
@@ -70,6 +71,8 @@ def index(modules: list[Module]) -> dict[str, str]:
     places = {}
     for module in modules:
         places[module.name] = f"{module.name}.html"
+        for name, line in module.constants.items():
+            places[f"{module.name}.{name}"] = f"{module.name}.html#line-{line}"
         for item in module.items:
             place = f"{module.name}.html#{item.name}"
             places[f"{module.name}.{item.name}"] = place
@@ -82,7 +85,14 @@ def _module(file: Path) -> Module:
     name = ".".join(part for part in parts if part != "__init__")
     source = file.read_text(encoding="utf-8")
     tree = ast.parse(source)
-    return Module(name, ast.get_docstring(tree) or "", source, _items(tree.body))
+    constants = {
+        each.id: node.lineno
+        for node in tree.body
+        if isinstance(node, ast.Assign)
+        for each in ast.walk(node.targets[0])
+        if isinstance(each, ast.Name) and not each.id.startswith("_")
+    }
+    return Module(name, ast.get_docstring(tree) or "", source, _items(tree.body), constants)
 
 
 def _items(body: list[ast.stmt], owner: str = "") -> tuple[Item, ...]:
