@@ -39,7 +39,7 @@ test: $(READY) ## Style, unit tests, all notebooks, and what is committed agains
 	$(BIN)/python -m pytest tests/committed
 
 lab: $(READY) ## Open JupyterLab on the notebooks, on this machine only
-	JUPYTER_PREFER_ENV_PATH=1 $(BIN)/python -m jupyter lab --ServerApp.root_dir=notebooks --ServerApp.ip=127.0.0.1 $(ARGS)
+	JUPYTER_PREFER_ENV_PATH=1 $(BIN)/python -m jupyter lab --LabApp.default_url=/lab/tree/index.ipynb --ServerApp.root_dir=notebooks --ServerApp.ip=127.0.0.1 $(ARGS)
 
 site: $(READY) ## Write the static site to build/site/index.html
 	@$(BIN)/python -m stillwork site

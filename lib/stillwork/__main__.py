@@ -60,6 +60,11 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
     site = commands.add_parser("site", help="write the static site to build/site")
     site.set_defaults(run=_site)
 
+    refresh = commands.add_parser(
+        "refresh", help="rewrite what follows from ledger and notebooks: README, index, ..."
+    )
+    refresh.set_defaults(run=_refresh)
+
     doctor = commands.add_parser("doctor", help="compare this environment with environment.txt")
     doctor.set_defaults(run=_doctor)
     usage = " ".join(command.format_usage() for command in commands.choices.values())
@@ -117,6 +122,13 @@ def _site(_options) -> int:
     from stillwork.site.build import build_site
 
     return build_site()
+
+
+def _refresh(_options) -> int:
+    from stillwork.site.derived import refresh
+
+    print(", ".join(refresh()) or "all current")
+    return 0
 
 
 def _doctor(_options) -> int:

@@ -18,10 +18,10 @@ from stillwork.site.links import broken_links
 from stillwork.site.mathematics import markdown
 from stillwork.site.pages import NotebookPage, read_page
 from stillwork.workbook import publish
-from stillwork.workbook.build import tasks
 from stillwork.workbook.notebooks import notebook_file
 from stillwork.workbook.provenance import commit, modified
 from stillwork.workbook.report import VERDICTS
+from stillwork.workbook.tasks import tasks
 
 HERE = Path(__file__).parent
 

@@ -15,8 +15,8 @@ from stillwork.checks import InputError
 from stillwork.claims import Claim
 from stillwork.site import reading
 from stillwork.site.mathematics import markdown
-from stillwork.workbook.build import Task
 from stillwork.workbook.notebooks import Notebook, notebook_file
+from stillwork.workbook.tasks import Task
 
 FILE_NAMES = re.compile(r"^([\w.-]+)\.png, \1\.csv\n?", re.MULTILINE)
 
