@@ -13,13 +13,18 @@ READY := .venv/complete
 endif
 
 export PYTHONPATH := $(CURDIR)/lib
-# One thread a process, as in a build: the same sums, and no fight for the cores.
+# One thread a process: no fight for the cores, in a benchmark neither.
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 export NUMEXPR_NUM_THREADS := 1
 export VECLIB_MAXIMUM_THREADS := 1
-export MATPLOTLIBRC := /dev/null
+
+# The tests run notebooks under the settings of a build (stillwork.workbook.jupyter_kernel).
+test: export OPENBLAS_CORETYPE := Nehalem
+test: export PYTHONHASHSEED := 0
+test: export MPLBACKEND := Agg
+test: export MATPLOTLIBRC := /dev/null
 
 .PHONY: help figures test lab site browser bench accept doctor clean
 
@@ -34,7 +39,7 @@ test: $(READY) ## Style, unit tests, all notebooks, and what is committed agains
 	$(BIN)/ruff format --check .
 	$(BIN)/python -m pytest tests --ignore=tests/committed --ignore=tests/browser -n logical --dist loadfile
 	rm -rf build/nbval
-	MPLBACKEND=Agg STILLWORK_OUTPUT="$(CURDIR)/build/nbval" $(BIN)/python -m pytest notebooks \
+	STILLWORK_OUTPUT="$(CURDIR)/build/nbval" $(BIN)/python -m pytest notebooks \
 		--nbval --nbval-current-env --nbval-cell-timeout 600 -n logical --dist loadfile
 	$(BIN)/python -m pytest tests/committed
 

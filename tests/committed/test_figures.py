@@ -13,8 +13,9 @@ import pytest
 from stillwork import paths
 
 COMMITTED = paths.root() / "figures"
-# Of the range that a series spans. Builds with AVX2 and FMA against SSE2 alone (numba, numpy and OpenBLAS
-# all held to it) were seen to differ by up to 2.5e-6; the rest is room for another system's libm.
+# Of the range that a series spans. Under the kernel's settings builds with AVX2 and FMA and with SSE2 alone
+# (numba and numpy held to it) were equal; OpenBLAS's own choice of kernels moved numbers by up to 2.5e-6,
+# experiments on rounding aside. The rest is room for another system's libm.
 TOLERANCE = 1e-4
 
 REBUILT = Path(os.environ.get("STILLWORK_REBUILT") or paths.root() / "build" / "nbval")

@@ -7,6 +7,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from stillwork.workbook.jupyter_kernel import KERNEL_SETTINGS
 
 ROOT = Path(__file__).parents[2]
 
@@ -108,3 +109,15 @@ def test_help_lists_every_target(checkout):
     )
     assert {line.split()[1] for line in shown.splitlines()} == set(targets.split()[1:])
     assert calls(checkout) == []
+
+
+def test_the_tests_run_notebooks_under_the_settings_of_a_build(checkout):
+    (checkout / "stub").write_text(STUB + "env >> settings\n")
+    own = checkout / "own" / "bin"
+    own.mkdir(parents=True)
+    for name in ("python", "ruff"):
+        shutil.copy(checkout / "stub", own / name)
+    assert make(checkout, "ENVIRONMENT=own", "test").returncode == 0
+    settings = set((checkout / "settings").read_text().splitlines())
+    assert {f"{name}={value}" for name, value in KERNEL_SETTINGS.items()} <= settings
+    assert f"STILLWORK_OUTPUT={checkout}/build/nbval" in settings

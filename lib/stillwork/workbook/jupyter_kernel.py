@@ -9,8 +9,10 @@ from pathlib import Path
 import stillwork
 from stillwork import paths
 
-# One thread a kernel: sums in the same order on every machine, and as many kernels as cores.
+# One thread a kernel, and the kernels of BLAS that every x86-64 on which numpy runs can take: sums in the
+# same order on every machine. Experiments on rounding would otherwise show another run on another processor.
 KERNEL_SETTINGS = {
+    "OPENBLAS_CORETYPE": "Nehalem",
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
     "MKL_NUM_THREADS": "1",

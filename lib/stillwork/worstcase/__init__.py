@@ -6,16 +6,8 @@ solutions for worst-case parameter estimation".
 
 from stillwork.worstcase.batch import MinMaxSolution, ZeroEstimateWarning, min_max_solve
 from stillwork.worstcase.cone import solve_cone_program
-from stillwork.worstcase.recursive import (
-    GrowingMinMax,
-    LeastSquares,
-    MinMax,
-    Ridge,
-    Stepper,
-    Track,
-    run,
-    worst_case_residuals,
-)
+from stillwork.worstcase.estimators import GrowingMinMax, LeastSquares, MinMax, Ridge, Track
+from stillwork.worstcase.recursive import Stepper, run, worst_case_residuals
 from stillwork.worstcase.regressors import (
     arx_regressors,
     exponential_bound,

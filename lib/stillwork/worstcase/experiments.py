@@ -8,14 +8,8 @@ import numpy as np
 from scipy import signal
 
 from stillwork.checks import InputError, require_array, require_number
-from stillwork.worstcase.recursive import (
-    GrowingMinMax,
-    LeastSquares,
-    MinMax,
-    Ridge,
-    run_silently,
-    worst_case_residuals,
-)
+from stillwork.worstcase.estimators import GrowingMinMax, LeastSquares, MinMax, Ridge
+from stillwork.worstcase.recursive import run_silently, worst_case_residuals
 from stillwork.worstcase.regressors import fir_regressors
 
 FIG_2_PARAMETERS = (-0.0134, -0.0316, 0.0265, -0.0114, 0.0132)

@@ -10,7 +10,8 @@ from stillwork import figures, paths
 from stillwork.checks import InputError, require_count, require_number
 from stillwork.records import load_record
 from stillwork.worstcase.batch import solve_silently
-from stillwork.worstcase.recursive import LeastSquares, MinMax, Ridge, run_silently
+from stillwork.worstcase.estimators import LeastSquares, MinMax, Ridge
+from stillwork.worstcase.recursive import run_silently
 from stillwork.worstcase.regressors import fir_regressors, noise_bound
 from stillwork.worstcase.total import total_least_squares
 

@@ -4,7 +4,8 @@ import numpy as np
 
 from stillwork.worstcase.batch import solve_silently
 from stillwork.worstcase.cone import solve_cone_program
-from stillwork.worstcase.recursive import MinMax, run_silently
+from stillwork.worstcase.estimators import MinMax
+from stillwork.worstcase.recursive import run_silently
 from stillwork.worstcase.regressors import exponential_bound
 from stillwork.worstcase.secular import SecularFunction, secular_function
 
@@ -147,7 +148,7 @@ def recursion_trial(
     dict of str to ndarray, shape (samples,)
         ``exact``, ``fast``, ``approximate_1`` to ``_3``: distance of the estimates from batch, over the
         largest norm of the batch estimates. ``alpha_1`` to ``alpha_3``: relative error of alpha, NaN where x = 0.
-        ``alpha``: the batch alpha. ``as_printed`` and ``corrected``: relative distance of h (15) from its
+        ``alpha``: the batch alpha. ``size`` and ``size_*``: norms of the estimates. ``as_printed`` and ``corrected``: relative distance of h (15) from its
         definition with alpha_t and with lam alpha_t. ``image_as_printed`` and ``image_corrected``: the same
         of eq. (17) from f(alpha_t) and from f(lam alpha_t).
     """
@@ -163,13 +164,15 @@ def recursion_trial(
         if t >= unknowns:
             found = solve_silently(*weighted[t], bound)
             batch[:, t], alphas[t] = found.estimate, found.alpha
-    scale = np.linalg.norm(batch, axis=0).max()
+    sizes = np.linalg.norm(batch, axis=0)
+    scale = sizes.max()
     settings = {"exact": ("exact", 1), "fast": ("fast", 1)}
     settings |= {f"approximate_{k}": ("approximate", k) for k in (1, 2, 3)}
-    found = {"alpha": np.where(np.isfinite(alphas), alphas, np.nan)}
+    found = {"alpha": np.where(np.isfinite(alphas), alphas, np.nan), "size": sizes}
     for name, (update, iterations) in settings.items():
         track = run_silently(MinMax(bound, forgetting, update, iterations), regressors, outputs)
         found[name] = np.linalg.norm(track.estimates - batch, axis=0) / scale
+        found[f"size_{name}"] = np.linalg.norm(track.estimates, axis=0)
         if update == "approximate":
             ours = np.where(np.isfinite(track.alphas), track.alphas, np.nan)
             found[f"alpha_{iterations}"] = np.abs(ours / found["alpha"] - 1)

@@ -1,0 +1,35 @@
+"""Motion: observers that raise the bandwidth of flexible motion systems (the observer thesis).
+
+The public names live in the modules of this package and are imported when they are first used.
+"""
+
+from importlib import import_module
+
+_PLACES = {
+    "applications": ("Application", "compensator", "soft_sensor"),
+    "bandwidth": ("Bandwidth", "Loop", "PeakConstraint", "make_loop", "maximise_bandwidth"),
+    "controller": ("Notch", "Pid", "PidFamily"),
+    "designs": ("DESIGNS", "Design", "stage_bandwidth", "stage_compensator", "stage_loops", "stage_observer"),
+    "feedback": ("band_pass", "damping_gain", "fed_back", "stiffness_gain"),
+    "loops": ("channel", "closed_loop", "loop_response"),
+    "machines": ("chain", "drive", "stage", "stage_mass"),
+    "observer": ("Noise", "Observer", "kalman_observer", "published_noise"),
+    "performance": ("moving", "rms"),
+    "reduction": ("roll_off", "truncate"),
+    "riccati": ("KalmanGain", "continuous_gain", "discrete_gain"),
+    "setpoint": ("Setpoint", "point_to_point", "published_setpoint"),
+    "tracking": ("Feedforward", "error_loop", "fit_feedforward", "modified_feedforward", "tracking_error"),
+}
+_MODULES = {name: module for module, names in _PLACES.items() for name in names}
+
+__all__ = sorted(_MODULES)
+
+
+def __getattr__(name: str):
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

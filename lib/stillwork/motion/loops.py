@@ -1,0 +1,137 @@
+"""Closed loops of plant, compensator and controller: state-space models for any size, responses for one loop."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Complex128
+
+from stillwork.checks import InputError
+from stillwork.lti import ModalModel, StateModel, interconnect
+
+INPUTS = ("r", "u_ff", "w", "v", "d")
+OUTPUTS = ("e_true", "e_meas", "u", "f")
+
+
+def no_observer(plant: StateModel | ModalModel) -> StateModel:
+    """The compensator of a loop without observer: (u_d, y_flex) = 0."""
+    outputs, inputs = plant.feedthrough.shape if isinstance(plant, ModalModel) else plant.d.shape
+    n = inputs + outputs
+    return StateModel(np.zeros((0, 0)), np.zeros((0, n)), np.zeros((n, 0)), np.zeros((n, n)))
+
+
+def closed_loop(
+    plant: StateModel | ModalModel, compensator: StateModel | None, controller: StateModel
+) -> StateModel:
+    r"""Closed loop of Figs 3.4 and 3.20, for any number of inputs and outputs.
+
+    :math:`y = P(f + w) - v`, :math:`f = u + u_d`, :math:`u = C_{fb}e_{meas} + u_{ff}`,
+    :math:`e_{meas} = r - (y + d - y_{flex})`, :math:`e_{true} = r - y`,
+    :math:`(u_d, y_{flex}) = O(f, y + d)`.
+
+    Returns
+    -------
+    StateModel
+        Inputs `INPUTS` and outputs `OUTPUTS`, each as wide as the plant's; pick channels with `channel`.
+    """
+    states = plant.state_space() if isinstance(plant, ModalModel) else plant
+    observer = no_observer(states) if compensator is None else compensator
+    m, p = states.b.shape[1], len(states.c)
+    if controller.d.shape != (m, p) or observer.d.shape != (m + p, m + p):
+        raise InputError("compensator or controller does not have the plant's numbers of inputs and outputs")
+    im, ip = np.eye(m), np.eye(p)
+    zmm, zmp, zpm, zpp = np.zeros((m, m)), np.zeros((m, p)), np.zeros((p, m)), np.zeros((p, p))
+    # Stacked outputs: y0 = P(f + w), u_d, y_flex, u_fb. Stacked inputs: f + w, f, y + d, e_meas.
+    feedback = np.block(
+        [
+            [zmp, im, zmp, im],
+            [zmp, im, zmp, im],
+            [ip, zpm, zpp, zpm],
+            [-ip, zpm, ip, zpm],
+        ]
+    )
+    external = np.block(
+        [
+            [zmp, im, im, zmp, zmp],
+            [zmp, im, zmm, zmp, zmp],
+            [zpp, zpm, zpm, -ip, ip],
+            [ip, zpm, zpm, ip, -ip],
+        ]
+    )
+    wanted = np.block(
+        [
+            [-ip, zpm, zpp, zpm],
+            [-ip, zpm, ip, zpm],
+            [zmp, zmm, zmp, im],
+            [zmp, im, zmp, im],
+        ]
+    )
+    direct = np.block(
+        [
+            [ip, zpm, zpm, ip, zpp],
+            [ip, zpm, zpm, ip, -ip],
+            [zmp, im, zmm, zmp, zmp],
+            [zmp, im, zmm, zmp, zmp],
+        ]
+    )
+    return interconnect([states, observer, controller], feedback, external, wanted, direct)
+
+
+def channel(loop: StateModel, source: str, target: str, inputs: int = 1, outputs: int = 1) -> StateModel:
+    """Transfer between named signals of a `closed_loop` model.
+
+    S_I is u_ff to u, S_O is v to e_true, and r to e_true holds both T and the tracking behaviour.
+
+    Parameters
+    ----------
+    loop : StateModel
+    source, target : str
+        One of `INPUTS` and one of `OUTPUTS`.
+    inputs, outputs : int
+        Width of the plant.
+    """
+    widths_in = {"r": outputs, "u_ff": inputs, "w": inputs, "v": outputs, "d": outputs}
+    widths_out = {"e_true": outputs, "e_meas": outputs, "u": inputs, "f": inputs}
+    if source not in widths_in or target not in widths_out:
+        raise InputError(f"channel {source!r} to {target!r} is unknown; use {INPUTS} and {OUTPUTS}")
+    start_in = sum(widths_in[name] for name in INPUTS[: INPUTS.index(source)])
+    start_out = sum(widths_out[name] for name in OUTPUTS[: OUTPUTS.index(target)])
+    return loop.select(
+        range(start_in, start_in + widths_in[source]), range(start_out, start_out + widths_out[target])
+    )
+
+
+class LoopResponse(NamedTuple):
+    """Frequency responses of a single loop, each of shape (frequencies,)."""
+
+    equivalent_plant: Complex128[np.ndarray, " f"]  # P_eq, u to y_comp, (A.5)
+    reference_controller: Complex128[np.ndarray, " f"]  # C_r, r to f
+    output_controller: Complex128[np.ndarray, " f"]  # -C_y, y to -f: (3.11), (3.37)
+    loop: Complex128[np.ndarray, " f"]  # P_eq C_fb, what the controller sees
+    output_loop: Complex128[np.ndarray, " f"]  # P C_eq, what the plant's output sees
+    input_sensitivity: Complex128[np.ndarray, " f"]  # S_I
+    output_sensitivity: Complex128[np.ndarray, " f"]  # S_O
+    true_tracking: Complex128[np.ndarray, " f"]  # r to e_true
+
+
+def loop_response(
+    plant: Complex128[np.ndarray, " f"],
+    observer: Complex128[np.ndarray, "2 2 f"],
+    controller: Complex128[np.ndarray, " f"],
+) -> LoopResponse:
+    """All functions of one loop from the responses of plant P, compensator O and controller C_fb."""
+    (o_uu, o_uy), (o_yu, o_yy) = observer
+    equivalent = ((1 - o_yy) * plant - o_yu) / (1 - o_uu - o_uy * plant)
+    turn = 1 - controller * o_yu - o_uu
+    c_r = controller / turn
+    c_y = (controller * (1 - o_yy) - o_uy) / turn
+    s_o = 1 / (1 + plant * c_y)
+    return LoopResponse(
+        equivalent,
+        c_r,
+        c_y,
+        equivalent * controller,
+        plant * c_y,
+        1 / (1 + equivalent * controller),
+        s_o,
+        1 - plant * c_r * s_o,
+    )

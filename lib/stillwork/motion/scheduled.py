@@ -1,0 +1,127 @@
+"""Position-dependent Kalman filters: gains online by the Riccati recursion, or interpolated from a grid (5.6)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import ArrayLike
+
+from stillwork.checks import InputError, require_array
+from stillwork.kernels import kernel
+from stillwork.motion.filters import FilterGains, TimeVaryingModel
+from stillwork.motion.riccati import discrete_gain
+
+
+@dataclass(frozen=True)
+class GainTable:
+    """Stationary filter gains on a grid of positions."""
+
+    grid: Float64[np.ndarray, " places"]  # m, ascending
+    gains: Float64[np.ndarray, "places states outputs"]
+
+    def at(self, places: ArrayLike) -> Float64[np.ndarray, "samples states outputs"]:
+        """Gains at places (m) by linear interpolation.
+
+        Raises
+        ------
+        InputError
+            When the schedule leaves the grid: the table knows no gain there.
+        """
+        places = require_array("places", places, ndim=1)
+        slack = 1e-9 * (self.grid[-1] - self.grid[0])
+        if places.min() < self.grid[0] - slack or places.max() > self.grid[-1] + slack:
+            raise InputError(
+                f"places run from {places.min():g} to {places.max():g} m, outside the table from "
+                f"{self.grid[0]:g} to {self.grid[-1]:g} m; extend the grid"
+            )
+        right = np.clip(np.searchsorted(self.grid, places), 1, len(self.grid) - 1)
+        part = (places - self.grid[right - 1]) / (self.grid[right] - self.grid[right - 1])
+        part = part[:, None, None]
+        return (1 - part) * self.gains[right - 1] + part * self.gains[right]
+
+
+def gain_table(
+    a: ArrayLike, g: ArrayLike, rows: ArrayLike, grid: ArrayLike, process: ArrayLike, sensor: ArrayLike
+) -> GainTable:
+    """Stationary Kalman filter gains for the output rows of every grid point.
+
+    Parameters
+    ----------
+    a, g : array_like
+        Sampled model; the noise enters through g.
+    rows : array_like, shape (places, outputs, states)
+        C at the grid points.
+    grid : array_like, shape (places,)
+        m, ascending, at least two.
+    process, sensor : array_like
+        Covariances.
+
+    Raises
+    ------
+    InputError
+        When the grid does not ascend, or a mode that is not stable cannot be observed at a grid point.
+    """
+    rows = require_array("rows", rows, ndim=3)
+    grid = require_array("grid", grid, shape=(len(rows),))
+    if len(grid) < 2 or np.any(np.diff(grid) <= 0):
+        raise InputError("grid must hold at least two places in ascending order")
+    gains = []
+    for place, c in zip(grid, rows, strict=True):
+        try:
+            gains.append(discrete_gain(a, g, c, process, sensor).filter_gain)
+        except InputError as error:
+            raise InputError(f"at {place:g} m: {error}") from None
+    return GainTable(grid, np.array(gains))
+
+
+def scheduled_gains(model: TimeVaryingModel, table: GainTable, places: ArrayLike) -> FilterGains:
+    """Filter whose gain is looked up at every sample; everything else is the time-varying filter's.
+
+    Its covariances are those that the looked-up gains really give (Joseph's form), not a Riccati solution.
+    """
+    gains = table.at(require_array("places", places, shape=(model.samples,)))
+    require_array("table.gains", gains, shape=(None, *model.c.shape[:0:-1]))
+    covariance, predicted = np.zeros_like(model.a), np.zeros_like(model.a)
+    covariance[0] = predicted[0] = model.initial_covariance
+    disturbed = model.g @ model.process @ np.swapaxes(model.g, 1, 2)
+    _spread(model.a, disturbed, np.ascontiguousarray(gains), model.c, model.sensor, predicted, covariance)
+    return FilterGains(model.a, model.b, gains, model.c, covariance, predicted)
+
+
+@kernel
+def _spread(a, disturbed, gains, c, sensor, predicted, covariance):
+    samples, n, outputs = gains.shape
+    half, rest = np.zeros((n, n)), np.zeros((n, n))
+    for k in range(1, samples):
+        for i in range(n):
+            for j in range(n):
+                total = 0.0
+                for q in range(n):
+                    total += a[k, i, q] * covariance[k - 1, q, j]
+                half[i, j] = total
+        for i in range(n):
+            for j in range(n):
+                total = disturbed[k, i, j]
+                for q in range(n):
+                    total += half[i, q] * a[k, j, q]
+                predicted[k, i, j] = total
+        for i in range(n):
+            for j in range(n):
+                rest[i, j] = 1.0 if i == j else 0.0
+                for o in range(outputs):
+                    rest[i, j] -= gains[k, i, o] * c[k, o, j]
+        for i in range(n):
+            for j in range(n):
+                total = 0.0
+                for q in range(n):
+                    total += rest[i, q] * predicted[k, q, j]
+                half[i, j] = total
+        for i in range(n):
+            for j in range(n):
+                total = 0.0
+                for q in range(n):
+                    total += half[i, q] * rest[j, q]
+                for o in range(outputs):
+                    for p in range(outputs):
+                        total += gains[k, i, o] * sensor[o, p] * gains[k, j, p]
+                covariance[k, i, j] = total

@@ -1,0 +1,203 @@
+"""Identification, the two-inertia drive, the three-mass example and the measured structure."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from stillwork.checks import InputError
+from stillwork.lti import ModalModel, StateModel, simulate, zoh_modes
+from stillwork.motion.applications import Application
+from stillwork.motion.controller import PidFamily
+from stillwork.motion.drive import drive_loop, drive_observer, identify, residual_peaks, seen_by_controller
+from stillwork.motion.identification import Identified, closed_loop_response, impact_response
+from stillwork.motion.machines import Drive, drive
+from stillwork.motion.observer import published_noise
+from stillwork.motion.structure import (
+    as_stage,
+    extra_turns,
+    fit_modes,
+    measured_accelerance,
+    mirrored,
+    on_measurement,
+    structure_loops,
+)
+from stillwork.motion.three_masses import designed_for_second, scaled_springs, stability_trial, three_masses
+
+PLANT = drive()
+TRUE = ModalModel(
+    2 * np.pi * np.array([0.0, 800.0, 1500.0]),
+    np.array([0.0, 1e-3, 3e-3]),
+    np.array([[1.0], [0.7], [0.4]]),
+    np.array([[1.0, -0.7, 0.4]]),
+    np.array([[2e-10]]),
+)
+
+
+def accelerance(model: ModalModel, hertz: np.ndarray) -> Identified:
+    omega = 2 * np.pi * hertz
+    return Identified(omega, -(omega**2) * model.frequency_response(omega)[0, 0], np.ones_like(omega))
+
+
+def test_closed_loop_estimate_is_free_of_the_bias_of_the_direct_one():
+    """Integrator under feedback with strong noise: the direct ratio tends to the inverse of the controller."""
+    rng = np.random.default_rng(0)
+    n, noise = rng.normal(size=(2, 400_000))
+    loop = StateModel(
+        np.array([[0.8]]),
+        np.array([[0.1, -0.2]]),
+        np.array([[1.0], [-2.0]]),
+        np.array([[0, 1.0], [1, -2]]),
+        1.0,
+    )
+    y, u = simulate(loop, np.array([n, 2 * noise]))
+    found = closed_loop_response(n, u, y, 1.0, 1024)
+    exact = 0.1 / (np.exp(1j * found.omega) - 1)
+    inside = (found.omega > 0.05) & (found.omega < 0.5)
+    assert np.median(np.abs(found.response[inside] / exact[inside] - 1)) < 0.2
+    direct = closed_loop_response(u, u, y, 1.0, 1024)
+    assert np.median(np.abs(direct.response[inside] / exact[inside] - 1)) > 0.5
+
+
+def test_impact_response_recovers_a_mode():
+    mode = replace(TRUE, feedthrough=np.zeros((1, 1))).modes([1])
+    discrete = zoh_modes(mode, 1 / 25600)
+    force = np.zeros((3, 51200))
+    force[:, 100:117] = np.hanning(19)[1:-1] * np.array([[1.0], [2.0], [3.0]])
+    force += 1e-9 * np.random.default_rng(2).normal(size=force.shape)
+    response = np.array([simulate(discrete, hit[None])[0] for hit in force])
+    found = impact_response(force, response, 25600.0)
+    near = np.abs(found.omega / mode.frequencies[0] - 1) < 0.05
+    exact = discrete.frequency_response(found.omega[near])[0, 0]
+    assert np.allclose(found.response[near], exact, rtol=0.02)
+    assert found.coherence[near].min() > 0.999
+
+
+def test_drive_observer_separates_rigid_and_flexible():
+    observer = drive_observer(PLANT)
+    assert observer.residual < 1e-10
+    assert PLANT.resonance / (2 * np.pi) == pytest.approx(18.94, abs=0.01)
+    omega = np.array([10.0, PLANT.resonance, 300.0])
+    loop = drive_loop(PLANT, PLANT, Application(compensate=True), 4.0)
+    rigid = PLANT.motor_constant / (1j * omega * (2j * omega * PLANT.inertia + 2 * PLANT.friction))
+    assert np.allclose(seen_by_controller(loop, omega), rigid, rtol=1e-8)
+
+
+def test_identified_drive_is_the_exact_one_without_noise():
+    loop = drive_loop(PLANT, PLANT, None, 4.0)
+    found = identify(
+        loop,
+        np.random.default_rng(1),
+        step=2.5e-4,
+        samples=400_000,
+        segment=16000,
+        excitation=0.02,
+        sensor_noise=0.0,
+        imbalance=0.0,
+        turns_hz=15.0,
+    )
+    inside = (found.omega > 2 * np.pi * 5) & (found.omega < 2 * np.pi * 30)
+    exact = seen_by_controller(loop, found.omega[inside])
+    assert np.median(np.abs(found.response[inside] / exact - 1)) < 0.03
+    assert found.coherence[inside].mean() > 0.99
+
+
+def test_no_model_error_leaves_the_rigid_body():
+    peaks = residual_peaks(np.random.default_rng(0), PLANT, {"MC": Application(compensate=True)}, 4.0, 0.0)
+    assert peaks["MC"] == pytest.approx(1.0, abs=1e-6)
+
+
+def test_example_of_the_three_masses():
+    masses = np.array([4.0, 4.0, 4.0])
+    loops, best = designed_for_second(three_masses(masses, scaled_springs(masses, 45.0)), 12.0)
+    assert best.crossing_hz[0] == pytest.approx(45.0, rel=1e-3)
+    assert np.all(loops[1].poles(best.controller).real < 0)
+    assert np.any(loops[0].poles(best.controller).real > 0)
+    assert stability_trial(np.random.default_rng(5), 0.2) == {"first_unstable": 1.0, "second_stable": 1.0}
+
+
+def test_fit_recovers_a_known_structure():
+    fit = fit_modes(accelerance(TRUE, np.arange(100.0, 2000.0, 0.5)), [797.0, 1505.0], (110.0, 1990.0))
+    assert np.allclose(fit.model.frequencies, TRUE.frequencies, rtol=1e-6)
+    assert np.allclose(fit.model.damping, TRUE.damping, rtol=1e-3)
+    residues = fit.model.input_shapes[:, 0] * fit.model.output_shapes[0]
+    assert np.allclose(residues, [1.0, -0.49, 0.16], rtol=1e-3)
+    assert fit.model.feedthrough[0, 0] == pytest.approx(2e-10, rel=1e-2)
+    assert fit.rms_error < 1e-4
+
+
+def test_shipped_records_give_a_mass_line():
+    found = measured_accelerance(1)
+    line = (found.omega > 2 * np.pi * 60) & (found.omega < 2 * np.pi * 250)
+    assert np.median(found.response[line].real) == pytest.approx(1.2, abs=0.1)
+    assert np.median(np.abs(found.response[line].imag)) < 0.05
+    assert np.median(found.coherence[line]) > 0.99
+
+
+def test_measured_loop_with_a_perfect_fit_is_the_model_loop():
+    stage, factor = as_stage(
+        fit_modes(accelerance(TRUE, np.arange(100.0, 2000.0, 0.5)), [797.0, 1505.0], (110.0, 1990.0)), 12.5
+    )
+    assert stage.input_shapes[0, 0] * stage.output_shapes[0, 0] == pytest.approx(1 / 12.5, rel=1e-9)
+    loops = structure_loops(stage, Application(compensate=True, damping=0.01), 3, published_noise(), 0.03)
+    data = accelerance(TRUE, np.arange(100.0, 2000.0, 0.5))
+    controller = PidFamily(12.5)(40.0)
+    for loop, mirror in zip(loops, (False, True), strict=True):
+        measured = on_measurement(loop, data, factor, (300.0, 1900.0), mirror)
+        expected = loop.at(controller, measured.omega)
+        assert np.allclose(
+            measured.at(controller).input_sensitivity, expected.input_sensitivity, rtol=1e-3, atol=1e-3
+        )
+        assert extra_turns(measured, controller) == 0
+    twice = mirrored(mirrored(stage))
+    assert np.array_equal(twice.output_shapes, stage.output_shapes)
+
+
+def test_an_encirclement_is_counted():
+    stage, factor = as_stage(
+        fit_modes(accelerance(TRUE, np.arange(100.0, 2000.0, 0.5)), [797.0, 1505.0], (110.0, 1990.0)), 12.5
+    )
+    loop = structure_loops(stage, None, 3, published_noise(), None)[0]
+    data = accelerance(TRUE, np.arange(100.0, 2000.0, 0.05))
+    loops = structure_loops(stage, None, 3, published_noise(), None)
+    for hertz, turns in ((40.0, 0), (100.0, -1)):
+        controller = PidFamily(12.5)(hertz)
+        # The mirror image is unstable where its loop turns around -1 more often than that of the stable model.
+        unstable = [bool(np.any(each.poles(controller).real > 0)) for each in loops]
+        assert unstable == [False, turns != 0]
+        assert (
+            extra_turns(on_measurement(loop, data, factor, (300.0, 1900.0), mirror=True), controller) == turns
+        )
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: Drive(0.0, 1.0, 1.0, 1.0, 1.0), "inertia"),
+        (lambda: Drive(1.0, -1.0, 1.0, 1.0, 1.0), "friction"),
+        (lambda: closed_loop_response(np.zeros(100), np.zeros(100), np.zeros(100), 1.0, 60), "two segments"),
+        (
+            lambda: closed_loop_response(np.zeros(100), np.zeros(99), np.zeros(100), 1.0, 10),
+            "inputs has shape",
+        ),
+        (lambda: impact_response(np.zeros((1, 9)), np.zeros((1, 9)), 1.0), "at least two"),
+        (lambda: fit_modes(accelerance(TRUE, np.arange(100.0, 2000.0)), [], (110.0, 1990.0)), "at least one"),
+        (
+            lambda: fit_modes(accelerance(TRUE, np.arange(100.0, 2000.0)), [3000.0], (110.0, 1990.0)),
+            "inside band_hz",
+        ),
+        (
+            lambda: fit_modes(
+                accelerance(TRUE, np.arange(100.0, 2000.0))._replace(
+                    response=-accelerance(TRUE, np.arange(100.0, 2000.0)).response
+                ),
+                [800.0, 1500.0],
+                (110.0, 1990.0),
+            ),
+            "mass is not positive",
+        ),
+        (lambda: three_masses([1.0, 1.0], [1.0, 1.0]), "masses"),
+    ],
+)
+def test_bad_input_is_named(call, message):
+    with pytest.raises(InputError, match=message):
+        call()

@@ -1,0 +1,182 @@
+"""Gains of active damping and stiffness: closed forms, published digits, invariants."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import linalg
+from stillwork.checks import InputError
+from stillwork.lti import ModalModel, StateModel
+from stillwork.motion.applications import Application, compensator
+from stillwork.motion.controller import PidFamily
+from stillwork.motion.designs import stage_observer
+from stillwork.motion.feedback import band_pass, damping_gain, fed_back, place, stiffness_gain
+from stillwork.motion.loops import closed_loop
+from stillwork.motion.machines import chain, stage
+from stillwork.motion.observer import kalman_observer, published_noise
+from stillwork.motion.reduction import truncate
+
+MODEL = truncate(stage().at([0], [4]), 4, 3)
+
+
+def test_minimal_interaction_to_all_printed_digits():
+    """Table 3.4, row (3.32)."""
+    achieved = fed_back(MODEL, damping_gain(MODEL, 0.035, "minimal interaction"))
+    assert np.array_equal(np.round(achieved.damping, 4), [0.0, 0.0184, 0.0136, 0.0100])
+
+
+def test_printed_damping_of_the_plant_would_not_give_that_table():
+    wrong = truncate(stage(0.001).at([0], [4]), 4, 3)
+    achieved = fed_back(wrong, damping_gain(wrong, 0.039, "minimal interaction"))
+    assert np.abs(achieved.damping[1:] - [0.0184, 0.0136, 0.0100]).min() > 0.001
+
+
+def test_pole_placement_places():
+    achieved = fed_back(MODEL, damping_gain(MODEL, 0.035, "pole placement"))
+    assert np.allclose(achieved.damping[1:], 0.04, rtol=1e-6)
+    assert np.allclose(achieved.frequencies, MODEL.frequencies, rtol=1e-6)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(1e-4, 0.1))
+def test_one_mode_gets_exactly_what_is_asked(increase):
+    single = MODEL.modes([0, 1])
+    gain = damping_gain(single, increase)
+    assert fed_back(single, gain).damping[1] == pytest.approx(0.005 + increase, rel=1e-9)
+
+
+def test_stiffness_scales_the_frequency_and_dilutes_the_damping():
+    single = MODEL.modes([0, 1])
+    moved = fed_back(single, stiffness_gain(single, 1.5))
+    assert moved.frequencies[1] == pytest.approx(1.5 * single.frequencies[1], rel=1e-10)
+    assert moved.damping[1] == pytest.approx(0.005 / 1.5, rel=1e-8)
+    gain = stiffness_gain(single, 1.5)[0, 2]
+    assert gain * single.input_shapes[1, 0] == pytest.approx(-1.25 * single.frequencies[1] ** 2, rel=1e-12)
+
+
+def test_state_feedback_leaves_the_zeros_where_they_are():
+    """Remark 3.3.2: zeros of (A + BK, B, C) are those of (A, B, C)."""
+    model = chain(np.full(4, 2.0)).at([0], [1])
+    states = model.state_space()
+    gain = damping_gain(model, 0.05)
+
+    def zeros(a):
+        pencil = np.block([[a, states.b], [states.c, states.d]])
+        mass = np.zeros_like(pencil)
+        mass[: len(a), : len(a)] = np.eye(len(a))
+        values = linalg.eigvals(pencil, mass)
+        values = values[np.isfinite(values) & (np.abs(values) < 1e6)]
+        return np.sort(np.abs(values))
+
+    before, after = zeros(states.a), zeros(states.a + states.b @ gain)
+    assert np.allclose(before[:4], after[:4], rtol=1e-6)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.lists(st.floats(-3, -0.1), min_size=4, max_size=4))
+def test_placed_poles_are_the_wanted_ones(wanted):
+    rng = np.random.default_rng(3)
+    model = StateModel(rng.normal(size=(4, 4)), rng.normal(size=(4, 1)), np.ones((1, 4)), np.zeros((1, 1)))
+    gain = place(model, wanted)
+    achieved = np.poly(model.a + model.b @ gain)
+    assert np.allclose(achieved, np.poly(wanted), rtol=1e-6, atol=1e-6)
+
+
+def test_band_pass_is_one_and_in_phase_at_its_centre():
+    response = band_pass(3e3, 2.0).frequency_response([3e2, 3e3, 3e4])[0, 0]
+    assert response[1] == pytest.approx(1.0, abs=1e-12)
+    s = 3e2j
+    assert response[0] == pytest.approx(1.5e3 * s / (s**2 + 1.5e3 * s + 9e6), rel=1e-10)
+
+
+def test_compensator_reads_what_the_definition_says():
+    observer = stage_observer(5, noise_model=0.03)
+    block = compensator(
+        observer, Application(compensate=True, damping=0.035, selectivity=2.0, high_pass_hz=1.0)
+    )
+    omega = 2 * np.pi * np.array([0.3, 40.0, 469.0, 950.0])
+    s = 1j * omega
+    model, a_o = observer.model, observer.a - observer.gain @ observer.c
+    b_o = np.hstack([observer.b - observer.gain @ model.feedthrough, observer.gain])
+    estimate = np.stack([np.linalg.solve(p * np.eye(len(a_o)) - a_o, b_o) for p in s], axis=-1)
+    flexible = np.einsum("m,mif->if", model.output_shapes[0, 1:], estimate[2:8:2])
+    high_pass = s / (s + 2 * np.pi)
+    damped = 0
+    for k, (w, phi) in enumerate(zip(model.frequencies[1:], model.input_shapes[1:, 0], strict=True)):
+        h = w / 2 * s / (s**2 + w / 2 * s + w**2)
+        damped = damped - 2 * 0.035 * w / phi * h * estimate[3 + 2 * k]
+    response = block.frequency_response(omega)
+    assert np.allclose(response[0], damped, rtol=1e-7, atol=1e-9 * np.abs(damped).max())
+    assert np.allclose(response[1], high_pass * flexible, rtol=1e-7, atol=1e-9 * np.abs(flexible).max())
+
+
+def test_active_stiffness_through_the_observer_moves_the_resonance():
+    plant = stage().at([0], [4]).modes([0, 1])
+    observer = kalman_observer(plant, published_noise())
+    block = compensator(observer, Application(stiffness=1.2))
+    loop = closed_loop(plant, block, PidFamily(12.5)(20.0).state_space())
+    poles = loop.poles[loop.poles.imag > 0.8 * plant.frequencies[1]]
+    # Separation: among the poles is the stiffened mode, beside that of the observer.
+    assert np.abs(np.abs(poles) / (1.2 * plant.frequencies[1]) - 1).min() < 0.02
+
+
+def test_velocity_observer_leaves_the_rigid_position_out():
+    reduced = replace(truncate(stage().at([0], [4]), 4), measures="velocity")
+    observer = kalman_observer(reduced, published_noise())
+    assert len(observer.a) == 7
+    # It reads the velocities of the flexible modes, states 2, 4 and 6 after the rigid velocity.
+    assert np.array_equal(np.flatnonzero(observer.flexible_outputs[0]), [2, 4, 6])
+    # A constant force and no measured speed leave a constant innovation, which corrects the modal positions
+    # at a constant rate: the estimated velocities do not vanish. The noise model takes the innovation away.
+    plain, mended = (
+        compensator(kalman_observer(reduced, published_noise(), q), Application(compensate=True))
+        for q in (None, 0.03)
+    )
+    spoiled, kept = (np.abs(block.frequency_response([1e-4])[1, 0, 0]) for block in (plain, mended))
+    innovation = reduced.input_shapes[0, 0] / observer.gain[0, 0]
+    expected = abs(observer.flexible_outputs[0, 2::2] @ observer.gain[1::2, 0] * innovation)
+    assert spoiled == pytest.approx(expected, rel=1e-6)
+    assert kept < 1e-2 * spoiled
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: damping_gain(MODEL, 0.1, "best"), "selection"),
+        (lambda: damping_gain(MODEL.modes([0]), 0.1), "no flexible modes"),
+        (
+            lambda: damping_gain(replace(MODEL, input_shapes=MODEL.input_shapes * [[1], [0], [1], [1]]), 0.1),
+            "node",
+        ),
+        (lambda: fed_back(MODEL, damping_gain(MODEL, 5.0)), "no longer oscillates"),
+        (lambda: place(chain([1.0, 2.0]).state_space(), np.zeros(4)), "2 inputs"),
+        (
+            lambda: place(
+                StateModel(-np.eye(2), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1))), [-1.0, -2.0]
+            ),
+            "not controllable",
+        ),
+        (
+            lambda: damping_gain(
+                ModalModel(
+                    np.full(2, 9.0), np.full(2, 0.1), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1))
+                ),
+                0.1,
+                "pole placement",
+            ),
+            "not controllable",  # two modes of one frequency cannot be told apart by one actuator
+        ),
+        (lambda: Application(damping=-0.1), "damping"),
+        (
+            lambda: compensator(
+                stage_observer(5), Application(damping=0.1, selection="pole placement", selectivity=2.0)
+            ),
+            "band-pass",
+        ),
+    ],
+)
+def test_bad_input_is_named(call, message):
+    with pytest.raises(InputError, match=message):
+        call()

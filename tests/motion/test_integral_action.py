@@ -1,0 +1,94 @@
+"""Theorems on integral action, the small-gain check and the high-pass alternative."""
+
+import numpy as np
+import pytest
+from stillwork.checks import InputError
+from stillwork.motion.applications import Application, compensator
+from stillwork.motion.bandwidth import make_loop
+from stillwork.motion.controller import PidFamily
+from stillwork.motion.designs import DESIGNS, RETAINED, stage_compensator, stage_observer
+from stillwork.motion.integral_action import keeps_integral_action, required_integrators, slope, static_gain
+from stillwork.motion.loops import channel, closed_loop
+from stillwork.motion.machines import stage, stage_mass
+from stillwork.motion.small_gain import small_gain, without_compliance
+
+PLANT = stage().at([0], [4])
+CONTROLLER = PidFamily(stage_mass())(35.626)
+
+
+@pytest.mark.parametrize("position", [1, 3, 7])
+def test_noise_model_keeps_the_integral_action(position):
+    """Theorems 3.2.3 and 3.2.4."""
+    plain, mended = (
+        compensator(stage_observer(position, noise_model=q), Application(compensate=True))
+        for q in (None, 0.03)
+    )
+    assert not keeps_integral_action(plain, "compensation").keeps
+    assert keeps_integral_action(mended, "compensation").keeps
+    high_pass = compensator(stage_observer(position), Application(compensate=True, high_pass_hz=1.0))
+    assert keeps_integral_action(high_pass, "compensation").keeps
+
+
+def test_damping_keeps_the_integral_action():
+    """Theorem 3.3.1."""
+    assert keeps_integral_action(stage_compensator(5, DESIGNS["AD"]), "damping").keeps
+
+
+def test_a_constant_force_leaves_an_error_only_where_the_integrator_is_lost():
+    for name, noise_model, expected in (("lost", None, False), ("kept", 0.03, True)):
+        block = compensator(stage_observer(5, noise_model=noise_model), Application(compensate=True))
+        loop = closed_loop(PLANT, block, CONTROLLER.state_space())
+        force = channel(loop, "w", "e_true")
+        gain = np.abs(force.frequency_response([1e-5])[0, 0, 0]) / np.abs(
+            force.frequency_response([30.0])[0, 0, 0]
+        )
+        assert (gain < 1e-5) == expected, name
+
+
+@pytest.mark.parametrize(("name", "expected"), [("PID", 3), ("MC", 3), ("AD", 3)])
+def test_slope_of_the_output_sensitivity(name, expected):
+    omega = 2 * np.pi * np.geomspace(1e-4, 1e-3, 8)
+    loop = make_loop(PLANT, stage_compensator(5, DESIGNS[name]))
+    assert slope(omega, loop.at(CONTROLLER, omega).output_sensitivity) == pytest.approx(expected, abs=0.01)
+
+
+def test_integrators_of_theorem_3_2_1():
+    assert required_integrators() == 1  # a step in w needs one
+    assert required_integrators(disturbance=2) == 2
+    assert required_integrators(reference=4, plant=2) == 2
+
+
+def test_small_gain_loop_is_the_whole_loop_opened_at_the_unknown_modes():
+    """(3.45): closing H11 around S gives back the force of the complete loop."""
+    observer = stage_observer(5, noise_model=0.03)
+    application = Application(compensate=True, damping=0.035)
+    omega = 2 * np.pi * np.array([5.0, 60.0, 470.0, 1800.0, 2400.0])
+    nominal = compensator(without_compliance(observer), application)
+    t_dc = float(observer.model.feedthrough[0, 0])
+    found = small_gain(omega, PLANT, RETAINED, t_dc, nominal, CONTROLLER.state_space())
+    whole = closed_loop(PLANT, compensator(observer, application), CONTROLLER.state_space())
+    known = closed_loop(PLANT.modes(slice(0, RETAINED)), nominal, CONTROLLER.state_space())
+    opened = channel(known, "u_ff", "f").frequency_response(omega)[0, 0]
+    closed = opened / (1 - (found.nominal * found.discarded).sum(axis=0))
+    # u_ff reaches f through u, and f + nothing else drives the unknown modes.
+    assert np.allclose(closed, channel(whole, "u_ff", "f").frequency_response(omega)[0, 0], rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: slope([1.0], [1.0]), "at least two"),
+        (lambda: slope([1.0, 2.0], [0.0, 1.0]), "not 0"),
+        (lambda: static_gain(stage().state_space()), "pole at the origin"),
+        (lambda: keeps_integral_action(stage_compensator(5, DESIGNS["MC"]), "both"), "application"),
+        (
+            lambda: small_gain(
+                np.array([1.0]), PLANT, 8, 0.0, stage_compensator(5, DESIGNS["MC"]), CONTROLLER.state_space()
+            ),
+            "nothing is discarded",
+        ),
+    ],
+)
+def test_bad_input_is_named(call, message):
+    with pytest.raises(InputError, match=message):
+        call()

@@ -1,0 +1,176 @@
+"""Loop functions and the bandwidth search, held against state-space loops, exact norms and python-control."""
+
+import control
+import numpy as np
+import pytest
+from stillwork.checks import InputError
+from stillwork.lti import StateModel, hinf_norm, interconnect
+from stillwork.motion.applications import Application, compensator, soft_sensor
+from stillwork.motion.bandwidth import SIX_DB, PeakConstraint, make_loop, maximise_bandwidth
+from stillwork.motion.controller import Notch, PidFamily
+from stillwork.motion.designs import DESIGNS, stage_bandwidth, stage_compensator, stage_loops, stage_observer
+from stillwork.motion.loops import channel, closed_loop
+from stillwork.motion.machines import chain, stage, stage_mass
+from stillwork.motion.observer import kalman_observer, published_noise
+
+FAMILY = PidFamily(stage_mass())
+OMEGA = 2 * np.pi * np.array([0.5, 20.0, 60.0, 140.0, 469.0, 900.0])
+
+
+@pytest.mark.parametrize("notches", [(), (3000.0, 6000.0)])
+def test_controller_realisation(notches):
+    pid = PidFamily(12.5, notches)(40.0)
+    s, w = 1j * OMEGA, 2 * np.pi * 40
+    expected = (
+        12.5 * w**2 / 3 * (s + w / 9) / s * (3 * s / w + 1) * 9 * w**2 / (s**2 + 4.2 * w * s + 9 * w**2)
+    )
+    for each in notches:
+        expected = expected * Notch(each).at(s)
+    assert np.allclose(pid.frequency_response(OMEGA), expected, rtol=1e-12)
+    assert np.allclose(pid.state_space().frequency_response(OMEGA)[0, 0], expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["MC", "AD", "MC and AD"])
+def test_closed_forms_agree_with_the_state_space_loop(name):
+    plant, pid = stage().at([0], [4]), FAMILY(40.0)
+    block = stage_compensator(5, DESIGNS[name])
+    response = make_loop(plant, block).at(pid, OMEGA)
+    loop = closed_loop(plant, block, pid.state_space())
+    for ours, (source, target) in {
+        "input_sensitivity": ("u_ff", "u"),
+        "output_sensitivity": ("v", "e_true"),
+        "true_tracking": ("r", "e_true"),
+    }.items():
+        theirs = channel(loop, source, target).frequency_response(OMEGA)[0, 0]
+        assert np.allclose(getattr(response, ours), theirs, rtol=1e-6), ours
+    assert np.allclose(
+        response.input_sensitivity, channel(loop, "r", "e_meas").frequency_response(OMEGA)[0, 0], rtol=1e-6
+    )
+
+
+def test_loop_without_observer_is_that_of_python_control():
+    plant, pid = stage().at([0], [4]), FAMILY(30.0)
+    loop = closed_loop(plant, None, pid.state_space())
+    theirs = control.feedback(control.ss([], [], [], 1), plant.to_control() * pid.state_space().to_control())
+    ours = channel(loop, "r", "e_true").frequency_response(OMEGA)[0, 0]
+    assert np.allclose(ours, theirs(1j * OMEGA), rtol=1e-7)
+    assert np.abs(channel(loop, "d", "e_true").frequency_response(OMEGA)[0, 0] + ours - 1).max() < 1e-7
+
+
+def test_two_by_two_loop_obeys_its_definition():
+    plant = chain(np.full(4, 2.0)).at([0, 3], [0, 3])
+    one = PidFamily(4.0)(2.0).state_space()
+    two = interconnect([one, one], np.zeros((2, 2)), np.eye(2), np.eye(2))
+    loop = closed_loop(plant, None, two)
+    omega = np.array([5.0, 30.0, 200.0])
+    p, c = plant.frequency_response(omega), two.frequency_response(omega)
+    s_i, s_o = (
+        channel(loop, a, b, 2, 2).frequency_response(omega) for a, b in (("u_ff", "u"), ("v", "e_true"))
+    )
+    for k in range(len(omega)):
+        assert np.allclose(
+            s_i[..., k], np.linalg.inv(np.eye(2) + c[..., k] @ p[..., k]), rtol=1e-7, atol=1e-9
+        )
+        assert np.allclose(
+            s_o[..., k], np.linalg.inv(np.eye(2) + p[..., k] @ c[..., k]), rtol=1e-7, atol=1e-9
+        )
+
+
+def test_separation_of_observer_and_controller():
+    """(3.46): without discarded modes the closed loop has the poles of the observer and of the state feedback."""
+    plant = stage().at([0], [4]).modes(slice(0, 4))
+    observer = kalman_observer(plant, published_noise())
+    block = compensator(observer, Application(compensate=True, damping=0.035))
+    poles = closed_loop(plant, block, FAMILY(40.0).state_space()).poles
+    for pole in np.linalg.eigvals(observer.a - observer.gain @ observer.c):
+        assert np.abs(poles - pole).min() < 1e-4 * abs(pole)
+
+
+@pytest.mark.parametrize("name", ["MC", "AD"])
+def test_limit_is_exact_by_the_infinity_norm(name):
+    """Just below the limit every constraint holds exactly, just above one is broken: no grid involved."""
+    found = stage_bandwidth(name)
+    channels = {
+        "input_sensitivity": ("u_ff", "u"),
+        "output_sensitivity": ("v", "e_true"),
+        "true_tracking": ("r", "e_true"),
+    }
+    loops = stage_loops(DESIGNS[name])
+
+    def norm(factor, loop, function):
+        pid = FAMILY(found.design_hz * factor).state_space()
+        return hinf_norm(
+            channel(closed_loop(loop.plant, loop.compensator, pid), *channels[function])
+        ).magnitude
+
+    for function in DESIGNS[name].constraints:
+        assert all(norm(1 - 2e-4, loop, function) < SIX_DB for loop in loops)
+    assert norm(1 + 2e-4, loops[found.loop], found.function) > SIX_DB
+
+
+def test_a_logarithmic_grid_overstates_the_bandwidth():
+    exact = stage_bandwidth("PID").design_hz
+    coarse = [stage_bandwidth("PID", points=n, around=0, refine=False).design_hz for n in (200, 2000)]
+    assert coarse[0] > coarse[1] >= exact - 1e-3
+
+
+@pytest.mark.parametrize("hertz", [20.0, 30.0])
+def test_soft_sensor_gives_the_other_mass(hertz):
+    plant = stage()
+    observer = stage_observer(5)
+    sensor = soft_sensor(observer, observer.model.output_shapes * 0 + plant.output_shapes[1:2, :4])
+    omega = np.array([2 * np.pi * hertz])
+    p5, p2 = (plant.at([0], [k]).frequency_response(omega)[0, 0] for k in (4, 1))
+    force, measured = sensor.frequency_response(omega)[0]
+    # Modes that the observer does not hold are missing: their compliance is all that is left.
+    estimate = force + measured * p5
+    hidden = plant.modes(slice(4, None)).at([0], [4, 1]).compliance()[:, 0]
+    assert abs(estimate - p2) < 1.5 * np.abs(hidden).sum()
+    assert abs(estimate - p2) < 0.2 * abs(p5 - p2)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: maximise_bandwidth([], FAMILY, [PeakConstraint("input_sensitivity")]), "loops is empty"),
+        (lambda: maximise_bandwidth([make_loop(stage().at([0], [4]))], FAMILY, []), "constraints is empty"),
+        (lambda: PeakConstraint("sensitivity"), "input_sensitivity"),
+        (lambda: PeakConstraint("input_sensitivity", 0.9), "limit"),
+        (lambda: stage_bandwidth("PDI"), "did you mean 'PID'"),
+        (lambda: make_loop(stage()), "one input and one output"),
+        (
+            lambda: maximise_bandwidth(
+                stage_loops(DESIGNS["PID"]),
+                FAMILY,
+                [PeakConstraint("input_sensitivity")],
+                60.0,
+                90.0,
+                4,
+            ),
+            "no bandwidth from 60 to 90 Hz",
+        ),
+        (
+            lambda: maximise_bandwidth(
+                [make_loop(stage().at([0], [4]))], FAMILY, [PeakConstraint("input_sensitivity")], 5.0, 9.0, 4
+            ),
+            "raise it",
+        ),
+        (
+            lambda: channel(closed_loop(stage().at([0], [4]), None, FAMILY(30.0).state_space()), "x", "u"),
+            "unknown",
+        ),
+        (lambda: closed_loop(stage(), None, FAMILY(30.0).state_space()), "numbers of inputs"),
+        (
+            lambda: interconnect(
+                [StateModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1)))],
+                np.ones((1, 1)),
+                np.ones((1, 1)),
+                np.ones((1, 1)),
+            ),
+            "no unique solution",
+        ),
+    ],
+)
+def test_bad_input_is_named(call, message):
+    with pytest.raises(InputError, match=message):
+        call()

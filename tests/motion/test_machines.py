@@ -1,0 +1,124 @@
+"""Machines and their reduction, held against the published parameters and direct solutions in nodal form."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from stillwork.checks import InputError
+from stillwork.lti import zoh_modes
+from stillwork.motion.discretisation import (
+    discrete_compliance,
+    disturbance_matrix,
+    transition,
+    undamped_disturbance,
+    undamped_input,
+)
+from stillwork.motion.machines import chain, chain_matrix, drive, parameters, stage, stage_mass
+from stillwork.motion.reduction import roll_off, truncate
+
+
+def test_stage_is_the_published_one():
+    model = stage()
+    assert stage_mass() == pytest.approx(12.5, rel=1e-12)
+    assert model.rigid_modes == 1
+    assert len(model.frequencies) == 8
+    # A rigid body: phi_s phi_a = 1/M for every mass.
+    assert np.allclose(model.output_shapes[:, 0] * model.input_shapes[0, 0], 1 / 12.5, rtol=1e-10)
+
+
+def test_chain_in_nodal_form():
+    masses = np.array([1.6, 2.6, 1.6, 1.6, 1.6])
+    model, p = chain(masses), parameters("chain")
+    links = chain_matrix(np.ones(4))
+    omega = np.array([1.0, 200.0, 400.0])
+    direct = [
+        np.linalg.inv((p["stiffness"] + 1j * w * p["damper"]) * links - w**2 * np.diag(masses)) for w in omega
+    ]
+    assert np.allclose(model.frequency_response(omega), np.moveaxis(direct, 0, -1), rtol=1e-8)
+
+
+def test_drive_in_nodal_form():
+    d = drive()
+    omega = np.array([5.0, 118.0, 700.0])
+    link = np.array([[1, -1], [-1, 1]])
+    direct = [
+        np.linalg.inv(
+            (d.stiffness + 1j * w * d.damper) * link + (1j * w * d.friction - w**2 * d.inertia) * np.eye(2)
+        )
+        for w in omega
+    ]
+    expected = d.motor_constant * np.array([h[0, 1] for h in direct])
+    assert np.allclose(d.modal_states().frequency_response(omega)[0, 0], expected, rtol=1e-8)
+
+
+def test_compliance_closes_the_error_at_low_frequency():
+    model = stage().at([0], [4])
+    omega = 2 * np.pi * np.array([1.0, 2.0])
+    full = model.frequency_response(omega)[0, 0]
+    plain, compensated = (truncate(model, 4, k).frequency_response(omega)[0, 0] for k in (0, 4))
+    missing = model.modes(slice(4, None)).compliance()[0, 0]
+    assert np.allclose(full - plain, missing, rtol=1e-5)
+    # With it the error falls with the square of the frequency.
+    left = np.abs(full - compensated)
+    assert left[0] < 1e-4 * abs(missing)
+
+
+def test_rolled_off_compliance_is_strictly_proper_and_exact_at_rest():
+    reduced = truncate(stage().at([0], [4]), 4, 3)
+    rolled = roll_off(reduced, 5e4)
+    assert not np.any(rolled.d)
+    omega = 2 * np.pi * np.array([1.0])
+    assert np.allclose(rolled.frequency_response(omega), reduced.frequency_response(omega), rtol=1e-6)
+
+
+def test_reduction_and_discretisation_commute():
+    """Theorem 2.4.1: truncate then discretise, or discretise then truncate."""
+    model = stage().at([0], [4])
+    first = zoh_modes(truncate(model, 4, 4), 1e-4)
+    whole = zoh_modes(model, 1e-4)
+    kept = slice(0, 8)
+    assert np.array_equal(first.a, whole.a[kept, kept])
+    assert np.array_equal(first.b, whole.b[kept])
+    discarded = zoh_modes(model.modes(slice(4, None)), 1e-4)
+    assert np.allclose(discrete_compliance(discarded), first.d, rtol=1e-10)
+
+
+def test_printed_transition_lacks_a_factor():
+    w, z, step = 3e3, 0.3, 1e-4
+    exact, printed = (transition(w, z, step, name) for name in ("exact", "printed"))
+    assert np.allclose(np.diag(printed), np.diag(exact), rtol=1e-14)
+    assert printed[0, 1] / exact[0, 1] == pytest.approx(np.sqrt(1 - z**2), rel=1e-12)
+    small = [transition(w, 1e-4, step, name) for name in ("exact", "lightly damped")]
+    assert np.allclose(*small, rtol=1e-3, atol=1e-3 * np.abs(small[0]).max())
+    mode = stage().modes([3])
+    z, w = mode.damping[0], mode.frequencies[0]
+    assert np.allclose(zoh_modes(mode, step).a, transition(w, z, step), rtol=1e-12)
+
+
+def test_undamped_matrices_are_the_limit_of_small_damping():
+    mode = replace(stage().modes([2]), damping=np.zeros(1))
+    w = float(mode.frequencies[0])
+    assert np.allclose(zoh_modes(mode, 1e-4).b, undamped_input(w, mode.input_shapes[0], 1e-4), rtol=1e-9)
+    g = np.array([[0.3], [-0.7]])
+    expected = undamped_disturbance(w, g[0], g[1], 1e-4)
+    assert np.allclose(disturbance_matrix(mode, g, 1e-4), expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: truncate(stage(), 9), "the model has 8 modes"),
+        (lambda: truncate(stage(), 0), "modes"),
+        (lambda: truncate(chain([1.0, 1.0]), 1, 2), "the model has 2 modes"),
+        (lambda: roll_off(stage(), -1.0), "cutoff_hz"),
+        (lambda: chain([1.0]), "two positive masses"),
+        (lambda: stage(1.5), "damping_ratio"),
+        (lambda: parameters("robot"), "machine"),
+        (lambda: transition(0.0, 0.1, 1e-4), "omega"),
+        (lambda: transition(1.0, 0.1, 1e-4, "rough"), "variant"),
+        (lambda: discrete_compliance(stage().state_space()), "continuous time"),
+    ],
+)
+def test_bad_input_is_named(call, message):
+    with pytest.raises(InputError, match=message):
+        call()

@@ -1,0 +1,48 @@
+"""The bandwidth table's study, and the drawings behind the explorers."""
+
+import numpy as np
+import pytest
+from stillwork.motion import plots
+from stillwork.motion.open_choices import bandwidth_map, open_choices
+
+
+def test_what_is_open_moves_the_bandwidth_as_it_must():
+    study = open_choices("PID")
+    published = study.published
+    assert study.found["6 dB taken as 2"].design_hz > published.design_hz
+    assert study.found["grid of 2000 points"].design_hz > published.design_hz
+    assert study.found["damping 0.1 %"].design_hz < 0.7 * published.design_hz
+    assert study.found["R = sensor noise alone"] is published
+    low, high = study.interval
+    assert low < published.crossing_hz.min() < study.crossing < published.crossing_hz.max() < high
+    # The crossing lies a few per cent above the design parameter.
+    assert np.all(published.crossing_hz > 1.03 * published.design_hz)
+
+
+def test_the_limit_rises_with_the_noise_model_beyond_the_printed_optimum():
+    chart = bandwidth_map([2.0], [1e3, 1e5, 1e12])
+    assert chart.crossing_hz[0, 1] > chart.crossing_hz[0, 0] > 80
+    assert np.isnan(chart.crossing_hz[0, 2])
+
+
+@pytest.mark.parametrize(
+    "draw",
+    [
+        lambda: plots.draw_design(60.0, 0.035, 2.0, "yes"),
+        lambda: plots.draw_reduction(3, 100.0),
+        lambda: plots.draw_heavy_mass(2, 2.6),
+        lambda: plots.draw_transition_error(470.0, 0.005),
+        lambda: plots.draw_feedforward(12.5, 1.66, 35.0),
+        lambda: plots.draw_disturbance(35.0, 0.01, 0.035),
+        lambda: plots.draw_drive(0.05, 0.1, 4.0),
+        lambda: plots.draw_three_masses(40.0),
+    ],
+)
+def test_explorers_draw_labelled_curves(draw):
+    figure = draw()
+    for axes in figure.axes:
+        assert axes.get_ylabel() or axes.get_shared_y_axes().get_siblings(axes)
+        for line in axes.lines:
+            x, y = (np.asarray(values, dtype=float) for values in line.get_data())
+            assert len(x) == len(y) > 0
+            assert np.isfinite(y).all()

@@ -1,0 +1,118 @@
+"""Kalman gains: the return-difference identity, closed forms, and what must be refused."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from stillwork import motion
+from stillwork.checks import InputError
+from stillwork.lti import zoh_modes
+from stillwork.motion import riccati
+from stillwork.motion.designs import stage_observer
+from stillwork.motion.machines import stage
+from stillwork.motion.observer import Noise, Observer, kalman_observer, published_noise
+from stillwork.motion.reduction import truncate
+from stillwork.motion.riccati import continuous_gain, discrete_gain
+
+
+@pytest.mark.parametrize("noise_model", [None, 0.03, 1e3])
+@pytest.mark.parametrize("position", [1, 4, 7])
+def test_return_difference_identity(position, noise_model):
+    r"""|1 + C(sI-A)^{-1}L|^2 R = R + |C(sI-A)^{-1}GQ^{1/2}|^2 on the imaginary axis, from matrices only."""
+    noise = published_noise()
+    observer = stage_observer(position, noise, noise_model)
+    g = observer.b * np.sqrt(noise.process)
+    if noise_model:
+        extra = np.zeros((len(observer.a), 1))
+        extra[-1] = np.sqrt(noise_model)
+        g = np.hstack([g, extra])
+    for omega in 2 * np.pi * np.array([0.5, 20.0, 120.0, 469.0, 800.0, 3000.0]):
+        resolvent = np.linalg.inv(1j * omega * np.eye(len(observer.a)) - observer.a)
+        left = abs(1 + (observer.c @ resolvent @ observer.gain)[0, 0]) ** 2
+        right = 1 + (np.abs(observer.c @ resolvent @ g) ** 2).sum() / noise.sensor
+        assert left == pytest.approx(right, rel=1e-9)
+    assert observer.residual < 1e-10
+
+
+def test_double_integrator_has_its_closed_form():
+    mass, q, r = 12.5, 1e-4, 2e-18
+    a, g, c = np.array([[0.0, 1], [0, 0]]), np.array([[0], [1 / mass]]), np.array([[1.0, 0]])
+    w2 = np.sqrt(q / r) / mass
+    solved = continuous_gain(a, g, c, q, r)
+    assert np.allclose(solved.gain[:, 0], [np.sqrt(2 * w2), w2], rtol=1e-10)
+    assert np.isclose(solved.covariance[0, 0], r * np.sqrt(2 * w2), rtol=1e-10)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(-3, 3), st.floats(-3, 3))
+def test_only_the_ratio_of_the_intensities_matters(q, common):
+    model = truncate(stage().at([0], [4]), 4, 3)
+    noise = Noise(1e-4 * 10**q, 2e-18)
+    scaled = Noise(noise.process * 10**common, noise.sensor * 10**common)
+    one, other = kalman_observer(model, noise).gain, kalman_observer(model, scaled).gain
+    assert np.allclose(one, other, rtol=1e-8, atol=1e-10 * np.abs(one).max())
+
+
+def test_predictor_and_filter_form():
+    model = zoh_modes(truncate(stage().at([0], [4]), 4, 3), 1e-4)
+    solved = discrete_gain(model.a, model.b, model.c, 1e-4, 2e-18)
+    assert np.allclose(solved.gain, model.a @ solved.filter_gain, rtol=1e-12)
+    # Iterating the covariance recursion from far away must end there.
+    p = solved.covariance * 50
+    for _ in range(4000):
+        s = model.c @ p @ model.c.T + 2e-18
+        update = p @ model.c.T / s
+        p = model.a @ (p - update @ model.c @ p) @ model.a.T + 1e-4 * model.b @ model.b.T
+        p = (p + p.T) / 2
+    s = model.c @ p @ model.c.T + 2e-18
+    expected = p @ model.c.T / s
+    assert np.allclose(solved.filter_gain, expected, rtol=1e-5, atol=1e-7 * np.abs(expected).max())
+
+
+def test_discrete_gain_approaches_the_continuous_one_with_order_one():
+    reduced = truncate(stage().at([0], [4]), 4, 3)
+    states = reduced.state_space()
+    continuous = continuous_gain(states.a, states.b, states.c, 1e-4, 2e-18).gain[:, 0]
+    errors = []
+    for step in (4e-6, 2e-6, 1e-6):
+        held = zoh_modes(reduced, step)
+        discrete = discrete_gain(held.a, held.b, held.c, 1e-4 / step, 2e-18 / step).filter_gain[:, 0]
+        errors.append(np.abs(discrete / step - continuous).max() / np.abs(continuous).max())
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert np.allclose(orders, 1.0, atol=0.1)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: Noise(0.0, 1.0), "process"),
+        (lambda: Noise(1.0, -1.0), "sensor"),
+        (lambda: continuous_gain([[0.0]], [[1.0]], [[1.0]], 1.0, 0.0), "sensor is not positive definite"),
+        (lambda: continuous_gain(np.diag([0.0, -1.0]), np.eye(2), [[0.0, 1.0]], 1.0, 1.0), "not observable"),
+        (lambda: discrete_gain(np.diag([1.0, 0.5]), np.eye(2), [[0.0, 1.0]], 1.0, 1.0), "not observable"),
+        (lambda: kalman_observer(stage().at([0], [4]), published_noise(), -1.0), "noise_model"),
+    ],
+)
+def test_bad_input_is_named(call, message):
+    with pytest.raises(InputError, match=message):
+        call()
+
+
+def test_an_observer_without_gain_is_refused():
+    good = stage_observer(5)
+    with pytest.raises(InputError, match="unstable"):
+        Observer(good.model, good.a, good.b, good.c, 0 * good.gain)
+
+
+def test_a_large_residual_is_refused(monkeypatch):
+    monkeypatch.setattr(riccati, "WORST_RESIDUAL", 1e-30)
+    with pytest.raises(InputError, match="relative residual"):
+        continuous_gain([[0.0, 1.0], [-3.0, -0.1]], [[0.0], [1.0]], [[1.0, 0.0]], 1.0, 1e-4)
+    with pytest.raises(InputError, match="relative residual"):
+        discrete_gain([[0.9, 0.1], [0.0, 0.7]], [[0.0], [1.0]], [[1.0, 0.0]], 1.0, 1e-4)
+
+
+def test_public_names_resolve():
+    assert all(getattr(motion, name) is not None for name in motion.__all__)
+    with pytest.raises(AttributeError, match="no attribute"):
+        motion.robot  # noqa: B018

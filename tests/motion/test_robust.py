@@ -1,0 +1,255 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from naive import motion_robust as naive
+from stillwork.checks import InputError
+from stillwork.motion.filters import TimeVaryingModel, estimate
+from stillwork.motion.robust import (
+    Derivatives,
+    NormBound,
+    kalman_gains,
+    regularised_gains,
+    regularised_line_search,
+    sensitivity_gains,
+)
+
+SEEDS = st.integers(0, 10**6)
+
+
+def covariance(rng, size):
+    root = rng.normal(size=(size, size))
+    return root @ root.T + 0.3 * np.eye(size)
+
+
+def problem(seed, samples=2, states=3, inputs=2, disturbances=2, outputs=2):
+    rng = np.random.default_rng(seed)
+    a = rng.normal(size=(states, states)) / np.sqrt(states)
+    model = TimeVaryingModel(
+        a,
+        rng.normal(size=(states, inputs)),
+        rng.normal(size=(states, disturbances)),
+        rng.normal(size=(samples, outputs, states)),
+        covariance(rng, disturbances),
+        covariance(rng, outputs),
+        covariance(rng, states),
+    )
+    return rng, model, rng.normal(size=(inputs, samples)), rng.normal(size=(outputs, samples))
+
+
+def derivatives(rng, model, parameters=2):
+    samples, outputs, states = model.c.shape
+    return Derivatives(
+        rng.normal(size=(parameters, states, states)),
+        rng.normal(size=(parameters, states, model.b.shape[2])),
+        rng.normal(size=(parameters, states, model.g.shape[2])),
+        rng.normal(size=(samples, parameters, outputs, states)),
+    )
+
+
+def bound(rng, model, rows=3, directions=1):
+    samples, outputs, states = model.c.shape
+    return NormBound(
+        rng.normal(size=(samples, outputs, directions)),
+        rng.normal(size=(rows, states)),
+        rng.normal(size=(rows, model.b.shape[2])),
+        rng.normal(size=(rows, model.g.shape[2])),
+    )
+
+
+def first(model):
+    return model.a[1], model.b[1], model.g[1], model.c[1]
+
+
+@settings(max_examples=30)
+@given(seed=SEEDS, gamma=st.floats(0.01, 1.0))
+def test_sensitivity_step_minimises_its_quadratic_cost(seed, gamma):
+    rng, model, u, y = problem(seed)
+    d = derivatives(rng, model)
+    start = rng.normal(size=3)
+    ours = estimate(sensitivity_gains(model, d, gamma), u, y, start)[:, 1]
+    s, t, m = (rows[1] for rows in d.rows(model))
+    args = (s, t, m, (1 - gamma) / gamma, model.process, model.sensor, model.initial_covariance)
+    twin = naive.penalised_step(*first(model), *args, start, u[:, 0], y[:, 1])
+    np.testing.assert_allclose(ours, twin, rtol=1e-6, atol=1e-8)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_sensitivity_step_minimises_the_cost_of_the_output_error_itself(seed):
+    rng, model, u, y = problem(seed, states=2, inputs=1, disturbances=1)
+    d = derivatives(rng, model)
+    start, gamma = rng.normal(size=2), 0.4
+
+    def model_at(epsilon):
+        a, b, g, c = first(model)
+        return (
+            a + np.tensordot(epsilon, d.a, 1),
+            b + np.tensordot(epsilon, d.b, 1),
+            g + np.tensordot(epsilon, d.g, 1),
+            c + np.tensordot(epsilon, d.c[1], 1),
+        )
+
+    def cost(best):
+        arguments = (model.process, model.sensor, model.initial_covariance, start, u[:, 0], y[:, 1])
+        return naive.sensitivity_cost(best, model_at, 2, gamma, *arguments)
+
+    best = naive.minimise_smooth(cost, np.zeros(3))
+    a, b, g, _ = first(model)
+    twin = a @ best[:2] + b @ u[:, 0] + g @ best[2:]
+    ours = estimate(sensitivity_gains(model, d, gamma), u, y, start)[:, 1]
+    np.testing.assert_allclose(ours, twin, rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("outputs", [1, 2])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_line_search_solves_the_min_max_problem(seed, outputs):
+    rng, model, u, y = problem(seed, states=2, inputs=1, disturbances=1, outputs=outputs)
+    box = bound(rng, model, rows=2)
+    start = rng.normal(size=2)
+
+    def cost(best):
+        arguments = (
+            box.m[1],
+            box.e_a,
+            box.e_b,
+            box.e_g,
+            model.process,
+            model.sensor,
+            model.initial_covariance,
+        )
+        return naive.worst_case_cost(best, *first(model), *arguments, start, u[:, 0], y[:, 1])
+
+    best = naive.minimise(cost, np.zeros(3))
+    a, b, g, _ = first(model)
+    twin = a @ best[:2] + b @ u[:, 0] + g @ best[2:]
+    ours = regularised_line_search(model, box, u, y, start)
+    assert ours.ratio[1] >= 1
+    np.testing.assert_allclose(ours.states[:, 1], twin, rtol=1e-6, atol=1e-6)
+
+
+@settings(max_examples=30)
+@given(seed=SEEDS, margin=st.floats(0.05, 20))
+def test_rule_of_thumb_minimises_the_cost_at_its_lambda(seed, margin):
+    rng, model, u, y = problem(seed)
+    box = bound(rng, model, directions=2)
+    start = rng.normal(size=3)
+    m = box.m[1]
+    weight = (1 + margin) * np.linalg.norm(m.T @ np.linalg.solve(model.sensor, m), 2)
+    args = (box.e_a, box.e_g, box.e_b, weight, model.process, model.sensor - m @ m.T / weight)
+    twin = naive.penalised_step(*first(model), *args, model.initial_covariance, start, u[:, 0], y[:, 1])
+    ours = estimate(regularised_gains(model, box, margin), u, y, start)[:, 1]
+    np.testing.assert_allclose(ours, twin, rtol=1e-6, atol=1e-8)
+
+
+@pytest.mark.parametrize("kind", ["sensitivity", "regularised"])
+def test_many_steps_follow_the_mended_printed_recursion(kind):
+    rng, model, u, y = problem(11, samples=40)
+    if kind == "sensitivity":
+        d = derivatives(rng, model)
+        gains = sensitivity_gains(model, d, 0.3)
+        s, t, m = d.rows(model)
+        weights, noise = np.full(40, 0.7 / 0.3), [model.sensor] * 40
+    else:
+        box = bound(rng, model)
+        gains = regularised_gains(model, box, 1.0)
+        s, t, m = (np.broadcast_to(e, (40, *e.shape)) for e in (box.e_a, box.e_g, box.e_b))
+        weights = [2 * np.linalg.norm(k.T @ np.linalg.solve(model.sensor, k), 2) for k in box.m]
+        noise = [model.sensor - k @ k.T / w for k, w in zip(box.m, weights, strict=True)]
+    x, p = np.zeros(3), model.initial_covariance
+    twin = np.zeros((3, 40))
+    for k in range(1, 40):
+        matrices = (model.a[k], model.b[k], model.g[k], model.c[k], s[k], t[k], m[k], weights[k])
+        x, p = naive.printed_step(*matrices, model.process, noise[k], p, x, u[:, k - 1], y[:, k])
+        twin[:, k] = x
+    np.testing.assert_allclose(estimate(gains, u, y), twin, rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(gains.covariance[-1], p, rtol=1e-8, atol=1e-10)
+
+
+def certain(model, rng, kind):
+    nothing = NormBound(np.zeros((model.samples, 2, 1)), np.ones((1, 3)), np.ones((1, 2)), np.ones((1, 2)))
+    empty = NormBound(np.ones((model.samples, 2, 1)), np.zeros((1, 3)), np.zeros((1, 2)), np.zeros((1, 2)))
+    flat = Derivatives(
+        np.zeros((1, 3, 3)), np.zeros((1, 3, 2)), np.zeros((1, 3, 2)), np.zeros((model.samples, 1, 2, 3))
+    )
+    return {
+        "no direction": lambda u, y: estimate(regularised_gains(model, nothing), u, y),
+        "no rows": lambda u, y: estimate(regularised_gains(model, empty), u, y),
+        "line search": lambda u, y: regularised_line_search(model, nothing, u, y).states,
+        "no sensitivity": lambda u, y: estimate(sensitivity_gains(model, flat, 0.2), u, y),
+        "gamma 1": lambda u, y: estimate(sensitivity_gains(model, derivatives(rng, model), 1.0), u, y),
+        "plain": lambda u, y: estimate(kalman_gains(model), u, y),
+    }[kind]
+
+
+@pytest.mark.parametrize(
+    "kind", ["no direction", "no rows", "line search", "no sensitivity", "gamma 1", "plain"]
+)
+def test_without_uncertainty_every_filter_is_the_kalman_filter(kind):
+    rng, model, u, y = problem(5, samples=60)
+    a, b, g, _ = first(model)
+    twin = naive.kalman(a, b, g, model.c, model.process, model.sensor, model.initial_covariance, u, y)
+    np.testing.assert_allclose(certain(model, rng, kind)(u, y), twin, rtol=1e-10, atol=1e-10)
+
+
+def test_many_runs_are_the_single_runs():
+    rng, model, _, _ = problem(8, samples=20)
+    u, y = rng.normal(size=(4, 2, 20)), rng.normal(size=(4, 2, 20))
+    gains = kalman_gains(model)
+    together = estimate(gains, u, y)
+    for run in range(4):
+        np.testing.assert_array_equal(together[run], estimate(gains, u[run], y[run]))
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"a": np.zeros((1, 2, 2))}, "derivatives.a"),
+        ({"b": np.zeros((2, 3, 2))}, "derivatives.b"),
+        ({"g": np.zeros((1, 3, 5))}, "derivatives.g"),
+        ({"c": np.zeros((2, 4, 2, 3))}, "derivatives.c"),
+    ],
+)
+def test_derivatives_of_the_wrong_shape_are_named(change, named):
+    _, model, _, _ = problem(1)
+    good = {
+        "a": np.zeros((1, 3, 3)),
+        "b": np.zeros((1, 3, 2)),
+        "g": np.zeros((1, 3, 2)),
+        "c": np.zeros((2, 1, 2, 3)),
+    }
+    with pytest.raises(InputError, match=named):
+        sensitivity_gains(model, Derivatives(**{**good, **change}), 0.5)
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"m": np.zeros((3, 1))}, "bound.m"),
+        ({"e_a": np.zeros((1, 4))}, "bound.e_a"),
+        ({"e_b": np.zeros((2, 2))}, "bound.e_b"),
+        ({"e_g": np.zeros(2)}, "bound.e_g"),
+    ],
+)
+def test_bounds_of_the_wrong_shape_are_named(change, named):
+    _, model, _, _ = problem(1)
+    good = {"m": np.ones((2, 1)), "e_a": np.ones((1, 3)), "e_b": np.ones((1, 2)), "e_g": np.ones((1, 2))}
+    with pytest.raises(InputError, match=named):
+        regularised_gains(model, NormBound(**{**good, **change}))
+
+
+@pytest.mark.parametrize("weight", [0.0, 1.5, np.nan])
+def test_weight_outside_its_range_is_refused(weight):
+    rng, model, _, _ = problem(1)
+    with pytest.raises(InputError, match="weight"):
+        sensitivity_gains(model, derivatives(rng, model), weight)
+
+
+def test_margin_at_the_limit_is_refused():
+    rng, model, _, _ = problem(1)
+    with pytest.raises(InputError, match="margin"):
+        regularised_gains(model, bound(rng, model), 0.0)
+
+
+def test_a_covariance_that_is_none_is_refused():
+    with pytest.raises(InputError, match="sensor"):
+        TimeVaryingModel(np.eye(2), np.eye(2), np.eye(2), np.ones((3, 1, 2)), np.eye(2), [[-1.0]], np.eye(2))

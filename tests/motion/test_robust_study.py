@@ -1,0 +1,263 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from naive import motion_filters as naive
+from stillwork.checks import InputError
+from stillwork.lti import zoh_modes
+from stillwork.motion import contest as contests
+from stillwork.motion.filters import TimeVaryingModel, estimate
+from stillwork.motion.hinfinity import hinfinity_gains, smallest_level
+from stillwork.motion.machines import stage
+from stillwork.motion.model_bank import bank_estimate
+from stillwork.motion.perturbed_tracking import CASES, published_loops, tracking_trial
+from stillwork.motion.positions import shapes_along
+from stillwork.motion.robust import kalman_gains
+from stillwork.motion.scan_study import (
+    filter_model,
+    judge,
+    output_rows,
+    published_scan,
+    record_scans,
+    slowest_decay,
+)
+from stillwork.motion.uncertainty import (
+    draw_errors,
+    entry_bound,
+    norm_bound,
+    perturbed,
+    sampled_derivatives,
+)
+
+
+@pytest.fixture(scope="module")
+def scan():
+    return published_scan()
+
+
+def small_model(seed=0, samples=30):
+    rng = np.random.default_rng(seed)
+    a = 0.6 * rng.normal(size=(3, 3)) / np.sqrt(3)
+    b, g = rng.normal(size=(3, 1)), rng.normal(size=(3, 2))
+    c = rng.normal(size=(samples, 2, 3))
+    model = TimeVaryingModel(a, b, g, c, np.diag([1.0, 2.0]), np.diag([0.5, 0.3]), np.eye(3))
+    return model, rng.normal(size=(1, samples)), rng.normal(size=(2, samples))
+
+
+@pytest.mark.parametrize("parameter", range(4))
+@pytest.mark.parametrize("mode", [1, 2])
+def test_derivatives_are_the_limit_of_perturbed_models(scan, mode, parameter):
+    derivatives = sampled_derivatives(scan.nominal, scan.step)
+    errors, size = np.zeros((3, 4)), 1e-5
+    errors[mode, parameter] = size
+    up = zoh_modes(perturbed(scan.nominal, errors), scan.step)
+    down = zoh_modes(perturbed(scan.nominal, -errors), scan.step)
+    number = 4 * (mode - 1) + parameter
+    for name in ("a", "b"):
+        central = (getattr(up, name) - getattr(down, name)) / (2 * size)
+        largest = np.abs(getattr(up, name)).max()
+        np.testing.assert_allclose(getattr(derivatives, name)[number], central, rtol=0, atol=1e-9 * largest)
+
+
+def rows_of(model, derivatives, errors, k):
+    """First-order error of [C A, C B, C G] at sample k."""
+    s, t, m = (each[k] for each in derivatives.rows(model))
+    weights = np.concatenate([errors, errors])
+    return np.concatenate([weights @ s, weights @ m, weights @ t])
+
+
+@pytest.mark.parametrize("cover", [norm_bound, entry_bound])
+def test_the_norm_bound_covers_every_corner_of_the_errors(scan, cover):
+    model = filter_model(scan)
+    derivatives = sampled_derivatives(scan.nominal, scan.step).along(model, scan.shapes[:, None, :])
+    bound = cover(model, derivatives, 0.05)
+    rng = np.random.default_rng(3)
+    for k in (1, 700, 1900):
+        e = np.hstack([bound.e_a[k], bound.e_b[k], bound.e_g[k]])
+        scale = np.abs(e).max(axis=0)
+        scale[scale == 0] = 1
+        for _ in range(50):
+            wanted = rows_of(model, derivatives, 0.05 * rng.choice([-1, 1], 8), k)
+            # The smallest Delta with M Delta E = wanted; M is one here.
+            delta, *_ = np.linalg.lstsq((e / scale).T, wanted / scale, rcond=None)
+            np.testing.assert_allclose(delta @ e / scale, wanted / scale, rtol=0, atol=1e-9)
+            assert np.linalg.norm(delta) <= 1 + 1e-9
+
+
+def test_perturbed_modes_stay_sorted_and_keep_their_response():
+    plant = stage()
+    errors = np.zeros((8, 4))
+    errors[6, 0], errors[7, 0] = 0.1, -0.1
+    moved = perturbed(plant, errors)
+    assert np.all(np.diff(moved.frequencies) >= 0)
+    omega = np.array([300.0, 4000.0])
+    w = plant.frequencies * (1 + errors[:, 0])
+    modal = 1 / (w[:, None] ** 2 - omega**2 + 2j * plant.damping[:, None] * w[:, None] * omega)
+    direct = np.einsum("om,mi,mf->oif", plant.output_shapes, plant.input_shapes, modal)
+    np.testing.assert_allclose(moved.frequency_response(omega), direct, rtol=1e-10)
+
+
+def test_errors_have_the_law_that_was_asked_for():
+    rng, plant = np.random.default_rng(0), stage()
+    ends = draw_errors(rng, plant, 0.05)
+    assert np.all(ends[0] == 0)
+    assert np.all(np.abs(ends[1:]) == 0.05)
+    uniform = draw_errors(rng, plant, 0.05, "uniform", rigid=True)
+    assert np.all(np.abs(uniform) <= 0.05)
+    assert np.all(uniform[0] != 0)
+    with pytest.raises(InputError, match="law"):
+        draw_errors(rng, plant, 0.05, "gaussian")
+
+
+def test_shapes_follow_the_grid_and_refuse_to_leave_it():
+    plant, grid = stage(), np.arange(7.0)
+    np.testing.assert_allclose(shapes_along(plant, grid, [2.0, 5.0]), plant.output_shapes[[2, 5]], atol=1e-14)
+    with pytest.raises(InputError, match="outside the grid"):
+        shapes_along(plant, grid, [3.0, 6.1])
+    with pytest.raises(InputError, match="ascend"):
+        shapes_along(plant, grid[::-1], [3.0])
+    with pytest.raises(InputError, match="outside the grid"):
+        published_scan(spacing=0.02)
+
+
+def test_recorded_scan_is_its_naive_twin(scan):
+    errors = [draw_errors(np.random.default_rng(k), scan.nominal, 0.05, rigid=True) for k in range(2)]
+    records = record_scans(scan, errors, np.random.default_rng(7))
+    noise = np.random.default_rng(7).standard_normal((2, 3, 1901)) * np.array(scan.deviations)[:, None]
+    for run in range(2):
+        plant = zoh_modes(perturbed(scan.nominal, errors[run]), scan.step)
+        forward = scan.mass * scan.setpoint.derivatives[2]
+        shapes = scan.shapes * (1 + errors[run][:, 3])
+        reference = scan.setpoint.derivatives[0]
+        states, u, y = naive.scan(plant.a, plant.b, shapes, reference, forward, scan.controller, noise[run])
+        for ours, twin in ((records.states[run], states), (records.u[run, 0], u), (records.y[run, 0], y)):
+            np.testing.assert_allclose(ours, twin, rtol=1e-7, atol=1e-9 * np.abs(twin).max())
+
+
+def test_every_drawn_plant_is_stable_under_the_one_controller(scan):
+    rng = np.random.default_rng(5)
+    for _ in range(10):
+        assert slowest_decay(scan, draw_errors(rng, scan.nominal, 0.05, rigid=True)) < 1
+
+
+def test_errors_are_counted_in_the_scanning_phase(scan):
+    records = record_scans(scan, [np.zeros((3, 4))], np.random.default_rng(0))
+    window = scan.setpoint.scanning
+    ramp = np.zeros_like(records.states)
+    ramp[:, :, window] = np.linspace(1.0, 3.0, window.sum())
+    found = judge(scan, records, records.states - ramp)
+    np.testing.assert_allclose(found.bias, 2.0)
+    np.testing.assert_allclose(found.drift, 2.0, rtol=1e-9)
+    np.testing.assert_allclose(found.end, 3.0)
+    np.testing.assert_allclose(found.accelerating, 0.0)
+
+
+def test_kalman_filter_is_unbiased_and_as_certain_as_it_says(scan):
+    model = filter_model(scan)
+    records = record_scans(scan, [np.zeros((3, 4))] * 60, np.random.default_rng(2))
+    error = records.states - estimate(kalman_gains(model), records.u, records.y)
+    claimed = np.sqrt(np.einsum("kii->ik", kalman_gains(model).covariance))[:, -1]
+    found = np.sqrt(np.mean(error[:, :, -1] ** 2, axis=0))
+    # 60 runs: the ratio of deviations is chi-distributed, within 0.7 .. 1.3 at 3.3 sigma.
+    np.testing.assert_allclose(found / claimed, 1, atol=0.31)
+
+
+def test_hinfinity_filter_is_its_naive_twin():
+    model, u, y = small_model()
+    wanted = np.array([[1.0, 0.5, 0.0], [0.0, 0.0, 2.0]])
+    level = 1.3 * smallest_level(model, wanted)
+    ours = estimate(hinfinity_gains(model, wanted, level), u, y)
+    matrices = (model.a[0], model.b[0], model.g[0], model.c, model.process, model.sensor)
+    twin = naive.hinfinity(*matrices, wanted, level, model.initial_covariance, u, y)
+    np.testing.assert_allclose(ours, twin, rtol=1e-8, atol=1e-9)
+
+
+def test_hinfinity_filter_at_a_large_level_is_the_kalman_filter():
+    model, u, y = small_model()
+    far = estimate(hinfinity_gains(model, np.eye(3), 1e8), u, y)
+    np.testing.assert_allclose(far, estimate(kalman_gains(model), u, y), rtol=1e-10, atol=1e-10)
+
+
+def test_hinfinity_filter_below_the_smallest_level_is_refused():
+    model, _, _ = small_model()
+    with pytest.raises(InputError, match="no filter keeps level"):
+        hinfinity_gains(model, np.eye(3), 0.9 * smallest_level(model, np.eye(3)))
+
+
+def test_bank_is_bayes_rule():
+    model, u, y = small_model()
+    others = [replace(model, a=factor * model.a) for factor in (1.0, 0.8, 0.5)]
+    twins = [
+        {
+            "a": m.a[0],
+            "b": m.b[0],
+            "g": m.g[0],
+            "c": m.c,
+            "q": m.process,
+            "r": m.sensor,
+            "p": m.initial_covariance,
+        }
+        for m in others
+    ]
+    ours = bank_estimate(others, u[None], y[None])
+    np.testing.assert_allclose(ours.states[0], naive.bank(twins, u, y), rtol=1e-8, atol=1e-9)
+    np.testing.assert_allclose(ours.weights.sum(axis=0), 1, rtol=1e-12)
+    with pytest.raises(InputError, match="models is empty"):
+        bank_estimate([], u[None], y[None])
+
+
+def test_entrants_fall_back_to_the_kalman_filter(scan):
+    told = contests.prepare(scan, 0.05, rigid=False)
+    records = contests.draw_scans(scan, 2, 4, 0.05, "ends", False)
+    plain = contests.run_entrant("Kalman", told, 1.0, records)
+    weak = {
+        "sensitivity penalised": 1.0,
+        "fictitious noise": 1e-12,
+        "H-infinity": 1e6,
+        "model bank": 1e-12,
+    }
+    for name, knob in weak.items():
+        found = contests.run_entrant(name, told, knob, records)
+        size = np.abs(plain).max(axis=(0, 2))
+        assert np.abs(found - plain).max(axis=(0, 2)) == pytest.approx(0, abs=1e-3 * size.min()), name
+
+
+def test_the_rule_of_thumb_halves_the_sensor_noise_however_small_the_errors(scan):
+    told = contests.prepare(scan, 0.05, rigid=False)
+    records = contests.draw_scans(scan, 2, 4, 0.05, "ends", False)
+    found = contests.run_entrant("regularised least squares", told, 1e-12, records)
+    halved = replace(told.model, sensor=told.model.sensor / 2)
+    twin = estimate(kalman_gains(halved), records.u, records.y)
+    np.testing.assert_allclose(found, twin, rtol=0, atol=1e-6 * np.abs(twin[:, 4]).max())
+
+
+def test_tuning_finds_the_cheapest_knob(scan):
+    told = contests.prepare(scan, 0.05, rigid=False)
+    records = contests.draw_scans(scan, 3, 4, 0.05, "uniform", False)
+    tuning = contests.tune("Kalman", told, records, 4)
+    again = [
+        np.median(judge(scan, records, contests.run_entrant("Kalman", told, k, records)).flexible())
+        for k in tuning.knobs
+    ]
+    np.testing.assert_allclose(tuning.costs, again)
+    assert tuning.best == tuning.knobs[np.argmin(again)]
+    with pytest.raises(InputError, match="tries"):
+        contests.tune("Kalman", told, records, 1)
+    with pytest.raises(InputError, match="did you mean 'Kalman'"):
+        contests.tune("Kalmann", told, records, 3)
+
+
+def test_output_rows_pick_positions():
+    c = output_rows(np.array([[2.0, 3.0]]))
+    np.testing.assert_array_equal(c, [[[2.0, 0.0, 3.0, 0.0]]])
+
+
+def test_tracking_trial_repeats_and_compares_all_cases():
+    loops = published_loops()
+    one = tracking_trial(np.random.default_rng(1), loops, 0.05)
+    two = tracking_trial(np.random.default_rng(1), loops, 0.05)
+    assert one == two
+    assert list(one) == list(CASES)
+    exact = tracking_trial(np.random.default_rng(1), loops, 0.0)
+    # Damping the modes must pay on the exact plant.
+    assert exact["AD"] < exact["none"]

@@ -1,0 +1,233 @@
+"""Setpoints, judgement of a scan, feedforward and exact simulation, held against brute force."""
+
+import control
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from naive.motion import integrate_setpoint, moving_windows
+from stillwork.checks import InputError
+from stillwork.lti import StateModel, interconnect, resonance_grid, zoh
+from stillwork.motion.controller import PidFamily
+from stillwork.motion.designs import DESIGNS, stage_compensator
+from stillwork.motion.disturbance import band_power, cumulative_power
+from stillwork.motion.loops import channel, closed_loop
+from stillwork.motion.machines import stage, stage_mass
+from stillwork.motion.performance import average_filter, average_reduction, moving, rms
+from stillwork.motion.setpoint import Setpoint, from_snap, point_to_point, published_setpoint
+from stillwork.motion.tracking import (
+    Feedforward,
+    error_loop,
+    fit_feedforward,
+    modified_feedforward,
+    noise_error,
+    noisy_scans,
+    tracking_error,
+)
+
+PLANT = stage().at([0], [4])
+CONTROLLER = PidFamily(stage_mass())(35.626).state_space()
+
+
+def test_published_setpoint():
+    """Table 3.6 and the text below it."""
+    setpoint = published_setpoint(1e-4)
+    assert setpoint.derivatives[0, -1] == pytest.approx(0.17, abs=1e-12)
+    assert np.allclose(np.abs(setpoint.derivatives).max(axis=1)[1:], [1.0, 100.0, 2e4, 4e6], rtol=1e-9)
+    assert np.allclose(setpoint.derivatives[1:4, -1], 0, atol=1e-9)
+    assert np.allclose(setpoint.scan, (0.04, 0.17))
+    assert setpoint.scanning.sum() == 1301
+
+
+def test_setpoint_is_the_integral_of_its_snap():
+    rows = from_snap([3.0, -2.0, 1.0], [0.01, 0.02, 0.01], 1e-3)
+    brute = integrate_setpoint(rows[4], 1e-3)
+    assert np.allclose(rows[:4], brute, rtol=1e-4, atol=1e-12)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.sampled_from([1e4, 1e5, 1e6]),
+    st.sampled_from([20.0, 80.0, 4e3]),
+    st.sampled_from([0.3, 2.0, 40.0]),
+    st.sampled_from([0.01, 0.2, 1.0]),
+)
+def test_profiles_keep_their_limits_and_end_at_rest(snap, jerk, acceleration, velocity):
+    from stillwork.motion.setpoint import segment_times
+
+    t_snap, t_jerk, t_acceleration = segment_times(snap, jerk, acceleration, velocity)
+    top = snap * t_snap * (t_snap + t_jerk)
+    reached = top * (2 * t_snap + t_jerk + t_acceleration)
+    assert snap * t_snap <= jerk * (1 + 1e-9)
+    assert top <= acceleration * (1 + 1e-9)
+    assert reached == pytest.approx(velocity, rel=1e-9)
+
+
+def test_moving_values_are_those_of_every_window():
+    error = np.random.default_rng(0).normal(size=400) * 1e-9 + 3e-9
+    found = moving(error, 1e-3, 0.05)
+    average, deviation = moving_windows(error, 50)
+    assert np.allclose(found.average, average, rtol=1e-10)
+    assert np.allclose(found.deviation, deviation, rtol=1e-8)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 9999), st.integers(2, 60))
+def test_rms_is_average_and_deviation_combined(seed, width):
+    """(1.3), Appendix B."""
+    error = np.random.default_rng(seed).normal(size=80)
+    found = moving(error, 1.0, float(width))
+    direct = [rms(error[k : k + width]) for k in range(len(found.rms))]
+    assert np.allclose(found.rms, direct, rtol=1e-9)
+
+
+def test_average_filter_has_its_zeros():
+    exposure = 0.01
+    response = average_filter(2 * np.pi * np.array([1e-9, 100.0, 200.0, 50.0]), exposure)
+    assert np.allclose(response, [1, 0, 0, 2 / np.pi], atol=1e-12)
+    assert average_reduction(1.1) == pytest.approx(0.212, abs=5e-4)
+
+
+def test_ideal_feedforward_of_a_rigid_body_is_its_mass():
+    rigid = PLANT.modes([0])
+    loop = error_loop(closed_loop(rigid, None, CONTROLLER))
+    setpoint = published_setpoint(1e-4)
+    fitted = fit_feedforward(loop, setpoint)
+    assert np.allclose(fitted.gains, [0, 12.5, 0, 0], atol=1e-6)
+    assert np.abs(tracking_error(loop, setpoint, fitted)).max() < 1e-11
+
+
+def test_errors_do_not_depend_on_the_sample_time():
+    """The simulation is exact: a finer step gives the same error at the common samples."""
+    loop = error_loop(closed_loop(PLANT, stage_compensator(5, DESIGNS["AD"]), CONTROLLER))
+    gains = Feedforward(acceleration=12.5, snap=1.66e-6)
+    coarse, fine = (tracking_error(loop, published_setpoint(step), gains) for step in (1e-4, 2.5e-5))
+    assert np.abs(coarse - fine[::4]).max() < 1e-12
+
+
+def test_simulation_through_python_control():
+    loop = error_loop(closed_loop(PLANT, None, CONTROLLER))
+    setpoint = published_setpoint(1e-4)
+    # Four integrators from the snap, then r to one input and 12.5 a to the other: python-control's ZOH is exact too.
+    chain = StateModel(np.eye(4, k=1), np.eye(4)[:, -1:], np.eye(4), np.zeros((4, 1)))
+    feedback = np.zeros((3, 5))
+    feedback[1, 0], feedback[2, 2] = 1, 12.5
+    whole = interconnect([chain, loop], feedback, np.eye(3, 1), np.eye(5)[-1:])
+    scale = 10.0 ** -np.arange(0, 8, 2)  # python-control does not balance: bring the chain to one size for it
+    resized = StateModel(
+        whole.a * np.r_[1 / scale, np.ones(len(loop.a))][None] * np.r_[scale, np.ones(len(loop.a))][:, None],
+        whole.b * np.r_[scale, np.ones(len(loop.a))][:, None],
+        whole.c * np.r_[1 / scale, np.ones(len(loop.a))][None],
+        whole.d,
+    )
+    discrete = control.sample_system(resized.to_control(), 1e-4, "zoh")
+    theirs = control.forced_response(discrete, inputs=setpoint.derivatives[4]).outputs
+    ours = tracking_error(loop, setpoint, Feedforward(acceleration=12.5))
+    assert np.abs(ours - theirs).max() < 1e-10
+
+
+@pytest.mark.parametrize("name", ["MC", "AD", "MC and AD"])
+def test_modified_feedforward_is_a_force_that_the_observer_does_not_see(name):
+    """(A.7): the copy of the observer cancels the observer in the loop."""
+    block = stage_compensator(5, DESIGNS[name])
+    loop = closed_loop(PLANT, block, CONTROLLER)
+    omega = 2 * np.pi * np.array([0.7, 30.0, 200.0, 470.0])
+    extra = modified_feedforward(block, CONTROLLER).frequency_response(omega)[0]
+    short = error_loop(loop).frequency_response(omega)[0]
+    r, u = (channel(loop, source, "e_true").frequency_response(omega)[0, 0] for source in ("r", "u_ff"))
+    assert np.allclose(u * extra[0], short[1], rtol=1e-5, atol=1e-9 * np.abs(short[1]).max())
+    assert np.allclose(r + u * extra[1], short[0], rtol=1e-5, atol=1e-7)
+
+
+def test_perfect_feedforward_gives_no_error_with_an_observer():
+    """Appendix A: with u0 = P^-1 r the modified feedforward tracks perfectly."""
+    loop = closed_loop(PLANT, stage_compensator(5, DESIGNS["MC and AD"]), CONTROLLER)
+    omega = 2 * np.pi * np.array([3.0, 40.0, 300.0])
+    short = error_loop(loop).frequency_response(omega)[0]
+    inverse = 1 / PLANT.frequency_response(omega)[0, 0]
+    assert np.abs(short[0] + short[1] * inverse).max() < 1e-7
+
+
+def test_noise_has_the_power_that_the_norm_predicts():
+    loop = closed_loop(PLANT, None, CONTROLLER)
+    step = 1e-4
+    error = noise_error(loop, step, 300_000, {"w": 0.01}, np.random.default_rng(3))[0, 5000:]
+
+    held = zoh(channel(loop, "w", "e_true"), step)
+    impulse = control.impulse_response(held.to_control(), T=np.arange(6000) * step).outputs * step
+    # Variance of white noise through a filter: the energy of its impulse response.
+    expected = 0.01 * np.sqrt((impulse**2).sum())
+    assert rms(error) == pytest.approx(expected, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: from_snap([1.0], [1.5e-3], 1e-3), "multiples of step"),
+        (lambda: from_snap([1.0], [0.0], 1e-3), "multiples of step"),
+        (
+            lambda: Setpoint(1e-3, from_snap([1.0, -3.0], [0.01, 0.02], 1e-3), (0.0, 0.01), 0.01),
+            "moves backwards",
+        ),
+        (lambda: Setpoint(1e-3, from_snap([1.0], [0.01], 1e-3), (0.02, 0.01), 0.01), "scan"),
+        (lambda: point_to_point(-1.0, 1.0, 1.0, 1.0, 1.0, 0.1, 1e-3), "snap"),
+        (lambda: point_to_point(1.0, 1.0, 1.0, 1.0, 0.1, 0.2, 1e-3), "settling"),
+        (lambda: moving(np.zeros(5), 1.0, 10.0), "exposure"),
+        (lambda: moving([0.0, np.nan], 1.0, 2.0), "error holds"),
+        (lambda: rms([]), "empty"),
+        (lambda: average_reduction(0.0), "bandwidth_ratio"),
+        (
+            lambda: fit_feedforward(
+                error_loop(closed_loop(PLANT, None, CONTROLLER)), published_setpoint(), ()
+            ),
+            "basis is empty",
+        ),
+        (
+            lambda: fit_feedforward(
+                error_loop(closed_loop(PLANT, None, CONTROLLER)), published_setpoint(), ("crackle",)
+            ),
+            "basis",
+        ),
+        (
+            lambda: tracking_error(closed_loop(PLANT, None, CONTROLLER), published_setpoint(), Feedforward()),
+            "error_loop",
+        ),
+        (
+            lambda: noise_error(
+                closed_loop(PLANT, None, CONTROLLER), 1e-4, 9, {"x": 1.0}, np.random.default_rng()
+            ),
+            "deviations",
+        ),
+    ],
+)
+def test_bad_input_is_named(call, message):
+    with pytest.raises(InputError, match=message):
+        call()
+
+
+def test_cumulative_power_is_that_of_a_long_record():
+    loop = closed_loop(PLANT, stage_compensator(5, DESIGNS["MC"]), CONTROLLER)
+    step, noise = 1e-4, {"w": 0.01, "v": 1e-9, "d": 1e-9}
+    grid = resonance_grid(np.concatenate([PLANT.poles, loop.poles]), 0.01, 5e3, 2000, 60)
+    power = cumulative_power(loop, step, noise, grid)
+    record = noise_error(loop, step, 400_000, noise, np.random.default_rng(8))[:, 5000:]
+    assert np.sqrt(power.true[-1]) == pytest.approx(rms(record[0]), rel=0.05)
+    # d is white and direct: what the measured error has more is above the bandwidth.
+    assert np.sqrt(power.measured[-1]) == pytest.approx(rms(record[1]), rel=0.05)
+    low, high = band_power(power, PLANT.frequencies[1])
+    assert 0 < high and 0 < low < power.true[-1]
+    with pytest.raises(InputError, match="Nyquist"):
+        cumulative_power(loop, step, noise, np.array([1.0, 1e6]))
+
+
+def test_noisy_scans_share_their_noise():
+    loop = closed_loop(PLANT, None, CONTROLLER)
+    setpoint = published_setpoint(1e-4)
+    quiet = noisy_scans(
+        np.random.default_rng(1),
+        {"a": loop, "b": loop},
+        setpoint,
+        Feedforward(acceleration=12.5),
+        {"w": 0.01},
+    )
+    assert quiet["a"] == quiet["b"] > 0

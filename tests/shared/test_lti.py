@@ -1,0 +1,251 @@
+"""The shared linear models, held against python-control, high precision and closed forms."""
+
+import warnings
+
+import control
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from naive.motion import exponential, step_by_step
+from stillwork import lti
+from stillwork.checks import InputError
+from stillwork.motion.machines import chain, stage
+
+GRID = lti.resonance_grid(stage().poles, 1.0, 1e4, 400, 20)
+
+
+def random_modal(seed: int, inputs: int = 2, outputs: int = 3) -> lti.ModalModel:
+    rng = np.random.default_rng(seed)
+    w = np.concatenate([[0.0], np.sort(rng.uniform(50, 5e3, 5))])
+    z = np.concatenate([[0.0], rng.uniform(1e-4, 0.2, 5)])
+    return lti.ModalModel(
+        w, z, rng.normal(size=(6, inputs)), rng.normal(size=(outputs, 6)), rng.normal(size=(outputs, inputs))
+    )
+
+
+@pytest.mark.parametrize("model", [stage(), chain(np.full(5, 2.0)), random_modal(3)])
+def test_modal_response_is_that_of_python_control(model):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # slycot is absent on purpose
+        theirs = model.to_control()(1j * GRID, squeeze=False)
+    ours = model.frequency_response(GRID)
+    assert np.abs(ours - theirs).max() <= 1e-9 * np.abs(theirs).max()
+    assert np.all(np.abs(ours - theirs) <= 1e-9 * np.linalg.norm(theirs, axis=(0, 1)))
+
+
+def test_state_response_agrees_with_the_modal_one():
+    model = chain(np.full(5, 2.0)).at([0], [0, 4])
+    flexible = model.modes(slice(1, None))
+    by_residues = flexible.state_space().frequency_response(GRID)
+    assert np.allclose(by_residues, flexible.frequency_response(GRID), rtol=1e-9, atol=0)
+    # The rigid body makes A defective: the response then comes from solving.
+    assert np.allclose(
+        model.state_space().frequency_response(GRID), model.frequency_response(GRID), rtol=1e-8
+    )
+
+
+def test_discrete_response_is_that_of_python_control():
+    model = lti.zoh_modes(random_modal(1).modes(slice(1, None)), 1e-4)
+    omega = np.linspace(10, 3e4, 50)
+    theirs = model.to_control()(np.exp(1j * omega * 1e-4), squeeze=False)
+    assert np.allclose(model.frequency_response(omega), theirs, rtol=1e-9, atol=1e-12)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10_000))
+def test_response_of_a_superposition_is_the_sum_over_modes(seed):
+    model = random_modal(seed)
+    omega = np.array([10.0, 300.0, 4e3])
+    parts = [lti.replace(model.modes([k]), feedthrough=0 * model.feedthrough) for k in range(6)]
+    total = sum(part.frequency_response(omega) for part in parts) + model.feedthrough[:, :, None]
+    assert np.allclose(model.frequency_response(omega), total, rtol=1e-12)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10_000), st.sampled_from([1, 2]))
+def test_modal_forms_go_there_and_back(seed, form):
+    model = random_modal(seed)
+    again = lti.from_state_space(model.state_space(form), form)
+    for name in ("frequencies", "damping", "input_shapes", "output_shapes", "feedthrough"):
+        assert np.allclose(getattr(again, name), getattr(model, name), rtol=1e-12, atol=1e-15)
+
+
+def test_both_forms_are_one_system():
+    model = random_modal(5).modes(slice(1, None))
+    omega = np.array([40.0, 900.0])
+    one, two = (model.state_space(form).frequency_response(omega) for form in (1, 2))
+    assert np.allclose(one, two, rtol=1e-9)
+
+
+def test_control_and_back():
+    model = random_modal(7).state_space()
+    again = lti.from_control(model.to_control())
+    assert all(np.array_equal(getattr(again, name), getattr(model, name)) for name in "abcd")
+    with pytest.raises(InputError, match="unspecified"):
+        lti.from_control(control.ss([[0.5]], [[1]], [[1]], [[0]], True))
+
+
+def test_modal_model_diagonalises_the_machine():
+    rng = np.random.default_rng(0)
+    root = rng.normal(size=(4, 4))
+    mass, stiffness = root @ root.T + 4 * np.eye(4), np.diag([1e5, 2e5, 3e5, 5e5])
+    model = lti.modal_model(mass, stiffness, np.eye(4), np.eye(4), 0.0)
+    omega = np.array([7.0, 90.0])
+    direct = np.stack([np.linalg.inv(stiffness - w**2 * mass) for w in omega], axis=-1)
+    assert np.allclose(model.frequency_response(omega), direct, rtol=1e-10, atol=1e-16)
+
+
+def test_proportional_damping_decouples_and_other_damping_is_refused():
+    mass, stiffness = np.diag([1.0, 2.0]), np.array([[2e4, -1e4], [-1e4, 2e4]])
+    model = lti.modal_model(mass, stiffness, np.eye(2), np.eye(2), damping_matrix=1e-4 * stiffness)
+    assert np.allclose(model.damping, 1e-4 * model.frequencies / 2, rtol=1e-12)
+    with pytest.raises(InputError, match="does not decouple"):
+        lti.modal_model(mass, stiffness, np.eye(2), np.eye(2), damping_matrix=np.diag([1.0, 5.0]))
+
+
+@pytest.mark.parametrize("step", [1e-5, 1e-4, 1e-3])
+def test_discretisation_mode_by_mode_is_the_exact_exponential(step):
+    model = random_modal(11)
+    discrete, states = lti.zoh_modes(model, step), model.state_space()
+    transition, drive = exponential(states.a, states.b, step)
+    assert np.allclose(discrete.a, transition, rtol=1e-11, atol=1e-15 * np.abs(transition).max())
+    assert np.allclose(discrete.b, drive, rtol=1e-9, atol=1e-16 * np.abs(drive).max())
+
+
+def test_balanced_exponential_of_a_stiff_machine():
+    states = stage().state_space()
+    discrete = lti.zoh(states, 1e-4)
+    transition, drive = exponential(states.a, states.b, 1e-4)
+    assert np.abs(discrete.a - transition).max() <= 1e-12 * np.abs(transition).max()
+    assert np.abs(discrete.b - drive).max() <= 1e-12 * np.abs(drive).max()
+
+
+@pytest.mark.parametrize("rigid", [0, 1])
+def test_simulation_is_the_plain_recursion(rigid):
+    # One with the rigid body is stepped as it stands, one without is decoupled.
+    model = lti.zoh_modes(random_modal(2).modes(slice(1 - rigid, None)), 1e-4)
+    rng = np.random.default_rng(4)
+    inputs, initial = rng.normal(size=(2, 300)), rng.normal(size=len(model.a))
+    expected = step_by_step(model.a, model.b, model.c, model.d, inputs, initial)
+    assert np.allclose(
+        lti.simulate(model, inputs, initial), expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max()
+    )
+
+
+def test_simulation_through_python_control():
+    model = lti.zoh_modes(random_modal(9, 1, 1).modes(slice(1, None)), 1e-4)
+    u = np.random.default_rng(1).normal(size=(1, 200))
+    theirs = control.forced_response(model.to_control(), inputs=u[0]).outputs
+    assert np.allclose(lti.simulate(model, u)[0], theirs, rtol=1e-9, atol=1e-9 * np.abs(theirs).max())
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(1e-4, 0.6), st.floats(1.0, 1e4))
+def test_norms_of_one_mode_have_their_closed_form(damping, omega):
+    mode = lti.ModalModel(np.array([omega]), np.array([damping]), np.eye(1), np.eye(1), np.zeros((1, 1)))
+    peak = lti.hinf_norm(mode.state_space())
+    exact = 1 / (2 * damping * np.sqrt(1 - damping**2) * omega**2)
+    assert peak.magnitude == pytest.approx(exact, rel=1e-8)
+    assert lti.h2_norm(mode.state_space()) == pytest.approx(1 / np.sqrt(4 * damping * omega**3), rel=1e-9)
+
+
+def test_infinity_norm_of_several_inputs_and_outputs_beats_every_grid():
+    model = random_modal(21).modes(slice(1, None)).state_space()
+    peak = lti.hinf_norm(model)
+    grid = lti.resonance_grid(model.poles, 1.0, 2e3, 2000, 400)
+    gains = np.linalg.norm(np.moveaxis(model.frequency_response(grid), -1, 0), 2, axis=(1, 2))
+    assert gains.max() <= peak.magnitude * (1 + 1e-9)
+    assert gains.max() >= peak.magnitude * (1 - 1e-4)
+
+
+def test_two_norm_by_integration():
+    model = random_modal(22).modes(slice(1, None))
+    model = lti.replace(model, feedthrough=0 * model.feedthrough)
+    grid = lti.resonance_grid(model.poles, 1e-3, 1e6, 4000, 2000)
+    power = (np.abs(model.frequency_response(grid)) ** 2).sum(axis=(0, 1))
+    low = power[0] * grid[0]
+    assert lti.h2_norm(model.state_space()) ** 2 == pytest.approx(
+        (low + np.trapezoid(power, grid)) / np.pi, rel=1e-4
+    )
+
+
+def test_refined_peak_finds_what_the_grid_steps_over():
+    mode = lti.ModalModel(np.array([1e3]), np.array([1e-3]), np.eye(1), np.eye(1), np.zeros((1, 1)))
+    grid = np.geomspace(1e2, 1e4, 150)
+    response = lambda w: mode.frequency_response(w)[0, 0]  # noqa: E731
+    coarse = np.abs(response(grid))
+    peak = lti.refine_peak(response, grid, coarse)
+    exact = 1 / (2e-3 * np.sqrt(1 - 1e-6) * 1e6)
+    assert coarse.max() < 0.9 * exact
+    assert peak.magnitude == pytest.approx(exact, rel=1e-4)
+
+
+def test_interconnection_is_that_of_python_control():
+    plant = random_modal(2, 1, 1).modes(slice(1, None)).state_space()
+    filter_ = lti.StateModel(np.array([[-50.0]]), np.array([[50.0]]), np.eye(1), np.zeros((1, 1)))
+    loop = lti.interconnect(
+        [plant, filter_], np.array([[0, -1.0], [1.0, 0]]), np.array([[1.0], [0]]), np.array([[1.0, 0]])
+    )
+    theirs = control.feedback(plant.to_control(), filter_.to_control())
+    omega = np.array([3.0, 200.0, 4e3])
+    assert np.allclose(loop.frequency_response(omega)[0, 0], theirs(1j * omega), rtol=1e-9)
+
+
+@pytest.mark.parametrize("feedthrough", [0.0, 0.7])
+def test_zeros_are_those_of_python_control_and_of_the_response(feedthrough):
+    model = lti.replace(random_modal(4, 1, 1), feedthrough=np.array([[feedthrough]]))
+    zeros = model.state_space().zeros
+    theirs = control.zeros(model.to_control())
+    theirs = theirs[np.abs(theirs) < 1e6]
+    assert len(zeros) == len(theirs)
+    assert np.allclose(np.sort(np.abs(zeros)), np.sort(np.abs(theirs)), rtol=1e-6)
+    states = model.state_space()
+    for zero in zeros:
+        value = states.d + states.c @ np.linalg.solve(zero * np.eye(len(states.a)) - states.a, states.b)
+        nearby = states.d + states.c @ np.linalg.solve(
+            zero * 1.1 * np.eye(len(states.a)) - states.a, states.b
+        )
+        assert abs(value[0, 0]) < 1e-6 * abs(nearby[0, 0])
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (
+            lambda: lti.ModalModel(np.array([2.0, 1.0]), np.zeros(2), np.eye(2), np.eye(2), np.zeros((2, 2))),
+            "ascending",
+        ),
+        (
+            lambda: lti.ModalModel(np.array([0.0]), np.array([0.1]), np.eye(1), np.eye(1), np.zeros((1, 1))),
+            "damping",
+        ),
+        (
+            lambda: lti.ModalModel(np.array([1.0]), np.array([1.0]), np.eye(1), np.eye(1), np.zeros((1, 1))),
+            "below 1",
+        ),
+        (lambda: stage().frequency_response([0.0, 1.0]), "rigid-body"),
+        (lambda: stage().frequency_response([np.nan]), "omega holds"),
+        (lambda: lti.zoh_modes(stage(), 0.0), "step"),
+        (lambda: lti.zoh(lti.zoh_modes(stage(), 1e-4), 1e-4), "discrete time already"),
+        (lambda: lti.simulate(stage().state_space(), np.zeros((1, 3))), "continuous time"),
+        (lambda: lti.hinf_norm(stage().state_space()), "stable"),
+        (lambda: lti.h2_norm(stage().state_space()), "stable"),
+        (lambda: lti.modal_model([[1, 0], [0, 0]], np.eye(2), np.eye(2), np.eye(2)), "mass"),
+        (
+            lambda: lti.modal_model(np.eye(2), [[1, 2], [0, 1]], np.eye(2), np.eye(2)),
+            "stiffness is not symmetric",
+        ),
+        (lambda: lti.modal_model(np.eye(2), -np.eye(2), np.eye(2), np.eye(2)), "negative eigenvalue"),
+        (
+            lambda: lti.from_state_space(
+                lti.StateModel(-np.ones((2, 2)), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1)))
+            ),
+            "structure",
+        ),
+        (lambda: lti.resonance_grid([1j], 10.0, 5.0), "high_hz"),
+    ],
+)
+def test_bad_input_is_named(call, message):
+    with pytest.raises(InputError, match=message):
+        call()
