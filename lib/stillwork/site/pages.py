@@ -123,13 +123,17 @@ def read_page(task: Task, claims: list[Claim]) -> NotebookPage:
     folder = paths.root() / "figures" / notebook.name
     mine = [claim for claim in claims if claim.notebook == notebook.name]
     cells = _cells(notebook.name, raw, folder, mine)
+    comments = reading.comments(notebook)
     record = folder / "provenance.json"
     return NotebookPage(
         notebook,
         _title(raw, notebook.name),
         _with_the_rest(cells, raw, mine),
         tuple(mine),
-        tuple(_parameters(notebook, raw)),
+        tuple(
+            (name, each.annotation, repr(each.value), comments[name])
+            for name, each in notebook.parameters.items()
+        ),
         tuple(reading.used([_text(cell) for cell in raw if cell["cell_type"] == "code"])),
         json.loads(record.read_text(encoding="utf-8")) if record.is_file() else {},
         fresh,
@@ -206,11 +210,3 @@ def _text(cell: dict) -> str:
 def _title(raw: list[dict], default: str) -> str:
     first = _text(raw[0]) if raw else ""
     return next(iter(re.findall(r"^# (.+)$", first, re.MULTILINE)), default)
-
-
-def _parameters(notebook: Notebook, raw: list[dict]):
-    tagged = [cell for cell in raw if "parameters" in cell["metadata"].get("tags", [])]
-    lines = _text(tagged[0]) if tagged else ""
-    for name, parameter in notebook.parameters.items():
-        comment = re.search(rf"^{name}\s*:[^#\n]*#\s*(.+)$", lines, re.MULTILINE)
-        yield name, parameter.annotation, repr(parameter.value), comment[1] if comment else ""

@@ -1,7 +1,10 @@
 """What a code cell draws, claims and calls, read from its source without running it."""
 
 import ast
+import json
 import re
+
+from stillwork.workbook.notebooks import Notebook
 
 
 def saved(source: str, available: list[str]) -> list[str]:
@@ -54,6 +57,18 @@ def used(sources: list[str]) -> list[str]:
                 case ast.Name(id=name) if name in local:
                     found.add(local[name])
     return sorted(found)
+
+
+def comments(notebook: Notebook) -> dict[str, str]:
+    """What stands behind each parameter in the notebook's cell of parameters."""
+    cells = json.loads(notebook.source)["cells"]
+    tagged = [cell for cell in cells if "parameters" in cell["metadata"].get("tags", [])]
+    lines = "".join(tagged[0]["source"]) if tagged else ""
+    found = {}
+    for name in notebook.parameters:
+        comment = re.search(rf"^{name}\s*:[^#\n]*#\s*(.+)$", lines, re.MULTILINE)
+        found[name] = comment[1] if comment else ""
+    return found
 
 
 def _parsed(source: str) -> ast.Module:
