@@ -120,8 +120,12 @@ def test_a_slider_moves_number_and_picture_and_the_button_returns(browser, lab):
 
     before = state()
     assert before[2] == "at the published setting"
-    browser.driver.find_element(By.CSS_SELECTOR, ".noUi-handle").send_keys(Keys.ARROW_RIGHT)
-    wait.until(lambda driver: state()[2] == "moved from the published setting")
+
+    def moved(driver):
+        driver.find_element(By.CSS_SELECTOR, ".noUi-handle").send_keys(Keys.ARROW_RIGHT)
+        return state()[2] == "moved from the published setting"
+
+    wait.until(moved)
     after = state()
     assert float(after[0]) > float(before[0])
     assert after[1] != before[1]

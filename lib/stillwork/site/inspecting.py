@@ -111,7 +111,7 @@ def _commands(
             if f"{stem}_unit" in notebook.parameters:
                 settings[f"{stem}_unit"] = unit
             if f"{stem}_channels" in notebook.parameters and len(channels) > 1:
-                settings[f"{stem}_channels"] = channels[0]
+                settings[f"{stem}_channels"] = f"{channels[0]},"  # a list of one
             words = " ".join(f"-p {shlex.quote(f'{key}={value}')}" for key, value in settings.items())
             yield f'for {notebook.name}: make figures ARGS="{notebook.name} {words}"'
 
