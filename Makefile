@@ -26,7 +26,7 @@ test: export PYTHONHASHSEED := 0
 test: export MPLBACKEND := Agg
 test: export MATPLOTLIBRC := /dev/null
 
-.PHONY: help figures test lab bench accept doctor clean
+.PHONY: help figures test lab site browser bench accept doctor clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-8s  %s\n", $$1, $$2 }' Makefile
@@ -37,14 +37,20 @@ figures: $(READY) ## Build what is stale; ARGS="ROOM/NOTEBOOK -p NAME=VALUE --jo
 test: $(READY) ## Style, unit tests, all notebooks, and what is committed against what they give now
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/python -m pytest tests --ignore=tests/committed -n logical --dist loadfile
+	$(BIN)/python -m pytest tests --ignore=tests/committed --ignore=tests/browser -n logical --dist loadfile
 	rm -rf build/nbval
 	STILLWORK_OUTPUT="$(CURDIR)/build/nbval" $(BIN)/python -m pytest notebooks \
 		--nbval --nbval-current-env --nbval-cell-timeout 600 -n logical --dist loadfile
 	$(BIN)/python -m pytest tests/committed
 
 lab: $(READY) ## Open JupyterLab on the notebooks, on this machine only
-	JUPYTER_PREFER_ENV_PATH=1 $(BIN)/python -m jupyter lab --ServerApp.root_dir=notebooks --ServerApp.ip=127.0.0.1 $(ARGS)
+	JUPYTER_PREFER_ENV_PATH=1 $(BIN)/python -m jupyter lab --LabApp.default_url=/lab/tree/index.ipynb --ServerApp.root_dir=notebooks --ServerApp.ip=127.0.0.1 $(ARGS)
+
+site: $(READY) ## Write the static site to build/site/index.html
+	@$(BIN)/python -m stillwork site
+
+browser: $(READY) ## Check the site and an explorer in Chromium (Debian: apt-get install chromium chromium-driver)
+	$(BIN)/python -m pytest tests/browser $(ARGS)
 
 bench: $(READY) ## Measure speed beside named peers
 	@for file in benchmarks/*.py; do $(BIN)/python $$file $(ARGS) || exit 1; done

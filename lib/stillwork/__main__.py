@@ -1,4 +1,4 @@
-"""Command line: ``python -m stillwork figures|claims|accept|doctor``."""
+"""Command line: ``python -m stillwork figures|claims|accept|site|refresh|inspect|new|doctor``."""
 
 import argparse
 import json
@@ -57,6 +57,27 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
     accept = commands.add_parser("accept", help="take the built results over into notebooks/ and the ledger")
     accept.set_defaults(run=_accept)
 
+    site = commands.add_parser("site", help="write the static site to build/site")
+    site.set_defaults(run=_site)
+
+    refresh = commands.add_parser(
+        "refresh", help="rewrite what follows from ledger and notebooks: README, index, ..."
+    )
+    refresh.set_defaults(run=_refresh)
+
+    inspect = commands.add_parser(
+        "inspect", help="say what a file of yours holds and which notebooks can use it"
+    )
+    inspect.add_argument("file", metavar="FILE")
+    inspect.set_defaults(run=_inspect)
+
+    new = commands.add_parser(
+        "new", help="begin a result: notebook, ledger entry and test", allow_abbrev=False
+    )
+    new.add_argument("room", metavar="ROOM")
+    new.add_argument("name", metavar="NAME", help="a number and words, e.g. 09-payload")
+    new.set_defaults(run=_new)
+
     doctor = commands.add_parser("doctor", help="compare this environment with environment.txt")
     doctor.set_defaults(run=_doctor)
     usage = " ".join(command.format_usage() for command in commands.choices.values())
@@ -108,6 +129,34 @@ def _accept(_options) -> int:
     from stillwork.workbook.accept import accept
 
     return accept()
+
+
+def _site(_options) -> int:
+    from stillwork.site.build import build_site
+
+    return build_site()
+
+
+def _refresh(_options) -> int:
+    from stillwork.site.derived import refresh
+
+    print(", ".join(refresh()) or "all current")
+    return 0
+
+
+def _inspect(options) -> int:
+    from stillwork.site.inspecting import inspect_file
+
+    print(inspect_file(options.file))
+    return 0
+
+
+def _new(options) -> int:
+    from stillwork.site.scaffold import new_result
+
+    print("\n".join(new_result(options.room, options.name)))
+    print(f'fill them in, then: make figures ARGS="{options.room}/{options.name}"')
+    return 0
 
 
 def _doctor(_options) -> int:

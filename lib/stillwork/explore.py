@@ -15,13 +15,13 @@ class Slider:
     Attributes
     ----------
     low, high : float
-        Range.
+        Range. Where these, `published` and `step` are ``int``, so is what the parameter gets.
     published : float
         The work's own setting: the start, the mark and what Reset returns to.
     unit : str
         Shown behind the name.
     step : float, optional
-        By default 1/50 of the range; in decades for a logarithmic slider.
+        By default 1/50 of the range, for a whole number at least 1; in decades for a logarithmic slider.
     log : bool
         Move in decades.
     """
@@ -37,6 +37,15 @@ class Slider:
         require_number("published", self.published, at_least=self.low, at_most=self.high)
         if self.log:
             require_number("low", self.low, above=0)
+
+    @property
+    def whole(self) -> bool:
+        """Whether the parameter is a whole number."""
+        return all(isinstance(value, int) for value in (self.low, self.high, self.published, self.step or 1))
+
+    def read(self, value: float) -> float:
+        """What the parameter gets when the control stands at `value`."""
+        return round(value) if self.whole else value
 
     def widget(self, name: str):
         import ipywidgets as widgets
@@ -55,17 +64,11 @@ class Slider:
                 step=self.step or 0.02,
                 **shared,
             )
-        whole = all(float(v).is_integer() for v in (self.low, self.high, self.published, self.step or 0.5))
-        kind = widgets.IntSlider if whole else widgets.FloatSlider
-        number = int if whole else float
         step = self.step or (self.high - self.low) / 50
-        return kind(
-            value=number(self.published),
-            min=number(self.low),
-            max=number(self.high),
-            step=number(step),
-            **shared,
-        )
+        kind = widgets.FloatSlider
+        if self.whole:
+            kind, step = widgets.IntSlider, max(1, round(step))
+        return kind(value=self.published, min=self.low, max=self.high, step=step, **shared)
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,10 @@ class Choice:
             raise InputError(
                 f"published is {self.published!r}, not an option{nearest(self.published, self.options)}"
             )
+
+    def read(self, value: str) -> str:
+        """What the parameter gets: the name as it is."""
+        return value
 
     def widget(self, name: str):
         import ipywidgets as widgets
@@ -134,7 +141,7 @@ def explore(draw: Callable, **controls: Slider | Choice):
     reset = widgets.Button(description="Published setting", icon="undo")
 
     def redraw(_change=None):
-        settings = {name: row.value for name, row in rows.items()}
+        settings = {name: controls[name].read(row.value) for name, row in rows.items()}
         try:
             picture.value = _png(draw(**settings))
             at_home = settings == published
@@ -157,8 +164,11 @@ def explore(draw: Callable, **controls: Slider | Choice):
 
 
 def _png(figure) -> bytes:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": None}, dpi=100)
+    # `savefig` would draw twice, once for the layout.
+    FigureCanvasAgg(figure).print_png(buffer, metadata={"Software": None})
     return buffer.getvalue()
 
 

@@ -7,7 +7,6 @@ import pytest
 from stillwork import paths
 from stillwork.claims import DRIFT, ledger
 from stillwork.workbook.inputs import digest
-from stillwork.workbook.report import readme_with_summary
 
 from .test_figures import COMMITTED, REBUILT
 
@@ -39,12 +38,6 @@ def test_a_fresh_run_finds_the_accepted_value_and_verdict(claim):
         width = max(map(abs, before))
         for a, b in zip(now, before, strict=True):
             assert math.isclose(a, b, rel_tol=DRIFT, abs_tol=DRIFT * width)
-
-
-def test_the_readme_shows_the_ledger_as_it_is():
-    text = (paths.root() / "README.md").read_text(encoding="utf-8")
-    assert "<!-- ledger:begin -->" in text
-    assert readme_with_summary(text) == text
 
 
 @pytest.mark.parametrize("file", sorted(COMMITTED.glob("*/*/provenance.json")), ids=lambda f: f.parent.name)

@@ -79,6 +79,34 @@ def test_a_fractional_setting_gets_a_fractional_slider():
     assert Slider(0, 1, published=0.5, step=0.1).widget("x").step == 0.1
 
 
+@pytest.mark.parametrize(
+    ("slider", "kind"),
+    [
+        (Slider(1, 12, published=6), ipywidgets.IntSlider),
+        (Slider(100, 2000, published=500, log=True), ipywidgets.FloatLogSlider),
+        (Slider(4, 60, published=20, step=2), ipywidgets.IntSlider),
+    ],
+)
+def test_whole_numbers_reach_the_drawing_as_whole_numbers(slider, kind):
+    seen = []
+
+    def note(count):
+        seen.append(count)
+        return draw()
+
+    [row, _, _] = explore(note, count=slider).children
+    control = row.children[0]
+    assert isinstance(control, kind)
+    control.value = slider.high
+    assert seen == [slider.published, slider.high]
+    assert all(type(count) is int for count in seen)
+
+
+def test_numbers_with_a_point_stay_so():
+    assert Slider(4.0, 40.0, published=24.0, step=1.0).read(25.0) == 25.0
+    assert not Slider(0, 2, published=1, step=0.05).whole
+
+
 def test_an_impossible_setting_says_why_and_keeps_the_last_picture():
     controls, _, message, picture = parts(explore(draw, **CONTROLS))
     before = picture.value

@@ -153,15 +153,16 @@ LEDGER, FRESH = (
         (
             drop_a_figure,
             {
+                "test_a_derived_file_is_current",
                 "test_every_figure_was_rebuilt_and_every_rebuilt_one_is_committed",
                 "test_every_table_has_its_picture",
                 "test_a_fresh_run_plots_the_committed_numbers",
             },
         ),
         (move_the_accepted_value, {LEDGER, FRESH}),
-        (add_an_entry, {LEDGER, "test_the_readme_shows_the_ledger_as_it_is"}),
-        (deviate, {LEDGER, "test_the_readme_shows_the_ledger_as_it_is"}),
-        (edit_the_readme, {"test_the_readme_shows_the_ledger_as_it_is"}),
+        (add_an_entry, {LEDGER, "test_a_derived_file_is_current"}),
+        (deviate, {LEDGER, "test_a_derived_file_is_current"}),
+        (edit_the_readme, {"test_a_derived_file_is_current"}),
         (
             forget_the_outputs,
             {

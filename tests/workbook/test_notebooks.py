@@ -107,6 +107,7 @@ def test_a_file_that_is_no_notebook(workbook, tmp_path):
         ("list[float]", "[1, 2.5]", [1.0, 2.5]),
         ("list[float]", "1,2.5", [1.0, 2.5]),
         ("list[str]", "a, b", ["a", "b"]),
+        ("list[str]", "a,", ["a"]),
         ("tuple[int, ...]", "1,2,3", (1, 2, 3)),
         ("tuple[float, str]", "(1, 'x')", (1.0, "x")),
         ("list[float] | None", "none", None),

@@ -193,12 +193,14 @@ def make(root: Path) -> Toy:
     ignore = shutil.ignore_patterns("__pycache__")
     for file in LIBRARY.glob("*.py"):
         toy.write(f"lib/stillwork/{file.name}", file.read_text(encoding="utf-8"))
-    shutil.copytree(LIBRARY / "workbook", root / "lib/stillwork/workbook", ignore=ignore)
+    for package in ("workbook", "site"):
+        shutil.copytree(LIBRARY / package, root / f"lib/stillwork/{package}", ignore=ignore)
     for room in ("isolation", "motion"):
         toy.write(f"lib/stillwork/{room}/__init__.py", "")
         toy.write(f"lib/stillwork/{room}/model.py", "def gain(level):\n    return 2.0 * level\n")
         toy.write(f"data/{room}/rig.toml", "mass = 1.0\n")
         toy.write(f"data/{room}/published.toml", LEDGER.format(room=room))
+    toy.write("pyproject.toml", (LIBRARY.parents[1] / "pyproject.toml").read_text(encoding="utf-8"))
     toy.write("environment.txt", "numpy==2.4.5 \\\n    --hash=sha256:0\n    # via a\nscipy==1.17.1\n")
     return toy
 

@@ -1,4 +1,4 @@
-"""Takes a build's results over: outputs into the notebooks, our values into the ledger and the README."""
+"""Takes a build's results over: outputs into the notebooks, our values into the ledger and what follows from it."""
 
 import json
 
@@ -8,12 +8,13 @@ from stillwork import paths
 from stillwork.claims import Claim, ledger
 from stillwork.workbook import publish
 from stillwork.workbook.notebooks import notebook_file
-from stillwork.workbook.report import refresh_readme
 from stillwork.workbook.tasks import Task, tasks
 
 
 def accept() -> int:
     """Accept the published-settings build of the whole workbook; returns 1 when it is missing or stale."""
+    from stillwork.site.derived import refresh
+
     built = tasks()
     stale = [(task, reasons) for task in built if (reasons := task.reasons())]
     if stale:
@@ -26,7 +27,7 @@ def accept() -> int:
         _take_over_outputs(task)
     for room in paths.ROOMS:
         _write_ours(room, [claim for claim in claims if claim.entry.room == room])
-    refresh_readme()
+    refresh()
     moved = [claim for claim in claims if claim.moved]
     for claim in moved:
         print(f"moved: {claim.entry.id}: {claim.entry.ours:.6g} -> {claim.ours:.6g}")

@@ -114,7 +114,7 @@ def _converted(value, kind):
 
 
 def _candidates(text: str):
-    """What a shell's text may mean: a Python literal, a word for one, a comma-separated list, itself."""
+    """What a shell's text may mean: a Python literal, a word for one, a list by commas (``a,`` is one of one), itself."""
     words = {"none": None, "true": True, "false": False}
     if text.lower() in words:
         yield words[text.lower()]
@@ -123,7 +123,7 @@ def _candidates(text: str):
     except (ValueError, SyntaxError):
         pass
     if "," in text:
-        yield [next(_candidates(part.strip())) for part in text.strip("[]()").split(",")]
+        yield [next(_candidates(part.strip())) for part in text.strip("[]()").removesuffix(",").split(",")]
     yield text
 
 

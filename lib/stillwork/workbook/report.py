@@ -4,7 +4,6 @@ from collections import Counter
 
 from stillwork import paths
 from stillwork.claims import BASES, Claim, ledger
-from stillwork.workbook import publish
 
 BEGIN, END = "<!-- ledger:begin -->", "<!-- ledger:end -->"
 VERDICTS = ("replicated", "deviates", "reported", "not built")
@@ -58,12 +57,3 @@ def readme_with_summary(text: str) -> str:
     before, begin, rest = text.partition(BEGIN)
     _, end, after = rest.partition(END)
     return f"{before}{BEGIN}\n{summary()}\n{END}{after}" if begin and end else text
-
-
-def refresh_readme() -> None:
-    """Write the summary into the workbook's README."""
-    file = paths.root() / "README.md"
-    if file.exists():
-        text = file.read_text(encoding="utf-8")
-        if (fresh := readme_with_summary(text)) != text:
-            publish.replace_file(file, fresh.encode())

@@ -1,0 +1,118 @@
+"""Redraw times of every explorer: at the published setting, and with each control at its ends and in its middle.
+
+Processor time, which other programs disturb less than the clock. `ARGS="ROOM/NOTEBOOK"` chooses one.
+"""
+
+import ast
+import json
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+ROOT = Path(os.environ.get("STILLWORK_ROOT") or Path(__file__).parents[1])
+sys.path.insert(0, str(Path(__file__).parents[1] / "lib"))
+os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1", MKL_NUM_THREADS="1", MPLBACKEND="Agg")
+
+from stillwork import explore as explorers  # noqa: E402
+from stillwork.checks import InputError  # noqa: E402
+from stillwork.workbook.notebooks import select  # noqa: E402
+
+LIMIT_MS = 200.0
+
+
+def needed(cells: list[str]) -> list[str]:
+    """The cells that the first explorer needs, itself last."""
+    at = next(number for number, source in enumerate(cells) if "explore(" in source)
+    kept, wanted = [cells[at]], _names(cells[at], ast.Load)
+    for source in reversed(cells[:at]):
+        if _names(source, ast.Store) & wanted:
+            kept.append(source)
+            wanted |= _names(source, ast.Load)
+    return kept[::-1]
+
+
+def _names(source: str, kind: type) -> set[str]:
+    """Names that a cell reads, or binds."""
+    tree = ast.walk(ast.parse(source))
+    found = set()
+    for node in tree:
+        if isinstance(node, ast.Name) and isinstance(node.ctx, kind):
+            found.add(node.id)
+        elif isinstance(node, ast.alias) and kind is ast.Store:
+            found.add(node.asname or node.name.partition(".")[0])
+    return found
+
+
+def settings(controls: dict) -> list[dict]:
+    """The published setting, then one control moved at a time."""
+    published = {name: control.published for name, control in controls.items()}
+    moved = [published]
+    for name, control in controls.items():
+        for value in _places(control):
+            moved.append({**published, name: value})
+    return moved
+
+
+def _places(control) -> tuple:
+    if isinstance(control, explorers.Choice):
+        return control.options
+    low, high = control.low, control.high
+    middle = (low * high) ** 0.5 if control.log else (low + high) / 2
+    return low, control.read(middle), high
+
+
+def redraw_ms(draw: Callable, one: dict) -> float | None:
+    """Milliseconds of processor time, the shorter of two; None for an impossible setting."""
+    spans = []
+    for _ in range(2):
+        start = time.process_time()
+        try:
+            explorers._png(draw(**one))
+        except InputError:
+            return None
+        spans.append(1e3 * (time.process_time() - start))
+    return min(spans)
+
+
+def main() -> None:
+    caught = []
+    explorers.explore = lambda draw, **controls: caught.append((draw, controls))
+    slow = []
+    print(f"{'explorer':34} {'published':>10} {'slowest':>10}   ms; slowest at")
+    for notebook in select(sys.argv[1] if len(sys.argv) > 1 else None):
+        cells = [
+            "".join(cell["source"])
+            for cell in json.loads(notebook.source)["cells"]
+            if cell["cell_type"] == "code"
+        ]
+        if not any("explore(" in source for source in cells):
+            continue
+        caught.clear()
+        space = {"__name__": "__main__"}
+        for source in needed(cells):
+            exec(compile(source, notebook.name, "exec"), space)
+        [(draw, controls)] = caught
+        times = [(redraw_ms(draw, one), one) for one in settings(controls)]
+        longest, worst = max((span, repr(one), one) for span, one in times if span is not None)[::2]
+        published = times[0][1]
+        where = ", ".join(
+            f"{k} = {v:.4g}" if isinstance(v, float) else f"{k} = {v}"
+            for k, v in worst.items()
+            if v != published[k]
+        )
+        print(
+            f"{notebook.name:34} {times[0][0]:10.0f} {longest:10.0f}   {where or 'the published setting'}",
+            flush=True,
+        )
+        if longest > LIMIT_MS:
+            slow.append(notebook.name)
+    print(f"over {LIMIT_MS:g} ms: {', '.join(slow) or 'none'}")
+
+
+if __name__ == "__main__":
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ["STILLWORK_OUTPUT"] = folder
+        main()

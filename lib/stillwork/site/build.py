@@ -1,0 +1,169 @@
+"""Builds the site: every page as a string, all files in one folder that appears whole or not at all."""
+
+import json
+import re
+import tomllib
+from collections import Counter
+from pathlib import Path
+
+import jinja2
+from markupsafe import Markup
+
+import stillwork
+from stillwork import paths
+from stillwork.checks import InputError
+from stillwork.claims import KINDS, Claim, ledger
+from stillwork.site import picture, reference
+from stillwork.site.links import broken_links
+from stillwork.site.mathematics import markdown
+from stillwork.site.pages import NotebookPage, read_page
+from stillwork.workbook import publish
+from stillwork.workbook.notebooks import notebook_file
+from stillwork.workbook.provenance import commit, modified
+from stillwork.workbook.report import VERDICTS
+from stillwork.workbook.tasks import tasks
+
+HERE = Path(__file__).parent
+
+
+def build_site() -> int:
+    """Write ``build/site``; returns 1, with a line for each, when a link of it leads nowhere."""
+    target = paths.root() / "build" / "site"
+    files = site_files()
+    publish.recover(target)
+    publish.replace_folder(target, files)
+    broken = broken_links(target)
+    for line in broken:
+        print(line)
+    pages = sum(name.endswith(".html") for name in files)
+    print(f"{pages} pages, {len(broken)} broken links: {target / 'index.html'}")
+    return int(bool(broken))
+
+
+def site_files() -> dict[str, bytes]:
+    """The site's files by path."""
+    claims = ledger()
+    pages = [read_page(task, claims) for task in tasks()]
+    modules = reference.read_modules()
+    guides = {file.stem: file.read_text(encoding="utf-8") for file in _guides()}
+    works = tomllib.loads((HERE / "works.toml").read_text(encoding="utf-8"))
+    rooms = [_room(name, works[name], claims, pages) for name in paths.ROOMS]
+    render = _renderer(
+        rooms=[room for room in rooms if room["pages"] or room["counts"]],
+        guides={name: _title(text) for name, text in guides.items()},
+        places=reference.index(modules),
+    )
+
+    files = {f"static/{file.name}": file.read_bytes() for file in sorted((HERE / "static").iterdir())}
+    by_name = {page.name: page for page in pages}
+    files["index.html"] = render(
+        "index.html",
+        "",
+        claims=claims,
+        counts=Counter(claim.verdict for claim in claims),
+        by_name=by_name,
+        kinds=[kind for kind in KINDS if any(claim.entry.kind == kind for claim in claims)],
+    )
+    files["ledger.json"] = json.dumps([claim.as_dict() for claim in claims], indent=1).encode()
+    files["gallery.html"] = render("gallery.html", "", pages=pages)
+    files["replicate.html"] = render("replicate.html", "", pages=pages)
+    for page in pages:
+        files[f"notebooks/{page.name}.html"] = render("notebook.html", "../../", page=page)
+        files[f"notebooks/{page.name}.ipynb"] = notebook_file(page.name).read_bytes()
+        for figure in page.figures:
+            files[f"{figure.path}.png"] = figure.png
+            if figure.csv is not None:
+                files[f"{figure.path}.csv"] = figure.csv
+    files["reference/index.html"] = render("reference.html", "../", modules=modules)
+    for module in modules:
+        files[f"reference/{module.name}.html"] = render(
+            "module.html", "../", module=module, doc=_doc, source=_source(module.source)
+        )
+    for name, text in guides.items():
+        files[f"guide/{name}.html"] = render(
+            "guide.html", "../", title=_title(text), body=Markup(markdown(text))
+        )
+    return files
+
+
+def _room(name: str, work: dict, claims: list[Claim], pages: list[NotebookPage]) -> dict:
+    """What a template shows of a room."""
+    mine = [claim for claim in claims if claim.entry.room == name]
+    return {
+        "name": name,
+        **work,
+        "counts": Counter(claim.verdict for claim in mine),
+        "picture": picture.draw(mine),
+        "orderings": Counter(claim.verdict for claim in mine if claim.entry.kind == "ordering"),
+        "pages": [page for page in pages if page.room == name],
+    }
+
+
+def _renderer(**shared):
+    """``render(template, root, **values)``; `root` leads from the page to the site's front."""
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(HERE / "templates"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["number"] = lambda value: f"{value:.4g}"
+    environment.filters["published"] = lambda claim: _quantity(claim, claim.entry.published)
+    environment.filters["ours"] = lambda claim: _quantity(claim, claim.ours)
+    environment.filters["off_by"] = _off_by
+    environment.filters["slug"] = lambda verdict: verdict.replace(" ", "-")
+    site = {
+        "version": stillwork.__version__,
+        "commit": commit() or "",
+        "modified": bool({name for name in modified() if not name.startswith("build/")}),
+        "verdicts": VERDICTS,
+    }
+
+    def render(template: str, root: str, **values) -> bytes:
+        page = environment.get_template(template)
+        return page.render(root=root, site=site, **shared, **values).encode()
+
+    return render
+
+
+def _quantity(claim: Claim, value: float | None) -> str:
+    """A value with its unit; of an ordering, the share of cases in which it holds."""
+    if value is None:
+        return ""
+    if claim.entry.kind == "ordering":
+        return "always" if value == 1 else "never" if value == 0 else f"in {100 * value:.3g} % of cases"
+    unit = claim.entry.unit
+    return f"{value:.4g}" if unit in ("", "1") else f"{value:.4g} {unit}"
+
+
+def _off_by(claim: Claim) -> str:
+    """Distance from the published value as a reader takes it in: per cent, far off as a factor."""
+    if claim.deviation is None:
+        return ""
+    if claim.deviation < 10:
+        return f"{100 * claim.deviation:.2g} %" if claim.deviation < 1 else f"{100 * claim.deviation:.0f} %"
+    return f"factor {claim.ours / claim.entry.published:.3g}"
+
+
+def _guides() -> list[Path]:
+    return sorted((paths.root() / "docs").glob("*.md"))
+
+
+def _title(text: str) -> str:
+    if found := re.match(r"# (.+)", text):
+        return found[1]
+    raise InputError(f"a guide begins with {text[:40]!r}; begin it with '# ' and its title")
+
+
+def _doc(text: str) -> Markup:
+    return Markup(reference.doc_html(text))
+
+
+def _source(text: str) -> Markup:
+    """Highlighted source, every line a place to link to: ``#line-42``."""
+    from pygments import highlight
+    from pygments.formatters import HtmlFormatter
+    from pygments.lexers import PythonLexer
+
+    return Markup(highlight(text, PythonLexer(), HtmlFormatter(lineanchors="line", anchorlinenos=False)))

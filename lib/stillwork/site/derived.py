@@ -1,0 +1,190 @@
+"""Committed files that follow from the ledger and the notebooks: README blocks, the index notebook, manifests."""
+
+import json
+import tomllib
+from collections import Counter
+from collections.abc import Callable
+from html import escape
+from pathlib import Path
+
+from stillwork import paths
+from stillwork.claims import Claim, ledger
+from stillwork.site.pages import Figure, NotebookPage, read_page
+from stillwork.workbook.accept import notebook_text
+from stillwork.workbook.publish import replace_file
+from stillwork.workbook.report import VERDICTS, readme_with_summary
+from stillwork.workbook.tasks import tasks
+
+WORKS = Path(__file__).parent / "works.toml"
+GALLERY_BEGIN, GALLERY_END = "<!-- gallery:begin -->", "<!-- gallery:end -->"
+CODECHECK = "https://codecheck.org.uk/spec/config/1.0/"
+
+
+def refresh() -> list[str]:
+    """Write the derived files that are not current; returns their names."""
+    stale = {name: text for name, text in derived_files().items() if _present(name) != text}
+    for name, text in stale.items():
+        replace_file(paths.root() / name, text.encode())
+    return list(stale)
+
+
+def derived_files() -> dict[str, str]:
+    """What the derived files must hold, by path."""
+    claims = ledger()
+    pages = [read_page(task, claims) for task in tasks()]
+    makers: dict[str, Callable[[list[NotebookPage], list[Claim]], str]] = {
+        "README.md": _readme,
+        "notebooks/index.ipynb": _index,
+        "codecheck.yml": _codecheck,
+        "codemeta.json": _codemeta,
+    }
+    if _present("README.md") is None:
+        del makers["README.md"]
+    return {name: make(pages, claims) for name, make in makers.items()}
+
+
+def works() -> dict[str, dict[str, str]]:
+    """Title, source and claim of each room's work."""
+    return tomllib.loads(WORKS.read_text(encoding="utf-8"))
+
+
+def _present(name: str) -> str | None:
+    file = paths.root() / name
+    return file.read_text(encoding="utf-8") if file.is_file() else None
+
+
+def _readme(pages: list[NotebookPage], _claims: list[Claim]) -> str:
+    text = readme_with_summary(_present("README.md"))
+    before, begin, rest = text.partition(GALLERY_BEGIN)
+    _, end, after = rest.partition(GALLERY_END)
+    return f"{before}{begin}\n{_gallery(pages)}\n{end}{after}" if begin and end else text
+
+
+def _gallery(pages: list[NotebookPage]) -> str:
+    """A row of pictures a room, one a notebook, each leading to its notebook."""
+    lines = []
+    for room, work in works().items():
+        shown = [(page, figure) for page in pages if page.room == room and (figure := _face(page))]
+        if shown:
+            lines += [f"**{work['title']}** (`{room}`)", ""]
+            for page, figure in shown:
+                title = escape(page.title)
+                lines.append(
+                    f'<a href="notebooks/{page.name}.ipynb"><img src="{figure.path}.png" width="200" '
+                    f'alt="{title}" title="{title}"></a>'
+                )
+            lines.append("")
+    return "\n".join(lines).rstrip()
+
+
+def _face(page: NotebookPage) -> Figure | None:
+    """The picture that stands for a notebook: its first numbered figure, else its first."""
+    saved = [figure for figure in page.figures if figure.csv]
+    return next(iter([figure for figure in saved if figure.name.startswith("fig-")] + saved), None)
+
+
+def _index(pages: list[NotebookPage], claims: list[Claim]) -> str:
+    parts = [
+        "# The house\n\nFour rooms, one published work each; one notebook a result. Run a notebook with "
+        "*Run > Run All Cells*, change its cell of parameters, or move the sliders of its explorer.",
+        "## What agrees with the published works\n\n"
+        + "\n".join(
+            [
+                "| room | work | " + " | ".join(VERDICTS[:3]) + " |",
+                "|---|---|" + "---:|" * 3,
+                *(_row(room, work, claims) for room, work in works().items()),
+            ]
+        ),
+    ]
+    for room, work in works().items():
+        mine = [page for page in pages if page.room == room]
+        if mine:
+            listing = "\n".join(
+                f"- [{page.title}]({page.name}.ipynb){_verdicts(list(page.claims))}" for page in mine
+            )
+            parts.append(f"## {work['title']} (`{room}`)\n\n{work['claimed']}\n\n{listing}")
+    parts.append(
+        "## The shelves\n\nThe same room name stands on every shelf of the checkout: `notebooks/` the results, "
+        "`lib/stillwork/` the algorithms, `data/` the published numbers and measured records, `figures/` what "
+        "was built, `tests/` and `benchmarks/`. `make help` lists the commands, `make site` writes the same as "
+        "web pages, `docs/your-rig.md` leads from a measurement of yours to a figure."
+    )
+    cells = [
+        {"cell_type": "markdown", "id": f"part-{number}", "metadata": {}, "source": text}
+        for number, text in enumerate(parts, 1)
+    ]
+    metadata = {
+        "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
+        "language_info": {"name": "python"},
+    }
+    return notebook_text({"cells": cells, "metadata": metadata, "nbformat": 4, "nbformat_minor": 5})
+
+
+def _row(room: str, work: dict[str, str], claims: list[Claim]) -> str:
+    counts = Counter(claim.verdict for claim in claims if claim.entry.room == room)
+    numbers = " | ".join(str(counts[verdict]) for verdict in VERDICTS[:3])
+    return f"| `{room}` | {work['work']} | {numbers} |"
+
+
+def _verdicts(claims: list[Claim]) -> str:
+    counts = Counter(claim.verdict for claim in claims)
+    text = ", ".join(f"{verdict} {counts[verdict]}" for verdict in VERDICTS if counts[verdict])
+    return f": {text}" if text else ""
+
+
+def _codecheck(pages: list[NotebookPage], _claims: list[Claim]) -> str:
+    """The manifest of https://codecheck.org.uk: every output, and what of which work it replicates."""
+    lines = ["---", f"version: {CODECHECK}", "paper:"]
+    lines += [f"  title: {_quoted(_project()['description'])}", "  authors:"]
+    lines += [f"    - name: {_quoted(author['name'])}" for author in _project()["authors"]]
+    lines.append("manifest:")
+    for page in pages:
+        source = works()[page.room]["work"]
+        for figure in page.figures:
+            if figure.csv:
+                about = [claim for claim in page.claims if page.figure_of(claim) == figure]
+                places = ", ".join(dict.fromkeys(claim.entry.place.partition(",")[0] for claim in about))
+                comment = f"{page.title}. {source}" + (f"; {places}" if places else "")
+                lines += _output(f"{figure.path}.png", comment)
+                lines += _output(f"{figure.path}.csv", f"the numbers plotted in {figure.name}.png")
+        if page.claims:
+            lines += _output(
+                f"figures/{page.name}/claims.json",
+                f"{page.title}: {len(page.claims)} published numbers as found here{_verdicts(list(page.claims))}",
+            )
+    return "\n".join([*lines, ""])
+
+
+def _output(file: str, comment: str) -> list[str]:
+    return [f"  - file: {file}", f"    comment: {_quoted(comment)}"]
+
+
+def _quoted(text: str) -> str:
+    """A string of JSON is one of YAML."""
+    return json.dumps(text, ensure_ascii=False)
+
+
+def _codemeta(_pages: list[NotebookPage], _claims: list[Claim]) -> str:
+    project = _project()
+    record = {
+        "@context": "https://w3id.org/codemeta/3.0",
+        "@type": "SoftwareSourceCode",
+        "name": project["name"],
+        "description": project["description"],
+        "version": project["version"],
+        "license": "https://spdx.org/licenses/BSD-3-Clause",
+        "author": [{"@type": "Organization", "name": author["name"]} for author in project["authors"]],
+        "keywords": project["keywords"],
+        "programmingLanguage": {"@type": "ComputerLanguage", "name": "Python"},
+        "runtimePlatform": f"Python {project['requires-python']}",
+        "softwareRequirements": project["dependencies"],
+        "referencePublication": [
+            {"@type": "ScholarlyArticle", "name": work["work"], "description": work["source"]}
+            for work in works().values()
+        ],
+    }
+    return json.dumps(record, indent=1, ensure_ascii=False) + "\n"
+
+
+def _project() -> dict:
+    return tomllib.loads((paths.root() / "pyproject.toml").read_text(encoding="utf-8"))["project"]

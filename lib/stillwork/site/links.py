@@ -1,0 +1,50 @@
+"""A plain check of a site's files: every link, picture, style and script leads to a file and a place in it."""
+
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+
+class _Page(HTMLParser):
+    """Links and places of a page."""
+
+    def __init__(self):
+        super().__init__()
+        self.links: list[tuple[str, str]] = []  # attribute, address
+        self.places: set[str] = set()
+
+    def handle_starttag(self, tag, attributes):
+        for name, value in attributes:
+            if name in ("href", "src") and value is not None:
+                self.links.append((f"{tag} {name}", value))
+            if name in ("id", "name") and value:
+                self.places.add(value)
+
+
+def broken_links(site: Path) -> list[str]:
+    """One line for each link that leads nowhere, and for each picture, style or script from outside the site."""
+    pages = {}
+    for file in sorted(site.rglob("*.html")):
+        pages[file] = _Page()
+        pages[file].feed(file.read_text(encoding="utf-8"))
+    wrong = []
+    for file, page in pages.items():
+        for where, address in page.links:
+            if reason := _fault(site, file, where, address, pages):
+                wrong.append(f"{file.relative_to(site)}: {where} {address!r}: {reason}")
+    return wrong
+
+
+def _fault(site: Path, file: Path, where: str, address: str, pages: dict[Path, _Page]) -> str:
+    parts = urlsplit(address)
+    if parts.scheme or parts.netloc:
+        plain = where == "a href" and parts.scheme in ("http", "https", "mailto")
+        return "" if plain else "leaves the site"
+    target = (file.parent / unquote(parts.path)).resolve() if parts.path else file
+    if not target.is_relative_to(site.resolve()) or not target.is_file():
+        return "no such file"
+    if not parts.fragment or target.suffix != ".html":
+        return ""
+    # As a browser does: the fragment as it stands, then decoded.
+    found = {parts.fragment, unquote(parts.fragment)} & pages[target].places
+    return "" if found else "no such place"

@@ -1,0 +1,56 @@
+"""Markdown with formulas to HTML with MathML: the browser needs no script and no network to show them."""
+
+import re
+
+from latex2mathml.converter import convert
+from nbconvert.filters.markdown_mistune import IPythonRenderer, MarkdownWithMath
+
+from stillwork.checks import InputError
+
+
+def mathml(formula: str, block: bool = False) -> str:
+    """MathML of a LaTeX formula.
+
+    Raises
+    ------
+    InputError
+        When a command of it is unknown to the converter.
+    """
+    try:
+        rendered = convert(formula.strip(), display="block" if block else "inline")
+    except Exception as error:  # the converter raises a class of its own for every kind of mistake
+        raise InputError(
+            f"the formula {formula!r} cannot be rendered ({error!r}); write it simpler"
+        ) from None
+    if unknown := re.search(r"\\[a-zA-Z]+", rendered):
+        raise InputError(f"the formula {formula!r} uses {unknown[0]}, which is unknown; write it otherwise")
+    return rendered
+
+
+class _Renderer(IPythonRenderer):
+    """HTML in the text is shown as text; links to other notebooks lead to their pages."""
+
+    def __init__(self):
+        super().__init__(escape=True, allow_harmful_protocols=False, anchor_link_text="#")
+
+    def inline_math(self, body: str) -> str:
+        return mathml(body)
+
+    def block_math(self, body: str) -> str:
+        return mathml(body, block=True)
+
+    def latex_environment(self, name: str, body: str) -> str:
+        return mathml(rf"\begin{{{name}}}{body}\end{{{name}}}", block=True)
+
+    def multiline_math(self, text: str) -> str:
+        return mathml(text.strip().removeprefix("$$").removesuffix("$$"), block=True)
+
+    def link(self, text: str, url: str, title: str | None = None) -> str:
+        if ":" not in url:
+            url = re.sub(r"\.(ipynb|md)(?=$|#)", ".html", url)
+        return super().link(text, url, title)
+
+
+def markdown(text: str) -> str:
+    """HTML of a markdown text with ``$...$`` and ``$$...$$`` formulas."""
+    return MarkdownWithMath(renderer=_Renderer()).render(text)

@@ -1,0 +1,212 @@
+"""A notebook as a page: its cells with figures, judged numbers and places that other pages link to."""
+
+import base64
+import json
+import re
+import struct
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from markupsafe import Markup
+from nbconvert.filters.highlight import Highlight2HTML
+
+from stillwork import paths
+from stillwork.checks import InputError
+from stillwork.claims import Claim
+from stillwork.site import reading
+from stillwork.site.mathematics import markdown
+from stillwork.workbook.notebooks import Notebook, notebook_file
+from stillwork.workbook.tasks import Task
+
+FILE_NAMES = re.compile(r"^([\w.-]+)\.png, \1\.csv\n?", re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A picture on a page, with the numbers that were plotted where it has them.
+
+    Attributes
+    ----------
+    notebook, name : str
+        Together the path of its files below ``figures/``, without suffix.
+    heading : str
+        The section it stands in.
+    png : bytes
+        The picture.
+    csv : bytes or None
+        None for an explorer's static picture.
+    """
+
+    notebook: str
+    name: str
+    heading: str
+    png: bytes
+    csv: bytes | None
+
+    @property
+    def path(self) -> str:
+        return f"figures/{self.notebook}/{self.name}"
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels, from the PNG's header."""
+        return struct.unpack(">II", self.png[16:24])
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One cell as HTML; `claims` are those that it judges."""
+
+    id: str
+    code: bool
+    html: Markup
+    outputs: tuple[str, ...] = ()
+    figures: tuple[Figure, ...] = ()
+    claims: tuple[Claim, ...] = ()
+
+
+@dataclass(frozen=True)
+class NotebookPage:
+    """Everything that the page of a notebook shows."""
+
+    notebook: Notebook
+    title: str
+    cells: tuple[Cell, ...]
+    claims: tuple[Claim, ...]
+    parameters: tuple[tuple[str, str, str, str], ...]  # name, type, published value, comment
+    functions: tuple[str, ...]
+    provenance: dict = field(default_factory=dict)
+    fresh: bool = False  # its outputs come from a build of what it holds now
+
+    @property
+    def name(self) -> str:
+        return self.notebook.name
+
+    @property
+    def figures(self) -> list[Figure]:
+        return [figure for cell in self.cells for figure in cell.figures]
+
+    @property
+    def room(self) -> str:
+        return self.notebook.room
+
+    @property
+    def command(self) -> str:
+        """Rebuilds every figure of the notebook."""
+        return f'make figures ARGS="{self.name} --force"'
+
+    def figure_of(self, claim: Claim) -> Figure | None:
+        """The figure that a claim is about: the one its id names, else the last one before its place."""
+        named = [f for f in self.figures if f.csv and f.name == claim.entry.id.split(".")[1]]
+        before = []
+        for cell in self.cells:
+            before += [figure for figure in cell.figures if figure.csv]
+            if claim in cell.claims:
+                break
+        return next(iter([*named, *reversed(before)]), None)
+
+
+def read_page(task: Task, claims: list[Claim]) -> NotebookPage:
+    """The page of a notebook: its last build where that is fresh, else what is committed.
+
+    Parameters
+    ----------
+    task : Task
+        The notebook at its published settings.
+    claims : list of Claim
+        The whole ledger.
+    """
+    notebook = task.notebook
+    fresh = not task.reasons() and task.executed.is_file()
+    file = task.executed if fresh else notebook_file(notebook.name)
+    raw = json.loads(file.read_text(encoding="utf-8"))["cells"]
+    folder = paths.root() / "figures" / notebook.name
+    mine = [claim for claim in claims if claim.notebook == notebook.name]
+    cells = _cells(notebook.name, raw, folder, mine)
+    comments = reading.comments(notebook)
+    record = folder / "provenance.json"
+    return NotebookPage(
+        notebook,
+        _title(raw, notebook.name),
+        _with_the_rest(cells, raw, mine),
+        tuple(mine),
+        tuple(
+            (name, each.annotation, repr(each.value), comments[name])
+            for name, each in notebook.parameters.items()
+        ),
+        tuple(reading.used([_text(cell) for cell in raw if cell["cell_type"] == "code"])),
+        json.loads(record.read_text(encoding="utf-8")) if record.is_file() else {},
+        fresh,
+    )
+
+
+def _cells(name: str, raw: list[dict], folder: Path, claims: list[Claim]) -> list[Cell]:
+    highlight = Highlight2HTML(pygments_lexer="python")
+    pictures = sorted(file.stem for file in folder.glob("[!.]*.png"))
+    by_id = {claim.entry.id: claim for claim in claims}
+    drawn: set[str] = set()
+    judged: set[str] = set()
+    heading, cells = _title(raw, name), []
+    for number, cell in enumerate(raw):
+        source, anchor = _text(cell), f"cell-{cell.get('id', number)}"
+        if cell["cell_type"] == "markdown":
+            heading = next(iter(re.findall(r"^#+ (.+)$", source, re.MULTILINE)), heading)
+            cells.append(Cell(anchor, False, Markup(_prose(name, source))))
+        elif cell["cell_type"] == "code":
+            here = [each for each in reading.saved(source, pictures) if each not in drawn]
+            ids = [each for each in reading.checked(source, list(by_id)) if each not in judged]
+            drawn |= set(here)
+            judged |= set(ids)
+            figures = [_saved_figure(name, each, heading, folder) for each in here]
+            outputs = []
+            for output in cell.get("outputs", []):
+                text, png = _shown(output)
+                if png and not FILE_NAMES.match(text):
+                    figures.append(Figure(name, f"{cell['id']}-static", heading, png, None))
+                elif left := FILE_NAMES.sub("", text).strip("\n"):
+                    outputs.append(left)
+            judgements = tuple(by_id[each] for each in ids)
+            cells.append(
+                Cell(anchor, True, Markup(highlight(source)), tuple(outputs), tuple(figures), judgements)
+            )
+    return cells
+
+
+def _prose(name: str, source: str) -> str:
+    try:
+        return markdown(source)
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from None
+
+
+def _with_the_rest(cells: list[Cell], raw: list[dict], claims: list[Claim]) -> tuple[Cell, ...]:
+    """`cells`, with the claims that no cell names in the one that prints the table of all."""
+    left = tuple(claim for claim in claims if not any(claim in cell.claims for cell in cells))
+    tables = [number for number, cell in enumerate(raw) if _text(cell).strip() == "page.claims"]
+    if left and cells:
+        at = tables[-1] if tables else len(cells) - 1
+        cells[at] = replace(cells[at], claims=cells[at].claims + left)
+    return tuple(cells)
+
+
+def _saved_figure(notebook: str, name: str, heading: str, folder: Path) -> Figure:
+    table = folder / f"{name}.csv"
+    csv = table.read_bytes() if table.is_file() else None
+    return Figure(notebook, name, heading, (folder / f"{name}.png").read_bytes(), csv)
+
+
+def _shown(output: dict) -> tuple[str, bytes]:
+    """Text and picture of an output."""
+    if output["output_type"] == "stream":
+        return "".join(output["text"]), b""
+    data = output.get("data", {})
+    return "".join(data.get("text/plain", "")), base64.b64decode(data.get("image/png", ""))
+
+
+def _text(cell: dict) -> str:
+    return "".join(cell["source"])
+
+
+def _title(raw: list[dict], default: str) -> str:
+    first = _text(raw[0]) if raw else ""
+    return next(iter(re.findall(r"^# (.+)$", first, re.MULTILINE)), default)

@@ -1,0 +1,139 @@
+"""A new result: its notebook, its ledger entry and its test, which run as they are and wait to be filled in."""
+
+import re
+
+from stillwork import paths
+from stillwork.checks import InputError, require_choice
+from stillwork.workbook.accept import notebook_text
+from stillwork.workbook.notebooks import notebook_file
+from stillwork.workbook.publish import replace_file
+
+# A worked example stands in each place, so that the build, the ledger and the test run from the first minute.
+ENTRY = """
+# {name}
+
+[{room}.{key}.decrement]
+place = "section 0"  # where the work prints it
+quantity = "logarithmic decrement of the example"
+unit = "1"
+published = 0.63
+kind = "value"  # value | exact | ordering | slope | reported
+tolerance = {{ absolute = 0.005, source = "half the last printed digit" }}
+"""
+
+STORY = """\
+# {title}
+
+*Work, section 0, Fig. 0.*
+
+What is claimed, what we do, what came out. The example: a free vibration decays by the same factor each period."""
+
+IMPORTS = """\
+import numpy as np
+from stillwork import figures
+from stillwork.page import Page
+
+page = Page("{room}/{name}")"""
+
+PARAMETERS = """\
+damping: float = 0.1  # relative damping
+periods: int = 8  # shown"""
+
+FIGURE = """\
+time = np.linspace(0, periods, 200 * periods + 1)
+rate = 2 * np.pi * damping / np.sqrt(1 - damping**2)
+motion = np.exp(-rate * time) * np.cos(2 * np.pi * time)
+figure, axes = figures.new()
+axes.plot(time, motion, label="displacement")
+axes.set_xlabel("time (periods)")
+axes.set_ylabel("displacement")
+page.save("fig-0", figure)"""
+
+CHECK = 'page.check("{room}.{key}.decrement", np.log(motion[0] / motion[200]))'
+
+END = """\
+## What agrees and what does not
+
+Say here what agrees, what does not, and why."""
+
+TEST = '''"""{title}, against something that shares no code with it."""
+
+import numpy as np
+import pytest
+
+
+@pytest.mark.parametrize("damping", [0.01, 0.1, 0.5])
+def test_the_decrement_is_that_of_an_integrated_oscillator(damping):
+    """The example; put in its place your algorithm against a naive twin, brute force or a closed form."""
+    position, velocity, step = 1.0, 0.0, 1e-4
+    peaks = []
+    while len(peaks) < 2:
+        before = velocity
+        velocity -= step * (position + 2 * damping * velocity)
+        position += step * velocity
+        if before > 0 >= velocity:
+            peaks.append(position)
+    decrement = 2 * np.pi * damping / np.sqrt(1 - damping**2)
+    assert np.log(peaks[0] / peaks[1]) == pytest.approx(decrement, rel=2e-3)
+'''
+
+
+def new_result(room: str, name: str) -> list[str]:
+    """Write the three files of a new result; returns their paths.
+
+    Parameters
+    ----------
+    room : str
+        Of `stillwork.paths.ROOMS`.
+    name : str
+        ``nn-result``, e.g. ``09-payload``.
+
+    Raises
+    ------
+    InputError
+        When there is no such room, the name has another form, or it is taken.
+    """
+    require_choice("room", room, paths.ROOMS)
+    if not re.fullmatch(r"\d\d-[a-z][a-z0-9]*(-[a-z0-9]+)*", name):
+        raise InputError(f"name is {name!r}; give a number and words like '09-payload'")
+    key = name.partition("-")[2]
+    words = {"room": room, "name": name, "key": key, "title": key.replace("-", " ").capitalize()}
+    notebook = notebook_file(f"{room}/{name}")
+    test = paths.root() / "tests" / room / f"test_{key.replace('-', '_')}.py"
+    ledger = paths.data(room, "published.toml")
+    before = ledger.read_text(encoding="utf-8") if ledger.exists() else ""
+    for file in (notebook, test):
+        if file.exists():
+            raise InputError(f"{file.relative_to(paths.root())} exists already; choose another name")
+    if f"[{room}.{key}." in before:
+        raise InputError(f"the ledger has entries {room}.{key} already; choose another name")
+    written = {
+        notebook: notebook_text(_notebook(words)),
+        test: TEST.format(**words),
+        ledger: before + ENTRY.format(**words),
+    }
+    for file, text in written.items():
+        replace_file(file, text.encode())
+    return [file.relative_to(paths.root()).as_posix() for file in written]
+
+
+def _notebook(words: dict[str, str]) -> dict:
+    cells = [
+        _cell("title", STORY.format(**words), "markdown"),
+        _cell("imports", IMPORTS.format(**words)),
+        _cell("parameters", PARAMETERS, tags=["parameters"]),
+        _cell("figure-text", "## Fig. 0", "markdown"),
+        _cell("figure", FIGURE),
+        _cell("check", CHECK.format(**words)),
+        _cell("claims-text", "## Claims", "markdown"),
+        _cell("claims", "page.claims"),
+        _cell("conclusion", END, "markdown"),
+    ]
+    kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
+    metadata = {"kernelspec": kernel, "language_info": {"name": "python"}}
+    return {"cells": cells, "metadata": metadata, "nbformat": 4, "nbformat_minor": 5}
+
+
+def _cell(name: str, source: str, kind: str = "code", tags: list[str] | None = None) -> dict:
+    cell = {"cell_type": kind, "id": name, "metadata": {"tags": tags} if tags else {}, "source": source}
+    return cell | ({"execution_count": None, "outputs": []} if kind == "code" else {})

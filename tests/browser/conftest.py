@@ -1,0 +1,69 @@
+"""A site built from the checkout, and a Chromium that notes every request and every message."""
+
+import json
+import os
+import shutil
+
+import pytest
+from selenium import webdriver
+from selenium.webdriver.chrome.service import Service
+from stillwork.site.build import site_files
+from stillwork.workbook.publish import replace_folder
+
+
+class Browser:
+    """A headless Chromium: `open` a page, `run` a script, `resize`, and what it asked for and said since."""
+
+    def __init__(self):
+        options = webdriver.ChromeOptions()
+        options.binary_location = _program("chromium", "chromium-browser", "google-chrome")
+        options.add_argument("--headless=new")
+        options.add_argument("--disable-dev-shm-usage")
+        if os.geteuid() == 0:  # Chromium has no sandbox for root
+            options.add_argument("--no-sandbox")
+        options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+        self.driver = webdriver.Chrome(options=options, service=Service(_program("chromedriver")))
+        self.driver.set_script_timeout(60)
+
+    def open(self, address: str) -> None:
+        self.driver.get(address)
+
+    def run(self, script: str, *arguments):
+        return self.driver.execute_script(script, *arguments)
+
+    def resize(self, width: int, height: int = 900) -> None:
+        metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+        self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+
+    def requests(self) -> list[str]:
+        """Addresses that were asked for since the last call."""
+        entries = [json.loads(each["message"])["message"] for each in self.driver.get_log("performance")]
+        return [
+            entry["params"]["request"]["url"]
+            for entry in entries
+            if entry["method"] == "Network.requestWillBeSent"
+        ]
+
+    def messages(self) -> list[str]:
+        """What the console said since the last call."""
+        return [each["message"] for each in self.driver.get_log("browser")]
+
+
+def _program(*names: str) -> str:
+    found = next(filter(None, map(shutil.which, names)), None)
+    assert found, f"{names[0]} is not installed: apt-get install chromium chromium-driver"
+    return found
+
+
+@pytest.fixture(scope="session")
+def site(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("built") / "site"
+    replace_folder(folder, site_files())
+    return folder
+
+
+@pytest.fixture(scope="session")
+def browser():
+    one = Browser()
+    yield one
+    one.driver.quit()

@@ -1,0 +1,134 @@
+"""JupyterLab itself: `make lab` lands on the map of the house, and an explorer's slider moves its picture."""
+
+import json
+import os
+import re
+import shutil
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from pathlib import Path
+
+import pytest
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.support.ui import WebDriverWait
+from stillwork import paths
+
+ROOT = Path(__file__).parents[2]
+NOTEBOOK = "isolation/06-efficient-update"
+TOKEN = "only-for-this-test"
+
+
+def lab_options() -> list[str]:
+    """What `make lab` tells JupyterLab, but for the folder and the address."""
+    command = subprocess.run(
+        ["make", "-n", "ENVIRONMENT=any", "lab"], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout
+    options = re.findall(r"--\S+", command)
+    assert options
+    return [each for each in options if not each.startswith("--ServerApp")]
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory):
+    """Address of a JupyterLab on a copy of the index and of one notebook's explorer."""
+    home = tmp_path_factory.mktemp("lab")
+    folder = home / "notebooks"
+    (folder / NOTEBOOK).parent.mkdir(parents=True)
+    shutil.copy(paths.root() / "notebooks/index.ipynb", folder)
+    whole = json.loads((paths.root() / f"notebooks/{NOTEBOOK}.ipynb").read_text(encoding="utf-8"))
+    code = [cell for cell in whole["cells"] if cell["cell_type"] == "code"]
+    kept = [
+        cell for cell in code if cell["id"] == "imports" or "".join(cell["source"]).startswith("explore(")
+    ]
+    assert len(kept) == 2
+    (folder / f"{NOTEBOOK}.ipynb").write_text(json.dumps({**whole, "cells": kept}), encoding="utf-8")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    environment = os.environ | {
+        "PYTHONPATH": str(ROOT / "lib"),
+        "JUPYTER_CONFIG_DIR": str(home / "config"),
+        "JUPYTER_RUNTIME_DIR": str(home / "runtime"),
+        "IPYTHONDIR": str(home / "ipython"),
+        "JUPYTERLAB_SETTINGS_DIR": str(home / "settings"),
+        "JUPYTERLAB_WORKSPACES_DIR": str(home / "workspaces"),
+        "JUPYTER_PREFER_ENV_PATH": "1",
+    }
+    command = [sys.executable, "-m", "jupyter", "lab", *lab_options(), "--no-browser", "--allow-root"]
+    command += [f"--ServerApp.root_dir={folder}", f"--port={port}", "--ServerApp.port_retries=0"]
+    command += [f"--IdentityProvider.token={TOKEN}", "--LabApp.expose_app_in_browser=True"]
+    with (home / "log").open("w") as log:
+        server = subprocess.Popen(command, cwd=ROOT, env=environment, stdout=log, stderr=log)
+        address = f"http://127.0.0.1:{port}"
+        try:
+            _wait_until_up(address, server, home / "log")
+            yield address
+        finally:
+            server.terminate()
+            server.wait(30)
+
+
+def _wait_until_up(address: str, server: subprocess.Popen, log: Path) -> None:
+    end = time.monotonic() + 120
+    while True:
+        try:
+            urllib.request.urlopen(f"{address}/api?token={TOKEN}", timeout=5)
+            return
+        except OSError:
+            assert server.poll() is None and time.monotonic() < end, log.read_text()
+            time.sleep(0.3)
+
+
+def waiting(browser) -> WebDriverWait:
+    return WebDriverWait(browser.driver, 120)
+
+
+def test_it_lands_on_the_map_of_the_house(browser, lab):
+    browser.resize(1440)
+    browser.open(f"{lab}/?token={TOKEN}")
+    heading = waiting(browser).until(
+        lambda driver: next(iter(driver.find_elements(By.CSS_SELECTOR, ".jp-Notebook h1")), None)
+    )
+    assert heading.text.startswith("The house")
+    assert browser.driver.current_url.startswith(f"{lab}/lab/tree/index.ipynb")
+
+
+def test_a_slider_moves_number_and_picture_and_the_button_returns(browser, lab):
+    browser.resize(1440, 1400)
+    browser.open(f"{lab}/lab/tree/{NOTEBOOK}.ipynb?token={TOKEN}")
+    wait = waiting(browser)
+    wait.until(lambda driver: driver.find_elements(By.CSS_SELECTOR, ".jp-Notebook .jp-CodeCell"))
+    wait.until(
+        lambda driver: browser.run(
+            "const panel = window.jupyterapp.shell.currentWidget;"
+            "return panel?.sessionContext?.session?.kernel?.status === 'idle'"
+        )
+    )
+    browser.run("window.jupyterapp.commands.execute('notebook:run-all-cells')")
+    wait.until(lambda driver: driver.find_elements(By.CSS_SELECTOR, ".widget-image[src^='blob:']"))
+
+    def state():
+        return [
+            browser.driver.find_element(By.CSS_SELECTOR, ".widget-readout").text,
+            browser.driver.find_element(By.CSS_SELECTOR, ".widget-image").get_attribute("src"),
+            browser.driver.find_element(By.CSS_SELECTOR, ".widget-html-content").text,
+        ]
+
+    before = state()
+    assert before[2] == "at the published setting"
+
+    def moved(driver):
+        driver.find_element(By.CSS_SELECTOR, ".noUi-handle").send_keys(Keys.ARROW_RIGHT)
+        return state()[2] == "moved from the published setting"
+
+    wait.until(moved)
+    after = state()
+    assert float(after[0]) > float(before[0])
+    assert after[1] != before[1]
+    browser.driver.find_element(By.CSS_SELECTOR, "button.jupyter-button").click()
+    wait.until(lambda driver: state()[2] == "at the published setting")
+    assert state()[0] == before[0]

@@ -1,0 +1,125 @@
+"""The front page's table: filters, order, links, and all of it by keyboard."""
+
+import pytest
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.support.ui import Select, WebDriverWait
+from stillwork.claims import ledger
+
+CLAIMS = ledger()
+ROWS = "return [...document.querySelectorAll('#claims tbody tr')].filter((row) => !row.hidden).map((row) => row.id)"
+BY_ID = {f"row-{claim.entry.id}": claim for claim in CLAIMS}
+
+
+@pytest.fixture
+def front(browser, site):
+    browser.resize(1440)
+    browser.open("about:blank")
+    browser.open((site / "index.html").as_uri())
+    return browser
+
+
+def choose(front, field: str, value: str) -> None:
+    Select(front.driver.find_element(By.NAME, field)).select_by_value(value)
+
+
+def told(front) -> str:
+    return front.driver.find_element(By.ID, "shown").text
+
+
+@pytest.mark.parametrize(
+    ("field", "value_of"),
+    [
+        ("room", lambda claim: claim.entry.room),
+        ("verdict", lambda claim: claim.verdict),
+        ("kind", lambda claim: claim.entry.kind),
+    ],
+)
+def test_each_filter_shows_what_the_ledger_has(front, field, value_of):
+    for value in sorted({value_of(claim) for claim in CLAIMS}):
+        choose(front, field, value)
+        wanted = [row for row, claim in BY_ID.items() if value_of(claim) == value]
+        assert front.run(ROWS) == wanted
+        assert told(front) == f"{len(wanted)} of {len(CLAIMS)} numbers"
+
+
+def test_filters_combine_and_the_button_shows_all(front):
+    room, verdict = CLAIMS[0].entry.room, CLAIMS[0].verdict
+    choose(front, "room", room)
+    choose(front, "verdict", verdict)
+    assert front.run(ROWS) == [
+        row for row, claim in BY_ID.items() if (claim.entry.room, claim.verdict) == (room, verdict)
+    ]
+    front.driver.find_element(By.CSS_SELECTOR, "#filters button").click()
+    WebDriverWait(front.driver, 5).until(lambda _: front.run(ROWS) == list(BY_ID))
+
+
+@pytest.mark.parametrize(("order", "sign"), [("farthest", -1), ("nearest", 1)])
+def test_the_order_is_that_of_the_deviation(front, order, sign):
+    choose(front, "order", order)
+    deviations = [BY_ID[row].deviation for row in front.run(ROWS)]
+    known = [each for each in deviations if each is not None]
+    assert known == sorted(known, key=lambda each: sign * each)
+    assert all(each is None for each in deviations[len(known) :])
+    choose(front, "order", "")
+    assert front.run(ROWS) == list(BY_ID)
+
+
+def test_a_work_s_count_filters_the_table(front):
+    link = front.driver.find_element(By.CSS_SELECTOR, ".card [data-filter]")
+    wanted = int(link.text.split()[0])
+    link.click()
+    assert len(front.run(ROWS)) == wanted
+
+
+def test_a_row_leads_to_its_place_and_its_figure(front):
+    built = next(claim for claim in CLAIMS if claim.notebook)
+    row = f"[id='row-{built.entry.id}']"
+    front.driver.find_element(By.CSS_SELECTOR, f"{row} td:last-child a").click()
+    assert built.notebook in front.driver.current_url
+    target = front.run("return document.querySelector(':target').textContent")
+    assert built.entry.quantity in target
+    assert built.verdict in target
+
+
+def test_the_table_is_there_without_the_script(front, site):
+    front.driver.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": True})
+    try:
+        front.open((site / "index.html").as_uri())
+        rows = front.driver.find_elements(By.CSS_SELECTOR, "#claims tbody tr")
+        assert len(rows) == len(CLAIMS)
+        assert rows[0].is_displayed()
+    finally:
+        front.driver.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": False})
+
+
+def press(front, key):
+    front.driver.switch_to.active_element.send_keys(key)
+
+
+FOCUS = """
+const at = document.activeElement, style = getComputedStyle(at);
+return [at.tagName, at.name || at.getAttribute("href") || at.id || at.textContent.trim(),
+        style.outlineStyle !== "none" && parseFloat(style.outlineWidth) >= 2];
+"""
+
+
+def test_the_keyboard_reaches_and_works_the_filters(front):
+    front.driver.find_element(By.TAG_NAME, "body").send_keys(Keys.TAB)
+    stops = [front.run(FOCUS)]
+    assert stops[0][1] == "#content"  # the way past the navigation comes first
+    for _ in range(60):
+        press(front, Keys.TAB)
+        stops.append(front.run(FOCUS))
+        if stops[-1][1] == "verdict":
+            break
+    assert stops[-1][1] == "verdict", stops
+    assert all(visible for *_, visible in stops), [stop for stop in stops if not stop[2]]
+    press(front, "d")  # a select takes the first letter of an option
+    assert {BY_ID[row].verdict for row in front.run(ROWS)} == {"deviates"}
+
+
+def test_the_keyboard_opens_a_reason(front):
+    summary = front.driver.find_element(By.CSS_SELECTOR, "#claims summary")
+    summary.send_keys(Keys.ENTER)
+    assert front.run("return arguments[0].parentElement.open", summary)

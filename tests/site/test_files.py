@@ -1,0 +1,151 @@
+"""The site's files, checked without a browser: links, escaping, places, completeness."""
+
+import json
+import re
+from html.parser import HTMLParser
+
+import pytest
+from stillwork import paths
+from stillwork.checks import InputError
+from stillwork.claims import ledger
+from stillwork.site.build import site_files
+from stillwork.site.links import broken_links
+from stillwork.workbook.notebooks import select
+from stillwork.workbook.publish import replace_folder
+from workbook import toy as toys
+
+HOSTILE = "<script>alert('x')</script><img src=x onerror=alert(1)> & \"quoted\""
+
+
+class Elements(HTMLParser):
+    def __init__(self, text: bytes):
+        super().__init__()
+        self.found: list[tuple[str, dict]] = []
+        self.feed(text.decode())
+
+    def handle_starttag(self, tag, attributes):
+        self.found.append((tag, dict(attributes)))
+
+    def of(self, *tags: str) -> list[dict]:
+        return [attributes for tag, attributes in self.found if tag in tags]
+
+
+@pytest.fixture(scope="module")
+def files():
+    return site_files()
+
+
+@pytest.fixture(scope="module")
+def written(files, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("built") / "site"
+    replace_folder(folder, files)
+    return folder
+
+
+@pytest.fixture
+def toy(tmp_path, monkeypatch):
+    """A workbook of one built notebook, full of text that a page must not take for its own."""
+    made = toys.make(tmp_path / "toy")
+    name = "isolation/01-first"
+    made.add_page(name)
+    made.replace(f"notebooks/{name}.ipynb", "# A toy", json.dumps(f"# A toy {HOSTILE}")[1:-1])
+    made.replace(f"notebooks/{name}.ipynb", "# V", json.dumps(f"# V {HOSTILE}")[1:-1])
+    made.replace("data/isolation/published.toml", 'quantity = "gain"', f"quantity = '''{HOSTILE}'''")
+    made.write(
+        "data/isolation/published.toml",
+        (made.root / "data/isolation/published.toml").read_text() + f"reason = '''{HOSTILE}'''\n",
+    )
+    made.write(f"figures/{name}/claims.json", json.dumps({"isolation.gain": {"ours": 2.5}}))
+
+    header = b"\x89PNG\r\n\x1a\n" + b"\0" * 8 + (7).to_bytes(4) + (5).to_bytes(4)
+    for stem in ("fig-1", "<b>&'quoted'"):
+        (made.root / f"figures/{name}/{stem}.png").write_bytes(header)
+        (made.root / f"figures/{name}/{stem}.csv").write_text("panel,series,x,y,z\n")
+    monkeypatch.setenv("STILLWORK_ROOT", str(made.root))
+    yield made
+    toys.clean_up(made)
+
+
+def test_every_link_leads_somewhere(written):
+    assert broken_links(written) == []
+
+
+def test_a_broken_link_is_named(written):
+    page = written / "gallery.html"
+    good = page.read_text(encoding="utf-8")
+    extra = [
+        '<a href="nowhere.html">',
+        '<a href="index.html#nowhere">',
+        '<a href="../../outside.html">',
+        '<img src="https://example.org/a.png">',
+        '<script src="//example.org/a.js"></script>',
+        '<a href="javascript:alert(1)">',
+    ]
+    page.write_text(good + "".join(extra), encoding="utf-8")
+    found = broken_links(written)
+    page.write_text(good, encoding="utf-8")
+    assert len(found) == len(extra)
+    assert [line.rpartition(": ")[2] for line in found] == [
+        "no such file",
+        "no such place",
+        "no such file",
+        *3 * ["leaves the site"],
+    ]
+
+
+def test_every_notebook_number_and_module_is_there(files):
+    for notebook in select():
+        assert f"notebooks/{notebook.name}.html" in files
+        assert files[f"notebooks/{notebook.name}.ipynb"].decode() == notebook.source
+    rows = {each["id"] for each in Elements(files["index.html"]).of("tr") if "id" in each}
+    assert rows == {f"row-{claim.entry.id}" for claim in ledger()}
+    assert "reference/stillwork.spectra.html" in files
+
+
+def test_every_built_number_has_one_place(files):
+    for claim in ledger():
+        if claim.notebook:
+            page = Elements(files[f"notebooks/{claim.notebook}.html"])
+            assert [each["id"] for each in page.of("li") if each.get("id") == f"claim-{claim.entry.id}"]
+
+
+def test_every_committed_figure_is_shown(files):
+    shown = {
+        src
+        for name in files
+        if name.startswith("notebooks/") and name.endswith(".html")
+        for src in [each["src"].removeprefix("../../") for each in Elements(files[name]).of("img")]
+    }
+    committed = {
+        file.relative_to(paths.root()).as_posix() for file in (paths.root() / "figures").glob("*/*/[!.]*.png")
+    }
+    assert committed <= shown
+
+
+def test_two_builds_give_the_same_bytes(files):
+    assert site_files() == files
+
+
+def test_foreign_text_is_escaped(toy):
+    files = site_files()
+    for name, content in files.items():
+        if name.endswith(".html"):
+            page = Elements(content)
+            assert [each for each in page.of("script") if "src" not in each] == [], name
+            assert [each for each in page.of("img") if each["src"] == "x"] == [], name
+            assert page.of("b") == [], name
+            assert not [each for _, each in page.found if any(key.startswith("on") for key in each)], name
+    assert "&lt;script&gt;alert" in files["index.html"].decode()
+    assert "deviates" in files["index.html"].decode()
+
+
+def test_a_formula_that_cannot_be_shown_names_the_notebook(toy):
+    toy.replace("notebooks/isolation/01-first.ipynb", "# A toy", "# A toy $\\\\frobnicate{x}$")
+    with pytest.raises(InputError, match=r"isolation/01-first: the formula .*frobnicate.* unknown"):
+        site_files()
+
+
+def test_the_command_of_a_figure_stands_on_its_page(files):
+    for notebook in select():
+        text = files[f"notebooks/{notebook.name}.html"].decode()
+        assert re.search(rf"make figures ARGS=&#34;{notebook.name} --force&#34;", text)

@@ -1,0 +1,130 @@
+"""What the site reads from notebooks, sources, formulas and docstrings."""
+
+import xml.etree.ElementTree as tree
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from stillwork.checks import InputError
+from stillwork.claims import Claim, Entry, Tolerance
+from stillwork.site import picture, reading, reference
+from stillwork.site.mathematics import markdown, mathml
+
+IDS = ["room.fig-1.a", "room.fig-1.b", "room.table-2.a"]
+
+
+def test_claims_and_figures_are_found_in_their_order():
+    source = 'page.check("room.table-2.a", 1)\nother.check("room.fig-1.a")\npage.check("room.fig-1.b", 2)'
+    assert reading.checked(source, IDS) == ["room.table-2.a", "room.fig-1.b"]
+    assert reading.saved('page.save("fig-5", figure)', ["fig-5", "fig-55"]) == ["fig-5"]
+
+
+def test_a_name_made_up_in_a_loop_finds_all_that_it_can_mean():
+    assert reading.checked('for x in y: page.check(f"room.fig-1.{x}", 0)', IDS) == IDS[:2]
+    assert reading.checked("for x in y: page.check(x, 0)", IDS) == IDS
+
+
+def test_a_cell_that_is_not_python_draws_nothing():
+    assert reading.saved("%time page.save('a')", ["a"]) == []
+
+
+def test_used_functions_carry_their_full_names():
+    cells = [
+        "from stillwork import paths\nfrom stillwork.isolation.twin import load_twin as load",
+        "load(paths.data)",
+    ]
+    assert reading.used(cells) == [
+        "stillwork.isolation.twin.load_twin",
+        "stillwork.paths",
+        "stillwork.paths.data",
+    ]
+
+
+def test_every_name_of_a_module_has_a_place():
+    modules = reference.read_modules()
+    places = reference.index(modules)
+    assert places["stillwork.records.load_record"] == "stillwork.records.html#load_record"
+    assert places["stillwork.isolation.FeRls"] == "stillwork.isolation.adaptation.html#FeRls"
+    assert {module.room for module in modules} >= {"shared", "isolation"}
+    names = {module.name for module in modules}
+    assert not [name for name in names if ".site" in name or ".workbook" in name]
+
+
+def test_a_docstring_becomes_paragraphs_definitions_and_blocks():
+    html = reference.doc_html(
+        "Sum <up>.\n\nOf `x`::\n\n    a < b\n\nParameters\n----------\nx : array_like, shape (n,)\n    In m.\n\nRaises\n------\nInputError\n    When not."
+    )
+    assert html == (
+        '<p>Sum &lt;up&gt;.</p><p>Of <code>x</code>:</p><pre tabindex="0">a &lt; b</pre>'
+        "<h4>Parameters</h4><dl><dt><code>x</code> <span>array_like, shape (n,)</span></dt><dd><p>In m.</p></dd></dl>"
+        "<h4>Raises</h4><dl><dt><code>InputError</code></dt><dd><p>When not.</p></dd></dl>"
+    )
+
+
+@given(st.text(alphabet="ab <>&'\"`-:\n", max_size=80))
+def test_no_docstring_opens_an_element_of_its_own(text):
+    html = reference.doc_html(text)
+    root = tree.fromstring(f"<root>{html}</root>")  # well formed
+    assert {each.tag for each in root.iter()} <= {"root", "p", "pre", "code", "h4", "dl", "dt", "dd", "span"}
+
+
+@pytest.mark.parametrize(
+    "formula", [r"\hat P(s) = \frac{s^2}{m s^2 + d s + k}", r"|x|^2 \le \lVert y \rVert", "a<b"]
+)
+def test_a_formula_becomes_mathml(formula):
+    root = tree.fromstring(mathml(formula))
+    assert root.tag.endswith("math")
+    assert "\\" not in "".join(root.itertext())
+
+
+@pytest.mark.parametrize("formula", [r"\frobnicate{x}", r"\frac", r"\left( x"])
+def test_an_unknown_formula_is_refused(formula):
+    with pytest.raises(InputError, match="formula"):
+        mathml(formula)
+
+
+def test_markdown_keeps_foreign_html_and_links_out():
+    html = markdown("<b onclick=x>hi</b> [a](javascript:alert(1)) [n](../motion/01-x.ipynb#there) $x<y$")
+    assert "<b" not in html
+    assert "javascript" not in html
+    assert 'href="../motion/01-x.html#there"' in html
+    assert "<math" in html
+
+
+def claim(ours, published=2.0, **fields) -> Claim:
+    tolerance = Tolerance("digits", **(fields.pop("rule", None) or {"relative": 0.1}))
+    return Claim(Entry("isolation.a.b", "p", "q", "", published, "value", tolerance), ours, **fields)
+
+
+def test_the_picture_s_axis_is_logarithmic_about_one():
+    one, half, twice = (picture.draw([claim(ours)]).marks[0] for ours in (2.0, 1.0, 4.0))
+    assert one.x == picture.WIDTH / 2
+    assert one.x - half.x == pytest.approx(twice.x - one.x)
+    ticks = {label: x for x, label in picture.draw([claim(2.0)]).ticks}
+    assert (half.x, one.x, twice.x) == pytest.approx((ticks["½"], ticks["1"], ticks["2"]))
+
+
+@pytest.mark.parametrize(
+    ("ours", "edge"), [(2.0, ""), (-1.0, "left"), (0.1, "left"), (0.0, "left"), (9.0, "right")]
+)
+def test_what_is_off_the_scale_is_an_arrow_at_the_edge(ours, edge):
+    mark = picture.draw([claim(ours)]).marks[0]
+    assert mark.edge == edge
+    assert picture.MARGIN <= mark.x <= picture.WIDTH - picture.MARGIN
+
+
+def test_the_grey_line_is_what_the_judge_allows():
+    for rule, low, high in (({"relative": 0.1}, 0.9, 1.1), ({"absolute": 1.0}, 0.5, 1.5)):
+        mark = picture.draw([claim(2.0, rule=rule)]).marks[0]
+        ends = [picture.draw([claim(2.0 * share)]).marks[0].x for share in (low, high)]
+        assert (mark.low, mark.high) == pytest.approx(ends)
+    mark = picture.draw([claim(2.0, rule={"interval": 0.95}, interval=(1.0, 4.0))]).marks[0]
+    ends = [picture.draw([claim(value)]).marks[0].x for value in (1.0, 4.0)]
+    assert (mark.low, mark.high) == pytest.approx(ends)
+
+
+def test_zero_and_orderings_have_no_row():
+    ordering = Claim(Entry("isolation.a.c", "p", "q", "", 1.0, "ordering"), 1.0)
+    assert (
+        picture.draw([claim(1.0, published=0.0, rule={"absolute": 1.0}), ordering, claim(None)]).marks == ()
+    )
