@@ -61,6 +61,10 @@ class TestNotebook:
             for node in ast.walk(ast.parse(text(cell))):
                 assert not isinstance(node, ast.FunctionDef | ast.ClassDef), text(cell)
 
+    def test_no_cell_hides_its_value_with_a_semicolon(self, notebook):
+        # nbval runs cells outside the history, where IPython looks for it: the value would appear there
+        assert not [text(cell) for cell in cells(notebook) if text(cell).rstrip().endswith(";")]
+
     def test_cell_ids_are_names(self, notebook):
         ids = [cell["id"] for cell in json.loads(notebook.source)["cells"]]
         assert len(set(ids)) == len(ids)
