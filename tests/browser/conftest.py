@@ -7,6 +7,7 @@ import shutil
 import pytest
 from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
+from selenium.webdriver.support.ui import WebDriverWait
 from stillwork.site.build import site_files
 from stillwork.workbook.publish import replace_folder
 
@@ -27,6 +28,8 @@ class Browser:
 
     def open(self, address: str) -> None:
         self.driver.get(address)
+        # From the disk the driver may come back before the styles have.
+        WebDriverWait(self.driver, 60).until(lambda _: self.run("return document.readyState") == "complete")
 
     def run(self, script: str, *arguments):
         return self.driver.execute_script(script, *arguments)
