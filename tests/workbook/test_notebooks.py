@@ -161,9 +161,9 @@ def test_assign_keeps_what_differs_and_drops_who_has_none(workbook):
     assert [changed for _, changed in assign(select(), {})] == [{}, {}]
     with pytest.raises(InputError, match="did you mean 'runs'"):
         assign(select(), {"run": "3"})
-    with pytest.raises(InputError, match="'forgetting'; it has seed, rate$"):
+    with pytest.raises(InputError, match=r"'forgetting'; it has seed, rate$"):
         assign(select("motion/01-x"), {"forgetting": "3"})
-    with pytest.raises(InputError, match="'forgetting'; they have seed, rate, runs$"):
+    with pytest.raises(InputError, match=r"'forgetting'; they have seed, rate, runs$"):
         assign(select(), {"forgetting": "3"})
 
 
