@@ -108,9 +108,9 @@ def _publish(task: Task, outcome: Outcome, made_from) -> Failure | None:
     if task.settings:
         files[task.executed.name] = outcome.executed
     try:
-        publish.replace_folder(task.target, files)
         if not task.settings:
             publish.replace_file(task.executed, outcome.executed)
+        publish.replace_folder(task.target, files)  # after all that may fail before it
         outputs = {name: digest(content) for name, content in files.items()}
         state = json.dumps({"inputs": task.inputs, "outputs": outputs}, indent=1)
         publish.replace_file(task.state, state.encode())
