@@ -65,8 +65,8 @@ def run_silently(estimator: Estimator, regressors: ArrayLike, outputs: ArrayLike
             f"regressors has {samples} samples for {unknowns} unknowns; give more samples than unknowns"
         )
     for name, values in (("regressors", regressors), ("outputs", outputs)):
-        _require_size(name, values)
         largest = np.abs(values).max()
+        _require_size(name, largest)
         if 0 < largest < 1 / LARGEST:
             raise InputError(
                 f"{name} is nowhere above {largest:g}, too small to be squared; use another unit"
@@ -78,8 +78,7 @@ def _is_min_max(estimator) -> bool:
     return isinstance(estimator, MinMax | GrowingMinMax)
 
 
-def _require_size(name, values) -> None:
-    largest = np.max(np.abs(values))
+def _require_size(name, largest) -> None:
     if largest > LARGEST:
         raise InputError(f"{name} reaches {largest:g}, too large to be squared; use another unit")
 
@@ -116,12 +115,12 @@ class Stepper:
         """
         row = require_array("regressor", regressor, shape=(self._unknowns,))
         output = require_number("output", output)
-        _require_size("regressor", row)
-        _require_size("output", output)
+        _require_size("regressor", max(map(abs, row.tolist())))
+        _require_size("output", abs(output))
         track = self._estimator.advance(self._state, self._samples, row[None], np.array([output]))
         self._samples += 1
         self._excited = self._excited or (output != 0 and bool(row.any()))
-        zero = self._excited and self._samples > self._unknowns and np.isinf(track.alphas[0])
+        zero = self._excited and self._samples > self._unknowns and track.alphas[0] == np.inf
         if zero and not self._warned:
             self._warned = True
             warnings.warn(
