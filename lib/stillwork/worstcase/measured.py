@@ -178,7 +178,9 @@ def bound_sweep(pair: MeasuredPair, taps: int, length: int, factors: np.ndarray,
     windows = _windows(pair, regressors, length, most)
     found = np.zeros((len(windows), len(factors)))
     for i, (matrix, target, later, goal) in enumerate(windows):
+        # a rotation of the rows changes no residual: taps + 1 of them say all
+        corner = np.linalg.qr(np.column_stack([matrix, target]), mode="r")
         for j, factor in enumerate(factors):
-            estimate = solve_silently(matrix, target, factor * typical).estimate
+            estimate = solve_silently(corner[:, :-1], corner[:, -1], factor * typical).estimate
             found[i, j] = np.linalg.norm(goal - later @ estimate) / np.linalg.norm(goal)
     return np.median(found, axis=0)
