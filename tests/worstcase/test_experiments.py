@@ -146,6 +146,9 @@ def test_measured_pair_is_the_shipped_record():
     later = slice(start + 64, start + 128)
     miss = np.linalg.norm(pair.output[later] - x @ regressors[:, later]) / np.linalg.norm(pair.output[later])
     assert found["least squares"][0][0] == pytest.approx(miss, rel=1e-9)
+    swept = measured.bound_sweep(pair, 8, 64, np.array([1e-9, 1.0]), 5)
+    medians = [np.median(found[name][0]) for name in ("least squares", "min-max, typical bound")]
+    assert swept == pytest.approx(np.array(medians), rel=1e-7)
 
 
 def test_pictures_can_be_saved_with_their_numbers(tmp_path):

@@ -12,6 +12,10 @@ from stillwork.worstcase import (
 )
 
 
+def test_lags_beyond_the_record_are_zero():
+    assert fir_regressors([1.0, 2.0], 5) == pytest.approx(np.array([[1, 2], [0, 1], [0, 0], [0, 0], [0, 0]]))
+
+
 def test_fir_regressors_convolve():
     rng = np.random.default_rng(0)
     u, x = rng.normal(size=50), rng.normal(size=4)

@@ -17,6 +17,7 @@ from stillwork.worstcase import (
     run,
     worst_case_residuals,
 )
+from stillwork.worstcase.estimators import UPDATES
 
 FORGETTING = 0.9
 EXACT = ("exact", "fast")
@@ -221,6 +222,33 @@ def test_a_bound_that_explains_everything_away_warns():
         run(MinMax(0.5, FORGETTING), rows.T, outputs)
 
 
+def test_a_stepper_warns_once_that_the_estimate_is_zero():
+    rows, outputs = record(16)
+    stepper = Stepper(MinMax(50.0, FORGETTING), 4)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        for row, output in zip(rows, outputs, strict=True):
+            assert not stepper.update(row, output).any()
+    assert [w.category for w in caught] == [ZeroEstimateWarning]
+    assert "zero after sample 5" in str(caught[0].message)
+
+
+def test_data_without_correlation_are_not_blamed_on_the_bound():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert not run(MinMax(0.5, FORGETTING), np.ones((2, 9)), np.zeros(9)).estimates.any()
+        assert not run(MinMax(0.5, FORGETTING), np.zeros((2, 9)), np.ones(9)).estimates.any()
+
+
+@pytest.mark.parametrize("update", UPDATES)
+@pytest.mark.parametrize("unit", [1e-60, 1e60])
+def test_estimates_do_not_depend_on_the_unit(update, unit):
+    rows, outputs = record(17)
+    one = run(MinMax(0.5, FORGETTING, update), rows.T, outputs)
+    other = run(MinMax(0.5 * unit, FORGETTING, update), unit * rows.T, unit * outputs)
+    assert other.estimates == pytest.approx(one.estimates, rel=1e-9, abs=1e-12)
+
+
 @pytest.mark.parametrize("forgetting", [0.0, 1.0, 1.2, -0.1, np.nan])
 def test_forgetting_outside_the_open_unit_interval_is_refused(forgetting):
     for make in (
@@ -244,6 +272,19 @@ def test_forgetting_outside_the_open_unit_interval_is_refused(forgetting):
         (lambda: Ridge(0.0, 0.9), "penalty is 0.*above 0"),
         (lambda: LeastSquares(0.9, 0.0), "initial_covariance is 0"),
         (lambda: Stepper(MinMax(1.0, 0.9), 0), "unknowns is 0"),
+        (lambda: Stepper(MinMax(1.0, 0.9), 2).update([1.0, 1e99], 1.0), "regressor reaches 1e.99, too large"),
+        (lambda: Stepper(MinMax(1.0, 0.9), 2).update([1.0, np.nan], 1.0), "regressor holds 1 NaN"),
+        (lambda: Stepper(MinMax(1.0, 0.9), 2).update([1.0, 1.0], np.inf), "output is inf"),
+        (lambda: run(MinMax(1.0, 0.9), np.ones((2, 9)), np.full(9, np.nan)), "outputs holds 9 NaN"),
+        (
+            lambda: run(MinMax(1.0, 0.9), np.full((2, 9), 1e99), np.ones(9)),
+            "regressors reaches .*another unit",
+        ),
+        (lambda: run(MinMax(1.0, 0.9), np.ones((2, 9)), np.full(9, 1e-99)), "outputs is nowhere above"),
+        (
+            lambda: worst_case_residuals(np.ones((2, 9)), np.ones(9), np.ones((2, 9)), np.full(9, -1.0), 0.9),
+            "bounds holds a negative",
+        ),
         (lambda: run(MinMax(1.0, 0.9), np.ones((3, 3)), np.ones(3)), "3 samples for 3 unknowns; give more"),
         (lambda: run(MinMax(1.0, 0.9), np.ones((3, 9)), np.ones(8)), "outputs has shape"),
         (lambda: run(MinMax(1.0, 0.9), np.ones((0, 9)), np.ones(9)), "no rows"),

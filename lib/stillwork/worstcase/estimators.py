@@ -80,7 +80,9 @@ class MinMax(_MinMaxUpdate):
     forgetting : float
         lambda, between 0 and 1.
     update : str
-        ``exact``: Theorem 2, one O(n^3) factorisation per Newton step. ``approximate``: algorithm (20).
+        ``exact``: Theorem 2, one O(n^3) factorisation per step towards alpha; (R + alpha I) x = s is solved
+        anew, to which the theorem's correction of h is equal, so that leaving zero needs no special case.
+        ``approximate``: algorithm (20).
         ``fast``: the exact root from rank-one updates of the eigenvectors of R, Section 7.
     iterations : int
         Fixed-point steps of the approximate update; the published algorithm takes 1.

@@ -97,19 +97,31 @@ def window_residuals(
     regressors = fir_regressors(pair.input, taps)
     found = {name: [] for name, *_ in METHODS}
     for length in lengths:
-        if not taps < length <= (len(pair.input) - taps) // 2:
-            raise InputError(f"lengths holds {length}; give more than {taps} and at most half of the record")
-        starts = np.arange(taps, len(pair.input) - 2 * length + 1, 2 * length)
-        starts = starts[np.unique(np.linspace(0, len(starts) - 1, most).astype(int))]
         residuals = {name: [] for name in found}
-        for start in starts:
-            matrix, later = (regressors[:, k : k + length].T for k in (start, start + length))
-            target, goal = (pair.output[k : k + length] for k in (start, start + length))
+        for matrix, target, later, goal in _windows(pair, regressors, length, most):
             for name, estimate in _estimates(matrix, target, pair.noise).items():
                 residuals[name].append(np.linalg.norm(goal - later @ estimate) / np.linalg.norm(goal))
         for name, values in residuals.items():
             found[name].append(np.array(values))
     return found
+
+
+def _windows(pair: MeasuredPair, regressors, length: int, most: int) -> list[tuple[np.ndarray, ...]]:
+    """Pairs of neighbouring windows, spread over the record: regressors and outputs to fit, then to predict."""
+    taps, samples = regressors.shape
+    if not taps < length <= (samples - taps) // 2:
+        raise InputError(f"lengths holds {length}; give more than {taps} and at most half of the record")
+    starts = np.arange(taps, samples - 2 * length + 1, 2 * length)
+    starts = starts[np.unique(np.linspace(0, len(starts) - 1, most).astype(int))]
+    return [
+        (
+            regressors[:, start : start + length].T,
+            pair.output[start : start + length],
+            regressors[:, start + length : start + 2 * length].T,
+            pair.output[start + length : start + 2 * length],
+        )
+        for start in starts
+    ]
 
 
 def _estimates(matrix, target, noise) -> dict[str, np.ndarray]:
@@ -163,13 +175,12 @@ def bound_sweep(pair: MeasuredPair, taps: int, length: int, factors: np.ndarray,
     """Median out-of-sample residual of min-max when the bound is `factors` times the typical one."""
     regressors = fir_regressors(pair.input, taps)
     typical = noise_bound(pair.noise, taps, 1 - 1 / length)
-    starts = np.arange(taps, len(pair.input) - 2 * length + 1, 2 * length)
-    starts = starts[np.unique(np.linspace(0, len(starts) - 1, most).astype(int))]
-    found = np.zeros((len(starts), len(factors)))
-    for i, start in enumerate(starts):
-        matrix, later = (regressors[:, k : k + length].T for k in (start, start + length))
-        target, goal = (pair.output[k : k + length] for k in (start, start + length))
+    windows = _windows(pair, regressors, length, most)
+    found = np.zeros((len(windows), len(factors)))
+    for i, (matrix, target, later, goal) in enumerate(windows):
+        # a rotation of the rows changes no residual: taps + 1 of them say all
+        corner = np.linalg.qr(np.column_stack([matrix, target]), mode="r")
         for j, factor in enumerate(factors):
-            estimate = solve_silently(matrix, target, factor * typical).estimate
+            estimate = solve_silently(corner[:, :-1], corner[:, -1], factor * typical).estimate
             found[i, j] = np.linalg.norm(goal - later @ estimate) / np.linalg.norm(goal)
     return np.median(found, axis=0)

@@ -116,5 +116,5 @@ def noise_bound(deviation: float, unknowns: int, forgetting: float) -> float:
 def _delayed(signal, lags) -> np.ndarray:
     out = np.zeros((len(lags), len(signal)))
     for row, lag in zip(out, lags, strict=True):
-        row[lag:] = signal[: len(signal) - lag]
+        row[lag:] = signal[: max(len(signal) - lag, 0)]
     return out

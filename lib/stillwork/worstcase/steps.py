@@ -1,7 +1,7 @@
 """Kernels of the recursive estimators that factorise: exact, approximate, ridge, and plain RLS.
 
-State of the min-max kernels: `information` R <- lam R + a a' (its lower triangle), `correlation` s <- lam s + a y, `energy`
-z <- lam z + y^2, the regularisation alpha, the number of rows seen, and the estimate x.
+State of the min-max kernels: `information` R <- lam R + a a' (its lower triangle), `correlation`
+s <- lam s + a y, `energy` z <- lam z + y^2, the regularisation alpha, the number of rows seen, the estimate x.
 """
 
 import numpy as np
@@ -64,7 +64,7 @@ def _run_exact(
     rows, outputs, bounds, forgetting, information, correlation, scalars, estimate,
     estimates, errors, alphas, evaluations,
 ):  # fmt: skip
-    """Theorem 2: the min-max solution of all data so far, at every step, warm started."""
+    """Theorem 2's estimates: the min-max solution of all data so far, at every step, from R, s and z."""
     n = len(estimate)
     factor = np.zeros((n, n))
     inverse_pivots = np.zeros(n)

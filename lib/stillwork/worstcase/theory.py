@@ -26,10 +26,11 @@ def solution_trial(rng: np.random.Generator, perturbations: int) -> dict[str, fl
     -------
     dict of str to float
         ``share``: bound over threshold. ``cost``: relative distance of the costs. ``identity``: relative
-        residual of (6). ``crossings``: sign changes of alpha - f(alpha) over 24 decades. ``zero_agrees``: 1 when the estimate is zero exactly for a bound above the threshold
-        and the cone program agrees (to 1e-6 of |b| in A x). ``attained``: relative distance of the worst
-        perturbation's residual from (2). ``exceeded``: largest of the random perturbations' residuals over (2).
-        ``several``: 1 with more than one unknown and a nonzero estimate.
+        residual of (6). ``crossings``: sign changes of alpha - f(alpha) over 24 decades. ``zero_agrees``: 1
+        when the estimate is zero exactly for a bound above the threshold and the cone program agrees (to 1e-6
+        of |b| in A x). ``attained``: relative distance of the worst perturbation's residual from (2).
+        ``exceeded``: largest of the random perturbations' residuals over (2). ``several``: 1 with more than
+        one unknown and a nonzero estimate.
     """
     matrix, target, threshold = random_problem(rng, int(rng.integers(1, 7)))
     bound = threshold * 10.0 ** rng.uniform(-1.5, 0.15)
