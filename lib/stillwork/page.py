@@ -43,7 +43,7 @@ class Page:
         ----------
         claim : str
             Id in ``published.toml``.
-        ours : float or bool
+        ours : float
             The replicated value; for an ordering the fraction of runs that obey it.
         interval : tuple of float, optional
             Its interval over runs.
