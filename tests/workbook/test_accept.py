@@ -34,6 +34,7 @@ def test_accepts_a_build(toy):
     assert tomllib.loads(ledger)["isolation"]["gain"]["ours"] == 2.0
     assert ledger.startswith("# Numbers of the toy.")
     assert "published = 2.0  # as printed" in ledger
+    assert 'digits" }\nours = 2.0\n\n# What comes next.\n' in ledger
     assert (toy.root / "data/motion/published.toml").read_text().count("ours") == 0
 
     text = (toy.root / "notebooks/isolation/01-first.ipynb").read_text()

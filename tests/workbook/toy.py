@@ -26,6 +26,8 @@ unit = ""
 published = 2.0  # as printed
 kind = "value"
 tolerance = {{ relative = 0.01, source = "printed digits" }}
+
+# What comes next.
 """
 
 PARAMETERS = "seed: int = 1  # of the noise\nlevel: float = 1.0  # V"

@@ -93,5 +93,15 @@ def _write_ours(room: str, claims: list[Claim]) -> None:
             for part in claim.entry.id.split("."):
                 entry = entry[part]
             if entry.get("ours") != claim.ours:
-                entry["ours"] = claim.ours
+                _set_ours(entry, claim.ours)
     publish.replace_file(file, tomlkit.dumps(document).encode())
+
+
+def _set_ours(entry: tomlkit.items.Table, value: float) -> None:
+    """After the entry's own keys: comments behind them belong to what comes next."""
+    body = entry.value.body
+    following = []
+    while body[-1][0] is None:
+        following.insert(0, body.pop())
+    entry["ours"] = value
+    body.extend(following)
