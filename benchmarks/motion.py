@@ -23,7 +23,7 @@ from stillwork.motion.controller import PidFamily  # noqa: E402
 from stillwork.motion.designs import DESIGNS, stage_bandwidth, stage_compensator  # noqa: E402
 from stillwork.motion.loops import closed_loop  # noqa: E402
 from stillwork.motion.machines import stage, stage_mass  # noqa: E402
-from stillwork.motion.plots import draw_design  # noqa: E402
+from stillwork.motion.plots_bandwidth import draw_design  # noqa: E402
 from stillwork.motion.setpoint import published_setpoint  # noqa: E402
 from stillwork.motion.tracking import Feedforward, error_loop, tracking_model  # noqa: E402
 
