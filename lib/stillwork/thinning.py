@@ -5,14 +5,15 @@ import numpy as np
 from stillwork.kernels import kernel
 
 DENSE = 200  # points; a line with fewer keeps them all
-REACH = 0.2  # pixels of the saved picture by which a thinned line may leave the full one
+REACH = 0.1  # pixels of the saved picture by which a thinned line may leave the full one
+COLUMN = 0.5  # pixels; of the samples within one only the extremes show
 
 
 def thin(figure, dpi: float) -> None:
-    """Leave out the points of dense lines that lie within 0.2 pixels of a line through the others.
+    """Leave out the points of dense lines that lie within a tenth of a pixel of a line through the others.
 
-    Where more than four samples fall into a column of pixels, only the lowest and the highest of each such run
-    come into question: it is a stroke from one to the other. Lines with markers or steps keep every point.
+    Where many samples fall into half a pixel's width, only the lowest and the highest of them come into
+    question: they show as a stroke from one to the other. Lines with markers or steps keep every point.
 
     Parameters
     ----------
@@ -52,7 +53,7 @@ def kept_points(pixels: np.ndarray, reach: float = REACH) -> np.ndarray:
     """
     if len(pixels) < 3 or not np.isfinite(pixels).all():
         return np.arange(len(pixels))
-    columns = np.ptp(pixels[:, 0])
+    columns = np.ptp(pixels[:, 0]) / COLUMN
     index = np.arange(len(pixels))
     if len(pixels) > 4 * columns > 0 and np.all(np.diff(pixels[:, 0]) >= 0):
         index = _extremes(pixels, reach)
@@ -60,8 +61,8 @@ def kept_points(pixels: np.ndarray, reach: float = REACH) -> np.ndarray:
 
 
 def _extremes(pixels: np.ndarray, reach: float) -> np.ndarray:
-    """First, last, lowest and highest point of every column of pixels; the first of equals, to `reach`."""
-    column = np.floor(pixels[:, 0] - pixels[0, 0]).astype(int)
+    """First, last, lowest and highest point of every column; the first of equals, to `reach`."""
+    column = np.floor((pixels[:, 0] - pixels[0, 0]) / COLUMN).astype(int)
     starts = np.flatnonzero(np.diff(column, prepend=-1))
     kept = []
     for start, end in zip(starts, [*starts[1:], len(column)], strict=True):

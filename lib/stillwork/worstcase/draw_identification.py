@@ -9,7 +9,7 @@ from stillwork.worstcase.experiments import fir_trial
 METHODS = (
     ("min_max", "min-max", figures.BLUE, "-"),
     ("total", "total least squares", figures.RED, "--"),
-    ("least", "least squares (not in the paper)", figures.GREEN, "-"),
+    ("least", "least squares (not in the paper)", figures.BLACK, "-"),
 )
 
 
@@ -20,7 +20,7 @@ def draw_fig_1(study: Study, parameters: tuple[float, ...]):
     for number, (axes, truth) in enumerate(zip((first, second), parameters, strict=True)):
         for name, label, colour, style in METHODS:
             axes.plot(time, study[name][:, number].mean(0), style, color=colour, label=label)
-        axes.axhline(truth, color=figures.BLACK, linewidth=0.8)
+        axes.axhline(truth, color=figures.GREY, linewidth=2.5, alpha=0.5, zorder=1)
         axes.set(
             ylabel=f"estimate of x{number + 1}", title=f"({'ab'[number]})", ylim=_window(study, number, truth)
         )
@@ -36,7 +36,7 @@ def draw_fig_1(study: Study, parameters: tuple[float, ...]):
     )
     third.set(
         ylabel="residual",
-        xlabel="time, samples",
+        xlabel="time (samples)",
         title="(c)",
         ylim=(0, 1.5 * study["min_max_worst"].mean(0)[-1]),
     )
@@ -56,9 +56,9 @@ def draw_corrections(study: Study):
     figure, axes = figures.new(height=3.0)
     time = np.arange(1, study["bound"].shape[1] + 1)
     axes.plot(time, study["total_matrix"].mean(0), "--", color=figures.RED, label="correction assumed by TLS")
-    axes.plot(time, study["bound"][0], color=figures.BLUE, label="bound η_t = √2 w_max √t")
-    axes.plot(time, study["perturbation"].mean(0), color=figures.BLACK, label="true perturbation")
-    axes.set(xlabel="time, samples", ylabel="2-norm of the perturbation of A")
+    axes.plot(time, study["bound"][0], color=figures.BLUE, label="bound √(2t) × largest input noise")
+    axes.plot(time, study["perturbation"].mean(0), color=figures.GREY, label="true perturbation")
+    axes.set(xlabel="time (samples)", ylabel="2-norm of the perturbation of A")
     axes.legend()
     return figure
 
@@ -90,8 +90,8 @@ def draw_long(study: Study, parameters: tuple[float, ...], least_limit: np.ndarr
         time = np.unique(np.geomspace(len(parameters) + 2, len(values), 150).astype(int))
         axes.loglog(time, values[time - 1], style, color=colour, label=label)
     limit = np.linalg.norm(least_limit - np.asarray(parameters))
-    axes.axhline(limit, color=figures.GREEN, linestyle=":", linewidth=1, label="limit of least squares")
-    axes.set(xlabel="time, samples", ylabel="median |x − estimate|")
+    axes.axhline(limit, color=figures.BLACK, linestyle=":", linewidth=1, label="limit of least squares")
+    axes.set(xlabel="time (samples)", ylabel="median |x − estimate|")
     axes.legend()
     return figure
 
@@ -132,11 +132,11 @@ def draw_wins(cases: list[tuple[tuple[float, ...], int]], against_total, against
     figure, axes = figures.new(height=3.2)
     places = np.arange(len(cases))
     axes.bar(places - 0.2, against_total, 0.38, color=figures.RED, label="min-max beats total least squares")
-    axes.bar(places + 0.2, against_least, 0.38, color=figures.GREEN, label="min-max beats least squares")
+    axes.bar(places + 0.2, against_least, 0.38, color=figures.BLACK, label="min-max beats least squares")
     names = [f"({', '.join(f'{p:g}' for p in parameters)})\n{period}" for parameters, period in cases]
     axes.set_xticks(places, names)
     axes.set(
-        xlabel="true parameters, and period of the square wave in samples",
+        xlabel="true parameters, and period of the square wave (samples)",
         ylabel="share of experiments",
         ylim=(0, 1.25),
     )
