@@ -22,33 +22,25 @@ _SHOWN_HZ = (1.0, 400.0)
 
 
 def draw_floor(floor: RecordedFloor, resolution_hz: float = 0.25):
-    """The sensors over time, and in one-third-octave velocity against the criteria."""
-    figure, (left, right) = figures.new(1, 2, height=3.2)
+    """The sensors' mean and what one sees beside it, over time; each in one-third-octave velocity."""
+    figure, (left, right) = figures.new(1, 2, height=3.4)
     time_s = np.arange(floor.acceleration.shape[1]) / floor.sample_rate
     common = floor.acceleration.mean(axis=0)
+    own = floor.acceleration[0] - common
     left.plot(time_s, common, lw=0.6, label="mean of the sensors")
-    own = floor.acceleration - common
-    alike = np.abs(own).max() < 1e-9 * np.abs(common).max()
-    if not alike:
-        left.plot(time_s, own[0], lw=0.6, color=figures.ORANGE, label="sensor 1 less the mean")
-    left.set(xlabel="time (s)", ylabel="floor acceleration (m/s²)", title="over time")
-    left.set_ylim(np.array([-1.1, 1.4]) * np.abs(common).max())  # room for the legend
-    left.legend(loc="upper right", ncols=2)
+    if np.abs(own).max() > 1e-9 * np.abs(common).max():
+        left.plot(time_s, own, lw=0.6, color=figures.ORANGE, label="sensor 1 less the mean")
+    left.set(xlabel="time (s)", ylabel="floor acceleration (m/s²)")
     spectrum = estimate_spectrum(floor.acceleration, floor.sample_rate, resolution_hz)
-    for number, row in enumerate(spectrum.density[:1] if alike else spectrum.density, 1):
+    for number, row in enumerate(spectrum.density, 1):
         centres, velocity = one_third_octave_velocity(spectrum.frequencies_hz, row)
         shown = (centres >= _SHOWN_HZ[0]) & (centres <= _SHOWN_HZ[1]) & (velocity > 1e-4 * velocity.max())
-        right.loglog(
-            centres[shown],
-            velocity[shown],
-            "o-",
-            ms=2.5,
-            lw=0.8,
-            label="every sensor" if alike else f"sensor {number}",
-        )
-    right.legend(loc="upper right")
+        label = "each sensor" if number == 1 else f"_sensor {number}"
+        right.loglog(centres[shown], velocity[shown], "o-", ms=2.5, lw=0.8, color=figures.GREEN, label=label)
     _criteria(right)
-    right.set(xlabel="one-third-octave band (Hz)", ylabel="rms velocity (m/s)", title="against the criteria")
+    right.set(xlabel="one-third-octave band (Hz)", ylabel="rms velocity (m/s)", xlim=(0.8, 600))
+    lines = [line for axes in (left, right) for line in axes.get_legend_handles_labels()[0]]
+    figure.legend(handles=lines, loc="outside lower center", ncols=3)
     return figure
 
 
