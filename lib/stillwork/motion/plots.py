@@ -25,6 +25,7 @@ CASES = {
     "plant": figures.BLACK,
     "plant $P$": figures.BLACK,
     "MC": figures.BLUE,
+    "compensated $P_{eq}$": figures.BLUE,
     "AD": figures.GREEN,
     "MC and AD": figures.RED,
 }
