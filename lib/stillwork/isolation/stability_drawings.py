@@ -161,7 +161,9 @@ def explore_forms(regressors: ArrayLike, initial: ArrayLike):
         figure, axes = figures.new(1, 1, height=3.0)
         forgetting = float(np.exp(-1 / samples_per_constant))
         for style, form in zip(_LINES, FORMS, strict=True):
-            run = covariance_run(form, regressors, forgetting, initial, time_constants, precision)
+            run = covariance_run(
+                form, regressors, forgetting, initial, time_constants, precision, per_time_constant=2
+            )
             ends = "stays definite" if np.isinf(run.breakdown) else f"indefinite at {run.breakdown:.1f}"
             axes.semilogy(
                 run.time_constants, np.maximum(run.asymmetry, FLOOR), style, label=f"{form}: {ends}"
