@@ -18,12 +18,7 @@ def draw_fig_1(study: Study, parameters: tuple[float, ...]):
     figure, (first, second, third) = figures.new(3, 1, height=7.2, sharex=True)
     time = np.arange(1, study["bound"].shape[1] + 1)
     for number, (axes, truth) in enumerate(zip((first, second), parameters, strict=True)):
-        for name, label, colour, style in METHODS:
-            axes.plot(time, study[name][:, number].mean(0), style, color=colour, label=label)
-        axes.axhline(truth, color=figures.GREY, linewidth=2.5, alpha=0.5, zorder=1)
-        axes.set(
-            ylabel=f"estimate of x{number + 1}", title=f"({'ab'[number]})", ylim=_window(study, number, truth)
-        )
+        _draw_estimates(axes, study, number, truth)
     first.legend(ncols=3)
     third.plot(time, study["min_max_worst"].mean(0), color=figures.BLUE, label="min-max: worst case")
     third.plot(time, study["total_target"].mean(0), "--", color=figures.RED, label="TLS: |(A + δA)x − b|")
@@ -42,6 +37,16 @@ def draw_fig_1(study: Study, parameters: tuple[float, ...]):
     )
     third.legend(ncols=2)
     return figure
+
+
+def _draw_estimates(axes, study: Study, number: int, truth: float):
+    time = np.arange(1, study["bound"].shape[1] + 1)
+    for name, label, colour, style in METHODS:
+        axes.plot(time, study[name][:, number].mean(0), style, color=colour, label=label)
+    axes.axhline(truth, color=figures.GREY, linewidth=2.5, alpha=0.5, zorder=1)
+    axes.set(
+        ylabel=f"estimate of x{number + 1}", title=f"({'ab'[number]})", ylim=_window(study, number, truth)
+    )
 
 
 def _window(study, number, truth):
@@ -145,10 +150,15 @@ def draw_wins(cases: list[tuple[tuple[float, ...], int]], against_total, against
 
 
 def explore_fig_1(period: int, input_noise: float, output_noise: float, second: float, seed: int = 1):
-    """Fig. 1 with other unpublished choices: period, noise amplitudes, second parameter."""
+    """Estimates of Fig. 1 with other unpublished choices: period, noise amplitudes, second parameter."""
     parameters = (1.0, second)
     study = run_study(
         fir_trial, 10, seed, progress=False, parameters=parameters, period=int(period), samples=200,
         input_noise=input_noise, output_noise=output_noise,
     )  # fmt: skip
-    return draw_fig_1(study, parameters)
+    figure, panels = figures.new(1, 2, height=3.2)
+    for number, (axes, truth) in enumerate(zip(panels, parameters, strict=True)):
+        _draw_estimates(axes, study, number, truth)
+        axes.set_xlabel("time (samples)")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return figure
