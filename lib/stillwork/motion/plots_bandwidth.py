@@ -6,21 +6,32 @@ from functools import cache, lru_cache
 import numpy as np
 
 from stillwork.lti import ModalModel
-from stillwork.motion.applications import Application
-from stillwork.motion.bandwidth import Loop
+from stillwork.motion.applications import Application, compensator
+from stillwork.motion.bandwidth import Loop, make_loop
 from stillwork.motion.controller import PidFamily
-from stillwork.motion.designs import Design, stage_loops
+from stillwork.motion.designs import stage_observer
 from stillwork.motion.drive import drive_loop, seen_by_controller
-from stillwork.motion.machines import drive, stage_mass
-from stillwork.motion.observer import published_noise
+from stillwork.motion.machines import drive, stage, stage_mass
+from stillwork.motion.observer import Observer, published_noise
 from stillwork.motion.plots import LABELS, bode, over_masses
 from stillwork.motion.structure import as_stage, fit_modes, measured_accelerance, structure_loops
 
 
+@lru_cache(maxsize=64)
+def _observer(position: int, noise_model: float) -> Observer:
+    """Observer of one measured mass: it stays while its application or the controller moves."""
+    return stage_observer(position, noise_model=noise_model)
+
+
 @lru_cache(maxsize=8)
-def _loops(design: Design) -> list[Loop]:
+def _loops(application: Application | None, noise_model: float) -> list[Loop]:
     """Loops of the seven masses: they stay while the bandwidth alone moves."""
-    return stage_loops(design, points=250, around=8)
+    plant = stage()
+    loops = []
+    for position in range(1, len(plant.output_shapes) + 1):
+        used = compensator(_observer(position, noise_model), application) if application else None
+        loops.append(make_loop(plant.at([0], [position - 1]), used, points=250, around=8))
+    return loops
 
 
 def draw_design(
@@ -33,7 +44,7 @@ def draw_design(
     """Explorer: S_I and S_O of the seven loops for one controller and one use of the observer."""
     used = damping > 0 or compensate == "yes"
     application = Application(compensate == "yes", damping, selectivity=selectivity) if used else None
-    loops = _loops(Design(application, noise_model))
+    loops = _loops(application, noise_model)
     controller = PidFamily(stage_mass())(bandwidth_hz)
     figure = over_masses(
         {LABELS[name]: (loops, controller, name) for name in ("input_sensitivity", "output_sensitivity")}
