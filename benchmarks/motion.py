@@ -17,6 +17,7 @@ sys.path.insert(0, str(ROOT / "lib"))
 
 import control  # noqa: E402
 import numpy as np  # noqa: E402
+
 from stillwork.lti import simulate  # noqa: E402
 from stillwork.motion.bandwidth import SIX_DB  # noqa: E402
 from stillwork.motion.controller import PidFamily  # noqa: E402

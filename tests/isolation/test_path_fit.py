@@ -3,6 +3,7 @@
 import control
 import numpy as np
 import pytest
+
 from stillwork.checks import InputError
 from stillwork.isolation.path_fit import dominance, fit_error_db, fit_reaches_hz, parametric_fit, resonance_hz
 from stillwork.isolation.responses import responses

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from stillwork.motion import plots_bandwidth, plots_model, plots_performance
 from stillwork.motion.open_choices import bandwidth_map, open_choices
 

@@ -2,6 +2,7 @@ import ipywidgets
 import numpy as np
 import pytest
 from matplotlib.layout_engine import ConstrainedLayoutEngine
+
 from stillwork import figures
 from stillwork.checks import InputError
 from stillwork.explore import Choice, Redraw, Slider, StaticPicture, explore

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from naive.motion import exponential, step_by_step
 from stillwork import lti
 from stillwork.checks import InputError

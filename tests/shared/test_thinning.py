@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+
 from stillwork import figures
 from stillwork.thinning import DENSE, REACH, kept_points, thin
 
