@@ -19,6 +19,7 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "lib"))
 
 import numpy as np  # noqa: E402
+
 from stillwork.fixedpoint import (  # noqa: E402
     PUBLISHED_CASES,
     UnscentedKalman,

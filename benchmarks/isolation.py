@@ -20,6 +20,7 @@ sys.path.insert(0, str(ROOT / "lib"))
 os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1", MKL_NUM_THREADS="1")
 
 import numpy as np  # noqa: E402
+
 from stillwork.isolation import loop, simulation  # noqa: E402
 from stillwork.isolation.adaptation import FeLms, FeRls, _ferls_update  # noqa: E402
 from stillwork.isolation.floors import flat_floor  # noqa: E402

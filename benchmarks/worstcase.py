@@ -23,6 +23,7 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "lib"))
 
 import numpy as np  # noqa: E402
+
 from stillwork.worstcase import LeastSquares, MinMax, Ridge, Stepper, solve_cone_program  # noqa: E402
 from stillwork.worstcase.costs import slope  # noqa: E402
 

@@ -8,6 +8,7 @@ import pytest
 from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.support.ui import WebDriverWait
+
 from stillwork.site.build import site_files
 from stillwork.workbook.publish import replace_folder
 

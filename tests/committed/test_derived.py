@@ -1,6 +1,7 @@
 """What follows from the ledger and the notebooks is as they are: README, index notebook, manifests."""
 
 import pytest
+
 from stillwork import paths
 from stillwork.site.derived import derived_files
 

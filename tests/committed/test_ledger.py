@@ -4,6 +4,7 @@ import json
 import math
 
 import pytest
+
 from stillwork import paths
 from stillwork.claims import DRIFT, ledger
 from stillwork.workbook.inputs import digest

@@ -5,6 +5,7 @@ import json
 import re
 
 import pytest
+
 from stillwork import paths
 from stillwork.workbook.accept import notebook_text
 from stillwork.workbook.notebooks import select

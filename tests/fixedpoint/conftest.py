@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+
 from stillwork.fixedpoint import asin_trajectory, load_oscillator
 
 

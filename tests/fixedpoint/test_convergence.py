@@ -6,6 +6,7 @@ from dataclasses import replace
 import control
 import numpy as np
 import pytest
+
 from stillwork.checks import InputError
 from stillwork.fixedpoint import (
     ContractionWarning,

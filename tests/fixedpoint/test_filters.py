@@ -5,8 +5,9 @@ import pytest
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 from hypothesis import given
 from hypothesis import strategies as st
-from naive import fixedpoint as naive
 from scipy.signal import savgol_coeffs
+
+from naive import fixedpoint as naive
 from stillwork.checks import InputError
 from stillwork.fixedpoint import (
     ExtendedKalman,

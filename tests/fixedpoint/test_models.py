@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
+
 from fixedpoint import own_model
 from naive import fixedpoint as naive
 from stillwork.checks import InputError

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from scipy import stats
+
 from stillwork.checks import InputError
 from stillwork.fixedpoint import PUBLISHED_CASES, Noise
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from stillwork import figures
 from stillwork.checks import InputError
 from stillwork.fixedpoint import explorers

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+
 from stillwork.fixedpoint import Noise, asin_trajectory, published_controllers
 from stillwork.fixedpoint.metrics import noisy_run, sweep
 from stillwork.fixedpoint.published import KALMAN, LITERAL, LOW_PASS, WINDOW

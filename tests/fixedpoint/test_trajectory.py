@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+
 from stillwork.checks import InputError
 from stillwork.fixedpoint import (
     Trajectory,

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from naive import adaptation as naive
 from stillwork.checks import InputError
 from stillwork.isolation.adaptation import FeLms, FeRls, _felms_update, _ferls_update

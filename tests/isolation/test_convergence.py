@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from stillwork.checks import InputError
 from stillwork.isolation.adaptation import FeLms, FeRls
 from stillwork.isolation.convergence import (

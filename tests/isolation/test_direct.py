@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from naive import adaptation as naive
 from naive import counting
 from stillwork.checks import InputError

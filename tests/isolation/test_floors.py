@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy import signal
+
 from stillwork.checks import InputError
 from stillwork.criteria import CRITERIA, criterion_density, one_third_octave_velocity
 from stillwork.isolation.floors import FLAT_LEVEL, SAMPLE_RATE, ShapedFloor, colored_floor, flat_floor

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from naive import closed_loop
 from stillwork.checks import InputError
 from stillwork.isolation import simulation as module

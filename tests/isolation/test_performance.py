@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from stillwork.checks import InputError
 from stillwork.isolation.floors import flat_floor
 from stillwork.isolation.modes import suspension_modes

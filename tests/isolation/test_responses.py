@@ -3,6 +3,7 @@
 import control
 import numpy as np
 import pytest
+
 from stillwork.checks import InputError
 from stillwork.isolation.responses import control_paths, responses
 from stillwork.isolation.twin import load_twin

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from stillwork.checks import InputError
 from stillwork.isolation.rig import Lines, Rig
 from stillwork.isolation.twin import load_twin

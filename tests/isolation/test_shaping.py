@@ -4,6 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import signal
+
 from stillwork.checks import InputError
 from stillwork.isolation import shaping
 

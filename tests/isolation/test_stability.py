@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+
 from naive import cures as naive
 from stillwork.checks import InputError
 from stillwork.isolation.adaptation import FeRls

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy import signal
+
 from stillwork.checks import InputError
 from stillwork.isolation.adaptation import FeRls
 from stillwork.isolation.floors import ShapedFloor, flat_floor

@@ -4,6 +4,7 @@ import tomllib
 
 import numpy as np
 import pytest
+
 from stillwork import paths
 from stillwork.checks import InputError
 from stillwork.isolation.twin import load_twin, twin_from_table

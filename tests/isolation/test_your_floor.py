@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from stillwork import paths
 from stillwork.checks import InputError
 from stillwork.isolation import drawings, floor_plots, performance_plots

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import linalg
+
 from stillwork.checks import InputError
 from stillwork.lti import ModalModel, StateModel
 from stillwork.motion.applications import Application, compensator

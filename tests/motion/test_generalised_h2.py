@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from stillwork.checks import InputError
 from stillwork.motion.generalised_h2 import (
     ErrorSystem,

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from stillwork.checks import InputError
 from stillwork.motion.applications import Application, compensator
 from stillwork.motion.bandwidth import make_loop

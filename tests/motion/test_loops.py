@@ -3,6 +3,7 @@
 import control
 import numpy as np
 import pytest
+
 from stillwork.checks import InputError
 from stillwork.lti import StateModel, hinf_norm, interconnect
 from stillwork.motion.applications import Application, compensator, soft_sensor

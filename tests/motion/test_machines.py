@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from stillwork.checks import InputError
 from stillwork.lti import zoh_modes
 from stillwork.motion.discretisation import (

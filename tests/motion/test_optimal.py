@@ -3,6 +3,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from scipy import integrate
+
 from stillwork.checks import InputError
 from stillwork.lti import StateModel, h2_norm, hinf_norm
 from stillwork.motion.applications import Application, compensator

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from stillwork import motion
 from stillwork.checks import InputError
 from stillwork.lti import ModalModel, zoh_modes

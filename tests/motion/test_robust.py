@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from naive import motion_robust as naive
 from stillwork.checks import InputError
 from stillwork.motion.filters import TimeVaryingModel, estimate

@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from naive import motion_filters as naive
 from stillwork.checks import InputError
 from stillwork.lti import zoh_modes

@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from stillwork.checks import InputError
 from stillwork.lti import zoh, zoh_modes
 from stillwork.motion.controller import PidFamily

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from naive.motion import integrate_setpoint, moving_windows
 from stillwork.checks import InputError
 from stillwork.lti import StateModel, interconnect, resonance_grid, zoh

@@ -4,6 +4,7 @@ import math
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+
 from stillwork.checks import InputError
 from stillwork.claims import (
     DRIFT,

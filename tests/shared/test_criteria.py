@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from stillwork.checks import InputError
 from stillwork.criteria import (
     BAND_EDGE,

@@ -1,6 +1,7 @@
 import json
 
 import pytest
+
 from stillwork import figures, paths
 from stillwork.checks import InputError
 from stillwork.page import Page

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
+
 from stillwork.checks import InputError
 from stillwork.records import (
     UNITS,

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
+
 from shared import trials
 from stillwork.checks import InputError
 from stillwork.studies import mean_interval, proportion_interval, run_study, spread_interval

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from stillwork import paths
 from stillwork.__main__ import main
 from stillwork.checks import InputError

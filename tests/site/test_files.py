@@ -5,6 +5,7 @@ import re
 from html.parser import HTMLParser
 
 import pytest
+
 from stillwork import paths
 from stillwork.checks import InputError
 from stillwork.claims import ledger

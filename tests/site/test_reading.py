@@ -5,6 +5,7 @@ import xml.etree.ElementTree as tree
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from stillwork.checks import InputError
 from stillwork.claims import Claim, Entry, Tolerance
 from stillwork.site import picture, reading, reference

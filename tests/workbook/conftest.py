@@ -1,4 +1,5 @@
 import pytest
+
 from workbook import toy as toys
 
 

@@ -4,6 +4,7 @@ import json
 import tomllib
 
 import pytest
+
 from stillwork.workbook.accept import cleaned
 from workbook.toy import cell
 

@@ -9,6 +9,7 @@ import sys
 import termios
 
 import pytest
+
 from workbook import toy as toys
 
 FIRST, SECOND, OTHER = "isolation/01-first", "isolation/02-second", "motion/01-first"

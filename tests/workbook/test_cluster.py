@@ -8,6 +8,7 @@ from pathlib import Path
 
 import psutil
 import pytest
+
 from workbook.test_failures import WAIT
 from workbook.toy import until
 

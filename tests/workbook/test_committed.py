@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+
 from workbook import toy as toys
 
 pytestmark = pytest.mark.slow

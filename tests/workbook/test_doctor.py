@@ -3,6 +3,7 @@
 from importlib import metadata
 
 import pytest
+
 from stillwork.workbook.doctor import doctor
 from stillwork.workbook.environment import drift, pins
 

@@ -5,6 +5,7 @@ import resource
 import signal
 
 import pytest
+
 from workbook.toy import until
 
 pytestmark = pytest.mark.slow

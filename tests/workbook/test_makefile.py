@@ -7,6 +7,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+
 from stillwork.workbook.jupyter_kernel import KERNEL_SETTINGS
 
 ROOT = Path(__file__).parents[2]

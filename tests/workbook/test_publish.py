@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 import pytest
+
 from stillwork.workbook.publish import recover, replace_file, replace_folder
 
 OLD = {"a.csv": b"old"}

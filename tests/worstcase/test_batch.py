@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from naive import worstcase as naive
 from stillwork.checks import InputError
 from stillwork.worstcase import (

@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import pytest
+
 from stillwork.checks import InputError
 from stillwork.worstcase.costs import multiplications, slope
 

@@ -2,6 +2,7 @@ import warnings
 
 import numpy as np
 import pytest
+
 from naive import worstcase as naive
 from stillwork import figures
 from stillwork.checks import InputError

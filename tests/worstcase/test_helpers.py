@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from scipy import signal
+
 from stillwork.checks import InputError
 from stillwork.worstcase import (
     arx_regressors,
