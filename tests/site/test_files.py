@@ -9,6 +9,7 @@ from stillwork import paths
 from stillwork.checks import InputError
 from stillwork.claims import ledger
 from stillwork.site.build import site_files
+from stillwork.site.derived import works
 from stillwork.site.links import broken_links
 from stillwork.workbook.notebooks import select
 from stillwork.workbook.publish import replace_folder
@@ -120,6 +121,14 @@ def test_every_committed_figure_is_shown(files):
         file.relative_to(paths.root()).as_posix() for file in (paths.root() / "figures").glob("*/*/[!.]*.png")
     }
     assert committed <= shown
+
+
+def test_what_a_work_says_first_is_judged_by_an_entry_of_its_own_ledger():
+    known = {claim.entry.id: claim.entry.room for claim in ledger()}
+    for room, work in works().items():
+        named = [each["entry"] for each in work["headline"]]
+        assert named
+        assert {known.get(each) for each in named} == {room}
 
 
 def test_two_builds_give_the_same_bytes(files):
