@@ -10,6 +10,11 @@ from stillwork import paths
 from stillwork.checks import InputError, nearest
 
 
+# A grammar of addresses that jsonschema builds for a second or two when a notebook format is loaded, if it can be
+# had; nothing here holds an address against it.
+sys.modules.setdefault("rfc3987_syntax", None)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; returns the exit code (2 for wrong input, 130 when interrupted)."""
     parser, words = _parser()

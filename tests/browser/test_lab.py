@@ -84,14 +84,15 @@ def _wait_until_up(address: str, server: subprocess.Popen, log: Path) -> None:
             time.sleep(0.3)
 
 
-def ready(browser) -> None:
-    """Wait until JupyterLab has put the page together and the notebook on it stands."""
-    until(browser, "return Boolean(window.jupyterapp && document.querySelector('.jp-NotebookPanel'))")
-    asynchronously(
-        browser,
-        "const app = window.jupyterapp; await app.restored; const panel = app.shell.currentWidget;"
-        "await panel.context.ready; await panel.revealed",
-    )
+# The notebook's panel, once it stands and JupyterLab takes it for the one that commands are about: that follows
+# the focus, which a page may have got before its notebook was there.
+PANEL = """
+const shell = window.jupyterapp?.shell;
+const panel = shell && [...shell.widgets("main")].find((widget) => widget.hasClass("jp-NotebookPanel"));
+if (!panel?.isRevealed || !panel.context.isReady) return false;
+if (shell.currentWidget !== panel) shell.activateById(panel.id);
+return shell.currentWidget === panel;
+"""
 
 
 def asynchronously(browser, script: str) -> None:
@@ -109,7 +110,7 @@ def until(browser, script: str, *arguments):
 def test_it_lands_on_the_map_of_the_house(browser, lab):
     browser.resize(1440)
     browser.open(f"{lab}/?token={TOKEN}")
-    ready(browser)
+    until(browser, PANEL)
     heading = until(browser, "return document.querySelector('.jp-Notebook h1')?.textContent")
     assert heading.startswith("The house")
     assert browser.driver.current_url.startswith(f"{lab}/lab/tree/index.ipynb")
@@ -132,7 +133,7 @@ def test_a_slider_moves_number_and_picture_and_the_button_returns(browser, lab):
     browser.resize(1440, 1400)
     browser.driver.set_script_timeout(300)  # the kernel may have to compile first
     browser.open(f"{lab}/lab/tree/{NOTEBOOK}.ipynb?token={TOKEN}")
-    ready(browser)
+    until(browser, PANEL)
     asynchronously(
         browser,
         "const app = window.jupyterapp, panel = app.shell.currentWidget; await panel.sessionContext.ready;"

@@ -109,7 +109,9 @@ def seen(browser, site, pages) -> dict[str, dict[str, list]]:
         }
         browser.resize(NARROW)
         answers["narrow"] = browser.run(MISFITS)
-        answers["outside"] = [each for each in browser.requests() if not each.startswith(site.as_uri())]
+        answers["outside"] = [
+            each for each in browser.requests() if not each.startswith((site.as_uri(), "data:"))
+        ]
         answers["messages"] = browser.messages()
         for question, answer in answers.items():
             found.setdefault(question, {})

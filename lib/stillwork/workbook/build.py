@@ -141,7 +141,7 @@ def _cluster(address: str):
     from distributed import Client
 
     try:
-        client = Client(address, timeout=10)
+        client = Client(address, timeout=5)
     except (OSError, ValueError) as error:
         raise InputError(f"scheduler {address!r} does not answer ({error}); give host:port") from None
 
