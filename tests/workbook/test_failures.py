@@ -154,15 +154,19 @@ def test_an_interrupt_while_kernels_start(toy):
     assert toy.leftovers() == []
 
 
-def test_kernels_die_with_a_runner_that_is_killed(toy):
+def test_kernels_die_with_a_runner_that_is_killed_and_the_next_build_tidies_up(toy):
     toy.add("isolation/01-first", WAIT.format("begun"))
     process = toy.start("figures")
     toy.wait_for("begun")
     process.kill()
     process.communicate()
     until(lambda: not toy.processes())
+    assert toy.leftovers()
+    for folder in toy.temporary.iterdir():
+        os.utime(folder, (0, 0))  # as if some time had passed
     toy.add("isolation/01-first")
     assert toy.run("figures").returncode == 0
+    assert toy.leftovers() == []
 
 
 def test_a_page_of_another_name(toy):

@@ -22,7 +22,7 @@ from stillwork.site.pages import NotebookPage, read_page
 from stillwork.workbook import publish
 from stillwork.workbook.notebooks import notebook_file
 from stillwork.workbook.provenance import commit, modified
-from stillwork.workbook.report import VERDICTS
+from stillwork.workbook.report import VERDICTS, quantity
 from stillwork.workbook.tasks import tasks
 
 HERE = Path(__file__).parent
@@ -135,8 +135,8 @@ def _renderer(**shared):
         lstrip_blocks=True,
     )
     environment.filters["number"] = lambda value: f"{value:.4g}"
-    environment.filters["published"] = lambda claim: _quantity(claim, claim.entry.published)
-    environment.filters["ours"] = lambda claim: _quantity(claim, claim.ours)
+    environment.filters["published"] = lambda claim: quantity(claim, claim.entry.published)
+    environment.filters["ours"] = lambda claim: quantity(claim, claim.ours)
     environment.filters["off_by"] = _off_by
     environment.filters["slug"] = lambda verdict: verdict.replace(" ", "-")
     site = {
@@ -151,16 +151,6 @@ def _renderer(**shared):
         return page.render(root=root, site=site, **shared, **values).encode()
 
     return render
-
-
-def _quantity(claim: Claim, value: float | None) -> str:
-    """A value with its unit; of an ordering, the share of cases in which it holds."""
-    if value is None:
-        return ""
-    if claim.entry.kind == "ordering":
-        return "always" if value == 1 else "never" if value == 0 else f"in {100 * value:.3g} % of cases"
-    unit = claim.entry.unit
-    return f"{value:.4g}" if unit in ("", "1") else f"{value:.4g} {unit}"
 
 
 def _off_by(claim: Claim) -> str:
