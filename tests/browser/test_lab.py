@@ -12,6 +12,7 @@ import urllib.request
 from pathlib import Path
 
 import pytest
+from selenium.common.exceptions import TimeoutException
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import WebDriverWait
@@ -45,6 +46,8 @@ def lab(tmp_path_factory):
         cell for cell in code if cell["id"] == "imports" or "".join(cell["source"]).startswith("explore(")
     ]
     assert len(kept) == 2
+    for cell in kept:
+        cell["outputs"] = []
     (folder / f"{NOTEBOOK}.ipynb").write_text(json.dumps({**whole, "cells": kept}), encoding="utf-8")
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
@@ -84,11 +87,11 @@ def _wait_until_up(address: str, server: subprocess.Popen, log: Path) -> None:
             time.sleep(0.3)
 
 
-# The notebook's panel, once it stands and JupyterLab takes it for the one that commands are about: that follows
-# the focus, which a page may have got before its notebook was there.
+# Whether the panel of a notebook stands and commands are about it. Without asking, they may be about none, because
+# the page had its focus first, or about another one, which JupyterLab opens again because it was open before.
 PANEL = """
 const shell = window.jupyterapp?.shell;
-const panel = shell && [...shell.widgets("main")].find((widget) => widget.hasClass("jp-NotebookPanel"));
+const panel = shell && [...shell.widgets("main")].find((widget) => widget.context?.path === arguments[0]);
 if (!panel?.isRevealed || !panel.context.isReady) return false;
 if (shell.currentWidget !== panel) shell.activateById(panel.id);
 return shell.currentWidget === panel;
@@ -104,20 +107,27 @@ def asynchronously(browser, script: str) -> None:
 def until(browser, script: str, *arguments):
     """What `script` returns once that is not empty; it finds what it looks at anew each time."""
     wait = WebDriverWait(browser.driver, 120)
-    return wait.until(lambda _: browser.run(script, *arguments), f"waited in vain for: {script}")
+    try:
+        return wait.until(lambda _: browser.run(script, *arguments))
+    except TimeoutException:
+        page, said = browser.run("return document.body.innerText"), browser.messages()
+        pytest.fail(f"waited in vain for: {script}\nthe page: {page}\nthe console: {said}")
 
 
 def test_it_lands_on_the_map_of_the_house(browser, lab):
     browser.resize(1440)
     browser.open(f"{lab}/?token={TOKEN}")
-    until(browser, PANEL)
+    until(browser, PANEL, "index.ipynb")
     heading = until(browser, "return document.querySelector('.jp-Notebook h1')?.textContent")
     assert heading.startswith("The house")
     assert browser.driver.current_url.startswith(f"{lab}/lab/tree/index.ipynb")
-    links = browser.run(
-        "return [...document.querySelectorAll('.jp-Notebook a')].map((link) => link.textContent)"
+    title = "The efficient update: 54 parameters with one 9 x 9 matrix"
+    address = until(
+        browser,
+        "return [...document.querySelectorAll('.jp-Notebook a')].find((a) => a.textContent === arguments[0])?.href",
+        title,
     )
-    assert "The efficient update: 54 parameters with one 9 x 9 matrix" in links
+    assert NOTEBOOK in address
 
 
 # What stands on the explorer: the slider's number, the picture's address, the message.
@@ -133,7 +143,7 @@ def test_a_slider_moves_number_and_picture_and_the_button_returns(browser, lab):
     browser.resize(1440, 1400)
     browser.driver.set_script_timeout(300)  # the kernel may have to compile first
     browser.open(f"{lab}/lab/tree/{NOTEBOOK}.ipynb?token={TOKEN}")
-    until(browser, PANEL)
+    until(browser, PANEL, f"{NOTEBOOK}.ipynb")
     asynchronously(
         browser,
         "const app = window.jupyterapp, panel = app.shell.currentWidget; await panel.sessionContext.ready;"

@@ -101,10 +101,9 @@ def test_a_new_result_builds_claims_and_passes_its_test(toy):
     assert "isolation.heavy-payload.decrement  section 0" in claims
     assert "1 replicated" in claims
     test = toy.root / "tests/isolation/test_heavy_payload.py"
-    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", str(test)]
-    bare = os.environ | {
-        "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"
-    }  # plugins take longer to load than the test to run
+    # Without plugins: they take longer to load than the test to run.
+    bare = os.environ | {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-o", "addopts=", str(test)]
     done = subprocess.run(command, cwd=toy.root, env=bare, capture_output=True, text=True)
     assert "3 passed" in done.stdout, done.stdout
     style = [
