@@ -31,6 +31,7 @@ def run(root: Path) -> list[float]:
     return [float(word) for word in done.stdout.split()]
 
 
+@pytest.mark.slow
 def test_a_kernel_notices_a_change_of_one_that_it_calls(tmp_path):
     package = tmp_path / "lib" / "stillwork"
     package.mkdir(parents=True)
