@@ -52,7 +52,7 @@ def test_notebooks_give_the_same_bytes_as_here(toy, scheduler):
     toy.add(
         "motion/01-first",
         "import os\nfrom pathlib import Path",
-        "Path(os.environ['TOY'], 'parent').write_text(str(os.getppid()))",
+        "written = Path(os.environ['TOY'], 'parent').write_text(str(os.getppid()))",
     )
     done = toy.run("figures", "--scheduler", scheduler)
     assert done.returncode == 0, done.stdout
