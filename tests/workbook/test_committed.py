@@ -24,8 +24,10 @@ def nbval(toy) -> subprocess.CompletedProcess:
     environment = toy.environment() | {
         "STILLWORK_ROOT": str(toy.root),
         "STILLWORK_OUTPUT": str(toy.root / "build" / "nbval"),
+        "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1",
     }
-    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--color=no"]
+    command = [sys.executable, "-m", "pytest", "-p", "nbval.plugin", "-p", "no:cacheprovider", "--color=no"]
+    command += ["-o", "addopts="]
     command += [str(toy.root / "notebooks"), "--nbval", "--nbval-current-env"]
     return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
 
