@@ -20,13 +20,16 @@ export MKL_NUM_THREADS := 1
 export NUMEXPR_NUM_THREADS := 1
 export VECLIB_MAXIMUM_THREADS := 1
 
-# The tests run notebooks under the settings of a build (stillwork.workbook.jupyter_kernel).
-test: export OPENBLAS_CORETYPE := Nehalem
-test: export PYTHONHASHSEED := 0
-test: export MPLBACKEND := Agg
-test: export MATPLOTLIBRC := /dev/null
+# nbval is for the notebooks; loading it takes a second of every process.
+UNIT := tests -p no:nbval --ignore=tests/committed --ignore=tests/browser
 
-.PHONY: help figures test lab site browser bench accept doctor clean
+# The tests run notebooks under the settings of a build (stillwork.workbook.jupyter_kernel).
+test quick: export OPENBLAS_CORETYPE := Nehalem
+test quick: export PYTHONHASHSEED := 0
+test quick: export MPLBACKEND := Agg
+test quick: export MATPLOTLIBRC := /dev/null
+
+.PHONY: help figures test quick lab site browser bench accept doctor clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-8s  %s\n", $$1, $$2 }' Makefile
@@ -37,11 +40,14 @@ figures: $(READY) ## Build what is stale; ARGS="ROOM/NOTEBOOK -p NAME=VALUE --jo
 test: $(READY) ## Style, unit tests, all notebooks, and what is committed against what they give now
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/python -m pytest tests --ignore=tests/committed --ignore=tests/browser -n logical --dist loadfile
+	$(BIN)/python -m pytest $(UNIT) -n logical --dist loadfile
 	rm -rf build/nbval
 	STILLWORK_OUTPUT="$(CURDIR)/build/nbval" $(BIN)/python -m pytest notebooks \
 		--nbval --nbval-current-env --nbval-cell-timeout 600 -n logical --dist loadfile
-	$(BIN)/python -m pytest tests/committed
+	$(BIN)/python -m pytest -p no:nbval tests/committed
+
+quick: $(READY) ## The unit tests without the slow ones, which build notebooks or start clusters
+	$(BIN)/python -m pytest $(UNIT) -m "not slow" -n logical --dist loadfile $(ARGS)
 
 lab: $(READY) ## Open JupyterLab on the notebooks, on this machine only
 	JUPYTER_PREFER_ENV_PATH=1 $(BIN)/python -m jupyter lab --LabApp.default_url=/lab/tree/index.ipynb --ServerApp.root_dir=notebooks --ServerApp.ip=127.0.0.1 $(ARGS)

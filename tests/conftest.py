@@ -1,7 +1,11 @@
+import sys
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
+
+# As in `stillwork.__main__`: a second or two of every process that loads nbformat.
+sys.modules.setdefault("rfc3987_syntax", None)
 
 # The machine's load must not decide a test.
 settings.register_profile("workbook", deadline=None)

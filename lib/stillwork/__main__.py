@@ -9,6 +9,10 @@ import sys
 from stillwork import paths
 from stillwork.checks import InputError, nearest
 
+# A grammar of addresses that jsonschema builds for a second or two when a notebook format is loaded, if it can be
+# had; nothing here holds an address against it.
+sys.modules.setdefault("rfc3987_syntax", None)
+
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; returns the exit code (2 for wrong input, 130 when interrupted)."""
@@ -30,7 +34,11 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
     """The parser, and all its options."""
-    parser = argparse.ArgumentParser(prog="python -m stillwork", description=__doc__, allow_abbrev=False)
+    parser = argparse.ArgumentParser(
+        prog="python -m stillwork",
+        description="The workbook's commands; `make help` lists those that set up the environment by themselves.",
+        allow_abbrev=False,
+    )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     figures = commands.add_parser("figures", help="build the figures that are stale", allow_abbrev=False)
@@ -61,7 +69,7 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
     site.set_defaults(run=_site)
 
     refresh = commands.add_parser(
-        "refresh", help="rewrite what follows from ledger and notebooks: README, index, ..."
+        "refresh", help="rewrite what follows from ledger and notebooks: README tables, index, manifests"
     )
     refresh.set_defaults(run=_refresh)
 

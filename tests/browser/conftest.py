@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+from pathlib import Path
 
 import pytest
 from selenium import webdriver
@@ -12,20 +13,34 @@ from selenium.webdriver.support.ui import WebDriverWait
 from stillwork.site.build import site_files
 from stillwork.workbook.publish import replace_folder
 
+# No window, and nothing of Chromium's own on the network.
+SWITCHES = (
+    "headless=new",
+    "disable-gpu",
+    "disable-dev-shm-usage",
+    "disable-background-networking",
+    "disable-component-update",
+    "disable-quic",
+    "disable-sync",
+    "no-first-run",
+)
+
 
 class Browser:
     """A headless Chromium: `open` a page, `run` a script, `resize`, and what it asked for and said since."""
 
-    def __init__(self):
+    def __init__(self, profile: Path):
         options = webdriver.ChromeOptions()
         options.binary_location = _program("chromium", "chromium-browser", "google-chrome")
-        options.add_argument("--headless=new")
-        options.add_argument("--disable-dev-shm-usage")
+        options.add_argument(f"--user-data-dir={profile}")
+        for switch in SWITCHES:
+            options.add_argument(f"--{switch}")
         if os.geteuid() == 0:  # Chromium has no sandbox for root
             options.add_argument("--no-sandbox")
         options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
         self.driver = webdriver.Chrome(options=options, service=Service(_program("chromedriver")))
         self.driver.set_script_timeout(60)
+        self.driver.execute_cdp_cmd("Emulation.setFocusEmulationEnabled", {"enabled": True})
 
     def open(self, address: str) -> None:
         self.driver.get(address)
@@ -67,7 +82,7 @@ def site(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def browser():
-    one = Browser()
+def browser(tmp_path_factory):
+    one = Browser(tmp_path_factory.mktemp("profile"))
     yield one
     one.driver.quit()

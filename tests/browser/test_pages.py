@@ -1,10 +1,10 @@
-"""Every page of the site, as a browser sees it from the disk."""
+"""Every page of the site, as a browser sees it from the disk. Each page is opened once, and all is asked then."""
 
 import re
 
 import pytest
 
-WIDTHS = (390, 1440)
+NARROW, WIDE = 390, 1440
 
 # Load what is lazy, and wait until every picture has arrived or failed.
 PICTURES = """
@@ -30,10 +30,14 @@ copy.querySelectorAll("pre, code, math, svg").forEach((each) => each.remove());
 return copy.textContent;
 """
 
-# What sticks out of the page's width, other than inside a part that scrolls by itself.
-TOO_WIDE = """
+# What does not fit: a page wider than its window, a picture wider than what it stands in, text too small to read.
+MISFITS = """
 const limit = document.documentElement.clientWidth;
-return document.documentElement.scrollWidth > limit ? [document.documentElement.scrollWidth, limit] : [];
+const faults = document.documentElement.scrollWidth > limit ? [`${document.documentElement.scrollWidth} in ${limit}`] : [];
+for (const image of document.images) if (image.getBoundingClientRect().right > limit) faults.push(image.src);
+for (const element of document.querySelectorAll("main :is(p, li, td, th, dd, dt, pre, code, figcaption, summary)"))
+  if (parseFloat(getComputedStyle(element).fontSize) < 11.5 && element.textContent.trim()) faults.push(element.outerHTML.slice(0, 80));
+return faults;
 """
 
 # Text whose contrast with what is behind it is below WCAG AA: 4.5, for large text 3.
@@ -43,12 +47,14 @@ const luminance = (c) => {
   const [r, g, b] = c.slice(0, 3).map((v) => v / 255).map((v) => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
   return 0.2126 * r + 0.7152 * g + 0.0722 * b;
 };
+const known = new Map();
 const behind = (element) => {
-  for (let at = element; at; at = at.parentElement) {
-    const c = channels(getComputedStyle(at).backgroundColor);
-    if (c[3] === 1) return c;
+  if (!element) return [255, 255, 255];
+  if (!known.has(element)) {
+    const c = channels(getComputedStyle(element).backgroundColor);
+    known.set(element, c[3] === 1 ? c : behind(element.parentElement));
   }
-  return [255, 255, 255];
+  return known.get(element);
 };
 const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
 const bad = new Set();
@@ -67,71 +73,89 @@ return [...bad];
 """
 
 
+OUTLINE = """
+const levels = [...document.querySelectorAll("h1, h2, h3, h4, h5")].map((each) => Number(each.tagName[1]));
+const faults = [];
+if (levels.filter((level) => level === 1).length !== 1) faults.push(`h1: ${levels}`);
+if (!document.title || document.documentElement.lang !== "en") faults.push("title or language");
+if (document.querySelector("[onclick], [onchange], [onload], [style], script:not([src])")) faults.push("inline");
+const ids = [...document.querySelectorAll("[id]")].map((each) => each.id);
+if (new Set(ids).size !== ids.length) faults.push(...ids.filter((id, at) => ids.indexOf(id) !== at));
+return faults;
+"""
+
+
 @pytest.fixture(scope="module")
 def pages(site):
     return sorted(site.rglob("*.html"))
 
 
-def faults(browser, pages, look) -> dict[str, list]:
-    """What `look` finds wrong, by page."""
+@pytest.fixture(scope="module")
+def seen(browser, site, pages) -> dict[str, dict[str, list]]:
+    """What is wrong, by what was asked and then by page; `formulas` counts instead."""
     found = {}
+    browser.requests(), browser.messages()
     for page in pages:
+        browser.resize(WIDE)
         browser.open(page.as_uri())
-        if wrong := look():
-            found[page.name] = wrong
+        answers = {
+            "pictures": browser.driver.execute_async_script(PICTURES),
+            "wide": browser.run(MISFITS),
+            "formulas": browser.run("return document.querySelectorAll('math').length"),
+            "unrendered": browser.run(FORMULAS)
+            + re.findall(r"\$[^$\n]*[\\^_{][^$\n]*\$|\\[a-z]+\{", browser.run(PROSE)),
+            "contrast": browser.run(CONTRAST),
+            "outline": browser.run(OUTLINE),
+        }
+        browser.resize(NARROW)
+        answers["narrow"] = browser.run(MISFITS)
+        answers["outside"] = [
+            each for each in browser.requests() if not each.startswith((site.as_uri(), "data:"))
+        ]
+        answers["messages"] = browser.messages()
+        for question, answer in answers.items():
+            found.setdefault(question, {})
+            if answer:
+                found[question][str(page.relative_to(site))] = answer
     return found
 
 
-def test_no_page_asks_for_anything_outside_or_complains(browser, site, pages):
-    browser.requests(), browser.messages()
-
-    def look():
-        missing = browser.driver.execute_async_script(PICTURES)
-        outside = [each for each in browser.requests() if not each.startswith(site.as_uri())]
-        return missing + outside + browser.messages()
-
-    assert faults(browser, pages, look) == {}
+@pytest.mark.parametrize(
+    "question", ["outside", "messages", "pictures", "unrendered", "narrow", "wide", "contrast", "outline"]
+)
+def test_nothing_is_wrong_with(seen, question):
+    assert seen[question] == {}
 
 
-def test_every_formula_is_rendered(browser, pages):
-    total = 0
-
-    def look():
-        nonlocal total
-        total += browser.run("return document.querySelectorAll('math').length")
-        raw = re.findall(r"\$[^$\n]*[\\^_{][^$\n]*\$|\\[a-z]+\{", browser.run(PROSE))
-        return browser.run(FORMULAS) + raw
-
-    assert faults(browser, pages, look) == {}
-    assert total > 50
+def test_formulas_were_there_to_be_rendered(seen):
+    assert sum(seen["formulas"].values()) > 50
 
 
-@pytest.mark.parametrize("width", WIDTHS)
-def test_pages_fit(browser, pages, width):
-    browser.resize(width)
-    assert faults(browser, pages, lambda: browser.run(TOO_WIDE)) == {}
+@pytest.mark.parametrize(
+    ("look", "harm"),
+    [
+        (CONTRAST, "document.querySelector('main p').style.color = '#999'"),
+        (FORMULAS, "document.querySelector('math').style.display = 'none'"),
+        (MISFITS, "document.querySelector('main p').style.width = '3000px'"),
+        (MISFITS, "document.querySelector('main p').style.fontSize = '9px'"),
+        (OUTLINE, "document.querySelector('main p').outerHTML = '<h1>Again</h1>'"),
+    ],
+)
+def test_the_looks_notice_harm(browser, site, look, harm):
+    browser.resize(NARROW)
+    page = next(
+        page for page in sorted(site.glob("notebooks/*/*.html")) if "<math" in page.read_text("utf-8")
+    )
+    browser.open(page.as_uri())
+    assert browser.run(look) == []
+    browser.run(harm)
+    assert browser.run(look)
 
 
-def test_text_stands_out_from_what_is_behind_it(browser, pages):
-    browser.resize(1440)
-    assert faults(browser, pages, lambda: browser.run(CONTRAST)) == {}
-
-
-def test_the_contrast_check_notices_pale_text(browser, pages):
+def test_a_request_to_the_outside_and_a_missing_picture_are_noticed(browser, pages):
+    outside = "http://127.0.0.1:9/a.png"
     browser.open(pages[0].as_uri())
-    browser.run("document.querySelector('main p').style.color = '#999'")
-    assert browser.run(CONTRAST)
-
-
-def test_every_page_has_one_heading_a_title_and_a_language(browser, pages):
-    outline = """
-    const levels = [...document.querySelectorAll("h1, h2, h3, h4, h5")].map((each) => Number(each.tagName[1]));
-    const faults = [];
-    if (levels.filter((level) => level === 1).length !== 1) faults.push(`h1: ${levels}`);
-    if (!document.title || document.documentElement.lang !== "en") faults.push("title or language");
-    if (document.querySelector("[onclick], [onchange], [onload], [style], script:not([src])")) faults.push("inline");
-    const ids = [...document.querySelectorAll("[id]")].map((each) => each.id);
-    if (new Set(ids).size !== ids.length) faults.push(...ids.filter((id, at) => ids.indexOf(id) !== at));
-    return faults;
-    """
-    assert faults(browser, pages, lambda: browser.run(outline)) == {}
+    browser.run("document.body.append(Object.assign(new Image(), {src: arguments[0], alt: 'a'}))", outside)
+    assert browser.driver.execute_async_script(PICTURES) == [outside]
+    assert outside in browser.requests()
+    assert browser.messages()

@@ -130,6 +130,7 @@ figures.save(figure, Path(sys.argv[1]))
 """
 
 
+@pytest.mark.slow
 def test_two_processes_write_the_same_bytes(tmp_path):
     for name in ("a", "b"):
         subprocess.run([sys.executable, "-c", DRAW, str(tmp_path / name)], check=True)

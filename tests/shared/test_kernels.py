@@ -3,6 +3,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 import stillwork
 
 CALLED = """
@@ -31,6 +32,7 @@ def run(root: Path) -> list[float]:
     return [float(word) for word in done.stdout.split()]
 
 
+@pytest.mark.slow
 def test_a_kernel_notices_a_change_of_one_that_it_calls(tmp_path):
     package = tmp_path / "lib" / "stillwork"
     package.mkdir(parents=True)

@@ -103,7 +103,7 @@ def coverage(hits):
 def test_intervals_cover_as_often_as_they_say(level, runs):
     rng = np.random.default_rng(1)
     mean_hits, next_hits = [], []
-    for _ in range(4000):
+    for _ in range(1500):
         sample = rng.normal(3.0, 2.0, size=runs)
         low, high = mean_interval(sample, level)
         mean_hits.append(low <= 3.0 <= high)

@@ -1,5 +1,6 @@
 """The commands for one's own data and one's own result."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -97,11 +98,14 @@ def test_a_new_result_builds_claims_and_passes_its_test(toy):
     assert read_notebook("isolation/09-heavy-payload").parameters["damping"].value == 0.1
     done = toy.run("figures", "isolation/09-heavy-payload")
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "isolation.heavy-payload.decrement  section 0" in toy.run("claims").stdout
-    assert "1 replicated" in toy.run("claims").stdout
+    claims = toy.run("claims").stdout
+    assert "isolation.heavy-payload.decrement  section 0" in claims
+    assert "1 replicated" in claims
     test = toy.root / "tests/isolation/test_heavy_payload.py"
-    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", str(test)]
-    done = subprocess.run(command, cwd=toy.root, capture_output=True, text=True)
+    # Without plugins: they take longer to load than the test to run.
+    bare = os.environ | {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-o", "addopts=", str(test)]
+    done = subprocess.run(command, cwd=toy.root, env=bare, capture_output=True, text=True)
     assert "3 passed" in done.stdout, done.stdout
     style = [
         sys.executable,
@@ -131,7 +135,11 @@ def test_a_new_result_needs_a_room_and_a_name(toy, room, name, message):
 def test_a_new_result_overwrites_nothing(toy):
     new_result("isolation", "09-a")
     before = toy.files("notebooks", "data", "tests")
-    for name in ("09-a", "10-a"):
-        with pytest.raises(InputError, match="already; choose another name"):
+    for name, message in [
+        ("09-a", "09-a.ipynb exists already; choose another name"),
+        ("10-a", "test_a.py exists already; choose another name"),
+        ("09-b", "the number 09 is taken by 09-a; the last one is 09"),
+    ]:
+        with pytest.raises(InputError, match=message):
             new_result("isolation", name)
     assert toy.files("notebooks", "data", "tests") == before

@@ -5,11 +5,12 @@ import re
 from html.parser import HTMLParser
 
 import pytest
-
+import yaml
 from stillwork import paths
 from stillwork.checks import InputError
 from stillwork.claims import ledger
 from stillwork.site.build import site_files
+from stillwork.site.derived import works
 from stillwork.site.links import broken_links
 from stillwork.workbook.notebooks import select
 from stillwork.workbook.publish import replace_folder
@@ -71,22 +72,20 @@ def test_every_link_leads_somewhere(written):
     assert broken_links(written) == []
 
 
-def test_a_broken_link_is_named(written):
-    page = written / "gallery.html"
-    good = page.read_text(encoding="utf-8")
-    extra = [
+def test_a_broken_link_is_named(tmp_path):
+    good = '<h1 id="here">A</h1><a href="#here">x</a><a href="a.html#here">x</a><a href="https://example.org">x</a>'
+    bad = [
         '<a href="nowhere.html">',
-        '<a href="index.html#nowhere">',
+        '<a href="a.html#nowhere">',
         '<a href="../../outside.html">',
         '<img src="https://example.org/a.png">',
         '<script src="//example.org/a.js"></script>',
         '<a href="javascript:alert(1)">',
     ]
-    page.write_text(good + "".join(extra), encoding="utf-8")
-    found = broken_links(written)
-    page.write_text(good, encoding="utf-8")
-    assert len(found) == len(extra)
-    assert [line.rpartition(": ")[2] for line in found] == [
+    (tmp_path / "a.html").write_text(good, encoding="utf-8")
+    assert broken_links(tmp_path) == []
+    (tmp_path / "b.html").write_text(f"<span class='s'>{good}</span>" + "".join(bad), encoding="utf-8")
+    assert [line.rpartition(": ")[2] for line in broken_links(tmp_path)] == [
         "no such file",
         "no such place",
         "no such file",
@@ -104,10 +103,11 @@ def test_every_notebook_number_and_module_is_there(files):
 
 
 def test_every_built_number_has_one_place(files):
-    for claim in ledger():
-        if claim.notebook:
-            page = Elements(files[f"notebooks/{claim.notebook}.html"])
-            assert [each["id"] for each in page.of("li") if each.get("id") == f"claim-{claim.entry.id}"]
+    claims = [claim for claim in ledger() if claim.notebook]
+    for notebook in {claim.notebook for claim in claims}:
+        places = [each.get("id") for each in Elements(files[f"notebooks/{notebook}.html"]).of("li")]
+        for claim in claims:
+            assert places.count(f"claim-{claim.entry.id}") == (claim.notebook == notebook)
 
 
 def test_every_committed_figure_is_shown(files):
@@ -121,6 +121,20 @@ def test_every_committed_figure_is_shown(files):
         file.relative_to(paths.root()).as_posix() for file in (paths.root() / "figures").glob("*/*/[!.]*.png")
     }
     assert committed <= shown
+
+
+def test_the_manifest_lists_files_that_are_there():
+    manifest = yaml.safe_load((paths.root() / "codecheck.yml").read_text(encoding="utf-8"))["manifest"]
+    assert all((paths.root() / each["file"]).is_file() and each["comment"] for each in manifest)
+    assert len(manifest) == len({each["file"] for each in manifest}) > 100
+
+
+def test_what_a_work_says_first_is_judged_by_an_entry_of_its_own_ledger():
+    known = {claim.entry.id: claim.entry.room for claim in ledger()}
+    for room, work in works().items():
+        named = [each["entry"] for each in work["headline"]]
+        assert named
+        assert {known.get(each) for each in named} == {room}
 
 
 def test_two_builds_give_the_same_bytes(files):

@@ -8,16 +8,17 @@ from pathlib import Path
 
 import psutil
 import pytest
-
+from workbook import toy as toys
 from workbook.test_failures import WAIT
 from workbook.toy import until
 
 pytestmark = pytest.mark.slow
 
 
-@pytest.fixture
-def scheduler(toy):
-    """Address of a cluster whose workers run from the toy's folder."""
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory):
+    """One workbook for all tests, with the address of a cluster whose workers run from its folder."""
+    toy = toys.make(tmp_path_factory.mktemp("shared"))
     process = subprocess.Popen(
         [sys.executable, str(Path(__file__).with_name("cluster.py"))],
         cwd=toy.root,
@@ -26,8 +27,23 @@ def scheduler(toy):
         stdout=subprocess.PIPE,
         text=True,
     )
-    yield process.stdout.readline().strip()
+    yield toy, process.stdout.readline().strip()
     process.communicate("")
+    toys.clean_up(toy)
+
+
+@pytest.fixture
+def scheduler(shared) -> str:
+    return shared[1]
+
+
+@pytest.fixture
+def toy(shared):
+    """The cluster's workbook, emptied of what the test before made."""
+    made, _ = shared
+    for folder in ("notebooks", "figures", "build"):
+        shutil.rmtree(made.root / folder, ignore_errors=True)
+    return made
 
 
 def test_notebooks_give_the_same_bytes_as_here(toy, scheduler):
@@ -36,7 +52,7 @@ def test_notebooks_give_the_same_bytes_as_here(toy, scheduler):
     toy.add(
         "motion/01-first",
         "import os\nfrom pathlib import Path",
-        "Path(os.environ['TOY'], 'parent').write_text(str(os.getppid()))",
+        "written = Path(os.environ['TOY'], 'parent').write_text(str(os.getppid()))",
     )
     done = toy.run("figures", "--scheduler", scheduler)
     assert done.returncode == 0, done.stdout

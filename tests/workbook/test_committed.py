@@ -1,6 +1,5 @@
 """`tests/committed` passes on an accepted workbook and notices what differs."""
 
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -21,17 +20,53 @@ def git(toy, *arguments):
     subprocess.run(["git", "-C", str(toy.root), *identity, *arguments], check=True, capture_output=True)
 
 
-def pytest_on(toy, *arguments) -> subprocess.CompletedProcess:
-    environment = toy.environment() | {"STILLWORK_ROOT": str(toy.root)}
-    if "--nbval" in arguments:
-        environment["STILLWORK_OUTPUT"] = str(toy.root / "build" / "nbval")
-    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--color=no", *arguments]
+def nbval(toy) -> subprocess.CompletedProcess:
+    """Run the notebooks and compare what they print with what is committed."""
+    environment = toy.environment() | {
+        "STILLWORK_ROOT": str(toy.root),
+        "STILLWORK_OUTPUT": str(toy.root / "build" / "nbval"),
+        "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1",
+    }
+    command = [sys.executable, "-m", "pytest", "-p", "nbval.plugin", "-p", "no:cacheprovider", "--color=no"]
+    command += ["-o", "addopts="]
+    command += [str(toy.root / "notebooks"), "--nbval", "--nbval-current-env"]
     return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
 
 
-def failed(done) -> set[str]:
-    """Names of the failed tests, without their parameters."""
-    return set(re.findall(r"^(?:FAILED|ERROR) \S*?::(?:\w+::)?(\w+)", done.stdout, re.MULTILINE))
+class Outcomes:
+    """A plugin that notes what did not pass: names of tests without their parameters, and skips."""
+
+    def __init__(self):
+        self.failed: set[str] = set()
+        self.skipped: set[str] = set()
+
+    def pytest_runtest_logreport(self, report):
+        name = report.location[2].partition("[")[0].rpartition(".")[2]
+        if report.failed:
+            self.failed.add(name)
+        if report.skipped:
+            self.skipped.add(name)
+
+
+def committed(toy, monkeypatch) -> Outcomes:
+    """Run `tests/committed` on the toy within this process: a new one would import for seconds, a dozen times."""
+    monkeypatch.setenv("STILLWORK_ROOT", str(toy.root))
+    monkeypatch.chdir(ROOT)
+    outcomes = Outcomes()
+    quiet = [
+        f"-pno:{name}"
+        for name in ("cacheprovider", "faulthandler", "jaxtyping", "nbval", "terminal", "xdist")
+    ]
+    try:
+        code = pytest.main(
+            [*quiet, "-o", "addopts=--import-mode=importlib", "--capture=no", "tests/committed"],
+            plugins=[outcomes],
+        )
+    finally:
+        for name in [each for each in sys.modules if each.split(".")[0] == "committed"]:
+            del sys.modules[name]  # these modules hold what they read when they were imported
+    assert code == (pytest.ExitCode.TESTS_FAILED if outcomes.failed else pytest.ExitCode.OK)
+    return outcomes
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +86,7 @@ def accepted(tmp_path_factory):
     git(toy, "commit", "--quiet", "-m", "toy")
     assert toy.run("figures").returncode == 0
     assert toy.run("accept").returncode == 0
-    done = pytest_on(toy, str(toy.root / "notebooks"), "--nbval", "--nbval-current-env")
+    done = nbval(toy)
     assert done.returncode == 0, done.stdout
     yield toy
     toys.clean_up(toy)
@@ -72,15 +107,14 @@ def toy(accepted):
         (accepted.root / name).write_bytes(content)
 
 
-def test_an_accepted_workbook_passes(toy):
-    done = pytest_on(toy, "tests/committed")
-    assert done.returncode == 0, done.stdout
-    assert "skipped" not in done.stdout
+def test_an_accepted_workbook_passes(toy, monkeypatch):
+    outcomes = committed(toy, monkeypatch)
+    assert (outcomes.failed, outcomes.skipped) == (set(), set())
 
 
 def test_nbval_notices_another_output(toy):
     toy.replace(f"notebooks/{NAME}.ipynb", "'replicated'", "'deviates'")
-    done = pytest_on(toy, str(toy.root / "notebooks"), "--nbval", "--nbval-current-env")
+    done = nbval(toy)
     assert done.returncode == 1
     assert "1 failed" in done.stdout
 
@@ -177,7 +211,6 @@ LEDGER, FRESH = (
         (change_a_pin, {"test_figures_come_from_a_commit_and_the_pinned_environment"}),
     ],
 )
-def test_what_differs_is_noticed(toy, change, expected):
+def test_what_differs_is_noticed(toy, monkeypatch, change, expected):
     change(toy)
-    done = pytest_on(toy, "tests/committed")
-    assert failed(done) == expected, done.stdout
+    assert committed(toy, monkeypatch).failed == expected

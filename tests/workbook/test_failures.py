@@ -2,10 +2,11 @@
 
 import os
 import resource
+import shutil
 import signal
 
 import pytest
-
+from workbook import toy as toys
 from workbook.toy import until
 
 pytestmark = pytest.mark.slow
@@ -20,15 +21,33 @@ begun.with_suffix(".part").rename(begun)
 time.sleep(1000)"""
 
 
-def built_then(toy, *sources):
-    """Build two good notebooks, then make the first one end with `sources`; returns the good figures."""
-    toy.add("isolation/01-first")
-    toy.add("isolation/02-second")
-    assert toy.run("figures").returncode == 0
-    good = toy.files("figures")
-    toy.add("isolation/01-first", *sources)
-    toy.replace("notebooks/isolation/02-second.ipynb", "seed: int = 1", "seed: int = 2")
-    return good
+@pytest.fixture(scope="module")
+def good(tmp_path_factory):
+    """Two good notebooks, built once."""
+    made = toys.make(tmp_path_factory.mktemp("good"))
+    made.add("isolation/01-first")
+    made.add("isolation/02-second")
+    assert made.run("figures").returncode == 0
+    yield made
+    toys.clean_up(made)
+
+
+@pytest.fixture
+def built(good, tmp_path):
+    """A copy of the built workbook that a test may change."""
+    root = tmp_path / "copy"
+    shutil.copytree(good.root, root)
+    copy = toys.Toy(root)
+    yield copy
+    toys.clean_up(copy)
+
+
+def end_with(built, *sources) -> dict[str, bytes]:
+    """Make the first notebook end with `sources`, and both stale; returns the good figures."""
+    before = built.files("figures")
+    built.add("isolation/01-first", *sources)
+    built.replace("notebooks/isolation/02-second.ipynb", "seed: int = 1", "seed: int = 2")
+    return before
 
 
 def assert_only_second_was_built(toy, good):
@@ -39,9 +58,9 @@ def assert_only_second_was_built(toy, good):
     assert toy.leftovers() == []
 
 
-def test_a_notebook_that_raises(toy):
-    good = built_then(toy, "ratio = 1 / 0")
-    done = toy.run("figures")
+def test_a_notebook_that_raises(built):
+    good = end_with(built, "ratio = 1 / 0")
+    done = built.run("figures")
     assert done.returncode == 1
     assert "1 built, 1 failed" in done.stdout
     table = done.stdout.splitlines()[-2]
@@ -49,32 +68,32 @@ def test_a_notebook_that_raises(toy):
         table.split()
         == "isolation/01-first cell [4] ratio = 1 / 0 ZeroDivisionError: division by zero".split()
     )
-    assert_only_second_was_built(toy, good)
-    assert toy.run("figures", "--why").stdout.splitlines() == [
+    assert_only_second_was_built(built, good)
+    assert built.run("figures", "--why").stdout.splitlines() == [
         "isolation/01-first: cell cell-1 added",
         "isolation/02-second: up to date",
     ]
 
 
-def test_a_kernel_that_is_killed_and_had_children(toy):
+def test_a_kernel_that_is_killed_and_had_children(built):
     child = "import subprocess\nchild = subprocess.Popen(['sleep', '1000'])"
-    good = built_then(toy, child, "import os\nos.kill(os.getpid(), 9)")
-    done = toy.run("figures")
+    good = end_with(built, child, "import os\nos.kill(os.getpid(), 9)")
+    done = built.run("figures")
     assert done.returncode == 1
     assert "cell [5] import os" in done.stdout
     assert "killed by SIGKILL" in done.stdout
-    assert_only_second_was_built(toy, good)
+    assert_only_second_was_built(built, good)
 
 
-def test_a_kernel_that_is_killed_from_outside(toy):
-    good = built_then(toy, WAIT.format("begun"))
-    process = toy.start("figures", "--jobs", "2")
-    toy.wait_for("begun")
-    os.kill(int((toy.root / "begun").read_text()), signal.SIGKILL)
+def test_a_kernel_that_is_killed_from_outside(built):
+    good = end_with(built, WAIT.format("begun"))
+    process = built.start("figures", "--jobs", "2")
+    built.wait_for("begun")
+    os.kill(int((built.root / "begun").read_text()), signal.SIGKILL)
     printed = process.communicate(timeout=60)[0]
     assert process.returncode == 1
     assert "cell [4] import os, time" in printed
-    assert_only_second_was_built(toy, good)
+    assert_only_second_was_built(built, good)
 
 
 LARGE = "written = (folder / 'large.csv').write_bytes(bytes(3_000_000))"
@@ -85,30 +104,28 @@ def limit_files():
     resource.setrlimit(resource.RLIMIT_FSIZE, (2_000_000, resource.RLIM_INFINITY))
 
 
-def test_a_disk_that_is_full_for_the_notebook(toy):
-    good = built_then(toy, LARGE)
-    done = toy.run("figures", preexec_fn=limit_files)
+def test_a_disk_that_is_full_for_the_notebook(built):
+    good = end_with(built, LARGE)
+    done = built.run("figures", preexec_fn=limit_files)
     assert done.returncode == 1
     assert "File too large" in done.stdout.splitlines()[-2]
     assert "cell [4]" in done.stdout.splitlines()[-2]
-    assert_only_second_was_built(toy, good)
+    assert_only_second_was_built(built, good)
 
 
-def test_a_disk_that_is_full_for_the_results(toy):
+def test_a_disk_that_is_full_for_the_results(built):
     lift = "import resource\nhard = resource.RLIM_INFINITY\nresource.setrlimit(resource.RLIMIT_FSIZE, (hard, hard))"
-    good = built_then(toy, lift, LARGE)
-    done = toy.run("figures", preexec_fn=limit_files)
+    good = end_with(built, lift, LARGE)
+    done = built.run("figures", preexec_fn=limit_files)
     assert done.returncode == 1
     assert "writing the results" in done.stdout.splitlines()[-2]
     assert "File too large" in done.stdout.splitlines()[-2]
-    assert_only_second_was_built(toy, good)
+    assert_only_second_was_built(built, good)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_an_interrupt_of_a_parallel_build(toy, number):
-    toy.add("isolation/01-first")
-    toy.add("isolation/02-second")
-    assert toy.run("figures").returncode == 0
+def test_an_interrupt_of_a_parallel_build(built, number):
+    toy = built
     good = toy.files("figures", "build/notebooks", "build/state")
     for name in ("01-first", "02-second", "03-third"):
         toy.add(
@@ -137,15 +154,19 @@ def test_an_interrupt_while_kernels_start(toy):
     assert toy.leftovers() == []
 
 
-def test_kernels_die_with_a_runner_that_is_killed(toy):
+def test_kernels_die_with_a_runner_that_is_killed_and_the_next_build_tidies_up(toy):
     toy.add("isolation/01-first", WAIT.format("begun"))
     process = toy.start("figures")
     toy.wait_for("begun")
     process.kill()
     process.communicate()
     until(lambda: not toy.processes())
+    assert toy.leftovers()
+    for folder in toy.temporary.iterdir():
+        os.utime(folder, (0, 0))  # as if some time had passed
     toy.add("isolation/01-first")
     assert toy.run("figures").returncode == 0
+    assert toy.leftovers() == []
 
 
 def test_a_page_of_another_name(toy):

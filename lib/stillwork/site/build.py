@@ -1,9 +1,10 @@
 """Builds the site: every page as a string, all files in one folder that appears whole or not at all."""
 
+import base64
 import json
 import re
-import tomllib
 from collections import Counter
+from functools import cache
 from pathlib import Path
 
 import jinja2
@@ -14,13 +15,14 @@ from stillwork import paths
 from stillwork.checks import InputError
 from stillwork.claims import KINDS, Claim, ledger
 from stillwork.site import picture, reference
+from stillwork.site.derived import works
 from stillwork.site.links import broken_links
 from stillwork.site.mathematics import markdown
 from stillwork.site.pages import NotebookPage, read_page
 from stillwork.workbook import publish
 from stillwork.workbook.notebooks import notebook_file
 from stillwork.workbook.provenance import commit, modified
-from stillwork.workbook.report import VERDICTS
+from stillwork.workbook.report import VERDICTS, quantity
 from stillwork.workbook.tasks import tasks
 
 HERE = Path(__file__).parent
@@ -46,15 +48,14 @@ def site_files() -> dict[str, bytes]:
     pages = [read_page(task, claims) for task in tasks()]
     modules = reference.read_modules()
     guides = {file.stem: file.read_text(encoding="utf-8") for file in _guides()}
-    works = tomllib.loads((HERE / "works.toml").read_text(encoding="utf-8"))
-    rooms = [_room(name, works[name], claims, pages) for name in paths.ROOMS]
+    rooms = [_room(name, work, claims, pages) for name, work in works().items()]
     render = _renderer(
         rooms=[room for room in rooms if room["pages"] or room["counts"]],
         guides={name: _title(text) for name, text in guides.items()},
         places=reference.index(modules),
     )
 
-    files = {f"static/{file.name}": file.read_bytes() for file in sorted((HERE / "static").iterdir())}
+    files = _static()
     by_name = {page.name: page for page in pages}
     files["index.html"] = render(
         "index.html",
@@ -68,7 +69,9 @@ def site_files() -> dict[str, bytes]:
     files["gallery.html"] = render("gallery.html", "", pages=pages)
     files["replicate.html"] = render("replicate.html", "", pages=pages)
     for page in pages:
-        files[f"notebooks/{page.name}.html"] = render("notebook.html", "../../", page=page)
+        files[f"notebooks/{page.name}.html"] = render(
+            "notebook.html", "../../", page=page, neighbours=_neighbours(page, pages)
+        )
         files[f"notebooks/{page.name}.ipynb"] = notebook_file(page.name).read_bytes()
         for figure in page.figures:
             files[f"{figure.path}.png"] = figure.png
@@ -86,6 +89,23 @@ def site_files() -> dict[str, bytes]:
     return files
 
 
+def _static() -> dict[str, bytes]:
+    """Style, script and icon. The font goes into the style: from the disk not every browser loads it as a file."""
+    files = {f"static/{file.name}": file.read_bytes() for file in sorted((HERE / "static").iterdir())}
+    font = base64.b64encode(files.pop("static/mathematics.woff"))
+    style = files["static/site.css"]
+    files["static/site.css"] = style.replace(b"mathematics.woff", b"data:font/woff;base64," + font)
+    return files
+
+
+def _neighbours(page: NotebookPage, pages: list[NotebookPage]) -> list[tuple[str, NotebookPage]]:
+    """The notebooks before and after one in its room, with the relation's name."""
+    mine = [each for each in pages if each.room == page.room]
+    at = mine.index(page)
+    before = [("prev", mine[at - 1])] if at else []
+    return before + [("next", each) for each in mine[at + 1 : at + 2]]
+
+
 def _room(name: str, work: dict, claims: list[Claim], pages: list[NotebookPage]) -> dict:
     """What a template shows of a room."""
     mine = [claim for claim in claims if claim.entry.room == name]
@@ -94,6 +114,12 @@ def _room(name: str, work: dict, claims: list[Claim], pages: list[NotebookPage])
         **work,
         "counts": Counter(claim.verdict for claim in mine),
         "picture": picture.draw(mine),
+        "headline": [
+            (each["says"], claim)
+            for each in work["headline"]
+            for claim in mine
+            if claim.entry.id == each["entry"]
+        ],
         "orderings": Counter(claim.verdict for claim in mine if claim.entry.kind == "ordering"),
         "pages": [page for page in pages if page.room == name],
     }
@@ -109,8 +135,8 @@ def _renderer(**shared):
         lstrip_blocks=True,
     )
     environment.filters["number"] = lambda value: f"{value:.4g}"
-    environment.filters["published"] = lambda claim: _quantity(claim, claim.entry.published)
-    environment.filters["ours"] = lambda claim: _quantity(claim, claim.ours)
+    environment.filters["published"] = lambda claim: quantity(claim, claim.entry.published)
+    environment.filters["ours"] = lambda claim: quantity(claim, claim.ours)
     environment.filters["off_by"] = _off_by
     environment.filters["slug"] = lambda verdict: verdict.replace(" ", "-")
     site = {
@@ -125,16 +151,6 @@ def _renderer(**shared):
         return page.render(root=root, site=site, **shared, **values).encode()
 
     return render
-
-
-def _quantity(claim: Claim, value: float | None) -> str:
-    """A value with its unit; of an ordering, the share of cases in which it holds."""
-    if value is None:
-        return ""
-    if claim.entry.kind == "ordering":
-        return "always" if value == 1 else "never" if value == 0 else f"in {100 * value:.3g} % of cases"
-    unit = claim.entry.unit
-    return f"{value:.4g}" if unit in ("", "1") else f"{value:.4g} {unit}"
 
 
 def _off_by(claim: Claim) -> str:
@@ -160,6 +176,7 @@ def _doc(text: str) -> Markup:
     return Markup(reference.doc_html(text))
 
 
+@cache
 def _source(text: str) -> Markup:
     """Highlighted source, every line a place to link to: ``#line-42``."""
     from pygments import highlight

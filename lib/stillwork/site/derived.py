@@ -12,7 +12,7 @@ from stillwork.claims import Claim, ledger
 from stillwork.site.pages import Figure, NotebookPage, read_page
 from stillwork.workbook.accept import notebook_text
 from stillwork.workbook.publish import replace_file
-from stillwork.workbook.report import VERDICTS, readme_with_summary
+from stillwork.workbook.report import VERDICTS, quantity, readme_with_summary
 from stillwork.workbook.tasks import tasks
 
 WORKS = Path(__file__).parent / "works.toml"
@@ -43,8 +43,8 @@ def derived_files() -> dict[str, str]:
     return {name: make(pages, claims) for name, make in makers.items()}
 
 
-def works() -> dict[str, dict[str, str]]:
-    """Title, source and claim of each room's work."""
+def works() -> dict[str, dict]:
+    """Title, source, claim and headline of each room's work."""
     return tomllib.loads(WORKS.read_text(encoding="utf-8"))
 
 
@@ -102,7 +102,8 @@ def _index(pages: list[NotebookPage], claims: list[Claim]) -> str:
             listing = "\n".join(
                 f"- [{page.title}]({page.name}.ipynb){_verdicts(list(page.claims))}" for page in mine
             )
-            parts.append(f"## {work['title']} (`{room}`)\n\n{work['claimed']}\n\n{listing}")
+            first = _headline(work, claims)
+            parts.append(f"## {work['title']} (`{room}`)\n\n{work['claimed']}\n\n{first}{listing}")
     parts.append(
         "## The shelves\n\nThe same room name stands on every shelf of the checkout: `notebooks/` the results, "
         "`lib/stillwork/` the algorithms, `data/` the published numbers and measured records, `figures/` what "
@@ -118,6 +119,19 @@ def _index(pages: list[NotebookPage], claims: list[Claim]) -> str:
         "language_info": {"name": "python"},
     }
     return notebook_text({"cells": cells, "metadata": metadata, "nbformat": 4, "nbformat_minor": 5})
+
+
+def _headline(work: dict, claims: list[Claim]) -> str:
+    """What the work says first, as a table that ends with a blank line; empty where the ledger has none of it."""
+    by_id = {claim.entry.id: claim for claim in claims}
+    rows = [
+        f"| {each['says']} | {quantity(claim, claim.entry.published)} | {quantity(claim, claim.ours)} | {claim.verdict} |"
+        for each in work["headline"]
+        if (claim := by_id.get(each["entry"]))
+    ]
+    if not rows:
+        return ""
+    return "\n".join(["| the work says | published | ours | verdict |", "|---|---|---|---|", *rows]) + "\n\n"
 
 
 def _row(room: str, work: dict[str, str], claims: list[Claim]) -> str:

@@ -5,6 +5,7 @@ import json
 import re
 import struct
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 
 from markupsafe import Markup
@@ -16,8 +17,11 @@ from stillwork.claims import Claim
 from stillwork.site import reading
 from stillwork.site.mathematics import markdown
 from stillwork.workbook.notebooks import Notebook, notebook_file
+from stillwork.workbook.report import VERDICTS
 from stillwork.workbook.tasks import Task
 
+# What a cell that ends with `page.check` prints; its page shows the verdict with the claim.
+VERDICTS_ALONE = tuple(map(repr, VERDICTS))
 FILE_NAMES = re.compile(r"^([\w.-]+)\.png, \1\.csv\n?", re.MULTILINE)
 
 
@@ -141,7 +145,6 @@ def read_page(task: Task, claims: list[Claim]) -> NotebookPage:
 
 
 def _cells(name: str, raw: list[dict], folder: Path, claims: list[Claim]) -> list[Cell]:
-    highlight = Highlight2HTML(pygments_lexer="python")
     pictures = sorted(file.stem for file in folder.glob("[!.]*.png"))
     by_id = {claim.entry.id: claim for claim in claims}
     drawn: set[str] = set()
@@ -163,13 +166,16 @@ def _cells(name: str, raw: list[dict], folder: Path, claims: list[Claim]) -> lis
                 text, png = _shown(output)
                 if png and not FILE_NAMES.match(text):
                     figures.append(Figure(name, f"{cell['id']}-static", heading, png, None))
-                elif left := FILE_NAMES.sub("", text).strip("\n"):
+                elif (left := FILE_NAMES.sub("", text).strip("\n")) and left not in VERDICTS_ALONE:
                     outputs.append(left)
             judgements = tuple(by_id[each] for each in ids)
-            cells.append(
-                Cell(anchor, True, Markup(highlight(source)), tuple(outputs), tuple(figures), judgements)
-            )
+            cells.append(Cell(anchor, True, _highlighted(source), tuple(outputs), tuple(figures), judgements))
     return cells
+
+
+@cache
+def _highlighted(source: str) -> Markup:
+    return Markup(Highlight2HTML(pygments_lexer="python")(source))
 
 
 def _prose(name: str, source: str) -> str:

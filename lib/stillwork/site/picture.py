@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from stillwork.claims import Claim
 
 FARTHEST = 4.0  # ratios beyond are drawn at the edge, as arrows
-WIDTH, ROW, MARGIN = 360, 8, 16
+WIDTH, ROW, MARGIN = 360, 6, 16
 AXIS = 34
 
 

@@ -105,6 +105,9 @@ def new_result(room: str, name: str) -> list[str]:
     for file in (notebook, test):
         if file.exists():
             raise InputError(f"{file.relative_to(paths.root())} exists already; choose another name")
+    taken = sorted(each.stem for each in notebook.parent.glob("[0-9][0-9]-*.ipynb"))
+    if same := [each for each in taken if each[:2] == name[:2]]:
+        raise InputError(f"the number {name[:2]} is taken by {same[0]}; the last one is {taken[-1][:2]}")
     if f"[{room}.{key}." in before:
         raise InputError(f"the ledger has entries {room}.{key} already; choose another name")
     written = {

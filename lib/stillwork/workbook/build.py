@@ -12,7 +12,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from stillwork import paths
 from stillwork.checks import InputError
 from stillwork.workbook import publish
-from stillwork.workbook.execution import Failure, Job, Outcome, execute
+from stillwork.workbook.execution import Failure, Job, Outcome, execute, sweep
 from stillwork.workbook.inputs import NOTEBOOKS_OWN, changes, digest, room_inputs
 from stillwork.workbook.jupyter_kernel import stop
 from stillwork.workbook.progress import Progress
@@ -59,6 +59,7 @@ def build_figures(
         if not stale:
             print(f"nothing to do: {fresh} up to date")
             return 0
+        sweep()
         workers = _cluster(scheduler) if scheduler else _threads(jobs or _cores())
         with workers as (submit, halt):
             failures, caught = _build(stale, submit, halt)
@@ -141,7 +142,7 @@ def _cluster(address: str):
     from distributed import Client
 
     try:
-        client = Client(address, timeout=10)
+        client = Client(address, timeout=5)
     except (OSError, ValueError) as error:
         raise InputError(f"scheduler {address!r} does not answer ({error}); give host:port") from None
 

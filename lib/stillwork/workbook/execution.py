@@ -4,9 +4,12 @@
 worker of a cluster. Whoever called it publishes the results.
 """
 
+import contextlib
+import fcntl
 import logging
 import platform
 import re
+import shutil
 import tempfile
 import time
 from collections.abc import Callable
@@ -16,6 +19,8 @@ from pathlib import Path
 
 from stillwork import paths
 from stillwork.workbook.jupyter_kernel import kernel_manager
+
+PREFIX, LOCK = "stillwork-", "lock"
 
 
 @dataclass(frozen=True)
@@ -68,9 +73,30 @@ def execute(job: Job, on_cell: Callable[[], object] = lambda: None) -> Outcome:
         Called when a code cell begins.
     """
     begin = time.monotonic()
-    with tempfile.TemporaryDirectory(prefix="stillwork-", ignore_cleanup_errors=True) as folder:
-        outcome = _execute(job, Path(folder), on_cell)
+    with _folder() as folder:
+        outcome = _execute(job, folder, on_cell)
     return replace(outcome, seconds=time.monotonic() - begin)
+
+
+@contextlib.contextmanager
+def _folder():
+    """A folder for one kernel and what it writes, locked as long as this process lives."""
+    with tempfile.TemporaryDirectory(prefix=PREFIX, ignore_cleanup_errors=True) as name:
+        with (Path(name) / LOCK).open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            yield Path(name)
+
+
+def sweep() -> None:
+    """Remove the folders of runners that were killed; one that has just been made may not be locked yet."""
+    for folder in Path(tempfile.gettempdir()).glob(f"{PREFIX}*"):
+        try:
+            if time.time() - folder.stat().st_mtime > 60:
+                with (folder / LOCK).open() as lock:
+                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    shutil.rmtree(folder, ignore_errors=True)
+        except OSError:  # in use, gone meanwhile, or somebody else's
+            continue
 
 
 def _execute(job: Job, folder: Path, on_cell: Callable[[], object]) -> Outcome:

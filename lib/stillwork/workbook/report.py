@@ -9,6 +9,16 @@ BEGIN, END = "<!-- ledger:begin -->", "<!-- ledger:end -->"
 VERDICTS = ("replicated", "deviates", "reported", "not built")
 
 
+def quantity(claim: Claim, value: float | None) -> str:
+    """A value with its unit; of an ordering, the share of cases in which it holds."""
+    if value is None:
+        return ""
+    if claim.entry.kind == "ordering":
+        return "always" if value == 1 else "never" if value == 0 else f"in {100 * value:.3g} % of cases"
+    unit = claim.entry.unit
+    return f"{value:.4g}" if unit in ("", "1") else f"{value:.4g} {unit}"
+
+
 def ledger_text(claims: list[Claim]) -> str:
     """Table of all claims, the reasons of those that are not replicated, and the counts."""
     rows = [("claim", "place", "published", "ours", "interval", "unit", "kind", "verdict")]

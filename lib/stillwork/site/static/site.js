@@ -1,5 +1,43 @@
-// The ledger's filters and its order; without this script the page shows the whole table.
+// Conveniences; without this script every page shows all that it has.
 "use strict";
+
+// A picture opens at full size over its page; Escape, the button or a click closes it.
+const enlarge = (link) => {
+  const dialog = document.createElement("dialog");
+  dialog.className = "enlarged";
+  dialog.setAttribute("aria-label", link.firstElementChild.alt);
+  const button = document.createElement("button");
+  button.textContent = "Close";
+  const picture = document.createElement("img");
+  picture.src = link.href;
+  picture.alt = link.firstElementChild.alt;
+  dialog.append(button, picture);
+  dialog.addEventListener("click", () => dialog.close());
+  dialog.addEventListener("close", () => dialog.remove());
+  document.body.append(dialog);
+  dialog.showModal();
+};
+
+for (const link of document.querySelectorAll("a.zoom")) {
+  link.addEventListener("click", (event) => {
+    if (event.button || event.ctrlKey || event.metaKey || event.shiftKey) return;
+    event.preventDefault();
+    enlarge(link);
+  });
+}
+
+const allCode = document.getElementById("all-code");
+
+if (allCode) {
+  allCode.hidden = false;
+  allCode.addEventListener("click", () => {
+    const open = allCode.getAttribute("aria-pressed") === "false";
+    for (const code of document.querySelectorAll("details.code")) code.open = open;
+    allCode.setAttribute("aria-pressed", open);
+  });
+}
+
+// The ledger's filters and its order.
 
 const form = document.getElementById("filters");
 
