@@ -1,5 +1,6 @@
 """A measured structure as a stage: hammer records, a modal fit, and loops on the measured response."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -187,8 +188,19 @@ def structure_loops(
     stage: ModalModel, application: Application | None, retained: int, noise: Noise, noise_model: float | None
 ) -> list[Loop]:
     """Loops of a one-sensor structure and of its mirror image under one use of the observer."""
+    return observed_loops((stage, mirrored(stage)), application, retained, noise, noise_model)
+
+
+def observed_loops(
+    plants: Sequence[ModalModel],
+    application: Application | None,
+    retained: int,
+    noise: Noise,
+    noise_model: float | None,
+) -> list[Loop]:
+    """One loop a plant, each with an observer of its first `retained` modes and the compliance of the others."""
     loops = []
-    for plant in (stage, mirrored(stage)):
+    for plant in plants:
         block = None
         if application is not None:
             reduced = truncate(plant, retained, len(plant.frequencies) - retained)
