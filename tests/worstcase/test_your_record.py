@@ -93,7 +93,7 @@ def test_units_scale_what_they_should(template, tmp_path):
 
 
 def test_the_zero_model_leaves_everything_and_the_threshold_is_where_it_begins(template):
-    pair, _, fitted = template
+    *_, fitted = template
     assert fitted.held_out["min-max, guaranteed bound"] == pytest.approx(1.0)
     etas = fitted.factors * fitted.bounds["min-max, typical bound"]
     assert np.all(fitted.judging[etas > fitted.threshold] == 1.0)
@@ -163,7 +163,7 @@ def test_too_many_channels_and_too_short_records(tmp_path, template):
     with pytest.raises(InputError, match=r"holds 3 channels \(u, y 1, y 2\); name the two"):
         open_pair(tmp_path / "a.npz")
     short, _ = open_pair(tmp_path / "a.npz", channels=("u", "y 1"))
-    with pytest.raises(InputError, match="memory is 640 samples; give more than 16 .* at most 200"):
+    with pytest.raises(InputError, match=r"memory is 640 samples; give more than 16 .* at most 200"):
         fit_pair(short, 8, 640)
     with pytest.raises(InputError, match="too few for 32 taps; give 512 samples or at most 25 taps"):
         window_lengths(32, 400)
