@@ -317,7 +317,7 @@ def warnings_of(found: Contraction, chosen: Mapping[str, Controller]) -> list[st
             said.append(
                 f"{name}: the local gain {gain:.3g} is outside the contraction range ({low:.3g}, {high:.3g}) on "
                 f"{100 * outside.mean():.0f} % of the way, first at {found.time[outside.argmax()]:.2f} s; there the "
-                "iteration runs away: lower the gain, widen w, or give a better approximate model"
+                "iteration does not converge: lower the gain, widen w, or give a better approximate model"
             )
     return said
 
