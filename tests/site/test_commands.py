@@ -12,6 +12,8 @@ from stillwork import paths
 from stillwork.__main__ import main
 from stillwork.checks import InputError
 from stillwork.claims import load_entries
+from stillwork.isolation.your_floor import SHORTEST_S
+from stillwork.site import inspecting
 from stillwork.site.inspecting import inspect_file
 from stillwork.site.scaffold import new_result
 from stillwork.workbook.notebooks import read_notebook
@@ -66,6 +68,13 @@ def test_the_numbers_of_a_column_are_those_of_the_file(tmp_path):
     assert found["isolation/08-your-floor"]["floor_channels"] == ["a"]
     assert found["worstcase/07-your-record"]["output_channel"] == "b"
     assert found["fixedpoint/09-your-plant"]["trajectory_channel"] == "a"
+
+
+def test_a_record_too_short_for_a_floor_gets_no_command_for_it(tmp_path):
+    assert inspecting.SHORTEST_FLOOR_S == SHORTEST_S
+    rows = "\n".join(f"{i / 100},{i % 7}" for i in range(1400))
+    (tmp_path / "a.csv").write_text(f"time,a\n{rows}\n")
+    assert list(commands(inspect_file(str(tmp_path / "a.csv")))) == ["fixedpoint/09-your-plant"]
 
 
 def test_an_input_output_record_in_volts_is_for_the_room_that_takes_it():

@@ -21,6 +21,8 @@ MODELS = {
     "fixedpoint": ("stillwork.fixedpoint.plant", "load_oscillator"),
 }
 
+SHORTEST_FLOOR_S = 15.0  # what the floor's notebook takes; its module would cost seconds to import
+
 
 def inspect_file(name: str) -> str:
     """Report of what the file `name` holds, what is wrong with it, and the commands that use it.
@@ -54,8 +56,6 @@ def _data(path: Path) -> Iterator[str]:
 
 def _record(path: Path) -> Iterator[str]:
     """What the rooms that take signals over time make of a file."""
-    from stillwork.isolation.your_floor import SHORTEST_S
-
     try:
         record = load_record(path, "1")
     except InputError as error:
@@ -71,7 +71,7 @@ def _record(path: Path) -> Iterator[str]:
         for name, unit in zip(record.names, units, strict=True)
         if not unit or unit_factor(unit)[1] in MOTION_UNITS
     ]
-    if motions and record.duration >= SHORTEST_S:
+    if motions and record.duration >= SHORTEST_FLOOR_S:
         name, unit = motions[0]
         settings = {"floor_record": path.resolve(), "floor_unit": unit or "UNIT"}
         if len(record.names) > 1:
