@@ -119,6 +119,11 @@ def test_every_form_of_a_machine_is_recognised(name, said, settings):
     assert commands(report) == {"motion/29-your-machine": {"machine_file": str(file), **settings}}
 
 
+def test_hits_side_by_side_are_no_input_output_record():
+    file = paths.data("motion", "impact_frf_25k6/impact_hammer_5_hits.npz")
+    assert list(commands(inspect_file(str(file)))) == ["motion/29-your-machine"]
+
+
 def test_several_complex_responses_name_the_first(tmp_path):
     hertz = np.arange(1.0, 100.0)
     np.savez(tmp_path / "a.npz", frequency=hertz, h1=1 + 1j / hertz, h2=2 + 1j / hertz)

@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 
 from stillwork import paths
 from stillwork.checks import InputError, require_array, require_number
-from stillwork.lti import ModalModel
+from stillwork.lti import ModalModel, StateModel
 from stillwork.motion.applications import Application, compensator
 from stillwork.motion.bandwidth import Loop, make_loop
 from stillwork.motion.controller import Pid
@@ -198,12 +198,19 @@ def observed_loops(
     noise: Noise,
     noise_model: float | None,
 ) -> list[Loop]:
-    """One loop a plant, each with an observer of its first `retained` modes and the compliance of the others."""
-    loops = []
-    for plant in plants:
-        block = None
-        if application is not None:
-            reduced = truncate(plant, retained, len(plant.frequencies) - retained)
-            block = compensator(kalman_observer(reduced, noise, noise_model), application)
-        loops.append(make_loop(plant, block))
-    return loops
+    """One loop a plant, each with its own observer."""
+    return [
+        make_loop(
+            plant,
+            application and observing_compensator(plant, application, retained, noise, noise_model),
+        )
+        for plant in plants
+    ]
+
+
+def observing_compensator(
+    plant: ModalModel, application: Application, retained: int, noise: Noise, noise_model: float | None
+) -> StateModel:
+    """Compensator on an observer of the plant's first `retained` modes and the compliance of the others."""
+    reduced = truncate(plant, retained, len(plant.frequencies) - retained)
+    return compensator(kalman_observer(reduced, noise, noise_model), application)

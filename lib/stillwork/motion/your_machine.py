@@ -234,14 +234,14 @@ def applications(added_damping: float, selectivity: float) -> dict[str, Applicat
     }
 
 
-def machine_loops(
+def observer_settings(
     machine: Machine, application: Application | None, retained: int, intensities: Intensities
-) -> list[Loop]:
-    """One loop a sensor under one use of the observer, which keeps at most `retained` modes of the model."""
+) -> tuple[int, Noise, float | None]:
+    """Modes in the observer, its noise, and the intensity of its noise model, which only MC has."""
     retained = min(require_count("retained", retained, at_least=2), len(machine.sensors[0].frequencies))
     compensates = application is not None and application.compensate
     drift = intensities.drift * machine.mass**2 if compensates else None
-    return observed_loops(machine.sensors, application, retained, intensities.noise(machine.mass), drift)
+    return retained, intensities.noise(machine.mass), drift
 
 
 @dataclass(frozen=True)
@@ -326,7 +326,8 @@ def reach(
     limits = [PeakConstraint(name) for name in ("input_sensitivity", "output_sensitivity")]
     found = {}
     for name, application in chosen.items():
-        loops = machine_loops(machine, application, retained, intensities)
+        settings = observer_settings(machine, application, retained, intensities)
+        loops = observed_loops(machine.sensors, application, *settings)
         on_model, reason = _search(loops, family, limits, low, high, refine=True)
         on_data, turns = None, None
         if band is not None:

@@ -6,9 +6,11 @@ import numpy as np
 
 from stillwork import figures
 from stillwork.checks import InputError
+from stillwork.lti import resonance_grid
 from stillwork.motion.applications import Application
 from stillwork.motion.plots import bode, decibel, over_masses
-from stillwork.motion.your_machine import Intensities, Machine, Reached, machine_loops
+from stillwork.motion.structure import observing_compensator
+from stillwork.motion.your_machine import Intensities, Machine, Reached, observer_settings
 
 
 def draw_machine(machine: Machine):
@@ -118,18 +120,18 @@ def machine_explorer(
     selectivity : float
         Q of the band-pass of AD.
     """
-    last = Machine(machine.sensors[-1:], machine.mass, machine.source)
-    bare = machine_loops(last, None, retained, intensities)[0]
-    low, top = (2 * np.pi * machine.resonances_hz[k] * share for k, share in ((0, 0.05), (-1, 1.2)))
-    shown = bare.omega[(bare.omega > low) & (bare.omega < top)]
-    plant = bare.plant.frequency_response(shown)[0, 0]
+    last = machine.sensors[-1]
+    low, high = machine.resonances_hz[0] * 0.05, machine.resonances_hz[-1] * 1.2
+    shown = resonance_grid(last.poles, low, high, 200, 16)  # coarse enough to redraw quickly
+    plant = last.frequency_response(shown)[0, 0]
     flexible = shown > np.pi * machine.resonances_hz[0]  # from half of the first resonance on
 
     def draw(damping: float, drift: float):
         moved = Intensities(intensities.disturbance, intensities.sensor, drift)
         application = Application(compensate=True, damping=damping, selectivity=selectivity)
-        [used] = machine_loops(last, application, retained, moved)
-        (o_uu, o_uy), (o_yu, o_yy) = used.compensator.frequency_response(shown)
+        settings = observer_settings(machine, application, retained, moved)
+        used = observing_compensator(last, application, *settings)
+        (o_uu, o_uy), (o_yu, o_yy) = used.frequency_response(shown)
         seen = ((1 - o_yy) * plant - o_yu) / (1 - o_uu - o_uy * plant)
         figure, axes = bode(
             {"plant": (shown, plant), "with MC and AD": (shown, seen)},

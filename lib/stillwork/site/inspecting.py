@@ -50,7 +50,8 @@ def _data(path: Path) -> Iterator[str]:
     machine = list(_machine(path, arrays))
     yield from machine
     # One hit's force and response may be an input-output record, too; several hits side by side are none.
-    if not machine or sum(array.size > 1 and not is_time(name) for name, array in arrays.items()) == 2:
+    signals = [array for name, array in arrays.items() if array.size > 1 and not is_time(name)]
+    if not machine or [np.squeeze(array).ndim for array in signals] == [1, 1]:
         yield from _record(path)
 
 
