@@ -1,4 +1,4 @@
-"""Named columns of numbers out of CSV, MAT and NPZ files; reading one executes nothing."""
+"""Named arrays of numbers out of CSV, MAT, NPZ and universal files; reading one executes nothing."""
 
 import csv
 from pathlib import Path
@@ -6,23 +6,53 @@ from pathlib import Path
 import numpy as np
 
 from stillwork.checks import InputError
+from stillwork.universal import read_universal
 
 
-def read_columns(path: Path) -> dict[str, np.ndarray]:
-    """Every numeric column or array of a file by name, each one-dimensional; a matrix gives one a channel.
+def read_arrays(path: Path) -> dict[str, np.ndarray]:
+    """Every array of numbers of a file by name, real or complex, in the shape in which it is stored.
+
+    Of a CSV file each column is an array; of a universal file (UFF, UNV) each measured function, see
+    `stillwork.universal`.
 
     Raises
     ------
     InputError
-        When the file cannot be read as what its name says.
+        When there is no such file or it cannot be read as what its name says.
     """
-    readers = {".csv": _csv, ".txt": _csv, ".tsv": _csv, ".mat": _mat, ".npz": _npz}
+    readers = {
+        ".csv": _csv,
+        ".txt": _csv,
+        ".tsv": _csv,
+        ".mat": _mat,
+        ".npz": _npz,
+        ".uff": read_universal,
+        ".unv": read_universal,
+    }
     if path.suffix.lower() not in readers:
         raise InputError(
             f"{path.name}: files of type {path.suffix or '(none)'!r} are not read; "
-            "export CSV, MAT (version 7) or NPZ"
+            "export CSV, MAT (version 7), NPZ or UFF"
         )
-    return readers[path.suffix.lower()](path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; give the path of a CSV, MAT, NPZ or UFF file")
+    arrays = readers[path.suffix.lower()](path)
+    return {name: array for name, array in arrays.items() if array.dtype.kind in "fiuc"}
+
+
+def read_columns(path: Path) -> dict[str, np.ndarray]:
+    """Every real array of a file by name, each one-dimensional; a matrix gives one a channel.
+
+    Raises
+    ------
+    InputError
+        As `read_arrays`, and for an array with more than two axes.
+    """
+    columns: dict[str, np.ndarray] = {}
+    for name, array in read_arrays(path).items():
+        if array.dtype.kind != "c":  # no measurement over time
+            _add(columns, name, array)
+    return columns
 
 
 def _csv(path: Path) -> dict[str, np.ndarray]:
@@ -38,6 +68,18 @@ def _csv(path: Path) -> dict[str, np.ndarray]:
     decimal = "," if separator == ";" and "," in body and "." not in body else "."
     first = [field for field in head[0].split(separator if separator != r"\s+" else None) if field.strip()]
     named = not all(_is_number(field.replace(decimal, ".")) for field in first)
+    if named and len(head) > 1:
+        names = len(_fields(head[0], separator))
+        widths = [len(_without_empty_end(_fields(line.split("#")[0], separator))) for line in head[1:]]
+        if min(widths) > names:  # pandas would warn, and drop the columns without a name
+            raise InputError(
+                f"{path.name} names {names} columns and holds {max(widths)}; give every column a name, or none"
+            )
+        if max(widths) > names:
+            row = next(number for number, width in enumerate(widths, 1) if width > names)
+            raise InputError(
+                f"{path.name} is not a table: row {row} holds {widths[row - 1]} values for {names} columns; mend it"
+            )
     try:
         table = pd.read_csv(
             path,
@@ -51,13 +93,6 @@ def _csv(path: Path) -> dict[str, np.ndarray]:
         )
     except (pd.errors.ParserError, UnicodeDecodeError) as error:
         raise InputError(f"{path.name} is not a table ({error}); give rows of equally many numbers") from None
-    if named and len(head) > 1:
-        names = len(_fields(head[0], separator))
-        widest = max(len(_without_empty_end(_fields(line.split("#")[0], separator))) for line in head[1:])
-        if widest > names:  # pandas drops the columns without a name
-            raise InputError(
-                f"{path.name} names {names} columns and holds {widest}; give every column a name, or none"
-            )
     # A separator at the end of every row makes one more, empty column.
     table = table[
         [n for n in table if not (table[n].isna().all() and (not named or n.startswith("Unnamed")))]
@@ -98,7 +133,7 @@ def _npz(path: Path) -> dict[str, np.ndarray]:
     try:
         with np.load(path, allow_pickle=False) as file:
             for name in file.files:
-                _add(columns, name, file[name])
+                columns[name] = file[name]
     except Exception as error:  # a damaged archive raises from zipfile, zlib or numpy
         raise InputError(
             f"{path.name} cannot be read ({error}); save plain numeric arrays with numpy.savez"
@@ -122,16 +157,14 @@ def _mat(path: Path) -> dict[str, np.ndarray]:
             if isinstance(value, dict):
                 walk(f"{prefix}{name}.", value)
             elif not name.startswith("__"):
-                _add(columns, prefix + name, np.asarray(value))
+                columns[prefix + name] = np.asarray(value)
 
     walk("", tree)
     return columns
 
 
 def _add(columns: dict, name: str, array: np.ndarray) -> None:
-    """Add an array as one or several channels; text and complex arrays are no measurements."""
-    if array.dtype.kind not in "fiu":
-        return
+    """Add an array as one or several channels."""
     rows = np.atleast_1d(np.squeeze(array)).astype(float)
     if rows.ndim > 2:
         raise InputError(f"array {name!r} has shape {array.shape}; give channels by samples")

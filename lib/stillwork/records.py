@@ -1,4 +1,4 @@
-"""Measured records: read from CSV, MAT or NPZ, checked, in SI units, evenly sampled."""
+"""Measured records: read from CSV, MAT, NPZ or UFF, checked, in SI units, evenly sampled."""
 
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -13,13 +13,16 @@ from stillwork.checks import InputError, nearest, require_array, require_count, 
 from stillwork.datafiles import read_columns
 
 STANDARD_GRAVITY = 9.80665  # m/s^2
-_QUANTITIES = ("m/s^2", "m/s", "m")
-_PREFIXES = {"": 1.0, "m": 1e-3, "u": 1e-6, "n": 1e-9}
+MOTION_UNITS = ("m/s^2", "m/s", "m")
+_QUANTITIES = (*MOTION_UNITS, "N", "V", "A", "Pa", "rad", "rad/s", "rad/s^2")
+_PREFIXES = {"": 1.0, "m": 1e-3, "u": 1e-6, "n": 1e-9, "k": 1e3}
 # What a unit means: factor to SI, and the SI unit.
 UNITS = {
     **{f"{p}{q}": (factor, q) for q in _QUANTITIES for p, factor in _PREFIXES.items()},
-    **{f"{p}g": (factor * STANDARD_GRAVITY, "m/s^2") for p, factor in _PREFIXES.items()},
+    **{f"{p}g": (factor * STANDARD_GRAVITY, "m/s^2") for p, factor in _PREFIXES.items() if p != "k"},
+    "1": (1.0, "1"),
 }
+UNITS_SAID = f"{', '.join(_QUANTITIES)} or 1, with m, u, n or k in front, or g, mg, ug, ng"
 
 # A step of time may differ from the period by this share: printed times are often that coarse. An instant off by
 # d seconds falsifies a component at f by at most 2 pi f d of its size, 6 % at a tenth of the sample rate.
@@ -57,7 +60,7 @@ class Record:
     sample_rate : float
         Hz.
     unit : str
-        ``m/s^2``, ``m/s`` or ``m``.
+        Of SI: ``m/s^2``, ``m/s``, ``m``, ``N``, ``V``, ``A``, ``Pa``, ``rad``, ``rad/s``, ``rad/s^2`` or ``1``.
     names : tuple of str
         One a channel.
     source : str
@@ -83,8 +86,8 @@ class Record:
                 f"{self.source}: {self.signals.shape[1]} samples are too short; "
                 f"give at least {SHORTEST_SAMPLES}"
             )
-        if self.unit not in _QUANTITIES:
-            raise InputError(f"unit is {self.unit!r}; convert to m/s^2, m/s or m")
+        if self.unit not in (*_QUANTITIES, "1"):
+            raise InputError(f"unit is {self.unit!r}; convert to {', '.join(_QUANTITIES)} or 1")
         if len(self.names) != len(self.signals):
             raise InputError(
                 f"names has {len(self.names)} entries for {len(self.signals)} channels; name each"
@@ -109,14 +112,15 @@ def load_record(
     A CSV file has one column a channel, with or without a line of names, separated by comma, semicolon, tab or
     blanks; lines that start with # are skipped. In MAT (up to version 7) and NPZ files every numeric array of
     the common length is a channel or a set of channels. A column or array named ``t`` or ``time`` (a unit in
-    brackets may follow) is the time in s; a scalar named ``fs`` or ``sample_rate`` is the rate in Hz.
+    brackets may follow) is the time in s; a scalar named ``fs`` or ``sample_rate`` is the rate in Hz. Universal
+    files give their time responses, see `stillwork.universal`.
 
     Parameters
     ----------
     path : str or Path
-        ``.csv`` (also ``.txt``, ``.tsv``), ``.mat`` or ``.npz``.
+        ``.csv`` (also ``.txt``, ``.tsv``), ``.mat``, ``.npz``, ``.uff`` or ``.unv``.
     unit : str
-        Of all channels, e.g. ``m/s^2``, ``mg``, ``mm/s``, ``um``; see `UNITS`.
+        Of all channels, e.g. ``m/s^2``, ``mg``, ``mm/s``, ``um``, ``N``; see `UNITS`.
     sample_rate : float, optional
         Hz; needed when the file has neither a time nor a rate.
     channels : list of str, optional
@@ -127,16 +131,14 @@ def load_record(
     Raises
     ------
     InputError
-        For an unknown unit or channel, NaN, a channel that never moves, gaps, uneven time, an implausible or contradictory rate, too short
-        a record or too many channels. The message says what to do.
+        For an unknown unit or channel, NaN, a channel that never moves, gaps, uneven time, an implausible or
+        contradictory rate, too short a record or too many channels. The message says what to do.
     """
     path = Path(path)
     factor, si_unit = unit_factor(unit)
-    if not path.is_file():
-        raise InputError(f"{path}: no such file; give the path of a CSV, MAT or NPZ file")
     columns = read_columns(path)
-    rate = _rate(path.name, columns, sample_rate)
-    columns = {name: column for name, column in columns.items() if not _is_time(name) and column.size > 1}
+    rate = sampling_rate(path.name, columns, sample_rate)
+    columns = {name: column for name, column in columns.items() if not is_time(name) and column.size > 1}
     if channels is not None:
         for name in channels:
             if name not in columns:
@@ -169,7 +171,7 @@ def unit_factor(unit: str) -> tuple[float, str]:
     """Factor to SI and the SI unit of `unit`; an unknown one raises `InputError` that names the nearest."""
     plain = unit.strip().replace("µ", "u").replace("μ", "u").replace("²", "^2").replace("s2", "s^2")
     if plain not in UNITS:
-        raise InputError(f"unit is {unit!r}; use one of {', '.join(UNITS)}{nearest(plain, UNITS)}")
+        raise InputError(f"unit is {unit!r}; use {UNITS_SAID}{nearest(plain, UNITS)}")
     return UNITS[plain]
 
 
@@ -206,8 +208,15 @@ def to_acceleration(record: Record) -> Record:
 
     Done by Fourier transform, so exact up to the Nyquist frequency; the line between the ends is taken off and
     5 % at either end are faded in and out, because the transform closes the record to a ring.
+
+    Raises
+    ------
+    InputError
+        When the record is in another unit than those.
     """
-    order = {"m/s^2": 0, "m/s": 1, "m": 2}[record.unit]
+    if record.unit not in MOTION_UNITS:
+        raise InputError(f"{record.source} is in {record.unit}; an acceleration needs m/s^2, m/s or m")
+    order = MOTION_UNITS.index(record.unit)
     if order == 0:
         return record
     samples = record.signals.shape[1]
@@ -258,13 +267,29 @@ def sample_rate_of(times: ArrayLike, source: str = "time") -> float:
     return 1 / float(slope)
 
 
-def _rate(source: str, columns: dict, stated: float | None) -> float:
+def sampling_rate(source: str, columns: dict[str, np.ndarray], stated: float | None = None) -> float:
+    """Rate in Hz that a file's columns tell, by a time or a scalar, or that is stated.
+
+    Parameters
+    ----------
+    source : str
+        Name of the file, for the messages.
+    columns : dict of str to ndarray
+        By name.
+    stated : float, optional
+        Hz; must agree with the file's own to 1 %.
+
+    Raises
+    ------
+    InputError
+        When there is none, when the two contradict each other, or when the time is not even.
+    """
     if stated is not None:
         require_number("sample_rate", stated, above=0.0)
     found = stated
     for name, column in columns.items():
-        if _is_time(name) and column.size > 1:
-            found = sample_rate_of(column, source)
+        if is_time(name) and column.size > 1:
+            found = sample_rate_of(np.ravel(column), source)
         elif name.lower().rpartition(".")[2] in _RATE_NAMES and column.size == 1:
             found = require_number(f"{source}: {name}", column.item(), above=0.0)
         else:
@@ -278,7 +303,8 @@ def _rate(source: str, columns: dict, stated: float | None) -> float:
     return float(found)
 
 
-def _is_time(name: str) -> bool:
+def is_time(name: str) -> bool:
+    """Whether a column of that name holds the time."""
     words = name.lower().rpartition(".")[2].replace("(", " ").replace("[", " ").replace("_", " ").split()
     return bool(words) and words[0] in _TIME_NAMES
 

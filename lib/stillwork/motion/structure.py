@@ -1,5 +1,6 @@
 """A measured structure as a stage: hammer records, a modal fit, and loops on the measured response."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,7 +9,7 @@ from scipy.optimize import least_squares
 
 from stillwork import paths
 from stillwork.checks import InputError, require_array, require_number
-from stillwork.lti import ModalModel
+from stillwork.lti import ModalModel, StateModel
 from stillwork.motion.applications import Application, compensator
 from stillwork.motion.bandwidth import Loop, make_loop
 from stillwork.motion.controller import Pid
@@ -187,11 +188,29 @@ def structure_loops(
     stage: ModalModel, application: Application | None, retained: int, noise: Noise, noise_model: float | None
 ) -> list[Loop]:
     """Loops of a one-sensor structure and of its mirror image under one use of the observer."""
-    loops = []
-    for plant in (stage, mirrored(stage)):
-        block = None
-        if application is not None:
-            reduced = truncate(plant, retained, len(plant.frequencies) - retained)
-            block = compensator(kalman_observer(reduced, noise, noise_model), application)
-        loops.append(make_loop(plant, block))
-    return loops
+    return observed_loops((stage, mirrored(stage)), application, retained, noise, noise_model)
+
+
+def observed_loops(
+    plants: Sequence[ModalModel],
+    application: Application | None,
+    retained: int,
+    noise: Noise,
+    noise_model: float | None,
+) -> list[Loop]:
+    """One loop a plant, each with its own observer."""
+    return [
+        make_loop(
+            plant,
+            application and observing_compensator(plant, application, retained, noise, noise_model),
+        )
+        for plant in plants
+    ]
+
+
+def observing_compensator(
+    plant: ModalModel, application: Application, retained: int, noise: Noise, noise_model: float | None
+) -> StateModel:
+    """Compensator on an observer of the plant's first `retained` modes and the compliance of the others."""
+    reduced = truncate(plant, retained, len(plant.frequencies) - retained)
+    return compensator(kalman_observer(reduced, noise, noise_model), application)

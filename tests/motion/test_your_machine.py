@@ -1,0 +1,333 @@
+"""A machine from its file: every form gives the same machine, whose response a plain solve of the matrices gives."""
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+from shared.universal_files import function, write_universal
+from stillwork import paths
+from stillwork.checks import InputError
+from stillwork.motion.machine_files import load_machine
+from stillwork.motion.structure import fit_modes, measured_accelerance
+from stillwork.motion.your_machine import (
+    Intensities,
+    applications,
+    build_machine,
+    find_modes,
+    reach,
+    whole_band,
+)
+from stillwork.motion.your_machine_plots import (
+    draw_machine,
+    draw_reached,
+    draw_sensitivities,
+    envelope,
+    machine_explorer,
+)
+
+TEMPLATES = paths.data("motion", "your_machine")
+HAMMER = paths.data("motion", "impact_frf_25k6/impact_hammer_5_hits.npz")
+MASS = np.diag([4.0, 4.0, 4.0])
+STIFFNESS = 2e7 * np.array([[1.0, -1, 0], [-1, 2, -1], [0, -1, 1]])
+DAMPING = 1e-5 * STIFFNESS
+HERTZ = np.arange(5.0, 1000.0)
+INTENSITIES = Intensities(8e-4, 1.41e-9, 1.92e-4)
+
+
+def solved(hertz, place=0):
+    """Acceleration of a mass over the force on the first, by solving the equation of motion at each frequency."""
+    found = []
+    for w in 2 * np.pi * np.asarray(hertz):
+        dynamic = STIFFNESS + 1j * w * DAMPING - w**2 * MASS
+        found.append(-(w**2) * np.linalg.solve(dynamic, np.eye(3)[0])[place])
+    return np.array(found)
+
+
+ACCELERANCE = solved(HERTZ)
+
+
+def write_csv(path, **columns):
+    rows = np.column_stack(list(columns.values()))
+    lines = [",".join(columns), *(",".join(map(repr, row)) for row in rows.tolist())]
+    path.write_text("\n".join(lines))
+    return path
+
+
+def built(file, sensors=1, **options):
+    machine = build_machine(
+        load_machine(file, **options), modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=sensors == 2
+    )
+    assert len(machine.sensors) == sensors
+    return machine
+
+
+# --------------------------------------------------------------------------------------------------- the forms
+
+
+def mobility(folder):
+    np.savez(folder / "a.npz", omega=2 * np.pi * HERTZ, frf=1e3 * ACCELERANCE / (2j * np.pi * HERTZ))
+    return folder / "a.npz", {"response_unit": "mm/s"}
+
+
+def compliance_in_kilonewton(folder):
+    values = ACCELERANCE / (2j * np.pi * HERTZ) ** 2
+    savemat(folder / "a.mat", {"test": {"frequency": HERTZ, "response": values * 1e6 * 1e3}})
+    return folder / "a.mat", {"response_unit": "um", "force_unit": "kN"}
+
+
+def decibels(folder):
+    sizes, angles = 20 * np.log10(np.abs(ACCELERANCE)), np.angle(ACCELERANCE)
+    columns = {"freq (kHz)": HERTZ / 1e3, "magnitude (dB)": sizes, "phase (rad)": angles}
+    return write_csv(folder / "a.csv", **columns), {}
+
+
+def two_parts(folder):
+    columns = {
+        "f": HERTZ,
+        "real": ACCELERANCE.real,
+        "imag": ACCELERANCE.imag,
+        "coherence": np.ones_like(HERTZ),
+    }
+    return write_csv(folder / "a.csv", **columns), {}
+
+
+def universal(folder):
+    one = function("frf", HERTZ, ACCELERANCE, reference=1, unit="(m/s2)/N", binary=1)
+    return write_universal(folder / "a.uff", [one]), {}
+
+
+@pytest.mark.parametrize("form", [mobility, compliance_in_kilonewton, decibels, two_parts, universal])
+def test_every_form_of_a_frequency_response_gives_the_same_accelerance(tmp_path, form):
+    file, options = form(tmp_path)
+    found = load_machine(file, **options)
+    assert found.kind == "frequency response"
+    assert found.accelerance.omega == pytest.approx(2 * np.pi * HERTZ, rel=1e-9)
+    assert np.abs(found.accelerance.response / ACCELERANCE - 1).max() < 1e-9
+
+
+def test_templates_are_one_machine():
+    """M and K by eigenvalues; the fits find the same frequencies, the same mass and the damping of 1 %."""
+    wanted = np.sqrt(np.linalg.eigvals(np.linalg.solve(MASS, STIFFNESS)).real.clip(0))
+    wanted = np.sort(wanted)[1:] / (2 * np.pi)
+    for name in ("matrices", "frequency_response", "hammer_records"):
+        machine = built(TEMPLATES / f"{name}.csv", 2, damping_ratio=0.01)
+        assert machine.resonances_hz == pytest.approx(wanted, rel=1e-5)
+        assert machine.mass == pytest.approx(12.0, rel=1e-3)
+        assert machine.sensors[0].damping[1:] == pytest.approx(0.01, rel=1e-3)
+
+
+def test_matrices_with_damping_and_two_sensors_respond_as_the_equation_of_motion(tmp_path):
+    np.savez(
+        tmp_path / "a.npz", M=MASS, K=STIFFNESS, D=DAMPING, input=[1, 0, 0], output=[[1, 0, 0], [0, 0, 1]]
+    )
+    machine = built(tmp_path / "a.npz", 2)
+    assert machine.mirrored == (False, False)
+    omega = 2 * np.pi * HERTZ
+    for sensor, place in zip(machine.sensors, (0, 2), strict=True):
+        response = -(omega**2) * sensor.frequency_response(omega)[0, 0]
+        assert np.abs(response / solved(HERTZ, place) - 1).max() < 1e-6
+
+
+def test_the_shipped_record_gives_the_machine_of_the_structure_module():
+    machine = build_machine(load_machine(HAMMER), modes_hz=[], fit_hz=(300.0, 1200.0), mirrored_sensor=True)
+    assert "counted against the force, turned" in machine.notes
+    fit = fit_modes(measured_accelerance(1), [810.0, 824.0, 851.0, 900.0], (300.0, 1200.0))
+    assert machine.resonances_hz == pytest.approx(fit.model.frequencies[1:] / (2 * np.pi), rel=1e-3)
+    assert machine.mass == pytest.approx(
+        1 / (fit.model.input_shapes[0, 0] * fit.model.output_shapes[0, 0]), rel=0.03
+    )
+    assert machine.fit.rms_error == pytest.approx(fit.rms_error, rel=0.3)
+
+
+# ------------------------------------------------------------------------------------------------- the bandwidths
+
+
+@pytest.fixture(scope="module")
+def found():
+    machine = built(TEMPLATES / "frequency_response.csv", 2)
+    return machine, reach(machine, applications(0.02, 2.0), retained=3, intensities=INTENSITIES)
+
+
+def test_measurement_and_model_agree_where_the_fit_is_exact(found):
+    _, reached = found
+    for each in reached.values():
+        assert each.extra_turns == 0 and not each.reason
+        assert each.on_measurement.crossing_hz == pytest.approx(each.on_model.crossing_hz, rel=0.01)
+        assert (
+            each.on_measurement.design_hz > 0.999 * each.on_model.design_hz
+        )  # lines miss the peaks between them
+
+
+def test_found_bandwidths_hold_six_decibels_and_are_stable_on_the_full_model(found):
+    """By the closed loop's eigenvalues and by python-control's frequency response, not by the search's own loops."""
+    import control
+
+    machine, reached = found
+    best = reached["PID"].on_model
+    s = control.tf("s")
+    pid = best.controller
+    c = pid.gain * (s + pid.integrator) / s * (s / pid.differentiator + 1) * pid.low_pass**2
+    c = c / (s**2 + 2 * pid.low_pass_damping * pid.low_pass * s + pid.low_pass**2)
+    peaks = []
+    for sensor in machine.sensors:
+        loop = control.tf(sensor.to_control()) * c
+        closed = control.feedback(1, loop)
+        assert np.all(closed.poles().real < 0)
+        omega = 2 * np.pi * np.concatenate([np.geomspace(1, 1000, 2000), np.linspace(340, 370, 6000)])
+        peaks.append(np.abs(closed(1j * omega)).max())
+    assert max(peaks) == pytest.approx(10 ** (6 / 20), rel=2e-3)
+
+
+def test_bandwidths_do_not_depend_on_the_unit_of_force():
+    """A machine a thousand times heavier, disturbed a thousand times more, is the same machine."""
+    machines = [built(TEMPLATES / "frequency_response.csv", 2, force_unit=unit) for unit in ("N", "kN")]
+    assert machines[1].mass == pytest.approx(1e3 * machines[0].mass, rel=1e-9)
+    chosen = {"MC": applications(0.02, 2.0)["MC"]}
+    one, other = (reach(m, chosen, retained=3, intensities=INTENSITIES)["MC"] for m in machines)
+    assert other.on_model.crossing_hz == pytest.approx(one.on_model.crossing_hz, rel=1e-3)
+
+
+def test_a_use_without_a_feasible_bandwidth_is_a_result(found):
+    machine, _ = found
+    asked = reach(machine, {"PID": None}, retained=3, intensities=INTENSITIES, search_hz=(300.0, 400.0))
+    assert asked["PID"].best is None and "no bandwidth from 300 to 400 Hz" in asked["PID"].reason
+    assert asked["PID"].summary == {"on the model (Hz)": "none", "on the measurement (Hz)": "none"}
+    with pytest.raises(InputError, match="no loop has a feasible bandwidth"):
+        draw_sensitivities(asked, machine)
+
+
+def test_pictures_and_explorer(found):
+    machine, reached = found
+    for figure in (draw_machine(machine), draw_reached(reached), draw_sensitivities(reached, machine)):
+        assert all(np.isfinite(line.get_ydata()).all() for axes in figure.axes for line in axes.lines)
+    draw = machine_explorer(machine, INTENSITIES, 3, 2.0)
+    for damping, drift in ((0.0, 1e-5), (0.05, 1e3)):
+        assert "dB lower" in draw(damping, drift).axes[0].get_title(loc="left")
+
+
+def test_an_envelope_loses_no_peak():
+    x = np.geomspace(1, 1000, 40_000)
+    y = np.random.default_rng(0).uniform(1, 2, len(x))
+    y[[123, 20_000]] = 50, 0.01
+    kept = envelope(x, y)
+    assert {123, 20_000} <= set(kept.tolist()) and len(kept) <= 1000 and np.all(np.diff(kept) > 0)
+
+
+# ------------------------------------------------------------------------------------------------- bad input
+
+
+def hits(folder, n=512, responses=2, tail=False, **more):
+    t = np.arange(n) / 1000.0
+    pulse = np.exp(-(((t - 0.02) / 1e-3) ** 2))
+    rings = np.exp(-t * (1 if tail else 40)) * np.sin(2 * np.pi * 80 * t)
+    columns = {"time (s)": t, "force 1": pulse, "force 2": 0.8 * pulse}
+    columns |= {f"acceleration {k + 1}": rings for k in range(responses)}
+    return write_csv(folder / "hits.csv", **{**columns, **more})
+
+
+BAD = {
+    "nothing known": (
+        lambda f: write_csv(f / "a.csv", x=HERTZ, y=HERTZ),
+        {},
+        "it holds x, y, not a frequency resp",
+    ),
+    "no response": (lambda f: write_csv(f / "a.csv", frequency=HERTZ, phase=HERTZ), {}, "no response beside"),
+    "falling frequency": (
+        lambda f: write_csv(f / "a.csv", frequency=HERTZ[::-1], real=HERTZ, imag=HERTZ),
+        {},
+        "does not rise",
+    ),
+    "few lines": (
+        lambda f: write_csv(f / "a.csv", frequency=HERTZ[:9], real=HERTZ[:9], imag=HERTZ[:9]),
+        {},
+        "9 usable lines are too few",
+    ),
+    "gap": (
+        lambda f: write_csv(f / "a.csv", frequency=HERTZ, real=np.where(HERTZ > 90, np.nan, 1), imag=HERTZ),
+        {},
+        "NaN or infinite",
+    ),
+    "unit of a response": (
+        two_parts,
+        {"response_unit": "V"},
+        "give an acceleration, a velocity or a position",
+    ),
+    "unit of a force": (two_parts, {"force_unit": "m"}, "give a force such as N"),
+    "misspelt unit": (two_parts, {"response_unit": "m/s^3"}, "did you mean 'm/s"),
+    "one hit short": (lambda f: hits(f, responses=1), {}, "force holds 2 hits of 512 samples"),
+    "dead response": (
+        lambda f: hits(f, **{"acceleration 2": np.zeros(512)}),
+        {},
+        "response does not move in hit 2",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_files_that_cannot_be_used_say_why(tmp_path, name):
+    make, options, message = BAD[name]
+    made = make(tmp_path)
+    file = made[0] if isinstance(made, tuple) else made
+    with pytest.raises(InputError, match=message):
+        load_machine(file, **options)
+
+
+def test_a_record_that_is_cut_is_noted_and_not_padded(tmp_path):
+    whole, cut = load_machine(hits(tmp_path)), load_machine(hits(tmp_path, tail=True))
+    assert len(whole.accelerance.omega) == 4 * len(cut.accelerance.omega)
+    assert "of its peak at the end of a record" in cut.notes[1]
+
+
+def test_two_responses_want_a_choice(tmp_path):
+    np.savez(tmp_path / "a.npz", frequency=HERTZ, h11=ACCELERANCE, h21=solved(HERTZ, 1))
+    with pytest.raises(InputError, match="holds 2 responses; choose with response='h11'"):
+        load_machine(tmp_path / "a.npz")
+    with pytest.raises(InputError, match="did you mean 'h21'"):
+        load_machine(tmp_path / "a.npz", response="h2")
+    chosen = load_machine(tmp_path / "a.npz", response="h21")
+    assert chosen.notes == ("taken: h21",)
+    assert np.abs(chosen.accelerance.response / solved(HERTZ, 1) - 1).max() < 1e-9
+
+
+MATRICES = {"M": MASS, "K": STIFFNESS, "input": [1.0, 0, 0], "output": [[0.0, 0, 1]]}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            {"K": STIFFNESS + np.diag([1e6, 0, 0])},
+            "has 0 rigid-body modes; .* leave out the stiffness to the ground",
+        ),
+        ({"K": STIFFNESS[:2, :2]}, "K has shape"),
+        ({"K": STIFFNESS + np.eye(3)[[1, 2, 0]]}, "stiffness is not symmetric"),
+        ({"M": np.diag([4.0, 4, 0])}, "mass is not positive definite"),
+        ({"input": [1.0, 0]}, "input holds 2 numbers for 3 nodes"),
+        ({"input": [1.0, 0, -1]}, "does not move the rigid body"),
+        ({"output": [[1.0, 0, 0], [0, 0, 2]]}, "the sensors see rigid bodies of 12, 6 kg"),
+        ({"output": [[1.0, 0]]}, "output has shape"),
+        ({"D": np.diag([1e3, 0, 0])}, "damping_matrix does not decouple"),
+        ({"K": 1j * STIFFNESS}, "K is complex"),
+    ],
+)
+def test_matrices_that_cannot_be_used_say_why(tmp_path, change, message):
+    np.savez(tmp_path / "a.npz", **{**MATRICES, **change})
+    with pytest.raises(InputError, match=message):
+        built(tmp_path / "a.npz")
+
+
+def test_matrices_without_input_are_refused(tmp_path):
+    np.savez(tmp_path / "a.npz", M=MASS, K=STIFFNESS)
+    with pytest.raises(InputError, match="input is missing"):
+        load_machine(tmp_path / "a.npz")
+
+
+def test_bands_outside_the_measurement_and_flat_responses_are_refused(tmp_path):
+    measured = load_machine(two_parts(tmp_path)[0]).accelerance
+    assert whole_band(measured, (0.0, 0.0)) == pytest.approx((5.0, 999.0))
+    with pytest.raises(InputError, match=r"holds 0 lines .* runs from 5 to 999 Hz; give a band inside"):
+        whole_band(measured, (2000.0, 3000.0))
+    assert find_modes(measured, (5.0, 999.0)) == pytest.approx([356.0, 616.0], rel=0.01)
+    with pytest.raises(InputError, match="no resonance stands out by 10 dB"):
+        find_modes(measured, (5.0, 100.0))
+    with pytest.raises(InputError, match="disturbance is 0"):
+        Intensities(0.0, 1e-9, 1e-4)

@@ -1,0 +1,96 @@
+"""What `docs/your-rig.md` tells a reader to type works as it stands there; the long builds only as far as they parse."""
+
+import re
+import shlex
+
+import numpy as np
+import pytest
+from stillwork import paths
+from stillwork.__main__ import main
+from stillwork.isolation.recorded_floors import record_floor
+from stillwork.motion.machine_files import load_machine
+from stillwork.records import load_record
+
+GUIDE = (paths.root() / "docs/your-rig.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```$", GUIDE, re.DOTALL | re.MULTILINE)
+LINES = [line for language, block in BLOCKS if not language for line in block.splitlines()]
+BUILDS = [line for line in LINES if line.startswith("make figures")]
+INSPECTIONS = [line for line in LINES if line.startswith("python -m stillwork inspect")]
+COPIES = dict(line.split()[:0:-1] for line in LINES if line.startswith("cp "))
+
+
+@pytest.fixture
+def checkout(tmp_path, monkeypatch):
+    """The root as the reader's folder, with copies made elsewhere."""
+    monkeypatch.chdir(paths.root())
+    for copy, original in COPIES.items():
+        (tmp_path / copy).write_text((paths.root() / original).read_text(encoding="utf-8"), encoding="utf-8")
+
+    def found(line: str) -> str:
+        for copy in COPIES:
+            line = line.replace(f"$PWD/{copy}", copy).replace(copy, str(tmp_path / copy))
+        return line.replace("$PWD", str(paths.root()))
+
+    return found
+
+
+def test_every_command_is_one_that_these_tests_know():
+    others = [line for line in LINES if line not in BUILDS + INSPECTIONS and not line.startswith("cp ")]
+    assert others == [
+        "make doctor",
+        "source .venv/bin/activate",
+        "python -m stillwork new isolation 09-payload",
+    ]
+    targets = re.findall(r"^([a-z]+):", (paths.root() / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    assert {
+        line.split()[1] for line in LINES + re.findall(r"`(make [a-z]+)`", GUIDE) if line.startswith("make")
+    } <= set(targets)
+    assert len(BUILDS) == 7 and len(INSPECTIONS) == 7
+
+
+@pytest.mark.parametrize("line", BUILDS)
+def test_builds_have_parameters_and_files_that_exist(line, checkout, capsys):
+    [_, _, arguments] = shlex.split(checkout(line))
+    words = shlex.split(arguments.removeprefix("ARGS="))
+    assert main(["figures", *words, "--why"]) == 0
+    assert words[0] in capsys.readouterr().out
+    files = [text.partition("=")[2] for text in words if str(paths.root()) in text or "/my_" in text]
+    assert files and all(paths.Path(file).is_file() for file in files)
+
+
+@pytest.mark.parametrize("line", INSPECTIONS)
+def test_inspections_end_in_a_command(line, checkout, capsys):
+    assert main(shlex.split(checkout(line))[3:]) == 0
+    assert "make figures ARGS=" in capsys.readouterr().out
+
+
+def test_the_snippet_writes_a_record_without_drift(tmp_path, monkeypatch):
+    [snippet] = [block for language, block in BLOCKS if language == "python"]
+    monkeypatch.chdir(tmp_path)
+    exec(snippet.replace('"data/', f'"{paths.root().as_posix()}/data/'), {})
+    record = load_record(tmp_path / "without_drift.npz", "m/s^2")
+    assert record.sample_rate == 3200 and record_floor(
+        record, channels=3, sample_rate=5000.0
+    ).duration == pytest.approx(20)
+    slow = np.abs(np.fft.rfft(record.signals[0]))[:40]  # below 2 Hz
+    original = load_record(paths.data("worstcase", "structure_accel_3k2/structure_accel_20s.npz"), "m/s^2")
+    assert slow[1:].max() < 0.05 * np.abs(np.fft.rfft(original.signals[0]))[1:40].max()
+
+
+def test_every_template_in_the_table_exists_and_loads():
+    templates = set(re.findall(r"`(data/[^`]*)`", GUIDE.partition("## A floor")[0]))
+    assert len(templates) == 6
+    for name in templates:
+        file = paths.root() / name
+        if "your_machine" in name:
+            load_machine(file)
+        elif file.suffix == ".csv":
+            load_record(file, "1")
+        else:
+            assert main(["inspect", str(file)]) == 0
+
+
+def test_every_notebook_in_the_table_exists():
+    table = GUIDE.partition("Everything below")[0]
+    names = re.findall(r"`([a-z]+/\d\d-[a-z-]+)`", table)
+    assert len(names) == 4 and all((paths.root() / f"notebooks/{name}.ipynb").is_file() for name in names)

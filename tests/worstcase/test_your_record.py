@@ -1,0 +1,169 @@
+"""A record from its file to the judged models: known noise is found, estimates are those of the plain problem."""
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+from stillwork import paths
+from stillwork.checks import InputError
+from stillwork.worstcase import draw_your_record as draw
+from stillwork.worstcase.batch import solve_silently
+from stillwork.worstcase.estimators import MinMax
+from stillwork.worstcase.measured import load_pair, window_residuals
+from stillwork.worstcase.recursive import run_silently
+from stillwork.worstcase.regressors import fir_regressors, noise_bound
+from stillwork.worstcase.your_record import (
+    fit_pair,
+    open_pair,
+    parts,
+    residual,
+    weighted_corner,
+    window_lengths,
+)
+
+TEMPLATE = paths.data("worstcase", "your_record/template.csv")
+SHIPPED = paths.data("worstcase", "structure_accel_3k2/structure_accel_20s.npz")
+LAGS = np.arange(24)
+RESPONSE = 0.8 * np.exp(-LAGS / 6) * np.cos(2 * np.pi * 0.09 * LAGS)
+
+
+@pytest.fixture(scope="module")
+def template():
+    pair, spectra = open_pair(TEMPLATE, units=("V", "m/s^2"))
+    return pair, spectra, fit_pair(pair, 24, 640)
+
+
+def test_the_template_gives_back_how_it_was_made(template):
+    pair, _, fitted = template
+    assert pair.names == ("drive (V)", "plate (m/s^2)") and pair.sample_rate == pytest.approx(1000, rel=1e-6)
+    assert pair.noise == pytest.approx((0.1, 0.05), rel=0.1)
+    # Noise on the output alone leaves sqrt(0.05^2 + |h|^2 0.1^2) over the output.
+    floor = np.hypot(0.05, 0.1 * np.linalg.norm(RESPONSE)) / pair.output.std()
+    assert fitted.held_out["RLS"] == pytest.approx(floor, rel=0.15)
+    assert np.linalg.norm(fitted.estimates["RLS"] - RESPONSE) < 0.1 * np.linalg.norm(RESPONSE)
+
+
+def test_estimates_solve_the_weighted_problem_of_the_whole_fitted_part(template):
+    pair, _, fitted = template
+    forgetting = 1 - 1 / 640
+    part = parts(len(pair.output))[0]
+    rows = fir_regressors(pair.input, 24)[:, part].T
+    weights = forgetting ** (np.arange(len(rows))[::-1] / 2)
+    matrix, target = rows * weights[:, None], pair.output[part] * weights
+    plain = np.linalg.lstsq(matrix, target, rcond=None)[0]
+    assert fitted.estimates["RLS"] == pytest.approx(plain, abs=2e-3)  # the start at zero is forgotten to e^-3
+    eta, name = fitted.bounds["min-max, typical bound"], "min-max, typical bound"
+
+    # In the scaled problem |Ax - b| + eta |x| both terms are over the output's noise, so eta has the input's unit.
+    def worst(x):
+        return np.linalg.norm(matrix @ x - target) / pair.noise[1] + eta * np.linalg.norm(x) / pair.noise[1]
+
+    assert worst(fitted.estimates[name]) <= minimize(worst, plain, method="BFGS").fun * (1 + 1e-7)
+
+
+def test_the_corner_says_the_same_as_all_rows(template):
+    pair, *_ = template
+    scaled = pair.normalised
+    regressors, output = fir_regressors(scaled.input, 8)[:, :900], scaled.output[:900]
+    matrix, target = weighted_corner(regressors, output, 0.99)
+    assert matrix.shape == (9, 8)
+    rows = regressors.T * 0.99 ** (np.arange(900)[::-1] / 2)[:, None]
+    assert matrix.T @ matrix == pytest.approx(rows.T @ rows, rel=1e-9)
+    last = run_silently(MinMax(noise_bound(1.0, 8, 0.99), 0.99), regressors, output).estimates[:, -1]
+    assert solve_silently(matrix, target, noise_bound(1.0, 8, 0.99)).estimate == pytest.approx(last, abs=1e-7)
+
+
+def test_the_shipped_record_opens_as_in_the_notebook_before():
+    pair, _ = open_pair(SHIPPED, band_hz=(100.0, 1500.0), quiet_hz=(300.0, 600.0))
+    before, _ = load_pair((100.0, 1500.0), (300.0, 600.0))
+    assert np.array_equal(pair.input, before.input) and np.array_equal(pair.output, before.output)
+    assert pair.noise[0] == pytest.approx(before.noise, rel=1e-12)
+
+
+def test_units_scale_what_they_should(template, tmp_path):
+    pair, _, fitted = template
+    other, _ = open_pair(TEMPLATE, units=("mV", "g"), noise=(0.1, 0.0))
+    assert other.input == pytest.approx(1e-3 * pair.input, rel=1e-12)
+    assert other.noise[0] == pytest.approx(1e-4) and other.units == ("V", "m/s^2")
+    same, _ = open_pair(TEMPLATE, units=("mV", "g"))
+    again = fit_pair(same, 24, 640)
+    assert again.held_out["min-max, typical bound"] == pytest.approx(
+        fitted.held_out["min-max, typical bound"], rel=1e-6
+    )
+    assert again.estimates["RLS"] == pytest.approx(9806.65 * fitted.estimates["RLS"], rel=1e-6, abs=1e-3)
+
+
+def test_the_zero_model_leaves_everything_and_the_threshold_is_where_it_begins(template):
+    *_, fitted = template
+    assert fitted.held_out["min-max, guaranteed bound"] == pytest.approx(1.0)
+    etas = fitted.factors * fitted.bounds["min-max, typical bound"]
+    assert np.all(fitted.judging[etas > fitted.threshold] == 1.0)
+    assert np.all(fitted.judging[etas < 0.9 * fitted.threshold] < 1.0)
+    assert fitted.chosen == fitted.factors[fitted.choosing.argmin()]
+    assert residual(np.ones((1, 3)), np.ones(3), np.zeros(1)) == 1.0
+
+
+def test_parts_cover_the_record_once():
+    fit, choose, judge = parts(1001)
+    assert (fit.start, fit.stop, choose.start, choose.stop, judge.start, judge.stop) == (
+        0,
+        500,
+        500,
+        751,
+        751,
+        1001,
+    )
+
+
+def test_pictures_and_explorer(template):
+    pair, spectra, fitted = template
+    lengths = window_lengths(24, len(pair.input))
+    found = window_residuals(pair.normalised, 24, lengths[:2], 5)
+    figures = [
+        draw.draw_pair(pair, spectra),
+        draw.draw_models(pair, fitted),
+        draw.draw_bounds(pair, fitted),
+        draw.draw_lengths(lengths[:2], found),
+        *(draw.record_explorer(pair, 640)(*place) for place in ((4, 0.01), (64, 10.0))),
+    ]
+    assert figures[3].axes[0].get_yscale() == "log"
+    for figure in figures:
+        assert all(
+            np.isfinite(line.get_ydata(orig=False)).all() for axes in figure.axes for line in axes.lines
+        )
+
+
+def test_a_useless_model_is_named_and_not_drawn():
+    pair, _ = open_pair(SHIPPED, band_hz=(100.0, 1500.0), quiet_hz=(300.0, 600.0))
+    fitted = fit_pair(pair, 8, 100, np.array([1.0]))
+    fitted.held_out["total least squares"] = 9.0
+    labels = [line.get_label() for line in draw.draw_models(pair, fitted).axes[0].lines]
+    assert "total least squares: too far off to draw" in labels
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"band_hz": (100.0, 1500.0)}, r"holds 0 to 500 Hz: give a band inside it, or \(0, 0\)"),
+        ({"quiet_hz": (400.0, 400.1)}, "holds 0 spectral lines"),
+        ({"channels": ("drive (V)", "")}, "give both or none"),
+        ({"channels": ("drive", "plate (m/s^2)")}, r"did you mean 'drive \(V\)'"),
+        ({"units": ("Volt", "m/s^2")}, "unit is 'Volt'"),
+        ({"noise": (-1.0, 0.0)}, "noise is -1"),
+        ({"sample_rate": 500.0}, "leave one out or mend it"),
+    ],
+)
+def test_records_that_cannot_be_used(options, message):
+    with pytest.raises(InputError, match=message):
+        open_pair(TEMPLATE, **options)
+
+
+def test_too_many_channels_and_too_short_records(tmp_path, template):
+    rng = np.random.default_rng(0)
+    np.savez(tmp_path / "a.npz", fs=1000.0, u=rng.standard_normal(400), y=rng.standard_normal((2, 400)))
+    with pytest.raises(InputError, match=r"holds 3 channels \(u, y 1, y 2\); name the two"):
+        open_pair(tmp_path / "a.npz")
+    short, _ = open_pair(tmp_path / "a.npz", channels=("u", "y 1"))
+    with pytest.raises(InputError, match=r"memory is 640 samples; give more than 16 .* at most 200"):
+        fit_pair(short, 8, 640)
+    with pytest.raises(InputError, match="too few for 32 taps; give 512 samples or at most 25 taps"):
+        window_lengths(32, 400)
