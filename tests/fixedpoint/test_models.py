@@ -130,6 +130,7 @@ import numpy as np
 import own_model
 import stillwork.fixedpoint as fp
 from stillwork.fixedpoint import loop, model_kernels, models, plant
+from stillwork.kernels import callback
 
 own = fp.Plant(own_model.cart_acceleration, own_model.cart_force, np.array([2.0, 1.0]))
 rough = fp.Plant(own_model.cart_acceleration, own_model.cart_force, np.array([1.5, 0.0]))
@@ -138,9 +139,9 @@ run = fp.simulate(own, controller, fp.sine_trajectory(duration=1.0))
 model = fp.StateModel(own_model.pendulum, own_model.seen, 2, 1, 1, np.array([0.01, 9.81, 0.1]))
 fp.unscented_filter(model, np.zeros((1, 5)), process=[1e-3, 1e-3], noise=[1e-2],
                     initial_mean=[0.0, 0.0], initial_covariance=[1.0, 1.0])
-kernels = [loop._closed_loop, model_kernels._unscented_record]
-callbacks = [plant.callback(own_model.cart_acceleration), plant.callback(own_model.cart_force),
-             plant.callback(own_model.pendulum, models.SIGNATURE)]
+kernels = [loop._closed_loop, model_kernels._model_record]
+callbacks = [callback(own_model.cart_acceleration, plant.SIGNATURE), callback(own_model.cart_force, plant.SIGNATURE),
+             callback(own_model.pendulum, models.SIGNATURE)]
 misses = sum(sum(k.stats.cache_misses.values()) for k in kernels)
 hits = sum(c.cache_hits for c in callbacks)
 print(misses, hits, run.diverged_at, float(abs(run.position_error[500:]).max()) < 1e-3)

@@ -5,7 +5,8 @@ from hypothesis import strategies as st
 from naive import fixedpoint as naive
 from stillwork.checks import InputError
 from stillwork.fixedpoint import Plant, VanDerPol, load_oscillator
-from stillwork.fixedpoint.plant import callback, partial_derivatives
+from stillwork.fixedpoint.plant import SIGNATURE, partial_derivatives
+from stillwork.kernels import callback
 
 NUMBERS = st.floats(-20, 20)
 
@@ -61,7 +62,7 @@ def test_functions_must_take_four_arguments():
 
 def test_a_function_that_numba_cannot_compile_is_named():
     with pytest.raises(InputError, match="uncompilable cannot be compiled"):
-        callback(uncompilable)
+        callback(uncompilable, SIGNATURE)
 
 
 def test_parameters_must_be_numbers():

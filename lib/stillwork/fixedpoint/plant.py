@@ -1,50 +1,19 @@
 """Plants with one coordinate: the modified van der Pol oscillator, and people's own."""
 
-import inspect
 import math
 import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, fields
-from functools import cache
 from pathlib import Path
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike
 
 from stillwork import paths
 from stillwork.checks import InputError, nearest, require_array, require_number
-from stillwork.kernels import kernel
+from stillwork.kernels import callback, kernel
 
-# A model function is compiled to a C callback. All callbacks of one signature have one type, so the kernels
-# that call them are compiled once for every plant, and both they and the callbacks are cached on disk.
-SIGNATURE = "float64(float64, float64, float64, float64[::1])"
-
-
-@cache
-def callback(function: Callable, signature: str = SIGNATURE):
-    """Compile a model function to a C callback, cached beside the file that defines it.
-
-    The cache notices a change of that file, not of another one from which the function calls: keep what
-    belongs to a model in one file.
-
-    Raises
-    ------
-    InputError
-        When numba cannot compile it.
-    """
-    function = inspect.unwrap(function)
-    options = {"nopython": True, "error_model": "numpy"}
-    try:
-        try:
-            return numba.cfunc(signature, cache=True, **options)(function)
-        except RuntimeError:  # typed at a prompt: no file to cache beside
-            return numba.cfunc(signature, **options)(function)
-    except numba.core.errors.NumbaError as error:
-        raise InputError(
-            f"{function.__name__} cannot be compiled; use only numbers, loops, math and numpy in it, "
-            f"and take everything else from parameters ({str(error).strip().splitlines()[-1]})"
-        ) from None
+SIGNATURE = "float64(float64, float64, float64, float64[::1])"  # of a plant's two functions
 
 
 @dataclass(frozen=True)
@@ -89,7 +58,7 @@ class Plant:
     @property
     def compiled(self):
         """The two functions as C callbacks, and the parameters: what the kernels take."""
-        return callback(self.acceleration), callback(self.force), self.parameters
+        return callback(self.acceleration, SIGNATURE), callback(self.force, SIGNATURE), self.parameters
 
 
 @dataclass(frozen=True)
