@@ -2,6 +2,7 @@
 
 import hashlib
 import inspect
+import sys
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -45,7 +46,8 @@ def callback(function: Callable, signature: str):
 
     All callbacks of one signature have one type, so a kernel that calls them is compiled once for every function.
     The cache notices a change of that file, not of another one from which the function calls: keep what belongs
-    to a model in one file.
+    to a model in one file. A function typed at a prompt, or of a module that ``sys.modules`` does not hold, is
+    compiled anew in every process.
 
     Raises
     ------
@@ -53,9 +55,10 @@ def callback(function: Callable, signature: str):
         When numba cannot compile it.
     """
     function = inspect.unwrap(function)
+    lasting = function.__module__ in sys.modules  # else numba's cache could not be read by another process
     try:
         try:
-            return numba.cfunc(signature, cache=True, **ARITHMETIC)(function)
+            return numba.cfunc(signature, cache=lasting, **ARITHMETIC)(function)
         except RuntimeError:  # typed at a prompt: no file to cache beside
             return numba.cfunc(signature, **ARITHMETIC)(function)
     except numba.core.errors.NumbaError as error:
