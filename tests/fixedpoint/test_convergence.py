@@ -180,5 +180,13 @@ def test_bad_input(exact, approximate):
         limit_cycles(loop, RobustTransformation())
     with pytest.raises(InputError, match="amplitude"):
         describing_function(-1.0)
+    with pytest.raises(InputError, match="give one record"):
+        strongest_oscillation(np.zeros((20, 20)), STEP)
+    with pytest.raises(InputError, match="time_step"):
+        strongest_oscillation(np.zeros(20), 0.0)
+    with pytest.raises(InputError, match=r"the filter was made for 0\.001 s"):
+        linear_filter(SavitzkyGolay(), 2e-3)
+    with pytest.raises(InputError, match="time_step"):
+        linear_loop(exact, published_controllers(approximate)["low pass"], 0.0)
     with pytest.raises(InputError, match="cut the record"):
         strongest_oscillation(np.full(100, np.nan), STEP)

@@ -13,6 +13,7 @@ from stillwork.fixedpoint import (
 )
 
 STEP = 1e-3
+HALF = 0.5 * np.eye(2)
 
 
 def test_covariance_of_quotient_and_position(rng):
@@ -70,6 +71,11 @@ def test_white_and_independent_noise_is_what_the_filter_believes():
         (lambda: quotient_covariance(-1.0, STEP), "deviation"),
         (lambda: quotient_covariance(1.0, 0.0), "time_step"),
         (lambda: correlations(np.zeros((2, 2)), STEP), "error has shape"),
+        (lambda: correlations(np.arange(9.0), STEP), "error is a straight line"),
+        (lambda: correlations(np.zeros(5), STEP), "lags up to 4 take 7 at least"),
+        (lambda: steady_errors(HALF, np.diag([1, -1]), np.eye(2), 1.0, STEP), "process is not positive"),
+        (lambda: steady_errors(HALF, np.eye(2), np.zeros((2, 2)), 1.0, STEP), "assumed is not positive"),
+        (lambda: steady_errors(np.eye(2), np.zeros((2, 2)), np.eye(2), 1.0, STEP), "no steady gain"),
         (lambda: steady_errors(np.eye(3), np.eye(2), np.eye(2), 1.0, STEP), "transition has shape"),
     ],
 )

@@ -164,6 +164,9 @@ def test_wrong_controllers(exact, approximate, short):
     )
     with pytest.raises(InputError, match=r"the filter was made for 0\.002 s"):
         simulate(exact, slow, short)
+    quick = Controller(LowPass(3000.0), RobustTransformation(), KinematicDesign(9.0), approximate)
+    with pytest.raises(InputError, match=r"bandwidth is 3000 rad/s"):
+        simulate(exact, quick, short)
     run = simulate(exact, published_controllers(approximate)["low pass"], short)
     with pytest.raises(InputError, match=r"settle is 0\.6 s"):
         judge(run, settle=0.6)

@@ -12,6 +12,7 @@ from stillwork.fixedpoint.filters import (
     MovingWindow,
     SavitzkyGolay,
     UnscentedKalman,
+    require_step,
 )
 from stillwork.fixedpoint.loop import Controller
 from stillwork.fixedpoint.plant import Plant, partial_derivatives
@@ -34,7 +35,14 @@ class LinearFilter:
 def linear_filter(
     signal_filter: Filter, time_step: float, position: float = 0.0, velocity: float = 0.0
 ) -> LinearFilter:
-    """A filter near an operating point; of a Kalman filter the steady state that it settles to there."""
+    """A filter near an operating point; of a Kalman filter the steady state that it settles to there.
+
+    Raises
+    ------
+    InputError
+        When the filter cannot run at this time step.
+    """
+    require_step(signal_filter, time_step)
     if isinstance(signal_filter, MovingWindow):
         fit = end_point_weights(signal_filter.length + 1, 1)[::-1]
         rows, row = [], fit
@@ -87,9 +95,11 @@ def _linear_unscented(signal_filter, slopes, time_step) -> LinearFilter:
     Q, R = signal_filter.process, signal_filter.noise
     if signal_filter.literal:  # innovation about the previous estimate: z - x, not z - F x
         P = np.eye(2) * signal_filter.initial_variance
-        for _ in range(20_000):
+        for _ in range(100_000):
             K = P @ np.linalg.inv(P + R)
-            P = F @ P @ F.T + Q - K @ P
+            last, P = P, F @ P @ F.T + Q - K @ P
+            if np.abs(P - last).max() < 1e-15 * np.abs(P).max():
+                break
         forward = F - K
     else:
         K = _steady_gain(F, Q, np.eye(2), R)

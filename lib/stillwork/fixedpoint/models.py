@@ -52,7 +52,7 @@ class StateModel:
             out = np.full(size, np.nan)
             try:
                 getattr(self, name)(np.full(self.states, 0.1), np.zeros(self.inputs), self.parameters, out)
-            except (IndexError, TypeError) as error:
+            except Exception as error:  # a reader's function may raise anything
                 raise InputError(
                     f"{name} fails on {self.states} states, {self.inputs} inputs and {self.outputs} outputs "
                     f"({error}); give it (state, inputs, parameters, out)"

@@ -44,12 +44,13 @@ class Plant:
         try:
             force = self.force(position, velocity, wanted, self.parameters)
             got = self.acceleration(position, velocity, force, self.parameters)
-        except (IndexError, TypeError) as error:
+            right = math.isclose(got, wanted, rel_tol=1e-6)
+        except Exception as error:  # a reader's function may raise anything
             raise InputError(
                 f"acceleration or force fails on {len(self.parameters)} parameters ({error}); "
-                "give functions of (position, velocity, force or acceleration, parameters)"
+                "give functions of (position, velocity, force or acceleration, parameters) that return a number"
             ) from None
-        if not math.isclose(got, wanted, rel_tol=1e-6):
+        if not right:
             raise InputError(
                 f"force is not the inverse of acceleration: for {wanted} m/s^2 at q = {position}, "
                 f"q' = {velocity} it gives {force:g} N, which accelerates by {got:g}; mend one of the two"
@@ -118,6 +119,10 @@ def load_oscillator(file: Path | str | None = None) -> dict[str, VanDerPol]:
         tree = tomllib.loads(file.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise InputError(f"file {file} does not exist; give the path of a TOML file") from None
+    except OSError as error:
+        raise InputError(f"{file} cannot be read ({error.strerror}); give the path of a TOML file") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{file} is not text; give a TOML file in UTF-8") from None
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{file}: not valid TOML ({error}); mend that line") from None
     known = [field.name for field in fields(VanDerPol)]
@@ -125,12 +130,17 @@ def load_oscillator(file: Path | str | None = None) -> dict[str, VanDerPol]:
     for name in ("exact", "approximate"):
         if name not in tree:
             raise InputError(f"{file}: no table [{name}]{nearest(name, tree)}; add it")
+        if not isinstance(tree[name], dict):
+            raise InputError(f"{file}: {name} is {tree[name]!r}; make it a table [{name}] of parameters")
         for key in tree[name]:
             if key not in known:
                 raise InputError(f"{file}: [{name}] has an unknown parameter {key!r}{nearest(key, known)}")
         if missing := [key for key in known if key not in tree[name]]:
             raise InputError(f"{file}: [{name}] lacks {', '.join(missing)}; add them")
-        models[name] = VanDerPol(**tree[name])
+        try:
+            models[name] = VanDerPol(**tree[name])
+        except InputError as error:
+            raise InputError(f"{file}: [{name}] {error}") from None
     return models
 
 
