@@ -1,7 +1,7 @@
 """The linear loop and its limit cycles against simulation, closed forms and python-control."""
 
 import warnings
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import control
 import numpy as np
@@ -21,6 +21,7 @@ from stillwork.fixedpoint import (
     UnscentedKalman,
     added_controllers,
     contraction_range,
+    convergence,
     describing_function,
     filter_signal,
     limit_cycles,
@@ -33,6 +34,7 @@ from stillwork.fixedpoint import (
     stable_range,
     strongest_oscillation,
 )
+from stillwork.fixedpoint.linear import LinearLoop
 
 STEP = 1e-3
 
@@ -157,6 +159,19 @@ def test_the_unstable_cycle_separates_return_from_divergence(exact, approximate)
     wild = simulate(exact, controller, at_rest(3000), start=(0.0, 4 * cycle.velocity))
     assert calm.diverged_at is None and np.abs(calm.velocity[-500:]).max() < 1e-2 * cycle.velocity
     assert wild.diverged_at is not None
+
+
+def test_the_widest_stable_range_counts(monkeypatch, exact, approximate):
+    edges = [convergence.Crossing(gain, 1.0) for gain in (-5.0, -4.5, -2.0)]
+
+    @dataclass(frozen=True)
+    class Stub(LinearLoop):
+        def radius(self, local_gain):
+            return 1.5 if -4.5 < local_gain < -2.0 else 0.5
+
+    monkeypatch.setattr(convergence, "crossings", lambda loop: edges)
+    stub = Stub(np.eye(1), np.zeros(1), np.zeros(1), STEP)
+    assert stable_range(stub).limits == (-2.0, 0.0)
 
 
 def test_no_stable_gain_and_no_cycle(exact, approximate):

@@ -25,6 +25,22 @@ def quotient_trial(
     }
 
 
+def rejects_gaussian(values: ArrayLike, level: float = 1e-3) -> bool:
+    """Whether skewness and kurtosis of a record tell it from Gaussian noise (Jarque and Bera's test).
+
+    Parameters
+    ----------
+    values : array_like, shape (samples,)
+        Taken as independent.
+    level : float
+        Probability of rejecting true Gaussian noise.
+    """
+    from scipy.stats import jarque_bera
+
+    require_number("level", level, above=0, below=1)
+    return bool(jarque_bera(require_array("values", values, ndim=1)).pvalue < level)
+
+
 def difference_quotient(measured: ArrayLike, time_step: float) -> Float64[np.ndarray, " quotients"]:
     """(z_i - z_{i-1}) / time_step of a record, shape (samples - 1,), in m/s."""
     require_number("time_step", time_step, above=0)

@@ -151,19 +151,29 @@ def errors_over_frequency(frequencies_hz, studies: dict[str, list[dict[str, Stud
     return figure
 
 
-def claims_over_frequency(frequencies_hz, fractions: dict[str, np.ndarray], chosen_hz: float):
-    """Fraction of runs that obey each statement, against the trajectory's frequency."""
+def statement_map(columns: list[str], fractions: dict[str, list[float]], label: str):
+    """Fraction of runs that obey each statement, a row a statement, a column a setting.
+
+    Parameters
+    ----------
+    columns : list of str
+        Names of the settings.
+    fractions : dict of str to list of float
+        A row each, by the statement.
+    label : str
+        What the settings are.
+    """
     figure, axes = figures.new(1, height=0.34 * len(fractions) + 1.2)
     grid = np.array(list(fractions.values()), dtype=float)
     rows = np.arange(len(fractions))
     image = axes.pcolormesh(
-        np.arange(len(frequencies_hz)), rows, grid, cmap="Blues", vmin=0, vmax=1, label="fraction of runs"
+        np.arange(len(columns)), rows, grid, cmap="Blues", vmin=0, vmax=1, label="fraction of runs"
     )
     axes.set_yticks(rows, list(fractions))
-    axes.set_xticks(range(len(frequencies_hz)), [f"{f:g}" for f in frequencies_hz])
+    axes.set_xticks(range(len(columns)), columns)
     axes.grid(False)
     axes.invert_yaxis()
-    axes.set(xlabel=f"trajectory frequency (Hz); elsewhere {chosen_hz:g} Hz")
+    axes.set(xlabel=label)
     for row in rows:
         for column, value in enumerate(grid[row]):
             axes.text(
@@ -175,7 +185,7 @@ def claims_over_frequency(frequencies_hz, fractions: dict[str, np.ndarray], chos
                 fontsize=7,
                 color="w" if value > 0.5 else "k",
             )
-    figure.colorbar(image, ax=axes, label="fraction of runs that obey")
+    figure.colorbar(image, ax=axes, label="fraction of runs that obey (1)")
     return figure
 
 
