@@ -1,6 +1,7 @@
 """The closed loop near an operating point as a linear system, built from formulas, not from the kernels."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float64
@@ -163,12 +164,25 @@ class LinearLoop:
     C: Float64[np.ndarray, " states"]
     time_step: float  # s
 
+    @cached_property
+    def _schur(self) -> tuple[np.ndarray, np.ndarray]:
+        from scipy.linalg import schur
+
+        return schur(self.A, output="complex")
+
     def response(self, rate: ArrayLike, row: np.ndarray | None = None) -> np.ndarray:
-        """Frequency response from c to s (or to ``row @ x``) at angular frequencies `rate`, rad/s."""
+        """Frequency response from c to s (or to ``row @ x``) at angular frequencies `rate`, rad/s.
+
+        By back substitution in Schur's form, all frequencies at once.
+        """
         z = np.exp(1j * np.atleast_1d(np.asarray(rate, dtype=float)) * self.time_step)
-        systems = z[:, None, None] * np.eye(len(self.A)) - self.A
-        states = np.linalg.solve(systems, np.broadcast_to(self.B[:, None], (len(z), len(self.B), 1)))[..., 0]
-        return states @ (self.C if row is None else row)
+        triangular, basis = self._schur
+        drive = basis.conj().T @ self.B
+        states = np.zeros((len(z), len(drive)), dtype=complex)
+        for k in range(len(drive) - 1, -1, -1):
+            known = states[:, k + 1 :] @ triangular[k, k + 1 :]
+            states[:, k] = (drive[k] + known) / (z - triangular[k, k])
+        return states @ (basis.T @ (self.C if row is None else row))
 
     def radius(self, local_gain: float) -> float:
         """Spectral radius of the closed loop; stable below 1."""
