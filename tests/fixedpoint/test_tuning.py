@@ -92,3 +92,9 @@ def test_bad_input(exact, approximate, training):
         tune(*arguments, budget=3, runs=1, seed=1)
     with pytest.raises(InputError, match="criterion"):
         tune(*arguments, budget=16, runs=1, seed=1, criterion="speed")
+
+
+def test_the_low_pass_is_searched_where_euler_s_rule_is_stable(approximate):
+    family = families()["low pass"]
+    widest = family.controller(approximate, 2e-3, family.bounds[:, 1]).signal_filter
+    assert widest.bandwidth == pytest.approx(950.0)
