@@ -1,16 +1,20 @@
-"""The one place for compile flags of the per-sample kernels, and for where their machine code is kept."""
+"""The one place for compile flags of per-sample kernels and callbacks, and for where their machine code is kept."""
 
 import hashlib
 import inspect
+import sys
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
 import numba
 
 from stillwork import paths
+from stillwork.checks import InputError
 
 # No fast-math: reordered sums break the symmetry that recursive least squares rests on.
-FLAGS = {"cache": True, "nogil": True, "error_model": "numpy"}
+ARITHMETIC = {"error_model": "numpy"}
+FLAGS = {"cache": True, "nogil": True, **ARITHMETIC}
 
 
 def kernel(function):
@@ -34,6 +38,34 @@ def _compiled(function, **options):
         return numba.njit(**FLAGS, **options)(inspect.unwrap(function))
     finally:
         numba.config.CACHE_DIR = given
+
+
+@cache
+def callback(function: Callable, signature: str):
+    """Compile a function of a reader's own to a C callback, cached beside the file that defines it.
+
+    All callbacks of one signature have one type, so a kernel that calls them is compiled once for every function.
+    The cache notices a change of that file, not of another one from which the function calls: keep what belongs
+    to a model in one file. A function typed at a prompt, or of a module that ``sys.modules`` does not hold, is
+    compiled anew in every process.
+
+    Raises
+    ------
+    InputError
+        When numba cannot compile it.
+    """
+    function = inspect.unwrap(function)
+    lasting = function.__module__ in sys.modules  # else numba's cache could not be read by another process
+    try:
+        try:
+            return numba.cfunc(signature, cache=lasting, **ARITHMETIC)(function)
+        except RuntimeError:  # typed at a prompt: no file to cache beside
+            return numba.cfunc(signature, **ARITHMETIC)(function)
+    except numba.core.errors.NumbaError as error:
+        raise InputError(
+            f"{function.__name__} cannot be compiled; use only numbers, loops, math and numpy in it, "
+            f"and take everything else from parameters ({str(error).strip().splitlines()[-1]})"
+        ) from None
 
 
 @cache

@@ -1,7 +1,7 @@
 """The linear loop and its limit cycles against simulation, closed forms and python-control."""
 
 import warnings
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import control
 import numpy as np
@@ -22,6 +22,7 @@ from stillwork.fixedpoint import (
     UnscentedKalman,
     added_controllers,
     contraction_range,
+    convergence,
     describing_function,
     filter_signal,
     limit_cycles,
@@ -34,6 +35,7 @@ from stillwork.fixedpoint import (
     stable_range,
     strongest_oscillation,
 )
+from stillwork.fixedpoint.linear import LinearLoop
 
 STEP = 1e-3
 
@@ -160,6 +162,19 @@ def test_the_unstable_cycle_separates_return_from_divergence(exact, approximate)
     assert wild.diverged_at is not None
 
 
+def test_the_widest_stable_range_counts(monkeypatch, exact, approximate):
+    edges = [convergence.Crossing(gain, 1.0) for gain in (-5.0, -4.5, -2.0)]
+
+    @dataclass(frozen=True)
+    class Stub(LinearLoop):
+        def radius(self, local_gain):
+            return 1.5 if -4.5 < local_gain < -2.0 else 0.5
+
+    monkeypatch.setattr(convergence, "crossings", lambda loop: edges)
+    stub = Stub(np.eye(1), np.zeros(1), np.zeros(1), STEP)
+    assert stable_range(stub).limits == (-2.0, 0.0)
+
+
 def test_no_stable_gain_and_no_cycle(exact, approximate):
     slow = Controller(LowPass(20.0), FlowTransformation(), KinematicDesign(36.0), approximate)
     region = stable_range(linear_loop(exact, slow, STEP))
@@ -181,5 +196,13 @@ def test_bad_input(exact, approximate):
         limit_cycles(loop, RobustTransformation())
     with pytest.raises(InputError, match="amplitude"):
         describing_function(-1.0)
+    with pytest.raises(InputError, match="give one record"):
+        strongest_oscillation(np.zeros((20, 20)), STEP)
+    with pytest.raises(InputError, match="time_step"):
+        strongest_oscillation(np.zeros(20), 0.0)
+    with pytest.raises(InputError, match=r"the filter was made for 0\.001 s"):
+        linear_filter(SavitzkyGolay(), 2e-3)
+    with pytest.raises(InputError, match="time_step"):
+        linear_loop(exact, published_controllers(approximate)["low pass"], 0.0)
     with pytest.raises(InputError, match="cut the record"):
         strongest_oscillation(np.full(100, np.nan), STEP)

@@ -3,6 +3,7 @@ import pytest
 
 from stillwork.checks import InputError
 from stillwork.fixedpoint import (
+    Noise,
     UnscentedKalman,
     correlations,
     difference_quotient,
@@ -10,10 +11,13 @@ from stillwork.fixedpoint import (
     quotient_autocorrelation,
     quotient_covariance,
     quotient_cross_correlation,
+    rejects_gaussian,
     steady_errors,
 )
+from stillwork.fixedpoint.differentiation import quotient_trial
 
 STEP = 1e-3
+HALF = 0.5 * np.eye(2)
 
 
 def test_covariance_of_quotient_and_position(rng):
@@ -28,6 +32,21 @@ def test_correlations_of_white_error(rng):
     for lag, own, cross in zip(found.lags, found.quotient, found.cross, strict=True):
         assert own == pytest.approx(quotient_autocorrelation(int(lag)), abs=spread)
         assert cross == pytest.approx(quotient_cross_correlation(int(lag)), abs=spread)
+
+
+@pytest.mark.parametrize("kind", ["gaussian", "logistic"])
+def test_quotient_trial(kind, rng):
+    """Mean 0, variance 2 (s / dt)^2 and correlation 1 / sqrt 2, each within five standard errors."""
+    found = quotient_trial(rng, Noise(kind, 3e-5), 100_000, STEP)
+    assert found["mean"] == pytest.approx(0.0, abs=5e-5)  # the sum of quotients telescopes
+    assert found["variance"] == pytest.approx(2.0, rel=0.04)
+    assert found["correlation"] == pytest.approx(np.sqrt(0.5), abs=0.02)
+
+
+def test_encoder_and_logistic_noise_are_told_from_gaussian(rng):
+    assert not rejects_gaussian(rng.standard_normal(5000))
+    assert rejects_gaussian(rng.logistic(size=5000))
+    assert rejects_gaussian(rng.uniform(size=5000))
 
 
 def test_steady_errors_against_a_long_run(rng):
@@ -71,6 +90,12 @@ def test_white_and_independent_noise_is_what_the_filter_believes():
         (lambda: quotient_covariance(-1.0, STEP), "deviation"),
         (lambda: quotient_covariance(1.0, 0.0), "time_step"),
         (lambda: correlations(np.zeros((2, 2)), STEP), "error has shape"),
+        (lambda: rejects_gaussian(np.zeros(9), level=2.0), "level"),
+        (lambda: correlations(np.arange(9.0), STEP), "error is a straight line"),
+        (lambda: correlations(np.zeros(5), STEP), "lags up to 4 take 7 at least"),
+        (lambda: steady_errors(HALF, np.diag([1, -1]), np.eye(2), 1.0, STEP), "process is not positive"),
+        (lambda: steady_errors(HALF, np.eye(2), np.zeros((2, 2)), 1.0, STEP), "assumed is not positive"),
+        (lambda: steady_errors(np.eye(2), np.zeros((2, 2)), np.eye(2), 1.0, STEP), "no steady gain"),
         (lambda: steady_errors(np.eye(3), np.eye(2), np.eye(2), 1.0, STEP), "transition has shape"),
     ],
 )

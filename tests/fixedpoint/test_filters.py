@@ -114,6 +114,11 @@ def test_low_pass_settles_at_one():
     assert abs(found.velocity[-1]) < 1e-9
 
 
+def test_the_low_pass_converges_up_to_the_bound_that_is_refused():
+    found = filter_signal(LowPass(1900.0), np.ones(3000))
+    assert found.position[-1] == pytest.approx(1.0, abs=1e-9)
+
+
 def test_unscented_is_filterpy_s(approximate, record):
     """filterpy draws its points anew around the prediction, as the corrected (14) does."""
     measured, force = record
@@ -222,6 +227,7 @@ def test_lost_definiteness_is_reported_with_the_sample(approximate):
         (lambda m: filter_signal(LowPass(), np.zeros(5), np.zeros(4)), "force has shape"),
         (lambda m: filter_signal(SavitzkyGolay(), np.zeros(5), time_step=2e-3), "made for 0.001 s"),
         (lambda m: filter_signal(LowPass(), np.zeros(5), time_step=0.0), "time_step"),
+        (lambda m: filter_signal(LowPass(2000.0), np.ones(5)), "wants less than 2000 rad/s, or it diverges"),
     ],
 )
 def test_bad_input(call, message, approximate):

@@ -165,6 +165,9 @@ def test_wrong_controllers(exact, approximate, short):
     )
     with pytest.raises(InputError, match=r"the filter was made for 0\.002 s"):
         simulate(exact, slow, short)
+    quick = Controller(LowPass(3000.0), RobustTransformation(), KinematicDesign(9.0), approximate)
+    with pytest.raises(InputError, match=r"bandwidth is 3000 rad/s"):
+        simulate(exact, quick, short)
     run = simulate(exact, published_controllers(approximate)["low pass"], short)
     with pytest.raises(InputError, match=r"settle is 0\.6 s"):
         judge(run, settle=0.6)
@@ -186,4 +189,17 @@ def test_judge_by_hand(exact, approximate, short):
     assert numbers["position"] == pytest.approx(np.sqrt(np.mean(error**2)))
     assert numbers["roughness"] == pytest.approx(np.sqrt(np.mean(np.diff(run.acceleration[300:]) ** 2)))
     literal = simulate(exact, published_controllers(approximate)["Kalman, literal (14)"], short)
-    assert judge(literal, settle=0.3)["position_shift"] == pytest.approx(STEP, rel=0.05)
+    numbers = judge(literal, settle=0.3)
+    assert numbers["position_shift"] == pytest.approx(STEP, rel=0.05)
+    # A straight line through the origin, over means of 50 samples.
+    means = np.array([literal.velocity_estimate - literal.velocity, literal.deformed])[:, 300:]
+    error, believed = means.reshape(2, -1, 50).mean(axis=2)
+    (slope,), *_ = np.linalg.lstsq(believed[:, None], error)
+    assert numbers["velocity_shift"] == pytest.approx(slope)
+
+
+def test_an_encoder_in_the_loop_sees_its_own_lines(exact, approximate, short):
+    run = simulate(exact, published_controllers(approximate)["low pass"], short, resolution=1e-3, grid=3e-4)
+    lines = (run.measured - 3e-4) / 1e-3
+    assert lines == pytest.approx(np.round(lines), abs=1e-9)
+    assert np.abs(run.measured - run.position).max() <= 0.5e-3 + 1e-12

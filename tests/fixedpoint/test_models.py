@@ -1,5 +1,6 @@
 """Own models: against filterpy, against the plain Kalman filter, and without recompiling."""
 
+import importlib.util
 import os
 import shutil
 import subprocess
@@ -11,9 +12,12 @@ import pytest
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
 from fixedpoint import own_model
+from fixedpoint.reuse import use
 from naive import fixedpoint as naive
 from stillwork.checks import InputError
 from stillwork.fixedpoint import SigmaPoints, StateModel, extended_filter, unscented_filter
+from stillwork.fixedpoint.plant import SIGNATURE
+from stillwork.kernels import callback
 
 A = np.array([[0.9, 0.1, 0.0], [-0.1, 0.8, 0.05], [0.02, 0.0, 0.95]])
 B = np.array([0.1, 0.0, 0.5])
@@ -124,43 +128,38 @@ def test_own_nonlinear_model_extended(rng):
         assert np.abs(found.mean[:, k] - x).max() < 1e-8
 
 
-SECOND_PROCESS = """
-import sys
-sys.path.insert(0, sys.argv[1])
-import numpy as np
-import own_model
-import stillwork.fixedpoint as fp
-from stillwork.fixedpoint import loop, model_kernels, models, plant
-
-own = fp.Plant(own_model.cart_acceleration, own_model.cart_force, np.array([2.0, 1.0]))
-rough = fp.Plant(own_model.cart_acceleration, own_model.cart_force, np.array([1.5, 0.0]))
-controller = fp.Controller(fp.UnscentedKalman(rough), fp.RobustTransformation(), fp.KinematicDesign(10.0), rough)
-run = fp.simulate(own, controller, fp.sine_trajectory(duration=1.0))
-model = fp.StateModel(own_model.pendulum, own_model.seen, 2, 1, 1, np.array([0.01, 9.81, 0.1]))
-fp.unscented_filter(model, np.zeros((1, 5)), process=[1e-3, 1e-3], noise=[1e-2],
-                    initial_mean=[0.0, 0.0], initial_covariance=[1.0, 1.0])
-kernels = [loop._closed_loop, model_kernels._unscented_record]
-callbacks = [plant.callback(own_model.cart_acceleration), plant.callback(own_model.cart_force),
-             plant.callback(own_model.pendulum, models.SIGNATURE)]
-misses = sum(sum(k.stats.cache_misses.values()) for k in kernels)
-hits = sum(c.cache_hits for c in callbacks)
-print(misses, hits, run.diverged_at, float(abs(run.position_error[500:]).max()) < 1e-3)
-"""
+def load(folder):
+    """The module of own functions out of a copy in `folder`."""
+    spec = importlib.util.spec_from_file_location("own_model", shutil.copy(own_model.__file__, folder))
+    return importlib.util.module_from_spec(spec), spec.loader
 
 
-def test_a_second_process_compiles_nothing(tmp_path):
-    """An own plant in an own file: compiled and cached beside it once, found there by the next process."""
-    shutil.copy(Path(own_model.__file__), tmp_path / "own_model.py")
+def elsewhere(folder) -> list[str]:
+    """What `use` returns in another process that imports the module from `folder`."""
+    code = "import sys; sys.path[:0] = sys.argv[1:]; import own_model, reuse; print(*reuse.use(own_model))"
+    command = [sys.executable, "-c", code, str(folder), str(Path(__file__).parent)]
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2] / "lib")}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True)
+    assert done.stderr == ""
+    return done.stdout.split()
 
-    def start():
-        command = [sys.executable, "-c", SECOND_PROCESS, str(tmp_path)]
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-        return done.stdout.split()
 
-    _, hits, *rest = start()  # the first may find the library's own kernels compiled
-    assert (hits, rest) == ("0", ["None", "True"])
-    assert start() == ["0", "3", "None", "True"]
+def test_a_second_process_compiles_nothing(tmp_path, monkeypatch):
+    """An own plant in an own file: compiled and cached beside it here, found there by another process."""
+    module, loader = load(tmp_path)
+    monkeypatch.setitem(sys.modules, "own_model", module)
+    loader.exec_module(module)
+    _, hits, error = use(module)
+    assert hits == 0 and error < 1e-3
+    assert elsewhere(tmp_path) == ["0", "4", str(error)]
+
+
+def test_a_module_that_no_other_process_can_import_leaves_no_cache(tmp_path):
+    """Loaded by its path alone: numba would write a cache that it cannot read again."""
+    module, loader = load(tmp_path)
+    loader.exec_module(module)
+    callback(module.cart_acceleration, SIGNATURE)
+    assert not list(tmp_path.rglob("*.nbc"))
 
 
 def leaves_one_out(state, inputs, parameters, out):
@@ -171,9 +170,14 @@ def reads_too_far(state, inputs, parameters, out):
     out[0] = state[7]
 
 
+def divides_by_zero(state, inputs, parameters, out):
+    out[0] = 1 / len(inputs[1:])
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
+        ({"transition": divides_by_zero}, "transition fails on 2 states.*division by zero"),
         ({"transition": leaves_one_out}, r"transition leaves out\[1\] unset"),
         ({"measurement": reads_too_far}, "measurement fails on 2 states"),
         ({"states": 0}, "states"),

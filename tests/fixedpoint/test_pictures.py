@@ -5,9 +5,16 @@ import pytest
 
 from stillwork import figures
 from stillwork.checks import InputError
-from stillwork.fixedpoint import explorers
+from stillwork.fixedpoint import (
+    asin_trajectory,
+    explorers,
+    plots,
+    published_controllers,
+    simulate,
+    strongest_oscillation,
+)
 from stillwork.fixedpoint.costs import load_filter_times
-from stillwork.fixedpoint.published import KALMAN, LOW_PASS
+from stillwork.fixedpoint.published import KALMAN, LITERAL, LOW_PASS, WINDOW
 
 DRAWINGS = [
     (
@@ -47,6 +54,50 @@ def test_a_diverged_run_is_named_in_the_legend():
 def test_cost_table():
     times = load_filter_times()
     assert times[LOW_PASS] > 0 and times[KALMAN] > 0
+
+
+def test_cost_table_gives_medians(tmp_path, monkeypatch):
+    folder = tmp_path / "data" / "fixedpoint"
+    folder.mkdir(parents=True)
+    (folder / "filter_times.csv").write_text('filter,median_ns,lowest_ns,highest_ns\n"low pass",5,4,9\n')
+    monkeypatch.setenv("STILLWORK_ROOT", str(tmp_path))
+    assert load_filter_times() == {"low pass": 5.0}
+
+
+def lines(figure, panel):
+    return {line.get_label(): line.get_xydata() for line in figure.axes[panel].lines}
+
+
+def test_tracking_shows_the_window_s_cycle(exact, approximate):
+    """The drawn points keep the amplitude of 40 Hz: coarser ones would show another, slow motion."""
+    run = simulate(exact, published_controllers(approximate)[WINDOW], asin_trajectory(duration=4.0))
+    figure = plots.tracking({WINDOW: run}, "velocity")
+    drawn, nominal = lines(figure, 0)[WINDOW], lines(figure, 0)["nominal"]
+    late = drawn[:, 0] > 2.0
+    assert strongest_oscillation((drawn - nominal)[late, 1], 0.01).frequency_hz == pytest.approx(40, abs=0.5)
+    stretch = lines(figure, 2)[WINDOW]
+    corner = plots.hardest_turn(run.trajectory)
+    assert stretch[[0, -1], 0] == pytest.approx([corner - 0.15, corner + 0.15], abs=2e-3)
+
+
+def test_hardest_turn():
+    assert plots.hardest_turn(asin_trajectory()) == pytest.approx(6.25, abs=0.01)
+    assert plots.hardest_turn(asin_trajectory(frequency_hz=0.5, time_step=2e-3)) == pytest.approx(
+        6.5, abs=0.01
+    )
+
+
+def test_one_sample_ahead_is_the_run_s_sample(exact, approximate):
+    literal = published_controllers(approximate)[LITERAL]
+    trajectory = asin_trajectory(time_step=2e-3, frequency_hz=0.1)
+    figure = plots.estimate_shift({LITERAL: simulate(exact, literal, trajectory)})
+    (low, high) = lines(figure, 0)["one sample (2 ms) ahead"]
+    assert (high - low)[1] / (high - low)[0] == pytest.approx(2.0)  # mm a m/s
+
+
+def test_statement_map_draws_every_fraction():
+    rows = figures.plotted(plots.statement_map(["a", "b"], {"x": [0.0, 1.0], "y": [0.5, 0.25]}, "setting"))
+    assert [float(row[-1]) for row in rows if row[-1]] == [0.0, 1.0, 0.5, 0.25]
 
 
 def test_missing_cost_table(tmp_path, monkeypatch):

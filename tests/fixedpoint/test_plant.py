@@ -6,7 +6,8 @@ from hypothesis import strategies as st
 from naive import fixedpoint as naive
 from stillwork.checks import InputError
 from stillwork.fixedpoint import Plant, VanDerPol, load_oscillator
-from stillwork.fixedpoint.plant import callback, partial_derivatives
+from stillwork.fixedpoint.plant import SIGNATURE, partial_derivatives
+from stillwork.kernels import callback
 
 NUMBERS = st.floats(-20, 20)
 
@@ -60,9 +61,23 @@ def test_functions_must_take_four_arguments():
         Plant(lambda q, v: 0.0, whole_acceleration, np.zeros(0))
 
 
+def gives_nothing(position, velocity, force, parameters):
+    pass
+
+
+def stumbles(position, velocity, force, parameters):
+    raise ValueError("no such place")
+
+
+@pytest.mark.parametrize("function", [gives_nothing, stumbles])
+def test_a_function_that_fails_is_named(function):
+    with pytest.raises(InputError, match="acceleration or force fails on 0 parameters"):
+        Plant(function, function, np.zeros(0))
+
+
 def test_a_function_that_numba_cannot_compile_is_named():
     with pytest.raises(InputError, match="uncompilable cannot be compiled"):
-        callback(uncompilable)
+        callback(uncompilable, SIGNATURE)
 
 
 def test_parameters_must_be_numbers():
@@ -72,6 +87,9 @@ def test_parameters_must_be_numbers():
         VanDerPol(0.0, 1.0, 1.0, 1.0, 1.0, 1.0)
 
 
+WHOLE = "[exact]\nmass = 1.5\nstiffness = 1\nseparator = 1\nexcitation = 1\ndamping = 1\ndrag = 1\n"
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -79,12 +97,19 @@ def test_parameters_must_be_numbers():
         ("[exakt]\nmass = 1", r"no table \[exact\]; did you mean 'exakt'"),
         ("[exact]\nmas = 1", "unknown parameter 'mas'; did you mean 'mass'"),
         ("[exact", "not valid TOML"),
+        ("exact = 3", r"exact is 3; make it a table \[exact\]"),
+        (WHOLE.replace("1.5", "0.0"), r"own.toml: \[exact\] mass is 0"),
     ],
 )
 def test_wrong_toml(tmp_path, text, message):
     file = tmp_path / "own.toml"
     file.write_text(text)
     with pytest.raises(InputError, match=message):
+        load_oscillator(file)
+    with pytest.raises(InputError, match="cannot be read"):
+        load_oscillator(tmp_path)
+    file.write_bytes(b"\xff\xfe")
+    with pytest.raises(InputError, match="is not text"):
         load_oscillator(file)
     with pytest.raises(InputError, match="does not exist"):
         load_oscillator(tmp_path / "none.toml")

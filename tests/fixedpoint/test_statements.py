@@ -10,21 +10,23 @@ from stillwork.fixedpoint.statements import (
     LOW_PASS_BEST,
     SMOOTHEST,
     WINDOW_PRECISE,
+    changed,
     fraction,
     pooled,
+    rankings,
     statements,
     table,
 )
 from stillwork.studies import Study
 
 
-def study(position, roughness):
-    values = {"position": np.array(position, dtype=float), "roughness": np.array(roughness, dtype=float)}
-    return Study(0, values)
+def study(position, roughness, velocity=(1, 1)):
+    values = {"position": position, "velocity": velocity, "roughness": roughness}
+    return Study(0, {name: np.array(numbers, dtype=float) for name, numbers in values.items()})
 
 
 CASE = {
-    WINDOW: study([1, 3], [2, 2]),
+    WINDOW: study([1, 3], [2, 2], velocity=[5, 0]),
     LOW_PASS: study([2, 1], [1, 3]),
     KALMAN: study([3, 2], [3, 1]),
     LITERAL: study([0.5, 9], [5, 5]),
@@ -43,6 +45,34 @@ def test_statements_by_hand():
     # The other form of the Kalman filter changes the ranking, its own form takes no part.
     assert list(statements(CASE, LITERAL)[WINDOW_PRECISE]) == [False, False]
     assert list(statements(CASE, LITERAL)[KALMAN_WORST]) == [False, True]
+
+
+def test_the_quantity_decides_what_is_precise():
+    assert list(statements(CASE, KALMAN, "velocity")[WINDOW_PRECISE]) == [False, True]
+    assert list(statements(CASE, KALMAN, "velocity")[SMOOTHEST]) == [True, False]  # not its matter
+
+
+def test_rankings_take_each_statement_in_its_noise():
+    quiet = {name: study([1, 1], [1, 1]) for name in CASE}
+    found = rankings([CASE, quiet], [quiet, CASE])
+    assert found["small noise: low pass smoothest"][0] == 0.5
+    assert found["small noise: window most precise, corrected"][0] == 0.5
+    assert found["small noise: window most precise, printed"][0] == 0.0
+    assert found["small noise: window most precise in q', printed"][0] == 0.5
+    assert found["large noise: low pass best, corrected"][1] == 0.5
+    assert all(len(row) == 2 for row in found.values())
+
+
+def test_changed_names_what_moved():
+    assert changed(CASE, CASE, KALMAN) == "none"
+    other = CASE | {LOW_PASS: study([2, 1], [9, 9])}
+    assert changed(CASE, other, KALMAN) == "low pass smoothest 0.5 -> 0; Kalman filter most hectic 0.5 -> 0"
+
+
+def test_repeated_runs_get_no_interval():
+    same = {name: study([place] * 2, [place] * 2) for place, name in enumerate(CASE)}
+    text = repr(table({"no noise": same}, KALMAN, LITERAL))
+    assert "(0." not in text and "1.00" in text
 
 
 def test_fraction_and_pool():

@@ -62,6 +62,8 @@ def test_trajectory_without_derivatives():
         Trajectory(0.01, q)
     with pytest.raises(InputError, match="velocity is not the derivative of position"):
         Trajectory(0.01, q, np.zeros(100), np.zeros(100))
+    with pytest.raises(InputError, match="velocity is not the derivative of position"):
+        Trajectory(0.01, q, 1.05 * np.cos(np.arange(100) * 0.01), -q)  # five per cent off
     with pytest.raises(InputError, match="acceleration is not the derivative of velocity"):
         Trajectory(0.01, q, np.cos(np.arange(100) * 0.01), np.zeros(100))
 

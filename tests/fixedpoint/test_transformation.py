@@ -99,6 +99,7 @@ def test_a_gain_outside_the_range_warns_with_the_range(exact, approximate):
         (lambda: FlowTransformation(width=0.0), "width"),
         (lambda: RobustTransformation(offset=-1.0), "offset"),
         (lambda: RobustTransformation(slope=0.0), "slope"),
+        (lambda: RobustTransformation(factor=0.0), "factor is 0"),
         (lambda: contraction_range(0.0), "response_gain"),
         (lambda: KinematicDesign(0.0), "exponent"),
         (lambda: KinematicDesign(1.0, integrals=-1), "integrals"),

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from stillwork.checks import InputError
-from stillwork.fixedpoint import Noise, asin_trajectory, compare, families, tune
+from stillwork.fixedpoint import Noise, asin_trajectory, compare, families, tune, tuning
 
 NOISE = Noise("gaussian", 1e-4)
 
@@ -27,6 +27,57 @@ def test_tuning_spends_its_budget_and_helps(name, exact, approximate, training):
     assert found.cost <= other["velocity"].mean() + 1e-12
 
 
+def narrow(monkeypatch, cost):
+    """The low pass's family, whose runs cost what `cost` makes of the controller."""
+    monkeypatch.setattr(tuning, "trial", lambda rng, plant, controller, *_: {"velocity": cost(controller)})
+    return families()["low pass"]
+
+
+def test_the_search_finds_a_minimum(monkeypatch, exact, approximate, training):
+    def bowl(controller):
+        strength = -controller.transformation.local_gain
+        off = controller.signal_filter.bandwidth / 400, controller.kinematics.exponent / 30, strength / 0.1
+        return 1.0 + sum(np.log(knob) ** 2 for knob in off)
+
+    family = narrow(monkeypatch, bowl)
+    found = tune(family, exact, approximate, training, NOISE, budget=256, runs=1, seed=1)
+    assert found.settings["bandwidth"] == pytest.approx(400, rel=0.1)
+    assert found.settings["exponent"] == pytest.approx(30, rel=0.1)
+    assert found.settings["strength"] == pytest.approx(0.1, rel=0.1)
+    assert found.at_edge == () and found.diverged == 0
+
+
+def test_a_setting_at_the_end_of_its_range_is_named(monkeypatch, exact, approximate, training):
+    family = narrow(monkeypatch, lambda controller: 1 / controller.signal_filter.bandwidth)
+    found = tune(family, exact, approximate, training, NOISE, budget=64, runs=1, seed=1)
+    assert found.at_edge == ("bandwidth",)
+
+
+def test_divergence_is_counted(monkeypatch, exact, approximate, training):
+    family = narrow(monkeypatch, lambda c: np.inf if c.kinematics.exponent > 30 else c.kinematics.exponent)
+    found = tune(family, exact, approximate, training, NOISE, budget=64, runs=2, seed=1)
+    assert 0 < found.diverged < 64 and found.settings["exponent"] <= 30
+    with pytest.raises(InputError, match="every one of 16 settings diverged"):
+        tune(
+            narrow(monkeypatch, lambda controller: np.inf),
+            exact,
+            approximate,
+            training,
+            NOISE,
+            budget=16,
+            runs=1,
+            seed=1,
+        )
+
+
+def test_whole_numbers_are_shown_as_they_are_used(approximate):
+    for name, knob in (("moving window", "length"), ("Savitzky-Golay", "samples")):
+        family = families()[name]
+        knobs = family.bounds.mean(axis=1)
+        used = family.controller(approximate, 1e-3, knobs).signal_filter
+        assert family.numbers(knobs)[knob] == getattr(used, knob)
+
+
 def test_same_seed_same_result(exact, approximate, training):
     twice = [
         tune(families()["low pass"], exact, approximate, training, NOISE, budget=12, runs=1, seed=5).settings
@@ -42,3 +93,9 @@ def test_bad_input(exact, approximate, training):
         tune(*arguments, budget=3, runs=1, seed=1)
     with pytest.raises(InputError, match="criterion"):
         tune(*arguments, budget=16, runs=1, seed=1, criterion="speed")
+
+
+def test_the_low_pass_is_searched_where_euler_s_rule_is_stable(approximate):
+    family = families()["low pass"]
+    widest = family.controller(approximate, 2e-3, family.bounds[:, 1]).signal_filter
+    assert widest.bandwidth == pytest.approx(950.0)

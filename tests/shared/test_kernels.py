@@ -37,7 +37,7 @@ def test_a_kernel_notices_a_change_of_one_that_it_calls(tmp_path):
     package = tmp_path / "lib" / "stillwork"
     package.mkdir(parents=True)
     (tmp_path / "data").mkdir()
-    for name in ("__init__.py", "kernels.py", "paths.py"):
+    for name in ("__init__.py", "checks.py", "kernels.py", "paths.py"):
         shutil.copy(Path(stillwork.__file__).parent / name, package)
     (package / "caller.py").write_text(CALLER)
     (package / "called.py").write_text(CALLED.format(factor=2))

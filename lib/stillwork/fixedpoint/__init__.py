@@ -19,6 +19,7 @@ from stillwork.fixedpoint.differentiation import (
     quotient_autocorrelation,
     quotient_covariance,
     quotient_cross_correlation,
+    rejects_gaussian,
     steady_errors,
 )
 from stillwork.fixedpoint.filtering import filter_signal
@@ -97,6 +98,7 @@ __all__ = [
     "quotient_cross_correlation",
     "random_gain",
     "record_trajectory",
+    "rejects_gaussian",
     "response_gain",
     "simulate",
     "sine_trajectory",

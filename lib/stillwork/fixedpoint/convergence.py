@@ -199,7 +199,10 @@ def strongest_oscillation(values: np.ndarray, time_step: float) -> Oscillation:
     """
     from scipy.optimize import minimize_scalar
 
+    require_number("time_step", time_step, above=0)
     values = np.asarray(values, dtype=float)
+    if values.ndim != 1:
+        raise InputError(f"values has shape {values.shape}; give one record")
     if len(values) < 16 or not np.isfinite(values).all():
         raise InputError("values needs 16 finite samples at least; cut the record before it diverges")
     window = np.hanning(len(values))

@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.checks import require_array, require_count, require_number
+from stillwork.checks import InputError, require_array, require_count, require_number
+from stillwork.fixedpoint.gaussian import require_covariance
 from stillwork.fixedpoint.noise import Noise
 
 
@@ -22,6 +23,22 @@ def quotient_trial(
         "variance": float(quotient.var() / scale**2),
         "correlation": float(np.corrcoef(quotient, error[1:])[0, 1]),
     }
+
+
+def rejects_gaussian(values: ArrayLike, level: float = 1e-3) -> bool:
+    """Whether skewness and kurtosis of a record tell it from Gaussian noise (Jarque and Bera's test).
+
+    Parameters
+    ----------
+    values : array_like, shape (samples,)
+        Taken as independent.
+    level : float
+        Probability of rejecting true Gaussian noise.
+    """
+    from scipy.stats import jarque_bera
+
+    require_number("level", level, above=0, below=1)
+    return bool(jarque_bera(require_array("values", values, ndim=1)).pvalue < level)
 
 
 def difference_quotient(measured: ArrayLike, time_step: float) -> Float64[np.ndarray, " quotients"]:
@@ -78,7 +95,11 @@ def correlations(error: ArrayLike, time_step: float, reach: int = 4) -> Correlat
     """
     error = require_array("error", error, ndim=1)
     require_count("reach", reach, at_least=0)
+    if len(error) < reach + 3:
+        raise InputError(f"error holds {len(error)} samples; lags up to {reach} take {reach + 3} at least")
     quotient = difference_quotient(error, time_step)
+    if np.ptp(quotient) == 0:
+        raise InputError("error is a straight line; correlations are of what differs from sample to sample")
     position = error[1:] - error[1:].mean()
     centred = quotient - quotient.mean()
     lags = np.arange(-reach, reach + 1)
@@ -123,26 +144,29 @@ def steady_errors(
     ----------
     transition : array_like, shape (2, 2)
         F of the linear model.
-    process, assumed : array_like, shape (2, 2)
-        Q, and the R that the filter assumes.
+    process, assumed : array_like, shape (2, 2) or (2,)
+        Q, and the R that the filter assumes, or their diagonals.
     deviation : float
         True standard deviation of the measured position, m.
     time_step : float
         s.
-    true_process : array_like, shape (2, 2), optional
+    true_process : array_like, shape (2, 2) or (2,), optional
         What really drives the state; Q without.
     """
     from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 
     transition = require_array("transition", transition, shape=(2, 2))
-    process = require_array("process", process, shape=(2, 2))
-    assumed = require_array("assumed", assumed, shape=(2, 2))
+    process = require_covariance("process", process, 2, definite=False)
+    assumed = require_covariance("assumed", assumed, 2)
     if true_process is None:
         true_process = process
-    true_process = require_array("true_process", true_process, shape=(2, 2))
+    true_process = require_covariance("true_process", true_process, 2, definite=False)
     require_number("deviation", deviation, at_least=0)
     require_number("time_step", time_step, above=0)
-    prior = solve_discrete_are(transition.T, np.eye(2), process, assumed)
+    try:
+        prior = solve_discrete_are(transition.T, np.eye(2), process, assumed)
+    except np.linalg.LinAlgError as error:
+        raise InputError(f"process gives the filter no steady gain ({error}); raise its variances") from None
     gain = prior @ np.linalg.inv(prior + assumed)
     left = np.eye(2) - gain
     # e_k = left (F e_{k-1} + w) - gain v_k with v_k = [(n_k - n_{k-1}) / dt, n_k], and the difference quotient

@@ -24,8 +24,17 @@ def _models():
     return models["exact"].plant, models["approximate"].plant
 
 
+def _new(panels=1, height=3.2, left=0.1, title_lines=1):
+    """A figure with fixed margins: a layout that is solved would double the time of a redraw."""
+    figure, axes = figures.new(1, panels, height=height)
+    figure.set_layout_engine(None)
+    top = 1 - (0.14 + 0.16 * title_lines) / height
+    figure.subplots_adjust(left=left, right=0.98, bottom=0.5 / height, top=top, wspace=0.3)
+    return figure, axes
+
+
 def _error_lines(runs, title, seconds=(6.0, 6.5)):
-    figure, axes = figures.new(1, height=3.2)
+    figure, axes = _new()
     for name, run in runs.items():
         part = (run.time >= seconds[0]) & (run.time < seconds[1])
         error = judge(run)["position"]
@@ -35,7 +44,7 @@ def _error_lines(runs, title, seconds=(6.0, 6.5)):
             else f"{name}: diverged at {run.diverged_at:.2f} s"
         )
         axes.plot(run.time[part], 1e3 * run.position_error[part], color=COLOURS[name], label=label)
-    axes.set(xlabel="time in s", ylabel="error of q in mm", title=title)
+    axes.set(xlabel="time (s)", ylabel="error of q (mm)", title=title)
     axes.legend(title="RMS after 2 s", title_fontsize=8)
     return figure
 
@@ -74,7 +83,7 @@ def draw_ranking(frequency_hz: float, sharpness: float, amplitude: float):
     trajectory = asin_trajectory(sharpness=float(sharpness), frequency_hz=float(frequency_hz))
     noise = Noise("gaussian", float(amplitude))
     found = compare(exact, published_controllers(approximate), trajectory, noise, runs=2, seed=0)
-    figure, panels = figures.new(1, 2, height=2.2, sharey=True)
+    figure, panels = _new(2, height=2.2, left=0.21)
     for axes, quantity in zip(panels, ("position", "roughness"), strict=True):
         for place, (name, study) in enumerate(found.items()):
             axes.plot(
@@ -82,8 +91,9 @@ def draw_ranking(frequency_hz: float, sharpness: float, amplitude: float):
             )
         axes.set(xscale="log", xlabel=METRICS[quantity][0])
         log_axis(axes.xaxis)
-    panels[0].set_yticks(range(len(found)), list(found))
-    panels[0].set_ylim(len(found) - 0.5, -0.5)
+    for axes, names in zip(panels, (list(found), [""] * len(found)), strict=True):
+        axes.set_yticks(range(len(found)), names)
+        axes.set_ylim(len(found) - 0.5, -0.5)
     return figure
 
 
@@ -96,7 +106,7 @@ def motion_at_rest(time_step: float):
 
 def draw_beliefs(assumed_scale: float, noise_deviation: float):
     """Believed and true standard deviation of the Kalman filter's errors when its R is scaled."""
-    scales = np.geomspace(1e-4, 1e4, 30)
+    scales = np.geomspace(1e-4, 1e4, 25)
     step = 1e-3
     process, assumed = np.diag([1e-1, 1e-3]), np.diag([1e-2, 1e-3])
     still = motion_at_rest(step)
@@ -104,13 +114,16 @@ def draw_beliefs(assumed_scale: float, noise_deviation: float):
         steady_errors(still, process, s * assumed, float(noise_deviation), step, np.zeros((2, 2)))
         for s in scales
     ]
-    figure, panels = figures.new(1, 2, height=3.0)
-    for axes, column, unit in zip(panels, (1, 0), ("q in m", "q' in m/s"), strict=True):
+    figure, panels = _new(2, height=3.0, left=0.12)
+    for axes, column, estimate in zip(panels, (1, 0), ("q (m)", "q' (m/s)"), strict=True):
         for name, colour, line in (("believed", figures.RED, "--"), ("true", figures.BLUE, "-")):
             values = [np.sqrt(getattr(s, name)[column, column]) for s in settled]
-            axes.loglog(scales, values, line, color=colour, label=name)
+            axes.plot(scales, values, line, color=colour, label=name)
         axes.axvline(float(assumed_scale), color=figures.BLACK, linestyle=":")
-        axes.set(xlabel="factor on the assumed R", ylabel=f"standard deviation of {unit}")
+        axes.set(xscale="log", yscale="log", xlabel="factor on the assumed R (1)")
+        axes.set_ylabel(f"standard deviation of {estimate}")
+        log_axis(axes.xaxis)
+        log_axis(axes.yaxis)
     panels[0].legend()
     return figure
 
@@ -124,14 +137,14 @@ def draw_limit_cycle(gain: float, window_length: int, exponent: float):
     )
     loop = linear_loop(exact, controller, 1e-3)
     region = stable_range(loop)
-    figure = limit_cycle_condition(loop, transformation)
+    figure = limit_cycle_condition(loop, transformation, _new(height=4.0, title_lines=2))
     cycles = [
         f"{c.frequency_hz:.1f} Hz at {c.iteration_error:.3g} m/s² ({'stable' if c.stable else 'unstable'})"
         for c in limit_cycles(loop, transformation, region)
     ]
     low, high = region.limits
     figure.axes[0].set_title(
-        f"stable gains {low:.3g} to {high:.3g}, here {transformation.local_gain:.3g}; "
+        f"stable gains {low:.3g} to {high:.3g}, here {transformation.local_gain:.3g}\n"
         f"cycles: {', '.join(cycles) or 'none'}"
     )
     return figure

@@ -8,7 +8,14 @@ from numpy.typing import ArrayLike
 
 from stillwork.checks import InputError, require_array, require_number
 from stillwork.fixedpoint.extended import _plant_extended_step
-from stillwork.fixedpoint.filters import LOW_PASS, SAVITZKY_GOLAY, UNSCENTED, WINDOW, Filter
+from stillwork.fixedpoint.filters import (
+    LOW_PASS,
+    SAVITZKY_GOLAY,
+    UNSCENTED,
+    WINDOW,
+    Filter,
+    require_step,
+)
 from stillwork.fixedpoint.lowpass import _low_pass_step
 from stillwork.fixedpoint.plant import Plant
 from stillwork.fixedpoint.unscented import _plant_unscented_step
@@ -38,7 +45,7 @@ def filter_signal(
     Parameters
     ----------
     signal_filter : Filter
-        One of this module.
+        One of `stillwork.fixedpoint.filters`.
     measured : array_like, shape (samples,)
         Noisy coordinate, m.
     force : array_like, shape (samples,), optional
@@ -51,12 +58,12 @@ def filter_signal(
     Raises
     ------
     InputError
-        When a covariance loses its definiteness on the way; the message names the sample.
+        When the filter cannot run at this time step, or a covariance loses its definiteness on the way;
+        the message names the sample.
     """
-    require_number("time_step", time_step, above=0)
+    require_step(signal_filter, time_step)
     measured = require_array("measured", measured, ndim=1)
     force = np.zeros_like(measured) if force is None else require_array("force", force, shape=measured.shape)
-    require_same_step(signal_filter, time_step)
     estimates = np.empty((len(measured), 3))
     done = _filter_record(
         *signal_filter.packed(),
@@ -73,13 +80,6 @@ def filter_signal(
             "raise process or noise, or check that the model fits the record"
         )
     return Estimate(*np.ascontiguousarray(estimates.T))
-
-
-def require_same_step(signal_filter: Filter, time_step: float) -> None:
-    """A filter whose weights hold a time step must run at that one."""
-    own = getattr(signal_filter, "time_step", time_step)
-    if own != time_step:
-        raise InputError(f"time_step is {time_step:g} s, the filter was made for {own:g} s; use one of them")
 
 
 def model_of(signal_filter: Filter):

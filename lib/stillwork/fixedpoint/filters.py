@@ -184,4 +184,19 @@ class ExtendedKalman:
         return _packed(EXTENDED, options, (BLOCKS, 5, 3), process, [[self.noise_deviation**2]])
 
 
+def require_step(signal_filter, time_step: float) -> float:
+    """Return a time step at which a filter can run, else raise `InputError`."""
+    require_number("time_step", time_step, above=0)
+    own = getattr(signal_filter, "time_step", time_step)  # its weights hold one
+    if own != time_step:
+        raise InputError(f"time_step is {time_step:g} s, the filter was made for {own:g} s; use one of them")
+    bandwidth = getattr(signal_filter, "bandwidth", 0.0)
+    if bandwidth * time_step >= 2:
+        raise InputError(
+            f"bandwidth is {bandwidth:g} rad/s; Euler's rule with steps of {time_step:g} s wants less than "
+            f"{2 / time_step:g} rad/s, or it diverges"
+        )
+    return float(time_step)
+
+
 Filter = MovingWindow | LowPass | SavitzkyGolay | UnscentedKalman | ExtendedKalman

@@ -6,7 +6,7 @@ Their workspace is a stack of square blocks, one a name below; the block MEANS h
 import numpy as np
 
 from stillwork.checks import InputError, require_array
-from stillwork.kernels import kernel
+from stillwork.kernels import inlined_kernel, kernel
 
 POINTS, OBSERVED, COVARIANCE, ROOT, INNOVATION, CROSS, GAIN, MEANS = range(8)
 BLOCKS = 8
@@ -42,7 +42,7 @@ def require_covariance(name: str, value, size: int, *, definite: bool = True) ->
     return np.ascontiguousarray(matrix)
 
 
-@kernel
+@inlined_kernel
 def _cholesky(matrix, root, size):
     """Lower root of a symmetric matrix; false when it is not positive definite."""
     for i in range(size):

@@ -1,6 +1,7 @@
 """The closed loop near an operating point as a linear system, built from formulas, not from the kernels."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float64
@@ -12,6 +13,7 @@ from stillwork.fixedpoint.filters import (
     MovingWindow,
     SavitzkyGolay,
     UnscentedKalman,
+    require_step,
 )
 from stillwork.fixedpoint.loop import Controller
 from stillwork.fixedpoint.plant import Plant, partial_derivatives
@@ -34,7 +36,14 @@ class LinearFilter:
 def linear_filter(
     signal_filter: Filter, time_step: float, position: float = 0.0, velocity: float = 0.0
 ) -> LinearFilter:
-    """A filter near an operating point; of a Kalman filter the steady state that it settles to there."""
+    """A filter near an operating point; of a Kalman filter the steady state that it settles to there.
+
+    Raises
+    ------
+    InputError
+        When the filter cannot run at this time step.
+    """
+    require_step(signal_filter, time_step)
     if isinstance(signal_filter, MovingWindow):
         fit = end_point_weights(signal_filter.length + 1, 1)[::-1]
         rows, row = [], fit
@@ -87,9 +96,11 @@ def _linear_unscented(signal_filter, slopes, time_step) -> LinearFilter:
     Q, R = signal_filter.process, signal_filter.noise
     if signal_filter.literal:  # innovation about the previous estimate: z - x, not z - F x
         P = np.eye(2) * signal_filter.initial_variance
-        for _ in range(20_000):
+        for _ in range(100_000):
             K = P @ np.linalg.inv(P + R)
-            P = F @ P @ F.T + Q - K @ P
+            last, P = P, F @ P @ F.T + Q - K @ P
+            if np.abs(P - last).max() < 1e-15 * np.abs(P).max():
+                break
         forward = F - K
     else:
         K = _steady_gain(F, Q, np.eye(2), R)
@@ -153,12 +164,25 @@ class LinearLoop:
     C: Float64[np.ndarray, " states"]
     time_step: float  # s
 
+    @cached_property
+    def _schur(self) -> tuple[np.ndarray, np.ndarray]:
+        from scipy.linalg import schur
+
+        return schur(self.A, output="complex")
+
     def response(self, rate: ArrayLike, row: np.ndarray | None = None) -> np.ndarray:
-        """Frequency response from c to s (or to ``row @ x``) at angular frequencies `rate`, rad/s."""
+        """Frequency response from c to s (or to ``row @ x``) at angular frequencies `rate`, rad/s.
+
+        By back substitution in Schur's form, all frequencies at once.
+        """
         z = np.exp(1j * np.atleast_1d(np.asarray(rate, dtype=float)) * self.time_step)
-        systems = z[:, None, None] * np.eye(len(self.A)) - self.A
-        states = np.linalg.solve(systems, np.broadcast_to(self.B[:, None], (len(z), len(self.B), 1)))[..., 0]
-        return states @ (self.C if row is None else row)
+        triangular, basis = self._schur
+        drive = basis.conj().T @ self.B
+        states = np.zeros((len(z), len(drive)), dtype=complex)
+        for k in range(len(drive) - 1, -1, -1):
+            known = states[:, k + 1 :] @ triangular[k, k + 1 :]
+            states[:, k] = (drive[k] + known) / (z - triangular[k, k])
+        return states @ (basis.T @ (self.C if row is None else row))
 
     def radius(self, local_gain: float) -> float:
         """Spectral radius of the closed loop; stable below 1."""

@@ -7,8 +7,8 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.checks import InputError, require_array, require_choice, require_number
-from stillwork.fixedpoint.filtering import _filter_step, model_of, require_same_step
-from stillwork.fixedpoint.filters import Filter
+from stillwork.fixedpoint.filtering import _filter_step, model_of
+from stillwork.fixedpoint.filters import Filter, require_step
 from stillwork.fixedpoint.kinematics import KinematicDesign
 from stillwork.fixedpoint.plant import Plant, partial_derivatives
 from stillwork.fixedpoint.trajectory import Trajectory
@@ -148,7 +148,7 @@ def simulate(
     require_number("grid", grid)
     require_number("bound", bound, above=1)
     require_choice("integration", integration, INTEGRATIONS)
-    require_same_step(controller.signal_filter, trajectory.time_step)
+    require_step(controller.signal_filter, trajectory.time_step)
     start = (trajectory.position[0], trajectory.velocity[0]) if start is None else start
     start = require_array("start", start, shape=(2,))
     warn_outside_contraction(controller.transformation, response_gain(plant, controller.model))

@@ -17,7 +17,8 @@ from stillwork.kernels import kernel
 
 
 @kernel
-def _unscented_record(
+def _model_record(
+    unscented,
     transition,
     measurement,
     parameters,
@@ -30,70 +31,70 @@ def _unscented_record(
     means,
     covariances,
 ):
+    """Filter a record, unscented or extended; returns the samples done."""
     states, outputs = means.shape[1], measurements.shape[1]
-    points, observed = work[POINTS], work[OBSERVED]
-    here, there, expected = np.empty(states), np.empty(states), np.empty(outputs)
+    state, seen = np.empty((3, states)), np.empty((3, outputs))  # one row an argument of the model functions
     for k in range(len(measurements)):
-        if not _draw_points(work, states, weights[0]):
-            return k
-        for i in range(2 * states + 1):
-            for j in range(states):
-                here[j] = points[i, j]
-            transition(here, inputs[k], parameters, there)
-            for j in range(states):
-                points[i, j] = there[j]
-        _predict_unscented(work, weights, process, states)
-        if not _draw_points(work, states, weights[0]):
-            return k
-        for i in range(2 * states + 1):
-            for j in range(states):
-                here[j] = points[i, j]
-            measurement(here, inputs[k], parameters, expected)
-            for j in range(outputs):
-                observed[i, j] = expected[j]
         for j in range(outputs):
             work[MEANS, MEASURED, j] = measurements[k, j]
-        if not _correct_unscented(work, weights, noise, states, outputs):
+        if unscented:
+            definite = _unscented_step(
+                transition, measurement, parameters, inputs[k], process, noise, work, weights, state, seen
+            )
+        else:
+            definite = _extended_step(
+                transition, measurement, parameters, inputs[k], process, noise, work, state, seen
+            )
+        if not definite:
             return k
-        _keep(work, k, means, covariances)
+        for i in range(states):
+            means[k, i] = work[MEANS, ESTIMATE, i]
+            for j in range(states):
+                covariances[k, i, j] = work[COVARIANCE, i, j]
     return len(measurements)
 
 
 @kernel
-def _extended_record(
-    transition,
-    measurement,
-    parameters,
-    measurements,
-    inputs,
-    process,
-    noise,
-    work,
-    _weights,
-    means,
-    covariances,
-):
-    states, outputs = means.shape[1], measurements.shape[1]
-    here, high, low = np.empty(states), np.empty(states), np.empty(states)
-    expected, above, below = np.empty(outputs), np.empty(outputs), np.empty(outputs)
-    for k in range(len(measurements)):
-        for j in range(states):
-            here[j] = work[MEANS, ESTIMATE, j]
-        _differences(transition, here, inputs[k], parameters, high, low, work[JACOBIAN])
-        transition(here, inputs[k], parameters, high)
-        for j in range(states):
-            here[j] = high[j]
-            work[MEANS, ESTIMATE, j] = high[j]
-        _predict_extended(work, process, states)
-        _differences(measurement, here, inputs[k], parameters, above, below, work[OBSERVATION])
-        measurement(here, inputs[k], parameters, expected)
-        for j in range(outputs):
-            work[MEANS, EXPECTED, j] = expected[j]
-            work[MEANS, MEASURED, j] = measurements[k, j]
-        if not _correct_extended(work, noise, states, outputs):
-            return k
-        _keep(work, k, means, covariances)
-    return len(measurements)
+def _unscented_step(transition, measurement, parameters, inputs, process, noise, work, weights, state, seen):
+    states, outputs = state.shape[1], seen.shape[1]
+    if not _draw_points(work, states, weights[0]):
+        return False
+    _move_points(transition, inputs, parameters, work[POINTS], work[POINTS], state[0], state[1])
+    _predict_unscented(work, weights, process, states)
+    if not _draw_points(work, states, weights[0]):
+        return False
+    _move_points(measurement, inputs, parameters, work[POINTS], work[OBSERVED], state[0], seen[0])
+    return _correct_unscented(work, weights, noise, states, outputs)
+
+
+@kernel
+def _move_points(function, inputs, parameters, points, results, here, there):
+    """Send every sigma point through a model function; `here` and `there` are its arguments."""
+    for i in range(2 * len(here) + 1):
+        for j in range(len(here)):
+            here[j] = points[i, j]
+        function(here, inputs, parameters, there)
+        for j in range(len(there)):
+            results[i, j] = there[j]
+
+
+@kernel
+def _extended_step(transition, measurement, parameters, inputs, process, noise, work, state, seen):
+    states, outputs = state.shape[1], seen.shape[1]
+    here, mean = state[0], work[MEANS, ESTIMATE]
+    for j in range(states):
+        here[j] = mean[j]
+    _differences(transition, here, inputs, parameters, state[1], state[2], work[JACOBIAN])
+    transition(here, inputs, parameters, state[1])
+    for j in range(states):
+        mean[j] = state[1, j]
+        here[j] = mean[j]
+    _predict_extended(work, process, states)
+    _differences(measurement, here, inputs, parameters, seen[1], seen[2], work[OBSERVATION])
+    measurement(here, inputs, parameters, seen[0])
+    for j in range(outputs):
+        work[MEANS, EXPECTED, j] = seen[0, j]
+    return _correct_extended(work, noise, states, outputs)
 
 
 @kernel
@@ -112,12 +113,3 @@ def _differences(function, at, inputs, parameters, high, low, jacobian):
             for i in range(len(high)):
                 jacobian[i, j] += weight * (high[i] - low[i]) / step
         at[j] = centre
-
-
-@kernel
-def _keep(work, k, means, covariances):
-    states = means.shape[1]
-    for i in range(states):
-        means[k, i] = work[MEANS, ESTIMATE, i]
-        for j in range(states):
-            covariances[k, i, j] = work[COVARIANCE, i, j]

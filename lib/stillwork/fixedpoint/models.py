@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike
 
 from stillwork.checks import InputError, require_array, require_count
 from stillwork.fixedpoint.gaussian import BLOCKS, COVARIANCE, ESTIMATE, MEANS, require_covariance
-from stillwork.fixedpoint.model_kernels import _extended_record, _unscented_record
-from stillwork.fixedpoint.plant import callback
+from stillwork.fixedpoint.model_kernels import _model_record
 from stillwork.fixedpoint.unscented import SigmaPoints
+from stillwork.kernels import callback
 
 SIGNATURE = "void(float64[::1], float64[::1], float64[::1], float64[::1])"
 
@@ -52,7 +52,7 @@ class StateModel:
             out = np.full(size, np.nan)
             try:
                 getattr(self, name)(np.full(self.states, 0.1), np.zeros(self.inputs), self.parameters, out)
-            except (IndexError, TypeError) as error:
+            except Exception as error:  # a reader's function may raise anything
                 raise InputError(
                     f"{name} fails on {self.states} states, {self.inputs} inputs and {self.outputs} outputs "
                     f"({error}); give it (state, inputs, parameters, out)"
@@ -104,7 +104,7 @@ def unscented_filter(
     """
     points = SigmaPoints(alpha=1.0, beta=0.0) if points is None else points
     prepared = _prepare(model, measurements, inputs, process, noise, initial_mean, initial_covariance)
-    return _run(_unscented_record, model, prepared, points.weights(model.states))
+    return _run(True, model, prepared, points.weights(model.states))
 
 
 def extended_filter(
@@ -122,7 +122,7 @@ def extended_filter(
     Jacobians come from central differences (relative error about 1e-12, felt by the gain alone).
     """
     prepared = _prepare(model, measurements, inputs, process, noise, initial_mean, initial_covariance)
-    return _run(_extended_record, model, prepared, np.zeros(4))
+    return _run(False, model, prepared, np.zeros(4))
 
 
 def _prepare(model, measurements, inputs, process, noise, mean, covariance):
@@ -142,11 +142,11 @@ def _prepare(model, measurements, inputs, process, noise, mean, covariance):
     return np.ascontiguousarray(measurements.T), np.ascontiguousarray(inputs.T), process, noise, work
 
 
-def _run(record_kernel, model, prepared, weights):
+def _run(unscented, model, prepared, weights):
     samples, n = len(prepared[0]), model.states
     means, covariances = np.empty((samples, n)), np.empty((samples, n, n))
     functions = callback(model.transition, SIGNATURE), callback(model.measurement, SIGNATURE)
-    done = record_kernel(*functions, model.parameters, *prepared, weights, means, covariances)
+    done = _model_record(unscented, *functions, model.parameters, *prepared, weights, means, covariances)
     if done < samples:
         raise InputError(
             f"the covariance stops being positive definite at sample {done}; raise process or noise"

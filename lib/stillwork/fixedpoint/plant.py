@@ -1,50 +1,19 @@
 """Plants with one coordinate: the modified van der Pol oscillator, and people's own."""
 
-import inspect
 import math
 import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, fields
-from functools import cache
 from pathlib import Path
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike
 
 from stillwork import paths
 from stillwork.checks import InputError, nearest, require_array, require_number
-from stillwork.kernels import kernel
+from stillwork.kernels import callback, kernel
 
-# A model function is compiled to a C callback. All callbacks of one signature have one type, so the kernels
-# that call them are compiled once for every plant, and both they and the callbacks are cached on disk.
-SIGNATURE = "float64(float64, float64, float64, float64[::1])"
-
-
-@cache
-def callback(function: Callable, signature: str = SIGNATURE):
-    """Compile a model function to a C callback, cached beside the file that defines it.
-
-    The cache notices a change of that file, not of another one from which the function calls: keep what
-    belongs to a model in one file.
-
-    Raises
-    ------
-    InputError
-        When numba cannot compile it.
-    """
-    function = inspect.unwrap(function)
-    options = {"nopython": True, "error_model": "numpy"}
-    try:
-        try:
-            return numba.cfunc(signature, cache=True, **options)(function)
-        except RuntimeError:  # typed at a prompt: no file to cache beside
-            return numba.cfunc(signature, **options)(function)
-    except numba.core.errors.NumbaError as error:
-        raise InputError(
-            f"{function.__name__} cannot be compiled; use only numbers, loops, math and numpy in it, "
-            f"and take everything else from parameters ({str(error).strip().splitlines()[-1]})"
-        ) from None
+SIGNATURE = "float64(float64, float64, float64, float64[::1])"  # of a plant's two functions
 
 
 @dataclass(frozen=True)
@@ -75,12 +44,13 @@ class Plant:
         try:
             force = self.force(position, velocity, wanted, self.parameters)
             got = self.acceleration(position, velocity, force, self.parameters)
-        except (IndexError, TypeError) as error:
+            right = math.isclose(got, wanted, rel_tol=1e-6)
+        except Exception as error:  # a reader's function may raise anything
             raise InputError(
                 f"acceleration or force fails on {len(self.parameters)} parameters ({error}); "
-                "give functions of (position, velocity, force or acceleration, parameters)"
+                "give functions of (position, velocity, force or acceleration, parameters) that return a number"
             ) from None
-        if not math.isclose(got, wanted, rel_tol=1e-6):
+        if not right:
             raise InputError(
                 f"force is not the inverse of acceleration: for {wanted} m/s^2 at q = {position}, "
                 f"q' = {velocity} it gives {force:g} N, which accelerates by {got:g}; mend one of the two"
@@ -89,7 +59,7 @@ class Plant:
     @property
     def compiled(self):
         """The two functions as C callbacks, and the parameters: what the kernels take."""
-        return callback(self.acceleration), callback(self.force), self.parameters
+        return callback(self.acceleration, SIGNATURE), callback(self.force, SIGNATURE), self.parameters
 
 
 @dataclass(frozen=True)
@@ -149,6 +119,10 @@ def load_oscillator(file: Path | str | None = None) -> dict[str, VanDerPol]:
         tree = tomllib.loads(file.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise InputError(f"file {file} does not exist; give the path of a TOML file") from None
+    except OSError as error:
+        raise InputError(f"{file} cannot be read ({error.strerror}); give the path of a TOML file") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{file} is not text; give a TOML file in UTF-8") from None
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{file}: not valid TOML ({error}); mend that line") from None
     known = [field.name for field in fields(VanDerPol)]
@@ -156,12 +130,17 @@ def load_oscillator(file: Path | str | None = None) -> dict[str, VanDerPol]:
     for name in ("exact", "approximate"):
         if name not in tree:
             raise InputError(f"{file}: no table [{name}]{nearest(name, tree)}; add it")
+        if not isinstance(tree[name], dict):
+            raise InputError(f"{file}: {name} is {tree[name]!r}; make it a table [{name}] of parameters")
         for key in tree[name]:
             if key not in known:
                 raise InputError(f"{file}: [{name}] has an unknown parameter {key!r}{nearest(key, known)}")
         if missing := [key for key in known if key not in tree[name]]:
             raise InputError(f"{file}: [{name}] lacks {', '.join(missing)}; add them")
-        models[name] = VanDerPol(**tree[name])
+        try:
+            models[name] = VanDerPol(**tree[name])
+        except InputError as error:
+            raise InputError(f"{file}: [{name}] {error}") from None
     return models
 
 

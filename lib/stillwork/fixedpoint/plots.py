@@ -5,6 +5,7 @@ import numpy as np
 from stillwork import figures
 from stillwork.fixedpoint.loop import Run
 from stillwork.fixedpoint.published import EXTENDED, KALMAN, LITERAL, LOW_PASS, POLYNOMIAL, WINDOW
+from stillwork.fixedpoint.trajectory import Trajectory
 from stillwork.studies import Study, mean_interval
 
 COLOURS = {
@@ -15,11 +16,10 @@ COLOURS = {
     EXTENDED: figures.PURPLE,
     POLYNOMIAL: figures.SKY,
 }
-SHARP_TURN = 6.25  # s, a corner of the default trajectory
 
 
-def tracking(runs: dict[str, Run], quantity: str = "position", detail: tuple[float, float] = (6.1, 6.4)):
-    """Nominal and true motion; the tracking error's envelope over the run; the error in a stretch of it.
+def tracking(runs: dict[str, Run], quantity: str = "position"):
+    """Nominal and true motion; the tracking error's range over the run; the error where the motion turns hardest.
 
     Parameters
     ----------
@@ -27,32 +27,43 @@ def tracking(runs: dict[str, Run], quantity: str = "position", detail: tuple[flo
         By the filter's name.
     quantity : str
         ``position`` or ``velocity``.
-    detail : tuple of float
-        The stretch, s.
     """
     unit, small, factor = {"position": ("m", "mm", 1e3), "velocity": ("m/s", "mm/s", 1e3)}[quantity]
     name = {"position": "q", "velocity": "q'"}[quantity]
     figure, (motion, envelope, stretch) = figures.new(3, height=7.2)
     nominal = next(iter(runs.values())).trajectory
-    coarse = slice(None, None, 100)
+    step = nominal.time_step
+    # Every 10 ms: coarser, the window's 40 Hz would show as a slow wander.
+    coarse = slice(None, None, max(1, round(0.01 / step)))
     motion.plot(nominal.time[coarse], getattr(nominal, quantity)[coarse], "k--", label="nominal", zorder=5)
+    bin_samples = max(1, round(0.06 / step))
+    corner = hardest_turn(nominal)
+    part = slice(max(0, round((corner - 0.15) / step)), round((corner + 0.15) / step))
     for label, run in runs.items():
         style = {"color": COLOURS[label], "label": label}
         time, true = run.time, getattr(run, quantity)
         error = factor * getattr(run, f"{quantity}_error")
         motion.plot(time[coarse], true[coarse], linewidth=1, **style)
-        bins = len(time) // 60
-        middle, blocks = time[: bins * 60].reshape(bins, 60)[:, 30], error[: bins * 60].reshape(bins, 60)
+        whole = len(time) // bin_samples * bin_samples
+        middle = time[:whole].reshape(-1, bin_samples)[:, bin_samples // 2]
+        blocks = error[:whole].reshape(-1, bin_samples)
         envelope.fill_between(middle, blocks.min(axis=1), blocks.max(axis=1), alpha=0.6, lw=0.8, **style)
-        part = (time >= detail[0]) & (time < detail[1])
         stretch.plot(time[part], error[part], **style)
-    motion.set(xlabel="time in s", ylabel=f"{name} in {unit}", title="motion")
-    envelope.set(xlabel="time in s", ylabel=f"error in {small}", title="error, range in 60 ms")
+    motion.set(xlabel="time (s)", ylabel=f"{name} ({unit})", title="motion")
+    envelope.set(xlabel="time (s)", ylabel=f"error of {name} ({small})", title="error, range in 60 ms")
     envelope.set_ylim(*_range_after(runs, quantity, factor))
-    stretch.set(xlabel="time in s", ylabel=f"error in {small}", title="error at a corner")
+    envelope.set_xlim(motion.get_xlim())
+    stretch.set(xlabel="time (s)", ylabel=f"error of {name} ({small})", title="error at a corner")
     handles, labels = motion.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
     return figure
+
+
+def hardest_turn(nominal: Trajectory) -> float:
+    """Time of the largest nominal acceleration in the second half, s; the first of equals."""
+    half = len(nominal.position) // 2
+    size = np.abs(nominal.acceleration[half:])
+    return float(nominal.time[half + np.argmax(size > (1 - 1e-4) * size.max())])
 
 
 def _range_after(runs, quantity, factor, settle=2.0):
@@ -63,11 +74,11 @@ def _range_after(runs, quantity, factor, settle=2.0):
 
 
 def phase(runs: dict[str, Run], last: float = 5.0):
-    """Phase trajectories over the last seconds, whole and at a corner."""
+    """Phase trajectories over the last seconds, whole and where the coordinate is largest."""
     figure, (whole, corner) = figures.new(1, 2, height=3.6)
     nominal = next(iter(runs.values())).trajectory
-    first = len(nominal.position) - round(last / nominal.time_step)
-    step = 12
+    first = max(0, len(nominal.position) - round(last / nominal.time_step))
+    step = max(1, round(0.005 / nominal.time_step))  # five points a cycle of 40 Hz
     whole.plot(nominal.position[first::step], nominal.velocity[first::step], "k--", label="nominal", zorder=5)
     near = np.flatnonzero(nominal.position[first:] > 0.93 * nominal.position.max())[::3] + first
     corner.plot(nominal.position[near], nominal.velocity[near], "k--", label="nominal", zorder=5)
@@ -75,8 +86,8 @@ def phase(runs: dict[str, Run], last: float = 5.0):
         style = {"color": COLOURS[label], "label": label, "linewidth": 0.9}
         whole.plot(run.position[first::step], run.velocity[first::step], **style)
         corner.plot(run.position[near], run.velocity[near], **style)
-    for axes, title in ((whole, "one period"), (corner, "at a corner")):
-        axes.set(xlabel="q in m", ylabel="q' in m/s", title=title)
+    for axes, title in ((whole, f"the last {last:g} s"), (corner, "at a corner")):
+        axes.set(xlabel="q (m)", ylabel="q' (m/s)", title=title)
     handles, labels = whole.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
     return figure
@@ -84,9 +95,9 @@ def phase(runs: dict[str, Run], last: float = 5.0):
 
 # Label, title, and factor to the label's unit.
 METRICS = {
-    "position": ("RMS error of q in mm", "position", 1e3),
-    "velocity": ("RMS error of q' in mm/s", "velocity", 1e3),
-    "roughness": ("roughness in m/s²", "change of q'' a sample", 1.0),
+    "position": ("RMS error of q (mm)", "position", 1e3),
+    "velocity": ("RMS error of q' (mm/s)", "velocity", 1e3),
+    "roughness": ("roughness (m/s²)", "change of q'' a sample", 1.0),
 }
 
 
@@ -131,7 +142,7 @@ def errors_over_frequency(frequencies_hz, studies: dict[str, list[dict[str, Stud
         for name in sweep[0]:
             values = [METRICS[quantity][2] * study[name][quantity].mean() for study in sweep]
             axes.loglog(frequencies_hz, values, "o-", markersize=3, color=COLOURS[name], label=name)
-        axes.set(xlabel="frequency of the trajectory in Hz", title=case)
+        axes.set(xlabel="trajectory frequency (Hz)", title=case)
         log_axis(axes.xaxis)
         log_axis(axes.yaxis)
     np.atleast_1d(panels)[0].set_ylabel(METRICS[quantity][0])
@@ -140,19 +151,29 @@ def errors_over_frequency(frequencies_hz, studies: dict[str, list[dict[str, Stud
     return figure
 
 
-def claims_over_frequency(frequencies_hz, fractions: dict[str, np.ndarray], chosen_hz: float):
-    """Fraction of runs that obey each statement, against the trajectory's frequency."""
+def statement_map(columns: list[str], fractions: dict[str, list[float]], label: str):
+    """Fraction of runs that obey each statement, a row a statement, a column a setting.
+
+    Parameters
+    ----------
+    columns : list of str
+        Names of the settings.
+    fractions : dict of str to list of float
+        A row each, by the statement.
+    label : str
+        What the settings are.
+    """
     figure, axes = figures.new(1, height=0.34 * len(fractions) + 1.2)
     grid = np.array(list(fractions.values()), dtype=float)
     rows = np.arange(len(fractions))
     image = axes.pcolormesh(
-        np.arange(len(frequencies_hz)), rows, grid, cmap="Blues", vmin=0, vmax=1, label="fraction of runs"
+        np.arange(len(columns)), rows, grid, cmap="Blues", vmin=0, vmax=1, label="fraction of runs"
     )
     axes.set_yticks(rows, list(fractions))
-    axes.set_xticks(range(len(frequencies_hz)), [f"{f:g}" for f in frequencies_hz])
+    axes.set_xticks(range(len(columns)), columns)
     axes.grid(False)
     axes.invert_yaxis()
-    axes.set(xlabel=f"frequency of the trajectory in Hz (elsewhere: {chosen_hz:g} Hz)")
+    axes.set(xlabel=label)
     for row in rows:
         for column, value in enumerate(grid[row]):
             axes.text(
@@ -164,7 +185,7 @@ def claims_over_frequency(frequencies_hz, fractions: dict[str, np.ndarray], chos
                 fontsize=7,
                 color="w" if value > 0.5 else "k",
             )
-    figure.colorbar(image, ax=axes, label="fraction of runs that obey")
+    figure.colorbar(image, ax=axes, label="fraction of runs that obey (1)")
     return figure
 
 
@@ -172,16 +193,17 @@ def estimate_shift(runs: dict[str, Run], settle: float = 2.0):
     """Error of the filter's estimates against the derivative: a shift in time is a straight line."""
     figure, panels = figures.new(1, 2, height=3.4)
     rows = (
-        ("position", "velocity", "velocity q' in m/s", "error of q's estimate in mm"),
-        ("velocity", "deformed", "the model's acceleration in m/s²", "error of q' 's estimate in mm/s"),
+        ("position", "velocity", "velocity q' (m/s)", "error of the estimate of q (mm)"),
+        ("velocity", "deformed", "the model's acceleration (m/s²)", "error of the estimate of q' (mm/s)"),
     )
+    step = next(iter(runs.values())).trajectory.time_step
     for axes, (quantity, derivative, across, up) in zip(panels, rows, strict=True):
         for name, run in runs.items():
-            part = slice(round(settle / run.trajectory.time_step), None, 40)
+            part = slice(round(settle / step), None, 40)
             error = 1e3 * (getattr(run, f"{quantity}_estimate") - getattr(run, quantity))[part]
             axes.plot(getattr(run, derivative)[part], error, ".", ms=3, color=COLOURS[name], label=name)
         reach = np.array(axes.get_xlim())
-        axes.plot(reach, reach, "k:", linewidth=1, label="one sample (1 ms) ahead")
+        axes.plot(reach, 1e3 * step * reach, "k:", linewidth=1, label=f"one sample ({1e3 * step:g} ms) ahead")
         axes.set(xlabel=across, ylabel=up)
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))

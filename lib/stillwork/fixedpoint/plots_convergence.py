@@ -31,10 +31,13 @@ def contraction(transformations: dict[str, Transformation], response_gain: float
         ]
         multiplier.semilogx(sizes, ratio, color=colour, label=name)
     decay.set(
-        xlabel="iteration", ylabel="|response - desired| in m/s²", title="static iteration", ylim=(1e-4, 60)
+        xlabel="iteration (1)",
+        ylabel="|response - desired| (m/s²)",
+        title="static iteration",
+        ylim=(1e-4, 60),
     )
     figure.legend(handles=decay.lines, loc="outside upper center", ncols=2)
-    multiplier.set(xlabel="|response - desired| in m/s²", ylabel="ratio of two errors", ylim=(0, 1.05))
+    multiplier.set(xlabel="|response - desired| (m/s²)", ylabel="ratio of two errors (1)", ylim=(0, 1.05))
     multiplier.set_title("multiplier: below 1 contracts")
     multiplier.legend()
     return figure
@@ -59,9 +62,9 @@ def filter_responses(filters: dict[str, LinearFilter], time_step: float):
             panels[1, column].semilogx(frequency, angle, line, color=COLOURS[name], label=name)
     for column, title in enumerate(("estimate of q", "of q', over jω", "of q'', over (jω)²")):
         panels[0, column].set(title=title, ylim=(1e-3, 10))
-        panels[1, column].set(xlabel="frequency in Hz", ylim=(-400, 90))
-    panels[0, 0].set_ylabel("gain")
-    panels[1, 0].set_ylabel("phase in degrees")
+        panels[1, column].set(xlabel="frequency (Hz)", ylim=(-400, 90))
+    panels[0, 0].set_ylabel("gain (1)")
+    panels[1, 0].set_ylabel("phase (degrees)")
     handles, labels = panels[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=3)
     return figure
@@ -82,7 +85,7 @@ def stability_ranges(ranges: dict[str, StableRange], gains: dict[str, float], ba
     axes.axvline(-banach, color=figures.GREY, linestyle=":")
     axes.text(-banach * 0.97, len(ranges) - 0.45, "Banach's edge", ha="right", va="center", fontsize=7)
     axes.set_yticks(range(len(ranges)), list(ranges))
-    axes.set(xscale="log", xlabel="strength of the transformation: minus its local gain", xlim=(6e-3, 4))
+    axes.set(xscale="log", xlabel="strength of the transformation, minus its local gain (1)", xlim=(6e-3, 4))
     axes.set_ylim(len(ranges) - 0.3, -0.6)
     axes.legend([axes.lines[-2]], ["gain in use"], loc="upper right")
     return figure
@@ -100,22 +103,24 @@ def _name_edge(axes, crossing: Crossing, row: int, side: str):
     )
 
 
-def limit_cycle_condition(loop: LinearLoop, transformation: FlowTransformation):
-    """The open loop's locus and the negative inverse of gain times describing function."""
-    figure, axes = figures.new(1, height=4.0)
-    frequency = np.geomspace(3, 120, 300)
-    locus = loop.response(2 * np.pi * frequency)
+def limit_cycle_condition(loop: LinearLoop, transformation: FlowTransformation, drawn_on=None):
+    """The open loop's locus and the inverse of gain times describing function; where they meet is a cycle.
+
+    `drawn_on` is a figure and its axes, where these shall not be new.
+    """
+    figure, axes = drawn_on or figures.new(1, height=4.0)
+    frequency, marks = np.geomspace(3, 120, 180), np.array([5.0, 10.0, 20.0, 40.0, 80.0])
+    locus, points = np.split(loop.response(2 * np.pi * np.append(frequency, marks)), [len(frequency)])
     axes.plot(locus.real, locus.imag, color=figures.BLUE, label="linear loop, 3 to 120 Hz")
     amplitude = np.geomspace(1e-2, 300, 60)
     inverse = np.array([1 / (transformation.local_gain * describing_function(a)) for a in amplitude])
     axes.plot(
         inverse, np.zeros_like(inverse), color=figures.RED, label="1 / (local gain x describing function)"
     )
-    for place in (5, 10, 20, 40, 80):
-        point = loop.response([2 * np.pi * place])[0]
-        axes.plot(point.real, point.imag, "o", color=figures.BLUE, markersize=4, label=f"{place} Hz")
+    for place, point in zip(marks, points, strict=True):
+        axes.plot(point.real, point.imag, "o", color=figures.BLUE, markersize=4, label=f"{place:g} Hz")
         axes.annotate(
-            f"{place} Hz", (point.real, point.imag), xytext=(5, 3), textcoords="offset points", fontsize=8
+            f"{place:g} Hz", (point.real, point.imag), xytext=(5, 3), textcoords="offset points", fontsize=8
         )
     for size in (3, 10, 30, 100):
         x = 1 / (transformation.local_gain * describing_function(size / transformation.width))
@@ -123,7 +128,9 @@ def limit_cycle_condition(loop: LinearLoop, transformation: FlowTransformation):
         axes.annotate(
             f"{size} m/s²", (x, 0), xytext=(0, -12), textcoords="offset points", fontsize=7, ha="center"
         )
-    axes.set(xlabel="real part", ylabel="imaginary part", xlim=(-75, 10), ylim=(-45, 45))
+    axes.set(
+        xlabel="real part of the response (1)", ylabel="imaginary part (1)", xlim=(-75, 10), ylim=(-45, 45)
+    )
     axes.legend(handles=axes.lines[:2], loc="upper right")
     return figure
 
@@ -141,14 +148,14 @@ def limit_cycle_sweep(gains, predicted, simulated):
         Likewise.
     """
     figure, panels = figures.new(1, 2, height=3.0)
-    titles = ("frequency in Hz", "amplitude of response - desired in m/s²")
+    titles = ("frequency (Hz)", "amplitude of response - desired (m/s²)")
     for column, (axes, title) in enumerate(zip(panels, titles, strict=True)):
         axes.plot(gains, [p[column] for p in predicted], color=figures.BLUE, label="describing function")
         axes.plot(
             gains, [s[column] for s in simulated], "o", markersize=4, color=figures.RED, label="simulated"
         )
         axes.axvline(1.1, color=figures.BLACK, linestyle=":", linewidth=1)
-        axes.set(xlabel="-A in m/s² (dotted: published)", ylabel=title)
+        axes.set(xlabel="-A (m/s²), dotted: published", ylabel=title)
     middle = np.nanmean([p[0] for p in predicted])
     panels[0].set_ylim(0.95 * middle, 1.05 * middle)
     panels[0].legend()
@@ -167,6 +174,6 @@ def noise_gain(deviations, remaining, weakest: float, marks: dict[str, float]):
         axes.axvline(place, color=figures.BLACK, linestyle=line, linewidth=1)
         axes.text(place * 1.06, remaining.max(), name, rotation=90, ha="left", va="top", fontsize=8)
     axes.set(
-        xlabel="standard deviation of response - desired in m/s²", ylabel="strength: minus the local gain"
+        xlabel="standard deviation of response - desired (m/s²)", ylabel="strength, minus the local gain (1)"
     )
     return figure

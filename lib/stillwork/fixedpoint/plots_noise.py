@@ -36,7 +36,7 @@ def noise_correlations(found: dict[str, Correlations]):
             found.items(), colours, (-0.12, 0.0, 0.12), strict=False
         ):
             axes.plot(lags + shift, getattr(correlations, name), ".", color=colour, ms=7, label=label)
-        axes.set(xlabel="lag in samples", ylabel="correlation", title=title)
+        axes.set(xlabel="lag (samples)", ylabel="correlation (1)", title=title)
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=3)
     return figure
@@ -48,7 +48,7 @@ def beliefs(deviations, believed, true):
     for axes, column, unit, name in zip(panels, (1, 0), ("m", "m/s"), ("position", "velocity"), strict=True):
         axes.loglog(deviations, np.sqrt(believed[:, column]), "--", color=figures.RED, label="believed")
         axes.loglog(deviations, np.sqrt(true[:, column]), color=figures.BLUE, label="true")
-        axes.set(xlabel="deviation of the measured position in m", ylabel=f"error in {unit}", title=name)
+        axes.set(xlabel="deviation of the measured position (m)", ylabel=f"error ({unit})", title=name)
         for published in (1e-5, 1e-4):
             axes.axvline(published, color=figures.BLACK, linestyle=":", linewidth=1)
     panels[0].legend()
@@ -78,7 +78,9 @@ def cost_against_error(cost_ns: dict[str, float], errors: dict[str, float], unit
         axes.plot(cost_ns[name], error, "o", color=COLOURS[name], label=name)
         below = -13 if name == EXTENDED else 4  # its neighbour is close
         axes.annotate(name, (cost_ns[name], error), xytext=(6, below), textcoords="offset points", fontsize=8)
-    axes.set(xscale="log", xlabel="measured time a sample in ns", ylabel=unit, xlim=(20, 1000))
+    axes.set(
+        xscale="log", xlabel="measured time a sample, published settings (ns)", ylabel=unit, xlim=(20, 1000)
+    )
     axes.set_ylim(0, 1.15 * max(errors.values()))
     log_axis(axes.xaxis)
     return figure

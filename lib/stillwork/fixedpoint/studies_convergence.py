@@ -30,18 +30,41 @@ def cycles_over_gain(
         stable = [cycle for cycle in limit_cycles(loop, transformation) if cycle.stable]
         predicted.append((stable[0].frequency_hz, stable[0].iteration_error) if stable else (np.nan, np.nan))
         moved = replace(controller, transformation=transformation)
-        run = simulate(plant, moved, at_rest(8000, time_step), start=(0.0, 1e-3))
-        tail = slice(4000, None)
+        run = simulate(plant, moved, at_rest(round(8 / time_step), time_step), start=(0.0, 1e-3))
+        tail = slice(round(4 / time_step), None)
         found = strongest_oscillation(run.acceleration_estimate[tail] - run.desired[tail], time_step)
         simulated.append((found.frequency_hz, found.amplitude))
     return predicted, simulated
 
 
+def remaining_motion(plant: Plant, controller: Controller, kick: float, time_step: float) -> float:
+    """Largest velocity in the last of 8 s at rest after a kick, over the kick; infinite when it diverged.
+
+    Parameters
+    ----------
+    plant, controller
+        As for `simulate`.
+    kick : float
+        Initial velocity, m/s.
+    time_step : float
+        s.
+    """
+    run = simulate(plant, controller, at_rest(round(8 / time_step), time_step), start=(0.0, kick))
+    if run.diverged_at is not None:
+        return np.inf
+    return float(np.abs(run.velocity[round(7 / time_step) :]).max() / kick)
+
+
 def divergence_by_noise(
-    plant: Plant, controller: Controller, deviations: Sequence[float], runs: int, seed: int
+    plant: Plant,
+    controller: Controller,
+    deviations: Sequence[float],
+    runs: int,
+    seed: int,
+    time_step: float = 1e-3,
 ) -> list[float]:
     """Fraction of runs of 12 s at rest that diverge, for each standard deviation of Gaussian noise."""
-    still = at_rest(12_000, 1e-3)
+    still = at_rest(round(12 / time_step), time_step)
 
     def diverges(stream, deviation) -> bool:
         noise = Noise("gaussian", deviation)
@@ -52,7 +75,10 @@ def divergence_by_noise(
     return [sum(diverges(stream, deviation) for stream in streams) / runs for deviation in deviations]
 
 
-def response_noise(plant: Plant, controller: Controller, deviation: float, seed: int) -> float:
-    """Standard deviation of response - desired at rest in Gaussian noise, m/s^2."""
-    run = noisy_run(plant, controller, at_rest(6000, 1e-3), Noise("gaussian", deviation), seed)
-    return float(np.std((run.acceleration_estimate - run.desired)[1000:]))
+def response_noise(
+    plant: Plant, controller: Controller, deviation: float, seed: int, time_step: float = 1e-3
+) -> float:
+    """Standard deviation of response - desired at rest in Gaussian noise, m/s^2; 5 s after the first."""
+    still = at_rest(round(6 / time_step), time_step)
+    run = noisy_run(plant, controller, still, Noise("gaussian", deviation), seed)
+    return float(np.std((run.acceleration_estimate - run.desired)[round(1 / time_step) :]))

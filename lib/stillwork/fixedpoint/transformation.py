@@ -64,7 +64,8 @@ class RobustTransformation:
 
     def __post_init__(self):
         require_number("offset", self.offset, above=0)
-        require_number("factor", self.factor)
+        if require_number("factor", self.factor) == 0:
+            raise InputError("factor is 0, which never adapts; give a negative number")
         require_number("slope", self.slope, above=0)
 
     @property
@@ -84,7 +85,7 @@ def contraction_range(response_gain: float) -> tuple[float, float]:
     """Open range of `local_gain` in which deformed -> G(deformed, f(deformed), desired) contracts.
 
     With f' = `response_gain` the multiplier of an iteration is 1 + local_gain f'; Banach's theorem wants it
-    within (-1, 1). A filter or a delay in the loop narrows the range: see `stillwork.fixedpoint.stability`.
+    within (-1, 1). A filter or a delay in the loop narrows the range: `stable_range` finds it.
 
     Parameters
     ----------

@@ -36,6 +36,7 @@ class Family:
     name: str
     ranges: dict[str, tuple[float, float]]
     build: Callable  # (model, time_step, **numbers) -> Filter
+    whole: tuple[str, ...] = ()  # numbers that are rounded before use
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -46,9 +47,16 @@ class Family:
         """Logarithms of the ranges."""
         return np.log(np.array([*SHARED.values(), *self.ranges.values()], dtype=float))
 
+    def numbers(self, knobs: np.ndarray) -> dict[str, float]:
+        """The settings at a point of the search."""
+        return {
+            name: round(value) if name in self.whole else value
+            for name, value in zip(self.names, np.exp(knobs).tolist(), strict=True)
+        }
+
     def controller(self, model: Plant, time_step: float, knobs: np.ndarray) -> Controller:
         """The controller at a point of the search, with transformation (8)."""
-        numbers = dict(zip(self.names, np.exp(knobs).tolist(), strict=True))
+        numbers = self.numbers(knobs)
         exponent, strength = numbers.pop("exponent"), numbers.pop("strength")
         transformation = RobustTransformation(slope=strength / (4e7 * 1.05))
         signal_filter = self.build(model, time_step, **numbers)
@@ -63,12 +71,14 @@ def families() -> dict[str, Family]:
             Family(
                 WINDOW,
                 {"length": (1.0, 40.0)},
-                lambda model, time_step, length: MovingWindow(round(length)),
+                lambda model, time_step, length: MovingWindow(length),
+                whole=("length",),
             ),
             Family(
                 LOW_PASS,
                 {"bandwidth": (60.0, 1500.0)},
-                lambda model, time_step, bandwidth: LowPass(bandwidth),
+                # Euler's rule diverges at 2 / time_step.
+                lambda model, time_step, bandwidth: LowPass(min(bandwidth, 1.9 / time_step)),
             ),
             Family(
                 KALMAN,
@@ -93,9 +103,8 @@ def families() -> dict[str, Family]:
             Family(
                 POLYNOMIAL,
                 {"samples": (5.0, 60.0), "degree": (2.0, 3.4)},
-                lambda model, time_step, samples, degree: SavitzkyGolay(
-                    round(samples), round(degree), time_step
-                ),
+                lambda model, time_step, samples, degree: SavitzkyGolay(samples, degree, time_step),
+                whole=("samples", "degree"),
             ),
         )
     }
@@ -110,6 +119,7 @@ class Tuned:
     cost: float  # mean over the training runs, in the unit of the criterion
     evaluations: int
     diverged: int  # how many of them
+    at_edge: tuple[str, ...]  # settings at an end of their range: a wider one might give more
 
 
 def tune(
@@ -190,8 +200,9 @@ def tune(
         raise InputError(f"{family.name}: every one of {len(tried)} settings diverged; widen the ranges")
     return Tuned(
         family.controller(model, trajectory.time_step, knobs),
-        dict(zip(family.names, np.exp(knobs).tolist(), strict=True)),
+        family.numbers(knobs),
         float(best),
         len(tried),
         int(sum(np.isinf(value) for value, _ in tried)),
+        tuple(name for name, knob, *ends in zip(family.names, knobs, low, high, strict=True) if knob in ends),
     )

@@ -25,7 +25,7 @@ from stillwork.fixedpoint.gaussian import (
     _cholesky,
     _correct_gaussian,
 )
-from stillwork.kernels import kernel
+from stillwork.kernels import inlined_kernel, kernel
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def _draw_points(work, size, spread):
     return True
 
 
-@kernel
+@inlined_kernel
 def _weighted_mean(points, mean, count, size, first, other):
     for j in range(size):
         total = first * points[0, j]
@@ -76,7 +76,7 @@ def _weighted_mean(points, mean, count, size, first, other):
         mean[j] = total
 
 
-@kernel
+@inlined_kernel
 def _weighted_product(points, mean, others, other_mean, result, count, rows, columns, first, other):
     for i in range(rows):
         for j in range(columns):

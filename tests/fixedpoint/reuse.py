@@ -1,0 +1,39 @@
+"""Use a reader's own plant and model once, and count what had to be compiled for it."""
+
+import numpy as np
+from stillwork import fixedpoint as fp
+from stillwork.fixedpoint import loop, model_kernels, models, plant
+from stillwork.kernels import callback
+
+
+def use(own_model):
+    """Compilations of the two kernels, callbacks found on disk, and the largest settled error."""
+    own, rough = (
+        fp.Plant(own_model.cart_acceleration, own_model.cart_force, np.array(parameters))
+        for parameters in ([2.0, 1.0], [1.5, 0.0])
+    )
+    controller = fp.Controller(
+        fp.UnscentedKalman(rough), fp.RobustTransformation(), fp.KinematicDesign(10.0), rough
+    )
+    run = fp.simulate(own, controller, fp.sine_trajectory(duration=1.0))
+    model = fp.StateModel(own_model.pendulum, own_model.seen, 2, 1, 1, np.array([0.01, 9.81, 0.1]))
+    fp.unscented_filter(
+        model,
+        np.zeros((1, 5)),
+        process=[1e-3, 1e-3],
+        noise=[1e-2],
+        initial_mean=[0.0, 0.0],
+        initial_covariance=[1.0, 1.0],
+    )
+    kernels = (loop._closed_loop, model_kernels._model_record)
+    callbacks = [
+        callback(own_model.cart_acceleration, plant.SIGNATURE),
+        callback(own_model.cart_force, plant.SIGNATURE),
+        callback(own_model.pendulum, models.SIGNATURE),
+        callback(own_model.seen, models.SIGNATURE),
+    ]
+    return (
+        sum(sum(one.stats.cache_misses.values()) for one in kernels),
+        sum(one.cache_hits for one in callbacks),
+        float(np.abs(run.position_error[500:]).max()),
+    )

@@ -1,0 +1,53 @@
+"""The simulations that the convergence analysis is held against, and what they hold."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from stillwork.fixedpoint import FlowTransformation, Noise, published_controllers, simulate
+from stillwork.fixedpoint.published import KALMAN, LOW_PASS, WINDOW
+from stillwork.fixedpoint.studies_convergence import (
+    at_rest,
+    cycles_over_gain,
+    divergence_by_noise,
+    remaining_motion,
+    response_noise,
+)
+
+STEP = 1e-3
+
+
+def test_cycles_are_predicted_and_found_together(exact, approximate):
+    window = published_controllers(approximate)[WINDOW]
+    predicted, simulated = cycles_over_gain(exact, window, [0.2, 1.1], 3.0, STEP)
+    assert np.isnan(predicted[0]).all()  # 0.2 / 3 is within the stable range
+    assert simulated[0][1] < 1e-2
+    assert predicted[1] == pytest.approx(simulated[1], rel=5e-3)
+    assert predicted[1][0] == pytest.approx(40, abs=0.5)
+
+
+def test_a_kick_stays_or_dies(exact, approximate):
+    controllers = {
+        name: replace(controller, transformation=FlowTransformation())
+        for name, controller in published_controllers(approximate).items()
+    }
+    assert remaining_motion(exact, controllers[WINDOW], 1e-3, STEP) > 1
+    assert remaining_motion(exact, controllers[KALMAN], 1e-3, STEP) < 1e-6
+    assert remaining_motion(exact, controllers[WINDOW], 5.0, STEP) == np.inf
+
+
+def test_noise_starves_the_kalman_loop_of_six(exact, approximate):
+    kalman = published_controllers(approximate)[KALMAN]
+    six = replace(kalman, transformation=FlowTransformation())
+    assert divergence_by_noise(exact, six, [1e-6, 1e-4], 2, 0) == [0.0, 1.0]
+    assert divergence_by_noise(exact, kalman, [1e-4], 2, 0) == [0.0]
+
+
+def test_response_noise_is_proportional_to_the_noise(exact, approximate):
+    """The low pass with (8) is as good as linear at rest; the first second does not count."""
+    controller = published_controllers(approximate)[LOW_PASS]
+    small, large = (response_noise(exact, controller, s, 4) for s in (1e-6, 1e-5))
+    assert large == pytest.approx(10 * small, rel=1e-3)
+    noise = Noise("gaussian", 1e-5).draw(np.random.default_rng(4), 6000)
+    run = simulate(exact, controller, at_rest(6000, STEP), noise)
+    assert large == pytest.approx((run.acceleration_estimate - run.desired)[1000:].std())
