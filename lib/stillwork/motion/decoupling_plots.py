@@ -1,0 +1,122 @@
+"""Figures of the decoupled machine: every entry of a transfer matrix in its place."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from stillwork import figures
+from stillwork.lti import StateModel, resonance_grid
+from stillwork.motion.beam import beam, beam_parameters
+from stillwork.motion.decoupling_schemes import Settings, actuators_of, published_settings, with_scheme
+from stillwork.motion.plots import decibel
+
+COLOURS = (figures.BLUE, figures.GREEN, figures.RED, figures.ORANGE)
+
+
+def transfer_matrix(
+    systems: Mapping[str, StateModel],
+    *,
+    slopes: Mapping[tuple[int, int], float] | None = None,
+    signals: tuple[str, str] = ("u", "q"),
+    quantity: str = "magnitude (dB re 1 s²)",
+    low_hz: float = 1.0,
+    high_hz: float = 2e3,
+):
+    """Magnitudes of several systems with two inputs and two outputs, one panel an entry.
+
+    Parameters
+    ----------
+    systems : mapping of str to StateModel
+        The first is drawn broad, below the others.
+    slopes : mapping, optional
+        Published slope of some entries (row, column), drawn as a guide below the last system.
+    signals : tuple of str
+        Names of inputs and outputs.
+    quantity : str
+        Label of the magnitude axes.
+    low_hz, high_hz : float
+        Range that is shown.
+    """
+    poles = np.concatenate([system.poles for system in systems.values()])
+    omega = resonance_grid(poles[np.abs(poles) > 2 * np.pi * low_hz], low_hz, high_hz, 250, 25)
+    hertz = omega / (2 * np.pi)
+    figure, axes = figures.new(2, 2, height=5.0, sharex=True, squeeze=False)
+    for number, (name, system) in enumerate(systems.items()):
+        response = decibel(system.frequency_response(omega))
+        style = {
+            "color": COLOURS[number],
+            "linewidth": 1.1 if number else 2.4,
+            "alpha": 1 if number else 0.55,
+        }
+        for place, axis in np.ndenumerate(axes):
+            axis.semilogx(hertz, response[place], label=name, **style)
+    low = (hertz >= 1.5 * low_hz) & (hertz <= 8 * low_hz)
+    for place, value in (slopes or {}).items():
+        start = response[place][low][0] - 12  # response is that of the last system
+        guide = start + 20 * value * np.log10(hertz[low] / hertz[low][0])
+        axes[place].semilogx(
+            hertz[low], guide, color=figures.BLACK, linestyle="--", label=f"slope {value:+.0f}"
+        )
+        axes[place].legend(
+            axes[place].lines[-1:], [f"slope {value:+.0f}" if value else "slope 0"], loc="lower left"
+        )
+    source, target = signals
+    for (row, column), axis in np.ndenumerate(axes):
+        axis.set_title(f"${source}_{column + 1}$ to ${target}_{row + 1}$")
+    for axis in axes[-1]:
+        axis.set_xlabel("frequency (Hz)")
+    for axis in axes[:, 0]:
+        axis.set_ylabel(quantity)
+    figure.legend(axes[0, 0].lines, list(systems), loc="outside lower center", ncols=len(systems))
+    return figure
+
+
+def slope_ranges(slopes: Mapping[str, np.ndarray], published: Mapping[str, tuple[float, float]]):
+    """Slopes of both off-diagonal entries over the machines of a study, one row a scheme, with the published ones.
+
+    Parameters
+    ----------
+    slopes : mapping of str to ndarray, shape (runs, 2, 2)
+    published : mapping of str to tuple
+        Slopes of q1 from u2 and of q2 from u1.
+    """
+    figure, axes = figures.new(1, 2, height=0.3 * len(slopes) + 1.2, sharey=True)
+    rows = np.arange(len(slopes))
+    entries = (("$u_2$ to $q_1$", (0, 1)), ("$u_1$ to $q_2$", (1, 0)))
+    for number, (axis, (title, place)) in enumerate(zip(axes, entries, strict=True)):
+        values = [slopes[name][(slice(None), *place)] for name in slopes]
+        for row, value in zip(rows, values, strict=True):
+            axis.plot(
+                value, np.full(len(value), row), "|", color=figures.BLUE, markersize=9, label="machines"
+            )
+        figures.mark_published(axis, [published[name][number] for name in slopes], rows)
+        axis.set_title(title)
+        axis.set_xlabel("slope (decades per decade)")
+        axis.set_xlim(-2.3, 0.3)
+    axes[0].set_yticks(rows, list(slopes))
+    axes[0].invert_yaxis()
+    axes[0].legend(axes[0].lines[-2:], ["machines of the study", "published"], loc="lower left")
+    return figure
+
+
+def draw_decoupling(scheme: str, increase: float, selectivity: float, second: float, taper: float):
+    """Explorer: the off-diagonal entries with one scheme for another place of the second actuator."""
+    places = beam_parameters()["assumed"]
+    actuators = [places["actuators"][0], second, *places["actuators"][2:]]
+    machine = beam(actuators, places["sensors"], taper=taper)
+    plant = machine.at(range(actuators_of(scheme, machine)), range(2))
+    printed = published_settings()
+    settings = Settings(increase, printed.damped, selectivity, printed.stiffness_factor, selectivity)
+    figure, axes = figures.new(1, 2, height=2.8, sharey=True)
+    for name, colour in (("undamped", figures.GREY), (scheme, figures.BLUE)):
+        system = with_scheme(name, plant, settings)
+        omega = resonance_grid(plant.poles, 1.0, 2e3, 120, 12)
+        response = decibel(system.frequency_response(omega))
+        for axis, place in zip(axes, ((0, 1), (1, 0)), strict=True):
+            axis.semilogx(omega / (2 * np.pi), response[place], color=colour, label=name)
+    for axis, title in zip(axes, ("$u_2$ to $q_1$", "$u_1$ to $q_2$"), strict=True):
+        axis.set_title(title)
+        axis.set_xlabel("frequency (Hz)")
+    axes[0].set_ylabel("magnitude (dB re 1 s²)")
+    axes[0].legend()
+    return figure

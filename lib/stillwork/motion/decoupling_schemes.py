@@ -1,0 +1,230 @@
+"""The ways to damp that section 4.3 compares, each as the decoupled machine it makes, on any geometry."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stillwork.checks import InputError, require_choice
+from stillwork.lti import ModalModel, StateModel, resonance_grid
+from stillwork.motion.applications import Application, compensator
+from stillwork.motion.beam import beam, beam_parameters
+from stillwork.motion.decoupled_damping import (
+    added_damping,
+    band_passed,
+    common_band_passed,
+    constrained_damping,
+    constrained_stiffness,
+    half_power_selectivity,
+)
+from stillwork.motion.decoupling import decouple, decoupled_plant, low_frequency_slopes
+from stillwork.motion.feedback import damping_gain, stiffness_gain
+from stillwork.motion.loops import channel, closed_loop
+from stillwork.motion.observer import Observer, kalman_observer, published_noise
+from stillwork.motion.reduction import truncate
+
+# Name to the number of actuators beyond that of the rigid-body modes; None: one a mode.
+SCHEMES = {
+    "undamped": 0,
+    "each mode": 0,
+    "minimal interaction": 0,
+    "band-passes": 0,
+    "common band-pass": 0,
+    "minimal actuation": 0,
+    "over-actuation": 1,
+    "total actuation": None,
+    "band-passes and over-actuation": 1,
+    "stiffness": 0,
+    "stiffness, second order": 0,
+    "stiffness, fourth order": 0,
+    "stiffness, over-actuation": 1,
+}
+
+DAMPING = ("each mode", "minimal interaction", "band-passes", "common band-pass")  # poles are looked at too
+
+# Without a coupling of their own at low frequency, but with a rounding that grows as 1/s^2: of the estimated
+# rigid body, or of a stiffness force that must not reach it.
+ROUNDED = ("compensation", "stiffness, over-actuation")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Of the feedback of section 4.3; see ``data/motion/beam.toml``."""
+
+    increase: float  # of the damping ratios
+    damped: int  # flexible modes
+    selectivity: float  # Q of the band-pass of each mode
+    stiffness_factor: float  # on the frequencies
+    common_selectivity: float | None = None  # None: half-power points on the outermost damped modes
+
+
+def published_settings() -> Settings:
+    """Those of section 4.3, with the assumed factor of active stiffness."""
+    p = beam_parameters()
+    printed = {name: p["published"][name] for name in ("increase", "damped", "selectivity")}
+    return Settings(**printed, stiffness_factor=p["assumed"]["stiffness_factor"])
+
+
+def actuators_of(name: str, machine: ModalModel) -> int:
+    """Number of actuators that one of `SCHEMES` takes."""
+    extra = SCHEMES[require_choice("name", name, SCHEMES)]
+    return len(machine.frequencies) if extra is None else machine.rigid_modes + extra
+
+
+def scheme_gain(name: str, plant: ModalModel, settings: Settings) -> np.ndarray | StateModel:
+    """Gain K or K(s) of one of `SCHEMES` on the modal states of a machine.
+
+    Parameters
+    ----------
+    name : str
+    plant : ModalModel
+        With the actuators that the scheme takes.
+    settings : Settings
+
+    Raises
+    ------
+    InputError
+        When the machine has another number of actuators than the scheme takes, or cannot meet its constraints.
+    """
+    modes, actuators = plant.input_shapes.shape
+    taken = actuators_of(name, plant)
+    if name != "undamped" and actuators != taken:
+        raise InputError(f"plant has {actuators} actuators; {name!r} takes {taken}")
+    flexible = np.arange(modes - plant.rigid_modes)
+    retained = truncate(plant, plant.rigid_modes + settings.damped)
+    increase = np.where(flexible < settings.damped, settings.increase, 0.0)
+    factor = np.where(flexible < settings.damped, settings.stiffness_factor, 1.0)
+    if name == "undamped":
+        return np.zeros((actuators, 2 * len(retained.frequencies)))
+    if name in ("each mode", "minimal interaction"):
+        return damping_gain(retained, settings.increase, name)
+    if name == "band-passes":
+        return band_passed(plant, damping_gain(retained, settings.increase), settings.selectivity)
+    if name == "common band-pass":
+        gain = damping_gain(retained, settings.increase)
+        return common_band_passed(
+            plant, gain, settings.common_selectivity or half_power_selectivity(plant, gain)
+        )
+    if name == "band-passes and over-actuation":
+        gain = constrained_damping(plant, increase, range(plant.rigid_modes, modes))
+        return band_passed(plant, gain, settings.selectivity)
+    if name == "stiffness, over-actuation":
+        return constrained_stiffness(plant, factor)
+    if name.startswith("stiffness"):
+        gain = stiffness_gain(retained, settings.stiffness_factor)
+        orders = {"stiffness, second order": 2, "stiffness, fourth order": 4}
+        return band_passed(plant, gain, settings.selectivity, orders[name]) if name in orders else gain
+    return constrained_damping(plant, increase)  # minimal, over- and total actuation
+
+
+def with_scheme(name: str, plant: ModalModel, settings: Settings) -> StateModel:
+    """The decoupled machine, u to q, under one of `SCHEMES` with perfect estimates.
+
+    Raises
+    ------
+    InputError
+        As `scheme_gain`, and when the rigid-body modes cannot be decoupled.
+    """
+    return decoupled_plant(plant, decouple(plant), scheme_gain(name, plant, settings))
+
+
+def reduced_observer(plant: ModalModel, settings: Settings) -> Observer:
+    """Kalman observer of section 4.3.1: the retained modes, with the compliance of the others."""
+    retained = plant.rigid_modes + settings.damped
+    return kalman_observer(truncate(plant, retained, len(plant.frequencies) - retained), published_noise())
+
+
+def with_compensation(plant: ModalModel, settings: Settings) -> StateModel:
+    """The decoupled machine, u to q, with measurement compensation by `reduced_observer` (Fig. 4.14)."""
+    block = compensator(reduced_observer(plant, settings), Application(compensate=True))
+    outputs, inputs = plant.feedthrough.shape
+    idle = StateModel(
+        np.zeros((0, 0)), np.zeros((0, outputs)), np.zeros((inputs, 0)), np.zeros((inputs, outputs))
+    )
+    error = channel(closed_loop(plant, block, idle), "u_ff", "e_meas", inputs, outputs)
+    both = decouple(plant)
+    return StateModel(
+        error.a, error.b @ both.actuation, -both.sensing @ error.c, -both.sensing @ error.d @ both.actuation
+    )
+
+
+def draw_beam(rng: np.random.Generator, spacing: float = 0.1) -> ModalModel:
+    """A tapered beam with its five actuators and two sensors anywhere, but `spacing` apart at least."""
+    modes = 2 + len(beam_parameters()["published"]["frequencies_hz"])
+    actuators, sensors = (_places(rng, count, spacing) for count in (modes, 2))
+    return beam(actuators, sensors, taper=rng.uniform(-1, 1))
+
+
+def _places(rng: np.random.Generator, count: int, spacing: float) -> np.ndarray:
+    if spacing * (count - 1) >= 1:
+        raise InputError(f"spacing is {spacing:g}; {count} places need less than {1 / (count - 1):g}")
+    # Spread over what the gaps leave, then put the gaps in: uniform over all places that keep them.
+    free = np.sort(rng.uniform(0, 1 - spacing * (count - 1), count))
+    return rng.permutation(free + spacing * np.arange(count))
+
+
+def geometry_trial(
+    rng: np.random.Generator, schemes: Sequence[str], settings: Settings, compensate: bool = False
+) -> Mapping[str, float | np.ndarray]:
+    """One machine of the study: slopes, couplings and stability of its decoupled plants.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    schemes : sequence of str
+        Some of `SCHEMES`.
+    settings : Settings
+    compensate : bool
+        Measure the machine with measurement compensation too, under the name ``compensation``.
+
+    Returns
+    -------
+    mapping
+        For each scheme its ``slopes`` (axes, axes), ``low`` (entries at 1 Hz, axes x axes), ``peak`` (largest
+        off-diagonal entry around the second flexible mode over the undamped one with these actuators),
+        ``at modes`` (axes, axes, damped modes; over the undamped ones) and whether it is ``stable``;
+        for those in `DAMPING` the ``added`` damping ratio and the ``shift`` of the frequency (damped modes).
+    """
+    machine = draw_beam(rng)
+    found = {}
+    for name in [*schemes, *["compensation"] * compensate]:
+        extra = "undamped" if name == "compensation" else name
+        plant = machine.at(range(actuators_of(extra, machine)), range(2))
+        bare = with_scheme("undamped", plant, settings)
+        system = (
+            with_compensation(plant, settings)
+            if name == "compensation"
+            else with_scheme(name, plant, settings)
+        )
+        modes = plant.frequencies[plant.rigid_modes :]
+        band = (0.03, 0.3) if name in ROUNDED else ()
+        found |= {
+            f"{name}: slopes": low_frequency_slopes(system, *band),
+            f"{name}: low": np.abs(system.frequency_response([2 * np.pi])[..., 0]),
+            f"{name}: peak": off_diagonal_peak(system, modes[1]) / off_diagonal_peak(bare, modes[1]),
+            f"{name}: at modes": np.abs(
+                system.frequency_response(modes[: settings.damped])
+                / bare.frequency_response(modes[: settings.damped])
+            ),
+            f"{name}: stable": oscillates_stably(system),
+        }
+        if name in DAMPING:
+            damping, shift = added_damping(plant, system)
+            found |= {
+                f"{name}: added": damping[: settings.damped],
+                f"{name}: shift": shift[: settings.damped],
+            }
+    return found
+
+
+def off_diagonal_peak(system: StateModel, omega: float, part: float = 0.2) -> float:
+    """Largest off-diagonal magnitude within `part` of a frequency (rad/s)."""
+    low, high = omega * (1 - part) / (2 * np.pi), omega * (1 + part) / (2 * np.pi)
+    response = np.abs(system.frequency_response(resonance_grid(system.poles, low, high, 60, 15)))
+    return float(response[~np.eye(len(response), dtype=bool)].max())
+
+
+def oscillates_stably(system: StateModel) -> bool:
+    """Whether every pole but those of the rigid-body modes, at the origin, is stable."""
+    poles = system.poles
+    return bool(np.all(poles[np.abs(poles) > 1e-4 * np.abs(poles).max()].real < 0))
