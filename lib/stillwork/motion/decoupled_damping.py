@@ -193,3 +193,17 @@ def added_damping(
     _, chosen = linear_sum_assignment(np.abs(upper[None, :] - before[:, None]))
     after = upper[chosen]
     return -after.real / np.abs(after) - plant.damping[rigid:], np.abs(after) / plant.frequencies[rigid:] - 1
+
+
+def minimal_order(gain: StateModel) -> int:
+    """Order of a minimal realisation of a stable model, by the rank of its Hankel operator."""
+    if gain.step or not gain.is_stable:
+        raise InputError("gain must be stable and in continuous time; its order is counted by Gramians")
+    rate = np.abs(gain.poles).max()
+    a = gain.a / rate
+    # Of unit size: the rank is judged against rounding.
+    b, c = (matrix / np.linalg.norm(matrix) for matrix in (gain.b, gain.c))
+    reach = linalg.solve_continuous_lyapunov(a, -b @ b.T)
+    seen = linalg.solve_continuous_lyapunov(a.T, -c.T @ c)
+    hankel = np.sqrt(np.maximum(linalg.eigvals(reach @ seen).real, 0))
+    return int(np.count_nonzero(hankel > 1e-6 * hankel.max()))

@@ -1,11 +1,12 @@
 """Static decoupling of the rigid-body modes, and what state feedback does to it (section 4.3)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.checks import InputError, require_count
+from stillwork.checks import InputError
 from stillwork.lti import ModalModel, StateModel, interconnect
 from stillwork.motion.integral_action import slope
 from stillwork.motion.observer import Observer
@@ -40,19 +41,21 @@ class Decoupling:
         return replace(model, input_shapes=input_shapes, output_shapes=output_shapes, feedthrough=feedthrough)
 
 
-def decouple(model: ModalModel, actuated: int | None = None, sensed: int | None = None) -> Decoupling:
-    r"""Decoupling of the rigid-body modes, (4.12), and of as many flexible modes as wanted.
+def decouple(
+    model: ModalModel, actuated: Sequence[int] | None = None, sensed: Sequence[int] | None = None
+) -> Decoupling:
+    r"""Decoupling of the rigid-body modes, (4.12), and of flexible modes from them.
 
-    :math:`\Phi_a\Gamma` is the unit matrix on the rigid-body modes and zero on the other modes that are
-    counted; :math:`\Upsilon\Phi_s` likewise. With more actuators or sensors than counted modes, the matrices
-    of least norm.
+    :math:`\Phi_a\Gamma` is the unit matrix on the rigid-body modes and zero on the other modes that are told
+    apart; :math:`\Upsilon\Phi_s` likewise. With more actuators or sensors than such modes, the matrices of
+    least norm.
 
     Parameters
     ----------
     model : ModalModel
-    actuated, sensed : int, optional
-        Modes that the inputs and the outputs tell apart, rigid-body modes included; by default as many as
-        there are actuators and sensors.
+    actuated, sensed : sequence of int, optional
+        Modes that the inputs and the outputs tell apart, counted from 0, the rigid-body modes among them; by
+        default the first ones, as many as there are actuators and sensors.
 
     Raises
     ------
@@ -69,14 +72,16 @@ def decouple(model: ModalModel, actuated: int | None = None, sensed: int | None 
     )
     inverses = []
     for name, wanted, shapes, what in sides:
-        count = min(modes, max(len(shapes), rigid)) if wanted is None else require_count(name, wanted)
-        if not rigid <= count <= modes:
+        chosen = range(min(modes, max(len(shapes), rigid))) if wanted is None else sorted(set(wanted))
+        if list(chosen[:rigid]) != list(range(rigid)) or chosen[-1] >= modes:
             raise InputError(
-                f"{name} is {count}; give at least the {rigid} rigid-body modes, at most {modes}"
+                f"{name} is {list(chosen)}; name the {rigid} rigid-body modes and others up to {modes - 1}"
             )
-        if len(shapes) < count:
-            raise InputError(f"model has {len(shapes)} {what}, which tell apart no {count} modes; add {what}")
-        inverses.append(_inverse(shapes[:, :count], what)[:rigid])
+        if len(shapes) < len(chosen):
+            raise InputError(
+                f"model has {len(shapes)} {what}, which do not tell {len(chosen)} modes apart; add {what}"
+            )
+        inverses.append(_inverse(shapes[:, list(chosen)], what)[:rigid])
     return Decoupling(np.ascontiguousarray(inverses[0].T), inverses[1])
 
 

@@ -1,12 +1,12 @@
 """Figures of the decoupled machine: every entry of a transfer matrix in its place."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from stillwork import figures
 from stillwork.lti import StateModel, resonance_grid
-from stillwork.motion.beam import beam, beam_parameters
+from stillwork.motion.beam import beam, beam_parameters, beam_shapes
 from stillwork.motion.decoupling_schemes import Settings, actuators_of, published_settings, with_scheme
 from stillwork.motion.plots import decibel
 
@@ -29,7 +29,7 @@ def transfer_matrix(
     systems : mapping of str to StateModel
         The first is drawn broad, below the others.
     slopes : mapping, optional
-        Published slope of some entries (row, column), drawn as a guide below the last system.
+        Published slope of some entries (row, column), drawn as a guide beside the last system.
     signals : tuple of str
         Names of inputs and outputs.
     quantity : str
@@ -43,31 +43,48 @@ def transfer_matrix(
     figure, axes = figures.new(2, 2, height=5.0, sharex=True, squeeze=False)
     for number, (name, system) in enumerate(systems.items()):
         response = decibel(system.frequency_response(omega))
-        style = {
-            "color": COLOURS[number],
-            "linewidth": 1.1 if number else 2.4,
-            "alpha": 1 if number else 0.55,
-        }
+        style = {"color": COLOURS[number], "linewidth": 1.1, "linestyle": "--" if number > 1 else "-"}
+        if not number:
+            style |= {"linewidth": 2.4, "alpha": 0.55}
         for place, axis in np.ndenumerate(axes):
             axis.semilogx(hertz, response[place], label=name, **style)
     low = (hertz >= 1.5 * low_hz) & (hertz <= 8 * low_hz)
     for place, value in (slopes or {}).items():
-        start = response[place][low][0] - 12  # response is that of the last system
+        axis, text = axes[place], f"published slope {value:+g}" if value else "published slope 0"
+        start = response[place][low][0] + (12 if value else -15)  # response is that of the last system
         guide = start + 20 * value * np.log10(hertz[low] / hertz[low][0])
-        axes[place].semilogx(
-            hertz[low], guide, color=figures.BLACK, linestyle="--", label=f"slope {value:+.0f}"
-        )
-        axes[place].legend(
-            axes[place].lines[-1:], [f"slope {value:+.0f}" if value else "slope 0"], loc="lower left"
+        axis.semilogx(hertz[low], guide, color=figures.BLACK, linestyle=":", label=text)
+        axis.annotate(
+            text, (hertz[low][-1], guide[-1]), (3, 0), textcoords="offset points", va="center", fontsize=7
         )
     source, target = signals
     for (row, column), axis in np.ndenumerate(axes):
-        axis.set_title(f"${source}_{column + 1}$ to ${target}_{row + 1}$")
+        axis.set_title(f"{source}{column + 1} to {target}{row + 1}")
     for axis in axes[-1]:
         axis.set_xlabel("frequency (Hz)")
     for axis in axes[:, 0]:
         axis.set_ylabel(quantity)
-    figure.legend(axes[0, 0].lines, list(systems), loc="outside lower center", ncols=len(systems))
+    figure.legend(
+        axes[0, 0].lines[: len(systems)], list(systems), loc="outside lower center", ncols=len(systems)
+    )
+    return figure
+
+
+def beam_layout(actuators: Sequence[float], sensors: Sequence[float]):
+    """Flexible mode shapes of the uniform beam with the places of actuators and sensors."""
+    published = beam_parameters()["published"]["frequencies_hz"]
+    along = np.linspace(0, 1, 201)
+    figure, axis = figures.new(1, 1, height=2.6)
+    shapes = beam_shapes(along, 2 + len(published))[:, 2:]
+    for frequency, shape in zip(published, shapes.T, strict=True):
+        axis.plot(along, shape, label=f"{frequency:g} Hz")
+    axis.plot(actuators, np.full(len(actuators), -2.35), "^", color=figures.BLACK, label="actuators")
+    for number, place in enumerate(actuators, 1):
+        axis.annotate(str(number), (place, -2.3), xytext=(6, 0), textcoords="offset points", fontsize=8)
+    axis.plot(sensors, np.full(len(sensors), 2.35), "v", color=figures.GREY, label="sensors")
+    axis.set_xlabel("place along the beam (1)")
+    axis.set_ylabel("mode shape (1)")
+    axis.legend(loc="upper center", bbox_to_anchor=(0.5, 1.22), ncols=len(published) + 2)
     return figure
 
 
@@ -82,7 +99,7 @@ def slope_ranges(slopes: Mapping[str, np.ndarray], published: Mapping[str, tuple
     """
     figure, axes = figures.new(1, 2, height=0.3 * len(slopes) + 1.2, sharey=True)
     rows = np.arange(len(slopes))
-    entries = (("$u_2$ to $q_1$", (0, 1)), ("$u_1$ to $q_2$", (1, 0)))
+    entries = (("u2 to q1", (0, 1)), ("u1 to q2", (1, 0)))
     for number, (axis, (title, place)) in enumerate(zip(axes, entries, strict=True)):
         values = [slopes[name][(slice(None), *place)] for name in slopes]
         for row, value in zip(rows, values, strict=True):
@@ -114,7 +131,7 @@ def draw_decoupling(scheme: str, increase: float, selectivity: float, second: fl
         response = decibel(system.frequency_response(omega))
         for axis, place in zip(axes, ((0, 1), (1, 0)), strict=True):
             axis.semilogx(omega / (2 * np.pi), response[place], color=colour, label=name)
-    for axis, title in zip(axes, ("$u_2$ to $q_1$", "$u_1$ to $q_2$"), strict=True):
+    for axis, title in zip(axes, ("u2 to q1", "u1 to q2"), strict=True):
         axis.set_title(title)
         axis.set_xlabel("frequency (Hz)")
     axes[0].set_ylabel("magnitude (dB re 1 s²)")

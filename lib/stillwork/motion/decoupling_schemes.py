@@ -72,7 +72,7 @@ def actuators_of(name: str, machine: ModalModel) -> int:
 
 
 def scheme_gain(name: str, plant: ModalModel, settings: Settings) -> np.ndarray | StateModel:
-    """Gain K or K(s) of one of `SCHEMES` on the modal states of a machine.
+    """Gain K or K(s) of one of `SCHEMES` on the states of the retained modes.
 
     Parameters
     ----------
@@ -94,8 +94,9 @@ def scheme_gain(name: str, plant: ModalModel, settings: Settings) -> np.ndarray 
     retained = truncate(plant, plant.rigid_modes + settings.damped)
     increase = np.where(flexible < settings.damped, settings.increase, 0.0)
     factor = np.where(flexible < settings.damped, settings.stiffness_factor, 1.0)
+    fed = slice(0, 2 * len(retained.frequencies))
     if name == "undamped":
-        return np.zeros((actuators, 2 * len(retained.frequencies)))
+        return np.zeros((actuators, fed.stop))
     if name in ("each mode", "minimal interaction"):
         return damping_gain(retained, settings.increase, name)
     if name == "band-passes":
@@ -106,26 +107,27 @@ def scheme_gain(name: str, plant: ModalModel, settings: Settings) -> np.ndarray 
             plant, gain, settings.common_selectivity or half_power_selectivity(plant, gain)
         )
     if name == "band-passes and over-actuation":
-        gain = constrained_damping(plant, increase, range(plant.rigid_modes, modes))
+        gain = constrained_damping(plant, increase, range(plant.rigid_modes, modes))[:, fed]
         return band_passed(plant, gain, settings.selectivity)
     if name == "stiffness, over-actuation":
-        return constrained_stiffness(plant, factor)
+        return constrained_stiffness(plant, factor)[:, fed]
     if name.startswith("stiffness"):
         gain = stiffness_gain(retained, settings.stiffness_factor)
         orders = {"stiffness, second order": 2, "stiffness, fourth order": 4}
         return band_passed(plant, gain, settings.selectivity, orders[name]) if name in orders else gain
-    return constrained_damping(plant, increase)  # minimal, over- and total actuation
+    return constrained_damping(plant, increase)[:, fed]  # minimal, over- and total actuation
 
 
-def with_scheme(name: str, plant: ModalModel, settings: Settings) -> StateModel:
-    """The decoupled machine, u to q, under one of `SCHEMES` with perfect estimates.
+def with_scheme(name: str, plant: ModalModel, settings: Settings, observed: bool = False) -> StateModel:
+    """The decoupled machine, u to q, under one of `SCHEMES`: on the true states, or on `reduced_observer`'s.
 
     Raises
     ------
     InputError
         As `scheme_gain`, and when the rigid-body modes cannot be decoupled.
     """
-    return decoupled_plant(plant, decouple(plant), scheme_gain(name, plant, settings))
+    observer = reduced_observer(plant, settings) if observed else None
+    return decoupled_plant(plant, decouple(plant), scheme_gain(name, plant, settings), observer)
 
 
 def reduced_observer(plant: ModalModel, settings: Settings) -> Observer:
@@ -182,30 +184,31 @@ def geometry_trial(
     mapping
         For each scheme its ``slopes`` (axes, axes), ``low`` (entries at 1 Hz, axes x axes), ``peak`` (largest
         off-diagonal entry around the second flexible mode over the undamped one with these actuators),
-        ``at modes`` (axes, axes, damped modes; over the undamped ones) and whether it is ``stable``;
+        and whether it is ``stable``; for MC the entries ``at modes`` (axes, axes, damped modes) over the undamped;
         for those in `DAMPING` the ``added`` damping ratio and the ``shift`` of the frequency (damped modes).
     """
     machine = draw_beam(rng)
-    found = {}
+    modes = machine.frequencies[machine.rigid_modes :]
+    damped = modes[: settings.damped]
+    found, bare = {}, {}
     for name in [*schemes, *["compensation"] * compensate]:
-        extra = "undamped" if name == "compensation" else name
-        plant = machine.at(range(actuators_of(extra, machine)), range(2))
-        bare = with_scheme("undamped", plant, settings)
-        system = (
-            with_compensation(plant, settings)
-            if name == "compensation"
-            else with_scheme(name, plant, settings)
-        )
-        modes = plant.frequencies[plant.rigid_modes :]
+        actuators = actuators_of("undamped" if name == "compensation" else name, machine)
+        plant = machine.at(range(actuators), range(machine.rigid_modes))
+        if actuators not in bare:
+            undamped = with_scheme("undamped", plant, settings)
+            bare[actuators] = undamped, off_diagonal_peak(undamped, modes[1])
+        undamped, peak = bare[actuators]
+        if name == "compensation":
+            system = with_compensation(plant, settings)
+            ratio = system.frequency_response(damped) / undamped.frequency_response(damped)
+            found[f"{name}: at modes"] = np.abs(ratio)
+        else:
+            system = with_scheme(name, plant, settings)
         band = (0.03, 0.3) if name in ROUNDED else ()
         found |= {
             f"{name}: slopes": low_frequency_slopes(system, *band),
             f"{name}: low": np.abs(system.frequency_response([2 * np.pi])[..., 0]),
-            f"{name}: peak": off_diagonal_peak(system, modes[1]) / off_diagonal_peak(bare, modes[1]),
-            f"{name}: at modes": np.abs(
-                system.frequency_response(modes[: settings.damped])
-                / bare.frequency_response(modes[: settings.damped])
-            ),
+            f"{name}: peak": off_diagonal_peak(system, modes[1]) / peak,
             f"{name}: stable": oscillates_stably(system),
         }
         if name in DAMPING:
@@ -215,6 +218,29 @@ def geometry_trial(
                 f"{name}: shift": shift[: settings.damped],
             }
     return found
+
+
+def kept_out_trial(rng: np.random.Generator, settings: Settings) -> Mapping[str, np.ndarray]:
+    """Over-actuation on one machine when the actuators decouple the first or the second flexible mode too.
+
+    Returns
+    -------
+    mapping
+        ``peaks``, shape (decoupled mode, damped mode): the largest off-diagonal entry around each damped mode
+        over the undamped one.
+    """
+    machine = draw_beam(rng)
+    rigid = machine.rigid_modes
+    plant = machine.at(range(rigid + 1), range(rigid))
+    gain = scheme_gain("over-actuation", plant, settings)
+    damped = range(rigid, rigid + settings.damped)
+    peaks = []
+    for mode in damped:
+        decoupling = decouple(plant, (*range(rigid), mode))
+        system, bare = (decoupled_plant(plant, decoupling, part * gain) for part in (1, 0))
+        frequencies = plant.frequencies[list(damped)]
+        peaks.append([off_diagonal_peak(system, w) / off_diagonal_peak(bare, w) for w in frequencies])
+    return {"peaks": np.array(peaks)}
 
 
 def off_diagonal_peak(system: StateModel, omega: float, part: float = 0.2) -> float:
