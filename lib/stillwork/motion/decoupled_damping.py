@@ -11,7 +11,7 @@ from scipy.optimize import linear_sum_assignment
 from stillwork.checks import InputError, require_choice, require_count, require_number
 from stillwork.lti import ModalModel, StateModel, interconnect
 from stillwork.motion.decoupling import WORST_CONDITION
-from stillwork.motion.feedback import _flexible, band_pass
+from stillwork.motion.feedback import band_pass, per_flexible_mode
 
 
 def constrained_damping(
@@ -39,7 +39,7 @@ def constrained_damping(
     InputError
         When there are more constraints than actuators, or the places of these cannot meet them.
     """
-    increase = _flexible(model, "increase", increase)
+    increase = per_flexible_mode(model, "increase", increase)
     return _constrained(model, 2 * increase * model.frequencies[model.rigid_modes :], undisturbed, 1)
 
 
@@ -50,7 +50,7 @@ def constrained_stiffness(
 
     Parameters and errors as there, with a factor on each resonance frequency; 1 gives no feedback.
     """
-    factor = _flexible(model, "factor", factor)
+    factor = per_flexible_mode(model, "factor", factor)
     for each in factor:
         require_number("factor", each, above=0.0)
     return _constrained(model, (factor**2 - 1) * model.frequencies[model.rigid_modes :] ** 2, undisturbed, 0)

@@ -12,6 +12,8 @@ from stillwork.motion.plots import decibel
 
 COLOURS = (figures.BLUE, figures.GREEN, figures.RED, figures.ORANGE)
 
+ROUNDING_DB = -240.0  # an entry that is everywhere this far below the largest one is not drawn
+
 
 def transfer_matrix(
     systems: Mapping[str, StateModel],
@@ -47,7 +49,8 @@ def transfer_matrix(
         if not number:
             style |= {"linewidth": 2.4, "alpha": 0.55}
         for place, axis in np.ndenumerate(axes):
-            axis.semilogx(hertz, response[place], label=name, **style)
+            if np.any(response[place] > ROUNDING_DB + response.max(axis=(0, 1))):
+                axis.semilogx(hertz, response[place], label=name, **style)
     low = (hertz >= 1.5 * low_hz) & (hertz <= 8 * low_hz)
     for place, value in (slopes or {}).items():
         axis, text = axes[place], f"published slope {value:+g}" if value else "published slope 0"
@@ -60,6 +63,9 @@ def transfer_matrix(
     source, target = signals
     for (row, column), axis in np.ndenumerate(axes):
         axis.set_title(f"{source}{column + 1} to {target}{row + 1}")
+        if not axis.lines:
+            axis.annotate("0 but for rounding", (0.5, 0.5), xycoords="axes fraction", ha="center")
+            axis.set_yticks([])
     for axis in axes[-1]:
         axis.set_xlabel("frequency (Hz)")
     for axis in axes[:, 0]:
@@ -124,16 +130,15 @@ def draw_decoupling(scheme: str, increase: float, selectivity: float, second: fl
     plant = machine.at(range(actuators_of(scheme, machine)), range(2))
     printed = published_settings()
     settings = Settings(increase, printed.damped, selectivity, printed.stiffness_factor, selectivity)
-    figure, axes = figures.new(1, 2, height=2.8, sharey=True)
+    figure, axis = figures.new(1, 1, height=2.8)
+    omega = resonance_grid(plant.poles, 1.0, 2e3, 120, 12)
     for name, colour in (("undamped", figures.GREY), (scheme, figures.BLUE)):
-        system = with_scheme(name, plant, settings)
-        omega = resonance_grid(plant.poles, 1.0, 2e3, 120, 12)
-        response = decibel(system.frequency_response(omega))
-        for axis, place in zip(axes, ((0, 1), (1, 0)), strict=True):
-            axis.semilogx(omega / (2 * np.pi), response[place], color=colour, label=name)
-    for axis, title in zip(axes, ("u2 to q1", "u1 to q2"), strict=True):
-        axis.set_title(title)
-        axis.set_xlabel("frequency (Hz)")
-    axes[0].set_ylabel("magnitude (dB re 1 s²)")
-    axes[0].legend()
+        response = decibel(with_scheme(name, plant, settings).frequency_response(omega))
+        for entry, style, place in (("u2 to q1", "-", (0, 1)), ("u1 to q2", "--", (1, 0))):
+            label = f"{name}, {entry}"
+            axis.semilogx(omega / (2 * np.pi), response[place], style, color=colour, label=label)
+    axis.set_xlabel("frequency (Hz)")
+    axis.set_ylabel("magnitude (dB re 1 s²)")
+    axis.set_ylim(-220, -40)
+    axis.legend(fontsize=7, ncols=2)
     return figure

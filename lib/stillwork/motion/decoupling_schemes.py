@@ -4,9 +4,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float64
 
-from stillwork.checks import InputError, require_choice
-from stillwork.lti import ModalModel, StateModel, resonance_grid
+from stillwork.checks import InputError, require_choice, require_count, require_number
+from stillwork.lti import ModalModel, StateModel, refine_peak, resonance_grid
 from stillwork.motion.applications import Application, compensator
 from stillwork.motion.beam import beam, beam_parameters
 from stillwork.motion.decoupled_damping import (
@@ -56,6 +57,14 @@ class Settings:
     selectivity: float  # Q of the band-pass of each mode
     stiffness_factor: float  # on the frequencies
     common_selectivity: float | None = None  # None: half-power points on the outermost damped modes
+
+    def __post_init__(self):
+        require_number("increase", self.increase, at_least=0.0, below=1.0)
+        require_count("damped", self.damped)
+        for name in ("selectivity", "stiffness_factor"):
+            require_number(name, getattr(self, name), above=0.0)
+        if self.common_selectivity is not None:
+            require_number("common_selectivity", self.common_selectivity, above=0.0)
 
 
 def published_settings() -> Settings:
@@ -153,11 +162,12 @@ def with_compensation(plant: ModalModel, settings: Settings) -> StateModel:
 def draw_beam(rng: np.random.Generator, spacing: float = 0.1) -> ModalModel:
     """A tapered beam with its five actuators and two sensors anywhere, but `spacing` apart at least."""
     modes = 2 + len(beam_parameters()["published"]["frequencies_hz"])
-    actuators, sensors = (_places(rng, count, spacing) for count in (modes, 2))
+    actuators, sensors = (draw_places(rng, count, spacing) for count in (modes, 2))
     return beam(actuators, sensors, taper=rng.uniform(-1, 1))
 
 
-def _places(rng: np.random.Generator, count: int, spacing: float) -> np.ndarray:
+def draw_places(rng: np.random.Generator, count: int, spacing: float) -> Float64[np.ndarray, " places"]:
+    """Places from 0 to 1 in any order, at least `spacing` apart, all such sets alike."""
     if spacing * (count - 1) >= 1:
         raise InputError(f"spacing is {spacing:g}; {count} places need less than {1 / (count - 1):g}")
     # Spread over what the gaps leave, then put the gaps in: uniform over all places that keep them.
@@ -246,8 +256,13 @@ def kept_out_trial(rng: np.random.Generator, settings: Settings) -> Mapping[str,
 def off_diagonal_peak(system: StateModel, omega: float, part: float = 0.2) -> float:
     """Largest off-diagonal magnitude within `part` of a frequency (rad/s)."""
     low, high = omega * (1 - part) / (2 * np.pi), omega * (1 + part) / (2 * np.pi)
-    response = np.abs(system.frequency_response(resonance_grid(system.poles, low, high, 60, 15)))
-    return float(response[~np.eye(len(response), dtype=bool)].max())
+    grid = resonance_grid(system.poles, low, high, 40, 5)
+
+    def largest(frequencies: np.ndarray) -> np.ndarray:
+        response = np.abs(system.frequency_response(frequencies))
+        return response[~np.eye(len(response), dtype=bool)].max(axis=0)
+
+    return refine_peak(largest, grid, largest(grid)).magnitude
 
 
 def oscillates_stably(system: StateModel) -> bool:
