@@ -131,6 +131,8 @@ def draw_decoupling(scheme: str, increase: float, selectivity: float, second: fl
     printed = published_settings()
     settings = Settings(increase, printed.damped, selectivity, printed.stiffness_factor, selectivity)
     figure, axis = figures.new(1, 1, height=2.8)
+    figure.set_layout_engine(None)  # laying out takes longer than all the rest
+    figure.subplots_adjust(left=0.09, right=0.98, bottom=0.18, top=0.95)
     omega = resonance_grid(plant.poles, 1.0, 2e3, 120, 12)
     for name, colour in (("undamped", figures.GREY), (scheme, figures.BLUE)):
         response = decibel(with_scheme(name, plant, settings).frequency_response(omega))
