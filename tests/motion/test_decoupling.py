@@ -21,18 +21,20 @@ from stillwork.motion.decoupled_damping import (
     minimal_order,
 )
 from stillwork.motion.decoupling import (
+    coupling_onset,
     decouple,
     decoupled_plant,
     low_frequency_slopes,
     observable_noise_models,
     rigid_coupling,
 )
-from stillwork.motion.decoupling_plots import transfer_matrix
+from stillwork.motion.decoupling_plots import slope_ranges, transfer_matrix
 from stillwork.motion.decoupling_schemes import (
     ROUNDED,
     SCHEMES,
     Settings,
     actuators_of,
+    crosswise_force,
     draw_beam,
     draw_places,
     geometry_trial,
@@ -169,6 +171,29 @@ def test_coupling_at_low_frequency_is_the_limit(machine):
     assert [response[0, 1], response[1, 0]] == pytest.approx(printed, rel=1e-6)
 
 
+def test_onset_is_where_coupling_meets_compliance():
+    gain, both = scheme_gain("each mode", PLANT, SETTINGS), decouple(PLANT)
+    onset = coupling_onset(PLANT, gain, both)
+    undamped = np.abs(with_scheme("undamped", PLANT, SETTINGS).frequency_response([1e-2])[..., 0])
+    damped = decoupled_plant(PLANT, both, gain)
+    for place in ((0, 1), (1, 0)):
+        at = onset[place] * 1e-2
+        coupling = np.abs(damped.frequency_response([at])[..., 0].imag)
+        assert coupling[place] * 1e-2 == pytest.approx(undamped[place], rel=1e-4)
+
+
+def test_own_filters_keep_the_force_of_one_mode_off_the_resonance_of_another():
+    static, q = scheme_gain("each mode", PLANT, SETTINGS), SETTINGS.selectivity
+    damped = PLANT.frequencies[2:4]
+    force = np.abs(np.diag(PLANT.input_shapes[2:4] @ static[:, [7, 5]]))
+    ratio = damped[1] / damped[0]
+    passed = 1 / np.hypot(1, q * (ratio - 1 / ratio))
+    for name, part in (("band-passes", passed), ("common band-pass", 1.0)):
+        found = crosswise_force(PLANT, scheme_gain(name, PLANT, SETTINGS), damped)
+        assert found == pytest.approx(part * force, rel=1e-9)
+    assert 1 / passed > 5
+
+
 def test_symmetry_decouples_by_itself_and_defeats_minimal_actuation():
     plant = beam([0.2, 0.8], [0.1, 0.9])
     gain = damping_gain(plant.modes([0, 1, 2, 3]), 0.05)
@@ -258,6 +283,9 @@ def test_compensation_leaves_the_compliance_of_the_unknown_mode():
 def test_noise_models_are_limited_by_the_sensors():
     assert [observable_noise_models(published_beam(n)) for n in (1, 2, 3, 5)] == [1, 2, 2, 2]
     assert len(kalman_observer(published_beam(2), published_noise(), 0.03).a) == 12
+    # On u, one an axis, they always are.
+    on_u = [observable_noise_models(decouple(plant).apply(plant)) for plant in map(published_beam, (2, 3, 5))]
+    assert on_u == [2, 2, 2]
     with pytest.raises(InputError, match="not observable"):
         kalman_observer(published_beam(3), published_noise(), 0.03)
 
@@ -290,6 +318,65 @@ def test_trials_depend_on_their_stream_alone():
     assert kept_out_trial(np.random.default_rng(4), SETTINGS)["peaks"].shape == (2, 2)
 
 
+def test_trial_measures_what_it_says():
+    """One machine of the study again, on a dense grid."""
+    names = ("each mode", "common band-pass", "over-actuation", "stiffness, fourth order")
+    found = geometry_trial(np.random.default_rng(4), names, SETTINGS, True)
+    machine = draw_beam(np.random.default_rng(4))
+    damped = machine.frequencies[2:4]
+    dense = damped[1] * np.linspace(0.8, 1.2, 3001)
+    entries = ([0, 1], [1, 0])
+    for name in (*names, "compensation"):
+        plant = machine.at(range(3 if name == "over-actuation" else 2), [0, 1])
+        bare = with_scheme("undamped", plant, SETTINGS)
+        system = (
+            with_compensation(plant, SETTINGS)
+            if name == "compensation"
+            else with_scheme(name, plant, SETTINGS)
+        )
+        low = np.abs(system.frequency_response([2 * np.pi])[..., 0])
+        assert found[f"{name}: low"] == pytest.approx(low, rel=1e-9)
+        peaks = [np.abs(one.frequency_response(dense))[entries].max() for one in (system, bare)]
+        assert found[f"{name}: peak"] == pytest.approx(peaks[0] / peaks[1], rel=2e-3)
+        if name == "compensation":
+            ratio = np.abs(system.frequency_response(damped) / bare.frequency_response(damped))
+            assert found["compensation: at modes"] == pytest.approx(ratio, rel=1e-9)
+        else:
+            assert found[f"{name}: stable"] == ("fourth" not in name)
+    assert found["each mode: added"] == pytest.approx([0.05, 0.05], abs=0.005)
+    off_diagonal = ~np.eye(2, dtype=bool)
+    assert found["each mode: limit"][off_diagonal] == pytest.approx(1, rel=1e-6)
+    assert found["each mode: slopes"][off_diagonal] == pytest.approx(-1, abs=1e-3)
+    onset, middle = found["each mode: onset_hz"][off_diagonal], np.sqrt(0.03 * 0.3)
+    expected = -1 / (1 + (middle / onset) ** 2)  # of |1/s + constant|
+    assert found["each mode: slopes above"][off_diagonal] == pytest.approx(expected, abs=0.05)
+
+
+def test_mode_that_is_kept_out_has_a_tail_only():
+    found = kept_out_trial(np.random.default_rng(4), SETTINGS)["peaks"]
+    machine = draw_beam(np.random.default_rng(4))
+    plant, entries = machine.at(range(3), [0, 1]), ([0, 1], [1, 0])
+    gain = scheme_gain("over-actuation", plant, SETTINGS)
+    for row, kept in enumerate((2, 3)):
+        both = decouple(plant, (0, 1, kept))
+        bare, system = both.apply(plant).state_space(), decoupled_plant(plant, both, gain)
+        for column, w in enumerate(plant.frequencies[2:4]):
+            dense = w * np.linspace(0.8, 1.2, 3001)
+            peaks = [np.abs(one.frequency_response(dense))[entries].max() for one in (system, bare)]
+            assert found[row, column] == pytest.approx(peaks[0] / peaks[1], rel=2e-3)
+
+
+def test_slopes_are_drawn_at_their_entries():
+    slopes = {"one": np.array([[[9, 0.1], [0.2, 9]]]), "two": np.array([[[9, -1.0], [-2.0, 9]]])}
+    above = {name: value + 0.05 for name, value in slopes.items()}
+    figure = slope_ranges(slopes, above, {"one": (0, 0), "two": (-1, -2)})
+    for axis, place, published in zip(figure.axes, ((0, 1), (1, 0)), ((0, -1), (0, -2)), strict=True):
+        drawn = [line.get_xdata().tolist() for line in axis.lines]
+        assert drawn[-1] == list(published)
+        expected = [[part[name][(0, *place)]] for name in slopes for part in (above, slopes)]
+        assert drawn[:-1] == expected
+
+
 def test_drawn_places_keep_their_distance():
     for seed in range(20):
         rng = np.random.default_rng(seed)
@@ -310,6 +397,10 @@ def test_entries_of_mere_rounding_are_not_drawn():
         (lambda: decouple(PLANT, (0, 1, 2)), "add actuators"),
         (lambda: decouple(PLANT, None, (0, 2)), "sensed"),
         (lambda: decouple(PLANT, (0, 1, 9)), "actuated"),
+        (lambda: rigid_coupling(PLANT, np.zeros((3, 8)), decouple(PLANT)), "gain has shape"),
+        (lambda: low_frequency_slopes(PLANT.state_space(), 0.0), "low_hz"),
+        (lambda: low_frequency_slopes(PLANT.state_space(), 1.0, 0.1), "high_hz"),
+        (lambda: draw_places(np.random.default_rng(1), 3, -0.1), "spacing"),
         (lambda: decouple(beam([0.3, 0.3], [0.1, 0.9])), "actuators do not tell"),
         (lambda: decouple(beam([0.1, 0.9], [0.3, 0.3])), "sensors do not tell"),
         (lambda: decouple(PLANT).apply(published_beam(3)), "this decoupling is for 2"),

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.checks import InputError
+from stillwork.checks import InputError, require_number
 from stillwork.lti import ModalModel, StateModel, interconnect
 from stillwork.motion.integral_action import slope
 from stillwork.motion.observer import Observer
@@ -162,8 +162,11 @@ def low_frequency_slopes(
 ) -> Float64[np.ndarray, "outputs inputs"]:
     """Slope of every entry in decades a decade between two frequencies far below everything else.
 
-    A 1/s coupling that nearly cancels, as on a machine close to symmetry, shows at very low frequency only.
+    A 1/s coupling that nearly cancels, as on a machine close to symmetry, shows at very low frequency only:
+    by default the slope is that of the limit. Where it sets in, `coupling_onset` says.
     """
+    require_number("low_hz", low_hz, above=0.0)
+    require_number("high_hz", high_hz, above=low_hz)
     omega = 2 * np.pi * np.geomspace(low_hz, high_hz, 7)
     response = system.frequency_response(omega)
     return np.array([[slope(omega, entry) for entry in row] for row in response])
@@ -178,6 +181,9 @@ def rigid_coupling(
     rigid-body modes by :math:`\phi_{ai}^T K_{dj}`.
     """
     rigid = plant.rigid_modes
+    inputs, modes = plant.input_shapes.shape[1], len(plant.frequencies)
+    if len(gain) != inputs or gain.shape[1] > 2 * modes:
+        raise InputError(f"gain has shape {gain.shape}; give {inputs} x at most {2 * modes}")
     if np.any(gain[:, ::2]) or np.any(gain[:, : 2 * rigid]):
         raise InputError(
             "gain must act on the velocities of flexible modes only, for a coupling that goes as 1/s"
@@ -186,6 +192,21 @@ def rigid_coupling(
     fed = slice(rigid, rigid + velocities.shape[1])
     static = plant.input_shapes[fed] @ decoupling.actuation / plant.frequencies[fed, None] ** 2
     return plant.input_shapes[:rigid] @ velocities @ static
+
+
+def coupling_onset(
+    plant: ModalModel, gain: Float64[np.ndarray, "inputs states"], decoupling: Decoupling
+) -> Float64[np.ndarray, "axes axes"]:
+    r"""Frequency (rad/s) below which `rigid_coupling` exceeds the compliance of the undamped machine.
+
+    The compliance is :math:`\sum_j\Psi_j\Theta_j/\omega_j^2` of (4.13), off the diagonal what is there without
+    damping. The slope -1 shows below the onset only; symmetry brings it to 0.
+    """
+    coupling, both = np.abs(rigid_coupling(plant, gain, decoupling)), decoupling.apply(plant)
+    flexible = slice(plant.rigid_modes, None)
+    shapes = both.output_shapes[:, flexible], both.input_shapes[flexible]
+    compliance = np.abs(shapes[0] / plant.frequencies[flexible] ** 2 @ shapes[1] + both.feedthrough)
+    return np.divide(coupling, compliance, out=np.full_like(coupling, np.inf), where=compliance > 0)
 
 
 def observable_noise_models(plant: ModalModel) -> int:

@@ -94,31 +94,43 @@ def beam_layout(actuators: Sequence[float], sensors: Sequence[float]):
     return figure
 
 
-def slope_ranges(slopes: Mapping[str, np.ndarray], published: Mapping[str, tuple[float, float]]):
+def slope_ranges(
+    slopes: Mapping[str, np.ndarray],
+    above: Mapping[str, np.ndarray],
+    published: Mapping[str, tuple[float, float]],
+):
     """Slopes of both off-diagonal entries over the machines of a study, one row a scheme, with the published ones.
 
     Parameters
     ----------
-    slopes : mapping of str to ndarray, shape (runs, 2, 2)
+    slopes, above : mapping of str to ndarray, shape (runs, 2, 2)
+        In the limit and at 0.03 to 0.3 Hz.
     published : mapping of str to tuple
         Slopes of q1 from u2 and of q2 from u1.
     """
-    figure, axes = figures.new(1, 2, height=0.3 * len(slopes) + 1.2, sharey=True)
+    figure, axes = figures.new(1, 2, height=0.34 * len(slopes) + 1.6, sharey=True)
     rows = np.arange(len(slopes))
     entries = (("u2 to q1", (0, 1)), ("u1 to q2", (1, 0)))
     for number, (axis, (title, place)) in enumerate(zip(axes, entries, strict=True)):
-        values = [slopes[name][(slice(None), *place)] for name in slopes]
-        for row, value in zip(rows, values, strict=True):
-            axis.plot(
-                value, np.full(len(value), row), "|", color=figures.BLUE, markersize=9, label="machines"
-            )
+        for row, name in zip(rows, slopes, strict=True):
+            kinds = ((above, 0.22, figures.ORANGE, "0.03 to 0.3 Hz"), (slopes, -0.22, figures.BLUE, "limit"))
+            for values, offset, colour, label in kinds:
+                value = values[name][(slice(None), *place)]
+                at = np.full(len(value), row + offset)
+                axis.plot(value, at, "|", color=colour, markersize=6, label=label)
         figures.mark_published(axis, [published[name][number] for name in slopes], rows)
         axis.set_title(title)
         axis.set_xlabel("slope (decades per decade)")
         axis.set_xlim(-2.3, 0.3)
     axes[0].set_yticks(rows, list(slopes))
     axes[0].invert_yaxis()
-    axes[0].legend(axes[0].lines[-2:], ["machines of the study", "published"], loc="lower left")
+    lines = axes[0].lines
+    figure.legend(
+        [lines[-2], lines[-3], lines[-1]],
+        ["machines, in the limit", "machines, 0.03 to 0.3 Hz", "published"],
+        loc="outside lower center",
+        ncols=3,
+    )
     return figure
 
 

@@ -18,7 +18,13 @@ from stillwork.motion.decoupled_damping import (
     constrained_stiffness,
     half_power_selectivity,
 )
-from stillwork.motion.decoupling import decouple, decoupled_plant, low_frequency_slopes
+from stillwork.motion.decoupling import (
+    coupling_onset,
+    decouple,
+    decoupled_plant,
+    low_frequency_slopes,
+    rigid_coupling,
+)
 from stillwork.motion.feedback import damping_gain, stiffness_gain
 from stillwork.motion.loops import channel, closed_loop
 from stillwork.motion.observer import Observer, kalman_observer, published_noise
@@ -41,7 +47,9 @@ SCHEMES = {
     "stiffness, over-actuation": 1,
 }
 
-DAMPING = ("each mode", "minimal interaction", "band-passes", "common band-pass")  # poles are looked at too
+STATIC = ("each mode", "minimal interaction")  # couple both axes, by a closed form
+FILTERED = ("band-passes", "common band-pass")
+DAMPING = (*STATIC, *FILTERED)  # poles are looked at too
 
 # Without a coupling of their own at low frequency, but with a rounding that grows as 1/s^2: of the estimated
 # rigid body, or of a stiffness force that must not reach it.
@@ -168,7 +176,7 @@ def draw_beam(rng: np.random.Generator, spacing: float = 0.1) -> ModalModel:
 
 def draw_places(rng: np.random.Generator, count: int, spacing: float) -> Float64[np.ndarray, " places"]:
     """Places from 0 to 1 in any order, at least `spacing` apart, all such sets alike."""
-    if spacing * (count - 1) >= 1:
+    if require_number("spacing", spacing, at_least=0.0) * (count - 1) >= 1:
         raise InputError(f"spacing is {spacing:g}; {count} places need less than {1 / (count - 1):g}")
     # Spread over what the gaps leave, then put the gaps in: uniform over all places that keep them.
     free = np.sort(rng.uniform(0, 1 - spacing * (count - 1), count))
@@ -192,10 +200,13 @@ def geometry_trial(
     Returns
     -------
     mapping
-        For each scheme its ``slopes`` (axes, axes), ``low`` (entries at 1 Hz, axes x axes), ``peak`` (largest
-        off-diagonal entry around the second flexible mode over the undamped one with these actuators),
-        and whether it is ``stable``; for MC the entries ``at modes`` (axes, axes, damped modes) over the undamped;
-        for those in `DAMPING` the ``added`` damping ratio and the ``shift`` of the frequency (damped modes).
+        For each scheme its ``slopes`` in the limit and ``slopes above``, at 0.03 to 0.3 Hz (axes, axes), ``low``
+        (entries at 1 Hz, axes x axes), ``peak`` (largest off-diagonal entry around the second flexible mode over
+        the undamped one with these actuators), and whether it is ``stable``; for MC the entries ``at modes``
+        (axes, axes, damped modes) over the undamped; for those in `STATIC` the ``onset_hz`` of the coupling and
+        ``limit``, the entries at 1 uHz over their closed form (axes, axes); for those in `DAMPING` the ``added``
+        damping ratio and the ``shift`` of the frequency (damped modes); for those in `FILTERED` the
+        ``crosswise`` force (damped modes).
     """
     machine = draw_beam(rng)
     modes = machine.frequencies[machine.rigid_modes :]
@@ -214,20 +225,41 @@ def geometry_trial(
             found[f"{name}: at modes"] = np.abs(ratio)
         else:
             system = with_scheme(name, plant, settings)
-        band = (0.03, 0.3) if name in ROUNDED else ()
+        above = low_frequency_slopes(system, 0.03, 0.3)
         found |= {
-            f"{name}: slopes": low_frequency_slopes(system, *band),
+            f"{name}: slopes": above if name in ROUNDED else low_frequency_slopes(system),
+            f"{name}: slopes above": above,
             f"{name}: low": np.abs(system.frequency_response([2 * np.pi])[..., 0]),
             f"{name}: peak": off_diagonal_peak(system, modes[1]) / peak,
             f"{name}: stable": oscillates_stably(system),
         }
+        if name in STATIC:
+            gain, both, still = scheme_gain(name, plant, settings), decouple(plant), 2e-6 * np.pi
+            # Of s times the response the real part: the compliance is imaginary there.
+            reached = (1j * still * system.frequency_response([still])[..., 0]).real
+            found[f"{name}: limit"] = reached / rigid_coupling(plant, gain, both)
+            found[f"{name}: onset_hz"] = coupling_onset(plant, gain, both) / (2 * np.pi)
         if name in DAMPING:
             damping, shift = added_damping(plant, system)
             found |= {
                 f"{name}: added": damping[: settings.damped],
                 f"{name}: shift": shift[: settings.damped],
             }
+        if name in FILTERED:
+            found[f"{name}: crosswise"] = crosswise_force(plant, scheme_gain(name, plant, settings), damped)
     return found
+
+
+def crosswise_force(
+    plant: ModalModel, gain: StateModel, damped: Float64[np.ndarray, " modes"]
+) -> Float64[np.ndarray, " modes"]:
+    """Largest force on each damped mode, at its own resonance, by the unit velocity of another one."""
+    rigid, count = plant.rigid_modes, len(damped)
+    response = gain.frequency_response(damped)[:, 2 * rigid + 1 : 2 * (rigid + count) : 2]
+    forces = np.einsum(
+        "if,fji->ij", plant.input_shapes[rigid : rigid + count], response
+    )  # at mode i's resonance
+    return np.where(np.eye(count, dtype=bool), 0, np.abs(forces)).max(axis=1)
 
 
 def kept_out_trial(rng: np.random.Generator, settings: Settings) -> Mapping[str, np.ndarray]:
