@@ -39,6 +39,7 @@ from stillwork.motion.decoupling_schemes import (
     draw_places,
     geometry_trial,
     kept_out_trial,
+    off_diagonal_peak,
     oscillates_stably,
     published_settings,
     scheme_gain,
@@ -47,6 +48,7 @@ from stillwork.motion.decoupling_schemes import (
 )
 from stillwork.motion.feedback import damping_gain
 from stillwork.motion.observer import kalman_observer, published_noise
+from stillwork.motion.reduction import truncate
 
 SETTINGS = published_settings()
 PLANT = published_beam(2)
@@ -171,6 +173,23 @@ def test_coupling_at_low_frequency_is_the_limit(machine):
     assert [response[0, 1], response[1, 0]] == pytest.approx(printed, rel=1e-6)
 
 
+def test_compliance_of_the_machine_reaches_the_axes_and_the_observer():
+    """A feedthrough, as a truncated model has it: against the loop written down."""
+    plant = truncate(PLANT, 4, 1)
+    gain, both = damping_gain(plant, 0.05), decouple(plant)
+    omega = 2 * np.pi * np.array([5.0, 161.0, 400.0, 900.0])
+    direct, unit = [], np.eye(2)
+    for s in 1j * omega:
+        own = np.diag(1 / (s**2 + 2 * plant.damping * plant.frequencies * s + plant.frequencies**2))
+        states = own @ plant.input_shapes
+        forces = np.linalg.solve(unit - s * gain[:, 1::2] @ states, both.actuation)
+        direct.append(both.sensing @ (plant.output_shapes @ states + plant.feedthrough) @ forces)
+    direct = np.moveaxis(direct, 0, -1)
+    for observer in (None, kalman_observer(plant, published_noise())):
+        found = decoupled_plant(plant, both, gain, observer).frequency_response(omega)
+        assert np.allclose(found, direct, rtol=1e-6, atol=1e-12 * np.abs(direct).max(axis=(0, 1)))
+
+
 def test_onset_is_where_coupling_meets_compliance():
     gain, both = scheme_gain("each mode", PLANT, SETTINGS), decouple(PLANT)
     onset = coupling_onset(PLANT, gain, both)
@@ -263,6 +282,11 @@ def test_common_band_pass_has_twice_the_rank_of_the_gain(actuators, order):
     assert minimal_order(common) == len(common.a) == order
 
 
+def test_equal_filters_side_by_side_count_once_for_one_output():
+    one = common_band_passed(PLANT, damping_gain(PLANT.modes(range(4)), 0.05), 0.8)
+    assert minimal_order(replace(one, c=one.c[:1], d=one.d[:1])) == 2
+
+
 def test_exact_observer_changes_nothing():
     """Remark 4.3.1."""
     gain, both = scheme_gain("each mode", PLANT, SETTINGS), decouple(PLANT)
@@ -278,6 +302,11 @@ def test_compensation_leaves_the_compliance_of_the_unknown_mode():
     static = np.outer(both.output_shapes[:, 4], both.input_shapes[4]) / plant.frequencies[4] ** 2
     found = with_compensation(plant, SETTINGS).frequency_response([0.5])[..., 0]
     assert [found[0, 1].real, found[1, 0].real] == pytest.approx([static[0, 1], static[1, 0]], rel=1e-4)
+    # Its dynamics too, halfway to the first resonance, because the observer knows the compliance.
+    s, w = 2j * np.pi * 80, plant.frequencies[4]
+    third = static * w**2 / (s**2 + 2 * 0.005 * w * s + w**2)
+    found = with_compensation(plant, SETTINGS).frequency_response([s.imag])[..., 0]
+    assert [found[0, 1], found[1, 0]] == pytest.approx([third[0, 1], third[1, 0]], rel=0.02)
 
 
 def test_noise_models_are_limited_by_the_sensors():
@@ -363,6 +392,7 @@ def test_mode_that_is_kept_out_has_a_tail_only():
         for column, w in enumerate(plant.frequencies[2:4]):
             dense = w * np.linspace(0.8, 1.2, 3001)
             peaks = [np.abs(one.frequency_response(dense))[entries].max() for one in (system, bare)]
+            assert off_diagonal_peak(system, w) == pytest.approx(peaks[0], rel=1e-3)
             assert found[row, column] == pytest.approx(peaks[0] / peaks[1], rel=2e-3)
 
 
@@ -375,6 +405,12 @@ def test_slopes_are_drawn_at_their_entries():
         assert drawn[-1] == list(published)
         expected = [[part[name][(0, *place)]] for name in slopes for part in (above, slopes)]
         assert drawn[:-1] == expected
+
+
+def test_guides_have_the_published_slope():
+    figure = transfer_matrix({"undamped": with_scheme("undamped", PLANT, SETTINGS)}, slopes={(1, 0): -2})
+    frequency, level = figure.axes[2].lines[-1].get_data()
+    assert np.diff(level) / np.diff(np.log10(frequency)) == pytest.approx(-40)
 
 
 def test_drawn_places_keep_their_distance():
