@@ -8,7 +8,15 @@ from importlib import import_module
 _PLACES = {
     "applications": ("Application", "compensator", "soft_sensor"),
     "bandwidth": ("Bandwidth", "Loop", "PeakConstraint", "make_loop", "maximise_bandwidth"),
+    "beam": ("beam_shapes", "published_beam"),
     "controller": ("Notch", "Pid", "PidFamily"),
+    "decoupled_damping": (
+        "band_passed",
+        "common_band_passed",
+        "constrained_damping",
+        "constrained_stiffness",
+    ),
+    "decoupling": ("Decoupling", "coupling_onset", "decouple", "decoupled_plant", "rigid_coupling"),
     "designs": ("DESIGNS", "Design", "stage_bandwidth", "stage_compensator", "stage_loops", "stage_observer"),
     "feedback": ("band_pass", "damping_gain", "fed_back", "stiffness_gain"),
     "loops": ("channel", "closed_loop", "loop_response"),

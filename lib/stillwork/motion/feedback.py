@@ -13,7 +13,10 @@ from stillwork.lti import ModalModel, StateModel
 SELECTIONS = ("each mode", "minimal interaction", "pole placement")
 
 
-def _flexible(model: ModalModel, name: str, value: float | ArrayLike) -> np.ndarray:
+def per_flexible_mode(
+    model: ModalModel, name: str, value: float | ArrayLike
+) -> Float64[np.ndarray, " flexible"]:
+    """The argument `name` as one number a flexible mode; a single number stands for all of them."""
     flexible = model.modes(slice(model.rigid_modes, None))
     if not len(flexible.frequencies):
         raise InputError("model has no flexible modes; there is nothing to damp or to stiffen")
@@ -53,7 +56,7 @@ def damping_gain(
         When the actuator cannot move a mode, or an unknown selection is asked for.
     """
     require_choice("selection", selection, SELECTIONS)
-    increase = _flexible(model, "increase", increase)
+    increase = per_flexible_mode(model, "increase", increase)
     rigid = model.rigid_modes
     w, shapes = model.frequencies[rigid:], model.input_shapes[rigid:]
     _require_reach(model)
@@ -120,7 +123,7 @@ def stiffness_gain(model: ModalModel, factor: float | ArrayLike) -> Float64[np.n
 
     A factor of 1.5 gives the -1.25 omega^2/phi of (3.43).
     """
-    factor = _flexible(model, "factor", factor)
+    factor = per_flexible_mode(model, "factor", factor)
     for each in factor:
         require_number("factor", each, above=0.0)
     _require_reach(model)

@@ -1,0 +1,472 @@
+"""Decoupling and its damping against direct solutions, closed-form limits, python-control and least norm."""
+
+from dataclasses import replace
+
+import control
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from stillwork.checks import InputError
+from stillwork.lti import ModalModel
+from stillwork.motion.beam import beam, published_beam
+from stillwork.motion.decoupled_damping import (
+    added_damping,
+    band_passed,
+    common_band_passed,
+    common_centre,
+    constrained_damping,
+    constrained_stiffness,
+    half_power_selectivity,
+    minimal_order,
+)
+from stillwork.motion.decoupling import (
+    coupling_onset,
+    decouple,
+    decoupled_plant,
+    low_frequency_slopes,
+    observable_noise_models,
+    rigid_coupling,
+)
+from stillwork.motion.decoupling_plots import slope_ranges, transfer_matrix
+from stillwork.motion.decoupling_schemes import (
+    ROUNDED,
+    SCHEMES,
+    Settings,
+    actuators_of,
+    crosswise_force,
+    draw_beam,
+    draw_places,
+    geometry_trial,
+    kept_out_trial,
+    off_diagonal_peak,
+    oscillates_stably,
+    published_settings,
+    scheme_gain,
+    with_compensation,
+    with_scheme,
+)
+from stillwork.motion.feedback import damping_gain
+from stillwork.motion.observer import kalman_observer, published_noise
+from stillwork.motion.reduction import truncate
+
+SETTINGS = published_settings()
+PLANT = published_beam(2)
+PUBLISHED_SLOPES = dict.fromkeys(SCHEMES, (0, 0)) | {
+    "each mode": (-1, -1),
+    "minimal interaction": (-1, -1),
+    "minimal actuation": (0, -1),
+    "stiffness": (-2, -2),
+    "stiffness, second order": (-1, -1),
+}
+MACHINES = st.tuples(st.integers(0, 10**6), st.floats(30, 500), st.floats(1.4, 4), st.floats(1e-3, 0.03))
+
+
+def machine_of(seed: int, first_hz: float, ratio: float, damping: float) -> ModalModel:
+    return replace(
+        draw_beam(np.random.default_rng(seed)),
+        frequencies=2 * np.pi * first_hz * np.array([0, 0, 1, ratio, ratio**2]),
+        damping=np.array([0, 0, damping, damping, damping]),
+    )
+
+
+def plant_of(name: str, machine: ModalModel = published_beam(5)) -> ModalModel:  # noqa: B008
+    return machine.at(range(actuators_of(name, machine)), [0, 1])
+
+
+def feedback(name: str, plant: ModalModel, s: complex) -> np.ndarray:
+    """Forces on unit modal positions, (inputs, modes), written down from the definitions."""
+    phi, w = plant.input_shapes, plant.frequencies
+    gain, wanted = np.zeros((phi.shape[1], 5), complex), {2: 2 * 0.05 * w[2] * s, 3: 2 * 0.05 * w[3] * s}
+    if "stiffness" in name:
+        wanted = {j: (1.2**2 - 1) * w[j] ** 2 for j in wanted}
+    others = {"minimal actuation": [0], "over-actuation": [0, 1], "total actuation": range(5)}
+    others |= {"stiffness, over-actuation": [0, 1], "band-passes and over-actuation": [2, 3, 4]}
+    for j, rate in wanted.items():
+        if name == "minimal interaction":
+            gain[:, j] = -rate * np.linalg.pinv(phi[:4])[:, j]
+        elif name in others:
+            rows = [j, *(i for i in others[name] if i != j)]
+            gain[:, j] = -rate * np.linalg.solve(phi[rows], np.eye(len(rows))[:, 0])
+        else:
+            gain[:, j] = -rate * phi[j] / (phi[j] @ phi[j])
+        centre, q = (w[j], 2.0)
+        if name == "common band-pass":
+            centre = np.sqrt(w[2] * w[3])
+            q = centre / (w[3] - w[2])
+        passed = (centre / q * s) / (s**2 + centre / q * s + centre**2)
+        at = 1j * w[j]
+        if "band-pass" in name:
+            gain[:, j] *= passed / abs((centre / q * at) / (at**2 + centre / q * at + centre**2))
+        elif "order" in name:
+            gain[:, j] *= passed ** (2 if "fourth" in name else 1)
+    return gain
+
+
+@pytest.mark.parametrize("name", [name for name in SCHEMES if name != "undamped"])
+def test_every_scheme_is_what_its_equations_say(name):
+    """Second-order equations of motion, solved frequency by frequency."""
+    plant = plant_of(name)
+    both = decouple(plant)
+    omega = 2 * np.pi * np.array([0.3, 40.0, 161.0, 300.0, 517.0, 755.0, 1500.0])
+    direct = []
+    for s in 1j * omega:
+        own = np.diag(s**2 + 2 * plant.damping * plant.frequencies * s + plant.frequencies**2)
+        response = np.linalg.solve(own - plant.input_shapes @ feedback(name, plant, s), plant.input_shapes)
+        direct.append(both.sensing @ plant.output_shapes @ response @ both.actuation)
+    direct = np.moveaxis(direct, 0, -1)
+    found = with_scheme(name, plant, SETTINGS).frequency_response(omega)
+    assert np.allclose(found, direct, rtol=1e-7, atol=1e-13 * np.abs(direct).max(axis=(0, 1)))
+
+
+def test_closed_loop_is_that_of_python_control():
+    plant, gain = PLANT, scheme_gain("band-passes", PLANT, SETTINGS)
+    states = plant.state_space()
+    rows = np.vstack([states.c, np.eye(10)])
+    whole = control.StateSpace(states.a, states.b, rows, np.zeros((12, 2)))
+    back = control.StateSpace(
+        gain.a, np.hstack([np.zeros((4, 2)), gain.b, np.zeros((4, 2))]), gain.c, np.zeros((2, 12))
+    )
+    loop = control.feedback(whole, back, sign=1)
+    both, omega = decouple(plant), 2 * np.pi * np.array([5.0, 161.0, 400.0, 900.0])
+    expected = np.stack([both.sensing @ loop(1j * w)[:2] @ both.actuation for w in omega], axis=-1)
+    found = decoupled_plant(plant, both, gain).frequency_response(omega)
+    assert np.allclose(found, expected, rtol=1e-7, atol=1e-12 * np.abs(expected).max(axis=(0, 1)))
+
+
+@settings(max_examples=12)
+@given(MACHINES, st.sampled_from([name for name in SCHEMES if name != "total actuation"]))
+def test_slopes_do_not_depend_on_the_machine(machine, name):
+    system = with_scheme(name, plant_of(name, machine_of(*machine)), SETTINGS)
+    found = low_frequency_slopes(system, *((0.03, 0.3) if name in ROUNDED else ()))
+    assert (found[0, 1], found[1, 0]) == pytest.approx(PUBLISHED_SLOPES[name], abs=0.01)
+    assert np.diag(found) == pytest.approx(-2, abs=0.01)
+
+
+@settings(max_examples=15)
+@given(MACHINES)
+def test_total_actuation_decouples_and_damps_exactly(machine):
+    plant = machine_of(*machine)
+    system = with_scheme("total actuation", plant, SETTINGS)
+    omega = np.geomspace(1.0, 2e4, 50)
+    response = np.abs(system.frequency_response(omega))
+    tightness = np.linalg.cond(plant.input_shapes)
+    assert response[[0, 1], [1, 0]].max() < 1e-14 * tightness * response[[0, 1], [0, 1]].max()
+    assert np.allclose(response[[0, 1], [0, 1]] * omega**2, 1, rtol=1e-12 * tightness)
+    added, shift = added_damping(plant, system)
+    assert np.allclose(added, [0.05, 0.05, 0.0], atol=1e-9 * tightness)
+    assert np.allclose(shift, 0, atol=1e-9 * tightness)
+
+
+@settings(max_examples=15)
+@given(MACHINES)
+def test_coupling_at_low_frequency_is_the_limit(machine):
+    """The expansion s q = c + O(s) of (4.15), with one mode damped as in print."""
+    plant = plant_of("each mode", machine_of(*machine))
+    gain, both = damping_gain(plant.modes([0, 1, 2]), 0.05), decouple(plant)
+    theta = plant.input_shapes[2] @ both.actuation
+    printed = [plant.input_shapes[i] @ gain[:, 5] * theta[1 - i] / plant.frequencies[2] ** 2 for i in (0, 1)]
+    limit = rigid_coupling(plant, gain, both)
+    assert [limit[0, 1], limit[1, 0]] == pytest.approx(printed, rel=1e-9)
+    s = 1e-5j
+    response = (s * decoupled_plant(plant, both, gain).frequency_response([1e-5])[..., 0]).real
+    assert [response[0, 1], response[1, 0]] == pytest.approx(printed, rel=1e-6)
+
+
+def test_compliance_of_the_machine_reaches_the_axes_and_the_observer():
+    """A feedthrough, as a truncated model has it: against the loop written down."""
+    plant = truncate(PLANT, 4, 1)
+    gain, both = damping_gain(plant, 0.05), decouple(plant)
+    omega = 2 * np.pi * np.array([5.0, 161.0, 400.0, 900.0])
+    direct, unit = [], np.eye(2)
+    for s in 1j * omega:
+        own = np.diag(1 / (s**2 + 2 * plant.damping * plant.frequencies * s + plant.frequencies**2))
+        states = own @ plant.input_shapes
+        forces = np.linalg.solve(unit - s * gain[:, 1::2] @ states, both.actuation)
+        direct.append(both.sensing @ (plant.output_shapes @ states + plant.feedthrough) @ forces)
+    direct = np.moveaxis(direct, 0, -1)
+    for observer in (None, kalman_observer(plant, published_noise())):
+        found = decoupled_plant(plant, both, gain, observer).frequency_response(omega)
+        assert np.allclose(found, direct, rtol=1e-6, atol=1e-12 * np.abs(direct).max(axis=(0, 1)))
+
+
+def test_onset_is_where_coupling_meets_compliance():
+    gain, both = scheme_gain("each mode", PLANT, SETTINGS), decouple(PLANT)
+    onset = coupling_onset(PLANT, gain, both)
+    undamped = np.abs(with_scheme("undamped", PLANT, SETTINGS).frequency_response([1e-2])[..., 0])
+    damped = decoupled_plant(PLANT, both, gain)
+    for place in ((0, 1), (1, 0)):
+        at = onset[place] * 1e-2
+        coupling = np.abs(damped.frequency_response([at])[..., 0].imag)
+        assert coupling[place] * 1e-2 == pytest.approx(undamped[place], rel=1e-4)
+
+
+def test_own_filters_keep_the_force_of_one_mode_off_the_resonance_of_another():
+    static, q = scheme_gain("each mode", PLANT, SETTINGS), SETTINGS.selectivity
+    damped = PLANT.frequencies[2:4]
+    force = np.abs(np.diag(PLANT.input_shapes[2:4] @ static[:, [7, 5]]))
+    ratio = damped[1] / damped[0]
+    passed = 1 / np.hypot(1, q * (ratio - 1 / ratio))
+    for name, part in (("band-passes", passed), ("common band-pass", 1.0)):
+        found = crosswise_force(PLANT, scheme_gain(name, PLANT, SETTINGS), damped)
+        assert found == pytest.approx(part * force, rel=1e-9)
+    assert 1 / passed > 5
+
+
+def test_symmetry_decouples_by_itself_and_defeats_minimal_actuation():
+    plant = beam([0.2, 0.8], [0.1, 0.9])
+    gain = damping_gain(plant.modes([0, 1, 2, 3]), 0.05)
+    coupling = rigid_coupling(plant, gain, decouple(plant))
+    assert np.abs(coupling[[0, 1], [1, 0]]).max() < 1e-12 * np.abs(coupling).max()
+    with pytest.raises(InputError, match="cannot move mode 2 without"):
+        scheme_gain("minimal actuation", plant, SETTINGS)
+
+
+def test_decoupling_inverts_the_shapes_that_are_told_apart():
+    plant = published_beam(4)
+    both = decouple(plant, (0, 1, 3), (0, 1))
+    assert np.allclose(plant.input_shapes[[0, 1, 3]] @ both.actuation, np.eye(3, 2), atol=1e-12)
+    assert np.allclose(both.sensing @ plant.output_shapes[:, :2], np.eye(2), atol=1e-12)
+    # The least norm: nothing of it lies in the directions that no counted mode feels.
+    free = np.linalg.svd(plant.input_shapes[[0, 1, 3]])[2][3]
+    assert np.allclose(free @ both.actuation, 0, atol=1e-12)
+
+
+@pytest.mark.parametrize("constrained", [constrained_damping, constrained_stiffness])
+def test_constrained_gain_is_the_least_norm_solution(constrained):
+    """Against the KKT system of min |k|^2 with the constraints of (4.19) and (4.20)."""
+    plant = published_beam(4)
+    damping = constrained is constrained_damping
+    gain = constrained(plant, [0.05, 0, 0] if damping else [1.1, 1, 1], (0, 3))
+    wanted = 0.1 * plant.frequencies[2] if damping else 0.21 * plant.frequencies[2] ** 2
+    rows = plant.input_shapes[[0, 3, 2]]
+    kkt = np.block([[np.eye(4), rows.T], [rows, np.zeros((3, 3))]])
+    expected = np.linalg.solve(kkt, [0, 0, 0, 0, 0, 0, -wanted])[:4]
+    assert np.allclose(gain[:, 4 + damping], expected, rtol=1e-9)
+    gain[:, 4 + damping] = 0
+    assert not np.any(gain)
+
+
+def test_printed_sign_takes_damping_away():
+    plant = published_beam(5)
+    gain = constrained_damping(plant, 0.002)
+    added, _ = added_damping(plant, decoupled_plant(plant, decouple(plant), -gain))
+    assert np.allclose(added, -0.002, atol=1e-9)
+
+
+def test_band_passes_are_one_at_the_resonances():
+    gain = damping_gain(PLANT.modes(range(4)), 0.05)
+    resonances = PLANT.frequencies[2:4]
+    for dynamic in (band_passed(PLANT, gain, 2.0), band_passed(PLANT, gain, 2.0, 4)):
+        response = dynamic.frequency_response(resonances)
+        assert np.allclose(response[:, 5, 0], gain[:, 5], rtol=1e-10)
+        assert np.allclose(response[:, 7, 1], gain[:, 7], rtol=1e-10)
+    once, twice = (band_passed(PLANT, gain, 2.0, order).frequency_response([50.0]) for order in (2, 4))
+    assert np.allclose(twice[:, 5] * gain[:, 5, None], once[:, 5] ** 2, rtol=1e-9)
+    common = common_band_passed(PLANT, gain, half_power_selectivity(PLANT, gain))
+    response = common.frequency_response(resonances)
+    assert np.allclose(np.abs(response[:, 5, 0]), np.abs(gain[:, 5]), rtol=1e-10)
+    # Half-power points: a phase of 45 degrees, ahead below the centre and behind above.
+    assert np.allclose(np.angle(response[:, [5, 7], [0, 1]] / gain[:, [5, 7]]), np.pi / 4 * np.array([1, -1]))
+    assert common_centre(PLANT, gain) == pytest.approx(np.sqrt(np.prod(resonances)))
+
+
+@pytest.mark.parametrize(("actuators", "order"), [(1, 2), (2, 4), (3, 4)])
+def test_common_band_pass_has_twice_the_rank_of_the_gain(actuators, order):
+    plant = published_beam(actuators)
+    common = common_band_passed(plant, damping_gain(plant.modes(range(4)), 0.05), 0.8)
+    rate = np.abs(common.poles).max()
+    powers = [np.linalg.matrix_power(common.a / rate, k) for k in range(8)]
+    hankel = np.block([[common.c @ powers[i + j] @ common.b for j in range(4)] for i in range(4)])
+    assert np.linalg.matrix_rank(hankel, tol=1e-9 * np.linalg.norm(hankel)) == order
+    assert minimal_order(common) == len(common.a) == order
+
+
+def test_equal_filters_side_by_side_count_once_for_one_output():
+    one = common_band_passed(PLANT, damping_gain(PLANT.modes(range(4)), 0.05), 0.8)
+    assert minimal_order(replace(one, c=one.c[:1], d=one.d[:1])) == 2
+
+
+def test_exact_observer_changes_nothing():
+    """Remark 4.3.1."""
+    gain, both = scheme_gain("each mode", PLANT, SETTINGS), decouple(PLANT)
+    observed = decoupled_plant(PLANT, both, gain, kalman_observer(PLANT, published_noise()))
+    omega = 2 * np.pi * np.geomspace(1, 1e3, 20)
+    ideal = decoupled_plant(PLANT, both, gain).frequency_response(omega)
+    assert np.allclose(observed.frequency_response(omega), ideal, rtol=1e-6)
+
+
+def test_compensation_leaves_the_compliance_of_the_unknown_mode():
+    plant = PLANT
+    both = decouple(plant).apply(plant)
+    static = np.outer(both.output_shapes[:, 4], both.input_shapes[4]) / plant.frequencies[4] ** 2
+    found = with_compensation(plant, SETTINGS).frequency_response([0.5])[..., 0]
+    assert [found[0, 1].real, found[1, 0].real] == pytest.approx([static[0, 1], static[1, 0]], rel=1e-4)
+    # Its dynamics too, halfway to the first resonance, because the observer knows the compliance.
+    s, w = 2j * np.pi * 80, plant.frequencies[4]
+    third = static * w**2 / (s**2 + 2 * 0.005 * w * s + w**2)
+    found = with_compensation(plant, SETTINGS).frequency_response([s.imag])[..., 0]
+    assert [found[0, 1], found[1, 0]] == pytest.approx([third[0, 1], third[1, 0]], rel=0.02)
+
+
+def test_noise_models_are_limited_by_the_sensors():
+    assert [observable_noise_models(published_beam(n)) for n in (1, 2, 3, 5)] == [1, 2, 2, 2]
+    assert len(kalman_observer(published_beam(2), published_noise(), 0.03).a) == 12
+    # On u, one an axis, they always are.
+    on_u = [observable_noise_models(decouple(plant).apply(plant)) for plant in map(published_beam, (2, 3, 5))]
+    assert on_u == [2, 2, 2]
+    with pytest.raises(InputError, match="not observable"):
+        kalman_observer(published_beam(3), published_noise(), 0.03)
+
+
+@pytest.mark.parametrize(
+    ("name", "sections"), [("stiffness, second order", 1), ("stiffness, fourth order", 2)]
+)
+def test_band_passed_stiffness_takes_damping_away(name, sections):
+    """Against the characteristic polynomial of one mode with its filters."""
+    single, q, factor = PLANT.modes([0, 1, 2]), 2.0, 1.05
+    system = with_scheme(name, single, Settings(0.05, 1, q, factor))
+    added, _ = added_damping(single, system)
+    passed = np.poly1d([1, 0]) / q
+    own, filters = np.poly1d([1, 2 * 0.005, 1]), (np.poly1d([1, 0, 1]) + passed) ** sections
+    roots = (own * filters + (factor**2 - 1) * passed**sections).roots
+    mode = roots[np.argmin(np.abs(roots - 1j))]
+    assert added[0] == pytest.approx(-mode.real / abs(mode) - 0.005, rel=1e-6)
+    assert added[0] < -0.005
+    assert not oscillates_stably(system)
+    assert oscillates_stably(with_scheme("stiffness", single, Settings(0.05, 1, q, factor)))
+
+
+def test_trials_depend_on_their_stream_alone():
+    first, again = (
+        geometry_trial(np.random.default_rng(4), ("undamped", "band-passes"), SETTINGS, True) for _ in "ab"
+    )
+    assert first.keys() == again.keys()
+    assert all(np.array_equal(first[key], again[key]) for key in first)
+    assert first["compensation: at modes"].shape == (2, 2, 2)
+    assert kept_out_trial(np.random.default_rng(4), SETTINGS)["peaks"].shape == (2, 2)
+
+
+def test_trial_measures_what_it_says():
+    """One machine of the study again, on a dense grid."""
+    names = ("each mode", "common band-pass", "over-actuation", "stiffness, fourth order")
+    found = geometry_trial(np.random.default_rng(4), names, SETTINGS, True)
+    machine = draw_beam(np.random.default_rng(4))
+    damped = machine.frequencies[2:4]
+    dense = damped[1] * np.linspace(0.8, 1.2, 3001)
+    entries = ([0, 1], [1, 0])
+    for name in (*names, "compensation"):
+        plant = machine.at(range(3 if name == "over-actuation" else 2), [0, 1])
+        bare = with_scheme("undamped", plant, SETTINGS)
+        system = (
+            with_compensation(plant, SETTINGS)
+            if name == "compensation"
+            else with_scheme(name, plant, SETTINGS)
+        )
+        low = np.abs(system.frequency_response([2 * np.pi])[..., 0])
+        assert found[f"{name}: low"] == pytest.approx(low, rel=1e-9)
+        peaks = [np.abs(one.frequency_response(dense))[entries].max() for one in (system, bare)]
+        assert found[f"{name}: peak"] == pytest.approx(peaks[0] / peaks[1], rel=2e-3)
+        if name == "compensation":
+            ratio = np.abs(system.frequency_response(damped) / bare.frequency_response(damped))
+            assert found["compensation: at modes"] == pytest.approx(ratio, rel=1e-9)
+        else:
+            assert found[f"{name}: stable"] == ("fourth" not in name)
+    assert found["each mode: added"] == pytest.approx([0.05, 0.05], abs=0.005)
+    off_diagonal = ~np.eye(2, dtype=bool)
+    assert found["each mode: limit"][off_diagonal] == pytest.approx(1, rel=1e-6)
+    assert found["each mode: slopes"][off_diagonal] == pytest.approx(-1, abs=1e-3)
+    onset, middle = found["each mode: onset_hz"][off_diagonal], np.sqrt(0.03 * 0.3)
+    expected = -1 / (1 + (middle / onset) ** 2)  # of |1/s + constant|
+    assert found["each mode: slopes above"][off_diagonal] == pytest.approx(expected, abs=0.05)
+
+
+def test_mode_that_is_kept_out_has_a_tail_only():
+    found = kept_out_trial(np.random.default_rng(4), SETTINGS)["peaks"]
+    machine = draw_beam(np.random.default_rng(4))
+    plant, entries = machine.at(range(3), [0, 1]), ([0, 1], [1, 0])
+    gain = scheme_gain("over-actuation", plant, SETTINGS)
+    for row, kept in enumerate((2, 3)):
+        both = decouple(plant, (0, 1, kept))
+        bare, system = both.apply(plant).state_space(), decoupled_plant(plant, both, gain)
+        for column, w in enumerate(plant.frequencies[2:4]):
+            dense = w * np.linspace(0.8, 1.2, 3001)
+            peaks = [np.abs(one.frequency_response(dense))[entries].max() for one in (system, bare)]
+            assert off_diagonal_peak(system, w) == pytest.approx(peaks[0], rel=1e-3)
+            assert found[row, column] == pytest.approx(peaks[0] / peaks[1], rel=2e-3)
+
+
+def test_slopes_are_drawn_at_their_entries():
+    slopes = {"one": np.array([[[9, 0.1], [0.2, 9]]]), "two": np.array([[[9, -1.0], [-2.0, 9]]])}
+    above = {name: value + 0.05 for name, value in slopes.items()}
+    figure = slope_ranges(slopes, above, {"one": (0, 0), "two": (-1, -2)})
+    for axis, place, published in zip(figure.axes, ((0, 1), (1, 0)), ((0, -1), (0, -2)), strict=True):
+        drawn = [line.get_xdata().tolist() for line in axis.lines]
+        assert drawn[-1] == list(published)
+        expected = [[part[name][(0, *place)]] for name in slopes for part in (above, slopes)]
+        assert drawn[:-1] == expected
+
+
+def test_guides_have_the_published_slope():
+    figure = transfer_matrix({"undamped": with_scheme("undamped", PLANT, SETTINGS)}, slopes={(1, 0): -2})
+    frequency, level = figure.axes[2].lines[-1].get_data()
+    assert np.diff(level) / np.diff(np.log10(frequency)) == pytest.approx(-40)
+
+
+def test_drawn_places_keep_their_distance():
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        places = np.sort(draw_places(rng, 5, 0.1))
+        assert places[0] >= 0 and places[-1] <= 1 and np.diff(places).min() >= 0.1 - 1e-12
+
+
+def test_entries_of_mere_rounding_are_not_drawn():
+    figure = transfer_matrix({"total": with_scheme("total actuation", published_beam(5), SETTINGS)})
+    assert [len(axis.lines) for axis in figure.axes] == [1, 0, 0, 1]
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: decouple(PLANT.modes([2, 3])), "no rigid-body modes"),
+        (lambda: decouple(published_beam(1)), "model has 1 actuators"),
+        (lambda: decouple(PLANT, (0, 1, 2)), "add actuators"),
+        (lambda: decouple(PLANT, None, (0, 2)), "sensed"),
+        (lambda: decouple(PLANT, (0, 1, 9)), "actuated"),
+        (lambda: rigid_coupling(PLANT, np.zeros((3, 8)), decouple(PLANT)), "gain has shape"),
+        (lambda: low_frequency_slopes(PLANT.state_space(), 0.0), "low_hz"),
+        (lambda: low_frequency_slopes(PLANT.state_space(), 1.0, 0.1), "high_hz"),
+        (lambda: draw_places(np.random.default_rng(1), 3, -0.1), "spacing"),
+        (lambda: decouple(beam([0.3, 0.3], [0.1, 0.9])), "actuators do not tell"),
+        (lambda: decouple(beam([0.1, 0.9], [0.3, 0.3])), "sensors do not tell"),
+        (lambda: decouple(PLANT).apply(published_beam(3)), "this decoupling is for 2"),
+        (lambda: decoupled_plant(PLANT, decouple(PLANT), np.zeros((3, 10))), "gain goes from 10 states to 3"),
+        (lambda: decoupled_plant(PLANT, decouple(PLANT), np.zeros((2, 12))), "10 states are known"),
+        (lambda: rigid_coupling(PLANT, np.ones((2, 10)), decouple(PLANT)), "velocities"),
+        (lambda: constrained_damping(PLANT, 0.05, (0, 1)), "3 constraints for mode 2 with 2 actuators"),
+        (lambda: constrained_damping(PLANT, 0.05, (0, 7)), "undisturbed"),
+        (lambda: constrained_damping(PLANT, 0.05, (-1,)), "undisturbed"),
+        (lambda: constrained_damping(PLANT, [0.05, 0.05]), "increase"),
+        (lambda: constrained_stiffness(PLANT, -1.0), "factor"),
+        (lambda: constrained_damping(PLANT.modes([0, 1]), 0.1), "no flexible modes"),
+        (lambda: band_passed(PLANT, np.ones((2, 10)), 2.0), "rigid-body mode"),
+        (lambda: band_passed(PLANT, np.zeros((2, 10)), 2.0), "must feed back"),
+        (lambda: band_passed(PLANT, np.zeros((3, 10)), 2.0), "shape"),
+        (lambda: band_passed(PLANT, damping_gain(PLANT, 0.1), 2.0, 3), "order"),
+        (lambda: band_passed(PLANT, damping_gain(PLANT, 0.1), 0.0), "selectivity"),
+        (lambda: half_power_selectivity(PLANT, damping_gain(PLANT.modes([0, 1, 2]), 0.1)), "one mode only"),
+        (lambda: minimal_order(PLANT.state_space()), "stable"),
+        (lambda: added_damping(PLANT, PLANT.modes([0, 1, 2]).state_space()), "fewer oscillating modes"),
+        (lambda: scheme_gain("over-actuation", PLANT, SETTINGS), "takes 3"),
+        (lambda: scheme_gain("total actuation", PLANT, SETTINGS), "takes 5"),
+        (lambda: scheme_gain("over actuation", PLANT, SETTINGS), "over-actuation"),
+        (lambda: with_scheme("undamped", PLANT, replace(SETTINGS, damped=4)), "modes"),
+        (lambda: replace(SETTINGS, selectivity=0.0), "selectivity"),
+        (lambda: replace(SETTINGS, common_selectivity=-1.0), "common_selectivity"),
+        (lambda: replace(SETTINGS, increase=1.0), "increase"),
+        (lambda: draw_beam(np.random.default_rng(1), 0.3), "spacing"),
+    ],
+)
+def test_bad_input_is_named(call, message):
+    with pytest.raises(InputError, match=message):
+        call()
