@@ -4,6 +4,7 @@ import pytest
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import WebDriverWait
+
 from stillwork.claims import ledger
 
 CLAIM = next(claim for claim in ledger() if claim.notebook and claim.entry.reason)

@@ -1,6 +1,7 @@
 """Use a reader's own plant and model once, and count what had to be compiled for it."""
 
 import numpy as np
+
 from stillwork import fixedpoint as fp
 from stillwork.fixedpoint import loop, model_kernels, models, plant
 from stillwork.kernels import callback

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from stillwork.fixedpoint import FlowTransformation, RobustTransformation, published_controllers
 from stillwork.fixedpoint.published import KALMAN, LITERAL, LOW_PASS, WINDOW
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from stillwork.fixedpoint import FlowTransformation, Noise, published_controllers, simulate
 from stillwork.fixedpoint.published import KALMAN, LOW_PASS, WINDOW
 from stillwork.fixedpoint.studies_convergence import (

@@ -4,6 +4,7 @@ import sys
 
 import numpy as np
 import pytest
+
 from stillwork import paths
 from stillwork.checks import InputError
 from stillwork.fixedpoint import (

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import linalg, optimize
+
 from stillwork.checks import InputError
 from stillwork.motion.beam import beam, beam_parameters, beam_shapes, published_beam
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from stillwork.checks import InputError
 from stillwork.lti import ModalModel
 from stillwork.motion.beam import beam, published_beam

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.io import savemat
+
 from shared.universal_files import function, write_universal
 from stillwork import paths
 from stillwork.checks import InputError

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from shared.universal_files import function, write_universal
 from stillwork.checks import InputError
 from stillwork.datafiles import read_arrays

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from shared.universal_files import function, write_universal
 from stillwork import paths
 from stillwork.__main__ import main

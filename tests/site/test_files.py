@@ -6,6 +6,7 @@ from html.parser import HTMLParser
 
 import pytest
 import yaml
+
 from stillwork import paths
 from stillwork.checks import InputError
 from stillwork.claims import ledger

@@ -5,6 +5,7 @@ import shlex
 
 import numpy as np
 import pytest
+
 from stillwork import paths
 from stillwork.__main__ import main
 from stillwork.isolation.recorded_floors import record_floor

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import psutil
 import pytest
+
 from workbook import toy as toys
 from workbook.test_failures import WAIT
 from workbook.toy import until

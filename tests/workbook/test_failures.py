@@ -6,6 +6,7 @@ import shutil
 import signal
 
 import pytest
+
 from workbook import toy as toys
 from workbook.toy import until
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.optimize import minimize
+
 from stillwork import paths
 from stillwork.checks import InputError
 from stillwork.worstcase import draw_your_record as draw
