@@ -20,14 +20,16 @@ export MKL_NUM_THREADS := 1
 export NUMEXPR_NUM_THREADS := 1
 export VECLIB_MAXIMUM_THREADS := 1
 
-# nbval is for the notebooks; loading it takes a second of every process.
-UNIT := tests -p no:nbval --ignore=tests/committed --ignore=tests/browser
+# nbval is for the notebooks, anyio for nobody; loading them takes a second of every process.
+UNIT := tests -p no:nbval -p no:anyio --ignore=tests/committed --ignore=tests/browser
 
 # The tests run notebooks under the settings of a build (stillwork.workbook.jupyter_kernel).
 test quick: export OPENBLAS_CORETYPE := Nehalem
 test quick: export PYTHONHASHSEED := 0
 test quick: export MPLBACKEND := Agg
 test quick: export MATPLOTLIBRC := /dev/null
+# Kept bytecode halves the start of every worker, which reads all tests and checks all functions' types.
+test quick: export PYTHONDONTWRITEBYTECODE :=
 
 .PHONY: help figures test quick lab site browser bench accept doctor clean
 
