@@ -58,7 +58,8 @@ def _step_dense(a, driven, c, start):
             for j in range(n):
                 total += a[i, j] * x[j]
             following[i] = total
-        x[:] = following
+        for i in range(n):
+            x[i] = following[i]
     return y
 
 

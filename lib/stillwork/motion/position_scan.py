@@ -199,7 +199,8 @@ def _applied(
             for j in range(m):
                 total += ca[i, j] * z[j]
             z_next[i] = total
-        z[:] = z_next
+        for i in range(m):
+            z[i] = z_next[i]
         for i in range(modes):
             velocity = hat[2 * (i + 1) + 1]
             first = fa[i, 0, 0] * band[i, 0] + fa[i, 0, 1] * band[i, 1] + fb[i, 0] * velocity
@@ -212,7 +213,8 @@ def _applied(
             for j in range(n):
                 total += a[i, j] * x[j]
             x_next[i] = total
-        x[:] = x_next
+        for i in range(n):
+            x[i] = x_next[i]
         for i in range(r):
             estimates[k, i] = hat[i]
         last = force

@@ -138,10 +138,8 @@ def record_scans(scan: Scan, errors: Sequence[ArrayLike], rng: np.random.Generat
 def _scan(a, b, shapes, reference, forward, ca, cb, cc, noise, states, u, y):
     runs, samples, n = states.shape
     m = ca.shape[0]
-    x, following, z, z_following = np.zeros(n), np.zeros(n), np.zeros(m), np.zeros(m)
     for run in range(runs):
-        x[:] = 0.0
-        z[:] = 0.0
+        x, following, z, z_following = np.zeros(n), np.zeros(n), np.zeros(m), np.zeros(m)
         for k in range(samples):
             output = noise[run, 2, k] - noise[run, 1, k]
             for i in range(n // 2):
@@ -158,13 +156,15 @@ def _scan(a, b, shapes, reference, forward, ca, cb, cc, noise, states, u, y):
                 for j in range(m):
                     total += ca[i, j] * z[j]
                 z_following[i] = total
-            z[:] = z_following
+            for i in range(m):
+                z[i] = z_following[i]
             for i in range(n):
                 total = b[run, i] * (force + noise[run, 0, k])
                 for j in range(n):
                     total += a[run, i, j] * x[j]
                 following[i] = total
-            x[:] = following
+            for i in range(n):
+                x[i] = following[i]
 
 
 def slowest_decay(scan: Scan, errors: ArrayLike, stride: int = 100) -> float:

@@ -170,9 +170,15 @@ def _update_eigenpairs(values, vectors, row, forgetting):
         values[kept[j]] = new_values[j]
         for m in range(n):
             vectors[kept[j], m] = turned[j, m]
-    order = np.argsort(values, kind="mergesort")
-    values[:] = values[order] * scale
-    vectors[:] = vectors[order]
+    for i in range(n):
+        values[i] *= scale
+        # into ascending order: few are out of place, for only those that the update left alone can be passed
+        j = i
+        while j > 0 and values[j - 1] > values[j]:
+            values[j - 1], values[j] = values[j], values[j - 1]
+            for m in range(n):
+                vectors[j - 1, m], vectors[j, m] = vectors[j, m], vectors[j - 1, m]
+            j -= 1
 
 
 @kernel
