@@ -13,6 +13,7 @@ from stillwork.worstcase.costs import multiplications, slope
 COUNT = """
 import json, sys
 import numpy as np
+UPDATES, UNKNOWNS = json.loads(sys.argv[1])
 count = 0
 
 class Number(float):
@@ -39,7 +40,7 @@ def numbers(array):
 
 class Numpy:
     inf, int64 = np.inf, np.int64
-    argsort, copysign, hypot = staticmethod(np.argsort), staticmethod(np.copysign), staticmethod(np.hypot)
+    copysign, hypot = staticmethod(np.copysign), staticmethod(np.hypot)
     def zeros(self, shape, dtype=None): return np.zeros(shape, dtype) if dtype else numbers(np.zeros(shape))
     def sqrt(self, value):
         global count
@@ -54,51 +55,63 @@ from stillwork.worstcase import rank_one, secular, steps
 for module in (rank_one, secular, steps):
     module.np = Numpy()
 
-update, n = sys.argv[1], int(sys.argv[2])
-rng = np.random.default_rng(0)
-samples = 6 * n
-rows = rng.normal(size=(samples, n))
-outputs = rows @ rng.normal(size=n) + 0.3 * rng.normal(size=samples)
-out = [numbers(np.zeros((samples, n)))] + [numbers(np.zeros(samples)) for _ in range(3)]
-weight, bounds = Number(0.95), numbers(np.full(samples, 0.5))
-square, column = numbers(np.zeros((n, n))), [numbers(np.zeros(n)) for _ in range(3)]
-scalars = numbers(np.array([np.inf, 0.0, 0.0]))
-rows, outputs = numbers(rows), numbers(outputs)
-state = {
-    "least squares": [numbers(1e4 * np.eye(n)), column[0]],
-    "ridge": [square, column[0], column[1]],
-    "exact": [square, column[0], scalars, column[1]],
-    "approximate": [square, column[0], scalars, column[1], numbers(np.zeros((n, n))), column[2]],
-    "fast": [column[2], numbers(np.eye(n)), column[0], scalars, column[1]],
-}[update]
-run = {
-    "least squares": lambda r, y, b, o: steps._run_least_squares(r, y, weight, *state, *o[:2]),
-    "ridge": lambda r, y, b, o: steps._run_ridge(r, y, Number(1.0), weight, *state, *o[:2]),
-    "exact": lambda r, y, b, o: steps._run_exact(r, y, b, weight, *state, *o),
-    "approximate": lambda r, y, b, o: steps._run_approximate(r, y, b, weight, 2, *state, *o),
-    "fast": lambda r, y, b, o: rank_one._run_fast(r, y, b, weight, *state, *o),
-}[update]
-half = samples // 2
-run(rows[:half], outputs[:half], bounds[:half], [a[:half] for a in out])
-count = 0
-run(rows[half:], outputs[half:], bounds[half:], [a[half:] for a in out])
-print(json.dumps([count / half, float(sum(float(v) for v in out[3][half:])) / half]))
+def counted(update, n):
+    # Products and evaluations of a step.
+    global count
+    rng = np.random.default_rng(0)
+    samples = 6 * n
+    rows = rng.normal(size=(samples, n))
+    outputs = rows @ rng.normal(size=n) + 0.3 * rng.normal(size=samples)
+    out = [numbers(np.zeros((samples, n)))] + [numbers(np.zeros(samples)) for _ in range(3)]
+    weight, bounds = Number(0.95), numbers(np.full(samples, 0.5))
+    square, column = numbers(np.zeros((n, n))), [numbers(np.zeros(n)) for _ in range(3)]
+    scalars = numbers(np.array([np.inf, 0.0, 0.0]))
+    rows, outputs = numbers(rows), numbers(outputs)
+    state = {
+        "least squares": [numbers(1e4 * np.eye(n)), column[0]],
+        "ridge": [square, column[0], column[1]],
+        "exact": [square, column[0], scalars, column[1]],
+        "approximate": [square, column[0], scalars, column[1], numbers(np.zeros((n, n))), column[2]],
+        "fast": [column[2], numbers(np.eye(n)), column[0], scalars, column[1]],
+    }[update]
+    run = {
+        "least squares": lambda r, y, b, o: steps._run_least_squares(r, y, weight, *state, *o[:2]),
+        "ridge": lambda r, y, b, o: steps._run_ridge(r, y, Number(1.0), weight, *state, *o[:2]),
+        "exact": lambda r, y, b, o: steps._run_exact(r, y, b, weight, *state, *o),
+        "approximate": lambda r, y, b, o: steps._run_approximate(r, y, b, weight, 2, *state, *o),
+        "fast": lambda r, y, b, o: rank_one._run_fast(r, y, b, weight, *state, *o),
+    }[update]
+    half = samples // 2
+    run(rows[:half], outputs[:half], bounds[:half], [a[:half] for a in out])
+    count = 0
+    run(rows[half:], outputs[half:], bounds[half:], [a[half:] for a in out])
+    return count / half, float(sum(float(v) for v in out[3][half:])) / half
+
+print(json.dumps([[counted(update, n) for n in UNKNOWNS] for update in UPDATES]))
 """
 
+ACCURACY = {"least squares": 0.01, "ridge": 0.01, "approximate": 0.01, "exact": 0.02, "fast": 0.1}
+UNKNOWNS = [4, 12]
 
-@pytest.mark.parametrize("unknowns", [4, 12])
-@pytest.mark.parametrize(
-    ("update", "accuracy"),
-    [("least squares", 0.01), ("ridge", 0.01), ("approximate", 0.01), ("exact", 0.02), ("fast", 0.1)],
-)
-def test_formulas_agree_with_a_count(update, accuracy, unknowns):
+
+@pytest.fixture(scope="module")
+def counts():
+    """Products and evaluations of a step by update and unknowns, of one process for all."""
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(sys.path)}
+    wanted = json.dumps([list(ACCURACY), UNKNOWNS])
     done = subprocess.run(
-        [sys.executable, "-c", COUNT, update, str(unknowns)], env=environment, capture_output=True, text=True
+        [sys.executable, "-c", COUNT, wanted], env=environment, capture_output=True, text=True
     )
     assert done.returncode == 0, done.stderr
-    counted, evaluations = json.loads(done.stdout)
-    assert multiplications(update, unknowns, evaluations) == pytest.approx(counted, rel=accuracy)
+    return dict(zip(ACCURACY, json.loads(done.stdout), strict=True))
+
+
+@pytest.mark.parametrize("place", range(len(UNKNOWNS)))
+@pytest.mark.parametrize("update", ACCURACY)
+def test_formulas_agree_with_a_count(update, place, counts):
+    counted, evaluations = counts[update][place]
+    formula = multiplications(update, UNKNOWNS[place], evaluations)
+    assert formula == pytest.approx(counted, rel=ACCURACY[update])
 
 
 def test_slope_of_a_power_law():
