@@ -133,7 +133,7 @@ def location_errors(study: LocationStudy, panels: Mapping[str, str]):
             axis.plot(time, errors[k], color=colour, linewidth=0.5, label=f"{name} rms")
         for edge in (study.setpoint.acceleration_end, study.setpoint.scan[1]):
             axis.axvline(edge, color=figures.BLACK, linewidth=0.8)
-        axis.set_title(f"{title}: rms {1e9 * size.min():.1f} to {1e9 * size.max():.1f} nm in the scan")
+        axis.set_title(f"{title}: {1e9 * size.min():.1f} to {1e9 * size.max():.1f} nm rms")
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=7)
     for axis in axes[:, 0]:
