@@ -5,10 +5,10 @@ from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from stillwork.checks import InputError, require_array, require_number
+from stillwork.checks import InputError, require_array, require_choice, require_number
 from stillwork.lti import ModalModel, StateModel, zoh_modes
 from stillwork.motion.delays import delayed
-from stillwork.motion.feedback import DampedModes
+from stillwork.motion.feedback import DampedModes, place
 
 
 def damped_poles(model: ModalModel, increase: float | ArrayLike) -> Complex128[np.ndarray, " flexible_modes"]:
@@ -130,3 +130,56 @@ def sampled_feedback(
     return DampedModes(
         np.concatenate([rest, -upper.real / np.abs(upper)]), np.concatenate([rest, np.abs(upper)])
     )
+
+
+Z_METHODS = ("Ackermann", "robust")
+
+
+def gain_by_placement(
+    model: ModalModel, increase: float | ArrayLike, step: float, method: str
+) -> Float64[np.ndarray, "1 states"]:
+    """The gain of (4.3) by a general pole-placement method in z, for comparison: it loses digits at high rates.
+
+    Parameters
+    ----------
+    model, increase, step
+        See `discrete_damping_gain`.
+    method : str
+        ``Ackermann``: `feedback.place`; ``robust``: `scipy.signal.place_poles`.
+
+    Raises
+    ------
+    InputError
+        When the method finds the model uncontrollable to rounding.
+    """
+    require_choice("method", method, Z_METHODS)
+    upper = np.exp(damped_poles(model, increase) * step)
+    wanted = np.concatenate([upper, upper.conj()])
+    rigid = model.rigid_modes
+    sampled = zoh_modes(model.modes(slice(rigid, None)), step)
+    gain = np.zeros((1, 2 * len(model.frequencies)))
+    if method == "Ackermann":
+        gain[:, 2 * rigid :] = place(sampled, wanted)
+        return gain
+    from scipy.signal import place_poles
+
+    try:
+        gain[:, 2 * rigid :] = -place_poles(sampled.a, sampled.b, wanted).gain_matrix
+    except ValueError as error:
+        raise InputError(f"model: its poles cannot be placed ({error}); lower the sampling rate") from None
+    return gain
+
+
+def placement_error(
+    model: ModalModel, gain: Float64[np.ndarray, "1 states"], increase: float | ArrayLike, step: float
+) -> float:
+    """Largest distance of a pole of A + BK from the wanted one, relative to the distance it had to move."""
+    rigid = model.rigid_modes
+    gain = require_array("gain", gain, shape=(1, 2 * len(model.frequencies)))
+    flexible = model.modes(slice(rigid, None))
+    sampled = zoh_modes(flexible, step)
+    poles = linalg.eigvals(sampled.a + sampled.b @ gain[:, 2 * rigid :])
+    wanted, before = (
+        np.exp(p * step) for p in (damped_poles(model, increase), flexible.poles[: len(flexible.frequencies)])
+    )
+    return float((np.abs(poles[:, None] - wanted).min(axis=0) / np.abs(before - wanted)).max())

@@ -55,7 +55,7 @@ def sensitivities(
         axis.set_xlabel("frequency (Hz)")
         axis.set_ylim(-15, 12)
     axes[0, 0].set_ylabel("magnitude (dB)")
-    axes[0, -1].legend(ncols=2, loc="lower right", fontsize=7)
+    axes[0, 0].legend(ncols=2, loc="lower right", fontsize=7)
     return figure
 
 
