@@ -6,7 +6,7 @@ from stillwork.checks import InputError, require_count
 from stillwork.lti import StateModel
 
 
-def delayed(model: StateModel, samples: int) -> StateModel:
+def delayed(model: StateModel, samples: float) -> StateModel:
     """The model with every output late by a whole number of samples."""
     samples = require_count("samples", samples, at_least=0)
     if not model.step:

@@ -89,9 +89,7 @@ def discrete_damping_gain(
     return gain
 
 
-def sampled_feedback(
-    model: ModalModel, gain: Float64[np.ndarray, "inputs states"], step: float, delay: int = 0
-) -> DampedModes:
+def sampled_feedback(model: ModalModel, gain: ArrayLike, step: float, delay: float = 0) -> DampedModes:
     """Damping ratios and frequencies that a gain gives the sampled machine, (4.2), with perfect estimates.
 
     The eigenvalues z are read as those of a continuous machine, ln(z)/T_s.
@@ -99,12 +97,12 @@ def sampled_feedback(
     Parameters
     ----------
     model : ModalModel
-    gain : ndarray, shape (inputs, states)
+    gain : array_like, shape (inputs, states)
         On modal form 1, zero on the rigid body.
     step : float
         s.
     delay : int
-        Whole samples by which the force comes late.
+        Samples by which the force comes late.
 
     Raises
     ------
@@ -170,9 +168,7 @@ def gain_by_placement(
     return gain
 
 
-def placement_error(
-    model: ModalModel, gain: Float64[np.ndarray, "1 states"], increase: float | ArrayLike, step: float
-) -> float:
+def placement_error(model: ModalModel, gain: ArrayLike, increase: float | ArrayLike, step: float) -> float:
     """Largest distance of a pole of A + BK from the wanted one, relative to the distance it had to move."""
     rigid = model.rigid_modes
     gain = require_array("gain", gain, shape=(1, 2 * len(model.frequencies)))

@@ -32,14 +32,13 @@ class DiscreteObserver:
     a: Float64[np.ndarray, "states states"]
     b: Float64[np.ndarray, "states inputs"]
     c: Float64[np.ndarray, "outputs states"]
-    gain: Float64[np.ndarray, "states outputs"]  # of the filter, K; the predictor's is L = AK
+    gain: ArrayLike  # (states, outputs), of the filter, K; the predictor's is L = AK
     covariance: Float64[np.ndarray, "states states"]  # P(k|k-1)
     step: float  # s
 
     def __post_init__(self):
-        for name, like in (("b", self.a), ("gain", self.a)):
-            require_array(name, getattr(self, name), shape=(len(like), None))
-        require_array("gain", self.gain, shape=(len(self.a), len(self.c)))
+        gain = require_array("gain", self.gain, shape=(len(self.a), len(self.c)))
+        object.__setattr__(self, "gain", gain)
         require_number("step", self.step, above=0.0)
         if np.any(np.abs(linalg.eigvals(self.a - self.a @ self.gain @ self.c)) >= 1):
             raise InputError("the observer is unstable; its gain must stabilise A - AKC")
@@ -65,7 +64,7 @@ class DiscreteObserver:
         """C_f: what the estimated flexible modes put into each measurement."""
         return self.read(self.model.output_shapes[:, self.model.rigid_modes :])
 
-    def estimator(self, rows: ArrayLike, form: str = "filter", delay: int = 0) -> StateModel:
+    def estimator(self, rows: ArrayLike, form: str = "filter", delay: float = 0) -> StateModel:
         """Model from (u, y) to ``rows @ x_hat`` as it arrives, `delay` samples after the measurement it uses.
 
         Parameters
@@ -100,7 +99,7 @@ class DiscreteObserver:
         return delayed(StateModel(a, b, c, np.hstack([none, rows @ self.gain]), self.step), delay)
 
 
-def discrete_observer(
+def discrete_kalman_observer(
     model: ModalModel, noise: Noise, step: float, noise_model: float | None = None
 ) -> DiscreteObserver:
     r"""Stationary discrete Kalman observer, (4.7) and section 4.1.3, with the process noise at the plant input.
@@ -140,7 +139,7 @@ def discrete_observer(
 
 
 def discrete_compensator(
-    observer: DiscreteObserver, application: Application, form: str = "predictor", delay: int = 1
+    observer: DiscreteObserver, application: Application, form: str = "predictor", delay: float = 1
 ) -> StateModel:
     """The block from (u, y) to (u_d, y_flex) in discrete time, see `applications.compensator`.
 

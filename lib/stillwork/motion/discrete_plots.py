@@ -9,7 +9,7 @@ from stillwork.checks import InputError
 from stillwork.lti import StateModel, resonance_grid, zoh_modes
 from stillwork.motion.applications import Application
 from stillwork.motion.designs import COMPENSATED, RETAINED
-from stillwork.motion.discrete_observer import discrete_compensator, discrete_observer
+from stillwork.motion.discrete_observer import discrete_compensator, discrete_kalman_observer
 from stillwork.motion.loops import channel, closed_loop
 from stillwork.motion.machines import stage
 from stillwork.motion.observer import published_noise
@@ -66,7 +66,9 @@ def draw_sampled(rate_khz: float, damping: float, compensate: str, timing: str):
     step = 1e-3 / rate_khz
     machine = stage().at([0], [4])
     plant = zoh_modes(machine, step)
-    observer = discrete_observer(truncate(machine, RETAINED, COMPENSATED), published_noise(), step, 0.03)
+    observer = discrete_kalman_observer(
+        truncate(machine, RETAINED, COMPENSATED), published_noise(), step, 0.03
+    )
     application = Application(compensate == "yes", damping, "pole placement")
     block = discrete_compensator(observer, application, *TIMINGS[timing])
     seen = equivalent_plant(plant, block)
