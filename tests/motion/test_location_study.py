@@ -149,10 +149,12 @@ def test_bad_plants_places_and_loops_are_refused(plant, setpoint, force):
 
 
 def test_the_stage_has_the_error_of_its_own_feedforward(setpoint):
-    found = stage_error(setpoint)
+    found = stage_error(setpoint, PidFamily(stage_mass())(35.0))
     # Four gains fitted to the move leave some newtons in the middle of a segment, spikes where the snap jumps.
     middle = np.abs(found.values[np.abs(found.time - 0.01).argmin()])
     assert middle < 1 < np.abs(found.values).max()
+    with pytest.raises(InputError, match="masses 1 to 7"):
+        stage_error(setpoint, PidFamily(stage_mass())(35.0), 8)
 
 
 def test_the_explorer_draws_a_location():

@@ -11,7 +11,7 @@ from stillwork.checks import InputError, require_array, require_choice, require_
 from stillwork.lti import ModalModel, StateModel
 from stillwork.motion.applications import compensator
 from stillwork.motion.controller import Pid
-from stillwork.motion.designs import DESIGNS, Design, stage_bandwidth
+from stillwork.motion.designs import DESIGNS, Design
 from stillwork.motion.ideal_feedforward import Force, feedforward_error, ideal_force, invert, respond
 from stillwork.motion.loops import INPUTS, OUTPUTS, closed_loop, require_stable
 from stillwork.motion.machines import stage
@@ -150,9 +150,11 @@ def ranges(places: ArrayLike, shortest: float, points: int = 11) -> Float64[np.n
     return np.stack([low[wide], high[wide]], axis=1)
 
 
-def stage_error(setpoint: Setpoint, measured: int = 5) -> Force:
+def stage_error(setpoint: Setpoint, controller: Pid, measured: int = 5) -> Force:
     """Feedforward error of the stage for one measured mass: ideal force less the gains fitted to the bare loop."""
+    if require_count("measured", measured) > len(stage().output_shapes):
+        raise InputError(f"measured is {measured}; the stage has masses 1 to {len(stage().output_shapes)}")
     machine = stage().at([0], [measured - 1])
-    controller = stage_bandwidth("PID").controller.state_space()
-    feedforward = fit_feedforward(error_loop(closed_loop(machine, None, controller)), setpoint)
+    loop = error_loop(closed_loop(machine, None, controller.state_space()))
+    feedforward = fit_feedforward(loop, setpoint)
     return feedforward_error(ideal_force(invert(machine), setpoint), feedforward)

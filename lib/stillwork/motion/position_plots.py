@@ -236,7 +236,7 @@ def draw_place(place: float, damping: float, compensate: str, noise_exponent: fl
 @cache
 def _explored() -> tuple[Setpoint, Force]:
     setpoint = published_setpoint(2e-4)
-    return setpoint, stage_error(setpoint)
+    return setpoint, stage_error(setpoint, PidFamily(stage_mass())(35.6))
 
 
 def draw_location(place: float, damping: float, compensate: str, bandwidth_hz: float):
