@@ -2,12 +2,26 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import signal
+from scipy import linalg, signal
 from stillwork.checks import InputError
 from stillwork.motion.controller import PidFamily
 from stillwork.motion.designs import DESIGNS, stage_compensator
-from stillwork.motion.ideal_feedforward import feedforward_error, ideal_force, invert, respond
-from stillwork.motion.location_study import LocationStudy, ranges, stage_error, study_locations
+from stillwork.motion.ideal_feedforward import (
+    feedforward_error,
+    fit_to_force,
+    ideal_force,
+    invert,
+    respond,
+    sampled_ideal_force,
+)
+from stillwork.motion.location_study import (
+    LocationStudy,
+    bare_error,
+    location_loops,
+    ranges,
+    stage_error,
+    study_locations,
+)
 from stillwork.motion.loops import closed_loop
 from stillwork.motion.machines import chain, stage, stage_mass
 from stillwork.motion.performance import rms
@@ -15,7 +29,7 @@ from stillwork.motion.position_dependence import stage_grid
 from stillwork.motion.position_plots import draw_location
 from stillwork.motion.reduction import truncate
 from stillwork.motion.setpoint import published_setpoint
-from stillwork.motion.tracking import Feedforward, error_loop, tracking_error
+from stillwork.motion.tracking import Feedforward, error_loop, fit_feedforward, tracking_error
 
 GRID = stage_grid()
 APPLIED = Feedforward(acceleration=12.5, snap=1.5e-6)
@@ -67,7 +81,8 @@ def test_a_force_fed_into_the_loop_gives_the_tracking_error(plant, setpoint, for
     for name in ("PID", "AD"):
         loop = closed_loop(plant, stage_compensator(5, DESIGNS[name]), controller.state_space())
         wanted = tracking_error(error_loop(loop), setpoint, APPLIED)
-        study = study_locations(stage(), GRID, [GRID[4]], force, setpoint, {"one": (name, controller)})
+        loops = location_loops(stage(), GRID, [GRID[4]], {"one": (name, controller)})
+        study = study_locations(loops, force, setpoint)
         np.testing.assert_allclose(study.errors["one"][0], wanted, atol=1e-7 * np.abs(wanted).max())
 
 
@@ -110,16 +125,17 @@ def test_rms_settling_and_ranges_by_hand(setpoint):
 def test_noise_adds_to_the_error_and_is_the_same_for_all_cases(setpoint, force):
     pid = PidFamily(stage_mass())(30.0)
     cases = {"a": ("PID", pid), "b": ("PID", pid)}
+    loops = location_loops(stage(), GRID, [0.1], cases)
     noise = {"d": 1e-9}
     noisy, quiet = (
-        study_locations(stage(), GRID, [0.1], force, setpoint, cases, "w", *extra)
+        study_locations(loops, force, setpoint, "w", *extra)
         for extra in ((noise, np.random.default_rng(1)), ())
     )
     np.testing.assert_array_equal(noisy.errors["a"], noisy.errors["b"])
     added = (noisy.errors["a"] - quiet.errors["a"])[0]
     assert 1e-11 < added.std() < 3e-9
     with pytest.raises(InputError, match="belong together"):
-        study_locations(stage(), GRID, [0.1], force, setpoint, cases, "w", noise)
+        study_locations(loops, force, setpoint, "w", noise)
 
 
 def test_bad_plants_places_and_loops_are_refused(plant, setpoint, force):
@@ -134,27 +150,85 @@ def test_bad_plants_places_and_loops_are_refused(plant, setpoint, force):
         respond(closed_loop(plant, None, PidFamily(stage_mass())(30.0).state_space()), force)
     pid, wild = PidFamily(stage_mass())(30.0), PidFamily(stage_mass())(140.0)
     with pytest.raises(InputError, match=r"wild at 0\.1 m"):
-        study_locations(stage(), GRID, [0.1], force, setpoint, {"wild": ("PID", wild)})
+        location_loops(stage(), GRID, [0.1], {"wild": ("PID", wild)})
     with pytest.raises(InputError, match="outside the grid"):
-        study_locations(stage(), GRID, [0.4], force, setpoint, {"one": ("PID", pid)})
+        location_loops(stage(), GRID, [0.4], {"one": ("PID", pid)})
     with pytest.raises(InputError, match="ascending"):
-        study_locations(stage(), GRID, [0.2, 0.1], force, setpoint, {"one": ("PID", pid)})
+        location_loops(stage(), GRID, [0.2, 0.1], {"one": ("PID", pid)})
     with pytest.raises(InputError, match="design"):
-        study_locations(stage(), GRID, [0.1], force, setpoint, {"one": ("DA", pid)})
+        location_loops(stage(), GRID, [0.1], {"one": ("DA", pid)})
+    loops = location_loops(stage(), GRID, [0.1], {"one": ("PID", pid)})
     with pytest.raises(InputError, match="same samples"):
-        study_locations(stage(), GRID, [0.1], force, published_setpoint(1e-4), {"one": ("PID", pid)})
+        study_locations(loops, force, published_setpoint(1e-4))
     with pytest.raises(InputError, match="same samples"):
-        shifted = replace(force, time=force.time + 1e-4)
-        study_locations(stage(), GRID, [0.1], shifted, setpoint, {"one": ("PID", pid)})
+        study_locations(loops, replace(force, time=force.time + 1e-4), setpoint)
+    with pytest.raises(InputError, match="source"):
+        study_locations(loops, force, setpoint, "r")
 
 
-def test_the_stage_has_the_error_of_its_own_feedforward(setpoint):
-    found = stage_error(setpoint, PidFamily(stage_mass())(35.0))
-    # Four gains fitted to the move leave some newtons in the middle of a segment, spikes where the snap jumps.
-    middle = np.abs(found.values[np.abs(found.time - 0.01).argmin()])
-    assert middle < 1 < np.abs(found.values).max()
+@pytest.mark.parametrize("mass", [1, 5, 7])
+def test_the_held_ideal_force_meets_the_setpoint_at_every_sample(mass):
+    """Stepped by exact steps of every mode, from rest before the move."""
+    setpoint = published_setpoint(1e-4)
+    machine = stage().at([0], [mass - 1])
+    force = sampled_ideal_force(machine, setpoint)
+    states = machine.modes(slice(0, 8)).state_space()
+    # The exponential of the whole, balanced by hand: velocities over a frequency.
+    scale = np.tile([1.0, 1e4], 8)
+    whole = np.zeros((17, 17))
+    whole[:16, :16] = states.a * scale[None, :] / scale[:, None]
+    whole[:16, 16:] = states.b / scale[:, None]
+    held = linalg.expm(whole * setpoint.step)
+    x, reached = np.zeros(16), []
+    for value in force.values:
+        reached.append(float(states.c[0] * scale @ x))
+        x = held[:16, :16] @ x + held[:16, 16] * value
+    wanted = np.concatenate([np.zeros(len(force.time) - len(setpoint.time)), setpoint.derivatives[0]])
+    np.testing.assert_allclose(reached, wanted, rtol=0, atol=1e-11)  # 0.01 nm of 0.17 m
+
+
+def test_the_spikes_of_the_continuous_force_do_not_reach_the_scan(plant):
+    setpoint, controller = published_setpoint(1e-4), PidFamily(stage_mass())(35.0)
+    loop = bare_error(controller)
+    peaks, errors = [], []
+    for ideal in (ideal_force(invert(plant), setpoint), sampled_ideal_force(plant, setpoint)):
+        left = feedforward_error(ideal, fit_to_force(loop, ideal))
+        peaks.append(np.abs(left.values).max())
+        errors.append(rms(respond(loop, left)[0, -len(setpoint.time) :][setpoint.scanning]))
+    assert peaks[0] > 4 * peaks[1]
+    assert errors[1] == pytest.approx(errors[0], rel=0.01)
+
+
+def test_gains_fitted_to_a_force_are_those_fitted_to_the_move(plant, setpoint):
+    controller = PidFamily(stage_mass())(35.0)
+    loop = closed_loop(plant, None, controller.state_space())
+    found = fit_to_force(bare_error(controller), ideal_force(invert(plant), setpoint))
+    np.testing.assert_allclose(found.gains, fit_feedforward(error_loop(loop), setpoint).gains, rtol=1e-4)
+
+
+def test_fitted_gains_leave_the_least_error_and_take_noise_along(plant):
+    setpoint, controller = published_setpoint(1e-4), PidFamily(stage_mass())(35.0)
+    loop, ideal = bare_error(controller), sampled_ideal_force(plant, setpoint)
+    found = fit_to_force(loop, ideal)
+
+    def left(gains):
+        return np.sum(respond(loop, feedforward_error(ideal, gains))[0, -len(setpoint.time) :] ** 2)
+
+    for name in ("velocity", "acceleration", "jerk", "snap"):
+        for change in (-1e-4, 1e-4):
+            assert left(replace(found, **{name: (1 + change) * getattr(found, name)})) > left(found)
+    more = respond(loop, replace(ideal, row=np.array([0, 0, 0, 0, 1.0])))[0, -len(setpoint.time) :]
+    noisy = fit_to_force(loop, ideal, 1e-7 * more)
+    np.testing.assert_allclose(noisy.gains, found.gains + np.array([0, 0, 0, 1e-7]), rtol=1e-6, atol=1e-9)
+
+
+def test_the_error_signal_stays_within_the_axis_of_its_figure_at_ten_kilohertz():
+    found = stage_error(published_setpoint(1e-4), PidFamily(stage_mass())(35.0))
+    assert 10 < np.abs(found.values).max() < 30
     with pytest.raises(InputError, match="masses 1 to 7"):
-        stage_error(setpoint, PidFamily(stage_mass())(35.0), 8)
+        stage_error(published_setpoint(1e-4), PidFamily(stage_mass())(35.0), 8)
+    with pytest.raises(InputError, match="unit circle"):
+        sampled_ideal_force(stage(0.0).at([0], [4]), published_setpoint(1e-4))
 
 
 def test_the_explorer_draws_a_location():

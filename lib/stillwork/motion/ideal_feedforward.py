@@ -4,15 +4,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Complex128, Float64
+from numpy.typing import ArrayLike
 from scipy import linalg
 
 from stillwork.checks import InputError
-from stillwork.lti import ModalModel, StateModel, simulate, zoh
+from stillwork.lti import ModalModel, StateModel, simulate, zoh, zoh_modes
 from stillwork.motion.setpoint import Setpoint
-from stillwork.motion.tracking import Feedforward
+from stillwork.motion.tracking import BASIS, Feedforward, least_squares
 
 # Relative error of the partial fractions above which they are refused; they leave about 1e-12.
 WORST_ERROR = 1e-8
+FAINT = 1e-12  # what is left of a zero's motion where it is cut off
 
 
 @dataclass(frozen=True)
@@ -25,12 +27,9 @@ class Inverse:
 
     @property
     def lead(self) -> float:
-        """Time (s) before the move in which the force must begin: zeros in the right half-plane want it.
-
-        At its start the force is below 1e-12 of what it will be.
-        """
+        """Time (s) before the move in which the force must begin: zeros in the right half-plane want it."""
         right = self.zeros.real[self.zeros.real > 0]
-        return float(np.log(1e12) / right.min()) if len(right) else 0.0
+        return float(-np.log(FAINT) / right.min()) if len(right) else 0.0
 
 
 def invert(plant: ModalModel) -> Inverse:
@@ -42,8 +41,7 @@ def invert(plant: ModalModel) -> Inverse:
         When the plant is of another kind, a zero lies on the imaginary axis (its force would ring for ever),
         or the inverse differentiates the snap.
     """
-    if plant.feedthrough.shape != (1, 1) or plant.rigid_modes != 1 or plant.measures != "position":
-        raise InputError("plant must have one rigid-body mode, one input and one position output")
+    _require_single(plant)
     w, z = plant.frequencies, plant.damping
     residues = plant.output_shapes[0] * plant.input_shapes[:, 0]
 
@@ -81,11 +79,17 @@ def invert(plant: ModalModel) -> Inverse:
     return Inverse(found / scale ** np.arange(3), zeros, parts)
 
 
+def _require_single(plant: ModalModel) -> None:
+    if plant.feedthrough.shape != (1, 1) or plant.rigid_modes != 1 or plant.measures != "position":
+        raise InputError("plant must have one rigid-body mode, one input and one position output")
+
+
 @dataclass(frozen=True)
 class Force:
     r"""A force :math:`f = hx` whose states follow :math:`\dot x = Gx` from sample to sample, so exactly known between.
 
-    It may begin before the move, whose start is time zero.
+    It may begin before the move, whose start is time zero. Its last four states are the setpoint's velocity,
+    acceleration, jerk and snap, on which a feedforward acts: as they are, or held over each sample (G = 0).
     """
 
     time: Float64[np.ndarray, " samples"]  # s
@@ -143,11 +147,65 @@ def _filtered(zero: complex, rows: np.ndarray, step: float) -> np.ndarray:
     return x
 
 
+def sampled_ideal_force(plant: ModalModel, setpoint: Setpoint) -> Force:
+    r"""The held force under which the plant meets the setpoint at every sample: stable inversion in discrete time.
+
+    The zero-order hold adds zeros of its own; those outside the unit circle are run backwards. Solved by Fourier
+    transformation of :math:`(z-1)^2r = (z-1)^2P(z)f` over a record so long that nothing is left at its ends.
+
+    Raises
+    ------
+    InputError
+        When the plant is not a single one, or a zero lies on the unit circle.
+    """
+    _require_single(plant)
+    step = setpoint.step
+    sampled = zoh_modes(plant, step)
+    distance = np.log(np.abs(sampled.zeros))
+    if np.any(np.abs(distance) < 1e-6):
+        raise InputError("plant has a zero on the unit circle at this sample time; take another one")
+    longest = -np.log(FAINT) / np.abs(distance)
+    ahead = int(np.ceil(longest[distance > 0].max(initial=0)))
+    moved = np.pad(setpoint.derivatives[1:], ((0, 0), (ahead, 0)))
+    size = moved.shape[1]
+    # Second differences of the position, from the first ones: those of the positions themselves would be rounding.
+    steps = np.append(step ** np.arange(1, 5) / [1, 2, 6, 24] @ moved, 0.0)
+    whole = 1 << int(np.ceil(np.log2(size + longest.max())))
+    angle = 2 * np.pi * np.fft.rfftfreq(whole)
+    z = np.exp(1j * angle)
+    rigid = plant.output_shapes[0, 0] * plant.input_shapes[0, 0] * step**2 / 2
+    flexible = zoh_modes(plant.modes(slice(1, None)), step).frequency_response(angle / step)[0, 0]
+    values = np.fft.irfft(
+        np.fft.rfft(np.diff(steps), whole) / (rigid * (z + 1) + (z - 1) ** 2 * flexible), whole
+    )
+    states = np.vstack([values[:size], moved])
+    return Force((np.arange(size) - ahead) * step, states, np.zeros((5, 5)), np.eye(5)[0])
+
+
 def feedforward_error(ideal: Force, feedforward: Feedforward) -> Force:
     """Ideal force less the applied one: what the loop must reject (Fig. 4.9)."""
     row = ideal.row.copy()
     row[-4:] -= feedforward.gains
     return replace(ideal, row=row)
+
+
+def fit_to_force(loop: StateModel, ideal: Force, noise: ArrayLike = 0.0) -> Feedforward:
+    """Gains that leave the smallest sum of squared errors over the move, of the ideal force less theirs.
+
+    Parameters
+    ----------
+    loop : StateModel
+        From the force to the error.
+    ideal : Force
+        Held or not; the feedforward is what it is.
+    noise : array_like, shape (samples from the start of the move,), optional
+        Of the measured error (m), when the gains are fitted to a noisy move.
+    """
+    move = ideal.time > -1e-6 * (ideal.time[1] - ideal.time[0])
+    unit = np.eye(len(ideal.states))[-4:]
+    columns = [respond(loop, replace(ideal, row=row))[0, move] for row in unit]
+    wanted = respond(loop, ideal)[0, move] + noise
+    return Feedforward(**dict(zip(BASIS, least_squares(np.array(columns).T, wanted), strict=True)))
 
 
 def respond(model: StateModel, force: Force) -> Float64[np.ndarray, "outputs samples"]:

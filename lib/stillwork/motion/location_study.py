@@ -12,12 +12,18 @@ from stillwork.lti import ModalModel, StateModel
 from stillwork.motion.applications import compensator
 from stillwork.motion.controller import Pid
 from stillwork.motion.designs import DESIGNS, Design
-from stillwork.motion.ideal_feedforward import Force, feedforward_error, ideal_force, invert, respond
+from stillwork.motion.ideal_feedforward import (
+    Force,
+    feedforward_error,
+    fit_to_force,
+    respond,
+    sampled_ideal_force,
+)
 from stillwork.motion.loops import INPUTS, OUTPUTS, closed_loop, require_stable
 from stillwork.motion.machines import stage
 from stillwork.motion.position_dependence import at_place, observer_at
 from stillwork.motion.setpoint import Setpoint
-from stillwork.motion.tracking import error_loop, fit_feedforward, noise_error
+from stillwork.motion.tracking import noise_error
 
 WARM_UP = 3000  # samples in which the noise reaches its steady state
 
@@ -61,18 +67,13 @@ class LocationStudy:
         return np.array([values.min(), values.mean(), values.max()])
 
 
-def study_locations(
-    plant: ModalModel,
-    grid: ArrayLike,
-    places: ArrayLike,
-    force: Force,
-    setpoint: Setpoint,
-    cases: Mapping[str, tuple[str | Design, Pid]],
-    source: str = "w",
-    deviations: dict[str, float] | None = None,
-    rng: np.random.Generator | None = None,
-) -> LocationStudy:
-    """Run the same force into the loop at every place, with the observer of that place.
+Loops = Mapping[float, Mapping[str, StateModel]]
+
+
+def location_loops(
+    plant: ModalModel, grid: ArrayLike, places: ArrayLike, cases: Mapping[str, tuple[str | Design, Pid]]
+) -> dict[float, dict[str, StateModel]]:
+    """Closed loops of every case at every place, with the observer of that place.
 
     Parameters
     ----------
@@ -80,64 +81,86 @@ def study_locations(
         See `position_dependence.at_place`; the sensor stands still at each place.
     places : array_like, shape (places,)
         m, ascending.
-    force : Force
-        The feedforward error, ideal less applied; the plant gets that much too little.
-    setpoint : Setpoint
-        With the sample time of the force.
     cases : mapping
         Any name to a design (a name in `DESIGNS`) and the controller.
-    source : str
-        ``w``: the observer does not see the force. ``u_ff``: it does.
-    deviations : dict, optional
-        Noise of `tracking.noise_error`, fresh at every place and the same for all cases; without it, none.
-    rng : numpy.random.Generator, optional
-        Draws the noise.
 
     Raises
     ------
     InputError
         When a loop is unstable at a place, or a place lies outside the structure.
     """
-    require_choice("source", source, ("w", "u_ff"))
     places = require_array("places", places, ndim=1)
     if not len(places) or np.any(np.diff(places) <= 0):
         raise InputError("places must hold at least one place, in ascending order")
-    ahead = len(force.time) - len(setpoint.time)
-    if (deviations is None) != (rng is None):
-        raise InputError("deviations and rng belong together; give both or neither")
-    if ahead < 0 or abs(force.time[ahead]) > 1e-6 * setpoint.step:
-        raise InputError("force and setpoint do not have the same samples; make both with one step")
     designs = {
         name: DESIGNS[require_choice("design", d, DESIGNS)] if isinstance(d, str) else d
         for name, (d, _) in cases.items()
     }
     controllers = {name: controller.state_space() for name, (_, controller) in cases.items()}
-    errors = {name: np.zeros((len(places), len(setpoint.time))) for name in cases}
-    for row, place in enumerate(places):
-        machine = at_place(plant, grid, float(place))
-        blocks: dict[Design, StateModel | None] = {}
-        seed = 0 if rng is None else int(rng.integers(2**63))
+    found: dict[float, dict[str, StateModel]] = {}
+    for place in places.tolist():
+        machine = at_place(plant, grid, place)
+        blocks = {design: _block(plant, grid, place, design) for design in set(designs.values())}
+        found[place] = {}
         for name, design in designs.items():
-            if design not in blocks:
-                blocks[design] = _block(plant, grid, float(place), design)
             loop = closed_loop(machine, blocks[design], controllers[name])
             try:
                 require_stable(loop)
             except InputError as error:
                 raise InputError(f"{name} at {place:g} m: {error}") from None
-            channel = loop.select([INPUTS.index(source)], [OUTPUTS.index("e_true")])
-            errors[name][row] = -respond(channel, force)[0, ahead:]
-            if deviations is not None:
-                draws = np.random.default_rng(seed)
-                noise = noise_error(loop, setpoint.step, WARM_UP + len(setpoint.time), deviations, draws)
-                errors[name][row] += noise[0, WARM_UP:]
-    return LocationStudy(places, setpoint, errors)
+            found[place][name] = loop
+    return found
 
 
 def _block(plant: ModalModel, grid: ArrayLike, place: float, design: Design) -> StateModel | None:
     if design.application is None:
         return None
     return compensator(observer_at(plant, grid, place, None, design.noise_model), design.application)
+
+
+def study_locations(
+    loops: Loops,
+    force: Force,
+    setpoint: Setpoint,
+    source: str = "w",
+    deviations: dict[str, float] | None = None,
+    rng: np.random.Generator | None = None,
+) -> LocationStudy:
+    """Send the same force into the loops of every place.
+
+    Parameters
+    ----------
+    loops : mapping
+        Place (m) to case to loop, of `location_loops`.
+    force : Force
+        The feedforward error, ideal less applied; the plant gets that much too little.
+    setpoint : Setpoint
+        With the sample time of the force.
+    source : str
+        ``w``: the observer does not see the force. ``u_ff``: it does.
+    deviations : dict, optional
+        Noise of `tracking.noise_error`, fresh at every place and the same for all cases; without it, none.
+    rng : numpy.random.Generator, optional
+        Draws the noise.
+    """
+    require_choice("source", source, ("w", "u_ff"))
+    ahead = len(force.time) - len(setpoint.time)
+    if (deviations is None) != (rng is None):
+        raise InputError("deviations and rng belong together; give both or neither")
+    if ahead < 0 or not np.allclose(force.time[ahead:], setpoint.time, rtol=0, atol=1e-6 * setpoint.step):
+        raise InputError("force and setpoint do not have the same samples; make both with one step")
+    errors: dict[str, list[np.ndarray]] = {}
+    for cases in loops.values():
+        seed = 0 if rng is None else int(rng.integers(2**63))
+        for name, loop in cases.items():
+            channel = loop.select([INPUTS.index(source)], [OUTPUTS.index("e_true")])
+            error = -respond(channel, force)[0, ahead:]
+            if deviations is not None:
+                draws = np.random.default_rng(seed)
+                samples = WARM_UP + len(setpoint.time)
+                error = error + noise_error(loop, setpoint.step, samples, deviations, draws)[0, WARM_UP:]
+            errors.setdefault(name, []).append(error)
+    return LocationStudy(np.array(list(loops)), setpoint, {name: np.array(e) for name, e in errors.items()})
 
 
 def ranges(places: ArrayLike, shortest: float, points: int = 11) -> Float64[np.ndarray, "ranges 2"]:
@@ -150,11 +173,19 @@ def ranges(places: ArrayLike, shortest: float, points: int = 11) -> Float64[np.n
     return np.stack([low[wide], high[wide]], axis=1)
 
 
-def stage_error(setpoint: Setpoint, controller: Pid, measured: int = 5) -> Force:
-    """Feedforward error of the stage for one measured mass: ideal force less the gains fitted to the bare loop."""
+def bare_error(controller: Pid, measured: int = 5) -> StateModel:
+    """Of the stage without observer, the model from a force that is missing to the true error of one mass."""
     if require_count("measured", measured) > len(stage().output_shapes):
         raise InputError(f"measured is {measured}; the stage has masses 1 to {len(stage().output_shapes)}")
-    machine = stage().at([0], [measured - 1])
-    loop = error_loop(closed_loop(machine, None, controller.state_space()))
-    feedforward = fit_feedforward(loop, setpoint)
-    return feedforward_error(ideal_force(invert(machine), setpoint), feedforward)
+    loop = closed_loop(stage().at([0], [measured - 1]), None, controller.state_space())
+    return loop.select([INPUTS.index("w")], [OUTPUTS.index("e_true")])
+
+
+def stage_error(setpoint: Setpoint, controller: Pid, measured: int = 5) -> Force:
+    """Feedforward error of the stage for one measured mass, in samples that are held.
+
+    Ideal force less the gains fitted to the loop without observer.
+    """
+    loop = bare_error(controller, measured)
+    ideal = sampled_ideal_force(stage().at([0], [measured - 1]), setpoint)
+    return feedforward_error(ideal, fit_to_force(loop, ideal))
