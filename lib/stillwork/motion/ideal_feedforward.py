@@ -7,7 +7,7 @@ from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from stillwork.checks import InputError
+from stillwork.checks import InputError, require_array
 from stillwork.lti import ModalModel, StateModel, simulate, zoh, zoh_modes
 from stillwork.motion.setpoint import Setpoint
 from stillwork.motion.tracking import BASIS, Feedforward, least_squares
@@ -189,7 +189,7 @@ def feedforward_error(ideal: Force, feedforward: Feedforward) -> Force:
     return replace(ideal, row=row)
 
 
-def fit_to_force(loop: StateModel, ideal: Force, noise: ArrayLike = 0.0) -> Feedforward:
+def fit_to_force(loop: StateModel, ideal: Force, noise: ArrayLike | None = None) -> Feedforward:
     """Gains that leave the smallest sum of squared errors over the move, of the ideal force less theirs.
 
     Parameters
@@ -204,7 +204,9 @@ def fit_to_force(loop: StateModel, ideal: Force, noise: ArrayLike = 0.0) -> Feed
     move = ideal.time > -1e-6 * (ideal.time[1] - ideal.time[0])
     unit = np.eye(len(ideal.states))[-4:]
     columns = [respond(loop, replace(ideal, row=row))[0, move] for row in unit]
-    wanted = respond(loop, ideal)[0, move] + noise
+    wanted = respond(loop, ideal)[0, move]
+    if noise is not None:
+        wanted = wanted + require_array("noise", noise, shape=wanted.shape)
     return Feedforward(**dict(zip(BASIS, least_squares(np.array(columns).T, wanted), strict=True)))
 
 

@@ -128,7 +128,7 @@ def location_errors(study: LocationStudy, panels: Mapping[str, str]):
         low, high = (
             extreme.reduceat(extreme.reduce(errors, axis=0), starts) for extreme in (np.minimum, np.maximum)
         )
-        axis.fill_between(time[starts], low, high, step="post", color=figures.GREY, alpha=0.35, linewidth=0)
+        axis.fill_between(time[starts], low, high, color=figures.GREY, alpha=0.35, linewidth=0)
         order = np.argsort(size)
         chosen = {"largest": order[-1], "middle": order[len(order) // 2], "smallest": order[0]}
         for (name, k), colour in zip(chosen.items(), (figures.RED, figures.BLUE, figures.GREEN), strict=True):
