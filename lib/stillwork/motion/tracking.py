@@ -121,14 +121,27 @@ def fit_feedforward(loop: StateModel, setpoint: Setpoint, basis: tuple[str, ...]
         require_choice("basis", name, BASIS)
     base = tracking_error(loop, setpoint, Feedforward())
     columns = [tracking_error(loop, setpoint, Feedforward(**{name: 1.0})) - base for name in basis]
-    matrix = np.array(columns).T
+    gains = least_squares(np.array(columns).T, -base)
+    return Feedforward(**dict(zip(basis, gains, strict=True)))
+
+
+def least_squares(
+    matrix: Float64[np.ndarray, "samples gains"], wanted: Float64[np.ndarray, " samples"]
+) -> list[float]:
+    """Gains whose combination of the columns comes closest to `wanted`; the columns are brought to one size.
+
+    Raises
+    ------
+    InputError
+        When the columns cannot be told apart.
+    """
     sizes = np.linalg.norm(matrix, axis=0)
     if np.any(sizes == 0):
         raise InputError("setpoint does not move; the feedforward gains cannot be told apart")
-    gains, _, rank, _ = np.linalg.lstsq(matrix / sizes, -base, rcond=1e-12)
-    if rank < len(basis):
+    gains, _, rank, _ = np.linalg.lstsq(matrix / sizes, wanted, rcond=1e-12)
+    if rank < matrix.shape[1]:
         raise InputError("basis: the move cannot tell these gains apart; leave one out")
-    return Feedforward(**dict(zip(basis, (gains / sizes).tolist(), strict=True)))
+    return (gains / sizes).tolist()
 
 
 def noise_error(

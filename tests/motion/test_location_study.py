@@ -1,0 +1,248 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import linalg, signal
+from stillwork.checks import InputError
+from stillwork.motion.controller import PidFamily
+from stillwork.motion.designs import DESIGNS, stage_compensator
+from stillwork.motion.ideal_feedforward import (
+    feedforward_error,
+    fit_to_force,
+    ideal_force,
+    invert,
+    respond,
+    sampled_ideal_force,
+)
+from stillwork.motion.location_study import (
+    LocationStudy,
+    bare_error,
+    location_loops,
+    ranges,
+    stage_error,
+    study_locations,
+)
+from stillwork.motion.loops import channel, closed_loop
+from stillwork.motion.machines import chain, stage, stage_mass
+from stillwork.motion.performance import rms
+from stillwork.motion.position_dependence import stage_grid
+from stillwork.motion.position_plots import draw_location
+from stillwork.motion.reduction import truncate
+from stillwork.motion.setpoint import published_setpoint
+from stillwork.motion.tracking import Feedforward, error_loop, fit_feedforward, tracking_error
+
+GRID = stage_grid()
+APPLIED = Feedforward(acceleration=12.5, snap=1.5e-6)
+
+
+@pytest.fixture(scope="module")
+def setpoint():
+    return published_setpoint(2e-4)
+
+
+@pytest.fixture(scope="module")
+def plant():
+    return stage().at([0], [4])
+
+
+@pytest.fixture(scope="module")
+def force(plant, setpoint):
+    return feedforward_error(ideal_force(invert(plant), setpoint), APPLIED)
+
+
+@pytest.mark.parametrize("mass", [1, 4, 5, 7])
+def test_partial_fractions_are_the_inverse(mass):
+    machine = stage().at([0], [mass - 1])
+    inverse = invert(machine)
+    omega = 2 * np.pi * np.geomspace(0.5, 8e3, 300)
+    s = 1j * omega
+    ours = inverse.polynomial @ s ** np.arange(3)[:, None] + (
+        inverse.residues / (s[:, None] - inverse.zeros)
+    ).sum(axis=1)
+    wanted = 1 / (s**2 * machine.frequency_response(omega)[0, 0])
+    np.testing.assert_allclose(ours, wanted, rtol=1e-7)
+
+
+def test_the_ideal_force_moves_the_plant_along_the_setpoint(plant):
+    setpoint = published_setpoint(5e-6)
+    force = ideal_force(invert(plant), setpoint)
+    states = plant.modes(slice(0, 8)).state_space()
+    end = np.searchsorted(force.time, 0.03)
+    time = force.time[:end] - force.time[0]
+    _, y, _ = signal.lsim((states.a, states.b, states.c, states.d), force.values[:end], time)
+    ahead = len(force.time) - len(setpoint.time)
+    wanted = setpoint.derivatives[0, : end - ahead]
+    # Limited by the linear hold of the force in lsim.
+    assert np.abs(y[ahead:] - wanted).max() < 2e-7 * wanted.max()
+
+
+def test_a_force_fed_into_the_loop_gives_the_tracking_error(plant, setpoint, force):
+    controller = PidFamily(stage_mass())(35.0)
+    for name in ("PID", "AD"):
+        loop = closed_loop(plant, stage_compensator(5, DESIGNS[name]), controller.state_space())
+        wanted = tracking_error(error_loop(loop), setpoint, APPLIED)
+        loops = location_loops(stage(), GRID, [GRID[4]], {"one": (name, controller)})
+        study = study_locations(loops, force, setpoint)
+        np.testing.assert_allclose(study.errors["one"][0], wanted, atol=1e-7 * np.abs(wanted).max())
+
+
+def test_the_sample_time_does_not_matter(plant, setpoint, force):
+    fine = published_setpoint(1e-4)
+    finer = feedforward_error(ideal_force(invert(plant), fine), APPLIED)
+    loop = closed_loop(plant, None, PidFamily(stage_mass())(30.0).state_space()).select([2], [0])
+    coarse, exact = respond(loop, force), respond(loop, finer)
+    n = len(setpoint.time)
+    np.testing.assert_allclose(coarse[0, -n:], exact[0, -2 * n + 1 :: 2], atol=1e-9 * np.abs(exact).max())
+
+
+def test_a_reduced_model_has_an_ideal_force_too(setpoint):
+    inverse = invert(truncate(stage().at([0], [4]), 4, 3))
+    assert len(inverse.zeros) == 8
+    still = ideal_force(inverse, setpoint).values
+    np.testing.assert_allclose(still[-1], 0, atol=1e-2 * np.abs(still).max())
+
+
+def test_rms_settling_and_ranges_by_hand(setpoint):
+    time = setpoint.time
+    decay = np.where(time >= 0.02, np.exp(-(time - 0.02) / 0.01), 0.0)
+    places = np.linspace(0, 0.3, 7)
+    study = LocationStudy(places, setpoint, {"one": decay * (1 + places[:, None])})
+    np.testing.assert_allclose(study.rms("one")[0], rms(decay[setpoint.scanning]))
+    expected = 0.01 * np.log(1.3 / 0.1)
+    assert study.settled("one", 0.1)[-1] == pytest.approx(expected, abs=setpoint.step)
+    low, mean, high = study.over("one", 0.1, 0.3, 29)
+    first = study.rms("one")[0]
+    np.testing.assert_allclose([low, mean, high], first * np.array([1.1, 1.2, 1.3]), rtol=1e-9)
+    found = ranges(places, 0.5, 5)
+    assert len(found) == 6
+    assert np.all(found[:, 1] - found[:, 0] > 0.1499)
+    with pytest.raises(InputError, match="low and high"):
+        study.over("one", 0.2, 0.4)
+    with pytest.raises(InputError, match="case"):
+        study.rms("two")
+
+
+def test_noise_adds_to_the_error_and_is_the_same_for_all_cases(setpoint, force):
+    pid = PidFamily(stage_mass())(30.0)
+    cases = {"a": ("PID", pid), "b": ("PID", pid)}
+    loops = location_loops(stage(), GRID, [0.1], cases)
+    noise = {"d": 1e-9}
+    noisy, quiet = (
+        study_locations(loops, force, setpoint, "w", *extra)
+        for extra in ((noise, np.random.default_rng(1)), ())
+    )
+    np.testing.assert_array_equal(noisy.errors["a"], noisy.errors["b"])
+    added = (noisy.errors["a"] - quiet.errors["a"])[0]
+    assert 1e-11 < added.std() < 5e-10  # the true error follows 1 nm of sensor noise to the bandwidth only
+    with pytest.raises(InputError, match="belong together"):
+        study_locations(loops, force, setpoint, "w", noise)
+
+
+def test_whether_the_observer_sees_the_force_matters_to_it_alone(setpoint, force):
+    pid = PidFamily(stage_mass())(30.0)
+    loops = location_loops(stage(), GRID, [0.07], {"bare": ("PID", pid), "AD": ("AD", pid)})
+    seen, unseen = (study_locations(loops, force, setpoint, source) for source in ("u_ff", "w"))
+    np.testing.assert_allclose(seen.errors["bare"], unseen.errors["bare"], atol=1e-15)
+    ahead = len(force.time) - len(setpoint.time)
+    wanted = -respond(channel(loops[0.07]["AD"], "u_ff", "e_true"), force)[:, ahead:]
+    np.testing.assert_array_equal(seen.errors["AD"], wanted)
+    assert np.abs(wanted - unseen.errors["AD"]).max() > 1e-2 * np.abs(wanted).max()
+
+
+def test_bad_plants_places_and_loops_are_refused(plant, setpoint, force):
+    with pytest.raises(InputError, match="imaginary axis"):
+        invert(stage(0.0).at([0], [4]))
+    with pytest.raises(InputError, match="one rigid-body mode"):
+        invert(chain(np.full(3, 2.0)))
+    with pytest.raises(InputError, match="differentiates the snap"):
+        masses = chain(np.full(8, 2.0)).at([0], [7])
+        invert(masses)
+    with pytest.raises(InputError, match="inputs"):
+        respond(closed_loop(plant, None, PidFamily(stage_mass())(30.0).state_space()), force)
+    pid, wild = PidFamily(stage_mass())(30.0), PidFamily(stage_mass())(140.0)
+    with pytest.raises(InputError, match=r"wild at 0\.1 m"):
+        location_loops(stage(), GRID, [0.1], {"wild": ("PID", wild)})
+    with pytest.raises(InputError, match="outside the grid"):
+        location_loops(stage(), GRID, [0.4], {"one": ("PID", pid)})
+    with pytest.raises(InputError, match="ascending"):
+        location_loops(stage(), GRID, [0.2, 0.1], {"one": ("PID", pid)})
+    with pytest.raises(InputError, match="design"):
+        location_loops(stage(), GRID, [0.1], {"one": ("DA", pid)})
+    loops = location_loops(stage(), GRID, [0.1], {"one": ("PID", pid)})
+    with pytest.raises(InputError, match="same samples"):
+        study_locations(loops, force, published_setpoint(1e-4))
+    with pytest.raises(InputError, match="same samples"):
+        study_locations(loops, replace(force, time=force.time + 1e-4), setpoint)
+    with pytest.raises(InputError, match="source"):
+        study_locations(loops, force, setpoint, "r")
+
+
+@pytest.mark.parametrize("mass", [1, 5, 7])
+def test_the_held_ideal_force_meets_the_setpoint_at_every_sample(mass):
+    """Stepped by exact steps of every mode, from rest before the move."""
+    setpoint = published_setpoint(1e-4)
+    machine = stage().at([0], [mass - 1])
+    force = sampled_ideal_force(machine, setpoint)
+    states = machine.modes(slice(0, 8)).state_space()
+    # The exponential of the whole, balanced by hand: velocities over a frequency.
+    scale = np.tile([1.0, 1e4], 8)
+    whole = np.zeros((17, 17))
+    whole[:16, :16] = states.a * scale[None, :] / scale[:, None]
+    whole[:16, 16:] = states.b / scale[:, None]
+    held = linalg.expm(whole * setpoint.step)
+    x, reached = np.zeros(16), []
+    for value in force.values:
+        reached.append(float(states.c[0] * scale @ x))
+        x = held[:16, :16] @ x + held[:16, 16] * value
+    wanted = np.concatenate([np.zeros(len(force.time) - len(setpoint.time)), setpoint.derivatives[0]])
+    np.testing.assert_allclose(reached, wanted, rtol=0, atol=1e-11)  # 0.01 nm of 0.17 m
+
+
+def test_the_spikes_of_the_continuous_force_do_not_reach_the_scan(plant):
+    setpoint, controller = published_setpoint(1e-4), PidFamily(stage_mass())(35.0)
+    loop = bare_error(controller)
+    peaks, errors = [], []
+    for ideal in (ideal_force(invert(plant), setpoint), sampled_ideal_force(plant, setpoint)):
+        left = feedforward_error(ideal, fit_to_force(loop, ideal))
+        peaks.append(np.abs(left.values).max())
+        errors.append(rms(respond(loop, left)[0, -len(setpoint.time) :][setpoint.scanning]))
+    assert peaks[0] > 4 * peaks[1]
+    assert errors[1] == pytest.approx(errors[0], rel=0.01)
+
+
+def test_gains_fitted_to_a_force_are_those_fitted_to_the_move(plant, setpoint):
+    controller = PidFamily(stage_mass())(35.0)
+    loop = closed_loop(plant, None, controller.state_space())
+    found = fit_to_force(bare_error(controller), ideal_force(invert(plant), setpoint))
+    np.testing.assert_allclose(found.gains, fit_feedforward(error_loop(loop), setpoint).gains, rtol=1e-4)
+
+
+def test_fitted_gains_leave_the_least_error_and_take_noise_along(plant):
+    setpoint, controller = published_setpoint(1e-4), PidFamily(stage_mass())(35.0)
+    loop, ideal = bare_error(controller), sampled_ideal_force(plant, setpoint)
+    found = fit_to_force(loop, ideal)
+
+    def left(gains):
+        return np.sum(respond(loop, feedforward_error(ideal, gains))[0, -len(setpoint.time) :] ** 2)
+
+    for name in ("velocity", "acceleration", "jerk", "snap"):
+        for change in (-1e-4, 1e-4):
+            assert left(replace(found, **{name: (1 + change) * getattr(found, name)})) > left(found)
+    more = respond(loop, replace(ideal, row=np.array([0, 0, 0, 0, 1.0])))[0, -len(setpoint.time) :]
+    noisy = fit_to_force(loop, ideal, 1e-7 * more)
+    with pytest.raises(InputError, match="noise"):
+        fit_to_force(loop, ideal, more[1:])
+    np.testing.assert_allclose(noisy.gains, found.gains + np.array([0, 0, 0, 1e-7]), rtol=1e-6, atol=1e-9)
+
+
+def test_the_error_signal_stays_within_the_axis_of_its_figure_at_ten_kilohertz():
+    found = stage_error(published_setpoint(1e-4), PidFamily(stage_mass())(35.0))
+    assert 10 < np.abs(found.values).max() < 30
+    with pytest.raises(InputError, match="masses 1 to 7"):
+        stage_error(published_setpoint(1e-4), PidFamily(stage_mass())(35.0), 8)
+    with pytest.raises(InputError, match="unit circle"):
+        sampled_ideal_force(stage(0.0).at([0], [4]), published_setpoint(1e-4))
+
+
+def test_the_explorer_draws_a_location():
+    assert draw_location(0.12, 0.035, "yes", 30.0).axes
