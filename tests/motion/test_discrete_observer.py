@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
+
 from stillwork.checks import InputError
 from stillwork.lti import StateModel, simulate, zoh, zoh_modes
 from stillwork.motion.applications import Application

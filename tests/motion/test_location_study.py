@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import linalg, signal
+
 from stillwork.checks import InputError
 from stillwork.motion.controller import PidFamily
 from stillwork.motion.designs import DESIGNS, stage_compensator

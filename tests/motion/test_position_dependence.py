@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from scipy import integrate
+
 from stillwork.checks import InputError
 from stillwork.lti import modal_model, zoh
 from stillwork.motion.controller import PidFamily

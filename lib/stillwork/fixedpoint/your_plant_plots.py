@@ -31,7 +31,7 @@ def draw_contraction(found: Contraction, chosen: Mapping[str, Controller]):
     low, high = axes.get_ylim()
     axes.set_ylim(min(low, -1.3), max(high, 1.3))
     axes.set(
-        xlabel="time in s", ylabel="multiplier of an iteration", title="it contracts between the dashed lines"
+        xlabel="time (s)", ylabel="multiplier of an iteration", title="it contracts between the dashed lines"
     )
     axes.legend(ncols=3)
     return figure
@@ -55,8 +55,8 @@ def draw_runs(runs: Mapping[str, Run], settle: float):
     motion.set_ylim(nominal.position.min() - margin, nominal.position.max() + margin)
     if reach:
         error.set_ylim(-reach, reach)
-    motion.set(ylabel="q in m")
-    error.set(xlabel="time in s", ylabel="error of q in mm")
+    motion.set(ylabel="q (m)")
+    error.set(xlabel="time (s)", ylabel="error of q (mm)")
     figure.legend(*motion.get_legend_handles_labels(), loc="outside upper center", ncols=2)
     return figure
 
@@ -129,7 +129,7 @@ def plant_explorer(
             axes.fill_between(
                 time, low, high, alpha=0.6, lw=0.8, color=COLOURS[name], label=f"{name}: {said}"
             )
-        axes.set(xlabel="time in s", ylabel="error of q in mm")
+        axes.set(xlabel="time (s)", ylabel="error of q (mm)")
         axes.margins(y=0.4)  # room for the legend
         axes.legend(loc="upper right")
         return figure

@@ -11,8 +11,8 @@ from stillwork.worstcase.regressors import fir_regressors, noise_bound
 from stillwork.worstcase.your_record import Fitted, Pair, Spectra, parts, residual, weighted_corner
 
 STYLES = {
-    "RLS": (figures.RED, "-"),
-    "total least squares": (figures.ORANGE, ":"),
+    "RLS": (figures.BLACK, "-"),
+    "total least squares": (figures.RED, ":"),
     "min-max, typical bound": (figures.BLUE, "-"),
     "min-max, chosen bound": (figures.SKY, "--"),
     "min-max, guaranteed bound": (figures.PURPLE, "-."),
@@ -43,12 +43,12 @@ def draw_pair(pair: Pair, spectra: Spectra):
             label=f"{side}: {name}",
         )
         axes.loglog(band, [noise, noise], color=figures.BLACK, label="sensor noise taken, over the pass band")
-        axes.set_ylabel(f"density, ({_nice(unit)})²/Hz")
+        axes.set_ylabel(f"density (({_nice(unit)})²/Hz)")
         axes.legend()
     panels[2].semilogx(
         spectra.frequency[shown], spectra.coherence[shown], lw=0.8, color=figures.GREEN, label="coherence"
     )
-    panels[2].set(xlabel="frequency, Hz", ylabel="coherence", ylim=(0, 1))
+    panels[2].set(xlabel="frequency (Hz)", ylabel="coherence", ylim=(0, 1))
     return figure
 
 
@@ -61,17 +61,19 @@ def draw_models(pair: Pair, fitted: Fitted, samples: int = 80):
     regressors = fir_regressors(pair.input, taps)
     stretch = slice(start, min(start + samples, len(pair.output)))
     times = np.arange(stretch.start, stretch.stop) / pair.sample_rate
-    right.plot(times, pair.output[stretch], color=figures.BLACK, lw=1.6, label="measured")
+    right.plot(times, pair.output[stretch], color=figures.GREY, lw=2.5, label="measured")
     useful = {name: one for name, one in fitted.estimates.items() if fitted.held_out[name] < USELESS}
     for name, estimate in useful.items():
         colour, line = STYLES[name]
         left.plot(lags, estimate, line, color=colour, lw=1.1, label=name)
         predicted = estimate @ regressors[:, stretch]
         right.plot(times, predicted, line, color=colour, lw=1.0, label=f"_{name}")
-    for name in fitted.estimates.keys() - useful.keys():
+    for name in (name for name in fitted.estimates if name not in useful):
         left.plot([], [], color=STYLES[name][0], ls=STYLES[name][1], label=f"{name}: too far off to draw")
-    left.set(xlabel="lag, ms", ylabel=f"impulse response, {_per(pair)}", title="models")
-    right.set(xlabel="time, s", ylabel=f"output, {_nice(pair.units[1])}", title="on the part that is judged")
+    left.set(xlabel="lag (ms)", ylabel=f"impulse response ({_per(pair)})", title="models")
+    right.set(
+        xlabel="time (s)", ylabel=f"output ({_nice(pair.units[1])})", title="on the part that is judged"
+    )
     figure.legend(loc="outside lower center", ncols=3)
     return figure
 
@@ -91,15 +93,15 @@ def draw_bounds(pair: Pair, fitted: Fitted):
     etas = fitted.factors * typical
     axes.semilogx(etas, fitted.choosing, "o-", markersize=3, color=figures.GREEN, label="part for choosing")
     axes.semilogx(etas, fitted.judging, "o-", markersize=3, color=figures.BLUE, label="part that is judged")
-    axes.axhline(fitted.held_out["RLS"], color=figures.RED, lw=0.9, label="RLS, judged")
+    axes.axhline(fitted.held_out["RLS"], color=figures.BLACK, lw=0.9, label="RLS, judged")
     for name, label in (
         ("min-max, typical bound", "typical"),
         ("min-max, guaranteed bound", "guaranteed"),
         ("min-max, chosen bound", "chosen"),
     ):
         axes.axvline(fitted.bounds[name], color=STYLES[name][0], ls="--", lw=0.9, label=f"{label} bound")
-    axes.axvline(fitted.threshold, color=figures.BLACK, ls=":", lw=0.9, label="from here on zero")
-    axes.set(xlabel=f"bound η, {_nice(pair.units[0])}", ylabel="rms residual / rms output")
+    axes.axvline(fitted.threshold, color=figures.GREY, ls=":", lw=0.9, label="from here on zero")
+    axes.set(xlabel=f"bound η ({_nice(pair.units[0])})", ylabel="rms residual / rms output")
     axes.legend(ncols=2)
     return figure
 
@@ -144,7 +146,7 @@ def record_explorer(pair: Pair, memory: int) -> Callable:
                 color=STYLES[name][0],
                 label=f"{label}: leaves {100 * left:.1f} % of the output",
             )
-        axes.set(xlabel="lag, ms", ylabel=f"impulse response, {_per(pair)}")
+        axes.set(xlabel="lag (ms)", ylabel=f"impulse response ({_per(pair)})")
         axes.legend()
         return figure
 
