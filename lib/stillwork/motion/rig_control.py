@@ -1,0 +1,218 @@
+"""Discrete control of the rig: PID, observer in predictor form, measurement compensation and active damping."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Complex128, Float64
+from scipy import linalg
+
+from stillwork.checks import InputError, require_number
+from stillwork.lti import ModalModel, StateModel, interconnect, zoh_modes
+from stillwork.motion.controller import Pid
+from stillwork.motion.feedback import band_pass, damping_gain
+from stillwork.motion.observer import Noise
+from stillwork.motion.riccati import discrete_gain
+
+
+def tustin(model: StateModel, step: float, omega: float | None = None) -> StateModel:
+    """Discretise by the bilinear rule, exact at the frequency `omega` (rad/s) where one is given."""
+    rate = 2 / step if omega is None else omega / np.tan(omega * step / 2)
+    inverse = np.linalg.inv(rate * np.eye(len(model.a)) - model.a)
+    c = model.c @ inverse
+    return StateModel(
+        inverse @ (rate * np.eye(len(model.a)) + model.a),
+        2 * rate * inverse @ model.b,
+        c,
+        model.d + c @ model.b,
+        step,
+    )
+
+
+def pid_response(
+    pid: Pid, step: float, omega: Float64[np.ndarray, " frequencies"]
+) -> Complex128[np.ndarray, " frequencies"]:
+    """Response of the PID after the bilinear rule, from its continuous one at the warped frequencies."""
+    return pid.frequency_response(2 / step * np.tan(omega * step / 2))
+
+
+def zoh_response(
+    model: ModalModel, step: float, omega: Float64[np.ndarray, " frequencies"]
+) -> Complex128[np.ndarray, "outputs inputs frequencies"]:
+    """Response of the zero-order-hold equivalent, mode by mode in closed form."""
+    n = len(model.frequencies)
+    unit = ModalModel(model.frequencies, model.damping, np.ones((n, 1)), np.ones((1, n)), np.zeros((1, 1)))
+    held = zoh_modes(unit, step)
+    blocks = held.a.reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :]
+    gains = held.b.reshape(n, 2)
+    z = np.exp(1j * omega * step)[None, :]
+    # The trace near 2 and the determinant near 1 cancel at low frequencies: write them as differences from 1.
+    lifted = z - 1
+    first, second = blocks[:, 0, 0, None] - 1, blocks[:, 1, 1, None] - 1
+    determinant = (
+        lifted**2
+        - lifted * (first + second)
+        + (first * second - (blocks[:, 0, 1] * blocks[:, 1, 0])[:, None])
+    )
+    modal = ((lifted - second) * gains[:, :1] + blocks[:, 0, 1, None] * gains[:, 1:]) / determinant
+    residues = model.output_shapes[:, None, :] * model.input_shapes.T[None]
+    return residues @ modal + model.feedthrough[:, :, None]
+
+
+@dataclass(frozen=True)
+class PredictorObserver:
+    r"""Observer :math:`\hat x_{k+1} = (A - LC)\hat x_k + (B - LD)f_k + Ly_k` of a reduced modal model, (6.3).
+
+    The states are those of `model` in modal form 1 and, with a noise model, one random walk an input.
+    """
+
+    model: ModalModel
+    a: Float64[np.ndarray, "states states"]
+    b: Float64[np.ndarray, "states inputs"]
+    c: Float64[np.ndarray, "outputs states"]
+    gain: Float64[np.ndarray, "states outputs"]
+    step: float  # s
+    residual: float  # of the Riccati equation
+
+    def read(
+        self, weights: Float64[np.ndarray, "signals flexible"], quantity: str = "position"
+    ) -> Float64[np.ndarray, "signals states"]:
+        """Rows that weight the estimated positions (or velocities) of the flexible modes."""
+        first = 2 * self.model.rigid_modes + (quantity == "velocity")
+        rows = np.zeros((len(weights), len(self.a)))
+        rows[:, first : 2 * len(self.model.frequencies) : 2] = weights
+        return rows
+
+    @property
+    def flexible_outputs(self) -> Float64[np.ndarray, "outputs states"]:
+        """C_f: what the estimated flexible modes put into each measurement."""
+        return self.read(self.model.output_shapes[:, self.model.rigid_modes :])
+
+    def estimator(self, rows: Float64[np.ndarray, "signals states"]) -> StateModel:
+        """Model from (f, y) to the signals ``rows @ x_hat``; no direct feedthrough, it predicts."""
+        b = np.hstack([self.b - self.gain @ self.model.feedthrough, self.gain])
+        return StateModel(self.a - self.gain @ self.c, b, rows, np.zeros((len(rows), b.shape[1])), self.step)
+
+
+def predictor_observer(
+    model: ModalModel, noise: Noise, step: float, noise_model: float | None = None
+) -> PredictorObserver:
+    """Stationary Kalman predictor of chapter 6, with the process noise at the plant input (G = B).
+
+    Parameters
+    ----------
+    model : ModalModel
+        Reduced model; its feedthrough is the compliance of the modes left out.
+    noise : Noise
+        Here covariances a sample: N^2 and m^2.
+    step : float
+        s.
+    noise_model : float, optional
+        Covariance Q_nu a sample (N^2) of a random walk at every input.
+    """
+    held = zoh_modes(model, require_number("step", step, above=0.0))
+    a, b, c = held.a, held.b, held.c
+    inputs = b.shape[1]
+    g, q = b, noise.process * np.eye(inputs)
+    if noise_model is not None:
+        require_number("noise_model", noise_model, above=0.0)
+        a = np.block([[a, b], [np.zeros((inputs, len(a))), np.eye(inputs)]])
+        g = linalg.block_diag(b, np.eye(inputs))
+        q = linalg.block_diag(q, noise_model * np.eye(inputs))
+        b = np.vstack([b, np.zeros((inputs, inputs))])
+        c = np.hstack([c, np.zeros((len(c), inputs))])
+    solved = discrete_gain(a, g, c, q, noise.sensor)
+    if np.any(np.abs(linalg.eigvals(a - solved.gain @ c)) >= 1):
+        raise InputError("the observer is unstable; check the model and the covariances")
+    return PredictorObserver(model, a, b, c, solved.gain, step, solved.residual)
+
+
+@dataclass(frozen=True)
+class RigCompensator:
+    """What the observer does: y_flex = C_f x_hat for MC, u_d = sum of K_i H_i(z) velocity_i for AD."""
+
+    observer: PredictorObserver
+    compensate: bool
+    gains: Float64[np.ndarray, "inputs flexible"]  # K_i on the modal velocities, zero without damping
+    selectivity: float | None  # Q of the band-passes; None: none
+
+    def _read(self) -> Float64[np.ndarray, "signals states"]:
+        flexible = self.gains.shape[1]
+        return np.vstack(
+            [
+                self.compensate * self.observer.flexible_outputs,
+                self.observer.read(np.eye(flexible), "velocity"),
+            ]
+        )
+
+    def _filters(self) -> list[StateModel]:
+        if self.selectivity is None:
+            return []
+        omega = self.observer.model.frequencies[self.observer.model.rigid_modes :]
+        step = self.observer.step
+        return [tustin(band_pass(float(w), self.selectivity), step, float(w)) for w in omega]
+
+    def frequency_response(
+        self, omega: Float64[np.ndarray, " frequencies"]
+    ) -> Complex128[np.ndarray, "signals signals frequencies"]:
+        """Response from (f, y) to (u_d, y_flex); the filters are multiplied in, not realised."""
+        outputs = len(self.observer.c)
+        estimates = self.observer.estimator(self._read()).frequency_response(omega)
+        flexible, velocities = estimates[:outputs], estimates[outputs:]
+        if self.selectivity is not None:
+            centres = self.observer.model.frequencies[self.observer.model.rigid_modes :, None]
+            half = self.observer.step / 2
+            ratio = 1j * np.tan(omega * half) / np.tan(centres * half)  # s over the centre, both warped
+            passed = ratio / self.selectivity / (ratio**2 + ratio / self.selectivity + 1)
+            velocities = velocities * passed[:, None, :]
+        return np.concatenate([np.einsum("if,fjw->ijw", self.gains, velocities), flexible])
+
+    def state_space(self) -> StateModel:
+        """The same block with its states, for closed loops; without damping the filters are left out."""
+        inputs, outputs = self.gains.shape[0], len(self.observer.c)
+        both = inputs + outputs
+        if not np.any(self.gains) or self.selectivity is None:
+            damping = self.observer.read(self.gains, "velocity")
+            return self.observer.estimator(np.vstack([damping, self._read()[:outputs]]))
+        filters = self._filters()
+        estimator = self.observer.estimator(self._read())
+        count = len(filters)
+        feedback = np.zeros((both + count, outputs + 2 * count))
+        feedback[both:, outputs : outputs + count] = np.eye(count)
+        take = np.zeros((both, outputs + 2 * count))
+        take[:inputs, outputs + count :] = self.gains
+        take[inputs:, :outputs] = np.eye(outputs)
+        return interconnect([estimator, *filters], feedback, np.eye(both + count, both), take)
+
+
+def rig_compensator(
+    observer: PredictorObserver,
+    compensate: bool = False,
+    target_damping: float | None = None,
+    selectivity: float | None = 2.0,
+) -> RigCompensator:
+    """Compensator for MC, AD or both.
+
+    Parameters
+    ----------
+    observer : PredictorObserver
+    compensate : bool
+        Subtract the estimated flexible part from the measurement.
+    target_damping : float, optional
+        Damping ratio that every flexible mode shall have, (4.17) with the factor 2 omega that it lacks.
+    selectivity : float, optional
+        Q of one band-pass a mode, (4.16); None: no filter.
+
+    Raises
+    ------
+    InputError
+        When a mode is damped more than that already, or an actuator cannot reach it.
+    """
+    model = observer.model
+    rigid = model.rigid_modes
+    gains = np.zeros((model.input_shapes.shape[1], len(model.frequencies) - rigid))
+    if target_damping is not None:
+        increase = require_number("target_damping", target_damping, below=1.0) - model.damping[rigid:]
+        if np.any(increase < 0):
+            raise InputError(f"target_damping is {target_damping:g}, below that of a mode; raise it")
+        gains = damping_gain(model, increase)[:, 2 * rigid + 1 :: 2]
+    return RigCompensator(observer, compensate, gains, selectivity)
