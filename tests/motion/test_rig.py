@@ -33,7 +33,7 @@ from stillwork.motion.rig_control import (
     zoh_response,
 )
 from stillwork.motion.rig_designs import observer_model, published_settings, rig_controllers, rig_loops
-from stillwork.motion.rig_loops import make_rig_loop, maximise_rig_bandwidth, peaks, singular_values
+from stillwork.motion.rig_loops import make_rig_loop, maximise_rig_bandwidth, peaks, sizes
 
 STEP = 1e-4
 GEOMETRY = assumed_geometry()
@@ -212,7 +212,7 @@ def test_loop_functions_are_those_of_the_simulated_loop(loops, case):
         "S_O2": np.eye(3) + block("w", "f"),
         "true_tracking": upsilon @ block("r", "e_true") @ np.linalg.inv(upsilon),
     }
-    values = singular_values(some, pids)
+    values = sizes(some, pids)
     for row, matrix in zip(values, expected.values(), strict=True):
         np.testing.assert_allclose(row, np.linalg.norm(matrix, 2, axis=(1, 2)), rtol=2e-5)
 
@@ -224,7 +224,7 @@ def test_loop_without_observer_is_that_of_python_control(loops):
     sensitivity = control.feedback(control.ss([], [], [], np.eye(3), STEP), plant * controller)
     omega = loop.omega[:: len(loop.omega) // 12]
     response = np.moveaxis(sensitivity(np.exp(1j * omega * STEP)), -1, 0)
-    found = singular_values(loop.on(omega), pids)[2]
+    found = sizes(loop.on(omega), pids)[2]
     np.testing.assert_allclose(found, np.linalg.norm(response, 2, axis=(1, 2)), rtol=1e-4)
     assert loop.radius(pids) == pytest.approx(np.abs(sensitivity.poles()).max(), abs=1e-7)
 

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Complex128, Float64
 from scipy import linalg
 
-from stillwork.checks import InputError, require_count, require_number
-from stillwork.kernels import inlined_kernel, kernel
+from stillwork.checks import InputError, require_choice, require_count, require_number
+from stillwork.kernels import kernel
 from stillwork.lti import ModalModel, StateModel, interconnect, resonance_grid, zoh_modes
 from stillwork.motion.bandwidth import SIX_DB
 from stillwork.motion.controller import Pid, PidFamily
@@ -18,6 +18,7 @@ from stillwork.motion.rig import Decoupling
 from stillwork.motion.rig_control import RigCompensator, pid_response, tustin, zoh_response
 
 # Section 6.1: both orders of the plant with the controller, at the controller and at the plant, and the true error.
+MEASURES = ("singular values", "diagonal")  # what "peak below 6 dB" means for a matrix is not printed
 FUNCTIONS = ("S_I", "S_I2", "S_O", "S_O2", "true_tracking")
 
 
@@ -30,8 +31,7 @@ class RigLoop:
     decoupling: Decoupling
     step: float  # s
     omega: Float64[np.ndarray, " frequencies"] = field(repr=False)  # rad/s
-    plant_response: Complex128[np.ndarray, "frequencies 3 3"] = field(repr=False)
-    observer_response: Complex128[np.ndarray, "frequencies 6 6"] = field(repr=False)
+    parts: Complex128[np.ndarray, "frequencies 8 3 3"] = field(repr=False)  # all but the controller, `_parts`
 
     def on(self, omega: Float64[np.ndarray, " frequencies"]) -> "RigLoop":
         """The same loop on another grid (rad/s)."""
@@ -39,10 +39,7 @@ class RigLoop:
 
     def equivalent_plant(self) -> Complex128[np.ndarray, "3 3 frequencies"]:
         """Decoupled plant that the controller sees, u to q_comp: of Figs 6.3 and 6.5 to 6.9 (scaled directions)."""
-        p, o = self.plant_response, self.observer_response
-        turned = np.linalg.inv(np.eye(3) - o[:, :3, :3] - o[:, :3, 3:] @ p)
-        seen = ((np.eye(3) - o[:, 3:, 3:]) @ p - o[:, 3:, :3]) @ turned
-        return np.moveaxis(self.decoupling.sensors @ seen @ self.decoupling.actuators, 0, -1)
+        return np.moveaxis(self.parts[:, 0], 0, -1)
 
     def closed(self, pids: Sequence[Pid]) -> StateModel:
         """Closed loop in discrete time; its signals are `stillwork.motion.loops.INPUTS` and ``OUTPUTS``."""
@@ -102,18 +99,38 @@ def make_rig_loop(
             own = np.log(sampled[np.abs(sampled) > 1e-3].astype(complex)) / step
             poles = np.concatenate([poles, own[np.abs(own.real) < 0.1 * np.abs(own)]])
         omega = resonance_grid(poles, low_hz, 0.499 / step, points, around)
-    response = np.zeros((len(omega), 6, 6), complex)
+    p = np.moveaxis(zoh_response(plant, step, omega), -1, 0)
+    o = np.zeros((len(omega), 6, 6), complex)
     if compensator is not None:
-        response = np.moveaxis(compensator.frequency_response(omega), -1, 0)
-    return RigLoop(
-        plant,
-        compensator,
-        decoupling,
-        step,
-        omega,
-        np.ascontiguousarray(np.moveaxis(zoh_response(plant, step, omega), -1, 0)),
-        np.ascontiguousarray(response),
+        o = np.moveaxis(compensator.frequency_response(omega), -1, 0)
+    return RigLoop(plant, compensator, decoupling, step, omega, _parts(p, o, decoupling))
+
+
+def _parts(p, o, decoupling: Decoupling) -> Complex128[np.ndarray, "frequencies 8 3 3"]:
+    """What the loop functions are made of, from plant P and compensator O of every frequency.
+
+    With N = (I - O_uu - O_uy P)^-1 the plant's input is f = N Gamma u, so that P_eq = Upsilon Z N Gamma with
+    Z = (I - O_yy) P - O_yu. Noise at the sensors enters q_comp by V = Upsilon (Z N O_uy + I - O_yy).
+    """
+    gamma, upsilon = decoupling.actuators, decoupling.sensors
+    o_uu, o_uy, o_yu, o_yy = o[:, :3, :3], o[:, :3, 3:], o[:, 3:, :3], o[:, 3:, 3:]
+    one = np.eye(3)
+    n = np.linalg.inv(one - o_uu - o_uy @ p)
+    seen = (one - o_yy) @ p - o_yu
+    force = n @ gamma
+    v = upsilon @ (seen @ n @ o_uy + one - o_yy)
+    damped = n @ o_uy
+    terms = (
+        upsilon @ seen @ force,  # P_eq
+        upsilon @ p @ force,  # u to the true q
+        one + p @ damped,
+        p @ force,
+        v,
+        one + damped @ p,
+        force,
+        v @ p,
     )
+    return np.ascontiguousarray(np.stack(np.broadcast_arrays(*terms), axis=1))
 
 
 @dataclass(frozen=True)
@@ -128,21 +145,31 @@ class RigControllers:
         return tuple(PidFamily(mass)(f) for mass, f in zip(self.masses, each, strict=True))
 
 
-def peaks(loops: Sequence[RigLoop], pids: Sequence[Pid]) -> Float64[np.ndarray, "loops functions"]:
-    """Largest singular value of every loop function on the grid of every loop."""
-    return np.array([singular_values(loop, pids).max(axis=1) for loop in loops])
+def peaks(
+    loops: Sequence[RigLoop], pids: Sequence[Pid], measure: str = "singular values"
+) -> Float64[np.ndarray, "loops functions"]:
+    """Largest size of every loop function on the grid of every loop."""
+    return np.array([sizes(loop, pids, measure).max(axis=1) for loop in loops])
 
 
-def singular_values(loop: RigLoop, pids: Sequence[Pid]) -> Float64[np.ndarray, "functions frequencies"]:
-    """Largest singular value of the five loop functions over frequency."""
-    return _singular_values(*_arrays(loop, pids))
+def sizes(
+    loop: RigLoop, pids: Sequence[Pid], measure: str = "singular values"
+) -> Float64[np.ndarray, "functions frequencies"]:
+    """Size of the five loop functions over frequency.
+
+    Parameters
+    ----------
+    loop : RigLoop
+    pids : sequence of Pid
+    measure : str
+        ``singular values``, the largest one; ``diagonal``, the largest magnitude on the diagonal.
+    """
+    require_choice("measure", measure, MEASURES)
+    return _sizes(*_arrays(loop, pids), measure == "diagonal")
 
 
 def _arrays(loop: RigLoop, pids: Sequence[Pid]):
-    control = np.stack([pid_response(pid, loop.step, loop.omega) for pid in pids], axis=1)
-    d = loop.decoupling
-    maps = d.actuators.astype(complex), d.sensors.astype(complex)
-    return loop.plant_response, loop.observer_response, *maps, control
+    return loop.parts, np.stack([pid_response(pid, loop.step, loop.omega) for pid in pids], axis=1)
 
 
 class RigBandwidth(NamedTuple):
@@ -163,6 +190,7 @@ class RigBandwidth(NamedTuple):
 def maximise_rig_bandwidth(
     loops: Sequence[RigLoop],
     family: RigControllers,
+    measure: str = "singular values",
     limit: float = SIX_DB,
     low_hz: float = 1.5,
     high_hz: float = 60.0,
@@ -180,8 +208,10 @@ def maximise_rig_bandwidth(
     loops : sequence of RigLoop
         One a position.
     family : RigControllers
+    measure : str
+        How large a matrix is, see `sizes`.
     limit : float
-        On the largest singular value.
+        On that size.
     low_hz, high_hz : float
         Range of the design bandwidths.
     ratio : float
@@ -194,6 +224,7 @@ def maximise_rig_bandwidth(
     InputError
         When the lowest bandwidth is not feasible, or the highest still is.
     """
+    require_choice("measure", measure, MEASURES)
     require_count("number of loops", len(loops))
     require_number("limit", limit, above=1.0)
     require_number("high_hz", high_hz, above=require_number("low_hz", low_hz, above=0.0))
@@ -204,7 +235,7 @@ def maximise_rig_bandwidth(
         def feasible(z_hz: float, rotation_hz: float, hints=hints, loops=loops) -> bool:
             pids = family(z_hz, rotation_hz)
             for k, loop in enumerate(loops):
-                found = _exceeded(*_arrays(loop, pids), limit, hints[k])
+                found = _exceeded(*_arrays(loop, pids), measure == "diagonal", limit, hints[k])
                 if found >= 0:
                     hints[k] = found
                     return False
@@ -221,8 +252,8 @@ def maximise_rig_bandwidth(
         rotation = _climb(lambda f, z=z: feasible(z, f), rotation, high_hz, ratio, tolerance)
         z = _climb(lambda f, r=rotation: feasible(f, r), z, high_hz, ratio, tolerance)
         pids = family(z, rotation)
-        finer = [_refined(loop, pids, limit) for loop in loops]
-        found = peaks(finer, pids)
+        finer = [_refined(loop, pids, limit, measure) for loop in loops]
+        found = peaks(finer, pids, measure)
         if found.max() <= limit * (1 + 5 * tolerance):
             break
         loops = finer
@@ -248,9 +279,9 @@ def _climb(feasible, low: float, high: float, ratio: float, tolerance: float) ->
     return float(good)
 
 
-def _refined(loop: RigLoop, pids: Sequence[Pid], limit: float) -> RigLoop:
+def _refined(loop: RigLoop, pids: Sequence[Pid], limit: float, measure: str) -> RigLoop:
     """The loop on its grid with more points around every local maximum near the limit."""
-    values = singular_values(loop, pids)
+    values = sizes(loop, pids, measure)
     inner = (values[:, 1:-1] >= values[:, :-2]) & (values[:, 1:-1] >= values[:, 2:])
     places = 1 + np.unique(np.nonzero(inner & (values[:, 1:-1] > 0.8 * limit))[1])
     if not len(places):
@@ -262,8 +293,7 @@ def _refined(loop: RigLoop, pids: Sequence[Pid], limit: float) -> RigLoop:
     return replace(
         loop,
         omega=np.concatenate([w, more.omega])[order],
-        plant_response=np.concatenate([loop.plant_response, more.plant_response])[order],
-        observer_response=np.concatenate([loop.observer_response, more.observer_response])[order],
+        parts=np.concatenate([loop.parts, more.parts])[order],
     )
 
 
@@ -282,112 +312,68 @@ def _crossings(loop: RigLoop, pids: Sequence[Pid]) -> Float64[np.ndarray, "3"]:
 
 
 @kernel
-def _singular_values(plant, observer, gamma, upsilon, control):
-    count = plant.shape[0]
+def _sizes(parts, control, entries):
+    count = parts.shape[0]
     found = np.empty((5, count))
-    functions = np.empty((5, 3, 3), np.complex128)
+    work = np.empty((8, 3, 3), np.complex128)
     for k in range(count):
-        _functions(plant[k], observer[k], gamma, upsilon, control[k], functions)
+        _functions(parts[k], control[k], work)
         for f in range(5):
-            found[f, k] = np.sqrt(_largest_square(functions[f]))
+            square = _largest_entry_square(work[f]) if entries else _largest_square(work[f])
+            found[f, k] = np.sqrt(square)
     return found
 
 
 @kernel
-def _exceeded(plant, observer, gamma, upsilon, control, limit, first):
+def _exceeded(parts, control, entries, limit, first):
     """Index of a frequency where a loop function exceeds the limit, or -1."""
-    count = plant.shape[0]
-    functions = np.empty((5, 3, 3), np.complex128)
+    count = parts.shape[0]
+    work = np.empty((8, 3, 3), np.complex128)
     for i in range(count):
         k = (first + i) % count
-        _functions(plant[k], observer[k], gamma, upsilon, control[k], functions)
+        _functions(parts[k], control[k], work)
         for f in range(5):
-            if not _largest_square(functions[f]) <= limit * limit:
+            square = _largest_entry_square(work[f]) if entries else _largest_square(work[f])
+            if not square <= limit * limit:
                 return k
     return -1
 
 
 @kernel
-def _functions(p, o, gamma, upsilon, control, out):
-    """S_I, S_I2, S_O, S_O2 and r to e_true at one frequency, in closed form of 3 x 3 matrices."""
-    ouu, ouy, oyu, oyy = o[:3, :3], o[:3, 3:], o[3:, :3], o[3:, 3:]
-    # C = Gamma C_fb Upsilon; (I - C O_yu - O_uu) f = C r - (C (I - O_yy) - O_uy) y
-    weighted = np.empty((3, 3), np.complex128)
+def _functions(part, control, work):
+    """S_I, S_I2, S_O, S_O2 and r to e_true at one frequency, in the first five places of `work`."""
+    turned, product = work[5], work[6]
     for i in range(3):
         for j in range(3):
-            weighted[i, j] = gamma[i, j] * control[j]
-    c = _times(weighted, upsilon)
-    turn = _inverse(_one_minus(_plus(_times(c, oyu), ouu)))
-    c_y = _times(turn, _minus(_minus(c, _times(c, oyy)), ouy))
-    loop_out, loop_in = _times(p, c_y), _times(c_y, p)
-    s_in = _inverse(_one_plus(loop_in))
-    out[2] = _inverse(_one_plus(loop_out))
-    out[3] = s_in
-    # P_eq in the controller's directions
-    seen = _minus(_minus(p, _times(oyy, p)), oyu)
-    equivalent = _times(
-        _times(upsilon, seen), _times(_inverse(_one_minus(_plus(ouu, _times(ouy, p)))), gamma)
-    )
-    right, left = np.empty((3, 3), np.complex128), np.empty((3, 3), np.complex128)
+            product[i, j] = part[0, i, j] * control[j]
+        product[i, i] += 1
+    _inverse(product, work[0])
     for i in range(3):
         for j in range(3):
-            right[i, j] = equivalent[i, j] * control[j]
-            left[i, j] = control[i] * equivalent[i, j]
-    out[0] = _inverse(_one_plus(right))
-    out[1] = _inverse(_one_plus(left))
-    # e_true = r - Upsilon P f, f = (I + C_y P)^-1 turn Gamma C_fb r
-    out[4] = _one_minus(_times(_times(upsilon, p), _times(s_in, _times(turn, weighted))))
-
-
-@inlined_kernel
-def _times(a, b):
-    out = np.empty((3, 3), np.complex128)
+            turned[i, j] = control[i] * work[0, i, j]  # C S_I = S_I2 C
+            work[1, i, j] = turned[i, j] / control[j]
+    _times(part[1], turned, work[4])
+    for k in range(2):  # S_O and S_O2
+        _times(part[2 + 3 * k + 1], turned, product)
+        _times(product, part[2 + 3 * k + 2], work[2 + k])
+        for i in range(3):
+            for j in range(3):
+                work[2 + k, i, j] = part[2 + 3 * k, i, j] - work[2 + k, i, j]
     for i in range(3):
         for j in range(3):
-            out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
-    return out
-
-
-@inlined_kernel
-def _plus(a, b):
-    out = np.empty((3, 3), np.complex128)
-    for i in range(3):
-        for j in range(3):
-            out[i, j] = a[i, j] + b[i, j]
-    return out
-
-
-@inlined_kernel
-def _minus(a, b):
-    out = np.empty((3, 3), np.complex128)
-    for i in range(3):
-        for j in range(3):
-            out[i, j] = a[i, j] - b[i, j]
-    return out
-
-
-@inlined_kernel
-def _one_plus(a):
-    out = np.empty((3, 3), np.complex128)
-    for i in range(3):
-        for j in range(3):
-            out[i, j] = a[i, j] + (1.0 if i == j else 0.0)
-    return out
-
-
-@inlined_kernel
-def _one_minus(a):
-    out = np.empty((3, 3), np.complex128)
-    for i in range(3):
-        for j in range(3):
-            out[i, j] = (1.0 if i == j else 0.0) - a[i, j]
-    return out
+            work[4, i, j] = (1.0 if i == j else 0.0) - work[4, i, j]
 
 
 @kernel
-def _inverse(a):
+def _times(a, b, out):
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
+
+
+@kernel
+def _inverse(a, out):
     """Inverse of a 3 x 3 matrix by cofactors."""
-    out = np.empty((3, 3), np.complex128)
     for i in range(3):
         m, n = (i + 1) % 3, (i + 2) % 3
         for j in range(3):
@@ -397,7 +383,17 @@ def _inverse(a):
     for i in range(3):
         for j in range(3):
             out[i, j] /= determinant
-    return out
+
+
+@kernel
+def _largest_entry_square(a):
+    """Square of the largest magnitude on the diagonal."""
+    largest = 0.0
+    for k in range(3):
+        size = a[k, k].real * a[k, k].real + a[k, k].imag * a[k, k].imag
+        if not size <= largest:
+            largest = size
+    return largest
 
 
 @kernel
