@@ -216,3 +216,28 @@ def rig_compensator(
             raise InputError(f"target_damping is {target_damping:g}, below that of a mode; raise it")
         gains = damping_gain(model, increase)[:, 2 * rigid + 1 :: 2]
     return RigCompensator(observer, compensate, gains, selectivity)
+
+
+def sampled_damping(
+    model: ModalModel, gains: Float64[np.ndarray, "inputs flexible"], step: float
+) -> tuple[Float64[np.ndarray, " flexible"], Float64[np.ndarray, " flexible"]]:
+    """Damping ratios under u = K eta_dot on true states: of the continuous and of the sampled flexible modes.
+
+    What a gain designed in continuous time gives when its force is held over a sample (section 4.1.2); both are
+    sorted by frequency.
+    """
+    flexible = model.modes(slice(model.rigid_modes, None))
+    states, held = flexible.state_space(), zoh_modes(flexible, require_number("step", step, above=0.0))
+    k = np.zeros((gains.shape[0], len(states.a)))
+    k[:, 1::2] = gains
+    found = []
+    for poles in (
+        linalg.eigvals(states.a + states.b @ k),
+        np.log(linalg.eigvals(held.a + held.b @ k).astype(complex)) / step,
+    ):
+        upper = poles[poles.imag > 0]
+        upper = upper[np.argsort(np.abs(upper))]
+        found.append(-upper.real / np.abs(upper))
+    if len(found[0]) != len(found[1]):
+        raise InputError("gains damp a mode so much that it no longer oscillates; lower them")
+    return found[0], found[1]

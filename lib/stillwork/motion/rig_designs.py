@@ -1,11 +1,13 @@
 """The four uses of the observer on the rig (Table 6.2) for one geometry."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
 
 from stillwork.lti import ModalModel
+from stillwork.motion.controller import Pid
 from stillwork.motion.observer import Noise
 from stillwork.motion.reduction import truncate
 from stillwork.motion.rig import (
@@ -18,7 +20,7 @@ from stillwork.motion.rig import (
     rig_model,
     scaled_inertia,
 )
-from stillwork.motion.rig_control import predictor_observer, rig_compensator
+from stillwork.motion.rig_control import pid_response, predictor_observer, rig_compensator
 from stillwork.motion.rig_loops import RigControllers, RigLoop, make_rig_loop
 
 RETAINED = 11  # modes in the observer: three rigid ones and the eight of Table 6.1
@@ -113,3 +115,11 @@ def rig_loops(
 def rig_controllers(geometry: Geometry) -> RigControllers:
     """The family of controllers, for what the plate's directions weigh."""
     return RigControllers(tuple(scaled_inertia(geometry).tolist()))
+
+
+def compensated_feedback(loop: RigLoop, pids: Sequence[Pid]) -> float:
+    """Largest singular value over frequency of O_yu C_fb, which section 6.3 keeps below 1 (scaled directions)."""
+    o_yu = np.moveaxis(loop.compensator.frequency_response(loop.omega)[3:, :3], -1, 0)
+    control = np.stack([pid_response(pid, loop.step, loop.omega) for pid in pids], axis=1)
+    seen = loop.decoupling.sensors @ o_yu @ loop.decoupling.actuators * control[:, None, :]
+    return float(np.linalg.norm(seen, 2, axis=(1, 2)).max())
