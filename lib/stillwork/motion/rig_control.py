@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Complex128, Float64
 from scipy import linalg
+from scipy.optimize import linear_sum_assignment
 
 from stillwork.checks import InputError, require_number
 from stillwork.lti import ModalModel, StateModel, interconnect, zoh_modes
@@ -223,21 +224,18 @@ def sampled_damping(
 ) -> tuple[Float64[np.ndarray, " flexible"], Float64[np.ndarray, " flexible"]]:
     """Damping ratios under u = K eta_dot on true states: of the continuous and of the sampled flexible modes.
 
-    What a gain designed in continuous time gives when its force is held over a sample (section 4.1.2); both are
-    sorted by frequency.
+    What a gain designed in continuous time gives when its force is held over a sample (section 4.1.2), sorted by
+    the frequency of the continuous modes; each sampled mode stands beside the continuous one nearest to it.
     """
     flexible = model.modes(slice(model.rigid_modes, None))
     states, held = flexible.state_space(), zoh_modes(flexible, require_number("step", step, above=0.0))
     k = np.zeros((gains.shape[0], len(states.a)))
     k[:, 1::2] = gains
-    found = []
-    for poles in (
-        linalg.eigvals(states.a + states.b @ k),
-        np.log(linalg.eigvals(held.a + held.b @ k).astype(complex)) / step,
-    ):
-        upper = poles[poles.imag > 0]
-        upper = upper[np.argsort(np.abs(upper))]
-        found.append(-upper.real / np.abs(upper))
-    if len(found[0]) != len(found[1]):
+    continuous = linalg.eigvals(states.a + states.b @ k)
+    sampled = np.log(linalg.eigvals(held.a + held.b @ k).astype(complex)) / step
+    continuous, sampled = (poles[poles.imag > 0] for poles in (continuous, sampled))
+    if len(continuous) != len(sampled):
         raise InputError("gains damp a mode so much that it no longer oscillates; lower them")
-    return found[0], found[1]
+    continuous = continuous[np.argsort(np.abs(continuous))]
+    sampled = sampled[linear_sum_assignment(np.abs(continuous[:, None] - sampled))[1]]
+    return -continuous.real / np.abs(continuous), -sampled.real / np.abs(sampled)

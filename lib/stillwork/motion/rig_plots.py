@@ -67,7 +67,7 @@ def mode_shapes(geometry: Geometry):
     grid = np.linspace(-1, 1, 25)
     xi, eta = (g.ravel() for g in np.meshgrid(grid, grid, indexing="ij"))
     shapes = modes.shapes(xi, eta).reshape(25, 25, 8)
-    figure, axes = figures.new(2, 4, height=3.6, sharex=True, sharey=True)
+    figure, axes = figures.new(2, 4, height=4.2, sharex=True, sharey=True)
     for k, axis in enumerate(axes.ravel()):
         places(axis, geometry, shapes[:, :, k])
         axis.set_title(f"mode {k + 1}, {p['frequencies_hz'][k]:.0f} Hz")
@@ -194,6 +194,7 @@ def over_geometries(
             axis.set_ylim(0, None)
         axis.set_xticks(range(len(values)), [case.replace(" and ", "\nand ") for case in values])
         axis.set_title(f"${MOTIONS[k]}$")
+        axis.set_xlabel("use of the observer")
     axes[0].set_ylabel(quantity)
     return figure
 
@@ -276,6 +277,6 @@ def draw_geometry(aspect: float = 0.83, along_x: float = 0.85, along_y: float = 
 def _plain(panels: int):
     """Panels without the constrained layout, which takes longer than an explorer may."""
     figure, axes = figures.new(1, panels, height=2.8)
-    figure.set_layout_engine("none")
+    figure.set_layout_engine(None)
     figure.subplots_adjust(left=0.1, right=0.98, bottom=0.18, top=0.9, wspace=0.3)
     return figure, axes
