@@ -36,27 +36,35 @@ def pid_response(
     return pid.frequency_response(2 / step * np.tan(omega * step / 2))
 
 
+def sampled_modes(
+    frequencies: Float64[np.ndarray, " modes"],
+    damping: Float64[np.ndarray, " modes"],
+    step: float,
+    omega: Float64[np.ndarray, " frequencies"],
+) -> Complex128[np.ndarray, "modes frequencies"]:
+    """Force to position of each mode for itself (mass 1), sampled with a zero-order hold, in closed form."""
+    n = len(frequencies)
+    order = np.argsort(frequencies, kind="stable")
+    unit = ModalModel(frequencies[order], damping[order], np.ones((n, 1)), np.ones((1, n)), np.zeros((1, 1)))
+    held = zoh_modes(unit, step)
+    back = np.argsort(order)
+    blocks = held.a.reshape(n, 2, n, 2)[back, :, back, :]
+    gains = held.b.reshape(n, 2)[back]
+    # The trace near 2 and the determinant near 1 cancel at low frequencies: write them as differences from 1.
+    lifted = np.exp(1j * omega * step)[None, :] - 1
+    first, second = blocks[:, 0, 0, None] - 1, blocks[:, 1, 1, None] - 1
+    cross = blocks[:, 0, 1, None] * blocks[:, 1, 0, None]
+    determinant = lifted**2 - lifted * (first + second) + first * second - cross
+    return ((lifted - second) * gains[:, :1] + blocks[:, 0, 1, None] * gains[:, 1:]) / determinant
+
+
 def zoh_response(
     model: ModalModel, step: float, omega: Float64[np.ndarray, " frequencies"]
 ) -> Complex128[np.ndarray, "outputs inputs frequencies"]:
     """Response of the zero-order-hold equivalent, mode by mode in closed form."""
-    n = len(model.frequencies)
-    unit = ModalModel(model.frequencies, model.damping, np.ones((n, 1)), np.ones((1, n)), np.zeros((1, 1)))
-    held = zoh_modes(unit, step)
-    blocks = held.a.reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :]
-    gains = held.b.reshape(n, 2)
-    z = np.exp(1j * omega * step)[None, :]
-    # The trace near 2 and the determinant near 1 cancel at low frequencies: write them as differences from 1.
-    lifted = z - 1
-    first, second = blocks[:, 0, 0, None] - 1, blocks[:, 1, 1, None] - 1
-    determinant = (
-        lifted**2
-        - lifted * (first + second)
-        + (first * second - (blocks[:, 0, 1] * blocks[:, 1, 0])[:, None])
-    )
-    modal = ((lifted - second) * gains[:, :1] + blocks[:, 0, 1, None] * gains[:, 1:]) / determinant
     residues = model.output_shapes[:, None, :] * model.input_shapes.T[None]
-    return residues @ modal + model.feedthrough[:, :, None]
+    modes = sampled_modes(model.frequencies, model.damping, step, omega)
+    return residues @ modes + model.feedthrough[:, :, None]
 
 
 @dataclass(frozen=True)
