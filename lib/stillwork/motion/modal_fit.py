@@ -11,6 +11,8 @@ from stillwork.checks import InputError, require_array, require_count, require_n
 from stillwork.lti import ModalModel
 from stillwork.motion.rig_control import sampled_modes, zoh_response
 
+DAMPING = (1e-5, 0.3)  # range of the damping ratios that the fit looks for
+
 
 @dataclass(frozen=True)
 class ModalMatrixFit:
@@ -83,13 +85,14 @@ def fit_modal_matrix(
         left = problem.residual(parameters).reshape(2, len(omega), -1)
         where = omega[(left**2).sum(axis=(0, 2)).argmax()]
         parameters = np.column_stack([parameters, np.log([where, damping_guess])])
-        # Modes may move by 2 % and damping by a factor of 30 at a time: further away they would swap places.
-        reach = np.repeat([0.02, np.log(30)], count)
+        # A mode may move by 2 % at a time: further away it would take the place of another.
+        low = np.stack([parameters[0] - 0.02, np.full(count, np.log(DAMPING[0]))])
+        high = np.stack([parameters[0] + 0.02, np.full(count, np.log(DAMPING[1]))])
         best = least_squares(
             lambda p: problem.residual(p.reshape(2, -1)),
-            parameters.ravel(),
-            bounds=(parameters.ravel() - reach, parameters.ravel() + reach),
-            x_scale=reach / 10,
+            np.clip(parameters, low + 1e-9, high - 1e-9).ravel(),
+            bounds=(low.ravel(), high.ravel()),
+            x_scale=np.repeat([0.002, 0.3], count),
             max_nfev=60 if count == modes else 6,
             xtol=1e-10,
         )

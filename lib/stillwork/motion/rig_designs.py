@@ -58,10 +58,9 @@ def model_errors(rng: np.random.Generator, size: float | None = None) -> Float64
     return rng.uniform(-size, size, len(published()["frequencies_hz"]))
 
 
-def observer_model(plant: ModalModel, errors: Float64[np.ndarray, "8"] | None = None) -> ModalModel:
-    """What the observer knows: eight flexible modes with wrong frequencies, and the compliance of the others."""
-    model = truncate(plant, RETAINED, len(plant.frequencies) - RETAINED)
-    return model if errors is None else detuned(model, errors)
+def observer_model(plant: ModalModel) -> ModalModel:
+    """The eight published modes, and the compliance of the others."""
+    return truncate(plant, RETAINED, len(plant.frequencies) - RETAINED)
 
 
 def rig_loops(
@@ -71,6 +70,7 @@ def rig_loops(
     positions=POSITIONS,
     omega: Float64[np.ndarray, " frequencies"] | None = None,
     cases: tuple[str, ...] = CASES,
+    known: ModalModel | None = None,
 ) -> dict[str, list[RigLoop]]:
     """Loops of the wanted cases, each at all positions.
 
@@ -86,13 +86,17 @@ def rig_loops(
         Frequencies, see `make_rig_loop`.
     cases : tuple of str
         From `CASES`.
+    known : ModalModel, optional
+        What the observers work with, at all four actuators and sensors, such as an identified model; by default
+        the rig's own eight modes and the compliance of the others.
     """
     full, used = rig_model(geometry), geometry.used
     loops = {case: [] for case in cases}
     for position in positions:
         plant = full.at(used, position)
         matrices = decoupling(geometry, used, position)
-        model = observer_model(plant, errors)
+        model = observer_model(plant) if known is None else known.at(used, position)
+        model = model if errors is None else detuned(model, errors)
         observers = {}
         for case in cases:
             compensate, damp = "MC" in case, "AD" in case

@@ -1,6 +1,7 @@
 """Figures of the over-actuated rig, and the drawings behind its explorers."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from stillwork.motion.rig import (
 )
 from stillwork.motion.rig_control import predictor_observer, rig_compensator
 from stillwork.motion.rig_designs import CASES, observer_model, published_settings
+from stillwork.motion.rig_identification import predicted_deviation, true_response
 from stillwork.motion.rig_loops import RigLoop, make_rig_loop
 
 COLOURS = dict(zip(CASES, (figures.BLUE, figures.GREEN, figures.RED, figures.SKY), strict=True))
@@ -191,6 +193,7 @@ def over_geometries(
         if log:
             axis.set_yscale("log")
         else:
+            axis.margins(y=0.08)
             axis.set_ylim(0, None)
         axis.set_xticks(range(len(values)), [case.replace(" and ", "\nand ") for case in values])
         axis.set_title(f"${MOTIONS[k]}$")
@@ -271,6 +274,55 @@ def draw_geometry(aspect: float = 0.83, along_x: float = 0.85, along_y: float = 
     axes[1].set_ylabel(r"mode shape, rms over the plate = 1 (1)")
     axes[1].set_ylim(0, 3)
     axes[1].legend()
+    return figure
+
+
+def identified(
+    omega: np.ndarray, measured: np.ndarray, model: np.ndarray, deviation: np.ndarray, actuator: int = 0
+):
+    """One actuator to all sensors: measured, fitted, what is left, and what the noise explains: Fig. 6.4."""
+    figure, axes = figures.new(2, 2, height=5.0, sharex=True, sharey=True)
+    hertz = omega / (2 * np.pi)
+    for sensor, axis in enumerate(axes.ravel()):
+        for values, label, style in (
+            (measured, "measured", {"color": figures.GREEN, "linewidth": 1.6}),
+            (model, "model", {"color": figures.BLUE, "linewidth": 0.8}),
+            (measured - model, "difference", {"color": figures.GREY, "linewidth": 0.4}),
+            (deviation, "expected from noise", {"color": figures.BLACK, "linewidth": 0.8, "linestyle": "--"}),
+        ):
+            axis.semilogx(hertz, 20 * np.log10(np.abs(values[:, sensor, actuator])), label=label, **style)
+        axis.set_title(f"sensor {sensor + 1}")
+    for axis in axes[1]:
+        axis.set_xlabel("frequency (Hz)")
+    for axis in axes[:, 0]:
+        axis.set_ylabel(f"actuator {actuator + 1} to sensor\n(dB re 1 m/N)")
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    return figure
+
+
+def draw_identification(
+    rms: float = 1.0, averages: int = 20, bandwidth_hz: float = 4.0, sensor_exponent: float = -18.0
+):
+    """Explorer: response of the rig, and the deviation that an identification in closed loop leaves."""
+    geometry, settings = assumed_geometry(), published_settings()
+    settings = replace(settings, noise=Noise(settings.noise.process, 10**sensor_exponent))
+    omega = frequencies(1.0, 1500.0, points=150, around=8)
+    response = true_response(geometry, settings, omega)
+    deviation = predicted_deviation(geometry, settings, bandwidth_hz, omega, rms, averages)
+    figure, axes = _plain(2)
+    hertz = omega / (2 * np.pi)
+    for axis, (row, column) in zip(axes, ((0, 0), (2, 0)), strict=True):
+        axis.semilogx(
+            hertz, 20 * np.log10(np.abs(response[:, row, column])), color=figures.BLUE, label="response"
+        )
+        axis.semilogx(
+            hertz, 20 * np.log10(deviation[:, row, column]), "--", color=figures.BLACK, label="deviation"
+        )
+        axis.set_title(f"actuator {column + 1} to sensor {row + 1}")
+        axis.set_xlabel("frequency (Hz)")
+    axes[0].set_ylabel("dB re 1 m/N")
+    axes[0].legend()
     return figure
 
 
