@@ -20,6 +20,7 @@ from stillwork.motion.rig_control import sampled_modes, zoh_response
 from stillwork.motion.rig_designs import published_settings
 from stillwork.motion.rig_identification import (
     convergence,
+    four_sensor_controller,
     identification_loop,
     predicted_deviation,
     rig_records,
@@ -46,9 +47,7 @@ def test_identification_loop_is_the_loop_by_hand():
     signals = rng.standard_normal((12, 40)) * np.repeat([1.0, 0.5, 1e-7], 4)[:, None]
     ours = simulate(loop, signals)
     plant = zoh_modes(rig_model(GEOMETRY), SETTINGS.step)
-    from stillwork.motion.rig_identification import _controller
-
-    controller = _controller(GEOMETRY, SETTINGS, 4.0)
+    controller = four_sensor_controller(GEOMETRY, SETTINGS, 4.0)
     x, s = np.zeros(len(plant.a)), np.zeros(len(controller.a))
     for k in range(40):
         added, disturbance, noise = signals[:4, k], signals[4:8, k], signals[8:, k]

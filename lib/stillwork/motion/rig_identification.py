@@ -21,7 +21,7 @@ from stillwork.motion.rig_designs import RigSettings, rig_controllers
 ALL = (0, 1, 2, 3)
 
 
-def _controller(geometry: Geometry, settings: RigSettings, bandwidth_hz: float) -> StateModel:
+def four_sensor_controller(geometry: Geometry, settings: RigSettings, bandwidth_hz: float) -> StateModel:
     """From the errors at four sensors to four forces."""
     matrices = decoupling(geometry, ALL, ALL)
     pids = rig_controllers(geometry)(bandwidth_hz, bandwidth_hz)
@@ -40,7 +40,7 @@ def identification_loop(geometry: Geometry, settings: RigSettings, bandwidth_hz:
         Design bandwidth of all three directions.
     """
     plant = zoh_modes(rig_model(geometry), settings.step)
-    controller = _controller(geometry, settings, bandwidth_hz)
+    controller = four_sensor_controller(geometry, settings, bandwidth_hz)
     closed = closed_loop(plant, replace(no_observer(plant), step=settings.step), controller)
     inputs = [channel(closed, name, "f", 4, 4) for name in ("u_ff", "w", "d")]
     outputs = [channel(closed, name, "e_meas", 4, 4) for name in ("u_ff", "w", "d")]
@@ -115,7 +115,9 @@ def predicted_deviation(
     require_number("rms", rms, above=0.0)
     require_count("averages", averages)
     response = true_response(geometry, settings, omega)
-    control = np.moveaxis(_controller(geometry, settings, bandwidth_hz).frequency_response(omega), -1, 0)
+    control = np.moveaxis(
+        four_sensor_controller(geometry, settings, bandwidth_hz).frequency_response(omega), -1, 0
+    )
     turn = np.eye(4) + control @ response
     seen = settings.noise.process * (np.abs(response) ** 2).sum(axis=2) + settings.noise.sensor
     return np.sqrt(seen[:, :, None] * (np.abs(turn) ** 2).sum(axis=1)[:, None, :] / (averages * rms**2))

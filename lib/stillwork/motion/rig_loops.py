@@ -172,6 +172,10 @@ def _arrays(loop: RigLoop, pids: Sequence[Pid]):
     return loop.parts, np.stack([pid_response(pid, loop.step, loop.omega) for pid in pids], axis=1)
 
 
+class Infeasible(InputError):
+    """No bandwidth passes: a loop function exceeds its limit however slow the controller is."""
+
+
 class RigBandwidth(NamedTuple):
     """The largest feasible design of the rig."""
 
@@ -221,8 +225,10 @@ def maximise_rig_bandwidth(
 
     Raises
     ------
+    Infeasible
+        When the lowest bandwidth is not feasible.
     InputError
-        When the lowest bandwidth is not feasible, or the highest still is.
+        When the highest bandwidth still is.
     """
     require_choice("measure", measure, MEASURES)
     require_count("number of loops", len(loops))
@@ -243,7 +249,7 @@ def maximise_rig_bandwidth(
 
         while not feasible(start, start):
             if start == low_hz:
-                raise InputError(
+                raise Infeasible(
                     f"a loop function exceeds the limit at low_hz = {low_hz:g} already; lower it"
                 )
             start = max(start / ratio, low_hz)

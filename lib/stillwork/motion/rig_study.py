@@ -14,7 +14,14 @@ from stillwork.motion.rig_designs import (
     rig_controllers,
     rig_loops,
 )
-from stillwork.motion.rig_loops import FUNCTIONS, MEASURES, RigBandwidth, RigLoop, maximise_rig_bandwidth
+from stillwork.motion.rig_loops import (
+    FUNCTIONS,
+    MEASURES,
+    Infeasible,
+    RigBandwidth,
+    RigLoop,
+    maximise_rig_bandwidth,
+)
 from stillwork.motion.rig_tracking import levelling, levelling_rms
 
 
@@ -52,7 +59,9 @@ def flexible_peaks(loops: list[RigLoop], inertia: Float64[np.ndarray, "3"]) -> F
     """
     modes = 2 * np.pi * np.array(published()["frequencies_hz"])
     middle = np.sqrt(modes[1:] * modes[:-1])
-    low, high = np.append(0.9 * modes[0], middle), np.append(middle, 1.05 * modes[-1])
+    # Within 5 % of each mode, and no nearer to another one; further away the tails of lower modes are larger.
+    low = np.maximum(0.95 * modes, np.append(0.0, middle))
+    high = np.minimum(1.05 * modes, np.append(middle, np.inf))
     found, coupling = [], []
     for loop in loops:
         turned = np.exp(1j * loop.omega * loop.step)
@@ -74,7 +83,7 @@ def bandwidths(
     for case, each in loops.items():
         try:
             found[case] = maximise_rig_bandwidth(each, family, measure)
-        except InputError:
+        except Infeasible:
             found[case] = None
     return found
 
