@@ -10,7 +10,7 @@ from stillwork.lti import ModalModel, simulate, zoh_modes
 from stillwork.motion.loops import channel
 from stillwork.motion.observer import Noise
 from stillwork.motion.rig import POSITIONS, assumed, assumed_geometry, rig_model, rigid_shapes, scaled_inertia
-from stillwork.motion.rig_control import sampled_damping
+from stillwork.motion.rig_control import placed_damping, sampled_damping
 from stillwork.motion.rig_designs import (
     CASES,
     compensated_feedback,
@@ -150,6 +150,16 @@ def test_one_sampled_mode_is_damped_as_its_matrix_exponential_says():
     held = linalg.expm(np.block([[a, b], [np.zeros((1, 3))]]) * 1e-4)
     poles = np.log(linalg.eigvals(held[:2, :2] + held[:2, 2:] @ np.array([[0, -36.0]]))) / 1e-4
     assert sampled[0] == pytest.approx(-poles[0].real / abs(poles[0]))
+
+
+def test_placed_poles_have_the_wanted_damping_and_equal_modes_are_refused():
+    model = observer_model(rig_model(GEOMETRY)).at(GEOMETRY.used, POSITIONS[0])
+    np.testing.assert_allclose(placed_damping(model, 0.04, SETTINGS.step), 0.04, atol=1e-6)
+    twins = ModalModel(
+        np.array([600.0, 600.0]), np.zeros(2), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1))
+    )
+    with pytest.raises(InputError, match="cannot be placed"):
+        placed_damping(twins, 0.04, 1e-4)
 
 
 def test_compensated_feedback_rises_with_the_controller(loops):

@@ -1,10 +1,11 @@
 """Discrete control of the rig: PID, observer in predictor form, measurement compensation and active damping."""
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Complex128, Float64
-from scipy import linalg
+from scipy import linalg, signal
 from scipy.optimize import linear_sum_assignment
 
 from stillwork.checks import InputError, require_number
@@ -247,3 +248,30 @@ def sampled_damping(
     continuous = continuous[np.argsort(np.abs(continuous))]
     sampled = sampled[linear_sum_assignment(np.abs(continuous[:, None] - sampled))[1]]
     return -continuous.real / np.abs(continuous), -sampled.real / np.abs(sampled)
+
+
+def placed_damping(model: ModalModel, target: float, step: float) -> Float64[np.ndarray, " flexible"]:
+    """Damping ratios that pole placement on the sampled flexible modes reaches (section 4.1.2), ascending frequency.
+
+    The frequencies stay, all damping ratios shall become `target`. The gain acts on positions too.
+
+    Raises
+    ------
+    InputError
+        When two modes have the same frequency, or the poles cannot be placed.
+    """
+    flexible = model.modes(slice(model.rigid_modes, None))
+    require_number("target", target, above=0.0, below=1.0)
+    held = zoh_modes(flexible, require_number("step", step, above=0.0))
+    upper = np.exp(flexible.frequencies * (-target + 1j * np.sqrt(1 - target**2)) * step)
+    with warnings.catch_warnings():
+        # The poles are placed all the same; only their most robust eigenvectors were still being looked for.
+        warnings.filterwarnings("ignore", message="Convergence was not reached")
+        try:
+            gain = signal.place_poles(held.a, held.b, np.concatenate([upper, upper.conj()])).gain_matrix
+        except ValueError as error:
+            raise InputError(f"the poles of model cannot be placed ({error}); leave modes out") from None
+    poles = np.log(linalg.eigvals(held.a - held.b @ gain).astype(complex)) / step
+    poles = poles[poles.imag > 0]
+    poles = poles[np.argsort(np.abs(poles))]
+    return -poles.real / np.abs(poles)

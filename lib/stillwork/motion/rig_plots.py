@@ -69,7 +69,7 @@ def mode_shapes(geometry: Geometry):
     grid = np.linspace(-1, 1, 25)
     xi, eta = (g.ravel() for g in np.meshgrid(grid, grid, indexing="ij"))
     shapes = modes.shapes(xi, eta).reshape(25, 25, 8)
-    figure, axes = figures.new(2, 4, height=4.2, sharex=True, sharey=True)
+    figure, axes = figures.new(2, 4, height=3.9, sharex=True, sharey=True)
     for k, axis in enumerate(axes.ravel()):
         places(axis, geometry, shapes[:, :, k])
         axis.set_title(f"mode {k + 1}, {p['frequencies_hz'][k]:.0f} Hz")
