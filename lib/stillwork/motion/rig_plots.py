@@ -214,28 +214,31 @@ def _one_position(geometry: Geometry, noise: Noise, use: str, target: float, pos
             intensity = settings.noise_model_both if "AD" in use else settings.noise_model
         observer = predictor_observer(observer_model(plant), noise, settings.step, intensity)
         block = rig_compensator(observer, "MC" in use, target if "AD" in use else None, settings.selectivity)
-    omega = frequencies(20.0, points=120, around=8)
+    omega = frequencies(20.0, points=80, around=5)
     return make_rig_loop(plant, block, decoupling(geometry, used, sensors), settings.step, omega)
 
 
+ENTRIES = {"Fz to z": 0, "Fz to rx": 1}
+
+
 def draw_rig(
-    use: str = "MC and AD", target_damping: float = 0.04, sensor_exponent: float = -18.0, position: int = 1
+    use: str = "MC and AD",
+    entry: str = "Fz to z",
+    target_damping: float = 0.04,
+    sensor_exponent: float = -18.0,
+    position: int = 1,
 ):
-    """Explorer: what the controller sees in z and from z to rx, for one use of the observer."""
-    geometry = assumed_geometry()
+    """Explorer: one entry of what the controller sees, with and without one use of the observer."""
+    geometry, row = assumed_geometry(), ENTRIES[entry]
     noise = Noise(published()["process"], 10**sensor_exponent)
-    figure, axes = _plain(2)
+    figure, axis = _plain(1)
     for name, colour in (("Original", figures.GREY), (use, figures.BLUE)):
         loop = _one_position(geometry, noise, name, target_damping, position)
-        plant = physical_plant(loop, geometry)
-        for axis, row in zip(axes, (0, 1), strict=True):
-            axis.semilogx(
-                loop.omega / (2 * np.pi), 20 * np.log10(np.abs(plant[row, 0])), color=colour, linewidth=1
-            )
-    for axis, row in zip(axes, (0, 1), strict=True):
-        axis.set_xlabel("frequency (Hz)")
-        axis.set_ylabel(f"$F_z$ to ${MOTIONS[row]}$ (dB re 1 {UNITS[row][0]})")
-    axes[0].set_title(f"{use}, position {position}; grey: no observer")
+        response = physical_plant(loop, geometry)[row, 0]
+        axis.semilogx(loop.omega / (2 * np.pi), 20 * np.log10(np.abs(response)), color=colour, label=name)
+    axis.set_xlabel("frequency (Hz)")
+    axis.set_ylabel(f"$F_z$ to ${MOTIONS[row]}$ (dB re 1 {UNITS[row][0]})")
+    axis.legend()
     return figure
 
 
