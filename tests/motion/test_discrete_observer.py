@@ -1,0 +1,276 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import signal
+from stillwork.checks import InputError
+from stillwork.lti import StateModel, simulate, zoh, zoh_modes
+from stillwork.motion.applications import Application
+from stillwork.motion.delays import delayed
+from stillwork.motion.designs import stage_observer
+from stillwork.motion.discrete_damping import (
+    discrete_damping_gain,
+    gain_by_placement,
+    placement_error,
+    sampled_feedback,
+)
+from stillwork.motion.discrete_observer import discrete_compensator, discrete_kalman_observer, predict
+from stillwork.motion.discrete_plots import draw_sampled, equivalent_plant
+from stillwork.motion.feedback import band_pass, damping_gain, fed_back
+from stillwork.motion.filters import TimeVaryingModel, estimate
+from stillwork.motion.machines import stage
+from stillwork.motion.observer import Noise, published_noise
+from stillwork.motion.reduction import truncate
+from stillwork.motion.robust import kalman_gains
+
+STEP = 1e-4
+
+
+@pytest.fixture(scope="module")
+def reduced():
+    return truncate(stage().at([0], [4]), 4, 3)
+
+
+@pytest.fixture(scope="module")
+def observer(reduced):
+    return discrete_kalman_observer(reduced, published_noise(), STEP, 0.03)
+
+
+# --- damping gains -------------------------------------------------------------------------------------------
+
+
+@given(step=st.floats(1e-6, 3e-4), increase=st.floats(1e-3, 0.5))
+@settings(max_examples=40)
+def test_the_closed_form_places_the_poles_at_any_rate(reduced, step, increase):
+    gain = discrete_damping_gain(reduced, increase, step)
+    assert placement_error(reduced, gain, increase, step) < 1e-6
+
+
+def test_the_closed_form_is_what_general_placement_finds(reduced):
+    gain = discrete_damping_gain(reduced, [0.03, 0.05, 0.01], STEP)
+    flexible = zoh_modes(reduced.modes([1, 2, 3]), STEP)
+    w, z = reduced.frequencies[1:], reduced.damping[1:] + np.array([0.03, 0.05, 0.01])
+    wanted = np.exp(w * (-z + 1j * np.sqrt(1 - z**2)) * STEP)
+    placed = signal.place_poles(flexible.a, flexible.b, np.concatenate([wanted, wanted.conj()]))
+    np.testing.assert_allclose(gain[:, 2:], -placed.gain_matrix, rtol=1e-6, atol=1e-6 * np.abs(gain).max())
+    for method in ("Ackermann", "robust"):
+        other = gain_by_placement(reduced, [0.03, 0.05, 0.01], STEP, method)
+        np.testing.assert_allclose(other, gain, rtol=1e-6, atol=1e-6 * np.abs(gain).max())
+
+
+def test_fast_sampling_leads_to_the_continuous_gain(reduced):
+    continuous = damping_gain(reduced, 0.035, "pole placement")
+    size = np.abs(continuous).max()
+    far = [
+        np.abs(discrete_damping_gain(reduced, 0.035, step) - continuous).max() / size for step in (1e-7, 1e-8)
+    ]
+    assert far[1] < 1e-2
+    assert far[1] == pytest.approx(far[0] / 10, rel=0.05)  # in proportion to the sampling time
+
+
+def test_sampled_feedback_reads_the_damping_of_the_held_loop(reduced):
+    gain = discrete_damping_gain(reduced, 0.035, STEP)
+    found = sampled_feedback(reduced, gain, STEP)
+    np.testing.assert_allclose(found.damping, [0, 0.04, 0.04, 0.04], atol=1e-10)
+    np.testing.assert_allclose(found.frequencies, reduced.frequencies, rtol=1e-10)
+    slow = damping_gain(reduced, 0.035, "minimal interaction")
+    np.testing.assert_allclose(
+        sampled_feedback(reduced, slow, 1e-8).damping, fed_back(reduced, slow).damping, atol=1e-4
+    )
+
+
+def test_a_late_force_damps_as_the_loop_stepped_by_hand_decays(reduced):
+    one = reduced.modes([0, 1])
+    gain = discrete_damping_gain(one, 0.035, STEP)
+    sampled = zoh_modes(one, STEP)
+    x, before, track = np.array([0.0, 0.0, 1.0, 0.0]), 0.0, []
+    for _ in range(1500):
+        now = float(gain[0] @ x)
+        x, before = sampled.a @ x + sampled.b[:, 0] * before, now
+        track.append(np.hypot(x[2], x[3] / one.frequencies[1]))
+    late = sampled_feedback(one, gain, STEP, delay=1)
+    rate = np.polyfit(np.arange(500, 1500) * STEP, np.log(track[500:]), 1)[0]
+    assert -rate == pytest.approx(late.damping[1] * late.frequencies[1], rel=1e-2)
+
+
+def test_bad_gains_and_machines_are_refused(reduced):
+    with pytest.raises(InputError, match="shape"):
+        sampled_feedback(reduced, np.zeros((1, 6)), STEP)
+    with pytest.raises(InputError, match="shape"):
+        placement_error(reduced, np.zeros((2, 8)), 0.03, STEP)
+    with pytest.raises(InputError, match="rigid body"):
+        sampled_feedback(reduced, np.ones((1, 8)), STEP)
+    with pytest.raises(InputError, match="no longer oscillates"):
+        sampled_feedback(reduced, 50 * damping_gain(reduced, 0.035), STEP)
+    with pytest.raises(InputError, match="2 inputs"):
+        discrete_damping_gain(
+            replace(reduced, input_shapes=np.ones((4, 2)), feedthrough=np.zeros((1, 2))), 0.03, STEP
+        )
+    with pytest.raises(InputError, match="node"):
+        discrete_damping_gain(replace(reduced, input_shapes=np.array([[1.0], [1], [0], [1]])), 0.03, STEP)
+    with pytest.raises(InputError, match="too long"):
+        discrete_damping_gain(reduced, 0.03, 4e-4)
+    with pytest.raises(InputError, match="damping ratios"):
+        discrete_damping_gain(reduced, 1.0, STEP)
+    with pytest.raises(InputError, match="no flexible modes"):
+        discrete_damping_gain(reduced.modes([0]), 0.03, STEP)
+    with pytest.raises(InputError, match="one frequency"):
+        discrete_damping_gain(replace(reduced, frequencies=reduced.frequencies[[0, 1, 1, 2]]), 0.03, STEP)
+
+
+# --- the observer --------------------------------------------------------------------------------------------
+
+
+def test_gain_is_where_the_printed_recursion_ends():
+    model = truncate(stage().at([0], [4]), 2, 0)
+    noise = Noise(1e-2, 1e-16)
+    found = discrete_kalman_observer(model, noise, STEP)
+    sampled = zoh_modes(model, STEP)
+    a, g, c = sampled.a, sampled.b, sampled.c
+    q, r = noise.process / STEP, noise.sensor / STEP
+    p = found.covariance * 3
+    for _ in range(6000):  # (4.7)
+        p = g @ g.T * q + a @ (p - p @ c.T @ np.linalg.inv(c @ p @ c.T + r) @ c @ p) @ a.T
+    predictor = a @ p @ c.T / (c @ p @ c.T + r)
+    np.testing.assert_allclose(found.a @ found.gain, predictor, rtol=1e-5)
+    np.testing.assert_allclose(found.covariance, p, rtol=1e-5)
+
+
+def test_fast_sampling_leads_to_the_continuous_observer(reduced):
+    continuous = stage_observer(5, noise_model=0.03)
+    far = []
+    for step in (1e-6, 5e-7):
+        found = discrete_kalman_observer(reduced, published_noise(), step, 0.03)
+        far.append(np.abs(found.a @ found.gain / step / continuous.gain - 1).max())
+    assert far[1] < 0.03
+    assert far[1] == pytest.approx(far[0] / 2, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    "form, delay", [("filter", 0), ("filter", 1), ("filter", 2), ("predictor", 1), ("predictor", 2)]
+)
+def test_estimators_are_the_textbook_recursion_late_by_the_delay(observer, form, delay):
+    rng = np.random.default_rng(1)
+    u, y = rng.standard_normal((2, 40))
+    y *= 1e-9
+    rows = rng.standard_normal((3, len(observer.a)))
+    d = observer.model.feedthrough[0, 0]
+    predicted, last, filtered, ahead = np.zeros(len(observer.a)), 0.0, [], []
+    for k in range(40):
+        x = predicted + observer.gain[:, 0] * (y[k] - observer.c[0] @ predicted - d * last)
+        predicted, last = observer.a @ x + observer.b[:, 0] * u[k], u[k]
+        filtered.append(rows @ x)
+        ahead.append(rows @ predicted)
+    wanted = np.array(filtered if form == "filter" else ahead).T
+    found = simulate(observer.estimator(rows, form, delay), np.vstack([u, y]))
+    np.testing.assert_allclose(
+        found[:, delay:], wanted[:, : 40 - delay], rtol=1e-6, atol=1e-9 * np.abs(wanted).max()
+    )
+    assert not np.any(found[:, :delay])
+
+
+def test_the_noise_model_takes_the_compensation_out_at_rest(reduced, observer):
+    def still(one):
+        block = discrete_compensator(one, Application(compensate=True))
+        return np.abs(block.frequency_response(np.array([1e-4]))[1, 0, 0])
+
+    assert still(observer) < 1e-3 * still(discrete_kalman_observer(reduced, published_noise(), STEP))
+
+
+def test_plant_and_predictor_have_the_poles_of_both_alone():
+    model = stage().at([0], [4]).modes([0, 1, 2])
+    found = discrete_kalman_observer(model, published_noise(), STEP)
+    application = Application(damping=0.035, selection="pole placement")
+    plant = zoh_modes(model, STEP)
+    gain = discrete_damping_gain(model, 0.035, STEP)
+    separate = np.concatenate(
+        [
+            np.linalg.eigvals(plant.a + plant.b @ gain),
+            np.linalg.eigvals(found.a - found.a @ found.gain @ found.c),
+            [0.0],
+        ]
+    )
+
+    def far(form, delay):
+        poles = equivalent_plant(plant, discrete_compensator(found, application, form, delay)).poles
+        return np.abs(separate[:, None] - poles).min(axis=1).max()
+
+    assert far("predictor", 1) < 1e-6
+    assert far("filter", 1) > 1e-3
+
+
+def test_a_compensator_with_band_passes_is_its_parts_in_a_row(observer):
+    application = Application(compensate=True, damping=0.035, selectivity=2.0)
+    block = discrete_compensator(observer, application, "predictor", 1)
+    omega = 2 * np.pi * np.array([30.0, 470.0, 1400.0])
+    velocities = observer.estimator(observer.read(np.eye(3), "velocity"), "predictor", 1)
+    parts = velocities.frequency_response(omega)
+    gain = damping_gain(observer.model, 0.035)[0, 3::2]
+    wanted = sum(
+        k * zoh(band_pass(w, 2.0), STEP).frequency_response(omega)[0, 0] * parts[i]
+        for i, (k, w) in enumerate(zip(gain, observer.model.frequencies[1:], strict=True))
+    )
+    np.testing.assert_allclose(block.frequency_response(omega)[0], wanted, rtol=1e-6)
+
+
+def test_predicted_estimates_are_one_step_ahead_of_the_filtered_ones(reduced):
+    sampled = zoh_modes(reduced, STEP)
+    c = np.repeat(sampled.c[None], 30, axis=0) * np.linspace(0.5, 1, 30)[:, None, None]
+    q, r = np.array([[1e-4]]), np.array([[2e-18]])
+    gains = kalman_gains(TimeVaryingModel(sampled.a, sampled.b, sampled.b, c, q, r, np.eye(8) * 1e-12))
+    rng = np.random.default_rng(2)
+    u, y = rng.standard_normal((1, 30)), 1e-9 * rng.standard_normal((1, 30))
+    filtered = estimate(gains, u, y)
+    ahead = predict(gains, filtered, u)
+    for k in range(1, 30):
+        np.testing.assert_allclose(
+            ahead[:, k], sampled.a @ filtered[:, k - 1] + sampled.b[:, 0] * u[0, k - 1]
+        )
+        update = ahead[:, k] + gains.gain[k] @ (y[:, k] - c[k] @ ahead[:, k])
+        np.testing.assert_allclose(update, filtered[:, k], rtol=1e-6, atol=1e-12 * np.abs(filtered).max())
+    with pytest.raises(InputError, match="estimates"):
+        predict(gains, filtered[:, 1:], u)
+
+
+@given(samples=st.integers(0, 5), seed=st.integers(0, 100))
+@settings(max_examples=20)
+def test_delayed_models_answer_the_same_later(samples, seed):
+    rng = np.random.default_rng(seed)
+    model = StateModel(*(rng.standard_normal(s) * 0.4 for s in ((3, 3), (3, 2), (2, 3), (2, 2))), 1e-3)
+    u = rng.standard_normal((2, 12))
+    late = simulate(delayed(model, samples), u)
+    np.testing.assert_allclose(late[:, samples:], simulate(model, u)[:, : 12 - samples], atol=1e-9)
+
+
+def test_bad_delays_forms_and_models_are_refused(reduced, observer):
+    for delay in (1.5, -1, 2.0):
+        with pytest.raises(InputError, match="whole number"):
+            observer.estimator(observer.flexible_outputs, "filter", delay)
+    with pytest.raises(InputError, match="at least 1"):
+        observer.estimator(observer.flexible_outputs, "predictor", 0)
+    with pytest.raises(InputError, match="form"):
+        observer.estimator(observer.flexible_outputs, "smoother", 1)
+    with pytest.raises(InputError, match="rows"):
+        observer.estimator(np.zeros((1, 3)))
+    with pytest.raises(InputError, match="continuous"):
+        delayed(reduced.state_space(), 1)
+    with pytest.raises(InputError, match="gain"):
+        replace(observer, gain=np.zeros((3, 1)))
+    with pytest.raises(InputError, match="unstable"):
+        replace(observer, gain=np.zeros_like(observer.gain))
+    with pytest.raises(InputError, match="velocities"):
+        discrete_kalman_observer(replace(reduced, measures="velocity"), published_noise(), STEP)
+    with pytest.raises(InputError, match="band-pass"):
+        discrete_compensator(observer, Application(damping=0.03, selectivity=2.0, selection="pole placement"))
+    with pytest.raises(InputError, match="only MC and AD"):
+        discrete_compensator(observer, Application(stiffness=1.2))
+    with pytest.raises(InputError, match="observable"):
+        blind = reduced.output_shapes.copy()
+        blind[:, 0] = 0
+        discrete_kalman_observer(replace(reduced, output_shapes=blind), published_noise(), STEP)
+
+
+def test_the_explorer_draws_a_late_loop():
+    assert draw_sampled(10.0, 0.035, "yes", "filter, one sample late").axes

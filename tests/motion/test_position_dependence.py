@@ -1,0 +1,212 @@
+import numpy as np
+import pytest
+from scipy import integrate
+from stillwork.checks import InputError
+from stillwork.lti import modal_model, zoh
+from stillwork.motion.controller import PidFamily
+from stillwork.motion.designs import DAMPING, DESIGNS, Design, stage_compensator, stage_loops, stage_observer
+from stillwork.motion.discrete_damping import sampled_feedback
+from stillwork.motion.filters import TimeVaryingModel
+from stillwork.motion.machines import stage, stage_mass
+from stillwork.motion.node_passage import move, pass_node
+from stillwork.motion.observer import Noise, published_noise
+from stillwork.motion.position_dependence import (
+    at_place,
+    damping_along,
+    damping_table,
+    equivalent_controller,
+    nodes,
+    observer_at,
+    place_loops,
+    require_seen,
+    stage_grid,
+)
+from stillwork.motion.position_plots import draw_place
+from stillwork.motion.positions import shapes_along
+from stillwork.motion.robust import kalman_gains
+from stillwork.motion.scan_study import output_rows
+
+GRID = stage_grid()
+STEP = 1e-4
+
+
+@pytest.fixture(scope="module")
+def plant():
+    return stage()
+
+
+def test_at_a_mass_the_machine_is_that_of_the_mass(plant):
+    for number in (0, 3, 6):
+        here, there = at_place(plant, GRID, GRID[number]), plant.at([0], [number])
+        np.testing.assert_allclose(here.output_shapes, there.output_shapes, atol=1e-14)
+        np.testing.assert_array_equal(here.input_shapes, there.input_shapes)
+
+
+def test_moving_the_actuator_is_reciprocal_to_moving_the_sensor(plant):
+    omega = np.geomspace(10, 2e4, 50)
+    sensor, actuator = (at_place(plant, GRID, 0.123, moves) for moves in ("sensor", "actuator"))
+    np.testing.assert_allclose(
+        sensor.frequency_response(omega), actuator.frequency_response(omega), rtol=1e-12
+    )
+
+
+def test_observer_and_loops_at_a_mass_are_the_published_ones(plant):
+    here, there = observer_at(plant, GRID, GRID[4], noise_model=0.03), stage_observer(5, noise_model=0.03)
+    np.testing.assert_allclose(here.gain, there.gain, rtol=1e-6)
+    controller = PidFamily(stage_mass())(40.0)
+    omega = 2 * np.pi * np.geomspace(5, 2e3, 60)
+    for name in ("PID", "MC and AD"):
+        ours = place_loops(plant, GRID, GRID[[2]], DESIGNS[name], points=20, around=0)[0]
+        theirs = stage_loops(DESIGNS[name], points=20, around=0)[2]
+        for function in ("output_sensitivity", "output_controller"):
+            np.testing.assert_allclose(
+                getattr(ours.at(controller, omega), function),
+                getattr(theirs.at(controller, omega), function),
+                rtol=1e-6,
+            )
+
+
+def test_equivalent_controller_is_the_printed_one(plant):
+    block = stage_compensator(3, Design(DESIGNS["MC"].application, 0.03))
+    pid = PidFamily(stage_mass())(37.0)
+    omega = 2 * np.pi * np.geomspace(1, 2e3, 80)
+    found = equivalent_controller(block, pid.state_space()).frequency_response(omega)[0]
+    o, c = block.frequency_response(omega), pid.frequency_response(omega)
+    printed = c / (1 - c * o[1, 0])  # (4.10), MC alone
+    np.testing.assert_allclose(found[0], printed, rtol=1e-7)
+    np.testing.assert_allclose(found[1], -printed * (1 - o[1, 1]), rtol=1e-6, atol=1e-9 * np.abs(c).max())
+
+
+def test_equivalent_controller_agrees_with_python_control(plant):
+    import control
+
+    block = stage_compensator(3, DESIGNS["AD, no band-pass"])
+    pid = PidFamily(stage_mass())(37.0).state_space()
+    found = equivalent_controller(block, pid)
+    parts = control.append(block.to_control(), pid.to_control())
+    # inputs f, y, e; outputs u_d, y_flex, u: f = u_d + u, e = y_flex + r - y
+    loop = np.array([[1.0, 0, 1], [0, 0, 0], [0, 1, 0]])
+    omega = 2 * np.pi * np.array([3.0, 60.0, 470.0, 1400.0])
+    for k, w in enumerate(omega):
+        p = parts(1j * w)
+        closed = np.linalg.solve(np.eye(3) - p @ loop, p @ np.array([[0, 0], [0, 1], [1.0, -1]]))
+        wanted = np.array([1.0, 0, 1]) @ closed
+        np.testing.assert_allclose(found.frequency_response(omega[[k]])[0, :, 0], wanted, rtol=1e-6)
+
+
+def test_shapes_vanish_at_their_nodes(plant):
+    for mode, count in ((0, 0), (1, 1), (2, 2), (3, 2)):
+        found = nodes(plant, GRID, mode)
+        assert len(found) == count
+        for place in found:
+            assert abs(shapes_along(plant, GRID, [place])[0, mode]) < 1e-12
+
+
+def test_a_gain_solved_at_every_place_damps_alike_and_goes_with_one_over_the_shape(plant):
+    places = np.array([0.02, 0.05, 0.08, 0.15])
+    gains = damping_along(plant, GRID, places, DAMPING, STEP)
+    shapes = shapes_along(plant, GRID, places)[:, 1:4]
+    for k in range(3):
+        columns = gains[:, 0, 2 + 2 * k : 4 + 2 * k] * shapes[:, k : k + 1]
+        np.testing.assert_allclose(columns, np.broadcast_to(columns[0], columns.shape), rtol=1e-9)
+    for place, gain in zip(places, gains, strict=True):
+        model = at_place(plant, GRID, place, "actuator").modes([0, 1, 2, 3])
+        np.testing.assert_allclose(sampled_feedback(model, gain, STEP).damping[1:], 0.04, atol=1e-9)
+
+
+def test_a_table_errs_with_the_square_of_its_spacing(plant):
+    fine = np.linspace(0.03, 0.09, 61)
+    exact = damping_along(plant, GRID, fine, DAMPING, STEP)
+    errors = [
+        np.abs(damping_table(plant, GRID, np.linspace(0.03, 0.09, n), DAMPING, STEP).at(fine) - exact).max()
+        for n in (11, 21)
+    ]
+    assert errors[0] / errors[1] == pytest.approx(4, rel=0.25)
+
+
+def test_places_off_the_structure_and_on_nodes_are_refused(plant):
+    with pytest.raises(InputError, match="outside the grid"):
+        at_place(plant, GRID, 0.31)
+    with pytest.raises(InputError, match="outside the table"):
+        damping_table(plant, GRID, [0.03, 0.05], DAMPING, STEP).at([0.04, 0.06])
+    with pytest.raises(InputError, match=r"node of mode 1 at 0\.108"):
+        damping_table(plant, GRID, [0.05, 0.15], DAMPING, STEP)
+    node = nodes(plant, GRID, 2)[0]
+    with pytest.raises(InputError, match=f"at {node:g} m"):
+        damping_along(plant, GRID, [0.05, node], DAMPING, STEP)
+    with pytest.raises(InputError, match="ascending"):
+        damping_table(plant, GRID, [0.05, 0.03], DAMPING, STEP)
+    with pytest.raises(InputError, match="moves"):
+        at_place(plant, GRID, 0.1, "table")
+    with pytest.raises(InputError, match="one input"):
+        at_place(modal_model(np.eye(2), np.eye(2), np.eye(2), np.eye(2)), [0, 1], 0.5)
+    with pytest.raises(InputError, match="mode is 8"):
+        nodes(plant, GRID, 8)
+    with pytest.raises(InputError, match="block has shape"):
+        equivalent_controller(
+            zoh(PidFamily(1.0)(30.0).state_space(), STEP), zoh(PidFamily(1.0)(30.0).state_space(), STEP)
+        )
+
+
+def test_observability_lost_along_a_trajectory_is_named(plant):
+    with pytest.raises(InputError, match=r"mode 1 is not observable at 0\.108"):
+        require_seen(plant, GRID, np.linspace(0.08, 0.13, 200), [0, 1])
+    require_seen(plant, GRID, np.linspace(0.0, 0.3, 200), [0])
+    tilted = modal_model(
+        np.eye(3),
+        np.zeros((3, 3)) + 1e4 * (np.eye(3) - 1 / 3),
+        np.ones((3, 1)),
+        np.array([[1.0, 0, 0], [0, 0, 0], [-1.0, 0, 0]]),
+        0.01,
+    )  # its outputs see the rigid body with either sign
+    with pytest.raises(InputError, match="mode 0 is not observable"):
+        pass_node(tilted, [0.0, 0.1, 0.2], np.linspace(0.05, 0.15, 50), 1, Noise(1.0, 1e-6), 1e-3)
+
+
+def test_online_filter_follows_the_continuous_riccati_equation(plant):
+    model, noise, step = plant.modes([0, 1]), Noise(1e-4, 2e-16), 2e-5
+    places = move(0.05, 0.0, 1.0, 0.006, 0.0, step)
+    states = model.state_space()
+    rows = output_rows(shapes_along(model, GRID, places))
+    start = np.diag([1e-16, 1e-11, 1e-16, 1e-11])
+    sampled = zoh(states, step)
+    filters = kalman_gains(
+        TimeVaryingModel(
+            sampled.a, sampled.b, sampled.b, rows, [[noise.process / step]], [[noise.sensor / step]], start
+        )
+    )
+    scale = np.sqrt(np.diag(start))
+    a, g = states.a * scale[None, :] / scale[:, None], states.b / scale[:, None]
+
+    def riccati(t, flat):
+        p = flat.reshape(4, 4)
+        c = output_rows(shapes_along(model, GRID, [0.05 + t]))[0] * scale
+        return (a @ p + p @ a.T + g @ g.T * noise.process - p @ c.T @ c @ p / noise.sensor).ravel()
+
+    end = (len(places) - 1) * step
+    solved = integrate.solve_ivp(riccati, (0, end), np.eye(4).ravel(), rtol=1e-6, atol=1e-8)
+    wanted = solved.y[:, -1].reshape(4, 4) * scale[:, None] * scale
+    found = (filters.covariance[-1] + filters.predicted[-1]) / 2  # before and after the last update
+    np.testing.assert_allclose(np.diag(found), np.diag(wanted), rtol=0.03)
+
+
+def test_standing_on_a_node_loses_the_mode_and_passing_it_faster_loses_less(plant):
+    known, node = plant.modes([0, 1]), float(nodes(plant, GRID, 1)[0])
+    step = 2e-4
+    stood = pass_node(known, GRID, np.full(1500, node), 1, published_noise(), step)
+    assert stood.worst(0.25, 0.3) == pytest.approx(1.0, abs=0.02)
+    slow, fast = (
+        pass_node(known, GRID, move(node - 0.03, 0.2, v, 0.06, 0.02, step), 1, published_noise(), step).worst(
+            0.2, 0.22 + 0.06 / v
+        )
+        for v in (0.5, 5.0)
+    )
+    assert fast < slow < 1
+    with pytest.raises(InputError, match="no sample"):
+        stood.worst(0.5, 0.6)
+    with pytest.raises(InputError, match="mode"):
+        pass_node(known, GRID, np.full(10, node), 0, published_noise(), step)
+
+
+def test_the_explorer_draws_a_place_between_the_masses():
+    assert draw_place(0.12, 0.035, "yes", 0.0, 40.0).axes
