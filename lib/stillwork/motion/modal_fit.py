@@ -3,14 +3,15 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Complex128, Float64
+from jaxtyping import Float64
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
 from stillwork.checks import InputError, require_array, require_count, require_number
 from stillwork.lti import ModalModel
-from stillwork.motion.rig_control import sampled_modes, zoh_response
+from stillwork.motion.rig_control import sampled_modes
 
+POWERS = (0, 2, 4)  # of the frequency, in the series for the compliance of the modes above the band
 DAMPING = (1e-5, 0.3)  # range of the damping ratios that the fit looks for
 
 
@@ -22,8 +23,8 @@ class ModalMatrixFit:
     deviation: Float64[np.ndarray, " modes"]  # standard deviation of the flexible frequencies (rad/s) ...
     damping_deviation: Float64[np.ndarray, " modes"]  # ... and of the damping ratios
     rank_one: Float64[np.ndarray, " modes"]  # second over first singular value of each mode's residue
+    compliance_deviation: float  # the same of an entry of the compliance (m/N), for known frequencies
     misfit: float  # root mean square of the weighted error; 1 where only noise remains
-    error: Complex128[np.ndarray, "lines outputs inputs"]  # measured minus model, m/N
 
 
 def fit_modal_matrix(
@@ -37,12 +38,13 @@ def fit_modal_matrix(
 ) -> ModalMatrixFit:
     r"""Fit frequencies, damping and residue matrices by weighted least squares over all entries at once.
 
-    The plant is sampled with a zero-order hold: :math:`G = R_0b_0 + \sum_i R_ib_i(\omega_i, \zeta_i) + D +
-    \omega^2D_2`, where :math:`b_i` is the exact sampled response of one mode of unit residue. The residues follow
-    linearly from frequencies and damping, which alone are searched (variable projection). :math:`D` is the
-    compliance of higher modes and :math:`D_2` its growth with frequency; the model keeps :math:`D`. The modes are
-    found one after the other, each where what the others leave is largest. At the end every residue is brought to
-    rank one, the rigid body's to rank `rigid_modes`.
+    The plant is sampled with a zero-order hold: :math:`G = R_0b_0 + \sum_i R_ib_i(\omega_i, \zeta_i) +
+    \frac{1+z^{-1}}2(D + \omega^2D_2 + \omega^4D_4)`, where :math:`b_i` is the exact sampled response of one mode of
+    unit residue. :math:`D` is the compliance of higher modes, the next terms its growth towards their resonances;
+    the hold delays it by half a sample, as the exact response of an undamped mode does. The model keeps :math:`D`.
+    The residues follow linearly from frequencies and damping, which alone are searched (variable projection). The
+    modes are found one after the other, each where what the others leave is largest. At the end every residue is
+    brought to rank one, the rigid body's to rank `rigid_modes`.
 
     Parameters
     ----------
@@ -104,7 +106,7 @@ def fit_modal_matrix(
     parameters = parameters[:, np.argsort(parameters[0])]
     gains = problem.residues(parameters)
     spread = problem.spread(parameters)
-    u, s, v = np.linalg.svd(np.concatenate([gains[:1], gains[3:]]))
+    u, s, v = np.linalg.svd(np.concatenate([gains[:1], gains[1 + len(POWERS) :]]))
     ranks = [rigid_modes] + [1] * modes
     pairs = [
         (u[k][:, i] * np.sqrt(s[k, i]), v[k][i] * np.sqrt(s[k, i]))
@@ -125,8 +127,8 @@ def fit_modal_matrix(
         frequencies * spread[0],
         damping * spread[1],
         s[1:, 1] / s[1:, 0],
+        problem.compliance_spread(parameters),
         float(np.sqrt(np.mean(np.sum(problem.residual(parameters).reshape(2, -1) ** 2, axis=0)))),
-        response - np.moveaxis(zoh_response(model, step, omega), -1, 0),
     )
 
 
@@ -137,10 +139,11 @@ class _Problem:
         self.omega, self.deviation, self.step, self.shape = omega, deviation, step, response.shape[1:]
         target = (response / deviation[:, None, None]).reshape(len(omega), -1)
         self.goal = np.vstack([target.real, target.imag])
-        self.fixed = np.stack([np.ones(len(omega)), (omega / omega.max()) ** 2])
+        held = (1 + np.exp(-1j * omega * step)) / 2
+        self.fixed = held * (omega / omega.max()) ** np.array(POWERS)[:, None]
 
     def _columns(self, parameters):
-        """Orthogonal columns (rigid body, D, D_2, modes), their triangle and their sizes."""
+        """Orthogonal columns (rigid body, compliance terms, modes), their triangle and their sizes."""
         modes, ratios = np.exp(parameters)
         each = sampled_modes(np.append(0.0, modes), np.append(0.0, ratios), self.step, self.omega)
         whole = (np.vstack([each[:1], self.fixed, each[1:]]) / self.deviation).T
@@ -155,6 +158,11 @@ class _Problem:
     def residues(self, parameters) -> np.ndarray:
         q, r, sizes = self._columns(parameters)
         return (np.linalg.solve(r, q.T @ self.goal) / sizes[:, None]).reshape(-1, *self.shape)
+
+    def compliance_spread(self, parameters) -> float:
+        """Standard deviation of an entry of D; each of the two parts of an error has half its variance."""
+        _, r, sizes = self._columns(parameters)
+        return float(np.linalg.norm(np.linalg.inv(r)[1]) / sizes[1] / np.sqrt(2))
 
     def spread(self, parameters) -> np.ndarray:
         """Standard deviations of the logarithms; each of the two parts of an error has half its variance."""
