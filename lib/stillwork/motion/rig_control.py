@@ -2,6 +2,7 @@
 
 import warnings
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Complex128, Float64
@@ -11,9 +12,10 @@ from scipy.optimize import linear_sum_assignment
 from stillwork.checks import InputError, require_number
 from stillwork.lti import ModalModel, StateModel, interconnect, zoh_modes
 from stillwork.motion.controller import Pid
-from stillwork.motion.feedback import band_pass, damping_gain
+from stillwork.motion.discrete_damping import sampled_feedback
+from stillwork.motion.discrete_observer import DiscreteObserver, discrete_kalman_observer
+from stillwork.motion.feedback import band_pass, damping_gain, fed_back
 from stillwork.motion.observer import Noise
-from stillwork.motion.riccati import discrete_gain
 
 
 def tustin(model: StateModel, step: float, omega: float | None = None) -> StateModel:
@@ -68,45 +70,10 @@ def zoh_response(
     return residues @ modes + model.feedthrough[:, :, None]
 
 
-@dataclass(frozen=True)
-class PredictorObserver:
-    r"""Observer :math:`\hat x_{k+1} = (A - LC)\hat x_k + (B - LD)f_k + Ly_k` of a reduced modal model, (6.3).
-
-    The states are those of `model` in modal form 1 and, with a noise model, one random walk an input.
-    """
-
-    model: ModalModel
-    a: Float64[np.ndarray, "states states"]
-    b: Float64[np.ndarray, "states inputs"]
-    c: Float64[np.ndarray, "outputs states"]
-    gain: Float64[np.ndarray, "states outputs"]
-    step: float  # s
-    residual: float  # of the Riccati equation
-
-    def read(
-        self, weights: Float64[np.ndarray, "signals flexible"], quantity: str = "position"
-    ) -> Float64[np.ndarray, "signals states"]:
-        """Rows that weight the estimated positions (or velocities) of the flexible modes."""
-        first = 2 * self.model.rigid_modes + (quantity == "velocity")
-        rows = np.zeros((len(weights), len(self.a)))
-        rows[:, first : 2 * len(self.model.frequencies) : 2] = weights
-        return rows
-
-    @property
-    def flexible_outputs(self) -> Float64[np.ndarray, "outputs states"]:
-        """C_f: what the estimated flexible modes put into each measurement."""
-        return self.read(self.model.output_shapes[:, self.model.rigid_modes :])
-
-    def estimator(self, rows: Float64[np.ndarray, "signals states"]) -> StateModel:
-        """Model from (f, y) to the signals ``rows @ x_hat``; no direct feedthrough, it predicts."""
-        b = np.hstack([self.b - self.gain @ self.model.feedthrough, self.gain])
-        return StateModel(self.a - self.gain @ self.c, b, rows, np.zeros((len(rows), b.shape[1])), self.step)
-
-
-def predictor_observer(
+def rig_observer(
     model: ModalModel, noise: Noise, step: float, noise_model: float | None = None
-) -> PredictorObserver:
-    """Stationary Kalman predictor of chapter 6, with the process noise at the plant input (G = B).
+) -> DiscreteObserver:
+    """Stationary Kalman observer of chapter 6, from covariances a sample as (6.2) prints them.
 
     Parameters
     ----------
@@ -119,28 +86,19 @@ def predictor_observer(
     noise_model : float, optional
         Covariance Q_nu a sample (N^2) of a random walk at every input.
     """
-    held = zoh_modes(model, require_number("step", step, above=0.0))
-    a, b, c = held.a, held.b, held.c
-    inputs = b.shape[1]
-    g, q = b, noise.process * np.eye(inputs)
+    require_number("step", step, above=0.0)
     if noise_model is not None:
-        require_number("noise_model", noise_model, above=0.0)
-        a = np.block([[a, b], [np.zeros((inputs, len(a))), np.eye(inputs)]])
-        g = linalg.block_diag(b, np.eye(inputs))
-        q = linalg.block_diag(q, noise_model * np.eye(inputs))
-        b = np.vstack([b, np.zeros((inputs, inputs))])
-        c = np.hstack([c, np.zeros((len(c), inputs))])
-    solved = discrete_gain(a, g, c, q, noise.sensor)
-    if np.any(np.abs(linalg.eigvals(a - solved.gain @ c)) >= 1):
-        raise InputError("the observer is unstable; check the model and the covariances")
-    return PredictorObserver(model, a, b, c, solved.gain, step, solved.residual)
+        noise_model = require_number("noise_model", noise_model, above=0.0) / step
+    return discrete_kalman_observer(
+        model, Noise(noise.process * step, noise.sensor * step), step, noise_model
+    )
 
 
 @dataclass(frozen=True)
 class RigCompensator:
     """What the observer does: y_flex = C_f x_hat for MC, u_d = sum of K_i H_i(z) velocity_i for AD."""
 
-    observer: PredictorObserver
+    observer: DiscreteObserver
     compensate: bool
     gains: Float64[np.ndarray, "inputs flexible"]  # K_i on the modal velocities, zero without damping
     selectivity: float | None  # Q of the band-passes; None: none
@@ -154,6 +112,10 @@ class RigCompensator:
             ]
         )
 
+    @cached_property
+    def _estimator(self) -> StateModel:
+        return self.observer.estimator(self._read(), "predictor", 1)
+
     def _filters(self) -> list[StateModel]:
         if self.selectivity is None:
             return []
@@ -166,7 +128,7 @@ class RigCompensator:
     ) -> Complex128[np.ndarray, "signals signals frequencies"]:
         """Response from (f, y) to (u_d, y_flex); the filters are multiplied in, not realised."""
         outputs = len(self.observer.c)
-        estimates = self.observer.estimator(self._read()).frequency_response(omega)
+        estimates = self._estimator.frequency_response(omega)
         flexible, velocities = estimates[:outputs], estimates[outputs:]
         if self.selectivity is not None:
             centres = self.observer.model.frequencies[self.observer.model.rigid_modes :, None]
@@ -182,9 +144,8 @@ class RigCompensator:
         both = inputs + outputs
         if not np.any(self.gains) or self.selectivity is None:
             damping = self.observer.read(self.gains, "velocity")
-            return self.observer.estimator(np.vstack([damping, self._read()[:outputs]]))
-        filters = self._filters()
-        estimator = self.observer.estimator(self._read())
+            return self.observer.estimator(np.vstack([damping, self._read()[:outputs]]), "predictor", 1)
+        estimator, filters = self._estimator, self._filters()
         count = len(filters)
         feedback = np.zeros((both + count, outputs + 2 * count))
         feedback[both:, outputs : outputs + count] = np.eye(count)
@@ -195,7 +156,7 @@ class RigCompensator:
 
 
 def rig_compensator(
-    observer: PredictorObserver,
+    observer: DiscreteObserver,
     compensate: bool = False,
     target_damping: float | None = None,
     selectivity: float | None = 2.0,
@@ -204,7 +165,7 @@ def rig_compensator(
 
     Parameters
     ----------
-    observer : PredictorObserver
+    observer : DiscreteObserver
     compensate : bool
         Subtract the estimated flexible part from the measurement.
     target_damping : float, optional
@@ -236,18 +197,16 @@ def sampled_damping(
     What a gain designed in continuous time gives when its force is held over a sample (section 4.1.2), sorted by
     the frequency of the continuous modes; each sampled mode stands beside the continuous one nearest to it.
     """
-    flexible = model.modes(slice(model.rigid_modes, None))
-    states, held = flexible.state_space(), zoh_modes(flexible, require_number("step", step, above=0.0))
-    k = np.zeros((gains.shape[0], len(states.a)))
-    k[:, 1::2] = gains
-    continuous = linalg.eigvals(states.a + states.b @ k)
-    sampled = np.log(linalg.eigvals(held.a + held.b @ k).astype(complex)) / step
-    continuous, sampled = (poles[poles.imag > 0] for poles in (continuous, sampled))
-    if len(continuous) != len(sampled):
-        raise InputError("gains damp a mode so much that it no longer oscillates; lower them")
-    continuous = continuous[np.argsort(np.abs(continuous))]
-    sampled = sampled[linear_sum_assignment(np.abs(continuous[:, None] - sampled))[1]]
-    return -continuous.real / np.abs(continuous), -sampled.real / np.abs(sampled)
+    rigid = model.rigid_modes
+    gain = np.zeros((gains.shape[0], 2 * len(model.frequencies)))
+    gain[:, 2 * rigid + 1 :: 2] = gains
+    continuous, sampled = fed_back(model, gain), sampled_feedback(model, gain, step)
+    poles = [
+        (each.frequencies * (-each.damping + 1j * np.sqrt(1 - each.damping**2)))[rigid:]
+        for each in (continuous, sampled)
+    ]
+    nearest = linear_sum_assignment(np.abs(poles[0][:, None] - poles[1]))[1]
+    return continuous.damping[rigid:], sampled.damping[rigid:][nearest]
 
 
 def placed_damping(model: ModalModel, target: float, step: float) -> Float64[np.ndarray, " flexible"]:

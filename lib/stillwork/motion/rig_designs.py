@@ -20,7 +20,7 @@ from stillwork.motion.rig import (
     rig_model,
     scaled_inertia,
 )
-from stillwork.motion.rig_control import pid_response, predictor_observer, rig_compensator
+from stillwork.motion.rig_control import pid_response, rig_compensator, rig_observer
 from stillwork.motion.rig_loops import RigControllers, RigLoop, make_rig_loop
 
 RETAINED = 11  # modes in the observer: three rigid ones and the eight of Table 6.1
@@ -105,7 +105,7 @@ def rig_loops(
                 intensity = settings.noise_model_both if damp else settings.noise_model
                 intensity = intensity if compensate else None
                 if intensity not in observers:
-                    observers[intensity] = predictor_observer(model, settings.noise, settings.step, intensity)
+                    observers[intensity] = rig_observer(model, settings.noise, settings.step, intensity)
                 block = rig_compensator(
                     observers[intensity],
                     compensate,

@@ -95,7 +95,7 @@ def make_rig_loop(
         poles = plant.poles
         if compensator is not None:
             observer = compensator.observer
-            sampled = linalg.eigvals(observer.a - observer.gain @ observer.c)
+            sampled = linalg.eigvals(observer.a - observer.a @ observer.gain @ observer.c)
             own = np.log(sampled[np.abs(sampled) > 1e-3].astype(complex)) / step
             poles = np.concatenate([poles, own[np.abs(own.real) < 0.1 * np.abs(own)]])
         omega = resonance_grid(poles, low_hz, 0.499 / step, points, around)
@@ -339,7 +339,12 @@ def _exceeded(parts, control, entries, limit, first):
         k = (first + i) % count
         _functions(parts[k], control[k], work)
         for f in range(5):
-            square = _largest_entry_square(work[f]) if entries else _largest_square(work[f])
+            if entries:
+                square = _largest_entry_square(work[f])
+            else:
+                square = _sum_of_squares(work[f])  # no singular value exceeds its root
+                if not square <= limit * limit:
+                    square = _largest_square(work[f])
             if not square <= limit * limit:
                 return k
     return -1
@@ -400,6 +405,15 @@ def _largest_entry_square(a):
         if not size <= largest:
             largest = size
     return largest
+
+
+@kernel
+def _sum_of_squares(a):
+    total = 0.0
+    for i in range(3):
+        for j in range(3):
+            total += a[i, j].real * a[i, j].real + a[i, j].imag * a[i, j].imag
+    return total
 
 
 @kernel

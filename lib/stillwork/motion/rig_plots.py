@@ -18,7 +18,7 @@ from stillwork.motion.rig import (
     published,
     rig_model,
 )
-from stillwork.motion.rig_control import predictor_observer, rig_compensator
+from stillwork.motion.rig_control import rig_compensator, rig_observer
 from stillwork.motion.rig_designs import CASES, observer_model, published_settings
 from stillwork.motion.rig_identification import predicted_deviation, true_response
 from stillwork.motion.rig_loops import RigLoop, make_rig_loop
@@ -212,7 +212,7 @@ def _one_position(geometry: Geometry, noise: Noise, use: str, target: float, pos
         intensity = None
         if "MC" in use:
             intensity = settings.noise_model_both if "AD" in use else settings.noise_model
-        observer = predictor_observer(observer_model(plant), noise, settings.step, intensity)
+        observer = rig_observer(observer_model(plant), noise, settings.step, intensity)
         block = rig_compensator(observer, "MC" in use, target if "AD" in use else None, settings.selectivity)
     omega = frequencies(20.0, points=80, around=5)
     return make_rig_loop(plant, block, decoupling(geometry, used, sensors), settings.step, omega)

@@ -107,7 +107,7 @@ def rig_trial(
         ``peaks`` (cases, functions); ``original`` and ``redesigned`` (cases, 3), rms errors in m and rad at the
         first position with the original and with the redesigned controllers; all NaN where no bandwidth passes.
         Besides ``flexible`` (cases, modes) and ``coupling`` (cases,) in m/N, and the drawn ``mass``, ``aspect``,
-        ``actuators`` and ``sensors``.
+        ``actuators`` and ``sensors``, and ``excitation`` (2, modes), the largest of four and of three actuators.
     """
     geometry = geometry or draw_geometry(rng)
     loops = rig_loops(geometry, settings, model_errors(rng))
@@ -137,7 +137,7 @@ def rig_trial(
         "actuators": np.array(geometry.actuators),
         "sensors": np.array(geometry.sensors),
         "excitation": np.array(
-            [np.abs(excitation(geometry, used)[0]).max() for used in ((0, 1, 2, 3), geometry.used)]
+            [np.abs(excitation(geometry, used)).max(axis=1) for used in ((0, 1, 2, 3), geometry.used)]
         ),
     }
 
