@@ -187,8 +187,9 @@ class RigBandwidth(NamedTuple):
 
     @property
     def active(self) -> str:
-        """The loop function with the largest peak."""
-        return FUNCTIONS[int(self.peaks.max(axis=0).argmax())]
+        """The loop function with the largest peak; the first of those that are equal but for rounding."""
+        largest = self.peaks.max(axis=0)
+        return FUNCTIONS[int(np.argmax(largest > (1 - 1e-6) * largest.max()))]
 
 
 def maximise_rig_bandwidth(

@@ -22,6 +22,7 @@ from stillwork.motion.rig_control import rig_compensator, rig_observer
 from stillwork.motion.rig_designs import CASES, observer_model, published_settings
 from stillwork.motion.rig_identification import predicted_deviation, true_response
 from stillwork.motion.rig_loops import RigLoop, make_rig_loop
+from stillwork.spectra import Spectrum
 
 COLOURS = dict(zip(CASES, (figures.BLUE, figures.GREEN, figures.RED, figures.SKY), strict=True))
 FORCES, MOTIONS = ("F_z", "M_x", "M_y"), ("z", "r_x", "r_y")
@@ -97,8 +98,11 @@ def decoupled_plants(loops: Sequence[RigLoop], geometry: Geometry):
         axes[i, j].set_ylabel(f"dB re 1 {UNITS[i][j]}")
     for axis in axes[-1]:
         axis.set_xlabel("frequency (Hz)")
+    # Nine panels with axes of their own: the constrained layout would take longer than all the rest.
+    figure.set_layout_engine(None)
+    figure.subplots_adjust(left=0.08, right=0.99, bottom=0.12, top=0.96, wspace=0.4, hspace=0.28)
     handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    figure.legend(handles, labels, loc="lower center", ncols=4)
     return figure
 
 
@@ -159,6 +163,28 @@ def tracking_errors(errors: Mapping[str, np.ndarray], reference: np.ndarray, ste
     return figure
 
 
+def error_spectra(spectra: Mapping[str, Spectrum]):
+    """Amplitude spectra of the true errors in three directions: what Fig. 6.10 does not let one see."""
+    figure, axes = figures.new(1, 3, height=2.7, sharex=True)
+    for case, each in spectra.items():
+        drawn = (each.frequencies_hz >= 2) & (each.frequencies_hz <= 2000)
+        for axis, density in zip(axes, each.density, strict=True):
+            axis.loglog(
+                each.frequencies_hz[drawn],
+                1e6 * np.sqrt(density[drawn]),
+                color=COLOURS[case],
+                linewidth=0.9,
+                label=case,
+            )
+    for k, axis in enumerate(axes):
+        axis.set_title(f"${MOTIONS[k]}$")
+        axis.set_xlabel("frequency (Hz)")
+        axis.set_ylabel(f"error ({'µm' if k == 0 else 'µrad'}/√Hz)")
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    return figure
+
+
 def over_geometries(
     values: Mapping[str, np.ndarray], marks: Mapping[str, Sequence[float]], quantity: str, log: bool = False
 ):
@@ -189,7 +215,9 @@ def over_geometries(
                 label=f"one geometry, {case}",
             )
             if case in marks:
-                figures.mark_published(axis, place, marks[case][k], "published" if not place else "_")
+                figures.mark_published(
+                    axis, place, marks[case][k], "published" if not place else f"_published, {case}"
+                )
         if log:
             axis.set_yscale("log")
         else:
@@ -199,6 +227,12 @@ def over_geometries(
         axis.set_title(f"${MOTIONS[k]}$")
         axis.set_xlabel("use of the observer")
     axes[0].set_ylabel(quantity)
+    handles, labels = axes[0].get_legend_handles_labels()
+    shown = {
+        "published" if label == "published" else "one geometry": h
+        for h, label in zip(handles, labels, strict=True)
+    }
+    figure.legend(shown.values(), shown.keys(), loc="outside lower center", ncols=2)
     return figure
 
 
