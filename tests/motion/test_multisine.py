@@ -90,6 +90,8 @@ def test_deviation_is_what_the_noise_predicts(noisy):
     chosen = estimate.omega > 2 * np.pi * 20
     ratio = np.mean((estimate.deviation / expected)[chosen] ** 2)
     assert ratio == pytest.approx(1, abs=0.05)
+    slow = (estimate.omega > 2 * np.pi * 2) & (estimate.omega < 2 * np.pi * 20)  # where the loop acts
+    assert np.mean((estimate.deviation / expected)[slow] ** 2) == pytest.approx(1, abs=0.3)
     error = np.abs(estimate.response - true_response(GEOMETRY, SETTINGS, estimate.omega))
     assert np.mean((error / expected)[chosen] ** 2) == pytest.approx(1, abs=0.1)
 
@@ -167,14 +169,14 @@ def test_the_hold_delays_the_compliance_of_an_undamped_mode_by_half_a_sample():
 
 
 def test_compliance_of_a_mode_above_the_band_is_found():
-    """A constant would take the growth towards the resonance for compliance."""
+    """A constant would take the growth towards the resonance for compliance: 26 % off."""
     plant, step = _small_plant(), 1e-4
     plant = replace(plant, feedthrough=0 * plant.feedthrough)
-    omega = 2 * np.pi * np.linspace(5, 200, 200)  # the last mode stands at 398 Hz
+    omega = 2 * np.pi * np.linspace(5, 280, 200)  # the last mode stands at 398 Hz
     response = np.moveaxis(zoh_response(plant, step, omega), -1, 0)
     fit = fit_modal_matrix(omega, response, np.full(len(omega), 1e-9), 2, step, 2)
     exact = plant.modes([4]).compliance()
-    assert np.linalg.norm(fit.model.feedthrough - exact) < 0.03 * np.linalg.norm(exact)
+    assert np.linalg.norm(fit.model.feedthrough - exact) < 0.015 * np.linalg.norm(exact)  # two terms: 5 %
 
 
 def test_sampled_modes_may_stand_in_any_order():

@@ -97,6 +97,9 @@ def test_rig_has_the_published_frequencies_and_damping():
     np.testing.assert_allclose(model.frequencies[3:11] / (2 * np.pi), p["frequencies_hz"], rtol=1e-14)
     np.testing.assert_array_equal(model.damping[3:11], p["damping"])
     assert model.rigid_modes == 3
+    plate = plate_modes(GEOMETRY.width / GEOMETRY.length, GEOMETRY.poisson, 14).parameters
+    np.testing.assert_allclose(model.frequencies[11:] / model.frequencies[10], plate[8:] / plate[7])
+    np.testing.assert_array_equal(model.damping[11:], p["damping"][-1])
 
 
 @pytest.mark.parametrize("position", POSITIONS)

@@ -154,8 +154,9 @@ def tracking_errors(errors: Mapping[str, np.ndarray], reference: np.ndarray, ste
             linewidth=0.8,
             label="trajectory, scaled",
         )
-        for case, error in errors.items():
-            axis.plot(time, 1e6 * error[k, ::every], color=COLOURS[case], linewidth=0.7, label=case)
+        for order, (case, error) in enumerate(errors.items()):
+            width = 1.9 - 0.45 * order  # lines that coincide stay visible
+            axis.plot(time, 1e6 * error[k, ::every], color=COLOURS[case], linewidth=width, label=case)
         axis.set_ylabel(f"error in ${MOTIONS[k]}$ ({'µm' if k == 0 else 'µrad'})")
     axes[-1].set_xlabel("time (s)")
     handles, labels = axes[0].get_legend_handles_labels()
@@ -166,14 +167,14 @@ def tracking_errors(errors: Mapping[str, np.ndarray], reference: np.ndarray, ste
 def error_spectra(spectra: Mapping[str, Spectrum]):
     """Amplitude spectra of the true errors in three directions: what Fig. 6.10 does not let one see."""
     figure, axes = figures.new(1, 3, height=2.7, sharex=True)
-    for case, each in spectra.items():
+    for order, (case, each) in enumerate(spectra.items()):
         drawn = (each.frequencies_hz >= 2) & (each.frequencies_hz <= 2000)
         for axis, density in zip(axes, each.density, strict=True):
             axis.loglog(
                 each.frequencies_hz[drawn],
                 1e6 * np.sqrt(density[drawn]),
                 color=COLOURS[case],
-                linewidth=0.9,
+                linewidth=2.4 - 0.6 * order,  # lines that coincide stay visible
                 label=case,
             )
     for k, axis in enumerate(axes):
