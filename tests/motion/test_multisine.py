@@ -1,0 +1,232 @@
+"""Multisine identification: exactness without noise, the expected variance with it, the bias that it avoids."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from stillwork.checks import InputError
+from stillwork.lti import ModalModel, simulate, zoh_modes
+from stillwork.motion.modal_fit import fit_modal_matrix
+from stillwork.motion.multisine import (
+    direct_response,
+    joint_input_output,
+    random_phase_multisine,
+    run_multisine,
+    smoothed_deviation,
+)
+from stillwork.motion.observer import Noise
+from stillwork.motion.rig import assumed_geometry, rig_model
+from stillwork.motion.rig_control import sampled_modes, zoh_response
+from stillwork.motion.rig_designs import published_settings
+from stillwork.motion.rig_identification import (
+    convergence,
+    four_sensor_controller,
+    identification_loop,
+    predicted_deviation,
+    rig_records,
+    true_response,
+)
+
+GEOMETRY = assumed_geometry()
+SETTINGS = published_settings()
+QUIET = replace(SETTINGS, noise=Noise(1e-24, 1e-36))
+
+
+def test_multisine_has_its_rms_and_a_flat_spectrum():
+    signal = random_phase_multisine(np.random.default_rng(1), 256, 0.7)
+    assert np.sqrt(np.mean(signal**2)) == pytest.approx(0.7)
+    spectrum = np.abs(np.fft.rfft(signal))
+    np.testing.assert_allclose(spectrum[1:-1], spectrum[1], rtol=1e-10)
+    assert max(spectrum[0], spectrum[-1]) < 1e-10
+
+
+def test_identification_loop_is_the_loop_by_hand():
+    """Sample by sample: plant, controller in difference form, every signal where it belongs."""
+    loop = identification_loop(GEOMETRY, SETTINGS, 4.0)
+    rng = np.random.default_rng(2)
+    signals = rng.standard_normal((12, 40)) * np.repeat([1.0, 0.5, 1e-7], 4)[:, None]
+    ours = simulate(loop, signals)
+    plant = zoh_modes(rig_model(GEOMETRY), SETTINGS.step)
+    controller = four_sensor_controller(GEOMETRY, SETTINGS, 4.0)
+    x, s = np.zeros(len(plant.a)), np.zeros(len(controller.a))
+    for k in range(40):
+        added, disturbance, noise = signals[:4, k], signals[4:8, k], signals[8:, k]
+        y = plant.c @ x + noise
+        f = controller.c @ s - controller.d @ y + added
+        np.testing.assert_allclose(ours[:4, k], f, rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(ours[4:, k], y, rtol=1e-6, atol=1e-14)
+        s = controller.a @ s - controller.b @ y
+        x = plant.a @ x + plant.b @ (f + disturbance)
+
+
+@pytest.fixture(scope="module")
+def noisy():
+    """Sensor noise only: force noise leaks between lines, because what it leaves in the plant is not periodic."""
+    noise = replace(SETTINGS, noise=Noise(1e-20, 1e-18))
+    return rig_records(GEOMETRY, noise, 4.0, np.random.default_rng(3), 0.3, 6, samples=4096, settling=9)
+
+
+def test_without_noise_the_plant_comes_out():
+    records = run_multisine(
+        identification_loop(GEOMETRY, QUIET, 5.0),
+        4,
+        4,
+        (0.0, 0.0),
+        np.random.default_rng(1),
+        samples=4096,
+        realisations=2,
+        periods=1,
+        settling=8,  # 3.3 s: the first mode has died out to 1e-3
+    )
+    for estimate in (joint_input_output(records).response, direct_response(records)):
+        truth = true_response(GEOMETRY, QUIET, records.omega)
+        assert np.linalg.norm(estimate - truth) < 2e-3 * np.linalg.norm(truth)
+
+
+def test_deviation_is_what_the_noise_predicts(noisy):
+    estimate = joint_input_output(noisy)
+    noise = replace(SETTINGS, noise=Noise(1e-20, 1e-18))
+    expected = predicted_deviation(GEOMETRY, noise, 4.0, estimate.omega, 0.3, 6 * 2)
+    chosen = estimate.omega > 2 * np.pi * 20
+    ratio = np.mean((estimate.deviation / expected)[chosen] ** 2)
+    assert ratio == pytest.approx(1, abs=0.05)
+    slow = (estimate.omega > 2 * np.pi * 2) & (estimate.omega < 2 * np.pi * 20)  # where the loop acts
+    assert np.mean((estimate.deviation / expected)[slow] ** 2) == pytest.approx(1, abs=0.3)
+    error = np.abs(estimate.response - true_response(GEOMETRY, SETTINGS, estimate.omega))
+    assert np.mean((error / expected)[chosen] ** 2) == pytest.approx(1, abs=0.1)
+
+
+def test_direct_ratio_keeps_the_bias_of_the_loop_and_the_joint_one_does_not():
+    weak = replace(SETTINGS, noise=Noise(4e-4, 1e-18))
+    records = rig_records(
+        GEOMETRY, weak, 5.0, np.random.default_rng(4), 0.2, 12, samples=8192, periods=2, settling=1
+    )
+    found = convergence(records, GEOMETRY, weak, 5.5, (12,))
+    assert found["direct"][0] > 0.1
+    assert found["joint input-output"][0] < 0.03
+
+
+def _small_plant():
+    return ModalModel(
+        np.array([0.0, 0.0, 600.0, 640.0, 2500.0]),
+        np.array([0.0, 0.0, 0.01, 0.004, 0.002]),
+        np.array([[1.0, 1.0], [1.0, -1.0], [1.0, 0.3], [-0.5, 0.8], [0.7, 0.6]]),
+        np.array([[1.0, 1.0, 0.9, 0.4, 0.5], [1.0, -1.0, -0.7, 0.8, 0.2]]),
+        np.array([[2e-8, 1e-8], [0.0, 1e-8]]),
+    )
+
+
+def test_exact_response_gives_back_the_modes():
+    plant, step = _small_plant(), 2e-4
+    omega = 2 * np.pi * np.linspace(5, 600, 600)
+    response = _held(plant, step, omega)
+    fit = fit_modal_matrix(omega, response, np.full(len(omega), 1e-9), 3, step, 2)
+    np.testing.assert_allclose(fit.model.frequencies[2:], plant.frequencies[2:], rtol=1e-6)
+    np.testing.assert_allclose(fit.model.damping[2:], plant.damping[2:], rtol=1e-4)
+    np.testing.assert_allclose(fit.model.feedthrough, plant.feedthrough, atol=1e-10)
+    for k in range(2, 5):
+        residue = np.outer(fit.model.output_shapes[:, k], fit.model.input_shapes[k])
+        np.testing.assert_allclose(
+            residue, np.outer(plant.output_shapes[:, k], plant.input_shapes[k]), rtol=1e-3, atol=1e-4
+        )
+    assert fit.rank_one.max() < 1e-3
+
+
+def _held(plant, step, omega):
+    """Sampled response, the compliance late by half a sample."""
+    modes = zoh_response(replace(plant, feedthrough=0 * plant.feedthrough), step, omega)
+    late = (1 + np.exp(-1j * omega * step)) / 2
+    return np.moveaxis(modes + plant.feedthrough[:, :, None] * late, -1, 0)
+
+
+def test_stated_deviations_are_those_of_many_draws():
+    plant, step, rng = _small_plant(), 2e-4, np.random.default_rng(5)
+    omega = 2 * np.pi * np.linspace(20, 500, 120)
+    response = _held(plant, step, omega)
+    size = np.full(len(omega), 2e-8)
+    found = []
+    for _ in range(9):
+        noise = (rng.standard_normal(response.shape) + 1j * rng.standard_normal(response.shape)) / np.sqrt(2)
+        found.append(fit_modal_matrix(omega, response + 2e-8 * noise, size, 3, step, 2))
+    frequencies = np.array([each.model.frequencies[2:] for each in found])
+    spread = np.sqrt(np.mean((frequencies - plant.frequencies[2:]) ** 2, axis=0))
+    stated = np.mean([each.deviation for each in found], axis=0)
+    np.testing.assert_allclose(spread / stated, 1, atol=0.55)
+    damping = np.array([each.model.damping[2:] for each in found])
+    spread = np.sqrt(np.mean((damping - plant.damping[2:]) ** 2, axis=0))
+    np.testing.assert_allclose(spread / np.mean([f.damping_deviation for f in found], axis=0), 1, atol=0.55)
+    compliance = np.array([each.model.feedthrough for each in found]) - plant.feedthrough
+    stated = np.mean([each.compliance_deviation for each in found])
+    assert np.sqrt(np.mean(compliance**2)) == pytest.approx(stated, rel=0.3)
+    assert np.mean([each.misfit for each in found]) == pytest.approx(1, abs=0.08)
+
+
+def test_the_hold_delays_the_compliance_of_an_undamped_mode_by_half_a_sample():
+    omega, step, mode = 2 * np.pi * np.array([10.0, 500.0, 1300.0]), 1e-4, 2 * np.pi * 2200.0
+    found = sampled_modes(np.array([mode]), np.zeros(1), step, omega)[0] * mode**2
+    np.testing.assert_allclose(np.angle(found), -omega * step / 2, rtol=1e-9)
+    assert found[0] == pytest.approx(1, rel=0.005)
+
+
+def test_compliance_of_a_mode_above_the_band_is_found():
+    """A constant would take the growth towards the resonance for compliance: 26 % off."""
+    plant, step = _small_plant(), 1e-4
+    plant = replace(plant, feedthrough=0 * plant.feedthrough)
+    omega = 2 * np.pi * np.linspace(5, 280, 200)  # the last mode stands at 398 Hz
+    response = np.moveaxis(zoh_response(plant, step, omega), -1, 0)
+    fit = fit_modal_matrix(omega, response, np.full(len(omega), 1e-9), 2, step, 2)
+    exact = plant.modes([4]).compliance()
+    assert np.linalg.norm(fit.model.feedthrough - exact) < 0.015 * np.linalg.norm(exact)  # two terms: 5 %
+
+
+def test_sampled_modes_may_stand_in_any_order():
+    omega = np.array([50.0, 700.0])
+    w, z = np.array([900.0, 0.0, 600.0]), np.array([0.01, 0.0, 0.02])
+    together = sampled_modes(w, z, 1e-4, omega)
+    for k in range(3):
+        np.testing.assert_allclose(together[k], sampled_modes(w[k : k + 1], z[k : k + 1], 1e-4, omega)[0])
+
+
+def test_smoothing_keeps_a_constant(noisy):
+    estimate = joint_input_output(noisy)
+    flat = estimate._replace(deviation=np.full_like(estimate.deviation, 3e-9))
+    np.testing.assert_allclose(smoothed_deviation(flat), 3e-9)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: random_phase_multisine(np.random.default_rng(0), 7, 1.0), "samples is 7"),
+        (lambda: random_phase_multisine(np.random.default_rng(0), 8, 0.0), "rms is 0"),
+        (lambda: _run(realisations=1), "one realisation"),
+        (lambda: _run(periods=0), "periods is 0"),
+        (lambda: _run(sensors=3), "loop has shape"),
+        (lambda: _fit(modes=0), "modes is 0"),
+        (lambda: _fit(deviation=np.zeros(200)), "deviation must be positive"),
+        (lambda: _fit(rigid=3), "rigid_modes is 3"),
+        (lambda: _fit(modes=50), "at least 530 lines"),
+        (lambda: predicted_deviation(GEOMETRY, SETTINGS, 4.0, np.array([10.0]), 1.0, 0), "averages is 0"),
+    ],
+)
+def test_bad_input_is_named(call, message):
+    with pytest.raises(InputError, match=message):
+        call()
+
+
+def test_unstable_loop_is_refused():
+    with pytest.raises(InputError, match="unstable"):
+        rig_records(GEOMETRY, SETTINGS, 60.0, np.random.default_rng(0), 1.0, 2, samples=16)
+
+
+def _run(sensors=4, **options):
+    settings = {"samples": 16, "realisations": 2, "periods": 1, "settling": 1, **options}
+    loop = identification_loop(GEOMETRY, SETTINGS, 4.0)
+    return run_multisine(loop, 4, sensors, (0.0, 0.0), np.random.default_rng(0), **settings)
+
+
+def _fit(modes=1, deviation=None, rigid=1):
+    omega = np.linspace(10, 2000, 200)
+    response = np.moveaxis(zoh_response(_small_plant(), 2e-4, omega), -1, 0)
+    return fit_modal_matrix(
+        omega, response, np.ones(200) if deviation is None else deviation, modes, 2e-4, rigid
+    )

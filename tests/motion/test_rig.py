@@ -1,0 +1,369 @@
+"""The plate and the rig: published frequency parameters, orthogonality, brute-force Riccati, state-space loops."""
+
+from dataclasses import replace
+
+import control
+import numpy as np
+import pytest
+from scipy import signal
+from stillwork.checks import InputError
+from stillwork.lti import zoh_modes
+from stillwork.motion.bandwidth import SIX_DB
+from stillwork.motion.controller import PidFamily
+from stillwork.motion.loops import channel
+from stillwork.motion.observer import Noise
+from stillwork.motion.plate import plate_modes
+from stillwork.motion.rig import (
+    POSITIONS,
+    Geometry,
+    assumed_geometry,
+    decoupling,
+    detuned,
+    excitation,
+    published,
+    rig_model,
+    rigid_shapes,
+    scaled_inertia,
+)
+from stillwork.motion.rig_control import (
+    pid_response,
+    rig_compensator,
+    rig_observer,
+    tustin,
+    zoh_response,
+)
+from stillwork.motion.rig_designs import observer_model, published_settings, rig_controllers, rig_loops
+from stillwork.motion.rig_loops import MEASURES, make_rig_loop, maximise_rig_bandwidth, peaks, sizes
+
+STEP = 1e-4
+GEOMETRY = assumed_geometry()
+SETTINGS = published_settings()
+
+
+@pytest.fixture(scope="module")
+def plant():
+    return rig_model(GEOMETRY).at(GEOMETRY.used, POSITIONS[1])
+
+
+@pytest.fixture(scope="module")
+def loops():
+    return rig_loops(GEOMETRY, SETTINGS, positions=POSITIONS[1:2])
+
+
+def test_square_plate_has_the_frequency_parameters_of_leissa():
+    # Journal of Sound and Vibration 31 (1973), free square plate, nu = 0.3: upper bounds from 36 beam functions.
+    leissa = np.array([13.489, 19.789, 24.432, 35.024, 35.024, 61.526])
+    ours = plate_modes(1.0, 0.3, 6).parameters
+    assert np.all(ours <= leissa)
+    np.testing.assert_allclose(ours, leissa, rtol=0.011)
+
+
+def test_slender_plate_without_poisson_is_a_free_beam():
+    roots = np.array([4.730040745, 7.853204624])  # cosh x cos x = 1
+    ours = plate_modes(0.02, 0.0, 6).parameters
+    np.testing.assert_allclose(ours[0], roots[0] ** 2, rtol=1e-6)
+    assert np.abs(ours - roots[1] ** 2).min() < 1e-5 * roots[1] ** 2
+
+
+def test_ritz_parameters_fall_with_the_degree():
+    low, high = (plate_modes(0.8, 0.3, 14, degree).parameters for degree in (9, 13))
+    assert np.all(high <= low * (1 + 1e-12))
+    np.testing.assert_allclose(high, low, rtol=2e-3)
+
+
+def test_shapes_are_orthogonal_to_one_another_and_to_rigid_motion():
+    modes = plate_modes(0.8, 0.33, 10)
+    x, weight = np.polynomial.legendre.leggauss(20)
+    xi, eta = (grid.ravel() for grid in np.meshgrid(x, x, indexing="ij"))
+    mean = np.outer(weight, weight).ravel() / 4
+    shapes = modes.shapes(xi, eta)
+    np.testing.assert_allclose(shapes.T @ (mean[:, None] * shapes), np.eye(10), atol=1e-12)
+    rigid = np.stack([np.ones_like(xi), xi, eta])
+    np.testing.assert_allclose(rigid @ (mean[:, None] * shapes), 0, atol=1e-12)
+
+
+def test_edges_of_the_plate_carry_no_bending_moment():
+    # w_xx + nu w_yy = 0 on the edge x = 1: natural, so met by the converged shapes only.
+    modes, h, nu = plate_modes(1.0, 0.3, 4, degree=17), 1e-4, 0.3
+    y = np.linspace(-0.6, 0.6, 7)
+    at = lambda dx, dy: modes.shapes(np.full(7, 1 - 2 * h) + dx * h, y + dy * h)  # noqa: E731
+    w_xx = (at(1, 0) - 2 * at(0, 0) + at(-1, 0)) / h**2
+    w_yy = (at(0, 1) - 2 * at(0, 0) + at(0, -1)) / h**2
+    assert np.abs(w_xx + nu * w_yy).max() < 0.05 * np.abs(w_yy).max()
+
+
+def test_rig_has_the_published_frequencies_and_damping():
+    model, p = rig_model(GEOMETRY), published()
+    np.testing.assert_allclose(model.frequencies[3:11] / (2 * np.pi), p["frequencies_hz"], rtol=1e-14)
+    np.testing.assert_array_equal(model.damping[3:11], p["damping"])
+    assert model.rigid_modes == 3
+    plate = plate_modes(GEOMETRY.width / GEOMETRY.length, GEOMETRY.poisson, 14).parameters
+    np.testing.assert_allclose(model.frequencies[11:] / model.frequencies[10], plate[8:] / plate[7])
+    np.testing.assert_array_equal(model.damping[11:], p["damping"][-1])
+
+
+@pytest.mark.parametrize("position", POSITIONS)
+def test_decoupling_leaves_only_mass_and_inertias(position):
+    d = decoupling(GEOMETRY, GEOMETRY.used, position)
+    rigid = rig_model(GEOMETRY).at(GEOMETRY.used, position).modes(slice(0, 3))
+    mobility = d.sensors @ rigid.output_shapes @ rigid.input_shapes @ d.actuators
+    np.testing.assert_allclose(mobility, np.diag(1 / scaled_inertia(GEOMETRY)), atol=1e-14)
+    np.testing.assert_allclose(scaled_inertia(GEOMETRY), 20.0 * np.array([1, 1 / 3, 1 / 3]))
+
+
+def test_decoupling_by_hand_for_a_tilt():
+    tilt = np.array([1e-3, 2e-3, -3e-3])
+    heights = rigid_shapes(GEOMETRY.sensor_places) @ tilt
+    x, y = GEOMETRY.sensor_places[2]
+    assert heights[2] == pytest.approx(1e-3 + 2e-3 * y + 3e-3 * x)
+    read = decoupling(GEOMETRY, (0, 1, 2, 3), (0, 1, 2, 3)).sensors @ heights
+    np.testing.assert_allclose(read / GEOMETRY.edges, tilt)
+
+
+def test_four_actuators_leave_the_twisting_modes_alone():
+    four, three = (np.abs(excitation(GEOMETRY, used)) for used in ((0, 1, 2, 3), GEOMETRY.used))
+    assert four[0].max() < 1e-12 < 0.1 < three[0].min()
+
+
+def test_zoh_response_is_that_of_the_state_space_model(plant):
+    omega = 2 * np.pi * np.array([0.5, 6.0, 137.0, 138.0, 900.0, 4500.0])
+    held = zoh_modes(plant, STEP)
+    dense = held.c @ np.linalg.solve(
+        np.exp(1j * omega * STEP)[:, None, None] * np.eye(len(held.a)) - held.a, held.b.astype(complex)
+    )
+    ours = zoh_response(plant, STEP, omega)
+    np.testing.assert_allclose(np.moveaxis(ours, -1, 0)[1:], dense[1:], rtol=1e-6)
+    # Far below the first mode only the masses remain, where the dense solution has lost its digits.
+    slow = zoh_response(plant.modes(slice(0, 3)), STEP, np.array([1e-3]))[:, :, 0]
+    np.testing.assert_allclose(
+        slow.real, -plant.output_shapes[:, :3] @ plant.input_shapes[:3] / 1e-6, rtol=1e-6
+    )
+
+
+def test_tustin_is_the_bilinear_rule_and_holds_the_frequency_asked_for():
+    pid = PidFamily(20.0)(8.0)
+    model = pid.state_space()
+    ours = tustin(model, STEP)
+    a, b, c, d, _ = signal.cont2discrete((model.a, model.b, model.c, model.d), STEP, "bilinear")
+    omega = 2 * np.pi * np.array([1.0, 30.0, 2000.0])
+    _, theirs = signal.dfreqresp((a, b, c, d, STEP), omega * STEP)
+    np.testing.assert_allclose(ours.frequency_response(omega)[0, 0], theirs.ravel(), rtol=1e-6)
+    np.testing.assert_allclose(pid_response(pid, STEP, omega), theirs.ravel(), rtol=1e-6)
+    held = tustin(model, STEP, omega[2]).frequency_response(omega[2:])[0, 0, 0]
+    assert held == pytest.approx(pid.frequency_response(omega[2:])[0])
+
+
+@pytest.mark.parametrize("noise_model", [None, 1e-4])
+def test_gain_is_where_the_printed_riccati_recursion_settles(plant, noise_model):
+    """The difference equation of section 6.3, iterated from rest, in units that keep it well scaled."""
+    model = observer_model(plant).modes(slice(0, 5))
+    noise = Noise(1e-4, 1e-14)
+    observer = rig_observer(model, noise, STEP, noise_model)
+    held = zoh_modes(model, STEP)
+    a, g, c, q = held.a, held.b, held.c * 1e7, noise.process * np.eye(3)
+    if noise_model is not None:
+        zero = np.zeros((3, 3))
+        a = np.block([[a, held.b], [np.zeros((3, len(a))), np.eye(3)]])
+        g = np.block([[held.b, np.zeros_like(held.b)], [zero, np.eye(3)]])
+        c = np.hstack([c, zero])
+        q = np.diag([1e-4] * 3 + [noise_model] * 3)
+    p = g @ q @ g.T
+    for _ in range(20000):
+        update = np.linalg.solve(c @ p @ c.T + np.eye(3), c @ p).T
+        p = g @ q @ g.T + a @ (p - update @ (c @ p)) @ a.T
+        p = (p + p.T) / 2
+    np.testing.assert_allclose(
+        observer.gain, update * 1e7, rtol=1e-5, atol=1e-6 * np.abs(observer.gain).max()
+    )
+
+
+def test_compensator_response_is_that_of_its_states(loops):
+    block = loops["MC and AD"][0].compensator
+    omega = 2 * np.pi * np.array([1.0, 50.0, 138.0, 512.0, 3000.0])
+    response, states = block.frequency_response(omega), block.state_space()
+    dense = states.d + states.c @ np.linalg.solve(
+        np.exp(1j * omega * STEP)[:, None, None] * np.eye(len(states.a)) - states.a, states.b.astype(complex)
+    )
+    assert len(states.a) == 22 + 3 + 3 + 16
+    for rows in (slice(0, 3), slice(3, 6)):
+        np.testing.assert_allclose(
+            np.moveaxis(response, -1, 0)[:, rows], dense[:, rows], atol=1e-6 * np.abs(dense[:, rows]).max()
+        )
+
+
+@pytest.mark.parametrize("case", ["Original", "MC", "AD", "MC and AD"])
+def test_loop_functions_are_those_of_the_simulated_loop(loops, case):
+    loop = loops[case][0]
+    pids = rig_controllers(GEOMETRY)(4.0, 5.0)
+    some = loop.on(2 * np.pi * np.array([0.7, 4.0, 9.0, 100.0, 138.0, 410.0, 2000.0]))
+    closed = loop.closed(pids)
+    z = np.exp(1j * some.omega * STEP)[:, None, None]
+    states = np.linalg.solve(z * np.eye(len(closed.a)) - closed.a, closed.b.astype(complex))
+    whole = closed.c @ states + closed.d
+    at = {name: 3 * k for k, name in enumerate(("r", "u_ff", "w", "v", "d"))}
+    to = {name: 3 * k for k, name in enumerate(("e_true", "e_meas", "u", "f"))}
+
+    def block(source, target):
+        return whole[:, to[target] : to[target] + 3, at[source] : at[source] + 3]
+
+    d = loop.decoupling
+    gamma, upsilon = d.actuators, d.sensors
+    expected = {
+        "S_I": upsilon @ block("r", "e_meas") @ np.linalg.inv(upsilon),
+        "S_I2": np.linalg.inv(gamma) @ block("u_ff", "u") @ gamma,
+        "S_O": block("v", "e_true"),
+        "S_O2": np.eye(3) + block("w", "f"),
+        "true_tracking": upsilon @ block("r", "e_true") @ np.linalg.inv(upsilon),
+    }
+    values = sizes(some, pids)
+    diagonal = sizes(some, pids, "diagonal")
+    for row, entries, matrix in zip(values, diagonal, expected.values(), strict=True):
+        np.testing.assert_allclose(row, np.linalg.norm(matrix, 2, axis=(1, 2)), rtol=2e-5)
+        on = np.abs(np.diagonal(matrix, axis1=1, axis2=2)).max(axis=1)
+        np.testing.assert_allclose(entries, on, rtol=2e-5)
+
+
+def test_loop_without_observer_is_that_of_python_control(loops):
+    loop = loops["Original"][0]
+    pids = rig_controllers(GEOMETRY)(4.0, 4.0)
+    plant, controller = (m.to_control() for m in (zoh_modes(loop.plant, STEP), loop.controller(pids)))
+    sensitivity = control.feedback(control.ss([], [], [], np.eye(3), STEP), plant * controller)
+    omega = loop.omega[:: len(loop.omega) // 12]
+    response = np.moveaxis(sensitivity(np.exp(1j * omega * STEP)), -1, 0)
+    found = sizes(loop.on(omega), pids)[2]
+    np.testing.assert_allclose(found, np.linalg.norm(response, 2, axis=(1, 2)), rtol=1e-4)
+    assert loop.radius(pids) == pytest.approx(np.abs(sensitivity.poles()).max(), abs=1e-7)
+
+
+@pytest.mark.parametrize("measure", MEASURES)
+def test_bandwidth_is_the_largest_by_brute_force(loops, measure):
+    family = rig_controllers(GEOMETRY)
+    found = maximise_rig_bandwidth(loops["AD"], family, measure)
+    dense = loops["AD"][0].on(2 * np.pi * np.geomspace(0.5, 4900, 8000))
+    assert peaks([dense], found.pids, measure).max() < SIX_DB * 1.006
+    assert np.all(found.radius < 1)
+    higher = [family(found.design_hz[0] * a, found.design_hz[1] * b) for a, b in ((1.02, 1), (1, 1.02))]
+    assert all(peaks([dense], pids, measure).max() > SIX_DB for pids in higher)
+    plant = dense.equivalent_plant()
+    for k, (hertz, pid) in enumerate(zip(found.crossing_hz[0], found.pids, strict=True)):
+        gain = np.abs(plant[k, k] * pid_response(pid, STEP, dense.omega))
+        first = dense.omega[np.flatnonzero(gain < 1)[0]] / (2 * np.pi)
+        assert hertz == pytest.approx(first, rel=3e-3)
+
+
+def test_band_passes_keep_the_decoupling_and_plain_damping_spoils_it(loops):
+    omega = 2 * np.pi * np.array([0.02, 0.04])
+    slopes = {}
+    for name, selectivity in (("band-pass", 2.0), ("none", None)):
+        block = replace(loops["AD"][0].compensator, selectivity=selectivity)
+        loop = replace(loops["AD"][0], compensator=block).on(omega)
+        coupling = np.abs(loop.equivalent_plant()[0, 1])
+        slopes[name] = np.log2(coupling[1] / coupling[0])
+    assert abs(slopes["band-pass"]) < 0.01
+    assert slopes["none"] == pytest.approx(-1, abs=0.1)
+
+
+def test_each_use_of_the_observer_does_only_its_own(loops):
+    blocks = {case: loops[case][0].compensator for case in ("MC", "AD", "MC and AD")}
+    assert loops["Original"][0].compensator is None
+    for case, block in blocks.items():
+        states = block.state_space()
+        forces, compensation = np.split(states.c, 2)
+        assert np.any(forces) == ("AD" in case)
+        assert np.any(compensation) == ("MC" in case)
+        assert len(block.observer.a) == 22 + 3 * ("MC" in case)  # the noise model serves MC alone
+
+
+def test_observer_knows_eight_modes_and_the_compliance_of_the_others(plant):
+    known = observer_model(plant)
+    assert len(known.frequencies) == 3 + 8
+    rest = zip(plant.output_shapes.T[11:], plant.input_shapes[11:], plant.frequencies[11:], strict=True)
+    np.testing.assert_allclose(known.feedthrough, sum(np.outer(c, b) / w**2 for c, b, w in rest))
+
+
+def test_damping_gain_gives_a_mode_alone_the_wanted_ratio(plant):
+    one = plant.modes([0, 1, 2, 3])
+    block = rig_compensator(rig_observer(one, SETTINGS.noise, STEP), target_damping=0.04)
+    w, phi = one.frequencies[3], one.input_shapes[3]
+    rate = 2 * one.damping[3] * w - phi @ block.gains[:, 0]
+    assert rate / (2 * w) == pytest.approx(0.04)
+
+
+def test_search_on_a_coarse_grid_finds_the_peaks_between_its_points(loops):
+    family, fine = rig_controllers(GEOMETRY), loops["Original"][0]
+    coarse = fine.on(2 * np.pi * np.geomspace(0.5, 4900, 150))
+    assert np.abs(coarse.omega / (2 * np.pi * 138) - 1).min() > 0.005  # two widths of the first resonance
+    found = maximise_rig_bandwidth([coarse], family)
+    assert peaks([fine], found.pids).max() < SIX_DB * 1.006
+
+
+def test_equal_peaks_name_the_first_function(loops):
+    family = rig_controllers(GEOMETRY)
+    assert maximise_rig_bandwidth(loops["AD"], family, "diagonal").active == "S_I"  # equal to r to e_true
+
+
+def test_an_exact_observer_without_sensor_noise_takes_the_modes_out(plant):
+    """MC on a plant without unknown modes: what the controller sees is the rigid body."""
+    eight = plant.modes(slice(0, 11))
+    observer = rig_observer(eight, Noise(1e-4, 1e-18), STEP)
+    d = decoupling(GEOMETRY, GEOMETRY.used, POSITIONS[1])
+    omega = 2 * np.pi * np.array([10.0, 137.9, 138.0, 512.0, 1178.0])
+    seen = make_rig_loop(eight, rig_compensator(observer, True), d, STEP, omega).equivalent_plant()
+    rigid = zoh_response(eight.modes(slice(0, 3)), STEP, omega)
+    rigid = np.einsum("ij,jkw,kl->ilw", d.sensors, rigid, d.actuators)
+    np.testing.assert_allclose(seen, rigid, atol=2e-6 * np.abs(rigid[0, 0]).max())
+
+
+def test_channels_of_the_closed_loop_are_three_wide(loops):
+    closed = loops["Original"][0].closed(rig_controllers(GEOMETRY)(3.0, 3.0))
+    assert channel(closed, "v", "e_true", 3, 3).d.shape == (3, 3)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: replace(GEOMETRY, mass=0.0), "mass is 0"),
+        (lambda: replace(GEOMETRY, sensors=(0.5, 1.2)), "sensors is 1.2"),
+        (lambda: replace(GEOMETRY, left_out=4), "left_out is 4"),
+        (lambda: plate_modes(1.0, 0.3, 20, degree=4), "degree is 4"),
+        (lambda: plate_modes(1.0, 0.6, 3), "poisson is 0.6"),
+        (lambda: plate_modes(1.0, 0.3, 3).shapes([1.1], [0.0]), "off the plate"),
+        (lambda: decoupling(GEOMETRY, (0, 2), (0, 1, 2)), "do not see all"),
+        (lambda: detuned(rig_model(GEOMETRY, 0), np.zeros(3)), "errors has shape"),
+        (lambda: detuned(rig_model(GEOMETRY, 0), np.full(8, -1.0)), "above -1"),
+        (
+            lambda: make_rig_loop(
+                rig_model(GEOMETRY), None, decoupling(GEOMETRY, (0, 1, 2), (0, 1, 2)), STEP
+            ),
+            "three inputs",
+        ),
+        (
+            lambda: rig_compensator(
+                rig_observer(rig_model(GEOMETRY, 0), SETTINGS.noise, STEP), target_damping=0.001
+            ),
+            "target_damping is 0.001",
+        ),
+        (lambda: rig_observer(rig_model(GEOMETRY, 0), SETTINGS.noise, 0.0), "step is 0"),
+        (lambda: rig_observer(rig_model(GEOMETRY, 0), SETTINGS.noise, STEP, 0.0), "noise_model is 0"),
+    ],
+)
+def test_bad_input_is_named(call, message):
+    with pytest.raises(InputError, match=message):
+        call()
+
+
+def test_infeasible_and_unbounded_searches_say_so(loops):
+    family = rig_controllers(GEOMETRY)
+    with pytest.raises(InputError, match="exceeds the limit at low_hz"):
+        maximise_rig_bandwidth(loops["Original"], family, low_hz=20.0)
+    with pytest.raises(InputError, match="raise it to find the limit"):
+        maximise_rig_bandwidth(loops["Original"], family, high_hz=2.0)
+
+
+def test_actuators_on_a_nodal_line_are_refused():
+    square = Geometry(0.5, 0.5, 20.0, 0.33, 0.9, (0.8, 0.7))
+    model = rig_model(square, 0).at(square.used, (0, 1, 2))
+    observer = rig_observer(model.modes(slice(0, 4)), SETTINGS.noise, STEP)
+    assert rig_compensator(observer, target_damping=0.04).gains.shape == (3, 1)
+    with pytest.raises(InputError):  # mode 2 of a square has its nodes on the diagonals
+        rig_compensator(rig_observer(model.modes(slice(0, 5)), SETTINGS.noise, STEP), target_damping=0.04)

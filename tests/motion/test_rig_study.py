@@ -1,0 +1,231 @@
+"""Tracking errors of the rig against long simulations, and the study over geometries."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import linalg
+from stillwork.checks import InputError
+from stillwork.lti import ModalModel, simulate, zoh_modes
+from stillwork.motion.loops import channel
+from stillwork.motion.observer import Noise
+from stillwork.motion.rig import POSITIONS, assumed, assumed_geometry, rig_model, rigid_shapes, scaled_inertia
+from stillwork.motion.rig_control import placed_damping, sampled_damping
+from stillwork.motion.rig_designs import (
+    CASES,
+    compensated_feedback,
+    model_errors,
+    observer_model,
+    published_settings,
+    rig_controllers,
+    rig_loops,
+)
+from stillwork.motion.rig_loops import MEASURES
+from stillwork.motion.rig_study import bandwidths, draw_geometry, flexible_peaks, rig_trial
+from stillwork.motion.rig_tracking import (
+    Levelling,
+    levelling,
+    levelling_error,
+    levelling_rms,
+    output_variance,
+)
+from stillwork.studies import run_study
+
+GEOMETRY = assumed_geometry()
+SETTINGS = published_settings()
+PIDS = rig_controllers(GEOMETRY)(4.0, 5.0)
+SILENT = Noise(1e-30, 1e-40)
+
+
+@pytest.fixture(scope="module")
+def loops():
+    return rig_loops(GEOMETRY, SETTINGS, positions=POSITIONS[:1])
+
+
+@pytest.fixture(scope="module")
+def study():
+    return run_study(rig_trial, 1, 5, progress=False, settings=SETTINGS)
+
+
+def test_output_variance_solves_the_lyapunov_equation():
+    rng = np.random.default_rng(1)
+    a = rng.standard_normal((6, 6))
+    a *= 0.999 / np.abs(linalg.eigvals(a)).max()
+    b, c, d = rng.standard_normal((6, 2)), rng.standard_normal((3, 6)), rng.standard_normal((3, 2))
+    covariance = linalg.solve_discrete_lyapunov(a, b @ b.T)
+    expected = np.diag(c @ covariance @ c.T + d @ d.T)
+    np.testing.assert_allclose(output_variance(a, b, c, d), expected, rtol=1e-9)
+    with pytest.raises(InputError, match="not stable enough"):
+        output_variance(np.eye(1), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)))
+
+
+def test_trajectory_has_its_rms_and_its_samples_are_its_cosines():
+    trajectory = levelling(np.random.default_rng(2))
+    samples = trajectory.samples(1e-4)
+    np.testing.assert_allclose(np.sqrt((samples**2).mean(axis=1)), assumed()["levelling"]["amplitudes"])
+    at = 0.3
+    line = trajectory.lines
+    expected = (np.abs(line) * np.cos(trajectory.omega * at + np.angle(line))).sum(axis=1)
+    np.testing.assert_allclose(samples[:, 3000], expected)
+
+
+def test_rigid_plate_follows_the_trajectory_exactly(loops):
+    """Without flexible modes and noise the held feedforward force moves the plate through every sample."""
+    original = loops["Original"][0]
+    rigid = replace(original, plant=original.plant.modes(slice(0, 3)))
+    trajectory = levelling(np.random.default_rng(3))
+    assert np.all(levelling_rms(rigid, PIDS, GEOMETRY, trajectory, SILENT) < 1e-10)
+    flexible = levelling_rms(original, PIDS, GEOMETRY, trajectory, SILENT)
+    assert np.all(flexible > 1e-9)
+
+
+@pytest.mark.parametrize("case", ["Original", "MC and AD"])
+def test_expected_rms_is_that_of_simulations(loops, case):
+    """Without noise to the digits that settling leaves, with noise within the scatter of a few periods."""
+    loop = loops[case][0]
+    trajectory = levelling(np.random.default_rng(4))
+    error = levelling_error(loop, PIDS, GEOMETRY, trajectory, SILENT, np.random.default_rng(0), periods=2)
+    np.testing.assert_allclose(
+        np.sqrt((error**2).mean(axis=1)), levelling_rms(loop, PIDS, GEOMETRY, trajectory, SILENT), rtol=2e-3
+    )
+    noise = Noise(1e-4, 1e-18)
+    errors = [
+        levelling_error(loop, PIDS, GEOMETRY, trajectory, noise, np.random.default_rng(k)) for k in range(6)
+    ]
+    ratio = np.sqrt(np.mean(np.square(errors), axis=(0, 2))) / levelling_rms(
+        loop, PIDS, GEOMETRY, trajectory, noise
+    )
+    np.testing.assert_allclose(ratio, 1, atol=0.25)
+
+
+def test_modified_feedforward_hides_the_setpoint_from_the_observer(loops):
+    """Fig. A.2 by hand: an observer copy on (u0, r) inside, the real one in the loop; same error as v and w give."""
+    loop = loops["MC and AD"][0]
+    block, controller = loop.compensator.state_space(), loop.controller(PIDS)
+    plant = zoh_modes(loop.plant, loop.step)
+    rng = np.random.default_rng(5)
+    r, u0 = 1e-6 * rng.standard_normal((3, 60)), rng.standard_normal((3, 60))
+    x, o, copy = np.zeros(len(plant.a)), np.zeros(len(block.a)), np.zeros(len(block.a))
+    s = np.zeros(len(controller.a))
+    t = np.zeros(len(controller.a))
+    errors = []
+    for k in range(60):
+        # The copy's compensation of (u0, r); neither block passes anything directly.
+        ud_copy, flex_copy = np.split(block.c @ copy, 2)
+        ud, flex = np.split(block.c @ o, 2)
+        y = plant.c @ x
+        feedforward = u0[:, k] - ud_copy - (controller.c @ t + controller.d @ flex_copy)
+        e = r[:, k] - (y - flex)
+        f = controller.c @ s + controller.d @ e + feedforward + ud
+        errors.append(r[:, k] - y)
+        s = controller.a @ s + controller.b @ e
+        t = controller.a @ t + controller.b @ flex_copy
+        o = block.a @ o + block.b @ np.concatenate([f, y])
+        copy = block.a @ copy + block.b @ np.concatenate([u0[:, k], r[:, k]])
+        x = plant.a @ x + plant.b @ f
+    closed = loop.closed(PIDS)
+    through = [channel(closed, name, "e_true", 3, 3) for name in ("v", "w")]
+    ours = simulate(through[0], r) + simulate(through[1], u0)
+    np.testing.assert_allclose(ours, np.array(errors).T, rtol=1e-4, atol=1e-9 * np.abs(ours).max())
+
+
+def test_flexible_part_is_that_of_the_modes(loops):
+    """Without observer: the difference from the rigid body, mode by mode, at the first resonance."""
+    found = flexible_peaks(loops["Original"], scaled_inertia(GEOMETRY))
+    plant, d = loops["Original"][0].plant, loops["Original"][0].decoupling
+    residue = d.sensors @ np.outer(plant.output_shapes[:, 3], plant.input_shapes[3]) @ d.actuators
+    peak = np.linalg.norm(residue, 2) / (2 * plant.damping[3] * plant.frequencies[3] ** 2)
+    assert found.peaks[0] == pytest.approx(peak, rel=0.02)
+    static = d.sensors @ plant.compliance() @ d.actuators
+    assert found.coupling == pytest.approx(np.abs(static[~np.eye(3, dtype=bool)]).mean(), rel=0.05)
+
+
+def test_a_rigid_plate_has_no_flexible_part(loops):
+    loop = loops["Original"][0]
+    rigid = replace(loop, plant=loop.plant.modes(slice(0, 3))).on(loop.omega)
+    found, flexible = (flexible_peaks([each], scaled_inertia(GEOMETRY)) for each in (rigid, loop))
+    assert np.all(found.peaks < 1e-6 * flexible.peaks)
+
+
+def test_one_sampled_mode_is_damped_as_its_matrix_exponential_says():
+    model = ModalModel(
+        np.array([600.0]), np.array([0.01]), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1))
+    )
+    continuous, sampled = sampled_damping(model, np.array([[-2 * 0.03 * 600.0]]), 1e-4)
+    assert continuous[0] == pytest.approx(0.04)
+    a, b = np.array([[0, 1], [-(600.0**2), -12.0]]), np.array([[0.0], [1.0]])
+    held = linalg.expm(np.block([[a, b], [np.zeros((1, 3))]]) * 1e-4)
+    poles = np.log(linalg.eigvals(held[:2, :2] + held[:2, 2:] @ np.array([[0, -36.0]]))) / 1e-4
+    assert sampled[0] == pytest.approx(-poles[0].real / abs(poles[0]))
+
+
+def test_placed_poles_have_the_wanted_damping_and_equal_modes_are_refused():
+    model = observer_model(rig_model(GEOMETRY)).at(GEOMETRY.used, POSITIONS[0])
+    np.testing.assert_allclose(placed_damping(model, 0.04, SETTINGS.step), 0.04, atol=1e-6)
+    twins = ModalModel(
+        np.array([600.0, 600.0]), np.zeros(2), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1))
+    )
+    with pytest.raises(InputError, match="cannot be placed"):
+        placed_damping(twins, 0.04, 1e-4)
+
+
+def test_compensated_feedback_rises_with_the_controller(loops):
+    family = rig_controllers(GEOMETRY)
+    slow, fast = (compensated_feedback(loops["MC"][0], family(f, f)) for f in (2.0, 8.0))
+    assert 0 < slow < fast
+
+
+def test_a_known_model_takes_the_place_of_the_rigs_own(loops):
+    own = observer_model(rig_model(GEOMETRY))
+    again = rig_loops(GEOMETRY, SETTINGS, positions=POSITIONS[:1], cases=("AD",), known=own)["AD"][0]
+    np.testing.assert_allclose(
+        again.compensator.observer.gain, loops["AD"][0].compensator.observer.gain, rtol=1e-6
+    )
+
+
+def test_drawn_geometries_stay_in_their_ranges_and_see_all_directions():
+    ranges = assumed()["ranges"]
+    for k in range(30):
+        g = draw_geometry(np.random.default_rng(k))
+        assert ranges["mass"][0] <= g.mass <= ranges["mass"][1]
+        assert ranges["aspect"][0] <= g.width / g.length <= ranges["aspect"][1]
+        assert all(ranges["sensors"][0] <= s <= ranges["sensors"][1] for s in g.sensors)
+        assert np.linalg.matrix_rank(rigid_shapes(g.sensor_places[:3])) == 3
+    assert np.abs(model_errors(np.random.default_rng(1))).max() <= assumed()["model_error"]
+
+
+def test_trial_is_complete(study):
+    assert study["crossing"].shape == (1, len(MEASURES), len(CASES), 3)
+    assert np.all(np.isfinite(study["crossing"][:, :, 0]))
+    assert study["excitation"].shape == (1, 2, 8)
+
+
+def test_errors_of_a_trial_are_those_of_its_designs(study):
+    """Everything again by hand: the draws, the first position, the original and the redesigned controllers."""
+    rng = np.random.default_rng(np.random.SeedSequence(5).spawn(1)[0])
+    geometry = draw_geometry(rng)
+    loops = rig_loops(geometry, SETTINGS, model_errors(rng), cases=("Original", "MC"))
+    trajectory = levelling(rng)
+    found = bandwidths(loops, geometry, "diagonal")
+    for name, design in (("original", "Original"), ("redesigned", "MC")):
+        expected = levelling_rms(loops["MC"][0], found[design].pids, geometry, trajectory, SETTINGS.noise)
+        np.testing.assert_allclose(study[name][0, 1, 1], expected, rtol=1e-9)
+    np.testing.assert_allclose(study["crossing"][0, 1, 1], found["MC"].crossing_hz.mean(axis=0))
+    np.testing.assert_array_equal(study["original"][:, :, 0], study["redesigned"][:, :, 0])
+
+
+def test_diagonal_entries_never_exceed_singular_values(study):
+    """So the reading by diagonal entries never gives a lower bandwidth without observer."""
+    singular, diagonal = study["crossing"][:, 0, 0, 0], study["crossing"][:, 1, 0, 0]
+    assert np.all(diagonal >= singular * 0.99)
+
+
+def test_bad_input_is_named(loops):
+    trajectory = Levelling(0.33335, np.ones((3, 1), complex))
+    with pytest.raises(InputError, match="not a multiple"):
+        levelling_error(loops["Original"][0], PIDS, GEOMETRY, trajectory, SILENT, np.random.default_rng(0))
+    with pytest.raises(InputError, match="period is 0"):
+        Levelling(0.0, np.ones((3, 1), complex))
+    fast = rig_controllers(GEOMETRY)(60.0, 60.0)
+    with pytest.raises(InputError, match="unstable"):
+        levelling_rms(loops["Original"][0], fast, GEOMETRY, levelling(np.random.default_rng(0)), SILENT)
