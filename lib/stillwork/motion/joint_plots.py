@@ -86,7 +86,7 @@ def draw_joint(designs: Mapping[str, JointDesign], design: str, frequency_error:
     found = responses.loops(chosen).response
     peak = max(float(np.abs(getattr(found, name)).max()) for name in CHANNELS)
     figure, axes = figures.new(1, 3, height=2.8, sharey=True)
-    figure.set_layout_engine("none")
+    figure.set_layout_engine(None)
     figure.subplots_adjust(left=0.08, right=0.98, bottom=0.17, top=0.9, wspace=0.1)
     for axis, name in zip(axes, CHANNELS, strict=True):
         for mass, values in enumerate(getattr(found, name)[0], 1):

@@ -31,7 +31,7 @@ LIMITS = {
 }
 
 RADIUS, SMALLEST_RADIUS = 0.1, 1e-4  # of the region in which the linear program is trusted, in logarithms
-SMALLEST_GAIN = 1e-4  # of bandwidth, relative; a step that brings less ends the search
+SMALLEST_GAIN = 1e-5  # of bandwidth, relative; a step that brings less ends the search
 MARGIN = 5e-4  # by which the search keeps below the limit, for peaks between its grid points
 PENALTY = 10.0  # a peak 1 % too high costs as much as 10 % of bandwidth
 
