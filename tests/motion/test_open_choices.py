@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from stillwork.checks import InputError
 from stillwork.motion import plots
 from stillwork.motion.open_choices import bandwidth_map, open_choices
 
@@ -46,3 +47,16 @@ def test_explorers_draw_labelled_curves(draw):
             x, y = (np.asarray(values, dtype=float) for values in line.get_data())
             assert len(x) == len(y) > 0
             assert np.isfinite(y).all()
+
+
+@pytest.mark.parametrize(
+    ("selectivity", "noise_model", "named"),
+    [
+        ([], [1.0], "selectivity must hold"),
+        ([2.0], [], "noise_model must hold"),
+        ([2.0], [-1.0], "noise_model"),
+    ],
+)
+def test_an_empty_map_is_refused(selectivity, noise_model, named):
+    with pytest.raises(InputError, match=named):
+        bandwidth_map(selectivity, noise_model)
