@@ -162,14 +162,6 @@ def starts(count: int, seed: int) -> list[JointDesign]:
     return found
 
 
-def best(found: Sequence[Verified], limit: float = SIX_DB) -> Verified:
-    """The fastest of several designs among those that verifiably keep the limit."""
-    kept = [each for each in found if each.keeps(limit)]
-    if not kept:
-        raise InputError("found holds no design that keeps the limit; search with more rounds")
-    return max(kept, key=lambda each: each.design.bandwidth_hz)
-
-
 def draw_plants(size: float, count: int, seed: int) -> list[ModalModel]:
     """Stages with random relative errors of `size` on all modal parameters, rigid body included (as in Table 5.2)."""
     rng, nominal = np.random.default_rng(seed), stage()

@@ -50,6 +50,8 @@ def errors_over_order(
 
 def errors_over_plants(studies: Mapping[str, Mapping[str, np.ndarray]]):
     """Rms errors over perturbed plants, kept gains beside gains tuned again; one panel a size of the errors."""
+    from matplotlib.ticker import FixedLocator, NullFormatter, ScalarFormatter
+
     figure, axes = figures.new(1, len(studies), height=3.4, sharey=True, squeeze=False)
     for axis, (title, study) in zip(axes[0], studies.items(), strict=True):
         names = list(dict.fromkeys(key.rpartition(",")[0] for key in study))
@@ -70,6 +72,9 @@ def errors_over_plants(studies: Mapping[str, Mapping[str, np.ndarray]]):
             )
         axis.set_yticks(np.arange(len(names))[::-1], names)
         axis.set_xscale("log")
+        axis.xaxis.set_major_locator(FixedLocator([0.5, 1, 2, 5, 10, 20, 50]))
+        axis.xaxis.set_major_formatter(ScalarFormatter())
+        axis.xaxis.set_minor_formatter(NullFormatter())
         axis.set_title(title)
         axis.set_xlabel("rms error in the scan (nm)")
     handles, labels = axes[0, 0].get_legend_handles_labels()
