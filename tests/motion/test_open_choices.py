@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from stillwork.checks import InputError
-from stillwork.motion import plots
+from stillwork.motion import filter_plots, plots
 from stillwork.motion.open_choices import bandwidth_map, open_choices
 
 
@@ -60,3 +60,13 @@ def test_explorers_draw_labelled_curves(draw):
 def test_an_empty_map_is_refused(selectivity, noise_model, named):
     with pytest.raises(InputError, match=named):
         bandwidth_map(selectivity, noise_model)
+
+
+def test_filter_explorers_draw_what_their_filters_give():
+    """The Kalman filter's own norm is the smaller one, and a fine table comes close to the online gains."""
+    labels = [t.get_text() for t in filter_plots.draw_worst(0.01, 10.0).axes[0].get_legend().get_texts()]
+    kalman, detuned = (float(text.partition(": ")[2]) for text in labels)
+    assert kalman <= detuned
+    lines = filter_plots.draw_schedules("1 m/s", 0.05, 5.0).axes[0].lines
+    online, scheduled = (np.abs(line.get_ydata()).max() for line in lines)
+    assert abs(scheduled / online - 1) < 0.05

@@ -27,6 +27,7 @@ from stillwork.motion.uncertainty import (
     perturbed,
     sampled_derivatives,
 )
+from stillwork.studies import run_study
 
 
 @pytest.fixture(scope="module")
@@ -270,3 +271,24 @@ def test_shapes_that_do_not_fit_the_uncertain_modes_are_named(scan):
         sampled.along(model, scan.shapes[:-1, None, :])
     with pytest.raises(InputError, match="mode 2 is uncertain"):
         sampled.along(model, scan.shapes[:, None, :2])
+
+
+def test_the_contest_on_a_cluster_gives_identical_numbers():
+    """Two workers, trials in any order: the same bits as one after the other."""
+    from distributed import Client, LocalCluster
+
+    contest = contests.prepare(published_scan(step=1e-3), 0.05, rigid=False)
+    knobs = {
+        name: contests.ENTRANTS[name].given
+        for name in ("Kalman", "sensitivity penalised", "fictitious noise")
+    }
+    settings = {"contest": contest, "knobs": knobs, "plants": 2}
+    here = run_study(contests.contest_trial, 3, 5, progress=False, **settings)
+    options = {"n_workers": 2, "threads_per_worker": 1, "processes": False, "dashboard_address": None}
+    with LocalCluster(**options) as cluster, Client(cluster) as client:
+        there = run_study(
+            contests.contest_trial, 3, 5, executor=client.get_executor(), progress=False, **settings
+        )
+    for name in knobs:
+        assert here[name].shape == (3, 2)
+        np.testing.assert_array_equal(here[name], there[name])
