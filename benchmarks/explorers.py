@@ -64,13 +64,13 @@ def _places(control) -> tuple:
     return low, control.read(middle), high
 
 
-def redraw_ms(draw: Callable, one: dict) -> float | None:
+def redraw_ms(redraw: Callable, one: dict) -> float | None:
     """Milliseconds of processor time, the shorter of two; None for an impossible setting."""
     spans = []
     for _ in range(2):
         start = time.process_time()
         try:
-            explorers._png(draw(**one))
+            redraw(**one)
         except InputError:
             return None
         spans.append(1e3 * (time.process_time() - start))
@@ -95,7 +95,8 @@ def main() -> None:
         for source in needed(cells):
             exec(compile(source, notebook.name, "exec"), space)
         [(draw, controls)] = caught
-        times = [(redraw_ms(draw, one), one) for one in settings(controls)]
+        redraw = explorers.Redraw(draw)
+        times = [(redraw_ms(redraw, one), one) for one in settings(controls)]
         longest, worst = max((span, repr(one), one) for span, one in times if span is not None)[::2]
         published = times[0][1]
         where = ", ".join(

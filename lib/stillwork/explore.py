@@ -114,6 +114,66 @@ class StaticPicture:
         return f"explorer at the published setting: {self.settings}"
 
 
+class Redraw:
+    """Pictures of one drawing function, quick from the second on.
+
+    Two thirds of a picture's time go into its layout, its minor ticks and the measuring of its texts. So the
+    panels stay where they were laid out first, a logarithmic axis shows its decades alone, and one renderer,
+    which remembers the texts that it has set, serves all pictures.
+
+    Parameters
+    ----------
+    draw : callable
+        Returns a `matplotlib.figure.Figure`.
+    """
+
+    def __init__(self, draw: Callable):
+        self._draw = draw
+        self._renderer = None
+        self._places = []
+
+    def __call__(self, **settings) -> bytes:
+        """The picture for ``draw(**settings)``, as PNG."""
+        figure = self._draw(**settings)
+        if len(figure.axes) == len(self._places):
+            figure.set_layout_engine("none")
+            for axes, place in zip(figure.axes, self._places, strict=True):
+                axes.set_position(place)
+            self._render(figure)
+            if self._complete(figure):
+                return self._png()
+            figure = self._draw(**settings)  # a panel that was put in its place takes no part in a layout
+        if (engine := figure.get_layout_engine()) is not None:
+            engine.set(w_pad=0.08, h_pad=0.06)  # inches: room for tick labels to grow
+        self._render(figure)
+        self._places = [axes.get_position(original=True) for axes in figure.axes]
+        return self._png()
+
+    def _render(self, figure) -> None:
+        from matplotlib.backends.backend_agg import RendererAgg
+
+        for axes in figure.axes:
+            axes.minorticks_off()
+        size = figure.bbox.size
+        if self._renderer is None or (self._renderer.width, self._renderer.height) != tuple(size):
+            self._renderer = RendererAgg(*size, figure.dpi)
+        self._renderer.clear()
+        figure.draw(self._renderer)
+
+    def _complete(self, figure) -> bool:
+        """Whether no label of an axis reaches out of the picture."""
+        labels = [axis.label for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)]
+        boxes = [label.get_window_extent(self._renderer) for label in labels if label.get_text()]
+        return all(box.x0 >= 0 and box.y0 >= 0 for box in boxes)
+
+    def _png(self) -> bytes:
+        from matplotlib.image import imsave
+
+        buffer = io.BytesIO()
+        imsave(buffer, self._renderer.buffer_rgba(), format="png", metadata={"Software": None})
+        return buffer.getvalue()
+
+
 def explore(draw: Callable, **controls: Slider | Choice):
     """Redraw ``draw(**settings)`` whenever a control moves; Reset returns to the published setting.
 
@@ -130,8 +190,9 @@ def explore(draw: Callable, **controls: Slider | Choice):
         The picture at the published setting where a build, not a person, runs the notebook.
     """
     published = {name: control.published for name, control in controls.items()}
+    picture_of = Redraw(draw)
     if in_batch():
-        return StaticPicture(_png(draw(**published)), ", ".join(f"{k} = {v}" for k, v in published.items()))
+        return StaticPicture(picture_of(**published), ", ".join(f"{k} = {v}" for k, v in published.items()))
 
     import ipywidgets as widgets
 
@@ -143,7 +204,7 @@ def explore(draw: Callable, **controls: Slider | Choice):
     def redraw(_change=None):
         settings = {name: controls[name].read(row.value) for name, row in rows.items()}
         try:
-            picture.value = _png(draw(**settings))
+            picture.value = picture_of(**settings)
             at_home = settings == published
             message.value = "at the published setting" if at_home else "moved from the published setting"
         except InputError as error:  # an impossible setting is an answer, not a crash
@@ -161,15 +222,6 @@ def explore(draw: Callable, **controls: Slider | Choice):
         widgets.HBox([row, widgets.Label(f"published: {published[name]}")]) for name, row in rows.items()
     ]
     return widgets.VBox([*marked, widgets.HBox([reset, message]), picture])
-
-
-def _png(figure) -> bytes:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    buffer = io.BytesIO()
-    # `savefig` would draw twice, once for the layout.
-    FigureCanvasAgg(figure).print_png(buffer, metadata={"Software": None})
-    return buffer.getvalue()
 
 
 def _escaped(text: str) -> str:

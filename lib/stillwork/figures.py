@@ -98,13 +98,17 @@ class SavedFigure:
 def save(figure, path: Path) -> SavedFigure:
     """Write a figure as ``path.png`` and its plotted numbers as ``path.csv``.
 
-    Two calls with the same data write the same bytes.
+    Dense lines are thinned to what the picture can show, see `stillwork.thinning`. Two calls with the same data
+    write the same bytes.
 
     Raises
     ------
     InputError
         When an axis that shows data has no label: a reader would have to guess the unit.
     """
+    from stillwork.thinning import thin
+
+    thin(figure, STYLE["savefig.dpi"])
     rows = plotted(figure)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None}, dpi=STYLE["savefig.dpi"])

@@ -4,7 +4,8 @@ import control
 import numpy as np
 import pytest
 from stillwork.checks import InputError
-from stillwork.isolation.path_fit import fit_error_db, fit_reaches_hz, parametric_fit, resonance_hz
+from stillwork.isolation.path_fit import dominance, fit_error_db, fit_reaches_hz, parametric_fit, resonance_hz
+from stillwork.isolation.responses import responses
 from stillwork.isolation.twin import load_twin
 
 
@@ -30,3 +31,12 @@ def test_reach_of_the_fit_is_where_the_error_crosses():
     assert error[0] <= 1.0 < error[1]
     with pytest.raises(InputError, match="above_hz"):
         fit_reaches_hz(twin, 0.0)
+
+
+def test_dominance_compares_each_diagonal_element_with_the_rest_of_its_row():
+    f = np.array([2.0, 30.0, 300.0])
+    path = np.abs(responses(load_twin("rigid_body"), f, feedback=False).secondary)
+    for found, matrix in zip(dominance(load_twin("rigid_body"), f), path, strict=True):
+        rows = [matrix[i, i] / sum(matrix[i, j] for j in range(6) if j != i) for i in range(6)]
+        assert found == pytest.approx(min(rows), rel=1e-12)
+    assert np.all(np.isinf(dominance(load_twin("fitted"), f)))  # six struts apart

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from stillwork.checks import InputError
-from stillwork.motion import filter_plots, plots
+from stillwork.motion import filter_plots, plots_bandwidth, plots_model, plots_performance
 from stillwork.motion.open_choices import bandwidth_map, open_choices
 
 
@@ -29,14 +29,14 @@ def test_the_limit_rises_with_the_noise_model_beyond_the_printed_optimum():
 @pytest.mark.parametrize(
     "draw",
     [
-        lambda: plots.draw_design(60.0, 0.035, 2.0, "yes"),
-        lambda: plots.draw_reduction(3, 100.0),
-        lambda: plots.draw_heavy_mass(2, 2.6),
-        lambda: plots.draw_transition_error(470.0, 0.005),
-        lambda: plots.draw_feedforward(12.5, 1.66, 35.0),
-        lambda: plots.draw_disturbance(35.0, 0.01, 0.035),
-        lambda: plots.draw_drive(0.05, 0.1, 4.0),
-        lambda: plots.draw_three_masses(40.0),
+        lambda: plots_bandwidth.draw_design(60.0, 0.035, 2.0, "yes"),
+        lambda: plots_model.draw_reduction(3, 100.0),
+        lambda: plots_model.draw_heavy_mass(2, 2.6),
+        lambda: plots_model.draw_transition_error(470.0, 0.005),
+        lambda: plots_performance.draw_feedforward(12.5, 1.66, 35.0),
+        lambda: plots_performance.draw_disturbance(35.0, 0.01, 0.035),
+        lambda: plots_bandwidth.draw_drive(0.05, 0.1, 4.0),
+        lambda: plots_model.draw_three_masses(40.0),
     ],
 )
 def test_explorers_draw_labelled_curves(draw):

@@ -1,9 +1,10 @@
 import ipywidgets
 import numpy as np
 import pytest
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from stillwork import figures
 from stillwork.checks import InputError
-from stillwork.explore import Choice, Slider, StaticPicture, explore
+from stillwork.explore import Choice, Redraw, Slider, StaticPicture, explore
 
 CONTROLS = {
     "gain": Slider(0.0, 10.0, published=2.0, unit="V"),
@@ -128,3 +129,50 @@ def test_an_impossible_setting_says_why_and_keeps_the_last_picture():
 def test_a_published_setting_must_be_on_the_control(make, message):
     with pytest.raises(InputError, match=message):
         make()
+
+
+def counted(draw):
+    """A drawing function that notes its calls."""
+    calls = []
+
+    def noting(**settings):
+        calls.append(settings)
+        return draw(**settings)
+
+    return noting, calls
+
+
+def scaled(top, panels=1):
+    figure, axes = figures.new(1, panels, squeeze=False)
+    for axis in axes[0]:
+        axis.semilogx([1, 1000], [0, top])
+        axis.set(xlabel="frequency (Hz)", ylabel="magnitude (1)")
+    return figure
+
+
+def test_the_panels_stay_where_the_first_picture_put_them(monkeypatch):
+    layouts = []
+    execute = ConstrainedLayoutEngine.execute
+    monkeypatch.setattr(
+        ConstrainedLayoutEngine, "execute", lambda self, fig: (layouts.append(fig), execute(self, fig))
+    )
+    redraw = Redraw(scaled)
+    first, second = redraw(top=10), redraw(top=10)
+    assert len(layouts) == 1
+    assert second == first
+
+
+def test_a_label_that_would_leave_the_picture_makes_a_new_layout():
+    drawing, calls = counted(scaled)
+    redraw = Redraw(drawing)
+    redraw(top=10)
+    assert len(calls) == 1
+    wide = redraw(top=99999)
+    assert len(calls) == 3  # in the old places, which do not hold the label, and laid out anew
+    assert wide == Redraw(scaled)(top=99999)
+
+
+def test_another_number_of_panels_makes_a_new_layout():
+    redraw = Redraw(scaled)
+    redraw(top=10)
+    assert redraw(top=10, panels=2) == Redraw(scaled)(top=10, panels=2)

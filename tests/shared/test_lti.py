@@ -1,6 +1,7 @@
 """The shared linear models, held against python-control, high precision and closed forms."""
 
 import warnings
+from dataclasses import replace
 
 import control
 import numpy as np
@@ -57,7 +58,7 @@ def test_discrete_response_is_that_of_python_control():
 def test_response_of_a_superposition_is_the_sum_over_modes(seed):
     model = random_modal(seed)
     omega = np.array([10.0, 300.0, 4e3])
-    parts = [lti.replace(model.modes([k]), feedthrough=0 * model.feedthrough) for k in range(6)]
+    parts = [replace(model.modes([k]), feedthrough=0 * model.feedthrough) for k in range(6)]
     total = sum(part.frequency_response(omega) for part in parts) + model.feedthrough[:, :, None]
     assert np.allclose(model.frequency_response(omega), total, rtol=1e-12)
 
@@ -161,7 +162,7 @@ def test_infinity_norm_of_several_inputs_and_outputs_beats_every_grid():
 
 def test_two_norm_by_integration():
     model = random_modal(22).modes(slice(1, None))
-    model = lti.replace(model, feedthrough=0 * model.feedthrough)
+    model = replace(model, feedthrough=0 * model.feedthrough)
     grid = lti.resonance_grid(model.poles, 1e-3, 1e6, 4000, 2000)
     power = (np.abs(model.frequency_response(grid)) ** 2).sum(axis=(0, 1))
     low = power[0] * grid[0]
@@ -194,7 +195,7 @@ def test_interconnection_is_that_of_python_control():
 
 @pytest.mark.parametrize("feedthrough", [0.0, 0.7])
 def test_zeros_are_those_of_python_control_and_of_the_response(feedthrough):
-    model = lti.replace(random_modal(4, 1, 1), feedthrough=np.array([[feedthrough]]))
+    model = replace(random_modal(4, 1, 1), feedthrough=np.array([[feedthrough]]))
     zeros = model.state_space().zeros
     theirs = control.zeros(model.to_control())
     theirs = theirs[np.abs(theirs) < 1e6]

@@ -17,6 +17,7 @@ from stillwork.studies import Study, spread_interval
 
 SHOWN = {0: figures.BLUE, 3: figures.GREEN, 6: figures.RED}  # w1, w4, w7: the colours of Fig. 5
 STYLES = {"FeLMS": "--", "FeRLS": "-"}
+COLORS = {"FeLMS": figures.GREEN, "FeRLS": figures.BLACK}  # as in Figs. 7 and 8
 
 
 def published_row(algorithm: str, quantity: str) -> np.ndarray:
@@ -35,7 +36,7 @@ def draw_courses(courses: Mapping[str, Course], average_s: float = 1.0):
         rows = len(course.time_s) // width * width
         power = course.error_power[:rows].reshape(-1, width).mean(axis=1)
         time = course.time_s[width - 1 : rows : width]
-        color = figures.GREY if name == "FeLMS" else figures.BLACK
+        color = COLORS[name]
         above.semilogy(time, power, STYLES[name], color=color, label=f"{name}, mean over {average_s:g} s")
         for row, color in SHOWN.items():
             below.plot(
@@ -163,7 +164,7 @@ def draw_path_error(twin: Twin, floor: ShapedFloor):
     left.set_title("eigenvalues of P̂₂⁻¹P₂, 2-300 Hz")
     left.set_ylabel("imaginary part")
     right.set_title("eigenvalues of R⁻¹A: convergence")
-    right.legend(loc="center")
+    figure.legend(*right.get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
 
 
@@ -173,10 +174,14 @@ def draw_sideways(courses: Mapping[str, Sideways]):
     for (name, course), color in zip(courses.items(), (figures.BLUE, figures.RED), strict=False):
         axes.semilogy(course.time_s, course.size / course.size[0], color=color, label=name)
         axes.semilogy(
-            course.time_s, course.predicted / course.size[0], ":", color=figures.BLACK, label="predicted"
+            course.time_s,
+            course.predicted / course.size[0],
+            ":",
+            color=figures.BLACK,
+            label=f"{name}, predicted",
         )
     axes.set_xlabel("time (s)")
-    axes.set_ylabel("sideways command, relative")
+    axes.set_ylabel("sideways command over its start")
     axes.legend()
     return figure
 

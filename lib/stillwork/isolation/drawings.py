@@ -32,8 +32,8 @@ def draw_rig(rig: Rig):
         [np.sin(azimuth) * np.sin(elevation), -np.cos(azimuth) * np.sin(elevation), np.cos(elevation)]
     )
     views = (
-        (oblique, np.stack([right, up]), "across, m", "up, m", "seen from the side"),
-        (above, np.eye(3)[:2], "x, m", "y, m", "seen from above"),
+        (oblique, np.stack([right, up]), "across (m)", "up (m)", "seen from the side"),
+        (above, np.eye(3)[:2], "x (m)", "y (m)", "seen from above"),
     )
     for axes, view, xlabel, ylabel, title in views:
         axes.plot(*(view @ plate.T), color=figures.GREY, label="floor plate")
@@ -70,7 +70,7 @@ def draw_modes(rig: Rig, passive: Modes, closed: Modes, gain: float):
         (closed, "s", figures.RED, "with skyhook loop"),
     ):
         left.plot(modes.frequencies_hz, modes.damping, style, color=color, ms=6, label=label)
-    left.set(xlabel="frequency, Hz", ylabel="relative damping", xlim=(10, 53))
+    left.set(xlabel="frequency (Hz)", ylabel="relative damping", xlim=(10, 53))
     gains = np.linspace(0, 350, 36)
     ideal = np.array([rig.damping_ratios(each) for each in gains])
     for name, mode, color in (
@@ -82,7 +82,7 @@ def draw_modes(rig: Rig, passive: Modes, closed: Modes, gain: float):
     right.plot(
         np.full(6, gain), closed.damping, "s", color=figures.RED, label="real loop at the published gain"
     )
-    right.set(xlabel="skyhook gain, N s/m", xlim=(0, 350))
+    right.set(xlabel="skyhook gain (N s/m)", xlim=(0, 350))
     for axes in (left, right):
         axes.axhline(0.7, color=figures.BLACK, ls=":", lw=1)
         axes.set(ylim=(0, 1.05))
@@ -117,7 +117,7 @@ def draw_floors(floors: dict[str, ShapedFloor], measured: dict[str, Spectrum], g
     shown = ground[0] >= 1.0
     axes.loglog(ground[0][shown], ground[1][shown], color=figures.GREEN, lw=0.8, label="measured ground")
     axes.set(
-        xlabel="frequency, Hz", ylabel="acceleration PSD, (m/s²)²/Hz", ylim=(1e-14, 1e-3), xlim=(1, 1000)
+        xlabel="frequency (Hz)", ylabel="acceleration PSD ((m/s²)²/Hz)", ylim=(1e-14, 1e-3), xlim=(1, 1000)
     )
     axes.legend(loc="center left", bbox_to_anchor=(1, 0.5))
     return figure
@@ -138,8 +138,8 @@ def draw_paths(twins: dict[str, Twin], frequencies_hz: np.ndarray):
     upper.annotate("962 Hz", (930, 0.003), ha="right", fontsize=8, color=figures.GREY)
     lower.axvline(500, color=figures.GREY, ls=":", lw=1)
     lower.annotate("published: good to here", (480, -9), ha="right", fontsize=8, color=figures.GREY)
-    upper.set(ylabel="|a₁ / u|, m/s² per N")
-    lower.set(xlabel="frequency, Hz", ylabel="twin over fit, dB", ylim=(-12, 12), xlim=(f[0], f[-1]))
+    upper.set(ylabel="|a₁ / u| (m/s² per N)")
+    lower.set(xlabel="frequency (Hz)", ylabel="twin over fit (dB)", ylim=(-12, 12), xlim=(f[0], f[-1]))
     upper.legend(loc="upper left")
     return figure
 
@@ -157,6 +157,6 @@ def explore_floor(low_pass_hz: float, gain: float):
         strict=True,
     ):
         axes.loglog(band, criterion_density(name, band), "--", color=color, label=name)
-    axes.set(xlabel="frequency, Hz", ylabel="acceleration PSD, (m/s²)²/Hz", ylim=(1e-10, 1e-3))
+    axes.set(xlabel="frequency (Hz)", ylabel="acceleration PSD ((m/s²)²/Hz)", ylim=(1e-10, 1e-3))
     axes.legend(loc="upper left", ncols=2)
     return figure

@@ -1,5 +1,7 @@
 """Figures of transmissibility and power (notebooks 04 and 05)."""
 
+from itertools import pairwise
+
 import numpy as np
 
 from stillwork import figures
@@ -16,6 +18,7 @@ _STYLES = {
     "FeRLS": {"color": figures.BLACK},
     "output noise": {"color": figures.RED, "ls": ":"},
 }
+PUBLISHED_BAND_HZ = (3.0, 200.0)  # where the paper states 20 to 40 dB
 # Below this a transmissibility is rounding: the rig's symmetry makes the element zero.
 _ROUNDING = 1e-9
 
@@ -45,18 +48,38 @@ def draw_transmissibility(frequencies_hz: np.ndarray, cases: dict[str, np.ndarra
                 if len(shown):
                     decibels = 20 * np.log10(size[shown])
                     panel.semilogx(f[shown], decibels, label=name, lw=0.9, **_STYLES[name])
+            if i == j:
+                _mark_reduction(panel, f, cases["feedback"][i, i])
             # An off-diagonal panel takes its scale from the lengths involved: rad/m is large, m/rad small.
             shift = {"": 0.0, " (m/rad)": -25.0, " (rad/m)": 25.0}[units[i, j]]
             panel.set(
                 title=f"{start} → {to}{units[i, j]}", ylim=(low_db + shift, 25 + shift), xlim=(f[0], f[-1])
             )
     for panel in axes[:, 0]:
-        panel.set_ylabel("magnitude, dB")
+        panel.set_ylabel("magnitude (dB)")
     for panel in axes[-1]:
-        panel.set_xlabel("frequency, Hz")
+        panel.set_xlabel("frequency (Hz)")
     handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    figure.legend(handles, labels, loc="outside lower center", ncols=5)
     return figure
+
+
+def _mark_reduction(panel, frequencies_hz: np.ndarray, feedback: np.ndarray):
+    """Shade the published 20 to 40 dB below `feedback` alone, taken as its median over a twelfth of a decade."""
+    edges = np.geomspace(*PUBLISHED_BAND_HZ, 23)
+    decibels = 20 * np.log10(np.abs(feedback))
+    inside = [(frequencies_hz >= low) & (frequencies_hz <= high) for low, high in pairwise(edges)]
+    level = np.array([np.median(decibels[each]) for each in inside])
+    middle = np.sqrt(edges[1:] * edges[:-1])
+    panel.fill_between(
+        middle,
+        level - 40,
+        level - 20,
+        color=figures.GREY,
+        alpha=0.25,
+        lw=0,
+        label="published: 20 to 40 dB less",
+    )
 
 
 def draw_reduction(frequencies_hz: np.ndarray, reductions: dict[str, np.ndarray]):
@@ -72,17 +95,23 @@ def draw_reduction(frequencies_hz: np.ndarray, reductions: dict[str, np.ndarray]
     figure, axes = figures.new(1, 3, height=2.7, sharey=True)
     f = frequencies_hz
     for k, (panel, direction) in enumerate(zip(axes, DIRECTIONS, strict=True)):
-        panel.fill_between([3, 200], 20, 40, color=figures.GREY, alpha=0.2, lw=0, label="published, 3-200 Hz")
+        panel.fill_between(
+            PUBLISHED_BAND_HZ, 20, 40, color=figures.GREY, alpha=0.2, lw=0, label="published, 3-200 Hz"
+        )
         for (name, reduction), style in zip(
             reductions.items(),
-            ({"color": figures.SKY, "lw": 0.8}, {"color": figures.BLACK}, {"color": figures.RED, "ls": "--"}),
+            (
+                {"color": figures.SKY, "lw": 0.8},
+                {"color": figures.BLACK},
+                {"color": figures.GREEN, "ls": "--"},
+            ),
             strict=False,
         ):
             shown = thinned(f, reduction[k])
             panel.semilogx(f[shown], reduction[k][shown], label=name, **style)
         panel.axhline(0, color=figures.GREY, lw=0.8)
-        panel.set(title=direction, xlabel="frequency, Hz", ylim=(-15, 65), xlim=(f[0], f[-1]))
-    axes[0].set_ylabel("reduction, dB")
+        panel.set(title=direction, xlabel="frequency (Hz)", ylim=(-15, 65), xlim=(f[0], f[-1]))
+    axes[0].set_ylabel("reduction (dB)")
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4)
     return figure
@@ -113,13 +142,13 @@ def draw_power(
                 points = thinned(f, row)
                 panel.loglog(f[points], row[points], label=name, **{"lw": width, **_STYLES[name]})
     for k, direction in enumerate(DIRECTIONS):
-        axes[0, k].set(title=f"(a) {direction}", ylabel=f"PSD, {units[k]}/Hz")
+        axes[0, k].set(title=f"(a) {direction}", ylabel=f"PSD ({units[k]}/Hz)")
         axes[1, k].set(
-            title=f"(b) {direction}", ylabel=f"power from 1 Hz, {units[k]}", xlabel="frequency, Hz"
+            title=f"(b) {direction}", ylabel=f"power from 1 Hz ({units[k]})", xlabel="frequency (Hz)"
         )
         before = np.sum(densities["feedback"][k, inside & (frequencies_hz <= BAND_HZ[1])]) * (f[1] - f[0])
         figures.mark_published(
-            axes[1, k], BAND_HZ[1], before * (1 - published[k] / 100), "published share of feedback at 300 Hz"
+            axes[1, k], BAND_HZ[1], before * (1 - published[k] / 100), "published, of feedback"
         )
         axes[1, k].axvline(BAND_HZ[1], color=figures.GREY, ls=":", lw=1)
         axes[1, k].annotate(
@@ -130,7 +159,7 @@ def draw_power(
             fontsize=7,
         )
     handles, labels = axes[1, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    figure.legend(handles, labels, loc="outside lower center", ncols=5)
     return figure
 
 
@@ -145,7 +174,7 @@ def draw_removed(study, published: tuple[float, float, float]):
         x = np.repeat(where + shift, len(values))
         axes.plot(x, values.T.ravel(), "o", ms=4, alpha=0.7, color=color, label=label)
     figures.mark_published(axes, where, published, "published, FeRLS")
-    axes.set(xticks=where, xticklabels=DIRECTIONS, xlabel="direction", ylabel="power removed at 1-300 Hz, %")
+    axes.set(xticks=where, xticklabels=DIRECTIONS, xlabel="direction", ylabel="power removed at 1-300 Hz (%)")
     axes.legend(loc="center left", bbox_to_anchor=(1, 0.5))
     return figure
 
@@ -162,7 +191,7 @@ def explore_transmissibility(integrator_cutoff_hz: float, lowpass_hz: float, low
         z = exact_transmissibility(twin, f, weights=given)[0, 0]
         label = name if given is None else "with feedforward, optimum weights"
         axes.semilogx(f, 20 * np.log10(np.abs(z)), label=label, **_STYLES[name])
-    axes.set(xlabel="frequency, Hz", ylabel="transmissibility z → z, dB", ylim=(-80, 15), xlim=(0.5, 1000))
+    axes.set(xlabel="frequency (Hz)", ylabel="transmissibility z → z (dB)", ylim=(-80, 15), xlim=(0.5, 1000))
     axes.legend(loc="lower left")
     return figure
 
@@ -192,10 +221,10 @@ def explore_power(output_noise: float, floor_noise: float, low_pass_hz: float):
         top = before[k].max()
         panel.set(
             title=f"{DIRECTIONS[k]}: {removed[k]:.1f} % removed",
-            xlabel="frequency, Hz",
+            xlabel="frequency (Hz)",
             ylim=(top * 1e-7, top * 3),
         )
-    axes[0].set_ylabel("PSD, (m/s²)²/Hz or (rad/s²)²/Hz")
+    axes[0].set_ylabel("PSD ((m/s²)²/Hz, (rad/s²)²/Hz)")
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3)
     return figure

@@ -82,7 +82,7 @@ def draw_windup(runs: Mapping[str, Mapping[str, CovarianceRun]]):
             if np.isfinite(run.breakdown):
                 axes.plot(run.breakdown, run.largest[seen][-1], "x", color=figures.BLACK, label="_broken")
         t = next(iter(forms.values())).time_constants
-        axes.semilogy(t, np.exp(t), color=figures.BLACK, lw=0.8, label="exp(t / T)")
+        axes.semilogy(t, np.exp(t), color=figures.GREY, lw=4, alpha=0.4, zorder=1, label="exp(t / T)")
         axes.set(xlabel="time constants of the forgetting", title=title, ylim=(0.3, 1e22))
     grid[0, 0].set(ylabel="largest eigenvalue of P / start")
     figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
@@ -102,9 +102,9 @@ def draw_return(outcomes: Mapping[str, Sequence[Outcome]], return_s: float):
                     *end, "x", color=axes.lines[-1].get_color(), ms=9, mew=2, label=f"floor {number}, broke"
                 )
         axes.axvspan(-5, 0, color=figures.GREY, alpha=0.12, lw=0)
-        axes.set(xlabel="time since the sensor's return, s", title=name, xlim=(-5, 15))
+        axes.set(xlabel="time since the sensor's return (s)", title=name, xlim=(-5, 15))
         axes.legend(loc="upper right")
-    grid[0, 0].set(ylabel="filtered error, rms, N")
+    grid[0, 0].set(ylabel="filtered error, rms (N)")
     return figure
 
 
@@ -149,8 +149,8 @@ def draw_cures(
     )
     top.set(ylabel="diagonal of P / start", ylim=(1e-2, 1e6))
     middle.set(ylabel="misalignment")
-    bottom.set(xlabel="time constants of the forgetting", ylabel="filtered error, rms, N")
-    top.legend(ncols=4, loc="upper left", bbox_to_anchor=(0, 1.45))
+    bottom.set(xlabel="time constants of the forgetting", ylabel="filtered error, rms (N)")
+    figure.legend(*top.get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return figure
 
 
@@ -159,12 +159,11 @@ def explore_forms(regressors: ArrayLike, initial: ArrayLike):
 
     def draw(precision: str, samples_per_constant: float, time_constants: float):
         figure, axes = figures.new(1, 1, height=3.0)
-        # Laying out again at every move would take longer than the recursion.
-        figure.set_layout_engine(None)
-        figure.subplots_adjust(left=0.1, right=0.62, bottom=0.16, top=0.9)
         forgetting = float(np.exp(-1 / samples_per_constant))
         for style, form in zip(_LINES, FORMS, strict=True):
-            run = covariance_run(form, regressors, forgetting, initial, time_constants, precision)
+            run = covariance_run(
+                form, regressors, forgetting, initial, time_constants, precision, per_time_constant=2
+            )
             ends = "stays definite" if np.isinf(run.breakdown) else f"indefinite at {run.breakdown:.1f}"
             axes.semilogy(
                 run.time_constants, np.maximum(run.asymmetry, FLOOR), style, label=f"{form}: {ends}"
@@ -176,7 +175,6 @@ def explore_forms(regressors: ArrayLike, initial: ArrayLike):
             title=f"{precision}, time constant of {samples_per_constant:.0f} samples",
         )
         axes.set_yticks(10.0 ** np.arange(-18, 1, 3), minor=False)
-        axes.minorticks_off()
         _name_zero(axes)
         axes.legend(loc="upper left", bbox_to_anchor=(1, 1))
         return figure

@@ -17,6 +17,7 @@ SHOWN = {
     7: figures.RED,
 }  # of each power of the integrator, the largest shift
 STYLES = {"FeLMS": "--", "FeRLS": "-"}
+COLORS = {"FeLMS": figures.GREEN, "FeRLS": figures.BLACK}  # as in Figs. 7 and 8
 MILLI = 1e3
 
 
@@ -41,7 +42,7 @@ def draw_switches(panels: Mapping[str, Mapping[str, Response]]):
             panel.plot(response.time_s[after], level, ":", color=color, label=f"w{row + 1}, new optimum")
         panel.axvline(0, color=figures.BLACK, lw=0.8)
         panel.set_title(title)
-        panel.set_ylabel("w - optimum before\n(10⁻³ N per m/s²)")
+        panel.set_ylabel("w − optimum before\n(10⁻³ N per m/s²)")
     axes[-1, 0].set_xlabel("time after the switch (s)")
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
@@ -57,7 +58,8 @@ def draw_settling(
     figure, axes = figures.new(1, len(studies), height=3.6, sharey=True)
     at = np.arange(len(GROUPS))
     for panel, (title, study) in zip(np.atleast_1d(axes), studies.items(), strict=True):
-        for shift, name, color in zip((-0.15, 0.15), ALGORITHMS, (figures.ORANGE, figures.BLUE), strict=True):
+        for shift, name in zip((-0.15, 0.15), ALGORITHMS, strict=True):
+            color = COLORS[name]
             times = np.array([study[f"{name} {group}"] for group in GROUPS]).ravel()
             places = np.repeat(at + shift, study.runs)
             ended = np.isfinite(times)
@@ -93,13 +95,15 @@ def expected_switch_drawing(twin: Twin, switches: Mapping[str, Switch], duration
     def draw(direction: str, step_size: float, memory_s: float):
         switch = switches[direction]
         figure, axes = figures.new(1, 1, height=3.2)
-        for name, color in zip(ALGORITHMS, (figures.ORANGE, figures.BLUE), strict=True):
+        for name in ALGORITHMS:
             expected = mean_course(
                 twin, switch.end, name, time, step_size=step_size, memory_s=memory_s, start=switch.start
             )
             shift = switch.shift
             left = (switch.end.weights[0] - expected) @ shift / (shift @ shift)
-            axes.plot(np.append(0.0, time), np.append(1.0, left), STYLES[name], color=color, label=name)
+            axes.plot(
+                np.append(0.0, time), np.append(1.0, left), STYLES[name], color=COLORS[name], label=name
+            )
         axes.axhline(SHARE, color=figures.GREY, lw=0.8)
         axes.set_xlabel("time after the switch (s)")
         axes.set_ylabel("share of the shift to go")

@@ -11,9 +11,9 @@ from stillwork import figures, paths
 from stillwork.isolation.direct import average_gain, multiplications
 
 _NAMES = {
-    "full inverse": "54 x 54 inverse, (25)-(26)",
-    "block inverse": "9 x 9 inverse, (28)",
-    "recursion": "9 x 9 recursion, (29)-(30)",
+    "full inverse": "54 × 54 inverse, (25)-(26)",
+    "block inverse": "9 × 9 inverse, (28)",
+    "recursion": "9 × 9 recursion, (29)-(30)",
     "FeLMS": "FeLMS, (19)",
 }
 
@@ -66,8 +66,8 @@ def draw_agreement(
         shown = np.where(np.asarray(difference) > 0, difference, np.nan)
         lower.semilogy(time_s, shown, style, label=name)
     lower.axhline(bound, color=figures.BLACK, lw=0.8, ls="-.", label="bound of rounding")
-    upper.set(ylabel="weight of the first\nactuator, N per (m/s²)", title="recursion")
-    lower.set(xlabel="time, s", ylabel="relative difference", title="direct forms to recursion, all weights")
+    upper.set(ylabel="weight of the first\nactuator (N per m/s²)", title="recursion")
+    lower.set(xlabel="time (s)", ylabel="relative difference", title="direct forms to recursion, all weights")
     upper.legend(loc="center left", bbox_to_anchor=(1, 0.5))
     lower.legend(loc="center left", bbox_to_anchor=(1, 0.5))
     return figure
@@ -81,7 +81,7 @@ def draw_gain(forgetting: float, samples: int, sample_time: float):
     axes.loglog(time_s, average_gain(forgetting, samples)[count], label=f"forgetting {forgetting:.5f}")
     axes.loglog(time_s, average_gain(1.0, samples)[count], "--", label="no forgetting, 1 / (1 + k)")
     axes.axhline(1 - forgetting, color=figures.GREY, lw=0.8, ls=":", label="limit 1 - forgetting")
-    axes.set(xlabel="time, s", ylabel="gain α(k)")
+    axes.set(xlabel="time (s)", ylabel="gain α(k)")
     axes.legend()
     return figure
 
@@ -93,7 +93,7 @@ def draw_costs(actuators: int, regressors: int, times: Mapping[str, MeasuredTime
     _bars(upper, {_NAMES[name]: count for name, count in counts.items()}, "{:,.0f}")
     upper.set(
         xlabel="multiplications and divisions per sample",
-        title=f"{actuators} outputs x {regressors} regressors",
+        title=f"{actuators} outputs × {regressors} regressors",
     )
     shown = {**_NAMES, "C": "the recursion in C"}
     _bars(lower, {text: times[name].median_us for name, text in shown.items() if name in times}, "{:.2g}")
@@ -107,7 +107,7 @@ def draw_costs(actuators: int, regressors: int, times: Mapping[str, MeasuredTime
         xytext=(-3, 0),
         textcoords="offset points",
     )
-    lower.set(xlabel="measured time per update, µs", title="measured, 6 outputs x 9 regressors")
+    lower.set(xlabel="measured time per update (µs)", title="measured, 6 outputs × 9 regressors")
     return figure
 
 

@@ -1,6 +1,7 @@
 """Figures of the optimal observer."""
 
 from collections.abc import Mapping
+from functools import cache
 
 import numpy as np
 
@@ -8,7 +9,7 @@ from stillwork import figures
 from stillwork.lti import StateModel
 from stillwork.motion.controller import PidFamily
 from stillwork.motion.designs import DAMPING
-from stillwork.motion.generalised_plant import ObserverProblem
+from stillwork.motion.generalised_plant import GeneralisedPlant, ObserverProblem
 from stillwork.motion.h2_synthesis import h2_riccati
 from stillwork.motion.loops import INPUTS, closed_loop
 from stillwork.motion.machines import stage, stage_mass
@@ -68,11 +69,17 @@ def published_problem() -> ObserverProblem:
     return ObserverProblem(plant, PidFamily(stage_mass())(83.0), DAMPING, 2.0, scales)
 
 
-def draw_emphasis(emphasis: float):
-    """Explorer: the loop on the front at one emphasis, beside the Kalman loop."""
+@cache
+def _compared() -> tuple[ObserverProblem, GeneralisedPlant, StateModel, StateModel]:
+    """The published problem, its generalised plant, the Kalman observer and the weight that it just keeps."""
     problem = published_problem()
     generalised = problem.generalised()
     kalman = problem.read(kalman_observer(problem.plant, published_noise(), 1e3))
-    weight = sensitivity_weight(tipping_corner(generalised.close(kalman)))
+    return problem, generalised, kalman, sensitivity_weight(tipping_corner(generalised.close(kalman)))
+
+
+def draw_emphasis(emphasis: float):
+    """Explorer: the loop on the front at one emphasis, beside the Kalman loop."""
+    problem, generalised, kalman, weight = _compared()
     found = h2_riccati(emphasised(generalised, weight, emphasis), *regularisation(problem, 0.01))
     return responses(problem, {"Kalman": kalman, f"emphasis {emphasis:.2g}": found.observer}, weight)

@@ -1,12 +1,13 @@
 """Figures of the robust-observer comparison."""
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 
 import numpy as np
 
 from stillwork import figures
-from stillwork.motion.contest import ENTRANTS, draw_scans, prepare, run_entrant
-from stillwork.motion.scan_study import Scan, published_scan
+from stillwork.motion.contest import ENTRANTS, Contest, draw_scans, prepare, run_entrant
+from stillwork.motion.scan_study import Records, Scan, published_scan
 
 STATES = (
     ("rigid body", "position (nm √kg)", 1e9),
@@ -64,11 +65,17 @@ def spreads(
     axis.set_yticks(np.arange(len(rows)), rows)
 
 
-def draw_weight(weight_exponent: float, size_percent: float):
-    """Explorer: scan-phase errors of the published three as gamma and the size of the errors move."""
+@lru_cache(maxsize=8)
+def _contest(size_percent: float) -> tuple[Scan, Contest, Records]:
+    """Scan, entrants and records for one size of the errors; they stay while the weight alone moves."""
     scan = published_scan()
     contest = prepare(scan, size_percent / 100, rigid=False)
-    records = draw_scans(scan, 6, 1, size_percent / 100, "ends", False)
+    return scan, contest, draw_scans(scan, 6, 1, size_percent / 100, "ends", False)
+
+
+def draw_weight(weight_exponent: float, size_percent: float):
+    """Explorer: scan-phase errors of the published three as gamma and the size of the errors move."""
+    scan, contest, records = _contest(size_percent)
     knobs = {"Kalman": 1.0, "sensitivity penalised": 10.0**weight_exponent}
     knobs["regularised least squares"] = size_percent / 100
     figure, axes = figures.new(1, 2, height=2.8, sharex=True)

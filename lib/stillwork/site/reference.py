@@ -9,6 +9,7 @@ from pathlib import Path
 
 import stillwork
 from stillwork import paths
+from stillwork.workbook.inputs import shared_modules
 
 LIBRARY = Path(stillwork.__file__).parent
 
@@ -57,7 +58,7 @@ class Module:
 
 def read_modules() -> list[Module]:
     """The shared modules and those of the rooms, in this order, each sorted by name."""
-    files = [file for file in sorted(LIBRARY.glob("*.py")) if file.name not in ("__init__.py", "__main__.py")]
+    files = [file for file in shared_modules() if file != LIBRARY / "__init__.py"]
     for room in paths.ROOMS:
         files += sorted((LIBRARY / room).rglob("*.py"))
     return [_module(file) for file in files]

@@ -24,7 +24,7 @@ tolerance = {{ absolute = 0.005, source = "half the last printed digit" }}
 STORY = """\
 # {title}
 
-*Work, section 0, Fig. 0.*
+*Work, section 0: Fig. 0.*
 
 What is claimed, what we do, what came out. The example: a free vibration decays by the same factor each period."""
 

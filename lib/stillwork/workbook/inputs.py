@@ -20,13 +20,12 @@ VALUES = ("parameter ", "environment: ", "setting ")  # inputs kept as they are;
 def room_inputs(room: str) -> dict[str, str]:
     """Inputs that all notebooks of a room share, by a name that a person understands.
 
-    They are: the room's library, the shared modules (all of ``lib/stillwork/*.py`` but the command line),
-    the room's data, the pins of environment.txt, the Python and the kernel's settings. Of the ledger, what
-    the last accepted build gave (``ours``) is left out: it follows from the results.
+    They are: the room's library, the shared modules, the room's data, the pins of environment.txt, the Python
+    and the kernel's settings. Of the ledger, what the last accepted build gave (``ours``) is left out: it
+    follows from the results.
     """
     found = {}
-    modules = [file for file in LIBRARY.glob("*.py") if file.name != "__main__.py"]
-    for file in sorted([*modules, *(LIBRARY / room).rglob("*.py")]):
+    for file in sorted([*shared_modules(), *(LIBRARY / room).rglob("*.py")]):
         found[f"lib/stillwork/{file.relative_to(LIBRARY).as_posix()}"] = digest(file.read_bytes())
     folder = paths.data(room)
     for file in sorted(folder.rglob("*")):
@@ -38,6 +37,12 @@ def room_inputs(room: str) -> dict[str, str]:
     found["environment: Python"] = platform.python_version()
     found |= {f"setting {name}": value for name, value in KERNEL_SETTINGS.items()}
     return found
+
+
+def shared_modules() -> list[Path]:
+    """The modules that every room may use: all but the command line, the builder, the site and the rooms."""
+    others = ("__main__.py", "workbook", "site", *paths.ROOMS)
+    return sorted(file for file in LIBRARY.rglob("*.py") if file.relative_to(LIBRARY).parts[0] not in others)
 
 
 def notebook_inputs(notebook: Notebook, settings: dict[str, object]) -> dict[str, str]:

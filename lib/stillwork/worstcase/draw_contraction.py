@@ -37,23 +37,32 @@ def draw_counter_example(function: SecularFunction):
     left.loglog(root, root, "o", color=figures.RED, label="root")
     left.set(xlabel="α", ylabel="f(α)")
     left.legend()
+    left.minorticks_off()  # over many decades they take longer to draw than all else
+    _draw_slope(middle, function, alpha)
+    _draw_iterates(right, function, root)
+    return figure
+
+
+def _draw_slope(axes, function: SecularFunction, alpha: np.ndarray):
     slopes = function.slope(alpha)
-    middle.semilogx(alpha, slopes, label="f′")
-    middle.semilogx(alpha, alpha * slopes / function(alpha), color=figures.GREEN, label="d log f / d log α")
-    middle.axhline(1, color=figures.BLACK, linewidth=0.8, linestyle="--")
-    middle.set(xlabel="α", ylabel="slope", ylim=(0, 1.35 * max(1.0, slopes.max())))
-    middle.legend(loc="upper right")
+    axes.semilogx(alpha, slopes, label="f′")
+    axes.semilogx(alpha, alpha * slopes / function(alpha), color=figures.GREEN, label="d log f / d log α")
+    axes.axhline(1, color=figures.BLACK, linewidth=0.8, linestyle="--")
+    axes.set(xlabel="α", ylabel="slope", ylim=(0, 1.35 * max(1.0, slopes.max())))
+    axes.minorticks_off()
+    axes.legend(loc="upper right")
+
+
+def _draw_iterates(axes, function: SecularFunction, root: float):
     for decade, colour in ((-5, figures.BLUE), (-2, figures.SKY), (1, figures.ORANGE), (3, figures.RED)):
         path = function.iterates(root * 10.0**decade, 25)
-        right.semilogy(
+        axes.semilogy(
             path, "o-", markersize=2.5, linewidth=0.8, color=colour, label=f"from {10.0**decade:g} × root"
         )
-    for axes in (left, middle, right):
-        axes.minorticks_off()  # over many decades they take longer to draw than all else
-    right.axhline(root, color=figures.BLACK, linewidth=0.8)
-    right.set(xlabel="iteration", ylabel="α")
-    right.legend(fontsize=7)
-    return figure
+    axes.axhline(root, color=figures.BLACK, linewidth=0.8)
+    axes.set(xlabel="iteration", ylabel="α")
+    axes.minorticks_off()
+    axes.legend(fontsize=7)
 
 
 def draw_slopes(slopes: dict[int, np.ndarray], rates: dict[int, np.ndarray]):
@@ -74,5 +83,10 @@ def draw_slopes(slopes: dict[int, np.ndarray], rates: dict[int, np.ndarray]):
 
 
 def explore_counter_example(bound: float, excess: float):
-    """`draw_counter_example` for a bound and a distance of b from the column space."""
-    return draw_counter_example(counter_example(bound, excess))
+    """Slope and iterates of the counter-example for a bound and a distance of b from the column space."""
+    function = counter_example(bound, excess)
+    root, _ = function.root()
+    figure, (left, right) = figures.new(1, 2, height=3.0)
+    _draw_slope(left, function, np.geomspace(1e-6, 1e3, 201) * root)
+    _draw_iterates(right, function, root)
+    return figure

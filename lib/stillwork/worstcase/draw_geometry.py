@@ -38,7 +38,7 @@ def draw_one_unknown(matrix: np.ndarray, target: np.ndarray, bounds: list[float]
             color=line.get_color(),
             label=f"minimum, η = {bound:.3g}",
         )
-    axes.set(xlabel="x", ylabel="worst-case residual, unit of b")
+    axes.set(xlabel="x", ylabel="worst-case residual (unit of b)")
     axes.legend(ncols=2)
     return figure
 
@@ -90,7 +90,7 @@ def draw_bounds(matrix: np.ndarray, target: np.ndarray, consistent: np.ndarray):
                 ha="right",
                 fontsize=8,
             )
-        axes.set(xlabel="α", ylabel="bound η, unit of A", title=title, ylim=(0, 1.15 * function.threshold))
+        axes.set(xlabel="α", ylabel="bound η (unit of A)", title=title, ylim=(0, 1.15 * function.threshold))
         axes.legend(loc="lower right")
     return figure
 

@@ -9,7 +9,7 @@ from stillwork.worstcase.experiments import fir_trial
 METHODS = (
     ("min_max", "min-max", figures.BLUE, "-"),
     ("total", "total least squares", figures.RED, "--"),
-    ("least", "least squares (not in the paper)", figures.GREEN, "-"),
+    ("least", "least squares (not in the paper)", figures.BLACK, "-"),
 )
 
 
@@ -18,12 +18,7 @@ def draw_fig_1(study: Study, parameters: tuple[float, ...]):
     figure, (first, second, third) = figures.new(3, 1, height=7.2, sharex=True)
     time = np.arange(1, study["bound"].shape[1] + 1)
     for number, (axes, truth) in enumerate(zip((first, second), parameters, strict=True)):
-        for name, label, colour, style in METHODS:
-            axes.plot(time, study[name][:, number].mean(0), style, color=colour, label=label)
-        axes.axhline(truth, color=figures.BLACK, linewidth=0.8)
-        axes.set(
-            ylabel=f"estimate of x{number + 1}", title=f"({'ab'[number]})", ylim=_window(study, number, truth)
-        )
+        _draw_estimates(axes, study, number, truth)
     first.legend(ncols=3)
     third.plot(time, study["min_max_worst"].mean(0), color=figures.BLUE, label="min-max: worst case")
     third.plot(time, study["total_target"].mean(0), "--", color=figures.RED, label="TLS: |(A + δA)x − b|")
@@ -36,12 +31,22 @@ def draw_fig_1(study: Study, parameters: tuple[float, ...]):
     )
     third.set(
         ylabel="residual",
-        xlabel="time, samples",
+        xlabel="time (samples)",
         title="(c)",
         ylim=(0, 1.5 * study["min_max_worst"].mean(0)[-1]),
     )
     third.legend(ncols=2)
     return figure
+
+
+def _draw_estimates(axes, study: Study, number: int, truth: float):
+    time = np.arange(1, study["bound"].shape[1] + 1)
+    for name, label, colour, style in METHODS:
+        axes.plot(time, study[name][:, number].mean(0), style, color=colour, label=label)
+    axes.axhline(truth, color=figures.GREY, linewidth=2.5, alpha=0.5, zorder=1)
+    axes.set(
+        ylabel=f"estimate of x{number + 1}", title=f"({'ab'[number]})", ylim=_window(study, number, truth)
+    )
 
 
 def _window(study, number, truth):
@@ -56,9 +61,9 @@ def draw_corrections(study: Study):
     figure, axes = figures.new(height=3.0)
     time = np.arange(1, study["bound"].shape[1] + 1)
     axes.plot(time, study["total_matrix"].mean(0), "--", color=figures.RED, label="correction assumed by TLS")
-    axes.plot(time, study["bound"][0], color=figures.BLUE, label="bound η_t = √2 w_max √t")
-    axes.plot(time, study["perturbation"].mean(0), color=figures.BLACK, label="true perturbation")
-    axes.set(xlabel="time, samples", ylabel="2-norm of the perturbation of A")
+    axes.plot(time, study["bound"][0], color=figures.BLUE, label="bound √(2t) × largest input noise")
+    axes.plot(time, study["perturbation"].mean(0), color=figures.GREY, label="true perturbation")
+    axes.set(xlabel="time (samples)", ylabel="2-norm of the perturbation of A")
     axes.legend()
     return figure
 
@@ -90,8 +95,8 @@ def draw_long(study: Study, parameters: tuple[float, ...], least_limit: np.ndarr
         time = np.unique(np.geomspace(len(parameters) + 2, len(values), 150).astype(int))
         axes.loglog(time, values[time - 1], style, color=colour, label=label)
     limit = np.linalg.norm(least_limit - np.asarray(parameters))
-    axes.axhline(limit, color=figures.GREEN, linestyle=":", linewidth=1, label="limit of least squares")
-    axes.set(xlabel="time, samples", ylabel="median |x − estimate|")
+    axes.axhline(limit, color=figures.BLACK, linestyle=":", linewidth=1, label="limit of least squares")
+    axes.set(xlabel="time (samples)", ylabel="median |x − estimate|")
     axes.legend()
     return figure
 
@@ -132,11 +137,11 @@ def draw_wins(cases: list[tuple[tuple[float, ...], int]], against_total, against
     figure, axes = figures.new(height=3.2)
     places = np.arange(len(cases))
     axes.bar(places - 0.2, against_total, 0.38, color=figures.RED, label="min-max beats total least squares")
-    axes.bar(places + 0.2, against_least, 0.38, color=figures.GREEN, label="min-max beats least squares")
+    axes.bar(places + 0.2, against_least, 0.38, color=figures.BLACK, label="min-max beats least squares")
     names = [f"({', '.join(f'{p:g}' for p in parameters)})\n{period}" for parameters, period in cases]
     axes.set_xticks(places, names)
     axes.set(
-        xlabel="true parameters, and period of the square wave in samples",
+        xlabel="true parameters, and period of the square wave (samples)",
         ylabel="share of experiments",
         ylim=(0, 1.25),
     )
@@ -145,10 +150,15 @@ def draw_wins(cases: list[tuple[tuple[float, ...], int]], against_total, against
 
 
 def explore_fig_1(period: int, input_noise: float, output_noise: float, second: float, seed: int = 1):
-    """Fig. 1 with other unpublished choices: period, noise amplitudes, second parameter."""
+    """Estimates of Fig. 1 with other unpublished choices: period, noise amplitudes, second parameter."""
     parameters = (1.0, second)
     study = run_study(
         fir_trial, 10, seed, progress=False, parameters=parameters, period=int(period), samples=200,
         input_noise=input_noise, output_noise=output_noise,
     )  # fmt: skip
-    return draw_fig_1(study, parameters)
+    figure, panels = figures.new(1, 2, height=3.2)
+    for number, (axes, truth) in enumerate(zip(panels, parameters, strict=True)):
+        _draw_estimates(axes, study, number, truth)
+        axes.set_xlabel("time (samples)")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return figure

@@ -17,7 +17,7 @@ def draw_spectra(pair: MeasuredPair, spectra: dict[str, np.ndarray], quiet_hz: t
     upper.loglog(
         pair.band_hz, [level, level], color=figures.BLACK, label="sensor noise taken, over the pass band"
     )
-    upper.set(ylabel="density, (m/s²)²/Hz")
+    upper.set(ylabel="density ((m/s²)²/Hz)")
     upper.legend()
     lower.semilogx(
         frequency, spectra["coherence"][shown], linewidth=0.8, color=figures.GREEN, label="coherence"
@@ -25,7 +25,7 @@ def draw_spectra(pair: MeasuredPair, spectra: dict[str, np.ndarray], quiet_hz: t
     lower.axvspan(
         *quiet_hz, color=figures.GREY, alpha=0.25, linewidth=0, label="band where the noise is read"
     )
-    lower.set(xlabel="frequency, Hz", ylabel="coherence", ylim=(0, 1))
+    lower.set(xlabel="frequency (Hz)", ylabel="coherence", ylim=(0, 1))
     lower.legend(loc="upper left")
     return figure
 
@@ -48,9 +48,9 @@ def draw_windows(lengths: list[int], found: dict[str, list[np.ndarray]]):
             label=name,
             capsize=2,
         )
-    axes.axhline(1, color=figures.BLACK, linewidth=0.8)
+    axes.axhline(1, color=figures.GREY, linewidth=0.8)
     axes.set(
-        xscale="log", xlabel="training window, samples", ylabel="rms residual / rms output", ylim=(0.4, 1.6)
+        xscale="log", xlabel="training window (samples)", ylabel="rms residual / rms output", ylim=(0.4, 1.6)
     )
     axes.legend(ncols=2)
     return figure
@@ -59,11 +59,11 @@ def draw_windows(lengths: list[int], found: dict[str, list[np.ndarray]]):
 def draw_tracking(memories: list[int], found: dict[str, np.ndarray]):
     """One-step prediction error of the recursive estimators against their memory."""
     figure, axes = figures.new(height=3.0)
-    colours = {"RLS": figures.RED, "ridge": figures.GREEN, "min-max, typical bound": figures.BLUE}
+    colours = {"RLS": figures.BLACK, "ridge": figures.GREEN, "min-max, typical bound": figures.BLUE}
     for name, values in found.items():
         axes.semilogx(memories, values, "o-", markersize=4, color=colours[name], label=name)
-    axes.axhline(1, color=figures.BLACK, linewidth=0.8)
-    axes.set(xlabel="memory 1 / (1 − λ), samples", ylabel="rms error / rms output", ylim=(0.4, 1.1))
+    axes.axhline(1, color=figures.GREY, linewidth=0.8)
+    axes.set(xlabel="memory 1 / (1 − λ) (samples)", ylabel="rms error / rms output", ylim=(0.4, 1.1))
     axes.legend()
     return figure
 

@@ -8,7 +8,7 @@ from stillwork.worstcase.experiments import FIG_2_PARAMETERS, path, settled, tra
 
 METHODS = (
     ("min_max", "min-max", figures.BLUE, "-"),
-    ("rls", "RLS", figures.RED, "--"),
+    ("rls", "RLS", figures.BLACK, "--"),
     ("ridge", "ridge, constant penalty", figures.GREEN, "-"),
     ("zero", "zero estimate", figures.GREY, ":"),
 )
@@ -28,7 +28,7 @@ def draw_fig_2(studies: dict[str, Study]):
         top = 2.2 * study["zero"].mean()
         axes.set(ylabel="mean |x − estimate|", title=title, ylim=(0, top))
     panels[0, 0].legend(ncols=4)
-    panels[-1, 0].set_xlabel("time, samples")
+    panels[-1, 0].set_xlabel("time (samples)")
     return figure
 
 
@@ -51,7 +51,7 @@ def draw_gains(found: dict[str, dict[str, tuple[float, tuple[float, float]]]]):
         ends = np.array([row[name][1] for row in found.values()])
         error = np.abs(ends.T - means)
         axes.errorbar(means, places + offset, xerr=error, fmt="o", markersize=4, color=colour, label=label)
-    axes.axvline(1, color=figures.RED, linestyle="--", linewidth=1, label="RLS")
+    axes.axvline(1, color=figures.BLACK, linestyle="--", linewidth=1, label="RLS")
     axes.set_xscale("log")
     axes.set_xticks([0.7, 1, 1.5, 2, 4, 8, 16], ["0.7", "1", "1.5", "2", "4", "8", "16"])
     axes.minorticks_off()
@@ -93,8 +93,8 @@ def draw_win_map(
     axes.set(
         xscale="log",
         yscale="log",
-        xlabel="output noise, standard deviation",
-        ylabel="bound η, unit of the regressors",
+        xlabel="standard deviation of the output noise (unit of b)",
+        ylabel="bound η (unit of the regressors)",
     )
     bar = figure.colorbar(
         mesh, ax=axes, label="error over that of RLS", extend="both", ticks=[-2, -1, 0, 1, 2]

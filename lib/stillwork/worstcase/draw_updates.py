@@ -11,11 +11,11 @@ from stillwork.worstcase.theory import recursion_trial
 
 COLOURS = {
     "least squares": figures.BLACK,
-    "ridge": figures.GREY,
+    "ridge": figures.GREEN,
     "approximate": figures.BLUE,
-    "exact": figures.RED,
-    "fast": figures.GREEN,
-    "SOCP": figures.PURPLE,
+    "exact": figures.ORANGE,
+    "fast": figures.PURPLE,
+    "SOCP": figures.GREY,
 }
 
 
@@ -35,7 +35,7 @@ def draw_exactness(found: dict[str, np.ndarray]):
     axes.plot(
         time[4::8], found["size_fast"][4::8], "x", markersize=4, color=COLOURS["fast"], label="fast recursion"
     )
-    axes.set(xlabel="time, samples", ylabel="|x|")
+    axes.set(xlabel="time (samples)", ylabel="|x|")
     axes.legend()
     return figure
 
@@ -58,8 +58,8 @@ def draw_accuracy(records: dict[str, dict[str, np.ndarray]]):
         left.set_ylim(bottom=1e-10)
         right.set_ylim(bottom=1e-10)
     for axes in grid[-1]:
-        axes.set_xlabel("time, samples")
-    grid[0, 0].legend(ncols=3, loc="lower center")
+        axes.set_xlabel("time (samples)")
+    figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
 
 
@@ -106,7 +106,7 @@ def draw_times(times: dict[str, np.ndarray]):
     }
     for name, (kind, style) in styles.items():
         axes.loglog(times["unknowns"], times[name], style, markersize=3, color=COLOURS[kind], label=name)
-    axes.set(xlabel="number of unknowns n", ylabel="microseconds an update")
+    axes.set(xlabel="number of unknowns n", ylabel="time an update (µs)")
     axes.legend(ncols=2)
     return figure
 

@@ -16,8 +16,8 @@ from stillwork.worstcase.regressors import fir_regressors, noise_bound
 from stillwork.worstcase.total import total_least_squares
 
 METHODS = (
-    ("least squares", figures.RED, "o--"),
-    ("total least squares", figures.ORANGE, "v--"),
+    ("least squares", figures.BLACK, "o--"),
+    ("total least squares", figures.RED, "v--"),
     ("ridge", figures.GREEN, "s-"),
     ("min-max, typical bound", figures.BLUE, "o-"),
     ("min-max, guaranteed bound", figures.PURPLE, "^-"),

@@ -1,0 +1,209 @@
+"""Modal models: decoupled modes, from mass and stiffness matrices, to and from state space."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Complex128, Float64
+from numpy.typing import ArrayLike
+from scipy import linalg
+
+from stillwork.checks import InputError, require_array, require_choice
+from stillwork.lti.state_space import StateModel
+
+
+@dataclass(frozen=True)
+class ModalModel:
+    r"""Decoupled modes :math:`\ddot\eta_i + 2\zeta_i\omega_i\dot\eta_i + \omega_i^2\eta_i = \phi_{ai}^T f`.
+
+    The output is :math:`y = \sum_i \phi_{si}\eta_i + D f`, or its velocity counterpart with
+    :math:`\dot\eta_i`. A rigid-body mode has zero frequency and zero damping.
+    """
+
+    frequencies: Float64[np.ndarray, " modes"]  # omega_i, rad/s, ascending
+    damping: Float64[np.ndarray, " modes"]  # zeta_i
+    input_shapes: Float64[np.ndarray, "modes inputs"]  # phi_a, mass-normalised
+    output_shapes: Float64[np.ndarray, "outputs modes"]  # phi_s
+    feedthrough: Float64[np.ndarray, "outputs inputs"]  # compliance T_DC
+    measures: str = "position"
+
+    def __post_init__(self):
+        for name in ("frequencies", "damping", "input_shapes", "output_shapes", "feedthrough"):
+            object.__setattr__(self, name, require_array(name, getattr(self, name)))
+        n = len(self.frequencies)
+        if self.input_shapes.shape[0] != n or self.output_shapes.shape[1] != n or self.damping.shape != (n,):
+            raise InputError(f"shapes and damping do not fit {n} frequencies; give one of each a mode")
+        if np.any(self.frequencies < 0) or np.any(np.diff(self.frequencies) < 0):
+            raise InputError("frequencies must be ascending and not negative, in rad/s")
+        if np.any(self.damping < 0) or np.any(self.damping >= 1):
+            raise InputError("damping must be at least 0 and below 1 (ratio to critical)")
+        if np.any(self.damping[self.frequencies == 0] != 0):
+            raise InputError("damping of a mode of zero frequency must be 0: its ratio has no meaning")
+        require_choice("measures", self.measures, ("position", "velocity"))
+
+    @property
+    def rigid_modes(self) -> int:
+        """Number of modes of zero frequency."""
+        return int(np.count_nonzero(self.frequencies == 0))
+
+    @property
+    def poles(self) -> Complex128[np.ndarray, " poles"]:
+        """Both poles of every mode."""
+        w, z = self.frequencies, self.damping
+        upper = w * (-z + 1j * np.sqrt(1 - z**2))
+        return np.concatenate([upper, upper.conj()])
+
+    def modes(self, chosen: Sequence[int] | slice) -> "ModalModel":
+        """Keep only these modes (and the feedthrough)."""
+        return replace(
+            self,
+            frequencies=self.frequencies[chosen],
+            damping=self.damping[chosen],
+            input_shapes=self.input_shapes[chosen],
+            output_shapes=self.output_shapes[:, chosen],
+        )
+
+    def at(self, inputs: Sequence[int], outputs: Sequence[int]) -> "ModalModel":
+        """Keep only these inputs and outputs: actuators and sensors at other places."""
+        return replace(
+            self,
+            input_shapes=self.input_shapes[:, list(inputs)],
+            output_shapes=self.output_shapes[list(outputs)],
+            feedthrough=self.feedthrough[np.ix_(list(outputs), list(inputs))],
+        )
+
+    def compliance(self) -> Float64[np.ndarray, "outputs inputs"]:
+        """Static gain of the flexible modes, eq. (2.13) of the observer thesis (m/N)."""
+        flexible = self.frequencies > 0
+        gains = self.input_shapes[flexible] / self.frequencies[flexible, None] ** 2
+        return self.output_shapes[:, flexible] @ gains
+
+    def frequency_response(self, omega: ArrayLike) -> Complex128[np.ndarray, "outputs inputs frequencies"]:
+        """Response at `omega` (rad/s) from the closed-form residues of each mode."""
+        omega = require_array("omega", omega, ndim=1)
+        if self.rigid_modes and np.any(omega == 0):
+            raise InputError("omega holds 0, where a rigid-body mode has no finite response; leave it out")
+        w, z = self.frequencies[:, None], self.damping[:, None]
+        modal = 1 / ((w - omega) * (w + omega) + 2j * z * w * omega)
+        if self.measures == "velocity":
+            modal = modal * (1j * omega)
+        residues = self.output_shapes[:, None, :] * self.input_shapes.T[None]
+        return residues @ modal + self.feedthrough[:, :, None]
+
+    def state_space(self, form: int = 1) -> StateModel:
+        """State-space model of form 1 (states grouped by mode, (2.9)) or 2 (positions, then velocities, (2.6))."""
+        require_choice("form", str(form), ("1", "2"))
+        n = len(self.frequencies)
+        a, b = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, self.input_shapes.shape[1]))
+        c = np.zeros((len(self.output_shapes), 2 * n))
+        position, velocity = _places(n, form)
+        a[position, velocity] = 1
+        a[velocity, position] = -(self.frequencies**2)
+        a[velocity, velocity] = -2 * self.damping * self.frequencies
+        b[velocity] = self.input_shapes
+        c[:, position if self.measures == "position" else velocity] = self.output_shapes
+        return StateModel(a, b, c, self.feedthrough)
+
+    def to_control(self):
+        """The same model as `control.StateSpace`, in form 1."""
+        return self.state_space().to_control()
+
+
+def _places(modes: int, form: int) -> tuple[np.ndarray, np.ndarray]:
+    """Indices of the modal positions and of the modal velocities in the state."""
+    if form == 1:
+        return np.arange(0, 2 * modes, 2), np.arange(1, 2 * modes, 2)
+    return np.arange(modes), np.arange(modes, 2 * modes)
+
+
+def from_state_space(model: StateModel, form: int = 1) -> ModalModel:
+    """Read the modal parameters back from a state-space model of form 1 or 2.
+
+    Raises
+    ------
+    InputError
+        When the matrices do not have the structure of that form.
+    """
+    require_choice("form", str(form), ("1", "2"))
+    position, velocity = _places(len(model.a) // 2, form)
+    if len(model.a) % 2:
+        raise InputError(f"model has {len(model.a)} states; a modal form has two a mode")
+    w = np.sqrt(np.abs(model.a[velocity, position]))
+    rate = -model.a[velocity, velocity]
+    measures = "velocity" if np.any(model.c[:, velocity]) else "position"
+    read = ModalModel(
+        w,
+        np.divide(rate, 2 * w, out=np.zeros_like(w), where=w > 0),
+        model.b[velocity],
+        model.c[:, velocity if measures == "velocity" else position],
+        model.d,
+        measures,
+    )
+    built = read.state_space(form)
+    for name in "abc":
+        if not np.allclose(getattr(built, name), getattr(model, name), rtol=1e-12, atol=0):
+            raise InputError(
+                f"{name} does not have the structure of modal form {form}; use modal_model on M and K"
+            )
+    return read
+
+
+def modal_model(
+    mass: ArrayLike,
+    stiffness: ArrayLike,
+    input_map: ArrayLike,
+    output_map: ArrayLike,
+    damping_ratio: float | ArrayLike = 0.0,
+    damping_matrix: ArrayLike | None = None,
+) -> ModalModel:
+    r"""Modal model of :math:`M\ddot q + D\dot q + Kq = S_a f,\; y = S_s q`, (2.1)-(2.5) of the observer thesis.
+
+    Parameters
+    ----------
+    mass, stiffness : array_like, shape (nodes, nodes)
+        Symmetric, kg and N/m; the mass matrix positive definite.
+    input_map : array_like, shape (nodes, inputs)
+    output_map : array_like, shape (outputs, nodes)
+    damping_ratio : float or array_like, shape (modes,)
+        Modal damping of the flexible modes; used when there is no `damping_matrix`.
+    damping_matrix : array_like, shape (nodes, nodes), optional
+        Damping that the mode shapes decouple (proportional damping), N s/m.
+
+    Raises
+    ------
+    InputError
+        When M or K is not symmetric or not (semi)definite, or the damping does not decouple.
+    """
+    mass = require_array("mass", mass, ndim=2)
+    n = len(mass)
+    stiffness = require_array("stiffness", stiffness, shape=(n, n))
+    for name, matrix in (("mass", mass), ("stiffness", stiffness)):
+        if matrix.shape != (n, n) or not np.allclose(matrix, matrix.T, rtol=1e-12, atol=0):
+            raise InputError(f"{name} is not symmetric; give a symmetric {n} x {n} matrix")
+    try:
+        squares, shapes = linalg.eigh(stiffness, mass)
+    except linalg.LinAlgError:
+        raise InputError("mass is not positive definite; every degree of freedom needs mass") from None
+    # A rigid-body mode comes out at rounding level; 1e-10 of the largest is far above that and far below a mode.
+    floor = 1e-10 * max(squares[-1], 0)
+    if squares[0] < -floor:
+        raise InputError("stiffness has a negative eigenvalue; a structure needs a semidefinite matrix")
+    w = np.sqrt(np.where(squares > floor, squares, 0))
+    if damping_matrix is None:
+        ratio = np.broadcast_to(require_array("damping_ratio", damping_ratio), (n,))
+        ratio = np.where(w > 0, ratio, 0.0)
+    else:
+        modal = shapes.T @ require_array("damping_matrix", damping_matrix, shape=(n, n)) @ shapes
+        rest = np.abs(modal - np.diag(np.diag(modal))).max()
+        if rest > 1e-8 * np.abs(modal).max() or np.any(
+            np.abs(np.diag(modal)[w == 0]) > 1e-8 * np.abs(modal).max()
+        ):
+            raise InputError(
+                "damping_matrix does not decouple in the mode shapes; give damping_ratio instead"
+            )
+        ratio = np.divide(np.diag(modal), 2 * w, out=np.zeros(n), where=w > 0)
+    input_map = require_array("input_map", input_map, shape=(n, None))
+    output_map = require_array("output_map", output_map, shape=(None, n))
+    return ModalModel(
+        w, ratio, shapes.T @ input_map, output_map @ shapes, np.zeros((len(output_map), input_map.shape[1]))
+    )

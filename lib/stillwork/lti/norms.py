@@ -1,0 +1,80 @@
+"""H2 and H-infinity norms of continuous models."""
+
+import numpy as np
+from scipy import linalg
+
+from stillwork.checks import InputError
+from stillwork.lti.peaks import Peak
+from stillwork.lti.state_space import StateModel
+
+
+def hinf_norm(model: StateModel, tolerance: float = 1e-10) -> Peak:
+    """H-infinity norm of a stable continuous model, and its frequency, by the eigenvalues of a Hamiltonian.
+
+    No frequency grid: a level is exceeded exactly when the Hamiltonian has imaginary eigenvalues there
+    (Boyd and Balakrishnan; Bruinsma and Steinbuch).
+    """
+    if model.step or not model.is_stable:
+        raise InputError("model must be stable and in continuous time for this norm")
+    rate = np.abs(model.poles).max()
+    a, (scale, _) = linalg.matrix_balance(model.a / rate, permute=False, separate=True)
+    b, c, d = model.b / scale[:, None] / rate, model.c * scale, model.d
+    size = np.sqrt(np.linalg.norm(b) / np.linalg.norm(c)) if np.any(b) and np.any(c) else 1.0
+    scaled = StateModel(a, b / size, c * size, d)
+
+    def gains(omega: np.ndarray) -> np.ndarray:
+        return np.linalg.norm(np.moveaxis(scaled.frequency_response(omega), -1, 0), ord=2, axis=(1, 2))
+
+    start = np.concatenate([[0.0], np.abs(scaled.poles), np.abs(scaled.poles.imag)])
+    values = gains(start)
+    level, where = max(values.max(), np.linalg.norm(d, 2)), start[values.argmax()]
+    for _ in range(60):
+        raised = (1 + 2 * tolerance) * level
+        crossings = _crossings(scaled, raised)
+        if len(crossings) < 2:
+            break
+        middle = (
+            np.sqrt(crossings[:-1] * crossings[1:])
+            if crossings[0] > 0
+            else (crossings[:-1] + crossings[1:]) / 2
+        )
+        values = gains(middle)
+        if values.max() <= raised:
+            break
+        level, where = values.max(), middle[values.argmax()]
+    return Peak(float(level), float(where * rate))
+
+
+def _crossings(model: StateModel, level: float) -> np.ndarray:
+    """Frequencies where a singular value equals `level`: imaginary eigenvalues of the Hamiltonian."""
+    a, b, c, d = model.a, model.b, model.c, model.d
+    r = level**2 * np.eye(d.shape[1]) - d.T @ d
+    feed = np.linalg.solve(r, d.T @ c)
+    upper = a + b @ feed
+    q = c.T @ (c + d @ feed)
+    hamiltonian = np.block([[upper, b @ np.linalg.solve(r, b.T)], [-q, -upper.T]])
+    values = linalg.eigvals(hamiltonian)
+    imaginary = np.abs(values.real) < 1e-8 * np.maximum(np.abs(values), 1e-8)
+    return np.unique(np.abs(values[imaginary].imag))
+
+
+def h2_norm(model: StateModel) -> float:
+    """H2 norm of a stable, strictly proper continuous model: a balanced Lyapunov equation, residual checked.
+
+    Raises
+    ------
+    InputError
+        When the model is unstable, has feedthrough, or the equation is too ill-conditioned to trust.
+    """
+    if model.step or not model.is_stable or np.any(model.d):
+        raise InputError("model must be stable, strictly proper and in continuous time for this norm")
+    rate = np.abs(model.poles).max()
+    a, (scale, _) = linalg.matrix_balance(model.a / rate, permute=False, separate=True)
+    b, c = model.b / scale[:, None] / np.sqrt(rate), model.c * scale
+    gramian = linalg.solve_continuous_lyapunov(a, -b @ b.T)
+    residual = np.abs(a @ gramian + gramian @ a.T + b @ b.T).max() / np.abs(b @ b.T).max()
+    if residual > 1e-6:
+        raise InputError(
+            f"the Lyapunov equation left a relative residual of {residual:.1e}; rescale the model"
+        )
+    return float(np.sqrt(np.trace(c @ gramian @ c.T)))

@@ -1,0 +1,69 @@
+"""Frequency grids that see lightly damped modes, and peaks between their points."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import ArrayLike
+
+from stillwork.checks import require_count, require_number
+
+
+def resonance_grid(
+    poles: ArrayLike, low_hz: float, high_hz: float, points: int = 600, around: int = 40
+) -> Float64[np.ndarray, " frequencies"]:
+    """Frequencies (rad/s): logarithmic, and `around` more on either side of every pole, dense at its width.
+
+    A logarithmic grid alone (`around` = 0) steps over the peaks of lightly damped modes.
+    """
+    require_number("low_hz", low_hz, above=0.0)
+    require_number("high_hz", high_hz, above=low_hz)
+    require_count("points", points, at_least=2)
+    require_count("around", around, at_least=0)
+    poles = np.atleast_1d(np.asarray(poles, dtype=complex))
+    centre = np.unique(np.abs(poles[np.abs(poles) > 0]))
+    pole = poles[np.abs(poles) > 0][np.unique(np.abs(poles[np.abs(poles) > 0]), return_index=True)[1]]
+    width = np.maximum(np.abs(pole.real), 1e-7 * centre)
+    reach = np.arcsinh(0.5 * centre / width)
+    steps = np.linspace(-1, 1, 2 * around + 1) if around else np.zeros(0)
+    offsets = width[:, None] * np.sinh(reach[:, None] * steps)
+    low, high = 2 * np.pi * low_hz, 2 * np.pi * high_hz
+    every = np.concatenate([np.geomspace(low, high, points), (centre[:, None] + offsets).ravel()])
+    return np.unique(every[(every >= low) & (every <= high)])
+
+
+class Peak(NamedTuple):
+    """The largest magnitude of a frequency response."""
+
+    magnitude: float
+    omega: float  # rad/s
+
+
+def refine_peak(
+    response: Callable[[np.ndarray], np.ndarray], omega: np.ndarray, magnitude: np.ndarray, near: float = 0.7
+) -> Peak:
+    """Peak of ``abs(response(omega))`` between grid points: zoom into every local maximum that could win.
+
+    Parameters
+    ----------
+    response : callable
+        Returns the complex (or real) response on an array of frequencies in rad/s.
+    omega, magnitude : ndarray, shape (frequencies,)
+        Grid and the magnitudes on it.
+    near : float
+        Local maxima above this part of the largest are refined.
+    """
+    last = len(omega) - 1
+    inner = (magnitude[1:-1] >= magnitude[:-2]) & (magnitude[1:-1] >= magnitude[2:])
+    places = np.concatenate([[0], 1 + np.flatnonzero(inner), [last]])
+    places = places[magnitude[places] >= near * magnitude.max()]
+    low, high = omega[np.maximum(places - 1, 0)], omega[np.minimum(places + 1, last)]
+    rows = np.arange(len(places))
+    for _ in range(5):  # each round shrinks the bracket by 4: a thousand times in all
+        grid = np.linspace(low, high, 9, axis=1)
+        values = np.abs(response(grid.ravel())).reshape(grid.shape)
+        best = values.argmax(axis=1)
+        low, high = grid[rows, np.maximum(best - 1, 0)], grid[rows, np.minimum(best + 1, 8)]
+    winner = values.max(axis=1).argmax()
+    return Peak(float(values[winner].max()), float(grid[winner, best[winner]]))

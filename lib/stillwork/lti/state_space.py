@@ -1,0 +1,158 @@
+"""State-space models, their responses, and their interconnection."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Complex128, Float64
+from numpy.typing import ArrayLike
+from scipy import linalg
+
+from stillwork.checks import InputError, require_array, require_number
+
+# Above this condition of the eigenvectors, residues would lose more than half of the digits.
+WORST_CONDITION = 1e6
+
+
+@dataclass(frozen=True)
+class StateModel:
+    r"""Model :math:`\dot x = Ax + Bu,\; y = Cx + Du`, or :math:`x_{k+1} = Ax_k + Bu_k` when `step` > 0."""
+
+    a: Float64[np.ndarray, "states states"]
+    b: Float64[np.ndarray, "states inputs"]
+    c: Float64[np.ndarray, "outputs states"]
+    d: Float64[np.ndarray, "outputs inputs"]
+    step: float = 0.0  # s, sample time; 0: continuous time
+
+    def __post_init__(self):
+        for name in "abcd":
+            object.__setattr__(self, name, require_array(name, getattr(self, name), ndim=2))
+        n, (outputs, inputs) = len(self.a), self.d.shape
+        if self.a.shape != (n, n) or self.b.shape != (n, inputs) or self.c.shape != (outputs, n):
+            shapes = ", ".join(str(getattr(self, name).shape) for name in "abcd")
+            raise InputError(f"a, b, c, d have shapes {shapes}, which do not fit together")
+        require_number("step", self.step, at_least=0.0)
+
+    @property
+    def poles(self) -> Complex128[np.ndarray, " states"]:
+        """Eigenvalues of A, computed on a balanced matrix."""
+        return linalg.eigvals(self.a).astype(complex) if len(self.a) else np.zeros(0, complex)
+
+    @property
+    def is_stable(self) -> bool:
+        """Whether every pole lies strictly inside the stability region."""
+        if self.step:
+            return bool(np.all(np.abs(self.poles) < 1))
+        return bool(np.all(self.poles.real < 0))
+
+    @property
+    def zeros(self) -> Complex128[np.ndarray, " zeros"]:
+        """Finite invariant zeros of a square model, from a balanced pencil."""
+        if len(self.c) != self.b.shape[1]:
+            raise InputError("model is not square; its zeros need as many inputs as outputs")
+        rate = np.linalg.norm(linalg.matrix_balance(self.a, permute=False)[0])
+        n = len(self.a)
+        whole = np.block([[self.a / rate, self.b / rate], [self.c, self.d]])
+        whole, _ = linalg.matrix_balance(whole, permute=False, separate=True)
+        mass = np.zeros_like(whole)
+        mass[:n, :n] = np.eye(n)
+        values = linalg.eig(whole, mass, right=False, homogeneous_eigvals=True)
+        finite = np.abs(values[1]) > 1e-10 * np.abs(values[0])
+        return (rate * values[0][finite] / values[1][finite]).astype(complex)
+
+    def select(self, inputs: Sequence[int], outputs: Sequence[int]) -> "StateModel":
+        """Keep only these inputs and outputs."""
+        i, o = list(inputs), list(outputs)
+        return StateModel(self.a, self.b[:, i], self.c[o], self.d[np.ix_(o, i)], self.step)
+
+    def frequency_response(self, omega: ArrayLike) -> Complex128[np.ndarray, "outputs inputs frequencies"]:
+        """Response at `omega` (rad/s): by residues, or by solving where the eigenvectors are too skew."""
+        omega = require_array("omega", omega, ndim=1)
+        point = np.exp(1j * omega * self.step) if self.step else 1j * omega
+        response = np.repeat(self.d[:, :, None].astype(complex), len(omega), axis=2)
+        if not len(self.a):
+            return response
+        poles, residues = self._residues
+        if residues is not None:
+            return response + residues @ (1 / (point[None, :] - poles[:, None]))
+        scale, a, _, _ = self._decomposed
+        b, c = self.b / scale[:, None], self.c * scale
+        shifted = point[:, None, None] * np.eye(len(a)) - a
+        return response + np.moveaxis(c @ np.linalg.solve(shifted, b[None].astype(complex)), 0, -1)
+
+    @cached_property
+    def _decomposed(self):
+        """Scale that balances A, the balanced A, its poles, and its eigenvectors where they are not too skew."""
+        a, (scale, _) = linalg.matrix_balance(self.a, permute=False, separate=True)
+        poles, vectors = linalg.eig(a)
+        skew = np.linalg.cond(vectors) > WORST_CONDITION
+        return scale, a, poles.astype(complex), None if skew else vectors.astype(complex)
+
+    @cached_property
+    def _residues(self):
+        """Poles, and the residue of every pole where the eigenvectors allow it."""
+        scale, _, poles, vectors = self._decomposed
+        if vectors is None:
+            return poles, None
+        right = linalg.solve(vectors, self.b / scale[:, None])
+        return poles, ((self.c * scale) @ vectors)[:, None, :] * right.T[None]
+
+    @cached_property
+    def _recursion(self):
+        """Poles, drive and read-out of the decoupled recursion, one of each conjugate pair, real and imaginary."""
+        scale, _, poles, vectors = self._decomposed
+        one = poles.imag >= 0  # a pair contributes twice the real part of one of them
+        twice = np.where(poles[one].imag > 0, 2.0, 1.0)
+        left = linalg.inv(vectors)[one]
+        parts = [
+            poles[one],
+            (left @ (self.b / scale[:, None])).T,
+            ((self.c * scale) @ vectors[:, one]) * twice,
+        ]
+        return left / scale, [np.ascontiguousarray(half) for part in parts for half in (part.real, part.imag)]
+
+    def to_control(self):
+        """The same model as `control.StateSpace`."""
+        import control
+
+        return control.StateSpace(self.a, self.b, self.c, self.d, self.step or 0)
+
+
+def from_control(system) -> StateModel:
+    """Take a `control.StateSpace`; a system with an unspecified sample time is refused."""
+    if system.dt is None or system.dt is True:
+        raise InputError("system.dt is unspecified; give 0 for continuous time or the sample time in s")
+    matrices = (np.array(m, dtype=float, ndmin=2) for m in (system.A, system.B, system.C, system.D))
+    return StateModel(*matrices, step=float(system.dt))
+
+
+def interconnect(
+    models: Sequence[StateModel],
+    feedback: Float64[np.ndarray, "all_inputs all_outputs"],
+    inputs: Float64[np.ndarray, "all_inputs external"],
+    outputs: Float64[np.ndarray, "wanted all_outputs"],
+    direct: Float64[np.ndarray, "wanted external"] | None = None,
+) -> StateModel:
+    r"""Connect models by :math:`u = Fy + Gr`, and read :math:`z = Hy + Jr`; u and y are all of theirs, stacked.
+
+    Raises
+    ------
+    InputError
+        When the sample times differ or a loop without dynamics has no unique solution.
+    """
+    if len({model.step for model in models}) != 1:
+        raise InputError("models have different sample times; discretise them with the same step first")
+    a, b, c, d = (linalg.block_diag(*(getattr(model, name) for model in models)) for name in "abcd")
+    loop = np.eye(len(d)) - d @ feedback
+    if np.linalg.cond(loop) > 1e12:
+        raise InputError("the loop has direct feedthrough all around with gain 1; it has no unique solution")
+    c, d_in = np.linalg.solve(loop, c), np.linalg.solve(loop, d @ inputs)  # y = C x + D_in r
+    direct = np.zeros((len(outputs), inputs.shape[1])) if direct is None else direct
+    return StateModel(
+        a + b @ feedback @ c,
+        b @ (inputs + feedback @ d_in),
+        outputs @ c,
+        outputs @ d_in + direct,
+        models[0].step,
+    )
