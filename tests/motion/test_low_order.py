@@ -42,7 +42,7 @@ def test_without_filters_it_is_the_fit_of_the_four_gains(grown):
     fitted = fit_feedforward(DIRECT, SETPOINT)
     np.testing.assert_allclose(grown[0].gains.gains, fitted.gains, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(
-        grown[0].error(DIRECT, SETPOINT), tracking_error(DIRECT, SETPOINT, fitted), atol=1e-15
+        grown[0].error(DIRECT, SETPOINT), tracking_error(DIRECT, SETPOINT, fitted), atol=1e-13
     )
 
 

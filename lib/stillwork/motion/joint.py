@@ -7,7 +7,7 @@ rules, is free here at once.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -114,6 +114,17 @@ SLOW = np.array(
 )  # parts of the bandwidth at which the loops are looked at, itself last
 
 
+@cache
+def _observed() -> ModalModel:
+    """What the observers know: the retained modes of the nominal stage, and what the others add at rest."""
+    return truncate(stage(), RETAINED, COMPENSATED)
+
+
+@lru_cache(maxsize=4)  # on many stages the observers stay the same
+def _gains(process: float, noise_model: float) -> np.ndarray:
+    return kalman_gains(_observed(), JointDesign(process=process).noise, noise_model)
+
+
 class SearchedLoops(NamedTuple):
     """What a search wants to know of the loops of one design; axes: plants, masses, frequencies."""
 
@@ -134,7 +145,7 @@ class StageResponses:
         """Prepare the frequencies (rad/s) and the plants that one design must serve; by default the nominal stage."""
         self.omega = require_array("omega", omega, ndim=1)
         self.plants = tuple(plants) or (stage(),)
-        self._reduced = truncate(stage(), RETAINED, COMPENSATED)
+        self._reduced = _observed()
         self.rows = len(self.plants) * len(self._reduced.output_shapes)  # loops
         self._plants, self._modal = self._prepare(self.omega)
         self._last = (None, None)
@@ -165,7 +176,7 @@ class StageResponses:
         """Gains of the observers and their estimates on the grid; from the last call where only others moved."""
         key = process, noise_model
         if key != self._last[0]:
-            gain = kalman_gains(self._reduced, JointDesign(process=process).noise, noise_model)
+            gain = _gains(process, noise_model)
             self._last = key, (gain, self._estimates(gain, self.omega, self._modal))
         return self._last[1]
 
@@ -240,3 +251,9 @@ def published_softness() -> Float64[np.ndarray, " slow"]:
     """Softness of the published design against slow forces, at parts of its own bandwidth; the softest mass."""
     found = StageResponses(np.array([1.0])).loops(PUBLISHED)
     return found.softness.max(axis=(0, 1))
+
+
+def relative_softness(design: JointDesign) -> Float64[np.ndarray, " slow"]:
+    """Softness of the softest mass over that of the published design; the constraint allows 1."""
+    found = StageResponses(np.array([1.0])).loops(design).softness
+    return found.max(axis=(0, 1)) / published_softness()

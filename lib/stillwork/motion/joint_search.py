@@ -32,6 +32,7 @@ LIMITS = {
 
 RADIUS, SMALLEST_RADIUS = 0.1, 1e-4  # of the region in which the linear program is trusted, in logarithms
 SMALLEST_GAIN = 1e-5  # of bandwidth, relative; a step that brings less ends the search
+CONVERGED = 1e-3  # of bandwidth, relative; a round that brings less, and keeps the limit, ends the search
 MARGIN = 5e-4  # by which the search keeps below the limit, for peaks between its grid points
 PENALTY = 10.0  # a peak 1 % too high costs as much as 10 % of bandwidth
 
@@ -98,7 +99,8 @@ def search(
     limit: float = SIX_DB,
     plants: Sequence[ModalModel] = (),
     steps: int = 60,
-    rounds: int = 3,
+    rounds: int = 20,
+    seen: Sequence[float] = (),
 ) -> Verified:
     """Largest bandwidth with all peaks below `limit` and slow forces rejected as published, from one start.
 
@@ -120,6 +122,8 @@ def search(
         Linear programs at most in a round.
     rounds : int
         Of search and verification, at most.
+    seen : sequence of float
+        Frequencies (rad/s) to look at besides those of `search_grid`.
 
     Raises
     ------
@@ -132,17 +136,25 @@ def search(
     require_count("rounds", rounds)
     if not np.all(stable_on(start, plants or [stage()])):
         raise InputError("start has an unstable loop; lower its bandwidth_hz")
-    omega, counted, design = search_grid(plants), 0, start
-    for k in range(rounds):
-        allowed = limit * (1 - 2**k * MARGIN)
-        design, used = _climb(StageResponses(omega, plants), design, names, allowed, steps)
+    omega, counted, margin = np.union1d(search_grid(plants), seen), 0, MARGIN
+    best, found = None, Verified(start, np.full((1, 1), np.inf), np.empty((1, 1)), np.zeros(1), True)
+    for _ in range(rounds):
+        before = found.design
+        design, used = _climb(StageResponses(omega, plants), before, names, limit * (1 - margin), steps)
         counted += used
         found = verify(design, evaluations=counted)
-        if found.keeps(limit) or not found.stable:
+        if found.keeps(limit):
+            if best is None or found.crossing_hz.min() >= best.crossing_hz.min():
+                best = found
+            if design.bandwidth_hz < before.bandwidth_hz * (1 + CONVERGED):
+                break
+        elif not found.stable:
             break
-        near = found.frequencies[found.peaks > limit]
-        omega = np.unique(np.concatenate([omega, *(near * factor for factor in (0.995, 1.0, 1.005))]))
-    return found
+        else:
+            near = found.frequencies[found.peaks > limit]
+            omega = np.unique(np.concatenate([omega, *(near * factor for factor in (0.995, 1.0, 1.005))]))
+            margin *= 2
+    return replace(best or found, evaluations=counted)
 
 
 def starts(count: int, seed: int) -> list[JointDesign]:
@@ -172,13 +184,23 @@ def plant_peaks(design: JointDesign, plants: Sequence[ModalModel]) -> Float64[np
     """Largest peak over all loops and constraints on every plant; infinite where a loop has an unstable pole.
 
     The observers stay those of the nominal stage. Stability is that of the eigenvalues; the peaks are those of
-    a grid refined around the resonances of every plant, which on damped loops misses less than 0.01 dB.
+    a grid, each looked at again between its neighbours.
     """
-    peaks = []
-    for plant in plants:
-        found = StageResponses(search_grid([plant], 600, 40), [plant]).loops(design).response
-        peaks.append(max(np.abs(getattr(found, name)).max() for name in CHANNELS))
+    peaks = np.array([_largest(design, plant)[0] for plant in plants])
     return np.where(stable_on(design, plants), peaks, np.inf)
+
+
+def _largest(design: JointDesign, plant: ModalModel) -> tuple[float, float]:
+    """Largest peak on a plant and its frequency (rad/s), stable or not."""
+    omega = search_grid([plant], 400, 20)
+    for _ in range(3):
+        response = StageResponses(omega, [plant]).loops(design).response
+        rows = np.abs([getattr(response, name)[0] for name in CHANNELS]).reshape(-1, len(omega))
+        tops = np.unique(rows.argmax(axis=1))
+        found = float(rows.max()), float(omega[rows.max(axis=0).argmax()])
+        ends = omega[np.clip(tops - 1, 0, None)], omega[np.clip(tops + 1, None, len(omega) - 1)]
+        omega = np.unique(np.linspace(*ends, 13))
+    return found
 
 
 def robust_search(
@@ -188,7 +210,7 @@ def robust_search(
     seed: int,
     pool: int = 60,
     worst: int = 4,
-    turns: int = 3,
+    turns: int = 12,
     **settings,
 ) -> Verified:
     """Search for a design that keeps the limit on a pool of perturbed plants, taking in the worst ones in turn.
@@ -206,18 +228,20 @@ def robust_search(
     **settings
         Of `search`.
     """
-    plants = draw_plants(size, pool, seed)
-    served, counted = [stage()], 0
-    design = start
-    chosen = plants[:worst]
+    plants, limit = draw_plants(size, pool, seed), settings.get("limit", SIX_DB)
+    design, counted, served, missed = start, 0, [], []
+    chosen = list(range(worst))
     for _ in range(require_count("turns", turns)):
         served += chosen
-        found = search(design, free, plants=served, rounds=1, **settings)
-        design, counted = found.design, counted + found.evaluations * len(served)
-        peaks = plant_peaks(design, plants)
-        if peaks.max() <= settings.get("limit", SIX_DB):
+        serving = [stage(), *(plants[k] for k in served)]
+        found = search(design, free, plants=serving, rounds=1, seen=missed, **settings)
+        design, counted = found.design, counted + found.evaluations * len(serving)
+        tops = np.array([_largest(design, plant) for plant in plants])
+        over = [int(k) for k in np.argsort(-tops[:, 0]) if tops[k, 0] > limit]
+        if not over:
             break
-        chosen = [plants[k] for k in np.argsort(-peaks)[:worst]]
+        missed += [tops[k, 1] for k in over if k in served]
+        chosen = [k for k in over if k not in served][:worst]
     return replace(found, evaluations=counted)
 
 

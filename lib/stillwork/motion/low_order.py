@@ -12,11 +12,11 @@ import numpy as np
 from jaxtyping import Float64
 
 from stillwork.checks import InputError, require_choice, require_count
-from stillwork.lti import ModalModel, StateModel, interconnect
+from stillwork.lti import ModalModel, StateModel, interconnect, simulate
 from stillwork.motion.loops import INPUTS, OUTPUTS, closed_loop
 from stillwork.motion.performance import rms
 from stillwork.motion.setpoint import Setpoint
-from stillwork.motion.tracking import BASIS, Feedforward, error_loop, fit_feedforward, tracking_error
+from stillwork.motion.tracking import BASIS, Feedforward, error_loop, tracking_error, tracking_model
 from stillwork.motion.uncertainty import draw_errors, perturbed
 
 
@@ -58,22 +58,67 @@ class LowOrder:
 
     def error(self, loop: StateModel, setpoint: Setpoint) -> Float64[np.ndarray, " samples"]:
         """True tracking error over the move (m); `loop` is a `direct_loop`."""
-        error = tracking_error(loop, setpoint, self.gains)
-        bank = [each for pole in self.poles for each in filters(pole)]
-        base = tracking_error(loop, setpoint, Feedforward()) if bank else error
-        for weight, each in zip(self.weights, bank, strict=True):
-            error = error + weight * _filtered(loop, setpoint, each, base)
-        return error
+        return MoveResponses(loop, setpoint).error(self)
 
 
-def _filtered(
-    loop: StateModel, setpoint: Setpoint, each: StateModel, base: Float64[np.ndarray, " samples"]
-) -> Float64[np.ndarray, " samples"]:
-    """Error that the filtered acceleration causes as a force, exactly; `base` is the error without feedforward."""
-    feedback, external = np.zeros((3, 2)), np.zeros((3, 2))
-    feedback[1, 1] = external[0, 0] = external[2, 1] = 1
-    whole = interconnect([loop, each], feedback, external, np.array([[1.0, 0.0]]))
-    return tracking_error(whole, setpoint, Feedforward(acceleration=1.0)) - base
+class MoveResponses:
+    """What a move without feedforward and one unit of every feedforward give: the error is their sum, linear in the gains."""
+
+    def __init__(self, loop: StateModel, setpoint: Setpoint):
+        """Prepare a model from (r, force) to e_true, a `direct_loop` or an `error_loop`, and a move."""
+        self._loop, self._setpoint = loop, setpoint
+        self._filtered: dict[complex, list[np.ndarray]] = {}
+        self.alone = tracking_error(loop, setpoint, Feedforward())
+        # One model for the four derivatives: its inputs are the force and its own derivatives, in each sample.
+        forced = tracking_model(
+            StateModel(loop.a, loop.b[:, ::-1], loop.c, loop.d[:, ::-1]), Feedforward(), setpoint.step
+        )
+        rows = setpoint.derivatives
+        self._direct = {
+            name: simulate(forced, np.vstack([rows[k:], np.zeros_like(rows[:k])]))[0]
+            for k, name in enumerate(BASIS, 1)
+        }
+
+    def direct(self, name: str) -> Float64[np.ndarray, " samples"]:
+        """Error that one unit of a derivative causes as a force."""
+        return self._direct[require_choice("basis", name, BASIS)]
+
+    def filtered(self, pole: complex) -> list[Float64[np.ndarray, " samples"]]:
+        """Errors that the acceleration causes through each of the `filters` of a pole, exactly."""
+        if pole not in self._filtered:
+            feedback, external = np.zeros((3, 2)), np.zeros((3, 2))
+            feedback[1, 1] = external[2, 1] = 1  # the setpoint itself stays out
+            self._filtered[pole] = [
+                tracking_error(
+                    interconnect([self._loop, each], feedback, external, np.array([[1.0, 0.0]])),
+                    self._setpoint,
+                    Feedforward(acceleration=1.0),
+                )
+                for each in filters(pole)
+            ]
+        return self._filtered[pole]
+
+    def error(self, feedforward: LowOrder) -> Float64[np.ndarray, " samples"]:
+        """True tracking error over the move (m)."""
+        gains = [*feedforward.gains.gains, *feedforward.weights]
+        return self.alone + np.array(gains) @ self._columns(BASIS, feedforward.poles)
+
+    def fit(self, poles: tuple[complex, ...] = (), basis: tuple[str, ...] = BASIS) -> LowOrder:
+        """See `fit_low_order`."""
+        if not (basis or poles):
+            raise InputError("basis and poles are empty; give at least one")
+        columns = self._columns(basis, poles)
+        sizes = np.linalg.norm(columns, axis=1)
+        if np.any(sizes == 0):
+            raise InputError("setpoint does not move; the feedforward gains cannot be told apart")
+        gains = np.linalg.lstsq((columns / sizes[:, None]).T, -self.alone, rcond=1e-12)[0] / sizes
+        direct, weights = gains[: len(basis)].tolist(), tuple(gains[len(basis) :].tolist())
+        return LowOrder(Feedforward(**dict(zip(basis, direct, strict=True))), poles, weights)
+
+    def _columns(self, basis, poles) -> Float64[np.ndarray, "gains samples"]:
+        return np.array(
+            [self.direct(name) for name in basis] + [c for pole in poles for c in self.filtered(pole)]
+        )
 
 
 def fit_low_order(
@@ -98,28 +143,7 @@ def fit_low_order(
     """
     if any(pole.real >= 0 or pole.imag < 0 for pole in poles):
         raise InputError("poles must be stable, one of every pair with a positive imaginary part, in rad/s")
-    base, columns = _columns(loop, setpoint, basis)
-    columns += [_filtered(loop, setpoint, each, base) for pole in poles for each in filters(pole)]
-    return _solved(base, columns, basis, tuple(poles))
-
-
-def _columns(loop, setpoint, basis):
-    for name in basis:
-        require_choice("basis", name, BASIS)
-    base = tracking_error(loop, setpoint, Feedforward())
-    return base, [tracking_error(loop, setpoint, Feedforward(**{name: 1.0})) - base for name in basis]
-
-
-def _solved(base, columns, basis, poles) -> LowOrder:
-    if not columns:
-        raise InputError("basis and poles are empty; give at least one")
-    matrix = np.array(columns).T
-    sizes = np.linalg.norm(matrix, axis=0)
-    if np.any(sizes == 0):
-        raise InputError("setpoint does not move; the feedforward gains cannot be told apart")
-    gains = np.linalg.lstsq(matrix / sizes, -base, rcond=1e-12)[0] / sizes
-    direct, weights = gains[: len(basis)].tolist(), tuple(gains[len(basis) :].tolist())
-    return LowOrder(Feedforward(**dict(zip(basis, direct, strict=True))), poles, weights)
+    return MoveResponses(loop, setpoint).fit(tuple(poles), basis)
 
 
 def pick_poles(
@@ -146,29 +170,18 @@ def pick_poles(
         Beginning with the one without filters.
     """
     require_count("order", order, at_least=0)
-    base, columns = _columns(loop, setpoint, basis)
-    answers = {
-        complex(pole): [_filtered(loop, setpoint, f, base) for f in filters(pole)] for pole in candidates
-    }
-    found = [_solved(base, columns, basis, ())]
-    chosen: list[complex] = []
+    responses = MoveResponses(loop, setpoint)
+    found = [responses.fit((), basis)]
     while True:
+        chosen = found[-1].poles
         fitting = [
-            p for p, each in answers.items() if p not in chosen and found[-1].order + len(each) <= order
+            responses.fit((*chosen, pole), basis)
+            for pole in candidates
+            if pole not in chosen and found[-1].order + len(filters(pole)) <= order
         ]
         if not fitting:
             return found
-        residuals = {pole: _residual(base, columns + answers[pole]) for pole in fitting}
-        best = min(residuals, key=residuals.get)
-        columns = columns + answers[best]
-        chosen.append(best)
-        found.append(_solved(base, columns, basis, tuple(chosen)))
-
-
-def _residual(base: np.ndarray, columns: list[np.ndarray]) -> float:
-    matrix = np.array(columns).T
-    matrix = matrix / np.linalg.norm(matrix, axis=0)
-    return float(np.linalg.norm(base - matrix @ np.linalg.lstsq(matrix, base, rcond=1e-12)[0]))
+        found.append(min(fitting, key=lambda each: np.sum(responses.error(each) ** 2)))
 
 
 def perturbed_trial(
@@ -200,13 +213,12 @@ def perturbed_trial(
         Relative error of the flexible modes' parameters; mass and place of the sensor are known.
     """
     loop = closed_loop(perturbed(plant, draw_errors(rng, plant, size)), compensator, controller)
-    direct, hidden = direct_loop(loop), error_loop(loop)
+    direct, hidden = (MoveResponses(each(loop), setpoint) for each in (direct_loop, error_loop))
     found = {
-        "observer copy, kept": tracking_error(hidden, setpoint, copied),
-        "observer copy, tuned": tracking_error(hidden, setpoint, fit_feedforward(hidden, setpoint)),
+        "observer copy, kept": hidden.error(LowOrder(copied)),
+        "observer copy, tuned": hidden.error(hidden.fit()),
     }
     for name, each in candidates.items():
-        basis = tuple(b for b, gain in zip(BASIS, each.gains.gains, strict=True) if gain)
-        found[f"{name}, kept"] = each.error(direct, setpoint)
-        found[f"{name}, tuned"] = fit_low_order(direct, setpoint, each.poles, basis).error(direct, setpoint)
+        found[f"{name}, kept"] = direct.error(each)
+        found[f"{name}, tuned"] = direct.error(direct.fit(each.poles))
     return {name: rms(error[setpoint.scanning]) for name, error in found.items()}

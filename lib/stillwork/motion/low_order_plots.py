@@ -13,6 +13,7 @@ from stillwork.motion.loops import closed_loop
 from stillwork.motion.low_order import LowOrder, copy_poles, direct_loop, pick_poles
 from stillwork.motion.machines import stage, stage_mass
 from stillwork.motion.performance import rms
+from stillwork.motion.plots import CASES
 from stillwork.motion.setpoint import published_setpoint
 from stillwork.motion.tracking import modified_feedforward
 
@@ -36,11 +37,15 @@ def errors_over_order(
     figure, axes = figures.new(1, len(low), height=3.0, sharey=True, squeeze=False)
     for axis, (name, points) in zip(axes[0], low.items(), strict=True):
         states, errors = np.array(points).T
-        axis.semilogy(states, 1e9 * errors, "o-", label="low order")
+        axis.semilogy(states, 1e9 * errors, "o-", color=CASES[name], label="low order")
         axis.semilogy(
-            *np.multiply(copies[name], [1, 1e9])[:, None], "s", color=figures.RED, label="observer copy"
+            *np.multiply(copies[name], [1, 1e9])[:, None],
+            "s",
+            color=figures.BLACK,
+            label="observer copy",
         )
-        figures.mark_published(axis, copies[name][0], published[name])
+        figures.mark_published(axis, copies[name][0], published[name], "published, with noise")
+        axis.xaxis.get_major_locator().set_params(integer=True)
         axis.set_title(f"{name}, redesigned")
         axis.set_xlabel("states of the feedforward (1)")
     axes[0, 0].set_ylabel("rms error in the scan (nm)")
@@ -49,26 +54,26 @@ def errors_over_order(
 
 
 def errors_over_plants(studies: Mapping[str, Mapping[str, np.ndarray]]):
-    """Rms errors over perturbed plants, kept gains beside gains tuned again; one panel a size of the errors."""
+    """Rms errors of MC and AD over perturbed plants, kept gains beside gains tuned again; one panel a size of the errors."""
     from matplotlib.ticker import FixedLocator, NullFormatter, ScalarFormatter
 
-    figure, axes = figures.new(1, len(studies), height=3.4, sharey=True, squeeze=False)
+    figure, axes = figures.new(1, len(studies), height=3.4, sharex=True, sharey=True, squeeze=False)
     for axis, (title, study) in zip(axes[0], studies.items(), strict=True):
         names = list(dict.fromkeys(key.rpartition(",")[0] for key in study))
-        for offset, how, colour in ((0.12, "kept", figures.RED), (-0.12, "tuned", figures.BLUE)):
+        for offset, how, fill in ((0.12, "kept", "white"), (-0.12, "tuned", CASES["MC and AD"])):
             values = [1e9 * np.asarray(study[f"{name}, {how}"]) for name in names]
             low, middle, high = (np.array([np.quantile(v, q) for v in values]) for q in (0.025, 0.5, 0.975))
             rows = np.arange(len(names))[::-1] + offset
-            label = "gains of the nominal plant" if how == "kept" else "gains tuned on each plant"
             axis.errorbar(
                 middle,
                 rows,
                 xerr=[middle - low, high - middle],
                 fmt="o",
                 markersize=4,
+                markerfacecolor=fill,
                 capsize=3,
-                color=colour,
-                label=label,
+                color=CASES["MC and AD"],
+                label="gains of the nominal plant" if how == "kept" else "gains tuned on each plant",
             )
         axis.set_yticks(np.arange(len(names))[::-1], names)
         axis.set_xscale("log")
