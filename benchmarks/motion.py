@@ -4,9 +4,13 @@ Times are processor time of the one thread that works; medians over repeats that
 that a busy machine slows all of them alike. A target in the last column is missed or met; no test asserts it.
 """
 
+import ctypes
 import os
 import platform
+import shutil
+import subprocess
 import sys
+import tempfile
 import time
 import warnings
 from pathlib import Path
@@ -17,16 +21,22 @@ sys.path.insert(0, str(ROOT / "lib"))
 
 import control  # noqa: E402
 import numpy as np  # noqa: E402
-
 from stillwork.lti import simulate  # noqa: E402
+from stillwork.lti import simulate, zoh_modes  # noqa: E402
 from stillwork.motion.bandwidth import SIX_DB  # noqa: E402
+from stillwork.motion.contest import ENTRANTS, contest_trial, prepare  # noqa: E402
 from stillwork.motion.controller import PidFamily  # noqa: E402
 from stillwork.motion.designs import DESIGNS, stage_bandwidth, stage_compensator  # noqa: E402
+from stillwork.motion.filters import TimeVaryingModel, estimate  # noqa: E402
 from stillwork.motion.loops import closed_loop  # noqa: E402
 from stillwork.motion.machines import stage, stage_mass  # noqa: E402
+from stillwork.motion.plots import draw_design  # noqa: E402
+from stillwork.motion.robust import kalman_gains  # noqa: E402
+from stillwork.motion.scan_study import published_scan  # noqa: E402
 from stillwork.motion.plots_bandwidth import draw_design  # noqa: E402
 from stillwork.motion.setpoint import published_setpoint  # noqa: E402
 from stillwork.motion.tracking import Feedforward, error_loop, tracking_model  # noqa: E402
+from stillwork.studies import run_study  # noqa: E402
 
 FAMILY = PidFamily(stage_mass())
 PEER_GRID = 2 * np.pi * np.geomspace(1, 3000, 300)  # a reduced grid: the peer steps over the sharpest peaks
@@ -50,7 +60,17 @@ def main() -> None:
         ("bandwidth search: the same, per design tried", ratio(search) * 154 / PEER_DESIGNS, ""),
         ("explorer, one redraw without encoding, s", float(np.median(next(iter(drawing.values())))), "< 0.2"),
     ]
-    for group in (response, tracking, search, drawing):
+    filtering = turns(filter_contenders(), 7)
+    ours = np.array(filtering["Kalman step, ours"])
+    for name, times in filtering.items():
+        if "C" in name:
+            rows.append(
+                ("Kalman step, 8 states, 3 outputs: ours / C", float(np.median(ours / times)), "<= 2")
+            )
+        if "filterpy" in name:
+            rows.append(("Kalman step: filterpy / ours", float(np.median(times / ours)), ">= 30"))
+    rows += monte_carlo()
+    for group in (response, tracking, search, drawing, filtering):
         for name, times in group.items():
             print(
                 f"  {name:44s} {1e3 * np.median(times):10.3f} ms   ({1e3 * min(times):.3f} .. {1e3 * max(times):.3f})"
@@ -145,6 +165,143 @@ def peer_feasible(plant, observer, controller) -> bool:
 
 def redraw() -> None:
     draw_design(73.0, 0.035)
+
+
+STEPS = 2000
+C_SOURCE = r"""
+#define N 8
+#define O 3
+/* Time-varying Kalman filter, one output after the other: gains and estimates of one record. */
+void run(long samples, const double *a, const double *g, const double *c, double q, double r,
+         const double *p0, const double *y, double *x_out)
+{
+    double p[N][N], h[N][N], v[N], x[N] = {0};
+    for (int i = 0; i < N; i++) for (int j = 0; j < N; j++) p[i][j] = p0[i * N + j];
+    for (long k = 1; k < samples; k++) {
+        const double *A = a + k * N * N, *G = g + k * N, *C = c + k * O * N;
+        for (int i = 0; i < N; i++) for (int j = 0; j < N; j++) {
+            double t = 0;
+            for (int m = 0; m < N; m++) t += A[i * N + m] * p[m][j];
+            h[i][j] = t;
+        }
+        for (int i = 0; i < N; i++) for (int j = 0; j <= i; j++) {
+            double t = q * G[i] * G[j];
+            for (int m = 0; m < N; m++) t += h[i][m] * A[j * N + m];
+            p[i][j] = p[j][i] = t;
+        }
+        for (int i = 0; i < N; i++) {
+            double t = 0;
+            for (int m = 0; m < N; m++) t += A[i * N + m] * x[m];
+            v[i] = t;
+        }
+        for (int i = 0; i < N; i++) x[i] = v[i];
+        for (int o = 0; o < O; o++) {
+            double s = r, e = y[o * samples + k];
+            for (int i = 0; i < N; i++) {
+                double t = 0;
+                for (int m = 0; m < N; m++) t += p[i][m] * C[o * N + m];
+                v[i] = t;
+            }
+            for (int i = 0; i < N; i++) { s += C[o * N + i] * v[i]; e -= C[o * N + i] * x[i]; }
+            for (int i = 0; i < N; i++) {
+                x[i] += v[i] / s * e;
+                for (int j = 0; j < N; j++) p[i][j] -= v[i] * v[j] / s;
+            }
+        }
+        for (int i = 0; i < N; i++) x_out[i * samples + k] = x[i];
+    }
+}
+"""
+
+
+def filter_contenders() -> dict:
+    """Gains and estimates of one record, 8 states and 3 moving outputs, by ours, by C and by filterpy."""
+    rng = np.random.default_rng(1)
+    plant = stage().modes(slice(0, 4))
+    sampled = zoh_modes(plant, 1e-4)
+    along = np.linspace(0.0, 1.0, STEPS)[:, None, None]
+    shapes = (1 - along) * plant.output_shapes[None, :3] + along * plant.output_shapes[None, 3:6]
+    c = np.zeros((STEPS, 3, 8))
+    c[:, :, ::2] = 1e9 * shapes  # nanometres
+    q, r, start = 1e-4, 2.0, 1e-14 * np.eye(8)
+    model = TimeVaryingModel(sampled.a, sampled.b, sampled.b, c, [[q]], r * np.eye(3), start)
+    y, u = rng.standard_normal((3, STEPS)), np.zeros((1, STEPS))
+
+    def ours():
+        return estimate(kalman_gains(model), u, y)
+
+    expected = ours()
+    contenders = {"Kalman step, ours": ours}
+    if shutil.which("gcc"):
+        contenders["Kalman step, C, gcc -O3 -march=native"] = c_kalman(model, q, r, y, expected)
+    else:
+        print("no gcc: the comparison with C is left out")
+    from filterpy.kalman import KalmanFilter
+
+    def peer():
+        f = KalmanFilter(dim_x=8, dim_z=3)
+        f.P, f.R, f.Q, f.F = start.copy(), r * np.eye(3), q * sampled.b @ sampled.b.T, sampled.a
+        out = np.zeros((8, STEPS))
+        for k in range(1, STEPS):
+            f.predict()
+            f.update(y[:, k : k + 1], H=c[k])
+            out[:, k] = f.x[:, 0]
+        return out
+
+    assert np.abs(peer() - expected).max() < 1e-6 * np.abs(expected).max()
+    contenders["Kalman step, filterpy"] = peer
+    return contenders
+
+
+def c_kalman(model: TimeVaryingModel, q: float, r: float, y: np.ndarray, expected: np.ndarray):
+    folder = Path(tempfile.mkdtemp())
+    (folder / "peer.c").write_text(C_SOURCE)
+    build = ["gcc", "-O3", "-march=native", "-shared", "-fPIC", "peer.c", "-o", "peer.so"]
+    subprocess.run(build, check=True, cwd=folder)
+    library = ctypes.CDLL(str(folder / "peer.so"))
+    arrays = [
+        np.ascontiguousarray(m) for m in (model.a, model.g[:, :, 0], model.c, model.initial_covariance, y)
+    ]
+    a, g, c, p0, measured = (m.ctypes.data_as(ctypes.c_void_p) for m in arrays)
+    out = np.zeros((8, STEPS))
+
+    def run(arrays=arrays):  # the arrays must outlive the pointers
+        numbers = ctypes.c_double(q), ctypes.c_double(r)
+        library.run(
+            ctypes.c_long(STEPS), a, g, c, *numbers, p0, measured, out.ctypes.data_as(ctypes.c_void_p)
+        )
+        return out
+
+    assert np.abs(run() - expected).max() < 1e-6 * np.abs(expected).max()
+    return run
+
+
+def monte_carlo() -> list[tuple]:
+    """Two hundred perturbed plants, all observers, on two worker processes of a cluster and here."""
+    from distributed import Client, LocalCluster
+
+    contest = prepare(published_scan(), 0.05, rigid=False)
+    settings = {"contest": contest, "knobs": {n: e.given for n, e in ENTRANTS.items()}, "plants": 20}
+    start = time.perf_counter()
+    here = run_study(contest_trial, 10, 1, progress=False, **settings)
+    alone = time.perf_counter() - start
+    with (
+        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        Client(cluster) as client,
+    ):
+        executor = client.get_executor()
+        run_study(
+            contest_trial, 2, 2, executor=executor, progress=False, **{**settings, "plants": 1}
+        )  # warm-up
+        start = time.perf_counter()
+        there = run_study(contest_trial, 10, 1, executor=executor, progress=False, **settings)
+        together = time.perf_counter() - start
+    same = all(np.array_equal(here[name], there[name]) for name in ENTRANTS)
+    return [
+        ("200 plants x 6 observers, one process, s of the clock", alone, ""),
+        ("200 plants x 6 observers, cluster of 2 processes, s of the clock", together, "< 60"),
+        ("the cluster's numbers are identical (1: yes)", float(same), "1"),
+    ]
 
 
 if __name__ == "__main__":

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-
 from stillwork.motion import plots_bandwidth, plots_model, plots_performance
+from stillwork.checks import InputError
+from stillwork.motion import filter_plots, plots_bandwidth, plots_model, plots_performance
 from stillwork.motion.open_choices import bandwidth_map, open_choices
 
 
@@ -47,3 +48,26 @@ def test_explorers_draw_labelled_curves(draw):
             x, y = (np.asarray(values, dtype=float) for values in line.get_data())
             assert len(x) == len(y) > 0
             assert np.isfinite(y).all()
+
+
+@pytest.mark.parametrize(
+    ("selectivity", "noise_model", "named"),
+    [
+        ([], [1.0], "selectivity must hold"),
+        ([2.0], [], "noise_model must hold"),
+        ([2.0], [-1.0], "noise_model"),
+    ],
+)
+def test_an_empty_map_is_refused(selectivity, noise_model, named):
+    with pytest.raises(InputError, match=named):
+        bandwidth_map(selectivity, noise_model)
+
+
+def test_filter_explorers_draw_what_their_filters_give():
+    """The Kalman filter's own norm is the smaller one, and a fine table comes close to the online gains."""
+    labels = [t.get_text() for t in filter_plots.draw_worst(0.01, 10.0).axes[0].get_legend().get_texts()]
+    kalman, detuned = (float(text.partition(": ")[2]) for text in labels)
+    assert kalman <= detuned
+    lines = filter_plots.draw_schedules("1 m/s", 0.05, 5.0).axes[0].lines
+    online, scheduled = (np.abs(line.get_ydata()).max() for line in lines)
+    assert abs(scheduled / online - 1) < 0.05

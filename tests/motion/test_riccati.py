@@ -100,6 +100,14 @@ def test_a_stable_mode_need_not_be_driven():
         (lambda: Noise(0.0, 1.0), "process"),
         (lambda: Noise(1.0, -1.0), "sensor"),
         (lambda: continuous_gain([[0.0]], [[1.0]], [[1.0]], 1.0, 0.0), "sensor is not positive definite"),
+        (
+            lambda: continuous_gain(-np.eye(2), np.eye(2), np.eye(2), [[2.0, 1.0], [0.0, 2.0]], 1.0),
+            "process is not symmetric",
+        ),
+        (
+            lambda: discrete_gain(np.eye(2) / 2, np.eye(2), np.eye(2), 1.0, [[2.0, 0.0], [1.0, 2.0]]),
+            "sensor is not symmetric",
+        ),
         (lambda: continuous_gain(np.diag([0.0, -1.0]), np.eye(2), [[0.0, 1.0]], 1.0, 1.0), "not observable"),
         (lambda: discrete_gain(np.diag([1.0, 0.5]), np.eye(2), [[0.0, 1.0]], 1.0, 1.0), "not observable"),
         (lambda: continuous_gain(-np.eye(2), np.eye(2), np.zeros((1, 2)), 1.0, 1.0), "c is zero"),

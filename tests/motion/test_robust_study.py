@@ -24,11 +24,11 @@ from stillwork.motion.scan_study import (
 )
 from stillwork.motion.uncertainty import (
     draw_errors,
-    entry_bound,
     norm_bound,
     perturbed,
     sampled_derivatives,
 )
+from stillwork.studies import run_study
 
 
 @pytest.fixture(scope="module")
@@ -67,11 +67,10 @@ def rows_of(model, derivatives, errors, k):
     return np.concatenate([weights @ s, weights @ m, weights @ t])
 
 
-@pytest.mark.parametrize("cover", [norm_bound, entry_bound])
-def test_the_norm_bound_covers_every_corner_of_the_errors(scan, cover):
+def test_the_norm_bound_covers_every_corner_of_the_errors(scan):
     model = filter_model(scan)
     derivatives = sampled_derivatives(scan.nominal, scan.step).along(model, scan.shapes[:, None, :])
-    bound = cover(model, derivatives, 0.05)
+    bound = norm_bound(model, derivatives, 0.05)
     rng = np.random.default_rng(3)
     for k in (1, 700, 1900):
         e = np.hstack([bound.e_a[k], bound.e_b[k], bound.e_g[k]])
@@ -262,3 +261,33 @@ def test_tracking_trial_repeats_and_compares_all_cases():
     exact = tracking_trial(np.random.default_rng(1), loops, 0.0)
     # Damping the modes must pay on the exact plant.
     assert exact["AD"] < exact["none"]
+
+
+def test_shapes_that_do_not_fit_the_uncertain_modes_are_named(scan):
+    model = filter_model(scan)
+    sampled = sampled_derivatives(scan.nominal, scan.step)
+    with pytest.raises(InputError, match="shapes has shape"):
+        sampled.along(model, scan.shapes)
+    with pytest.raises(InputError, match="shapes has shape"):
+        sampled.along(model, scan.shapes[:-1, None, :])
+    with pytest.raises(InputError, match="mode 2 is uncertain"):
+        sampled.along(model, scan.shapes[:, None, :2])
+
+
+@pytest.mark.slow
+def test_the_contest_on_a_cluster_gives_identical_numbers():
+    """Two workers, trials in any order: the same bits as one after the other."""
+    from distributed import Client, LocalCluster
+
+    contest = contests.prepare(published_scan(step=1e-3), 0.05, rigid=False)
+    knobs = {name: contests.ENTRANTS[name].given for name in ("Kalman", "fictitious noise")}
+    settings = {"contest": contest, "knobs": knobs, "plants": 2}
+    here = run_study(contests.contest_trial, 3, 5, progress=False, **settings)
+    options = {"n_workers": 2, "threads_per_worker": 1, "processes": False, "dashboard_address": None}
+    with LocalCluster(**options) as cluster, Client(cluster) as client:
+        there = run_study(
+            contests.contest_trial, 3, 5, executor=client.get_executor(), progress=False, **settings
+        )
+    for name in knobs:
+        assert here[name].shape == (3, 2)
+        np.testing.assert_array_equal(here[name], there[name])

@@ -7,7 +7,7 @@ from stillwork.checks import InputError
 from stillwork.lti import zoh, zoh_modes
 from stillwork.motion.controller import PidFamily
 from stillwork.motion.feedback import band_pass, damping_gain
-from stillwork.motion.filters import estimate
+from stillwork.motion.filters import TimeVaryingModel, estimate
 from stillwork.motion.machines import stage, stage_mass
 from stillwork.motion.position_scan import (
     compare_schedules,
@@ -20,7 +20,7 @@ from stillwork.motion.positions import shapes_along
 from stillwork.motion.riccati import discrete_gain
 from stillwork.motion.robust import kalman_gains
 from stillwork.motion.scan_study import output_rows
-from stillwork.motion.scheduled import GainTable, gain_table, scheduled_gains
+from stillwork.motion.scheduled import GainTable, gain_table, require_observable_along, scheduled_gains
 
 GRID = 0.05 * np.arange(7)
 
@@ -59,6 +59,33 @@ def test_a_place_where_a_mode_is_lost_is_named():
     rows = np.array([[[1.0, 1.0]], [[1.0, 0.0]]])
     with pytest.raises(InputError, match=r"at 0\.2 m"):
         gain_table(a, np.eye(2), rows, [0.1, 0.2], np.eye(2), np.eye(1))
+
+
+def test_a_mode_that_is_lost_on_the_way_is_named_with_its_place():
+    """The table's grid sees the mode at both ends; between them the sensor passes its node."""
+    a = np.array([[1.0, 0.1], [0.0, 1.0]])
+    places = np.linspace(0.0, 0.2, 41)
+    rows = np.array([[[1.0 - 10 * p, 0.0]] for p in places])
+    table = gain_table(a, np.eye(2), rows[[0, -1]], [0.0, 0.2], np.eye(2), np.eye(1))
+    model = TimeVaryingModel(a, np.ones((2, 1)), np.eye(2), rows, np.eye(2), np.eye(1), np.eye(2))
+    with pytest.raises(InputError, match=r"at 0\.1 m \(sample 20\).*not observable"):
+        scheduled_gains(model, table, places)
+    short = TimeVaryingModel(a, np.ones((2, 1)), np.eye(2), rows[:15], np.eye(2), np.eye(1), np.eye(2))
+    assert scheduled_gains(short, table, places[:15]).samples == 15
+
+
+def test_two_modes_that_one_sensor_cannot_tell_apart_are_lost_everywhere():
+    rows = np.ones((5, 1, 2))
+    model = TimeVaryingModel(np.eye(2), np.ones((2, 1)), np.eye(2), rows, np.eye(2), np.eye(1), np.eye(2))
+    with pytest.raises(InputError, match="sample 0"):
+        require_observable_along(model, np.arange(5.0))
+
+
+def test_empty_schedules_are_named(table):
+    with pytest.raises(InputError, match="places is empty"):
+        table.at([])
+    with pytest.raises(InputError, match="places is empty"):
+        shapes_along(stage(), GRID, [])
 
 
 def test_at_rest_the_scheduled_filter_is_the_time_varying_one(scan, table):

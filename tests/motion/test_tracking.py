@@ -168,6 +168,7 @@ def test_noise_has_the_power_that_the_norm_predicts():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
+        (lambda: from_snap([], [], 1e-3), "segments is empty"),
         (lambda: from_snap([1.0], [1.5e-3], 1e-3), "multiples of step"),
         (lambda: from_snap([1.0], [0.0], 1e-3), "multiples of step"),
         (

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.checks import InputError, require_choice, require_number
+from stillwork.checks import InputError, require_array, require_choice, require_number
 from stillwork.lti import StateModel, interconnect
 from stillwork.motion.feedback import SELECTIONS, band_pass, damping_gain, stiffness_gain
 from stillwork.motion.observer import Observer
@@ -16,22 +16,28 @@ class Application:
     """What is done with the estimate; the defaults do nothing."""
 
     compensate: bool = False  # MC: subtract the estimated flexible part from the measurement
-    damping: float = 0.0  # AD: wanted increase of the damping ratios
+    damping: float | tuple[float, ...] = (
+        0.0  # AD: wanted increase of the damping ratios, one for all modes or each
+    )
     selection: str = "each mode"  # of the damping gains
     stiffness: float = 1.0  # active stiffness: wanted factor on the resonance frequencies
-    selectivity: float | None = None  # Q of the band-pass on the damping gains; None: no filter
+    selectivity: float | tuple[float, ...] | None = (
+        None  # Q of the band-pass on the damping gains, one for all modes or each; None: no filter
+    )
     common: float | None = (
         None  # rad/s, centre of one band-pass for all gains; None: one a mode at its resonance
     )
     high_pass_hz: float | None = None  # corner of a high-pass on the compensation, instead of a noise model
 
     def __post_init__(self):
-        require_number("damping", self.damping, at_least=0.0, below=1.0)
+        for each in np.atleast_1d(self.damping):
+            require_number("damping", each, at_least=0.0, below=1.0)
         require_choice("selection", self.selection, SELECTIONS)
         require_number("stiffness", self.stiffness, above=0.0)
         for name in ("selectivity", "common", "high_pass_hz"):
             if getattr(self, name) is not None:
-                require_number(name, getattr(self, name), above=0.0)
+                for each in np.atleast_1d(getattr(self, name)):
+                    require_number(name, each, above=0.0)
 
 
 def compensator(observer: Observer, application: Application) -> StateModel:
@@ -46,8 +52,8 @@ def compensator(observer: Observer, application: Application) -> StateModel:
     if not flexible:
         raise InputError("observer.model has no flexible modes; there is nothing to compensate or to damp")
     gain = np.zeros((inputs, 2 * len(model.frequencies)))
-    if application.damping:
-        gain = damping_gain(model, application.damping, application.selection)
+    if np.any(application.damping):
+        gain = damping_gain(model, require_array("damping", application.damping), application.selection)
     static = (
         np.zeros_like(gain) if application.stiffness == 1.0 else stiffness_gain(model, application.stiffness)
     )
@@ -61,7 +67,10 @@ def compensator(observer: Observer, application: Application) -> StateModel:
             )
         velocities = observer.read(np.eye(flexible), "velocity")
         centres = model.frequencies[rigid:] if application.common is None else [application.common] * flexible
-        filters = [band_pass(float(w), application.selectivity) for w in centres]
+        widths = require_array("selectivity", application.selectivity)
+        widths = np.full(flexible, float(widths)) if widths.ndim == 0 else widths
+        widths = require_array("selectivity", widths, shape=(flexible,))
+        filters = [band_pass(float(w), float(q)) for w, q in zip(centres, widths, strict=True)]
     direct = observer.read(static[:, 2 * rigid :: 2]) + observer.read(
         static[:, 2 * rigid + 1 :: 2], "velocity"
     )

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.checks import InputError, require_choice
+from stillwork.checks import InputError, require_choice, require_count
 from stillwork.lti import zoh_modes
 from stillwork.motion.filters import TimeVaryingModel, estimate
 from stillwork.motion.hinfinity import hinfinity_gains, smallest_level
@@ -145,3 +145,31 @@ def tune(name: str, contest: Contest, records: Records, tries: int) -> Tuning:
         errors = judge(contest.scan, records, run_entrant(name, contest, float(knob), records))
         costs.append(float(np.median(errors.flexible())))
     return Tuning(knobs, np.array(costs))
+
+
+def contest_trial(
+    rng: np.random.Generator, contest: Contest, knobs: Mapping[str, float], plants: int, law: str = "ends"
+) -> dict[str, np.ndarray]:
+    """Relative error of the flexible states of every observer on `plants` random stages; a trial of a study.
+
+    A trial takes several plants, because an observer is designed once and then run on all of them.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    contest : Contest
+    knobs : mapping of str to float
+        Where the knob of every observer stands.
+    plants : int
+    law : str
+        See `uncertainty.draw_errors`; flexible modes err, by the contest's size.
+    """
+    scan = contest.scan
+    errors = [
+        draw_errors(rng, scan.nominal, contest.size, law) for _ in range(require_count("plants", plants))
+    ]
+    records = record_scans(scan, errors, rng)
+    return {
+        name: judge(scan, records, run_entrant(name, contest, knob, records)).flexible()
+        for name, knob in knobs.items()
+    }

@@ -110,24 +110,24 @@ def require_stable(loop: StateModel) -> None:
 
 
 class LoopResponse(NamedTuple):
-    """Frequency responses of a single loop, each of shape (frequencies,)."""
+    """Frequency responses of single loops, the frequencies last."""
 
-    equivalent_plant: Complex128[np.ndarray, " f"]  # P_eq, u to y_comp, (A.5)
-    reference_controller: Complex128[np.ndarray, " f"]  # C_r, r to f
-    output_controller: Complex128[np.ndarray, " f"]  # -C_y, y to -f: (3.11), (3.37)
-    loop: Complex128[np.ndarray, " f"]  # P_eq C_fb, what the controller sees
-    output_loop: Complex128[np.ndarray, " f"]  # P C_eq, what the plant's output sees
-    input_sensitivity: Complex128[np.ndarray, " f"]  # S_I
-    output_sensitivity: Complex128[np.ndarray, " f"]  # S_O
-    true_tracking: Complex128[np.ndarray, " f"]  # r to e_true
+    equivalent_plant: Complex128[np.ndarray, "... f"]  # P_eq, u to y_comp, (A.5)
+    reference_controller: Complex128[np.ndarray, "... f"]  # C_r, r to f
+    output_controller: Complex128[np.ndarray, "... f"]  # -C_y, y to -f: (3.11), (3.37)
+    loop: Complex128[np.ndarray, "... f"]  # P_eq C_fb, what the controller sees
+    output_loop: Complex128[np.ndarray, "... f"]  # P C_eq, what the plant's output sees
+    input_sensitivity: Complex128[np.ndarray, "... f"]  # S_I
+    output_sensitivity: Complex128[np.ndarray, "... f"]  # S_O
+    true_tracking: Complex128[np.ndarray, "... f"]  # r to e_true
 
 
 def loop_response(
-    plant: Complex128[np.ndarray, " f"],
-    observer: Complex128[np.ndarray, "2 2 f"],
-    controller: Complex128[np.ndarray, " f"],
+    plant: Complex128[np.ndarray, "... f"],
+    observer: Complex128[np.ndarray, "2 2 ... f"],
+    controller: Complex128[np.ndarray, "... f"],
 ) -> LoopResponse:
-    """All functions of one loop from the responses of plant P, compensator O and controller C_fb."""
+    """All functions of single loops from the responses of plant P, compensator O and controller C_fb."""
     (o_uu, o_uy), (o_yu, o_yy) = observer
     equivalent = ((1 - o_yy) * plant - o_yu) / (1 - o_uu - o_uy * plant)
     turn = 1 - controller * o_yu - o_uu

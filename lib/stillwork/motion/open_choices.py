@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.checks import InputError, require_choice
+from stillwork.checks import InputError, require_array, require_choice
 from stillwork.motion.applications import Application
 from stillwork.motion.bandwidth import Bandwidth, PeakConstraint, maximise_bandwidth
 from stillwork.motion.controller import PidFamily
@@ -85,7 +85,11 @@ class BandwidthMap:
 
 def bandwidth_map(selectivity, noise_model, *, noise: Noise | None = None) -> BandwidthMap:
     """Bandwidth of MC and AD together over (Q, Q_nu), the search of (3.47) as a map."""
-    rows, columns = (np.asarray(values, dtype=float) for values in (selectivity, noise_model))
+    rows = require_array("selectivity", selectivity, ndim=1)
+    columns = require_array("noise_model", noise_model, ndim=1)
+    for name, values in (("selectivity", rows), ("noise_model", columns)):
+        if not len(values) or np.any(values <= 0):
+            raise InputError(f"{name} must hold at least one value, all of them positive")
     design = np.full((len(rows), len(columns)), np.nan)
     crossing = design.copy()
     family = PidFamily(stage_mass())

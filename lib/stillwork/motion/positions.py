@@ -33,6 +33,8 @@ def shapes_along(
     places = require_array("places", places, ndim=1)
     if np.any(np.diff(grid) <= 0):
         raise InputError("grid must ascend; sort the outputs along the structure")
+    if not len(places):
+        raise InputError("places is empty; give the position at every sample in m")
     if places.min() < grid[0] or places.max() > grid[-1]:
         raise InputError(
             f"places run from {places.min():g} to {places.max():g} m, outside the grid from {grid[0]:g} to "

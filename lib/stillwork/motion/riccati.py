@@ -35,6 +35,8 @@ def _checked(a, g, c, q, r):
         matrix = (
             matrix * np.eye(size) if matrix.ndim == 0 else require_array(name, matrix, shape=(size, size))
         )
+        if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0):
+            raise InputError(f"{name} is not symmetric; give a covariance, such as (X + X.T) / 2")
         try:
             factors.append(np.linalg.cholesky(matrix))
         except np.linalg.LinAlgError:

@@ -63,9 +63,18 @@ class Derivatives:
 
 def kalman_gains(model: TimeVaryingModel) -> FilterGains:
     """Time-varying Kalman filter: the common limit of both robust filters."""
-    samples = model.samples
-    nothing = tuple(np.zeros((samples, 0, m.shape[2])) for m in (model.a, model.g, model.b))
-    return _penalised(model, *nothing, np.zeros(samples), np.zeros((samples, model.c.shape[1], 0)))
+    samples, outputs, states = model.c.shape
+    root = np.linalg.cholesky(model.sensor)
+    white = np.linalg.inv(root) @ model.c
+    gain = np.zeros((samples, states, outputs))
+    covariance, predicted = np.zeros((samples, states, states)), np.zeros((samples, states, states))
+    covariance[0] = predicted[0] = model.initial_covariance
+    disturbed = np.ascontiguousarray(model.g @ np.linalg.cholesky(model.process))
+    _kalman(
+        np.ascontiguousarray(model.a), disturbed, np.ascontiguousarray(white), gain, covariance, predicted
+    )
+    gain = gain @ np.linalg.inv(root)
+    return _finite(FilterGains(model.a, model.b, gain, np.ascontiguousarray(model.c), covariance, predicted))
 
 
 def sensitivity_gains(model: TimeVaryingModel, derivatives: Derivatives, weight: float) -> FilterGains:
@@ -207,10 +216,71 @@ def _penalised(model: TimeVaryingModel, rows_x, rows_w, rows_u, penalty, m) -> F
     arrays = (model.a, model.b, model.g @ root, c, rows_x, rows_w @ root, rows_u, penalty, noise)
     _gains(*(np.ascontiguousarray(x) for x in arrays), *out)
     gain = gain @ turn
-    for name, array in (("gain", gain), ("covariance", covariance)):
-        if not np.all(np.isfinite(array)):
+    return _finite(FilterGains(forward, onward, gain, np.ascontiguousarray(model.c), covariance, predicted))
+
+
+def _finite(gains: FilterGains) -> FilterGains:
+    for name in ("gain", "covariance"):
+        if not np.all(np.isfinite(getattr(gains, name))):
             raise InputError(f"the filter's {name} left the finite numbers; rescale the model or the penalty")
-    return FilterGains(forward, onward, gain, np.ascontiguousarray(model.c), covariance, predicted)
+    return gains
+
+
+@kernel
+def _kalman(a, g, c, gain, covariance, predicted):
+    # One Riccati step a sample: predict, then take in the whitened outputs one after the other.
+    samples, outputs, n = c.shape
+    half, turned, p, v = np.zeros((n, n)), np.zeros((n, n)), covariance[0].copy(), np.zeros(n)
+    for k in range(1, samples):
+        for i in range(n):
+            for j in range(n):
+                turned[j, i] = a[k, i, j]
+                half[i, j] = 0.0
+            for q in range(n):
+                x = a[k, i, q]
+                for j in range(n):
+                    half[i, j] += x * p[q, j]
+        for i in range(n):
+            for j in range(n):
+                p[i, j] = 0.0
+            for q in range(n):
+                x = half[i, q]
+                for j in range(n):
+                    p[i, j] += x * turned[q, j]
+            for q in range(g.shape[2]):
+                x = g[k, i, q]
+                for j in range(n):
+                    p[i, j] += x * g[k, j, q]
+        for i in range(n):
+            for j in range(i):
+                p[i, j] = p[j, i] = 0.5 * (p[i, j] + p[j, i])
+        for i in range(n):
+            for j in range(n):
+                predicted[k, i, j] = p[i, j]
+        for o in range(outputs):
+            s = 1.0
+            for i in range(n):
+                v[i] = 0.0
+            for q in range(n):
+                x = c[k, o, q]
+                for i in range(n):
+                    v[i] += x * p[q, i]
+            for i in range(n):
+                s += v[i] * c[k, o, i]
+            for j in range(o):
+                total = 0.0
+                for i in range(n):
+                    total += c[k, o, i] * gain[k, i, j]
+                for i in range(n):
+                    gain[k, i, j] -= v[i] / s * total
+            for i in range(n):
+                share = v[i] / s
+                gain[k, i, o] = share
+                for j in range(n):
+                    p[i, j] -= share * v[j]
+        for i in range(n):
+            for j in range(n):
+                covariance[k, i, j] = p[i, j]
 
 
 @kernel

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
+from scipy import linalg
 
 from stillwork.checks import InputError, require_array
 from stillwork.kernels import kernel
@@ -28,6 +29,8 @@ class GainTable:
             When the schedule leaves the grid: the table knows no gain there.
         """
         places = require_array("places", places, ndim=1)
+        if not len(places):
+            raise InputError("places is empty; give the position at every sample in m")
         slack = 1e-9 * (self.grid[-1] - self.grid[0])
         if places.min() < self.grid[0] - slack or places.max() > self.grid[-1] + slack:
             raise InputError(
@@ -74,12 +77,51 @@ def gain_table(
     return GainTable(grid, np.array(gains))
 
 
+# Part of the best view of a mode below which a place counts as blind to it.
+BLIND = 1e-6
+
+
+def require_observable_along(model: TimeVaryingModel, places: ArrayLike) -> None:
+    """Refuse a trajectory along which a mode that is not stable by itself is lost from view.
+
+    Between samples a filter may coast; a stationary gain has no meaning where such a mode cannot be seen, and a
+    time-varying one lets its error grow as long as that lasts.
+
+    Parameters
+    ----------
+    model : TimeVaryingModel
+        With one A for all samples.
+    places : array_like, shape (samples,)
+        m, for the message.
+
+    Raises
+    ------
+    InputError
+        Names the first place, and the mode.
+    """
+    places = require_array("places", places, shape=(model.samples,))
+    values, every = linalg.eig(model.a[-1])
+    for value in values[np.abs(values) >= 1 - 1e-9]:
+        same = every[:, np.abs(values - value) <= 1e-6]
+        left, sizes, _ = np.linalg.svd(same, full_matrices=False)
+        vectors = left[:, sizes > 1e-6 * sizes[0]]  # of this eigenvalue; those of a chain are parallel
+        seen = np.linalg.svd(model.c @ vectors, compute_uv=False)
+        weakest = seen[:, -1] if seen.shape[1] == vectors.shape[1] else np.zeros(len(seen))
+        lost = np.flatnonzero(weakest <= BLIND * seen.max())
+        if len(lost):
+            raise InputError(
+                f"at {places[lost[0]]:g} m (sample {lost[0]}) the mode at z = {value:.6g} is not observable and "
+                f"not stable; keep the scan away from its node or add a sensor"
+            )
+
+
 def scheduled_gains(model: TimeVaryingModel, table: GainTable, places: ArrayLike) -> FilterGains:
     """Filter whose gain is looked up at every sample; everything else is the time-varying filter's.
 
     Its covariances are those that the looked-up gains really give (Joseph's form), not a Riccati solution.
     """
     gains = table.at(require_array("places", places, shape=(model.samples,)))
+    require_observable_along(model, places)
     require_array("table.gains", gains, shape=(None, *model.c.shape[:0:-1]))
     covariance, predicted = np.zeros_like(model.a), np.zeros_like(model.a)
     covariance[0] = predicted[0] = model.initial_covariance

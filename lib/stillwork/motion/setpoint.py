@@ -50,9 +50,11 @@ def from_snap(segments: ArrayLike, durations: ArrayLike, step: float) -> Float64
     Raises
     ------
     InputError
-        When a duration is not a positive multiple of `step` (then the simulation would not be exact).
+        When there is no segment, or a duration is not a positive multiple of `step` (then the simulation would not be exact).
     """
     segments = require_array("segments", segments, ndim=1)
+    if not len(segments):
+        raise InputError("segments is empty; give the snap of at least one segment in m/s^4")
     durations = require_array("durations", durations, shape=segments.shape)
     step = require_number("step", step, above=0.0)
     counts = np.rint(durations / step).astype(int)

@@ -78,9 +78,16 @@ class SampledDerivatives:
     b: Float64[np.ndarray, "parameters states inputs"]
 
     def along(
-        self, model: TimeVaryingModel, shapes: Float64[np.ndarray, "samples outputs modes"]
+        self,
+        model: TimeVaryingModel,
+        shapes: ArrayLike,  # (samples, outputs, modes)
     ) -> Derivatives:
         """Derivatives for the filters, with input noise (G = B) and these output shapes at every sample."""
+        shapes = require_array("shapes", shapes, shape=(model.samples, model.c.shape[1], None))
+        if shapes.shape[2] <= max(self.modes):
+            raise InputError(
+                f"shapes has {shapes.shape[2]} modes; mode {max(self.modes)} is uncertain, give its shape too"
+            )
         c = np.zeros((len(shapes), len(self.a), shapes.shape[1], model.c.shape[2]))
         for k, mode in enumerate(self.modes):
             c[:, 4 * k + 3, :, 2 * mode] = shapes[:, :, mode]
@@ -140,30 +147,3 @@ def norm_bound(model: TimeVaryingModel, derivatives: Derivatives, size: float) -
         return size * np.sqrt(count * outputs) * both.reshape(samples, count * outputs, -1)
 
     return NormBound(np.tile(np.eye(outputs), (samples, 1, 1)), gather(s), gather(m), gather(t))
-
-
-def entry_bound(model: TimeVaryingModel, derivatives: Derivatives, size: float) -> NormBound:
-    """Norm bound that knows of every entry of the matrices only how far it can be off, not that they err together.
-
-    This is the unstructured description that the regularised filter is published with: E is diagonal, so the
-    known effect of an error through the input no longer tells anything about the state.
-    """
-    size = require_number("size", size, above=0.0)
-    samples, outputs = model.c.shape[:2]
-    count = len(derivatives.a)
-    widths = (model.a.shape[2], model.b.shape[2], model.g.shape[2])
-    s, t, m = derivatives.rows(model)
-    largest = [
-        size * np.abs(rows.reshape(samples, 2, count, outputs, -1).sum(axis=1)).sum(axis=1).max(axis=1)
-        for rows in (s, m, t)
-    ]  # (samples, columns) each, for the columns of A, B and G
-    reach = np.concatenate(largest, axis=1)
-    spread = np.sqrt(outputs * np.maximum(np.count_nonzero(reach, axis=1), 1))
-    e = np.einsum("kc,cd->kcd", reach * spread[:, None], np.eye(sum(widths)))
-    ends = np.cumsum(widths)
-    return NormBound(
-        np.tile(np.eye(outputs), (samples, 1, 1)),
-        e[:, :, : ends[0]],
-        e[:, :, ends[0] : ends[1]],
-        e[:, :, ends[1] :],
-    )
