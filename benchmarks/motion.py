@@ -21,7 +21,7 @@ sys.path.insert(0, str(ROOT / "lib"))
 
 import control  # noqa: E402
 import numpy as np  # noqa: E402
-from stillwork.lti import simulate  # noqa: E402
+
 from stillwork.lti import simulate, zoh_modes  # noqa: E402
 from stillwork.motion.bandwidth import SIX_DB  # noqa: E402
 from stillwork.motion.contest import ENTRANTS, contest_trial, prepare  # noqa: E402
@@ -30,10 +30,9 @@ from stillwork.motion.designs import DESIGNS, stage_bandwidth, stage_compensator
 from stillwork.motion.filters import TimeVaryingModel, estimate  # noqa: E402
 from stillwork.motion.loops import closed_loop  # noqa: E402
 from stillwork.motion.machines import stage, stage_mass  # noqa: E402
-from stillwork.motion.plots import draw_design  # noqa: E402
+from stillwork.motion.plots_bandwidth import draw_design  # noqa: E402
 from stillwork.motion.robust import kalman_gains  # noqa: E402
 from stillwork.motion.scan_study import published_scan  # noqa: E402
-from stillwork.motion.plots_bandwidth import draw_design  # noqa: E402
 from stillwork.motion.setpoint import published_setpoint  # noqa: E402
 from stillwork.motion.tracking import Feedforward, error_loop, tracking_model  # noqa: E402
 from stillwork.studies import run_study  # noqa: E402

@@ -7,6 +7,7 @@ import control
 import numpy as np
 import pytest
 from scipy import linalg
+
 from stillwork.checks import InputError
 from stillwork.motion.bandwidth import SIX_DB
 from stillwork.motion.designs import DESIGNS, stage_bandwidth, stage_observer

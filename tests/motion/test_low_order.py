@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import integrate
+
 from stillwork.checks import InputError
 from stillwork.lti import StateModel
 from stillwork.motion.controller import PidFamily

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from stillwork.checks import InputError
 from stillwork.lti import ModalModel, simulate, zoh_modes
 from stillwork.motion.modal_fit import fit_modal_matrix

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from stillwork.motion import plots_bandwidth, plots_model, plots_performance
+
 from stillwork.checks import InputError
 from stillwork.motion import filter_plots, plots_bandwidth, plots_model, plots_performance
 from stillwork.motion.open_choices import bandwidth_map, open_choices

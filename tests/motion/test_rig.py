@@ -6,6 +6,7 @@ import control
 import numpy as np
 import pytest
 from scipy import signal
+
 from stillwork.checks import InputError
 from stillwork.lti import zoh_modes
 from stillwork.motion.bandwidth import SIX_DB

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import linalg
+
 from stillwork.checks import InputError
 from stillwork.lti import ModalModel, simulate, zoh_modes
 from stillwork.motion.loops import channel
