@@ -70,7 +70,7 @@ def kalman_gains(model: TimeVaryingModel) -> FilterGains:
     gain[0], covariance[0] = 0.0, model.initial_covariance
     colour, whiten = np.linalg.cholesky(model.process), np.linalg.inv(np.linalg.cholesky(model.sensor))
     a, g, c = (np.ascontiguousarray(x) for x in (model.a, model.g, model.c))
-    _kalman_kernel(states)(a, g, c, colour, whiten, gain, covariance)
+    _kalman_kernel(states, outputs)(a, g, c, colour, whiten, gain, covariance)
     return _finite(FilterGains(model.a, model.b, gain, c, covariance))
 
 
@@ -215,8 +215,8 @@ def _finite(gains: FilterGains) -> FilterGains:
 
 
 @cache
-def _kalman_kernel(states: int):
-    """The Kalman filter's recursion for a number of states that is compiled in.
+def _kalman_kernel(states: int, outputs: int):
+    """The Kalman filter's recursion for numbers of states and outputs that are compiled in.
 
     Sums over the states have this fixed length and unroll. What runs beside them goes to `n`, the same number
     as a variable: a loop of known short length would unroll too, and leave nothing to vectorise.
@@ -225,7 +225,7 @@ def _kalman_kernel(states: int):
     @kernel
     def recursion(a, g, c, colour, whiten, gain, covariance):
         # One Riccati step a sample: predict, then take in the whitened outputs one after the other.
-        samples, outputs, n = c.shape
+        samples, n = c.shape[0], c.shape[2]
         causes = g.shape[2]
         p, half, turned = covariance[0].copy(), np.empty((n, n)), np.empty((n, n))
         driven, white, share = np.empty((causes, n)), np.empty((outputs, n)), np.empty((outputs, n))
