@@ -345,7 +345,9 @@ def _joint_covariance(p0, causes):
     # Of the last state and the disturbance, which has unit covariance here.
     n = len(p0)
     sigma = np.zeros((n + causes, n + causes))
-    sigma[:n, :n] = p0
+    for i in range(n):
+        for j in range(n):
+            sigma[i, j] = p0[i, j]
     for i in range(n, n + causes):
         sigma[i, i] = 1.0
     return sigma
@@ -356,7 +358,9 @@ def _step(sample, penalty, noise, p0, forward, onward, gain, p):
     a, b, g, c, rows_x, rows_w, rows_u = sample
     n, nw, nu = a.shape[0], g.shape[1], b.shape[1]
     size = n + nw
-    sigma, map_x, map_u = _joint_covariance(p0, nw), np.eye(size, n), np.zeros((size, nu))
+    sigma, map_x, map_u = _joint_covariance(p0, nw), np.zeros((size, n)), np.zeros((size, nu))
+    for i in range(n):
+        map_x[i, i] = 1.0
     if penalty > 0:
         _regularise(sigma, map_x, map_u, rows_x, rows_w, rows_u, 1 / penalty)
     step = np.zeros((n, size))
@@ -425,7 +429,8 @@ def _cost(logarithm, limit, spread, sample, p0, x, u, y):
     n, nw = a.shape[0], g.shape[1]
     size = n + nw
     sigma, z, v, row = _joint_covariance(p0, nw), np.zeros(size), np.zeros(size), np.zeros(size)
-    z[:n] = x
+    for i in range(n):
+        z[i] = x[i]
     total_cost = 0.0
     rows = rows_x.shape[0]
     for i in range(rows + c.shape[0]):
@@ -474,7 +479,8 @@ def _search_filter(data, limit, spread, u, y, p0, out, ratio):
     shrink = (np.sqrt(5.0) - 1) / 2
     for k in range(1, samples):
         sample, penalty = _sample(data, k), 0.0
-        noise[:] = 1.0
+        for o in range(no):
+            noise[o] = 1.0
         if limit[k] > 0:
             low, high = -18.0, 40.0  # of log(lambda / limit - 1); G has one minimum
             left, right = high - shrink * (high - low), low + shrink * (high - low)
@@ -502,7 +508,9 @@ def _search_filter(data, limit, spread, u, y, p0, out, ratio):
             for j in range(nu):
                 total += onward[i, j] * u[k - 1, j]
             out[k, i] = total
-        p0[:] = p
+        for i in range(n):
+            for j in range(n):
+                p0[i, j] = p[i, j]
         _correct(out[k], gain, sample[3], y[k])
 
 
