@@ -279,10 +279,7 @@ def test_the_contest_on_a_cluster_gives_identical_numbers():
     from distributed import Client, LocalCluster
 
     contest = contests.prepare(published_scan(step=1e-3), 0.05, rigid=False)
-    knobs = {
-        name: contests.ENTRANTS[name].given
-        for name in ("Kalman", "fictitious noise")
-    }
+    knobs = {name: contests.ENTRANTS[name].given for name in ("Kalman", "fictitious noise")}
     settings = {"contest": contest, "knobs": knobs, "plants": 2}
     here = run_study(contests.contest_trial, 3, 5, progress=False, **settings)
     options = {"n_workers": 2, "threads_per_worker": 1, "processes": False, "dashboard_address": None}
