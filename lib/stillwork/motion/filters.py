@@ -71,7 +71,6 @@ class FilterGains:
     gain: Float64[np.ndarray, "samples states outputs"]  # K
     outputs: Float64[np.ndarray, "samples outputs states"]  # C
     covariance: Float64[np.ndarray, "samples states states"]  # P(k|k) of the design
-    predicted: Float64[np.ndarray, "samples states states"]  # P(k|k-1) of the design
 
     @property
     def samples(self) -> int:

@@ -60,17 +60,17 @@ def _design(model: TimeVaryingModel, wanted: np.ndarray, level: float) -> tuple[
     samples, outputs, states = model.c.shape
     whiten = np.linalg.inv(np.linalg.cholesky(model.sensor))
     gain = np.zeros((samples, states, outputs))
-    covariance, predicted = np.zeros((samples, states, states)), np.zeros((samples, states, states))
-    covariance[0] = predicted[0] = model.initial_covariance
+    covariance = np.zeros((samples, states, states))
+    covariance[0] = model.initial_covariance
     g = model.g @ np.linalg.cholesky(model.process)
     arrays = (model.a, g, whiten @ model.c, wanted / level)
-    failed = _riccati(*(np.ascontiguousarray(x) for x in arrays), gain, covariance, predicted)
-    gains = FilterGains(model.a, model.b, gain @ whiten, np.ascontiguousarray(model.c), covariance, predicted)
+    failed = _riccati(*(np.ascontiguousarray(x) for x in arrays), gain, covariance)
+    gains = FilterGains(model.a, model.b, gain @ whiten, np.ascontiguousarray(model.c), covariance)
     return gains, failed
 
 
 @kernel
-def _riccati(a, g, c, wanted, gain, covariance, predicted):
+def _riccati(a, g, c, wanted, gain, covariance):
     samples, n = a.shape[0], a.shape[1]
     p, half, v = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
     for i in range(n):
@@ -106,7 +106,6 @@ def _riccati(a, g, c, wanted, gain, covariance, predicted):
                 for q in range(g.shape[2]):
                     total += g[k, i, q] * g[k, j, q]
                 p[i, j] = p[j, i] = total
-                predicted[k, i, j] = predicted[k, j, i] = total
         for o in range(c.shape[1]):
             s = 1.0
             for i in range(n):

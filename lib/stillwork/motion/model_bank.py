@@ -43,7 +43,7 @@ def bank_estimate(models: Sequence[TimeVaryingModel], u: ArrayLike, y: ArrayLike
         gains = kalman_gains(model)
         x = estimate(gains, u, y)
         states.append(x)
-        scores.append(np.cumsum(log_likelihood(gains, model.sensor, u, y, x), axis=1))
+        scores.append(np.cumsum(log_likelihood(model, gains, u, y, x), axis=1))
     scores = np.array(scores)
     weights = np.exp(scores - scores.max(axis=0))
     weights /= weights.sum(axis=0)
@@ -51,8 +51,8 @@ def bank_estimate(models: Sequence[TimeVaryingModel], u: ArrayLike, y: ArrayLike
 
 
 def log_likelihood(
+    model: TimeVaryingModel,
     gains: FilterGains,
-    sensor: Float64[np.ndarray, "outputs outputs"],
     u: Float64[np.ndarray, "runs inputs samples"],
     y: Float64[np.ndarray, "runs outputs samples"],
     states: Float64[np.ndarray, "runs states samples"],
@@ -61,8 +61,10 @@ def log_likelihood(
     predicted = np.einsum("kij,rjk->rik", gains.forward[1:], states[:, :, :-1])
     predicted += np.einsum("kij,rjk->rik", gains.inputs[1:], u[:, :, :-1])
     innovation = y[:, :, 1:] - np.einsum("koi,rik->rok", gains.outputs[1:], predicted)
-    spread = gains.outputs @ gains.predicted @ np.swapaxes(gains.outputs, 1, 2) + sensor
-    root = np.linalg.cholesky(spread[1:])
+    along, driven, seen = model.a[1:], model.g[1:], model.c[1:]
+    before = along @ gains.covariance[:-1] @ np.swapaxes(along, 1, 2)
+    before += driven @ model.process @ np.swapaxes(driven, 1, 2)
+    root = np.linalg.cholesky(seen @ before @ np.swapaxes(seen, 1, 2) + model.sensor)
     white = np.linalg.solve(root[None], np.moveaxis(innovation, 2, 1)[..., None])[..., 0]
     logs = np.log(np.einsum("kii->ki", root)).sum(axis=1)
     out = np.zeros((len(y), y.shape[2]))

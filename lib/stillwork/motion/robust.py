@@ -11,13 +11,14 @@ without the inverse covariances of the printed equations.
 """
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.checks import InputError, require_array, require_number
-from stillwork.kernels import kernel
+from stillwork.kernels import inlined_kernel, kernel
 from stillwork.motion.filters import FilterGains, TimeVaryingModel
 
 
@@ -64,17 +65,13 @@ class Derivatives:
 def kalman_gains(model: TimeVaryingModel) -> FilterGains:
     """Time-varying Kalman filter: the common limit of both robust filters."""
     samples, outputs, states = model.c.shape
-    root = np.linalg.cholesky(model.sensor)
-    white = np.linalg.inv(root) @ model.c
-    gain = np.zeros((samples, states, outputs))
-    covariance, predicted = np.zeros((samples, states, states)), np.zeros((samples, states, states))
-    covariance[0] = predicted[0] = model.initial_covariance
-    disturbed = np.ascontiguousarray(model.g @ np.linalg.cholesky(model.process))
-    _kalman(
-        np.ascontiguousarray(model.a), disturbed, np.ascontiguousarray(white), gain, covariance, predicted
-    )
-    gain = gain @ np.linalg.inv(root)
-    return _finite(FilterGains(model.a, model.b, gain, np.ascontiguousarray(model.c), covariance, predicted))
+    gain = np.empty((samples, states, outputs))
+    covariance = np.empty((samples, states, states))
+    gain[0], covariance[0] = 0.0, model.initial_covariance
+    colour, whiten = np.linalg.cholesky(model.process), np.linalg.inv(np.linalg.cholesky(model.sensor))
+    a, g, c = (np.ascontiguousarray(x) for x in (model.a, model.g, model.c))
+    _kalman_kernel(states, outputs)(a, g, c, colour, whiten, gain, covariance)
+    return _finite(FilterGains(model.a, model.b, gain, c, covariance))
 
 
 def sensitivity_gains(model: TimeVaryingModel, derivatives: Derivatives, weight: float) -> FilterGains:
@@ -96,7 +93,7 @@ def sensitivity_gains(model: TimeVaryingModel, derivatives: Derivatives, weight:
     weight = require_number("weight", weight, above=0.0, at_most=1.0)
     rows = derivatives.rows(model)
     penalty = np.full(model.samples, (1 - weight) / weight)
-    return _penalised(model, *rows, penalty, np.zeros((model.samples, model.c.shape[1], 0)))
+    return _penalised(model, rows, penalty, np.zeros((model.samples, model.c.shape[1], 0)))
 
 
 def regularised_gains(model: TimeVaryingModel, bound: NormBound, margin: float = 1.0) -> FilterGains:
@@ -118,7 +115,7 @@ def regularised_gains(model: TimeVaryingModel, bound: NormBound, margin: float =
     """
     margin = require_number("margin", margin, above=0.0)
     rows, m = _bound_rows(model, bound)
-    return _penalised(model, *rows, (1 + margin) * _lower_limit(model, rows, m), m)
+    return _penalised(model, rows, (1 + margin) * _lower_limit(model, rows, m), m)
 
 
 @dataclass(frozen=True)
@@ -147,25 +144,12 @@ def regularised_line_search(
     y = require_array("y", y, shape=(outputs, samples))
     initial = np.zeros(states) if initial is None else require_array("initial", initial, shape=(states,))
     turn, spread = _principal(model, m)
-    root = np.linalg.cholesky(model.process)
-    rows_x, rows_w, rows_u = rows
-    c = turn @ model.c
-    rotated = np.einsum("koi,ik->ok", turn, y)
+    turned = np.einsum("koi,ik->ko", turn, y)
     out, ratio = np.zeros((samples, states)), np.ones(samples)
     out[0] = initial
-    _search_filter(
-        *(
-            np.ascontiguousarray(x)
-            for x in (model.a, model.b, model.g @ root, c, rows_x, rows_w @ root, rows_u)
-        ),
-        _lower_limit(model, rows, m),
-        spread,
-        np.ascontiguousarray(u.T),
-        np.ascontiguousarray(rotated.T),
-        model.initial_covariance.copy(),
-        out,
-        ratio,
-    )
+    limit, start = _lower_limit(model, rows, m), model.initial_covariance.copy()
+    data = _step_data(model, rows, turn)
+    _search_filter(data, limit, spread, np.ascontiguousarray(u.T), turned, start, out, ratio)
     return LineSearch(np.ascontiguousarray(out.T), ratio)
 
 
@@ -200,7 +184,15 @@ def _lower_limit(model: TimeVaryingModel, rows, m: np.ndarray) -> np.ndarray:
     return np.where(certain, 0.0, _principal(model, m)[1].max(axis=1))
 
 
-def _penalised(model: TimeVaryingModel, rows_x, rows_w, rows_u, penalty, m) -> FilterGains:
+def _step_data(model: TimeVaryingModel, rows, turn: np.ndarray) -> tuple[np.ndarray, ...]:
+    """A, B, G, C, S, T, M of every sample as the step takes them: unit process noise, outputs turned."""
+    rows_x, rows_w, rows_u = rows
+    root = np.linalg.cholesky(model.process)
+    arrays = (model.a, model.b, model.g @ root, turn @ model.c, rows_x, rows_w @ root, rows_u)
+    return tuple(np.ascontiguousarray(each) for each in arrays)
+
+
+def _penalised(model: TimeVaryingModel, rows, penalty, m) -> FilterGains:
     samples, outputs, states = model.c.shape
     inputs = model.b.shape[2]
     turn, spread = _principal(model, m)
@@ -208,15 +200,11 @@ def _penalised(model: TimeVaryingModel, rows_x, rows_w, rows_u, penalty, m) -> F
     noise = 1 - np.divide(spread, penalty[:, None], out=np.zeros_like(spread), where=known)
     if np.any(noise[1:] <= 0):
         raise InputError("lambda lies at or below its lower limit; give a larger margin")
-    root = np.linalg.cholesky(model.process)
-    c = turn @ model.c
-    out = tuple(np.zeros((samples, states, k)) for k in (states, inputs, outputs, states, states))
-    forward, onward, gain, covariance, predicted = out
-    covariance[0] = predicted[0] = model.initial_covariance
-    arrays = (model.a, model.b, model.g @ root, c, rows_x, rows_w @ root, rows_u, penalty, noise)
-    _gains(*(np.ascontiguousarray(x) for x in arrays), *out)
-    gain = gain @ turn
-    return _finite(FilterGains(forward, onward, gain, np.ascontiguousarray(model.c), covariance, predicted))
+    out = tuple(np.zeros((samples, states, k)) for k in (states, inputs, outputs, states))
+    forward, onward, gain, covariance = out
+    covariance[0] = model.initial_covariance
+    _gains(_step_data(model, rows, turn), penalty, noise, *out)
+    return _finite(FilterGains(forward, onward, gain @ turn, np.ascontiguousarray(model.c), covariance))
 
 
 def _finite(gains: FilterGains) -> FilterGains:
@@ -226,61 +214,84 @@ def _finite(gains: FilterGains) -> FilterGains:
     return gains
 
 
-@kernel
-def _kalman(a, g, c, gain, covariance, predicted):
-    # One Riccati step a sample: predict, then take in the whitened outputs one after the other.
-    samples, outputs, n = c.shape
-    half, turned, p, v = np.zeros((n, n)), np.zeros((n, n)), covariance[0].copy(), np.zeros(n)
-    for k in range(1, samples):
-        for i in range(n):
-            for j in range(n):
-                turned[j, i] = a[k, i, j]
-                half[i, j] = 0.0
-            for q in range(n):
-                x = a[k, i, q]
-                for j in range(n):
-                    half[i, j] += x * p[q, j]
-        for i in range(n):
-            for j in range(n):
-                p[i, j] = 0.0
-            for q in range(n):
-                x = half[i, q]
-                for j in range(n):
-                    p[i, j] += x * turned[q, j]
-            for q in range(g.shape[2]):
-                x = g[k, i, q]
-                for j in range(n):
-                    p[i, j] += x * g[k, j, q]
-        for i in range(n):
-            for j in range(i):
-                p[i, j] = p[j, i] = 0.5 * (p[i, j] + p[j, i])
-        for i in range(n):
-            for j in range(n):
-                predicted[k, i, j] = p[i, j]
-        for o in range(outputs):
-            s = 1.0
-            for i in range(n):
-                v[i] = 0.0
-            for q in range(n):
-                x = c[k, o, q]
+@cache
+def _kalman_kernel(states: int, outputs: int):
+    """The Kalman filter's recursion for numbers of states and outputs that are compiled in.
+
+    Sums over the states have this fixed length and unroll. What runs beside them goes to `n`, the same number
+    as a variable: a loop of known short length would unroll too, and leave nothing to vectorise.
+    """
+
+    @kernel
+    def recursion(a, g, c, colour, whiten, gain, covariance):
+        # One Riccati step a sample: predict, then take in the whitened outputs one after the other.
+        samples, n = c.shape[0], c.shape[2]
+        causes = g.shape[2]
+        p, half, turned = covariance[0].copy(), np.empty((n, n)), np.empty((n, n))
+        driven, white, share = np.empty((causes, n)), np.empty((outputs, n)), np.empty((outputs, n))
+        v = np.empty(n)
+        for k in range(1, samples):
+            for q in range(causes):
                 for i in range(n):
-                    v[i] += x * p[q, i]
-            for i in range(n):
-                s += v[i] * c[k, o, i]
-            for j in range(o):
-                total = 0.0
+                    driven[q, i] = 0.0
+                    for m in range(q, causes):
+                        driven[q, i] += g[k, i, m] * colour[m, q]
+            for o in range(outputs):
                 for i in range(n):
-                    total += c[k, o, i] * gain[k, i, j]
-                for i in range(n):
-                    gain[k, i, j] -= v[i] / s * total
+                    white[o, i] = 0.0
+                for m in range(o + 1):
+                    for i in range(n):
+                        white[o, i] += whiten[o, m] * c[k, m, i]
             for i in range(n):
-                share = v[i] / s
-                gain[k, i, o] = share
                 for j in range(n):
-                    p[i, j] -= share * v[j]
-        for i in range(n):
-            for j in range(n):
-                covariance[k, i, j] = p[i, j]
+                    turned[j, i] = a[k, i, j]
+                for j in range(n):
+                    total = 0.0
+                    for q in range(states):
+                        total += a[k, i, q] * p[q, j]
+                    half[i, j] = total
+            for i in range(n):
+                for j in range(n):
+                    total = 0.0
+                    for q in range(states):
+                        total += half[i, q] * turned[q, j]
+                    p[i, j] = total
+                for q in range(causes):
+                    for j in range(n):
+                        p[i, j] += driven[q, i] * driven[q, j]
+            for i in range(n):
+                for j in range(i):
+                    p[j, i] = p[i, j]
+            for o in range(outputs):
+                for i in range(n):
+                    total = 0.0
+                    for q in range(states):
+                        total += white[o, q] * p[q, i]
+                    v[i] = total
+                s = 1.0
+                for i in range(n):
+                    s += v[i] * white[o, i]
+                for i in range(n):
+                    share[o, i] = v[i] / s
+                for j in range(o):
+                    total = 0.0
+                    for i in range(n):
+                        total += white[o, i] * share[j, i]
+                    for i in range(n):
+                        share[j, i] -= share[o, i] * total
+                for i in range(n):
+                    for j in range(n):
+                        p[i, j] -= share[o, i] * v[j]
+            for i in range(n):
+                for o in range(outputs):
+                    total = 0.0
+                    for m in range(o, outputs):
+                        total += share[m, i] * whiten[m, o]
+                    gain[k, i, o] = total
+                for j in range(n):
+                    covariance[k, i, j] = p[i, j]
+
+    return recursion
 
 
 @kernel
@@ -323,17 +334,33 @@ def _regularise(sigma, map_x, map_u, rows_x, rows_w, rows_u, variance):
                 sigma[p, q] -= v[p] * v[q] / s
 
 
+@inlined_kernel
+def _sample(data, k):
+    a, b, g, c, rows_x, rows_w, rows_u = data
+    return a[k], b[k], g[k], c[k], rows_x[k], rows_w[k], rows_u[k]
+
+
 @kernel
-def _step(a, b, g, c, rows_x, rows_w, rows_u, penalty, noise, p0, forward, onward, gain, p, predicted):
-    n, nw, nu = a.shape[0], g.shape[1], b.shape[1]
-    size = n + nw
-    sigma, map_x, map_u = np.zeros((size, size)), np.zeros((size, n)), np.zeros((size, nu))
+def _joint_covariance(p0, causes):
+    # Of the last state and the disturbance, which has unit covariance here.
+    n = len(p0)
+    sigma = np.zeros((n + causes, n + causes))
     for i in range(n):
-        map_x[i, i] = 1.0
         for j in range(n):
             sigma[i, j] = p0[i, j]
-    for i in range(n, size):
+    for i in range(n, n + causes):
         sigma[i, i] = 1.0
+    return sigma
+
+
+@kernel
+def _step(sample, penalty, noise, p0, forward, onward, gain, p):
+    a, b, g, c, rows_x, rows_w, rows_u = sample
+    n, nw, nu = a.shape[0], g.shape[1], b.shape[1]
+    size = n + nw
+    sigma, map_x, map_u = _joint_covariance(p0, nw), np.zeros((size, n)), np.zeros((size, nu))
+    for i in range(n):
+        map_x[i, i] = 1.0
     if penalty > 0:
         _regularise(sigma, map_x, map_u, rows_x, rows_w, rows_u, 1 / penalty)
     step = np.zeros((n, size))
@@ -365,7 +392,6 @@ def _step(a, b, g, c, rows_x, rows_w, rows_u, penalty, noise, p0, forward, onwar
             for q in range(size):
                 total += half[i, q] * step[j, q]
             p[i, j] = p[j, i] = total
-            predicted[i, j] = predicted[j, i] = total
     v = np.empty(n)
     for o in range(c.shape[0]):
         s = noise[o]
@@ -389,40 +415,22 @@ def _step(a, b, g, c, rows_x, rows_w, rows_u, penalty, noise, p0, forward, onwar
 
 
 @kernel
-def _gains(a, b, g, c, rows_x, rows_w, rows_u, penalty, noise, forward, onward, gain, covariance, predicted):
-    for k in range(1, a.shape[0]):
-        _step(
-            a[k],
-            b[k],
-            g[k],
-            c[k],
-            rows_x[k],
-            rows_w[k],
-            rows_u[k],
-            penalty[k],
-            noise[k],
-            covariance[k - 1],
-            forward[k],
-            onward[k],
-            gain[k],
-            covariance[k],
-            predicted[k],
-        )
+def _gains(data, penalty, noise, forward, onward, gain, covariance):
+    for k in range(1, len(forward)):
+        p0, p = covariance[k - 1], covariance[k]
+        _step(_sample(data, k), penalty[k], noise[k], p0, forward[k], onward[k], gain[k], p)
 
 
 @kernel
-def _cost(logarithm, limit, a, b, g, c, rows_x, rows_w, rows_u, spread, p0, x, u, y):
+def _cost(logarithm, limit, spread, sample, p0, x, u, y):
     # G(lambda): the sum of squared innovations, each over its variance, is the minimum of the cost.
+    a, b, g, c, rows_x, rows_w, rows_u = sample
     penalty = limit * (1 + np.exp(logarithm))
     n, nw = a.shape[0], g.shape[1]
     size = n + nw
-    sigma, z, v, row = np.zeros((size, size)), np.zeros(size), np.zeros(size), np.zeros(size)
+    sigma, z, v, row = _joint_covariance(p0, nw), np.zeros(size), np.zeros(size), np.zeros(size)
     for i in range(n):
         z[i] = x[i]
-        for j in range(n):
-            sigma[i, j] = p0[i, j]
-    for i in range(n, size):
-        sigma[i, i] = 1.0
     total_cost = 0.0
     rows = rows_x.shape[0]
     for i in range(rows + c.shape[0]):
@@ -464,52 +472,35 @@ def _cost(logarithm, limit, a, b, g, c, rows_x, rows_w, rows_u, spread, p0, x, u
 
 
 @kernel
-def _search_filter(a, b, g, c, rows_x, rows_w, rows_u, limit, spread, u, y, p0, out, ratio):
-    n, nu, no = a.shape[1], b.shape[2], c.shape[1]
+def _search_filter(data, limit, spread, u, y, p0, out, ratio):
+    (samples, n), nu, no = out.shape, u.shape[1], y.shape[1]
     forward, onward, gain = np.zeros((n, n)), np.zeros((n, nu)), np.zeros((n, no))
-    p, predicted, noise = np.zeros((n, n)), np.zeros((n, n)), np.ones(no)
+    p, noise = np.zeros((n, n)), np.ones(no)
     shrink = (np.sqrt(5.0) - 1) / 2
-    for k in range(1, a.shape[0]):
-        penalty = 0.0
+    for k in range(1, samples):
+        sample, penalty = _sample(data, k), 0.0
         for o in range(no):
             noise[o] = 1.0
         if limit[k] > 0:
             low, high = -18.0, 40.0  # of log(lambda / limit - 1); G has one minimum
             left, right = high - shrink * (high - low), low + shrink * (high - low)
-            data = (limit[k], a[k], b[k], g[k], c[k], rows_x[k], rows_w[k], rows_u[k], spread[k])
-            at_left = _cost(left, *data, p0, out[k - 1], u[k - 1], y[k])
-            at_right = _cost(right, *data, p0, out[k - 1], u[k - 1], y[k])
+            posed = (limit[k], spread[k], sample, p0, out[k - 1], u[k - 1], y[k])
+            at_left, at_right = _cost(left, *posed), _cost(right, *posed)
             while high - low > 1e-7:
                 if at_left <= at_right:
                     high, right, at_right = right, left, at_left
                     left = high - shrink * (high - low)
-                    at_left = _cost(left, *data, p0, out[k - 1], u[k - 1], y[k])
+                    at_left = _cost(left, *posed)
                 else:
                     low, left, at_left = left, right, at_right
                     right = low + shrink * (high - low)
-                    at_right = _cost(right, *data, p0, out[k - 1], u[k - 1], y[k])
+                    at_right = _cost(right, *posed)
             over = np.exp((low + high) / 2)
             ratio[k] = 1 + over
             penalty = limit[k] * (1 + over)
             for o in range(no):
                 noise[o] = ((limit[k] - spread[k, o]) / limit[k] + over) / (1 + over)
-        _step(
-            a[k],
-            b[k],
-            g[k],
-            c[k],
-            rows_x[k],
-            rows_w[k],
-            rows_u[k],
-            penalty,
-            noise,
-            p0,
-            forward,
-            onward,
-            gain,
-            p,
-            predicted,
-        )
+        _step(sample, penalty, noise, p0, forward, onward, gain, p)
         for i in range(n):
             total = 0.0
             for j in range(n):
@@ -520,7 +511,7 @@ def _search_filter(a, b, g, c, rows_x, rows_w, rows_u, limit, spread, u, y, p0, 
         for i in range(n):
             for j in range(n):
                 p0[i, j] = p[i, j]
-        _correct(out[k], gain, c[k], y[k])
+        _correct(out[k], gain, sample[3], y[k])
 
 
 @kernel

@@ -123,17 +123,17 @@ def scheduled_gains(model: TimeVaryingModel, table: GainTable, places: ArrayLike
     gains = table.at(require_array("places", places, shape=(model.samples,)))
     require_observable_along(model, places)
     require_array("table.gains", gains, shape=(None, *model.c.shape[:0:-1]))
-    covariance, predicted = np.zeros_like(model.a), np.zeros_like(model.a)
-    covariance[0] = predicted[0] = model.initial_covariance
+    covariance = np.zeros_like(model.a)
+    covariance[0] = model.initial_covariance
     disturbed = model.g @ model.process @ np.swapaxes(model.g, 1, 2)
-    _spread(model.a, disturbed, np.ascontiguousarray(gains), model.c, model.sensor, predicted, covariance)
-    return FilterGains(model.a, model.b, gains, model.c, covariance, predicted)
+    _spread(model.a, disturbed, np.ascontiguousarray(gains), model.c, model.sensor, covariance)
+    return FilterGains(model.a, model.b, gains, model.c, covariance)
 
 
 @kernel
-def _spread(a, disturbed, gains, c, sensor, predicted, covariance):
+def _spread(a, disturbed, gains, c, sensor, covariance):
     samples, n, outputs = gains.shape
-    half, rest = np.zeros((n, n)), np.zeros((n, n))
+    half, rest, predicted = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n))
     for k in range(1, samples):
         for i in range(n):
             for j in range(n):
@@ -146,7 +146,7 @@ def _spread(a, disturbed, gains, c, sensor, predicted, covariance):
                 total = disturbed[k, i, j]
                 for q in range(n):
                     total += half[i, q] * a[k, j, q]
-                predicted[k, i, j] = total
+                predicted[i, j] = total
         for i in range(n):
             for j in range(n):
                 rest[i, j] = 1.0 if i == j else 0.0
@@ -156,7 +156,7 @@ def _spread(a, disturbed, gains, c, sensor, predicted, covariance):
             for j in range(n):
                 total = 0.0
                 for q in range(n):
-                    total += rest[i, q] * predicted[k, q, j]
+                    total += rest[i, q] * predicted[q, j]
                 half[i, j] = total
         for i in range(n):
             for j in range(n):
