@@ -1,5 +1,6 @@
 """The low-order feedforward against a direct simulation of all states, normal equations and the ideal feedforward."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -73,6 +74,48 @@ def test_error_is_that_of_an_integrated_loop(grown):
     ours = chosen.error(DIRECT, SHORT)
     assert np.abs(DIRECT.d[0, 1]) == 0
     np.testing.assert_allclose(ours, out, atol=1e-6 * np.abs(out).max())
+
+
+def test_the_small_error_of_two_states_with_damping_alone_is_that_of_an_integrated_loop():
+    """The published move up to the first 20 ms of the scan by a stiff integrator, segment by segment."""
+    block = stage_compensator(5, DESIGNS["AD"])
+    loop = direct_loop(closed_loop(PLANT, block, CONTROLLER))
+    chosen = pick_poles(loop, SETPOINT, copy_poles(modified_feedforward(block, CONTROLLER)), 2)[1]
+    [pole], w, n = chosen.poles, abs(chosen.poles[0]), len(loop.a)
+
+    matrix = np.zeros((n + 6, n + 6))  # setpoint and derivatives, filter, loop
+    matrix[[0, 1, 2], [1, 2, 3]] = 1
+    matrix[4:6, 4:6], matrix[5, 2] = [[0, w], [-w, 2 * pole.real]], w
+    force = np.zeros(n + 6)
+    force[1:4], force[4:6] = chosen.gains.gains[:3], chosen.weights
+    matrix[6:, 6:] = loop.a
+    matrix[6:] += np.outer(loop.b[:, 1], force)
+    matrix[6:, 0] += loop.b[:, 0]
+    push = np.r_[0, 0, 0, 1, 0, 0, loop.b[:, 1] * chosen.gains.snap]
+    seen = np.r_[loop.d[0, 0], np.zeros(5), loop.c[0]]
+
+    snaps, edges = SETPOINT.derivatives[4], [0]
+    last = round(0.06 / SETPOINT.step)
+    edges += [*(k for k in np.flatnonzero(np.diff(snaps)) + 1 if k < last), last]
+    x, errors = np.zeros(n + 6), []
+    for start, end in itertools.pairwise(edges):
+        times = SETPOINT.time[start : end + 1]
+        x = integrate.solve_ivp(
+            lambda t, y, s=snaps[start]: matrix @ y + push * s,
+            (times[0], times[-1]),
+            x,
+            method="LSODA",
+            rtol=1e-9,
+            atol=1e-15,
+            t_eval=times,
+        ).y
+        errors += (seen @ x[:, :-1]).tolist()
+        x = x[:, -1]
+    ours = chosen.error(loop, SETPOINT)[: len(errors)]
+    window = SETPOINT.scanning[: len(errors)]
+    np.testing.assert_allclose(ours, errors, atol=1e-11)
+    assert rms(np.array(errors)[window]) == pytest.approx(rms(ours[window]), rel=0.02)
+    assert rms(ours[window]) < 5e-10
 
 
 def test_gains_are_optimal(grown):
