@@ -24,6 +24,7 @@ from stillwork.motion.machines import stage, stage_mass
 from stillwork.motion.performance import rms
 from stillwork.motion.setpoint import Setpoint, from_snap, published_setpoint
 from stillwork.motion.tracking import BASIS, error_loop, fit_feedforward, modified_feedforward, tracking_error
+from stillwork.motion.uncertainty import draw_errors, perturbed
 
 PLANT = stage().at([0], [4])
 CONTROLLER = PidFamily(stage_mass())(70.0).state_space()
@@ -166,6 +167,24 @@ def test_perturbed_trial_without_errors_is_the_nominal_case(grown):
     nominal = rms(grown[1].error(DIRECT, SETPOINT)[SETPOINT.scanning])
     assert found["two, kept"] == pytest.approx(nominal, rel=1e-9)
     assert found["two, tuned"] == pytest.approx(nominal, rel=1e-3)
+    copy = tracking_error(error_loop(LOOP), SETPOINT, grown[0].gains)
+    assert found["observer copy, kept"] == pytest.approx(rms(copy[SETPOINT.scanning]), rel=1e-6)
+    assert found["observer copy, tuned"] < found["observer copy, kept"]
+
+
+def test_perturbed_trial_tunes_on_the_plant_that_it_meets(grown):
+    settings = {"plant": PLANT, "compensator": BLOCK, "controller": CONTROLLER, "setpoint": SETPOINT}
+    original = fit_feedforward(error_loop(LOOP), SETPOINT)
+    found = perturbed_trial(
+        np.random.default_rng(1), **settings, copied=original, candidates={"two": grown[1]}, size=0.05
+    )
+    plant = perturbed(PLANT, draw_errors(np.random.default_rng(1), PLANT, 0.05))
+    met = direct_loop(closed_loop(plant, BLOCK, CONTROLLER))
+    tuned = fit_low_order(met, SETPOINT, grown[1].poles)
+    for key, feedforward in (("two, kept", grown[1]), ("two, tuned", tuned)):
+        expected = rms(feedforward.error(met, SETPOINT)[SETPOINT.scanning])
+        assert found[key] == pytest.approx(expected, rel=1e-6)
+    assert np.sum(tuned.error(met, SETPOINT) ** 2) < np.sum(grown[1].error(met, SETPOINT) ** 2)
 
 
 def test_explorer_shows_the_states_it_has():
