@@ -178,10 +178,10 @@ def test_python_control_closes_the_same_loops(name):
 
 
 def test_the_search_finds_the_stored_design_again(joint):
-    """From the published design at half its bandwidth; where it ends may hang on rounding, but not lower."""
-    again = search(starts(1, 0)[0], "joint", steps=25, rounds=3)
-    assert again.keeps()
-    assert again.crossing_hz.min() > 0.98 * joint.crossing_hz.min()
+    start = replace(joint.design, bandwidth_hz=85.0, gain=0.8, low_pass=3.5)
+    again = search(start, "joint", steps=8, rounds=1)
+    assert again.worst < 1.01 * SIX_DB
+    assert again.crossing_hz.min() > 0.99 * joint.crossing_hz.min()
 
 
 def test_joint_beats_either_half_and_both_in_turn(joint):

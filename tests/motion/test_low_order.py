@@ -1,5 +1,6 @@
 """The low-order feedforward against a direct simulation of all states, normal equations and the ideal feedforward."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +25,7 @@ from stillwork.motion.machines import stage, stage_mass
 from stillwork.motion.performance import rms
 from stillwork.motion.setpoint import Setpoint, from_snap, published_setpoint
 from stillwork.motion.tracking import BASIS, error_loop, fit_feedforward, modified_feedforward, tracking_error
+from stillwork.motion.uncertainty import draw_errors, perturbed
 
 PLANT = stage().at([0], [4])
 CONTROLLER = PidFamily(stage_mass())(70.0).state_space()
@@ -76,6 +78,48 @@ def test_error_is_that_of_an_integrated_loop(grown):
     np.testing.assert_allclose(ours, out, atol=1e-6 * np.abs(out).max())
 
 
+def test_the_small_error_of_two_states_with_damping_alone_is_that_of_an_integrated_loop():
+    """The published move up to the first 20 ms of the scan by a stiff integrator, segment by segment."""
+    block = stage_compensator(5, DESIGNS["AD"])
+    loop = direct_loop(closed_loop(PLANT, block, CONTROLLER))
+    chosen = pick_poles(loop, SETPOINT, copy_poles(modified_feedforward(block, CONTROLLER)), 2)[1]
+    [pole], w, n = chosen.poles, abs(chosen.poles[0]), len(loop.a)
+
+    matrix = np.zeros((n + 6, n + 6))  # setpoint and derivatives, filter, loop
+    matrix[[0, 1, 2], [1, 2, 3]] = 1
+    matrix[4:6, 4:6], matrix[5, 2] = [[0, w], [-w, 2 * pole.real]], w
+    force = np.zeros(n + 6)
+    force[1:4], force[4:6] = chosen.gains.gains[:3], chosen.weights
+    matrix[6:, 6:] = loop.a
+    matrix[6:] += np.outer(loop.b[:, 1], force)
+    matrix[6:, 0] += loop.b[:, 0]
+    push = np.r_[0, 0, 0, 1, 0, 0, loop.b[:, 1] * chosen.gains.snap]
+    seen = np.r_[loop.d[0, 0], np.zeros(5), loop.c[0]]
+
+    snaps, edges = SETPOINT.derivatives[4], [0]
+    last = round(0.06 / SETPOINT.step)
+    edges += [*(k for k in np.flatnonzero(np.diff(snaps)) + 1 if k < last), last]
+    x, errors = np.zeros(n + 6), []
+    for start, end in itertools.pairwise(edges):
+        times = SETPOINT.time[start : end + 1]
+        x = integrate.solve_ivp(
+            lambda t, y, s=snaps[start]: matrix @ y + push * s,
+            (times[0], times[-1]),
+            x,
+            method="LSODA",
+            rtol=1e-9,
+            atol=1e-15,
+            t_eval=times,
+        ).y
+        errors += (seen @ x[:, :-1]).tolist()
+        x = x[:, -1]
+    ours = chosen.error(loop, SETPOINT)[: len(errors)]
+    window = SETPOINT.scanning[: len(errors)]
+    np.testing.assert_allclose(ours, errors, atol=1e-11)
+    assert rms(np.array(errors)[window]) == pytest.approx(rms(ours[window]), rel=0.02)
+    assert rms(ours[window]) < 5e-10
+
+
 def test_gains_are_optimal(grown):
     """No change of any single gain or weight lowers the squared error."""
     best = grown[-1]
@@ -124,6 +168,24 @@ def test_perturbed_trial_without_errors_is_the_nominal_case(grown):
     nominal = rms(grown[1].error(DIRECT, SETPOINT)[SETPOINT.scanning])
     assert found["two, kept"] == pytest.approx(nominal, rel=1e-9)
     assert found["two, tuned"] == pytest.approx(nominal, rel=1e-3)
+    copy = tracking_error(error_loop(LOOP), SETPOINT, grown[0].gains)
+    assert found["observer copy, kept"] == pytest.approx(rms(copy[SETPOINT.scanning]), rel=1e-6)
+    assert found["observer copy, tuned"] < found["observer copy, kept"]
+
+
+def test_perturbed_trial_tunes_on_the_plant_that_it_meets(grown):
+    settings = {"plant": PLANT, "compensator": BLOCK, "controller": CONTROLLER, "setpoint": SETPOINT}
+    original = fit_feedforward(error_loop(LOOP), SETPOINT)
+    found = perturbed_trial(
+        np.random.default_rng(1), **settings, copied=original, candidates={"two": grown[1]}, size=0.05
+    )
+    plant = perturbed(PLANT, draw_errors(np.random.default_rng(1), PLANT, 0.05))
+    met = direct_loop(closed_loop(plant, BLOCK, CONTROLLER))
+    tuned = fit_low_order(met, SETPOINT, grown[1].poles)
+    for key, feedforward in (("two, kept", grown[1]), ("two, tuned", tuned)):
+        expected = rms(feedforward.error(met, SETPOINT)[SETPOINT.scanning])
+        assert found[key] == pytest.approx(expected, rel=1e-6)
+    assert np.sum(tuned.error(met, SETPOINT) ** 2) < np.sum(grown[1].error(met, SETPOINT) ** 2)
 
 
 def test_explorer_shows_the_states_it_has():
