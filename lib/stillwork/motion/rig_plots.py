@@ -24,7 +24,7 @@ from stillwork.motion.rig_identification import predicted_deviation, true_respon
 from stillwork.motion.rig_loops import RigLoop, make_rig_loop
 from stillwork.spectra import Spectrum
 
-COLOURS = dict(zip(CASES, (figures.BLUE, figures.GREEN, figures.RED, figures.SKY), strict=True))
+COLOURS = dict(zip(CASES, (figures.BLACK, figures.BLUE, figures.GREEN, figures.RED), strict=True))
 FORCES, MOTIONS = ("F_z", "M_x", "M_y"), ("z", "r_x", "r_y")
 UNITS = (("m/N", "m/Nm", "m/Nm"), ("rad/N", "rad/Nm", "rad/Nm"), ("rad/N", "rad/Nm", "rad/Nm"))
 
@@ -267,10 +267,12 @@ def draw_rig(
     geometry, row = assumed_geometry(), ENTRIES[entry]
     noise = Noise(published()["process"], 10**sensor_exponent)
     figure, axis = _plain(1)
-    for name, colour in (("Original", figures.GREY), (use, figures.BLUE)):
+    for name in ("Original", use):
         loop = _one_position(geometry, noise, name, target_damping, position)
         response = physical_plant(loop, geometry)[row, 0]
-        axis.semilogx(loop.omega / (2 * np.pi), 20 * np.log10(np.abs(response)), color=colour, label=name)
+        axis.semilogx(
+            loop.omega / (2 * np.pi), 20 * np.log10(np.abs(response)), color=COLOURS[name], label=name
+        )
     axis.set_xlabel("frequency (Hz)")
     axis.set_ylabel(f"$F_z$ to ${MOTIONS[row]}$ (dB re 1 {UNITS[row][0]})")
     axis.legend()
