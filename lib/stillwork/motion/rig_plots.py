@@ -186,9 +186,7 @@ def error_spectra(spectra: Mapping[str, Spectrum]):
     return figure
 
 
-def over_geometries(
-    values: Mapping[str, np.ndarray], marks: Mapping[str, Sequence[float]], quantity: str, log: bool = False
-):
+def over_geometries(values: Mapping[str, np.ndarray], marks: Mapping[str, Sequence[float]], quantity: str):
     """Spread over geometries of a quantity in three directions, one panel each, with the published values.
 
     Parameters
@@ -199,8 +197,6 @@ def over_geometries(
         Case to the three published values.
     quantity : str
         Label of the axis, with its unit.
-    log : bool
-        Logarithmic axis.
     """
     figure, axes = figures.new(1, 3, height=2.9, sharey=False)
     for k, axis in enumerate(axes):
@@ -219,11 +215,8 @@ def over_geometries(
                 figures.mark_published(
                     axis, place, marks[case][k], "published" if not place else f"_published, {case}"
                 )
-        if log:
-            axis.set_yscale("log")
-        else:
-            axis.margins(y=0.08)
-            axis.set_ylim(0, None)
+        axis.margins(y=0.08)
+        axis.set_ylim(0, None)
         axis.set_xticks(range(len(values)), [case.replace(" and ", "\nand ") for case in values])
         axis.set_title(f"${MOTIONS[k]}$")
         axis.set_xlabel("use of the observer")
