@@ -24,7 +24,7 @@ from stillwork.motion.rig_identification import predicted_deviation, true_respon
 from stillwork.motion.rig_loops import RigLoop, make_rig_loop
 from stillwork.spectra import Spectrum
 
-COLOURS = dict(zip(CASES, (figures.BLUE, figures.GREEN, figures.RED, figures.SKY), strict=True))
+COLOURS = dict(zip(CASES, (figures.BLACK, figures.BLUE, figures.GREEN, figures.RED), strict=True))
 FORCES, MOTIONS = ("F_z", "M_x", "M_y"), ("z", "r_x", "r_y")
 UNITS = (("m/N", "m/Nm", "m/Nm"), ("rad/N", "rad/Nm", "rad/Nm"), ("rad/N", "rad/Nm", "rad/Nm"))
 
@@ -186,9 +186,7 @@ def error_spectra(spectra: Mapping[str, Spectrum]):
     return figure
 
 
-def over_geometries(
-    values: Mapping[str, np.ndarray], marks: Mapping[str, Sequence[float]], quantity: str, log: bool = False
-):
+def over_geometries(values: Mapping[str, np.ndarray], marks: Mapping[str, Sequence[float]], quantity: str):
     """Spread over geometries of a quantity in three directions, one panel each, with the published values.
 
     Parameters
@@ -199,8 +197,6 @@ def over_geometries(
         Case to the three published values.
     quantity : str
         Label of the axis, with its unit.
-    log : bool
-        Logarithmic axis.
     """
     figure, axes = figures.new(1, 3, height=2.9, sharey=False)
     for k, axis in enumerate(axes):
@@ -219,11 +215,8 @@ def over_geometries(
                 figures.mark_published(
                     axis, place, marks[case][k], "published" if not place else f"_published, {case}"
                 )
-        if log:
-            axis.set_yscale("log")
-        else:
-            axis.margins(y=0.08)
-            axis.set_ylim(0, None)
+        axis.margins(y=0.08)
+        axis.set_ylim(0, None)
         axis.set_xticks(range(len(values)), [case.replace(" and ", "\nand ") for case in values])
         axis.set_title(f"${MOTIONS[k]}$")
         axis.set_xlabel("use of the observer")
@@ -267,10 +260,12 @@ def draw_rig(
     geometry, row = assumed_geometry(), ENTRIES[entry]
     noise = Noise(published()["process"], 10**sensor_exponent)
     figure, axis = _plain(1)
-    for name, colour in (("Original", figures.GREY), (use, figures.BLUE)):
+    for name in ("Original", use):
         loop = _one_position(geometry, noise, name, target_damping, position)
         response = physical_plant(loop, geometry)[row, 0]
-        axis.semilogx(loop.omega / (2 * np.pi), 20 * np.log10(np.abs(response)), color=colour, label=name)
+        axis.semilogx(
+            loop.omega / (2 * np.pi), 20 * np.log10(np.abs(response)), color=COLOURS[name], label=name
+        )
     axis.set_xlabel("frequency (Hz)")
     axis.set_ylabel(f"$F_z$ to ${MOTIONS[row]}$ (dB re 1 {UNITS[row][0]})")
     axis.legend()
