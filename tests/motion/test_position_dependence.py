@@ -187,7 +187,10 @@ def test_online_filter_follows_the_continuous_riccati_equation(plant):
     end = (len(places) - 1) * step
     solved = integrate.solve_ivp(riccati, (0, end), np.eye(4).ravel(), rtol=1e-6, atol=1e-8)
     wanted = solved.y[:, -1].reshape(4, 4) * scale[:, None] * scale
-    found = (filters.covariance[-1] + filters.predicted[-1]) / 2  # before and after the last update
+    predicted = (
+        sampled.a @ filters.covariance[-2] @ sampled.a.T + sampled.b @ sampled.b.T * noise.process / step
+    )
+    found = (filters.covariance[-1] + predicted) / 2  # before and after the last update
     np.testing.assert_allclose(np.diag(found), np.diag(wanted), rtol=0.03)
 
 
