@@ -185,7 +185,7 @@ def test_the_search_finds_the_stored_design_again(joint):
 
 
 def test_joint_beats_either_half_and_both_in_turn(joint):
-    """Two-step optima are the same from every start that was tried; the joint one lies beyond them."""
+    """The stored rivals, the two steps among them, stay 5 Hz and more below the joint design."""
     for name in (
         "observer free, controller by the rule",
         "controller free, observer as published",

@@ -131,6 +131,22 @@ def test_the_optimum_of_the_stage_tracks_nothing_and_is_reached_by_inequalities(
     np.testing.assert_allclose(frequency_norm(generalised.close(riccati.observer)), riccati.norm, rtol=1e-5)
 
 
+def test_the_optimum_is_lost_on_modes_it_does_not_know_and_the_kalman_loop_is_not(problem):
+    """Judged by the poles on the eight-mode stage; the more cost and noise are added, the more survives."""
+    full, controller = stage().at([0], [4]), problem.controller.state_space()
+
+    def survives(observer):
+        return closed_loop(full, problem.compensator(observer), controller).is_stable
+
+    generalised = problem.generalised()
+    optimal, cautious = (
+        h2_riccati(generalised, *regularisation(problem, size)).observer for size in (0.01, 0.1)
+    )
+    assert survives(problem.read(kalman_observer(problem.plant, published_noise(), 1e3)))
+    assert survives(cautious)
+    assert not survives(optimal)
+
+
 def test_the_front_is_verified_and_monotone(problem):
     generalised = problem.generalised()
     kalman = generalised.close(problem.read(kalman_observer(problem.plant, published_noise(), 1e3)))
