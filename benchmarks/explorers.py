@@ -4,6 +4,7 @@ Processor time, which other programs disturb less than the clock. `ARGS="ROOM/NO
 """
 
 import ast
+import contextlib
 import json
 import os
 import sys
@@ -93,7 +94,8 @@ def main() -> None:
         caught.clear()
         space = {"__name__": "__main__"}
         for source in needed(cells):
-            exec(compile(source, notebook.name, "exec"), space)
+            with contextlib.redirect_stdout(None):  # the notebook's own tables
+                exec(compile(source, notebook.name, "exec"), space)
         [(draw, controls)] = caught
         redraw = explorers.Redraw(draw)
         times = [(redraw_ms(redraw, one), one) for one in settings(controls)]

@@ -191,6 +191,7 @@ def test_a_machine_is_recognised_by_the_room_that_reads_it(tmp_path):
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
+        (".", None, "this is a folder; name a file in it"),
         ("none.csv", None, "no such file"),
         ("a.xlsx", "x", "not read; export CSV"),
         ("a.toml", "= 1", "not valid TOML"),
@@ -234,7 +235,9 @@ def test_a_new_result_builds_claims_and_passes_its_test(toy):
         "--config",
         str(Path(__file__).parents[2] / "pyproject.toml"),
     ]
-    done = subprocess.run([*style, str(test)], cwd=toy.root, capture_output=True, text=True)
+    style += ["--config", 'lint.isort.known-first-party=["stillwork"]']  # the toy has no library of its own
+    notebook = toy.root / "notebooks/isolation/09-heavy-payload.ipynb"
+    done = subprocess.run([*style, str(test), str(notebook)], cwd=toy.root, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout
 
 

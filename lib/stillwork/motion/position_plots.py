@@ -15,7 +15,7 @@ from stillwork.motion.designs import Design
 from stillwork.motion.ideal_feedforward import Force
 from stillwork.motion.location_study import LocationStudy, location_loops, stage_error, study_locations
 from stillwork.motion.machines import stage, stage_mass
-from stillwork.motion.plots import LABELS, decibel
+from stillwork.motion.plots import LABELS, case_styles, decibel
 from stillwork.motion.position_dependence import place_loops, stage_grid
 from stillwork.motion.setpoint import Setpoint, published_setpoint
 
@@ -148,11 +148,9 @@ def location_errors(study: LocationStudy, panels: Mapping[str, str]):
 def rms_along(study: LocationStudy, cases: Sequence[str]):
     """Rms error in the scan over the place; dashed with a redesigned controller."""
     figure, axis = figures.new(1, 1, height=3.2)
+    styles = case_styles(cases)
     for case in cases:
-        redesigned = case.endswith("redesigned")
-        axis.semilogy(
-            study.places, 1e9 * study.rms(case), "--" if redesigned else "-", label=case, linewidth=1.2
-        )
+        axis.semilogy(study.places, 1e9 * study.rms(case), label=case, linewidth=1.2, **styles.get(case, {}))
     axis.set_xlabel("place of the sensor (m)")
     axis.set_ylabel("rms error in the scan (nm)")
     axis.legend(ncols=3, fontsize=7, loc="upper center")

@@ -95,12 +95,12 @@ def decoupled_plants(loops: Sequence[RigLoop], geometry: Geometry):
             )
     for i, j in np.ndindex(3, 3):
         axes[i, j].set_title(f"${FORCES[j]}$ to ${MOTIONS[i]}$")
-        axes[i, j].set_ylabel(f"dB re 1 {UNITS[i][j]}")
+        axes[i, j].set_ylabel(f"magnitude (dB re 1 {UNITS[i][j]})", fontsize=7)
     for axis in axes[-1]:
         axis.set_xlabel("frequency (Hz)")
     # Nine panels with axes of their own: the constrained layout would take longer than all the rest.
     figure.set_layout_engine(None)
-    figure.subplots_adjust(left=0.08, right=0.99, bottom=0.12, top=0.96, wspace=0.4, hspace=0.28)
+    figure.subplots_adjust(left=0.09, right=0.99, bottom=0.12, top=0.96, wspace=0.4, hspace=0.28)
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="lower center", ncols=4)
     return figure
@@ -215,8 +215,7 @@ def over_geometries(values: Mapping[str, np.ndarray], marks: Mapping[str, Sequen
                 figures.mark_published(
                     axis, place, marks[case][k], "published" if not place else f"_published, {case}"
                 )
-        axis.margins(y=0.08)
-        axis.set_ylim(0, None)
+        axis.set_ylim(0, 1.08 * axis.dataLim.y1)
         axis.set_xticks(range(len(values)), [case.replace(" and ", "\nand ") for case in values])
         axis.set_title(f"${MOTIONS[k]}$")
         axis.set_xlabel("use of the observer")

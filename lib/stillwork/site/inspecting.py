@@ -35,6 +35,8 @@ def inspect_file(name: str) -> str:
         When there is no such file or it cannot be read as what its name says.
     """
     path = Path(name)
+    if path.is_dir():
+        raise InputError(f"{name}: this is a folder; name a file in it")
     if not path.is_file():
         raise InputError(f"{name}: no such file; give a CSV, MAT, NPZ, UFF, TOML or Python file")
     kinds = {".toml": _model, ".py": _plant}

@@ -30,6 +30,7 @@ What is claimed, what we do, what came out. The example: a free vibration decays
 
 IMPORTS = """\
 import numpy as np
+
 from stillwork import figures
 from stillwork.page import Page
 
@@ -46,7 +47,7 @@ motion = np.exp(-rate * time) * np.cos(2 * np.pi * time)
 figure, axes = figures.new()
 axes.plot(time, motion, label="displacement")
 axes.set_xlabel("time (periods)")
-axes.set_ylabel("displacement")
+axes.set_ylabel("displacement (1)")
 page.save("fig-0", figure)"""
 
 CHECK = 'page.check("{room}.{key}.decrement", np.log(motion[0] / motion[200]))'
