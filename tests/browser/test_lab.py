@@ -122,7 +122,8 @@ def test_it_lands_on_the_map_of_the_house(browser, lab):
     heading = until(browser, "return document.querySelector('.jp-Notebook h1')?.textContent")
     assert heading.startswith("The house")
     assert browser.driver.current_url.startswith(f"{lab}/lab/tree/index.ipynb")
-    title = "The efficient update: 54 parameters with one 9 x 9 matrix"
+    title = json.loads((ROOT / f"notebooks/{NOTEBOOK}.ipynb").read_text("utf-8"))["cells"][0]["source"]
+    title = "".join(title).splitlines()[0].removeprefix("# ")
     address = until(
         browser,
         "return [...document.querySelectorAll('.jp-Notebook a')].find((a) => a.textContent === arguments[0])?.href",

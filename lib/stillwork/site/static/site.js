@@ -39,7 +39,7 @@ if (allCode) {
 
 // The ledger's filters and its order.
 
-const form = document.getElementById("filters");
+const form = document.querySelector("form#filters"); // a function in the reference may be called so, too
 
 if (form) {
   const body = document.querySelector("#claims tbody");
