@@ -16,7 +16,7 @@ from stillwork.checks import InputError
 from stillwork.claims import Claim
 from stillwork.site import reading
 from stillwork.site.mathematics import markdown
-from stillwork.workbook.notebooks import Notebook, notebook_file
+from stillwork.workbook.notebooks import Notebook
 from stillwork.workbook.report import VERDICTS
 from stillwork.workbook.tasks import Task
 
@@ -122,8 +122,9 @@ def read_page(task: Task, claims: list[Claim]) -> NotebookPage:
     """
     notebook = task.notebook
     fresh = not task.reasons() and task.executed.is_file()
-    file = task.executed if fresh else notebook_file(notebook.name)
-    raw = json.loads(file.read_text(encoding="utf-8"))["cells"]
+    raw = json.loads(notebook.source)["cells"]
+    if fresh:  # of the build its outputs only: texts may have changed since
+        raw = _with_outputs(raw, json.loads(task.executed.read_text(encoding="utf-8"))["cells"])
     folder = paths.root() / "figures" / notebook.name
     mine = [claim for claim in claims if claim.notebook == notebook.name]
     cells = _cells(notebook.name, raw, folder, mine)
@@ -142,6 +143,17 @@ def read_page(task: Task, claims: list[Claim]) -> NotebookPage:
         json.loads(record.read_text(encoding="utf-8")) if record.is_file() else {},
         fresh,
     )
+
+
+def _with_outputs(cells: list[dict], executed: list[dict]) -> list[dict]:
+    """The cells with what the code cells of the same id gave when they were executed."""
+    gave = {cell.get("id"): cell["outputs"] for cell in executed if cell["cell_type"] == "code"}
+    return [
+        {**cell, "outputs": gave.get(cell.get("id"), cell["outputs"])}
+        if cell["cell_type"] == "code"
+        else cell
+        for cell in cells
+    ]
 
 
 def _cells(name: str, raw: list[dict], folder: Path, claims: list[Claim]) -> list[Cell]:
