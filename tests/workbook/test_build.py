@@ -33,11 +33,8 @@ def built(tmp_path_factory):
 @pytest.fixture
 def toy(built, tmp_path):
     """A built workbook that a test may change."""
-    root = tmp_path / "copy"
-    shutil.copytree(built.root, root)
-    copy = toys.Toy(root)
-    yield copy
-    toys.clean_up(copy)
+    with toys.copy_of(built, tmp_path) as copy:
+        yield copy
 
 
 def reasons(toy, *arguments) -> dict[str, str]:

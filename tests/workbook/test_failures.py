@@ -2,7 +2,6 @@
 
 import os
 import resource
-import shutil
 import signal
 
 import pytest
@@ -36,11 +35,8 @@ def good(tmp_path_factory):
 @pytest.fixture
 def built(good, tmp_path):
     """A copy of the built workbook that a test may change."""
-    root = tmp_path / "copy"
-    shutil.copytree(good.root, root)
-    copy = toys.Toy(root)
-    yield copy
-    toys.clean_up(copy)
+    with toys.copy_of(good, tmp_path) as copy:
+        yield copy
 
 
 def end_with(built, *sources) -> dict[str, bytes]:

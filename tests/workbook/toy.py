@@ -9,6 +9,8 @@ import sys
 import tempfile
 import time
 import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -205,6 +207,15 @@ def make(root: Path) -> Toy:
     toy.write("pyproject.toml", (LIBRARY.parents[1] / "pyproject.toml").read_text(encoding="utf-8"))
     toy.write("environment.txt", "numpy==2.4.5 \\\n    --hash=sha256:0\n    # via a\nscipy==1.17.1\n")
     return toy
+
+
+@contextmanager
+def copy_of(toy: Toy, folder: Path) -> Iterator[Toy]:
+    """A copy in `folder` that a test may change, cleaned up at the end."""
+    shutil.copytree(toy.root, folder / "copy")
+    copy = Toy(folder / "copy")
+    yield copy
+    clean_up(copy)
 
 
 def clean_up(toy: Toy) -> None:
