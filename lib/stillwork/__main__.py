@@ -60,6 +60,9 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
     claims = commands.add_parser("claims", help="print the ledger", allow_abbrev=False)
     claims.add_argument("room", nargs="?", metavar="ROOM")
     claims.add_argument("--json", action="store_true")
+    claims.add_argument(
+        "--built", action="store_true", help="with what the last build found, accepted or not"
+    )
     claims.set_defaults(run=_claims)
 
     accept = commands.add_parser("accept", help="take the built results over into notebooks/ and the ledger")
@@ -122,10 +125,11 @@ def _figures(options) -> int:
 def _claims(options) -> int:
     from stillwork.claims import ledger
     from stillwork.workbook.report import ledger_text
+    from stillwork.workbook.tasks import built
 
     if options.room not in (None, *paths.ROOMS):
         raise InputError(f"there is no room {options.room!r}{nearest(options.room, paths.ROOMS)}")
-    claims = ledger(room=options.room)
+    claims = ledger(built() if options.built else None, options.room)
     if options.json:
         print(json.dumps([claim.as_dict() for claim in claims], indent=1, ensure_ascii=False))
     else:
@@ -134,9 +138,10 @@ def _claims(options) -> int:
 
 
 def _accept(_options) -> int:
+    from stillwork.site.derived import refresh
     from stillwork.workbook.accept import accept
 
-    return accept()
+    return accept(refresh)
 
 
 def _site(_options) -> int:

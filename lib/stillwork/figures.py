@@ -208,3 +208,16 @@ def _numbers(name: str, x, y, z=None) -> list[tuple]:
         return [(name, f"{a:.7g}", f"{b:.7g}", "") for a, b in zip(*columns, strict=True)]
     depth = np.ravel(np.ma.filled(np.ma.asarray(z, dtype=float), np.nan))
     return [(name, f"{a:.7g}", f"{b:.7g}", f"{c:.7g}") for a, b, c in zip(*columns, depth, strict=True)]
+
+
+def read_table(file: Path) -> list[tuple[str, str, str, str, str]]:
+    """Rows of panel, series, x, y, z of a figure's table; an empty name means: as in the row above."""
+    with Path(file).open(newline="", encoding="utf-8") as text:
+        rows = list(csv.reader(text))
+    if not rows or rows[0] != ["panel", "series", "x", "y", "z"]:
+        raise InputError(f"{file} is not the table of a figure; its first line is {rows[:1]}")
+    full, panel, series = [], "", ""
+    for row in rows[1:]:
+        panel, series = row[0] or panel, row[1] or series
+        full.append((panel, series, *row[2:]))
+    return full

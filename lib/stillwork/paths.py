@@ -5,7 +5,7 @@ from pathlib import Path
 
 ROOMS = ("isolation", "motion", "worstcase", "fixedpoint")
 
-OUTPUT_VARIABLE = "STILLWORK_OUTPUT"
+OUTPUT_VARIABLE, ROOT_VARIABLE = "STILLWORK_OUTPUT", "STILLWORK_ROOT"
 
 
 def root() -> Path:
@@ -18,7 +18,7 @@ def root() -> Path:
     FileNotFoundError
         When the package was installed without its checkout and `STILLWORK_ROOT` is not set.
     """
-    folder = Path(os.environ.get("STILLWORK_ROOT") or Path(__file__).parents[2])
+    folder = Path(os.environ.get(ROOT_VARIABLE) or Path(__file__).parents[2])
     if not (folder / "data").is_dir():
         raise FileNotFoundError(
             f"no workbook at {folder} (no data/ folder); set STILLWORK_ROOT to a checkout of stillwork"

@@ -10,7 +10,7 @@ from pathlib import Path
 from stillwork import paths
 from stillwork.claims import Claim, ledger
 from stillwork.site.pages import Figure, NotebookPage, read_page
-from stillwork.workbook.accept import notebook_text
+from stillwork.workbook.notebooks import notebook_text
 from stillwork.workbook.publish import replace_file
 from stillwork.workbook.report import VERDICTS, quantity, readme_with_summary
 from stillwork.workbook.tasks import tasks

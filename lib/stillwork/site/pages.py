@@ -121,10 +121,10 @@ def read_page(task: Task, claims: list[Claim]) -> NotebookPage:
         The whole ledger.
     """
     notebook = task.notebook
-    fresh = not task.reasons() and task.executed.is_file()
+    fresh = not task.reasons()
     raw = json.loads(notebook.source)["cells"]
     if fresh:  # of the build its outputs only: texts may have changed since
-        raw = _with_outputs(raw, json.loads(task.executed.read_text(encoding="utf-8"))["cells"])
+        raw = _with_outputs(raw, task.outputs())
     folder = paths.root() / "figures" / notebook.name
     mine = [claim for claim in claims if claim.notebook == notebook.name]
     cells = _cells(notebook.name, raw, folder, mine)
@@ -145,9 +145,8 @@ def read_page(task: Task, claims: list[Claim]) -> NotebookPage:
     )
 
 
-def _with_outputs(cells: list[dict], executed: list[dict]) -> list[dict]:
+def _with_outputs(cells: list[dict], gave: dict[str, list[dict]]) -> list[dict]:
     """The cells with what the code cells of the same id gave when they were executed."""
-    gave = {cell.get("id"): cell["outputs"] for cell in executed if cell["cell_type"] == "code"}
     return [
         {**cell, "outputs": gave.get(cell.get("id"), cell["outputs"])}
         if cell["cell_type"] == "code"

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import stillwork
 from stillwork import paths
-from stillwork.workbook.inputs import shared_modules
 
 LIBRARY = Path(stillwork.__file__).parent
 
@@ -54,6 +53,12 @@ class Module:
         """The room it belongs to; ``shared`` for what all rooms use."""
         part = self.name.split(".")[1]
         return part if part in paths.ROOMS else "shared"
+
+
+def shared_modules() -> list[Path]:
+    """The modules that every room may use: all but the command line, the builder, the site and the rooms."""
+    others = ("__main__.py", "workbook", "site", *paths.ROOMS)
+    return sorted(file for file in LIBRARY.rglob("*.py") if file.relative_to(LIBRARY).parts[0] not in others)
 
 
 def read_modules() -> list[Module]:

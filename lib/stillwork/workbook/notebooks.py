@@ -120,5 +120,37 @@ def assign(notebooks: list[Notebook], settings: dict[str, str]) -> list[tuple[No
     return chosen
 
 
+def cleaned(notebook: dict, executed: dict) -> dict:
+    """`notebook` with the text outputs of `executed`: no pictures, widgets, HTML, times or random ids."""
+    outputs = {cell["id"]: cell for cell in executed["cells"] if cell["cell_type"] == "code"}
+    cells = []
+    for cell in notebook["cells"]:
+        if cell["cell_type"] == "code":
+            ran = outputs[cell["id"]]
+            kept = [_text_only(output) for output in ran["outputs"]]
+            cell = {**cell, "execution_count": ran["execution_count"], "outputs": [o for o in kept if o]}
+            cell["metadata"] = {k: v for k, v in cell["metadata"].items() if k == "tags"}
+        cells.append(cell)
+    metadata = {
+        "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
+        "language_info": {"name": "python"},
+    }
+    return {**notebook, "cells": cells, "metadata": metadata}
+
+
+def notebook_text(notebook: dict) -> str:
+    """The file's text, in the one order that accepting writes."""
+    return json.dumps(notebook, indent=1, ensure_ascii=False, sort_keys=True) + "\n"
+
+
+def _text_only(output: dict) -> dict | None:
+    if output["output_type"] == "stream":
+        return output
+    text = output["data"].get("text/plain")
+    if text is None:
+        return None
+    return {**output, "data": {"text/plain": text}, "metadata": {}}
+
+
 def _text(cell: dict) -> str:
     return "".join(cell["source"])

@@ -5,8 +5,8 @@ import subprocess
 from collections.abc import Iterable
 
 from stillwork import paths
-from stillwork.workbook.inputs import digest
 from stillwork.workbook.notebooks import Notebook
+from stillwork.workbook.publish import digest
 
 
 def commit() -> str | None:

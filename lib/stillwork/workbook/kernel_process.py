@@ -1,0 +1,226 @@
+"""A Jupyter kernel for one notebook, and the warmed process that such kernels are forked from.
+
+Run as a file with ``python -P``, it imports nothing of the package before it watches: what a notebook reads, the
+library's own modules first of all, is written down as it is opened, with a digest of what was there.
+
+``kernel_process.py kernel LOG -f CONNECTION_FILE`` becomes a kernel. ``kernel_process.py warm SOCKET`` imports what
+is slow to import and nothing of the workbook, then forks a kernel for each line of JSON that comes in by the
+inherited socket, and tells how each one ended.
+"""
+
+import hashlib
+import importlib.util
+import json
+import os
+import select
+import signal
+import socket
+import sys
+
+# Where the notebooks spend their imports.
+SLOW = (
+    "numpy",
+    "scipy.interpolate",
+    "scipy.linalg",
+    "scipy.optimize",
+    "scipy.signal",
+    "scipy.stats",
+    "matplotlib.backends.backend_agg",
+    "matplotlib.figure",
+    "numba",
+    "control",
+    "pandas",
+    "ipywidgets",
+    "ipykernel.kernelapp",
+)
+
+
+def watch(log: str) -> None:
+    """Append to `log`, from now on, a line of JSON for each file that is read and each folder that is listed.
+
+    What Python, its packages and the system hold is left out: the pins of the environment speak for them.
+    """
+    out = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+    home = os.path.expanduser("~")
+    places = {sys.prefix, sys.base_prefix, sys.exec_prefix, os.path.dirname(log)}
+    places |= {os.path.realpath(each) for each in places}
+    places |= {"/dev", "/etc", "/lib", "/lib64", "/proc", "/run", "/sys", "/usr"}
+    places |= {os.path.join(home, each) for each in (".cache", ".config", ".ipython", ".jupyter", ".local")}
+    places |= {each for each in sys.path if "site-packages" in each or "dist-packages" in each}
+    root = os.environ["STILLWORK_ROOT"]
+    places |= {os.path.join(root, each) for each in (".git", "build")}
+    left_out = tuple(each.rstrip("/") + "/" for each in places)
+    data = os.path.join(root, "data")
+    seen: set[str] = set()
+    state = {"busy": False}
+
+    def note(path: str, digest: str) -> None:
+        os.write(out, (json.dumps({"path": path, "digest": digest}) + "\n").encode())
+
+    def hook(event: str, arguments: tuple) -> None:
+        if state["busy"] or event not in ("open", "os.listdir", "os.scandir"):
+            return
+        path = arguments[0]
+        if not isinstance(path, str | bytes | os.PathLike):
+            return
+        state["busy"] = True
+        try:
+            path = os.path.abspath(os.fsdecode(path))
+            if event == "open":
+                mode, flags = arguments[1], arguments[2]
+                writes = (
+                    set("wax+") & set(mode) if isinstance(mode, str) else flags & (os.O_WRONLY | os.O_RDWR)
+                )
+                if writes:
+                    return
+                if path.endswith(".pyc"):
+                    path = importlib.util.source_from_cache(path)
+                if path in seen or path.startswith(left_out):
+                    return
+                seen.add(path)
+                with open(path, "rb") as file:
+                    note(path, hashlib.file_digest(file, "sha256").hexdigest())
+            elif f"{path}/" not in seen and (path == data or path.startswith(data + "/")):
+                seen.add(f"{path}/")
+                names = "\n".join(sorted(os.listdir(path)))
+                note(f"{path}/", hashlib.sha256(names.encode()).hexdigest())
+        except (OSError, ValueError):  # what is not there was not read
+            return
+        finally:
+            state["busy"] = False
+
+    sys.addaudithook(hook)
+
+
+def kernel(log: str, connection_file: str, *options: str) -> None:
+    """Serve a notebook until it says that it is done."""
+    watch(log)
+    sys.argv = ["ipykernel_launcher", "-f", connection_file, *options]
+    from ipykernel import kernelapp
+
+    kernelapp.launch_new_instance()
+
+
+def warm(descriptor: int) -> None:
+    """Fork kernels on demand until the other end of the socket closes; then end them all."""
+    for name in SLOW:
+        importlib.import_module(name)
+    _first_use()
+    import gc
+
+    gc.collect()
+    gc.freeze()  # what is here is shared by all: let no collection touch it
+    driver = socket.socket(fileno=descriptor)
+    woken, wake = os.pipe()
+    for end in (woken, wake):
+        os.set_blocking(end, False)
+    signal.signal(signal.SIGCHLD, lambda *_: None)
+    signal.set_wakeup_fd(wake, warn_on_full_buffer=False)
+    running: set[int] = set()
+    pending = b""
+    while True:
+        ready, _, _ = select.select([driver, woken], [], [])
+        if woken in ready:
+            os.read(woken, 4096)
+        if driver in ready:
+            received = driver.recv(65536)
+            if not received:
+                break
+            *lines, pending = (pending + received).split(b"\n")
+            for line in lines:
+                wanted = json.loads(line)
+                if pid := os.fork():
+                    _lead(pid)
+                    running.add(pid)
+                    driver.sendall(json.dumps({"asked": wanted["asked"], "pid": pid}).encode() + b"\n")
+                else:
+                    _become_kernel(wanted, (driver, woken, wake))
+        for pid in list(running):
+            done, status = os.waitpid(pid, os.WNOHANG)
+            if done:
+                running.discard(pid)
+                ended = {"pid": pid, "code": os.waitstatus_to_exitcode(status)}
+                driver.sendall(json.dumps(ended).encode() + b"\n")
+    for pid in running:
+        try:
+            os.killpg(pid, signal.SIGKILL)
+        except OSError:
+            continue
+
+
+def _lead(pid: int) -> None:
+    """Give a kernel a process group of its own; parent and child both do, so that nobody sees it without."""
+    try:
+        os.setpgid(pid, pid)
+    except OSError:  # it has one by now, or has ended
+        pass
+
+
+def _become_kernel(wanted: dict, inherited: tuple) -> None:
+    code = 1
+    try:
+        _lead(0)
+        signal.set_wakeup_fd(-1)
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        driver, woken, wake = inherited
+        driver.close()
+        os.close(woken)
+        os.close(wake)
+        parent = os.getppid()
+        _die_with_parent()
+        if os.getppid() != parent:
+            os._exit(1)
+        os.environ.clear()
+        os.environ.update(wanted["environment"])
+        os.chdir(wanted["folder"])
+        _reseed()
+        kernel(*wanted["arguments"], f"--IPKernelApp.parent_handle={parent}")
+        code = 0
+    except SystemExit as ended:
+        code = ended.code if isinstance(ended.code, int) else int(bool(ended.code))
+    except BaseException:
+        import traceback
+
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+
+
+def _reseed() -> None:
+    """Processes of one origin must not share their streams of random numbers."""
+    import random
+
+    import numpy
+
+    random.seed()
+    numpy.random.seed()  # noqa: NPY002  the global state that a notebook may use is what is meant
+
+
+def _die_with_parent() -> None:
+    import ctypes
+
+    ctypes.CDLL(None, use_errno=True).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
+
+
+def _first_use() -> None:
+    """What is slow the first time: numba's compiler, the fonts and the parser of formulas."""
+    import numba
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    numba.njit(lambda number: number + 1.0)(1.0)
+    figure = Figure(layout="constrained")
+    axes = figure.subplots()
+    axes.loglog([1, 10], [1, 10], label=r"$\omega_1^{2}$")
+    axes.set_xlabel("time (s)")
+    axes.legend()
+    FigureCanvasAgg(figure).draw()
+
+
+if __name__ == "__main__":
+    if sys.argv[1] == "warm":
+        warm(int(sys.argv[2]))
+    else:
+        kernel(sys.argv[2], *[each for each in sys.argv[3:] if each != "-f"])
