@@ -5,7 +5,6 @@ A room's published numbers stand in ``data/<room>/published.toml``; what a noteb
 """
 
 import json
-import math
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -17,14 +16,10 @@ from stillwork.checks import InputError, nearest, require_choice, require_number
 KINDS = ("value", "exact", "ordering", "slope", "reported")
 BASES = ("predicted", "fitted", "calibrated")
 
-# How far a rebuilt value may lie from the accepted one, relative to the larger of the two: room for the
-# rounding of another machine, far below any tolerance in use.
-DRIFT = 1e-3
-
 
 @dataclass(frozen=True)
 class Tolerance:
-    """How far ours may lie from the published value; exactly one rule, and where the rule comes from."""
+    """How far a value may lie from another; exactly one rule, and where the rule comes from."""
 
     source: str
     relative: float | None = None
@@ -49,6 +44,10 @@ class Tolerance:
         return abs(ours - published) <= self.absolute
 
 
+# How far a rebuilt value may lie from the accepted one, where the entry says nothing else.
+DRIFT = Tolerance("room for the rounding of another machine, far below any tolerance in use", relative=1e-3)
+
+
 @dataclass(frozen=True)
 class Entry:
     """One published number or statement, as the ledger's TOML gives it.
@@ -67,6 +66,9 @@ class Entry:
         ``value``, ``exact``, ``ordering``, ``slope`` or ``reported`` (shown, not judged).
     tolerance : Tolerance or None
         None for `reported` and `ordering` only.
+    drift : Tolerance
+        How far a rebuilt value may lie from the accepted one, relative or absolute. A value that is a small
+        difference of large ones, or a fit to rounding, moves by more than a part of itself.
     basis : str
         ``predicted``; ``fitted`` or ``calibrated`` when the published value itself went into the model.
     ours : float or None
@@ -82,6 +84,7 @@ class Entry:
     published: float
     kind: str
     tolerance: Tolerance | None = None
+    drift: Tolerance = DRIFT
     basis: str = "predicted"
     ours: float | None = None
     reason: str = ""
@@ -97,6 +100,8 @@ class Entry:
             raise InputError(f"{self.id}: a {self.kind} needs a tolerance with a source")
         if self.kind in ("reported", "ordering") and self.tolerance is not None:
             raise InputError(f"{self.id}: {self.kind} takes no tolerance; remove it")
+        if self.drift.interval is not None:
+            raise InputError(f"{self.id}: drift takes relative or absolute, not interval")
         if self.kind == "reported" and not self.reason:
             raise InputError(f"{self.id}: say in reason why it is not judged")
 
@@ -143,7 +148,16 @@ class Claim:
             return False
         if self.entry.kind == "exact":  # an identity: its residual is rounding, judged by its tolerance
             return False
-        return not math.isclose(self.ours, accepted, rel_tol=DRIFT, abs_tol=1e-12)
+        drift = self.entry.drift
+        return abs(self.ours - accepted) > 1e-12 and not drift.allows(accepted, self.ours, None)
+
+    def shown(self, digits: int) -> str:
+        """Ours as text; of an identity that holds, whose residual is rounding, the bound that it keeps."""
+        entry = self.entry
+        if entry.kind == "exact" and entry.published == 0 and self.verdict == "replicated":
+            if bound := entry.tolerance.absolute:  # 0 where a count is judged
+                return f"< {bound:g}"
+        return f"{self.ours:.{digits}g}"
 
     def as_dict(self) -> dict:
         """All of it as plain values, for JSON and for tables."""
@@ -196,13 +210,16 @@ def _entries(tree: dict, path: tuple[str, ...]) -> Iterator[Entry]:
 
 def _entry(name: str, fields: dict) -> Entry:
     known = [key for key in Entry.__dataclass_fields__ if key != "id"]
-    for given, allowed in ((fields, known), (fields.get("tolerance", {}), Tolerance.__dataclass_fields__)):
+    rules = {key: fields[key] for key in ("tolerance", "drift") if key in fields}
+    for given, allowed in (
+        (fields, known),
+        *((rule, Tolerance.__dataclass_fields__) for rule in rules.values()),
+    ):
         for key in given:
             if key not in allowed:
                 raise InputError(f"{name}: unknown field {key!r}{nearest(key, allowed)}")
     try:
-        tolerance = Tolerance(**fields["tolerance"]) if "tolerance" in fields else None
-        return Entry(id=name, **{**fields, "tolerance": tolerance})
+        return Entry(id=name, **{**fields, **{key: Tolerance(**rule) for key, rule in rules.items()}})
     except (TypeError, InputError) as error:
         raise InputError(f"{name}: {error}") from None
 
@@ -235,7 +252,7 @@ class ClaimsTable:
             entry = claim.entry
             spread = "" if not claim.interval else "{:.3g} .. {:.3g}".format(*claim.interval)
             verdict = claim.verdict + ("" if entry.basis == "predicted" else f" ({entry.basis})")
-            row = (entry.id, entry.place, f"{entry.published:.4g}", f"{claim.ours:.3g}", spread)
+            row = (entry.id, entry.place, f"{entry.published:.4g}", claim.shown(3), spread)
             rows.append((*row, entry.unit, verdict))
         widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
         lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]

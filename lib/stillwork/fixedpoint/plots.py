@@ -6,6 +6,7 @@ from stillwork import figures
 from stillwork.fixedpoint.loop import Run
 from stillwork.fixedpoint.published import EXTENDED, KALMAN, LITERAL, LOW_PASS, POLYNOMIAL, WINDOW
 from stillwork.fixedpoint.trajectory import Trajectory
+from stillwork.rounding import first_largest
 from stillwork.studies import Study, mean_interval
 
 COLOURS = {
@@ -63,7 +64,7 @@ def hardest_turn(nominal: Trajectory) -> float:
     """Time of the largest nominal acceleration in the second half, s; the first of equals."""
     half = len(nominal.position) // 2
     size = np.abs(nominal.acceleration[half:])
-    return float(nominal.time[half + np.argmax(size > (1 - 1e-4) * size.max())])
+    return float(nominal.time[half + first_largest(size, 1e-4)])
 
 
 def _range_after(runs, quantity, factor, settle=2.0):

@@ -11,6 +11,7 @@ from stillwork.checks import InputError, require_choice, require_count, require_
 from stillwork.lti import ModalModel, Peak, StateModel, refine_peak, resonance_grid
 from stillwork.motion.controller import Pid
 from stillwork.motion.loops import LoopResponse, closed_loop, loop_response, no_observer
+from stillwork.rounding import TIE
 
 SIX_DB = 10 ** (6 / 20)  # not 2
 
@@ -192,7 +193,11 @@ def _rough(loops: Sequence[Loop], controller: Pid, constraints: Sequence[PeakCon
 def _violation(
     loops: Sequence[Loop], controller: Pid, constraints: Sequence[PeakConstraint], refine: bool
 ) -> tuple[str, int, Peak] | None:
-    """The constraint that is exceeded most, or the loop that is unstable, or None."""
+    """The constraint that is exceeded most, or the loop that is unstable, or None.
+
+    Of constraints that are exceeded equally, but for rounding, the first of the first loop: without an observer
+    S_I and S_O are one function.
+    """
     worst, excess = None, 1.0
     for number, loop in enumerate(loops):
         response = loop.at(controller)
@@ -209,7 +214,8 @@ def _violation(
                     magnitude,
                     near=0.97,
                 )
-            if peak.magnitude > excess * constraint.limit:
+            margin = 1.0 if worst is None else 1 + TIE
+            if peak.magnitude > margin * excess * constraint.limit:
                 worst, excess = (name, number, peak), peak.magnitude / constraint.limit
     if worst is not None:
         return worst

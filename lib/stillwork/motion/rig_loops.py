@@ -16,6 +16,7 @@ from stillwork.motion.controller import Pid, PidFamily
 from stillwork.motion.loops import closed_loop, no_observer
 from stillwork.motion.rig import Decoupling
 from stillwork.motion.rig_control import RigCompensator, pid_response, tustin, zoh_response
+from stillwork.rounding import first_largest
 
 # Section 6.1: both orders of the plant with the controller, at the controller and at the plant, and the true error.
 MEASURES = ("singular values", "diagonal")  # what "peak below 6 dB" means for a matrix is not printed
@@ -188,8 +189,7 @@ class RigBandwidth(NamedTuple):
     @property
     def active(self) -> str:
         """The loop function with the largest peak; the first of those that are equal but for rounding."""
-        largest = self.peaks.max(axis=0)
-        return FUNCTIONS[int(np.argmax(largest > (1 - 1e-6) * largest.max()))]
+        return FUNCTIONS[first_largest(self.peaks.max(axis=0))]
 
 
 def maximise_rig_bandwidth(

@@ -22,7 +22,7 @@ from stillwork.site.pages import NotebookPage, read_page
 from stillwork.workbook import publish
 from stillwork.workbook.notebooks import notebook_file
 from stillwork.workbook.provenance import commit, modified
-from stillwork.workbook.report import VERDICTS, quantity
+from stillwork.workbook.report import VERDICTS, our_quantity, published_quantity
 from stillwork.workbook.tasks import tasks
 
 HERE = Path(__file__).parent
@@ -135,8 +135,8 @@ def _renderer(**shared):
         lstrip_blocks=True,
     )
     environment.filters["number"] = lambda value: f"{value:.4g}"
-    environment.filters["published"] = lambda claim: quantity(claim, claim.entry.published)
-    environment.filters["ours"] = lambda claim: quantity(claim, claim.ours)
+    environment.filters["published"] = published_quantity
+    environment.filters["ours"] = our_quantity
     environment.filters["off_by"] = _off_by
     environment.filters["slug"] = lambda verdict: verdict.replace(" ", "-")
     site = {

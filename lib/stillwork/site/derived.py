@@ -12,7 +12,7 @@ from stillwork.claims import Claim, ledger
 from stillwork.site.pages import Figure, NotebookPage, read_page
 from stillwork.workbook.notebooks import notebook_text
 from stillwork.workbook.publish import replace_file
-from stillwork.workbook.report import VERDICTS, quantity, readme_with_summary
+from stillwork.workbook.report import VERDICTS, our_quantity, published_quantity, readme_with_summary
 from stillwork.workbook.tasks import tasks
 
 WORKS = Path(__file__).parent / "works.toml"
@@ -125,7 +125,7 @@ def _headline(work: dict, claims: list[Claim]) -> str:
     """What the work says first, as a table that ends with a blank line; empty where the ledger has none of it."""
     by_id = {claim.entry.id: claim for claim in claims}
     rows = [
-        f"| {each['says']} | {quantity(claim, claim.entry.published)} | {quantity(claim, claim.ours)} | {claim.verdict} |"
+        f"| {each['says']} | {published_quantity(claim)} | {our_quantity(claim)} | {claim.verdict} |"
         for each in work["headline"]
         if (claim := by_id.get(each["entry"]))
     ]

@@ -9,14 +9,21 @@ BEGIN, END = "<!-- ledger:begin -->", "<!-- ledger:end -->"
 VERDICTS = ("replicated", "deviates", "reported", "not built")
 
 
-def quantity(claim: Claim, value: float | None) -> str:
-    """A value with its unit; of an ordering, the share of cases in which it holds."""
-    if value is None:
-        return ""
+def published_quantity(claim: Claim) -> str:
+    """The published value with its unit; of an ordering, the share of cases in which it holds."""
+    return _quantity(claim, claim.entry.published, f"{claim.entry.published:.4g}")
+
+
+def our_quantity(claim: Claim) -> str:
+    """The value found, as `published_quantity`; empty where nothing was."""
+    return "" if claim.ours is None else _quantity(claim, claim.ours, claim.shown(4))
+
+
+def _quantity(claim: Claim, value: float, text: str) -> str:
     if claim.entry.kind == "ordering":
         return "always" if value == 1 else "never" if value == 0 else f"in {100 * value:.3g} % of cases"
     unit = claim.entry.unit
-    return f"{value:.4g}" if unit in ("", "1") else f"{value:.4g} {unit}"
+    return text if unit in ("", "1") else f"{text} {unit}"
 
 
 def ledger_text(claims: list[Claim]) -> str:
@@ -24,7 +31,7 @@ def ledger_text(claims: list[Claim]) -> str:
     rows = [("claim", "place", "published", "ours", "interval", "unit", "kind", "verdict")]
     for claim in claims:
         entry = claim.entry
-        ours = "" if claim.ours is None else f"{claim.ours:.4g}"
+        ours = "" if claim.ours is None else claim.shown(4)
         spread = "{:.3g} .. {:.3g}".format(*claim.interval) if claim.interval else ""
         verdict = claim.verdict if entry.basis == "predicted" else f"{claim.verdict} ({entry.basis})"
         rows.append(

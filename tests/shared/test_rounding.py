@@ -1,0 +1,56 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from stillwork.checks import InputError
+from stillwork.rounding import TIE, below, first_largest
+
+
+@pytest.mark.parametrize("residual", [0.0, 6.7e-16, -7.8e-16, 8e-14, 1.2e-13, 9.9e-13])
+def test_a_residual_within_its_bound_shows_the_bound_alone(residual):
+    assert below(residual, 1e-12) == "below 1e-12"
+
+
+@pytest.mark.parametrize(("residual", "text"), [(1e-12, "1.0e-12"), (-3.21e-5, "-3.2e-05")])
+def test_a_residual_beyond_its_bound_shows_itself(residual, text):
+    assert below(residual, 1e-12) == text
+
+
+@pytest.mark.parametrize(
+    ("residual", "bound", "message"),
+    [
+        (np.nan, 1e-9, "residual is nan"),
+        (np.inf, 1e-9, "residual is inf"),
+        (0.0, 0.0, "bound is 0; .*above 0"),
+    ],
+)
+def test_what_is_no_residual_or_no_bound_is_refused(residual, bound, message):
+    with pytest.raises(InputError, match=message):
+        below(residual, bound)
+
+
+different = st.lists(st.integers(-1000, 1000), min_size=1, max_size=20)
+
+
+@given(different, st.data())
+def test_rounding_does_not_change_which_of_equal_values_is_largest(values, data):
+    noise = data.draw(st.lists(st.floats(-1e-9, 1e-9), min_size=len(values), max_size=len(values)))
+    shaken = np.array(values, dtype=float) * (1 + np.array(noise))
+    assert first_largest(shaken) == values.index(max(values))
+
+
+def test_a_value_larger_by_more_than_the_tie_wins():
+    assert first_largest([1.0, 1.0 + 2 * TIE]) == 1
+    assert first_largest([1.0, 1.0 + TIE / 2]) == 0
+    assert first_largest([1.0, 1.04, 0.2], tie=0.05) == 0
+    assert first_largest([-1.0, -1.0 - TIE / 2, -0.5]) == 2
+
+
+@pytest.mark.parametrize(
+    ("values", "tie", "message"),
+    [([], 0.1, "values is empty"), ([1.0, np.nan], 0.1, "values holds 1 NaN"), ([1.0], -0.1, "tie is -0.1")],
+)
+def test_nothing_to_choose_from_is_refused(values, tie, message):
+    with pytest.raises(InputError, match=message):
+        first_largest(values, tie)
