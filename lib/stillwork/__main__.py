@@ -1,4 +1,4 @@
-"""Command line: ``python -m stillwork figures|claims|accept|site|refresh|inspect|new|doctor``."""
+"""Command line: ``python -m stillwork figures|claims|portable|accept|site|refresh|inspect|new|doctor``."""
 
 import argparse
 import json
@@ -42,7 +42,7 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     figures = commands.add_parser("figures", help="build the figures that are stale", allow_abbrev=False)
-    figures.add_argument("target", nargs="?", metavar="ROOM[/NOTEBOOK]", help="by default everything")
+    figures.add_argument("targets", nargs="*", metavar="ROOM[/NOTEBOOK]", help="by default everything")
     figures.add_argument(
         "-p",
         dest="settings",
@@ -64,6 +64,12 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
         "--built", action="store_true", help="with what the last build found, accepted or not"
     )
     claims.set_defaults(run=_claims)
+
+    portable = commands.add_parser(
+        "portable", help="build under other processors' settings and compare", allow_abbrev=False
+    )
+    portable.add_argument("--sample", action="store_true", help="a few notebooks under two of them")
+    portable.set_defaults(run=_portable)
 
     accept = commands.add_parser("accept", help="take the built results over into notebooks/ and the ledger")
     accept.set_defaults(run=_accept)
@@ -113,8 +119,8 @@ def _figures(options) -> int:
             raise InputError(f"-p {name} is given twice; keep one")
         settings[name] = value
     return build_figures(
-        options.target,
-        settings,
+        *options.targets,
+        settings=settings,
         jobs=options.jobs,
         scheduler=options.scheduler,
         force=options.force,
@@ -135,6 +141,12 @@ def _claims(options) -> int:
     else:
         print(ledger_text(claims))
     return 0
+
+
+def _portable(options) -> int:
+    from stillwork.workbook.portable import portable
+
+    return portable(options.sample)
 
 
 def _accept(_options) -> int:

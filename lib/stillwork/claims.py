@@ -39,9 +39,11 @@ class Tolerance:
             if interval is None:
                 raise InputError("this claim is judged by an interval; pass interval=(low, high)")
             return interval[0] <= published <= interval[1]
-        if self.relative is not None:
-            return abs(ours - published) <= self.relative * abs(published)
-        return abs(ours - published) <= self.absolute
+        return abs(ours - published) <= self.width(published)
+
+    def width(self, value: float) -> float:
+        """How far another value may lie from this one, by a relative or absolute rule."""
+        return self.absolute if self.relative is None else self.relative * abs(value)
 
 
 # How far a rebuilt value may lie from the accepted one, where the entry says nothing else.

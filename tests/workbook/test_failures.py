@@ -41,7 +41,7 @@ def built(good, tmp_path):
 
 def end_with(built, *sources) -> dict[str, bytes]:
     """Make the first notebook end with `sources`, and both stale; returns the good figures."""
-    before = built.files("figures")
+    before = built.results()
     built.add("isolation/01-first", *sources)
     built.replace("notebooks/isolation/02-second.ipynb", "seed: int = 1", "seed: int = 2")
     return before
@@ -49,9 +49,9 @@ def end_with(built, *sources) -> dict[str, bytes]:
 
 def assert_only_second_was_built(toy, good):
     first = {name: content for name, content in good.items() if "01-first" in name}
-    now = toy.files("figures")
+    now = toy.results()
     assert first == {name: content for name, content in now.items() if "01-first" in name}
-    assert now["figures/isolation/02-second/out.csv"] == b"2,2.0\n"
+    assert now["build/figures/isolation/02-second/out.csv"] == b"2,2.0\n"
     assert toy.leftovers() == []
 
 
@@ -123,7 +123,7 @@ def test_a_disk_that_is_full_for_the_results(built):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_an_interrupt_of_a_parallel_build(built, number):
     toy = built
-    good = toy.files("figures", "build/notebooks", "build/state")
+    good = toy.results()
     for name in ("01-first", "02-second", "03-third"):
         toy.add(
             f"isolation/{name}",
@@ -136,7 +136,7 @@ def test_an_interrupt_of_a_parallel_build(built, number):
     assert process.returncode == 128 + number
     assert "0 built, 3 failed" in printed
     assert [line.split()[-1] for line in printed.splitlines()[-4:-1]] == ["interrupted"] * 3
-    assert toy.files("figures", "build/notebooks", "build/state") == good
+    assert toy.results() == good
     assert toy.leftovers() == []
 
 
@@ -147,7 +147,7 @@ def test_an_interrupt_while_kernels_start(toy):
     until(lambda: len(toy.processes()) > 1)
     toy.interrupt(process, signal.SIGINT)
     assert process.returncode == 130
-    assert not (toy.root / "figures").exists()
+    assert not (toy.root / "build/figures").exists()
     assert toy.leftovers() == []
 
 

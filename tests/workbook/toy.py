@@ -92,8 +92,9 @@ class Toy:
         """A notebook with a figure and a claim."""
         room = name.partition("/")[0]
         begin = (
-            "import numpy as np\nfrom stillwork import figures\nfrom stillwork.page import Page\n"
-            f"from stillwork.{room}.model import gain\npage = Page('{name}')"
+            "import numpy as np\nfrom stillwork import figures, paths\nfrom stillwork.page import Page\n"
+            f"from stillwork.{room}.model import gain\npage = Page('{name}')\n"
+            f"rig = paths.data('{room}', 'rig.toml').read_text()"
         )
         cells = [
             cell("title", "# A toy", "markdown"),
@@ -151,12 +152,20 @@ class Toy:
 
     def files(self, *folders: str) -> dict[str, bytes]:
         """Every file under `folders`, by its path."""
-        return {
-            file.relative_to(self.root).as_posix(): file.read_bytes()
-            for folder in folders
-            for file in sorted((self.root / folder).rglob("*"))
-            if file.is_file()
-        }
+        found = {}
+        for folder in folders:
+            for place, inner, names in os.walk(self.root / folder, followlinks=True):
+                inner[:] = sorted(
+                    name for name in inner if not name.startswith(".")
+                )  # reached by their links
+                for name in sorted(names):
+                    file = Path(place, name)
+                    found[file.relative_to(self.root).as_posix()] = file.read_bytes()
+        return found
+
+    def results(self) -> dict[str, bytes]:
+        """Every file that builds made, apart from what each says of how it was made."""
+        return {name: text for name, text in self.files("build/figures").items() if "record.json" not in name}
 
     def stamps(self) -> dict[str, tuple[int, int]]:
         """Inode and time of change of every file and folder, caches of Python aside."""
@@ -179,7 +188,12 @@ class Toy:
 
     def leftovers(self) -> list[str]:
         """What a run left behind: processes, temporary files, half-written results."""
-        hidden = [path for path in self.root.rglob(".*") if path.name.endswith((".new", ".old"))]
+        hidden = [path for path in self.root.rglob("*") if path.name.endswith((".new", ".old"))]
+        hidden += [path for path in (self.root / "build").glob("accept*")]
+        for shelf in ("figures", "variants"):
+            for home in (self.root / "build" / shelf).glob("*/.*/"):
+                shown = os.readlink(home.with_name(home.name[1:]))
+                hidden += [each for each in home.iterdir() if f"{home.name}/{each.name}" != shown]
         processes = [" ".join(process.cmdline()) for process in self.processes()]
         return [str(path) for path in [*self.temporary.iterdir(), *hidden]] + processes
 
@@ -212,7 +226,7 @@ def make(root: Path) -> Toy:
 @contextmanager
 def copy_of(toy: Toy, folder: Path) -> Iterator[Toy]:
     """A copy in `folder` that a test may change, cleaned up at the end."""
-    shutil.copytree(toy.root, folder / "copy")
+    shutil.copytree(toy.root, folder / "copy", symlinks=True)
     copy = Toy(folder / "copy")
     yield copy
     clean_up(copy)

@@ -128,13 +128,19 @@ def _take_over(task: Task, comparison: Comparison, copy: Path) -> None:
     if comparison.claims or "claims.json" not in before:
         taken.add("claims.json")
     taken = {name for name in taken & now if not _same(home / name, task.target / name)}
-    if taken or now - before:
+    if taken or now - before or _environment(home) != _environment(task.target):
         taken |= (now - before) | {"provenance.json"}
     for name in taken:
         replace_file(home / name, (task.target / name).read_bytes())
     for name in before - now:
         (home / name).unlink()
     _take_over_outputs(task, copy / "notebooks" / f"{task.notebook.name}.ipynb")
+
+
+def _environment(folder: Path) -> str | None:
+    """Which pins the results in a folder were made under."""
+    file = folder / "provenance.json"
+    return json.loads(file.read_text(encoding="utf-8"))["environment_sha256"] if file.is_file() else None
 
 
 def _same(one: Path, other: Path) -> bool:

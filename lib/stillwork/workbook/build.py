@@ -24,9 +24,8 @@ WARM_FROM = 3
 
 
 def build_figures(
-    target: str | None = None,
+    *targets: str,
     settings: dict[str, str] | None = None,
-    *,
     jobs: int | None = None,
     scheduler: str | None = None,
     force: bool = False,
@@ -36,7 +35,7 @@ def build_figures(
 
     Parameters
     ----------
-    target : str, optional
+    *targets : str
         ``room`` or ``room/nn-result``; by default the whole workbook.
     settings : dict of str to str, optional
         Parameters as typed.
@@ -49,7 +48,7 @@ def build_figures(
     why : bool
         Only say what would be built, and why.
     """
-    wanted = tasks(target, settings)
+    wanted = tasks(*targets, settings=settings)
     if why:
         for task in wanted:
             print(f"{task.label}: {'; '.join(task.reasons()) or 'up to date'}")

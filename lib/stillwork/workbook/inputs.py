@@ -48,13 +48,13 @@ def notebook_inputs(notebook: Notebook, values: dict[str, object]) -> dict[str, 
 def read_inputs(log: Path) -> dict[str, str]:
     """What a kernel read, by its path below the workbook or whole, with the digest that it had then.
 
-    A file that was read twice with different content in between has the digest of the first time: it will be
-    found to differ.
+    A file that changed between two readings has no digest that any file could have: it will be found to differ.
     """
     found: dict[str, str] = {}
     for line in log.read_text(encoding="utf-8").splitlines() if log.is_file() else ():
         read = json.loads(line)
-        found.setdefault(_name(read["path"]), read["digest"])
+        name = _name(read["path"])
+        found[name] = read["digest"] if found.get(name, read["digest"]) == read["digest"] else "two"
     return found
 
 

@@ -69,7 +69,8 @@ def kernel_manager(build: str, folder: Path, output: Path, reads: Path, warm: Wa
         async def launch_kernel(self, cmd, **options):
             if warm is None:
                 return await super().launch_kernel(cmd, **options)
-            self.process = warm.fork([str(reads), cmd[-1]], options["env"], str(options["cwd"]))
+            arguments = cmd[cmd.index("kernel") + 1 :]
+            self.process = warm.fork(arguments, options["env"], str(options["cwd"]))
             self.pid = self.pgid = self.process.pid
             return self.connection_info
 

@@ -15,6 +15,7 @@ import os
 import select
 import signal
 import socket
+import stat
 import sys
 
 # Where the notebooks spend their imports.
@@ -51,7 +52,7 @@ def watch(log: str) -> None:
     places |= {os.path.join(root, each) for each in (".git", "build")}
     left_out = tuple(each.rstrip("/") + "/" for each in places)
     data = os.path.join(root, "data")
-    seen: set[str] = set()
+    seen: dict[str, tuple] = {}
     state = {"busy": False}
 
     def note(path: str, digest: str) -> None:
@@ -75,13 +76,17 @@ def watch(log: str) -> None:
                     return
                 if path.endswith(".pyc"):
                     path = importlib.util.source_from_cache(path)
-                if path in seen or path.startswith(left_out):
+                if path.startswith(left_out):
                     return
-                seen.add(path)
+                now = os.stat(path)
+                stamp = (now.st_ino, now.st_size, now.st_mtime_ns)
+                if seen.get(path) == stamp or not stat.S_ISREG(now.st_mode):
+                    return
+                seen[path] = stamp
                 with open(path, "rb") as file:
                     note(path, hashlib.file_digest(file, "sha256").hexdigest())
             elif f"{path}/" not in seen and (path == data or path.startswith(data + "/")):
-                seen.add(f"{path}/")
+                seen[f"{path}/"] = ()
                 names = "\n".join(sorted(os.listdir(path)))
                 note(f"{path}/", hashlib.sha256(names.encode()).hexdigest())
         except (OSError, ValueError):  # what is not there was not read
@@ -92,10 +97,10 @@ def watch(log: str) -> None:
     sys.addaudithook(hook)
 
 
-def kernel(log: str, connection_file: str, *options: str) -> None:
+def kernel(log: str, *options: str) -> None:
     """Serve a notebook until it says that it is done."""
     watch(log)
-    sys.argv = ["ipykernel_launcher", "-f", connection_file, *options]
+    sys.argv = ["ipykernel_launcher", *options]
     from ipykernel import kernelapp
 
     kernelapp.launch_new_instance()
@@ -223,4 +228,4 @@ if __name__ == "__main__":
     if sys.argv[1] == "warm":
         warm(int(sys.argv[2]))
     else:
-        kernel(sys.argv[2], *[each for each in sys.argv[3:] if each != "-f"])
+        kernel(*sys.argv[2:])

@@ -62,8 +62,8 @@ def notebook_file(name: str) -> Path:
     return paths.root() / "notebooks" / f"{name}.ipynb"
 
 
-def select(target: str | None = None) -> list[Notebook]:
-    """Read the notebooks that `target` means: one, all of a room, or (None) all of the workbook.
+def select(*targets: str) -> list[Notebook]:
+    """Read the notebooks that `targets` mean: notebooks, rooms, or (without any) all of the workbook.
 
     Raises
     ------
@@ -74,14 +74,15 @@ def select(target: str | None = None) -> list[Notebook]:
     names = [
         f"{room}/{file.stem}" for room in paths.ROOMS for file in sorted((folder / room).glob("[!.]*.ipynb"))
     ]
-    if target:
-        wanted = target.removeprefix("notebooks/").removesuffix(".ipynb").rstrip("/")
-        rooms = {name.partition("/")[0] for name in names}
-        chosen = [name for name in names if wanted in (name, name.partition("/")[0])]
-        if not chosen:
-            raise InputError(f"there is no notebook or room {target!r}{nearest(wanted, [*names, *rooms])}")
-        names = chosen
-    return [read_notebook(name) for name in names]
+    wanted = {
+        target: target.removeprefix("notebooks/").removesuffix(".ipynb").rstrip("/") for target in targets
+    }
+    for target, name in wanted.items():
+        if not any(name in (each, each.partition("/")[0]) for each in names):
+            rooms = {each.partition("/")[0] for each in names}
+            raise InputError(f"there is no notebook or room {target!r}{nearest(name, [*names, *rooms])}")
+    chosen = {name for name in names if {name, name.partition("/")[0]} & set(wanted.values())}
+    return [read_notebook(name) for name in names if name in chosen or not targets]
 
 
 def assign(notebooks: list[Notebook], settings: dict[str, str]) -> list[tuple[Notebook, dict[str, object]]]:

@@ -1,6 +1,7 @@
 """What a build is made of: notebooks at their settings, and why their results are stale."""
 
 import json
+import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,10 +11,12 @@ from stillwork.workbook.inputs import changes, environment_inputs, notebook_inpu
 from stillwork.workbook.notebooks import Notebook, assign, select
 from stillwork.workbook.publish import digest, read_record
 
+BUILT = "STILLWORK_BUILT"  # an environment variable that names another folder for the results
+
 
 def built() -> Path:
     """Folder of the results at the published settings; what is committed stands in ``figures/``."""
-    return paths.root() / "build" / "figures"
+    return Path(os.environ.get(BUILT) or paths.root() / "build" / "figures")
 
 
 @dataclass(frozen=True)
@@ -80,10 +83,10 @@ class Task:
         return {cell.get("id"): cell["outputs"] for cell in executed if cell["cell_type"] == "code"}
 
 
-def tasks(target: str | None = None, settings: dict[str, str] | None = None) -> list[Task]:
-    """What `target` and the text of ``-p`` mean; raises `InputError` before anything runs."""
+def tasks(*targets: str, settings: dict[str, str] | None = None) -> list[Task]:
+    """What rooms and notebooks (all without any) and the text of ``-p`` mean; `InputError` before anything runs."""
     around = environment_inputs()
     return [
         Task(notebook, changed, {**notebook_inputs(notebook, changed), **around})
-        for notebook, changed in assign(select(target), settings or {})
+        for notebook, changed in assign(select(*targets), settings or {})
     ]
