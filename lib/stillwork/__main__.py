@@ -7,7 +7,7 @@ import re
 import sys
 
 from stillwork import paths
-from stillwork.checks import InputError, nearest
+from stillwork.checks import InputError, nearest, one_line
 
 # A grammar of addresses that jsonschema builds for a second or two when a notebook format is loaded, if it can be
 # had; nothing here holds an address against it.
@@ -23,7 +23,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         return options.run(options)
     except (InputError, FileNotFoundError) as error:
-        print(f"stillwork: {error}", file=sys.stderr)
+        print(f"stillwork: {one_line(str(error))}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130

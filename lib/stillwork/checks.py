@@ -16,6 +16,16 @@ def nearest(word: str, candidates: Iterable[str]) -> str:
     return f"; did you mean {close[0]!r}?" if close else ""
 
 
+def one_line(text: str) -> str:
+    """`text` with escapes for what is not printed: line breaks, control codes, halves of characters.
+
+    Names out of a file then neither begin a line of their own nor steer a terminal.
+    """
+    return "".join(
+        each if each.isprintable() else each.encode("unicode_escape").decode("ascii") for each in text
+    )
+
+
 def require_choice(name: str, value, choices: Iterable[str]) -> str:
     """Return `value` when it is one of `choices`, else raise `InputError` with the nearest one."""
     choices = list(choices)

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from stillwork.checks import InputError
+from stillwork.matfiles import read_mat
 from stillwork.universal import read_universal
 
 
@@ -24,7 +25,7 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
         ".csv": _csv,
         ".txt": _csv,
         ".tsv": _csv,
-        ".mat": _mat,
+        ".mat": read_mat,
         ".npz": _npz,
         ".uff": read_universal,
         ".unv": read_universal,
@@ -138,28 +139,6 @@ def _npz(path: Path) -> dict[str, np.ndarray]:
         raise InputError(
             f"{path.name} cannot be read ({error}); save plain numeric arrays with numpy.savez"
         ) from None
-    return columns
-
-
-def _mat(path: Path) -> dict[str, np.ndarray]:
-    from scipy.io import loadmat
-
-    try:
-        tree = loadmat(path, simplify_cells=True)
-    except Exception as error:  # on a damaged file scipy raises whatever its parser stumbles over
-        raise InputError(
-            f"{path.name} cannot be read ({error}); save it with -v7, or export CSV or NPZ"
-        ) from None
-    columns = {}
-
-    def walk(prefix: str, branch: dict) -> None:
-        for name, value in branch.items():
-            if isinstance(value, dict):
-                walk(f"{prefix}{name}.", value)
-            elif not name.startswith("__"):
-                columns[prefix + name] = np.asarray(value)
-
-    walk("", tree)
     return columns
 
 

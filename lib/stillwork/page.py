@@ -1,11 +1,15 @@
 """A notebook's page: where its figures go and where its numbers are held against the ledger."""
 
+import re
 from dataclasses import dataclass, field
 
 from stillwork import paths
 from stillwork.checks import InputError
 from stillwork.claims import ClaimsTable, make_claim
 from stillwork.figures import SavedFigure, save
+
+# Letters, digits, - and _, with dots inside: a name that is a file's on every system, and no path.
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*(\.[A-Za-z0-9_-]+)*")
 
 
 @dataclass
@@ -27,13 +31,21 @@ class Page:
 
     def __post_init__(self):
         room, _, name = self.notebook.partition("/")
-        if room not in paths.ROOMS or not name:
+        if room not in paths.ROOMS or not _NAME.fullmatch(name):
             raise InputError(
                 f"notebook is {self.notebook!r}; give 'room/name', e.g. 'isolation/02-convergence'"
             )
 
     def save(self, name: str, figure) -> SavedFigure:
-        """Write ``<name>.png`` and the plotted numbers ``<name>.csv``; returns a picture for the notebook."""
+        """Write ``<name>.png`` and the plotted numbers ``<name>.csv``; returns a picture for the notebook.
+
+        Raises
+        ------
+        InputError
+            When the name is none of letters, digits, ``-``, ``_`` and dots inside.
+        """
+        if not isinstance(name, str) or not _NAME.fullmatch(name):
+            raise InputError(f"name is {name!r}; give letters, digits, - or _, e.g. 'fig-5'")
         return save(figure, paths.output(self.notebook) / name)
 
     def check(self, claim: str, ours: float, interval: tuple[float, float] | None = None) -> str:

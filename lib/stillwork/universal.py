@@ -85,7 +85,7 @@ def read_universal(path: Path) -> dict[str, np.ndarray]:
 
 
 def _check(path: Path, one: dict) -> None:
-    wanted, got = one["num_pts"], len(one["data"])
+    wanted, got = one["num_pts"], len(one.get("data", ()))  # none where its type is unknown
     if got < wanted:
         raise InputError(
             f"{path.name}: a function announces {wanted} values and holds {got}; export it again"

@@ -55,7 +55,22 @@ def test_in_a_build_it_writes_where_the_runner_says(workbook, monkeypatch, tmp_p
     assert not (workbook / "build").exists()
 
 
-@pytest.mark.parametrize("name", ["motion", "moton/01-x", "motion/", ""])
+@pytest.mark.parametrize(
+    "name", ["", "../x", "a/b", "/tmp/x", "a\\b", ".x", "x.", "a..b", "..", "-x", "a b", "é", "a\n", "a:b"]
+)
+def test_a_figure_has_a_name_and_no_path(workbook, name):
+    page, figure = Page("motion/01-x"), drawing()
+    with pytest.raises(InputError, match=r"name is .*; give letters, digits"):
+        page.save(name, figure)
+    assert [file for file in workbook.rglob("*") if file.is_file()] == [
+        workbook / "data/motion/published.toml"
+    ]
+    page.save("Fig_1-2.a", figure)
+
+
+@pytest.mark.parametrize(
+    "name", ["motion", "moton/01-x", "motion/", "", "motion/../x", "motion/a/b", "motion/..", "motion/ x"]
+)
 def test_a_page_has_a_room_and_a_name(name):
     with pytest.raises(InputError, match="give 'room/name'"):
         Page(name)

@@ -62,7 +62,7 @@ def test_builds_have_parameters_and_files_that_exist(line, checkout, capsys):
 @pytest.mark.parametrize("line", INSPECTIONS)
 def test_inspections_end_in_a_command(line, checkout, capsys):
     assert main(shlex.split(checkout(line))[3:]) == 0
-    assert "make figures ARGS=" in capsys.readouterr().out
+    assert ": python -m stillwork figures " in capsys.readouterr().out
 
 
 def test_the_snippet_writes_a_record_without_drift(tmp_path, monkeypatch):

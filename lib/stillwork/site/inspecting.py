@@ -1,5 +1,6 @@
 """What a file of one's own holds, and which notebooks can use it."""
 
+import json
 import re
 import shlex
 import tomllib
@@ -9,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stillwork.checks import InputError
+from stillwork.checks import InputError, one_line
 from stillwork.datafiles import read_arrays
 from stillwork.records import MOTION_UNITS, UNITS_SAID, is_time, load_record, unit_factor
 from stillwork.site.reading import comments
@@ -40,7 +41,7 @@ def inspect_file(name: str) -> str:
     if not path.is_file():
         raise InputError(f"{name}: no such file; give a CSV, MAT, NPZ, UFF, TOML or Python file")
     kinds = {".toml": _model, ".py": _plant}
-    return "\n".join(kinds.get(path.suffix.lower(), _data)(path))
+    return "\n".join(map(one_line, kinds.get(path.suffix.lower(), _data)(path)))
 
 
 def _data(path: Path) -> Iterator[str]:
@@ -78,7 +79,7 @@ def _record(path: Path) -> Iterator[str]:
         name, unit = motions[0]
         settings = {"floor_record": path.resolve(), "floor_unit": unit or "UNIT"}
         if len(record.names) > 1:
-            settings["floor_channels"] = f"{name},"  # a list of one
+            settings["floor_channels"] = json.dumps([name], ensure_ascii=False)
         yield _command("isolation/08-your-floor", settings)
     if len(record.names) >= 2:
         settings = {"record_file": path.resolve()}
@@ -220,8 +221,13 @@ def _model(path: Path) -> Iterator[str]:
 
 
 def _command(notebook: str, settings: dict) -> str:
-    words = " ".join(f"-p {shlex.quote(f'{key}={value}')}" for key, value in settings.items())
-    return f'for {notebook}: make figures ARGS="{notebook} {words}"'
+    """The line for a shell, with every name as one word of it."""
+    words = ["python", "-m", "stillwork", "figures", notebook]
+    for key, value in settings.items():
+        if not str(value).isprintable():  # a terminal acts on a control code that is pasted, quoted or not
+            return f"no command for {notebook}: {value} holds what cannot be typed; rename it and ask again"
+        words += ["-p", f"{key}={value}"]
+    return f"for {notebook}: {shlex.join(words)}"
 
 
 def _takers(path: Path, room: str) -> Iterator[str]:

@@ -40,7 +40,7 @@ class Task:
     def variant(self) -> str:
         """Folder name of the settings; empty for the published ones."""
         text = ",".join(f"{name}={value}" for name, value in self.settings.items())
-        safe = re.sub(r"[^\w.,=+\-\[\]()]", "_", text)
+        safe = re.sub(r"[^\w.,=+\-\[\]()]", "_", text, flags=re.ASCII)  # a file's name is limited in bytes
         return safe if safe == text and len(safe) < 120 else f"{safe[:100]}-{digest(text.encode())[:8]}"
 
     @property
