@@ -27,7 +27,7 @@ def below(residual: float, bound: float) -> str:
     """
     require_number("bound", bound, above=0.0)
     size = abs(require_number("residual", residual))
-    return f"below {bound:g}" if size < bound else f"{residual:.1e}"
+    return f"below {bound:g}".replace("e-0", "e-") if size < bound else f"{residual:.1e}"
 
 
 def first_largest(values: ArrayLike, tie: float = TIE) -> int:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import signal
+from scipy import linalg, signal
 
 from stillwork.checks import InputError
 from stillwork.lti import StateModel, simulate, zoh, zoh_modes
@@ -16,6 +16,7 @@ from stillwork.motion.discrete_damping import (
     gain_by_placement,
     placement_error,
     sampled_feedback,
+    typical_placement_error,
 )
 from stillwork.motion.discrete_observer import discrete_compensator, discrete_kalman_observer, predict
 from stillwork.motion.discrete_plots import draw_sampled, equivalent_plant
@@ -59,6 +60,29 @@ def test_the_closed_form_is_what_general_placement_finds(reduced):
     for method in ("Ackermann", "robust"):
         other = gain_by_placement(reduced, [0.03, 0.05, 0.01], STEP, method)
         np.testing.assert_allclose(other, gain, rtol=1e-6, atol=1e-6 * np.abs(gain).max())
+
+
+def test_the_typical_error_is_rounding_times_the_condition_of_the_poles(reduced):
+    # First-order perturbation theory of the balanced matrix, over the way that the poles move.
+    for step in (1e-4, 1e-5, 1e-6):
+        flexible = zoh_modes(reduced.modes([1, 2, 3]), step)
+        closed = flexible.a + flexible.b @ discrete_damping_gain(reduced, 0.035, step)[:, 2:]
+        _, left, right = linalg.eig(linalg.matrix_balance(closed)[0], left=True)
+        condition = 1 / np.abs((left.conj() * right).sum(axis=0)).min()
+        w, z = reduced.frequencies[1:], reduced.damping[1:]
+        before, after = (np.exp(w * (-ratio + 1j * np.sqrt(1 - ratio**2)) * step) for ratio in (z, z + 0.035))
+        expected = np.finfo(float).eps * condition / np.abs(after - before).min()
+        found = typical_placement_error(reduced, 0.035, step, "closed form")
+        assert expected / 10 < found < 10 * expected
+
+
+def test_the_typical_error_of_one_machine_is_its_own_and_of_none_unknown(reduced):
+    gain = gain_by_placement(reduced, 0.035, STEP, "robust")
+    alone = typical_placement_error(reduced, 0.035, STEP, "robust", machines=1, spread=0.0)
+    assert alone == placement_error(reduced, gain, 0.035, STEP)
+    assert np.isnan(typical_placement_error(reduced, 0.035, 1e-7, "Ackermann", machines=5))
+    with pytest.raises(InputError, match=r"method is 'robst'.*did you mean 'robust'"):
+        typical_placement_error(reduced, 0.035, STEP, "robst")
 
 
 def test_fast_sampling_leads_to_the_continuous_gain(reduced):

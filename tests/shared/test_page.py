@@ -68,6 +68,27 @@ def test_a_figure_has_a_name_and_no_path(workbook, name):
     page.save("Fig_1-2.a", figure)
 
 
+def test_series_that_are_rounding_are_noted_with_the_reason(workbook):
+    page = Page("motion/01-x")
+    page.save("fig-1", drawing())
+    page.save("fig-2", drawing(), rounding={"line": "residual of an identity"})
+    page.save("fig-3", drawing(), rounding={"line": "ε times the condition"})
+    folder = workbook / "build" / "interactive" / "motion" / "01-x"
+    assert json.loads((folder / "rounding.json").read_text(encoding="utf-8")) == {
+        "fig-2": {"line": "residual of an identity"},
+        "fig-3": {"line": "ε times the condition"},
+    }
+
+
+@pytest.mark.parametrize(
+    ("rounding", "message"),
+    [({"lime": "residual"}, "rounding is 'lime'.*did you mean 'line'"), ({"line": ""}, "say why 'line'")],
+)
+def test_a_note_names_a_series_and_a_reason(workbook, rounding, message):
+    with pytest.raises(InputError, match=message):
+        Page("motion/01-x").save("fig-1", drawing(), rounding=rounding)
+
+
 @pytest.mark.parametrize(
     "name", ["motion", "moton/01-x", "motion/", "", "motion/../x", "motion/a/b", "motion/..", "motion/ x"]
 )

@@ -10,6 +10,7 @@ from stillwork.rounding import TIE, below, first_largest
 @pytest.mark.parametrize("residual", [0.0, 6.7e-16, -7.8e-16, 8e-14, 1.2e-13, 9.9e-13])
 def test_a_residual_within_its_bound_shows_the_bound_alone(residual):
     assert below(residual, 1e-12) == "below 1e-12"
+    assert below(residual, 1e-8) == "below 1e-8"
 
 
 @pytest.mark.parametrize(("residual", "text"), [(1e-12, "1.0e-12"), (-3.21e-5, "-3.2e-05")])

@@ -34,11 +34,6 @@ def measured_times() -> Mapping[str, MeasuredTime]:
     return {row.pop("form"): MeasuredTime(**{key: float(text) for key, text in row.items()}) for row in rows}
 
 
-def rounded_up(residual: float) -> float:
-    """Next power of ten: the residual of an identity is rounding, whose digits mean nothing."""
-    return 0.0 if residual == 0 else float(10.0 ** np.ceil(np.log10(residual)))
-
-
 def draw_agreement(
     time_s: ArrayLike,
     recursion: ArrayLike,
@@ -54,7 +49,8 @@ def draw_agreement(
     recursion : array_like, shape (samples, n)
         One row of W.
     differences : mapping of form to array_like, shape (samples,)
-        Largest difference of any weight, relative to the largest weight.
+        Largest difference of any weight, relative to the largest weight. Drawn is the largest so far: that of one
+        sample is a draw of rounding.
     bound : float
         What rounding may reach.
     """
@@ -63,11 +59,15 @@ def draw_agreement(
         color = (figures.BLUE, figures.RED, figures.GREEN)[(number - 1) // 3]
         upper.plot(time_s, row, ("-", "--", ":")[(number - 1) % 3], color=color, label=f"w{number}")
     for style, (name, difference) in zip(("-", "--", ":"), differences.items(), strict=True):
-        shown = np.where(np.asarray(difference) > 0, difference, np.nan)
-        lower.semilogy(time_s, shown, style, label=name)
+        so_far = np.maximum.accumulate(np.maximum(difference, np.finfo(float).eps))
+        lower.semilogy(time_s, so_far, style, label=name)
     lower.axhline(bound, color=figures.BLACK, lw=0.8, ls="-.", label="bound of rounding")
     upper.set(ylabel="weight of the first\nactuator (N per m/s²)", title="recursion")
-    lower.set(xlabel="time (s)", ylabel="relative difference", title="direct forms to recursion, all weights")
+    lower.set(
+        xlabel="time (s)",
+        ylabel="relative difference",
+        title="direct forms to recursion, all weights, so far",
+    )
     upper.legend(loc="center left", bbox_to_anchor=(1, 0.5))
     lower.legend(loc="center left", bbox_to_anchor=(1, 0.5))
     return figure

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from stillwork.checks import InputError, require_array, require_count, require_number
+from stillwork.rounding import first_largest
 
 DEGREE = (
     13  # of the polynomials along each side; the first fourteen modes then hold to a hundredth of a per cent
@@ -107,5 +108,6 @@ def plate_modes(aspect: float, poisson: float, modes: int, degree: int = DEGREE)
     squares, vectors = np.concatenate(squares), np.vstack(vectors)
     first = np.argsort(squares, kind="stable")[:modes]
     found = vectors[first]
-    found *= np.sign(found[np.arange(modes), np.abs(found).argmax(axis=1)])[:, None]
+    # On a square two coefficients are equal in size, and may be opposite: the first gives the sign.
+    found *= np.sign([shape[first_largest(np.abs(shape))] for shape in found])[:, None]
     return PlateModes(np.sqrt(squares[first]), found.reshape(modes, size, size))

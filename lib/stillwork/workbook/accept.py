@@ -125,6 +125,8 @@ def _take_over(task: Task, comparison: Comparison, copy: Path) -> None:
     now -= {RECORD, task.executed.name}
     taken = {name for name in now if name.rpartition(".")[0] in comparison.files}
     taken |= {name for name in now if not name.endswith((".png", ".csv", ".json"))}
+    if "rounding.json" in now:
+        taken.add("rounding.json")
     if comparison.claims or "claims.json" not in before:
         taken.add("claims.json")
     taken = {name for name in taken & now if not _same(home / name, task.target / name)}

@@ -7,6 +7,7 @@ tolerances here is the same result; each says where it comes from.
 import itertools
 import json
 import re
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -28,6 +29,9 @@ THINNED = 1e-3
 
 # A number is printed rounded: numbers that agree may still fall on two sides of a rounding.
 PRINTED = 1.0  # units of the last printed digit
+
+# Decades: a series that a page notes as rounding itself (`Page.save`) keeps its size, not its digits.
+ROUNDING = 1.0
 
 # Of 256 levels and of all pixels. A curve that moves by the tolerance above moves by less than a pixel, which shows
 # as other shades along its edge; a word or a mark that changed turns whole strokes over.
@@ -117,20 +121,34 @@ def difference(now: Path, before: Path) -> float | None:
     pictures = [_bytes(each.with_name(each.name + ".png")) for each in (now, before)]
     if None in pictures or (tables[0] is None) != (tables[1] is None):
         return None
-    if pictures[0] != pictures[1] and not same_picture(*pictures):
+    noted = _noted(before)
+    if noted != _noted(now):
+        return None
+    if pictures[0] != pictures[1] and not noted and not same_picture(*pictures):
         return None
     if tables[0] == tables[1]:
         return 0.0
-    return table_difference(now.with_name(now.name + ".csv"), before.with_name(before.name + ".csv"))
+    return table_difference(*(each.with_name(each.name + ".csv") for each in (now, before)), set(noted))
 
 
-def table_difference(now: Path, before: Path) -> float | None:
-    """Largest difference of the numbers in two tables, as a part of the range of their series; None when too large."""
+def table_difference(now: Path, before: Path, rounding: Collection[str] = ()) -> float | None:
+    """Largest difference of the numbers in two tables, as a part of the range of their series; None when too large.
+
+    Parameters
+    ----------
+    now, before : Path
+    rounding : collection of str
+        Series whose numbers are rounding itself: their sizes are compared, and do not count as a difference.
+    """
     built, committed = _series(now), _series(before)
     if list(built) != list(committed):
         return None
     worst = 0.0
     for key, values in committed.items():
+        if key[1] in rounding:
+            if not same_size(built[key], values):
+                return None
+            continue
         if built[key].shape == values.shape:
             off = max(distance(built[key][:, column], values[:, column]) for column in range(3))
             if off <= TABLE:
@@ -141,6 +159,18 @@ def table_difference(now: Path, before: Path) -> float | None:
             return None
         worst = max(worst, off)
     return worst
+
+
+def same_size(now: np.ndarray, before: np.ndarray) -> bool:
+    """Whether two series of rounding are of one size: their medians and largest numbers, in decades.
+
+    A residual that is exactly zero has no decade; it counts as a rounding unit.
+    """
+    sizes = []
+    for each in (now, before):
+        size = np.maximum(np.abs(each[:, 1][np.isfinite(each[:, 1])]), np.finfo(float).eps)
+        sizes.append(np.log10([np.median(size), size.max()]) if len(size) else np.zeros(2))
+    return bool(np.abs(sizes[0] - sizes[1]).max() <= ROUNDING)
 
 
 def same_picture(now: bytes, before: bytes) -> bool:
@@ -245,6 +275,12 @@ def _series(file: Path) -> dict[tuple[str, str], np.ndarray]:
     for panel, name, *numbers in read_table(file):
         groups.setdefault((panel, name), []).append(numbers)
     return {name: np.array(rows, dtype=float) for name, rows in groups.items()}
+
+
+def _noted(figure: Path) -> dict[str, str]:
+    """Series of a figure (given without suffix) that its page notes as rounding, with the reasons."""
+    file = figure.with_name("rounding.json")
+    return json.loads(file.read_text(encoding="utf-8")).get(figure.name, {}) if file.is_file() else {}
 
 
 def _cells(task: Task) -> list[str]:
