@@ -167,12 +167,13 @@ class Toy:
         """Every file that builds made, apart from what each says of how it was made."""
         return {name: text for name, text in self.files("build/figures").items() if "record.json" not in name}
 
-    def stamps(self) -> dict[str, tuple[int, int]]:
-        """Inode and time of change of every file and folder, caches of Python aside."""
+    def stamps(self, *shelves: str) -> dict[str, tuple[int, int]]:
+        """Inode and time of change of every file and folder (of some shelves), caches of Python aside."""
         return {
             str(path): (path.stat().st_ino, path.stat().st_mtime_ns)
             for path in self.root.rglob("*")
             if "__pycache__" not in str(path)
+            and (not shelves or path.relative_to(self.root).parts[0] in shelves)
         }
 
     def processes(self) -> list[psutil.Process]:

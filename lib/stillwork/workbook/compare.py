@@ -164,13 +164,15 @@ def table_difference(now: Path, before: Path, rounding: Collection[str] = ()) ->
 def same_size(now: np.ndarray, before: np.ndarray) -> bool:
     """Whether two series of rounding are of one size: their medians and largest numbers, in decades.
 
-    A residual that is exactly zero has no decade; it counts as a rounding unit.
+    A residual that is exactly zero has no decade: it agrees with any that is a few rounding units.
     """
     sizes = []
     for each in (now, before):
-        size = np.maximum(np.abs(each[:, 1][np.isfinite(each[:, 1])]), np.finfo(float).eps)
-        sizes.append(np.log10([np.median(size), size.max()]) if len(size) else np.zeros(2))
-    return bool(np.abs(sizes[0] - sizes[1]).max() <= ROUNDING)
+        size = np.abs(each[:, 1][np.isfinite(each[:, 1])])
+        sizes.append(np.array([np.median(size), size.max()]) if len(size) else np.zeros(2))
+    low, high = np.minimum(*sizes), np.maximum(*sizes)
+    small = (low == 0) & (high <= 1e3 * np.finfo(float).eps)
+    return bool(np.all(small | (high <= 10**ROUNDING * low)))
 
 
 def same_picture(now: bytes, before: bytes) -> bool:
@@ -273,8 +275,8 @@ def _series(file: Path) -> dict[tuple[str, str], np.ndarray]:
     """Rows of x, y, z by panel and series, in the order of the file."""
     groups: dict[tuple[str, str], list] = {}
     for panel, name, *numbers in read_table(file):
-        groups.setdefault((panel, name), []).append(numbers)
-    return {name: np.array(rows, dtype=float) for name, rows in groups.items()}
+        groups.setdefault((panel, name), []).append([float(number or "nan") for number in numbers])
+    return {name: np.array(rows) for name, rows in groups.items()}
 
 
 def _noted(figure: Path) -> dict[str, str]:
