@@ -52,7 +52,7 @@ def read_mat(path: Path) -> dict[str, np.ndarray]:
         if done.returncode < 0:
             raise _refusal(path, f"its reader ended by {signal.Signals(-done.returncode).name}")
         if done.returncode:
-            raise _refusal(path, said.rpartition("\n")[2])
+            raise _refusal(path, said.rpartition("\n")[2] or f"its reader ended with code {done.returncode}")
         with np.load(result, allow_pickle=False) as file:
             names = json.loads(file["names"].tobytes())
             return {name: file[f"arr_{number}"] for number, name in enumerate(names)}

@@ -59,6 +59,7 @@ def test_every_array_of_numbers_comes_back(tmp_path):
         ("os.kill(os.getpid(), signal.SIGSEGV)", r"its reader ended by SIGSEGV"),
         ("bytearray(64 << 30)", r"it takes more than 4 GB of memory"),
         ("sys.exit('gone')", r"gone"),
+        ("sys.exit(9)", r"its reader ended with code 9"),
         ("raise ValueError('Unknown mat file type')", r"Unknown mat file type"),
     ],
 )

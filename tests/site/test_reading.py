@@ -1,6 +1,8 @@
 """What the site reads from notebooks, sources, formulas and docstrings."""
 
+import re
 import xml.etree.ElementTree as tree
+from html.parser import HTMLParser
 
 import pytest
 from hypothesis import given
@@ -99,6 +101,153 @@ def test_markdown_keeps_foreign_html_and_links_out():
     assert "javascript" not in html
     assert 'href="../motion/01-x.html#there"' in html
     assert "<math" in html
+
+
+MATHML = {
+    "math",
+    "mrow",
+    "mi",
+    "mo",
+    "mn",
+    "mtext",
+    "mspace",
+    "mstyle",
+    "mpadded",
+    "menclose",
+    "msup",
+    "msub",
+}
+MATHML |= {
+    "msubsup",
+    "mover",
+    "munder",
+    "munderover",
+    "mfrac",
+    "msqrt",
+    "mroot",
+    "mtable",
+    "mtr",
+    "mtd",
+    "mphantom",
+}
+PROSE = {
+    "p",
+    "h1",
+    "a",
+    "pre",
+    "code",
+    "div",
+    "span",
+    "table",
+    "thead",
+    "tbody",
+    "tr",
+    "th",
+    "td",
+    "em",
+    "strong",
+    "img",
+}
+HARM = "<img src=x onerror=alert(1)></math><script>alert(1)</script>"
+
+
+class Opened(HTMLParser):
+    """Elements and attributes that a browser finds, the text between them, and where its links lead."""
+
+    def __init__(self, html):
+        super().__init__()
+        self.tags, self.attributes, self.links, self.text = set(), set(), set(), ""
+        self.feed(html)
+        self.close()
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.add(tag)
+        self.attributes |= {name for name, _ in attributes}
+        self.links |= {value for name, value in attributes if name in ("href", "src")}
+
+    def handle_data(self, data):
+        self.text += data
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "text",
+        "textbf",
+        "textrm",
+        "mathrm",
+        "operatorname",
+        "mbox",
+        "hbox",
+        "fbox",
+        "tag",
+        "emph",
+        "mathit",
+        "color",
+    ],
+)
+@pytest.mark.parametrize("place", ["{}", "# {}", "a | b\n-|-\n{} | x", "$${}$$"])
+def test_no_text_in_a_formula_becomes_an_element(command, place):
+    formula = rf"\{command}{{{HARM}}} x"
+    page = Opened(markdown(place.format(formula if "$" in place else f"${formula}$")))
+    assert page.tags <= MATHML | PROSE - {"img"} and "math" in page.tags
+    assert not {name for name in page.attributes if name.startswith("on")}
+    if command in ("text", "mbox", "tag"):
+        assert HARM in page.text.replace("\xa0", " ")
+
+
+@pytest.mark.parametrize(
+    "formula", [r"\verb|<b>|", r"\text{&lt;b&gt;}", r"\unicode{x3c}b>", r"<b>", r"\lt b>"]
+)
+def test_a_smaller_sign_is_a_sign(formula):
+    page = Opened(mathml(formula))
+    assert page.tags <= MATHML and page.text == "<b>"
+
+
+@pytest.mark.parametrize(
+    "formula", [r"\href{javascript:alert(1)}{x}", r'\class{a" onclick="x}{y}', r"\style{position:fixed}{x}"]
+)
+def test_a_formula_makes_no_link_and_no_style(formula):
+    with pytest.raises(InputError, match=r"the formula .* sets (href|class|style); write"):
+        mathml(formula)
+
+
+def test_an_attribute_of_a_formula_ends_where_it_ends():
+    assert "onclick" not in Opened(mathml(r'\textcolor{red" onclick="x}{y}')).attributes
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        HARM,
+        f"a {HARM}",
+        f"# {HARM}",
+        f"`{HARM}`",
+        f"```mermaid\n</pre>{HARM}\n```",
+        f"```{HARM}\nx\n```",
+        f"```python\n{HARM}\n```",
+        f"    {HARM}",
+        f"[{HARM}](javascript:alert(1))",
+        "[x](JaVaScRiPt:alert(1))",
+        "[x](java&#115;cript:alert(1))",
+        "[x]( javascript&colon;alert(1))",
+        "[x](data:text/html,<script>alert(1)</script>)",
+        "[x](vbscript:x)",
+        "[x][1]\n\n[1]: javascript:alert(1)",
+        "<javascript:alert(1)>",
+        f'![{HARM}](javascript:alert(1) "a\\" onload=x")',
+        f"| {HARM} | b |\n|-|-|\n| {HARM} | [x](javascript:x) |",
+    ],
+)
+def test_no_markdown_becomes_an_element_of_its_own(text):
+    page = Opened(markdown(text))
+    assert page.tags <= PROSE
+    assert not {name for name in page.attributes if name.startswith("on")}
+    assert not [link for link in page.links if re.match(r"\W*(x$|\w+script|data)", link, re.IGNORECASE)]
+
+
+def test_a_formula_in_a_heading_is_a_formula():
+    assert "math" in Opened(markdown("# The law $a < b$")).tags
 
 
 def claim(ours, published=2.0, **fields) -> Claim:
