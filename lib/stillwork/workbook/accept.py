@@ -10,6 +10,12 @@ from stillwork.workbook import publish
 from stillwork.workbook.notebooks import notebook_file
 from stillwork.workbook.tasks import Task, tasks
 
+# A notebook's own, in the form that is committed: no version of whatever ran it.
+METADATA = {
+    "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
+    "language_info": {"name": "python"},
+}
+
 
 def accept() -> int:
     """Accept the published-settings build of the whole workbook; returns 1 when it is missing or stale."""
@@ -54,11 +60,7 @@ def cleaned(notebook: dict, executed: dict) -> dict:
             cell = {**cell, "execution_count": ran["execution_count"], "outputs": [o for o in kept if o]}
             cell["metadata"] = {k: v for k, v in cell["metadata"].items() if k == "tags"}
         cells.append(cell)
-    metadata = {
-        "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
-        "language_info": {"name": "python"},
-    }
-    return {**notebook, "cells": cells, "metadata": metadata}
+    return {**notebook, "cells": cells, "metadata": METADATA}
 
 
 def notebook_text(notebook: dict) -> str:
