@@ -49,7 +49,8 @@ quick: $(READY) ## The unit tests without the slow ones, which build notebooks o
 	$(UNDER_PINS) $(BIN)/python -m pytest $(UNIT) -m "not slow" -n logical --dist loadfile $(ARGS)
 
 lab: $(READY) ## Open JupyterLab on the notebooks, on this machine only
-	JUPYTER_PREFER_ENV_PATH=1 $(BIN)/python -m jupyter lab --LabApp.default_url=/lab/tree/index.ipynb --ServerApp.root_dir=notebooks --ServerApp.ip=127.0.0.1 $(ARGS)
+	JUPYTER_PREFER_ENV_PATH=1 $(BIN)/python -m jupyter lab --LabApp.default_url=/lab/tree/notebooks/index.ipynb \
+		--ServerApp.root_dir=. --ServerApp.ip=127.0.0.1 --ServerApp.jpserver_extensions=stillwork.workbook.lab=True $(ARGS)
 
 site: $(READY) ## Write the static site to build/site/index.html
 	@$(BIN)/python -m stillwork site

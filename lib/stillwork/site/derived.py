@@ -10,7 +10,7 @@ from pathlib import Path
 from stillwork import paths
 from stillwork.claims import Claim, ledger
 from stillwork.site.pages import Figure, NotebookPage, read_page
-from stillwork.workbook.notebooks import notebook_text
+from stillwork.workbook.notebooks import METADATA, notebook_text
 from stillwork.workbook.publish import replace_file
 from stillwork.workbook.report import VERDICTS, our_quantity, published_quantity, readme_with_summary
 from stillwork.workbook.tasks import tasks
@@ -111,14 +111,11 @@ def _index(pages: list[NotebookPage], claims: list[Claim]) -> str:
         "web pages, `docs/your-rig.md` leads from a measurement of yours to a figure."
     )
     cells = [
-        {"cell_type": "markdown", "id": f"part-{number}", "metadata": {}, "source": text}
+        # In lines, as Jupyter writes them.
+        {"cell_type": "markdown", "id": f"part-{number}", "metadata": {}, "source": text.splitlines(True)}
         for number, text in enumerate(parts, 1)
     ]
-    metadata = {
-        "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
-        "language_info": {"name": "python"},
-    }
-    return notebook_text({"cells": cells, "metadata": metadata, "nbformat": 4, "nbformat_minor": 5})
+    return notebook_text({"cells": cells, "metadata": METADATA, "nbformat": 4, "nbformat_minor": 5})
 
 
 def _headline(work: dict, claims: list[Claim]) -> str:

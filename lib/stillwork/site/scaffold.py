@@ -4,8 +4,7 @@ import re
 
 from stillwork import paths
 from stillwork.checks import InputError, require_choice
-from stillwork.workbook.accept import notebook_text
-from stillwork.workbook.notebooks import notebook_file
+from stillwork.workbook.notebooks import METADATA, notebook_file, notebook_text
 from stillwork.workbook.publish import replace_file
 
 # A worked example stands in each place, so that the build, the ledger and the test run from the first minute.
@@ -133,11 +132,14 @@ def _notebook(words: dict[str, str]) -> dict:
         _cell("claims", "page.claims"),
         _cell("conclusion", END, "markdown"),
     ]
-    kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
-    metadata = {"kernelspec": kernel, "language_info": {"name": "python"}}
-    return {"cells": cells, "metadata": metadata, "nbformat": 4, "nbformat_minor": 5}
+    return {"cells": cells, "metadata": METADATA, "nbformat": 4, "nbformat_minor": 5}
 
 
 def _cell(name: str, source: str, kind: str = "code", tags: list[str] | None = None) -> dict:
-    cell = {"cell_type": kind, "id": name, "metadata": {"tags": tags} if tags else {}, "source": source}
+    cell = {
+        "cell_type": kind,
+        "id": name,
+        "metadata": {"tags": tags} if tags else {},
+        "source": source.splitlines(True),
+    }
     return cell | ({"execution_count": None, "outputs": []} if kind == "code" else {})

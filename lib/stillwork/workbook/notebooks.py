@@ -8,6 +8,12 @@ from stillwork import paths
 from stillwork.checks import InputError, nearest
 from stillwork.workbook.parameters import Parameter, read_parameters
 
+# A notebook's own, in the form that is committed: no version of whatever ran it.
+METADATA = {
+    "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
+    "language_info": {"name": "python"},
+}
+
 
 @dataclass(frozen=True)
 class Notebook:
@@ -132,11 +138,7 @@ def cleaned(notebook: dict, executed: dict) -> dict:
             cell = {**cell, "execution_count": ran["execution_count"], "outputs": [o for o in kept if o]}
             cell["metadata"] = {k: v for k, v in cell["metadata"].items() if k == "tags"}
         cells.append(cell)
-    metadata = {
-        "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
-        "language_info": {"name": "python"},
-    }
-    return {**notebook, "cells": cells, "metadata": metadata}
+    return {**notebook, "cells": cells, "metadata": METADATA}
 
 
 def notebook_text(notebook: dict) -> str:

@@ -20,6 +20,11 @@ def modified() -> set[str]:
     return {line[3:] for line in lines if line}
 
 
+def committed(path: str) -> str | None:
+    """Text of a file (relative to the checkout) as it is committed; None where it is not, or there is no git."""
+    return _git("show", f"HEAD:./{path}") or None
+
+
 def provenance(
     notebook: Notebook,
     settings: dict[str, object],
@@ -48,7 +53,7 @@ def provenance(
 def _git(*arguments: str) -> str:
     try:
         done = subprocess.run(
-            ["git", *arguments], cwd=paths.root(), capture_output=True, text=True, check=True
+            ["git", *arguments], cwd=paths.root(), capture_output=True, encoding="utf-8", check=True
         )
     except (OSError, subprocess.CalledProcessError):
         return ""
