@@ -50,3 +50,18 @@ def first_largest(values: ArrayLike, tie: float = TIE) -> int:
     require_number("tie", tie, at_least=0.0)
     largest = values.max()
     return int(np.argmax(values >= largest - tie * abs(largest)))
+
+
+def in_order(values: ArrayLike, decimals: int = 9) -> np.ndarray:
+    """Complex values along the last axis by imaginary, then real part: eigenvalues come in an order of rounding.
+
+    Parameters
+    ----------
+    values : array_like, shape (..., n)
+        Of the order of one.
+    decimals : int
+        Parts that agree to so many decimals tie.
+    """
+    values = require_array("values", values, dtype=complex)
+    keys = np.round(values.real, decimals) + 0.0, np.round(values.imag, decimals) + 0.0
+    return np.take_along_axis(values, np.lexsort(keys, axis=-1), axis=-1)

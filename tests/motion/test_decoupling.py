@@ -380,6 +380,9 @@ def test_trial_measures_what_it_says():
     onset, middle = found["each mode: onset_hz"][off_diagonal], np.sqrt(0.03 * 0.3)
     expected = -1 / (1 + (middle / onset) ** 2)  # of |1/s + constant|
     assert found["each mode: slopes above"][off_diagonal] == pytest.approx(expected, abs=0.05)
+    hundredths = 100 * found["compensation: slopes"]  # beyond them is rounding
+    assert np.array_equal(hundredths, np.rint(hundredths))
+    assert found["compensation: slopes"] == pytest.approx(np.diag([-2.0, -2.0]), abs=0.02)
 
 
 def test_mode_that_is_kept_out_has_a_tail_only():

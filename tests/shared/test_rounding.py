@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stillwork.checks import InputError
-from stillwork.rounding import TIE, below, first_largest
+from stillwork.rounding import TIE, below, first_largest, in_order
 
 
 @pytest.mark.parametrize("residual", [0.0, 6.7e-16, -7.8e-16, 8e-14, 1.2e-13, 9.9e-13])
@@ -55,3 +55,15 @@ def test_a_value_larger_by_more_than_the_tie_wins():
 def test_nothing_to_choose_from_is_refused(values, tie, message):
     with pytest.raises(InputError, match=message):
         first_largest(values, tie)
+
+
+parts = st.integers(-5, 5)
+
+
+@given(st.lists(st.tuples(parts, parts), min_size=1, max_size=12), st.randoms(), st.integers(0, 2**32 - 1))
+def test_rounding_and_a_solvers_order_do_not_change_the_order_of_complex_values(pairs, random, seed):
+    exact = [complex(*pair) for pair in sorted(pairs, key=lambda pair: pair[::-1])]
+    random.shuffle(pairs)
+    noise = np.random.default_rng(seed).uniform(-1e-12, 1e-12, (2, len(pairs)))
+    shaken = np.array([complex(*pair) for pair in pairs]) + noise[0] + 1j * noise[1]
+    np.testing.assert_allclose(in_order([shaken, shaken[::-1]]), [exact, exact], atol=1e-11)

@@ -13,6 +13,7 @@ from stillwork.isolation.mean_convergence import Sideways, mean_course
 from stillwork.isolation.responses import responses
 from stillwork.isolation.steady import Steady, steady_state
 from stillwork.isolation.twin import Twin
+from stillwork.rounding import in_order
 from stillwork.studies import Study, spread_interval
 
 SHOWN = {0: figures.BLUE, 3: figures.GREEN, 6: figures.RED}  # w1, w4, w7: the colours of Fig. 5
@@ -151,9 +152,9 @@ def draw_path_error(twin: Twin, floor: ShapedFloor):
     f = np.geomspace(2, 300, 400)
     for estimate, color, marker in (("diagonal", figures.BLUE, "o"), ("full", figures.ORANGE, "s")):
         variant = twin.varied(estimate=estimate)
-        loci = np.linalg.eigvals(responses(variant, f).path_error)
+        loci = in_order(np.linalg.eigvals(responses(variant, f).path_error))
         left.plot(loci.real.ravel(), loci.imag.ravel(), ".", ms=2, color=color, label=f"{estimate} estimate")
-        rates = steady_state(variant, floor, noise=False).rls_eigenvalues
+        rates = in_order(steady_state(variant, floor, noise=False).rls_eigenvalues)
         right.plot(
             rates.real, rates.imag, marker, ms=4, color=color, mfc="none", label=f"{estimate} estimate"
         )
