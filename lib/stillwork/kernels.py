@@ -1,20 +1,21 @@
-"""The one place for compile flags of per-sample kernels and callbacks, and for where their machine code is kept."""
+"""The one place for compile flags of per-sample kernels and callbacks."""
 
-import hashlib
+import contextlib
 import inspect
 import sys
 from collections.abc import Callable
 from functools import cache
-from pathlib import Path
 
 import numba
+from numba.core.ccallback import CFunc
+from numba.core.sigutils import normalize_signature
 
-from stillwork import paths
 from stillwork.checks import InputError
+from stillwork.kernel_cache import CodeCache, KernelCache
 
 # No fast-math: reordered sums break the symmetry that recursive least squares rests on.
 ARITHMETIC = {"error_model": "numpy"}
-FLAGS = {"cache": True, "nogil": True, **ARITHMETIC}
+FLAGS = {"nogil": True, **ARITHMETIC}
 
 
 def kernel(function):
@@ -31,13 +32,12 @@ def inlined_kernel(function):
 
 
 def _compiled(function, **options):
-    """Numba's dispatcher, with its cache in `cache_folder` unless NUMBA_CACHE_DIR names another."""
-    given = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = given or cache_folder()
-    try:
-        return numba.njit(**FLAGS, **options)(inspect.unwrap(function))
-    finally:
-        numba.config.CACHE_DIR = given
+    """Numba's dispatcher, with a cache of the package's own."""
+    function = inspect.unwrap(function)
+    compiled = numba.njit(**FLAGS, **options)(function)
+    if not numba.config.DISABLE_JIT:
+        KernelCache(function).serve(compiled)
+    return compiled
 
 
 @cache
@@ -55,35 +55,15 @@ def callback(function: Callable, signature: str):
         When numba cannot compile it.
     """
     function = inspect.unwrap(function)
-    lasting = function.__module__ in sys.modules  # else numba's cache could not be read by another process
+    compiled = CFunc(function, normalize_signature(signature), locals={}, options=ARITHMETIC)
+    if function.__module__ in sys.modules:  # else no other process could read the cache
+        with contextlib.suppress(RuntimeError):  # typed at a prompt: no file to cache beside
+            CodeCache(function).serve(compiled)
     try:
-        try:
-            return numba.cfunc(signature, cache=lasting, **ARITHMETIC)(function)
-        except RuntimeError:  # typed at a prompt: no file to cache beside
-            return numba.cfunc(signature, **ARITHMETIC)(function)
+        compiled.compile()
+        return compiled
     except numba.core.errors.NumbaError as error:
         raise InputError(
             f"{function.__name__} cannot be compiled; use only numbers, loops, math and numpy in it, "
             f"and take everything else from parameters ({str(error).strip().splitlines()[-1]})"
         ) from None
-
-
-@cache
-def cache_folder() -> str:
-    """Folder for the machine code of the kernels as they are written now.
-
-    Numba's own rule looks at the file of a kernel, not at those of the kernels it calls: after a change of one
-    of these it would go on with the old code. So the folder's name is a digest of every file that has kernels.
-    Empty, which is numba's rule, where there is no workbook to write to.
-    """
-    digest = hashlib.sha256()
-    for file in sorted(Path(__file__).parent.rglob("*.py")):
-        text = file.read_bytes()
-        if b"kernel" in text:
-            digest.update(text)
-    try:
-        folder = paths.root() / "build" / "kernels" / digest.hexdigest()[:16]
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return ""
-    return str(folder)
