@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import shutil
 import signal
 import uuid
 from collections.abc import Callable
@@ -9,6 +10,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 
 from stillwork import paths
 from stillwork.checks import InputError
+from stillwork.kernel_folder import cache_folder
 from stillwork.workbook.execution import Failure, Job, Outcome, execute, sweep
 from stillwork.workbook.inputs import ENVIRONMENT, changes, environment_inputs, present, with_ledger
 from stillwork.workbook.jupyter_kernel import stop
@@ -113,6 +115,8 @@ def _publish(task: Task, outcome: Outcome, made_from) -> Failure | None:
     """Put the results in their place, unless what they were made from is not what stands here."""
     now = {name: digest for name in outcome.reads if (digest := present(name)) is not None}
     if different := changes(outcome.reads, now):
+        # What was compiled from such a library may lie beside code that did not change.
+        shutil.rmtree(cache_folder(), ignore_errors=True)
         return Failure("inputs", f"not as the kernel read them: {_short(different)}; build again")
     claimed = outcome.claimed()
     known = {name.removeprefix("file ") for name in task.inputs if name.startswith("file ")}

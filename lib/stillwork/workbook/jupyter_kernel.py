@@ -8,6 +8,7 @@ from pathlib import Path
 
 import stillwork
 from stillwork import paths
+from stillwork.kernel_folder import FOLDER_VARIABLE, cache_folder
 from stillwork.workbook.pinned import environment
 from stillwork.workbook.warm import PROGRAM, Warm
 
@@ -39,6 +40,7 @@ def kernel_environment(folder: Path, output: Path) -> dict[str, str]:
         **environment(),
         paths.OUTPUT_VARIABLE: str(output),
         paths.ROOT_VARIABLE: str(paths.root()),
+        FOLDER_VARIABLE: cache_folder(),
         "IPYTHONDIR": str(folder / "ipython"),  # no user's startup files
         "PYTHONPATH": os.pathsep.join(filter(None, [library, os.environ.get("PYTHONPATH")])),
     }
