@@ -9,6 +9,7 @@ from stillwork.lti import StateModel
 from stillwork.motion.bandwidth import SIX_DB, Loop
 from stillwork.motion.controller import Pid
 from stillwork.motion.loops import channel
+from stillwork.rounding import in_order
 
 LABELS = {
     "input_sensitivity": "input sensitivity $S_I$",
@@ -196,6 +197,7 @@ def pole_zero(systems: Mapping[str, StateModel], quantity: str = "magnitude (dB 
     omega = np.geomspace(top / 30, top * 2, 1500)
     for colour, (label, system) in zip(colours, systems.items(), strict=True):
         for kind, marker, values in (("poles", "x", system.poles), ("zeros", "o", system.zeros)):
+            values = top * in_order(values / top)
             upper = values[(values.imag >= -1e-6) & (np.abs(values) < 3 * top)]
             axes[0].plot(
                 upper.real,
