@@ -10,7 +10,7 @@ from scipy import linalg
 from stillwork.checks import InputError, require_choice, require_count, require_number
 from stillwork.lti import ModalModel, Peak, StateModel, refine_peak, resonance_grid
 from stillwork.motion.controller import Pid
-from stillwork.motion.loops import LoopResponse, closed_loop, loop_response, no_observer
+from stillwork.motion.loops import LoopResponse, closed_loop, no_observer
 
 SIX_DB = 10 ** (6 / 20)  # not 2
 
@@ -46,7 +46,7 @@ class Loop:
         else:
             plant = self.plant.frequency_response(omega)[0, 0]
             observer = self.compensator.frequency_response(omega)
-        return loop_response(plant, observer, controller.frequency_response(omega))
+        return LoopResponse(plant, observer, controller.frequency_response(omega))
 
     def peak(self, controller: Pid, function: str) -> Peak:
         """Refined peak of a loop function."""
