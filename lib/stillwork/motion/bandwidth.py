@@ -124,8 +124,8 @@ def maximise_bandwidth(
 ) -> Bandwidth:
     """Largest design parameter for which every loop is stable and below every constraint.
 
-    A scan finds every interval that can be feasible (its peaks are grid values, so it rejects nothing that
-    is feasible); the upper end of the highest one is then bisected with refined peaks and eigenvalues.
+    A scan from above finds the highest interval that is feasible (it looks at grid values first, which reject
+    nothing that is); its upper end is then bisected with refined peaks and eigenvalues.
 
     Parameters
     ----------
@@ -155,9 +155,9 @@ def maximise_bandwidth(
         raise InputError("constraints is empty; without a peak constraint no bandwidth is the largest")
     require_number("high_hz", high_hz, above=require_number("low_hz", low_hz, above=0.0))
     grid = np.linspace(low_hz, high_hz, require_count("scan", scan, at_least=2))
-    open_to = [k for k, f in enumerate(grid) if _rough(loops, family(f), constraints)]
-    for k in reversed(open_to):
-        if _violation(loops, family(grid[k]), constraints, refine) is None:
+    for k in reversed(range(scan)):
+        controller = family(grid[k])
+        if _rough(loops, controller, constraints) and not _violation(loops, controller, constraints, refine):
             break
     else:
         raise InputError(
