@@ -8,6 +8,7 @@ import json
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 
 from stillwork import paths
@@ -193,8 +194,13 @@ def load_entries(room: str) -> dict[str, Entry]:
     file = paths.data(room, "published.toml")
     if not file.exists():
         return {}
+    return dict(_parsed(file, file.read_text(encoding="utf-8")))
+
+
+@lru_cache(maxsize=len(paths.ROOMS))  # a notebook reads the same text at every check
+def _parsed(file: Path, text: str) -> dict[str, Entry]:
     try:
-        tree = tomllib.loads(file.read_text(encoding="utf-8"))
+        tree = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{file}: not valid TOML ({error}); mend that line") from None
     return {entry.id: entry for entry in _entries(tree, ())}

@@ -112,10 +112,9 @@ def test_sideways_error_follows_the_mean_update():
 def test_weights_follow_a_switch_to_the_new_optimum_and_as_expected():
     switch = switch_between(FITTED, FLOOR, colored_floor(80.0))
     both = settled(switch, 1e-4, float(np.exp(-2e-5)))
-    response = respond(FITTED, switch, both["FeRLS"], 40.0, 1)
+    later, response = respond(FITTED, switch, both, 40.0, 1).values()
     assert response.left()[response.time_s < 0] == pytest.approx(1, abs=0.25)
     assert response.left()[-100:].mean() == pytest.approx(0, abs=0.1)
-    later = respond(FITTED, switch, both["FeLMS"], 40.0, 1)
     time = np.array([20.0, 40.0])
     expected = mean_course(FITTED, switch.end, "FeLMS", time, start=switch.start)
     left = (switch.end.weights[0] - expected) @ switch.shift / (switch.shift @ switch.shift)

@@ -1,5 +1,6 @@
 import json
 import math
+import tomllib
 
 import pytest
 from hypothesis import assume, given
@@ -214,6 +215,19 @@ def test_reads_the_drift_of_an_entry(workbook):
     entries = load_entries("motion")
     assert entries["motion.table-1.pid"].drift == Tolerance("fit", absolute=0.1)
     assert entries["motion.order"].drift.relative == 1e-3
+
+
+def test_a_ledger_is_parsed_once_and_again_when_its_text_changes(workbook, monkeypatch):
+    parsed = []
+    loads = tomllib.loads
+    monkeypatch.setattr(tomllib, "loads", lambda text: parsed.append(text) or loads(text))
+    workbook()
+    entries = load_entries("motion")
+    entries.clear()  # the caller's own
+    assert list(load_entries("motion")) == ["motion.table-1.pid", "motion.order"]
+    assert len(parsed) == 1
+    workbook(LEDGER.replace("37.0", "38.0"))  # as long, and within the clock's grain
+    assert load_entries("motion")["motion.table-1.pid"].published == 38.0
 
 
 @pytest.mark.parametrize(

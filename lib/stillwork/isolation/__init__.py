@@ -31,7 +31,7 @@ _NAMES = {
         "synthesise_floor",
     ),
     "rig": ("Lines", "Rig"),
-    "simulation": ("Run", "simulate"),
+    "simulation": ("Run", "simulate", "simulate_each"),
     "steady": ("Steady", "steady_state"),
     "twin": ("Twin", "load_twin", "twin_from_table"),
 }

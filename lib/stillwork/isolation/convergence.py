@@ -10,7 +10,7 @@ from stillwork.checks import require_array, require_number
 from stillwork.isolation.adaptation import FeLms, FeRls
 from stillwork.isolation.floors import ShapedFloor
 from stillwork.isolation.online import UnstableAdaptation
-from stillwork.isolation.simulation import simulate
+from stillwork.isolation.simulation import Run, simulate, simulate_each
 from stillwork.isolation.steady import Steady
 from stillwork.isolation.twin import Twin
 
@@ -127,7 +127,10 @@ def converge(
     twin: Twin, floor: ShapedFloor, adaptation: FeLms | FeRls, duration_s: float, seed: int
 ) -> Course:
     """Adaptation from zero weights; keeps the first actuator's parameters every 0.1 s."""
-    run = simulate(twin, floor, duration_s, adaptation=adaptation, seed=seed)
+    return _course(simulate(twin, floor, duration_s, adaptation=adaptation, seed=seed))
+
+
+def _course(run: Run) -> Course:
     return Course(run.time_s, np.ascontiguousarray(run.weights[:, 0]), run.error_power)
 
 
@@ -157,8 +160,8 @@ def convergence_trial(
     seed = int(rng.integers(2**31))
     before = simulate(twin, floor, FINAL_SHARE * duration_s, seed=seed).error_power.mean()
     found = {}
-    for name, adaptation in both.items():
-        course = converge(twin, floor, adaptation, duration_s, seed)
+    for name, run in simulate_each(twin, floor, duration_s, adaptations=both, seed=seed).items():
+        course = _course(run)
         found[f"{name} tau"] = course.time_constants_s
         found[f"{name} final"] = course.final
         found[f"{name} deviation"] = course.deviation
@@ -198,8 +201,8 @@ def steady_trial(
     """
     seed = int(rng.integers(2**31))
     found = {}
-    for name, adaptation in settled.items():
-        run = simulate(twin, floor, duration_s, adaptation=adaptation, weights=steady.weights, seed=seed)
+    runs = simulate_each(twin, floor, duration_s, adaptations=settled, weights=steady.weights, seed=seed)
+    for name, run in runs.items():
         late = run.weights[run.time_s > duration_s / 2, 0]
         found[name] = np.mean((late - steady.weights[0]) ** 2, axis=0)
     return found

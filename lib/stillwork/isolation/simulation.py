@@ -1,5 +1,6 @@
 """Closed-loop runs of a twin: passive, with feedback, with frozen or self-tuning feedforward."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -115,6 +116,57 @@ def simulate(
     InputError
         Floors or weights of the wrong shape, a floor with another sample rate, a record that is too short.
     """
+    (run,) = _runs(
+        twin,
+        floor,
+        duration_s,
+        [adaptation],
+        weights=weights,
+        feedback=feedback,
+        noise=noise,
+        seed=seed,
+        keep_every_s=keep_every_s,
+        signals_from_s=signals_from_s,
+    )
+    return run
+
+
+def simulate_each(
+    twin: Twin,
+    floor: Floor | list[tuple[float, Floor]],
+    duration_s: float | None = None,
+    *,
+    adaptations: Mapping[str, FeLms | FeRls | None],
+    weights: ArrayLike | None = None,
+    seed: int = 0,
+) -> dict[str, Run]:
+    """What `simulate` gives for each of several algorithms, on a floor and noises that are drawn once for all.
+
+    Parameters
+    ----------
+    twin, floor, duration_s, weights, seed
+        As for `simulate`.
+    adaptations : mapping of str to FeLms, FeRls or None
+        Algorithms by name.
+    """
+    runs = _runs(twin, floor, duration_s, list(adaptations.values()), weights=weights, seed=seed)
+    return dict(zip(adaptations, runs, strict=True))
+
+
+def _runs(
+    twin: Twin,
+    floor,
+    duration_s,
+    adaptations: list,
+    *,
+    weights=None,
+    feedback=True,
+    noise=True,
+    seed=0,
+    keep_every_s=0.1,
+    signals_from_s=None,
+) -> list[Run]:
+    """One run an algorithm, side by side, block by block."""
     rate = twin.instruments.sample_rate
     every = require_count("keep_every_s times the sample rate", round(keep_every_s * rate))
     segments = _segments(twin, floor, duration_s)
@@ -131,10 +183,12 @@ def simulate(
                 f"signals_from_s is {signals_from_s:g} but the run lasts {total / rate:g} s; give less"
             )
 
-    code, numbers, covariance = _algorithm(twin, adaptation)
-    closed = loop.loop_of(twin, feedback, start, covariance)
+    sides = []
+    for adaptation in adaptations:
+        code, numbers, covariance = _algorithm(twin, adaptation)
+        closed = loop.loop_of(twin, feedback, start, covariance)
+        sides.append((adaptation, code, numbers, closed, _Kept(twin, total, every, first)))
     sources = Sources(twin, segments, noise, require_count("seed", seed, at_least=0))
-    kept = _Kept(twin, total, every, first)
 
     done = 0
     while done < total:
@@ -143,24 +197,24 @@ def simulate(
         if done < first:
             samples = min(samples, first - done)
         floor_block, noise_block = sources.draw(samples)
-        signals = kept.block(done, samples)
-        status, reached = loop._advance(
-            floor_block,
-            noise_block,
-            closed,
-            signals,
-            every,
-            done % every,
-            code,
-            *numbers,
-            twin.instruments.force_limit,
-        )
-        if status != loop.STABLE:
-            raise _unstable(status, done + reached, twin, adaptation, start)
-        if done + samples > first:
-            kept.floor[done - first : done - first + samples] = floor_block
+        for adaptation, code, numbers, closed, kept in sides:
+            status, reached = loop._advance(
+                floor_block,
+                noise_block,
+                closed,
+                kept.block(done, samples),
+                every,
+                done % every,
+                code,
+                *numbers,
+                twin.instruments.force_limit,
+            )
+            if status != loop.STABLE:
+                raise _unstable(status, done + reached, twin, adaptation, start)
+            if done + samples > first:
+                kept.floor[done - first : done - first + samples] = floor_block
         done += samples
-    return kept.run(rate, closed)
+    return [kept.run(rate, closed) for _, _, _, closed, kept in sides]
 
 
 def _algorithm(twin: Twin, adaptation):

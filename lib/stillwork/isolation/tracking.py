@@ -10,7 +10,7 @@ from stillwork.isolation.adaptation import FeLms, FeRls
 from stillwork.isolation.convergence import ALGORITHMS
 from stillwork.isolation.floors import ShapedFloor
 from stillwork.isolation.mean_convergence import mean_course
-from stillwork.isolation.simulation import simulate
+from stillwork.isolation.simulation import simulate_each
 from stillwork.isolation.steady import Steady, steady_state
 from stillwork.isolation.twin import Twin
 
@@ -101,28 +101,33 @@ class Response:
         return float(self.left()[self.time_s <= 0].std())
 
 
-def respond(twin: Twin, switch: Switch, adaptation: FeLms | FeRls, duration_s: float, seed: int) -> Response:
-    """Simulate a switch of the floor.
+def respond(
+    twin: Twin, switch: Switch, both: dict[str, FeLms | FeRls], duration_s: float, seed: int
+) -> dict[str, Response]:
+    """Simulate a switch of the floor, the same for each algorithm.
 
     Parameters
     ----------
     twin, switch
         Rig and change of its floor.
-    adaptation : FeLms or FeRls
+    both : dict of str to FeLms or FeRls
         From `settled`.
     duration_s : float
         Length of the run after the switch, s.
     seed : int
         Of floor and noise.
     """
-    run = simulate(
+    runs = simulate_each(
         twin,
         [(LEAD_S, switch.before), (duration_s, switch.after)],
-        adaptation=adaptation,
+        adaptations=both,
         weights=switch.start.weights,
         seed=seed,
     )
-    return Response(run.time_s - LEAD_S, np.ascontiguousarray(run.weights[:, 0]), switch)
+    return {
+        name: Response(run.time_s - LEAD_S, np.ascontiguousarray(run.weights[:, 0]), switch)
+        for name, run in runs.items()
+    }
 
 
 def expected_response(twin: Twin, switch: Switch, name: str, step_size: float, memory_s: float) -> Response:
@@ -156,9 +161,9 @@ def tracking_trial(
         it has not settled; ``"FeLMS noise"``, ...
     """
     seed = int(rng.integers(2**31))
-    found = {}
+    responses, found = respond(twin, switch, both, duration_s, seed), {}
     for name in ALGORITHMS:
-        response = respond(twin, switch, both[name], duration_s, seed)
+        response = responses[name]
         for group in GROUPS:
             found[f"{name} {group}"] = response.settling_s(group)
         found[f"{name} noise"] = response.noise

@@ -22,7 +22,7 @@ _PLACES = {
     "discrete_observer": ("DiscreteObserver", "discrete_compensator", "discrete_kalman_observer"),
     "feedback": ("band_pass", "damping_gain", "fed_back", "stiffness_gain"),
     "ideal_feedforward": ("feedforward_error", "ideal_force", "invert"),
-    "loops": ("channel", "closed_loop", "loop_response"),
+    "loops": ("LoopResponse", "channel", "closed_loop"),
     "machines": ("chain", "drive", "stage", "stage_mass"),
     "observer": ("Noise", "Observer", "kalman_observer", "published_noise"),
     "performance": ("moving", "rms"),

@@ -10,7 +10,7 @@ from scipy import linalg
 from stillwork.checks import InputError, require_choice, require_count, require_number
 from stillwork.lti import ModalModel, Peak, StateModel, refine_peak, resonance_grid
 from stillwork.motion.controller import Pid
-from stillwork.motion.loops import LoopResponse, closed_loop, loop_response, no_observer
+from stillwork.motion.loops import LoopResponse, closed_loop, no_observer
 from stillwork.rounding import TIE
 
 SIX_DB = 10 ** (6 / 20)  # not 2
@@ -47,7 +47,7 @@ class Loop:
         else:
             plant = self.plant.frequency_response(omega)[0, 0]
             observer = self.compensator.frequency_response(omega)
-        return loop_response(plant, observer, controller.frequency_response(omega))
+        return LoopResponse(plant, observer, controller.frequency_response(omega))
 
     def peak(self, controller: Pid, function: str) -> Peak:
         """Refined peak of a loop function."""
@@ -125,8 +125,8 @@ def maximise_bandwidth(
 ) -> Bandwidth:
     """Largest design parameter for which every loop is stable and below every constraint.
 
-    A scan finds every interval that can be feasible (its peaks are grid values, so it rejects nothing that
-    is feasible); the upper end of the highest one is then bisected with refined peaks and eigenvalues.
+    A scan from above finds the highest interval that is feasible (it looks at grid values first, which reject
+    nothing that is); its upper end is then bisected with refined peaks and eigenvalues.
 
     Parameters
     ----------
@@ -156,9 +156,9 @@ def maximise_bandwidth(
         raise InputError("constraints is empty; without a peak constraint no bandwidth is the largest")
     require_number("high_hz", high_hz, above=require_number("low_hz", low_hz, above=0.0))
     grid = np.linspace(low_hz, high_hz, require_count("scan", scan, at_least=2))
-    open_to = [k for k, f in enumerate(grid) if _rough(loops, family(f), constraints)]
-    for k in reversed(open_to):
-        if _violation(loops, family(grid[k]), constraints, refine) is None:
+    for k in reversed(range(scan)):
+        controller = family(grid[k])
+        if _rough(loops, controller, constraints) and not _violation(loops, controller, constraints, refine):
             break
     else:
         raise InputError(

@@ -1,6 +1,7 @@
 """The published designs of chapter 3: which observer and which application give which bandwidth."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 from stillwork.checks import InputError, require_choice, require_count
 from stillwork.lti import ModalModel, StateModel
@@ -51,11 +52,17 @@ def stage_observer(
     plant: ModalModel | None = None,
 ) -> Observer:
     """Observer of the stage for the measured mass `position` (1 to 7), reduced as in section 3.1."""
-    plant = stage() if plant is None else plant
+    if plant is None:
+        return _published_observer(position, noise or published_noise(), noise_model)
     if require_count("position", position) > len(plant.output_shapes):
         raise InputError(f"position is {position}; the stage has masses 1 to {len(plant.output_shapes)}")
     reduced = truncate(plant.at([0], [position - 1]), RETAINED, COMPENSATED)
     return kalman_observer(reduced, noise or published_noise(), noise_model)
+
+
+@lru_cache(maxsize=128)  # studies vary what is done with the estimates, or the loops, far more often
+def _published_observer(position: int, noise: Noise, noise_model: float | None) -> Observer:
+    return stage_observer(position, noise, noise_model, stage())
 
 
 def stage_compensator(
@@ -71,10 +78,10 @@ def stage_loops(
     design: Design, noise: Noise | None = None, plant: ModalModel | None = None, **grid
 ) -> list[Loop]:
     """The seven loops of the stage under one design; `grid` goes to `make_loop`."""
-    plant = stage() if plant is None else plant
-    positions = range(1, len(plant.output_shapes) + 1)
+    machine = stage() if plant is None else plant
+    positions = range(1, len(machine.output_shapes) + 1)
     return [
-        make_loop(plant.at([0], [k - 1]), stage_compensator(k, design, noise, plant), **grid)
+        make_loop(machine.at([0], [k - 1]), stage_compensator(k, design, noise, plant), **grid)
         for k in positions
     ]
 
@@ -106,8 +113,8 @@ def stage_bandwidth(
     if isinstance(name, str):
         require_choice("name", name, DESIGNS)
     design = DESIGNS[name] if isinstance(name, str) else name
-    plant = stage(damping_ratio)
-    notches = tuple(plant.frequencies[1:RETAINED]) if design.notches else ()
+    plant = None if damping_ratio is None else stage(damping_ratio)
+    notches = tuple(stage(damping_ratio).frequencies[1:RETAINED]) if design.notches else ()
     return maximise_bandwidth(
         stage_loops(design, noise, plant, **grid),
         PidFamily(stage_mass(), notches),

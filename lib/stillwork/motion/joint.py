@@ -20,7 +20,7 @@ from stillwork.motion.applications import Application
 from stillwork.motion.bandwidth import Loop
 from stillwork.motion.controller import Pid
 from stillwork.motion.designs import COMPENSATED, RETAINED, Design, stage_loops
-from stillwork.motion.loops import LoopResponse, loop_response
+from stillwork.motion.loops import LoopResponse
 from stillwork.motion.machines import stage, stage_mass
 from stillwork.motion.observer import Noise, published_noise
 from stillwork.motion.reduction import truncate
@@ -167,8 +167,8 @@ class StageResponses:
             gain, estimates = self._estimated(design.process, design.noise_model)
             on_grid = self._compensator(design, estimates, self.omega)
             at_corner = self._compensator(design, self._estimates(gain, corner, modal), corner)
-        grid = loop_response(self._plants, on_grid, design.controller.frequency_response(self.omega))
-        slow = loop_response(plants, at_corner, design.controller.frequency_response(corner))
+        grid = LoopResponse(self._plants, on_grid, design.controller.frequency_response(self.omega))
+        slow = LoopResponse(plants, at_corner, design.controller.frequency_response(corner))
         softness = np.abs(plants * slow.output_sensitivity)[..., :-1] * _mass() * corner[-1] ** 2
         return SearchedLoops(grid, np.abs(slow.loop[..., -1]), softness)
 

@@ -1,6 +1,7 @@
 """Closed loops of plant, compensator and controller: state-space models for any size, responses for one loop."""
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cache, cached_property
 
 import numpy as np
 from jaxtyping import Complex128
@@ -38,6 +39,12 @@ def closed_loop(
     m, p = states.b.shape[1], len(states.c)
     if controller.d.shape != (m, p) or observer.d.shape != (m + p, m + p):
         raise InputError("compensator or controller does not have the plant's numbers of inputs and outputs")
+    return interconnect([states, observer, controller], *_wiring(m, p))
+
+
+@cache  # a search closes thousands of loops of one size
+def _wiring(m: int, p: int) -> tuple[np.ndarray, ...]:
+    """Constant matrices of `closed_loop` for m inputs and p outputs, as `interconnect` takes them."""
     im, ip = np.eye(m), np.eye(p)
     zmm, zmp, zpm, zpp = np.zeros((m, m)), np.zeros((m, p)), np.zeros((p, m)), np.zeros((p, p))
     # Stacked outputs: y0 = P(f + w), u_d, y_flex, u_fb. Stacked inputs: f + w, f, y + d, e_meas.
@@ -73,7 +80,7 @@ def closed_loop(
             [zmp, im, zmm, zmp, zmp],
         ]
     )
-    return interconnect([states, observer, controller], feedback, external, wanted, direct)
+    return feedback, external, wanted, direct
 
 
 def channel(loop: StateModel, source: str, target: str, inputs: int = 1, outputs: int = 1) -> StateModel:
@@ -109,38 +116,57 @@ def require_stable(loop: StateModel) -> None:
         )
 
 
-class LoopResponse(NamedTuple):
-    """Frequency responses of single loops, the frequencies last."""
+@dataclass(frozen=True)
+class LoopResponse:
+    """Frequency responses of single loops, the frequencies last; each function is computed when it is asked for."""
 
-    equivalent_plant: Complex128[np.ndarray, "... f"]  # P_eq, u to y_comp, (A.5)
-    reference_controller: Complex128[np.ndarray, "... f"]  # C_r, r to f
-    output_controller: Complex128[np.ndarray, "... f"]  # -C_y, y to -f: (3.11), (3.37)
-    loop: Complex128[np.ndarray, "... f"]  # P_eq C_fb, what the controller sees
-    output_loop: Complex128[np.ndarray, "... f"]  # P C_eq, what the plant's output sees
-    input_sensitivity: Complex128[np.ndarray, "... f"]  # S_I
-    output_sensitivity: Complex128[np.ndarray, "... f"]  # S_O
-    true_tracking: Complex128[np.ndarray, "... f"]  # r to e_true
+    plant: Complex128[np.ndarray, "... f"]  # P
+    observer: Complex128[np.ndarray, "2 2 ... f"]  # O, (u, y) to (u_d, y_flex)
+    controller: Complex128[np.ndarray, "... f"]  # C_fb
 
+    @cached_property
+    def equivalent_plant(self) -> Complex128[np.ndarray, "... f"]:
+        """P_eq, u to y_comp, (A.5)."""
+        (o_uu, o_uy), (o_yu, o_yy) = self.observer
+        return ((1 - o_yy) * self.plant - o_yu) / (1 - o_uu - o_uy * self.plant)
 
-def loop_response(
-    plant: Complex128[np.ndarray, "... f"],
-    observer: Complex128[np.ndarray, "2 2 ... f"],
-    controller: Complex128[np.ndarray, "... f"],
-) -> LoopResponse:
-    """All functions of single loops from the responses of plant P, compensator O and controller C_fb."""
-    (o_uu, o_uy), (o_yu, o_yy) = observer
-    equivalent = ((1 - o_yy) * plant - o_yu) / (1 - o_uu - o_uy * plant)
-    turn = 1 - controller * o_yu - o_uu
-    c_r = controller / turn
-    c_y = (controller * (1 - o_yy) - o_uy) / turn
-    s_o = 1 / (1 + plant * c_y)
-    return LoopResponse(
-        equivalent,
-        c_r,
-        c_y,
-        equivalent * controller,
-        plant * c_y,
-        1 / (1 + equivalent * controller),
-        s_o,
-        1 - plant * c_r * s_o,
-    )
+    @cached_property
+    def _turn(self) -> Complex128[np.ndarray, "... f"]:
+        (o_uu, _), (o_yu, _) = self.observer
+        return 1 - self.controller * o_yu - o_uu
+
+    @cached_property
+    def reference_controller(self) -> Complex128[np.ndarray, "... f"]:
+        """C_r, r to f."""
+        return self.controller / self._turn
+
+    @cached_property
+    def output_controller(self) -> Complex128[np.ndarray, "... f"]:
+        """-C_y, y to -f: (3.11), (3.37)."""
+        (_, o_uy), (_, o_yy) = self.observer
+        return (self.controller * (1 - o_yy) - o_uy) / self._turn
+
+    @cached_property
+    def loop(self) -> Complex128[np.ndarray, "... f"]:
+        """P_eq C_fb, what the controller sees."""
+        return self.equivalent_plant * self.controller
+
+    @cached_property
+    def output_loop(self) -> Complex128[np.ndarray, "... f"]:
+        """P C_eq, what the plant's output sees."""
+        return self.plant * self.output_controller
+
+    @cached_property
+    def input_sensitivity(self) -> Complex128[np.ndarray, "... f"]:
+        """S_I."""
+        return 1 / (1 + self.loop)
+
+    @cached_property
+    def output_sensitivity(self) -> Complex128[np.ndarray, "... f"]:
+        """S_O."""
+        return 1 / (1 + self.output_loop)
+
+    @cached_property
+    def true_tracking(self) -> Complex128[np.ndarray, "... f"]:
+        """From r to e_true."""
+        return 1 - self.plant * self.reference_controller * self.output_sensitivity
