@@ -1,4 +1,5 @@
 import csv
+import gc
 import subprocess
 import sys
 
@@ -47,6 +48,34 @@ def test_the_csv_holds_what_was_plotted(tmp_path):
     assert repr(saved) == "fig-1.png, fig-1.csv"
     assert saved._repr_png_() == (tmp_path / "deep" / "fig-1.png").read_bytes()
     assert saved.png.startswith(b"\x89PNG")
+
+
+def test_saving_leaves_the_figure_as_it_is(tmp_path):
+    figure, axes = figures.new(2, 1, sharex=True)
+    t = np.linspace(1, 1000, 3000)
+    (line,) = axes[0].loglog(t, 1 / t)
+    axes[1].set_xlabel("time (s)")
+    mesh = axes[1].pcolormesh([1.0, 10, 1000], [0.0, 1, 2], [[1.0, 2], [3, 4]])
+    figure.colorbar(mesh)
+
+    def state():
+        panels = figure.axes
+        return (
+            [panel.get_position().bounds for panel in panels],
+            [(panel.get_xlim(), panel.get_ylim(), panel.get_autoscalex_on()) for panel in panels],
+            [panel.get_in_layout() for panel in panels],
+            [(axis.minor.locator, axis.minor.locator.axis) for p in panels for axis in (p.xaxis, p.yaxis)],
+            [len(panel.get_children()) for panel in panels],
+            (figure.dpi, figure.canvas, gc.isenabled(), type(figure.get_layout_engine())),
+        )
+
+    before = state()
+    first = figures.save(figure, tmp_path / "a")
+    assert state() == before
+    np.testing.assert_array_equal(line.get_xydata(), np.c_[t, 1 / t])
+    again = figures.save(figure, tmp_path / "b")
+    assert again.png == first.png
+    assert (tmp_path / "b.csv").read_bytes() == (tmp_path / "a.csv").read_bytes()
 
 
 def test_scatter_fill_steps_and_error_bars():
