@@ -3,7 +3,6 @@
 `make test` runs all notebooks into build/nbval before; STILLWORK_REBUILT names another fresh build.
 """
 
-import csv
 import itertools
 import os
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 import pytest
 
 from stillwork import paths
+from stillwork.figures import read_table
 
 COMMITTED = paths.root() / "figures"
 # Of the range that a series spans. Under the kernel's settings builds with AVX2 and FMA and with SSE2 alone
@@ -28,18 +28,6 @@ REBUILT = Path(os.environ.get("STILLWORK_REBUILT") or paths.root() / "build" / "
 
 def tables(folder: Path) -> set[str]:
     return {file.relative_to(folder).as_posix() for file in folder.glob("*/*/*.csv")}
-
-
-def series(file: Path) -> dict[tuple[str, ...], np.ndarray]:
-    """Rows of x, y, z by panel and name, in the order of the file."""
-    with file.open(newline="", encoding="utf-8") as text:
-        rows = list(csv.reader(text))
-    assert rows[0] == ["panel", "series", "x", "y", "z"]
-    groups = {}
-    for name, group in itertools.groupby(rows[1:], key=lambda row: tuple(row[:2])):
-        values = np.array([[float(value or "nan") for value in row[2:]] for row in group])
-        groups.setdefault(name, []).append(values)
-    return {name: np.concatenate(parts) for name, parts in groups.items()}
 
 
 def distance(now: np.ndarray, before: np.ndarray) -> float:
@@ -105,7 +93,7 @@ def test_every_table_has_its_picture():
 
 @pytest.mark.parametrize("name", sorted(tables(COMMITTED)))
 def test_a_fresh_run_plots_the_committed_numbers(name):
-    before, now = series(COMMITTED / name), series(REBUILT / name)
+    before, now = read_table(COMMITTED / name), read_table(REBUILT / name)
     assert list(now) == list(before)
     for key, values in before.items():
         if now[key].shape == values.shape:
