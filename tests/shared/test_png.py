@@ -47,6 +47,15 @@ def test_frequent_colours_stay_exact_and_the_rest_is_close():
     assert (off > png.NOTICED).mean() <= png.SHARE
 
 
+def test_pale_areas_keep_their_shade():
+    picture = ramp(400, 500, 1)
+    shades = np.repeat(np.arange(200, 250), 10)  # stripes of one level's difference
+    picture[10:150, :, 0] = picture[10:150, :, 1] = shades
+    data = png.encode(picture, 150)
+    assert kind_of(data) == 3
+    np.testing.assert_array_equal(decoded(data)[10:, :, :3], picture[10:, :, :3])
+
+
 def test_a_picture_that_would_lose_keeps_all_its_colours():
     picture = ramp(400, 500, 40)
     data = png.encode(picture, 150)
