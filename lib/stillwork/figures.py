@@ -43,6 +43,7 @@ STYLE = {
     "ytick.labelsize": 8,
     "svg.hashsalt": "stillwork",
 }
+HEADER = ("panel", "series", "x", "y", "z")  # of a table of plotted numbers
 WIDTH = 7.2  # inches, every figure: they stand below one another on a page
 
 
@@ -98,28 +99,76 @@ class SavedFigure:
 def save(figure, path: Path) -> SavedFigure:
     """Write a figure as ``path.png`` and its plotted numbers as ``path.csv``.
 
-    Dense lines are thinned to what the picture can show, see `stillwork.thinning`. Two calls with the same data
-    write the same bytes.
+    Dense lines are thinned to what the picture can show, see `stillwork.thinning`, and so are its colours, see
+    `stillwork.png`. The figure itself stays as it is. Two calls with the same data write the same bytes.
+    `read_table` reads the numbers.
 
     Raises
     ------
     InputError
         When an axis that shows data has no label: a reader would have to guess the unit.
     """
+    from stillwork import png, rendering
     from stillwork.thinning import thin
 
-    thin(figure, STYLE["savefig.dpi"])
-    rows = plotted(figure)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": None}, dpi=STYLE["savefig.dpi"])
+    dpi = STYLE["savefig.dpi"]
+    with thin(figure, dpi):
+        table = _table(plotted(figure))
+        picture = png.encode(rendering.pixels(figure, dpi), dpi)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.with_name(path.name + ".png").write_bytes(picture)
+    path.with_name(path.name + ".csv").write_text(table, encoding="utf-8")
+    return SavedFigure(path, picture)
+
+
+def _table(rows: list[tuple]) -> str:
+    """The rows as CSV, a panel's and a series' name in the first row of its block alone."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(("panel", "series", "x", "y", "z"))
-    writer.writerows(rows)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.with_name(path.name + ".png").write_bytes(buffer.getvalue())
-    path.with_name(path.name + ".csv").write_text(text.getvalue(), encoding="utf-8")
-    return SavedFigure(path, buffer.getvalue())
+    writer.writerow(HEADER)
+    above = (None, None)
+    for panel, series, *numbers in rows:
+        if not panel or not series:
+            raise InputError(
+                f"panel {panel!r} or series {series!r} has no name and reads as the one above; label it"
+            )
+        writer.writerow(
+            (panel if panel != above[0] else "", series if (panel, series) != above else "", *numbers)
+        )
+        above = panel, series
+    return text.getvalue()
+
+
+def read_table(path: Path) -> dict[tuple[str, str], np.ndarray]:
+    """The plotted numbers that `save` wrote, by panel and series in the order of the file.
+
+    Parameters
+    ----------
+    path : Path
+        A CSV file.
+
+    Returns
+    -------
+    dict
+        Of arrays of shape (points, 3): x, y and z, which is NaN but in maps.
+
+    Raises
+    ------
+    InputError
+        When the file is not such a table.
+    """
+    with Path(path).open(newline="", encoding="utf-8") as file:
+        lines = list(csv.reader(file))
+    if not lines or tuple(lines[0]) != HEADER:
+        raise InputError(
+            f"path is {str(path)!r}, whose first line is not {','.join(HEADER)!r}; give a figure's table"
+        )
+    blocks = {}
+    panel = series = ""
+    for line in lines[1:]:
+        panel, series = line[0] or panel, line[1] or series
+        blocks.setdefault((panel, series), []).append([float(value or "nan") for value in line[2:]])
+    return {name: np.array(block) for name, block in blocks.items()}
 
 
 def plotted(figure) -> list[tuple[str, str, str, str, str]]:
@@ -208,16 +257,3 @@ def _numbers(name: str, x, y, z=None) -> list[tuple]:
         return [(name, f"{a:.7g}", f"{b:.7g}", "") for a, b in zip(*columns, strict=True)]
     depth = np.ravel(np.ma.filled(np.ma.asarray(z, dtype=float), np.nan))
     return [(name, f"{a:.7g}", f"{b:.7g}", f"{c:.7g}") for a, b, c in zip(*columns, depth, strict=True)]
-
-
-def read_table(file: Path) -> list[tuple[str, str, str, str, str]]:
-    """Rows of panel, series, x, y, z of a figure's table; an empty name means: as in the row above."""
-    with Path(file).open(newline="", encoding="utf-8") as text:
-        rows = list(csv.reader(text))
-    if not rows or rows[0] != ["panel", "series", "x", "y", "z"]:
-        raise InputError(f"{file} is not the table of a figure; its first line is {rows[:1]}")
-    full, panel, series = [], "", ""
-    for row in rows[1:]:
-        panel, series = row[0] or panel, row[1] or series
-        full.append((panel, series, *row[2:]))
-    return full

@@ -1,5 +1,8 @@
 """Thin the dense lines of a figure to the points that its picture can show."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import numpy as np
 
 from stillwork.kernels import kernel
@@ -9,8 +12,9 @@ REACH = 0.1  # pixels of the saved picture by which a thinned line may leave the
 COLUMN = 0.5  # pixels; of the samples within one only the extremes show
 
 
-def thin(figure, dpi: float) -> None:
-    """Leave out the points of dense lines that lie within a tenth of a pixel of a line through the others.
+@contextmanager
+def thin(figure, dpi: float) -> Iterator[None]:
+    """Leave out, for a while, the points of dense lines that lie within a tenth of a pixel of a line through the rest.
 
     Where many samples fall into half a pixel's width, only the lowest and the highest of them come into
     question: they show as a stroke from one to the other. Lines with markers or steps keep every point.
@@ -18,20 +22,30 @@ def thin(figure, dpi: float) -> None:
     Parameters
     ----------
     figure : matplotlib.figure.Figure
-        Its lines are changed, its limits stay as they are.
+        Its lines are thin inside the context and whole again after it; its limits stay as they are.
     dpi : float
         Resolution at which it will be saved, dots per inch.
     """
-    for axes in figure.axes:
-        axes.set(xlim=axes.get_xlim(), ylim=axes.get_ylim())  # they would follow the points that are left
-        for line in axes.lines:
-            plain = line.get_marker() in ("None", "none", "", " ", None) and line.get_drawstyle() == "default"
-            if not plain or line.get_transform() != axes.transData or len(line.get_xdata()) <= DENSE:
-                continue
-            x, y = line.get_xdata(orig=False), line.get_ydata(orig=False)
-            pixels = line.get_transform().transform(np.c_[x, y]) * (dpi / figure.dpi)
-            kept = np.concatenate([part[kept_points(pixels[part])] for part in _unbroken(pixels)])
-            line.set_data(x[kept], y[kept])
+    whole = []
+    try:
+        for axes in figure.axes:
+            axes.get_xlim(), axes.get_ylim()  # found from the whole lines
+            for line in axes.lines:
+                if _dense(line):
+                    whole.append((line, line.get_data(orig=True)))
+                    x, y = line.get_data(orig=False)
+                    pixels = line.get_transform().transform(np.c_[x, y]) * (dpi / figure.dpi)
+                    kept = np.concatenate([part[kept_points(pixels[part])] for part in _unbroken(pixels)])
+                    line.set_data(x[kept], y[kept])
+        yield
+    finally:
+        for line, data in whole:
+            line.set_data(*data)
+
+
+def _dense(line) -> bool:
+    plain = line.get_marker() in ("None", "none", "", " ", None) and line.get_drawstyle() == "default"
+    return plain and line.get_transform() == line.axes.transData and len(line.get_xdata()) > DENSE
 
 
 def _unbroken(pixels: np.ndarray) -> list[np.ndarray]:

@@ -140,7 +140,7 @@ def table_difference(now: Path, before: Path, rounding: Collection[str] = ()) ->
     rounding : collection of str
         Series whose numbers are rounding itself: their sizes are compared, and do not count as a difference.
     """
-    built, committed = _series(now), _series(before)
+    built, committed = read_table(now), read_table(before)
     if list(built) != list(committed):
         return None
     worst = 0.0
@@ -269,14 +269,6 @@ def _off(points: np.ndarray, line: np.ndarray) -> float:
         share = np.clip(((point - start) * step).sum(axis=1) / length, 0, 1)
         worst = max(worst, np.hypot(*(start + share[:, None] * step - point).T).min())
     return worst
-
-
-def _series(file: Path) -> dict[tuple[str, str], np.ndarray]:
-    """Rows of x, y, z by panel and series, in the order of the file."""
-    groups: dict[tuple[str, str], list] = {}
-    for panel, name, *numbers in read_table(file):
-        groups.setdefault((panel, name), []).append([float(number or "nan") for number in numbers])
-    return {name: np.array(rows) for name, rows in groups.items()}
 
 
 def _noted(figure: Path) -> dict[str, str]:
