@@ -248,7 +248,11 @@ def apart(now: np.ndarray, before: np.ndarray) -> float:
     for scales in itertools.product((np.array, np.log), repeat=2):
         with np.errstate(divide="ignore", invalid="ignore"):
             first, second = (np.c_[scales[0](line[:, 0]), scales[1](line[:, 1])] for line in (now, before))
-        if np.isfinite(first).sum() == np.isfinite(now[:, :2]).sum():
+        # On a scale on which a point has no place (the logarithm of zero) nothing can be said.
+        if all(
+            np.isfinite(each).sum() == np.isfinite(raw[:, :2]).sum()
+            for each, raw in ((first, now), (second, before))
+        ):
             span = np.nanmax(second, axis=0) - np.nanmin(second, axis=0)
             first, second = first / np.where(span > 0, span, 1.0), second / np.where(span > 0, span, 1.0)
             found.append(max(_off(first, second), _off(second, first)))
