@@ -135,57 +135,104 @@ def _health(code, matrix, information) -> tuple[float, float, float, float]:
 @kernel
 def _recur(form, matrix, regressors, forgetting, scratch):
     """Update P, or its factor for the square root, over a block in place, in the arrays' precision."""
-    one = matrix.dtype.type(1)
-    for k in range(len(regressors)):
-        psi = regressors[k]
-        if form == SQUARE_ROOT:
-            _square_root(matrix, psi, forgetting, scratch)
-            continue
-        column, row, back = scratch[0], scratch[1], scratch[2]
-        n = len(psi)
-        denominator = forgetting
-        for i in range(n):
-            total = matrix[i, 0] * psi[0]
-            for j in range(1, n):
-                total += matrix[i, j] * psi[j]
-            column[i] = total
-            denominator += psi[i] * total
-        if form == BOTH_PRODUCTS or form == JOSEPH:
-            for i in range(n):
-                total = matrix[0, i] * psi[0]
-                for j in range(1, n):
-                    total += matrix[j, i] * psi[j]
-                row[i] = total
-        shrink = one / denominator
-        forget = one / forgetting
-        if form == ONE_PRODUCT:
-            for i in range(n):
-                gain = column[i] * shrink
-                for j in range(n):
-                    matrix[i, j] = (matrix[i, j] - gain * column[j]) * forget
-        elif form == BOTH_PRODUCTS:
-            for i in range(n):
-                gain = column[i] * shrink
-                for j in range(n):
-                    matrix[i, j] = (matrix[i, j] - gain * row[j]) * forget
-        elif form == TRIANGLE:
-            for i in range(n):
-                gain = column[i] * shrink
-                for j in range(i + 1):
-                    matrix[i, j] = (matrix[i, j] - gain * column[j]) * forget
-                    matrix[j, i] = matrix[i, j]
-        else:
-            # (I - k psi') P (I - k psi')' / lambda + k k' with k = P psi / den.
-            for i in range(n):
-                gain = column[i] * shrink
-                back[i] = one - one
-                for j in range(n):
-                    matrix[i, j] -= gain * row[j]
-                    back[i] += matrix[i, j] * psi[j]
-            for i in range(n):
-                for j in range(n):
-                    gains = (column[i] * shrink) * (column[j] * shrink)
-                    matrix[i, j] = (matrix[i, j] - back[i] * (column[j] * shrink)) * forget + gains
+    # A loop a form: asked at every sample for its form, the compiler would optimise none of them.
+    if form == ONE_PRODUCT:
+        for k in range(len(regressors)):
+            _one_product(matrix, regressors[k], forgetting, scratch)
+    elif form == BOTH_PRODUCTS:
+        for k in range(len(regressors)):
+            _both_products(matrix, regressors[k], forgetting, scratch)
+    elif form == TRIANGLE:
+        for k in range(len(regressors)):
+            _triangle(matrix, regressors[k], forgetting, scratch)
+    elif form == JOSEPH:
+        for k in range(len(regressors)):
+            _joseph(matrix, regressors[k], forgetting, scratch)
+    else:
+        for k in range(len(regressors)):
+            _square_root(matrix, regressors[k], forgetting, scratch)
+
+
+@inlined_kernel
+def _multiply(matrix, psi, forgetting, column):
+    """P psi into `column`; returns lambda + psi' P psi."""
+    n = len(psi)
+    denominator = forgetting
+    for i in range(n):
+        total = matrix[i, 0] * psi[0]
+        for j in range(1, n):
+            total += matrix[i, j] * psi[j]
+        column[i] = total
+        denominator += psi[i] * total
+    return denominator
+
+
+@inlined_kernel
+def _multiply_left(matrix, psi, row):
+    """psi' P into `row`."""
+    n = len(psi)
+    for i in range(n):
+        total = matrix[0, i] * psi[0]
+        for j in range(1, n):
+            total += matrix[j, i] * psi[j]
+        row[i] = total
+
+
+@inlined_kernel
+def _one_product(matrix, psi, forgetting, scratch):
+    one, n, column = matrix.dtype.type(1), len(psi), scratch[0]
+    shrink = one / _multiply(matrix, psi, forgetting, column)
+    forget = one / forgetting
+    for i in range(n):
+        gain = column[i] * shrink
+        for j in range(n):
+            matrix[i, j] = (matrix[i, j] - gain * column[j]) * forget
+
+
+@inlined_kernel
+def _both_products(matrix, psi, forgetting, scratch):
+    one, n, column, row = matrix.dtype.type(1), len(psi), scratch[0], scratch[1]
+    shrink = one / _multiply(matrix, psi, forgetting, column)
+    forget = one / forgetting
+    _multiply_left(matrix, psi, row)
+    for i in range(n):
+        gain = column[i] * shrink
+        for j in range(n):
+            matrix[i, j] = (matrix[i, j] - gain * row[j]) * forget
+
+
+@inlined_kernel
+def _triangle(matrix, psi, forgetting, scratch):
+    one, n, column = matrix.dtype.type(1), len(psi), scratch[0]
+    shrink = one / _multiply(matrix, psi, forgetting, column)
+    forget = one / forgetting
+    for i in range(n):
+        gain = column[i] * shrink
+        for j in range(i + 1):
+            matrix[i, j] = (matrix[i, j] - gain * column[j]) * forget
+            matrix[j, i] = matrix[i, j]
+
+
+@inlined_kernel
+def _joseph(matrix, psi, forgetting, scratch):
+    """(I - k psi') P (I - k psi')' / lambda + k k' with k = P psi / den."""
+    one, n, column, row, back = matrix.dtype.type(1), len(psi), scratch[0], scratch[1], scratch[2]
+    shrink = one / _multiply(matrix, psi, forgetting, column)
+    forget = one / forgetting
+    _multiply_left(matrix, psi, row)
+    for i in range(n):
+        column[i] *= shrink
+        gain = column[i]
+        for j in range(n):
+            matrix[i, j] -= gain * row[j]
+        total = matrix[i, 0] * psi[0]
+        for j in range(1, n):
+            total += matrix[i, j] * psi[j]
+        back[i] = total
+    for i in range(n):
+        gain, rest = column[i], back[i]
+        for j in range(n):
+            matrix[i, j] = (matrix[i, j] - rest * column[j]) * forget + gain * column[j]
 
 
 @inlined_kernel
