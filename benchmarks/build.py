@@ -68,7 +68,7 @@ def measure(name: str) -> dict[str, float]:
     from matplotlib.figure import Figure
     from numba.core import event
 
-    from stillwork import page
+    from stillwork.workbook import page
 
     class Compilation(event.Listener):
         def on_start(self, _event):

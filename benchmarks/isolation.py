@@ -21,11 +21,11 @@ os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1", MKL_NUM_THREADS
 
 import numpy as np  # noqa: E402
 
-from stillwork.isolation import loop, simulation  # noqa: E402
-from stillwork.isolation.adaptation import FeLms, FeRls, _ferls_update  # noqa: E402
-from stillwork.isolation.floors import flat_floor  # noqa: E402
-from stillwork.isolation.online import _run_felms, _run_ferls  # noqa: E402
-from stillwork.isolation.twin import load_twin  # noqa: E402
+from experiments.isolation import loop, simulation  # noqa: E402
+from experiments.isolation.floors import flat_floor  # noqa: E402
+from experiments.isolation.twin import load_twin  # noqa: E402
+from stillwork.estimation.adaptive import FeLms, FeRls, _ferls_update  # noqa: E402
+from stillwork.estimation.online import _run_felms, _run_ferls  # noqa: E402
 
 ACTUATORS, REGRESSORS = 6, 9
 FORGETTING = float(np.exp(-2e-4 / 10))
@@ -59,13 +59,13 @@ COLD = """
 import sys, time
 start = time.thread_time()
 import numpy as np
-from stillwork.isolation.adaptation import FeLms, FeRls
-from stillwork.isolation.cures import run_cure
-from stillwork.isolation.floors import flat_floor
-from stillwork.isolation.online import Stepper, identify
-from stillwork.isolation.simulation import simulate
-from stillwork.isolation.stability import covariance_run
-from stillwork.isolation.twin import load_twin
+from stillwork.estimation.adaptive import FeLms, FeRls
+from experiments.isolation.cures import run_cure
+from experiments.isolation.floors import flat_floor
+from stillwork.estimation.online import Stepper, identify
+from experiments.isolation.simulation import simulate
+from experiments.isolation.stability import covariance_run
+from experiments.isolation.twin import load_twin
 imported = time.thread_time() - start
 rng = np.random.default_rng(0)
 psi, d = rng.standard_normal((9, 200)), rng.standard_normal((6, 200))
@@ -82,7 +82,7 @@ total = time.thread_time() - start
 import numba, stillwork
 kernels = {
     id(value): value
-    for name, module in list(sys.modules.items()) if name.startswith("stillwork")
+    for name, module in list(sys.modules.items()) if name.startswith(("stillwork", "experiments"))
     for value in vars(module).values() if hasattr(value, "stats") and hasattr(value, "py_func")
 }
 missed = sum(sum(k.stats.cache_misses.values()) for k in kernels.values())

@@ -24,8 +24,10 @@ sys.path.insert(0, str(ROOT / "lib"))
 
 import numpy as np  # noqa: E402
 
-from stillwork.worstcase import LeastSquares, MinMax, Ridge, Stepper, solve_cone_program  # noqa: E402
-from stillwork.worstcase.costs import slope  # noqa: E402
+from experiments.worstcase import solve_cone_program  # noqa: E402
+from experiments.worstcase.costs import slope  # noqa: E402
+from stillwork.estimation import LeastSquares, MinMax, Ridge  # noqa: E402
+from stillwork.estimation.recursive import Stepper  # noqa: E402
 
 FORGETTING = 0.95
 SIZES = (5, 10, 20, 50, 100, 200)

@@ -6,8 +6,8 @@ import os
 import re
 import sys
 
-from stillwork import paths
-from stillwork.checks import InputError, nearest, one_line
+from stillwork.base import paths
+from stillwork.base.checks import InputError, nearest, one_line
 
 # A grammar of addresses that jsonschema builds for a second or two when a notebook format is loaded, if it can be
 # had; nothing here holds an address against it.
@@ -129,7 +129,7 @@ def _figures(options) -> int:
 
 
 def _claims(options) -> int:
-    from stillwork.claims import ledger
+    from stillwork.workbook.claims import ledger
     from stillwork.workbook.report import ledger_text
     from stillwork.workbook.tasks import built
 
@@ -170,7 +170,7 @@ def _refresh(_options) -> int:
 
 
 def _inspect(options) -> int:
-    from stillwork.site.inspecting import inspect_file
+    from stillwork.inspecting import inspect_file
 
     print(inspect_file(options.file))
     return 0

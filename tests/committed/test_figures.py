@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from stillwork import paths
+from stillwork.base import paths
 from stillwork.workbook.compare import difference
 from stillwork.workbook.tasks import built
 

@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from stillwork import paths
-from stillwork.claims import ledger
+from stillwork.base import paths
+from stillwork.workbook.claims import ledger
 from stillwork.workbook.compare import same_value
 from stillwork.workbook.publish import digest
 

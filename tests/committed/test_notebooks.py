@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from stillwork import paths
+from stillwork.base import paths
 from stillwork.workbook.notebooks import notebook_text, select
 
 NOTEBOOKS = select()

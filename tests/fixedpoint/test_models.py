@@ -14,10 +14,10 @@ from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from fixedpoint import own_model
 from fixedpoint.reuse import use
 from naive import fixedpoint as naive
-from stillwork.checks import InputError
-from stillwork.fixedpoint import SigmaPoints, StateModel, extended_filter, unscented_filter
-from stillwork.fixedpoint.plant import SIGNATURE
-from stillwork.kernels import callback
+from stillwork.base.checks import InputError
+from stillwork.base.kernels import callback
+from stillwork.estimation import SigmaPoints, StateModel, extended_filter, unscented_filter
+from stillwork.estimation.plant import SIGNATURE
 
 A = np.array([[0.9, 0.1, 0.0], [-0.1, 0.8, 0.05], [0.02, 0.0, 0.95]])
 B = np.array([0.1, 0.0, 0.5])

@@ -4,9 +4,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from naive import adaptation as naive
-from stillwork.checks import InputError
-from stillwork.isolation.adaptation import FeLms, FeRls, _felms_update, _ferls_update
-from stillwork.isolation.online import (
+from stillwork.base.checks import InputError
+from stillwork.estimation.adaptive import FeLms, FeRls, _felms_update, _ferls_update
+from stillwork.estimation.online import (
     Stepper,
     UnstableAdaptation,
     _require_settings,

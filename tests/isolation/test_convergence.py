@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from stillwork.checks import InputError
-from stillwork.isolation.adaptation import FeLms, FeRls
-from stillwork.isolation.convergence import (
+from experiments.isolation.convergence import (
     Course,
     algorithms,
     converge,
@@ -13,12 +11,14 @@ from stillwork.isolation.convergence import (
     settling_times,
     try_starts,
 )
-from stillwork.isolation.floors import colored_floor, flat_floor
-from stillwork.isolation.mean_convergence import follow_sideways, mean_course, narrow_floor
-from stillwork.isolation.steady import steady_state
-from stillwork.isolation.tracking import Response, respond, settled, switch_between, tracking_trial
-from stillwork.isolation.twin import load_twin
-from stillwork.studies import run_study
+from experiments.isolation.floors import colored_floor, flat_floor
+from experiments.isolation.mean_convergence import follow_sideways, mean_course, narrow_floor
+from experiments.isolation.steady import steady_state
+from experiments.isolation.tracking import Response, respond, settled, switch_between, tracking_trial
+from experiments.isolation.twin import load_twin
+from stillwork.base.checks import InputError
+from stillwork.estimation.adaptive import FeLms, FeRls
+from stillwork.workbook.studies import run_study
 
 FITTED = load_twin("fitted").varied(platform_noise=1e-6, mains_hz=[], floor_mains=[], platform_mains=[])
 FLOOR = flat_floor(80.0)

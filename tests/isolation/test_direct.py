@@ -3,11 +3,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from experiments.isolation.direct import FORMS, average_gain, direct_run, largest_condition, multiplications
 from naive import adaptation as naive
 from naive import counting
-from stillwork.checks import InputError
-from stillwork.isolation.adaptation import _felms_update, _ferls_update
-from stillwork.isolation.direct import FORMS, average_gain, direct_run, largest_condition, multiplications
+from stillwork.base.checks import InputError
+from stillwork.estimation.adaptive import _felms_update, _ferls_update
 
 
 def record(n=3, actuators=2, samples=60):

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
+from experiments.isolation import simulation as module
+from experiments.isolation.floors import colored_floor, flat_floor
+from experiments.isolation.recorded_floors import RecordedFloor
+from experiments.isolation.simulation import simulate, simulate_each
+from experiments.isolation.twin import load_twin
 from naive import closed_loop
-from stillwork.checks import InputError
-from stillwork.isolation import simulation as module
-from stillwork.isolation.adaptation import FeLms, FeRls
-from stillwork.isolation.floors import colored_floor, flat_floor
-from stillwork.isolation.online import UnstableAdaptation
-from stillwork.isolation.recorded_floors import RecordedFloor
-from stillwork.isolation.simulation import simulate, simulate_each
-from stillwork.isolation.twin import load_twin
+from stillwork.base.checks import InputError
+from stillwork.estimation.adaptive import FeLms, FeRls
+from stillwork.estimation.online import UnstableAdaptation
 
 SAMPLES = 300
 

@@ -5,8 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import signal
 
-from stillwork.checks import InputError
-from stillwork.isolation import shaping
+from experiments.isolation import shaping
+from stillwork.base.checks import InputError
 
 SAMPLE_TIME = 2e-4
 CUTOFF = 4 * np.pi

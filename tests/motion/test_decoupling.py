@@ -8,29 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stillwork.checks import InputError
-from stillwork.lti import ModalModel
-from stillwork.motion.beam import beam, published_beam
-from stillwork.motion.decoupled_damping import (
-    added_damping,
-    band_passed,
-    common_band_passed,
-    common_centre,
-    constrained_damping,
-    constrained_stiffness,
-    half_power_selectivity,
-    minimal_order,
-)
-from stillwork.motion.decoupling import (
-    coupling_onset,
-    decouple,
-    decoupled_plant,
-    low_frequency_slopes,
-    observable_noise_models,
-    rigid_coupling,
-)
-from stillwork.motion.decoupling_plots import slope_ranges, transfer_matrix
-from stillwork.motion.decoupling_schemes import (
+from experiments.motion.beam import beam, published_beam
+from experiments.motion.decoupling_pictures import slope_ranges, transfer_matrix
+from experiments.motion.decoupling_schemes import (
     ROUNDED,
     SCHEMES,
     Settings,
@@ -47,9 +27,30 @@ from stillwork.motion.decoupling_schemes import (
     with_compensation,
     with_scheme,
 )
-from stillwork.motion.feedback import damping_gain
-from stillwork.motion.observer import kalman_observer, published_noise
-from stillwork.motion.reduction import truncate
+from experiments.motion.machines import published_noise
+from stillwork.base.checks import InputError
+from stillwork.control.decoupled_damping import (
+    added_damping,
+    band_passed,
+    common_band_passed,
+    common_centre,
+    constrained_damping,
+    constrained_stiffness,
+    half_power_selectivity,
+    minimal_order,
+)
+from stillwork.control.decoupling import (
+    coupling_onset,
+    decouple,
+    decoupled_plant,
+    low_frequency_slopes,
+    observable_noise_models,
+    rigid_coupling,
+)
+from stillwork.control.feedback import damping_gain
+from stillwork.estimation.observer import kalman_observer
+from stillwork.lti import ModalModel
+from stillwork.lti.reduction import truncate
 
 SETTINGS = published_settings()
 PLANT = published_beam(2)

@@ -6,26 +6,26 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import linalg, signal
 
-from stillwork.checks import InputError
-from stillwork.lti import StateModel, simulate, zoh, zoh_modes
-from stillwork.motion.applications import Application
-from stillwork.motion.delays import delayed
-from stillwork.motion.designs import stage_observer
-from stillwork.motion.discrete_damping import (
+from experiments.motion.designs import stage_observer
+from experiments.motion.discrete_pictures import draw_sampled, equivalent_plant
+from experiments.motion.machines import published_noise, stage
+from stillwork.base.checks import InputError
+from stillwork.control.applications import Application
+from stillwork.control.discrete_damping import (
     discrete_damping_gain,
     gain_by_placement,
     placement_error,
     sampled_feedback,
     typical_placement_error,
 )
-from stillwork.motion.discrete_observer import discrete_compensator, discrete_kalman_observer, predict
-from stillwork.motion.discrete_plots import draw_sampled, equivalent_plant
-from stillwork.motion.feedback import band_pass, damping_gain, fed_back
-from stillwork.motion.filters import TimeVaryingModel, estimate
-from stillwork.motion.machines import stage
-from stillwork.motion.observer import Noise, published_noise
-from stillwork.motion.reduction import truncate
-from stillwork.motion.robust import kalman_gains
+from stillwork.control.discrete_observer import discrete_compensator, discrete_kalman_observer, predict
+from stillwork.control.feedback import band_pass, damping_gain, fed_back
+from stillwork.estimation.observer import Noise
+from stillwork.estimation.robust import kalman_gains
+from stillwork.estimation.time_varying import TimeVaryingModel, estimate
+from stillwork.lti import StateModel, simulate, zoh, zoh_modes
+from stillwork.lti.delays import delayed
+from stillwork.lti.reduction import truncate
 
 STEP = 1e-4
 

@@ -4,15 +4,21 @@ import control
 import numpy as np
 import pytest
 
-from stillwork.checks import InputError
+from experiments.motion.designs import (
+    DESIGNS,
+    stage_bandwidth,
+    stage_compensator,
+    stage_loops,
+    stage_observer,
+)
+from experiments.motion.machines import chain, published_noise, stage, stage_mass
+from stillwork.base.checks import InputError
+from stillwork.control.applications import Application, compensator, soft_sensor
+from stillwork.control.bandwidth import SIX_DB, PeakConstraint, make_loop, maximise_bandwidth
+from stillwork.control.loops import channel, closed_loop
+from stillwork.control.pid import Notch, PidFamily
+from stillwork.estimation.observer import kalman_observer
 from stillwork.lti import StateModel, hinf_norm, interconnect
-from stillwork.motion.applications import Application, compensator, soft_sensor
-from stillwork.motion.bandwidth import SIX_DB, PeakConstraint, make_loop, maximise_bandwidth
-from stillwork.motion.controller import Notch, PidFamily
-from stillwork.motion.designs import DESIGNS, stage_bandwidth, stage_compensator, stage_loops, stage_observer
-from stillwork.motion.loops import channel, closed_loop
-from stillwork.motion.machines import chain, stage, stage_mass
-from stillwork.motion.observer import kalman_observer, published_noise
 
 FAMILY = PidFamily(stage_mass())
 OMEGA = 2 * np.pi * np.array([0.5, 20.0, 60.0, 140.0, 469.0, 900.0])

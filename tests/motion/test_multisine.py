@@ -5,21 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stillwork.checks import InputError
-from stillwork.lti import ModalModel, simulate, zoh_modes
-from stillwork.motion.modal_fit import fit_modal_matrix
-from stillwork.motion.multisine import (
-    direct_response,
-    joint_input_output,
-    random_phase_multisine,
-    run_multisine,
-    smoothed_deviation,
-)
-from stillwork.motion.observer import Noise
-from stillwork.motion.rig import assumed_geometry, rig_model
-from stillwork.motion.rig_control import sampled_modes, zoh_response
-from stillwork.motion.rig_designs import published_settings
-from stillwork.motion.rig_identification import (
+from experiments.motion.rig import assumed_geometry, rig_model
+from experiments.motion.rig_designs import published_settings
+from experiments.motion.rig_identification import (
     convergence,
     four_sensor_controller,
     identification_loop,
@@ -27,6 +15,18 @@ from stillwork.motion.rig_identification import (
     rig_records,
     true_response,
 )
+from stillwork.base.checks import InputError
+from stillwork.estimation.observer import Noise
+from stillwork.identification.modal_fit import fit_modal_matrix
+from stillwork.identification.multisine import (
+    direct_response,
+    joint_input_output,
+    random_phase_multisine,
+    run_multisine,
+    smoothed_deviation,
+)
+from stillwork.lti import ModalModel, simulate, zoh_modes
+from stillwork.lti.discretisation import sampled_modes, zoh_response
 
 GEOMETRY = assumed_geometry()
 SETTINGS = published_settings()

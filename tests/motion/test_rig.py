@@ -7,14 +7,8 @@ import numpy as np
 import pytest
 from scipy import linalg, signal
 
-from stillwork.checks import InputError
-from stillwork.lti import zoh_modes
-from stillwork.motion.bandwidth import SIX_DB
-from stillwork.motion.controller import PidFamily
-from stillwork.motion.loops import channel
-from stillwork.motion.observer import Noise
-from stillwork.motion.plate import plate_modes
-from stillwork.motion.rig import (
+from experiments.motion.plate import plate_modes
+from experiments.motion.rig import (
     POSITIONS,
     Geometry,
     assumed_geometry,
@@ -26,15 +20,16 @@ from stillwork.motion.rig import (
     rigid_shapes,
     scaled_inertia,
 )
-from stillwork.motion.rig_control import (
-    pid_response,
-    rig_compensator,
-    rig_observer,
-    tustin,
-    zoh_response,
-)
-from stillwork.motion.rig_designs import observer_model, published_settings, rig_controllers, rig_loops
-from stillwork.motion.rig_loops import MEASURES, make_rig_loop, maximise_rig_bandwidth, peaks, sizes
+from experiments.motion.rig_control import pid_response, rig_compensator, rig_observer
+from experiments.motion.rig_designs import observer_model, published_settings, rig_controllers, rig_loops
+from experiments.motion.rig_loops import MEASURES, make_rig_loop, maximise_rig_bandwidth, peaks, sizes
+from stillwork.base.checks import InputError
+from stillwork.control.bandwidth import SIX_DB
+from stillwork.control.loops import channel
+from stillwork.control.pid import PidFamily
+from stillwork.estimation.observer import Noise
+from stillwork.lti import zoh_modes
+from stillwork.lti.discretisation import tustin, zoh_response
 
 STEP = 1e-4
 GEOMETRY = assumed_geometry()

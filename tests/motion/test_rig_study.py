@@ -6,13 +6,16 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from stillwork.checks import InputError
-from stillwork.lti import ModalModel, simulate, zoh_modes
-from stillwork.motion.loops import channel
-from stillwork.motion.observer import Noise
-from stillwork.motion.rig import POSITIONS, assumed, assumed_geometry, rig_model, rigid_shapes, scaled_inertia
-from stillwork.motion.rig_control import placed_damping, sampled_damping
-from stillwork.motion.rig_designs import (
+from experiments.motion.rig import (
+    POSITIONS,
+    assumed,
+    assumed_geometry,
+    rig_model,
+    rigid_shapes,
+    scaled_inertia,
+)
+from experiments.motion.rig_control import placed_damping, sampled_damping
+from experiments.motion.rig_designs import (
     CASES,
     compensated_feedback,
     model_errors,
@@ -21,16 +24,20 @@ from stillwork.motion.rig_designs import (
     rig_controllers,
     rig_loops,
 )
-from stillwork.motion.rig_loops import MEASURES
-from stillwork.motion.rig_study import bandwidths, draw_geometry, flexible_peaks, rig_trial
-from stillwork.motion.rig_tracking import (
+from experiments.motion.rig_loops import MEASURES
+from experiments.motion.rig_study import bandwidths, draw_geometry, flexible_peaks, rig_trial
+from experiments.motion.rig_tracking import (
     Levelling,
     levelling,
     levelling_error,
     levelling_rms,
     output_variance,
 )
-from stillwork.studies import run_study
+from stillwork.base.checks import InputError
+from stillwork.control.loops import channel
+from stillwork.estimation.observer import Noise
+from stillwork.lti import ModalModel, simulate, zoh_modes
+from stillwork.workbook.studies import run_study
 
 GEOMETRY = assumed_geometry()
 SETTINGS = published_settings()

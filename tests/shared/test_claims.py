@@ -6,16 +6,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from stillwork.checks import InputError
-from stillwork.claims import (
-    Claim,
-    ClaimsTable,
-    Entry,
-    Tolerance,
-    ledger,
-    load_entries,
-    make_claim,
-)
+from stillwork.base.checks import InputError
+from stillwork.workbook.claims import Claim, ClaimsTable, Entry, Tolerance, ledger, load_entries, make_claim
 
 values = st.floats(-1e6, 1e6).filter(lambda v: abs(v) > 1e-6)
 levels = st.floats(0, 1)

@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stillwork import figures
-from stillwork.checks import InputError
+from stillwork.base.checks import InputError
+from stillwork.workbook import figures
 
 
 def numbers(figure, series):
@@ -184,7 +184,7 @@ DRAW = """\
 import sys
 from pathlib import Path
 import numpy as np
-from stillwork import figures
+from stillwork.workbook import figures
 figure, axes = figures.new(height=2)
 axes.plot(np.random.default_rng(1).normal(size=50), label="noise")
 axes.set_xlabel("time (s)")

@@ -10,8 +10,8 @@ HEAVY = ("numba", "matplotlib", "pandas", "control", "scipy", "cvxpy", "numpy", 
     ("module", "allowed"),
     [
         ("stillwork", ()),
-        ("stillwork.page", ("numpy",)),
-        ("stillwork.explore", ("numpy",)),
+        ("stillwork.workbook.page", ("numpy",)),
+        ("stillwork.workbook.explorer", ("numpy",)),
         ("stillwork.workbook.build", ("numpy",)),
     ],
 )

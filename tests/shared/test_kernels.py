@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 
 import stillwork
-from stillwork import kernel_cache
-from stillwork.kernel_folder import cache_folder
-from stillwork.kernels import callback
+from stillwork.base import kernel_cache
+from stillwork.base.kernel_folder import cache_folder
+from stillwork.base.kernels import callback
 
 CALLED = """
-from stillwork.kernels import inlined_kernel
+from stillwork.base.kernels import inlined_kernel
 
 @inlined_kernel
 def _twice(x):
@@ -27,7 +27,7 @@ def _twice(x):
 """
 CALLER = """
 from stillwork.called import _twice
-from stillwork.kernels import kernel
+from stillwork.base.kernels import kernel
 
 @kernel
 def _use(x):
@@ -40,7 +40,7 @@ input()
 print(_use(10.0), sum(_use.stats.cache_misses.values()))
 """
 ALONE = """
-from stillwork.kernels import kernel
+from stillwork.base.kernels import kernel
 
 @kernel
 def _inner(x):
@@ -77,10 +77,11 @@ def workbook(tmp_path) -> Path:
     """A workbook of two kernels, one of which calls the other."""
     root = tmp_path / "workbook"
     package = root / "lib" / "stillwork"
-    package.mkdir(parents=True)
+    (package / "base").mkdir(parents=True)
     (root / "data").mkdir()
-    for name in ("__init__.py", "checks.py", "kernel_cache.py", "kernel_folder.py", "kernels.py", "paths.py"):
-        shutil.copy(Path(stillwork.__file__).parent / name, package)
+    for name in ("__init__", "checks", "kernel_cache", "kernel_folder", "kernels", "paths"):
+        shutil.copy(Path(stillwork.__file__).parent / "base" / f"{name}.py", package / "base")
+    shutil.copy(Path(stillwork.__file__), package)
     (package / "caller.py").write_text(CALLER)
     (package / "called.py").write_text(CALLED.format(factor=2))
     return root
@@ -166,7 +167,7 @@ def test_folders_of_other_digests_go_after_a_week_without_use(workbook):
     for name, age in {"0" * 16: 8, "1" * 16: 8, "2" * 16: 6, "own": 30}.items():
         (every / name / "room").mkdir(parents=True)
         os.utime(every / name, (time.time() - age * day,) * 2)
-    ask = "from stillwork.kernel_folder import cache_folder; print(cache_folder()); input()"
+    ask = "from stillwork.base.kernel_folder import cache_folder; print(cache_folder()); input()"
     environment = {"PYTHONPATH": str(workbook / "lib"), "STILLWORK_ROOT": str(workbook), "PATH": ""}
 
     def asked() -> subprocess.Popen:

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from stillwork import matfiles
-from stillwork.checks import InputError
-from stillwork.matfiles import read_mat
+from stillwork.base.checks import InputError
+from stillwork.signals import matfiles
+from stillwork.signals.matfiles import read_mat
 
 SIGNALS = np.random.default_rng(0).standard_normal((2, 300))
 CONTENT = {

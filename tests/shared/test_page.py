@@ -2,9 +2,10 @@ import json
 
 import pytest
 
-from stillwork import figures, paths
-from stillwork.checks import InputError
-from stillwork.page import Page
+from stillwork.base import paths
+from stillwork.base.checks import InputError
+from stillwork.workbook import figures
+from stillwork.workbook.page import Page
 
 LEDGER = """\
 [motion.gain]

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
 
-from stillwork.checks import InputError
-from stillwork.records import (
+from stillwork.base.checks import InputError
+from stillwork.signals.records import (
     UNITS,
     Record,
     load_record,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from stillwork import figures, rendering
+from stillwork.workbook import figures, rendering
 
 X = np.linspace(0.5, 3000, 400)
 

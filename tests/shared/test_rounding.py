@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stillwork.checks import InputError
-from stillwork.rounding import TIE, below, first_largest, in_order
+from stillwork.base.checks import InputError
+from stillwork.base.rounding import TIE, below, first_largest, in_order
 
 
 @pytest.mark.parametrize("residual", [0.0, 6.7e-16, -7.8e-16, 8e-14, 1.2e-13, 9.9e-13])

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from shared.universal_files import function, write_universal
-from stillwork.checks import InputError
-from stillwork.datafiles import read_arrays
-from stillwork.records import load_record
-from stillwork.universal import read_universal
+from stillwork.base.checks import InputError
+from stillwork.signals.datafiles import read_arrays
+from stillwork.signals.records import load_record
+from stillwork.signals.universal import read_universal
 
 RATE = 512.0
 TIME = np.arange(600) / RATE

@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from experiments.isolation.your_floor import SHORTEST_S
 from shared.universal_files import function, write_universal
-from stillwork import paths
+from stillwork import inspecting
 from stillwork.__main__ import main
-from stillwork.checks import InputError
-from stillwork.claims import load_entries
-from stillwork.isolation.your_floor import SHORTEST_S
-from stillwork.site import inspecting
-from stillwork.site.inspecting import inspect_file
+from stillwork.base import paths
+from stillwork.base.checks import InputError
+from stillwork.inspecting import inspect_file
 from stillwork.site.scaffold import new_result
+from stillwork.workbook.claims import load_entries
 from stillwork.workbook.notebooks import read_notebook
 from workbook import toy as toys
 

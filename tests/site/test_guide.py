@@ -6,11 +6,11 @@ import shlex
 import numpy as np
 import pytest
 
-from stillwork import paths
+from experiments.isolation.recorded_floors import record_floor
 from stillwork.__main__ import main
-from stillwork.isolation.recorded_floors import record_floor
-from stillwork.motion.machine_files import load_machine
-from stillwork.records import load_record
+from stillwork.base import paths
+from stillwork.identification.machine_files import load_machine
+from stillwork.signals.records import load_record
 
 GUIDE = (paths.root() / "docs/your-rig.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```$", GUIDE, re.DOTALL | re.MULTILINE)

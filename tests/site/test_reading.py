@@ -8,11 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stillwork.checks import InputError
-from stillwork.claims import Claim, Entry, Tolerance
-from stillwork.site import picture, reading, reference
+from stillwork.base.checks import InputError
+from stillwork.site import picture, reference
 from stillwork.site.mathematics import markdown, mathml
 from stillwork.site.pages import _with_outputs
+from stillwork.workbook import reading
+from stillwork.workbook.claims import Claim, Entry, Tolerance
 
 IDS = ["room.fig-1.a", "room.fig-1.b", "room.table-2.a"]
 
@@ -42,24 +43,24 @@ def test_a_cell_that_is_not_python_draws_nothing():
 
 def test_used_functions_carry_their_full_names():
     cells = [
-        "from stillwork import paths\nfrom stillwork.isolation.twin import load_twin as load",
+        "from stillwork.base import paths\nfrom experiments.isolation.twin import load_twin as load",
         "load(paths.data)",
     ]
     assert reading.used(cells) == [
-        "stillwork.isolation.twin.load_twin",
-        "stillwork.paths",
-        "stillwork.paths.data",
+        "experiments.isolation.twin.load_twin",
+        "stillwork.base.paths",
+        "stillwork.base.paths.data",
     ]
 
 
 def test_every_name_of_a_module_has_a_place():
     modules = reference.read_modules()
     places = reference.index(modules)
-    assert places["stillwork.records.load_record"] == "stillwork.records.html#load_record"
-    assert places["stillwork.isolation.FeRls"] == "stillwork.isolation.adaptation.html#FeRls"
+    assert places["stillwork.signals.records.load_record"] == "stillwork.signals.records.html#load_record"
+    assert places["stillwork.estimation.FeRls"] == "stillwork.estimation.adaptive.html#FeRls"
     assert {module.room for module in modules} >= {"shared", "isolation"}
     names = {module.name for module in modules}
-    assert not [name for name in names if ".site" in name or ".workbook" in name]
+    assert not [name for name in names if ".site" in name]
 
 
 def test_a_docstring_becomes_paragraphs_definitions_and_blocks():

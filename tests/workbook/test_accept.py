@@ -68,7 +68,7 @@ def test_what_agrees_keeps_its_bytes_whatever_the_last_bits(toy):
     (toy.root / "data/motion/published.toml").unlink()
     assert toy.run("figures").returncode == toy.run("accept").returncode == 0
     before = toy.stamps("notebooks", "data", "figures", "README.md")
-    toy.replace("lib/stillwork/isolation/model.py", "2.0", "2.0 * (1 + 1e-9)")
+    toy.replace("lib/experiments/isolation/model.py", "2.0", "2.0 * (1 + 1e-9)")
     done = toy.run("figures")
     assert (
         "1 pictures agree with the committed ones (worst 0e+00 of the range), 0 verdicts moved" in done.stdout
@@ -81,7 +81,7 @@ def test_what_moved_is_said_by_the_build_and_taken_over(toy):
     toy.add_page("isolation/01-first")
     (toy.root / "data/motion/published.toml").unlink()
     assert toy.run("figures").returncode == toy.run("accept").returncode == 0
-    toy.replace("lib/stillwork/isolation/model.py", "2.0", "2.1")
+    toy.replace("lib/experiments/isolation/model.py", "2.0", "2.1")
     toy.replace("notebooks/isolation/01-first.ipynb", "size=3)", "size=3) + gain(level)")
     said = toy.run("figures").stdout.splitlines()
     assert "moved: isolation/01-first: figure fig-1, cell claim, cell claims, claim isolation.gain" in said

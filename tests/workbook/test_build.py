@@ -67,11 +67,11 @@ def change_cell(toy):
 
 
 def change_library(toy):
-    toy.replace("lib/stillwork/isolation/model.py", "2.0", "2.5")
+    toy.replace("lib/experiments/isolation/model.py", "2.0", "2.5")
 
 
 def change_shared_module(toy):
-    toy.replace("lib/stillwork/checks.py", "import difflib", "import difflib  # again")
+    toy.replace("lib/stillwork/base/checks.py", "import difflib", "import difflib  # again")
 
 
 def change_data(toy):
@@ -107,8 +107,8 @@ def forget_state(toy):
     [
         (change_parameter, {FIRST}, "parameter seed: 1 -> 2"),
         (change_cell, {FIRST}, "cell claim changed"),
-        (change_library, {FIRST, SECOND}, "lib/stillwork/isolation/model.py changed"),
-        (change_shared_module, {FIRST, OTHER}, "lib/stillwork/checks.py changed"),
+        (change_library, {FIRST, SECOND}, "lib/experiments/isolation/model.py changed"),
+        (change_shared_module, {FIRST, OTHER}, "lib/stillwork/base/checks.py changed"),
         (change_data, {OTHER}, "data/motion/rig.toml changed"),
         (change_ledger, {OTHER}, "ledger motion.gain changed"),
         (change_pin, ALL, "environment: numpy 2.4.5 -> 2.4.6"),
@@ -133,7 +133,7 @@ def test_a_record_that_was_edited_by_hand_is_not_believed(toy):
     change_library(toy)
     record = toy.root / f"build/figures/{FIRST}/record.json"
     kept = json.loads(record.read_text())
-    kept["inputs"]["lib/stillwork/isolation/model.py"] = publish.digest(
+    kept["inputs"]["lib/experiments/isolation/model.py"] = publish.digest(
         b"def gain(level):\n    return 2.5 * level\n"
     )
     record.write_text(json.dumps(kept))
@@ -142,7 +142,7 @@ def test_a_record_that_was_edited_by_hand_is_not_believed(toy):
 
 def test_what_cannot_change_a_result_makes_nothing_stale(toy):
     toy.write("data/motion/records/floor.csv", "1,2\n")  # which no notebook reads
-    toy.write("lib/stillwork/motion/paint.py", "LABEL = 'time (s)'\n")  # nor imports
+    toy.write("lib/experiments/motion/paint.py", "LABEL = 'time (s)'\n")  # nor imports
     toy.replace("data/motion/published.toml", "published = 2.0", "ours = 2.0\npublished = 2.0")
     toy.replace(f"notebooks/{FIRST}.ipynb", "# of the noise", "# root of the streams")
     toy.replace(f"notebooks/{FIRST}.ipynb", "# A toy", "# Another story")
@@ -155,11 +155,11 @@ def test_what_cannot_change_a_result_makes_nothing_stale(toy):
 def test_what_a_notebook_read_is_what_makes_it_stale(toy):
     toy.write("mylab/stage.py", "from mylab.parts import mass\n")
     toy.write("mylab/parts.py", "mass = 1.0\n")
-    toy.write("lib/stillwork/motion/paint.py", "LABEL = 'time (s)'\n")
+    toy.write("lib/experiments/motion/paint.py", "LABEL = 'time (s)'\n")
     toy.add(
         "motion/02-reads",
         "import importlib, sys\nsys.path.append(str(paths.root()))\nimportlib.import_module(plant)",
-        "from stillwork.motion import paint",
+        "from experiments.motion import paint",
         "records = sorted(paths.data('motion', 'records').iterdir())\nrecords[0].read_text()",
         parameters="seed: int = 1  # of the noise\nlevel: float = 1.0  # V\nplant: str = 'mylab.stage'  # module",
     )
@@ -169,7 +169,7 @@ def test_what_a_notebook_read_is_what_makes_it_stale(toy):
     for name in (
         "mylab/stage.py",
         "mylab/parts.py",
-        "lib/stillwork/motion/paint.py",
+        "lib/experiments/motion/paint.py",
         "data/motion/records/floor.csv",
     ):
         before = (toy.root / name).read_text()
@@ -183,15 +183,15 @@ def test_what_a_notebook_read_is_what_makes_it_stale(toy):
 @pytest.mark.slow
 def test_a_library_that_was_edited_and_put_back_in_mid_build_is_noticed(toy):
     edit = (
-        "from pathlib import Path\nfile = Path(paths.root(), 'lib/stillwork/motion/late.py')\n"
+        "from pathlib import Path\nfile = Path(paths.root(), 'lib/experiments/motion/late.py')\n"
         "before = file.read_text()\nwritten = file.write_text('number = 2')\n"
-        "from stillwork.motion.late import number\nwritten = file.write_text(before)"
+        "from experiments.motion.late import number\nwritten = file.write_text(before)"
     )
-    toy.write("lib/stillwork/motion/late.py", "number = 1\n")
+    toy.write("lib/experiments/motion/late.py", "number = 1\n")
     toy.add("motion/02-late", edit)
     done = toy.run("figures", "motion/02-late")
     assert done.returncode == 1
-    assert "not as the kernel read them: lib/stillwork/motion/late.py changed; build again" in done.stdout
+    assert "not as the kernel read them: lib/experiments/motion/late.py changed; build again" in done.stdout
     assert reasons(toy) == {"motion/02-late": "never built"}
 
 
@@ -235,7 +235,7 @@ def test_other_settings_go_to_a_folder_of_their_own(toy):
     assert reasons(toy, SECOND, "-p", "seed=3", "-p", "level=2") == {}
     change_library(toy)
     assert list(reasons(toy, SECOND, "-p", "seed=3", "-p", "level=2").values()) == [
-        "lib/stillwork/isolation/model.py changed"
+        "lib/experiments/isolation/model.py changed"
     ]
 
 

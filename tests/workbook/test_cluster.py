@@ -93,7 +93,7 @@ def test_a_worker_with_another_checkout_is_refused(toy, scheduler):
     toy.add("isolation/01-first")
     other = toy.root / "other"
     shutil.copytree(toy.root, other)
-    (other / "lib/stillwork/isolation/model.py").write_text("def gain(level):\n    return 3.0 * level\n")
+    (other / "lib/experiments/isolation/model.py").write_text("def gain(level):\n    return 3.0 * level\n")
     done = subprocess.run(
         toy.command("figures", "--scheduler", scheduler),
         cwd=other,
@@ -102,7 +102,7 @@ def test_a_worker_with_another_checkout_is_refused(toy, scheduler):
         text=True,
     )
     assert done.returncode == 1
-    assert "its checkout differs: lib/stillwork/isolation/model.py changed" in done.stdout
+    assert "its checkout differs: lib/experiments/isolation/model.py changed" in done.stdout
 
 
 def test_a_scheduler_that_does_not_answer(toy):

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
-from stillwork.claims import Claim, Entry, Tolerance
+from stillwork.workbook.claims import Claim, Entry, Tolerance
 from stillwork.workbook.compare import (
     difference,
     same_outputs,

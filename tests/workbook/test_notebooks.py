@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stillwork.checks import InputError
+from stillwork.base.checks import InputError
 from stillwork.workbook.notebooks import assign, read_notebook, select
 from stillwork.workbook.parameters import Parameter
 from stillwork.workbook.tasks import Task

@@ -74,8 +74,8 @@ class Toy:
     def add(self, name: str, *sources: str, parameters: str = PARAMETERS) -> None:
         """A notebook that writes ``out.csv`` (no matplotlib: quick), then runs `sources`."""
         begin = (
-            "from stillwork import paths\n"
-            f"from stillwork.{name.partition('/')[0]}.model import gain\n"
+            "from stillwork.base import paths\n"
+            f"from experiments.{name.partition('/')[0]}.model import gain\n"
             f"folder = paths.output('{name}')\nfolder.mkdir(parents=True)"
         )
         write = "written = (folder / 'out.csv').write_text(f'{seed},{gain(level)}\\n')"
@@ -92,8 +92,8 @@ class Toy:
         """A notebook with a figure and a claim."""
         room = name.partition("/")[0]
         begin = (
-            "import numpy as np\nfrom stillwork import figures, paths\nfrom stillwork.page import Page\n"
-            f"from stillwork.{room}.model import gain\npage = Page('{name}')\n"
+            "import numpy as np\nfrom stillwork.workbook import figures; from stillwork.base import paths\nfrom stillwork.workbook.page import Page\n"
+            f"from experiments.{room}.model import gain\npage = Page('{name}')\n"
             f"rig = paths.data('{room}', 'rig.toml').read_text()"
         )
         cells = [
@@ -212,11 +212,11 @@ def make(root: Path) -> Toy:
     ignore = shutil.ignore_patterns("__pycache__")
     for file in LIBRARY.glob("*.py"):
         toy.write(f"lib/stillwork/{file.name}", file.read_text(encoding="utf-8"))
-    for package in ("workbook", "site"):
+    for package in ("base", "signals", "workbook", "site"):
         shutil.copytree(LIBRARY / package, root / f"lib/stillwork/{package}", ignore=ignore)
     for room in ("isolation", "motion"):
-        toy.write(f"lib/stillwork/{room}/__init__.py", "")
-        toy.write(f"lib/stillwork/{room}/model.py", "def gain(level):\n    return 2.0 * level\n")
+        toy.write(f"lib/experiments/{room}/__init__.py", "")
+        toy.write(f"lib/experiments/{room}/model.py", "def gain(level):\n    return 2.0 * level\n")
         toy.write(f"data/{room}/rig.toml", "mass = 1.0\n")
         toy.write(f"data/{room}/published.toml", LEDGER.format(room=room))
     toy.write("pyproject.toml", (LIBRARY.parents[1] / "pyproject.toml").read_text(encoding="utf-8"))

@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
-from stillwork.checks import InputError
-from stillwork.worstcase.costs import multiplications, slope
+from experiments.worstcase.costs import multiplications, slope
+from stillwork.base.checks import InputError
 
 COUNT = """
 import json, sys
@@ -51,7 +51,7 @@ class Numpy:
         count += a.shape[0] * a.shape[1] * b.shape[1]
         return numbers(np.dot(a.astype(float), b.astype(float)))
 
-from stillwork.worstcase import rank_one, secular, steps
+from stillwork.estimation import rank_one, secular, recursive_kernels as steps
 for module in (rank_one, secular, steps):
     module.np = Numpy()
 

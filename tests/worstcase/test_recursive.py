@@ -6,19 +6,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from naive import worstcase as naive
-from stillwork.checks import InputError
-from stillwork.worstcase import (
+from stillwork.base.checks import InputError
+from stillwork.estimation import (
     GrowingMinMax,
     LeastSquares,
     MinMax,
     Ridge,
-    Stepper,
     ZeroEstimateWarning,
     min_max_solve,
     run,
     worst_case_residuals,
 )
-from stillwork.worstcase.estimators import UPDATES
+from stillwork.estimation.recursive import Stepper
+from stillwork.estimation.recursive_settings import UPDATES
 
 FORGETTING = 0.9
 EXACT = ("exact", "fast")

@@ -9,7 +9,7 @@ from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from stillwork.checks import InputError, require_array, require_number
+from stillwork.base.checks import InputError, require_array, require_number
 
 # Above this condition of the eigenvectors, residues would lose more than half of the digits.
 WORST_CONDITION = 1e6

@@ -11,15 +11,15 @@ import jinja2
 from markupsafe import Markup
 
 import stillwork
-from stillwork import paths
-from stillwork.checks import InputError
-from stillwork.claims import KINDS, Claim, ledger
+from stillwork.base import paths
+from stillwork.base.checks import InputError
 from stillwork.site import picture, reference
 from stillwork.site.derived import works
 from stillwork.site.links import broken_links
 from stillwork.site.mathematics import markdown
 from stillwork.site.pages import NotebookPage, read_page
 from stillwork.workbook import publish
+from stillwork.workbook.claims import KINDS, Claim, ledger
 from stillwork.workbook.notebooks import notebook_file
 from stillwork.workbook.provenance import commit, modified
 from stillwork.workbook.report import VERDICTS, our_quantity, published_quantity

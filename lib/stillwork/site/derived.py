@@ -7,9 +7,9 @@ from collections.abc import Callable
 from html import escape
 from pathlib import Path
 
-from stillwork import paths
-from stillwork.claims import Claim, ledger
+from stillwork.base import paths
 from stillwork.site.pages import Figure, NotebookPage, read_page
+from stillwork.workbook.claims import Claim, ledger
 from stillwork.workbook.notebooks import METADATA, notebook_text
 from stillwork.workbook.publish import replace_file
 from stillwork.workbook.report import VERDICTS, our_quantity, published_quantity, readme_with_summary
@@ -106,7 +106,7 @@ def _index(pages: list[NotebookPage], claims: list[Claim]) -> str:
             parts.append(f"## {work['title']} (`{room}`)\n\n{work['claimed']}\n\n{first}{listing}")
     parts.append(
         "## The shelves\n\nThe same room name stands on every shelf of the checkout: `notebooks/` the results, "
-        "`lib/stillwork/` the algorithms, `data/` the published numbers and measured records, `figures/` what "
+        "`lib/experiments/` its machines and pictures, `data/` the published numbers and measured records, `figures/` what "
         "was built, `tests/` and `benchmarks/`. `make help` lists the commands, `make site` writes the same as "
         "web pages, `docs/your-rig.md` leads from a measurement of yours to a figure."
     )

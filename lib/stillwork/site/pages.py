@@ -11,11 +11,11 @@ from pathlib import Path
 from markupsafe import Markup
 from nbconvert.filters.highlight import Highlight2HTML
 
-from stillwork import paths
-from stillwork.checks import InputError
-from stillwork.claims import Claim
-from stillwork.site import reading
+from stillwork.base import paths
+from stillwork.base.checks import InputError
 from stillwork.site.mathematics import markdown
+from stillwork.workbook import reading
+from stillwork.workbook.claims import Claim
 from stillwork.workbook.notebooks import Notebook
 from stillwork.workbook.report import VERDICTS
 from stillwork.workbook.tasks import Task

@@ -2,8 +2,8 @@
 
 import re
 
-from stillwork import paths
-from stillwork.checks import InputError, require_choice
+from stillwork.base import paths
+from stillwork.base.checks import InputError, require_choice
 from stillwork.workbook.notebooks import METADATA, notebook_file, notebook_text
 from stillwork.workbook.publish import replace_file
 
@@ -30,8 +30,7 @@ What is claimed, what we do, what came out. The example: a free vibration decays
 IMPORTS = """\
 import numpy as np
 
-from stillwork import figures
-from stillwork.page import Page
+from stillwork.workbook import Page, figures
 
 page = Page("{room}/{name}")"""
 
@@ -84,7 +83,7 @@ def new_result(room: str, name: str) -> list[str]:
     Parameters
     ----------
     room : str
-        Of `stillwork.paths.ROOMS`.
+        Of `stillwork.base.paths.ROOMS`.
     name : str
         ``nn-result``, e.g. ``09-payload``.
 

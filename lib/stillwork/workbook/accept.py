@@ -13,8 +13,8 @@ from pathlib import Path
 
 import tomlkit
 
-from stillwork import paths
-from stillwork.claims import Claim, ledger
+from stillwork.base import paths
+from stillwork.workbook.claims import Claim, ledger
 from stillwork.workbook.compare import Comparison, compare, same_outputs
 from stillwork.workbook.lock import alone
 from stillwork.workbook.notebooks import cleaned, notebook_text

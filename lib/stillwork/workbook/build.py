@@ -8,9 +8,9 @@ import uuid
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 
-from stillwork import paths
-from stillwork.checks import InputError
-from stillwork.kernel_folder import cache_folder
+from stillwork.base import paths
+from stillwork.base.checks import InputError
+from stillwork.base.kernel_folder import cache_folder
 from stillwork.workbook.execution import Failure, Job, Outcome, execute, sweep
 from stillwork.workbook.inputs import ENVIRONMENT, changes, environment_inputs, present, with_ledger
 from stillwork.workbook.jupyter_kernel import stop

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from stillwork.claims import Claim, load_entries
-from stillwork.figures import read_table
+from stillwork.workbook.claims import Claim, load_entries
+from stillwork.workbook.figures import read_table
 from stillwork.workbook.notebooks import cleaned
 from stillwork.workbook.tasks import Task
 

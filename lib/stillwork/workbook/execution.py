@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 from importlib import metadata
 from pathlib import Path
 
-from stillwork import paths
+from stillwork.base import paths
 from stillwork.workbook.inputs import read_inputs
 from stillwork.workbook.jupyter_kernel import kernel_manager
 from stillwork.workbook.warm import Warm

@@ -12,7 +12,7 @@ import platform
 import tomllib
 from pathlib import Path
 
-from stillwork import paths
+from stillwork.base import paths
 from stillwork.workbook.environment import pins
 from stillwork.workbook.notebooks import Notebook
 from stillwork.workbook.pinned import settings

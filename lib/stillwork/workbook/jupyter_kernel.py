@@ -7,8 +7,8 @@ import threading
 from pathlib import Path
 
 import stillwork
-from stillwork import paths
-from stillwork.kernel_folder import FOLDER_VARIABLE, cache_folder
+from stillwork.base import paths
+from stillwork.base.kernel_folder import FOLDER_VARIABLE, cache_folder
 from stillwork.workbook.pinned import environment
 from stillwork.workbook.warm import PROGRAM, Warm
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import nbformat
 
-from stillwork import paths
+from stillwork.base import paths
 from stillwork.workbook.notebooks import METADATA
 from stillwork.workbook.provenance import committed
 

@@ -4,8 +4,8 @@ import contextlib
 import fcntl
 from collections.abc import Iterator
 
-from stillwork import paths
-from stillwork.checks import InputError
+from stillwork.base import paths
+from stillwork.base.checks import InputError
 
 
 @contextlib.contextmanager

@@ -14,7 +14,7 @@ from queue import Empty
 
 from nbval import plugin as nbval
 
-from stillwork import paths
+from stillwork.base import paths
 from stillwork.workbook.compare import printed, same_text
 from stillwork.workbook.notebooks import select
 from stillwork.workbook.tasks import Task, tasks

@@ -4,8 +4,8 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-from stillwork import paths
-from stillwork.checks import InputError, nearest
+from stillwork.base import paths
+from stillwork.base.checks import InputError, nearest
 from stillwork.workbook.parameters import Parameter, read_parameters
 
 # A notebook's own, in the form that is committed: no version of whatever ran it.

@@ -5,7 +5,7 @@ import typing
 from dataclasses import dataclass
 from types import UnionType
 
-from stillwork.checks import InputError
+from stillwork.base.checks import InputError
 
 TYPES = {"int": int, "float": float, "str": str, "bool": bool, "list": list, "tuple": tuple}
 FORM = "write 'name: type = literal  # comment', one parameter a line"

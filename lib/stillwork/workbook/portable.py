@@ -11,7 +11,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from stillwork import paths
+from stillwork.base import paths
 from stillwork.workbook.compare import Comparison, compare
 from stillwork.workbook.pinned import OTHER
 from stillwork.workbook.tasks import BUILT, tasks

@@ -4,7 +4,7 @@ import json
 import subprocess
 from collections.abc import Iterable
 
-from stillwork import paths
+from stillwork.base import paths
 from stillwork.workbook.notebooks import Notebook
 from stillwork.workbook.publish import digest
 

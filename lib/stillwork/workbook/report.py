@@ -2,8 +2,8 @@
 
 from collections import Counter
 
-from stillwork import paths
-from stillwork.claims import BASES, Claim, ledger
+from stillwork.base import paths
+from stillwork.workbook.claims import BASES, Claim, ledger
 
 BEGIN, END = "<!-- ledger:begin -->", "<!-- ledger:end -->"
 VERDICTS = ("replicated", "deviates", "reported", "not built")

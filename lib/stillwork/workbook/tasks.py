@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from stillwork import paths
+from stillwork.base import paths
 from stillwork.workbook.inputs import changes, environment_inputs, notebook_inputs, present_again
 from stillwork.workbook.notebooks import Notebook, assign, select
 from stillwork.workbook.publish import digest, read_record
