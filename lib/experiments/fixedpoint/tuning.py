@@ -204,5 +204,15 @@ def tune(
         float(best),
         len(tried),
         int(sum(np.isinf(value) for value, _ in tried)),
-        tuple(name for name, knob, *ends in zip(family.names, knobs, low, high, strict=True) if knob in ends),
+        _at_edge(family, knobs),
+    )
+
+
+def _at_edge(family: Family, knobs: np.ndarray) -> tuple[str, ...]:
+    """Settings at an end of their range; a whole number is there as soon as it is the range's first or last."""
+    found, *ends = (family.numbers(each) for each in (knobs, *family.bounds.T))
+    return tuple(
+        name
+        for name, value in found.items()
+        if any(np.isclose(value, end[name], rtol=1e-9, atol=0) for end in ends)
     )

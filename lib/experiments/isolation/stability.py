@@ -48,6 +48,10 @@ class CovarianceRun:
         broken = ~(self.smallest > 0)
         return float(self.time_constants[np.argmax(broken)]) if broken.any() else float("inf")
 
+    def breakdown_tens(self) -> float:
+        """`breakdown` to tens: rounding errors decide it, and another processor's are of the same size alone."""
+        return round(self.breakdown, -1) if np.isfinite(self.breakdown) else self.breakdown
+
     def growth_rate(self, low: float = 1e-12, high: float = 1e-3) -> float:
         """Growth rate of the asymmetry per time constant, fitted where it lies between `low` and `high`."""
         inside = (self.asymmetry > low) & (self.asymmetry < high) & (self.time_constants < self.breakdown)

@@ -34,7 +34,7 @@ def draw_forms(runs: Mapping[str, Mapping[str, CovarianceRun]], experiment: floa
                 for axes in (upper, lower):
                     axes.axvline(run.breakdown, color=figures.GREY, lw=0.8, ls=":")
                 lower.annotate(
-                    f"indefinite at {run.breakdown:.1f} ",
+                    f"indefinite at about {run.breakdown_tens():.0f} ",
                     (run.breakdown, 1e-13),
                     fontsize=8,
                     ha="right",
@@ -76,11 +76,14 @@ def draw_windup(runs: Mapping[str, Mapping[str, CovarianceRun]]):
     """Largest eigenvalue of P while a direction is silent, a panel for each kind of silence."""
     figure, grid = figures.new(1, len(runs), height=3.2, sharey=True, squeeze=False)
     for axes, (title, forms) in zip(grid[0], runs.items(), strict=True):
+        broken = []
         for style, (form, run) in zip(_LINES, forms.items(), strict=False):
             seen = run.time_constants <= run.breakdown
             axes.semilogy(run.time_constants[seen], run.largest[seen], style, label=form)
             if np.isfinite(run.breakdown):
-                axes.plot(run.breakdown, run.largest[seen][-1], "x", color=figures.BLACK, label="_broken")
+                broken.append((run.breakdown, run.largest[seen][-1]))
+        if broken:
+            axes.plot(*zip(*broken, strict=True), "x", color=figures.BLACK, label="P indefinite")
         t = next(iter(forms.values())).time_constants
         axes.semilogy(t, np.exp(t), color=figures.GREY, lw=4, alpha=0.4, zorder=1, label="exp(t / T)")
         axes.set(xlabel="time constants of the forgetting", title=title, ylim=(0.3, 1e22))
@@ -164,7 +167,11 @@ def explore_forms(regressors: ArrayLike, initial: ArrayLike):
             run = covariance_run(
                 form, regressors, forgetting, initial, time_constants, precision, per_time_constant=2
             )
-            ends = "stays definite" if np.isinf(run.breakdown) else f"indefinite at {run.breakdown:.1f}"
+            ends = (
+                "stays definite"
+                if np.isinf(run.breakdown)
+                else f"indefinite at about {run.breakdown_tens():.0f}"
+            )
             axes.semilogy(
                 run.time_constants, np.maximum(run.asymmetry, FLOOR), style, label=f"{form}: {ends}"
             )
