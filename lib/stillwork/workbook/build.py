@@ -2,20 +2,18 @@
 
 import contextlib
 import os
-import signal
 import uuid
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 
-from stillwork import paths
 from stillwork.checks import InputError
 from stillwork.workbook.execution import Failure, Job, Outcome, execute, sweep
 from stillwork.workbook.inputs import ENVIRONMENT, changes, environment_inputs, present, with_ledger
 from stillwork.workbook.jupyter_kernel import stop
-from stillwork.workbook.lock import alone
+from stillwork.workbook.lock import alone, interrupts, settle
 from stillwork.workbook.progress import Progress
 from stillwork.workbook.provenance import commit, modified, provenance
-from stillwork.workbook.publish import finish, replace_record, tidy
+from stillwork.workbook.publish import replace_record, tidy
 from stillwork.workbook.tasks import Task, tasks
 from stillwork.workbook.warm import warmed
 
@@ -48,13 +46,13 @@ def build_figures(
     why : bool
         Only say what would be built, and why.
     """
+    settle()
     wanted = tasks(*targets, settings=settings)
     if why:
         for task in wanted:
             print(f"{task.label}: {'; '.join(task.reasons()) or 'up to date'}")
         return 0
     with alone():
-        finish(paths.root())
         for task in wanted:
             tidy(task.target)
         stale = [(task, reasons) for task in wanted if (reasons := task.reasons() or ["forced"] * force)]
@@ -78,7 +76,7 @@ def _build(stale: list[tuple[Task, list[str]]], submit: Callable, halt: Callable
     build = uuid.uuid4().hex
     failures: list[tuple[Task, Failure]] = []
     running = {}
-    with _signals() as caught, Progress(sum(task.cells for task, _ in stale)) as progress:
+    with interrupts() as caught, Progress(sum(task.cells for task, _ in stale)) as progress:
         for task, reasons in stale:
             progress.say(f"build {task.label}: {_short(reasons)}")
             job = Job(build, task.notebook.name, task.notebook.source, task.settings)
@@ -181,19 +179,6 @@ def execute_elsewhere(job: Job, around: dict[str, str]) -> Outcome:
     if different := changes(around, environment_inputs()):
         return Outcome(failure=Failure("worker", f"its environment differs: {_short(different)}"))
     return execute(job)
-
-
-@contextlib.contextmanager
-def _signals():
-    """Note an interrupt instead of raising it, so that it tears nothing halfway; yields what came."""
-    caught: list[int] = []
-    wanted = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {each: signal.signal(each, lambda number, _frame: caught.append(number)) for each in wanted}
-    try:
-        yield caught
-    finally:
-        for each, handler in before.items():
-            signal.signal(each, handler)
 
 
 def _cores() -> int:
