@@ -158,6 +158,11 @@ def test_a_folder_that_stands_in_the_place_of_results_gives_way(tmp_path):
     assert set(content(target.resolve())) == {*NEW, RECORD}
 
 
+def link_to_nowhere(file: Path) -> None:
+    file.unlink()
+    file.symlink_to("nowhere")
+
+
 @pytest.mark.parametrize(
     ("harm", "complaint"),
     [
@@ -167,6 +172,8 @@ def test_a_folder_that_stands_in_the_place_of_results_gives_way(tmp_path):
         (lambda folder: (folder / RECORD).unlink(), "its record is missing"),
         (lambda folder: (folder / RECORD).write_text("{}"), "its record is damaged"),
         (lambda folder: (folder / RECORD).write_text('{"seal": 1}'), "its record is damaged"),
+        (lambda folder: (folder / RECORD).write_text("[" * 100_000), "its record is damaged"),
+        (lambda folder: link_to_nowhere(folder / "a.csv"), "output a.csv was changed by hand"),
     ],
 )
 def test_what_is_not_as_it_was_written_is_named(tmp_path, harm, complaint):

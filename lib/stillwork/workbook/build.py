@@ -109,16 +109,17 @@ def _outcome(future: Future) -> Outcome:
 
 def _publish(task: Task, outcome: Outcome, made_from) -> Failure | None:
     """Put the results in their place, unless what they were made from is not what stands here."""
-    now = {name: digest for name in outcome.reads if (digest := present(name)) is not None}
-    if different := changes(outcome.reads, now):
-        return Failure("inputs", f"not as the kernel read them: {_short(different)}; build again")
-    claimed = outcome.claimed()
-    known = {name.removeprefix("file ") for name in task.inputs if name.startswith("file ")}
-    reads = {name: value for name, value in outcome.reads.items() if name not in known}
-    inputs = {**task.inputs, **with_ledger(reads, claimed)}
-    record = provenance(task.notebook, task.settings, inputs, outcome.software, made_from)
-    files = {**outcome.files, "provenance.json": record, task.executed.name: outcome.executed}
     try:
+        claimed = outcome.claimed()
+        known = {name.removeprefix("file ") for name in task.inputs if name.startswith("file ")}
+        reads = {name: value for name, value in outcome.reads.items() if name not in known}
+        inputs = {**task.inputs, **with_ledger(reads, claimed)}
+        # After the ledger was read here: what changes from now on makes the results stale.
+        now = {name: digest for name in outcome.reads if (digest := present(name)) is not None}
+        if different := changes(outcome.reads, now):
+            return Failure("inputs", f"not as the kernel read them: {_short(different)}; build again")
+        record = provenance(task.notebook, task.settings, inputs, outcome.software, made_from)
+        files = {**outcome.files, "provenance.json": record, task.executed.name: outcome.executed}
         replace_record(task.target, files, inputs)
     except OSError as error:
         return Failure("writing the results", str(error))

@@ -69,7 +69,7 @@ def read_record(target: Path) -> tuple[dict[str, str], list[str]] | None:
     for name, wanted in record["outputs"].items():
         if name not in there:
             complaints.append(f"output {name} missing")
-        elif digest((target / name).read_bytes()) != wanted:
+        elif _digest_of(target / name) != wanted:
             complaints.append(f"output {name} was changed by hand")
     complaints += [f"output {name} is not the build's" for name in sorted(there - set(record["outputs"]))]
     return record["inputs"], complaints
@@ -214,6 +214,14 @@ def digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
+def _digest_of(file: Path) -> str | None:
+    """None for what cannot be read, such as a link to nowhere."""
+    try:
+        return digest(file.read_bytes())
+    except OSError:
+        return None
+
+
 def _beside(target: Path, suffix: str) -> Path:
     return target.with_name(f".{target.name}.{suffix}")
 
@@ -238,7 +246,7 @@ def _unsealed(text: bytes) -> dict | None:
     try:
         record = json.loads(text)
         seal = record.pop("seal")
-    except (ValueError, TypeError, AttributeError, KeyError):
+    except (ValueError, TypeError, AttributeError, KeyError, RecursionError):
         return None
     return record if seal == _seal(record) and {"inputs", "outputs"} <= set(record) else None
 
