@@ -186,12 +186,12 @@ def finish(root: Path) -> None:
                 os.replace(decided / "files" / name, target)
             for name in json.loads((decided / "gone.json").read_text()):
                 (root / name).unlink(missing_ok=True)
+            shutil.rmtree(new, ignore_errors=True)
+            decided.rename(new)  # done: what is removed piece by piece must not be taken for a journal
         except OSError as error:
             raise InputError(
                 f"accepted, but not all of it is in its place ({error}); mend that and repeat the command"
             ) from None
-        shutil.rmtree(new, ignore_errors=True)
-        decided.rename(new)  # done: what is removed piece by piece must not be taken for a journal
     for left in (new, trial(root)):
         shutil.rmtree(left, ignore_errors=True)
 
