@@ -22,14 +22,14 @@ def main(arguments: list[str] | None = None) -> int:
         parser.error(f"unknown {unknown[0]!r}{nearest(unknown[0], words)}")
     try:
         return options.run(options)
-    except (InputError, FileNotFoundError) as error:
+    except BrokenPipeError:  # the reader, e.g. `head`, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+    except (InputError, OSError) as error:
         print(f"stillwork: {one_line(str(error))}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130
-    except BrokenPipeError:  # the reader, e.g. `head`, has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 141
 
 
 def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
@@ -130,11 +130,13 @@ def _figures(options) -> int:
 
 def _claims(options) -> int:
     from stillwork.workbook.claims import ledger
+    from stillwork.workbook.lock import settle
     from stillwork.workbook.report import ledger_text
     from stillwork.workbook.tasks import built
 
     if options.room not in (None, *paths.ROOMS):
         raise InputError(f"there is no room {options.room!r}{nearest(options.room, paths.ROOMS)}")
+    settle()
     claims = ledger(built() if options.built else None, options.room)
     if options.json:
         print(json.dumps([claim.as_dict() for claim in claims], indent=1, ensure_ascii=False))
@@ -158,13 +160,17 @@ def _accept(_options) -> int:
 
 def _site(_options) -> int:
     from stillwork.site.build import build_site
+    from stillwork.workbook.lock import settle
 
+    settle()
     return build_site()
 
 
 def _refresh(_options) -> int:
     from stillwork.site.derived import refresh
+    from stillwork.workbook.lock import settle
 
+    settle()
     print(", ".join(refresh()) or "all current")
     return 0
 

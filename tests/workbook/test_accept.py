@@ -9,7 +9,7 @@ import tomllib
 import pytest
 
 from stillwork.workbook.notebooks import cleaned
-from workbook.toy import cell
+from workbook.toy import LEDGER, cell
 
 pytestmark = pytest.mark.slow
 
@@ -110,6 +110,19 @@ def test_a_full_disk_leaves_everything_as_it_was(toy):
     assert done.stdout.startswith("nothing accepted: ")
     assert done.stderr == ""
     assert toy.stamps("notebooks", "data", "figures") == before
+    assert toy.leftovers() == []
+
+
+def test_an_accept_that_was_killed_is_finished_before_anybody_reads(toy):
+    """What is decided stands beside; what was only tried goes."""
+    toy.write(".accepting/gone.json", '["figures/isolation/00-gone/a.csv"]')
+    toy.write(".accepting/files/data/isolation/published.toml", LEDGER.format(room="isolation"))
+    toy.replace(".accepting/files/data/isolation/published.toml", "published = 2.0", "published = 7.0")
+    toy.write(".accepting.trial/figures/x", "")
+    toy.write("figures/isolation/00-gone/a.csv", "")
+    done = toy.run("claims", "isolation", "--json")
+    assert json.loads(done.stdout)[0]["published"] == 7.0
+    assert not list((toy.root / "figures").rglob("a.csv"))
     assert toy.leftovers() == []
 
 

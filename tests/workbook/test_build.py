@@ -3,6 +3,7 @@
 import json
 import os
 import pty
+import py_compile
 import shutil
 import subprocess
 import sys
@@ -11,6 +12,7 @@ import termios
 import pytest
 
 from stillwork.workbook import publish
+from stillwork.workbook.inputs import read_inputs
 from workbook import toy as toys
 
 FIRST, SECOND, OTHER = "isolation/01-first", "isolation/02-second", "motion/01-first"
@@ -193,6 +195,41 @@ def test_a_library_that_was_edited_and_put_back_in_mid_build_is_noticed(toy):
     assert done.returncode == 1
     assert "not as the kernel read them: lib/experiments/motion/late.py changed; build again" in done.stdout
     assert reasons(toy) == {"motion/02-late": "never built"}
+
+
+@pytest.mark.slow
+def test_bytecode_of_another_source_is_not_run(toy):
+    """Python matches it by size and second of change, which an edit right after an import keeps."""
+    model = toy.root / "lib/stillwork/isolation/model.py"
+    now = model.stat()
+    change_library(toy)
+    os.utime(model, ns=(now.st_atime_ns, now.st_mtime_ns))
+    py_compile.compile(str(model))
+    toy.replace("lib/stillwork/isolation/model.py", "2.5", "3.5")
+    os.utime(model, ns=(now.st_atime_ns, now.st_mtime_ns))
+    assert toy.run("figures", SECOND).returncode == 0
+    assert toy.results()[f"build/figures/{SECOND}/out.csv"] == b"1,3.5\n"
+
+
+@pytest.mark.parametrize("text", [None, "", '{"path": "a", "dig'])
+def test_what_was_read_is_not_guessed(tmp_path, text):
+    log = tmp_path / "reads"
+    if text is not None:
+        log.write_text(text)
+    with pytest.raises(ValueError, match="what the kernel read is not known"):
+        read_inputs(log)
+
+
+@pytest.mark.parametrize(("room", "noted"), [(10_000, True), (10, False)])
+def test_a_log_that_does_not_fit_on_the_disk_is_removed(toy, room, noted):
+    script = (
+        "import os, resource, sys\nfrom stillwork.workbook.kernel_process import watch\n"
+        f"resource.setrlimit(resource.RLIMIT_FSIZE, ({room}, {room}))\n"
+        "watch('reads', ())\nopen('environment.txt').close()"
+    )
+    environment = toy.environment() | {"STILLWORK_ROOT": str(toy.root)}
+    subprocess.run([sys.executable, "-c", script], cwd=toy.root, env=environment, check=True)
+    assert (toy.root / "reads").exists() == noted
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from stillwork.base.checks import InputError
 from stillwork.workbook.publish import (
     RECORD,
     finish,
@@ -15,6 +16,7 @@ from stillwork.workbook.publish import (
     replace_folder,
     replace_record,
     tidy,
+    unfinished,
 )
 
 OLD = {"a.csv": b"old"}
@@ -156,6 +158,11 @@ def test_a_folder_that_stands_in_the_place_of_results_gives_way(tmp_path):
     assert set(content(target.resolve())) == {*NEW, RECORD}
 
 
+def link_to_nowhere(file: Path) -> None:
+    file.unlink()
+    file.symlink_to("nowhere")
+
+
 @pytest.mark.parametrize(
     ("harm", "complaint"),
     [
@@ -165,6 +172,8 @@ def test_a_folder_that_stands_in_the_place_of_results_gives_way(tmp_path):
         (lambda folder: (folder / RECORD).unlink(), "its record is missing"),
         (lambda folder: (folder / RECORD).write_text("{}"), "its record is damaged"),
         (lambda folder: (folder / RECORD).write_text('{"seal": 1}'), "its record is damaged"),
+        (lambda folder: (folder / RECORD).write_text("[" * 100_000), "its record is damaged"),
+        (lambda folder: link_to_nowhere(folder / "a.csv"), "output a.csv was changed by hand"),
     ],
 )
 def test_what_is_not_as_it_was_written_is_named(tmp_path, harm, complaint):
@@ -175,13 +184,43 @@ def test_what_is_not_as_it_was_written_is_named(tmp_path, harm, complaint):
     assert read_record(target)[1] == [complaint]
 
 
+def test_a_change_that_was_made_is_not_begun_again_when_its_journal_is_removed_in_part(tmp_path, monkeypatch):
+    """A kill while the journal is removed: some of its files are gone by then."""
+
+    def killed(folder, **_options):
+        (folder / "gone.json").unlink(missing_ok=True)
+        if not folder.is_dir():
+            return
+        raise Killed
+
+    monkeypatch.setattr("stillwork.workbook.publish.shutil.rmtree", killed)
+    with pytest.raises(Killed):
+        replace_all(tmp_path, {"notebooks/a": b"1"})
+    monkeypatch.undo()
+    (tmp_path / "notebooks/a").write_bytes(b"written since")
+    finish(tmp_path)
+    assert content(tmp_path) == {"notebooks/a": b"written since"}
+    assert not list(tmp_path.glob(".accepting*"))
+
+
+def test_a_change_that_cannot_be_put_in_place_says_so_and_is_done_later(tmp_path):
+    (tmp_path / "notebooks").write_text("in the way")
+    with pytest.raises(InputError, match=r"accepted, but not all of it is in its place \(.*notebooks"):
+        replace_all(tmp_path, {"figures/a": b"1", "notebooks/a": b"1"})
+    assert unfinished(tmp_path)
+    (tmp_path / "notebooks").unlink()
+    finish(tmp_path)
+    assert content(tmp_path) == {"figures/a": b"1", "notebooks/a": b"1"}
+    assert not unfinished(tmp_path)
+
+
 def test_many_files_change_as_one_wherever_it_is_cut(tmp_path, monkeypatch):
     before = {"notebooks/a": b"1", "figures/b": b"1", "figures/gone": b"1"}
     after = {"notebooks/a": b"2", "figures/b": b"2", "README": b"new"}
     changed = {**after, "figures/gone": None}
 
     def shelves():
-        return {name: text for name, text in content(tmp_path).items() if not name.startswith("build")}
+        return {name: text for name, text in content(tmp_path).items() if not name.startswith(".")}
 
     seen = set()
     for steps in range(60):
@@ -197,6 +236,6 @@ def test_many_files_change_as_one_wherever_it_is_cut(tmp_path, monkeypatch):
         finish(tmp_path)
         assert shelves() in (before, after)
         seen.add(shelves() == after)
-        assert not list((tmp_path / "build").glob("accepting*"))
+        assert not list(tmp_path.glob(".accepting*"))
     assert seen == {False, True}
     assert shelves() == after

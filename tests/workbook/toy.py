@@ -190,7 +190,7 @@ class Toy:
     def leftovers(self) -> list[str]:
         """What a run left behind: processes, temporary files, half-written results."""
         hidden = [path for path in self.root.rglob("*") if path.name.endswith((".new", ".old"))]
-        hidden += [path for path in (self.root / "build").glob("accept*")]
+        hidden += [path for path in self.root.glob(".accepting*")]
         for shelf in ("figures", "variants"):
             for home in (self.root / "build" / shelf).glob("*/.*/"):
                 shown = os.readlink(home.with_name(home.name[1:]))

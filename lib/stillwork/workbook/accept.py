@@ -7,7 +7,6 @@ import contextlib
 import json
 import os
 import shutil
-import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -16,9 +15,9 @@ import tomlkit
 from stillwork.base import paths
 from stillwork.workbook.claims import Claim, ledger
 from stillwork.workbook.compare import Comparison, compare, same_outputs
-from stillwork.workbook.lock import alone
+from stillwork.workbook.lock import alone, interrupts
 from stillwork.workbook.notebooks import cleaned, notebook_text
-from stillwork.workbook.publish import RECORD, finish, replace_all, replace_file
+from stillwork.workbook.publish import RECORD, replace_all, replace_file, trial
 from stillwork.workbook.tasks import Task, tasks
 
 SHELVES = ("notebooks", "data", "figures")  # of what is committed, where accepting writes
@@ -35,10 +34,10 @@ def accept(refresh: Callable[[], object]) -> int:
     Returns
     -------
     int
-        1 when the build is missing or stale, or the results cannot be written.
+        1 when the build is missing or stale, or the results cannot be written; 128 + signal when a signal came
+        while they were put in their places.
     """
     with alone():
-        finish(paths.root())
         built = tasks()
         stale = [(task, reasons) for task in built if (reasons := task.reasons())]
         if stale:
@@ -57,13 +56,14 @@ def accept(refresh: Callable[[], object]) -> int:
                         _write_ours(room, [claim for claim in claims if claim.entry.room == room])
                     refresh()
                 changed = _changes(copy)
-            replace_all(paths.root(), changed)
+            with interrupts() as caught:
+                replace_all(paths.root(), changed)
         except OSError as error:
             print(f"nothing accepted: {error}")
             return 1
     _say(claims, built)
     print(f"accepted {len(built)} notebooks and {len(claims)} ledger entries: {len(changed)} files changed")
-    return 0
+    return 128 + caught[0] if caught else 0
 
 
 def _say(claims: list[Claim], built: list[Task]) -> None:
@@ -83,10 +83,9 @@ def _say(claims: list[Claim], built: list[Task]) -> None:
 @contextlib.contextmanager
 def _copy() -> Iterator[Path]:
     """A copy of what is committed, to try the whole change on; its files are the same ones until they are replaced."""
-    root = paths.root()
-    (root / "build").mkdir(exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=root / "build", prefix="accept-") as name:
-        copy = Path(name)
+    root, copy = paths.root(), trial(paths.root())
+    copy.mkdir()
+    try:
         for shelf in SHELVES:
             if (root / shelf).is_dir():
                 shutil.copytree(root / shelf, copy / shelf, copy_function=_link)
@@ -94,6 +93,8 @@ def _copy() -> Iterator[Path]:
             if file.is_file():
                 _link(file, copy / file.name)
         yield copy
+    finally:
+        shutil.rmtree(copy, ignore_errors=True)
 
 
 def _link(source, target) -> None:

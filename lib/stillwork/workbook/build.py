@@ -3,21 +3,19 @@
 import contextlib
 import os
 import shutil
-import signal
 import uuid
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 
-from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.base.kernel_folder import cache_folder
 from stillwork.workbook.execution import Failure, Job, Outcome, execute, sweep
 from stillwork.workbook.inputs import ENVIRONMENT, changes, environment_inputs, present, with_ledger
 from stillwork.workbook.jupyter_kernel import stop
-from stillwork.workbook.lock import alone
+from stillwork.workbook.lock import alone, interrupts, settle
 from stillwork.workbook.progress import Progress
 from stillwork.workbook.provenance import commit, modified, provenance
-from stillwork.workbook.publish import finish, replace_record, tidy
+from stillwork.workbook.publish import replace_record, tidy
 from stillwork.workbook.tasks import Task, tasks
 from stillwork.workbook.warm import warmed
 
@@ -50,13 +48,13 @@ def build_figures(
     why : bool
         Only say what would be built, and why.
     """
+    settle()
     wanted = tasks(*targets, settings=settings)
     if why:
         for task in wanted:
             print(f"{task.label}: {'; '.join(task.reasons()) or 'up to date'}")
         return 0
     with alone():
-        finish(paths.root())
         for task in wanted:
             tidy(task.target)
         stale = [(task, reasons) for task in wanted if (reasons := task.reasons() or ["forced"] * force)]
@@ -80,7 +78,7 @@ def _build(stale: list[tuple[Task, list[str]]], submit: Callable, halt: Callable
     build = uuid.uuid4().hex
     failures: list[tuple[Task, Failure]] = []
     running = {}
-    with _signals() as caught, Progress(sum(task.cells for task, _ in stale)) as progress:
+    with interrupts() as caught, Progress(sum(task.cells for task, _ in stale)) as progress:
         for task, reasons in stale:
             progress.say(f"build {task.label}: {_short(reasons)}")
             job = Job(build, task.notebook.name, task.notebook.source, task.settings)
@@ -113,18 +111,19 @@ def _outcome(future: Future) -> Outcome:
 
 def _publish(task: Task, outcome: Outcome, made_from) -> Failure | None:
     """Put the results in their place, unless what they were made from is not what stands here."""
-    now = {name: digest for name in outcome.reads if (digest := present(name)) is not None}
-    if different := changes(outcome.reads, now):
-        # What was compiled from such a library may lie beside code that did not change.
-        shutil.rmtree(cache_folder(), ignore_errors=True)
-        return Failure("inputs", f"not as the kernel read them: {_short(different)}; build again")
-    claimed = outcome.claimed()
-    known = {name.removeprefix("file ") for name in task.inputs if name.startswith("file ")}
-    reads = {name: value for name, value in outcome.reads.items() if name not in known}
-    inputs = {**task.inputs, **with_ledger(reads, claimed)}
-    record = provenance(task.notebook, task.settings, inputs, outcome.software, made_from)
-    files = {**outcome.files, "provenance.json": record, task.executed.name: outcome.executed}
     try:
+        claimed = outcome.claimed()
+        known = {name.removeprefix("file ") for name in task.inputs if name.startswith("file ")}
+        reads = {name: value for name, value in outcome.reads.items() if name not in known}
+        inputs = {**task.inputs, **with_ledger(reads, claimed)}
+        # After the ledger was read here: what changes from now on makes the results stale.
+        now = {name: digest for name in outcome.reads if (digest := present(name)) is not None}
+        if different := changes(outcome.reads, now):
+            # What was compiled from such a library may lie beside code that did not change.
+            shutil.rmtree(cache_folder(), ignore_errors=True)
+            return Failure("inputs", f"not as the kernel read them: {_short(different)}; build again")
+        record = provenance(task.notebook, task.settings, inputs, outcome.software, made_from)
+        files = {**outcome.files, "provenance.json": record, task.executed.name: outcome.executed}
         replace_record(task.target, files, inputs)
     except OSError as error:
         return Failure("writing the results", str(error))
@@ -185,19 +184,6 @@ def execute_elsewhere(job: Job, around: dict[str, str]) -> Outcome:
     if different := changes(around, environment_inputs()):
         return Outcome(failure=Failure("worker", f"its environment differs: {_short(different)}"))
     return execute(job)
-
-
-@contextlib.contextmanager
-def _signals():
-    """Note an interrupt instead of raising it, so that it tears nothing halfway; yields what came."""
-    caught: list[int] = []
-    wanted = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {each: signal.signal(each, lambda number, _frame: caught.append(number)) for each in wanted}
-    try:
-        yield caught
-    finally:
-        for each, handler in before.items():
-            signal.signal(each, handler)
 
 
 def _cores() -> int:

@@ -157,9 +157,10 @@ def _execute(job: Job, folder: Path, on_cell: Callable[[], object], warm: Warm |
     _forget_run(executed)
     try:
         files = _collect(output, job.notebook)
+        inputs = read_inputs(reads)  # last: where the folder was emptied, so was this
     except (OSError, ValueError) as error:
         return Outcome(failure=Failure("files", str(error)))
-    return Outcome(files, nbformat.writes(executed).encode() + b"\n", read_inputs(reads), _software())
+    return Outcome(files, nbformat.writes(executed).encode() + b"\n", inputs, _software())
 
 
 def _where(begun: list[str]) -> str:

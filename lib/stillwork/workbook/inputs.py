@@ -49,10 +49,22 @@ def read_inputs(log: Path) -> dict[str, str]:
     """What a kernel read, by its path below the workbook or whole, with the digest that it had then.
 
     A file that changed between two readings has no digest that any file could have: it will be found to differ.
+
+    Raises
+    ------
+    ValueError
+        When the log is not there or is damaged: then nobody knows.
     """
+    try:
+        lines = [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines()]
+    except (OSError, ValueError):
+        lines = []
+    if not lines:
+        raise ValueError(
+            "what the kernel read is not known: its log was removed or damaged, or the disk is full"
+        )
     found: dict[str, str] = {}
-    for line in log.read_text(encoding="utf-8").splitlines() if log.is_file() else ():
-        read = json.loads(line)
+    for read in lines:
         name = _name(read["path"])
         found[name] = read["digest"] if found.get(name, read["digest"]) == read["digest"] else "two"
     return found

@@ -9,7 +9,7 @@ inherited socket, and tells how each one ended.
 """
 
 import hashlib
-import importlib.util
+import importlib
 import json
 import os
 import select
@@ -17,6 +17,7 @@ import signal
 import socket
 import stat
 import sys
+from importlib.machinery import SourceFileLoader
 
 # Where the notebooks spend their imports.
 SLOW = (
@@ -36,12 +37,8 @@ SLOW = (
 )
 
 
-def watch(log: str) -> None:
-    """Append to `log`, from now on, a line of JSON for each file that is read and each folder that is listed.
-
-    What Python, its packages and the system hold is left out: the pins of the environment speak for them.
-    """
-    out = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+def installed(log: str) -> tuple[str, ...]:
+    """What Python, its packages and the system hold, and what a build writes: no notebook's inputs."""
     home = os.path.expanduser("~")
     places = {sys.prefix, sys.base_prefix, sys.exec_prefix, os.path.dirname(log)}
     places |= {os.path.realpath(each) for each in places}
@@ -50,13 +47,29 @@ def watch(log: str) -> None:
     places |= {each for each in sys.path if "site-packages" in each or "dist-packages" in each}
     root = os.environ["STILLWORK_ROOT"]
     places |= {os.path.join(root, each) for each in (".git", "build")}
-    left_out = tuple(each.rstrip("/") + "/" for each in places)
+    return tuple(each.rstrip("/") + "/" for each in places)
+
+
+def watch(log: str, left_out: tuple[str, ...]) -> None:
+    """Append to `log`, from now on, a line of JSON for each file that is read and each folder that is listed.
+
+    The pins of the environment speak for what is left out. A log that cannot be written is removed: without one
+    the results are not taken.
+    """
+    out = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+    root = os.environ["STILLWORK_ROOT"]
     data = os.path.join(root, "data")
     seen: dict[str, tuple] = {}
     state = {"busy": False}
 
     def note(path: str, digest: str) -> None:
-        os.write(out, (json.dumps({"path": path, "digest": digest}) + "\n").encode())
+        line = (json.dumps({"path": path, "digest": digest}) + "\n").encode()
+        try:
+            noted = os.write(out, line) == len(line)
+        except OSError:  # a full disk
+            noted = False
+        if not noted:
+            os.unlink(log)
 
     def hook(event: str, arguments: tuple) -> None:
         if state["busy"] or event not in ("open", "os.listdir", "os.scandir"):
@@ -74,12 +87,10 @@ def watch(log: str) -> None:
                 )
                 if writes:
                     return
-                if path.endswith(".pyc"):
-                    path = importlib.util.source_from_cache(path)
                 if path.startswith(left_out):
                     return
                 now = os.stat(path)
-                stamp = (now.st_ino, now.st_size, now.st_mtime_ns)
+                stamp = (now.st_ino, now.st_size, now.st_mtime_ns, now.st_ctime_ns)
                 if seen.get(path) == stamp or not stat.S_ISREG(now.st_mode):
                     return
                 seen[path] = stamp
@@ -97,9 +108,28 @@ def watch(log: str) -> None:
     sys.addaudithook(hook)
 
 
+def compile_sources(left_out: tuple[str, ...]) -> None:
+    """Import the workbook's modules from their sources only.
+
+    Python takes kept bytecode for a source's when both have one size and one second of change, so an edit right
+    after an import would run as it was before.
+    """
+    usual = SourceFileLoader.get_code
+
+    def get_code(self, name):
+        path = os.path.abspath(self.get_filename(name))
+        if path.startswith(left_out):
+            return usual(self, name)
+        return self.source_to_code(self.get_data(path), path)
+
+    SourceFileLoader.get_code = get_code
+
+
 def kernel(log: str, *options: str) -> None:
     """Serve a notebook until it says that it is done."""
-    watch(log)
+    left_out = installed(log)
+    watch(log, left_out)
+    compile_sources(left_out)
     sys.argv = ["ipykernel_launcher", *options]
     from ipykernel import kernelapp
 
@@ -108,6 +138,7 @@ def kernel(log: str, *options: str) -> None:
 
 def warm(descriptor: int) -> None:
     """Fork kernels on demand until the other end of the socket closes; then end them all."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # it ends without a word, the driver tells
     for name in SLOW:
         importlib.import_module(name)
     _first_use()
@@ -167,6 +198,7 @@ def _become_kernel(wanted: dict, inherited: tuple) -> None:
         _lead(0)
         signal.set_wakeup_fd(-1)
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         driver, woken, wake = inherited
         driver.close()
         os.close(woken)

@@ -7,6 +7,8 @@ import shutil
 import uuid
 from pathlib import Path
 
+from stillwork.base.checks import InputError
+
 RECORD = "record.json"
 
 
@@ -67,7 +69,7 @@ def read_record(target: Path) -> tuple[dict[str, str], list[str]] | None:
     for name, wanted in record["outputs"].items():
         if name not in there:
             complaints.append(f"output {name} missing")
-        elif digest((target / name).read_bytes()) != wanted:
+        elif _digest_of(target / name) != wanted:
             complaints.append(f"output {name} was changed by hand")
     complaints += [f"output {name} is not the build's" for name in sorted(there - set(record["outputs"]))]
     return record["inputs"], complaints
@@ -133,14 +135,21 @@ def replace_file(target: Path, content: bytes) -> None:
 def replace_all(root: Path, changed: dict[str, bytes | None]) -> None:
     """Change many files below `root` as one: all of them are written beside before the first is put in its place.
 
-    A kill before that leaves everything as it was. After it, `finish` does the rest, which needs no room on the
-    disk; whoever reads or writes these files calls it first.
+    A kill before that leaves everything as it was. After it, `finish` does the rest; whoever reads or writes these
+    files calls it first (`stillwork.workbook.lock`).
 
     Parameters
     ----------
     root : Path
     changed : dict of str to bytes or None
         New content by path below `root`; None removes a file.
+
+    Raises
+    ------
+    OSError
+        When nothing was changed.
+    InputError
+        When it was decided, but not all could be put in its place.
     """
     new, decided = _journal(root)
     try:
@@ -161,25 +170,56 @@ def replace_all(root: Path, changed: dict[str, bytes | None]) -> None:
 
 
 def finish(root: Path) -> None:
-    """Do what is left of a `replace_all` that was decided and then cut short; remove one that was not decided."""
+    """Do what is left of a `replace_all` that was decided and then cut short; remove one that was not decided.
+
+    Raises
+    ------
+    InputError
+        When a file cannot be put in its place; the next call tries again.
+    """
     new, decided = _journal(root)
     if decided.is_dir():
-        for name in sorted(_files(decided / "files")):
-            target = root / name
-            target.parent.mkdir(parents=True, exist_ok=True)
-            os.replace(decided / "files" / name, target)
-        for name in json.loads((decided / "gone.json").read_text()):
-            (root / name).unlink(missing_ok=True)
-        shutil.rmtree(decided)
-    shutil.rmtree(new, ignore_errors=True)
+        try:
+            for name in sorted(_files(decided / "files")):
+                target = root / name
+                target.parent.mkdir(parents=True, exist_ok=True)
+                os.replace(decided / "files" / name, target)
+            for name in json.loads((decided / "gone.json").read_text()):
+                (root / name).unlink(missing_ok=True)
+            shutil.rmtree(new, ignore_errors=True)
+            decided.rename(new)  # done: what is removed piece by piece must not be taken for a journal
+        except OSError as error:
+            raise InputError(
+                f"accepted, but not all of it is in its place ({error}); mend that and repeat the command"
+            ) from None
+    for left in (new, trial(root)):
+        shutil.rmtree(left, ignore_errors=True)
+
+
+def trial(root: Path) -> Path:
+    """Folder where accepting tries the change; `finish` removes it."""
+    return root / ".accepting.trial"
+
+
+def unfinished(root: Path) -> bool:
+    """Whether a `replace_all` was decided and then cut short."""
+    return _journal(root)[1].is_dir()
 
 
 def _journal(root: Path) -> tuple[Path, Path]:
-    return root / "build" / "accepting.new", root / "build" / "accepting"
+    return root / ".accepting.new", root / ".accepting"  # not below build/, which may be on another disk
 
 
 def digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
+
+
+def _digest_of(file: Path) -> str | None:
+    """None for what cannot be read, such as a link to nowhere."""
+    try:
+        return digest(file.read_bytes())
+    except OSError:
+        return None
 
 
 def _beside(target: Path, suffix: str) -> Path:
@@ -206,7 +246,7 @@ def _unsealed(text: bytes) -> dict | None:
     try:
         record = json.loads(text)
         seal = record.pop("seal")
-    except (ValueError, TypeError, AttributeError, KeyError):
+    except (ValueError, TypeError, AttributeError, KeyError, RecursionError):
         return None
     return record if seal == _seal(record) and {"inputs", "outputs"} <= set(record) else None
 
