@@ -22,8 +22,8 @@ def test_a_page_has_the_texts_of_now_and_the_outputs_of_the_build():
     title = {"cell_type": "markdown", "id": "title", "source": "# New"}
     code = {"cell_type": "code", "id": "a", "source": "1", "outputs": []}
     added = {"cell_type": "code", "id": "b", "source": "2", "outputs": ["kept"]}
-    executed = [{**title, "source": "# Old"}, {**code, "outputs": ["built"]}]
-    assert _with_outputs([title, code, added], executed) == [title, {**code, "outputs": ["built"]}, added]
+    built = [{"output_type": "stream", "name": "stdout", "text": "built"}]
+    assert _with_outputs([title, code, added], {"a": built}) == [title, {**code, "outputs": built}, added]
 
 
 def test_claims_and_figures_are_found_in_their_order():
