@@ -151,9 +151,12 @@ def test_cleaning_keeps_text_only():
     }
     data = {"text/plain": "<Figure>", "image/png": "iVBO", "text/html": "<b>", "application/vnd.x+json": {}}
     outputs = [
-        {"output_type": "stream", "name": "stdout", "text": "said\n"},
+        {"output_type": "stream", "name": "stdout", "text": "sa"},
+        {"output_type": "stream", "name": "stdout", "text": "id\n"},
         {"output_type": "display_data", "data": data, "metadata": {"isolated": True}},
         {"output_type": "display_data", "data": {"image/png": "iVBO"}, "metadata": {}},
+        {"output_type": "stream", "name": "stdout", "text": ["more\n"]},
+        {"output_type": "stream", "name": "stdout", "text": ["and ", "more\n", "lines\n"]},
     ]
     ran = {
         "cells": [{**cell("a", "x"), "outputs": outputs, "execution_count": 1}, cell("b", "# t", "markdown")]
@@ -162,5 +165,6 @@ def test_cleaning_keeps_text_only():
     assert code["outputs"] == [
         {"output_type": "stream", "name": "stdout", "text": "said\n"},
         {"output_type": "display_data", "data": {"text/plain": "<Figure>"}, "metadata": {}},
+        {"output_type": "stream", "name": "stdout", "text": ["more\n", "and more\n", "lines\n"]},
     ]
     assert text == cell("b", "# t", "markdown")

@@ -214,6 +214,7 @@ def make(root: Path) -> Toy:
         toy.write(f"lib/stillwork/{file.name}", file.read_text(encoding="utf-8"))
     for package in ("base", "signals", "workbook", "site"):
         shutil.copytree(LIBRARY / package, root / f"lib/stillwork/{package}", ignore=ignore)
+    toy.write("lib/experiments/__init__.py", "")  # else an installed one of this name goes before it
     for room in ("isolation", "motion"):
         toy.write(f"lib/experiments/{room}/__init__.py", "")
         toy.write(f"lib/experiments/{room}/model.py", "def gain(level):\n    return 2.0 * level\n")

@@ -134,8 +134,8 @@ def cleaned(notebook: dict, executed: dict) -> dict:
     for cell in notebook["cells"]:
         if cell["cell_type"] == "code":
             ran = outputs[cell["id"]]
-            kept = [_text_only(output) for output in ran["outputs"]]
-            cell = {**cell, "execution_count": ran["execution_count"], "outputs": [o for o in kept if o]}
+            kept = [text for output in ran["outputs"] if (text := _text_only(output))]
+            cell = {**cell, "execution_count": ran["execution_count"], "outputs": _joined(kept)}
             cell["metadata"] = {k: v for k, v in cell["metadata"].items() if k == "tags"}
         cells.append(cell)
     return {**notebook, "cells": cells, "metadata": METADATA}
@@ -144,6 +144,20 @@ def cleaned(notebook: dict, executed: dict) -> dict:
 def notebook_text(notebook: dict) -> str:
     """The file's text, in the one order that accepting writes."""
     return json.dumps(notebook, indent=1, ensure_ascii=False, sort_keys=True) + "\n"
+
+
+def _joined(outputs: list[dict]) -> list[dict]:
+    """Outputs with one stream where several of its name follow each other: how many came is a matter of time."""
+    found: list[dict] = []
+    for output in outputs:
+        last = found[-1] if found else {}
+        if output["output_type"] == "stream" and last.get("name") == output["name"]:
+            text = "".join(last["text"]) + "".join(output["text"])
+            as_lines = isinstance(output["text"], list)
+            found[-1] = {**last, "text": text.splitlines(True) if as_lines else text}
+        else:
+            found.append(output)
+    return found
 
 
 def _text_only(output: dict) -> dict | None:
