@@ -74,16 +74,12 @@ clean: ## Remove what can be made again (not .venv)
 	rm -rf build .pytest_cache .ruff_cache .hypothesis
 	find lib tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
 
-# Wheels alone, so that nothing is built and no build fetches tools without a hash. padasip, a peer in the
-# benchmarks, is published as source only; .binder/requirements.txt says the same.
-WHEELS := --only-binary :all: --no-binary padasip
-
 # The last line marks the environment as whole: one that was interrupted is made anew.
 .venv/complete: environment.txt pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 14))' || \
 		{ echo "$(PYTHON) is not a Python 3.11, 3.12, 3.13 or 3.14; name one: make PYTHON=/path/to/python3.12"; exit 1; }
 	@echo "Making .venv with the pinned packages (a minute or two, once)"
 	@$(PYTHON) -m venv --clear .venv
-	@.venv/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes $(WHEELS) -r environment.txt
+	@.venv/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r environment.txt
 	@.venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@touch .venv/complete
