@@ -26,7 +26,7 @@ RERUN ?= 3
 # Kept bytecode halves the start of every worker, which reads all tests and checks all functions' types.
 test quick: export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help figures test quick lab site browser bench portable accept doctor clean
+.PHONY: help figures test quick lab site browser bench faults portable accept doctor clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-8s  %s\n", $$1, $$2 }' Makefile
@@ -59,7 +59,10 @@ browser: $(READY) ## Check the site and an explorer in Chromium (Debian: apt-get
 	$(BIN)/python -m pytest tests/browser $(ARGS)
 
 bench: $(READY) ## Measure speed beside named peers
-	@for file in benchmarks/*.py; do OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python $$file $(ARGS) || exit 1; done
+	@for file in $(filter-out benchmarks/faults.py,$(wildcard benchmarks/*.py)); do OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python $$file $(ARGS) || exit 1; done
+
+faults: $(READY) ## Inject 2,000 random faults into builds of a toy workbook; ARGS="--faults N --seed N --jobs N"
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/faults.py $(ARGS)
 
 portable: $(READY) ## Build under other processors' settings and compare; ARGS="--sample" a few notebooks
 	@$(BIN)/python -m stillwork portable $(ARGS)

@@ -2,10 +2,15 @@
 
 import os
 import resource
+import select
 import signal
+import socket
+import subprocess
+import sys
 
 import pytest
 
+from stillwork.workbook.warm import PROGRAM
 from workbook import toy as toys
 from workbook.toy import until
 
@@ -164,6 +169,30 @@ def test_kernels_die_with_a_runner_that_is_killed_and_the_next_build_tidies_up(t
     toy.add("isolation/01-first")
     assert toy.run("figures").returncode == 0
     assert toy.leftovers() == []
+
+
+def test_results_that_are_harmed_in_mid_build_are_not_compared(built):
+    harm = "file = paths.root() / 'build/figures/isolation/02-second/02-second.ipynb'\nwritten = file.write_text('')"
+    built.add("isolation/01-first", harm)
+    done = built.run("figures")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (
+        "isolation/02-second: output 02-second.ipynb was changed by hand"
+        in built.run("figures", "--why").stdout
+    )
+
+
+def test_a_warmed_process_whose_driver_was_killed_ends_without_a_word():
+    mine, theirs = socket.socketpair()
+    command = [sys.executable, "-P", str(PROGRAM), "warm", str(theirs.fileno())]
+    process = subprocess.Popen(command, pass_fds=[theirs.fileno()], stderr=subprocess.PIPE, text=True)
+    theirs.close()
+    mine.sendall(b'{"asked": 1, "arguments": [], "environment": {}, "folder": "/nowhere"}\n')
+    select.select([mine], [], [])
+    mine.close()  # what it told is not read any more
+    said = process.communicate(timeout=60)[1]
+    assert process.returncode == 0
+    assert "ConnectionResetError" not in said
 
 
 def test_a_page_of_another_name(toy):

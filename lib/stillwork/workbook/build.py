@@ -15,7 +15,7 @@ from stillwork.workbook.jupyter_kernel import stop
 from stillwork.workbook.lock import alone, interrupts, settle
 from stillwork.workbook.progress import Progress
 from stillwork.workbook.provenance import commit, modified, provenance
-from stillwork.workbook.publish import replace_record, tidy
+from stillwork.workbook.publish import read_record, replace_record, tidy
 from stillwork.workbook.tasks import Task, tasks
 from stillwork.workbook.warm import warmed
 
@@ -145,8 +145,9 @@ def _compare(wanted: list[Task]) -> None:
     """Say how the results agree with the committed ones, and where they are."""
     from stillwork.workbook.compare import compare, summary
 
-    if wanted:
-        for line in summary([compare(task) for task in wanted]):
+    whole = [task for task in wanted if (found := read_record(task.target)) and not found[1]]
+    if whole:
+        for line in summary([compare(task) for task in whole]):
             print(line)
 
 

@@ -8,6 +8,7 @@ is slow to import and nothing of the workbook, then forks a kernel for each line
 inherited socket, and tells how each one ended.
 """
 
+import contextlib
 import hashlib
 import importlib
 import json
@@ -153,6 +154,17 @@ def warm(descriptor: int) -> None:
     signal.signal(signal.SIGCHLD, lambda *_: None)
     signal.set_wakeup_fd(wake, warn_on_full_buffer=False)
     running: set[int] = set()
+    with contextlib.suppress(ConnectionError):  # a driver that was killed
+        _serve(driver, woken, wake, running)
+    for pid in running:
+        try:
+            os.killpg(pid, signal.SIGKILL)
+        except OSError:
+            continue
+
+
+def _serve(driver: socket.socket, woken: int, wake: int, running: set[int]) -> None:
+    """Fork and tell until the driver closes its end; `running` are the kernels that have not ended."""
     pending = b""
     while True:
         ready, _, _ = select.select([driver, woken], [], [])
@@ -177,11 +189,6 @@ def warm(descriptor: int) -> None:
                 running.discard(pid)
                 ended = {"pid": pid, "code": os.waitstatus_to_exitcode(status)}
                 driver.sendall(json.dumps(ended).encode() + b"\n")
-    for pid in running:
-        try:
-            os.killpg(pid, signal.SIGKILL)
-        except OSError:
-            continue
 
 
 def _lead(pid: int) -> None:

@@ -121,7 +121,10 @@ class Warm:
             if self._lost:
                 return
             while select.select([self._socket], [], [], seconds)[0]:
-                received = self._socket.recv(65536)
+                try:
+                    received = self._socket.recv(65536)
+                except ConnectionError:  # killed before it had read all
+                    received = b""
                 if not received:
                     self._lost = True
                     return
