@@ -27,7 +27,7 @@ from stillwork.base.checks import InputError
 from stillwork.control.bandwidth import SIX_DB
 from stillwork.control.loops import channel
 from stillwork.control.pid import PidFamily
-from stillwork.estimation.observer import Noise
+from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti import zoh_modes
 from stillwork.lti.discretisation import tustin, zoh_response
 
@@ -168,7 +168,7 @@ def test_tustin_is_the_bilinear_rule_and_holds_the_frequency_asked_for():
 def test_gain_is_where_the_printed_riccati_recursion_settles(plant, noise_model):
     """The difference equation of section 6.3, iterated from rest, in units that keep it well scaled."""
     model = observer_model(plant).modes(slice(0, 5))
-    noise = Noise(1e-4, 1e-14)
+    noise = NoiseIntensities(1e-4, 1e-14)
     observer = rig_observer(model, noise, STEP, noise_model)
     held = zoh_modes(model, STEP)
     a, g, c, q = held.a, held.b, held.c * 1e7, noise.process * np.eye(3)
@@ -316,7 +316,7 @@ def test_equal_peaks_name_the_first_function(loops):
 def test_an_exact_observer_without_sensor_noise_takes_the_modes_out(plant):
     """MC on a plant without unknown modes: what the controller sees is the rigid body."""
     eight = plant.modes(slice(0, 11))
-    observer = rig_observer(eight, Noise(1e-4, 1e-18), STEP)
+    observer = rig_observer(eight, NoiseIntensities(1e-4, 1e-18), STEP)
     d = decoupling(GEOMETRY, GEOMETRY.used, POSITIONS[1])
     omega = 2 * np.pi * np.array([10.0, 137.9, 138.0, 512.0, 1178.0])
     seen = make_rig_loop(eight, rig_compensator(observer, True), d, STEP, omega).equivalent_plant()

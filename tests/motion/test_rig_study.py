@@ -35,14 +35,14 @@ from experiments.motion.rig_tracking import (
 )
 from stillwork.base.checks import InputError
 from stillwork.control.loops import channel
-from stillwork.estimation.observer import Noise
+from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti import ModalModel, simulate, zoh_modes
 from stillwork.workbook.studies import run_study
 
 GEOMETRY = assumed_geometry()
 SETTINGS = published_settings()
 PIDS = rig_controllers(GEOMETRY)(4.0, 5.0)
-SILENT = Noise(1e-30, 1e-40)
+SILENT = NoiseIntensities(1e-30, 1e-40)
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +96,7 @@ def test_expected_rms_is_that_of_simulations(loops, case):
     np.testing.assert_allclose(
         np.sqrt((error**2).mean(axis=1)), levelling_rms(loop, PIDS, GEOMETRY, trajectory, SILENT), rtol=2e-3
     )
-    noise = Noise(1e-4, 1e-18)
+    noise = NoiseIntensities(1e-4, 1e-18)
     errors = [
         levelling_error(loop, PIDS, GEOMETRY, trajectory, noise, np.random.default_rng(k)) for k in range(6)
     ]

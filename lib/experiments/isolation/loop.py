@@ -29,7 +29,7 @@ class Bank(NamedTuple):
     second: np.ndarray  # (sections, channels)
 
 
-class Loop(NamedTuple):
+class ClosedLoop(NamedTuple):
     """Coefficients and memory of a closed loop; the kernel changes the memory in place."""
 
     plant: np.ndarray  # (inputs, outputs): [A B; C D]' padded, from [states, force, floor] to [states, a1]
@@ -67,7 +67,7 @@ class Signals(NamedTuple):
     error_power: np.ndarray  # (kept,), mean of e'e since the last kept
 
 
-def loop_of(twin: Twin, feedback: bool, weights: np.ndarray, covariance: np.ndarray) -> Loop:
+def loop_of(twin: Twin, feedback: bool, weights: np.ndarray, covariance: np.ndarray) -> ClosedLoop:
     """Loop of a twin at rest, with its skyhook closed or open."""
     a, b, c, d = twin.plant.discrete(twin.sample_time)
     matrix = np.block([[a, b], [c, d]]).T
@@ -78,7 +78,7 @@ def loop_of(twin: Twin, feedback: bool, weights: np.ndarray, covariance: np.ndar
     diagonal = twin.feedforward.estimate == "diagonal"
     powers = twin.feedforward.integrator_powers
     skyhook = rows_of(twin.skyhook_filter)
-    return Loop(
+    return ClosedLoop(
         plant=plant,
         states=len(a),
         vector=aligned(inputs),
@@ -203,7 +203,7 @@ def _advance(
         a0.
     noise : (samples, outputs + sensors)
         n1 and n0, before the conditioners.
-    loop : Loop
+    loop : ClosedLoop
         Changed in place.
     signals : Signals
         Filled.

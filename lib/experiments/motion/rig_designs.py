@@ -19,7 +19,7 @@ from experiments.motion.rig import (
 from experiments.motion.rig_control import pid_response, rig_compensator, rig_observer
 from experiments.motion.rig_loops import RigControllers, RigLoop, make_rig_loop
 from stillwork.control.pid import Pid
-from stillwork.estimation.observer import Noise
+from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.reduction import truncate
 
@@ -32,7 +32,7 @@ class RigSettings:
     """What chapter 6 prints about the observer and its uses."""
 
     step: float  # s
-    noise: Noise  # covariances a sample, N^2 and m^2
+    noise: NoiseIntensities  # covariances a sample, N^2 and m^2
     noise_model: float  # N^2, Q_nu with MC alone
     noise_model_both: float  # N^2, Q_nu with MC and AD
     target_damping: float
@@ -44,7 +44,7 @@ def published_settings() -> RigSettings:
     p = published()
     return RigSettings(
         1 / p["sample_rate_hz"],
-        Noise(p["process"], p["sensor"]),
+        NoiseIntensities(p["process"], p["sensor"]),
         p["noise_model"],
         assumed()["noise_model_both"],
         p["target_damping"],

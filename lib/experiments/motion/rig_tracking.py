@@ -12,7 +12,7 @@ from experiments.motion.rig_loops import RigLoop
 from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.control.loops import channel
 from stillwork.control.pid import Pid
-from stillwork.estimation.observer import Noise
+from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti.simulation import simulate
 from stillwork.lti.state_space import StateModel
 
@@ -86,7 +86,7 @@ def _lines(trajectory: Levelling, loop: RigLoop, geometry: Geometry) -> Complex1
 
 
 def levelling_rms(
-    loop: RigLoop, pids: Sequence[Pid], geometry: Geometry, trajectory: Levelling, noise: Noise
+    loop: RigLoop, pids: Sequence[Pid], geometry: Geometry, trajectory: Levelling, noise: NoiseIntensities
 ) -> Float64[np.ndarray, "3"]:
     """Expected rms of the true error in z (m), rx and ry (rad), in steady state: lines plus noise.
 
@@ -139,7 +139,7 @@ def levelling_error(
     pids: Sequence[Pid],
     geometry: Geometry,
     trajectory: Levelling,
-    noise: Noise,
+    noise: NoiseIntensities,
     rng: np.random.Generator,
     periods: int = 1,
 ) -> Float64[np.ndarray, "3 samples"]:

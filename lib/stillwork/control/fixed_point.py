@@ -60,7 +60,7 @@ class Controller:
 
 
 @dataclass(frozen=True)
-class Run:
+class ControlledRun:
     """One simulated run; all arrays of shape (samples,), NaN after a divergence."""
 
     trajectory: Trajectory
@@ -104,7 +104,7 @@ def simulate(
     integration: str = "semi-implicit",
     start: tuple[float, float] | None = None,
     bound: float = 10.0,
-) -> Run:
+) -> ControlledRun:
     """Drive `plant` along `trajectory`.
 
     In every sample: measure; filter; desired acceleration (1); deformed acceleration by the transformation,
@@ -134,7 +134,7 @@ def simulate(
 
     Returns
     -------
-    Run
+    ControlledRun
         With `diverged_at` and `cause` when it diverged.
 
     Warns
@@ -186,7 +186,7 @@ def simulate(
             NOT_DEFINITE: "the filter's covariance is no longer positive definite",
         }
         ending = {"diverged_at": float(done * trajectory.time_step), "cause": causes[status]}
-    return Run(trajectory, **dict(zip(COLUMNS, record, strict=True)), **ending)
+    return ControlledRun(trajectory, **dict(zip(COLUMNS, record, strict=True)), **ending)
 
 
 def response_gain(plant: Plant, model: Plant) -> float:

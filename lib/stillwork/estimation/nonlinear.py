@@ -21,7 +21,7 @@ SIGNATURE = "void(float64[::1], float64[::1], float64[::1], float64[::1])"
 
 
 @dataclass(frozen=True)
-class StateModel:
+class NonlinearModel:
     """x_k = transition(x_{k-1}, u_{k-1}) + w, z_k = measurement(x_k, u_{k-1}) + v: (9).
 
     Attributes
@@ -70,7 +70,7 @@ class StateEstimate:
 
 
 def unscented_filter(
-    model: StateModel,
+    model: NonlinearModel,
     measurements: ArrayLike,
     inputs: ArrayLike | None = None,
     *,
@@ -84,7 +84,7 @@ def unscented_filter(
 
     Parameters
     ----------
-    model : StateModel
+    model : NonlinearModel
         Own model.
     measurements : array_like, shape (outputs, samples)
         z.
@@ -108,7 +108,7 @@ def unscented_filter(
 
 
 def extended_filter(
-    model: StateModel,
+    model: NonlinearModel,
     measurements: ArrayLike,
     inputs: ArrayLike | None = None,
     *,
