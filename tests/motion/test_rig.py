@@ -117,7 +117,7 @@ def test_rig_has_the_published_frequencies_and_damping():
 def test_decoupling_leaves_only_mass_and_inertias(position):
     d = decoupling(GEOMETRY, GEOMETRY.used, position)
     rigid = rig_model(GEOMETRY).at(GEOMETRY.used, position).modes(slice(0, 3))
-    mobility = d.sensors @ rigid.output_shapes @ rigid.input_shapes @ d.actuators
+    mobility = d.sensing @ rigid.output_shapes @ rigid.input_shapes @ d.actuation
     np.testing.assert_allclose(mobility, np.diag(1 / scaled_inertia(GEOMETRY)), atol=1e-14)
     np.testing.assert_allclose(scaled_inertia(GEOMETRY), 20.0 * np.array([1, 1 / 3, 1 / 3]))
 
@@ -127,7 +127,7 @@ def test_decoupling_by_hand_for_a_tilt():
     heights = rigid_shapes(GEOMETRY.sensor_places) @ tilt
     x, y = GEOMETRY.sensor_places[2]
     assert heights[2] == pytest.approx(1e-3 + 2e-3 * y + 3e-3 * x)
-    read = decoupling(GEOMETRY, (0, 1, 2, 3), (0, 1, 2, 3)).sensors @ heights
+    read = decoupling(GEOMETRY, (0, 1, 2, 3), (0, 1, 2, 3)).sensing @ heights
     np.testing.assert_allclose(read / GEOMETRY.edges, tilt)
 
 
@@ -218,7 +218,7 @@ def test_loop_functions_are_those_of_the_simulated_loop(loops, case):
         return whole[:, to[target] : to[target] + 3, at[source] : at[source] + 3]
 
     d = loop.decoupling
-    gamma, upsilon = d.actuators, d.sensors
+    gamma, upsilon = d.actuation, d.sensing
     expected = {
         "S_I": upsilon @ block("r", "e_meas") @ np.linalg.inv(upsilon),
         "S_I2": np.linalg.inv(gamma) @ block("u_ff", "u") @ gamma,
@@ -321,7 +321,7 @@ def test_an_exact_observer_without_sensor_noise_takes_the_modes_out(plant):
     omega = 2 * np.pi * np.array([10.0, 137.9, 138.0, 512.0, 1178.0])
     seen = make_rig_loop(eight, rig_compensator(observer, True), d, STEP, omega).equivalent_plant()
     rigid = zoh_response(eight.modes(slice(0, 3)), STEP, omega)
-    rigid = np.einsum("ij,jkw,kl->ilw", d.sensors, rigid, d.actuators)
+    rigid = np.einsum("ij,jkw,kl->ilw", d.sensing, rigid, d.actuation)
     np.testing.assert_allclose(seen, rigid, atol=2e-6 * np.abs(rigid[0, 0]).max())
 
 

@@ -141,10 +141,10 @@ def test_flexible_part_is_that_of_the_modes(loops):
     """Without observer: the difference from the rigid body, mode by mode, at the first resonance."""
     found = flexible_peaks(loops["Original"], scaled_inertia(GEOMETRY))
     plant, d = loops["Original"][0].plant, loops["Original"][0].decoupling
-    residue = d.sensors @ np.outer(plant.output_shapes[:, 3], plant.input_shapes[3]) @ d.actuators
+    residue = d.sensing @ np.outer(plant.output_shapes[:, 3], plant.input_shapes[3]) @ d.actuation
     peak = np.linalg.norm(residue, 2) / (2 * plant.damping[3] * plant.frequencies[3] ** 2)
     assert found.peaks[0] == pytest.approx(peak, rel=0.02)
-    static = d.sensors @ plant.compliance() @ d.actuators
+    static = d.sensing @ plant.compliance() @ d.actuation
     assert found.coupling == pytest.approx(np.abs(static[~np.eye(3, dtype=bool)]).mean(), rel=0.05)
 
 

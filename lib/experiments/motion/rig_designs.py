@@ -125,5 +125,5 @@ def compensated_feedback(loop: RigLoop, pids: Sequence[Pid]) -> float:
     """Largest singular value over frequency of O_yu C_fb, which section 6.3 keeps below 1 (scaled directions)."""
     o_yu = np.moveaxis(loop.compensator.frequency_response(loop.omega)[3:, :3], -1, 0)
     control = np.stack([pid_response(pid, loop.step, loop.omega) for pid in pids], axis=1)
-    seen = loop.decoupling.sensors @ o_yu @ loop.decoupling.actuators * control[:, None, :]
+    seen = loop.decoupling.sensing @ o_yu @ loop.decoupling.actuation * control[:, None, :]
     return float(np.linalg.norm(seen, 2, axis=(1, 2)).max())

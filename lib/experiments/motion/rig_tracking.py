@@ -54,7 +54,7 @@ def _to_error(loop: RigLoop, pids: Sequence[Pid], geometry: Geometry) -> StateMo
     """
     closed = loop.closed(pids)
     blocks = [channel(closed, name, "e_true", 3, 3) for name in ("v", "w", "d")]
-    read = loop.decoupling.sensors / geometry.edges[:, None]
+    read = loop.decoupling.sensing / geometry.edges[:, None]
     model = StateModel(
         closed.a,
         np.hstack([block.b for block in blocks]),
@@ -81,8 +81,8 @@ def _lines(trajectory: Levelling, loop: RigLoop, geometry: Geometry) -> Complex1
     held = loop.step**2 * (turned + 1) / (2 * (turned - 1) ** 2)
     scaled = geometry.edges[:, None] * trajectory.lines
     force = scaled_inertia(geometry)[:, None] * scaled / held
-    at_sensors = np.linalg.solve(loop.decoupling.sensors, scaled)
-    return np.vstack([at_sensors, loop.decoupling.actuators @ force])
+    at_sensors = np.linalg.solve(loop.decoupling.sensing, scaled)
+    return np.vstack([at_sensors, loop.decoupling.actuation @ force])
 
 
 def levelling_rms(
