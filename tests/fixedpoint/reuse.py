@@ -39,7 +39,7 @@ def use(own_model):
         initial_mean=[0.0, 0.0],
         initial_covariance=[1.0, 1.0],
     )
-    kernels = (fixed_point._closed_loop, nonlinear_kernels._model_record)
+    kernels = (fixed_point._closed_loop, nonlinear_kernels.model_record)
     callbacks = [
         callback(own_model.cart_acceleration, plant.SIGNATURE),
         callback(own_model.cart_force, plant.SIGNATURE),

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from naive import adaptation as naive
 from stillwork.base.checks import InputError
-from stillwork.estimation.adaptive import FeLms, FeRls, _felms_update, _ferls_update
+from stillwork.estimation.adaptive import FeLms, FeRls, felms_update, ferls_update
 from stillwork.estimation.online import (
     Stepper,
     UnstableAdaptation,
@@ -129,8 +129,8 @@ def test_limit_is_added_information():
     psi, e = rng.standard_normal(5), rng.standard_normal(2)
     unlimited, limits = covariance.copy(), 0.6 * np.diag(covariance)
     weights, same = np.zeros((2, 5)), np.zeros((2, 5))
-    _ferls_update(weights, covariance, psi, e, 0.9, limits, np.empty(5))
-    _ferls_update(same, unlimited, psi, e, 0.9, np.full(5, np.inf), np.empty(5))
+    ferls_update(weights, covariance, psi, e, 0.9, limits, np.empty(5))
+    ferls_update(same, unlimited, psi, e, 0.9, np.full(5, np.inf), np.empty(5))
     assert np.any(np.diag(unlimited) > limits)  # the limit had something to do
     np.testing.assert_allclose(covariance, naive.limited(unlimited, limits), atol=1e-13)
     np.testing.assert_array_equal(weights, same)
@@ -323,13 +323,13 @@ def test_update_kernels_run_without_compilation_too():
     rng = np.random.default_rng(3)
     psi, e = rng.standard_normal(9), rng.standard_normal(6)
     for update, extra in (
-        (_ferls_update, (0.99, np.full(9, np.inf), np.empty(9))),
-        (_felms_update, (0.1, 1e-5, 6.0)),
+        (ferls_update, (0.99, np.full(9, np.inf), np.empty(9))),
+        (felms_update, (0.1, 1e-5, 6.0)),
     ):
         results = []
         for function in (update, update.py_func):
             weights, covariance = np.ones((6, 9)), np.eye(9)
-            state = (weights, covariance) if update is _ferls_update else (weights,)
+            state = (weights, covariance) if update is ferls_update else (weights,)
             function(*state, psi, e, *extra)
             results.append((weights, covariance))
         np.testing.assert_allclose(results[0][0], results[1][0], rtol=1e-14)

@@ -12,7 +12,7 @@ import numpy as np
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import InputError
 from stillwork.base.kernels import inlined_kernel, kernel
-from stillwork.estimation.adaptive import _felms_update, _ferls_update
+from stillwork.estimation.adaptive import felms_update, ferls_update
 
 FROZEN, FELMS, FERLS = 0, 1, 2  # what the kernel does with the weights
 STABLE, OVERLOAD, INDEFINITE = 0, 1, 2  # why it stopped
@@ -160,7 +160,7 @@ def _filter_each(sections, first, second, values):
 
 
 @kernel
-def _filter_block(sections, first, second, signals):
+def filter_block(sections, first, second, signals):
     """A block of samples, (samples, channels), through a bank with a cascade for each channel, in place."""
     for k in range(len(signals)):
         _filter_each(sections, first, second, signals[k])
@@ -180,7 +180,7 @@ def _multiply(matrix, vector, product):
 
 
 @kernel
-def _advance(
+def advance(
     floor,
     noise,
     loop,
@@ -343,9 +343,9 @@ def _advance(
                 command[i] += floor_inertia[i, j] * floor[k, j]
 
         if adaptation == FELMS:
-            _felms_update(weights, filtered, error, step_size, regularisation, trace_copies)
+            felms_update(weights, filtered, error, step_size, regularisation, trace_copies)
         elif adaptation == FERLS:
-            _ferls_update(weights, covariance, filtered, error, forgetting, limits, gain)
+            ferls_update(weights, covariance, filtered, error, forgetting, limits, gain)
             for i in range(count):
                 if not covariance[i, i] > 0.0:
                     return INDEFINITE, k

@@ -198,7 +198,7 @@ def _runs(
             samples = min(samples, first - done)
         floor_block, noise_block = sources.draw(samples)
         for adaptation, code, numbers, closed, kept in sides:
-            status, reached = loop._advance(
+            status, reached = loop.advance(
                 floor_block,
                 noise_block,
                 closed,

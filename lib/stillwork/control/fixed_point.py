@@ -10,9 +10,9 @@ from stillwork.base.checks import InputError, require_array, require_choice, req
 from stillwork.base.kernels import kernel
 from stillwork.control.kinematics import KinematicDesign
 from stillwork.control.trajectory import Trajectory
-from stillwork.control.transformation import Transformation, _deform, warn_outside_contraction
+from stillwork.control.transformation import Transformation, deform_packed, warn_outside_contraction
 from stillwork.estimation.coordinate_filters import Filter, require_step
-from stillwork.estimation.filtering import _filter_step, model_of
+from stillwork.estimation.filtering import filter_step, model_of
 from stillwork.estimation.plant import Plant, partial_derivatives
 
 INTEGRATIONS = ("semi-implicit", "explicit")
@@ -234,7 +234,7 @@ def _closed_loop(
         measured = position + noise[i]
         if resolution > 0.0:
             measured = np.round((measured - grid) / resolution) * resolution + grid
-        if not _filter_step(
+        if not filter_step(
             kind,
             options,
             process,
@@ -255,7 +255,7 @@ def _closed_loop(
         for j in range(1, integrals + 1):
             chain[j] += time_step * chain[j - 1]
             desired += gains[integrals - j] * chain[j]
-        deformed = desired if i == 0 else _deform(transformation, deformed, estimate[2], desired)
+        deformed = desired if i == 0 else deform_packed(transformation, deformed, estimate[2], desired)
         force = model_force(seen, estimate[1], deformed, model)
         if not np.isfinite(force):
             return i, NOT_FINITE

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from stillwork.base.checks import InputError, require_array, require_count
 from stillwork.base.kernels import callback
 from stillwork.estimation.gaussian import BLOCKS, COVARIANCE, ESTIMATE, MEANS, require_covariance
-from stillwork.estimation.nonlinear_kernels import _model_record
+from stillwork.estimation.nonlinear_kernels import model_record
 from stillwork.estimation.unscented import SigmaPoints
 
 SIGNATURE = "void(float64[::1], float64[::1], float64[::1], float64[::1])"
@@ -146,7 +146,7 @@ def _run(unscented, model, prepared, weights):
     samples, n = len(prepared[0]), model.states
     means, covariances = np.empty((samples, n)), np.empty((samples, n, n))
     functions = callback(model.transition, SIGNATURE), callback(model.measurement, SIGNATURE)
-    done = _model_record(unscented, *functions, model.parameters, *prepared, weights, means, covariances)
+    done = model_record(unscented, *functions, model.parameters, *prepared, weights, means, covariances)
     if done < samples:
         raise InputError(
             f"the covariance stops being positive definite at sample {done}; raise process or noise"

@@ -163,5 +163,5 @@ def worst_case_residuals(
     forgetting = require_number("forgetting", forgetting, above=0.0, at_most=1.0)
     worst = np.empty(len(outputs))
     rows, points = np.ascontiguousarray(regressors.T), np.ascontiguousarray(estimates.T)
-    recursive_kernels._worst_residuals(rows, outputs, bounds, forgetting, points, worst)
+    recursive_kernels.worst_residuals(rows, outputs, bounds, forgetting, points, worst)
     return worst
