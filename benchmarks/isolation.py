@@ -62,7 +62,7 @@ import numpy as np
 from stillwork.estimation.adaptive import FeLms, FeRls
 from experiments.isolation.cures import run_cure
 from experiments.isolation.floors import flat_floor
-from stillwork.estimation.online import Stepper, identify
+from stillwork.estimation.online import AdaptationStepper, identify
 from experiments.isolation.simulation import simulate
 from experiments.isolation.stability import covariance_run
 from experiments.isolation.twin import load_twin
@@ -72,7 +72,7 @@ psi, d = rng.standard_normal((9, 200)), rng.standard_normal((6, 200))
 twin = load_twin("rigid_body")
 for settings in (FeLms(), FeRls(1.0)):
     identify(settings, psi, d)
-    Stepper(settings, np.zeros((6, 9))).step(psi[:, 0], d[:, 0])
+    AdaptationStepper(settings, np.zeros((6, 9))).update(psi[:, 0], d[:, 0])
     simulate(twin, flat_floor(), 0.2, adaptation=settings)
 simulate(twin.varied(estimate="full"), flat_floor(), 0.2)
 for precision in ("float64", "float32"):

@@ -119,8 +119,8 @@ def identify(
     return _run(settings, regressors, "disturbance", disturbance, weights, every)
 
 
-class Stepper:
-    """The adaptation for people who drive hardware: one call a sample.
+class AdaptationStepper:
+    """The adaptation for people who drive hardware: one call a sample, as of `RecursiveStepper`.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ class Stepper:
         self._gain = np.zeros(self.weights.shape[1])
         self.samples = 0
 
-    def step(self, regressor: ArrayLike, error: ArrayLike) -> Float64[np.ndarray, "actuators n"]:
+    def update(self, regressor: ArrayLike, error: ArrayLike) -> Float64[np.ndarray, "actuators n"]:
         """Take in psi_N, shape (n,), and e, shape (actuators,), of one sample; returns a copy of the new weights.
 
         After an exception weights and covariance are those of the sample before: safe to hold or to fade out.
