@@ -12,8 +12,8 @@ from stillwork.control import (
     sine_trajectory,
 )
 from stillwork.estimation import (
+    NonlinearModel,
     Plant,
-    StateModel,
     UnscentedKalman,
     nonlinear,
     nonlinear_kernels,
@@ -30,7 +30,7 @@ def use(own_model):
     )
     controller = Controller(UnscentedKalman(rough), RobustTransformation(), KinematicDesign(10.0), rough)
     run = simulate(own, controller, sine_trajectory(duration=1.0))
-    model = StateModel(own_model.pendulum, own_model.seen, 2, 1, 1, np.array([0.01, 9.81, 0.1]))
+    model = NonlinearModel(own_model.pendulum, own_model.seen, 2, 1, 1, np.array([0.01, 9.81, 0.1]))
     unscented_filter(
         model,
         np.zeros((1, 5)),
@@ -39,7 +39,7 @@ def use(own_model):
         initial_mean=[0.0, 0.0],
         initial_covariance=[1.0, 1.0],
     )
-    kernels = (fixed_point._closed_loop, nonlinear_kernels._model_record)
+    kernels = (fixed_point._closed_loop, nonlinear_kernels.model_record)
     callbacks = [
         callback(own_model.cart_acceleration, plant.SIGNATURE),
         callback(own_model.cart_force, plant.SIGNATURE),

@@ -20,7 +20,7 @@ from stillwork.control.discrete_damping import (
 )
 from stillwork.control.discrete_observer import discrete_compensator, discrete_kalman_observer, predict
 from stillwork.control.feedback import band_pass, damping_gain, fed_back
-from stillwork.estimation.observer import Noise
+from stillwork.estimation.observer import NoiseIntensities
 from stillwork.estimation.robust import kalman_gains
 from stillwork.estimation.time_varying import TimeVaryingModel, estimate
 from stillwork.lti import StateModel, simulate, zoh, zoh_modes
@@ -150,7 +150,7 @@ def test_bad_gains_and_machines_are_refused(reduced):
 
 def test_gain_is_where_the_printed_recursion_ends():
     model = truncate(stage().at([0], [4]), 2, 0)
-    noise = Noise(1e-2, 1e-16)
+    noise = NoiseIntensities(1e-2, 1e-16)
     found = discrete_kalman_observer(model, noise, STEP)
     sampled = zoh_modes(model, STEP)
     a, g, c = sampled.a, sampled.b, sampled.c

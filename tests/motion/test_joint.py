@@ -24,7 +24,7 @@ from experiments.motion.machines import parameters, published_noise, stage
 from stillwork.base.checks import InputError
 from stillwork.control.bandwidth import SIX_DB
 from stillwork.control.loops import channel, closed_loop
-from stillwork.estimation.observer import Noise
+from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti.reduction import truncate
 
 ODD = replace(
@@ -43,7 +43,7 @@ def joint():
 
 @pytest.mark.parametrize(("process", "noise_model"), [(1.0, 1e3), (1e-3, 1e-2), (1e3, 1e6)])
 def test_stacked_gains_are_those_of_the_riccati_equation(process, noise_model):
-    noise = Noise(process * published_noise().process, published_noise().sensor)
+    noise = NoiseIntensities(process * published_noise().process, published_noise().sensor)
     ours = kalman_gains(truncate(stage(), 4, 3), noise, noise_model)
     for mass in (1, 4, 7):
         theirs = stage_observer(mass, noise, noise_model).gain[:, 0]

@@ -29,7 +29,7 @@ from experiments.motion.scan_study import output_rows
 from stillwork.base.checks import InputError
 from stillwork.control.discrete_damping import sampled_feedback
 from stillwork.control.pid import PidFamily
-from stillwork.estimation.observer import Noise
+from stillwork.estimation.observer import NoiseIntensities
 from stillwork.estimation.robust import kalman_gains
 from stillwork.estimation.time_varying import TimeVaryingModel
 from stillwork.lti import modal_model, zoh
@@ -168,11 +168,11 @@ def test_observability_lost_along_a_trajectory_is_named(plant):
         0.01,
     )  # its outputs see the rigid body with either sign
     with pytest.raises(InputError, match="mode 0 is not observable"):
-        pass_node(tilted, [0.0, 0.1, 0.2], np.linspace(0.05, 0.15, 50), 1, Noise(1.0, 1e-6), 1e-3)
+        pass_node(tilted, [0.0, 0.1, 0.2], np.linspace(0.05, 0.15, 50), 1, NoiseIntensities(1.0, 1e-6), 1e-3)
 
 
 def test_online_filter_follows_the_continuous_riccati_equation(plant):
-    model, noise, step = plant.modes([0, 1]), Noise(1e-4, 2e-16), 2e-5
+    model, noise, step = plant.modes([0, 1]), NoiseIntensities(1e-4, 2e-16), 2e-5
     places = move(0.05, 0.0, 1.0, 0.006, 0.0, step)
     states = model.state_space()
     rows = output_rows(shapes_along(model, GRID, places))

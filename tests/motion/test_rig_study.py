@@ -35,14 +35,14 @@ from experiments.motion.rig_tracking import (
 )
 from stillwork.base.checks import InputError
 from stillwork.control.loops import channel
-from stillwork.estimation.observer import Noise
+from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti import ModalModel, simulate, zoh_modes
 from stillwork.workbook.studies import run_study
 
 GEOMETRY = assumed_geometry()
 SETTINGS = published_settings()
 PIDS = rig_controllers(GEOMETRY)(4.0, 5.0)
-SILENT = Noise(1e-30, 1e-40)
+SILENT = NoiseIntensities(1e-30, 1e-40)
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +96,7 @@ def test_expected_rms_is_that_of_simulations(loops, case):
     np.testing.assert_allclose(
         np.sqrt((error**2).mean(axis=1)), levelling_rms(loop, PIDS, GEOMETRY, trajectory, SILENT), rtol=2e-3
     )
-    noise = Noise(1e-4, 1e-18)
+    noise = NoiseIntensities(1e-4, 1e-18)
     errors = [
         levelling_error(loop, PIDS, GEOMETRY, trajectory, noise, np.random.default_rng(k)) for k in range(6)
     ]
@@ -141,10 +141,10 @@ def test_flexible_part_is_that_of_the_modes(loops):
     """Without observer: the difference from the rigid body, mode by mode, at the first resonance."""
     found = flexible_peaks(loops["Original"], scaled_inertia(GEOMETRY))
     plant, d = loops["Original"][0].plant, loops["Original"][0].decoupling
-    residue = d.sensors @ np.outer(plant.output_shapes[:, 3], plant.input_shapes[3]) @ d.actuators
+    residue = d.sensing @ np.outer(plant.output_shapes[:, 3], plant.input_shapes[3]) @ d.actuation
     peak = np.linalg.norm(residue, 2) / (2 * plant.damping[3] * plant.frequencies[3] ** 2)
     assert found.peaks[0] == pytest.approx(peak, rel=0.02)
-    static = d.sensors @ plant.compliance() @ d.actuators
+    static = d.sensing @ plant.compliance() @ d.actuation
     assert found.coupling == pytest.approx(np.abs(static[~np.eye(3, dtype=bool)]).mean(), rel=0.05)
 
 

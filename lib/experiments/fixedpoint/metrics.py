@@ -7,7 +7,7 @@ import numpy as np
 
 from experiments.fixedpoint.noise import Noise
 from stillwork.base.checks import InputError, require_number
-from stillwork.control.fixed_point import Controller, Run, simulate
+from stillwork.control.fixed_point import ControlledRun, Controller, simulate
 from stillwork.control.trajectory import Trajectory, asin_trajectory
 from stillwork.estimation.plant import Plant
 from stillwork.workbook.studies import Study, run_study
@@ -15,7 +15,7 @@ from stillwork.workbook.studies import Study, run_study
 QUANTITIES = ("position", "velocity", "roughness", "position_shift", "velocity_shift")
 
 
-def judge(run: Run, settle: float = 2.0) -> dict[str, float]:
+def judge(run: ControlledRun, settle: float = 2.0) -> dict[str, float]:
     """Numbers of one run, from `settle` seconds on.
 
     Returns
@@ -89,7 +89,7 @@ def noisy_run(
     noise: Noise,
     rng: np.random.Generator | int,
     integration: str = "semi-implicit",
-) -> Run:
+) -> ControlledRun:
     """One run with noise from a generator or a seed."""
     rng = np.random.default_rng(rng)
     return simulate(

@@ -4,7 +4,7 @@ import numpy as np
 
 from experiments.fixedpoint.published import EXTENDED, KALMAN, LITERAL, LOW_PASS, POLYNOMIAL, WINDOW
 from stillwork.base.rounding import first_largest
-from stillwork.control.fixed_point import Run
+from stillwork.control.fixed_point import ControlledRun
 from stillwork.control.trajectory import Trajectory
 from stillwork.workbook import figures
 from stillwork.workbook.studies import Study, mean_interval
@@ -19,12 +19,12 @@ COLOURS = {
 }
 
 
-def tracking(runs: dict[str, Run], quantity: str = "position"):
+def tracking(runs: dict[str, ControlledRun], quantity: str = "position"):
     """Nominal and true motion; the tracking error's range over the run; the error where the motion turns hardest.
 
     Parameters
     ----------
-    runs : dict of str to Run
+    runs : dict of str to ControlledRun
         By the filter's name.
     quantity : str
         ``position`` or ``velocity``.
@@ -74,7 +74,7 @@ def _range_after(runs, quantity, factor, settle=2.0):
     return -reach, reach
 
 
-def phase(runs: dict[str, Run], last: float = 5.0):
+def phase(runs: dict[str, ControlledRun], last: float = 5.0):
     """Phase trajectories over the last seconds, whole and where the coordinate is largest."""
     figure, (whole, corner) = figures.new(1, 2, height=3.6)
     nominal = next(iter(runs.values())).trajectory
@@ -190,7 +190,7 @@ def statement_map(columns: list[str], fractions: dict[str, list[float]], label: 
     return figure
 
 
-def estimate_shift(runs: dict[str, Run], settle: float = 2.0):
+def estimate_shift(runs: dict[str, ControlledRun], settle: float = 2.0):
     """Error of the filter's estimates against the derivative: a shift in time is a straight line."""
     figure, panels = figures.new(1, 2, height=3.4)
     rows = (

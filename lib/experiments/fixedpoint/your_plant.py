@@ -17,7 +17,7 @@ from experiments.fixedpoint.oscillator import load_oscillator
 from experiments.fixedpoint.published import KALMAN, LOW_PASS, WINDOW, published_controllers
 from stillwork.base import paths
 from stillwork.base.checks import InputError, nearest, require_choice, require_number
-from stillwork.control.fixed_point import Controller, Run
+from stillwork.control.fixed_point import ControlledRun, Controller
 from stillwork.control.fixed_point_convergence import StableRange, stable_range
 from stillwork.control.fixed_point_linear import linear_loop
 from stillwork.control.kinematics import KinematicDesign
@@ -308,7 +308,7 @@ def stable_ranges(
 
 def drive(
     models: Models, chosen: Mapping[str, Controller], trajectory: Trajectory, noise: Noise, seed: int
-) -> dict[str, Run]:
+) -> dict[str, ControlledRun]:
     """One run of every controller in the same noise; contraction is judged by `warnings_of`, not here."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ContractionWarning)

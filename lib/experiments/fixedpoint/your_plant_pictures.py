@@ -9,7 +9,7 @@ from experiments.fixedpoint.metrics import judge
 from experiments.fixedpoint.noise import Noise
 from experiments.fixedpoint.run_pictures import COLOURS
 from experiments.fixedpoint.your_plant import Contraction, Models, contraction_along, drive
-from stillwork.control.fixed_point import Controller, Run
+from stillwork.control.fixed_point import ControlledRun, Controller
 from stillwork.control.kinematics import KinematicDesign
 from stillwork.control.trajectory import Trajectory
 from stillwork.control.transformation import FlowTransformation
@@ -37,7 +37,7 @@ def draw_contraction(found: Contraction, chosen: Mapping[str, Controller]):
     return figure
 
 
-def draw_runs(runs: Mapping[str, Run], settle: float):
+def draw_runs(runs: Mapping[str, ControlledRun], settle: float):
     """Nominal and true motion, and the range of the tracking error in short stretches."""
     figure, (motion, error) = figures.new(2, 1, height=4.8, sharex=True)
     nominal = next(iter(runs.values())).trajectory
@@ -61,7 +61,7 @@ def draw_runs(runs: Mapping[str, Run], settle: float):
     return figure
 
 
-def _envelope(run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _envelope(run: ControlledRun) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Middle of each stretch in s, smallest and largest error in it in mm."""
     length = max(1, len(run.time) // _BINS)
     whole = len(run.time) // length * length

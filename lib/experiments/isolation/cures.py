@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from stillwork.base.checks import require_array, require_choice, require_count, require_number
 from stillwork.base.kernels import kernel
-from stillwork.estimation.adaptive import _add_information, _ferls_update
+from stillwork.estimation.adaptive import add_information, ferls_update
 
 CURES = ("none", "trace bound", "leakage", "limit")
 NONE, TRACE_BOUND, LEAKAGE, LIMIT = range(4)
@@ -195,12 +195,12 @@ def _cure_run(
         if not abs(command) <= OVERLOAD * largest:
             return k
 
-        _ferls_update(weights, covariance, shaped, error, forgetting, limits, gain)
+        ferls_update(weights, covariance, shaped, error, forgetting, limits, gain)
         if cure == LEAKAGE:
             # One axis a sample with n times the amount: the same on average at the cost of one.
             axis = k % n
             information = n * (1 - forgetting) / (growth * start[axis])
-            _add_information(covariance, axis, information, gain)
+            add_information(covariance, axis, information, gain)
         elif cure == TRACE_BOUND:
             trace = 0.0
             for i in range(n):

@@ -12,7 +12,7 @@ import numpy as np
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import InputError
 from stillwork.base.kernels import inlined_kernel, kernel
-from stillwork.estimation.adaptive import _felms_update, _ferls_update
+from stillwork.estimation.adaptive import felms_update, ferls_update
 
 FROZEN, FELMS, FERLS = 0, 1, 2  # what the kernel does with the weights
 STABLE, OVERLOAD, INDEFINITE = 0, 1, 2  # why it stopped
@@ -29,7 +29,7 @@ class Bank(NamedTuple):
     second: np.ndarray  # (sections, channels)
 
 
-class Loop(NamedTuple):
+class ClosedLoop(NamedTuple):
     """Coefficients and memory of a closed loop; the kernel changes the memory in place."""
 
     plant: np.ndarray  # (inputs, outputs): [A B; C D]' padded, from [states, force, floor] to [states, a1]
@@ -67,7 +67,7 @@ class Signals(NamedTuple):
     error_power: np.ndarray  # (kept,), mean of e'e since the last kept
 
 
-def loop_of(twin: Twin, feedback: bool, weights: np.ndarray, covariance: np.ndarray) -> Loop:
+def loop_of(twin: Twin, feedback: bool, weights: np.ndarray, covariance: np.ndarray) -> ClosedLoop:
     """Loop of a twin at rest, with its skyhook closed or open."""
     a, b, c, d = twin.plant.discrete(twin.sample_time)
     matrix = np.block([[a, b], [c, d]]).T
@@ -78,7 +78,7 @@ def loop_of(twin: Twin, feedback: bool, weights: np.ndarray, covariance: np.ndar
     diagonal = twin.feedforward.estimate == "diagonal"
     powers = twin.feedforward.integrator_powers
     skyhook = rows_of(twin.skyhook_filter)
-    return Loop(
+    return ClosedLoop(
         plant=plant,
         states=len(a),
         vector=aligned(inputs),
@@ -160,7 +160,7 @@ def _filter_each(sections, first, second, values):
 
 
 @kernel
-def _filter_block(sections, first, second, signals):
+def filter_block(sections, first, second, signals):
     """A block of samples, (samples, channels), through a bank with a cascade for each channel, in place."""
     for k in range(len(signals)):
         _filter_each(sections, first, second, signals[k])
@@ -180,7 +180,7 @@ def _multiply(matrix, vector, product):
 
 
 @kernel
-def _advance(
+def advance(
     floor,
     noise,
     loop,
@@ -203,7 +203,7 @@ def _advance(
         a0.
     noise : (samples, outputs + sensors)
         n1 and n0, before the conditioners.
-    loop : Loop
+    loop : ClosedLoop
         Changed in place.
     signals : Signals
         Filled.
@@ -343,9 +343,9 @@ def _advance(
                 command[i] += floor_inertia[i, j] * floor[k, j]
 
         if adaptation == FELMS:
-            _felms_update(weights, filtered, error, step_size, regularisation, trace_copies)
+            felms_update(weights, filtered, error, step_size, regularisation, trace_copies)
         elif adaptation == FERLS:
-            _ferls_update(weights, covariance, filtered, error, forgetting, limits, gain)
+            ferls_update(weights, covariance, filtered, error, forgetting, limits, gain)
             for i in range(count):
                 if not covariance[i, i] > 0.0:
                     return INDEFINITE, k

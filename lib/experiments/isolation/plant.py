@@ -12,7 +12,7 @@ from stillwork.base.checks import InputError, require_array
 
 
 @dataclass(frozen=True)
-class Plant:
+class Platform:
     """``M y + C ∫y + K ∫∫y = B f + D ∫a0 + K0 ∫∫a0``, ``a1 = H y``, with y the acceleration.
 
     Written in accelerations because they are what the sensors give; its realisation below has no integrator.
@@ -91,11 +91,11 @@ class Plant:
         return float(1 / np.mean(np.diag(self.observation @ np.linalg.solve(self.mass, self.actuation))))
 
 
-def plant_of_rig(rig: Rig) -> Plant:
+def plant_of_rig(rig: Rig) -> Platform:
     """The rigid body on its struts, whose feet follow the floor plate as its sensors tell."""
     plate = rig.plate_motion
     actuators = len(rig.actuators.positions)
-    return Plant(
+    return Platform(
         mass=rig.mass_matrix,
         damping=rig.damping_matrix,
         stiffness=rig.stiffness_matrix,

@@ -90,7 +90,7 @@ class Skyhook:
 
 
 @dataclass(frozen=True)
-class Feedforward:
+class SelfTunedFeedforward:
     """Settings of the self-tuned feedforward, Sections 3 and 4."""
 
     integrator_order: int  # n

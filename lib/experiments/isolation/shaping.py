@@ -17,7 +17,7 @@ Sections = Float64[np.ndarray, "sections 6"]
 
 
 @dataclass(frozen=True)
-class Notch:
+class FrequencyNotch:
     """Notch (s² + depth width w s + w²) / (s² + width w s + w²); the defaults are those of eq. (1)."""
 
     frequency_hz: float
@@ -31,8 +31,8 @@ class Notch:
 
 
 # The paper gives the mains' frequencies but no widths; narrow ones keep the band between them.
-RESONANCE = Notch(962.0)
-MAINS = tuple(Notch(frequency, width=0.1) for frequency in (50.0, 100.0, 200.0))
+RESONANCE = FrequencyNotch(962.0)
+MAINS = tuple(FrequencyNotch(frequency, width=0.1) for frequency in (50.0, 100.0, 200.0))
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class NoiseShaping:
     highpass_hz: float = 6.0
     lowpass_hz: float = 300.0
     order: int = 3
-    notches: tuple[Notch, ...] = (RESONANCE, *MAINS)
+    notches: tuple[FrequencyNotch, ...] = (RESONANCE, *MAINS)
 
     def __post_init__(self):
         require_number("highpass_hz", self.highpass_hz, above=0.0)
@@ -176,7 +176,7 @@ def conditioning(sample_time: float, highpass_hz: float = 0.1, lowpass_hz: float
 
 
 def skyhook(
-    gain: float, sample_time: float, cutoff: float = 1.0, notch: Notch | None = RESONANCE
+    gain: float, sample_time: float, cutoff: float = 1.0, notch: FrequencyNotch | None = RESONANCE
 ) -> Sections:
     """Skyhook damping k_v / (s + w_i) with a notch, eq. (1); the actuator gets minus its output.
 
@@ -191,7 +191,7 @@ def skyhook(
         s.
     cutoff : float
         w_i of the weak integrator, rad/s.
-    notch : Notch, optional
+    notch : FrequencyNotch, optional
         Keeps the loop off the parasitic resonance.
     """
     require_number("gain", gain, at_least=0.0)
@@ -239,7 +239,7 @@ def _band(shaping: NoiseShaping, sample_time: float) -> tuple[list, list, float]
     return [*np.zeros(shaping.order), *zeros], poles, low**shaping.order
 
 
-def _notches(notches: tuple[Notch, ...], sample_time: float) -> tuple[list, list]:
+def _notches(notches: tuple[FrequencyNotch, ...], sample_time: float) -> tuple[list, list]:
     zeros, poles = [], []
     for notch in notches:
         frequency = _prewarped("frequency_hz", notch.frequency_hz, sample_time)

@@ -13,8 +13,8 @@ from stillwork.estimation.online import UnstableAdaptation
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """One closed-loop run, to its end or to where it broke.
+class ErrorRecord:
+    """Filtered error of one closed-loop run, to its end or to where it broke.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ def run_to_the_end(
     adaptation: FeLms | FeRls,
     seed: int,
     keep_every_s: float = 0.02,
-) -> Outcome:
+) -> ErrorRecord:
     """Run stages of (seconds, floor) as `simulate` does; an unstable run is kept up to where it broke."""
     try:
         run, broke_s = (
@@ -59,4 +59,4 @@ def run_to_the_end(
                 cut.append((min(seconds, left), floor))
             left -= seconds
         run = simulate(twin, cut, adaptation=adaptation, seed=seed, keep_every_s=keep_every_s)
-    return Outcome(run.time_s, np.sqrt(run.error_power), broke_s)
+    return ErrorRecord(run.time_s, np.sqrt(run.error_power), broke_s)

@@ -198,7 +198,7 @@ def _runs(
             samples = min(samples, first - done)
         floor_block, noise_block = sources.draw(samples)
         for adaptation, code, numbers, closed, kept in sides:
-            status, reached = loop._advance(
+            status, reached = loop.advance(
                 floor_block,
                 noise_block,
                 closed,
@@ -308,7 +308,7 @@ class _Kept:
         rows = slice(done // self.every, (done + samples) // self.every)  # due in this block
         return loop.Signals(*long, self.weights[rows], self.power[rows])
 
-    def run(self, rate: float, closed: loop.Loop) -> Run:
+    def run(self, rate: float, closed: loop.ClosedLoop) -> Run:
         platform, measured, sensed, command, regressors, error = (array.T for array in self.long)
         return Run(
             sample_rate=rate,

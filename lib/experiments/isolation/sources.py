@@ -70,4 +70,4 @@ class Sources:
             return
         self.floor_stream.standard_normal(out=floor)
         floor *= self.part.scale
-        loop._filter_block(*self.shaping, floor)
+        loop.filter_block(*self.shaping, floor)

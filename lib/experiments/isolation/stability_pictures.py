@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from experiments.isolation.cures import CureRun
-from experiments.isolation.silence import Outcome
+from experiments.isolation.silence import ErrorRecord
 from experiments.isolation.stability import FORMS, CovarianceRun, covariance_run
 from stillwork.workbook import figures
 
@@ -92,7 +92,7 @@ def draw_windup(runs: Mapping[str, Mapping[str, CovarianceRun]]):
     return figure
 
 
-def draw_return(outcomes: Mapping[str, Sequence[Outcome]], return_s: float):
+def draw_return(outcomes: Mapping[str, Sequence[ErrorRecord]], return_s: float):
     """Filtered error around the return of a silent sensor; a cross marks where a run broke."""
     figure, grid = figures.new(1, len(outcomes), height=3.0, sharey=True, squeeze=False)
     for axes, (name, runs) in zip(grid[0], outcomes.items(), strict=True):

@@ -9,10 +9,10 @@ from jaxtyping import Float64
 from scipy import linalg
 
 from experiments.isolation import shaping
-from experiments.isolation.plant import Plant, plant_of_rig
+from experiments.isolation.plant import Platform, plant_of_rig
 from experiments.isolation.rig import Rig, rig_from_table
-from experiments.isolation.settings import Feedforward, Instruments, Skyhook
-from experiments.isolation.shaping import NoiseShaping, Notch, SecondaryPath
+from experiments.isolation.settings import Instruments, SelfTunedFeedforward, Skyhook
+from experiments.isolation.shaping import FrequencyNotch, NoiseShaping, SecondaryPath
 from experiments.isolation.tables import build, read_toml, require_names
 from stillwork.base import paths
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
@@ -37,23 +37,23 @@ class Twin:
     ----------
     name : str
         What it is.
-    plant : Plant
+    plant : Platform
         Mechanics.
     instruments : Instruments
         Sampling, actuators, sensors, noise.
     skyhook : Skyhook
         Feedback.
-    feedforward : Feedforward
+    feedforward : SelfTunedFeedforward
         Self-tuned feedforward.
     rig : Rig or None
         Geometry, when the plant is a rigid body on struts.
     """
 
     name: str
-    plant: Plant
+    plant: Platform
     instruments: Instruments
     skyhook: Skyhook
-    feedforward: Feedforward
+    feedforward: SelfTunedFeedforward
     rig: Rig | None = None
 
     def __post_init__(self):
@@ -88,7 +88,7 @@ class Twin:
     def varied(self, **changes) -> "Twin":
         """Copy with other settings: ``twin.varied(platform_noise=1e-5, estimate="full", gain=0.0)``.
 
-        Names are those of `Instruments`, `Skyhook` and `Feedforward`.
+        Names are those of `Instruments`, `Skyhook` and `SelfTunedFeedforward`.
         """
         parts = {}
         known = []
@@ -117,7 +117,9 @@ class Twin:
     def skyhook_filter(self) -> np.ndarray:
         """Sections of the skyhook loop; the command gets minus its output."""
         settings = self.skyhook
-        return shaping.skyhook(settings.gain, self.sample_time, settings.cutoff, Notch(settings.notch_hz))
+        return shaping.skyhook(
+            settings.gain, self.sample_time, settings.cutoff, FrequencyNotch(settings.notch_hz)
+        )
 
     @cached_property
     def error_filter(self) -> ErrorFilter:
@@ -199,7 +201,7 @@ def twin_from_table(table: dict) -> Twin:
     )
 
 
-def _plant_from_table(table: dict) -> Plant:
+def _plant_from_table(table: dict) -> Platform:
     names = ("mass", "damping", "stiffness", "floor_inertia", "floor_damping", "floor_stiffness")
     require_names("plant", table, names)
     floor = {name: require_array(f"plant: {name}", table[name], ndim=2) for name in names[3:]}
@@ -209,10 +211,12 @@ def _plant_from_table(table: dict) -> Plant:
     for name in names[:3]:
         value = require_array(f"plant: {name}", table[name])
         square[name] = value * np.eye(axes) if value.ndim < 2 else value
-    return build(Plant, {**square, **floor, "actuation": np.eye(axes), "observation": np.eye(axes)}, "plant")
+    return build(
+        Platform, {**square, **floor, "actuation": np.eye(axes), "observation": np.eye(axes)}, "plant"
+    )
 
 
-def _feedforward_from_table(table: dict) -> Feedforward:
+def _feedforward_from_table(table: dict) -> SelfTunedFeedforward:
     require_names(
         "feedforward",
         table,
@@ -224,9 +228,9 @@ def _feedforward_from_table(table: dict) -> Feedforward:
     path = dict(table["path"])
     require_names("feedforward.path", path, ("mass", "damping", "stiffness", "actuator_pole_hz"))
     path["actuator_pole"] = 2 * np.pi * require_number("actuator_pole_hz", path.pop("actuator_pole_hz"))
-    shape["notches"] = tuple(build(Notch, notch, "feedforward.shaping.notches") for notch in notches)
+    shape["notches"] = tuple(build(FrequencyNotch, notch, "feedforward.shaping.notches") for notch in notches)
     parts = {
         "shaping": build(NoiseShaping, shape, "feedforward.shaping"),
         "path": build(SecondaryPath, path, "feedforward.path"),
     }
-    return build(Feedforward, {**table, **parts}, "feedforward")
+    return build(SelfTunedFeedforward, {**table, **parts}, "feedforward")

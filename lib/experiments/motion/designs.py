@@ -8,7 +8,7 @@ from stillwork.base.checks import InputError, require_choice, require_count
 from stillwork.control.applications import Application, compensator
 from stillwork.control.bandwidth import SIX_DB, Bandwidth, Loop, PeakConstraint, make_loop, maximise_bandwidth
 from stillwork.control.pid import PidFamily
-from stillwork.estimation.observer import Noise, Observer, kalman_observer
+from stillwork.estimation.observer import NoiseIntensities, Observer, kalman_observer
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.reduction import truncate
 from stillwork.lti.state_space import StateModel
@@ -48,7 +48,7 @@ DESIGNS = {
 
 def stage_observer(
     position: int,
-    noise: Noise | None = None,
+    noise: NoiseIntensities | None = None,
     noise_model: float | None = None,
     plant: ModalModel | None = None,
 ) -> Observer:
@@ -62,12 +62,12 @@ def stage_observer(
 
 
 @lru_cache(maxsize=128)  # studies vary what is done with the estimates, or the loops, far more often
-def _published_observer(position: int, noise: Noise, noise_model: float | None) -> Observer:
+def _published_observer(position: int, noise: NoiseIntensities, noise_model: float | None) -> Observer:
     return stage_observer(position, noise, noise_model, stage())
 
 
 def stage_compensator(
-    position: int, design: Design, noise: Noise | None = None, plant: ModalModel | None = None
+    position: int, design: Design, noise: NoiseIntensities | None = None, plant: ModalModel | None = None
 ) -> StateModel | None:
     """Compensator of a design for one measured mass; None without observer."""
     if design.application is None:
@@ -76,7 +76,7 @@ def stage_compensator(
 
 
 def stage_loops(
-    design: Design, noise: Noise | None = None, plant: ModalModel | None = None, **grid
+    design: Design, noise: NoiseIntensities | None = None, plant: ModalModel | None = None, **grid
 ) -> list[Loop]:
     """The seven loops of the stage under one design; `grid` goes to `make_loop`."""
     machine = stage() if plant is None else plant
@@ -89,7 +89,7 @@ def stage_loops(
 
 def stage_bandwidth(
     name: str | Design,
-    noise: Noise | None = None,
+    noise: NoiseIntensities | None = None,
     damping_ratio: float | None = None,
     limit: float = SIX_DB,
     refine: bool = True,
@@ -100,7 +100,7 @@ def stage_bandwidth(
     Parameters
     ----------
     name : str or Design
-    noise : Noise, optional
+    noise : NoiseIntensities, optional
         By default the published one.
     damping_ratio : float, optional
         Of the stage.

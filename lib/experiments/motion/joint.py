@@ -21,7 +21,7 @@ from stillwork.control.applications import Application
 from stillwork.control.bandwidth import Loop
 from stillwork.control.loops import LoopResponse
 from stillwork.control.pid import Pid
-from stillwork.estimation.observer import Noise
+from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.reduction import truncate
 
@@ -77,9 +77,9 @@ class JointDesign:
         return pid.gain * pid.low_pass**2 / pid.differentiator
 
     @property
-    def noise(self) -> Noise:
+    def noise(self) -> NoiseIntensities:
         """Intensities of the Kalman observer."""
-        return Noise(self.process * _noise().process, _noise().sensor)
+        return NoiseIntensities(self.process * _noise().process, _noise().sensor)
 
     @property
     def design(self) -> Design:
@@ -210,7 +210,7 @@ class StageResponses:
 
 
 def kalman_gains(
-    model: ModalModel, noise: Noise, noise_model: float
+    model: ModalModel, noise: NoiseIntensities, noise_model: float
 ) -> Float64[np.ndarray, "outputs states"]:
     """Gains of one observer a sensor, each as `observer.kalman_observer` gives it, from one stacked eigenproblem.
 

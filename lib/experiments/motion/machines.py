@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from stillwork.base import paths
 from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.control.setpoint import Setpoint, point_to_point
-from stillwork.estimation.observer import Noise
+from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti.modal import ModalModel, modal_model
 from stillwork.lti.state_space import StateModel
 
@@ -119,10 +119,10 @@ def drive() -> Drive:
     return Drive(**parameters("drive"))
 
 
-def published_noise() -> Noise:
+def published_noise() -> NoiseIntensities:
     """Q = sigma_w^2 and R = sigma_v^2 + sigma_d^2 of section 3.1."""
     p = parameters("stage")["noise"]
-    return Noise(p["process"] ** 2, p["sensor"] ** 2 + p["reference"] ** 2)
+    return NoiseIntensities(p["process"] ** 2, p["sensor"] ** 2 + p["reference"] ** 2)
 
 
 def published_setpoint(step: float = 1e-4) -> Setpoint:

@@ -10,7 +10,7 @@ from experiments.motion.position_dependence import require_seen
 from experiments.motion.positions import shapes_along
 from experiments.motion.scan_study import output_rows
 from stillwork.base.checks import InputError, require_array, require_count, require_number
-from stillwork.estimation.observer import Noise
+from stillwork.estimation.observer import NoiseIntensities
 from stillwork.estimation.riccati import discrete_gain
 from stillwork.estimation.robust import kalman_gains
 from stillwork.estimation.time_varying import TimeVaryingModel, estimate
@@ -50,7 +50,7 @@ def pass_node(
     grid: ArrayLike,
     places: ArrayLike,
     mode: int,
-    noise: Noise,
+    noise: NoiseIntensities,
     step: float,
     amplitude: float = 0.01,
     phase: float = 0.0,
@@ -67,7 +67,7 @@ def pass_node(
         Where the sensor looks (m).
     mode : int
         That is excited and judged.
-    noise : Noise
+    noise : NoiseIntensities
         Intensities that the filter is designed for.
     step : float
         s.

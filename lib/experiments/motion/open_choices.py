@@ -11,13 +11,13 @@ from stillwork.base.checks import InputError, require_array, require_choice
 from stillwork.control.applications import Application
 from stillwork.control.bandwidth import Bandwidth, PeakConstraint, maximise_bandwidth
 from stillwork.control.pid import PidFamily
-from stillwork.estimation.observer import Noise
+from stillwork.estimation.observer import NoiseIntensities
 
 
-def sensor_noise_alone() -> Noise:
+def sensor_noise_alone() -> NoiseIntensities:
     """Half the printed R: the sensor noise without the sensor reference, R = sigma_d^2."""
     p = parameters("stage")["noise"]
-    return Noise(p["process"] ** 2, p["sensor"] ** 2)
+    return NoiseIntensities(p["process"] ** 2, p["sensor"] ** 2)
 
 
 CHOICES = {
@@ -83,7 +83,7 @@ class BandwidthMap:
     crossing_hz: Float64[np.ndarray, "rows columns"]  # for mass 5
 
 
-def bandwidth_map(selectivity, noise_model, *, noise: Noise | None = None) -> BandwidthMap:
+def bandwidth_map(selectivity, noise_model, *, noise: NoiseIntensities | None = None) -> BandwidthMap:
     """Bandwidth of MC and AD together over (Q, Q_nu), the search of (3.47) as a map."""
     rows = require_array("selectivity", selectivity, ndim=1)
     columns = require_array("noise_model", noise_model, ndim=1)

@@ -14,7 +14,7 @@ from stillwork.base.checks import InputError, require_array, require_choice, req
 from stillwork.control.applications import compensator
 from stillwork.control.bandwidth import Loop, make_loop
 from stillwork.control.discrete_damping import discrete_damping_gain
-from stillwork.estimation.observer import Noise, Observer, kalman_observer
+from stillwork.estimation.observer import NoiseIntensities, Observer, kalman_observer
 from stillwork.estimation.scheduled import GainTable
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.reduction import truncate
@@ -88,7 +88,7 @@ def observer_at(
     plant: ModalModel,
     grid: ArrayLike,
     place: float,
-    noise: Noise | None = None,
+    noise: NoiseIntensities | None = None,
     noise_model: float | None = None,
     moves: str = "sensor",
 ) -> Observer:
@@ -102,7 +102,7 @@ def place_loops(
     grid: ArrayLike,
     places: ArrayLike,
     design: Design,
-    noise: Noise | None = None,
+    noise: NoiseIntensities | None = None,
     moves: str = "sensor",
     **response_grid,
 ) -> list[Loop]:

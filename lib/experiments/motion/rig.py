@@ -10,6 +10,7 @@ from jaxtyping import Float64
 from experiments.motion.plate import plate_modes
 from stillwork.base import paths
 from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.control.decoupling import Decoupling
 from stillwork.lti.modal import ModalModel
 
 CORNERS = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]], dtype=float)  # signs of (x, y), counter-clockwise
@@ -130,14 +131,6 @@ def rig_model(geometry: Geometry, higher_modes: int | None = None) -> ModalModel
     )
 
 
-@dataclass(frozen=True)
-class Decoupling:
-    """Static matrices of section 4.3: controller to actuators, and sensors to rigid-body motion."""
-
-    actuators: Float64[np.ndarray, "actuators 3"]  # Gamma
-    sensors: Float64[np.ndarray, "3 sensors"]  # Upsilon
-
-
 def decoupling(geometry: Geometry, actuators: tuple[int, ...], sensors: tuple[int, ...]) -> Decoupling:
     """Rigid-body decoupling (4.12): pseudo-inverses of the rigid shapes at actuators and sensors.
 
@@ -188,4 +181,4 @@ def detuned(model: ModalModel, errors: Float64[np.ndarray, " flexible"]) -> Moda
 def excitation(geometry: Geometry, actuators: tuple[int, ...]) -> Float64[np.ndarray, "flexible 3"]:
     """What a unit command along each direction puts into the eight published modes (1/sqrt(kg))."""
     shapes = rig_model(geometry, higher_modes=0).input_shapes[3:, list(actuators)]
-    return shapes @ decoupling(geometry, actuators, (0, 1, 2)).actuators
+    return shapes @ decoupling(geometry, actuators, (0, 1, 2)).actuation

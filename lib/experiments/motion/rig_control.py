@@ -14,7 +14,7 @@ from stillwork.control.discrete_damping import sampled_feedback
 from stillwork.control.discrete_observer import DiscreteObserver, discrete_kalman_observer
 from stillwork.control.feedback import band_pass, damping_gain, fed_back
 from stillwork.control.pid import Pid
-from stillwork.estimation.observer import Noise
+from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti.discretisation import tustin, zoh_modes
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel, interconnect
@@ -28,7 +28,7 @@ def pid_response(
 
 
 def rig_observer(
-    model: ModalModel, noise: Noise, step: float, noise_model: float | None = None
+    model: ModalModel, noise: NoiseIntensities, step: float, noise_model: float | None = None
 ) -> DiscreteObserver:
     """Stationary Kalman observer of chapter 6, from covariances a sample as (6.2) prints them.
 
@@ -36,7 +36,7 @@ def rig_observer(
     ----------
     model : ModalModel
         Reduced model; its feedthrough is the compliance of the modes left out.
-    noise : Noise
+    noise : NoiseIntensities
         Here covariances a sample: N^2 and m^2.
     step : float
         s.
@@ -47,7 +47,7 @@ def rig_observer(
     if noise_model is not None:
         noise_model = require_number("noise_model", noise_model, above=0.0) / step
     return discrete_kalman_observer(
-        model, Noise(noise.process * step, noise.sensor * step), step, noise_model
+        model, NoiseIntensities(noise.process * step, noise.sensor * step), step, noise_model
     )
 
 

@@ -19,7 +19,7 @@ from experiments.motion.rig import (
 from experiments.motion.rig_control import pid_response, rig_compensator, rig_observer
 from experiments.motion.rig_loops import RigControllers, RigLoop, make_rig_loop
 from stillwork.control.pid import Pid
-from stillwork.estimation.observer import Noise
+from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.reduction import truncate
 
@@ -32,7 +32,7 @@ class RigSettings:
     """What chapter 6 prints about the observer and its uses."""
 
     step: float  # s
-    noise: Noise  # covariances a sample, N^2 and m^2
+    noise: NoiseIntensities  # covariances a sample, N^2 and m^2
     noise_model: float  # N^2, Q_nu with MC alone
     noise_model_both: float  # N^2, Q_nu with MC and AD
     target_damping: float
@@ -44,7 +44,7 @@ def published_settings() -> RigSettings:
     p = published()
     return RigSettings(
         1 / p["sample_rate_hz"],
-        Noise(p["process"], p["sensor"]),
+        NoiseIntensities(p["process"], p["sensor"]),
         p["noise_model"],
         assumed()["noise_model_both"],
         p["target_damping"],
@@ -125,5 +125,5 @@ def compensated_feedback(loop: RigLoop, pids: Sequence[Pid]) -> float:
     """Largest singular value over frequency of O_yu C_fb, which section 6.3 keeps below 1 (scaled directions)."""
     o_yu = np.moveaxis(loop.compensator.frequency_response(loop.omega)[3:, :3], -1, 0)
     control = np.stack([pid_response(pid, loop.step, loop.omega) for pid in pids], axis=1)
-    seen = loop.decoupling.sensors @ o_yu @ loop.decoupling.actuators * control[:, None, :]
+    seen = loop.decoupling.sensing @ o_yu @ loop.decoupling.actuation * control[:, None, :]
     return float(np.linalg.norm(seen, 2, axis=(1, 2)).max())

@@ -26,7 +26,7 @@ def four_sensor_controller(geometry: Geometry, settings: RigSettings, bandwidth_
     matrices = decoupling(geometry, ALL, ALL)
     pids = rig_controllers(geometry)(bandwidth_hz, bandwidth_hz)
     blocks = [tustin(pid.state_space(), settings.step) for pid in pids]
-    return interconnect(blocks, np.zeros((3, 3)), matrices.sensors, matrices.actuators)
+    return interconnect(blocks, np.zeros((3, 3)), matrices.sensing, matrices.actuation)
 
 
 def identification_loop(geometry: Geometry, settings: RigSettings, bandwidth_hz: float) -> StateModel:
@@ -133,7 +133,7 @@ def mean_relative_error(geometry: Geometry, settings: RigSettings, omega, respon
         raise InputError(f"top_hz is {top_hz:g}, below the first line; raise it or take longer periods")
     d = decoupling(geometry, ALL, ALL)
     ours, true = (
-        np.diagonal(d.sensors @ each @ d.actuators, axis1=1, axis2=2)
+        np.diagonal(d.sensing @ each @ d.actuation, axis1=1, axis2=2)
         for each in (response[slow], true_response(geometry, settings, omega[slow]))
     )
     return float(abs(np.mean(ours / true - 1)))

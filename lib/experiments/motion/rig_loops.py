@@ -8,12 +8,12 @@ import numpy as np
 from jaxtyping import Complex128, Float64
 from scipy import linalg
 
-from experiments.motion.rig import Decoupling
 from experiments.motion.rig_control import RigCompensator, pid_response
 from stillwork.base.checks import InputError, require_choice, require_count, require_number
 from stillwork.base.kernels import kernel
 from stillwork.base.rounding import first_largest
 from stillwork.control.bandwidth import SIX_DB
+from stillwork.control.decoupling import Decoupling
 from stillwork.control.loops import closed_loop, no_observer
 from stillwork.control.pid import Pid, PidFamily
 from stillwork.lti.discretisation import tustin, zoh_modes, zoh_response
@@ -57,7 +57,7 @@ class RigLoop:
     def controller(self, pids: Sequence[Pid]) -> StateModel:
         """Gamma C_fb Upsilon, from the errors at the sensors to forces."""
         blocks = [tustin(pid.state_space(), self.step) for pid in pids]
-        return interconnect(blocks, np.zeros((3, 3)), self.decoupling.sensors, self.decoupling.actuators)
+        return interconnect(blocks, np.zeros((3, 3)), self.decoupling.sensing, self.decoupling.actuation)
 
     def radius(self, pids: Sequence[Pid]) -> float:
         """Largest magnitude of the closed-loop poles; below 1 the loop is stable."""
@@ -116,7 +116,7 @@ def _parts(p, o, decoupling: Decoupling) -> Complex128[np.ndarray, "frequencies 
     With N = (I - O_uu - O_uy P)^-1 the plant's input is f = N Gamma u, so that P_eq = Upsilon Z N Gamma with
     Z = (I - O_yy) P - O_yu. Noise at the sensors enters q_comp by V = Upsilon (Z N O_uy + I - O_yy).
     """
-    gamma, upsilon = decoupling.actuators, decoupling.sensors
+    gamma, upsilon = decoupling.actuation, decoupling.sensing
     o_uu, o_uy, o_yu, o_yy = o[:, :3, :3], o[:, :3, 3:], o[:, 3:, :3], o[:, 3:, 3:]
     one = np.eye(3)
     n = np.linalg.inv(one - o_uu - o_uy @ p)

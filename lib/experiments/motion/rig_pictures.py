@@ -19,7 +19,7 @@ from experiments.motion.rig_control import rig_compensator, rig_observer
 from experiments.motion.rig_designs import CASES, observer_model, published_settings
 from experiments.motion.rig_identification import predicted_deviation, true_response
 from experiments.motion.rig_loops import RigLoop, make_rig_loop
-from stillwork.estimation.observer import Noise
+from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti.peaks import resonance_grid
 from stillwork.signals.spectra import Spectrum
 from stillwork.workbook import figures
@@ -229,7 +229,9 @@ def over_geometries(values: Mapping[str, np.ndarray], marks: Mapping[str, Sequen
     return figure
 
 
-def _one_position(geometry: Geometry, noise: Noise, use: str, target: float, position: int) -> RigLoop:
+def _one_position(
+    geometry: Geometry, noise: NoiseIntensities, use: str, target: float, position: int
+) -> RigLoop:
     """Loop of one position on the frequencies of the explorers."""
     settings = published_settings()
     used, sensors = geometry.used, POSITIONS[position - 1]
@@ -257,7 +259,7 @@ def draw_rig(
 ):
     """Explorer: one entry of what the controller sees, with and without one use of the observer."""
     geometry, row = assumed_geometry(), ENTRIES[entry]
-    noise = Noise(published()["process"], 10**sensor_exponent)
+    noise = NoiseIntensities(published()["process"], 10**sensor_exponent)
     figure, axis = _plain(1)
     for name in ("Original", use):
         loop = _one_position(geometry, noise, name, target_damping, position)
@@ -338,7 +340,7 @@ def draw_identification(
 ):
     """Explorer: response of the rig, and the deviation that an identification in closed loop leaves."""
     geometry, settings = assumed_geometry(), published_settings()
-    settings = replace(settings, noise=Noise(settings.noise.process, 10**sensor_exponent))
+    settings = replace(settings, noise=NoiseIntensities(settings.noise.process, 10**sensor_exponent))
     omega = frequencies(1.0, 1500.0, points=90, around=5)
     response = true_response(geometry, settings, omega)
     deviation = predicted_deviation(geometry, settings, bandwidth_hz, omega, rms, averages)

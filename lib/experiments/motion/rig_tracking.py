@@ -12,7 +12,7 @@ from experiments.motion.rig_loops import RigLoop
 from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.control.loops import channel
 from stillwork.control.pid import Pid
-from stillwork.estimation.observer import Noise
+from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti.simulation import simulate
 from stillwork.lti.state_space import StateModel
 
@@ -54,7 +54,7 @@ def _to_error(loop: RigLoop, pids: Sequence[Pid], geometry: Geometry) -> StateMo
     """
     closed = loop.closed(pids)
     blocks = [channel(closed, name, "e_true", 3, 3) for name in ("v", "w", "d")]
-    read = loop.decoupling.sensors / geometry.edges[:, None]
+    read = loop.decoupling.sensing / geometry.edges[:, None]
     model = StateModel(
         closed.a,
         np.hstack([block.b for block in blocks]),
@@ -81,12 +81,12 @@ def _lines(trajectory: Levelling, loop: RigLoop, geometry: Geometry) -> Complex1
     held = loop.step**2 * (turned + 1) / (2 * (turned - 1) ** 2)
     scaled = geometry.edges[:, None] * trajectory.lines
     force = scaled_inertia(geometry)[:, None] * scaled / held
-    at_sensors = np.linalg.solve(loop.decoupling.sensors, scaled)
-    return np.vstack([at_sensors, loop.decoupling.actuators @ force])
+    at_sensors = np.linalg.solve(loop.decoupling.sensing, scaled)
+    return np.vstack([at_sensors, loop.decoupling.actuation @ force])
 
 
 def levelling_rms(
-    loop: RigLoop, pids: Sequence[Pid], geometry: Geometry, trajectory: Levelling, noise: Noise
+    loop: RigLoop, pids: Sequence[Pid], geometry: Geometry, trajectory: Levelling, noise: NoiseIntensities
 ) -> Float64[np.ndarray, "3"]:
     """Expected rms of the true error in z (m), rx and ry (rad), in steady state: lines plus noise.
 
@@ -139,7 +139,7 @@ def levelling_error(
     pids: Sequence[Pid],
     geometry: Geometry,
     trajectory: Levelling,
-    noise: Noise,
+    noise: NoiseIntensities,
     rng: np.random.Generator,
     periods: int = 1,
 ) -> Float64[np.ndarray, "3 samples"]:

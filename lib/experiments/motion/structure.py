@@ -10,7 +10,7 @@ from stillwork.base.checks import require_number
 from stillwork.control.applications import Application, compensator
 from stillwork.control.bandwidth import Loop, make_loop
 from stillwork.control.pid import Pid
-from stillwork.estimation.observer import Noise, kalman_observer
+from stillwork.estimation.observer import NoiseIntensities, kalman_observer
 from stillwork.identification.frequency_response import Identified, impact_response
 from stillwork.identification.modal_fit import ModalFit
 from stillwork.lti.modal import ModalModel, mirrored
@@ -92,7 +92,11 @@ def extra_turns(measured: Loop, controller: Pid) -> int:
 
 
 def structure_loops(
-    stage: ModalModel, application: Application | None, retained: int, noise: Noise, noise_model: float | None
+    stage: ModalModel,
+    application: Application | None,
+    retained: int,
+    noise: NoiseIntensities,
+    noise_model: float | None,
 ) -> list[Loop]:
     """Loops of a one-sensor structure and of its mirror image under one use of the observer."""
     return observed_loops((stage, mirrored(stage)), application, retained, noise, noise_model)
@@ -102,7 +106,7 @@ def observed_loops(
     plants: Sequence[ModalModel],
     application: Application | None,
     retained: int,
-    noise: Noise,
+    noise: NoiseIntensities,
     noise_model: float | None,
 ) -> list[Loop]:
     """One loop a plant, each with its own observer."""
@@ -116,7 +120,11 @@ def observed_loops(
 
 
 def observing_compensator(
-    plant: ModalModel, application: Application, retained: int, noise: Noise, noise_model: float | None
+    plant: ModalModel,
+    application: Application,
+    retained: int,
+    noise: NoiseIntensities,
+    noise_model: float | None,
 ) -> StateModel:
     """Compensator on an observer of the plant's first `retained` modes and the compliance of the others."""
     reduced = truncate(plant, retained, len(plant.frequencies) - retained)

@@ -10,7 +10,7 @@ from stillwork.base.checks import InputError, require_count, require_number
 from stillwork.control.applications import Application
 from stillwork.control.bandwidth import Bandwidth, Loop, PeakConstraint, maximise_bandwidth
 from stillwork.control.pid import PidFamily
-from stillwork.estimation.observer import Noise
+from stillwork.estimation.observer import NoiseIntensities
 from stillwork.identification.machine import Machine, whole_band
 from stillwork.identification.modal_fit import ModalFit
 
@@ -39,9 +39,9 @@ class Intensities:
         for name in ("disturbance", "sensor", "drift"):
             require_number(name, getattr(self, name), above=0.0)
 
-    def noise(self, mass: float) -> Noise:
+    def noise(self, mass: float) -> NoiseIntensities:
         """The same for a machine of `mass` (kg)."""
-        return Noise((self.disturbance * mass) ** 2, self.sensor**2)
+        return NoiseIntensities((self.disturbance * mass) ** 2, self.sensor**2)
 
 
 def applications(added_damping: float, selectivity: float) -> dict[str, Application | None]:
@@ -57,7 +57,7 @@ def applications(added_damping: float, selectivity: float) -> dict[str, Applicat
 
 def observer_settings(
     machine: Machine, application: Application | None, retained: int, intensities: Intensities
-) -> tuple[int, Noise, float | None]:
+) -> tuple[int, NoiseIntensities, float | None]:
     """Modes in the observer, its noise, and the intensity of its noise model, which only MC has."""
     retained = min(require_count("retained", retained, at_least=2), len(machine.sensors[0].frequencies))
     compensates = application is not None and application.compensate

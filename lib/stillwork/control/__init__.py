@@ -24,7 +24,7 @@ __all__, __getattr__, __dir__ = face(
             "modified_feedforward",
             "tracking_error",
         ),
-        "fixed_point": ("Controller", "Run", "response_gain", "simulate"),
+        "fixed_point": ("Controller", "ControlledRun", "response_gain", "simulate"),
         "fixed_point_convergence": (
             "crossings",
             "describing_function",

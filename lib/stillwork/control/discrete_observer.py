@@ -11,7 +11,7 @@ from stillwork.base.checks import InputError, require_array, require_choice, req
 from stillwork.control.applications import Application
 from stillwork.control.discrete_damping import discrete_damping_gain
 from stillwork.control.feedback import band_pass, damping_gain
-from stillwork.estimation.observer import Noise
+from stillwork.estimation.observer import NoiseIntensities
 from stillwork.estimation.riccati import discrete_gain
 from stillwork.estimation.time_varying import FilterGains
 from stillwork.lti.delays import delayed
@@ -102,7 +102,7 @@ class DiscreteObserver:
 
 
 def discrete_kalman_observer(
-    model: ModalModel, noise: Noise, step: float, noise_model: float | None = None
+    model: ModalModel, noise: NoiseIntensities, step: float, noise_model: float | None = None
 ) -> DiscreteObserver:
     r"""Stationary discrete Kalman observer, (4.7) and section 4.1.3, with the process noise at the plant input.
 
@@ -110,7 +110,7 @@ def discrete_kalman_observer(
     ----------
     model : ModalModel
         Reduced model of positions; its feedthrough is the compliance T_DC.
-    noise : Noise
+    noise : NoiseIntensities
         Intensities of the continuous design. Both become variances by the factor 1/Ts, which changes no gain.
     step : float
         Sample time Ts, s.

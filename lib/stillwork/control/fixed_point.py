@@ -10,9 +10,9 @@ from stillwork.base.checks import InputError, require_array, require_choice, req
 from stillwork.base.kernels import kernel
 from stillwork.control.kinematics import KinematicDesign
 from stillwork.control.trajectory import Trajectory
-from stillwork.control.transformation import Transformation, _deform, warn_outside_contraction
+from stillwork.control.transformation import Transformation, deform_packed, warn_outside_contraction
 from stillwork.estimation.coordinate_filters import Filter, require_step
-from stillwork.estimation.filtering import _filter_step, model_of
+from stillwork.estimation.filtering import filter_step, model_of
 from stillwork.estimation.plant import Plant, partial_derivatives
 
 INTEGRATIONS = ("semi-implicit", "explicit")
@@ -60,7 +60,7 @@ class Controller:
 
 
 @dataclass(frozen=True)
-class Run:
+class ControlledRun:
     """One simulated run; all arrays of shape (samples,), NaN after a divergence."""
 
     trajectory: Trajectory
@@ -104,7 +104,7 @@ def simulate(
     integration: str = "semi-implicit",
     start: tuple[float, float] | None = None,
     bound: float = 10.0,
-) -> Run:
+) -> ControlledRun:
     """Drive `plant` along `trajectory`.
 
     In every sample: measure; filter; desired acceleration (1); deformed acceleration by the transformation,
@@ -134,7 +134,7 @@ def simulate(
 
     Returns
     -------
-    Run
+    ControlledRun
         With `diverged_at` and `cause` when it diverged.
 
     Warns
@@ -186,7 +186,7 @@ def simulate(
             NOT_DEFINITE: "the filter's covariance is no longer positive definite",
         }
         ending = {"diverged_at": float(done * trajectory.time_step), "cause": causes[status]}
-    return Run(trajectory, **dict(zip(COLUMNS, record, strict=True)), **ending)
+    return ControlledRun(trajectory, **dict(zip(COLUMNS, record, strict=True)), **ending)
 
 
 def response_gain(plant: Plant, model: Plant) -> float:
@@ -234,7 +234,7 @@ def _closed_loop(
         measured = position + noise[i]
         if resolution > 0.0:
             measured = np.round((measured - grid) / resolution) * resolution + grid
-        if not _filter_step(
+        if not filter_step(
             kind,
             options,
             process,
@@ -255,7 +255,7 @@ def _closed_loop(
         for j in range(1, integrals + 1):
             chain[j] += time_step * chain[j - 1]
             desired += gains[integrals - j] * chain[j]
-        deformed = desired if i == 0 else _deform(transformation, deformed, estimate[2], desired)
+        deformed = desired if i == 0 else deform_packed(transformation, deformed, estimate[2], desired)
         force = model_force(seen, estimate[1], deformed, model)
         if not np.isfinite(force):
             return i, NOT_FINITE

@@ -112,11 +112,11 @@ def warn_outside_contraction(transformation: Transformation, response_gain: floa
 
 def deform(transformation: Transformation, previous: float, response: float, desired: float) -> float:
     """Next deformed acceleration from the previous one, its response and the desired one, m/s^2."""
-    return float(_deform(transformation.packed, float(previous), float(response), float(desired)))
+    return float(deform_packed(transformation.packed, float(previous), float(response), float(desired)))
 
 
 @kernel
-def _deform(packed, previous, response, desired):
+def deform_packed(packed, previous, response, desired):
     if packed[0] == 0.0:  # (6)
         x = (response - desired) / packed[2]
         return previous + packed[1] * x / (1.0 + abs(x))

@@ -96,7 +96,7 @@ class FeRls:
 
 
 @inlined_kernel
-def _ferls_update(weights, covariance, regressor, error, forgetting, limits, gain):
+def ferls_update(weights, covariance, regressor, error, forgetting, limits, gain):
     """One sample of FeRLS in place, eq. (29)-(30).
 
     Parameters
@@ -155,11 +155,11 @@ def _limit(covariance, limits, scratch):
     """Bring the diagonal of P back to its limits in place, as if the regressor had been seen once more."""
     for i in range(len(limits)):
         if covariance[i, i] > limits[i]:
-            _add_information(covariance, i, 1.0 / limits[i] - 1.0 / covariance[i, i], scratch)
+            add_information(covariance, i, 1.0 / limits[i] - 1.0 / covariance[i, i], scratch)
 
 
 @kernel
-def _add_information(covariance, axis, information, scratch):
+def add_information(covariance, axis, information, scratch):
     """Add to one diagonal element of the inverse of P, in place, by the matrix inversion lemma.
 
     P stays symmetric, and positive definite for information above zero.
@@ -177,7 +177,7 @@ def _add_information(covariance, axis, information, scratch):
 
 
 @kernel
-def _felms_update(weights, regressor, error, step_size, regularisation, trace_copies):
+def felms_update(weights, regressor, error, step_size, regularisation, trace_copies):
     """One sample of FeLMS in place, eq. (18)-(19).
 
     Parameters

@@ -12,14 +12,14 @@ from stillwork.estimation.gaussian import (
     OBSERVED,
     PAST,
     POINTS,
-    _correct_gaussian,
+    correct_gaussian,
 )
 
 JACOBIAN, OBSERVATION = POINTS, OBSERVED  # the two blocks that the unscented filter fills with points
 
 
 @kernel
-def _predict_extended(work, process, size):
+def predict_extended(work, process, size):
     """P = F P F' + Q."""
     covariance, jacobian, product = work[COVARIANCE], work[JACOBIAN], work[CROSS]
     for i in range(size):
@@ -38,7 +38,7 @@ def _predict_extended(work, process, size):
 
 
 @kernel
-def _correct_extended(work, noise, size, outputs):
+def correct_extended(work, noise, size, outputs):
     """Cross covariance P H', innovation H P H' + R, and the correction."""
     covariance, observation, cross = work[COVARIANCE], work[OBSERVATION], work[CROSS]
     for i in range(size):
@@ -53,11 +53,11 @@ def _correct_extended(work, noise, size, outputs):
             for k in range(size):
                 total += observation[i, k] * cross[k, j]
             work[INNOVATION, i, j] = total
-    return _correct_gaussian(work, size, outputs)
+    return correct_gaussian(work, size, outputs)
 
 
 @kernel
-def _plant_extended_step(
+def plant_extended_step(
     options, process, noise, work, acceleration, plant, time_step, measured, force, estimate
 ):
     """One sample for a second-order plant: x = [velocity, position, disturbance], z = position.
@@ -97,10 +97,10 @@ def _plant_extended_step(
     change = acceleration(position, velocity, force, plant) + disturbance
     means[ESTIMATE, 0] = velocity + time_step * change
     means[ESTIMATE, 1] = position + time_step * means[ESTIMATE, 0]
-    _predict_extended(work, process, 3)
+    predict_extended(work, process, 3)
     means[MEASURED, 0] = measured
     means[EXPECTED, 0] = means[ESTIMATE, 1]
-    if not _correct_extended(work, noise, 3, 1):
+    if not correct_extended(work, noise, 3, 1):
         return False
     estimate[0] = means[ESTIMATE, 1]
     estimate[1] = means[ESTIMATE, 0]

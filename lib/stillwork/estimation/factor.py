@@ -4,7 +4,7 @@ from stillwork.base.kernels import kernel
 
 
 @kernel
-def _accumulate(row, output, forgetting, information, correlation):
+def accumulate_row(row, output, forgetting, information, correlation):
     # returns |s|^2 and the trace of R
     size = 0.0
     trace = 0.0
@@ -18,7 +18,7 @@ def _accumulate(row, output, forgetting, information, correlation):
 
 
 @kernel
-def _factorise(information, alpha, right, factor, inverse_pivots, half, work):
+def factorise(information, alpha, right, factor, inverse_pivots, half, work):
     # R + alpha I = L D L' with L in `factor`; half = L^-1 right on the way. Sums run along rows: at a few
     # unknowns the chain of pivots is what costs time, and this order keeps it shortest.
     for i in range(len(right)):
@@ -38,7 +38,7 @@ def _factorise(information, alpha, right, factor, inverse_pivots, half, work):
 
 
 @kernel
-def _solve_forward(factor, right, half):
+def solve_forward(factor, right, half):
     for i in range(len(right)):
         rest = right[i]
         for j in range(i):
@@ -47,7 +47,7 @@ def _solve_forward(factor, right, half):
 
 
 @kernel
-def _solve_backward(factor, inverse_pivots, half, solution):
+def solve_backward(factor, inverse_pivots, half, solution):
     n = len(half)
     for i in range(n - 1, -1, -1):
         rest = half[i] * inverse_pivots[i]
@@ -57,7 +57,7 @@ def _solve_backward(factor, inverse_pivots, half, solution):
 
 
 @kernel
-def _squares(information, correlation, energy, solution):
+def squared_norms(information, correlation, energy, solution):
     # |x|^2 and |A x - b|^2 = z - 2 x's + x'R x, clamped at zero as in (20)
     norm = 0.0
     residual = energy

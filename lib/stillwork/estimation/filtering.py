@@ -16,11 +16,11 @@ from stillwork.estimation.coordinate_filters import (
     Filter,
     require_step,
 )
-from stillwork.estimation.extended import _plant_extended_step
-from stillwork.estimation.low_pass import _low_pass_step
+from stillwork.estimation.extended import plant_extended_step
+from stillwork.estimation.low_pass import low_pass_step
 from stillwork.estimation.plant import Plant
-from stillwork.estimation.unscented import _plant_unscented_step
-from stillwork.estimation.windows import _moving_window_step, _savitzky_golay_step
+from stillwork.estimation.unscented import plant_unscented_step
+from stillwork.estimation.windows import moving_window_step, savitzky_golay_step
 
 
 @dataclass(frozen=True)
@@ -103,24 +103,24 @@ NO_MODEL = Plant(unit_mass_acceleration, unit_mass_force, np.zeros(0))
 
 
 @kernel
-def _filter_step(
+def filter_step(
     kind, options, process, noise, work, acceleration, plant, time_step, measured, force, estimate
 ):
     """Advance one filter by one sample; `estimate` (position, velocity, acceleration) is read and written."""
     if kind == WINDOW:
-        _moving_window_step(options, work, time_step, measured, estimate)
+        moving_window_step(options, work, time_step, measured, estimate)
         return True
     if kind == LOW_PASS:
-        _low_pass_step(options[0], work, time_step, measured, estimate)
+        low_pass_step(options[0], work, time_step, measured, estimate)
         return True
     if kind == SAVITZKY_GOLAY:
-        _savitzky_golay_step(options, work, time_step, measured, estimate)
+        savitzky_golay_step(options, work, time_step, measured, estimate)
         return True
     if kind == UNSCENTED:
-        return _plant_unscented_step(
+        return plant_unscented_step(
             options, process, noise, work, acceleration, plant, time_step, measured, force, estimate
         )
-    return _plant_extended_step(
+    return plant_extended_step(
         options, process, noise, work, acceleration, plant, time_step, measured, force, estimate
     )
 
@@ -132,7 +132,7 @@ def _filter_record(
     """Filter a record; returns the number of samples done."""
     last_force = 0.0
     for i in range(len(measured)):
-        if not _filter_step(
+        if not filter_step(
             kind,
             options,
             process,

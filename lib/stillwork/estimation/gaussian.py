@@ -43,7 +43,7 @@ def require_covariance(name: str, value, size: int, *, definite: bool = True) ->
 
 
 @inlined_kernel
-def _cholesky(matrix, root, size):
+def cholesky_root(matrix, root, size):
     """Lower root of a symmetric matrix; false when it is not positive definite."""
     for i in range(size):
         for j in range(i + 1):
@@ -60,11 +60,11 @@ def _cholesky(matrix, root, size):
 
 
 @kernel
-def _correct_gaussian(work, size, outputs):
+def correct_gaussian(work, size, outputs):
     """(17): gain = cross innovation^-1, mean += gain (z - expected), P -= gain innovation gain'."""
     covariance, innovation, cross = work[COVARIANCE], work[INNOVATION], work[CROSS]
     gain, root, means = work[GAIN], work[ROOT], work[MEANS]
-    if not _cholesky(innovation, root, outputs):
+    if not cholesky_root(innovation, root, outputs):
         return False
     for i in range(size):
         for j in range(outputs):

@@ -4,7 +4,7 @@ from stillwork.base.kernels import kernel
 
 
 @kernel
-def _low_pass_step(bandwidth, state, time_step, measured, estimate):
+def low_pass_step(bandwidth, state, time_step, measured, estimate):
     """(bandwidth + d/dt)^3 filtered = bandwidth^3 measured; state[0, 0, :3]: filtered and two derivatives.
 
     The estimate is the state that Euler's step with this measurement reaches; it starts from zero.

@@ -14,14 +14,14 @@ from numpy.typing import ArrayLike
 from stillwork.base.checks import InputError, require_array, require_count
 from stillwork.base.kernels import callback
 from stillwork.estimation.gaussian import BLOCKS, COVARIANCE, ESTIMATE, MEANS, require_covariance
-from stillwork.estimation.nonlinear_kernels import _model_record
+from stillwork.estimation.nonlinear_kernels import model_record
 from stillwork.estimation.unscented import SigmaPoints
 
 SIGNATURE = "void(float64[::1], float64[::1], float64[::1], float64[::1])"
 
 
 @dataclass(frozen=True)
-class StateModel:
+class NonlinearModel:
     """x_k = transition(x_{k-1}, u_{k-1}) + w, z_k = measurement(x_k, u_{k-1}) + v: (9).
 
     Attributes
@@ -70,7 +70,7 @@ class StateEstimate:
 
 
 def unscented_filter(
-    model: StateModel,
+    model: NonlinearModel,
     measurements: ArrayLike,
     inputs: ArrayLike | None = None,
     *,
@@ -84,7 +84,7 @@ def unscented_filter(
 
     Parameters
     ----------
-    model : StateModel
+    model : NonlinearModel
         Own model.
     measurements : array_like, shape (outputs, samples)
         z.
@@ -108,7 +108,7 @@ def unscented_filter(
 
 
 def extended_filter(
-    model: StateModel,
+    model: NonlinearModel,
     measurements: ArrayLike,
     inputs: ArrayLike | None = None,
     *,
@@ -146,7 +146,7 @@ def _run(unscented, model, prepared, weights):
     samples, n = len(prepared[0]), model.states
     means, covariances = np.empty((samples, n)), np.empty((samples, n, n))
     functions = callback(model.transition, SIGNATURE), callback(model.measurement, SIGNATURE)
-    done = _model_record(unscented, *functions, model.parameters, *prepared, weights, means, covariances)
+    done = model_record(unscented, *functions, model.parameters, *prepared, weights, means, covariances)
     if done < samples:
         raise InputError(
             f"the covariance stops being positive definite at sample {done}; raise process or noise"

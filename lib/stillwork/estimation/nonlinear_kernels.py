@@ -3,13 +3,13 @@
 import numpy as np
 
 from stillwork.base.kernels import kernel
-from stillwork.estimation.extended import JACOBIAN, OBSERVATION, _correct_extended, _predict_extended
+from stillwork.estimation.extended import JACOBIAN, OBSERVATION, correct_extended, predict_extended
 from stillwork.estimation.gaussian import COVARIANCE, ESTIMATE, EXPECTED, MEANS, MEASURED, OBSERVED, POINTS
-from stillwork.estimation.unscented import _correct_unscented, _draw_points, _predict_unscented
+from stillwork.estimation.unscented import correct_unscented, predict_unscented, spread_points
 
 
 @kernel
-def _model_record(
+def model_record(
     unscented,
     transition,
     measurement,
@@ -49,14 +49,14 @@ def _model_record(
 @kernel
 def _unscented_step(transition, measurement, parameters, inputs, process, noise, work, weights, state, seen):
     states, outputs = state.shape[1], seen.shape[1]
-    if not _draw_points(work, states, weights[0]):
+    if not spread_points(work, states, weights[0]):
         return False
     _move_points(transition, inputs, parameters, work[POINTS], work[POINTS], state[0], state[1])
-    _predict_unscented(work, weights, process, states)
-    if not _draw_points(work, states, weights[0]):
+    predict_unscented(work, weights, process, states)
+    if not spread_points(work, states, weights[0]):
         return False
     _move_points(measurement, inputs, parameters, work[POINTS], work[OBSERVED], state[0], seen[0])
-    return _correct_unscented(work, weights, noise, states, outputs)
+    return correct_unscented(work, weights, noise, states, outputs)
 
 
 @kernel
@@ -81,12 +81,12 @@ def _extended_step(transition, measurement, parameters, inputs, process, noise, 
     for j in range(states):
         mean[j] = state[1, j]
         here[j] = mean[j]
-    _predict_extended(work, process, states)
+    predict_extended(work, process, states)
     _differences(measurement, here, inputs, parameters, seen[1], seen[2], work[OBSERVATION])
     measurement(here, inputs, parameters, seen[0])
     for j in range(outputs):
         work[MEANS, EXPECTED, j] = seen[0, j]
-    return _correct_extended(work, noise, states, outputs)
+    return correct_extended(work, noise, states, outputs)
 
 
 @kernel

@@ -13,7 +13,7 @@ from stillwork.lti.state_space import StateModel
 
 
 @dataclass(frozen=True)
-class Noise:
+class NoiseIntensities:
     """Intensities that the observer is designed for; without a noise model only their ratio matters."""
 
     process: float  # Q, N^2
@@ -65,14 +65,14 @@ class Observer:
         return StateModel(self.a - self.gain @ self.c, b, rows, np.zeros((len(rows), b.shape[1])))
 
 
-def kalman_observer(model: ModalModel, noise: Noise, noise_model: float | None = None) -> Observer:
+def kalman_observer(model: ModalModel, noise: NoiseIntensities, noise_model: float | None = None) -> Observer:
     """Kalman observer of section 3.1, with the process noise at the plant input (G = B).
 
     Parameters
     ----------
     model : ModalModel
         Reduced model; its feedthrough is the compliance T_DC.
-    noise : Noise
+    noise : NoiseIntensities
     noise_model : float, optional
         Intensity Q_nu of the random walk z that is added to the plant input, with U = B: (3.14) and
         Theorem 3.2.4.

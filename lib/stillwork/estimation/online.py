@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_count, require_number
 from stillwork.base.kernels import kernel
-from stillwork.estimation.adaptive import FeLms, FeRls, _felms_update, _ferls_update
+from stillwork.estimation.adaptive import FeLms, FeRls, felms_update, ferls_update
 
 # An error this many times the largest one without adaptation is no transient any more.
 RUNAWAY = 1e6
@@ -119,8 +119,8 @@ def identify(
     return _run(settings, regressors, "disturbance", disturbance, weights, every)
 
 
-class Stepper:
-    """The adaptation for people who drive hardware: one call a sample.
+class AdaptationStepper:
+    """The adaptation for people who drive hardware: one call a sample, as of `RecursiveStepper`.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ class Stepper:
         self._gain = np.zeros(self.weights.shape[1])
         self.samples = 0
 
-    def step(self, regressor: ArrayLike, error: ArrayLike) -> Float64[np.ndarray, "actuators n"]:
+    def update(self, regressor: ArrayLike, error: ArrayLike) -> Float64[np.ndarray, "actuators n"]:
         """Take in psi_N, shape (n,), and e, shape (actuators,), of one sample; returns a copy of the new weights.
 
         After an exception weights and covariance are those of the sample before: safe to hold or to fade out.
@@ -166,7 +166,7 @@ class Stepper:
         settings, weights, covariance = self.settings, self.weights.copy(), None
         if isinstance(settings, FeRls):
             covariance, forgetting = self.covariance.copy(), settings.forgetting
-            leverage = _ferls_update(
+            leverage = ferls_update(
                 weights, covariance, regressor, error, forgetting, self._limits, self._gain
             )
             if not leverage >= forgetting:
@@ -176,7 +176,7 @@ class Stepper:
         else:
             copies = settings.trace_copies(actuators)
             step_size, regularisation = settings.step_size, settings.regularisation
-            _felms_update(weights, regressor, error, step_size, regularisation, copies)
+            felms_update(weights, regressor, error, step_size, regularisation, copies)
         if not _all_finite(weights):
             raise _runaway(self.samples, settings)
         self.weights, self.covariance = weights, covariance
@@ -324,7 +324,7 @@ def _run_ferls(
             error = signals[k]
         elif not _error_of(weights, regressors[k], signals[k], error) <= ceiling:
             return k, True
-        leverage = _ferls_update(weights, covariance, regressors[k], error, forgetting, limits, gain)
+        leverage = ferls_update(weights, covariance, regressors[k], error, forgetting, limits, gain)
         if not leverage >= forgetting:
             return k, False
         if not leverage < np.inf or (watch and not (_all_finite(covariance) and _all_finite(weights))):
@@ -356,7 +356,7 @@ def _run_felms(
             error = signals[k]
         elif not _error_of(weights, regressors[k], signals[k], error) <= ceiling:
             return k
-        _felms_update(weights, regressors[k], error, step_size, regularisation, trace_copies)
+        felms_update(weights, regressors[k], error, step_size, regularisation, trace_copies)
         if watch and not _all_finite(weights):
             return k
         if k == due:

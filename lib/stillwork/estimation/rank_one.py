@@ -9,7 +9,7 @@ import numpy as np
 
 from stillwork.base.kernels import kernel
 from stillwork.estimation.recursive_kernels import ALPHA, COUNT, ENERGY
-from stillwork.estimation.secular import _secular_root
+from stillwork.estimation.secular import secular_root
 
 EPSILON = 2.220446049250313e-16
 
@@ -182,7 +182,7 @@ def _update_eigenpairs(values, vectors, row, forgetting):
 
 
 @kernel
-def _run_fast(
+def run_fast(
     rows, outputs, bounds, forgetting, values, vectors, correlation, scalars, estimate,
     estimates, errors, alphas, evaluations,
 ):  # fmt: skip
@@ -219,7 +219,7 @@ def _run_fast(
                 squares[i] = shares[i] * shares[i] / values[i] if solid else 0.0
                 excess -= squares[i]
             start = scalars[ALPHA] if scalars[ALPHA] < np.inf else mean
-            alpha, count = _secular_root(values, squares, max(excess, 0.0), bounds[t], start)
+            alpha, count = secular_root(values, squares, max(excess, 0.0), bounds[t], start)
             for i in range(n):
                 share = shares[i] / (values[i] + alpha)
                 for m in range(n):

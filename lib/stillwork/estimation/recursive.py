@@ -1,4 +1,4 @@
-"""Recursive estimators with one interface: `run` over a record, `Stepper` for one sample at a time."""
+"""Recursive estimators with one interface: `run` over a record, `RecursiveStepper` for one sample at a time."""
 
 import warnings
 
@@ -83,7 +83,7 @@ def _require_size(name, largest) -> None:
         raise InputError(f"{name} reaches {largest:g}, too large to be squared; use another unit")
 
 
-class Stepper:
+class RecursiveStepper:
     """An estimator that is fed one sample at a time; same numbers as `run`.
 
     Parameters
@@ -91,13 +91,18 @@ class Stepper:
     estimator : MinMax, GrowingMinMax, LeastSquares or Ridge
     unknowns : int
         Number of parameters.
+
+    Attributes
+    ----------
+    samples : int
+        How many samples were seen.
     """
 
     def __init__(self, estimator: Estimator, unknowns: int):
         self._estimator = estimator
         self._unknowns = require_count("unknowns", unknowns)
         self._state = estimator.start(self._unknowns)
-        self._samples = 0
+        self.samples = 0
         self._excited = self._warned = False
 
     def update(self, regressor: ArrayLike, output: float) -> np.ndarray:
@@ -117,14 +122,14 @@ class Stepper:
         output = require_number("output", output)
         _require_size("regressor", max(map(abs, row.tolist())))
         _require_size("output", abs(output))
-        track = self._estimator.advance(self._state, self._samples, row[None], np.array([output]))
-        self._samples += 1
+        track = self._estimator.advance(self._state, self.samples, row[None], np.array([output]))
+        self.samples += 1
         self._excited = self._excited or (output != 0 and bool(row.any()))
-        zero = self._excited and self._samples > self._unknowns and track.alphas[0] == np.inf
+        zero = self._excited and self.samples > self._unknowns and track.alphas[0] == np.inf
         if zero and not self._warned:
             self._warned = True
             warnings.warn(
-                f"the estimate is zero after sample {self._samples}: the bound is at or above |A'b|/|b|, so a "
+                f"the estimate is zero after sample {self.samples}: the bound is at or above |A'b|/|b|, so a "
                 "perturbation of that size explains all of the data; if it stays zero, give a smaller bound "
                 "(said once for each stepper)",
                 ZeroEstimateWarning,
@@ -163,5 +168,5 @@ def worst_case_residuals(
     forgetting = require_number("forgetting", forgetting, above=0.0, at_most=1.0)
     worst = np.empty(len(outputs))
     rows, points = np.ascontiguousarray(regressors.T), np.ascontiguousarray(estimates.T)
-    recursive_kernels._worst_residuals(rows, outputs, bounds, forgetting, points, worst)
+    recursive_kernels.worst_residuals(rows, outputs, bounds, forgetting, points, worst)
     return worst

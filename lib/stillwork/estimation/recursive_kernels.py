@@ -7,8 +7,14 @@ s <- lam s + a y, `energy` z <- lam z + y^2, the regularisation alpha, the numbe
 import numpy as np
 
 from stillwork.base.kernels import kernel
-from stillwork.estimation.factor import _accumulate, _factorise, _solve_backward, _solve_forward, _squares
-from stillwork.estimation.secular import ROUNDING, _bracket, _next_alpha
+from stillwork.estimation.factor import (
+    accumulate_row,
+    factorise,
+    solve_backward,
+    solve_forward,
+    squared_norms,
+)
+from stillwork.estimation.secular import ROUNDING, narrow_bracket, next_alpha
 
 ALPHA, ENERGY, COUNT = 0, 1, 2  # places in the array `scalars`: alpha, z, samples seen
 
@@ -23,27 +29,27 @@ def _exact_solution(
     high = np.inf
     evaluations = 0
     while True:
-        _factorise(information, alpha, correlation, factor, inverse_pivots, half, work)
-        _solve_backward(factor, inverse_pivots, half, x)
-        norm, residual = _squares(information, correlation, energy, x)
+        factorise(information, alpha, correlation, factor, inverse_pivots, half, work)
+        solve_backward(factor, inverse_pivots, half, x)
+        norm, residual = squared_norms(information, correlation, energy, x)
         evaluations += 1
         if residual == 0.0 or evaluations == 100:
             return alpha, evaluations
-        _solve_forward(factor, x, half)
-        _solve_backward(factor, inverse_pivots, half, turned)
+        solve_forward(factor, x, half)
+        solve_backward(factor, inverse_pivots, half, turned)
         first = 0.0
         second = 0.0
         for i in range(len(x)):
             first += x[i] * turned[i]
             second += turned[i] * turned[i]
         image = bound * np.sqrt(residual / norm)
-        low, high = _bracket(alpha, image, low, high)
-        step, near = _next_alpha(alpha, image, norm, residual, first, second, low, high)
+        low, high = narrow_bracket(alpha, image, low, high)
+        step, near = next_alpha(alpha, image, norm, residual, first, second, low, high)
         if near and step > least:
             # two terms of the series of x in alpha make up for the last step
             change = step - alpha
-            _solve_forward(factor, turned, half)
-            _solve_backward(factor, inverse_pivots, half, work)
+            solve_forward(factor, turned, half)
+            solve_backward(factor, inverse_pivots, half, work)
             for i in range(len(x)):
                 x[i] -= change * (turned[i] - change * work[i])
             return step, evaluations
@@ -54,7 +60,7 @@ def _exact_solution(
 
 
 @kernel
-def _run_exact(
+def run_exact(
     rows, outputs, bounds, forgetting, information, correlation, scalars, estimate,
     estimates, errors, alphas, evaluations,
 ):  # fmt: skip
@@ -76,7 +82,7 @@ def _run_exact(
             row[i] = rows[t, i]
             error -= row[i] * estimate[i]
         errors[t] = error
-        size, trace = _accumulate(row, output, forgetting, information, correlation)
+        size, trace = accumulate_row(row, output, forgetting, information, correlation)
         energy = forgetting * energy + output * output
         seen += 1.0
         count = 0
@@ -101,7 +107,7 @@ def _run_exact(
 
 
 @kernel
-def _run_approximate(
+def run_approximate(
     rows, outputs, bounds, forgetting, iterations, information, correlation, scalars, estimate,
     factor, inverse_pivots, estimates, errors, alphas, evaluations,
 ):  # fmt: skip
@@ -124,7 +130,7 @@ def _run_approximate(
             row[i] = rows[t, i]
             error -= row[i] * estimate[i]
         errors[t] = error
-        size, trace = _accumulate(row, output, forgetting, information, correlation)
+        size, trace = accumulate_row(row, output, forgetting, information, correlation)
         energy = forgetting * energy + output * output
         seen += 1.0
         least = ROUNDING * trace
@@ -140,9 +146,9 @@ def _run_approximate(
                 information, correlation, energy, bound, trace / n, least, estimate,
                 factor, inverse_pivots, half, work, gain,
             )  # fmt: skip
-            _factorise(information, alpha, correlation, factor, inverse_pivots, half, work)
+            factorise(information, alpha, correlation, factor, inverse_pivots, half, work)
         else:
-            _solve_forward(factor, row, half)
+            solve_forward(factor, row, half)
             weight = forgetting
             for i in range(n):
                 weight += half[i] * half[i] * inverse_pivots[i]
@@ -154,10 +160,10 @@ def _run_approximate(
                 gain[i] = entry
                 estimate[i] += entry * share
             for _ in range(iterations):
-                norm, residual = _squares(information, correlation, energy, estimate)
+                norm, residual = squared_norms(information, correlation, energy, estimate)
                 alpha = max(bound * np.sqrt(residual / norm), least)
-                _factorise(information, alpha, correlation, factor, inverse_pivots, half, work)
-                _solve_backward(factor, inverse_pivots, half, estimate)
+                factorise(information, alpha, correlation, factor, inverse_pivots, half, work)
+                solve_backward(factor, inverse_pivots, half, estimate)
             count = iterations
         alphas[t] = alpha
         evaluations[t] = count
@@ -169,7 +175,7 @@ def _run_approximate(
 
 
 @kernel
-def _run_ridge(rows, outputs, penalty, forgetting, information, correlation, estimate, estimates, errors):
+def run_ridge(rows, outputs, penalty, forgetting, information, correlation, estimate, estimates, errors):
     """(R + penalty I)^-1 s at every step."""
     n = len(estimate)
     factor = np.zeros((n, n))
@@ -183,15 +189,15 @@ def _run_ridge(rows, outputs, penalty, forgetting, information, correlation, est
             row[i] = rows[t, i]
             error -= row[i] * estimate[i]
         errors[t] = error
-        _accumulate(row, outputs[t], forgetting, information, correlation)
-        _factorise(information, penalty, correlation, factor, inverse_pivots, half, work)
-        _solve_backward(factor, inverse_pivots, half, estimate)
+        accumulate_row(row, outputs[t], forgetting, information, correlation)
+        factorise(information, penalty, correlation, factor, inverse_pivots, half, work)
+        solve_backward(factor, inverse_pivots, half, estimate)
         for i in range(n):
             estimates[t, i] = estimate[i]
 
 
 @kernel
-def _run_least_squares(rows, outputs, forgetting, covariance, estimate, estimates, errors):
+def run_least_squares(rows, outputs, forgetting, covariance, estimate, estimates, errors):
     """Exponentially weighted recursive least squares, covariance form.
 
     One triangle is computed and mirrored: rounding that differs between the two grows as 1 / forgetting^t.
@@ -220,14 +226,14 @@ def _run_least_squares(rows, outputs, forgetting, covariance, estimate, estimate
 
 
 @kernel
-def _worst_residuals(rows, outputs, bounds, forgetting, estimates, worst):
+def worst_residuals(rows, outputs, bounds, forgetting, estimates, worst):
     # |A x - b| + eta |x| of any estimates x_t, from R, s and z
     n = rows.shape[1]
     information = np.zeros((n, n))
     correlation = np.zeros(n)
     energy = 0.0
     for t in range(len(outputs)):
-        _accumulate(rows[t], outputs[t], forgetting, information, correlation)
+        accumulate_row(rows[t], outputs[t], forgetting, information, correlation)
         energy = forgetting * energy + outputs[t] * outputs[t]
-        norm, residual = _squares(information, correlation, energy, estimates[t])
+        norm, residual = squared_norms(information, correlation, energy, estimates[t])
         worst[t] = np.sqrt(residual) + bounds[t] * np.sqrt(norm)

@@ -52,13 +52,13 @@ class _MinMaxUpdate:
         out = _empty(rows)
         bounds = self.bounds(first, len(rows))
         if self.update == "fast":
-            rank_one._run_fast(rows, outputs, bounds, self._weight, *state, *out)
+            rank_one.run_fast(rows, outputs, bounds, self._weight, *state, *out)
         elif self.update == "approximate":
-            recursive_kernels._run_approximate(
+            recursive_kernels.run_approximate(
                 rows, outputs, bounds, self._weight, self.iterations, *state, *out
             )
         else:
-            recursive_kernels._run_exact(rows, outputs, bounds, self._weight, *state, *out)
+            recursive_kernels.run_exact(rows, outputs, bounds, self._weight, *state, *out)
         return _track(*out)
 
     def _check(self) -> None:
@@ -167,7 +167,7 @@ class LeastSquares:
 
     def advance(self, state, first: int, rows, outputs) -> Track:
         out = _empty(rows)
-        recursive_kernels._run_least_squares(rows, outputs, float(self.forgetting), *state, *out[:2])
+        recursive_kernels.run_least_squares(rows, outputs, float(self.forgetting), *state, *out[:2])
         out[2][:] = 0
         return _track(*out)
 
@@ -197,7 +197,7 @@ class Ridge:
     def advance(self, state, first: int, rows, outputs) -> Track:
         out = _empty(rows)
         settings = float(self.penalty), float(self.forgetting)
-        recursive_kernels._run_ridge(rows, outputs, *settings, *state, *out[:2])
+        recursive_kernels.run_ridge(rows, outputs, *settings, *state, *out[:2])
         out[2][:] = self.penalty
         return _track(*out)
 

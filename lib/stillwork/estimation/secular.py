@@ -14,7 +14,7 @@ ROUNDING = 10 * np.finfo(float).eps
 
 
 @kernel
-def _bracket(alpha, image, low, high):
+def narrow_bracket(alpha, image, low, high):
     # Theorem 3: the iterates f(alpha) approach the root monotonically, so each of them bounds it
     if image > alpha:
         return max(low, image), high
@@ -22,7 +22,7 @@ def _bracket(alpha, image, low, high):
 
 
 @kernel
-def _next_alpha(alpha, image, norm, residual, first, second, low, high):
+def next_alpha(alpha, image, norm, residual, first, second, low, high):
     """Halley step towards the root of the secular equation.
 
     It solves bound(1/alpha)^-1 = eta^-1, which is nearly straight in 1/alpha at both ends. With
@@ -59,7 +59,7 @@ def _next_alpha(alpha, image, norm, residual, first, second, low, high):
 
 
 @kernel
-def _secular_root(eigenvalues, c_squared, d_squared, bound, start):
+def secular_root(eigenvalues, c_squared, d_squared, bound, start):
     alpha = start
     low = 0.0
     high = np.inf
@@ -80,8 +80,8 @@ def _secular_root(eigenvalues, c_squared, d_squared, bound, start):
         residual = d_squared + alpha * alpha * residual
         evaluations += 1
         image = bound * np.sqrt(residual / norm)
-        low, high = _bracket(alpha, image, low, high)
-        step, near = _next_alpha(alpha, image, norm, residual, first, second, low, high)
+        low, high = narrow_bracket(alpha, image, low, high)
+        step, near = next_alpha(alpha, image, norm, residual, first, second, low, high)
         if near or step == alpha:
             return step, evaluations
         alpha = step
@@ -156,7 +156,7 @@ class SecularFunction:
                 f"between {lowest:g} and {self.threshold:g}"
             )
         start = self._far_start() if start is None else require_number("start", start, above=0.0)
-        return _secular_root(self.eigenvalues, self.coefficients**2, self.excess**2, self.bound, start)
+        return secular_root(self.eigenvalues, self.coefficients**2, self.excess**2, self.bound, start)
 
     def _far_start(self) -> float:
         # where bound(1/alpha)^-1, linear from alpha = infinity, would meet eta^-1

@@ -23,8 +23,8 @@ from stillwork.estimation.gaussian import (
     PAST,
     POINTS,
     ROOT,
-    _cholesky,
-    _correct_gaussian,
+    cholesky_root,
+    correct_gaussian,
 )
 
 
@@ -52,10 +52,10 @@ class SigmaPoints:
 
 
 @kernel
-def _draw_points(work, size, spread):
+def spread_points(work, size, spread):
     """(12): the mean, and the mean plus and minus the columns of sqrt(spread P), spread = L + lambda."""
     points, means, root = work[POINTS], work[MEANS], work[ROOT]
-    if not _cholesky(work[COVARIANCE], root, size):
+    if not cholesky_root(work[COVARIANCE], root, size):
         return False
     scale = spread**0.5
     for j in range(size):
@@ -87,7 +87,7 @@ def _weighted_product(points, mean, others, other_mean, result, count, rows, col
 
 
 @kernel
-def _predict_unscented(work, weights, process, size):
+def predict_unscented(work, weights, process, size):
     """(13): mean and covariance of the moved points, about the predicted mean, plus Q."""
     points, covariance, mean, count = work[POINTS], work[COVARIANCE], work[MEANS, ESTIMATE], 2 * size + 1
     _weighted_mean(points, mean, count, size, weights[1], weights[3])
@@ -98,7 +98,7 @@ def _predict_unscented(work, weights, process, size):
 
 
 @kernel
-def _correct_unscented(work, weights, noise, size, outputs):
+def correct_unscented(work, weights, noise, size, outputs):
     """(15)-(17): the points, what they would measure, and the measurement are in place."""
     points, observed, innovation, count = work[POINTS], work[OBSERVED], work[INNOVATION], 2 * size + 1
     mean, expected = work[MEANS, ESTIMATE], work[MEANS, EXPECTED]
@@ -111,7 +111,7 @@ def _correct_unscented(work, weights, noise, size, outputs):
     for i in range(outputs):
         for j in range(outputs):
             innovation[i, j] += noise[i, j]
-    return _correct_gaussian(work, size, outputs)
+    return correct_gaussian(work, size, outputs)
 
 
 @kernel
@@ -122,7 +122,7 @@ def _copy_points(source, target):
 
 
 @kernel
-def _plant_unscented_step(
+def plant_unscented_step(
     options, process, noise, work, acceleration, plant, time_step, measured, force, estimate
 ):
     """One sample for a second-order plant: x = [velocity, position], z = [difference quotient, position].
@@ -140,24 +140,24 @@ def _plant_unscented_step(
         work[COVARIANCE, 1, 1] = options[5]
     last_velocity = means[ESTIMATE, 0]
     literal = options[4] != 0.0
-    if not _draw_points(work, 2, options[0]):
+    if not spread_points(work, 2, options[0]):
         return False
     if literal:  # (14) as printed: the correction uses the points around the *previous* estimate
         _copy_points(points, observed)
     for i in range(5):  # (10), with all terms of (11)
         points[i, 0] += time_step * acceleration(points[i, 1], points[i, 0], force, plant)
         points[i, 1] += time_step * points[i, 0]
-    _predict_unscented(work, options, process, 2)
+    predict_unscented(work, options, process, 2)
     if literal:
         _copy_points(observed, points)
     else:
-        if not _draw_points(work, 2, options[0]):
+        if not spread_points(work, 2, options[0]):
             return False
         _copy_points(points, observed)
     means[MEASURED, 0] = (measured - means[PAST, 0]) / time_step
     means[MEASURED, 1] = measured
     means[PAST, 0] = measured
-    if not _correct_unscented(work, options, noise, 2, 2):
+    if not correct_unscented(work, options, noise, 2, 2):
         return False
     estimate[0] = means[ESTIMATE, 1]
     estimate[1] = means[ESTIMATE, 0]

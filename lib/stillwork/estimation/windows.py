@@ -38,7 +38,7 @@ def _window_dot(weights, buffer):
 
 
 @kernel
-def _moving_window_step(weights, state, time_step, measured, estimate):
+def moving_window_step(weights, state, time_step, measured, estimate):
     """Section II.A: fit, difference, fit, difference, fit.
 
     `estimate` holds the last one on entry: at the first sample the motion that is presumed before it.
@@ -60,7 +60,7 @@ def _moving_window_step(weights, state, time_step, measured, estimate):
 
 
 @kernel
-def _savitzky_golay_step(weights, state, time_step, measured, estimate):
+def savitzky_golay_step(weights, state, time_step, measured, estimate):
     """Three rows of weights on one buffer: position, velocity, acceleration; starts as the moving window."""
     samples = state.shape[2]
     if state[1, 0, 0] == 0.0:

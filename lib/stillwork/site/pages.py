@@ -58,7 +58,7 @@ class Figure:
 
 
 @dataclass(frozen=True)
-class Cell:
+class PageCell:
     """One cell as HTML; `claims` are those that it judges."""
 
     id: str
@@ -75,7 +75,7 @@ class NotebookPage:
 
     notebook: Notebook
     title: str
-    cells: tuple[Cell, ...]
+    cells: tuple[PageCell, ...]
     claims: tuple[Claim, ...]
     parameters: tuple[tuple[str, str, str, str], ...]  # name, type, published value, comment
     functions: tuple[str, ...]
@@ -155,7 +155,7 @@ def _with_outputs(cells: list[dict], gave: dict[str, list[dict]]) -> list[dict]:
     ]
 
 
-def _cells(name: str, raw: list[dict], folder: Path, claims: list[Claim]) -> list[Cell]:
+def _cells(name: str, raw: list[dict], folder: Path, claims: list[Claim]) -> list[PageCell]:
     pictures = sorted(file.stem for file in folder.glob("[!.]*.png"))
     by_id = {claim.entry.id: claim for claim in claims}
     drawn: set[str] = set()
@@ -165,7 +165,7 @@ def _cells(name: str, raw: list[dict], folder: Path, claims: list[Claim]) -> lis
         source, anchor = _text(cell), f"cell-{cell.get('id', number)}"
         if cell["cell_type"] == "markdown":
             heading = next(iter(re.findall(r"^#+ (.+)$", source, re.MULTILINE)), heading)
-            cells.append(Cell(anchor, False, Markup(_prose(name, source))))
+            cells.append(PageCell(anchor, False, Markup(_prose(name, source))))
         elif cell["cell_type"] == "code":
             here = [each for each in reading.saved(source, pictures) if each not in drawn]
             ids = [each for each in reading.checked(source, list(by_id)) if each not in judged]
@@ -180,7 +180,9 @@ def _cells(name: str, raw: list[dict], folder: Path, claims: list[Claim]) -> lis
                 elif (left := FILE_NAMES.sub("", text).strip("\n")) and left not in VERDICTS_ALONE:
                     outputs.append(left)
             judgements = tuple(by_id[each] for each in ids)
-            cells.append(Cell(anchor, True, _highlighted(source), tuple(outputs), tuple(figures), judgements))
+            cells.append(
+                PageCell(anchor, True, _highlighted(source), tuple(outputs), tuple(figures), judgements)
+            )
     return cells
 
 
@@ -196,7 +198,7 @@ def _prose(name: str, source: str) -> str:
         raise InputError(f"{name}: {error}") from None
 
 
-def _with_the_rest(cells: list[Cell], raw: list[dict], claims: list[Claim]) -> tuple[Cell, ...]:
+def _with_the_rest(cells: list[PageCell], raw: list[dict], claims: list[Claim]) -> tuple[PageCell, ...]:
     """`cells`, with the claims that no cell names in the one that prints the table of all."""
     left = tuple(claim for claim in claims if not any(claim in cell.claims for cell in cells))
     tables = [number for number, cell in enumerate(raw) if _text(cell).strip() == "page.claims"]

@@ -34,7 +34,7 @@ def pytest_configure(config):
 def pytest_collect_file(file_path, parent):
     """A notebook of the workbook, or None where nbval is not wanted."""
     if parent.config.option.nbval and file_path.suffix == ".ipynb":
-        return Notebook.from_parent(parent, path=file_path)
+        return ComparedNotebook.from_parent(parent, path=file_path)
 
 
 def chosen_to_run(count: int, names: list[str], day: int) -> set[str]:
@@ -42,12 +42,12 @@ def chosen_to_run(count: int, names: list[str], day: int) -> set[str]:
     return {names[(day * count + offset) % len(names)] for offset in range(min(count, len(names)))}
 
 
-class Notebook(nbval.IPyNbFile):
+class ComparedNotebook(nbval.IPyNbFile):
     """A notebook whose cells compare numbers as numbers, on a kernel or on the record of a build."""
 
     def collect(self):
         for cell in super().collect():
-            yield Cell.from_parent(
+            yield ComparedCell.from_parent(
                 self, name=cell.name, cell_num=cell.cell_num, cell=cell.cell, options=cell.options
             )
 
@@ -75,7 +75,7 @@ class Notebook(nbval.IPyNbFile):
         return None if task.reasons() else task
 
 
-class Cell(nbval.IPyNbCell):
+class ComparedCell(nbval.IPyNbCell):
     """A cell for whose output the committed text is taken where it differs from it by rounding alone."""
 
     def compare_outputs(self, test, ref, skip_compare=None):
