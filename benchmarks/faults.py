@@ -51,7 +51,7 @@ LAST_WORDS = re.compile(
     r"^Traceback .*\n  File .*kernel_process.py.*, in <module>\n(?!    warm)(?: .*\n)*(?:\S.*\n?)?",
     re.MULTILINE,
 )
-CHANGED = ("notebooks", "data", "figures", "build", "lib/stillwork/isolation", "lib/stillwork/motion")
+CHANGED = ("notebooks", "data", "figures", "build", "lib/experiments/isolation", "lib/experiments/motion")
 
 Files = dict[str, bytes]
 
@@ -268,9 +268,9 @@ def edit(bench: Bench, draw: random.Random, often: float = 0.5) -> None:
     """Change the sources of at least one notebook, in a few ways."""
     ways = [
         lambda: bench.toy.replace(f"notebooks/{FIRST}.ipynb", "seed: int = 1", "seed: int = 2"),
-        lambda: bench.toy.replace("lib/stillwork/isolation/model.py", "2.0", "3.0"),
+        lambda: bench.toy.replace("lib/experiments/isolation/model.py", "2.0", "3.0"),
         lambda: bench.toy.write("data/isolation/rig.toml", "mass = 2.0\n"),
-        lambda: bench.toy.replace("lib/stillwork/motion/model.py", "2.0", "3.0"),
+        lambda: bench.toy.replace("lib/experiments/motion/model.py", "2.0", "3.0"),
     ]
     for way in [w for w in ways if draw.random() < often] or [draw.choice(ways)]:
         way()
@@ -430,6 +430,7 @@ def disturbed(
 def journal_fault(bench: Bench, draw: random.Random, way: str) -> str:
     """Many files as one, cut."""
     from stillwork.checks import InputError
+
     from stillwork.workbook.publish import finish, replace_all
 
     place = bench.root / "bench"
@@ -785,8 +786,8 @@ def edited(bench: Bench, draw: random.Random) -> str:
     possible = [old, bench.states()]
     file, one, other = draw.choice(
         [
-            ("lib/stillwork/isolation/model.py", "* level", "* level * 1.0"),
-            ("lib/stillwork/isolation/model.py", draw.choice(["2.0", "3.0"]), "5.0"),
+            ("lib/experiments/isolation/model.py", "* level", "* level * 1.0"),
+            ("lib/experiments/isolation/model.py", draw.choice(["2.0", "3.0"]), "5.0"),
             (f"notebooks/{FIRST}.ipynb", "seed: int = ", "seed: int = 7"),
             ("data/isolation/rig.toml", "mass = ", "mass = 4"),
         ]
@@ -1000,8 +1001,8 @@ def prepare_accept(bench: Bench) -> None:
     toy.write("README.md", "# Toy\n\n<!-- ledger:begin -->\nold\n<!-- ledger:end -->\n")
     toy.write("figures/isolation/01-page/gone.csv", "panel,series,x,y,z\n")
     assert toy.run("figures").returncode == toy.run("accept").returncode == 0
-    toy.replace("lib/stillwork/isolation/model.py", "2.0", "2.1")
-    toy.replace("lib/stillwork/motion/model.py", "2.0", "2.1")
+    toy.replace("lib/experiments/isolation/model.py", "2.0", "2.1")
+    toy.replace("lib/experiments/motion/model.py", "2.0", "2.1")
     toy.replace("notebooks/isolation/01-page.ipynb", "size=3)", "size=3) + gain(level)")
     toy.replace("notebooks/isolation/01-page.ipynb", "fig-1", "fig-2")
     assert toy.run("figures").returncode == 0
