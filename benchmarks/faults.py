@@ -429,7 +429,7 @@ def disturbed(
 
 def journal_fault(bench: Bench, draw: random.Random, way: str) -> str:
     """Many files as one, cut."""
-    from stillwork.checks import InputError
+    from stillwork.base.checks import InputError
 
     from stillwork.workbook.publish import finish, replace_all
 
@@ -1005,7 +1005,8 @@ def prepare_accept(bench: Bench) -> None:
     toy.replace("lib/experiments/motion/model.py", "2.0", "2.1")
     toy.replace("notebooks/isolation/01-page.ipynb", "size=3)", "size=3) + gain(level)")
     toy.replace("notebooks/isolation/01-page.ipynb", "fig-1", "fig-2")
-    assert toy.run("figures").returncode == 0
+    done = toy.run("figures")
+    assert done.returncode == 0, done.stdout + done.stderr
     bench.save("accepted", root, CHANGED[:4])
     shutil.copy(root / "README.md", bench.home / "accepted")
     bench.steps["accept"] = 0

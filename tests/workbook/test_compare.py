@@ -152,6 +152,10 @@ def test_a_figure_is_its_table_and_its_picture(tmp_path):
     assert difference(tmp_path / "now", tmp_path / "before") == 0.0
     assert difference(tmp_path / "now", tmp_path / "other") is None
     assert difference(tmp_path / "now", tmp_path / "gone") is None
+    for name, number in (("one", 1), ("same", 1), ("more", 2)):
+        table(tmp_path, name, [(0, number)])
+    assert difference(tmp_path / "one", tmp_path / "same") == 0.0
+    assert difference(tmp_path / "one", tmp_path / "more") is None
 
 
 def claim(ours, interval=None, **fields):
