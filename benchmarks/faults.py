@@ -860,7 +860,7 @@ def full_build(bench: Bench, draw: random.Random) -> str:
     states = [old, bench.states()]
     if not bench.mounted:
         run = bench.fork("figures", "--jobs", "2", before=limited(int(10 ** draw.uniform(0, 4)), False))
-        return judged(bench, before, states, [run], set())
+        return judged(bench, before, states, [run], set(), ending=True)
     place = draw.choice([bench.root, bench.toy.temporary])
     with filled(place, draw.choice([0, 4096, int(10 ** draw.uniform(3.6, 5.3))])) as empty:
         run = bench.fork("figures", "--jobs", "2")
@@ -868,7 +868,7 @@ def full_build(bench: Bench, draw: random.Random) -> str:
             time.sleep(draw.uniform(0.02, bench.seconds))
             empty()
         run.wait()
-    return judged(bench, before, states, [run], set())
+    return judged(bench, before, states, [run], set(), ending=True)
 
 
 def damaged(bench: Bench, draw: random.Random) -> str:
@@ -1039,6 +1039,7 @@ def main() -> int:
         mounted = os.path.ismount(home / "root")
         work(home, mounted, chosen[part :: options.jobs], options.seed)
         return 0
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # unmounts, as an interrupt does
     begin = time.monotonic()
     home = Path(tempfile.mkdtemp(prefix="faults-", dir="/tmp"))  # short: sockets stand in it
     try:
@@ -1061,8 +1062,13 @@ def _table(home: Path, jobs: int) -> tuple[list[dict], bool]:
         del environment["TOY_MARK"], environment["TOY"]  # it is not one of the processes that it looks for
         command = [sys.executable, __file__, *sys.argv[1:], "--worker", str(part), str(home / str(part))]
         workers.append(subprocess.Popen(command, env=environment, stdout=(home / f"{part}.json").open("w")))
-    for worker in workers:
-        worker.wait()
+    try:
+        for worker in workers:
+            worker.wait()
+    finally:
+        for worker in workers:
+            worker.terminate()
+            worker.wait()
     lines = [line for part in range(jobs) for line in (home / f"{part}.json").read_text().splitlines()]
     return [json.loads(line) for line in lines], mounted
 
