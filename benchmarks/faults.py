@@ -64,7 +64,7 @@ def sources(root: Path, name: str) -> tuple[str, str, str]:
     room = name.partition("/")[0]
     cells = json.loads((root / "notebooks" / f"{name}.ipynb").read_text())["cells"]
     seed = re.search(r"seed: int = (\d+)", next(c["source"] for c in cells if c["id"] == "parameters"))[1]
-    gain = re.search(r"([\d.]+) \* level", (root / f"lib/stillwork/{room}/model.py").read_text())[1]
+    gain = re.search(r"([\d.]+) \* level", (root / f"lib/experiments/{room}/model.py").read_text())[1]
     return seed, gain, (root / f"data/{room}/rig.toml").read_text()
 
 
@@ -430,7 +430,6 @@ def disturbed(
 def journal_fault(bench: Bench, draw: random.Random, way: str) -> str:
     """Many files as one, cut."""
     from stillwork.base.checks import InputError
-
     from stillwork.workbook.publish import finish, replace_all
 
     place = bench.root / "bench"
