@@ -9,6 +9,7 @@ from scipy import linalg
 
 from stillwork.base.checks import InputError, require_choice, require_count, require_number
 from stillwork.base.rounding import TIE
+from stillwork.control.crossover import crossover
 from stillwork.control.loops import LoopResponse, closed_loop, no_observer
 from stillwork.control.pid import Pid
 from stillwork.lti.modal import ModalModel
@@ -64,13 +65,7 @@ class Loop:
     def crossing_hz(self, controller: Pid) -> float:
         """First 0 dB crossing of the open loop that the controller sees (Definition 1.2.1), Hz."""
         gain = np.abs(self.at(controller).loop)
-        below = np.flatnonzero((gain[1:] < 1) & (gain[:-1] >= 1))
-        if not len(below):
-            raise InputError("the loop gain does not cross 0 dB on the grid; widen low_hz and high_hz")
-        k = below[0]
-        ratio = np.log(gain[k]) / np.log(gain[k] / gain[k + 1])
-        low, high = self.omega[k], self.omega[k + 1]
-        return float(low * (high / low) ** ratio / (2 * np.pi))
+        return crossover(lambda w: self.at(controller, w).loop, self.omega, gain) / (2 * np.pi)
 
 
 def make_loop(
