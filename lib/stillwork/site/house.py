@@ -61,7 +61,7 @@ def imports(trees: dict[str, ast.Module]) -> dict[str, set[str]]:
 
     A name that a package hands out (`stillwork.base.faces`) counts as an import of the module that defines it.
     """
-    faces = {module: _face(tree) for module, tree in trees.items()}
+    faces = {module: face_names(tree) for module, tree in trees.items()}
     found = {}
     for module, tree in trees.items():
         named = set()
@@ -76,7 +76,7 @@ def imports(trees: dict[str, ast.Module]) -> dict[str, set[str]]:
     return found
 
 
-def _face(tree: ast.Module) -> dict[str, str]:
+def face_names(tree: ast.Module) -> dict[str, str]:
     """The names that a package hands out, with the module that defines each."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Call) and ast.unparse(node.func) == "face":
