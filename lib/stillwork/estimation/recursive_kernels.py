@@ -7,6 +7,7 @@ s <- lam s + a y, `energy` z <- lam z + y^2, the regularisation alpha, the numbe
 import numpy as np
 
 from stillwork.base.kernels import kernel
+from stillwork.estimation.adaptive import _limit
 from stillwork.estimation.factor import _accumulate, _factorise, _solve_backward, _solve_forward, _squares
 from stillwork.estimation.secular import ROUNDING, _bracket, _next_alpha
 
@@ -191,8 +192,8 @@ def _run_ridge(rows, outputs, penalty, forgetting, information, correlation, est
 
 
 @kernel
-def _run_least_squares(rows, outputs, forgetting, covariance, estimate, estimates, errors):
-    """Exponentially weighted recursive least squares, covariance form.
+def _run_least_squares(rows, outputs, forgetting, covariance, estimate, limits, estimates, errors):
+    """Exponentially weighted recursive least squares, covariance form, P kept below limits of its diagonal.
 
     One triangle is computed and mirrored: rounding that differs between the two grows as 1 / forgetting^t.
     """
@@ -217,6 +218,10 @@ def _run_least_squares(rows, outputs, forgetting, covariance, estimate, estimate
             for j in range(i + 1):
                 covariance[i, j] = (covariance[i, j] - share * spread[j]) * growth
                 covariance[j, i] = covariance[i, j]
+        for i in range(n):
+            if covariance[i, i] > limits[i]:
+                _limit(covariance, limits, spread)
+                break
 
 
 @kernel
