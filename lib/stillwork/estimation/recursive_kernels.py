@@ -7,7 +7,7 @@ s <- lam s + a y, `energy` z <- lam z + y^2, the regularisation alpha, the numbe
 import numpy as np
 
 from stillwork.base.kernels import kernel
-from stillwork.estimation.adaptive import update_covariance
+from stillwork.estimation.adaptive import limit_covariance, update_covariance
 from stillwork.estimation.factor import (
     accumulate_row,
     factorise,
@@ -198,8 +198,8 @@ def run_ridge(rows, outputs, penalty, forgetting, information, correlation, esti
 
 
 @kernel
-def run_least_squares(rows, outputs, forgetting, covariance, estimate, estimates, errors):
-    """Exponentially weighted recursive least squares, covariance form."""
+def run_least_squares(rows, outputs, forgetting, covariance, estimate, limits, estimates, errors):
+    """Exponentially weighted recursive least squares, covariance form, P kept below limits of its diagonal."""
     n = len(estimate)
     gain = np.zeros(n)
     for t in range(len(outputs)):
@@ -213,6 +213,10 @@ def run_least_squares(rows, outputs, forgetting, covariance, estimate, estimates
         for i in range(n):
             estimate[i] += gain[i] * share
             estimates[t, i] = estimate[i]
+        for i in range(n):
+            if covariance[i, i] > limits[i]:
+                limit_covariance(covariance, limits, gain)
+                break
 
 
 @kernel
