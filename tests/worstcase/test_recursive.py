@@ -258,7 +258,7 @@ def test_the_sample_at_which_an_estimate_leaves_the_finite_numbers_is_named():
     with pytest.raises(InputError, match=r"leaves the finite numbers at sample (\d+)") as caught:
         run(endless, rows.T, rows[:, 0])
     assert int(str(caught.value).split("sample ")[1].split(";")[0]) == pytest.approx(leaves, abs=3)
-    stepper = Stepper(endless, 1)
+    stepper = RecursiveStepper(endless, 1)
     with pytest.raises(InputError, match="leaves the finite numbers"):
         for row in rows:
             stepper.update(row, 1.0 if row[0] else 0.0)
