@@ -77,7 +77,9 @@ def test_outputs_are_compared_by_kind_and_text():
     result = {"output_type": "execute_result", "data": {"text/plain": "a 1.0\n"}}
     assert same_outputs([stream], [{**stream, "text": "a 1.1\n"}])
     assert not same_outputs([stream], [result])
-    assert not same_outputs([stream], [stream, stream])
+    assert not same_outputs([stream], [stream, result])
+    halves = [{**stream, "text": "a "}, {**stream, "text": "1.0\n"}]
+    assert same_outputs([stream], halves) and same_outputs(halves, [stream])
 
 
 def test_the_difference_of_two_tables_is_of_the_range(tmp_path):

@@ -155,8 +155,10 @@ class Claim:
         return abs(self.ours - accepted) > 1e-12 and not drift.allows(accepted, self.ours, None)
 
     def shown(self, digits: int) -> str:
-        """Ours as text; of an identity that holds, whose residual is rounding, the bound that it keeps."""
+        """Ours as text; of what is rounding the bound that it keeps: an identity's residual, or less than its drift."""
         entry = self.entry
+        if entry.drift.absolute and abs(self.ours) <= entry.drift.absolute:
+            return f"< {entry.drift.absolute:g}"
         if entry.kind == "exact" and entry.published == 0 and self.verdict == "replicated":
             if bound := entry.tolerance.absolute:  # 0 where a count is judged
                 return f"< {bound:g}"

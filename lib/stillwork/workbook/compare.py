@@ -16,7 +16,7 @@ import numpy as np
 
 from stillwork.workbook.claims import Claim, load_entries
 from stillwork.workbook.figures import read_table
-from stillwork.workbook.notebooks import cleaned
+from stillwork.workbook.notebooks import cleaned, joined
 from stillwork.workbook.tasks import Task
 
 # Of the range that a series spans. Builds under the settings of other processors (`make portable`) moved numbers
@@ -164,14 +164,15 @@ def table_difference(now: Path, before: Path, rounding: Collection[str] = ()) ->
 
 
 def same_size(now: np.ndarray, before: np.ndarray) -> bool:
-    """Whether two series of rounding are of one size: their medians and largest numbers, in decades.
+    """Whether two series of rounding are of one size: their quartiles, in decades.
 
-    A residual that is exactly zero has no decade: it agrees with any that is a few rounding units.
+    The largest number is left to chance, and after a breakdown to chaos. A residual that is exactly zero has no
+    decade: it agrees with any that is a few rounding units.
     """
     sizes = []
     for each in (now, before):
         size = np.abs(each[:, 1][np.isfinite(each[:, 1])])
-        sizes.append(np.array([np.median(size), size.max()]) if len(size) else np.zeros(2))
+        sizes.append(np.quantile(size, [0.25, 0.5, 0.75]) if len(size) else np.zeros(3))
     low, high = np.minimum(*sizes), np.maximum(*sizes)
     small = (low == 0) & (high <= 1e3 * np.finfo(float).eps)
     return bool(np.all(small | (high <= 10**ROUNDING * low)))
@@ -296,6 +297,7 @@ def _cells(task: Task) -> list[str]:
 
 def same_outputs(now: list[dict], before: list[dict]) -> bool:
     """Whether two lists of a cell's text outputs are of one kind and print the same."""
+    now, before = joined(now), joined(before)
     if len(now) != len(before):
         return False
     return all(
