@@ -1,16 +1,11 @@
 """The build: stale notebooks in many kernels at once, one writer of their results."""
 
 import contextlib
-import fcntl
 import json
-import os
-import signal
 import uuid
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 
-from stillwork import paths
-from stillwork.checks import InputError
 from stillwork.workbook import publish
 from stillwork.workbook.execution import Failure, Job, Outcome, execute, sweep
 from stillwork.workbook.inputs import NOTEBOOKS_OWN, changes, digest, room_inputs
@@ -18,6 +13,7 @@ from stillwork.workbook.jupyter_kernel import stop
 from stillwork.workbook.progress import Progress
 from stillwork.workbook.provenance import commit, modified, provenance
 from stillwork.workbook.tasks import Task, tasks
+from stillwork.workbook.workers import alone, client_of, cores, noted_signals
 
 
 def build_figures(
@@ -51,7 +47,7 @@ def build_figures(
         for task in wanted:
             print(f"{task.label}: {'; '.join(task.reasons()) or 'up to date'}")
         return 0
-    with _alone():
+    with alone():
         for task in wanted:
             publish.recover(task.target)
         stale = [(task, reasons) for task in wanted if (reasons := task.reasons() or ["forced"] * force)]
@@ -60,7 +56,7 @@ def build_figures(
             print(f"nothing to do: {fresh} up to date")
             return 0
         sweep()
-        workers = _cluster(scheduler) if scheduler else _threads(jobs or _cores())
+        workers = _cluster(scheduler) if scheduler else _threads(jobs or cores())
         with workers as (submit, halt):
             failures, caught = _build(stale, submit, halt)
     return _close(failures, len(stale), fresh, caught)
@@ -72,7 +68,7 @@ def _build(stale: list[tuple[Task, list[str]]], submit: Callable, halt: Callable
     build = uuid.uuid4().hex
     failures: list[tuple[Task, Failure]] = []
     running = {}
-    with _signals() as caught, Progress(sum(task.cells for task, _ in stale)) as progress:
+    with noted_signals() as caught, Progress(sum(task.cells for task, _ in stale)) as progress:
         for task, reasons in stale:
             progress.say(f"build {task.label}: {_short(reasons)}")
             job = Job(build, task.notebook.name, task.notebook.source, task.settings)
@@ -139,14 +135,7 @@ def _threads(jobs: int):
 
 @contextlib.contextmanager
 def _cluster(address: str):
-    from distributed import Client
-
-    try:
-        client = Client(address, timeout=5)
-    except (OSError, ValueError) as error:
-        raise InputError(f"scheduler {address!r} does not answer ({error}); give host:port") from None
-
-    with client, client.get_executor(pure=False) as executor:
+    with client_of(address) as client, client.get_executor(pure=False) as executor:
 
         def submit(job, task, progress):
             future = executor.submit(execute_elsewhere, job, task.inputs)
@@ -163,36 +152,6 @@ def execute_elsewhere(job: Job, inputs: dict[str, str]) -> Outcome:
     if different := changes(expected, here):
         return Outcome(failure=Failure("worker", f"its checkout differs: {_short(different)}"))
     return execute(job)
-
-
-@contextlib.contextmanager
-def _signals():
-    """Note an interrupt instead of raising it, so that it tears nothing halfway; yields what came."""
-    caught: list[int] = []
-    wanted = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {each: signal.signal(each, lambda number, _frame: caught.append(number)) for each in wanted}
-    try:
-        yield caught
-    finally:
-        for each, handler in before.items():
-            signal.signal(each, handler)
-
-
-@contextlib.contextmanager
-def _alone():
-    """Two builds of one checkout would swap the same folders: the second is refused."""
-    file = paths.root() / "build" / "lock"
-    file.parent.mkdir(exist_ok=True)
-    with file.open("a") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise InputError("another build of this checkout is running; wait for it or stop it") from None
-        yield
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _short(reasons: list[str]) -> str:
