@@ -13,7 +13,7 @@ from markupsafe import Markup
 import stillwork
 from stillwork import paths
 from stillwork.checks import InputError
-from stillwork.claims import KINDS, Claim, ledger
+from stillwork.claims import KINDS, VERDICTS, Claim, ledger
 from stillwork.site import picture, reference
 from stillwork.site.derived import works
 from stillwork.site.links import broken_links
@@ -22,7 +22,7 @@ from stillwork.site.pages import NotebookPage, read_page
 from stillwork.workbook import publish
 from stillwork.workbook.notebooks import notebook_file
 from stillwork.workbook.provenance import commit, modified
-from stillwork.workbook.report import VERDICTS, quantity
+from stillwork.workbook.report import quantity
 from stillwork.workbook.tasks import tasks
 
 HERE = Path(__file__).parent

@@ -13,11 +13,10 @@ from nbconvert.filters.highlight import Highlight2HTML
 
 from stillwork import paths
 from stillwork.checks import InputError
-from stillwork.claims import Claim
+from stillwork.claims import VERDICTS, Claim
 from stillwork.site import reading
 from stillwork.site.mathematics import markdown
 from stillwork.workbook.notebooks import Notebook
-from stillwork.workbook.report import VERDICTS
 from stillwork.workbook.tasks import Task
 
 # What a cell that ends with `page.check` prints; its page shows the verdict with the claim.
