@@ -140,9 +140,20 @@ def test_after_the_budget_nothing_begins_and_nothing_is_whole(workbook, tmp_path
 
 def test_an_interrupt_keeps_what_is_done(workbook, tmp_path):
     _, multiverses = workbook(A + B + study())
-    asked = iter([False, False, False] + [True] * 50)
-    assert run(multiverses, tmp_path, at_once=1, stopped=lambda: next(asked)) == []
-    assert len(Journal(tmp_path / "journal.jsonl").found) >= 1
+    journal = Journal(tmp_path / "journal.jsonl")
+    one = partial(ThreadPoolExecutor, 1)
+    assert run_readings(multiverses, one, journal, at_once=1, stopped=lambda: len(journal.found) == 2) == []
+    assert len(Journal(journal.file).found) == 2
+    (found,) = run(multiverses, tmp_path)
+    assert np.isfinite(found.values["motion.order"]).all()
+
+
+@pytest.mark.slow
+def test_an_interrupt_does_not_wait_for_a_long_reading(workbook, tmp_path):
+    _, multiverses = workbook(A + B + study("endless"))
+    begin = time.monotonic()
+    assert run(multiverses, tmp_path, partial(processes, 1), stopped=(tmp_path / "begun").exists) == []
+    assert time.monotonic() - begin < 60  # of 1000 s
 
 
 def test_another_checkout_on_a_worker_is_refused(workbook, tmp_path, monkeypatch):

@@ -150,6 +150,11 @@ def slow(*, a, b, seed, lean):
     return noisy(a=a, b=b, seed=seed, lean=lean)
 
 
+def endless(*, a, b, seed, lean):
+    Path(os.environ["STILLWORK_ROOT"], "begun").touch()
+    time.sleep(1000)
+
+
 def incomplete(*, a, b, seed, lean):
     return {"motion.order": 1.0}
 

@@ -37,13 +37,22 @@ def client_of(address: str):
 
 @contextlib.contextmanager
 def processes(jobs: int):
-    """An executor of fresh processes with the settings of a build's kernels; they end with this process."""
+    """An executor of fresh processes with the settings of a build's kernels.
+
+    They end with this process, and at once when its context is left by an exception.
+    """
     before = {name: os.environ.get(name) for name in KERNEL_SETTINGS}
     os.environ.update(KERNEL_SETTINGS)  # the processes, which start when they are needed, get them from here
+    others = set(multiprocessing.active_children())
+    spawn = multiprocessing.get_context("spawn")
     try:
-        spawn = multiprocessing.get_context("spawn")
         with ProcessPoolExecutor(jobs, mp_context=spawn, initializer=_end_with_parent) as pool:
-            yield pool
+            try:
+                yield pool
+            except BaseException:
+                for process in set(multiprocessing.active_children()) - others:
+                    process.terminate()
+                raise
     finally:
         for name, value in before.items():
             if value is None:

@@ -137,7 +137,7 @@ def run_readings(
     budget_s : float
         After so many seconds no reading is begun.
     stopped : callable
-        Likewise when this tells so.
+        When this tells so, what is under way is given up, too.
     """
     plans = [(multiverse, runs_of(multiverse)) for multiverse in multiverses]
     missing = {run.key: run for _, runs in plans for run in runs.values() if run.key not in journal.found}
@@ -149,12 +149,11 @@ def run_readings(
             journal.add(run.key, found)
             progress.step()
 
-        while waiting and not stopped() and time.monotonic() < end:
-            suspects = _run_until_broken(
-                waiting, executor, at_once, keep, lambda: stopped() or time.monotonic() >= end
-            )
-            for run in suspects:
-                keep(run, _run_alone(run, executor))
+        with contextlib.suppress(_Interrupted):
+            while waiting and time.monotonic() < end:
+                suspects = _run_until_broken(waiting, executor, at_once, keep, end, stopped)
+                for run in suspects:
+                    keep(run, _run_alone(run, executor))
     return [
         collect(
             multiverse,
@@ -173,13 +172,19 @@ def _spread(plans: list[list[Run]], missing: dict[str, Run]) -> list[Run]:
     return [run for _, run in sorted(placed, key=lambda each: each[0])]
 
 
-def _run_until_broken(waiting: deque[Run], executor, at_once, keep, stop) -> list[Run]:
+class _Interrupted(Exception):
+    """Leaves the executor's context at once."""
+
+
+def _run_until_broken(waiting: deque[Run], executor, at_once, keep, end, stopped) -> list[Run]:
     """Hand out runs until none waits; returns those that were under way when a process died."""
     running = {}
     with executor() as pool:
         try:
-            while running or (waiting and not stop()):
-                while waiting and len(running) < at_once and not stop():
+            while running or (waiting and time.monotonic() < end):
+                if stopped():
+                    raise _Interrupted
+                while waiting and len(running) < at_once and time.monotonic() < end:
                     run = waiting.popleft()
                     running[pool.submit(compute, run)] = run
                 done, _ = wait(running, timeout=0.2, return_when=FIRST_COMPLETED)
