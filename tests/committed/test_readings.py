@@ -8,7 +8,7 @@ from stillwork.workbook.readings.axes import Multiverse, load_axes
 from stillwork.workbook.readings.closure import study_digest
 from stillwork.workbook.readings.command import standings_of
 from stillwork.workbook.readings.results import collect, read_results
-from stillwork.workbook.readings.running import compute, runs_of
+from stillwork.workbook.readings.running import calls_of, compute
 from stillwork.workbook.readings.sampling import design
 
 AGAIN = 3  # readings of a study
@@ -34,7 +34,7 @@ def test_they_are_of_these_axes_and_this_code(room):
 def test_a_few_give_the_same_again(room):
     for multiverse in studies(room):
         (before,) = read_results([multiverse])
-        runs = runs_of(multiverse)
+        runs = calls_of(multiverse)
         again = [list(runs)[k * (len(runs) - 1) // (AGAIN - 1)] for k in range(AGAIN)]
         now = collect(multiverse, before.design, {at: compute(runs[at]) for at in again})
         for at in again:

@@ -21,7 +21,7 @@ from stillwork.checks import InputError
 from stillwork.workbook.readings.axes import load_axes
 from stillwork.workbook.readings.journal import Journal
 from stillwork.workbook.readings.results import read_results, results_text
-from stillwork.workbook.readings.running import DIED, run_readings, runs_of
+from stillwork.workbook.readings.running import DIED, calls_of, run_readings
 from stillwork.workbook.workers import processes
 
 NOISY = A + B + SEEDS + study("noisy")
@@ -83,7 +83,7 @@ def test_new_options_keep_the_old_readings_and_other_entries_do_not(workbook, tm
     counts = []
     for text in (A + B + study(), A + B + study(entries='["motion.order"]')):
         _, multiverses = workbook(text)
-        missing = {r.key for m in multiverses for r in runs_of(m).values()}
+        missing = {r.key for m in multiverses for r in calls_of(m).values()}
         counts.append(len(missing - set(Journal(tmp_path / "journal.jsonl").found)))
     assert counts == [2, 6]
 

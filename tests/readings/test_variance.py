@@ -133,6 +133,12 @@ def test_where_nothing_varies_there_are_no_shares(values):
     assert variance_shares(values, grid(3, 2), {"a": 3, "b": 2}, False) is None
 
 
+def test_points_that_differ_elsewhere_only_make_it_a_sample():
+    design = grid(3, 2) * 4
+    shares = variance_shares(toy(design), design, {"a": 3, "b": 2}, False)
+    assert shares.total == pytest.approx(TOTAL, abs=1e-9)
+
+
 def test_a_missing_value_makes_it_a_sample():
     design = grid(3, 2, 4)
     values = toy(design)

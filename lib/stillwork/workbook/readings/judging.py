@@ -246,10 +246,14 @@ def _standing(study: Outcomes, entry: Entry, axes: dict[str, Axis]) -> Standing:
     if judged and entry.is_fraction:
         quantity = np.where(failed, np.nan, agrees.astype(float))
     touched = multiverse.touched[entry.id]
-    sizes = {axis.name: len(axis.options) for axis in multiverse.axes}
-    shares = variance_shares(quantity, study.design, sizes, multiverse.seeded)
+    full = len(study.design) == multiverse.size
+    # Where all was computed, an axis that moves the entry unannounced is found out; a sample is too small for that.
+    looked_at = [k for k, axis in enumerate(multiverse.axes) if full or axis.name in touched]
+    sizes = {multiverse.axes[k].name: len(multiverse.axes[k].options) for k in looked_at}
+    design = [tuple(point[k] for k in looked_at) for point in study.design]
+    shares = variance_shares(quantity, design, sizes, multiverse.seeded)
     undeclared = ()
-    if shares is not None and len(study.design) == multiverse.size:
+    if full and shares is not None:
         undeclared = tuple(name for name in sizes if name not in touched and shares.total[name] > 1e-6)
     return Standing(
         entry,

@@ -25,7 +25,7 @@ LONGEST_REASON = 200  # characters
 
 
 @dataclass(frozen=True)
-class Run:
+class Call:
     """One call of a study: a reading and a seed.
 
     Attributes
@@ -56,11 +56,11 @@ class Run:
         return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
 
 
-def runs_of(multiverse: Multiverse) -> dict[tuple[int, int], Run]:
+def calls_of(multiverse: Multiverse) -> dict[tuple[int, int], Call]:
     """All runs of a study, by point and place of the seed."""
     code = study_digest(multiverse.function, multiverse.room)
     return {
-        (k, s): Run(
+        (k, s): Call(
             multiverse.function,
             multiverse.room,
             multiverse.options(point),
@@ -74,7 +74,7 @@ def runs_of(multiverse: Multiverse) -> dict[tuple[int, int], Run]:
     }
 
 
-def compute(run: Run) -> dict[str, Value] | str:
+def compute(run: Call) -> dict[str, Value] | str:
     """What the study gives, rounded to the digits that are kept; the reason, where it raises.
 
     Raises
@@ -139,13 +139,13 @@ def run_readings(
     stopped : callable
         When this tells so, what is under way is given up, too.
     """
-    plans = [(multiverse, runs_of(multiverse)) for multiverse in multiverses]
+    plans = [(multiverse, calls_of(multiverse)) for multiverse in multiverses]
     missing = {run.key: run for _, runs in plans for run in runs.values() if run.key not in journal.found}
     waiting = deque(_spread([list(runs.values()) for _, runs in plans], missing))
     end = time.monotonic() + budget_s
     with Progress(len(missing), task="readings", unit="reading", tell=True) as progress:
 
-        def keep(run: Run, found: dict | str) -> None:
+        def keep(run: Call, found: dict | str) -> None:
             journal.add(run.key, found)
             progress.step()
 
@@ -166,7 +166,7 @@ def run_readings(
     ]
 
 
-def _spread(plans: list[list[Run]], missing: dict[str, Run]) -> list[Run]:
+def _spread(plans: list[list[Call]], missing: dict[str, Call]) -> list[Call]:
     """Missing runs of all studies, each study advancing at the same pace."""
     placed = [(k / len(runs), run) for runs in plans for k, run in enumerate(runs) if run.key in missing]
     return [run for _, run in sorted(placed, key=lambda each: each[0])]
@@ -176,7 +176,7 @@ class _Interrupted(Exception):
     """Leaves the executor's context at once."""
 
 
-def _run_until_broken(waiting: deque[Run], executor, at_once, keep, end, stopped) -> list[Run]:
+def _run_until_broken(waiting: deque[Call], executor, at_once, keep, end, stopped) -> list[Call]:
     """Hand out runs until none waits; returns those that were under way when a process died."""
     running = {}
     with executor() as pool:
@@ -209,7 +209,7 @@ def _found(future: Future) -> dict | str:
         raise
 
 
-def _run_alone(run: Run, executor) -> dict | str:
+def _run_alone(run: Call, executor) -> dict | str:
     with executor() as pool:
         try:
             return pool.submit(compute, run).result()

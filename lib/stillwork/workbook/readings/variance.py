@@ -53,7 +53,7 @@ def variance_shares(values, design, sizes: dict[str, int], seeded: bool) -> Shar
     if there.size < 3 or np.ptp(there) <= SAME * np.abs(there).max():
         return None
     values = values / np.abs(there).max()  # squares of the smallest numbers would vanish
-    if finite.all() and len(set(design)) == np.prod([*sizes.values()]):
+    if finite.all() and len(design) == len(set(design)) == np.prod([*sizes.values()]):
         return _exact(values, design, sizes, seeded)
     return _from_sample(values, np.array(design), sizes, seeded)
 
