@@ -1,5 +1,6 @@
 """The same numbers on any workers, after any interruption, whatever fails."""
 
+import json
 import os
 import signal
 import subprocess
@@ -18,9 +19,9 @@ from readings import toy_work
 from readings.toy_work import SEEDS, A, B, axis, study
 from stillwork.__main__ import main
 from stillwork.checks import InputError
-from stillwork.workbook.readings.axes import load_axes
+from stillwork.workbook.readings.command import standings_of
 from stillwork.workbook.readings.journal import Journal
-from stillwork.workbook.readings.results import read_results, results_text
+from stillwork.workbook.readings.results import results_text
 from stillwork.workbook.readings.running import DIED, calls_of, run_readings
 from stillwork.workbook.workers import processes
 
@@ -242,15 +243,34 @@ def test_a_killed_run_goes_on_where_it_stopped(workbook, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_command_paints_and_the_ledger_tells_of_readings(workbook, tmp_path):
+def test_the_command_paints_and_the_ledger_tells_of_readings(workbook, tmp_path, monkeypatch, capsys):
     workbook(NOISY)
     with command(tmp_path) as process:
         text = process.communicate(timeout=120)[0]
     assert process.returncode == 0, text
     assert (tmp_path / "build/readings/motion/readings.png").exists()
     assert (tmp_path / "build/readings/motion/motion.order.png").exists()
-    _, multiverses = load_axes("motion")
-    assert read_results(multiverses)[0].values["motion.order"].shape == (6, 3)
+    assert main(["claims", "motion", "--json"]) == 0
+    claims = {each["id"]: each for each in json.loads(capsys.readouterr().out)}
+    order = [a <= b for a in range(3) for b in range(2)] * 3
+    readings = claims["motion.order"]["readings"]
+    assert (readings["tried"], readings["agree"], readings["class"]) == (18, sum(order), "depends")
+    assert readings["decided_by"][0]["axis"] == "a"
+    assert readings["joint"]["tried"] == 6
+    monkeypatch.setenv("COLUMNS", "60")
+    assert main(["claims", "--entry", "motion.order"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert "  class: depends" in lines
+    assert max(map(len, lines)) <= 60
+
+
+def test_axes_that_changed_since_are_told_and_not_judged(workbook, outcomes, tmp_path, capsys):
+    text = results_text([outcomes()])
+    (tmp_path / "data/motion/readings.csv").write_text(text, encoding="utf-8")
+    assert len(standings_of("motion")) == 6
+    workbook(A.replace("[0, 1, 2]", "[0, 1]") + B + study() + study("one", "[]").replace("toy", "other"))
+    assert standings_of("motion") == {}
+    assert "the axes of toy, other changed: run `make readings`" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("budget", ["-1", "soon", "0"])

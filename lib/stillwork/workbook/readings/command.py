@@ -135,6 +135,7 @@ def standings_of(room: str) -> dict[str, Standing]:
     axes, multiverses = load_axes(room)
     studies = read_results(multiverses)
     known = {each.multiverse.study for each in studies}
-    if studies and (changed := [each.study for each in multiverses if each.study not in known]):
+    run = paths.data(room, "readings.csv").exists()
+    if run and (changed := [each.study for each in multiverses if each.study not in known]):
         print(f"{room}: the axes of {', '.join(changed)} changed: run `make readings`", file=sys.stderr)
     return judge(studies, load_entries(room), axes)
