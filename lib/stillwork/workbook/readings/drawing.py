@@ -1,5 +1,6 @@
 """Pictures of readings: a specification curve of one entry, and a room's entries by readings on one page."""
 
+import textwrap
 from collections.abc import Iterable
 
 import numpy as np
@@ -65,8 +66,9 @@ def paint_specification_curve(study: Outcomes, standing: Standing):
             above.plot(
                 rank[one], middle[one], linestyle="none", marker="o", markersize=3, color=colour, label=label
             )
-    above.set_ylabel(f"{entry.quantity[:40]}{f' ({entry.unit})' if entry.unit not in ('', '1') else ''}")
-    above.set_title(f"{entry.id}: {_summary(standing)}")
+    unit = f" ({entry.unit})" if entry.unit not in ("", "1") else ""
+    above.set_ylabel(textwrap.fill(textwrap.shorten(entry.quantity, 70) + unit, 30))
+    above.set_title(f"{entry.id}\n{_summary(standing)}")
     above.legend(loc="best")
     _draw_options(below, study, columns, points, agrees, standing.agree is not None)
     below.set_xlabel("readings, by value")
