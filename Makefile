@@ -13,25 +13,20 @@ READY := .venv/complete
 endif
 
 export PYTHONPATH := $(CURDIR)/lib
-# One thread a process: no fight for the cores, in a benchmark neither.
-export OMP_NUM_THREADS := 1
-export OPENBLAS_NUM_THREADS := 1
-export MKL_NUM_THREADS := 1
-export NUMEXPR_NUM_THREADS := 1
-export VECLIB_MAXIMUM_THREADS := 1
+
+# The settings of processor and process that numbers are made under; a build sets them for its kernels by itself.
+PINNED := lib/stillwork/workbook/pinned.env
+UNDER_PINS = env $(shell grep -v '^\#' $(PINNED))
 
 # nbval is for the notebooks, anyio for nobody; loading them takes a second of every process.
 UNIT := tests -p no:nbval -p no:anyio --ignore=tests/committed --ignore=tests/browser
+# How many notebooks nbval executes although their build is fresh, others each day.
+RERUN ?= 3
 
-# The tests run notebooks under the settings of a build (stillwork.workbook.jupyter_kernel).
-test quick: export OPENBLAS_CORETYPE := Nehalem
-test quick: export PYTHONHASHSEED := 0
-test quick: export MPLBACKEND := Agg
-test quick: export MATPLOTLIBRC := /dev/null
 # Kept bytecode halves the start of every worker, which reads all tests and checks all functions' types.
 test quick: export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help figures readings test quick lab site browser bench accept doctor clean
+.PHONY: help figures readings test quick lab site browser bench faults portable accept doctor clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-8s  %s\n", $$1, $$2 }' Makefile
@@ -45,17 +40,20 @@ readings: $(READY) ## Try every choice that the works leave open; ARGS="ROOM --j
 test: $(READY) ## Style, unit tests, all notebooks, and what is committed against what they give now
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/python -m pytest $(UNIT) -n logical --dist loadfile
+	$(UNDER_PINS) $(BIN)/python -m pytest $(UNIT) -n logical --dist loadfile
+	$(BIN)/python -m stillwork figures
 	rm -rf build/nbval
-	STILLWORK_OUTPUT="$(CURDIR)/build/nbval" $(BIN)/python -m pytest notebooks \
-		--nbval --nbval-current-env --nbval-cell-timeout 600 -n logical --dist loadfile
-	$(BIN)/python -m pytest -p no:nbval tests/committed
+	$(UNDER_PINS) STILLWORK_OUTPUT="$(CURDIR)/build/nbval" $(BIN)/python -m pytest notebooks \
+		-p no:nbval -p stillwork.workbook.nbval_check --nbval --nbval-rerun $(RERUN) \
+		--nbval-current-env --nbval-cell-timeout 600 -n logical --dist loadfile
+	$(UNDER_PINS) $(BIN)/python -m pytest -p no:nbval tests/committed
 
 quick: $(READY) ## The unit tests without the slow ones, which build notebooks or start clusters
-	$(BIN)/python -m pytest $(UNIT) -m "not slow" -n logical --dist loadfile $(ARGS)
+	$(UNDER_PINS) $(BIN)/python -m pytest $(UNIT) -m "not slow" -n logical --dist loadfile $(ARGS)
 
 lab: $(READY) ## Open JupyterLab on the notebooks, on this machine only
-	JUPYTER_PREFER_ENV_PATH=1 $(BIN)/python -m jupyter lab --LabApp.default_url=/lab/tree/index.ipynb --ServerApp.root_dir=notebooks --ServerApp.ip=127.0.0.1 $(ARGS)
+	JUPYTER_PREFER_ENV_PATH=1 $(BIN)/python -m jupyter lab --LabApp.default_url=/lab/tree/notebooks/index.ipynb \
+		--ServerApp.root_dir=. --ServerApp.ip=127.0.0.1 --ServerApp.jpserver_extensions=stillwork.workbook.lab=True $(ARGS)
 
 site: $(READY) ## Write the static site to build/site/index.html
 	@$(BIN)/python -m stillwork site
@@ -64,7 +62,13 @@ browser: $(READY) ## Check the site and an explorer in Chromium (Debian: apt-get
 	$(BIN)/python -m pytest tests/browser $(ARGS)
 
 bench: $(READY) ## Measure speed beside named peers
-	@for file in benchmarks/*.py; do $(BIN)/python $$file $(ARGS) || exit 1; done
+	@for file in $(filter-out benchmarks/faults.py,$(wildcard benchmarks/*.py)); do OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python $$file $(ARGS) || exit 1; done
+
+faults: $(READY) ## Inject 2,000 random faults into builds of a toy workbook; ARGS="--faults N --seed N --jobs N"
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/faults.py $(ARGS)
+
+portable: $(READY) ## Build under other processors' settings and compare; ARGS="--sample" a few notebooks
+	@$(BIN)/python -m stillwork portable $(ARGS)
 
 accept: $(READY) ## Take a build over into the notebooks, the ledger and the README
 	@$(BIN)/python -m stillwork accept
@@ -72,14 +76,14 @@ accept: $(READY) ## Take a build over into the notebooks, the ledger and the REA
 doctor: $(READY) ## Compare the environment with environment.txt
 	@$(BIN)/python -m stillwork doctor
 
-clean: ## Remove what can be made again (not .venv, not figures/)
+clean: ## Remove what can be made again (not .venv)
 	rm -rf build .pytest_cache .ruff_cache .hypothesis
 	find lib tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # The last line marks the environment as whole: one that was interrupted is made anew.
 .venv/complete: environment.txt pyproject.toml
-	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' || \
-		{ echo "$(PYTHON) is not a Python 3.11, 3.12 or 3.13; name one: make PYTHON=/path/to/python3.12"; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 14))' || \
+		{ echo "$(PYTHON) is not a Python 3.11, 3.12, 3.13 or 3.14; name one: make PYTHON=/path/to/python3.12"; exit 1; }
 	@echo "Making .venv with the pinned packages (a minute or two, once)"
 	@$(PYTHON) -m venv --clear .venv
 	@.venv/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r environment.txt

@@ -17,8 +17,8 @@ ROOT = Path(os.environ.get("STILLWORK_ROOT") or Path(__file__).parents[1])
 sys.path.insert(0, str(Path(__file__).parents[1] / "lib"))
 os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1", MKL_NUM_THREADS="1", MPLBACKEND="Agg")
 
-from stillwork import explore as explorers  # noqa: E402
-from stillwork.checks import InputError  # noqa: E402
+from stillwork.base.checks import InputError  # noqa: E402
+from stillwork.workbook import explorer as explorers  # noqa: E402
 from stillwork.workbook.notebooks import select  # noqa: E402
 
 LIMIT_MS = 200.0

@@ -20,16 +20,16 @@ sys.path.insert(0, str(ROOT / "lib"))
 
 import numpy as np  # noqa: E402
 
-from stillwork.fixedpoint import (  # noqa: E402
+from experiments.fixedpoint import (  # noqa: E402
     PUBLISHED_CASES,
-    UnscentedKalman,
     added_controllers,
-    asin_trajectory,
     compare,
     load_oscillator,
     published_controllers,
 )
-from stillwork.fixedpoint.filtering import _filter_record, model_of  # noqa: E402
+from stillwork.control import asin_trajectory  # noqa: E402
+from stillwork.estimation import UnscentedKalman  # noqa: E402
+from stillwork.estimation.filtering import _filter_record, model_of  # noqa: E402
 
 STEP = 1e-3
 SAMPLES = 20_000
@@ -119,7 +119,8 @@ COLD = """
 import sys, time
 start = time.process_time()
 import numpy as np
-from stillwork.fixedpoint import *
+from experiments.fixedpoint import added_controllers, load_oscillator, published_controllers
+from stillwork.control import asin_trajectory, simulate
 imported = time.process_time() - start
 models = load_oscillator()
 exact, approximate = models["exact"].plant, models["approximate"].plant
@@ -129,7 +130,7 @@ total = time.process_time() - start
 import numba, stillwork
 missed = sum(
     sum(kernel.stats.cache_misses.values())
-    for name, module in list(sys.modules.items()) if name.startswith("stillwork.fixedpoint")
+    for name, module in list(sys.modules.items()) if name.startswith(("stillwork", "experiments"))
     for kernel in vars(module).values() if isinstance(kernel, numba.core.registry.CPUDispatcher)
 )
 print(imported, total, missed)

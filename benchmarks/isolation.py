@@ -21,11 +21,11 @@ os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1", MKL_NUM_THREADS
 
 import numpy as np  # noqa: E402
 
-from stillwork.isolation import loop, simulation  # noqa: E402
-from stillwork.isolation.adaptation import FeLms, FeRls, _ferls_update  # noqa: E402
-from stillwork.isolation.floors import flat_floor  # noqa: E402
-from stillwork.isolation.online import _run_felms, _run_ferls  # noqa: E402
-from stillwork.isolation.twin import load_twin  # noqa: E402
+from experiments.isolation import loop, simulation  # noqa: E402
+from experiments.isolation.floors import flat_floor  # noqa: E402
+from experiments.isolation.twin import load_twin  # noqa: E402
+from stillwork.estimation.adaptive import FeLms, FeRls, ferls_update  # noqa: E402
+from stillwork.estimation.online import _run_felms, _run_ferls  # noqa: E402
 
 ACTUATORS, REGRESSORS = 6, 9
 FORGETTING = float(np.exp(-2e-4 / 10))
@@ -59,20 +59,20 @@ COLD = """
 import sys, time
 start = time.thread_time()
 import numpy as np
-from stillwork.isolation.adaptation import FeLms, FeRls
-from stillwork.isolation.cures import run_cure
-from stillwork.isolation.floors import flat_floor
-from stillwork.isolation.online import Stepper, identify
-from stillwork.isolation.simulation import simulate
-from stillwork.isolation.stability import covariance_run
-from stillwork.isolation.twin import load_twin
+from stillwork.estimation.adaptive import FeLms, FeRls
+from experiments.isolation.cures import run_cure
+from experiments.isolation.floors import flat_floor
+from stillwork.estimation.online import AdaptationStepper, identify
+from experiments.isolation.simulation import simulate
+from experiments.isolation.stability import covariance_run
+from experiments.isolation.twin import load_twin
 imported = time.thread_time() - start
 rng = np.random.default_rng(0)
 psi, d = rng.standard_normal((9, 200)), rng.standard_normal((6, 200))
 twin = load_twin("rigid_body")
 for settings in (FeLms(), FeRls(1.0)):
     identify(settings, psi, d)
-    Stepper(settings, np.zeros((6, 9))).step(psi[:, 0], d[:, 0])
+    AdaptationStepper(settings, np.zeros((6, 9))).update(psi[:, 0], d[:, 0])
     simulate(twin, flat_floor(), 0.2, adaptation=settings)
 simulate(twin.varied(estimate="full"), flat_floor(), 0.2)
 for precision in ("float64", "float32"):
@@ -82,7 +82,7 @@ total = time.thread_time() - start
 import numba, stillwork
 kernels = {
     id(value): value
-    for name, module in list(sys.modules.items()) if name.startswith("stillwork")
+    for name, module in list(sys.modules.items()) if name.startswith(("stillwork", "experiments"))
     for value in vars(module).values() if hasattr(value, "stats") and hasattr(value, "py_func")
 }
 missed = sum(sum(k.stats.cache_misses.values()) for k in kernels.values())
@@ -268,7 +268,7 @@ def compiled(psi, error, start) -> dict:
     weights, covariance = start()
     for k in range(1000):
         limits, gain = np.full(REGRESSORS, np.inf), np.empty(REGRESSORS)
-        _ferls_update(weights, covariance, psi[k], error[k], FORGETTING, limits, gain)
+        ferls_update(weights, covariance, psi[k], error[k], FORGETTING, limits, gain)
     if not np.allclose(call(1000)[1], weights, rtol=1e-9, atol=1e-12):
         raise SystemExit("the C update gives other weights than the kernel")
     return {"C": lambda: (call(len(psi))[0], len(psi))}
@@ -292,7 +292,7 @@ def loop_times() -> dict[str, tuple[float, float, float]]:
             signals = kept.block(0, simulation.BLOCK)
             begin = time.thread_time()
             for floor, noise in blocks:
-                loop._advance(floor, noise, closed, signals, simulation.BLOCK, 0, code, *numbers, np.inf)
+                loop.advance(floor, noise, closed, signals, simulation.BLOCK, 0, code, *numbers, np.inf)
             return time.thread_time() - begin, len(blocks) * simulation.BLOCK
 
         return run

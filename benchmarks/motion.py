@@ -22,20 +22,23 @@ sys.path.insert(0, str(ROOT / "lib"))
 import control  # noqa: E402
 import numpy as np  # noqa: E402
 
+from experiments.motion.bandwidth_pictures import draw_design  # noqa: E402
+from experiments.motion.contest import ENTRANTS, contest_trial, prepare  # noqa: E402
+from experiments.motion.designs import DESIGNS, stage_bandwidth, stage_compensator  # noqa: E402
+from experiments.motion.machines import (  # noqa: E402
+    published_setpoint,
+    stage,
+    stage_mass,
+)
+from experiments.motion.scan_study import published_scan  # noqa: E402
+from stillwork.control.bandwidth import SIX_DB  # noqa: E402
+from stillwork.control.feedforward import Feedforward, error_loop, tracking_model  # noqa: E402
+from stillwork.control.loops import closed_loop  # noqa: E402
+from stillwork.control.pid import PidFamily  # noqa: E402
+from stillwork.estimation.robust import kalman_gains  # noqa: E402
+from stillwork.estimation.time_varying import TimeVaryingModel, estimate  # noqa: E402
 from stillwork.lti import simulate, zoh_modes  # noqa: E402
-from stillwork.motion.bandwidth import SIX_DB  # noqa: E402
-from stillwork.motion.contest import ENTRANTS, contest_trial, prepare  # noqa: E402
-from stillwork.motion.controller import PidFamily  # noqa: E402
-from stillwork.motion.designs import DESIGNS, stage_bandwidth, stage_compensator  # noqa: E402
-from stillwork.motion.filters import TimeVaryingModel, estimate  # noqa: E402
-from stillwork.motion.loops import closed_loop  # noqa: E402
-from stillwork.motion.machines import stage, stage_mass  # noqa: E402
-from stillwork.motion.plots_bandwidth import draw_design  # noqa: E402
-from stillwork.motion.robust import kalman_gains  # noqa: E402
-from stillwork.motion.scan_study import published_scan  # noqa: E402
-from stillwork.motion.setpoint import published_setpoint  # noqa: E402
-from stillwork.motion.tracking import Feedforward, error_loop, tracking_model  # noqa: E402
-from stillwork.studies import run_study  # noqa: E402
+from stillwork.workbook.studies import run_study  # noqa: E402
 
 FAMILY = PidFamily(stage_mass())
 PEER_GRID = 2 * np.pi * np.geomspace(1, 3000, 300)  # a reduced grid: the peer steps over the sharpest peaks

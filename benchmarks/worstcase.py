@@ -24,8 +24,10 @@ sys.path.insert(0, str(ROOT / "lib"))
 
 import numpy as np  # noqa: E402
 
-from stillwork.worstcase import LeastSquares, MinMax, Ridge, Stepper, solve_cone_program  # noqa: E402
-from stillwork.worstcase.costs import slope  # noqa: E402
+from experiments.worstcase import solve_cone_program  # noqa: E402
+from experiments.worstcase.costs import slope  # noqa: E402
+from stillwork.estimation import LeastSquares, MinMax, Ridge  # noqa: E402
+from stillwork.estimation.recursive import RecursiveStepper  # noqa: E402
 
 FORGETTING = 0.95
 SIZES = (5, 10, 20, 50, 100, 200)
@@ -119,7 +121,7 @@ def call_times(n: int, samples: int = 200) -> dict[str, list[float]]:
     rows = rng.standard_normal((samples, n))
     outputs = rows @ rng.standard_normal(n) + 0.3 * rng.standard_normal(samples)
     steppers = {
-        f"{name}, call": lambda e=UPDATES[name]: Stepper(e, n).update
+        f"{name}, call": lambda e=UPDATES[name]: RecursiveStepper(e, n).update
         for name in ("RLS", "approximate 1", "exact", "fast")
     }
     makers = {**steppers, "padasip RLS": lambda: _padasip(padasip.filters.FilterRLS(n, mu=FORGETTING))}

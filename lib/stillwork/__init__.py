@@ -1,7 +1,8 @@
 """A reproducible research workbook on machines that must hold still.
 
-Four rooms, one published work each: `stillwork.isolation`, `stillwork.motion`, `stillwork.worstcase`
-and `stillwork.fixedpoint`. Import the room you need; this package alone imports nothing heavy.
+The toolbox: `stillwork.signals`, `stillwork.lti`, `stillwork.identification`, `stillwork.estimation` and
+`stillwork.control`, on `stillwork.base`; a folder imports only those named before it. `stillwork.workbook` and
+`stillwork.site` make notebooks and pages. Import the folder you need; this package alone imports nothing heavy.
 """
 
 __version__ = "0.1.0"

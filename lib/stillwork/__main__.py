@@ -1,4 +1,4 @@
-"""Command line: ``python -m stillwork figures|readings|claims|accept|site|refresh|inspect|new|doctor``."""
+"""Command line: ``python -m stillwork figures|readings|claims|portable|accept|site|refresh|inspect|new|doctor``."""
 
 import argparse
 import json
@@ -6,8 +6,8 @@ import os
 import re
 import sys
 
-from stillwork import paths
-from stillwork.checks import InputError, nearest, require_number
+from stillwork.base import paths
+from stillwork.base.checks import InputError, nearest, one_line, require_number
 
 # A grammar of addresses that jsonschema builds for a second or two when a notebook format is loaded, if it can be
 # had; nothing here holds an address against it.
@@ -22,14 +22,14 @@ def main(arguments: list[str] | None = None) -> int:
         parser.error(f"unknown {unknown[0]!r}{nearest(unknown[0], words)}")
     try:
         return options.run(options)
-    except (InputError, FileNotFoundError) as error:
-        print(f"stillwork: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        return 130
     except BrokenPipeError:  # the reader, e.g. `head`, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
+    except (InputError, OSError) as error:
+        print(f"stillwork: {one_line(str(error))}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
 
 
 def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
@@ -42,7 +42,7 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     figures = commands.add_parser("figures", help="build the figures that are stale", allow_abbrev=False)
-    figures.add_argument("target", nargs="?", metavar="ROOM[/NOTEBOOK]", help="by default everything")
+    figures.add_argument("targets", nargs="*", metavar="ROOM[/NOTEBOOK]", help="by default everything")
     figures.add_argument(
         "-p",
         dest="settings",
@@ -75,7 +75,16 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
     claims.add_argument("room", nargs="?", metavar="ROOM")
     claims.add_argument("--entry", metavar="ID", help="one entry whole, with its readings")
     claims.add_argument("--json", action="store_true")
+    claims.add_argument(
+        "--built", action="store_true", help="with what the last build found, accepted or not"
+    )
     claims.set_defaults(run=_claims)
+
+    portable = commands.add_parser(
+        "portable", help="build under other processors' settings and compare", allow_abbrev=False
+    )
+    portable.add_argument("--sample", action="store_true", help="a few notebooks under two of them")
+    portable.set_defaults(run=_portable)
 
     accept = commands.add_parser("accept", help="take the built results over into notebooks/ and the ledger")
     accept.set_defaults(run=_accept)
@@ -132,8 +141,8 @@ def _figures(options) -> int:
             raise InputError(f"-p {name} is given twice; keep one")
         settings[name] = value
     return build_figures(
-        options.target,
-        settings,
+        *options.targets,
+        settings=settings,
         jobs=options.jobs,
         scheduler=options.scheduler,
         force=options.force,
@@ -150,12 +159,15 @@ def _readings(options) -> int:
 
 
 def _claims(options) -> int:
-    from stillwork.claims import ledger
+    from stillwork.workbook.claims import ledger
+    from stillwork.workbook.lock import settle
     from stillwork.workbook.report import entry_text, find, ledger_text, screen
+    from stillwork.workbook.tasks import built
 
     if options.room not in (None, *paths.ROOMS):
         raise InputError(f"there is no room {options.room!r}{nearest(options.room, paths.ROOMS)}")
-    claims = ledger(room=options.room)
+    settle()
+    claims = ledger(built() if options.built else None, options.room)
     if options.entry:
         claims = [find(claims, options.entry)]
     if options.json:
@@ -180,27 +192,38 @@ def _with_readings(claims: list) -> list[dict]:
     ]
 
 
+def _portable(options) -> int:
+    from stillwork.workbook.portable import portable
+
+    return portable(options.sample)
+
+
 def _accept(_options) -> int:
+    from stillwork.site.derived import refresh
     from stillwork.workbook.accept import accept
 
-    return accept()
+    return accept(refresh)
 
 
 def _site(_options) -> int:
     from stillwork.site.build import build_site
+    from stillwork.workbook.lock import settle
 
+    settle()
     return build_site()
 
 
 def _refresh(_options) -> int:
     from stillwork.site.derived import refresh
+    from stillwork.workbook.lock import settle
 
+    settle()
     print(", ".join(refresh()) or "all current")
     return 0
 
 
 def _inspect(options) -> int:
-    from stillwork.site.inspecting import inspect_file
+    from stillwork.inspecting import inspect_file
 
     print(inspect_file(options.file))
     return 0

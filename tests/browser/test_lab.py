@@ -2,8 +2,8 @@
 
 import json
 import os
-import re
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -17,63 +17,64 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import WebDriverWait
 
-from stillwork import paths
-
 ROOT = Path(__file__).parents[2]
 NOTEBOOK = "isolation/06-efficient-update"
 TOKEN = "only-for-this-test"
 
 
-def lab_options() -> list[str]:
-    """What `make lab` tells JupyterLab, but for the folder and the address."""
-    command = subprocess.run(
-        ["make", "-n", "ENVIRONMENT=any", "lab"], cwd=ROOT, capture_output=True, text=True, check=True
-    ).stdout
-    options = re.findall(r"--\S+", command)
-    assert options
-    return [each for each in options if not each.startswith("--ServerApp")]
+def git(folder: Path, *arguments: str) -> str:
+    identity = ["-c", "user.name=reader", "-c", "user.email=reader@example.org"]
+    command = ["git", "-C", str(folder), *identity, *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 
 @pytest.fixture(scope="module")
-def lab(tmp_path_factory):
-    """Address of a JupyterLab on a copy of the index and of one notebook's explorer."""
-    home = tmp_path_factory.mktemp("lab")
-    folder = home / "notebooks"
-    (folder / NOTEBOOK).parent.mkdir(parents=True)
-    shutil.copy(paths.root() / "notebooks/index.ipynb", folder)
-    whole = json.loads((paths.root() / f"notebooks/{NOTEBOOK}.ipynb").read_text(encoding="utf-8"))
-    code = [cell for cell in whole["cells"] if cell["cell_type"] == "code"]
-    kept = [
-        cell for cell in code if cell["id"] == "imports" or "".join(cell["source"]).startswith("explore(")
-    ]
-    assert len(kept) == 2
-    for cell in kept:
-        cell["outputs"] = []
-    (folder / f"{NOTEBOOK}.ipynb").write_text(json.dumps({**whole, "cells": kept}), encoding="utf-8")
+def checkout(tmp_path_factory):
+    """A committed copy of what `make lab` needs."""
+    folder = tmp_path_factory.mktemp("lab") / "checkout"
+    ignored = shutil.ignore_patterns("__pycache__", ".ipynb_checkpoints")
+    for shelf in ("lib", "data", "notebooks"):
+        shutil.copytree(ROOT / shelf, folder / shelf, ignore=ignored)
+    for file in ("Makefile", ".gitignore"):
+        shutil.copy(ROOT / file, folder)
+    git(folder, "init", "--quiet")
+    git(folder, "add", "--all")
+    git(folder, "commit", "--quiet", "--message", "as it is")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def lab(checkout):
+    """Address of what `make lab` starts in the checkout; it saves every two seconds."""
+    home = checkout.parent
+    manager = home / "settings/@jupyterlab/docmanager-extension/plugin.jupyterlab-settings"
+    manager.parent.mkdir(parents=True)
+    manager.write_text('{"autosaveInterval": 2}')
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    environment = os.environ | {
-        "PYTHONPATH": str(ROOT / "lib"),
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")} | {
         "JUPYTER_CONFIG_DIR": str(home / "config"),
+        "JUPYTER_DATA_DIR": str(home / "data"),
         "JUPYTER_RUNTIME_DIR": str(home / "runtime"),
         "IPYTHONDIR": str(home / "ipython"),
         "JUPYTERLAB_SETTINGS_DIR": str(home / "settings"),
         "JUPYTERLAB_WORKSPACES_DIR": str(home / "workspaces"),
-        "JUPYTER_PREFER_ENV_PATH": "1",
     }
-    command = [sys.executable, "-m", "jupyter", "lab", *lab_options(), "--no-browser", "--allow-root"]
-    command += [f"--ServerApp.root_dir={folder}", f"--port={port}", "--ServerApp.port_retries=0"]
-    command += [f"--IdentityProvider.token={TOKEN}", "--LabApp.expose_app_in_browser=True"]
-    command += ["--LabApp.news_url=None", "--LabApp.check_for_updates_class=jupyterlab.NeverCheckForUpdate"]
+    options = ["--no-browser", "--allow-root", f"--port={port}", "--ServerApp.port_retries=0"]
+    options += [f"--IdentityProvider.token={TOKEN}", "--LabApp.expose_app_in_browser=True"]
+    options += ["--LabApp.news_url=None", "--LabApp.check_for_updates_class=jupyterlab.NeverCheckForUpdate"]
+    command = ["make", f"ENVIRONMENT={sys.prefix}", "lab", f"ARGS={' '.join(options)}"]
     with (home / "log").open("w") as log:
-        server = subprocess.Popen(command, cwd=ROOT, env=environment, stdout=log, stderr=log)
+        server = subprocess.Popen(
+            command, cwd=checkout, env=environment, stdout=log, stderr=log, start_new_session=True
+        )
         address = f"http://127.0.0.1:{port}"
         try:
             _wait_until_up(address, server, home / "log")
             yield address
         finally:
-            server.terminate()
+            os.killpg(server.pid, signal.SIGTERM)
             server.wait(30)
 
 
@@ -105,6 +106,13 @@ def asynchronously(browser, script: str) -> None:
     assert browser.driver.execute_async_script(wrapped) == ""
 
 
+def saved_by_itself(browser) -> None:
+    """Wait until JupyterLab has saved the page, which it does as soon as there is something to save."""
+    browser.run("window.jupyterapp.shell.currentWidget.context.model.dirty = true")
+    until(browser, "return !window.jupyterapp.shell.currentWidget.context.model.dirty")
+    assert not browser.run("return document.querySelector('.jp-Dialog')?.innerText")
+
+
 def until(browser, script: str, *arguments):
     """What `script` returns once that is not empty; it finds what it looks at anew each time."""
     wait = WebDriverWait(browser.driver, 120)
@@ -118,18 +126,43 @@ def until(browser, script: str, *arguments):
 def test_it_lands_on_the_map_of_the_house(browser, lab):
     browser.resize(1440)
     browser.open(f"{lab}/?token={TOKEN}")
-    until(browser, PANEL, "index.ipynb")
+    until(browser, PANEL, "notebooks/index.ipynb")
     heading = until(browser, "return document.querySelector('.jp-Notebook h1')?.textContent")
     assert heading.startswith("The house")
-    assert browser.driver.current_url.startswith(f"{lab}/lab/tree/index.ipynb")
+    assert browser.driver.current_url.startswith(f"{lab}/lab/tree/notebooks/index.ipynb")
     title = json.loads((ROOT / f"notebooks/{NOTEBOOK}.ipynb").read_text("utf-8"))["cells"][0]["source"]
     title = "".join(title).splitlines()[0].removeprefix("# ")
-    address = until(
+    until(
         browser,
-        "return [...document.querySelectorAll('.jp-Notebook a')].find((a) => a.textContent === arguments[0])?.href",
+        "const link = [...document.querySelectorAll('.jp-Notebook a')].find((a) => a.textContent === arguments[0]);"
+        "if (!link?.href) return false; link.click(); return true",
         title,
     )
-    assert NOTEBOOK in address
+    until(browser, PANEL, f"notebooks/{NOTEBOOK}.ipynb")
+
+
+def test_only_what_a_person_changes_is_saved(browser, lab, checkout):
+    browser.open(f"{lab}/lab/tree/notebooks/index.ipynb?token={TOKEN}")
+    until(browser, PANEL, "notebooks/index.ipynb")
+    asynchronously(browser, "await window.jupyterapp.shell.currentWidget.sessionContext.ready")
+    file = checkout / "notebooks/index.ipynb"
+    times = [file.stat().st_mtime_ns]
+    for _ in range(2):
+        saved_by_itself(browser)
+        times.append(file.stat().st_mtime_ns)
+    assert len(set(times)) == 3
+    assert git(checkout, "status", "--porcelain") == ""
+
+    cell = "window.jupyterapp.shell.currentWidget.content.model.cells.get(0).sharedModel"
+    title = browser.run(f"return {cell}.source")
+    browser.run(f"{cell}.source += ' of mine'")
+    saved_by_itself(browser)
+    changed = git(checkout, "diff", "--unified=0").splitlines()
+    assert [line for line in changed if line.startswith("+ ")] == [f'+    "{title.splitlines()[-1]} of mine"']
+    assert git(checkout, "diff", "--numstat").split() == ["1", "1", "notebooks/index.ipynb"]
+    browser.run(f"{cell}.source = arguments[0]", title)
+    saved_by_itself(browser)
+    assert git(checkout, "status", "--porcelain") == ""
 
 
 # What stands on the explorer: the slider's number, the picture's address, the message.
@@ -141,11 +174,13 @@ return picture && [text(".widget-readout"), picture, text(".widget-html-content"
 PUBLISHED, MOVED = "at the published setting", "moved from the published setting"
 
 
-def test_a_slider_moves_number_and_picture_and_the_button_returns(browser, lab):
+def test_a_slider_moves_number_and_picture_the_button_returns_and_nothing_of_it_is_saved(
+    browser, lab, checkout
+):
     browser.resize(1440, 1400)
     browser.driver.set_script_timeout(300)  # the kernel may have to compile first
-    browser.open(f"{lab}/lab/tree/{NOTEBOOK}.ipynb?token={TOKEN}")
-    until(browser, PANEL, f"{NOTEBOOK}.ipynb")
+    browser.open(f"{lab}/lab/tree/notebooks/{NOTEBOOK}.ipynb?token={TOKEN}")
+    until(browser, PANEL, f"notebooks/{NOTEBOOK}.ipynb")
     asynchronously(
         browser,
         "const app = window.jupyterapp, panel = app.shell.currentWidget; await panel.sessionContext.ready;"
@@ -168,3 +203,8 @@ def test_a_slider_moves_number_and_picture_and_the_button_returns(browser, lab):
         browser, f"const now = (() => {{ {STATE} }})(); return now?.[2] === arguments[0] && now", PUBLISHED
     )
     assert home[0] == before[0]
+
+    for _ in range(2):
+        saved_by_itself(browser)
+    assert browser.run("return document.querySelector('.widget-readout')?.textContent") == home[0]
+    assert git(checkout, "status", "--porcelain") == ""

@@ -5,7 +5,7 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select, WebDriverWait
 
-from stillwork.claims import ledger
+from stillwork.workbook.claims import ledger
 
 CLAIMS = ledger()
 ROWS = "return [...document.querySelectorAll('#claims tbody tr')].filter((row) => !row.hidden).map((row) => row.id)"

@@ -2,7 +2,7 @@
 
 import pytest
 
-from stillwork import paths
+from stillwork.base import paths
 from stillwork.site.derived import derived_files
 
 FILES = derived_files()

@@ -6,9 +6,8 @@ import re
 
 import pytest
 
-from stillwork import paths
-from stillwork.workbook.accept import notebook_text
-from stillwork.workbook.notebooks import select
+from stillwork.base import paths
+from stillwork.workbook.notebooks import notebook_text, select
 
 NOTEBOOKS = select()
 FORBIDDEN = ("image/png", "text/html", "papermill", "injected-parameters", "widget-view", str(paths.root()))

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from stillwork.fixedpoint import asin_trajectory, load_oscillator
+from experiments.fixedpoint import load_oscillator
+from stillwork.control import asin_trajectory
 
 
 @pytest.fixture(scope="session")

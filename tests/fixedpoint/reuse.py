@@ -2,23 +2,36 @@
 
 import numpy as np
 
-from stillwork import fixedpoint as fp
-from stillwork.fixedpoint import loop, model_kernels, models, plant
-from stillwork.kernels import callback
+from stillwork.base.kernels import callback
+from stillwork.control import (
+    Controller,
+    KinematicDesign,
+    RobustTransformation,
+    fixed_point,
+    simulate,
+    sine_trajectory,
+)
+from stillwork.estimation import (
+    NonlinearModel,
+    Plant,
+    UnscentedKalman,
+    nonlinear,
+    nonlinear_kernels,
+    plant,
+    unscented_filter,
+)
 
 
 def use(own_model):
     """Compilations of the two kernels, callbacks found on disk, and the largest settled error."""
     own, rough = (
-        fp.Plant(own_model.cart_acceleration, own_model.cart_force, np.array(parameters))
+        Plant(own_model.cart_acceleration, own_model.cart_force, np.array(parameters))
         for parameters in ([2.0, 1.0], [1.5, 0.0])
     )
-    controller = fp.Controller(
-        fp.UnscentedKalman(rough), fp.RobustTransformation(), fp.KinematicDesign(10.0), rough
-    )
-    run = fp.simulate(own, controller, fp.sine_trajectory(duration=1.0))
-    model = fp.StateModel(own_model.pendulum, own_model.seen, 2, 1, 1, np.array([0.01, 9.81, 0.1]))
-    fp.unscented_filter(
+    controller = Controller(UnscentedKalman(rough), RobustTransformation(), KinematicDesign(10.0), rough)
+    run = simulate(own, controller, sine_trajectory(duration=1.0))
+    model = NonlinearModel(own_model.pendulum, own_model.seen, 2, 1, 1, np.array([0.01, 9.81, 0.1]))
+    unscented_filter(
         model,
         np.zeros((1, 5)),
         process=[1e-3, 1e-3],
@@ -26,12 +39,12 @@ def use(own_model):
         initial_mean=[0.0, 0.0],
         initial_covariance=[1.0, 1.0],
     )
-    kernels = (loop._closed_loop, model_kernels._model_record)
+    kernels = (fixed_point._closed_loop, nonlinear_kernels.model_record)
     callbacks = [
         callback(own_model.cart_acceleration, plant.SIGNATURE),
         callback(own_model.cart_force, plant.SIGNATURE),
-        callback(own_model.pendulum, models.SIGNATURE),
-        callback(own_model.seen, models.SIGNATURE),
+        callback(own_model.pendulum, nonlinear.SIGNATURE),
+        callback(own_model.seen, nonlinear.SIGNATURE),
     ]
     return (
         sum(sum(one.stats.cache_misses.values()) for one in kernels),

@@ -7,35 +7,36 @@ import control
 import numpy as np
 import pytest
 
-from stillwork.checks import InputError
-from stillwork.fixedpoint import (
+from experiments.fixedpoint import added_controllers, published_controllers
+from stillwork.base.checks import InputError
+from stillwork.control import (
     ContractionWarning,
     Controller,
-    ExtendedKalman,
     FlowTransformation,
     KinematicDesign,
-    LowPass,
-    MovingWindow,
     RobustTransformation,
-    SavitzkyGolay,
     Trajectory,
-    UnscentedKalman,
-    added_controllers,
     contraction_range,
-    convergence,
     describing_function,
-    filter_signal,
+    fixed_point_convergence,
     limit_cycles,
     linear_filter,
     linear_loop,
-    published_controllers,
     random_gain,
     response_gain,
     simulate,
     stable_range,
     strongest_oscillation,
 )
-from stillwork.fixedpoint.linear import LinearLoop
+from stillwork.control.fixed_point_linear import LinearLoop
+from stillwork.estimation import (
+    ExtendedKalman,
+    LowPass,
+    MovingWindow,
+    SavitzkyGolay,
+    UnscentedKalman,
+    filter_signal,
+)
 
 STEP = 1e-3
 
@@ -163,14 +164,14 @@ def test_the_unstable_cycle_separates_return_from_divergence(exact, approximate)
 
 
 def test_the_widest_stable_range_counts(monkeypatch, exact, approximate):
-    edges = [convergence.Crossing(gain, 1.0) for gain in (-5.0, -4.5, -2.0)]
+    edges = [fixed_point_convergence.Crossing(gain, 1.0) for gain in (-5.0, -4.5, -2.0)]
 
     @dataclass(frozen=True)
     class Stub(LinearLoop):
         def radius(self, local_gain):
             return 1.5 if -4.5 < local_gain < -2.0 else 0.5
 
-    monkeypatch.setattr(convergence, "crossings", lambda loop: edges)
+    monkeypatch.setattr(fixed_point_convergence, "crossings", lambda loop: edges)
     stub = Stub(np.eye(1), np.zeros(1), np.zeros(1), STEP)
     assert stable_range(stub).limits == (-2.0, 0.0)
 

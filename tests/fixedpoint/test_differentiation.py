@@ -1,20 +1,20 @@
 import numpy as np
 import pytest
 
-from stillwork.checks import InputError
-from stillwork.fixedpoint import (
+from experiments.fixedpoint import (
     Noise,
-    UnscentedKalman,
     correlations,
     difference_quotient,
-    linear_filter,
     quotient_autocorrelation,
     quotient_covariance,
     quotient_cross_correlation,
     rejects_gaussian,
     steady_errors,
 )
-from stillwork.fixedpoint.differentiation import quotient_trial
+from experiments.fixedpoint.differentiation import quotient_trial
+from stillwork.base.checks import InputError
+from stillwork.control import linear_filter
+from stillwork.estimation import UnscentedKalman
 
 STEP = 1e-3
 HALF = 0.5 * np.eye(2)
@@ -68,7 +68,7 @@ def test_gain_is_the_filter_s(approximate):
     """The same steady gain as in the linear form of the unscented filter, which iterates its own way."""
     kalman = UnscentedKalman(approximate)
     linear = linear_filter(kalman, STEP)
-    from stillwork.fixedpoint.plant import partial_derivatives
+    from stillwork.estimation.plant import partial_derivatives
 
     by_q, by_v, _ = partial_derivatives(approximate, 0.0, 0.0, 0.0)
     row = np.array([1 + STEP * by_v, STEP * by_q])

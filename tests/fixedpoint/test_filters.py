@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from scipy.signal import savgol_coeffs
 
 from naive import fixedpoint as naive
-from stillwork.checks import InputError
-from stillwork.fixedpoint import (
+from stillwork.base.checks import InputError
+from stillwork.estimation import (
     ExtendedKalman,
     LowPass,
     MovingWindow,
@@ -18,7 +18,7 @@ from stillwork.fixedpoint import (
     UnscentedKalman,
     filter_signal,
 )
-from stillwork.fixedpoint.windows import end_point_weights
+from stillwork.estimation.windows import end_point_weights
 
 STEP = 1e-3
 

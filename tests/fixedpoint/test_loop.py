@@ -1,27 +1,19 @@
 import numpy as np
 import pytest
 
+from experiments.fixedpoint import Noise, added_controllers, compare, judge, published_controllers
 from naive import fixedpoint as naive
-from stillwork.checks import InputError
-from stillwork.fixedpoint import (
+from stillwork.base.checks import InputError
+from stillwork.control import (
     Controller,
     FlowTransformation,
     KinematicDesign,
-    LowPass,
-    MovingWindow,
-    Noise,
-    Plant,
     RobustTransformation,
-    SavitzkyGolay,
-    UnscentedKalman,
-    added_controllers,
     asin_trajectory,
-    compare,
-    judge,
-    published_controllers,
     simulate,
 )
-from stillwork.studies import Study
+from stillwork.estimation import LowPass, MovingWindow, Plant, SavitzkyGolay, UnscentedKalman
+from stillwork.workbook.studies import Study
 
 STEP = 1e-3
 

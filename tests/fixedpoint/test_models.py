@@ -14,10 +14,10 @@ from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from fixedpoint import own_model
 from fixedpoint.reuse import use
 from naive import fixedpoint as naive
-from stillwork.checks import InputError
-from stillwork.fixedpoint import SigmaPoints, StateModel, extended_filter, unscented_filter
-from stillwork.fixedpoint.plant import SIGNATURE
-from stillwork.kernels import callback
+from stillwork.base.checks import InputError
+from stillwork.base.kernels import callback
+from stillwork.estimation import NonlinearModel, SigmaPoints, extended_filter, unscented_filter
+from stillwork.estimation.plant import SIGNATURE
 
 A = np.array([[0.9, 0.1, 0.0], [-0.1, 0.8, 0.05], [0.02, 0.0, 0.95]])
 B = np.array([0.1, 0.0, 0.5])
@@ -27,7 +27,9 @@ Q, R = np.diag([0.01, 0.02, 0.005]), np.array([[0.1, 0.02], [0.02, 0.3]])
 
 @pytest.fixture
 def linear(rng):
-    model = StateModel(own_model.three_masses, own_model.two_sums, 3, 1, 2, np.concatenate([A.ravel(), B]))
+    model = NonlinearModel(
+        own_model.three_masses, own_model.two_sums, 3, 1, 2, np.concatenate([A.ravel(), B])
+    )
     u = rng.standard_normal((1, 300))
     x, z = np.zeros(3), []
     for k in range(300):
@@ -65,7 +67,7 @@ def test_small_alpha_loses_digits_only(linear):
 
 def pendulum_record(rng):
     parameters = np.array([0.01, 9.81, 0.1])
-    model = StateModel(own_model.pendulum, own_model.seen, 2, 1, 1, parameters)
+    model = NonlinearModel(own_model.pendulum, own_model.seen, 2, 1, 1, parameters)
     torque = 5 * rng.standard_normal((1, 200))
     state, out, z = np.array([0.4, 0.0]), np.zeros(2), []
     for k in range(200):
@@ -194,7 +196,7 @@ def test_a_wrong_model_is_named(change, message):
         "parameters": np.array([0.01, 9.81, 0.1]),
     }
     with pytest.raises(InputError, match=message):
-        StateModel(**(good | change))
+        NonlinearModel(**(good | change))
 
 
 @pytest.mark.parametrize(

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from stillwork.checks import InputError
-from stillwork.fixedpoint import PUBLISHED_CASES, Noise
+from experiments.fixedpoint import PUBLISHED_CASES, Noise
+from stillwork.base.checks import InputError
 
 
 @pytest.mark.parametrize("kind", ["gaussian", "logistic", "logistic-scale"])

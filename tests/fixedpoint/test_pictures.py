@@ -3,18 +3,12 @@
 import numpy as np
 import pytest
 
-from stillwork import figures
-from stillwork.checks import InputError
-from stillwork.fixedpoint import (
-    asin_trajectory,
-    explorers,
-    plots,
-    published_controllers,
-    simulate,
-    strongest_oscillation,
-)
-from stillwork.fixedpoint.costs import load_filter_times
-from stillwork.fixedpoint.published import KALMAN, LITERAL, LOW_PASS, WINDOW
+from experiments.fixedpoint import explorers, published_controllers, run_pictures
+from experiments.fixedpoint.costs import load_filter_times
+from experiments.fixedpoint.published import KALMAN, LITERAL, LOW_PASS, WINDOW
+from stillwork.base.checks import InputError
+from stillwork.control import asin_trajectory, simulate, strongest_oscillation
+from stillwork.workbook import figures
 
 DRAWINGS = [
     (
@@ -71,18 +65,18 @@ def lines(figure, panel):
 def test_tracking_shows_the_window_s_cycle(exact, approximate):
     """The drawn points keep the amplitude of 40 Hz: coarser ones would show another, slow motion."""
     run = simulate(exact, published_controllers(approximate)[WINDOW], asin_trajectory(duration=4.0))
-    figure = plots.tracking({WINDOW: run}, "velocity")
+    figure = run_pictures.tracking({WINDOW: run}, "velocity")
     drawn, nominal = lines(figure, 0)[WINDOW], lines(figure, 0)["nominal"]
     late = drawn[:, 0] > 2.0
     assert strongest_oscillation((drawn - nominal)[late, 1], 0.01).frequency_hz == pytest.approx(40, abs=0.5)
     stretch = lines(figure, 2)[WINDOW]
-    corner = plots.hardest_turn(run.trajectory)
+    corner = run_pictures.hardest_turn(run.trajectory)
     assert stretch[[0, -1], 0] == pytest.approx([corner - 0.15, corner + 0.15], abs=2e-3)
 
 
 def test_hardest_turn():
-    assert plots.hardest_turn(asin_trajectory()) == pytest.approx(6.25, abs=0.01)
-    assert plots.hardest_turn(asin_trajectory(frequency_hz=0.5, time_step=2e-3)) == pytest.approx(
+    assert run_pictures.hardest_turn(asin_trajectory()) == pytest.approx(6.25, abs=0.01)
+    assert run_pictures.hardest_turn(asin_trajectory(frequency_hz=0.5, time_step=2e-3)) == pytest.approx(
         6.5, abs=0.01
     )
 
@@ -90,13 +84,15 @@ def test_hardest_turn():
 def test_one_sample_ahead_is_the_run_s_sample(exact, approximate):
     literal = published_controllers(approximate)[LITERAL]
     trajectory = asin_trajectory(time_step=2e-3, frequency_hz=0.1)
-    figure = plots.estimate_shift({LITERAL: simulate(exact, literal, trajectory)})
+    figure = run_pictures.estimate_shift({LITERAL: simulate(exact, literal, trajectory)})
     (low, high) = lines(figure, 0)["one sample (2 ms) ahead"]
     assert (high - low)[1] / (high - low)[0] == pytest.approx(2.0)  # mm a m/s
 
 
 def test_statement_map_draws_every_fraction():
-    rows = figures.plotted(plots.statement_map(["a", "b"], {"x": [0.0, 1.0], "y": [0.5, 0.25]}, "setting"))
+    rows = figures.plotted(
+        run_pictures.statement_map(["a", "b"], {"x": [0.0, 1.0], "y": [0.5, 0.25]}, "setting")
+    )
     assert [float(row[-1]) for row in rows if row[-1]] == [0.0, 1.0, 0.5, 0.25]
 
 

@@ -3,11 +3,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from experiments.fixedpoint import VanDerPol, load_oscillator
 from naive import fixedpoint as naive
-from stillwork.checks import InputError
-from stillwork.fixedpoint import Plant, VanDerPol, load_oscillator
-from stillwork.fixedpoint.plant import SIGNATURE, partial_derivatives
-from stillwork.kernels import callback
+from stillwork.base.checks import InputError
+from stillwork.base.kernels import callback
+from stillwork.estimation import Plant
+from stillwork.estimation.plant import SIGNATURE, partial_derivatives
 
 NUMBERS = st.floats(-20, 20)
 

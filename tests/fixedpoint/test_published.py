@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from stillwork.fixedpoint import FlowTransformation, RobustTransformation, published_controllers
-from stillwork.fixedpoint.published import KALMAN, LITERAL, LOW_PASS, WINDOW
+from experiments.fixedpoint import published_controllers
+from experiments.fixedpoint.published import KALMAN, LITERAL, LOW_PASS, WINDOW
+from stillwork.control import FlowTransformation, RobustTransformation
 
 
 def test_settings_of_section_ii(approximate):

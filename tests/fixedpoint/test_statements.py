@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from stillwork.fixedpoint import Noise, asin_trajectory, published_controllers
-from stillwork.fixedpoint.metrics import noisy_run, sweep
-from stillwork.fixedpoint.published import KALMAN, LITERAL, LOW_PASS, WINDOW
-from stillwork.fixedpoint.statements import (
+from experiments.fixedpoint import Noise, published_controllers
+from experiments.fixedpoint.metrics import noisy_run, sweep
+from experiments.fixedpoint.published import KALMAN, LITERAL, LOW_PASS, WINDOW
+from experiments.fixedpoint.statements import (
     HECTIC,
     KALMAN_WORST,
     LOW_PASS_BEST,
@@ -17,7 +17,8 @@ from stillwork.fixedpoint.statements import (
     statements,
     table,
 )
-from stillwork.studies import Study
+from stillwork.control import asin_trajectory
+from stillwork.workbook.studies import Study
 
 
 def study(position, roughness, velocity=(1, 1)):

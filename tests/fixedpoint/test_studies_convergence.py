@@ -5,15 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stillwork.fixedpoint import FlowTransformation, Noise, published_controllers, simulate
-from stillwork.fixedpoint.published import KALMAN, LOW_PASS, WINDOW
-from stillwork.fixedpoint.studies_convergence import (
+from experiments.fixedpoint import Noise, published_controllers
+from experiments.fixedpoint.convergence_study import (
     at_rest,
     cycles_over_gain,
     divergence_by_noise,
     remaining_motion,
     response_noise,
 )
+from experiments.fixedpoint.published import KALMAN, LOW_PASS, WINDOW
+from stillwork.control import FlowTransformation, simulate
 
 STEP = 1e-3
 

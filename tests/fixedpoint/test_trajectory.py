@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from stillwork.checks import InputError
-from stillwork.fixedpoint import (
+from stillwork.base.checks import InputError
+from stillwork.control import (
     Trajectory,
     asin_trajectory,
     record_trajectory,

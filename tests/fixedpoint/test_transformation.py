@@ -6,13 +6,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from naive import fixedpoint as naive
-from stillwork.checks import InputError
-from stillwork.fixedpoint import (
+from stillwork.base.checks import InputError
+from stillwork.control import (
     ContractionWarning,
     Controller,
     FlowTransformation,
     KinematicDesign,
-    LowPass,
     RobustTransformation,
     contraction_range,
     deform,
@@ -21,6 +20,7 @@ from stillwork.fixedpoint import (
     simulate,
     sine_trajectory,
 )
+from stillwork.estimation import LowPass
 
 NUMBERS = st.floats(-1e3, 1e3)
 

@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 
-from stillwork.checks import InputError
-from stillwork.fixedpoint import Noise, asin_trajectory, compare, families, tune, tuning
+from experiments.fixedpoint import Noise, compare, families, tune, tuning
+from stillwork.base.checks import InputError
+from stillwork.control import asin_trajectory
 
 NOISE = Noise("gaussian", 1e-4)
 

@@ -5,29 +5,27 @@ import sys
 import numpy as np
 import pytest
 
-from stillwork import paths
-from stillwork.checks import InputError
-from stillwork.fixedpoint import (
-    FlowTransformation,
-    Noise,
-    RobustTransformation,
-    asin_trajectory,
-    load_oscillator,
-    published_controllers,
-    simulate,
-    sine_trajectory,
-)
-from stillwork.fixedpoint.your_plant import (
+from experiments.fixedpoint import Noise, load_oscillator, published_controllers
+from experiments.fixedpoint.your_plant import (
     contraction_along,
     controllers,
     drive,
     load_models,
     open_trajectory,
-    outline,
     stable_ranges,
     warnings_of,
 )
-from stillwork.fixedpoint.your_plant_plots import draw_contraction, draw_runs, plant_explorer
+from experiments.fixedpoint.your_plant_pictures import draw_contraction, draw_runs, plant_explorer
+from stillwork.base import paths
+from stillwork.base.checks import InputError
+from stillwork.control import (
+    FlowTransformation,
+    RobustTransformation,
+    asin_trajectory,
+    simulate,
+    sine_trajectory,
+)
+from stillwork.estimation.plant import outline
 
 TEMPLATE = paths.data("fixedpoint", "your_plant.py")
 MOTION = paths.data("fixedpoint", "your_trajectory.csv")

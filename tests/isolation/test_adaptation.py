@@ -4,10 +4,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from naive import adaptation as naive
-from stillwork.checks import InputError
-from stillwork.isolation.adaptation import FeLms, FeRls, _felms_update, _ferls_update
-from stillwork.isolation.online import (
-    Stepper,
+from stillwork.base.checks import InputError
+from stillwork.estimation.adaptive import FeLms, FeRls, felms_update, ferls_update
+from stillwork.estimation.online import (
+    AdaptationStepper,
     UnstableAdaptation,
     _require_settings,
     adapt,
@@ -129,8 +129,8 @@ def test_limit_is_added_information():
     psi, e = rng.standard_normal(5), rng.standard_normal(2)
     unlimited, limits = covariance.copy(), 0.6 * np.diag(covariance)
     weights, same = np.zeros((2, 5)), np.zeros((2, 5))
-    _ferls_update(weights, covariance, psi, e, 0.9, limits, np.empty(5))
-    _ferls_update(same, unlimited, psi, e, 0.9, np.full(5, np.inf), np.empty(5))
+    ferls_update(weights, covariance, psi, e, 0.9, limits, np.empty(5))
+    ferls_update(same, unlimited, psi, e, 0.9, np.full(5, np.inf), np.empty(5))
     assert np.any(np.diag(unlimited) > limits)  # the limit had something to do
     np.testing.assert_allclose(covariance, naive.limited(unlimited, limits), atol=1e-13)
     np.testing.assert_array_equal(weights, same)
@@ -167,11 +167,11 @@ def test_the_three_ways_to_call_it_agree():
     regressors, disturbance, _ = record()
     errors = []
     for algorithm in (FeRls(1.0, FORGETTING), FeLms(0.1)):
-        stepper = Stepper(algorithm, np.zeros((3, 4)))
+        stepper = AdaptationStepper(algorithm, np.zeros((3, 4)))
         errors = []
         for psi, d in zip(regressors.T, disturbance.T, strict=True):
             errors.append(d + stepper.weights @ psi)
-            stepper.step(psi, errors[-1])
+            stepper.update(psi, errors[-1])
         run = identify(algorithm, regressors, disturbance, every=50)
         replay = adapt(algorithm, regressors, np.array(errors).T, every=50)
         np.testing.assert_allclose(stepper.weights, run.weights, atol=1e-12)
@@ -215,9 +215,9 @@ def test_lost_definiteness_names_sample_and_cause():
 
 
 def test_stepper_reports_instability():
-    stepper = Stepper(FeLms(3.0), np.full((1, 2), 1e308))
+    stepper = AdaptationStepper(FeLms(3.0), np.full((1, 2), 1e308))
     with pytest.raises(UnstableAdaptation, match="sample 0"):
-        stepper.step([1.0, 1.0], [-1.7e308])
+        stepper.update([1.0, 1.0], [-1.7e308])
 
 
 @pytest.mark.parametrize(
@@ -229,11 +229,11 @@ def test_stepper_reports_instability():
     ],
 )
 def test_stepper_keeps_its_state_when_the_update_cannot_be_used(settings, regressor, error):
-    stepper = Stepper(settings, np.full((1, 2), 1.7e308))
+    stepper = AdaptationStepper(settings, np.full((1, 2), 1.7e308))
     weights = stepper.weights.copy()
     covariance = None if stepper.covariance is None else stepper.covariance.copy()
     with pytest.raises(UnstableAdaptation):
-        stepper.step(regressor, error)
+        stepper.update(regressor, error)
     np.testing.assert_array_equal(stepper.weights, weights)
     if covariance is not None:
         np.testing.assert_array_equal(stepper.covariance, covariance)
@@ -241,8 +241,8 @@ def test_stepper_keeps_its_state_when_the_update_cannot_be_used(settings, regres
 
 
 def test_stepper_hands_out_a_copy():
-    stepper = Stepper(FeLms(), np.zeros((1, 2)))
-    stepper.step([1.0, 1.0], [1.0])[:] = np.inf
+    stepper = AdaptationStepper(FeLms(), np.zeros((1, 2)))
+    stepper.update([1.0, 1.0], [1.0])[:] = np.inf
     assert np.all(np.isfinite(stepper.weights))
 
 
@@ -253,10 +253,10 @@ def test_replay_and_stepper_name_the_same_sample(settings, burst):
     errors[0, 37] = 1e300
     with pytest.raises(UnstableAdaptation) as replayed:
         adapt(settings, regressors, errors)
-    stepper = Stepper(settings, np.zeros((1, 2)))
+    stepper = AdaptationStepper(settings, np.zeros((1, 2)))
     with pytest.raises(UnstableAdaptation) as stepped:
         for psi, e in zip(regressors.T, errors.T, strict=True):
-            stepper.step(psi, e)
+            stepper.update(psi, e)
     assert replayed.value.sample == stepped.value.sample == 37
     assert str(replayed.value) == str(stepped.value)
 
@@ -266,7 +266,7 @@ def test_replay_and_stepper_name_the_same_sample(settings, burst):
     [
         (lambda: FeRls(1.0, True), "forgetting is True, not a number"),
         (lambda: FeRls(np.array([1.0 + 1j])), "initial_covariance is complex"),
-        # What adapt, identify and Stepper ask; under test the type checker would answer before them.
+        # What adapt, identify and AdaptationStepper ask; under test the type checker would answer before them.
         (lambda: _require_settings("rls"), "settings is 'rls'; give FeLms"),
         (lambda: FeRls(1.0, 1.2), "forgetting is 1.2; give a finite number above 0 and at most 1"),
         (lambda: FeRls(1.0, 0.0), "forgetting is 0"),
@@ -286,11 +286,17 @@ def test_replay_and_stepper_name_the_same_sample(settings, burst):
         (lambda: identify(FeLms(), np.ones(5), np.ones((1, 5))), "regressors has shape"),
         (lambda: identify(FeLms(), np.ones((2, 5)), np.ones((1, 5)), np.ones((2, 2))), "weights has shape"),
         (lambda: identify(FeLms(), np.ones((2, 5)), np.ones((1, 5)), every=0), "every is 0"),
-        (lambda: Stepper(FeLms(), np.ones(3)), "weights has shape"),
-        (lambda: Stepper(FeRls([1.0, 1.0]), np.zeros((1, 3))), "there are 3 regressors"),
-        (lambda: Stepper(FeLms(), np.zeros((1, 2))).step([1.0], [1.0]), "regressor has shape"),
-        (lambda: Stepper(FeLms(), np.zeros((1, 2))).step([1.0, np.nan], [1.0]), "regressor holds 1 NaN"),
-        (lambda: Stepper(FeLms(), np.zeros((1, 2))).step([1.0, 1.0], [1.0, 1.0]), "error has shape"),
+        (lambda: AdaptationStepper(FeLms(), np.ones(3)), "weights has shape"),
+        (lambda: AdaptationStepper(FeRls([1.0, 1.0]), np.zeros((1, 3))), "there are 3 regressors"),
+        (lambda: AdaptationStepper(FeLms(), np.zeros((1, 2))).update([1.0], [1.0]), "regressor has shape"),
+        (
+            lambda: AdaptationStepper(FeLms(), np.zeros((1, 2))).update([1.0, np.nan], [1.0]),
+            "regressor holds 1 NaN",
+        ),
+        (
+            lambda: AdaptationStepper(FeLms(), np.zeros((1, 2))).update([1.0, 1.0], [1.0, 1.0]),
+            "error has shape",
+        ),
         (lambda: steady_covariance(np.zeros((2, 5)), 0.9), "row 0 is zero"),
         (lambda: steady_covariance(np.ones((2, 5)), 0.9), "a combination of rows is silent"),
         (lambda: steady_covariance(np.ones((1, 5)), 1.0), "forgetting is 1"),
@@ -302,11 +308,11 @@ def test_bad_input_is_refused(call, message):
 
 
 def test_stepper_keeps_its_state_when_input_is_refused():
-    stepper = Stepper(FeRls(1.0), np.zeros((1, 2)))
-    stepper.step([1.0, 2.0], [0.5])
+    stepper = AdaptationStepper(FeRls(1.0), np.zeros((1, 2)))
+    stepper.update([1.0, 2.0], [0.5])
     weights, covariance = stepper.weights.copy(), stepper.covariance.copy()
     with pytest.raises(InputError):
-        stepper.step([1.0, np.inf], [0.5])
+        stepper.update([1.0, np.inf], [0.5])
     np.testing.assert_array_equal(stepper.weights, weights)
     np.testing.assert_array_equal(stepper.covariance, covariance)
 
@@ -323,13 +329,13 @@ def test_update_kernels_run_without_compilation_too():
     rng = np.random.default_rng(3)
     psi, e = rng.standard_normal(9), rng.standard_normal(6)
     for update, extra in (
-        (_ferls_update, (0.99, np.full(9, np.inf), np.empty(9))),
-        (_felms_update, (0.1, 1e-5, 6.0)),
+        (ferls_update, (0.99, np.full(9, np.inf), np.empty(9))),
+        (felms_update, (0.1, 1e-5, 6.0)),
     ):
         results = []
         for function in (update, update.py_func):
             weights, covariance = np.ones((6, 9)), np.eye(9)
-            state = (weights, covariance) if update is _ferls_update else (weights,)
+            state = (weights, covariance) if update is ferls_update else (weights,)
             function(*state, psi, e, *extra)
             results.append((weights, covariance))
         np.testing.assert_allclose(results[0][0], results[1][0], rtol=1e-14)

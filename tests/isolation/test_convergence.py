@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from stillwork.checks import InputError
-from stillwork.isolation.adaptation import FeLms, FeRls
-from stillwork.isolation.convergence import (
+from experiments.isolation.convergence import (
     Course,
     algorithms,
     converge,
@@ -13,12 +11,14 @@ from stillwork.isolation.convergence import (
     settling_times,
     try_starts,
 )
-from stillwork.isolation.floors import colored_floor, flat_floor
-from stillwork.isolation.mean_convergence import follow_sideways, mean_course, narrow_floor
-from stillwork.isolation.steady import steady_state
-from stillwork.isolation.tracking import Response, respond, settled, switch_between, tracking_trial
-from stillwork.isolation.twin import load_twin
-from stillwork.studies import run_study
+from experiments.isolation.floors import colored_floor, flat_floor
+from experiments.isolation.mean_convergence import follow_sideways, mean_course, narrow_floor
+from experiments.isolation.steady import steady_state
+from experiments.isolation.tracking import Response, respond, settled, switch_between, tracking_trial
+from experiments.isolation.twin import load_twin
+from stillwork.base.checks import InputError
+from stillwork.estimation.adaptive import FeLms, FeRls
+from stillwork.workbook.studies import run_study
 
 FITTED = load_twin("fitted").varied(platform_noise=1e-6, mains_hz=[], floor_mains=[], platform_mains=[])
 FLOOR = flat_floor(80.0)
@@ -112,10 +112,9 @@ def test_sideways_error_follows_the_mean_update():
 def test_weights_follow_a_switch_to_the_new_optimum_and_as_expected():
     switch = switch_between(FITTED, FLOOR, colored_floor(80.0))
     both = settled(switch, 1e-4, float(np.exp(-2e-5)))
-    response = respond(FITTED, switch, both["FeRLS"], 40.0, 1)
+    later, response = respond(FITTED, switch, both, 40.0, 1).values()
     assert response.left()[response.time_s < 0] == pytest.approx(1, abs=0.25)
     assert response.left()[-100:].mean() == pytest.approx(0, abs=0.1)
-    later = respond(FITTED, switch, both["FeLMS"], 40.0, 1)
     time = np.array([20.0, 40.0])
     expected = mean_course(FITTED, switch.end, "FeLMS", time, start=switch.start)
     left = (switch.end.weights[0] - expected) @ switch.shift / (switch.shift @ switch.shift)

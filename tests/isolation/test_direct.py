@@ -3,11 +3,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from experiments.isolation.direct import FORMS, average_gain, direct_run, largest_condition, multiplications
 from naive import adaptation as naive
 from naive import counting
-from stillwork.checks import InputError
-from stillwork.isolation.adaptation import _felms_update, _ferls_update
-from stillwork.isolation.direct import FORMS, average_gain, direct_run, largest_condition, multiplications
+from stillwork.base.checks import InputError
+from stillwork.estimation.adaptive import felms_update, ferls_update
 
 
 def record(n=3, actuators=2, samples=60):
@@ -67,7 +67,7 @@ def test_multiplications_are_those_of_the_update_written_out(actuators, n):
         return np.array(counting.counted(array), dtype=object)
 
     counting.Counted.count = 0
-    _ferls_update.py_func(
+    ferls_update.py_func(
         objects(np.zeros((actuators, n))),
         objects(np.eye(n)),
         objects(psi),
@@ -78,7 +78,7 @@ def test_multiplications_are_those_of_the_update_written_out(actuators, n):
     )
     assert counting.Counted.count == expected["recursion"]
     counting.Counted.count = 0
-    _felms_update.py_func(objects(np.zeros((actuators, n))), objects(psi), objects(error), one, one, one)
+    felms_update.py_func(objects(np.zeros((actuators, n))), objects(psi), objects(error), one, one, one)
     assert counting.Counted.count == expected["FeLMS"]
 
 

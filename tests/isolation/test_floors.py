@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from stillwork.checks import InputError
-from stillwork.criteria import CRITERIA, criterion_density, one_third_octave_velocity
-from stillwork.isolation.floors import FLAT_LEVEL, SAMPLE_RATE, ShapedFloor, colored_floor, flat_floor
-from stillwork.isolation.recorded_floors import (
+from experiments.isolation.floors import FLAT_LEVEL, SAMPLE_RATE, ShapedFloor, colored_floor, flat_floor
+from experiments.isolation.recorded_floors import (
     GROUND_CRITERION,
     criterion_floor,
     ground_floor,
@@ -16,8 +14,10 @@ from stillwork.isolation.recorded_floors import (
     record_floor,
     synthesise_floor,
 )
-from stillwork.records import Record
-from stillwork.spectra import estimate_spectrum
+from stillwork.base.checks import InputError
+from stillwork.signals.criteria import CRITERIA, criterion_density, one_third_octave_velocity
+from stillwork.signals.records import Record
+from stillwork.signals.spectra import estimate_spectrum
 
 
 def relative_spread(spectrum, lines):

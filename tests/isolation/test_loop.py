@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
+from experiments.isolation import simulation as module
+from experiments.isolation.floors import colored_floor, flat_floor
+from experiments.isolation.recorded_floors import RecordedFloor
+from experiments.isolation.simulation import simulate, simulate_each
+from experiments.isolation.twin import load_twin
 from naive import closed_loop
-from stillwork.checks import InputError
-from stillwork.isolation import simulation as module
-from stillwork.isolation.adaptation import FeLms, FeRls
-from stillwork.isolation.floors import flat_floor
-from stillwork.isolation.online import UnstableAdaptation
-from stillwork.isolation.recorded_floors import RecordedFloor
-from stillwork.isolation.simulation import simulate
-from stillwork.isolation.twin import load_twin
+from stillwork.base.checks import InputError
+from stillwork.estimation.adaptive import FeLms, FeRls
+from stillwork.estimation.online import UnstableAdaptation
 
 SAMPLES = 300
 
@@ -96,6 +96,18 @@ def test_same_seed_same_floor_whatever_the_controller_does():
     for other in runs[1:]:
         assert np.array_equal(runs[0].floor, other.floor)
     assert not np.array_equal(runs[0].floor, simulate(twin, floor, 1.0, seed=8, signals_from_s=0.0).floor)
+
+
+def test_algorithms_side_by_side_run_as_each_alone():
+    twin, floors = RIGS["fitted"], [(0.9, flat_floor(80.0)), (0.6, colored_floor(80.0))]
+    adaptations = {"FeLMS": FeLms(), "FeRLS": FeRls(np.full(9, 1e-3), 0.9999), "none": None}
+    weights = np.full((6, 9), 0.01)
+    together = simulate_each(twin, floors, adaptations=adaptations, weights=weights, seed=7)
+    for name, adaptation in adaptations.items():
+        alone = simulate(twin, floors, adaptation=adaptation, weights=weights, seed=7)
+        assert np.array_equal(together[name].weights, alone.weights)
+        assert np.array_equal(together[name].error_power, alone.error_power)
+        assert np.array_equal(together[name].covariance, alone.covariance)
 
 
 def test_without_noise_the_loop_is_linear_in_the_floor():

@@ -4,10 +4,16 @@ import control
 import numpy as np
 import pytest
 
-from stillwork.checks import InputError
-from stillwork.isolation.path_fit import dominance, fit_error_db, fit_reaches_hz, parametric_fit, resonance_hz
-from stillwork.isolation.responses import responses
-from stillwork.isolation.twin import load_twin
+from experiments.isolation.path_fit import (
+    dominance,
+    fit_error_db,
+    fit_reaches_hz,
+    parametric_fit,
+    resonance_hz,
+)
+from experiments.isolation.responses import responses
+from experiments.isolation.twin import load_twin
+from stillwork.base.checks import InputError
 
 
 def test_fit_is_eq_2_by_tustin_with_one_delay():

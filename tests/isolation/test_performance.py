@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from stillwork.checks import InputError
-from stillwork.isolation.floors import flat_floor
-from stillwork.isolation.modes import suspension_modes
-from stillwork.isolation.performance import (
+from experiments.isolation.floors import flat_floor
+from experiments.isolation.modes import suspension_modes
+from experiments.isolation.performance import (
     central_axes,
     exact_transmissibility,
     expected_density,
@@ -14,10 +13,11 @@ from stillwork.isolation.performance import (
     reduction_db,
     tune,
 )
-from stillwork.isolation.power import floor_level_for, power_trial, reduction_percent, without_lines
-from stillwork.isolation.steady import steady_state
-from stillwork.isolation.twin import load_twin
-from stillwork.spectra import Spectrum
+from experiments.isolation.power import floor_level_for, power_trial, reduction_percent, without_lines
+from experiments.isolation.steady import steady_state
+from experiments.isolation.twin import load_twin
+from stillwork.base.checks import InputError
+from stillwork.signals.spectra import Spectrum
 
 
 @pytest.fixture(scope="module")
@@ -157,7 +157,7 @@ def test_questions_that_have_no_answer(twin):
 
 @pytest.mark.parametrize("line", [3, 50, 401, 1999])
 def test_a_drawn_curve_keeps_a_peak_one_line_wide(line):
-    from stillwork.isolation.performance_plots import thinned
+    from experiments.isolation.performance_pictures import thinned
 
     density = np.full(4001, 1e-6)
     density[line] = 1.0

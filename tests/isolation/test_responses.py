@@ -4,9 +4,9 @@ import control
 import numpy as np
 import pytest
 
-from stillwork.checks import InputError
-from stillwork.isolation.responses import control_paths, responses
-from stillwork.isolation.twin import load_twin
+from experiments.isolation.responses import control_paths, responses
+from experiments.isolation.twin import load_twin
+from stillwork.base.checks import InputError
 
 F = np.array([0.5, 3.0, 15.0, 24.0, 35.0, 40.0, 90.0, 200.0, 350.0, 962.0, 2000.0])
 TWINS = {"rigid": load_twin("rigid_body"), "fitted": load_twin("fitted")}

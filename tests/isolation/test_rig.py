@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stillwork.checks import InputError
-from stillwork.isolation.rig import Lines, Rig
-from stillwork.isolation.twin import load_twin
+from experiments.isolation.rig import Lines, Rig
+from experiments.isolation.twin import load_twin
+from stillwork.base.checks import InputError
 
 RIG = load_twin("rigid_body").rig
 

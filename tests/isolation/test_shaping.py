@@ -5,8 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import signal
 
-from stillwork.checks import InputError
-from stillwork.isolation import shaping
+from experiments.isolation import shaping
+from stillwork.base.checks import InputError
 
 SAMPLE_TIME = 2e-4
 CUTOFF = 4 * np.pi
@@ -187,7 +187,7 @@ def test_shaping_before_or_after_the_integrators_is_the_same():
         (lambda: shaping.weak_integrator(3, -1.0, 1.0, SAMPLE_TIME), "cutoff is -1"),
         (lambda: shaping.weak_integrator(3, CUTOFF, 1.0, 0.0), "sample_time is 0"),
         (lambda: shaping.SecondaryPath(mass=0.0), "mass is 0"),
-        (lambda: shaping.Notch(50.0, depth=2.0), "depth is 2"),
+        (lambda: shaping.FrequencyNotch(50.0, depth=2.0), "depth is 2"),
         (lambda: shaping.NoiseShaping(lowpass_hz=5.0), "lowpass_hz is 5; give a finite number above 6"),
         (
             lambda: shaping.noise_shaping(

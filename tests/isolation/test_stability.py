@@ -1,15 +1,15 @@
 import numpy as np
 import pytest
 
+from experiments.isolation.cures import CURES, run_cure
+from experiments.isolation.floors import flat_floor
+from experiments.isolation.shaping import NoiseShaping, SecondaryPath, noise_shaping, weak_integrator
+from experiments.isolation.silence import run_to_the_end
+from experiments.isolation.stability import FORMS, _recur, covariance_run
+from experiments.isolation.twin import load_twin
 from naive import cures as naive
-from stillwork.checks import InputError
-from stillwork.isolation.adaptation import FeRls
-from stillwork.isolation.cures import CURES, run_cure
-from stillwork.isolation.floors import flat_floor
-from stillwork.isolation.shaping import NoiseShaping, SecondaryPath, noise_shaping, weak_integrator
-from stillwork.isolation.silence import run_to_the_end
-from stillwork.isolation.stability import FORMS, _recur, covariance_run
-from stillwork.isolation.twin import load_twin
+from stillwork.base.checks import InputError
+from stillwork.estimation.adaptive import FeRls
 
 FORGETTING = 0.99
 

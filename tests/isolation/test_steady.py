@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from stillwork.checks import InputError
-from stillwork.isolation.adaptation import FeRls
-from stillwork.isolation.floors import ShapedFloor, flat_floor
-from stillwork.isolation.simulation import simulate
-from stillwork.isolation.steady import default_grid, steady_state
-from stillwork.isolation.twin import load_twin
+from experiments.isolation.floors import ShapedFloor, flat_floor
+from experiments.isolation.simulation import simulate
+from experiments.isolation.steady import default_grid, steady_state
+from experiments.isolation.twin import load_twin
+from stillwork.base.checks import InputError
+from stillwork.estimation.adaptive import FeRls
 
 RIGID, FITTED = load_twin("rigid_body"), load_twin("fitted")
 QUIET = {"mains_hz": [], "floor_mains": [], "platform_mains": []}

@@ -5,9 +5,9 @@ import tomllib
 import numpy as np
 import pytest
 
-from stillwork import paths
-from stillwork.checks import InputError
-from stillwork.isolation.twin import load_twin, twin_from_table
+from experiments.isolation.twin import load_twin, twin_from_table
+from stillwork.base import paths
+from stillwork.base.checks import InputError
 
 
 def table(name="rigid_body"):

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from stillwork import paths
-from stillwork.checks import InputError
-from stillwork.isolation import drawings, floor_plots, performance_plots
-from stillwork.isolation.recorded_floors import ground_floor
-from stillwork.isolation.twin import load_twin
-from stillwork.isolation.your_floor import isolate, open_floor, optimum_left
-from stillwork.records import load_record
+from experiments.isolation import performance_pictures, rig_pictures, your_floor_pictures
+from experiments.isolation.recorded_floors import ground_floor
+from experiments.isolation.twin import load_twin
+from experiments.isolation.your_floor import isolate, open_floor, optimum_left
+from stillwork.base import paths
+from stillwork.base.checks import InputError
+from stillwork.signals.records import load_record
 
 SLAB = paths.data("isolation", "slab_footfall/slab_vertical.csv")
 
@@ -108,16 +108,16 @@ def test_a_louder_ground_is_isolated_better(twin):
 @pytest.mark.parametrize(
     ("draw", "settings"),
     [
-        (drawings.explore_floor, {"low_pass_hz": 300.0, "gain": 2.0}),
+        (rig_pictures.explore_floor, {"low_pass_hz": 300.0, "gain": 2.0}),
         (
-            performance_plots.explore_transmissibility,
+            performance_pictures.explore_transmissibility,
             {"integrator_cutoff_hz": 1.0, "lowpass_hz": 200.0, "low_pass_hz": 300.0},
         ),
         (
-            performance_plots.explore_power,
+            performance_pictures.explore_power,
             {"output_noise": 0.5, "floor_noise": 3.0, "low_pass_hz": 300.0},
         ),
-        (floor_plots.explore_ground, {"gain": 50.0, "output_noise": 0.1}),
+        (your_floor_pictures.explore_ground, {"gain": 50.0, "output_noise": 0.1}),
     ],
 )
 def test_explorers_draw_away_from_home(draw, settings):

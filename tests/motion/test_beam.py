@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import linalg, optimize
 
-from stillwork.checks import InputError
-from stillwork.motion.beam import beam, beam_parameters, beam_shapes, published_beam
+from experiments.motion.beam import beam, beam_parameters, beam_shapes, published_beam
+from stillwork.base.checks import InputError
 
 
 def test_uniform_shapes_are_the_closed_form():

@@ -8,29 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stillwork.checks import InputError
-from stillwork.lti import ModalModel
-from stillwork.motion.beam import beam, published_beam
-from stillwork.motion.decoupled_damping import (
-    added_damping,
-    band_passed,
-    common_band_passed,
-    common_centre,
-    constrained_damping,
-    constrained_stiffness,
-    half_power_selectivity,
-    minimal_order,
-)
-from stillwork.motion.decoupling import (
-    coupling_onset,
-    decouple,
-    decoupled_plant,
-    low_frequency_slopes,
-    observable_noise_models,
-    rigid_coupling,
-)
-from stillwork.motion.decoupling_plots import slope_ranges, transfer_matrix
-from stillwork.motion.decoupling_schemes import (
+from experiments.motion.beam import beam, published_beam
+from experiments.motion.decoupling_pictures import slope_ranges, transfer_matrix
+from experiments.motion.decoupling_schemes import (
     ROUNDED,
     SCHEMES,
     Settings,
@@ -47,9 +27,30 @@ from stillwork.motion.decoupling_schemes import (
     with_compensation,
     with_scheme,
 )
-from stillwork.motion.feedback import damping_gain
-from stillwork.motion.observer import kalman_observer, published_noise
-from stillwork.motion.reduction import truncate
+from experiments.motion.machines import published_noise
+from stillwork.base.checks import InputError
+from stillwork.control.decoupled_damping import (
+    added_damping,
+    band_passed,
+    common_band_passed,
+    common_centre,
+    constrained_damping,
+    constrained_stiffness,
+    half_power_selectivity,
+    minimal_order,
+)
+from stillwork.control.decoupling import (
+    coupling_onset,
+    decouple,
+    decoupled_plant,
+    low_frequency_slopes,
+    observable_noise_models,
+    rigid_coupling,
+)
+from stillwork.control.feedback import damping_gain
+from stillwork.estimation.observer import kalman_observer
+from stillwork.lti import ModalModel
+from stillwork.lti.reduction import truncate
 
 SETTINGS = published_settings()
 PLANT = published_beam(2)
@@ -380,6 +381,9 @@ def test_trial_measures_what_it_says():
     onset, middle = found["each mode: onset_hz"][off_diagonal], np.sqrt(0.03 * 0.3)
     expected = -1 / (1 + (middle / onset) ** 2)  # of |1/s + constant|
     assert found["each mode: slopes above"][off_diagonal] == pytest.approx(expected, abs=0.05)
+    hundredths = 100 * found["compensation: slopes"]  # beyond them is rounding
+    assert np.array_equal(hundredths, np.rint(hundredths))
+    assert found["compensation: slopes"] == pytest.approx(np.diag([-2.0, -2.0]), abs=0.02)
 
 
 def test_mode_that_is_kept_out_has_a_tail_only():

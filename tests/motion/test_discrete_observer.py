@@ -4,27 +4,28 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import signal
+from scipy import linalg, signal
 
-from stillwork.checks import InputError
-from stillwork.lti import StateModel, simulate, zoh, zoh_modes
-from stillwork.motion.applications import Application
-from stillwork.motion.delays import delayed
-from stillwork.motion.designs import stage_observer
-from stillwork.motion.discrete_damping import (
+from experiments.motion.designs import stage_observer
+from experiments.motion.discrete_pictures import draw_sampled, equivalent_plant
+from experiments.motion.machines import published_noise, stage
+from stillwork.base.checks import InputError
+from stillwork.control.applications import Application
+from stillwork.control.discrete_damping import (
     discrete_damping_gain,
     gain_by_placement,
     placement_error,
     sampled_feedback,
+    typical_placement_error,
 )
-from stillwork.motion.discrete_observer import discrete_compensator, discrete_kalman_observer, predict
-from stillwork.motion.discrete_plots import draw_sampled, equivalent_plant
-from stillwork.motion.feedback import band_pass, damping_gain, fed_back
-from stillwork.motion.filters import TimeVaryingModel, estimate
-from stillwork.motion.machines import stage
-from stillwork.motion.observer import Noise, published_noise
-from stillwork.motion.reduction import truncate
-from stillwork.motion.robust import kalman_gains
+from stillwork.control.discrete_observer import discrete_compensator, discrete_kalman_observer, predict
+from stillwork.control.feedback import band_pass, damping_gain, fed_back
+from stillwork.estimation.observer import NoiseIntensities
+from stillwork.estimation.robust import kalman_gains
+from stillwork.estimation.time_varying import TimeVaryingModel, estimate
+from stillwork.lti import StateModel, simulate, zoh, zoh_modes
+from stillwork.lti.delays import delayed
+from stillwork.lti.reduction import truncate
 
 STEP = 1e-4
 
@@ -59,6 +60,29 @@ def test_the_closed_form_is_what_general_placement_finds(reduced):
     for method in ("Ackermann", "robust"):
         other = gain_by_placement(reduced, [0.03, 0.05, 0.01], STEP, method)
         np.testing.assert_allclose(other, gain, rtol=1e-6, atol=1e-6 * np.abs(gain).max())
+
+
+def test_the_typical_error_is_rounding_times_the_condition_of_the_poles(reduced):
+    # First-order perturbation theory of the balanced matrix, over the way that the poles move.
+    for step in (1e-4, 1e-5, 1e-6):
+        flexible = zoh_modes(reduced.modes([1, 2, 3]), step)
+        closed = flexible.a + flexible.b @ discrete_damping_gain(reduced, 0.035, step)[:, 2:]
+        _, left, right = linalg.eig(linalg.matrix_balance(closed)[0], left=True)
+        condition = 1 / np.abs((left.conj() * right).sum(axis=0)).min()
+        w, z = reduced.frequencies[1:], reduced.damping[1:]
+        before, after = (np.exp(w * (-ratio + 1j * np.sqrt(1 - ratio**2)) * step) for ratio in (z, z + 0.035))
+        expected = np.finfo(float).eps * condition / np.abs(after - before).min()
+        found = typical_placement_error(reduced, 0.035, step, "closed form")
+        assert expected / 10 < found < 10 * expected
+
+
+def test_the_typical_error_of_one_machine_is_its_own_and_of_none_unknown(reduced):
+    gain = gain_by_placement(reduced, 0.035, STEP, "robust")
+    alone = typical_placement_error(reduced, 0.035, STEP, "robust", machines=1, spread=0.0)
+    assert alone == placement_error(reduced, gain, 0.035, STEP)
+    assert np.isnan(typical_placement_error(reduced, 0.035, 1e-7, "Ackermann", machines=5))
+    with pytest.raises(InputError, match=r"method is 'robst'.*did you mean 'robust'"):
+        typical_placement_error(reduced, 0.035, STEP, "robst")
 
 
 def test_fast_sampling_leads_to_the_continuous_gain(reduced):
@@ -126,7 +150,7 @@ def test_bad_gains_and_machines_are_refused(reduced):
 
 def test_gain_is_where_the_printed_recursion_ends():
     model = truncate(stage().at([0], [4]), 2, 0)
-    noise = Noise(1e-2, 1e-16)
+    noise = NoiseIntensities(1e-2, 1e-16)
     found = discrete_kalman_observer(model, noise, STEP)
     sampled = zoh_modes(model, STEP)
     a, g, c = sampled.a, sampled.b, sampled.c

@@ -5,24 +5,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stillwork.checks import InputError
-from stillwork.lti import ModalModel, StateModel, simulate, zoh_modes
-from stillwork.motion.applications import Application
-from stillwork.motion.controller import PidFamily
-from stillwork.motion.drive import drive_loop, drive_observer, identify, residual_peaks, seen_by_controller
-from stillwork.motion.identification import Identified, closed_loop_response, impact_response
-from stillwork.motion.machines import Drive, drive
-from stillwork.motion.observer import published_noise
-from stillwork.motion.structure import (
+from experiments.motion.drive import drive_loop, drive_observer, identify, residual_peaks, seen_by_controller
+from experiments.motion.machines import Drive, drive, published_noise
+from experiments.motion.structure import (
     as_stage,
     extra_turns,
-    fit_modes,
     measured_accelerance,
-    mirrored,
     on_measurement,
     structure_loops,
 )
-from stillwork.motion.three_masses import designed_for_second, scaled_springs, stability_trial, three_masses
+from experiments.motion.three_masses import designed_for_second, scaled_springs, stability_trial, three_masses
+from stillwork.base.checks import InputError
+from stillwork.control.applications import Application
+from stillwork.control.pid import PidFamily
+from stillwork.identification.frequency_response import Identified, closed_loop_response, impact_response
+from stillwork.identification.modal_fit import fit_modes
+from stillwork.lti import ModalModel, StateModel, simulate, zoh_modes
+from stillwork.lti.modal import mirrored
 
 PLANT = drive()
 TRUE = ModalModel(

@@ -8,16 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import linalg
 
-from stillwork.checks import InputError
+from experiments.motion.designs import stage_observer
+from experiments.motion.machines import chain, published_noise, stage
+from stillwork.base.checks import InputError
+from stillwork.control.applications import Application, compensator
+from stillwork.control.feedback import band_pass, damping_gain, fed_back, place, stiffness_gain
+from stillwork.control.loops import closed_loop
+from stillwork.control.pid import PidFamily
+from stillwork.estimation.observer import kalman_observer
 from stillwork.lti import ModalModel, StateModel
-from stillwork.motion.applications import Application, compensator
-from stillwork.motion.controller import PidFamily
-from stillwork.motion.designs import stage_observer
-from stillwork.motion.feedback import band_pass, damping_gain, fed_back, place, stiffness_gain
-from stillwork.motion.loops import closed_loop
-from stillwork.motion.machines import chain, stage
-from stillwork.motion.observer import kalman_observer, published_noise
-from stillwork.motion.reduction import truncate
+from stillwork.lti.reduction import truncate
 
 MODEL = truncate(stage().at([0], [4]), 4, 3)
 

@@ -3,14 +3,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stillwork.checks import InputError
-from stillwork.motion.generalised_h2 import (
+from experiments.motion.energy_to_peak import (
     ErrorSystem,
     error_system,
     generalised_h2_norm,
     predictor_gains,
     response_peak,
 )
+from stillwork.base.checks import InputError
 
 
 def problem(seed, samples=12, n=3, outputs=1):

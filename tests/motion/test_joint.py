@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from stillwork.checks import InputError
-from stillwork.motion.bandwidth import SIX_DB
-from stillwork.motion.designs import DESIGNS, stage_bandwidth, stage_observer
-from stillwork.motion.joint import (
+from experiments.motion.designs import DESIGNS, stage_bandwidth, stage_observer
+from experiments.motion.joint import (
     CHANNELS,
     PUBLISHED,
     JointDesign,
@@ -19,20 +17,15 @@ from stillwork.motion.joint import (
     kalman_gains,
     relative_softness,
 )
-from stillwork.motion.joint_designs import as_toml, rounded, stored_designs
-from stillwork.motion.joint_plots import draw_joint
-from stillwork.motion.joint_search import (
-    draw_plants,
-    plant_peaks,
-    robust_search,
-    search,
-    starts,
-    verify,
-)
-from stillwork.motion.loops import channel, closed_loop
-from stillwork.motion.machines import parameters, stage
-from stillwork.motion.observer import Noise, published_noise
-from stillwork.motion.reduction import truncate
+from experiments.motion.joint_designs import as_toml, rounded, stored_designs
+from experiments.motion.joint_pictures import draw_joint
+from experiments.motion.joint_search import draw_plants, plant_peaks, robust_search, search, starts, verify
+from experiments.motion.machines import parameters, published_noise, stage
+from stillwork.base.checks import InputError
+from stillwork.control.bandwidth import SIX_DB
+from stillwork.control.loops import channel, closed_loop
+from stillwork.estimation.observer import NoiseIntensities
+from stillwork.lti.reduction import truncate
 
 ODD = replace(
     PUBLISHED, process=3.0, noise_model=50.0, damping=(0.03, 0.04, 0.05), selectivity=(1.5, 2.0, 3.0)
@@ -50,7 +43,7 @@ def joint():
 
 @pytest.mark.parametrize(("process", "noise_model"), [(1.0, 1e3), (1e-3, 1e-2), (1e3, 1e6)])
 def test_stacked_gains_are_those_of_the_riccati_equation(process, noise_model):
-    noise = Noise(process * published_noise().process, published_noise().sensor)
+    noise = NoiseIntensities(process * published_noise().process, published_noise().sensor)
     ours = kalman_gains(truncate(stage(), 4, 3), noise, noise_model)
     for mass in (1, 4, 7):
         theirs = stage_observer(mass, noise, noise_model).gain[:, 0]

@@ -4,18 +4,8 @@ import numpy as np
 import pytest
 from scipy import linalg, signal
 
-from stillwork.checks import InputError
-from stillwork.motion.controller import PidFamily
-from stillwork.motion.designs import DESIGNS, stage_compensator
-from stillwork.motion.ideal_feedforward import (
-    feedforward_error,
-    fit_to_force,
-    ideal_force,
-    invert,
-    respond,
-    sampled_ideal_force,
-)
-from stillwork.motion.location_study import (
+from experiments.motion.designs import DESIGNS, stage_compensator
+from experiments.motion.location_study import (
     LocationStudy,
     bare_error,
     location_loops,
@@ -23,14 +13,23 @@ from stillwork.motion.location_study import (
     stage_error,
     study_locations,
 )
-from stillwork.motion.loops import channel, closed_loop
-from stillwork.motion.machines import chain, stage, stage_mass
-from stillwork.motion.performance import rms
-from stillwork.motion.position_dependence import stage_grid
-from stillwork.motion.position_plots import draw_location
-from stillwork.motion.reduction import truncate
-from stillwork.motion.setpoint import published_setpoint
-from stillwork.motion.tracking import Feedforward, error_loop, fit_feedforward, tracking_error
+from experiments.motion.machines import chain, published_setpoint, stage, stage_mass
+from experiments.motion.position_dependence import stage_grid
+from experiments.motion.position_pictures import draw_location
+from stillwork.base.checks import InputError
+from stillwork.control.feedforward import Feedforward, error_loop, fit_feedforward, tracking_error
+from stillwork.control.ideal_feedforward import (
+    feedforward_error,
+    fit_to_force,
+    ideal_force,
+    invert,
+    respond,
+    sampled_ideal_force,
+)
+from stillwork.control.loops import channel, closed_loop
+from stillwork.control.pid import PidFamily
+from stillwork.lti.reduction import truncate
+from stillwork.signals.moving_average import rms
 
 GRID = stage_grid()
 APPLIED = Feedforward(acceleration=12.5, snap=1.5e-6)

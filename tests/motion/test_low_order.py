@@ -7,12 +7,8 @@ import numpy as np
 import pytest
 from scipy import integrate
 
-from stillwork.checks import InputError
-from stillwork.lti import StateModel
-from stillwork.motion.controller import PidFamily
-from stillwork.motion.designs import DESIGNS, stage_compensator
-from stillwork.motion.loops import closed_loop
-from stillwork.motion.low_order import (
+from experiments.motion.designs import DESIGNS, stage_compensator
+from experiments.motion.low_order import (
     copy_poles,
     direct_loop,
     filters,
@@ -20,12 +16,22 @@ from stillwork.motion.low_order import (
     perturbed_trial,
     pick_poles,
 )
-from stillwork.motion.low_order_plots import draw_low_order
-from stillwork.motion.machines import stage, stage_mass
-from stillwork.motion.performance import rms
-from stillwork.motion.setpoint import Setpoint, from_snap, published_setpoint
-from stillwork.motion.tracking import BASIS, error_loop, fit_feedforward, modified_feedforward, tracking_error
-from stillwork.motion.uncertainty import draw_errors, perturbed
+from experiments.motion.low_order_pictures import draw_low_order
+from experiments.motion.machines import published_setpoint, stage, stage_mass
+from stillwork.base.checks import InputError
+from stillwork.control.feedforward import (
+    BASIS,
+    error_loop,
+    fit_feedforward,
+    modified_feedforward,
+    tracking_error,
+)
+from stillwork.control.loops import closed_loop
+from stillwork.control.pid import PidFamily
+from stillwork.control.setpoint import Setpoint, from_snap
+from stillwork.estimation.uncertainty import draw_errors, perturbed
+from stillwork.lti import StateModel
+from stillwork.signals.moving_average import rms
 
 PLANT = stage().at([0], [4])
 CONTROLLER = PidFamily(stage_mass())(70.0).state_space()

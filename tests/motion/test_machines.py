@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stillwork.checks import InputError
-from stillwork.lti import zoh_modes
-from stillwork.motion.discretisation import (
+from experiments.motion.discretisation import (
     discrete_compliance,
     disturbance_matrix,
     transition,
     undamped_disturbance,
     undamped_input,
 )
-from stillwork.motion.machines import chain, chain_matrix, drive, parameters, stage, stage_mass
-from stillwork.motion.reduction import roll_off, truncate
+from experiments.motion.machines import chain, chain_matrix, drive, parameters, stage, stage_mass
+from stillwork.base.checks import InputError
+from stillwork.lti import zoh_modes
+from stillwork.lti.reduction import roll_off, truncate
 
 
 def test_stage_is_the_published_one():

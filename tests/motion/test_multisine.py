@@ -5,21 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stillwork.checks import InputError
-from stillwork.lti import ModalModel, simulate, zoh_modes
-from stillwork.motion.modal_fit import fit_modal_matrix
-from stillwork.motion.multisine import (
-    direct_response,
-    joint_input_output,
-    random_phase_multisine,
-    run_multisine,
-    smoothed_deviation,
-)
-from stillwork.motion.observer import Noise
-from stillwork.motion.rig import assumed_geometry, rig_model
-from stillwork.motion.rig_control import sampled_modes, zoh_response
-from stillwork.motion.rig_designs import published_settings
-from stillwork.motion.rig_identification import (
+from experiments.motion.rig import assumed_geometry, rig_model
+from experiments.motion.rig_designs import published_settings
+from experiments.motion.rig_identification import (
     convergence,
     four_sensor_controller,
     identification_loop,
@@ -27,10 +15,22 @@ from stillwork.motion.rig_identification import (
     rig_records,
     true_response,
 )
+from stillwork.base.checks import InputError
+from stillwork.estimation.observer import NoiseIntensities
+from stillwork.identification.modal_fit import fit_modal_matrix
+from stillwork.identification.multisine import (
+    direct_response,
+    joint_input_output,
+    random_phase_multisine,
+    run_multisine,
+    smoothed_deviation,
+)
+from stillwork.lti import ModalModel, simulate, zoh_modes
+from stillwork.lti.discretisation import sampled_modes, zoh_response
 
 GEOMETRY = assumed_geometry()
 SETTINGS = published_settings()
-QUIET = replace(SETTINGS, noise=Noise(1e-24, 1e-36))
+QUIET = replace(SETTINGS, noise=NoiseIntensities(1e-24, 1e-36))
 
 
 def test_multisine_has_its_rms_and_a_flat_spectrum():
@@ -63,7 +63,7 @@ def test_identification_loop_is_the_loop_by_hand():
 @pytest.fixture(scope="module")
 def noisy():
     """Sensor noise only: force noise leaks between lines, because what it leaves in the plant is not periodic."""
-    noise = replace(SETTINGS, noise=Noise(1e-20, 1e-18))
+    noise = replace(SETTINGS, noise=NoiseIntensities(1e-20, 1e-18))
     return rig_records(GEOMETRY, noise, 4.0, np.random.default_rng(3), 0.3, 6, samples=4096, settling=9)
 
 
@@ -86,7 +86,7 @@ def test_without_noise_the_plant_comes_out():
 
 def test_deviation_is_what_the_noise_predicts(noisy):
     estimate = joint_input_output(noisy)
-    noise = replace(SETTINGS, noise=Noise(1e-20, 1e-18))
+    noise = replace(SETTINGS, noise=NoiseIntensities(1e-20, 1e-18))
     expected = predicted_deviation(GEOMETRY, noise, 4.0, estimate.omega, 0.3, 6 * 2)
     chosen = estimate.omega > 2 * np.pi * 20
     ratio = np.mean((estimate.deviation / expected)[chosen] ** 2)
@@ -98,7 +98,7 @@ def test_deviation_is_what_the_noise_predicts(noisy):
 
 
 def test_direct_ratio_keeps_the_bias_of_the_loop_and_the_joint_one_does_not():
-    weak = replace(SETTINGS, noise=Noise(4e-4, 1e-18))
+    weak = replace(SETTINGS, noise=NoiseIntensities(4e-4, 1e-18))
     records = rig_records(
         GEOMETRY, weak, 5.0, np.random.default_rng(4), 0.2, 12, samples=8192, periods=2, settling=1
     )

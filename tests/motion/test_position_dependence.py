@@ -2,16 +2,17 @@ import numpy as np
 import pytest
 from scipy import integrate
 
-from stillwork.checks import InputError
-from stillwork.lti import modal_model, zoh
-from stillwork.motion.controller import PidFamily
-from stillwork.motion.designs import DAMPING, DESIGNS, Design, stage_compensator, stage_loops, stage_observer
-from stillwork.motion.discrete_damping import sampled_feedback
-from stillwork.motion.filters import TimeVaryingModel
-from stillwork.motion.machines import stage, stage_mass
-from stillwork.motion.node_passage import move, pass_node
-from stillwork.motion.observer import Noise, published_noise
-from stillwork.motion.position_dependence import (
+from experiments.motion.designs import (
+    DAMPING,
+    DESIGNS,
+    Design,
+    stage_compensator,
+    stage_loops,
+    stage_observer,
+)
+from experiments.motion.machines import published_noise, stage, stage_mass
+from experiments.motion.node_passage import move, pass_node
+from experiments.motion.position_dependence import (
     at_place,
     damping_along,
     damping_table,
@@ -22,10 +23,16 @@ from stillwork.motion.position_dependence import (
     require_seen,
     stage_grid,
 )
-from stillwork.motion.position_plots import draw_place
-from stillwork.motion.positions import shapes_along
-from stillwork.motion.robust import kalman_gains
-from stillwork.motion.scan_study import output_rows
+from experiments.motion.position_pictures import draw_place
+from experiments.motion.positions import shapes_along
+from experiments.motion.scan_study import output_rows
+from stillwork.base.checks import InputError
+from stillwork.control.discrete_damping import sampled_feedback
+from stillwork.control.pid import PidFamily
+from stillwork.estimation.observer import NoiseIntensities
+from stillwork.estimation.robust import kalman_gains
+from stillwork.estimation.time_varying import TimeVaryingModel
+from stillwork.lti import modal_model, zoh
 
 GRID = stage_grid()
 STEP = 1e-4
@@ -161,11 +168,11 @@ def test_observability_lost_along_a_trajectory_is_named(plant):
         0.01,
     )  # its outputs see the rigid body with either sign
     with pytest.raises(InputError, match="mode 0 is not observable"):
-        pass_node(tilted, [0.0, 0.1, 0.2], np.linspace(0.05, 0.15, 50), 1, Noise(1.0, 1e-6), 1e-3)
+        pass_node(tilted, [0.0, 0.1, 0.2], np.linspace(0.05, 0.15, 50), 1, NoiseIntensities(1.0, 1e-6), 1e-3)
 
 
 def test_online_filter_follows_the_continuous_riccati_equation(plant):
-    model, noise, step = plant.modes([0, 1]), Noise(1e-4, 2e-16), 2e-5
+    model, noise, step = plant.modes([0, 1]), NoiseIntensities(1e-4, 2e-16), 2e-5
     places = move(0.05, 0.0, 1.0, 0.006, 0.0, step)
     states = model.state_space()
     rows = output_rows(shapes_along(model, GRID, places))

@@ -5,15 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stillwork import motion
-from stillwork.checks import InputError
+from experiments.motion.designs import stage_observer
+from experiments.motion.machines import published_noise, stage
+from stillwork.base.checks import InputError
+from stillwork.estimation import riccati
+from stillwork.estimation.observer import NoiseIntensities, Observer, kalman_observer
+from stillwork.estimation.riccati import continuous_gain, discrete_gain
 from stillwork.lti import ModalModel, zoh_modes
-from stillwork.motion import riccati
-from stillwork.motion.designs import stage_observer
-from stillwork.motion.machines import stage
-from stillwork.motion.observer import Noise, Observer, kalman_observer, published_noise
-from stillwork.motion.reduction import truncate
-from stillwork.motion.riccati import continuous_gain, discrete_gain
+from stillwork.lti.reduction import truncate
 
 
 @pytest.mark.parametrize("noise_model", [None, 0.03, 1e3])
@@ -48,8 +47,8 @@ def test_double_integrator_has_its_closed_form():
 @given(st.floats(-3, 3), st.floats(-3, 3))
 def test_only_the_ratio_of_the_intensities_matters(q, common):
     model = truncate(stage().at([0], [4]), 4, 3)
-    noise = Noise(1e-4 * 10**q, 2e-18)
-    scaled = Noise(noise.process * 10**common, noise.sensor * 10**common)
+    noise = NoiseIntensities(1e-4 * 10**q, 2e-18)
+    scaled = NoiseIntensities(noise.process * 10**common, noise.sensor * 10**common)
     one, other = kalman_observer(model, noise).gain, kalman_observer(model, scaled).gain
     assert np.allclose(one, other, rtol=1e-8, atol=1e-10 * np.abs(one).max())
 
@@ -97,8 +96,8 @@ def test_a_stable_mode_need_not_be_driven():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: Noise(0.0, 1.0), "process"),
-        (lambda: Noise(1.0, -1.0), "sensor"),
+        (lambda: NoiseIntensities(0.0, 1.0), "process"),
+        (lambda: NoiseIntensities(1.0, -1.0), "sensor"),
         (lambda: continuous_gain([[0.0]], [[1.0]], [[1.0]], 1.0, 0.0), "sensor is not positive definite"),
         (
             lambda: continuous_gain(-np.eye(2), np.eye(2), np.eye(2), [[2.0, 1.0], [0.0, 2.0]], 1.0),
@@ -146,9 +145,3 @@ def test_a_large_residual_is_refused(monkeypatch):
         continuous_gain([[0.0, 1.0], [-3.0, -0.1]], [[0.0], [1.0]], [[1.0, 0.0]], 1.0, 1e-4)
     with pytest.raises(InputError, match="relative residual"):
         discrete_gain([[0.9, 0.1], [0.0, 0.7]], [[0.0], [1.0]], [[1.0, 0.0]], 1.0, 1e-4)
-
-
-def test_public_names_resolve():
-    assert all(getattr(motion, name) is not None for name in motion.__all__)
-    with pytest.raises(AttributeError, match="no attribute"):
-        motion.robot  # noqa: B018

@@ -6,13 +6,16 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from stillwork.checks import InputError
-from stillwork.lti import ModalModel, simulate, zoh_modes
-from stillwork.motion.loops import channel
-from stillwork.motion.observer import Noise
-from stillwork.motion.rig import POSITIONS, assumed, assumed_geometry, rig_model, rigid_shapes, scaled_inertia
-from stillwork.motion.rig_control import placed_damping, sampled_damping
-from stillwork.motion.rig_designs import (
+from experiments.motion.rig import (
+    POSITIONS,
+    assumed,
+    assumed_geometry,
+    rig_model,
+    rigid_shapes,
+    scaled_inertia,
+)
+from experiments.motion.rig_control import placed_damping, sampled_damping
+from experiments.motion.rig_designs import (
     CASES,
     compensated_feedback,
     model_errors,
@@ -21,21 +24,25 @@ from stillwork.motion.rig_designs import (
     rig_controllers,
     rig_loops,
 )
-from stillwork.motion.rig_loops import MEASURES
-from stillwork.motion.rig_study import bandwidths, draw_geometry, flexible_peaks, rig_trial
-from stillwork.motion.rig_tracking import (
+from experiments.motion.rig_loops import MEASURES
+from experiments.motion.rig_study import bandwidths, draw_geometry, flexible_peaks, rig_trial
+from experiments.motion.rig_tracking import (
     Levelling,
     levelling,
     levelling_error,
     levelling_rms,
     output_variance,
 )
-from stillwork.studies import run_study
+from stillwork.base.checks import InputError
+from stillwork.control.loops import channel
+from stillwork.estimation.observer import NoiseIntensities
+from stillwork.lti import ModalModel, simulate, zoh_modes
+from stillwork.workbook.studies import run_study
 
 GEOMETRY = assumed_geometry()
 SETTINGS = published_settings()
 PIDS = rig_controllers(GEOMETRY)(4.0, 5.0)
-SILENT = Noise(1e-30, 1e-40)
+SILENT = NoiseIntensities(1e-30, 1e-40)
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +96,7 @@ def test_expected_rms_is_that_of_simulations(loops, case):
     np.testing.assert_allclose(
         np.sqrt((error**2).mean(axis=1)), levelling_rms(loop, PIDS, GEOMETRY, trajectory, SILENT), rtol=2e-3
     )
-    noise = Noise(1e-4, 1e-18)
+    noise = NoiseIntensities(1e-4, 1e-18)
     errors = [
         levelling_error(loop, PIDS, GEOMETRY, trajectory, noise, np.random.default_rng(k)) for k in range(6)
     ]
@@ -134,10 +141,10 @@ def test_flexible_part_is_that_of_the_modes(loops):
     """Without observer: the difference from the rigid body, mode by mode, at the first resonance."""
     found = flexible_peaks(loops["Original"], scaled_inertia(GEOMETRY))
     plant, d = loops["Original"][0].plant, loops["Original"][0].decoupling
-    residue = d.sensors @ np.outer(plant.output_shapes[:, 3], plant.input_shapes[3]) @ d.actuators
+    residue = d.sensing @ np.outer(plant.output_shapes[:, 3], plant.input_shapes[3]) @ d.actuation
     peak = np.linalg.norm(residue, 2) / (2 * plant.damping[3] * plant.frequencies[3] ** 2)
     assert found.peaks[0] == pytest.approx(peak, rel=0.02)
-    static = d.sensors @ plant.compliance() @ d.actuators
+    static = d.sensing @ plant.compliance() @ d.actuation
     assert found.coupling == pytest.approx(np.abs(static[~np.eye(3, dtype=bool)]).mean(), rel=0.05)
 
 

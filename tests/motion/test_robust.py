@@ -4,9 +4,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from naive import motion_robust as naive
-from stillwork.checks import InputError
-from stillwork.motion.filters import TimeVaryingModel, estimate
-from stillwork.motion.robust import (
+from stillwork.base.checks import InputError
+from stillwork.estimation.robust import (
     Derivatives,
     NormBound,
     kalman_gains,
@@ -14,6 +13,7 @@ from stillwork.motion.robust import (
     regularised_line_search,
     sensitivity_gains,
 )
+from stillwork.estimation.time_varying import TimeVaryingModel, estimate
 
 SEEDS = st.integers(0, 10**6)
 

@@ -3,18 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from naive import motion_filters as naive
-from stillwork.checks import InputError
-from stillwork.lti import zoh_modes
-from stillwork.motion import contest as contests
-from stillwork.motion.filters import TimeVaryingModel, estimate
-from stillwork.motion.hinfinity import hinfinity_gains, smallest_level
-from stillwork.motion.machines import stage
-from stillwork.motion.model_bank import bank_estimate
-from stillwork.motion.perturbed_tracking import CASES, published_loops, tracking_trial
-from stillwork.motion.positions import shapes_along
-from stillwork.motion.robust import kalman_gains
-from stillwork.motion.scan_study import (
+from experiments.motion import contest as contests
+from experiments.motion.machines import stage
+from experiments.motion.model_bank import bank_estimate
+from experiments.motion.perturbed_tracking import CASES, published_loops, tracking_trial
+from experiments.motion.positions import shapes_along
+from experiments.motion.scan_study import (
     filter_model,
     judge,
     output_rows,
@@ -22,13 +16,14 @@ from stillwork.motion.scan_study import (
     record_scans,
     slowest_decay,
 )
-from stillwork.motion.uncertainty import (
-    draw_errors,
-    norm_bound,
-    perturbed,
-    sampled_derivatives,
-)
-from stillwork.studies import run_study
+from naive import motion_filters as naive
+from stillwork.base.checks import InputError
+from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
+from stillwork.estimation.robust import kalman_gains
+from stillwork.estimation.time_varying import TimeVaryingModel, estimate
+from stillwork.estimation.uncertainty import draw_errors, norm_bound, perturbed, sampled_derivatives
+from stillwork.lti import zoh_modes
+from stillwork.workbook.studies import run_study
 
 
 @pytest.fixture(scope="module")

@@ -3,24 +3,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stillwork.checks import InputError
-from stillwork.lti import zoh, zoh_modes
-from stillwork.motion.controller import PidFamily
-from stillwork.motion.feedback import band_pass, damping_gain
-from stillwork.motion.filters import TimeVaryingModel, estimate
-from stillwork.motion.machines import stage, stage_mass
-from stillwork.motion.position_scan import (
+from experiments.motion.machines import stage, stage_mass
+from experiments.motion.position_scan import (
     compare_schedules,
     observer_model,
     position_scan,
     published_fast_setpoint,
     run_applied,
 )
-from stillwork.motion.positions import shapes_along
-from stillwork.motion.riccati import discrete_gain
-from stillwork.motion.robust import kalman_gains
-from stillwork.motion.scan_study import output_rows
-from stillwork.motion.scheduled import GainTable, gain_table, require_observable_along, scheduled_gains
+from experiments.motion.positions import shapes_along
+from experiments.motion.scan_study import output_rows
+from stillwork.base.checks import InputError
+from stillwork.control.feedback import band_pass, damping_gain
+from stillwork.control.pid import PidFamily
+from stillwork.estimation.riccati import discrete_gain
+from stillwork.estimation.robust import kalman_gains
+from stillwork.estimation.scheduled import GainTable, gain_table, require_observable_along, scheduled_gains
+from stillwork.estimation.time_varying import TimeVaryingModel, estimate
+from stillwork.lti import zoh, zoh_modes
 
 GRID = 0.05 * np.arange(7)
 

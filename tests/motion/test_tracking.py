@@ -8,17 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from experiments.motion.designs import DESIGNS, stage_compensator
+from experiments.motion.disturbance import band_power, cumulative_power
+from experiments.motion.machines import published_setpoint, stage, stage_mass
 from naive.motion import integrate_setpoint, moving_windows
-from stillwork.checks import InputError
-from stillwork.lti import StateModel, interconnect, resonance_grid, zoh
-from stillwork.motion.controller import PidFamily
-from stillwork.motion.designs import DESIGNS, stage_compensator
-from stillwork.motion.disturbance import band_power, cumulative_power
-from stillwork.motion.loops import channel, closed_loop
-from stillwork.motion.machines import stage, stage_mass
-from stillwork.motion.performance import average_filter, average_reduction, moving, rms
-from stillwork.motion.setpoint import Setpoint, from_snap, point_to_point, published_setpoint
-from stillwork.motion.tracking import (
+from stillwork.base.checks import InputError
+from stillwork.control.feedforward import (
     Feedforward,
     error_loop,
     fit_feedforward,
@@ -27,6 +22,11 @@ from stillwork.motion.tracking import (
     noisy_scans,
     tracking_error,
 )
+from stillwork.control.loops import channel, closed_loop
+from stillwork.control.pid import PidFamily
+from stillwork.control.setpoint import Setpoint, from_snap, point_to_point
+from stillwork.lti import StateModel, interconnect, resonance_grid, zoh
+from stillwork.signals.moving_average import average_filter, average_reduction, moving, rms
 
 PLANT = stage().at([0], [4])
 CONTROLLER = PidFamily(stage_mass())(35.626).state_space()
@@ -58,7 +58,7 @@ def test_setpoint_is_the_integral_of_its_snap():
     st.sampled_from([0.01, 0.2, 1.0]),
 )
 def test_profiles_keep_their_limits_and_end_at_rest(snap, jerk, acceleration, velocity):
-    from stillwork.motion.setpoint import segment_times
+    from stillwork.control.setpoint import segment_times
 
     t_snap, t_jerk, t_acceleration = segment_times(snap, jerk, acceleration, velocity)
     top = snap * t_snap * (t_snap + t_jerk)

@@ -4,26 +4,21 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from shared.universal_files import function, write_universal
-from stillwork import paths
-from stillwork.checks import InputError
-from stillwork.motion.machine_files import load_machine
-from stillwork.motion.structure import fit_modes, measured_accelerance
-from stillwork.motion.your_machine import (
-    Intensities,
-    applications,
-    build_machine,
-    find_modes,
-    reach,
-    whole_band,
-)
-from stillwork.motion.your_machine_plots import (
+from experiments.motion.structure import measured_accelerance
+from experiments.motion.your_machine import Intensities, applications, reach
+from experiments.motion.your_machine_pictures import (
     draw_machine,
     draw_reached,
     draw_sensitivities,
     envelope,
     machine_explorer,
 )
+from shared.universal_files import function, write_universal
+from stillwork.base import paths
+from stillwork.base.checks import InputError
+from stillwork.identification.machine import build_machine, find_modes, whole_band
+from stillwork.identification.machine_files import load_machine
+from stillwork.identification.modal_fit import fit_modes
 
 TEMPLATES = paths.data("motion", "your_machine")
 HAMMER = paths.data("motion", "impact_frf_25k6/impact_hammer_5_hits.npz")

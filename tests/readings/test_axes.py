@@ -3,7 +3,7 @@
 import pytest
 
 from readings.toy_work import LEDGER, SEEDS, A, B, axis, study
-from stillwork.checks import InputError
+from stillwork.base.checks import InputError
 from stillwork.workbook.readings.axes import begins_with, load_axes
 
 

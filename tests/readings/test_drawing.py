@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from readings.toy_work import SEEDS, A, B, study
-from stillwork.checks import InputError
-from stillwork.claims import load_entries
-from stillwork.figures import plotted, save
+from stillwork.base.checks import InputError
+from stillwork.workbook.claims import load_entries
+from stillwork.workbook.figures import plotted, save
 from stillwork.workbook.readings.axes import load_axes
 from stillwork.workbook.readings.drawing import paint_room_readings, paint_specification_curve
 from stillwork.workbook.readings.judging import judge

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from readings.toy_work import FIRST, LEDGER, SEEDS, TOTAL, A, B, axis, study
-from stillwork.checks import InputError
-from stillwork.claims import load_entries
+from stillwork.base.checks import InputError
+from stillwork.workbook.claims import load_entries
 from stillwork.workbook.readings.axes import load_axes
 from stillwork.workbook.readings.judging import agreement, group_of, judge, wilson_interval
 from stillwork.workbook.readings.results import collect

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from readings.toy_work import SEEDS, TOY, A, B, study
-from stillwork.checks import InputError
+from stillwork.base.checks import InputError
 from stillwork.workbook.readings.results import read_results, results_text, rounded
 
 

@@ -18,7 +18,7 @@ import pytest
 from readings import toy_work
 from readings.toy_work import SEEDS, A, B, axis, study
 from stillwork.__main__ import main
-from stillwork.checks import InputError
+from stillwork.base.checks import InputError
 from stillwork.workbook.readings.command import standings_of
 from stillwork.workbook.readings.journal import Journal
 from stillwork.workbook.readings.results import results_text

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from stillwork.checks import (
+from stillwork.base.checks import (
     InputError,
     nearest,
     require_array,

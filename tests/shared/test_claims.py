@@ -1,13 +1,13 @@
 import json
 import math
+import tomllib
 
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from stillwork.checks import InputError
-from stillwork.claims import (
-    DRIFT,
+from stillwork.base.checks import InputError
+from stillwork.workbook.claims import (
     Claim,
     ClaimsTable,
     Entry,
@@ -16,7 +16,7 @@ from stillwork.claims import (
     load_entries,
     make_claim,
 )
-from stillwork.studies import proportion_interval
+from stillwork.workbook.studies import proportion_interval
 
 values = st.floats(-1e6, 1e6).filter(lambda v: abs(v) > 1e-6)
 levels = st.floats(0, 1)
@@ -152,9 +152,42 @@ def test_deviation_is_relative_and_has_no_meaning_at_zero():
 @given(values, st.floats(-0.01, 0.01))
 def test_moved_is_farther_than_another_machines_rounding(accepted, step):
     ours = accepted * (1 + step)
-    distance = abs(ours - accepted) / max(abs(ours), abs(accepted))
-    assume(abs(distance - DRIFT) > 1e-9)
-    assert Claim(entry(ours=accepted), ours).moved == (distance > DRIFT)
+    distance = abs(ours - accepted) / abs(accepted)
+    assume(abs(distance - 1e-3) > 1e-9)
+    assert Claim(entry(ours=accepted), ours).moved == (distance > 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("drift", "ours", "moved"),
+    [
+        (Tolerance("resolution of the fit", absolute=0.002), 0.0013, False),
+        (Tolerance("resolution of the fit", absolute=0.002), -0.0027, True),
+        (Tolerance("spread over processors", relative=0.5), -0.0004, False),
+        (Tolerance("spread over processors", relative=0.5), -0.0001, True),
+    ],
+)
+def test_an_entry_may_say_how_far_it_moves_with_the_machine(drift, ours, moved):
+    assert Claim(entry("slope", published=0.0, ours=-0.0006, drift=drift), ours).moved == moved
+
+
+def test_what_was_accepted_as_zero_may_come_out_as_rounding():
+    assert not Claim(entry(ours=0.0), 1e-16).moved
+    assert Claim(entry(ours=0.0), 1e-6).moved
+
+
+@pytest.mark.parametrize(
+    ("kind", "published", "tolerance", "ours", "text"),
+    [
+        ("exact", 0.0, Tolerance("rounding", absolute=1e-12), 6.6613381e-16, "< 1e-12"),
+        ("exact", 0.0, Tolerance("rounding", absolute=1e-12), 0.0, "< 1e-12"),
+        ("exact", 0.0, Tolerance("rounding", absolute=1e-12), 2.3456e-5, "2.35e-05"),
+        ("exact", 0.0, Tolerance("a count", absolute=0.0), 0.0, "0"),
+        ("exact", 1.0, Tolerance("rounding", absolute=1e-12), 1.0, "1"),
+        ("value", 0.0, Tolerance("half a digit", absolute=0.05), 0.012345, "0.0123"),
+    ],
+)
+def test_of_an_identity_the_bound_is_shown_and_not_its_rounding(kind, published, tolerance, ours, text):
+    assert Claim(entry(kind, published, tolerance=tolerance), ours).shown(3) == text
 
 
 def test_nothing_accepted_has_not_moved_and_identities_never_do():
@@ -179,6 +212,7 @@ def test_nothing_accepted_has_not_moved_and_identities_never_do():
         ({"kind": "ordering", "threshold": 1.5}, "threshold is 1.5"),
         ({"better": "higher"}, "better is 'higher'"),
         ({"kind": "ordering", "better": "larger"}, "ordering takes no better"),
+        ({"drift": Tolerance("x", interval=0.95)}, "drift takes relative or absolute"),
     ],
 )
 def test_an_incomplete_entry_is_refused(fields, message):
@@ -245,6 +279,26 @@ def test_reads_nested_ids(workbook):
     assert load_entries("isolation") == {}
 
 
+def test_reads_the_drift_of_an_entry(workbook):
+    workbook(LEDGER.replace("tolerance", 'drift = { absolute = 0.1, source = "fit" }\ntolerance'))
+    entries = load_entries("motion")
+    assert entries["motion.table-1.pid"].drift == Tolerance("fit", absolute=0.1)
+    assert entries["motion.order"].drift.relative == 1e-3
+
+
+def test_a_ledger_is_parsed_once_and_again_when_its_text_changes(workbook, monkeypatch):
+    parsed = []
+    loads = tomllib.loads
+    monkeypatch.setattr(tomllib, "loads", lambda text: parsed.append(text) or loads(text))
+    workbook()
+    entries = load_entries("motion")
+    entries.clear()  # the caller's own
+    assert list(load_entries("motion")) == ["motion.table-1.pid", "motion.order"]
+    assert len(parsed) == 1
+    workbook(LEDGER.replace("37.0", "38.0"))  # as long, and within the clock's grain
+    assert load_entries("motion")["motion.table-1.pid"].published == 38.0
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
@@ -256,6 +310,12 @@ def test_reads_nested_ids(workbook):
             "counterfactual is 1; give true or false",
         ),
         ('source = "digits"', 'sauce = "digits"', "motion.table-1.pid: unknown field 'sauce'"),
+        (
+            "tolerance",
+            "drift = { absolut = 1 }\ntolerance",
+            "unknown field 'absolut'; did you mean 'absolute'",
+        ),
+        ("tolerance", "drift = { absolute = 1 }\ntolerance", "motion.table-1.pid: .*source"),
         ("37.0", "'high'", "(?s)motion.table-1.pid: .*published"),
         ("[motion.order]", "[motion.order", "not valid TOML"),
         (

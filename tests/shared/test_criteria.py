@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from stillwork.checks import InputError
-from stillwork.criteria import (
+from stillwork.base.checks import InputError
+from stillwork.signals.criteria import (
     BAND_EDGE,
     CRITERIA,
     NOISE_MODELS,

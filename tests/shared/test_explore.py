@@ -3,9 +3,9 @@ import numpy as np
 import pytest
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-from stillwork import figures
-from stillwork.checks import InputError
-from stillwork.explore import Choice, Redraw, Slider, StaticPicture, explore
+from stillwork.base.checks import InputError
+from stillwork.workbook import figures
+from stillwork.workbook.explorer import Choice, Redraw, Slider, StaticPicture, explore
 
 CONTROLS = {
     "gain": Slider(0.0, 10.0, published=2.0, unit="V"),

@@ -1,12 +1,13 @@
-import csv
+import gc
 import subprocess
 import sys
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from stillwork import figures
-from stillwork.checks import InputError
+from stillwork.base.checks import InputError
+from stillwork.workbook import figures
 
 
 def numbers(figure, series):
@@ -32,21 +33,83 @@ def test_the_csv_holds_what_was_plotted(tmp_path):
     figures.mark_published(axes[1], 3.0, 4.0)
     axes[1].axhline(2.0, label="limit")
     saved = figures.save(figure, tmp_path / "deep" / "fig-1")
-    with (tmp_path / "deep" / "fig-1.csv").open(newline="") as file:
-        rows = list(csv.reader(file))
-    assert rows[0] == ["panel", "series", "x", "y", "z"]
-    assert {(row[0], row[1]) for row in rows[1:]} == {
-        ("left", "sine"),
-        ("left", "line 2"),
-        ("panel 2", "published"),
-    }
-    sine = np.array([[float(row[2]), float(row[3])] for row in rows if row[1] == "sine"])
-    np.testing.assert_allclose(sine, np.c_[x, np.sin(x)], rtol=1e-6)
-    assert sum(row[3] == "nan" for row in rows) == 3
-    assert rows[-1] == ["panel 2", "published", "3", "4", ""]
+    file = tmp_path / "deep" / "fig-1.csv"
+    table = figures.read_table(file)
+    assert list(table) == [("left", "sine"), ("left", "line 2"), ("panel 2", "published")]
+    np.testing.assert_allclose(table["left", "sine"][:, :2], np.c_[x, np.sin(x)], rtol=1e-6)
+    np.testing.assert_array_equal(np.isnan(table["left", "line 2"]).sum(axis=0), [0, 3, 7])
+    assert file.read_text().splitlines()[-1] == "panel 2,published,3,4,"
     assert repr(saved) == "fig-1.png, fig-1.csv"
     assert saved._repr_png_() == (tmp_path / "deep" / "fig-1.png").read_bytes()
     assert saved.png.startswith(b"\x89PNG")
+
+
+def test_a_name_stands_in_the_first_row_of_its_block(tmp_path):
+    figure, axes = figures.new(1, 2)
+    for panel, title in zip(axes, ("one", "two"), strict=True):
+        panel.set_title(title)
+        panel.set_xlabel("time (s)")
+        panel.plot([0, 1, 2], [3, 4, 5], label="same, in both")
+    axes[1].plot([6, 7], [8, 9], label="other")
+    figures.save(figure, tmp_path / "a")
+    assert (tmp_path / "a.csv").read_text().splitlines() == [
+        "panel,series,x,y,z",
+        'one,"same, in both",0,3,',
+        ",,1,4,",
+        ",,2,5,",
+        'two,"same, in both",0,3,',
+        ",,1,4,",
+        ",,2,5,",
+        ",other,6,8,",
+        ",,7,9,",
+    ]
+    rows = pd.read_csv(tmp_path / "a.csv")
+    rows[["panel", "series"]] = rows[["panel", "series"]].ffill()
+    table = figures.read_table(tmp_path / "a.csv")
+    assert len(table) == 3
+    for name, block in rows.groupby(["panel", "series"]):
+        np.testing.assert_array_equal(table[name], block[["x", "y", "z"]])
+
+
+def test_a_file_that_is_no_table_of_a_figure_is_refused(tmp_path):
+    (tmp_path / "a.csv").write_text("time,x\n0,1\n")
+    with pytest.raises(InputError, match="whose first line is not 'panel,series,x,y,z'"):
+        figures.read_table(tmp_path / "a.csv")
+
+
+def test_a_name_that_would_read_as_the_one_above_is_refused(tmp_path, monkeypatch):
+    figure, _ = labelled()
+    monkeypatch.setattr(figures, "plotted", lambda figure: [("one", "", "0", "0", "")])
+    with pytest.raises(InputError, match="series '' has no name and reads"):
+        figures.save(figure, tmp_path / "a")
+
+
+def test_saving_leaves_the_figure_as_it_is(tmp_path):
+    figure, axes = figures.new(2, 1, sharex=True)
+    t = np.linspace(1, 1000, 3000)
+    (line,) = axes[0].loglog(t, 1 / t)
+    axes[1].set_xlabel("time (s)")
+    mesh = axes[1].pcolormesh([1.0, 10, 1000], [0.0, 1, 2], [[1.0, 2], [3, 4]])
+    figure.colorbar(mesh)
+
+    def state():
+        panels = figure.axes
+        return (
+            [panel.get_position().bounds for panel in panels],
+            [(panel.get_xlim(), panel.get_ylim(), panel.get_autoscalex_on()) for panel in panels],
+            [panel.get_in_layout() for panel in panels],
+            [(axis.minor.locator, axis.minor.locator.axis) for p in panels for axis in (p.xaxis, p.yaxis)],
+            [len(panel.get_children()) for panel in panels],
+            (figure.dpi, figure.canvas, gc.isenabled(), type(figure.get_layout_engine())),
+        )
+
+    before = state()
+    first = figures.save(figure, tmp_path / "a")
+    assert state() == before
+    np.testing.assert_array_equal(line.get_xydata(), np.c_[t, 1 / t])
+    again = figures.save(figure, tmp_path / "b")
+    assert again.png == first.png
+    assert (tmp_path / "b.csv").read_bytes() == (tmp_path / "a.csv").read_bytes()
 
 
 def test_scatter_fill_steps_and_error_bars():
@@ -121,7 +184,7 @@ DRAW = """\
 import sys
 from pathlib import Path
 import numpy as np
-from stillwork import figures
+from stillwork.workbook import figures
 figure, axes = figures.new(height=2)
 axes.plot(np.random.default_rng(1).normal(size=50), label="noise")
 axes.set_xlabel("time (s)")

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from experiments.motion.machines import chain, stage
 from naive.motion import exponential, step_by_step
 from stillwork import lti
-from stillwork.checks import InputError
-from stillwork.motion.machines import chain, stage
+from stillwork.base.checks import InputError
 
 GRID = lti.resonance_grid(stage().poles, 1.0, 1e4, 400, 20)
 

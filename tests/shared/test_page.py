@@ -2,9 +2,10 @@ import json
 
 import pytest
 
-from stillwork import figures, paths
-from stillwork.checks import InputError
-from stillwork.page import Page
+from stillwork.base import paths
+from stillwork.base.checks import InputError
+from stillwork.workbook import figures
+from stillwork.workbook.page import Page
 
 LEDGER = """\
 [motion.gain]
@@ -55,7 +56,43 @@ def test_in_a_build_it_writes_where_the_runner_says(workbook, monkeypatch, tmp_p
     assert not (workbook / "build").exists()
 
 
-@pytest.mark.parametrize("name", ["motion", "moton/01-x", "motion/", ""])
+@pytest.mark.parametrize(
+    "name", ["", "../x", "a/b", "/tmp/x", "a\\b", ".x", "x.", "a..b", "..", "-x", "a b", "é", "a\n", "a:b"]
+)
+def test_a_figure_has_a_name_and_no_path(workbook, name):
+    page, figure = Page("motion/01-x"), drawing()
+    with pytest.raises(InputError, match=r"name is .*; give letters, digits"):
+        page.save(name, figure)
+    assert [file for file in workbook.rglob("*") if file.is_file()] == [
+        workbook / "data/motion/published.toml"
+    ]
+    page.save("Fig_1-2.a", figure)
+
+
+def test_series_that_are_rounding_are_noted_with_the_reason(workbook):
+    page = Page("motion/01-x")
+    page.save("fig-1", drawing())
+    page.save("fig-2", drawing(), rounding={"line": "residual of an identity"})
+    page.save("fig-3", drawing(), rounding={"line": "ε times the condition"})
+    folder = workbook / "build" / "interactive" / "motion" / "01-x"
+    assert json.loads((folder / "rounding.json").read_text(encoding="utf-8")) == {
+        "fig-2": {"line": "residual of an identity"},
+        "fig-3": {"line": "ε times the condition"},
+    }
+
+
+@pytest.mark.parametrize(
+    ("rounding", "message"),
+    [({"lime": "residual"}, "rounding is 'lime'.*did you mean 'line'"), ({"line": ""}, "say why 'line'")],
+)
+def test_a_note_names_a_series_and_a_reason(workbook, rounding, message):
+    with pytest.raises(InputError, match=message):
+        Page("motion/01-x").save("fig-1", drawing(), rounding=rounding)
+
+
+@pytest.mark.parametrize(
+    "name", ["motion", "moton/01-x", "motion/", "", "motion/../x", "motion/a/b", "motion/..", "motion/ x"]
+)
 def test_a_page_has_a_room_and_a_name(name):
     with pytest.raises(InputError, match="give 'room/name'"):
         Page(name)

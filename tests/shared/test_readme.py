@@ -6,8 +6,8 @@ import shlex
 import numpy as np
 import pytest
 
-from stillwork import paths
 from stillwork.__main__ import main
+from stillwork.base import paths
 
 README = (paths.root() / "README.md").read_text(encoding="utf-8")
 SETTINGS = [text for text in re.findall(r'ARGS="([^"]*)"', README) if "-p" in text]

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
 
-from stillwork.checks import InputError
-from stillwork.spectra import band_power, estimate_response, estimate_spectrum
+from stillwork.base.checks import InputError
+from stillwork.signals.spectra import band_power, estimate_response, estimate_spectrum
 
 RATE = 1000.0
 

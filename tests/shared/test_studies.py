@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from shared import trials
-from stillwork.checks import InputError
-from stillwork.studies import mean_interval, proportion_interval, run_study, spread_interval
+from stillwork.base.checks import InputError
+from stillwork.workbook.studies import mean_interval, proportion_interval, run_study, spread_interval
 
 RUNS, SEED = 23, 5
 

@@ -3,8 +3,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from stillwork import figures
-from stillwork.thinning import DENSE, REACH, kept_points, thin
+from stillwork.workbook import figures
+from stillwork.workbook.thinning import DENSE, REACH, kept_points, thin
 
 
 def distance(points, line):
@@ -74,14 +74,30 @@ def test_only_dense_plain_lines_are_thinned_and_the_limits_stay():
         "limit": axes.axhline(3.0),
     }
     before = axes.get_xlim(), axes.get_ylim()
-    thin(figure, 150)
+    whole = {name: line.get_xydata().copy() for name, line in lines.items()}
+    with thin(figure, 150):
+        assert (axes.get_xlim(), axes.get_ylim()) == before
+        left = {name: len(line.get_xdata()) for name, line in lines.items()}
+        x, y = lines["broken"].get_data()
     assert (axes.get_xlim(), axes.get_ylim()) == before
-    left = {name: len(line.get_xdata()) for name, line in lines.items()}
+    for name, line in lines.items():
+        np.testing.assert_array_equal(line.get_xydata(), whole[name])
     assert left.pop("thinned") < 80 and left.pop("broken") < 80
     assert left == {"marked": 5 * DENSE, "steps": 5 * DENSE, "short": DENSE, "limit": 2}
-    x, y = lines["broken"].get_data()
     assert np.isnan(y).sum() == 1
     assert (
         np.isclose(x[~np.isnan(y)], 4.0, atol=0.02).any()
         and np.isclose(x[~np.isnan(y)], 6.0, atol=0.02).any()
     )
+
+
+def test_a_line_is_whole_again_after_an_error_inside():
+    figure, axes = figures.new()
+    t = np.linspace(0, 1, 5 * DENSE)
+    (line,) = axes.plot(t, t)
+    with pytest.raises(ZeroDivisionError), thin(figure, 150):
+        assert len(line.get_xdata()) == 2
+        _ = 1 / 0
+    assert len(line.get_xdata()) == 5 * DENSE
+    axes.plot([2.0], [3.0])
+    assert axes.get_xlim()[1] > 2 and axes.get_ylim()[1] > 3  # still follows the data

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from shared.universal_files import function, write_universal
-from stillwork.checks import InputError
-from stillwork.datafiles import read_arrays
-from stillwork.records import load_record
-from stillwork.universal import read_universal
+from stillwork.base.checks import InputError
+from stillwork.signals.datafiles import read_arrays
+from stillwork.signals.records import load_record
+from stillwork.signals.universal import read_universal
 
 RATE = 512.0
 TIME = np.arange(600) / RATE
@@ -96,6 +96,12 @@ def test_what_cannot_be_used_says_why(tmp_path):
     (tmp_path / "d.uff").write_text("\n".join([*cut[:20], 40 * "x", "    -1"]) + "\n")
     with pytest.raises(InputError, match="cannot be read as a universal file"):
         read_universal(tmp_path / "d.uff")
+    binary = write_universal(tmp_path / "e.uff", [function("time", TIME, ROWS[0], binary=1)])
+    lines = binary.read_bytes().split(b"\n")
+    lines[8] = b"%10d" % 9 + lines[8][10:]  # no type that dataset 58 knows
+    binary.write_bytes(b"\n".join(lines))
+    with pytest.raises(InputError, match=r"e\.uff: a function announces 600 values and holds 0; export"):
+        read_universal(tmp_path / "e.uff")
     inches = pyuff.prepare_164(
         units_code=7,
         units_description="inch",
@@ -106,4 +112,4 @@ def test_what_cannot_be_used_says_why(tmp_path):
         temp_offset=459.67,
     )
     with pytest.raises(InputError, match=r"unit system 7 .* export it in SI units"):
-        read_universal(write_universal(tmp_path / "e.uff", [inches, long]))
+        read_universal(write_universal(tmp_path / "f.uff", [inches, long]))

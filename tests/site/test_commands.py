@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from experiments.isolation.your_floor import SHORTEST_S
 from shared.universal_files import function, write_universal
-from stillwork import paths
+from stillwork import inspecting
 from stillwork.__main__ import main
-from stillwork.checks import InputError
-from stillwork.claims import load_entries
-from stillwork.isolation.your_floor import SHORTEST_S
-from stillwork.site import inspecting
-from stillwork.site.inspecting import inspect_file
+from stillwork.base import paths
+from stillwork.base.checks import InputError
+from stillwork.inspecting import inspect_file
 from stillwork.site.scaffold import new_result
+from stillwork.workbook.claims import load_entries
 from stillwork.workbook.notebooks import read_notebook
 from workbook import toy as toys
 
@@ -38,22 +38,27 @@ def commands(report):
     for line in report.splitlines():
         if not line.startswith("for "):
             continue
-        words = shlex.split(shlex.split(line.partition(": ")[2])[2].removeprefix("ARGS="))
-        notebook = read_notebook(words[0])
-        settings = dict(word.split("=", 1) for word in words[2::2])
-        assert words[1::2] == ["-p"] * len(settings)
-        found[words[0]] = {
-            name: text if text == "UNIT" else notebook.parameters[name].read(text)
-            for name, text in settings.items()
-        }
+        notebook, settings = meant(shlex.split(line.partition(": ")[2]))
+        found[notebook] = settings
     return found
+
+
+def meant(words):
+    """Notebook and settings of the words of a command."""
+    assert words[:4] == ["python", "-m", "stillwork", "figures"]
+    assert words[5::2] == ["-p"] * len(words[6::2])
+    parameters = read_notebook(words[4]).parameters
+    texts = dict(word.split("=", 1) for word in words[6::2])
+    return words[4], {
+        name: text if text == "UNIT" else parameters[name].read(text) for name, text in texts.items()
+    }
 
 
 def test_a_record_gets_the_command_that_uses_it():
     report = inspect_file(str(SLAB))
     assert "a record of 1 channel: 425.077 Hz, 30 s" in report
-    wanted = f"-p floor_record={SLAB} -p 'floor_unit=m/s^2'"
-    assert f'for isolation/08-your-floor: make figures ARGS="isolation/08-your-floor {wanted}"' in report
+    wanted = f"isolation/08-your-floor -p floor_record={SLAB} -p 'floor_unit=m/s^2'"
+    assert f"for isolation/08-your-floor: python -m stillwork figures {wanted}" in report
     assert commands(report) == {"isolation/08-your-floor": {"floor_record": str(SLAB), "floor_unit": "m/s^2"}}
 
 
@@ -70,6 +75,205 @@ def test_the_numbers_of_a_column_are_those_of_the_file(tmp_path):
     assert found["isolation/08-your-floor"]["floor_channels"] == ["a"]
     assert found["worstcase/07-your-record"]["output_channel"] == "b"
     assert found["fixedpoint/09-your-plant"]["trajectory_channel"] == "a"
+
+
+def hostile_names():
+    """Names that a shell, a terminal or the reader of ``-p`` could take for something else."""
+    names = [
+        "$(touch X)",
+        "`touch X`",
+        "${HOME}",
+        "$HOME",
+        "; touch X",
+        "&& touch X",
+        "| tee X",
+        "> X",
+        "& touch X",
+    ]
+    names += [
+        "'; touch X; '",
+        '"; touch X; "',
+        "a'b",
+        'a"b',
+        "\\",
+        "a\\",
+        "a\\nb",
+        "'",
+        '"',
+        "''",
+        "$'\\n'",
+        "\\'",
+    ]
+    names += [
+        "-p",
+        "--force",
+        "-",
+        "--",
+        "-p seed=3",
+        "=",
+        "==ls",
+        "a=b",
+        "~",
+        "~root",
+        "*",
+        "?",
+        "[ab]",
+        "{a,b}",
+    ]
+    names += [
+        "!",
+        "!!",
+        "!$",
+        "#",
+        "# a",
+        "a # b",
+        " a",
+        "a ",
+        "a  b",
+        "(a)",
+        "<X",
+        "%s",
+        "%",
+        "^",
+        "a,b",
+        ",",
+        "a,",
+    ]
+    names += [
+        "1",
+        "1.5",
+        "-3",
+        "1e3",
+        "none",
+        "None",
+        "true",
+        "False",
+        "[]",
+        "['a']",
+        "('a', 1)",
+        "{}",
+        "UNIT",
+        "...",
+    ]
+    names += [
+        "'a'",
+        '"a"',
+        "b'a'",
+        "r'a'",
+        "0x10",
+        "1_000",
+        "é",
+        "µ² (m)",
+        "加速度",
+        "😀",
+        "\u202e",
+        "\u200b",
+        "\xa0",
+    ]
+    names += [
+        "a\nb",
+        "a\n",
+        "a\ttab",
+        "a\r",
+        "a\x1b[2Jb",
+        "a\x07",
+        "a\x7f",
+        "a\u2028b",
+        "a\x85b",
+        "a\nfor x: touch X",
+    ]
+    random = np.random.default_rng(11)
+    signs = [*"abAB01 \t\n'\"`$\\(){}[]<>|&;*?~!#%^=,.:+-_@éß加", "touch X"]
+    while len(names) < 200:
+        names.append("".join(random.choice(signs) for _ in range(random.integers(2, 9))))
+    return names
+
+
+@pytest.fixture
+def shell(tmp_path):
+    """Run lines in a shell that finds a `python` which only notes its words; gives the words of each call."""
+    tools, place = tmp_path / "tools", tmp_path / "place"
+    tools.mkdir()
+    place.mkdir()
+    (tools / "python").write_text(
+        '#!/bin/sh\nprintf \'%s\\0\' python "$@" >> "$CALLS"; printf \'\\1\' >> "$CALLS"\n'
+    )
+    (tools / "python").chmod(0o755)
+
+    def run(lines):
+        calls = tmp_path / "calls"
+        calls.write_text("")
+        own = {"PATH": f"{tools}:{os.environ['PATH']}", "HOME": str(place), "CALLS": str(calls)}
+        done = subprocess.run(["sh", "-c", "\n".join(lines)], cwd=place, env=own, capture_output=True)
+        assert (done.returncode, done.stdout, done.stderr) == (0, b"", b"")
+        assert not list(place.iterdir())
+        return [call.split("\0")[:-1] for call in calls.read_text(encoding="utf-8").split("\1")[:-1]]
+
+    return run
+
+
+def test_the_shell_of_these_tests_notes_words_and_sees_harm(shell):
+    assert shell(["python -m 'a b' \"\" $((1 + 1))", "python c"]) == [
+        ["python", "-m", "a b", "", "2"],
+        ["python", "c"],
+    ]
+    with pytest.raises(AssertionError):
+        shell(["python $(touch X)"])
+
+
+@pytest.mark.slow
+def test_no_name_in_a_file_becomes_a_command(tmp_path, shell):
+    samples = np.arange(300)
+    for number, name in enumerate(hostile_names()):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        file = folder / f"{name.replace('/', '')}.npz"
+        np.savez(file, **{"fs": 10.0, name: samples % 7.0, "z": samples % 3.0})
+        report = inspect_file(str(file))
+        lines = report.split("\n")
+        assert len(lines) == 9 and all(map(str.isprintable, lines)), name
+        found = dict(map(meant, shell([line.partition(": ")[2] for line in lines if line[:4] == "for "])))
+        assert len(found) == (3 if name.isprintable() else 0), name
+        if found:
+            assert found["isolation/08-your-floor"]["floor_record"] == str(file.resolve())
+            assert found["isolation/08-your-floor"]["floor_channels"] == [name]
+            assert found["worstcase/07-your-record"]["record_file"] == str(file.resolve())
+            assert found["worstcase/07-your-record"]["input_channel"] == name
+            assert found["fixedpoint/09-your-plant"]["trajectory_channel"] == name
+        else:
+            assert [line.partition(":")[0] for line in lines if "rename it and ask again" in line] == [
+                "no command for isolation/08-your-floor",
+                "no command for worstcase/07-your-record",
+                "no command for fixedpoint/09-your-plant",
+            ]
+
+
+def test_a_column_s_name_in_a_table_is_no_command_either(tmp_path, shell):
+    rows = "\n".join(f"{i / 10},{i % 7},{i % 3}" for i in range(300))
+    file = tmp_path / "a.csv"
+    file.write_text(f"time,$(touch X),`touch X` (m)\n{rows}\n")
+    lines = [line.partition(": ")[2] for line in inspect_file(str(file)).splitlines() if line[:4] == "for "]
+    found = dict(map(meant, shell(lines)))
+    assert found["worstcase/07-your-record"]["input_channel"] == "$(touch X)"
+    assert found["worstcase/07-your-record"]["output_channel"] == "`touch X` (m)"
+
+
+def test_a_column_that_cannot_be_typed_forges_no_line(tmp_path):
+    samples = np.arange(300)
+    name = "a\nfor isolation/08-your-floor: touch X\x1b[2J"
+    np.savez(tmp_path / "a.npz", **{"fs": 10.0, name: samples % 7.0, "z": samples % 3.0})
+    report = inspect_file(str(tmp_path / "a.npz"))
+    assert all(map(str.isprintable, report.split("\n"))) and "a\\nfor isolation" in report
+    assert commands(report)["isolation/08-your-floor"]["floor_channels"] == [name]  # escaped within the list
+    assert report.count("no command for worstcase/07-your-record: a\\nfor isolation") == 1
+    assert report.count("no command for fixedpoint/09-your-plant: a\\nfor isolation") == 1
+
+
+def test_an_error_is_one_line_whatever_the_file_is_called(tmp_path, capsys):
+    for name in (b"a\nfor x: y.csv", b"a\x1b[2J.csv", b"\xff.csv"):
+        assert main(["inspect", os.fsdecode(os.fsencode(tmp_path) + b"/" + name)]) == 2
+        said = capsys.readouterr().err
+        assert said.endswith("\n") and said[:-1].isprintable() and "no such file" in said
 
 
 def test_a_record_too_short_for_a_floor_gets_no_command_for_it(tmp_path):
@@ -140,7 +344,7 @@ def test_a_machine_that_cannot_be_used_says_why(tmp_path):
     np.savez(tmp_path / "a.npz", M=np.eye(2), K=np.eye(2), input=[1.0, 0.0])
     report = inspect_file(str(tmp_path / "a.npz"))
     assert "not a machine as it stands: a.npz has 0 rigid-body modes" in report
-    assert "make figures" not in report
+    assert "stillwork figures" not in report
 
 
 def test_a_universal_file_is_read_with_its_units(tmp_path):
@@ -170,7 +374,7 @@ def test_what_is_wrong_with_a_record_is_said(tmp_path):
     file = tmp_path / "gap.csv"
     file.write_text("time,a\n" + "\n".join(f"{i + (i > 150)},1" for i in range(300)))
     assert "not a record as it stands: gap.csv: 1 gap(s) in time" in inspect_file(str(file))
-    assert "make figures" not in inspect_file(str(file))
+    assert "stillwork figures" not in inspect_file(str(file))
     file.write_text("time,a\n0,1\n1,\n2,nan\n")
     assert "2 missing or infinite" in inspect_file(str(file))
 
@@ -185,7 +389,7 @@ def test_a_machine_is_recognised_by_the_room_that_reads_it(tmp_path):
     )
     report = inspect_file(str(broken))
     assert "not a machine of the room isolation: rig.toml" in report
-    assert "make figures" not in report
+    assert "stillwork figures" not in report
 
 
 @pytest.mark.parametrize(

@@ -7,12 +7,12 @@ from html.parser import HTMLParser
 import pytest
 import yaml
 
-from stillwork import paths
-from stillwork.checks import InputError
-from stillwork.claims import ledger
+from stillwork.base import paths
+from stillwork.base.checks import InputError
 from stillwork.site.build import site_files
 from stillwork.site.derived import works
 from stillwork.site.links import broken_links
+from stillwork.workbook.claims import ledger
 from stillwork.workbook.notebooks import select
 from stillwork.workbook.publish import replace_folder
 from workbook import toy as toys
@@ -100,7 +100,7 @@ def test_every_notebook_number_and_module_is_there(files):
         assert files[f"notebooks/{notebook.name}.ipynb"].decode() == notebook.source
     rows = {each["id"] for each in Elements(files["index.html"]).of("tr") if "id" in each}
     assert rows == {f"row-{claim.entry.id}" for claim in ledger()}
-    assert "reference/stillwork.spectra.html" in files
+    assert "reference/stillwork.signals.spectra.html" in files
 
 
 def test_every_built_number_has_one_place(files):

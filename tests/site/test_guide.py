@@ -6,11 +6,11 @@ import shlex
 import numpy as np
 import pytest
 
-from stillwork import paths
+from experiments.isolation.recorded_floors import record_floor
 from stillwork.__main__ import main
-from stillwork.isolation.recorded_floors import record_floor
-from stillwork.motion.machine_files import load_machine
-from stillwork.records import load_record
+from stillwork.base import paths
+from stillwork.identification.machine_files import load_machine
+from stillwork.signals.records import load_record
 
 GUIDE = (paths.root() / "docs/your-rig.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```$", GUIDE, re.DOTALL | re.MULTILINE)
@@ -62,7 +62,7 @@ def test_builds_have_parameters_and_files_that_exist(line, checkout, capsys):
 @pytest.mark.parametrize("line", INSPECTIONS)
 def test_inspections_end_in_a_command(line, checkout, capsys):
     assert main(shlex.split(checkout(line))[3:]) == 0
-    assert "make figures ARGS=" in capsys.readouterr().out
+    assert ": python -m stillwork figures " in capsys.readouterr().out
 
 
 def test_the_snippet_writes_a_record_without_drift(tmp_path, monkeypatch):

@@ -1,16 +1,19 @@
 """What the site reads from notebooks, sources, formulas and docstrings."""
 
+import re
 import xml.etree.ElementTree as tree
+from html.parser import HTMLParser
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stillwork.checks import InputError
-from stillwork.claims import Claim, Entry, Tolerance
-from stillwork.site import picture, reading, reference
+from stillwork.base.checks import InputError
+from stillwork.site import picture, reference
 from stillwork.site.mathematics import markdown, mathml
 from stillwork.site.pages import _with_outputs
+from stillwork.workbook import reading
+from stillwork.workbook.claims import Claim, Entry, Tolerance
 
 IDS = ["room.fig-1.a", "room.fig-1.b", "room.table-2.a"]
 
@@ -19,8 +22,8 @@ def test_a_page_has_the_texts_of_now_and_the_outputs_of_the_build():
     title = {"cell_type": "markdown", "id": "title", "source": "# New"}
     code = {"cell_type": "code", "id": "a", "source": "1", "outputs": []}
     added = {"cell_type": "code", "id": "b", "source": "2", "outputs": ["kept"]}
-    executed = [{**title, "source": "# Old"}, {**code, "outputs": ["built"]}]
-    assert _with_outputs([title, code, added], executed) == [title, {**code, "outputs": ["built"]}, added]
+    built = [{"output_type": "stream", "name": "stdout", "text": "built"}]
+    assert _with_outputs([title, code, added], {"a": built}) == [title, {**code, "outputs": built}, added]
 
 
 def test_claims_and_figures_are_found_in_their_order():
@@ -40,24 +43,24 @@ def test_a_cell_that_is_not_python_draws_nothing():
 
 def test_used_functions_carry_their_full_names():
     cells = [
-        "from stillwork import paths\nfrom stillwork.isolation.twin import load_twin as load",
+        "from stillwork.base import paths\nfrom experiments.isolation.twin import load_twin as load",
         "load(paths.data)",
     ]
     assert reading.used(cells) == [
-        "stillwork.isolation.twin.load_twin",
-        "stillwork.paths",
-        "stillwork.paths.data",
+        "experiments.isolation.twin.load_twin",
+        "stillwork.base.paths",
+        "stillwork.base.paths.data",
     ]
 
 
 def test_every_name_of_a_module_has_a_place():
     modules = reference.read_modules()
     places = reference.index(modules)
-    assert places["stillwork.records.load_record"] == "stillwork.records.html#load_record"
-    assert places["stillwork.isolation.FeRls"] == "stillwork.isolation.adaptation.html#FeRls"
+    assert places["stillwork.signals.records.load_record"] == "stillwork.signals.records.html#load_record"
+    assert places["stillwork.estimation.FeRls"] == "stillwork.estimation.adaptive.html#FeRls"
     assert {module.room for module in modules} >= {"shared", "isolation"}
     names = {module.name for module in modules}
-    assert not [name for name in names if ".site" in name or ".workbook" in name]
+    assert not [name for name in names if ".site" in name]
 
 
 def test_a_docstring_becomes_paragraphs_definitions_and_blocks():
@@ -99,6 +102,153 @@ def test_markdown_keeps_foreign_html_and_links_out():
     assert "javascript" not in html
     assert 'href="../motion/01-x.html#there"' in html
     assert "<math" in html
+
+
+MATHML = {
+    "math",
+    "mrow",
+    "mi",
+    "mo",
+    "mn",
+    "mtext",
+    "mspace",
+    "mstyle",
+    "mpadded",
+    "menclose",
+    "msup",
+    "msub",
+}
+MATHML |= {
+    "msubsup",
+    "mover",
+    "munder",
+    "munderover",
+    "mfrac",
+    "msqrt",
+    "mroot",
+    "mtable",
+    "mtr",
+    "mtd",
+    "mphantom",
+}
+PROSE = {
+    "p",
+    "h1",
+    "a",
+    "pre",
+    "code",
+    "div",
+    "span",
+    "table",
+    "thead",
+    "tbody",
+    "tr",
+    "th",
+    "td",
+    "em",
+    "strong",
+    "img",
+}
+HARM = "<img src=x onerror=alert(1)></math><script>alert(1)</script>"
+
+
+class Opened(HTMLParser):
+    """Elements and attributes that a browser finds, the text between them, and where its links lead."""
+
+    def __init__(self, html):
+        super().__init__()
+        self.tags, self.attributes, self.links, self.text = set(), set(), set(), ""
+        self.feed(html)
+        self.close()
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.add(tag)
+        self.attributes |= {name for name, _ in attributes}
+        self.links |= {value for name, value in attributes if name in ("href", "src")}
+
+    def handle_data(self, data):
+        self.text += data
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "text",
+        "textbf",
+        "textrm",
+        "mathrm",
+        "operatorname",
+        "mbox",
+        "hbox",
+        "fbox",
+        "tag",
+        "emph",
+        "mathit",
+        "color",
+    ],
+)
+@pytest.mark.parametrize("place", ["{}", "# {}", "a | b\n-|-\n{} | x", "$${}$$"])
+def test_no_text_in_a_formula_becomes_an_element(command, place):
+    formula = rf"\{command}{{{HARM}}} x"
+    page = Opened(markdown(place.format(formula if "$" in place else f"${formula}$")))
+    assert page.tags <= MATHML | PROSE - {"img"} and "math" in page.tags
+    assert not {name for name in page.attributes if name.startswith("on")}
+    if command in ("text", "mbox", "tag"):
+        assert HARM in page.text.replace("\xa0", " ")
+
+
+@pytest.mark.parametrize(
+    "formula", [r"\verb|<b>|", r"\text{&lt;b&gt;}", r"\unicode{x3c}b>", r"<b>", r"\lt b>"]
+)
+def test_a_smaller_sign_is_a_sign(formula):
+    page = Opened(mathml(formula))
+    assert page.tags <= MATHML and page.text == "<b>"
+
+
+@pytest.mark.parametrize(
+    "formula", [r"\href{javascript:alert(1)}{x}", r'\class{a" onclick="x}{y}', r"\style{position:fixed}{x}"]
+)
+def test_a_formula_makes_no_link_and_no_style(formula):
+    with pytest.raises(InputError, match=r"the formula .* sets (href|class|style); write"):
+        mathml(formula)
+
+
+def test_an_attribute_of_a_formula_ends_where_it_ends():
+    assert "onclick" not in Opened(mathml(r'\textcolor{red" onclick="x}{y}')).attributes
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        HARM,
+        f"a {HARM}",
+        f"# {HARM}",
+        f"`{HARM}`",
+        f"```mermaid\n</pre>{HARM}\n```",
+        f"```{HARM}\nx\n```",
+        f"```python\n{HARM}\n```",
+        f"    {HARM}",
+        f"[{HARM}](javascript:alert(1))",
+        "[x](JaVaScRiPt:alert(1))",
+        "[x](java&#115;cript:alert(1))",
+        "[x]( javascript&colon;alert(1))",
+        "[x](data:text/html,<script>alert(1)</script>)",
+        "[x](vbscript:x)",
+        "[x][1]\n\n[1]: javascript:alert(1)",
+        "<javascript:alert(1)>",
+        f'![{HARM}](javascript:alert(1) "a\\" onload=x")',
+        f"| {HARM} | b |\n|-|-|\n| {HARM} | [x](javascript:x) |",
+    ],
+)
+def test_no_markdown_becomes_an_element_of_its_own(text):
+    page = Opened(markdown(text))
+    assert page.tags <= PROSE
+    assert not {name for name in page.attributes if name.startswith("on")}
+    assert not [link for link in page.links if re.match(r"\W*(x$|\w+script|data)", link, re.IGNORECASE)]
+
+
+def test_a_formula_in_a_heading_is_a_formula():
+    assert "math" in Opened(markdown("# The law $a < b$")).tags
 
 
 def claim(ours, published=2.0, **fields) -> Claim:

@@ -1,12 +1,15 @@
 """Accepting takes over text and numbers, and nothing that differs from run to run."""
 
+import fcntl
 import json
+import subprocess
+import sys
 import tomllib
 
 import pytest
 
-from stillwork.workbook.accept import cleaned
-from workbook.toy import cell
+from stillwork.workbook.notebooks import cleaned
+from workbook.toy import LEDGER, cell
 
 pytestmark = pytest.mark.slow
 
@@ -28,7 +31,7 @@ def test_accepts_a_build(toy):
     assert done.stdout.splitlines() == [
         "claimed by no notebook: motion.gain",
         "belongs to no notebook, remove it: figures/motion/00-gone",
-        "accepted 2 notebooks and 2 ledger entries",
+        "accepted 2 notebooks and 2 ledger entries: 13 files changed",
     ]
 
     ledger = (toy.root / "data/isolation/published.toml").read_text()
@@ -52,9 +55,84 @@ def test_accepts_a_build(toy):
     assert readme.endswith("<!-- ledger:end -->\n\nThe end.\n")
 
     assert toy.run("figures").stdout == "nothing to do: 2 up to date\n"
-    before = toy.files("notebooks", "data", "figures")
+    before = toy.stamps("notebooks", "data", "figures", "README.md")
+    assert toy.run("accept").stdout.endswith("2 ledger entries: 0 files changed\n")
+    assert toy.stamps("notebooks", "data", "figures", "README.md") == before
+    assert toy.leftovers() == []
+
+
+def test_what_agrees_keeps_its_bytes_whatever_the_last_bits(toy):
+    """As on another processor: the library gives the same within rounding, at another commit."""
+    toy.add_page("isolation/01-first")
+    toy.write("README.md", README)
+    (toy.root / "data/motion/published.toml").unlink()
+    assert toy.run("figures").returncode == toy.run("accept").returncode == 0
+    before = toy.stamps("notebooks", "data", "figures", "README.md")
+    toy.replace("lib/experiments/isolation/model.py", "2.0", "2.0 * (1 + 1e-9)")
+    done = toy.run("figures")
+    assert (
+        "1 pictures agree with the committed ones (worst 0e+00 of the range), 0 verdicts moved" in done.stdout
+    )
+    assert toy.run("accept").stdout.endswith("0 files changed\n")
+    assert toy.stamps("notebooks", "data", "figures", "README.md") == before
+
+
+def test_what_moved_is_said_by_the_build_and_taken_over(toy):
+    toy.add_page("isolation/01-first")
+    (toy.root / "data/motion/published.toml").unlink()
+    assert toy.run("figures").returncode == toy.run("accept").returncode == 0
+    toy.replace("lib/experiments/isolation/model.py", "2.0", "2.1")
+    toy.replace("notebooks/isolation/01-first.ipynb", "size=3)", "size=3) + gain(level)")
+    said = toy.run("figures").stdout.splitlines()
+    assert "moved: isolation/01-first: figure fig-1, cell claim, cell claims, claim isolation.gain" in said
+    assert "verdict moved: isolation.gain: replicated -> deviates" in said
+    assert said[-1].startswith("0 of 1 pictures agree")
     assert toy.run("accept").returncode == 0
-    assert toy.files("notebooks", "data", "figures") == before
+    assert (
+        toy.files("figures")["figures/isolation/01-first/fig-1.csv"]
+        == (toy.files("build/figures")["build/figures/isolation/01-first/fig-1.csv"])
+    )
+    assert '"ours": 2.1' in (toy.root / "figures/isolation/01-first/claims.json").read_text()
+    assert "ours = 2.1" in (toy.root / "data/isolation/published.toml").read_text()
+
+
+def test_a_full_disk_leaves_everything_as_it_was(toy):
+    toy.add_page("isolation/01-first")
+    assert toy.run("figures").returncode == 0
+    before = toy.stamps("notebooks", "data", "figures")
+    limit = "import resource, signal\nsignal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+    limit += "resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
+    script = f"{limit}from stillwork.__main__ import main\nraise SystemExit(main(['accept']))"
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=toy.root, env=toy.environment(), capture_output=True, text=True
+    )
+    assert done.returncode == 1
+    assert done.stdout.startswith("nothing accepted: ")
+    assert done.stderr == ""
+    assert toy.stamps("notebooks", "data", "figures") == before
+    assert toy.leftovers() == []
+
+
+def test_an_accept_that_was_killed_is_finished_before_anybody_reads(toy):
+    """What is decided stands beside; what was only tried goes."""
+    toy.write(".accepting/gone.json", '["figures/isolation/00-gone/a.csv"]')
+    toy.write(".accepting/files/data/isolation/published.toml", LEDGER.format(room="isolation"))
+    toy.replace(".accepting/files/data/isolation/published.toml", "published = 2.0", "published = 7.0")
+    toy.write(".accepting.trial/figures/x", "")
+    toy.write("figures/isolation/00-gone/a.csv", "")
+    done = toy.run("claims", "isolation", "--json")
+    assert json.loads(done.stdout)[0]["published"] == 7.0
+    assert not list((toy.root / "figures").rglob("a.csv"))
+    assert toy.leftovers() == []
+
+
+def test_two_at_once_are_refused(toy):
+    toy.write("build/lock", "")
+    with (toy.root / "build/lock").open("a") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        done = toy.run("accept")
+    assert done.returncode == 2
+    assert "another build or accept of this checkout is running" in done.stderr
 
 
 def test_says_what_moved_and_what_lacks_a_reason(toy):
@@ -73,9 +151,12 @@ def test_cleaning_keeps_text_only():
     }
     data = {"text/plain": "<Figure>", "image/png": "iVBO", "text/html": "<b>", "application/vnd.x+json": {}}
     outputs = [
-        {"output_type": "stream", "name": "stdout", "text": "said\n"},
+        {"output_type": "stream", "name": "stdout", "text": "sa"},
+        {"output_type": "stream", "name": "stdout", "text": "id\n"},
         {"output_type": "display_data", "data": data, "metadata": {"isolated": True}},
         {"output_type": "display_data", "data": {"image/png": "iVBO"}, "metadata": {}},
+        {"output_type": "stream", "name": "stdout", "text": ["more\n"]},
+        {"output_type": "stream", "name": "stdout", "text": ["and ", "more\n", "lines\n"]},
     ]
     ran = {
         "cells": [{**cell("a", "x"), "outputs": outputs, "execution_count": 1}, cell("b", "# t", "markdown")]
@@ -84,5 +165,6 @@ def test_cleaning_keeps_text_only():
     assert code["outputs"] == [
         {"output_type": "stream", "name": "stdout", "text": "said\n"},
         {"output_type": "display_data", "data": {"text/plain": "<Figure>"}, "metadata": {}},
+        {"output_type": "stream", "name": "stdout", "text": ["more\n", "and more\n", "lines\n"]},
     ]
     assert text == cell("b", "# t", "markdown")

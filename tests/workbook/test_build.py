@@ -3,6 +3,7 @@
 import json
 import os
 import pty
+import py_compile
 import shutil
 import subprocess
 import sys
@@ -10,6 +11,8 @@ import termios
 
 import pytest
 
+from stillwork.workbook import publish
+from stillwork.workbook.inputs import read_inputs
 from workbook import toy as toys
 
 FIRST, SECOND, OTHER = "isolation/01-first", "isolation/02-second", "motion/01-first"
@@ -66,19 +69,15 @@ def change_cell(toy):
 
 
 def change_library(toy):
-    toy.replace("lib/stillwork/isolation/model.py", "2.0", "2.5")
+    toy.replace("lib/experiments/isolation/model.py", "2.0", "2.5")
 
 
 def change_shared_module(toy):
-    toy.replace("lib/stillwork/checks.py", "import difflib", "import difflib  # again")
+    toy.replace("lib/stillwork/base/checks.py", "import difflib", "import difflib  # again")
 
 
 def change_data(toy):
     toy.write("data/motion/rig.toml", "mass = 2.0\n")
-
-
-def add_data(toy):
-    toy.write("data/motion/records/floor.csv", "1,2\n")
 
 
 def change_ledger(toy):
@@ -90,11 +89,15 @@ def change_pin(toy):
 
 
 def remove_output(toy):
-    (toy.root / f"figures/{FIRST}/fig-1.csv").unlink()
+    (toy.root / f"build/figures/{FIRST}/fig-1.csv").unlink()
 
 
 def edit_output(toy):
-    toy.write(f"figures/{FIRST}/fig-1.csv", "1,2\n")
+    toy.write(f"build/figures/{FIRST}/fig-1.csv", "1,2\n")
+
+
+def leave_a_file(toy):
+    toy.write(f"build/figures/{FIRST}/extra.csv", "1,2\n")
 
 
 def forget_state(toy):
@@ -106,13 +109,13 @@ def forget_state(toy):
     [
         (change_parameter, {FIRST}, "parameter seed: 1 -> 2"),
         (change_cell, {FIRST}, "cell claim changed"),
-        (change_library, {FIRST, SECOND}, "lib/stillwork/isolation/model.py changed"),
-        (change_shared_module, ALL, "lib/stillwork/checks.py changed"),
+        (change_library, {FIRST, SECOND}, "lib/experiments/isolation/model.py changed"),
+        (change_shared_module, {FIRST, OTHER}, "lib/stillwork/base/checks.py changed"),
         (change_data, {OTHER}, "data/motion/rig.toml changed"),
-        (add_data, {OTHER}, "data/motion/records/floor.csv added"),
         (change_ledger, {OTHER}, "ledger motion.gain changed"),
         (change_pin, ALL, "environment: numpy 2.4.5 -> 2.4.6"),
         (remove_output, {FIRST}, "output fig-1.csv missing"),
+        (leave_a_file, {FIRST}, "output extra.csv is not the build's"),
         (edit_output, {FIRST}, "output fig-1.csv was changed by hand"),
         (forget_state, ALL, "never built"),
     ],
@@ -122,13 +125,111 @@ def test_a_change_makes_exactly_its_dependents_stale(toy, change, stale, reason)
     assert reasons(toy) == dict.fromkeys(stale, reason)
 
 
+@pytest.mark.parametrize("text", ["{}", "[]", "null", "", '{"inputs": {}, "outputs": {}, "seal": ""}', "\0"])
+def test_a_damaged_record_is_built_again_not_believed(toy, text):
+    toy.write(f"build/figures/{FIRST}/record.json", text)
+    assert reasons(toy) == {FIRST: "its record is damaged"}
+
+
+def test_a_record_that_was_edited_by_hand_is_not_believed(toy):
+    change_library(toy)
+    record = toy.root / f"build/figures/{FIRST}/record.json"
+    kept = json.loads(record.read_text())
+    kept["inputs"]["lib/experiments/isolation/model.py"] = publish.digest(
+        b"def gain(level):\n    return 2.5 * level\n"
+    )
+    record.write_text(json.dumps(kept))
+    assert reasons(toy)[FIRST] == "its record is damaged"
+
+
 def test_what_cannot_change_a_result_makes_nothing_stale(toy):
+    toy.write("data/motion/records/floor.csv", "1,2\n")  # which no notebook reads
+    toy.write("lib/experiments/motion/paint.py", "LABEL = 'time (s)'\n")  # nor imports
     toy.replace("data/motion/published.toml", "published = 2.0", "ours = 2.0\npublished = 2.0")
     toy.replace(f"notebooks/{FIRST}.ipynb", "# of the noise", "# root of the streams")
     toy.replace(f"notebooks/{FIRST}.ipynb", "# A toy", "# Another story")
     toy.replace("lib/stillwork/workbook/report.py", '"""The ledger', '"""A ledger')
     toy.replace("lib/stillwork/__main__.py", '"""Command line', '"""A command line')
     assert reasons(toy) == {}
+
+
+@pytest.mark.slow
+def test_what_a_notebook_read_is_what_makes_it_stale(toy):
+    toy.write("mylab/stage.py", "from mylab.parts import mass\n")
+    toy.write("mylab/parts.py", "mass = 1.0\n")
+    toy.write("lib/experiments/motion/paint.py", "LABEL = 'time (s)'\n")
+    toy.add(
+        "motion/02-reads",
+        "import importlib, sys\nsys.path.append(str(paths.root()))\nimportlib.import_module(plant)",
+        "from experiments.motion import paint",
+        "records = sorted(paths.data('motion', 'records').iterdir())\nrecords[0].read_text()",
+        parameters="seed: int = 1  # of the noise\nlevel: float = 1.0  # V\nplant: str = 'mylab.stage'  # module",
+    )
+    toy.write("data/motion/records/floor.csv", "1,2\n")
+    assert toy.run("figures").returncode == 0
+    assert reasons(toy) == {}
+    for name in (
+        "mylab/stage.py",
+        "mylab/parts.py",
+        "lib/experiments/motion/paint.py",
+        "data/motion/records/floor.csv",
+    ):
+        before = (toy.root / name).read_text()
+        toy.write(name, before + "\n")
+        assert reasons(toy) == {"motion/02-reads": f"{name} changed"}
+        toy.write(name, before)
+    toy.write("data/motion/records/second.csv", "1,2\n")
+    assert reasons(toy) == {"motion/02-reads": "data/motion/records/ changed"}
+
+
+@pytest.mark.slow
+def test_a_library_that_was_edited_and_put_back_in_mid_build_is_noticed(toy):
+    edit = (
+        "from pathlib import Path\nfile = Path(paths.root(), 'lib/experiments/motion/late.py')\n"
+        "before = file.read_text()\nwritten = file.write_text('number = 2')\n"
+        "from experiments.motion.late import number\nwritten = file.write_text(before)"
+    )
+    toy.write("lib/experiments/motion/late.py", "number = 1\n")
+    toy.add("motion/02-late", edit)
+    done = toy.run("figures", "motion/02-late")
+    assert done.returncode == 1
+    assert "not as the kernel read them: lib/experiments/motion/late.py changed; build again" in done.stdout
+    assert reasons(toy) == {"motion/02-late": "never built"}
+
+
+@pytest.mark.slow
+def test_bytecode_of_another_source_is_not_run(toy):
+    """Python matches it by size and second of change, which an edit right after an import keeps."""
+    model = toy.root / "lib/stillwork/isolation/model.py"
+    now = model.stat()
+    change_library(toy)
+    os.utime(model, ns=(now.st_atime_ns, now.st_mtime_ns))
+    py_compile.compile(str(model))
+    toy.replace("lib/stillwork/isolation/model.py", "2.5", "3.5")
+    os.utime(model, ns=(now.st_atime_ns, now.st_mtime_ns))
+    assert toy.run("figures", SECOND).returncode == 0
+    assert toy.results()[f"build/figures/{SECOND}/out.csv"] == b"1,3.5\n"
+
+
+@pytest.mark.parametrize("text", [None, "", '{"path": "a", "dig'])
+def test_what_was_read_is_not_guessed(tmp_path, text):
+    log = tmp_path / "reads"
+    if text is not None:
+        log.write_text(text)
+    with pytest.raises(ValueError, match="what the kernel read is not known"):
+        read_inputs(log)
+
+
+@pytest.mark.parametrize(("room", "noted"), [(10_000, True), (10, False)])
+def test_a_log_that_does_not_fit_on_the_disk_is_removed(toy, room, noted):
+    script = (
+        "import os, resource, sys\nfrom stillwork.workbook.kernel_process import watch\n"
+        f"resource.setrlimit(resource.RLIMIT_FSIZE, ({room}, {room}))\n"
+        "watch('reads', ())\nopen('environment.txt').close()"
+    )
+    environment = toy.environment() | {"STILLWORK_ROOT": str(toy.root)}
+    subprocess.run([sys.executable, "-c", script], cwd=toy.root, env=environment, check=True)
+    assert (toy.root / "reads").exists() == noted
 
 
 @pytest.mark.slow
@@ -139,34 +240,39 @@ def test_a_build_builds_what_why_says_and_nothing_else(toy):
     assert "build motion/01-first: data/motion/rig.toml changed" in done.stdout.splitlines()
     assert "1 built, 0 failed, 2 up to date" in done.stdout
     after = toy.stamps()
-    changed = {path for path in after if "figures/isolation" in path and before.get(path) != after[path]}
+    changed = {
+        path for path in after if "build/figures/isolation" in path and before.get(path) != after[path]
+    }
     assert not changed
     assert reasons(toy) == {}
 
 
 @pytest.mark.slow
 def test_builds_are_byte_identical_whatever_the_number_of_kernels(toy):
-    with_three = toy.files("figures", "build/notebooks")
+    with_three = toy.results()
     assert {name.rpartition(".")[2] for name in with_three} == {"png", "csv", "json", "ipynb"}
     assert toy.run("figures", "--force", "--jobs", "1").returncode == 0
-    assert toy.files("figures", "build/notebooks") == with_three
+    assert toy.results() == with_three
+    for name in ALL:  # one by one: kernels that are started, not forked
+        assert toy.run("figures", name, "--force").returncode == 0
+    assert toy.results() == with_three
 
 
 @pytest.mark.slow
 def test_other_settings_go_to_a_folder_of_their_own(toy):
-    before = toy.files("figures", "data", "notebooks", "build/notebooks")
+    before = toy.files("data", "notebooks", "build/figures")
     done = toy.run("figures", SECOND, "-p", "seed=3", "-p", "level=2")
     assert done.returncode == 0, done.stdout
     variant = "build/variants/isolation/02-second/seed=3,level=2.0"
     assert toy.files(variant)[f"{variant}/out.csv"] == b"3,4.0\n"
     assert set(toy.files(variant)) == {
-        f"{variant}/{n}" for n in ("out.csv", "provenance.json", "02-second.ipynb")
+        f"{variant}/{n}" for n in ("out.csv", "provenance.json", "record.json", "02-second.ipynb")
     }
-    assert toy.files("figures", "data", "notebooks", "build/notebooks") == before
+    assert toy.files("data", "notebooks", "build/figures") == before
     assert reasons(toy, SECOND, "-p", "seed=3", "-p", "level=2") == {}
     change_library(toy)
     assert list(reasons(toy, SECOND, "-p", "seed=3", "-p", "level=2").values()) == [
-        "lib/stillwork/isolation/model.py changed"
+        "lib/experiments/isolation/model.py changed"
     ]
 
 
@@ -265,7 +371,7 @@ def test_a_notebook_may_be_named_by_its_file(toy, name):
 
 
 def test_provenance(toy):
-    record = json.loads((toy.root / f"figures/{FIRST}/provenance.json").read_text())
+    record = json.loads((toy.root / f"build/figures/{FIRST}/provenance.json").read_text())
     assert record["parameters"] == {"seed": 1, "level": 1.0}
     assert record["seed"] == 1
     assert record["commit"] is None  # the toy is no git checkout
@@ -286,7 +392,7 @@ def test_provenance_names_the_commit_and_whether_inputs_differ_from_it(toy):
     change_data(toy)
     assert toy.run("figures", "--force").returncode == 0
     records = {
-        name: json.loads((toy.root / f"figures/{name}/provenance.json").read_text())
+        name: json.loads((toy.root / f"build/figures/{name}/provenance.json").read_text())
         for name in (FIRST, OTHER)
     }
     assert {record["commit"] for record in records.values()} == {git("rev-parse", "HEAD")}

@@ -42,7 +42,7 @@ def scheduler(shared) -> str:
 def toy(shared):
     """The cluster's workbook, emptied of what the test before made."""
     made, _ = shared
-    for folder in ("notebooks", "figures", "build"):
+    for folder in ("notebooks", "build"):
         shutil.rmtree(made.root / folder, ignore_errors=True)
     return made
 
@@ -59,9 +59,9 @@ def test_notebooks_give_the_same_bytes_as_here(toy, scheduler):
     assert done.returncode == 0, done.stdout
     parent = psutil.Process(int((toy.root / "parent").read_text()))
     assert "stillwork" not in parent.cmdline()  # a worker, not the runner
-    there = toy.files("figures", "build/notebooks")
+    there = toy.results()
     assert toy.run("figures", "--force").returncode == 0
-    assert toy.files("figures", "build/notebooks") == there
+    assert toy.results() == there
 
 
 def test_a_failure_on_a_worker_is_told_as_one_here(toy, scheduler):
@@ -93,7 +93,7 @@ def test_a_worker_with_another_checkout_is_refused(toy, scheduler):
     toy.add("isolation/01-first")
     other = toy.root / "other"
     shutil.copytree(toy.root, other)
-    (other / "lib/stillwork/isolation/model.py").write_text("def gain(level):\n    return 3.0 * level\n")
+    (other / "lib/experiments/isolation/model.py").write_text("def gain(level):\n    return 3.0 * level\n")
     done = subprocess.run(
         toy.command("figures", "--scheduler", scheduler),
         cwd=other,
@@ -102,7 +102,7 @@ def test_a_worker_with_another_checkout_is_refused(toy, scheduler):
         text=True,
     )
     assert done.returncode == 1
-    assert "its checkout differs: lib/stillwork/isolation/model.py changed" in done.stdout
+    assert "its checkout differs: lib/experiments/isolation/model.py changed" in done.stdout
 
 
 def test_a_scheduler_that_does_not_answer(toy):

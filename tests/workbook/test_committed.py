@@ -5,7 +5,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from stillwork.workbook.nbval_check import chosen_to_run
 from workbook import toy as toys
 
 pytestmark = pytest.mark.slow
@@ -20,16 +23,24 @@ def git(toy, *arguments):
     subprocess.run(["git", "-C", str(toy.root), *identity, *arguments], check=True, capture_output=True)
 
 
-def nbval(toy) -> subprocess.CompletedProcess:
-    """Run the notebooks and compare what they print with what is committed."""
+def nbval(toy, *options: str) -> subprocess.CompletedProcess:
+    """Compare what the notebooks print with what is committed; without `options` they are executed for it."""
     environment = toy.environment() | {
         "STILLWORK_ROOT": str(toy.root),
         "STILLWORK_OUTPUT": str(toy.root / "build" / "nbval"),
         "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1",
     }
-    command = [sys.executable, "-m", "pytest", "-p", "nbval.plugin", "-p", "no:cacheprovider", "--color=no"]
-    command += ["-o", "addopts="]
-    command += [str(toy.root / "notebooks"), "--nbval", "--nbval-current-env"]
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-p",
+        "stillwork.workbook.nbval_check",
+        "-p",
+        "no:cacheprovider",
+    ]
+    command += ["--color=no", "-o", "addopts=", str(toy.root / "notebooks"), "--nbval", "--nbval-current-env"]
+    command += options
     return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
 
 
@@ -95,14 +106,13 @@ def accepted(tmp_path_factory):
 @pytest.fixture
 def toy(accepted):
     """The accepted workbook; what a test does to it is undone."""
-    before = accepted.files("figures", "data", "notebooks", "build/nbval") | {
+    before = accepted.files("figures", "data", "notebooks", "build/figures") | {
         "README.md": (accepted.root / "README.md").read_bytes()
     }
     yield accepted
-    for folder in ("figures", "data", "notebooks", "build/nbval"):
-        for file in (accepted.root / folder).rglob("*"):
-            if file.is_file() and file.relative_to(accepted.root).as_posix() not in before:
-                file.unlink()
+    for name in accepted.files("figures", "data", "notebooks", "build/figures"):
+        if name not in before:
+            (accepted.root / name).unlink()
     for name, content in before.items():
         (accepted.root / name).write_bytes(content)
 
@@ -112,15 +122,39 @@ def test_an_accepted_workbook_passes(toy, monkeypatch):
     assert (outcomes.failed, outcomes.skipped) == (set(), set())
 
 
-def test_nbval_notices_another_output(toy):
+@pytest.mark.parametrize("options", [(), ("--nbval-rerun", "0")], ids=["executed", "replayed"])
+def test_nbval_notices_another_output(toy, options):
     toy.replace(f"notebooks/{NAME}.ipynb", "'replicated'", "'deviates'")
-    done = nbval(toy)
+    done = nbval(toy, *options)
     assert done.returncode == 1
     assert "1 failed" in done.stdout
 
 
+def test_nbval_replays_a_fresh_build_and_executes_a_stale_one(toy):
+    written = toy.root / "build/nbval" / NAME / "fig-1.csv"
+    written.unlink()
+    assert nbval(toy, "--nbval-rerun", "0").returncode == 0
+    assert not written.exists()
+    toy.replace("data/isolation/rig.toml", "1.0", "2.0")
+    assert nbval(toy, "--nbval-rerun", "0").returncode == 0
+    assert written.exists()
+    toy.replace("data/isolation/rig.toml", "2.0", "1.0")
+    written.unlink()
+    assert nbval(toy, "--nbval-rerun", "1").returncode == 0
+    assert written.exists()
+
+
+@given(st.integers(1, 9), st.integers(1, 60), st.integers(0, 10**6))
+def test_every_notebook_has_its_turn_to_be_executed_again(count, notebooks, day):
+    names = [str(number) for number in range(notebooks)]
+    days = -(-notebooks // count)
+    turns = [chosen_to_run(count, names, day + later) for later in range(days)]
+    assert set().union(*turns) == set(names)
+    assert {len(each) for each in turns} == {min(count, notebooks)}
+
+
 def move_a_number(toy):
-    file = toy.root / f"figures/{NAME}/fig-1.csv"
+    file = toy.root / f"build/figures/{NAME}/fig-1.csv"
     lines = file.read_text().splitlines()
     *start, y, z = lines[2].split(",")
     lines[2] = ",".join([*start, str(float(y) + 0.01), z])
@@ -129,7 +163,7 @@ def move_a_number(toy):
 
 def round_a_number(toy):
     """What another machine may do."""
-    file = toy.root / f"figures/{NAME}/fig-1.csv"
+    file = toy.root / f"build/figures/{NAME}/fig-1.csv"
     lines = file.read_text().splitlines()
     *start, y, z = lines[2].split(",")
     lines[2] = ",".join([*start, str(float(y) * (1 + 1e-5)), z])

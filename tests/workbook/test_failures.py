@@ -2,10 +2,15 @@
 
 import os
 import resource
+import select
 import signal
+import socket
+import subprocess
+import sys
 
 import pytest
 
+from stillwork.workbook.warm import PROGRAM
 from workbook import toy as toys
 from workbook.toy import until
 
@@ -41,7 +46,7 @@ def built(good, tmp_path):
 
 def end_with(built, *sources) -> dict[str, bytes]:
     """Make the first notebook end with `sources`, and both stale; returns the good figures."""
-    before = built.files("figures")
+    before = built.results()
     built.add("isolation/01-first", *sources)
     built.replace("notebooks/isolation/02-second.ipynb", "seed: int = 1", "seed: int = 2")
     return before
@@ -49,9 +54,9 @@ def end_with(built, *sources) -> dict[str, bytes]:
 
 def assert_only_second_was_built(toy, good):
     first = {name: content for name, content in good.items() if "01-first" in name}
-    now = toy.files("figures")
+    now = toy.results()
     assert first == {name: content for name, content in now.items() if "01-first" in name}
-    assert now["figures/isolation/02-second/out.csv"] == b"2,2.0\n"
+    assert now["build/figures/isolation/02-second/out.csv"] == b"2,2.0\n"
     assert toy.leftovers() == []
 
 
@@ -123,7 +128,7 @@ def test_a_disk_that_is_full_for_the_results(built):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_an_interrupt_of_a_parallel_build(built, number):
     toy = built
-    good = toy.files("figures", "build/notebooks", "build/state")
+    good = toy.results()
     for name in ("01-first", "02-second", "03-third"):
         toy.add(
             f"isolation/{name}",
@@ -136,7 +141,7 @@ def test_an_interrupt_of_a_parallel_build(built, number):
     assert process.returncode == 128 + number
     assert "0 built, 3 failed" in printed
     assert [line.split()[-1] for line in printed.splitlines()[-4:-1]] == ["interrupted"] * 3
-    assert toy.files("figures", "build/notebooks", "build/state") == good
+    assert toy.results() == good
     assert toy.leftovers() == []
 
 
@@ -147,7 +152,7 @@ def test_an_interrupt_while_kernels_start(toy):
     until(lambda: len(toy.processes()) > 1)
     toy.interrupt(process, signal.SIGINT)
     assert process.returncode == 130
-    assert not (toy.root / "figures").exists()
+    assert not (toy.root / "build/figures").exists()
     assert toy.leftovers() == []
 
 
@@ -164,6 +169,30 @@ def test_kernels_die_with_a_runner_that_is_killed_and_the_next_build_tidies_up(t
     toy.add("isolation/01-first")
     assert toy.run("figures").returncode == 0
     assert toy.leftovers() == []
+
+
+def test_results_that_are_harmed_in_mid_build_are_not_compared(built):
+    harm = "file = paths.root() / 'build/figures/isolation/02-second/02-second.ipynb'\nwritten = file.write_text('')"
+    built.add("isolation/01-first", harm)
+    done = built.run("figures")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (
+        "isolation/02-second: output 02-second.ipynb was changed by hand"
+        in built.run("figures", "--why").stdout
+    )
+
+
+def test_a_warmed_process_whose_driver_was_killed_ends_without_a_word():
+    mine, theirs = socket.socketpair()
+    command = [sys.executable, "-P", str(PROGRAM), "warm", str(theirs.fileno())]
+    process = subprocess.Popen(command, pass_fds=[theirs.fileno()], stderr=subprocess.PIPE, text=True)
+    theirs.close()
+    mine.sendall(b'{"asked": 1, "arguments": [], "environment": {}, "folder": "/nowhere"}\n')
+    select.select([mine], [], [])
+    mine.close()  # what it told is not read any more
+    said = process.communicate(timeout=60)[1]
+    assert process.returncode == 0
+    assert "ConnectionResetError" not in said
 
 
 def test_a_page_of_another_name(toy):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from stillwork.workbook.jupyter_kernel import KERNEL_SETTINGS
+from stillwork.workbook.pinned import FILE, pins
 
 ROOT = Path(__file__).parents[2]
 
@@ -28,6 +28,8 @@ def checkout(tmp_path):
     """A folder with the Makefile and a Python that only notes how it was called."""
     for name in ("Makefile", "environment.txt", "pyproject.toml"):
         shutil.copy(ROOT / name, tmp_path)
+    (tmp_path / FILE.relative_to(ROOT)).parent.mkdir(parents=True)
+    shutil.copy(FILE, tmp_path / FILE.relative_to(ROOT))
     stub = tmp_path / "stub"
     stub.write_text(STUB)
     stub.chmod(stub.stat().st_mode | stat.S_IEXEC)
@@ -86,11 +88,17 @@ def test_another_pin_makes_the_environment_again(checkout):
     assert short(calls(checkout))[:3] == MADE
 
 
+def test_the_pins_are_installed_from_wheels():
+    """By make, Binder and anyone with pip: the option stands in the file of the pins."""
+    assert (ROOT / "environment.txt").read_text().splitlines()[0] == "--only-binary :all:"
+    assert (ROOT / ".binder" / "requirements.txt").samefile(ROOT / "environment.txt")
+
+
 def test_another_python_is_refused(checkout):
     (checkout / "old").touch()
     done = make(checkout, "figures")
     assert done.returncode != 0
-    assert "./stub is not a Python 3.11, 3.12 or 3.13; name one: make PYTHON=" in done.stdout
+    assert "./stub is not a Python 3.11, 3.12, 3.13 or 3.14; name one: make PYTHON=" in done.stdout
     assert calls(checkout) == []
 
 
@@ -120,5 +128,5 @@ def test_the_tests_run_notebooks_under_the_settings_of_a_build(checkout):
         shutil.copy(checkout / "stub", own / name)
     assert make(checkout, "ENVIRONMENT=own", "test").returncode == 0
     settings = set((checkout / "settings").read_text().splitlines())
-    assert {f"{name}={value}" for name, value in KERNEL_SETTINGS.items()} <= settings
+    assert {f"{name}={value}" for name, value in pins().items()} <= settings
     assert f"STILLWORK_OUTPUT={checkout}/build/nbval" in settings

@@ -4,9 +4,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stillwork.checks import InputError
+from stillwork.base.checks import InputError
 from stillwork.workbook.notebooks import assign, read_notebook, select
 from stillwork.workbook.parameters import Parameter
+from stillwork.workbook.tasks import Task
 from workbook.toy import cell, notebook
 
 
@@ -97,6 +98,9 @@ def test_a_file_that_is_no_notebook(workbook, tmp_path):
         ("float", "1e-3", 0.001),
         ("str", "3", "3"),
         ("str", "none", "none"),
+        ("str", "'quoted'", "'quoted'"),
+        ("str", "['a', 1]", "['a', 1]"),
+        ("str", " a,", " a,"),
         ("str", "../my floor.csv", "../my floor.csv"),
         ("str | None", "none", None),
         ("str | None", "None", None),
@@ -109,6 +113,9 @@ def test_a_file_that_is_no_notebook(workbook, tmp_path):
         ("list[float]", "1,2.5", [1.0, 2.5]),
         ("list[str]", "a, b", ["a", "b"]),
         ("list[str]", "a,", ["a"]),
+        ("list[str]", "1,", ["1"]),
+        ("list[str]", "a,none,2.5", ["a", "none", "2.5"]),
+        ("list[str]", '["a, b", "\\"c"]', ["a, b", '"c']),
         ("tuple[int, ...]", "1,2,3", (1, 2, 3)),
         ("tuple[float, str]", "(1, 'x')", (1.0, "x")),
         ("list[float] | None", "none", None),
@@ -171,3 +178,13 @@ def test_assign_keeps_what_differs_and_drops_who_has_none(workbook):
 def test_one_differs_from_true_and_from_a_float(workbook):
     workbook("level: float | int | bool = 1  # mixed")
     assert [changed for _, changed in assign(select(), {"level": "true"})] == [{"level": True}]
+
+
+def test_a_variant_has_a_folder_whatever_its_values(workbook, tmp_path):
+    read = workbook('channel: str = "left"  # of the record')
+    names = ["a/b", "../../x", "\n", "加速度" * 60, "x" * 1000, ".", ""]
+    folders = [Task(read, {"channel": name}, {}).target for name in names]
+    for folder in folders:
+        folder.mkdir(parents=True)
+        assert folder.parent == tmp_path / "build" / "variants" / "motion" / "01-x"
+    assert len(set(folders)) == len(names)

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stillwork.checks import InputError
-from stillwork.claims import Claim, Entry, Tolerance
+from stillwork.base.checks import InputError
+from stillwork.workbook.claims import Claim, Entry, Tolerance
 from stillwork.workbook.report import column, columns, entry_text, find, ledger_text, paragraph, table
 
 words = st.text("ab.-c ", min_size=1, max_size=30).map(str.strip)

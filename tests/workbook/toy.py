@@ -74,8 +74,8 @@ class Toy:
     def add(self, name: str, *sources: str, parameters: str = PARAMETERS) -> None:
         """A notebook that writes ``out.csv`` (no matplotlib: quick), then runs `sources`."""
         begin = (
-            "from stillwork import paths\n"
-            f"from stillwork.{name.partition('/')[0]}.model import gain\n"
+            "from stillwork.base import paths\n"
+            f"from experiments.{name.partition('/')[0]}.model import gain\n"
             f"folder = paths.output('{name}')\nfolder.mkdir(parents=True)"
         )
         write = "written = (folder / 'out.csv').write_text(f'{seed},{gain(level)}\\n')"
@@ -92,8 +92,9 @@ class Toy:
         """A notebook with a figure and a claim."""
         room = name.partition("/")[0]
         begin = (
-            "import numpy as np\nfrom stillwork import figures\nfrom stillwork.page import Page\n"
-            f"from stillwork.{room}.model import gain\npage = Page('{name}')"
+            "import numpy as np\nfrom stillwork.workbook import figures; from stillwork.base import paths\nfrom stillwork.workbook.page import Page\n"
+            f"from experiments.{room}.model import gain\npage = Page('{name}')\n"
+            f"rig = paths.data('{room}', 'rig.toml').read_text()"
         )
         cells = [
             cell("title", "# A toy", "markdown"),
@@ -151,19 +152,28 @@ class Toy:
 
     def files(self, *folders: str) -> dict[str, bytes]:
         """Every file under `folders`, by its path."""
-        return {
-            file.relative_to(self.root).as_posix(): file.read_bytes()
-            for folder in folders
-            for file in sorted((self.root / folder).rglob("*"))
-            if file.is_file()
-        }
+        found = {}
+        for folder in folders:
+            for place, inner, names in os.walk(self.root / folder, followlinks=True):
+                inner[:] = sorted(
+                    name for name in inner if not name.startswith(".")
+                )  # reached by their links
+                for name in sorted(names):
+                    file = Path(place, name)
+                    found[file.relative_to(self.root).as_posix()] = file.read_bytes()
+        return found
 
-    def stamps(self) -> dict[str, tuple[int, int]]:
-        """Inode and time of change of every file and folder, caches of Python aside."""
+    def results(self) -> dict[str, bytes]:
+        """Every file that builds made, apart from what each says of how it was made."""
+        return {name: text for name, text in self.files("build/figures").items() if "record.json" not in name}
+
+    def stamps(self, *shelves: str) -> dict[str, tuple[int, int]]:
+        """Inode and time of change of every file and folder (of some shelves), caches of Python aside."""
         return {
             str(path): (path.stat().st_ino, path.stat().st_mtime_ns)
             for path in self.root.rglob("*")
             if "__pycache__" not in str(path)
+            and (not shelves or path.relative_to(self.root).parts[0] in shelves)
         }
 
     def processes(self) -> list[psutil.Process]:
@@ -179,7 +189,12 @@ class Toy:
 
     def leftovers(self) -> list[str]:
         """What a run left behind: processes, temporary files, half-written results."""
-        hidden = [path for path in self.root.rglob(".*") if path.name.endswith((".new", ".old"))]
+        hidden = [path for path in self.root.rglob("*") if path.name.endswith((".new", ".old"))]
+        hidden += [path for path in self.root.glob(".accepting*")]
+        for shelf in ("figures", "variants"):
+            for home in (self.root / "build" / shelf).glob("*/.*/"):
+                shown = os.readlink(home.with_name(home.name[1:]))
+                hidden += [each for each in home.iterdir() if f"{home.name}/{each.name}" != shown]
         processes = [" ".join(process.cmdline()) for process in self.processes()]
         return [str(path) for path in [*self.temporary.iterdir(), *hidden]] + processes
 
@@ -197,11 +212,12 @@ def make(root: Path) -> Toy:
     ignore = shutil.ignore_patterns("__pycache__")
     for file in LIBRARY.glob("*.py"):
         toy.write(f"lib/stillwork/{file.name}", file.read_text(encoding="utf-8"))
-    for package in ("workbook", "site"):
+    for package in ("base", "signals", "workbook", "site"):
         shutil.copytree(LIBRARY / package, root / f"lib/stillwork/{package}", ignore=ignore)
+    toy.write("lib/experiments/__init__.py", "")  # else an installed one of this name goes before it
     for room in ("isolation", "motion"):
-        toy.write(f"lib/stillwork/{room}/__init__.py", "")
-        toy.write(f"lib/stillwork/{room}/model.py", "def gain(level):\n    return 2.0 * level\n")
+        toy.write(f"lib/experiments/{room}/__init__.py", "")
+        toy.write(f"lib/experiments/{room}/model.py", "def gain(level):\n    return 2.0 * level\n")
         toy.write(f"data/{room}/rig.toml", "mass = 1.0\n")
         toy.write(f"data/{room}/published.toml", LEDGER.format(room=room))
     toy.write("pyproject.toml", (LIBRARY.parents[1] / "pyproject.toml").read_text(encoding="utf-8"))
@@ -212,7 +228,7 @@ def make(root: Path) -> Toy:
 @contextmanager
 def copy_of(toy: Toy, folder: Path) -> Iterator[Toy]:
     """A copy in `folder` that a test may change, cleaned up at the end."""
-    shutil.copytree(toy.root, folder / "copy")
+    shutil.copytree(toy.root, folder / "copy", symlinks=True)
     copy = Toy(folder / "copy")
     yield copy
     clean_up(copy)

@@ -6,15 +6,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from experiments.worstcase import solve_cone_program
 from naive import worstcase as naive
-from stillwork.checks import InputError
-from stillwork.worstcase import (
-    ZeroEstimateWarning,
-    min_max_solve,
-    secular_function,
-    solve_cone_program,
-)
-from stillwork.worstcase.batch import solve_silently
+from stillwork.base.checks import InputError
+from stillwork.estimation import ZeroEstimateWarning, min_max_solve, secular_function
+from stillwork.estimation.min_max import solve_silently
 
 
 def problem(seed, rows=12, unknowns=3, noise=1.0, conditioning=0.0):

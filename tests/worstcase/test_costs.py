@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
-from stillwork.checks import InputError
-from stillwork.worstcase.costs import multiplications, slope
+from experiments.worstcase.costs import multiplications, slope
+from stillwork.base.checks import InputError
 
 COUNT = """
 import json, sys
@@ -51,7 +51,7 @@ class Numpy:
         count += a.shape[0] * a.shape[1] * b.shape[1]
         return numbers(np.dot(a.astype(float), b.astype(float)))
 
-from stillwork.worstcase import rank_one, secular, steps
+from stillwork.estimation import rank_one, secular, recursive_kernels as steps
 for module in (rank_one, secular, steps):
     module.np = Numpy()
 
@@ -75,11 +75,11 @@ def counted(update, n):
         "fast": [column[2], numbers(np.eye(n)), column[0], scalars, column[1]],
     }[update]
     run = {
-        "least squares": lambda r, y, b, o: steps._run_least_squares(r, y, weight, *state, *o[:2]),
-        "ridge": lambda r, y, b, o: steps._run_ridge(r, y, Number(1.0), weight, *state, *o[:2]),
-        "exact": lambda r, y, b, o: steps._run_exact(r, y, b, weight, *state, *o),
-        "approximate": lambda r, y, b, o: steps._run_approximate(r, y, b, weight, 2, *state, *o),
-        "fast": lambda r, y, b, o: rank_one._run_fast(r, y, b, weight, *state, *o),
+        "least squares": lambda r, y, b, o: steps.run_least_squares(r, y, weight, *state, *o[:2]),
+        "ridge": lambda r, y, b, o: steps.run_ridge(r, y, Number(1.0), weight, *state, *o[:2]),
+        "exact": lambda r, y, b, o: steps.run_exact(r, y, b, weight, *state, *o),
+        "approximate": lambda r, y, b, o: steps.run_approximate(r, y, b, weight, 2, *state, *o),
+        "fast": lambda r, y, b, o: rank_one.run_fast(r, y, b, weight, *state, *o),
     }[update]
     half = samples // 2
     run(rows[:half], outputs[:half], bounds[:half], [a[:half] for a in out])

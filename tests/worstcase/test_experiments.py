@@ -3,24 +3,17 @@ import warnings
 import numpy as np
 import pytest
 
-from naive import worstcase as naive
-from stillwork import figures
-from stillwork.checks import InputError
-from stillwork.studies import run_study
-from stillwork.worstcase import (
-    draw_contraction,
-    draw_geometry,
-    draw_identification,
-    draw_measured,
-    draw_tracking,
-    draw_updates,
-    exponential_bound,
-    fir_regressors,
+from experiments.worstcase import (
+    contraction_pictures,
+    geometry_pictures,
+    identification_pictures,
     measured,
-    min_max_solve,
+    measured_pictures,
     total_least_squares,
+    tracking_pictures,
+    update_pictures,
 )
-from stillwork.worstcase.experiments import (
+from experiments.worstcase.simulations import (
     FIG_2_PARAMETERS,
     fir_trial,
     least_squares_limit,
@@ -28,7 +21,7 @@ from stillwork.worstcase.experiments import (
     settled,
     tracking_trial,
 )
-from stillwork.worstcase.theory import (
+from experiments.worstcase.theory import (
     convergence_trial,
     counter_example,
     recursion_trial,
@@ -36,6 +29,12 @@ from stillwork.worstcase.theory import (
     solution_trial,
     weighting_trial,
 )
+from naive import worstcase as naive
+from stillwork.base.checks import InputError
+from stillwork.estimation import min_max_solve
+from stillwork.identification import exponential_bound, fir_regressors
+from stillwork.workbook import figures
+from stillwork.workbook.studies import run_study
 
 FIG_1 = {"parameters": (1.0, 0.5), "period": 20, "samples": 60, "input_noise": 0.1, "output_noise": 1.0}
 
@@ -154,14 +153,14 @@ def test_measured_pair_is_the_shipped_record():
 
 def test_pictures_can_be_saved_with_their_numbers(tmp_path):
     pictures = {
-        "geometry": draw_geometry.explore_geometry(0.4, 0.5),
-        "contraction": draw_contraction.explore_counter_example(0.5, 0.02),
-        "updates": draw_updates.explore_accuracy(1.118, 0.1),
-        "counts": draw_updates.draw_counts([5, 50], 2.0),
-        "times": draw_updates.draw_times(draw_updates.measured_times()),
-        "fig-1": draw_identification.explore_fig_1(20, 0.1, 1.0, 0.5),
-        "fig-2": draw_tracking.explore_tracking(1.34, 0.1, 1.0, "jump"),
-        "measured": draw_measured.explore_sweep(8, 128),
+        "geometry": geometry_pictures.explore_geometry(0.4, 0.5),
+        "contraction": contraction_pictures.explore_counter_example(0.5, 0.02),
+        "updates": update_pictures.explore_accuracy(1.118, 0.1),
+        "counts": update_pictures.draw_counts([5, 50], 2.0),
+        "times": update_pictures.draw_times(update_pictures.measured_times()),
+        "fig-1": identification_pictures.explore_fig_1(20, 0.1, 1.0, 0.5),
+        "fig-2": tracking_pictures.explore_tracking(1.34, 0.1, 1.0, "jump"),
+        "measured": measured_pictures.explore_sweep(8, 128),
     }
     for name, figure in pictures.items():
         saved = figures.save(figure, tmp_path / name)
@@ -173,16 +172,16 @@ def test_extreme_settings_of_the_explorers_draw_without_warnings():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for share in (0.0, 1.3):
-            draw_geometry.explore_geometry(share, 0.0)
+            geometry_pictures.explore_geometry(share, 0.0)
         for bound, excess in ((0.05, 0.001), (0.6, 1.0)):
-            draw_contraction.explore_counter_example(bound, excess)
+            contraction_pictures.explore_counter_example(bound, excess)
         with pytest.raises(InputError, match="a positive root only for a bound"):
-            draw_contraction.explore_counter_example(0.95, 1.0)
-        draw_updates.explore_accuracy(3.0, 0.01)
-        draw_updates.explore_accuracy(0.02, 1.0)
-        draw_identification.explore_fig_1(4, 1.0, 0.01, -1.0)
-        draw_tracking.explore_tracking(5.0, 1.0, 50.0, "drift")
-        draw_measured.explore_sweep(48, 64)
+            contraction_pictures.explore_counter_example(0.95, 1.0)
+        update_pictures.explore_accuracy(3.0, 0.01)
+        update_pictures.explore_accuracy(0.02, 1.0)
+        identification_pictures.explore_fig_1(4, 1.0, 0.01, -1.0)
+        tracking_pictures.explore_tracking(5.0, 1.0, 50.0, "drift")
+        measured_pictures.explore_sweep(48, 64)
 
 
 @pytest.mark.parametrize(

@@ -2,15 +2,9 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from stillwork.checks import InputError
-from stillwork.worstcase import (
-    arx_regressors,
-    exponential_bound,
-    fir_regressors,
-    noise_bound,
-    row_bound,
-    total_least_squares,
-)
+from experiments.worstcase import total_least_squares
+from stillwork.base.checks import InputError
+from stillwork.identification import arx_regressors, exponential_bound, fir_regressors, noise_bound, row_bound
 
 
 def test_lags_beyond_the_record_are_zero():

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stillwork.worstcase.rank_one import _update_eigenpairs
+from stillwork.estimation.rank_one import _update_eigenpairs
 
 
 def check(values, vectors, row, forgetting=0.9, tolerance=1e-13):

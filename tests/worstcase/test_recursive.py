@@ -6,19 +6,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from naive import worstcase as naive
-from stillwork.checks import InputError
-from stillwork.worstcase import (
+from stillwork.base.checks import InputError
+from stillwork.estimation import (
     GrowingMinMax,
     LeastSquares,
     MinMax,
     Ridge,
-    Stepper,
     ZeroEstimateWarning,
     min_max_solve,
     run,
     worst_case_residuals,
 )
-from stillwork.worstcase.estimators import UPDATES
+from stillwork.estimation.recursive import RecursiveStepper
+from stillwork.estimation.recursive_settings import UPDATES
 
 FORGETTING = 0.9
 EXACT = ("exact", "fast")
@@ -130,7 +130,7 @@ def test_least_squares_and_ridge_agree_with_augmented_problems():
 def test_stepper_gives_the_same_numbers_as_the_record(estimator):
     rows, outputs = record(10)
     track = run(estimator, rows.T, outputs)
-    stepper = Stepper(estimator, 4)
+    stepper = RecursiveStepper(estimator, 4)
     stepped = np.array([stepper.update(a, y) for a, y in zip(rows, outputs, strict=True)])
     assert np.array_equal(stepped, track.estimates.T)
     previous = np.vstack([np.zeros(4), stepped[:-1]])
@@ -140,7 +140,7 @@ def test_stepper_gives_the_same_numbers_as_the_record(estimator):
 
 def test_stepper_is_unchanged_by_a_refused_sample():
     rows, outputs = record(11)
-    stepper, twin = (Stepper(MinMax(0.5, FORGETTING), 4) for _ in range(2))
+    stepper, twin = (RecursiveStepper(MinMax(0.5, FORGETTING), 4) for _ in range(2))
     for a, y in zip(rows[:20], outputs[:20], strict=True):
         stepper.update(a, y)
         twin.update(a, y)
@@ -225,7 +225,7 @@ def test_a_bound_that_explains_everything_away_warns():
 
 def test_a_stepper_warns_once_that_the_estimate_is_zero():
     rows, outputs = record(16)
-    stepper = Stepper(MinMax(50.0, FORGETTING), 4)
+    stepper = RecursiveStepper(MinMax(50.0, FORGETTING), 4)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         for row, output in zip(rows, outputs, strict=True):
@@ -272,10 +272,13 @@ def test_forgetting_outside_the_open_unit_interval_is_refused(forgetting):
         (lambda: GrowingMinMax(-0.1), "row_bound is -0.1"),
         (lambda: Ridge(0.0, 0.9), "penalty is 0.*above 0"),
         (lambda: LeastSquares(0.9, 0.0), "initial_covariance is 0"),
-        (lambda: Stepper(MinMax(1.0, 0.9), 0), "unknowns is 0"),
-        (lambda: Stepper(MinMax(1.0, 0.9), 2).update([1.0, 1e99], 1.0), "regressor reaches 1e.99, too large"),
-        (lambda: Stepper(MinMax(1.0, 0.9), 2).update([1.0, np.nan], 1.0), "regressor holds 1 NaN"),
-        (lambda: Stepper(MinMax(1.0, 0.9), 2).update([1.0, 1.0], np.inf), "output is inf"),
+        (lambda: RecursiveStepper(MinMax(1.0, 0.9), 0), "unknowns is 0"),
+        (
+            lambda: RecursiveStepper(MinMax(1.0, 0.9), 2).update([1.0, 1e99], 1.0),
+            "regressor reaches 1e.99, too large",
+        ),
+        (lambda: RecursiveStepper(MinMax(1.0, 0.9), 2).update([1.0, np.nan], 1.0), "regressor holds 1 NaN"),
+        (lambda: RecursiveStepper(MinMax(1.0, 0.9), 2).update([1.0, 1.0], np.inf), "output is inf"),
         (lambda: run(MinMax(1.0, 0.9), np.ones((2, 9)), np.full(9, np.nan)), "outputs holds 9 NaN"),
         (
             lambda: run(MinMax(1.0, 0.9), np.full((2, 9), 1e99), np.ones(9)),

@@ -4,15 +4,9 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from stillwork import paths
-from stillwork.checks import InputError
-from stillwork.worstcase import draw_your_record as draw
-from stillwork.worstcase.batch import solve_silently
-from stillwork.worstcase.estimators import MinMax
-from stillwork.worstcase.measured import load_pair, window_residuals
-from stillwork.worstcase.recursive import run_silently
-from stillwork.worstcase.regressors import fir_regressors, noise_bound
-from stillwork.worstcase.your_record import (
+from experiments.worstcase import your_record_pictures as draw
+from experiments.worstcase.measured import load_pair, window_residuals
+from experiments.worstcase.your_record import (
     fit_pair,
     open_pair,
     parts,
@@ -20,6 +14,12 @@ from stillwork.worstcase.your_record import (
     weighted_corner,
     window_lengths,
 )
+from stillwork.base import paths
+from stillwork.base.checks import InputError
+from stillwork.estimation.min_max import solve_silently
+from stillwork.estimation.recursive import run_silently
+from stillwork.estimation.recursive_settings import MinMax
+from stillwork.identification.regressors import fir_regressors, noise_bound
 
 TEMPLATE = paths.data("worstcase", "your_record/template.csv")
 SHIPPED = paths.data("worstcase", "structure_accel_3k2/structure_accel_20s.npz")

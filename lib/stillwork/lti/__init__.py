@@ -1,25 +1,16 @@
 """Linear time-invariant models: modal and state-space form, exact discretisation, fast responses, norms."""
 
-from stillwork.lti.discretisation import zoh, zoh_modes
-from stillwork.lti.modal import ModalModel, from_state_space, modal_model
-from stillwork.lti.norms import h2_norm, hinf_norm
-from stillwork.lti.peaks import Peak, refine_peak, resonance_grid
-from stillwork.lti.simulation import simulate
-from stillwork.lti.state_space import StateModel, from_control, interconnect
+from stillwork.base.faces import face
 
-__all__ = [
-    "ModalModel",
-    "Peak",
-    "StateModel",
-    "from_control",
-    "from_state_space",
-    "h2_norm",
-    "hinf_norm",
-    "interconnect",
-    "modal_model",
-    "refine_peak",
-    "resonance_grid",
-    "simulate",
-    "zoh",
-    "zoh_modes",
-]
+__all__, __getattr__, __dir__ = face(
+    __name__,
+    {
+        "discretisation": ("zoh", "zoh_modes"),
+        "modal": ("ModalModel", "from_state_space", "modal_model"),
+        "norms": ("h2_norm", "hinf_norm"),
+        "peaks": ("Peak", "refine_peak", "resonance_grid"),
+        "reduction": ("roll_off", "truncate"),
+        "simulation": ("simulate",),
+        "state_space": ("StateModel", "from_control", "interconnect"),
+    },
+)

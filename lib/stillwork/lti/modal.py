@@ -8,7 +8,7 @@ from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from stillwork.checks import InputError, require_array, require_choice
+from stillwork.base.checks import InputError, require_array, require_choice
 from stillwork.lti.state_space import StateModel
 
 
@@ -207,3 +207,10 @@ def modal_model(
     return ModalModel(
         w, ratio, shapes.T @ input_map, output_map @ shapes, np.zeros((len(output_map), input_map.shape[1]))
     )
+
+
+def mirrored(model: ModalModel) -> ModalModel:
+    """The same structure seen by a second sensor, at which every flexible mode has the other sign."""
+    shapes = model.output_shapes.copy()
+    shapes[:, model.rigid_modes :] *= -1
+    return replace(model, output_shapes=shapes, feedthrough=-model.feedthrough)

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import linalg
 
-from stillwork.checks import InputError
+from stillwork.base.checks import InputError
 from stillwork.lti.peaks import Peak
 from stillwork.lti.state_space import StateModel
 

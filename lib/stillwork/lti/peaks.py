@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.checks import require_count, require_number
+from stillwork.base.checks import require_count, require_number
 
 
 def resonance_grid(

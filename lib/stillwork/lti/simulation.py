@@ -4,8 +4,8 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.checks import InputError, require_array
-from stillwork.kernels import kernel
+from stillwork.base.checks import InputError, require_array
+from stillwork.base.kernels import kernel
 from stillwork.lti.state_space import StateModel
 
 

@@ -11,18 +11,18 @@ import jinja2
 from markupsafe import Markup
 
 import stillwork
-from stillwork import paths
-from stillwork.checks import InputError
-from stillwork.claims import KINDS, VERDICTS, Claim, ledger
+from stillwork.base import paths
+from stillwork.base.checks import InputError
 from stillwork.site import picture, reference
 from stillwork.site.derived import works
 from stillwork.site.links import broken_links
 from stillwork.site.mathematics import markdown
 from stillwork.site.pages import NotebookPage, read_page
 from stillwork.workbook import publish
+from stillwork.workbook.claims import KINDS, VERDICTS, Claim, ledger
 from stillwork.workbook.notebooks import notebook_file
 from stillwork.workbook.provenance import commit, modified
-from stillwork.workbook.report import quantity
+from stillwork.workbook.report import our_quantity, published_quantity
 from stillwork.workbook.tasks import tasks
 
 HERE = Path(__file__).parent
@@ -135,8 +135,8 @@ def _renderer(**shared):
         lstrip_blocks=True,
     )
     environment.filters["number"] = lambda value: f"{value:.4g}"
-    environment.filters["published"] = lambda claim: quantity(claim, claim.entry.published)
-    environment.filters["ours"] = lambda claim: quantity(claim, claim.ours)
+    environment.filters["published"] = published_quantity
+    environment.filters["ours"] = our_quantity
     environment.filters["off_by"] = _off_by
     environment.filters["slug"] = lambda verdict: verdict.replace(" ", "-")
     site = {

@@ -7,12 +7,12 @@ from collections.abc import Callable
 from html import escape
 from pathlib import Path
 
-from stillwork import paths
-from stillwork.claims import VERDICTS, Claim, ledger
+from stillwork.base import paths
 from stillwork.site.pages import Figure, NotebookPage, read_page
-from stillwork.workbook.accept import notebook_text
+from stillwork.workbook.claims import VERDICTS, Claim, ledger
+from stillwork.workbook.notebooks import METADATA, notebook_text
 from stillwork.workbook.publish import replace_file
-from stillwork.workbook.report import column, columns, quantity, readme_with_summary
+from stillwork.workbook.report import column, columns, our_quantity, published_quantity, readme_with_summary
 from stillwork.workbook.tasks import tasks
 
 WORKS = Path(__file__).parent / "works.toml"
@@ -107,26 +107,23 @@ def _index(pages: list[NotebookPage], claims: list[Claim]) -> str:
             parts.append(f"## {work['title']} (`{room}`)\n\n{work['claimed']}\n\n{first}{listing}")
     parts.append(
         "## The shelves\n\nThe same room name stands on every shelf of the checkout: `notebooks/` the results, "
-        "`lib/stillwork/` the algorithms, `data/` the published numbers and measured records, `figures/` what "
+        "`lib/experiments/` its machines and pictures, `data/` the published numbers and measured records, `figures/` what "
         "was built, `tests/` and `benchmarks/`. `make help` lists the commands, `make site` writes the same as "
         "web pages, `docs/your-rig.md` leads from a measurement of yours to a figure."
     )
     cells = [
-        {"cell_type": "markdown", "id": f"part-{number}", "metadata": {}, "source": text}
+        # In lines, as Jupyter writes them.
+        {"cell_type": "markdown", "id": f"part-{number}", "metadata": {}, "source": text.splitlines(True)}
         for number, text in enumerate(parts, 1)
     ]
-    metadata = {
-        "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
-        "language_info": {"name": "python"},
-    }
-    return notebook_text({"cells": cells, "metadata": metadata, "nbformat": 4, "nbformat_minor": 5})
+    return notebook_text({"cells": cells, "metadata": METADATA, "nbformat": 4, "nbformat_minor": 5})
 
 
 def _headline(work: dict, claims: list[Claim]) -> str:
     """What the work says first, as a table that ends with a blank line; empty where the ledger has none of it."""
     by_id = {claim.entry.id: claim for claim in claims}
     rows = [
-        f"| {each['says']} | {quantity(claim, claim.entry.published)} | {quantity(claim, claim.ours)} | {claim.verdict} |"
+        f"| {each['says']} | {published_quantity(claim)} | {our_quantity(claim)} | {claim.verdict} |"
         for each in work["headline"]
         if (claim := by_id.get(each["entry"]))
     ]

@@ -1,27 +1,42 @@
 """Markdown with formulas to HTML with MathML: the browser needs no script and no network to show them."""
 
 import re
+from html import unescape
+from xml.etree.ElementTree import tostring
 
-from latex2mathml.converter import convert
+from latex2mathml.converter import convert_to_element
 from nbconvert.filters.markdown_mistune import IPythonRenderer, MarkdownWithMath
 
-from stillwork.checks import InputError
+from stillwork.base.checks import InputError
+
+# What a link, a script or a style sheet could hang on to: formulas have none.
+_FOREIGN = {"href", "class", "style"}
 
 
 def mathml(formula: str, block: bool = False) -> str:
-    """MathML of a LaTeX formula.
+    """MathML of a LaTeX formula; what stands in a text of it is shown as text.
 
     Raises
     ------
     InputError
-        When a command of it is unknown to the converter.
+        When a command of it is unknown to the converter, or makes a link or a style.
     """
     try:
-        rendered = convert(formula.strip(), display="block" if block else "inline")
+        root = convert_to_element(formula.strip(), display="block" if block else "inline")
     except Exception as error:  # the converter raises a class of its own for every kind of mistake
         raise InputError(
             f"the formula {formula!r} cannot be rendered ({error!r}); write it simpler"
         ) from None
+    # The converter means its characters as references, which would be escaped with what the author wrote.
+    for each in root.iter():
+        each.text = unescape(each.text or "")
+        each.attrib = {name: unescape(value) for name, value in each.attrib.items()}
+        if foreign := _FOREIGN & set(each.attrib):
+            raise InputError(
+                f"the formula {formula!r} sets {min(foreign)}; write links and styles outside of it"
+            )
+    del root.attrib["xmlns"]  # a page needs none, and in a heading it would become a prefix
+    rendered = tostring(root, encoding="unicode")
     if unknown := re.search(r"\\[a-zA-Z]+", rendered):
         raise InputError(f"the formula {formula!r} uses {unknown[0]}, which is unknown; write it otherwise")
     return rendered
@@ -32,6 +47,9 @@ class _Renderer(IPythonRenderer):
 
     def __init__(self):
         super().__init__(escape=True, allow_harmful_protocols=False, anchor_link_text="#")
+
+    def block_mermaidjs(self, code: str) -> str:
+        return self.block_code(code)  # no script draws it here, and the base class would not escape it
 
     def inline_math(self, body: str) -> str:
         return mathml(body)

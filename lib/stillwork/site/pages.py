@@ -11,11 +11,11 @@ from pathlib import Path
 from markupsafe import Markup
 from nbconvert.filters.highlight import Highlight2HTML
 
-from stillwork import paths
-from stillwork.checks import InputError
-from stillwork.claims import VERDICTS, Claim
-from stillwork.site import reading
+from stillwork.base import paths
+from stillwork.base.checks import InputError
 from stillwork.site.mathematics import markdown
+from stillwork.workbook import reading
+from stillwork.workbook.claims import VERDICTS, Claim
 from stillwork.workbook.notebooks import Notebook
 from stillwork.workbook.tasks import Task
 
@@ -57,7 +57,7 @@ class Figure:
 
 
 @dataclass(frozen=True)
-class Cell:
+class PageCell:
     """One cell as HTML; `claims` are those that it judges."""
 
     id: str
@@ -74,7 +74,7 @@ class NotebookPage:
 
     notebook: Notebook
     title: str
-    cells: tuple[Cell, ...]
+    cells: tuple[PageCell, ...]
     claims: tuple[Claim, ...]
     parameters: tuple[tuple[str, str, str, str], ...]  # name, type, published value, comment
     functions: tuple[str, ...]
@@ -120,10 +120,10 @@ def read_page(task: Task, claims: list[Claim]) -> NotebookPage:
         The whole ledger.
     """
     notebook = task.notebook
-    fresh = not task.reasons() and task.executed.is_file()
+    fresh = not task.reasons()
     raw = json.loads(notebook.source)["cells"]
     if fresh:  # of the build its outputs only: texts may have changed since
-        raw = _with_outputs(raw, json.loads(task.executed.read_text(encoding="utf-8"))["cells"])
+        raw = _with_outputs(raw, task.outputs())
     folder = paths.root() / "figures" / notebook.name
     mine = [claim for claim in claims if claim.notebook == notebook.name]
     cells = _cells(notebook.name, raw, folder, mine)
@@ -144,9 +144,8 @@ def read_page(task: Task, claims: list[Claim]) -> NotebookPage:
     )
 
 
-def _with_outputs(cells: list[dict], executed: list[dict]) -> list[dict]:
+def _with_outputs(cells: list[dict], gave: dict[str, list[dict]]) -> list[dict]:
     """The cells with what the code cells of the same id gave when they were executed."""
-    gave = {cell.get("id"): cell["outputs"] for cell in executed if cell["cell_type"] == "code"}
     return [
         {**cell, "outputs": gave.get(cell.get("id"), cell["outputs"])}
         if cell["cell_type"] == "code"
@@ -155,7 +154,7 @@ def _with_outputs(cells: list[dict], executed: list[dict]) -> list[dict]:
     ]
 
 
-def _cells(name: str, raw: list[dict], folder: Path, claims: list[Claim]) -> list[Cell]:
+def _cells(name: str, raw: list[dict], folder: Path, claims: list[Claim]) -> list[PageCell]:
     pictures = sorted(file.stem for file in folder.glob("[!.]*.png"))
     by_id = {claim.entry.id: claim for claim in claims}
     drawn: set[str] = set()
@@ -165,7 +164,7 @@ def _cells(name: str, raw: list[dict], folder: Path, claims: list[Claim]) -> lis
         source, anchor = _text(cell), f"cell-{cell.get('id', number)}"
         if cell["cell_type"] == "markdown":
             heading = next(iter(re.findall(r"^#+ (.+)$", source, re.MULTILINE)), heading)
-            cells.append(Cell(anchor, False, Markup(_prose(name, source))))
+            cells.append(PageCell(anchor, False, Markup(_prose(name, source))))
         elif cell["cell_type"] == "code":
             here = [each for each in reading.saved(source, pictures) if each not in drawn]
             ids = [each for each in reading.checked(source, list(by_id)) if each not in judged]
@@ -180,7 +179,9 @@ def _cells(name: str, raw: list[dict], folder: Path, claims: list[Claim]) -> lis
                 elif (left := FILE_NAMES.sub("", text).strip("\n")) and left not in VERDICTS_ALONE:
                     outputs.append(left)
             judgements = tuple(by_id[each] for each in ids)
-            cells.append(Cell(anchor, True, _highlighted(source), tuple(outputs), tuple(figures), judgements))
+            cells.append(
+                PageCell(anchor, True, _highlighted(source), tuple(outputs), tuple(figures), judgements)
+            )
     return cells
 
 
@@ -196,7 +197,7 @@ def _prose(name: str, source: str) -> str:
         raise InputError(f"{name}: {error}") from None
 
 
-def _with_the_rest(cells: list[Cell], raw: list[dict], claims: list[Claim]) -> tuple[Cell, ...]:
+def _with_the_rest(cells: list[PageCell], raw: list[dict], claims: list[Claim]) -> tuple[PageCell, ...]:
     """`cells`, with the claims that no cell names in the one that prints the table of all."""
     left = tuple(claim for claim in claims if not any(claim in cell.claims for cell in cells))
     tables = [number for number, cell in enumerate(raw) if _text(cell).strip() == "page.claims"]

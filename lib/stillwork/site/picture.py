@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from stillwork.claims import Claim
+from stillwork.workbook.claims import Claim
 
 FARTHEST = 4.0  # ratios beyond are drawn at the edge, as arrows
 WIDTH, ROW, MARGIN = 360, 6, 16

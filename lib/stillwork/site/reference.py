@@ -8,10 +8,10 @@ from html import escape
 from pathlib import Path
 
 import stillwork
-from stillwork import paths
-from stillwork.workbook.inputs import shared_modules
+from stillwork.base import paths
 
 LIBRARY = Path(stillwork.__file__).parent
+FOR_NOTEBOOKS = ("claims", "explorer", "figures", "page", "studies")  # modules of the workbook
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Item:
 
 @dataclass(frozen=True)
 class Module:
-    """A module of the library: ``stillwork.isolation.twin``; `doc` and `source` as in its file."""
+    """A module of the library: ``experiments.isolation.twin``; `doc` and `source` as in its file."""
 
     name: str
     doc: str
@@ -56,18 +56,25 @@ class Module:
         return part if part in paths.ROOMS else "shared"
 
 
+def shared_modules() -> list[Path]:
+    """The toolbox, and what notebooks use of the workbook: not what builds them, nor the command line and the site."""
+    others = ("__main__.py", "inspecting.py", "workbook", "site")
+    files = [file for file in LIBRARY.rglob("*.py") if file.relative_to(LIBRARY).parts[0] not in others]
+    return sorted([*files, *(LIBRARY / "workbook" / f"{name}.py" for name in FOR_NOTEBOOKS)])
+
+
 def read_modules() -> list[Module]:
     """The shared modules and those of the rooms, in this order, each sorted by name."""
     files = [file for file in shared_modules() if file != LIBRARY / "__init__.py"]
     for room in paths.ROOMS:
-        files += sorted((LIBRARY / room).rglob("*.py"))
+        files += sorted((LIBRARY.parent / "experiments" / room).rglob("*.py"))
     return [_module(file) for file in files]
 
 
 def index(modules: list[Module]) -> dict[str, str]:
     """Dotted name to its place ``<module>.html#<item>`` among the reference's pages.
 
-    A room also answers for what its modules define, as it does in Python: ``stillwork.isolation.FeRls``.
+    A room also answers for what its modules define, as it does in Python: ``stillwork.estimation.FeRls``.
     """
     places = {}
     for module in modules:

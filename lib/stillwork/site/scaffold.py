@@ -2,10 +2,9 @@
 
 import re
 
-from stillwork import paths
-from stillwork.checks import InputError, require_choice
-from stillwork.workbook.accept import notebook_text
-from stillwork.workbook.notebooks import notebook_file
+from stillwork.base import paths
+from stillwork.base.checks import InputError, require_choice
+from stillwork.workbook.notebooks import METADATA, notebook_file, notebook_text
 from stillwork.workbook.publish import replace_file
 
 # A worked example stands in each place, so that the build, the ledger and the test run from the first minute.
@@ -31,8 +30,7 @@ What is claimed, what we do, what came out. The example: a free vibration decays
 IMPORTS = """\
 import numpy as np
 
-from stillwork import figures
-from stillwork.page import Page
+from stillwork.workbook import Page, figures
 
 page = Page("{room}/{name}")"""
 
@@ -85,7 +83,7 @@ def new_result(room: str, name: str) -> list[str]:
     Parameters
     ----------
     room : str
-        Of `stillwork.paths.ROOMS`.
+        Of `stillwork.base.paths.ROOMS`.
     name : str
         ``nn-result``, e.g. ``09-payload``.
 
@@ -133,11 +131,14 @@ def _notebook(words: dict[str, str]) -> dict:
         _cell("claims", "page.claims"),
         _cell("conclusion", END, "markdown"),
     ]
-    kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
-    metadata = {"kernelspec": kernel, "language_info": {"name": "python"}}
-    return {"cells": cells, "metadata": metadata, "nbformat": 4, "nbformat_minor": 5}
+    return {"cells": cells, "metadata": METADATA, "nbformat": 4, "nbformat_minor": 5}
 
 
 def _cell(name: str, source: str, kind: str = "code", tags: list[str] | None = None) -> dict:
-    cell = {"cell_type": kind, "id": name, "metadata": {"tags": tags} if tags else {}, "source": source}
+    cell = {
+        "cell_type": kind,
+        "id": name,
+        "metadata": {"tags": tags} if tags else {},
+        "source": source.splitlines(True),
+    }
     return cell | ({"execution_count": None, "outputs": []} if kind == "code" else {})

@@ -1,5 +1,12 @@
-"""The runner: builds the notebooks into figures, judges, accepts and diagnoses.
+"""What makes notebooks a workbook: page, ledger, figures, explorers, studies, and the runner."""
 
-Nothing in this folder can influence a result, except the kernel settings in `jupyter_kernel`; so a change here
-rebuilds no notebook.
-"""
+from stillwork.base.faces import face
+
+__all__, __getattr__, __dir__ = face(
+    __name__,
+    {
+        "explorer": ("Choice", "Slider", "explore"),
+        "page": ("Page",),
+        "studies": ("Study", "mean_interval", "proportion_interval", "run_study", "spread_interval"),
+    },
+)

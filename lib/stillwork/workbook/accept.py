@@ -1,100 +1,177 @@
-"""Takes a build's results over: outputs into the notebooks, our values into the ledger and what follows from it."""
+"""Takes a build's results over: figures, outputs into the notebooks, our values into the ledger, what follows from it.
 
+What agrees with the committed results keeps its committed bytes, so an accept that moves nothing changes nothing.
+"""
+
+import contextlib
 import json
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import tomlkit
 
-from stillwork import paths
-from stillwork.claims import Claim, ledger
-from stillwork.workbook import publish
-from stillwork.workbook.notebooks import notebook_file
+from stillwork.base import paths
+from stillwork.workbook.claims import Claim, ledger
+from stillwork.workbook.compare import Comparison, compare, same_outputs
+from stillwork.workbook.lock import alone, interrupts
+from stillwork.workbook.notebooks import cleaned, notebook_text
+from stillwork.workbook.publish import RECORD, replace_all, replace_file, trial
 from stillwork.workbook.tasks import Task, tasks
 
+SHELVES = ("notebooks", "data", "figures")  # of what is committed, where accepting writes
 
-def accept() -> int:
-    """Accept the published-settings build of the whole workbook; returns 1 when it is missing or stale."""
-    from stillwork.site.derived import refresh
 
-    built = tasks()
-    stale = [(task, reasons) for task in built if (reasons := task.reasons())]
-    if stale:
-        for task, reasons in stale:
-            print(f"stale: {task.label}: {'; '.join(reasons[:3])}")
-        print("nothing accepted; run `make figures` first")
-        return 1
-    claims = ledger()
-    for task in built:
-        _take_over_outputs(task)
-    for room in paths.ROOMS:
-        _write_ours(room, [claim for claim in claims if claim.entry.room == room])
-    refresh()
-    moved = [claim for claim in claims if claim.moved]
-    for claim in moved:
-        print(f"moved: {claim.entry.id}: {claim.entry.ours:.6g} -> {claim.ours:.6g}")
+def accept(refresh: Callable[[], object]) -> int:
+    """Accept the published-settings build of the whole workbook, or nothing of it.
+
+    Parameters
+    ----------
+    refresh : callable
+        Rewrites what follows from ledger and notebooks.
+
+    Returns
+    -------
+    int
+        1 when the build is missing or stale, or the results cannot be written; 128 + signal when a signal came
+        while they were put in their places.
+    """
+    with alone():
+        built = tasks()
+        stale = [(task, reasons) for task in built if (reasons := task.reasons())]
+        if stale:
+            for task, reasons in stale:
+                print(f"stale: {task.label}: {'; '.join(reasons[:3])}")
+            print("nothing accepted; run `make figures` first")
+            return 1
+        found = [compare(task) for task in built]
+        try:
+            with _copy() as copy:
+                for task, comparison in zip(built, found, strict=True):
+                    _take_over(task, comparison, copy)
+                with _rooted(copy):
+                    claims = ledger()
+                    for room in paths.ROOMS:
+                        _write_ours(room, [claim for claim in claims if claim.entry.room == room])
+                    refresh()
+                changed = _changes(copy)
+            with interrupts() as caught:
+                replace_all(paths.root(), changed)
+        except OSError as error:
+            print(f"nothing accepted: {error}")
+            return 1
+    _say(claims, built)
+    print(f"accepted {len(built)} notebooks and {len(claims)} ledger entries: {len(changed)} files changed")
+    return 128 + caught[0] if caught else 0
+
+
+def _say(claims: list[Claim], built: list[Task]) -> None:
+    for claim in claims:
+        if claim.moved:
+            print(f"moved: {claim.entry.id}: {claim.entry.ours:.6g} -> {claim.ours:.6g}")
     for claim in claims:
         if claim.ours is None:
             print(f"claimed by no notebook: {claim.entry.id}")
         elif claim.verdict in ("deviates", "fails") and not claim.entry.reason:
             print(f"{claim.verdict} without a reason: {claim.entry.id}")
     for folder in sorted((paths.root() / "figures").glob("[!.]*/[!.]*/")):
-        if folder not in {task.target for task in built}:
+        if folder not in {task.committed for task in built}:
             print(f"belongs to no notebook, remove it: {folder.relative_to(paths.root())}")
-    print(f"accepted {len(built)} notebooks and {len(claims)} ledger entries")
-    return 0
 
 
-def cleaned(notebook: dict, executed: dict) -> dict:
-    """`notebook` with the text outputs of `executed`: no pictures, widgets, HTML, times or random ids."""
-    outputs = {cell["id"]: cell for cell in executed["cells"] if cell["cell_type"] == "code"}
-    cells = []
-    for cell in notebook["cells"]:
-        if cell["cell_type"] == "code":
-            ran = outputs[cell["id"]]
-            kept = [_text_only(output) for output in ran["outputs"]]
-            cell = {**cell, "execution_count": ran["execution_count"], "outputs": [o for o in kept if o]}
-            cell["metadata"] = {k: v for k, v in cell["metadata"].items() if k == "tags"}
-        cells.append(cell)
-    metadata = {
-        "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
-        "language_info": {"name": "python"},
-    }
-    return {**notebook, "cells": cells, "metadata": metadata}
+@contextlib.contextmanager
+def _copy() -> Iterator[Path]:
+    """A copy of what is committed, to try the whole change on; its files are the same ones until they are replaced."""
+    root, copy = paths.root(), trial(paths.root())
+    copy.mkdir()
+    try:
+        for shelf in SHELVES:
+            if (root / shelf).is_dir():
+                shutil.copytree(root / shelf, copy / shelf, copy_function=_link)
+        for file in root.iterdir():
+            if file.is_file():
+                _link(file, copy / file.name)
+        yield copy
+    finally:
+        shutil.rmtree(copy, ignore_errors=True)
 
 
-def notebook_text(notebook: dict) -> str:
-    """The file's text, in the one order that accepting writes."""
-    return json.dumps(notebook, indent=1, ensure_ascii=False, sort_keys=True) + "\n"
+def _link(source, target) -> None:
+    try:
+        os.link(source, target)
+    except OSError:  # a file system without links
+        shutil.copy2(source, target)
 
 
-def _text_only(output: dict) -> dict | None:
-    if output["output_type"] == "stream":
-        return output
-    text = output["data"].get("text/plain")
-    if text is None:
-        return None
-    return {**output, "data": {"text/plain": text}, "metadata": {}}
+@contextlib.contextmanager
+def _rooted(folder: Path) -> Iterator[None]:
+    """Let `paths.root` be another folder for a while."""
+    before = os.environ.get(paths.ROOT_VARIABLE)
+    os.environ[paths.ROOT_VARIABLE] = str(folder)
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[paths.ROOT_VARIABLE]
+        else:
+            os.environ[paths.ROOT_VARIABLE] = before
 
 
-def _take_over_outputs(task: Task) -> None:
-    file = notebook_file(task.notebook.name)
+def _take_over(task: Task, comparison: Comparison, copy: Path) -> None:
+    """Put what does not agree of one notebook's results into the copy."""
+    home = copy / "figures" / task.notebook.name
+    before = {file.relative_to(home).as_posix() for file in home.rglob("*") if file.is_file()}
+    now = {file.relative_to(task.target).as_posix() for file in task.target.rglob("*") if file.is_file()}
+    now -= {RECORD, task.executed.name}
+    taken = {name for name in now if name.rpartition(".")[0] in comparison.files}
+    taken |= {name for name in now if not name.endswith((".png", ".csv", ".json"))}
+    if "rounding.json" in now:
+        taken.add("rounding.json")
+    if comparison.claims or "claims.json" not in before:
+        taken.add("claims.json")
+    taken = {name for name in taken & now if not _same(home / name, task.target / name)}
+    if taken or now - before or _environment(home) != _environment(task.target):
+        taken |= (now - before) | {"provenance.json"}
+    for name in taken:
+        replace_file(home / name, (task.target / name).read_bytes())
+    for name in before - now:
+        (home / name).unlink()
+    _take_over_outputs(task, copy / "notebooks" / f"{task.notebook.name}.ipynb")
+
+
+def _environment(folder: Path) -> str | None:
+    """Which pins the results in a folder were made under."""
+    file = folder / "provenance.json"
+    return json.loads(file.read_text(encoding="utf-8"))["environment_sha256"] if file.is_file() else None
+
+
+def _same(one: Path, other: Path) -> bool:
+    return one.is_file() and one.read_bytes() == other.read_bytes()
+
+
+def _take_over_outputs(task: Task, file: Path) -> None:
     notebook = json.loads(file.read_text(encoding="utf-8"))
-    executed = json.loads(task.executed.read_text(encoding="utf-8"))
-    publish.replace_file(file, notebook_text(cleaned(notebook, executed)).encode())
+    executed = cleaned(notebook, json.loads(task.executed.read_text(encoding="utf-8")))
+    for cell, before in zip(executed["cells"], notebook["cells"], strict=True):
+        if cell["cell_type"] == "code" and same_outputs(cell["outputs"], before["outputs"]):
+            cell["outputs"] = before["outputs"]
+    if (text := notebook_text(executed)) != file.read_text(encoding="utf-8"):
+        replace_file(file, text.encode())
 
 
 def _write_ours(room: str, claims: list[Claim]) -> None:
     file = paths.data(room, "published.toml")
-    if not claims:
+    news = [claim for claim in claims if claim.ours is not None and (claim.entry.ours is None or claim.moved)]
+    if not news:
         return
     document = tomlkit.parse(file.read_text(encoding="utf-8"))
-    for claim in claims:
-        if claim.ours is not None:
-            entry = document
-            for part in claim.entry.id.split("."):
-                entry = entry[part]
-            if entry.get("ours") != claim.ours:
-                _set_ours(entry, claim.ours)
-    publish.replace_file(file, tomlkit.dumps(document).encode())
+    for claim in news:
+        entry = document
+        for part in claim.entry.id.split("."):
+            entry = entry[part]
+        _set_ours(entry, claim.ours)
+    replace_file(file, tomlkit.dumps(document).encode())
 
 
 def _set_ours(entry: tomlkit.items.Table, value: float) -> None:
@@ -105,3 +182,25 @@ def _set_ours(entry: tomlkit.items.Table, value: float) -> None:
         following.insert(0, body.pop())
     entry["ours"] = value
     body.extend(following)
+
+
+def _changes(copy: Path) -> dict[str, bytes | None]:
+    """What differs between the copy and what is committed: new content by path, None for what is gone."""
+    root = paths.root()
+    files = [
+        {
+            file.relative_to(folder).as_posix()
+            for shelf in SHELVES
+            for file in (folder / shelf).rglob("*")
+            if file.is_file()
+        }
+        for folder in (copy, root)
+    ]
+    files[0] |= {file.name for file in copy.iterdir() if file.is_file()}
+    changed: dict[str, bytes | None] = dict.fromkeys(sorted(files[1] - files[0]))
+    for name in sorted(files[0]):
+        mine, theirs = copy / name, root / name
+        if not theirs.is_file() or not mine.samefile(theirs):
+            if not _same(theirs, mine):
+                changed[name] = mine.read_bytes()
+    return changed

@@ -1,25 +1,30 @@
 """The build: stale notebooks in many kernels at once, one writer of their results."""
 
 import contextlib
-import json
+import shutil
 import uuid
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 
-from stillwork.workbook import publish
+from stillwork.base.kernel_folder import cache_folder
 from stillwork.workbook.execution import Failure, Job, Outcome, execute, sweep
-from stillwork.workbook.inputs import NOTEBOOKS_OWN, changes, digest, room_inputs
+from stillwork.workbook.inputs import ENVIRONMENT, changes, environment_inputs, present, with_ledger
 from stillwork.workbook.jupyter_kernel import stop
+from stillwork.workbook.lock import alone, interrupts, settle
 from stillwork.workbook.progress import Progress
 from stillwork.workbook.provenance import commit, modified, provenance
+from stillwork.workbook.publish import read_record, replace_record, tidy
 from stillwork.workbook.tasks import Task, tasks
-from stillwork.workbook.workers import alone, client_of, cores, noted_signals
+from stillwork.workbook.warm import warmed
+from stillwork.workbook.workers import client_of, cores
+
+# Warming a process costs about as much as the imports of this many notebooks.
+WARM_FROM = 3
 
 
 def build_figures(
-    target: str | None = None,
+    *targets: str,
     settings: dict[str, str] | None = None,
-    *,
     jobs: int | None = None,
     scheduler: str | None = None,
     force: bool = False,
@@ -29,7 +34,7 @@ def build_figures(
 
     Parameters
     ----------
-    target : str, optional
+    *targets : str
         ``room`` or ``room/nn-result``; by default the whole workbook.
     settings : dict of str to str, optional
         Parameters as typed.
@@ -42,24 +47,28 @@ def build_figures(
     why : bool
         Only say what would be built, and why.
     """
-    wanted = tasks(target, settings)
+    settle()
+    wanted = tasks(*targets, settings=settings)
     if why:
         for task in wanted:
             print(f"{task.label}: {'; '.join(task.reasons()) or 'up to date'}")
         return 0
     with alone():
         for task in wanted:
-            publish.recover(task.target)
+            tidy(task.target)
         stale = [(task, reasons) for task in wanted if (reasons := task.reasons() or ["forced"] * force)]
         fresh = len(wanted) - len(stale)
         if not stale:
             print(f"nothing to do: {fresh} up to date")
             return 0
         sweep()
-        workers = _cluster(scheduler) if scheduler else _threads(jobs or cores())
+        workers = _cluster(scheduler) if scheduler else _threads(jobs or cores(), len(stale) >= WARM_FROM)
         with workers as (submit, halt):
             failures, caught = _build(stale, submit, halt)
-    return _close(failures, len(stale), fresh, caught)
+    code = _close(failures, len(stale), fresh, caught)
+    if not settings and not caught:
+        _compare([task for task in wanted if task not in [failed for failed, _ in failures]])
+    return code
 
 
 def _build(stale: list[tuple[Task, list[str]]], submit: Callable, halt: Callable):
@@ -68,7 +77,7 @@ def _build(stale: list[tuple[Task, list[str]]], submit: Callable, halt: Callable
     build = uuid.uuid4().hex
     failures: list[tuple[Task, Failure]] = []
     running = {}
-    with noted_signals() as caught, Progress(sum(task.cells for task, _ in stale)) as progress:
+    with interrupts() as caught, Progress(sum(task.cells for task, _ in stale)) as progress:
         for task, reasons in stale:
             progress.say(f"build {task.label}: {_short(reasons)}")
             job = Job(build, task.notebook.name, task.notebook.source, task.settings)
@@ -100,17 +109,21 @@ def _outcome(future: Future) -> Outcome:
 
 
 def _publish(task: Task, outcome: Outcome, made_from) -> Failure | None:
-    record = provenance(task.notebook, task.settings, task.inputs, outcome.software, made_from)
-    files = {**outcome.files, "provenance.json": record}
-    if task.settings:
-        files[task.executed.name] = outcome.executed
+    """Put the results in their place, unless what they were made from is not what stands here."""
     try:
-        if not task.settings:
-            publish.replace_file(task.executed, outcome.executed)
-        publish.replace_folder(task.target, files)  # after all that may fail before it
-        outputs = {name: digest(content) for name, content in files.items()}
-        state = json.dumps({"inputs": task.inputs, "outputs": outputs}, indent=1)
-        publish.replace_file(task.state, state.encode())
+        claimed = outcome.claimed()
+        known = {name.removeprefix("file ") for name in task.inputs if name.startswith("file ")}
+        reads = {name: value for name, value in outcome.reads.items() if name not in known}
+        inputs = {**task.inputs, **with_ledger(reads, claimed)}
+        # After the ledger was read here: what changes from now on makes the results stale.
+        now = {name: digest for name in outcome.reads if (digest := present(name)) is not None}
+        if different := changes(outcome.reads, now):
+            # What was compiled from such a library may lie beside code that did not change.
+            shutil.rmtree(cache_folder(), ignore_errors=True)
+            return Failure("inputs", f"not as the kernel read them: {_short(different)}; build again")
+        record = provenance(task.notebook, task.settings, inputs, outcome.software, made_from)
+        files = {**outcome.files, "provenance.json": record, task.executed.name: outcome.executed}
+        replace_record(task.target, files, inputs)
     except OSError as error:
         return Failure("writing the results", str(error))
     return None
@@ -127,10 +140,20 @@ def _close(failures: list[tuple[Task, Failure]], stale: int, fresh: int, caught:
     return 128 + caught[0] if caught else int(bool(failures))
 
 
+def _compare(wanted: list[Task]) -> None:
+    """Say how the results agree with the committed ones, and where they are."""
+    from stillwork.workbook.compare import compare, summary
+
+    whole = [task for task in wanted if (found := read_record(task.target)) and not found[1]]
+    if whole:
+        for line in summary([compare(task) for task in whole]):
+            print(line)
+
+
 @contextlib.contextmanager
-def _threads(jobs: int):
-    with ThreadPoolExecutor(jobs) as pool:
-        yield (lambda job, task, progress: pool.submit(execute, job, progress.step)), stop
+def _threads(jobs: int, warm: bool):
+    with warmed(warm) as process, ThreadPoolExecutor(jobs) as pool:
+        yield (lambda job, task, progress: pool.submit(execute, job, progress.step, process)), stop
 
 
 @contextlib.contextmanager
@@ -138,19 +161,21 @@ def _cluster(address: str):
     with client_of(address) as client, client.get_executor(pure=False) as executor:
 
         def submit(job, task, progress):
-            future = executor.submit(execute_elsewhere, job, task.inputs)
+            around = {name: value for name, value in task.inputs.items() if name.startswith(ENVIRONMENT)}
+            future = executor.submit(execute_elsewhere, job, around)
             future.add_done_callback(lambda _: progress.step(task.cells))
             return future
 
         yield submit, lambda build: client.run(stop, build)
 
 
-def execute_elsewhere(job: Job, inputs: dict[str, str]) -> Outcome:
-    """`execute` on a worker, once its checkout and its Python have been seen to be the driver's."""
-    here = room_inputs(job.notebook.partition("/")[0])
-    expected = {name: inputs[name] for name in inputs if name in here or not name.startswith(NOTEBOOKS_OWN)}
-    if different := changes(expected, here):
-        return Outcome(failure=Failure("worker", f"its checkout differs: {_short(different)}"))
+def execute_elsewhere(job: Job, around: dict[str, str]) -> Outcome:
+    """`execute` on a worker, once its Python, packages and settings have been seen to be the driver's.
+
+    What the notebook read there is compared with what stands here when its results come back.
+    """
+    if different := changes(around, environment_inputs()):
+        return Outcome(failure=Failure("worker", f"its environment differs: {_short(different)}"))
     return execute(job)
 
 

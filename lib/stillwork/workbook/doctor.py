@@ -6,18 +6,15 @@ import os
 import sys
 
 from stillwork.workbook.environment import drift, pins
-from stillwork.workbook.jupyter_kernel import KERNEL_SETTINGS
+from stillwork.workbook.pinned import pins as processor_pins
 
 
 def doctor() -> int:
     """Print Python, BLAS, thread settings and every package that drifted; returns 1 when one did."""
     print(f"Python   {sys.version.split()[0]} at {sys.executable}")
     print(f"BLAS     {_blas()}")
-    for name in KERNEL_SETTINGS:
-        if name.endswith("_THREADS"):
-            print(
-                f"threads  {name} = {os.environ.get(name, 'unset')} here, {KERNEL_SETTINGS[name]} in a build"
-            )
+    for name, value in processor_pins().items():
+        print(f"setting  {name} = {os.environ.get(name, 'unset')} here, {value} in a build")
     wrong = drift()
     for line in wrong:
         print(f"DRIFT    {line}")

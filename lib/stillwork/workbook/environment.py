@@ -2,7 +2,7 @@
 
 from importlib import metadata
 
-from stillwork import paths
+from stillwork.base import paths
 
 
 def pins() -> dict[str, str]:

@@ -6,6 +6,7 @@ worker of a cluster. Whoever called it publishes the results.
 
 import contextlib
 import fcntl
+import json
 import logging
 import platform
 import re
@@ -17,8 +18,10 @@ from dataclasses import dataclass, field, replace
 from importlib import metadata
 from pathlib import Path
 
-from stillwork import paths
+from stillwork.base import paths
+from stillwork.workbook.inputs import read_inputs
 from stillwork.workbook.jupyter_kernel import kernel_manager
+from stillwork.workbook.warm import Warm
 
 PREFIX, LOCK = "stillwork-", "lock"
 
@@ -54,16 +57,21 @@ class Failure:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a job: the files it wrote and the executed notebook, or a failure."""
+    """What came of a job: the files it wrote, the executed notebook and what was read for them, or a failure."""
 
     files: dict[str, bytes] = field(default_factory=dict)
     executed: bytes = b""
+    reads: dict[str, str] = field(default_factory=dict)
     software: dict[str, object] = field(default_factory=dict)
     failure: Failure | None = None
     seconds: float = 0.0
 
+    def claimed(self) -> set[str]:
+        """Ids of the ledger's entries that the notebook holds its numbers against."""
+        return set(json.loads(self.files.get("claims.json", b"{}")))
 
-def execute(job: Job, on_cell: Callable[[], object] = lambda: None) -> Outcome:
+
+def execute(job: Job, on_cell: Callable[[], object] = lambda: None, warm: Warm | None = None) -> Outcome:
     """Execute a notebook in a kernel of its own; a failure is an outcome, not an exception.
 
     Parameters
@@ -71,10 +79,12 @@ def execute(job: Job, on_cell: Callable[[], object] = lambda: None) -> Outcome:
     job : Job
     on_cell : callable
         Called when a code cell begins.
+    warm : Warm, optional
+        The process to fork the kernel from; without, one is started.
     """
     begin = time.monotonic()
     with _folder() as folder:
-        outcome = _execute(job, folder, on_cell)
+        outcome = _execute(job, folder, on_cell, warm)
     return replace(outcome, seconds=time.monotonic() - begin)
 
 
@@ -99,7 +109,7 @@ def sweep() -> None:
             continue
 
 
-def _execute(job: Job, folder: Path, on_cell: Callable[[], object]) -> Outcome:
+def _execute(job: Job, folder: Path, on_cell: Callable[[], object], warm: Warm | None) -> Outcome:
     import nbformat
     from nbclient.exceptions import DeadKernelError
     from papermill import execute_notebook
@@ -118,8 +128,8 @@ def _execute(job: Job, folder: Path, on_cell: Callable[[], object]) -> Outcome:
             begun.append(cell.source)
             on_cell()
 
-    output = folder / "output"
-    manager = kernel_manager(job.build, folder, output)
+    output, reads = folder / "output", folder / "reads"
+    manager = kernel_manager(job.build, folder, output, reads, warm)
     try:
         executed = execute_notebook(
             source,
@@ -147,9 +157,10 @@ def _execute(job: Job, folder: Path, on_cell: Callable[[], object]) -> Outcome:
     _forget_run(executed)
     try:
         files = _collect(output, job.notebook)
-    except ValueError as error:
+        inputs = read_inputs(reads)  # last: where the folder was emptied, so was this
+    except (OSError, ValueError) as error:
         return Outcome(failure=Failure("files", str(error)))
-    return Outcome(files, nbformat.writes(executed).encode() + b"\n", _software())
+    return Outcome(files, nbformat.writes(executed).encode() + b"\n", inputs, _software())
 
 
 def _where(begun: list[str]) -> str:

@@ -1,60 +1,130 @@
-"""What a notebook's results depend on, and what of it changed since they were built."""
+"""What a notebook's results depend on, and what of it changed since they were built.
 
-import hashlib
+Some of it is known before anything runs: code cells, parameters, the pins of environment.txt, the processor's
+settings. The rest is what the kernel was seen to read (`stillwork.workbook.kernel_process.watch`): the modules of
+the library that it imported, the data it opened, files and modules that a parameter led to. A module that no cell
+leads to is no input, so an edit of it makes nothing stale.
+"""
+
 import json
+import os
 import platform
 import tomllib
 from pathlib import Path
 
-import stillwork
-from stillwork import paths
+from stillwork.base import paths
 from stillwork.workbook.environment import pins
-from stillwork.workbook.jupyter_kernel import KERNEL_SETTINGS
 from stillwork.workbook.notebooks import Notebook
+from stillwork.workbook.pinned import settings
+from stillwork.workbook.publish import digest
 
-LIBRARY = Path(stillwork.__file__).parent
-NOTEBOOKS_OWN = ("cell ", "order ", "parameter ", "file ")  # first words of `notebook_inputs`
-VALUES = ("parameter ", "environment: ", "setting ")  # inputs kept as they are; of the others a digest
+ENVIRONMENT = ("environment: ", "setting ")
+KNOWN_BEFORE = ("cell ", "order ", "parameter ", "file ", *ENVIRONMENT)
+LEDGER = "ledger "
+VALUES = ("parameter ", *ENVIRONMENT)  # inputs kept as they are; of the others a digest
+
+_digests: dict[tuple, str] = {}
 
 
-def room_inputs(room: str) -> dict[str, str]:
-    """Inputs that all notebooks of a room share, by a name that a person understands.
-
-    They are: the room's library, the shared modules, the room's data, the pins of environment.txt, the Python
-    and the kernel's settings. Of the ledger, what the last accepted build gave (``ours``) is left out: it
-    follows from the results.
-    """
-    found = {}
-    for file in sorted([*shared_modules(), *(LIBRARY / room).rglob("*.py")]):
-        found[f"lib/stillwork/{file.relative_to(LIBRARY).as_posix()}"] = digest(file.read_bytes())
-    folder = paths.data(room)
-    for file in sorted(folder.rglob("*")):
-        if file.name == "published.toml" and file.parent == folder:
-            found |= _ledger(file)
-        elif file.is_file() and not file.name.startswith("."):
-            found[f"data/{room}/{file.relative_to(folder).as_posix()}"] = digest(file.read_bytes())
-    found |= {f"environment: {name}": version for name, version in pins().items()}
+def environment_inputs() -> dict[str, str]:
+    """The pins of environment.txt, the Python and the processor's settings."""
+    found = {f"environment: {name}": version for name, version in pins().items()}
     found["environment: Python"] = platform.python_version()
-    found |= {f"setting {name}": value for name, value in KERNEL_SETTINGS.items()}
-    return found
+    return found | {f"setting {name}": value for name, value in settings().items()}
 
 
-def shared_modules() -> list[Path]:
-    """The modules that every room may use: all but the command line, the builder, the site and the rooms."""
-    others = ("__main__.py", "workbook", "site", *paths.ROOMS)
-    return sorted(file for file in LIBRARY.rglob("*.py") if file.relative_to(LIBRARY).parts[0] not in others)
-
-
-def notebook_inputs(notebook: Notebook, settings: dict[str, object]) -> dict[str, str]:
-    """Inputs of one notebook alone: its code cells, its parameters, and the files that parameters name."""
+def notebook_inputs(notebook: Notebook, values: dict[str, object]) -> dict[str, str]:
+    """A notebook's code cells, its parameters, and the files that these name."""
     found = {f"cell {name}": digest(source.encode()) for name, source in notebook.cells.items()}
     found["order of the cells"] = digest("\n".join(notebook.cells).encode())
     for name, parameter in notebook.parameters.items():
-        value = settings.get(name, parameter.value)
+        value = values.get(name, parameter.value)
         found[f"parameter {name}"] = repr(value)
-        if isinstance(value, str) and (file := paths.root() / value).is_file():
-            found[f"file {value}"] = digest(file.read_bytes())
+        if isinstance(value, str) and (now := present(value)) is not None and not value.endswith("/"):
+            found[f"file {value}"] = now
     return found
+
+
+def read_inputs(log: Path) -> dict[str, str]:
+    """What a kernel read, by its path below the workbook or whole, with the digest that it had then.
+
+    A file that changed between two readings has no digest that any file could have: it will be found to differ.
+
+    Raises
+    ------
+    ValueError
+        When the log is not there or is damaged: then nobody knows.
+    """
+    try:
+        lines = [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines()]
+    except (OSError, ValueError):
+        lines = []
+    if not lines:
+        raise ValueError(
+            "what the kernel read is not known: its log was removed or damaged, or the disk is full"
+        )
+    found: dict[str, str] = {}
+    for read in lines:
+        name = _name(read["path"])
+        found[name] = read["digest"] if found.get(name, read["digest"]) == read["digest"] else "two"
+    return found
+
+
+def present(name: str) -> str | None:
+    """The digest that a file, or the listing of a folder (``name/``), has now; None when there is none."""
+    path = paths.root() / name
+    try:
+        if name.endswith("/"):
+            return digest("\n".join(sorted(os.listdir(path))).encode())
+        if not path.is_file():
+            return None
+        stat = path.stat()
+        key = (str(path), stat.st_mtime_ns, stat.st_size, stat.st_ino)
+        if key not in _digests:
+            _digests[key] = digest(path.read_bytes())
+        return _digests[key]
+    except (OSError, ValueError):
+        return None
+
+
+def present_again(before: dict[str, str]) -> dict[str, str]:
+    """Of the inputs that a build saw, those that are known only after it, as they are now."""
+    found = {}
+    for name in before:
+        if name.startswith(LEDGER):
+            continue
+        if not name.startswith(KNOWN_BEFORE) and (now := present(name)) is not None:
+            found[name] = now
+    entries: dict[str, str] = {}
+    for room in {name.removeprefix(LEDGER).partition(".")[0] for name in before if name.startswith(LEDGER)}:
+        entries |= ledger_inputs(room)
+    return found | {name: entries[name] for name in before if name in entries}
+
+
+def with_ledger(reads: dict[str, str], claimed: set[str]) -> dict[str, str]:
+    """`reads` with the ledger's entries in place of its files: those that the notebook claims.
+
+    All of a room's entries where a module that it imported takes published values from the ledger by itself. What
+    the last accepted build gave (``ours``) is no input: it follows from the results.
+    """
+    rooms = {room for room in paths.ROOMS if f"data/{room}/published.toml" in reads}
+    kept = {
+        name: value
+        for name, value in reads.items()
+        if name not in {f"data/{r}/published.toml" for r in rooms}
+    }
+    takes = any(_takes_published_values(name) for name in kept)
+    for room in rooms:
+        for name, value in ledger_inputs(room).items():
+            if takes or name.removeprefix(LEDGER) in claimed or "." not in name:
+                kept[name] = value
+    return kept
+
+
+def _takes_published_values(name: str) -> bool:
+    if not name.endswith(".py") or Path(name).name in ("claims.py", "page.py"):
+        return False
+    return b"load_entries" in (paths.root() / name).read_bytes()
 
 
 def changes(before: dict[str, str], now: dict[str, str]) -> list[str]:
@@ -74,24 +144,34 @@ def changes(before: dict[str, str], now: dict[str, str]) -> list[str]:
     return reasons
 
 
-def digest(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()
-
-
-def _ledger(file: Path) -> dict[str, str]:
+def ledger_inputs(room: str) -> dict[str, str]:
+    """A digest of every entry of a room, without ``ours``; of the whole file where it is malformed."""
+    file = paths.data(room, "published.toml")
     try:
-        tree = tomllib.loads(file.read_text(encoding="utf-8"))
-    except tomllib.TOMLDecodeError:  # the notebooks will say what is wrong with it
-        return {f"ledger {file.parent.name}": digest(file.read_bytes())}
+        text = file.read_bytes()
+        tree = tomllib.loads(text.decode())
+    except FileNotFoundError:
+        return {}
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError):  # the notebooks will say what is wrong with it
+        return {f"{LEDGER}{room}": digest(text)}
     found = {}
 
     def walk(branch, path):
         if not isinstance(branch, dict) or "place" in branch:
             kept = {k: v for k, v in branch.items() if k != "ours"} if isinstance(branch, dict) else branch
-            found[f"ledger {'.'.join(path)}"] = digest(json.dumps(kept, default=str).encode())
+            found[f"{LEDGER}{'.'.join(path)}"] = digest(json.dumps(kept, default=str).encode())
         else:
             for name, twig in branch.items():
                 walk(twig, (*path, name))
 
     walk(tree, ())
     return found
+
+
+def _name(path: str) -> str:
+    """Below the workbook's folder relative to it; a folder keeps the slash at its end."""
+    slash = "/" if path.endswith("/") else ""
+    try:
+        return Path(path).relative_to(paths.root()).as_posix() + slash
+    except ValueError:
+        return path

@@ -7,21 +7,10 @@ import threading
 from pathlib import Path
 
 import stillwork
-from stillwork import paths
-
-# One thread a kernel, and the kernels of BLAS that every x86-64 on which numpy runs can take: sums in the
-# same order on every machine. Experiments on rounding would otherwise show another run on another processor.
-KERNEL_SETTINGS = {
-    "OPENBLAS_CORETYPE": "Nehalem",
-    "OMP_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-    "MKL_NUM_THREADS": "1",
-    "NUMEXPR_NUM_THREADS": "1",
-    "VECLIB_MAXIMUM_THREADS": "1",
-    "PYTHONHASHSEED": "0",
-    "MPLBACKEND": "Agg",
-    "MATPLOTLIBRC": os.devnull,  # a user's own style would change the pictures
-}
+from stillwork.base import paths
+from stillwork.base.kernel_folder import FOLDER_VARIABLE, cache_folder
+from stillwork.workbook.pinned import environment
+from stillwork.workbook.warm import PROGRAM, Warm
 
 _lock = threading.Lock()
 _groups: dict[int, str] = {}  # process group of each running kernel, and its build
@@ -44,20 +33,48 @@ def _kill(group: int) -> None:
         pass
 
 
-def kernel_manager(build: str, folder: Path, output: Path):
-    """A class of managers for one kernel, as nbclient wants it: it knows no other way in for the settings."""
-    from jupyter_client.kernelspec import KernelSpec
-    from jupyter_client.manager import AsyncKernelManager
-
+def kernel_environment(folder: Path, output: Path) -> dict[str, str]:
+    """Environment of a kernel that works in `folder` and writes its results to `output`."""
     library = str(Path(stillwork.__file__).parents[1])
-    environment = {
-        **os.environ,
-        **KERNEL_SETTINGS,
+    return {
+        **environment(),
         paths.OUTPUT_VARIABLE: str(output),
+        paths.ROOT_VARIABLE: str(paths.root()),
+        FOLDER_VARIABLE: cache_folder(),
         "IPYTHONDIR": str(folder / "ipython"),  # no user's startup files
         "PYTHONPATH": os.pathsep.join(filter(None, [library, os.environ.get("PYTHONPATH")])),
     }
-    command = [sys.executable, "-m", "ipykernel_launcher", "-f", "{connection_file}"]
+
+
+def kernel_manager(build: str, folder: Path, output: Path, reads: Path, warm: Warm | None = None):
+    """A class of managers for one kernel, as nbclient wants it: it knows no other way in for the settings.
+
+    Parameters
+    ----------
+    build : str
+        Which build it belongs to; `stop` ends all its kernels.
+    folder, output : Path
+        Where it works, and where it writes results.
+    reads : Path
+        Where it notes what it reads.
+    warm : Warm, optional
+        The process to fork it from; without, one is started.
+    """
+    from jupyter_client.kernelspec import KernelSpec
+    from jupyter_client.manager import AsyncKernelManager
+    from jupyter_client.provisioning import LocalProvisioner
+
+    variables = kernel_environment(folder, output)
+    command = [sys.executable, "-P", str(PROGRAM), "kernel", str(reads), "-f", "{connection_file}"]
+
+    class Provisioner(LocalProvisioner):
+        async def launch_kernel(self, cmd, **options):
+            if warm is None:
+                return await super().launch_kernel(cmd, **options)
+            arguments = cmd[cmd.index("kernel") + 1 :]
+            self.process = warm.fork(arguments, options["env"], str(options["cwd"]))
+            self.pid = self.pgid = self.process.pid
+            return self.connection_info
 
     class Kernel(AsyncKernelManager):
         process = None
@@ -70,7 +87,8 @@ def kernel_manager(build: str, folder: Path, output: Path):
             with _lock:
                 if build in _stopped:
                     raise RuntimeError("interrupted")
-            await super().start_kernel(env=environment, **options)
+            self.provisioner = Provisioner(kernel_id="", kernel_spec=self.kernel_spec, parent=self)
+            await super().start_kernel(env=variables, **options)
             Kernel.process = self.provisioner.process
             with _lock:
                 _groups[self.process.pid] = build
@@ -78,8 +96,16 @@ def kernel_manager(build: str, folder: Path, output: Path):
             if late:
                 _kill(self.process.pid)
 
+        async def _async_is_alive(self) -> bool:
+            # Without its folder nobody can reach it or get its results.
+            return folder.is_dir() and await super()._async_is_alive()
+
+        is_alive = _async_is_alive
+
         @classmethod
         def last_words(cls) -> str:
+            if not folder.is_dir():
+                return f"its folder {folder} was removed from outside"
             code = cls.process.poll() if cls.process else None
             if code is not None and code < 0:
                 return f"the kernel was killed by {signal.Signals(-code).name} (out of memory?)"

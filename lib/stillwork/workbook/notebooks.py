@@ -4,9 +4,15 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-from stillwork import paths
-from stillwork.checks import InputError, nearest
+from stillwork.base import paths
+from stillwork.base.checks import InputError, nearest
 from stillwork.workbook.parameters import Parameter, read_parameters
+
+# A notebook's own, in the form that is committed: no version of whatever ran it.
+METADATA = {
+    "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
+    "language_info": {"name": "python"},
+}
 
 
 @dataclass(frozen=True)
@@ -62,8 +68,8 @@ def notebook_file(name: str) -> Path:
     return paths.root() / "notebooks" / f"{name}.ipynb"
 
 
-def select(target: str | None = None) -> list[Notebook]:
-    """Read the notebooks that `target` means: one, all of a room, or (None) all of the workbook.
+def select(*targets: str) -> list[Notebook]:
+    """Read the notebooks that `targets` mean: notebooks, rooms, or (without any) all of the workbook.
 
     Raises
     ------
@@ -74,14 +80,15 @@ def select(target: str | None = None) -> list[Notebook]:
     names = [
         f"{room}/{file.stem}" for room in paths.ROOMS for file in sorted((folder / room).glob("[!.]*.ipynb"))
     ]
-    if target:
-        wanted = target.removeprefix("notebooks/").removesuffix(".ipynb").rstrip("/")
-        rooms = {name.partition("/")[0] for name in names}
-        chosen = [name for name in names if wanted in (name, name.partition("/")[0])]
-        if not chosen:
-            raise InputError(f"there is no notebook or room {target!r}{nearest(wanted, [*names, *rooms])}")
-        names = chosen
-    return [read_notebook(name) for name in names]
+    wanted = {
+        target: target.removeprefix("notebooks/").removesuffix(".ipynb").rstrip("/") for target in targets
+    }
+    for target, name in wanted.items():
+        if not any(name in (each, each.partition("/")[0]) for each in names):
+            rooms = {each.partition("/")[0] for each in names}
+            raise InputError(f"there is no notebook or room {target!r}{nearest(name, [*names, *rooms])}")
+    chosen = {name for name in names if {name, name.partition("/")[0]} & set(wanted.values())}
+    return [read_notebook(name) for name in names if name in chosen or not targets]
 
 
 def assign(notebooks: list[Notebook], settings: dict[str, str]) -> list[tuple[Notebook, dict[str, object]]]:
@@ -118,6 +125,48 @@ def assign(notebooks: list[Notebook], settings: dict[str, str]) -> list[tuple[No
         changed = {k: v for k, v in values.items() if repr(v) != repr(notebook.parameters[k].value)}
         chosen.append((notebook, changed))
     return chosen
+
+
+def cleaned(notebook: dict, executed: dict) -> dict:
+    """`notebook` with the text outputs of `executed`: no pictures, widgets, HTML, times or random ids."""
+    outputs = {cell["id"]: cell for cell in executed["cells"] if cell["cell_type"] == "code"}
+    cells = []
+    for cell in notebook["cells"]:
+        if cell["cell_type"] == "code":
+            ran = outputs[cell["id"]]
+            kept = [text for output in ran["outputs"] if (text := _text_only(output))]
+            cell = {**cell, "execution_count": ran["execution_count"], "outputs": _joined(kept)}
+            cell["metadata"] = {k: v for k, v in cell["metadata"].items() if k == "tags"}
+        cells.append(cell)
+    return {**notebook, "cells": cells, "metadata": METADATA}
+
+
+def notebook_text(notebook: dict) -> str:
+    """The file's text, in the one order that accepting writes."""
+    return json.dumps(notebook, indent=1, ensure_ascii=False, sort_keys=True) + "\n"
+
+
+def _joined(outputs: list[dict]) -> list[dict]:
+    """Outputs with one stream where several of its name follow each other: how many came is a matter of time."""
+    found: list[dict] = []
+    for output in outputs:
+        last = found[-1] if found else {}
+        if output["output_type"] == "stream" and last.get("name") == output["name"]:
+            text = "".join(last["text"]) + "".join(output["text"])
+            as_lines = isinstance(output["text"], list)
+            found[-1] = {**last, "text": text.splitlines(True) if as_lines else text}
+        else:
+            found.append(output)
+    return found
+
+
+def _text_only(output: dict) -> dict | None:
+    if output["output_type"] == "stream":
+        return output
+    text = output["data"].get("text/plain")
+    if text is None:
+        return None
+    return {**output, "data": {"text/plain": text}, "metadata": {}}
 
 
 def _text(cell: dict) -> str:

@@ -5,7 +5,7 @@ import typing
 from dataclasses import dataclass
 from types import UnionType
 
-from stillwork.checks import InputError
+from stillwork.base.checks import InputError
 
 TYPES = {"int": int, "float": float, "str": str, "bool": bool, "list": list, "tuple": tuple}
 FORM = "write 'name: type = literal  # comment', one parameter a line"
@@ -20,13 +20,15 @@ class Parameter:
     value: object
 
     def read(self, text: str) -> object:
-        """Turn the text of ``-p NAME=VALUE`` into a value of the declared type.
+        """Turn the text of ``-p NAME=VALUE`` into a value of the declared type; for a ``str`` it is the text itself.
 
         Raises
         ------
         InputError
             When the text is not of that type.
         """
+        if self.annotation == "str":
+            return text
         for candidate in _candidates(text):
             try:
                 return _converted(candidate, _type(self.annotation))
@@ -114,16 +116,21 @@ def _converted(value, kind):
 
 
 def _candidates(text: str):
-    """What a shell's text may mean: a Python literal, a word for one, a list by commas (``a,`` is one of one), itself."""
+    """What a shell's text may mean: a Python literal, a word for one, a list by commas (``a,`` is one of one), itself.
+
+    The parts of a list, too, may be literals or just text.
+    """
     words = {"none": None, "true": True, "false": False}
     if text.lower() in words:
         yield words[text.lower()]
     try:
         yield ast.literal_eval(text)
-    except (ValueError, SyntaxError):
+    except (ValueError, SyntaxError, MemoryError, RecursionError):
         pass
     if "," in text:
-        yield [next(_candidates(part.strip())) for part in text.strip("[]()").removesuffix(",").split(",")]
+        parts = [part.strip() for part in text.strip("[]()").removesuffix(",").split(",")]
+        yield [next(_candidates(part)) for part in parts]
+        yield parts
     yield text
 
 

@@ -4,9 +4,9 @@ import json
 import subprocess
 from collections.abc import Iterable
 
-from stillwork import paths
-from stillwork.workbook.inputs import digest
+from stillwork.base import paths
 from stillwork.workbook.notebooks import Notebook
+from stillwork.workbook.publish import digest
 
 
 def commit() -> str | None:
@@ -18,6 +18,11 @@ def modified() -> set[str]:
     """Paths that differ from the commit."""
     lines = _git("status", "--porcelain", "-z", "--untracked-files=all", "--no-renames").split("\0")
     return {line[3:] for line in lines if line}
+
+
+def committed(path: str) -> str | None:
+    """Text of a file (relative to the checkout) as it is committed; None where it is not, or there is no git."""
+    return _git("show", f"HEAD:./{path}") or None
 
 
 def provenance(
@@ -48,7 +53,7 @@ def provenance(
 def _git(*arguments: str) -> str:
     try:
         done = subprocess.run(
-            ["git", *arguments], cwd=paths.root(), capture_output=True, text=True, check=True
+            ["git", *arguments], cwd=paths.root(), capture_output=True, encoding="utf-8", check=True
         )
     except (OSError, subprocess.CalledProcessError):
         return ""

@@ -5,9 +5,9 @@ import sys
 import textwrap
 from collections import Counter
 
-from stillwork import paths
-from stillwork.checks import InputError, nearest
-from stillwork.claims import AGREEMENT, BASES, VERDICTS, Claim, ledger
+from stillwork.base import paths
+from stillwork.base.checks import InputError, nearest
+from stillwork.workbook.claims import AGREEMENT, BASES, VERDICTS, Claim, ledger
 
 BEGIN, END = "<!-- ledger:begin -->", "<!-- ledger:end -->"
 APART = ("own checks", "counterfactual")  # counted, but no replications
@@ -15,14 +15,22 @@ GAP = "  "
 NARROWEST = 8  # characters to which a column may shrink
 
 
-def quantity(claim: Claim, value: float | None) -> str:
-    """A value with its unit; of a fraction of runs, the share of cases in which it holds."""
-    if value is None:
-        return ""
+def published_quantity(claim: Claim) -> str:
+    """The published value with its unit; of a fraction of runs, the share of cases in which it holds."""
+    published = claim.entry.published
+    return "" if published is None else _quantity(claim, published, f"{published:.4g}")
+
+
+def our_quantity(claim: Claim) -> str:
+    """The value found, as `published_quantity`; empty where nothing was."""
+    return "" if claim.ours is None else _quantity(claim, claim.ours, claim.shown(4))
+
+
+def _quantity(claim: Claim, value: float, text: str) -> str:
     if claim.entry.is_fraction:
         return "always" if value == 1 else "never" if value == 0 else f"in {100 * value:.3g} % of cases"
     unit = claim.entry.unit
-    return f"{value:.4g}" if unit in ("", "1") else f"{value:.4g} {unit}"
+    return text if unit in ("", "1") else f"{text} {unit}"
 
 
 def screen() -> int:
@@ -80,7 +88,8 @@ def ledger_text(claims: list[Claim], width: int) -> str:
     rows = [("claim", "place", "published", "ours", "interval", "unit", "kind", "verdict")]
     for claim in claims:
         entry = claim.entry
-        ours, published = ("" if value is None else f"{value:.4g}" for value in (claim.ours, entry.published))
+        ours = "" if claim.ours is None else claim.shown(4)
+        published = "" if entry.published is None else f"{entry.published:.4g}"
         spread = "{:.3g} .. {:.3g}".format(*claim.interval) if claim.interval else ""
         verdict = claim.verdict if entry.basis == "predicted" else f"{claim.verdict} ({entry.basis})"
         rows.append((entry.id, entry.place, published, ours, spread, entry.unit, entry.kind, verdict))

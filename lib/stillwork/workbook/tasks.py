@@ -1,28 +1,46 @@
 """What a build is made of: notebooks at their settings, and why their results are stale."""
 
 import json
+import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from stillwork import paths
-from stillwork.workbook.inputs import changes, digest, notebook_inputs, room_inputs
+from stillwork.base import paths
+from stillwork.workbook.inputs import changes, environment_inputs, notebook_inputs, present_again
 from stillwork.workbook.notebooks import Notebook, assign, select
+from stillwork.workbook.publish import digest, read_record
+
+BUILT = "STILLWORK_BUILT"  # an environment variable that names another folder for the results
+
+
+def built() -> Path:
+    """Folder of the results at the published settings; what is committed stands in ``figures/``."""
+    return Path(os.environ.get(BUILT) or paths.root() / "build" / "figures")
 
 
 @dataclass(frozen=True)
 class Task:
-    """One notebook at one setting, and everything its results depend on."""
+    """One notebook at one setting.
+
+    Attributes
+    ----------
+    notebook : Notebook
+    settings : dict
+        Parameters that differ from the published settings.
+    inputs : dict of str to str
+        What its results depend on, as far as it is known before it runs.
+    """
 
     notebook: Notebook
-    settings: dict[str, object]  # what differs from the published settings
+    settings: dict[str, object]
     inputs: dict[str, str]
 
     @property
     def variant(self) -> str:
         """Folder name of the settings; empty for the published ones."""
         text = ",".join(f"{name}={value}" for name, value in self.settings.items())
-        safe = re.sub(r"[^\w.,=+\-\[\]()]", "_", text)
+        safe = re.sub(r"[^\w.,=+\-\[\]()]", "_", text, flags=re.ASCII)  # a file's name is limited in bytes
         return safe if safe == text and len(safe) < 120 else f"{safe[:100]}-{digest(text.encode())[:8]}"
 
     @property
@@ -40,42 +58,35 @@ class Task:
         """Folder of the results."""
         if self.settings:
             return paths.root() / "build" / "variants" / self.notebook.name / self.variant
-        return paths.root() / "figures" / self.notebook.name
+        return built() / self.notebook.name
 
     @property
     def executed(self) -> Path:
-        """The executed notebook; a variant's lies with its results."""
-        if self.settings:
-            return self.target / f"{self.target.parent.name}.ipynb"
-        return paths.root() / "build" / "notebooks" / f"{self.notebook.name}.ipynb"
+        """The executed notebook, among the results."""
+        return self.target / f"{self.notebook.name.partition('/')[2]}.ipynb"
 
     @property
-    def state(self) -> Path:
-        """What the last build saw: its inputs, and digests of the results."""
-        folder = paths.root() / "build" / "state" / self.notebook.name
-        return folder / (f"{self.variant}.json" if self.settings else "published.json")
+    def committed(self) -> Path:
+        """Folder of the accepted results."""
+        return paths.root() / "figures" / self.notebook.name
 
     def reasons(self) -> list[str]:
         """Why the results are stale; empty when they are not."""
-        try:
-            state = json.loads(self.state.read_text(encoding="utf-8"))
-        except (OSError, ValueError):
+        if (found := read_record(self.target)) is None:
             return ["never built"]
-        reasons = changes(state["inputs"], self.inputs)
-        for name, wanted in state["outputs"].items():
-            file = self.target / name
-            if not file.exists():
-                reasons.append(f"output {name} missing")
-            elif digest(file.read_bytes()) != wanted:
-                reasons.append(f"output {name} was changed by hand")
-        return reasons + ([] if self.executed.exists() else ["executed notebook missing"])
+        before, complaints = found
+        return complaints or changes(before, {**self.inputs, **present_again(before)})
+
+    def outputs(self) -> dict[str, list[dict]]:
+        """What each code cell gave when the notebook was executed, by the cell's id."""
+        executed = json.loads(self.executed.read_text(encoding="utf-8"))["cells"]
+        return {cell.get("id"): cell["outputs"] for cell in executed if cell["cell_type"] == "code"}
 
 
-def tasks(target: str | None = None, settings: dict[str, str] | None = None) -> list[Task]:
-    """What `target` and the text of ``-p`` mean; raises `InputError` before anything runs."""
-    assigned = assign(select(target), settings or {})
-    rooms = {room: room_inputs(room) for room in {notebook.room for notebook, _ in assigned}}
+def tasks(*targets: str, settings: dict[str, str] | None = None) -> list[Task]:
+    """What rooms and notebooks (all without any) and the text of ``-p`` mean; `InputError` before anything runs."""
+    around = environment_inputs()
     return [
-        Task(notebook, changed, {**rooms[notebook.room], **notebook_inputs(notebook, changed)})
-        for notebook, changed in assigned
+        Task(notebook, changed, {**notebook_inputs(notebook, changed), **around})
+        for notebook, changed in assign(select(*targets), settings or {})
     ]

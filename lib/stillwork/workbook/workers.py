@@ -1,17 +1,15 @@
-"""Who computes, and how it ends: cores, processes of this machine, a cluster's workers, signals, one run at a time."""
+"""Who computes: cores and processes of this machine, or a cluster's workers."""
 
 import contextlib
-import fcntl
 import multiprocessing
 import os
-import signal
 import threading
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing.connection import wait
 
-from stillwork import paths
-from stillwork.checks import InputError
-from stillwork.workbook.jupyter_kernel import KERNEL_SETTINGS
+from stillwork.base.checks import InputError
+from stillwork.base.kernel_folder import FOLDER_VARIABLE, cache_folder
+from stillwork.workbook.pinned import environment
 
 
 def cores() -> int:
@@ -41,10 +39,11 @@ def processes(jobs: int):
 
     They end with this process, and at once when its context is left by an exception.
     """
-    before = {name: os.environ.get(name) for name in KERNEL_SETTINGS}
-    os.environ.update(KERNEL_SETTINGS)  # the processes, which start when they are needed, get them from here
+    before = dict(os.environ)
     others = set(multiprocessing.active_children())
     spawn = multiprocessing.get_context("spawn")
+    # The processes, which start when they are needed, get it from here.
+    _become({**environment(), FOLDER_VARIABLE: cache_folder()})
     try:
         with ProcessPoolExecutor(jobs, mp_context=spawn, initializer=_end_with_parent) as pool:
             try:
@@ -54,11 +53,12 @@ def processes(jobs: int):
                     process.terminate()
                 raise
     finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+        _become(before)
+
+
+def _become(environment: dict[str, str]) -> None:
+    os.environ.clear()
+    os.environ.update(environment)
 
 
 def _end_with_parent() -> None:
@@ -70,29 +70,3 @@ def _end_with_parent() -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-
-
-@contextlib.contextmanager
-def noted_signals():
-    """Note an interrupt instead of raising it, so that it tears nothing halfway; yields what came."""
-    caught: list[int] = []
-    wanted = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {each: signal.signal(each, lambda number, _frame: caught.append(number)) for each in wanted}
-    try:
-        yield caught
-    finally:
-        for each, handler in before.items():
-            signal.signal(each, handler)
-
-
-@contextlib.contextmanager
-def alone(name: str = "lock"):
-    """Two runs of one checkout would write the same files: the second is refused."""
-    file = paths.root() / "build" / name
-    file.parent.mkdir(parents=True, exist_ok=True)
-    with file.open("a") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise InputError("another build of this checkout is running; wait for it or stop it") from None
-        yield

@@ -7,9 +7,9 @@ import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass, field, fields
 
-from stillwork import paths
-from stillwork.checks import InputError, nearest, require_choice, require_count
-from stillwork.claims import load_entries
+from stillwork.base import paths
+from stillwork.base.checks import InputError, nearest, require_choice, require_count
+from stillwork.workbook.claims import load_entries
 
 AXIS_KINDS = ("text", "number", "definition", "procedure", "seed")
 POINTS = 64  # up to so many points all are tried, and so many are sampled of more

@@ -1,15 +1,15 @@
 """What a study's code consists of: its module and all that this imports, as far as it lies in the same library."""
 
 import ast
-import hashlib
 import sys
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
 import stillwork
-from stillwork import paths
-from stillwork.checks import InputError
+from stillwork.base import paths
+from stillwork.base.checks import InputError
+from stillwork.workbook.publish import digest
 
 LIBRARY = Path(stillwork.__file__).parents[1]
 OWN_RESULTS = ("published.toml", "readings.toml", "readings.csv")
@@ -21,19 +21,15 @@ def study_digest(function: str, room: str) -> str:
 
     The ledger and the readings are left out: they say what is asked for, not what comes out.
     """
-    total = hashlib.sha256(function.encode())
+    lines = [function]
     for name, file in sorted(modules(function.partition(":")[0]).items()):
-        total.update(f"{name} {_digest(file)}\n".encode())
+        lines.append(f"{name} {digest(file.read_bytes())}")
     folder = paths.data(room)
     for file in sorted(folder.rglob("*")):
         path = file.relative_to(folder).as_posix()
         if file.is_file() and not file.name.startswith(".") and path not in OWN_RESULTS:
-            total.update(f"{path} {_digest(file)}\n".encode())
-    return total.hexdigest()
-
-
-def _digest(file: Path) -> str:
-    return hashlib.sha256(file.read_bytes()).hexdigest()
+            lines.append(f"{path} {digest(file.read_bytes())}")
+    return digest("\n".join(lines).encode())
 
 
 def modules(name: str) -> dict[str, Path]:

@@ -6,9 +6,10 @@ import sys
 import time
 from collections import Counter
 
-from stillwork import paths
-from stillwork.checks import InputError, nearest
-from stillwork.claims import load_entries
+from stillwork.base import paths
+from stillwork.base.checks import InputError, nearest
+from stillwork.workbook.claims import load_entries
+from stillwork.workbook.lock import alone, held, interrupts, settle
 from stillwork.workbook.publish import replace_file
 from stillwork.workbook.readings.axes import load_axes
 from stillwork.workbook.readings.journal import Journal
@@ -16,7 +17,9 @@ from stillwork.workbook.readings.judging import DEPENDS, FAILS, HOLDS, Standing,
 from stillwork.workbook.readings.results import Outcomes, read_results, results_text
 from stillwork.workbook.readings.running import run_readings
 from stillwork.workbook.report import screen, table
-from stillwork.workbook.workers import alone, client_of, cores, noted_signals, processes
+from stillwork.workbook.workers import client_of, cores, processes
+
+RUNNING = "readings of this checkout are being tried already; wait for them or stop them"
 
 
 def compute_readings(
@@ -42,7 +45,8 @@ def compute_readings(
         raise InputError(f"there is no room {room!r}{nearest(room, paths.ROOMS)}")
     end = time.monotonic() + 60 * budget_min if budget_min is not None else math.inf
     whole = True
-    with alone("readings/lock"), noted_signals() as caught, contextlib.ExitStack() as stack:
+    settle()
+    with held("readings/lock", RUNNING), interrupts() as caught, contextlib.ExitStack() as stack:
         executor, at_once = _executor(stack, jobs, scheduler)
         for each in [room] if room else paths.ROOMS:
             if not caught:
@@ -76,7 +80,8 @@ def _compute_room(room: str, executor, at_once: int, end: float, stopped) -> boo
         names = {each.study for each in multiverses} - {each.multiverse.study for each in done}
         print(f"{room}: not whole yet: {', '.join(sorted(names))}; run the same again to go on")
         return False
-    replace_file(paths.data(room, "readings.csv"), results_text(done).encode())
+    with alone():  # an accept copies what is committed, and puts it back
+        replace_file(paths.data(room, "readings.csv"), results_text(done).encode())
     done = read_results(multiverses)  # what is judged is what was written
     standings = judge(done, load_entries(room), axes)
     print(standings_text(room, done, standings, screen()))
@@ -117,7 +122,7 @@ def standings_text(room: str, studies: list[Outcomes], standings: dict[str, Stan
 
 
 def _paint(room: str, studies: list[Outcomes], standings: dict[str, Standing]) -> None:
-    from stillwork.figures import save
+    from stillwork.workbook.figures import save
     from stillwork.workbook.readings.drawing import paint_room_readings, paint_specification_curve
 
     folder = paths.root() / "build" / "readings" / room

@@ -6,8 +6,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from stillwork import figures
-from stillwork.checks import InputError
-from stillwork.claims import Entry
+from stillwork.base.checks import InputError
+from stillwork.workbook.claims import Entry
 from stillwork.workbook.readings.judging import Standing
 from stillwork.workbook.readings.results import Outcomes
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stillwork.checks import InputError, require_count, require_number
-from stillwork.claims import AGREEMENT, Claim, Entry
+from stillwork.base.checks import InputError, require_count, require_number
+from stillwork.workbook.claims import AGREEMENT, Claim, Entry
 from stillwork.workbook.readings.axes import Axis, Option
 from stillwork.workbook.readings.results import Outcomes
 from stillwork.workbook.readings.variance import SEED, Shares, variance_shares
@@ -227,7 +227,7 @@ def agreement(study: Outcomes, entry: Entry) -> np.ndarray:
 
 
 def _over_seeds(entry: Entry, values: np.ndarray) -> tuple[float, float]:
-    from stillwork.studies import spread_interval
+    from stillwork.workbook.studies import spread_interval
 
     there = values[np.isfinite(values)]
     if len(values) < 2:

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from stillwork import paths
-from stillwork.checks import InputError
+from stillwork.base import paths
+from stillwork.base.checks import InputError
 from stillwork.workbook.readings.axes import Multiverse
 
 Value = float | tuple[float, tuple[float, float]]  # a number, or a number and its interval

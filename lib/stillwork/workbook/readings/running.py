@@ -12,7 +12,7 @@ from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from dataclasses import dataclass
 
-from stillwork.checks import InputError
+from stillwork.base.checks import InputError
 from stillwork.workbook.progress import Progress
 from stillwork.workbook.readings.axes import Multiverse, Option
 from stillwork.workbook.readings.closure import study_digest

@@ -1,0 +1,154 @@
+"""Where a build's processor time goes: imports, compilation, computing, drawing, saving, and the runner around them.
+
+First every notebook's code runs in a process of its own, under the settings of a build, with a watch on each kind of
+work. Then, unless rooms or notebooks are named, everything is built from nothing into a folder that is thrown away;
+what that costs beyond the notebooks' own work is the runner's. Processor time, which other programs disturb less
+than the clock; the clock counts on a machine that has nothing else to do.
+"""
+
+import argparse
+import builtins
+import contextlib
+import json
+import os
+import platform
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "lib"))
+
+from stillwork.workbook.notebooks import read_notebook, select  # noqa: E402
+from stillwork.workbook.pinned import environment  # noqa: E402
+
+KINDS = ("imports", "compile", "compute", "draw", "save")
+
+
+class Watch:
+    """Processor seconds by kind of work; of nested work the innermost kind counts."""
+
+    def __init__(self):
+        self.seconds = dict.fromkeys(KINDS, 0.0)
+        self._kinds = ["compute"]
+        self._since = time.process_time()
+
+    def enter(self, kind: str) -> None:
+        self._count()
+        self._kinds.append(kind)
+
+    def leave(self) -> None:
+        self._count()
+        self._kinds.pop()
+
+    def around(self, kind: str, function):
+        def timed(*arguments, **options):
+            self.enter(kind)
+            try:
+                return function(*arguments, **options)
+            finally:
+                self.leave()
+
+        return timed
+
+    def _count(self) -> None:
+        now = time.process_time()
+        self.seconds[self._kinds[-1]] += now - self._since
+        self._since = now
+
+
+def measure(name: str) -> dict[str, float]:
+    """Run a notebook's code cells in this process; call it in one that does nothing else."""
+    watch = Watch()
+    plain = builtins.__import__
+    builtins.__import__ = watch.around("imports", plain)
+    from matplotlib.figure import Figure
+    from numba.core import event
+
+    from stillwork.workbook import page
+
+    class Compilation(event.Listener):
+        def on_start(self, _event):
+            watch.enter("compile")
+
+        def on_end(self, _event):
+            watch.leave()
+
+    event.register("numba:compile", Compilation())
+    page.save = watch.around("save", page.save)
+    Figure.draw = watch.around("draw", Figure.draw)
+    notebook = read_notebook(name)
+    cells = [
+        "".join(cell["source"])
+        for cell in json.loads(notebook.source)["cells"]
+        if cell["cell_type"] == "code"
+    ]
+    scope = {"__name__": "__main__"}
+    with contextlib.redirect_stdout(sys.stderr):
+        for source in cells:
+            exec(compile(source, name, "exec"), scope)
+    watch.enter("compute")
+    return watch.seconds
+
+
+def in_a_process_of_its_own(name: str) -> dict[str, float]:
+    with tempfile.TemporaryDirectory() as folder:
+        done = subprocess.run(
+            [sys.executable, __file__, "--measure", name],
+            env=environment() | {"STILLWORK_OUTPUT": folder},
+            capture_output=True,
+            text=True,
+        )
+    if done.returncode:
+        raise SystemExit(f"{name}:\n{done.stderr}")
+    return json.loads(done.stdout)
+
+
+def from_nothing() -> tuple[float, float]:
+    """Seconds of the processor and of the clock that a build of everything takes."""
+    before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "stillwork", "figures"]
+        subprocess.run(
+            command, env={**os.environ, "STILLWORK_BUILT": folder, "PYTHONPATH": str(ROOT / "lib")}
+        )
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return spent, time.monotonic() - begin
+
+
+def row(label: str, seconds: dict[str, float]) -> str:
+    shown = "".join(f"{seconds[kind]:9.1f}" for kind in KINDS)
+    return f"{label:40}{shown}{sum(seconds.values()):9.1f}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("targets", nargs="*", metavar="ROOM[/NOTEBOOK]")
+    parser.add_argument("--measure", metavar="NOTEBOOK", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.measure:
+        print(json.dumps(measure(options.measure)))
+        return
+    print(
+        f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}; seconds of the processor"
+    )
+    print(f"{'notebook':40}" + "".join(f"{kind:>9}" for kind in (*KINDS, "all")))
+    total = dict.fromkeys(KINDS, 0.0)
+    for notebook in select(*options.targets):
+        seconds = in_a_process_of_its_own(notebook.name)
+        print(row(notebook.name, seconds), flush=True)
+        total = {kind: total[kind] + seconds[kind] for kind in KINDS}
+    print(row("all of them, each on its own", total))
+    if not options.targets:
+        spent, clock = from_nothing()
+        work = sum(total.values()) - total["imports"]
+        print(f"a build from nothing: {spent:.0f} s of the processor, {clock:.0f} s of the clock")
+        print(f"of it kernels, imports, reports and comparison: {spent - work:.0f} s")
+
+
+if __name__ == "__main__":
+    main()

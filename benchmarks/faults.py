@@ -1,0 +1,1089 @@
+"""Random faults in builds and accepts of a toy workbook, and what stands after each.
+
+What stands must be wholly the old or wholly the new version, nothing stale may pass for fresh, exit code and
+message must agree with it, nothing may be left behind, and the next undisturbed build must give a clean one's
+bytes. What a notebook must give is computed here from the present sources, without the runner.
+
+A fault is drawn from ``--seed`` and its number alone, so ``--only NUMBER`` repeats one. Processes of the runner are
+forked from one that has its imports; kernels are real ones. Where it may (as root), the toy stands on a small
+tmpfs that is really filled up; elsewhere a limit on the size of files stands for a full disk.
+"""
+
+import argparse
+import atexit
+import contextlib
+import errno
+import gc
+import hashlib
+import json
+import os
+import py_compile
+import random
+import re
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import psutil
+
+TESTS = Path(__file__).parents[1] / "tests"
+sys.path.insert(0, str(TESTS))
+
+from workbook import toy as toys  # noqa: E402
+
+FIRST, SECOND, OTHER = NOTEBOOKS = ("isolation/01-first", "isolation/02-second", "motion/01-first")
+READS = "rig = paths.data('{}', 'rig.toml').read_text()", "written = (folder / 'rig.csv').write_text(rig)"
+SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+STALL_S = 200.0  # a kernel that does not come up is given up after 120 s
+NOISE = re.compile(r"^Traceback|asyncio|Task was destroyed|Exception ignored", re.MULTILINE)
+# What a kernel that cannot start says of itself.
+LAST_WORDS = re.compile(
+    r"^Traceback .*\n  File .*kernel_process.py.*, in <module>\n(?!    warm)(?: .*\n)*(?:\S.*\n?)?",
+    re.MULTILINE,
+)
+CHANGED = ("notebooks", "data", "figures", "build", "lib/experiments/isolation", "lib/experiments/motion")
+
+Files = dict[str, bytes]
+
+
+# What a notebook must give, and what stands of it.
+
+
+def sources(root: Path, name: str) -> tuple[str, str, str]:
+    """Seed, gain and rig of a notebook, as its sources have them now."""
+    room = name.partition("/")[0]
+    cells = json.loads((root / "notebooks" / f"{name}.ipynb").read_text())["cells"]
+    seed = re.search(r"seed: int = (\d+)", next(c["source"] for c in cells if c["id"] == "parameters"))[1]
+    gain = re.search(r"([\d.]+) \* level", (root / f"lib/stillwork/{room}/model.py").read_text())[1]
+    return seed, gain, (root / f"data/{room}/rig.toml").read_text()
+
+
+def expected(state: tuple[str, str, str]) -> Files:
+    seed, gain, rig = state
+    return {"out.csv": f"{seed},{float(gain)}\n".encode(), "rig.csv": rig.encode()}
+
+
+def standing(root: Path, name: str) -> Files | None:
+    """Every file of a notebook's results; None where there are none."""
+    target = root / "build/figures" / name
+    return contents(target) if target.is_dir() else None
+
+
+def contents(folder: Path) -> Files:
+    """Every file below `folder`; a link that leads nowhere is a file that holds nothing."""
+    found = {}
+    for place, _, names in os.walk(folder):
+        for file in (Path(place, each) for each in names):
+            with contextlib.suppress(OSError):
+                found[file.relative_to(folder).as_posix()] = b""
+                found[file.relative_to(folder).as_posix()] = file.read_bytes()
+    return found
+
+
+def whole(files: Files) -> bool:
+    """Whether a record describes exactly these files."""
+    try:
+        record = json.loads(files["record.json"])
+        seal = record.pop("seal")
+        outputs = record["outputs"]
+    except (ValueError, TypeError, AttributeError, KeyError):
+        return False
+    sealed = hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest() == seal
+    there = {name: hashlib.sha256(text).hexdigest() for name, text in files.items() if name != "record.json"}
+    return sealed and there == outputs
+
+
+def holds(files: Files, state: tuple[str, str, str]) -> bool:
+    return all(files.get(name) == text for name, text in expected(state).items())
+
+
+# Processes of the runner.
+
+
+@dataclass
+class Run:
+    """A command of the runner that is under way, in a session of its own."""
+
+    pid: int
+    log: Path
+    code: int | None = None
+
+    def wait(self) -> int:
+        """Its exit code, negative for a signal; it is killed when it stalls."""
+        end = time.monotonic() + STALL_S
+        while self.code is None:
+            done, status = os.waitpid(self.pid, os.WNOHANG)
+            if done:
+                self.code = os.waitstatus_to_exitcode(status)
+            elif time.monotonic() > end:
+                os.killpg(self.pid, signal.SIGKILL)
+                os.waitpid(self.pid, 0)
+                raise Broken(f"stalled: {self.said()[-300:]}")
+            else:
+                time.sleep(0.005)
+        return self.code
+
+    def said(self) -> str:
+        return self.log.read_text(errors="replace")
+
+    def signal(self, number: int, group: bool = False) -> None:
+        if self.code is None:
+            with contextlib.suppress(ProcessLookupError):
+                (os.killpg if group else os.kill)(self.pid, number)
+
+
+class Broken(Exception):
+    """What a fault broke."""
+
+
+def _end(call: Callable[[], int]) -> None:
+    """End a forked process with the exit code of `call`, as Python ends one of its own."""
+    code = 1
+    try:
+        code = call()
+    except SystemExit as ended:
+        code = ended.code
+    except BaseException:
+        traceback.print_exc()
+    try:
+        threading._shutdown()
+        atexit._run_exitfuncs()
+        sys.stdout.flush()
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        os._exit(code)
+
+
+@dataclass
+class Bench:
+    """A worker's toy, its saved states, and ways to run the runner on it."""
+
+    home: Path
+    mounted: bool
+    toy: toys.Toy
+    seconds: float = 2.0  # of an undisturbed build
+    clean: dict[tuple, Files] = field(default_factory=dict)
+    steps: dict[str, int] = field(default_factory=dict)
+    runs: int = 0
+
+    @property
+    def root(self) -> Path:
+        return self.toy.root
+
+    def fork(self, *arguments: str, before: Callable = lambda: None, root: Path | None = None) -> Run:
+        """Run a command as ``python -m stillwork`` does, `before` it something in its process."""
+        from stillwork.__main__ import main
+
+        return self.fork_call(lambda: main(list(arguments)), before, root)
+
+    def fork_call(self, call: Callable, before: Callable = lambda: None, root: Path | None = None) -> Run:
+        self.runs += 1
+        log = self.home / "logs" / f"{self.runs % 4}"
+        log.unlink(missing_ok=True)
+        if pid := os.fork():
+            with contextlib.suppress(OSError):
+                os.setpgid(pid, pid)
+            return Run(pid, log)
+        with contextlib.suppress(OSError):
+            os.setsid()
+        descriptor = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+        os.dup2(descriptor, 1)
+        os.dup2(descriptor, 2)
+        os.environ.update(TOY_MARK=self.toy.mark, TOY=str(self.root))
+        if root:
+            os.environ["STILLWORK_ROOT"] = str(root)
+        os.chdir(root or self.root)
+        before()
+        _end(call)
+
+    def run(self, *arguments: str, root: Path | None = None) -> tuple[int, str]:
+        run = self.fork(*arguments, root=root)
+        return run.wait(), run.said()
+
+    def restore(self, saved: str, root: Path | None = None, shelves: tuple[str, ...] = CHANGED) -> None:
+        root = root or self.root
+        for shelf in shelves:
+            shutil.rmtree(root / shelf, ignore_errors=True)
+            if (self.home / saved / shelf).is_dir():
+                shutil.copytree(self.home / saved / shelf, root / shelf, symlinks=True)
+        for each in [*self.toy.temporary.iterdir(), *root.glob(".accepting*")]:
+            shutil.rmtree(each, ignore_errors=True)
+
+    def save(self, saved: str, root: Path | None = None, shelves: tuple[str, ...] = CHANGED) -> None:
+        for shelf in shelves:
+            if ((root or self.root) / shelf).is_dir():
+                shutil.copytree((root or self.root) / shelf, self.home / saved / shelf, symlinks=True)
+
+    def states(self) -> dict[str, tuple]:
+        return {name: sources(self.root, name) for name in NOTEBOOKS}
+
+    def results(self) -> dict[str, Files | None]:
+        return {name: standing(self.root, name) for name in NOTEBOOKS}
+
+    def children(self) -> list[psutil.Process]:
+        return self.toy.processes()
+
+    def build(self) -> str:
+        """An undisturbed build."""
+        begin = time.monotonic()
+        code, said = self.run("figures", "--jobs", "2")
+        self.seconds = 0.8 * self.seconds + 0.2 * (time.monotonic() - begin)
+        if code or NOISE.search(said):
+            raise Broken(f"the next build: exit code {code}: {said[-600:]}")
+        return said
+
+    def clean_files(self, name: str) -> Files:
+        """What a build from nothing gives, without the record; each state of the sources is built once."""
+        state = sources(self.root, name)
+        if (name, state) not in self.clean:
+            kept = self.root / "kept"
+            (self.root / "build").rename(kept)
+            try:
+                self.build()
+                for each, now in self.states().items():
+                    files = standing(self.root, each)
+                    del files["record.json"]
+                    self.clean[each, now] = files
+            finally:
+                shutil.rmtree(self.root / "build", ignore_errors=True)
+                kept.rename(self.root / "build")
+        return self.clean[name, state]
+
+
+# Faults.
+
+
+def edit(bench: Bench, draw: random.Random, often: float = 0.5) -> None:
+    """Change the sources of at least one notebook, in a few ways."""
+    ways = [
+        lambda: bench.toy.replace(f"notebooks/{FIRST}.ipynb", "seed: int = 1", "seed: int = 2"),
+        lambda: bench.toy.replace("lib/experiments/isolation/model.py", "2.0", "3.0"),
+        lambda: bench.toy.write("data/isolation/rig.toml", "mass = 2.0\n"),
+        lambda: bench.toy.replace("lib/experiments/motion/model.py", "2.0", "3.0"),
+    ]
+    for way in [w for w in ways if draw.random() < often] or [draw.choice(ways)]:
+        way()
+
+
+def step_hook(place: Path, at: int, act: Callable, count: list[int]) -> Callable:
+    """Install in a forked process: `act` at the change number `at` of the file system below `place`."""
+
+    def install():
+        names = ("open", "os.mkdir", "os.rename", "os.remove", "os.rmdir", "os.symlink", "os.link")
+
+        def hook(event, arguments):
+            if event not in names:
+                return
+            if event == "open" and not (isinstance(arguments[1], str) and set("wax+") & set(arguments[1])):
+                return
+            paths = [a for a in arguments if isinstance(a, str | os.PathLike)]
+            if event not in ("os.rmdir", "os.remove") and not any(
+                str(p).startswith(str(place)) for p in paths
+            ):
+                return
+            count[0] += 1
+            if count[0] == at:
+                act(event)
+
+        sys.addaudithook(hook)
+
+    return install
+
+
+def killer(number: int) -> Callable:
+    return lambda event: os.kill(os.getpid(), number)
+
+
+def no_room(event: str) -> None:
+    if event not in ("os.remove", "os.rmdir"):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def count_steps(bench: Bench, what: str, start: Callable[[Callable], Run], place: Path) -> int:
+    """How many changes of the file system an undisturbed run makes; counted once."""
+    if what not in bench.steps:
+        note = bench.home / "steps"
+        count = [0]
+
+        def install():
+            step_hook(place, 0, lambda event: None, count)()
+            atexit.register(lambda: note.write_text(str(count[0])))
+
+        start(install).wait()
+        bench.steps[what] = int(note.read_text())
+    return bench.steps[what]
+
+
+def limited(size: int, kill: bool) -> Callable:
+    """Writing ends at `size` bytes of a file: with an error, or with the process in the midst of it."""
+
+    def install():
+        if kill:
+            signal.signal(signal.SIGXFSZ, signal.SIG_DFL)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
+
+    return install
+
+
+@contextlib.contextmanager
+def filled(place: Path, left: int) -> Iterator[Callable]:
+    """Leave so many bytes of the file system of `place`; yields what gives the rest back."""
+    ballast = place / ".ballast"
+    with ballast.open("wb") as file:
+        free = os.statvfs(place).f_bavail * os.statvfs(place).f_frsize
+        with contextlib.suppress(OSError):
+            os.posix_fallocate(file.fileno(), 0, max(free - left, 1))
+
+    def empty():
+        ballast.unlink(missing_ok=True)
+
+    try:
+        yield empty
+    finally:
+        empty()
+
+
+def random_files(draw: random.Random, version: str) -> Files:
+    names = draw.sample(
+        ["a.csv", "b.png", "claims.json", "deep/c.csv", "deep/er/d.csv", "e.csv"], draw.randint(1, 6)
+    )
+    return {name: version.encode() * draw.choice([0, 1, 100, 9000, 200_000]) for name in names}
+
+
+def publish_fault(bench: Bench, draw: random.Random, way: str) -> str:
+    """One notebook's results, cut."""
+    from stillwork.workbook.publish import replace_record, tidy
+
+    place = bench.root / "build" / "bench"
+    shutil.rmtree(place, ignore_errors=True)
+    target = place / "room" / "01-x"
+    old, new = random_files(draw, "old"), random_files(draw, "newer")
+    there = draw.random() < 0.8
+    if there:
+        replace_record(target, old, {"cell a": "1"})
+    elif draw.random() < 0.5:
+        target.mkdir(parents=True)  # not ours
+    before = contents(target) if target.is_dir() else None
+
+    def call() -> int:
+        try:
+            replace_record(target, new, {"cell a": "2"})
+        except OSError:
+            return 1
+        return 0
+
+    code = disturbed(
+        bench, draw, way, lambda install: bench.fork_call(call, install), place, 8 + 3 * len({**old, **new})
+    )
+    now = contents(target) if target.is_dir() else None
+    inputs = json.loads(now["record.json"])["inputs"]["cell a"] if now and whole(now) else None
+    stands = "new" if inputs == "2" and without_record(now) == new else "old" if now == before else "half"
+    if stands == "half" and not there:
+        stands = "old" if now in (None, {}) else "half"
+    if stands == "half":
+        raise Broken(f"half of {sorted(now or {})}")
+    if code >= 0 and code != (stands == "old"):
+        raise Broken(f"exit code {code}, but the {stands} version stands")
+    tidy(target)
+    beside = os.listdir(place / "room" / ".01-x") if (place / "room" / ".01-x").exists() else []
+    if len(beside) > (target.is_symlink()):
+        raise Broken(f"left behind: {beside}")
+    replace_record(target, new, {"cell a": "2"})
+    if without_record(contents(target)) != new:
+        raise Broken("the next one differs")
+    shutil.rmtree(place)
+    return stands
+
+
+def without_record(files: Files) -> Files:
+    return {name: text for name, text in files.items() if name != "record.json"}
+
+
+def disturbed(
+    bench: Bench, draw: random.Random, way: str, start: Callable[[Callable], Run], place: Path, steps: int
+) -> int:
+    """Run something with a fault of its own making; returns its exit code."""
+    if way == "killed":
+        number = draw.choice(SIGNALS[:2])
+        return start(step_hook(place, draw.randint(1, steps), killer(number), [0])).wait()
+    if way == "fails":
+        return start(step_hook(place, draw.randint(1, steps), no_room, [0])).wait()
+    if way == "half":
+        return start(limited(int(10 ** draw.uniform(0, 5.5)), True)).wait()
+    if not bench.mounted:
+        return start(limited(int(10 ** draw.uniform(0, 5.5)), False)).wait()
+    with filled(bench.root, draw.choice([0, 4096, int(10 ** draw.uniform(3.6, 6))])):
+        return start(lambda: None).wait()
+
+
+def journal_fault(bench: Bench, draw: random.Random, way: str) -> str:
+    """Many files as one, cut."""
+    from stillwork.checks import InputError
+
+    from stillwork.workbook.publish import finish, replace_all
+
+    place = bench.root / "bench"
+    shutil.rmtree(place, ignore_errors=True)
+    old = {
+        f"{shelf}/{name}": text
+        for shelf in ("notebooks", "data", "figures")
+        for name, text in random_files(draw, "old").items()
+    }
+    new = {
+        f"{shelf}/{name}": text
+        for shelf in ("notebooks", "data", "figures/x")
+        for name, text in random_files(draw, "newer").items()
+    }
+    for name, text in old.items():
+        (place / name).parent.mkdir(parents=True, exist_ok=True)
+        (place / name).write_bytes(text)
+    changed = {**dict.fromkeys(name for name in old if name not in new), **new}
+
+    def call() -> int:
+        try:
+            replace_all(place, changed)
+        except OSError:
+            return 1
+        except InputError:  # decided, not yet done
+            return 2
+        return 0
+
+    code = disturbed(
+        bench, draw, way, lambda install: bench.fork_call(call, install), place, 20 + 4 * len(changed)
+    )
+    if code in (0, 1) and shelves(place) != (old if code else new):
+        raise Broken(f"exit code {code}, and something else stands")
+    finish(place)
+    if code == 2 and shelves(place) != new:
+        raise Broken("said to be accepted, but is not")
+    stands = {True: "old", False: "new" if shelves(place) == new else "half"}[shelves(place) == old]
+    if stands == "half":
+        raise Broken("half of the files")
+    if left := [each.name for each in place.glob(".*")]:
+        raise Broken(f"left behind: {left}")
+    shutil.rmtree(place)
+    return stands
+
+
+def shelves(root: Path) -> Files:
+    return {
+        n: t
+        for n, t in contents(root).items()
+        if n.split("/")[0] in ("notebooks", "data", "figures", "README.md")
+    }
+
+
+def accept_fault(bench: Bench, draw: random.Random, way: str) -> str:
+    """A whole accept, cut."""
+    root = bench.root / "accept"
+    bench.restore("accepted", root, CHANGED[:4])
+    shutil.copy(bench.home / "accepted" / "README.md", root)
+    old, new = shelves(root), bench.clean["accepted"]
+
+    def start(install) -> Run:
+        return bench.fork("accept", before=install, root=root)
+
+    steps = bench.steps["accept"]
+    if way == "signal":
+        number = draw.choice(SIGNALS)
+        run = start(step_hook(root, draw.randint(1, steps), killer(number), [0]))
+        code = run.wait()
+    elif way == "parallel":
+        run = start(lambda: None)
+        time.sleep(draw.uniform(0, 0.2))
+        other = bench.fork("figures", root=root)
+        code, other_code = run.wait(), other.wait()
+        for each in (run, other):
+            if NOISE.search(each.said()):
+                raise Broken(each.said()[-400:])
+        if other_code not in (0, 2) or code not in (0, 2):
+            raise Broken(f"exit codes {code} and {other_code}: {run.said()[-300:]}")
+        if code == 2 and other_code == 2:
+            raise Broken("both refused")
+    else:
+        code = disturbed(bench, draw, way, start, root, steps)
+        run = Run(0, bench.home / "logs" / f"{bench.runs % 4}")
+    said = run.said()
+    if NOISE.search(said):
+        raise Broken(said[-500:])
+    at_once, decided = shelves(root), "stillwork: accepted, but not all" in said
+    if code >= 0:
+        right = {
+            0: at_once == new and "accepted 2" in said,
+            1: at_once == old and "nothing accepted" in said,
+            2: decided or (at_once == old and "stillwork: " in said),
+        }.get(code, at_once in (old, new) and code - 128 in SIGNALS)
+        if not right:
+            what = "old" if at_once == old else "new" if at_once == new else "half"
+            raise Broken(f"exit code {code}, the {what} state stands: {said[-300:]}")
+    code, said = bench.run("figures", root=root)
+    if code or not said.startswith("nothing to do"):
+        raise Broken(f"the next build: {said[-300:]}")
+    now = shelves(root)
+    if now not in (old, new) or (now == old and decided):
+        raise Broken("half accepted")
+    if left := [p.name for p in root.glob(".accepting*")]:
+        raise Broken(f"left behind: {left}")
+    code, said = bench.run("accept", root=root)
+    if code or shelves(root) != new:
+        raise Broken(f"the next accept: {code} {said[-300:]}")
+    return "old" if now == old else "new"
+
+
+def damage(draw: random.Random, place: Path) -> str:
+    """Harm something of what builds made below `place`; returns what."""
+    files = [p for p in sorted(place.rglob("*")) if not p.is_dir() or p.is_symlink()]
+    homes = sorted(p for p in place.glob("*/.*") if p.is_dir())
+    for home in homes:
+        for version in home.iterdir():
+            files += sorted(p for p in version.rglob("*") if p.is_file())
+    file = draw.choice(files) if files else place / "x"
+    way = draw.choice(
+        [
+            "empty",
+            "truncate",
+            "byte",
+            "remove",
+            "record",
+            "extra",
+            "folder",
+            "room",
+            "link",
+            "dangling",
+            "all",
+            "plain",
+        ]
+    )
+    if way in ("empty", "truncate", "byte") and file.is_file():
+        text = file.read_bytes()
+        cut = draw.randrange(len(text)) if text else 0
+        flipped = text[:cut] + bytes([text[cut] ^ 1 << draw.randrange(8)]) + text[cut + 1 :] if text else b""
+        file.write_bytes({"empty": b"", "truncate": text[:cut], "byte": flipped}[way])
+    elif way == "remove" and files:
+        file.unlink()
+    elif way == "record":
+        for record in draw.sample(homes, min(1, len(homes))):
+            for each in record.glob("*/record.json"):
+                each.write_text(
+                    draw.choice(["{}", "[]", "null", "", "0", '"x"', '{"seal": ""}', "\0", "[" * 100_000])
+                )
+    elif way == "extra":
+        extra = file.parent / draw.choice(["extra.csv", "deep/extra.csv", ".hidden"])
+        extra.parent.mkdir(exist_ok=True)
+        extra.write_text("1,2\n")
+    elif way == "folder" and homes:
+        shutil.rmtree(draw.choice(homes))
+    elif way == "room" and place.is_dir():
+        shutil.rmtree(draw.choice([p for p in place.iterdir() if p.is_dir()] or [place]))
+    elif way in ("link", "dangling"):
+        links = sorted(p for p in place.glob("*/*") if p.is_symlink())
+        for link in draw.sample(links, min(1, len(links))):
+            link.unlink()
+            if way == "dangling":
+                link.symlink_to(draw.choice(["nowhere", ".", str(place), f".{link.name}", link.name]))
+    elif way == "all":
+        shutil.rmtree(place.parent)
+    elif way == "plain" and file.is_file():
+        name = file.parent / file.name
+        name.unlink()
+        draw.choice([name.mkdir, lambda: name.symlink_to("nowhere"), lambda: name.symlink_to(name.name)])()
+    return way
+
+
+def judged(
+    bench: Bench,
+    before: dict,
+    possible: list[dict],
+    runs: list[Run],
+    sent: set[int],
+    harmed: bool = False,
+    changing: bool = False,
+    ending: bool = False,
+) -> str:
+    """Hold what stands after a fault against what must; returns which version stands."""
+    for run in runs:
+        run.wait()
+    with contextlib.suppress(AssertionError):
+        toys.until(lambda: not bench.children(), 30)
+    if stray := bench.children():
+        raise Broken(f"stray processes: {[p.cmdline()[-4:] for p in stray]}")
+    said = "".join(run.said() for run in runs)
+    if NOISE.search(LAST_WORDS.sub("", said) if ending else said):
+        raise Broken(said[-1500:])
+    now = bench.results()
+    versions = {}
+    for name, files in now.items():
+        new = files is not None and whole(files) and any(holds(files, state[name]) for state in possible)
+        versions[name] = "old" if files == before[name] else "new" if new else "half"
+        if versions[name] == "half" and not harmed:
+            raise Broken(f"half of {name}: {sorted(files or {})}")
+    for name in re.findall(r"^built (\S+) in", said, re.MULTILINE):
+        if versions[name] == "half" or (
+            not changing and not harmed and not holds(now[name] or {}, sources(bench.root, name))
+        ):
+            raise Broken(f"said to be built, but is not: {name}")
+    for name in re.findall(r"^FAILED (\S+)", said, re.MULTILINE):
+        if versions[name] != "old" and len(runs) == 1 and not harmed:
+            raise Broken(f"said to have failed, but was changed: {name}")
+    for run in runs:
+        code, text = run.code, run.said()
+        right = {
+            0: "FAILED" not in text and ("0 failed" in text or "nothing to do" in text),
+            1: "FAILED" in text and " 0 failed" not in text,
+            2: "stillwork: " in text,
+        }
+        if not right.get(code, -code in sent or code - 128 in sent):
+            raise Broken(f"exit code {code}: {text[-500:]}")
+        if code == 0 and not changing and not harmed:
+            for name, files in now.items():
+                if not holds(files or {}, sources(bench.root, name)):
+                    raise Broken(f"exit code 0, but {name} is not built")
+    check_fresh(bench, now)
+    recover(bench)
+    return "old" if "old" in versions.values() else "new"
+
+
+def check_fresh(bench: Bench, now: dict[str, Files | None]) -> None:
+    """Nothing that is called up to date may be harmed, or differ from what the present sources give."""
+    code, said = bench.run("figures", "--why")
+    if code or NOISE.search(said):
+        raise Broken(f"--why: {code} {said[-500:]}")
+    for name in re.findall(r"^(\S+): up to date", said, re.MULTILINE):
+        if now[name] is None or not whole(now[name]) or not holds(now[name], sources(bench.root, name)):
+            raise Broken(f"called up to date: {name}")
+
+
+def recover(bench: Bench) -> None:
+    """Build undisturbed; it must give what a clean build gives and leave nothing behind."""
+    for each in bench.toy.temporary.iterdir():
+        os.utime(each, (0, 0))  # as if some time had passed
+    bench.build()
+    for name in NOTEBOOKS:
+        files = standing(bench.root, name) or {}
+        if not whole(files) or not holds(files, sources(bench.root, name)):
+            raise Broken(
+                f"the next build gives something else for {name}: {files.get('out.csv')}, {files.get('rig.csv')}"
+            )
+        if without_record(files) != bench.clean_files(name):
+            raise Broken(f"the next build differs from a clean one in {name}")
+    if left := [each for each in bench.toy.leftovers() if "/accept/" not in each]:
+        raise Broken(f"left behind: {left}")
+
+
+def signalled(bench: Bench, draw: random.Random, whom: str) -> str:
+    bench.restore("built")
+    before, old = bench.results(), bench.states()
+    edit(bench, draw, 1.0 if whom == "warm" else 0.5)
+    number = draw.choice(SIGNALS)
+    if whom == "started":  # with its imports
+        process = subprocess.Popen(
+            bench.toy.command("figures", "--jobs", "2"), cwd=bench.root, env=bench.toy.environment(),
+            stdout=(bench.home / "logs/started").open("w"), stderr=subprocess.STDOUT, start_new_session=True,
+        )  # fmt: skip
+        run = Run(process.pid, bench.home / "logs/started")
+        time.sleep(draw.uniform(0.4, 0.8 + bench.seconds))
+        run.signal(number, draw.random() < 0.5)
+        stands = judged(bench, before, [old, bench.states()], [run], {number})
+        process.returncode = 0
+        return stands
+    if whom == "step":
+
+        def start(install):
+            return bench.fork("figures", "--jobs", "2", before=install)
+
+        steps = (
+            count_steps(bench, "build", start, bench.root / "build")
+            if "build" not in bench.steps
+            else bench.steps["build"]
+        )
+        if before != bench.results():
+            bench.restore("built")
+            before = bench.results()
+            edit(bench, draw)
+        act = draw.choice([*(killer(each) for each in SIGNALS), no_room])
+        run = start(step_hook(bench.root / "build", draw.randint(1, steps), act, [0]))
+        return judged(bench, before, [old, bench.states()], [run], set(SIGNALS))
+    run = bench.fork("figures", "--jobs", "2")
+    if whom == "driver":
+        time.sleep(draw.uniform(0.02, bench.seconds))
+        run.signal(number, draw.random() < 0.5)
+        return judged(bench, before, [old, bench.states()], [run], {number})
+    with contextlib.suppress(AssertionError):
+        toys.until(lambda: bench.children(), 5)
+    time.sleep(draw.uniform(0, bench.seconds / 2))
+    found = bench.children()
+    warms = [p for p in found if "warm" in words(p) and not is_child(p, found)]
+    chosen = warms if whom == "warm" else [p for p in found if p not in warms] or warms
+    for process in draw.sample(chosen, min(1, len(chosen))):
+        with contextlib.suppress(psutil.NoSuchProcess):
+            process.send_signal(number)
+    return judged(bench, before, [old, bench.states()], [run], set(), ending=whom == "kernel")
+
+
+def words(process: psutil.Process) -> list[str]:
+    try:
+        return process.cmdline()
+    except psutil.Error:
+        return []
+
+
+def is_child(process: psutil.Process, of: list[psutil.Process]) -> bool:
+    try:
+        return process.ppid() in {each.pid for each in of}
+    except psutil.Error:
+        return True
+
+
+def temporary_fault(bench: Bench, draw: random.Random) -> str:
+    """What kernels work in is emptied, in parts or whole, in mid-build."""
+    bench.restore("built")
+    before, old = bench.results(), bench.states()
+    edit(bench, draw)
+    run = bench.fork("figures", "--jobs", "2")
+    time.sleep(draw.uniform(0.02, bench.seconds))
+    way = draw.choice(["all", "all", "files", "reads", "truncate", "connection"])
+    place = bench.toy.temporary
+    if way == "all":
+        for each in place.iterdir():
+            shutil.rmtree(each, ignore_errors=True)
+    else:
+        for each in sorted(place.rglob("*")):
+            wanted = {"reads": ("reads",), "truncate": ("reads",), "connection": ("kernel",)}.get(way)
+            with contextlib.suppress(OSError):
+                if not each.is_dir() and (wanted is None or each.name.startswith(wanted)):
+                    os.truncate(
+                        each, draw.choice([0, each.stat().st_size // 2])
+                    ) if way == "truncate" else each.unlink()
+    return judged(bench, before, [old, bench.states()], [run], set(), ending=True)
+
+
+def two_at_once(bench: Bench, draw: random.Random) -> str:
+    bench.restore("built")
+    before, old = bench.results(), bench.states()
+    edit(bench, draw)
+    runs = [bench.fork("figures", "--jobs", "1")]
+    time.sleep(draw.choice([0, draw.uniform(0, bench.seconds)]))
+    runs.append(bench.fork("figures", "--jobs", "1"))
+    return judged(bench, before, [old, bench.states()], runs, set(), changing=True)
+
+
+def edited(bench: Bench, draw: random.Random) -> str:
+    """Sources change in mid-build, and may be put back, with the times they had."""
+    bench.restore("built")
+    before, old = bench.results(), bench.states()
+    edit(bench, draw)
+    possible = [old, bench.states()]
+    file, one, other = draw.choice(
+        [
+            ("lib/experiments/isolation/model.py", "* level", "* level * 1.0"),
+            ("lib/experiments/isolation/model.py", draw.choice(["2.0", "3.0"]), "5.0"),
+            (f"notebooks/{FIRST}.ipynb", "seed: int = ", "seed: int = 7"),
+            ("data/isolation/rig.toml", "mass = ", "mass = 4"),
+        ]
+    )
+    path = bench.root / file
+    text, stat = path.read_text(), path.stat()
+    run = bench.fork("figures", "--jobs", "2")
+    time.sleep(draw.uniform(0.02, 0.9 * bench.seconds))
+    replaced = draw.random() < 0.5
+
+    def put(content: str) -> None:
+        if replaced:
+            beside = path.with_name("." + path.name)
+            beside.write_text(content)
+            beside.rename(path)
+        else:
+            path.write_text(content)
+        if keep_time:
+            os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns))
+
+    keep_time = draw.random() < 0.3
+    put(text.replace(one, other))
+    possible.append(bench.states())
+    if draw.random() < 0.5:
+        time.sleep(draw.uniform(0, bench.seconds / 2))
+        put(text)
+    return judged(bench, before, possible, [run], set(), changing=True)
+
+
+def clocks(bench: Bench, draw: random.Random) -> str:
+    """Times of change far in the past and in the future, then edits that keep size and time."""
+    bench.restore("built")
+    before, old = bench.results(), bench.states()
+    for file in sorted(bench.root.rglob("*")):
+        if "accept" not in file.parts and draw.random() < 0.3:
+            at = draw.choice([0, 10**9, time.time() + draw.uniform(-1e6, 1e8)])
+            os.utime(file, (at, at), follow_symlinks=False)
+    code, said = bench.run("figures", "--why")
+    if code or said.count("up to date") != len(NOTEBOOKS):
+        raise Broken(f"a time of change made something stale: {said}")
+    kept = {p: p.stat().st_mtime_ns for p in bench.root.glob("lib/stillwork/*/model.py")}
+    edit(bench, draw)
+    for file, at in kept.items():
+        os.utime(file, ns=(at, at))
+    run = bench.fork("figures", "--jobs", "2")
+    return judged(bench, before, [old, bench.states()], [run], set())
+
+
+def stale_bytecode(bench: Bench, draw: random.Random) -> str:
+    """Bytecode of another source, of the same size and time of change, lies beside a module."""
+    bench.restore("built")
+    before, old = bench.results(), bench.states()
+    edit(bench, draw)
+    for model in bench.root.glob("lib/stillwork/*/model.py"):
+        text, stat = model.read_text(), model.stat()
+        model.write_text(re.sub(r"[\d.]+ \* level", "9.0 * level", text))
+        os.utime(model, ns=(stat.st_atime_ns, stat.st_mtime_ns))
+        py_compile.compile(str(model))
+        model.write_text(text)
+        os.utime(model, ns=(stat.st_atime_ns, stat.st_mtime_ns))
+    run = bench.fork("figures", "--jobs", "2")
+    return judged(bench, before, [old, bench.states()], [run], set())
+
+
+def full_build(bench: Bench, draw: random.Random) -> str:
+    """The disk is full where results go, or where kernels work; perhaps for a while only."""
+    bench.restore("built")
+    before, old = bench.results(), bench.states()
+    edit(bench, draw)
+    states = [old, bench.states()]
+    if not bench.mounted:
+        run = bench.fork("figures", "--jobs", "2", before=limited(int(10 ** draw.uniform(0, 4)), False))
+        return judged(bench, before, states, [run], set())
+    place = draw.choice([bench.root, bench.toy.temporary])
+    with filled(place, draw.choice([0, 4096, int(10 ** draw.uniform(3.6, 5.3))])) as empty:
+        run = bench.fork("figures", "--jobs", "2")
+        if draw.random() < 0.5:
+            time.sleep(draw.uniform(0.02, bench.seconds))
+            empty()
+        run.wait()
+    return judged(bench, before, states, [run], set())
+
+
+def damaged(bench: Bench, draw: random.Random) -> str:
+    """What builds made is harmed between two builds."""
+    bench.restore("built")
+    states = [bench.states()]
+    for _ in range(draw.randint(1, 3)):
+        damage(draw, bench.root / "build/figures")
+    before = bench.results()
+    run = bench.fork("figures", "--jobs", "2")
+    return judged(bench, before, states, [run], set(), harmed=True)
+
+
+def damaged_meanwhile(bench: Bench, draw: random.Random) -> str:
+    bench.restore("built")
+    before, old = bench.results(), bench.states()
+    edit(bench, draw)
+    run = bench.fork("figures", "--jobs", "2")
+    time.sleep(draw.uniform(0.02, bench.seconds))
+    with contextlib.suppress(OSError):
+        damage(draw, bench.root / "build/figures")
+    return judged(bench, before, [old, bench.states()], [run], set(), harmed=True)
+
+
+# Of every 2,000.
+KINDS: dict[str, tuple[int, Callable[[Bench, random.Random], str]]] = {
+    "publish: killed at a step": (300, lambda b, d: publish_fault(b, d, "killed")),
+    "publish: killed in a write": (200, lambda b, d: publish_fault(b, d, "half")),
+    "publish: a step finds no room": (150, lambda b, d: publish_fault(b, d, "fails")),
+    "publish: disk full": (150, lambda b, d: publish_fault(b, d, "full")),
+    "journal: killed at a step": (200, lambda b, d: journal_fault(b, d, "killed")),
+    "journal: killed in a write": (100, lambda b, d: journal_fault(b, d, "half")),
+    "journal: a step finds no room": (100, lambda b, d: journal_fault(b, d, "fails")),
+    "journal: disk full": (100, lambda b, d: journal_fault(b, d, "full")),
+    "accept: signal at a step": (100, lambda b, d: accept_fault(b, d, "signal")),
+    "accept: killed in a write": (50, lambda b, d: accept_fault(b, d, "half")),
+    "accept: a step finds no room": (50, lambda b, d: accept_fault(b, d, "fails")),
+    "accept: disk full": (50, lambda b, d: accept_fault(b, d, "full")),
+    "accept: parallel build": (30, lambda b, d: accept_fault(b, d, "parallel")),
+    "build: signal at a step": (60, lambda b, d: signalled(b, d, "step")),
+    "build: signal to the driver": (60, lambda b, d: signalled(b, d, "driver")),
+    "build: signal while it starts": (20, lambda b, d: signalled(b, d, "started")),
+    "build: signal to a kernel": (40, lambda b, d: signalled(b, d, "kernel")),
+    "build: signal to the warmed process": (30, lambda b, d: signalled(b, d, "warm")),
+    "build: TMPDIR emptied": (40, temporary_fault),
+    "build: two at once": (20, two_at_once),
+    "build: sources edited meanwhile": (50, edited),
+    "build: clock set back or forward": (20, clocks),
+    "build: stale bytecode": (15, stale_bytecode),
+    "build: disk full": (35, full_build),
+    "build: results harmed before": (60, damaged),
+    "build: results harmed meanwhile": (20, damaged_meanwhile),
+}
+
+
+def plan(faults: int) -> list[str]:
+    """Kinds of so many faults, mixed, each in its proportion."""
+    total = sum(weight for weight, _ in KINDS.values())
+    counts = {kind: max(1, round(faults * weight / total)) for kind, (weight, _) in KINDS.items()}
+    places = [((number + 0.5) / count, kind) for kind, count in counts.items() for number in range(count)]
+    return [kind for _, kind in sorted(places)]
+
+
+# Workers.
+
+
+def prepare(home: Path) -> bool:
+    """A built toy below `home`, and a second one to accept; returns whether it stands on a disk that can be filled."""
+    root, temporary = home / "root", home / "tmp"
+    for each in (root, temporary, home / "logs"):
+        each.mkdir(parents=True)
+    mount = ["mount", "-t", "tmpfs", "-o"]
+    mounted = subprocess.run([*mount, "size=64m", "tmpfs", root], capture_output=True).returncode == 0
+    mounted = (
+        mounted
+        and subprocess.run([*mount, "size=2m", "tmpfs", temporary], capture_output=True).returncode == 0
+    )
+    toy = toys.make(root)
+    toy.temporary.rmdir()
+    kernel = root / "lib/stillwork/workbook/kernel_process.py"
+    text = re.sub(
+        r"^SLOW = \(.*?^\)", 'SLOW = ("ipykernel.kernelapp",)', kernel.read_text(), flags=re.S | re.M
+    )
+    kernel.write_text(
+        text.replace("    _first_use()\n    import gc", "    import gc")
+    )  # of no use to the toy
+    for name in NOTEBOOKS:
+        toy.add(name, *(each.format(name.partition("/")[0]) for each in READS))
+    return mounted
+
+
+def work(home: Path, mounted: bool, chosen: list[tuple[int, str]], seed: int) -> None:
+    """Inject the chosen faults, a line of JSON each on standard output."""
+    toy = toys.Toy(home / "root", home / "tmp")
+    bench = Bench(home, mounted, toy)
+    import papermill  # noqa: F401
+
+    from stillwork.site import derived  # noqa: F401
+    from stillwork.workbook import accept, compare  # noqa: F401
+
+    gc.freeze()
+    bench.build()
+    bench.save("built")
+    if any(kind.startswith("accept") for _, kind in chosen):
+        prepare_accept(bench)
+    for number, kind in chosen:
+        draw = random.Random(f"{seed} {number} {kind}")
+        begin = time.monotonic()
+        try:
+            stands, broken = KINDS[kind][1](bench, draw), None
+        except Exception as error:  # of a check or of the runner's own functions
+            stands, broken = None, str(error) if isinstance(error, Broken) else traceback.format_exc(limit=-3)
+            toys.clean_up(toy)
+            (home / "tmp").mkdir(exist_ok=True)
+        seconds = time.monotonic() - begin
+        print(
+            json.dumps({"number": number, "kind": kind, "stands": stands, "broken": broken, "s": seconds}),
+            flush=True,
+        )
+
+
+def prepare_accept(bench: Bench) -> None:
+    """A second toy with a page, built and accepted, then built anew from other sources."""
+    root = bench.root / "accept"
+    toy = toys.make(root)
+    shutil.rmtree(toy.temporary)
+    toy.temporary = bench.toy.temporary
+    toy.add_page("isolation/01-page")
+    toy.add("motion/01-first", "print(gain(level))")
+    toy.write("README.md", "# Toy\n\n<!-- ledger:begin -->\nold\n<!-- ledger:end -->\n")
+    toy.write("figures/isolation/01-page/gone.csv", "panel,series,x,y,z\n")
+    assert toy.run("figures").returncode == toy.run("accept").returncode == 0
+    toy.replace("lib/experiments/isolation/model.py", "2.0", "2.1")
+    toy.replace("lib/experiments/motion/model.py", "2.0", "2.1")
+    toy.replace("notebooks/isolation/01-page.ipynb", "size=3)", "size=3) + gain(level)")
+    toy.replace("notebooks/isolation/01-page.ipynb", "fig-1", "fig-2")
+    assert toy.run("figures").returncode == 0
+    bench.save("accepted", root, CHANGED[:4])
+    shutil.copy(root / "README.md", bench.home / "accepted")
+    bench.steps["accept"] = 0
+    del bench.steps["accept"]
+    count_steps(bench, "accept", lambda install: bench.fork("accept", before=install, root=root), root)
+    bench.clean["accepted"] = shelves(root)
+
+
+# The table.
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--faults", type=int, default=2000, help="about how many (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=2, help="workers at once (default: %(default)s)")
+    parser.add_argument("--kinds", default="", help="only kinds whose name begins so, e.g. 'accept'")
+    parser.add_argument("--only", type=int, help="only the fault of this number")
+    parser.add_argument("--worker", nargs=2, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    chosen = [
+        (number, kind)
+        for number, kind in enumerate(plan(options.faults))
+        if kind.startswith(options.kinds) and options.only in (None, number)
+    ]
+    if options.worker:
+        part, home = int(options.worker[0]), Path(options.worker[1])
+        mounted = os.path.ismount(home / "root")
+        work(home, mounted, chosen[part :: options.jobs], options.seed)
+        return 0
+    begin = time.monotonic()
+    home = Path(tempfile.mkdtemp(prefix="faults-", dir="/tmp"))  # short: sockets stand in it
+    try:
+        rows, mounted = _table(home, options.jobs)
+    finally:
+        for each in home.glob("*/*"):
+            if os.path.ismount(each):
+                subprocess.run(["umount", "--lazy", each], check=False)
+        shutil.rmtree(home)
+    _show(rows, mounted, time.monotonic() - begin)
+    return int(any(row["broken"] for row in rows) or len(rows) < len(chosen))
+
+
+def _table(home: Path, jobs: int) -> tuple[list[dict], bool]:
+    """Let the workers work; returns what became of each fault."""
+    workers, mounted = [], False
+    for part in range(jobs):
+        mounted = prepare(home / str(part))
+        environment = toys.Toy(home / str(part) / "root", home / str(part) / "tmp").environment()
+        del environment["TOY_MARK"], environment["TOY"]  # it is not one of the processes that it looks for
+        command = [sys.executable, __file__, *sys.argv[1:], "--worker", str(part), str(home / str(part))]
+        workers.append(subprocess.Popen(command, env=environment, stdout=(home / f"{part}.json").open("w")))
+    for worker in workers:
+        worker.wait()
+    lines = [line for part in range(jobs) for line in (home / f"{part}.json").read_text().splitlines()]
+    return [json.loads(line) for line in lines], mounted
+
+
+def _show(rows: list[dict], mounted: bool, seconds: float) -> None:
+    width = max(map(len, KINDS))
+    print(f"{'kind':{width}}  count  old stands  new stands  broken      s")
+    for kind in [kind for kind in KINDS if any(row["kind"] == kind for row in rows)]:
+        mine = [row for row in rows if row["kind"] == kind]
+        stands = Counter(row["stands"] for row in mine)
+        broken = sum(row["broken"] is not None for row in mine)
+        spent = sum(row["s"] for row in mine)
+        print(
+            f"{kind:{width}}  {len(mine):5}  {stands['old']:10}  {stands['new']:10}  {broken:6}  {spent:5.0f}"
+        )
+    for row in rows:
+        if row["broken"]:
+            print(f"broken: fault {row['number']}, {row['kind']}: {row['broken']}")
+    disk = "a full tmpfs" if mounted else "a limit on the size of files"
+    broken = sum(bool(row["broken"]) for row in rows)
+    print(f"{len(rows)} faults in {seconds:.0f} s, {broken} broken; a full disk is {disk}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,23 @@
+"""Controllers, studies and pictures of the work on filters in fixed-point adaptive control."""
+
+from stillwork.base.faces import face
+
+__all__, __getattr__, __dir__ = face(
+    __name__,
+    {
+        "differentiation": (
+            "correlations",
+            "difference_quotient",
+            "quotient_autocorrelation",
+            "quotient_covariance",
+            "quotient_cross_correlation",
+            "rejects_gaussian",
+            "steady_errors",
+        ),
+        "metrics": ("compare", "judge"),
+        "noise": ("Noise",),
+        "oscillator": ("VanDerPol", "load_oscillator"),
+        "published": ("PUBLISHED_CASES", "added_controllers", "published_controllers"),
+        "tuning": ("families", "tune"),
+    },
+)

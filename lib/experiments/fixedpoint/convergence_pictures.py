@@ -1,0 +1,179 @@
+"""Pictures of the iteration: contraction, filters' responses, stability, limit cycles."""
+
+import numpy as np
+
+from experiments.fixedpoint.published import LITERAL
+from experiments.fixedpoint.run_pictures import COLOURS
+from stillwork.control.fixed_point_convergence import Crossing, StableRange, describing_function, iterate
+from stillwork.control.fixed_point_linear import LinearFilter, LinearLoop
+from stillwork.control.transformation import FlowTransformation, Transformation
+from stillwork.workbook import figures
+
+
+def contraction(transformations: dict[str, Transformation], response_gain: float, steps: int = 40):
+    """Error of the static iteration, step by step, and its multiplier against the size of the error."""
+    figure, (decay, multiplier) = figures.new(1, 2, height=3.0)
+    for (name, transformation), colour in zip(
+        transformations.items(), (figures.BLUE, figures.GREEN), strict=False
+    ):
+        for start, line in ((1.0, "-"), (30.0, "--")):
+            errors = response_gain * iterate(
+                transformation, 0.0, steps, response_gain=response_gain, start=start / response_gain
+            )
+            label = f"{name}, start {start:g} m/s²"
+            decay.semilogy(range(steps), np.abs(errors), line, color=colour, label=label)
+        sizes = np.geomspace(1e-2, 1e3, 60)
+        ratio = [
+            iterate(transformation, 0.0, 2, response_gain=response_gain, start=size / response_gain)[1]
+            * response_gain
+            / size
+            for size in sizes
+        ]
+        multiplier.semilogx(sizes, ratio, color=colour, label=name)
+    decay.set(
+        xlabel="iteration (1)",
+        ylabel="|response - desired| (m/s²)",
+        title="static iteration",
+        ylim=(1e-4, 60),
+    )
+    figure.legend(handles=decay.lines, loc="outside upper center", ncols=2)
+    multiplier.set(xlabel="|response - desired| (m/s²)", ylabel="ratio of two errors (1)", ylim=(0, 1.05))
+    multiplier.set_title("multiplier: below 1 contracts")
+    multiplier.legend()
+    return figure
+
+
+def filter_responses(filters: dict[str, LinearFilter], time_step: float):
+    """Frequency responses from the measured position to the three estimates, over the ideal derivatives."""
+    figure, panels = figures.new(2, 3, height=5.2, sharex=True)
+    frequency = np.geomspace(0.5, 499, 90)
+    z = np.exp(2j * np.pi * frequency * time_step)
+    for name, device in filters.items():
+        states = np.linalg.solve(
+            z[:, None, None] * np.eye(len(device.A)) - device.A,
+            np.broadcast_to(device.B[:, :1], (len(z), *device.B[:, :1].shape)),
+        )[..., 0]
+        response = states @ device.C.T + device.D[:, 0]
+        line = "--" if name == LITERAL else "-"  # in places it covers its neighbour
+        for column in range(3):
+            ratio = response[:, column] / (2j * np.pi * frequency) ** column
+            panels[0, column].loglog(frequency, np.abs(ratio), line, color=COLOURS[name], label=name)
+            angle = np.degrees(np.unwrap(np.angle(ratio)))
+            panels[1, column].semilogx(frequency, angle, line, color=COLOURS[name], label=name)
+    for column, title in enumerate(("estimate of q", "of q', over jω", "of q'', over (jω)²")):
+        panels[0, column].set(title=title, ylim=(1e-3, 10))
+        panels[1, column].set(xlabel="frequency (Hz)", ylim=(-400, 90))
+    panels[0, 0].set_ylabel("gain (1)")
+    panels[1, 0].set_ylabel("phase (degrees)")
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=3)
+    return figure
+
+
+def stability_ranges(ranges: dict[str, StableRange], gains: dict[str, float], banach: float):
+    """Stable local gains of every loop, the gain in use, and the edge that Banach's theorem gives."""
+    figure, axes = figures.new(1, height=0.42 * len(ranges) + 1.3)
+    for row, (name, region) in enumerate(ranges.items()):
+        strong, weak = region.limits
+        axes.plot([-strong, -weak], [row, row], "-", linewidth=7, color=COLOURS[name], alpha=0.5, label=name)
+        axes.plot(
+            [-gains[name]], [row], "|", markersize=16, markeredgewidth=2.5, color="k", label="_gain in use"
+        )
+        for crossing, side in ((region.strongest, "left"), (region.weakest, "right")):
+            _name_edge(axes, crossing, row, side)
+    axes.plot([], [], "k|", markersize=10, markeredgewidth=2.5, label="gain in use")
+    axes.axvline(-banach, color=figures.GREY, linestyle=":")
+    axes.text(-banach * 0.97, len(ranges) - 0.45, "Banach's edge", ha="right", va="center", fontsize=7)
+    axes.set_yticks(range(len(ranges)), list(ranges))
+    axes.set(xscale="log", xlabel="strength of the transformation, minus its local gain (1)", xlim=(6e-3, 4))
+    axes.set_ylim(len(ranges) - 0.3, -0.6)
+    axes.legend([axes.lines[-2]], ["gain in use"], loc="upper right")
+    return figure
+
+
+def _name_edge(axes, crossing: Crossing, row: int, side: str):
+    axes.annotate(
+        f"{crossing.frequency_hz:.0f} Hz",
+        (-crossing.local_gain, row),
+        xytext=(4 if side == "left" else -4, 0),
+        textcoords="offset points",
+        ha=side,
+        va="center",
+        fontsize=7,
+    )
+
+
+def limit_cycle_condition(loop: LinearLoop, transformation: FlowTransformation, drawn_on=None):
+    """The open loop's locus and the inverse of gain times describing function; where they meet is a cycle.
+
+    `drawn_on` is a figure and its axes, where these shall not be new.
+    """
+    figure, axes = drawn_on or figures.new(1, height=4.0)
+    frequency, marks = np.geomspace(3, 120, 180), np.array([5.0, 10.0, 20.0, 40.0, 80.0])
+    locus, points = np.split(loop.response(2 * np.pi * np.append(frequency, marks)), [len(frequency)])
+    axes.plot(locus.real, locus.imag, color=figures.BLUE, label="linear loop, 3 to 120 Hz")
+    amplitude = np.geomspace(1e-2, 300, 60)
+    inverse = np.array([1 / (transformation.local_gain * describing_function(a)) for a in amplitude])
+    axes.plot(
+        inverse, np.zeros_like(inverse), color=figures.RED, label="1 / (local gain x describing function)"
+    )
+    for place, point in zip(marks, points, strict=True):
+        axes.plot(point.real, point.imag, "o", color=figures.BLUE, markersize=4, label=f"{place:g} Hz")
+        axes.annotate(
+            f"{place:g} Hz", (point.real, point.imag), xytext=(5, 3), textcoords="offset points", fontsize=8
+        )
+    for size in (3, 10, 30, 100):
+        x = 1 / (transformation.local_gain * describing_function(size / transformation.width))
+        axes.plot(x, 0, "s", color=figures.RED, markersize=4, label=f"error {size} m/s²")
+        axes.annotate(
+            f"{size} m/s²", (x, 0), xytext=(0, -12), textcoords="offset points", fontsize=7, ha="center"
+        )
+    axes.set(
+        xlabel="real part of the response (1)", ylabel="imaginary part (1)", xlim=(-75, 10), ylim=(-45, 45)
+    )
+    axes.legend(handles=axes.lines[:2], loc="upper right")
+    return figure
+
+
+def limit_cycle_sweep(gains, predicted, simulated):
+    """Frequency and amplitude of the limit cycle against the gain A: predicted lines, simulated points.
+
+    Parameters
+    ----------
+    gains : array_like
+        Minus A, m/s^2.
+    predicted : list of tuple
+        Frequency in Hz and amplitude of response - desired in m/s^2, NaN without a cycle.
+    simulated : list of tuple
+        Likewise.
+    """
+    figure, panels = figures.new(1, 2, height=3.0)
+    titles = ("frequency (Hz)", "amplitude of response - desired (m/s²)")
+    for column, (axes, title) in enumerate(zip(panels, titles, strict=True)):
+        axes.plot(gains, [p[column] for p in predicted], color=figures.BLUE, label="describing function")
+        axes.plot(
+            gains, [s[column] for s in simulated], "o", markersize=4, color=figures.RED, label="simulated"
+        )
+        axes.axvline(1.1, color=figures.BLACK, linestyle=":", linewidth=1)
+        axes.set(xlabel="-A (m/s²), dotted: published", ylabel=title)
+    middle = np.nanmean([p[0] for p in predicted])
+    panels[0].set_ylim(0.95 * middle, 1.05 * middle)
+    panels[0].legend()
+    return figure
+
+
+def noise_gain(deviations, remaining, weakest: float, marks: dict[str, float]):
+    """What noise in the response leaves of transformation (6)'s gain, and the least that the loop needs."""
+    figure, axes = figures.new(1, height=3.0)
+    axes.loglog(deviations, remaining, color=figures.BLUE, label="gain of (6) left in noise")
+    axes.axhline(weakest, color=figures.RED, linestyle="--")
+    axes.text(
+        deviations[0], weakest * 1.08, "the Kalman loop needs at least this", fontsize=8, color=figures.RED
+    )
+    for (name, place), line in zip(marks.items(), (":", "-."), strict=False):
+        axes.axvline(place, color=figures.BLACK, linestyle=line, linewidth=1)
+        axes.text(place * 1.06, remaining.max(), name, rotation=90, ha="left", va="top", fontsize=8)
+    axes.set(
+        xlabel="standard deviation of response - desired (m/s²)", ylabel="strength, minus the local gain (1)"
+    )
+    return figure

@@ -1,0 +1,84 @@
+"""Simulations that the convergence analysis is held against."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from experiments.fixedpoint.metrics import noisy_run
+from experiments.fixedpoint.noise import Noise
+from stillwork.control.fixed_point import Controller, simulate
+from stillwork.control.fixed_point_convergence import limit_cycles, strongest_oscillation
+from stillwork.control.fixed_point_linear import linear_loop
+from stillwork.control.trajectory import Trajectory
+from stillwork.control.transformation import FlowTransformation
+from stillwork.estimation.plant import Plant
+
+
+def at_rest(samples: int, time_step: float) -> Trajectory:
+    """A nominal motion that stands still at zero."""
+    return Trajectory(time_step, *np.zeros((3, samples)))
+
+
+def cycles_over_gain(
+    plant: Plant, controller: Controller, strengths: Sequence[float], width: float, time_step: float
+) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
+    """Predicted and simulated limit cycle for each -A: frequency in Hz, amplitude in m/s^2; NaN without one."""
+    loop, predicted, simulated = linear_loop(plant, controller, time_step), [], []
+    for strength in strengths:
+        transformation = FlowTransformation(-strength, width)
+        stable = [cycle for cycle in limit_cycles(loop, transformation) if cycle.stable]
+        predicted.append((stable[0].frequency_hz, stable[0].iteration_error) if stable else (np.nan, np.nan))
+        moved = replace(controller, transformation=transformation)
+        run = simulate(plant, moved, at_rest(round(8 / time_step), time_step), start=(0.0, 1e-3))
+        tail = slice(round(4 / time_step), None)
+        found = strongest_oscillation(run.acceleration_estimate[tail] - run.desired[tail], time_step)
+        simulated.append((found.frequency_hz, found.amplitude))
+    return predicted, simulated
+
+
+def remaining_motion(plant: Plant, controller: Controller, kick: float, time_step: float) -> float:
+    """Largest velocity in the last of 8 s at rest after a kick, over the kick; infinite when it diverged.
+
+    Parameters
+    ----------
+    plant, controller
+        As for `simulate`.
+    kick : float
+        Initial velocity, m/s.
+    time_step : float
+        s.
+    """
+    run = simulate(plant, controller, at_rest(round(8 / time_step), time_step), start=(0.0, kick))
+    if run.diverged_at is not None:
+        return np.inf
+    return float(np.abs(run.velocity[round(7 / time_step) :]).max() / kick)
+
+
+def divergence_by_noise(
+    plant: Plant,
+    controller: Controller,
+    deviations: Sequence[float],
+    runs: int,
+    seed: int,
+    time_step: float = 1e-3,
+) -> list[float]:
+    """Fraction of runs of 12 s at rest that diverge, for each standard deviation of Gaussian noise."""
+    still = at_rest(round(12 / time_step), time_step)
+
+    def diverges(stream, deviation) -> bool:
+        noise = Noise("gaussian", deviation)
+        run = noisy_run(plant, controller, still, noise, np.random.default_rng(stream))
+        return run.diverged_at is not None
+
+    streams = np.random.SeedSequence(seed).spawn(runs)
+    return [sum(diverges(stream, deviation) for stream in streams) / runs for deviation in deviations]
+
+
+def response_noise(
+    plant: Plant, controller: Controller, deviation: float, seed: int, time_step: float = 1e-3
+) -> float:
+    """Standard deviation of response - desired at rest in Gaussian noise, m/s^2; 5 s after the first."""
+    still = at_rest(round(6 / time_step), time_step)
+    run = noisy_run(plant, controller, still, Noise("gaussian", deviation), seed)
+    return float(np.std((run.acceleration_estimate - run.desired)[round(1 / time_step) :]))

@@ -1,0 +1,188 @@
+"""Drawing functions for the notebooks' explorers: one simulation or calculation, one small picture."""
+
+import numpy as np
+
+from experiments.fixedpoint.convergence_pictures import limit_cycle_condition
+from experiments.fixedpoint.differentiation import steady_errors
+from experiments.fixedpoint.metrics import compare, judge, noisy_run
+from experiments.fixedpoint.noise import Noise
+from experiments.fixedpoint.oscillator import load_oscillator
+from experiments.fixedpoint.published import KALMAN, LITERAL, published_controllers
+from experiments.fixedpoint.run_pictures import COLOURS, METRICS, log_axis
+from stillwork.control.fixed_point import Controller, simulate
+from stillwork.control.fixed_point_convergence import limit_cycles, stable_range
+from stillwork.control.fixed_point_linear import linear_loop
+from stillwork.control.kinematics import KinematicDesign
+from stillwork.control.trajectory import asin_trajectory
+from stillwork.control.transformation import FlowTransformation, RobustTransformation
+from stillwork.estimation.coordinate_filters import LowPass, MovingWindow
+from stillwork.estimation.plant import partial_derivatives
+from stillwork.workbook import figures
+
+
+def _models():
+    models = load_oscillator()
+    return models["exact"].plant, models["approximate"].plant
+
+
+def _new(panels=1, height=3.2, left=0.1, title_lines=1):
+    """A figure with fixed margins: a layout that is solved would double the time of a redraw."""
+    figure, axes = figures.new(1, panels, height=height)
+    figure.set_layout_engine(None)
+    top = 1 - (0.14 + 0.16 * title_lines) / height
+    figure.subplots_adjust(left=left, right=0.98, bottom=0.5 / height, top=top, wspace=0.3)
+    return figure, axes
+
+
+def _error_lines(runs, title, seconds=(6.0, 6.5)):
+    figure, axes = _new()
+    for name, run in runs.items():
+        part = (run.time >= seconds[0]) & (run.time < seconds[1])
+        error = judge(run)["position"]
+        label = (
+            f"{name}: {error * 1e3:.3g} mm"
+            if np.isfinite(error)
+            else f"{name}: diverged at {run.diverged_at:.2f} s"
+        )
+        axes.plot(run.time[part], 1e3 * run.position_error[part], color=COLOURS[name], label=label)
+    axes.set(xlabel="time (s)", ylabel="error of q (mm)", title=title)
+    axes.legend(title="RMS after 2 s", title_fontsize=8)
+    return figure
+
+
+def draw_noise_free(frequency_hz: float, sharpness: float, window_length: int, bandwidth: float):
+    """Tracking error without noise of the three filters, with other settings of two of them."""
+    exact, approximate = _models()
+    controllers = published_controllers(approximate)
+    filters = {"moving window": MovingWindow(int(window_length)), "low pass": LowPass(float(bandwidth))}
+    trajectory = asin_trajectory(sharpness=float(sharpness), frequency_hz=float(frequency_hz))
+    runs = {}
+    for name in ("moving window", "low pass", KALMAN):
+        own = controllers[name]
+        signal_filter = filters.get(name, own.signal_filter)
+        runs[name] = simulate(
+            exact, Controller(signal_filter, own.transformation, own.kinematics, own.model), trajectory
+        )
+    return _error_lines(runs, "without noise")
+
+
+def draw_noisy(kind: str, amplitude: float, frequency_hz: float, integration: str):
+    """Tracking error of the four controllers in noise of another size and kind."""
+    exact, approximate = _models()
+    trajectory = asin_trajectory(frequency_hz=float(frequency_hz))
+    noise = Noise(kind, float(amplitude))
+    runs = {
+        name: noisy_run(exact, controller, trajectory, noise, 0, integration)
+        for name, controller in published_controllers(approximate).items()
+    }
+    return _error_lines(runs, f"{kind} noise")
+
+
+def draw_ranking(frequency_hz: float, sharpness: float, amplitude: float):
+    """RMS errors of the four controllers, mean over two noise records."""
+    exact, approximate = _models()
+    trajectory = asin_trajectory(sharpness=float(sharpness), frequency_hz=float(frequency_hz))
+    noise = Noise("gaussian", float(amplitude))
+    found = compare(exact, published_controllers(approximate), trajectory, noise, runs=2, seed=0)
+    figure, panels = _new(2, height=2.2, left=0.21)
+    for axes, quantity in zip(panels, ("position", "roughness"), strict=True):
+        for place, (name, study) in enumerate(found.items()):
+            axes.plot(
+                METRICS[quantity][2] * study[quantity].mean(), place, "o", color=COLOURS[name], label=name
+            )
+        axes.set(xscale="log", xlabel=METRICS[quantity][0])
+        log_axis(axes.xaxis)
+    for axes, names in zip(panels, (list(found), [""] * len(found)), strict=True):
+        axes.set_yticks(range(len(found)), names)
+        axes.set_ylim(len(found) - 0.5, -0.5)
+    return figure
+
+
+def motion_at_rest(time_step: float):
+    """F of x = [velocity, position] for the approximate model at rest, semi-implicit."""
+    by_position, by_velocity, _ = partial_derivatives(_models()[1], 0.0, 0.0, 0.0)
+    row = np.array([1 + time_step * by_velocity, time_step * by_position])
+    return np.array([row, time_step * row + [0.0, 1.0]])
+
+
+def draw_beliefs(assumed_scale: float, noise_deviation: float):
+    """Believed and true standard deviation of the Kalman filter's errors when its R is scaled."""
+    scales = np.geomspace(1e-4, 1e4, 25)
+    step = 1e-3
+    process, assumed = np.diag([1e-1, 1e-3]), np.diag([1e-2, 1e-3])
+    still = motion_at_rest(step)
+    settled = [
+        steady_errors(still, process, s * assumed, float(noise_deviation), step, np.zeros((2, 2)))
+        for s in scales
+    ]
+    figure, panels = _new(2, height=3.0, left=0.12)
+    for axes, column, estimate in zip(panels, (1, 0), ("q (m)", "q' (m/s)"), strict=True):
+        for name, colour, line in (("believed", figures.RED, "--"), ("true", figures.BLUE, "-")):
+            values = [np.sqrt(getattr(s, name)[column, column]) for s in settled]
+            axes.plot(scales, values, line, color=colour, label=name)
+        axes.axvline(float(assumed_scale), color=figures.BLACK, linestyle=":")
+        axes.set(xscale="log", yscale="log", xlabel="factor on the assumed R (1)")
+        axes.set_ylabel(f"standard deviation of {estimate}")
+        log_axis(axes.xaxis)
+        log_axis(axes.yaxis)
+    panels[0].legend()
+    return figure
+
+
+def draw_limit_cycle(gain: float, window_length: int, exponent: float):
+    """Where the window's loop and transformation (6) balance."""
+    exact, approximate = _models()
+    transformation = FlowTransformation(-float(gain))
+    controller = Controller(
+        MovingWindow(int(window_length)), transformation, KinematicDesign(float(exponent)), approximate
+    )
+    loop = linear_loop(exact, controller, 1e-3)
+    region = stable_range(loop)
+    figure = limit_cycle_condition(loop, transformation, _new(height=4.0, title_lines=2))
+    cycles = [
+        f"{c.frequency_hz:.1f} Hz at {c.iteration_error:.3g} m/s² ({'stable' if c.stable else 'unstable'})"
+        for c in limit_cycles(loop, transformation, region)
+    ]
+    low, high = region.limits
+    figure.axes[0].set_title(
+        f"stable gains {low:.3g} to {high:.3g}, here {transformation.local_gain:.3g}\n"
+        f"cycles: {', '.join(cycles) or 'none'}"
+    )
+    return figure
+
+
+def draw_low_pass(exponent: float, bandwidth: float, strength: float):
+    """The low pass with other settings than the paper's, in large Gaussian noise."""
+    exact, approximate = _models()
+    trajectory = asin_trajectory()
+    controller = Controller(
+        LowPass(float(bandwidth)),
+        RobustTransformation(slope=float(strength) / (4e7 * 1.05)),
+        KinematicDesign(float(exponent)),
+        approximate,
+    )
+    return _error_lines(
+        {"low pass": noisy_run(exact, controller, trajectory, Noise("gaussian", 1e-4), 0)},
+        "large Gaussian noise",
+    )
+
+
+def draw_shift(frequency_hz: float, exponent: float):
+    """Both forms of the Kalman filter without noise: the printed one tracks late by one sample."""
+    exact, approximate = _models()
+    trajectory = asin_trajectory(frequency_hz=float(frequency_hz))
+    runs = {}
+    for name in (KALMAN, LITERAL):
+        own = published_controllers(approximate)[name]
+        runs[name] = simulate(
+            exact,
+            Controller(own.signal_filter, own.transformation, KinematicDesign(float(exponent)), own.model),
+            trajectory,
+        )
+    figure = _error_lines(runs, "without noise", (0.0, 12.0))
+    axes = figure.axes[0]
+    axes.plot(
+        trajectory.time[::20], trajectory.velocity[::20], "k:", lw=1, label="1 ms times the nominal velocity"
+    )
+    axes.legend(fontsize=7)
+    return figure

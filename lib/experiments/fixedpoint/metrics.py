@@ -1,0 +1,133 @@
+"""What a run is judged by, and the Monte Carlo over noise seeds."""
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+
+import numpy as np
+
+from experiments.fixedpoint.noise import Noise
+from stillwork.base.checks import InputError, require_number
+from stillwork.control.fixed_point import ControlledRun, Controller, simulate
+from stillwork.control.trajectory import Trajectory, asin_trajectory
+from stillwork.estimation.plant import Plant
+from stillwork.workbook.studies import Study, run_study
+
+QUANTITIES = ("position", "velocity", "roughness", "position_shift", "velocity_shift")
+
+
+def judge(run: ControlledRun, settle: float = 2.0) -> dict[str, float]:
+    """Numbers of one run, from `settle` seconds on.
+
+    Returns
+    -------
+    dict
+        position, velocity: RMS tracking error, m and m/s. roughness: RMS change of the true acceleration
+        from sample to sample, m/s^2: what "hectic" means here, and the opposite of smooth. position_shift,
+        velocity_shift: by how many seconds the filter's estimate runs ahead of the truth (behind: negative):
+        regression of its error on the true velocity, and on the deformed acceleration, which is what the
+        controller's model believes the acceleration to be; both averaged over 50 samples against the noise.
+        All are infinite when the run diverged.
+    """
+    first = round(require_number("settle", settle, at_least=0) / run.trajectory.time_step)
+    if first > len(run.position) - 51:
+        raise InputError(f"settle is {settle:g} s, the run lasts {run.time[-1]:g} s; leave 51 samples")
+    if run.diverged_at is not None:
+        return dict.fromkeys(QUANTITIES, np.inf)
+    part = slice(first, None)
+    return {
+        "position": _rms(run.position_error[part]),
+        "velocity": _rms(run.velocity_error[part]),
+        "roughness": _rms(np.diff(run.acceleration[part])),
+        "position_shift": _shift(run.position_estimate - run.position, run.velocity, part),
+        "velocity_shift": _shift(run.velocity_estimate - run.velocity, run.deformed, part),
+    }
+
+
+def compare(
+    plant: Plant,
+    controllers: dict[str, Controller],
+    trajectory: Trajectory,
+    noise: Noise,
+    *,
+    runs: int,
+    seed: int,
+    integration: str = "semi-implicit",
+    executor: Executor | None = None,
+) -> dict[str, Study]:
+    """Judge every controller over the same `runs` noise records.
+
+    Returns
+    -------
+    dict of str to Study
+        A study a controller, with the quantities of `judge`; run k of each saw the same noise.
+    """
+    settings = {"plant": plant, "trajectory": trajectory, "noise": noise, "integration": integration}
+    return {
+        name: run_study(
+            trial, runs, seed, executor=executor, progress=False, controller=controller, **settings
+        )
+        for name, controller in controllers.items()
+    }
+
+
+def trial(
+    rng: np.random.Generator,
+    plant: Plant,
+    controller: Controller,
+    trajectory: Trajectory,
+    noise: Noise,
+    integration: str = "semi-implicit",
+) -> dict[str, float]:
+    """One run with noise from `rng`, judged."""
+    return judge(noisy_run(plant, controller, trajectory, noise, rng, integration))
+
+
+def noisy_run(
+    plant: Plant,
+    controller: Controller,
+    trajectory: Trajectory,
+    noise: Noise,
+    rng: np.random.Generator | int,
+    integration: str = "semi-implicit",
+) -> ControlledRun:
+    """One run with noise from a generator or a seed."""
+    rng = np.random.default_rng(rng)
+    return simulate(
+        plant,
+        controller,
+        trajectory,
+        noise.draw(rng, len(trajectory.position)),
+        resolution=noise.resolution,
+        grid=noise.draw_grid(rng),
+        integration=integration,
+    )
+
+
+def sweep(
+    plant: Plant,
+    controllers: dict[str, Controller],
+    noise: Noise,
+    frequencies_hz: Sequence[float],
+    *,
+    runs: int,
+    seed: int,
+) -> list[dict[str, Study]]:
+    """`compare` on the default trajectory at several frequencies."""
+    return [
+        compare(plant, controllers, asin_trajectory(frequency_hz=f), noise, runs=runs, seed=seed)
+        for f in frequencies_hz
+    ]
+
+
+def _rms(values) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _shift(error, derivative, part) -> float:
+    error, derivative = _averaged(error[part]), _averaged(derivative[part])
+    return float(error @ derivative / (derivative @ derivative))
+
+
+def _averaged(values, samples=50):
+    whole = len(values) // samples * samples
+    return values[:whole].reshape(-1, samples).mean(axis=1)

@@ -1,0 +1,86 @@
+"""Pictures of measurement noise: correlations, beliefs of a Kalman filter, tuned filters and their cost."""
+
+import numpy as np
+
+from experiments.fixedpoint.differentiation import (
+    Correlations,
+    quotient_autocorrelation,
+    quotient_cross_correlation,
+)
+from experiments.fixedpoint.published import EXTENDED
+from experiments.fixedpoint.run_pictures import COLOURS, METRICS, log_axis, points_with_intervals
+from stillwork.workbook import figures
+from stillwork.workbook.studies import Study
+
+
+def noise_correlations(found: dict[str, Correlations]):
+    """Sample correlations of the difference quotient, with itself and with the position, and theory."""
+    figure, panels = figures.new(1, 2, height=3.0, sharey=True)
+    lags = next(iter(found.values())).lags
+    theories = (quotient_autocorrelation, quotient_cross_correlation)
+    titles = ("quotient with itself", "quotient with the position")
+    colours = (figures.BLUE, figures.GREEN, figures.ORANGE)
+    for axes, name, theory, title in zip(panels, ("quotient", "cross"), theories, titles, strict=True):
+        axes.plot(
+            lags, [theory(int(lag)) for lag in lags], "kD", mfc="none", ms=9, label="derived from (18)-(21)"
+        )
+        axes.plot(
+            lags,
+            (lags == 0) * float(name == "quotient"),
+            "x",
+            color=figures.RED,
+            ms=7,
+            label="assumed: R diagonal, white",
+        )
+        for (label, correlations), colour, shift in zip(
+            found.items(), colours, (-0.12, 0.0, 0.12), strict=False
+        ):
+            axes.plot(lags + shift, getattr(correlations, name), ".", color=colour, ms=7, label=label)
+        axes.set(xlabel="lag (samples)", ylabel="correlation (1)", title=title)
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=3)
+    return figure
+
+
+def beliefs(deviations, believed, true):
+    """Standard deviation of the estimates, by the filter's own covariance and in truth, over the noise."""
+    figure, panels = figures.new(1, 2, height=3.0)
+    for axes, column, unit, name in zip(panels, (1, 0), ("m", "m/s"), ("position", "velocity"), strict=True):
+        axes.loglog(deviations, np.sqrt(believed[:, column]), "--", color=figures.RED, label="believed")
+        axes.loglog(deviations, np.sqrt(true[:, column]), color=figures.BLUE, label="true")
+        axes.set(xlabel="deviation of the measured position (m)", ylabel=f"error ({unit})", title=name)
+        for published in (1e-5, 1e-4):
+            axes.axvline(published, color=figures.BLACK, linestyle=":", linewidth=1)
+    panels[0].legend()
+    return figure
+
+
+def tuned_errors(studies: dict[str, dict[str, Study]], quantities=("velocity", "position", "roughness")):
+    """Errors on fresh noise of the tuned filters, mean and 95 % interval, a row a noise."""
+    figure, panels = figures.new(len(studies), len(quantities), height=2.0 * len(studies) + 0.6)
+    for row, (case, study) in zip(np.atleast_2d(panels), studies.items(), strict=True):
+        for axes, quantity in zip(row, quantities, strict=True):
+            for place, (name, runs) in enumerate(study.items()):
+                points_with_intervals(axes, [METRICS[quantity][2] * runs[quantity]], [place], name)
+            axes.set(xlabel=METRICS[quantity][0], title=case if quantity == quantities[0] else "")
+            axes.set_yticks(
+                range(len(study)), list(study) if quantity == quantities[0] else [""] * len(study)
+            )
+            axes.set_ylim(len(study) - 0.5, -0.5)
+            axes.set_xlim(0, 1.06 * axes.get_xlim()[1])
+    return figure
+
+
+def cost_against_error(cost_ns: dict[str, float], errors: dict[str, float], unit: str):
+    """What a filter costs against what it gives."""
+    figure, axes = figures.new(1, height=3.2)
+    for name, error in errors.items():
+        axes.plot(cost_ns[name], error, "o", color=COLOURS[name], label=name)
+        below = -13 if name == EXTENDED else 4  # its neighbour is close
+        axes.annotate(name, (cost_ns[name], error), xytext=(6, below), textcoords="offset points", fontsize=8)
+    axes.set(
+        xscale="log", xlabel="measured time a sample, published settings (ns)", ylabel=unit, xlim=(20, 1000)
+    )
+    axes.set_ylim(0, 1.15 * max(errors.values()))
+    log_axis(axes.xaxis)
+    return figure

@@ -1,0 +1,94 @@
+"""The modified van der Pol oscillator of the paper, (11), from TOML."""
+
+import tomllib
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from stillwork.base import paths
+from stillwork.base.checks import InputError, nearest, require_number
+from stillwork.base.kernels import kernel
+from stillwork.estimation.plant import Plant
+
+
+@dataclass(frozen=True)
+class VanDerPol:
+    """The oscillator of (11): m q'' + k q - b1 (a^2 - q^2) q' + b2 q' + d sign(q') q'^2 = u."""
+
+    mass: float  # m, kg
+    stiffness: float  # k, N/m
+    separator: float  # a, m
+    excitation: float  # b1, N s/m^3
+    damping: float  # b2, N s/m
+    drag: float  # d, N s^2/m^2
+
+    def __post_init__(self):
+        require_number("mass", self.mass, above=0)
+        for field in fields(self)[1:]:
+            require_number(field.name, getattr(self, field.name))
+
+    @property
+    def plant(self) -> Plant:
+        """The oscillator as the kernels know it."""
+        parameters = np.array([getattr(self, field.name) for field in fields(self)], dtype=float)
+        return Plant(oscillator_acceleration, oscillator_force, parameters)
+
+
+def oscillator_acceleration(position, velocity, force, parameters):
+    """Equation (11) solved for the acceleration."""
+    return (force - _restoring_force(position, velocity, parameters)) / parameters[0]
+
+
+def oscillator_force(position, velocity, acceleration, parameters):
+    """Equation (11): the force that gives an acceleration."""
+    return parameters[0] * acceleration + _restoring_force(position, velocity, parameters)
+
+
+@kernel
+def _restoring_force(position, velocity, parameters):
+    separator, excitation = parameters[2], parameters[3]
+    return (
+        parameters[1] * position
+        - excitation * (separator**2 - position**2) * velocity
+        + parameters[4] * velocity
+        + parameters[5] * abs(velocity) * velocity
+    )
+
+
+def load_oscillator(file: Path | str | None = None) -> dict[str, VanDerPol]:
+    """Models ``exact`` and ``approximate`` from TOML, by default those of Table I.
+
+    Raises
+    ------
+    InputError
+        When the file lacks a model or a parameter, or holds an unknown one.
+    """
+    file = Path(file) if file else paths.data("fixedpoint", "oscillator.toml")
+    try:
+        tree = tomllib.loads(file.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"file {file} does not exist; give the path of a TOML file") from None
+    except OSError as error:
+        raise InputError(f"{file} cannot be read ({error.strerror}); give the path of a TOML file") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{file} is not text; give a TOML file in UTF-8") from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{file}: not valid TOML ({error}); mend that line") from None
+    known = [field.name for field in fields(VanDerPol)]
+    models = {}
+    for name in ("exact", "approximate"):
+        if name not in tree:
+            raise InputError(f"{file}: no table [{name}]{nearest(name, tree)}; add it")
+        if not isinstance(tree[name], dict):
+            raise InputError(f"{file}: {name} is {tree[name]!r}; make it a table [{name}] of parameters")
+        for key in tree[name]:
+            if key not in known:
+                raise InputError(f"{file}: [{name}] has an unknown parameter {key!r}{nearest(key, known)}")
+        if missing := [key for key in known if key not in tree[name]]:
+            raise InputError(f"{file}: [{name}] lacks {', '.join(missing)}; add them")
+        try:
+            models[name] = VanDerPol(**tree[name])
+        except InputError as error:
+            raise InputError(f"{file}: [{name}] {error}") from None
+    return models

@@ -1,0 +1,119 @@
+"""The paper's rankings of its three filters as statements that each run obeys or not."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool
+
+from experiments.fixedpoint.published import KALMAN, LITERAL, LOW_PASS, WINDOW
+from stillwork.workbook.studies import Study, proportion_interval
+
+SMOOTHEST = "low pass smoothest"
+HECTIC = "Kalman filter most hectic"
+WINDOW_PRECISE = "window most precise"
+LOW_PASS_BEST = "low pass tracks best"
+KALMAN_WORST = "Kalman filter tracks worst"
+
+
+def statements(
+    study: dict[str, Study], kalman: str, quantity: str = "position"
+) -> dict[str, Bool[np.ndarray, " runs"]]:
+    """Which runs obey each statement, among window, low pass and one form of the Kalman filter.
+
+    Smooth and hectic are judged by the roughness of the motion, precise and best by an RMS error. The paper
+    shows errors of q and of q' and does not say which it ranks by.
+
+    Parameters
+    ----------
+    study : dict of str to Study
+        From `compare`.
+    kalman : str
+        Which Kalman filter takes part: as printed, or corrected.
+    quantity : str
+        ``position`` or ``velocity``: whose RMS error says what is precise.
+    """
+    names = (WINDOW, LOW_PASS, kalman)
+    rough = np.array([study[name]["roughness"] for name in names])
+    error = np.array([study[name][quantity] for name in names])
+    return {
+        SMOOTHEST: rough.argmin(axis=0) == 1,
+        HECTIC: rough.argmax(axis=0) == 2,
+        WINDOW_PRECISE: error.argmin(axis=0) == 0,
+        LOW_PASS_BEST: error.argmin(axis=0) == 1,
+        KALMAN_WORST: error.argmax(axis=0) == 2,
+    }
+
+
+def fraction(obeyed: Bool[np.ndarray, " runs"]) -> tuple[float, tuple[float, float]]:
+    """Fraction of runs that obey, and Wilson's 95 % interval of it."""
+    return float(obeyed.mean()), proportion_interval(int(obeyed.sum()), len(obeyed))
+
+
+def pooled(studies: dict[str, dict[str, Study]], kalman: str) -> dict[str, Bool[np.ndarray, " runs"]]:
+    """The statements over the runs of all cases together."""
+    each = [statements(study, kalman) for study in studies.values()]
+    return {name: np.concatenate([obeyed[name] for obeyed in each]) for name in each[0]}
+
+
+def rankings(small: list[dict[str, Study]], large: list[dict[str, Study]]) -> dict[str, list[float]]:
+    """Fractions of runs that obey what the paper says, a number for each pair of studies.
+
+    Parameters
+    ----------
+    small, large : list of dict
+        Studies in small and in large noise, one for each setting.
+    """
+
+    def share(studies, kalman, name, quantity="position"):
+        return [float(statements(study, kalman, quantity)[name].mean()) for study in studies]
+
+    return {
+        "small noise: low pass smoothest": share(small, LITERAL, SMOOTHEST),
+        "small noise: Kalman filter most hectic": share(small, LITERAL, HECTIC),
+        "large noise: Kalman filter most hectic": share(large, LITERAL, HECTIC),
+        "small noise: window most precise, printed": share(small, LITERAL, WINDOW_PRECISE),
+        "small noise: window most precise, corrected": share(small, KALMAN, WINDOW_PRECISE),
+        "small noise: window most precise in q', printed": share(small, LITERAL, WINDOW_PRECISE, "velocity"),
+        "large noise: low pass best, printed": share(large, LITERAL, LOW_PASS_BEST),
+        "large noise: low pass best, corrected": share(large, KALMAN, LOW_PASS_BEST),
+        "large noise: low pass best in q', printed": share(large, LITERAL, LOW_PASS_BEST, "velocity"),
+    }
+
+
+def changed(before: dict[str, Study], after: dict[str, Study], kalman: str) -> str:
+    """Statements whose fraction differs between two readings of the paper, as text; ``none`` without any."""
+    old, new = statements(before, kalman), statements(after, kalman)
+    moved = [
+        f"{name} {old[name].mean():.2g} -> {new[name].mean():.2g}"
+        for name in old
+        if old[name].mean() != new[name].mean()
+    ]
+    return "; ".join(moved) or "none"
+
+
+@dataclass(frozen=True)
+class StatementTable:
+    """Fraction of runs that obey each statement, a row a case and statement; prints as text."""
+
+    rows: tuple[tuple[str, str, str, str], ...]
+
+    def __repr__(self) -> str:
+        return "\n".join("{:16s} {:27s} {:22s} {:22s}".format(*row).rstrip() for row in self.rows)
+
+
+def table(studies: dict[str, dict[str, Study]], corrected: str, printed: str) -> StatementTable:
+    """All statements in all cases, for both forms of the Kalman filter, with Wilson's 95 % intervals.
+
+    Runs that repeat one another, as those without noise do, are one run: they get no interval.
+    """
+    rows = [("case", "statement", "(14) printed", "(14) corrected")]
+    for case, study in studies.items():
+        repeated = all(np.ptp(found[quantity]) == 0 for found in study.values() for quantity in found.values)
+        forms = [statements(study, form) for form in (printed, corrected)]
+        for name in forms[0]:
+            cells = []
+            for obeyed in forms:
+                share, (low, high) = fraction(obeyed[name])
+                cells.append(f"{share:.2f}" if repeated else f"{share:.2f} ({low:.2f} .. {high:.2f})")
+            rows.append((case, name, *cells))
+    return StatementTable(tuple(rows))

@@ -1,0 +1,137 @@
+"""Pictures of a plant of one's own in the adaptive loop (notebook 09)."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from experiments.fixedpoint.metrics import judge
+from experiments.fixedpoint.noise import Noise
+from experiments.fixedpoint.run_pictures import COLOURS
+from experiments.fixedpoint.your_plant import Contraction, Models, contraction_along, drive
+from stillwork.control.fixed_point import ControlledRun, Controller
+from stillwork.control.kinematics import KinematicDesign
+from stillwork.control.trajectory import Trajectory
+from stillwork.control.transformation import FlowTransformation
+from stillwork.workbook import figures
+
+_BINS = 240  # of an envelope over a run
+_SHOWN = 20_000  # samples in the explorer at most
+
+
+def draw_contraction(found: Contraction, chosen: Mapping[str, Controller]):
+    """Multiplier of the iteration along the trajectory: it contracts between -1 and 1, fastest at 0."""
+    figure, axes = figures.new(1, 1, height=2.6)
+    for number, (name, controller) in enumerate(chosen.items()):
+        values = found.multiplier(controller.transformation.local_gain)
+        # Equal gains lie upon each other.
+        axes.plot(found.time, values, "--" if number == 2 else "-", color=COLOURS[name], label=name)
+    for edge in (-1.0, 1.0):
+        axes.axhline(edge, color=figures.BLACK, ls="--", lw=0.9)
+    low, high = axes.get_ylim()
+    axes.set_ylim(min(low, -1.3), max(high, 1.3))
+    axes.set(
+        xlabel="time (s)", ylabel="multiplier of an iteration", title="it contracts between the dashed lines"
+    )
+    axes.legend(ncols=3)
+    return figure
+
+
+def draw_runs(runs: Mapping[str, ControlledRun], settle: float):
+    """Nominal and true motion, and the range of the tracking error in short stretches."""
+    figure, (motion, error) = figures.new(2, 1, height=4.8, sharex=True)
+    nominal = next(iter(runs.values())).trajectory
+    coarse = slice(None, None, max(1, len(nominal.position) // 600))
+    motion.plot(nominal.time[coarse], nominal.position[coarse], "k--", label="nominal", zorder=5)
+    reach = 0.0
+    for name, run in runs.items():
+        label = name if run.diverged_at is None else f"{name}, diverges at {run.diverged_at:.2f} s"
+        motion.plot(run.time[coarse], run.position[coarse], color=COLOURS[name], lw=1, label=label)
+        time, low, high = _envelope(run)
+        error.fill_between(time, low, high, alpha=0.6, lw=0.8, color=COLOURS[name], label=f"_{name}")
+        if run.diverged_at is None:
+            reach = max(reach, 1.15e3 * np.abs(run.position_error[run.time >= settle]).max())
+    margin = 0.2 * np.ptp(nominal.position)
+    motion.set_ylim(nominal.position.min() - margin, nominal.position.max() + margin)
+    if reach:
+        error.set_ylim(-reach, reach)
+    motion.set(ylabel="q (m)")
+    error.set(xlabel="time (s)", ylabel="error of q (mm)")
+    figure.legend(*motion.get_legend_handles_labels(), loc="outside upper center", ncols=2)
+    return figure
+
+
+def _envelope(run: ControlledRun) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Middle of each stretch in s, smallest and largest error in it in mm."""
+    length = max(1, len(run.time) // _BINS)
+    whole = len(run.time) // length * length
+    blocks = 1e3 * run.position_error[:whole].reshape(-1, length)
+    return run.time[:whole].reshape(-1, length)[:, length // 2], blocks.min(axis=1), blocks.max(axis=1)
+
+
+def plant_explorer(
+    models: Models,
+    chosen: Mapping[str, Controller],
+    trajectory: Trajectory,
+    noise_kind: str,
+    settle: float,
+    seed: int,
+) -> Callable:
+    """Drawing function of the explorer: all filters with another gain, stiffness of tracking and noise.
+
+    Parameters
+    ----------
+    models, chosen, trajectory
+        As for `drive`.
+    noise_kind : str
+        See `Noise`.
+    settle : float
+        s, before errors count.
+    seed : int
+        Of the noise.
+    """
+    found = contraction_along(models, trajectory)
+    if len(trajectory.position) > _SHOWN:  # a long record would take too long to redraw
+        trajectory = Trajectory(
+            trajectory.time_step,
+            trajectory.position[:_SHOWN],
+            trajectory.velocity[:_SHOWN],
+            trajectory.acceleration[:_SHOWN],
+        )
+
+    def draw(gain: float, stiffness: float, noise_m: float):
+        """Every local gain times `gain`, every Lambda times `stiffness`."""
+        moved = {}
+        for name, controller in chosen.items():
+            old = controller.transformation
+            factor = (
+                {"gain": gain * old.gain}
+                if isinstance(old, FlowTransformation)
+                else {"slope": gain * old.slope}
+            )
+            moved[name] = replace(
+                controller,
+                transformation=replace(old, **factor),
+                kinematics=KinematicDesign(stiffness * controller.kinematics.exponent),
+            )
+        noise = Noise() if noise_kind == "none" else Noise(noise_kind, noise_m)
+        runs = drive(models, moved, trajectory, noise, seed)
+        figure, axes = figures.new(1, 1, height=3.2)
+        for name, run in runs.items():
+            time, low, high = _envelope(run)
+            outside = np.abs(found.multiplier(moved[name].transformation.local_gain)) >= 1
+            if run.diverged_at is None:
+                said = f"{1e3 * judge(run, settle)['position']:.3g} mm rms"
+            else:
+                said = f"diverges at {run.diverged_at:.2f} s"
+            if outside.any():
+                said += ", outside the contraction range"
+            axes.fill_between(
+                time, low, high, alpha=0.6, lw=0.8, color=COLOURS[name], label=f"{name}: {said}"
+            )
+        axes.set(xlabel="time (s)", ylabel="error of q (mm)")
+        axes.margins(y=0.4)  # room for the legend
+        axes.legend(loc="upper right")
+        return figure
+
+    return draw

@@ -1,0 +1,261 @@
+"""Initial convergence: time constants and final values as in Table 1."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import ArrayLike
+
+from experiments.isolation.floors import ShapedFloor
+from experiments.isolation.simulation import Run, simulate, simulate_each
+from experiments.isolation.steady import Steady
+from experiments.isolation.twin import Twin
+from stillwork.base.checks import require_array, require_number
+from stillwork.estimation.adaptive import FeLms, FeRls
+from stillwork.estimation.online import UnstableAdaptation
+
+ALGORITHMS = ("FeLMS", "FeRLS")
+SHARE = 0.63  # half width of the band around the final value, Table 1
+FINAL_SHARE = 0.1  # of a run, at its end, whose mean is the final value
+
+
+@dataclass(frozen=True)
+class Course:
+    """Weights and quadratic filtered error over a run of one algorithm.
+
+    Attributes
+    ----------
+    time_s : ndarray, shape (kept,)
+    weights : ndarray, shape (kept, parameters)
+        Those of the first actuator.
+    error_power : ndarray, shape (kept,)
+        Quadratic filtered error, mean over each interval, N^2.
+    """
+
+    time_s: Float64[np.ndarray, "kept"]
+    weights: Float64[np.ndarray, "kept parameters"]
+    error_power: Float64[np.ndarray, "kept"]
+
+    @property
+    def final(self) -> Float64[np.ndarray, "parameters"]:
+        """Final values: means over the last tenth of the run."""
+        return self.weights[-self._tail :].mean(axis=0)
+
+    @property
+    def deviation(self) -> Float64[np.ndarray, "parameters"]:
+        """Standard deviation over the last tenth of the run."""
+        return self.weights[-self._tail :].std(axis=0)
+
+    @property
+    def final_error(self) -> float:
+        """Quadratic filtered error over the last tenth of the run, N^2."""
+        return float(self.error_power[-self._tail :].mean())
+
+    @property
+    def time_constants_s(self) -> Float64[np.ndarray, "parameters"]:
+        """See `settling_times`."""
+        return settling_times(self.time_s, self.weights, self.final)
+
+    @property
+    def _tail(self) -> int:
+        return max(round(FINAL_SHARE * len(self.time_s)), 1)
+
+
+def settling_times(
+    time_s: ArrayLike, traces: ArrayLike, final: ArrayLike, share: float = SHARE
+) -> Float64[np.ndarray, "parameters"]:
+    """Time after which each trace stays within 63 % of its final value, as the caption of Table 1 has it.
+
+    It is the first kept time from which on no value is further from the final one than `share` of it. Noise is
+    not smoothed away: a trace whose noise exceeds the band of a small final value never settles, and gets the end.
+
+    Parameters
+    ----------
+    time_s : array_like, shape (kept,)
+    traces : array_like, shape (kept, parameters)
+    final : array_like, shape (parameters,)
+    share : float
+        Half width of the band. 0.63 is the caption to the letter; 0.37 would be the time constant of a
+        first-order course from zero, 2.2 times longer.
+    """
+    time_s = require_array("time_s", time_s, ndim=1)
+    traces = require_array("traces", traces, shape=(len(time_s), None))
+    final = require_array("final", final, shape=(traces.shape[1],))
+    outside = np.abs(traces - final) > share * np.abs(final)
+    # First kept time from which on all are inside; the end of the trace when the last one is outside.
+    inside_from = np.where(outside.any(axis=0), len(time_s) - np.argmax(outside[::-1], axis=0), 0)
+    return time_s[np.minimum(inside_from, len(time_s) - 1)]
+
+
+def algorithms(
+    steady: Steady,
+    *,
+    step_size: float,
+    trace: str,
+    memory_s: float,
+    initial_covariance: float,
+    sample_time: float,
+) -> dict[str, FeLms | FeRls]:
+    """The two algorithms with the settings of Section 5.1.1.
+
+    Parameters
+    ----------
+    steady : Steady
+        Tells the covariance that FeRLS settles at.
+    step_size : float
+        mu.
+    trace : str
+        Reading of the trace in eq. (18), ``regressors`` or ``literal``.
+    memory_s : float
+        Time constant of the forgetting, s.
+    initial_covariance : float
+        P(-1) is diagonal with this multiple of the steady diagonal.
+    sample_time : float
+        s.
+    """
+    require_number("memory_s", memory_s, above=0.0)
+    require_number("initial_covariance", initial_covariance, above=0.0)
+    forgetting = float(np.exp(-sample_time / memory_s))
+    inverse = np.diag(np.linalg.inv(steady.correlation))
+    return {
+        "FeLMS": FeLms(step_size=step_size, trace=trace),
+        "FeRLS": FeRls(initial_covariance * (1 - forgetting) * inverse, forgetting),
+    }
+
+
+def converge(
+    twin: Twin, floor: ShapedFloor, adaptation: FeLms | FeRls, duration_s: float, seed: int
+) -> Course:
+    """Adaptation from zero weights; keeps the first actuator's parameters every 0.1 s."""
+    return _course(simulate(twin, floor, duration_s, adaptation=adaptation, seed=seed))
+
+
+def _course(run: Run) -> Course:
+    return Course(run.time_s, np.ascontiguousarray(run.weights[:, 0]), run.error_power)
+
+
+def convergence_trial(
+    rng: np.random.Generator, *, twin: Twin, floor: ShapedFloor, both: dict, duration_s: float
+) -> dict[str, np.ndarray]:
+    """One repetition of the experiment of Table 1 for `run_study`: both algorithms on the same floor.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Of the repetition.
+    twin, floor
+        Rig and how its floor moves.
+    both : dict of str to FeLms or FeRls
+        From `algorithms`.
+    duration_s : float
+        Length of the run, s.
+
+    Returns
+    -------
+    dict of ndarray, shape (parameters,)
+        For each algorithm the time constants ``"FeLMS tau"``, final values ``"FeLMS final"`` and standard
+        deviations ``"FeLMS deviation"`` at the end; and ``"FeLMS error"``, a number, the quadratic filtered error
+        at the end over that without feedforward.
+    """
+    seed = int(rng.integers(2**31))
+    before = simulate(twin, floor, FINAL_SHARE * duration_s, seed=seed).error_power.mean()
+    found = {}
+    for name, run in simulate_each(twin, floor, duration_s, adaptations=both, seed=seed).items():
+        course = _course(run)
+        found[f"{name} tau"] = course.time_constants_s
+        found[f"{name} final"] = course.final
+        found[f"{name} deviation"] = course.deviation
+        found[f"{name} error"] = course.final_error / before
+    return found
+
+
+def steady_trial(
+    rng: np.random.Generator,
+    *,
+    twin: Twin,
+    floor: ShapedFloor,
+    steady: Steady,
+    settled: dict,
+    duration_s: float,
+) -> dict[str, np.ndarray]:
+    """Scatter of the weights around the oracle's fixed point once settled, for `run_study`.
+
+    Every run starts at the fixed point and its first half is left out, so no transient from zero is in it, and
+    the deviation is taken from the oracle, so slow wandering counts in full.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Of the repetition.
+    twin, floor, steady
+        Rig, floor, and oracle of the two.
+    settled : dict of str to FeLms or FeRls
+        Algorithms as they are in their steady state.
+    duration_s : float
+        Length of the run, s.
+
+    Returns
+    -------
+    dict of ndarray, shape (parameters,)
+        Mean squared deviation over the second half of the run, by algorithm.
+    """
+    seed = int(rng.integers(2**31))
+    found = {}
+    runs = simulate_each(twin, floor, duration_s, adaptations=settled, weights=steady.weights, seed=seed)
+    for name, run in runs.items():
+        late = run.weights[run.time_s > duration_s / 2, 0]
+        found[name] = np.mean((late - steady.weights[0]) ** 2, axis=0)
+    return found
+
+
+@dataclass(frozen=True)
+class Starts:
+    """What FeRLS does in the first seconds from P(-1) = I / epsilon.
+
+    Attributes
+    ----------
+    epsilon : ndarray, shape (starts,)
+    peak_command : ndarray, shape (starts,)
+        Largest command, N; that of the last sample before it where the run was stopped.
+    stopped_s : ndarray, shape (starts,)
+        When it was stopped as unstable; NaN where it went on.
+    """
+
+    epsilon: Float64[np.ndarray, "starts"]
+    peak_command: Float64[np.ndarray, "starts"]
+    stopped_s: Float64[np.ndarray, "starts"]
+
+
+def try_starts(
+    twin: Twin, floor: ShapedFloor, epsilons: ArrayLike, forgetting: float, duration_s: float, seed: int
+) -> Starts:
+    """Start FeRLS from zero weights and P(-1) = I / epsilon for several epsilon.
+
+    Parameters
+    ----------
+    twin, floor
+        Rig and how its floor moves.
+    epsilons : array_like, shape (starts,)
+        In squared units of the regressors.
+    forgetting : float
+        lambda.
+    duration_s : float
+        Length of each run, s.
+    seed : int
+        Of floor and noise, the same for all.
+    """
+    epsilons = require_array("epsilons", epsilons, ndim=1)
+    peaks, stops = [], []
+    for epsilon in epsilons:
+        adaptation = FeRls(
+            1 / require_number("epsilons", epsilon, above=0.0), forgetting, growth_limit=np.inf
+        )
+        length, stopped = duration_s, np.nan
+        try:
+            run = simulate(twin, floor, length, adaptation=adaptation, seed=seed, signals_from_s=0.0)
+        except UnstableAdaptation as error:
+            stopped = error.sample * twin.sample_time
+            run = simulate(twin, floor, stopped, adaptation=adaptation, seed=seed, signals_from_s=0.0)
+        peaks.append(np.abs(run.command).max())
+        stops.append(stopped)
+    return Starts(epsilons, np.array(peaks), np.array(stops))

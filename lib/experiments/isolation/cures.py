@@ -1,0 +1,221 @@
+"""What keeps the covariance bounded when a direction of the floor falls silent, compared in closed loop.
+
+The loop is the smallest one that has what matters: one actuator, a secondary path that is known exactly but for
+its sample of delay, and weights w that cancel the floor perfectly:
+
+    e(k) = N [ (W(k-1) - w) psi(k-1) + n(k) ]
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import ArrayLike
+
+from stillwork.base.checks import require_array, require_choice, require_count, require_number
+from stillwork.base.kernels import kernel
+from stillwork.estimation.adaptive import add_information, ferls_update
+
+CURES = ("none", "trace bound", "leakage", "limit")
+NONE, TRACE_BOUND, LEAKAGE, LIMIT = range(4)
+
+# A command this many times the largest one that the right weights would give has left every actuator's range.
+OVERLOAD = 1e3
+
+
+@dataclass(frozen=True)
+class CureRun:
+    """Closed-loop adaptation with one cure, at equally spaced moments; NaN after an overload.
+
+    Attributes
+    ----------
+    samples : ndarray, shape (kept,)
+        Samples seen.
+    growth : ndarray, shape (kept, n)
+        Diagonal of P over that of P(-1).
+    misalignment : ndarray, shape (kept,)
+        Size of W - w in the metric of P(-1), over its start; how much of the floor is not cancelled.
+    error_power : ndarray, shape (kept,)
+        Mean square of e over the interval.
+    overload : int or None
+        Sample at which the command left the actuator's range.
+    """
+
+    samples: Float64[np.ndarray, "kept"]
+    growth: Float64[np.ndarray, "kept n"]
+    misalignment: Float64[np.ndarray, "kept"]
+    error_power: Float64[np.ndarray, "kept"]
+    overload: int | None
+
+    def decay(self, start: int, stop: int) -> float:
+        """Time constant of the misalignment in samples, fitted to the kept moments `start` to `stop`."""
+        rows = slice(start, stop)
+        return float(-1 / np.polyfit(self.samples[rows], np.log(self.misalignment[rows]), 1)[0])
+
+
+def run_cure(
+    cure: str,
+    segments: Sequence[tuple[ArrayLike, ArrayLike]],
+    integrator: ArrayLike,
+    shaping: ArrayLike,
+    covariance: ArrayLike,
+    forgetting: float,
+    *,
+    growth: float = 10.0,
+    noise: ArrayLike | float = 0.0,
+    keep_every: int = 1000,
+) -> CureRun:
+    """Adapt in closed loop from zero weights over floors and optima that follow one another.
+
+    Parameters
+    ----------
+    cure : str
+        ``none``; ``limit``, the library's: the diagonal of P stays below `growth` times its start;
+        ``leakage`` after Levenberg and Marquardt: every sample adds information along every axis, so that a
+        silent one settles at `growth`; ``trace bound``: P is scaled down as a whole when its trace exceeds
+        `growth` times its start.
+    segments : sequence of (floor, optimum)
+        Motion of the sensors, (sensors, samples), m/s², and w, (n,).
+    integrator, shaping : array_like, shape (sections, 6)
+        beta H and N.
+    covariance : array_like, shape (n,)
+        Diagonal of P(-1), steady values.
+    forgetting : float
+        lambda.
+    growth : float
+        Strength of the cure.
+    noise : array_like, shape (samples,)
+        n, over all segments together, N.
+    keep_every : int
+        Samples between two kept moments.
+    """
+    code = CURES.index(require_choice("cure", cure, CURES))
+    floors = [require_array("floor", floor, ndim=2) for floor, _ in segments]
+    start = require_array("covariance", covariance, ndim=1)
+    optima = np.array([require_array("optimum", w, shape=start.shape) for _, w in segments])
+    forgetting = require_number("forgetting", forgetting, above=0.0, below=1.0)
+    growth = require_number("growth", growth, above=1.0)
+    every = require_count("keep_every", keep_every)
+    floor = np.ascontiguousarray(np.concatenate(floors, axis=1).T)
+    samples, sensors = floor.shape
+    noise = np.broadcast_to(require_array("noise", noise), samples).astype(float)
+    which = np.repeat(np.arange(len(floors)), [part.shape[1] for part in floors])
+    kept = np.full((samples // every, len(start) + 2), np.nan)
+    integrator = require_array("integrator", integrator, shape=(None, 6))
+    shaping = require_array("shaping", shaping, shape=(None, 6))
+    powers = len(start) // sensors - 1
+    memories = (
+        np.zeros((2, powers, sensors, len(integrator), 2)),
+        np.zeros((sensors, len(shaping), 2)),
+        np.zeros((len(shaping), 2)),
+    )
+    reached = _cure_run(
+        code,
+        floor,
+        noise,
+        which,
+        optima,
+        integrator,
+        shaping,
+        *memories,
+        start,
+        forgetting,
+        growth,
+        every,
+        kept,
+    )
+    return CureRun(
+        every * np.arange(1.0, len(kept) + 1),
+        kept[:, 2:],
+        kept[:, 0],
+        kept[:, 1],
+        None if reached == samples else int(reached),
+    )
+
+
+@kernel
+def _cascade(sections, state, value):
+    """One sample through second-order sections in transposed direct form II."""
+    for s in range(len(sections)):
+        out = sections[s, 0] * value + state[s, 0]
+        state[s, 0] = sections[s, 1] * value - sections[s, 4] * out + state[s, 1]
+        state[s, 1] = sections[s, 2] * value - sections[s, 5] * out
+        value = out
+    return value
+
+
+@kernel
+def _cure_run(
+    cure,
+    floor,
+    noise,
+    which,
+    optima,
+    integrator,
+    shaping,
+    stacks,
+    memory,
+    error_memory,
+    start,
+    forgetting,
+    growth,
+    every,
+    kept,
+):
+    n, sensors = len(start), floor.shape[1]
+    weights, covariance, limits = np.zeros((1, n)), np.zeros((n, n)), np.empty(n)
+    bound = 0.0
+    for i in range(n):
+        covariance[i, i] = start[i]
+        limits[i] = growth * start[i] if cure == LIMIT else np.inf
+        bound += growth * start[i]
+    psi, shaped, gain = np.empty(n), np.empty(n), np.empty(n)
+    error = np.empty(1)
+    command, wanted, squares, largest, first = 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(n):
+        first += optima[0, i] ** 2 / start[i]
+    for k in range(len(floor)):
+        for i in range(sensors):
+            direct, band = floor[k, i], _cascade(shaping, memory[i], floor[k, i])
+            psi[i], shaped[i] = direct, band
+            for power in range(1, n // sensors):
+                direct = _cascade(integrator, stacks[0, power - 1, i], direct)
+                band = _cascade(integrator, stacks[1, power - 1, i], band)
+                psi[power * sensors + i], shaped[power * sensors + i] = direct, band
+
+        error[0] = _cascade(shaping, error_memory, command - wanted + noise[k])
+        squares += error[0] * error[0]
+        optimum = optima[which[k]]
+        command, wanted = 0.0, 0.0
+        for i in range(n):
+            command += weights[0, i] * psi[i]
+            wanted += optimum[i] * psi[i]
+        largest = max(largest, abs(wanted))
+        if not abs(command) <= OVERLOAD * largest:
+            return k
+
+        ferls_update(weights, covariance, shaped, error, forgetting, limits, gain)
+        if cure == LEAKAGE:
+            # One axis a sample with n times the amount: the same on average at the cost of one.
+            axis = k % n
+            information = n * (1 - forgetting) / (growth * start[axis])
+            add_information(covariance, axis, information, gain)
+        elif cure == TRACE_BOUND:
+            trace = 0.0
+            for i in range(n):
+                trace += covariance[i, i]
+            excess = trace / bound
+            if excess > 1.0:
+                for i in range(n):
+                    for j in range(n):
+                        covariance[i, j] /= excess
+        if (k + 1) % every == 0:
+            row, distance = k // every, 0.0
+            for i in range(n):
+                distance += (weights[0, i] - optimum[i]) ** 2 / start[i]
+                kept[row, 2 + i] = covariance[i, i] / start[i]
+            kept[row, 0] = np.sqrt(distance / first)
+            kept[row, 1] = squares / every
+            squares = 0.0
+    return len(floor)

@@ -1,0 +1,262 @@
+"""How the platform moves in z, θx and θy: transmissibility and spectra, measured and exact (section 5.2)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Complex128, Float64
+from numpy.typing import ArrayLike
+from scipy import signal
+
+from experiments.isolation.floors import ShapedFloor
+from experiments.isolation.recorded_floors import RecordedFloor, SpectralFloor
+from experiments.isolation.responses import responses
+from experiments.isolation.rig import Rig
+from experiments.isolation.simulation import simulate
+from experiments.isolation.steady import steady_state
+from experiments.isolation.twin import Twin
+from stillwork.base.checks import InputError, require_array, require_choice, require_number
+from stillwork.estimation.adaptive import FeLms, FeRls
+from stillwork.signals.criteria import BAND_EDGE
+from stillwork.signals.spectra import ResponseEstimate, Spectrum, estimate_response, estimate_spectrum
+
+DIRECTIONS = ("z", "θx", "θy")
+_ROWS = [2, 3, 4]  # of (x, y, z, θx, θy, θz)
+CASES = ("passive", "feedback", "FeLMS", "FeRLS")
+SETTLE_S = 5.0  # start of a record that is cut off: two dozen time constants of the weak integrators
+
+
+@dataclass(frozen=True)
+class Axes:
+    """From sensor readings to motion of a rigid body in z, θx, θy about the centre of mass.
+
+    Attributes
+    ----------
+    floor : ndarray, shape (3, sensors)
+        Of the floor plate.
+    platform : ndarray, shape (3, outputs)
+        Of the platform.
+    floor_readings : ndarray, shape (sensors, 3)
+        Readings of the floor sensors per motion of the plate.
+    """
+
+    floor: Float64[np.ndarray, "3 sensors"]
+    platform: Float64[np.ndarray, "3 outputs"]
+    floor_readings: Float64[np.ndarray, "sensors 3"]
+
+
+def central_axes(rig: Rig | None) -> Axes:
+    """Axes of a rig.
+
+    Raises
+    ------
+    InputError
+        When the model has no geometry, or its floor sensors do not fix z, θx and θy.
+    """
+    if rig is None:
+        raise InputError("the model has no geometry, so no z, θx and θy; take one with a body and struts")
+    readings = rig.floor_sensors.jacobian[:, _ROWS]
+    if np.linalg.matrix_rank(readings, 1e-9) < 3:
+        raise InputError("floor_sensors do not fix z, θx and θy of the plate; place three apart")
+    platform = np.linalg.pinv(rig.platform_sensors.jacobian)[_ROWS]
+    return Axes(np.linalg.pinv(readings), platform, readings)
+
+
+@dataclass(frozen=True)
+class CaseRecord:
+    """What the sensors show of one case, in z, θx, θy (m/s^2 and rad/s^2), noise included.
+
+    Attributes
+    ----------
+    name : str
+        One of `CASES`.
+    floor, platform : ndarray, shape (3, samples)
+        Accelerations.
+    sample_rate : float
+        Hz.
+    """
+
+    name: str
+    floor: Float64[np.ndarray, "3 samples"]
+    platform: Float64[np.ndarray, "3 samples"]
+    sample_rate: float
+
+    def spectrum(self, resolution_hz: float) -> Spectrum:
+        """Spectrum of the platform."""
+        return estimate_spectrum(self.platform, self.sample_rate, resolution_hz)
+
+    def response(self, resolution_hz: float) -> ResponseEstimate:
+        """Transmissibility from floor to platform."""
+        return estimate_response(self.floor, self.platform, self.sample_rate, resolution_hz)
+
+    def output_noise(self, resolution_hz: float) -> Spectrum:
+        """Spectrum of the platform that no filter of the floor signals explains: the feedforward's limit."""
+        found = self.response(resolution_hz)
+        return Spectrum(found.frequencies_hz, found.residual, found.averages)
+
+
+def tune(
+    twin: Twin, floor: ShapedFloor, felms_s: float, ferls_s: float, seed: int
+) -> dict[str, Float64[np.ndarray, "actuators regressors"]]:
+    """Weights that FeLMS and FeRLS reach from zero with the published settings, each in its own time.
+
+    FeRLS starts from ten times the steady covariance's diagonal, section 5.1.1.
+    """
+    covariance = 10 * np.diag(steady_state(twin, floor).covariance)
+    return {
+        name: simulate(
+            twin, floor, seconds, adaptation=settings, seed=seed, keep_every_s=seconds
+        ).final_weights
+        for name, settings, seconds in (
+            ("FeLMS", FeLms(), felms_s),
+            ("FeRLS", FeRls(covariance), ferls_s),
+        )
+    }
+
+
+def record_case(
+    twin: Twin,
+    floor: ShapedFloor | RecordedFloor,
+    name: str,
+    duration_s: float,
+    seed: int,
+    *,
+    weights: ArrayLike | None = None,
+    noise: bool = True,
+) -> CaseRecord:
+    """Record a case with frozen weights; runs with the same seed see the same floor and sensor noise.
+
+    Parameters
+    ----------
+    twin : Twin
+        Rig with geometry.
+    floor : ShapedFloor or RecordedFloor
+        How the floor moves.
+    name : str
+        One of `CASES`; ``passive`` opens the skyhook loop.
+    duration_s : float
+        Seconds kept, after 5 s of settling.
+    seed : int
+        Of floor and noise.
+    weights : array_like, shape (actuators, regressors), optional
+        Frozen feedforward weights; without them there is no feedforward.
+    noise : bool
+        Whether sensors are noisy.
+    """
+    require_choice("name", name, CASES)
+    require_number("duration_s", duration_s, above=0.0)
+    axes = central_axes(twin.rig)
+    run = simulate(
+        twin,
+        floor,
+        SETTLE_S + duration_s,
+        weights=weights,
+        feedback=name != "passive",
+        noise=noise,
+        seed=seed,
+        signals_from_s=SETTLE_S,
+    )
+    return CaseRecord(
+        name, axes.floor @ run.sensed_floor, axes.platform @ run.measured_platform, run.sample_rate
+    )
+
+
+def exact_transmissibility(
+    twin: Twin, frequencies_hz: ArrayLike, *, weights: ArrayLike | None = None, feedback: bool = True
+) -> Complex128[np.ndarray, "3 3 frequencies"]:
+    """Transmissibility from floor to platform in z, θx, θy without any noise, from the model's responses.
+
+    Platform directions along the first axis, floor directions along the second.
+    """
+    axes = central_axes(twin.rig)
+    if weights is None:
+        weights = np.zeros((twin.actuators, twin.regressors))
+    whole = responses(twin, frequencies_hz, feedback).transmissibility(weights)
+    return (axes.platform @ whole @ axes.floor_readings).transpose(1, 2, 0)
+
+
+def expected_density(
+    twin: Twin,
+    floor: ShapedFloor | SpectralFloor,
+    frequencies_hz: ArrayLike,
+    *,
+    weights: ArrayLike | None = None,
+    feedback: bool = True,
+    sensed: bool = True,
+) -> dict[str, Float64[np.ndarray, "3 frequencies"]]:
+    """Spectrum of the platform in z, θx, θy by cause, without simulation and without mains.
+
+    Parameters
+    ----------
+    twin, floor
+        Rig with geometry; a floor with a density.
+    frequencies_hz : array_like, shape (frequencies,)
+        Above zero.
+    weights : array_like, shape (actuators, regressors), optional
+        Frozen feedforward weights.
+    feedback : bool
+        Whether the skyhook loop is closed.
+    sensed : bool
+        What the platform's sensors show; otherwise how the platform really moves.
+
+    Returns
+    -------
+    dict
+        ``floor``, ``floor noise`` (n0 through the feedforward) and ``output noise`` (n1, also through the
+        skyhook loop), each (m/s^2)^2/Hz or (rad/s^2)^2/Hz; the causes are independent, so their sum is the
+        spectrum.
+    """
+    axes = central_axes(twin.rig)
+    paths = responses(twin, frequencies_hz, feedback)
+    if weights is None:
+        weights = np.zeros((twin.actuators, twin.regressors))
+    command = paths.secondary @ (np.asarray(weights, dtype=float) @ paths.regressors)
+    by_floor = axes.platform @ (paths.primary + command)
+    by_sensors = axes.platform @ command
+    # n1 reaches the reading directly and through the loop: (I + L)^-1 = I - P2 K.
+    skyhook = (
+        feedback
+        * signal.freqz_sos(twin.skyhook_filter, paths.frequencies_hz, fs=twin.instruments.sample_rate)[1]
+    )
+    sensitivity = np.eye(twin.outputs) - paths.secondary * skyhook[:, None, None]
+    by_output = axes.platform @ (sensitivity * paths.conditioning[:, None, None])
+    if not sensed:  # the reading is conditioner (motion + n1)
+        behind = paths.conditioning[:, None, None]
+        by_floor, by_sensors = by_floor / behind, by_sensors / behind
+        by_output = by_output / behind - axes.platform
+    return {
+        "floor": _power(by_floor, floor.density(paths.frequencies_hz).T),
+        "floor noise": _power(by_sensors, twin.instruments.floor_noise**2),
+        "output noise": _power(by_output, twin.instruments.platform_noise**2),
+    }
+
+
+def reduction_db(
+    frequencies_hz: ArrayLike, before: ArrayLike, after: ArrayLike
+) -> tuple[Float64[np.ndarray, " bands"], Float64[np.ndarray, "3 bands"]]:
+    """Reduction of the diagonal of a transmissibility, mean square in one-third-octave bands from 3 to 200 Hz.
+
+    Parameters
+    ----------
+    frequencies_hz : array_like, shape (frequencies,)
+        Evenly spaced, at most 0.5 Hz apart.
+    before, after : array_like, shape (3, 3, frequencies)
+        Responses.
+
+    Returns
+    -------
+    centres_hz : ndarray, shape (bands,)
+    reduction_db : ndarray, shape (3, bands)
+        Positive for less vibration.
+    """
+    f = require_array("frequencies_hz", frequencies_hz, ndim=1)
+    centres = 2.0 ** (np.arange(5, 24) / 3)  # 3.2 to 203 Hz
+    inside = [(f >= centre / BAND_EDGE) & (f < centre * BAND_EDGE) for centre in centres]
+    squares = [np.abs(np.einsum("iif->if", np.asarray(response))) ** 2 for response in (before, after)]
+    means = [np.stack([square[:, band].mean(axis=1) for band in inside], axis=1) for square in squares]
+    return centres, 10 * np.log10(means[0] / means[1])
+
+
+def _power(gain, density):
+    """Sum over independent sources of |gain|^2 density, (3, frequencies); density (frequencies, sources) or 1."""
+    power = np.abs(gain) ** 2 * np.reshape(density, (-1, 1, np.size(density) // len(gain) or 1))
+    return np.ascontiguousarray(power.sum(axis=2).T)

@@ -1,0 +1,107 @@
+"""Platform mechanics common to both twins: force and floor motion in, platform acceleration out."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import signal
+
+from experiments.isolation.rig import Rig
+from stillwork.base.checks import InputError, require_array
+
+
+@dataclass(frozen=True)
+class Platform:
+    """``M y + C ∫y + K ∫∫y = B f + D ∫a0 + K0 ∫∫a0``, ``a1 = H y``, with y the acceleration.
+
+    Written in accelerations because they are what the sensors give; its realisation below has no integrator.
+
+    Attributes
+    ----------
+    mass, damping, stiffness : ndarray, shape (coordinates, coordinates)
+        M, C, K.
+    actuation : ndarray, shape (coordinates, actuators)
+        B.
+    observation : ndarray, shape (outputs, coordinates)
+        H.
+    floor_damping, floor_stiffness : ndarray, shape (coordinates, sensors)
+        D, K0: force per floor velocity and displacement at the sensors.
+    floor_inertia : ndarray, shape (actuators, sensors)
+        Force per floor acceleration that takes the actuators' way, delay and lag included; zero for a rigid
+        body.
+    """
+
+    mass: ArrayLike
+    damping: ArrayLike
+    stiffness: ArrayLike
+    actuation: ArrayLike
+    observation: ArrayLike
+    floor_damping: ArrayLike
+    floor_stiffness: ArrayLike
+    floor_inertia: ArrayLike
+
+    def __post_init__(self):
+        mass = require_array("mass", self.mass, ndim=2)
+        n = len(mass)
+        actuation = require_array("actuation", self.actuation, shape=(n, None))
+        floor_damping = require_array("floor_damping", self.floor_damping, shape=(n, None))
+        actuators, sensors = actuation.shape[1], floor_damping.shape[1]
+        shapes = {
+            "mass": (n, n),
+            "damping": (n, n),
+            "stiffness": (n, n),
+            "observation": (None, n),
+            "floor_stiffness": (n, sensors),
+            "floor_inertia": (actuators, sensors),
+        }
+        for name, shape in shapes.items():
+            object.__setattr__(self, name, require_array(name, getattr(self, name), shape=shape))
+        object.__setattr__(self, "actuation", actuation)
+        object.__setattr__(self, "floor_damping", floor_damping)
+        for name, wanted in (("mass", "positive definite"), ("stiffness", "positive definite")):
+            matrix = getattr(self, name)
+            if not np.allclose(matrix, matrix.T, rtol=1e-9) or np.linalg.eigvalsh(matrix)[0] <= 0:
+                raise InputError(f"{name} is not symmetric and {wanted}; give a physical matrix")
+        if np.linalg.eigvalsh(self.damping + self.damping.T)[0] < 0:
+            raise InputError("damping feeds energy into a motion; give a positive semidefinite matrix")
+
+    @cached_property
+    def continuous(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """State space (A, B, C, D) from (f, a0) to a1."""
+        inverse = np.linalg.inv(self.mass)
+        n = len(inverse)
+        sensors = self.floor_damping.shape[1]
+        a = np.block([[-self.damping @ inverse, np.eye(n)], [-self.stiffness @ inverse, np.zeros((n, n))]])
+        through = inverse @ self.actuation
+        b = np.block(
+            [[-self.damping @ through, self.floor_damping], [-self.stiffness @ through, self.floor_stiffness]]
+        )
+        c = self.observation @ np.hstack([inverse, np.zeros((n, n))])
+        d = np.hstack([self.observation @ through, np.zeros((len(c), sensors))])
+        return a, b, c, d
+
+    def discrete(self, sample_time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """State space of the Tustin-discretised plant."""
+        return signal.cont2discrete(self.continuous, sample_time, method="bilinear")[:4]
+
+    @property
+    def equivalent_mass(self) -> float:
+        """Inverse of the mean acceleration at a sensor per force of its own actuator, kg."""
+        return float(1 / np.mean(np.diag(self.observation @ np.linalg.solve(self.mass, self.actuation))))
+
+
+def plant_of_rig(rig: Rig) -> Platform:
+    """The rigid body on its struts, whose feet follow the floor plate as its sensors tell."""
+    plate = rig.plate_motion
+    actuators = len(rig.actuators.positions)
+    return Platform(
+        mass=rig.mass_matrix,
+        damping=rig.damping_matrix,
+        stiffness=rig.stiffness_matrix,
+        actuation=rig.actuators.jacobian.T,
+        observation=rig.platform_sensors.jacobian,
+        floor_damping=rig.damping_matrix @ plate,
+        floor_stiffness=rig.stiffness_matrix @ plate,
+        floor_inertia=np.zeros((actuators, plate.shape[1])),
+    )

@@ -1,0 +1,139 @@
+"""Power that the feedforward removes, and the limit that output noise sets (section 5.2.2, Fig. 8)."""
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import ArrayLike
+
+from experiments.isolation.floors import ShapedFloor
+from experiments.isolation.performance import expected_density, record_case, tune
+from experiments.isolation.twin import Twin
+from stillwork.base.checks import InputError, require_array
+from stillwork.signals.criteria import BAND_EDGE
+from stillwork.signals.spectra import Spectrum, band_power
+
+BAND_HZ = (1.0, 300.0)  # the paper's range of interest
+RESOLUTION_HZ = 0.25  # fine enough for the suspension's skirt at 1 Hz
+
+
+def reduction_percent(
+    frequencies_hz: ArrayLike, before: ArrayLike, after: ArrayLike
+) -> Float64[np.ndarray, " channels"]:
+    """Share of the power at 1-300 Hz that is gone, per cent, for densities of shape (channels, frequencies)."""
+    left, total = (
+        np.array([band_power(frequencies_hz, row, *BAND_HZ) for row in rows]) for rows in (after, before)
+    )
+    return 100 * (1 - left / total)
+
+
+def without_lines(spectrum: Spectrum, lines_hz: ArrayLike) -> Spectrum:
+    """Spectrum with a straight bridge over two bins on either side of each line (a Hann window's main lobe)."""
+    f, density = spectrum.frequencies_hz, spectrum.density.copy()
+    for line in require_array("lines_hz", lines_hz, ndim=1):
+        middle = int(np.argmin(np.abs(f - line)))
+        ends = [max(middle - 3, 0), min(middle + 3, len(f) - 1)]
+        inside = slice(ends[0] + 1, ends[1])
+        density[:, inside] = [np.interp(f[inside], f[ends], row[ends]) for row in density]
+    return Spectrum(f, density, spectrum.averages)
+
+
+def limit_ratio_db(
+    frequencies_hz: ArrayLike, density: ArrayLike, limit: ArrayLike, lines_hz: ArrayLike
+) -> tuple[Float64[np.ndarray, " bands"], Float64[np.ndarray, "3 bands"]]:
+    """Mean density of several runs over that of the limit, in one-third-octave bands from 3 to 200 Hz, dB.
+
+    Parameters
+    ----------
+    frequencies_hz : array_like, shape (frequencies,)
+        Evenly spaced, at most 0.5 Hz apart.
+    density, limit : array_like, shape (runs, 3, frequencies)
+        Power spectral densities.
+    lines_hz : array_like, shape (lines,)
+        Mains lines, bridged because their size in the twins is assumed.
+    """
+    f = require_array("frequencies_hz", frequencies_hz, ndim=1)
+    centres = 2.0 ** (np.arange(5, 24) / 3)
+    inside = [(f >= centre / BAND_EDGE) & (f < centre * BAND_EDGE) for centre in centres]
+    over, under = (
+        without_lines(Spectrum(f, np.mean(np.asarray(each), axis=0), len(each)), lines_hz).density
+        for each in (density, limit)
+    )
+    ratio = [over[:, band].mean(axis=1) / under[:, band].mean(axis=1) for band in inside]
+    return centres, 10 * np.log10(np.stack(ratio, axis=1))
+
+
+def floor_level_for(
+    twin: Twin, floor: ShapedFloor, weights: ArrayLike, removed_percent: ArrayLike
+) -> Float64[np.ndarray, "3"]:
+    """Amplitude of the floor in z, θx, θy, relative to `floor`, at which given shares of the power are removed.
+
+    The sensors' noise stays, so a weaker floor leaves a larger share. Weights are kept.
+
+    Parameters
+    ----------
+    twin, floor
+        Rig with geometry, and its floor.
+    weights : array_like, shape (actuators, regressors)
+        Frozen feedforward weights.
+    removed_percent : array_like, shape (3,)
+        Of the power at 1-300 Hz, over feedback only.
+    """
+    left = 1 - require_array("removed_percent", removed_percent, shape=(3,)) / 100
+    f = np.geomspace(*BAND_HZ, 1000)
+    powers = []
+    for given in (None, weights):
+        causes = expected_density(twin, floor, f, weights=given)
+        by_floor = np.array([band_power(f, row, *BAND_HZ) for row in causes["floor"]])
+        noise = np.array(
+            [band_power(f, row, *BAND_HZ) for row in causes["floor noise"] + causes["output noise"]]
+        )
+        powers.append((by_floor, noise))
+    (floor_before, noise_before), (floor_after, noise_after) = powers
+    square = (noise_after - left * noise_before) / (left * floor_before - floor_after)
+    if np.any(square <= 0):
+        raise InputError("removed_percent cannot be reached with these weights; ask for less")
+    return np.sqrt(square)
+
+
+def power_trial(
+    rng: np.random.Generator,
+    *,
+    twin: Twin,
+    floor: ShapedFloor,
+    felms_s: float,
+    ferls_s: float,
+    record_s: float,
+) -> dict[str, np.ndarray]:
+    """One repetition of the experiment of Fig. 8 for `run_study`: adapt, freeze, record, compare.
+
+    Mains lines are bridged in all but the spectra: their size in the twins is assumed.
+
+    Returns
+    -------
+    dict of ndarray
+        ``removed FeLMS``, ``removed FeRLS``: share of the power at 1-300 Hz that the feedforward removes from the
+        feedback-only case, per cent, (3,); ``removed limit``: the same if only the output noise were left;
+        ``removed with mains``: as FeRLS, lines counted. ``in band``, ``above band``: power with FeRLS over that of
+        the output noise at 3-200 and 300-500 Hz, (3,); ``low end``: power with FeRLS over feedback only at 1-2 Hz.
+        ``density feedback``, ``... FeLMS``, ``... FeRLS``, ``... output noise``: spectra, (3, frequencies).
+    """
+    seed = int(rng.integers(2**31))
+    weights = tune(twin, floor, felms_s, ferls_s, seed)
+    records = {
+        name: record_case(twin, floor, name, record_s, seed + 1, weights=weights.get(name))
+        for name in ("feedback", "FeLMS", "FeRLS")
+    }
+    measured = {name: record.spectrum(RESOLUTION_HZ) for name, record in records.items()}
+    measured["output noise"] = records["feedback"].output_noise(RESOLUTION_HZ)
+    bridged = {name: without_lines(each, twin.instruments.mains_hz) for name, each in measured.items()}
+    f = measured["feedback"].frequencies_hz
+    before, after, limit = (bridged[name] for name in ("feedback", "FeRLS", "output noise"))
+    return {
+        "removed FeLMS": reduction_percent(f, before.density, bridged["FeLMS"].density),
+        "removed FeRLS": reduction_percent(f, before.density, after.density),
+        "removed limit": reduction_percent(f, before.density, limit.density),
+        "removed with mains": reduction_percent(f, measured["feedback"].density, measured["FeRLS"].density),
+        "in band": after.power(3.0, 200.0) / limit.power(3.0, 200.0),
+        "above band": after.power(300.0, 500.0) / limit.power(300.0, 500.0),
+        "low end": after.power(1.0, 2.0) / before.power(1.0, 2.0),
+        **{f"density {name}": spectrum.density for name, spectrum in measured.items()},
+    }

@@ -1,0 +1,152 @@
+"""Exact frequency responses of a twin as it is simulated, and the same paths as `control` objects."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Complex128, Float64
+from numpy.typing import ArrayLike
+from scipy import signal
+
+from experiments.isolation.twin import Twin
+from stillwork.base.checks import InputError, require_array
+
+
+@dataclass(frozen=True)
+class Responses:
+    """Frequency responses of the sampled loop, frequencies along the first axis.
+
+    The measured platform acceleration is ``a1 = P1 a0 + P2 u`` and the feedforward ``u = W B (a0 + n0)``, with
+    a0 and n0 before the signal conditioner, a1 behind it, and the skyhook part of P1 and P2.
+
+    Attributes
+    ----------
+    frequencies_hz : ndarray, shape (frequencies,)
+        Below half the sample rate.
+    primary : ndarray, shape (frequencies, outputs, sensors)
+        P1.
+    secondary : ndarray, shape (frequencies, outputs, actuators)
+        P2, m/s^2 per N.
+    sensitivity : ndarray, shape (frequencies, outputs, outputs)
+        Measured platform acceleration per platform noise n1, which enters before the conditioner.
+    regressors : ndarray, shape (frequencies, regressors, sensors)
+        B: conditioner and weak integrators.
+    shaping : ndarray, shape (frequencies,)
+        N.
+    error : ndarray, shape (frequencies, actuators, outputs)
+        N P2hat^-1.
+    conditioning : ndarray, shape (frequencies,)
+        Signal conditioner.
+    """
+
+    frequencies_hz: Float64[np.ndarray, "frequencies"]
+    primary: Complex128[np.ndarray, "frequencies outputs sensors"]
+    secondary: Complex128[np.ndarray, "frequencies outputs actuators"]
+    sensitivity: Complex128[np.ndarray, "frequencies outputs outputs"]
+    regressors: Complex128[np.ndarray, "frequencies regressors sensors"]
+    shaping: Complex128[np.ndarray, "frequencies"]
+    error: Complex128[np.ndarray, "frequencies actuators outputs"]
+    conditioning: Complex128[np.ndarray, "frequencies"]
+
+    @property
+    def path_error(self) -> Complex128[np.ndarray, "frequencies actuators actuators"]:
+        """P2hat^-1 P2: the identity for a perfect estimate; a positive definite Hermitian part converges."""
+        return self.error @ self.secondary / self.shaping[:, None, None]
+
+    def transmissibility(self, weights: ArrayLike) -> Complex128[np.ndarray, "frequencies outputs sensors"]:
+        """T from floor to platform acceleration, eq. (4), with frozen feedforward `weights` W."""
+        shape = (self.secondary.shape[2], self.regressors.shape[1])
+        weights = require_array("weights", weights, shape=shape)
+        both = self.primary + self.secondary @ (weights @ self.regressors)
+        return both / self.conditioning[:, None, None]
+
+
+def responses(twin: Twin, frequencies_hz: ArrayLike, feedback: bool = True) -> Responses:
+    """Frequency responses of a twin, with the skyhook loop closed or open.
+
+    Parameters
+    ----------
+    twin : Twin
+        Model.
+    frequencies_hz : array_like, shape (frequencies,)
+        Above zero and below half the sample rate.
+    feedback : bool
+        Whether the skyhook loop is closed.
+    """
+    f = require_array("frequencies_hz", frequencies_hz, ndim=1)
+    rate = twin.instruments.sample_rate
+    if f.size == 0 or f.min() <= 0 or f.max() >= rate / 2:
+        raise InputError(f"frequencies_hz must lie between 0 and {rate / 2:g} Hz, without the ends")
+    delay = np.exp(-2j * np.pi * f / rate)
+    actuator, parasitic, conditioning, skyhook, integrator, shaping = (
+        _of_sections(sections, f, rate)
+        for sections in (
+            twin.instruments.actuator,
+            twin.instruments.parasitic,
+            twin.instruments.conditioning,
+            twin.skyhook_filter,
+            twin.integrator,
+            twin.noise_shaping,
+        )
+    )
+    a, b, c, d = twin.plant.discrete(twin.sample_time)
+    poles = np.eye(len(a)) / delay[:, None, None] - a
+    plant = c @ np.linalg.solve(poles, np.broadcast_to(b, (len(f), *b.shape))) + d
+    force, floor = plant[:, :, : twin.actuators], plant[:, :, twin.actuators :]
+    open_path = (force + parasitic[:, None, None] * np.eye(twin.outputs)) * (actuator * delay)[:, None, None]
+    disturbance = floor + open_path @ twin.plant.floor_inertia
+    sensitivity = np.broadcast_to(np.eye(twin.outputs, dtype=complex), open_path.shape)
+    if feedback:
+        loop = np.eye(twin.outputs) + open_path * (skyhook * conditioning)[:, None, None]
+        sensitivity = np.linalg.inv(loop)
+        open_path, disturbance = np.linalg.solve(loop, open_path), np.linalg.solve(loop, disturbance)
+    powers = integrator[:, None] ** np.arange(twin.feedforward.integrator_powers + 1)
+    stack = (powers * conditioning[:, None])[:, :, None, None] * np.eye(twin.sensors)
+    filters = twin.error_filter
+    each = np.stack([_of_sections(sections, f, rate) for sections in filters.sections], axis=1)
+    return Responses(
+        frequencies_hz=f,
+        primary=conditioning[:, None, None] * disturbance,
+        secondary=conditioning[:, None, None] * open_path,
+        sensitivity=conditioning[:, None, None] * sensitivity,
+        regressors=stack.reshape(len(f), twin.regressors, twin.sensors),
+        shaping=shaping,
+        error=(filters.after * each[:, None, :]) @ filters.before,
+        conditioning=conditioning,
+    )
+
+
+def _of_sections(sections: np.ndarray, f: np.ndarray, rate: float) -> np.ndarray:
+    return signal.freqz_sos(sections, f, fs=rate)[1]
+
+
+def control_paths(twin: Twin, feedback: bool = True):
+    """Primary and secondary path, a0 to a1 and u to a1 (a1 behind its conditioner), as `control` systems.
+
+    Returns
+    -------
+    primary, secondary : control.StateSpace
+        Discrete, with the sample time of the twin.
+    """
+    import control
+
+    dt = twin.sample_time
+    n = twin.actuators
+
+    def bank(sections, channels):
+        each = control.ss([], [], [], [[1.0]], dt)
+        for row in sections:
+            each = control.ss(control.tf(row[:3], row[3:], dt)) * each
+        return control.append(*[each] * channels)
+
+    delay = control.append(*[control.ss(0, 1, 1, 0, dt)] * n)
+    force_path = bank(twin.instruments.actuator, n) * delay
+    plant = control.ss(*twin.plant.discrete(dt), dt)
+    from_force, from_floor = plant[:, :n], plant[:, n:]
+    open_path = (from_force + bank(twin.instruments.parasitic, n)) * force_path
+    disturbance = from_floor + open_path * control.ss([], [], [], twin.plant.floor_inertia, dt)
+    conditioning = bank(twin.instruments.conditioning, twin.outputs)
+    if feedback:
+        skyhook = bank(twin.skyhook_filter, twin.outputs)
+        closed = control.feedback(np.eye(twin.outputs), open_path * skyhook * conditioning)
+        open_path, disturbance = closed * open_path, closed * disturbance
+    return conditioning * disturbance, conditioning * open_path

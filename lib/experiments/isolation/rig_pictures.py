@@ -1,0 +1,162 @@
+"""Figures of the rig, its floor and its paths (notebook 01)."""
+
+import numpy as np
+
+from experiments.isolation.floors import ShapedFloor, colored_floor
+from experiments.isolation.modes import Modes
+from experiments.isolation.path_fit import diagonal_path, fit_error_db, parametric_fit
+from experiments.isolation.performance_pictures import thinned
+from experiments.isolation.rig import Rig
+from experiments.isolation.twin import Twin
+from stillwork.signals.criteria import criterion_density
+from stillwork.signals.spectra import Spectrum
+from stillwork.workbook import figures
+
+_STRUT_M = 0.06  # drawn length; the model needs only directions
+_VIEW = np.radians([25.0, 20.0])  # azimuth, elevation
+
+
+def draw_rig(rig: Rig):
+    """Struts, platform and floor sensors, from the side (oblique) and from above."""
+    figure, (oblique, above) = figures.new(1, 2, height=3.4)
+    tops = rig.struts.positions
+    feet = tops + _STRUT_M * rig.struts.directions * np.sign(-rig.struts.directions[:, 2:3])
+    sensors = rig.floor_sensors.positions + np.array([0.0, 0.0, feet[:, 2].min()])
+    angle = np.linspace(0, 2 * np.pi, 73)
+    rim = np.linalg.norm(tops[:, :2], axis=1).max()
+    circle = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    plate = 1.25 * np.linalg.norm(feet[:, :2], axis=1).max() * circle + np.array([0.0, 0.0, feet[:, 2].min()])
+    azimuth, elevation = _VIEW
+    right = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    up = np.array(
+        [np.sin(azimuth) * np.sin(elevation), -np.cos(azimuth) * np.sin(elevation), np.cos(elevation)]
+    )
+    views = (
+        (oblique, np.stack([right, up]), "across (m)", "up (m)", "seen from the side"),
+        (above, np.eye(3)[:2], "x (m)", "y (m)", "seen from above"),
+    )
+    for axes, view, xlabel, ylabel, title in views:
+        axes.plot(*(view @ plate.T), color=figures.GREY, label="floor plate")
+        axes.plot(*(view @ (rim * circle).T), color=figures.BLACK, lw=2, label="platform")
+        for number, (top, foot) in enumerate(zip(tops, feet, strict=True), 1):
+            ends = view @ np.stack([top, foot]).T
+            label = "strut: actuator and accelerometer" if number == 1 else f"_strut {number}"
+            axes.plot(*ends, color=figures.BLUE, lw=2.5, marker="o", ms=3, label=label)
+            axes.annotate(
+                str(number), 1.09 * ends[:, 0], color=figures.BLUE, ha="center", va="center", fontsize=8
+            )
+        axes.plot(*(view @ sensors.T), "^", color=figures.RED, ms=8, label="floor accelerometer (vertical)")
+        for number, place in enumerate(sensors, 1):
+            axes.annotate(
+                str(number),
+                view @ place,
+                xytext=(7, -2),
+                textcoords="offset points",
+                color=figures.RED,
+                fontsize=8,
+            )
+        axes.set(xlabel=xlabel, ylabel=ylabel, title=title, aspect="equal")
+    figure.legend(*oblique.get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    return figure
+
+
+def draw_modes(rig: Rig, passive: Modes, closed: Modes, gain: float):
+    """Frequency and damping of the modes beside what the paper says; damping over the skyhook's gain."""
+    figure, (left, right) = figures.new(1, 2, height=2.9)
+    left.axvspan(15, 45, color=figures.GREY, alpha=0.15, lw=0)
+    left.text(30, 0.02, "published range", ha="center", color=figures.GREY, fontsize=8)
+    for modes, style, color, label in (
+        (passive, "o", figures.BLUE, "passive"),
+        (closed, "s", figures.RED, "with skyhook loop"),
+    ):
+        left.plot(modes.frequencies_hz, modes.damping, style, color=color, ms=6, label=label)
+    left.set(xlabel="frequency (Hz)", ylabel="relative damping", xlim=(10, 53))
+    gains = np.linspace(0, 350, 36)
+    ideal = np.array([rig.damping_ratios(each) for each in gains])
+    for name, mode, color in (
+        ("x, y", 0, figures.BLUE),
+        ("z", 2, figures.GREEN),
+        ("θx, θy, θz", 5, figures.ORANGE),
+    ):
+        right.plot(gains, ideal[:, mode], color=color, label=f"{name}, ideal skyhook")
+    right.plot(
+        np.full(6, gain), closed.damping, "s", color=figures.RED, label="real loop at the published gain"
+    )
+    right.set(xlabel="skyhook gain (N s/m)", xlim=(0, 350))
+    for axes in (left, right):
+        axes.axhline(0.7, color=figures.BLACK, ls=":", lw=1)
+        axes.set(ylim=(0, 1.05))
+    left.text(11, 0.72, "published: about 0.7 for all", fontsize=8)
+    left.legend(loc="center left", bbox_to_anchor=(0, 0.45))
+    right.legend(loc="upper left")
+    return figure
+
+
+def draw_floors(floors: dict[str, ShapedFloor], measured: dict[str, Spectrum], ground: tuple):
+    """Fig. 2: floor spectra as filtered noise and as estimated from a realisation, criteria and the ground."""
+    figure, axes = figures.new(1, 1, height=3.6)
+    f = np.geomspace(1, 1000, 400)
+    colors = dict(zip(floors, (figures.BLUE, figures.SKY, figures.RED), strict=False))
+    for name, spectrum in measured.items():
+        inside = (spectrum.frequencies_hz >= 1.0) & (spectrum.frequencies_hz <= 1000)
+        density = spectrum.density.mean(axis=0)
+        shown = np.flatnonzero(inside)[thinned(spectrum.frequencies_hz[inside], density[inside])]
+        axes.loglog(
+            spectrum.frequencies_hz[shown],
+            density[shown],
+            color=colors[name],
+            lw=2.5,
+            alpha=0.35,
+            label=f"{name}, estimated",
+        )
+    for name, floor in floors.items():
+        axes.loglog(f, floor.density(f)[0], color=colors[name], label=name)
+    band = np.geomspace(1, 80, 100)
+    for name, style in (("BBN-B", "--"), ("BBN-C", ":")):
+        axes.loglog(band, criterion_density(name, band), style, color=figures.BLACK, label=name)
+    shown = ground[0] >= 1.0
+    axes.loglog(ground[0][shown], ground[1][shown], color=figures.GREEN, lw=0.8, label="measured ground")
+    axes.set(
+        xlabel="frequency (Hz)", ylabel="acceleration PSD ((m/s²)²/Hz)", ylim=(1e-14, 1e-3), xlim=(1, 1000)
+    )
+    axes.legend(loc="center left", bbox_to_anchor=(1, 0.5))
+    return figure
+
+
+def draw_paths(twins: dict[str, Twin], frequencies_hz: np.ndarray):
+    """Fig. 3: the six diagonal elements from command to platform acceleration, and the fit (2)."""
+    figure, (upper, lower) = figures.new(2, 1, height=4.6, sharex=True, gridspec_kw={"height_ratios": [2, 1]})
+    f = frequencies_hz
+    for (name, twin), color in zip(twins.items(), (figures.BLUE, figures.RED), strict=False):
+        for k, (path, error) in enumerate(zip(diagonal_path(twin, f), fit_error_db(twin, f), strict=True), 1):
+            label = name if k == 1 else f"_{name}, element {k}"
+            upper.loglog(f, np.abs(path), color=color, lw=0.9, label=label)
+            lower.semilogx(f, error, color=color, lw=0.9, label=f"_{name}, element {k}")
+    fit = parametric_fit(next(iter(twins.values())), f)
+    upper.loglog(f, np.abs(fit), "--", color=figures.BLACK, label="fit, eq. (2)")
+    upper.axvline(962, color=figures.GREY, ls=":", lw=1)
+    upper.annotate("962 Hz", (930, 0.003), ha="right", fontsize=8, color=figures.GREY)
+    lower.axvline(500, color=figures.GREY, ls=":", lw=1)
+    lower.annotate("published: good to here", (480, -9), ha="right", fontsize=8, color=figures.GREY)
+    upper.set(ylabel="|a₁ / u| (m/s² per N)")
+    lower.set(xlabel="frequency (Hz)", ylabel="twin over fit (dB)", ylim=(-12, 12), xlim=(f[0], f[-1]))
+    upper.legend(loc="upper left")
+    return figure
+
+
+def explore_floor(low_pass_hz: float, gain: float):
+    """Explorer: the two readings of the flat floor and the height of the colored bands, against BBN-A to -D."""
+    figure, axes = figures.new(1, 1, height=3.2)
+    f = np.geomspace(1, 1000, 300)
+    floor = colored_floor(low_pass_hz, gain=gain)
+    axes.loglog(f, floor.density(f)[0], color=figures.BLUE, label="floor")
+    band = np.geomspace(1, 80, 60)
+    for name, color in zip(
+        ("BBN-A", "BBN-B", "BBN-C", "BBN-D"),
+        (figures.PURPLE, figures.RED, figures.ORANGE, figures.GREEN),
+        strict=True,
+    ):
+        axes.loglog(band, criterion_density(name, band), "--", color=color, label=name)
+    axes.set(xlabel="frequency (Hz)", ylabel="acceleration PSD ((m/s²)²/Hz)", ylim=(1e-10, 1e-3))
+    axes.legend(loc="upper left", ncols=2)
+    return figure

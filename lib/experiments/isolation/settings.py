@@ -1,0 +1,109 @@
+"""Settings of a rig's instruments and controller, and the filters that follow from the instruments."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from scipy import signal
+
+from experiments.isolation import shaping
+from experiments.isolation.shaping import NoiseShaping, SecondaryPath
+from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
+
+
+@dataclass(frozen=True)
+class Instruments:
+    """Sampling, actuators, sensors and their noise.
+
+    Noise levels are one-sided amplitude densities in m/s^2/sqrt(Hz), mains amplitudes in m/s^2.
+    """
+
+    sample_rate: float  # Hz
+    actuator_pole_hz: float
+    force_limit: float  # N: a larger command ends a simulation as unstable
+    parasitic_hz: float  # resonance beside the suspension
+    parasitic_damping: float  # relative
+    parasitic_gain: float  # 1/kg: its share of acceleration per force, 0 for none
+    conditioning_highpass_hz: float
+    conditioning_lowpass_hz: float
+    floor_noise: float  # n0, of each floor sensor
+    platform_noise: float  # n1, of each platform sensor: all of a1 that does not come from the floor
+    mains_hz: list[float] = field(default_factory=list)
+    floor_mains: list[float] = field(default_factory=list)
+    platform_mains: list[float] = field(default_factory=list)
+
+    def __post_init__(self):
+        require_number("sample_rate", self.sample_rate, above=0.0)
+        half = self.sample_rate / 2
+        require_number("actuator_pole_hz", self.actuator_pole_hz, above=0.0)
+        require_number("force_limit", self.force_limit, above=0.0)
+        require_number("parasitic_hz", self.parasitic_hz, above=0.0, below=half)
+        require_number("parasitic_damping", self.parasitic_damping, above=0.0)
+        for name in ("parasitic_gain", "floor_noise", "platform_noise"):
+            require_number(name, getattr(self, name), at_least=0.0)
+        require_number("conditioning_highpass_hz", self.conditioning_highpass_hz, above=0.0)
+        require_number("conditioning_lowpass_hz", self.conditioning_lowpass_hz, above=0.0)
+        lines = len(require_array("mains_hz", self.mains_hz, ndim=1))
+        for name in ("floor_mains", "platform_mains"):
+            if len(require_array(name, getattr(self, name), ndim=1)) != lines:
+                raise InputError(f"{name} has not one amplitude for each of mains_hz; give {lines}")
+
+    @property
+    def sample_time(self) -> float:
+        """s."""
+        return 1 / self.sample_rate
+
+    @cached_property
+    def actuator(self) -> np.ndarray:
+        """Sections of the actuator's lag."""
+        pole = 2 * np.pi * self.actuator_pole_hz
+        return signal.tf2sos(*signal.bilinear([pole], [1, pole], self.sample_rate))
+
+    @cached_property
+    def parasitic(self) -> np.ndarray:
+        """Sections from force to the acceleration of the parasitic resonance."""
+        omega = 2 * self.sample_rate * np.tan(np.pi * self.parasitic_hz / self.sample_rate)
+        denominator = [1, 2 * self.parasitic_damping * omega, omega**2]
+        sections = signal.tf2sos(*signal.bilinear([1, 0, 0], denominator, self.sample_rate))
+        return sections * [*[self.parasitic_gain] * 3, 1, 1, 1]
+
+    @cached_property
+    def conditioning(self) -> np.ndarray:
+        """Sections of the signal conditioners."""
+        return shaping.conditioning(
+            self.sample_time, self.conditioning_highpass_hz, self.conditioning_lowpass_hz
+        )
+
+
+@dataclass(frozen=True)
+class Skyhook:
+    """Skyhook damping, eq. (1)."""
+
+    gain: float  # k_v, N s/m
+    cutoff: float  # w_i of the weak integrator, rad/s
+    notch_hz: float
+
+    def __post_init__(self):
+        require_number("gain", self.gain, at_least=0.0)
+        require_number("cutoff", self.cutoff, above=0.0)
+        require_number("notch_hz", self.notch_hz, above=0.0)
+
+
+@dataclass(frozen=True)
+class SelfTunedFeedforward:
+    """Settings of the self-tuned feedforward, Sections 3 and 4."""
+
+    integrator_order: int  # n
+    integrator_cutoff_hz: float  # alpha
+    integrator_powers: int  # highest power of the weak integrator among the regressors
+    beta: float  # 1/s: the weak integrator's normalisation
+    shaping: NoiseShaping
+    path: SecondaryPath  # eq. (2)
+    estimate: str = "diagonal"  # of the secondary path: eq. (2) on each axis, or "full": the model's modes
+
+    def __post_init__(self):
+        require_count("integrator_order", self.integrator_order)
+        require_count("integrator_powers", self.integrator_powers, at_least=0)
+        require_number("integrator_cutoff_hz", self.integrator_cutoff_hz, above=0.0)
+        require_number("beta", self.beta, above=0.0)
+        require_choice("estimate", self.estimate, ("diagonal", "full"))

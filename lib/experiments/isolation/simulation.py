@@ -1,0 +1,328 @@
+"""Closed-loop runs of a twin: passive, with feedback, with frozen or self-tuning feedforward."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import ArrayLike
+
+from experiments.isolation import loop
+from experiments.isolation.recorded_floors import RecordedFloor
+from experiments.isolation.sources import BLOCK, Floor, Sources
+from experiments.isolation.twin import Twin
+from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.estimation.adaptive import FeLms, FeRls
+from stillwork.estimation.online import UnstableAdaptation
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a closed-loop run leaves behind.
+
+    Attributes
+    ----------
+    sample_rate : float
+        Hz.
+    time_s : ndarray, shape (kept,)
+        End of each interval of the two histories below.
+    weights : ndarray, shape (kept, actuators, regressors)
+        W, N per (m/s^2).
+    error_power : ndarray, shape (kept,)
+        Quadratic filtered error e'e, mean over the interval, N^2.
+    final_weights : ndarray, shape (actuators, regressors)
+        W after the last sample.
+    covariance : ndarray, shape (regressors, regressors)
+        P after the last sample; what it was at the start unless FeRLS ran.
+    signals_start_s : float
+        Time of the first sample of the signals below, which are empty unless asked for.
+    floor : ndarray, shape (sensors, samples)
+        a0 without noise, m/s^2.
+    platform : ndarray, shape (outputs, samples)
+        a1 without noise, m/s^2.
+    sensed_floor, measured_platform : ndarray
+        The same through noisy sensors and their conditioners: what the controller and an analyser see.
+    command : ndarray, shape (actuators, samples)
+        u, N.
+    filtered_regressors : ndarray, shape (regressors, samples)
+        psi_N.
+    error : ndarray, shape (actuators, samples)
+        e, N.
+    """
+
+    sample_rate: float
+    time_s: Float64[np.ndarray, "kept"]
+    weights: Float64[np.ndarray, "kept actuators regressors"]
+    error_power: Float64[np.ndarray, "kept"]
+    final_weights: Float64[np.ndarray, "actuators regressors"]
+    covariance: Float64[np.ndarray, "regressors regressors"]
+    signals_start_s: float
+    floor: Float64[np.ndarray, "sensors samples"]
+    platform: Float64[np.ndarray, "outputs samples"]
+    sensed_floor: Float64[np.ndarray, "sensors samples"]
+    measured_platform: Float64[np.ndarray, "outputs samples"]
+    command: Float64[np.ndarray, "actuators samples"]
+    filtered_regressors: Float64[np.ndarray, "regressors samples"]
+    error: Float64[np.ndarray, "actuators samples"]
+
+
+def simulate(
+    twin: Twin,
+    floor: Floor | list[tuple[float, Floor]],
+    duration_s: float | None = None,
+    *,
+    adaptation: FeLms | FeRls | None = None,
+    weights: ArrayLike | None = None,
+    feedback: bool = True,
+    noise: bool = True,
+    seed: int = 0,
+    keep_every_s: float = 0.1,
+    signals_from_s: float | None = None,
+) -> Run:
+    """Run a twin in closed loop from rest.
+
+    The four cases of the paper: ``feedback=False`` (passive); nothing else (feedback only); ``weights=W``
+    (feedforward with frozen weights); ``adaptation=FeLms()`` or ``FeRls(...)``, from `weights` or from zero.
+    The floor's motion and each noise draw from their own stream of `seed`: runs with the same seed see the same
+    floor, whatever the controller does.
+
+    Parameters
+    ----------
+    twin : Twin
+        Rig, instruments and controller settings.
+    floor : ShapedFloor or RecordedFloor, or list of (seconds, floor)
+        How the floor sensors move; a list changes the floor in mid-run, at once.
+    duration_s : float, optional
+        Seconds; by default all of a list or of a record.
+    adaptation : FeLms or FeRls, optional
+        Algorithm that tunes the weights; without one they stay as given.
+    weights : array_like, shape (actuators, regressors), optional
+        W at the start; zero by default.
+    feedback : bool
+        Whether the skyhook loop is closed.
+    noise : bool
+        Whether sensors are noisy and see the mains.
+    seed : int
+        Root of the random streams.
+    keep_every_s : float
+        Interval of the kept weights and error power.
+    signals_from_s : float, optional
+        Keep all signals at the full rate from here on; memory grows with what is kept only.
+
+    Raises
+    ------
+    UnstableAdaptation
+        When the loop diverges; tells the sample and the cause.
+    InputError
+        Floors or weights of the wrong shape, a floor with another sample rate, a record that is too short.
+    """
+    (run,) = _runs(
+        twin,
+        floor,
+        duration_s,
+        [adaptation],
+        weights=weights,
+        feedback=feedback,
+        noise=noise,
+        seed=seed,
+        keep_every_s=keep_every_s,
+        signals_from_s=signals_from_s,
+    )
+    return run
+
+
+def simulate_each(
+    twin: Twin,
+    floor: Floor | list[tuple[float, Floor]],
+    duration_s: float | None = None,
+    *,
+    adaptations: Mapping[str, FeLms | FeRls | None],
+    weights: ArrayLike | None = None,
+    seed: int = 0,
+) -> dict[str, Run]:
+    """What `simulate` gives for each of several algorithms, on a floor and noises that are drawn once for all.
+
+    Parameters
+    ----------
+    twin, floor, duration_s, weights, seed
+        As for `simulate`.
+    adaptations : mapping of str to FeLms, FeRls or None
+        Algorithms by name.
+    """
+    runs = _runs(twin, floor, duration_s, list(adaptations.values()), weights=weights, seed=seed)
+    return dict(zip(adaptations, runs, strict=True))
+
+
+def _runs(
+    twin: Twin,
+    floor,
+    duration_s,
+    adaptations: list,
+    *,
+    weights=None,
+    feedback=True,
+    noise=True,
+    seed=0,
+    keep_every_s=0.1,
+    signals_from_s=None,
+) -> list[Run]:
+    """One run an algorithm, side by side, block by block."""
+    rate = twin.instruments.sample_rate
+    every = require_count("keep_every_s times the sample rate", round(keep_every_s * rate))
+    segments = _segments(twin, floor, duration_s)
+    total = sum(samples for samples, _ in segments)
+    if total < 1:
+        raise InputError(f"duration_s is {duration_s}; give at least one sample")
+    start = np.zeros((twin.actuators, twin.regressors)) if weights is None else weights
+    start = require_array("weights", start, shape=(twin.actuators, twin.regressors))
+    first = total
+    if signals_from_s is not None:
+        first = round(require_number("signals_from_s", signals_from_s, at_least=0.0) * rate)
+        if first >= total:
+            raise InputError(
+                f"signals_from_s is {signals_from_s:g} but the run lasts {total / rate:g} s; give less"
+            )
+
+    sides = []
+    for adaptation in adaptations:
+        code, numbers, covariance = _algorithm(twin, adaptation)
+        closed = loop.loop_of(twin, feedback, start, covariance)
+        sides.append((adaptation, code, numbers, closed, _Kept(twin, total, every, first)))
+    sources = Sources(twin, segments, noise, require_count("seed", seed, at_least=0))
+
+    done = 0
+    while done < total:
+        # A block ends where the signals start.
+        samples = min(BLOCK, total - done)
+        if done < first:
+            samples = min(samples, first - done)
+        floor_block, noise_block = sources.draw(samples)
+        for adaptation, code, numbers, closed, kept in sides:
+            status, reached = loop.advance(
+                floor_block,
+                noise_block,
+                closed,
+                kept.block(done, samples),
+                every,
+                done % every,
+                code,
+                *numbers,
+                twin.instruments.force_limit,
+            )
+            if status != loop.STABLE:
+                raise _unstable(status, done + reached, twin, adaptation, start)
+            if done + samples > first:
+                kept.floor[done - first : done - first + samples] = floor_block
+        done += samples
+    return [kept.run(rate, closed) for _, _, _, closed, kept in sides]
+
+
+def _algorithm(twin: Twin, adaptation):
+    """Code of the kernel, its numbers, and P at the start."""
+    n = twin.regressors
+    if isinstance(adaptation, FeRls):
+        covariance, limits = adaptation.start(n)
+        return loop.FERLS, (0.0, 1.0, 1.0, adaptation.forgetting, limits), covariance
+    still = (1.0, np.full(n, np.inf))
+    if isinstance(adaptation, FeLms):
+        numbers = (
+            adaptation.step_size,
+            adaptation.regularisation,
+            adaptation.trace_copies(twin.actuators),
+        )
+        return loop.FELMS, (*numbers, *still), np.eye(n)
+    if adaptation is not None:
+        raise InputError(f"adaptation is {adaptation!r}; give FeLms(...), FeRls(...) or None")
+    return loop.FROZEN, (0.0, 1.0, 1.0, *still), np.eye(n)
+
+
+def _segments(twin: Twin, floor, duration_s) -> list[tuple[int, Floor]]:
+    rate = twin.instruments.sample_rate
+    given = floor if isinstance(floor, list) else [(duration_s, floor)]
+    if not given:
+        raise InputError("floor is an empty list; give (seconds, floor) pairs")
+    segments = []
+    for seconds, part in given:
+        if part.channels != twin.sensors:
+            raise InputError(
+                f"floor has {part.channels} channels but the rig has {twin.sensors} floor sensors; give as many"
+            )
+        if part.sample_rate != rate:
+            raise InputError(
+                f"floor is sampled at {part.sample_rate:g} Hz but the rig at {rate:g} Hz; resample it first"
+            )
+        recorded = isinstance(part, RecordedFloor)
+        if seconds is None and not recorded:
+            raise InputError("duration_s is missing; give the seconds to run")
+        samples = (
+            part.acceleration.shape[1]
+            if seconds is None
+            else round(require_number("duration_s", seconds, above=0.0) * rate)
+        )
+        if recorded and samples > part.acceleration.shape[1]:
+            raise InputError(
+                f"floor record lasts {part.duration:g} s, shorter than the {seconds:g} s asked for; "
+                "shorten duration_s or give a longer record"
+            )
+        segments.append((samples, part))
+    if isinstance(floor, list) and duration_s is not None:
+        raise InputError("duration_s: a list of floors has its own durations; leave it out")
+    return segments
+
+
+def _unstable(status: int, sample: int, twin: Twin, adaptation, weights) -> UnstableAdaptation:
+    if status == loop.INDEFINITE:
+        return UnstableAdaptation(
+            sample,
+            "the covariance is no longer positive definite",
+            "start with a smaller initial_covariance or give it a finite growth_limit",
+        )
+    cause = f"a command exceeds the force limit of {twin.instruments.force_limit:g} N"
+    if adaptation is not None:
+        small = "step_size" if isinstance(adaptation, FeLms) else "initial_covariance"
+        return UnstableAdaptation(
+            sample, cause, f"start with a smaller {small}, better weights or a better path estimate"
+        )
+    if weights.any():
+        advice = "nothing adapts here: give smaller weights, or a smaller skyhook gain"
+        return UnstableAdaptation(sample, cause, advice, "the loop with the given weights")
+    return UnstableAdaptation(sample, cause, "give the skyhook a smaller gain", "the skyhook loop")
+
+
+class _Kept:
+    """Arrays that outlive the blocks."""
+
+    def __init__(self, twin: Twin, total: int, every: int, first: int):
+        long = max(total - first, 0)
+        self.first, self.every = first, every
+        self.floor = np.empty((long, twin.sensors))
+        widths = (twin.outputs, twin.outputs, twin.sensors, twin.actuators, twin.regressors, twin.actuators)
+        self.long = [np.empty((long, width)) for width in widths]
+        self.weights = np.empty((total // every, twin.actuators, twin.regressors))
+        self.power = np.empty(total // every)
+
+    def block(self, done: int, samples: int) -> loop.Signals:
+        """Views for the kernel to fill."""
+        start = done - self.first
+        long = [array[start : start + samples] if start >= 0 else array[:0] for array in self.long]
+        rows = slice(done // self.every, (done + samples) // self.every)  # due in this block
+        return loop.Signals(*long, self.weights[rows], self.power[rows])
+
+    def run(self, rate: float, closed: loop.ClosedLoop) -> Run:
+        platform, measured, sensed, command, regressors, error = (array.T for array in self.long)
+        return Run(
+            sample_rate=rate,
+            time_s=self.every / rate * np.arange(1, len(self.power) + 1),
+            weights=self.weights,
+            error_power=self.power,
+            final_weights=closed.weights,
+            covariance=closed.covariance,
+            signals_start_s=self.first / rate,
+            floor=self.floor.T,
+            platform=platform,
+            sensed_floor=sensed,
+            measured_platform=measured,
+            command=command,
+            filtered_regressors=regressors,
+            error=error,
+        )

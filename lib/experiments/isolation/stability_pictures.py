@@ -1,0 +1,192 @@
+"""Figures of numerical stability (notebook 07)."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from experiments.isolation.cures import CureRun
+from experiments.isolation.silence import ErrorRecord
+from experiments.isolation.stability import FORMS, CovarianceRun, covariance_run
+from stillwork.workbook import figures
+
+_LINES = ("-", "--", "-", ":", "-.")
+FLOOR = 1e-19  # where exact zeros are drawn; the axis says so
+
+
+def draw_forms(runs: Mapping[str, Mapping[str, CovarianceRun]], experiment: float):
+    """Asymmetry and error of P over time constants, a column for each precision.
+
+    Parameters
+    ----------
+    runs : mapping of precision to mapping of form to CovarianceRun
+        What to show.
+    experiment : float
+        Length of the published experiment in time constants.
+    """
+    figure, grid = figures.new(2, len(runs), height=5.4, sharex=True, squeeze=False)
+    for (upper, lower), (precision, forms) in zip(grid.T, runs.items(), strict=True):
+        for style, (form, run) in zip(_LINES, forms.items(), strict=False):
+            t = run.time_constants
+            upper.semilogy(t, np.maximum(run.asymmetry, FLOOR), style, label=form)
+            lower.semilogy(t, run.error, style, label=form)
+            if np.isfinite(run.breakdown):
+                for axes in (upper, lower):
+                    axes.axvline(run.breakdown, color=figures.GREY, lw=0.8, ls=":")
+                lower.annotate(
+                    f"indefinite at about {run.breakdown_tens():.0f} ",
+                    (run.breakdown, 1e-13),
+                    fontsize=8,
+                    ha="right",
+                    va="bottom",
+                    color=figures.GREY,
+                )
+        unit = np.finfo(precision).eps
+        guide = np.array([0.0, np.log(1 / unit)])
+        upper.semilogy(
+            guide, unit / 10 * np.exp(guide), color=figures.BLACK, lw=0.8, label="slope 1/λ a sample"
+        )
+        upper.axvspan(0, experiment, color=figures.GREY, alpha=0.12, lw=0)
+        lower.axvspan(0, experiment, color=figures.GREY, alpha=0.12, lw=0)
+        upper.set(title=precision, ylabel="antisymmetric part of P", ylim=(FLOOR / 3, 10))
+        _name_zero(upper)
+        lower.set(xlabel="time constants of the forgetting", ylabel="error of P", ylim=(1e-14, 1e3))
+        for axes in (upper, lower):
+            axes.set_yticks(10.0 ** np.arange(-18, 4, 3) if axes is upper else 10.0 ** np.arange(-12, 4, 3))
+    grid[0, 0].annotate(
+        "the paper's 200 s", (experiment / 2, 5.0), ha="center", va="top", fontsize=8, color=figures.GREY
+    )
+    figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return figure
+
+
+def _name_zero(axes):
+    axes.annotate(
+        "exactly 0 is drawn here",
+        (0.99, FLOOR * 2),
+        xycoords=("axes fraction", "data"),
+        ha="right",
+        va="bottom",
+        fontsize=8,
+        color=figures.GREY,
+    )
+
+
+def draw_windup(runs: Mapping[str, Mapping[str, CovarianceRun]]):
+    """Largest eigenvalue of P while a direction is silent, a panel for each kind of silence."""
+    figure, grid = figures.new(1, len(runs), height=3.2, sharey=True, squeeze=False)
+    for axes, (title, forms) in zip(grid[0], runs.items(), strict=True):
+        broken = []
+        for style, (form, run) in zip(_LINES, forms.items(), strict=False):
+            seen = run.time_constants <= run.breakdown
+            axes.semilogy(run.time_constants[seen], run.largest[seen], style, label=form)
+            if np.isfinite(run.breakdown):
+                broken.append((run.breakdown, run.largest[seen][-1]))
+        if broken:
+            axes.plot(*zip(*broken, strict=True), "x", color=figures.BLACK, label="P indefinite")
+        t = next(iter(forms.values())).time_constants
+        axes.semilogy(t, np.exp(t), color=figures.GREY, lw=4, alpha=0.4, zorder=1, label="exp(t / T)")
+        axes.set(xlabel="time constants of the forgetting", title=title, ylim=(0.3, 1e22))
+    grid[0, 0].set(ylabel="largest eigenvalue of P / start")
+    figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return figure
+
+
+def draw_return(outcomes: Mapping[str, Sequence[ErrorRecord]], return_s: float):
+    """Filtered error around the return of a silent sensor; a cross marks where a run broke."""
+    figure, grid = figures.new(1, len(outcomes), height=3.0, sharey=True, squeeze=False)
+    for axes, (name, runs) in zip(grid[0], outcomes.items(), strict=True):
+        for number, run in enumerate(runs, 1):
+            near = run.time_s > return_s - 5
+            axes.semilogy(run.time_s[near] - return_s, run.error[near], lw=0.9, label=f"floor {number}")
+            if run.broke_s is not None:
+                end = (run.broke_s - return_s, run.error[-1])
+                axes.plot(
+                    *end, "x", color=axes.lines[-1].get_color(), ms=9, mew=2, label=f"floor {number}, broke"
+                )
+        axes.axvspan(-5, 0, color=figures.GREY, alpha=0.12, lw=0)
+        axes.set(xlabel="time since the sensor's return (s)", title=name, xlim=(-5, 15))
+        axes.legend(loc="upper right")
+    grid[0, 0].set(ylabel="filtered error, rms (N)")
+    return figure
+
+
+def draw_cures(
+    runs: Mapping[str, CureRun], samples_per_constant: float, silence: tuple[float, float], step: float
+):
+    """Growth of P, misalignment and error of the four cures."""
+    figure, (top, middle, bottom) = figures.new(3, 1, height=6.4, sharex=True)
+    for style, (name, run) in zip(("-", "--", "-.", "-"), runs.items(), strict=False):
+        t = run.samples / samples_per_constant
+        top.semilogy(t, run.growth.max(axis=1), style, label=f"{name}, largest")
+        top.semilogy(
+            t,
+            run.growth.min(axis=1),
+            style,
+            color=top.lines[-1].get_color(),
+            lw=0.7,
+            label=f"{name}, smallest",
+        )
+        middle.semilogy(t, run.misalignment, style, label=name)
+        bottom.semilogy(t, np.sqrt(run.error_power), style, label=name)
+    for axes in (top, middle, bottom):
+        axes.axvspan(*silence, color=figures.GREY, alpha=0.12, lw=0)
+        axes.axvline(step, color=figures.BLACK, lw=0.8, ls=":")
+    top.annotate(
+        "one floor sensor silent",
+        (np.mean(silence), 0.96),
+        xycoords=("data", "axes fraction"),
+        ha="center",
+        va="top",
+        fontsize=8,
+    )
+    middle.annotate(
+        "the optimum moves by 20 %",
+        (step, 0.96),
+        xycoords=("data", "axes fraction"),
+        ha="right",
+        va="top",
+        fontsize=8,
+        xytext=(-4, 0),
+        textcoords="offset points",
+    )
+    top.set(ylabel="diagonal of P / start", ylim=(1e-2, 1e6))
+    middle.set(ylabel="misalignment")
+    bottom.set(xlabel="time constants of the forgetting", ylabel="filtered error, rms (N)")
+    figure.legend(*top.get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    return figure
+
+
+def explore_forms(regressors: ArrayLike, initial: ArrayLike):
+    """Drawing function for sliders: asymmetry of every form, with another forgetting or precision."""
+
+    def draw(precision: str, samples_per_constant: float, time_constants: float):
+        figure, axes = figures.new(1, 1, height=3.0)
+        forgetting = float(np.exp(-1 / samples_per_constant))
+        for style, form in zip(_LINES, FORMS, strict=True):
+            run = covariance_run(
+                form, regressors, forgetting, initial, time_constants, precision, per_time_constant=2
+            )
+            ends = (
+                "stays definite"
+                if np.isinf(run.breakdown)
+                else f"indefinite at about {run.breakdown_tens():.0f}"
+            )
+            axes.semilogy(
+                run.time_constants, np.maximum(run.asymmetry, FLOOR), style, label=f"{form}: {ends}"
+            )
+        axes.set(
+            xlabel="time constants of the forgetting",
+            ylabel="antisymmetric part of P",
+            ylim=(FLOOR / 3, 10),
+            title=f"{precision}, time constant of {samples_per_constant:.0f} samples",
+        )
+        axes.set_yticks(10.0 ** np.arange(-18, 1, 3), minor=False)
+        _name_zero(axes)
+        axes.legend(loc="upper left", bbox_to_anchor=(1, 1))
+        return figure
+
+    # Both precisions are compiled here, not at a reader's first move.
+    for precision in ("float64", "float32"):
+        covariance_run("triangle", regressors, 0.5, initial, 1, precision, per_time_constant=1)
+    return draw

@@ -1,0 +1,236 @@
+"""Digital twins of the isolation rig: mechanics, instruments and controller settings from one TOML file."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64
+from scipy import linalg
+
+from experiments.isolation import shaping
+from experiments.isolation.plant import Platform, plant_of_rig
+from experiments.isolation.rig import Rig, rig_from_table
+from experiments.isolation.settings import Instruments, SelfTunedFeedforward, Skyhook
+from experiments.isolation.shaping import FrequencyNotch, NoiseShaping, SecondaryPath
+from experiments.isolation.tables import build, read_toml, require_names
+from stillwork.base import paths
+from stillwork.base.checks import InputError, require_array, require_choice, require_number
+
+SHIPPED = ("rigid_body", "fitted")
+
+
+@dataclass(frozen=True)
+class ErrorFilter:
+    """``e = after · filters · before · a1``: the inverse secondary path with noise shaping."""
+
+    before: Float64[np.ndarray, "axes outputs"]
+    sections: Float64[np.ndarray, "axes sections 6"]
+    after: Float64[np.ndarray, "actuators axes"]
+
+
+@dataclass(frozen=True)
+class Twin:
+    """A model of an isolation rig, complete enough to run its controller on.
+
+    Attributes
+    ----------
+    name : str
+        What it is.
+    plant : Platform
+        Mechanics.
+    instruments : Instruments
+        Sampling, actuators, sensors, noise.
+    skyhook : Skyhook
+        Feedback.
+    feedforward : SelfTunedFeedforward
+        Self-tuned feedforward.
+    rig : Rig or None
+        Geometry, when the plant is a rigid body on struts.
+    """
+
+    name: str
+    plant: Platform
+    instruments: Instruments
+    skyhook: Skyhook
+    feedforward: SelfTunedFeedforward
+    rig: Rig | None = None
+
+    def __post_init__(self):
+        if self.outputs != self.actuators:
+            raise InputError(
+                f"the model has {self.actuators} actuators and {self.outputs} platform sensors; the skyhook "
+                "loop pairs them, so give as many of each"
+            )
+
+    @property
+    def actuators(self) -> int:
+        return self.plant.actuation.shape[1]
+
+    @property
+    def outputs(self) -> int:
+        """Platform sensors."""
+        return self.plant.observation.shape[0]
+
+    @property
+    def sensors(self) -> int:
+        """Floor sensors."""
+        return self.plant.floor_damping.shape[1]
+
+    @property
+    def regressors(self) -> int:
+        return (self.feedforward.integrator_powers + 1) * self.sensors
+
+    @property
+    def sample_time(self) -> float:
+        return self.instruments.sample_time
+
+    def varied(self, **changes) -> "Twin":
+        """Copy with other settings: ``twin.varied(platform_noise=1e-5, estimate="full", gain=0.0)``.
+
+        Names are those of `Instruments`, `Skyhook` and `SelfTunedFeedforward`.
+        """
+        parts = {}
+        known = []
+        for part in ("instruments", "skyhook", "feedforward"):
+            record = getattr(self, part)
+            names = list(record.__dataclass_fields__)
+            known += names
+            own = {name: changes[name] for name in names if name in changes}
+            parts[part] = replace(record, **own)
+        require_names("varied", changes, (), known)
+        return replace(self, **parts)
+
+    @cached_property
+    def integrator(self) -> np.ndarray:
+        """Sections of the normalised weak integrator beta H."""
+        settings = self.feedforward
+        cutoff = 2 * np.pi * settings.integrator_cutoff_hz
+        return shaping.weak_integrator(settings.integrator_order, cutoff, settings.beta, self.sample_time)
+
+    @cached_property
+    def noise_shaping(self) -> np.ndarray:
+        """Sections of N."""
+        return shaping.noise_shaping(self.feedforward.shaping, self.feedforward.path, self.sample_time)
+
+    @cached_property
+    def skyhook_filter(self) -> np.ndarray:
+        """Sections of the skyhook loop; the command gets minus its output."""
+        settings = self.skyhook
+        return shaping.skyhook(
+            settings.gain, self.sample_time, settings.cutoff, FrequencyNotch(settings.notch_hz)
+        )
+
+    @cached_property
+    def error_filter(self) -> ErrorFilter:
+        """N times the inverse of the estimated secondary path, diagonal (2) or full."""
+        settings = self.feedforward
+        if settings.estimate == "diagonal":
+            each = shaping.inverse_secondary_shaping(settings.shaping, settings.path, self.sample_time)
+            return ErrorFilter(
+                np.eye(self.outputs), np.repeat(each[None], self.outputs, axis=0), np.eye(self.outputs)
+            )
+        return self._full_error_filter()
+
+    def _full_error_filter(self) -> ErrorFilter:
+        """Inverse mode by mode: P2 = H Φ diag(s²/(s² + 2ζω s + ω²)) Φ'B, with the skyhook's damping in ζ."""
+        plant, settings = self.plant, self.feedforward
+        squares, shapes = linalg.eigh(plant.stiffness, plant.mass)
+        if len(squares) != self.outputs:
+            raise InputError(
+                f"a full estimate needs as many platform sensors as coordinates ({len(squares)}); "
+                "use estimate = 'diagonal'"
+            )
+        seen, driven = plant.observation @ shapes, shapes.T @ plant.actuation
+        ideal = plant.damping + self.skyhook.gain * plant.actuation @ plant.observation
+        damping = np.diag(shapes.T @ ideal @ shapes)
+        pole = settings.path.actuator_pole
+        modes = [SecondaryPath(1.0, float(d), float(k), pole) for d, k in zip(damping, squares, strict=True)]
+        sections = [
+            shaping.inverse_secondary_shaping(settings.shaping, settings.path, self.sample_time, mode)
+            for mode in modes
+        ]
+        return ErrorFilter(np.linalg.inv(seen), np.array(sections), np.linalg.inv(driven))
+
+
+def load_twin(model: str | Path) -> Twin:
+    """Read a twin from TOML.
+
+    Parameters
+    ----------
+    model : str or Path
+        ``"rigid_body"``, ``"fitted"``, or the path of a TOML file of the same form.
+
+    Raises
+    ------
+    InputError
+        Missing, unknown or non-physical values; the message names file, table and value.
+    """
+    file = paths.data("isolation", f"{model}.toml") if model in SHIPPED else Path(model)
+    if model not in SHIPPED and file.suffix != ".toml":
+        require_choice("model", str(model), SHIPPED)
+    table = read_toml(file)
+    try:
+        return twin_from_table(table)
+    except InputError as error:
+        raise InputError(f"{file.name}: {error}") from None
+
+
+def twin_from_table(table: dict) -> Twin:
+    """Make a `Twin` from the tables of a TOML model.
+
+    Mechanics are either a rigid body on struts (tables ``body``, ``struts``, ``floor_sensors``, optional
+    ``actuators`` and ``platform_sensors``) or matrices (table ``plant``).
+    """
+    common = ("name", "instruments", "skyhook", "feedforward")
+    if "plant" in table:
+        require_names("model", table, (*common, "plant"))
+        rig, plant = None, _plant_from_table(table["plant"])
+    else:
+        body = {name: part for name, part in table.items() if name not in common}
+        require_names("model", [name for name in table if name in common], common)
+        rig = rig_from_table(body)
+        plant = plant_of_rig(rig)
+    return Twin(
+        name=table["name"],
+        plant=plant,
+        instruments=build(Instruments, table["instruments"], "instruments"),
+        skyhook=build(Skyhook, table["skyhook"], "skyhook"),
+        feedforward=_feedforward_from_table(table["feedforward"]),
+        rig=rig,
+    )
+
+
+def _plant_from_table(table: dict) -> Platform:
+    names = ("mass", "damping", "stiffness", "floor_inertia", "floor_damping", "floor_stiffness")
+    require_names("plant", table, names)
+    floor = {name: require_array(f"plant: {name}", table[name], ndim=2) for name in names[3:]}
+    axes = len(floor["floor_stiffness"])
+    # A scalar is the same on every axis; force and acceleration are along the axes.
+    square = {}
+    for name in names[:3]:
+        value = require_array(f"plant: {name}", table[name])
+        square[name] = value * np.eye(axes) if value.ndim < 2 else value
+    return build(
+        Platform, {**square, **floor, "actuation": np.eye(axes), "observation": np.eye(axes)}, "plant"
+    )
+
+
+def _feedforward_from_table(table: dict) -> SelfTunedFeedforward:
+    require_names(
+        "feedforward",
+        table,
+        ("integrator_order", "integrator_cutoff_hz", "integrator_powers", "beta", "shaping", "path"),
+        ("estimate",),
+    )
+    shape = dict(table["shaping"])
+    notches = shape.pop("notches", [])
+    path = dict(table["path"])
+    require_names("feedforward.path", path, ("mass", "damping", "stiffness", "actuator_pole_hz"))
+    path["actuator_pole"] = 2 * np.pi * require_number("actuator_pole_hz", path.pop("actuator_pole_hz"))
+    shape["notches"] = tuple(build(FrequencyNotch, notch, "feedforward.shaping.notches") for notch in notches)
+    parts = {
+        "shaping": build(NoiseShaping, shape, "feedforward.shaping"),
+        "path": build(SecondaryPath, path, "feedforward.path"),
+    }
+    return build(SelfTunedFeedforward, {**table, **parts}, "feedforward")

@@ -1,0 +1,129 @@
+"""Figures of a floor and of what the isolator makes of it (notebook 08)."""
+
+import numpy as np
+
+from experiments.isolation.performance import DIRECTIONS, expected_density
+from experiments.isolation.performance_pictures import thinned
+from experiments.isolation.recorded_floors import RecordedFloor, ground_spectrum
+from experiments.isolation.steady import steady_state
+from experiments.isolation.twin import Twin, load_twin
+from experiments.isolation.your_floor import Isolated, optimum_left
+from stillwork.signals.criteria import criterion_velocity, one_third_octave_velocity
+from stillwork.signals.spectra import estimate_spectrum
+from stillwork.workbook import figures
+
+_COLORS = {
+    "floor": figures.RED,
+    "passive": figures.SKY,
+    "feedback": figures.BLUE,
+    "FeRLS": figures.BLACK,
+}
+_SHOWN_HZ = (1.0, 400.0)
+
+
+def draw_floor(floor: RecordedFloor, resolution_hz: float = 0.25):
+    """The sensors' mean and what one sees beside it, over time; each in one-third-octave velocity."""
+    figure, (left, right) = figures.new(1, 2, height=3.4)
+    time_s = np.arange(floor.acceleration.shape[1]) / floor.sample_rate
+    common = floor.acceleration.mean(axis=0)
+    own = floor.acceleration[0] - common
+    left.plot(time_s, common, lw=0.6, label="mean of the sensors")
+    if np.abs(own).max() > 1e-9 * np.abs(common).max():
+        left.plot(time_s, own, lw=0.6, color=figures.ORANGE, label="sensor 1 less the mean")
+    left.set(xlabel="time (s)", ylabel="floor acceleration (m/s²)")
+    spectrum = estimate_spectrum(floor.acceleration, floor.sample_rate, resolution_hz)
+    for number, row in enumerate(spectrum.density, 1):
+        centres, velocity = one_third_octave_velocity(spectrum.frequencies_hz, row)
+        shown = (centres >= _SHOWN_HZ[0]) & (centres <= _SHOWN_HZ[1]) & (velocity > 1e-4 * velocity.max())
+        label = "each sensor" if number == 1 else f"_sensor {number}"
+        right.loglog(centres[shown], velocity[shown], "o-", ms=2.5, lw=0.8, color=figures.GREEN, label=label)
+    _criteria(right)
+    right.set(xlabel="one-third-octave band (Hz)", ylabel="rms velocity (m/s)", xlim=(0.8, 600))
+    lines = [line for axes in (left, right) for line in axes.get_legend_handles_labels()[0]]
+    figure.legend(handles=lines, loc="outside lower center", ncols=3)
+    return figure
+
+
+def draw_isolated(isolated: Isolated, resolution_hz: float = 0.5):
+    """Spectra of floor and platform in z, θx and θy, by case; directions in which the floor rests are left out."""
+    figure, axes = figures.new(1, int(np.sum(isolated.moving)), height=3.0, squeeze=False)
+    signals = {"floor": isolated.floor, **isolated.platform}
+    spectra = {
+        name: estimate_spectrum(rows, isolated.sample_rate, resolution_hz) for name, rows in signals.items()
+    }
+    units = ("(m/s²)²/Hz", "(rad/s²)²/Hz", "(rad/s²)²/Hz")
+    for k, panel in zip(np.flatnonzero(isolated.moving), axes[0], strict=True):
+        for name, spectrum in spectra.items():
+            f = spectrum.frequencies_hz
+            inside = np.flatnonzero((f >= _SHOWN_HZ[0]) & (f <= _SHOWN_HZ[1]))
+            points = inside[thinned(f[inside], spectrum.density[k, inside])]
+            panel.loglog(f[points], spectrum.density[k, points], lw=0.9, color=_COLORS[name], label=name)
+        top = max(line.get_ydata().max() for line in panel.lines)
+        panel.set(
+            title=DIRECTIONS[k],
+            xlabel="frequency (Hz)",
+            ylabel=f"PSD ({units[k]})",
+            ylim=(top * 1e-6, top * 3),
+        )
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    return figure
+
+
+def draw_adaptation(isolated: Isolated):
+    """Weights of the first actuator and quadratic filtered error while FeRLS adapts from zero."""
+    figure, (left, right) = figures.new(1, 2, height=2.9)
+    run = isolated.adaptation
+    colors = (figures.BLUE, figures.GREEN, figures.RED)
+    for number, values in enumerate(run.weights[:, 0].T, 1):
+        group = (number - 1) * 3 // run.weights.shape[2]
+        style = ("-", "--", ":")[(number - 1) % 3]
+        left.plot(run.time_s, values, style, color=colors[group], lw=0.9, label=f"w{number}")
+    left.set(xlabel="time (s)", ylabel="weights of actuator 1 (N per m/s²)")
+    right.semilogy(run.time_s, run.error_power, lw=0.8, color=_COLORS["FeRLS"], label="filtered error")
+    right.set(xlabel="time (s)", ylabel="filtered error e'e (N²)")
+    figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=9)
+    return figure
+
+
+def draw_gain(twin: Twin, gains: np.ndarray):
+    """Rms motion in z over that of the floor, 1-300 Hz, as the ground gets louder; optimum weights, no simulation."""
+    figure, axes = figures.new(1, 1, height=2.8)
+    left = optimum_left(twin, gains)
+    for name, values in left.items():
+        axes.loglog(gains, values, color=_COLORS[name], label=name)
+    axes.axhline(1, color=figures.GREY, lw=0.8)
+    axes.set(xlabel="ground amplitude over the measured one", ylabel="platform over floor in z, rms")
+    axes.legend()
+    return figure
+
+
+def explore_ground(gain: float, output_noise: float):
+    """Explorer: one-third-octave velocity in z of a louder ground and of the platform, with other sensors."""
+    twin = load_twin("rigid_body").varied(platform_noise=output_noise * 1e-4)
+    floor = ground_spectrum(gain=gain)
+    f = np.geomspace(0.8, 299, 400)
+    weights = steady_state(twin, floor, frequencies_hz=np.geomspace(0.05, 2400, 500)).weights
+    figure, axes = figures.new(1, 1, height=3.2)
+    curves = {"floor": floor.density(f)[0] / 3}  # z is the mean of three independent sensors
+    for name, options in (
+        ("passive", {"feedback": False}),
+        ("feedback", {}),
+        ("FeRLS", {"weights": weights}),
+    ):
+        curves[name] = sum(expected_density(twin, floor, f, sensed=False, **options).values())[0]
+    for name, density in curves.items():
+        centres, velocity = one_third_octave_velocity(f, density)
+        axes.loglog(centres, velocity, "o-", ms=2.5, lw=0.9, color=_COLORS[name], label=name)
+    _criteria(axes)
+    axes.set(xlabel="one-third-octave band (Hz)", ylabel="rms velocity in z (m/s)", ylim=(1e-10, 1e-3))
+    axes.legend(loc="upper left", ncols=4)
+    return figure
+
+
+def _criteria(axes) -> None:
+    bands = 2.0 ** (np.arange(0, 20) / 3)
+    for name in ("VC-A", "VC-C", "VC-E", "VC-G", "VC-I", "VC-K", "VC-M"):
+        defined = bands[bands > 3.9] if name == "VC-A" else bands
+        limit = criterion_velocity(name, defined)
+        axes.loglog(defined, limit, "--", color=figures.GREY, lw=0.7, label=f"_{name}")
+        axes.annotate(name, (defined[-1] * 1.1, limit[-1]), color=figures.GREY, fontsize=7, va="center")

@@ -1,0 +1,20 @@
+"""Machines, designs, studies and pictures of the observer thesis."""
+
+from stillwork.base.faces import face
+
+__all__, __getattr__, __dir__ = face(
+    __name__,
+    {
+        "beam": ("beam_shapes", "published_beam"),
+        "designs": (
+            "DESIGNS",
+            "Design",
+            "stage_bandwidth",
+            "stage_compensator",
+            "stage_loops",
+            "stage_observer",
+        ),
+        "machines": ("chain", "published_noise", "published_setpoint", "stage", "stage_mass"),
+        "position_dependence": ("at_place", "equivalent_controller", "observer_at", "place_loops"),
+    },
+)

@@ -1,0 +1,101 @@
+"""Explorers of what an observer does to the bandwidth: the stage, the two-inertia drive, a measured structure."""
+
+from dataclasses import replace
+from functools import cache, lru_cache
+
+import numpy as np
+
+from experiments.motion.designs import stage_observer
+from experiments.motion.drive import drive_loop, seen_by_controller
+from experiments.motion.machines import drive, published_noise, stage, stage_mass
+from experiments.motion.pictures import LABELS, bode, over_masses
+from experiments.motion.structure import as_stage, measured_accelerance, structure_loops
+from stillwork.control.applications import Application, compensator
+from stillwork.control.bandwidth import Loop, make_loop
+from stillwork.control.pid import PidFamily
+from stillwork.estimation.observer import Observer
+from stillwork.identification.modal_fit import fit_modes
+from stillwork.lti.modal import ModalModel
+
+
+@lru_cache(maxsize=64)
+def _observer(position: int, noise_model: float) -> Observer:
+    """Observer of one measured mass: it stays while its application or the controller moves."""
+    return stage_observer(position, noise_model=noise_model)
+
+
+@lru_cache(maxsize=8)
+def _loops(application: Application | None, noise_model: float) -> list[Loop]:
+    """Loops of the seven masses: they stay while the bandwidth alone moves."""
+    plant = stage()
+    loops = []
+    for position in range(1, len(plant.output_shapes) + 1):
+        used = compensator(_observer(position, noise_model), application) if application else None
+        loops.append(make_loop(plant.at([0], [position - 1]), used, points=250, around=8))
+    return loops
+
+
+def draw_design(
+    bandwidth_hz: float,
+    damping: float = 0.0,
+    selectivity: float = 2.0,
+    compensate: str = "no",
+    noise_model: float = 0.03,
+):
+    """Explorer: S_I and S_O of the seven loops for one controller and one use of the observer."""
+    used = damping > 0 or compensate == "yes"
+    application = Application(compensate == "yes", damping, selectivity=selectivity) if used else None
+    loops = _loops(application, noise_model)
+    controller = PidFamily(stage_mass())(bandwidth_hz)
+    figure = over_masses(
+        {LABELS[name]: (loops, controller, name) for name in ("input_sensitivity", "output_sensitivity")}
+    )
+    peaks = [
+        max(loop.peak(controller, name).magnitude for loop in loops)
+        for name in ("input_sensitivity", "output_sensitivity")
+    ]
+    stable = all(np.all(loop.poles(controller).real < 0) for loop in loops)
+    for axis, peak in zip(figure.axes, peaks, strict=True):
+        verdict = f"peak {20 * np.log10(peak):.1f} dB" if stable else "unstable"
+        axis.set_title(f"{axis.get_title(loc='left')}: {verdict}")
+    return figure
+
+
+def draw_drive(stiffness_error: float, damping: float, bandwidth_hz: float):
+    """Explorer: what the controller of the two-inertia drive sees, with an observer whose stiffness is off."""
+    plant = drive()
+    model = replace(plant, stiffness=plant.stiffness * (1 + stiffness_error))
+    omega = 2 * np.pi * np.geomspace(2, 60, 400)
+    cases = {
+        "no observer": None,
+        "MC": Application(compensate=True),
+        "AD": Application(damping=damping),
+        "MC and AD": Application(compensate=True, damping=damping),
+    }
+    curves = {
+        name: (omega, seen_by_controller(drive_loop(plant, model, each, bandwidth_hz), omega))
+        for name, each in cases.items()
+    }
+    return bode(curves, "magnitude (dB re 1 rad/A)", height=3.2)[0]
+
+
+@cache
+def _fitted_structure() -> ModalModel:
+    guesses = [810.0, 824.0, 851.0, 900.0, 1519.0, 2640.0, 3007.0]
+    fit = fit_modes(measured_accelerance(1), guesses, (100.0, 3100.0))
+    return as_stage(fit, stage_mass())[0]
+
+
+def draw_structure(damping: float, noise_model: float):
+    """Explorer: the mirrored sensor of the measured structure, bare and with MC and AD."""
+    machine = _fitted_structure()
+    application = Application(compensate=True, damping=damping, selectivity=2.0)
+    bare = structure_loops(machine, None, 5, published_noise(), None)[1]
+    used = structure_loops(machine, application, 5, published_noise(), noise_model)[1]
+    controller = PidFamily(stage_mass())(45.0)
+    omega = used.omega[(used.omega > 2 * np.pi * 100) & (used.omega < 2 * np.pi * 3000)]
+    curves = {
+        "plant": (omega, bare.at(controller, omega).equivalent_plant),
+        "with MC and AD": (omega, used.at(controller, omega).equivalent_plant),
+    }
+    return bode(curves, "magnitude (dB re 1 m/N)", height=3.2)[0]

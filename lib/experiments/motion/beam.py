@@ -1,0 +1,109 @@
+"""A beam, free at both ends, that stands in for the flexible system of section 4.3."""
+
+import tomllib
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.polynomial import legendre
+from numpy.typing import ArrayLike
+from scipy import linalg
+
+from stillwork.base import paths
+from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.lti.modal import ModalModel
+
+TERMS = 20  # polynomials of the Ritz series; the first six bending modes have converged to 1e-9 with them
+
+
+def beam_parameters() -> dict:
+    """What section 4.3 prints and what is assumed, from ``data/motion/beam.toml``."""
+    return tomllib.loads(paths.data("motion", "beam.toml").read_text(encoding="utf-8"))
+
+
+def beam_shapes(places: ArrayLike, modes: int, taper: float = 0.0) -> Float64[np.ndarray, "places modes"]:
+    """Mode shapes of a slender free beam of unit mass: translation, rotation, then bending.
+
+    Ritz series in Legendre polynomials, which hold both rigid-body modes exactly and need no condition at
+    the free ends.
+
+    Parameters
+    ----------
+    places : array_like, shape (places,)
+        Along the beam, 0 to 1.
+    modes : int
+        At least the 2 rigid-body modes, at most 8.
+    taper : float
+        The thickness runs from 1 - taper/2 to 1 + taper/2; mass follows it, bending stiffness its cube.
+    """
+    places = require_array("places", places, ndim=1)
+    if np.any((places < 0) | (places > 1)):
+        raise InputError("places holds values outside the beam; give them between 0 and 1, its two ends")
+    if not 2 <= require_count("modes", modes) <= 8:
+        raise InputError(f"modes is {modes}; give 2 to 8, of which 2 are rigid-body modes")
+    require_number("taper", taper, above=-2.0, below=2.0)
+    at, weights = legendre.leggauss(TERMS + 2)
+    thickness = 1 + taper * at / 2
+    series = legendre.legvander(at, TERMS - 1)
+    bending = legendre.legval(at, legendre.legder(np.eye(TERMS), 2)).T
+    mass = series.T @ ((weights / 2 * thickness)[:, None] * series)
+    stiffness = bending.T @ ((weights / 2 * thickness**3)[:, None] * bending)
+    weight = 1 / np.sqrt(np.diag(mass))  # of the polynomials, for an even scale
+    _, vectors = linalg.eigh(stiffness * weight[:, None] * weight, mass * weight[:, None] * weight)
+    chosen = weight[:, None] * vectors[:, :modes]
+    # The solver gives any two of the rigid-body motions: take translation and rotation about the centre of mass.
+    rigid = np.zeros((TERMS, 2))
+    rigid[0, 0] = rigid[1, 1] = 1
+    rigid[0, 1] = -mass[0, 1] / mass[0, 0]
+    chosen[:, :2] = rigid / np.sqrt(np.einsum("im,ij,jm->m", rigid, mass, rigid))
+    chosen *= np.sign(chosen.sum(axis=0))  # positive at the far end
+    return legendre.legvander(2 * places - 1, TERMS - 1) @ chosen
+
+
+def beam(
+    actuators: ArrayLike,
+    sensors: ArrayLike,
+    *,
+    frequencies_hz: ArrayLike | None = None,
+    damping_ratio: float | None = None,
+    taper: float = 0.0,
+) -> ModalModel:
+    """Forces on a free beam to positions along it: shapes of the beam, frequencies as given.
+
+    Parameters
+    ----------
+    actuators, sensors : array_like
+        Places along the beam, 0 to 1.
+    frequencies_hz : array_like, optional
+        Of the flexible modes; by default the published ones, whose ratios are not those of a uniform beam.
+    damping_ratio : float, optional
+        Of every flexible mode.
+    taper : float
+        See `beam_shapes`.
+    """
+    p = beam_parameters()
+    published, assumed = p["published"], p["assumed"]
+    flexible = require_array(
+        "frequencies_hz", published["frequencies_hz"] if frequencies_hz is None else frequencies_hz, ndim=1
+    )
+    if np.any(flexible <= 0):
+        raise InputError("frequencies_hz holds a value that is not positive; give the flexible modes only")
+    ratio = assumed["damping_ratio"] if damping_ratio is None else damping_ratio
+    frequencies = 2 * np.pi * np.concatenate([[0.0, 0.0], flexible])
+    modes, scale = len(frequencies), 1 / np.sqrt(assumed["mass"])
+    inputs = scale * beam_shapes(actuators, modes, taper).T
+    outputs = scale * beam_shapes(sensors, modes, taper)
+    return ModalModel(
+        frequencies,
+        np.where(frequencies > 0, require_number("damping_ratio", ratio, at_least=0.0, below=1.0), 0.0),
+        inputs,
+        outputs,
+        np.zeros((len(outputs), inputs.shape[1])),
+    )
+
+
+def published_beam(actuators: int = 2) -> ModalModel:
+    """The beam with the first `actuators` of its five actuators and both sensors."""
+    places = beam_parameters()["assumed"]
+    if require_count("actuators", actuators) > len(places["actuators"]):
+        raise InputError(f"actuators is {actuators}; the beam has {len(places['actuators'])}")
+    return beam(places["actuators"][:actuators], places["sensors"])

@@ -1,0 +1,159 @@
+"""Figures of the decoupled machine: every entry of a transfer matrix in its place."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from experiments.motion.beam import beam, beam_parameters, beam_shapes
+from experiments.motion.decoupling_schemes import Settings, actuators_of, published_settings, with_scheme
+from experiments.motion.pictures import decibel
+from stillwork.lti.peaks import resonance_grid
+from stillwork.lti.state_space import StateModel
+from stillwork.workbook import figures
+
+COLOURS = (figures.BLUE, figures.GREEN, figures.RED, figures.ORANGE)
+
+ROUNDING_DB = -240.0  # an entry that is everywhere this far below the largest one is not drawn
+
+
+def transfer_matrix(
+    systems: Mapping[str, StateModel],
+    *,
+    slopes: Mapping[tuple[int, int], float] | None = None,
+    signals: tuple[str, str] = ("u", "q"),
+    quantity: str = "magnitude (dB re 1 s²)",
+    low_hz: float = 1.0,
+    high_hz: float = 2e3,
+):
+    """Magnitudes of several systems with two inputs and two outputs, one panel an entry.
+
+    Parameters
+    ----------
+    systems : mapping of str to StateModel
+        The first is drawn broad, below the others.
+    slopes : mapping, optional
+        Published slope of some entries (row, column), drawn as a guide beside the last system.
+    signals : tuple of str
+        Names of inputs and outputs.
+    quantity : str
+        Label of the magnitude axes.
+    low_hz, high_hz : float
+        Range that is shown.
+    """
+    poles = np.concatenate([system.poles for system in systems.values()])
+    omega = resonance_grid(poles[np.abs(poles) > 2 * np.pi * low_hz], low_hz, high_hz, 250, 25)
+    hertz = omega / (2 * np.pi)
+    figure, axes = figures.new(2, 2, height=5.0, sharex=True, squeeze=False)
+    for number, (name, system) in enumerate(systems.items()):
+        response = decibel(system.frequency_response(omega))
+        style = {"color": COLOURS[number], "linewidth": 1.1, "linestyle": "--" if number > 1 else "-"}
+        if not number:
+            style |= {"linewidth": 2.4, "alpha": 0.55}
+        for place, axis in np.ndenumerate(axes):
+            if np.any(response[place] > ROUNDING_DB + response.max(axis=(0, 1))):
+                axis.semilogx(hertz, response[place], label=name, **style)
+    low = (hertz >= 1.5 * low_hz) & (hertz <= 8 * low_hz)
+    for place, value in (slopes or {}).items():
+        axis, text = axes[place], f"published slope {value:+g}" if value else "published slope 0"
+        start = response[place][low][0] + (12 if value else -15)  # response is that of the last system
+        guide = start + 20 * value * np.log10(hertz[low] / hertz[low][0])
+        axis.semilogx(hertz[low], guide, color=figures.BLACK, linestyle=":", label=text)
+        axis.annotate(
+            text, (hertz[low][-1], guide[-1]), (3, 0), textcoords="offset points", va="center", fontsize=7
+        )
+    source, target = signals
+    for (row, column), axis in np.ndenumerate(axes):
+        axis.set_title(f"{source}{column + 1} to {target}{row + 1}")
+        if not axis.lines:
+            axis.annotate("0 but for rounding", (0.5, 0.5), xycoords="axes fraction", ha="center")
+            axis.set_yticks([])
+    for axis in axes[-1]:
+        axis.set_xlabel("frequency (Hz)")
+    for axis in axes[:, 0]:
+        axis.set_ylabel(quantity)
+    figure.legend(
+        axes[0, 0].lines[: len(systems)], list(systems), loc="outside lower center", ncols=len(systems)
+    )
+    return figure
+
+
+def beam_layout(actuators: Sequence[float], sensors: Sequence[float]):
+    """Flexible mode shapes of the uniform beam with the places of actuators and sensors."""
+    published = beam_parameters()["published"]["frequencies_hz"]
+    along = np.linspace(0, 1, 201)
+    figure, axis = figures.new(1, 1, height=2.6)
+    shapes = beam_shapes(along, 2 + len(published))[:, 2:]
+    for frequency, shape in zip(published, shapes.T, strict=True):
+        axis.plot(along, shape, label=f"{frequency:g} Hz")
+    axis.plot(actuators, np.full(len(actuators), -2.35), "^", color=figures.BLACK, label="actuators")
+    for number, place in enumerate(actuators, 1):
+        axis.annotate(str(number), (place, -2.3), xytext=(6, 0), textcoords="offset points", fontsize=8)
+    axis.plot(sensors, np.full(len(sensors), 2.35), "v", color=figures.GREY, label="sensors")
+    axis.set_xlabel("place along the beam (1)")
+    axis.set_ylabel("mode shape (1)")
+    axis.legend(loc="upper center", bbox_to_anchor=(0.5, 1.22), ncols=len(published) + 2)
+    return figure
+
+
+def slope_ranges(
+    slopes: Mapping[str, np.ndarray],
+    above: Mapping[str, np.ndarray],
+    published: Mapping[str, tuple[float, float]],
+):
+    """Slopes of both off-diagonal entries over the machines of a study, one row a scheme, with the published ones.
+
+    Parameters
+    ----------
+    slopes, above : mapping of str to ndarray, shape (runs, 2, 2)
+        In the limit and at 0.03 to 0.3 Hz.
+    published : mapping of str to tuple
+        Slopes of q1 from u2 and of q2 from u1.
+    """
+    figure, axes = figures.new(1, 2, height=0.34 * len(slopes) + 1.6, sharey=True)
+    rows = np.arange(len(slopes))
+    entries = (("u2 to q1", (0, 1)), ("u1 to q2", (1, 0)))
+    for number, (axis, (title, place)) in enumerate(zip(axes, entries, strict=True)):
+        for row, name in zip(rows, slopes, strict=True):
+            kinds = ((above, 0.22, figures.ORANGE, "0.03 to 0.3 Hz"), (slopes, -0.22, figures.BLUE, "limit"))
+            for values, offset, colour, label in kinds:
+                value = values[name][(slice(None), *place)]
+                at = np.full(len(value), row + offset)
+                axis.plot(value, at, "|", color=colour, markersize=6, label=label)
+        figures.mark_published(axis, [published[name][number] for name in slopes], rows)
+        axis.set_title(title)
+        axis.set_xlabel("slope (decades per decade)")
+        axis.set_xlim(-2.3, 0.3)
+    axes[0].set_yticks(rows, list(slopes))
+    axes[0].invert_yaxis()
+    lines = axes[0].lines
+    figure.legend(
+        [lines[-2], lines[-3], lines[-1]],
+        ["machines, in the limit", "machines, 0.03 to 0.3 Hz", "published"],
+        loc="outside lower center",
+        ncols=3,
+    )
+    return figure
+
+
+def draw_decoupling(scheme: str, increase: float, selectivity: float, second: float, taper: float):
+    """Explorer: the off-diagonal entries with one scheme for another place of the second actuator."""
+    places = beam_parameters()["assumed"]
+    actuators = [places["actuators"][0], second, *places["actuators"][2:]]
+    machine = beam(actuators, places["sensors"], taper=taper)
+    plant = machine.at(range(actuators_of(scheme, machine)), range(2))
+    printed = published_settings()
+    settings = Settings(increase, printed.damped, selectivity, printed.stiffness_factor, selectivity)
+    figure, axis = figures.new(1, 1, height=2.8)
+    figure.set_layout_engine(None)  # laying out takes longer than all the rest
+    figure.subplots_adjust(left=0.09, right=0.98, bottom=0.18, top=0.95)
+    omega = resonance_grid(plant.poles, 1.0, 2e3, 120, 12)
+    for name, colour in (("undamped", figures.GREY), (scheme, figures.BLUE)):
+        response = decibel(with_scheme(name, plant, settings).frequency_response(omega))
+        for entry, style, place in (("u2 to q1", "-", (0, 1)), ("u1 to q2", "--", (1, 0))):
+            label = f"{name}, {entry}"
+            axis.semilogx(omega / (2 * np.pi), response[place], style, color=colour, label=label)
+    axis.set_xlabel("frequency (Hz)")
+    axis.set_ylabel("magnitude (dB re 1 s²)")
+    axis.set_ylim(-220, -40)
+    axis.legend(fontsize=7, ncols=2)
+    return figure

@@ -1,0 +1,309 @@
+"""The ways to damp that section 4.3 compares, each as the decoupled machine it makes, on any geometry."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from experiments.motion.beam import beam, beam_parameters
+from experiments.motion.machines import published_noise
+from stillwork.base.checks import InputError, require_choice, require_count, require_number
+from stillwork.control.applications import Application, compensator
+from stillwork.control.decoupled_damping import (
+    added_damping,
+    band_passed,
+    common_band_passed,
+    constrained_damping,
+    constrained_stiffness,
+    half_power_selectivity,
+)
+from stillwork.control.decoupling import (
+    coupling_onset,
+    decouple,
+    decoupled_plant,
+    low_frequency_slopes,
+    rigid_coupling,
+)
+from stillwork.control.feedback import damping_gain, stiffness_gain
+from stillwork.control.loops import channel, closed_loop
+from stillwork.estimation.observer import Observer, kalman_observer
+from stillwork.lti.modal import ModalModel
+from stillwork.lti.peaks import refine_peak, resonance_grid
+from stillwork.lti.reduction import truncate
+from stillwork.lti.state_space import StateModel
+
+# Name to the number of actuators beyond that of the rigid-body modes; None: one a mode.
+SCHEMES = {
+    "undamped": 0,
+    "each mode": 0,
+    "minimal interaction": 0,
+    "band-passes": 0,
+    "common band-pass": 0,
+    "minimal actuation": 0,
+    "over-actuation": 1,
+    "total actuation": None,
+    "band-passes and over-actuation": 1,
+    "stiffness": 0,
+    "stiffness, second order": 0,
+    "stiffness, fourth order": 0,
+    "stiffness, over-actuation": 1,
+}
+
+STATIC = ("each mode", "minimal interaction")  # couple both axes, by a closed form
+FILTERED = ("band-passes", "common band-pass")
+DAMPING = (*STATIC, *FILTERED)  # poles are looked at too
+
+# Without a coupling of their own at low frequency, but with a rounding that grows as 1/s^2: of the estimated
+# rigid body, or of a stiffness force that must not reach it. Where the compliance nearly cancels it is worth up to
+# 1e-3 in the slope, another on every processor, so theirs are given to two decimals.
+ROUNDED = ("compensation", "stiffness, over-actuation")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Of the feedback of section 4.3; see ``data/motion/beam.toml``."""
+
+    increase: float  # of the damping ratios
+    damped: int  # flexible modes
+    selectivity: float  # Q of the band-pass of each mode
+    stiffness_factor: float  # on the frequencies
+    common_selectivity: float | None = None  # None: half-power points on the outermost damped modes
+
+    def __post_init__(self):
+        require_number("increase", self.increase, at_least=0.0, below=1.0)
+        require_count("damped", self.damped)
+        for name in ("selectivity", "stiffness_factor"):
+            require_number(name, getattr(self, name), above=0.0)
+        if self.common_selectivity is not None:
+            require_number("common_selectivity", self.common_selectivity, above=0.0)
+
+
+def published_settings() -> Settings:
+    """Those of section 4.3, with the assumed factor of active stiffness."""
+    p = beam_parameters()
+    printed = {name: p["published"][name] for name in ("increase", "damped", "selectivity")}
+    return Settings(**printed, stiffness_factor=p["assumed"]["stiffness_factor"])
+
+
+def actuators_of(name: str, machine: ModalModel) -> int:
+    """Number of actuators that one of `SCHEMES` takes."""
+    extra = SCHEMES[require_choice("name", name, SCHEMES)]
+    return len(machine.frequencies) if extra is None else machine.rigid_modes + extra
+
+
+def scheme_gain(name: str, plant: ModalModel, settings: Settings) -> np.ndarray | StateModel:
+    """Gain K or K(s) of one of `SCHEMES` on the states of the retained modes.
+
+    Parameters
+    ----------
+    name : str
+    plant : ModalModel
+        With the actuators that the scheme takes.
+    settings : Settings
+
+    Raises
+    ------
+    InputError
+        When the machine has another number of actuators than the scheme takes, or cannot meet its constraints.
+    """
+    modes, actuators = plant.input_shapes.shape
+    taken = actuators_of(name, plant)
+    if name != "undamped" and actuators != taken:
+        raise InputError(f"plant has {actuators} actuators; {name!r} takes {taken}")
+    flexible = np.arange(modes - plant.rigid_modes)
+    retained = truncate(plant, plant.rigid_modes + settings.damped)
+    increase = np.where(flexible < settings.damped, settings.increase, 0.0)
+    factor = np.where(flexible < settings.damped, settings.stiffness_factor, 1.0)
+    fed = slice(0, 2 * len(retained.frequencies))
+    if name == "undamped":
+        return np.zeros((actuators, fed.stop))
+    if name in ("each mode", "minimal interaction"):
+        return damping_gain(retained, settings.increase, name)
+    if name == "band-passes":
+        return band_passed(plant, damping_gain(retained, settings.increase), settings.selectivity)
+    if name == "common band-pass":
+        gain = damping_gain(retained, settings.increase)
+        return common_band_passed(
+            plant, gain, settings.common_selectivity or half_power_selectivity(plant, gain)
+        )
+    if name == "band-passes and over-actuation":
+        gain = constrained_damping(plant, increase, range(plant.rigid_modes, modes))[:, fed]
+        return band_passed(plant, gain, settings.selectivity)
+    if name == "stiffness, over-actuation":
+        return constrained_stiffness(plant, factor)[:, fed]
+    if name.startswith("stiffness"):
+        gain = stiffness_gain(retained, settings.stiffness_factor)
+        orders = {"stiffness, second order": 2, "stiffness, fourth order": 4}
+        return band_passed(plant, gain, settings.selectivity, orders[name]) if name in orders else gain
+    return constrained_damping(plant, increase)[:, fed]  # minimal, over- and total actuation
+
+
+def with_scheme(name: str, plant: ModalModel, settings: Settings, observed: bool = False) -> StateModel:
+    """The decoupled machine, u to q, under one of `SCHEMES`: on the true states, or on `reduced_observer`'s.
+
+    Raises
+    ------
+    InputError
+        As `scheme_gain`, and when the rigid-body modes cannot be decoupled.
+    """
+    observer = reduced_observer(plant, settings) if observed else None
+    return decoupled_plant(plant, decouple(plant), scheme_gain(name, plant, settings), observer)
+
+
+def reduced_observer(plant: ModalModel, settings: Settings) -> Observer:
+    """Kalman observer of section 4.3.1: the retained modes, with the compliance of the others."""
+    retained = plant.rigid_modes + settings.damped
+    return kalman_observer(truncate(plant, retained, len(plant.frequencies) - retained), published_noise())
+
+
+def with_compensation(plant: ModalModel, settings: Settings) -> StateModel:
+    """The decoupled machine, u to q, with measurement compensation by `reduced_observer` (Fig. 4.14)."""
+    block = compensator(reduced_observer(plant, settings), Application(compensate=True))
+    outputs, inputs = plant.feedthrough.shape
+    idle = StateModel(
+        np.zeros((0, 0)), np.zeros((0, outputs)), np.zeros((inputs, 0)), np.zeros((inputs, outputs))
+    )
+    error = channel(closed_loop(plant, block, idle), "u_ff", "e_meas", inputs, outputs)
+    both = decouple(plant)
+    return StateModel(
+        error.a, error.b @ both.actuation, -both.sensing @ error.c, -both.sensing @ error.d @ both.actuation
+    )
+
+
+def draw_beam(rng: np.random.Generator, spacing: float = 0.1) -> ModalModel:
+    """A tapered beam with its five actuators and two sensors anywhere, but `spacing` apart at least."""
+    modes = 2 + len(beam_parameters()["published"]["frequencies_hz"])
+    actuators, sensors = (draw_places(rng, count, spacing) for count in (modes, 2))
+    return beam(actuators, sensors, taper=rng.uniform(-1, 1))
+
+
+def draw_places(rng: np.random.Generator, count: int, spacing: float) -> Float64[np.ndarray, " places"]:
+    """Places from 0 to 1 in any order, at least `spacing` apart, all such sets alike."""
+    if require_number("spacing", spacing, at_least=0.0) * (count - 1) >= 1:
+        raise InputError(f"spacing is {spacing:g}; {count} places need less than {1 / (count - 1):g}")
+    # Spread over what the gaps leave, then put the gaps in: uniform over all places that keep them.
+    free = np.sort(rng.uniform(0, 1 - spacing * (count - 1), count))
+    return rng.permutation(free + spacing * np.arange(count))
+
+
+def geometry_trial(
+    rng: np.random.Generator, schemes: Sequence[str], settings: Settings, compensate: bool = False
+) -> Mapping[str, float | np.ndarray]:
+    """One machine of the study: slopes, couplings and stability of its decoupled plants.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    schemes : sequence of str
+        Some of `SCHEMES`.
+    settings : Settings
+    compensate : bool
+        Measure the machine with measurement compensation too, under the name ``compensation``.
+
+    Returns
+    -------
+    mapping
+        For each scheme its ``slopes`` in the limit and ``slopes above``, at 0.03 to 0.3 Hz (axes, axes), ``low``
+        (entries at 1 Hz, axes x axes), ``peak`` (largest off-diagonal entry around the second flexible mode over
+        the undamped one with these actuators), and whether it is ``stable``; for MC the entries ``at modes``
+        (axes, axes, damped modes) over the undamped; for those in `STATIC` the ``onset_hz`` of the coupling and
+        ``limit``, the entries at 1 uHz over their closed form (axes, axes); for those in `DAMPING` the ``added``
+        damping ratio and the ``shift`` of the frequency (damped modes); for those in `FILTERED` the
+        ``crosswise`` force (damped modes).
+    """
+    machine = draw_beam(rng)
+    modes = machine.frequencies[machine.rigid_modes :]
+    damped = modes[: settings.damped]
+    found, bare = {}, {}
+    for name in [*schemes, *["compensation"] * compensate]:
+        actuators = actuators_of("undamped" if name == "compensation" else name, machine)
+        plant = machine.at(range(actuators), range(machine.rigid_modes))
+        if actuators not in bare:
+            undamped = with_scheme("undamped", plant, settings)
+            bare[actuators] = undamped, off_diagonal_peak(undamped, modes[1])
+        undamped, peak = bare[actuators]
+        if name == "compensation":
+            system = with_compensation(plant, settings)
+            ratio = system.frequency_response(damped) / undamped.frequency_response(damped)
+            found[f"{name}: at modes"] = np.abs(ratio)
+        else:
+            system = with_scheme(name, plant, settings)
+        above = low_frequency_slopes(system, 0.03, 0.3)
+        if name in ROUNDED:
+            above = np.round(above, 2) + 0.0  # no -0
+        found |= {
+            f"{name}: slopes": above if name in ROUNDED else low_frequency_slopes(system),
+            f"{name}: slopes above": above,
+            f"{name}: low": np.abs(system.frequency_response([2 * np.pi])[..., 0]),
+            f"{name}: peak": off_diagonal_peak(system, modes[1]) / peak,
+            f"{name}: stable": oscillates_stably(system),
+        }
+        if name in STATIC:
+            gain, both, still = scheme_gain(name, plant, settings), decouple(plant), 2e-6 * np.pi
+            # Of s times the response the real part: the compliance is imaginary there.
+            reached = (1j * still * system.frequency_response([still])[..., 0]).real
+            found[f"{name}: limit"] = reached / rigid_coupling(plant, gain, both)
+            found[f"{name}: onset_hz"] = coupling_onset(plant, gain, both) / (2 * np.pi)
+        if name in DAMPING:
+            damping, shift = added_damping(plant, system)
+            found |= {
+                f"{name}: added": damping[: settings.damped],
+                f"{name}: shift": shift[: settings.damped],
+            }
+        if name in FILTERED:
+            found[f"{name}: crosswise"] = crosswise_force(plant, scheme_gain(name, plant, settings), damped)
+    return found
+
+
+def crosswise_force(
+    plant: ModalModel, gain: StateModel, damped: Float64[np.ndarray, " modes"]
+) -> Float64[np.ndarray, " modes"]:
+    """Largest force on each damped mode, at its own resonance, by the unit velocity of another one."""
+    rigid, count = plant.rigid_modes, len(damped)
+    response = gain.frequency_response(damped)[:, 2 * rigid + 1 : 2 * (rigid + count) : 2]
+    forces = np.einsum(
+        "if,fji->ij", plant.input_shapes[rigid : rigid + count], response
+    )  # at mode i's resonance
+    return np.where(np.eye(count, dtype=bool), 0, np.abs(forces)).max(axis=1)
+
+
+def kept_out_trial(rng: np.random.Generator, settings: Settings) -> Mapping[str, np.ndarray]:
+    """Over-actuation on one machine when the actuators decouple the first or the second flexible mode too.
+
+    Returns
+    -------
+    mapping
+        ``peaks``, shape (decoupled mode, damped mode): the largest off-diagonal entry around each damped mode
+        over the undamped one.
+    """
+    machine = draw_beam(rng)
+    rigid = machine.rigid_modes
+    plant = machine.at(range(rigid + 1), range(rigid))
+    gain = scheme_gain("over-actuation", plant, settings)
+    damped = range(rigid, rigid + settings.damped)
+    peaks = []
+    for mode in damped:
+        decoupling = decouple(plant, (*range(rigid), mode))
+        system, bare = (decoupled_plant(plant, decoupling, part * gain) for part in (1, 0))
+        frequencies = plant.frequencies[list(damped)]
+        peaks.append([off_diagonal_peak(system, w) / off_diagonal_peak(bare, w) for w in frequencies])
+    return {"peaks": np.array(peaks)}
+
+
+def off_diagonal_peak(system: StateModel, omega: float, part: float = 0.2) -> float:
+    """Largest off-diagonal magnitude within `part` of a frequency (rad/s)."""
+    low, high = omega * (1 - part) / (2 * np.pi), omega * (1 + part) / (2 * np.pi)
+    grid = resonance_grid(system.poles, low, high, 40, 5)
+
+    def largest(frequencies: np.ndarray) -> np.ndarray:
+        response = np.abs(system.frequency_response(frequencies))
+        return response[~np.eye(len(response), dtype=bool)].max(axis=0)
+
+    return refine_peak(largest, grid, largest(grid)).magnitude
+
+
+def oscillates_stably(system: StateModel) -> bool:
+    """Whether every pole but those of the rigid-body modes, at the origin, is stable."""
+    poles = system.poles
+    return bool(np.all(poles[np.abs(poles) > 1e-4 * np.abs(poles).max()].real < 0))

@@ -1,0 +1,124 @@
+"""The published designs of chapter 3: which observer and which application give which bandwidth."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+from experiments.motion.machines import published_noise, stage, stage_mass
+from stillwork.base.checks import InputError, require_choice, require_count
+from stillwork.control.applications import Application, compensator
+from stillwork.control.bandwidth import SIX_DB, Bandwidth, Loop, PeakConstraint, make_loop, maximise_bandwidth
+from stillwork.control.pid import PidFamily
+from stillwork.estimation.observer import NoiseIntensities, Observer, kalman_observer
+from stillwork.lti.modal import ModalModel
+from stillwork.lti.reduction import truncate
+from stillwork.lti.state_space import StateModel
+
+RETAINED = 4  # rigid body and three flexible modes
+COMPENSATED = 3  # flexible modes 4 to 6; the eighth mode is unknown to the observer
+NOISE_MODEL = 0.03  # Q_nu of section 3.2.2
+
+
+@dataclass(frozen=True)
+class Design:
+    """One row of the bandwidth table."""
+
+    application: Application | None = None  # None: no observer
+    noise_model: float | None = None  # Q_nu
+    constraints: tuple[str, ...] = ("input_sensitivity", "output_sensitivity")
+    notches: bool = False  # in the controller, at the first three flexible modes
+
+
+DAMPING = 0.035  # increase of the damping ratio: from 0.005 to the published 0.04
+
+DESIGNS = {
+    "PID": Design(constraints=("input_sensitivity",)),
+    "PID with notches": Design(constraints=("input_sensitivity",), notches=True),
+    "MC, two constraints": Design(Application(compensate=True), NOISE_MODEL),
+    "MC": Design(
+        Application(compensate=True),
+        NOISE_MODEL,
+        ("input_sensitivity", "output_sensitivity", "true_tracking"),
+    ),
+    "AD, no band-pass": Design(Application(damping=DAMPING)),
+    "AD": Design(Application(damping=DAMPING, selectivity=2.0)),
+    "MC and AD, no band-pass": Design(Application(compensate=True, damping=DAMPING), NOISE_MODEL),
+    "MC and AD": Design(Application(compensate=True, damping=DAMPING, selectivity=2.0), 1e3),
+}
+
+
+def stage_observer(
+    position: int,
+    noise: NoiseIntensities | None = None,
+    noise_model: float | None = None,
+    plant: ModalModel | None = None,
+) -> Observer:
+    """Observer of the stage for the measured mass `position` (1 to 7), reduced as in section 3.1."""
+    if plant is None:
+        return _published_observer(position, noise or published_noise(), noise_model)
+    if require_count("position", position) > len(plant.output_shapes):
+        raise InputError(f"position is {position}; the stage has masses 1 to {len(plant.output_shapes)}")
+    reduced = truncate(plant.at([0], [position - 1]), RETAINED, COMPENSATED)
+    return kalman_observer(reduced, noise or published_noise(), noise_model)
+
+
+@lru_cache(maxsize=128)  # studies vary what is done with the estimates, or the loops, far more often
+def _published_observer(position: int, noise: NoiseIntensities, noise_model: float | None) -> Observer:
+    return stage_observer(position, noise, noise_model, stage())
+
+
+def stage_compensator(
+    position: int, design: Design, noise: NoiseIntensities | None = None, plant: ModalModel | None = None
+) -> StateModel | None:
+    """Compensator of a design for one measured mass; None without observer."""
+    if design.application is None:
+        return None
+    return compensator(stage_observer(position, noise, design.noise_model, plant), design.application)
+
+
+def stage_loops(
+    design: Design, noise: NoiseIntensities | None = None, plant: ModalModel | None = None, **grid
+) -> list[Loop]:
+    """The seven loops of the stage under one design; `grid` goes to `make_loop`."""
+    machine = stage() if plant is None else plant
+    positions = range(1, len(machine.output_shapes) + 1)
+    return [
+        make_loop(machine.at([0], [k - 1]), stage_compensator(k, design, noise, plant), **grid)
+        for k in positions
+    ]
+
+
+def stage_bandwidth(
+    name: str | Design,
+    noise: NoiseIntensities | None = None,
+    damping_ratio: float | None = None,
+    limit: float = SIX_DB,
+    refine: bool = True,
+    **grid,
+) -> Bandwidth:
+    """Achievable bandwidth of a published design (a name in `DESIGNS`) or of one's own.
+
+    Parameters
+    ----------
+    name : str or Design
+    noise : NoiseIntensities, optional
+        By default the published one.
+    damping_ratio : float, optional
+        Of the stage.
+    limit : float
+        Peak allowed in every constraint.
+    refine : bool
+        Search for the peaks between the grid points.
+    **grid
+        Passed to `make_loop`.
+    """
+    if isinstance(name, str):
+        require_choice("name", name, DESIGNS)
+    design = DESIGNS[name] if isinstance(name, str) else name
+    plant = None if damping_ratio is None else stage(damping_ratio)
+    notches = tuple(stage(damping_ratio).frequencies[1:RETAINED]) if design.notches else ()
+    return maximise_bandwidth(
+        stage_loops(design, noise, plant, **grid),
+        PidFamily(stage_mass(), notches),
+        [PeakConstraint(function, limit) for function in design.constraints],
+        refine=refine,
+    )

@@ -1,0 +1,88 @@
+"""Figures of the observer in discrete time (section 4.1)."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from experiments.motion.designs import COMPENSATED, RETAINED
+from experiments.motion.machines import published_noise, stage
+from experiments.motion.pictures import decibel
+from stillwork.base.checks import InputError
+from stillwork.control.applications import Application
+from stillwork.control.discrete_observer import discrete_compensator, discrete_kalman_observer
+from stillwork.control.loops import channel, closed_loop
+from stillwork.lti.discretisation import zoh_modes
+from stillwork.lti.peaks import resonance_grid
+from stillwork.lti.reduction import truncate
+from stillwork.lti.state_space import StateModel
+from stillwork.workbook import figures
+
+# How the estimate arrives: form and delay of `discrete_compensator`.
+TIMINGS = {
+    "filter, no delay": ("filter", 0),
+    "filter, one sample late": ("filter", 1),
+    "predictor, one sample late": ("predictor", 1),
+}
+
+
+def equivalent_plant(plant: StateModel, block: StateModel) -> StateModel:
+    """What a controller of a sampled machine sees: from u to y - y_flex, with the damping loop closed."""
+    open_loop = StateModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.zeros((1, 1)), plant.step)
+    seen = channel(closed_loop(plant, block, open_loop), "u_ff", "e_meas")
+    return StateModel(seen.a, seen.b, -seen.c, -seen.d, seen.step)
+
+
+def sampled_frequencies(step: float, low_hz: float = 100.0) -> np.ndarray:
+    """Grid around the resonances of the stage, up to half the sampling frequency (rad/s)."""
+    if 0.5 / step <= low_hz:
+        raise InputError(f"step is {step:g} s, too long for frequencies above {low_hz:g} Hz")
+    return resonance_grid(stage().poles, low_hz, min(2.5e3, 0.499 / step), 250, 20)
+
+
+def equivalent_plants(panels: Mapping[str, Mapping[str, StateModel]]):
+    """Magnitude of sampled plants, one panel a group; lines that coincide are told apart by their dashes."""
+    figure, axes = figures.new(1, len(panels), height=3.4, sharey=True, squeeze=False)
+    styles = ({"color": figures.GREY, "linewidth": 2.5}, {}, {}, {"linestyle": "--"})
+    colours = (figures.GREY, figures.BLUE, figures.RED, figures.GREEN)
+    for axis, (title, plants) in zip(axes[0], panels.items(), strict=True):
+        for (name, plant), style, colour in zip(plants.items(), styles, colours, strict=False):
+            omega = sampled_frequencies(plant.step)
+            response = plant.frequency_response(omega)[0, 0]
+            axis.semilogx(
+                omega / (2 * np.pi),
+                decibel(response),
+                label=name,
+                **{"color": colour, "linewidth": 1.1, **style},
+            )
+        axis.set_title(title)
+        axis.set_xlabel("frequency (Hz)")
+    axes[0, 0].set_ylabel("magnitude (dB re 1 m/N)")
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=7)
+    return figure
+
+
+def draw_sampled(rate_khz: float, damping: float, compensate: str, timing: str):
+    """Explorer: what the controller sees of the sampled stage at mass 5, bare and with a sampled observer."""
+    step = 1e-3 / rate_khz
+    machine = stage().at([0], [4])
+    plant = zoh_modes(machine, step)
+    observer = discrete_kalman_observer(
+        truncate(machine, RETAINED, COMPENSATED), published_noise(), step, 0.03
+    )
+    application = Application(compensate == "yes", damping, "pole placement")
+    block = discrete_compensator(observer, application, *TIMINGS[timing])
+    seen = equivalent_plant(plant, block)
+    figure, axis = figures.new(1, 1, height=3.0)
+    omega = sampled_frequencies(step)
+    for name, each, colour in (("plant", plant, figures.GREY), ("with the observer", seen, figures.BLUE)):
+        axis.semilogx(
+            omega / (2 * np.pi), decibel(each.frequency_response(omega)[0, 0]), label=name, color=colour
+        )
+    # Two poles of the rigid body stay at z = 1; everything else must decay.
+    grows = np.sort(np.abs(seen.poles))[-1] > 1 + 1e-4
+    axis.set_title("the damping loop is unstable" if grows else timing)
+    axis.set_xlabel("frequency (Hz)")
+    axis.set_ylabel("magnitude (dB re 1 m/N)")
+    axis.legend()
+    return figure

@@ -1,0 +1,114 @@
+"""The experiment of section 3.6 in simulation: observer, loops and identification of the two-inertia drive."""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from experiments.motion.machines import Drive
+from stillwork.control.applications import Application, compensator
+from stillwork.control.loops import INPUTS, OUTPUTS, closed_loop
+from stillwork.control.pid import PidFamily
+from stillwork.estimation.observer import Observer
+from stillwork.estimation.riccati import continuous_gain
+from stillwork.identification.frequency_response import Identified, closed_loop_response
+from stillwork.lti.discretisation import zoh
+from stillwork.lti.modal import ModalModel
+from stillwork.lti.simulation import simulate
+from stillwork.lti.state_space import StateModel
+
+# Section 3.6: Q = diag(.1, .1, 1, 1) and R. Taken for two angles and two speeds, in rad and rad/s.
+PROCESS, SENSOR = (0.1, 0.1, 1.0, 1.0), 5e-5
+
+
+def drive_observer(drive: Drive) -> Observer:
+    """Kalman observer of section 3.6, in modal states (sum and difference of the angles)."""
+    states = drive.modal_states()
+    shape = 1 / np.sqrt(2 * drive.inertia)
+    # (theta1, theta2, speed1, speed2) of the modal states (eta1, speed of eta1, eta2, speed of eta2)
+    physical = shape * np.array([[1, 0, 1, 0], [1, 0, -1, 0], [0, 1, 0, 1], [0, 1, 0, -1]], dtype=float)
+    solved = continuous_gain(states.a, np.linalg.inv(physical), states.c, np.diag(PROCESS), SENSOR)
+    ratio = -states.a[3, 3] / (2 * drive.resonance)
+    model = ModalModel(
+        np.array([0.0, drive.resonance]),
+        np.array([0.0, ratio]),
+        states.b[1::2],
+        states.c[:, ::2],
+        np.zeros((1, 1)),
+    )
+    return Observer(model, states.a, states.b, states.c, solved.gain, solved.residual)
+
+
+def drive_loop(
+    plant: Drive, model: Drive, application: Application | None, bandwidth_hz: float
+) -> StateModel:
+    """Closed loop of a drive with an observer made for `model`, angle measured across the rod."""
+    block = None if application is None else compensator(drive_observer(model), application)
+    inertia = 2 * plant.inertia / plant.motor_constant  # what the controller's rules call the mass
+    return closed_loop(plant.modal_states(), block, PidFamily(inertia)(bandwidth_hz).state_space())
+
+
+def seen_by_controller(loop: StateModel, omega: Float64[np.ndarray, " frequencies"]) -> np.ndarray:
+    """Exact response that the controller sees, u to the compensated output, from a `closed_loop`."""
+    response = loop.frequency_response(omega)[:, INPUTS.index("u_ff")]
+    return -response[OUTPUTS.index("e_meas")] / response[OUTPUTS.index("u")]
+
+
+def identify(
+    loop: StateModel,
+    rng: np.random.Generator,
+    *,
+    step: float,
+    samples: int,
+    segment: int,
+    excitation: float,
+    sensor_noise: float,
+    imbalance: float,
+    turns_hz: float,
+) -> Identified:
+    """The experiment: white current on the plant input, sensor noise, and the imbalance of the turning inertias.
+
+    Parameters
+    ----------
+    loop : StateModel
+    rng : numpy.random.Generator
+    step : float
+        s.
+    samples, segment : int
+    excitation, sensor_noise : float
+        Standard deviations, A and rad.
+    imbalance, turns_hz : float
+        Amplitude (A at the motor) and frequency of the imbalance.
+    """
+    noise = excitation * rng.standard_normal(samples)
+    swing = imbalance * np.sin(2 * np.pi * turns_hz * step * np.arange(samples))
+    sensor = sensor_noise * rng.standard_normal(samples)
+    chosen = loop.select(
+        [INPUTS.index(name) for name in ("u_ff", "w", "d")], [OUTPUTS.index("u"), OUTPUTS.index("e_meas")]
+    )
+    u, e = simulate(zoh(chosen, step), np.array([noise, swing, sensor]))
+    return closed_loop_response(noise, u, -e, step, segment)
+
+
+def residual_peaks(
+    rng: np.random.Generator,
+    plant: Drive,
+    applications: dict[str, Application | None],
+    bandwidth_hz: float,
+    error: float,
+) -> dict[str, float]:
+    """Height of what is left of the resonance over the rigid body (ratio), for a model wrong by up to `error`."""
+    wrong = replace(
+        plant,
+        stiffness=plant.stiffness * (1 + rng.uniform(-error, error)),
+        inertia=plant.inertia * (1 + rng.uniform(-error, error)),
+        damper=plant.damper * (1 + rng.uniform(-error, error)),
+    )
+    omega = plant.resonance * np.linspace(0.5, 1.6, 800)
+    rigid = plant.motor_constant / (1j * omega * (2j * omega * plant.inertia + 2 * plant.friction))
+    return {
+        name: float(
+            np.abs(seen_by_controller(drive_loop(plant, wrong, each, bandwidth_hz), omega) / rigid).max()
+        )
+        for name, each in applications.items()
+    }

@@ -1,0 +1,136 @@
+r"""Generalised H2 norm (energy to peak) of time-varying filters, section 5.5 of the observer thesis.
+
+The error :math:`e_{k+1} = F_ke_k + D_kn_k` answers energy-bounded disturbances n. Its largest possible peak over
+:math:`\|n\|_2 \le 1` is the root of the largest eigenvalue that the reachability Gramian
+:math:`P_{k+1} = F_kP_kF_k^T + D_kD_k^T` ever has: the same recursion that gives a covariance.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import ArrayLike
+
+from stillwork.base.checks import InputError, require_array
+from stillwork.base.kernels import kernel
+
+
+@dataclass(frozen=True)
+class ErrorSystem:
+    """Error dynamics of a predictor with gain L and unit noise: F = A - L C, D = [G Q^1/2, -L R^1/2]."""
+
+    f: Float64[np.ndarray, "samples states states"]
+    d: Float64[np.ndarray, "samples states noises"]
+
+
+def error_system(
+    a: ArrayLike, g: ArrayLike, c: ArrayLike, process: ArrayLike, sensor: ArrayLike, gains: ArrayLike
+):
+    """Error dynamics of a predictor with any gains.
+
+    Parameters
+    ----------
+    a, g : array_like, shape (states, states), (states, disturbances)
+    c : array_like, shape (samples, outputs, states)
+    process, sensor : array_like
+        Covariances Q and R (or, for bounded-energy disturbances, their weights).
+    gains : array_like, shape (samples, states, outputs)
+
+    Returns
+    -------
+    ErrorSystem
+    """
+    c = require_array("c", c, ndim=3)
+    samples, outputs, n = c.shape
+    a = require_array("a", a, shape=(n, n))
+    g = require_array("g", g, shape=(n, None))
+    gains = require_array("gains", gains, shape=(samples, n, outputs))
+    roots = []
+    for name, matrix, size in (("process", process, g.shape[1]), ("sensor", sensor, outputs)):
+        matrix = require_array(name, matrix, shape=(size, size))
+        try:
+            roots.append(np.linalg.cholesky(matrix))
+        except np.linalg.LinAlgError:
+            raise InputError(f"{name} is not positive definite; give a covariance or a weight") from None
+    driven = np.broadcast_to(g @ roots[0], (samples, n, g.shape[1]))
+    return ErrorSystem(a - gains @ c, np.concatenate([driven, -gains @ roots[1]], axis=2))
+
+
+def predictor_gains(
+    a: ArrayLike, g: ArrayLike, c: ArrayLike, process: ArrayLike, sensor: ArrayLike
+) -> Float64[np.ndarray, "samples states outputs"]:
+    """Gains of the time-varying Kalman predictor that starts from a known state, (5.37).
+
+    Parameters as for `error_system`. Known state: the disturbances are all that drives the error, as the
+    definition of the norm has it.
+    """
+    c = require_array("c", c, ndim=3)
+    samples, outputs, n = c.shape
+    a, g = require_array("a", a, shape=(n, n)), require_array("g", g, shape=(n, None))
+    q = g @ require_array("process", process, shape=(g.shape[1],) * 2) @ g.T
+    r = require_array("sensor", sensor, shape=(outputs, outputs))
+    p, gains = np.zeros((n, n)), np.zeros((samples, n, outputs))
+    for k in range(samples):
+        gains[k] = np.linalg.solve(c[k] @ p @ c[k].T + r, c[k] @ p @ a.T).T
+        rest = a - gains[k] @ c[k]
+        p = rest @ p @ rest.T + gains[k] @ r @ gains[k].T + q
+    return gains
+
+
+@dataclass(frozen=True)
+class PeakGain:
+    """Generalised H2 norm, and the disturbance that reaches it."""
+
+    norm: float
+    sample: int  # where the largest peak can occur
+    gramians: Float64[np.ndarray, "ends states states"]  # P_k; index 0 is zero
+    worst: Float64[np.ndarray, "samples noises"]  # unit-energy disturbance with this peak
+
+
+def generalised_h2_norm(system: ErrorSystem) -> PeakGain:
+    """Generalised H2 norm over the horizon, exactly, with its worst-case disturbance."""
+    gramians = np.zeros((len(system.f) + 1, *system.f.shape[1:]))
+    _gramians(np.ascontiguousarray(system.f), np.ascontiguousarray(system.d), gramians)
+    largest = np.linalg.eigvalsh(gramians)[:, -1]
+    if not np.all(np.isfinite(largest)):
+        raise InputError("the error grows without bound; give gains that keep it stable")
+    sample = int(largest.argmax())
+    direction = np.linalg.eigh(gramians[sample])[1][:, -1]
+    worst = np.zeros(system.d.shape[::2])
+    back = direction
+    for k in range(sample - 1, -1, -1):
+        worst[k] = system.d[k].T @ back
+        back = system.f[k].T @ back
+    size = np.linalg.norm(worst)
+    return PeakGain(float(np.sqrt(largest[sample])), sample, gramians, worst / (size or 1.0))
+
+
+@kernel
+def _gramians(f, d, out):
+    samples, n = f.shape[0], f.shape[1]
+    half = np.zeros((n, n))
+    for k in range(samples):
+        for i in range(n):
+            for j in range(n):
+                total = 0.0
+                for q in range(n):
+                    total += f[k, i, q] * out[k, q, j]
+                half[i, j] = total
+        for i in range(n):
+            for j in range(i + 1):
+                total = 0.0
+                for q in range(n):
+                    total += half[i, q] * f[k, j, q]
+                for q in range(d.shape[2]):
+                    total += d[k, i, q] * d[k, j, q]
+                out[k + 1, i, j] = out[k + 1, j, i] = total
+
+
+def response_peak(system: ErrorSystem, disturbance: ArrayLike) -> float:
+    """Largest Euclidean norm of the error under a disturbance, by simulation."""
+    disturbance = require_array("disturbance", disturbance, shape=system.d.shape[::2])
+    e, peak = np.zeros(system.f.shape[1]), 0.0
+    for f, d, n in zip(system.f, system.d, disturbance, strict=True):
+        e = f @ e + d @ n
+        peak = max(peak, float(np.linalg.norm(e)))
+    return peak

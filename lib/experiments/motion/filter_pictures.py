@@ -1,0 +1,118 @@
+"""Explorers of the time-varying filters: the worst disturbance, and scheduled beside online gains."""
+
+from functools import cache
+
+import numpy as np
+
+from experiments.motion.energy_to_peak import error_system, generalised_h2_norm, predictor_gains
+from experiments.motion.machines import published_setpoint, stage, stage_mass
+from experiments.motion.position_scan import (
+    APPLICATIONS,
+    RETAINED,
+    observer_model,
+    position_scan,
+    published_fast_setpoint,
+    run_applied,
+)
+from experiments.motion.positions import shapes_along
+from experiments.motion.scan_study import output_rows, published_scan
+from stillwork.control.pid import PidFamily
+from stillwork.estimation.robust import kalman_gains
+from stillwork.estimation.scheduled import gain_table, scheduled_gains
+from stillwork.lti.discretisation import zoh_modes
+from stillwork.workbook import figures
+
+SPACING = 0.05  # m, of the masses; unpublished
+STEP = 1e-4  # s
+
+
+@cache
+def _scaled_scan(step: float):
+    """Sampled model and output rows of the published scan, states in displacements, lengths in nanometres."""
+    scan = published_scan(step=step)
+    sampled = zoh_modes(scan.nominal, step)
+    flexible = scan.nominal.frequencies[1:]
+    scale = np.array([1.0, flexible[0], *np.repeat(flexible, 2) ** np.array([0, 1, 0, 1])])
+    c = 1e9 * output_rows(scan.shapes) * scale
+    return sampled.a * scale / scale[:, None], sampled.b / scale[:, None], c, scan.deviations
+
+
+def draw_worst(force: float, detuning: float):
+    """Explorer: what the worst disturbance does to a filter designed for another force.
+
+    Parameters
+    ----------
+    force : float
+        Deviation of the force (N) that counts as one.
+    detuning : float
+        Force that the filter is designed for, over `force`.
+    """
+    step = 1e-3
+    a, b, c, (_, reference, sensor) = _scaled_scan(step)
+    noise = 1e18 * np.array([[reference**2 + sensor**2]])
+    process = np.array([[force**2]])
+    figure, (left, right) = figures.new(1, 2, height=2.8)
+    time = step * np.arange(len(c))
+    for name, designed in (("Kalman", 1.0), ("detuned", detuning)):
+        gains = predictor_gains(a, b, c, designed**2 * process, noise)
+        found = generalised_h2_norm(error_system(a, b, c, process, noise, gains))
+        peak = np.sqrt(np.linalg.eigvalsh(found.gramians[1:])[:, -1])
+        left.semilogy(time, 1e9 * peak, label=f"{name}: {1e9 * found.norm:.3g}")
+        right.plot(time, found.worst[:, 0], label=name)
+    left.set_ylabel("largest possible error ($10^{-9}$ m√kg)")
+    right.set_ylabel("worst force (in deviations)")
+    for axis in (left, right):
+        axis.set_xlabel("time (s)")
+    left.legend()
+    return figure
+
+
+@cache
+def _table(spacing: float):
+    plant = stage()
+    grid = SPACING * np.arange(len(plant.output_shapes))
+    scan = position_scan(plant, grid, published_setpoint(STEP), 0.0)
+    model = observer_model(scan, 1e-4, 2e-18)
+    places = np.linspace(grid[0], grid[-1], 1 + int(np.ceil(round((grid[-1] - grid[0]) / spacing, 9))))
+    rows = output_rows(shapes_along(plant, grid, places)[:, :RETAINED])
+    return gain_table(model.a[1], model.g[1], rows, places, model.process, model.sensor)
+
+
+def draw_schedules(speed: str, start: float, spacing: float):
+    """Explorer: estimation error of the first flexible mode with online and with interpolated gains (AD, 36 Hz).
+
+    Parameters
+    ----------
+    speed : str
+        ``1 m/s`` or ``10 m/s``.
+    start : float
+        Where the scan begins (m).
+    spacing : float
+        Of the gain table (mm).
+    """
+    setpoint = published_setpoint(STEP) if speed == "1 m/s" else published_fast_setpoint(STEP)
+    plant = stage()
+    grid = SPACING * np.arange(len(plant.output_shapes))
+    scan = position_scan(plant, grid, setpoint, start)
+    model = observer_model(scan, 1e-4, 2e-18)
+    deviations = np.array([0.01, 1e-9, 1e-9])[:, None]
+    noise = np.random.default_rng(1).standard_normal((3, len(scan.places))) * deviations
+    figure, axis = figures.new(1, 1, height=2.8)
+    for name, gains in (
+        ("online", kalman_gains(model)),
+        ("scheduled", scheduled_gains(model, _table(1e-3 * spacing), scan.places)),
+    ):
+        ran = run_applied(
+            scan, gains, PidFamily(stage_mass())(35.6), stage_mass(), noise, *APPLICATIONS["AD"]
+        )
+        error = ran.states[2] - ran.estimates[2]
+        axis.plot(
+            setpoint.time,
+            1e9 * error,
+            linewidth=0.9,
+            label=f"{name}: largest {1e9 * np.abs(error).max():.3g}",
+        )
+    axis.set_xlabel("time (s)")
+    axis.set_ylabel("error of mode 1 (nm√kg)")
+    axis.legend()
+    return figure

@@ -1,0 +1,106 @@
+"""Figures of the joint design."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from experiments.motion.joint import CHANNELS, JointDesign, StageResponses
+from experiments.motion.joint_search import Verified, search_grid, stable_on
+from experiments.motion.machines import stage
+from experiments.motion.pictures import CASES, LABELS
+from stillwork.control.bandwidth import SIX_DB
+from stillwork.estimation.uncertainty import perturbed
+from stillwork.lti.modal import ModalModel
+from stillwork.workbook import figures
+
+
+def ladder(found: Mapping[str, Verified], published_hz: float):
+    """First crossing of every design at the mass of the published number."""
+    figure, axis = figures.new(1, 1, height=2.9)
+    rows = np.arange(len(found))[::-1]
+    axis.plot(
+        [each.crossing_hz[4] for each in found.values()],
+        rows,
+        "o",
+        color=CASES["MC and AD"],
+        label="first crossing, mass 5",
+    )
+    figures.mark_published(axis, published_hz, rows[list(found).index("published")])
+    axis.set_yticks(rows, list(found))
+    axis.set_xlabel("bandwidth (Hz)")
+    axis.set_xlim(left=0)
+    axis.legend(loc="center left")
+    return figure
+
+
+def peaks_over_plants(peaks: Mapping[str, Mapping[str, np.ndarray]], top_db: float = 20.0):
+    """Largest peak of every design on every perturbed plant; unstable ones lie on the upper edge.
+
+    Parameters
+    ----------
+    peaks : mapping
+        Title of a panel to a mapping from the design's name to its peaks.
+    """
+    figure, axes = figures.new(1, len(peaks), height=3.2, sharey=True, squeeze=False)
+    for axis, (title, designs) in zip(axes[0], peaks.items(), strict=True):
+        for place, (name, values) in enumerate(designs.items()):
+            shown = np.minimum(20 * np.log10(values), top_db)
+            across = place + np.linspace(-0.3, 0.3, len(shown))
+            axis.plot(across, shown, ".", markersize=4, color=CASES["MC and AD"], label=name)
+            axis.annotate(
+                f"{np.mean(~np.isfinite(values)):.0%}\nunstable",
+                (place, top_db + 0.8),
+                ha="center",
+                fontsize=6,
+            )
+        axis.axhline(20 * np.log10(SIX_DB), color=figures.BLACK, linestyle=":", linewidth=1.0)
+        axis.set_xticks(range(len(designs)), [name.replace(" ", "\n", 1) for name in designs], fontsize=6)
+        axis.set_ylim(0, top_db + 4)
+        axis.set_title(title)
+    axes[0, 0].set_ylabel(f"largest peak (dB), cut at {top_db:g}")
+    return figure
+
+
+def draw_joint(designs: Mapping[str, JointDesign], design: str, frequency_error: float, bandwidth: float):
+    """Explorer: the constrained functions, each of its worst mass, when the flexible frequencies are off.
+
+    Parameters
+    ----------
+    designs : mapping of str to JointDesign
+    design : str
+        One of them.
+    frequency_error : float
+        Relative error of all flexible frequencies, %.
+    bandwidth : float
+        Of the controller, % of the design's own.
+    """
+    chosen = designs[design]
+    chosen = replace(chosen, bandwidth_hz=chosen.bandwidth_hz * bandwidth / 100)
+    plant = _shifted(frequency_error / 100)
+    responses = StageResponses(search_grid([plant], 150, 8), [plant])
+    found = responses.loops(chosen).response
+    figure, axis = figures.new(1, 1, height=2.8)
+    figure.set_layout_engine(None)
+    figure.subplots_adjust(left=0.1, right=0.98, bottom=0.17, top=0.9)
+    peak = 0.0
+    for name in CHANNELS:
+        largest = np.abs(getattr(found, name)[0]).max(axis=0)
+        peak = max(peak, float(largest.max()))
+        axis.semilogx(responses.omega / (2 * np.pi), 20 * np.log10(largest), label=LABELS[name])
+    axis.axhline(20 * np.log10(SIX_DB), color=figures.BLACK, linestyle=":", linewidth=1.0)
+    verdict = f"largest peak {20 * np.log10(peak):.1f} dB" if stable_on(chosen, [plant])[0] else "unstable"
+    axis.set_title(f"worst of the seven masses: {verdict}")
+    axis.set_xlabel("frequency (Hz)")
+    axis.set_ylabel("magnitude (dB)")
+    axis.set_ylim(-40, 20)
+    axis.legend(loc="lower left")
+    return figure
+
+
+def _shifted(error: float) -> ModalModel:
+    """The stage with all its flexible frequencies off by one relative error."""
+    nominal = stage()
+    errors = np.zeros((len(nominal.frequencies), 4))
+    errors[nominal.rigid_modes :, 0] = error
+    return perturbed(nominal, errors)

@@ -1,0 +1,192 @@
+"""One feedforward error at many places of the structure, under every published design (section 4.2.5)."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import ArrayLike
+
+from experiments.motion.designs import DESIGNS, Design
+from experiments.motion.machines import stage
+from experiments.motion.position_dependence import at_place, observer_at
+from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
+from stillwork.control.applications import compensator
+from stillwork.control.feedforward import noise_error
+from stillwork.control.ideal_feedforward import (
+    Force,
+    feedforward_error,
+    fit_to_force,
+    respond,
+    sampled_ideal_force,
+)
+from stillwork.control.loops import INPUTS, OUTPUTS, closed_loop, require_stable
+from stillwork.control.pid import Pid
+from stillwork.control.setpoint import Setpoint
+from stillwork.lti.modal import ModalModel
+from stillwork.lti.state_space import StateModel
+
+WARM_UP = 3000  # samples in which the noise reaches its steady state
+
+
+@dataclass(frozen=True)
+class LocationStudy:
+    """True errors at every place."""
+
+    places: Float64[np.ndarray, " places"]  # m
+    setpoint: Setpoint
+    errors: Mapping[str, Float64[np.ndarray, "places samples"]]  # m, at the samples of the setpoint
+
+    def rms(self, case: str) -> Float64[np.ndarray, " places"]:
+        """Root mean square in the scanning phase (m)."""
+        window = self.errors[require_choice("case", case, self.errors)][:, self.setpoint.scanning]
+        return np.sqrt(np.mean(window**2, axis=1))
+
+    def settled(self, case: str, band: float) -> Float64[np.ndarray, " places"]:
+        """Time (s) from the end of the acceleration until the error stays within +-`band` (m) to the scan's end."""
+        require_number("band", band, above=0.0)
+        time = self.setpoint.time
+        window = (time >= self.setpoint.acceleration_end) & (time <= self.setpoint.scan[1])
+        outside = np.abs(self.errors[require_choice("case", case, self.errors)][:, window]) > band
+        last = np.where(outside.any(axis=1), outside.shape[1] - np.argmax(outside[:, ::-1], axis=1), 0)
+        return last * self.setpoint.step
+
+    def over(self, case: str, low: float, high: float, count: int = 29) -> Float64[np.ndarray, "3"]:
+        """Smallest, mean and largest rms error (m) at `count` equally spaced places from `low` to `high` (m).
+
+        Between the places of the study the rms follows a spline.
+        """
+        from scipy.interpolate import CubicSpline
+
+        if not self.places[0] <= low < high <= self.places[-1]:
+            raise InputError(
+                f"low and high are {low:g} and {high:g} m; keep them in this order and within the study, from "
+                f"{self.places[0]:g} to {self.places[-1]:g} m"
+            )
+        at = np.linspace(low, high, require_count("count", count, at_least=2))
+        values = CubicSpline(self.places, self.rms(case))(at)
+        return np.array([values.min(), values.mean(), values.max()])
+
+
+Loops = Mapping[float, Mapping[str, StateModel]]
+
+
+def location_loops(
+    plant: ModalModel, grid: ArrayLike, places: ArrayLike, cases: Mapping[str, tuple[str | Design, Pid]]
+) -> dict[float, dict[str, StateModel]]:
+    """Closed loops of every case at every place, with the observer of that place.
+
+    Parameters
+    ----------
+    plant, grid
+        See `position_dependence.at_place`; the sensor stands still at each place.
+    places : array_like, shape (places,)
+        m, ascending.
+    cases : mapping
+        Any name to a design (a name in `DESIGNS`) and the controller.
+
+    Raises
+    ------
+    InputError
+        When a loop is unstable at a place, or a place lies outside the structure.
+    """
+    places = require_array("places", places, ndim=1)
+    if not len(places) or np.any(np.diff(places) <= 0):
+        raise InputError("places must hold at least one place, in ascending order")
+    designs = {
+        name: DESIGNS[require_choice("design", d, DESIGNS)] if isinstance(d, str) else d
+        for name, (d, _) in cases.items()
+    }
+    controllers = {name: controller.state_space() for name, (_, controller) in cases.items()}
+    found: dict[float, dict[str, StateModel]] = {}
+    for place in places.tolist():
+        machine = at_place(plant, grid, place)
+        blocks = {design: _block(plant, grid, place, design) for design in set(designs.values())}
+        found[place] = {}
+        for name, design in designs.items():
+            loop = closed_loop(machine, blocks[design], controllers[name])
+            try:
+                require_stable(loop)
+            except InputError as error:
+                raise InputError(f"{name} at {place:g} m: {error}") from None
+            found[place][name] = loop
+    return found
+
+
+def _block(plant: ModalModel, grid: ArrayLike, place: float, design: Design) -> StateModel | None:
+    if design.application is None:
+        return None
+    return compensator(observer_at(plant, grid, place, None, design.noise_model), design.application)
+
+
+def study_locations(
+    loops: Loops,
+    force: Force,
+    setpoint: Setpoint,
+    source: str = "w",
+    deviations: dict[str, float] | None = None,
+    rng: np.random.Generator | None = None,
+) -> LocationStudy:
+    """Send the same force into the loops of every place.
+
+    Parameters
+    ----------
+    loops : mapping
+        Place (m) to case to loop, of `location_loops`.
+    force : Force
+        The feedforward error, ideal less applied; the plant gets that much too little.
+    setpoint : Setpoint
+        With the sample time of the force.
+    source : str
+        ``w``: the observer does not see the force. ``u_ff``: it does.
+    deviations : dict, optional
+        Noise of `tracking.noise_error`, fresh at every place and the same for all cases; without it, none.
+    rng : numpy.random.Generator, optional
+        Draws the noise.
+    """
+    require_choice("source", source, ("w", "u_ff"))
+    ahead = len(force.time) - len(setpoint.time)
+    if (deviations is None) != (rng is None):
+        raise InputError("deviations and rng belong together; give both or neither")
+    if ahead < 0 or not np.allclose(force.time[ahead:], setpoint.time, rtol=0, atol=1e-6 * setpoint.step):
+        raise InputError("force and setpoint do not have the same samples; make both with one step")
+    errors: dict[str, list[np.ndarray]] = {}
+    for cases in loops.values():
+        seed = 0 if rng is None else int(rng.integers(2**63))
+        for name, loop in cases.items():
+            channel = loop.select([INPUTS.index(source)], [OUTPUTS.index("e_true")])
+            error = -respond(channel, force)[0, ahead:]
+            if deviations is not None:
+                draws = np.random.default_rng(seed)
+                samples = WARM_UP + len(setpoint.time)
+                error = error + noise_error(loop, setpoint.step, samples, deviations, draws)[0, WARM_UP:]
+            errors.setdefault(name, []).append(error)
+    return LocationStudy(np.array(list(loops)), setpoint, {name: np.array(e) for name, e in errors.items()})
+
+
+def ranges(places: ArrayLike, shortest: float, points: int = 11) -> Float64[np.ndarray, "ranges 2"]:
+    """All ranges (m) between `points` equally spaced places of the structure, of at least `shortest` of its length."""
+    places = require_array("places", places, ndim=1)
+    require_number("shortest", shortest, above=0.0, at_most=1.0)
+    ends = np.linspace(places[0], places[-1], require_count("points", points, at_least=2))
+    low, high = np.meshgrid(ends, ends, indexing="ij")
+    wide = high - low >= shortest * (ends[-1] - ends[0]) * (1 - 1e-9)
+    return np.stack([low[wide], high[wide]], axis=1)
+
+
+def bare_error(controller: Pid, measured: int = 5) -> StateModel:
+    """Of the stage without observer, the model from a force that is missing to the true error of one mass."""
+    if require_count("measured", measured) > len(stage().output_shapes):
+        raise InputError(f"measured is {measured}; the stage has masses 1 to {len(stage().output_shapes)}")
+    loop = closed_loop(stage().at([0], [measured - 1]), None, controller.state_space())
+    return loop.select([INPUTS.index("w")], [OUTPUTS.index("e_true")])
+
+
+def stage_error(setpoint: Setpoint, controller: Pid, measured: int = 5) -> Force:
+    """Feedforward error of the stage for one measured mass, in samples that are held.
+
+    Ideal force less the gains fitted to the loop without observer.
+    """
+    loop = bare_error(controller, measured)
+    ideal = sampled_ideal_force(stage().at([0], [measured - 1]), setpoint)
+    return feedforward_error(ideal, fit_to_force(loop, ideal))

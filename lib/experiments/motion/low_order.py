@@ -1,0 +1,226 @@
+r"""Low-order feedforward for a loop with an observer, the second recommendation of chapter 7.
+
+The force is :math:`\sum_k\Theta_k r^{(k)} + \sum_i F_i(s)\ddot r` with a few filters F of one or two states. Their
+poles are picked from those of the observer copy (Appendix A); all gains come from one least-squares problem on the
+simulated error, like those of (A.1).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from stillwork.base.checks import InputError, require_choice, require_count
+from stillwork.control.feedforward import BASIS, Feedforward, error_loop, tracking_error, tracking_model
+from stillwork.control.loops import INPUTS, OUTPUTS, closed_loop
+from stillwork.control.setpoint import Setpoint
+from stillwork.estimation.uncertainty import draw_errors, perturbed
+from stillwork.lti.modal import ModalModel
+from stillwork.lti.simulation import simulate
+from stillwork.lti.state_space import StateModel, interconnect
+from stillwork.signals.moving_average import rms
+
+
+def direct_loop(loop: StateModel) -> StateModel:
+    """Of a single `closed_loop`, the model from (r, u_ff) to e_true: the feedforward that the observer sees."""
+    return loop.select([INPUTS.index("r"), INPUTS.index("u_ff")], [OUTPUTS.index("e_true")])
+
+
+def copy_poles(feedforward: StateModel) -> tuple[complex, ...]:
+    """Poles a low-order feedforward may take from an observer copy: stable ones, one of every pair."""
+    poles = feedforward.poles
+    rate = np.abs(poles).max()
+    return tuple(complex(p) for p in poles if p.real < -1e-9 * rate and p.imag >= 0)
+
+
+def filters(pole: complex) -> list[StateModel]:
+    """Filters with this pole (and its conjugate), gain one where they pass: 1 and s over the denominator."""
+    w = abs(pole)
+    if pole.imag == 0:
+        return [StateModel(np.array([[-w]]), np.array([[w]]), np.ones((1, 1)), np.zeros((1, 1)))]
+    a, b = np.array([[0, w], [-w, 2 * pole.real]]), np.array([[0.0], [w]])
+    return [
+        StateModel(a, b, row, np.zeros((1, 1))) for row in (np.array([[1.0, 0.0]]), np.array([[0.0, 1.0]]))
+    ]
+
+
+@dataclass(frozen=True)
+class LowOrder:
+    """A feedforward with filters; without any it is (A.1)."""
+
+    gains: Feedforward
+    poles: tuple[complex, ...] = ()  # one of every pair, rad/s
+    weights: tuple[float, ...] = ()  # kg, one or two a pole: of its `filters`, on the acceleration
+
+    @property
+    def order(self) -> int:
+        """Number of states."""
+        return sum(len(filters(pole)) for pole in self.poles)
+
+    def error(self, loop: StateModel, setpoint: Setpoint) -> Float64[np.ndarray, " samples"]:
+        """True tracking error over the move (m); `loop` is a `direct_loop`."""
+        return MoveResponses(loop, setpoint).error(self)
+
+
+class MoveResponses:
+    """What a move without feedforward and one unit of every feedforward give: the error is their sum, linear in the gains."""
+
+    def __init__(self, loop: StateModel, setpoint: Setpoint):
+        """Prepare a model from (r, force) to e_true, a `direct_loop` or an `error_loop`, and a move."""
+        self._loop, self._setpoint = loop, setpoint
+        self._filtered: dict[complex, list[np.ndarray]] = {}
+        self.alone = tracking_error(loop, setpoint, Feedforward())
+        # One model for the four derivatives: its inputs are the force and its own derivatives, in each sample.
+        forced = tracking_model(
+            StateModel(loop.a, loop.b[:, ::-1], loop.c, loop.d[:, ::-1]), Feedforward(), setpoint.step
+        )
+        rows = setpoint.derivatives
+        self._direct = {
+            name: simulate(forced, np.vstack([rows[k:], np.zeros_like(rows[:k])]))[0]
+            for k, name in enumerate(BASIS, 1)
+        }
+
+    def direct(self, name: str) -> Float64[np.ndarray, " samples"]:
+        """Error that one unit of a derivative causes as a force."""
+        return self._direct[require_choice("basis", name, BASIS)]
+
+    def filtered(self, pole: complex) -> list[Float64[np.ndarray, " samples"]]:
+        """Errors that the acceleration causes through each of the `filters` of a pole, exactly."""
+        if pole not in self._filtered:
+            feedback, external = np.zeros((3, 2)), np.zeros((3, 2))
+            feedback[1, 1] = external[2, 1] = 1  # the setpoint itself stays out
+            self._filtered[pole] = [
+                tracking_error(
+                    interconnect([self._loop, each], feedback, external, np.array([[1.0, 0.0]])),
+                    self._setpoint,
+                    Feedforward(acceleration=1.0),
+                )
+                for each in filters(pole)
+            ]
+        return self._filtered[pole]
+
+    def error(self, feedforward: LowOrder) -> Float64[np.ndarray, " samples"]:
+        """True tracking error over the move (m)."""
+        gains = [*feedforward.gains.gains, *feedforward.weights]
+        return self.alone + np.array(gains) @ self._columns(BASIS, feedforward.poles)
+
+    def fit(self, poles: tuple[complex, ...] = (), basis: tuple[str, ...] = BASIS) -> LowOrder:
+        """See `fit_low_order`."""
+        if not (basis or poles):
+            raise InputError("basis and poles are empty; give at least one")
+        columns = self._columns(basis, poles)
+        sizes = np.linalg.norm(columns, axis=1)
+        if np.any(sizes == 0):
+            raise InputError("setpoint does not move; the feedforward gains cannot be told apart")
+        gains = np.linalg.lstsq((columns / sizes[:, None]).T, -self.alone, rcond=1e-12)[0] / sizes
+        direct, weights = gains[: len(basis)].tolist(), tuple(gains[len(basis) :].tolist())
+        return LowOrder(Feedforward(**dict(zip(basis, direct, strict=True))), poles, weights)
+
+    def _columns(self, basis, poles) -> Float64[np.ndarray, "gains samples"]:
+        return np.array(
+            [self.direct(name) for name in basis] + [c for pole in poles for c in self.filtered(pole)]
+        )
+
+
+def fit_low_order(
+    loop: StateModel, setpoint: Setpoint, poles: Sequence[complex] = (), basis: tuple[str, ...] = BASIS
+) -> LowOrder:
+    """Gains and weights that minimise the sum of squared errors over the whole move, for given poles.
+
+    Parameters
+    ----------
+    loop : StateModel
+        From (r, u_ff) to e_true, see `direct_loop`.
+    setpoint : Setpoint
+    poles : sequence of complex
+        Of the filters, rad/s; one of every pair.
+    basis : tuple of str
+        Derivatives that act directly, of `tracking.BASIS`.
+
+    Raises
+    ------
+    InputError
+        When a pole is not stable, the basis unknown, or the move does not excite a gain.
+    """
+    if any(pole.real >= 0 or pole.imag < 0 for pole in poles):
+        raise InputError("poles must be stable, one of every pair with a positive imaginary part, in rad/s")
+    return MoveResponses(loop, setpoint).fit(tuple(poles), basis)
+
+
+def pick_poles(
+    loop: StateModel,
+    setpoint: Setpoint,
+    candidates: Sequence[complex],
+    order: int,
+    basis: tuple[str, ...] = BASIS,
+) -> list[LowOrder]:
+    """Feedforwards of growing order: each takes the one candidate more that lowers the squared error most.
+
+    Parameters
+    ----------
+    loop, setpoint, basis
+        See `fit_low_order`.
+    candidates : sequence of complex
+        Poles to pick from, see `copy_poles`.
+    order : int
+        States at most.
+
+    Returns
+    -------
+    list of LowOrder
+        Beginning with the one without filters.
+    """
+    require_count("order", order, at_least=0)
+    responses = MoveResponses(loop, setpoint)
+    found = [responses.fit((), basis)]
+    while True:
+        chosen = found[-1].poles
+        fitting = [
+            responses.fit((*chosen, pole), basis)
+            for pole in candidates
+            if pole not in chosen and found[-1].order + len(filters(pole)) <= order
+        ]
+        if not fitting:
+            return found
+        found.append(min(fitting, key=lambda each: np.sum(responses.error(each) ** 2)))
+
+
+def perturbed_trial(
+    rng: np.random.Generator,
+    plant: ModalModel,
+    compensator: StateModel,
+    controller: StateModel,
+    setpoint: Setpoint,
+    copied: Feedforward,
+    candidates: Mapping[str, LowOrder],
+    size: float,
+) -> dict[str, float]:
+    """Rms of the true error in the scan (m) of every feedforward on one perturbed plant; a trial of a study.
+
+    Every feedforward meets the plant twice: with the gains that were found on the nominal plant, and with gains
+    tuned again on this one (poles and observer copy stay), as the data-based tuning does.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    plant : ModalModel
+        Nominal, one output.
+    compensator, controller : StateModel
+    setpoint : Setpoint
+    copied : Feedforward
+        Gains in front of the observer copy.
+    candidates : mapping of str to LowOrder
+    size : float
+        Relative error of the flexible modes' parameters; mass and place of the sensor are known.
+    """
+    loop = closed_loop(perturbed(plant, draw_errors(rng, plant, size)), compensator, controller)
+    direct, hidden = (MoveResponses(each(loop), setpoint) for each in (direct_loop, error_loop))
+    found = {
+        "observer copy, kept": hidden.error(LowOrder(copied)),
+        "observer copy, tuned": hidden.error(hidden.fit()),
+    }
+    for name, each in candidates.items():
+        found[f"{name}, kept"] = direct.error(each)
+        found[f"{name}, tuned"] = direct.error(direct.fit(each.poles))
+    return {name: rms(error[setpoint.scanning]) for name, error in found.items()}

@@ -1,0 +1,132 @@
+"""The machines of the observer thesis: the stage, the five-mass chain, the two-inertia drive."""
+
+import tomllib
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import ArrayLike
+
+from stillwork.base import paths
+from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.control.setpoint import Setpoint, point_to_point
+from stillwork.estimation.observer import NoiseIntensities
+from stillwork.lti.modal import ModalModel, modal_model
+from stillwork.lti.state_space import StateModel
+
+
+def parameters(machine: str) -> dict:
+    """Published parameters of a machine from ``data/motion/machines.toml``, SI units."""
+    tree = tomllib.loads(paths.data("motion", "machines.toml").read_text(encoding="utf-8"))
+    if machine not in tree:
+        raise InputError(f"machine is {machine!r}; use one of {', '.join(map(repr, tree))}")
+    return tree[machine]
+
+
+def chain_matrix(springs: ArrayLike) -> Float64[np.ndarray, "nodes nodes"]:
+    """Stiffness (or damping) matrix of masses in a row, free at both ends, from the springs between them."""
+    springs = require_array("springs", springs, ndim=1)
+    difference = np.diff(np.eye(len(springs) + 1), axis=0)
+    return difference.T @ (springs[:, None] * difference)
+
+
+def stage(damping_ratio: float | None = None) -> ModalModel:
+    """Stage of Fig. 3.1 and Table 3.2: force on the actuator mass to the positions y1..y7 of the other masses.
+
+    Parameters
+    ----------
+    damping_ratio : float, optional
+        Of every flexible mode; by default 0.005, which Table 3.4 shows (Table 3.2 prints 0.001).
+    """
+    p = parameters("stage")
+    ratio = require_number(
+        "damping_ratio",
+        p["damping_ratio"] if damping_ratio is None else damping_ratio,
+        at_least=0.0,
+        below=1.0,
+    )
+    mass = np.diag([p["actuator_mass"], *[p["mass"]] * p["masses"]])
+    stiffness = chain_matrix([p["actuator_stiffness"], *[p["stiffness"]] * (p["masses"] - 1)])
+    places = np.eye(p["masses"] + 1)
+    return modal_model(mass, stiffness, places[:, :1], places[1:], ratio)
+
+
+def stage_mass() -> float:
+    """Total mass of the stage, 12.5 kg."""
+    p = parameters("stage")
+    return p["actuator_mass"] + p["masses"] * p["mass"]
+
+
+def chain(masses: ArrayLike) -> ModalModel:
+    """Chain of Fig. 2.5: equal springs and dampers, a force on and a position of every mass.
+
+    Parameters
+    ----------
+    masses : array_like, shape (nodes,)
+        kg; the dampers are in proportion to the springs, so the modes decouple for any masses.
+    """
+    masses = require_array("masses", masses, ndim=1)
+    if len(masses) < 2 or np.any(masses <= 0):
+        raise InputError("masses must hold at least two positive masses in kg")
+    p = parameters("chain")
+    links, places = np.ones(len(masses) - 1), np.eye(len(masses))
+    return modal_model(
+        np.diag(masses),
+        chain_matrix(p["stiffness"] * links),
+        places,
+        places,
+        damping_matrix=chain_matrix(p["damper"] * links),
+    )
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Two inertias on a torsion rod, Fig. 3.35 and Table 3.8; friction acts on both."""
+
+    inertia: float  # J1 = J2, kg m^2
+    friction: float  # b, N m s/rad
+    stiffness: float  # k, N m/rad
+    damper: float  # d, N m s/rad
+    motor_constant: float  # Km, N m/A
+
+    def __post_init__(self):
+        for name in ("inertia", "stiffness", "motor_constant"):
+            require_number(name, getattr(self, name), above=0.0)
+        for name in ("friction", "damper"):
+            require_number(name, getattr(self, name), at_least=0.0)
+
+    @property
+    def resonance(self) -> float:
+        """Undamped frequency of the flexible mode, rad/s."""
+        return float(np.sqrt(2 * self.stiffness / self.inertia))
+
+    def modal_states(self) -> StateModel:
+        r"""Motor current to the angle of the inertia across the rod, states :math:`(\eta_1, \dot\eta_1, \eta_2, \dot\eta_2)`.
+
+        Equal inertias and frictions decouple into the sum and the difference of both angles.
+        """
+        j, shape = self.inertia, 1 / np.sqrt(2 * self.inertia)
+        a = np.zeros((4, 4))
+        a[0, 1] = a[2, 3] = 1
+        a[1, 1] = -self.friction / j
+        a[3, 2:] = -2 * self.stiffness / j, -(self.friction + 2 * self.damper) / j
+        b = np.array([[0], [shape], [0], [shape]]) * self.motor_constant
+        return StateModel(a, b, np.array([[shape, 0, -shape, 0]]), np.zeros((1, 1)))
+
+
+def drive() -> Drive:
+    """The two-inertia drive with the parameters of Table 3.8."""
+    return Drive(**parameters("drive"))
+
+
+def published_noise() -> NoiseIntensities:
+    """Q = sigma_w^2 and R = sigma_v^2 + sigma_d^2 of section 3.1."""
+    p = parameters("stage")["noise"]
+    return NoiseIntensities(p["process"] ** 2, p["sensor"] ** 2 + p["reference"] ** 2)
+
+
+def published_setpoint(step: float = 1e-4) -> Setpoint:
+    """The move of Table 3.6 and Fig. 3.32: 0.17 m, 1 m/s, scanning from 0.04 to 0.17 s."""
+    p = parameters("setpoint")
+    limits = (p[name] for name in ("snap", "jerk", "acceleration", "velocity", "cruise", "settling"))
+    return point_to_point(*limits, step)

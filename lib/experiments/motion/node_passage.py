@@ -1,0 +1,98 @@
+"""A sensor at a node of a mode: what passing it, and staying there, does to the estimate (section 4.2.1)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import ArrayLike
+
+from experiments.motion.position_dependence import require_seen
+from experiments.motion.positions import shapes_along
+from experiments.motion.scan_study import output_rows
+from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.estimation.observer import NoiseIntensities
+from stillwork.estimation.riccati import discrete_gain
+from stillwork.estimation.robust import kalman_gains
+from stillwork.estimation.time_varying import TimeVaryingModel, estimate
+from stillwork.lti.discretisation import zoh_modes
+from stillwork.lti.modal import ModalModel
+from stillwork.lti.simulation import simulate
+
+
+@dataclass(frozen=True)
+class Passage:
+    """True and estimated modal position of one mode while the sensor follows a trajectory."""
+
+    time: Float64[np.ndarray, " samples"]  # s
+    places: Float64[np.ndarray, " samples"]  # m
+    truth: Float64[np.ndarray, " samples"]  # m sqrt(kg)
+    estimate: Float64[np.ndarray, " samples"]  # m sqrt(kg)
+
+    def worst(self, start: float, end: float) -> float:
+        """Largest estimation error between two times (s), relative to the mode's largest motion there."""
+        window = (self.time >= start) & (self.time <= end)
+        if not window.any():
+            raise InputError(f"start and end are {start:g} and {end:g} s; no sample lies between them")
+        size = np.abs(self.truth[window]).max()
+        return float(np.abs(self.truth - self.estimate)[window].max() / size)
+
+
+def move(start: float, wait: float, speed: float, length: float, rest: float, step: float) -> np.ndarray:
+    """Places (m): stand at `start` for `wait` s, move `length` m at `speed` m/s, stand for `rest` s."""
+    for name, value in (("speed", speed), ("length", length), ("step", step)):
+        require_number(name, value, above=0.0)
+    time = np.arange(round((wait + length / speed + rest) / step) + 1) * step
+    return start + np.clip(speed * (time - wait), 0.0, length)
+
+
+def pass_node(
+    plant: ModalModel,
+    grid: ArrayLike,
+    places: ArrayLike,
+    mode: int,
+    noise: NoiseIntensities,
+    step: float,
+    amplitude: float = 0.01,
+    phase: float = 0.0,
+) -> Passage:
+    """Run the time-varying Kalman filter while a force that it does not know excites one mode at its resonance.
+
+    Parameters
+    ----------
+    plant : ModalModel
+        One input, one output a grid point; the filter knows all of its modes.
+    grid : array_like, shape (outputs,)
+        m.
+    places : array_like, shape (samples,)
+        Where the sensor looks (m).
+    mode : int
+        That is excited and judged.
+    noise : NoiseIntensities
+        Intensities that the filter is designed for.
+    step : float
+        s.
+    amplitude, phase : float
+        Of the force, N and rad.
+
+    Raises
+    ------
+    InputError
+        When the trajectory leaves the grid, or a rigid-body mode is not observable on it.
+    """
+    places = require_array("places", places, ndim=1)
+    if require_count("mode", mode, at_least=plant.rigid_modes) >= len(plant.frequencies):
+        raise InputError(f"mode is {mode}; the plant has modes 0 to {len(plant.frequencies) - 1}")
+    require_seen(plant, grid, places, range(plant.rigid_modes))
+    sampled = zoh_modes(plant, step)
+    rows = output_rows(shapes_along(plant, grid, places))
+    q, r = np.array([[noise.process / step]]), np.array([[noise.sensor / step]])
+    start = discrete_gain(sampled.a, sampled.b, rows[0], q, r)
+    initial = start.covariance - start.filter_gain @ rows[0] @ start.covariance
+    model = TimeVaryingModel(sampled.a, sampled.b, sampled.b, rows, q, r, (initial + initial.T) / 2)
+    time = np.arange(len(places)) * step
+    force = amplitude * np.sin(plant.frequencies[mode] * time + phase)
+    n = len(sampled.a)
+    states = simulate(type(sampled)(sampled.a, sampled.b, np.eye(n), np.zeros((n, 1)), step), force[None])
+    y = np.einsum("koi,ik->ok", rows, states)
+    found = estimate(kalman_gains(model), np.zeros((1, len(places))), y)
+    return Passage(time, places, states[2 * mode], found[2 * mode])

@@ -1,0 +1,88 @@
+"""The problem of the optimal observer, Fig. 5.2 of the observer thesis, as a generalised plant."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stillwork.base.checks import InputError
+from stillwork.control.feedback import band_pass, damping_gain
+from stillwork.control.pid import Pid
+from stillwork.estimation.generalised_plant import GeneralisedPlant, low_pass
+from stillwork.estimation.observer import Observer
+from stillwork.lti.modal import ModalModel
+from stillwork.lti.state_space import StateModel, interconnect
+
+
+@dataclass(frozen=True)
+class ObserverProblem:
+    """Fig. 5.2: find the observer for given controller, damping gain and compensation.
+
+    The estimate acts only through the compensation C_f and the damped modal velocities, so these few signals,
+    not all states, are the control: y_flex first, then one velocity a flexible mode. The observer sees the
+    plant input f and the measurement y + d. Exogenous: r, w, v, d; performance: e_true.
+    """
+
+    plant: ModalModel
+    controller: Pid
+    increase: float  # of the damping ratios
+    selectivity: float  # Q of the band-passes
+    scales: tuple[float, float, float]  # S_w (N), S_v, S_d (m), for a reference of unit intensity
+    corners_hz: tuple[float, float, float] = (700.0, 200.0, 200.0)  # W_r, W_w, W_v
+
+    def __post_init__(self):
+        outputs, inputs = self.plant.feedthrough.shape
+        if (inputs, outputs) != (1, 1) or np.any(self.plant.feedthrough):
+            raise InputError("plant must have one input, one output and no feedthrough; pick them with at()")
+
+    @property
+    def flexible(self) -> int:
+        """Number of flexible modes, as many as band-passes."""
+        return len(self.plant.frequencies) - self.plant.rigid_modes
+
+    def generalised(self) -> GeneralisedPlant:
+        """The generalised plant: 8 + 3 + 6 + 3 = 20 states for the stage."""
+        plant, control, n = self.plant.state_space(), self.controller.state_space(), self.flexible
+        rigid = self.plant.rigid_modes
+        gain = damping_gain(self.plant, self.increase)[0, 2 * rigid + 1 :: 2]
+        filters = [band_pass(float(w), self.selectivity) for w in self.plant.frequencies[rigid:]]
+        weights = [low_pass(corner) for corner in self.corners_hz]
+        s_w, s_v, s_d = self.scales
+        # Outputs: y0, u_fb, filtered velocities, W_r r, W_w w, W_v v. Inputs likewise. External: r, w, v, d,
+        # then the controls y_flex and velocities.
+        total = 2 + n + 3
+        reference, force, sensor = range(2 + n, total)
+        feedback, external = np.zeros((total, total)), np.zeros((total, 4 + 1 + n))
+        feedback[0, 1], feedback[0, 2 : 2 + n], feedback[0, force] = 1, gain, s_w
+        feedback[1, 0], feedback[1, reference], feedback[1, sensor] = -1, 1, s_v
+        external[1, 3], external[1, 4] = -s_d, 1
+        external[2 : 2 + n, 5:] = np.eye(n)
+        external[reference:, :3] = np.eye(3)
+        read, direct = np.zeros((3, total)), np.zeros((3, 4 + 1 + n))
+        read[0, 0], read[0, reference], read[0, sensor] = -1, 1, s_v  # e_true = r - (y0 - v)
+        read[1, 1], read[1, 2 : 2 + n] = 1, gain  # f
+        read[2, 0], read[2, sensor], direct[2, 3] = 1, -s_v, s_d  # y + d
+        model = interconnect([plant, control, *filters, *weights], feedback, external, read, direct)
+        return GeneralisedPlant(model, exogenous=4, performance=1)
+
+    def read(self, observer: Observer) -> StateModel:
+        """An observer of chapter 3 as the block that this problem asks for: (f, y + d) to (y_flex, velocities)."""
+        if len(observer.model.frequencies) != len(self.plant.frequencies):
+            raise InputError("observer has other modes than the problem's plant")
+        velocities = observer.read(np.eye(self.flexible), "velocity")
+        return observer.estimator(np.vstack([observer.flexible_outputs, velocities]))
+
+    def idle(self) -> StateModel:
+        """The block that does nothing: no observer."""
+        n = 1 + self.flexible
+        return StateModel(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((n, 0)), np.zeros((n, 2)))
+
+    def compensator(self, observer: StateModel) -> StateModel:
+        """The observer with band-passes and damping gain: (f, y + d) to (u_d, y_flex), as `loops` wants it."""
+        n, rigid = self.flexible, self.plant.rigid_modes
+        gain = damping_gain(self.plant, self.increase)[0, 2 * rigid + 1 :: 2]
+        filters = [band_pass(float(w), self.selectivity) for w in self.plant.frequencies[rigid:]]
+        feedback = np.zeros((2 + n, 1 + 2 * n))
+        feedback[2:, 1 : 1 + n] = np.eye(n)
+        read = np.zeros((2, 1 + 2 * n))
+        read[0, 1 + n :], read[1, 0] = gain, 1
+        return interconnect([observer, *filters], feedback, np.eye(2 + n, 2), read)

@@ -1,0 +1,92 @@
+"""Figures and explorers of the performance during a scan: tracking, and rejection of disturbances."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from experiments.motion.designs import Design, stage_compensator
+from experiments.motion.disturbance import CumulativePower, cumulative_power
+from experiments.motion.machines import published_setpoint, stage, stage_mass
+from experiments.motion.pictures import case_styles
+from stillwork.base.checks import InputError
+from stillwork.control.applications import Application
+from stillwork.control.feedforward import Feedforward, error_loop, tracking_error
+from stillwork.control.loops import closed_loop
+from stillwork.control.pid import PidFamily
+from stillwork.control.setpoint import Setpoint
+from stillwork.lti.peaks import resonance_grid
+from stillwork.signals.moving_average import rms
+from stillwork.workbook import figures
+
+
+def draw_tracking(setpoint: Setpoint, errors: Mapping[str, np.ndarray]):
+    """Tracking errors in nm over the move, one panel a case, with the scaled acceleration and the scan."""
+    figure, axes = figures.new(2, 2, height=4.4, sharex=True, sharey=True)
+    shown = setpoint.time <= setpoint.scan[1]
+    scaled = setpoint.derivatives[2] / np.abs(setpoint.derivatives[2]).max()
+    top = 1e9 * max(np.abs(error).max() for error in errors.values())
+    for axis, (name, error) in zip(axes.ravel(), errors.items(), strict=True):
+        axis.plot(
+            setpoint.time, top * scaled, color=figures.GREY, linewidth=0.8, label="acceleration, scaled"
+        )
+        axis.plot(setpoint.time, 1e9 * error, linewidth=0.9, color=figures.BLUE, label="error")
+        axis.axvspan(*setpoint.scan, color=figures.GREY, alpha=0.12, linewidth=0)
+        axis.set_title(f"{name}: {1e9 * rms(error[setpoint.scanning]):.2f} nm rms in the scan")
+    axes[0, 0].set_xlim(0, setpoint.time[shown][-1] + 0.02)
+    axes[0, 0].legend(loc="upper right", fontsize=7)
+    for axis in axes[:, 0]:
+        axis.set_ylabel("error (nm)")
+    for axis in axes[-1]:
+        axis.set_xlabel("time (s)")
+    return figure
+
+
+def draw_feedforward(acceleration_kg: float, snap: float, bandwidth_hz: float):
+    """Explorer: the error of the loop without observer for given feedforward gains."""
+    setpoint = published_setpoint()
+    controller = PidFamily(stage_mass())(bandwidth_hz).state_space()
+    loop = error_loop(closed_loop(stage().at([0], [4]), None, controller))
+    error = tracking_error(loop, setpoint, Feedforward(acceleration=acceleration_kg, snap=1e-6 * snap))
+    figure, axis = figures.new(1, 1, height=2.8)
+    axis.plot(setpoint.time, 1e9 * error, label="error")
+    axis.axvspan(*setpoint.scan, color=figures.GREY, alpha=0.12, linewidth=0)
+    axis.set_title(f"{1e9 * rms(error[setpoint.scanning]):.1f} nm rms in the scan (grey)")
+    axis.set_xlabel("time (s)")
+    axis.set_ylabel("error (nm)")
+    return figure
+
+
+def draw_cumulative(power: Mapping[str, CumulativePower], low_hz: float = 1.0):
+    """Cumulative power of the measured and of the true error above `low_hz`, nm^2."""
+    from matplotlib.ticker import NullFormatter
+
+    figure, axes = figures.new(1, 2, height=3.2, sharey=True)
+    styles = case_styles(power)
+    for label, each in power.items():
+        style = {"label": label, **styles.get(label, {})}
+        shown = each.omega >= 2 * np.pi * low_hz
+        for axis, values in zip(axes, (each.measured, each.true), strict=True):
+            axis.semilogx(each.omega[shown] / (2 * np.pi), 1e18 * values[shown], **style)
+    for axis, title in zip(axes, ("measured error $e_{meas}$", "true error $e_{true}$"), strict=True):
+        axis.set_title(title)
+        axis.set_xlabel("frequency (Hz)")
+        axis.xaxis.set_minor_formatter(NullFormatter())
+    axes[0].set_ylabel("cumulative power (nm²)")
+    axes[0].legend(loc="upper left")
+    return figure
+
+
+def draw_disturbance(bandwidth_hz: float, process_noise: float, damping: float):
+    """Explorer: cumulative power of the errors at rest without observer and with active damping."""
+    plant, step = stage().at([0], [4]), 1e-4
+    controller = PidFamily(stage_mass())(bandwidth_hz).state_space()
+    designs = {"PID": Design(), "AD": Design(Application(damping=damping, selectivity=2.0))}
+    noise = {"w": process_noise, "v": 1e-9, "d": 1e-9}
+    grid = resonance_grid(plant.poles, 0.01, 0.5 / step, 300, 15)
+    power = {}
+    for name, design in designs.items():
+        loop = closed_loop(plant, stage_compensator(5, design), controller)
+        if not loop.is_stable:
+            raise InputError(f"{name} is unstable at {bandwidth_hz:g} Hz; lower the bandwidth")
+        power[name] = cumulative_power(loop, step, noise, grid)
+    return draw_cumulative(power)

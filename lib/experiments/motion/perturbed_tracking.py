@@ -1,0 +1,102 @@
+"""Tracking of perturbed plants under the published designs: the trial behind Table 5.2 of the observer thesis."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from experiments.motion.designs import DESIGNS, stage_bandwidth, stage_compensator
+from experiments.motion.machines import parameters, published_setpoint, stage, stage_mass
+from stillwork.base.checks import require_number
+from stillwork.control.feedforward import Feedforward, error_loop, fit_feedforward, tracking_error
+from stillwork.control.loops import INPUTS, OUTPUTS, closed_loop
+from stillwork.control.pid import PidFamily
+from stillwork.estimation.uncertainty import draw_errors, perturbed
+from stillwork.lti.discretisation import zoh
+from stillwork.lti.modal import ModalModel
+from stillwork.lti.simulation import simulate
+from stillwork.signals.moving_average import rms
+
+MEASURED = 5  # y5, section 3.1
+# Row and column of Table 5.2, the observer's design and the design that its controller is taken from.
+CASES = {
+    "none": (None, "PID"),
+    "MC": ("MC", "PID"),
+    "AD": ("AD", "PID"),
+    "MC and AD": ("MC and AD", "PID"),
+    "MC, redesigned": ("MC", "MC"),
+    "AD, redesigned": ("AD", "AD"),
+    "MC and AD, redesigned": ("MC and AD", "MC and AD"),
+}
+
+
+@dataclass(frozen=True)
+class PublishedLoops:
+    """Compensators and controllers of all cases, designed once on the nominal stage."""
+
+    plant: ModalModel  # nominal, measured at y5
+    compensators: Mapping[str, object]
+    controllers: Mapping[str, object]
+    design_hz: Mapping[str, float]  # design parameter of each controller
+
+
+def published_loops() -> PublishedLoops:
+    """The designs of Table 3.5: the largest bandwidth that each application allows on the nominal stage."""
+    plant = stage().at([0], [MEASURED - 1])
+    designs = sorted({controller for _, controller in CASES.values()})
+    design_hz = {name: stage_bandwidth(name).design_hz for name in designs}
+    family = PidFamily(stage_mass())
+    compensators, controllers = {}, {}
+    for case, (observer, controller) in CASES.items():
+        compensators[case] = None if observer is None else stage_compensator(MEASURED, DESIGNS[observer])
+        controllers[case] = family(design_hz[controller]).state_space()
+    return PublishedLoops(plant, compensators, controllers, design_hz)
+
+
+def tracking_trial(
+    rng: np.random.Generator,
+    loops: PublishedLoops,
+    size: float,
+    law: str = "ends",
+    rigid: bool = True,
+    retune: bool = True,
+    step: float = 1e-4,
+) -> dict[str, float]:
+    """rms of the true error in the scanning phase (m) of every case, on one perturbed plant.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Draws the plant and the noise; every case sees the same.
+    loops : PublishedLoops
+    size, law, rigid
+        See `uncertainty.draw_errors`; with size 0 only the noise is drawn.
+    retune : bool
+        Fit the feedforward to the perturbed plant without observer, as the data-based tuning would, rather
+        than keep the gains of the nominal plant.
+    step : float
+        Sample time (s); the noise is white from sample to sample and held between them.
+    """
+    require_number("step", step, above=0.0)
+    setpoint = published_setpoint(step)
+    plant = perturbed(loops.plant, draw_errors(rng, loops.plant, size, law, rigid))
+    machine = parameters("stage")["noise"]
+    deviations = [machine["process"], machine["reference"], machine["sensor"]]
+    noise = rng.standard_normal((3, setpoint.derivatives.shape[1])) * np.array(deviations)[:, None]
+    places = [INPUTS.index(name) for name in ("w", "v", "d")]
+    feedforward: Feedforward | None = None
+    found = {}
+    for case in CASES:  # the case without observer comes first: its loop is the one that is tuned
+        loop = closed_loop(plant, loops.compensators[case], loops.controllers[case])
+        if not loop.is_stable:
+            found[case] = np.inf
+            continue
+        if feedforward is None:
+            tuned_on = plant if retune else loops.plant
+            feedforward = fit_feedforward(
+                error_loop(closed_loop(tuned_on, None, loops.controllers[case])), setpoint
+            )
+        error = tracking_error(error_loop(loop), setpoint, feedforward)
+        error = error + simulate(zoh(loop.select(places, [OUTPUTS.index("e_true")]), step), noise)[0]
+        found[case] = rms(error[setpoint.scanning])
+    return found

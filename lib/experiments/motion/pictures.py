@@ -1,0 +1,219 @@
+"""Figures that more than one chapter of the motion room draws."""
+
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+
+from stillwork.base.rounding import in_order
+from stillwork.control.bandwidth import SIX_DB, Loop
+from stillwork.control.loops import channel
+from stillwork.control.pid import Pid
+from stillwork.lti.state_space import StateModel
+from stillwork.workbook import figures
+
+LABELS = {
+    "input_sensitivity": "input sensitivity $S_I$",
+    "output_sensitivity": "output sensitivity $S_O$",
+    "true_tracking": r"$r$ to $e_{true}$",
+}
+
+# One colour a use of the observer, in every figure.
+CASES = {
+    "PID": figures.BLACK,
+    "PID with notches": figures.BLACK,
+    "no observer": figures.BLACK,
+    "original": figures.BLACK,
+    "plant": figures.BLACK,
+    "plant $P$": figures.BLACK,
+    "MC": figures.BLUE,
+    "compensated $P_{eq}$": figures.BLUE,
+    "AD": figures.GREEN,
+    "MC and AD": figures.RED,
+}
+
+
+def case_styles(labels: Iterable[str]) -> dict[str, dict]:
+    """Line options by label where every label names a case, dashed for a redesigned controller; else none."""
+    styles = {}
+    for label in labels:
+        name, _, controller = label.removeprefix("with ").partition(", ")
+        if name not in CASES or controller not in ("", "original", "redesigned"):
+            return {}
+        styles[label] = {"color": CASES[name], "linestyle": "--" if controller == "redesigned" else "-"}
+    return styles
+
+
+def decibel(response) -> np.ndarray:
+    """Magnitude in dB."""
+    return 20 * np.log10(np.abs(response))
+
+
+def bode(
+    curves: Mapping[str, tuple[np.ndarray, np.ndarray]],
+    quantity: str,
+    *,
+    phase: bool = False,
+    styles: Mapping[str, dict] | None = None,
+    height: float | None = None,
+):
+    """Magnitude (and phase) of single responses on one pair of axes.
+
+    Parameters
+    ----------
+    curves : mapping
+        Label to (omega in rad/s, complex response).
+    quantity : str
+        Label of the magnitude axis, with its unit.
+    phase : bool
+        Add a panel with the phase.
+    styles : mapping, optional
+        Label to line options; by default those of `case_styles`.
+    height : float, optional
+        Inches.
+
+    Returns
+    -------
+    figure, axes
+        The axes as an array of one or two.
+    """
+    from matplotlib.ticker import MultipleLocator
+
+    figure, axes = figures.new(1 + phase, 1, height=height, sharex=True, squeeze=False)
+    axes = axes[:, 0]
+    styles = case_styles(curves) if styles is None else styles
+    for label, (omega, response) in curves.items():
+        style = styles.get(label, {})
+        hertz = np.asarray(omega) / (2 * np.pi)
+        axes[0].semilogx(hertz, decibel(response), label=label, **style)
+        if phase:
+            angle = np.degrees(np.unwrap(np.angle(response)))
+            angle -= 360 * np.ceil(angle[0] / 360 - 1e-6)  # start between -360 and 0 degrees
+            axes[1].semilogx(hertz, angle, label=label, **style)
+    axes[0].set_ylabel(quantity)
+    if phase:
+        axes[1].set_ylabel("phase (deg)")
+        axes[1].yaxis.set_major_locator(MultipleLocator(180))
+    axes[-1].set_xlabel("frequency (Hz)")
+    axes[0].legend()
+    return figure, axes
+
+
+def over_masses(
+    panels: Mapping[str, tuple[Sequence[Loop], Pid, str]],
+    *,
+    limit: float = SIX_DB,
+    low_hz: float = 1.0,
+    high_hz: float = 2e3,
+    label: str = "mass",
+):
+    """One loop function of every measured mass, one panel a case, with the allowed peak.
+
+    Parameters
+    ----------
+    panels : mapping
+        Title to (loops, controller, name of the loop function).
+    """
+    figure, axes = figures.new(1, len(panels), height=3.2, sharey=True, squeeze=False)
+    for axis, (title, (loops, controller, function)) in zip(axes[0], panels.items(), strict=True):
+        for number, loop in enumerate(loops, 1):
+            hertz = loop.omega / (2 * np.pi)
+            shown = (hertz >= low_hz) & (hertz <= high_hz)
+            response = getattr(loop.at(controller), function)
+            axis.semilogx(hertz[shown], decibel(response)[shown], label=f"{label} {number}", linewidth=1.0)
+        axis.axhline(20 * np.log10(limit), color=figures.BLACK, linestyle=":", linewidth=1.0)
+        axis.set_title(title)
+        axis.set_xlabel("frequency (Hz)")
+        axis.set_ylim(-50, 15)
+    axes[0, 0].set_ylabel("magnitude (dB)")
+    axes[0, 0].legend(ncols=2, loc="lower right", fontsize=7)
+    return figure
+
+
+def rejections(
+    cases: Mapping[str, StateModel], omega: np.ndarray, sources: Sequence[str] = ("u_ff", "w", "v", "d")
+):
+    """Transfers from each disturbance to the true error for several closed loops, one panel a disturbance.
+
+    Parameters
+    ----------
+    cases : mapping
+        Label to a single `closed_loop`.
+    omega : ndarray
+        rad/s.
+    sources : sequence of str
+        Inputs of `closed_loop`.
+    """
+    from matplotlib.ticker import NullFormatter
+
+    rows = (len(sources) + 1) // 2
+    figure, axes = figures.new(rows, 2, sharex=True, squeeze=False)
+    colours = case_styles(cases)
+    names = {"u_ff": "$u_{ff}$", "w": "$w$", "v": "$v$", "d": "$d$", "r": "$r$"}
+    for axis, source in zip(axes.ravel(), sources, strict=False):
+        for number, (label, loop) in enumerate(cases.items()):
+            response = channel(loop, source, "e_true").frequency_response(omega)[0, 0]
+            # The differences are local: the first case lies broad and grey below the others.
+            style = {"color": figures.GREY, "linewidth": 2.5} if number == 0 else {"linewidth": 1.0}
+            style |= {"linestyle": "--" if number > 1 else "-"}
+            style |= {"color": colours[label]["color"]} if number and colours else {}
+            axis.semilogx(omega / (2 * np.pi), decibel(response), label=label, **style)
+        axis.set_title(f"{names[source]} to $e_{{true}}$")
+        axis.set_ylabel("magnitude (dB re 1 m/N)" if source in ("u_ff", "w") else "magnitude (dB)")
+    for axis in axes[-1]:
+        axis.set_xlabel("frequency (Hz)")
+        axis.xaxis.set_minor_formatter(NullFormatter())
+    for axis in axes.ravel()[len(sources) :]:
+        axis.set_axis_off()
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=len(cases))
+    return figure
+
+
+def controllers(cases: Mapping[str, tuple[Loop, Pid]], omega: np.ndarray):
+    """Equivalent controllers of several loops, from r and from y to the plant input, with their phase."""
+    figure, axes = figures.new(2, 2, sharex=True, sharey="row", height=4.6)
+    styles = case_styles(cases)
+    for label, (loop, controller) in cases.items():
+        style = {"label": label, **styles.get(label, {})}
+        response = loop.at(controller, omega)
+        for column, c in enumerate((response.reference_controller, response.output_controller)):
+            axes[0, column].semilogx(omega / (2 * np.pi), decibel(c), **style)
+            phase = np.degrees(np.unwrap(np.angle(c)))
+            axes[1, column].semilogx(omega / (2 * np.pi), phase - 360 * np.round(phase[0] / 360), **style)
+    for axis, title in zip(axes[0], ("from $r$", "from $y$ (sign turned)"), strict=True):
+        axis.set_title(title)
+    axes[0, 0].set_ylabel("magnitude (dB re 1 N/m)")
+    axes[1, 0].set_ylabel("phase (deg)")
+    for axis in axes[1]:
+        axis.set_xlabel("frequency (Hz)")
+    axes[0, 0].legend(loc="best", fontsize=7)
+    return figure
+
+
+def pole_zero(systems: Mapping[str, StateModel], quantity: str = "magnitude (dB re 1 m/N)"):
+    """Poles and zeros in the upper half-plane beside the magnitude, for systems with a few modes."""
+    figure, axes = figures.new(1, 2, height=3.2)
+    colours = [figures.BLUE, figures.GREEN, figures.RED]
+    top = max(np.abs(system.poles).max() for system in systems.values())
+    omega = np.geomspace(top / 30, top * 2, 1500)
+    for colour, (label, system) in zip(colours, systems.items(), strict=True):
+        for kind, marker, values in (("poles", "x", system.poles), ("zeros", "o", system.zeros)):
+            values = top * in_order(values / top)
+            upper = values[(values.imag >= -1e-6) & (np.abs(values) < 3 * top)]
+            axes[0].plot(
+                upper.real,
+                upper.imag / (2 * np.pi),
+                marker,
+                color=colour,
+                markerfacecolor="none",
+                label=f"{label}, {kind}",
+            )
+        axes[1].semilogx(
+            omega / (2 * np.pi), decibel(system.frequency_response(omega)[0, 0]), color=colour, label=label
+        )
+    axes[0].set_xlabel("real part (1/s)")
+    axes[0].set_ylabel("imaginary part (Hz)")
+    axes[0].legend(fontsize=7)
+    axes[1].set_xlabel("frequency (Hz)")
+    axes[1].set_ylabel(quantity)
+    axes[1].legend(fontsize=7)
+    return figure

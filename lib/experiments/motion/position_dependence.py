@@ -1,0 +1,180 @@
+"""Machines, observers and loops as functions of position (section 4.2): the sensor or the actuator moves."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import ArrayLike
+
+from experiments.motion.designs import COMPENSATED, RETAINED, Design
+from experiments.motion.machines import published_noise, stage
+from experiments.motion.positions import shapes_along
+from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
+from stillwork.control.applications import compensator
+from stillwork.control.bandwidth import Loop, make_loop
+from stillwork.control.discrete_damping import discrete_damping_gain
+from stillwork.estimation.observer import NoiseIntensities, Observer, kalman_observer
+from stillwork.estimation.scheduled import GainTable
+from stillwork.lti.modal import ModalModel
+from stillwork.lti.reduction import truncate
+from stillwork.lti.state_space import StateModel, interconnect
+
+MOVING = ("sensor", "actuator")
+
+
+def stage_grid(spacing: float = 0.05) -> Float64[np.ndarray, " masses"]:
+    """Places of the masses of the stage (m); their distance is not published."""
+    return require_number("spacing", spacing, above=0.0) * np.arange(len(stage().output_shapes))
+
+
+def at_place(plant: ModalModel, grid: ArrayLike, place: float, moves: str = "sensor") -> ModalModel:
+    """The machine with its sensor, or its actuator, at one place of the structure.
+
+    Parameters
+    ----------
+    plant : ModalModel
+        One input, one output a grid point, without feedthrough.
+    grid : array_like, shape (outputs,)
+        Where the outputs sit (m), ascending; mode shapes between them are splines.
+    place : float
+        m.
+    moves : str
+        ``sensor``: output position dependence, the force stays where it is. ``actuator``: input position
+        dependence, the force acts at `place` and the position is measured where the plant's own force acts.
+    """
+    require_choice("moves", moves, MOVING)
+    if plant.input_shapes.shape[1] != 1 or np.any(plant.feedthrough):
+        raise InputError("plant must have one input and no feedthrough; reduce it after it is placed")
+    shape = shapes_along(plant, grid, [require_number("place", place)])
+    ends = (plant.input_shapes, shape) if moves == "sensor" else (shape.T, plant.input_shapes.T)
+    return replace(plant, input_shapes=ends[0], output_shapes=ends[1], feedthrough=np.zeros((1, 1)))
+
+
+def nodes(plant: ModalModel, grid: ArrayLike, mode: int) -> Float64[np.ndarray, " nodes"]:
+    """Places (m) where a mode shape is zero: a sensor there does not see it, an actuator does not move it."""
+    from scipy.interpolate import CubicSpline
+
+    if require_count("mode", mode, at_least=0) >= len(plant.frequencies):
+        raise InputError(f"mode is {mode}; the plant has modes 0 to {len(plant.frequencies) - 1}")
+    grid = require_array("grid", grid, shape=(len(plant.output_shapes),))
+    return CubicSpline(grid, plant.output_shapes[:, mode]).roots(extrapolate=False)
+
+
+def require_seen(plant: ModalModel, grid: ArrayLike, places: ArrayLike, modes: Sequence[int]) -> None:
+    """Refuse a trajectory of the sensor on which one of `modes` is not observable at some sample.
+
+    A stable mode may be lost for a while (the system stays detectable); a rigid-body mode may not.
+
+    Raises
+    ------
+    InputError
+        Naming the mode and the first place.
+    """
+    places = require_array("places", places, ndim=1)
+    shapes = shapes_along(plant, grid, places)
+    for mode in modes:
+        lost = np.abs(shapes[:, mode]) < 1e-6 * np.abs(plant.output_shapes[:, mode]).max()
+        crossed = np.append(shapes[1:, mode] * shapes[:-1, mode] < 0, False)
+        if np.any(lost | crossed):
+            place = places[np.argmax(lost | crossed)]
+            raise InputError(
+                f"mode {mode} is not observable at {place:.4g} m of the trajectory; add a sensor or leave that "
+                "place out"
+            )
+
+
+def observer_at(
+    plant: ModalModel,
+    grid: ArrayLike,
+    place: float,
+    noise: NoiseIntensities | None = None,
+    noise_model: float | None = None,
+    moves: str = "sensor",
+) -> Observer:
+    """Stationary observer for one place: matrices, compliance and gain of (4.6) belong to it."""
+    reduced = truncate(at_place(plant, grid, place, moves), RETAINED, COMPENSATED)
+    return kalman_observer(reduced, noise or published_noise(), noise_model)
+
+
+def place_loops(
+    plant: ModalModel,
+    grid: ArrayLike,
+    places: ArrayLike,
+    design: Design,
+    noise: NoiseIntensities | None = None,
+    moves: str = "sensor",
+    **response_grid,
+) -> list[Loop]:
+    """One loop a place, with the observer of that place; `response_grid` goes to `make_loop`."""
+    loops = []
+    for place in require_array("places", places, ndim=1):
+        block = None
+        if design.application is not None:
+            observer = observer_at(plant, grid, float(place), noise, design.noise_model, moves)
+            block = compensator(observer, design.application)
+        loops.append(make_loop(at_place(plant, grid, float(place), moves), block, **response_grid))
+    return loops
+
+
+def equivalent_controller(block: StateModel, controller: StateModel) -> StateModel:
+    """Equivalent controller (4.10): the loop opened at the plant, from (r, y) to the plant input f.
+
+    Parameters
+    ----------
+    block : StateModel
+        Compensator, from (f, y) to (u_d, y_flex); in discrete time when the controller is.
+    controller : StateModel
+        Feedback controller, from the error to u.
+    """
+    m, p = controller.d.shape
+    if block.d.shape != (m + p, m + p):
+        raise InputError(f"block has shape {block.d.shape}; the controller asks for {(m + p, m + p)}")
+    im, ip, none = np.eye(m), np.eye(p), np.zeros
+    # Stacked outputs: u_d, y_flex, u. Stacked inputs: f, y, e = r - y + y_flex.
+    feedback = np.block([[im, none((m, p)), im], [none((p, 2 * m + p))], [none((p, m)), ip, none((p, m))]])
+    external = np.block([[none((m, 2 * p))], [none((p, p)), ip], [ip, -ip]])
+    return interconnect([block, controller], feedback, external, np.hstack([im, none((m, p)), im]))
+
+
+def damping_along(
+    plant: ModalModel, grid: ArrayLike, places: ArrayLike, increase: float | ArrayLike, step: float
+) -> Float64[np.ndarray, "places 1 states"]:
+    """Discrete damping gains (4.3) of an actuator that moves along the structure, solved at every place.
+
+    Raises
+    ------
+    InputError
+        Naming the place, when the actuator sits on a node of a retained mode there: no gain damps that mode.
+    """
+    gains = []
+    for place in require_array("places", places, ndim=1):
+        try:
+            model = at_place(plant, grid, float(place), "actuator").modes(slice(0, RETAINED))
+            gains.append(discrete_damping_gain(model, increase, step))
+        except InputError as error:
+            raise InputError(f"at {place:g} m: {error}") from None
+    return np.array(gains)
+
+
+def damping_table(
+    plant: ModalModel, grid: ArrayLike, places: ArrayLike, increase: float | ArrayLike, step: float
+) -> GainTable:
+    """The same gains computed beforehand on a grid of places, for linear interpolation.
+
+    Raises
+    ------
+    InputError
+        As `damping_along`, and when a node lies between two places of the grid, where the gain has a pole.
+    """
+    places = require_array("places", places, ndim=1)
+    if len(places) < 2 or np.any(np.diff(places) <= 0):
+        raise InputError("places must hold at least two places in ascending order")
+    for mode in range(plant.rigid_modes, RETAINED):
+        inside = [n for n in nodes(plant, grid, mode) if places[0] <= n <= places[-1]]
+        if inside:
+            raise InputError(
+                f"places pass a node of mode {mode} at {inside[0]:.4g} m, where its damping gain is infinite; "
+                "end the table before it"
+            )
+    return GainTable(places, damping_along(plant, grid, places, increase, step))

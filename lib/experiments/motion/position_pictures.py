@@ -1,0 +1,267 @@
+"""Figures of the position-dependent observers (section 4.2), one line a place, coloured along the structure."""
+
+from collections.abc import Mapping, Sequence
+from functools import cache
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from experiments.motion.designs import Design
+from experiments.motion.location_study import LocationStudy, location_loops, stage_error, study_locations
+from experiments.motion.machines import published_setpoint, stage, stage_mass
+from experiments.motion.pictures import LABELS, case_styles, decibel
+from experiments.motion.position_dependence import place_loops, stage_grid
+from stillwork.control.applications import Application
+from stillwork.control.bandwidth import SIX_DB, Loop
+from stillwork.control.ideal_feedforward import Force
+from stillwork.control.pid import Pid, PidFamily
+from stillwork.control.setpoint import Setpoint
+from stillwork.lti.peaks import resonance_grid
+from stillwork.workbook import figures
+
+
+def colours(count: int) -> list[str]:
+    """Colours from dark to light along the structure."""
+    from matplotlib import colormaps
+    from matplotlib.colors import to_hex
+
+    return [to_hex(colormaps["viridis"](0.92 * k / max(count - 1, 1))) for k in range(count)]
+
+
+def _frequencies(loops: Sequence[Loop], low_hz: float, high_hz: float) -> np.ndarray:
+    """One grid for all places, dense at the poles of plants and compensators, as far as a picture shows."""
+    poles = np.concatenate([loops[0].plant.poles, *(loop.compensator.poles for loop in loops[::3])])
+    return resonance_grid(poles, low_hz, high_hz, 250, 6)
+
+
+def sensitivities(
+    loops: Mapping[float, Loop],
+    controller: Pid,
+    functions: Sequence[str] = ("input_sensitivity", "output_sensitivity"),
+    low_hz: float = 10.0,
+    high_hz: float = 2e3,
+):
+    """Loop functions with one controller, a line a place (m), and the allowed 6 dB."""
+    figure, axes = figures.new(1, len(functions), height=3.4, sharey=True, squeeze=False)
+    omega = _frequencies(list(loops.values()), low_hz, high_hz)
+    for axis, function in zip(axes[0], functions, strict=True):
+        for colour, (place, loop) in zip(colours(len(loops)), loops.items(), strict=True):
+            response = getattr(loop.at(controller, omega), function)
+            axis.semilogx(
+                omega / (2 * np.pi), decibel(response), color=colour, linewidth=1.0, label=f"{place:g} m"
+            )
+        axis.axhline(20 * np.log10(SIX_DB), color=figures.BLACK, linestyle=":", linewidth=1.0)
+        axis.set_title(LABELS[function])
+        axis.set_xlabel("frequency (Hz)")
+        axis.set_ylim(-15, 12)
+    axes[0, 0].set_ylabel("magnitude (dB)")
+    axes[0, 0].legend(ncols=2, loc="lower right", fontsize=7)
+    return figure
+
+
+def equivalent_controllers(
+    loops: Mapping[float, Loop], controller: Pid, low_hz: float = 1.0, high_hz: float = 3e3
+):
+    """Equivalent controllers from r and from y to the plant input, a line a place (m), beside the controller."""
+    figure, axes = figures.new(1, 2, height=3.4, sharey=True)
+    omega = _frequencies(list(loops.values()), low_hz, high_hz)
+    hertz = omega / (2 * np.pi)
+    original = decibel(controller.frequency_response(omega))
+    for axis in axes:
+        axis.semilogx(hertz, original, color=figures.GREY, linewidth=2.5, label="controller")
+    for colour, (place, loop) in zip(colours(len(loops)), loops.items(), strict=True):
+        response = loop.at(controller, omega)
+        for axis, c in zip(axes, (response.reference_controller, response.output_controller), strict=True):
+            axis.semilogx(hertz, decibel(c), color=colour, linewidth=1.0, label=f"{place:g} m")
+    for axis, title in zip(axes, ("$r$ to $f$", "$y$ to $f$"), strict=True):
+        axis.set_title(title)
+        axis.set_xlabel("frequency (Hz)")
+    axes[0].set_ylabel("magnitude (dB re 1 N/m)")
+    axes[0].legend(ncols=2, fontsize=7)
+    return figure
+
+
+def observers(loops: Mapping[float, Loop], low_hz: float = 1.0, high_hz: float = 3e3):
+    """Observers from u and from y to the damping force and to the estimated deformation, a line a place (Fig. 4.2)."""
+    figure, axes = figures.new(2, 2, height=5.0, sharex=True)
+    omega = _frequencies(list(loops.values()), low_hz, high_hz)
+    titles = (
+        ("$u$ to $u_d$", "$y$ to $u_d$"),
+        (r"$u$ to $\hat y_{flex}$", r"$y$ to $\hat y_{flex}$"),
+    )
+    units = (("dB re 1 N/N", "dB re 1 N/m"), ("dB re 1 m/N", "dB re 1 m/m"))
+    for colour, (place, loop) in zip(colours(len(loops)), loops.items(), strict=True):
+        response = loop.compensator.frequency_response(omega)
+        for row in (0, 1):
+            for column in (0, 1):
+                axes[row, column].semilogx(
+                    omega / (2 * np.pi),
+                    decibel(response[row, column]),
+                    color=colour,
+                    linewidth=1.0,
+                    label=f"{place:g} m",
+                )
+    for row in (0, 1):
+        for column in (0, 1):
+            axes[row, column].set_title(titles[row][column])
+            axes[row, column].set_ylabel(f"magnitude ({units[row][column]})")
+    for axis in axes[1]:
+        axis.set_xlabel("frequency (Hz)")
+    axes[0, 0].legend(ncols=2, fontsize=7)
+    return figure
+
+
+def location_errors(study: LocationStudy, panels: Mapping[str, str]):
+    """Tracking errors at all places, a panel a case: the band they fill in half a millisecond, and three of them (Figs 4.10, 4.11).
+
+    Parameters
+    ----------
+    study : LocationStudy
+    panels : mapping
+        Title to the name of a case.
+    """
+    figure, axes = figures.new(2, 2, height=4.6, sharex=True, sharey=True)
+    time = study.setpoint.time
+    starts = np.arange(0, len(time), max(round(5e-4 / study.setpoint.step), 1))  # a pixel of the picture each
+    for axis, (title, case) in zip(axes.ravel(), panels.items(), strict=True):
+        errors, size = 1e9 * study.errors[case], study.rms(case)
+        low, high = (
+            extreme.reduceat(extreme.reduce(errors, axis=0), starts) for extreme in (np.minimum, np.maximum)
+        )
+        axis.fill_between(time[starts], low, high, color=figures.GREY, alpha=0.35, linewidth=0)
+        order = np.argsort(size)
+        chosen = {"largest": order[-1], "middle": order[len(order) // 2], "smallest": order[0]}
+        for (name, k), colour in zip(chosen.items(), (figures.RED, figures.BLUE, figures.GREEN), strict=True):
+            axis.plot(time, errors[k], color=colour, linewidth=0.5, label=f"{name} rms")
+        for edge in (study.setpoint.acceleration_end, study.setpoint.scan[1]):
+            axis.axvline(edge, color=figures.BLACK, linewidth=0.8)
+        axis.set_title(f"{title}: {1e9 * size.min():.1f} to {1e9 * size.max():.1f} nm rms")
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=7)
+    for axis in axes[:, 0]:
+        axis.set_ylabel("error (nm)")
+    for axis in axes[-1]:
+        axis.set_xlabel("time (s)")
+    return figure
+
+
+def rms_along(study: LocationStudy, cases: Sequence[str]):
+    """Rms error in the scan over the place; dashed with a redesigned controller."""
+    figure, axis = figures.new(1, 1, height=3.2)
+    styles = case_styles(cases)
+    for case in cases:
+        axis.semilogy(study.places, 1e9 * study.rms(case), label=case, linewidth=1.2, **styles.get(case, {}))
+    axis.set_xlabel("place of the sensor (m)")
+    axis.set_ylabel("rms error in the scan (nm)")
+    axis.legend(ncols=3, fontsize=7, loc="upper center")
+    return figure
+
+
+def table_of_ranges(
+    names: Sequence[str],
+    whole: Mapping[str, np.ndarray],
+    spread: Mapping[str, np.ndarray],
+    published: Mapping[str, ArrayLike],
+):
+    """Smallest, mean and largest rms error of every case, their spread over the ranges, and the published values.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Cases, from left to right.
+    whole : mapping of str to ndarray, shape (3,)
+        nm, over all of the structure.
+    spread : mapping of str to ndarray, shape (ranges, 3)
+        nm.
+    published : mapping of str to array_like, shape (3,)
+        nm.
+    """
+    figure, axis = figures.new(1, 1, height=3.4)
+    parts = (("smallest", -0.22, figures.GREEN), ("mean", 0.0, figures.BLUE), ("largest", 0.22, figures.RED))
+    for k, (part, offset, colour) in enumerate(parts):
+        place = np.arange(len(names)) + offset
+        low, high = (np.array([f(spread[n][:, k]) for n in names]) for f in (np.min, np.max))
+        middle = np.array([whole[n][k] for n in names])
+        axis.vlines(place, low, high, color=colour, linewidth=4, alpha=0.4, label=f"{part}, over the ranges")
+        axis.plot(place, middle, "_", color=colour, markersize=9, label=f"{part}, whole structure")
+        figures.mark_published(
+            axis,
+            place,
+            [np.asarray(published[n])[k] for n in names],
+            label="published" if k == 0 else None,
+        )
+    axis.set_yscale("log")
+    axis.set_xticks(np.arange(len(names)), [n.replace(", ", ",\n") for n in names], fontsize=7)
+    axis.set_ylabel("rms error in the scan (nm)")
+    axis.set_ylim(0.3, None)
+    axis.legend(ncols=3, fontsize=7, loc="lower left")
+    return figure
+
+
+def draw_place(place: float, damping: float, compensate: str, noise_exponent: float, bandwidth_hz: float):
+    """Explorer: equivalent controller and output sensitivity with the sensor at one place of the stage."""
+    from matplotlib.ticker import NullLocator
+
+    application = Application(compensate == "yes", damping)
+    design = Design(application if damping or compensate == "yes" else None, 10.0**noise_exponent)
+    plant = stage()
+    loop = place_loops(plant, stage_grid(), [place], design, points=150, around=6)[0]
+    controller = PidFamily(stage_mass())(bandwidth_hz)
+    shown = (loop.omega > 2 * np.pi * 5) & (loop.omega < 2 * np.pi * 3e3)
+    omega = loop.omega[shown]
+    response = loop.at(controller, omega)
+    figure, (left, right) = figures.new(1, 2, height=3.0)
+    hertz = omega / (2 * np.pi)
+    left.semilogx(
+        hertz,
+        decibel(controller.frequency_response(omega)),
+        color=figures.GREY,
+        linewidth=2.5,
+        label="controller",
+    )
+    left.semilogx(hertz, decibel(response.output_controller), label="equivalent, y to f")
+    left.set_ylabel("magnitude (dB re 1 N/m)")
+    left.legend(fontsize=7)
+    stable = bool(np.all(loop.poles(controller).real < 0))
+    right.semilogx(hertz, decibel(response.input_sensitivity), label="input sensitivity")
+    right.semilogx(hertz, decibel(response.output_sensitivity), label="output sensitivity")
+    right.axhline(20 * np.log10(SIX_DB), color=figures.BLACK, linestyle=":", linewidth=1.0)
+    right.set_ylim(-20, 15)
+    right.set_ylabel("magnitude (dB)")
+    right.set_title("stable" if stable else "unstable")
+    right.legend(fontsize=7)
+    for axis in (left, right):
+        axis.set_xlabel("frequency (Hz)")
+        axis.xaxis.set_minor_locator(NullLocator())
+    # The automatic layout, small ticks and formulas would take longer than the drawing.
+    figure.set_layout_engine(None)
+    figure.subplots_adjust(0.09, 0.16, 0.985, 0.91, wspace=0.2)
+    return figure
+
+
+@cache
+def _explored() -> tuple[Setpoint, Force]:
+    setpoint = published_setpoint(2e-4)
+    return setpoint, stage_error(setpoint, PidFamily(stage_mass())(35.6))
+
+
+def draw_location(place: float, damping: float, compensate: str, bandwidth_hz: float):
+    """Explorer: the tracking error at one place under the feedforward error, bare and with an observer."""
+    setpoint, force = _explored()
+    controller = PidFamily(stage_mass())(bandwidth_hz)
+    application = Application(compensate == "yes", damping, selectivity=2.0 if damping else None)
+    used = damping > 0 or compensate == "yes"
+    cases = {"no observer": (Design(), controller)}
+    if used:
+        cases["observer"] = (Design(application, 0.03), controller)
+    study = study_locations(location_loops(stage(), stage_grid(), [place], cases), force, setpoint)
+    figure, axis = figures.new(1, 1, height=2.8)
+    for name in cases:
+        label = f"{name}: {1e9 * study.rms(name)[0]:.2f} nm rms in the scan"
+        axis.plot(setpoint.time, 1e9 * study.errors[name][0], linewidth=0.9, label=label)
+    for edge in (setpoint.acceleration_end, setpoint.scan[1]):
+        axis.axvline(edge, color=figures.BLACK, linewidth=0.8)
+    axis.set_xlabel("time (s)")
+    axis.set_ylabel("error (nm)")
+    axis.legend(fontsize=7)
+    return figure

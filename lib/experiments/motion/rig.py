@@ -1,0 +1,184 @@
+"""The over-actuated test rig of chapter 6: published modes on a free plate that stands in for the machine."""
+
+import tomllib
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from jaxtyping import Float64
+
+from experiments.motion.plate import plate_modes
+from stillwork.base import paths
+from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.control.decoupling import Decoupling
+from stillwork.lti.modal import ModalModel
+
+CORNERS = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]], dtype=float)  # signs of (x, y), counter-clockwise
+DIRECTIONS = ("z", "rx", "ry")
+POSITIONS = tuple(tuple(k for k in range(4) if k != out) for out in range(4))  # sensors in use, section 6.1
+
+
+@cache
+def _file() -> dict:
+    return tomllib.loads(paths.data("motion", "rig.toml").read_text(encoding="utf-8"))
+
+
+def published() -> dict:
+    """What chapter 6 prints: frequencies, damping, noise, sample rate (SI units, Hz where the name says so)."""
+    return _file()["published"]
+
+
+def assumed() -> dict:
+    """What chapter 6 leaves open, as it is assumed here."""
+    return _file()["assumed"]
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """A free plate with four actuators near its corners and four sensors, all placed alike in both axes."""
+
+    length: float  # m, along x
+    width: float  # m, along y
+    mass: float  # kg
+    poisson: float
+    actuators: float  # distance from the centre over half a side, both axes
+    sensors: tuple[float, float]  # the same along x and along y
+    left_out: int = 3  # corner without an actuator in the experiments
+
+    def __post_init__(self):
+        for name in ("length", "width", "mass"):
+            require_number(name, getattr(self, name), above=0.0)
+        require_number("actuators", self.actuators, above=0.0, at_most=1.0)
+        for place in require_array("sensors", self.sensors, shape=(2,)):
+            require_number("sensors", place, above=0.0, at_most=1.0)
+        if self.left_out not in range(4):
+            raise InputError(f"left_out is {self.left_out!r}; give the number of a corner, 0 to 3")
+
+    @property
+    def half(self) -> Float64[np.ndarray, "2"]:
+        """Half the sides (m)."""
+        return np.array([self.length, self.width]) / 2
+
+    @property
+    def actuator_places(self) -> Float64[np.ndarray, "4 2"]:
+        """x and y of the four actuators (m)."""
+        return CORNERS * self.actuators * self.half
+
+    @property
+    def sensor_places(self) -> Float64[np.ndarray, "4 2"]:
+        """x and y of the four sensors (m)."""
+        return CORNERS * np.array(self.sensors) * self.half
+
+    @property
+    def used(self) -> tuple[int, ...]:
+        """The three actuators of the experiments."""
+        return tuple(k for k in range(4) if k != self.left_out)
+
+    @property
+    def inertia(self) -> Float64[np.ndarray, "3"]:
+        """Mass (kg) and moments of inertia about x and y (kg m^2) of a uniform plate."""
+        return self.mass * np.array([1, self.width**2 / 12, self.length**2 / 12])
+
+    @property
+    def edges(self) -> Float64[np.ndarray, "3"]:
+        """Scales that turn (z, rx, ry) into motions of the edges in m: 1, half the width, half the length."""
+        return np.array([1, self.half[1], self.half[0]])
+
+
+def assumed_geometry() -> Geometry:
+    """The geometry of ``data/motion/rig.toml``."""
+    a = assumed()
+    names = ("length", "width", "mass", "poisson", "actuators", "left_out")
+    return Geometry(**{name: a[name] for name in names}, sensors=tuple(a["sensors"]))
+
+
+def rigid_shapes(places: Float64[np.ndarray, "points 2"]) -> Float64[np.ndarray, "points 3"]:
+    """Height at points of a rigid plate for unit (z, rx, ry): 1, y, -x."""
+    x, y = places.T
+    return np.stack([np.ones_like(x), y, -x], axis=1)
+
+
+def rig_model(geometry: Geometry, higher_modes: int | None = None) -> ModalModel:
+    """The plate with all four actuators and sensors: force (N) to height (m).
+
+    The shapes of the first eight flexible modes are the plate's, in the order of its frequencies; their
+    frequencies and damping are those of Table 6.1. The plate's next modes follow in the plate's own proportion
+    to the eighth, with the damping of the eighth.
+
+    Parameters
+    ----------
+    geometry : Geometry
+    higher_modes : int, optional
+        Modes above the eight of the table.
+    """
+    p = published()
+    table = 2 * np.pi * np.array(p["frequencies_hz"])
+    known = len(table)
+    more = assumed()["higher_modes"] if higher_modes is None else higher_modes
+    plate = plate_modes(geometry.width / geometry.length, geometry.poisson, known + more)
+    omega = np.concatenate([table, table[-1] * plate.parameters[known:] / plate.parameters[known - 1]])
+    damping = np.concatenate([p["damping"], np.full(more, p["damping"][-1])])
+    at = {}
+    for name, places in (("actuators", geometry.actuator_places), ("sensors", geometry.sensor_places)):
+        flexible = plate.shapes(*(places / geometry.half).T) / np.sqrt(geometry.mass)
+        at[name] = np.hstack([rigid_shapes(places) / np.sqrt(geometry.inertia), flexible])
+    return ModalModel(
+        np.concatenate([np.zeros(3), omega]),
+        np.concatenate([np.zeros(3), damping]),
+        at["actuators"].T,
+        at["sensors"],
+        np.zeros((4, 4)),
+    )
+
+
+def decoupling(geometry: Geometry, actuators: tuple[int, ...], sensors: tuple[int, ...]) -> Decoupling:
+    """Rigid-body decoupling (4.12): pseudo-inverses of the rigid shapes at actuators and sensors.
+
+    The directions are scaled to motions of the edges, all in m: u and q hold z, and rx and ry times half the
+    width and half the length. So singular values over directions compare like with like.
+
+    Raises
+    ------
+    InputError
+        When fewer than three places are given, or they stand in line.
+    """
+    matrices = []
+    for name, places, chosen in (
+        ("actuators", geometry.actuator_places, actuators),
+        ("sensors", geometry.sensor_places, sensors),
+    ):
+        shapes = rigid_shapes(places[list(chosen)]) / geometry.edges
+        if len(shapes) < 3 or np.linalg.cond(shapes) > 1e6:
+            raise InputError(
+                f"{name} {chosen} do not see all of z, rx and ry; use three that are not in line"
+            )
+        matrices.append(np.linalg.pinv(shapes))
+    return Decoupling(matrices[0].T, matrices[1])
+
+
+def scaled_inertia(geometry: Geometry) -> Float64[np.ndarray, "3"]:
+    """Mass that each scaled direction feels (kg): M, M/3 and M/3 for a uniform plate."""
+    return geometry.inertia / geometry.edges**2
+
+
+def detuned(model: ModalModel, errors: Float64[np.ndarray, " flexible"]) -> ModalModel:
+    """The model with its flexible frequencies off by these relative errors."""
+    factors = np.ones(len(model.frequencies))
+    factors[model.rigid_modes :] += require_array("errors", errors, shape=(len(factors) - model.rigid_modes,))
+    if np.any(factors <= 0):
+        raise InputError("errors must be above -1; a frequency cannot become negative")
+    frequencies = model.frequencies * factors
+    order = np.argsort(frequencies, kind="stable")  # an error may let two modes change places
+    return ModalModel(
+        frequencies[order],
+        model.damping[order],
+        model.input_shapes[order],
+        model.output_shapes[:, order],
+        model.feedthrough,
+    )
+
+
+def excitation(geometry: Geometry, actuators: tuple[int, ...]) -> Float64[np.ndarray, "flexible 3"]:
+    """What a unit command along each direction puts into the eight published modes (1/sqrt(kg))."""
+    shapes = rig_model(geometry, higher_modes=0).input_shapes[3:, list(actuators)]
+    return shapes @ decoupling(geometry, actuators, (0, 1, 2)).actuation

@@ -1,0 +1,193 @@
+"""Discrete control of the rig: PID, observer in predictor form, measurement compensation and active damping."""
+
+import warnings
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Complex128, Float64
+from scipy import linalg, signal
+from scipy.optimize import linear_sum_assignment
+
+from stillwork.base.checks import InputError, require_number
+from stillwork.control.discrete_damping import sampled_feedback
+from stillwork.control.discrete_observer import DiscreteObserver, discrete_kalman_observer
+from stillwork.control.feedback import band_pass, damping_gain, fed_back
+from stillwork.control.pid import Pid
+from stillwork.estimation.observer import NoiseIntensities
+from stillwork.lti.discretisation import tustin, zoh_modes
+from stillwork.lti.modal import ModalModel
+from stillwork.lti.state_space import StateModel, interconnect
+
+
+def pid_response(
+    pid: Pid, step: float, omega: Float64[np.ndarray, " frequencies"]
+) -> Complex128[np.ndarray, " frequencies"]:
+    """Response of the PID after the bilinear rule, from its continuous one at the warped frequencies."""
+    return pid.frequency_response(2 / step * np.tan(omega * step / 2))
+
+
+def rig_observer(
+    model: ModalModel, noise: NoiseIntensities, step: float, noise_model: float | None = None
+) -> DiscreteObserver:
+    """Stationary Kalman observer of chapter 6, from covariances a sample as (6.2) prints them.
+
+    Parameters
+    ----------
+    model : ModalModel
+        Reduced model; its feedthrough is the compliance of the modes left out.
+    noise : NoiseIntensities
+        Here covariances a sample: N^2 and m^2.
+    step : float
+        s.
+    noise_model : float, optional
+        Covariance Q_nu a sample (N^2) of a random walk at every input.
+    """
+    require_number("step", step, above=0.0)
+    if noise_model is not None:
+        noise_model = require_number("noise_model", noise_model, above=0.0) / step
+    return discrete_kalman_observer(
+        model, NoiseIntensities(noise.process * step, noise.sensor * step), step, noise_model
+    )
+
+
+@dataclass(frozen=True)
+class RigCompensator:
+    """What the observer does: y_flex = C_f x_hat for MC, u_d = sum of K_i H_i(z) velocity_i for AD."""
+
+    observer: DiscreteObserver
+    compensate: bool
+    gains: Float64[np.ndarray, "inputs flexible"]  # K_i on the modal velocities, zero without damping
+    selectivity: float | None  # Q of the band-passes; None: none
+
+    def _read(self) -> Float64[np.ndarray, "signals states"]:
+        flexible = self.gains.shape[1]
+        return np.vstack(
+            [
+                self.compensate * self.observer.flexible_outputs,
+                self.observer.read(np.eye(flexible), "velocity"),
+            ]
+        )
+
+    @cached_property
+    def _estimator(self) -> StateModel:
+        return self.observer.estimator(self._read(), "predictor", 1)
+
+    def _filters(self) -> list[StateModel]:
+        if self.selectivity is None:
+            return []
+        omega = self.observer.model.frequencies[self.observer.model.rigid_modes :]
+        step = self.observer.step
+        return [tustin(band_pass(float(w), self.selectivity), step, float(w)) for w in omega]
+
+    def frequency_response(
+        self, omega: Float64[np.ndarray, " frequencies"]
+    ) -> Complex128[np.ndarray, "signals signals frequencies"]:
+        """Response from (f, y) to (u_d, y_flex); the filters are multiplied in, not realised."""
+        outputs = len(self.observer.c)
+        estimates = self._estimator.frequency_response(omega)
+        flexible, velocities = estimates[:outputs], estimates[outputs:]
+        if self.selectivity is not None:
+            centres = self.observer.model.frequencies[self.observer.model.rigid_modes :, None]
+            half = self.observer.step / 2
+            ratio = 1j * np.tan(omega * half) / np.tan(centres * half)  # s over the centre, both warped
+            passed = ratio / self.selectivity / (ratio**2 + ratio / self.selectivity + 1)
+            velocities = velocities * passed[:, None, :]
+        return np.concatenate([np.einsum("if,fjw->ijw", self.gains, velocities), flexible])
+
+    def state_space(self) -> StateModel:
+        """The same block with its states, for closed loops; without damping the filters are left out."""
+        inputs, outputs = self.gains.shape[0], len(self.observer.c)
+        both = inputs + outputs
+        if not np.any(self.gains) or self.selectivity is None:
+            damping = self.observer.read(self.gains, "velocity")
+            return self.observer.estimator(np.vstack([damping, self._read()[:outputs]]), "predictor", 1)
+        estimator, filters = self._estimator, self._filters()
+        count = len(filters)
+        feedback = np.zeros((both + count, outputs + 2 * count))
+        feedback[both:, outputs : outputs + count] = np.eye(count)
+        take = np.zeros((both, outputs + 2 * count))
+        take[:inputs, outputs + count :] = self.gains
+        take[inputs:, :outputs] = np.eye(outputs)
+        return interconnect([estimator, *filters], feedback, np.eye(both + count, both), take)
+
+
+def rig_compensator(
+    observer: DiscreteObserver,
+    compensate: bool = False,
+    target_damping: float | None = None,
+    selectivity: float | None = 2.0,
+) -> RigCompensator:
+    """Compensator for MC, AD or both.
+
+    Parameters
+    ----------
+    observer : DiscreteObserver
+    compensate : bool
+        Subtract the estimated flexible part from the measurement.
+    target_damping : float, optional
+        Damping ratio that every flexible mode shall have, (4.17) with the factor 2 omega that it lacks.
+    selectivity : float, optional
+        Q of one band-pass a mode, (4.16); None: no filter.
+
+    Raises
+    ------
+    InputError
+        When a mode is damped more than that already, or an actuator cannot reach it.
+    """
+    model = observer.model
+    rigid = model.rigid_modes
+    gains = np.zeros((model.input_shapes.shape[1], len(model.frequencies) - rigid))
+    if target_damping is not None:
+        increase = require_number("target_damping", target_damping, below=1.0) - model.damping[rigid:]
+        if np.any(increase < 0):
+            raise InputError(f"target_damping is {target_damping:g}, below that of a mode; raise it")
+        gains = damping_gain(model, increase)[:, 2 * rigid + 1 :: 2]
+    return RigCompensator(observer, compensate, gains, selectivity)
+
+
+def sampled_damping(
+    model: ModalModel, gains: Float64[np.ndarray, "inputs flexible"], step: float
+) -> tuple[Float64[np.ndarray, " flexible"], Float64[np.ndarray, " flexible"]]:
+    """Damping ratios under u = K eta_dot on true states: of the continuous and of the sampled flexible modes.
+
+    What a gain designed in continuous time gives when its force is held over a sample (section 4.1.2), sorted by
+    the frequency of the continuous modes; each sampled mode stands beside the continuous one nearest to it.
+    """
+    rigid = model.rigid_modes
+    gain = np.zeros((gains.shape[0], 2 * len(model.frequencies)))
+    gain[:, 2 * rigid + 1 :: 2] = gains
+    continuous, sampled = fed_back(model, gain), sampled_feedback(model, gain, step)
+    poles = [
+        (each.frequencies * (-each.damping + 1j * np.sqrt(1 - each.damping**2)))[rigid:]
+        for each in (continuous, sampled)
+    ]
+    nearest = linear_sum_assignment(np.abs(poles[0][:, None] - poles[1]))[1]
+    return continuous.damping[rigid:], sampled.damping[rigid:][nearest]
+
+
+def placed_damping(model: ModalModel, target: float, step: float) -> Float64[np.ndarray, " flexible"]:
+    """Damping ratios that pole placement on the sampled flexible modes reaches (section 4.1.2), ascending frequency.
+
+    The frequencies stay, all damping ratios shall become `target`. The gain acts on positions too.
+
+    Raises
+    ------
+    InputError
+        When two modes have the same frequency, or the poles cannot be placed.
+    """
+    flexible = model.modes(slice(model.rigid_modes, None))
+    require_number("target", target, above=0.0, below=1.0)
+    held = zoh_modes(flexible, require_number("step", step, above=0.0))
+    upper = np.exp(flexible.frequencies * (-target + 1j * np.sqrt(1 - target**2)) * step)
+    with warnings.catch_warnings():
+        # The poles are placed all the same; only their most robust eigenvectors were still being looked for.
+        warnings.filterwarnings("ignore", message="Convergence was not reached")
+        try:
+            gain = signal.place_poles(held.a, held.b, np.concatenate([upper, upper.conj()])).gain_matrix
+        except ValueError as error:
+            raise InputError(f"the poles of model cannot be placed ({error}); leave modes out") from None
+    poles = np.log(linalg.eigvals(held.a - held.b @ gain).astype(complex)) / step
+    poles = poles[poles.imag > 0]
+    poles = poles[np.argsort(np.abs(poles))]
+    return -poles.real / np.abs(poles)

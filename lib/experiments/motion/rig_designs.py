@@ -1,0 +1,129 @@
+"""The four uses of the observer on the rig (Table 6.2) for one geometry."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from experiments.motion.rig import (
+    POSITIONS,
+    Geometry,
+    assumed,
+    decoupling,
+    detuned,
+    published,
+    rig_model,
+    scaled_inertia,
+)
+from experiments.motion.rig_control import pid_response, rig_compensator, rig_observer
+from experiments.motion.rig_loops import RigControllers, RigLoop, make_rig_loop
+from stillwork.control.pid import Pid
+from stillwork.estimation.observer import NoiseIntensities
+from stillwork.lti.modal import ModalModel
+from stillwork.lti.reduction import truncate
+
+RETAINED = 11  # modes in the observer: three rigid ones and the eight of Table 6.1
+CASES = ("Original", "MC", "AD", "MC and AD")  # rows of Tables 6.2 to 6.4
+
+
+@dataclass(frozen=True)
+class RigSettings:
+    """What chapter 6 prints about the observer and its uses."""
+
+    step: float  # s
+    noise: NoiseIntensities  # covariances a sample, N^2 and m^2
+    noise_model: float  # N^2, Q_nu with MC alone
+    noise_model_both: float  # N^2, Q_nu with MC and AD
+    target_damping: float
+    selectivity: float | None
+
+
+def published_settings() -> RigSettings:
+    """Section 6.3; with MC alone the smallest noise model that it allows, with MC and AD the assumed one."""
+    p = published()
+    return RigSettings(
+        1 / p["sample_rate_hz"],
+        NoiseIntensities(p["process"], p["sensor"]),
+        p["noise_model"],
+        assumed()["noise_model_both"],
+        p["target_damping"],
+        p["selectivity"],
+    )
+
+
+def model_errors(rng: np.random.Generator, size: float | None = None) -> Float64[np.ndarray, "8"]:
+    """Relative errors of the eight frequencies that the observer works with, uniform within `size`."""
+    size = assumed()["model_error"] if size is None else size
+    return rng.uniform(-size, size, len(published()["frequencies_hz"]))
+
+
+def observer_model(plant: ModalModel) -> ModalModel:
+    """The eight published modes, and the compliance of the others."""
+    return truncate(plant, RETAINED, len(plant.frequencies) - RETAINED)
+
+
+def rig_loops(
+    geometry: Geometry,
+    settings: RigSettings,
+    errors: Float64[np.ndarray, "8"] | None = None,
+    positions=POSITIONS,
+    omega: Float64[np.ndarray, " frequencies"] | None = None,
+    cases: tuple[str, ...] = CASES,
+    known: ModalModel | None = None,
+) -> dict[str, list[RigLoop]]:
+    """Loops of the wanted cases, each at all positions.
+
+    Parameters
+    ----------
+    geometry : Geometry
+    settings : RigSettings
+    errors : ndarray, optional
+        Relative errors of the observer's frequencies.
+    positions : sequence of tuple of int
+        Sensors in use.
+    omega : ndarray, optional
+        Frequencies, see `make_rig_loop`.
+    cases : tuple of str
+        From `CASES`.
+    known : ModalModel, optional
+        What the observers work with, at all four actuators and sensors, such as an identified model; by default
+        the rig's own eight modes and the compliance of the others.
+    """
+    full, used = rig_model(geometry), geometry.used
+    loops = {case: [] for case in cases}
+    for position in positions:
+        plant = full.at(used, position)
+        matrices = decoupling(geometry, used, position)
+        model = observer_model(plant) if known is None else known.at(used, position)
+        model = model if errors is None else detuned(model, errors)
+        observers = {}
+        for case in cases:
+            compensate, damp = "MC" in case, "AD" in case
+            block = None
+            if compensate or damp:
+                intensity = settings.noise_model_both if damp else settings.noise_model
+                intensity = intensity if compensate else None
+                if intensity not in observers:
+                    observers[intensity] = rig_observer(model, settings.noise, settings.step, intensity)
+                block = rig_compensator(
+                    observers[intensity],
+                    compensate,
+                    settings.target_damping if damp else None,
+                    settings.selectivity,
+                )
+            loops[case].append(make_rig_loop(plant, block, matrices, settings.step, omega))
+    return loops
+
+
+def rig_controllers(geometry: Geometry) -> RigControllers:
+    """The family of controllers, for what the plate's directions weigh."""
+    return RigControllers(tuple(scaled_inertia(geometry).tolist()))
+
+
+def compensated_feedback(loop: RigLoop, pids: Sequence[Pid]) -> float:
+    """Largest singular value over frequency of O_yu C_fb, which section 6.3 keeps below 1 (scaled directions)."""
+    o_yu = np.moveaxis(loop.compensator.frequency_response(loop.omega)[3:, :3], -1, 0)
+    control = np.stack([pid_response(pid, loop.step, loop.omega) for pid in pids], axis=1)
+    seen = loop.decoupling.sensing @ o_yu @ loop.decoupling.actuation * control[:, None, :]
+    return float(np.linalg.norm(seen, 2, axis=(1, 2)).max())

@@ -1,0 +1,169 @@
+"""Identification of the rig as in section 6.2: four multisine experiments in closed loop, one modal model."""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from experiments.motion.rig import Geometry, decoupling, rig_model
+from experiments.motion.rig_designs import RigSettings, rig_controllers
+from stillwork.base.checks import InputError, require_count, require_number
+from stillwork.control.loops import channel, closed_loop, no_observer
+from stillwork.identification.multisine import (
+    MultisineRecords,
+    direct_response,
+    joint_input_output,
+    run_multisine,
+)
+from stillwork.lti.discretisation import tustin, zoh_modes, zoh_response
+from stillwork.lti.state_space import StateModel, interconnect
+
+ALL = (0, 1, 2, 3)
+
+
+def four_sensor_controller(geometry: Geometry, settings: RigSettings, bandwidth_hz: float) -> StateModel:
+    """From the errors at four sensors to four forces."""
+    matrices = decoupling(geometry, ALL, ALL)
+    pids = rig_controllers(geometry)(bandwidth_hz, bandwidth_hz)
+    blocks = [tustin(pid.state_space(), settings.step) for pid in pids]
+    return interconnect(blocks, np.zeros((3, 3)), matrices.sensing, matrices.actuation)
+
+
+def identification_loop(geometry: Geometry, settings: RigSettings, bandwidth_hz: float) -> StateModel:
+    """All four actuators and sensors under a slow controller, as `run_multisine` takes it.
+
+    Parameters
+    ----------
+    geometry : Geometry
+    settings : RigSettings
+    bandwidth_hz : float
+        Design bandwidth of all three directions.
+    """
+    plant = zoh_modes(rig_model(geometry), settings.step)
+    controller = four_sensor_controller(geometry, settings, bandwidth_hz)
+    closed = closed_loop(plant, replace(no_observer(plant), step=settings.step), controller)
+    inputs = [channel(closed, name, "f", 4, 4) for name in ("u_ff", "w", "d")]
+    outputs = [channel(closed, name, "e_meas", 4, 4) for name in ("u_ff", "w", "d")]
+    # Without a setpoint the measured error is minus the measurement.
+    return StateModel(
+        closed.a,
+        np.hstack([each.b for each in inputs]),
+        np.vstack([inputs[0].c, -outputs[0].c]),
+        np.vstack([np.hstack([each.d for each in inputs]), -np.hstack([each.d for each in outputs])]),
+        closed.step,
+    )
+
+
+def rig_records(
+    geometry: Geometry,
+    settings: RigSettings,
+    bandwidth_hz: float,
+    rng: np.random.Generator,
+    rms: float,
+    realisations: int,
+    periods: int = 2,
+    samples: int = 16384,
+    settling: int = 2,
+) -> MultisineRecords:
+    """Simulated records of the experiments of section 6.2, with force and sensor noise of (6.2)."""
+    noise = settings.noise
+    return run_multisine(
+        identification_loop(geometry, settings, bandwidth_hz),
+        4,
+        4,
+        (np.sqrt(noise.process), np.sqrt(noise.sensor)),
+        rng,
+        samples=samples,
+        rms=rms,
+        realisations=realisations,
+        periods=periods,
+        settling=settling,
+    )
+
+
+def true_response(
+    geometry: Geometry, settings: RigSettings, omega: Float64[np.ndarray, " lines"]
+) -> np.ndarray:
+    """Sampled response of the rig at `omega` (rad/s), shape (lines, sensors, actuators)."""
+    return np.moveaxis(zoh_response(rig_model(geometry), settings.step, omega), -1, 0)
+
+
+def predicted_deviation(
+    geometry: Geometry,
+    settings: RigSettings,
+    bandwidth_hz: float,
+    omega: Float64[np.ndarray, " lines"],
+    rms: float,
+    averages: int,
+) -> Float64[np.ndarray, "lines sensors actuators"]:
+    """Standard deviation that `joint_input_output` must have: exactly what the noise leaves after averaging.
+
+    The error of an experiment is (G w + d) over the excitation, turned by the inverse of the input responses,
+    I + C G.
+
+    Parameters
+    ----------
+    geometry, settings, bandwidth_hz
+        The loop.
+    omega : ndarray
+        rad/s.
+    rms : float
+        Of the excitation (N).
+    averages : int
+        Realisations times periods.
+    """
+    require_number("rms", rms, above=0.0)
+    require_count("averages", averages)
+    response = true_response(geometry, settings, omega)
+    control = np.moveaxis(
+        four_sensor_controller(geometry, settings, bandwidth_hz).frequency_response(omega), -1, 0
+    )
+    turn = np.eye(4) + control @ response
+    seen = settings.noise.process * (np.abs(response) ** 2).sum(axis=2) + settings.noise.sensor
+    return np.sqrt(seen[:, :, None] * (np.abs(turn) ** 2).sum(axis=1)[:, None, :] / (averages * rms**2))
+
+
+def mean_relative_error(geometry: Geometry, settings: RigSettings, omega, response, top_hz: float) -> float:
+    """Mean over the lines up to `top_hz` and over z, rx, ry of the relative error of the decoupled plant.
+
+    Noise averages out of this mean, a bias stays.
+    """
+    slow = omega <= 2 * np.pi * require_number("top_hz", top_hz, above=0.0)
+    if not np.any(slow):
+        raise InputError(f"top_hz is {top_hz:g}, below the first line; raise it or take longer periods")
+    d = decoupling(geometry, ALL, ALL)
+    ours, true = (
+        np.diagonal(d.sensing @ each @ d.actuation, axis1=1, axis2=2)
+        for each in (response[slow], true_response(geometry, settings, omega[slow]))
+    )
+    return float(abs(np.mean(ours / true - 1)))
+
+
+def convergence(
+    records: MultisineRecords,
+    geometry: Geometry,
+    settings: RigSettings,
+    top_hz: float,
+    counts: tuple[int, ...],
+) -> dict[str, list[float]]:
+    """`mean_relative_error` of the joint and of the direct estimate from the first realisations.
+
+    Parameters
+    ----------
+    records : MultisineRecords
+    geometry, settings
+    top_hz : float
+    counts : tuple of int
+        Numbers of realisations.
+    """
+    found = {"joint input-output": [], "direct": []}
+    for count in counts:
+        part = MultisineRecords(
+            records.omega, records.reference[:, :count], records.inputs[:, :count], records.outputs[:, :count]
+        )
+        for name, response in (
+            ("joint input-output", joint_input_output(part).response),
+            ("direct", direct_response(part)),
+        ):
+            found[name].append(mean_relative_error(geometry, settings, part.omega, response, top_hz))
+    return found

@@ -1,0 +1,446 @@
+"""Bandwidth of the rig: one diagonal discrete PID for four sensor positions, every MIMO sensitivity below 6 dB."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Complex128, Float64
+from scipy import linalg
+
+from experiments.motion.rig_control import RigCompensator, pid_response
+from stillwork.base.checks import InputError, require_choice, require_count, require_number
+from stillwork.base.kernels import kernel
+from stillwork.base.rounding import first_largest
+from stillwork.control.bandwidth import SIX_DB
+from stillwork.control.decoupling import Decoupling
+from stillwork.control.loops import closed_loop, no_observer
+from stillwork.control.pid import Pid, PidFamily
+from stillwork.lti.discretisation import tustin, zoh_modes, zoh_response
+from stillwork.lti.modal import ModalModel
+from stillwork.lti.peaks import resonance_grid
+from stillwork.lti.state_space import StateModel, interconnect
+
+# Section 6.1: both orders of the plant with the controller, at the controller and at the plant, and the true error.
+MEASURES = ("singular values", "diagonal")  # what "peak below 6 dB" means for a matrix is not printed
+FUNCTIONS = ("S_I", "S_I2", "S_O", "S_O2", "true_tracking")
+
+
+@dataclass(frozen=True)
+class RigLoop:
+    """One position: plant, compensator and decoupling, with their responses on a frequency grid."""
+
+    plant: ModalModel  # three actuators, three sensors
+    compensator: RigCompensator | None
+    decoupling: Decoupling
+    step: float  # s
+    omega: Float64[np.ndarray, " frequencies"] = field(repr=False)  # rad/s
+    parts: Complex128[np.ndarray, "frequencies 8 3 3"] = field(repr=False)  # all but the controller, `_parts`
+
+    def on(self, omega: Float64[np.ndarray, " frequencies"]) -> "RigLoop":
+        """The same loop on another grid (rad/s)."""
+        return make_rig_loop(self.plant, self.compensator, self.decoupling, self.step, omega)
+
+    def equivalent_plant(self) -> Complex128[np.ndarray, "3 3 frequencies"]:
+        """Decoupled plant that the controller sees, u to q_comp: of Figs 6.3 and 6.5 to 6.9 (scaled directions)."""
+        return np.moveaxis(self.parts[:, 0], 0, -1)
+
+    def closed(self, pids: Sequence[Pid]) -> StateModel:
+        """Closed loop in discrete time; its signals are `stillwork.control.loops.INPUTS` and ``OUTPUTS``."""
+        plant = zoh_modes(self.plant, self.step)
+        if self.compensator is None:
+            block = replace(no_observer(plant), step=self.step)
+        else:
+            block = self.compensator.state_space()
+        return closed_loop(plant, block, self.controller(pids))
+
+    def controller(self, pids: Sequence[Pid]) -> StateModel:
+        """Gamma C_fb Upsilon, from the errors at the sensors to forces."""
+        blocks = [tustin(pid.state_space(), self.step) for pid in pids]
+        return interconnect(blocks, np.zeros((3, 3)), self.decoupling.sensing, self.decoupling.actuation)
+
+    def radius(self, pids: Sequence[Pid]) -> float:
+        """Largest magnitude of the closed-loop poles; below 1 the loop is stable."""
+        balanced, _ = linalg.matrix_balance(self.closed(pids).a, permute=False)
+        return float(np.abs(linalg.eigvals(balanced)).max())
+
+
+def make_rig_loop(
+    plant: ModalModel,
+    compensator: RigCompensator | None,
+    decoupling: Decoupling,
+    step: float,
+    omega: Float64[np.ndarray, " frequencies"] | None = None,
+    *,
+    low_hz: float = 0.3,
+    points: int = 80,
+    around: int = 8,
+) -> RigLoop:
+    """Prepare one position.
+
+    Parameters
+    ----------
+    plant : ModalModel
+        Three actuators to three sensors.
+    compensator : RigCompensator, optional
+        None: no observer.
+    decoupling : Decoupling
+    step : float
+        s.
+    omega : ndarray, optional
+        rad/s; by default up to the Nyquist frequency, dense around every mode of the plant and every lightly
+        damped pole of the observer.
+    low_hz, points, around
+        Of that default, see `stillwork.lti.resonance_grid`.
+    """
+    if plant.feedthrough.shape != (3, 3):
+        raise InputError("plant must have three inputs and three outputs; pick them with plant.at")
+    if omega is None:
+        poles = plant.poles
+        if compensator is not None:
+            observer = compensator.observer
+            sampled = linalg.eigvals(observer.a - observer.a @ observer.gain @ observer.c)
+            own = np.log(sampled[np.abs(sampled) > 1e-3].astype(complex)) / step
+            poles = np.concatenate([poles, own[np.abs(own.real) < 0.1 * np.abs(own)]])
+        omega = resonance_grid(poles, low_hz, 0.499 / step, points, around)
+    p = np.moveaxis(zoh_response(plant, step, omega), -1, 0)
+    o = np.zeros((len(omega), 6, 6), complex)
+    if compensator is not None:
+        o = np.moveaxis(compensator.frequency_response(omega), -1, 0)
+    return RigLoop(plant, compensator, decoupling, step, omega, _parts(p, o, decoupling))
+
+
+def _parts(p, o, decoupling: Decoupling) -> Complex128[np.ndarray, "frequencies 8 3 3"]:
+    """What the loop functions are made of, from plant P and compensator O of every frequency.
+
+    With N = (I - O_uu - O_uy P)^-1 the plant's input is f = N Gamma u, so that P_eq = Upsilon Z N Gamma with
+    Z = (I - O_yy) P - O_yu. Noise at the sensors enters q_comp by V = Upsilon (Z N O_uy + I - O_yy).
+    """
+    gamma, upsilon = decoupling.actuation, decoupling.sensing
+    o_uu, o_uy, o_yu, o_yy = o[:, :3, :3], o[:, :3, 3:], o[:, 3:, :3], o[:, 3:, 3:]
+    one = np.eye(3)
+    n = np.linalg.inv(one - o_uu - o_uy @ p)
+    seen = (one - o_yy) @ p - o_yu
+    force = n @ gamma
+    v = upsilon @ (seen @ n @ o_uy + one - o_yy)
+    damped = n @ o_uy
+    terms = (
+        upsilon @ seen @ force,  # P_eq
+        upsilon @ p @ force,  # u to the true q
+        one + p @ damped,
+        p @ force,
+        v,
+        one + damped @ p,
+        force,
+        v @ p,
+    )
+    return np.ascontiguousarray(np.stack(np.broadcast_arrays(*terms), axis=1))
+
+
+@dataclass(frozen=True)
+class RigControllers:
+    """PIDs of the three directions from two design bandwidths, for z and for both rotations."""
+
+    masses: tuple[float, float, float]  # kg, what each scaled direction feels
+
+    def __call__(self, z_hz: float, rotation_hz: float) -> tuple[Pid, Pid, Pid]:
+        """The three controllers, on scaled directions."""
+        each = (z_hz, rotation_hz, rotation_hz)
+        return tuple(PidFamily(mass)(f) for mass, f in zip(self.masses, each, strict=True))
+
+
+def peaks(
+    loops: Sequence[RigLoop], pids: Sequence[Pid], measure: str = "singular values"
+) -> Float64[np.ndarray, "loops functions"]:
+    """Largest size of every loop function on the grid of every loop."""
+    return np.array([sizes(loop, pids, measure).max(axis=1) for loop in loops])
+
+
+def sizes(
+    loop: RigLoop, pids: Sequence[Pid], measure: str = "singular values"
+) -> Float64[np.ndarray, "functions frequencies"]:
+    """Size of the five loop functions over frequency.
+
+    Parameters
+    ----------
+    loop : RigLoop
+    pids : sequence of Pid
+    measure : str
+        ``singular values``, the largest one; ``diagonal``, the largest magnitude on the diagonal.
+    """
+    require_choice("measure", measure, MEASURES)
+    return _sizes(*_arrays(loop, pids), measure == "diagonal")
+
+
+def _arrays(loop: RigLoop, pids: Sequence[Pid]):
+    return loop.parts, np.stack([pid_response(pid, loop.step, loop.omega) for pid in pids], axis=1)
+
+
+class Infeasible(InputError):
+    """No bandwidth passes: a loop function exceeds its limit however slow the controller is."""
+
+
+class RigBandwidth(NamedTuple):
+    """The largest feasible design of the rig."""
+
+    design_hz: tuple[float, float]  # of z and of the rotations
+    crossing_hz: Float64[np.ndarray, "loops 3"]  # first 0 dB crossing of each direction's own loop
+    pids: tuple[Pid, Pid, Pid]
+    peaks: Float64[np.ndarray, "loops functions"]  # at that design, refined
+    radius: Float64[np.ndarray, " loops"]  # of the closed-loop poles
+
+    @property
+    def active(self) -> str:
+        """The loop function with the largest peak; the first of those that are equal but for rounding."""
+        return FUNCTIONS[first_largest(self.peaks.max(axis=0))]
+
+
+def maximise_rig_bandwidth(
+    loops: Sequence[RigLoop],
+    family: RigControllers,
+    measure: str = "singular values",
+    limit: float = SIX_DB,
+    low_hz: float = 1.5,
+    high_hz: float = 60.0,
+    ratio: float = 1.1,
+    tolerance: float = 1e-3,
+) -> RigBandwidth:
+    """Largest bandwidths for which every position is stable and every loop function stays below `limit`.
+
+    All directions are raised together first; then the rotations alone, then z alone, as far as each still can.
+    Along the way no peak exceeds the limit, so no pole can cross the unit circle; the start and the end are
+    checked by eigenvalues.
+
+    Parameters
+    ----------
+    loops : sequence of RigLoop
+        One a position.
+    family : RigControllers
+    measure : str
+        How large a matrix is, see `sizes`.
+    limit : float
+        On that size.
+    low_hz, high_hz : float
+        Range of the design bandwidths.
+    ratio : float
+        Step of the way up.
+    tolerance : float
+        Relative width at which the bisection stops.
+
+    Raises
+    ------
+    Infeasible
+        When the lowest bandwidth is not feasible.
+    InputError
+        When the highest bandwidth still is.
+    """
+    require_choice("measure", measure, MEASURES)
+    require_count("number of loops", len(loops))
+    require_number("limit", limit, above=1.0)
+    require_number("high_hz", high_hz, above=require_number("low_hz", low_hz, above=0.0))
+    loops, start = list(loops), low_hz
+    for _ in range(4):  # the grids gain points around the peaks that stop the search, until these stand
+        hints = np.zeros(len(loops), np.int64)  # where each loop was exceeded last: looked at first
+
+        def feasible(z_hz: float, rotation_hz: float, hints=hints, loops=loops) -> bool:
+            pids = family(z_hz, rotation_hz)
+            for k, loop in enumerate(loops):
+                found = _exceeded(*_arrays(loop, pids), measure == "diagonal", limit, hints[k])
+                if found >= 0:
+                    hints[k] = found
+                    return False
+            return True
+
+        while not feasible(start, start):
+            if start == low_hz:
+                raise Infeasible(
+                    f"a loop function exceeds the limit at low_hz = {low_hz:g} already; lower it"
+                )
+            start = max(start / ratio, low_hz)
+        z = rotation = _climb(lambda f: feasible(f, f), start, high_hz, ratio, tolerance)
+        start = z / ratio
+        rotation = _climb(lambda f, z=z: feasible(z, f), rotation, high_hz, ratio, tolerance)
+        z = _climb(lambda f, r=rotation: feasible(f, r), z, high_hz, ratio, tolerance)
+        pids = family(z, rotation)
+        finer = [_refined(loop, pids, limit, measure) for loop in loops]
+        found = peaks(finer, pids, measure)
+        if found.max() <= limit * (1 + 5 * tolerance):
+            break
+        loops = finer
+    if max(z, rotation) >= high_hz:
+        raise InputError(f"all constraints hold even at high_hz = {high_hz:g}; raise it to find the limit")
+    radius = np.array([loop.radius(pids) for loop in loops])
+    if np.any(radius >= 1):
+        raise InputError("the loop is unstable at low_hz already, although its peaks are low; lower low_hz")
+    crossings = np.array([_crossings(loop, pids) for loop in loops])
+    return RigBandwidth((z, rotation), crossings, pids, found, radius)
+
+
+def _climb(feasible, low: float, high: float, ratio: float, tolerance: float) -> float:
+    """Step up from a feasible value until one is not, then bisect."""
+    good, bad = low, low * ratio
+    while feasible(bad):
+        good, bad = bad, bad * ratio
+        if good >= high:
+            return good
+    while bad > good * (1 + tolerance):
+        middle = np.sqrt(good * bad)
+        good, bad = (middle, bad) if feasible(middle) else (good, middle)
+    return float(good)
+
+
+def _refined(loop: RigLoop, pids: Sequence[Pid], limit: float, measure: str) -> RigLoop:
+    """The loop on its grid with more points around every local maximum near the limit."""
+    values = sizes(loop, pids, measure)
+    inner = (values[:, 1:-1] >= values[:, :-2]) & (values[:, 1:-1] >= values[:, 2:])
+    places = 1 + np.unique(np.nonzero(inner & (values[:, 1:-1] > 0.8 * limit))[1])
+    if not len(places):
+        return loop
+    w = loop.omega
+    extra = np.concatenate([np.linspace(w[k - 1], w[k + 1], 19)[1:-1] for k in places])
+    more = loop.on(np.setdiff1d(extra, w))
+    order = np.argsort(np.concatenate([w, more.omega]))
+    return replace(
+        loop,
+        omega=np.concatenate([w, more.omega])[order],
+        parts=np.concatenate([loop.parts, more.parts])[order],
+    )
+
+
+def _crossings(loop: RigLoop, pids: Sequence[Pid]) -> Float64[np.ndarray, "3"]:
+    """First 0 dB crossing (Hz) of the diagonal entries of P_eq C_fb (Definition 1.2.1)."""
+    plant, found = loop.equivalent_plant(), []
+    for k, pid in enumerate(pids):
+        gain = np.abs(plant[k, k] * pid_response(pid, loop.step, loop.omega))
+        below = np.flatnonzero((gain[1:] < 1) & (gain[:-1] >= 1))
+        if not len(below):
+            raise InputError("a loop gain does not cross 0 dB on the grid; lower low_hz of the grid")
+        i = below[0]
+        part = np.log(gain[i]) / np.log(gain[i] / gain[i + 1])
+        found.append(loop.omega[i] * (loop.omega[i + 1] / loop.omega[i]) ** part / (2 * np.pi))
+    return np.array(found)
+
+
+@kernel
+def _sizes(parts, control, entries):
+    count = parts.shape[0]
+    found = np.empty((5, count))
+    work = np.empty((8, 3, 3), np.complex128)
+    for k in range(count):
+        _functions(parts[k], control[k], work)
+        for f in range(5):
+            square = _largest_entry_square(work[f]) if entries else _largest_square(work[f])
+            found[f, k] = np.sqrt(square)
+    return found
+
+
+@kernel
+def _exceeded(parts, control, entries, limit, first):
+    """Index of a frequency where a loop function exceeds the limit, or -1."""
+    count = parts.shape[0]
+    work = np.empty((8, 3, 3), np.complex128)
+    for i in range(count):
+        k = (first + i) % count
+        _functions(parts[k], control[k], work)
+        for f in range(5):
+            if entries:
+                square = _largest_entry_square(work[f])
+            else:
+                square = _sum_of_squares(work[f])  # no singular value exceeds its root
+                if not square <= limit * limit:
+                    square = _largest_square(work[f])
+            if not square <= limit * limit:
+                return k
+    return -1
+
+
+@kernel
+def _functions(part, control, work):
+    """S_I, S_I2, S_O, S_O2 and r to e_true at one frequency, in the first five places of `work`."""
+    turned, product = work[5], work[6]
+    for i in range(3):
+        for j in range(3):
+            product[i, j] = part[0, i, j] * control[j]
+        product[i, i] += 1
+    _inverse(product, work[0])
+    for i in range(3):
+        for j in range(3):
+            turned[i, j] = control[i] * work[0, i, j]  # C S_I = S_I2 C
+            work[1, i, j] = turned[i, j] / control[j]
+    _times(part[1], turned, work[4])
+    for k in range(2):  # S_O and S_O2
+        _times(part[2 + 3 * k + 1], turned, product)
+        _times(product, part[2 + 3 * k + 2], work[2 + k])
+        for i in range(3):
+            for j in range(3):
+                work[2 + k, i, j] = part[2 + 3 * k, i, j] - work[2 + k, i, j]
+    for i in range(3):
+        for j in range(3):
+            work[4, i, j] = (1.0 if i == j else 0.0) - work[4, i, j]
+
+
+@kernel
+def _times(a, b, out):
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
+
+
+@kernel
+def _inverse(a, out):
+    """Inverse of a 3 x 3 matrix by cofactors."""
+    for i in range(3):
+        m, n = (i + 1) % 3, (i + 2) % 3
+        for j in range(3):
+            p, q = (j + 1) % 3, (j + 2) % 3
+            out[j, i] = a[m, p] * a[n, q] - a[m, q] * a[n, p]
+    determinant = a[0, 0] * out[0, 0] + a[0, 1] * out[1, 0] + a[0, 2] * out[2, 0]
+    for i in range(3):
+        for j in range(3):
+            out[i, j] /= determinant
+
+
+@kernel
+def _largest_entry_square(a):
+    """Square of the largest magnitude on the diagonal."""
+    largest = 0.0
+    for k in range(3):
+        size = a[k, k].real * a[k, k].real + a[k, k].imag * a[k, k].imag
+        if not size <= largest:
+            largest = size
+    return largest
+
+
+@kernel
+def _sum_of_squares(a):
+    total = 0.0
+    for i in range(3):
+        for j in range(3):
+            total += a[i, j].real * a[i, j].real + a[i, j].imag * a[i, j].imag
+    return total
+
+
+@kernel
+def _largest_square(a):
+    """Square of the largest singular value: the largest root of the cubic of A^H A."""
+    h00, h11, h22 = 0.0, 0.0, 0.0
+    h01, h02, h12 = 0j, 0j, 0j
+    for k in range(3):
+        x, y, z = a[k, 0], a[k, 1], a[k, 2]
+        h00 += x.real * x.real + x.imag * x.imag
+        h11 += y.real * y.real + y.imag * y.imag
+        h22 += z.real * z.real + z.imag * z.imag
+        h01 += x.conjugate() * y
+        h02 += x.conjugate() * z
+        h12 += y.conjugate() * z
+    mean = (h00 + h11 + h22) / 3
+    s01 = h01.real * h01.real + h01.imag * h01.imag
+    s02 = h02.real * h02.real + h02.imag * h02.imag
+    s12 = h12.real * h12.real + h12.imag * h12.imag
+    d0, d1, d2 = h00 - mean, h11 - mean, h22 - mean
+    spread = np.sqrt((d0 * d0 + d1 * d1 + d2 * d2 + 2 * (s01 + s02 + s12)) / 6)
+    if not spread > 1e-15 * mean:
+        return mean
+    triple = h01 * h12 * h02.conjugate()
+    half = (d0 * (d1 * d2 - s12) - s01 * d2 - s02 * d1 + 2 * triple.real) / (2 * spread**3)
+    return mean + 2 * spread * np.cos(np.arccos(min(1.0, max(-1.0, half))) / 3)

@@ -1,0 +1,364 @@
+"""Figures of the over-actuated rig, and the drawings behind its explorers."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from experiments.motion.plate import plate_modes
+from experiments.motion.rig import (
+    POSITIONS,
+    Geometry,
+    assumed,
+    assumed_geometry,
+    decoupling,
+    published,
+    rig_model,
+)
+from experiments.motion.rig_control import rig_compensator, rig_observer
+from experiments.motion.rig_designs import CASES, observer_model, published_settings
+from experiments.motion.rig_identification import predicted_deviation, true_response
+from experiments.motion.rig_loops import RigLoop, make_rig_loop
+from stillwork.estimation.observer import NoiseIntensities
+from stillwork.lti.peaks import resonance_grid
+from stillwork.signals.spectra import Spectrum
+from stillwork.workbook import figures
+
+COLOURS = dict(zip(CASES, (figures.BLACK, figures.BLUE, figures.GREEN, figures.RED), strict=True))
+FORCES, MOTIONS = ("F_z", "M_x", "M_y"), ("z", "r_x", "r_y")
+UNITS = (("m/N", "m/Nm", "m/Nm"), ("rad/N", "rad/Nm", "rad/Nm"), ("rad/N", "rad/Nm", "rad/Nm"))
+
+
+def frequencies(
+    low_hz: float = 5.0, high_hz: float = 2000.0, points: int = 200, around: int = 15
+) -> np.ndarray:
+    """Frequencies of the figures (rad/s), dense around the published modes."""
+    p = published()
+    w, z = 2 * np.pi * np.array(p["frequencies_hz"]), np.array(p["damping"])
+    return resonance_grid(w * (-z + 1j), low_hz, high_hz, points, around)
+
+
+def physical_plant(loop: RigLoop, geometry: Geometry) -> np.ndarray:
+    """Decoupled plant from (Fz, Mx, My) to (z, rx, ry) in SI units, shape (3, 3, frequencies)."""
+    edges = geometry.edges
+    return loop.equivalent_plant() / edges[:, None, None] / edges[None, :, None]
+
+
+def places(axis, geometry: Geometry, shape: np.ndarray | None = None) -> None:
+    """Plate, actuators and sensors seen from above, over the contours of a mode shape."""
+    x, y = geometry.half
+    if shape is not None:
+        grid = np.linspace(-1, 1, len(shape))
+        largest = np.abs(shape).max()
+        axis.contourf(
+            grid * x, grid * y, shape.T, levels=np.linspace(-largest, largest, 12), cmap="RdBu_r", alpha=0.7
+        )
+    axis.plot([-x, x, x, -x, -x], [-y, -y, y, y, -y], color=figures.GREY, linewidth=0.8)
+    used = geometry.actuator_places[list(geometry.used)]
+    idle = geometry.actuator_places[[geometry.left_out]]
+    axis.plot(*used.T, "o", color=figures.BLACK, markersize=5, markerfacecolor="none", label="actuator")
+    axis.plot(*idle.T, "o", color=figures.GREY, markersize=2, label="actuator, idle")
+    axis.plot(*geometry.sensor_places.T, "x", color=figures.BLACK, markersize=4, label="sensor")
+    axis.set_aspect("equal")
+    axis.grid(False)
+
+
+def mode_shapes(geometry: Geometry):
+    """The eight flexible modes with the published frequencies."""
+    p = published()
+    modes = plate_modes(geometry.width / geometry.length, geometry.poisson, 8)
+    grid = np.linspace(-1, 1, 25)
+    xi, eta = (g.ravel() for g in np.meshgrid(grid, grid, indexing="ij"))
+    shapes = modes.shapes(xi, eta).reshape(25, 25, 8)
+    figure, axes = figures.new(2, 4, height=3.9, sharex=True, sharey=True)
+    for k, axis in enumerate(axes.ravel()):
+        places(axis, geometry, shapes[:, :, k])
+        axis.set_title(f"mode {k + 1}, {p['frequencies_hz'][k]:.0f} Hz")
+    for axis in axes[1]:
+        axis.set_xlabel("x (m)")
+    for axis in axes[:, 0]:
+        axis.set_ylabel("y (m)")
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    return figure
+
+
+def decoupled_plants(loops: Sequence[RigLoop], geometry: Geometry):
+    """All nine entries of the decoupled plant at the four positions: Figs 6.3 and 6.5 to 6.7."""
+    figure, axes = figures.new(3, 3, height=6.2, sharex=True, sharey=False)
+    for number, loop in enumerate(loops, 1):
+        plant = physical_plant(loop, geometry)
+        hertz = loop.omega / (2 * np.pi)
+        for i, j in np.ndindex(3, 3):
+            axes[i, j].semilogx(
+                hertz, 20 * np.log10(np.abs(plant[i, j])), linewidth=0.8, label=f"position {number}"
+            )
+    for i, j in np.ndindex(3, 3):
+        axes[i, j].set_title(f"${FORCES[j]}$ to ${MOTIONS[i]}$")
+        axes[i, j].set_ylabel(f"magnitude (dB re 1 {UNITS[i][j]})", fontsize=7)
+    for axis in axes[-1]:
+        axis.set_xlabel("frequency (Hz)")
+    # Nine panels with axes of their own: the constrained layout would take longer than all the rest.
+    figure.set_layout_engine(None)
+    figure.subplots_adjust(left=0.09, right=0.99, bottom=0.12, top=0.96, wspace=0.4, hspace=0.28)
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="lower center", ncols=4)
+    return figure
+
+
+def one_entry(loops: Mapping[str, Sequence[RigLoop]], geometry: Geometry, to: int, source: int = 0):
+    """One entry of the decoupled plant under the four uses of the observer: Figs 6.8 and 6.9."""
+    figure, axes = figures.new(2, 2, height=4.6, sharex=True, sharey=True)
+    for case, each in loops.items():
+        for axis, loop in zip(axes.ravel(), each, strict=True):
+            response = physical_plant(loop, geometry)[to, source]
+            axis.semilogx(
+                loop.omega / (2 * np.pi),
+                20 * np.log10(np.abs(response)),
+                color=COLOURS[case],
+                linewidth=0.9,
+                label=case,
+            )
+    for number, axis in enumerate(axes.ravel(), 1):
+        axis.set_title(f"position {number}")
+    for axis in axes[1]:
+        axis.set_xlabel("frequency (Hz)")
+    for axis in axes[:, 0]:
+        axis.set_ylabel(f"${FORCES[source]}$ to ${MOTIONS[to]}$\n(dB re 1 {UNITS[to][source]})")
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    return figure
+
+
+def tracking_errors(errors: Mapping[str, np.ndarray], reference: np.ndarray, step: float):
+    """True errors over one period with the scaled trajectory in black: Figs 6.10 and 6.11.
+
+    Parameters
+    ----------
+    errors : mapping
+        Case to (3, samples), m and rad.
+    reference : ndarray, shape (3, samples)
+    step : float
+        s.
+    """
+    figure, axes = figures.new(3, 1, height=5.2, sharex=True)
+    every = 10  # samples between those drawn: the errors are slow
+    time = np.arange(reference.shape[1])[::every] * step
+    for k, axis in enumerate(axes):
+        largest = max(np.abs(error[k]).max() for error in errors.values()) * 1e6
+        scale = largest / np.abs(reference[k]).max()
+        axis.plot(
+            time,
+            scale * reference[k, ::every],
+            color=figures.BLACK,
+            linewidth=0.8,
+            label="trajectory, scaled",
+        )
+        for order, (case, error) in enumerate(errors.items()):
+            width = 1.9 - 0.45 * order  # lines that coincide stay visible
+            axis.plot(time, 1e6 * error[k, ::every], color=COLOURS[case], linewidth=width, label=case)
+        axis.set_ylabel(f"error in ${MOTIONS[k]}$ ({'µm' if k == 0 else 'µrad'})")
+    axes[-1].set_xlabel("time (s)")
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=5)
+    return figure
+
+
+def error_spectra(spectra: Mapping[str, Spectrum]):
+    """Amplitude spectra of the true errors in three directions: what Fig. 6.10 does not let one see."""
+    figure, axes = figures.new(1, 3, height=2.7, sharex=True)
+    for order, (case, each) in enumerate(spectra.items()):
+        drawn = (each.frequencies_hz >= 2) & (each.frequencies_hz <= 2000)
+        for axis, density in zip(axes, each.density, strict=True):
+            axis.loglog(
+                each.frequencies_hz[drawn],
+                1e6 * np.sqrt(density[drawn]),
+                color=COLOURS[case],
+                linewidth=2.4 - 0.6 * order,  # lines that coincide stay visible
+                label=case,
+            )
+    for k, axis in enumerate(axes):
+        axis.set_title(f"${MOTIONS[k]}$")
+        axis.set_xlabel("frequency (Hz)")
+        axis.set_ylabel(f"error ({'µm' if k == 0 else 'µrad'}/√Hz)")
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    return figure
+
+
+def over_geometries(values: Mapping[str, np.ndarray], marks: Mapping[str, Sequence[float]], quantity: str):
+    """Spread over geometries of a quantity in three directions, one panel each, with the published values.
+
+    Parameters
+    ----------
+    values : mapping
+        Case to (geometries, 3); NaN where a geometry has no value.
+    marks : mapping
+        Case to the three published values.
+    quantity : str
+        Label of the axis, with its unit.
+    """
+    figure, axes = figures.new(1, 3, height=2.9, sharey=False)
+    for k, axis in enumerate(axes):
+        for place, (case, each) in enumerate(values.items()):
+            found = each[np.isfinite(each[:, k]), k]
+            rank = np.linspace(-0.22, 0.22, len(found))
+            axis.plot(
+                place + rank,
+                np.sort(found),
+                ".",
+                markersize=4,
+                color=COLOURS[case],
+                label=f"one geometry, {case}",
+            )
+            if case in marks:
+                figures.mark_published(
+                    axis, place, marks[case][k], "published" if not place else f"_published, {case}"
+                )
+        axis.set_ylim(0, 1.08 * axis.dataLim.y1)
+        axis.set_xticks(range(len(values)), [case.replace(" and ", "\nand ") for case in values])
+        axis.set_title(f"${MOTIONS[k]}$")
+        axis.set_xlabel("use of the observer")
+    axes[0].set_ylabel(quantity)
+    handles, labels = axes[0].get_legend_handles_labels()
+    shown = {
+        "published" if label == "published" else "one geometry": h
+        for h, label in zip(handles, labels, strict=True)
+    }
+    figure.legend(shown.values(), shown.keys(), loc="outside lower center", ncols=2)
+    return figure
+
+
+def _one_position(
+    geometry: Geometry, noise: NoiseIntensities, use: str, target: float, position: int
+) -> RigLoop:
+    """Loop of one position on the frequencies of the explorers."""
+    settings = published_settings()
+    used, sensors = geometry.used, POSITIONS[position - 1]
+    plant = rig_model(geometry).at(used, sensors)
+    block = None
+    if use != "Original":
+        intensity = None
+        if "MC" in use:
+            intensity = settings.noise_model_both if "AD" in use else settings.noise_model
+        observer = rig_observer(observer_model(plant), noise, settings.step, intensity)
+        block = rig_compensator(observer, "MC" in use, target if "AD" in use else None, settings.selectivity)
+    omega = frequencies(20.0, points=80, around=5)
+    return make_rig_loop(plant, block, decoupling(geometry, used, sensors), settings.step, omega)
+
+
+ENTRIES = {"Fz to z": 0, "Fz to rx": 1}
+
+
+def draw_rig(
+    use: str = "MC and AD",
+    entry: str = "Fz to z",
+    target_damping: float = 0.04,
+    sensor_exponent: float = -18.0,
+    position: int = 1,
+):
+    """Explorer: one entry of what the controller sees, with and without one use of the observer."""
+    geometry, row = assumed_geometry(), ENTRIES[entry]
+    noise = NoiseIntensities(published()["process"], 10**sensor_exponent)
+    figure, axis = _plain(1)
+    for name in ("Original", use):
+        loop = _one_position(geometry, noise, name, target_damping, position)
+        response = physical_plant(loop, geometry)[row, 0]
+        axis.semilogx(
+            loop.omega / (2 * np.pi), 20 * np.log10(np.abs(response)), color=COLOURS[name], label=name
+        )
+    axis.set_xlabel("frequency (Hz)")
+    axis.set_ylabel(f"$F_z$ to ${MOTIONS[row]}$ (dB re 1 {UNITS[row][0]})")
+    axis.legend()
+    return figure
+
+
+def draw_geometry(aspect: float = 0.83, along_x: float = 0.85, along_y: float = 0.75, actuators: float = 0.9):
+    """Explorer: what a geometry lets three actuators and four sensors do with the eight modes."""
+    a = assumed()
+    geometry = Geometry(
+        a["length"],
+        a["length"] * aspect,
+        a["mass"],
+        a["poisson"],
+        actuators,
+        (along_x, along_y),
+        a["left_out"],
+    )
+    model = rig_model(geometry, higher_modes=0)
+    size = np.sqrt(geometry.mass)
+    figure, axes = _plain(2)
+    x, y = geometry.half
+    axes[0].plot([-x, x, x, -x, -x], [-y, -y, y, y, -y], color=figures.GREY)
+    axes[0].plot(
+        *geometry.actuator_places[list(geometry.used)].T, "o", color=figures.BLACK, markerfacecolor="none"
+    )
+    axes[0].plot(*geometry.sensor_places.T, "x", color=figures.BLACK)
+    axes[0].set_aspect("equal")
+    axes[0].set_xlabel("x (m)")
+    axes[0].set_ylabel("y (m)")
+    axes[0].set_title("circles: actuators, crosses: sensors")
+    number = np.arange(1, 9)
+    for shift, shapes, colour, label in (
+        (-0.15, np.abs(model.input_shapes[3:]).max(axis=1), figures.RED, "largest at an actuator"),
+        (0.15, np.abs(model.output_shapes[:, 3:]).max(axis=0), figures.BLUE, "largest at a sensor"),
+    ):
+        axes[1].bar(number + shift, shapes * size, 0.3, color=colour, label=label)
+    axes[1].set_xlabel("flexible mode")
+    axes[1].set_ylabel(r"mode shape, rms over the plate = 1 (1)")
+    axes[1].set_ylim(0, 3)
+    axes[1].legend()
+    return figure
+
+
+def identified(
+    omega: np.ndarray, measured: np.ndarray, model: np.ndarray, deviation: np.ndarray, actuator: int = 0
+):
+    """One actuator to all sensors: measured, fitted, what is left, and what the noise explains: Fig. 6.4."""
+    figure, axes = figures.new(2, 2, height=5.0, sharex=True, sharey=True)
+    hertz = omega / (2 * np.pi)
+    for sensor, axis in enumerate(axes.ravel()):
+        for values, label, style in (
+            (measured, "measured", {"color": figures.GREEN, "linewidth": 1.6}),
+            (model, "model", {"color": figures.BLUE, "linewidth": 0.8}),
+            (measured - model, "difference", {"color": figures.GREY, "linewidth": 0.4}),
+            (deviation, "least from noise", {"color": figures.BLACK, "linewidth": 0.8, "linestyle": "--"}),
+        ):
+            axis.semilogx(hertz, 20 * np.log10(np.abs(values[:, sensor, actuator])), label=label, **style)
+        axis.set_title(f"sensor {sensor + 1}")
+    for axis in axes[1]:
+        axis.set_xlabel("frequency (Hz)")
+    for axis in axes[:, 0]:
+        axis.set_ylabel(f"actuator {actuator + 1} to sensor\n(dB re 1 m/N)")
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    return figure
+
+
+def draw_identification(
+    rms: float = 1.0, averages: int = 20, bandwidth_hz: float = 4.0, sensor_exponent: float = -18.0
+):
+    """Explorer: response of the rig, and the deviation that an identification in closed loop leaves."""
+    geometry, settings = assumed_geometry(), published_settings()
+    settings = replace(settings, noise=NoiseIntensities(settings.noise.process, 10**sensor_exponent))
+    omega = frequencies(1.0, 1500.0, points=90, around=5)
+    response = true_response(geometry, settings, omega)
+    deviation = predicted_deviation(geometry, settings, bandwidth_hz, omega, rms, averages)
+    figure, axis = _plain(1)
+    hertz = omega / (2 * np.pi)
+    axis.semilogx(hertz, 20 * np.log10(np.abs(response[:, 2, 0])), color=figures.BLUE, label="response")
+    axis.semilogx(
+        hertz, 20 * np.log10(deviation[:, 2, 0]), "--", color=figures.BLACK, label="least deviation"
+    )
+    axis.set_xlabel("frequency (Hz)")
+    axis.set_ylabel("actuator 1 to sensor 3 (dB re 1 m/N)")
+    axis.legend()
+    return figure
+
+
+def _plain(panels: int):
+    """Panels without the constrained layout, which takes longer than an explorer may."""
+    figure, axes = figures.new(1, panels, height=2.8)
+    figure.set_layout_engine(None)
+    figure.subplots_adjust(left=0.1, right=0.98, bottom=0.18, top=0.9, wspace=0.3)
+    return figure, axes

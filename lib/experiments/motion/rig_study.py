@@ -1,0 +1,144 @@
+"""The rig over geometries that are not published: one trial of the study behind Tables 6.2 to 6.4."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float64
+
+from experiments.motion.rig import Geometry, assumed, excitation, published, scaled_inertia
+from experiments.motion.rig_designs import CASES, RigSettings, model_errors, rig_controllers, rig_loops
+from experiments.motion.rig_loops import (
+    FUNCTIONS,
+    MEASURES,
+    Infeasible,
+    RigBandwidth,
+    RigLoop,
+    maximise_rig_bandwidth,
+)
+from experiments.motion.rig_tracking import levelling, levelling_rms
+from stillwork.base.checks import InputError
+
+
+def draw_geometry(rng: np.random.Generator) -> Geometry:
+    """A geometry from the ranges of ``rig.toml``; the length stays, since only ratios of lengths matter."""
+    a = assumed()
+    ranges = a["ranges"]
+    mass = np.exp(rng.uniform(*np.log(ranges["mass"])))
+    return Geometry(
+        a["length"],
+        a["length"] * rng.uniform(*ranges["aspect"]),
+        float(mass),
+        a["poisson"],
+        rng.uniform(*ranges["actuators"]),
+        (rng.uniform(*ranges["sensors"]), rng.uniform(*ranges["sensors"])),
+        a["left_out"],
+    )
+
+
+class FlexiblePeaks(NamedTuple):
+    """What is flexible in a decoupled plant, over the four positions."""
+
+    peaks: Float64[np.ndarray, "8"]  # m/N, largest singular value near every published mode
+    coupling: float  # m/N, mean magnitude of the off-diagonal entries at a tenth of the first mode
+
+
+def flexible_peaks(loops: list[RigLoop], inertia: Float64[np.ndarray, "3"]) -> FlexiblePeaks:
+    """Peaks of the difference between the equivalent plant and a rigid body of that mass and inertia.
+
+    Parameters
+    ----------
+    loops : list of RigLoop
+    inertia : ndarray, shape (3,)
+        Of the scaled directions (kg).
+    """
+    modes = 2 * np.pi * np.array(published()["frequencies_hz"])
+    middle = np.sqrt(modes[1:] * modes[:-1])
+    # Within 5 % of each mode, and no nearer to another one; further away the tails of lower modes are larger.
+    low = np.maximum(0.95 * modes, np.append(0.0, middle))
+    high = np.minimum(1.05 * modes, np.append(middle, np.inf))
+    found, coupling = [], []
+    for loop in loops:
+        turned = np.exp(1j * loop.omega * loop.step)
+        rigid = loop.step**2 * (turned + 1) / (2 * (turned - 1) ** 2)
+        seen = np.moveaxis(loop.equivalent_plant(), -1, 0)
+        sizes = np.linalg.norm(seen - rigid[:, None, None] * np.diag(1 / inertia), 2, axis=(1, 2))
+        bands = [(loop.omega >= a) & (loop.omega <= b) for a, b in zip(low, high, strict=True)]
+        found.append([sizes[band].max() for band in bands])
+        slow = np.abs(seen[np.searchsorted(loop.omega, modes[0] / 10)])
+        coupling.append(slow[~np.eye(3, dtype=bool)].mean())
+    return FlexiblePeaks(np.max(found, axis=0), float(np.mean(coupling)))
+
+
+def bandwidths(
+    loops: dict[str, list[RigLoop]], geometry: Geometry, measure: str
+) -> dict[str, RigBandwidth | None]:
+    """Largest bandwidth of every case; None where no bandwidth passes."""
+    family, found = rig_controllers(geometry), {}
+    for case, each in loops.items():
+        try:
+            found[case] = maximise_rig_bandwidth(each, family, measure)
+        except Infeasible:
+            found[case] = None
+    return found
+
+
+def rig_trial(
+    rng: np.random.Generator, settings: RigSettings, geometry: Geometry | None = None
+) -> dict[str, np.ndarray]:
+    """One geometry, one draw of model errors, all four cases, under both readings of "peaks below 6 dB".
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    settings : RigSettings
+    geometry : Geometry, optional
+        By default drawn.
+
+    Returns
+    -------
+    dict
+        With one entry a reading (`MEASURES`) in front: ``crossing`` (cases, 3) in Hz, mean over positions;
+        ``peaks`` (cases, functions); ``original`` and ``redesigned`` (cases, 3), rms errors in m and rad at the
+        first position with the original and with the redesigned controllers; all NaN where no bandwidth passes.
+        Besides ``flexible`` (cases, modes) and ``coupling`` (cases,) in m/N, and the drawn ``mass``, ``aspect``,
+        ``actuators`` and ``sensors``, and ``excitation`` (2, modes), the largest of four and of three actuators.
+    """
+    geometry = geometry or draw_geometry(rng)
+    loops = rig_loops(geometry, settings, model_errors(rng))
+    trajectory = levelling(rng)
+    shape = (len(MEASURES), len(CASES), 3)
+    crossing, original, redesigned = (np.full(shape, np.nan) for _ in range(3))
+    peaks = np.full((*shape[:2], len(FUNCTIONS)), np.nan)
+    for m, measure in enumerate(MEASURES):
+        found = bandwidths(loops, geometry, measure)
+        for k, case in enumerate(CASES):
+            if found[case] is not None:
+                crossing[m, k] = found[case].crossing_hz.mean(axis=0)
+                peaks[m, k] = found[case].peaks.max(axis=0)
+            for errors, design in ((original, found["Original"]), (redesigned, found[case])):
+                if design is not None:
+                    errors[m, k] = _rms(loops[case][0], design, geometry, trajectory, settings)
+    flexible = [flexible_peaks(loops[case], scaled_inertia(geometry)) for case in CASES]
+    return {
+        "crossing": crossing,
+        "peaks": peaks,
+        "original": original,
+        "redesigned": redesigned,
+        "flexible": np.array([each.peaks for each in flexible]),
+        "coupling": np.array([each.coupling for each in flexible]),
+        "mass": np.array(geometry.mass),
+        "aspect": np.array(geometry.width / geometry.length),
+        "actuators": np.array(geometry.actuators),
+        "sensors": np.array(geometry.sensors),
+        "excitation": np.array(
+            [np.abs(excitation(geometry, used)).max(axis=1) for used in ((0, 1, 2, 3), geometry.used)]
+        ),
+    }
+
+
+def _rms(loop: RigLoop, design: RigBandwidth, geometry: Geometry, trajectory, settings) -> np.ndarray:
+    """Rms of the error, or NaN where that loop is unstable."""
+    try:
+        return levelling_rms(loop, design.pids, geometry, trajectory, settings.noise)
+    except InputError:
+        return np.full(3, np.nan)

@@ -1,0 +1,91 @@
+"""Figures of the robust-observer comparison."""
+
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+
+import numpy as np
+
+from experiments.motion.contest import ENTRANTS, Contest, draw_scans, prepare, run_entrant
+from experiments.motion.scan_study import Records, Scan, published_scan
+from stillwork.workbook import figures
+
+STATES = (
+    ("rigid body", "position (nm √kg)", 1e9),
+    ("rigid body", "velocity (µm/s √kg)", 1e6),
+    ("first flexible mode", "position (nm √kg)", 1e9),
+    ("first flexible mode", "velocity (µm/s √kg)", 1e6),
+    ("second flexible mode", "position (nm √kg)", 1e9),
+    ("second flexible mode", "velocity (µm/s √kg)", 1e6),
+)
+PUBLISHED = ("Kalman", "sensitivity penalised", "regularised least squares")
+COLOURS = dict(zip(ENTRANTS, (figures.RED, figures.BLUE, figures.GREEN), strict=False))
+
+
+def state_errors(scan: Scan, truth: np.ndarray, estimates: Mapping[str, np.ndarray]):
+    """Estimation errors of one run over time, one panel a state, on a symmetric logarithmic axis (Fig. 5.10).
+
+    Parameters
+    ----------
+    scan : Scan
+    truth : ndarray, shape (states, samples)
+    estimates : mapping of str to ndarray, shape (states, samples)
+    """
+    from matplotlib.ticker import FixedLocator
+
+    figure, axes = figures.new(3, 2, sharex=True)
+    time = scan.setpoint.time
+    for k, axis in enumerate(axes.ravel()):
+        mode, unit, factor = STATES[k]
+        if k >= 2:
+            axis.plot(time, truth[k] * factor, color=figures.GREY, linewidth=0.8, label="true state")
+        for name, estimate in estimates.items():
+            error = (truth[k] - estimate[k]) * factor
+            axis.plot(time, error, label=name, color=COLOURS.get(name), linewidth=0.9)
+        axis.set_yscale("symlog", linthresh=10.0)
+        axis.yaxis.set_major_locator(FixedLocator([-1e9, -1e6, -1e3, 0.0, 1e3, 1e6, 1e9]))
+        for edge in scan.setpoint.scan:
+            axis.axvline(edge, color=figures.BLACK, linewidth=0.8)
+        axis.set_title(mode)
+        axis.set_ylabel(unit)
+    for axis in axes[-1]:
+        axis.set_xlabel("time (s)")
+    handles, labels = axes[1, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    return figure
+
+
+def spreads(
+    axis, rows: Sequence[str], samples: Sequence[np.ndarray], colour: str, label: str, offset: float = 0.0
+):
+    """Median and central 95 % of runs as a dot on a bar, one row each."""
+    places = np.arange(len(rows)) + offset
+    low, middle, high = (np.array([np.quantile(s, q) for s in samples]) for q in (0.025, 0.5, 0.975))
+    ends = [middle - low, high - middle]
+    axis.errorbar(middle, places, xerr=ends, fmt="o", color=colour, capsize=3, markersize=4, label=label)
+    axis.set_yticks(np.arange(len(rows)), rows)
+
+
+@lru_cache(maxsize=8)
+def _contest(size_percent: float) -> tuple[Scan, Contest, Records]:
+    """Scan, entrants and records for one size of the errors; they stay while the weight alone moves."""
+    scan = published_scan()
+    contest = prepare(scan, size_percent / 100, rigid=False)
+    return scan, contest, draw_scans(scan, 6, 1, size_percent / 100, "ends", False)
+
+
+def draw_weight(weight_exponent: float, size_percent: float):
+    """Explorer: scan-phase errors of the published three as gamma and the size of the errors move."""
+    scan, contest, records = _contest(size_percent)
+    knobs = {"Kalman": 1.0, "sensitivity penalised": 10.0**weight_exponent}
+    knobs["regularised least squares"] = size_percent / 100
+    figure, axes = figures.new(1, 2, height=2.8, sharex=True)
+    window = scan.setpoint.scanning
+    for name, knob in knobs.items():
+        error = records.states[0] - run_entrant(name, contest, knob, records)[0]
+        for axis, state in zip(axes, (2, 4), strict=True):
+            axis.plot(scan.setpoint.time[window], 1e9 * error[state, window], label=name, color=COLOURS[name])
+            axis.set_title(STATES[state][0])
+            axis.set_xlabel("time (s)")
+    axes[0].set_ylabel("estimation error (nm √kg)")
+    axes[0].legend()
+    return figure

@@ -1,0 +1,229 @@
+r"""Scans of uncertain plants for the comparison of observers, section 5.4.3 of the observer thesis.
+
+One controller and one feedforward move every plant along the setpoint while the sensor slides along the
+structure; what is recorded is the input, the measurement and the true states.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import ArrayLike
+from scipy import linalg
+
+from experiments.motion.machines import parameters, published_setpoint, stage, stage_mass
+from experiments.motion.positions import shapes_along
+from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.base.kernels import kernel
+from stillwork.control.pid import PidFamily
+from stillwork.control.setpoint import Setpoint
+from stillwork.estimation.riccati import discrete_gain
+from stillwork.estimation.time_varying import TimeVaryingModel
+from stillwork.estimation.uncertainty import perturbed
+from stillwork.lti.discretisation import zoh, zoh_modes
+from stillwork.lti.modal import ModalModel
+from stillwork.lti.state_space import StateModel
+
+
+@dataclass(frozen=True)
+class Scan:
+    """What all plants of a study share."""
+
+    nominal: ModalModel  # with one output a grid point
+    shapes: Float64[np.ndarray, "samples modes"]  # nominal output shape at every sample
+    setpoint: Setpoint
+    controller: StateModel  # sampled
+    mass: float  # kg, of the acceleration feedforward
+    deviations: tuple[float, float, float]  # of w (N), v (m) and d (m), each sample anew
+
+    @property
+    def step(self) -> float:
+        """Sample time, s."""
+        return self.setpoint.step
+
+
+@dataclass(frozen=True)
+class Records:
+    """Recorded scans of several plants."""
+
+    u: Float64[np.ndarray, "runs inputs samples"]  # N, force of controller and feedforward
+    y: Float64[np.ndarray, "runs outputs samples"]  # m, measurement
+    states: Float64[np.ndarray, "runs states samples"]  # true modal states, form 1
+
+
+def published_scan(
+    modes: int = 3, spacing: float = 0.05, bandwidth_hz: float = 30.0, step: float = 1e-4
+) -> Scan:
+    """Section 5.4.3: the first three modes of the stage on the setpoint of Fig. 3.32.
+
+    Not published, and set here: the masses stand `spacing` metres apart, the move is centred on them, the
+    controller is (3.1) at `bandwidth_hz`, the sample time is `step`.
+
+    Raises
+    ------
+    InputError
+        When the move does not fit on the structure.
+    """
+    plant = stage().modes(slice(0, modes))
+    setpoint = published_setpoint(step)
+    grid = require_number("spacing", spacing, above=0.0) * np.arange(len(plant.output_shapes))
+    position = setpoint.derivatives[0]
+    start = (grid[-1] - position[-1]) / 2
+    noise = parameters("stage")["noise"]
+    return Scan(
+        plant,
+        shapes_along(plant, grid, start + position),
+        setpoint,
+        zoh(PidFamily(stage_mass())(bandwidth_hz).state_space(), step),
+        stage_mass(),
+        (noise["process"], noise["reference"], noise["sensor"]),
+    )
+
+
+def filter_model(scan: Scan) -> TimeVaryingModel:
+    """Nominal model for the filters, started from the stationary covariance at the first place."""
+    sampled = zoh_modes(scan.nominal, scan.step)
+    c = output_rows(scan.shapes)
+    w, v, d = scan.deviations
+    process, sensor = np.array([[w**2]]), np.array([[v**2 + d**2]])
+    start = discrete_gain(sampled.a, sampled.b, c[0], process, sensor)
+    initial = start.covariance - start.filter_gain @ c[0] @ start.covariance
+    return TimeVaryingModel(sampled.a, sampled.b, sampled.b, c, process, sensor, (initial + initial.T) / 2)
+
+
+def output_rows(shapes: Float64[np.ndarray, "samples modes"]) -> Float64[np.ndarray, "samples 1 states"]:
+    """C at every sample for modal states of form 1 and a position sensor."""
+    c = np.zeros((len(shapes), 1, 2 * shapes.shape[1]))
+    c[:, 0, ::2] = shapes
+    return c
+
+
+def record_scans(scan: Scan, errors: Sequence[ArrayLike], rng: np.random.Generator) -> Records:
+    """Simulate one scan for every plant, exactly at the samples, with fresh noise for each.
+
+    Parameters
+    ----------
+    scan : Scan
+    errors : sequence of array_like, shape (modes, 4)
+        Relative errors of each plant, see `uncertainty.perturbed`.
+    rng : numpy.random.Generator
+    """
+    samples, runs = len(scan.shapes), len(errors)
+    if any(np.any(np.diff(scan.nominal.frequencies * (1 + e[:, 0])) < 0) for e in map(np.asarray, errors)):
+        raise InputError("errors are so large that two modes change places; give smaller ones")
+    plants = [perturbed(scan.nominal, e) for e in errors]
+    sampled = [zoh_modes(plant, scan.step) for plant in plants]
+    factors = np.array([1 + require_array("errors", e, ndim=2)[:, 3] for e in errors])
+    noise = rng.standard_normal((runs, 3, samples)) * np.array(scan.deviations)[:, None]
+    states = np.zeros((runs, samples, len(sampled[0].a)))
+    u, y = np.zeros((runs, samples)), np.zeros((runs, samples))
+    _scan(
+        np.array([m.a for m in sampled]),
+        np.array([m.b[:, 0] for m in sampled]),
+        scan.shapes[None] * factors[:, None, :],
+        scan.setpoint.derivatives[0].copy(),
+        scan.mass * scan.setpoint.derivatives[2],
+        *(
+            np.ascontiguousarray(x)
+            for x in (scan.controller.a, scan.controller.b[:, 0], scan.controller.c[0])
+        ),
+        noise,
+        states,
+        u,
+        y,
+    )
+    return Records(u[:, None], y[:, None], np.ascontiguousarray(np.swapaxes(states, 1, 2)))
+
+
+@kernel
+def _scan(a, b, shapes, reference, forward, ca, cb, cc, noise, states, u, y):
+    runs, samples, n = states.shape
+    m = ca.shape[0]
+    for run in range(runs):
+        x, following, z, z_following = np.zeros(n), np.zeros(n), np.zeros(m), np.zeros(m)
+        for k in range(samples):
+            output = noise[run, 2, k] - noise[run, 1, k]
+            for i in range(n // 2):
+                output += shapes[run, k, i] * x[2 * i]
+            force = forward[k]
+            for i in range(m):
+                force += cc[i] * z[i]
+            for i in range(n):
+                states[run, k, i] = x[i]
+            y[run, k], u[run, k] = output, force
+            error = reference[k] - output
+            for i in range(m):
+                total = cb[i] * error
+                for j in range(m):
+                    total += ca[i, j] * z[j]
+                z_following[i] = total
+            for i in range(m):
+                z[i] = z_following[i]
+            for i in range(n):
+                total = b[run, i] * (force + noise[run, 0, k])
+                for j in range(n):
+                    total += a[run, i, j] * x[j]
+                following[i] = total
+            for i in range(n):
+                x[i] = following[i]
+
+
+def slowest_decay(scan: Scan, errors: ArrayLike, stride: int = 100) -> float:
+    """Largest magnitude of the closed loop's poles over the scan; below 1 when every place is stable."""
+    plant = zoh_modes(perturbed(scan.nominal, errors), scan.step)
+    factors = 1 + require_array("errors", errors, ndim=2)[:, 3]
+    rows = output_rows(scan.shapes[::stride] * factors)
+    control = scan.controller
+    largest = 0.0
+    for c in rows:
+        loop = np.block([[plant.a, plant.b @ control.c], [-control.b @ c, control.a]])
+        largest = max(largest, float(np.abs(linalg.eigvals(loop)).max()))
+    return largest
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Estimation errors over the scanning phase, per run and state (SI units)."""
+
+    rms: Float64[np.ndarray, "runs states"]
+    bias: Float64[np.ndarray, "runs states"]  # mean
+    drift: Float64[np.ndarray, "runs states"]  # change over the phase, of the straight line through the error
+    size: Float64[np.ndarray, "runs states"]  # rms of the true state about its mean, over the same phase
+    end: Float64[np.ndarray, "runs states"]  # error at the end of the phase
+    accelerating: Float64[np.ndarray, "runs states"]  # rms error outside the phase of constant velocity
+    move: Float64[np.ndarray, "runs states"]  # rms error over the whole move ...
+    move_size: Float64[np.ndarray, "runs states"]  # ... and rms of the true state
+
+    def flexible(self) -> Float64[np.ndarray, " runs"]:
+        """Root mean square over the flexible states of error over true size: what MC and AD live on."""
+        return np.sqrt(np.mean((self.rms[:, 2:] / self.size[:, 2:]) ** 2, axis=1))
+
+
+def judge(scan: Scan, records: Records, estimates: ArrayLike) -> Errors:
+    """Errors of the estimates of all runs in the scanning phase."""
+    estimates = require_array("estimates", estimates, shape=records.states.shape)
+    window = scan.setpoint.scanning
+    if window.sum() < 2:
+        raise InputError("setpoint: the scanning phase holds fewer than two samples")
+    true = records.states[:, :, window]
+    whole = records.states - estimates
+    error = whole[:, :, window]
+    # The snap segments at both ends of the move: everything before the settling and after the scan.
+    time = scan.setpoint.time
+    moving = (time < scan.setpoint.acceleration_end) | (~window & (time > scan.setpoint.scan[0]))
+    line = np.linspace(-1, 1, window.sum())
+    return Errors(
+        _rms(error),
+        error.mean(axis=2),
+        2 * (error @ line) / (line @ line),
+        true.std(axis=2),
+        error[:, :, -1],
+        _rms(whole[:, :, moving]),
+        _rms(whole),
+        _rms(records.states),
+    )
+
+
+def _rms(signals: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.mean(signals**2, axis=-1))

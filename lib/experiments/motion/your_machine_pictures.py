@@ -1,0 +1,146 @@
+"""Pictures of a machine of one's own (notebook 29)."""
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from experiments.motion.pictures import bode, decibel, over_masses
+from experiments.motion.structure import observing_compensator
+from experiments.motion.your_machine import Intensities, Reached, observer_settings
+from stillwork.base.checks import InputError
+from stillwork.control.applications import Application
+from stillwork.identification.machine import Machine
+from stillwork.lti.peaks import resonance_grid
+from stillwork.workbook import figures
+
+
+def draw_machine(machine: Machine):
+    """Accelerance of the model at every sensor; with a measurement also that, and the error of the fit."""
+    if machine.measured is None:
+        return _draw_model(machine)
+    figure, (upper, lower) = figures.new(2, 1, height=4.6, sharex=True)
+    omega = machine.fit.omega
+    inside = (machine.measured.omega >= 0.3 * omega[0]) & (machine.measured.omega <= 1.2 * omega[-1])
+    measured = machine.measured.omega[inside], machine.measured.response[inside]
+    hertz = measured[0] / (2 * np.pi)
+    fitted = -(measured[0] ** 2) * machine.sensors[0].frequency_response(measured[0])[0, 0]
+    for response, label, style in (
+        (measured[1], "measured", {"color": figures.BLUE}),
+        (fitted, "fitted", {"color": figures.RED, "linestyle": "--"}),
+    ):
+        kept = envelope(hertz, np.abs(response))
+        upper.semilogx(hertz[kept], decibel(response[kept]), linewidth=0.9, label=label, **style)
+    upper.set_ylabel("accelerance (dB re 1/kg)")
+    upper.legend()
+    kept = envelope(omega, machine.fit.error)
+    lower.loglog(omega[kept] / (2 * np.pi), 100 * machine.fit.error[kept], linewidth=0.7, color=figures.BLACK)
+    lower.set_ylabel("error of the fit (%)")
+    lower.set_xlabel("frequency (Hz)")
+    return figure
+
+
+def _draw_model(machine: Machine):
+    figure, axis = figures.new(1, 1, height=3.0)
+    resonances = machine.resonances_hz
+    hertz = np.geomspace(resonances[0] / 10, 2 * resonances[-1], 6000)
+    hertz = np.unique(np.concatenate([hertz, resonances]))
+    omega = 2 * np.pi * hertz
+    for number, sensor in enumerate(machine.sensors, 1):
+        response = -(omega**2) * sensor.frequency_response(omega)[0, 0]
+        kept = envelope(hertz, np.abs(response))
+        axis.semilogx(hertz[kept], decibel(response[kept]), linewidth=0.9, label=f"sensor {number}")
+    axis.set_xlabel("frequency (Hz)")
+    axis.set_ylabel("accelerance (dB re 1/kg)")
+    axis.legend()
+    return figure
+
+
+def envelope(x: np.ndarray, magnitude: np.ndarray, bins: int = 500) -> np.ndarray:
+    """Index of the largest and the smallest magnitude in each of `bins` logarithmic stretches: no peak is lost."""
+    place = np.searchsorted(np.geomspace(x[0], x[-1], bins + 1)[1:-1], x)
+    starts = np.flatnonzero(np.diff(place, prepend=-1))
+    stretches = np.split(np.arange(len(x)), starts[1:])
+    return np.unique([each[pick(magnitude[each])] for each in stretches for pick in (np.argmin, np.argmax)])
+
+
+def draw_reached(found: Mapping[str, Reached]):
+    """First crossing of every sensor for every use of the observer, on the model and on the measurement."""
+    figure, axis = figures.new(1, 1, height=2.8)
+    for number, (attribute, label, marker) in enumerate(
+        (("on_model", "on the model", "o"), ("on_measurement", "on the measurement", "s"))
+    ):
+        points = [
+            (place + 0.1 * number, crossing)
+            for place, reached in enumerate(found.values())
+            if getattr(reached, attribute) is not None
+            for crossing in getattr(reached, attribute).crossing_hz
+        ]
+        if points:
+            face = {} if number == 0 else {"markerfacecolor": "none"}
+            axis.plot(*np.transpose(points), marker, label=label, **face)
+    axis.set_xticks(range(len(found)), list(found))
+    axis.set_xlim(-0.5, len(found) - 0.4)
+    axis.set_ylim(0, None)
+    axis.set_ylabel("first crossing (Hz)")
+    axis.legend()
+    return figure
+
+
+def draw_sensitivities(found: Mapping[str, Reached], machine: Machine):
+    """Output sensitivity of every sensor at the limit of PID and of the furthest use of the observer."""
+    reached = {name: each for name, each in found.items() if each.best is not None}
+    if not reached:
+        raise InputError(
+            "no loop has a feasible bandwidth; the reasons stand above: widen search_hz or mend the fit"
+        )
+    furthest = max(reached, key=lambda name: reached[name].best.crossing_hz.min())
+    chosen = list(dict.fromkeys([next(iter(reached)), furthest]))
+    return over_masses(
+        {
+            f"{name}, $S_O$": (reached[name].loops, reached[name].best.controller, "output_sensitivity")
+            for name in chosen
+        },
+        low_hz=machine.resonances_hz[0] / 80,
+        high_hz=1.2 * machine.resonances_hz[-1],
+        label="sensor",
+    )
+
+
+def machine_explorer(
+    machine: Machine, intensities: Intensities, retained: int, selectivity: float
+) -> Callable:
+    """Drawing function of the explorer: what the controller sees at the last sensor, bare and with MC and AD.
+
+    Parameters
+    ----------
+    machine : Machine
+    intensities : Intensities
+        The starting point; the explorer moves the drift.
+    retained : int
+        Modes in the observer.
+    selectivity : float
+        Q of the band-pass of AD.
+    """
+    last = machine.sensors[-1]
+    low, high = machine.resonances_hz[0] * 0.05, machine.resonances_hz[-1] * 1.2
+    shown = resonance_grid(last.poles, low, high, 200, 16)  # coarse enough to redraw quickly
+    plant = last.frequency_response(shown)[0, 0]
+    flexible = shown > np.pi * machine.resonances_hz[0]  # from half of the first resonance on
+
+    def draw(damping: float, drift: float):
+        moved = Intensities(intensities.disturbance, intensities.sensor, drift)
+        application = Application(compensate=True, damping=damping, selectivity=selectivity)
+        settings = observer_settings(machine, application, retained, moved)
+        used = observing_compensator(last, application, *settings)
+        (o_uu, o_uy), (o_yu, o_yy) = used.frequency_response(shown)
+        seen = ((1 - o_yy) * plant - o_yu) / (1 - o_uu - o_uy * plant)
+        figure, axes = bode(
+            {"plant": (shown, plant), "with MC and AD": (shown, seen)},
+            "magnitude (dB re 1 m/N)",
+            height=3.2,
+        )
+        lowered = 20 * np.log10(np.abs(plant[flexible]).max() / np.abs(seen[flexible]).max())
+        axes[0].set_title(f"the highest peak is {lowered:.0f} dB lower")
+        return figure
+
+    return draw

@@ -1,0 +1,164 @@
+"""Pictures of FIR identification with noisy inputs (Fig. 1) and of what happens as the record grows."""
+
+import numpy as np
+
+from experiments.worstcase.simulations import fir_trial
+from stillwork.workbook import figures
+from stillwork.workbook.studies import Study, run_study
+
+METHODS = (
+    ("min_max", "min-max", figures.BLUE, "-"),
+    ("total", "total least squares", figures.RED, "--"),
+    ("least", "least squares (not in the paper)", figures.BLACK, "-"),
+)
+
+
+def draw_fig_1(study: Study, parameters: tuple[float, ...]):
+    """Estimates averaged over the realisations (a), (b) and residuals (c), drawn as in Fig. 1."""
+    figure, (first, second, third) = figures.new(3, 1, height=7.2, sharex=True)
+    time = np.arange(1, study["bound"].shape[1] + 1)
+    for number, (axes, truth) in enumerate(zip((first, second), parameters, strict=True)):
+        _draw_estimates(axes, study, number, truth)
+    first.legend(ncols=3)
+    third.plot(time, study["min_max_worst"].mean(0), color=figures.BLUE, label="min-max: worst case")
+    third.plot(time, study["total_target"].mean(0), "--", color=figures.RED, label="TLS: |(A + δA)x − b|")
+    third.plot(
+        time,
+        np.median(study["total_worst"], 0),
+        ":",
+        color=figures.RED,
+        label="TLS: worst case under the same bound, median",
+    )
+    third.set(
+        ylabel="residual",
+        xlabel="time (samples)",
+        title="(c)",
+        ylim=(0, 1.5 * study["min_max_worst"].mean(0)[-1]),
+    )
+    third.legend(ncols=2)
+    return figure
+
+
+def _draw_estimates(axes, study: Study, number: int, truth: float):
+    time = np.arange(1, study["bound"].shape[1] + 1)
+    for name, label, colour, style in METHODS:
+        axes.plot(time, study[name][:, number].mean(0), style, color=colour, label=label)
+    axes.axhline(truth, color=figures.GREY, linewidth=2.5, alpha=0.5, zorder=1)
+    axes.set(
+        ylabel=f"estimate of x{number + 1}", title=f"({'ab'[number]})", ylim=_window(study, number, truth)
+    )
+
+
+def _window(study, number, truth):
+    # the first samples of total least squares run off any scale
+    late = study["min_max"][:, number].mean(0)[10:]
+    reach = max(0.6, 1.3 * np.abs(late - truth).max())
+    return truth - reach, truth + reach
+
+
+def draw_corrections(study: Study):
+    """Norm of the perturbation that TLS assumes, beside the true one and its bound."""
+    figure, axes = figures.new(height=3.0)
+    time = np.arange(1, study["bound"].shape[1] + 1)
+    axes.plot(time, study["total_matrix"].mean(0), "--", color=figures.RED, label="correction assumed by TLS")
+    axes.plot(time, study["bound"][0], color=figures.BLUE, label="bound √(2t) × largest input noise")
+    axes.plot(time, study["perturbation"].mean(0), color=figures.GREY, label="true perturbation")
+    axes.set(xlabel="time (samples)", ylabel="2-norm of the perturbation of A")
+    axes.legend()
+    return figure
+
+
+def error_norms(study: Study, parameters: tuple[float, ...]) -> dict[str, np.ndarray]:
+    """|x - estimate| of every realisation, shape (runs, samples), by method."""
+    truth = np.asarray(parameters, float)[:, None]
+    return {name: np.linalg.norm(study[name] - truth, axis=1) for name, *_ in METHODS}
+
+
+def group_errors(study: Study, parameters: tuple[float, ...], group: int) -> dict[str, np.ndarray]:
+    """Error of the averages over groups of realisations, as the paper averages: (groups, samples), by method."""
+    truth = np.asarray(parameters, float)[:, None]
+    groups = study.runs // group
+    return {
+        name: np.linalg.norm(
+            study[name][: groups * group].reshape(groups, group, *study[name].shape[1:]).mean(1) - truth,
+            axis=1,
+        )
+        for name, *_ in METHODS
+    }
+
+
+def draw_long(study: Study, parameters: tuple[float, ...], least_limit: np.ndarray):
+    """Median error over realisations as the record grows, and the limit of least squares."""
+    figure, axes = figures.new(height=3.2)
+    for name, label, colour, style in METHODS:
+        values = np.median(error_norms(study, parameters)[name], axis=0)
+        time = np.unique(np.geomspace(len(parameters) + 2, len(values), 150).astype(int))
+        axes.loglog(time, values[time - 1], style, color=colour, label=label)
+    limit = np.linalg.norm(least_limit - np.asarray(parameters))
+    axes.axhline(limit, color=figures.BLACK, linestyle=":", linewidth=1, label="limit of least squares")
+    axes.set(xlabel="time (samples)", ylabel="median |x − estimate|")
+    axes.legend()
+    return figure
+
+
+def win_shares(
+    cases: list[tuple[tuple[float, ...], int]],
+    runs: int,
+    group: int,
+    seed: int,
+    samples: int,
+    first: int,
+    **noise: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Share of experiments that min-max wins against TLS and against least squares, by (parameters, period).
+
+    An experiment averages `group` realisations; it is won when the time average of |x - average estimate|
+    from sample `first` on is smaller.
+    """
+    shares = []
+    for parameters, period in cases:
+        study = run_study(
+            fir_trial,
+            runs,
+            seed,
+            progress=False,
+            parameters=parameters,
+            period=period,
+            samples=samples,
+            **noise,
+        )
+        errors = {name: e[:, first:].mean(1) for name, e in group_errors(study, parameters, group).items()}
+        shares.append([np.mean(errors["min_max"] < errors[other]) for other in ("total", "least")])
+    return tuple(np.array(shares).T)
+
+
+def draw_wins(cases: list[tuple[tuple[float, ...], int]], against_total, against_least):
+    """Bars of `win_shares`."""
+    figure, axes = figures.new(height=3.2)
+    places = np.arange(len(cases))
+    axes.bar(places - 0.2, against_total, 0.38, color=figures.RED, label="min-max beats total least squares")
+    axes.bar(places + 0.2, against_least, 0.38, color=figures.BLACK, label="min-max beats least squares")
+    names = [f"({', '.join(f'{p:g}' for p in parameters)})\n{period}" for parameters, period in cases]
+    axes.set_xticks(places, names)
+    axes.set(
+        xlabel="true parameters, and period of the square wave (samples)",
+        ylabel="share of experiments",
+        ylim=(0, 1.25),
+    )
+    axes.legend(ncols=2, loc="upper center")
+    return figure
+
+
+def explore_fig_1(period: int, input_noise: float, output_noise: float, second: float, seed: int = 1):
+    """Estimates of Fig. 1 with other unpublished choices: period, noise amplitudes, second parameter."""
+    parameters = (1.0, second)
+    study = run_study(
+        fir_trial, 10, seed, progress=False, parameters=parameters, period=int(period), samples=200,
+        input_noise=input_noise, output_noise=output_noise,
+    )  # fmt: skip
+    figure, panels = figures.new(1, 2, height=3.2)
+    for number, (axes, truth) in enumerate(zip(panels, parameters, strict=True)):
+        _draw_estimates(axes, study, number, truth)
+        axes.set_xlabel("time (samples)")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return figure

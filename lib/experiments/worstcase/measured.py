@@ -1,0 +1,187 @@
+"""A measured case: one accelerometer of a structure predicted from another, both noisy."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+from scipy import signal
+
+from experiments.worstcase.total import total_least_squares
+from stillwork.base import paths
+from stillwork.base.checks import InputError, require_count, require_number
+from stillwork.estimation.min_max import solve_silently
+from stillwork.estimation.recursive import run_silently
+from stillwork.estimation.recursive_settings import LeastSquares, MinMax, Ridge
+from stillwork.identification.regressors import fir_regressors, noise_bound
+from stillwork.signals.records import load_record
+from stillwork.workbook import figures
+
+METHODS = (
+    ("least squares", figures.BLACK, "o--"),
+    ("total least squares", figures.RED, "v--"),
+    ("ridge", figures.GREEN, "s-"),
+    ("min-max, typical bound", figures.BLUE, "o-"),
+    ("min-max, guaranteed bound", figures.PURPLE, "^-"),
+)
+
+
+@dataclass(frozen=True)
+class MeasuredPair:
+    """Two accelerations of one structure, band-passed alike, and their sensor noise.
+
+    Attributes
+    ----------
+    input, output : ndarray, shape (samples,)
+        Accelerations in m/s^2; band-passed to `band_hz`, so that the offsets and drifts of the sensors are gone.
+    sample_rate : float
+        Hz.
+    band_hz : tuple of float
+        Pass band.
+    noise : float
+        Standard deviation of the input's sensor noise in the band, m/s^2: the density between 300 and 600 Hz,
+        where the two channels are incoherent, taken as white over the band.
+    """
+
+    input: Float64[np.ndarray, " samples"]
+    output: Float64[np.ndarray, " samples"]
+    sample_rate: float
+    band_hz: tuple[float, float]
+    noise: float
+
+
+def load_pair(
+    band_hz: tuple[float, float], quiet_hz: tuple[float, float]
+) -> tuple[MeasuredPair, dict[str, np.ndarray]]:
+    """The shipped record `structure_accel_3k2`, channels 2 (input) and 3 (output), and its spectra.
+
+    Returns
+    -------
+    pair : MeasuredPair
+    spectra : dict of str to ndarray
+        ``frequency`` in Hz, ``input`` and ``output``: densities in (m/s^2)^2/Hz, ``coherence``.
+    """
+    record = load_record(paths.data("worstcase", "structure_accel_3k2/structure_accel_20s.npz"), "m/s^2")
+    rate = record.sample_rate
+    filtered = signal.butter(4, band_hz, "bandpass", fs=rate, output="sos")
+    raw = record.signals - record.signals.mean(axis=1, keepdims=True)
+    settled = int(rate)  # the first second holds the filter's start
+    quiet, loud = signal.sosfilt(filtered, raw)[:, settled:]
+    frequency, (power, other) = signal.welch(raw, rate, nperseg=4096)
+    coherence = signal.coherence(*raw, rate, nperseg=4096)[1]
+    still = (frequency >= quiet_hz[0]) & (frequency <= quiet_hz[1])
+    noise = float(np.sqrt(power[still].mean() * (band_hz[1] - band_hz[0])))
+    spectra = {"frequency": frequency, "input": power, "output": other, "coherence": coherence}
+    return MeasuredPair(quiet, loud, rate, tuple(band_hz), noise), spectra
+
+
+def window_residuals(
+    pair: MeasuredPair, taps: int, lengths: list[int], most: int
+) -> dict[str, list[np.ndarray]]:
+    """Out-of-sample residuals: an FIR model from each window predicts the window that follows.
+
+    Parameters
+    ----------
+    pair : MeasuredPair
+    taps : int
+        Length of the FIR model.
+    lengths : list of int
+        Samples in a window.
+    most : int
+        At most so many windows a length, spread over the record.
+
+    Returns
+    -------
+    dict of str to list of ndarray
+        By method, for each length: rms residual over rms output in every window; 1 is the zero model.
+    """
+    taps = require_count("taps", taps)
+    regressors = fir_regressors(pair.input, taps)
+    found = {name: [] for name, *_ in METHODS}
+    for length in lengths:
+        residuals = {name: [] for name in found}
+        for matrix, target, later, goal in _windows(pair, regressors, length, most):
+            for name, estimate in _estimates(matrix, target, pair.noise).items():
+                residuals[name].append(np.linalg.norm(goal - later @ estimate) / np.linalg.norm(goal))
+        for name, values in residuals.items():
+            found[name].append(np.array(values))
+    return found
+
+
+def _windows(pair: MeasuredPair, regressors, length: int, most: int) -> list[tuple[np.ndarray, ...]]:
+    """Pairs of neighbouring windows, spread over the record: regressors and outputs to fit, then to predict."""
+    taps, samples = regressors.shape
+    if not taps < length <= (samples - taps) // 2:
+        raise InputError(f"lengths holds {length}; give more than {taps} and at most half of the record")
+    starts = np.arange(taps, samples - 2 * length + 1, 2 * length)
+    starts = starts[np.unique(np.linspace(0, len(starts) - 1, most).astype(int))]
+    return [
+        (
+            regressors[:, start : start + length].T,
+            pair.output[start : start + length],
+            regressors[:, start + length : start + 2 * length].T,
+            pair.output[start + length : start + 2 * length],
+        )
+        for start in starts
+    ]
+
+
+def _estimates(matrix, target, noise) -> dict[str, np.ndarray]:
+    rows, taps = matrix.shape
+    typical = noise_bound(noise, taps, 1 - 1 / rows)
+    guaranteed = 3 * noise * np.sqrt(rows * taps)  # every entry off by three deviations at once
+    penalised = matrix.T @ matrix + rows * noise**2 * np.eye(taps)
+    return {
+        "least squares": np.linalg.lstsq(matrix, target, rcond=None)[0],
+        "total least squares": total_least_squares(matrix, target).estimate,
+        "ridge": np.linalg.solve(penalised, matrix.T @ target),
+        "min-max, typical bound": solve_silently(matrix, target, typical).estimate,
+        "min-max, guaranteed bound": solve_silently(matrix, target, guaranteed).estimate,
+    }
+
+
+def tracking_residuals(pair: MeasuredPair, taps: int, memories: list[int]) -> dict[str, np.ndarray]:
+    """One-step prediction errors of the recursive estimators over the whole record, against memory length.
+
+    Parameters
+    ----------
+    pair : MeasuredPair
+    taps : int
+        Length of the FIR model.
+    memories : list of int
+        1 / (1 - forgetting), samples.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (memories,)
+        rms prediction error over rms output, from ten memory lengths of the longest memory on.
+    """
+    regressors = fir_regressors(pair.input, taps)
+    start = min(10 * max(memories), len(pair.output) // 2)
+    scale = np.sqrt(np.mean(pair.output[start:] ** 2))
+    found = {name: [] for name in ("RLS", "ridge", "min-max, typical bound")}
+    for memory in memories:
+        forgetting = 1 - 1 / require_number("memories", memory, above=1.0)
+        estimators = {
+            "RLS": LeastSquares(forgetting, 1 / pair.noise**2),
+            "ridge": Ridge(memory * pair.noise**2, forgetting),
+            "min-max, typical bound": MinMax(noise_bound(pair.noise, taps, forgetting), forgetting),
+        }
+        for name, estimator in estimators.items():
+            errors = run_silently(estimator, regressors, pair.output).errors[start:]
+            found[name].append(np.sqrt(np.mean(errors**2)) / scale)
+    return {name: np.array(values) for name, values in found.items()}
+
+
+def bound_sweep(pair: MeasuredPair, taps: int, length: int, factors: np.ndarray, most: int) -> np.ndarray:
+    """Median out-of-sample residual of min-max when the bound is `factors` times the typical one."""
+    regressors = fir_regressors(pair.input, taps)
+    typical = noise_bound(pair.noise, taps, 1 - 1 / length)
+    windows = _windows(pair, regressors, length, most)
+    found = np.zeros((len(windows), len(factors)))
+    for i, (matrix, target, later, goal) in enumerate(windows):
+        # a rotation of the rows changes no residual: taps + 1 of them say all
+        corner = np.linalg.qr(np.column_stack([matrix, target]), mode="r")
+        for j, factor in enumerate(factors):
+            estimate = solve_silently(corner[:, :-1], corner[:, -1], factor * typical).estimate
+            found[i, j] = np.linalg.norm(goal - later @ estimate) / np.linalg.norm(goal)
+    return np.median(found, axis=0)

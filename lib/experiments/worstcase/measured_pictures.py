@@ -1,0 +1,89 @@
+"""Pictures of the measured case."""
+
+import numpy as np
+
+from experiments.worstcase.measured import METHODS, MeasuredPair, bound_sweep, load_pair
+from stillwork.workbook import figures
+
+
+def draw_spectra(pair: MeasuredPair, spectra: dict[str, np.ndarray], quiet_hz: tuple[float, float]):
+    """Densities of both channels with the sensor noise read from the quiet band, and their coherence."""
+    figure, (upper, lower) = figures.new(2, 1, height=4.4, sharex=True)
+    shown = spectra["frequency"] > 5
+    frequency = spectra["frequency"][shown]
+    upper.loglog(frequency, spectra["input"][shown], linewidth=0.8, label="input, channel 2")
+    upper.loglog(frequency, spectra["output"][shown], linewidth=0.8, label="output, channel 3")
+    level = pair.noise**2 / (pair.band_hz[1] - pair.band_hz[0])
+    upper.loglog(
+        pair.band_hz, [level, level], color=figures.BLACK, label="sensor noise taken, over the pass band"
+    )
+    upper.set(ylabel="density ((m/s²)²/Hz)")
+    upper.legend()
+    lower.semilogx(
+        frequency, spectra["coherence"][shown], linewidth=0.8, color=figures.GREEN, label="coherence"
+    )
+    lower.axvspan(
+        *quiet_hz, color=figures.GREY, alpha=0.25, linewidth=0, label="band where the noise is read"
+    )
+    lower.set(xlabel="frequency (Hz)", ylabel="coherence", ylim=(0, 1))
+    lower.legend(loc="upper left")
+    return figure
+
+
+def draw_windows(lengths: list[int], found: dict[str, list[np.ndarray]]):
+    """Out-of-sample residual against the length of the training window; bars are quartiles over windows."""
+    figure, axes = figures.new(height=3.6)
+    for number, (name, colour, style) in enumerate(METHODS):
+        low, middle, high = np.transpose([np.quantile(values, (0.25, 0.5, 0.75)) for values in found[name]])
+        if middle.min() > 1.6:
+            name += " (above the frame)"
+        places = np.array(lengths) * 1.03 ** (number - 2)  # side by side
+        axes.errorbar(
+            places,
+            middle,
+            yerr=[middle - low, high - middle],
+            fmt=style,
+            markersize=4,
+            color=colour,
+            label=name,
+            capsize=2,
+        )
+    axes.axhline(1, color=figures.GREY, linewidth=0.8)
+    axes.set(
+        xscale="log", xlabel="training window (samples)", ylabel="rms residual / rms output", ylim=(0.4, 1.6)
+    )
+    axes.legend(ncols=2)
+    return figure
+
+
+def draw_tracking(memories: list[int], found: dict[str, np.ndarray]):
+    """One-step prediction error of the recursive estimators against their memory."""
+    figure, axes = figures.new(height=3.0)
+    colours = {"RLS": figures.BLACK, "ridge": figures.GREEN, "min-max, typical bound": figures.BLUE}
+    for name, values in found.items():
+        axes.semilogx(memories, values, "o-", markersize=4, color=colours[name], label=name)
+    axes.axhline(1, color=figures.GREY, linewidth=0.8)
+    axes.set(xlabel="memory 1 / (1 − λ) (samples)", ylabel="rms error / rms output", ylim=(0.4, 1.1))
+    axes.legend()
+    return figure
+
+
+def draw_sweep(factors: np.ndarray, found: dict[int, np.ndarray]):
+    """Median out-of-sample residual against the bound, for several window lengths."""
+    figure, axes = figures.new(height=3.0)
+    for length, values in found.items():
+        axes.semilogx(factors, values, "o-", markersize=3, label=f"window of {length} samples")
+    axes.axvline(1, color=figures.BLACK, linewidth=0.8, linestyle="--")
+    axes.text(1, axes.get_ylim()[1], " from the sensor noise", va="top", fontsize=8)
+    axes.set(
+        xlabel="bound over the typical norm of the sensor noise", ylabel="median rms residual / rms output"
+    )
+    axes.legend()
+    return figure
+
+
+def explore_sweep(taps: int, length: int):
+    """`draw_sweep` for another model and window."""
+    pair, _ = load_pair((100.0, 1500.0), (300.0, 600.0))
+    factors = np.geomspace(0.1, 5, 9)
+    return draw_sweep(factors, {int(length): bound_sweep(pair, int(taps), int(length), factors, 10)})

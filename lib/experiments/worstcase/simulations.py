@@ -1,0 +1,191 @@
+"""The simulations of Section 9: FIR identification (Fig. 1) and tracking (Fig. 2 and its variations).
+
+The paper leaves open the true parameters and the square wave's period of Fig. 1, and the regressors, the
+noise and the length of Fig. 2; what is assumed is a parameter here and named in the notebooks.
+"""
+
+import numpy as np
+from scipy import signal
+
+from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.estimation.recursive import run_silently, worst_case_residuals
+from stillwork.estimation.recursive_settings import GrowingMinMax, LeastSquares, MinMax, Ridge
+from stillwork.identification.regressors import fir_regressors
+
+FIG_2_PARAMETERS = (-0.0134, -0.0316, 0.0265, -0.0114, 0.0132)
+
+
+def fir_trial(
+    rng: np.random.Generator,
+    parameters: tuple[float, ...],
+    period: int,
+    samples: int,
+    input_noise: float,
+    output_noise: float,
+) -> dict[str, np.ndarray]:
+    """One realisation of Fig. 1: square wave into an FIR filter, input and output measured with uniform noise.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    parameters : tuple of float
+        Impulse response x.
+    period : int
+        Samples in a period of the square wave of amplitude 1.
+    samples : int
+        Length of the record.
+    input_noise, output_noise : float
+        w_max and v_max, largest absolute noise.
+
+    Returns
+    -------
+    dict of str to ndarray
+        ``min_max``, ``total``, ``least`` (unknowns x samples): estimates from all rows up to t, NaN before
+        there are more rows than unknowns. ``min_max_worst``, ``total_worst``, ``least_worst``: worst-case
+        residuals |A x - b| + eta |x|. ``total_target``: norm of the correction of b. ``total_matrix``: norm
+        of the correction of A. ``perturbation``: norm of the true perturbation. ``bound``: eta_t.
+    """
+    parameters = require_array("parameters", parameters, ndim=1)
+    taps = len(parameters)
+    if samples <= 2 * taps:
+        raise InputError(f"samples is {samples}; give more than {2 * taps}, twice the number of taps")
+    clean = signal.square(2 * np.pi * (np.arange(samples + taps - 1) + 0.5) / period)
+    error = rng.uniform(-input_noise, input_noise, clean.shape)
+    full = slice(taps - 1, None)  # every row holds measured samples only
+    outputs = parameters @ fir_regressors(clean, taps)[:, full]
+    outputs += rng.uniform(-output_noise, output_noise, samples)
+    errors = fir_regressors(error, taps)[:, full]
+    regressors = fir_regressors(clean, taps)[:, full] + errors
+    estimator = GrowingMinMax(np.sqrt(taps) * input_noise)
+    bounds = estimator.bounds(0, samples)
+    estimates = {"min_max": run_silently(estimator, regressors, outputs).estimates}
+    estimates["least"], estimates["total"], correction = _growing_windows(regressors, outputs)
+    found = {}
+    for name, values in estimates.items():
+        found[f"{name}_worst"] = worst_case_residuals(regressors, outputs, values, bounds, 1.0)
+    found = {name: _after(values, taps) for name, values in {**estimates, **found}.items()}
+    length = np.linalg.norm(found["total"], axis=0)
+    found["total_matrix"] = correction * length / np.hypot(1, length)
+    found["total_target"] = correction / np.hypot(1, length)
+    outer = np.cumsum(errors[:, None] * errors[None], axis=2)
+    found["perturbation"] = np.sqrt(np.linalg.eigvalsh(np.moveaxis(outer, 2, 0))[:, -1])
+    found["bound"] = bounds
+    return found
+
+
+def least_squares_limit(parameters: tuple[float, float], period: int, input_noise: float) -> np.ndarray:
+    """What least squares tends to in Fig. 1's setting: (R + s I)^-1 R x.
+
+    R is the input's covariance, for two taps of a square wave of amplitude 1 with an even `period`; s the
+    variance of the uniform input noise, input_noise^2 / 3.
+    """
+    parameters = require_array("parameters", parameters, shape=(2,))
+    neighbour = 1 - 4 / period
+    covariance = np.array([[1, neighbour], [neighbour, 1]])
+    return np.linalg.solve(covariance + input_noise**2 / 3 * np.eye(2), covariance @ parameters)
+
+
+def _growing_windows(regressors, outputs):
+    # least squares and total least squares of rows 0..t for all t, from sums of products: (A'A) x = A'b, and
+    # the eigenvector of the smallest eigenvalue of [A b]'[A b]
+    stacked = np.vstack([regressors, outputs])
+    products = np.moveaxis(np.cumsum(stacked[:, None] * stacked[None], axis=2), 2, 0)
+    unknowns = len(regressors)
+    values, vectors = np.linalg.eigh(products)
+    smallest = vectors[:, :, 0]
+    least = np.zeros(regressors.shape)
+    total = np.zeros(regressors.shape)
+    late = slice(unknowns, None)  # from there on A has more rows than columns
+    least[:, late] = np.linalg.solve(
+        products[late, :unknowns, :unknowns], products[late, :unknowns, unknowns:]
+    )[..., 0].T
+    total[:, late] = -(smallest[late, :unknowns] / smallest[late, unknowns:]).T
+    return least, total, np.sqrt(np.maximum(values[:, 0], 0))
+
+
+def _after(values, first):
+    values = values.copy()
+    values[..., :first] = np.nan
+    return values
+
+
+def path(kind: str, parameters: tuple[float, ...], samples: int) -> np.ndarray:
+    """True parameters along time, shape (unknowns, samples): ``constant``, ``jump`` or ``drift``.
+
+    A jump changes the sign of all parameters at half of the record. A drift turns the first two parameters
+    by one revolution along it.
+    """
+    parameters = require_array("parameters", parameters, ndim=1)
+    values = np.repeat(parameters[:, None], samples, axis=1)
+    if kind == "constant":
+        return values
+    if kind == "jump":
+        values[:, samples // 2 :] *= -1
+        return values
+    if kind != "drift" or len(parameters) < 2:
+        raise InputError(f"kind is {kind!r}; use 'constant', 'jump' or, for two parameters or more, 'drift'")
+    angle = 2 * np.pi * np.arange(samples) / samples
+    cosine, sine = np.cos(angle), np.sin(angle)
+    first, second = parameters[:2]
+    values[0] = cosine * first - sine * second
+    values[1] = sine * first + cosine * second
+    return values
+
+
+def tracking_trial(
+    rng: np.random.Generator,
+    truth: np.ndarray,
+    bound: float,
+    forgetting: float,
+    row_error: float,
+    noise: float,
+    penalty: float,
+) -> dict[str, np.ndarray]:
+    """One trial of Fig. 2: white regressors that are off by a bounded error, outputs with Gaussian noise.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    truth : ndarray, shape (unknowns, samples)
+        x_t, from `path`.
+    bound, forgetting : float
+        eta and lambda of the min-max estimator; RLS and ridge forget alike.
+    row_error : float
+        epsilon: the error of each regressor is drawn uniformly from the ball of this radius.
+    noise : float
+        Standard deviation of v_t.
+    penalty : float
+        Constant penalty of ridge regression.
+
+    Returns
+    -------
+    dict of str to ndarray
+        ``min_max``, ``rls``, ``ridge``, ``zero``: error norms |x_t - estimate|, shape (samples,); ``norm``: |A|_2
+        of the unweighted regressors; ``vanished``: share of the time with a zero estimate.
+    """
+    unknowns, samples = truth.shape
+    regressors = rng.standard_normal((unknowns, samples))
+    directions = rng.standard_normal((unknowns, samples))
+    radius = row_error * rng.random(samples) ** (1 / unknowns)
+    errors = directions * (radius / np.linalg.norm(directions, axis=0))
+    outputs = np.sum((regressors + errors) * truth, axis=0) + noise * rng.standard_normal(samples)
+    min_max = run_silently(MinMax(bound, forgetting), regressors, outputs)
+    tracks = {
+        "min_max": min_max.estimates,
+        "rls": run_silently(LeastSquares(forgetting), regressors, outputs).estimates,
+        "ridge": run_silently(Ridge(penalty, forgetting), regressors, outputs).estimates,
+        "zero": np.zeros_like(truth),
+    }
+    found = {name: np.linalg.norm(truth - values, axis=0) for name, values in tracks.items()}
+    found["norm"] = np.linalg.norm(regressors, 2)
+    found["vanished"] = np.isinf(min_max.alphas[unknowns:]).mean()
+    return found
+
+
+def settled(errors: np.ndarray, forgetting: float) -> np.ndarray:
+    """Root mean square of error norms (..., samples) after three memory lengths 1 / (1 - forgetting)."""
+    forgetting = require_number("forgetting", forgetting, above=0.0, below=1.0)
+    start = int(np.ceil(3 / (1 - forgetting)))
+    if start >= np.shape(errors)[-1]:
+        raise InputError(f"errors has {np.shape(errors)[-1]} samples; give more than {start}")
+    return np.sqrt(np.mean(np.square(errors[..., start:]), axis=-1))

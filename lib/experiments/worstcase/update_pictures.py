@@ -1,0 +1,119 @@
+"""Pictures of the time updates: distance from batch, accuracy of (20), cost against n."""
+
+import csv
+
+import numpy as np
+
+from experiments.worstcase.costs import multiplications
+from experiments.worstcase.simulations import FIG_2_PARAMETERS, path
+from experiments.worstcase.theory import recursion_trial
+from stillwork.base import paths
+from stillwork.workbook import figures
+
+COLOURS = {
+    "least squares": figures.BLACK,
+    "ridge": figures.GREEN,
+    "approximate": figures.BLUE,
+    "exact": figures.ORANGE,
+    "fast": figures.PURPLE,
+    "SOCP": figures.GREY,
+}
+
+
+def draw_exactness(found: dict[str, np.ndarray]):
+    """Norm of the batch estimate along time, and of the exact and the fast recursion at every eighth sample."""
+    figure, axes = figures.new(height=2.8)
+    time = np.arange(len(found["size"]))
+    axes.plot(time, found["size"], color=figures.BLACK, linewidth=0.9, label="batch solution at every sample")
+    axes.plot(
+        time[::8],
+        found["size_exact"][::8],
+        "o",
+        markersize=3,
+        color=COLOURS["exact"],
+        label="exact recursion",
+    )
+    axes.plot(
+        time[4::8], found["size_fast"][4::8], "x", markersize=4, color=COLOURS["fast"], label="fast recursion"
+    )
+    axes.set(xlabel="time (samples)", ylabel="|x|")
+    axes.legend()
+    return figure
+
+
+def draw_accuracy(records: dict[str, dict[str, np.ndarray]]):
+    """Error of alpha and of the estimate of (20) with 1, 2 and 3 iterations; one row of axes a record."""
+    figure, grid = figures.new(len(records), 2, sharex=True, squeeze=False)
+    for (title, found), (left, right) in zip(records.items(), grid, strict=True):
+        for iterations, colour in ((1, figures.BLUE), (2, figures.ORANGE), (3, figures.GREEN)):
+            label = f"{iterations} iteration{'s' * (iterations > 1)}"
+            left.semilogy(
+                _above_rounding(found[f"alpha_{iterations}"]), color=colour, linewidth=0.8, label=label
+            )
+            values = _above_rounding(found[f"approximate_{iterations}"])
+            right.semilogy(values, color=colour, linewidth=0.8, label=label)
+        left.set(ylabel="relative error of α", title=title)
+        right.set(ylabel="|x − batch| / max |batch|", title=f"{title}: estimate")
+        left.minorticks_off()
+        right.minorticks_off()
+        left.set_ylim(bottom=1e-10)
+        right.set_ylim(bottom=1e-10)
+    for axes in grid[-1]:
+        axes.set_xlabel("time (samples)")
+    figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return figure
+
+
+def _above_rounding(errors: np.ndarray) -> np.ndarray:
+    # where (20) starts from the exact solution its error is rounding, which differs between machines
+    return np.where(errors > 1e-11, errors, np.nan)
+
+
+def draw_counts(sizes: list[int], evaluations: float):
+    """Multiplications an update against n, with what the paper claims as slopes."""
+    figure, axes = figures.new(height=3.4)
+    for update in ("least squares", "ridge", "approximate", "exact", "fast"):
+        needed = 1.0 if update == "approximate" else evaluations
+        counts = [multiplications(update, n, needed) for n in sizes]
+        axes.loglog(sizes, counts, "o-", markersize=3, color=COLOURS[update], label=update)
+    n = np.array([sizes[0], sizes[-1]], dtype=float)
+    for power, name, colour in ((2, "n²", figures.BLACK), (3, "n³", figures.BLUE)):
+        axes.loglog(n, 0.5 * n**power, color=colour, linewidth=0.8, linestyle="--", label=f"∝ {name}")
+    axes.set(xlabel="number of unknowns n", ylabel="multiplications an update")
+    axes.legend(ncols=2)
+    return figure
+
+
+def measured_times() -> dict[str, np.ndarray]:
+    """The committed table of benchmark times: ``unknowns`` and microseconds an update, by name."""
+    file = paths.data("worstcase", "update_times/update_times.csv")
+    with file.open(newline="", encoding="utf-8") as lines:
+        names, *rows = csv.reader(lines)
+    columns = np.array(rows, dtype=float).T
+    return {name.removesuffix(" (us)"): column for name, column in zip(names, columns, strict=True)}
+
+
+def draw_times(times: dict[str, np.ndarray]):
+    """Measured time an update against n (the committed table)."""
+    figure, axes = figures.new(height=3.4)
+    styles = {
+        "RLS": ("least squares", "o-"),
+        "ridge": ("ridge", "o-"),
+        "approximate 1": ("approximate", "o-"),
+        "approximate 3": ("approximate", "v:"),
+        "exact": ("exact", "o-"),
+        "fast": ("fast", "o-"),
+        "SOCP": ("SOCP", "s-"),
+    }
+    for name, (kind, style) in styles.items():
+        axes.loglog(times["unknowns"], times[name], style, markersize=3, color=COLOURS[kind], label=name)
+    axes.set(xlabel="number of unknowns n", ylabel="time an update (µs)")
+    axes.legend(ncols=2)
+    return figure
+
+
+def explore_accuracy(bound: float, noise: float, seed: int = 1):
+    """`draw_accuracy` on one record of the setting of Fig. 2."""
+    truth = path("constant", FIG_2_PARAMETERS, 120)
+    found = recursion_trial(np.random.default_rng(seed), truth, bound, 0.95, noise)
+    return draw_accuracy({f"η = {bound:.3g}": found})

@@ -1,0 +1,153 @@
+"""Pictures of an input-output record of one's own (notebook 07)."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from experiments.worstcase.measured_pictures import draw_windows
+from experiments.worstcase.your_record import Fitted, Pair, Spectra, parts, residual, weighted_corner
+from stillwork.estimation.min_max import solve_silently
+from stillwork.identification.regressors import fir_regressors, noise_bound
+from stillwork.workbook import figures
+
+STYLES = {
+    "RLS": (figures.BLACK, "-"),
+    "total least squares": (figures.RED, ":"),
+    "min-max, typical bound": (figures.BLUE, "-"),
+    "min-max, chosen bound": (figures.SKY, "--"),
+    "min-max, guaranteed bound": (figures.PURPLE, "-."),
+}
+USELESS = 1.5  # a residual beyond which a model is not drawn
+
+
+def draw_pair(pair: Pair, spectra: Spectra):
+    """Densities of input and output with the noise taken, and their coherence."""
+    figure, panels = figures.new(3, 1, height=5.4, sharex=True)
+    shown = spectra.frequency > 0
+    level = np.array(pair.noise) ** 2 / (pair.band_hz[1] - pair.band_hz[0])
+    band = max(pair.band_hz[0], spectra.frequency[1]), pair.band_hz[1]
+    for axes, side, name, unit, noise, colour in zip(
+        panels[:2],
+        ("input", "output"),
+        pair.names,
+        pair.units,
+        level,
+        (figures.BLUE, figures.RED),
+        strict=True,
+    ):
+        axes.loglog(
+            spectra.frequency[shown],
+            getattr(spectra, side)[shown],
+            lw=0.8,
+            color=colour,
+            label=f"{side}: {name}",
+        )
+        axes.loglog(band, [noise, noise], color=figures.BLACK, label="sensor noise taken, over the pass band")
+        axes.set_ylabel(f"density (({_nice(unit)})²/Hz)")
+        axes.legend()
+    panels[2].semilogx(
+        spectra.frequency[shown], spectra.coherence[shown], lw=0.8, color=figures.GREEN, label="coherence"
+    )
+    panels[2].set(xlabel="frequency (Hz)", ylabel="coherence", ylim=(0, 1))
+    return figure
+
+
+def draw_models(pair: Pair, fitted: Fitted, samples: int = 80):
+    """Impulse responses, and predictions of the output on the first samples of the part that is judged."""
+    figure, (left, right) = figures.new(1, 2, height=3.4)
+    taps = len(next(iter(fitted.estimates.values())))
+    lags = np.arange(taps) / pair.sample_rate * 1e3
+    start = parts(len(pair.output))[2].start
+    regressors = fir_regressors(pair.input, taps)
+    stretch = slice(start, min(start + samples, len(pair.output)))
+    times = np.arange(stretch.start, stretch.stop) / pair.sample_rate
+    right.plot(times, pair.output[stretch], color=figures.GREY, lw=2.5, label="measured")
+    useful = {name: one for name, one in fitted.estimates.items() if fitted.held_out[name] < USELESS}
+    for name, estimate in useful.items():
+        colour, line = STYLES[name]
+        left.plot(lags, estimate, line, color=colour, lw=1.1, label=name)
+        predicted = estimate @ regressors[:, stretch]
+        right.plot(times, predicted, line, color=colour, lw=1.0, label=f"_{name}")
+    for name in (name for name in fitted.estimates if name not in useful):
+        left.plot([], [], color=STYLES[name][0], ls=STYLES[name][1], label=f"{name}: too far off to draw")
+    left.set(xlabel="lag (ms)", ylabel=f"impulse response ({_per(pair)})", title="models")
+    right.set(
+        xlabel="time (s)", ylabel=f"output ({_nice(pair.units[1])})", title="on the part that is judged"
+    )
+    figure.legend(loc="outside lower center", ncols=3)
+    return figure
+
+
+def _per(pair: Pair) -> str:
+    return "-" if pair.units[0] == pair.units[1] else f"({_nice(pair.units[1])})/({_nice(pair.units[0])})"
+
+
+def _nice(unit: str) -> str:
+    return unit.replace("^2", "²")
+
+
+def draw_bounds(pair: Pair, fitted: Fitted):
+    """Residual against the bound on the part for choosing and on the part that is judged."""
+    figure, axes = figures.new(1, 1, height=3.2)
+    typical = fitted.bounds["min-max, typical bound"]
+    etas = fitted.factors * typical
+    axes.semilogx(etas, fitted.choosing, "o-", markersize=3, color=figures.GREEN, label="part for choosing")
+    axes.semilogx(etas, fitted.judging, "o-", markersize=3, color=figures.BLUE, label="part that is judged")
+    axes.axhline(fitted.held_out["RLS"], color=figures.BLACK, lw=0.9, label="RLS, judged")
+    for name, label in (
+        ("min-max, typical bound", "typical"),
+        ("min-max, guaranteed bound", "guaranteed"),
+        ("min-max, chosen bound", "chosen"),
+    ):
+        axes.axvline(fitted.bounds[name], color=STYLES[name][0], ls="--", lw=0.9, label=f"{label} bound")
+    axes.axvline(fitted.threshold, color=figures.GREY, ls=":", lw=0.9, label="from here on zero")
+    axes.set(xlabel=f"bound η ({_nice(pair.units[0])})", ylabel="rms residual / rms output")
+    axes.legend(ncols=2)
+    return figure
+
+
+def draw_lengths(lengths: list[int], found: dict[str, list[np.ndarray]]):
+    """Residual on the next window against the length of the training window; in decades where it gets small."""
+    figure = draw_windows(lengths, found)
+    [axes] = figure.axes
+    smallest = min(np.quantile(values, 0.25) for windows in found.values() for values in windows)
+    if smallest < 0.2:
+        axes.set(yscale="log", ylim=(0.6 * smallest, 1.8))
+    else:
+        axes.set_ylim(0, 1.6)
+    return figure
+
+
+def record_explorer(pair: Pair, memory: int) -> Callable:
+    """Drawing function of the explorer: the model for another length and another bound."""
+    scaled = pair.normalised
+    fit, _, judge = parts(len(scaled.input))
+    forgetting = 1 - 1 / memory
+    recent = slice(max(0, fit.stop - min(8 * memory, 8000)), fit.stop)
+    later = slice(judge.start, min(judge.start + 8000, judge.stop))
+
+    def draw(taps: int, bound: float):
+        """Impulse responses for `taps` and `bound` times the typical bound."""
+        regressors = fir_regressors(scaled.input, taps)
+        matrix, target = weighted_corner(regressors[:, recent], scaled.output[recent], forgetting)
+        eta = bound * noise_bound(1.0, taps, forgetting)
+        estimates = {
+            "RLS": np.linalg.lstsq(matrix, target, rcond=None)[0],
+            "min-max, typical bound": solve_silently(matrix, target, eta).estimate,
+        }
+        figure, axes = figures.new(1, 1, height=3.0)
+        for (name, estimate), label in zip(estimates.items(), ("least squares", "min-max"), strict=True):
+            left = residual(regressors[:, later], scaled.output[later], estimate)
+            axes.plot(
+                np.arange(taps) / pair.sample_rate * 1e3,
+                pair.gain * estimate,
+                "o-",
+                markersize=3,
+                color=STYLES[name][0],
+                label=f"{label}: leaves {100 * left:.1f} % of the output",
+            )
+        axes.set(xlabel="lag (ms)", ylabel=f"impulse response ({_per(pair)})")
+        axes.legend()
+        return figure
+
+    return draw

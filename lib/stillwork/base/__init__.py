@@ -1,0 +1,1 @@
+"""What everything stands on: checked arguments, paths, kernels, tables, lazy faces."""

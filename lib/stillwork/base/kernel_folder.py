@@ -1,0 +1,85 @@
+"""The folder that holds the kernels' machine code. Knows nothing of numba, so that a build can ask for it."""
+
+import contextlib
+import hashlib
+import os
+import re
+import shutil
+import time
+from functools import cache
+from pathlib import Path
+
+from stillwork.base import paths
+
+try:
+    import fcntl
+except ImportError:  # not a Unix: a folder counts as used by its time alone
+    fcntl = None
+
+FOLDER_VARIABLE = "STILLWORK_KERNELS"
+PACKAGES = ("stillwork", "experiments")  # those beside each other that have kernels
+KEPT = 7 * 24 * 3600  # s, without use
+
+
+def cache_folder() -> str:
+    """Folder for the machine code of the kernels as they are written now.
+
+    Numba's own rule looks at the file of a kernel, not at those of the kernels it calls: after a change of one
+    of these it would go on with the old code. So the folder's name is a digest of every file that has kernels.
+    Who starts many processes asks once and hands the answer on in ``STILLWORK_KERNELS``. Empty, which is numba's
+    rule, where there is no workbook to write to.
+    """
+    folder = os.environ.get(FOLDER_VARIABLE) or _folder_by_content()
+    if folder:
+        _use(folder)
+    return folder
+
+
+@cache
+def _folder_by_content() -> str:
+    digest = hashlib.sha256()
+    library = Path(__file__).parents[2]
+    for file in sorted(each for package in PACKAGES for each in (library / package).rglob("*.py")):
+        text = file.read_bytes()
+        if b"kernel" in text:
+            digest.update(text)
+    try:
+        folder = paths.root() / "build" / "kernels" / digest.hexdigest()[:16]
+        if not folder.exists():
+            folder.mkdir(parents=True, exist_ok=True)
+            _remove_unused(folder.parent)
+    except OSError:
+        return ""
+    return str(folder)
+
+
+@cache
+def _use(folder: str) -> None:
+    """Mark the folder as used now, and as in use while this process lives."""
+    with contextlib.suppress(OSError):
+        os.utime(folder)
+        if fcntl is not None:
+            fcntl.flock(os.open(folder, os.O_RDONLY), fcntl.LOCK_SH | fcntl.LOCK_NB)
+
+
+def _remove_unused(every: Path) -> None:
+    """Remove the folders of other digests that were not used for a week and are not in use."""
+    for folder in every.iterdir():
+        if not re.fullmatch("[0-9a-f]{16}", folder.name):
+            continue
+        with contextlib.suppress(OSError):
+            if time.time() - folder.stat().st_mtime > KEPT and not _in_use(folder):
+                shutil.rmtree(folder, ignore_errors=True)
+
+
+def _in_use(folder: Path) -> bool:
+    if fcntl is None:
+        return False
+    opened = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:  # held by another process, or no locks here: rather keep it
+        return True
+    finally:
+        os.close(opened)
+    return False

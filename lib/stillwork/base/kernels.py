@@ -1,0 +1,69 @@
+"""The one place for compile flags of per-sample kernels and callbacks."""
+
+import contextlib
+import inspect
+import sys
+from collections.abc import Callable
+from functools import cache
+
+import numba
+from numba.core.ccallback import CFunc
+from numba.core.sigutils import normalize_signature
+
+from stillwork.base.checks import InputError
+from stillwork.base.kernel_cache import CodeCache, KernelCache
+
+# No fast-math: reordered sums break the symmetry that recursive least squares rests on.
+ARITHMETIC = {"error_model": "numpy"}
+FLAGS = {"nogil": True, **ARITHMETIC}
+
+
+def kernel(function):
+    """Compile a plain-array function with numba: cached on disk, free of the GIL, IEEE arithmetic.
+
+    The function is unwrapped first, because the tests' type checker wraps every function of the package.
+    """
+    return _compiled(function)
+
+
+def inlined_kernel(function):
+    """As `kernel`, but copied into its callers: for what runs every sample and is as short as a call is long."""
+    return _compiled(function, inline="always")
+
+
+def _compiled(function, **options):
+    """Numba's dispatcher, with a cache of the package's own."""
+    function = inspect.unwrap(function)
+    compiled = numba.njit(**FLAGS, **options)(function)
+    if not numba.config.DISABLE_JIT:
+        KernelCache(function).serve(compiled)
+    return compiled
+
+
+@cache
+def callback(function: Callable, signature: str):
+    """Compile a function of a reader's own to a C callback, cached beside the file that defines it.
+
+    All callbacks of one signature have one type, so a kernel that calls them is compiled once for every function.
+    The cache notices a change of that file, not of another one from which the function calls: keep what belongs
+    to a model in one file. A function typed at a prompt, or of a module that ``sys.modules`` does not hold, is
+    compiled anew in every process.
+
+    Raises
+    ------
+    InputError
+        When numba cannot compile it.
+    """
+    function = inspect.unwrap(function)
+    compiled = CFunc(function, normalize_signature(signature), locals={}, options=ARITHMETIC)
+    if function.__module__ in sys.modules:  # else no other process could read the cache
+        with contextlib.suppress(RuntimeError):  # typed at a prompt: no file to cache beside
+            CodeCache(function).serve(compiled)
+    try:
+        compiled.compile()
+        return compiled
+    except numba.core.errors.NumbaError as error:
+        raise InputError(
+            f"{function.__name__} cannot be compiled; use only numbers, loops, math and numpy in it, "
+            f"and take everything else from parameters ({str(error).strip().splitlines()[-1]})"
+        ) from None

@@ -1,0 +1,128 @@
+"""What an observer does for a loop: measurement compensation, active damping, or both (sections 3.2-3.4)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from stillwork.base.checks import InputError, require_array, require_choice, require_number
+from stillwork.control.feedback import SELECTIONS, band_pass, damping_gain, stiffness_gain
+from stillwork.estimation.observer import Observer
+from stillwork.lti.state_space import StateModel, interconnect
+
+
+@dataclass(frozen=True)
+class Application:
+    """What is done with the estimate; the defaults do nothing."""
+
+    compensate: bool = False  # MC: subtract the estimated flexible part from the measurement
+    damping: float | tuple[float, ...] = (
+        0.0  # AD: wanted increase of the damping ratios, one for all modes or each
+    )
+    selection: str = "each mode"  # of the damping gains
+    stiffness: float = 1.0  # active stiffness: wanted factor on the resonance frequencies
+    selectivity: float | tuple[float, ...] | None = (
+        None  # Q of the band-pass on the damping gains, one for all modes or each; None: no filter
+    )
+    common: float | None = (
+        None  # rad/s, centre of one band-pass for all gains; None: one a mode at its resonance
+    )
+    high_pass_hz: float | None = None  # corner of a high-pass on the compensation, instead of a noise model
+
+    def __post_init__(self):
+        for each in np.atleast_1d(self.damping):
+            require_number("damping", each, at_least=0.0, below=1.0)
+        require_choice("selection", self.selection, SELECTIONS)
+        require_number("stiffness", self.stiffness, above=0.0)
+        for name in ("selectivity", "common", "high_pass_hz"):
+            if getattr(self, name) is not None:
+                for each in np.atleast_1d(getattr(self, name)):
+                    require_number(name, each, above=0.0)
+
+
+def compensator(observer: Observer, application: Application) -> StateModel:
+    """The block O(s) of (A.2): from plant input and measurement (u, y) to (u_d, y_flex).
+
+    u_d is added to the plant input (and is part of u), y_flex is subtracted from the measurement.
+    """
+    model = observer.model
+    rigid = model.rigid_modes
+    inputs, outputs = len(model.input_shapes.T), len(model.output_shapes)
+    flexible = len(model.frequencies) - rigid
+    if not flexible:
+        raise InputError("observer.model has no flexible modes; there is nothing to compensate or to damp")
+    gain = np.zeros((inputs, 2 * len(model.frequencies)))
+    if np.any(application.damping):
+        gain = damping_gain(model, require_array("damping", application.damping), application.selection)
+    static = (
+        np.zeros_like(gain) if application.stiffness == 1.0 else stiffness_gain(model, application.stiffness)
+    )
+    velocities, filters = np.zeros((0, len(observer.a))), []
+    if application.selectivity is None:
+        static = static + gain
+    else:
+        if np.any(gain[:, ::2]):
+            raise InputError(
+                "selection: the band-pass is for gains on velocities; choose another than pole placement"
+            )
+        velocities = observer.read(np.eye(flexible), "velocity")
+        centres = model.frequencies[rigid:] if application.common is None else [application.common] * flexible
+        widths = require_array("selectivity", application.selectivity)
+        widths = np.full(flexible, float(widths)) if widths.ndim == 0 else widths
+        widths = require_array("selectivity", widths, shape=(flexible,))
+        filters = [band_pass(float(w), float(q)) for w, q in zip(centres, widths, strict=True)]
+    direct = observer.read(static[:, 2 * rigid :: 2]) + observer.read(
+        static[:, 2 * rigid + 1 :: 2], "velocity"
+    )
+    estimator = observer.estimator(
+        np.vstack([application.compensate * observer.flexible_outputs, direct, velocities])
+    )
+    high_pass = [_high_pass(application.high_pass_hz)] * outputs if application.high_pass_hz else []
+    gain = gain[:, 2 * rigid + 1 :: 2]
+    return _wired([estimator, *filters, *high_pass], inputs, outputs, len(filters), gain, bool(high_pass))
+
+
+def _high_pass(corner_hz: float) -> StateModel:
+    w = 2 * np.pi * corner_hz
+    return StateModel(np.array([[-w]]), np.array([[w]]), np.array([[-1.0]]), np.ones((1, 1)))
+
+
+def _wired(models, inputs: int, outputs: int, filters: int, gain: np.ndarray, high_pass: bool) -> StateModel:
+    """Estimator outputs (y_flex, u_d, velocities) through their filters to (u_d, y_flex)."""
+    all_in = sum(m.b.shape[1] for m in models)
+    all_out = sum(len(m.c) for m in models)
+    feedback, take = np.zeros((all_in, all_out)), np.zeros((inputs + outputs, all_out))
+    first = inputs + outputs  # of the filters, among the inputs and among the estimator's velocities alike
+    for k in range(filters):
+        feedback[first + k, outputs + inputs + k] = 1
+        take[:inputs, first + filters + k] = gain[:, k]
+    take[:inputs, outputs : outputs + inputs] = np.eye(inputs)
+    if high_pass:
+        feedback[-outputs:, :outputs] = np.eye(outputs)
+        take[inputs:, -outputs:] = np.eye(outputs)
+    else:
+        take[inputs:, :outputs] = np.eye(outputs)
+    external = np.eye(all_in, inputs + outputs)
+    return interconnect(models, feedback, external, take)
+
+
+def soft_sensor(observer: Observer, performance_shapes: Float64[np.ndarray, "places modes"]) -> StateModel:
+    """Soft sensor (3.21) from (u, y) to the position at other places, for one rigid-body direction.
+
+    The estimated deformation at the sensor is subtracted and that at the wanted place added; the rigid-body
+    part of the measurement passes unfiltered.
+
+    Parameters
+    ----------
+    observer : Observer
+    performance_shapes : ndarray, shape (places, modes)
+        Mode shapes of the observer's modes at the places where the position is wanted.
+    """
+    model = observer.model
+    if model.rigid_modes != 1 or len(model.output_shapes) != 1:
+        raise InputError("soft_sensor is for one rigid-body mode and one sensor; decouple the machine first")
+    rigid = performance_shapes[:, :1] / model.output_shapes[:, :1]
+    rows = observer.read(performance_shapes[:, 1:]) - rigid @ observer.flexible_outputs
+    estimate = observer.estimator(rows)
+    direct = np.hstack([np.zeros((len(rows), model.input_shapes.shape[1])), rigid])
+    return StateModel(estimate.a, estimate.b, estimate.c, direct)

@@ -1,0 +1,228 @@
+"""The largest bandwidth that keeps every loop stable and below its peak constraints: (3.2), (3.4), (3.35), (3.47)."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Complex128, Float64
+from scipy import linalg
+
+from stillwork.base.checks import InputError, require_choice, require_count, require_number
+from stillwork.base.rounding import TIE
+from stillwork.control.loops import LoopResponse, closed_loop, no_observer
+from stillwork.control.pid import Pid
+from stillwork.lti.modal import ModalModel
+from stillwork.lti.peaks import Peak, refine_peak, resonance_grid
+from stillwork.lti.state_space import StateModel
+
+SIX_DB = 10 ** (6 / 20)  # not 2
+
+FUNCTIONS = ("input_sensitivity", "output_sensitivity", "true_tracking")
+
+
+@dataclass(frozen=True)
+class PeakConstraint:
+    """An upper bound on the peak magnitude of one loop function."""
+
+    function: str
+    limit: float = SIX_DB
+
+    def __post_init__(self):
+        require_choice("function", self.function, FUNCTIONS)
+        require_number("limit", self.limit, above=1.0)
+
+
+@dataclass(frozen=True)
+class Loop:
+    """One plant with its compensator; the controller is what is searched for."""
+
+    plant: ModalModel
+    compensator: StateModel
+    omega: Float64[np.ndarray, " frequencies"] = field(repr=False)  # rad/s, refined around every pole
+    plant_response: Complex128[np.ndarray, " frequencies"] = field(repr=False)
+    compensator_response: Complex128[np.ndarray, "2 2 frequencies"] = field(repr=False)
+
+    def at(self, controller: Pid, omega: np.ndarray | None = None) -> LoopResponse:
+        """Loop functions on the loop's own grid, or at other frequencies (rad/s)."""
+        if omega is None:
+            plant, observer, omega = self.plant_response, self.compensator_response, self.omega
+        else:
+            plant = self.plant.frequency_response(omega)[0, 0]
+            observer = self.compensator.frequency_response(omega)
+        return LoopResponse(plant, observer, controller.frequency_response(omega))
+
+    def peak(self, controller: Pid, function: str) -> Peak:
+        """Refined peak of a loop function."""
+        magnitude = np.abs(getattr(self.at(controller), function))
+        return refine_peak(lambda w: getattr(self.at(controller, w), function), self.omega, magnitude)
+
+    def poles(self, controller: Pid) -> Complex128[np.ndarray, " states"]:
+        """Closed-loop poles."""
+        a = closed_loop(self.plant, self.compensator, controller.state_space()).a
+        return linalg.eigvals(a).astype(complex)
+
+    def crossing_hz(self, controller: Pid) -> float:
+        """First 0 dB crossing of the open loop that the controller sees (Definition 1.2.1), Hz."""
+        gain = np.abs(self.at(controller).loop)
+        below = np.flatnonzero((gain[1:] < 1) & (gain[:-1] >= 1))
+        if not len(below):
+            raise InputError("the loop gain does not cross 0 dB on the grid; widen low_hz and high_hz")
+        k = below[0]
+        ratio = np.log(gain[k]) / np.log(gain[k] / gain[k + 1])
+        low, high = self.omega[k], self.omega[k + 1]
+        return float(low * (high / low) ** ratio / (2 * np.pi))
+
+
+def make_loop(
+    plant: ModalModel,
+    compensator: StateModel | None = None,
+    *,
+    low_hz: float = 0.1,
+    high_hz: float = 2e4,
+    points: int = 600,
+    around: int = 40,
+) -> Loop:
+    """Prepare a loop: responses of everything but the controller, on a grid refined around every pole.
+
+    Parameters
+    ----------
+    plant : ModalModel
+        One input, one output.
+    compensator : StateModel, optional
+        From (u, y) to (u_d, y_flex); None: no observer.
+    low_hz, high_hz, points, around
+        Grid, see `stillwork.lti.resonance_grid`.
+    """
+    if plant.feedthrough.shape != (1, 1):
+        raise InputError("plant must have one input and one output; pick them with plant.at")
+    observer = no_observer(plant) if compensator is None else compensator
+    poles = np.concatenate([plant.poles, observer.poles])
+    omega = resonance_grid(poles, low_hz, high_hz, points, around)
+    return Loop(
+        plant, observer, omega, plant.frequency_response(omega)[0, 0], observer.frequency_response(omega)
+    )
+
+
+@dataclass(frozen=True)
+class Bandwidth:
+    """The largest feasible design, and what stops it."""
+
+    design_hz: float  # parameter f_bw of the controller
+    crossing_hz: Float64[np.ndarray, " loops"]  # first 0 dB crossing of each loop
+    controller: Pid
+    function: str  # the active constraint ...
+    loop: int  # ... the loop it is active in ...
+    peak: Peak  # ... and its peak there; "stability" has peak infinity
+
+
+def maximise_bandwidth(
+    loops: Sequence[Loop],
+    family: Callable[[float], Pid],
+    constraints: Sequence[PeakConstraint],
+    low_hz: float = 10.0,
+    high_hz: float = 150.0,
+    scan: int = 141,
+    tolerance_hz: float = 1e-4,
+    refine: bool = True,
+) -> Bandwidth:
+    """Largest design parameter for which every loop is stable and below every constraint.
+
+    A scan from above finds the highest interval that is feasible (it looks at grid values first, which reject
+    nothing that is); its upper end is then bisected with refined peaks and eigenvalues.
+
+    Parameters
+    ----------
+    loops : sequence of Loop
+        One a plant (position); the controller must serve all.
+    family : callable
+        From the design parameter (Hz) to a controller.
+    constraints : sequence of PeakConstraint
+    low_hz, high_hz : float
+        Range of the search.
+    scan : int
+        Number of design parameters in it.
+    tolerance_hz : float
+        Width at which the bisection stops.
+    refine : bool
+        Search for the peaks between the grid points; without it the answer depends on the grid and is
+        never below the true one.
+
+    Raises
+    ------
+    InputError
+        When there are no loops or constraints, nothing in the range is feasible, or all of it is.
+    """
+    if not len(loops):
+        raise InputError("loops is empty; give at least one plant")
+    if not len(constraints):
+        raise InputError("constraints is empty; without a peak constraint no bandwidth is the largest")
+    require_number("high_hz", high_hz, above=require_number("low_hz", low_hz, above=0.0))
+    grid = np.linspace(low_hz, high_hz, require_count("scan", scan, at_least=2))
+    for k in reversed(range(scan)):
+        controller = family(grid[k])
+        if _rough(loops, controller, constraints) and not _violation(loops, controller, constraints, refine):
+            break
+    else:
+        raise InputError(
+            f"no bandwidth from {low_hz:g} to {high_hz:g} Hz is stable and below every constraint; "
+            "lower low_hz, relax the constraints or look at the plants"
+        )
+    if k == len(grid) - 1:
+        raise InputError(f"all constraints hold even at high_hz = {high_hz:g}; raise it to find the limit")
+    good, bad = float(grid[k]), float(grid[k + 1])
+    stopped = _violation(loops, family(bad), constraints, refine)
+    while bad - good > tolerance_hz:
+        middle = (good + bad) / 2
+        found = _violation(loops, family(middle), constraints, refine)
+        if found is None:
+            good = middle
+        else:
+            bad, stopped = middle, found
+    controller = family(good)
+    crossings = np.array([loop.crossing_hz(controller) for loop in loops])
+    return Bandwidth(good, crossings, controller, *stopped)
+
+
+def _rough(loops: Sequence[Loop], controller: Pid, constraints: Sequence[PeakConstraint]) -> bool:
+    for loop in loops:
+        response = loop.at(controller)
+        for constraint in constraints:
+            if np.abs(getattr(response, constraint.function)).max() > constraint.limit:
+                return False
+    return True
+
+
+def _violation(
+    loops: Sequence[Loop], controller: Pid, constraints: Sequence[PeakConstraint], refine: bool
+) -> tuple[str, int, Peak] | None:
+    """The constraint that is exceeded most, or the loop that is unstable, or None.
+
+    Of constraints that are exceeded equally, but for rounding, the first of the first loop: without an observer
+    S_I and S_O are one function.
+    """
+    worst, excess = None, 1.0
+    for number, loop in enumerate(loops):
+        response = loop.at(controller)
+        for constraint in constraints:
+            name = constraint.function
+            magnitude = np.abs(getattr(response, name))
+            if magnitude.max() < 0.97 * constraint.limit * excess:  # no peak grows by 3 % between grid points
+                continue
+            peak = Peak(float(magnitude.max()), float(loop.omega[magnitude.argmax()]))
+            if refine:
+                peak = refine_peak(
+                    lambda w, loop=loop, name=name: getattr(loop.at(controller, w), name),
+                    loop.omega,
+                    magnitude,
+                    near=0.97,
+                )
+            margin = 1.0 if worst is None else 1 + TIE
+            if peak.magnitude > margin * excess * constraint.limit:
+                worst, excess = (name, number, peak), peak.magnitude / constraint.limit
+    if worst is not None:
+        return worst
+    for number, loop in enumerate(loops):
+        poles = loop.poles(controller)
+        if np.any(poles.real >= 0):
+            return "stability", number, Peak(np.inf, float(np.abs(poles[poles.real.argmax()].imag)))
+    return None

@@ -1,0 +1,210 @@
+"""Damping that leaves the decoupling alone: gains under constraints and dynamic gains (section 4.3.2)."""
+
+from collections.abc import Collection
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import ArrayLike
+from scipy import linalg
+from scipy.optimize import linear_sum_assignment
+
+from stillwork.base.checks import InputError, require_choice, require_count, require_number
+from stillwork.control.decoupling import WORST_CONDITION
+from stillwork.control.feedback import band_pass, per_flexible_mode
+from stillwork.lti.modal import ModalModel
+from stillwork.lti.state_space import StateModel, interconnect
+
+
+def constrained_damping(
+    model: ModalModel, increase: float | ArrayLike, undisturbed: Collection[int] | None = None
+) -> Float64[np.ndarray, "inputs states"]:
+    r"""Damping gain whose force on one mode leaves others alone: Lemma 4.3.3 and Corollary 4.3.1.
+
+    For every damped mode j, :math:`\phi_{aj}^TK_{dj} = -2\zeta_{des,j}\omega_j` (the minus sign is missing in
+    print) and :math:`\phi_{ai}^TK_{dj} = 0` for the `undisturbed` modes i other than j; with more actuators
+    than constraints, the gain of least norm.
+
+    Parameters
+    ----------
+    model : ModalModel
+        All modes that take part in a constraint, damped or not.
+    increase : float or array_like, shape (flexible modes,)
+        Wanted increase of each damping ratio; a mode with 0 gets no feedback.
+    undisturbed : collection of int, optional
+        Modes counted from 0, rigid-body modes first; by default as many of the first ones as the actuators can
+        leave alone beside the damped mode: one rigid-body mode less than all with minimal actuation, all of
+        these with one more actuator, all other modes with total actuation.
+
+    Raises
+    ------
+    InputError
+        When there are more constraints than actuators, or the places of these cannot meet them.
+    """
+    increase = per_flexible_mode(model, "increase", increase)
+    return _constrained(model, 2 * increase * model.frequencies[model.rigid_modes :], undisturbed, 1)
+
+
+def constrained_stiffness(
+    model: ModalModel, factor: float | ArrayLike, undisturbed: Collection[int] | None = None
+) -> Float64[np.ndarray, "inputs states"]:
+    """Gain of active stiffness, (3.42), under the constraints of `constrained_damping` (Remark 4.3.5).
+
+    Parameters and errors as there, with a factor on each resonance frequency; 1 gives no feedback.
+    """
+    factor = per_flexible_mode(model, "factor", factor)
+    for each in factor:
+        require_number("factor", each, above=0.0)
+    return _constrained(model, (factor**2 - 1) * model.frequencies[model.rigid_modes :] ** 2, undisturbed, 0)
+
+
+def _constrained(model: ModalModel, wanted: np.ndarray, undisturbed, state: int) -> np.ndarray:
+    modes, actuators = model.input_shapes.shape
+    rigid = model.rigid_modes
+    if undisturbed is not None and not all(
+        require_count("undisturbed", i, at_least=0) < modes for i in undisturbed
+    ):
+        raise InputError(f"undisturbed is {list(undisturbed)}; count modes from 0 to {modes - 1}")
+    gain = np.zeros((actuators, 2 * modes))
+    for j in rigid + np.flatnonzero(wanted):
+        others = [i for i in range(modes) if i != j and (undisturbed is None or i in undisturbed)]
+        if undisturbed is None:
+            others = others[: actuators - 1]
+        if len(others) >= actuators:
+            raise InputError(
+                f"undisturbed makes {len(others) + 1} constraints for mode {j} with {actuators} actuators; "
+                "leave modes out of it or add actuators"
+            )
+        shapes = model.input_shapes[[*others, j]]
+        if np.linalg.cond(shapes / np.linalg.norm(shapes, axis=1)[:, None]) > WORST_CONDITION:
+            raise InputError(
+                f"input_shapes: the actuators cannot move mode {j} without modes {others}; move an actuator "
+                "or leave a mode out of undisturbed"
+            )
+        gain[:, 2 * j + state] = -np.linalg.pinv(shapes)[:, -1] * wanted[j - rigid]
+    return gain
+
+
+def band_passed(
+    model: ModalModel,
+    gain: Float64[np.ndarray, "inputs states"],
+    selectivity: float,
+    order: int = 2,
+) -> StateModel:
+    r"""Dynamic gain K(s): each fed-back state through a band-pass at its mode's resonance, (4.16), (4.17).
+
+    Parameters
+    ----------
+    model : ModalModel
+    gain : ndarray, shape (inputs, states)
+        Static gain on the modal states of form 1 of the first modes; none on rigid-body modes.
+    selectivity : float
+        Q; the thesis uses 2.
+    order : int
+        2, or 4 for two band-passes in a row (active stiffness, Remark 4.3.5).
+
+    Returns
+    -------
+    StateModel
+        From the modal states to the forces; of `order` states a fed-back state.
+    """
+    require_choice("order", str(order), ("2", "4"))
+    fed = _fed_back(model, gain)
+    filters = [_in_a_row(float(model.frequencies[j // 2]), selectivity, order // 2) for j in fed]
+    a, b, c = (linalg.block_diag(*(getattr(one, name) for one in filters)) for name in "abc")
+    select = np.eye(gain.shape[1])[fed]
+    return StateModel(a, b @ select, gain[:, fed] @ c, np.zeros_like(gain))
+
+
+def common_centre(model: ModalModel, gain: Float64[np.ndarray, "inputs states"]) -> float:
+    """Centre of a band-pass for all damped modes, rad/s: the geometric mean of the first and the last.
+
+    Remark 4.3.2, whose index of the last mode is read as that of the last damped flexible mode.
+    """
+    damped = model.frequencies[[j // 2 for j in _fed_back(model, gain)]]
+    return float(np.sqrt(damped.min() * damped.max()))
+
+
+def half_power_selectivity(model: ModalModel, gain: Float64[np.ndarray, "inputs states"]) -> float:
+    """Q that puts the half-power points of the common band-pass on the first and the last damped mode."""
+    damped = model.frequencies[[j // 2 for j in _fed_back(model, gain)]]
+    if damped.min() == damped.max():
+        raise InputError("gain feeds back one mode only; its own band-pass serves it")
+    return float(common_centre(model, gain) / (damped.max() - damped.min()))
+
+
+def common_band_passed(
+    model: ModalModel, gain: Float64[np.ndarray, "inputs states"], selectivity: float
+) -> StateModel:
+    """Dynamic gain K(s) with one band-pass for all damped modes (Remark 4.3.2).
+
+    The gains make up for the magnitude of the filter at each resonance, not for its phase. One filter an
+    actuator or one a fed-back state, whichever is fewer: a single filter serves a gain of rank one only.
+    """
+    fed = _fed_back(model, gain)
+    centre = common_centre(model, gain)
+    one = band_pass(centre, selectivity)
+    magnitude = np.abs(one.frequency_response(model.frequencies[[j // 2 for j in fed]])[0, 0])
+    mended = gain.copy()
+    mended[:, fed] /= magnitude
+    on_states = len(fed) <= len(gain)
+    a, b, c = (np.kron(np.eye(len(fed) if on_states else len(gain)), getattr(one, name)) for name in "abc")
+    if on_states:
+        b, c = b @ np.eye(gain.shape[1])[fed], mended[:, fed] @ c
+    else:
+        b = b @ mended
+    return StateModel(a, b, c, np.zeros_like(gain))
+
+
+def _fed_back(model: ModalModel, gain: np.ndarray) -> np.ndarray:
+    """Indices of the states that the gain feeds back, of flexible modes only."""
+    inputs, states = gain.shape
+    if states > 2 * len(model.frequencies) or inputs != model.input_shapes.shape[1]:
+        raise InputError(
+            f"gain has shape {gain.shape}; give {model.input_shapes.shape[1]} x at most {2 * len(model.frequencies)}"
+        )
+    fed = np.flatnonzero(np.any(gain, axis=0))
+    if not len(fed) or fed[0] < 2 * model.rigid_modes:
+        raise InputError(
+            "gain must feed back flexible modes, and no rigid-body mode, for a band-pass at them"
+        )
+    return fed
+
+
+def _in_a_row(omega: float, selectivity: float, count: int) -> StateModel:
+    """`count` equal band-passes, one after the other."""
+    chain = np.eye(count, k=-1)
+    first, last = np.eye(count, 1), np.eye(count)[-1:]
+    return interconnect([band_pass(omega, selectivity)] * count, chain, first, last)
+
+
+def added_damping(
+    plant: ModalModel, system: StateModel
+) -> tuple[Float64[np.ndarray, " flexible"], Float64[np.ndarray, " flexible"]]:
+    """Damping ratio that feedback adds to each flexible mode, and the shift of its frequency as a part of it.
+
+    The poles of each mode are the ones nearest to where they were without feedback.
+    """
+    upper = system.poles[system.poles.imag > 0]
+    rigid = plant.rigid_modes
+    before = plant.poles[rigid : len(plant.frequencies)]
+    if len(upper) < len(before):
+        raise InputError(
+            "system has fewer oscillating modes than the plant; its gain is so large that one creeps"
+        )
+    _, chosen = linear_sum_assignment(np.abs(upper[None, :] - before[:, None]))
+    after = upper[chosen]
+    return -after.real / np.abs(after) - plant.damping[rigid:], np.abs(after) / plant.frequencies[rigid:] - 1
+
+
+def minimal_order(gain: StateModel) -> int:
+    """Order of a minimal realisation of a stable model, by the rank of its Hankel operator."""
+    if gain.step or not gain.is_stable:
+        raise InputError("gain must be stable and in continuous time; its order is counted by Gramians")
+    rate = np.abs(gain.poles).max()
+    a = gain.a / rate
+    # Of unit size: the rank is judged against rounding.
+    b, c = (matrix / np.linalg.norm(matrix) for matrix in (gain.b, gain.c))
+    reach = linalg.solve_continuous_lyapunov(a, -b @ b.T)
+    seen = linalg.solve_continuous_lyapunov(a.T, -c.T @ c)
+    hankel = np.sqrt(np.maximum(linalg.eigvals(reach @ seen).real, 0))
+    return int(np.count_nonzero(hankel > 1e-6 * hankel.max()))

@@ -1,0 +1,227 @@
+"""Static decoupling of the rigid-body modes, and what state feedback does to it (section 4.3)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from stillwork.base.checks import InputError, require_number
+from stillwork.control.integral_action import slope
+from stillwork.estimation.observer import Observer
+from stillwork.lti.modal import ModalModel
+from stillwork.lti.state_space import StateModel, interconnect
+
+# Above this condition of mode shapes at actuators or sensors, a decoupling loses half of the digits.
+WORST_CONDITION = 1e8
+
+
+@dataclass(frozen=True)
+class Decoupling:
+    r"""Matrices of :math:`f = \Gamma u,\; q = \Upsilon y`, one u and one q a rigid-body mode (Fig. 4.12)."""
+
+    actuation: Float64[np.ndarray, "inputs axes"]  # Gamma
+    sensing: Float64[np.ndarray, "axes outputs"]  # Upsilon
+
+    def apply(self, model: ModalModel) -> ModalModel:
+        r"""The modal model from u to q; its shapes of the flexible modes are Theta and Psi of (4.13).
+
+        On the rigid-body modes they are unit matrices by construction and written as such: their rounding
+        would grow as 1/s^2.
+        """
+        outputs, inputs = model.feedthrough.shape
+        if (outputs, inputs) != (self.sensing.shape[1], len(self.actuation)):
+            raise InputError(
+                f"model has {inputs} inputs and {outputs} outputs; this decoupling is for {len(self.actuation)} "
+                f"and {self.sensing.shape[1]}"
+            )
+        rigid = model.rigid_modes
+        input_shapes, output_shapes = model.input_shapes @ self.actuation, self.sensing @ model.output_shapes
+        input_shapes[:rigid], output_shapes[:, :rigid] = np.eye(rigid), np.eye(rigid)
+        feedthrough = self.sensing @ model.feedthrough @ self.actuation
+        return replace(model, input_shapes=input_shapes, output_shapes=output_shapes, feedthrough=feedthrough)
+
+
+def decouple(
+    model: ModalModel, actuated: Sequence[int] | None = None, sensed: Sequence[int] | None = None
+) -> Decoupling:
+    r"""Decoupling of the rigid-body modes, (4.12), and of flexible modes from them.
+
+    :math:`\Phi_a\Gamma` is the unit matrix on the rigid-body modes and zero on the other modes that are told
+    apart; :math:`\Upsilon\Phi_s` likewise. With more actuators or sensors than such modes, the matrices of
+    least norm.
+
+    Parameters
+    ----------
+    model : ModalModel
+    actuated, sensed : sequence of int, optional
+        Modes that the inputs and the outputs tell apart, counted from 0, the rigid-body modes among them; by
+        default the first ones, as many as there are actuators and sensors.
+
+    Raises
+    ------
+    InputError
+        When there are fewer actuators or sensors than modes to tell apart, or their places do not tell these
+        modes apart.
+    """
+    rigid, modes = model.rigid_modes, len(model.frequencies)
+    if not rigid:
+        raise InputError("model has no rigid-body modes; there is nothing to decouple")
+    sides = (
+        ("actuated", actuated, model.input_shapes.T, "actuators"),
+        ("sensed", sensed, model.output_shapes, "sensors"),
+    )
+    inverses = []
+    for name, wanted, shapes, what in sides:
+        chosen = range(min(modes, max(len(shapes), rigid))) if wanted is None else sorted(set(wanted))
+        if list(chosen[:rigid]) != list(range(rigid)) or chosen[-1] >= modes:
+            raise InputError(
+                f"{name} is {list(chosen)}; name the {rigid} rigid-body modes and others up to {modes - 1}"
+            )
+        if len(shapes) < len(chosen):
+            raise InputError(
+                f"model has {len(shapes)} {what}, which do not tell {len(chosen)} modes apart; add {what}"
+            )
+        inverses.append(_inverse(shapes[:, list(chosen)], what)[:rigid])
+    return Decoupling(np.ascontiguousarray(inverses[0].T), inverses[1])
+
+
+def _inverse(shapes: Float64[np.ndarray, "places modes"], what: str) -> Float64[np.ndarray, "modes places"]:
+    """Pseudo-inverse of mode shapes that are independent at these places."""
+    if np.linalg.cond(shapes) > WORST_CONDITION:
+        raise InputError(
+            f"the {what} do not tell {shapes.shape[1]} modes apart; move one that shares a place or sits on a node"
+        )
+    return np.linalg.pinv(shapes)
+
+
+def decoupled_plant(
+    plant: ModalModel,
+    decoupling: Decoupling,
+    gain: Float64[np.ndarray, "inputs states"] | StateModel,
+    observer: Observer | None = None,
+) -> StateModel:
+    r"""The decoupled plant, u to q, under the force :math:`f_d = K(s)\hat x`; :math:`f = \Gamma u + f_d`.
+
+    Parameters
+    ----------
+    plant : ModalModel
+    decoupling : Decoupling
+    gain : ndarray or StateModel
+        On the modal states of form 1 of the first modes; those left out get no feedback.
+    observer : Observer, optional
+        Takes f and y, as in Fig. 4.12. By default perfect estimates.
+    """
+    machine, seen = plant.state_space(), decoupling.apply(plant).state_space()
+    (outputs, inputs), axes = machine.d.shape, len(decoupling.sensing)
+    known = len(machine.a) if observer is None else len(observer.a)
+    dynamic = isinstance(gain, StateModel)
+    forces, states = gain.d.shape if dynamic else gain.shape
+    if forces != inputs or states > known:
+        raise InputError(
+            f"gain goes from {states} states to {forces} forces; the plant takes {inputs} forces and "
+            f"{known} states are known"
+        )
+    # What is read off the states: they themselves for K(s), the forces at once for a constant K.
+    rows = np.zeros((states if dynamic else inputs, known))
+    rows[:, :states] = np.eye(states) if dynamic else gain
+    read = len(rows)
+    none, i_f, i_r = np.zeros((0, 0)), np.eye(inputs), np.eye(read)
+    force = gain if dynamic else StateModel(none, np.zeros((0, inputs)), np.zeros((inputs, 0)), i_f)
+    b = np.hstack([machine.b, seen.b])  # of f_d and of u
+    if observer is None:
+        c = np.vstack([seen.c, rows])
+        d = np.vstack([np.hstack([decoupling.sensing @ machine.d, seen.d]), np.zeros((read, inputs + axes))])
+        models = [StateModel(machine.a, b, c, d), force]
+        # Inputs f_d, u | rows; outputs q, rows | f_d.
+        feedback = np.zeros((inputs + axes + read, axes + read + inputs))
+        feedback[inputs + axes :, axes : axes + read] = i_r
+        external = np.vstack([np.zeros((inputs, axes)), np.eye(axes), np.zeros((read, axes))])
+    else:
+        c = np.vstack([seen.c, machine.c])
+        d = np.vstack(
+            [
+                np.hstack([decoupling.sensing @ machine.d, seen.d]),
+                np.hstack([machine.d, machine.d @ decoupling.actuation]),
+            ]
+        )
+        models = [StateModel(machine.a, b, c, d), observer.estimator(rows), force]
+        # Inputs f_d, u | f, y | rows; outputs q, y | rows | f_d.
+        f, y = inputs + axes, inputs + axes + inputs
+        feedback = np.zeros((y + outputs + read, axes + outputs + read + inputs))
+        feedback[f:y, -inputs:] = i_f
+        feedback[y : y + outputs, axes : axes + outputs] = np.eye(outputs)
+        feedback[y + outputs :, axes + outputs : axes + outputs + read] = i_r
+        external = np.zeros((len(feedback), axes))
+        external[inputs:f], external[f:y] = np.eye(axes), decoupling.actuation
+    feedback[:inputs, -inputs:] = i_f
+    return interconnect(models, feedback, external, np.eye(axes, feedback.shape[1]))
+
+
+def low_frequency_slopes(
+    system: StateModel, low_hz: float = 1e-6, high_hz: float = 1e-5
+) -> Float64[np.ndarray, "outputs inputs"]:
+    """Slope of every entry in decades a decade between two frequencies far below everything else.
+
+    A 1/s coupling that nearly cancels, as on a machine close to symmetry, shows at very low frequency only:
+    by default the slope is that of the limit. Where it sets in, `coupling_onset` says.
+    """
+    require_number("low_hz", low_hz, above=0.0)
+    require_number("high_hz", high_hz, above=low_hz)
+    omega = 2 * np.pi * np.geomspace(low_hz, high_hz, 7)
+    response = system.frequency_response(omega)
+    return np.array([[slope(omega, entry) for entry in row] for row in response])
+
+
+def rigid_coupling(
+    plant: ModalModel, gain: Float64[np.ndarray, "inputs states"], decoupling: Decoupling
+) -> Float64[np.ndarray, "axes axes"]:
+    r"""Factor of 1/s from u to q that a velocity feedback on the flexible modes adds: (4.15) for all modes.
+
+    At rest a flexible mode follows u by :math:`\Theta_j/\omega_j^2`; its velocity, fed back, drives the
+    rigid-body modes by :math:`\phi_{ai}^T K_{dj}`.
+    """
+    rigid = plant.rigid_modes
+    inputs, modes = plant.input_shapes.shape[1], len(plant.frequencies)
+    if len(gain) != inputs or gain.shape[1] > 2 * modes:
+        raise InputError(f"gain has shape {gain.shape}; give {inputs} x at most {2 * modes}")
+    if np.any(gain[:, ::2]) or np.any(gain[:, : 2 * rigid]):
+        raise InputError(
+            "gain must act on the velocities of flexible modes only, for a coupling that goes as 1/s"
+        )
+    velocities = gain[:, 2 * rigid + 1 :: 2]
+    fed = slice(rigid, rigid + velocities.shape[1])
+    static = plant.input_shapes[fed] @ decoupling.actuation / plant.frequencies[fed, None] ** 2
+    return plant.input_shapes[:rigid] @ velocities @ static
+
+
+def coupling_onset(
+    plant: ModalModel, gain: Float64[np.ndarray, "inputs states"], decoupling: Decoupling
+) -> Float64[np.ndarray, "axes axes"]:
+    r"""Frequency (rad/s) below which `rigid_coupling` exceeds the compliance of the undamped machine.
+
+    The compliance is :math:`\sum_j\Psi_j\Theta_j/\omega_j^2` of (4.13), off the diagonal what is there without
+    damping. The slope -1 shows below the onset only; symmetry brings it to 0.
+    """
+    coupling, both = np.abs(rigid_coupling(plant, gain, decoupling)), decoupling.apply(plant)
+    flexible = slice(plant.rigid_modes, None)
+    shapes = both.output_shapes[:, flexible], both.input_shapes[flexible]
+    compliance = np.abs(shapes[0] / plant.frequencies[flexible] ** 2 @ shapes[1] + both.feedthrough)
+    return np.divide(coupling, compliance, out=np.full_like(coupling, np.inf), where=compliance > 0)
+
+
+def observable_noise_models(plant: ModalModel) -> int:
+    """How many constant forces, one an actuator, the sensors can tell apart: the rank test (3.17).
+
+    The rank of [A B; C 0] beyond the states, after scaling.
+    """
+    states = plant.state_space()
+    size = np.linalg.norm(states.a)
+    whole = np.block([[states.a, states.b], [states.c, np.zeros_like(states.d)]])
+    scale = np.repeat(np.where(plant.frequencies > 0, plant.frequencies, size**0.5), 2)
+    scale[1::2] = 1.0  # velocities count as the displacement they lead to
+    whole[:, : len(states.a)] /= scale
+    whole[: len(states.a)] *= scale[:, None]
+    whole /= np.linalg.norm(whole, axis=1)[:, None]
+    whole /= np.linalg.norm(whole, axis=0)
+    return int(np.linalg.matrix_rank(whole, tol=1e-10)) - len(states.a)

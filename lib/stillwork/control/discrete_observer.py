@@ -1,0 +1,209 @@
+"""The observer in discrete time: filter and predictor form, and what either does about delays (section 4.1)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import ArrayLike
+from scipy import linalg
+
+from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
+from stillwork.control.applications import Application
+from stillwork.control.discrete_damping import discrete_damping_gain
+from stillwork.control.feedback import band_pass, damping_gain
+from stillwork.estimation.observer import NoiseIntensities
+from stillwork.estimation.riccati import discrete_gain
+from stillwork.estimation.time_varying import FilterGains
+from stillwork.lti.delays import delayed
+from stillwork.lti.discretisation import zoh, zoh_modes
+from stillwork.lti.modal import ModalModel
+from stillwork.lti.state_space import StateModel, interconnect
+
+FORMS = ("filter", "predictor")
+
+
+@dataclass(frozen=True)
+class DiscreteObserver:
+    r"""Observer of a sampled reduced modal model, the force of the last period among its states.
+
+    A measurement is taken before the force of its sample acts, so the compliance shows the last force:
+    :math:`y_k = Cx_k + Du_{k-1}`. (4.8) prints :math:`u_k`, which a filter would have to know in advance.
+    """
+
+    model: ModalModel
+    a: Float64[np.ndarray, "states states"]
+    b: Float64[np.ndarray, "states inputs"]
+    c: Float64[np.ndarray, "outputs states"]
+    gain: ArrayLike  # (states, outputs), of the filter, K; the predictor's is L = AK
+    covariance: Float64[np.ndarray, "states states"]  # P(k|k-1)
+    step: float  # s
+
+    def __post_init__(self):
+        gain = require_array("gain", self.gain, shape=(len(self.a), len(self.c)))
+        object.__setattr__(self, "gain", gain)
+        require_number("step", self.step, above=0.0)
+        if np.any(np.abs(linalg.eigvals(self.a - self.a @ self.gain @ self.c)) >= 1):
+            raise InputError("the observer is unstable; its gain must stabilise A - AKC")
+
+    @property
+    def updated_covariance(self) -> Float64[np.ndarray, "states states"]:
+        """P(k|k), after the measurement."""
+        rest = self.covariance - self.gain @ self.c @ self.covariance
+        return (rest + rest.T) / 2
+
+    def read(
+        self, flexible: Float64[np.ndarray, "signals flexible_modes"], quantity: str = "position"
+    ) -> Float64[np.ndarray, "signals states"]:
+        """Rows that weight the estimated positions (or velocities) of the flexible modes."""
+        require_choice("quantity", quantity, ("position", "velocity"))
+        first = 2 * self.model.rigid_modes + (quantity == "velocity")
+        rows = np.zeros((len(flexible), len(self.a)))
+        rows[:, first : first + 2 * flexible.shape[1] : 2] = flexible
+        return rows
+
+    @property
+    def flexible_outputs(self) -> Float64[np.ndarray, "outputs states"]:
+        """C_f: what the estimated flexible modes put into each measurement."""
+        return self.read(self.model.output_shapes[:, self.model.rigid_modes :])
+
+    def estimator(self, rows: ArrayLike, form: str = "filter", delay: float = 0) -> StateModel:
+        """Model from (u, y) to ``rows @ x_hat`` as it arrives, `delay` samples after the measurement it uses.
+
+        Parameters
+        ----------
+        rows : array_like, shape (signals, states)
+        form : str
+            ``filter``: at sample k there is x(k-d|k-d), which is old. ``predictor``: there is
+            x(k-d+1|k-d), for d = 1 the state of this very sample.
+        delay : int
+            d, whole samples; a predictor has at least one, the sample that it looks ahead.
+        """
+        require_choice("form", form, FORMS)
+        rows = require_array("rows", rows, shape=(None, len(self.a)))
+        delay = require_count("delay", delay, at_least=int(form == "predictor"))
+        inputs, outputs = self.b.shape[1], len(self.c)
+        d = self.model.feedthrough
+        kept = np.eye(len(self.a)) - self.gain @ self.c
+        a = np.block(
+            [
+                [self.a @ kept, -self.a @ self.gain @ d],
+                [np.zeros((inputs, len(self.a) + inputs))],
+            ]
+        )
+        b = np.block([[self.b, self.a @ self.gain], [np.eye(inputs), np.zeros((inputs, outputs))]])
+        none = np.zeros((len(rows), inputs))
+        if form == "predictor":
+            predicted = StateModel(
+                a, b, np.hstack([rows, none]), np.hstack([none, np.zeros((len(rows), outputs))]), self.step
+            )
+            return delayed(predicted, delay - 1)
+        c = np.hstack([rows @ kept, -rows @ self.gain @ d])
+        return delayed(StateModel(a, b, c, np.hstack([none, rows @ self.gain]), self.step), delay)
+
+
+def discrete_kalman_observer(
+    model: ModalModel, noise: NoiseIntensities, step: float, noise_model: float | None = None
+) -> DiscreteObserver:
+    r"""Stationary discrete Kalman observer, (4.7) and section 4.1.3, with the process noise at the plant input.
+
+    Parameters
+    ----------
+    model : ModalModel
+        Reduced model of positions; its feedthrough is the compliance T_DC.
+    noise : NoiseIntensities
+        Intensities of the continuous design. Both become variances by the factor 1/Ts, which changes no gain.
+    step : float
+        Sample time Ts, s.
+    noise_model : float, optional
+        Intensity Q_nu of the random walk at the plant input, N^2/s as in continuous time.
+
+    Raises
+    ------
+    InputError
+        When the model measures velocities, a mode that is not stable cannot be observed, or the Riccati
+        equation cannot be trusted.
+    """
+    if model.measures != "position":
+        raise InputError("model measures velocities; this observer is for positions")
+    sampled = zoh_modes(model, step)
+    a, b, c = sampled.a, sampled.b, sampled.c
+    inputs = b.shape[1]
+    g, q = b, noise.process / step * np.eye(inputs)
+    if noise_model is not None:
+        require_number("noise_model", noise_model, above=0.0)
+        a = np.block([[a, b], [np.zeros((inputs, len(a))), np.eye(inputs)]])
+        g = linalg.block_diag(b, np.eye(inputs))
+        q = linalg.block_diag(q, noise_model * step * np.eye(inputs))
+        b = np.vstack([b, np.zeros((inputs, inputs))])
+        c = np.hstack([c, np.zeros((len(c), inputs))])
+    solved = discrete_gain(a, g, c, q, noise.sensor / step)
+    return DiscreteObserver(model, a, b, c, solved.filter_gain, solved.covariance, step)
+
+
+def discrete_compensator(
+    observer: DiscreteObserver, application: Application, form: str = "predictor", delay: float = 1
+) -> StateModel:
+    """The block from (u, y) to (u_d, y_flex) in discrete time, see `applications.compensator`.
+
+    Parameters
+    ----------
+    observer : DiscreteObserver
+    application : Application
+        MC, AD with or without band-pass. The selection ``pole placement`` takes the discrete gain (4.3), the
+        others the continuous gain as it is; each band-pass is sampled with a zero-order hold.
+    form : str
+    delay : int
+        See `DiscreteObserver.estimator`; both signals have the same.
+    """
+    if application.stiffness != 1.0 or application.high_pass_hz or application.common:
+        raise InputError("application: only MC and AD with a band-pass a mode exist in discrete time")
+    model = observer.model
+    rigid, inputs, outputs = model.rigid_modes, observer.b.shape[1], len(observer.c)
+    flexible = len(model.frequencies) - rigid
+    if not flexible:
+        raise InputError("observer.model has no flexible modes; there is nothing to compensate or to damp")
+    gain = np.zeros((inputs, 2 * len(model.frequencies)))
+    if application.damping and application.selection == "pole placement":
+        gain = discrete_damping_gain(model, application.damping, observer.step)
+    elif application.damping:
+        gain = damping_gain(model, application.damping, application.selection)
+    compensation = application.compensate * observer.flexible_outputs
+    if application.selectivity is None:
+        force = observer.read(gain[:, 2 * rigid :: 2]) + observer.read(
+            gain[:, 2 * rigid + 1 :: 2], "velocity"
+        )
+        return observer.estimator(np.vstack([force, compensation]), form, delay)
+    if np.any(gain[:, ::2]):
+        raise InputError("selection: the band-pass is for gains on velocities; choose another one")
+    velocities = observer.read(np.eye(flexible), "velocity")
+    estimator = observer.estimator(np.vstack([compensation, velocities]), form, delay)
+    filters = [
+        zoh(band_pass(float(w), application.selectivity), observer.step) for w in model.frequencies[rigid:]
+    ]
+    models = [estimator, *filters]
+    feedback = np.zeros((inputs + outputs + flexible, outputs + 2 * flexible))
+    feedback[inputs + outputs :, outputs : outputs + flexible] = np.eye(flexible)
+    take = np.zeros((inputs + outputs, outputs + 2 * flexible))
+    take[:inputs, outputs + flexible :] = gain[:, 2 * rigid + 1 :: 2]
+    take[inputs:, :outputs] = np.eye(outputs)
+    return interconnect(models, feedback, np.eye(len(feedback), inputs + outputs), take)
+
+
+def predict(gains: FilterGains, estimates: ArrayLike, u: ArrayLike) -> Float64[np.ndarray, "states samples"]:
+    """Predictor form of a time-varying filter: x(k|k-1) at sample k from the filtered estimates of one record.
+
+    Parameters
+    ----------
+    gains : FilterGains
+    estimates : array_like, shape (states, samples)
+        x(k|k) from `filters.estimate`.
+    u : array_like, shape (inputs, samples)
+    """
+    samples, states, inputs = gains.inputs.shape
+    estimates = require_array("estimates", estimates, shape=(states, samples))
+    u = require_array("u", u, shape=(inputs, samples))
+    ahead = estimates.copy()
+    ahead[:, 1:] = np.einsum("kij,jk->ik", gains.forward[1:], estimates[:, :-1]) + np.einsum(
+        "kij,jk->ik", gains.inputs[1:], u[:, :-1]
+    )
+    return ahead

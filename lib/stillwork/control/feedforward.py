@@ -1,0 +1,205 @@
+"""Tracking: data-based feedforward (A.1), its modification for an observer (A.7), exact simulation."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from stillwork.base.checks import InputError, require_choice, require_number
+from stillwork.control.loops import INPUTS, OUTPUTS, require_stable
+from stillwork.control.setpoint import Setpoint
+from stillwork.lti.discretisation import zoh
+from stillwork.lti.simulation import simulate
+from stillwork.lti.state_space import StateModel, interconnect
+from stillwork.signals.moving_average import rms
+
+BASIS = ("velocity", "acceleration", "jerk", "snap")
+
+
+@dataclass(frozen=True)
+class Feedforward:
+    r"""Gains of :math:`C_{ff} = \Theta_{vel}s + \Theta_{acc}s^2 + \Theta_{jerk}s^3 + \Theta_{snap}s^4`."""
+
+    velocity: float = 0.0  # N s/m
+    acceleration: float = 0.0  # kg
+    jerk: float = 0.0  # kg s
+    snap: float = 0.0  # kg s^2
+
+    @property
+    def gains(self) -> Float64[np.ndarray, "4"]:
+        return np.array([self.velocity, self.acceleration, self.jerk, self.snap], dtype=float)
+
+    def force(self, setpoint: Setpoint) -> Float64[np.ndarray, " samples"]:
+        """Feedforward force at the samples (N)."""
+        return self.gains @ setpoint.derivatives[1:]
+
+
+def modified_feedforward(compensator: StateModel, controller: StateModel) -> StateModel:
+    """Feedforward of Fig. A.2: from the original feedforward force u0 and the setpoint r to u_ff.
+
+    A copy of the observer runs on (u0, r) and takes out what the observer in the loop will add, (A.7).
+    """
+    inputs, outputs = controller.d.shape
+    im, ip = np.eye(inputs), np.eye(outputs)
+    zim, zip_ = np.zeros((inputs, inputs)), np.zeros((inputs, outputs))
+    # Outputs: u_d, y_flex, controller. Inputs: u0, r, y_flex into the controller.
+    feedback = np.block(
+        [[zim, zip_, zim], [zip_.T, np.zeros((outputs, outputs)), zip_.T], [zip_.T, ip, zip_.T]]
+    )
+    external = np.block([[im, zip_], [zip_.T, ip], [zip_.T, np.zeros((outputs, outputs))]])
+    return interconnect(
+        [compensator, controller], feedback, external, np.hstack([-im, zip_, -im]), np.hstack([im, zip_])
+    )
+
+
+def error_loop(loop: StateModel) -> StateModel:
+    """Of a single `closed_loop`, the model from (r, u0) to e_true under the modified feedforward.
+
+    With that feedforward the observer cancels against its copy: the setpoint acts like the sensor reference v
+    and the original feedforward like a force w that the observer does not see.
+    """
+    return loop.select([INPUTS.index("v"), INPUTS.index("w")], [OUTPUTS.index("e_true")])
+
+
+def _held(loop: StateModel, source: int, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Transition matrix, and input matrix for an input and its derivatives up to the constant fourth."""
+    n = len(loop.a)
+    chain = np.zeros((n + 4, n + 4))
+    chain[:n, :n], chain[:n, n] = loop.a, loop.b[:, source]
+    chain[n:, n:] = np.eye(4, k=1)
+    last = np.eye(n + 4)[:, -1:]
+    whole = zoh(StateModel(chain, last, np.zeros((1, n + 4)), np.zeros((1, 1))), step)
+    return whole.a[:n, :n], np.hstack([whole.a[:n, n:], whole.b[:n]])
+
+
+def tracking_model(loop: StateModel, feedforward: Feedforward, step: float) -> StateModel:
+    """Discrete model from the setpoint and its derivatives (5 inputs) to the error, exact for constant snap.
+
+    Parameters
+    ----------
+    loop : StateModel
+        From (r, u0) to the error, see `error_loop`.
+    """
+    if loop.b.shape[1] != 2:
+        raise InputError(f"loop has {loop.b.shape[1]} inputs; give error_loop(closed_loop(...))")
+    require_stable(loop)
+    a, drive = _held(loop, 0, step)
+    _, force = _held(loop, 1, step)
+    direct = np.zeros((len(loop.c), 5))
+    direct[:, 0] = loop.d[:, 0]
+    for order, gain in enumerate(feedforward.gains, 1):
+        drive[:, order:] += gain * force[:, : 5 - order]
+        direct[:, order] += gain * loop.d[:, 1]
+    return StateModel(a, drive, loop.c, direct, step)
+
+
+def tracking_error(
+    loop: StateModel, setpoint: Setpoint, feedforward: Feedforward
+) -> Float64[np.ndarray, " samples"]:
+    """True tracking error over the move (m), without noise.
+
+    Parameters
+    ----------
+    loop : StateModel
+        From (r, u0) to e_true, see `error_loop`.
+    """
+    return simulate(tracking_model(loop, feedforward, setpoint.step), setpoint.derivatives)[0]
+
+
+def fit_feedforward(loop: StateModel, setpoint: Setpoint, basis: tuple[str, ...] = BASIS) -> Feedforward:
+    """Feedforward gains that minimise the sum of squared errors over the whole move.
+
+    The error is linear in the gains, so least squares on simulated moves is where the iterative data-based
+    tuning of the thesis converges.
+
+    Raises
+    ------
+    InputError
+        When the basis is empty, or the move does not excite a gain (a setpoint at rest).
+    """
+    if not basis:
+        raise InputError(f"basis is empty; choose from {BASIS}")
+    for name in basis:
+        require_choice("basis", name, BASIS)
+    base = tracking_error(loop, setpoint, Feedforward())
+    columns = [tracking_error(loop, setpoint, Feedforward(**{name: 1.0})) - base for name in basis]
+    gains = least_squares(np.array(columns).T, -base)
+    return Feedforward(**dict(zip(basis, gains, strict=True)))
+
+
+def least_squares(
+    matrix: Float64[np.ndarray, "samples gains"], wanted: Float64[np.ndarray, " samples"]
+) -> list[float]:
+    """Gains whose combination of the columns comes closest to `wanted`; the columns are brought to one size.
+
+    Raises
+    ------
+    InputError
+        When the columns cannot be told apart.
+    """
+    sizes = np.linalg.norm(matrix, axis=0)
+    if np.any(sizes == 0):
+        raise InputError("setpoint does not move; the feedforward gains cannot be told apart")
+    gains, _, rank, _ = np.linalg.lstsq(matrix / sizes, wanted, rcond=1e-12)
+    if rank < matrix.shape[1]:
+        raise InputError("basis: the move cannot tell these gains apart; leave one out")
+    return (gains / sizes).tolist()
+
+
+def noise_error(
+    loop: StateModel, step: float, samples: int, deviations: dict[str, float], rng: np.random.Generator
+) -> Float64[np.ndarray, "2 samples"]:
+    """True and measured error of a single `closed_loop` under white noise held over each sample.
+
+    Parameters
+    ----------
+    loop : StateModel
+    step : float
+        s; with a given standard deviation it sets the noise's power, step x deviation^2 a hertz, two-sided.
+    samples : int
+    deviations : dict
+        Standard deviation of the inputs ``w``, ``v``, ``d`` (N and m).
+    rng : numpy.random.Generator
+    """
+    for name in deviations:
+        require_choice("deviations", name, ("w", "v", "d"))
+        require_number(f"deviations[{name!r}]", deviations[name], at_least=0.0)
+    require_stable(loop)
+    places = [INPUTS.index(name) for name in deviations]
+    model = zoh(loop.select(places, [0, 1]), step)
+    noise = rng.standard_normal((len(places), samples)) * np.array(list(deviations.values()))[:, None]
+    return simulate(model, noise)
+
+
+def noisy_scans(
+    rng: np.random.Generator,
+    loops: dict[str, StateModel],
+    setpoint: Setpoint,
+    feedforward: Feedforward,
+    deviations: dict[str, float],
+    warm_up: int = 3000,
+) -> dict[str, float]:
+    """Rms of the true error in the scan (m) of several loops under one noise realisation; a trial of a study.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    loops : dict
+        Label to a single `closed_loop`.
+    setpoint, feedforward
+        The move; the feedforward is the modified one.
+    deviations : dict
+        As for `noise_error`.
+    warm_up : int
+        Samples before the move, in which the noise reaches its steady state.
+    """
+    seed = rng.integers(2**63)  # every loop meets the same noise
+    samples = warm_up + setpoint.derivatives.shape[1]
+    found = {}
+    for name, loop in loops.items():
+        noise = noise_error(loop, setpoint.step, samples, deviations, np.random.default_rng(seed))[
+            0, warm_up:
+        ]
+        error = tracking_error(error_loop(loop), setpoint, feedforward) + noise
+        found[name] = rms(error[setpoint.scanning])
+    return found

@@ -1,0 +1,223 @@
+"""Convergence of the fixed point iteration: gain, linear stability, limit cycles, and the simulated ones."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float64
+
+from stillwork.base.checks import InputError, require_count, require_number
+from stillwork.control.fixed_point_linear import LinearLoop
+from stillwork.control.transformation import FlowTransformation, Transformation, deform
+
+
+def iterate(
+    transformation: Transformation,
+    desired: float,
+    steps: int,
+    *,
+    response_gain: float = 1.0,
+    response_offset: float = 0.0,
+    start: float | None = None,
+) -> Float64[np.ndarray, " steps"]:
+    """The sequence deformed -> G(deformed, f(deformed), desired) for f(x) = gain x + offset, m/s^2.
+
+    Static: the desired acceleration stands still and is measured without delay, as Banach's theorem has it.
+    """
+    require_count("steps", steps)
+    value = require_number("desired", desired) if start is None else require_number("start", start)
+    sequence = np.empty(steps)
+    for i in range(steps):
+        sequence[i] = value
+        value = deform(transformation, value, response_gain * value + response_offset, desired)
+    return sequence
+
+
+@dataclass(frozen=True)
+class Crossing:
+    """A gain at which a pair of poles of the closed loop stands on the unit circle."""
+
+    local_gain: float
+    frequency_hz: float
+
+
+@dataclass(frozen=True)
+class StableRange:
+    """Open range of `local_gain` in which the linear loop is stable; edges with the frequency found there.
+
+    Without a stable gain both edges are None.
+    """
+
+    strongest: Crossing | None  # the more negative edge
+    weakest: Crossing | None
+
+    def __contains__(self, local_gain: float) -> bool:
+        if self.strongest is None:
+            return False
+        return self.strongest.local_gain < local_gain < self.weakest.local_gain
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Strongest and weakest gain; NaN without a stable gain."""
+        if self.strongest is None:
+            return np.nan, np.nan
+        return self.strongest.local_gain, self.weakest.local_gain
+
+
+def crossings(loop: LinearLoop, points: int = 300) -> list[Crossing]:
+    """All negative gains at which poles cross the unit circle, strongest first.
+
+    A crossing is where the open loop's frequency response is real: 1 = gain response.
+
+    Parameters
+    ----------
+    loop : LinearLoop
+        From `linear_loop`.
+    points : int
+        Of the logarithmic grid of frequencies on which sign changes are sought; they are refined after.
+    """
+    from scipy.optimize import brentq
+
+    nyquist = np.pi / loop.time_step
+    rate = np.geomspace(nyquist * 1e-4, nyquist * (1 - 1e-9), require_count("points", points, at_least=10))
+    phase = loop.response(rate).imag
+    places = [
+        brentq(lambda w: loop.response([w]).imag[0], rate[i], rate[i + 1], xtol=1e-9 * rate[i])
+        for i in np.flatnonzero(phase[:-1] * phase[1:] < 0)
+    ]
+    found = []
+    for place in [*places, nyquist]:
+        real = float(loop.response([place]).real[0])
+        if real < 0:
+            found.append(Crossing(1 / real, float(place / (2 * np.pi))))
+    return sorted(found, key=lambda crossing: crossing.local_gain)
+
+
+def stable_range(loop: LinearLoop) -> StableRange:
+    """The widest range of negative gains between two crossings in which all poles are inside the circle."""
+    edges = [*crossings(loop), Crossing(0.0, 0.0)]
+    ranges = [
+        StableRange(strong, weak)
+        for strong, weak in pairwise(edges)
+        if loop.radius((strong.local_gain + weak.local_gain) / 2) < 1
+    ]
+    if not ranges:
+        return StableRange(None, None)
+    return max(ranges, key=lambda r: r.weakest.local_gain - r.strongest.local_gain)
+
+
+def describing_function(amplitude: float) -> float:
+    """Gain of sigma(x) = x / (1 + |x|) for the first harmonic of a sine of `amplitude`.
+
+    (2 / pi) times the integral of sin^2 / (1 + amplitude sin) over half a period; 1 at zero, falling.
+    """
+    from scipy.integrate import quad
+
+    require_number("amplitude", amplitude, at_least=0)
+    value, _ = quad(lambda t: np.sin(t) ** 2 / (1 + amplitude * np.sin(t)), 0, np.pi, epsabs=1e-13)
+    return float(2 / np.pi * value)
+
+
+def random_gain(deviation: float) -> float:
+    """Gain of the same sigmoid for a small signal buried in Gaussian noise of standard `deviation`.
+
+    E[sigma'(x)], the random-input describing function: what noise leaves of the linear gain.
+    """
+    from scipy.integrate import quad
+
+    require_number("deviation", deviation, at_least=0)
+    value, _ = quad(lambda x: np.exp(-(x**2) / 2) / (1 + deviation * x) ** 2, 0, 12, epsabs=1e-13, limit=200)
+    return float(np.sqrt(2 / np.pi) * value)
+
+
+@dataclass(frozen=True)
+class LimitCycle:
+    """A predicted periodic motion. Amplitudes of the first harmonic."""
+
+    frequency_hz: float
+    iteration_error: float  # of response - desired, m/s^2
+    position: float  # m
+    velocity: float  # m/s
+    stable: bool  # attracts its neighbours; an unstable one is the border of divergence
+
+
+def limit_cycles(
+    loop: LinearLoop, transformation: Transformation, region: StableRange | None = None
+) -> list[LimitCycle]:
+    """Limit cycles of the loop closed by (6), by the describing function, smallest amplitude first.
+
+    Where the linear gain lies beyond the strongest stable one, the sigmoid holds the motion on a stable
+    cycle; where the loop needs a weakest gain, a large motion starves it: an unstable cycle, beyond which
+    the loop diverges. `region` spares the search for the stable range where it is known.
+    """
+    from scipy.optimize import brentq
+
+    if not isinstance(transformation, FlowTransformation):
+        raise InputError("transformation (8) works in the linear part of its sigmoid; it has no limit cycle")
+    linear, region = transformation.local_gain, region or stable_range(loop)
+    if region.strongest is None:
+        return []
+    cycles = []
+    for edge, stable in ((region.strongest, True), (region.weakest, False)):
+        ratio = edge.local_gain / linear
+        if not 0 < ratio < 1:
+            continue
+        reach = 4 / (np.pi * ratio)  # above the amplitude: for large x, the function stays below 4 / (pi x)
+        scaled = brentq(lambda a, ratio=ratio: describing_function(a) - ratio, 0.0, reach)
+        change = abs(edge.local_gain) * scaled * transformation.width
+        rate = np.array([2 * np.pi * edge.frequency_hz])
+        position, velocity = (abs(loop.response(rate, row)[0]) * change for row in np.eye(len(loop.A))[:2])
+        cycles.append(
+            LimitCycle(
+                edge.frequency_hz,
+                float(scaled * transformation.width),
+                float(position),
+                float(velocity),
+                stable,
+            )
+        )
+    return cycles
+
+
+@dataclass(frozen=True)
+class Oscillation:
+    """The strongest line in a record."""
+
+    frequency_hz: float
+    amplitude: float  # of that line, in the record's unit
+
+
+def strongest_oscillation(values: np.ndarray, time_step: float) -> Oscillation:
+    """Frequency and amplitude of the strongest sine in a record, refined between the FFT's lines.
+
+    Parameters
+    ----------
+    values : ndarray, shape (samples,)
+        Its mean is removed.
+    time_step : float
+        s.
+    """
+    from scipy.optimize import minimize_scalar
+
+    require_number("time_step", time_step, above=0)
+    values = np.asarray(values, dtype=float)
+    if values.ndim != 1:
+        raise InputError(f"values has shape {values.shape}; give one record")
+    if len(values) < 16 or not np.isfinite(values).all():
+        raise InputError("values needs 16 finite samples at least; cut the record before it diverges")
+    window = np.hanning(len(values))
+    weighted = (values - values.mean()) * window
+    time = np.arange(len(values)) * time_step
+
+    def height(frequency):
+        return abs(weighted @ np.exp(-2j * np.pi * frequency * time)) * 2 / window.sum()
+
+    lines = np.fft.rfftfreq(len(values), time_step)
+    peak = int(np.abs(np.fft.rfft(weighted))[1:].argmax()) + 1
+    best = minimize_scalar(
+        lambda f: -height(f),
+        bounds=(lines[peak] - lines[1], lines[peak] + lines[1]),
+        method="bounded",
+        options={"xatol": 1e-6 * lines[1]},
+    )
+    return Oscillation(float(best.x), float(height(best.x)))

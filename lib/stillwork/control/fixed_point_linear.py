@@ -1,0 +1,235 @@
+"""The closed loop near an operating point as a linear system, built from formulas, not from the kernels."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import ArrayLike
+
+from stillwork.control.fixed_point import Controller
+from stillwork.estimation.coordinate_filters import (
+    Filter,
+    LowPass,
+    MovingWindow,
+    SavitzkyGolay,
+    UnscentedKalman,
+    require_step,
+)
+from stillwork.estimation.plant import Plant, partial_derivatives
+from stillwork.estimation.windows import end_point_weights
+
+
+@dataclass(frozen=True)
+class LinearFilter:
+    """x+ = A x + B [z, u]; estimate of (position, velocity, acceleration) = C x + D [z, u].
+
+    z is the measured position of this sample, u the force since the last one.
+    """
+
+    A: Float64[np.ndarray, "states states"]
+    B: Float64[np.ndarray, "states 2"]
+    C: Float64[np.ndarray, "3 states"]
+    D: Float64[np.ndarray, "3 2"]
+
+
+def linear_filter(
+    signal_filter: Filter, time_step: float, position: float = 0.0, velocity: float = 0.0
+) -> LinearFilter:
+    """A filter near an operating point; of a Kalman filter the steady state that it settles to there.
+
+    Raises
+    ------
+    InputError
+        When the filter cannot run at this time step.
+    """
+    require_step(signal_filter, time_step)
+    if isinstance(signal_filter, MovingWindow):
+        fit = end_point_weights(signal_filter.length + 1, 1)[::-1]
+        rows, row = [], fit
+        for _ in range(3):
+            rows.append(row)
+            row = np.convolve(np.convolve(row, [1 / time_step, -1 / time_step]), fit)
+        return _finite_impulse_response(rows)
+    if isinstance(signal_filter, SavitzkyGolay):
+        n, degree = signal_filter.samples, signal_filter.degree
+        return _finite_impulse_response(
+            [end_point_weights(n, degree, order)[::-1] / time_step**order for order in range(3)]
+        )
+    if isinstance(signal_filter, LowPass):
+        w = signal_filter.bandwidth
+        A = np.eye(3) + time_step * np.array([[0, 1, 0], [0, 0, 1], [-(w**3), -3 * w**2, -3 * w]])
+        B = time_step * np.array([[0.0, 0.0], [0.0, 0.0], [w**3, 0.0]])
+        return LinearFilter(A, B, A, B)
+    slopes = _slopes(signal_filter.plant, position, velocity)
+    if isinstance(signal_filter, UnscentedKalman):
+        return _linear_unscented(signal_filter, slopes, time_step)
+    return _linear_extended(signal_filter, slopes, time_step)
+
+
+def position_gain(device: LinearFilter, rate: float, time_step: float) -> float:
+    """Gain from the measured position to its estimate at an angular frequency, rad/s."""
+    z = np.exp(1j * rate * time_step)
+    states = np.linalg.solve(z * np.eye(len(device.A)) - device.A, device.B[:, 0])
+    return float(abs(device.C[0] @ states + device.D[0, 0]))
+
+
+def _finite_impulse_response(rows) -> LinearFilter:
+    length = max(len(row) for row in rows)
+    weights = np.array([np.pad(row, (0, length - len(row))) for row in rows])
+    A = np.eye(length - 1, k=-1)
+    B = np.zeros((length - 1, 2))
+    B[0, 0] = 1.0
+    return LinearFilter(A, B, weights[:, 1:].copy(), np.column_stack([weights[:, 0], np.zeros(3)]))
+
+
+def _motion(slopes, time_step):
+    """F and the column of the force of x = [velocity, position] in the semi-implicit model (10)."""
+    by_position, by_velocity, by_force = slopes
+    row = np.array([1 + time_step * by_velocity, time_step * by_position])
+    column = time_step * by_force * np.array([1.0, time_step])
+    return np.array([row, time_step * row + [0.0, 1.0]]), column
+
+
+def _linear_unscented(signal_filter, slopes, time_step) -> LinearFilter:
+    F, push = _motion(slopes, time_step)
+    Q, R = signal_filter.process, signal_filter.noise
+    if signal_filter.literal:  # innovation about the previous estimate: z - x, not z - F x
+        P = np.eye(2) * signal_filter.initial_variance
+        for _ in range(100_000):
+            K = P @ np.linalg.inv(P + R)
+            last, P = P, F @ P @ F.T + Q - K @ P
+            if np.abs(P - last).max() < 1e-15 * np.abs(P).max():
+                break
+        forward = F - K
+    else:
+        K = _steady_gain(F, Q, np.eye(2), R)
+        forward = (np.eye(2) - K) @ F
+        push = (np.eye(2) - K) @ push
+    # States: velocity, position, last measurement; the measurement is [(z - last) / dt, z].
+    A = np.zeros((3, 3))
+    A[:2, :2] = forward
+    A[:2, 2] = -K[:, 0] / time_step
+    B = np.zeros((3, 2))
+    B[:2, 0] = K[:, 0] / time_step + K[:, 1]
+    B[:2, 1] = push
+    B[2, 0] = 1.0
+    now = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [1 / time_step, 0.0, 0.0]])
+    C = now @ A
+    C[2, 0] -= 1 / time_step  # acceleration: difference of the velocity estimate
+    return LinearFilter(A, B, C, now @ B)
+
+
+def _linear_extended(signal_filter, slopes, time_step) -> LinearFilter:
+    motion, push = _motion(slopes, time_step)
+    F = np.eye(3)
+    F[:2, :2] = motion
+    F[:2, 2] = time_step * np.array([1.0, time_step])
+    H = np.array([[0.0, 1.0, 0.0]])
+    packed = signal_filter.packed()
+    K = _steady_gain(F, packed.process, H, packed.noise)
+    left = np.eye(3) - K @ H
+    A = left @ F
+    B = np.column_stack([K[:, 0], left @ np.append(push, 0.0)])
+    by_position, by_velocity, by_force = slopes
+    now = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [by_velocity, by_position, 1.0]])
+    D = now @ B
+    D[2, 1] += by_force
+    return LinearFilter(A, B, now @ A, D)
+
+
+def _steady_gain(F, Q, H, R):
+    from scipy.linalg import solve_discrete_are
+
+    prior = solve_discrete_are(F.T, H.T, Q, R)
+    return prior @ H.T @ np.linalg.inv(H @ prior @ H.T + R)
+
+
+def _slopes(plant: Plant, position: float, velocity: float):
+    """Partial derivatives of the acceleration where it is zero."""
+    force = plant.force(position, velocity, 0.0, plant.parameters)
+    return partial_derivatives(plant, position, velocity, force)
+
+
+@dataclass(frozen=True)
+class LinearLoop:
+    """The loop cut open at the transformation: x+ = A x + B c, s = C x.
+
+    c is the change of the deformed acceleration, s = response - desired, both in m/s^2: the transformation
+    closes the loop with c = local_gain s. The first two states are the true position and velocity.
+    """
+
+    A: Float64[np.ndarray, "states states"]
+    B: Float64[np.ndarray, " states"]
+    C: Float64[np.ndarray, " states"]
+    time_step: float  # s
+
+    @cached_property
+    def _schur(self) -> tuple[np.ndarray, np.ndarray]:
+        from scipy.linalg import schur
+
+        return schur(self.A, output="complex")
+
+    def response(self, rate: ArrayLike, row: np.ndarray | None = None) -> np.ndarray:
+        """Frequency response from c to s (or to ``row @ x``) at angular frequencies `rate`, rad/s.
+
+        By back substitution in Schur's form, all frequencies at once.
+        """
+        z = np.exp(1j * np.atleast_1d(np.asarray(rate, dtype=float)) * self.time_step)
+        triangular, basis = self._schur
+        drive = basis.conj().T @ self.B
+        states = np.zeros((len(z), len(drive)), dtype=complex)
+        for k in range(len(drive) - 1, -1, -1):
+            known = states[:, k + 1 :] @ triangular[k, k + 1 :]
+            states[:, k] = (drive[k] + known) / (z - triangular[k, k])
+        return states @ (basis.T @ (self.C if row is None else row))
+
+    def radius(self, local_gain: float) -> float:
+        """Spectral radius of the closed loop; stable below 1."""
+        closed = self.A + local_gain * np.outer(self.B, self.C)
+        return float(np.abs(np.linalg.eigvals(closed)).max())
+
+
+def linear_loop(
+    plant: Plant,
+    controller: Controller,
+    time_step: float,
+    position: float = 0.0,
+    velocity: float = 0.0,
+) -> LinearLoop:
+    """The loop of `stillwork.control.fixed_point.simulate` near an operating point, semi-implicit order.
+
+    Parameters
+    ----------
+    plant, controller
+        As for `simulate`.
+    time_step : float
+        s.
+    position, velocity : float
+        Operating point, m and m/s.
+    """
+    device = linear_filter(controller.signal_filter, time_step, position, velocity)
+    by_position, by_velocity, by_force = _slopes(plant, position, velocity)
+    model_position, model_velocity, model_force = _slopes(controller.model, position, velocity)
+    gains, integrals = controller.kinematics.gains, controller.kinematics.integrals
+    first = 4 + integrals  # position, velocity, deformed, force, integrals, filter
+    states = first + len(device.A)
+
+    def step(x, change):
+        inputs = np.array([x[0], x[3]])
+        estimate = device.C @ x[first:] + device.D @ inputs
+        seen = x[0] if controller.signal_filter.error_from_measurement else estimate[0]
+        chain = [-seen]
+        for j in range(integrals):
+            chain.append(x[4 + j] + time_step * chain[j])
+        desired = gains[:-1] @ np.array(chain)[::-1] - gains[-1] * estimate[1]
+        deformed = x[2] + change
+        force = (deformed - model_position * seen - model_velocity * estimate[1]) / model_force
+        speed = x[1] + time_step * (by_position * x[0] + by_velocity * x[1] + by_force * force)
+        after = [x[0] + time_step * speed, speed, deformed, force, *chain[1:]]
+        return np.append(after, device.A @ x[first:] + device.B @ inputs), estimate[2] - desired
+
+    columns = [step(unit, 0.0) for unit in np.eye(states)]
+    A = np.column_stack([column for column, _ in columns])
+    B = step(np.zeros(states), 1.0)[0]
+    return LinearLoop(A, B, np.array([output for _, output in columns]), float(time_step))

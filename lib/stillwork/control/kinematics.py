@@ -1,0 +1,42 @@
+"""The kinematic block: how the tracking error shall decay, equation (1), for any order."""
+
+from dataclasses import dataclass
+from math import comb
+
+import numpy as np
+from jaxtyping import Float64
+
+from stillwork.base.checks import require_count, require_number
+
+
+@dataclass(frozen=True)
+class KinematicDesign:
+    """(Lambda + d/dt)^p of the `integrals`-fold integral of the error is zero, with p = order + integrals.
+
+    The paper's (1) is order 2 with one integral:
+    q''_des = q''_N + Lambda^3 int e + 3 Lambda^2 e + 3 Lambda e'.
+
+    Attributes
+    ----------
+    exponent : float
+        Lambda, 1/s.
+    integrals : int
+        How many times the error is integrated: 0 for PD, 1 for PID, 2 against ramps of disturbance.
+    order : int
+        Derivative that the plant's input commands: 2 for a mechanical system.
+    """
+
+    exponent: float
+    integrals: int = 1
+    order: int = 2
+
+    def __post_init__(self):
+        require_number("exponent", self.exponent, above=0)
+        require_count("integrals", self.integrals, at_least=0)
+        require_count("order", self.order)
+
+    @property
+    def gains(self) -> Float64[np.ndarray, " terms"]:
+        """Gains from the deepest integral over the error to its derivative of order `order` - 1."""
+        power = self.order + self.integrals
+        return np.array([comb(power, k) * self.exponent ** (power - k) for k in range(power)])

@@ -1,0 +1,173 @@
+"""Closed loops of plant, compensator and controller: state-space models for any size, responses for one loop."""
+
+from dataclasses import dataclass
+from functools import cache, cached_property
+
+import numpy as np
+from jaxtyping import Complex128
+
+from stillwork.base.checks import InputError
+from stillwork.lti.modal import ModalModel
+from stillwork.lti.state_space import StateModel, interconnect
+
+INPUTS = ("r", "u_ff", "w", "v", "d")
+OUTPUTS = ("e_true", "e_meas", "u", "f")
+
+
+def no_observer(plant: StateModel | ModalModel) -> StateModel:
+    """The compensator of a loop without observer: (u_d, y_flex) = 0."""
+    outputs, inputs = plant.feedthrough.shape if isinstance(plant, ModalModel) else plant.d.shape
+    n = inputs + outputs
+    return StateModel(np.zeros((0, 0)), np.zeros((0, n)), np.zeros((n, 0)), np.zeros((n, n)))
+
+
+def closed_loop(
+    plant: StateModel | ModalModel, compensator: StateModel | None, controller: StateModel
+) -> StateModel:
+    r"""Closed loop of Figs 3.4 and 3.20, for any number of inputs and outputs.
+
+    :math:`y = P(f + w) - v`, :math:`f = u + u_d`, :math:`u = C_{fb}e_{meas} + u_{ff}`,
+    :math:`e_{meas} = r - (y + d - y_{flex})`, :math:`e_{true} = r - y`,
+    :math:`(u_d, y_{flex}) = O(f, y + d)`.
+
+    Returns
+    -------
+    StateModel
+        Inputs `INPUTS` and outputs `OUTPUTS`, each as wide as the plant's; pick channels with `channel`.
+    """
+    states = plant.state_space() if isinstance(plant, ModalModel) else plant
+    observer = no_observer(states) if compensator is None else compensator
+    m, p = states.b.shape[1], len(states.c)
+    if controller.d.shape != (m, p) or observer.d.shape != (m + p, m + p):
+        raise InputError("compensator or controller does not have the plant's numbers of inputs and outputs")
+    return interconnect([states, observer, controller], *_wiring(m, p))
+
+
+@cache  # a search closes thousands of loops of one size
+def _wiring(m: int, p: int) -> tuple[np.ndarray, ...]:
+    """Constant matrices of `closed_loop` for m inputs and p outputs, as `interconnect` takes them."""
+    im, ip = np.eye(m), np.eye(p)
+    zmm, zmp, zpm, zpp = np.zeros((m, m)), np.zeros((m, p)), np.zeros((p, m)), np.zeros((p, p))
+    # Stacked outputs: y0 = P(f + w), u_d, y_flex, u_fb. Stacked inputs: f + w, f, y + d, e_meas.
+    feedback = np.block(
+        [
+            [zmp, im, zmp, im],
+            [zmp, im, zmp, im],
+            [ip, zpm, zpp, zpm],
+            [-ip, zpm, ip, zpm],
+        ]
+    )
+    external = np.block(
+        [
+            [zmp, im, im, zmp, zmp],
+            [zmp, im, zmm, zmp, zmp],
+            [zpp, zpm, zpm, -ip, ip],
+            [ip, zpm, zpm, ip, -ip],
+        ]
+    )
+    wanted = np.block(
+        [
+            [-ip, zpm, zpp, zpm],
+            [-ip, zpm, ip, zpm],
+            [zmp, zmm, zmp, im],
+            [zmp, im, zmp, im],
+        ]
+    )
+    direct = np.block(
+        [
+            [ip, zpm, zpm, ip, zpp],
+            [ip, zpm, zpm, ip, -ip],
+            [zmp, im, zmm, zmp, zmp],
+            [zmp, im, zmm, zmp, zmp],
+        ]
+    )
+    return feedback, external, wanted, direct
+
+
+def channel(loop: StateModel, source: str, target: str, inputs: int = 1, outputs: int = 1) -> StateModel:
+    """Transfer between named signals of a `closed_loop` model.
+
+    S_I is u_ff to u, S_O is v to e_true, and r to e_true holds both T and the tracking behaviour.
+
+    Parameters
+    ----------
+    loop : StateModel
+    source, target : str
+        One of `INPUTS` and one of `OUTPUTS`.
+    inputs, outputs : int
+        Width of the plant.
+    """
+    widths_in = {"r": outputs, "u_ff": inputs, "w": inputs, "v": outputs, "d": outputs}
+    widths_out = {"e_true": outputs, "e_meas": outputs, "u": inputs, "f": inputs}
+    if source not in widths_in or target not in widths_out:
+        raise InputError(f"channel {source!r} to {target!r} is unknown; use {INPUTS} and {OUTPUTS}")
+    start_in = sum(widths_in[name] for name in INPUTS[: INPUTS.index(source)])
+    start_out = sum(widths_out[name] for name in OUTPUTS[: OUTPUTS.index(target)])
+    return loop.select(
+        range(start_in, start_in + widths_in[source]), range(start_out, start_out + widths_out[target])
+    )
+
+
+def require_stable(loop: StateModel) -> None:
+    """Refuse a closed loop that is unstable: its errors grow without bound and have no spectrum."""
+    if not loop.is_stable:
+        fastest = loop.poles.real.max()
+        raise InputError(
+            f"the closed loop is unstable (a pole at {fastest:+.3g} 1/s); lower the bandwidth or the gains"
+        )
+
+
+@dataclass(frozen=True)
+class LoopResponse:
+    """Frequency responses of single loops, the frequencies last; each function is computed when it is asked for."""
+
+    plant: Complex128[np.ndarray, "... f"]  # P
+    observer: Complex128[np.ndarray, "2 2 ... f"]  # O, (u, y) to (u_d, y_flex)
+    controller: Complex128[np.ndarray, "... f"]  # C_fb
+
+    @cached_property
+    def equivalent_plant(self) -> Complex128[np.ndarray, "... f"]:
+        """P_eq, u to y_comp, (A.5)."""
+        (o_uu, o_uy), (o_yu, o_yy) = self.observer
+        return ((1 - o_yy) * self.plant - o_yu) / (1 - o_uu - o_uy * self.plant)
+
+    @cached_property
+    def _turn(self) -> Complex128[np.ndarray, "... f"]:
+        (o_uu, _), (o_yu, _) = self.observer
+        return 1 - self.controller * o_yu - o_uu
+
+    @cached_property
+    def reference_controller(self) -> Complex128[np.ndarray, "... f"]:
+        """C_r, r to f."""
+        return self.controller / self._turn
+
+    @cached_property
+    def output_controller(self) -> Complex128[np.ndarray, "... f"]:
+        """-C_y, y to -f: (3.11), (3.37)."""
+        (_, o_uy), (_, o_yy) = self.observer
+        return (self.controller * (1 - o_yy) - o_uy) / self._turn
+
+    @cached_property
+    def loop(self) -> Complex128[np.ndarray, "... f"]:
+        """P_eq C_fb, what the controller sees."""
+        return self.equivalent_plant * self.controller
+
+    @cached_property
+    def output_loop(self) -> Complex128[np.ndarray, "... f"]:
+        """P C_eq, what the plant's output sees."""
+        return self.plant * self.output_controller
+
+    @cached_property
+    def input_sensitivity(self) -> Complex128[np.ndarray, "... f"]:
+        """S_I."""
+        return 1 / (1 + self.loop)
+
+    @cached_property
+    def output_sensitivity(self) -> Complex128[np.ndarray, "... f"]:
+        """S_O."""
+        return 1 / (1 + self.output_loop)
+
+    @cached_property
+    def true_tracking(self) -> Complex128[np.ndarray, "... f"]:
+        """From r to e_true."""
+        return 1 - self.plant * self.reference_controller * self.output_sensitivity

@@ -1,0 +1,93 @@
+"""The feedback controllers: PID with low-pass (3.1), and notches."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Complex128, Float64
+
+from stillwork.base.checks import require_number
+from stillwork.lti.state_space import StateModel, interconnect
+
+
+@dataclass(frozen=True)
+class Notch:
+    r"""Notch :math:`(s^2 + 2\zeta_1\omega s + \omega^2)/(s^2 + 2\zeta_2\omega s + \omega^2)`."""
+
+    omega: float  # rad/s
+    depth: float = 0.001  # zeta_1; the thesis prints 0.002 = 2 zeta_1
+    width: float = 0.1  # zeta_2; the thesis prints 0.2 = 2 zeta_2
+
+    def __post_init__(self):
+        require_number("omega", self.omega, above=0.0)
+        require_number("depth", self.depth, at_least=0.0)
+        require_number("width", self.width, above=0.0)
+
+    def at(self, s: np.ndarray) -> np.ndarray:
+        w = self.omega
+        return (s * s + 2 * self.depth * w * s + w**2) / (s * s + 2 * self.width * w * s + w**2)
+
+    def state_space(self) -> StateModel:
+        w = self.omega
+        a = np.array([[0, w], [-w, -2 * self.width * w]])
+        c = np.array([[0, 2 * (self.depth - self.width) * w]])
+        return StateModel(a, np.array([[0.0], [1.0]]), c, np.ones((1, 1)))
+
+
+@dataclass(frozen=True)
+class Pid:
+    r"""Controller (3.1), :math:`K_p\frac{s+\omega_i}{s}(\frac{s}{\omega_d}+1)\frac{\omega_{lp}^2}{s^2+2z\omega_{lp}s+\omega_{lp}^2}`."""
+
+    gain: float  # Kp, N/m
+    integrator: float  # omega_i, rad/s
+    differentiator: float  # omega_d, rad/s
+    low_pass: float  # omega_lp, rad/s
+    low_pass_damping: float = 0.7
+    notches: tuple[Notch, ...] = ()
+
+    def __post_init__(self):
+        for name in ("gain", "integrator", "differentiator", "low_pass", "low_pass_damping"):
+            require_number(name, getattr(self, name), above=0.0)
+
+    def frequency_response(
+        self, omega: Float64[np.ndarray, " frequencies"]
+    ) -> Complex128[np.ndarray, " frequencies"]:
+        """Response at `omega` (rad/s)."""
+        s, w = 1j * omega, self.low_pass
+        response = self.gain * (s + self.integrator) / s * (s / self.differentiator + 1)
+        response *= w**2 / (s * s + 2 * self.low_pass_damping * w * s + w**2)
+        for notch in self.notches:
+            response *= notch.at(s)
+        return response
+
+    def state_space(self) -> StateModel:
+        """Realisation by partial fractions: an integrator beside the low-pass, each of its own size."""
+        w, z, wi, wd = self.low_pass, self.low_pass_damping, self.integrator, self.differentiator
+        a = np.array([[0, 0, 0], [0, 0, w], [0, -w, -2 * z * w]], dtype=float)
+        slope, offset = w**2 / wd - wi, w**2 * (1 + wi / wd) - 2 * z * w * wi
+        c = self.gain * np.array([[wi, offset / w, slope]])
+        model = StateModel(a, np.array([[1.0], [0.0], [1.0]]), c, np.zeros((1, 1)))
+        return series([model, *(notch.state_space() for notch in self.notches)])
+
+
+def series(models: list[StateModel]) -> StateModel:
+    """Single-input single-output models in a row."""
+    n = len(models)
+    first, last = np.eye(n)[:, :1], np.eye(n)[-1:]
+    return interconnect(models, np.eye(n, k=-1), first, last)
+
+
+@dataclass(frozen=True)
+class PidFamily:
+    """Controllers with one parameter left, the design bandwidth: the rules of Table 3.3."""
+
+    mass: float  # kg
+    notch_frequencies: tuple[float, ...] = ()  # rad/s
+
+    def __post_init__(self):
+        require_number("mass", self.mass, above=0.0)
+
+    def __call__(self, bandwidth_hz: float) -> Pid:
+        """The controller with design parameter f_bw (Hz)."""
+        w = 2 * np.pi * require_number("bandwidth_hz", bandwidth_hz, above=0.0)
+        notches = tuple(Notch(omega) for omega in self.notch_frequencies)
+        return Pid(self.mass * w**2 / 3, w / 9, w / 3, 3 * w, notches=notches)

@@ -1,0 +1,145 @@
+"""Fourth-order setpoints: snap is piecewise constant, everything else its exact integral."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import ArrayLike
+
+from stillwork.base.checks import InputError, require_array, require_number
+
+
+@dataclass(frozen=True)
+class Setpoint:
+    """A sampled setpoint; between samples the snap is constant, so every row is exact."""
+
+    step: float  # s
+    derivatives: Float64[np.ndarray, "5 samples"]  # position, velocity, acceleration, jerk, snap (SI)
+    scan: tuple[float, float]  # s, start and end of the scanning phase
+    acceleration_end: float  # s, where the constant velocity begins
+
+    def __post_init__(self):
+        require_number("step", self.step, above=0.0)
+        rows = require_array("derivatives", self.derivatives, shape=(5, None))
+        # Positions are sums of many steps: allow them the rounding of the longest one.
+        backwards = np.diff(rows[0], prepend=rows[0, :1]) < -1e-12 * np.abs(rows[0]).max()
+        if np.any(rows[1] < -1e-9 * max(np.abs(rows[1]).max(), 1e-300)) or np.any(backwards):
+            raise InputError("derivatives: the setpoint moves backwards; a scan needs a monotone position")
+        end = (rows.shape[1] - 1) * self.step
+        if not 0 <= self.scan[0] < self.scan[1] <= end * (1 + 1e-9):
+            raise InputError(
+                f"scan is {self.scan}; give its start and its end in s, within the {end:g} s of the move"
+            )
+
+    @property
+    def time(self) -> Float64[np.ndarray, " samples"]:
+        """Seconds from the start of the move."""
+        return np.arange(self.derivatives.shape[1]) * self.step
+
+    @property
+    def scanning(self) -> np.ndarray:
+        """Mask of the samples in the scanning phase, both ends included."""
+        slack = 1e-6 * self.step
+        return (self.time >= self.scan[0] - slack) & (self.time <= self.scan[1] + slack)
+
+
+def from_snap(segments: ArrayLike, durations: ArrayLike, step: float) -> Float64[np.ndarray, "5 samples"]:
+    """Position, velocity, acceleration, jerk and snap at every sample, from constant-snap segments.
+
+    Raises
+    ------
+    InputError
+        When there is no segment, or a duration is not a positive multiple of `step` (then the simulation would not be exact).
+    """
+    segments = require_array("segments", segments, ndim=1)
+    if not len(segments):
+        raise InputError("segments is empty; give the snap of at least one segment in m/s^4")
+    durations = require_array("durations", durations, shape=segments.shape)
+    step = require_number("step", step, above=0.0)
+    counts = np.rint(durations / step).astype(int)
+    if np.any(counts < 1) or np.any(np.abs(counts * step - durations) > 1e-9 * durations):
+        raise InputError(
+            f"durations must be positive multiples of step = {step:g} s; choose a step that divides them"
+        )
+    rows, state = [], np.zeros(4)
+    for snap, count in zip(segments, counts, strict=True):
+        t = np.arange(count + 1) * step
+        p, v, a, j = state
+        whole = np.array(
+            [
+                p + t * (v + t * (a / 2 + t * (j / 6 + t * snap / 24))),
+                v + t * (a + t * (j / 2 + t * snap / 6)),
+                a + t * (j + t * snap / 2),
+                j + t * snap,
+                np.full(count + 1, snap),
+            ]
+        )
+        rows.append(whole[:, :-1])
+        state = whole[:4, -1]
+    return np.hstack([*rows, np.append(state, 0.0)[:, None]])
+
+
+def point_to_point(
+    snap: float,
+    jerk: float,
+    acceleration: float,
+    velocity: float,
+    cruise: float,
+    settling: float,
+    step: float,
+) -> Setpoint:
+    """Fourth-order move: accelerate within the limits, cruise, decelerate (Fig. 3.32).
+
+    Segment times follow the usual rules for symmetric fourth-order profiles: the snap segment is the longest
+    that no limit forbids, then the jerk plateau, then the acceleration plateau.
+
+    Parameters
+    ----------
+    snap, jerk, acceleration, velocity : float
+        Limits in SI units, all reached where they can be.
+    cruise, settling : float
+        Length of the constant-velocity phase, and of the settling at its start (s).
+    step : float
+        Sample time (s).
+
+    Raises
+    ------
+    InputError
+        When a limit is not positive, the settling is longer than the cruise, or `step` does not divide
+        the segments.
+    """
+    for name, value in (
+        ("snap", snap),
+        ("jerk", jerk),
+        ("acceleration", acceleration),
+        ("velocity", velocity),
+    ):
+        require_number(name, value, above=0.0)
+    require_number("cruise", cruise, above=0.0)
+    require_number("settling", settling, at_least=0.0, below=cruise)
+    t_snap, t_jerk, t_acceleration = segment_times(snap, jerk, acceleration, velocity)
+    signs, times = [], []
+    for sign, plateau, middle in ((1, t_jerk, t_acceleration), (-1, t_jerk, 0.0)):
+        signs += [sign, 0, -sign, 0]
+        times += [t_snap, plateau, t_snap, middle]
+    moving = [(s * snap, t) for s, t in zip(signs, times, strict=True) if t > 1e-12]
+    rise = float(sum(t for _, t in moving))
+    segments = [*moving, (0.0, cruise), *((-s, t) for s, t in moving)]
+    snaps, times = np.array(segments).T
+    derivatives = from_snap(snaps, times, step)
+    return Setpoint(step, derivatives, (rise + settling, rise + cruise), rise)
+
+
+def segment_times(
+    snap: float, jerk: float, acceleration: float, velocity: float
+) -> tuple[float, float, float]:
+    """Lengths of the snap, jerk-plateau and acceleration-plateau segments (s)."""
+    t_snap = min(jerk / snap, np.sqrt(acceleration / snap), np.cbrt(velocity / (2 * snap)))
+    top = snap * t_snap
+    # Acceleration limit: top (t_snap + t_jerk); velocity limit: that times (2 t_snap + t_jerk).
+    by_acceleration = acceleration / top - t_snap
+    by_velocity = (-3 * t_snap + np.sqrt(t_snap**2 + 4 * velocity / top)) / 2
+    t_jerk = max(min(by_acceleration, by_velocity), 0.0)
+    peak = top * (t_snap + t_jerk)
+    t_acceleration = max(velocity / peak - 2 * t_snap - t_jerk, 0.0)
+    return tuple(0.0 if t < 1e-9 * t_snap else float(t) for t in (t_snap, t_jerk, t_acceleration))

@@ -1,0 +1,173 @@
+"""Nominal trajectories with exact first and second derivatives."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import ArrayLike
+
+from stillwork.base.checks import InputError, require_array, require_number
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """What the coordinate shall do, sampled, with both derivatives.
+
+    Raises
+    ------
+    InputError
+        When a derivative is missing, or is not the derivative of what stands before it.
+    """
+
+    time_step: float  # s
+    position: ArrayLike  # q^N, m, shape (samples,)
+    velocity: ArrayLike = ()  # m/s, shape (samples,)
+    acceleration: ArrayLike = ()  # m/s^2, shape (samples,)
+
+    def __post_init__(self):
+        require_number("time_step", self.time_step, above=0)
+        for name in ("position", "velocity", "acceleration"):
+            object.__setattr__(self, name, require_array(name, getattr(self, name), ndim=1))
+        if len(self.position) < 2:
+            raise InputError("position holds fewer than 2 samples; give a longer trajectory")
+        for name, below in (("velocity", "position"), ("acceleration", "velocity")):
+            values, base = getattr(self, name), getattr(self, below)
+            if values.shape != base.shape:
+                raise InputError(
+                    f"{name} has shape {values.shape}, {below} has {base.shape}; a trajectory needs both "
+                    "derivatives at every sample: record_trajectory() takes them from a record of positions"
+                )
+            # The trapezoid rule integrates a smooth derivative to about (its change a step) x time_step.
+            grown = np.cumsum((values[1:] + values[:-1]) / 2) * self.time_step
+            error = np.abs(base[1:] - base[0] - grown).max()
+            allowed = self.time_step * np.abs(np.diff(values)).sum() + 1e-9 * (1 + np.abs(base).max())
+            if error > allowed:
+                raise InputError(
+                    f"{name} is not the derivative of {below}: integrated, it misses by {error:.3g}; "
+                    "give exact derivatives, or let record_trajectory() take them"
+                )
+
+    @property
+    def time(self) -> Float64[np.ndarray, " samples"]:
+        """Times of the samples, s."""
+        return np.arange(len(self.position)) * self.time_step
+
+
+def sampled(duration: float, time_step: float) -> Float64[np.ndarray, " samples"]:
+    """Sample times 0, time_step, ... below `duration`, s."""
+    require_number("time_step", time_step, above=0)
+    require_number("duration", duration, above=2 * time_step)
+    return np.arange(round(duration / time_step)) * time_step
+
+
+def sine_trajectory(
+    amplitude: float = 1.0, frequency_hz: float = 0.2, duration: float = 12.0, time_step: float = 1e-3
+) -> Trajectory:
+    """q = A sin(w t)."""
+    phase, rate = _phase(amplitude, frequency_hz, duration, time_step)
+    return Trajectory(
+        time_step,
+        amplitude * np.sin(phase),
+        amplitude * rate * np.cos(phase),
+        -amplitude * rate**2 * np.sin(phase),
+    )
+
+
+def asin_trajectory(
+    amplitude: float = 1.0,
+    sharpness: float = 0.98,
+    frequency_hz: float = 0.2,
+    duration: float = 12.0,
+    time_step: float = 1e-3,
+) -> Trajectory:
+    """q = A asin(k sin w t) / asin k: a sine for small k, a triangle with corners as k nears 1.
+
+    The paper says only that its trajectory has "quasi edges" around which the derivative varies drastically;
+    this one has them, with derivatives in closed form.
+
+    Parameters
+    ----------
+    amplitude : float
+        A, m.
+    sharpness : float
+        k, between 0 and 1.
+    frequency_hz, duration, time_step : float
+        Hz, s, s.
+    """
+    require_number("sharpness", sharpness, above=0, below=1)
+    phase, rate = _phase(amplitude, frequency_hz, duration, time_step)
+    scale = amplitude / np.arcsin(sharpness)
+    inner = 1 - (sharpness * np.sin(phase)) ** 2
+    return Trajectory(
+        time_step,
+        scale * np.arcsin(sharpness * np.sin(phase)),
+        scale * sharpness * rate * np.cos(phase) / np.sqrt(inner),
+        -scale * sharpness * rate**2 * (1 - sharpness**2) * np.sin(phase) / inner**1.5,
+    )
+
+
+def trapezoid_trajectory(
+    amplitude: float = 1.0,
+    rounding: float = 0.5,
+    frequency_hz: float = 0.2,
+    duration: float = 12.0,
+    time_step: float = 1e-3,
+) -> Trajectory:
+    """A trapezoid between -A and A whose corners are rounded, so that the acceleration is continuous.
+
+    Ramps and dwells take a quarter of the period each. At a corner the velocity follows 3 x^2 - 2 x^3.
+
+    Parameters
+    ----------
+    amplitude : float
+        A, m.
+    rounding : float
+        Length of a corner as a fraction of a ramp, above 0 and at most 1.
+    frequency_hz, duration, time_step : float
+        Hz, s, s.
+    """
+    require_number("rounding", rounding, above=0, at_most=1)
+    phase, rate = _phase(amplitude, frequency_hz, duration, time_step)
+    time, period = phase / rate, 2 * np.pi / rate
+    ramp = period / 4
+    corner = rounding * ramp
+    speed = 2 * amplitude / ramp
+    within = np.mod(time, period)
+    # One period: up from the middle, dwell, down, dwell, up to the middle; each corner changes the velocity.
+    corners = [(0.5, -speed), (1.5, -speed), (2.5, speed), (3.5, speed)]
+    position, velocity, acceleration = speed * within, np.full_like(within, speed), np.zeros_like(within)
+    for place, change in corners:
+        x = np.clip((within - place * ramp) / corner + 0.5, 0, 1)
+        beyond = np.maximum(within - place * ramp - corner / 2, 0)
+        position += change * (corner * (x**3 - x**4 / 2) + beyond)
+        velocity += change * (3 * x**2 - 2 * x**3)
+        acceleration += change * 6 * x * (1 - x) / corner
+    return Trajectory(time_step, position, velocity, acceleration)
+
+
+def record_trajectory(time: ArrayLike, position: ArrayLike, time_step: float = 1e-3) -> Trajectory:
+    """A recorded motion as a trajectory: the quintic spline through the record, and its exact derivatives.
+
+    Parameters
+    ----------
+    time, position : array_like, shape (samples,)
+        s and m; the times rise, not necessarily evenly.
+    time_step : float
+        Sampling of the trajectory, s.
+    """
+    from scipy.interpolate import make_interp_spline
+
+    require_number("time_step", time_step, above=0)
+    time = require_array("time", time, ndim=1)
+    position = require_array("position", position, shape=time.shape)
+    if len(time) < 6 or np.any(np.diff(time) <= 0):
+        raise InputError("time must rise from sample to sample, with at least 6 samples; sort the record")
+    spline = make_interp_spline(time, position, k=5)
+    at = time[0] + np.arange(int((time[-1] - time[0]) / time_step * (1 + 1e-12)) + 1) * time_step
+    return Trajectory(time_step, spline(at), spline(at, 1), spline(at, 2))
+
+
+def _phase(amplitude, frequency_hz, duration, time_step):
+    require_number("amplitude", amplitude)
+    rate = 2 * np.pi * require_number("frequency_hz", frequency_hz, above=0)
+    return rate * sampled(duration, time_step), rate

@@ -1,0 +1,124 @@
+"""Fixed point transformations (6) and (8): from what happened and what is desired to the next command."""
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from stillwork.base.checks import InputError, require_number
+from stillwork.base.kernels import kernel
+
+
+class ContractionWarning(UserWarning):
+    """The iteration is no contraction with this gain; the message gives the range in which it is."""
+
+
+@dataclass(frozen=True)
+class FlowTransformation:
+    """Transformation (6): deformed += A sigma((response - desired) / w), sigma(x) = x / (1 + |x|).
+
+    Attributes
+    ----------
+    gain : float
+        A, m/s^2 a step (the paper prints s^-2); negative for a plant that follows its command.
+    width : float
+        w, m/s^2.
+    """
+
+    gain: float = -1.1
+    width: float = 3.0
+
+    def __post_init__(self):
+        if require_number("gain", self.gain) == 0:
+            raise InputError("gain is 0, which never adapts; give a negative number")
+        require_number("width", self.width, above=0)
+
+    @property
+    def local_gain(self) -> float:
+        """Change of the command per m/s^2 of error, at the fixed point."""
+        return self.gain / self.width
+
+    @property
+    def packed(self) -> Float64[np.ndarray, "4"]:
+        return np.array([0.0, self.gain, self.width, 0.0])
+
+
+@dataclass(frozen=True)
+class RobustTransformation:
+    """Transformation (8): deformed = (deformed + K) (1 + B sigma(A (response - desired))) - K.
+
+    Attributes
+    ----------
+    offset : float
+        K_c, m/s^2, far above every acceleration.
+    factor : float
+        B_c.
+    slope : float
+        A_c, s^2/m.
+    """
+
+    offset: float = 4e7
+    factor: float = -1.05
+    slope: float = 9e-2 / 4e7
+
+    def __post_init__(self):
+        require_number("offset", self.offset, above=0)
+        if require_number("factor", self.factor) == 0:
+            raise InputError("factor is 0, which never adapts; give a negative number")
+        require_number("slope", self.slope, above=0)
+
+    @property
+    def local_gain(self) -> float:
+        """Change of the command per m/s^2 of error, where the command is small beside K_c."""
+        return self.offset * self.factor * self.slope
+
+    @property
+    def packed(self) -> Float64[np.ndarray, "4"]:
+        return np.array([1.0, self.offset, self.factor, self.slope])
+
+
+Transformation = FlowTransformation | RobustTransformation
+
+
+def contraction_range(response_gain: float) -> tuple[float, float]:
+    """Open range of `local_gain` in which deformed -> G(deformed, f(deformed), desired) contracts.
+
+    With f' = `response_gain` the multiplier of an iteration is 1 + local_gain f'; Banach's theorem wants it
+    within (-1, 1). A filter or a delay in the loop narrows the range: `stable_range` finds it.
+
+    Parameters
+    ----------
+    response_gain : float
+        f', m/s^2 realised per m/s^2 commanded: the approximate over the exact mass.
+    """
+    if require_number("response_gain", response_gain) == 0:
+        raise InputError("response_gain is 0: the plant does not answer its command")
+    edge = -2.0 / response_gain
+    return min(edge, 0.0), max(edge, 0.0)
+
+
+def warn_outside_contraction(transformation: Transformation, response_gain: float) -> None:
+    """Warn when a transformation cannot converge on a plant, even with perfect measurements."""
+    low, high = contraction_range(response_gain)
+    if not low < transformation.local_gain < high:
+        warnings.warn(
+            f"{type(transformation).__name__} has local gain {transformation.local_gain:.4g}, outside the "
+            f"contraction range ({low:.4g}, {high:.4g}) of this plant; the iteration will not converge",
+            ContractionWarning,
+            stacklevel=3,
+        )
+
+
+def deform(transformation: Transformation, previous: float, response: float, desired: float) -> float:
+    """Next deformed acceleration from the previous one, its response and the desired one, m/s^2."""
+    return float(deform_packed(transformation.packed, float(previous), float(response), float(desired)))
+
+
+@kernel
+def deform_packed(packed, previous, response, desired):
+    if packed[0] == 0.0:  # (6)
+        x = (response - desired) / packed[2]
+        return previous + packed[1] * x / (1.0 + abs(x))
+    x = packed[3] * (response - desired)  # (8), multiplied out so that the large K_c does not cancel
+    return previous + (previous + packed[1]) * packed[2] * x / (1.0 + abs(x))

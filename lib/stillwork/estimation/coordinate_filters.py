@@ -1,0 +1,202 @@
+"""Filters with one interface: from the noisy coordinate to position, velocity and acceleration.
+
+A filter is a frozen description that packs itself for the kernel in `stillwork.estimation.filtering`, which
+runs over a record or inside the controller's loop.
+"""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.estimation.gaussian import BLOCKS, require_covariance
+from stillwork.estimation.plant import Plant
+from stillwork.estimation.unscented import SigmaPoints
+from stillwork.estimation.windows import end_point_weights
+
+WINDOW, LOW_PASS, UNSCENTED, EXTENDED, SAVITZKY_GOLAY = range(5)
+
+
+class Packed(NamedTuple):
+    """A filter as the kernels take it: which one, its numbers, and a workspace that starts at zero."""
+
+    kind: int
+    options: np.ndarray  # float64, one axis
+    process: np.ndarray  # Q, two axes; empty where there is none
+    noise: np.ndarray  # R
+    work: np.ndarray  # three axes
+
+
+def _packed(kind, options, work_shape, process=((),), noise=((),)):
+    arrays = [np.ascontiguousarray(value, dtype=np.float64) for value in (options, process, noise)]
+    return Packed(kind, *arrays, np.zeros(work_shape))
+
+
+@dataclass(frozen=True)
+class MovingWindow:
+    """Section II.A: three cascaded affine fits over `length` + 1 samples, read at the newest sample.
+
+    Attributes
+    ----------
+    length : int
+        L of the paper; the window holds L + 1 samples.
+    """
+
+    length: int = 12
+    error_from_measurement = True  # which position the controller compares with the nominal one
+
+    def __post_init__(self):
+        require_count("length", self.length)
+
+    def packed(self) -> Packed:
+        return _packed(WINDOW, end_point_weights(self.length + 1, 1), (2, 3, self.length + 1))
+
+
+@dataclass(frozen=True)
+class LowPass:
+    """Section II.B: (bandwidth + d/dt)^3 filtered = bandwidth^3 measured, by Euler's rule, from zero.
+
+    Attributes
+    ----------
+    bandwidth : float
+        lambda of (7), rad/s.
+    """
+
+    bandwidth: float = 350.0
+    error_from_measurement = True
+
+    def __post_init__(self):
+        require_number("bandwidth", self.bandwidth, above=0)
+
+    def packed(self) -> Packed:
+        return _packed(LOW_PASS, [self.bandwidth], (1, 1, 3))
+
+
+@dataclass(frozen=True)
+class SavitzkyGolay:
+    """Least-squares polynomial over the latest samples; its value and derivatives at the newest one.
+
+    Attributes
+    ----------
+    samples : int
+        In the window.
+    degree : int
+        Of the polynomial, 2 at least: an acceleration is wanted.
+    time_step : float
+        s; the weights of the derivatives depend on it.
+    """
+
+    samples: int = 15
+    degree: int = 2
+    time_step: float = 1e-3
+    error_from_measurement = True
+
+    def __post_init__(self):
+        require_count("degree", self.degree, at_least=2)
+        require_count("samples", self.samples, at_least=self.degree + 1)
+        require_number("time_step", self.time_step, above=0)
+
+    def packed(self) -> Packed:
+        rows = [
+            end_point_weights(self.samples, self.degree, order) / self.time_step**order for order in range(3)
+        ]
+        return _packed(SAVITZKY_GOLAY, np.concatenate(rows), (2, 1, self.samples))
+
+
+@dataclass(frozen=True)
+class UnscentedKalman:
+    """Section II.C: state [velocity, position], measured as [difference quotient, position].
+
+    Attributes
+    ----------
+    plant : Plant
+        The model that the filter believes in.
+    process : array_like, shape (2, 2) or (2,)
+        Q, by velocity and position: m^2/s^2 and m^2.
+    noise : array_like, shape (2, 2) or (2,)
+        R, likewise.
+    initial_variance : float
+        Of both states at the first measurement.
+    literal : bool
+        Correct with points around the previous estimate, as (14) is printed.
+    points : SigmaPoints
+        Scaling, Table II.
+    """
+
+    plant: Plant
+    process: ArrayLike = (1e-1, 1e-3)
+    noise: ArrayLike = (1e-2, 1e-3)
+    initial_variance: float = 1e-3
+    literal: bool = False
+    points: SigmaPoints = field(default_factory=SigmaPoints)
+    error_from_measurement = False
+
+    def __post_init__(self):
+        object.__setattr__(self, "process", require_covariance("process", self.process, 2))
+        object.__setattr__(self, "noise", require_covariance("noise", self.noise, 2))
+        require_number("initial_variance", self.initial_variance, above=0)
+
+    def packed(self) -> Packed:
+        options = [*self.points.weights(2), float(self.literal), self.initial_variance]
+        return _packed(UNSCENTED, options, (BLOCKS, 5, 2), self.process, self.noise)
+
+
+@dataclass(frozen=True)
+class ExtendedKalman:
+    """Extended Kalman filter with a disturbance state, measured by the position alone.
+
+    Not in the paper. The disturbance collects what the model gets wrong, as a random walk of acceleration.
+
+    Attributes
+    ----------
+    plant : Plant
+        The model that the filter believes in.
+    disturbance_step : float
+        Standard deviation of the disturbance's change in one sample, m/s^2.
+    noise_deviation : float
+        Standard deviation of the measured position, m.
+    velocity_step : float
+        Standard deviation of what else changes the velocity in one sample, m/s.
+    initial_deviation : tuple of float
+        Of position, velocity and disturbance at the first measurement.
+    """
+
+    plant: Plant
+    disturbance_step: float = 1.0
+    noise_deviation: float = 1e-4
+    velocity_step: float = 0.0
+    initial_deviation: tuple[float, float, float] = (1e-2, 1.0, 10.0)
+    error_from_measurement = False
+
+    def __post_init__(self):
+        require_number("disturbance_step", self.disturbance_step, at_least=0)
+        require_number("noise_deviation", self.noise_deviation, above=0)
+        require_number("velocity_step", self.velocity_step, at_least=0)
+        deviation = require_array("initial_deviation", self.initial_deviation, shape=(3,))
+        if np.any(deviation < 0):
+            raise InputError("initial_deviation holds a negative number; give standard deviations")
+
+    def packed(self) -> Packed:
+        process = np.diag([self.velocity_step**2, 0.0, self.disturbance_step**2])
+        options = np.square(np.asarray(self.initial_deviation, dtype=float))
+        return _packed(EXTENDED, options, (BLOCKS, 5, 3), process, [[self.noise_deviation**2]])
+
+
+def require_step(signal_filter, time_step: float) -> float:
+    """Return a time step at which a filter can run, else raise `InputError`."""
+    require_number("time_step", time_step, above=0)
+    own = getattr(signal_filter, "time_step", time_step)  # its weights hold one
+    if own != time_step:
+        raise InputError(f"time_step is {time_step:g} s, the filter was made for {own:g} s; use one of them")
+    bandwidth = getattr(signal_filter, "bandwidth", 0.0)
+    if bandwidth * time_step >= 2:
+        raise InputError(
+            f"bandwidth is {bandwidth:g} rad/s; Euler's rule with steps of {time_step:g} s wants less than "
+            f"{2 / time_step:g} rad/s, or it diverges"
+        )
+    return float(time_step)
+
+
+Filter = MovingWindow | LowPass | SavitzkyGolay | UnscentedKalman | ExtendedKalman

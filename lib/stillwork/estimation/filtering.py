@@ -1,0 +1,153 @@
+"""Running a filter: the one kernel that knows them all, and a whole record through it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import ArrayLike
+
+from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.base.kernels import kernel
+from stillwork.estimation.coordinate_filters import (
+    LOW_PASS,
+    SAVITZKY_GOLAY,
+    UNSCENTED,
+    WINDOW,
+    Filter,
+    require_step,
+)
+from stillwork.estimation.extended import plant_extended_step
+from stillwork.estimation.low_pass import low_pass_step
+from stillwork.estimation.plant import Plant
+from stillwork.estimation.unscented import plant_unscented_step
+from stillwork.estimation.windows import moving_window_step, savitzky_golay_step
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a filter made of a record; each of shape (samples,)."""
+
+    position: Float64[np.ndarray, " samples"]  # m
+    velocity: Float64[np.ndarray, " samples"]  # m/s
+    acceleration: Float64[np.ndarray, " samples"]  # m/s^2
+
+
+def filter_signal(
+    signal_filter: Filter,
+    measured: ArrayLike,
+    force: ArrayLike | None = None,
+    *,
+    time_step: float = 1e-3,
+    start_velocity: float = 0.0,
+) -> Estimate:
+    """Run a filter over a record.
+
+    Parameters
+    ----------
+    signal_filter : Filter
+        One of `stillwork.estimation.coordinate_filters`.
+    measured : array_like, shape (samples,)
+        Noisy coordinate, m.
+    force : array_like, shape (samples,), optional
+        Force that acts from each sample to the next, N; the Kalman filters need it, without it it is zero.
+    time_step : float
+        s.
+    start_velocity : float
+        Velocity that the filter presumes before the first sample, m/s (the low pass starts from zero).
+
+    Raises
+    ------
+    InputError
+        When the filter cannot run at this time step, or a covariance loses its definiteness on the way;
+        the message names the sample.
+    """
+    require_step(signal_filter, time_step)
+    measured = require_array("measured", measured, ndim=1)
+    force = np.zeros_like(measured) if force is None else require_array("force", force, shape=measured.shape)
+    estimates = np.empty((len(measured), 3))
+    done = _filter_record(
+        *signal_filter.packed(),
+        *model_of(signal_filter),
+        measured,
+        force,
+        float(time_step),
+        np.array([0.0, require_number("start_velocity", start_velocity), 0.0]),
+        estimates,
+    )
+    if done < len(measured):
+        raise InputError(
+            f"the filter's covariance stops being positive definite at sample {done}; "
+            "raise process or noise, or check that the model fits the record"
+        )
+    return Estimate(*np.ascontiguousarray(estimates.T))
+
+
+def model_of(signal_filter: Filter):
+    """Compiled acceleration and parameters of a filter's model; a stand-in where it has none."""
+    plant = getattr(signal_filter, "plant", NO_MODEL)
+    acceleration, _, parameters = plant.compiled
+    return acceleration, parameters
+
+
+def unit_mass_acceleration(position, velocity, force, parameters):
+    """A free unit mass."""
+    return force
+
+
+def unit_mass_force(position, velocity, acceleration, parameters):
+    """A free unit mass, inverted."""
+    return acceleration
+
+
+NO_MODEL = Plant(unit_mass_acceleration, unit_mass_force, np.zeros(0))
+
+
+@kernel
+def filter_step(
+    kind, options, process, noise, work, acceleration, plant, time_step, measured, force, estimate
+):
+    """Advance one filter by one sample; `estimate` (position, velocity, acceleration) is read and written."""
+    if kind == WINDOW:
+        moving_window_step(options, work, time_step, measured, estimate)
+        return True
+    if kind == LOW_PASS:
+        low_pass_step(options[0], work, time_step, measured, estimate)
+        return True
+    if kind == SAVITZKY_GOLAY:
+        savitzky_golay_step(options, work, time_step, measured, estimate)
+        return True
+    if kind == UNSCENTED:
+        return plant_unscented_step(
+            options, process, noise, work, acceleration, plant, time_step, measured, force, estimate
+        )
+    return plant_extended_step(
+        options, process, noise, work, acceleration, plant, time_step, measured, force, estimate
+    )
+
+
+@kernel
+def _filter_record(
+    kind, options, process, noise, work, acceleration, plant, measured, force, time_step, estimate, estimates
+):
+    """Filter a record; returns the number of samples done."""
+    last_force = 0.0
+    for i in range(len(measured)):
+        if not filter_step(
+            kind,
+            options,
+            process,
+            noise,
+            work,
+            acceleration,
+            plant,
+            time_step,
+            measured[i],
+            last_force,
+            estimate,
+        ):
+            return i
+        last_force = force[i]
+        estimates[i, 0] = estimate[0]
+        estimates[i, 1] = estimate[1]
+        estimates[i, 2] = estimate[2]
+    return len(measured)

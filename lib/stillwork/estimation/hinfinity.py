@@ -1,0 +1,131 @@
+"""H-infinity filter in discrete time: bounds the energy gain from noise to the estimation error."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.base.kernels import kernel
+from stillwork.estimation.time_varying import FilterGains, TimeVaryingModel
+
+
+def hinfinity_gains(model: TimeVaryingModel, wanted: ArrayLike, level: float) -> FilterGains:
+    r"""A-posteriori H-infinity filter of z = L x (Hassibi, Sayed and Kailath, 1999, ch. 4).
+
+    It is the Kalman filter on a covariance that every step inflates to :math:`(P^{-1}-\gamma^{-2}L^TL)^{-1}`.
+
+    Parameters
+    ----------
+    model : TimeVaryingModel
+    wanted : array_like, shape (signals, states)
+        L: what is to be estimated, in units in which all errors count alike.
+    level : float
+        :math:`\gamma`: bound on the ratio of error energy to noise energy, both in units of their deviations.
+
+    Raises
+    ------
+    InputError
+        When no filter keeps this level at some sample; the message names it.
+    """
+    level = require_number("level", level, above=0.0)
+    wanted = require_array("wanted", wanted, shape=(None, model.a.shape[1]))
+    gains, failed = _design(model, wanted, level)
+    if failed:
+        raise InputError(f"no filter keeps level {level:.3g} beyond sample {failed}; give a larger level")
+    return gains
+
+
+def smallest_level(model: TimeVaryingModel, wanted: ArrayLike, tolerance: float = 1e-3) -> float:
+    """Smallest level for which `hinfinity_gains` exists, from above, by bisection to a relative tolerance."""
+    wanted = require_array("wanted", wanted, shape=(None, model.a.shape[1]))
+    high = np.sqrt(np.linalg.norm(wanted @ model.initial_covariance @ wanted.T, 2)) or 1.0
+    for _ in range(200):
+        if not _design(model, wanted, high)[1]:
+            break
+        high *= 2
+    else:
+        raise InputError("wanted cannot be estimated at any level; is the model detectable?")
+    low = high
+    while not _design(model, wanted, low)[1]:
+        high, low = low, low / 2
+    while high / low > 1 + tolerance:
+        middle = np.sqrt(low * high)
+        if _design(model, wanted, middle)[1]:
+            low = middle
+        else:
+            high = middle
+    return float(high)
+
+
+def _design(model: TimeVaryingModel, wanted: np.ndarray, level: float) -> tuple[FilterGains, int]:
+    samples, outputs, states = model.c.shape
+    whiten = np.linalg.inv(np.linalg.cholesky(model.sensor))
+    gain = np.zeros((samples, states, outputs))
+    covariance = np.zeros((samples, states, states))
+    covariance[0] = model.initial_covariance
+    g = model.g @ np.linalg.cholesky(model.process)
+    arrays = (model.a, g, whiten @ model.c, wanted / level)
+    failed = _riccati(*(np.ascontiguousarray(x) for x in arrays), gain, covariance)
+    gains = FilterGains(model.a, model.b, gain @ whiten, np.ascontiguousarray(model.c), covariance)
+    return gains, failed
+
+
+@kernel
+def _riccati(a, g, c, wanted, gain, covariance):
+    samples, n = a.shape[0], a.shape[1]
+    p, half, v = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
+    for i in range(n):
+        for j in range(n):
+            p[i, j] = covariance[0, i, j]
+    for k in range(1, samples):
+        # A negative measurement of what is wanted: certainty is taken back where errors would hurt most.
+        for o in range(wanted.shape[0]):
+            s = 1.0
+            for i in range(n):
+                total = 0.0
+                for j in range(n):
+                    total += p[i, j] * wanted[o, j]
+                v[i] = total
+            for i in range(n):
+                s -= wanted[o, i] * v[i]
+            if not s > 0:
+                return k
+            for i in range(n):
+                for j in range(n):
+                    p[i, j] += v[i] * v[j] / s
+        for i in range(n):
+            for j in range(n):
+                total = 0.0
+                for q in range(n):
+                    total += a[k, i, q] * p[q, j]
+                half[i, j] = total
+        for i in range(n):
+            for j in range(i + 1):
+                total = 0.0
+                for q in range(n):
+                    total += half[i, q] * a[k, j, q]
+                for q in range(g.shape[2]):
+                    total += g[k, i, q] * g[k, j, q]
+                p[i, j] = p[j, i] = total
+        for o in range(c.shape[1]):
+            s = 1.0
+            for i in range(n):
+                total = 0.0
+                for j in range(n):
+                    total += p[i, j] * c[k, o, j]
+                v[i] = total
+            for i in range(n):
+                s += c[k, o, i] * v[i]
+            for j in range(o):
+                total = 0.0
+                for i in range(n):
+                    total += c[k, o, i] * gain[k, i, j]
+                for i in range(n):
+                    gain[k, i, j] -= v[i] / s * total
+            for i in range(n):
+                gain[k, i, o] = v[i] / s
+                for j in range(n):
+                    p[i, j] -= v[i] * v[j] / s
+        for i in range(n):
+            for j in range(n):
+                covariance[k, i, j] = p[i, j]
+    return 0

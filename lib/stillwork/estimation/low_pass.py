@@ -1,0 +1,19 @@
+"""The third-order low pass (7), integrated by Euler's rule."""
+
+from stillwork.base.kernels import kernel
+
+
+@kernel
+def low_pass_step(bandwidth, state, time_step, measured, estimate):
+    """(bandwidth + d/dt)^3 filtered = bandwidth^3 measured; state[0, 0, :3]: filtered and two derivatives.
+
+    The estimate is the state that Euler's step with this measurement reaches; it starts from zero.
+    """
+    filtered, rate, curvature = state[0, 0, 0], state[0, 0, 1], state[0, 0, 2]
+    jerk = bandwidth**3 * (measured - filtered) - 3.0 * bandwidth**2 * rate - 3.0 * bandwidth * curvature
+    state[0, 0, 0] = filtered + time_step * rate
+    state[0, 0, 1] = rate + time_step * curvature
+    state[0, 0, 2] = curvature + time_step * jerk
+    estimate[0] = state[0, 0, 0]
+    estimate[1] = state[0, 0, 1]
+    estimate[2] = state[0, 0, 2]

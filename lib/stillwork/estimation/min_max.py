@@ -1,0 +1,165 @@
+"""Min-max estimation from one block of data: Theorem 1 with all of its cases."""
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import ArrayLike
+
+from stillwork.base.checks import require_array, require_number
+from stillwork.estimation.secular import ROUNDING, decompose
+
+CASES = ("regularised", "zero", "least squares", "segment")
+
+
+class ZeroEstimateWarning(UserWarning):
+    """The bound admits a perturbation that explains all of the data away: the estimate is zero."""
+
+
+@dataclass(frozen=True)
+class MinMaxSolution:
+    """Solution of min over x of max over |dA| <= eta of |(A + dA) x - b|, Theorem 1.
+
+    Attributes
+    ----------
+    estimate : ndarray, shape (unknowns,)
+        x.
+    alpha : float
+        Regularisation that the bound amounts to: x = (A'A + alpha I)^-1 A'b; infinite when x = 0.
+    worst_case_residual : float
+        |A x - b| + eta |x|, the largest residual that the bound admits at x, in the unit of b.
+    perturbation : ndarray, shape (rows, unknowns)
+        A perturbation dA of norm eta that attains it; zero when x = 0 (then every dA does).
+    case : str
+        ``regularised`` (a positive root alpha); ``zero`` (eta at or above `threshold`); ``least squares``
+        (eta = 0, or b in the column space and eta at most `free_bound`); ``segment`` (b in the column
+        space and eta = `free_bound` = `threshold`: every point between zero and least squares is optimal,
+        least squares is returned).
+    threshold : float
+        tau = |A'b| / |b|: from this bound on the estimate is zero.
+    free_bound : float
+        Up to this bound the estimate is least squares; 0 unless b is in the column space of A.
+    rank : int
+        Numerical rank of A.
+    evaluations : int
+        Evaluations of the secular function that the root took.
+    """
+
+    estimate: Float64[np.ndarray, " unknowns"]
+    alpha: float
+    worst_case_residual: float
+    perturbation: Float64[np.ndarray, "rows unknowns"]
+    case: str
+    threshold: float
+    free_bound: float
+    rank: int
+    evaluations: int
+
+
+def min_max_solve(matrix: ArrayLike, target: ArrayLike, bound: float) -> MinMaxSolution:
+    """Estimate x in b = (A + dA) x + v when only a bound on the 2-norm of dA is known.
+
+    The estimate minimises the worst residual that a perturbation of norm at most `bound` can cause. It is
+    ridge regression whose penalty follows from the bound through a scalar equation, which is solved by
+    a safeguarded Newton iteration on the singular values. Data are scaled before and by the solve: the
+    answer does not depend on their units.
+
+    Parameters
+    ----------
+    matrix : array_like, shape (rows, unknowns)
+        A, at least as many rows as unknowns; rank deficiency is allowed and gives the shortest solution.
+    target : array_like, shape (rows,)
+        b.
+    bound : float
+        eta >= 0, in the unit of A.
+
+    Returns
+    -------
+    MinMaxSolution
+
+    Raises
+    ------
+    InputError
+        For data that are not finite or of the wrong shape, fewer rows than unknowns, a bad bound.
+
+    Warns
+    -----
+    ZeroEstimateWarning
+        When the bound is so large that the estimate is zero.
+
+    References
+    ----------
+    Sayed, Garulli, Nascimento, Chandrasekaran, "Exponentially-weighted iterative solutions for worst-case
+    parameter estimation", Theorem 1 and the remarks after it. The case of b in the column space of A
+    follows from the limit of eq. (4) for |d| to 0.
+    """
+    solution = solve_silently(matrix, target, bound)
+    if solution.case == "zero" and solution.threshold > 0:
+        warnings.warn(
+            f"bound {bound:g} is at or above {solution.threshold:g} = |A'b|/|b|, so the estimate is zero: a "
+            "perturbation of this size explains all of the data; give a smaller bound or more data",
+            ZeroEstimateWarning,
+            stacklevel=2,
+        )
+    return solution
+
+
+def solve_silently(matrix: ArrayLike, target: ArrayLike, bound: float) -> MinMaxSolution:
+    """`min_max_solve` without its warning, for sweeps in which a zero estimate is a result."""
+    matrix = require_array("matrix", matrix, ndim=2)
+    target = require_array("target", target, ndim=1)
+    bound = require_number("bound", bound, at_least=0.0)
+    matrix_unit = _size(matrix)
+    target_unit = _size(target)
+    scaled, aimed = matrix / matrix_unit, target / target_unit
+    function, right, rank = decompose(scaled, aimed, bound / matrix_unit)
+    bound = function.bound
+    threshold = free = 0.0
+    if np.any(function.coefficients):
+        threshold = function.threshold
+        free = min(function.free_bound, threshold) if function.excess == 0 else 0.0
+    tie = len(matrix) * ROUNDING * threshold
+    evaluations = 0
+    if threshold == 0:
+        case, alpha = "zero", np.inf
+    elif bound == 0:
+        case, alpha = "least squares", 0.0
+    elif function.excess == 0 and abs(threshold - free) <= tie and abs(bound - free) <= tie:
+        case, alpha = "segment", 0.0
+    elif bound >= threshold:
+        case, alpha = "zero", np.inf
+    elif bound <= free:
+        case, alpha = "least squares", 0.0
+    else:
+        case = "regularised"
+        alpha, evaluations = function.root()
+    weights = np.sqrt(function.eigenvalues) * function.coefficients / (function.eigenvalues + alpha)
+    estimate = right @ weights
+    residual = scaled @ estimate - aimed
+    worst = np.linalg.norm(residual) + bound * np.linalg.norm(estimate)
+    return MinMaxSolution(
+        estimate=estimate * (target_unit / matrix_unit),
+        alpha=float(alpha * matrix_unit**2),
+        worst_case_residual=float(worst * target_unit),
+        perturbation=_worst_perturbation(residual, estimate, bound * matrix_unit),
+        case=case,
+        threshold=threshold * matrix_unit,
+        free_bound=free * matrix_unit,
+        rank=rank,
+        evaluations=evaluations,
+    )
+
+
+def _size(values: np.ndarray) -> float:
+    return float(np.max(np.abs(values), initial=0.0)) or 1.0
+
+
+def _worst_perturbation(residual, estimate, bound) -> np.ndarray:
+    # eta r x' / (|r| |x|) turns all of its size into residual
+    length = np.linalg.norm(estimate)
+    size = np.linalg.norm(residual)
+    if length == 0:
+        return np.zeros((len(residual), len(estimate)))
+    direction = residual / size if size > 0 else np.eye(len(residual))[0]
+    return bound * np.outer(direction, estimate / length)

@@ -1,0 +1,100 @@
+"""The Kalman observer (3.3), alone or with a noise model that restores integral action (3.15)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+from scipy import linalg
+
+from stillwork.base.checks import InputError, require_number
+from stillwork.estimation.riccati import continuous_gain
+from stillwork.lti.modal import ModalModel
+from stillwork.lti.state_space import StateModel
+
+
+@dataclass(frozen=True)
+class NoiseIntensities:
+    """Intensities that the observer is designed for; without a noise model only their ratio matters."""
+
+    process: float  # Q, N^2
+    sensor: float  # R, m^2
+
+    def __post_init__(self):
+        require_number("process", self.process, above=0.0)
+        require_number("sensor", self.sensor, above=0.0)
+
+
+@dataclass(frozen=True)
+class Observer:
+    r"""Observer :math:`\dot{\hat x} = (A - LC)\hat x + (B - LD)u + Ly` of a reduced modal model.
+
+    The states are the rigid-body states, those of the flexible modes (position and velocity of each), then
+    (with a noise model) one integrator an input. For velocity measurements the rigid-body positions, which
+    they do not see, stay out.
+    """
+
+    model: ModalModel
+    a: Float64[np.ndarray, "states states"]
+    b: Float64[np.ndarray, "states inputs"]
+    c: Float64[np.ndarray, "outputs states"]
+    gain: Float64[np.ndarray, "states outputs"]  # L
+    residual: float = 0.0  # of the Riccati equation
+
+    def __post_init__(self):
+        if np.any(linalg.eigvals(self.a - self.gain @ self.c).real >= 0):
+            raise InputError("the observer is unstable; its gain must stabilise A - LC")
+
+    def read(
+        self, flexible: Float64[np.ndarray, "signals flexible_modes"], quantity: str = "position"
+    ) -> Float64[np.ndarray, "signals states"]:
+        """Rows that weight the estimated positions (or velocities) of the flexible modes."""
+        rigid = self.model.rigid_modes
+        first = rigid if self.model.measures == "velocity" else 2 * rigid
+        rows = np.zeros((len(flexible), len(self.a)))
+        rows[:, first + (quantity == "velocity") : first + 2 * flexible.shape[1] : 2] = flexible
+        return rows
+
+    @property
+    def flexible_outputs(self) -> Float64[np.ndarray, "outputs states"]:
+        """C_f: what the estimated flexible modes put into each measurement."""
+        return self.read(self.model.output_shapes[:, self.model.rigid_modes :], self.model.measures)
+
+    def estimator(self, rows: Float64[np.ndarray, "signals states"]) -> StateModel:
+        """Model from (u, y) to the signals ``rows @ x_hat``."""
+        b = np.hstack([self.b - self.gain @ self.model.feedthrough, self.gain])
+        return StateModel(self.a - self.gain @ self.c, b, rows, np.zeros((len(rows), b.shape[1])))
+
+
+def kalman_observer(model: ModalModel, noise: NoiseIntensities, noise_model: float | None = None) -> Observer:
+    """Kalman observer of section 3.1, with the process noise at the plant input (G = B).
+
+    Parameters
+    ----------
+    model : ModalModel
+        Reduced model; its feedthrough is the compliance T_DC.
+    noise : NoiseIntensities
+    noise_model : float, optional
+        Intensity Q_nu of the random walk z that is added to the plant input, with U = B: (3.14) and
+        Theorem 3.2.4.
+
+    Raises
+    ------
+    InputError
+        When a mode that is not stable by itself cannot be observed, or the Riccati equation cannot be trusted.
+    """
+    states = model.state_space()
+    a, b, c = states.a, states.b, states.c
+    if model.measures == "velocity":
+        seen = np.r_[1 : 2 * model.rigid_modes : 2, 2 * model.rigid_modes : len(a)]
+        a, b, c = a[np.ix_(seen, seen)], b[seen], c[:, seen]
+    n, inputs = b.shape
+    g, q = b, noise.process * np.eye(inputs)
+    if noise_model is not None:
+        require_number("noise_model", noise_model, above=0.0)
+        a = np.block([[a, b], [np.zeros((inputs, n + inputs))]])
+        g = linalg.block_diag(b, np.eye(inputs))
+        q = linalg.block_diag(q, noise_model * np.eye(inputs))
+        b = np.vstack([b, np.zeros((inputs, inputs))])
+        c = np.hstack([c, np.zeros((len(c), inputs))])
+    solved = continuous_gain(a, g, c, q, noise.sensor)
+    return Observer(model, a, b, c, solved.gain, solved.residual)

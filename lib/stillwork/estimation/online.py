@@ -1,0 +1,365 @@
+"""Adaptation on people's own data: over a recorded run, as identification, or one sample at a time."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64, Int64
+from numpy.typing import ArrayLike
+
+from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.base.kernels import kernel
+from stillwork.estimation.adaptive import FeLms, FeRls, felms_update, ferls_update
+
+# An error this many times the largest one without adaptation is no transient any more.
+RUNAWAY = 1e6
+
+
+class UnstableAdaptation(ArithmeticError):
+    """The adaptation, or the loop around it, diverged; says in which sample, why, and what to do.
+
+    Attributes
+    ----------
+    sample : int
+        First sample whose update cannot be used.
+    cause : str
+        What was seen.
+    """
+
+    def __init__(self, sample: int, cause: str, advice: str, what: str = "the adaptation"):
+        super().__init__(f"{what} became unstable at sample {sample}: {cause}; {advice}")
+        self.sample = sample
+        self.cause = cause
+
+
+@dataclass(frozen=True)
+class Adaptation:
+    """What an adaptation over a record gave.
+
+    Attributes
+    ----------
+    weights : ndarray, shape (actuators, n)
+        W after the last sample.
+    covariance : ndarray, shape (n, n), or None
+        P after the last sample; None for FeLMS.
+    samples : ndarray, shape (kept,)
+        Number of samples seen when each entry of `history` was kept.
+    history : ndarray, shape (kept, actuators, n)
+        W along the way.
+    """
+
+    weights: Float64[np.ndarray, "actuators n"]
+    covariance: Float64[np.ndarray, "n n"] | None
+    samples: Int64[np.ndarray, "kept"]
+    history: Float64[np.ndarray, "kept actuators n"]
+
+
+def adapt(
+    settings: FeLms | FeRls,
+    regressors: ArrayLike,
+    errors: ArrayLike,
+    weights: ArrayLike | None = None,
+    every: int = 1000,
+) -> Adaptation:
+    """Run the updates over recorded regressors and recorded filtered errors.
+
+    The errors are those that the machine showed while it ran with its own weights: this replays what a
+    controller did, or takes a step from one stretch with frozen weights. To fit weights to a record, whose
+    errors depend on them, use `identify`.
+
+    Parameters
+    ----------
+    settings : FeLms or FeRls
+        The algorithm.
+    regressors : array_like, shape (n, samples)
+        psi_N, any number of them.
+    errors : array_like, shape (actuators, samples)
+        e, one row an actuator.
+    weights : array_like, shape (actuators, n), optional
+        Where to start; zero without.
+    every : int
+        Keep the weights each so many samples.
+
+    Raises
+    ------
+    InputError
+        Arrays that do not fit together, or that hold NaN.
+    UnstableAdaptation
+        With the sample and the cause.
+    """
+    return _run(settings, regressors, "errors", errors, weights, every)
+
+
+def identify(
+    settings: FeLms | FeRls,
+    regressors: ArrayLike,
+    disturbance: ArrayLike,
+    weights: ArrayLike | None = None,
+    every: int = 1000,
+) -> Adaptation:
+    """Fit weights to a record: the error of each sample is e = d + W psi with the weights of that moment.
+
+    With FeRLS and an infinite `growth_limit` this is exponentially weighted least squares, sample by sample.
+
+    Parameters
+    ----------
+    settings : FeLms or FeRls
+        The algorithm.
+    regressors : array_like, shape (n, samples)
+        psi_N.
+    disturbance : array_like, shape (actuators, samples)
+        d: the filtered error that the machine shows with zero weights.
+    weights, every
+        As in `adapt`.
+
+    Raises
+    ------
+    InputError, UnstableAdaptation
+        As in `adapt`.
+    """
+    return _run(settings, regressors, "disturbance", disturbance, weights, every)
+
+
+class AdaptationStepper:
+    """The adaptation for people who drive hardware: one call a sample, as of `RecursiveStepper`.
+
+    Parameters
+    ----------
+    settings : FeLms or FeRls
+        The algorithm.
+    weights : array_like, shape (actuators, n)
+        W at the start, e.g. ``np.zeros((6, 9))``; it says how many actuators and regressors there are.
+
+    Attributes
+    ----------
+    weights : ndarray, shape (actuators, n)
+        W after the last sample that could be used.
+    covariance : ndarray, shape (n, n), or None
+        P after the same sample; None for FeLMS.
+    samples : int
+        How many samples were seen.
+    """
+
+    def __init__(self, settings: FeLms | FeRls, weights: ArrayLike):
+        self.settings = _require_settings(settings)
+        self.weights = require_array("weights", weights, ndim=2).copy()
+        self.covariance, self._limits = None, None
+        if isinstance(settings, FeRls):
+            self.covariance, self._limits = settings.start(self.weights.shape[1])
+        self._gain = np.zeros(self.weights.shape[1])
+        self.samples = 0
+
+    def update(self, regressor: ArrayLike, error: ArrayLike) -> Float64[np.ndarray, "actuators n"]:
+        """Take in psi_N, shape (n,), and e, shape (actuators,), of one sample; returns a copy of the new weights.
+
+        After an exception weights and covariance are those of the sample before: safe to hold or to fade out.
+
+        Raises
+        ------
+        InputError
+            Wrong shape or NaN.
+        UnstableAdaptation
+            The update could not be used.
+        """
+        actuators, n = self.weights.shape
+        regressor = require_array("regressor", regressor, shape=(n,))
+        error = require_array("error", error, shape=(actuators,))
+        settings, weights, covariance = self.settings, self.weights.copy(), None
+        if isinstance(settings, FeRls):
+            covariance, forgetting = self.covariance.copy(), settings.forgetting
+            leverage = ferls_update(
+                weights, covariance, regressor, error, forgetting, self._limits, self._gain
+            )
+            if not leverage >= forgetting:
+                raise _not_definite(self.samples)
+            if not (leverage < np.inf and _all_finite(covariance)):
+                raise _runaway(self.samples, settings)
+        else:
+            copies = settings.trace_copies(actuators)
+            step_size, regularisation = settings.step_size, settings.regularisation
+            felms_update(weights, regressor, error, step_size, regularisation, copies)
+        if not _all_finite(weights):
+            raise _runaway(self.samples, settings)
+        self.weights, self.covariance = weights, covariance
+        self.samples += 1
+        return weights.copy()
+
+
+def steady_covariance(regressors: ArrayLike, forgetting: float) -> Float64[np.ndarray, "n n"]:
+    """P that FeRLS settles at, (1 - lambda) E[psi psi']^-1, from a stretch of psi_N.
+
+    Parameters
+    ----------
+    regressors : array_like, shape (n, samples)
+        psi_N, after the transients of the filters.
+    forgetting : float
+        lambda in (0, 1).
+
+    Raises
+    ------
+    InputError
+        When a direction of the regressors is silent: it has no steady value.
+    """
+    regressors = require_array("regressors", regressors, ndim=2)
+    forgetting = require_number("forgetting", forgetting, above=0.0, below=1.0)
+    size = np.sqrt(np.mean(regressors**2, axis=1))
+    if np.min(size) == 0:
+        raise InputError(f"regressors: row {int(np.argmin(size))} is zero; leave it out")
+    scaled = regressors / size[:, None]
+    correlation = scaled @ scaled.T / scaled.shape[1]
+    if np.linalg.cond(correlation) > 1e12:
+        raise InputError(
+            "regressors: a combination of rows is silent, so the covariance has no steady value; "
+            "leave a row out or take a stretch with more excitation"
+        )
+    inverse = np.linalg.inv(correlation) / np.outer(size, size)
+    return (1 - forgetting) * (inverse + inverse.T) / 2
+
+
+def _require_settings(settings) -> FeLms | FeRls:
+    if not isinstance(settings, FeLms | FeRls):
+        raise InputError(f"settings is {settings!r}; give FeLms(...) or FeRls(...)")
+    return settings
+
+
+def _run(settings, regressors, name, signals, weights, every) -> Adaptation:
+    settings = _require_settings(settings)
+    regressors = require_array("regressors", regressors, ndim=2)
+    signals = require_array(name, signals, ndim=2)
+    n, samples = regressors.shape
+    actuators = len(signals)
+    if signals.shape[1] != samples:
+        raise InputError(
+            f"{name} has {signals.shape[1]} samples but regressors has {samples}; "
+            "give both with time along the last axis"
+        )
+    every = require_count("every", every)
+    start = np.zeros((actuators, n)) if weights is None else weights
+    start = require_array("weights", start, shape=(actuators, n))
+    history = np.empty((samples // every, actuators, n))
+    fits = name == "disturbance"
+    ceiling = (
+        RUNAWAY * (np.abs(signals).max() + np.abs(signals + start @ regressors).max()) if samples else 0.0
+    )
+    inputs = (
+        np.ascontiguousarray(regressors.T),
+        np.ascontiguousarray(signals.T),
+        fits,
+        ceiling,
+        history,
+        every,
+    )
+    # Overflow lasts, so a look at the end tells; only a run that overflowed is repeated to find the sample.
+    for watch in (False, True):
+        weights, covariance = start.copy(), None
+        if isinstance(settings, FeRls):
+            covariance, limits = settings.start(n)
+            stopped, definite = _run_ferls(weights, covariance, settings.forgetting, limits, *inputs, watch)
+            if not definite:
+                raise _not_definite(stopped)
+        else:
+            rates = settings.step_size, settings.regularisation, settings.trace_copies(actuators)
+            stopped = _run_felms(weights, *rates, *inputs, watch)
+        if stopped < samples:
+            raise _runaway(stopped, settings)
+        if np.all(np.isfinite(weights)) and (covariance is None or np.all(np.isfinite(covariance))):
+            break
+    return Adaptation(weights, covariance, every * np.arange(1, len(history) + 1), history)
+
+
+def _not_definite(sample: int) -> UnstableAdaptation:
+    return UnstableAdaptation(
+        sample,
+        "the covariance is no longer positive definite",
+        "start with a smaller initial_covariance, a finite growth_limit or regressors of similar size",
+    )
+
+
+def _runaway(sample: int, settings) -> UnstableAdaptation:
+    small = "step_size" if isinstance(settings, FeLms) else "initial_covariance"
+    return UnstableAdaptation(
+        sample, "the error and the weights grow without bound", f"give a smaller {small} or check the filters"
+    )
+
+
+@kernel
+def _error_of(weights, regressor, disturbance, error):
+    """Fill e = d + W psi; returns its largest magnitude, NaN if any is."""
+    largest = 0.0
+    for a in range(len(error)):
+        total = disturbance[a]
+        for i in range(len(regressor)):
+            total += weights[a, i] * regressor[i]
+        error[a] = total
+        if not abs(total) <= largest:
+            largest = abs(total)
+    return largest
+
+
+@kernel
+def _all_finite(matrix):
+    """Without leaving early, so that the compiler compares several elements at once."""
+    bad = 0
+    for i in range(matrix.shape[0]):
+        for j in range(matrix.shape[1]):
+            bad += not abs(matrix[i, j]) < np.inf
+    return bad == 0
+
+
+@kernel
+def _keep(weights, entry):
+    """Copy, in loops: assigning whole arrays takes the compiler two seconds."""
+    for a in range(weights.shape[0]):
+        for i in range(weights.shape[1]):
+            entry[a, i] = weights[a, i]
+
+
+@kernel
+def _run_ferls(
+    weights, covariance, forgetting, limits, regressors, signals, fits, ceiling, history, every, watch
+):
+    error, gain = np.empty(signals.shape[1]), np.empty(regressors.shape[1])
+    due = every - 1
+    for k in range(len(regressors)):
+        if not fits:
+            error = signals[k]
+        elif not _error_of(weights, regressors[k], signals[k], error) <= ceiling:
+            return k, True
+        leverage = ferls_update(weights, covariance, regressors[k], error, forgetting, limits, gain)
+        if not leverage >= forgetting:
+            return k, False
+        if not leverage < np.inf or (watch and not (_all_finite(covariance) and _all_finite(weights))):
+            return k, True
+        if k == due:
+            _keep(weights, history[k // every])
+            due += every
+    return len(regressors), True
+
+
+@kernel
+def _run_felms(
+    weights,
+    step_size,
+    regularisation,
+    trace_copies,
+    regressors,
+    signals,
+    fits,
+    ceiling,
+    history,
+    every,
+    watch,
+):
+    error = np.empty(signals.shape[1])
+    due = every - 1
+    for k in range(len(regressors)):
+        if not fits:
+            error = signals[k]
+        elif not _error_of(weights, regressors[k], signals[k], error) <= ceiling:
+            return k
+        felms_update(weights, regressors[k], error, step_size, regularisation, trace_copies)
+        if watch and not _all_finite(weights):
+            return k
+        if k == due:
+            _keep(weights, history[k // every])
+            due += every
+    return len(regressors)

@@ -1,0 +1,108 @@
+"""Plants with one coordinate, and their inverse, from functions of people's own."""
+
+import ast
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from stillwork.base.checks import InputError, require_array
+from stillwork.base.kernels import callback
+
+SIGNATURE = "float64(float64, float64, float64, float64[::1])"  # of a plant's two functions
+NEEDED = {"acceleration": 4, "force": 4}
+TABLES = ("EXACT", "APPROXIMATE")
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A second-order plant with one coordinate, and its inverse.
+
+    Both functions are written in plain Python with `math` or `numpy`, in a file, and take
+    ``(position, velocity, force or acceleration, parameters)``; they are compiled on first use and cached
+    beside that file, so that a second process starts at once.
+
+    Attributes
+    ----------
+    acceleration : callable
+        ``acceleration(position, velocity, force, parameters)``, m/s^2.
+    force : callable
+        ``force(position, velocity, acceleration, parameters)``, N: the inverse of the first.
+    parameters : ndarray, shape (parameters,)
+        Passed to both; changing them recompiles nothing.
+    """
+
+    acceleration: Callable
+    force: Callable
+    parameters: ArrayLike
+
+    def __post_init__(self):
+        object.__setattr__(self, "parameters", require_array("parameters", self.parameters, ndim=1))
+        position, velocity, wanted = 0.3, -0.2, 1.7
+        try:
+            force = self.force(position, velocity, wanted, self.parameters)
+            got = self.acceleration(position, velocity, force, self.parameters)
+            right = math.isclose(got, wanted, rel_tol=1e-6)
+        except Exception as error:  # a reader's function may raise anything
+            raise InputError(
+                f"acceleration or force fails on {len(self.parameters)} parameters ({error}); "
+                "give functions of (position, velocity, force or acceleration, parameters) that return a number"
+            ) from None
+        if not right:
+            raise InputError(
+                f"force is not the inverse of acceleration: for {wanted} m/s^2 at q = {position}, "
+                f"q' = {velocity} it gives {force:g} N, which accelerates by {got:g}; mend one of the two"
+            )
+
+    @property
+    def compiled(self):
+        """The two functions as C callbacks, and the parameters: what the kernels take."""
+        return callback(self.acceleration, SIGNATURE), callback(self.force, SIGNATURE), self.parameters
+
+
+def partial_derivatives(plant: Plant, position: float, velocity: float, force: float) -> tuple[float, ...]:
+    """Derivatives of the acceleration with respect to position, velocity and force, by central differences."""
+    point = np.array([position, velocity, force], dtype=float)
+
+    def slope(axis):
+        step = 1e-6 * max(1.0, abs(point[axis])) * np.eye(3)[axis]
+        high = plant.acceleration(*(point + step), plant.parameters)
+        low = plant.acceleration(*(point - step), plant.parameters)
+        return float((high - low) / (2 * step[axis]))
+
+    return slope(0), slope(1), slope(2)
+
+
+def outline(file: Path) -> list[str]:
+    """What a Python file lacks to be a plant, read from its source without executing it; empty: nothing.
+
+    Raises
+    ------
+    InputError
+        When there is no such file, or it is not Python.
+    """
+    try:
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"{file}: no such file; give the path of a Python file") from None
+    except (SyntaxError, UnicodeDecodeError, ValueError) as error:
+        raise InputError(f"{file.name} is not Python ({error}); mend it") from None
+    functions = {node.name: len(node.args.args) for node in tree.body if isinstance(node, ast.FunctionDef)}
+    names = {
+        target.id
+        for node in tree.body
+        if isinstance(node, ast.Assign | ast.AnnAssign)
+        for target in (node.targets if isinstance(node, ast.Assign) else [node.target])
+        if isinstance(target, ast.Name)
+    }
+    missing = [
+        f"{name} takes {functions[name]} arguments, not {count}"
+        if name in functions
+        else f"no function {name}"
+        for name, count in NEEDED.items()
+        if functions.get(name) != count
+    ]
+    return missing + [f"no table {name}" for name in TABLES if name not in names]

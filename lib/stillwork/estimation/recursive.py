@@ -1,0 +1,172 @@
+"""Recursive estimators with one interface: `run` over a record, `RecursiveStepper` for one sample at a time."""
+
+import warnings
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.estimation import recursive_kernels
+from stillwork.estimation.min_max import ZeroEstimateWarning
+from stillwork.estimation.recursive_settings import Estimator, GrowingMinMax, MinMax, Track
+
+# The recursions work with |s|^2, the fourth power of the data, which must neither overflow nor vanish.
+LARGEST = 1e70
+
+
+def run(estimator: Estimator, regressors: ArrayLike, outputs: ArrayLike) -> Track:
+    """Run an estimator over a record.
+
+    Parameters
+    ----------
+    estimator : MinMax, GrowingMinMax, LeastSquares or Ridge
+    regressors : array_like, shape (unknowns, samples)
+        Columns a_t; `fir_regressors` and `arx_regressors` make them from signals.
+    outputs : array_like, shape (samples,)
+        y_t.
+
+    Returns
+    -------
+    Track
+
+    Raises
+    ------
+    InputError
+        For NaN or infinite samples, shapes that do not fit, no more samples than unknowns, or data so large
+        or small (1e70, 1e-70) that their squares leave the range of floating-point numbers.
+
+    Warns
+    -----
+    ZeroEstimateWarning
+        When a min-max bound is so large that every estimate is zero.
+    """
+    track = run_silently(estimator, regressors, outputs)
+    # without any correlation zero is the answer for every bound
+    informative = np.any(np.asarray(regressors, dtype=float) @ np.asarray(outputs, dtype=float))
+    if _is_min_max(estimator) and informative and np.isinf(track.alphas).all():
+        warnings.warn(
+            "every estimate is zero: at each step the bound is at or above |A'b|/|b|, so a perturbation of "
+            "that size explains all of the data; give a smaller bound",
+            ZeroEstimateWarning,
+            stacklevel=2,
+        )
+    return track
+
+
+def run_silently(estimator: Estimator, regressors: ArrayLike, outputs: ArrayLike) -> Track:
+    """`run` without its warning, for sweeps in which a zero estimate is a result."""
+    regressors = require_array("regressors", regressors, ndim=2)
+    unknowns, samples = regressors.shape
+    if unknowns == 0:
+        raise InputError("regressors has no rows; give at least one unknown")
+    outputs = require_array("outputs", outputs, shape=(samples,))
+    if samples <= unknowns:
+        raise InputError(
+            f"regressors has {samples} samples for {unknowns} unknowns; give more samples than unknowns"
+        )
+    for name, values in (("regressors", regressors), ("outputs", outputs)):
+        largest = np.abs(values).max()
+        _require_size(name, largest)
+        if 0 < largest < 1 / LARGEST:
+            raise InputError(
+                f"{name} is nowhere above {largest:g}, too small to be squared; use another unit"
+            )
+    return estimator.advance(estimator.start(unknowns), 0, np.ascontiguousarray(regressors.T), outputs)
+
+
+def _is_min_max(estimator) -> bool:
+    return isinstance(estimator, MinMax | GrowingMinMax)
+
+
+def _require_size(name, largest) -> None:
+    if largest > LARGEST:
+        raise InputError(f"{name} reaches {largest:g}, too large to be squared; use another unit")
+
+
+class RecursiveStepper:
+    """An estimator that is fed one sample at a time; same numbers as `run`.
+
+    Parameters
+    ----------
+    estimator : MinMax, GrowingMinMax, LeastSquares or Ridge
+    unknowns : int
+        Number of parameters.
+
+    Attributes
+    ----------
+    samples : int
+        How many samples were seen.
+    """
+
+    def __init__(self, estimator: Estimator, unknowns: int):
+        self._estimator = estimator
+        self._unknowns = require_count("unknowns", unknowns)
+        self._state = estimator.start(self._unknowns)
+        self.samples = 0
+        self._excited = self._warned = False
+
+    def update(self, regressor: ArrayLike, output: float) -> np.ndarray:
+        """Use one sample; returns the new estimate, shape (unknowns,).
+
+        Raises
+        ------
+        InputError
+            For a sample that is not finite, above 1e70, or of the wrong shape; the state is then unchanged.
+
+        Warns
+        -----
+        ZeroEstimateWarning
+            At the first sample, once there are more than unknowns, at which a min-max bound makes the estimate zero.
+        """
+        row = require_array("regressor", regressor, shape=(self._unknowns,))
+        output = require_number("output", output)
+        _require_size("regressor", max(map(abs, row.tolist())))
+        _require_size("output", abs(output))
+        track = self._estimator.advance(self._state, self.samples, row[None], np.array([output]))
+        self.samples += 1
+        self._excited = self._excited or (output != 0 and bool(row.any()))
+        zero = self._excited and self.samples > self._unknowns and track.alphas[0] == np.inf
+        if zero and not self._warned:
+            self._warned = True
+            warnings.warn(
+                f"the estimate is zero after sample {self.samples}: the bound is at or above |A'b|/|b|, so a "
+                "perturbation of that size explains all of the data; if it stays zero, give a smaller bound "
+                "(said once for each stepper)",
+                ZeroEstimateWarning,
+                stacklevel=2,
+            )
+        return track.estimates[:, 0].copy()
+
+
+def worst_case_residuals(
+    regressors: ArrayLike,
+    outputs: ArrayLike,
+    estimates: ArrayLike,
+    bounds: ArrayLike,
+    forgetting: float,
+) -> np.ndarray:
+    """|A_t x_t - b_t| + eta_t |x_t| of any estimates, the criterion that min-max estimation minimises.
+
+    Parameters
+    ----------
+    regressors, estimates : array_like, shape (unknowns, samples)
+    outputs, bounds : array_like, shape (samples,)
+    forgetting : float
+        lambda in (0, 1]; 1 weighs all rows alike.
+
+    Returns
+    -------
+    ndarray, shape (samples,)
+        In the unit of the outputs.
+    """
+    regressors = require_array("regressors", regressors, ndim=2)
+    estimates = require_array("estimates", estimates, shape=regressors.shape)
+    outputs = require_array("outputs", outputs, shape=regressors.shape[1:])
+    bounds = require_array("bounds", bounds, shape=regressors.shape[1:])
+    if np.any(bounds < 0):
+        raise InputError("bounds holds a negative value; give bounds on a norm, zero or above")
+    forgetting = require_number("forgetting", forgetting, above=0.0, at_most=1.0)
+    worst = np.empty(len(outputs))
+    rows, points = np.ascontiguousarray(regressors.T), np.ascontiguousarray(estimates.T)
+    recursive_kernels.worst_residuals(rows, outputs, bounds, forgetting, points, worst)
+    return worst

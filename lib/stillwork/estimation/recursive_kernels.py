@@ -1,0 +1,239 @@
+"""Kernels of the recursive estimators that factorise: exact, approximate, ridge, and plain RLS.
+
+State of the min-max kernels: `information` R <- lam R + a a' (its lower triangle), `correlation`
+s <- lam s + a y, `energy` z <- lam z + y^2, the regularisation alpha, the number of rows seen, the estimate x.
+"""
+
+import numpy as np
+
+from stillwork.base.kernels import kernel
+from stillwork.estimation.factor import (
+    accumulate_row,
+    factorise,
+    solve_backward,
+    solve_forward,
+    squared_norms,
+)
+from stillwork.estimation.secular import ROUNDING, narrow_bracket, next_alpha
+
+ALPHA, ENERGY, COUNT = 0, 1, 2  # places in the array `scalars`: alpha, z, samples seen
+
+
+@kernel
+def _exact_solution(
+    information, correlation, energy, bound, start, least, x, factor, inverse_pivots, half, work, turned
+):
+    # Theorem 1 without an SVD: one factorisation per trial alpha, which stays at or above `least`
+    alpha = max(start, least)
+    low = 0.0
+    high = np.inf
+    evaluations = 0
+    while True:
+        factorise(information, alpha, correlation, factor, inverse_pivots, half, work)
+        solve_backward(factor, inverse_pivots, half, x)
+        norm, residual = squared_norms(information, correlation, energy, x)
+        evaluations += 1
+        if residual == 0.0 or evaluations == 100:
+            return alpha, evaluations
+        solve_forward(factor, x, half)
+        solve_backward(factor, inverse_pivots, half, turned)
+        first = 0.0
+        second = 0.0
+        for i in range(len(x)):
+            first += x[i] * turned[i]
+            second += turned[i] * turned[i]
+        image = bound * np.sqrt(residual / norm)
+        low, high = narrow_bracket(alpha, image, low, high)
+        step, near = next_alpha(alpha, image, norm, residual, first, second, low, high)
+        if near and step > least:
+            # two terms of the series of x in alpha make up for the last step
+            change = step - alpha
+            solve_forward(factor, turned, half)
+            solve_backward(factor, inverse_pivots, half, work)
+            for i in range(len(x)):
+                x[i] -= change * (turned[i] - change * work[i])
+            return step, evaluations
+        step = max(step, least)
+        if step == alpha:
+            return alpha, evaluations
+        alpha = step
+
+
+@kernel
+def run_exact(
+    rows, outputs, bounds, forgetting, information, correlation, scalars, estimate,
+    estimates, errors, alphas, evaluations,
+):  # fmt: skip
+    """Theorem 2's estimates: the min-max solution of all data so far, at every step, from R, s and z."""
+    n = len(estimate)
+    factor = np.zeros((n, n))
+    inverse_pivots = np.zeros(n)
+    half = np.zeros(n)
+    work = np.zeros(n)
+    turned = np.zeros(n)
+    row = np.zeros(n)
+    alpha = scalars[ALPHA]
+    energy = scalars[ENERGY]
+    seen = scalars[COUNT]
+    for t in range(len(outputs)):
+        output = outputs[t]
+        error = output
+        for i in range(n):
+            row[i] = rows[t, i]
+            error -= row[i] * estimate[i]
+        errors[t] = error
+        size, trace = accumulate_row(row, output, forgetting, information, correlation)
+        energy = forgetting * energy + output * output
+        seen += 1.0
+        count = 0
+        if seen <= n or bounds[t] * bounds[t] * energy >= size:  # Theorem 1: eta >= |A'b| / |b|
+            alpha = np.inf
+            for i in range(n):
+                estimate[i] = 0.0
+        else:
+            # alpha_t itself is nearer to alpha_(t+1) than lam alpha_t, from which (15) starts
+            start = alpha if alpha < np.inf else trace / n
+            alpha, count = _exact_solution(
+                information, correlation, energy, bounds[t], start, ROUNDING * trace, estimate,
+                factor, inverse_pivots, half, work, turned,
+            )  # fmt: skip
+        alphas[t] = alpha
+        evaluations[t] = count
+        for i in range(n):
+            estimates[t, i] = estimate[i]
+    scalars[ALPHA] = alpha
+    scalars[ENERGY] = energy
+    scalars[COUNT] = seen
+
+
+@kernel
+def run_approximate(
+    rows, outputs, bounds, forgetting, iterations, information, correlation, scalars, estimate,
+    factor, inverse_pivots, estimates, errors, alphas, evaluations,
+):  # fmt: skip
+    """Algorithm (20): `iterations` steps of the fixed-point map from lam alpha, in place of its root.
+
+    `factor` holds P^-1 of the last step: h follows from it by a rank-one update, as in RLS.
+    """
+    n = len(estimate)
+    half = np.zeros(n)
+    work = np.zeros(n)
+    gain = np.zeros(n)
+    row = np.zeros(n)
+    alpha = scalars[ALPHA]
+    energy = scalars[ENERGY]
+    seen = scalars[COUNT]
+    for t in range(len(outputs)):
+        output = outputs[t]
+        error = output
+        for i in range(n):
+            row[i] = rows[t, i]
+            error -= row[i] * estimate[i]
+        errors[t] = error
+        size, trace = accumulate_row(row, output, forgetting, information, correlation)
+        energy = forgetting * energy + output * output
+        seen += 1.0
+        least = ROUNDING * trace
+        bound = bounds[t]
+        count = 0
+        if seen <= n or bound * bound * energy >= size:
+            alpha = np.inf
+            for i in range(n):
+                estimate[i] = 0.0
+        elif alpha == np.inf:
+            # out of the zero solution, and at the first step, there is no lam alpha: solve exactly
+            alpha, count = _exact_solution(
+                information, correlation, energy, bound, trace / n, least, estimate,
+                factor, inverse_pivots, half, work, gain,
+            )  # fmt: skip
+            factorise(information, alpha, correlation, factor, inverse_pivots, half, work)
+        else:
+            solve_forward(factor, row, half)
+            weight = forgetting
+            for i in range(n):
+                weight += half[i] * half[i] * inverse_pivots[i]
+            share = error / weight
+            for i in range(n - 1, -1, -1):  # h = x + P a e / (lam + a'P a)
+                entry = half[i] * inverse_pivots[i]
+                for j in range(i + 1, n):
+                    entry -= factor[j, i] * gain[j]
+                gain[i] = entry
+                estimate[i] += entry * share
+            for _ in range(iterations):
+                norm, residual = squared_norms(information, correlation, energy, estimate)
+                alpha = max(bound * np.sqrt(residual / norm), least)
+                factorise(information, alpha, correlation, factor, inverse_pivots, half, work)
+                solve_backward(factor, inverse_pivots, half, estimate)
+            count = iterations
+        alphas[t] = alpha
+        evaluations[t] = count
+        for i in range(n):
+            estimates[t, i] = estimate[i]
+    scalars[ALPHA] = alpha
+    scalars[ENERGY] = energy
+    scalars[COUNT] = seen
+
+
+@kernel
+def run_ridge(rows, outputs, penalty, forgetting, information, correlation, estimate, estimates, errors):
+    """(R + penalty I)^-1 s at every step."""
+    n = len(estimate)
+    factor = np.zeros((n, n))
+    inverse_pivots = np.zeros(n)
+    half = np.zeros(n)
+    work = np.zeros(n)
+    row = np.zeros(n)
+    for t in range(len(outputs)):
+        error = outputs[t]
+        for i in range(n):
+            row[i] = rows[t, i]
+            error -= row[i] * estimate[i]
+        errors[t] = error
+        accumulate_row(row, outputs[t], forgetting, information, correlation)
+        factorise(information, penalty, correlation, factor, inverse_pivots, half, work)
+        solve_backward(factor, inverse_pivots, half, estimate)
+        for i in range(n):
+            estimates[t, i] = estimate[i]
+
+
+@kernel
+def run_least_squares(rows, outputs, forgetting, covariance, estimate, estimates, errors):
+    """Exponentially weighted recursive least squares, covariance form.
+
+    One triangle is computed and mirrored: rounding that differs between the two grows as 1 / forgetting^t.
+    """
+    n = len(estimate)
+    growth = 1.0 / forgetting
+    spread = np.zeros(n)
+    for t in range(len(outputs)):
+        error = outputs[t]
+        weight = forgetting
+        for i in range(n):
+            inner = 0.0
+            for j in range(n):
+                inner += covariance[i, j] * rows[t, j]
+            spread[i] = inner
+            weight += rows[t, i] * inner
+            error -= rows[t, i] * estimate[i]
+        errors[t] = error
+        for i in range(n):
+            estimate[i] += spread[i] * (error / weight)
+            estimates[t, i] = estimate[i]
+            share = spread[i] / weight
+            for j in range(i + 1):
+                covariance[i, j] = (covariance[i, j] - share * spread[j]) * growth
+                covariance[j, i] = covariance[i, j]
+
+
+@kernel
+def worst_residuals(rows, outputs, bounds, forgetting, estimates, worst):
+    # |A x - b| + eta |x| of any estimates x_t, from R, s and z
+    n = rows.shape[1]
+    information = np.zeros((n, n))
+    correlation = np.zeros(n)
+    energy = 0.0
+    for t in range(len(outputs)):
+        accumulate_row(rows[t], outputs[t], forgetting, information, correlation)
+        energy = forgetting * energy + outputs[t] * outputs[t]
+        norm, residual = squared_norms(information, correlation, energy, estimates[t])
+        worst[t] = np.sqrt(residual) + bounds[t] * np.sqrt(norm)

@@ -1,0 +1,218 @@
+"""Settings and steps of the recursive estimators; `recursive` runs them over data."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from stillwork.base.checks import InputError, require_choice, require_count, require_number
+from stillwork.estimation import rank_one, recursive_kernels
+
+UPDATES = ("exact", "approximate", "fast")
+
+
+@dataclass(frozen=True)
+class Track:
+    """What an estimator gave along a record.
+
+    Attributes
+    ----------
+    estimates : ndarray, shape (unknowns, samples)
+        x_t after the sample at t; zero before there are more samples than unknowns (min-max only).
+    errors : ndarray, shape (samples,)
+        Prediction error y_t - a_t'x_(t-1), before the sample is used.
+    alphas : ndarray, shape (samples,)
+        Regularisation: x_t = (R_t + alpha_t I)^-1 s_t; infinite where x_t = 0; 0 for least squares.
+    evaluations : ndarray of int, shape (samples,)
+        Evaluations of the secular function that each step took.
+    """
+
+    estimates: Float64[np.ndarray, "unknowns samples"]
+    errors: Float64[np.ndarray, " samples"]
+    alphas: Float64[np.ndarray, " samples"]
+    evaluations: Int64[np.ndarray, " samples"]
+
+
+@dataclass(frozen=True)
+class _MinMaxUpdate:
+    # Shared by the two windows below: how alpha is found, and the kernels behind it. The state stands apart
+    # from the settings, so one estimator serves many records; `advance` changes the state in place.
+
+    def start(self, unknowns: int) -> tuple[np.ndarray, ...]:
+        square = np.zeros((unknowns, unknowns))
+        state = (square, np.zeros(unknowns), np.array([np.inf, 0.0, 0.0]), np.zeros(unknowns))
+        if self.update == "fast":
+            return (np.zeros(unknowns), np.eye(unknowns), *state[1:])
+        if self.update == "approximate":
+            return (*state, np.zeros((unknowns, unknowns)), np.zeros(unknowns))
+        return state
+
+    def advance(self, state, first: int, rows, outputs) -> Track:
+        out = _empty(rows)
+        bounds = self.bounds(first, len(rows))
+        if self.update == "fast":
+            rank_one.run_fast(rows, outputs, bounds, self._weight, *state, *out)
+        elif self.update == "approximate":
+            recursive_kernels.run_approximate(
+                rows, outputs, bounds, self._weight, self.iterations, *state, *out
+            )
+        else:
+            recursive_kernels.run_exact(rows, outputs, bounds, self._weight, *state, *out)
+        return _track(*out)
+
+    def _check(self) -> None:
+        require_choice("update", self.update, UPDATES)
+        require_count("iterations", self.iterations)
+        if self.iterations > 1 and self.update != "approximate":
+            raise InputError("iterations is for update 'approximate'; the others solve for alpha exactly")
+
+
+@dataclass(frozen=True)
+class MinMax(_MinMaxUpdate):
+    """Exponentially weighted min-max estimator: constant bound on the perturbation of the weighted data.
+
+    At every t it minimises the largest |(A_t + dA) x - b_t| over |dA| <= `bound`, where row j of A_t and b_t
+    carries the weight forgetting^((t - j) / 2); problem (11).
+
+    Attributes
+    ----------
+    bound : float
+        eta, in the unit of the regressors; `exponential_bound` gives it from a bound on each row.
+    forgetting : float
+        lambda, between 0 and 1.
+    update : str
+        ``exact``: Theorem 2, one O(n^3) factorisation per step towards alpha; (R + alpha I) x = s is solved
+        anew, to which the theorem's correction of h is equal, so that leaving zero needs no special case.
+        ``approximate``: algorithm (20).
+        ``fast``: the exact root from rank-one updates of the eigenvectors of R, Section 7.
+    iterations : int
+        Fixed-point steps of the approximate update; the published algorithm takes 1.
+
+    Notes
+    -----
+    The residual comes from sums of squares: below 1e-7 of |b| it drowns in rounding. Use `min_max_solve`
+    for data that fit to more digits than that.
+
+    References
+    ----------
+    Sayed, Garulli, Nascimento, Chandrasekaran, "Exponentially-weighted iterative solutions for worst-case
+    parameter estimation", Theorem 2, (20), Section 7. With h as printed, (15) and (18) need lam alpha_t.
+    """
+
+    bound: float
+    forgetting: float
+    update: str = "exact"
+    iterations: int = 1
+
+    def __post_init__(self):
+        require_number("bound", self.bound, at_least=0.0)
+        require_number("forgetting", self.forgetting, above=0.0, below=1.0)
+        self._check()
+
+    @property
+    def _weight(self) -> float:
+        return float(self.forgetting)
+
+    def bounds(self, first: int, count: int) -> np.ndarray:
+        return np.full(count, float(self.bound))
+
+
+@dataclass(frozen=True)
+class GrowingMinMax(_MinMaxUpdate):
+    """Min-max estimator in which all rows count alike and the bound grows: eta_t = row_bound sqrt(t).
+
+    This is the setting of Fig. 1 (forgetting 1); parameters as in `MinMax`, with
+
+    Attributes
+    ----------
+    row_bound : float
+        epsilon, the bound on the 2-norm of the perturbation of one regressor.
+    """
+
+    row_bound: float
+    update: str = "exact"
+    iterations: int = 1
+    _weight: ClassVar[float] = 1.0
+
+    def __post_init__(self):
+        require_number("row_bound", self.row_bound, at_least=0.0)
+        self._check()
+
+    def bounds(self, first: int, count: int) -> np.ndarray:
+        return self.row_bound * np.sqrt(np.arange(first + 1.0, first + count + 1))
+
+
+@dataclass(frozen=True)
+class LeastSquares:
+    """Exponentially weighted recursive least squares (RLS) in covariance form.
+
+    Attributes
+    ----------
+    forgetting : float
+        lambda, between 0 and 1.
+    initial_covariance : float
+        P_0 = initial_covariance I: large means that the start at x = 0 is not believed.
+    """
+
+    forgetting: float
+    initial_covariance: float = 1e4
+
+    def __post_init__(self):
+        require_number("forgetting", self.forgetting, above=0.0, below=1.0)
+        require_number("initial_covariance", self.initial_covariance, above=0.0)
+
+    def start(self, unknowns: int) -> tuple[np.ndarray, ...]:
+        return float(self.initial_covariance) * np.eye(unknowns), np.zeros(unknowns)
+
+    def advance(self, state, first: int, rows, outputs) -> Track:
+        out = _empty(rows)
+        recursive_kernels.run_least_squares(rows, outputs, float(self.forgetting), *state, *out[:2])
+        out[2][:] = 0
+        return _track(*out)
+
+
+@dataclass(frozen=True)
+class Ridge:
+    """Exponentially weighted ridge regression with a constant penalty: x = (R + penalty I)^-1 s.
+
+    Attributes
+    ----------
+    penalty : float
+        Above 0; in the unit of the squared regressors, summed over the window.
+    forgetting : float
+        lambda, between 0 and 1.
+    """
+
+    penalty: float
+    forgetting: float
+
+    def __post_init__(self):
+        require_number("penalty", self.penalty, above=0.0)
+        require_number("forgetting", self.forgetting, above=0.0, below=1.0)
+
+    def start(self, unknowns: int) -> tuple[np.ndarray, ...]:
+        return np.zeros((unknowns, unknowns)), np.zeros(unknowns), np.zeros(unknowns)
+
+    def advance(self, state, first: int, rows, outputs) -> Track:
+        out = _empty(rows)
+        settings = float(self.penalty), float(self.forgetting)
+        recursive_kernels.run_ridge(rows, outputs, *settings, *state, *out[:2])
+        out[2][:] = self.penalty
+        return _track(*out)
+
+
+Estimator = MinMax | GrowingMinMax | LeastSquares | Ridge
+
+
+def _empty(rows):
+    return (
+        np.zeros(rows.shape),
+        np.zeros(len(rows)),
+        np.zeros(len(rows)),
+        np.zeros(len(rows), dtype=np.int64),
+    )
+
+
+def _track(estimates, errors, alphas, evaluations) -> Track:
+    return Track(estimates.T, errors, alphas, evaluations)

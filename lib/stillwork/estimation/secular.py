@@ -1,0 +1,222 @@
+"""The secular equation alpha = f(alpha) of Theorem 1, whose root is the min-max regularisation."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import ArrayLike
+
+from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.base.kernels import kernel
+
+# A singular value (or a part of b outside the column space) below this share of the largest is rounding.
+ROUNDING = 10 * np.finfo(float).eps
+
+
+@kernel
+def narrow_bracket(alpha, image, low, high):
+    # Theorem 3: the iterates f(alpha) approach the root monotonically, so each of them bounds it
+    if image > alpha:
+        return max(low, image), high
+    return low, min(high, image)
+
+
+@kernel
+def next_alpha(alpha, image, norm, residual, first, second, low, high):
+    """Halley step towards the root of the secular equation.
+
+    It solves bound(1/alpha)^-1 = eta^-1, which is nearly straight in 1/alpha at both ends. With
+    P = (A'A + alpha I)^-1: image f(alpha), norm |x|^2, residual |A x - b|^2, first x'P x, second x'P^2 x.
+    Outside the bracket it falls back to the bracket's middle, or strides while one end is missing. The second value
+    returned says whether the step was so short that its cube, the error it leaves, is rounding.
+    """
+    per_norm = first / norm
+    per_residual = alpha * first / residual
+    slope = 1.0 - alpha * (per_norm + per_residual)  # of log bound over log alpha
+    bend = (
+        alpha
+        * alpha
+        * (
+            3.0 * second / norm
+            - 2.0 * per_norm * per_norm
+            - first / residual
+            + 3.0 * alpha * second / residual
+            + 2.0 * per_residual * per_residual
+        )
+    )  # 1 + alpha^2 d^2 log bound / d alpha^2
+    curvature = (slope - 1.0) ** 2 - bend
+    miss = 1.0 - alpha / image
+    ratio = 1.0 - 2.0 * miss * slope / (2.0 * slope * slope - miss * curvature)
+    step = alpha / ratio
+    # the bracket itself is uncertain by rounding
+    if (1.0 - 1e-9) * low <= step <= (1.0 + 1e-9) * high and step < np.inf:
+        return step, abs(step - alpha) <= 1e-5 * alpha
+    if low == 0.0:
+        return image / 8.0, False
+    if high == np.inf:
+        return image * 8.0, False
+    return np.sqrt(low * high), False
+
+
+@kernel
+def secular_root(eigenvalues, c_squared, d_squared, bound, start):
+    alpha = start
+    low = 0.0
+    high = np.inf
+    evaluations = 0
+    while evaluations < 200:
+        norm = 0.0
+        residual = 0.0
+        first = 0.0
+        second = 0.0
+        for i in range(len(eigenvalues)):
+            inverse = 1.0 / (eigenvalues[i] + alpha)
+            part = c_squared[i] * inverse * inverse
+            residual += part
+            part *= eigenvalues[i]
+            norm += part
+            first += part * inverse
+            second += part * inverse * inverse
+        residual = d_squared + alpha * alpha * residual
+        evaluations += 1
+        image = bound * np.sqrt(residual / norm)
+        low, high = narrow_bracket(alpha, image, low, high)
+        step, near = next_alpha(alpha, image, norm, residual, first, second, low, high)
+        if near or step == alpha:
+            return step, evaluations
+        alpha = step
+    return alpha, evaluations
+
+
+@dataclass(frozen=True)
+class SecularFunction:
+    """The map f of eq. (4) for one problem: its fixed point is the min-max regularisation.
+
+    Attributes
+    ----------
+    eigenvalues : ndarray, shape (rank,)
+        Squares of the nonzero singular values of A, descending.
+    coefficients : ndarray, shape (rank,)
+        c = U1'b.
+    excess : float
+        |d|, the part of b outside the column space of A; 0 when that is rounding.
+    bound : float
+        eta, the bound on the 2-norm of the perturbation of A.
+    """
+
+    eigenvalues: Float64[np.ndarray, " rank"]
+    coefficients: Float64[np.ndarray, " rank"]
+    excess: float
+    bound: float
+
+    @property
+    def threshold(self) -> float:
+        """tau = |A'b| / |b|: a bound at or above it makes the estimate zero (Theorem 1)."""
+        return float(
+            np.linalg.norm(np.sqrt(self.eigenvalues) * self.coefficients)
+            / np.hypot(np.linalg.norm(self.coefficients), self.excess)
+        )
+
+    @property
+    def free_bound(self) -> float:
+        """|S^-1 c| / |S^-2 c|: up to it least squares itself is the answer, when b is in the column space."""
+        unscaled = self.coefficients / self.eigenvalues
+        return float(np.linalg.norm(np.sqrt(self.eigenvalues) * unscaled) / np.linalg.norm(unscaled))
+
+    def __call__(self, alpha) -> np.ndarray | float:
+        """f(alpha), eq. (4), for a number or an array of alphas."""
+        norm, residual, _ = self._terms(alpha)
+        return self.bound * np.sqrt(residual / norm)
+
+    def slope(self, alpha) -> np.ndarray | float:
+        """f'(alpha), elementwise: f (q / |x|^2 + alpha q / |r|^2) with q = x'(A'A + alpha I)^-1 x."""
+        norm, residual, slope = self._terms(alpha)
+        alpha = np.asarray(alpha, dtype=float)
+        return self.bound * np.sqrt(residual / norm) * slope * (1 / norm + alpha / residual)
+
+    def iterates(self, start: float, steps: int) -> np.ndarray:
+        """start, f(start), f(f(start)), ...: the iteration (21), `steps` + 1 values."""
+        values = [require_number("start", start, above=0.0)]
+        for _ in range(require_count("steps", steps)):
+            values.append(float(self(values[-1])))
+        return np.array(values)
+
+    def root(self, start: float | None = None) -> tuple[float, int]:
+        """Unique positive fixed point and the number of evaluations of f it took.
+
+        Raises
+        ------
+        InputError
+            When there is none: the estimate is zero or plain least squares (see `min_max_solve`).
+        """
+        lowest = self.free_bound if self.excess == 0 else 0.0
+        if not lowest < self.bound < self.threshold:
+            raise InputError(
+                f"bound is {self.bound:g}; the secular equation has a positive root only for a bound "
+                f"between {lowest:g} and {self.threshold:g}"
+            )
+        start = self._far_start() if start is None else require_number("start", start, above=0.0)
+        return secular_root(self.eigenvalues, self.coefficients**2, self.excess**2, self.bound, start)
+
+    def _far_start(self) -> float:
+        # where bound(1/alpha)^-1, linear from alpha = infinity, would meet eta^-1
+        squares = self.coefficients**2
+        lowest, middle, highest = (squares @ self.eigenvalues**power for power in range(3))
+        spread = highest / middle - middle / (lowest + self.excess**2)
+        return float(spread / (self.threshold / self.bound - 1))
+
+    def _terms(self, alpha):
+        alpha = np.asarray(alpha, dtype=float)[..., None]
+        part = (self.coefficients / (self.eigenvalues + alpha)) ** 2
+        norm = (self.eigenvalues * part).sum(-1)
+        residual = self.excess**2 + (alpha**2 * part).sum(-1)
+        return norm, residual, (self.eigenvalues * part / (self.eigenvalues + alpha)).sum(-1)
+
+
+def secular_function(matrix: ArrayLike, target: ArrayLike, bound: float) -> SecularFunction:
+    """The secular function of min-max estimation for data A, b and a bound, eq. (3)-(4).
+
+    Parameters
+    ----------
+    matrix : array_like, shape (rows, unknowns)
+        A, with at least as many rows as unknowns.
+    target : array_like, shape (rows,)
+        b, with A'b not zero.
+    bound : float
+        eta, in the unit of A.
+
+    Raises
+    ------
+    InputError
+        When the data cannot be used, or A'b = 0 so that no bound gives a nonzero estimate.
+    """
+    function, _, _ = decompose(matrix, target, bound)
+    if not np.any(function.coefficients):
+        raise InputError("target is orthogonal to every column of matrix; the estimate is zero for any bound")
+    return function
+
+
+def decompose(matrix: ArrayLike, target: ArrayLike, bound: float) -> tuple[SecularFunction, np.ndarray, int]:
+    """Secular function, right singular vectors (unknowns x rank) and rank of a checked problem."""
+    matrix = require_array("matrix", matrix, ndim=2)
+    rows, unknowns = matrix.shape
+    if unknowns == 0:
+        raise InputError("matrix has no columns; give at least one unknown")
+    if rows < unknowns:
+        raise InputError(
+            f"matrix has {rows} rows for {unknowns} unknowns; give at least as many rows as unknowns"
+        )
+    target = require_array("target", target, shape=(rows,))
+    bound = require_number("bound", bound, at_least=0.0)
+    left, singular, right = np.linalg.svd(matrix, full_matrices=False)
+    rank = int(np.sum(singular > rows * ROUNDING * singular[0]))
+    left, singular, right = left[:, :rank], singular[:rank], right[:rank]
+    coefficients = left.T @ target
+    # from the difference itself: |b|^2 - |c|^2 would lose half of the digits
+    excess = float(np.linalg.norm(target - left @ coefficients))
+    if excess <= rows * ROUNDING * np.linalg.norm(target):
+        excess = 0.0
+    size = np.linalg.norm(coefficients)
+    if size <= rows * ROUNDING * np.linalg.norm(target):
+        coefficients = np.zeros(rank)
+    return SecularFunction(singular**2, coefficients, excess, bound), right.T, rank

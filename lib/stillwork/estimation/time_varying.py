@@ -1,0 +1,135 @@
+r"""Discrete-time filters whose gains do not depend on the data: designed once, run over any number of records.
+
+    x(k|k-1) = A_hat x(k-1|k-1) + B_hat u(k-1),   x(k|k) = x(k|k-1) + K (y(k) - C x(k|k-1))
+
+Kalman and robust filters differ in the three matrices only, (5.21) and (5.25) of the observer thesis.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import ArrayLike
+
+from stillwork.base.checks import InputError, require_array
+from stillwork.base.kernels import kernel
+
+
+@dataclass(frozen=True)
+class TimeVaryingModel:
+    r"""Model :math:`x_k = A_k x_{k-1} + B_k u_{k-1} + G_k w_{k-1},\; y_k = C_k x_k + v_k`, (5.20).
+
+    Index k holds what leads to sample k; index 0 of A, B and G is not used. A feedthrough is the caller's: take
+    :math:`D u` off the measurement first. Matrices without the leading axis stand for all samples.
+    """
+
+    a: ArrayLike  # (samples, states, states)
+    b: ArrayLike  # (samples, states, inputs)
+    g: ArrayLike  # (samples, states, disturbances)
+    c: ArrayLike  # (samples, outputs, states); sets the number of samples
+    process: ArrayLike  # Q, covariance of w, (disturbances, disturbances)
+    sensor: ArrayLike  # R, covariance of v, (outputs, outputs)
+    initial_covariance: ArrayLike  # P(0|0), (states, states)
+
+    def __post_init__(self):
+        c = require_array("c", self.c, ndim=3)
+        samples, outputs, states = c.shape
+        a = self._per_sample("a", samples, (states, states))
+        b = self._per_sample("b", samples, (states, None))
+        g = self._per_sample("g", samples, (states, None))
+        for name, array in (("a", a), ("b", b), ("c", c), ("g", g)):
+            object.__setattr__(self, name, array)
+        sizes = {"process": g.shape[2], "sensor": outputs, "initial_covariance": states}
+        for name, size in sizes.items():
+            matrix = require_array(name, getattr(self, name), shape=(size, size))
+            if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0) or np.linalg.eigvalsh(matrix)[0] <= 0:
+                raise InputError(f"{name} is not symmetric and positive definite; give a covariance")
+            object.__setattr__(self, name, matrix)
+
+    def _per_sample(self, name: str, samples: int, shape: tuple) -> np.ndarray:
+        matrix = require_array(name, getattr(self, name))
+        if matrix.ndim == 2:
+            matrix = np.broadcast_to(matrix, (samples, *matrix.shape))
+        return require_array(name, matrix, shape=(samples, *shape))
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return len(self.c)
+
+    def with_process(self, g: ArrayLike, process: ArrayLike) -> "TimeVaryingModel":
+        """The same model with other process noise: fictitious noise stands in for model errors."""
+        return replace(self, g=g, process=process)
+
+
+@dataclass(frozen=True)
+class FilterGains:
+    """Matrices of a filter at every sample."""
+
+    forward: Float64[np.ndarray, "samples states states"]  # A_hat
+    inputs: Float64[np.ndarray, "samples states inputs"]  # B_hat
+    gain: Float64[np.ndarray, "samples states outputs"]  # K
+    outputs: Float64[np.ndarray, "samples outputs states"]  # C
+    covariance: Float64[np.ndarray, "samples states states"]  # P(k|k) of the design
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return len(self.forward)
+
+
+def estimate(
+    gains: FilterGains, u: ArrayLike, y: ArrayLike, initial: ArrayLike | None = None
+) -> Float64[np.ndarray, "*runs states samples"]:
+    """Filtered estimates x(k|k) of one record or of many.
+
+    Parameters
+    ----------
+    gains : FilterGains
+    u : array_like, shape (inputs, samples) or (runs, inputs, samples)
+        Known input, held from sample to sample.
+    y : array_like, shape (outputs, samples) or (runs, outputs, samples)
+    initial : array_like, shape (states,), optional
+        x(0|0); zero by default. The measurement at sample 0 is not used.
+
+    Returns
+    -------
+    ndarray, shape (states, samples) or (runs, states, samples)
+    """
+    samples, states, inputs = gains.inputs.shape
+    y = require_array("y", y)
+    single = y.ndim == 2
+    y = y[None] if single else y
+    u = require_array("u", u)
+    u = u[None] if single else u
+    y = require_array("y", y, shape=(None, gains.outputs.shape[1], samples))
+    u = require_array("u", u, shape=(len(y), inputs, samples))
+    initial = np.zeros(states) if initial is None else require_array("initial", initial, shape=(states,))
+    out = np.zeros((len(y), samples, states))
+    _estimate(gains.forward, gains.inputs, gains.gain, gains.outputs, u, y, initial, out)
+    out = np.moveaxis(out, 1, 2)
+    return np.ascontiguousarray(out[0] if single else out)
+
+
+@kernel
+def _estimate(forward, inputs, gain, outputs, u, y, initial, out):
+    runs, samples, n = out.shape
+    predicted = np.zeros(n)
+    for run in range(runs):
+        for i in range(n):
+            out[run, 0, i] = initial[i]
+        for k in range(1, samples):
+            for i in range(n):
+                total = 0.0
+                for j in range(n):
+                    total += forward[k, i, j] * out[run, k - 1, j]
+                for j in range(u.shape[1]):
+                    total += inputs[k, i, j] * u[run, j, k - 1]
+                predicted[i] = total
+                out[run, k, i] = total
+            for j in range(y.shape[1]):
+                innovation = y[run, j, k]
+                for i in range(n):
+                    innovation -= outputs[k, j, i] * predicted[i]
+                for i in range(n):
+                    out[run, k, i] += gain[k, i, j] * innovation

@@ -1,0 +1,149 @@
+r"""Errors of modal parameters: draws, first-order derivatives of the sampled model, and a norm bound over them.
+
+The parameters of a mode are its frequency, damping, input shape and output shape, each with a relative error
+that is the same along the whole output shape (section 5.2.3 of the observer thesis).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import ArrayLike
+from scipy import linalg
+
+from stillwork.base.checks import InputError, require_array, require_choice, require_number
+from stillwork.estimation.robust import Derivatives, NormBound
+from stillwork.estimation.time_varying import TimeVaryingModel
+from stillwork.lti.modal import ModalModel
+
+PARAMETERS = ("frequency", "damping", "input shape", "output shape")
+LAWS = ("ends", "uniform")
+
+
+def perturbed(model: ModalModel, errors: ArrayLike) -> ModalModel:
+    """The model with relative errors on the parameters of its modes.
+
+    Parameters
+    ----------
+    model : ModalModel
+    errors : array_like, shape (modes, 4)
+        Relative errors in the order of `PARAMETERS`; a rigid-body mode has no frequency and no damping to err.
+    """
+    factors = 1 + require_array("errors", errors, shape=(len(model.frequencies), 4))
+    if np.any(factors <= 0):
+        raise InputError("errors reach -1, which takes a parameter away; give relative errors above -1")
+    order = np.argsort(model.frequencies * factors[:, 0], kind="stable")  # errors may swap two modes
+    return replace(
+        model,
+        input_shapes=(model.input_shapes * factors[:, 2:3])[order],
+        output_shapes=(model.output_shapes * factors[:, 3])[:, order],
+        damping=(model.damping * factors[:, 1])[order],
+        frequencies=(model.frequencies * factors[:, 0])[order],
+    )
+
+
+def draw_errors(
+    rng: np.random.Generator, model: ModalModel, size: float, law: str = "ends", rigid: bool = False
+) -> Float64[np.ndarray, "modes 4"]:
+    """Random relative errors of every modal parameter.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    model : ModalModel
+    size : float
+        Largest relative error, 0.05 in the thesis.
+    law : str
+        ``ends``: every parameter is off by exactly plus or minus `size`; ``uniform``: by anything between.
+    rigid : bool
+        Let the shapes of rigid-body modes err too. Left alone by default: a scale and a weighing of the
+        machine settle them.
+    """
+    size = require_number("size", size, at_least=0.0, below=1.0)
+    require_choice("law", law, LAWS)
+    shape = (len(model.frequencies), 4)
+    errors = size * (rng.choice([-1.0, 1.0], shape) if law == "ends" else rng.uniform(-1, 1, shape))
+    if not rigid:
+        errors[: model.rigid_modes] = 0
+    return errors
+
+
+@dataclass(frozen=True)
+class SampledDerivatives:
+    """Derivatives of the sampled A and B by the relative errors of chosen modes, all four parameters of each."""
+
+    modes: tuple[int, ...]
+    a: Float64[np.ndarray, "parameters states states"]
+    b: Float64[np.ndarray, "parameters states inputs"]
+
+    def along(
+        self,
+        model: TimeVaryingModel,
+        shapes: ArrayLike,  # (samples, outputs, modes)
+    ) -> Derivatives:
+        """Derivatives for the filters, with input noise (G = B) and these output shapes at every sample."""
+        shapes = require_array("shapes", shapes, shape=(model.samples, model.c.shape[1], None))
+        if shapes.shape[2] <= max(self.modes):
+            raise InputError(
+                f"shapes has {shapes.shape[2]} modes; mode {max(self.modes)} is uncertain, give its shape too"
+            )
+        c = np.zeros((len(shapes), len(self.a), shapes.shape[1], model.c.shape[2]))
+        for k, mode in enumerate(self.modes):
+            c[:, 4 * k + 3, :, 2 * mode] = shapes[:, :, mode]
+        return Derivatives(self.a, self.b, self.b, c)
+
+
+def sampled_derivatives(
+    model: ModalModel, step: float, modes: Sequence[int] | None = None
+) -> SampledDerivatives:
+    """Derivatives of the zero-order-hold model in modal form 1, by the derivative of the matrix exponential.
+
+    Parameters
+    ----------
+    model : ModalModel
+    step : float
+        Sample time (s).
+    modes : sequence of int, optional
+        Uncertain modes; by default all flexible ones.
+    """
+    step = require_number("step", step, above=0.0)
+    modes = tuple(range(model.rigid_modes, len(model.frequencies)) if modes is None else modes)
+    if not modes or min(modes) < 0 or max(modes) >= len(model.frequencies):
+        raise InputError(f"modes is {modes}; choose from 0 to {len(model.frequencies) - 1}")
+    states, inputs = 2 * len(model.frequencies), model.input_shapes.shape[1]
+    a, b = np.zeros((4 * len(modes), states, states)), np.zeros((4 * len(modes), states, inputs))
+    for k, mode in enumerate(modes):
+        w, z, shape = model.frequencies[mode], model.damping[mode], model.input_shapes[mode]
+        whole = np.zeros((2 + inputs, 2 + inputs))
+        whole[0, 1], whole[1, 0], whole[1, 1], whole[1, 2:] = 1, -(w**2), -2 * z * w, shape
+        by_frequency, by_damping, by_input = (np.zeros_like(whole) for _ in range(3))
+        by_frequency[1, :2] = -2 * w**2, -2 * z * w
+        by_damping[1, 1] = -2 * z * w
+        by_input[1, 2:] = shape
+        place = slice(2 * mode, 2 * mode + 2)
+        for number, direction in enumerate((by_frequency, by_damping, by_input)):
+            moved = linalg.expm_frechet(whole * step, direction * step, compute_expm=False)
+            a[4 * k + number, place, place] = moved[:2, :2]
+            b[4 * k + number, place] = moved[:2, 2:]
+    return SampledDerivatives(modes, a, b)
+
+
+def norm_bound(model: TimeVaryingModel, derivatives: Derivatives, size: float) -> NormBound:
+    r"""Norm bound that covers, to first order, all errors up to `size` in every parameter at once.
+
+    With one output the error is a row :math:`\sum_i\epsilon_i s_i`; the rows of E are :math:`s_i` times
+    `size` and the root of the number of parameters, so that the contraction is the ball around the cube. With
+    several outputs each has its own direction M and the ball grows with their number.
+    """
+    size = require_number("size", size, above=0.0)
+    s, t, m = derivatives.rows(model)
+    samples, outputs = model.c.shape[:2]
+    count = len(derivatives.a)
+
+    def gather(rows):
+        # The derivative of C A by a parameter is that of A through C and that of C through A, together.
+        both = rows.reshape(samples, 2, count, outputs, -1).sum(axis=1)
+        return size * np.sqrt(count * outputs) * both.reshape(samples, count * outputs, -1)
+
+    return NormBound(np.tile(np.eye(outputs), (samples, 1, 1)), gather(s), gather(m), gather(t))

@@ -1,0 +1,165 @@
+"""The unscented Kalman filter (12)-(17), corrected, in kernels that know no model.
+
+A model enters between them: draw points, let the caller move them, take their mean and covariance; draw
+again, let the caller say what they would measure, correct.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from stillwork.base.checks import require_number
+from stillwork.base.kernels import inlined_kernel, kernel
+from stillwork.estimation.gaussian import (
+    COVARIANCE,
+    CROSS,
+    ESTIMATE,
+    EXPECTED,
+    INNOVATION,
+    MEANS,
+    MEASURED,
+    OBSERVED,
+    PAST,
+    POINTS,
+    ROOT,
+    cholesky_root,
+    correct_gaussian,
+)
+
+
+@dataclass(frozen=True)
+class SigmaPoints:
+    """Scaling of the sigma points, Table II (which prints 1 - alpha where 1 - alpha^2 belongs).
+
+    With the published alpha the first weight is -9999: the weighted sums lose four digits.
+    """
+
+    alpha: float = 1e-2
+    beta: float = 1e-3
+    kappa: float = 0.0
+
+    def __post_init__(self):
+        require_number("alpha", self.alpha, above=0)
+        require_number("beta", self.beta)
+        require_number("kappa", self.kappa, above=-1)
+
+    def weights(self, size: int) -> Float64[np.ndarray, "4"]:
+        """L + lambda, W0 of the mean, W0 of the covariance, and every other weight."""
+        spread = self.alpha**2 * (size + self.kappa)
+        first = 1 - size / spread  # lambda / (L + lambda)
+        return np.array([spread, first, first + 1 - self.alpha**2 + self.beta, 1 / (2 * spread)])
+
+
+@kernel
+def spread_points(work, size, spread):
+    """(12): the mean, and the mean plus and minus the columns of sqrt(spread P), spread = L + lambda."""
+    points, means, root = work[POINTS], work[MEANS], work[ROOT]
+    if not cholesky_root(work[COVARIANCE], root, size):
+        return False
+    scale = spread**0.5
+    for j in range(size):
+        points[0, j] = means[ESTIMATE, j]
+        for i in range(size):
+            column = scale * root[j, i] if j >= i else 0.0
+            points[1 + i, j] = means[ESTIMATE, j] + column
+            points[1 + size + i, j] = means[ESTIMATE, j] - column
+    return True
+
+
+@inlined_kernel
+def _weighted_mean(points, mean, count, size, first, other):
+    for j in range(size):
+        total = first * points[0, j]
+        for i in range(1, count):
+            total += other * points[i, j]
+        mean[j] = total
+
+
+@inlined_kernel
+def _weighted_product(points, mean, others, other_mean, result, count, rows, columns, first, other):
+    for i in range(rows):
+        for j in range(columns):
+            total = first * (points[0, i] - mean[i]) * (others[0, j] - other_mean[j])
+            for k in range(1, count):
+                total += other * (points[k, i] - mean[i]) * (others[k, j] - other_mean[j])
+            result[i, j] = total
+
+
+@kernel
+def predict_unscented(work, weights, process, size):
+    """(13): mean and covariance of the moved points, about the predicted mean, plus Q."""
+    points, covariance, mean, count = work[POINTS], work[COVARIANCE], work[MEANS, ESTIMATE], 2 * size + 1
+    _weighted_mean(points, mean, count, size, weights[1], weights[3])
+    _weighted_product(points, mean, points, mean, covariance, count, size, size, weights[2], weights[3])
+    for i in range(size):
+        for j in range(size):
+            covariance[i, j] += process[i, j]
+
+
+@kernel
+def correct_unscented(work, weights, noise, size, outputs):
+    """(15)-(17): the points, what they would measure, and the measurement are in place."""
+    points, observed, innovation, count = work[POINTS], work[OBSERVED], work[INNOVATION], 2 * size + 1
+    mean, expected = work[MEANS, ESTIMATE], work[MEANS, EXPECTED]
+    first, other = weights[2], weights[3]
+    _weighted_mean(observed, expected, count, outputs, weights[1], other)
+    _weighted_product(
+        observed, expected, observed, expected, innovation, count, outputs, outputs, first, other
+    )
+    _weighted_product(points, mean, observed, expected, work[CROSS], count, size, outputs, first, other)
+    for i in range(outputs):
+        for j in range(outputs):
+            innovation[i, j] += noise[i, j]
+    return correct_gaussian(work, size, outputs)
+
+
+@kernel
+def _copy_points(source, target):
+    for i in range(source.shape[0]):  # a slice assignment would triple the time to compile
+        for j in range(source.shape[1]):
+            target[i, j] = source[i, j]
+
+
+@kernel
+def plant_unscented_step(
+    options, process, noise, work, acceleration, plant, time_step, measured, force, estimate
+):
+    """One sample for a second-order plant: x = [velocity, position], z = [difference quotient, position].
+
+    options: four weights, 1 for the literal (14), initial variance. work[MEANS, PAST]: the last measurement,
+    and 1 once there was one.
+    """
+    points, observed, means = work[POINTS], work[OBSERVED], work[MEANS]
+    if means[PAST, 1] == 0.0:
+        means[PAST, 0] = measured - time_step * estimate[1]
+        means[PAST, 1] = 1.0
+        means[ESTIMATE, 0] = estimate[1]
+        means[ESTIMATE, 1] = measured - time_step * estimate[1]
+        work[COVARIANCE, 0, 0] = options[5]
+        work[COVARIANCE, 1, 1] = options[5]
+    last_velocity = means[ESTIMATE, 0]
+    literal = options[4] != 0.0
+    if not spread_points(work, 2, options[0]):
+        return False
+    if literal:  # (14) as printed: the correction uses the points around the *previous* estimate
+        _copy_points(points, observed)
+    for i in range(5):  # (10), with all terms of (11)
+        points[i, 0] += time_step * acceleration(points[i, 1], points[i, 0], force, plant)
+        points[i, 1] += time_step * points[i, 0]
+    predict_unscented(work, options, process, 2)
+    if literal:
+        _copy_points(observed, points)
+    else:
+        if not spread_points(work, 2, options[0]):
+            return False
+        _copy_points(points, observed)
+    means[MEASURED, 0] = (measured - means[PAST, 0]) / time_step
+    means[MEASURED, 1] = measured
+    means[PAST, 0] = measured
+    if not correct_unscented(work, options, noise, 2, 2):
+        return False
+    estimate[0] = means[ESTIMATE, 1]
+    estimate[1] = means[ESTIMATE, 0]
+    estimate[2] = (means[ESTIMATE, 0] - last_velocity) / time_step
+    return True

@@ -1,0 +1,72 @@
+"""Filters on a window of the latest samples: cascaded affine fits, and the Savitzky-Golay end point."""
+
+import math
+
+import numpy as np
+from jaxtyping import Float64
+
+from stillwork.base.kernels import kernel
+
+
+def end_point_weights(samples: int, degree: int, derivative: int = 0) -> Float64[np.ndarray, " samples"]:
+    """Weights of a least-squares polynomial's value or derivative (a sample, not a second) at the last sample.
+
+    The first weight belongs to the oldest sample.
+    """
+    place = np.arange(1 - samples, 1) / max(samples - 1, 1)  # scaled to [-1, 0]: well conditioned
+    powers = np.vander(place, degree + 1, increasing=True)
+    fit = np.linalg.pinv(powers)[derivative]
+    return fit * math.factorial(derivative) / max(samples - 1, 1) ** derivative
+
+
+# state[0]: the buffers, one a row, oldest sample first; state[1, 0, 0] = 1 once they are filled.
+
+
+@kernel
+def _window_push(buffer, value):
+    for i in range(buffer.shape[0] - 1):
+        buffer[i] = buffer[i + 1]
+    buffer[-1] = value
+
+
+@kernel
+def _window_dot(weights, buffer):
+    total = 0.0
+    for i in range(buffer.shape[0]):
+        total += weights[i] * buffer[i]
+    return total
+
+
+@kernel
+def moving_window_step(weights, state, time_step, measured, estimate):
+    """Section II.A: fit, difference, fit, difference, fit.
+
+    `estimate` holds the last one on entry: at the first sample the motion that is presumed before it.
+    """
+    buffers = state[0]
+    if state[1, 0, 0] == 0.0:
+        state[1, 0, 0] = 1.0
+        for i in range(buffers.shape[1]):
+            buffers[0, i] = measured + (i - buffers.shape[1]) * time_step * estimate[1]
+        buffers[1, :] = estimate[1]
+        buffers[2, :] = estimate[2]
+        estimate[0] = measured - time_step * estimate[1]
+    value = measured
+    for level in range(3):
+        _window_push(buffers[level], value)
+        fitted = _window_dot(weights, buffers[level])
+        value = (fitted - estimate[level]) / time_step
+        estimate[level] = fitted
+
+
+@kernel
+def savitzky_golay_step(weights, state, time_step, measured, estimate):
+    """Three rows of weights on one buffer: position, velocity, acceleration; starts as the moving window."""
+    samples = state.shape[2]
+    if state[1, 0, 0] == 0.0:
+        state[1, 0, 0] = 1.0
+        for i in range(samples):
+            state[0, 0, i] = measured + (i - samples) * time_step * estimate[1]
+    _window_push(state[0, 0], measured)
+    for row in range(3):
+        estimate[row] = _window_dot(weights[row * samples : (row + 1) * samples], state[0, 0])

@@ -1,0 +1,82 @@
+"""Frequency responses from records: averaged cross spectra, open or closed loop, with their coherence."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Complex128, Float64
+from numpy.typing import ArrayLike
+from scipy.signal import csd, welch
+
+from stillwork.base.checks import InputError, require_array, require_count, require_number
+
+
+class Identified(NamedTuple):
+    """An estimated response."""
+
+    omega: Float64[np.ndarray, " frequencies"]  # rad/s, without zero
+    response: Complex128[np.ndarray, " frequencies"]
+    coherence: Float64[np.ndarray, " frequencies"]  # of the excitation with the output
+
+
+def closed_loop_response(
+    excitation: ArrayLike, inputs: ArrayLike, outputs: ArrayLike, step: float, segment: int
+) -> Identified:
+    """Plant response in closed loop, as the ratio of the cross spectra with the excitation.
+
+    The direct ratio of output and input would be biased by the noise that the loop feeds back; noise that is
+    independent of the excitation averages out of this one.
+
+    Parameters
+    ----------
+    excitation, inputs, outputs : array_like, shape (samples,)
+    step : float
+        s.
+    segment : int
+        Samples a segment (Hann window, half overlap).
+    """
+    excitation = require_array("excitation", excitation, ndim=1)
+    inputs = require_array("inputs", inputs, shape=excitation.shape)
+    outputs = require_array("outputs", outputs, shape=excitation.shape)
+    require_number("step", step, above=0.0)
+    if require_count("segment", segment, at_least=8) > len(excitation) // 2:
+        raise InputError(
+            f"segment is {segment} of {len(excitation)} samples; averaging takes at least two segments"
+        )
+    settings = {"fs": 1 / step, "nperseg": segment, "detrend": "constant"}
+    hertz, to_input = csd(excitation, inputs, **settings)
+    _, to_output = csd(excitation, outputs, **settings)
+    power, out_power = (welch(signal, **settings)[1] for signal in (excitation, outputs))
+    keep = slice(1, None)
+    if np.any(power[keep] == 0) or np.any(to_input[keep] == 0) or np.any(out_power[keep] == 0):
+        raise InputError(
+            "excitation, inputs or outputs have no power at some frequencies; excite all of them"
+        )
+    coherence = np.abs(to_output) ** 2 / (power * out_power)
+    return Identified(2 * np.pi * hertz[keep], (to_output / to_input)[keep], coherence[keep])
+
+
+def impact_response(force: ArrayLike, response: ArrayLike, rate: float) -> Identified:
+    """H1 estimate from repeated hits: one record a hit, the force's own cross spectra averaged over hits.
+
+    Parameters
+    ----------
+    force, response : array_like, shape (hits, samples)
+    rate : float
+        Samples a second.
+    """
+    force = require_array("force", force, ndim=2)
+    response = require_array("response", response, shape=force.shape)
+    require_number("rate", rate, above=0.0)
+    if len(force) < 2:
+        raise InputError("force holds one hit; coherence and averaging take at least two")
+    f, a = (np.fft.rfft(x - x.mean(axis=1, keepdims=True), axis=1) for x in (force, response))
+    s_ff, s_aa = (np.abs(f) ** 2).mean(axis=0), (np.abs(a) ** 2).mean(axis=0)
+    s_fa = (f.conj() * a).mean(axis=0)
+    omega = 2 * np.pi * np.fft.rfftfreq(force.shape[1], 1 / rate)
+    keep = slice(1, None)
+    dead = (s_ff == 0) | (s_aa == 0)
+    if np.any(dead[keep]):
+        raise InputError(
+            f"force or response has no power at all at {int(dead[keep].sum())} frequencies; hit harder"
+        )
+    return Identified(omega[keep], (s_fa / s_ff)[keep], (np.abs(s_fa) ** 2 / (s_ff * s_aa))[keep])

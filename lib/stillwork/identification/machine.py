@@ -1,0 +1,193 @@
+"""A machine of one's own as a modal model: fitted to its frequency response, or built from mass and stiffness."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.signal import find_peaks
+
+from stillwork.base.checks import InputError
+from stillwork.identification.frequency_response import Identified
+from stillwork.identification.machine_files import MachineFile
+from stillwork.identification.modal_fit import ModalFit, fit_modes
+from stillwork.lti.modal import ModalModel, mirrored
+from stillwork.lti.reduction import truncate
+
+PROMINENCE_DB = 10.0  # by which a resonance must stand out to be taken for a mode
+COHERENT = 0.8  # coherence that a resonance must have
+MOST_MODES = 12  # of a matrix model: the others enter as compliance
+
+
+@dataclass(frozen=True)
+class Machine:
+    """A machine as the search takes it.
+
+    Attributes
+    ----------
+    sensors : tuple of ModalModel
+        Force to position, one a sensor that the controller must serve.
+    mass : float
+        kg, of the rigid body.
+    source : str
+        Where it comes from.
+    measured : Identified, optional
+        Its accelerance at the first sensor, 1/kg, counted along the force.
+    fit : ModalFit, optional
+        Of `measured`.
+    mirrored : tuple of bool
+        By sensor: whether it is the assumed mirror image of the first.
+    notes : tuple of str
+        What was done to it, and what to mind.
+    """
+
+    sensors: tuple[ModalModel, ...]
+    mass: float
+    source: str
+    measured: Identified | None = None
+    fit: ModalFit | None = None
+    mirrored: tuple[bool, ...] = (False,)
+    notes: tuple[str, ...] = ()
+
+    @property
+    def resonances_hz(self) -> Float64[np.ndarray, " modes"]:
+        """Of the flexible modes."""
+        model = self.sensors[0]
+        return model.frequencies[model.rigid_modes :] / (2 * np.pi)
+
+
+def find_modes(measured: Identified, band_hz: tuple[float, float]) -> list[float]:
+    """Resonances in Hz that stand out of an accelerance by 10 dB, where it is coherent.
+
+    Raises
+    ------
+    InputError
+        When none stands out.
+    """
+    inside = _inside(measured, band_hz)
+    magnitude = 20 * np.log10(np.abs(measured.response[inside]))
+    peaks, _ = find_peaks(magnitude, prominence=PROMINENCE_DB)
+    coherent = ~(measured.coherence[inside][peaks] < COHERENT)  # one without coherence counts
+    found = (measured.omega[inside][peaks][coherent] / (2 * np.pi)).tolist()
+    if not found:
+        raise InputError(
+            f"no resonance stands out by {PROMINENCE_DB:g} dB from {band_hz[0]:g} to {band_hz[1]:g} Hz; say "
+            "where the modes are with modes_hz, or widen fit_hz"
+        )
+    return found
+
+
+def whole_band(measured: Identified, band_hz: tuple[float, float]) -> tuple[float, float]:
+    """The band, or for (0, 0) all that was measured; `InputError` for a band in which too little was."""
+    hertz = measured.omega / (2 * np.pi)
+    low, high = band_hz if any(band_hz) else (hertz[0], hertz[-1])
+    inside = int(np.sum((hertz >= low) & (hertz <= high)))
+    if not low < high or inside < 32:
+        raise InputError(
+            f"the band {low:g} to {high:g} Hz holds {inside} lines of the measurement, which runs from "
+            f"{hertz[0]:.4g} to {hertz[-1]:.4g} Hz; give a band inside it, or (0, 0) for all of it"
+        )
+    return float(low), float(high)
+
+
+def build_machine(
+    file: MachineFile,
+    *,
+    modes_hz: list[float],
+    fit_hz: tuple[float, float],
+    mirrored_sensor: bool,
+) -> Machine:
+    """Fit a modal model to a measurement, or take that of the matrices.
+
+    Parameters
+    ----------
+    file : MachineFile
+    modes_hz : list of float
+        Where the fit starts; empty: the resonances that stand out.
+    fit_hz : tuple of float
+        Band of the fit; (0, 0) for all that was measured.
+    mirrored_sensor : bool
+        Add a second sensor at which every flexible mode has the other sign, when the file has one sensor.
+
+    Raises
+    ------
+    InputError
+        When the machine is not free to move as one rigid body, or nothing can be fitted.
+    """
+    machine = _built(file) if file.accelerance is None else _fitted(file, modes_hz, fit_hz)
+    if mirrored_sensor and len(machine.sensors) == 1:
+        only = machine.sensors[0]
+        machine = replace(machine, sensors=(only, mirrored(only)), mirrored=(False, True))
+    return machine
+
+
+def _fitted(file: MachineFile, modes_hz: list[float], fit_hz: tuple[float, float]) -> Machine:
+    measured = file.accelerance
+    band = whole_band(measured, fit_hz)
+    guesses = sorted(modes_hz) or find_modes(measured, band)
+    # Below the resonances a free body follows the force; a sensor that faces it counts the other way.
+    below = _inside(measured, (band[0], max(guesses[0] / 2, band[0] * 1.5)))
+    line = float(np.median(measured.response[below].real)) if below.any() else 1.0
+    turned = line < 0
+    if turned:
+        measured = measured._replace(response=-measured.response)
+    fit = fit_modes(_thinned(measured, 12_000, band), guesses, band)
+    model = fit.model
+    notes = [*file.notes, *(["counted against the force, turned"] if turned else [])]
+    widths = 2 * model.damping[1:] * model.frequencies[1:] / (2 * np.pi)
+    spacing = float(np.median(np.diff(measured.omega))) / (2 * np.pi)
+    if spacing > widths.min():
+        notes.append(
+            f"lines {spacing:.3g} Hz apart do not resolve a resonance {widths.min():.3g} Hz wide: its peak may lie "
+            "between them"
+        )
+    return Machine((model,), _mass(model), file.source, measured, fit, notes=tuple(notes))
+
+
+def _built(file: MachineFile) -> Machine:
+    model = file.model
+    if model.rigid_modes != 1:
+        raise InputError(
+            f"{file.source} has {model.rigid_modes} rigid-body modes; the PID rules are for a machine that is free "
+            "to move in one direction: leave out the stiffness to the ground, and fix the other directions"
+        )
+    if not len(model.frequencies) > 1:
+        raise InputError(
+            f"{file.source} has no flexible mode; an observer of flexible modes has nothing to do"
+        )
+    if len(model.frequencies) > MOST_MODES:
+        model = truncate(model, MOST_MODES, len(model.frequencies) - MOST_MODES)
+    sensors = tuple(model.at([0], [k]) for k in range(len(model.output_shapes)))
+    turned = _mass(sensors[0]) < 0
+    if turned:
+        sensors = tuple(
+            replace(each, output_shapes=-each.output_shapes, feedthrough=-each.feedthrough)
+            for each in sensors
+        )
+    masses = [_mass(each) for each in sensors]
+    if not np.allclose(masses, masses[0], rtol=1e-3):
+        listing = ", ".join(f"{mass:.4g}" for mass in masses)
+        raise InputError(
+            f"{file.source}: the sensors see rigid bodies of {listing} kg; let each output be a position along "
+            "the force (a row of shares that add up to 1)"
+        )
+    notes = ("counted against the force, turned",) if turned else ()
+    return Machine(sensors, masses[0], file.source, mirrored=(False,) * len(sensors), notes=notes)
+
+
+def _mass(model: ModalModel) -> float:
+    mobility = float(model.input_shapes[0, 0] * model.output_shapes[0, 0])
+    if mobility == 0:
+        raise InputError(
+            "the force does not move the rigid body, or the sensor does not see it; check input and output"
+        )
+    return 1 / mobility
+
+
+def _inside(measured: Identified, band_hz: tuple[float, float]) -> np.ndarray:
+    return (measured.omega >= 2 * np.pi * band_hz[0]) & (measured.omega <= 2 * np.pi * band_hz[1])
+
+
+def _thinned(measured: Identified, most: int, band_hz: tuple[float, float]) -> Identified:
+    """At most about `most` lines in the band, evenly chosen."""
+    step = max(1, int(_inside(measured, band_hz).sum()) // most)
+    return Identified(*(values[step - 1 :: step] for values in measured))

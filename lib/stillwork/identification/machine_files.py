@@ -1,0 +1,279 @@
+"""A machine of one's own from a file: a measured frequency response, hammer records, or mass and stiffness."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64
+
+from stillwork.base.checks import InputError, nearest, require_array, require_number
+from stillwork.identification.frequency_response import Identified, impact_response
+from stillwork.lti.modal import ModalModel, modal_model
+from stillwork.signals.datafiles import read_arrays
+from stillwork.signals.records import MOTION_UNITS, is_time, sampling_rate, unit_factor
+
+FORMS = (
+    "a frequency response (frequency, and complex values or magnitude and phase), hammer records (force and "
+    "response), or the matrices M and K"
+)
+PADDING = 4  # lengths of a record that has died out: zeros appended to it give a finer grid
+DIED_OUT = 0.02  # of the peak, what the last tenth of a record may still hold
+_HERTZ = {"hz": 1.0, "khz": 1e3, "rad/s": 1 / (2 * np.pi)}
+
+
+@dataclass(frozen=True)
+class MachineFile:
+    """What a file says about a machine: either its accelerance, or a modal model.
+
+    Attributes
+    ----------
+    kind : str
+        ``frequency response``, ``hammer records`` or ``matrices``.
+    source : str
+        File name.
+    accelerance : Identified, optional
+        Acceleration over force in 1/kg; coherence is NaN where the file has none.
+    model : ModalModel, optional
+        From force to the position of every sensor.
+    notes : tuple of str
+        What was done to it.
+    """
+
+    kind: str
+    source: str
+    accelerance: Identified | None = None
+    model: ModalModel | None = None
+    notes: tuple[str, ...] = ()
+
+
+def kind_of(arrays: dict[str, np.ndarray]) -> str:
+    """``frequency response``, ``hammer records`` or ``matrices``; `InputError` when it is none of them."""
+    words = {_word(name) for name in arrays}
+    if {"m", "k"} <= words or {"mass", "stiffness"} <= words:
+        return "matrices"
+    if _frequency_name(arrays):
+        return "frequency response"
+    if "force" in words or "hammer" in words:
+        return "hammer records"
+    raise InputError(f"it holds {', '.join(arrays) or 'nothing'}, not {FORMS}; name them so")
+
+
+def load_machine(
+    file: str | Path,
+    response_unit: str = "m/s^2",
+    force_unit: str = "N",
+    *,
+    sample_rate: float | None = None,
+    response: str = "",
+    damping_ratio: float = 0.005,
+) -> MachineFile:
+    """Read a machine from a CSV, MAT, NPZ or universal file; which of the three forms it is, the names tell.
+
+    - Frequency response: ``frequency`` (Hz, or with ``(rad/s)`` behind it) and either a complex array or
+      ``real`` and ``imaginary``, or ``magnitude`` (``(dB)`` behind it when it is) and ``phase`` (degrees, or
+      ``(rad)``); ``coherence`` if there is one.
+    - Hammer records: ``force`` and one response, each hits by samples (in CSV ``force 1``, ``force 2``, ...),
+      and ``fs`` or a time.
+    - Matrices in SI units: ``M`` and ``K``, perhaps ``D``; ``input``, the force's share at each node, and
+      ``output``, one row a sensor (in CSV columns ``M 1``, ``M 2``, ... and ``output 1``, ...); without
+      ``output`` the sensor sits where the force acts.
+
+    Parameters
+    ----------
+    file : str or Path
+    response_unit, force_unit : str
+        Of the response and of the force, e.g. ``m/s^2``, ``g``, ``um`` and ``N``, ``kN``. Not for matrices.
+    sample_rate : float, optional
+        Hz, of hammer records without a time or a rate.
+    response : str
+        Name of the complex response to take where there are several.
+    damping_ratio : float
+        Of the flexible modes, for matrices without damping.
+
+    Raises
+    ------
+    InputError
+        For everything that makes the file unusable; it says what to do.
+    """
+    file = Path(file)
+    arrays = read_arrays(file)
+    try:
+        kind = kind_of(arrays)
+        if kind == "matrices":
+            return MachineFile(kind, file.name, model=_from_matrices(arrays, damping_ratio))
+        factor, unit = unit_factor(response_unit)
+        force, force_si = unit_factor(force_unit)
+        if unit not in MOTION_UNITS:
+            raise InputError(
+                f"response_unit is {response_unit!r}; give an acceleration, a velocity or a position"
+            )
+        if force_si != "N":
+            raise InputError(f"force_unit is {force_unit!r}; give a force such as N, mN or kN")
+        if kind == "hammer records":
+            found, notes = _from_hammer(arrays, sample_rate, file.name)
+        else:
+            found, notes = _from_response(arrays, response)
+    except InputError as error:
+        raise InputError(f"{file.name}: {error}") from None
+    derivatives = MOTION_UNITS.index(unit)
+    scaled = factor / force * found.response * (1j * found.omega) ** derivatives
+    return MachineFile(kind, file.name, found._replace(response=scaled), notes=notes)
+
+
+def _from_response(arrays: dict[str, np.ndarray], response: str) -> tuple[Identified, tuple[str, ...]]:
+    axis = _frequency_name(arrays)
+    per_hertz = _HERTZ[_bracket(axis) or ("rad/s" if _word(axis) == "omega" else "hz")]
+    hertz = per_hertz * require_array(axis, np.ravel(arrays[axis].real), ndim=1)
+    notes = []
+    same = {
+        name: np.ravel(array) for name, array in arrays.items() if array.size == hertz.size and name != axis
+    }
+    complex_ones = [name for name in same if np.iscomplexobj(same[name])]
+    if complex_ones:
+        if response and response not in complex_ones:
+            raise InputError(
+                f"no response {response!r}{nearest(response, complex_ones)}; it has {', '.join(complex_ones)}"
+            )
+        if len(complex_ones) > 1 and not response:
+            raise InputError(
+                f"it holds {len(complex_ones)} responses; choose with response={complex_ones[0]!r}"
+            )
+        name = response or complex_ones[0]
+        values = same[name]
+        notes.append(f"taken: {name}")
+    elif (real := _named(same, "real", "re")) and (imaginary := _named(same, "imaginary", "imag", "im")):
+        values = same[real] + 1j * same[imaginary]
+    elif (size := _named(same, "magnitude", "mag", "amplitude", "gain")) and (
+        angle := _named(same, "phase", "angle")
+    ):
+        sizes = 10 ** (same[size] / 20) if _bracket(size) == "db" else same[size]
+        values = sizes * np.exp(1j * (same[angle] if _bracket(angle) == "rad" else np.radians(same[angle])))
+    else:
+        raise InputError(
+            "there is no response beside the frequency; give complex values, real and imaginary, or magnitude "
+            "and phase"
+        )
+    values = require_array("response", values, dtype=complex)
+    coherence = _named(same, "coherence", "coh")
+    seen = np.full(hertz.size, np.nan) if coherence is None else same[coherence].real
+    if np.any(np.diff(hertz) <= 0):
+        raise InputError("the frequency does not rise from line to line; sort the rows")
+    kept = (hertz > 0) & (np.abs(values) > 0)
+    if kept.sum() < 32:
+        raise InputError(f"{int(kept.sum())} usable lines are too few for a fit; give at least 32")
+    return Identified(2 * np.pi * hertz[kept], values[kept], seen[kept].astype(float)), tuple(notes)
+
+
+def _from_hammer(
+    arrays: dict[str, np.ndarray], sample_rate: float | None, source: str
+) -> tuple[Identified, tuple[str, ...]]:
+    rate = sampling_rate(source, arrays, sample_rate)
+    forces = [name for name in arrays if _word(name) in ("force", "hammer") and arrays[name].size > 1]
+    length = max(arrays[name].shape[-1] if arrays[name].ndim > 1 else arrays[name].size for name in forces)
+    responses = [
+        name
+        for name, array in arrays.items()
+        if name not in forces and not is_time(name) and array.size >= length
+    ]
+    force, response = (_hits(arrays, names) for names in (forces, responses))
+    if force.shape != response.shape:
+        raise InputError(
+            f"force holds {len(force)} hits of {force.shape[1]} samples ({', '.join(forces)}), the response "
+            f"{len(response)} of {response.shape[-1]} ({', '.join(responses) or 'none'}); give one response a hit"
+        )
+    for name, rows in (("force", force), ("response", response)):
+        if np.any(np.ptp(rows, axis=1) == 0):
+            raise InputError(
+                f"{name} does not move in hit {int(np.argmin(np.ptp(rows, axis=1))) + 1}; leave it out"
+            )
+    # A record's own offset must go before zeros are appended to it.
+    force, response = (
+        rows - rows[:, -rows.shape[1] // 10 :].mean(axis=1, keepdims=True) for rows in (force, response)
+    )
+    tail = np.abs(response[:, -response.shape[1] // 10 :]).max(axis=1) / np.abs(response).max(axis=1)
+    notes = [f"{len(force)} hits"]
+    if tail.max() <= DIED_OUT:
+        force, response = (
+            np.pad(rows, ((0, 0), (0, (PADDING - 1) * rows.shape[1]))) for rows in (force, response)
+        )
+    else:
+        notes.append(
+            f"the response still holds {100 * tail.max():.0f} % of its peak at the end of a record: the cut "
+            "widens its resonances; record longer"
+        )
+    return impact_response(force, response, rate), tuple(notes)
+
+
+def _hits(arrays: dict[str, np.ndarray], names: list[str]) -> Float64[np.ndarray, "hits samples"]:
+    rows = []
+    for name in names:
+        array = np.atleast_2d(require_array(name, arrays[name]))
+        if array.ndim > 2:
+            raise InputError(f"{name} has shape {array.shape}; give hits by samples")
+        rows += list(array if array.shape[0] <= array.shape[1] else array.T)
+    if len({len(row) for row in rows}) > 1:
+        raise InputError(f"{', '.join(names)} differ in length; give hits of one length")
+    return np.array(rows, dtype=float).reshape(len(rows), -1)
+
+
+def _from_matrices(arrays: dict[str, np.ndarray], damping_ratio: float) -> ModalModel:
+    mass, stiffness = (_matrix(arrays, *names) for names in (("m", "mass"), ("k", "stiffness")))
+    damping = _matrix(arrays, "d", "c", "damping")
+    nodes = len(mass)
+    taken = _matrix(arrays, "input")
+    if taken is None:
+        raise InputError(
+            "input is missing; give the force's share at each node, e.g. 1 at one and 0 elsewhere"
+        )
+    if taken.size != nodes:
+        raise InputError(
+            f"input holds {taken.size} numbers for {nodes} nodes; give the force's share at each"
+        )
+    outputs = _matrix(arrays, "output")
+    outputs = taken.reshape(1, nodes) if outputs is None else np.atleast_2d(outputs)
+    if outputs.shape[1] != nodes and outputs.shape[0] == nodes:
+        outputs = outputs.T
+    return modal_model(
+        require_array("M", mass, shape=(nodes, nodes)),
+        require_array("K", stiffness, shape=(nodes, nodes)),
+        taken.reshape(nodes, 1),
+        require_array("output", outputs, shape=(None, nodes)),
+        damping_ratio=require_number("damping_ratio", damping_ratio, at_least=0.0, below=1.0),
+        damping_matrix=damping,
+    )
+
+
+def _matrix(arrays: dict[str, np.ndarray], *words: str) -> np.ndarray | None:
+    """An array of that name, or the columns ``name 1``, ``name 2``, ... put together."""
+    columns = [array for name, array in arrays.items() if _word(name) in words and array.size > 1]
+    if not columns:
+        return None
+    if any(column.dtype.kind == "c" for column in columns):
+        raise InputError(f"{words[0].upper()} is complex; give real matrices")
+    if len(columns) == 1:
+        return np.squeeze(columns[0]).astype(float)
+    if len({column.shape for column in columns}) > 1:
+        raise InputError(f"the columns of {words[0].upper()} differ in length; give a full table")
+    return np.column_stack([column.ravel() for column in columns]).astype(float)
+
+
+def _frequency_name(arrays: dict[str, np.ndarray]) -> str | None:
+    return _named(
+        {name: array for name, array in arrays.items() if array.size > 1},
+        *("frequency", "frequencies", "freq", "freqs", "f", "hz", "hertz", "omega"),
+    )
+
+
+def _named(arrays: dict[str, np.ndarray], *words: str) -> str | None:
+    return next((name for name in arrays if _word(name) in words), None)
+
+
+def _word(name: str) -> str:
+    """First word of a name, without the structure that it is a member of: ``force_n`` and ``force (N)`` are force."""
+    return re.split(r"[\s(\[_\d]", name.lower().rpartition(".")[2].strip(), maxsplit=1)[0]
+
+
+def _bracket(name: str) -> str:
+    found = re.search(r"[(\[](.+)[)\]]", name)
+    return found[1].strip().lower() if found else ""

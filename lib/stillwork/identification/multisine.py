@@ -1,0 +1,161 @@
+"""Multisine experiments on a plant in closed loop, and its frequency response matrix without the loop's bias."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Complex128, Float64
+
+from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.lti.simulation import simulate
+from stillwork.lti.state_space import StateModel
+
+
+def random_phase_multisine(
+    rng: np.random.Generator, samples: int, rms: float
+) -> Float64[np.ndarray, " samples"]:
+    """One period of a multisine with equal amplitudes and random phases on every line up to the Nyquist frequency.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    samples : int
+        Of the period, even.
+    rms : float
+    """
+    if require_count("samples", samples, at_least=4) % 2:
+        raise InputError(f"samples is {samples}; give an even number")
+    require_number("rms", rms, above=0.0)
+    spectrum = np.zeros(samples // 2 + 1, complex)
+    lines = samples // 2 - 1
+    spectrum[1:-1] = np.exp(2j * np.pi * rng.random(lines))
+    return np.fft.irfft(spectrum) * (samples * rms / np.sqrt(2 * lines))
+
+
+@dataclass(frozen=True)
+class MultisineRecords:
+    """Spectra of the measured periods; one experiment an actuator, several realisations of the phases each."""
+
+    omega: Float64[np.ndarray, " lines"]  # rad/s, of the excited lines
+    reference: Complex128[np.ndarray, "experiments realisations lines"]  # what was added to one actuator
+    inputs: Complex128[np.ndarray, "experiments realisations periods actuators lines"]
+    outputs: Complex128[np.ndarray, "experiments realisations periods sensors lines"]
+
+    def __post_init__(self):
+        experiments, realisations, _, actuators, _ = self.inputs.shape
+        if experiments != actuators:
+            raise InputError(
+                f"inputs holds {experiments} experiments for {actuators} actuators; give one each"
+            )
+        if realisations < 2:
+            raise InputError("inputs holds one realisation; a variance takes at least 2")
+
+
+def run_multisine(
+    loop: StateModel,
+    actuators: int,
+    sensors: int,
+    deviations: tuple[float, float],
+    rng: np.random.Generator,
+    *,
+    samples: int = 16384,
+    rms: float = 1.0,
+    realisations: int = 10,
+    periods: int = 2,
+    settling: int = 2,
+) -> MultisineRecords:
+    """Excite one actuator after the other in closed loop; keep the periods after the settling.
+
+    Parameters
+    ----------
+    loop : StateModel
+        Discrete and stable: from added force, unmeasured force at the plant (both one an actuator) and sensor
+        noise to the commanded forces and the measured outputs.
+    actuators, sensors : int
+    deviations : tuple of float
+        Standard deviations a sample of the unmeasured force (N) and of the sensor noise (m).
+    rng : numpy.random.Generator
+    samples : int
+        Of a period.
+    rms : float
+        Of the excitation (N).
+    realisations, periods, settling : int
+        Draws of the phases, measured periods and periods left out at the start of each.
+    """
+    for name, value in (("realisations", realisations), ("periods", periods), ("settling", settling)):
+        require_count(name, value)
+    if loop.d.shape != (actuators + sensors, 2 * actuators + sensors):
+        raise InputError(
+            f"loop has shape {loop.d.shape}; give {actuators + sensors} outputs and the three inputs"
+        )
+    if not loop.is_stable:
+        raise InputError("loop is unstable; identify it with a controller that stabilises it")
+    sizes = np.repeat([deviations[0], deviations[1]], [actuators, sensors])
+    lines = slice(1, samples // 2)
+    reference, inputs, outputs = [], [], []
+    for actuator in range(actuators):
+        for _ in range(realisations):
+            one = random_phase_multisine(rng, samples, rms)
+            signals = np.zeros((2 * actuators + sensors, (settling + periods) * samples))
+            signals[actuator] = np.tile(one, settling + periods)
+            signals[actuators:] = sizes[:, None] * rng.standard_normal(
+                (actuators + sensors, signals.shape[1])
+            )
+            measured = simulate(loop, signals)[:, settling * samples :]
+            spectra = np.fft.rfft(measured.reshape(len(measured), periods, samples), axis=2)[:, :, lines]
+            reference.append(np.fft.rfft(one)[lines])
+            inputs.append(np.moveaxis(spectra[:actuators], 0, 1))
+            outputs.append(np.moveaxis(spectra[actuators:], 0, 1))
+    shape = (actuators, realisations)
+    return MultisineRecords(
+        2 * np.pi * np.fft.rfftfreq(samples, loop.step)[lines],
+        np.array(reference).reshape(*shape, -1),
+        np.array(inputs).reshape(*shape, *inputs[0].shape),
+        np.array(outputs).reshape(*shape, *outputs[0].shape),
+    )
+
+
+class ResponseMatrix(NamedTuple):
+    """An estimated frequency response matrix."""
+
+    omega: Float64[np.ndarray, " lines"]  # rad/s
+    response: Complex128[np.ndarray, "lines sensors actuators"]
+    deviation: Float64[np.ndarray, "lines sensors actuators"]  # standard deviation of the complex error
+
+
+def joint_input_output(records: MultisineRecords) -> ResponseMatrix:
+    r"""Plant from the responses of inputs *and* outputs to the excitation: :math:`G = T_{yr}T_{fr}^{-1}`.
+
+    Every period is averaged at the excited lines and divided by the known excitation. What the loop feeds back of
+    the noise is independent of that excitation and averages out of both, so no bias of the loop remains; the
+    realisations give the variance.
+    """
+    t_f, t_y = (
+        np.einsum("ermal,erl->rlae", spectra, 1 / records.reference) / spectra.shape[2]
+        for spectra in (records.inputs, records.outputs)
+    )
+    turn = np.linalg.inv(t_f.mean(axis=0))
+    response = t_y.mean(axis=0) @ turn
+    errors = (t_y - response @ t_f) @ turn
+    count = len(errors)
+    return ResponseMatrix(
+        records.omega, response, np.sqrt((np.abs(errors) ** 2).sum(axis=0) / (count * (count - 1)))
+    )
+
+
+def direct_response(records: MultisineRecords) -> Complex128[np.ndarray, "lines sensors actuators"]:
+    """Plant from inputs and outputs alone, S_yf S_ff^-1: biased in closed loop, for comparison."""
+    pairs = [
+        np.einsum("ermal,ermbl->lab", left, records.inputs.conj())
+        for left in (records.outputs, records.inputs)
+    ]
+    return pairs[0] @ np.linalg.inv(pairs[1])
+
+
+def smoothed_deviation(estimate: ResponseMatrix, lines: int = 15) -> Float64[np.ndarray, " lines"]:
+    """Deviation over frequency: root mean square over entries and over neighbouring lines."""
+    require_count("lines", lines)
+    power = (estimate.deviation**2).mean(axis=(1, 2))
+    kernel = np.ones(lines)
+    sums = np.convolve(power, kernel, mode="same") / np.convolve(np.ones_like(power), kernel, mode="same")
+    return np.sqrt(require_array("deviation", sums))

@@ -1,0 +1,120 @@
+"""Regressors of FIR and ARX models from measured records, and bounds from what is known of their noise."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from stillwork.base.checks import InputError, require_array, require_count, require_number
+
+
+def fir_regressors(signal: ArrayLike, taps: int) -> np.ndarray:
+    """Columns (u_t, u_(t-1), ..., u_(t-taps+1)), for y_t = sum over k of x_k u_(t-k).
+
+    Parameters
+    ----------
+    signal : array_like, shape (samples,)
+        Input u; taken as zero before the record.
+    taps : int
+        Length of the impulse response.
+
+    Returns
+    -------
+    ndarray, shape (taps, samples)
+    """
+    signal = require_array("signal", signal, ndim=1)
+    taps = require_count("taps", taps)
+    return _delayed(signal, range(taps))
+
+
+def arx_regressors(
+    signal: ArrayLike, output: ArrayLike, *, output_lags: int, input_lags: int, delay: int = 0
+) -> np.ndarray:
+    """Columns (y_(t-1), ..., y_(t-output_lags), u_(t-delay), ..., u_(t-delay-input_lags+1)).
+
+    They belong to y_t = sum over i of x_i y_(t-i) + sum over k of x_(output_lags+k) u_(t-delay-k+1).
+
+    Parameters
+    ----------
+    signal, output : array_like, shape (samples,)
+        Input u and output y; taken as zero before the record.
+    output_lags, input_lags : int
+        Past outputs and inputs that the model looks at.
+    delay : int
+        Samples from input to output.
+
+    Returns
+    -------
+    ndarray, shape (output_lags + input_lags, samples)
+    """
+    signal = require_array("signal", signal, ndim=1)
+    output = require_array("output", output, shape=signal.shape)
+    output_lags = require_count("output_lags", output_lags)
+    input_lags = require_count("input_lags", input_lags)
+    delay = require_count("delay", delay, at_least=0)
+    past = _delayed(output, range(1, output_lags + 1))
+    return np.concatenate([past, _delayed(signal, range(delay, delay + input_lags))])
+
+
+def row_bound(amplitudes: ArrayLike) -> float:
+    """Bound epsilon on the 2-norm of one regressor's error from the largest error of each entry.
+
+    The paper's FIR example: two entries within w_max give epsilon = sqrt(2) w_max.
+
+    Parameters
+    ----------
+    amplitudes : array_like, shape (unknowns,)
+        Largest absolute error of each entry, in the unit of the entry.
+    """
+    amplitudes = require_array("amplitudes", amplitudes, ndim=1)
+    if np.any(amplitudes < 0):
+        raise InputError("amplitudes holds a negative value; give sizes, zero or above")
+    return float(np.linalg.norm(amplitudes))
+
+
+def exponential_bound(row: float, forgetting: float, samples: int | None = None) -> float:
+    """Bound eta on the 2-norm of the exponentially weighted perturbation, Section 5.
+
+    epsilon sqrt(sum of forgetting^j over the samples); without `samples` its limit epsilon / sqrt(1 - forgetting).
+
+    Parameters
+    ----------
+    row : float
+        epsilon, bound on the 2-norm of each regressor's error.
+    forgetting : float
+        lambda, between 0 and 1.
+    samples : int, optional
+        Number of rows so far.
+    """
+    row = require_number("row", row, at_least=0.0)
+    forgetting = require_number("forgetting", forgetting, above=0.0, below=1.0)
+    memory = 1 / (1 - forgetting)
+    if samples is not None:
+        memory *= 1 - forgetting ** require_count("samples", samples)
+    return float(row * np.sqrt(memory))
+
+
+def noise_bound(deviation: float, unknowns: int, forgetting: float) -> float:
+    """Typical 2-norm of the weighted perturbation when its entries are independent noise.
+
+    deviation (sqrt(m) + sqrt(unknowns)) with m = 1 / (1 - forgetting) effective rows: the expected norm
+    of a random matrix (Davidson and Szarek 2001, Theorem II.13, an upper bound on it). The guaranteed
+    bound of `exponential_bound` grows as sqrt(m unknowns) and is then needlessly large.
+
+    Parameters
+    ----------
+    deviation : float
+        Standard deviation of the noise on each entry.
+    unknowns : int
+        Entries of a regressor.
+    forgetting : float
+        lambda, between 0 and 1.
+    """
+    deviation = require_number("deviation", deviation, at_least=0.0)
+    forgetting = require_number("forgetting", forgetting, above=0.0, below=1.0)
+    return float(deviation * (1 / np.sqrt(1 - forgetting) + np.sqrt(require_count("unknowns", unknowns))))
+
+
+def _delayed(signal, lags) -> np.ndarray:
+    out = np.zeros((len(lags), len(signal)))
+    for row, lag in zip(out, lags, strict=True):
+        row[lag:] = signal[: max(len(signal) - lag, 0)]
+    return out

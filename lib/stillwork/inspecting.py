@@ -1,0 +1,238 @@
+"""What a file of one's own holds, and which notebooks can use it."""
+
+import json
+import re
+import shlex
+import tomllib
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+
+from stillwork.base.checks import InputError, one_line
+from stillwork.signals.datafiles import read_arrays
+from stillwork.signals.records import MOTION_UNITS, UNITS_SAID, is_time, load_record, unit_factor
+from stillwork.workbook.notebooks import select
+from stillwork.workbook.reading import comments
+
+# What reads a machine of one's own from TOML, by room.
+MODELS = {
+    "isolation": ("experiments.isolation.twin", "load_twin"),
+    "fixedpoint": ("experiments.fixedpoint.oscillator", "load_oscillator"),
+}
+
+SHORTEST_FLOOR_S = 15.0  # what the floor's notebook takes; its module would cost seconds to import
+
+
+def inspect_file(name: str) -> str:
+    """Report of what the file `name` holds, what is wrong with it, and the commands that use it.
+
+    Nothing in the file is executed.
+
+    Raises
+    ------
+    InputError
+        When there is no such file or it cannot be read as what its name says.
+    """
+    path = Path(name)
+    if path.is_dir():
+        raise InputError(f"{name}: this is a folder; name a file in it")
+    if not path.is_file():
+        raise InputError(f"{name}: no such file; give a CSV, MAT, NPZ, UFF, TOML or Python file")
+    kinds = {".toml": _model, ".py": _plant}
+    return "\n".join(map(one_line, kinds.get(path.suffix.lower(), _data)(path)))
+
+
+def _data(path: Path) -> Iterator[str]:
+    arrays = read_arrays(path)
+    yield f"{path.name}: {len(arrays)} columns or arrays"
+    width = max(map(len, arrays), default=0)
+    for name, values in arrays.items():
+        yield f"  {name:{width}}  {_described(values)}"
+    machine = list(_machine(path, arrays))
+    yield from machine
+    # One hit's force and response may be an input-output record, too; several hits side by side are none.
+    signals = [array for name, array in arrays.items() if array.size > 1 and not is_time(name)]
+    if not machine or [np.squeeze(array).ndim for array in signals] == [1, 1]:
+        yield from _record(path)
+
+
+def _record(path: Path) -> Iterator[str]:
+    """What the rooms that take signals over time make of a file."""
+    try:
+        record = load_record(path, "1")
+    except InputError as error:
+        yield f"not a record as it stands: {error}"
+        return
+    units = [_unit(name) for name in record.names]
+    channels = "1 channel" if len(record.names) == 1 else f"{len(record.names)} channels"
+    yield f"a record of {channels}: {record.sample_rate:.6g} Hz, {record.duration:.4g} s"
+    if "" in units:
+        yield f"it does not say every unit; put one of these for UNIT: {UNITS_SAID}"
+    motions = [
+        (name, unit)
+        for name, unit in zip(record.names, units, strict=True)
+        if not unit or unit_factor(unit)[1] in MOTION_UNITS
+    ]
+    if motions and record.duration >= SHORTEST_FLOOR_S:
+        name, unit = motions[0]
+        settings = {"floor_record": path.resolve(), "floor_unit": unit or "UNIT"}
+        if len(record.names) > 1:
+            settings["floor_channels"] = json.dumps([name], ensure_ascii=False)
+        yield _command("isolation/08-your-floor", settings)
+    if len(record.names) >= 2:
+        settings = {"record_file": path.resolve()}
+        for side, name, unit in zip(("input", "output"), record.names, units, strict=False):
+            settings |= {f"{side}_channel": name, f"{side}_unit": unit or "UNIT"}
+        settings |= {"band_hz": "0,0", "quiet_hz": "0,0"}  # the defaults are those of the shipped record
+        yield _command("worstcase/07-your-record", settings)
+    positions = [
+        (name, unit)
+        for name, unit in zip(record.names, units, strict=True)
+        if not unit or unit_factor(unit)[1] == "m"
+    ]
+    if positions:
+        name, unit = positions[0]
+        settings = {"trajectory_record": path.resolve(), "trajectory_unit": unit or "UNIT"}
+        if len(record.names) > 1:
+            settings["trajectory_channel"] = name
+        yield _command("fixedpoint/09-your-plant", settings)
+
+
+def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
+    """What the room motion makes of a file; nothing where no name in it points to a machine."""
+    from stillwork.identification.machine import build_machine
+    from stillwork.identification.machine_files import kind_of, load_machine
+
+    try:
+        kind = kind_of(arrays)
+    except InputError:
+        return
+    settings = {"machine_file": path.resolve()}
+    try:
+        file = load_machine(path, response=_first_complex(arrays))
+        if file.model is not None:
+            machine = build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)
+            resonances = ", ".join(f"{hertz:.4g}" for hertz in machine.resonances_hz[:5])
+            yield f"{kind} of a machine of {machine.mass:.4g} kg, first resonances at {resonances} Hz"
+            settings["mirrored_sensor"] = str(len(machine.sensors) == 1).lower()
+        else:
+            hertz = file.accelerance.omega / (2 * np.pi)
+            yield f"{kind} of a machine: {len(hertz)} lines from {hertz[0]:.4g} to {hertz[-1]:.4g} Hz"
+            response, force = _response_units(arrays)
+            settings |= {"response_unit": response or "UNIT", "force_unit": force or "N"}
+            if not response:
+                yield "it does not say the unit of the response; put m/s^2, g, m/s, mm/s, m, mm or um for UNIT"
+            settings |= {"fit_hz": "0,0", "loop_hz": "0,0"}
+            if chosen := _first_complex(arrays):
+                settings["response"] = chosen
+    except InputError as error:
+        yield f"not a machine as it stands: {error}"
+        return
+    yield _command("motion/29-your-machine", settings)
+
+
+def _first_complex(arrays: dict[str, np.ndarray]) -> str:
+    """Name of the first complex array where there are several to choose from; else empty."""
+    names = [name for name, array in arrays.items() if array.dtype.kind == "c" and array.size > 1]
+    return names[0] if len(names) > 1 else ""
+
+
+def _response_units(arrays: dict[str, np.ndarray]) -> tuple[str, str]:
+    """Units of response and force from brackets such as ``(m/s^2/N)``, ``((m/s2)/N)``, ``(m/s^2)`` and ``(N)``."""
+    response = force = ""
+    for name in arrays:
+        found = re.search(r"[(\[](.+)[)\]]\s*$", name)
+        top, _, below = found[1].rpartition("/") if found else ("", "", "")
+        top = top.strip("() ")
+        if _is_unit(top, MOTION_UNITS) and _is_unit(below, ("N",)):
+            return response or top, below
+        whole = found[1] if found else ""
+        if _is_unit(whole, MOTION_UNITS):
+            response = response or whole
+        elif _is_unit(whole, ("N",)):
+            force = force or whole
+    return response, force
+
+
+def _is_unit(text: str, wanted: tuple[str, ...]) -> bool:
+    try:
+        return unit_factor(text)[1] in wanted
+    except InputError:
+        return False
+
+
+def _plant(path: Path) -> Iterator[str]:
+    from stillwork.estimation.plant import outline
+
+    missing = outline(path)
+    if missing:
+        yield f"{path.name}: not a plant as it stands: {', '.join(missing)}; see data/fixedpoint/your_plant.py"
+        return
+    yield f"{path.name}: the model functions of a plant; the notebook executes the file, this command did not"
+    yield _command("fixedpoint/09-your-plant", {"plant": path.resolve()})
+
+
+def _unit(name: str) -> str:
+    """The unit in the brackets of a column's name; empty when there is none that is known."""
+    found = re.search(r"[(\[](.+?)[)\]]", name)
+    try:
+        unit_factor(found[1])
+    except (TypeError, InputError):
+        return ""
+    return found[1]
+
+
+def _described(values: np.ndarray) -> str:
+    shape = f" ({' x '.join(map(str, values.shape))})" if values.ndim > 1 else ""
+    if values.dtype.kind == "c":
+        sizes = np.abs(values[np.isfinite(values)])
+        return f"{values.size} complex values{shape}" + (
+            f" of magnitude {sizes.min():.4g} to {sizes.max():.4g}" if sizes.size else ""
+        )
+    good = values[np.isfinite(values)]
+    missing = f", {values.size - good.size} missing or infinite" if good.size < values.size else ""
+    if not good.size:
+        return f"{values.size} values{shape}{missing}"
+    if values.size == 1:
+        return f"{values.item():.6g}"
+    spread = f"mean {good.mean():.4g}, standard deviation {good.std():.4g}"
+    return f"{values.size} values{shape} from {good.min():.4g} to {good.max():.4g}, {spread}{missing}"
+
+
+def _model(path: Path) -> Iterator[str]:
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path.name}: not valid TOML ({error}); mend that line") from None
+    yield f"{path.name}: {len(table)} entries"
+    for name, value in table.items():
+        shown = f"table of {', '.join(value)}" if isinstance(value, dict) else repr(value)
+        yield f"  {name}: {shown}"
+    for room, (module, function) in MODELS.items():
+        try:
+            getattr(import_module(module), function)(path)
+        except InputError as error:
+            yield f"not a machine of the room {room}: {error}"
+        else:
+            yield f"a machine of the room {room}: {module}.{function}({str(path)!r})"
+            yield from _takers(path, room)
+
+
+def _command(notebook: str, settings: dict) -> str:
+    """The line for a shell, with every name as one word of it."""
+    words = ["python", "-m", "stillwork", "figures", notebook]
+    for key, value in settings.items():
+        if not str(value).isprintable():  # a terminal acts on a control code that is pasted, quoted or not
+            return f"no command for {notebook}: {value} holds what cannot be typed; rename it and ask again"
+        words += ["-p", f"{key}={value}"]
+    return f"for {notebook}: {shlex.join(words)}"
+
+
+def _takers(path: Path, room: str) -> Iterator[str]:
+    """The command for each notebook of a room with a parameter whose comment asks for the path of a TOML file."""
+    for notebook in select(room):
+        for name, comment in comments(notebook).items():
+            if re.search(r"\bpath\b.*\bTOML\b", comment):
+                yield _command(notebook.name, {name: path.resolve()})

@@ -1,0 +1,23 @@
+"""Whole samples of delay in discrete models."""
+
+import numpy as np
+
+from stillwork.base.checks import InputError, require_count
+from stillwork.lti.state_space import StateModel
+
+
+def delayed(model: StateModel, samples: float) -> StateModel:
+    """The model with every output late by a whole number of samples."""
+    samples = require_count("samples", samples, at_least=0)
+    if not model.step:
+        raise InputError("model is in continuous time; discretise it first")
+    if not samples:
+        return model
+    outputs, n = len(model.c), len(model.a)
+    size = n + samples * outputs
+    a, b = np.zeros((size, size)), np.zeros((size, model.b.shape[1]))
+    a[:n, :n], b[:n] = model.a, model.b
+    a[n : n + outputs, :n], b[n : n + outputs] = model.c, model.d
+    a[n + outputs :, n:-outputs] = np.eye((samples - 1) * outputs)
+    c = np.eye(outputs, size, k=size - outputs)
+    return StateModel(a, b, c, np.zeros_like(model.d), model.step)

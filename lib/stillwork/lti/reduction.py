@@ -1,0 +1,53 @@
+"""Model reduction by modal truncation, with the compliance of what was left out (section 2.2)."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from stillwork.base.checks import InputError, require_count, require_number
+from stillwork.lti.modal import ModalModel
+from stillwork.lti.state_space import StateModel, interconnect
+
+
+def truncate(model: ModalModel, modes: int, compensated: int = 0) -> ModalModel:
+    """Keep the first `modes` modes and add the compliance of the next `compensated` as feedthrough, (2.14).
+
+    Parameters
+    ----------
+    model : ModalModel
+    modes : int
+        Retained modes, rigid-body modes included.
+    compensated : int
+        How many of the discarded modes the compliance T_DC (2.13) covers.
+
+    Raises
+    ------
+    InputError
+        When the model has fewer modes, or a rigid-body mode would be discarded.
+    """
+    modes = require_count("modes", modes)
+    compensated = require_count("compensated", compensated, at_least=0)
+    if modes + compensated > len(model.frequencies):
+        raise InputError(
+            f"modes + compensated is {modes + compensated}; the model has {len(model.frequencies)} modes"
+        )
+    if modes < model.rigid_modes:
+        raise InputError(f"modes is {modes}; keep at least the {model.rigid_modes} rigid-body modes")
+    left_out = model.modes(slice(modes, modes + compensated))
+    return replace(model.modes(slice(0, modes)), feedthrough=model.feedthrough + left_out.compliance())
+
+
+def roll_off(model: ModalModel, cutoff_hz: float) -> StateModel:
+    """Strictly proper variant: the compliance feedthrough passes a first-order low-pass at `cutoff_hz`."""
+    w = 2 * np.pi * require_number("cutoff_hz", cutoff_hz, above=0.0)
+    outputs, inputs = model.feedthrough.shape
+    modal = replace(model, feedthrough=np.zeros((outputs, inputs))).state_space()
+    compliance = StateModel(
+        -w * np.eye(inputs), w * np.eye(inputs), model.feedthrough, np.zeros((outputs, inputs))
+    )
+    return interconnect(
+        [modal, compliance],
+        np.zeros((2 * inputs, 2 * outputs)),
+        np.vstack([np.eye(inputs)] * 2),
+        np.hstack([np.eye(outputs)] * 2),
+    )

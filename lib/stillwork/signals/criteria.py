@@ -1,0 +1,156 @@
+"""Published limits and levels of floor vibration: VC and ISO curves, noise models of the earth."""
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import ArrayLike
+
+from stillwork.base.checks import InputError, require_array, require_choice
+from stillwork.signals.spectra import band_power
+
+# One-third-octave band at f: from 2^(-1/6) f to 2^(1/6) f.
+BAND_EDGE = 2.0 ** (1 / 6)
+BAND_WIDTH = BAND_EDGE - 1 / BAND_EDGE
+
+# Root-mean-square velocity per one-third-octave band, m/s: Amick, Gendreau, Busch and Gordon, "Evolving criteria
+# for research facilities: vibration", SPIE 5933 (2005), and IEST-RP-CC012; H to M continue by halves.
+_LEVELS = {
+    **dict(
+        zip(
+            (f"VC-{letter}" for letter in "ABCDEFGHIJKLM"),
+            np.array([50, 25, 12.5, 6.25, 3.12, 1.56, 0.78, 0.39, 0.195, 0.097, 0.048, 0.024, 0.012]) * 1e-6,
+            strict=True,
+        )
+    ),
+    "ISO workshop": 800e-6,  # ISO 2631-2 guide levels
+    "ISO office": 400e-6,
+    "ISO residence": 200e-6,
+    "ISO operating theatre": 100e-6,
+}
+# Ungar and Gordon's names of 1983 for the first five.
+_LEVELS.update({f"BBN-{letter}": _LEVELS[f"VC-{letter}"] for letter in "ABCDE"})
+CRITERIA = tuple(_LEVELS)
+
+# Peterson, USGS open-file report 93-322 (1993): from period P_i on, A_i + B_i log10(P) dB re 1 (m/s^2)^2/Hz.
+_NOISE_MODELS = {  # rows: P_i, A_i, B_i
+    "NLNM": """
+        0.1 0.17 0.4 0.8 1.24 2.4 4.3 5 6 10 12 15.6 21.9 31.6 45 70 101 154 328 600 10000
+        -162.36 -166.7 -170 -166.4 -168.6 -159.98 -141.1 -71.36 -97.26 -132.18 -205.27 -37.65 -114.37 -160.58 -187.5 -216.47 -185 -168.34 -217.43 -258.28 -346.88
+        5.64 0 -8.3 28.9 52.48 29.81 0 -99.77 -66.49 -31.57 36.16 -104.33 -47.1 -16.28 0 15.7 0 -7.61 11.9 26.6 48.75
+    """,
+    "NHNM": """
+        0.1 0.22 0.32 0.8 3.8 4.6 6.3 7.9 15.4 20 354.8
+        -108.73 -150.34 -122.31 -116.85 -108.48 -74.66 0.66 -93.37 73.54 -151.52 -206.66
+        -17.23 -80.5 -23.87 32.51 18.08 -32.95 -127.18 -22.42 -162.98 10.01 31.63
+    """,
+}
+NOISE_MODELS = tuple(_NOISE_MODELS)
+
+
+def one_third_octave_velocity(
+    frequencies_hz: ArrayLike, acceleration_density: ArrayLike
+) -> tuple[Float64[np.ndarray, " bands"], Float64[np.ndarray, " bands"]]:
+    """Root-mean-square velocity in the one-third-octave bands that the grid covers, from an acceleration PSD.
+
+    Parameters
+    ----------
+    frequencies_hz : array_like, shape (frequencies,)
+        Rising.
+    acceleration_density : array_like, shape (frequencies,)
+        (m/s^2)^2/Hz.
+
+    Returns
+    -------
+    centres_hz, velocity : ndarray, shape (bands,)
+        Centres 2^(k/3) Hz of the whole bands inside the grid that hold at least three of its points;
+        rms velocity in m/s.
+    """
+    f = require_array("frequencies_hz", frequencies_hz, ndim=1)
+    s = require_array("acceleration_density", acceleration_density, shape=f.shape)
+    f, s = f[f > 0], s[f > 0]
+    velocity_density = s / (2 * np.pi * f) ** 2
+    first = np.ceil(3 * np.log2(f[0] * BAND_EDGE) - 1e-9)
+    last = np.floor(3 * np.log2(f[-1] / BAND_EDGE) + 1e-9)
+    bands = [
+        (centre, band_power(f, velocity_density, max(low, f[0]), min(high, f[-1])))
+        for centre in 2.0 ** (np.arange(first, last + 1) / 3)
+        for low, high in [(centre / BAND_EDGE, centre * BAND_EDGE)]
+        if np.count_nonzero((f >= low) & (f <= high)) >= 3
+    ]
+    if not bands:
+        raise InputError("frequencies_hz covers no one-third-octave band; give a wider or finer grid")
+    centres, powers = np.array(bands).T
+    return centres, np.sqrt(powers)
+
+
+def criterion_velocity(name: str, frequencies_hz: ArrayLike) -> Float64[np.ndarray, " frequencies"]:
+    """Limit of a vibration criterion: rms velocity in m/s per one-third-octave band.
+
+    Parameters
+    ----------
+    name : str
+        ``VC-A`` to ``VC-M``, ``BBN-A`` to ``BBN-E`` (the earlier names of VC-A to VC-E) or an ISO level, e.g.
+        ``ISO office``.
+    frequencies_hz : array_like, shape (frequencies,)
+        Hz. Flat from 8 Hz (VC-C and finer: 1 Hz) to 80 Hz and continued so beyond both ends, except that
+        VC-A, VC-B and the ISO levels rise below 8 Hz with constant acceleration; they are defined from 4 Hz.
+
+    Raises
+    ------
+    InputError
+        When the name is unknown; the nearest is named.
+    """
+    require_choice("name", name, CRITERIA)
+    f = require_array("frequencies_hz", frequencies_hz, ndim=1)
+    level = np.full(f.shape, _LEVELS[name])
+    if _LEVELS[name] >= _LEVELS["VC-B"]:
+        level *= np.maximum(1.0, 8.0 / np.where(f > 0, f, np.inf))
+    return level
+
+
+def criterion_density(name: str, frequencies_hz: ArrayLike) -> Float64[np.ndarray, " frequencies"]:
+    """Acceleration PSD in (m/s^2)^2/Hz that just meets a vibration criterion in every band.
+
+    The band at f is 0.2316 f wide: S_a = (2 pi f)^2 v^2 / (0.2316 f). See `criterion_velocity`.
+    """
+    f = require_array("frequencies_hz", frequencies_hz, ndim=1)
+    return (2 * np.pi * criterion_velocity(name, f)) ** 2 * f / BAND_WIDTH
+
+
+def criterion_met(centres_hz: ArrayLike, velocity: ArrayLike) -> str:
+    """Finest of VC-A to VC-M that one-third-octave velocities meet in every band from 8 to 80 Hz, or ``none``."""
+    f = require_array("centres_hz", centres_hz, ndim=1)
+    v = require_array("velocity", velocity, shape=f.shape)
+    judged = (f > 7.9) & (f < 81)
+    if not judged.any():
+        raise InputError("centres_hz holds no band from 8 to 80 Hz; the criteria cannot be judged")
+    for name in reversed([name for name in CRITERIA if name.startswith("VC")]):
+        if np.all(v[judged] <= criterion_velocity(name, f[judged])):
+            return name
+    return "none"
+
+
+def ground_noise_model(name: str, frequencies_hz: ArrayLike) -> Float64[np.ndarray, " frequencies"]:
+    """Peterson's (1993) low or high noise model of the quiet and noisy earth, (m/s^2)^2/Hz.
+
+    Parameters
+    ----------
+    name : str
+        ``NLNM`` or ``NHNM``.
+    frequencies_hz : array_like, shape (frequencies,)
+        1e-5 to 10 Hz.
+
+    Raises
+    ------
+    InputError
+        When the name is unknown or a frequency lies outside the model.
+    """
+    require_choice("name", name, NOISE_MODELS)
+    f = require_array("frequencies_hz", frequencies_hz, ndim=1)
+    if np.any((f < 1e-5) | (f > 10)):
+        raise InputError("frequencies_hz leaves 1e-5 to 10 Hz, where the model is defined; cut it there")
+    start, constant, slope = (
+        np.array(row.split(), dtype=float) for row in _NOISE_MODELS[name].strip().splitlines()
+    )
+    period = 1 / f
+    segment = np.clip(np.searchsorted(start, period, side="right") - 1, 0, None)
+    return 10 ** ((constant[segment] + slope[segment] * np.log10(period)) / 10)

@@ -1,0 +1,155 @@
+"""Named arrays of numbers out of CSV, MAT, NPZ and universal files; reading one executes nothing."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from stillwork.base.checks import InputError
+from stillwork.signals.matfiles import read_mat
+from stillwork.signals.universal import read_universal
+
+
+def read_arrays(path: Path) -> dict[str, np.ndarray]:
+    """Every array of numbers of a file by name, real or complex, in the shape in which it is stored.
+
+    Of a CSV file each column is an array; of a universal file (UFF, UNV) each measured function, see
+    `stillwork.signals.universal`.
+
+    Raises
+    ------
+    InputError
+        When there is no such file or it cannot be read as what its name says.
+    """
+    readers = {
+        ".csv": _csv,
+        ".txt": _csv,
+        ".tsv": _csv,
+        ".mat": read_mat,
+        ".npz": _npz,
+        ".uff": read_universal,
+        ".unv": read_universal,
+    }
+    if path.suffix.lower() not in readers:
+        raise InputError(
+            f"{path.name}: files of type {path.suffix or '(none)'!r} are not read; "
+            "export CSV, MAT (version 7), NPZ or UFF"
+        )
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; give the path of a CSV, MAT, NPZ or UFF file")
+    arrays = readers[path.suffix.lower()](path)
+    return {name: array for name, array in arrays.items() if array.dtype.kind in "fiuc"}
+
+
+def read_columns(path: Path) -> dict[str, np.ndarray]:
+    """Every real array of a file by name, each one-dimensional; a matrix gives one a channel.
+
+    Raises
+    ------
+    InputError
+        As `read_arrays`, and for an array with more than two axes.
+    """
+    columns: dict[str, np.ndarray] = {}
+    for name, array in read_arrays(path).items():
+        if array.dtype.kind != "c":  # no measurement over time
+            _add(columns, name, array)
+    return columns
+
+
+def _csv(path: Path) -> dict[str, np.ndarray]:
+    import pandas as pd
+
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        lines = (line.strip() for line in file)
+        head = [line for line in lines if line and not line.startswith("#")]
+    if not head:
+        raise InputError(f"{path.name} is empty; give a line of names and rows of numbers")
+    body = head[min(1, len(head) - 1)]
+    separator = next((mark for mark in ("\t", ";", ",") if mark in body), r"\s+")
+    decimal = "," if separator == ";" and "," in body and "." not in body else "."
+    first = [field for field in head[0].split(separator if separator != r"\s+" else None) if field.strip()]
+    named = not all(_is_number(field.replace(decimal, ".")) for field in first)
+    if named and len(head) > 1:
+        names = len(_fields(head[0], separator))
+        widths = [len(_without_empty_end(_fields(line.split("#")[0], separator))) for line in head[1:]]
+        if min(widths) > names:  # pandas would warn, and drop the columns without a name
+            raise InputError(
+                f"{path.name} names {names} columns and holds {max(widths)}; give every column a name, or none"
+            )
+        if max(widths) > names:
+            row = next(number for number, width in enumerate(widths, 1) if width > names)
+            raise InputError(
+                f"{path.name} is not a table: row {row} holds {widths[row - 1]} values for {names} columns; mend it"
+            )
+    try:
+        table = pd.read_csv(
+            path,
+            sep=separator,
+            decimal=decimal,
+            comment="#",
+            header=0 if named else None,
+            index_col=False,
+            skipinitialspace=True,
+            encoding="utf-8-sig",
+        )
+    except (pd.errors.ParserError, UnicodeDecodeError) as error:
+        raise InputError(f"{path.name} is not a table ({error}); give rows of equally many numbers") from None
+    # A separator at the end of every row makes one more, empty column.
+    table = table[
+        [n for n in table if not (table[n].isna().all() and (not named or n.startswith("Unnamed")))]
+    ]
+    columns = {}
+    for number, (name, column) in enumerate(table.items(), 1):
+        numbers = pd.to_numeric(column, errors="coerce").to_numpy(dtype=float)
+        text = column[np.isnan(numbers) & column.notna().to_numpy()]
+        if len(text):
+            raise InputError(
+                f"{path.name}, column {name}: {text.iloc[0]!r} in row {text.index[0] + 1} is not a number; mend it"
+            )
+        columns[str(name).strip() if named else f"column {number}"] = numbers
+    return columns
+
+
+def _fields(line: str, separator: str) -> list[str]:
+    return line.split() if separator == r"\s+" else next(csv.reader([line], delimiter=separator), [])
+
+
+def _without_empty_end(fields: list[str]) -> list[str]:
+    """A separator at the end of a row makes no column."""
+    while fields and not fields[-1].strip():
+        fields = fields[:-1]
+    return fields
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _npz(path: Path) -> dict[str, np.ndarray]:
+    columns = {}
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            for name in file.files:
+                columns[name] = file[name]
+    except Exception as error:  # a damaged archive raises from zipfile, zlib or numpy
+        raise InputError(
+            f"{path.name} cannot be read ({error}); save plain numeric arrays with numpy.savez"
+        ) from None
+    return columns
+
+
+def _add(columns: dict, name: str, array: np.ndarray) -> None:
+    """Add an array as one or several channels."""
+    rows = np.atleast_1d(np.squeeze(array)).astype(float)
+    if rows.ndim > 2:
+        raise InputError(f"array {name!r} has shape {array.shape}; give channels by samples")
+    if rows.ndim == 1:
+        columns[name] = rows
+        return
+    if rows.shape[0] > rows.shape[1]:  # samples outnumber channels
+        rows = rows.T
+    columns.update({f"{name} {number}": row for number, row in enumerate(rows, 1)})

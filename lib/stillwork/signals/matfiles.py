@@ -1,0 +1,117 @@
+"""Arrays of MAT files, read by a process of its own: scipy may crash on a damaged file, or ask for any memory."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from stillwork.base.checks import InputError
+
+# A record of an hour at 10 kHz on ten channels takes 3 GB and ten seconds.
+MOST_BYTES = 4 * 2**30
+MOST_SECONDS = 60
+_REFUSED = 2  # exit code of the process that says on stderr why
+
+
+def read_mat(path: Path) -> dict[str, np.ndarray]:
+    """Every array of numbers of a MAT file up to version 7 by name; members of a structure as ``name.member``.
+
+    The file is read in a process of its own, with limits on time and, where the system has them, on memory:
+    whatever a damaged file does to the reader, it does not do to the caller.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read within the limits.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        result = Path(folder) / "arrays.npz"
+        command = [sys.executable, "-P", "-W", "ignore", "-m", __name__, str(path), str(result)]
+        # The process finds the packages where the caller did; the threads of a BLAS would reserve memory of their own.
+        own = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "PYTHONUTF8": "1"}
+        own |= {"OPENBLAS_NUM_THREADS": "1"}
+        try:
+            done = subprocess.run(
+                command,
+                env=os.environ | own,
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                timeout=MOST_SECONDS,
+            )
+        except subprocess.TimeoutExpired:
+            raise _refusal(path, f"it takes more than {MOST_SECONDS} s") from None
+        said = done.stderr.decode(errors="replace").strip()
+        if done.returncode == _REFUSED:
+            raise InputError(said)
+        if done.returncode < 0:
+            raise _refusal(path, f"its reader ended by {signal.Signals(-done.returncode).name}")
+        if done.returncode:
+            raise _refusal(path, said.rpartition("\n")[2] or f"its reader ended with code {done.returncode}")
+        with np.load(result, allow_pickle=False) as file:
+            names = json.loads(file["names"].tobytes())
+            return {name: file[f"arr_{number}"] for number, name in enumerate(names)}
+
+
+def _refusal(path: Path, why: str) -> InputError:
+    return InputError(f"{path.name} cannot be read ({why}); save it with -v7, or export CSV or NPZ")
+
+
+def _main(path: Path, result: Path) -> int:
+    """What the process does: the arrays into an NPZ file, or the reason why not."""
+    _limit()
+    try:
+        arrays = _arrays(path)
+    except InputError as error:
+        print(error, file=sys.stderr)
+        return _REFUSED
+    names = np.frombuffer(json.dumps(list(arrays)).encode(), dtype=np.uint8)
+    np.savez(result, *arrays.values(), names=names)
+    return 0
+
+
+def _limit() -> None:
+    try:
+        import resource
+    except ImportError:  # Windows has none
+        return
+    for limit, most in (
+        (resource.RLIMIT_AS, MOST_BYTES),
+        (resource.RLIMIT_CPU, MOST_SECONDS),
+        (resource.RLIMIT_CORE, 0),  # a crash leaves no file behind
+    ):
+        soft, hard = resource.getrlimit(limit)
+        if soft == resource.RLIM_INFINITY or soft > most:
+            with contextlib.suppress(ValueError, OSError):  # macOS refuses a limit on memory
+                resource.setrlimit(limit, (most, hard))
+
+
+def _arrays(path: Path) -> dict[str, np.ndarray]:
+    from scipy.io import loadmat
+
+    try:
+        tree = loadmat(path, simplify_cells=True)
+    except MemoryError:
+        raise _refusal(path, f"it takes more than {MOST_BYTES >> 30} GB of memory") from None
+    except Exception as error:  # on a damaged file scipy raises whatever its parser stumbles over
+        raise _refusal(path, str(error)) from None
+    found: dict[str, np.ndarray] = {}
+
+    def walk(prefix: str, branch: dict) -> None:
+        for name, value in branch.items():
+            if isinstance(value, dict):
+                walk(f"{prefix}{name}.", value)
+            elif not name.startswith("__") and (array := np.asarray(value)).dtype.kind in "fiuc":
+                found[prefix + name] = array
+
+    walk("", tree)
+    return found
+
+
+if __name__ == "__main__":
+    sys.exit(_main(*map(Path, sys.argv[1:])))

@@ -1,0 +1,62 @@
+"""How a scan is judged: moving average, moving standard deviation and rms of the error, (1.1)-(1.3)."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import ArrayLike
+
+from stillwork.base.checks import InputError, require_array, require_number
+
+
+class Moving(NamedTuple):
+    """Moving values over windows of the exposure time; entry k belongs to the window that starts at sample k."""
+
+    average: Float64[np.ndarray, " windows"]  # MA
+    deviation: Float64[np.ndarray, " windows"]  # MSD
+    rms: Float64[np.ndarray, " windows"]
+
+
+def moving(error: ArrayLike, step: float, exposure: float) -> Moving:
+    """MA, MSD and rms of an error over every window of `exposure` seconds (sums for the integrals).
+
+    Parameters
+    ----------
+    error : array_like, shape (samples,)
+    step, exposure : float
+        Sample time and exposure time T (s); the exposure must cover at least two samples and fit the record.
+    """
+    error = require_array("error", error, ndim=1)
+    width = round(require_number("exposure", exposure, above=0.0) / require_number("step", step, above=0.0))
+    if not 2 <= width <= len(error):
+        raise InputError(
+            f"exposure covers {width} samples of {len(error)}; choose at least 2 and at most all"
+        )
+    # Cumulative sums of small numbers on a large mean lose digits: take the mean out first.
+    offset = error.mean()
+    sums = np.cumsum(np.append(0.0, error - offset))
+    squares = np.cumsum(np.append(0.0, (error - offset) ** 2))
+    average = (sums[width:] - sums[:-width]) / width
+    square = (squares[width:] - squares[:-width]) / width
+    deviation = np.sqrt(np.maximum(square - average**2, 0))
+    average = average + offset
+    return Moving(average, deviation, np.hypot(average, deviation))
+
+
+def rms(error: ArrayLike) -> float:
+    """Root mean square along the last axis of a single record."""
+    error = require_array("error", error, ndim=1)
+    if not len(error):
+        raise InputError("error is empty; give at least one sample")
+    return float(np.sqrt(np.mean(error**2)))
+
+
+def average_filter(omega: ArrayLike, exposure: float) -> Float64[np.ndarray, " frequencies"]:
+    """Response of the moving average, a sinc with zeros at multiples of 1/T (section 1.5.3)."""
+    omega = require_array("omega", omega, ndim=1)
+    return np.sinc(omega * require_number("exposure", exposure, above=0.0) / (2 * np.pi))
+
+
+def average_reduction(bandwidth_ratio: float, exponent: float = 2.5) -> float:
+    """Part by which MA falls when the bandwidth grows by this ratio, by the rule MA ~ f_bw^-2.5."""
+    return 1 - require_number("bandwidth_ratio", bandwidth_ratio, above=0.0) ** -exponent

@@ -1,0 +1,319 @@
+"""Measured records: read from CSV, MAT, NPZ or UFF, checked, in SI units, evenly sampled."""
+
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import ArrayLike
+from scipy import signal
+
+from stillwork.base.checks import InputError, nearest, require_array, require_count, require_number
+from stillwork.signals.datafiles import read_columns
+
+STANDARD_GRAVITY = 9.80665  # m/s^2
+MOTION_UNITS = ("m/s^2", "m/s", "m")
+_QUANTITIES = (*MOTION_UNITS, "N", "V", "A", "Pa", "rad", "rad/s", "rad/s^2")
+_PREFIXES = {"": 1.0, "m": 1e-3, "u": 1e-6, "n": 1e-9, "k": 1e3}
+# What a unit means: factor to SI, and the SI unit.
+UNITS = {
+    **{f"{p}{q}": (factor, q) for q in _QUANTITIES for p, factor in _PREFIXES.items()},
+    **{f"{p}g": (factor * STANDARD_GRAVITY, "m/s^2") for p, factor in _PREFIXES.items() if p != "k"},
+    "1": (1.0, "1"),
+}
+UNITS_SAID = f"{', '.join(_QUANTITIES)} or 1, with m, u, n or k in front, or g, mg, ug, ng"
+
+# A step of time may differ from the period by this share: printed times are often that coarse. An instant off by
+# d seconds falsifies a component at f by at most 2 pi f d of its size, 6 % at a tenth of the sample rate.
+STEP_TOLERANCE = 0.1
+DRIFT_TOLERANCE = 1.0  # periods that a slow clock may leave the even grid over the whole record
+RATE_TOLERANCE = 0.01  # a stated rate may differ so much from the time column's
+PLAUSIBLE_RATES_HZ = (10.0, 1e6)  # outside, a time column is in ms or a rate in kHz
+SHORTEST_SAMPLES = 256
+
+_TIME_NAMES = ("t", "time", "times", "zeit")
+_RATE_NAMES = (
+    "fs",
+    "fs_hz",
+    "rate",
+    "rate_hz",
+    "sample_rate",
+    "sample_rate_hz",
+    "samplerate",
+    "sampling_rate",
+)
+
+# Resampling filter: passes up to 0.8 of the lower Nyquist frequency, stops from it on, by 80 dB.
+PASS_SHARE = 0.8
+STOP_DB = 80.0
+
+
+@dataclass(frozen=True)
+class Record:
+    """Evenly sampled measured signals.
+
+    Attributes
+    ----------
+    signals : ndarray, shape (channels, samples)
+        In `unit`.
+    sample_rate : float
+        Hz.
+    unit : str
+        Of SI: ``m/s^2``, ``m/s``, ``m``, ``N``, ``V``, ``A``, ``Pa``, ``rad``, ``rad/s``, ``rad/s^2`` or ``1``.
+    names : tuple of str
+        One a channel.
+    source : str
+        File name.
+    """
+
+    signals: Float64[np.ndarray, "channels samples"]
+    sample_rate: float
+    unit: str
+    names: tuple[str, ...]
+    source: str
+
+    def __post_init__(self):
+        require_array("signals", self.signals, ndim=2)
+        low, high = PLAUSIBLE_RATES_HZ
+        if not low <= self.sample_rate <= high:
+            raise InputError(
+                f"{self.source}: a sample rate of {self.sample_rate:.4g} Hz is implausible for vibration "
+                f"({low:g} Hz to {high:g} Hz); time is wanted in s, the rate in Hz"
+            )
+        if self.signals.shape[1] < SHORTEST_SAMPLES:
+            raise InputError(
+                f"{self.source}: {self.signals.shape[1]} samples are too short; "
+                f"give at least {SHORTEST_SAMPLES}"
+            )
+        if self.unit not in (*_QUANTITIES, "1"):
+            raise InputError(f"unit is {self.unit!r}; convert to {', '.join(_QUANTITIES)} or 1")
+        if len(self.names) != len(self.signals):
+            raise InputError(
+                f"names has {len(self.names)} entries for {len(self.signals)} channels; name each"
+            )
+
+    @property
+    def duration(self) -> float:
+        """Seconds."""
+        return self.signals.shape[1] / self.sample_rate
+
+
+def load_record(
+    path: str | Path,
+    unit: str,
+    *,
+    sample_rate: float | None = None,
+    channels: list[str] | None = None,
+    most_channels: int | None = None,
+) -> Record:
+    """Read a measured record; nothing in the file is executed.
+
+    A CSV file has one column a channel, with or without a line of names, separated by comma, semicolon, tab or
+    blanks; lines that start with # are skipped. In MAT (up to version 7) and NPZ files every numeric array of
+    the common length is a channel or a set of channels. A column or array named ``t`` or ``time`` (a unit in
+    brackets may follow) is the time in s; a scalar named ``fs`` or ``sample_rate`` is the rate in Hz. Universal
+    files give their time responses, see `stillwork.signals.universal`.
+
+    Parameters
+    ----------
+    path : str or Path
+        ``.csv`` (also ``.txt``, ``.tsv``), ``.mat``, ``.npz``, ``.uff`` or ``.unv``.
+    unit : str
+        Of all channels, e.g. ``m/s^2``, ``mg``, ``mm/s``, ``um``, ``N``; see `UNITS`.
+    sample_rate : float, optional
+        Hz; needed when the file has neither a time nor a rate.
+    channels : list of str, optional
+        Names of the channels wanted, in order; a member of a MATLAB structure as ``name.member``.
+    most_channels : int, optional
+        More channels than this are refused.
+
+    Raises
+    ------
+    InputError
+        For an unknown unit or channel, NaN, a channel that never moves, gaps, uneven time, an implausible or
+        contradictory rate, too short a record or too many channels. The message says what to do.
+    """
+    path = Path(path)
+    factor, si_unit = unit_factor(unit)
+    columns = read_columns(path)
+    rate = sampling_rate(path.name, columns, sample_rate)
+    columns = {name: column for name, column in columns.items() if not is_time(name) and column.size > 1}
+    if channels is not None:
+        for name in channels:
+            if name not in columns:
+                raise InputError(
+                    f"{path.name} has no channel {name!r}{nearest(name, columns)}; it has {', '.join(columns)}"
+                )
+        columns = {name: columns[name] for name in channels}
+    if not columns:
+        raise InputError(f"{path.name} holds no channel; give numeric columns beside the time")
+    if most_channels is not None and len(columns) > require_count("most_channels", most_channels):
+        raise InputError(
+            f"{path.name} holds {len(columns)} channels ({', '.join(columns)}), at most {most_channels} can be "
+            "used; choose with channels=[...]"
+        )
+    lengths = {name: len(column) for name, column in columns.items()}
+    if len(set(lengths.values())) > 1:
+        listing = ", ".join(f"{name}: {n}" for name, n in lengths.items())
+        raise InputError(f"{path.name}: channels differ in length ({listing}); choose with channels=[...]")
+    for name, column in columns.items():
+        _require_whole(f"{path.name}, channel {name}", column, rate)
+        if np.ptp(column) == 0:
+            raise InputError(
+                f"{path.name}, channel {name} stands at {column[0]:.4g} throughout; leave it out with "
+                "channels=[...] or mend the sensor"
+            )
+    return Record(np.array(list(columns.values())) * factor, rate, si_unit, tuple(columns), path.name)
+
+
+def unit_factor(unit: str) -> tuple[float, str]:
+    """Factor to SI and the SI unit of `unit`; an unknown one raises `InputError` that names the nearest."""
+    plain = unit.strip().replace("µ", "u").replace("μ", "u").replace("²", "^2").replace("s2", "s^2")
+    if plain not in UNITS:
+        raise InputError(f"unit is {unit!r}; use {UNITS_SAID}{nearest(plain, UNITS)}")
+    return UNITS[plain]
+
+
+def resample(record: Record, sample_rate: float) -> Record:
+    """Record at another rate, with a linear-phase anti-alias filter and no delay.
+
+    Content up to 0.8 of the lower Nyquist frequency passes within 0.1 %; what would fold back, or appear as an
+    image, is 80 dB down. The rates' ratio is taken as a fraction, to 1e-6.
+
+    Raises
+    ------
+    InputError
+        When the wanted rate is implausible.
+    """
+    low, high = PLAUSIBLE_RATES_HZ
+    require_number("sample_rate", sample_rate, at_least=low, at_most=high)
+    ratio = Fraction(max(sample_rate, record.sample_rate) / min(sample_rate, record.sample_rate))
+    ratio = ratio.limit_denominator(1000)
+    if sample_rate < record.sample_rate:
+        ratio = 1 / ratio
+    if ratio == 1:
+        return replace(record, sample_rate=float(sample_rate))
+    larger = max(ratio.numerator, ratio.denominator)
+    taps, beta = signal.kaiserord(STOP_DB + 6, (1 - PASS_SHARE) / larger)
+    window = signal.firwin(taps | 1, (1 + PASS_SHARE) / 2 / larger, window=("kaiser", beta))
+    moved = signal.resample_poly(
+        record.signals, ratio.numerator, ratio.denominator, axis=1, window=window, padtype="line"
+    )
+    return replace(record, signals=moved, sample_rate=float(sample_rate))
+
+
+def to_acceleration(record: Record) -> Record:
+    """Record as acceleration in m/s^2: velocity is differentiated once, displacement twice.
+
+    Done by Fourier transform, so exact up to the Nyquist frequency; the line between the ends is taken off and
+    5 % at either end are faded in and out, because the transform closes the record to a ring.
+
+    Raises
+    ------
+    InputError
+        When the record is in another unit than those.
+    """
+    if record.unit not in MOTION_UNITS:
+        raise InputError(f"{record.source} is in {record.unit}; an acceleration needs m/s^2, m/s or m")
+    order = MOTION_UNITS.index(record.unit)
+    if order == 0:
+        return record
+    samples = record.signals.shape[1]
+    faded = signal.detrend(record.signals, axis=1) * signal.windows.tukey(samples, 0.1)
+    omega = 2 * np.pi * np.fft.rfftfreq(samples, 1 / record.sample_rate)
+    moved = np.fft.irfft(np.fft.rfft(faded, axis=1) * (1j * omega) ** order, samples, axis=1)
+    return replace(record, signals=moved, unit="m/s^2")
+
+
+def sample_rate_of(times: ArrayLike, source: str = "time") -> float:
+    """Rate in Hz of evenly spaced instants in s.
+
+    Raises
+    ------
+    InputError
+        When time stands still, runs backwards, has a gap (a step of 1.5 periods or more), or is uneven: a step
+        differs from the period by more than a tenth of it, or an instant leaves the even grid by a period.
+    """
+    t = require_array(f"{source}: time", times, ndim=1)
+    if len(t) < 2:
+        raise InputError(f"{source}: time holds {len(t)} instants; give at least 2")
+    steps = np.diff(t)
+    if np.any(steps <= 0):
+        at = int(np.argmax(steps <= 0))
+        raise InputError(
+            f"{source}: time does not rise after row {at + 1} (t = {t[at]:.6g} s); sort or cut there"
+        )
+    period = float(np.median(steps))
+    if np.any(steps >= 1.5 * period):
+        at = int(np.argmax(steps >= 1.5 * period))
+        raise InputError(
+            f"{source}: {int(np.sum(steps >= 1.5 * period))} gap(s) in time, the first of {steps[at]:.4g} s after "
+            f"t = {t[at]:.6g} s; cut the record there or fill the gap"
+        )
+    index = np.arange(len(t))
+    slope, start = np.polyfit(index, t - t[0], 1)
+    drift = np.abs(t - t[0] - (start + slope * index)) / slope
+    jitter = np.abs(steps / period - 1)
+    for share, tolerance, meaning in (
+        (jitter, STEP_TOLERANCE, "a step differs from the period by"),
+        (drift, DRIFT_TOLERANCE, "an instant is off the even grid by"),
+    ):
+        if share.max() > tolerance:
+            raise InputError(
+                f"{source}: time is uneven: {meaning} {share.max():.2g} periods at t = {t[share.argmax()]:.6g} s "
+                f"({tolerance:g} allowed); interpolate to an even grid, or give sample_rate without the time"
+            )
+    return 1 / float(slope)
+
+
+def sampling_rate(source: str, columns: dict[str, np.ndarray], stated: float | None = None) -> float:
+    """Rate in Hz that a file's columns tell, by a time or a scalar, or that is stated.
+
+    Parameters
+    ----------
+    source : str
+        Name of the file, for the messages.
+    columns : dict of str to ndarray
+        By name.
+    stated : float, optional
+        Hz; must agree with the file's own to 1 %.
+
+    Raises
+    ------
+    InputError
+        When there is none, when the two contradict each other, or when the time is not even.
+    """
+    if stated is not None:
+        require_number("sample_rate", stated, above=0.0)
+    found = stated
+    for name, column in columns.items():
+        if is_time(name) and column.size > 1:
+            found = sample_rate_of(np.ravel(column), source)
+        elif name.lower().rpartition(".")[2] in _RATE_NAMES and column.size == 1:
+            found = require_number(f"{source}: {name}", column.item(), above=0.0)
+        else:
+            continue
+        if stated is not None and abs(found - stated) > RATE_TOLERANCE * stated:
+            raise InputError(
+                f"sample_rate is {stated:g} Hz, but {name!r} of {source} says {found:.6g} Hz; leave one out or mend it"
+            )
+    if found is None:
+        raise InputError(f"{source} has no time and no rate; give sample_rate in Hz or a column named time")
+    return float(found)
+
+
+def is_time(name: str) -> bool:
+    """Whether a column of that name holds the time."""
+    words = name.lower().rpartition(".")[2].replace("(", " ").replace("[", " ").replace("_", " ").split()
+    return bool(words) and words[0] in _TIME_NAMES
+
+
+def _require_whole(source: str, column: np.ndarray, rate: float) -> None:
+    bad = ~np.isfinite(column)
+    if bad.any():
+        first = int(bad.argmax())
+        raise InputError(
+            f"{source}: {int(bad.sum())} values are missing or not finite, the first at t = {first / rate:.4g} s "
+            f"(row {first + 1}); cut the record there or repair it"
+        )

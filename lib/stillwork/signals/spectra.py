@@ -1,0 +1,199 @@
+"""Spectra of measured signals, their power, and frequency responses from them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Complex128, Float64
+from numpy.typing import ArrayLike
+from scipy import signal
+
+from stillwork.base.checks import InputError, require_array, require_number
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """One-sided power spectral densities of one or more channels.
+
+    Attributes
+    ----------
+    frequencies_hz : ndarray, shape (frequencies,)
+        Rising.
+    density : ndarray, shape (channels, frequencies)
+        Unit of the signal squared per Hz.
+    averages : int
+        Segments averaged; half-overlapping ones are not independent.
+    """
+
+    frequencies_hz: Float64[np.ndarray, " frequencies"]
+    density: Float64[np.ndarray, "channels frequencies"]
+    averages: int
+
+    @property
+    def cumulative(self) -> Float64[np.ndarray, "channels frequencies"]:
+        """Power from the lowest frequency up to and including each bin (Parseval: the last is the power)."""
+        return np.cumsum(self.density, axis=1) * (self.frequencies_hz[1] - self.frequencies_hz[0])
+
+    def power(self, low_hz: float, high_hz: float) -> Float64[np.ndarray, " channels"]:
+        """Power of each channel between two frequencies."""
+        return np.array([band_power(self.frequencies_hz, row, low_hz, high_hz) for row in self.density])
+
+
+@dataclass(frozen=True)
+class ResponseEstimate:
+    """Frequency response estimated from measured inputs and outputs (H1: noise at the outputs only).
+
+    Attributes
+    ----------
+    frequencies_hz : ndarray, shape (frequencies,)
+        Rising.
+    response : ndarray, shape (outputs, inputs, frequencies)
+        Output per input.
+    coherence : ndarray, shape (outputs, frequencies)
+        Multiple coherence: share of an output's power that all inputs together explain.
+    residual : ndarray, shape (outputs, frequencies)
+        Density that no linear filter of the inputs explains, i.e. the output noise, unbiased.
+    averages : int
+        Segments averaged.
+    """
+
+    frequencies_hz: Float64[np.ndarray, " frequencies"]
+    response: Complex128[np.ndarray, "outputs inputs frequencies"]
+    coherence: Float64[np.ndarray, "outputs frequencies"]
+    residual: Float64[np.ndarray, "outputs frequencies"]
+    averages: int
+
+
+def estimate_spectrum(signals: ArrayLike, sample_rate: float, resolution_hz: float) -> Spectrum:
+    """Welch's estimate of the power spectral density: Hann windows, half overlap, means removed.
+
+    Parameters
+    ----------
+    signals : array_like, shape (channels, samples) or (samples,)
+        Signals in any unit.
+    sample_rate : float
+        Samples per second.
+    resolution_hz : float
+        Distance of the frequencies; a segment lasts its inverse.
+
+    Raises
+    ------
+    InputError
+        When the signals hold NaN or are shorter than one segment.
+    """
+    rows, length = _segments("signals", signals, sample_rate, resolution_hz)
+    frequencies, density = signal.welch(rows, sample_rate, nperseg=length, detrend="constant")
+    return Spectrum(frequencies, density, _averages(rows.shape[1], length))
+
+
+def estimate_response(
+    inputs: ArrayLike, outputs: ArrayLike, sample_rate: float, resolution_hz: float
+) -> ResponseEstimate:
+    """Matrix of frequency responses from `inputs` to `outputs` by averaged cross spectra, H1 = S_yx S_xx^-1.
+
+    Parameters
+    ----------
+    inputs, outputs : array_like, shape (channels, samples)
+        Recorded together; the inputs must not be copies of each other.
+    sample_rate : float
+        Samples per second.
+    resolution_hz : float
+        Distance of the frequencies; a segment lasts its inverse.
+
+    Raises
+    ------
+    InputError
+        When lengths differ, or there are fewer segments than needed to tell the inputs apart.
+
+    References
+    ----------
+    Bendat and Piersol, Random Data (2010), chapters 6, 7 and 9.
+    """
+    x, length = _segments("inputs", inputs, sample_rate, resolution_hz)
+    y, _ = _segments("outputs", outputs, sample_rate, resolution_hz)
+    if x.shape[1] != y.shape[1]:
+        raise InputError(f"outputs hold {y.shape[1]} samples, inputs {x.shape[1]}; record them together")
+    averages, count = _averages(x.shape[1], length), len(x)
+    if averages <= 2 * count:
+        raise InputError(
+            f"{averages} segments cannot tell {count} inputs apart; record longer or take a coarser resolution_hz"
+        )
+    frequencies, fx = _segment_spectra(x, sample_rate, length)
+    _, fy = _segment_spectra(y, sample_rate, length)
+    sxx = np.einsum("ifs,jfs->fij", fx, fx.conj()) / averages
+    syx = np.einsum("ifs,jfs->fij", fy, fx.conj()) / averages
+    syy = np.mean(np.abs(fy) ** 2, axis=2)
+    # Scaled to ones on the diagonal, because inputs may differ in unit and level.
+    scale = np.sqrt(np.einsum("fii->fi", sxx).real)
+    if np.any(scale == 0):
+        raise InputError("inputs: a channel is silent at some frequency; leave that channel out")
+    scaled = sxx / (scale[:, :, None] * scale[:, None, :])
+    if np.any(np.linalg.cond(scaled[1:-1]) > 1e10):
+        raise InputError("inputs: two channels are copies of each other; leave one out")
+    response = np.linalg.solve(scaled.transpose(0, 2, 1), (syx / scale[:, None, :]).transpose(0, 2, 1))
+    response = response.transpose(0, 2, 1) / scale[:, None, :]
+    explained = np.einsum("fij,fij->fi", response, syx.conj()).real.T
+    # Each input takes one complex degree of freedom of the averages (Bendat and Piersol, section 9.3).
+    residual = np.maximum(syy - explained, 0.0) * averages / (averages - count)
+    return ResponseEstimate(
+        frequencies,
+        np.ascontiguousarray(response.transpose(1, 2, 0)),
+        np.clip(explained / np.where(syy > 0, syy, 1), 0.0, 1.0),
+        residual,
+        averages,
+    )
+
+
+def band_power(frequencies_hz: ArrayLike, density: ArrayLike, low_hz: float, high_hz: float) -> float:
+    """Integral of a density between two frequencies (trapezoids; the ends are interpolated).
+
+    Parameters
+    ----------
+    frequencies_hz, density : array_like, shape (frequencies,)
+        On any rising grid.
+    low_hz, high_hz : float
+        Band, inside the grid.
+
+    Raises
+    ------
+    InputError
+        When the band leaves the grid.
+    """
+    f = require_array("frequencies_hz", frequencies_hz, ndim=1)
+    s = require_array("density", density, shape=f.shape)
+    require_number("low_hz", low_hz, at_least=f[0], below=high_hz)
+    require_number("high_hz", high_hz, at_most=f[-1])
+    inside = f[(f > low_hz) & (f < high_hz)]
+    grid = np.concatenate(([low_hz], inside, [high_hz]))
+    return float(np.trapezoid(np.interp(grid, f, s), grid))
+
+
+def _segments(name: str, signals: ArrayLike, sample_rate: float, resolution_hz: float):
+    rows = np.atleast_2d(require_array(name, signals))
+    if rows.ndim != 2:
+        raise InputError(f"{name} has shape {rows.shape}; give (channels, samples)")
+    require_number("sample_rate", sample_rate, above=0.0)
+    require_number("resolution_hz", resolution_hz, above=0.0, below=sample_rate / 4)
+    length = round(sample_rate / resolution_hz)
+    if rows.shape[1] < length:
+        raise InputError(
+            f"{name} last {rows.shape[1] / sample_rate:.3g} s, a segment {length / sample_rate:.3g} s; "
+            "record longer or take a coarser resolution_hz"
+        )
+    return rows, length
+
+
+def _averages(samples: int, length: int) -> int:
+    step = length - length // 2
+    return (samples - length) // step + 1
+
+
+def _segment_spectra(rows, sample_rate: float, length: int):
+    """One-sided Fourier transform of every Hann-windowed segment, (channels, frequencies, segments)."""
+    window = signal.get_window("hann", length)
+    segments = np.lib.stride_tricks.sliding_window_view(rows, length, axis=1)[:, :: length - length // 2]
+    spectra = np.fft.rfft(window * signal.detrend(segments, type="constant"), axis=2)
+    spectra *= np.sqrt(2 / (sample_rate * np.sum(window**2)))
+    spectra[..., 0] /= np.sqrt(2)  # no other half to fold in
+    if length % 2 == 0:
+        spectra[..., -1] /= np.sqrt(2)
+    return np.fft.rfftfreq(length, 1 / sample_rate), spectra.transpose(0, 2, 1)

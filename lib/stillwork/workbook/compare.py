@@ -1,0 +1,355 @@
+"""How far a build's results lie from the committed ones: tables, pictures, claims and printed text.
+
+On another processor, or with another C library, the last bits of a number differ. What agrees within the
+tolerances here is the same result; each says where it comes from.
+"""
+
+import itertools
+import json
+import re
+from collections.abc import Collection
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from stillwork.workbook.claims import Claim, load_entries
+from stillwork.workbook.figures import read_table
+from stillwork.workbook.notebooks import cleaned
+from stillwork.workbook.tasks import Task
+
+# Of the range that a series spans. Builds under the settings of other processors (`make portable`) moved numbers
+# by up to 3e-6, apart from experiments on rounding; the rest is room for another system's libm.
+TABLE = 1e-4
+
+# A line that was thinned may have kept other points of the same curve where a value lay on the edge: then the
+# points of each must lie on the other, to what the thinning may leave out and the tolerance.
+THINNED = 1e-3
+
+# A number is printed rounded: numbers that agree may still fall on two sides of a rounding.
+PRINTED = 1.0  # units of the last printed digit
+
+# Decades: a series that a page notes as rounding itself (`Page.save`) keeps its size, not its digits.
+ROUNDING = 1.0
+
+# Of 256 levels and of all pixels. A curve that moves by the tolerance above moves by less than a pixel, which shows
+# as other shades along its edge; a word or a mark that changed turns whole strokes over.
+SHADE, PIXELS = 96, 2e-5
+
+NUMBER = re.compile(r"(?<![\w.])[-+−]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One notebook's results beside the committed ones.
+
+    Attributes
+    ----------
+    notebook : str
+        Room and name.
+    pictures : int
+        How many pictures were compared.
+    worst : float
+        Largest difference of a plotted number among those that agree, of the range that its series spans.
+    files : tuple of str
+        Names of the figures (without suffix) that do not agree, are new or are gone.
+    cells : tuple of str
+        Ids of the code cells that print something else.
+    claims : tuple of str
+        Ids of the ledger's entries whose value left the committed one by more than its drift.
+    verdicts : tuple of str
+        Those of them whose verdict is another, with both.
+    """
+
+    notebook: str
+    pictures: int
+    worst: float
+    files: tuple[str, ...]
+    cells: tuple[str, ...]
+    claims: tuple[str, ...]
+    verdicts: tuple[str, ...]
+
+    @property
+    def agrees(self) -> bool:
+        return not (self.files or self.cells or self.claims)
+
+
+def compare(task: Task) -> Comparison:
+    """Hold what was built of a notebook against what is committed of it."""
+    names = {file.stem for folder in (task.target, task.committed) for file in folder.glob("*.png")}
+    names |= {file.stem for folder in (task.target, task.committed) for file in folder.glob("*.csv")}
+    off = {name: difference(task.target / name, task.committed / name) for name in sorted(names)}
+    apart = tuple(name for name, each in off.items() if each is None)
+    moved, verdicts = _claims(task)
+    return Comparison(
+        task.notebook.name,
+        len(names),
+        max((each for each in off.values() if each is not None), default=0.0),
+        apart,
+        tuple(_cells(task)),
+        moved,
+        verdicts,
+    )
+
+
+def summary(found: list[Comparison]) -> list[str]:
+    """What a person is told at the end of a build."""
+    lines = []
+    for each in found:
+        what = [f"figure {name}" for name in each.files] + [f"cell {name}" for name in each.cells]
+        what += [f"claim {name}" for name in each.claims]
+        if what:
+            shown = ", ".join(what[:4]) + (f" and {len(what) - 4} more" if len(what) > 4 else "")
+            lines.append(f"moved: {each.notebook}: {shown}")
+        lines += [f"verdict moved: {line}" for line in each.verdicts]
+    agree = sum(each.pictures - len(each.files) for each in found)
+    pictures = sum(each.pictures for each in found)
+    worst = max((each.worst for each in found), default=0.0)
+    which = f"{agree} pictures agree" if agree == pictures else f"{agree} of {pictures} pictures agree"
+    verdicts = sum(len(each.verdicts) for each in found)
+    lines.append(
+        f"{which} with the committed ones (worst {worst:.0e} of the range), {verdicts} verdicts moved; "
+        "pictures and tables: build/figures/"
+    )
+    return lines
+
+
+def difference(now: Path, before: Path) -> float | None:
+    """Largest difference between two figures, given without suffix; None when they are not the same figure."""
+    tables = [_bytes(each.with_name(each.name + ".csv")) for each in (now, before)]
+    pictures = [_bytes(each.with_name(each.name + ".png")) for each in (now, before)]
+    if None in pictures or (tables[0] is None) != (tables[1] is None):
+        return None
+    noted = _noted(before)
+    if noted != _noted(now):
+        return None
+    if pictures[0] != pictures[1] and not noted and not same_picture(*pictures):
+        return None
+    if tables[0] == tables[1]:
+        return 0.0
+    return table_difference(*(each.with_name(each.name + ".csv") for each in (now, before)), set(noted))
+
+
+def table_difference(now: Path, before: Path, rounding: Collection[str] = ()) -> float | None:
+    """Largest difference of the numbers in two tables, as a part of the range of their series; None when too large.
+
+    Parameters
+    ----------
+    now, before : Path
+    rounding : collection of str
+        Series whose numbers are rounding itself: their sizes are compared, and do not count as a difference.
+    """
+    built, committed = read_table(now), read_table(before)
+    if list(built) != list(committed):
+        return None
+    worst = 0.0
+    for key, values in committed.items():
+        if key[1] in rounding:
+            if not same_size(built[key], values):
+                return None
+            continue
+        if built[key].shape == values.shape:
+            off = max(distance(built[key][:, column], values[:, column]) for column in range(3))
+            if off <= TABLE:
+                worst = max(worst, off)
+                continue
+        flat = np.isnan(values[:, 2]).all() and np.isnan(built[key][:, 2]).all()
+        if not flat or not (off := apart(built[key], values)) <= THINNED:
+            return None
+        worst = max(worst, off)
+    return worst
+
+
+def same_size(now: np.ndarray, before: np.ndarray) -> bool:
+    """Whether two series of rounding are of one size: their medians and largest numbers, in decades.
+
+    A residual that is exactly zero has no decade: it agrees with any that is a few rounding units.
+    """
+    sizes = []
+    for each in (now, before):
+        size = np.abs(each[:, 1][np.isfinite(each[:, 1])])
+        sizes.append(np.array([np.median(size), size.max()]) if len(size) else np.zeros(2))
+    low, high = np.minimum(*sizes), np.maximum(*sizes)
+    small = (low == 0) & (high <= 1e3 * np.finfo(float).eps)
+    return bool(np.all(small | (high <= 10**ROUNDING * low)))
+
+
+def same_picture(now: bytes, before: bytes) -> bool:
+    """Whether two PNG pictures differ in no more than the shades along their lines."""
+    import io
+
+    from matplotlib.image import imread
+
+    shades = [np.atleast_3d(imread(io.BytesIO(each)))[..., :3] for each in (now, before)]
+    if shades[0].shape != shades[1].shape:
+        return False
+    off = np.abs(shades[0] - shades[1]).max(axis=2) > SHADE / 255
+    return float(off.mean()) <= PIXELS
+
+
+def same_text(now: str, before: str) -> bool:
+    """Whether two printed texts differ in nothing but the last digit of a number that is not whole.
+
+    Widths of columns do not count: they follow from the numbers.
+    """
+    if now == before:
+        return True
+    words = [[_plain(word) for word in NUMBER.split(text)] for text in (now, before)]
+    numbers = [NUMBER.findall(text) for text in (now, before)]
+    return words[0] == words[1] and all(itertools.starmap(_same_number, zip(*numbers, strict=True)))
+
+
+def _same_number(now: str, before: str) -> bool:
+    if now == before:
+        return True
+    if not any(mark in now + before for mark in ".eE"):
+        return False
+    unit = max(_last_digit(now), _last_digit(before))
+    values = [float(each.replace("−", "-")) for each in (now, before)]
+    return abs(values[0] - values[1]) <= PRINTED * unit * (1 + 1e-9)
+
+
+def _last_digit(number: str) -> float:
+    """What one unit of the last digit stands for."""
+    mantissa, _, exponent = number.lower().partition("e")
+    return 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2]))
+
+
+def _plain(text: str) -> str:
+    return re.sub(r"[ \t]+", " ", re.sub(r"-{3,}", "---", text)).replace(" \n", "\n").strip(" ")
+
+
+def distance(now: np.ndarray, before: np.ndarray) -> float:
+    """Largest difference, as a part of the range that the committed numbers span.
+
+    Positive numbers that span more than a decade are drawn on a logarithmic axis and compared on one.
+    """
+    known = np.isfinite(before)
+    if not np.array_equal(known, np.isfinite(now)):
+        return np.inf
+    if not known.any():
+        return 0.0
+    now, before = now[known], before[known]
+    if before.min() > 0 and before.max() > 10 * before.min():
+        if now.min() <= 0:
+            return np.inf
+        now, before = np.log(now), np.log(before)
+    span = np.ptp(before) or np.abs(before).max() or 1.0
+    return float(np.abs(now - before).max() / span)
+
+
+def apart(now: np.ndarray, before: np.ndarray) -> float:
+    """Largest distance of a point of either line from the other line, as a part of the committed one's range.
+
+    A table does not say whether an axis was logarithmic; the scale in which the lines are closest counts.
+    """
+    found = []
+    for scales in itertools.product((np.array, np.log), repeat=2):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            first, second = (np.c_[scales[0](line[:, 0]), scales[1](line[:, 1])] for line in (now, before))
+        # On a scale on which a point has no place (the logarithm of zero) nothing can be said.
+        if all(
+            np.isfinite(each).sum() == np.isfinite(raw[:, :2]).sum()
+            for each, raw in ((first, now), (second, before))
+        ):
+            span = np.nanmax(second, axis=0) - np.nanmin(second, axis=0)
+            first, second = first / np.where(span > 0, span, 1.0), second / np.where(span > 0, span, 1.0)
+            found.append(max(_off(first, second), _off(second, first)))
+    return min(found, default=np.inf)
+
+
+def _off(points: np.ndarray, line: np.ndarray) -> float:
+    """Largest distance of the finite points from the line."""
+    points = points[np.isfinite(points).all(axis=1)]
+    start, step = line[:-1], np.diff(line, axis=0)
+    there = np.isfinite(step).all(axis=1)
+    start, step = start[there], step[there]
+    if not len(points) or not len(start):
+        return 0.0 if len(points) == len(start) else np.inf
+    length = np.maximum((step**2).sum(axis=1), 1e-300)
+    worst = 0.0
+    for point in points:
+        share = np.clip(((point - start) * step).sum(axis=1) / length, 0, 1)
+        worst = max(worst, np.hypot(*(start + share[:, None] * step - point).T).min())
+    return worst
+
+
+def _noted(figure: Path) -> dict[str, str]:
+    """Series of a figure (given without suffix) that its page notes as rounding, with the reasons."""
+    file = figure.with_name("rounding.json")
+    return json.loads(file.read_text(encoding="utf-8")).get(figure.name, {}) if file.is_file() else {}
+
+
+def _cells(task: Task) -> list[str]:
+    """Ids of the code cells whose printed text is not the committed one."""
+    notebook = json.loads(task.notebook.source)
+    executed = cleaned(notebook, json.loads(task.executed.read_text(encoding="utf-8")))
+    found = []
+    for before, now in zip(notebook["cells"], executed["cells"], strict=True):
+        if before["cell_type"] == "code" and not same_outputs(now["outputs"], before["outputs"]):
+            found.append(before["id"])
+    return found
+
+
+def same_outputs(now: list[dict], before: list[dict]) -> bool:
+    """Whether two lists of a cell's text outputs are of one kind and print the same."""
+    if len(now) != len(before):
+        return False
+    return all(
+        a["output_type"] == b["output_type"] and same_text(printed(a), printed(b))
+        for a, b in zip(now, before, strict=True)
+    )
+
+
+def printed(output: dict) -> str:
+    """The text of an output."""
+    text = output.get("text") if output["output_type"] == "stream" else output["data"].get("text/plain", "")
+    return "".join(text or "")
+
+
+def _claims(task: Task) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Entries whose value moved, and those whose verdict did."""
+    now, before = (_found(folder / "claims.json") for folder in (task.target, task.committed))
+    entries = _entries(task.notebook.room, (task.committed.parents[2] / "data").as_posix())
+    moved, verdicts = [], []
+    for name in sorted(set(now) | set(before)):
+        if name not in now or name not in before or name not in entries:
+            moved.append(name)
+            continue
+        claims = [
+            Claim(entries[name], each["ours"], tuple(each["interval"]) if "interval" in each else None)
+            for each in (now[name], before[name])
+        ]
+        if claims[0].verdict != claims[1].verdict:
+            verdicts.append(f"{name}: {claims[1].verdict} -> {claims[0].verdict}")
+        if claims[0].verdict != claims[1].verdict or not same_value(*claims):
+            moved.append(name)
+    return tuple(moved), tuple(verdicts)
+
+
+def same_value(now: Claim, before: Claim) -> bool:
+    """Whether value and interval lie within the entry's drift; of an interval, drift of its larger end."""
+    entry = before.entry
+    if entry.kind == "exact":  # an identity: its residual is rounding, judged by its tolerance
+        return True
+    if bool(now.interval) != bool(before.interval):
+        return False
+    wide = max(map(abs, before.interval or (0.0,)))
+    for a, b in zip((now.ours, *(now.interval or ())), (before.ours, *(before.interval or ())), strict=True):
+        if abs(a - b) > 1e-12 + entry.drift.width(max(abs(b), wide)):
+            return False
+    return True
+
+
+@cache
+def _entries(room: str, _data: str) -> dict:
+    return load_entries(room)
+
+
+def _found(file: Path) -> dict:
+    return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+
+
+def _bytes(file: Path) -> bytes | None:
+    return file.read_bytes() if file.is_file() else None

@@ -1,0 +1,270 @@
+"""A Jupyter kernel for one notebook, and the warmed process that such kernels are forked from.
+
+Run as a file with ``python -P``, it imports nothing of the package before it watches: what a notebook reads, the
+library's own modules first of all, is written down as it is opened, with a digest of what was there.
+
+``kernel_process.py kernel LOG -f CONNECTION_FILE`` becomes a kernel. ``kernel_process.py warm SOCKET`` imports what
+is slow to import and nothing of the workbook, then forks a kernel for each line of JSON that comes in by the
+inherited socket, and tells how each one ended.
+"""
+
+import contextlib
+import hashlib
+import importlib
+import json
+import os
+import select
+import signal
+import socket
+import stat
+import sys
+from importlib.machinery import SourceFileLoader
+
+# Where the notebooks spend their imports.
+SLOW = (
+    "numpy",
+    "scipy.interpolate",
+    "scipy.linalg",
+    "scipy.optimize",
+    "scipy.signal",
+    "scipy.stats",
+    "matplotlib.backends.backend_agg",
+    "matplotlib.figure",
+    "numba",
+    "control",
+    "pandas",
+    "ipywidgets",
+    "ipykernel.kernelapp",
+)
+
+
+def installed(log: str) -> tuple[str, ...]:
+    """What Python, its packages and the system hold, and what a build writes: no notebook's inputs."""
+    home = os.path.expanduser("~")
+    places = {sys.prefix, sys.base_prefix, sys.exec_prefix, os.path.dirname(log)}
+    places |= {os.path.realpath(each) for each in places}
+    places |= {"/dev", "/etc", "/lib", "/lib64", "/proc", "/run", "/sys", "/usr"}
+    places |= {os.path.join(home, each) for each in (".cache", ".config", ".ipython", ".jupyter", ".local")}
+    places |= {each for each in sys.path if "site-packages" in each or "dist-packages" in each}
+    root = os.environ["STILLWORK_ROOT"]
+    places |= {os.path.join(root, each) for each in (".git", "build")}
+    return tuple(each.rstrip("/") + "/" for each in places)
+
+
+def watch(log: str, left_out: tuple[str, ...]) -> None:
+    """Append to `log`, from now on, a line of JSON for each file that is read and each folder that is listed.
+
+    The pins of the environment speak for what is left out. A log that cannot be written is removed: without one
+    the results are not taken.
+    """
+    out = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+    root = os.environ["STILLWORK_ROOT"]
+    data = os.path.join(root, "data")
+    seen: dict[str, tuple] = {}
+    state = {"busy": False}
+
+    def note(path: str, digest: str) -> None:
+        line = (json.dumps({"path": path, "digest": digest}) + "\n").encode()
+        try:
+            noted = os.write(out, line) == len(line)
+        except OSError:  # a full disk
+            noted = False
+        if not noted:
+            os.unlink(log)
+
+    def hook(event: str, arguments: tuple) -> None:
+        if state["busy"] or event not in ("open", "os.listdir", "os.scandir"):
+            return
+        path = arguments[0]
+        if not isinstance(path, str | bytes | os.PathLike):
+            return
+        state["busy"] = True
+        try:
+            path = os.path.abspath(os.fsdecode(path))
+            if event == "open":
+                mode, flags = arguments[1], arguments[2]
+                writes = (
+                    set("wax+") & set(mode) if isinstance(mode, str) else flags & (os.O_WRONLY | os.O_RDWR)
+                )
+                if writes:
+                    return
+                if path.startswith(left_out):
+                    return
+                now = os.stat(path)
+                stamp = (now.st_ino, now.st_size, now.st_mtime_ns, now.st_ctime_ns)
+                if seen.get(path) == stamp or not stat.S_ISREG(now.st_mode):
+                    return
+                seen[path] = stamp
+                with open(path, "rb") as file:
+                    note(path, hashlib.file_digest(file, "sha256").hexdigest())
+            elif f"{path}/" not in seen and (path == data or path.startswith(data + "/")):
+                seen[f"{path}/"] = ()
+                names = "\n".join(sorted(os.listdir(path)))
+                note(f"{path}/", hashlib.sha256(names.encode()).hexdigest())
+        except (OSError, ValueError):  # what is not there was not read
+            return
+        finally:
+            state["busy"] = False
+
+    sys.addaudithook(hook)
+
+
+def compile_sources(left_out: tuple[str, ...]) -> None:
+    """Import the workbook's modules from their sources only.
+
+    Python takes kept bytecode for a source's when both have one size and one second of change, so an edit right
+    after an import would run as it was before.
+    """
+    usual = SourceFileLoader.get_code
+
+    def get_code(self, name):
+        path = os.path.abspath(self.get_filename(name))
+        if path.startswith(left_out):
+            return usual(self, name)
+        return self.source_to_code(self.get_data(path), path)
+
+    SourceFileLoader.get_code = get_code
+
+
+def kernel(log: str, *options: str) -> None:
+    """Serve a notebook until it says that it is done."""
+    left_out = installed(log)
+    watch(log, left_out)
+    compile_sources(left_out)
+    sys.argv = ["ipykernel_launcher", *options]
+    from ipykernel import kernelapp
+
+    kernelapp.launch_new_instance()
+
+
+def warm(descriptor: int) -> None:
+    """Fork kernels on demand until the other end of the socket closes; then end them all."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # it ends without a word, the driver tells
+    for name in SLOW:
+        importlib.import_module(name)
+    _first_use()
+    import gc
+
+    gc.collect()
+    gc.freeze()  # what is here is shared by all: let no collection touch it
+    driver = socket.socket(fileno=descriptor)
+    woken, wake = os.pipe()
+    for end in (woken, wake):
+        os.set_blocking(end, False)
+    signal.signal(signal.SIGCHLD, lambda *_: None)
+    signal.set_wakeup_fd(wake, warn_on_full_buffer=False)
+    running: set[int] = set()
+    with contextlib.suppress(ConnectionError):  # a driver that was killed
+        _serve(driver, woken, wake, running)
+    for pid in running:
+        try:
+            os.killpg(pid, signal.SIGKILL)
+        except OSError:
+            continue
+
+
+def _serve(driver: socket.socket, woken: int, wake: int, running: set[int]) -> None:
+    """Fork and tell until the driver closes its end; `running` are the kernels that have not ended."""
+    pending = b""
+    while True:
+        ready, _, _ = select.select([driver, woken], [], [])
+        if woken in ready:
+            os.read(woken, 4096)
+        if driver in ready:
+            received = driver.recv(65536)
+            if not received:
+                break
+            *lines, pending = (pending + received).split(b"\n")
+            for line in lines:
+                wanted = json.loads(line)
+                if pid := os.fork():
+                    _lead(pid)
+                    running.add(pid)
+                    driver.sendall(json.dumps({"asked": wanted["asked"], "pid": pid}).encode() + b"\n")
+                else:
+                    _become_kernel(wanted, (driver, woken, wake))
+        for pid in list(running):
+            done, status = os.waitpid(pid, os.WNOHANG)
+            if done:
+                running.discard(pid)
+                ended = {"pid": pid, "code": os.waitstatus_to_exitcode(status)}
+                driver.sendall(json.dumps(ended).encode() + b"\n")
+
+
+def _lead(pid: int) -> None:
+    """Give a kernel a process group of its own; parent and child both do, so that nobody sees it without."""
+    try:
+        os.setpgid(pid, pid)
+    except OSError:  # it has one by now, or has ended
+        pass
+
+
+def _become_kernel(wanted: dict, inherited: tuple) -> None:
+    code = 1
+    try:
+        _lead(0)
+        signal.set_wakeup_fd(-1)
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        driver, woken, wake = inherited
+        driver.close()
+        os.close(woken)
+        os.close(wake)
+        parent = os.getppid()
+        _die_with_parent()
+        if os.getppid() != parent:
+            os._exit(1)
+        os.environ.clear()
+        os.environ.update(wanted["environment"])
+        os.chdir(wanted["folder"])
+        _reseed()
+        kernel(*wanted["arguments"], f"--IPKernelApp.parent_handle={parent}")
+        code = 0
+    except SystemExit as ended:
+        code = ended.code if isinstance(ended.code, int) else int(bool(ended.code))
+    except BaseException:
+        import traceback
+
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+
+
+def _reseed() -> None:
+    """Processes of one origin must not share their streams of random numbers."""
+    import random
+
+    import numpy
+
+    random.seed()
+    numpy.random.seed()  # noqa: NPY002  the global state that a notebook may use is what is meant
+
+
+def _die_with_parent() -> None:
+    import ctypes
+
+    ctypes.CDLL(None, use_errno=True).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
+
+
+def _first_use() -> None:
+    """What is slow the first time: numba's compiler, the fonts and the parser of formulas."""
+    import numba
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    numba.njit(lambda number: number + 1.0)(1.0)
+    figure = Figure(layout="constrained")
+    axes = figure.subplots()
+    axes.loglog([1, 10], [1, 10], label=r"$\omega_1^{2}$")
+    axes.set_xlabel("time (s)")
+    axes.legend()
+    FigureCanvasAgg(figure).draw()
+
+
+if __name__ == "__main__":
+    if sys.argv[1] == "warm":
+        warm(int(sys.argv[2]))
+    else:
+        kernel(*sys.argv[2:])

@@ -1,0 +1,66 @@
+"""One command at a time may write to a checkout, and none is torn halfway by an interrupt."""
+
+import contextlib
+import fcntl
+import signal
+from collections.abc import Iterator
+
+from stillwork.base import paths
+from stillwork.base.checks import InputError
+from stillwork.workbook.publish import finish, unfinished
+
+
+@contextlib.contextmanager
+def alone() -> Iterator[None]:
+    """Hold the checkout's lock; two writers would swap the same files.
+
+    What an accept had decided when it was killed is done first.
+
+    Raises
+    ------
+    InputError
+        When another command holds it.
+    """
+    refusal = "another build or accept of this checkout is running; wait for it or stop it"
+    with held("lock", refusal):
+        finish(paths.root())
+        yield
+
+
+@contextlib.contextmanager
+def held(name: str, refusal: str) -> Iterator[None]:
+    """Hold the file ``build/<name>`` against other processes.
+
+    Raises
+    ------
+    InputError
+        With `refusal`, when another one holds it.
+    """
+    file = paths.root() / "build" / name
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with file.open("a") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise InputError(refusal) from None
+        yield
+
+
+def settle() -> None:
+    """Do what an accept had decided when it was killed, so that nobody reads half of it."""
+    if unfinished(paths.root()):
+        with alone():
+            pass
+
+
+@contextlib.contextmanager
+def interrupts() -> Iterator[list[int]]:
+    """Note an interrupt instead of raising it, so that it tears nothing halfway; yields what came."""
+    caught: list[int] = []
+    wanted = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {each: signal.signal(each, lambda number, _frame: caught.append(number)) for each in wanted}
+    try:
+        yield caught
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, handler)

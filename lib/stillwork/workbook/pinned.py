@@ -1,0 +1,30 @@
+"""The settings of processor and process under which numbers are made; `pinned.env` says each one's reason."""
+
+import os
+from functools import cache
+from pathlib import Path
+
+FILE = Path(__file__).with_name("pinned.env")
+
+# Other processors' settings in place of some pins, as ``NAME=VALUE`` words: what `make portable` turns.
+OTHER = "STILLWORK_PROCESSOR"
+
+
+@cache
+def pins() -> dict[str, str]:
+    """The environment variables of `pinned.env`."""
+    lines = FILE.read_text(encoding="utf-8").splitlines()
+    return dict(line.split("=", 1) for line in lines if line and not line.startswith("#"))
+
+
+def settings() -> dict[str, str]:
+    """The pins, with what `OTHER` puts in their place; a variable set to nothing is left to the machine."""
+    other = dict(word.split("=", 1) for word in os.environ.get(OTHER, "").split())
+    return {**pins(), **other}
+
+
+def environment() -> dict[str, str]:
+    """This process's environment under `settings`."""
+    return {
+        name: value for name, value in {**os.environ, **settings()}.items() if value or name not in pins()
+    }

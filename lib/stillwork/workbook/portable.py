@@ -1,0 +1,158 @@
+"""Builds under other processors' settings, and one table of what differs from what is committed.
+
+Each stand-in processor puts its own choices in the place of the pins (`stillwork.workbook.pinned`): numpy's kernels,
+OpenBLAS's, the C library's, and the instructions that numba may use. What then still agrees, agrees on a machine
+that is not pinned at all.
+"""
+
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from stillwork.base import paths
+from stillwork.workbook.compare import Comparison, compare
+from stillwork.workbook.pinned import OTHER
+from stillwork.workbook.tasks import BUILT, tasks
+
+NUMPY, BLAS, LIBC = "NPY_DISABLE_CPU_FEATURES", "OPENBLAS_CORETYPE", "GLIBC_TUNABLES"
+WIDE = "X86_V4,AVX512_ICL,AVX512_SPR"
+
+
+@dataclass(frozen=True)
+class Processor:
+    """A stand-in: the settings that differ from the pins, and the flags that the machine needs to run it."""
+
+    name: str
+    settings: dict[str, str]
+    needs: tuple[str, ...] = ()
+
+
+PROCESSORS = (
+    Processor(
+        "2004, SSE2 alone",
+        {BLAS: "Prescott", LIBC: "glibc.cpu.hwcaps=-AVX,-AVX2,-FMA,-FMA4", "NUMBA_CPU_NAME": "generic"}
+        | {"NUMBA_CPU_FEATURES": "+sse2"},
+    ),
+    Processor(
+        "2011, AVX (Sandy Bridge)",
+        {BLAS: "Sandybridge", LIBC: "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4", "NUMBA_CPU_NAME": "sandybridge"}
+        | {"NUMBA_CPU_FEATURES": "+sse4.2,+avx"},
+        ("avx",),
+    ),
+    Processor(
+        "2013, AVX2 (Haswell)",
+        {BLAS: "Haswell", NUMPY: WIDE, LIBC: "", "NUMBA_CPU_NAME": "haswell"}
+        | {"NUMBA_CPU_FEATURES": "+sse4.2,+avx,+avx2,+fma,+bmi,+bmi2"},
+        ("avx2", "fma"),
+    ),
+    Processor(
+        "2019, AVX2 (Zen 2)",
+        {BLAS: "Zen", NUMPY: WIDE, LIBC: "", "NUMBA_CPU_NAME": "znver2"}
+        | {"NUMBA_CPU_FEATURES": "+sse4.2,+avx,+avx2,+fma,+bmi,+bmi2"},
+        ("avx2", "fma"),
+    ),
+    Processor(
+        "2017, AVX-512 (Skylake-X)",
+        {BLAS: "SkylakeX", NUMPY: "", LIBC: "", "NUMBA_CPU_NAME": "skylake-avx512"},
+        ("avx512f", "avx512dq", "avx512bw", "avx512vl", "avx512cd"),
+    ),
+    Processor("this machine, nothing held", {BLAS: "", NUMPY: "", LIBC: ""}),
+)
+
+# Notebooks that were seen to move between processors, or whose subject is rounding; quick enough to run often.
+SAMPLE = (
+    "isolation/06-efficient-update",
+    "motion/02-model-reduction",
+    "motion/14-discrete-observer",
+    "motion/17-mimo-decoupling",
+    "worstcase/01-geometry",
+    "worstcase/03-time-updates",
+    "fixedpoint/05-differentiation-noise",
+)
+SAMPLED = ("2011, AVX (Sandy Bridge)", "2013, AVX2 (Haswell)")
+
+
+def portable(sample: bool = False) -> int:
+    """Build under each stand-in that runs here and print the table; returns 1 when something moved.
+
+    Parameters
+    ----------
+    sample : bool
+        A few notebooks under two of them.
+    """
+    flags = _flags()
+    rows, moved = [], []
+    for processor in PROCESSORS:
+        if sample and processor.name not in SAMPLED:
+            continue
+        if missing := [flag for flag in processor.needs if flag not in flags]:
+            rows.append((processor.name, f"not run: this machine lacks {', '.join(missing)}"))
+            continue
+        found = _build(processor, SAMPLE if sample else ())
+        rows.append((processor.name, *_row(found)))
+        moved += [(processor.name, each) for each in found if not each.agrees]
+    _print(rows)
+    for name, each in moved:
+        what = (*each.files, *each.cells, *each.claims, *each.verdicts)
+        print(f"{name}: {each.notebook}: {', '.join(what)}")
+    return int(bool(moved))
+
+
+def _build(processor: Processor, names: tuple[str, ...]) -> list[Comparison]:
+    folder = paths.root() / "build" / "portable" / "".join(c if c.isalnum() else "-" for c in processor.name)
+    variables = {
+        **os.environ,
+        OTHER: " ".join(f"{name}={value}" for name, value in processor.settings.items()),
+        BUILT: str(folder),
+    }
+    print(f"{processor.name}: building", flush=True)
+    command = [sys.executable, "-m", "stillwork", "figures", *names]
+    done = subprocess.run(command, env=variables, capture_output=True, text=True)
+    if done.returncode:
+        print(done.stdout, done.stderr, sep="\n")
+    os.environ[BUILT] = str(folder)
+    try:
+        wanted = [task for task in tasks() if not names or task.notebook.name in names]
+        return [compare(task) for task in wanted if task.executed.is_file()]
+    finally:
+        del os.environ[BUILT]
+
+
+def _row(found: list[Comparison]) -> tuple[str, ...]:
+    pictures = sum(each.pictures for each in found)
+    return (
+        str(len(found)),
+        f"{sum(len(each.files) for each in found)} of {pictures}",
+        f"{max((each.worst for each in found), default=0.0):.0e}",
+        str(sum(len(each.cells) for each in found)),
+        str(sum(len(each.claims) for each in found)),
+        str(sum(len(each.verdicts) for each in found)),
+    )
+
+
+def _print(rows: list[tuple[str, ...]]) -> None:
+    head = (
+        "processor",
+        "notebooks",
+        "figures apart",
+        "worst",
+        "outputs apart",
+        "values moved",
+        "verdicts moved",
+    )
+    whole = [row for row in [head, *rows] if len(row) == len(head)]
+    widths = [max(len(row[i]) for row in whole) for i in range(len(head))]
+    widths[0] = max(len(row[0]) for row in [head, *rows])
+    for row in [head, *rows]:
+        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=False)).rstrip())
+
+
+def _flags() -> set[str]:
+    """What this machine's processor can do, as Linux names it."""
+    try:
+        text = Path("/proc/cpuinfo").read_text(encoding="utf-8")
+    except OSError:
+        return set()
+    return {flag for line in text.splitlines() if line.startswith("flags") for flag in line.split()}

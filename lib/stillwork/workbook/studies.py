@@ -1,0 +1,125 @@
+"""Seeded Monte Carlo: one trial, many independent random streams, any executor, intervals."""
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from scipy import stats
+
+from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.base.paths import in_batch
+
+
+@dataclass(frozen=True)
+class Study:
+    """What every trial of a study gave.
+
+    Attributes
+    ----------
+    seed : int
+        Root of all random streams: trial k draws from ``SeedSequence(seed).spawn(runs)[k]``.
+    values : dict of str to ndarray, shape (runs, ...)
+        One array a quantity, trials along the first axis.
+    """
+
+    seed: int
+    values: Mapping[str, np.ndarray]
+
+    @property
+    def runs(self) -> int:
+        """Number of trials."""
+        return len(next(iter(self.values.values())))
+
+    def __getitem__(self, quantity: str) -> np.ndarray:
+        return self.values[quantity]
+
+
+def run_study(
+    trial: Callable[..., Mapping[str, float | np.ndarray]],
+    runs: int,
+    seed: int,
+    *,
+    executor: Executor | None = None,
+    progress: bool = True,
+    **settings,
+) -> Study:
+    """Run ``trial(rng, **settings)`` once for each of `runs` independent random streams.
+
+    The result does not depend on the executor, on its number of workers or on their order.
+
+    Parameters
+    ----------
+    trial : callable
+        Takes a `numpy.random.Generator` and the settings; returns a mapping from quantity to number or
+        array. A function of a module when the executor has other processes.
+    runs : int
+        Number of trials.
+    seed : int
+        Root seed.
+    executor : concurrent.futures.Executor, optional
+        Threads, processes or ``distributed.Client.get_executor()``; without one, trials run in turn.
+    progress : bool
+        Show a progress bar, where a person is looking.
+    **settings
+        Passed to every trial.
+
+    Raises
+    ------
+    InputError
+        When `runs` is not a positive whole number or trials return different quantities.
+    """
+    runs = require_count("runs", runs)
+    streams = np.random.SeedSequence(seed).spawn(runs)
+    one = partial(_run_one, trial, settings)
+    outcomes = map(one, streams) if executor is None else _in_order(executor, one, streams)
+    if progress and not in_batch():
+        from tqdm.auto import tqdm
+
+        outcomes = tqdm(outcomes, total=runs, desc=getattr(trial, "__name__", "study"))
+    outcomes = list(outcomes)
+    if any(outcome.keys() != outcomes[0].keys() for outcome in outcomes):
+        raise InputError("trial returned different quantities in different runs; return all of them")
+    return Study(seed, {key: np.array([o[key] for o in outcomes]) for key in outcomes[0]})
+
+
+def _run_one(trial, settings, stream) -> dict:
+    return dict(trial(np.random.default_rng(stream), **settings))
+
+
+def _in_order(executor, one, streams):
+    futures = [executor.submit(one, stream) for stream in streams]
+    try:
+        for future in futures:
+            yield future.result()
+    finally:
+        for future in futures:
+            future.cancel()
+
+
+def mean_interval(values, level: float = 0.95) -> tuple[float, float]:
+    """Confidence interval of the mean of independent runs (Student's t)."""
+    values = require_array("values", values, ndim=1)
+    require_number("level", level, above=0, below=1)
+    if len(values) < 2:
+        raise InputError("values holds one run; an interval takes at least 2")
+    half = stats.t.ppf(0.5 + level / 2, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values))
+    return float(values.mean() - half), float(values.mean() + half)
+
+
+def spread_interval(values, level: float = 0.95) -> tuple[float, float]:
+    """Prediction interval: where the next single run falls with probability `level` (Student's t).
+
+    A published experiment is one run, so this is what it is held against.
+    """
+    values = require_array("values", values, ndim=1)
+    low, high = mean_interval(values, level)
+    half = (high - low) / 2 * np.sqrt(len(values) + 1)
+    return float(values.mean() - half), float(values.mean() + half)
+
+
+def proportion_interval(successes: int, runs: int, level: float = 0.95) -> tuple[float, float]:
+    """Wilson's confidence interval of a proportion."""
+    interval = stats.binomtest(int(successes), int(runs)).proportion_ci(level, method="wilson")
+    return float(interval.low), float(interval.high)

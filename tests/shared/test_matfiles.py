@@ -1,0 +1,100 @@
+"""MAT files: what a damaged one does to its reader, it does not do to us."""
+
+import io
+import time
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from stillwork.base.checks import InputError
+from stillwork.signals import matfiles
+from stillwork.signals.matfiles import read_mat
+
+SIGNALS = np.random.default_rng(0).standard_normal((2, 300))
+CONTENT = {
+    "a": SIGNALS,
+    "fs": 500.0,
+    "counts": np.arange(5, dtype=np.int16),
+    "response": SIGNALS[0] + 1j * SIGNALS[1],
+    "run": {"sensor": {"left": SIGNALS[0]}, "note": "text", "cells": np.array([SIGNALS, "x"], dtype=object)},
+}
+
+
+def saved(**options) -> bytes:
+    file = io.BytesIO()
+    savemat(file, CONTENT, **options)
+    return file.getvalue()
+
+
+@pytest.fixture
+def other_reader(tmp_path, monkeypatch):
+    """Have the process find a `loadmat` with this body instead of scipy's; the path of a file for it."""
+
+    def write(body: str):
+        (tmp_path / "scipy").mkdir()
+        (tmp_path / "scipy" / "__init__.py").touch()
+        code = f"import os, signal, sys\ndef loadmat(path, simplify_cells):\n    {body}\n"
+        (tmp_path / "scipy" / "io.py").write_text(code)
+        (tmp_path / "hers.mat").touch()
+        monkeypatch.syspath_prepend(tmp_path)
+        return tmp_path / "hers.mat"
+
+    return write
+
+
+def test_every_array_of_numbers_comes_back(tmp_path):
+    (tmp_path / "-a b'.mat").write_bytes(saved(do_compression=True))
+    found = read_mat(tmp_path / "-a b'.mat")
+    assert list(found) == ["a", "fs", "counts", "response", "run.sensor.left"]
+    for name in ("a", "counts", "response"):
+        assert np.array_equal(found[name], CONTENT[name]) and found[name].dtype == CONTENT[name].dtype
+    assert found["fs"] == 500.0 and found["fs"].shape == ()
+    assert np.array_equal(found["run.sensor.left"], SIGNALS[0])
+
+
+@pytest.mark.parametrize(
+    ("body", "why"),
+    [
+        ("os.kill(os.getpid(), signal.SIGSEGV)", r"its reader ended by SIGSEGV"),
+        ("bytearray(64 << 30)", r"it takes more than 4 GB of memory"),
+        ("sys.exit('gone')", r"gone"),
+        ("sys.exit(9)", r"its reader ended with code 9"),
+        ("raise ValueError('Unknown mat file type')", r"Unknown mat file type"),
+    ],
+)
+def test_a_reader_that_dies_gives_our_error(other_reader, body, why):
+    with pytest.raises(
+        InputError, match=rf"^hers\.mat cannot be read \({why}\); save it with -v7, or export"
+    ):
+        read_mat(other_reader(body))
+
+
+def test_a_reader_that_does_not_end_is_ended(other_reader, monkeypatch):
+    monkeypatch.setattr(matfiles, "MOST_SECONDS", 0.5)
+    start = time.monotonic()
+    with pytest.raises(InputError, match=r"hers\.mat cannot be read \(it takes more than 0\.5 s\); save it"):
+        read_mat(other_reader("while True: pass"))
+    assert time.monotonic() - start < 20  # within the process's own limit of a minute, on a busy machine
+
+
+def test_what_a_reader_prints_does_no_harm(other_reader):
+    path = other_reader("print('noise'); print('noise', file=sys.stderr); return {'a': 2.0, 'text': 'x'}")
+    assert read_mat(path) == {"a": 2.0}
+
+
+@pytest.mark.slow
+def test_damaged_bytes_give_arrays_or_our_error(tmp_path):
+    random = np.random.default_rng(7)
+    whole = [saved(), saved(do_compression=True), saved()[:130] + random.bytes(1200), random.bytes(1200)]
+    for number in range(24):
+        damaged = bytearray(whole[number % 4])
+        for at in random.integers(0, 1200, size=4):
+            damaged[at] = random.choice([0, 127, 128, 255])
+        path = tmp_path / f"{number}.mat"
+        path.write_bytes(damaged)
+        try:
+            assert all(array.dtype.kind in "fiuc" for array in read_mat(path).values())
+        except InputError as error:
+            assert str(error).startswith(f"{number}.mat cannot be read (")
+            assert str(error).endswith("save it with -v7, or export CSV or NPZ")

@@ -1,0 +1,173 @@
+"""What counts as the same result, and what does not."""
+
+import io
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from matplotlib.figure import Figure
+
+from stillwork.workbook.claims import Claim, Entry, Tolerance
+from stillwork.workbook.compare import (
+    difference,
+    same_outputs,
+    same_picture,
+    same_size,
+    same_text,
+    same_value,
+    table_difference,
+)
+
+HEADER = "panel,series,x,y,z\n"
+
+
+def table(folder, name, rows):
+    file = folder / f"{name}.csv"
+    file.write_text(HEADER + "".join(f"a,line,{x:.9g},{y:.9g},\n" for x, y in rows))
+    return file
+
+
+@pytest.mark.parametrize(
+    ("now", "before"),
+    [
+        ("rms 1.235 m", "rms 1.234 m"),
+        ("rms 9.999 m", "rms 10.00 m"),
+        ("a  1.235\n---  -----", "a  1.2346\n---  ------"),
+        ("-0.1", "-0.2"),
+        ("1.3e-13", "1.4e-13"),
+        ("fig-1.png, fig-1.csv", "fig-1.png, fig-1.csv"),
+        ("holds for 27 of 30", "holds for 27 of 30"),
+    ],
+)
+def test_texts_that_agree(now, before):
+    assert same_text(now, before)
+    assert same_text(before, now)
+
+
+@pytest.mark.parametrize(
+    ("now", "before"),
+    [
+        ("rms 1.236 m", "rms 1.234 m"),
+        ("rms 1.235 m", "rms 1.235 mm"),
+        ("holds for 27 of 30", "holds for 28 of 30"),
+        ("replicated", "deviates"),
+        ("S_I", "S_O"),
+        ("1.3e-13", "1.3e-12"),
+        ("fig-1.png", "fig-2.png"),
+        ("0.5", "-0.5"),
+        ("1.0 2.0", "1.0"),
+        ("nan", "1.0"),
+    ],
+)
+def test_texts_that_differ(now, before):
+    assert not same_text(now, before)
+    assert not same_text(before, now)
+
+
+@given(st.floats(1e-3, 1e3), st.floats(-1, 1), st.integers(1, 6))
+def test_numbers_that_agree_print_texts_that_agree(number, share, digits):
+    """Whatever the rounding: a number that moved by less than half a unit of the last digit is the same."""
+    moved = number * (1 + share * 0.05 * 10.0**-digits)
+    assert same_text(f"x = {moved:.{digits}e}", f"x = {number:.{digits}e}")
+
+
+def test_outputs_are_compared_by_kind_and_text():
+    stream = {"output_type": "stream", "name": "stdout", "text": ["a 1.0\n"]}
+    result = {"output_type": "execute_result", "data": {"text/plain": "a 1.0\n"}}
+    assert same_outputs([stream], [{**stream, "text": "a 1.1\n"}])
+    assert not same_outputs([stream], [result])
+    assert not same_outputs([stream], [stream, stream])
+
+
+def test_the_difference_of_two_tables_is_of_the_range(tmp_path):
+    x = np.linspace(0, 1, 50)
+    before = table(tmp_path, "before", zip(x, 3 * np.sin(6 * x), strict=True))
+    span = np.ptp(3 * np.sin(6 * x))
+    now = table(tmp_path, "now", zip(x, 3 * np.sin(6 * x) + 5e-5 * span, strict=True))
+    assert table_difference(now, before) == pytest.approx(5e-5, rel=1e-2)
+    far = table(tmp_path, "far", zip(x, 3 * np.sin(6 * x) + 2e-3 * span, strict=True))
+    assert table_difference(far, before) is None
+
+
+def test_on_a_logarithmic_scale_it_is_of_the_decades(tmp_path):
+    x = np.linspace(0, 8, 50)
+    before = table(tmp_path, "before", zip(x, 10**x, strict=True))
+    now = table(tmp_path, "now", zip(x, 10**x * 1.0001, strict=True))
+    assert table_difference(now, before) == pytest.approx(np.log10(1.0001) / 8, rel=1e-2)
+    assert table_difference(table(tmp_path, "far", zip(x, 10**x * 1.1, strict=True)), before) is None
+
+
+def test_a_line_thinned_to_other_points_is_the_same_line(tmp_path):
+    x = np.linspace(0, 1, 401)  # both keep the ends, as thinning does
+    curve = np.c_[x, x**2]
+    before = table(tmp_path, "before", curve[::2])
+    now = np.concatenate([curve[:1], curve[1:-1:3], curve[-1:]])
+    assert table_difference(table(tmp_path, "now", now), before) <= 1e-3
+    assert table_difference(table(tmp_path, "far", now * [1, 1.01]), before) is None
+
+
+@pytest.mark.parametrize("change", [lambda rows: rows[:-1] * 0 + 1, lambda rows: rows * [1, np.nan]])
+def test_other_points_are_another_table(tmp_path, change):
+    rows = np.c_[np.arange(5.0), [1, 4, 2, 8, 5]]
+    before = table(tmp_path, "before", rows)
+    assert table_difference(table(tmp_path, "now", change(rows)), before) is None
+
+
+def test_rounding_is_compared_by_its_size(tmp_path):
+    rng = np.random.default_rng(1)
+    first, second = 1e-14 * np.abs(rng.standard_normal((2, 40)))
+    rows = [np.c_[np.arange(40.0), each] for each in (first, second)]
+    assert same_size(*rows)
+    assert not same_size(rows[0], rows[1] * [1, 100])
+    assert not same_size(rows[0] * [1, 1e3], rows[1])
+    assert same_size(0 * rows[0], rows[1])  # exactly zero on one machine
+    tables = [table(tmp_path, str(number), each) for number, each in enumerate(rows)]
+    assert table_difference(*tables) is None
+    assert table_difference(*tables, rounding={"line"}) == 0.0
+
+
+def picture(y=1.0, label="time (s)") -> bytes:
+    figure = Figure(figsize=(7.2, 2.9), dpi=150)
+    axes = figure.subplots()
+    axes.plot([0, 1, 2], [0, y, 0.3], label="a line")
+    axes.set_xlabel(label)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png")
+    return buffer.getvalue()
+
+
+def test_pictures_agree_when_a_line_moved_within_its_width_and_not_when_a_word_changed():
+    assert same_picture(picture(), picture())
+    assert same_picture(picture(1.0 + 1e-4), picture())
+    assert not same_picture(picture(1.2), picture())
+    assert not same_picture(picture(label="time (h)"), picture())
+    assert not same_picture(picture(label="time (m)"), picture())
+
+
+def test_a_figure_is_its_table_and_its_picture(tmp_path):
+    for name, label in (("now", "time (s)"), ("before", "time (s)"), ("other", "time (h)")):
+        table(tmp_path, name, [(0, 0), (1, 1)])
+        (tmp_path / f"{name}.png").write_bytes(picture(label=label))
+    assert difference(tmp_path / "now", tmp_path / "before") == 0.0
+    assert difference(tmp_path / "now", tmp_path / "other") is None
+    assert difference(tmp_path / "now", tmp_path / "gone") is None
+
+
+def claim(ours, interval=None, **fields):
+    rule = Tolerance("digits", absolute=1.0)
+    return Claim(Entry("motion.a", "p", "q", "", 1.0, "value", rule, **fields), ours, interval)
+
+
+def test_a_value_may_move_by_its_drift():
+    assert same_value(claim(1.0005), claim(1.0))
+    assert not same_value(claim(1.002), claim(1.0))
+    room = Tolerance("a hundredth of the fit's resolution", absolute=0.01)
+    assert same_value(claim(0.002, drift=room), claim(-0.003, drift=room))
+    assert not same_value(claim(0.02, drift=room), claim(-0.003, drift=room))
+
+
+def test_the_ends_of_an_interval_may_move_by_the_drift_of_the_larger():
+    assert same_value(claim(5.0, (0.001, 10.0)), claim(5.0, (0.009, 10.0)))
+    assert not same_value(claim(5.0, (0.001, 10.0)), claim(5.0, (0.02, 10.0)))
+    assert not same_value(claim(5.0), claim(5.0, (4.0, 6.0)))
