@@ -56,6 +56,19 @@ def test_a_prefix_is_of_whole_parts(entry, start, begins):
     assert begins_with(entry, start) == begins
 
 
+def test_a_study_whose_notebook_takes_another_option_has_its_own_default(workbook):
+    first, second = (
+        study(entries='["motion.table-1"]'),
+        study(entries='["motion.order"]').replace("toy]", "other]"),
+    )
+    axes, plain = workbook(A + B + SEEDS + first + second)
+    axes, own = workbook(A + B + SEEDS + first + second + "defaults = { b = 1, seeds = 9 }")
+    assert [each.default_point for each in own] == [(0, 0), (0, 1)]
+    assert [each.seeds for each in own] == [(8, 7, 9), (9, 7, 8)]
+    assert axes["b"].default == 0
+    assert [a.digest == b.digest for a, b in zip(plain, own, strict=True)] == [True, False]
+
+
 TEXTS = axis("trace", '["literal", "regressors"]', '"literal"', "text")
 
 
@@ -95,6 +108,9 @@ TEXTS = axis("trace", '["literal", "regressors"]', '"literal"', "text")
             "give 'package.module:function'",
         ),
         (A + study(more="point = 3"), "studies.toy: unknown field 'point'; did you mean 'points'"),
+        (A + study(more="defaults = 0"), "studies.toy: defaults is 0; give a table"),
+        (A + study(more="defaults = { b = 0 }"), "studies.toy: defaults names 'b', no axis of its entries"),
+        (A + study(more="defaults = { a = 7 }"), "motion.a: default 7 is not among its options"),
         (A + study(entries='["motion.none"]'), "studies.toy: entries: the ledger has no entry 'motion.none'"),
         (A + study(more="points = 1"), "studies.toy: points is 1"),
         (A + study() + study().replace("toy]", "other]"), "is given by studies toy and other; keep one"),

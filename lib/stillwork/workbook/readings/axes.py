@@ -5,7 +5,7 @@ import json
 import math
 import tomllib
 from collections.abc import Iterable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 
 from stillwork.base import paths
 from stillwork.base.checks import InputError, nearest, require_choice, require_count
@@ -32,7 +32,7 @@ class Axis:
     options : tuple
         What a careful reader could choose: texts, numbers or flags.
     default : str, int, float or bool
-        The option that the notebooks take.
+        The option that the notebooks take; a study whose notebook takes another has its own.
     source : str
         What the source says, and why each option can be defended.
     touches : tuple of str
@@ -112,7 +112,7 @@ class Multiverse:
     entries : tuple of str
         Ids that it returns.
     axes : tuple of Axis
-        Without the one of kind ``seed``.
+        Without the one of kind ``seed``; their defaults are what the study's notebook takes.
     seeds : tuple of int
         All are run at each point; the first is the default.
     seeded : bool
@@ -162,7 +162,7 @@ class Multiverse:
         return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
 
 
-_STUDY_FIELDS = ("function", "entries", "lean", "points")
+_STUDY_FIELDS = ("function", "entries", "defaults", "lean", "points")
 
 
 def load_axes(room: str) -> tuple[dict[str, Axis], list[Multiverse]]:
@@ -224,6 +224,7 @@ def _multiverse(room: str, study: str, given, axes: dict[str, Axis], ledger: tup
     entries = _matching(f"{name}: entries", given["entries"], ledger)
     touching = {key: set(_matching(key, axis.touches, ledger)) for key, axis in axes.items()}
     mine = [axis for key, axis in axes.items() if touching[key] & set(entries)]
+    mine = _with_defaults(name, given.get("defaults", {}), mine)
     seeds = [axis for axis in mine if axis.kind == "seed"]
     if len(seeds) > 1:
         raise InputError(f"{name}: {seeds[0].id} and {seeds[1].id} are both its seeds; keep one")
@@ -242,6 +243,17 @@ def _multiverse(room: str, study: str, given, axes: dict[str, Axis], ledger: tup
         lean=given.get("lean", ""),
         points=require_count(f"{name}: points", given.get("points", POINTS), at_least=2),
     )
+
+
+def _with_defaults(name: str, defaults, axes: list[Axis]) -> list[Axis]:
+    """The axes as one study sees them."""
+    if not isinstance(defaults, dict):
+        raise InputError(f"{name}: defaults is {defaults!r}; give a table of axes")
+    names = [axis.name for axis in axes]
+    for key in defaults:
+        if key not in names:
+            raise InputError(f"{name}: defaults names {key!r}, no axis of its entries{nearest(key, names)}")
+    return [replace(axis, default=defaults.get(axis.name, axis.default)) for axis in axes]
 
 
 def _require_fields(name: str, given, known: Iterable[str], needed: Iterable[str]) -> None:

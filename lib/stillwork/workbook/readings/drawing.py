@@ -5,8 +5,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from stillwork import figures
 from stillwork.base.checks import InputError
+from stillwork.workbook import figures
 from stillwork.workbook.claims import Entry
 from stillwork.workbook.readings.judging import Standing
 from stillwork.workbook.readings.results import Outcomes
