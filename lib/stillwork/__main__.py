@@ -1,4 +1,4 @@
-"""Command line: ``python -m stillwork figures|claims|portable|accept|site|refresh|inspect|new|doctor``."""
+"""Command line: ``python -m stillwork figures|readings|claims|portable|accept|site|refresh|inspect|new|doctor``."""
 
 import argparse
 import json
@@ -7,7 +7,7 @@ import re
 import sys
 
 from stillwork.base import paths
-from stillwork.base.checks import InputError, nearest, one_line
+from stillwork.base.checks import InputError, nearest, one_line, require_number
 
 # A grammar of addresses that jsonschema builds for a second or two when a notebook format is loaded, if it can be
 # had; nothing here holds an address against it.
@@ -57,8 +57,23 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
     figures.add_argument("--why", action="store_true", help="only say what would be built, and why")
     figures.set_defaults(run=_figures)
 
+    readings = commands.add_parser(
+        "readings", help="try every choice that the works leave open", allow_abbrev=False
+    )
+    readings.add_argument("room", nargs="?", metavar="ROOM")
+    readings.add_argument("--jobs", type=_count, metavar="N", help="processes (default: one a core)")
+    readings.add_argument("--scheduler", metavar="ADDRESS", help="run on the workers of a Dask cluster")
+    readings.add_argument(
+        "--budget",
+        type=_minutes,
+        metavar="MINUTES",
+        help="begin no reading after so long; run again to go on",
+    )
+    readings.set_defaults(run=_readings)
+
     claims = commands.add_parser("claims", help="print the ledger", allow_abbrev=False)
     claims.add_argument("room", nargs="?", metavar="ROOM")
+    claims.add_argument("--entry", metavar="ID", help="one entry whole, with its readings")
     claims.add_argument("--json", action="store_true")
     claims.add_argument(
         "--built", action="store_true", help="with what the last build found, accepted or not"
@@ -107,6 +122,13 @@ def _count(text: str) -> int:
     return int(text)
 
 
+def _minutes(text: str) -> float:
+    try:
+        return require_number("budget", text, above=0)
+    except InputError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a time; give minutes, more than 0") from None
+
+
 def _figures(options) -> int:
     from stillwork.workbook.build import build_figures
 
@@ -128,21 +150,46 @@ def _figures(options) -> int:
     )
 
 
+def _readings(options) -> int:
+    from stillwork.workbook.readings.command import compute_readings
+
+    return compute_readings(
+        options.room, jobs=options.jobs, scheduler=options.scheduler, budget_min=options.budget
+    )
+
+
 def _claims(options) -> int:
     from stillwork.workbook.claims import ledger
     from stillwork.workbook.lock import settle
-    from stillwork.workbook.report import ledger_text
+    from stillwork.workbook.report import entry_text, find, ledger_text, screen
     from stillwork.workbook.tasks import built
 
     if options.room not in (None, *paths.ROOMS):
         raise InputError(f"there is no room {options.room!r}{nearest(options.room, paths.ROOMS)}")
     settle()
     claims = ledger(built() if options.built else None, options.room)
+    if options.entry:
+        claims = [find(claims, options.entry)]
     if options.json:
-        print(json.dumps([claim.as_dict() for claim in claims], indent=1, ensure_ascii=False))
+        print(json.dumps(_with_readings(claims), indent=1, ensure_ascii=False))
+    elif options.entry:
+        print(entry_text(_with_readings(claims)[0], screen()))
     else:
-        print(ledger_text(claims))
+        print(ledger_text(claims, screen()))
     return 0
+
+
+def _with_readings(claims: list) -> list[dict]:
+    """The claims as plain values, each with how it stands over its readings (None where it has none)."""
+    from stillwork.workbook.readings.command import standings_of
+
+    rooms = dict.fromkeys(claim.entry.room for claim in claims)
+    standings = {name: standing for room in rooms for name, standing in standings_of(room).items()}
+    return [
+        claim.as_dict()
+        | {"readings": standings[claim.entry.id].as_dict() if claim.entry.id in standings else None}
+        for claim in claims
+    ]
 
 
 def _portable(options) -> int:

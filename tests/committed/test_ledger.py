@@ -5,7 +5,7 @@ import json
 import pytest
 
 from stillwork.base import paths
-from stillwork.workbook.claims import ledger
+from stillwork.workbook.claims import AGREEMENT, ledger
 from stillwork.workbook.compare import same_value
 from stillwork.workbook.publish import digest
 
@@ -24,7 +24,13 @@ def test_every_entry_is_built_accepted_and_explained(claim):
     assert claim.verdict != "not built", "no notebook claims it"
     assert claim.entry.ours is not None, "run `make accept`"
     assert not claim.moved, f"accepted {claim.entry.ours}, the committed figures have {claim.ours}"
-    assert claim.verdict == "replicated" or claim.entry.reason, "give the reason"
+    assert claim.verdict in AGREEMENT or claim.entry.reason, "give the reason"
+
+
+@pytest.mark.parametrize("claim", ENTRIES, ids=IDS)
+def test_every_tolerance_says_in_words_where_it_comes_from(claim):
+    tolerance = claim.entry.tolerance
+    assert tolerance is None or any(map(str.isalpha, tolerance.source))
 
 
 @pytest.mark.parametrize("claim", ledger(REBUILT), ids=IDS)

@@ -7,7 +7,16 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from stillwork.base.checks import InputError
-from stillwork.workbook.claims import Claim, ClaimsTable, Entry, Tolerance, ledger, load_entries, make_claim
+from stillwork.workbook.claims import (
+    Claim,
+    ClaimsTable,
+    Entry,
+    Tolerance,
+    ledger,
+    load_entries,
+    make_claim,
+)
+from stillwork.workbook.studies import proportion_interval
 
 values = st.floats(-1e6, 1e6).filter(lambda v: abs(v) > 1e-6)
 levels = st.floats(0, 1)
@@ -58,6 +67,69 @@ def test_a_wider_tolerance_never_turns_replicated_into_deviates(ours, relative, 
 def test_an_ordering_must_hold_in_every_run(fraction):
     claim = Claim(entry("ordering", published=1.0), fraction)
     assert claim.verdict == ("replicated" if fraction == 1 else "deviates")
+
+
+@given(levels, levels, levels, st.floats(0.01, 1))
+def test_a_threshold_is_held_against_the_lower_end_of_the_interval(fraction, one, other, threshold):
+    low, high = sorted((one, other))
+    claim = Claim(entry("ordering", published=1.0, threshold=threshold), fraction, (low, high))
+    assert claim.verdict == ("replicated" if low >= threshold else "deviates")
+
+
+def test_how_many_runs_a_threshold_takes():
+    """With Wilson's interval all of 73 runs are enough for 0.95, and all of 72 are not: n / (n + 1.96^2) = 0.95."""
+    verdicts = []
+    for runs in (72, 73):
+        half = entry("ordering", published=1.0, threshold=0.95)
+        verdicts.append(Claim(half, 1.0, proportion_interval(runs, runs)).verdict)
+    assert verdicts == ["deviates", "replicated"]
+
+
+def test_a_threshold_needs_an_interval():
+    claim = Claim(entry("ordering", published=1.0, threshold=0.9), 1.0)
+    with pytest.raises(InputError, match=r"interval of a fraction over runs; pass interval=\(low, high\)"):
+        claim.verdict  # noqa: B018
+
+
+@given(st.floats(-5, 5), st.sampled_from(["larger", "smaller"]))
+def test_better_is_beyond_the_tolerance_on_one_side(off, better):
+    assume(abs(abs(off) - 1) > 1e-9)
+    claim = Claim(entry(tolerance=Tolerance("x", absolute=1.0), better=better), 2.0 + off)
+    on_better_side = off > 0 if better == "larger" else off < 0
+    assert claim.verdict == ("replicated" if abs(off) <= 1 else "better" if on_better_side else "deviates")
+
+
+def test_better_than_an_interval_of_runs():
+    judged = entry(tolerance=Tolerance("x", interval=0.95), better="smaller")
+    found = [Claim(judged, m, (m - 0.5, m + 0.5)).verdict for m in (1.0, 2.2, 3.0)]
+    assert found == ["better", "replicated", "deviates"]
+
+
+@pytest.mark.parametrize(
+    ("fields", "ours", "verdict"),
+    [
+        ({"tolerance": Tolerance("rounding", absolute=1e-9)}, 1e-12, "passes"),
+        ({"tolerance": Tolerance("rounding", absolute=1e-9)}, 1e-3, "fails"),
+        ({"tolerance": Tolerance("theory", relative=0.1), "published": 2.0}, 2.1, "passes"),
+        ({"tolerance": Tolerance("theory", relative=0.1), "published": 2.0}, 2.3, "fails"),
+        ({}, 1.0, "passes"),
+        ({}, 0.99, "fails"),
+    ],
+)
+def test_a_check_of_our_own_passes_or_fails(fields, ours, verdict):
+    claim = Claim(entry("check", **{"published": None, **fields}), ours)
+    assert claim.verdict == verdict
+    assert claim.entry.is_own and not claim.entry.is_replication
+
+
+def test_what_the_work_does_not_state_is_no_replication():
+    shown = entry("reported", published=None, reason="the work gives no number")
+    assert Claim(shown, 3.0).verdict == "reported"
+    assert Claim(shown, 3.0).deviation is None
+    assert shown.is_own
+    assert not entry("reported", reason="rig not described").is_own
+    assert not entry(counterfactual=True).is_replication
+    assert entry().is_replication
 
 
 @given(values)
@@ -135,6 +207,11 @@ def test_nothing_accepted_has_not_moved_and_identities_never_do():
         ({"place": ""}, "place is empty"),
         ({"quantity": ""}, "quantity is empty"),
         ({"published": math.nan}, "published is nan"),
+        ({"published": None}, "published is missing; only a check or what is reported goes without"),
+        ({"threshold": 0.9}, "only a fraction of runs takes a threshold"),
+        ({"kind": "ordering", "threshold": 1.5}, "threshold is 1.5"),
+        ({"better": "higher"}, "better is 'higher'"),
+        ({"kind": "ordering", "better": "larger"}, "ordering takes no better"),
         ({"drift": Tolerance("x", interval=0.95)}, "drift takes relative or absolute"),
     ],
 )
@@ -227,6 +304,11 @@ def test_a_ledger_is_parsed_once_and_again_when_its_text_changes(workbook, monke
     [
         ("published = 37.0", "publishd = 37.0", "motion.table-1.pid: unknown field 'publishd'; did you mean"),
         ("published = 37.0", "", "motion.table-1.pid: .*published"),
+        (
+            "published = 37.0",
+            "published = 37.0\ncounterfactual = 1",
+            "counterfactual is 1; give true or false",
+        ),
         ('source = "digits"', 'sauce = "digits"', "motion.table-1.pid: unknown field 'sauce'"),
         (
             "tolerance",
@@ -278,6 +360,10 @@ def test_the_ledger_joins_entries_with_what_was_found(workbook):
         "kind": "value",
         "basis": "predicted",
         "published": 37.0,
+        "threshold": None,
+        "better": None,
+        "own": False,
+        "counterfactual": False,
         "ours": 37.5,
         "interval": [37, 38],
         "verdict": "replicated",

@@ -13,6 +13,7 @@ HEAVY = ("numba", "matplotlib", "pandas", "control", "scipy", "cvxpy", "numpy", 
         ("stillwork.workbook.page", ("numpy",)),
         ("stillwork.workbook.explorer", ("numpy",)),
         ("stillwork.workbook.build", ("numpy",)),
+        ("stillwork.workbook.readings.command", ("numpy",)),
     ],
 )
 def test_an_import_loads_no_more_than_it_needs(module, allowed):

@@ -19,10 +19,10 @@ from stillwork.site.links import broken_links
 from stillwork.site.mathematics import markdown
 from stillwork.site.pages import NotebookPage, read_page
 from stillwork.workbook import publish
-from stillwork.workbook.claims import KINDS, Claim, ledger
+from stillwork.workbook.claims import KINDS, VERDICTS, Claim, ledger
 from stillwork.workbook.notebooks import notebook_file
 from stillwork.workbook.provenance import commit, modified
-from stillwork.workbook.report import VERDICTS, our_quantity, published_quantity
+from stillwork.workbook.report import our_quantity, published_quantity
 from stillwork.workbook.tasks import tasks
 
 HERE = Path(__file__).parent

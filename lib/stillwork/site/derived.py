@@ -10,10 +10,10 @@ from pathlib import Path
 from stillwork.base import paths
 from stillwork.site.house import paint_house
 from stillwork.site.pages import Figure, NotebookPage, read_page
-from stillwork.workbook.claims import Claim, ledger
+from stillwork.workbook.claims import VERDICTS, Claim, ledger
 from stillwork.workbook.notebooks import METADATA, notebook_text
 from stillwork.workbook.publish import replace_file
-from stillwork.workbook.report import VERDICTS, our_quantity, published_quantity, readme_with_summary
+from stillwork.workbook.report import column, columns, our_quantity, published_quantity, readme_with_summary
 from stillwork.workbook.tasks import tasks
 
 WORKS = Path(__file__).parent / "works.toml"
@@ -87,15 +87,16 @@ def _face(page: NotebookPage) -> Figure | None:
 
 
 def _index(pages: list[NotebookPage], claims: list[Claim]) -> str:
+    shown = columns(claims)
     parts = [
         "# The house\n\nFour rooms, one published work each; one notebook a result. Run a notebook with "
         "*Run > Run All Cells*, change its cell of parameters, or move the sliders of its explorer.",
         "## What agrees with the published works\n\n"
         + "\n".join(
             [
-                "| room | work | " + " | ".join(VERDICTS[:3]) + " |",
-                "|---|---|" + "---:|" * 3,
-                *(_row(room, work, claims) for room, work in works().items()),
+                "| room | work | " + " | ".join(shown) + " |",
+                "|---|---|" + "---:|" * len(shown),
+                *(_row(room, work, claims, shown) for room, work in works().items()),
             ]
         ),
     ]
@@ -135,9 +136,9 @@ def _headline(work: dict, claims: list[Claim]) -> str:
     return "\n".join(["| the work says | published | ours | verdict |", "|---|---|---|---|", *rows]) + "\n\n"
 
 
-def _row(room: str, work: dict[str, str], claims: list[Claim]) -> str:
-    counts = Counter(claim.verdict for claim in claims if claim.entry.room == room)
-    numbers = " | ".join(str(counts[verdict]) for verdict in VERDICTS[:3])
+def _row(room: str, work: dict[str, str], claims: list[Claim], shown: list[str]) -> str:
+    counts = Counter(column(claim) for claim in claims if claim.entry.room == room)
+    numbers = " | ".join(str(counts[name]) for name in shown)
     return f"| `{room}` | {work['work']} | {numbers} |"
 
 

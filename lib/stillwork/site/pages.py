@@ -15,9 +15,8 @@ from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.site.mathematics import markdown
 from stillwork.workbook import reading
-from stillwork.workbook.claims import Claim
+from stillwork.workbook.claims import VERDICTS, Claim
 from stillwork.workbook.notebooks import Notebook
-from stillwork.workbook.report import VERDICTS
 from stillwork.workbook.tasks import Task
 
 # What a cell that ends with `page.check` prints; its page shows the verdict with the claim.

@@ -42,11 +42,11 @@ class Picture:
 
 
 def draw(claims: list[Claim]) -> Picture:
-    """Picture of the claims that compare sizes; orderings have none, and a published zero has no ratio."""
+    """Picture of the claims that compare sizes; fractions have none, and nothing or zero published no ratio."""
     sized = [
         claim
         for claim in claims
-        if claim.ours is not None and claim.entry.kind != "ordering" and claim.entry.published != 0
+        if claim.ours is not None and not claim.entry.is_fraction and claim.entry.published
     ]
     sized.sort(key=_ratio)
     marks = tuple(_mark(claim, MARGIN + ROW * row) for row, claim in enumerate(sized))

@@ -73,8 +73,8 @@ def _say(claims: list[Claim], built: list[Task]) -> None:
     for claim in claims:
         if claim.ours is None:
             print(f"claimed by no notebook: {claim.entry.id}")
-        elif claim.verdict == "deviates" and not claim.entry.reason:
-            print(f"deviates without a reason: {claim.entry.id}")
+        elif claim.verdict in ("deviates", "fails") and not claim.entry.reason:
+            print(f"{claim.verdict} without a reason: {claim.entry.id}")
     for folder in sorted((paths.root() / "figures").glob("[!.]*/[!.]*/")):
         if folder not in {task.committed for task in built}:
             print(f"belongs to no notebook, remove it: {folder.relative_to(paths.root())}")

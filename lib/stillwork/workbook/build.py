@@ -1,13 +1,11 @@
 """The build: stale notebooks in many kernels at once, one writer of their results."""
 
 import contextlib
-import os
 import shutil
 import uuid
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 
-from stillwork.base.checks import InputError
 from stillwork.base.kernel_folder import cache_folder
 from stillwork.workbook.execution import Failure, Job, Outcome, execute, sweep
 from stillwork.workbook.inputs import ENVIRONMENT, changes, environment_inputs, present, with_ledger
@@ -18,6 +16,7 @@ from stillwork.workbook.provenance import commit, modified, provenance
 from stillwork.workbook.publish import read_record, replace_record, tidy
 from stillwork.workbook.tasks import Task, tasks
 from stillwork.workbook.warm import warmed
+from stillwork.workbook.workers import client_of, cores
 
 # Warming a process costs about as much as the imports of this many notebooks.
 WARM_FROM = 3
@@ -63,7 +62,7 @@ def build_figures(
             print(f"nothing to do: {fresh} up to date")
             return 0
         sweep()
-        workers = _cluster(scheduler) if scheduler else _threads(jobs or _cores(), len(stale) >= WARM_FROM)
+        workers = _cluster(scheduler) if scheduler else _threads(jobs or cores(), len(stale) >= WARM_FROM)
         with workers as (submit, halt):
             failures, caught = _build(stale, submit, halt)
     code = _close(failures, len(stale), fresh, caught)
@@ -159,14 +158,7 @@ def _threads(jobs: int, warm: bool):
 
 @contextlib.contextmanager
 def _cluster(address: str):
-    from distributed import Client
-
-    try:
-        client = Client(address, timeout=5)
-    except (OSError, ValueError) as error:
-        raise InputError(f"scheduler {address!r} does not answer ({error}); give host:port") from None
-
-    with client, client.get_executor(pure=False) as executor:
+    with client_of(address) as client, client.get_executor(pure=False) as executor:
 
         def submit(job, task, progress):
             around = {name: value for name, value in task.inputs.items() if name.startswith(ENVIRONMENT)}
@@ -185,10 +177,6 @@ def execute_elsewhere(job: Job, around: dict[str, str]) -> Outcome:
     if different := changes(around, environment_inputs()):
         return Outcome(failure=Failure("worker", f"its environment differs: {_short(different)}"))
     return execute(job)
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _short(reasons: list[str]) -> str:

@@ -14,7 +14,9 @@ from pathlib import Path
 from stillwork.base import paths
 from stillwork.base.checks import InputError, nearest, require_choice, require_number
 
-KINDS = ("value", "exact", "ordering", "slope", "reported")
+KINDS = ("value", "exact", "ordering", "slope", "reported", "check")
+VERDICTS = ("replicated", "better", "deviates", "reported", "passes", "fails", "not built")
+AGREEMENT = ("replicated", "better", "passes")
 BASES = ("predicted", "fitted", "calibrated")
 
 
@@ -63,12 +65,14 @@ class Entry:
         Where it stands in the work.
     quantity, unit : str
         What it is.
-    published : float
-        The published value; for an ordering the fraction of runs that must obey it, 1.
+    published : float or None
+        The published value; for an ordering the fraction of runs that must obey it, 1. None only for `reported`
+        and `check`: what the work does not state.
     kind : str
-        ``value``, ``exact``, ``ordering``, ``slope`` or ``reported`` (shown, not judged).
+        ``value``, ``exact``, ``ordering``, ``slope``, ``reported`` (shown, not judged) or ``check`` (of our own:
+        no replication).
     tolerance : Tolerance or None
-        None for `reported` and `ordering` only.
+        None for `reported`, `ordering`, and a check that is a fraction of runs.
     drift : Tolerance
         How far a rebuilt value may lie from the accepted one, relative or absolute. A value that is a small
         difference of large ones, or a fit to rounding, moves by more than a part of itself.
@@ -78,19 +82,29 @@ class Entry:
         What the last accepted build gave.
     reason : str
         Why it deviates or cannot be judged.
+    threshold : float or None
+        For an ordering, and a check that is a fraction of runs: the least fraction that must obey it. The lower
+        end of the fraction's interval over runs is held against it. Without one, all runs must obey it.
+    better : str or None
+        ``larger`` or ``smaller`` where a value on that side of the published one is better.
+    counterfactual : bool
+        Whether it tells of something that the work did not do, e.g. its filter corrected.
     """
 
     id: str
     place: str
     quantity: str
     unit: str
-    published: float
     kind: str
+    published: float | None = None
     tolerance: Tolerance | None = None
     drift: Tolerance = DRIFT
     basis: str = "predicted"
     ours: float | None = None
     reason: str = ""
+    threshold: float | None = None
+    better: str | None = None
+    counterfactual: bool = False
 
     def __post_init__(self):
         require_choice(f"{self.id}: kind", self.kind, KINDS)
@@ -98,7 +112,12 @@ class Entry:
         for name in ("place", "quantity"):
             if not getattr(self, name):
                 raise InputError(f"{self.id}: {name} is empty; fill it in")
-        require_number(f"{self.id}: published", self.published)
+        if self.published is not None:
+            require_number(f"{self.id}: published", self.published)
+        elif self.kind not in ("reported", "check"):
+            raise InputError(
+                f"{self.id}: published is missing; only a check or what is reported goes without"
+            )
         if self.kind in ("value", "exact", "slope") and self.tolerance is None:
             raise InputError(f"{self.id}: a {self.kind} needs a tolerance with a source")
         if self.kind in ("reported", "ordering") and self.tolerance is not None:
@@ -107,6 +126,33 @@ class Entry:
             raise InputError(f"{self.id}: drift takes relative or absolute, not interval")
         if self.kind == "reported" and not self.reason:
             raise InputError(f"{self.id}: say in reason why it is not judged")
+        self._require_threshold()
+        if self.better is not None:
+            require_choice(f"{self.id}: better", self.better, ("larger", "smaller"))
+            if self.kind not in ("value", "slope"):
+                raise InputError(f"{self.id}: {self.kind} takes no better; remove it")
+
+    def _require_threshold(self):
+        if self.threshold is None:
+            return
+        if not self.is_fraction:
+            raise InputError(f"{self.id}: only a fraction of runs takes a threshold; remove it")
+        require_number(f"{self.id}: threshold", self.threshold, above=0, at_most=1)
+
+    @property
+    def is_fraction(self) -> bool:
+        """Whether it is judged by the fraction of runs that obey it."""
+        return self.kind == "ordering" or (self.kind == "check" and self.tolerance is None)
+
+    @property
+    def is_own(self) -> bool:
+        """Whether it is ours alone: a check, or a number that the work does not state."""
+        return self.kind == "check" or self.published is None
+
+    @property
+    def is_replication(self) -> bool:
+        """Whether it counts among the numbers of the work that were held against ours."""
+        return not self.is_own and not self.counterfactual
 
     @property
     def room(self) -> str:
@@ -124,22 +170,41 @@ class Claim:
 
     @property
     def verdict(self) -> str:
-        """``replicated``, ``deviates``, ``reported`` or ``not built``."""
+        """What comes of holding ours against the entry.
+
+        ``replicated`` or ``deviates``; ``better`` where ours lies beyond the tolerance on the side that the entry
+        calls better; ``passes`` or ``fails`` for a check; ``reported``; ``not built``.
+        """
         entry = self.entry
         if self.ours is None:
             return "not built"
         if entry.kind == "reported":
             return "reported"
-        if entry.kind == "ordering":
-            agrees = self.ours == entry.published
-        else:
-            agrees = entry.tolerance.allows(entry.published, self.ours, self.interval)
-        return "replicated" if agrees else "deviates"
+        if self._agrees():
+            return "passes" if entry.kind == "check" else "replicated"
+        if entry.kind == "check":
+            return "fails"
+        larger = self.ours > (entry.published or 0.0)
+        return "better" if entry.better == ("larger" if larger else "smaller") else "deviates"
+
+    def _agrees(self) -> bool:
+        entry = self.entry
+        if not entry.is_fraction:
+            # A check without a published value is the residual of an identity: nothing should be left.
+            return entry.tolerance.allows(entry.published or 0.0, self.ours, self.interval)
+        if entry.threshold is None:
+            return self.ours == (1.0 if entry.published is None else entry.published)
+        if self.interval is None:
+            raise InputError(
+                f"{entry.id} is judged by the interval of a fraction over runs; pass interval=(low, high), "
+                "e.g. from stillwork.workbook.studies.proportion_interval"
+            )
+        return self.interval[0] >= entry.threshold
 
     @property
     def deviation(self) -> float | None:
         """Relative distance from the published value; None where it has no meaning."""
-        if self.ours is None or self.entry.published == 0:
+        if self.ours is None or not self.entry.published:
             return None
         return abs(self.ours - self.entry.published) / abs(self.entry.published)
 
@@ -175,6 +240,10 @@ class Claim:
             "kind": entry.kind,
             "basis": entry.basis,
             "published": entry.published,
+            "threshold": entry.threshold,
+            "better": entry.better,
+            "own": entry.is_own,
+            "counterfactual": entry.counterfactual,
             "ours": self.ours,
             "interval": list(self.interval) if self.interval else None,
             "verdict": self.verdict,
@@ -228,6 +297,8 @@ def _entry(name: str, fields: dict) -> Entry:
         for key in given:
             if key not in allowed:
                 raise InputError(f"{name}: unknown field {key!r}{nearest(key, allowed)}")
+    if not isinstance(fields.get("counterfactual", False), bool):
+        raise InputError(f"{name}: counterfactual is {fields['counterfactual']!r}; give true or false")
     try:
         return Entry(id=name, **{**fields, **{key: Tolerance(**rule) for key, rule in rules.items()}})
     except (TypeError, InputError) as error:
@@ -262,7 +333,8 @@ class ClaimsTable:
             entry = claim.entry
             spread = "" if not claim.interval else "{:.3g} .. {:.3g}".format(*claim.interval)
             verdict = claim.verdict + ("" if entry.basis == "predicted" else f" ({entry.basis})")
-            row = (entry.id, entry.place, f"{entry.published:.4g}", claim.shown(3), spread)
+            published = "" if entry.published is None else f"{entry.published:.4g}"
+            row = (entry.id, entry.place, published, claim.shown(3), spread)
             rows.append((*row, entry.unit, verdict))
         widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
         lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
@@ -270,7 +342,7 @@ class ClaimsTable:
         reasons = [
             f"{c.entry.id}: {c.entry.reason}"
             for c in self.claims
-            if c.entry.reason and c.verdict != "replicated"
+            if c.entry.reason and c.verdict not in AGREEMENT
         ]
         return "\n".join(lines + (["", *reasons] if reasons else []))
 

@@ -21,16 +21,28 @@ def alone() -> Iterator[None]:
     InputError
         When another command holds it.
     """
-    file = paths.root() / "build" / "lock"
-    file.parent.mkdir(exist_ok=True)
+    refusal = "another build or accept of this checkout is running; wait for it or stop it"
+    with held("lock", refusal):
+        finish(paths.root())
+        yield
+
+
+@contextlib.contextmanager
+def held(name: str, refusal: str) -> Iterator[None]:
+    """Hold the file ``build/<name>`` against other processes.
+
+    Raises
+    ------
+    InputError
+        With `refusal`, when another one holds it.
+    """
+    file = paths.root() / "build" / name
+    file.parent.mkdir(parents=True, exist_ok=True)
     with file.open("a") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise InputError(
-                "another build or accept of this checkout is running; wait for it or stop it"
-            ) from None
-        finish(paths.root())
+            raise InputError(refusal) from None
         yield
 
 

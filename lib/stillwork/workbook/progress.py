@@ -1,21 +1,38 @@
-"""What a person sees of a build: a bar with the time left in a terminal, plain lines elsewhere."""
+"""What a person sees of a long run: a bar with the time left in a terminal, plain lines elsewhere."""
 
 import sys
+import time
 
 
 class Progress:
-    """Counts code cells; `say` prints a line without tearing the bar."""
+    """Counts steps; `say` prints a line without tearing the bar.
 
-    def __init__(self, cells: int):
+    Parameters
+    ----------
+    total : int
+        Steps of the run.
+    task, unit : str
+        What runs, and what a step is.
+    tell : bool
+        Whether a line at every tenth stands for the bar where there is no terminal.
+    """
+
+    def __init__(self, total: int, *, task: str = "figures", unit: str = "cell", tell: bool = False):
         self._bar = None
+        self._tell = tell
+        self._task, self._total, self._done, self._begin = task, total, 0, time.monotonic()
         if sys.stderr.isatty():
             from tqdm import tqdm
 
-            self._bar = tqdm(total=cells, unit="cell", desc="figures", leave=False)
+            self._bar = tqdm(total=total, unit=unit, desc=task, leave=False)
 
-    def step(self, cells: int = 1) -> None:
+    def step(self, steps: int = 1) -> None:
+        before, self._done = self._done, self._done + steps
         if self._bar is not None:
-            self._bar.update(cells)
+            self._bar.update(steps)
+        elif self._tell and 10 * self._done // self._total > 10 * before // self._total:
+            left = (time.monotonic() - self._begin) * (self._total / self._done - 1)
+            self.say(f"{self._task}: {self._done} of {self._total}, {left:.0f} s left")
 
     def say(self, line: str) -> None:
         if self._bar is not None:

@@ -1,17 +1,24 @@
-"""The ledger as text: for a terminal, and as the summary that stands in the README."""
+"""The ledger as text: for a terminal, one entry whole, and as the summary that stands in the README."""
 
+import shutil
+import sys
+import textwrap
 from collections import Counter
 
 from stillwork.base import paths
-from stillwork.workbook.claims import BASES, Claim, ledger
+from stillwork.base.checks import InputError, nearest
+from stillwork.workbook.claims import AGREEMENT, BASES, VERDICTS, Claim, ledger
 
 BEGIN, END = "<!-- ledger:begin -->", "<!-- ledger:end -->"
-VERDICTS = ("replicated", "deviates", "reported", "not built")
+APART = ("own checks", "counterfactual")  # counted, but no replications
+GAP = "  "
+NARROWEST = 8  # characters to which a column may shrink
 
 
 def published_quantity(claim: Claim) -> str:
-    """The published value with its unit; of an ordering, the share of cases in which it holds."""
-    return _quantity(claim, claim.entry.published, f"{claim.entry.published:.4g}")
+    """The published value with its unit; of a fraction of runs, the share of cases in which it holds."""
+    published = claim.entry.published
+    return "" if published is None else _quantity(claim, published, f"{published:.4g}")
 
 
 def our_quantity(claim: Claim) -> str:
@@ -20,53 +27,185 @@ def our_quantity(claim: Claim) -> str:
 
 
 def _quantity(claim: Claim, value: float, text: str) -> str:
-    if claim.entry.kind == "ordering":
+    if claim.entry.is_fraction:
         return "always" if value == 1 else "never" if value == 0 else f"in {100 * value:.3g} % of cases"
     unit = claim.entry.unit
     return text if unit in ("", "1") else f"{text} {unit}"
 
 
-def ledger_text(claims: list[Claim]) -> str:
-    """Table of all claims, the reasons of those that are not replicated, and the counts."""
+def screen() -> int:
+    """Characters in a line of the terminal; where the text goes elsewhere, no line is too long."""
+    return shutil.get_terminal_size((sys.maxsize, 24)).columns
+
+
+def table(rows: list[tuple[str, ...]], width: int) -> list[str]:
+    """Lines of a table, the first row its head.
+
+    Where it is wider than `width`, the first cell of a row stands on a line of its own, the others below it, and the
+    widest columns wrap.
+
+    Parameters
+    ----------
+    rows : list of tuple of str
+        As many cells in each.
+    width : int
+        Characters; a table of many columns keeps eight for each even where that is too much.
+    """
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    stacked = _length(widths) > width
+    if stacked:
+        widths = widths[1:]
+        while _length(widths) + len(GAP) > width and max(widths) > NARROWEST:
+            widths[widths.index(max(widths))] -= 1
+    lines = []
+    for number, row in enumerate(rows):
+        if stacked:
+            lines += textwrap.wrap(row[0], width)
+            row = row[1:]
+        cells = [textwrap.wrap(cell, columns) or [""] for cell, columns in zip(row, widths, strict=True)]
+        for k in range(max(map(len, cells))):
+            parts = (cell[k] if k < len(cell) else "" for cell in cells)
+            line = GAP.join(p.ljust(w) for p, w in zip(parts, widths, strict=True))
+            lines.append((GAP * stacked + line).rstrip())
+        if number == 0:
+            lines.append("-" * (_length(widths) + len(GAP) * stacked))
+    return lines
+
+
+def _length(widths: list[int]) -> int:
+    return sum(widths) + len(GAP) * (len(widths) - 1)
+
+
+def ledger_text(claims: list[Claim], width: int) -> str:
+    """Table of all claims, the reasons of those that do not agree, and the counts.
+
+    Parameters
+    ----------
+    claims : list of Claim
+    width : int
+        Characters in a line.
+    """
     rows = [("claim", "place", "published", "ours", "interval", "unit", "kind", "verdict")]
     for claim in claims:
         entry = claim.entry
         ours = "" if claim.ours is None else claim.shown(4)
+        published = "" if entry.published is None else f"{entry.published:.4g}"
         spread = "{:.3g} .. {:.3g}".format(*claim.interval) if claim.interval else ""
         verdict = claim.verdict if entry.basis == "predicted" else f"{claim.verdict} ({entry.basis})"
-        rows.append(
-            (entry.id, entry.place, f"{entry.published:.4g}", ours, spread, entry.unit, entry.kind, verdict)
-        )
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
-    lines.insert(1, "-" * max(map(len, lines)))
+        rows.append((entry.id, entry.place, published, ours, spread, entry.unit, entry.kind, verdict))
     reasons = [
-        f"{claim.entry.id}: {claim.entry.reason}"
+        paragraph(f"{claim.entry.id}: {claim.entry.reason}", width)
         for claim in claims
-        if claim.entry.reason and claim.verdict != "replicated"
+        if claim.entry.reason and claim.verdict not in AGREEMENT
     ]
     counts = Counter(claim.verdict for claim in claims)
     total = ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS if counts[verdict])
-    return "\n".join([*lines, *(["", *reasons] if reasons else []), "", total or "no entries"])
+    return "\n".join([*table(rows, width), *(["", *reasons] if reasons else []), "", total or "no entries"])
+
+
+def paragraph(text: str, width: int) -> str:
+    """`text` in lines of at most `width`, those after the first indented."""
+    return textwrap.fill(text, width, subsequent_indent=GAP, break_on_hyphens=False)
+
+
+def find(claims: list[Claim], name: str) -> Claim:
+    """The claim of the entry `name`.
+
+    Raises
+    ------
+    InputError
+        When the ledger has no such entry; the nearest is named.
+    """
+    by_id = {claim.entry.id: claim for claim in claims}
+    if name not in by_id:
+        raise InputError(f"the ledger has no entry {name!r}{nearest(name, by_id)}")
+    return by_id[name]
+
+
+def entry_text(fields: dict, width: int) -> str:
+    """All fields of one entry, a line or paragraph each; nested ones indented under their name.
+
+    Parameters
+    ----------
+    fields : dict
+        As `Claim.as_dict` gives them. What is empty is left out.
+    width : int
+        Characters in a line.
+    """
+    return "\n".join(_field_lines(fields, width, ""))
+
+
+def _field_lines(fields: dict, width: int, indent: str) -> list[str]:
+    lines = []
+    for name, value in fields.items():
+        if value in (None, "", [], {}) or value is False:
+            continue
+        if isinstance(value, dict):
+            lines += [f"{indent}{name}:", *_field_lines(value, width, indent + GAP)]
+        elif isinstance(value, list) and isinstance(value[0], dict):
+            lines.append(f"{indent}{name}:")
+            lines += [_field(f"{indent}{GAP}", "; ".join(_pairs(each)), width) for each in value]
+        else:
+            between = " .. " if name in ("interval", "range") else ", "
+            lines.append(_field(f"{indent}{name}: ", _shown(value, between), width))
+    return lines
+
+
+def _field(begin: str, text: str, width: int) -> str:
+    deeper = " " * (len(begin) - len(begin.lstrip())) + GAP
+    return textwrap.fill(begin + text, width, subsequent_indent=deeper, break_on_hyphens=False)
+
+
+def _pairs(fields: dict) -> list[str]:
+    return [f"{name} {_shown(value)}" for name, value in fields.items() if value is not False and value != ""]
+
+
+def _shown(value, between: str = ", ") -> str:
+    if isinstance(value, list):
+        return between.join(map(_shown, value))
+    return f"{value:.5g}" if isinstance(value, float) else str(value)
+
+
+def column(claim: Claim) -> str:
+    """Under what a claim is counted: its verdict, or what sets it apart from the replications."""
+    if claim.entry.is_replication:
+        return claim.verdict
+    return "counterfactual" if claim.entry.counterfactual else "own checks"
+
+
+def columns(claims: list[Claim]) -> list[str]:
+    """Columns of a count: the three common verdicts, and those others that occur."""
+    seen = {column(claim) for claim in claims} | {"replicated", "deviates", "reported"}
+    return [name for name in (*VERDICTS[:-1], *APART) if name in seen]
 
 
 def summary() -> str:
-    """Markdown table of the verdicts, a row a room; `replicated` is split by what it rests on."""
-    kinds = [f"replicated, {basis}" for basis in BASES] + ["deviates", "reported"]
+    """Markdown table of the verdicts, a row a room; `replicated` is split by what it rests on.
+
+    Checks of our own and counterfactuals are no replications: they have columns of their own, where there are any.
+    """
+    claims = ledger()
+    shown = [
+        name
+        for verdict in columns(claims)
+        for name in ([f"replicated, {basis}" for basis in BASES] if verdict == "replicated" else [verdict])
+    ]
     lines = [
-        "| room | numbers | " + " | ".join(kinds) + " |",
-        "|---|" + "---:|" * (len(kinds) + 1),
+        "| room | numbers | " + " | ".join(shown) + " |",
+        "|---|" + "---:|" * (len(shown) + 1),
     ]
     for room in paths.ROOMS:
-        claims = ledger(room=room)
-        counts = Counter(
-            f"replicated, {claim.entry.basis}" if claim.verdict == "replicated" else claim.verdict
-            for claim in claims
-        )
-        if claims:
-            numbers = " | ".join(str(counts[kind]) for kind in kinds)
-            lines.append(f"| `{room}` | {len(claims)} | {numbers} |")
+        mine = [claim for claim in claims if claim.entry.room == room]
+        counts = Counter(_split(claim) for claim in mine)
+        if mine:
+            numbers = " | ".join(str(counts[name]) for name in shown)
+            lines.append(f"| `{room}` | {sum(c.entry.is_replication for c in mine)} | {numbers} |")
     return "\n".join(lines)
+
+
+def _split(claim: Claim) -> str:
+    name = column(claim)
+    return f"replicated, {claim.entry.basis}" if name == "replicated" else name
 
 
 def readme_with_summary(text: str) -> str:

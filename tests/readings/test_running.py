@@ -1,0 +1,285 @@
+"""The same numbers on any workers, after any interruption, whatever fails."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+from readings import toy_work
+from readings.toy_work import SEEDS, A, B, axis, study
+from stillwork.__main__ import main
+from stillwork.base.checks import InputError
+from stillwork.workbook.readings.command import standings_of
+from stillwork.workbook.readings.journal import Journal
+from stillwork.workbook.readings.results import results_text
+from stillwork.workbook.readings.running import DIED, calls_of, run_readings
+from stillwork.workbook.workers import processes
+
+NOISY = A + B + SEEDS + study("noisy")
+ROOT = Path(__file__).parents[2]
+
+
+def run(multiverses, folder, executor=None, **options):
+    executor = executor or partial(ThreadPoolExecutor, 1)
+    return run_readings(multiverses, executor, Journal(folder / "journal.jsonl"), **options)
+
+
+def test_one_thread_or_three_give_the_same(workbook, tmp_path):
+    _, multiverses = workbook(NOISY)
+    one = run(multiverses, tmp_path / "1")
+    three = run(multiverses, tmp_path / "3", partial(ThreadPoolExecutor, 3), at_once=6)
+    assert results_text(one) == results_text(three)
+    expected = [[a + 2 * b + a * b + noise for noise in (0, -1, 1)] for a, b in one[0].design]
+    np.testing.assert_array_equal(one[0].values["motion.table-1.sum"], expected)
+
+
+@pytest.mark.slow
+def test_processes_give_the_same(workbook, tmp_path):
+    _, multiverses = workbook(NOISY)
+    here = run(multiverses, tmp_path / "here")
+    there = [run(multiverses, tmp_path / str(jobs), partial(processes, jobs)) for jobs in (1, 2)]
+    assert results_text(there[0]) == results_text(there[1]) == results_text(here)
+
+
+@pytest.mark.slow
+def test_a_cluster_gives_the_same(workbook, tmp_path):
+    from distributed import Client, LocalCluster
+
+    _, multiverses = workbook(NOISY)
+    with (
+        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        Client(cluster) as client,
+    ):
+        there = run(multiverses, tmp_path / "there", partial(client.get_executor, pure=False), at_once=4)
+    assert results_text(there) == results_text(run(multiverses, tmp_path / "here"))
+
+
+def test_what_the_journal_holds_is_not_computed_again(workbook, tmp_path, monkeypatch):
+    _, multiverses = workbook(NOISY)
+    before = run(multiverses, tmp_path)
+    lines = (tmp_path / "journal.jsonl").read_text()
+    assert lines.count("\n") == 18
+    (tmp_path / "journal.jsonl").write_text(lines[: len(lines) // 2])  # torn within a line
+    kept = lines[: len(lines) // 2].count("\n")
+    after = run(multiverses, tmp_path)
+    assert results_text(after) == results_text(before)
+    again = (tmp_path / "journal.jsonl").read_text()
+    assert again.startswith(lines[: len(lines) // 2] + "\n")
+    assert again.count("\n") - 1 - kept == 18 - kept
+
+
+def test_new_options_keep_the_old_readings_and_other_entries_do_not(workbook, tmp_path):
+    _, multiverses = workbook(A.replace("[0, 1, 2]", "[0, 1]") + B + study())
+    run(multiverses, tmp_path)
+    counts = []
+    for text in (A + B + study(), A + B + study(entries='["motion.order"]')):
+        _, multiverses = workbook(text)
+        missing = {r.key for m in multiverses for r in calls_of(m).values()}
+        counts.append(len(missing - set(Journal(tmp_path / "journal.jsonl").found)))
+    assert counts == [2, 6]
+
+
+def test_a_reading_that_raises_is_told_and_the_others_go_on(workbook, tmp_path):
+    _, multiverses = workbook(A + B + study("raising"))
+    (found,) = run(multiverses, tmp_path)
+    places = {at: found.design[at[0]] for at in found.failures}
+    assert {places[at]: reason for at, reason in found.failures.items()} == {
+        (2, 0): "ValueError: no such thing at b = 0",
+        (2, 1): "ValueError: no such thing at b = 1",
+    }
+    assert np.isfinite(found.values["motion.order"]).sum() == 4
+
+
+@pytest.mark.slow
+def test_a_reading_that_kills_its_process_is_told_and_the_others_go_on(workbook, tmp_path):
+    _, multiverses = workbook(A + B + study("dying"))
+    (found,) = run(multiverses, tmp_path, partial(processes, 2), at_once=4)
+    assert {found.design[point]: reason for (point, _), reason in found.failures.items()} == {(1, 1): DIED}
+    assert np.isfinite(found.values["motion.order"]).sum() == 5
+
+
+@pytest.mark.parametrize(
+    ("function", "message"),
+    [
+        ("incomplete", "motion.table-1.sum is missing from what it returns"),
+        ("talkative", "talkative: motion.other is not among its entries"),
+        ("deaf", "deaf cannot take the axes that touch its entries: .*'b'"),
+        ("absent", "readings.toy_work has no function 'absent'"),
+    ],
+)
+def test_a_study_that_does_not_keep_to_its_form_stops_the_run(workbook, tmp_path, function, message):
+    _, multiverses = workbook(A + B + study(function))
+    with pytest.raises(InputError, match=message):
+        run(multiverses, tmp_path)
+
+
+def test_a_module_that_is_not_there_is_named(workbook, tmp_path):
+    _, multiverses = workbook(A + study().replace("readings.toy_work", "readings.none"))
+    with pytest.raises(InputError, match=r"there is no module 'readings.none'"):
+        run(multiverses, tmp_path)
+
+
+def test_after_the_budget_nothing_begins_and_nothing_is_whole(workbook, tmp_path):
+    _, multiverses = workbook(A + B + study("slow"))
+    assert run(multiverses, tmp_path, budget_s=0.0) == []
+    assert not (tmp_path / "journal.jsonl").exists()
+    assert run(multiverses, tmp_path, budget_s=0.5, at_once=1) == []
+    assert 1 <= len(Journal(tmp_path / "journal.jsonl").found) < 6
+    (found,) = run(multiverses, tmp_path)
+    assert not found.failures
+
+
+def test_an_interrupt_keeps_what_is_done(workbook, tmp_path):
+    _, multiverses = workbook(A + B + study())
+    journal = Journal(tmp_path / "journal.jsonl")
+    one = partial(ThreadPoolExecutor, 1)
+    assert run_readings(multiverses, one, journal, at_once=1, stopped=lambda: len(journal.found) == 2) == []
+    assert len(Journal(journal.file).found) == 2
+    (found,) = run(multiverses, tmp_path)
+    assert np.isfinite(found.values["motion.order"]).all()
+
+
+@pytest.mark.slow
+def test_an_interrupt_does_not_wait_for_a_long_reading(workbook, tmp_path):
+    _, multiverses = workbook(A + B + study("endless"))
+    begin = time.monotonic()
+    assert run(multiverses, tmp_path, partial(processes, 1), stopped=(tmp_path / "begun").exists) == []
+    assert time.monotonic() - begin < 60  # of 1000 s
+
+
+def test_another_checkout_on_a_worker_is_refused(workbook, tmp_path, monkeypatch):
+    from stillwork.workbook.readings import running
+
+    _, multiverses = workbook()
+    own = running.study_digest
+    answers = iter(["0" * 64])
+    monkeypatch.setattr(running, "study_digest", lambda *given: next(answers, own(*given)))
+    with pytest.raises(InputError, match="the worker's checkout differs"):
+        run(multiverses, tmp_path)
+
+
+def test_studies_advance_at_the_same_pace(workbook, tmp_path):
+    short = study("one", entries='["motion.order"]')
+    long = study("other", entries='["motion.always"]').replace("studies.toy", "studies.long")
+    _, multiverses = workbook(short + axis("a", [0, 1, 2], 0, touches='["motion.always"]') + long)
+    order = []
+
+    @contextmanager
+    def watched():
+        with ThreadPoolExecutor(1) as pool:
+            submit = pool.submit
+            pool.submit = lambda function, given: (order.append(given.function), submit(function, given))[1]
+            yield pool
+
+    run(multiverses, tmp_path, watched, at_once=1)
+    names = [name.partition(":")[2] for name in order]
+    assert sorted(names[:2]) == ["one", "other"]
+    assert names[2:] == ["other", "other"]
+
+
+@contextmanager
+def command(root, *arguments):
+    """``python -m stillwork readings`` on the toy, ended at the end with all it started."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "stillwork", "readings", "motion", *arguments],
+        env=os.environ
+        | {
+            "STILLWORK_ROOT": str(root),
+            "PYTHONPATH": os.pathsep.join([str(ROOT / "lib"), str(ROOT / "tests")]),
+        },
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def wait_until(condition, seconds=60):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "waited too long"
+        time.sleep(0.02)
+
+
+@pytest.mark.slow
+def test_a_killed_run_goes_on_where_it_stopped(workbook, tmp_path):
+    whole, torn = tmp_path / "whole", tmp_path / "torn"
+    for root in (whole, torn):
+        toy_work.write(root, A + B + SEEDS + study("slow"))
+    journal = torn / "build/readings/motion.jsonl"
+    with command(torn, "--jobs", "2") as process:
+        wait_until(lambda: journal.exists() and journal.read_text().count("\n") >= 4)
+        children = psutil.Process(process.pid).children(recursive=True)
+        process.send_signal(signal.SIGKILL)
+        wait_until(lambda: not any(each.is_running() and each.status() != "zombie" for each in children))
+    done = journal.read_text().count("\n")
+    assert done < 18
+    assert not (torn / "data/motion/readings.csv").exists()
+    texts = []
+    for root in (torn, whole):
+        with command(root, "--jobs", "1") as process:
+            texts.append(process.communicate(timeout=120)[0])
+            assert process.returncode == 0, texts
+    assert f"of {18 - done}" in texts[0]
+    assert journal.read_text().count("\n") in (18, 19)  # 19: a line was torn
+    assert (torn / "data/motion/readings.csv").read_bytes() == (
+        whole / "data/motion/readings.csv"
+    ).read_bytes()
+    assert "motion: 1 holds, 3 depends, 1 fails" in texts[1]
+
+
+@pytest.mark.slow
+def test_the_command_paints_and_the_ledger_tells_of_readings(workbook, tmp_path, monkeypatch, capsys):
+    workbook(NOISY)
+    with command(tmp_path) as process:
+        text = process.communicate(timeout=120)[0]
+    assert process.returncode == 0, text
+    assert (tmp_path / "build/readings/motion/readings.png").exists()
+    assert (tmp_path / "build/readings/motion/motion.order.png").exists()
+    assert main(["claims", "motion", "--json"]) == 0
+    claims = {each["id"]: each for each in json.loads(capsys.readouterr().out)}
+    order = [a <= b for a in range(3) for b in range(2)] * 3
+    readings = claims["motion.order"]["readings"]
+    assert (readings["tried"], readings["agree"], readings["class"]) == (18, sum(order), "depends")
+    assert readings["decided_by"][0]["axis"] == "a"
+    assert readings["joint"]["tried"] == 6
+    monkeypatch.setenv("COLUMNS", "60")
+    assert main(["claims", "--entry", "motion.order"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert "  class: depends" in lines
+    assert max(map(len, lines)) <= 60
+
+
+def test_axes_that_changed_since_are_told_and_not_judged(workbook, outcomes, tmp_path, capsys):
+    text = results_text([outcomes()])
+    (tmp_path / "data/motion/readings.csv").write_text(text, encoding="utf-8")
+    assert len(standings_of("motion")) == 6
+    workbook(A.replace("[0, 1, 2]", "[0, 1]") + B + study() + study("one", "[]").replace("toy", "other"))
+    assert standings_of("motion") == {}
+    assert "the axes of toy, other changed: run `make readings`" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("budget", ["-1", "soon", "0"])
+def test_a_budget_is_a_time(budget, capsys):
+    with pytest.raises(SystemExit):
+        main(["readings", "--budget", budget])
+    assert f"{budget!r} is not a time; give minutes, more than 0" in capsys.readouterr().err
+
+
+def test_a_room_that_does_not_exist_is_named(capsys):
+    assert main(["readings", "moton"]) == 2
+    assert "there is no room 'moton'; did you mean 'motion'?" in capsys.readouterr().err
