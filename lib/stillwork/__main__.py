@@ -8,6 +8,7 @@ import sys
 
 from stillwork.base import paths
 from stillwork.base.checks import InputError, nearest, one_line
+from stillwork.base.extras import MissingPackage, missing
 
 # A grammar of addresses that jsonschema builds for a second or two when a notebook format is loaded, if it can be
 # had; nothing here holds an address against it.
@@ -22,8 +23,11 @@ def main(arguments: list[str] | None = None) -> int:
         parser.error(f"unknown {unknown[0]!r}{nearest(unknown[0], words)}")
     try:
         return options.run(options)
-    except (InputError, FileNotFoundError) as error:
-        print(f"stillwork: {one_line(str(error))}", file=sys.stderr)
+    except (InputError, FileNotFoundError, ImportError) as error:
+        told = missing(error) if isinstance(error, ModuleNotFoundError) else error
+        if isinstance(told, ImportError) and not isinstance(told, MissingPackage):
+            raise
+        print(f"stillwork: {one_line(str(told))}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130
