@@ -13,6 +13,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
+from stillwork.base.front_door import checked
 from stillwork.base.kernels import inlined_kernel, kernel
 
 
@@ -83,6 +84,7 @@ class FeRls:
             raise InputError("initial_covariance is not positive definite; give a covariance")
         object.__setattr__(self, "initial_covariance", initial)
 
+    @checked(infinite=True)
     def start(self, regressors: int) -> tuple[Float64[np.ndarray, "n n"], Float64[np.ndarray, "n"]]:
         """P(-1), exactly symmetric, and the limits of its diagonal for a number of regressors."""
         initial = self.initial_covariance

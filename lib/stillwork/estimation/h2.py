@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from stillwork.base.checks import InputError, require_number
+from stillwork.base.extras import require_package
 from stillwork.estimation.generalised_plant import GeneralisedPlant
 from stillwork.lti.norms import h2_norm, hinf_norm
 from stillwork.lti.state_space import StateModel
@@ -285,7 +286,7 @@ def _by_inequalities(regular: GeneralisedPlant, level: float | None = None, rati
     InputError
         When the solver reports anything but an optimum, with what it reports and its residuals.
     """
-    import cvxpy as cp
+    cp = require_package("cvxpy")
 
     plant, units = _scaled(regular)
     a, b1, b2, c1, c2, _, d12, d21, _ = plant.blocks

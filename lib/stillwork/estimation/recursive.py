@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.base.front_door import checked
 from stillwork.estimation import recursive_kernels
 from stillwork.estimation.min_max import ZeroEstimateWarning
 from stillwork.estimation.recursive_settings import Estimator, GrowingMinMax, MinMax, Track
@@ -14,6 +15,7 @@ from stillwork.estimation.recursive_settings import Estimator, GrowingMinMax, Mi
 LARGEST = 1e70
 
 
+@checked(infinite=True)
 def run(estimator: Estimator, regressors: ArrayLike, outputs: ArrayLike) -> Track:
     """Run an estimator over a record.
 
@@ -49,7 +51,7 @@ def run(estimator: Estimator, regressors: ArrayLike, outputs: ArrayLike) -> Trac
             "every estimate is zero: at each step the bound is at or above |A'b|/|b|, so a perturbation of "
             "that size explains all of the data; give a smaller bound",
             ZeroEstimateWarning,
-            stacklevel=2,
+            stacklevel=3,
         )
     return track
 
@@ -154,6 +156,7 @@ class RecursiveStepper:
         return track.estimates[:, 0].copy()
 
 
+@checked
 def worst_case_residuals(
     regressors: ArrayLike,
     outputs: ArrayLike,

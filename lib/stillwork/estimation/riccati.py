@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from stillwork.base.checks import InputError, require_array
+from stillwork.base.front_door import checked
 
 # Relative residual above which a solution is refused; a scaled solution leaves about 1e-12.
 WORST_RESIDUAL = 1e-8
@@ -73,6 +74,7 @@ def _require_driven(a: np.ndarray, g: np.ndarray, on_boundary) -> None:
                 )
 
 
+@checked
 def continuous_gain(
     a: ArrayLike, noise_input: ArrayLike, c: ArrayLike, process: float | ArrayLike, sensor: float | ArrayLike
 ) -> KalmanGain:
@@ -202,6 +204,7 @@ def _state_scale(a: np.ndarray, g: np.ndarray, c: np.ndarray) -> np.ndarray:
     return scale[:n]
 
 
+@checked
 def discrete_gain(
     a: ArrayLike, noise_input: ArrayLike, c: ArrayLike, process: float | ArrayLike, sensor: float | ArrayLike
 ) -> KalmanGain:

@@ -4,6 +4,7 @@ import numpy as np
 from scipy import linalg
 
 from stillwork.base.checks import InputError
+from stillwork.base.front_door import checked
 from stillwork.lti.peaks import Peak
 from stillwork.lti.state_space import StateModel
 
@@ -11,6 +12,7 @@ from stillwork.lti.state_space import StateModel
 NOTHING = 1e-15
 
 
+@checked
 def hinf_norm(model: StateModel, tolerance: float = 1e-10) -> Peak:
     """H-infinity norm of a stable continuous model, and its frequency, by the eigenvalues of a Hamiltonian.
 
@@ -81,6 +83,7 @@ def _crossings(model: StateModel, level: float) -> np.ndarray:
     return np.unique(np.abs(values[imaginary].imag))
 
 
+@checked
 def h2_norm(model: StateModel) -> float:
     """H2 norm of a stable, strictly proper continuous model: a balanced Lyapunov equation, residual checked.
 

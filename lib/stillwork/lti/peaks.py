@@ -8,8 +8,10 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import require_count, require_number
+from stillwork.base.front_door import checked
 
 
+@checked
 def resonance_grid(
     poles: ArrayLike, low_hz: float, high_hz: float, points: int = 600, around: int = 40
 ) -> Float64[np.ndarray, " frequencies"]:
@@ -40,6 +42,7 @@ class Peak(NamedTuple):
     omega: float  # rad/s
 
 
+@checked
 def refine_peak(
     response: Callable[[np.ndarray], np.ndarray], omega: np.ndarray, magnitude: np.ndarray, near: float = 0.7
 ) -> Peak:

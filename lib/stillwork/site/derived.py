@@ -193,7 +193,7 @@ def _codemeta(_pages: list[NotebookPage], _claims: list[Claim]) -> str:
         "keywords": project["keywords"],
         "programmingLanguage": {"@type": "ComputerLanguage", "name": "Python"},
         "runtimePlatform": f"Python {project['requires-python']}",
-        "softwareRequirements": project["dependencies"],
+        "softwareRequirements": _requirements(project),
         "referencePublication": [
             {"@type": "ScholarlyArticle", "name": work["work"], "description": work["source"]}
             for work in works().values()
@@ -208,3 +208,12 @@ def _house(_pages: list[NotebookPage], _claims: list[Claim]) -> str:
 
 def _project() -> dict:
     return tomllib.loads((paths.root() / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+
+
+def _requirements(project: dict) -> list[str]:
+    """What the workbook needs: the toolbox's own and those of its extras, without what only tests need."""
+    extras = project["optional-dependencies"]
+    every = project["dependencies"] + [
+        each for name, listed in extras.items() if name != "all" for each in listed
+    ]
+    return sorted(each for each in every if not each.startswith("stillwork["))
