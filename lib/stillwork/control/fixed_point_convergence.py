@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from stillwork.base.checks import InputError, require_array, require_count, require_number
 from stillwork.base.front_door import check_fields, checked
 from stillwork.control.fixed_point_linear import LinearLoop
-from stillwork.control.transformation import FlowTransformation, Transformation, _deform
+from stillwork.control.transformation import FlowTransformation, Transformation, deform_packed
 
 
 @checked
@@ -32,7 +32,7 @@ def iterate(
     sequence, packed = np.empty(steps), transformation.packed
     for i in range(steps):
         sequence[i] = value
-        value = _deform(packed, value, response_gain * value + response_offset, desired)
+        value = deform_packed(packed, value, response_gain * value + response_offset, desired)
     return sequence
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Complex128, Float64
 
 from stillwork.base.checks import require_number
-from stillwork.base.front_door import check_fields
+from stillwork.base.front_door import check_fields, checked
 from stillwork.lti.state_space import StateModel, interconnect
 
 
@@ -50,6 +50,7 @@ class Pid:
         for name in ("gain", "integrator", "differentiator", "low_pass", "low_pass_damping"):
             require_number(name, getattr(self, name), above=0.0)
 
+    @checked
     def frequency_response(
         self, omega: Float64[np.ndarray, " frequencies"]
     ) -> Complex128[np.ndarray, " frequencies"]:

@@ -44,7 +44,10 @@ class Peak(NamedTuple):
 
 @checked
 def refine_peak(
-    response: Callable[[np.ndarray], np.ndarray], omega: np.ndarray, magnitude: np.ndarray, near: float = 0.7
+    response: Callable[[np.ndarray], np.ndarray],
+    omega: Float64[np.ndarray, " frequencies"],
+    magnitude: Float64[np.ndarray, " frequencies"],
+    near: float = 0.7,
 ) -> Peak:
     """Peak of ``abs(response(omega))`` between grid points: zoom into every local maximum that could win.
 
