@@ -33,7 +33,7 @@ def table(folder, name, rows):
     [
         ("rms 1.235 m", "rms 1.234 m"),
         ("rms 9.999 m", "rms 10.00 m"),
-        ("a  1.235\n---  -----", "a  1.2346\n---  ------"),
+        ("a  1.235\n---  -----", "a  1.2349\n---  ------"),
         ("-0.1", "-0.2"),
         ("1.3e-13", "1.4e-13"),
         ("fig-1.png, fig-1.csv", "fig-1.png, fig-1.csv"),
@@ -58,6 +58,9 @@ def test_texts_that_agree(now, before):
         ("0.5", "-0.5"),
         ("1.0 2.0", "1.0"),
         ("nan", "1.0"),
+        ("gain 2", "gain 1.01"),
+        ("0.05", "0.0"),
+        ("2e-04", "1.0e-04"),
     ],
 )
 def test_texts_that_differ(now, before):
@@ -105,6 +108,12 @@ def test_a_line_thinned_to_other_points_is_the_same_line(tmp_path):
     now = np.concatenate([curve[:1], curve[1:-1:3], curve[-1:]])
     assert table_difference(table(tmp_path, "now", now), before) <= 1e-3
     assert table_difference(table(tmp_path, "far", now * [1, 1.01]), before) is None
+
+
+def test_infinities_and_gaps_stand_where_they_stood(tmp_path):
+    files = [table(tmp_path, str(y), [(0, 1), (1, y), (2, 3)]) for y in (np.inf, -np.inf, np.nan)]
+    for number, now in enumerate(files):
+        assert [table_difference(now, before) == 0.0 for before in files] == [n == number for n in range(3)]
 
 
 @pytest.mark.parametrize("change", [lambda rows: rows[:-1] * 0 + 1, lambda rows: rows * [1, np.nan]])

@@ -207,7 +207,7 @@ def _same_number(now: str, before: str) -> bool:
         return True
     if not any(mark in now + before for mark in ".eE"):
         return False
-    unit = max(_last_digit(now), _last_digit(before))
+    unit = min(_last_digit(now), _last_digit(before))  # "2" may be 2.00 without its zeros, but not 1.01
     values = [float(each.replace("−", "-")) for each in (now, before)]
     return abs(values[0] - values[1]) <= PRINTED * unit * (1 + 1e-9)
 
@@ -228,7 +228,7 @@ def distance(now: np.ndarray, before: np.ndarray) -> float:
     Positive numbers that span more than a decade are drawn on a logarithmic axis and compared on one.
     """
     known = np.isfinite(before)
-    if not np.array_equal(known, np.isfinite(now)):
+    if not np.array_equal(now[~known], before[~known], equal_nan=True) or not np.isfinite(now[known]).all():
         return np.inf
     if not known.any():
         return 0.0
