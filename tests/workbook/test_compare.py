@@ -18,6 +18,7 @@ from stillwork.workbook.compare import (
     same_value,
     table_difference,
 )
+from stillwork.workbook.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, SKY
 
 HEADER = "panel,series,x,y,z\n"
 
@@ -136,10 +137,10 @@ def test_rounding_is_compared_by_its_size(tmp_path):
     assert table_difference(*tables, rounding={"line"}) == 0.0
 
 
-def picture(y=1.0, label="time (s)") -> bytes:
+def picture(y=1.0, label="time (s)", colour=BLUE) -> bytes:
     figure = Figure(figsize=(7.2, 2.9), dpi=150)
     axes = figure.subplots()
-    axes.plot([0, 1, 2], [0, y, 0.3], label="a line")
+    axes.plot([0, 1, 2], [0, y, 0.3], label="a line", color=colour)
     axes.set_xlabel(label)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png")
@@ -152,6 +153,16 @@ def test_pictures_agree_when_a_line_moved_within_its_width_and_not_when_a_word_c
     assert not same_picture(picture(1.2), picture())
     assert not same_picture(picture(label="time (h)"), picture())
     assert not same_picture(picture(label="time (m)"), picture())
+    for label in ("time (s).", "time, (s)", "tirne (s)"):
+        assert not same_picture(picture(label=label), picture())
+
+
+@pytest.mark.parametrize("colour", [GREEN, SKY, ORANGE, RED, PURPLE, GREY])
+def test_the_same_numbers_in_another_colour_are_another_figure(tmp_path, colour):
+    for name, each in (("now", colour), ("before", BLUE)):
+        table(tmp_path, name, [(0, 0), (1, 1)])
+        (tmp_path / f"{name}.png").write_bytes(picture(colour=each))
+    assert difference(tmp_path / "now", tmp_path / "before") is None
 
 
 def test_a_figure_is_its_table_and_its_picture(tmp_path):
