@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from stillwork.workbook.claims import Claim, Entry, Tolerance
 from stillwork.workbook.compare import (
     difference,
+    numbers_difference,
     same_outputs,
     same_picture,
     same_size,
@@ -36,6 +37,7 @@ def table(folder, name, rows):
         ("rms 9.999 m", "rms 10.00 m"),
         ("a  1.235\n---  -----", "a  1.2349\n---  ------"),
         ("-0.1", "-0.2"),
+        ("motion.table-3-5.pid  Table 3.5  37  37.1", "motion.table-3-5.pid  Table 3.5  37  37.2"),
         ("1.3e-13", "1.4e-13"),
         ("fig-1.png, fig-1.csv", "fig-1.png, fig-1.csv"),
         ("holds for 27 of 30", "holds for 27 of 30"),
@@ -54,6 +56,9 @@ def test_texts_that_agree(now, before):
         ("holds for 27 of 30", "holds for 28 of 30"),
         ("replicated", "deviates"),
         ("S_I", "S_O"),
+        ("Table 3.5, PID  37.1", "Table 3.6, PID  37.1"),
+        ("Fig. 1.5", "Fig. 1.6"),
+        ("equation (3.5)", "equation (3.6)"),
         ("1.3e-13", "1.3e-12"),
         ("fig-1.png", "fig-2.png"),
         ("0.5", "-0.5"),
@@ -174,6 +179,15 @@ def test_a_figure_is_its_table_and_its_picture(tmp_path):
     assert difference(tmp_path / "now", tmp_path / "before") == 0.0
     assert difference(tmp_path / "now", tmp_path / "other") is None
     assert difference(tmp_path / "now", tmp_path / "gone") is None
+    assert numbers_difference(tmp_path / "now", tmp_path / "other") == 0.0
+    assert numbers_difference(tmp_path / "now", tmp_path / "gone") is None
+    for text in ("", "<<<<<<< HEAD\n", f"{HEADER}a,b\n", f"{HEADER}a,b,1,2,3,4\n", f"{HEADER}a,b,x,y,z\n"):
+        (tmp_path / "before.csv").write_text(text)
+        assert difference(tmp_path / "now", tmp_path / "before") is None
+    table(tmp_path, "before", [(0, 0), (1, 1)])
+    for cut in (0, 8, 2000):
+        (tmp_path / "before.png").write_bytes(picture()[:cut])
+        assert difference(tmp_path / "now", tmp_path / "before") is None
     for name, number in (("one", 1), ("same", 1), ("more", 2)):
         table(tmp_path, name, [(0, number)])
     assert difference(tmp_path / "one", tmp_path / "same") == 0.0

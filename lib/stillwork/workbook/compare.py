@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from stillwork.base.checks import InputError
 from stillwork.workbook.claims import Claim, load_entries
 from stillwork.workbook.figures import read_table
 from stillwork.workbook.notebooks import cleaned, joined
@@ -130,9 +131,20 @@ def difference(now: Path, before: Path) -> float | None:
     shade = SAME_NUMBERS if tables[0] == tables[1] else SHADE
     if pictures[0] != pictures[1] and not noted and not same_picture(*pictures, shade):
         return None
-    if tables[0] == tables[1]:
+    return numbers_difference(now, before)
+
+
+def numbers_difference(now: Path, before: Path) -> float | None:
+    """As `difference`, of the plotted numbers alone."""
+    tables = [each.with_name(each.name + ".csv") for each in (now, before)]
+    if _bytes(tables[0]) == _bytes(tables[1]) is not None:
         return 0.0
-    return table_difference(*(each.with_name(each.name + ".csv") for each in (now, before)), set(noted))
+    if not all(each.is_file() for each in tables):
+        return None
+    try:
+        return table_difference(*tables, set(_noted(before)))
+    except (InputError, UnicodeDecodeError):  # a damaged table is not this one
+        return None
 
 
 def table_difference(now: Path, before: Path, rounding: Collection[str] = ()) -> float | None:
@@ -186,10 +198,21 @@ def same_picture(now: bytes, before: bytes, shade: int = SHADE) -> bool:
 
     from matplotlib.image import imread
 
-    shades = [np.atleast_3d(imread(io.BytesIO(each)))[..., :3] for each in (now, before)]
+    try:
+        shades = [np.atleast_3d(imread(io.BytesIO(each)))[..., :3] for each in (now, before)]
+    except (OSError, SyntaxError, ValueError):  # what Pillow says of a damaged file
+        return False
     if shades[0].shape != shades[1].shape:
         return False
     return float(np.abs(shades[0] - shades[1]).max()) <= (shade + 0.5) / 255
+
+
+# A place in a work is a name, not a number that is rounded.
+REFERENCE = re.compile(
+    r"\b(?:Table|Fig|Eq|eq|equation|Equation|Section|section|Chapter|Remark|Definition|Example|Theorem|Corollary|"
+    r"Lemma|Conclusion|Algorithm)s?\.?\s*\(?[A-Z]?\d[\d.]*"
+)
+LETTERS = str.maketrans("0123456789.", "abcdefghij_")
 
 
 def same_text(now: str, before: str) -> bool:
@@ -199,6 +222,7 @@ def same_text(now: str, before: str) -> bool:
     """
     if now == before:
         return True
+    now, before = (REFERENCE.sub(lambda found: found[0].translate(LETTERS), text) for text in (now, before))
     words = [[_plain(word) for word in NUMBER.split(text)] for text in (now, before)]
     numbers = [NUMBER.findall(text) for text in (now, before)]
     return words[0] == words[1] and all(itertools.starmap(_same_number, zip(*numbers, strict=True)))
@@ -258,7 +282,9 @@ def apart(now: np.ndarray, before: np.ndarray) -> float:
             for each, raw in ((first, now), (second, before))
         ):
             span = np.nanmax(second, axis=0) - np.nanmin(second, axis=0)
-            first, second = first / np.where(span > 0, span, 1.0), second / np.where(span > 0, span, 1.0)
+            size = np.nanmax(np.abs(second), axis=0)  # of a line that does not rise
+            span = np.where(span > 0, span, np.where(size > 0, size, 1.0))
+            first, second = first / span, second / span
             found.append(max(_off(first, second), _off(second, first)))
     return min(found, default=np.inf)
 
@@ -353,7 +379,15 @@ def _entries(room: str, _data: str) -> dict:
 
 
 def _found(file: Path) -> dict:
-    return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+    """The claims in a file; none where it is missing or damaged, so that all of them count as moved."""
+    try:
+        found = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+    except ValueError:
+        return {}
+    whole = isinstance(found, dict) and all(
+        isinstance(each, dict) and "ours" in each for each in found.values()
+    )
+    return found if whole else {}
 
 
 def _bytes(file: Path) -> bytes | None:
