@@ -18,12 +18,19 @@ FACES = {
 # No calls: made by the functions beside them, warnings and errors.
 RESULTS = {
     "Peak", "Identified", "Machine", "ModalFit", "Adaptation", "KalmanGain", "MinMaxSolution", "Track", "Bandwidth",
-    "LoopResponse", "Run", "Loop", "UnstableAdaptation", "ZeroEstimateWarning", "ContractionWarning",
+    "LoopResponse", "ControlledRun", "Loop", "UnstableAdaptation", "ZeroEstimateWarning", "ContractionWarning",
 }  # fmt: skip
 # Calls whose good arguments stand for a file or a machine that is not there.
 REFUSED = {"load_record", "load_machine", "build_machine", "from_control"}
 # Of these NaN (after a divergence, without coherence) or infinity (no estimate, no crossing) is a stated result.
-MAY_BE_INFINITE = {"min_max_solve", "run", "coupling_onset", "maximise_bandwidth", "Run", "control.simulate"}
+MAY_BE_INFINITE = {
+    "min_max_solve",
+    "run",
+    "coupling_onset",
+    "maximise_bandwidth",
+    "ControlledRun",
+    "control.simulate",
+}
 
 
 def _acceleration(position, velocity, force, parameters):
@@ -63,8 +70,8 @@ def catalogue() -> dict:
         np.zeros((1, 1)),
     )
     sampled = lti.zoh(state, 0.01)
-    observer = e.kalman_observer(model, e.Noise(1.0, 1e-12))
-    sampled_observer = c.discrete_kalman_observer(model, e.Noise(1.0, 1e-12), 1e-4)
+    observer = e.kalman_observer(model, e.NoiseIntensities(1.0, 1e-12))
+    sampled_observer = c.discrete_kalman_observer(model, e.NoiseIntensities(1.0, 1e-12), 1e-4)
     plant = e.Plant(_acceleration, _force, np.array([2.0]))
     guess = e.Plant(_acceleration, _force, np.array([2.2]))
     controller = c.Controller(e.LowPass(), c.FlowTransformation(), c.KinematicDesign(10.0), guess)
@@ -80,7 +87,7 @@ def catalogue() -> dict:
     rows, signal = noise((3, 60)), noise(60)
     omega = np.linspace(50.0, 1500.0, 120)
     record = signals.Record(noise((2, 600)), 100.0, "m", ("a", "b"), "record.csv")
-    own = e.StateModel(_transition, _measurement, 1, 1, 1, np.array([0.9]))
+    own = e.NonlinearModel(_transition, _measurement, 1, 1, 1, np.array([0.9]))
     covariances = {
         "process": np.eye(1),
         "noise": np.eye(1),
@@ -164,7 +171,7 @@ def catalogue() -> dict:
         "LowPass": (e.LowPass, fields(e.LowPass())),
         "MinMax": (e.MinMax, fields(e.MinMax(0.1, 0.9))),
         "MovingWindow": (e.MovingWindow, fields(e.MovingWindow())),
-        "Noise": (e.Noise, fields(e.Noise(1.0, 1.0))),
+        "NoiseIntensities": (e.NoiseIntensities, fields(e.NoiseIntensities(1.0, 1.0))),
         "Observer": (e.Observer, fields(observer)),
         "Observer.read": (observer.read, {"flexible": np.eye(2), "quantity": "velocity"}),
         "Observer.estimator": (observer.estimator, {"rows": np.eye(6)}),
@@ -178,9 +185,9 @@ def catalogue() -> dict:
         "SecularFunction.root": (e.secular_function(**block).root, {"start": 0.3}),
         "SigmaPoints": (e.SigmaPoints, fields(e.SigmaPoints())),
         "SigmaPoints.weights": (lambda **named: e.SigmaPoints(**named).weights(2), fields(e.SigmaPoints())),
-        "estimation.StateModel": (e.StateModel, fields(own)),
-        "Stepper": (e.Stepper, {"settings": e.FeLms(), "weights": np.zeros((1, 3))}),
-        "Stepper.step": (lambda regressor, error: e.Stepper(e.FeRls(1.0), np.zeros((1, 3))).step(regressor, error), {"regressor": rows[:, 0], "error": np.ones(1)}),
+        "estimation.NonlinearModel": (e.NonlinearModel, fields(own)),
+        "AdaptationStepper": (e.AdaptationStepper, {"settings": e.FeLms(), "weights": np.zeros((1, 3))}),
+        "AdaptationStepper.update": (lambda regressor, error: e.AdaptationStepper(e.FeRls(1.0), np.zeros((1, 3))).update(regressor, error), {"regressor": rows[:, 0], "error": np.ones(1)}),
         "UnscentedKalman": (e.UnscentedKalman, fields(e.UnscentedKalman(plant))),
         "adapt": (e.adapt, {**lines, "errors": signal[None], "weights": np.zeros((1, 3))}),
         "identify": (e.identify, {**lines, "disturbance": signal[None], "weights": np.zeros((1, 3))}),
@@ -192,8 +199,9 @@ def catalogue() -> dict:
         "filter_signal": (e.filter_signal, {"signal_filter": e.MovingWindow(), "measured": signal, "time_step": 1e-3, "start_velocity": 0.1}),
         "filter_signal, Kalman": (e.filter_signal, {"signal_filter": e.UnscentedKalman(plant), "measured": signal, "force": signal, "time_step": 1e-3}),
         "filter_signal, extended": (e.filter_signal, {"signal_filter": e.ExtendedKalman(plant), "measured": signal, "force": signal, "time_step": 1e-3}),
-        "kalman_observer": (e.kalman_observer, {"model": model, "noise": e.Noise(1.0, 1e-12), "noise_model": 1.0}),
+        "kalman_observer": (e.kalman_observer, {"model": model, "noise": e.NoiseIntensities(1.0, 1e-12), "noise_model": 1.0}),
         "min_max_solve": (e.min_max_solve, block),
+        "RecursiveStepper": (e.RecursiveStepper, {"estimator": e.LeastSquares(0.9), "unknowns": 3}),
         "run": (e.run, {"estimator": e.MinMax(0.1, 0.9), "regressors": rows, "outputs": signal}),
         "run, least squares": (e.run, {"estimator": e.LeastSquares(0.9), "regressors": rows, "outputs": signal}),
         "run, ridge": (e.run, {"estimator": e.Ridge(0.1, 0.9), "regressors": rows, "outputs": signal}),
@@ -247,7 +255,7 @@ def catalogue() -> dict:
         "describing_function": (c.describing_function, {"amplitude": 1.0}),
         "discrete_compensator": (c.discrete_compensator, {"observer": sampled_observer, "application": c.Application(True, 0.1), "form": "predictor", "delay": 1}),
         "discrete_damping_gain": (c.discrete_damping_gain, {"model": model, "increase": np.array([0.1, 0.1]), "step": 1e-4}),
-        "discrete_kalman_observer": (c.discrete_kalman_observer, {"model": model, "noise": e.Noise(1.0, 1e-12), "step": 1e-4, "noise_model": 1.0}),
+        "discrete_kalman_observer": (c.discrete_kalman_observer, {"model": model, "noise": e.NoiseIntensities(1.0, 1e-12), "step": 1e-4, "noise_model": 1.0}),
         "error_loop": (c.error_loop, {"loop": loop}),
         "fed_back": (c.fed_back, {"model": model, "gain": damping}),
         "feedforward_error": (c.feedforward_error, {"ideal": c.ideal_force(c.invert(model), setpoint), "feedforward": c.Feedforward(1.0)}),

@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.base.checks import InputError, require_array, require_count, require_number, shown
 from stillwork.base.front_door import checked
 from stillwork.estimation import recursive_kernels
 from stillwork.estimation.min_max import ZeroEstimateWarning
@@ -113,6 +113,10 @@ class RecursiveStepper:
     """
 
     def __init__(self, estimator: Estimator, unknowns: int):
+        if not hasattr(estimator, "advance"):
+            raise InputError(
+                f"estimator is {shown(estimator)}; give MinMax, GrowingMinMax, LeastSquares or Ridge"
+            )
         self._estimator = estimator
         self._unknowns = require_count("unknowns", unknowns)
         self._state = estimator.start(self._unknowns)

@@ -166,7 +166,7 @@ class LeastSquares:
     def __post_init__(self):
         require_number("forgetting", self.forgetting, above=0.0, below=1.0)
         require_number("initial_covariance", self.initial_covariance, above=0.0)
-        if self.growth_limit != np.inf:
+        if not (isinstance(self.growth_limit, float) and self.growth_limit == np.inf):
             require_number("growth_limit", self.growth_limit, at_least=1.0)
 
     def start(self, unknowns: int) -> tuple[np.ndarray, ...]:
