@@ -178,7 +178,7 @@ def test_norms_beyond_the_range_of_numbers_are_refused():
 
 def test_a_singular_plant_names_what_it_needs():
     singular = plant(("-1", "1 1", "1; 1", "0 0; 1 0"), 1, 1)
-    with pytest.raises(InputError, match="effort must be positive"):
+    with pytest.raises(InputError, match="takes more effort"):
         h2_riccati(singular, 0.0, 0.0)
-    with pytest.raises(InputError, match="noise must be positive"):
+    with pytest.raises(InputError, match="takes more noise"):
         h2_riccati(plant(("-1", "1 1", "1; 1", "0 1; 0 0"), 1, 1), 0.0, 0.0)

@@ -66,9 +66,7 @@ def regularised(
     ):
         lengths = np.linalg.norm(matrix, axis=1)[:, None]
         if not np.all(lengths) or np.linalg.matrix_rank(matrix / lengths) < len(matrix):
-            raise InputError(
-                f"{name} must be positive where the plant is singular without it; give more of it"
-            )
+            raise InputError(f"effort and noise must make the problem regular; it takes more {name}")
     return GeneralisedPlant(StateModel(a, b, c, d), w + measurements, z + controls)
 
 
