@@ -156,7 +156,7 @@ def test_a_figure_is_its_table_and_its_picture(tmp_path):
 
 def claim(ours, interval=None, **fields):
     rule = Tolerance("digits", absolute=1.0)
-    return Claim(Entry("motion.a", "p", "q", "", 1.0, "value", rule, **fields), ours, interval)
+    return Claim(Entry("motion.a", "p", "q", "", "value", 1.0, rule, **fields), ours, interval)
 
 
 def test_a_value_may_move_by_its_drift():
