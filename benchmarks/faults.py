@@ -64,7 +64,7 @@ def sources(root: Path, name: str) -> tuple[str, str, str]:
     room = name.partition("/")[0]
     cells = json.loads((root / "notebooks" / f"{name}.ipynb").read_text())["cells"]
     seed = re.search(r"seed: int = (\d+)", next(c["source"] for c in cells if c["id"] == "parameters"))[1]
-    gain = re.search(r"([\d.]+) \* level", (root / f"lib/stillwork/{room}/model.py").read_text())[1]
+    gain = re.search(r"([\d.]+) \* level", (root / f"lib/experiments/{room}/model.py").read_text())[1]
     return seed, gain, (root / f"data/{room}/rig.toml").read_text()
 
 
@@ -429,8 +429,7 @@ def disturbed(
 
 def journal_fault(bench: Bench, draw: random.Random, way: str) -> str:
     """Many files as one, cut."""
-    from stillwork.checks import InputError
-
+    from stillwork.base.checks import InputError
     from stillwork.workbook.publish import finish, replace_all
 
     place = bench.root / "bench"
@@ -860,7 +859,7 @@ def full_build(bench: Bench, draw: random.Random) -> str:
     states = [old, bench.states()]
     if not bench.mounted:
         run = bench.fork("figures", "--jobs", "2", before=limited(int(10 ** draw.uniform(0, 4)), False))
-        return judged(bench, before, states, [run], set())
+        return judged(bench, before, states, [run], set(), ending=True)
     place = draw.choice([bench.root, bench.toy.temporary])
     with filled(place, draw.choice([0, 4096, int(10 ** draw.uniform(3.6, 5.3))])) as empty:
         run = bench.fork("figures", "--jobs", "2")
@@ -868,7 +867,7 @@ def full_build(bench: Bench, draw: random.Random) -> str:
             time.sleep(draw.uniform(0.02, bench.seconds))
             empty()
         run.wait()
-    return judged(bench, before, states, [run], set())
+    return judged(bench, before, states, [run], set(), ending=True)
 
 
 def damaged(bench: Bench, draw: random.Random) -> str:
@@ -1005,7 +1004,8 @@ def prepare_accept(bench: Bench) -> None:
     toy.replace("lib/experiments/motion/model.py", "2.0", "2.1")
     toy.replace("notebooks/isolation/01-page.ipynb", "size=3)", "size=3) + gain(level)")
     toy.replace("notebooks/isolation/01-page.ipynb", "fig-1", "fig-2")
-    assert toy.run("figures").returncode == 0
+    done = toy.run("figures")
+    assert done.returncode == 0, done.stdout + done.stderr
     bench.save("accepted", root, CHANGED[:4])
     shutil.copy(root / "README.md", bench.home / "accepted")
     bench.steps["accept"] = 0
@@ -1038,6 +1038,7 @@ def main() -> int:
         mounted = os.path.ismount(home / "root")
         work(home, mounted, chosen[part :: options.jobs], options.seed)
         return 0
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # unmounts, as an interrupt does
     begin = time.monotonic()
     home = Path(tempfile.mkdtemp(prefix="faults-", dir="/tmp"))  # short: sockets stand in it
     try:
@@ -1060,8 +1061,13 @@ def _table(home: Path, jobs: int) -> tuple[list[dict], bool]:
         del environment["TOY_MARK"], environment["TOY"]  # it is not one of the processes that it looks for
         command = [sys.executable, __file__, *sys.argv[1:], "--worker", str(part), str(home / str(part))]
         workers.append(subprocess.Popen(command, env=environment, stdout=(home / f"{part}.json").open("w")))
-    for worker in workers:
-        worker.wait()
+    try:
+        for worker in workers:
+            worker.wait()
+    finally:
+        for worker in workers:
+            worker.terminate()
+            worker.wait()
     lines = [line for part in range(jobs) for line in (home / f"{part}.json").read_text().splitlines()]
     return [json.loads(line) for line in lines], mounted
 

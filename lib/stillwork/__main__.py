@@ -8,6 +8,7 @@ import sys
 
 from stillwork.base import paths
 from stillwork.base.checks import InputError, nearest, one_line, require_number
+from stillwork.base.extras import MissingPackage, missing
 
 # A grammar of addresses that jsonschema builds for a second or two when a notebook format is loaded, if it can be
 # had; nothing here holds an address against it.
@@ -25,8 +26,11 @@ def main(arguments: list[str] | None = None) -> int:
     except BrokenPipeError:  # the reader, e.g. `head`, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
-    except (InputError, OSError) as error:
-        print(f"stillwork: {one_line(str(error))}", file=sys.stderr)
+    except (InputError, OSError, ImportError) as error:
+        told = missing(error) if isinstance(error, ModuleNotFoundError) else error
+        if isinstance(told, ImportError) and not isinstance(told, MissingPackage):
+            raise
+        print(f"stillwork: {one_line(str(told))}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130

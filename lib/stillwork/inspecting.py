@@ -3,15 +3,17 @@
 import json
 import re
 import shlex
-import tomllib
 from collections.abc import Iterator
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 
-from stillwork.base.checks import InputError, one_line
-from stillwork.signals.datafiles import read_arrays
+from stillwork.base import paths
+from stillwork.base.checks import InputError, one_line, shown
+from stillwork.base.toml_files import read_toml
+from stillwork.signals.datafiles import is_file, is_folder, read_arrays
 from stillwork.signals.records import MOTION_UNITS, UNITS_SAID, is_time, load_record, unit_factor
 from stillwork.workbook.notebooks import select
 from stillwork.workbook.reading import comments
@@ -36,12 +38,15 @@ def inspect_file(name: str) -> str:
         When there is no such file or it cannot be read as what its name says.
     """
     path = Path(name)
-    if path.is_dir():
-        raise InputError(f"{name}: this is a folder; name a file in it")
-    if not path.is_file():
-        raise InputError(f"{name}: no such file; give a CSV, MAT, NPZ, UFF, TOML or Python file")
+    if not is_file(path):
+        if is_folder(path):
+            raise InputError(f"{name}: this is a folder; name a file in it")
+        raise InputError(f"{shown(name)}: no such file; give a CSV, MAT, NPZ, UFF, TOML or Python file")
     kinds = {".toml": _model, ".py": _plant}
-    return "\n".join(map(one_line, kinds.get(path.suffix.lower(), _data)(path)))
+    lines = list(kinds.get(path.suffix.lower(), _data)(path))
+    if not _in_checkout() and any(line.startswith("for ") for line in lines):
+        lines.append("these commands are run in a checkout of stillwork")
+    return "\n".join(map(one_line, lines))
 
 
 def _data(path: Path) -> Iterator[str]:
@@ -202,14 +207,14 @@ def _described(values: np.ndarray) -> str:
 
 
 def _model(path: Path) -> Iterator[str]:
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path.name}: not valid TOML ({error}); mend that line") from None
+    table = read_toml(path)
     yield f"{path.name}: {len(table)} entries"
     for name, value in table.items():
         shown = f"table of {', '.join(value)}" if isinstance(value, dict) else repr(value)
         yield f"  {name}: {shown}"
+    if not _in_checkout():
+        yield "whether it is a machine of the workbook, a checkout of stillwork can tell: run this there"
+        return
     for room, (module, function) in MODELS.items():
         try:
             getattr(import_module(module), function)(path)
@@ -228,6 +233,14 @@ def _command(notebook: str, settings: dict) -> str:
             return f"no command for {notebook}: {value} holds what cannot be typed; rename it and ask again"
         words += ["-p", f"{key}={value}"]
     return f"for {notebook}: {shlex.join(words)}"
+
+
+def _in_checkout() -> bool:
+    """Whether the experiments and the notebooks are at hand, which a wheel does not hold."""
+    try:
+        return find_spec("experiments") is not None and (paths.root() / "notebooks").is_dir()
+    except FileNotFoundError:
+        return False
 
 
 def _takers(path: Path, room: str) -> Iterator[str]:

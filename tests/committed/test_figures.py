@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from stillwork.base import paths
-from stillwork.workbook.compare import difference
+from stillwork.workbook.compare import numbers_difference
 from stillwork.workbook.tasks import built
 
 COMMITTED = paths.root() / "figures"
@@ -33,9 +33,9 @@ def test_every_table_has_its_picture():
 
 @pytest.mark.parametrize("name", sorted(tables(COMMITTED)))
 def test_a_fresh_run_plots_the_committed_numbers(name):
-    assert difference(REBUILT / name, COMMITTED / name) is not None
+    assert numbers_difference(REBUILT / name, COMMITTED / name) is not None
 
 
 def test_what_was_executed_again_plots_them_too():
     for name in sorted(tables(AGAIN) & tables(COMMITTED)):
-        assert difference(AGAIN / name, COMMITTED / name) is not None, name
+        assert numbers_difference(AGAIN / name, COMMITTED / name) is not None, name

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from experiments.fixedpoint import explorers, published_controllers, run_pictures
-from experiments.fixedpoint.costs import load_filter_times
 from experiments.fixedpoint.published import KALMAN, LITERAL, LOW_PASS, WINDOW
 from stillwork.base.checks import InputError
 from stillwork.control import asin_trajectory, simulate, strongest_oscillation
 from stillwork.workbook import figures
+from stillwork.workbook.timings import measured_times
 
 DRAWINGS = [
     (
@@ -46,16 +46,17 @@ def test_a_diverged_run_is_named_in_the_legend():
 
 
 def test_cost_table():
-    times = load_filter_times()
-    assert times[LOW_PASS] > 0 and times[KALMAN] > 0
+    times = measured_times("fixedpoint", "filter_times.csv")
+    assert times[LOW_PASS]["median_ns"] > 0 and times[KALMAN]["median_ns"] > 0
 
 
-def test_cost_table_gives_medians(tmp_path, monkeypatch):
+def test_a_table_of_times_is_read_by_row_and_heading(tmp_path, monkeypatch):
     folder = tmp_path / "data" / "fixedpoint"
     folder.mkdir(parents=True)
     (folder / "filter_times.csv").write_text('filter,median_ns,lowest_ns,highest_ns\n"low pass",5,4,9\n')
     monkeypatch.setenv("STILLWORK_ROOT", str(tmp_path))
-    assert load_filter_times() == {"low pass": 5.0}
+    numbers = {"median_ns": 5.0, "lowest_ns": 4.0, "highest_ns": 9.0}
+    assert measured_times("fixedpoint", "filter_times.csv") == {"low pass": numbers}
 
 
 def lines(figure, panel):
@@ -100,7 +101,7 @@ def test_missing_cost_table(tmp_path, monkeypatch):
     (tmp_path / "data").mkdir()
     monkeypatch.setenv("STILLWORK_ROOT", str(tmp_path))
     with pytest.raises(InputError, match="write it with `python benchmarks"):
-        load_filter_times()
+        measured_times("fixedpoint", "filter_times.csv")
 
 
 def test_motion_at_rest_is_the_semi_implicit_model(approximate):

@@ -145,3 +145,46 @@ def test_a_large_residual_is_refused(monkeypatch):
         continuous_gain([[0.0, 1.0], [-3.0, -0.1]], [[0.0], [1.0]], [[1.0, 0.0]], 1.0, 1e-4)
     with pytest.raises(InputError, match="relative residual"):
         discrete_gain([[0.9, 0.1], [0.0, 0.7]], [[0.0], [1.0]], [[1.0, 0.0]], 1.0, 1e-4)
+
+
+def noisy_system(seed):
+    """Noises over fourteen decades; poles up to 1.3 times the distance to the stability boundary."""
+    rng = np.random.default_rng(seed)
+    states, disturbances, outputs = rng.integers(1, 7), rng.integers(1, 4), rng.integers(1, 4)
+    a = rng.normal(size=(states, states))
+    a *= rng.uniform(0.2, 1.3) / np.abs(np.linalg.eigvals(a)).max()
+    q, r = (np.diag(10.0 ** rng.uniform(-7, 7, size)) for size in (disturbances, outputs))
+    return a, rng.normal(size=(states, disturbances)), rng.normal(size=(outputs, states)), q, r
+
+
+def recursion_limit(a, g, c, q, r, steps=2000):
+    """Predicted covariance by the recursion in Joseph's form, from a wide start; None where it does not settle."""
+    p = np.eye(len(a)) * (np.abs(q).max() + np.abs(r).max())
+    for _ in range(steps):
+        gain = np.linalg.solve(c @ p @ c.T + r, c @ p).T
+        kept = np.eye(len(a)) - gain @ c
+        following = a @ (kept @ p @ kept.T + gain @ r @ gain.T) @ a.T + g @ q @ g.T
+        deviations = np.sqrt(np.diag(following))
+        if np.all(np.abs(following - p) <= 1e-13 * np.outer(deviations, deviations)):
+            return following
+        p = following
+    return None
+
+
+@pytest.mark.parametrize("first", range(0, 1000, 200))
+def test_observers_are_stable_over_fourteen_decades_of_noise(first):
+    settled = 0
+    for seed in range(first, first + 200):
+        a, g, c, q, r = noisy_system(seed)
+        try:
+            found = discrete_gain(a, g, c, q, r)
+        except InputError as error:
+            assert "Riccati equation" in str(error) or "unstable observer" in str(error)
+            continue
+        assert np.abs(np.linalg.eigvals(a - found.gain @ c)).max() < 1
+        if seed % 5 == 0 and (expected := recursion_limit(a, g, c, q, r)) is not None:
+            settled += 1
+            deviations = np.sqrt(np.diag(expected))
+            difference = np.abs(found.covariance - expected) / np.outer(deviations, deviations)
+            assert difference.max() < 1e-7, seed  # worst found: 5e-10
+    assert settled > 20

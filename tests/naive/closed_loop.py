@@ -18,7 +18,7 @@ class Cascade:
 
 def step_tustin(continuous, sample_time):
     """Trapezoidal rule on x' = A x + B u, solved anew at every sample."""
-    a, b, c, d = continuous
+    a, b, c, d = continuous.a, continuous.b, continuous.c, continuous.d
     half = sample_time / 2
     eye = np.eye(len(a))
     state = np.zeros(len(a))

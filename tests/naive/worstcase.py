@@ -132,6 +132,22 @@ def recursive_least_squares(rows, outputs, forgetting, initial_covariance):
     return estimates
 
 
+def limited_least_squares(rows, outputs, forgetting, initial_covariance, growth_limit):
+    """RLS in information form; after a sample, axis by axis, what P = R^-1 lacks to keep its limit is added to R."""
+    samples, n = rows.shape
+    estimates, limit = np.zeros((samples, n)), growth_limit * initial_covariance
+    R, x = np.eye(n) / initial_covariance, np.zeros(n)
+    for t in range(samples):
+        R = forgetting * R + np.outer(rows[t], rows[t])
+        x = x + np.linalg.solve(R, rows[t]) * (outputs[t] - rows[t] @ x)
+        for i in range(n):
+            variance = np.linalg.inv(R)[i, i]
+            if variance > limit:
+                R[i, i] += 1 / limit - 1 / variance
+        estimates[t] = x
+    return estimates
+
+
 def ridge(rows, outputs, forgetting, penalty):
     """Ridge regression as an augmented least-squares problem, solved anew at every step."""
     samples, n = rows.shape

@@ -3,6 +3,7 @@ import sys
 
 import pytest
 
+TOOLBOX = ("base", "signals", "lti", "identification", "estimation", "control")
 HEAVY = ("numba", "matplotlib", "pandas", "control", "scipy", "cvxpy", "numpy", "papermill")
 
 
@@ -10,6 +11,7 @@ HEAVY = ("numba", "matplotlib", "pandas", "control", "scipy", "cvxpy", "numpy", 
     ("module", "allowed"),
     [
         ("stillwork", ()),
+        *((f"stillwork.{name}", ()) for name in TOOLBOX),
         ("stillwork.workbook.page", ("numpy",)),
         ("stillwork.workbook.explorer", ("numpy",)),
         ("stillwork.workbook.build", ("numpy",)),

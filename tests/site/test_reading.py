@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import stillwork.lti
 from stillwork.base.checks import InputError
 from stillwork.site import picture, reference
 from stillwork.site.mathematics import markdown, mathml
@@ -58,7 +59,7 @@ def test_every_name_of_a_module_has_a_place():
     places = reference.index(modules)
     assert places["stillwork.signals.records.load_record"] == "stillwork.signals.records.html#load_record"
     assert places["stillwork.estimation.FeRls"] == "stillwork.estimation.adaptive.html#FeRls"
-    assert {module.room for module in modules} >= {"shared", "isolation"}
+    assert {module.folder for module in modules} >= {"lti", "workbook", "isolation"}
     names = {module.name for module in modules}
     assert not [name for name in names if ".site" in name]
 
@@ -288,3 +289,15 @@ def test_zero_and_orderings_have_no_row():
     assert (
         picture.draw([claim(1.0, published=0.0, rule={"absolute": 1.0}), ordering, claim(None)]).marks == ()
     )
+
+
+def test_the_reference_shows_what_a_folder_hands_out_by_concept():
+    folders = {folder.name: folder for folder in reference.folders(reference.read_modules())}
+    assert list(folders)[:6] == ["base", "signals", "lti", "identification", "estimation", "control"]
+    handed_out = {item.name: place for place, item in folders["lti"].public}
+    assert set(handed_out) == set(stillwork.lti.__all__)
+    assert handed_out["simulate"] == "stillwork.lti.simulation.html#simulate"
+    designs = {item.name: place for place, item in folders["motion"].public}["DESIGNS"]
+    assert designs.startswith("experiments.motion.designs.html#line-")
+    assert "stillwork.lti.delays" in {module.name for module in folders["lti"].modules}
+    assert all(folder.doc and folder.modules for folder in folders.values())

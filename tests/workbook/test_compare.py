@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from stillwork.workbook.claims import Claim, Entry, Tolerance
 from stillwork.workbook.compare import (
     difference,
+    numbers_difference,
     same_outputs,
     same_picture,
     same_size,
@@ -18,6 +19,7 @@ from stillwork.workbook.compare import (
     same_value,
     table_difference,
 )
+from stillwork.workbook.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, SKY
 
 HEADER = "panel,series,x,y,z\n"
 
@@ -33,8 +35,9 @@ def table(folder, name, rows):
     [
         ("rms 1.235 m", "rms 1.234 m"),
         ("rms 9.999 m", "rms 10.00 m"),
-        ("a  1.235\n---  -----", "a  1.2346\n---  ------"),
+        ("a  1.235\n---  -----", "a  1.2349\n---  ------"),
         ("-0.1", "-0.2"),
+        ("motion.table-3-5.pid  Table 3.5  37  37.1", "motion.table-3-5.pid  Table 3.5  37  37.2"),
         ("1.3e-13", "1.4e-13"),
         ("fig-1.png, fig-1.csv", "fig-1.png, fig-1.csv"),
         ("holds for 27 of 30", "holds for 27 of 30"),
@@ -53,11 +56,17 @@ def test_texts_that_agree(now, before):
         ("holds for 27 of 30", "holds for 28 of 30"),
         ("replicated", "deviates"),
         ("S_I", "S_O"),
+        ("Table 3.5, PID  37.1", "Table 3.6, PID  37.1"),
+        ("Fig. 1.5", "Fig. 1.6"),
+        ("equation (3.5)", "equation (3.6)"),
         ("1.3e-13", "1.3e-12"),
         ("fig-1.png", "fig-2.png"),
         ("0.5", "-0.5"),
         ("1.0 2.0", "1.0"),
         ("nan", "1.0"),
+        ("gain 2", "gain 1.01"),
+        ("0.05", "0.0"),
+        ("2e-04", "1.0e-04"),
     ],
 )
 def test_texts_that_differ(now, before):
@@ -77,7 +86,9 @@ def test_outputs_are_compared_by_kind_and_text():
     result = {"output_type": "execute_result", "data": {"text/plain": "a 1.0\n"}}
     assert same_outputs([stream], [{**stream, "text": "a 1.1\n"}])
     assert not same_outputs([stream], [result])
-    assert not same_outputs([stream], [stream, stream])
+    assert not same_outputs([stream], [stream, result])
+    halves = [{**stream, "text": "a "}, {**stream, "text": "1.0\n"}]
+    assert same_outputs([stream], halves) and same_outputs(halves, [stream])
 
 
 def test_the_difference_of_two_tables_is_of_the_range(tmp_path):
@@ -107,6 +118,12 @@ def test_a_line_thinned_to_other_points_is_the_same_line(tmp_path):
     assert table_difference(table(tmp_path, "far", now * [1, 1.01]), before) is None
 
 
+def test_infinities_and_gaps_stand_where_they_stood(tmp_path):
+    files = [table(tmp_path, str(y), [(0, 1), (1, y), (2, 3)]) for y in (np.inf, -np.inf, np.nan)]
+    for number, now in enumerate(files):
+        assert [table_difference(now, before) == 0.0 for before in files] == [n == number for n in range(3)]
+
+
 @pytest.mark.parametrize("change", [lambda rows: rows[:-1] * 0 + 1, lambda rows: rows * [1, np.nan]])
 def test_other_points_are_another_table(tmp_path, change):
     rows = np.c_[np.arange(5.0), [1, 4, 2, 8, 5]]
@@ -127,10 +144,10 @@ def test_rounding_is_compared_by_its_size(tmp_path):
     assert table_difference(*tables, rounding={"line"}) == 0.0
 
 
-def picture(y=1.0, label="time (s)") -> bytes:
+def picture(y=1.0, label="time (s)", colour=BLUE) -> bytes:
     figure = Figure(figsize=(7.2, 2.9), dpi=150)
     axes = figure.subplots()
-    axes.plot([0, 1, 2], [0, y, 0.3], label="a line")
+    axes.plot([0, 1, 2], [0, y, 0.3], label="a line", color=colour)
     axes.set_xlabel(label)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png")
@@ -143,6 +160,16 @@ def test_pictures_agree_when_a_line_moved_within_its_width_and_not_when_a_word_c
     assert not same_picture(picture(1.2), picture())
     assert not same_picture(picture(label="time (h)"), picture())
     assert not same_picture(picture(label="time (m)"), picture())
+    for label in ("time (s).", "time, (s)", "tirne (s)"):
+        assert not same_picture(picture(label=label), picture())
+
+
+@pytest.mark.parametrize("colour", [GREEN, SKY, ORANGE, RED, PURPLE, GREY])
+def test_the_same_numbers_in_another_colour_are_another_figure(tmp_path, colour):
+    for name, each in (("now", colour), ("before", BLUE)):
+        table(tmp_path, name, [(0, 0), (1, 1)])
+        (tmp_path / f"{name}.png").write_bytes(picture(colour=each))
+    assert difference(tmp_path / "now", tmp_path / "before") is None
 
 
 def test_a_figure_is_its_table_and_its_picture(tmp_path):
@@ -152,6 +179,19 @@ def test_a_figure_is_its_table_and_its_picture(tmp_path):
     assert difference(tmp_path / "now", tmp_path / "before") == 0.0
     assert difference(tmp_path / "now", tmp_path / "other") is None
     assert difference(tmp_path / "now", tmp_path / "gone") is None
+    assert numbers_difference(tmp_path / "now", tmp_path / "other") == 0.0
+    assert numbers_difference(tmp_path / "now", tmp_path / "gone") is None
+    for text in ("", "<<<<<<< HEAD\n", f"{HEADER}a,b\n", f"{HEADER}a,b,1,2,3,4\n", f"{HEADER}a,b,x,y,z\n"):
+        (tmp_path / "before.csv").write_text(text)
+        assert difference(tmp_path / "now", tmp_path / "before") is None
+    table(tmp_path, "before", [(0, 0), (1, 1)])
+    for cut in (0, 8, 2000):
+        (tmp_path / "before.png").write_bytes(picture()[:cut])
+        assert difference(tmp_path / "now", tmp_path / "before") is None
+    for name, number in (("one", 1), ("same", 1), ("more", 2)):
+        table(tmp_path, name, [(0, number)])
+    assert difference(tmp_path / "one", tmp_path / "same") == 0.0
+    assert difference(tmp_path / "one", tmp_path / "more") is None
 
 
 def claim(ours, interval=None, **fields):

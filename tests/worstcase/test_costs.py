@@ -68,7 +68,7 @@ def counted(update, n):
     scalars = numbers(np.array([np.inf, 0.0, 0.0]))
     rows, outputs = numbers(rows), numbers(outputs)
     state = {
-        "least squares": [numbers(1e4 * np.eye(n)), column[0]],
+        "least squares": [numbers(1e4 * np.eye(n)), column[0], np.full(n, np.inf)],
         "ridge": [square, column[0], column[1]],
         "exact": [square, column[0], scalars, column[1]],
         "approximate": [square, column[0], scalars, column[1], numbers(np.zeros((n, n))), column[2]],

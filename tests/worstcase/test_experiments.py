@@ -157,7 +157,7 @@ def test_pictures_can_be_saved_with_their_numbers(tmp_path):
         "contraction": contraction_pictures.explore_counter_example(0.5, 0.02),
         "updates": update_pictures.explore_accuracy(1.118, 0.1),
         "counts": update_pictures.draw_counts([5, 50], 2.0),
-        "times": update_pictures.draw_times(update_pictures.measured_times()),
+        "times": update_pictures.draw_times(update_pictures.times_by_name()),
         "fig-1": identification_pictures.explore_fig_1(20, 0.1, 1.0, 0.5),
         "fig-2": tracking_pictures.explore_tracking(1.34, 0.1, 1.0, "jump"),
         "measured": measured_pictures.explore_sweep(8, 128),

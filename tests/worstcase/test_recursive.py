@@ -204,6 +204,70 @@ def test_long_records_lose_no_digits(update):
     assert track.estimates[:, -1] == pytest.approx(min_max_solve(A, b, 0.5).estimate, rel=1e-11)
 
 
+@settings(max_examples=25)
+@given(st.integers(0, 2**32 - 1), st.floats(1.0, 30.0))
+def test_limited_least_squares_are_those_of_the_information_form(seed, growth_limit):
+    rows, outputs = record(seed)
+    rows[10:35, 1:] = 0  # one direction stays excited, the others reach the limit
+    track = run(LeastSquares(FORGETTING, 2.0, growth_limit), rows.T, outputs)
+    expected = naive.limited_least_squares(rows, outputs, FORGETTING, 2.0, growth_limit)
+    assert track.estimates.T == pytest.approx(expected, rel=1e-8, abs=1e-10)
+
+
+@pytest.mark.parametrize(
+    "estimator",
+    [
+        LeastSquares(0.95),
+        Ridge(1e-3, 0.95),
+        GrowingMinMax(0.01),
+        *(MinMax(bound, 0.95, update) for update in UPDATES for bound in (0.0, 0.01)),
+    ],
+    ids=lambda e: f"{type(e).__name__}-{getattr(e, 'update', '')}-{getattr(e, 'bound', '')}",
+)
+def test_a_million_silent_samples_stay_finite_and_tracking_resumes(estimator):
+    rng = np.random.default_rng(18)
+    before, after = rng.normal(size=3), rng.normal(size=3)
+    if isinstance(estimator, GrowingMinMax):
+        after = before  # it forgets nothing
+    rows = np.zeros((1_000_800, 3))
+    rows[:400], rows[-400:] = rng.normal(size=(2, 400, 3))
+    outputs = np.append(rows[:400] @ before, rows[400:] @ after)
+    track = run(estimator, rows.T, outputs)
+    assert np.isfinite(track.estimates).all() and np.isfinite(track.errors).all()
+    assert track.estimates[:, -1] == pytest.approx(after, rel=1e-4, abs=1e-4)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e5])
+def test_least_squares_resume_with_the_digits_they_had(scale):
+    rng = np.random.default_rng(19)
+    rows, parameters = scale * rng.normal(size=(20_400, 5)), rng.normal(size=5)
+    rows[200:20_000] = 0
+    outputs = rows @ parameters + scale * 0.1 * rng.normal(size=20_400)
+    track = run(LeastSquares(0.95), rows.T, outputs)
+    A, b = naive.weighted(rows[-400:], outputs[-400:], 0.95)
+    expected = np.linalg.lstsq(A, b, rcond=None)[0]
+    # at 1e-3 the limit, P = 1e10, is itself a penalty of 1e-10 beside information of 1e-5 after 400 samples
+    assert track.estimates[:, -1] == pytest.approx(expected, rel=1e-5)
+
+
+def test_the_sample_at_which_an_estimate_leaves_the_finite_numbers_is_named():
+    rows = np.ones((20_000, 1))
+    rows[100:19_000] = 0
+    endless = LeastSquares(0.95, 1e4, np.inf)
+    leaves = 100 + (np.log(np.finfo(float).max) - np.log(1 - 0.95)) / -np.log(0.95)
+    with pytest.raises(InputError, match=r"leaves the finite numbers at sample (\d+)") as caught:
+        run(endless, rows.T, rows[:, 0])
+    assert int(str(caught.value).split("sample ")[1].split(";")[0]) == pytest.approx(leaves, abs=3)
+    stepper = RecursiveStepper(endless, 1)
+    with pytest.raises(InputError, match="leaves the finite numbers"):
+        for row in rows:
+            stepper.update(row, 1.0 if row[0] else 0.0)
+    kept = stepper._state[1].copy()
+    with pytest.raises(InputError, match="leaves the finite numbers"):
+        stepper.update([0.0], 0.0)
+    assert np.isfinite(kept).all() and np.array_equal(stepper._state[1], kept)
+
+
 def test_worst_case_residuals_are_the_criterion():
     rows, outputs = record(15)
     track = run(MinMax(0.6, FORGETTING), rows.T, outputs)
@@ -272,6 +336,8 @@ def test_forgetting_outside_the_open_unit_interval_is_refused(forgetting):
         (lambda: GrowingMinMax(-0.1), "row_bound is -0.1"),
         (lambda: Ridge(0.0, 0.9), "penalty is 0.*above 0"),
         (lambda: LeastSquares(0.9, 0.0), "initial_covariance is 0"),
+        (lambda: LeastSquares(0.9, 1.0, 0.5), "growth_limit is 0.5"),
+        (lambda: LeastSquares(0.9, 1.0, np.nan), "growth_limit is nan"),
         (lambda: RecursiveStepper(MinMax(1.0, 0.9), 0), "unknowns is 0"),
         (
             lambda: RecursiveStepper(MinMax(1.0, 0.9), 2).update([1.0, 1e99], 1.0),

@@ -1,6 +1,5 @@
 """The modified van der Pol oscillator of the paper, (11), from TOML."""
 
-import tomllib
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -9,6 +8,7 @@ import numpy as np
 from stillwork.base import paths
 from stillwork.base.checks import InputError, nearest, require_number
 from stillwork.base.kernels import kernel
+from stillwork.base.toml_files import read_toml
 from stillwork.estimation.plant import Plant
 
 
@@ -65,16 +65,7 @@ def load_oscillator(file: Path | str | None = None) -> dict[str, VanDerPol]:
         When the file lacks a model or a parameter, or holds an unknown one.
     """
     file = Path(file) if file else paths.data("fixedpoint", "oscillator.toml")
-    try:
-        tree = tomllib.loads(file.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"file {file} does not exist; give the path of a TOML file") from None
-    except OSError as error:
-        raise InputError(f"{file} cannot be read ({error.strerror}); give the path of a TOML file") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{file} is not text; give a TOML file in UTF-8") from None
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{file}: not valid TOML ({error}); mend that line") from None
+    tree = read_toml(file)
     known = [field.name for field in fields(VanDerPol)]
     models = {}
     for name in ("exact", "approximate"):

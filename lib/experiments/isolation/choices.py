@@ -8,9 +8,9 @@ from experiments.isolation import convergence as con
 from experiments.isolation.floors import flat_floor
 from experiments.isolation.performance import exact_transmissibility, record_case, reduction_db, tune
 from experiments.isolation.steady import steady_state
-from experiments.isolation.tables import read_toml
 from experiments.isolation.twin import Twin, load_twin, twin_from_table
 from stillwork.base import paths
+from stillwork.base.toml_files import read_toml
 
 RESOLUTION_HZ = 0.25
 MEMORY_S, STEP_SIZE = 10.0, 1e-4  # section 5.1.1

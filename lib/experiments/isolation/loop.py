@@ -69,8 +69,8 @@ class Signals(NamedTuple):
 
 def loop_of(twin: Twin, feedback: bool, weights: np.ndarray, covariance: np.ndarray) -> ClosedLoop:
     """Loop of a twin at rest, with its skyhook closed or open."""
-    a, b, c, d = twin.plant.discrete(twin.sample_time)
-    matrix = np.block([[a, b], [c, d]]).T
+    model = twin.plant.discrete(twin.sample_time)
+    matrix = np.block([[model.a, model.b], [model.c, model.d]]).T
     inputs, outputs = (padded(size) for size in matrix.shape)
     plant = aligned(inputs, outputs)
     plant[: len(matrix), : matrix.shape[1]] = matrix
@@ -80,7 +80,7 @@ def loop_of(twin: Twin, feedback: bool, weights: np.ndarray, covariance: np.ndar
     skyhook = rows_of(twin.skyhook_filter)
     return ClosedLoop(
         plant=plant,
-        states=len(a),
+        states=len(model.a),
         vector=aligned(inputs),
         product=aligned(outputs),
         readings=aligned(twin.outputs + twin.sensors),

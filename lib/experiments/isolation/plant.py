@@ -5,10 +5,11 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import signal
 
 from experiments.isolation.rig import Rig
 from stillwork.base.checks import InputError, require_array
+from stillwork.lti.discretisation import tustin
+from stillwork.lti.state_space import StateModel
 
 
 @dataclass(frozen=True)
@@ -67,8 +68,8 @@ class Platform:
             raise InputError("damping feeds energy into a motion; give a positive semidefinite matrix")
 
     @cached_property
-    def continuous(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """State space (A, B, C, D) from (f, a0) to a1."""
+    def continuous(self) -> StateModel:
+        """From (f, a0) to a1."""
         inverse = np.linalg.inv(self.mass)
         n = len(inverse)
         sensors = self.floor_damping.shape[1]
@@ -79,11 +80,11 @@ class Platform:
         )
         c = self.observation @ np.hstack([inverse, np.zeros((n, n))])
         d = np.hstack([self.observation @ through, np.zeros((len(c), sensors))])
-        return a, b, c, d
+        return StateModel(a, b, c, d)
 
-    def discrete(self, sample_time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """State space of the Tustin-discretised plant."""
-        return signal.cont2discrete(self.continuous, sample_time, method="bilinear")[:4]
+    def discrete(self, sample_time: float) -> StateModel:
+        """The Tustin-discretised plant."""
+        return tustin(self.continuous, sample_time)
 
     @property
     def equivalent_mass(self) -> float:

@@ -88,9 +88,7 @@ def responses(twin: Twin, frequencies_hz: ArrayLike, feedback: bool = True) -> R
             twin.noise_shaping,
         )
     )
-    a, b, c, d = twin.plant.discrete(twin.sample_time)
-    poles = np.eye(len(a)) / delay[:, None, None] - a
-    plant = c @ np.linalg.solve(poles, np.broadcast_to(b, (len(f), *b.shape))) + d
+    plant = np.moveaxis(twin.plant.discrete(twin.sample_time).frequency_response(2 * np.pi * f), -1, 0)
     force, floor = plant[:, :, : twin.actuators], plant[:, :, twin.actuators :]
     open_path = (force + parasitic[:, None, None] * np.eye(twin.outputs)) * (actuator * delay)[:, None, None]
     disturbance = floor + open_path @ twin.plant.floor_inertia
@@ -140,7 +138,7 @@ def control_paths(twin: Twin, feedback: bool = True):
 
     delay = control.append(*[control.ss(0, 1, 1, 0, dt)] * n)
     force_path = bank(twin.instruments.actuator, n) * delay
-    plant = control.ss(*twin.plant.discrete(dt), dt)
+    plant = twin.plant.discrete(dt).to_control()
     from_force, from_floor = plant[:, :n], plant[:, n:]
     open_path = (from_force + bank(twin.instruments.parasitic, n)) * force_path
     disturbance = from_floor + open_path * control.ss([], [], [], twin.plant.floor_inertia, dt)

@@ -1,26 +1,8 @@
 """Tables of a TOML file as frozen dataclasses: a missing or unknown name is refused with the nearest one."""
 
-import tomllib
 from dataclasses import MISSING, fields
-from pathlib import Path
 
 from stillwork.base.checks import InputError, nearest, require_array, require_count, require_number
-
-
-def read_toml(file: Path) -> dict:
-    """Read a TOML file; it can hold values only, so reading it executes nothing.
-
-    Raises
-    ------
-    InputError
-        When the file is missing or not valid TOML.
-    """
-    try:
-        return tomllib.loads(Path(file).read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"no file {file}; give the path of a TOML model") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{file}: not valid TOML ({error}); mend that line") from None
 
 
 def require_names(where: str, given, required, optional=()) -> None:

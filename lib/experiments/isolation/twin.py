@@ -13,9 +13,10 @@ from experiments.isolation.plant import Platform, plant_of_rig
 from experiments.isolation.rig import Rig, rig_from_table
 from experiments.isolation.settings import Instruments, SelfTunedFeedforward, Skyhook
 from experiments.isolation.shaping import FrequencyNotch, NoiseShaping, SecondaryPath
-from experiments.isolation.tables import build, read_toml, require_names
+from experiments.isolation.tables import build, require_names
 from stillwork.base import paths
-from stillwork.base.checks import InputError, require_array, require_choice, require_number
+from stillwork.base.checks import InputError, require_array, require_choice, require_number, shown
+from stillwork.base.toml_files import read_toml
 
 SHIPPED = ("rigid_body", "fitted")
 
@@ -166,6 +167,10 @@ def load_twin(model: str | Path) -> Twin:
     InputError
         Missing, unknown or non-physical values; the message names file, table and value.
     """
+    if not isinstance(model, str | Path):
+        raise InputError(
+            f"model is {shown(model)}; give {', '.join(map(repr, SHIPPED))} or the path of a TOML file"
+        )
     file = paths.data("isolation", f"{model}.toml") if model in SHIPPED else Path(model)
     if model not in SHIPPED and file.suffix != ".toml":
         require_choice("model", str(model), SHIPPED)

@@ -1,14 +1,11 @@
 """Figures of the efficient update (notebook 06): agreement of the forms, and what each costs."""
 
-import csv
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from experiments.isolation.direct import average_gain, multiplications
-from stillwork.base import paths
 from stillwork.workbook import figures
 
 _NAMES = {
@@ -17,22 +14,6 @@ _NAMES = {
     "recursion": "9 × 9 recursion, (29)-(30)",
     "FeLMS": "FeLMS, (19)",
 }
-
-
-@dataclass(frozen=True)
-class MeasuredTime:
-    """Time of one update on the machine that `data/isolation/update_times/SOURCE.md` describes."""
-
-    median_us: float
-    lowest_us: float
-    highest_us: float
-
-
-def measured_times() -> Mapping[str, MeasuredTime]:
-    """Times of each form of the update, measured by `benchmarks/isolation.py --write`."""
-    with open(paths.data("isolation", "update_times/update_times.csv"), encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
-    return {row.pop("form"): MeasuredTime(**{key: float(text) for key, text in row.items()}) for row in rows}
 
 
 def draw_agreement(
@@ -87,7 +68,7 @@ def draw_gain(forgetting: float, samples: int, sample_time: float):
     return figure
 
 
-def draw_costs(actuators: int, regressors: int, times: Mapping[str, MeasuredTime], sample_time: float):
+def draw_costs(actuators: int, regressors: int, times: Mapping[str, Mapping[str, float]], sample_time: float):
     """Multiplications of each form, and measured times against the sampling interval."""
     figure, (upper, lower) = figures.new(2, 1, height=4.6)
     counts = multiplications(actuators, regressors)
@@ -97,7 +78,7 @@ def draw_costs(actuators: int, regressors: int, times: Mapping[str, MeasuredTime
         title=f"{actuators} outputs × {regressors} regressors",
     )
     shown = {**_NAMES, "C": "the recursion in C"}
-    _bars(lower, {text: times[name].median_us for name, text in shown.items() if name in times}, "{:.2g}")
+    _bars(lower, {text: times[name]["median_us"] for name, text in shown.items() if name in times}, "{:.2g}")
     lower.axvline(1e6 * sample_time, color=figures.BLACK, lw=1, ls="--")
     lower.annotate(
         f"sampling interval, {1e6 * sample_time:.0f} µs",

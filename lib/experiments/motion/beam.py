@@ -1,7 +1,5 @@
 """A beam, free at both ends, that stands in for the flexible system of section 4.3."""
 
-import tomllib
-
 import numpy as np
 from jaxtyping import Float64
 from numpy.polynomial import legendre
@@ -10,6 +8,7 @@ from scipy import linalg
 
 from stillwork.base import paths
 from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.base.toml_files import read_numbers
 from stillwork.lti.modal import ModalModel
 
 TERMS = 20  # polynomials of the Ritz series; the first six bending modes have converged to 1e-9 with them
@@ -17,7 +16,7 @@ TERMS = 20  # polynomials of the Ritz series; the first six bending modes have c
 
 def beam_parameters() -> dict:
     """What section 4.3 prints and what is assumed, from ``data/motion/beam.toml``."""
-    return tomllib.loads(paths.data("motion", "beam.toml").read_text(encoding="utf-8"))
+    return read_numbers(paths.data("motion", "beam.toml"))
 
 
 def beam_shapes(places: ArrayLike, modes: int, taper: float = 0.0) -> Float64[np.ndarray, "places modes"]:
@@ -81,7 +80,7 @@ def beam(
         See `beam_shapes`.
     """
     p = beam_parameters()
-    published, assumed = p["published"], p["assumed"]
+    published, assumed = p.table("published"), p.table("assumed")
     flexible = require_array(
         "frequencies_hz", published["frequencies_hz"] if frequencies_hz is None else frequencies_hz, ndim=1
     )
@@ -103,7 +102,8 @@ def beam(
 
 def published_beam(actuators: int = 2) -> ModalModel:
     """The beam with the first `actuators` of its five actuators and both sensors."""
-    places = beam_parameters()["assumed"]
-    if require_count("actuators", actuators) > len(places["actuators"]):
-        raise InputError(f"actuators is {actuators}; the beam has {len(places['actuators'])}")
-    return beam(places["actuators"][:actuators], places["sensors"])
+    places = beam_parameters().table("assumed")
+    driven = require_array("beam.toml: actuators", places["actuators"], ndim=1)
+    if require_count("actuators", actuators) > len(driven):
+        raise InputError(f"actuators is {actuators}; the beam has {len(driven)}")
+    return beam(driven[:actuators], places["sensors"])

@@ -4,7 +4,6 @@
 can hang on the rounding of a machine, so results are stored, and everything said of them is computed from there.
 """
 
-import tomllib
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -12,6 +11,7 @@ from experiments.motion.joint import FREE, JointDesign
 from experiments.motion.joint_search import robust_search, search, starts
 from stillwork.base import paths
 from stillwork.base.checks import InputError
+from stillwork.base.toml_files import read_numbers
 
 STARTS, SEED = 12, 1  # where the joint search begins: the published design and random ones
 SIZES = (0.02, 0.05)  # relative errors of the modal parameters that the robust searches serve
@@ -27,14 +27,15 @@ def stored_designs() -> dict[str, JointDesign]:
     InputError
         When an entry has a number that a design has not.
     """
-    tree = tomllib.loads(paths.data("motion", "joint.toml").read_text(encoding="utf-8"))
+    tree = read_numbers(paths.data("motion", "joint.toml"))
     found = {}
-    for name, numbers in tree.items():
+    for name in tree:
+        numbers = tree.table(name)
         try:
             found[name] = JointDesign(
                 **{k: tuple(v) if isinstance(v, list) else v for k, v in numbers.items()}
             )
-        except TypeError as error:
+        except (TypeError, InputError) as error:
             raise InputError(f"joint.toml: {name!r} {error}; use the fields of JointDesign") from None
     return found
 

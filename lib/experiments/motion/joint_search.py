@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -18,8 +19,10 @@ from experiments.motion.joint import (
 )
 from experiments.motion.machines import stage
 from stillwork.base.checks import InputError, require_choice, require_count, require_number
-from stillwork.control.bandwidth import SIX_DB
+from stillwork.control.bandwidth import SIX_DB, Loop
+from stillwork.control.crossover import crossover
 from stillwork.control.loops import channel, closed_loop
+from stillwork.control.pid import Pid
 from stillwork.estimation.uncertainty import draw_errors, perturbed
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.norms import hinf_norm
@@ -39,6 +42,8 @@ LIMITS = {
     "damping": (1e-4, 0.3),
     "selectivity": (0.3, 20.0),
 }
+
+CROSSED = 2 * np.pi * np.geomspace(5, 300, 200)  # rad/s, where the first crossing of a loop is looked for
 
 RADIUS, SMALLEST_RADIUS = 0.1, 1e-4  # of the region in which the linear program is trusted, in logarithms
 SMALLEST_GAIN = 1e-5  # of bandwidth, relative; a step that brings less ends the search
@@ -80,21 +85,15 @@ def verify(design: JointDesign, plant: ModalModel | None = None, evaluations: in
         stable &= steady
         for ends in CHANNELS.values():
             peaks.append(hinf_norm(channel(closed, *ends)) if steady else Peak(np.inf, np.nan))
-        crossings.append(_crossing(loop, controller))
+        gain = partial(_open_loop, loop, controller)
+        crossings.append(crossover(gain, CROSSED, np.abs(gain(CROSSED))) / (2 * np.pi))
     found = np.array(peaks).reshape(len(crossings), len(CHANNELS), 2)
     return Verified(design, found[..., 0].T, found[..., 1].T, np.array(crossings), stable, evaluations)
 
 
-def _crossing(loop, controller) -> float:
-    """First 0 dB crossing by bisection between the points of a grid."""
-    grid = np.geomspace(2 * np.pi * 5, 2 * np.pi * 300, 200)
-    gain = np.abs(loop.at(controller, grid).loop)
-    first = int(np.argmax((gain[1:] < 1) & (gain[:-1] >= 1)))
-
-    def excess(omega):
-        return float(np.log(np.abs(loop.at(controller, np.array([omega])).loop[0])))
-
-    return optimize.brentq(excess, grid[first], grid[first + 1]) / (2 * np.pi)
+def _open_loop(loop: Loop, controller: Pid, omega: np.ndarray) -> np.ndarray:
+    """On the loop's own plant: the responses that it keeps are those of the nominal one."""
+    return loop.at(controller, omega).loop
 
 
 def search_grid(plants: Sequence[ModalModel] = (), points: int = 250, around: int = 10):

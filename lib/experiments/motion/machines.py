@@ -1,6 +1,5 @@
 """The machines of the observer thesis: the stage, the five-mass chain, the two-inertia drive."""
 
-import tomllib
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,7 +7,8 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base import paths
-from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.base.toml_files import read_numbers
 from stillwork.control.setpoint import Setpoint, point_to_point
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti.modal import ModalModel, modal_model
@@ -17,10 +17,10 @@ from stillwork.lti.state_space import StateModel
 
 def parameters(machine: str) -> dict:
     """Published parameters of a machine from ``data/motion/machines.toml``, SI units."""
-    tree = tomllib.loads(paths.data("motion", "machines.toml").read_text(encoding="utf-8"))
+    tree = read_numbers(paths.data("motion", "machines.toml"), lists=False)
     if machine not in tree:
         raise InputError(f"machine is {machine!r}; use one of {', '.join(map(repr, tree))}")
-    return tree[machine]
+    return tree.table(machine)
 
 
 def chain_matrix(springs: ArrayLike) -> Float64[np.ndarray, "nodes nodes"]:
@@ -45,9 +45,10 @@ def stage(damping_ratio: float | None = None) -> ModalModel:
         at_least=0.0,
         below=1.0,
     )
-    mass = np.diag([p["actuator_mass"], *[p["mass"]] * p["masses"]])
-    stiffness = chain_matrix([p["actuator_stiffness"], *[p["stiffness"]] * (p["masses"] - 1)])
-    places = np.eye(p["masses"] + 1)
+    masses = require_count("masses", p["masses"], at_least=2)
+    mass = np.diag([p["actuator_mass"], *[p["mass"]] * masses])
+    stiffness = chain_matrix([p["actuator_stiffness"], *[p["stiffness"]] * (masses - 1)])
+    places = np.eye(masses + 1)
     return modal_model(mass, stiffness, places[:, :1], places[1:], ratio)
 
 
@@ -116,12 +117,13 @@ class Drive:
 
 def drive() -> Drive:
     """The two-inertia drive with the parameters of Table 3.8."""
-    return Drive(**parameters("drive"))
+    p = parameters("drive")
+    return Drive(**{name: p[name] for name in Drive.__dataclass_fields__})
 
 
 def published_noise() -> NoiseIntensities:
     """Q = sigma_w^2 and R = sigma_v^2 + sigma_d^2 of section 3.1."""
-    p = parameters("stage")["noise"]
+    p = parameters("stage").table("noise")
     return NoiseIntensities(p["process"] ** 2, p["sensor"] ** 2 + p["reference"] ** 2)
 
 

@@ -1,6 +1,5 @@
 """The over-actuated test rig of chapter 6: published modes on a free plate that stands in for the machine."""
 
-import tomllib
 from dataclasses import dataclass
 from functools import cache
 
@@ -10,6 +9,7 @@ from jaxtyping import Float64
 from experiments.motion.plate import plate_modes
 from stillwork.base import paths
 from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.base.toml_files import read_numbers
 from stillwork.control.decoupling import Decoupling
 from stillwork.lti.modal import ModalModel
 
@@ -20,17 +20,17 @@ POSITIONS = tuple(tuple(k for k in range(4) if k != out) for out in range(4))  #
 
 @cache
 def _file() -> dict:
-    return tomllib.loads(paths.data("motion", "rig.toml").read_text(encoding="utf-8"))
+    return read_numbers(paths.data("motion", "rig.toml"))
 
 
 def published() -> dict:
     """What chapter 6 prints: frequencies, damping, noise, sample rate (SI units, Hz where the name says so)."""
-    return _file()["published"]
+    return _file().table("published")
 
 
 def assumed() -> dict:
     """What chapter 6 leaves open, as it is assumed here."""
-    return _file()["assumed"]
+    return _file().table("assumed")
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,10 @@ def assumed_geometry() -> Geometry:
     """The geometry of ``data/motion/rig.toml``."""
     a = assumed()
     names = ("length", "width", "mass", "poisson", "actuators", "left_out")
-    return Geometry(**{name: a[name] for name in names}, sensors=tuple(a["sensors"]))
+    return Geometry(
+        **{name: a[name] for name in names},
+        sensors=tuple(require_array("rig.toml: sensors", a["sensors"], shape=(2,)).tolist()),
+    )
 
 
 def rigid_shapes(places: Float64[np.ndarray, "points 2"]) -> Float64[np.ndarray, "points 3"]:

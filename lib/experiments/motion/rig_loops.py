@@ -13,6 +13,7 @@ from stillwork.base.checks import InputError, require_choice, require_count, req
 from stillwork.base.kernels import kernel
 from stillwork.base.rounding import first_largest
 from stillwork.control.bandwidth import SIX_DB
+from stillwork.control.crossover import crossover
 from stillwork.control.decoupling import Decoupling
 from stillwork.control.loops import closed_loop, no_observer
 from stillwork.control.pid import Pid, PidFamily
@@ -309,16 +310,15 @@ def _refined(loop: RigLoop, pids: Sequence[Pid], limit: float, measure: str) -> 
 
 def _crossings(loop: RigLoop, pids: Sequence[Pid]) -> Float64[np.ndarray, "3"]:
     """First 0 dB crossing (Hz) of the diagonal entries of P_eq C_fb (Definition 1.2.1)."""
-    plant, found = loop.equivalent_plant(), []
-    for k, pid in enumerate(pids):
-        gain = np.abs(plant[k, k] * pid_response(pid, loop.step, loop.omega))
-        below = np.flatnonzero((gain[1:] < 1) & (gain[:-1] >= 1))
-        if not len(below):
-            raise InputError("a loop gain does not cross 0 dB on the grid; lower low_hz of the grid")
-        i = below[0]
-        part = np.log(gain[i]) / np.log(gain[i] / gain[i + 1])
-        found.append(loop.omega[i] * (loop.omega[i + 1] / loop.omega[i]) ** part / (2 * np.pi))
-    return np.array(found)
+
+    def gain(k: int, on: RigLoop) -> Complex128[np.ndarray, " frequencies"]:
+        return on.equivalent_plant()[k, k] * pid_response(pids[k], on.step, on.omega)
+
+    found = [
+        crossover(lambda w, k=k: gain(k, loop.on(w)), loop.omega, np.abs(gain(k, loop)))
+        for k in range(len(pids))
+    ]
+    return np.array(found) / (2 * np.pi)
 
 
 @kernel

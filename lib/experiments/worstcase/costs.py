@@ -31,7 +31,7 @@ def multiplications(update: str, unknowns: int, evaluations: float = 1.0) -> flo
     backward = forward + n
     squares = forward + 5 * n
     if update == "least squares":
-        return 2.0 * n**2 + 6 * n
+        return 2.0 * n**2 + 5 * n + 3
     if update == "ridge":
         return accumulate + factorise + backward
     if update == "approximate":

@@ -1,14 +1,12 @@
 """Pictures of the time updates: distance from batch, accuracy of (20), cost against n."""
 
-import csv
-
 import numpy as np
 
 from experiments.worstcase.costs import multiplications
 from experiments.worstcase.simulations import FIG_2_PARAMETERS, path
 from experiments.worstcase.theory import recursion_trial
-from stillwork.base import paths
 from stillwork.workbook import figures
+from stillwork.workbook.timings import measured_times
 
 COLOURS = {
     "least squares": figures.BLACK,
@@ -84,13 +82,13 @@ def draw_counts(sizes: list[int], evaluations: float):
     return figure
 
 
-def measured_times() -> dict[str, np.ndarray]:
+def times_by_name() -> dict[str, np.ndarray]:
     """The committed table of benchmark times: ``unknowns`` and microseconds an update, by name."""
-    file = paths.data("worstcase", "update_times/update_times.csv")
-    with file.open(newline="", encoding="utf-8") as lines:
-        names, *rows = csv.reader(lines)
-    columns = np.array(rows, dtype=float).T
-    return {name.removesuffix(" (us)"): column for name, column in zip(names, columns, strict=True)}
+    rows = measured_times("worstcase", "update_times/update_times.csv")
+    columns = {"unknowns": np.array(list(map(float, rows)))}
+    for heading in next(iter(rows.values())):
+        columns[heading.removesuffix(" (us)")] = np.array([row[heading] for row in rows.values()])
+    return columns
 
 
 def draw_times(times: dict[str, np.ndarray]):

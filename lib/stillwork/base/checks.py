@@ -5,6 +5,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
+MOST_COUNT = 2**63 - 1  # numpy's own whole numbers hold no more
+MOST_SAMPLES = 1e8  # of what a duration and a sample time ask for; a slip of units asks for more
+
 
 class InputError(ValueError):
     """A value from outside that cannot be used; the message names it and says what to do."""
@@ -29,10 +32,9 @@ def one_line(text: str) -> str:
 def require_choice(name: str, value, choices: Iterable[str]) -> str:
     """Return `value` when it is one of `choices`, else raise `InputError` with the nearest one."""
     choices = list(choices)
-    if value not in choices:
-        raise InputError(
-            f"{name} is {value!r}; use one of {', '.join(map(repr, choices))}{nearest(str(value), choices)}"
-        )
+    if not isinstance(value, str) or value not in choices:
+        hint = nearest(value, choices) if isinstance(value, str) else ""
+        raise InputError(f"{name} is {shown(value)}; use one of {', '.join(map(repr, choices))}{hint}")
     return value
 
 
@@ -58,12 +60,11 @@ def require_number(
     )
     hint = f"give a finite number{' ' + wanted if wanted else ''}"
     try:
-        # float() takes a flag for a number, and numpy's complex numbers without their imaginary part.
-        if isinstance(value, bool | np.bool_ | np.complexfloating):
-            raise TypeError
-        number = float(value)
+        number = _float(value)
+    except OverflowError:
+        raise InputError(f"{name} is beyond the largest floating-point number; {hint}") from None
     except (TypeError, ValueError):
-        raise InputError(f"{name} is {value!r}, not a number; {hint}") from None
+        raise InputError(f"{name} is {shown(value)}, not a number; {hint}") from None
     if (
         not np.isfinite(number)
         or (above is not None and not number > above)
@@ -75,11 +76,61 @@ def require_number(
     return number
 
 
+def _float(value) -> float:
+    """`value` as a float where it is one number: no text, no flag, no complex number, no missing one."""
+    if type(value) in (float, int):
+        return float(value)
+    if np.ndim(value) or np.ma.is_masked(value) or np.asarray(value).dtype.kind not in "iufO":
+        raise TypeError
+    return float(value)
+
+
 def require_count(name: str, value, *, at_least: int = 1) -> int:
     """Return `value` as an int of at least `at_least`, else raise `InputError`."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < at_least:
-        raise InputError(f"{name} is {value!r}; give a whole number, at least {at_least}")
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, int | np.integer)
+        or not at_least <= value <= MOST_COUNT
+    ):
+        wanted = f", at least {at_least}" if at_least > -MOST_COUNT else ""
+        raise InputError(f"{name} is {shown(value)}; give a whole number{wanted}")
     return int(value)
+
+
+def require_kind(name: str, value, kind: type | tuple[type, ...]):
+    """Return `value` when it is one of these classes, else raise `InputError`."""
+    kinds = kind if isinstance(kind, tuple) else (kind,)
+    if isinstance(value, kinds):
+        return value
+    raise InputError(f"{name} is {shown(value)}; give {' or '.join(each.__name__ for each in kinds)}")
+
+
+def require_samples(name: str, count: float) -> int:
+    """Return how many samples `name` asks for as an int, else raise `InputError`."""
+    if not count <= MOST_SAMPLES:
+        raise InputError(f"{name} asks for {count:.3g} samples; give at most {MOST_SAMPLES:g}, times in s")
+    return round(count)
+
+
+def require_whole(name: str, value) -> int:
+    """Return `value` as an int of any sign, else raise `InputError`."""
+    return require_count(name, value, at_least=-MOST_COUNT)
+
+
+def require_callable(name: str, value):
+    """Return `value` when it can be called, else raise `InputError`."""
+    if not callable(value):
+        raise InputError(f"{name} is {shown(value)}; give a function")
+    return value
+
+
+def shown(value) -> str:
+    """`value` as a message quotes it: no longer than a line, whatever it is."""
+    try:
+        text = repr(value)
+    except Exception:  # a reader's own object, or an int of more digits than Python writes
+        return f"a {type(value).__name__} that cannot be shown"
+    return one_line(text if len(text) <= 80 else f"{text[:77]}...")
 
 
 def require_array(
@@ -89,8 +140,13 @@ def require_array(
     ndim: int | None = None,
     shape: tuple[int | None, ...] | None = None,
     dtype=np.float64,
+    advice: str = "remove or repair them first",
 ) -> np.ndarray:
-    """Return `value` as a finite, C-contiguous array, else raise `InputError`.
+    """Return `value` as a finite, C-contiguous array that may be written to, else raise `InputError`.
+
+    It is the one front door for arrays: lists, other number types, transposed, strided, read-only and
+    memory-mapped arrays come out alike, so that a kernel is compiled for one type alone. It is `value` itself
+    where nothing has to be changed; a function that writes to it copies it first.
 
     Parameters
     ----------
@@ -104,18 +160,10 @@ def require_array(
         Shape that is wanted; None leaves an axis free.
     dtype : dtype
         Type of the returned array.
+    advice : str
+        What to do about values that are not finite.
     """
-    try:
-        given = np.asarray(value)
-        if given.dtype.kind == "c" and np.dtype(dtype).kind != "c":
-            raise InputError(f"{name} is complex; give real numbers, such as the real part or the magnitude")
-        array = np.ascontiguousarray(given, dtype=dtype)
-    except InputError:
-        raise
-    except (TypeError, ValueError):
-        raise InputError(f"{name} is not an array of numbers; give a rectangular array") from None
-    if np.ndim(value) == 0:
-        array = array.reshape(())
+    array = _numbers(name, value, np.dtype(dtype))
     if ndim is not None and array.ndim != ndim:
         raise InputError(f"{name} has shape {array.shape}; give an array with {ndim} axes")
     if shape is not None and (
@@ -128,7 +176,28 @@ def require_array(
     if bad.any():
         first = tuple(int(i) for i in np.argwhere(bad)[0])
         raise InputError(
-            f"{name} holds {int(bad.sum())} NaN or infinite values, the first at index {first}; "
-            "remove or repair them first"
+            f"{name} holds {int(bad.sum())} NaN or infinite values, the first at index {first}; {advice}"
         )
     return array
+
+
+def _numbers(name: str, value, dtype: np.dtype) -> np.ndarray:
+    """`value` as a writable array of `dtype`; `InputError` where a conversion would lose or invent something."""
+    try:
+        given = np.asarray(value)
+        if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):
+            raise InputError(f"{name} has masked values; fill or remove them first")
+        if given.dtype.kind == "c" and dtype.kind != "c":
+            raise InputError(f"{name} is complex; give real numbers, such as the real part or the magnitude")
+        if given.dtype.kind not in "biufcO":  # text and times
+            raise TypeError
+        if given.dtype.kind == "O" and any(isinstance(each, str | bytes) for each in given.flat):
+            raise TypeError
+        with np.errstate(over="ignore"):  # a long double beyond float64 is infinite, which is said below
+            return np.require(given, dtype, ["C", "A", "W", "E"])
+    except InputError:
+        raise
+    except OverflowError:
+        raise InputError(f"{name} holds a number beyond the largest floating-point number") from None
+    except Exception:  # numpy asks the object, which may raise anything
+        raise InputError(f"{name} is not an array of numbers; give a rectangular array") from None

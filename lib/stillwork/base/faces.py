@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from importlib import import_module
 
+from stillwork.base.extras import missing
+
 
 def face(
     package: str, names: dict[str, tuple[str, ...]]
@@ -16,6 +18,9 @@ def face(
     def attribute(name: str) -> object:
         if name not in modules:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        return getattr(import_module(f"{package}.{modules[name]}"), name)
+        try:
+            return getattr(import_module(f"{package}.{modules[name]}"), name)
+        except ModuleNotFoundError as error:
+            raise missing(error) from None
 
     return sorted(modules), attribute, lambda: sorted(modules)

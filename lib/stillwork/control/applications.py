@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
+from stillwork.base.front_door import check_fields, checked
 from stillwork.control.feedback import SELECTIONS, band_pass, damping_gain, stiffness_gain
 from stillwork.estimation.observer import Observer
 from stillwork.lti.state_space import StateModel, interconnect
@@ -30,6 +31,7 @@ class Application:
     high_pass_hz: float | None = None  # corner of a high-pass on the compensation, instead of a noise model
 
     def __post_init__(self):
+        check_fields(self)
         for each in np.atleast_1d(self.damping):
             require_number("damping", each, at_least=0.0, below=1.0)
         require_choice("selection", self.selection, SELECTIONS)
@@ -40,6 +42,7 @@ class Application:
                     require_number(name, each, above=0.0)
 
 
+@checked
 def compensator(observer: Observer, application: Application) -> StateModel:
     """The block O(s) of (A.2): from plant input and measurement (u, y) to (u_d, y_flex).
 
@@ -106,6 +109,7 @@ def _wired(models, inputs: int, outputs: int, filters: int, gain: np.ndarray, hi
     return interconnect(models, feedback, external, take)
 
 
+@checked
 def soft_sensor(observer: Observer, performance_shapes: Float64[np.ndarray, "places modes"]) -> StateModel:
     """Soft sensor (3.21) from (u, y) to the position at other places, for one rigid-body direction.
 
@@ -121,6 +125,11 @@ def soft_sensor(observer: Observer, performance_shapes: Float64[np.ndarray, "pla
     model = observer.model
     if model.rigid_modes != 1 or len(model.output_shapes) != 1:
         raise InputError("soft_sensor is for one rigid-body mode and one sensor; decouple the machine first")
+    if performance_shapes.shape[1] != len(model.frequencies):
+        raise InputError(
+            f"performance_shapes has shape {performance_shapes.shape}; give a column for each of the observer's "
+            f"{len(model.frequencies)} modes"
+        )
     rigid = performance_shapes[:, :1] / model.output_shapes[:, :1]
     rows = observer.read(performance_shapes[:, 1:]) - rigid @ observer.flexible_outputs
     estimate = observer.estimator(rows)

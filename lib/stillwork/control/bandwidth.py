@@ -8,7 +8,9 @@ from jaxtyping import Complex128, Float64
 from scipy import linalg
 
 from stillwork.base.checks import InputError, require_choice, require_count, require_number
+from stillwork.base.front_door import check_fields, checked
 from stillwork.base.rounding import TIE
+from stillwork.control.crossover import crossover
 from stillwork.control.loops import LoopResponse, closed_loop, no_observer
 from stillwork.control.pid import Pid
 from stillwork.lti.modal import ModalModel
@@ -42,6 +44,9 @@ class Loop:
     plant_response: Complex128[np.ndarray, " frequencies"] = field(repr=False)
     compensator_response: Complex128[np.ndarray, "2 2 frequencies"] = field(repr=False)
 
+    def __post_init__(self):
+        check_fields(self)
+
     def at(self, controller: Pid, omega: np.ndarray | None = None) -> LoopResponse:
         """Loop functions on the loop's own grid, or at other frequencies (rad/s)."""
         if omega is None:
@@ -51,28 +56,26 @@ class Loop:
             observer = self.compensator.frequency_response(omega)
         return LoopResponse(plant, observer, controller.frequency_response(omega))
 
+    @checked
     def peak(self, controller: Pid, function: str) -> Peak:
         """Refined peak of a loop function."""
         magnitude = np.abs(getattr(self.at(controller), function))
         return refine_peak(lambda w: getattr(self.at(controller, w), function), self.omega, magnitude)
 
+    @checked
     def poles(self, controller: Pid) -> Complex128[np.ndarray, " states"]:
         """Closed-loop poles."""
         a = closed_loop(self.plant, self.compensator, controller.state_space()).a
         return linalg.eigvals(a).astype(complex)
 
+    @checked
     def crossing_hz(self, controller: Pid) -> float:
         """First 0 dB crossing of the open loop that the controller sees (Definition 1.2.1), Hz."""
         gain = np.abs(self.at(controller).loop)
-        below = np.flatnonzero((gain[1:] < 1) & (gain[:-1] >= 1))
-        if not len(below):
-            raise InputError("the loop gain does not cross 0 dB on the grid; widen low_hz and high_hz")
-        k = below[0]
-        ratio = np.log(gain[k]) / np.log(gain[k] / gain[k + 1])
-        low, high = self.omega[k], self.omega[k + 1]
-        return float(low * (high / low) ** ratio / (2 * np.pi))
+        return crossover(lambda w: self.at(controller, w).loop, self.omega, gain) / (2 * np.pi)
 
 
+@checked
 def make_loop(
     plant: ModalModel,
     compensator: StateModel | None = None,
@@ -115,6 +118,7 @@ class Bandwidth:
     peak: Peak  # ... and its peak there; "stability" has peak infinity
 
 
+@checked(infinite=True)
 def maximise_bandwidth(
     loops: Sequence[Loop],
     family: Callable[[float], Pid],

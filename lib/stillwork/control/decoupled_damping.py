@@ -9,12 +9,14 @@ from scipy import linalg
 from scipy.optimize import linear_sum_assignment
 
 from stillwork.base.checks import InputError, require_choice, require_count, require_number
+from stillwork.base.front_door import checked
 from stillwork.control.decoupling import WORST_CONDITION
 from stillwork.control.feedback import band_pass, per_flexible_mode
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel, interconnect
 
 
+@checked
 def constrained_damping(
     model: ModalModel, increase: float | ArrayLike, undisturbed: Collection[int] | None = None
 ) -> Float64[np.ndarray, "inputs states"]:
@@ -44,6 +46,7 @@ def constrained_damping(
     return _constrained(model, 2 * increase * model.frequencies[model.rigid_modes :], undisturbed, 1)
 
 
+@checked
 def constrained_stiffness(
     model: ModalModel, factor: float | ArrayLike, undisturbed: Collection[int] | None = None
 ) -> Float64[np.ndarray, "inputs states"]:
@@ -84,6 +87,7 @@ def _constrained(model: ModalModel, wanted: np.ndarray, undisturbed, state: int)
     return gain
 
 
+@checked
 def band_passed(
     model: ModalModel,
     gain: Float64[np.ndarray, "inputs states"],
@@ -132,6 +136,7 @@ def half_power_selectivity(model: ModalModel, gain: Float64[np.ndarray, "inputs 
     return float(common_centre(model, gain) / (damped.max() - damped.min()))
 
 
+@checked
 def common_band_passed(
     model: ModalModel, gain: Float64[np.ndarray, "inputs states"], selectivity: float
 ) -> StateModel:

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from stillwork.base.checks import InputError, require_number
+from stillwork.base.front_door import check_fields, checked
 from stillwork.control.integral_action import slope
 from stillwork.estimation.observer import Observer
 from stillwork.lti.modal import ModalModel
@@ -23,6 +24,10 @@ class Decoupling:
     actuation: Float64[np.ndarray, "inputs axes"]  # Gamma
     sensing: Float64[np.ndarray, "axes outputs"]  # Upsilon
 
+    def __post_init__(self):
+        check_fields(self)
+
+    @checked
     def apply(self, model: ModalModel) -> ModalModel:
         r"""The modal model from u to q; its shapes of the flexible modes are Theta and Psi of (4.13).
 
@@ -42,6 +47,7 @@ class Decoupling:
         return replace(model, input_shapes=input_shapes, output_shapes=output_shapes, feedthrough=feedthrough)
 
 
+@checked
 def decouple(
     model: ModalModel, actuated: Sequence[int] | None = None, sensed: Sequence[int] | None = None
 ) -> Decoupling:
@@ -95,6 +101,7 @@ def _inverse(shapes: Float64[np.ndarray, "places modes"], what: str) -> Float64[
     return np.linalg.pinv(shapes)
 
 
+@checked
 def decoupled_plant(
     plant: ModalModel,
     decoupling: Decoupling,
@@ -173,6 +180,7 @@ def low_frequency_slopes(
     return np.array([[slope(omega, entry) for entry in row] for row in response])
 
 
+@checked
 def rigid_coupling(
     plant: ModalModel, gain: Float64[np.ndarray, "inputs states"], decoupling: Decoupling
 ) -> Float64[np.ndarray, "axes axes"]:
@@ -195,6 +203,7 @@ def rigid_coupling(
     return plant.input_shapes[:rigid] @ velocities @ static
 
 
+@checked(infinite=True)
 def coupling_onset(
     plant: ModalModel, gain: Float64[np.ndarray, "inputs states"], decoupling: Decoupling
 ) -> Float64[np.ndarray, "axes axes"]:

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
+from stillwork.base.front_door import checked
 from stillwork.control.feedback import DampedModes, place
 from stillwork.lti.delays import delayed
 from stillwork.lti.discretisation import zoh_modes
@@ -32,6 +33,7 @@ def damped_poles(model: ModalModel, increase: float | ArrayLike) -> Complex128[n
     return w * (-ratio + 1j * np.sqrt(1 - ratio**2))
 
 
+@checked
 def discrete_damping_gain(
     model: ModalModel, increase: float | ArrayLike, step: float
 ) -> Float64[np.ndarray, "1 states"]:
@@ -93,7 +95,8 @@ def discrete_damping_gain(
     return gain
 
 
-def sampled_feedback(model: ModalModel, gain: ArrayLike, step: float, delay: float = 0) -> DampedModes:
+@checked
+def sampled_feedback(model: ModalModel, gain: ArrayLike, step: float, delay: int = 0) -> DampedModes:
     """Damping ratios and frequencies that a gain gives the sampled machine, (4.2), with perfect estimates.
 
     The eigenvalues z are read as those of a continuous machine, ln(z)/T_s.

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
+from stillwork.base.front_door import check_fields, checked
 from stillwork.control.applications import Application
 from stillwork.control.discrete_damping import discrete_damping_gain
 from stillwork.control.feedback import band_pass, damping_gain
@@ -39,6 +40,7 @@ class DiscreteObserver:
     step: float  # s
 
     def __post_init__(self):
+        check_fields(self)
         gain = require_array("gain", self.gain, shape=(len(self.a), len(self.c)))
         object.__setattr__(self, "gain", gain)
         require_number("step", self.step, above=0.0)
@@ -51,6 +53,7 @@ class DiscreteObserver:
         rest = self.covariance - self.gain @ self.c @ self.covariance
         return (rest + rest.T) / 2
 
+    @checked
     def read(
         self, flexible: Float64[np.ndarray, "signals flexible_modes"], quantity: str = "position"
     ) -> Float64[np.ndarray, "signals states"]:
@@ -66,7 +69,8 @@ class DiscreteObserver:
         """C_f: what the estimated flexible modes put into each measurement."""
         return self.read(self.model.output_shapes[:, self.model.rigid_modes :])
 
-    def estimator(self, rows: ArrayLike, form: str = "filter", delay: float = 0) -> StateModel:
+    @checked
+    def estimator(self, rows: ArrayLike, form: str = "filter", delay: int = 0) -> StateModel:
         """Model from (u, y) to ``rows @ x_hat`` as it arrives, `delay` samples after the measurement it uses.
 
         Parameters
@@ -101,6 +105,7 @@ class DiscreteObserver:
         return delayed(StateModel(a, b, c, np.hstack([none, rows @ self.gain]), self.step), delay)
 
 
+@checked
 def discrete_kalman_observer(
     model: ModalModel, noise: NoiseIntensities, step: float, noise_model: float | None = None
 ) -> DiscreteObserver:
@@ -140,8 +145,9 @@ def discrete_kalman_observer(
     return DiscreteObserver(model, a, b, c, solved.filter_gain, solved.covariance, step)
 
 
+@checked
 def discrete_compensator(
-    observer: DiscreteObserver, application: Application, form: str = "predictor", delay: float = 1
+    observer: DiscreteObserver, application: Application, form: str = "predictor", delay: int = 1
 ) -> StateModel:
     """The block from (u, y) to (u_d, y_flex) in discrete time, see `applications.compensator`.
 

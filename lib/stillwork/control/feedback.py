@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
+from stillwork.base.front_door import checked
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
 
@@ -36,6 +37,7 @@ def _require_reach(model: ModalModel) -> None:
         )
 
 
+@checked
 def damping_gain(
     model: ModalModel, increase: float | ArrayLike, selection: str = "each mode"
 ) -> Float64[np.ndarray, "inputs states"]:
@@ -119,6 +121,7 @@ def place(model: StateModel, poles: ArrayLike) -> Float64[np.ndarray, "1 states"
     return -(last @ value / scale)[None, :]
 
 
+@checked
 def stiffness_gain(model: ModalModel, factor: float | ArrayLike) -> Float64[np.ndarray, "inputs states"]:
     """Gain K on the states of form 1 that multiplies each resonance frequency by `factor`, (3.42).
 
@@ -142,9 +145,12 @@ class DampedModes(NamedTuple):
     frequencies: Float64[np.ndarray, " modes"]  # undamped, rad/s
 
 
+@checked
 def fed_back(model: ModalModel, gain: Float64[np.ndarray, "inputs states"]) -> DampedModes:
     """Damping ratios and frequencies of A + BK: what perfect estimates would achieve."""
     states = model.state_space()
+    if gain.shape != states.b.T.shape:
+        raise InputError(f"gain has shape {gain.shape}; give {states.b.shape[1]} x {len(states.a)}")
     # A rigid-body mode without feedback stays at the origin: leave it out of the eigenvalue problem, where
     # rounding would spread its double pole.
     still = 2 * model.rigid_modes if not np.any(gain[:, : 2 * model.rigid_modes]) else 0
@@ -159,6 +165,7 @@ def fed_back(model: ModalModel, gain: Float64[np.ndarray, "inputs states"]) -> D
     )
 
 
+@checked
 def band_pass(omega: float, selectivity: float) -> StateModel:
     r"""Band-pass :math:`\frac{(\omega/Q)s}{s^2 + (\omega/Q)s + \omega^2}`, (3.34)."""
     require_number("omega", omega, above=0.0)

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from stillwork.base.checks import InputError, require_choice, require_number
+from stillwork.base.front_door import check_fields, checked
 from stillwork.control.loops import INPUTS, OUTPUTS, require_stable
 from stillwork.control.setpoint import Setpoint
 from stillwork.lti.discretisation import zoh
@@ -25,15 +26,20 @@ class Feedforward:
     jerk: float = 0.0  # kg s
     snap: float = 0.0  # kg s^2
 
+    def __post_init__(self):
+        check_fields(self)
+
     @property
     def gains(self) -> Float64[np.ndarray, "4"]:
         return np.array([self.velocity, self.acceleration, self.jerk, self.snap], dtype=float)
 
+    @checked
     def force(self, setpoint: Setpoint) -> Float64[np.ndarray, " samples"]:
         """Feedforward force at the samples (N)."""
         return self.gains @ setpoint.derivatives[1:]
 
 
+@checked
 def modified_feedforward(compensator: StateModel, controller: StateModel) -> StateModel:
     """Feedforward of Fig. A.2: from the original feedforward force u0 and the setpoint r to u_ff.
 
@@ -52,6 +58,7 @@ def modified_feedforward(compensator: StateModel, controller: StateModel) -> Sta
     )
 
 
+@checked
 def error_loop(loop: StateModel) -> StateModel:
     """Of a single `closed_loop`, the model from (r, u0) to e_true under the modified feedforward.
 
@@ -93,6 +100,7 @@ def tracking_model(loop: StateModel, feedforward: Feedforward, step: float) -> S
     return StateModel(a, drive, loop.c, direct, step)
 
 
+@checked
 def tracking_error(
     loop: StateModel, setpoint: Setpoint, feedforward: Feedforward
 ) -> Float64[np.ndarray, " samples"]:
@@ -106,6 +114,7 @@ def tracking_error(
     return simulate(tracking_model(loop, feedforward, setpoint.step), setpoint.derivatives)[0]
 
 
+@checked
 def fit_feedforward(loop: StateModel, setpoint: Setpoint, basis: tuple[str, ...] = BASIS) -> Feedforward:
     """Feedforward gains that minimise the sum of squared errors over the whole move.
 

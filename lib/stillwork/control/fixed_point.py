@@ -7,6 +7,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
+from stillwork.base.front_door import check_fields, checked
 from stillwork.base.kernels import kernel
 from stillwork.control.kinematics import KinematicDesign
 from stillwork.control.trajectory import Trajectory
@@ -53,6 +54,7 @@ class Controller:
     model: Plant
 
     def __post_init__(self):
+        check_fields(self)
         if self.kinematics.order != 2:
             raise InputError(
                 f"kinematics has order {self.kinematics.order}; the loop drives second-order plants: use 2"
@@ -93,6 +95,7 @@ class ControlledRun:
         return self.trajectory.velocity - self.velocity
 
 
+@checked(missing=True)
 def simulate(
     plant: Plant,
     controller: Controller,
@@ -102,7 +105,7 @@ def simulate(
     resolution: float = 0.0,
     grid: float = 0.0,
     integration: str = "semi-implicit",
-    start: tuple[float, float] | None = None,
+    start: tuple[float, float] | ArrayLike | None = None,
     bound: float = 10.0,
 ) -> ControlledRun:
     """Drive `plant` along `trajectory`.
@@ -127,7 +130,7 @@ def simulate(
         Where a line of the encoder stands, m.
     integration : str
         ``semi-implicit`` moves the position with the new velocity, ``explicit`` with the old one.
-    start : tuple of float, optional
+    start : array_like, shape (2,), optional
         Initial position and velocity; by default on the trajectory.
     bound : float
         A position or velocity beyond `bound` times the trajectory's largest (at least 1) counts as diverged.
@@ -189,6 +192,7 @@ def simulate(
     return ControlledRun(trajectory, **dict(zip(COLUMNS, record, strict=True)), **ending)
 
 
+@checked
 def response_gain(plant: Plant, model: Plant) -> float:
     """f': acceleration realised per acceleration commanded through an imperfect model, at rest."""
     _, _, slope = partial_derivatives(plant, 0.0, 0.0, 0.0)

@@ -5,12 +5,15 @@ from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float64
+from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, require_count, require_number
+from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.base.front_door import check_fields, checked
 from stillwork.control.fixed_point_linear import LinearLoop
-from stillwork.control.transformation import FlowTransformation, Transformation, deform
+from stillwork.control.transformation import FlowTransformation, Transformation, deform_packed
 
 
+@checked
 def iterate(
     transformation: Transformation,
     desired: float,
@@ -26,10 +29,10 @@ def iterate(
     """
     require_count("steps", steps)
     value = require_number("desired", desired) if start is None else require_number("start", start)
-    sequence = np.empty(steps)
+    sequence, packed = np.empty(steps), transformation.packed
     for i in range(steps):
         sequence[i] = value
-        value = deform(transformation, value, response_gain * value + response_offset, desired)
+        value = deform_packed(packed, value, response_gain * value + response_offset, desired)
     return sequence
 
 
@@ -39,6 +42,9 @@ class Crossing:
 
     local_gain: float
     frequency_hz: float
+
+    def __post_init__(self):
+        check_fields(self)
 
 
 @dataclass(frozen=True)
@@ -50,6 +56,9 @@ class StableRange:
 
     strongest: Crossing | None  # the more negative edge
     weakest: Crossing | None
+
+    def __post_init__(self):
+        check_fields(self)
 
     def __contains__(self, local_gain: float) -> bool:
         if self.strongest is None:
@@ -64,6 +73,7 @@ class StableRange:
         return self.strongest.local_gain, self.weakest.local_gain
 
 
+@checked
 def crossings(loop: LinearLoop, points: int = 300) -> list[Crossing]:
     """All negative gains at which poles cross the unit circle, strongest first.
 
@@ -93,6 +103,7 @@ def crossings(loop: LinearLoop, points: int = 300) -> list[Crossing]:
     return sorted(found, key=lambda crossing: crossing.local_gain)
 
 
+@checked
 def stable_range(loop: LinearLoop) -> StableRange:
     """The widest range of negative gains between two crossings in which all poles are inside the circle."""
     edges = [*crossings(loop), Crossing(0.0, 0.0)]
@@ -106,6 +117,7 @@ def stable_range(loop: LinearLoop) -> StableRange:
     return max(ranges, key=lambda r: r.weakest.local_gain - r.strongest.local_gain)
 
 
+@checked
 def describing_function(amplitude: float) -> float:
     """Gain of sigma(x) = x / (1 + |x|) for the first harmonic of a sine of `amplitude`.
 
@@ -118,6 +130,7 @@ def describing_function(amplitude: float) -> float:
     return float(2 / np.pi * value)
 
 
+@checked
 def random_gain(deviation: float) -> float:
     """Gain of the same sigmoid for a small signal buried in Gaussian noise of standard `deviation`.
 
@@ -141,6 +154,7 @@ class LimitCycle:
     stable: bool  # attracts its neighbours; an unstable one is the border of divergence
 
 
+@checked
 def limit_cycles(
     loop: LinearLoop, transformation: Transformation, region: StableRange | None = None
 ) -> list[LimitCycle]:
@@ -187,12 +201,13 @@ class Oscillation:
     amplitude: float  # of that line, in the record's unit
 
 
-def strongest_oscillation(values: np.ndarray, time_step: float) -> Oscillation:
+@checked
+def strongest_oscillation(values: ArrayLike, time_step: float) -> Oscillation:
     """Frequency and amplitude of the strongest sine in a record, refined between the FFT's lines.
 
     Parameters
     ----------
-    values : ndarray, shape (samples,)
+    values : array_like, shape (samples,)
         Its mean is removed.
     time_step : float
         s.
@@ -200,11 +215,11 @@ def strongest_oscillation(values: np.ndarray, time_step: float) -> Oscillation:
     from scipy.optimize import minimize_scalar
 
     require_number("time_step", time_step, above=0)
-    values = np.asarray(values, dtype=float)
+    values = require_array("values", values, advice="cut the record before it diverges")
     if values.ndim != 1:
         raise InputError(f"values has shape {values.shape}; give one record")
-    if len(values) < 16 or not np.isfinite(values).all():
-        raise InputError("values needs 16 finite samples at least; cut the record before it diverges")
+    if len(values) < 16:
+        raise InputError(f"values holds {len(values)} samples; give 16 at least")
     window = np.hanning(len(values))
     weighted = (values - values.mean()) * window
     time = np.arange(len(values)) * time_step

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
+from stillwork.base.front_door import check_fields, checked
 from stillwork.control.fixed_point import Controller
 from stillwork.estimation.coordinate_filters import (
     Filter,
@@ -33,6 +34,7 @@ class LinearFilter:
     D: Float64[np.ndarray, "3 2"]
 
 
+@checked
 def linear_filter(
     signal_filter: Filter, time_step: float, position: float = 0.0, velocity: float = 0.0
 ) -> LinearFilter:
@@ -164,6 +166,9 @@ class LinearLoop:
     C: Float64[np.ndarray, " states"]
     time_step: float  # s
 
+    def __post_init__(self):
+        check_fields(self)
+
     @cached_property
     def _schur(self) -> tuple[np.ndarray, np.ndarray]:
         from scipy.linalg import schur
@@ -190,6 +195,7 @@ class LinearLoop:
         return float(np.abs(np.linalg.eigvals(closed)).max())
 
 
+@checked
 def linear_loop(
     plant: Plant,
     controller: Controller,

@@ -7,7 +7,8 @@ from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from stillwork.base.checks import InputError, require_array
+from stillwork.base.checks import InputError, require_array, require_samples
+from stillwork.base.front_door import check_fields, checked
 from stillwork.control.feedforward import BASIS, Feedforward, least_squares
 from stillwork.control.setpoint import Setpoint
 from stillwork.lti.discretisation import zoh, zoh_modes
@@ -28,6 +29,9 @@ class Inverse:
     zeros: Complex128[np.ndarray, " zeros"]  # z of the plant, rad/s
     residues: Complex128[np.ndarray, " zeros"]  # e, kg rad/s
 
+    def __post_init__(self):
+        check_fields(self)
+
     @property
     def lead(self) -> float:
         """Time (s) before the move in which the force must begin: zeros in the right half-plane want it."""
@@ -35,6 +39,7 @@ class Inverse:
         return float(-np.log(FAINT) / right.min()) if len(right) else 0.0
 
 
+@checked
 def invert(plant: ModalModel) -> Inverse:
     """Inverse of a machine with one rigid-body mode, one input and one position output.
 
@@ -100,12 +105,16 @@ class Force:
     generator: Float64[np.ndarray, "states states"]  # G, 1/s
     row: Float64[np.ndarray, " states"]  # h
 
+    def __post_init__(self):
+        check_fields(self)
+
     @property
     def values(self) -> Float64[np.ndarray, " samples"]:
         """Force at the samples, N."""
         return self.row @ self.states
 
 
+@checked
 def ideal_force(inverse: Inverse, setpoint: Setpoint) -> Force:
     """The force under which the plant follows the setpoint exactly: stable inversion.
 
@@ -113,7 +122,7 @@ def ideal_force(inverse: Inverse, setpoint: Setpoint) -> Force:
     the end. Between samples the snap is constant, so nothing is approximated.
     """
     step = setpoint.step
-    ahead = int(np.ceil(inverse.lead / step))
+    ahead = require_samples("inverse", np.ceil(inverse.lead / step))
     moved = np.pad(setpoint.derivatives[1:], ((0, 0), (ahead, 0)))  # velocity to snap
     one = inverse.zeros.imag >= 0
     blocks, rows, inputs = [], [], []
@@ -185,6 +194,7 @@ def sampled_ideal_force(plant: ModalModel, setpoint: Setpoint) -> Force:
     return Force((np.arange(size) - ahead) * step, states, np.zeros((5, 5)), np.eye(5)[0])
 
 
+@checked
 def feedforward_error(ideal: Force, feedforward: Feedforward) -> Force:
     """Ideal force less the applied one: what the loop must reject (Fig. 4.9)."""
     row = ideal.row.copy()

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Complex128
 
 from stillwork.base.checks import InputError
+from stillwork.base.front_door import checked
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel, interconnect
 
@@ -21,6 +22,7 @@ def no_observer(plant: StateModel | ModalModel) -> StateModel:
     return StateModel(np.zeros((0, 0)), np.zeros((0, n)), np.zeros((n, 0)), np.zeros((n, n)))
 
 
+@checked
 def closed_loop(
     plant: StateModel | ModalModel, compensator: StateModel | None, controller: StateModel
 ) -> StateModel:
@@ -84,6 +86,7 @@ def _wiring(m: int, p: int) -> tuple[np.ndarray, ...]:
     return feedback, external, wanted, direct
 
 
+@checked
 def channel(loop: StateModel, source: str, target: str, inputs: int = 1, outputs: int = 1) -> StateModel:
     """Transfer between named signals of a `closed_loop` model.
 

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Complex128, Float64
 
 from stillwork.base.checks import require_number
+from stillwork.base.front_door import check_fields, checked
 from stillwork.lti.state_space import StateModel, interconnect
 
 
@@ -45,9 +46,11 @@ class Pid:
     notches: tuple[Notch, ...] = ()
 
     def __post_init__(self):
+        check_fields(self)
         for name in ("gain", "integrator", "differentiator", "low_pass", "low_pass_damping"):
             require_number(name, getattr(self, name), above=0.0)
 
+    @checked
     def frequency_response(
         self, omega: Float64[np.ndarray, " frequencies"]
     ) -> Complex128[np.ndarray, " frequencies"]:
@@ -84,6 +87,7 @@ class PidFamily:
     notch_frequencies: tuple[float, ...] = ()  # rad/s
 
     def __post_init__(self):
+        check_fields(self)
         require_number("mass", self.mass, above=0.0)
 
     def __call__(self, bandwidth_hz: float) -> Pid:

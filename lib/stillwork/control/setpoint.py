@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.base.checks import InputError, require_array, require_number, require_samples
+from stillwork.base.front_door import check_fields, checked
 
 
 @dataclass(frozen=True)
@@ -19,6 +20,7 @@ class Setpoint:
     acceleration_end: float  # s, where the constant velocity begins
 
     def __post_init__(self):
+        check_fields(self)
         require_number("step", self.step, above=0.0)
         rows = require_array("derivatives", self.derivatives, shape=(5, None))
         # Positions are sums of many steps: allow them the rounding of the longest one.
@@ -56,6 +58,7 @@ def from_snap(segments: ArrayLike, durations: ArrayLike, step: float) -> Float64
         raise InputError("segments is empty; give the snap of at least one segment in m/s^4")
     durations = require_array("durations", durations, shape=segments.shape)
     step = require_number("step", step, above=0.0)
+    require_samples("step", float(np.sum(durations / step)))
     counts = np.rint(durations / step).astype(int)
     if np.any(counts < 1) or np.any(np.abs(counts * step - durations) > 1e-9 * durations):
         raise InputError(
@@ -79,6 +82,7 @@ def from_snap(segments: ArrayLike, durations: ArrayLike, step: float) -> Float64
     return np.hstack([*rows, np.append(state, 0.0)[:, None]])
 
 
+@checked
 def point_to_point(
     snap: float,
     jerk: float,

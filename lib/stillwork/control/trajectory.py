@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.base.checks import InputError, require_array, require_number, require_samples
+from stillwork.base.front_door import check_fields, checked
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,7 @@ class Trajectory:
     acceleration: ArrayLike = ()  # m/s^2, shape (samples,)
 
     def __post_init__(self):
+        check_fields(self)
         require_number("time_step", self.time_step, above=0)
         for name in ("position", "velocity", "acceleration"):
             object.__setattr__(self, name, require_array(name, getattr(self, name), ndim=1))
@@ -57,9 +59,10 @@ def sampled(duration: float, time_step: float) -> Float64[np.ndarray, " samples"
     """Sample times 0, time_step, ... below `duration`, s."""
     require_number("time_step", time_step, above=0)
     require_number("duration", duration, above=2 * time_step)
-    return np.arange(round(duration / time_step)) * time_step
+    return np.arange(require_samples("time_step", duration / time_step)) * time_step
 
 
+@checked
 def sine_trajectory(
     amplitude: float = 1.0, frequency_hz: float = 0.2, duration: float = 12.0, time_step: float = 1e-3
 ) -> Trajectory:
@@ -73,6 +76,7 @@ def sine_trajectory(
     )
 
 
+@checked
 def asin_trajectory(
     amplitude: float = 1.0,
     sharpness: float = 0.98,
@@ -106,6 +110,7 @@ def asin_trajectory(
     )
 
 
+@checked
 def trapezoid_trajectory(
     amplitude: float = 1.0,
     rounding: float = 0.5,
@@ -145,6 +150,7 @@ def trapezoid_trajectory(
     return Trajectory(time_step, position, velocity, acceleration)
 
 
+@checked
 def record_trajectory(time: ArrayLike, position: ArrayLike, time_step: float = 1e-3) -> Trajectory:
     """A recorded motion as a trajectory: the quintic spline through the record, and its exact derivatives.
 
@@ -162,6 +168,7 @@ def record_trajectory(time: ArrayLike, position: ArrayLike, time_step: float = 1
     position = require_array("position", position, shape=time.shape)
     if len(time) < 6 or np.any(np.diff(time) <= 0):
         raise InputError("time must rise from sample to sample, with at least 6 samples; sort the record")
+    require_samples("time_step", (time[-1] - time[0]) / time_step)
     spline = make_interp_spline(time, position, k=5)
     at = time[0] + np.arange(int((time[-1] - time[0]) / time_step * (1 + 1e-12)) + 1) * time_step
     return Trajectory(time_step, spline(at), spline(at, 1), spline(at, 2))

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from stillwork.base.checks import InputError, require_number
+from stillwork.base.front_door import checked
 from stillwork.base.kernels import kernel
 
 
@@ -81,6 +82,7 @@ class RobustTransformation:
 Transformation = FlowTransformation | RobustTransformation
 
 
+@checked
 def contraction_range(response_gain: float) -> tuple[float, float]:
     """Open range of `local_gain` in which deformed -> G(deformed, f(deformed), desired) contracts.
 
@@ -106,10 +108,11 @@ def warn_outside_contraction(transformation: Transformation, response_gain: floa
             f"{type(transformation).__name__} has local gain {transformation.local_gain:.4g}, outside the "
             f"contraction range ({low:.4g}, {high:.4g}) of this plant; the iteration will not converge",
             ContractionWarning,
-            stacklevel=3,
+            stacklevel=4,
         )
 
 
+@checked
 def deform(transformation: Transformation, previous: float, response: float, desired: float) -> float:
     """Next deformed acceleration from the previous one, its response and the desired one, m/s^2."""
     return float(deform_packed(transformation.packed, float(previous), float(response), float(desired)))

@@ -13,6 +13,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
+from stillwork.base.front_door import checked
 from stillwork.base.kernels import inlined_kernel, kernel
 
 
@@ -83,6 +84,7 @@ class FeRls:
             raise InputError("initial_covariance is not positive definite; give a covariance")
         object.__setattr__(self, "initial_covariance", initial)
 
+    @checked(infinite=True)
     def start(self, regressors: int) -> tuple[Float64[np.ndarray, "n n"], Float64[np.ndarray, "n"]]:
         """P(-1), exactly symmetric, and the limits of its diagonal for a number of regressors."""
         initial = self.initial_covariance
@@ -93,6 +95,32 @@ class FeRls:
             )
         covariance = initial if initial.ndim == 2 else np.diag(np.broadcast_to(initial, regressors))
         return (covariance + covariance.T) / 2, self.growth_limit * np.diag(covariance)
+
+
+@inlined_kernel
+def update_covariance(covariance, regressor, forgetting, gain):
+    """P <- (P - P psi psi' P / (lambda + psi' P psi)) / lambda in place; `gain` becomes P psi of before.
+
+    One triangle is computed and mirrored: rounding that differs between the two grows as 1 / lambda^t.
+    Returns lambda + psi' P psi and its inverse, which takes `gain` to P psi with the new P.
+    """
+    n = len(regressor)
+    denominator = forgetting
+    for i in range(n):
+        total = 0.0
+        for j in range(n):
+            total += covariance[i, j] * regressor[j]
+        gain[i] = total
+        denominator += total * regressor[i]
+    shrink = 1.0 / denominator
+    forget = 1.0 / forgetting
+    for i in range(n):
+        scaled = gain[i] * shrink
+        for j in range(i + 1):
+            value = (covariance[i, j] - scaled * gain[j]) * forget
+            covariance[i, j] = value
+            covariance[j, i] = value
+    return denominator, shrink
 
 
 @inlined_kernel
@@ -122,21 +150,7 @@ def ferls_update(weights, covariance, regressor, error, forgetting, limits, gain
         lambda + psi' P psi; below lambda, or NaN, when P was no longer positive definite.
     """
     n = len(regressor)
-    denominator = forgetting
-    for i in range(n):
-        total = 0.0
-        for j in range(n):
-            total += covariance[i, j] * regressor[j]
-        gain[i] = total
-        denominator += total * regressor[i]
-    shrink = 1.0 / denominator
-    forget = 1.0 / forgetting
-    for i in range(n):
-        scaled = gain[i] * shrink
-        for j in range(i + 1):
-            value = (covariance[i, j] - scaled * gain[j]) * forget
-            covariance[i, j] = value
-            covariance[j, i] = value
+    denominator, shrink = update_covariance(covariance, regressor, forgetting, gain)
     for i in range(n):
         gain[i] *= shrink  # P(k-1) psi over the denominator is P(k) psi
     for a in range(weights.shape[0]):
@@ -145,13 +159,13 @@ def ferls_update(weights, covariance, regressor, error, forgetting, limits, gain
             weights[a, i] -= scaled * gain[i]
     for i in range(n):
         if covariance[i, i] > limits[i]:
-            _limit(covariance, limits, gain)
+            limit_covariance(covariance, limits, gain)
             break
     return denominator
 
 
 @kernel
-def _limit(covariance, limits, scratch):
+def limit_covariance(covariance, limits, scratch):
     """Bring the diagonal of P back to its limits in place, as if the regressor had been seen once more."""
     for i in range(len(limits)):
         if covariance[i, i] > limits[i]:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.base.front_door import check_fields
 from stillwork.estimation.gaussian import BLOCKS, require_covariance
 from stillwork.estimation.plant import Plant
 from stillwork.estimation.unscented import SigmaPoints
@@ -134,6 +135,7 @@ class UnscentedKalman:
     error_from_measurement = False
 
     def __post_init__(self):
+        check_fields(self)
         object.__setattr__(self, "process", require_covariance("process", self.process, 2))
         object.__setattr__(self, "noise", require_covariance("noise", self.noise, 2))
         require_number("initial_variance", self.initial_variance, above=0)
@@ -171,6 +173,7 @@ class ExtendedKalman:
     error_from_measurement = False
 
     def __post_init__(self):
+        check_fields(self)
         require_number("disturbance_step", self.disturbance_step, at_least=0)
         require_number("noise_deviation", self.noise_deviation, above=0)
         require_number("velocity_step", self.velocity_step, at_least=0)

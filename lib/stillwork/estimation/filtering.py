@@ -7,6 +7,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.base.front_door import checked
 from stillwork.base.kernels import kernel
 from stillwork.estimation.coordinate_filters import (
     LOW_PASS,
@@ -32,6 +33,7 @@ class Estimate:
     acceleration: Float64[np.ndarray, " samples"]  # m/s^2
 
 
+@checked
 def filter_signal(
     signal_filter: Filter,
     measured: ArrayLike,

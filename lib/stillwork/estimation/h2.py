@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from stillwork.base.checks import InputError, require_number
+from stillwork.base.extras import require_package
 from stillwork.estimation.generalised_plant import GeneralisedPlant
 from stillwork.lti.norms import h2_norm, hinf_norm
 from stillwork.lti.state_space import StateModel
@@ -39,15 +40,15 @@ def regularised(
     ----------
     plant : GeneralisedPlant
     effort : float or array_like, shape (controls,)
-        Cost of each control, in performance units a unit of control.
+        Cost of each control, in performance units a unit of control; may be zero where D12 has full column rank.
     noise : float or array_like, shape (measurements,)
-        Intensity root of the noise on each measurement.
+        Intensity root of the noise on each measurement; may be zero where D21 has full row rank.
     """
     a, b1, b2, c1, c2, d11, d12, d21, d22 = plant.blocks
     controls, measurements = b2.shape[1], len(c2)
     effort = np.broadcast_to(np.asarray(effort, dtype=float), (controls,))
     noise = np.broadcast_to(np.asarray(noise, dtype=float), (measurements,))
-    if np.any(effort <= 0) or np.any(noise <= 0):
+    if np.any(effort < 0) or np.any(noise < 0):
         raise InputError("effort and noise must be positive; they make the problem regular")
     z, w = len(c1), b1.shape[1]
     d = np.block(
@@ -59,6 +60,15 @@ def regularised(
     )
     b = np.hstack([b1, np.zeros((len(a), measurements)), b2])
     c = np.vstack([c1, np.zeros((controls, len(a))), c2])
+    for name, matrix in (
+        ("effort", d[: z + controls, w + measurements :].T),
+        ("noise", d[z + controls :, :-controls]),
+    ):
+        lengths = np.linalg.norm(matrix, axis=1)[:, None]
+        if not np.all(lengths) or np.linalg.matrix_rank(matrix / lengths) < len(matrix):
+            raise InputError(
+                f"{name} must be positive where the plant is singular without it; give more of it"
+            )
     return GeneralisedPlant(StateModel(a, b, c, d), w + measurements, z + controls)
 
 
@@ -87,7 +97,7 @@ def h2_riccati(plant: GeneralisedPlant, effort: float | ArrayLike, noise: float 
     gain = _filter_gain(a, b1, c2, d21)
     feedback = _filter_gain(a.T, c1.T, b2.T, d12.T).T
     driven = StateModel(a - b2 @ feedback, b1, c1 - d12 @ feedback, d11)
-    missed = StateModel(a - gain @ c2, b1 - gain @ d21, feedback, np.zeros((len(feedback), b1.shape[1])))
+    missed = StateModel(a - gain @ c2, b1 - gain @ d21, d12 @ feedback, np.zeros_like(d11))
     claimed = float(np.hypot(h2_norm(driven), h2_norm(missed)))
     core = a - b2 @ feedback - gain @ c2 + gain @ d22 @ feedback
     observer = _in_units(units, core, gain, -feedback)
@@ -98,13 +108,19 @@ def h2_riccati(plant: GeneralisedPlant, effort: float | ArrayLike, noise: float 
 WORST_SEPARATION = 1e-5
 
 
+# Norms below this share of |B1| |C1| of the scaled plant are compared as if they were as large.
+LEAST_SHARE = 1e-6
+
+
 def _judged(plant, regular, observer, claimed: float, status: str, tolerance: float) -> Synthesis:
     loop = regular.close(observer)
     achieved = h2_norm(loop) if loop.is_stable else np.inf
-    if not abs(achieved / claimed - 1) <= tolerance:
+    _, b1, _, c1, *_ = _scaled(regular)[0].blocks
+    size = max(claimed, LEAST_SHARE * np.linalg.norm(b1) * np.linalg.norm(c1))
+    if not abs(achieved - claimed) <= tolerance * size:
         raise InputError(
             f"the solver reports {status!r} with H2 norm {claimed:.6g}, but the loop of its observer has "
-            f"{achieved:.6g}: relative residual {achieved / claimed - 1:.1e}, allowed {tolerance:.1e}"
+            f"{achieved:.6g}: relative residual {(achieved - claimed) / size:.1e}, allowed {tolerance:.1e}"
         )
     return Synthesis(observer, achieved, h2_norm(plant.close(observer)), claimed, status)
 
@@ -118,7 +134,12 @@ def _filter_gain(a, b, c, d) -> np.ndarray:
         raise InputError(
             f"a Riccati equation has no stabilising solution ({error}); check the plant"
         ) from None
-    return np.linalg.solve(r, (p @ c.T + b @ d.T).T).T
+    gain = np.linalg.solve(r, (p @ c.T + b @ d.T).T).T
+    if not np.all(linalg.eigvals(a - gain @ c).real < 0):
+        raise InputError(
+            "a Riccati equation has no stabilising solution that could be found; add effort or noise, or rescale"
+        )
+    return gain
 
 
 def _in_units(units: "_Units", a, b, c) -> StateModel:
@@ -143,7 +164,7 @@ class _Units:
 def _scaled(plant: GeneralisedPlant) -> tuple[GeneralisedPlant, _Units]:
     """Slow time, unit cost and noise, balanced states; H2 norms stay what they are."""
     a, b1, b2, c1, c2, d11, d12, d21, d22 = plant.blocks
-    rate = float(np.median(np.abs(linalg.eigvals(a))))
+    rate = float(np.median(np.abs(linalg.eigvals(a)))) or 1.0  # most of them may be zero
     controls = 1 / np.linalg.norm(d12, axis=0)
     measurements = np.linalg.norm(d21, axis=1) * np.sqrt(rate)
     b = np.hstack([b1 / np.sqrt(rate), b2 * controls / rate])
@@ -265,7 +286,7 @@ def _by_inequalities(regular: GeneralisedPlant, level: float | None = None, rati
     InputError
         When the solver reports anything but an optimum, with what it reports and its residuals.
     """
-    import cvxpy as cp
+    cp = require_package("cvxpy")
 
     plant, units = _scaled(regular)
     a, b1, b2, c1, c2, _, d12, d21, _ = plant.blocks

@@ -8,6 +8,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import require_array, require_number
+from stillwork.base.front_door import checked
 from stillwork.estimation.secular import ROUNDING, decompose
 
 CASES = ("regularised", "zero", "least squares", "segment")
@@ -57,6 +58,7 @@ class MinMaxSolution:
     evaluations: int
 
 
+@checked(infinite=True)
 def min_max_solve(matrix: ArrayLike, target: ArrayLike, bound: float) -> MinMaxSolution:
     """Estimate x in b = (A + dA) x + v when only a bound on the 2-norm of dA is known.
 
@@ -100,7 +102,7 @@ def min_max_solve(matrix: ArrayLike, target: ArrayLike, bound: float) -> MinMaxS
             f"bound {bound:g} is at or above {solution.threshold:g} = |A'b|/|b|, so the estimate is zero: a "
             "perturbation of this size explains all of the data; give a smaller bound or more data",
             ZeroEstimateWarning,
-            stacklevel=2,
+            stacklevel=3,
         )
     return solution
 

@@ -12,6 +12,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_count
+from stillwork.base.front_door import check_fields, checked
 from stillwork.base.kernels import callback
 from stillwork.estimation.gaussian import BLOCKS, COVARIANCE, ESTIMATE, MEANS, require_covariance
 from stillwork.estimation.nonlinear_kernels import model_record
@@ -44,6 +45,7 @@ class NonlinearModel:
     parameters: ArrayLike = ()
 
     def __post_init__(self):
+        check_fields(self)
         require_count("states", self.states)
         require_count("inputs", self.inputs, at_least=0)
         require_count("outputs", self.outputs)
@@ -69,6 +71,7 @@ class StateEstimate:
     covariance: Float64[np.ndarray, "samples states states"]
 
 
+@checked
 def unscented_filter(
     model: NonlinearModel,
     measurements: ArrayLike,
@@ -107,6 +110,7 @@ def unscented_filter(
     return _run(True, model, prepared, points.weights(model.states))
 
 
+@checked
 def extended_filter(
     model: NonlinearModel,
     measurements: ArrayLike,

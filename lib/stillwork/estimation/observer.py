@@ -7,6 +7,7 @@ from jaxtyping import Float64
 from scipy import linalg
 
 from stillwork.base.checks import InputError, require_number
+from stillwork.base.front_door import check_fields, checked
 from stillwork.estimation.riccati import continuous_gain
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
@@ -41,9 +42,22 @@ class Observer:
     residual: float = 0.0  # of the Riccati equation
 
     def __post_init__(self):
+        check_fields(self)
+        n, outputs = len(self.a), len(self.model.output_shapes)
+        for name, wanted in (
+            ("a", (n, n)),
+            ("b", (n, self.b.shape[1])),
+            ("c", (outputs, n)),
+            ("gain", (n, outputs)),
+        ):
+            if getattr(self, name).shape != wanted:
+                raise InputError(
+                    f"{name} has shape {getattr(self, name).shape}; give {wanted[0]} x {wanted[1]}"
+                )
         if np.any(linalg.eigvals(self.a - self.gain @ self.c).real >= 0):
             raise InputError("the observer is unstable; its gain must stabilise A - LC")
 
+    @checked
     def read(
         self, flexible: Float64[np.ndarray, "signals flexible_modes"], quantity: str = "position"
     ) -> Float64[np.ndarray, "signals states"]:
@@ -59,12 +73,14 @@ class Observer:
         """C_f: what the estimated flexible modes put into each measurement."""
         return self.read(self.model.output_shapes[:, self.model.rigid_modes :], self.model.measures)
 
+    @checked
     def estimator(self, rows: Float64[np.ndarray, "signals states"]) -> StateModel:
         """Model from (u, y) to the signals ``rows @ x_hat``."""
         b = np.hstack([self.b - self.gain @ self.model.feedthrough, self.gain])
         return StateModel(self.a - self.gain @ self.c, b, rows, np.zeros((len(rows), b.shape[1])))
 
 
+@checked
 def kalman_observer(model: ModalModel, noise: NoiseIntensities, noise_model: float | None = None) -> Observer:
     """Kalman observer of section 3.1, with the process noise at the plant input (G = B).
 

@@ -7,6 +7,7 @@ from jaxtyping import Float64, Int64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.base.front_door import checked
 from stillwork.base.kernels import kernel
 from stillwork.estimation.adaptive import FeLms, FeRls, felms_update, ferls_update
 
@@ -53,6 +54,7 @@ class Adaptation:
     history: Float64[np.ndarray, "kept actuators n"]
 
 
+@checked
 def adapt(
     settings: FeLms | FeRls,
     regressors: ArrayLike,
@@ -89,6 +91,7 @@ def adapt(
     return _run(settings, regressors, "errors", errors, weights, every)
 
 
+@checked
 def identify(
     settings: FeLms | FeRls,
     regressors: ArrayLike,
@@ -184,6 +187,7 @@ class AdaptationStepper:
         return weights.copy()
 
 
+@checked
 def steady_covariance(regressors: ArrayLike, forgetting: float) -> Float64[np.ndarray, "n n"]:
     """P that FeRLS settles at, (1 - lambda) E[psi psi']^-1, from a stretch of psi_N.
 

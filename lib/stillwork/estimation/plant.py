@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array
+from stillwork.base.front_door import check_fields
 from stillwork.base.kernels import callback
 
 SIGNATURE = "float64(float64, float64, float64, float64[::1])"  # of a plant's two functions
@@ -40,6 +41,7 @@ class Plant:
     parameters: ArrayLike
 
     def __post_init__(self):
+        check_fields(self)
         object.__setattr__(self, "parameters", require_array("parameters", self.parameters, ndim=1))
         position, velocity, wanted = 0.3, -0.2, 1.7
         try:

@@ -12,6 +12,8 @@ from stillwork.estimation.recursive_kernels import ALPHA, COUNT, ENERGY
 from stillwork.estimation.secular import secular_root
 
 EPSILON = 2.220446049250313e-16
+# |s|^2 of data as small as 1e-70 starts at 1e-280; below this its parts would underflow one by one.
+FORGOTTEN = 1e-300
 
 
 @kernel
@@ -205,7 +207,7 @@ def run_fast(
         alpha = np.inf
         for i in range(n):
             estimate[i] = 0.0
-        if scalars[COUNT] > n and bounds[t] * bounds[t] * scalars[ENERGY] < size:
+        if scalars[COUNT] > n and max(bounds[t] * bounds[t] * scalars[ENERGY], FORGOTTEN) < size:
             excess = scalars[ENERGY]
             mean = 0.0
             for i in range(n):
@@ -213,14 +215,16 @@ def run_fast(
                 for m in range(n):
                     shares[i] += vectors[i, m] * correlation[m]
                 mean += values[i] / n
-            for i in range(n):
-                # below rounding an eigenvalue holds no information
-                solid = values[i] > n * EPSILON * values[n - 1]
-                squares[i] = shares[i] * shares[i] / values[i] if solid else 0.0
+            # below rounding an eigenvalue holds no information; after a silence all but one are
+            first = 0
+            while first < n - 1 and not values[first] > n * EPSILON * values[n - 1]:
+                first += 1
+            for i in range(first, n):
+                squares[i] = shares[i] * shares[i] / values[i]
                 excess -= squares[i]
             start = scalars[ALPHA] if scalars[ALPHA] < np.inf else mean
-            alpha, count = secular_root(values, squares, max(excess, 0.0), bounds[t], start)
-            for i in range(n):
+            alpha, count = secular_root(values[first:], squares[first:], max(excess, 0.0), bounds[t], start)
+            for i in range(first, n):
                 share = shares[i] / (values[i] + alpha)
                 for m in range(n):
                     estimate[m] += share * vectors[i, m]

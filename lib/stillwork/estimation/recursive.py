@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.base.front_door import checked
 from stillwork.estimation import recursive_kernels
 from stillwork.estimation.min_max import ZeroEstimateWarning
 from stillwork.estimation.recursive_settings import Estimator, GrowingMinMax, MinMax, Track
@@ -14,6 +15,7 @@ from stillwork.estimation.recursive_settings import Estimator, GrowingMinMax, Mi
 LARGEST = 1e70
 
 
+@checked(infinite=True)
 def run(estimator: Estimator, regressors: ArrayLike, outputs: ArrayLike) -> Track:
     """Run an estimator over a record.
 
@@ -32,8 +34,9 @@ def run(estimator: Estimator, regressors: ArrayLike, outputs: ArrayLike) -> Trac
     Raises
     ------
     InputError
-        For NaN or infinite samples, shapes that do not fit, no more samples than unknowns, or data so large
-        or small (1e70, 1e-70) that their squares leave the range of floating-point numbers.
+        For NaN or infinite samples, shapes that do not fit, no more samples than unknowns, data so large
+        or small (1e70, 1e-70) that their squares leave the range of floating-point numbers, or an estimate
+        that leaves it on the way; the message names the sample.
 
     Warns
     -----
@@ -48,7 +51,7 @@ def run(estimator: Estimator, regressors: ArrayLike, outputs: ArrayLike) -> Trac
             "every estimate is zero: at each step the bound is at or above |A'b|/|b|, so a perturbation of "
             "that size explains all of the data; give a smaller bound",
             ZeroEstimateWarning,
-            stacklevel=2,
+            stacklevel=3,
         )
     return track
 
@@ -71,11 +74,22 @@ def run_silently(estimator: Estimator, regressors: ArrayLike, outputs: ArrayLike
             raise InputError(
                 f"{name} is nowhere above {largest:g}, too small to be squared; use another unit"
             )
-    return estimator.advance(estimator.start(unknowns), 0, np.ascontiguousarray(regressors.T), outputs)
+    track = estimator.advance(estimator.start(unknowns), 0, np.ascontiguousarray(regressors.T), outputs)
+    _require_finite(track, 0)
+    return track
 
 
 def _is_min_max(estimator) -> bool:
     return isinstance(estimator, MinMax | GrowingMinMax)
+
+
+def _require_finite(track: Track, first: int) -> None:
+    finite = np.isfinite(track.errors) & np.isfinite(track.estimates).all(axis=0)
+    if not finite.all():
+        raise InputError(
+            f"the estimate leaves the finite numbers at sample {first + int(np.argmin(finite))}; use other units, "
+            "or settings that bound it without excitation: a penalty, or a growth_limit for least squares"
+        )
 
 
 def _require_size(name, largest) -> None:
@@ -111,7 +125,8 @@ class RecursiveStepper:
         Raises
         ------
         InputError
-            For a sample that is not finite, above 1e70, or of the wrong shape; the state is then unchanged.
+            For a sample that is not finite, above 1e70, or of the wrong shape, or with which the estimate leaves
+            the finite numbers; the state is then unchanged.
 
         Warns
         -----
@@ -122,7 +137,10 @@ class RecursiveStepper:
         output = require_number("output", output)
         _require_size("regressor", max(map(abs, row.tolist())))
         _require_size("output", abs(output))
-        track = self._estimator.advance(self._state, self.samples, row[None], np.array([output]))
+        state = tuple(part.copy() for part in self._state)
+        track = self._estimator.advance(state, self.samples, row[None], np.array([output]))
+        _require_finite(track, self.samples)
+        self._state = state
         self.samples += 1
         self._excited = self._excited or (output != 0 and bool(row.any()))
         zero = self._excited and self.samples > self._unknowns and track.alphas[0] == np.inf
@@ -138,6 +156,7 @@ class RecursiveStepper:
         return track.estimates[:, 0].copy()
 
 
+@checked
 def worst_case_residuals(
     regressors: ArrayLike,
     outputs: ArrayLike,

@@ -7,6 +7,7 @@ s <- lam s + a y, `energy` z <- lam z + y^2, the regularisation alpha, the numbe
 import numpy as np
 
 from stillwork.base.kernels import kernel
+from stillwork.estimation.adaptive import limit_covariance, update_covariance
 from stillwork.estimation.factor import (
     accumulate_row,
     factorise,
@@ -197,32 +198,25 @@ def run_ridge(rows, outputs, penalty, forgetting, information, correlation, esti
 
 
 @kernel
-def run_least_squares(rows, outputs, forgetting, covariance, estimate, estimates, errors):
-    """Exponentially weighted recursive least squares, covariance form.
-
-    One triangle is computed and mirrored: rounding that differs between the two grows as 1 / forgetting^t.
-    """
+def run_least_squares(rows, outputs, forgetting, covariance, estimate, limits, estimates, errors):
+    """Exponentially weighted recursive least squares, covariance form, P kept below limits of its diagonal."""
     n = len(estimate)
-    growth = 1.0 / forgetting
-    spread = np.zeros(n)
+    gain = np.zeros(n)
     for t in range(len(outputs)):
+        row = rows[t]
+        _, shrink = update_covariance(covariance, row, forgetting, gain)
         error = outputs[t]
-        weight = forgetting
         for i in range(n):
-            inner = 0.0
-            for j in range(n):
-                inner += covariance[i, j] * rows[t, j]
-            spread[i] = inner
-            weight += rows[t, i] * inner
-            error -= rows[t, i] * estimate[i]
+            error -= row[i] * estimate[i]
         errors[t] = error
+        share = error * shrink
         for i in range(n):
-            estimate[i] += spread[i] * (error / weight)
+            estimate[i] += gain[i] * share
             estimates[t, i] = estimate[i]
-            share = spread[i] / weight
-            for j in range(i + 1):
-                covariance[i, j] = (covariance[i, j] - share * spread[j]) * growth
-                covariance[j, i] = covariance[i, j]
+        for i in range(n):
+            if covariance[i, i] > limits[i]:
+                limit_covariance(covariance, limits, gain)
+                break
 
 
 @kernel

@@ -153,17 +153,26 @@ class LeastSquares:
         lambda, between 0 and 1.
     initial_covariance : float
         P_0 = initial_covariance I: large means that the start at x = 0 is not believed.
+    growth_limit : float
+        How far an element of the diagonal of P may grow beyond P_0, at least 1; ``inf`` for the textbook's
+        recursion. Without excitation P grows as 1 / forgetting^t: it leaves the finite numbers, and long before
+        that its return breaks the recursion. Information is added only where P exceeds the limit.
     """
 
     forgetting: float
     initial_covariance: float = 1e4
+    growth_limit: float = 1e6
 
     def __post_init__(self):
         require_number("forgetting", self.forgetting, above=0.0, below=1.0)
         require_number("initial_covariance", self.initial_covariance, above=0.0)
+        if self.growth_limit != np.inf:
+            require_number("growth_limit", self.growth_limit, at_least=1.0)
 
     def start(self, unknowns: int) -> tuple[np.ndarray, ...]:
-        return float(self.initial_covariance) * np.eye(unknowns), np.zeros(unknowns)
+        initial = float(self.initial_covariance)
+        limits = np.full(unknowns, initial * float(self.growth_limit))
+        return initial * np.eye(unknowns), np.zeros(unknowns), limits
 
     def advance(self, state, first: int, rows, outputs) -> Track:
         out = _empty(rows)

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from stillwork.base.checks import InputError, require_array
+from stillwork.base.front_door import checked
 
 # Relative residual above which a solution is refused; a scaled solution leaves about 1e-12.
 WORST_RESIDUAL = 1e-8
@@ -73,6 +74,7 @@ def _require_driven(a: np.ndarray, g: np.ndarray, on_boundary) -> None:
                 )
 
 
+@checked
 def continuous_gain(
     a: ArrayLike, noise_input: ArrayLike, c: ArrayLike, process: float | ArrayLike, sensor: float | ArrayLike
 ) -> KalmanGain:
@@ -90,12 +92,12 @@ def continuous_gain(
     InputError
         When an intensity is not positive definite, `noise_input` or `c` is zero, a mode on or right of the
         imaginary axis is not observable, one on the axis is not driven by the noise, or the solution leaves
-        too large a residual.
+        too large a residual or an unstable observer.
     """
     a, g, c, root = _checked(a, noise_input, c, process, sensor)
     scale = _state_scale(a, g, c)
     rate = np.linalg.norm(a * scale[None, :] / scale[:, None]) or 1.0  # its eigenvalues may all be zero
-    for _ in range(2):  # the second time every state is scaled by its own standard deviation
+    for last in (False, True):  # the second time every state is scaled by its own standard deviation
         a_s = a * scale[None, :] / scale[:, None] / rate
         g_s, c_s = g / scale[:, None] / np.sqrt(rate), c * scale / np.sqrt(rate)
         # Divide noise and multiply output alike: the gain stays, the covariance becomes of order one.
@@ -103,25 +105,92 @@ def continuous_gain(
         g_s, c_s = g_s / size, c_s * size
         _require_observable(a_s, c_s, stable=lambda value: value.real < -1e-12)
         _require_driven(a_s, g_s, on_boundary=lambda value: abs(value.real) <= 1e-12)
-        try:
-            p = linalg.solve_continuous_are(a_s.T, c_s.T, g_s @ g_s.T, np.eye(len(c)))
-        except (np.linalg.LinAlgError, ValueError) as error:
-            raise InputError(
-                f"the Riccati equation has no stabilising solution ({error}); check the model"
-            ) from None
-        terms = (a_s @ p, g_s @ g_s.T, p @ c_s.T @ c_s @ p)
-        residual = np.abs(terms[0] + terms[0].T + terms[1] - terms[2]).max() / max(
-            np.abs(t).max() for t in terms
-        )
+        p = _solved(linalg.solve_continuous_are, a_s, g_s, c_s)
+        residual, stable = _continuous_check(a_s, g_s, c_s, p)
+        if last and not (stable and residual < WORST_RESIDUAL):
+            p = _doubled(*_cayley(a_s, g_s, c_s))
+            residual, stable = _continuous_check(a_s, g_s, c_s, p)
         gain_s, covariance = p @ c_s.T, p
         gain = scale[:, None] * gain_s * size * np.sqrt(rate)
         full = covariance * size**2 * scale[:, None] * scale
         scale = np.sqrt(np.maximum(np.diag(full), 1e-300))
-    if not residual < WORST_RESIDUAL:
-        raise InputError(
-            f"the Riccati equation left a relative residual of {residual:.1e}; rescale the model or the intensities"
-        )
+    _require_solved(residual, stable)
     return KalmanGain(np.linalg.solve(root.T, gain.T).T, full, float(residual))
+
+
+def _solved(solve, a: np.ndarray, g: np.ndarray, c: np.ndarray) -> np.ndarray:
+    """A library's solution of the filter's Riccati equation for unit noises; NaN where it finds none."""
+    try:
+        return solve(a.T, c.T, g @ g.T, np.eye(len(c)))
+    except (np.linalg.LinAlgError, ValueError):
+        return np.full_like(a, np.nan)
+
+
+def _continuous_check(a, g, c, p) -> tuple[float, bool]:
+    """Relative residual of a solution, and whether its observer is stable: neither follows from the other."""
+    if not np.isfinite(p).all():
+        return np.inf, False
+    terms = (a @ p, g @ g.T, p @ c.T @ c @ p)
+    residual = np.abs(terms[0] + terms[0].T + terms[1] - terms[2]).max() / max(np.abs(t).max() for t in terms)
+    return residual, bool(np.all(linalg.eigvals(a - p @ c.T @ c).real < 0))
+
+
+def _discrete_check(a, g, c, p) -> tuple[np.ndarray, float, bool]:
+    """The filter gain of a solution, its relative residual, and whether its observer is stable."""
+    if not np.isfinite(p).all():
+        return np.zeros_like(c.T), np.inf, False
+    innovation = c @ p @ c.T + np.eye(len(c))
+    update = np.linalg.solve(innovation, c @ p).T
+    terms = (a @ (p - update @ c @ p) @ a.T, g @ g.T, p)
+    residual = np.abs(terms[0] + terms[1] - terms[2]).max() / max(np.abs(t).max() for t in terms)
+    return update, residual, bool(np.all(np.abs(linalg.eigvals(a - a @ update @ c)) < 1))
+
+
+def _require_solved(residual: float, stable: bool) -> None:
+    if not residual < WORST_RESIDUAL:
+        found = (
+            "has no stabilising solution"
+            if residual == np.inf
+            else f"left a relative residual of {residual:.1e}"
+        )
+        raise InputError(f"the Riccati equation {found}; check the model, or rescale it or the intensities")
+    if not stable:
+        raise InputError(
+            "the solution of the Riccati equation gives an unstable observer: process and sensor span more decades "
+            "than floating-point numbers resolve; raise the smallest of them or lower the largest"
+        )
+
+
+def _doubled(transition: np.ndarray, gram: np.ndarray, p: np.ndarray) -> np.ndarray:
+    r"""Limit from zero of :math:`P \leftarrow F^TP(I+GP)^{-1}F+H`, 2^k of its steps at a time.
+
+    Without the ordering of eigenvalues that fails where a pair of them straddles the stability boundary by less
+    than rounding. Chu, Fan, Lin and Wang, "Structure-preserving algorithms for periodic discrete-time algebraic
+    Riccati equations", Int. J. Control 77 (2004).
+    """
+    n = len(p)
+    for _ in range(60):
+        inner = np.linalg.solve(np.eye(n) + gram @ p, np.hstack([transition, gram]))
+        added = transition.T @ p @ inner[:, :n]
+        gram = gram + transition @ inner[:, n:] @ transition.T
+        transition = transition @ inner[:, :n]
+        p, gram = p + (added + added.T) / 2, (gram + gram.T) / 2
+        if not np.isfinite(p).all() or np.abs(added).max() <= np.finfo(float).eps * np.abs(p).max():
+            break
+    return p
+
+
+def _cayley(a: np.ndarray, g: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """F, G and H of the discrete equation with the solution of the continuous one (Chu, Fan and Lin, 2005)."""
+    shift = 2 * np.linalg.norm(a, 2) + 1e-3  # above every eigenvalue
+    shifted, gram, noise = a.T - shift * np.eye(len(a)), c.T @ c, g @ g.T
+    mixed = np.linalg.inv(shifted + gram @ np.linalg.solve(shifted.T, noise))
+    f = np.eye(len(a)) + 2 * shift * mixed
+    return (
+        f,
+        2 * shift * np.linalg.solve(shifted, gram) @ mixed.T,
+        2 * shift * mixed.T @ noise @ np.linalg.inv(shifted),
+    )
 
 
 def _state_scale(a: np.ndarray, g: np.ndarray, c: np.ndarray) -> np.ndarray:
@@ -135,6 +204,7 @@ def _state_scale(a: np.ndarray, g: np.ndarray, c: np.ndarray) -> np.ndarray:
     return scale[:n]
 
 
+@checked
 def discrete_gain(
     a: ArrayLike, noise_input: ArrayLike, c: ArrayLike, process: float | ArrayLike, sensor: float | ArrayLike
 ) -> KalmanGain:
@@ -144,29 +214,21 @@ def discrete_gain(
     """
     a, g, c, root = _checked(a, noise_input, c, process, sensor)
     scale = _state_scale(a, g, c)
-    for _ in range(2):
+    for last in (False, True):
         a_s = a * scale[None, :] / scale[:, None]
         g_s, c_s = g / scale[:, None], c * scale
         size = np.sqrt(np.linalg.norm(g_s) / np.linalg.norm(c_s))
         g_s, c_s = g_s / size, c_s * size
         _require_observable(a_s, c_s, stable=lambda value: abs(value) < 1 - 1e-12)
         _require_driven(a_s, g_s, on_boundary=lambda value: abs(abs(value) - 1) <= 1e-12)
-        try:
-            p = linalg.solve_discrete_are(a_s.T, c_s.T, g_s @ g_s.T, np.eye(len(c)))
-        except (np.linalg.LinAlgError, ValueError) as error:
-            raise InputError(
-                f"the Riccati equation has no stabilising solution ({error}); check the model"
-            ) from None
-        innovation = c_s @ p @ c_s.T + np.eye(len(c))
-        update = np.linalg.solve(innovation, c_s @ p).T
-        terms = (a_s @ (p - update @ c_s @ p) @ a_s.T, g_s @ g_s.T, p)
-        residual = np.abs(terms[0] + terms[1] - terms[2]).max() / max(np.abs(t).max() for t in terms)
+        p = _solved(linalg.solve_discrete_are, a_s, g_s, c_s)
+        update, residual, stable = _discrete_check(a_s, g_s, c_s, p)
+        if last and not (stable and residual < WORST_RESIDUAL):
+            p = _doubled(a_s.T, c_s.T @ c_s, g_s @ g_s.T)
+            update, residual, stable = _discrete_check(a_s, g_s, c_s, p)
         gain = scale[:, None] * update * size
         full = p * size**2 * scale[:, None] * scale
         scale = np.sqrt(np.maximum(np.diag(full), 1e-300))
-    if not residual < WORST_RESIDUAL:
-        raise InputError(
-            f"the Riccati equation left a relative residual of {residual:.1e}; rescale the model or the intensities"
-        )
+    _require_solved(residual, stable)
     gain = np.linalg.solve(root.T, gain.T).T
     return KalmanGain(a @ gain, full, float(residual), gain)

@@ -7,6 +7,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.base.front_door import check_fields, checked
 from stillwork.base.kernels import kernel
 
 # A singular value (or a part of b outside the column space) below this share of the largest is rounding.
@@ -109,6 +110,9 @@ class SecularFunction:
     excess: float
     bound: float
 
+    def __post_init__(self):
+        check_fields(self)
+
     @property
     def threshold(self) -> float:
         """tau = |A'b| / |b|: a bound at or above it makes the estimate zero (Theorem 1)."""
@@ -128,12 +132,14 @@ class SecularFunction:
         norm, residual, _ = self._terms(alpha)
         return self.bound * np.sqrt(residual / norm)
 
-    def slope(self, alpha) -> np.ndarray | float:
+    @checked
+    def slope(self, alpha: float | ArrayLike) -> np.ndarray | float:
         """f'(alpha), elementwise: f (q / |x|^2 + alpha q / |r|^2) with q = x'(A'A + alpha I)^-1 x."""
+        alpha = require_array("alpha", alpha)
         norm, residual, slope = self._terms(alpha)
-        alpha = np.asarray(alpha, dtype=float)
         return self.bound * np.sqrt(residual / norm) * slope * (1 / norm + alpha / residual)
 
+    @checked
     def iterates(self, start: float, steps: int) -> np.ndarray:
         """start, f(start), f(f(start)), ...: the iteration (21), `steps` + 1 values."""
         values = [require_number("start", start, above=0.0)]
@@ -141,6 +147,7 @@ class SecularFunction:
             values.append(float(self(values[-1])))
         return np.array(values)
 
+    @checked
     def root(self, start: float | None = None) -> tuple[float, int]:
         """Unique positive fixed point and the number of evaluations of f it took.
 
@@ -166,13 +173,14 @@ class SecularFunction:
         return float(spread / (self.threshold / self.bound - 1))
 
     def _terms(self, alpha):
-        alpha = np.asarray(alpha, dtype=float)[..., None]
+        alpha = require_array("alpha", alpha)[..., None]
         part = (self.coefficients / (self.eigenvalues + alpha)) ** 2
         norm = (self.eigenvalues * part).sum(-1)
         residual = self.excess**2 + (alpha**2 * part).sum(-1)
         return norm, residual, (self.eigenvalues * part / (self.eigenvalues + alpha)).sum(-1)
 
 
+@checked
 def secular_function(matrix: ArrayLike, target: ArrayLike, bound: float) -> SecularFunction:
     """The secular function of min-max estimation for data A, b and a bound, eq. (3)-(4).
 

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from stillwork.base.checks import require_number
+from stillwork.base.front_door import checked
 from stillwork.base.kernels import inlined_kernel, kernel
 from stillwork.estimation.gaussian import (
     COVARIANCE,
@@ -44,6 +45,7 @@ class SigmaPoints:
         require_number("beta", self.beta)
         require_number("kappa", self.kappa, above=-1)
 
+    @checked
     def weights(self, size: int) -> Float64[np.ndarray, "4"]:
         """L + lambda, W0 of the mean, W0 of the covariance, and every other weight."""
         spread = self.alpha**2 * (size + self.kappa)

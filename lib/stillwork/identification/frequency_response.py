@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 from scipy.signal import csd, welch
 
 from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.base.front_door import checked
 
 
 class Identified(NamedTuple):
@@ -18,6 +19,7 @@ class Identified(NamedTuple):
     coherence: Float64[np.ndarray, " frequencies"]  # of the excitation with the output
 
 
+@checked
 def closed_loop_response(
     excitation: ArrayLike, inputs: ArrayLike, outputs: ArrayLike, step: float, segment: int
 ) -> Identified:
@@ -55,6 +57,7 @@ def closed_loop_response(
     return Identified(2 * np.pi * hertz[keep], (to_output / to_input)[keep], coherence[keep])
 
 
+@checked
 def impact_response(force: ArrayLike, response: ArrayLike, rate: float) -> Identified:
     """H1 estimate from repeated hits: one record a hit, the force's own cross spectra averaged over hits.
 

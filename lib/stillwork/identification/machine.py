@@ -7,6 +7,7 @@ from jaxtyping import Float64
 from scipy.signal import find_peaks
 
 from stillwork.base.checks import InputError
+from stillwork.base.front_door import check_fields, checked
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine_files import MachineFile
 from stillwork.identification.modal_fit import ModalFit, fit_modes
@@ -47,6 +48,9 @@ class Machine:
     fit: ModalFit | None = None
     mirrored: tuple[bool, ...] = (False,)
     notes: tuple[str, ...] = ()
+
+    def __post_init__(self):
+        check_fields(self)
 
     @property
     def resonances_hz(self) -> Float64[np.ndarray, " modes"]:
@@ -89,6 +93,7 @@ def whole_band(measured: Identified, band_hz: tuple[float, float]) -> tuple[floa
     return float(low), float(high)
 
 
+@checked(missing=True)
 def build_machine(
     file: MachineFile,
     *,

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.base.checks import InputError, nearest, require_array, require_number
+from stillwork.base.checks import InputError, nearest, require_array, require_choice, require_number
+from stillwork.base.front_door import checked
 from stillwork.identification.frequency_response import Identified, impact_response
 from stillwork.lti.modal import ModalModel, modal_model
 from stillwork.signals.datafiles import read_arrays
@@ -59,6 +60,7 @@ def kind_of(arrays: dict[str, np.ndarray]) -> str:
     raise InputError(f"it holds {', '.join(arrays) or 'nothing'}, not {FORMS}; name them so")
 
 
+@checked(missing=True)
 def load_machine(
     file: str | Path,
     response_unit: str = "m/s^2",
@@ -123,7 +125,8 @@ def load_machine(
 
 def _from_response(arrays: dict[str, np.ndarray], response: str) -> tuple[Identified, tuple[str, ...]]:
     axis = _frequency_name(arrays)
-    per_hertz = _HERTZ[_bracket(axis) or ("rad/s" if _word(axis) == "omega" else "hz")]
+    unit = _bracket(axis) or ("rad/s" if _word(axis) == "omega" else "hz")
+    per_hertz = _HERTZ[require_choice(f"{axis}: unit", unit, _HERTZ)]
     hertz = per_hertz * require_array(axis, np.ravel(arrays[axis].real), ndim=1)
     notes = []
     same = {
@@ -170,6 +173,8 @@ def _from_hammer(
 ) -> tuple[Identified, tuple[str, ...]]:
     rate = sampling_rate(source, arrays, sample_rate)
     forces = [name for name in arrays if _word(name) in ("force", "hammer") and arrays[name].size > 1]
+    if not forces:
+        raise InputError("the force holds one number; give its samples, hits by samples")
     length = max(arrays[name].shape[-1] if arrays[name].ndim > 1 else arrays[name].size for name in forces)
     responses = [
         name
@@ -219,6 +224,10 @@ def _hits(arrays: dict[str, np.ndarray], names: list[str]) -> Float64[np.ndarray
 
 def _from_matrices(arrays: dict[str, np.ndarray], damping_ratio: float) -> ModalModel:
     mass, stiffness = (_matrix(arrays, *names) for names in (("m", "mass"), ("k", "stiffness")))
+    if mass is None or stiffness is None:
+        raise InputError(
+            "M or K holds one number; give matrices of 2 nodes at least, or it has no flexible mode"
+        )
     damping = _matrix(arrays, "d", "c", "damping")
     nodes = len(mass)
     taken = _matrix(arrays, "input")

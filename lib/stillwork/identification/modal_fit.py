@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
 from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.base.front_door import check_fields, checked
 from stillwork.identification.frequency_response import Identified
 from stillwork.lti.discretisation import sampled_modes
 from stillwork.lti.modal import ModalModel
@@ -28,6 +29,7 @@ class ModalMatrixFit:
     misfit: float  # root mean square of the weighted error; 1 where only noise remains
 
 
+@checked
 def fit_modal_matrix(
     omega: ArrayLike,
     response: ArrayLike,
@@ -127,7 +129,7 @@ def fit_modal_matrix(
         model,
         frequencies * spread[0],
         damping * spread[1],
-        s[1:, 1] / s[1:, 0],
+        s[1:, 1] / s[1:, 0] if s.shape[1] > 1 else np.zeros(len(s) - 1),  # one entry is of rank one
         problem.compliance_spread(parameters),
         float(np.sqrt(np.mean(np.sum(problem.residual(parameters).reshape(2, -1) ** 2, axis=0)))),
     )
@@ -185,12 +187,16 @@ class ModalFit:
     omega: Float64[np.ndarray, " frequencies"]  # rad/s, of the fit
     error: Float64[np.ndarray, " frequencies"]  # relative
 
+    def __post_init__(self):
+        check_fields(self)
+
     @property
     def rms_error(self) -> float:
         """Root mean square of the relative error."""
         return float(np.sqrt(np.mean(self.error**2)))
 
 
+@checked
 def fit_modes(
     measured: Identified, guesses_hz, band_hz: tuple[float, float], damping_guess: float = 1e-3
 ) -> ModalFit:

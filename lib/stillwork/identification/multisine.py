@@ -7,10 +7,12 @@ import numpy as np
 from jaxtyping import Complex128, Float64
 
 from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.base.front_door import check_fields, checked
 from stillwork.lti.simulation import simulate
 from stillwork.lti.state_space import StateModel
 
 
+@checked
 def random_phase_multisine(
     rng: np.random.Generator, samples: int, rms: float
 ) -> Float64[np.ndarray, " samples"]:
@@ -42,6 +44,7 @@ class MultisineRecords:
     outputs: Complex128[np.ndarray, "experiments realisations periods sensors lines"]
 
     def __post_init__(self):
+        check_fields(self)
         experiments, realisations, _, actuators, _ = self.inputs.shape
         if experiments != actuators:
             raise InputError(
@@ -51,6 +54,7 @@ class MultisineRecords:
             raise InputError("inputs holds one realisation; a variance takes at least 2")
 
 
+@checked
 def run_multisine(
     loop: StateModel,
     actuators: int,
@@ -123,6 +127,7 @@ class ResponseMatrix(NamedTuple):
     deviation: Float64[np.ndarray, "lines sensors actuators"]  # standard deviation of the complex error
 
 
+@checked
 def joint_input_output(records: MultisineRecords) -> ResponseMatrix:
     r"""Plant from the responses of inputs *and* outputs to the excitation: :math:`G = T_{yr}T_{fr}^{-1}`.
 

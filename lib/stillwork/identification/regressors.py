@@ -4,8 +4,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.base.front_door import checked
 
 
+@checked
 def fir_regressors(signal: ArrayLike, taps: int) -> np.ndarray:
     """Columns (u_t, u_(t-1), ..., u_(t-taps+1)), for y_t = sum over k of x_k u_(t-k).
 
@@ -25,6 +27,7 @@ def fir_regressors(signal: ArrayLike, taps: int) -> np.ndarray:
     return _delayed(signal, range(taps))
 
 
+@checked
 def arx_regressors(
     signal: ArrayLike, output: ArrayLike, *, output_lags: int, input_lags: int, delay: int = 0
 ) -> np.ndarray:
@@ -54,6 +57,7 @@ def arx_regressors(
     return np.concatenate([past, _delayed(signal, range(delay, delay + input_lags))])
 
 
+@checked
 def row_bound(amplitudes: ArrayLike) -> float:
     """Bound epsilon on the 2-norm of one regressor's error from the largest error of each entry.
 
@@ -70,6 +74,7 @@ def row_bound(amplitudes: ArrayLike) -> float:
     return float(np.linalg.norm(amplitudes))
 
 
+@checked
 def exponential_bound(row: float, forgetting: float, samples: int | None = None) -> float:
     """Bound eta on the 2-norm of the exponentially weighted perturbation, Section 5.
 
@@ -92,6 +97,7 @@ def exponential_bound(row: float, forgetting: float, samples: int | None = None)
     return float(row * np.sqrt(memory))
 
 
+@checked
 def noise_bound(deviation: float, unknowns: int, forgetting: float) -> float:
     """Typical 2-norm of the weighted perturbation when its entries are independent noise.
 

@@ -5,10 +5,12 @@ from jaxtyping import Complex128, Float64
 from scipy import linalg
 
 from stillwork.base.checks import InputError, require_number
+from stillwork.base.front_door import checked
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
 
 
+@checked
 def zoh_modes(model: ModalModel, step: float) -> StateModel:
     """Exact zero-order-hold discretisation in closed form, mode by mode, in modal form 1.
 
@@ -38,6 +40,7 @@ def zoh_modes(model: ModalModel, step: float) -> StateModel:
     return StateModel(linalg.block_diag(*blocks), b, continuous.c, continuous.d, step)
 
 
+@checked
 def zoh(model: StateModel, step: float) -> StateModel:
     """Zero-order-hold discretisation by the exponential of the balanced [A B; 0 0]."""
     require_number("step", step, above=0.0)

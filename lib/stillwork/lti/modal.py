@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from stillwork.base.checks import InputError, require_array, require_choice
+from stillwork.base.front_door import check_fields, checked
 from stillwork.lti.state_space import StateModel
 
 
@@ -28,8 +29,7 @@ class ModalModel:
     measures: str = "position"
 
     def __post_init__(self):
-        for name in ("frequencies", "damping", "input_shapes", "output_shapes", "feedthrough"):
-            object.__setattr__(self, name, require_array(name, getattr(self, name)))
+        check_fields(self)
         n = len(self.frequencies)
         if self.input_shapes.shape[0] != n or self.output_shapes.shape[1] != n or self.damping.shape != (n,):
             raise InputError(f"shapes and damping do not fit {n} frequencies; give one of each a mode")
@@ -53,6 +53,7 @@ class ModalModel:
         upper = w * (-z + 1j * np.sqrt(1 - z**2))
         return np.concatenate([upper, upper.conj()])
 
+    @checked
     def modes(self, chosen: Sequence[int] | slice) -> "ModalModel":
         """Keep only these modes (and the feedthrough)."""
         return replace(
@@ -63,6 +64,7 @@ class ModalModel:
             output_shapes=self.output_shapes[:, chosen],
         )
 
+    @checked
     def at(self, inputs: Sequence[int], outputs: Sequence[int]) -> "ModalModel":
         """Keep only these inputs and outputs: actuators and sensors at other places."""
         return replace(
@@ -90,6 +92,7 @@ class ModalModel:
         residues = self.output_shapes[:, None, :] * self.input_shapes.T[None]
         return residues @ modal + self.feedthrough[:, :, None]
 
+    @checked
     def state_space(self, form: int = 1) -> StateModel:
         """State-space model of form 1 (states grouped by mode, (2.9)) or 2 (positions, then velocities, (2.6))."""
         require_choice("form", str(form), ("1", "2"))
@@ -116,6 +119,7 @@ def _places(modes: int, form: int) -> tuple[np.ndarray, np.ndarray]:
     return np.arange(modes), np.arange(modes, 2 * modes)
 
 
+@checked
 def from_state_space(model: StateModel, form: int = 1) -> ModalModel:
     """Read the modal parameters back from a state-space model of form 1 or 2.
 
@@ -148,6 +152,7 @@ def from_state_space(model: StateModel, form: int = 1) -> ModalModel:
     return read
 
 
+@checked
 def modal_model(
     mass: ArrayLike,
     stiffness: ArrayLike,

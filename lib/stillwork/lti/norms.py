@@ -4,10 +4,15 @@ import numpy as np
 from scipy import linalg
 
 from stillwork.base.checks import InputError
+from stillwork.base.front_door import checked
 from stillwork.lti.peaks import Peak
 from stillwork.lti.state_space import StateModel
 
+# A gain this far below |B| |C|, in slow time and balanced, is the rounding of a model that passes nothing.
+NOTHING = 1e-15
 
+
+@checked
 def hinf_norm(model: StateModel, tolerance: float = 1e-10) -> Peak:
     """H-infinity norm of a stable continuous model, and its frequency, by the eigenvalues of a Hamiltonian.
 
@@ -16,9 +21,14 @@ def hinf_norm(model: StateModel, tolerance: float = 1e-10) -> Peak:
     """
     if model.step or not model.is_stable:
         raise InputError("model must be stable and in continuous time for this norm")
+    if not (np.any(model.b) and np.any(model.c)):
+        return Peak(_finite(np.linalg.norm(model.d, 2)) if model.d.size else 0.0, 0.0)
+    units = _unit(model.b), _unit(model.c)
     rate = np.abs(model.poles).max()
     a, (scale, _) = linalg.matrix_balance(model.a / rate, permute=False, separate=True)
-    b, c, d = model.b / scale[:, None] / rate, model.c * scale, model.d
+    b, c = model.b / units[0] / scale[:, None] / rate, model.c / units[1] * scale
+    d = model.d / units[0] / units[1]
+    _finite(np.abs(d).max())
     size = np.sqrt(np.linalg.norm(b) / np.linalg.norm(c)) if np.any(b) and np.any(c) else 1.0
     scaled = StateModel(a, b / size, c * size, d)
 
@@ -28,7 +38,8 @@ def hinf_norm(model: StateModel, tolerance: float = 1e-10) -> Peak:
     start = np.concatenate([[0.0], np.abs(scaled.poles), np.abs(scaled.poles.imag)])
     values = gains(start)
     level, where = max(values.max(), np.linalg.norm(d, 2)), start[values.argmax()]
-    for _ in range(60):
+    passes = level > NOTHING * np.linalg.norm(b) * np.linalg.norm(c)
+    for _ in range(60 if passes else 0):
         raised = (1 + 2 * tolerance) * level
         crossings = _crossings(scaled, raised)
         if len(crossings) < 2:
@@ -42,7 +53,21 @@ def hinf_norm(model: StateModel, tolerance: float = 1e-10) -> Peak:
         if values.max() <= raised:
             break
         level, where = values.max(), middle[values.argmax()]
-    return Peak(float(level), float(where * rate))
+    return Peak(_finite(level * units[0] * units[1]), float(where * rate))
+
+
+def _unit(matrix: np.ndarray) -> float:
+    """A power of two beside the largest element, where its square would leave the range of numbers; else 1."""
+    largest = np.abs(matrix).max()
+    return 1.0 if 1e-60 < largest < 1e60 else float(2.0 ** np.frexp(largest)[1])
+
+
+def _finite(norm: float) -> float:
+    if not np.isfinite(norm):
+        raise InputError(
+            "model has a norm beyond the range of numbers; use other units for inputs or outputs"
+        )
+    return float(norm)
 
 
 def _crossings(model: StateModel, level: float) -> np.ndarray:
@@ -58,6 +83,7 @@ def _crossings(model: StateModel, level: float) -> np.ndarray:
     return np.unique(np.abs(values[imaginary].imag))
 
 
+@checked
 def h2_norm(model: StateModel) -> float:
     """H2 norm of a stable, strictly proper continuous model: a balanced Lyapunov equation, residual checked.
 
@@ -68,13 +94,17 @@ def h2_norm(model: StateModel) -> float:
     """
     if model.step or not model.is_stable or np.any(model.d):
         raise InputError("model must be stable, strictly proper and in continuous time for this norm")
+    if not (np.any(model.b) and np.any(model.c)):
+        return 0.0
+    units = _unit(model.b), _unit(model.c)
     rate = np.abs(model.poles).max()
     a, (scale, _) = linalg.matrix_balance(model.a / rate, permute=False, separate=True)
-    b, c = model.b / scale[:, None] / np.sqrt(rate), model.c * scale
+    b, c = model.b / units[0] / scale[:, None] / np.sqrt(rate), model.c / units[1] * scale
     gramian = linalg.solve_continuous_lyapunov(a, -b @ b.T)
     residual = np.abs(a @ gramian + gramian @ a.T + b @ b.T).max() / np.abs(b @ b.T).max()
-    if residual > 1e-6:
+    if not residual <= 1e-6:
         raise InputError(
             f"the Lyapunov equation left a relative residual of {residual:.1e}; rescale the model"
         )
-    return float(np.sqrt(np.trace(c @ gramian @ c.T)))
+    power = max(np.trace(c @ gramian @ c.T), 0.0)  # that of a model that passes nothing may round below zero
+    return _finite(np.sqrt(power) * units[0] * units[1])

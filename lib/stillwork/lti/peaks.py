@@ -8,8 +8,10 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import require_count, require_number
+from stillwork.base.front_door import checked
 
 
+@checked
 def resonance_grid(
     poles: ArrayLike, low_hz: float, high_hz: float, points: int = 600, around: int = 40
 ) -> Float64[np.ndarray, " frequencies"]:
@@ -40,8 +42,12 @@ class Peak(NamedTuple):
     omega: float  # rad/s
 
 
+@checked
 def refine_peak(
-    response: Callable[[np.ndarray], np.ndarray], omega: np.ndarray, magnitude: np.ndarray, near: float = 0.7
+    response: Callable[[np.ndarray], np.ndarray],
+    omega: Float64[np.ndarray, " frequencies"],
+    magnitude: Float64[np.ndarray, " frequencies"],
+    near: float = 0.7,
 ) -> Peak:
     """Peak of ``abs(response(omega))`` between grid points: zoom into every local maximum that could win.
 

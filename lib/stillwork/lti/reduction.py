@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 
 from stillwork.base.checks import InputError, require_count, require_number
+from stillwork.base.front_door import checked
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel, interconnect
 
 
+@checked
 def truncate(model: ModalModel, modes: int, compensated: int = 0) -> ModalModel:
     """Keep the first `modes` modes and add the compliance of the next `compensated` as feedthrough, (2.14).
 
@@ -37,6 +39,7 @@ def truncate(model: ModalModel, modes: int, compensated: int = 0) -> ModalModel:
     return replace(model.modes(slice(0, modes)), feedthrough=model.feedthrough + left_out.compliance())
 
 
+@checked
 def roll_off(model: ModalModel, cutoff_hz: float) -> StateModel:
     """Strictly proper variant: the compliance feedthrough passes a first-order low-pass at `cutoff_hz`."""
     w = 2 * np.pi * require_number("cutoff_hz", cutoff_hz, above=0.0)

@@ -5,10 +5,12 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array
+from stillwork.base.front_door import checked
 from stillwork.base.kernels import kernel
 from stillwork.lti.state_space import StateModel
 
 
+@checked
 def simulate(
     model: StateModel, inputs: ArrayLike, initial: ArrayLike | None = None
 ) -> Float64[np.ndarray, "outputs samples"]:

@@ -9,7 +9,9 @@ from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.base.checks import InputError, require_array, require_number, shown
+from stillwork.base.extras import require_package
+from stillwork.base.front_door import check_fields, checked
 
 # Above this condition of the eigenvectors, residues would lose more than half of the digits.
 WORST_CONDITION = 1e6
@@ -26,8 +28,7 @@ class StateModel:
     step: float = 0.0  # s, sample time; 0: continuous time
 
     def __post_init__(self):
-        for name in "abcd":
-            object.__setattr__(self, name, require_array(name, getattr(self, name), ndim=2))
+        check_fields(self)
         n, (outputs, inputs) = len(self.a), self.d.shape
         if self.a.shape != (n, n) or self.b.shape != (n, inputs) or self.c.shape != (outputs, n):
             shapes = ", ".join(str(getattr(self, name).shape) for name in "abcd")
@@ -61,6 +62,7 @@ class StateModel:
         finite = np.abs(values[1]) > 1e-10 * np.abs(values[0])
         return (rate * values[0][finite] / values[1][finite]).astype(complex)
 
+    @checked
     def select(self, inputs: Sequence[int], outputs: Sequence[int]) -> "StateModel":
         """Keep only these inputs and outputs."""
         i, o = list(inputs), list(outputs)
@@ -114,19 +116,23 @@ class StateModel:
 
     def to_control(self):
         """The same model as `control.StateSpace`."""
-        import control
+        control = require_package("control")
 
         return control.StateSpace(self.a, self.b, self.c, self.d, self.step or 0)
 
 
+@checked
 def from_control(system) -> StateModel:
     """Take a `control.StateSpace`; a system with an unspecified sample time is refused."""
+    if not all(hasattr(system, name) for name in ("A", "B", "C", "D", "dt")):
+        raise InputError(f"system is {shown(system)}; give a control.StateSpace")
     if system.dt is None or system.dt is True:
         raise InputError("system.dt is unspecified; give 0 for continuous time or the sample time in s")
     matrices = (np.array(m, dtype=float, ndmin=2) for m in (system.A, system.B, system.C, system.D))
     return StateModel(*matrices, step=float(system.dt))
 
 
+@checked
 def interconnect(
     models: Sequence[StateModel],
     feedback: Float64[np.ndarray, "all_inputs all_outputs"],
@@ -141,9 +147,21 @@ def interconnect(
     InputError
         When the sample times differ or a loop without dynamics has no unique solution.
     """
+    if not models:
+        raise InputError("models is empty; give at least one")
     if len({model.step for model in models}) != 1:
         raise InputError("models have different sample times; discretise them with the same step first")
     a, b, c, d = (_block_diagonal([getattr(model, name) for model in models]) for name in "abcd")
+    for name, matrix, wanted in (
+        ("feedback", feedback, d.shape[::-1]),
+        ("inputs", inputs, (d.shape[1], inputs.shape[1])),
+        ("outputs", outputs, (len(outputs), len(d))),
+        ("direct", direct, (len(outputs), inputs.shape[1])),
+    ):
+        if matrix is not None and matrix.shape != wanted:
+            raise InputError(
+                f"{name} has shape {matrix.shape}; give {wanted[0]} x {wanted[1]} for these models"
+            )
     loop = np.eye(len(d)) - d @ feedback
     if np.linalg.cond(loop) > 1e12:
         raise InputError("the loop has direct feedthrough all around with gain 1; it has no unique solution")

@@ -5,9 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from stillwork.base.checks import InputError
+from stillwork.base.checks import InputError, shown
+from stillwork.base.extras import require_package
 from stillwork.signals.matfiles import read_mat
 from stillwork.signals.universal import read_universal
+
+LONGEST_LINE = 2**17  # characters; the csv module takes no longer field
 
 
 def read_arrays(path: Path) -> dict[str, np.ndarray]:
@@ -35,10 +38,26 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
             f"{path.name}: files of type {path.suffix or '(none)'!r} are not read; "
             "export CSV, MAT (version 7), NPZ or UFF"
         )
-    if not path.is_file():
-        raise InputError(f"{path}: no such file; give the path of a CSV, MAT, NPZ or UFF file")
+    if not is_file(path):
+        raise InputError(f"{shown(str(path))}: no such file; give the path of a CSV, MAT, NPZ or UFF file")
     arrays = readers[path.suffix.lower()](path)
     return {name: array for name, array in arrays.items() if array.dtype.kind in "fiuc"}
+
+
+def is_file(path: Path) -> bool:
+    """Whether there is such a file; a name that no system takes names none."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def is_folder(path: Path) -> bool:
+    """Likewise for a folder."""
+    try:
+        return path.is_dir()
+    except (OSError, ValueError):
+        return False
 
 
 def read_columns(path: Path) -> dict[str, np.ndarray]:
@@ -57,7 +76,7 @@ def read_columns(path: Path) -> dict[str, np.ndarray]:
 
 
 def _csv(path: Path) -> dict[str, np.ndarray]:
-    import pandas as pd
+    pd = require_package("pandas")
 
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         lines = (line.strip() for line in file)
@@ -69,6 +88,10 @@ def _csv(path: Path) -> dict[str, np.ndarray]:
     decimal = "," if separator == ";" and "," in body and "." not in body else "."
     first = [field for field in head[0].split(separator if separator != r"\s+" else None) if field.strip()]
     named = not all(_is_number(field.replace(decimal, ".")) for field in first)
+    if max(map(len, head)) > LONGEST_LINE:
+        raise InputError(
+            f"{path.name} has a line of {max(map(len, head))} characters; it is no table of numbers"
+        )
     if named and len(head) > 1:
         names = len(_fields(head[0], separator))
         widths = [len(_without_empty_end(_fields(line.split("#")[0], separator))) for line in head[1:]]

@@ -7,6 +7,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.base.front_door import checked
 
 
 class Moving(NamedTuple):
@@ -17,6 +18,7 @@ class Moving(NamedTuple):
     rms: Float64[np.ndarray, " windows"]
 
 
+@checked
 def moving(error: ArrayLike, step: float, exposure: float) -> Moving:
     """MA, MSD and rms of an error over every window of `exposure` seconds (sums for the integrals).
 
@@ -43,6 +45,7 @@ def moving(error: ArrayLike, step: float, exposure: float) -> Moving:
     return Moving(average, deviation, np.hypot(average, deviation))
 
 
+@checked
 def rms(error: ArrayLike) -> float:
     """Root mean square along the last axis of a single record."""
     error = require_array("error", error, ndim=1)

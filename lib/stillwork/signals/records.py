@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from scipy import signal
 
 from stillwork.base.checks import InputError, nearest, require_array, require_count, require_number
+from stillwork.base.front_door import checked
 from stillwork.signals.datafiles import read_columns
 
 STANDARD_GRAVITY = 9.80665  # m/s^2
@@ -99,6 +100,7 @@ class Record:
         return self.signals.shape[1] / self.sample_rate
 
 
+@checked
 def load_record(
     path: str | Path,
     unit: str,
@@ -175,6 +177,7 @@ def unit_factor(unit: str) -> tuple[float, str]:
     return UNITS[plain]
 
 
+@checked
 def resample(record: Record, sample_rate: float) -> Record:
     """Record at another rate, with a linear-phase anti-alias filter and no delay.
 

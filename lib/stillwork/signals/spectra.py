@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 from scipy import signal
 
 from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.base.front_door import check_fields, checked
 
 
 @dataclass(frozen=True)
@@ -28,11 +29,15 @@ class Spectrum:
     density: Float64[np.ndarray, "channels frequencies"]
     averages: int
 
+    def __post_init__(self):
+        check_fields(self)
+
     @property
     def cumulative(self) -> Float64[np.ndarray, "channels frequencies"]:
         """Power from the lowest frequency up to and including each bin (Parseval: the last is the power)."""
         return np.cumsum(self.density, axis=1) * (self.frequencies_hz[1] - self.frequencies_hz[0])
 
+    @checked
     def power(self, low_hz: float, high_hz: float) -> Float64[np.ndarray, " channels"]:
         """Power of each channel between two frequencies."""
         return np.array([band_power(self.frequencies_hz, row, low_hz, high_hz) for row in self.density])
@@ -63,6 +68,7 @@ class ResponseEstimate:
     averages: int
 
 
+@checked
 def estimate_spectrum(signals: ArrayLike, sample_rate: float, resolution_hz: float) -> Spectrum:
     """Welch's estimate of the power spectral density: Hann windows, half overlap, means removed.
 
@@ -85,6 +91,7 @@ def estimate_spectrum(signals: ArrayLike, sample_rate: float, resolution_hz: flo
     return Spectrum(frequencies, density, _averages(rows.shape[1], length))
 
 
+@checked
 def estimate_response(
     inputs: ArrayLike, outputs: ArrayLike, sample_rate: float, resolution_hz: float
 ) -> ResponseEstimate:

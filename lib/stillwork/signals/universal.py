@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from stillwork.base.checks import InputError
+from stillwork.base.extras import require_package
 
 _FUNCTION = 58
 _UNITS = 164
@@ -50,7 +51,7 @@ def read_universal(path: Path) -> dict[str, np.ndarray]:
         When the file holds no such function, is damaged, is not in SI units, or holds functions over
         different axes.
     """
-    import pyuff
+    pyuff = require_package("pyuff")
 
     try:
         # pyuff prints where it is in doubt, and numpy warns; what counts is checked below.

@@ -1,4 +1,4 @@
-"""The reader's side: the static site, and the committed files that are derived from ledger and notebooks.
+"""The reader's side: the static site, and committed files that follow from others.
 
 Nothing here is used by a notebook, so that no change here makes a result stale.
 """

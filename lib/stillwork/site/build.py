@@ -77,7 +77,9 @@ def site_files() -> dict[str, bytes]:
             files[f"{figure.path}.png"] = figure.png
             if figure.csv is not None:
                 files[f"{figure.path}.csv"] = figure.csv
-    files["reference/index.html"] = render("reference.html", "../", modules=modules)
+    files["reference/index.html"] = render(
+        "reference.html", "../", folders=reference.folders(modules), doc=_doc
+    )
     for module in modules:
         files[f"reference/{module.name}.html"] = render(
             "module.html", "../", module=module, doc=_doc, source=_source(module.source)

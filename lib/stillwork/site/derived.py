@@ -1,4 +1,4 @@
-"""Committed files that follow from the ledger and the notebooks: README blocks, the index notebook, manifests."""
+"""Committed files that follow from others: README blocks, the index notebook, manifests, the picture of the house."""
 
 import json
 import tomllib
@@ -8,6 +8,7 @@ from html import escape
 from pathlib import Path
 
 from stillwork.base import paths
+from stillwork.site.house import paint_house
 from stillwork.site.pages import Figure, NotebookPage, read_page
 from stillwork.workbook.claims import VERDICTS, Claim, ledger
 from stillwork.workbook.notebooks import METADATA, notebook_text
@@ -37,9 +38,11 @@ def derived_files() -> dict[str, str]:
         "notebooks/index.ipynb": _index,
         "codecheck.yml": _codecheck,
         "codemeta.json": _codemeta,
+        "docs/house.svg": _house,
     }
-    if _present("README.md") is None:
-        del makers["README.md"]
+    for name in ("README.md", "docs/house.svg"):  # a workbook may do without
+        if _present(name) is None:
+            del makers[name]
     return {name: make(pages, claims) for name, make in makers.items()}
 
 
@@ -107,9 +110,10 @@ def _index(pages: list[NotebookPage], claims: list[Claim]) -> str:
             parts.append(f"## {work['title']} (`{room}`)\n\n{work['claimed']}\n\n{first}{listing}")
     parts.append(
         "## The shelves\n\nThe same room name stands on every shelf of the checkout: `notebooks/` the results, "
-        "`lib/experiments/` its machines and pictures, `data/` the published numbers and measured records, `figures/` what "
-        "was built, `tests/` and `benchmarks/`. `make help` lists the commands, `make site` writes the same as "
-        "web pages, `docs/your-rig.md` leads from a measurement of yours to a figure."
+        "`lib/experiments/` their machines, studies and pictures, `data/` the published numbers and "
+        "measured records, `figures/` what was built, `tests/` and `benchmarks/`. The methods themselves are in `lib/stillwork/`, by concepts of the "
+        "field: signals, linear models, identification, estimation, control. `make help` lists the commands, "
+        "`make site` writes the same as web pages, `docs/your-rig.md` leads from a measurement of yours to a figure."
     )
     cells = [
         # In lines, as Jupyter writes them.
@@ -189,7 +193,7 @@ def _codemeta(_pages: list[NotebookPage], _claims: list[Claim]) -> str:
         "keywords": project["keywords"],
         "programmingLanguage": {"@type": "ComputerLanguage", "name": "Python"},
         "runtimePlatform": f"Python {project['requires-python']}",
-        "softwareRequirements": project["dependencies"],
+        "softwareRequirements": _requirements(project),
         "referencePublication": [
             {"@type": "ScholarlyArticle", "name": work["work"], "description": work["source"]}
             for work in works().values()
@@ -198,5 +202,18 @@ def _codemeta(_pages: list[NotebookPage], _claims: list[Claim]) -> str:
     return json.dumps(record, indent=1, ensure_ascii=False) + "\n"
 
 
+def _house(_pages: list[NotebookPage], _claims: list[Claim]) -> str:
+    return paint_house(paths.root())
+
+
 def _project() -> dict:
     return tomllib.loads((paths.root() / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+
+
+def _requirements(project: dict) -> list[str]:
+    """What the workbook needs: the toolbox's own and those of its extras, without what only tests need."""
+    extras = project["optional-dependencies"]
+    every = project["dependencies"] + [
+        each for name, listed in extras.items() if name != "all" for each in listed
+    ]
+    return sorted(each for each in every if not each.startswith("stillwork["))

@@ -9,9 +9,10 @@ from pathlib import Path
 
 import stillwork
 from stillwork.base import paths
+from stillwork.site.house import TOOLBOX, face_names
 
 LIBRARY = Path(stillwork.__file__).parent
-FOR_NOTEBOOKS = ("claims", "explorer", "figures", "page", "studies")  # modules of the workbook
+FOR_NOTEBOOKS = ("__init__", "claims", "explorer", "figures", "page", "studies")  # modules of the workbook
 
 
 @dataclass(frozen=True)
@@ -50,22 +51,57 @@ class Module:
     constants: dict[str, int]  # line by name
 
     @property
-    def room(self) -> str:
-        """The room it belongs to; ``shared`` for what all rooms use."""
-        part = self.name.split(".")[1]
-        return part if part in paths.ROOMS else "shared"
+    def folder(self) -> str:
+        """The concept or the room that it belongs to: ``lti``, ``motion``."""
+        return self.name.split(".")[1]
 
 
-def shared_modules() -> list[Path]:
-    """The toolbox, and what notebooks use of the workbook: not what builds them, nor the command line and the site."""
+@dataclass(frozen=True)
+class Folder:
+    """A concept or a room: what it is, the places and items that it hands out, and its modules."""
+
+    name: str
+    doc: str
+    public: tuple[tuple[str, Item], ...]
+    modules: tuple[Module, ...]
+
+
+def folders(modules: list[Module]) -> list[Folder]:
+    """The modules by folder, in the order of the house: the toolbox from the ground up, the workbook, the rooms."""
+    found = []
+    for name in (*TOOLBOX, "workbook", *paths.ROOMS):
+        mine = [module for module in modules if module.folder == name]
+        package = next(module for module in mine if module.name.count(".") == 1)
+        names = face_names(ast.parse(package.source))
+        by_name = {module.name: module for module in mine}
+        public = tuple(
+            _handed_out(each, by_name[f"{package.name}.{names[each]}"])
+            for each in sorted(names, key=str.lower)
+        )
+        inner = tuple(module for module in mine if module is not package)
+        found.append(Folder(name, package.doc, public, inner))
+    return found
+
+
+def _handed_out(name: str, module: Module) -> tuple[str, Item]:
+    """A public name with its place; of a constant the page shows the line."""
+    for item in module.items:
+        if item.name == name:
+            return f"{module.name}.html#{name}", item
+    line = module.constants[name]
+    return f"{module.name}.html#line-{line}", Item(name, name, "", line)
+
+
+def library_files() -> list[Path]:
+    """Files of the toolbox, and of what notebooks use of the workbook: not what builds them, nor the command line and the site."""
     others = ("__main__.py", "inspecting.py", "workbook", "site")
     files = [file for file in LIBRARY.rglob("*.py") if file.relative_to(LIBRARY).parts[0] not in others]
     return sorted([*files, *(LIBRARY / "workbook" / f"{name}.py" for name in FOR_NOTEBOOKS)])
 
 
 def read_modules() -> list[Module]:
-    """The shared modules and those of the rooms, in this order, each sorted by name."""
-    files = [file for file in shared_modules() if file != LIBRARY / "__init__.py"]
+    """The toolbox's and the workbook's modules and those of the rooms, in this order, each sorted by name."""
+    files = [file for file in library_files() if file != LIBRARY / "__init__.py"]
     for room in paths.ROOMS:
         files += sorted((LIBRARY.parent / "experiments" / room).rglob("*.py"))
     return [_module(file) for file in files]
@@ -74,7 +110,7 @@ def read_modules() -> list[Module]:
 def index(modules: list[Module]) -> dict[str, str]:
     """Dotted name to its place ``<module>.html#<item>`` among the reference's pages.
 
-    A room also answers for what its modules define, as it does in Python: ``stillwork.estimation.FeRls``.
+    A folder also answers for what its modules define, as it does in Python: ``stillwork.estimation.FeRls``.
     """
     places = {}
     for module in modules:

@@ -12,7 +12,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from stillwork.base import paths
-from stillwork.base.checks import InputError, nearest, require_choice, require_number
+from stillwork.base.checks import InputError, nearest, require_array, require_choice, require_number, shown
 
 KINDS = ("value", "exact", "ordering", "slope", "reported", "check")
 VERDICTS = ("replicated", "better", "deviates", "reported", "passes", "fails", "not built")
@@ -34,7 +34,7 @@ class Tolerance:
         if sum(rule is not None for rule in rules) != 1:
             raise InputError("tolerance: give exactly one of relative, absolute and interval")
         require_number("tolerance", next(r for r in rules if r is not None), at_least=0)
-        if not self.source:
+        if not isinstance(self.source, str) or not self.source:
             raise InputError("tolerance: say in source where it comes from")
 
     def allows(self, published: float, ours: float, interval: tuple[float, float] | None) -> bool:
@@ -109,8 +109,10 @@ class Entry:
     def __post_init__(self):
         require_choice(f"{self.id}: kind", self.kind, KINDS)
         require_choice(f"{self.id}: basis", self.basis, BASES)
-        for name in ("place", "quantity"):
-            if not getattr(self, name):
+        for name in ("place", "quantity", "unit", "reason"):
+            if not isinstance(getattr(self, name), str):
+                raise InputError(f"{self.id}: {name} is {shown(getattr(self, name))}; give text")
+            if name in ("place", "quantity") and not getattr(self, name):
                 raise InputError(f"{self.id}: {name} is empty; fill it in")
         if self.published is not None:
             require_number(f"{self.id}: published", self.published)
@@ -118,6 +120,8 @@ class Entry:
             raise InputError(
                 f"{self.id}: published is missing; only a check or what is reported goes without"
             )
+        if self.ours is not None:
+            require_number(f"{self.id}: ours", self.ours)
         if self.kind in ("value", "exact", "slope") and self.tolerance is None:
             raise InputError(f"{self.id}: a {self.kind} needs a tolerance with a source")
         if self.kind in ("reported", "ordering") and self.tolerance is not None:
@@ -220,8 +224,10 @@ class Claim:
         return abs(self.ours - accepted) > 1e-12 and not drift.allows(accepted, self.ours, None)
 
     def shown(self, digits: int) -> str:
-        """Ours as text; of an identity that holds, whose residual is rounding, the bound that it keeps."""
+        """Ours as text; of what is rounding the bound that it keeps: an identity's residual, or less than its drift."""
         entry = self.entry
+        if entry.drift.absolute and abs(self.ours) <= entry.drift.absolute:
+            return f"< {entry.drift.absolute:g}"
         if entry.kind == "exact" and entry.published == 0 and self.verdict == "replicated":
             if bound := entry.tolerance.absolute:  # 0 where a count is judged
                 return f"< {bound:g}"
@@ -263,14 +269,18 @@ def load_entries(room: str) -> dict[str, Entry]:
     file = paths.data(room, "published.toml")
     if not file.exists():
         return {}
-    return dict(_parsed(file, file.read_text(encoding="utf-8")))
+    try:
+        text = file.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise InputError(f"{file} is not text; give TOML in UTF-8") from None
+    return dict(_parsed(file, text))
 
 
 @lru_cache(maxsize=len(paths.ROOMS))  # a notebook reads the same text at every check
 def _parsed(file: Path, text: str) -> dict[str, Entry]:
     try:
         tree = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{file}: not valid TOML ({error}); mend that line") from None
     return {entry.id: entry for entry in _entries(tree, ())}
 
@@ -288,6 +298,11 @@ def _entries(tree: dict, path: tuple[str, ...]) -> Iterator[Entry]:
 def _entry(name: str, fields: dict) -> Entry:
     known = [key for key in Entry.__dataclass_fields__ if key != "id"]
     rules = {key: fields[key] for key in ("tolerance", "drift") if key in fields}
+    for key, rule in rules.items():
+        if not isinstance(rule, dict):
+            raise InputError(
+                f"{name}: {key} is {shown(rule)}; give a table such as {{ relative = 0.01, source = '...' }}"
+            )
     for given, allowed in (
         (fields, known),
         *((rule, Tolerance.__dataclass_fields__) for rule in rules.values()),
@@ -396,11 +411,27 @@ def ledger(figures: Path | None = None, room: str | None = None) -> list[Claim]:
     pattern = f"{room or '[!.]*'}/[!.]*/claims.json"  # a build's half-written folders are hidden
     for file in sorted(figures.glob(pattern)):
         notebook = file.parent.relative_to(figures).as_posix()
-        for name, found in json.loads(file.read_text(encoding="utf-8")).items():
+        for name, (ours, interval) in _found(file).items():
             if name not in claims:
                 raise InputError(f"{file}: the ledger has no entry {name!r}{nearest(name, claims)}")
             if claims[name].notebook:
                 raise InputError(f"{name} is claimed by {claims[name].notebook} and by {notebook}; keep one")
-            interval = tuple(found["interval"]) if "interval" in found else None
-            claims[name] = replace(claims[name], ours=found["ours"], interval=interval, notebook=notebook)
+            claims[name] = replace(claims[name], ours=ours, interval=interval, notebook=notebook)
     return list(claims.values())
+
+
+def _found(file: Path) -> dict[str, tuple[float, tuple[float, float] | None]]:
+    """What a notebook recorded in its ``claims.json``: value and interval of every claim."""
+    try:
+        recorded = json.loads(file.read_text(encoding="utf-8"))
+        return {
+            name: (
+                require_number(f"{name}: ours", entry["ours"]),
+                tuple(require_array(f"{name}: interval", entry["interval"], shape=(2,)).tolist())
+                if "interval" in entry
+                else None,
+            )
+            for name, entry in recorded.items()
+        }
+    except (InputError, ValueError, RecursionError, AttributeError, KeyError, TypeError) as error:
+        raise InputError(f"{file} is not what a build writes ({error}); build that notebook anew") from None

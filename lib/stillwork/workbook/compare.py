@@ -14,9 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
+from stillwork.base.checks import InputError
 from stillwork.workbook.claims import Claim, load_entries
 from stillwork.workbook.figures import read_table
-from stillwork.workbook.notebooks import cleaned
+from stillwork.workbook.notebooks import cleaned, joined
 from stillwork.workbook.tasks import Task
 
 # Of the range that a series spans. Builds under the settings of other processors (`make portable`) moved numbers
@@ -33,9 +34,10 @@ PRINTED = 1.0  # units of the last printed digit
 # Decades: a series that a page notes as rounding itself (`Page.save`) keeps its size, not its digits.
 ROUNDING = 1.0
 
-# Of 256 levels and of all pixels. A curve that moves by the tolerance above moves by less than a pixel, which shows
-# as other shades along its edge; a word or a mark that changed turns whole strokes over.
-SHADE, PIXELS = 96, 2e-5
+# Levels of 256 by which any pixel may be off. The settings of other processors moved none by more than 43, along the
+# edge of a line whose numbers moved; none by more than 15 where the table is the same to the byte. A line in another
+# colour of the palette (`stillwork.workbook.figures`) or a new mark moves some by more.
+SHADE, SAME_NUMBERS = 48, 24
 
 NUMBER = re.compile(r"(?<![\w.])[-+−]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 
@@ -119,16 +121,30 @@ def difference(now: Path, before: Path) -> float | None:
     """Largest difference between two figures, given without suffix; None when they are not the same figure."""
     tables = [_bytes(each.with_name(each.name + ".csv")) for each in (now, before)]
     pictures = [_bytes(each.with_name(each.name + ".png")) for each in (now, before)]
+    if pictures == [None, None] and tables[0] == tables[1]:  # numbers of a notebook's own making
+        return 0.0
     if None in pictures or (tables[0] is None) != (tables[1] is None):
         return None
     noted = _noted(before)
     if noted != _noted(now):
         return None
-    if pictures[0] != pictures[1] and not noted and not same_picture(*pictures):
+    shade = SAME_NUMBERS if tables[0] == tables[1] else SHADE
+    if pictures[0] != pictures[1] and not noted and not same_picture(*pictures, shade):
         return None
-    if tables[0] == tables[1]:
+    return numbers_difference(now, before)
+
+
+def numbers_difference(now: Path, before: Path) -> float | None:
+    """As `difference`, of the plotted numbers alone."""
+    tables = [each.with_name(each.name + ".csv") for each in (now, before)]
+    if _bytes(tables[0]) == _bytes(tables[1]) is not None:
         return 0.0
-    return table_difference(*(each.with_name(each.name + ".csv") for each in (now, before)), set(noted))
+    if not all(each.is_file() for each in tables):
+        return None
+    try:
+        return table_difference(*tables, set(_noted(before)))
+    except (InputError, UnicodeDecodeError):  # a damaged table is not this one
+        return None
 
 
 def table_difference(now: Path, before: Path, rounding: Collection[str] = ()) -> float | None:
@@ -162,30 +178,41 @@ def table_difference(now: Path, before: Path, rounding: Collection[str] = ()) ->
 
 
 def same_size(now: np.ndarray, before: np.ndarray) -> bool:
-    """Whether two series of rounding are of one size: their medians and largest numbers, in decades.
+    """Whether two series of rounding are of one size: their quartiles, in decades.
 
-    A residual that is exactly zero has no decade: it agrees with any that is a few rounding units.
+    The largest number is left to chance, and after a breakdown to chaos. A residual that is exactly zero has no
+    decade: it agrees with any that is a few rounding units.
     """
     sizes = []
     for each in (now, before):
         size = np.abs(each[:, 1][np.isfinite(each[:, 1])])
-        sizes.append(np.array([np.median(size), size.max()]) if len(size) else np.zeros(2))
+        sizes.append(np.quantile(size, [0.25, 0.5, 0.75]) if len(size) else np.zeros(3))
     low, high = np.minimum(*sizes), np.maximum(*sizes)
     small = (low == 0) & (high <= 1e3 * np.finfo(float).eps)
     return bool(np.all(small | (high <= 10**ROUNDING * low)))
 
 
-def same_picture(now: bytes, before: bytes) -> bool:
+def same_picture(now: bytes, before: bytes, shade: int = SHADE) -> bool:
     """Whether two PNG pictures differ in no more than the shades along their lines."""
     import io
 
     from matplotlib.image import imread
 
-    shades = [np.atleast_3d(imread(io.BytesIO(each)))[..., :3] for each in (now, before)]
+    try:
+        shades = [np.atleast_3d(imread(io.BytesIO(each)))[..., :3] for each in (now, before)]
+    except (OSError, SyntaxError, ValueError):  # what Pillow says of a damaged file
+        return False
     if shades[0].shape != shades[1].shape:
         return False
-    off = np.abs(shades[0] - shades[1]).max(axis=2) > SHADE / 255
-    return float(off.mean()) <= PIXELS
+    return float(np.abs(shades[0] - shades[1]).max()) <= (shade + 0.5) / 255
+
+
+# A place in a work is a name, not a number that is rounded.
+REFERENCE = re.compile(
+    r"\b(?:Table|Fig|Eq|eq|equation|Equation|Section|section|Chapter|Remark|Definition|Example|Theorem|Corollary|"
+    r"Lemma|Conclusion|Algorithm)s?\.?\s*\(?[A-Z]?\d[\d.]*"
+)
+LETTERS = str.maketrans("0123456789.", "abcdefghij_")
 
 
 def same_text(now: str, before: str) -> bool:
@@ -195,6 +222,7 @@ def same_text(now: str, before: str) -> bool:
     """
     if now == before:
         return True
+    now, before = (REFERENCE.sub(lambda found: found[0].translate(LETTERS), text) for text in (now, before))
     words = [[_plain(word) for word in NUMBER.split(text)] for text in (now, before)]
     numbers = [NUMBER.findall(text) for text in (now, before)]
     return words[0] == words[1] and all(itertools.starmap(_same_number, zip(*numbers, strict=True)))
@@ -205,7 +233,7 @@ def _same_number(now: str, before: str) -> bool:
         return True
     if not any(mark in now + before for mark in ".eE"):
         return False
-    unit = max(_last_digit(now), _last_digit(before))
+    unit = min(_last_digit(now), _last_digit(before))  # "2" may be 2.00 without its zeros, but not 1.01
     values = [float(each.replace("−", "-")) for each in (now, before)]
     return abs(values[0] - values[1]) <= PRINTED * unit * (1 + 1e-9)
 
@@ -226,7 +254,7 @@ def distance(now: np.ndarray, before: np.ndarray) -> float:
     Positive numbers that span more than a decade are drawn on a logarithmic axis and compared on one.
     """
     known = np.isfinite(before)
-    if not np.array_equal(known, np.isfinite(now)):
+    if not np.array_equal(now[~known], before[~known], equal_nan=True) or not np.isfinite(now[known]).all():
         return np.inf
     if not known.any():
         return 0.0
@@ -254,7 +282,9 @@ def apart(now: np.ndarray, before: np.ndarray) -> float:
             for each, raw in ((first, now), (second, before))
         ):
             span = np.nanmax(second, axis=0) - np.nanmin(second, axis=0)
-            first, second = first / np.where(span > 0, span, 1.0), second / np.where(span > 0, span, 1.0)
+            size = np.nanmax(np.abs(second), axis=0)  # of a line that does not rise
+            span = np.where(span > 0, span, np.where(size > 0, size, 1.0))
+            first, second = first / span, second / span
             found.append(max(_off(first, second), _off(second, first)))
     return min(found, default=np.inf)
 
@@ -294,6 +324,7 @@ def _cells(task: Task) -> list[str]:
 
 def same_outputs(now: list[dict], before: list[dict]) -> bool:
     """Whether two lists of a cell's text outputs are of one kind and print the same."""
+    now, before = joined(now), joined(before)
     if len(now) != len(before):
         return False
     return all(
@@ -348,7 +379,15 @@ def _entries(room: str, _data: str) -> dict:
 
 
 def _found(file: Path) -> dict:
-    return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+    """The claims in a file; none where it is missing or damaged, so that all of them count as moved."""
+    try:
+        found = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+    except ValueError:
+        return {}
+    whole = isinstance(found, dict) and all(
+        isinstance(each, dict) and "ours" in each for each in found.values()
+    )
+    return found if whole else {}
 
 
 def _bytes(file: Path) -> bytes | None:

@@ -165,9 +165,15 @@ def read_table(path: Path) -> dict[tuple[str, str], np.ndarray]:
         )
     blocks = {}
     panel = series = ""
-    for line in lines[1:]:
-        panel, series = line[0] or panel, line[1] or series
-        blocks.setdefault((panel, series), []).append([float(value or "nan") for value in line[2:]])
+    for number, line in enumerate(lines[1:], 2):
+        try:
+            panel, series = line[0] or panel, line[1] or series
+            x, y, z = (float(value or "nan") for value in line[2:])
+        except (IndexError, ValueError):
+            raise InputError(
+                f"path is {str(path)!r}, whose line {number} is no row of panel, series, x, y, z; give a figure's table"
+            ) from None
+        blocks.setdefault((panel, series), []).append([x, y, z])
     return {name: np.array(block) for name, block in blocks.items()}
 
 

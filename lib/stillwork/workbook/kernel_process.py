@@ -88,7 +88,8 @@ def watch(log: str, left_out: tuple[str, ...]) -> None:
                 )
                 if writes:
                     return
-                if path.startswith(left_out):
+                # Machine code that a compiler keeps beside a source follows from it.
+                if path.startswith(left_out) or os.path.basename(os.path.dirname(path)) == "__pycache__":
                     return
                 now = os.stat(path)
                 stamp = (now.st_ino, now.st_size, now.st_mtime_ns, now.st_ctime_ns)

@@ -135,7 +135,7 @@ def cleaned(notebook: dict, executed: dict) -> dict:
         if cell["cell_type"] == "code":
             ran = outputs[cell["id"]]
             kept = [text for output in ran["outputs"] if (text := _text_only(output))]
-            cell = {**cell, "execution_count": ran["execution_count"], "outputs": _joined(kept)}
+            cell = {**cell, "execution_count": ran["execution_count"], "outputs": joined(kept)}
             cell["metadata"] = {k: v for k, v in cell["metadata"].items() if k == "tags"}
         cells.append(cell)
     return {**notebook, "cells": cells, "metadata": METADATA}
@@ -146,7 +146,7 @@ def notebook_text(notebook: dict) -> str:
     return json.dumps(notebook, indent=1, ensure_ascii=False, sort_keys=True) + "\n"
 
 
-def _joined(outputs: list[dict]) -> list[dict]:
+def joined(outputs: list[dict]) -> list[dict]:
     """Outputs with one stream where several of its name follow each other: how many came is a matter of time."""
     found: list[dict] = []
     for output in outputs:

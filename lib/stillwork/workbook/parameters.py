@@ -1,6 +1,7 @@
 """Parameters of a notebook: lines ``name: type = literal``, checked before anything runs."""
 
 import ast
+import math
 import typing
 from dataclasses import dataclass
 from types import UnionType
@@ -109,7 +110,12 @@ def _converted(value, kind):
         if len(parts) == len(value):
             return tuple(_converted(each, part) for each, part in zip(value, parts, strict=True))
     elif kind is float and isinstance(value, int | float) and not isinstance(value, bool):
-        return float(value)
+        try:
+            value = float(value)
+        except OverflowError:
+            raise TypeError(kind) from None
+        if math.isfinite(value):
+            return value
     elif type(value) is kind:
         return value
     raise TypeError(kind)
@@ -125,7 +131,7 @@ def _candidates(text: str):
         yield words[text.lower()]
     try:
         yield ast.literal_eval(text)
-    except (ValueError, SyntaxError, MemoryError, RecursionError):
+    except (ValueError, SyntaxError, MemoryError, RecursionError, TypeError):
         pass
     if "," in text:
         parts = [part.strip() for part in text.strip("[]()").removesuffix(",").split(",")]

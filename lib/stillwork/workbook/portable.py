@@ -75,7 +75,7 @@ SAMPLED = ("2011, AVX (Sandy Bridge)", "2013, AVX2 (Haswell)")
 
 
 def portable(sample: bool = False) -> int:
-    """Build under each stand-in that runs here and print the table; returns 1 when something moved.
+    """Build under each stand-in that runs here and print the table; returns 1 when something moved or failed.
 
     Parameters
     ----------
@@ -83,24 +83,26 @@ def portable(sample: bool = False) -> int:
         A few notebooks under two of them.
     """
     flags = _flags()
-    rows, moved = [], []
+    rows, moved, failed = [], [], False
     for processor in PROCESSORS:
         if sample and processor.name not in SAMPLED:
             continue
         if missing := [flag for flag in processor.needs if flag not in flags]:
             rows.append((processor.name, f"not run: this machine lacks {', '.join(missing)}"))
             continue
-        found = _build(processor, SAMPLE if sample else ())
+        found, complete = _build(processor, SAMPLE if sample else ())
+        failed |= not complete
         rows.append((processor.name, *_row(found)))
         moved += [(processor.name, each) for each in found if not each.agrees]
     _print(rows)
     for name, each in moved:
         what = (*each.files, *each.cells, *each.claims, *each.verdicts)
         print(f"{name}: {each.notebook}: {', '.join(what)}")
-    return int(bool(moved))
+    return int(bool(moved) or failed)
 
 
-def _build(processor: Processor, names: tuple[str, ...]) -> list[Comparison]:
+def _build(processor: Processor, names: tuple[str, ...]) -> tuple[list[Comparison], bool]:
+    """How the results compare, and whether all of them could be made."""
     folder = paths.root() / "build" / "portable" / "".join(c if c.isalnum() else "-" for c in processor.name)
     variables = {
         **os.environ,
@@ -115,7 +117,7 @@ def _build(processor: Processor, names: tuple[str, ...]) -> list[Comparison]:
     os.environ[BUILT] = str(folder)
     try:
         wanted = [task for task in tasks() if not names or task.notebook.name in names]
-        return [compare(task) for task in wanted if task.executed.is_file()]
+        return [compare(task) for task in wanted if task.executed.is_file()], not done.returncode
     finally:
         del os.environ[BUILT]
 

@@ -1,0 +1,164 @@
+"""Wrong values for every public function, reader, table and setting: nothing but results and documented errors.
+
+``python benchmarks/fuzz.py --cases 50000`` throws that many, each made from the seed and its number alone, in
+processes of their own, and lists what ended in another exception, in a result with NaN, in a crash, or not at all.
+``--only KIND`` and ``--case NUMBER`` repeat some of it.
+"""
+
+import argparse
+import collections
+import faulthandler
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+
+import numpy as np
+
+HERE = Path(__file__).resolve().parent
+SECONDS = 20  # of processor time; a case that takes more is a finding
+BATCH = 500  # cases a process
+MEMORY = 8 * 2**30  # bytes of address space
+sys.path[:0] = [str(HERE), str(HERE.parent / "lib")]
+
+
+class TooSlow(BaseException):
+    """A case took longer than it may; no handler of the tested code takes it."""
+
+
+def main() -> int:
+    """Run the cases and print each that goes wrong; returns 1 when one did."""
+    options = _options()
+    if options.first is not None:
+        return _worker(options)
+    wrong, done, start = collections.Counter(), collections.Counter(), time.monotonic()
+    first, end = (options.case, options.case + 1) if options.case is not None else (0, options.cases)
+    while first < end:
+        last = min(first + BATCH, end)
+        command = [
+            sys.executable,
+            __file__,
+            "--first",
+            str(first),
+            "--cases",
+            str(last),
+            "--seed",
+            str(options.seed),
+        ]
+        with tempfile.TemporaryFile("w+") as said:
+            worker = subprocess.Popen(
+                [*command, "--only", options.only], stdout=subprocess.PIPE, stderr=said, text=True
+            )
+            begun = False
+            for line in worker.stdout:
+                begun = True
+                number, kind, outcome, what = json.loads(line)
+                first = number + (outcome != "begun")
+                done[kind] += outcome != "begun"
+                if outcome not in ("begun", "result", "refused"):
+                    wrong[outcome] += 1
+                    print(f"{outcome}: {number} {kind}: {what}", flush=True)
+            if worker.wait():
+                said.seek(0)
+                print(f"crash: {first}: {said.read().strip()[-2000:]}", flush=True)
+                wrong["crash"] += 1
+                first += 1  # the process died in the case that it had begun
+                if not begun:
+                    return 1
+    kinds = ", ".join(f"{count} {kind}" for kind, count in sorted(done.items()))
+    print(f"{sum(done.values())} cases ({kinds}), {wrong.total()} wrong, in {time.monotonic() - start:.0f} s")
+    return min(wrong.total(), 1)
+
+
+def _options():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--cases", type=int, default=2000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--only", choices=("all", "calls", "files", "tables", "settings"), default="all")
+    parser.add_argument("--case", type=int, help="this one alone")
+    parser.add_argument("--first", type=int, help=argparse.SUPPRESS)
+    return parser.parse_args()
+
+
+def _worker(options) -> int:
+    """The cases from `first` on, one line of JSON when each begins and when it ends."""
+    from fuzzing import calls, files, settings, tables
+
+    makers = {"calls": calls.case, "files": files.case, "tables": tables.case, "settings": settings.case}
+    shares = {"calls": 0.7, "files": 0.12, "tables": 0.1, "settings": 0.08}
+    if absent := calls.missing():
+        print(f"no call for {', '.join(absent)}", file=sys.stderr)
+        return 1
+    faulthandler.enable()
+    warnings.simplefilter("ignore")
+    calls.warm()
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    signal.signal(signal.SIGPROF, _stop)
+    np.seterr(all="ignore")
+    with tempfile.TemporaryDirectory() as folder:
+        os.chdir(folder)
+        for number in range(options.first, options.cases):
+            rng = np.random.default_rng([options.seed, number])
+            kind = str(rng.choice(list(shares), p=list(shares.values())))
+            kind = kind if options.only == "all" else options.only
+            print(json.dumps([number, kind, "begun", ""]), flush=True)
+            print(json.dumps([number, kind, *_outcome(makers[kind], rng)]), flush=True)
+    return 0
+
+
+def _stop(*_):
+    raise TooSlow
+
+
+def _outcome(make, rng) -> tuple[str, str]:
+    """What became of a case: ``result``, ``refused`` (a documented error), or what is wrong."""
+    from stillwork.base.checks import InputError
+    from stillwork.estimation import UnstableAdaptation
+
+    name, told, must_work, call = make(rng)
+    signal.setitimer(signal.ITIMER_PROF, SECONDS)
+    try:
+        result = call()
+    except (InputError, FileNotFoundError, UnstableAdaptation) as error:
+        return ("refused a good value", f"{name} {told}: {error}") if must_work else ("refused", "")
+    except TooSlow:
+        return "too slow", f"{name} {told}"
+    except Exception as error:
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        where = f"{Path(place.filename).name}:{place.lineno}"
+        return "other exception", f"{name} {told}: {type(error).__name__}: {str(error)[:150]!r} at {where}"
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
+    if name.split(",")[0] not in _unbounded() and _has_nan(result):
+        return "silent NaN", f"{name} {told}"
+    return "result", ""
+
+
+def _unbounded() -> set[str]:
+    from fuzzing.calls import MAY_BE_INFINITE
+
+    return MAY_BE_INFINITE
+
+
+def _has_nan(value, depth: int = 0) -> bool:
+    if isinstance(value, float | complex | np.inexact):
+        return not np.isfinite(value)
+    if isinstance(value, np.ndarray):
+        return value.dtype.kind in "fc" and not np.isfinite(value).all()
+    if depth > 4:
+        return False
+    if is_dataclass(value) and not isinstance(value, type):
+        return any(_has_nan(getattr(value, field.name), depth + 1) for field in fields(value))
+    return isinstance(value, tuple | list) and any(_has_nan(each, depth + 1) for each in value)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,340 @@
+"""One good call of every public function, class and method of the toolbox's faces, to be spoiled."""
+
+import dataclasses
+from functools import cache
+
+import numpy as np
+
+from fuzzing.hostile import same, wrong
+from stillwork import control, estimation, identification, lti, signals
+
+FACES = {
+    "signals": signals,
+    "lti": lti,
+    "identification": identification,
+    "estimation": estimation,
+    "control": control,
+}
+# No calls: made by the functions beside them, warnings and errors.
+RESULTS = {
+    "Peak", "Identified", "Machine", "ModalFit", "Adaptation", "KalmanGain", "MinMaxSolution", "Track", "Bandwidth",
+    "LoopResponse", "Run", "Loop", "UnstableAdaptation", "ZeroEstimateWarning", "ContractionWarning",
+}  # fmt: skip
+# Calls whose good arguments stand for a file or a machine that is not there.
+REFUSED = {"load_record", "load_machine", "build_machine", "from_control"}
+# Of these NaN (after a divergence, without coherence) or infinity (no estimate, no crossing) is a stated result.
+MAY_BE_INFINITE = {"min_max_solve", "run", "coupling_onset", "maximise_bandwidth", "Run", "control.simulate"}
+
+
+def _acceleration(position, velocity, force, parameters):
+    return force / parameters[0]
+
+
+def _force(position, velocity, acceleration, parameters):
+    return acceleration * parameters[0]
+
+
+def _transition(state, inputs, parameters, out):
+    out[0] = parameters[0] * state[0] + inputs[0]
+
+
+def _measurement(state, inputs, parameters, out):
+    out[0] = state[0]
+
+
+@cache
+def catalogue() -> dict:
+    """Name to (callable, good arguments by name)."""
+    rng = np.random.default_rng(5)
+    noise = rng.standard_normal
+    e, c, i = estimation, control, identification
+    model = lti.ModalModel(
+        np.array([0.0, 300.0, 900.0]), np.array([0.0, 0.01, 0.02]), np.array([[0.3], [0.4], [0.2]]),
+        np.array([[0.3, -0.4, 0.2]]), np.zeros((1, 1)),
+    )  # fmt: skip
+    broad = lti.ModalModel(
+        np.array([0.0, 0.0, 300.0]), np.array([0.0, 0.0, 0.01]), np.array([[0.3, 0.3], [0.3, -0.3], [0.2, 0.1]]),
+        np.array([[0.3, 0.3, 0.2], [0.3, -0.3, 0.1]]), np.zeros((2, 2)),
+    )  # fmt: skip
+    state = lti.StateModel(
+        np.array([[-1.0, 2.0], [-2.0, -1.0]]),
+        np.array([[0.0], [1.0]]),
+        np.array([[1.0, 0.0]]),
+        np.zeros((1, 1)),
+    )
+    sampled = lti.zoh(state, 0.01)
+    observer = e.kalman_observer(model, e.Noise(1.0, 1e-12))
+    sampled_observer = c.discrete_kalman_observer(model, e.Noise(1.0, 1e-12), 1e-4)
+    plant = e.Plant(_acceleration, _force, np.array([2.0]))
+    guess = e.Plant(_acceleration, _force, np.array([2.2]))
+    controller = c.Controller(e.LowPass(), c.FlowTransformation(), c.KinematicDesign(10.0), guess)
+    trajectory = c.sine_trajectory(duration=0.1)
+    near = c.linear_loop(plant, controller, 1e-3)
+    setpoint = c.point_to_point(1e4, 100.0, 2.0, 0.1, 0.02, 0.005, 1e-3)
+    pid = c.PidFamily(11.0)
+    loop = c.closed_loop(model, None, pid(10.0).state_space())
+    search = c.make_loop(model, points=50, around=3)
+    damping = c.damping_gain(model, 0.01)
+    wide = c.constrained_damping(broad, 0.05)
+    decoupling = c.decouple(broad)
+    rows, signal = noise((3, 60)), noise(60)
+    omega = np.linspace(50.0, 1500.0, 120)
+    record = signals.Record(noise((2, 600)), 100.0, "m", ("a", "b"), "record.csv")
+    own = e.StateModel(_transition, _measurement, 1, 1, 1, np.array([0.9]))
+    covariances = {
+        "process": np.eye(1),
+        "noise": np.eye(1),
+        "initial_mean": np.zeros(1),
+        "initial_covariance": np.eye(1),
+    }
+    accelerance = (-(omega**2) * model.frequency_response(omega)[0, 0]).astype(complex)
+    measured = i.Identified(omega, accelerance, np.ones(len(omega)))
+    multisine = lti.StateModel(
+        np.zeros((0, 0)), np.zeros((0, 3)), np.zeros((2, 0)), np.array([[1, 0, 0], [1, 1, 1.0]]), 0.01
+    )
+    draws = {"rng": np.random.default_rng(1), "samples": 16, "rms": 1.0}
+    experiment = {
+        "loop": multisine, "actuators": 1, "sensors": 1, "deviations": (0.1, 0.1), "rng": np.random.default_rng(1),
+        "samples": 16, "realisations": 2,
+    }  # fmt: skip
+    quiet = {"model": broad, "increase": np.array([0.05])}
+    pair = {"a": state.a, "noise_input": np.eye(2), "c": state.c, "process": 1.0, "sensor": 1.0}
+    joined = {"feedback": np.zeros((1, 1)), "inputs": np.eye(1), "outputs": np.eye(1)}
+    lines = {"settings": e.FeRls(1.0), "regressors": rows, "every": 10}
+    block = {"matrix": rows.T, "target": signal, "bound": 0.1}
+
+    def fields(value):
+        return {each.name: getattr(value, each.name) for each in dataclasses.fields(value)}
+
+    impulse = {"force": noise((2, 128)), "response": noise((2, 128)), "rate": 100.0}
+    modes = np.linspace(50, 1200, 60)
+    residues = np.moveaxis(model.frequency_response(modes), -1, 0).astype(complex)
+    return {
+        "Record": (signals.Record, fields(record)),
+        "Spectrum": (signals.Spectrum, {"frequencies_hz": np.arange(5.0), "density": np.ones((1, 5)), "averages": 3}),
+        "Spectrum.power": (signals.estimate_spectrum(signal, 100.0, 10.0).power, {"low_hz": 10.0, "high_hz": 30.0}),
+        "estimate_response": (signals.estimate_response, {"inputs": rows[:1], "outputs": rows[1:], "sample_rate": 100.0, "resolution_hz": 10.0}),
+        "estimate_spectrum": (signals.estimate_spectrum, {"signals": rows, "sample_rate": 100.0, "resolution_hz": 10.0}),
+        "load_record": (signals.load_record, {"path": "missing.csv", "unit": "m", "sample_rate": 100.0, "channels": ["a"]}),
+        "moving": (signals.moving, {"error": signal, "step": 0.1, "exposure": 1.0}),
+        "resample": (signals.resample, {"record": record, "sample_rate": 50.0}),
+        "rms": (signals.rms, {"error": signal}),
+        "ModalModel": (lti.ModalModel, fields(model)),
+        "ModalModel.frequency_response": (model.frequency_response, {"omega": omega}),
+        "ModalModel.at": (model.at, {"inputs": [0], "outputs": [0]}),
+        "ModalModel.modes": (model.modes, {"chosen": [0, 1]}),
+        "ModalModel.state_space": (model.state_space, {"form": 1}),
+        "lti.StateModel": (lti.StateModel, fields(state)),
+        "StateModel.frequency_response": (state.frequency_response, {"omega": omega}),
+        "StateModel.select": (state.select, {"inputs": [0], "outputs": [0]}),
+        "from_control": (lti.from_control, {"system": state}),
+        "from_state_space": (lti.from_state_space, {"model": model.state_space(), "form": 1}),
+        "h2_norm": (lti.h2_norm, {"model": state}),
+        "hinf_norm": (lti.hinf_norm, {"model": state, "tolerance": 1e-9}),
+        "interconnect": (lti.interconnect, {"models": [state], **joined, "direct": np.zeros((1, 1))}),
+        "modal_model": (lti.modal_model, {"mass": np.eye(2), "stiffness": np.array([[2.0, -1], [-1, 2]]), "input_map": np.ones((2, 1)), "output_map": np.ones((1, 2)), "damping_ratio": 0.01}),
+        "modal_model, damped": (lti.modal_model, {"mass": np.eye(2), "stiffness": np.array([[2.0, -1], [-1, 2]]), "input_map": np.ones((2, 1)), "output_map": np.ones((1, 2)), "damping_matrix": 0.1 * np.eye(2)}),
+        "refine_peak": (lti.refine_peak, {"response": np.sin, "omega": np.linspace(0, 3, 20), "magnitude": np.sin(np.linspace(0, 3, 20)), "near": 0.7}),
+        "resonance_grid": (lti.resonance_grid, {"poles": model.poles, "low_hz": 1.0, "high_hz": 100.0, "points": 20, "around": 3}),
+        "roll_off": (lti.roll_off, {"model": model, "cutoff_hz": 1000.0}),
+        "lti.simulate": (lti.simulate, {"model": sampled, "inputs": signal[None], "initial": np.zeros(2)}),
+        "truncate": (lti.truncate, {"model": model, "modes": 2, "compensated": 1}),
+        "zoh": (lti.zoh, {"model": state, "step": 0.01}),
+        "zoh_modes": (lti.zoh_modes, {"model": model, "step": 1e-4}),
+        "arx_regressors": (i.arx_regressors, {"signal": signal, "output": signal, "output_lags": 2, "input_lags": 2, "delay": 1}),
+        "build_machine": (i.build_machine, {"file": None, "modes_hz": [50.0], "fit_hz": (10.0, 200.0), "mirrored_sensor": True}),
+        "closed_loop_response": (i.closed_loop_response, {"excitation": noise(512), "inputs": noise(512), "outputs": noise(512), "step": 0.01, "segment": 64}),
+        "exponential_bound": (i.exponential_bound, {"row": 1.0, "forgetting": 0.9, "samples": 10}),
+        "fir_regressors": (i.fir_regressors, {"signal": signal, "taps": 3}),
+        "fit_modal_matrix": (i.fit_modal_matrix, {"omega": modes, "response": residues, "deviation": np.full(len(modes), 1e-6), "modes": 2, "step": 1e-4, "rigid_modes": 1}),
+        "fit_modes": (i.fit_modes, {"measured": measured, "guesses_hz": [48.0, 143.0], "band_hz": (10.0, 200.0), "damping_guess": 1e-2}),
+        "impact_response": (i.impact_response, impulse),
+        "joint_input_output": (i.joint_input_output, {"records": i.run_multisine(**experiment)}),
+        "load_machine": (i.load_machine, {"file": "missing.csv", "response_unit": "m/s^2", "force_unit": "N", "sample_rate": 100.0, "response": "", "damping_ratio": 0.005}),
+        "noise_bound": (i.noise_bound, {"deviation": 1.0, "unknowns": 3, "forgetting": 0.9}),
+        "random_phase_multisine": (i.random_phase_multisine, draws),
+        "row_bound": (i.row_bound, {"amplitudes": np.ones(3)}),
+        "run_multisine": (i.run_multisine, experiment),
+        "ExtendedKalman": (e.ExtendedKalman, fields(e.ExtendedKalman(plant))),
+        "FeLms": (e.FeLms, fields(e.FeLms())),
+        "FeRls": (e.FeRls, fields(e.FeRls(np.eye(3)))),
+        "FeRls.start": (e.FeRls(1.0).start, {"regressors": 3}),
+        "GrowingMinMax": (e.GrowingMinMax, fields(e.GrowingMinMax(0.1, "approximate", 2))),
+        "LeastSquares": (e.LeastSquares, fields(e.LeastSquares(0.9))),
+        "LowPass": (e.LowPass, fields(e.LowPass())),
+        "MinMax": (e.MinMax, fields(e.MinMax(0.1, 0.9))),
+        "MovingWindow": (e.MovingWindow, fields(e.MovingWindow())),
+        "Noise": (e.Noise, fields(e.Noise(1.0, 1.0))),
+        "Observer": (e.Observer, fields(observer)),
+        "Observer.read": (observer.read, {"flexible": np.eye(2), "quantity": "velocity"}),
+        "Observer.estimator": (observer.estimator, {"rows": np.eye(6)}),
+        "Plant": (e.Plant, fields(plant)),
+        "Ridge": (e.Ridge, fields(e.Ridge(0.1, 0.9))),
+        "SavitzkyGolay": (e.SavitzkyGolay, fields(e.SavitzkyGolay())),
+        "SavitzkyGolay.packed": (lambda **named: e.SavitzkyGolay(**named).packed(), fields(e.SavitzkyGolay())),
+        "SecularFunction": (e.SecularFunction, {"eigenvalues": np.array([2.0, 1.0]), "coefficients": np.ones(2), "excess": 1.0, "bound": 0.1}),
+        "SecularFunction.slope": (e.secular_function(**block).slope, {"alpha": 0.3}),
+        "SecularFunction.iterates": (e.secular_function(**block).iterates, {"start": 0.3, "steps": 4}),
+        "SecularFunction.root": (e.secular_function(**block).root, {"start": 0.3}),
+        "SigmaPoints": (e.SigmaPoints, fields(e.SigmaPoints())),
+        "SigmaPoints.weights": (lambda **named: e.SigmaPoints(**named).weights(2), fields(e.SigmaPoints())),
+        "estimation.StateModel": (e.StateModel, fields(own)),
+        "Stepper": (e.Stepper, {"settings": e.FeLms(), "weights": np.zeros((1, 3))}),
+        "Stepper.step": (lambda regressor, error: e.Stepper(e.FeRls(1.0), np.zeros((1, 3))).step(regressor, error), {"regressor": rows[:, 0], "error": np.ones(1)}),
+        "UnscentedKalman": (e.UnscentedKalman, fields(e.UnscentedKalman(plant))),
+        "adapt": (e.adapt, {**lines, "errors": signal[None], "weights": np.zeros((1, 3))}),
+        "identify": (e.identify, {**lines, "disturbance": signal[None], "weights": np.zeros((1, 3))}),
+        "identify, FeLms": (e.identify, {**lines, "settings": e.FeLms(), "disturbance": signal[None]}),
+        "continuous_gain": (e.continuous_gain, pair),
+        "discrete_gain": (e.discrete_gain, {**pair, "a": 0.1 * state.a}),
+        "extended_filter": (e.extended_filter, {"model": own, "measurements": signal[None], "inputs": signal[None], **covariances}),
+        "unscented_filter": (e.unscented_filter, {"model": own, "measurements": signal[None], "inputs": signal[None], **covariances, "points": e.SigmaPoints(1.0, 0.0)}),
+        "filter_signal": (e.filter_signal, {"signal_filter": e.MovingWindow(), "measured": signal, "time_step": 1e-3, "start_velocity": 0.1}),
+        "filter_signal, Kalman": (e.filter_signal, {"signal_filter": e.UnscentedKalman(plant), "measured": signal, "force": signal, "time_step": 1e-3}),
+        "filter_signal, extended": (e.filter_signal, {"signal_filter": e.ExtendedKalman(plant), "measured": signal, "force": signal, "time_step": 1e-3}),
+        "kalman_observer": (e.kalman_observer, {"model": model, "noise": e.Noise(1.0, 1e-12), "noise_model": 1.0}),
+        "min_max_solve": (e.min_max_solve, block),
+        "run": (e.run, {"estimator": e.MinMax(0.1, 0.9), "regressors": rows, "outputs": signal}),
+        "run, least squares": (e.run, {"estimator": e.LeastSquares(0.9), "regressors": rows, "outputs": signal}),
+        "run, ridge": (e.run, {"estimator": e.Ridge(0.1, 0.9), "regressors": rows, "outputs": signal}),
+        "run, growing": (e.run, {"estimator": e.GrowingMinMax(0.1, "fast"), "regressors": rows, "outputs": signal}),
+        "secular_function": (e.secular_function, block),
+        "steady_covariance": (e.steady_covariance, {"regressors": rows, "forgetting": 0.9}),
+        "worst_case_residuals": (e.worst_case_residuals, {"regressors": rows, "outputs": signal, "estimates": rows, "bounds": np.ones(60), "forgetting": 0.9}),
+        "Application": (c.Application, fields(c.Application(True, 0.1, selectivity=2.0, high_pass_hz=1.0))),
+        "Controller": (c.Controller, fields(controller)),
+        "Decoupling": (c.Decoupling, fields(decoupling)),
+        "Decoupling.apply": (decoupling.apply, {"model": broad}),
+        "DiscreteObserver": (c.DiscreteObserver, fields(sampled_observer)),
+        "DiscreteObserver.estimator": (sampled_observer.estimator, {"rows": np.eye(6), "form": "predictor", "delay": 1}),
+        "DiscreteObserver.read": (sampled_observer.read, {"flexible": np.eye(2), "quantity": "velocity"}),
+        "Feedforward": (c.Feedforward, fields(c.Feedforward(1.0, 1.0, 1.0, 1.0))),
+        "Feedforward.force": (c.Feedforward(1.0).force, {"setpoint": setpoint}),
+        "FlowTransformation": (c.FlowTransformation, fields(c.FlowTransformation())),
+        "KinematicDesign": (c.KinematicDesign, fields(c.KinematicDesign(10.0))),
+        "KinematicDesign.gains": (lambda **named: c.KinematicDesign(**named).gains, fields(c.KinematicDesign(10.0))),
+        "Loop.at": (search.at, {"controller": pid(10.0), "omega": omega}),
+        "Loop.peak": (search.peak, {"controller": pid(10.0), "function": "input_sensitivity"}),
+        "Loop.poles": (search.poles, {"controller": pid(10.0)}),
+        "Loop.crossing_hz": (search.crossing_hz, {"controller": pid(10.0)}),
+        "Notch": (c.Notch, fields(c.Notch(10.0))),
+        "PeakConstraint": (c.PeakConstraint, {"function": "input_sensitivity", "limit": 2.0}),
+        "Pid": (c.Pid, fields(pid(10.0))),
+        "Pid.frequency_response": (pid(10.0).frequency_response, {"omega": omega}),
+        "Pid.state_space": (lambda **named: c.Pid(**named).state_space(), fields(c.Pid(1.0, 2.0, 3.0, 100.0, 0.7, (c.Notch(50.0),)))),
+        "PidFamily": (c.PidFamily, fields(c.PidFamily(11.0, (100.0,)))),
+        "PidFamily.__call__": (pid, {"bandwidth_hz": 10.0}),
+        "RobustTransformation": (c.RobustTransformation, fields(c.RobustTransformation())),
+        "Setpoint": (c.Setpoint, fields(setpoint)),
+        "Trajectory": (c.Trajectory, fields(trajectory)),
+        "asin_trajectory": (c.asin_trajectory, {"amplitude": 1.0, "sharpness": 0.9, "frequency_hz": 2.0, "duration": 0.1, "time_step": 1e-3}),
+        "band_pass": (c.band_pass, {"omega": 10.0, "selectivity": 2.0}),
+        "band_passed": (c.band_passed, {"model": model, "gain": damping, "selectivity": 2.0, "order": 2}),
+        "channel": (c.channel, {"loop": loop, "source": "r", "target": "e_true", "inputs": 1, "outputs": 1}),
+        "closed_loop": (c.closed_loop, {"plant": model, "compensator": None, "controller": pid(10.0).state_space()}),
+        "common_band_passed": (c.common_band_passed, {"model": model, "gain": damping, "selectivity": 2.0}),
+        "compensator": (c.compensator, {"observer": observer, "application": c.Application(True, 0.1)}),
+        "constrained_damping": (c.constrained_damping, {**quiet, "undisturbed": [0]}),
+        "constrained_stiffness": (c.constrained_stiffness, {"model": broad, "factor": np.array([1.5]), "undisturbed": [0]}),
+        "contraction_range": (c.contraction_range, {"response_gain": 1.0}),
+        "coupling_onset": (c.coupling_onset, {"plant": broad, "gain": wide, "decoupling": decoupling}),
+        "crossings": (c.crossings, {"loop": near, "points": 20}),
+        "damping_gain": (c.damping_gain, {"model": model, "increase": np.array([0.1, 0.1]), "selection": "each mode"}),
+        "damping_gain, placed": (c.damping_gain, {"model": model, "increase": 0.1, "selection": "pole placement"}),
+        "decouple": (c.decouple, {"model": broad, "actuated": [0, 1], "sensed": [0, 1]}),
+        "decoupled_plant": (c.decoupled_plant, {"plant": broad, "decoupling": decoupling, "gain": wide}),
+        "deform": (c.deform, {"transformation": c.FlowTransformation(), "previous": 1.0, "response": 1.0, "desired": 2.0}),
+        "describing_function": (c.describing_function, {"amplitude": 1.0}),
+        "discrete_compensator": (c.discrete_compensator, {"observer": sampled_observer, "application": c.Application(True, 0.1), "form": "predictor", "delay": 1}),
+        "discrete_damping_gain": (c.discrete_damping_gain, {"model": model, "increase": np.array([0.1, 0.1]), "step": 1e-4}),
+        "discrete_kalman_observer": (c.discrete_kalman_observer, {"model": model, "noise": e.Noise(1.0, 1e-12), "step": 1e-4, "noise_model": 1.0}),
+        "error_loop": (c.error_loop, {"loop": loop}),
+        "fed_back": (c.fed_back, {"model": model, "gain": damping}),
+        "feedforward_error": (c.feedforward_error, {"ideal": c.ideal_force(c.invert(model), setpoint), "feedforward": c.Feedforward(1.0)}),
+        "fit_feedforward": (c.fit_feedforward, {"loop": c.error_loop(loop), "setpoint": setpoint, "basis": ("acceleration",)}),
+        "ideal_force": (c.ideal_force, {"inverse": c.invert(model), "setpoint": setpoint}),
+        "invert": (c.invert, {"plant": model}),
+        "iterate": (c.iterate, {"transformation": c.FlowTransformation(), "desired": 1.0, "steps": 5, "response_gain": 1.0, "response_offset": 0.1, "start": 0.5}),
+        "iterate, robust": (c.iterate, {"transformation": c.RobustTransformation(), "desired": 1.0, "steps": 5}),
+        "limit_cycles": (c.limit_cycles, {"loop": near, "transformation": c.FlowTransformation(), "region": None}),
+        "linear_filter": (c.linear_filter, {"signal_filter": e.UnscentedKalman(plant), "time_step": 1e-3, "position": 0.1, "velocity": 0.1}),
+        "linear_filter, window": (c.linear_filter, {"signal_filter": e.MovingWindow(), "time_step": 1e-3}),
+        "linear_filter, extended": (c.linear_filter, {"signal_filter": e.ExtendedKalman(plant), "time_step": 1e-3}),
+        "linear_loop": (c.linear_loop, {"plant": plant, "controller": controller, "time_step": 1e-3, "position": 0.1, "velocity": 0.1}),
+        "make_loop": (c.make_loop, {"plant": model, "low_hz": 1.0, "high_hz": 1000.0, "points": 30, "around": 2}),
+        "maximise_bandwidth": (c.maximise_bandwidth, {"loops": [search], "family": pid, "constraints": [c.PeakConstraint("input_sensitivity")], "low_hz": 5.0, "high_hz": 100.0, "scan": 10, "tolerance_hz": 0.5}),
+        "modified_feedforward": (c.modified_feedforward, {"compensator": c.compensator(observer, c.Application(True)), "controller": pid(10.0).state_space()}),
+        "point_to_point": (c.point_to_point, {"snap": 1e4, "jerk": 100.0, "acceleration": 2.0, "velocity": 0.1, "cruise": 0.02, "settling": 0.005, "step": 1e-3}),
+        "random_gain": (c.random_gain, {"deviation": 1.0}),
+        "record_trajectory": (c.record_trajectory, {"time": np.arange(20.0), "position": signal[:20], "time_step": 0.1}),
+        "response_gain": (c.response_gain, {"plant": plant, "model": guess}),
+        "rigid_coupling": (c.rigid_coupling, {"plant": broad, "gain": wide, "decoupling": decoupling}),
+        "sampled_feedback": (c.sampled_feedback, {"model": model, "gain": damping, "step": 1e-4, "delay": 1}),
+        "control.simulate": (c.simulate, {"plant": plant, "controller": controller, "trajectory": trajectory, "noise": 1e-6 * noise(100), "resolution": 1e-6, "grid": 0.1, "start": (0.0, 0.0), "bound": 10.0}),
+        "sine_trajectory": (c.sine_trajectory, {"amplitude": 1.0, "frequency_hz": 2.0, "duration": 0.1, "time_step": 1e-3}),
+        "soft_sensor": (c.soft_sensor, {"observer": observer, "performance_shapes": np.ones((1, 3))}),
+        "stable_range": (c.stable_range, {"loop": near}),
+        "stiffness_gain": (c.stiffness_gain, {"model": model, "factor": np.array([1.5, 1.2])}),
+        "strongest_oscillation": (c.strongest_oscillation, {"values": signal, "time_step": 0.1}),
+        "tracking_error": (c.tracking_error, {"loop": c.error_loop(loop), "setpoint": setpoint, "feedforward": c.Feedforward(1.0)}),
+        "trapezoid_trajectory": (c.trapezoid_trajectory, {"amplitude": 1.0, "rounding": 0.5, "frequency_hz": 2.0, "duration": 0.1, "time_step": 1e-3}),
+    }  # fmt: skip
+
+
+def warm() -> None:
+    """Every good call once: it must work, and compiles what it needs before anybody takes the time."""
+    for name, (function, good) in catalogue().items():
+        if name not in REFUSED:
+            function(**good)
+
+
+def missing() -> list[str]:
+    """Names of the faces that the catalogue does not call."""
+    called = {name.split(",")[0] for name in catalogue()}
+    return [
+        f"{folder}.{name}"
+        for folder, face in FACES.items()
+        for name in face.__all__
+        if name not in RESULTS and name not in called and f"{folder}.{name}" not in called
+    ]
+
+
+def case(rng: np.random.Generator) -> tuple:
+    """A call with one or two arguments in another form, or spoiled: (what, whether it must work, call)."""
+    names = list(catalogue())
+    name = names[rng.integers(len(names))]
+    function, good = catalogue()[name]
+    benign = rng.random() < 0.2
+    arguments, told = dict(good), []
+    for key in rng.choice(list(good), size=min(len(good), 1 + int(rng.random() < 0.25)), replace=False):
+        key = str(key)
+        told.append(key)
+        if benign:
+            arguments[key] = same(rng, good[key])
+        else:
+            arguments[key] = Spoiled(rng, good[key])
+    must_work = benign and name not in REFUSED
+
+    def call():
+        built = {key: each.make() if isinstance(each, Spoiled) else each for key, each in arguments.items()}
+        told[:] = [f"{key}={_short(built[key])}" for key in told]
+        return function(**built)
+
+    return name, told, must_work, call
+
+
+class Spoiled:
+    """A wrong value that is made within the call: a model that refuses it there is an error like any other."""
+
+    def __init__(self, rng, value):
+        self.rng, self.value = rng, value
+
+    def make(self):
+        return wrong(self.rng, self.value)
+
+
+def _short(value) -> str:
+    try:
+        return " ".join(repr(value).split())[:150]
+    except Exception:
+        return type(value).__name__

@@ -1,0 +1,13 @@
+"""What an installed checkout has and a wheel has not: the workbook's extension of Jupyter's server."""
+
+from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+
+
+class CheckoutHook(BuildHookInterface):
+    """Every Jupyter server of an environment with the checkout saves its notebooks in their committed form."""
+
+    def initialize(self, version, build_data):
+        if version == "editable":
+            build_data["shared_data"]["lib/stillwork/workbook/lab.json"] = (
+                "etc/jupyter/jupyter_server_config.d/stillwork.json"
+            )

@@ -1,0 +1,180 @@
+"""The front door of the toolbox: arguments and fields are held against their annotations, results are finite.
+
+A function keeps to its own what no annotation says: bounds, which sizes fit together, what is stable.
+"""
+
+import inspect
+import types
+import typing
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import fields, is_dataclass
+from functools import cache, wraps
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import AbstractArray
+from numpy.typing import ArrayLike
+
+from stillwork.base.checks import (
+    InputError,
+    require_array,
+    require_callable,
+    require_kind,
+    require_number,
+    require_whole,
+    shown,
+)
+
+# Checked where they are used, by `require_array`, which is told there what is wanted of them.
+_OPEN = frozenset(typing.get_args(ArrayLike)) - {bool, int, float, complex, str, bytes}
+
+
+def checked(function: Callable | None = None, *, infinite: bool = False, missing: bool = False) -> Callable:
+    """Check the arguments of a public function by their annotations, and its result for NaN.
+
+    Lists, other number types, read-only and strided arrays become what the annotation says; a value that cannot
+    is an `InputError` that names it. So is a number that leaves the range of floating point on the way.
+
+    Parameters
+    ----------
+    function : callable
+        With annotated parameters; ``Float64[np.ndarray, "inputs states"]`` gives the number of axes.
+    infinite : bool
+        Whether a result may be infinite.
+    missing : bool
+        Whether NaN stands for what a result does not have, such as the samples after a divergence.
+    """
+    if function is None:
+        return lambda each: checked(each, infinite=infinite, missing=missing)
+    signature = inspect.signature(function)
+
+    @wraps(function)
+    def door(*values, **named):
+        bound = signature.bind(*values, **named)
+        given, checks = bound.arguments, _checks(function)
+        for name in given.keys() & checks.keys():
+            given[name] = checks[name](name, given[name])
+        try:
+            result = function(*bound.args, **bound.kwargs)
+        except (np.linalg.LinAlgError, OverflowError, ZeroDivisionError, MemoryError) as error:
+            raise _beyond(function, error) from None
+        except InputError:
+            raise
+        except (ValueError, IndexError) as error:
+            if "infs or NaNs" in str(error):  # scipy's word for numbers that overflowed on the way
+                raise _beyond(function, error) from None
+            raise InputError(
+                f"the arguments of {function.__name__} do not fit together ({error}); look at their sizes"
+            ) from error
+        if not missing and _spoiled(result, infinite):
+            raise _beyond(function, "it is not finite")
+        return result
+
+    return door
+
+
+def check_fields(instance) -> None:
+    """Hold the fields of a dataclass against their annotations; called first in its ``__post_init__``."""
+    for name, check in _checks(type(instance)).items():
+        value = getattr(instance, name)
+        if (fit := check(name, value)) is not value:
+            object.__setattr__(instance, name, fit)
+
+
+def _beyond(function: Callable, why) -> InputError:
+    return InputError(
+        f"{function.__name__} has no result for these numbers ({str(why).strip().lower() or 'out of range'}); "
+        "they are too large, too small or too close to singular"
+    )
+
+
+@cache
+def _checks(owner) -> dict[str, Callable]:
+    """A check for every parameter or field whose annotation says what it takes."""
+    hints = typing.get_type_hints(inspect.unwrap(owner) if inspect.isfunction(owner) else owner)
+    names = hints if inspect.isfunction(owner) else {field.name for field in fields(owner)}
+    found = {name: _check(hints[name]) for name in names if name != "return"}
+    return {name: check for name, check in found.items() if check is not None}
+
+
+def _check(hint) -> Callable | None:
+    """``check(name, value)`` that returns the value as `hint` has it; None for what is not checked here."""
+    plain = {float: require_number, int: require_whole, np.ndarray: require_array, Callable: require_callable}
+    if hint in plain:
+        return plain[hint]
+    origin, parts = typing.get_origin(hint), typing.get_args(hint)
+    if origin is Callable:
+        return require_callable
+    if origin in (types.UnionType, typing.Union):
+        return _union(parts)
+    if origin in (list, tuple, Sequence):
+        return _sequence(origin, parts)
+    if inspect.isclass(hint) and issubclass(hint, AbstractArray):
+        return _array(hint)
+    if inspect.isclass(hint) and origin is None:
+        return lambda name, value: require_kind(name, value, hint)
+    return None
+
+
+def _union(parts: tuple) -> Callable | None:
+    if _OPEN & set(parts):
+        return None
+    rest = [part for part in parts if part is not types.NoneType]
+    if not rest or None in (found := [_check(part) for part in rest]):
+        return None
+    classes = tuple(part for part in rest if inspect.isclass(part) and part not in (float, int))
+    optional = len(rest) < len(parts)
+
+    def check(name: str, value):
+        if value is None and optional:
+            return None
+        if len(rest) == 1:
+            return found[0](name, value)
+        for each in found:
+            try:
+                return each(name, value)
+            except InputError:
+                continue
+        wanted = " or ".join(getattr(part, "__name__", str(part)) for part in classes or rest)
+        raise InputError(f"{name} is {shown(value)}; give {wanted}")
+
+    return check
+
+
+def _sequence(origin, parts: tuple) -> Callable | None:
+    counted = origin is tuple and parts[-1] is not ...
+    found = [_check(part) for part in parts if part is not ...]
+    if not found or None in found:
+        return None
+
+    def check(name: str, value):
+        if isinstance(value, str | bytes | dict | Path) or not isinstance(value, Iterable):
+            raise InputError(f"{name} is {shown(value)}; give a list of values")
+        values = list(value)
+        if counted and len(values) != len(found):
+            raise InputError(f"{name} has {len(values)} values; give {len(found)}")
+        each = found if counted else found * len(values)
+        fit = [
+            one(f"{name}[{place}]", item) for place, (one, item) in enumerate(zip(each, values, strict=True))
+        ]
+        return fit if origin is not tuple else tuple(fit)
+
+    return check
+
+
+def _array(hint) -> Callable:
+    axes = hint.dim_str.split()
+    shape = None if "..." in axes else tuple(int(axis) if axis.isdigit() else None for axis in axes)
+    dtype = np.dtype(hint.dtypes[0])
+    return lambda name, value: require_array(name, value, shape=shape, dtype=dtype)
+
+
+def _spoiled(value, infinite: bool) -> bool:
+    """Whether a number of a result is NaN, or infinite where it may not be."""
+    if isinstance(value, float | complex | np.ndarray | np.inexact):
+        if isinstance(value, np.ndarray) and value.dtype.kind not in "fc":
+            return False
+        return bool(np.any(np.isnan(value) if infinite else ~np.isfinite(value)))
+    if is_dataclass(value) and not isinstance(value, type):
+        return any(_spoiled(getattr(value, field.name), infinite) for field in fields(value))
+    return isinstance(value, tuple | list) and any(_spoiled(each, infinite) for each in value)

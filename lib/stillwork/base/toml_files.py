@@ -1,0 +1,73 @@
+"""TOML files of people's own: what is missing or of another kind is an `InputError` that names it."""
+
+import tomllib
+from pathlib import Path
+
+from stillwork.base.checks import InputError, nearest, require_array, require_number, shown
+
+
+class Table(dict):
+    """A table of a TOML file that says what it lacks when that is asked for."""
+
+    def __init__(self, entries: dict, where: str):
+        super().__init__({name: _entry(value, f"{where}: {name}") for name, value in entries.items()})
+        self.where = where
+
+    def __missing__(self, name: str):
+        raise InputError(f"{self.where}: {name!r} is missing{nearest(name, self)}; add it")
+
+    def table(self, name: str) -> "Table":
+        """The entry `name`, which must be a table."""
+        value = self[name]
+        if not isinstance(value, Table):
+            raise InputError(f"{self.where}: {name} is {shown(value)}; make it a table [{name}]")
+        return value
+
+
+def read_toml(file: str | Path) -> Table:
+    """Read a TOML file; it can hold values only, so reading it executes nothing.
+
+    Raises
+    ------
+    InputError
+        When the file is missing, cannot be read or is not valid TOML.
+    """
+    file = Path(file)
+    try:
+        return Table(tomllib.loads(file.read_text(encoding="utf-8")), file.name)
+    except FileNotFoundError:
+        raise InputError(f"no file {file}; give the path of a TOML file") from None
+    except OSError as error:
+        raise InputError(f"{shown(str(file))} cannot be read ({error.strerror}); give a TOML file") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{file} is not text; give a TOML file in UTF-8") from None
+    except RecursionError:
+        raise InputError(f"{file}: nested too deeply; give tables of values") from None
+    except InputError:
+        raise
+    except ValueError as error:  # not TOML, a null in the path, or more digits than Python takes
+        raise InputError(f"{shown(str(file))}: not valid TOML ({error}); mend that line") from None
+
+
+def read_numbers(file: str | Path, *, lists: bool = True) -> Table:
+    """Read a TOML file whose tables hold finite numbers, flags, and lists of numbers where there may be some."""
+    table = read_toml(file)
+    _require_numbers(table, lists)
+    return table
+
+
+def _entry(value, where: str):
+    if isinstance(value, dict):
+        return Table(value, where)
+    return [_entry(each, where) for each in value] if isinstance(value, list) else value
+
+
+def _require_numbers(table: Table, lists: bool) -> None:
+    for name, value in table.items():
+        where = f"{table.where}: {name}"
+        if isinstance(value, Table):
+            _require_numbers(value, lists)
+        elif isinstance(value, list) and lists:
+            require_array(where, value)
+        elif not isinstance(value, bool):
+            require_number(where, value)

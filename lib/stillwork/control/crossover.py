@@ -1,0 +1,47 @@
+"""Gain crossover: where the magnitude of a loop's response first falls through 1."""
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float64
+from scipy import optimize
+
+from stillwork.base.checks import InputError
+
+
+def crossover(
+    response: Callable[[np.ndarray], np.ndarray],
+    omega: Float64[np.ndarray, " frequencies"],
+    magnitude: Float64[np.ndarray, " frequencies"],
+) -> float:
+    """First frequency (rad/s) at which ``abs(response(omega))`` falls through 1, Definition 1.2.1.
+
+    A grid brackets the crossing, the response itself finds it: between two points of a grid a magnitude is no
+    straight line, in logarithms either.
+
+    Parameters
+    ----------
+    response : callable
+        Returns the open loop's complex response on an array of frequencies in rad/s.
+    omega, magnitude : ndarray, shape (frequencies,)
+        Grid and the magnitudes on it.
+
+    Raises
+    ------
+    InputError
+        When the magnitude does not fall through 1 on the grid.
+    """
+    falls = np.flatnonzero((magnitude[1:] < 1) & (magnitude[:-1] >= 1))
+    if not len(falls):
+        raise InputError(
+            f"the loop gain does not fall through 0 dB from {omega[0] / (2 * np.pi):g} to "
+            f"{omega[-1] / (2 * np.pi):g} Hz; widen the grid, or raise the gain"
+        )
+    low, high = omega[falls[0]], omega[falls[0] + 1]
+
+    def excess(frequency: float) -> float:
+        return float(np.log(np.abs(response(np.array([frequency]))[0])))
+
+    if not excess(low) > 0 > excess(high):  # a point of the grid is the crossing, but for rounding
+        return float(min((low, high), key=lambda end: abs(excess(end))))
+    return float(optimize.brentq(excess, low, high))

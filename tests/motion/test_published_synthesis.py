@@ -1,0 +1,184 @@
+"""Norms, Riccati equations and optimal observers on cases that others published with their results."""
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from stillwork.base.checks import InputError
+from stillwork.estimation.generalised_plant import GeneralisedPlant
+from stillwork.estimation.h2 import h2_lmi, h2_riccati
+from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
+from stillwork.estimation.riccati import continuous_gain, discrete_gain
+from stillwork.estimation.time_varying import TimeVaryingModel
+from stillwork.lti import StateModel, h2_norm, hinf_norm
+
+# SLICOT library, example data and results of SB10HD (continuous) and SB10ED (discrete): A, B, C and D.
+SB10HD = (
+    "-1 0 4 5 -3 -2; -2 4 -7 -2 0 3; -6 9 -5 0 2 -1; -8 4 7 -1 -3 0; 2 5 8 -9 1 -4; 3 -5 8 0 2 -6",
+    "-3 -4 -2 1 0; 2 0 1 -5 2; -5 -7 0 7 -2; 4 -6 1 1 -2; -3 9 -8 0 5; 1 -2 3 -6 -2",
+    "1 -1 2 -4 0 -3; -3 0 5 -1 1 1; -7 5 0 -8 2 -2; 9 -3 4 0 3 7; 0 1 -2 1 -6 -2",
+    "0 0 0 -4 -1; 0 0 0 1 0; 0 0 0 0 1; 3 1 0 1 -3; -2 0 1 7 1",
+)
+SB10HD_CONTROLLER = (
+    """88.0015 -145.7298 -46.2424 82.2168 -45.2996 -31.1407; 25.7489 -31.4642 -12.4198 9.4625 -3.5182 2.7056;
+    54.3008 -102.4013 -41.4968 50.8412 -20.1286 -26.7191; 108.1006 -198.0785 -45.4333 70.3962 -25.8591 -37.2741;
+    -115.8900 226.1843 47.2549 -47.8435 -12.5004 34.7474; 59.0362 -101.8471 -20.1052 36.7834 -16.1063 -26.4309""",
+    "3.7345 3.4758; -0.3020 0.6530; 3.4735 4.0499; 4.3198 7.2755; -3.9424 -10.5942; 2.1784 2.5048",
+    "-2.3346 3.2556 0.7150 -0.9724 0.6962 0.4074; 7.6899 -8.4558 -2.9642 7.0365 -4.2844 0.1390",
+)
+SB10ED = (
+    """-0.7 0 0.3 0 -0.5 -0.1; -0.6 0.2 -0.4 -0.3 0 0; -0.5 0.7 -0.1 0 0 -0.8; -0.7 0 0 -0.5 -1 0;
+    0 0.3 0.6 -0.9 0.1 -0.4; 0.5 -0.8 0 0 0.2 -0.9""",
+    "-1 -2 -2 1 0; 1 0 1 -2 1; -3 -4 0 2 -2; 1 -2 1 0 -1; 0 1 -2 0 3; 1 0 3 -1 -2",
+    "1 -1 2 -2 0 -3; -3 0 1 -1 1 0; 0 2 0 -4 0 -2; 1 -3 0 0 3 1; 0 1 -2 1 0 -2",
+    "1 -1 -2 0 0; 0 1 0 1 0; 2 -1 -3 0 1; 0 1 0 1 -1; 0 0 1 2 1",
+)
+SB10ED_GAINS = (
+    "0.2500 -1.0200 -0.3371 -0.2733 0.2747 -0.4444; 0.0654 0.2095 0.0632 0.2089 -0.1895 0.1834",
+    "-0.2181 -0.2070; 0.1094 0.1159",
+)
+
+
+def matrices(texts):
+    return [np.array([row.split() for row in text.split(";")], dtype=float) for text in texts]
+
+
+def plant(texts, exogenous, performance):
+    return GeneralisedPlant(StateModel(*matrices(texts)), exogenous, performance)
+
+
+def responses(model, omega):
+    return model.d + model.c @ np.linalg.solve(1j * omega * np.eye(len(model.a)) - model.a, model.b)
+
+
+def test_h2_controller_of_slicot():
+    """Its D12 has correlated columns, so the cost of a control is not that of each control alone."""
+    found = h2_riccati(plant(SB10HD, 3, 3), 0.0, 0.0)
+    # printed to four decimals; the controller is unique, its state up to a transformation
+    theirs = StateModel(*matrices(SB10HD_CONTROLLER), np.zeros((2, 2)))
+    for omega in (0.0, 0.3, 3.0, 30.0, 300.0):
+        expected = responses(theirs, omega)
+        size = np.abs(expected).max()
+        assert responses(found.observer, omega) == pytest.approx(expected, rel=5e-3, abs=5e-3 * size)
+    assert np.sort_complex(found.observer.poles) == pytest.approx(np.sort_complex(theirs.poles), rel=2e-3)
+
+
+def test_h2_controller_of_python_control():
+    """`robust_test` of python-control, testH2syn: K = -1 / (s + 3) keeps w from z altogether, a norm of zero."""
+    found = h2_riccati(plant(("-1", "1 1", "1; 1", "0 1; 1 0"), 1, 1), 0.0, 0.0)
+    k = found.observer
+    assert [k.a[0, 0], k.b[0, 0] * k.c[0, 0]] == pytest.approx([-3.0, -1.0], rel=1e-9)
+    assert found.norm == pytest.approx(0.0, abs=1e-7)
+    loop = StateModel(*matrices(("-1 -1; 1 -3", "1; 1", "1 -1", "0")))
+    assert h2_norm(loop) == pytest.approx(0.0, abs=1e-7)
+    assert hinf_norm(loop).magnitude == pytest.approx(0.0, abs=1e-7)
+
+
+def test_riccati_and_inequalities_agree_on_the_example_of_scherer_gahinet_and_chilali():
+    """Example 7 of "Multiobjective output-feedback control via LMI optimization" (1997): an unstable plant."""
+    example = plant(
+        ("0 10 2; -1 1 0; 0 2 -5", "1 0; 0 1; 1 0", "0 1 0; 0 0 1; 0 0 0; 0 1 0", "0 0; 0 0; 0 1; 2 0"), 1, 3
+    )
+    found = h2_riccati(example, 0.0, 0.0)
+    a, b1, b2, c1, c2, _, d12, d21, _ = example.blocks
+    x = linalg.solve_continuous_are(a, b2, c1.T @ c1, d12.T @ d12)
+    shifted = a - b1 @ d21.T @ c2 / 4  # B1 and D21 share their noise
+    y = linalg.solve_continuous_are(shifted.T, c2.T, np.zeros((3, 3)), d21 @ d21.T)
+    f = b2.T @ x
+    expected = np.sqrt(np.trace(b1.T @ x @ b1) + np.trace(f @ y @ f.T))
+    assert found.norm == pytest.approx(expected, rel=1e-7)
+    assert h2_lmi(example, 0.0, 0.0).norm == pytest.approx(expected, rel=1e-3)
+
+
+def test_discrete_gains_give_the_controller_of_slicot():
+    """SB10ED: u = F x + F_w w of what the measurement of the same sample tells about x and w."""
+    a, b1, b2, c1, c2, d11, d12, d21, d22 = plant(SB10ED, 3, 3).blocks
+    x = _covariance(a.T, c1.T, b2.T, d12.T)
+    y = _covariance(a, b1, c2, d21)
+    curvature = d12.T @ d12 + b2.T @ x @ b2
+    f = -np.linalg.solve(curvature, b2.T @ x @ a + d12.T @ c1)
+    f_w = -np.linalg.solve(curvature, b2.T @ x @ b1 + d12.T @ d11)
+    d_k = (f @ y @ c2.T + f_w @ d21.T) @ np.linalg.inv(d21 @ d21.T + c2 @ y @ c2.T)
+    turn = np.linalg.inv(np.eye(2) + d_k @ d22)
+    c_theirs, d_theirs = matrices(SB10ED_GAINS)
+    assert turn @ d_k == pytest.approx(d_theirs, abs=6e-5)  # printed to four decimals
+    assert turn @ (f - d_k @ c2) == pytest.approx(c_theirs, abs=6e-5)
+
+
+def _covariance(a, b, c, d):
+    """Predicted covariance with one noise in state and measurement: what they share is taken out of the state."""
+    shared = b @ d.T @ np.linalg.inv(d @ d.T)
+    return discrete_gain(a - shared @ c, b - shared @ d, c, 1.0, d @ d.T).covariance
+
+
+def test_infinity_norm_of_slicot():
+    """AB13DD: three modes with damping of a millionth, peak 0.5000000001e6 at 1.414213562 rad/s."""
+    a = linalg.block_diag([[0, 1], [-0.5, -2e-4]], [[0, 1], [-1, -2e-5]], [[0, 1], [-2, -2e-6]])
+    drive = np.array([[1.0, 0.0] * 3])
+    peak = hinf_norm(StateModel(a, drive.T, drive, np.zeros((1, 1))))
+    assert peak.magnitude == pytest.approx(0.5000000001e6, rel=1e-9)
+    assert peak.omega == pytest.approx(1.414213562, rel=1e-9)
+
+
+def random_walk(samples):
+    one = np.ones((samples, 1, 1))
+    return TimeVaryingModel(one, np.zeros((samples, 1, 1)), one, one, np.eye(1), np.eye(1), np.eye(1))
+
+
+@pytest.mark.parametrize("theta", [0.0, 0.5, 0.9])
+def test_h_infinity_filter_of_a_random_walk(theta):
+    """Simon, "Optimal State Estimation" (2006), example 11.2: P = 2 for theta = 1/2, in general as below."""
+    p = (1 - theta + np.sqrt((theta - 1) * (theta - 5))) / (2 * (1 - theta))
+    level = 1 / np.sqrt(theta) if theta else 1e6
+    gains = hinfinity_gains(random_walk(300), [[1.0]], level)
+    assert gains.covariance[-1, 0, 0] == pytest.approx(p / (1 + p), rel=1e-9)  # after the measurement
+
+
+def test_no_filter_of_a_random_walk_keeps_a_level_below_one_for_long():
+    assert smallest_level(random_walk(2000), [[1.0]]) == pytest.approx(1.0, rel=2e-3)
+    with pytest.raises(InputError, match=r"no filter keeps level 0\.98 beyond sample"):
+        hinfinity_gains(random_walk(2000), [[1.0]], 0.98)
+
+
+def test_control_of_a_double_integrator():
+    """SLICOT, SB02MD: X = [2 1; 1 2] for A = [0 1; 0 0], Q = diag(1, 2), G = diag(0, 1); here its dual."""
+    found = continuous_gain([[0.0, 0.0], [1.0, 0.0]], np.diag([1.0, np.sqrt(2.0)]), [[0.0, 1.0]], 1.0, 1.0)
+    assert found.covariance == pytest.approx(np.array([[2.0, 1.0], [1.0, 2.0]]), rel=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_correlated_columns_are_no_reason_to_refuse(seed):
+    rng = np.random.default_rng(seed)
+    a = rng.normal(size=(4, 4)) - 2 * np.eye(4)
+    b, c, d = rng.normal(size=(4, 6)), rng.normal(size=(6, 4)), np.zeros((6, 6))
+    d[:4, 4:], d[4:, :4] = rng.normal(size=(4, 2)), rng.normal(size=(2, 4))
+    found = h2_riccati(GeneralisedPlant(StateModel(a, b, c, d), 4, 4), 0.0, 0.0)
+    # one hundredth more or less of any gain makes it no better
+    for factor in (0.99, 1.01):
+        k = found.observer
+        other = GeneralisedPlant(StateModel(a, b, c, d), 4, 4).close(StateModel(k.a, factor * k.b, k.c, k.d))
+        assert h2_norm(other) >= found.norm * (1 - 1e-9)
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-200, 1e-150, 1.0, 1e100, 1e150])
+def test_norms_are_homogeneous_down_to_zero_and_up_to_what_can_be_written(size):
+    # b of a first-order low-pass: peak b / 2, two-norm b / 2
+    low_pass = StateModel(*matrices(("-2", str(size), "1", "0")))
+    assert hinf_norm(low_pass).magnitude == pytest.approx(size / 2, rel=1e-12, abs=0)
+    assert h2_norm(low_pass) == pytest.approx(size / 2, rel=1e-12, abs=0)
+
+
+def test_norms_beyond_the_range_of_numbers_are_refused():
+    huge = StateModel(*matrices(("-2", "1e200", "1e200", "0")))
+    for norm in (h2_norm, hinf_norm):
+        with pytest.raises(InputError, match="beyond the range"):
+            norm(huge)
+    assert h2_norm(StateModel(*matrices(("-2", "1e200", "1e-200", "0")))) == pytest.approx(0.5, rel=1e-12)
+
+
+def test_a_singular_plant_names_what_it_needs():
+    singular = plant(("-1", "1 1", "1; 1", "0 0; 1 0"), 1, 1)
+    with pytest.raises(InputError, match="effort must be positive"):
+        h2_riccati(singular, 0.0, 0.0)
+    with pytest.raises(InputError, match="noise must be positive"):
+        h2_riccati(plant(("-1", "1 1", "1; 1", "0 1; 0 0"), 1, 1), 0.0, 0.0)

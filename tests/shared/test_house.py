@@ -1,0 +1,165 @@
+"""The rules of the house, held against the imports of the library and the notebooks."""
+
+import ast
+import re
+
+import pytest
+
+from stillwork.base import paths
+from stillwork.site.house import TOOLBOX, arrows, folder, imports, modules
+
+ORDER = (*TOOLBOX, "workbook", "site")
+ABOVE = len(ORDER)  # the command line, then the rooms, then the notebooks
+LEDGER = re.compile(r"\bload_entries\b|\bpaths\.(data|root)\(")
+PICTURE = (paths.root() / "docs" / "house.svg").read_text(encoding="utf-8")
+GUIDE = (paths.root() / "CONTRIBUTING.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def trees():
+    return modules(paths.root())
+
+
+@pytest.fixture(scope="module")
+def imported(trees):
+    return imports(trees)
+
+
+def floor(module):
+    """How high a module stands; the package's own ``__init__`` is the ground."""
+    first, *rest = module.split(".")
+    if first == "stillwork":
+        return ORDER.index(rest[0]) if rest and rest[0] in ORDER else ABOVE if rest else -1
+    return ABOVE + 1 + (first == "notebooks")
+
+
+def rising(imported):
+    return [(a, b) for a, others in imported.items() for b in others if floor(b) > floor(a)]
+
+
+def circles(imported):
+    """Modules that import themselves by way of others: those left when what imports nothing left is taken away."""
+    left = {module: set(others) for module, others in imported.items()}
+    while done := {module for module, others in left.items() if not others & left.keys()}:
+        left = {module: others for module, others in left.items() if module not in done}
+    return set(left)
+
+
+def between_rooms(imported):
+    """A room or a notebook with the other room that it imports."""
+    rooms = {
+        module: module.split(".")[1]
+        for module in imported
+        if module.startswith(("experiments.", "notebooks."))
+    }
+    return [(a, b) for a in rooms for b in imported[a] if b in rooms and rooms[a] != rooms[b]]
+
+
+def test_every_folder_has_its_place(trees):
+    folders = {file.name for file in (paths.root() / "lib" / "stillwork").iterdir() if file.is_dir()}
+    assert folders - {"__pycache__"} == set(ORDER)
+    rooms = {name.split(".")[1] for name in trees if name.startswith(("experiments.", "notebooks."))}
+    assert rooms == set(paths.ROOMS)
+
+
+def test_no_arrow_runs_up(imported):
+    assert rising(imported) == []
+
+
+def test_nothing_runs_in_a_circle(imported):
+    assert circles(imported) == set()
+    folders = {}
+    for module, others in imported.items():
+        own = folder(module)
+        if own in ("stillwork.", "stillwork.__main__"):
+            continue
+        folders.setdefault(own, set()).update(folder(other) for other in others if "." in other)
+    assert circles({name: others - {name} for name, others in folders.items()}) == set()
+
+
+def test_the_workbook_knows_no_physics(imported):
+    seen = {
+        folder(other)
+        for module, others in imported.items()
+        if folder(module) in ("stillwork.workbook", "stillwork.site")
+        for other in others
+    }
+    assert not seen & {f"stillwork.{name}" for name in TOOLBOX if name != "base"}
+
+
+def test_a_room_imports_no_other_room_and_nothing_of_the_site(imported):
+    assert between_rooms(imported) == []
+    below = [module for module in imported if module.startswith(("experiments.", "notebooks."))]
+    assert not [(a, b) for a in below for b in imported[a] if folder(b) == "stillwork.site"]
+
+
+def test_the_toolbox_reads_no_ledger_and_no_work():
+    library = paths.root() / "lib" / "stillwork"
+    files = [file for name in TOOLBOX if name != "base" for file in (library / name).glob("**/*.py")]
+    assert len(files) > 50
+    assert not [file.name for file in files if LEDGER.search(file.read_text(encoding="utf-8"))]
+
+
+def written(**sources):
+    return {name.replace("__", "."): ast.parse(source) for name, source in sources.items()}
+
+
+def test_the_rules_find_what_breaks_them():
+    broken = imports(
+        written(
+            stillwork="",
+            stillwork__lti="from stillwork.base.faces import face\nall = face(__name__, {'zoh': ('hold',)})",
+            stillwork__lti__zoh="def hold():\n    from stillwork.signals import spectra",
+            stillwork__signals="",
+            stillwork__signals__spectra="from stillwork.lti import hold",
+            experiments__motion__rig="import experiments.isolation.twin",
+            experiments__isolation__twin="",
+        )
+    )
+    assert ("stillwork.signals.spectra", "stillwork.lti.zoh") in rising(broken)
+    assert {"stillwork.signals.spectra", "stillwork.lti.zoh"} <= circles(broken)
+    assert between_rooms(broken) == [("experiments.motion.rig", "experiments.isolation.twin")]
+    assert LEDGER.search('file = paths.data("motion", "rig.toml")')
+
+
+def test_an_arrow_that_follows_from_others_is_not_drawn():
+    chain = {
+        "experiments.motion": {"stillwork.control.pid", "stillwork.lti.zoh"},
+        "stillwork.control.pid": {"stillwork.lti.zoh", "stillwork.base.checks"},
+        "stillwork.lti.zoh": {"stillwork.base.checks"},
+        "stillwork.base.checks": set(),
+    }
+    assert arrows(chain) == [
+        ("stillwork.lti", "stillwork.base"),
+        ("stillwork.control", "stillwork.lti"),
+        ("experiments", "stillwork.control"),
+    ]
+
+
+def test_every_arrow_of_the_picture_leads_down():
+    ends = re.findall(r'<line x1="\d+" y1="(\d+)" x2="\d+" y2="(\d+)"', PICTURE)
+    assert len(ends) > 8
+    assert all(int(start) < int(end) for start, end in ends)
+
+
+def test_the_examples_of_where_a_line_lives_are_where_they_live():
+    examples = re.findall(
+        r"^\| `(.+?)` \| `([a-z].+?)` \|", GUIDE.partition("does this line live")[2], re.MULTILINE
+    )
+    assert len(examples) == 10
+    for line, file in examples:
+        assert line in (paths.root() / file).read_text(encoding="utf-8"), f"`{line}` is not in {file}"
+
+
+def test_files_that_the_texts_name_exist():
+    texts = [
+        GUIDE,
+        *((paths.root() / name).read_text(encoding="utf-8") for name in ("README.md", "docs/your-rig.md")),
+    ]
+    named = {
+        name
+        for text in texts
+        for name in re.findall(r"`((?:lib|docs|tests|data|benchmarks)/[\w./-]+)`", text)
+    }
+    assert len(named) > 5
+    assert not [name for name in named if not (paths.root() / name).exists()]

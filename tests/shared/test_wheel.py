@@ -1,0 +1,96 @@
+"""What a wheel holds: the toolbox and what it reads, and nothing of the experiments or of Jupyter's settings."""
+
+import subprocess
+import sys
+import zipfile
+from email.parser import Parser
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+CHECK = """
+import importlib.util, sys
+sys.path[:] = [sys.argv[1], *(each for each in sys.path if "lib" != each.rstrip("/").rpartition("/")[2])]
+import stillwork
+assert stillwork.__file__.startswith(sys.argv[1]), stillwork.__file__
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in ("jinja2", "matplotlib", "papermill", "tomlkit"):
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+sys.meta_path.insert(0, Absent())
+from stillwork.__main__ import main
+sys.exit(main(sys.argv[2:]))
+"""
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory) -> zipfile.ZipFile:
+    folder = tmp_path_factory.mktemp("wheel")
+    command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    (file,) = folder.glob("*.whl")
+    return zipfile.ZipFile(file)
+
+
+@pytest.mark.slow
+def test_it_holds_the_toolbox_and_no_more(wheel):
+    names = set(wheel.namelist())
+    assert {name.partition("/")[0] for name in names} == {"stillwork", "stillwork-0.1.0.dist-info"}
+    library = ROOT / "lib" / "stillwork"
+    wanted = {
+        f"stillwork/{file.relative_to(library).as_posix()}"
+        for file in library.rglob("*")
+        if file.is_file() and "__pycache__" not in file.parts
+    }
+    assert {name for name in names if name.startswith("stillwork/")} == wanted
+    assert {"stillwork/workbook/pinned.env", "stillwork/site/works.toml"} <= wanted
+    assert not [name for name in names if name.endswith(".ipynb") or "/etc/" in name]
+
+
+@pytest.mark.slow
+def test_its_metadata_name_the_command_and_the_extras(wheel):
+    (info,) = {name.partition("/")[0] for name in wheel.namelist() if ".dist-info/" in name}
+    metadata = Parser().parsestr(wheel.read(f"{info}/METADATA").decode())
+    assert metadata.get_all("Provides-Extra") == ["all", "control", "data", "site", "workbook"]
+    needed = metadata.get_all("Requires-Dist")
+    core = [each.partition(">")[0] for each in needed if "extra" not in each]
+    assert [each.partition("<")[0] for each in core] == ["jaxtyping", "numba", "numpy", "scipy"]
+    assert "pandas>=2.2; extra == 'data'" in needed and "pandas>=2.2; extra == 'workbook'" in needed
+    assert "stillwork = stillwork.__main__:main" in wheel.read(f"{info}/entry_points.txt").decode()
+
+
+def _run(wheel, folder: Path, *arguments: str) -> subprocess.CompletedProcess:
+    """The command of the wheel alone, without the checkout and what only the workbook needs."""
+    wheel.extractall(folder / "installed")
+    command = [sys.executable, "-P", "-c", CHECK, str(folder / "installed"), *arguments]
+    environment = {"PATH": "/usr/bin:/bin", "PYTHONDONTWRITEBYTECODE": "1"}
+    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
+
+
+@pytest.mark.slow
+def test_inspect_works_without_a_checkout(wheel, tmp_path):
+    record = next((ROOT / "data" / "worstcase" / "your_record").glob("*.csv"))
+    done = _run(wheel, tmp_path, "inspect", str(record))
+    assert done.returncode == 0, done.stderr
+    assert "a record of" in done.stdout and "run in a checkout of stillwork" in done.stdout
+    done = _run(wheel, tmp_path, "inspect", str(ROOT / "data" / "isolation" / "fitted.toml"))
+    assert done.returncode == 0, done.stderr
+    assert "a checkout of stillwork can tell" in done.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("claims",), "set STILLWORK_ROOT to a checkout of stillwork"),
+        (("doctor",), "set STILLWORK_ROOT to a checkout of stillwork"),
+        (("figures",), "set STILLWORK_ROOT to a checkout of stillwork"),
+        (("site",), "pip install 'stillwork[site]'"),
+    ],
+)
+def test_other_commands_say_what_they_miss(wheel, tmp_path, arguments, told):
+    done = _run(wheel, tmp_path, *arguments)
+    assert done.returncode == 2, done.stderr
+    assert told in done.stdout + done.stderr and "Traceback" not in done.stderr
