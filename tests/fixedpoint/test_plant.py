@@ -112,5 +112,5 @@ def test_wrong_toml(tmp_path, text, message):
     file.write_bytes(b"\xff\xfe")
     with pytest.raises(InputError, match="is not text"):
         load_oscillator(file)
-    with pytest.raises(InputError, match="does not exist"):
+    with pytest.raises(InputError, match="no file"):
         load_oscillator(tmp_path / "none.toml")

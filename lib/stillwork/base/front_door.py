@@ -4,6 +4,7 @@ A function keeps to its own what no annotation says: bounds, which sizes fit tog
 """
 
 import inspect
+import threading
 import types
 import typing
 from collections.abc import Callable, Iterable, Sequence
@@ -29,6 +30,18 @@ from stillwork.base.checks import (
 _OPEN = frozenset(typing.get_args(ArrayLike)) - {bool, int, float, complex, str, bytes}
 
 
+_BY_PLACE = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+
+
+class _Inside(threading.local):
+    """Whether this thread is within a checked function: what these call among themselves is not asked again."""
+
+    now = False
+
+
+_inside = _Inside()
+
+
 def checked(function: Callable | None = None, *, infinite: bool = False, missing: bool = False) -> Callable:
     """Check the arguments of a public function by their annotations, and its result for NaN.
 
@@ -46,16 +59,24 @@ def checked(function: Callable | None = None, *, infinite: bool = False, missing
     """
     if function is None:
         return lambda each: checked(each, infinite=infinite, missing=missing)
-    signature = inspect.signature(function)
+    names = [name for name, each in inspect.signature(function).parameters.items() if each.kind in _BY_PLACE]
 
     @wraps(function)
     def door(*values, **named):
-        bound = signature.bind(*values, **named)
-        given, checks = bound.arguments, _checks(function)
-        for name in given.keys() & checks.keys():
-            given[name] = checks[name](name, given[name])
+        if _inside.now:
+            return function(*values, **named)
+        checks = _checks(function)
+        by_place = [
+            checks[name](name, value) if name in checks else value
+            for name, value in zip(names, values, strict=False)
+        ]
+        values = (*by_place, *values[len(by_place) :])
+        named = {
+            name: checks[name](name, value) if name in checks else value for name, value in named.items()
+        }
+        _inside.now = True
         try:
-            result = function(*bound.args, **bound.kwargs)
+            result = function(*values, **named)
         except (np.linalg.LinAlgError, OverflowError, ZeroDivisionError, MemoryError) as error:
             raise _beyond(function, error) from None
         except InputError:
@@ -66,6 +87,8 @@ def checked(function: Callable | None = None, *, infinite: bool = False, missing
             raise InputError(
                 f"the arguments of {function.__name__} do not fit together ({error}); look at their sizes"
             ) from error
+        finally:
+            _inside.now = False
         if not missing and _spoiled(result, infinite):
             raise _beyond(function, "it is not finite")
         return result
