@@ -254,7 +254,7 @@ def test_a_formula_in_a_heading_is_a_formula():
 
 def claim(ours, published=2.0, **fields) -> Claim:
     tolerance = Tolerance("digits", **(fields.pop("rule", None) or {"relative": 0.1}))
-    return Claim(Entry("isolation.a.b", "p", "q", "", published, "value", tolerance), ours, **fields)
+    return Claim(Entry("isolation.a.b", "p", "q", "", "value", published, tolerance), ours, **fields)
 
 
 def test_the_picture_s_axis_is_logarithmic_about_one():
@@ -285,7 +285,7 @@ def test_the_grey_line_is_what_the_judge_allows():
 
 
 def test_zero_and_orderings_have_no_row():
-    ordering = Claim(Entry("isolation.a.c", "p", "q", "", 1.0, "ordering"), 1.0)
+    ordering = Claim(Entry("isolation.a.c", "p", "q", "", "ordering", 1.0), 1.0)
     assert (
         picture.draw([claim(1.0, published=0.0, rule={"absolute": 1.0}), ordering, claim(None)]).marks == ()
     )

@@ -15,7 +15,6 @@ from stillwork.base.toml_files import read_toml
 RESOLUTION_HZ = 0.25
 MEMORY_S, STEP_SIZE = 10.0, 1e-4  # section 5.1.1
 DURATION_S = 200.0  # of a run of Table 1
-LEAN_RECORD_S = 120.0  # at most, of a lean record
 
 
 def convergence(
@@ -103,10 +102,8 @@ def transmissibility(
     seed : int
         Of floor and noise.
     lean : bool
-        Whether a record ends after 120 s. FeLMS, which takes most of the notebook's time, is left out in any case.
+        Without effect: FeLMS, which takes most of the notebook's time, is left out in any case.
     """
-    if lean:
-        record_length = min(record_length, LEAN_RECORD_S)
     twin, floor = rigid_body(strut_damping, actuator_pole), flat_floor(floor_upper_end)
     weights = ferls_weights(strut_damping, actuator_pole, floor_upper_end, seed)
     frequencies = np.arange(RESOLUTION_HZ, 1000 + RESOLUTION_HZ / 2, RESOLUTION_HZ)
