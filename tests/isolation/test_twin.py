@@ -121,7 +121,7 @@ def test_files_that_are_no_models(tmp_path):
     with pytest.raises(InputError, match="not valid TOML"):
         load_twin(broken)
     broken.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match="not valid TOML"):
+    with pytest.raises(InputError, match="is not text"):
         load_twin(broken)
 
 

@@ -200,12 +200,12 @@ def test_a_library_that_was_edited_and_put_back_in_mid_build_is_noticed(toy):
 @pytest.mark.slow
 def test_bytecode_of_another_source_is_not_run(toy):
     """Python matches it by size and second of change, which an edit right after an import keeps."""
-    model = toy.root / "lib/stillwork/isolation/model.py"
+    model = toy.root / "lib/experiments/isolation/model.py"
     now = model.stat()
     change_library(toy)
     os.utime(model, ns=(now.st_atime_ns, now.st_mtime_ns))
     py_compile.compile(str(model))
-    toy.replace("lib/stillwork/isolation/model.py", "2.5", "3.5")
+    toy.replace("lib/experiments/isolation/model.py", "2.5", "3.5")
     os.utime(model, ns=(now.st_atime_ns, now.st_mtime_ns))
     assert toy.run("figures", SECOND).returncode == 0
     assert toy.results()[f"build/figures/{SECOND}/out.csv"] == b"1,3.5\n"

@@ -114,8 +114,11 @@ def _judged(plant, regular, observer, claimed: float, status: str, tolerance: fl
     loop = regular.close(observer)
     achieved = h2_norm(loop) if loop.is_stable else np.inf
     _, b1, _, c1, *_ = _scaled(regular)[0].blocks
-    size = max(claimed, LEAST_SHARE * np.linalg.norm(b1) * np.linalg.norm(c1))
-    if not abs(achieved - claimed) <= tolerance * size:
+    scale = np.linalg.norm(b1) * np.linalg.norm(c1)
+    size = max(claimed, LEAST_SHARE * scale)
+    # A norm is the root of a sum that is known to rounding units: near zero to the root of these.
+    rounding = 4 * np.sqrt(np.finfo(float).eps) * scale
+    if not abs(achieved - claimed) <= tolerance * size + rounding:
         raise InputError(
             f"the solver reports {status!r} with H2 norm {claimed:.6g}, but the loop of its observer has "
             f"{achieved:.6g}: relative residual {(achieved - claimed) / size:.1e}, allowed {tolerance:.1e}"
