@@ -422,7 +422,7 @@ def test_a_new_result_builds_claims_and_passes_its_test(toy):
     assert read_notebook("isolation/09-heavy-payload").parameters["damping"].value == 0.1
     done = toy.run("figures", "isolation/09-heavy-payload")
     assert done.returncode == 0, done.stdout + done.stderr
-    claims = toy.run("claims").stdout
+    claims = toy.run("claims", "--built").stdout
     assert "isolation.heavy-payload.decrement" in claims
     assert "1 replicated" in claims
     test = toy.root / "tests/isolation/test_heavy_payload.py"

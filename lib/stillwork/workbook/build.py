@@ -144,7 +144,10 @@ def _compare(wanted: list[Task]) -> None:
     """Say how the results agree with the committed ones, and where they are."""
     from stillwork.workbook.compare import compare, summary
 
-    whole = [task for task in wanted if (found := read_record(task.target)) and not found[1]]
+    accepted = [
+        task for task in wanted if task.committed.is_dir()
+    ]  # nothing of a new notebook can have moved
+    whole = [task for task in accepted if (found := read_record(task.target)) and not found[1]]
     if whole:
         for line in summary([compare(task) for task in whole]):
             print(line)
