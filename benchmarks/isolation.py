@@ -281,7 +281,7 @@ def loop_times() -> dict[str, tuple[float, float, float]]:
     algorithms = {"FeLMS": FeLms(), "FeRLS": FeRls(covariance)}
     samples = round(seconds / twin.sample_time)
     sources = simulation.Sources(twin, [(samples, flat_floor())], True, 0)
-    blocks = [sources.draw(simulation.BLOCK) for _ in range(samples // simulation.BLOCK)]
+    blocks = [sources.sample(simulation.BLOCK) for _ in range(samples // simulation.BLOCK)]
 
     def alone(settings):
         code, numbers, start = simulation._algorithm(twin, settings)

@@ -22,7 +22,7 @@ sys.path.insert(0, str(ROOT / "lib"))
 import control  # noqa: E402
 import numpy as np  # noqa: E402
 
-from experiments.motion.bandwidth_pictures import draw_design  # noqa: E402
+from experiments.motion.bandwidth_pictures import paint_design  # noqa: E402
 from experiments.motion.contest import ENTRANTS, contest_trial, prepare  # noqa: E402
 from experiments.motion.designs import DESIGNS, stage_bandwidth, stage_compensator  # noqa: E402
 from experiments.motion.machines import (  # noqa: E402
@@ -166,7 +166,7 @@ def peer_feasible(plant, observer, controller) -> bool:
 
 
 def redraw() -> None:
-    draw_design(73.0, 0.035)
+    paint_design(73.0, 0.035)
 
 
 STEPS = 2000

@@ -9,7 +9,7 @@ from stillwork.base.checks import InputError
 @pytest.mark.parametrize("kind", ["gaussian", "logistic", "logistic-scale"])
 def test_distribution(kind, rng):
     noise = Noise(kind, 1e-4)
-    drawn = noise.draw(rng, 200_000)
+    drawn = noise.sample(rng, 200_000)
     if kind == "gaussian":
         law = stats.norm(scale=1e-4)
     else:
@@ -32,7 +32,7 @@ def test_encoder_rounds(rng):
 
 def test_same_seed_same_noise():
     noise = PUBLISHED_CASES["large logistic"]
-    first, second = (noise.draw(np.random.default_rng(5), 10) for _ in range(2))
+    first, second = (noise.sample(np.random.default_rng(5), 10) for _ in range(2))
     assert (first == second).all()
 
 

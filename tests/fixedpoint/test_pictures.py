@@ -12,23 +12,23 @@ from stillwork.workbook.timings import measured_times
 
 DRAWINGS = [
     (
-        explorers.draw_noise_free,
+        explorers.paint_noise_free,
         {"frequency_hz": 0.2, "sharpness": 0.98, "window_length": 12, "bandwidth": 350.0},
     ),
     (
-        explorers.draw_noise_free,
+        explorers.paint_noise_free,
         {"frequency_hz": 0.6, "sharpness": 0.1, "window_length": 20, "bandwidth": 150.0},
     ),
     (
-        explorers.draw_noisy,
+        explorers.paint_noisy,
         {"kind": "encoder", "amplitude": 1e-3, "frequency_hz": 0.5, "integration": "explicit"},
     ),
-    (explorers.draw_ranking, {"frequency_hz": 0.2, "sharpness": 0.98, "amplitude": 1e-4}),
-    (explorers.draw_beliefs, {"assumed_scale": 1.0, "noise_deviation": 1e-4}),
-    (explorers.draw_limit_cycle, {"gain": 1.1, "window_length": 12, "exponent": 24.0}),
-    (explorers.draw_limit_cycle, {"gain": 0.1, "window_length": 3, "exponent": 4.0}),
-    (explorers.draw_low_pass, {"exponent": 60.0, "bandwidth": 100.0, "strength": 0.5}),
-    (explorers.draw_shift, {"frequency_hz": 0.2, "exponent": 36.0}),
+    (explorers.paint_ranking, {"frequency_hz": 0.2, "sharpness": 0.98, "amplitude": 1e-4}),
+    (explorers.paint_expected_beliefs, {"assumed_scale": 1.0, "noise_deviation": 1e-4}),
+    (explorers.paint_limit_cycle, {"gain": 1.1, "window_length": 12, "exponent": 24.0}),
+    (explorers.paint_limit_cycle, {"gain": 0.1, "window_length": 3, "exponent": 4.0}),
+    (explorers.paint_low_pass, {"exponent": 60.0, "bandwidth": 100.0, "strength": 0.5}),
+    (explorers.paint_shift, {"frequency_hz": 0.2, "exponent": 36.0}),
 ]
 
 
@@ -40,7 +40,7 @@ def test_explorer_draws_labelled_numbers(draw, settings):
 
 
 def test_a_diverged_run_is_named_in_the_legend():
-    figure = explorers.draw_low_pass(exponent=60.0, bandwidth=100.0, strength=0.5)
+    figure = explorers.paint_low_pass(exponent=60.0, bandwidth=100.0, strength=0.5)
     (text,) = [t.get_text() for t in figure.axes[0].get_legend().get_texts()]
     assert "diverged at" in text
 
@@ -66,7 +66,7 @@ def lines(figure, panel):
 def test_tracking_shows_the_window_s_cycle(exact, approximate):
     """The drawn points keep the amplitude of 40 Hz: coarser ones would show another, slow motion."""
     run = simulate(exact, published_controllers(approximate)[WINDOW], asin_trajectory(duration=4.0))
-    figure = run_pictures.tracking({WINDOW: run}, "velocity")
+    figure = run_pictures.paint_tracking({WINDOW: run}, "velocity")
     drawn, nominal = lines(figure, 0)[WINDOW], lines(figure, 0)["nominal"]
     late = drawn[:, 0] > 2.0
     assert strongest_oscillation((drawn - nominal)[late, 1], 0.01).frequency_hz == pytest.approx(40, abs=0.5)
@@ -85,14 +85,14 @@ def test_hardest_turn():
 def test_one_sample_ahead_is_the_run_s_sample(exact, approximate):
     literal = published_controllers(approximate)[LITERAL]
     trajectory = asin_trajectory(time_step=2e-3, frequency_hz=0.1)
-    figure = run_pictures.estimate_shift({LITERAL: simulate(exact, literal, trajectory)})
+    figure = run_pictures.paint_estimate_shift({LITERAL: simulate(exact, literal, trajectory)})
     (low, high) = lines(figure, 0)["one sample (2 ms) ahead"]
     assert (high - low)[1] / (high - low)[0] == pytest.approx(2.0)  # mm a m/s
 
 
 def test_statement_map_draws_every_fraction():
     rows = figures.plotted(
-        run_pictures.statement_map(["a", "b"], {"x": [0.0, 1.0], "y": [0.5, 0.25]}, "setting")
+        run_pictures.paint_statement_map(["a", "b"], {"x": [0.0, 1.0], "y": [0.5, 0.25]}, "setting")
     )
     assert [float(row[-1]) for row in rows if row[-1]] == [0.0, 1.0, 0.5, 0.25]
 

@@ -15,7 +15,7 @@ from experiments.fixedpoint.your_plant import (
     stable_ranges,
     warnings_of,
 )
-from experiments.fixedpoint.your_plant_pictures import draw_contraction, draw_runs, plant_explorer
+from experiments.fixedpoint.your_plant_pictures import paint_contraction, paint_runs, plant_explorer
 from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.control import (
@@ -232,8 +232,8 @@ def test_pictures_and_explorer(cam):
     runs = drive(models, chosen, trajectory, Noise("gaussian", 1e-5), 1)
     draw = plant_explorer(models, chosen, trajectory, "gaussian", 2.0, 1)
     figures = [
-        draw_contraction(contraction_along(models, trajectory), chosen),
-        draw_runs(runs, 2.0),
+        paint_contraction(contraction_along(models, trajectory), chosen),
+        paint_runs(runs, 2.0),
         draw(30.0, 1.0, 1e-5),
     ]
     labels = [text.get_text() for text in figures[2].axes[0].get_legend().get_texts()]

@@ -9,20 +9,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from experiments.motion.beam import beam, published_beam
-from experiments.motion.decoupling_pictures import slope_ranges, transfer_matrix
+from experiments.motion.decoupling_pictures import paint_slope_ranges, paint_transfer_matrix
 from experiments.motion.decoupling_schemes import (
     ROUNDED,
     SCHEMES,
     Settings,
     actuators_of,
     crosswise_force,
-    draw_beam,
-    draw_places,
     geometry_trial,
     kept_out_trial,
     off_diagonal_peak,
     oscillates_stably,
     published_settings,
+    sample_beam,
+    sample_places,
     scheme_gain,
     with_compensation,
     with_scheme,
@@ -66,7 +66,7 @@ MACHINES = st.tuples(st.integers(0, 10**6), st.floats(30, 500), st.floats(1.4, 4
 
 def machine_of(seed: int, first_hz: float, ratio: float, damping: float) -> ModalModel:
     return replace(
-        draw_beam(np.random.default_rng(seed)),
+        sample_beam(np.random.default_rng(seed)),
         frequencies=2 * np.pi * first_hz * np.array([0, 0, 1, ratio, ratio**2]),
         damping=np.array([0, 0, damping, damping, damping]),
     )
@@ -353,7 +353,7 @@ def test_trial_measures_what_it_says():
     """One machine of the study again, on a dense grid."""
     names = ("each mode", "common band-pass", "over-actuation", "stiffness, fourth order")
     found = geometry_trial(np.random.default_rng(4), names, SETTINGS, True)
-    machine = draw_beam(np.random.default_rng(4))
+    machine = sample_beam(np.random.default_rng(4))
     damped = machine.frequencies[2:4]
     dense = damped[1] * np.linspace(0.8, 1.2, 3001)
     entries = ([0, 1], [1, 0])
@@ -388,7 +388,7 @@ def test_trial_measures_what_it_says():
 
 def test_mode_that_is_kept_out_has_a_tail_only():
     found = kept_out_trial(np.random.default_rng(4), SETTINGS)["peaks"]
-    machine = draw_beam(np.random.default_rng(4))
+    machine = sample_beam(np.random.default_rng(4))
     plant, entries = machine.at(range(3), [0, 1]), ([0, 1], [1, 0])
     gain = scheme_gain("over-actuation", plant, SETTINGS)
     for row, kept in enumerate((2, 3)):
@@ -404,7 +404,7 @@ def test_mode_that_is_kept_out_has_a_tail_only():
 def test_slopes_are_drawn_at_their_entries():
     slopes = {"one": np.array([[[9, 0.1], [0.2, 9]]]), "two": np.array([[[9, -1.0], [-2.0, 9]]])}
     above = {name: value + 0.05 for name, value in slopes.items()}
-    figure = slope_ranges(slopes, above, {"one": (0, 0), "two": (-1, -2)})
+    figure = paint_slope_ranges(slopes, above, {"one": (0, 0), "two": (-1, -2)})
     for axis, place, published in zip(figure.axes, ((0, 1), (1, 0)), ((0, -1), (0, -2)), strict=True):
         drawn = [line.get_xdata().tolist() for line in axis.lines]
         assert drawn[-1] == list(published)
@@ -413,7 +413,9 @@ def test_slopes_are_drawn_at_their_entries():
 
 
 def test_guides_have_the_published_slope():
-    figure = transfer_matrix({"undamped": with_scheme("undamped", PLANT, SETTINGS)}, slopes={(1, 0): -2})
+    figure = paint_transfer_matrix(
+        {"undamped": with_scheme("undamped", PLANT, SETTINGS)}, slopes={(1, 0): -2}
+    )
     frequency, level = figure.axes[2].lines[-1].get_data()
     assert np.diff(level) / np.diff(np.log10(frequency)) == pytest.approx(-40)
 
@@ -421,12 +423,12 @@ def test_guides_have_the_published_slope():
 def test_drawn_places_keep_their_distance():
     for seed in range(20):
         rng = np.random.default_rng(seed)
-        places = np.sort(draw_places(rng, 5, 0.1))
+        places = np.sort(sample_places(rng, 5, 0.1))
         assert places[0] >= 0 and places[-1] <= 1 and np.diff(places).min() >= 0.1 - 1e-12
 
 
 def test_entries_of_mere_rounding_are_not_drawn():
-    figure = transfer_matrix({"total": with_scheme("total actuation", published_beam(5), SETTINGS)})
+    figure = paint_transfer_matrix({"total": with_scheme("total actuation", published_beam(5), SETTINGS)})
     assert [len(axis.lines) for axis in figure.axes] == [1, 0, 0, 1]
 
 
@@ -441,7 +443,7 @@ def test_entries_of_mere_rounding_are_not_drawn():
         (lambda: rigid_coupling(PLANT, np.zeros((3, 8)), decouple(PLANT)), "gain has shape"),
         (lambda: low_frequency_slopes(PLANT.state_space(), 0.0), "low_hz"),
         (lambda: low_frequency_slopes(PLANT.state_space(), 1.0, 0.1), "high_hz"),
-        (lambda: draw_places(np.random.default_rng(1), 3, -0.1), "spacing"),
+        (lambda: sample_places(np.random.default_rng(1), 3, -0.1), "spacing"),
         (lambda: decouple(beam([0.3, 0.3], [0.1, 0.9])), "actuators do not tell"),
         (lambda: decouple(beam([0.1, 0.9], [0.3, 0.3])), "sensors do not tell"),
         (lambda: decouple(PLANT).apply(published_beam(3)), "this decoupling is for 2"),
@@ -469,7 +471,7 @@ def test_entries_of_mere_rounding_are_not_drawn():
         (lambda: replace(SETTINGS, selectivity=0.0), "selectivity"),
         (lambda: replace(SETTINGS, common_selectivity=-1.0), "common_selectivity"),
         (lambda: replace(SETTINGS, increase=1.0), "increase"),
-        (lambda: draw_beam(np.random.default_rng(1), 0.3), "spacing"),
+        (lambda: sample_beam(np.random.default_rng(1), 0.3), "spacing"),
     ],
 )
 def test_bad_input_is_named(call, message):

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy import linalg, signal
 
 from experiments.motion.designs import stage_observer
-from experiments.motion.discrete_pictures import draw_sampled, equivalent_plant
+from experiments.motion.discrete_pictures import equivalent_plant, paint_sampled
 from experiments.motion.machines import published_noise, stage
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
@@ -298,4 +298,4 @@ def test_bad_delays_forms_and_models_are_refused(reduced, observer):
 
 
 def test_the_explorer_draws_a_late_loop():
-    assert draw_sampled(10.0, 0.035, "yes", "filter, one sample late").axes
+    assert paint_sampled(10.0, 0.035, "yes", "filter, one sample late").axes

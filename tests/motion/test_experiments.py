@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.motion.drive import drive_loop, drive_observer, identify, residual_peaks, seen_by_controller
+from experiments.motion.drive import drive_loop, drive_observer, identify, residual_trial, seen_by_controller
 from experiments.motion.machines import Drive, drive, published_noise
 from experiments.motion.structure import (
     as_stage,
@@ -102,7 +102,7 @@ def test_identified_drive_is_the_exact_one_without_noise():
 
 
 def test_no_model_error_leaves_the_rigid_body():
-    peaks = residual_peaks(np.random.default_rng(0), PLANT, {"MC": Application(compensate=True)}, 4.0, 0.0)
+    peaks = residual_trial(np.random.default_rng(0), PLANT, {"MC": Application(compensate=True)}, 4.0, 0.0)
     assert peaks["MC"] == pytest.approx(1.0, abs=1e-6)
 
 

@@ -18,8 +18,8 @@ from experiments.motion.joint import (
     relative_softness,
 )
 from experiments.motion.joint_designs import as_toml, rounded, stored_designs
-from experiments.motion.joint_pictures import draw_joint
-from experiments.motion.joint_search import draw_plants, plant_peaks, robust_search, search, starts, verify
+from experiments.motion.joint_pictures import paint_joint
+from experiments.motion.joint_search import plant_peaks, robust_search, sample_plants, search, starts, verify
 from experiments.motion.machines import parameters, published_noise, stage
 from stillwork.base.checks import InputError
 from stillwork.control.bandwidth import SIX_DB
@@ -52,7 +52,7 @@ def test_stacked_gains_are_those_of_the_riccati_equation(process, noise_model):
 
 @pytest.mark.parametrize("design", [PUBLISHED, ODD, replace(ODD, observed=False)])
 def test_closed_forms_are_the_state_space_loops(design):
-    plants = [stage(), draw_plants(0.05, 1, 3)[0]]
+    plants = [stage(), sample_plants(0.05, 1, 3)[0]]
     found = StageResponses(OMEGA, plants).loops(design)
     for p, plant in enumerate(plants):
         for mass, loop in enumerate(design.loops(plant)):
@@ -213,7 +213,7 @@ def test_peaks_on_perturbed_plants_are_the_exact_ones():
         selectivity=(0.731895, 8.58694, 18.3321),
         damping=(0.0596697, 0.0545687, 0.0330418),
     )
-    plants = draw_plants(0.02, 24, 7)
+    plants = sample_plants(0.02, 24, 7)
     for design, chosen in ((PUBLISHED, plants[:1]), (narrow, plants[23:])):
         exact = [verify(design, plant).worst for plant in chosen]
         np.testing.assert_allclose(plant_peaks(design, chosen), exact, rtol=1e-4)
@@ -225,7 +225,7 @@ def test_peaks_on_perturbed_plants_are_the_exact_ones():
 
 @pytest.mark.parametrize("size", [0.02, 0.05])
 def test_robust_designs_serve_stages_that_they_have_not_seen(size):
-    fresh = draw_plants(size, 12, 99)
+    fresh = sample_plants(size, 12, 99)
     assert plant_peaks(STORED[f"joint, for {size:.0%}"], fresh).max() <= SIX_DB
     assert plant_peaks(PUBLISHED, fresh).max() > SIX_DB
 
@@ -234,7 +234,7 @@ def test_robust_search_keeps_its_limit_on_the_pool():
     slow, limit = replace(PUBLISHED, bandwidth_hz=38.0), 10 ** (5.7 / 20)
     found = robust_search(slow, "controller", 0.05, 7, pool=4, worst=1, turns=4, steps=6, limit=limit)
     assert found.crossing_hz.min() > 42
-    assert plant_peaks(found.design, draw_plants(0.05, 4, 7)).max() <= limit * (1 + 1e-4)
+    assert plant_peaks(found.design, sample_plants(0.05, 4, 7)).max() <= limit * (1 + 1e-4)
 
 
 def test_stored_designs_are_rounded_and_survive_the_file():
@@ -245,9 +245,9 @@ def test_stored_designs_are_rounded_and_survive_the_file():
 
 
 def test_explorer_says_when_a_loop_is_unstable():
-    title = draw_joint({"published": PUBLISHED}, "published", 0.0, 100.0).axes[0].get_title(loc="left")
+    title = paint_joint({"published": PUBLISHED}, "published", 0.0, 100.0).axes[0].get_title(loc="left")
     assert "6.0 dB" in title
-    assert "unstable" in draw_joint({"p": replace(PUBLISHED, bandwidth_hz=200.0)}, "p", 0.0, 120.0).axes[
+    assert "unstable" in paint_joint({"p": replace(PUBLISHED, bandwidth_hz=200.0)}, "p", 0.0, 120.0).axes[
         0
     ].get_title(loc="left")
 

@@ -15,7 +15,7 @@ from experiments.motion.location_study import (
 )
 from experiments.motion.machines import chain, published_setpoint, stage, stage_mass
 from experiments.motion.position_dependence import stage_grid
-from experiments.motion.position_pictures import draw_location
+from experiments.motion.position_pictures import paint_location
 from stillwork.base.checks import InputError
 from stillwork.control.feedforward import Feedforward, error_loop, fit_feedforward, tracking_error
 from stillwork.control.ideal_feedforward import (
@@ -245,4 +245,4 @@ def test_the_error_signal_stays_within_the_axis_of_its_figure_at_ten_kilohertz()
 
 
 def test_the_explorer_draws_a_location():
-    assert draw_location(0.12, 0.035, "yes", 30.0).axes
+    assert paint_location(0.12, 0.035, "yes", 30.0).axes

@@ -16,7 +16,7 @@ from experiments.motion.low_order import (
     perturbed_trial,
     pick_poles,
 )
-from experiments.motion.low_order_pictures import draw_low_order
+from experiments.motion.low_order_pictures import paint_low_order
 from experiments.motion.machines import published_setpoint, stage, stage_mass
 from stillwork.base.checks import InputError
 from stillwork.control.feedforward import (
@@ -29,7 +29,7 @@ from stillwork.control.feedforward import (
 from stillwork.control.loops import closed_loop
 from stillwork.control.pid import PidFamily
 from stillwork.control.setpoint import Setpoint, from_snap
-from stillwork.estimation.uncertainty import draw_errors, perturbed
+from stillwork.estimation.uncertainty import perturbed, sample_errors
 from stillwork.lti import StateModel
 from stillwork.signals.moving_average import rms
 
@@ -185,7 +185,7 @@ def test_perturbed_trial_tunes_on_the_plant_that_it_meets(grown):
     found = perturbed_trial(
         np.random.default_rng(1), **settings, copied=original, candidates={"two": grown[1]}, size=0.05
     )
-    plant = perturbed(PLANT, draw_errors(np.random.default_rng(1), PLANT, 0.05))
+    plant = perturbed(PLANT, sample_errors(np.random.default_rng(1), PLANT, 0.05))
     met = direct_loop(closed_loop(plant, BLOCK, CONTROLLER))
     tuned = fit_low_order(met, SETPOINT, grown[1].poles)
     for key, feedforward in (("two, kept", grown[1]), ("two, tuned", tuned)):
@@ -195,7 +195,7 @@ def test_perturbed_trial_tunes_on_the_plant_that_it_meets(grown):
 
 
 def test_explorer_shows_the_states_it_has():
-    assert draw_low_order("MC and AD", 5, 100.0).axes[0].get_title(loc="left").startswith("4 states")
+    assert paint_low_order("MC and AD", 5, 100.0).axes[0].get_title(loc="left").startswith("4 states")
 
 
 @pytest.mark.parametrize(

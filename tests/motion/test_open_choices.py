@@ -30,14 +30,14 @@ def test_the_limit_rises_with_the_noise_model_beyond_the_printed_optimum():
 @pytest.mark.parametrize(
     "draw",
     [
-        lambda: bandwidth_pictures.draw_design(60.0, 0.035, 2.0, "yes"),
-        lambda: model_pictures.draw_reduction(3, 100.0),
-        lambda: model_pictures.draw_heavy_mass(2, 2.6),
-        lambda: model_pictures.draw_transition_error(470.0, 0.005),
-        lambda: performance_pictures.draw_feedforward(12.5, 1.66, 35.0),
-        lambda: performance_pictures.draw_disturbance(35.0, 0.01, 0.035),
-        lambda: bandwidth_pictures.draw_drive(0.05, 0.1, 4.0),
-        lambda: model_pictures.draw_three_masses(40.0),
+        lambda: bandwidth_pictures.paint_design(60.0, 0.035, 2.0, "yes"),
+        lambda: model_pictures.paint_reduction(3, 100.0),
+        lambda: model_pictures.paint_heavy_mass(2, 2.6),
+        lambda: model_pictures.paint_transition_error(470.0, 0.005),
+        lambda: performance_pictures.paint_feedforward(12.5, 1.66, 35.0),
+        lambda: performance_pictures.paint_disturbance(35.0, 0.01, 0.035),
+        lambda: bandwidth_pictures.paint_drive(0.05, 0.1, 4.0),
+        lambda: model_pictures.paint_three_masses(40.0),
     ],
 )
 def test_explorers_draw_labelled_curves(draw):
@@ -65,9 +65,9 @@ def test_an_empty_map_is_refused(selectivity, noise_model, named):
 
 def test_filter_explorers_draw_what_their_filters_give():
     """The Kalman filter's own norm is the smaller one, and a fine table comes close to the online gains."""
-    labels = [t.get_text() for t in filter_pictures.draw_worst(0.01, 10.0).axes[0].get_legend().get_texts()]
+    labels = [t.get_text() for t in filter_pictures.paint_worst(0.01, 10.0).axes[0].get_legend().get_texts()]
     kalman, detuned = (float(text.partition(": ")[2]) for text in labels)
     assert kalman <= detuned
-    lines = filter_pictures.draw_schedules("1 m/s", 0.05, 5.0).axes[0].lines
+    lines = filter_pictures.paint_schedules("1 m/s", 0.05, 5.0).axes[0].lines
     online, scheduled = (np.abs(line.get_ydata()).max() for line in lines)
     assert abs(scheduled / online - 1) < 0.05

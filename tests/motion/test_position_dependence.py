@@ -23,7 +23,7 @@ from experiments.motion.position_dependence import (
     require_seen,
     stage_grid,
 )
-from experiments.motion.position_pictures import draw_place
+from experiments.motion.position_pictures import paint_place
 from experiments.motion.positions import shapes_along
 from experiments.motion.scan_study import output_rows
 from stillwork.base.checks import InputError
@@ -220,4 +220,4 @@ def test_standing_on_a_node_loses_the_mode_and_passing_it_faster_loses_less(plan
 
 
 def test_the_explorer_draws_a_place_between_the_masses():
-    assert draw_place(0.12, 0.035, "yes", 0.0, 40.0).axes
+    assert paint_place(0.12, 0.035, "yes", 0.0, 40.0).axes

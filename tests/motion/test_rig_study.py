@@ -25,7 +25,7 @@ from experiments.motion.rig_designs import (
     rig_loops,
 )
 from experiments.motion.rig_loops import MEASURES
-from experiments.motion.rig_study import bandwidths, draw_geometry, flexible_peaks, rig_trial
+from experiments.motion.rig_study import bandwidths, flexible_peaks, rig_trial, sample_geometry
 from experiments.motion.rig_tracking import (
     Levelling,
     levelling,
@@ -194,7 +194,7 @@ def test_a_known_model_takes_the_place_of_the_rigs_own(loops):
 def test_drawn_geometries_stay_in_their_ranges_and_see_all_directions():
     ranges = assumed()["ranges"]
     for k in range(30):
-        g = draw_geometry(np.random.default_rng(k))
+        g = sample_geometry(np.random.default_rng(k))
         assert ranges["mass"][0] <= g.mass <= ranges["mass"][1]
         assert ranges["aspect"][0] <= g.width / g.length <= ranges["aspect"][1]
         assert all(ranges["sensors"][0] <= s <= ranges["sensors"][1] for s in g.sensors)
@@ -211,7 +211,7 @@ def test_trial_is_complete(study):
 def test_errors_of_a_trial_are_those_of_its_designs(study):
     """Everything again by hand: the draws, the first position, the original and the redesigned controllers."""
     rng = np.random.default_rng(np.random.SeedSequence(5).spawn(1)[0])
-    geometry = draw_geometry(rng)
+    geometry = sample_geometry(rng)
     loops = rig_loops(geometry, SETTINGS, model_errors(rng), cases=("Original", "MC"))
     trajectory = levelling(rng)
     found = bandwidths(loops, geometry, "diagonal")

@@ -21,7 +21,7 @@ from stillwork.base.checks import InputError
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
 from stillwork.estimation.robust import kalman_gains
 from stillwork.estimation.time_varying import TimeVaryingModel, estimate
-from stillwork.estimation.uncertainty import draw_errors, norm_bound, perturbed, sampled_derivatives
+from stillwork.estimation.uncertainty import norm_bound, perturbed, sample_errors, sampled_derivatives
 from stillwork.lti import zoh_modes
 from stillwork.workbook.studies import run_study
 
@@ -94,14 +94,14 @@ def test_perturbed_modes_stay_sorted_and_keep_their_response():
 
 def test_errors_have_the_law_that_was_asked_for():
     rng, plant = np.random.default_rng(0), stage()
-    ends = draw_errors(rng, plant, 0.05)
+    ends = sample_errors(rng, plant, 0.05)
     assert np.all(ends[0] == 0)
     assert np.all(np.abs(ends[1:]) == 0.05)
-    uniform = draw_errors(rng, plant, 0.05, "uniform", rigid=True)
+    uniform = sample_errors(rng, plant, 0.05, "uniform", rigid=True)
     assert np.all(np.abs(uniform) <= 0.05)
     assert np.all(uniform[0] != 0)
     with pytest.raises(InputError, match="law"):
-        draw_errors(rng, plant, 0.05, "gaussian")
+        sample_errors(rng, plant, 0.05, "gaussian")
 
 
 def test_shapes_follow_the_grid_and_refuse_to_leave_it():
@@ -116,7 +116,7 @@ def test_shapes_follow_the_grid_and_refuse_to_leave_it():
 
 
 def test_recorded_scan_is_its_naive_twin(scan):
-    errors = [draw_errors(np.random.default_rng(k), scan.nominal, 0.05, rigid=True) for k in range(2)]
+    errors = [sample_errors(np.random.default_rng(k), scan.nominal, 0.05, rigid=True) for k in range(2)]
     records = record_scans(scan, errors, np.random.default_rng(7))
     noise = np.random.default_rng(7).standard_normal((2, 3, 1901)) * np.array(scan.deviations)[:, None]
     for run in range(2):
@@ -132,7 +132,7 @@ def test_recorded_scan_is_its_naive_twin(scan):
 def test_every_drawn_plant_is_stable_under_the_one_controller(scan):
     rng = np.random.default_rng(5)
     for _ in range(10):
-        assert slowest_decay(scan, draw_errors(rng, scan.nominal, 0.05, rigid=True)) < 1
+        assert slowest_decay(scan, sample_errors(rng, scan.nominal, 0.05, rigid=True)) < 1
 
 
 def test_errors_are_counted_in_the_scanning_phase(scan):
@@ -203,7 +203,7 @@ def test_bank_is_bayes_rule():
 
 def test_entrants_fall_back_to_the_kalman_filter(scan):
     told = contests.prepare(scan, 0.05, rigid=False)
-    records = contests.draw_scans(scan, 2, 4, 0.05, "ends", False)
+    records = contests.sample_scans(scan, 2, 4, 0.05, "ends", False)
     plain = contests.run_entrant("Kalman", told, 1.0, records)
     weak = {
         "sensitivity penalised": 1.0,
@@ -219,7 +219,7 @@ def test_entrants_fall_back_to_the_kalman_filter(scan):
 
 def test_the_rule_of_thumb_halves_the_sensor_noise_however_small_the_errors(scan):
     told = contests.prepare(scan, 0.05, rigid=False)
-    records = contests.draw_scans(scan, 2, 4, 0.05, "ends", False)
+    records = contests.sample_scans(scan, 2, 4, 0.05, "ends", False)
     found = contests.run_entrant("regularised least squares", told, 1e-12, records)
     halved = replace(told.model, sensor=told.model.sensor / 2)
     twin = estimate(kalman_gains(halved), records.u, records.y)
@@ -228,7 +228,7 @@ def test_the_rule_of_thumb_halves_the_sensor_noise_however_small_the_errors(scan
 
 def test_tuning_finds_the_cheapest_knob(scan):
     told = contests.prepare(scan, 0.05, rigid=False)
-    records = contests.draw_scans(scan, 3, 4, 0.05, "uniform", False)
+    records = contests.sample_scans(scan, 3, 4, 0.05, "uniform", False)
     tuning = contests.tune("Kalman", told, records, 4)
     again = [
         np.median(judge(scan, records, contests.run_entrant("Kalman", told, k, records)).flexible())

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from experiments.motion.designs import DESIGNS, stage_compensator
 from experiments.motion.disturbance import band_power, cumulative_power
 from experiments.motion.machines import published_setpoint, stage, stage_mass
+from experiments.motion.noisy_tracking import noisy_scan_trial
 from naive.motion import integrate_setpoint, moving_windows
 from stillwork.base.checks import InputError
 from stillwork.control.feedforward import (
@@ -19,7 +20,6 @@ from stillwork.control.feedforward import (
     fit_feedforward,
     modified_feedforward,
     noise_error,
-    noisy_scans,
     tracking_error,
 )
 from stillwork.control.loops import channel, closed_loop
@@ -239,7 +239,7 @@ def test_cumulative_power_is_that_of_a_long_record():
 def test_noisy_scans_share_their_noise():
     loop = closed_loop(PLANT, None, CONTROLLER)
     setpoint = published_setpoint(1e-4)
-    quiet = noisy_scans(
+    quiet = noisy_scan_trial(
         np.random.default_rng(1),
         {"a": loop, "b": loop},
         setpoint,

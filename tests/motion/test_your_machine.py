@@ -7,11 +7,11 @@ from scipy.io import savemat
 from experiments.motion.structure import measured_accelerance
 from experiments.motion.your_machine import Intensities, applications, reach
 from experiments.motion.your_machine_pictures import (
-    draw_machine,
-    draw_reached,
-    draw_sensitivities,
     envelope,
     machine_explorer,
+    paint_machine,
+    paint_reached,
+    paint_sensitivities,
 )
 from shared.universal_files import function, write_universal
 from stillwork.base import paths
@@ -188,12 +188,12 @@ def test_a_use_without_a_feasible_bandwidth_is_a_result(found):
     assert asked["PID"].best is None and "no bandwidth from 300 to 400 Hz" in asked["PID"].reason
     assert asked["PID"].summary == {"on the model (Hz)": "none", "on the measurement (Hz)": "none"}
     with pytest.raises(InputError, match="no loop has a feasible bandwidth"):
-        draw_sensitivities(asked, machine)
+        paint_sensitivities(asked, machine)
 
 
 def test_pictures_and_explorer(found):
     machine, reached = found
-    for figure in (draw_machine(machine), draw_reached(reached), draw_sensitivities(reached, machine)):
+    for figure in (paint_machine(machine), paint_reached(reached), paint_sensitivities(reached, machine)):
         assert all(np.isfinite(line.get_ydata()).all() for axes in figure.axes for line in axes.lines)
     draw = machine_explorer(machine, INTENSITIES, 3, 2.0)
     for damping, drift in ((0.0, 1e-5), (0.05, 1e3)):

@@ -1,6 +1,7 @@
-"""Names in the library: a class's stands once, a private one stays in its file."""
+"""Names in the library: a class's stands once, a private one stays in its file, paint, sample and trial mean one thing."""
 
 import ast
+import json
 from collections import defaultdict
 from pathlib import Path
 
@@ -55,3 +56,60 @@ def test_a_private_name_is_used_in_its_own_file_alone(modules):
             and node.value.id in aliases
         ]
     assert reached == []
+
+
+def functions(tree):
+    return [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
+
+
+def test_a_figure_is_painted_and_chance_is_sampled(modules):
+    """`paint_*` makes a figure, `sample_*` is random; "draw" would mean both."""
+    for module, tree in modules.items():
+        if not module.startswith(("stillwork.workbook", "stillwork.site")):
+            assert [(module, each.name) for each in functions(tree) if "draw" in each.name.split("_")] == []
+    unpainted = [
+        (module, each.name)
+        for module, tree in modules.items()
+        if module.startswith("experiments.")
+        for each in tree.body
+        if isinstance(each, ast.FunctionDef)
+        and not each.name.lstrip("_").startswith(("paint_", "explore_"))
+        and not each.name.endswith(("_explorer", "_painter"))
+        and makes_a_figure(each)
+    ]
+    assert unpainted == []
+
+
+def makes_a_figure(function):
+    """Whether it returns what `figures.new` gave it."""
+    made = {
+        name.id
+        for node in ast.walk(function)
+        if isinstance(node, ast.Assign)
+        and isinstance(node.value, ast.Call)
+        and ast.unparse(node.value.func) == "figures.new"
+        for target in node.targets
+        for name in ast.walk(target)
+        if isinstance(name, ast.Name)
+    }
+    return any(
+        isinstance(node, ast.Return) and isinstance(node.value, ast.Name) and node.value.id in made
+        for node in ast.walk(function)
+    )
+
+
+def test_one_run_of_a_study_is_a_trial():
+    """What `run_study` is given, in the library and in the notebooks."""
+    texts = [file.read_text(encoding="utf-8") for file in sorted(LIB.rglob("*.py"))]
+    for file in sorted(LIB.parent.glob("notebooks/*/*.ipynb")):
+        cells = json.loads(file.read_text(encoding="utf-8"))["cells"]
+        texts += ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
+    trials = [
+        ast.unparse(node.args[0])
+        for text in texts
+        if "run_study(" in text
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.Call) and ast.unparse(node.func).split(".")[-1] == "run_study"
+    ]
+    assert len(trials) > 20
+    assert [each for each in trials if not each.endswith("trial")] == []

@@ -120,10 +120,10 @@ def test_pictures_and_explorer(template):
     lengths = window_lengths(24, len(pair.input))
     found = window_residuals(pair.normalised, 24, lengths[:2], 5)
     figures = [
-        draw.draw_pair(pair, spectra),
-        draw.draw_models(pair, fitted),
-        draw.draw_bounds(pair, fitted),
-        draw.draw_lengths(lengths[:2], found),
+        draw.paint_pair(pair, spectra),
+        draw.paint_models(pair, fitted),
+        draw.paint_bounds(pair, fitted),
+        draw.paint_lengths(lengths[:2], found),
         *(draw.record_explorer(pair, 640)(*place) for place in ((4, 0.01), (64, 10.0))),
     ]
     assert figures[3].axes[0].get_yscale() == "log"
@@ -137,7 +137,7 @@ def test_a_useless_model_is_named_and_not_drawn():
     pair, _ = open_pair(SHIPPED, band_hz=(100.0, 1500.0), quiet_hz=(300.0, 600.0))
     fitted = fit_pair(pair, 8, 100, np.array([1.0]))
     fitted.held_out["total least squares"] = 9.0
-    labels = [line.get_label() for line in draw.draw_models(pair, fitted).axes[0].lines]
+    labels = [line.get_label() for line in draw.paint_models(pair, fitted).axes[0].lines]
     assert "total least squares: too far off to draw" in labels
 
 

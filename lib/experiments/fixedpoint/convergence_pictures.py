@@ -10,7 +10,7 @@ from stillwork.control.transformation import FlowTransformation, Transformation
 from stillwork.workbook import figures
 
 
-def contraction(transformations: dict[str, Transformation], response_gain: float, steps: int = 40):
+def paint_contraction(transformations: dict[str, Transformation], response_gain: float, steps: int = 40):
     """Error of the static iteration, step by step, and its multiplier against the size of the error."""
     figure, (decay, multiplier) = figures.new(1, 2, height=3.0)
     for (name, transformation), colour in zip(
@@ -43,7 +43,7 @@ def contraction(transformations: dict[str, Transformation], response_gain: float
     return figure
 
 
-def filter_responses(filters: dict[str, LinearFilter], time_step: float):
+def paint_filter_responses(filters: dict[str, LinearFilter], time_step: float):
     """Frequency responses from the measured position to the three estimates, over the ideal derivatives."""
     figure, panels = figures.new(2, 3, height=5.2, sharex=True)
     frequency = np.geomspace(0.5, 499, 90)
@@ -70,7 +70,7 @@ def filter_responses(filters: dict[str, LinearFilter], time_step: float):
     return figure
 
 
-def stability_ranges(ranges: dict[str, StableRange], gains: dict[str, float], banach: float):
+def paint_stability_ranges(ranges: dict[str, StableRange], gains: dict[str, float], banach: float):
     """Stable local gains of every loop, the gain in use, and the edge that Banach's theorem gives."""
     figure, axes = figures.new(1, height=0.42 * len(ranges) + 1.3)
     for row, (name, region) in enumerate(ranges.items()):
@@ -103,7 +103,7 @@ def _name_edge(axes, crossing: Crossing, row: int, side: str):
     )
 
 
-def limit_cycle_condition(loop: LinearLoop, transformation: FlowTransformation, drawn_on=None):
+def paint_limit_cycle_condition(loop: LinearLoop, transformation: FlowTransformation, drawn_on=None):
     """The open loop's locus and the inverse of gain times describing function; where they meet is a cycle.
 
     `drawn_on` is a figure and its axes, where these shall not be new.
@@ -135,7 +135,7 @@ def limit_cycle_condition(loop: LinearLoop, transformation: FlowTransformation, 
     return figure
 
 
-def limit_cycle_sweep(gains, predicted, simulated):
+def paint_limit_cycle_sweep(gains, predicted, simulated):
     """Frequency and amplitude of the limit cycle against the gain A: predicted lines, simulated points.
 
     Parameters
@@ -162,7 +162,7 @@ def limit_cycle_sweep(gains, predicted, simulated):
     return figure
 
 
-def noise_gain(deviations, remaining, weakest: float, marks: dict[str, float]):
+def paint_noise_gain(deviations, remaining, weakest: float, marks: dict[str, float]):
     """What noise in the response leaves of transformation (6)'s gain, and the least that the loop needs."""
     figure, axes = figures.new(1, height=3.0)
     axes.loglog(deviations, remaining, color=figures.BLUE, label="gain of (6) left in noise")

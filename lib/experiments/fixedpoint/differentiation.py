@@ -15,7 +15,7 @@ def quotient_trial(
     rng: np.random.Generator, noise: Noise, samples: int, time_step: float
 ) -> dict[str, float]:
     """One record of noise: mean of the quotient over its deviation, variance over (s / dt)^2, correlation."""
-    error = noise.draw(rng, samples)
+    error = noise.sample(rng, samples)
     quotient = difference_quotient(error, time_step)
     scale = noise.standard_deviation / time_step
     return {

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from experiments.fixedpoint.convergence_pictures import limit_cycle_condition
+from experiments.fixedpoint.convergence_pictures import paint_limit_cycle_condition
 from experiments.fixedpoint.differentiation import steady_errors
 from experiments.fixedpoint.metrics import compare, judge, noisy_run
 from experiments.fixedpoint.noise import Noise
@@ -50,7 +50,7 @@ def _error_lines(runs, title, seconds=(6.0, 6.5)):
     return figure
 
 
-def draw_noise_free(frequency_hz: float, sharpness: float, window_length: int, bandwidth: float):
+def paint_noise_free(frequency_hz: float, sharpness: float, window_length: int, bandwidth: float):
     """Tracking error without noise of the three filters, with other settings of two of them."""
     exact, approximate = _models()
     controllers = published_controllers(approximate)
@@ -66,7 +66,7 @@ def draw_noise_free(frequency_hz: float, sharpness: float, window_length: int, b
     return _error_lines(runs, "without noise")
 
 
-def draw_noisy(kind: str, amplitude: float, frequency_hz: float, integration: str):
+def paint_noisy(kind: str, amplitude: float, frequency_hz: float, integration: str):
     """Tracking error of the four controllers in noise of another size and kind."""
     exact, approximate = _models()
     trajectory = asin_trajectory(frequency_hz=float(frequency_hz))
@@ -78,7 +78,7 @@ def draw_noisy(kind: str, amplitude: float, frequency_hz: float, integration: st
     return _error_lines(runs, f"{kind} noise")
 
 
-def draw_ranking(frequency_hz: float, sharpness: float, amplitude: float):
+def paint_ranking(frequency_hz: float, sharpness: float, amplitude: float):
     """RMS errors of the four controllers, mean over two noise records."""
     exact, approximate = _models()
     trajectory = asin_trajectory(sharpness=float(sharpness), frequency_hz=float(frequency_hz))
@@ -105,7 +105,7 @@ def motion_at_rest(time_step: float):
     return np.array([row, time_step * row + [0.0, 1.0]])
 
 
-def draw_beliefs(assumed_scale: float, noise_deviation: float):
+def paint_expected_beliefs(assumed_scale: float, noise_deviation: float):
     """Believed and true standard deviation of the Kalman filter's errors when its R is scaled."""
     scales = np.geomspace(1e-4, 1e4, 25)
     step = 1e-3
@@ -129,7 +129,7 @@ def draw_beliefs(assumed_scale: float, noise_deviation: float):
     return figure
 
 
-def draw_limit_cycle(gain: float, window_length: int, exponent: float):
+def paint_limit_cycle(gain: float, window_length: int, exponent: float):
     """Where the window's loop and transformation (6) balance."""
     exact, approximate = _models()
     transformation = FlowTransformation(-float(gain))
@@ -138,7 +138,7 @@ def draw_limit_cycle(gain: float, window_length: int, exponent: float):
     )
     loop = linear_loop(exact, controller, 1e-3)
     region = stable_range(loop)
-    figure = limit_cycle_condition(loop, transformation, _new(height=4.0, title_lines=2))
+    figure = paint_limit_cycle_condition(loop, transformation, _new(height=4.0, title_lines=2))
     cycles = [
         f"{c.frequency_hz:.1f} Hz at {c.iteration_error:.3g} m/s² ({'stable' if c.stable else 'unstable'})"
         for c in limit_cycles(loop, transformation, region)
@@ -151,7 +151,7 @@ def draw_limit_cycle(gain: float, window_length: int, exponent: float):
     return figure
 
 
-def draw_low_pass(exponent: float, bandwidth: float, strength: float):
+def paint_low_pass(exponent: float, bandwidth: float, strength: float):
     """The low pass with other settings than the paper's, in large Gaussian noise."""
     exact, approximate = _models()
     trajectory = asin_trajectory()
@@ -167,7 +167,7 @@ def draw_low_pass(exponent: float, bandwidth: float, strength: float):
     )
 
 
-def draw_shift(frequency_hz: float, exponent: float):
+def paint_shift(frequency_hz: float, exponent: float):
     """Both forms of the Kalman filter without noise: the printed one tracks late by one sample."""
     exact, approximate = _models()
     trajectory = asin_trajectory(frequency_hz=float(frequency_hz))

@@ -96,9 +96,9 @@ def noisy_run(
         plant,
         controller,
         trajectory,
-        noise.draw(rng, len(trajectory.position)),
+        noise.sample(rng, len(trajectory.position)),
         resolution=noise.resolution,
-        grid=noise.draw_grid(rng),
+        grid=noise.sample_grid(rng),
         integration=integration,
     )
 

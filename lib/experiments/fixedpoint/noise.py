@@ -50,7 +50,7 @@ class Noise:
             return self.amplitude * LOGISTIC_DEVIATION
         return self.amplitude / math.sqrt(12) if self.kind == "encoder" else self.amplitude
 
-    def draw(self, rng: np.random.Generator, samples: int) -> Float64[np.ndarray, " samples"]:
+    def sample(self, rng: np.random.Generator, samples: int) -> Float64[np.ndarray, " samples"]:
         """What is added to the coordinate, m; zero for an encoder, whose error depends on the coordinate."""
         require_count("samples", samples)
         if self.kind == "gaussian":
@@ -59,7 +59,7 @@ class Noise:
             return rng.logistic(0.0, self.standard_deviation / LOGISTIC_DEVIATION, samples)
         return np.zeros(samples)
 
-    def draw_grid(self, rng: np.random.Generator) -> float:
+    def sample_grid(self, rng: np.random.Generator) -> float:
         """Where a line of the encoder stands, m: anywhere in one step, so that runs differ; 0 without one."""
         return float(rng.uniform(0.0, self.resolution)) if self.resolution else 0.0
 
@@ -67,8 +67,8 @@ class Noise:
         self, position: Float64[np.ndarray, " samples"], rng: np.random.Generator
     ) -> Float64[np.ndarray, " samples"]:
         """The coordinate as measured, m."""
-        measured = position + self.draw(rng, len(position))
+        measured = position + self.sample(rng, len(position))
         if not self.resolution:
             return measured
-        grid = self.draw_grid(rng)
+        grid = self.sample_grid(rng)
         return np.round((measured - grid) / self.resolution) * self.resolution + grid

@@ -13,7 +13,7 @@ from stillwork.workbook import figures
 from stillwork.workbook.studies import Study
 
 
-def noise_correlations(found: dict[str, Correlations]):
+def paint_noise_correlations(found: dict[str, Correlations]):
     """Sample correlations of the difference quotient, with itself and with the position, and theory."""
     figure, panels = figures.new(1, 2, height=3.0, sharey=True)
     lags = next(iter(found.values())).lags
@@ -42,7 +42,7 @@ def noise_correlations(found: dict[str, Correlations]):
     return figure
 
 
-def beliefs(deviations, believed, true):
+def paint_beliefs(deviations, believed, true):
     """Standard deviation of the estimates, by the filter's own covariance and in truth, over the noise."""
     figure, panels = figures.new(1, 2, height=3.0)
     for axes, column, unit, name in zip(panels, (1, 0), ("m", "m/s"), ("position", "velocity"), strict=True):
@@ -55,7 +55,9 @@ def beliefs(deviations, believed, true):
     return figure
 
 
-def tuned_errors(studies: dict[str, dict[str, Study]], quantities=("velocity", "position", "roughness")):
+def paint_tuned_errors(
+    studies: dict[str, dict[str, Study]], quantities=("velocity", "position", "roughness")
+):
     """Errors on fresh noise of the tuned filters, mean and 95 % interval, a row a noise."""
     figure, panels = figures.new(len(studies), len(quantities), height=2.0 * len(studies) + 0.6)
     for row, (case, study) in zip(np.atleast_2d(panels), studies.items(), strict=True):
@@ -71,7 +73,7 @@ def tuned_errors(studies: dict[str, dict[str, Study]], quantities=("velocity", "
     return figure
 
 
-def cost_against_error(cost_ns: dict[str, float], errors: dict[str, float], unit: str):
+def paint_cost_against_error(cost_ns: dict[str, float], errors: dict[str, float], unit: str):
     """What a filter costs against what it gives."""
     figure, axes = figures.new(1, height=3.2)
     for name, error in errors.items():

@@ -19,7 +19,7 @@ COLOURS = {
 }
 
 
-def tracking(runs: dict[str, ControlledRun], quantity: str = "position"):
+def paint_tracking(runs: dict[str, ControlledRun], quantity: str = "position"):
     """Nominal and true motion; the tracking error's range over the run; the error where the motion turns hardest.
 
     Parameters
@@ -74,7 +74,7 @@ def _range_after(runs, quantity, factor, settle=2.0):
     return -reach, reach
 
 
-def phase(runs: dict[str, ControlledRun], last: float = 5.0):
+def paint_phase(runs: dict[str, ControlledRun], last: float = 5.0):
     """Phase trajectories over the last seconds, whole and where the coordinate is largest."""
     figure, (whole, corner) = figures.new(1, 2, height=3.6)
     nominal = next(iter(runs.values())).trajectory
@@ -120,7 +120,9 @@ def points_with_intervals(axes, runs: list[np.ndarray], places, name: str):
     axes.hlines(places, *zip(*intervals, strict=True), color=COLOURS[name], label=label)
 
 
-def errors_by_case(studies: dict[str, dict[str, Study]], quantities=("position", "velocity", "roughness")):
+def paint_errors_by_case(
+    studies: dict[str, dict[str, Study]], quantities=("position", "velocity", "roughness")
+):
     """Mean and 95 % interval of each filter's errors, one row of points a noise case."""
     figure, panels = figures.new(1, len(quantities), height=0.55 * len(studies) + 1.5, sharey=True)
     names = list(next(iter(studies.values())))
@@ -136,7 +138,9 @@ def errors_by_case(studies: dict[str, dict[str, Study]], quantities=("position",
     return figure
 
 
-def errors_over_frequency(frequencies_hz, studies: dict[str, list[dict[str, Study]]], quantity="position"):
+def paint_errors_over_frequency(
+    frequencies_hz, studies: dict[str, list[dict[str, Study]]], quantity="position"
+):
     """RMS error against the trajectory's frequency, a panel a noise case; the published setting is not known."""
     figure, panels = figures.new(1, len(studies), height=3.3, sharey=True)
     for axes, (case, sweep) in zip(np.atleast_1d(panels), studies.items(), strict=True):
@@ -152,7 +156,7 @@ def errors_over_frequency(frequencies_hz, studies: dict[str, list[dict[str, Stud
     return figure
 
 
-def statement_map(columns: list[str], fractions: dict[str, list[float]], label: str):
+def paint_statement_map(columns: list[str], fractions: dict[str, list[float]], label: str):
     """Fraction of runs that obey each statement, a row a statement, a column a setting.
 
     Parameters
@@ -190,7 +194,7 @@ def statement_map(columns: list[str], fractions: dict[str, list[float]], label: 
     return figure
 
 
-def estimate_shift(runs: dict[str, ControlledRun], settle: float = 2.0):
+def paint_estimate_shift(runs: dict[str, ControlledRun], settle: float = 2.0):
     """Error of the filter's estimates against the derivative: a shift in time is a straight line."""
     figure, panels = figures.new(1, 2, height=3.4)
     rows = (

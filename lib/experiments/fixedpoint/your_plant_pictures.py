@@ -19,7 +19,7 @@ _BINS = 240  # of an envelope over a run
 _SHOWN = 20_000  # samples in the explorer at most
 
 
-def draw_contraction(found: Contraction, chosen: Mapping[str, Controller]):
+def paint_contraction(found: Contraction, chosen: Mapping[str, Controller]):
     """Multiplier of the iteration along the trajectory: it contracts between -1 and 1, fastest at 0."""
     figure, axes = figures.new(1, 1, height=2.6)
     for number, (name, controller) in enumerate(chosen.items()):
@@ -37,7 +37,7 @@ def draw_contraction(found: Contraction, chosen: Mapping[str, Controller]):
     return figure
 
 
-def draw_runs(runs: Mapping[str, ControlledRun], settle: float):
+def paint_runs(runs: Mapping[str, ControlledRun], settle: float):
     """Nominal and true motion, and the range of the tracking error in short stretches."""
     figure, (motion, error) = figures.new(2, 1, height=4.8, sharex=True)
     nominal = next(iter(runs.values())).trajectory
@@ -99,7 +99,7 @@ def plant_explorer(
             trajectory.acceleration[:_SHOWN],
         )
 
-    def draw(gain: float, stiffness: float, noise_m: float):
+    def paint(gain: float, stiffness: float, noise_m: float):
         """Every local gain times `gain`, every Lambda times `stiffness`."""
         moved = {}
         for name, controller in chosen.items():
@@ -134,4 +134,4 @@ def plant_explorer(
         axes.legend(loc="upper right")
         return figure
 
-    return draw
+    return paint

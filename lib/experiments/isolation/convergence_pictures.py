@@ -29,7 +29,7 @@ def published_row(algorithm: str, quantity: str) -> np.ndarray:
     )
 
 
-def draw_courses(courses: Mapping[str, Course], average_s: float = 1.0):
+def paint_courses(courses: Mapping[str, Course], average_s: float = 1.0):
     """Fig. 5: quadratic filtered error and w1, w4, w7 over time, for each algorithm."""
     figure, (above, below) = figures.new(2, 1, height=5.2, sharex=True, height_ratios=[1, 1.6])
     for name, course in courses.items():
@@ -60,7 +60,7 @@ def draw_courses(courses: Mapping[str, Course], average_s: float = 1.0):
     return figure
 
 
-def draw_table(studies: Mapping[str, Study]):
+def paint_table(studies: Mapping[str, Study]):
     """Table 1: time constants above, final values below, FeLMS left, FeRLS right, with intervals over seeds."""
     figure, axes = figures.new(2, 2, height=5.4, sharex=True)
     number = np.arange(1, 10)
@@ -104,7 +104,7 @@ def run_interval(study: Study, algorithm: str, quantity: str) -> tuple[np.ndarra
     return values.mean(axis=0), spans[:, 0], spans[:, 1]
 
 
-def draw_readings(times: Mapping[str, np.ndarray]):
+def paint_readings(times: Mapping[str, np.ndarray]):
     """Time constants of w4 to w9 on the mean course under different readings, with the published ones."""
     figure, axes = figures.new(1, 2, height=3.4)
     number = np.arange(4, 10)
@@ -126,7 +126,7 @@ def draw_readings(times: Mapping[str, np.ndarray]):
     return figure
 
 
-def draw_starts(starts: Starts, steady: ArrayLike):
+def paint_starts(starts: Starts, steady: ArrayLike):
     """Largest command in the first seconds against the start P(-1) = I / epsilon."""
     figure, axes = figures.new(1, 1, height=2.8)
     on = np.isnan(starts.stopped_s)
@@ -146,7 +146,7 @@ def draw_starts(starts: Starts, steady: ArrayLike):
     return figure
 
 
-def draw_path_error(twin: Twin, floor: ShapedFloor):
+def paint_path_error(twin: Twin, floor: ShapedFloor):
     """Loci of P2hat^-1 P2 and the convergence rates on a floor, for the diagonal and the full estimate."""
     figure, (left, right) = figures.new(1, 2, height=3.4)
     f = np.geomspace(2, 300, 400)
@@ -169,7 +169,7 @@ def draw_path_error(twin: Twin, floor: ShapedFloor):
     return figure
 
 
-def draw_sideways(courses: Mapping[str, Sideways]):
+def paint_sideways(courses: Mapping[str, Sideways]):
     """Size of a sideways weight error over time, simulated and as the mean update predicts it."""
     figure, axes = figures.new(1, 1, height=3.0)
     for (name, course), color in zip(courses.items(), (figures.BLUE, figures.RED), strict=False):
@@ -187,11 +187,11 @@ def draw_sideways(courses: Mapping[str, Sideways]):
     return figure
 
 
-def expected_course_drawing(twin: Twin, steady: Steady, duration_s: float) -> Callable:
+def expected_course_painter(twin: Twin, steady: Steady, duration_s: float) -> Callable:
     """Drawing function for an explorer: expected w1, w4, w7 for a step size, a memory and a start."""
     time = np.linspace(duration_s / 60, duration_s, 60)
 
-    def draw(step_size: float, memory_s: float, initial_covariance: float):
+    def paint(step_size: float, memory_s: float, initial_covariance: float):
         figure, axes = figures.new(1, 1, height=3.6)
         for name in ALGORITHMS:
             expected = mean_course(
@@ -216,4 +216,4 @@ def expected_course_drawing(twin: Twin, steady: Steady, duration_s: float) -> Ca
         axes.legend(ncols=2)
         return figure
 
-    return draw
+    return paint

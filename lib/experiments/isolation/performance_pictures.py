@@ -23,7 +23,9 @@ PUBLISHED_BAND_HZ = (3.0, 200.0)  # where the paper states 20 to 40 dB
 _ROUNDING = 1e-9
 
 
-def draw_transmissibility(frequencies_hz: np.ndarray, cases: dict[str, np.ndarray], *, low_db: float = -80.0):
+def paint_transmissibility(
+    frequencies_hz: np.ndarray, cases: dict[str, np.ndarray], *, low_db: float = -80.0
+):
     """Fig. 7: the 3x3 matrix of transmissibilities, platform direction down, floor direction across.
 
     Parameters
@@ -82,7 +84,7 @@ def _mark_reduction(panel, frequencies_hz: np.ndarray, feedback: np.ndarray):
     )
 
 
-def draw_reduction(frequencies_hz: np.ndarray, reductions: dict[str, np.ndarray]):
+def paint_reduction(frequencies_hz: np.ndarray, reductions: dict[str, np.ndarray]):
     """Reduction of the three diagonal elements by the feedforward, with the published 20 and 40 dB.
 
     Parameters
@@ -117,7 +119,7 @@ def draw_reduction(frequencies_hz: np.ndarray, reductions: dict[str, np.ndarray]
     return figure
 
 
-def draw_power(
+def paint_power(
     frequencies_hz: np.ndarray, densities: dict[str, np.ndarray], published: tuple[float, float, float]
 ):
     """Fig. 8: power spectral density of the platform and its running sum from 1 Hz, in z, θx and θy.
@@ -163,7 +165,7 @@ def draw_power(
     return figure
 
 
-def draw_removed(study, published: tuple[float, float, float]):
+def paint_removed(study, published: tuple[float, float, float]):
     """Share of the power removed per direction: every run of both algorithms, the limit, the published values."""
     figure, axes = figures.new(1, 1, height=2.8)
     where = np.arange(3.0)

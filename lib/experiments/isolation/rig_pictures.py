@@ -16,7 +16,7 @@ _STRUT_M = 0.06  # drawn length; the model needs only directions
 _VIEW = np.radians([25.0, 20.0])  # azimuth, elevation
 
 
-def draw_rig(rig: Rig):
+def paint_rig(rig: Rig):
     """Struts, platform and floor sensors, from the side (oblique) and from above."""
     figure, (oblique, above) = figures.new(1, 2, height=3.4)
     tops = rig.struts.positions
@@ -60,7 +60,7 @@ def draw_rig(rig: Rig):
     return figure
 
 
-def draw_modes(rig: Rig, passive: Modes, closed: Modes, gain: float):
+def paint_modes(rig: Rig, passive: Modes, closed: Modes, gain: float):
     """Frequency and damping of the modes beside what the paper says; damping over the skyhook's gain."""
     figure, (left, right) = figures.new(1, 2, height=2.9)
     left.axvspan(15, 45, color=figures.GREY, alpha=0.15, lw=0)
@@ -92,7 +92,7 @@ def draw_modes(rig: Rig, passive: Modes, closed: Modes, gain: float):
     return figure
 
 
-def draw_floors(floors: dict[str, ShapedFloor], measured: dict[str, Spectrum], ground: tuple):
+def paint_floors(floors: dict[str, ShapedFloor], measured: dict[str, Spectrum], ground: tuple):
     """Fig. 2: floor spectra as filtered noise and as estimated from a realisation, criteria and the ground."""
     figure, axes = figures.new(1, 1, height=3.6)
     f = np.geomspace(1, 1000, 400)
@@ -123,7 +123,7 @@ def draw_floors(floors: dict[str, ShapedFloor], measured: dict[str, Spectrum], g
     return figure
 
 
-def draw_paths(twins: dict[str, Twin], frequencies_hz: np.ndarray):
+def paint_paths(twins: dict[str, Twin], frequencies_hz: np.ndarray):
     """Fig. 3: the six diagonal elements from command to platform acceleration, and the fit (2)."""
     figure, (upper, lower) = figures.new(2, 1, height=4.6, sharex=True, gridspec_kw={"height_ratios": [2, 1]})
     f = frequencies_hz

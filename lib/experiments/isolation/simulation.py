@@ -196,7 +196,7 @@ def _runs(
         samples = min(BLOCK, total - done)
         if done < first:
             samples = min(samples, first - done)
-        floor_block, noise_block = sources.draw(samples)
+        floor_block, noise_block = sources.sample(samples)
         for adaptation, code, numbers, closed, kept in sides:
             status, reached = loop.advance(
                 floor_block,

@@ -40,7 +40,7 @@ class Sources:
             rows = np.stack([loop.rows_of(each) for each in self.part.sections], axis=2)
             self.shaping = loop.bank_of(rows, self.sensors)
 
-    def draw(self, samples: int) -> tuple[np.ndarray, np.ndarray]:
+    def sample(self, samples: int) -> tuple[np.ndarray, np.ndarray]:
         """Next block of a0, (samples, sensors), and of (n1, n0), (samples, outputs + sensors)."""
         floor = np.empty((samples, self.sensors))
         filled = 0

@@ -14,7 +14,7 @@ _LINES = ("-", "--", "-", ":", "-.")
 FLOOR = 1e-19  # where exact zeros are drawn; the axis says so
 
 
-def draw_forms(runs: Mapping[str, Mapping[str, CovarianceRun]], experiment: float):
+def paint_forms(runs: Mapping[str, Mapping[str, CovarianceRun]], experiment: float):
     """Asymmetry and error of P over time constants, a column for each precision.
 
     Parameters
@@ -72,7 +72,7 @@ def _name_zero(axes):
     )
 
 
-def draw_windup(runs: Mapping[str, Mapping[str, CovarianceRun]]):
+def paint_windup(runs: Mapping[str, Mapping[str, CovarianceRun]]):
     """Largest eigenvalue of P while a direction is silent, a panel for each kind of silence."""
     figure, grid = figures.new(1, len(runs), height=3.2, sharey=True, squeeze=False)
     for axes, (title, forms) in zip(grid[0], runs.items(), strict=True):
@@ -92,7 +92,7 @@ def draw_windup(runs: Mapping[str, Mapping[str, CovarianceRun]]):
     return figure
 
 
-def draw_return(outcomes: Mapping[str, Sequence[ErrorRecord]], return_s: float):
+def paint_return(outcomes: Mapping[str, Sequence[ErrorRecord]], return_s: float):
     """Filtered error around the return of a silent sensor; a cross marks where a run broke."""
     figure, grid = figures.new(1, len(outcomes), height=3.0, sharey=True, squeeze=False)
     for axes, (name, runs) in zip(grid[0], outcomes.items(), strict=True):
@@ -111,7 +111,7 @@ def draw_return(outcomes: Mapping[str, Sequence[ErrorRecord]], return_s: float):
     return figure
 
 
-def draw_cures(
+def paint_cures(
     runs: Mapping[str, CureRun], samples_per_constant: float, silence: tuple[float, float], step: float
 ):
     """Growth of P, misalignment and error of the four cures."""
@@ -160,7 +160,7 @@ def draw_cures(
 def explore_forms(regressors: ArrayLike, initial: ArrayLike):
     """Drawing function for sliders: asymmetry of every form, with another forgetting or precision."""
 
-    def draw(precision: str, samples_per_constant: float, time_constants: float):
+    def paint(precision: str, samples_per_constant: float, time_constants: float):
         figure, axes = figures.new(1, 1, height=3.0)
         forgetting = float(np.exp(-1 / samples_per_constant))
         for style, form in zip(_LINES, FORMS, strict=True):
@@ -189,4 +189,4 @@ def explore_forms(regressors: ArrayLike, initial: ArrayLike):
     # Both precisions are compiled here, not at a reader's first move.
     for precision in ("float64", "float32"):
         covariance_run("triangle", regressors, 0.5, initial, 1, precision, per_time_constant=1)
-    return draw
+    return paint

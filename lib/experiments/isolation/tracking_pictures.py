@@ -21,7 +21,7 @@ COLORS = {"FeLMS": figures.GREEN, "FeRLS": figures.BLACK}  # as in Figs. 7 and 8
 MILLI = 1e3
 
 
-def draw_switches(panels: Mapping[str, Mapping[str, Response]]):
+def paint_switches(panels: Mapping[str, Mapping[str, Response]]):
     """Fig. 6: weights around a switch of the floor, as distances from their optimum before it."""
     figure, axes = figures.new(len(panels), 1, height=2.9 * len(panels), sharex=True, squeeze=False)
     for panel, (title, responses) in zip(axes[:, 0], panels.items(), strict=True):
@@ -48,7 +48,7 @@ def draw_switches(panels: Mapping[str, Mapping[str, Response]]):
     return figure
 
 
-def draw_settling(
+def paint_settling(
     studies: Mapping[str, Study], expected: Mapping[str, Mapping[str, Response]], duration_s: float
 ):
     """Settling times of all weights and of each group: run by run, and of the noise-free mean course.
@@ -88,11 +88,11 @@ def draw_settling(
     return figure
 
 
-def expected_switch_drawing(twin: Twin, switches: Mapping[str, Switch], duration_s: float) -> Callable:
+def expected_switch_painter(twin: Twin, switches: Mapping[str, Switch], duration_s: float) -> Callable:
     """Drawing function for an explorer: expected share of the shift still to go, all weights."""
     time = np.linspace(duration_s / 60, duration_s, 60)
 
-    def draw(direction: str, step_size: float, memory_s: float):
+    def paint(direction: str, step_size: float, memory_s: float):
         switch = switches[direction]
         figure, axes = figures.new(1, 1, height=3.2)
         for name in ALGORITHMS:
@@ -110,4 +110,4 @@ def expected_switch_drawing(twin: Twin, switches: Mapping[str, Switch], duration
         axes.legend()
         return figure
 
-    return draw
+    return paint

@@ -16,7 +16,7 @@ _NAMES = {
 }
 
 
-def draw_agreement(
+def paint_agreement(
     time_s: ArrayLike,
     recursion: ArrayLike,
     differences: Mapping[str, ArrayLike],
@@ -55,7 +55,7 @@ def draw_agreement(
     return figure
 
 
-def draw_gain(forgetting: float, samples: int, sample_time: float):
+def paint_gain(forgetting: float, samples: int, sample_time: float):
     """alpha(k) of eq. (22) with and without forgetting."""
     figure, axes = figures.new(1, 1, height=2.6)
     count = np.unique(np.geomspace(1, samples, 200).astype(int)) - 1
@@ -68,7 +68,9 @@ def draw_gain(forgetting: float, samples: int, sample_time: float):
     return figure
 
 
-def draw_costs(actuators: int, regressors: int, times: Mapping[str, Mapping[str, float]], sample_time: float):
+def paint_costs(
+    actuators: int, regressors: int, times: Mapping[str, Mapping[str, float]], sample_time: float
+):
     """Multiplications of each form, and measured times against the sampling interval."""
     figure, (upper, lower) = figures.new(2, 1, height=4.6)
     counts = multiplications(actuators, regressors)

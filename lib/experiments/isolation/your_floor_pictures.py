@@ -21,7 +21,7 @@ _COLORS = {
 _SHOWN_HZ = (1.0, 400.0)
 
 
-def draw_floor(floor: RecordedFloor, resolution_hz: float = 0.25):
+def paint_floor(floor: RecordedFloor, resolution_hz: float = 0.25):
     """The sensors' mean and what one sees beside it, over time; each in one-third-octave velocity."""
     figure, (left, right) = figures.new(1, 2, height=3.4)
     time_s = np.arange(floor.acceleration.shape[1]) / floor.sample_rate
@@ -44,7 +44,7 @@ def draw_floor(floor: RecordedFloor, resolution_hz: float = 0.25):
     return figure
 
 
-def draw_isolated(isolated: Isolated, resolution_hz: float = 0.5):
+def paint_isolated(isolated: Isolated, resolution_hz: float = 0.5):
     """Spectra of floor and platform in z, θx and θy, by case; directions in which the floor rests are left out."""
     figure, axes = figures.new(1, int(np.sum(isolated.moving)), height=3.0, squeeze=False)
     signals = {"floor": isolated.floor, **isolated.platform}
@@ -69,7 +69,7 @@ def draw_isolated(isolated: Isolated, resolution_hz: float = 0.5):
     return figure
 
 
-def draw_adaptation(isolated: Isolated):
+def paint_adaptation(isolated: Isolated):
     """Weights of the first actuator and quadratic filtered error while FeRLS adapts from zero."""
     figure, (left, right) = figures.new(1, 2, height=2.9)
     run = isolated.adaptation
@@ -85,7 +85,7 @@ def draw_adaptation(isolated: Isolated):
     return figure
 
 
-def draw_gain(twin: Twin, gains: np.ndarray):
+def paint_gain(twin: Twin, gains: np.ndarray):
     """Rms motion in z over that of the floor, 1-300 Hz, as the ground gets louder; optimum weights, no simulation."""
     figure, axes = figures.new(1, 1, height=2.8)
     left = optimum_left(twin, gains)

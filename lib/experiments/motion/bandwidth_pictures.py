@@ -8,7 +8,7 @@ import numpy as np
 from experiments.motion.designs import stage_observer
 from experiments.motion.drive import drive_loop, seen_by_controller
 from experiments.motion.machines import drive, published_noise, stage, stage_mass
-from experiments.motion.pictures import LABELS, bode, over_masses
+from experiments.motion.pictures import LABELS, paint_bode, paint_over_masses
 from experiments.motion.structure import as_stage, measured_accelerance, structure_loops
 from stillwork.control.applications import Application, compensator
 from stillwork.control.bandwidth import Loop, make_loop
@@ -35,7 +35,7 @@ def _loops(application: Application | None, noise_model: float) -> list[Loop]:
     return loops
 
 
-def draw_design(
+def paint_design(
     bandwidth_hz: float,
     damping: float = 0.0,
     selectivity: float = 2.0,
@@ -47,7 +47,7 @@ def draw_design(
     application = Application(compensate == "yes", damping, selectivity=selectivity) if used else None
     loops = _loops(application, noise_model)
     controller = PidFamily(stage_mass())(bandwidth_hz)
-    figure = over_masses(
+    figure = paint_over_masses(
         {LABELS[name]: (loops, controller, name) for name in ("input_sensitivity", "output_sensitivity")}
     )
     peaks = [
@@ -61,7 +61,7 @@ def draw_design(
     return figure
 
 
-def draw_drive(stiffness_error: float, damping: float, bandwidth_hz: float):
+def paint_drive(stiffness_error: float, damping: float, bandwidth_hz: float):
     """Explorer: what the controller of the two-inertia drive sees, with an observer whose stiffness is off."""
     plant = drive()
     model = replace(plant, stiffness=plant.stiffness * (1 + stiffness_error))
@@ -76,7 +76,7 @@ def draw_drive(stiffness_error: float, damping: float, bandwidth_hz: float):
         name: (omega, seen_by_controller(drive_loop(plant, model, each, bandwidth_hz), omega))
         for name, each in cases.items()
     }
-    return bode(curves, "magnitude (dB re 1 rad/A)", height=3.2)[0]
+    return paint_bode(curves, "magnitude (dB re 1 rad/A)", height=3.2)[0]
 
 
 @cache
@@ -86,7 +86,7 @@ def _fitted_structure() -> ModalModel:
     return as_stage(fit, stage_mass())[0]
 
 
-def draw_structure(damping: float, noise_model: float):
+def paint_structure(damping: float, noise_model: float):
     """Explorer: the mirrored sensor of the measured structure, bare and with MC and AD."""
     machine = _fitted_structure()
     application = Application(compensate=True, damping=damping, selectivity=2.0)
@@ -98,4 +98,4 @@ def draw_structure(damping: float, noise_model: float):
         "plant": (omega, bare.at(controller, omega).equivalent_plant),
         "with MC and AD": (omega, used.at(controller, omega).equivalent_plant),
     }
-    return bode(curves, "magnitude (dB re 1 m/N)", height=3.2)[0]
+    return paint_bode(curves, "magnitude (dB re 1 m/N)", height=3.2)[0]

@@ -13,7 +13,7 @@ from stillwork.base.checks import InputError, require_choice, require_count
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
 from stillwork.estimation.robust import Derivatives, kalman_gains, regularised_gains, sensitivity_gains
 from stillwork.estimation.time_varying import TimeVaryingModel, estimate
-from stillwork.estimation.uncertainty import draw_errors, norm_bound, perturbed, sampled_derivatives
+from stillwork.estimation.uncertainty import norm_bound, perturbed, sample_errors, sampled_derivatives
 from stillwork.lti.discretisation import zoh_modes
 
 
@@ -106,10 +106,10 @@ ENTRANTS: Mapping[str, Entrant] = {
 }
 
 
-def draw_scans(scan: Scan, plants: int, seed: int, size: float, law: str, rigid: bool) -> Records:
-    """Recorded scans of randomly perturbed plants, see `uncertainty.draw_errors`."""
+def sample_scans(scan: Scan, plants: int, seed: int, size: float, law: str, rigid: bool) -> Records:
+    """Recorded scans of randomly perturbed plants, see `uncertainty.sample_errors`."""
     rng = np.random.default_rng(seed)
-    errors = [draw_errors(rng, scan.nominal, size, law, rigid) for _ in range(plants)]
+    errors = [sample_errors(rng, scan.nominal, size, law, rigid) for _ in range(plants)]
     return record_scans(scan, errors, rng)
 
 
@@ -162,11 +162,11 @@ def contest_trial(
         Where the knob of every observer stands.
     plants : int
     law : str
-        See `uncertainty.draw_errors`; flexible modes err, by the contest's size.
+        See `uncertainty.sample_errors`; flexible modes err, by the contest's size.
     """
     scan = contest.scan
     errors = [
-        draw_errors(rng, scan.nominal, contest.size, law) for _ in range(require_count("plants", plants))
+        sample_errors(rng, scan.nominal, contest.size, law) for _ in range(require_count("plants", plants))
     ]
     records = record_scans(scan, errors, rng)
     return {

@@ -16,7 +16,7 @@ COLOURS = (figures.BLUE, figures.GREEN, figures.RED, figures.ORANGE)
 ROUNDING_DB = -240.0  # an entry that is everywhere this far below the largest one is not drawn
 
 
-def transfer_matrix(
+def paint_transfer_matrix(
     systems: Mapping[str, StateModel],
     *,
     slopes: Mapping[tuple[int, int], float] | None = None,
@@ -77,7 +77,7 @@ def transfer_matrix(
     return figure
 
 
-def beam_layout(actuators: Sequence[float], sensors: Sequence[float]):
+def paint_beam_layout(actuators: Sequence[float], sensors: Sequence[float]):
     """Flexible mode shapes of the uniform beam with the places of actuators and sensors."""
     published = beam_parameters()["published"]["frequencies_hz"]
     along = np.linspace(0, 1, 201)
@@ -95,7 +95,7 @@ def beam_layout(actuators: Sequence[float], sensors: Sequence[float]):
     return figure
 
 
-def slope_ranges(
+def paint_slope_ranges(
     slopes: Mapping[str, np.ndarray],
     above: Mapping[str, np.ndarray],
     published: Mapping[str, tuple[float, float]],
@@ -135,7 +135,7 @@ def slope_ranges(
     return figure
 
 
-def draw_decoupling(scheme: str, increase: float, selectivity: float, second: float, taper: float):
+def paint_decoupling(scheme: str, increase: float, selectivity: float, second: float, taper: float):
     """Explorer: the off-diagonal entries with one scheme for another place of the second actuator."""
     places = beam_parameters()["assumed"]
     actuators = [places["actuators"][0], second, *places["actuators"][2:]]

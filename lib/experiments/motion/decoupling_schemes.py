@@ -171,14 +171,14 @@ def with_compensation(plant: ModalModel, settings: Settings) -> StateModel:
     )
 
 
-def draw_beam(rng: np.random.Generator, spacing: float = 0.1) -> ModalModel:
+def sample_beam(rng: np.random.Generator, spacing: float = 0.1) -> ModalModel:
     """A tapered beam with its five actuators and two sensors anywhere, but `spacing` apart at least."""
     modes = 2 + len(beam_parameters()["published"]["frequencies_hz"])
-    actuators, sensors = (draw_places(rng, count, spacing) for count in (modes, 2))
+    actuators, sensors = (sample_places(rng, count, spacing) for count in (modes, 2))
     return beam(actuators, sensors, taper=rng.uniform(-1, 1))
 
 
-def draw_places(rng: np.random.Generator, count: int, spacing: float) -> Float64[np.ndarray, " places"]:
+def sample_places(rng: np.random.Generator, count: int, spacing: float) -> Float64[np.ndarray, " places"]:
     """Places from 0 to 1 in any order, at least `spacing` apart, all such sets alike."""
     if require_number("spacing", spacing, at_least=0.0) * (count - 1) >= 1:
         raise InputError(f"spacing is {spacing:g}; {count} places need less than {1 / (count - 1):g}")
@@ -212,7 +212,7 @@ def geometry_trial(
         damping ratio and the ``shift`` of the frequency (damped modes); for those in `FILTERED` the
         ``crosswise`` force (damped modes).
     """
-    machine = draw_beam(rng)
+    machine = sample_beam(rng)
     modes = machine.frequencies[machine.rigid_modes :]
     damped = modes[: settings.damped]
     found, bare = {}, {}
@@ -277,7 +277,7 @@ def kept_out_trial(rng: np.random.Generator, settings: Settings) -> Mapping[str,
         ``peaks``, shape (decoupled mode, damped mode): the largest off-diagonal entry around each damped mode
         over the undamped one.
     """
-    machine = draw_beam(rng)
+    machine = sample_beam(rng)
     rigid = machine.rigid_modes
     plant = machine.at(range(rigid + 1), range(rigid))
     gain = scheme_gain("over-actuation", plant, settings)

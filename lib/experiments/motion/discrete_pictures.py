@@ -39,7 +39,7 @@ def sampled_frequencies(step: float, low_hz: float = 100.0) -> np.ndarray:
     return resonance_grid(stage().poles, low_hz, min(2.5e3, 0.499 / step), 250, 20)
 
 
-def equivalent_plants(panels: Mapping[str, Mapping[str, StateModel]]):
+def paint_equivalent_plants(panels: Mapping[str, Mapping[str, StateModel]]):
     """Magnitude of sampled plants, one panel a group; lines that coincide are told apart by their dashes."""
     figure, axes = figures.new(1, len(panels), height=3.4, sharey=True, squeeze=False)
     styles = ({"color": figures.GREY, "linewidth": 2.5}, {}, {}, {"linestyle": "--"})
@@ -62,7 +62,7 @@ def equivalent_plants(panels: Mapping[str, Mapping[str, StateModel]]):
     return figure
 
 
-def draw_sampled(rate_khz: float, damping: float, compensate: str, timing: str):
+def paint_sampled(rate_khz: float, damping: float, compensate: str, timing: str):
     """Explorer: what the controller sees of the sampled stage at mass 5, bare and with a sampled observer."""
     step = 1e-3 / rate_khz
     machine = stage().at([0], [4])

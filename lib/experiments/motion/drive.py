@@ -90,7 +90,7 @@ def identify(
     return closed_loop_response(noise, u, -e, step, segment)
 
 
-def residual_peaks(
+def residual_trial(
     rng: np.random.Generator,
     plant: Drive,
     applications: dict[str, Application | None],

@@ -37,7 +37,7 @@ def _scaled_scan(step: float):
     return sampled.a * scale / scale[:, None], sampled.b / scale[:, None], c, scan.deviations
 
 
-def draw_worst(force: float, detuning: float):
+def paint_worst(force: float, detuning: float):
     """Explorer: what the worst disturbance does to a filter designed for another force.
 
     Parameters
@@ -78,7 +78,7 @@ def _table(spacing: float):
     return gain_table(model.a[1], model.g[1], rows, places, model.process, model.sensor)
 
 
-def draw_schedules(speed: str, start: float, spacing: float):
+def paint_schedules(speed: str, start: float, spacing: float):
     """Explorer: estimation error of the first flexible mode with online and with interpolated gains (AD, 36 Hz).
 
     Parameters

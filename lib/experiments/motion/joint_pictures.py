@@ -15,7 +15,7 @@ from stillwork.lti.modal import ModalModel
 from stillwork.workbook import figures
 
 
-def ladder(found: Mapping[str, Verified], published_hz: float):
+def paint_ladder(found: Mapping[str, Verified], published_hz: float):
     """First crossing of every design at the mass of the published number."""
     figure, axis = figures.new(1, 1, height=2.9)
     rows = np.arange(len(found))[::-1]
@@ -34,7 +34,7 @@ def ladder(found: Mapping[str, Verified], published_hz: float):
     return figure
 
 
-def peaks_over_plants(peaks: Mapping[str, Mapping[str, np.ndarray]], top_db: float = 20.0):
+def paint_peaks_over_plants(peaks: Mapping[str, Mapping[str, np.ndarray]], top_db: float = 20.0):
     """Largest peak of every design on every perturbed plant; unstable ones lie on the upper edge.
 
     Parameters
@@ -62,7 +62,7 @@ def peaks_over_plants(peaks: Mapping[str, Mapping[str, np.ndarray]], top_db: flo
     return figure
 
 
-def draw_joint(designs: Mapping[str, JointDesign], design: str, frequency_error: float, bandwidth: float):
+def paint_joint(designs: Mapping[str, JointDesign], design: str, frequency_error: float, bandwidth: float):
     """Explorer: the constrained functions, each of its worst mass, when the flexible frequencies are off.
 
     Parameters

@@ -23,7 +23,7 @@ from stillwork.control.bandwidth import SIX_DB, Loop
 from stillwork.control.crossover import crossover
 from stillwork.control.loops import channel, closed_loop
 from stillwork.control.pid import Pid
-from stillwork.estimation.uncertainty import draw_errors, perturbed
+from stillwork.estimation.uncertainty import perturbed, sample_errors
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.norms import hinf_norm
 from stillwork.lti.peaks import Peak, resonance_grid
@@ -183,10 +183,10 @@ def starts(count: int, seed: int) -> list[JointDesign]:
     return found
 
 
-def draw_plants(size: float, count: int, seed: int) -> list[ModalModel]:
+def sample_plants(size: float, count: int, seed: int) -> list[ModalModel]:
     """Stages with random relative errors of `size` on all modal parameters, rigid body included (as in Table 5.2)."""
     rng, nominal = np.random.default_rng(seed), stage()
-    return [perturbed(nominal, draw_errors(rng, nominal, size, "ends", True)) for _ in range(count)]
+    return [perturbed(nominal, sample_errors(rng, nominal, size, "ends", True)) for _ in range(count)]
 
 
 def plant_peaks(design: JointDesign, plants: Sequence[ModalModel]) -> Float64[np.ndarray, " plants"]:
@@ -229,7 +229,7 @@ def robust_search(
     start, free
         See `search`.
     size, seed, pool
-        See `draw_plants`; judge the result on plants of another seed.
+        See `sample_plants`; judge the result on plants of another seed.
     worst : int
         Plants that every turn adds to those that the search must serve.
     turns : int
@@ -237,7 +237,7 @@ def robust_search(
     **settings
         Of `search`.
     """
-    plants, limit = draw_plants(size, pool, seed), settings.get("limit", SIX_DB)
+    plants, limit = sample_plants(size, pool, seed), settings.get("limit", SIX_DB)
     design, counted, served, missed = start, 0, [], []
     chosen = list(range(worst))
     for _ in range(require_count("turns", turns)):

@@ -15,7 +15,7 @@ from stillwork.base.checks import InputError, require_choice, require_count
 from stillwork.control.feedforward import BASIS, Feedforward, error_loop, tracking_error, tracking_model
 from stillwork.control.loops import INPUTS, OUTPUTS, closed_loop
 from stillwork.control.setpoint import Setpoint
-from stillwork.estimation.uncertainty import draw_errors, perturbed
+from stillwork.estimation.uncertainty import perturbed, sample_errors
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.simulation import simulate
 from stillwork.lti.state_space import StateModel, interconnect
@@ -214,7 +214,7 @@ def perturbed_trial(
     size : float
         Relative error of the flexible modes' parameters; mass and place of the sensor are known.
     """
-    loop = closed_loop(perturbed(plant, draw_errors(rng, plant, size)), compensator, controller)
+    loop = closed_loop(perturbed(plant, sample_errors(rng, plant, size)), compensator, controller)
     direct, hidden = (MoveResponses(each(loop), setpoint) for each in (direct_loop, error_loop))
     found = {
         "observer copy, kept": hidden.error(LowOrder(copied)),

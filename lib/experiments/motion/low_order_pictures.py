@@ -17,7 +17,7 @@ from stillwork.signals.moving_average import rms
 from stillwork.workbook import figures
 
 
-def errors_over_order(
+def paint_errors_over_order(
     low: Mapping[str, Sequence[tuple[int, float]]],
     copies: Mapping[str, tuple[int, float]],
     published: Mapping[str, float],
@@ -52,7 +52,7 @@ def errors_over_order(
     return figure
 
 
-def errors_over_plants(studies: Mapping[str, Mapping[str, np.ndarray]]):
+def paint_errors_over_plants(studies: Mapping[str, Mapping[str, np.ndarray]]):
     """Rms errors of MC and AD over perturbed plants, kept gains beside gains tuned again; one panel a size of the errors."""
     from matplotlib.ticker import FixedLocator, NullFormatter, ScalarFormatter
 
@@ -95,7 +95,7 @@ def _prepared(name: str) -> tuple[object, list[LowOrder]]:
     return loop, pick_poles(loop, setpoint, copy_poles(modified_feedforward(block, controller)), 8)
 
 
-def draw_low_order(design: str, states: int, gain: float):
+def paint_low_order(design: str, states: int, gain: float):
     """Explorer: error over the move for a feedforward of so many states, its filters' gains scaled by `gain` %."""
     loop, found = _prepared(design)
     chosen = [each for each in found if each.order <= states][-1]

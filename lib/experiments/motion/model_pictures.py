@@ -6,7 +6,7 @@ import numpy as np
 
 from experiments.motion.discretisation import VARIANTS, transition
 from experiments.motion.machines import chain
-from experiments.motion.pictures import bode
+from experiments.motion.pictures import paint_bode
 from experiments.motion.three_masses import scaled_springs, three_masses
 from stillwork.control.bandwidth import Loop, make_loop
 from stillwork.control.pid import Pid, PidFamily
@@ -15,7 +15,7 @@ from stillwork.lti.reduction import roll_off, truncate
 from stillwork.workbook import figures
 
 
-def nyquist(loops: Mapping[str, Loop], controller: Pid):
+def paint_nyquist(loops: Mapping[str, Loop], controller: Pid):
     """Nyquist plot of open loops near -1, with the verdict of the closed-loop eigenvalues."""
     figure, axis = figures.new(1, 1, height=4.2)
     for label, loop in loops.items():
@@ -35,15 +35,15 @@ def nyquist(loops: Mapping[str, Loop], controller: Pid):
     return figure
 
 
-def draw_three_masses(bandwidth_hz: float):
+def paint_three_masses(bandwidth_hz: float):
     """Explorer: Nyquist plot of Example 1.5.1 for both sensor positions."""
     masses = np.full(3, 4.0)
     machine = three_masses(masses, scaled_springs(masses, 45.0))
     controller = PidFamily(masses.sum())(bandwidth_hz)
-    return nyquist({f"$x_{k + 1}$": make_loop(machine.at([0], [k])) for k in (0, 1)}, controller)
+    return paint_nyquist({f"$x_{k + 1}$": make_loop(machine.at([0], [k])) for k in (0, 1)}, controller)
 
 
-def draw_reduction(retained: int, cutoff_hz: float):
+def paint_reduction(retained: int, cutoff_hz: float):
     """Explorer: model error of the reduced ten-mass chain, with and without compliance."""
     full = chain(np.full(10, 2.0)).at([0], [0])
     omega = resonance_grid(full.poles, 0.3, 300.0, 300, 20)
@@ -58,10 +58,12 @@ def draw_reduction(retained: int, cutoff_hz: float):
             exact - roll_off(compensated, cutoff_hz).frequency_response(omega)[0, 0],
         ),
     }
-    return bode(curves, "magnitude (dB re 1 m/N)", styles={"full": {"color": figures.GREY}}, height=3.2)[0]
+    return paint_bode(
+        curves, "magnitude (dB re 1 m/N)", styles={"full": {"color": figures.GREY}}, height=3.2
+    )[0]
 
 
-def draw_heavy_mass(place: int, mass_kg: float):
+def paint_heavy_mass(place: int, mass_kg: float):
     """Explorer: force to position at mass 1 of the five-mass chain with one mass changed."""
     masses = np.full(5, 1.6)
     masses[int(place) - 1] = mass_kg
@@ -70,10 +72,10 @@ def draw_heavy_mass(place: int, mass_kg: float):
         machine = chain(values).at([0], [0])
         omega = resonance_grid(machine.poles, 5.0, 100.0, 300, 30)
         curves[label] = (omega, machine.frequency_response(omega)[0, 0])
-    return bode(curves, "$f_1$ to $x_1$ (dB re 1 m/N)", height=3.2)[0]
+    return paint_bode(curves, "$f_1$ to $x_1$ (dB re 1 m/N)", height=3.2)[0]
 
 
-def draw_transition_error(frequency_hz: float, damping: float):
+def paint_transition_error(frequency_hz: float, damping: float):
     """Explorer: error of the printed and of the lightly damped transition matrix over the sample time."""
     steps = np.geomspace(1e-6, 0.4 / frequency_hz, 200)
     figure, axis = figures.new(1, 1, height=2.8)

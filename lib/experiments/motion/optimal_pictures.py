@@ -36,7 +36,7 @@ def regularisation(problem: ObserverProblem, size: float) -> tuple[np.ndarray, n
 COLOURS = {"no observer": figures.GREY, "Kalman": figures.RED, "optimal": figures.GREEN}
 
 
-def responses(
+def paint_responses(
     problem: ObserverProblem, observers: Mapping[str, StateModel], weight: StateModel | None = None
 ):
     """Sensitivity from r to e_true and equivalent controller from y to f of several observers."""
@@ -79,8 +79,8 @@ def _compared() -> tuple[ObserverProblem, GeneralisedPlant, StateModel, StateMod
     return problem, generalised, kalman, sensitivity_weight(tipping_corner(generalised.close(kalman)))
 
 
-def draw_emphasis(emphasis: float):
+def paint_emphasis(emphasis: float):
     """Explorer: the loop on the front at one emphasis, beside the Kalman loop."""
     problem, generalised, kalman, weight = _compared()
     found = h2_riccati(emphasised(generalised, weight, emphasis), *regularisation(problem, 0.01))
-    return responses(problem, {"Kalman": kalman, f"emphasis {emphasis:.2g}": found.observer}, weight)
+    return paint_responses(problem, {"Kalman": kalman, f"emphasis {emphasis:.2g}": found.observer}, weight)

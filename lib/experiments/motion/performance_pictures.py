@@ -19,7 +19,7 @@ from stillwork.signals.moving_average import rms
 from stillwork.workbook import figures
 
 
-def draw_tracking(setpoint: Setpoint, errors: Mapping[str, np.ndarray]):
+def paint_tracking(setpoint: Setpoint, errors: Mapping[str, np.ndarray]):
     """Tracking errors in nm over the move, one panel a case, with the scaled acceleration and the scan."""
     figure, axes = figures.new(2, 2, height=4.4, sharex=True, sharey=True)
     shown = setpoint.time <= setpoint.scan[1]
@@ -41,7 +41,7 @@ def draw_tracking(setpoint: Setpoint, errors: Mapping[str, np.ndarray]):
     return figure
 
 
-def draw_feedforward(acceleration_kg: float, snap: float, bandwidth_hz: float):
+def paint_feedforward(acceleration_kg: float, snap: float, bandwidth_hz: float):
     """Explorer: the error of the loop without observer for given feedforward gains."""
     setpoint = published_setpoint()
     controller = PidFamily(stage_mass())(bandwidth_hz).state_space()
@@ -56,7 +56,7 @@ def draw_feedforward(acceleration_kg: float, snap: float, bandwidth_hz: float):
     return figure
 
 
-def draw_cumulative(power: Mapping[str, CumulativePower], low_hz: float = 1.0):
+def paint_cumulative(power: Mapping[str, CumulativePower], low_hz: float = 1.0):
     """Cumulative power of the measured and of the true error above `low_hz`, nm^2."""
     from matplotlib.ticker import NullFormatter
 
@@ -76,7 +76,7 @@ def draw_cumulative(power: Mapping[str, CumulativePower], low_hz: float = 1.0):
     return figure
 
 
-def draw_disturbance(bandwidth_hz: float, process_noise: float, damping: float):
+def paint_disturbance(bandwidth_hz: float, process_noise: float, damping: float):
     """Explorer: cumulative power of the errors at rest without observer and with active damping."""
     plant, step = stage().at([0], [4]), 1e-4
     controller = PidFamily(stage_mass())(bandwidth_hz).state_space()
@@ -89,4 +89,4 @@ def draw_disturbance(bandwidth_hz: float, process_noise: float, damping: float):
         if not loop.is_stable:
             raise InputError(f"{name} is unstable at {bandwidth_hz:g} Hz; lower the bandwidth")
         power[name] = cumulative_power(loop, step, noise, grid)
-    return draw_cumulative(power)
+    return paint_cumulative(power)

@@ -11,7 +11,7 @@ from stillwork.base.checks import require_number
 from stillwork.control.feedforward import Feedforward, error_loop, fit_feedforward, tracking_error
 from stillwork.control.loops import INPUTS, OUTPUTS, closed_loop
 from stillwork.control.pid import PidFamily
-from stillwork.estimation.uncertainty import draw_errors, perturbed
+from stillwork.estimation.uncertainty import perturbed, sample_errors
 from stillwork.lti.discretisation import zoh
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.simulation import simulate
@@ -70,7 +70,7 @@ def tracking_trial(
         Draws the plant and the noise; every case sees the same.
     loops : PublishedLoops
     size, law, rigid
-        See `uncertainty.draw_errors`; with size 0 only the noise is drawn.
+        See `uncertainty.sample_errors`; with size 0 only the noise is drawn.
     retune : bool
         Fit the feedforward to the perturbed plant without observer, as the data-based tuning would, rather
         than keep the gains of the nominal plant.
@@ -79,7 +79,7 @@ def tracking_trial(
     """
     require_number("step", step, above=0.0)
     setpoint = published_setpoint(step)
-    plant = perturbed(loops.plant, draw_errors(rng, loops.plant, size, law, rigid))
+    plant = perturbed(loops.plant, sample_errors(rng, loops.plant, size, law, rigid))
     machine = parameters("stage")["noise"]
     deviations = [machine["process"], machine["reference"], machine["sensor"]]
     noise = rng.standard_normal((3, setpoint.derivatives.shape[1])) * np.array(deviations)[:, None]

@@ -48,7 +48,7 @@ def decibel(response) -> np.ndarray:
     return 20 * np.log10(np.abs(response))
 
 
-def bode(
+def paint_bode(
     curves: Mapping[str, tuple[np.ndarray, np.ndarray]],
     quantity: str,
     *,
@@ -98,7 +98,7 @@ def bode(
     return figure, axes
 
 
-def over_masses(
+def paint_over_masses(
     panels: Mapping[str, tuple[Sequence[Loop], Pid, str]],
     *,
     limit: float = SIX_DB,
@@ -129,7 +129,7 @@ def over_masses(
     return figure
 
 
-def rejections(
+def paint_rejections(
     cases: Mapping[str, StateModel], omega: np.ndarray, sources: Sequence[str] = ("u_ff", "w", "v", "d")
 ):
     """Transfers from each disturbance to the true error for several closed loops, one panel a disturbance.
@@ -168,7 +168,7 @@ def rejections(
     return figure
 
 
-def controllers(cases: Mapping[str, tuple[Loop, Pid]], omega: np.ndarray):
+def paint_controllers(cases: Mapping[str, tuple[Loop, Pid]], omega: np.ndarray):
     """Equivalent controllers of several loops, from r and from y to the plant input, with their phase."""
     figure, axes = figures.new(2, 2, sharex=True, sharey="row", height=4.6)
     styles = case_styles(cases)
@@ -189,7 +189,7 @@ def controllers(cases: Mapping[str, tuple[Loop, Pid]], omega: np.ndarray):
     return figure
 
 
-def pole_zero(systems: Mapping[str, StateModel], quantity: str = "magnitude (dB re 1 m/N)"):
+def paint_pole_zero(systems: Mapping[str, StateModel], quantity: str = "magnitude (dB re 1 m/N)"):
     """Poles and zeros in the upper half-plane beside the magnitude, for systems with a few modes."""
     figure, axes = figures.new(1, 2, height=3.2)
     colours = [figures.BLUE, figures.GREEN, figures.RED]

@@ -34,7 +34,7 @@ def _frequencies(loops: Sequence[Loop], low_hz: float, high_hz: float) -> np.nda
     return resonance_grid(poles, low_hz, high_hz, 250, 6)
 
 
-def sensitivities(
+def paint_sensitivities(
     loops: Mapping[float, Loop],
     controller: Pid,
     functions: Sequence[str] = ("input_sensitivity", "output_sensitivity"),
@@ -59,7 +59,7 @@ def sensitivities(
     return figure
 
 
-def equivalent_controllers(
+def paint_equivalent_controllers(
     loops: Mapping[float, Loop], controller: Pid, low_hz: float = 1.0, high_hz: float = 3e3
 ):
     """Equivalent controllers from r and from y to the plant input, a line a place (m), beside the controller."""
@@ -81,7 +81,7 @@ def equivalent_controllers(
     return figure
 
 
-def observers(loops: Mapping[float, Loop], low_hz: float = 1.0, high_hz: float = 3e3):
+def paint_observers(loops: Mapping[float, Loop], low_hz: float = 1.0, high_hz: float = 3e3):
     """Observers from u and from y to the damping force and to the estimated deformation, a line a place (Fig. 4.2)."""
     figure, axes = figures.new(2, 2, height=5.0, sharex=True)
     omega = _frequencies(list(loops.values()), low_hz, high_hz)
@@ -111,7 +111,7 @@ def observers(loops: Mapping[float, Loop], low_hz: float = 1.0, high_hz: float =
     return figure
 
 
-def location_errors(study: LocationStudy, panels: Mapping[str, str]):
+def paint_location_errors(study: LocationStudy, panels: Mapping[str, str]):
     """Tracking errors at all places, a panel a case: the band they fill in half a millisecond, and three of them (Figs 4.10, 4.11).
 
     Parameters
@@ -145,7 +145,7 @@ def location_errors(study: LocationStudy, panels: Mapping[str, str]):
     return figure
 
 
-def rms_along(study: LocationStudy, cases: Sequence[str]):
+def paint_rms_along(study: LocationStudy, cases: Sequence[str]):
     """Rms error in the scan over the place; dashed with a redesigned controller."""
     figure, axis = figures.new(1, 1, height=3.2)
     styles = case_styles(cases)
@@ -157,7 +157,7 @@ def rms_along(study: LocationStudy, cases: Sequence[str]):
     return figure
 
 
-def table_of_ranges(
+def paint_table_of_ranges(
     names: Sequence[str],
     whole: Mapping[str, np.ndarray],
     spread: Mapping[str, np.ndarray],
@@ -198,7 +198,7 @@ def table_of_ranges(
     return figure
 
 
-def draw_place(place: float, damping: float, compensate: str, noise_exponent: float, bandwidth_hz: float):
+def paint_place(place: float, damping: float, compensate: str, noise_exponent: float, bandwidth_hz: float):
     """Explorer: equivalent controller and output sensitivity with the sensor at one place of the stage."""
     from matplotlib.ticker import NullLocator
 
@@ -245,7 +245,7 @@ def _explored() -> tuple[Setpoint, Force]:
     return setpoint, stage_error(setpoint, PidFamily(stage_mass())(35.6))
 
 
-def draw_location(place: float, damping: float, compensate: str, bandwidth_hz: float):
+def paint_location(place: float, damping: float, compensate: str, bandwidth_hz: float):
     """Explorer: the tracking error at one place under the feedforward error, bare and with an observer."""
     setpoint, force = _explored()
     controller = PidFamily(stage_mass())(bandwidth_hz)

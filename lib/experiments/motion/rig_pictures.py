@@ -63,7 +63,7 @@ def places(axis, geometry: Geometry, shape: np.ndarray | None = None) -> None:
     axis.grid(False)
 
 
-def mode_shapes(geometry: Geometry):
+def paint_mode_shapes(geometry: Geometry):
     """The eight flexible modes with the published frequencies."""
     p = published()
     modes = plate_modes(geometry.width / geometry.length, geometry.poisson, 8)
@@ -83,7 +83,7 @@ def mode_shapes(geometry: Geometry):
     return figure
 
 
-def decoupled_plants(loops: Sequence[RigLoop], geometry: Geometry):
+def paint_decoupled_plants(loops: Sequence[RigLoop], geometry: Geometry):
     """All nine entries of the decoupled plant at the four positions: Figs 6.3 and 6.5 to 6.7."""
     figure, axes = figures.new(3, 3, height=6.2, sharex=True, sharey=False)
     for number, loop in enumerate(loops, 1):
@@ -106,7 +106,7 @@ def decoupled_plants(loops: Sequence[RigLoop], geometry: Geometry):
     return figure
 
 
-def one_entry(loops: Mapping[str, Sequence[RigLoop]], geometry: Geometry, to: int, source: int = 0):
+def paint_one_entry(loops: Mapping[str, Sequence[RigLoop]], geometry: Geometry, to: int, source: int = 0):
     """One entry of the decoupled plant under the four uses of the observer: Figs 6.8 and 6.9."""
     figure, axes = figures.new(2, 2, height=4.6, sharex=True, sharey=True)
     for case, each in loops.items():
@@ -130,7 +130,7 @@ def one_entry(loops: Mapping[str, Sequence[RigLoop]], geometry: Geometry, to: in
     return figure
 
 
-def tracking_errors(errors: Mapping[str, np.ndarray], reference: np.ndarray, step: float):
+def paint_tracking_errors(errors: Mapping[str, np.ndarray], reference: np.ndarray, step: float):
     """True errors over one period with the scaled trajectory in black: Figs 6.10 and 6.11.
 
     Parameters
@@ -164,7 +164,7 @@ def tracking_errors(errors: Mapping[str, np.ndarray], reference: np.ndarray, ste
     return figure
 
 
-def error_spectra(spectra: Mapping[str, Spectrum]):
+def paint_error_spectra(spectra: Mapping[str, Spectrum]):
     """Amplitude spectra of the true errors in three directions: what Fig. 6.10 does not let one see."""
     figure, axes = figures.new(1, 3, height=2.7, sharex=True)
     for order, (case, each) in enumerate(spectra.items()):
@@ -186,7 +186,9 @@ def error_spectra(spectra: Mapping[str, Spectrum]):
     return figure
 
 
-def over_geometries(values: Mapping[str, np.ndarray], marks: Mapping[str, Sequence[float]], quantity: str):
+def paint_over_geometries(
+    values: Mapping[str, np.ndarray], marks: Mapping[str, Sequence[float]], quantity: str
+):
     """Spread over geometries of a quantity in three directions, one panel each, with the published values.
 
     Parameters
@@ -250,7 +252,7 @@ def _one_position(
 ENTRIES = {"Fz to z": 0, "Fz to rx": 1}
 
 
-def draw_rig(
+def paint_rig(
     use: str = "MC and AD",
     entry: str = "Fz to z",
     target_damping: float = 0.04,
@@ -273,7 +275,9 @@ def draw_rig(
     return figure
 
 
-def draw_geometry(aspect: float = 0.83, along_x: float = 0.85, along_y: float = 0.75, actuators: float = 0.9):
+def paint_geometry(
+    aspect: float = 0.83, along_x: float = 0.85, along_y: float = 0.75, actuators: float = 0.9
+):
     """Explorer: what a geometry lets three actuators and four sensors do with the eight modes."""
     a = assumed()
     geometry = Geometry(
@@ -311,7 +315,7 @@ def draw_geometry(aspect: float = 0.83, along_x: float = 0.85, along_y: float = 
     return figure
 
 
-def identified(
+def paint_identified(
     omega: np.ndarray, measured: np.ndarray, model: np.ndarray, deviation: np.ndarray, actuator: int = 0
 ):
     """One actuator to all sensors: measured, fitted, what is left, and what the noise explains: Fig. 6.4."""
@@ -335,7 +339,7 @@ def identified(
     return figure
 
 
-def draw_identification(
+def paint_identification(
     rms: float = 1.0, averages: int = 20, bandwidth_hz: float = 4.0, sensor_exponent: float = -18.0
 ):
     """Explorer: response of the rig, and the deviation that an identification in closed loop leaves."""

@@ -19,7 +19,7 @@ from experiments.motion.rig_tracking import levelling, levelling_rms
 from stillwork.base.checks import InputError
 
 
-def draw_geometry(rng: np.random.Generator) -> Geometry:
+def sample_geometry(rng: np.random.Generator) -> Geometry:
     """A geometry from the ranges of ``rig.toml``; the length stays, since only ratios of lengths matter."""
     a = assumed()
     ranges = a["ranges"]
@@ -103,7 +103,7 @@ def rig_trial(
         Besides ``flexible`` (cases, modes) and ``coupling`` (cases,) in m/N, and the drawn ``mass``, ``aspect``,
         ``actuators`` and ``sensors``, and ``excitation`` (2, modes), the largest of four and of three actuators.
     """
-    geometry = geometry or draw_geometry(rng)
+    geometry = geometry or sample_geometry(rng)
     loops = rig_loops(geometry, settings, model_errors(rng))
     trajectory = levelling(rng)
     shape = (len(MEASURES), len(CASES), 3)

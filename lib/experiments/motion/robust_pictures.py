@@ -5,7 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from experiments.motion.contest import ENTRANTS, Contest, draw_scans, prepare, run_entrant
+from experiments.motion.contest import ENTRANTS, Contest, prepare, run_entrant, sample_scans
 from experiments.motion.scan_study import Records, Scan, published_scan
 from stillwork.workbook import figures
 
@@ -21,7 +21,7 @@ PUBLISHED = ("Kalman", "sensitivity penalised", "regularised least squares")
 COLOURS = dict(zip(ENTRANTS, (figures.RED, figures.BLUE, figures.GREEN), strict=False))
 
 
-def state_errors(scan: Scan, truth: np.ndarray, estimates: Mapping[str, np.ndarray]):
+def paint_state_errors(scan: Scan, truth: np.ndarray, estimates: Mapping[str, np.ndarray]):
     """Estimation errors of one run over time, one panel a state, on a symmetric logarithmic axis (Fig. 5.10).
 
     Parameters
@@ -70,10 +70,10 @@ def _contest(size_percent: float) -> tuple[Scan, Contest, Records]:
     """Scan, entrants and records for one size of the errors; they stay while the weight alone moves."""
     scan = published_scan()
     contest = prepare(scan, size_percent / 100, rigid=False)
-    return scan, contest, draw_scans(scan, 6, 1, size_percent / 100, "ends", False)
+    return scan, contest, sample_scans(scan, 6, 1, size_percent / 100, "ends", False)
 
 
-def draw_weight(weight_exponent: float, size_percent: float):
+def paint_weight(weight_exponent: float, size_percent: float):
     """Explorer: scan-phase errors of the published three as gamma and the size of the errors move."""
     scan, contest, records = _contest(size_percent)
     knobs = {"Kalman": 1.0, "sensitivity penalised": 10.0**weight_exponent}

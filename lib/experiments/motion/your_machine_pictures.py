@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from experiments.motion.pictures import bode, decibel, over_masses
+from experiments.motion.pictures import decibel, paint_bode, paint_over_masses
 from experiments.motion.structure import observing_compensator
 from experiments.motion.your_machine import Intensities, Reached, observer_settings
 from stillwork.base.checks import InputError
@@ -14,10 +14,10 @@ from stillwork.lti.peaks import resonance_grid
 from stillwork.workbook import figures
 
 
-def draw_machine(machine: Machine):
+def paint_machine(machine: Machine):
     """Accelerance of the model at every sensor; with a measurement also that, and the error of the fit."""
     if machine.measured is None:
-        return _draw_model(machine)
+        return _paint_model(machine)
     figure, (upper, lower) = figures.new(2, 1, height=4.6, sharex=True)
     omega = machine.fit.omega
     inside = (machine.measured.omega >= 0.3 * omega[0]) & (machine.measured.omega <= 1.2 * omega[-1])
@@ -39,7 +39,7 @@ def draw_machine(machine: Machine):
     return figure
 
 
-def _draw_model(machine: Machine):
+def _paint_model(machine: Machine):
     figure, axis = figures.new(1, 1, height=3.0)
     resonances = machine.resonances_hz
     hertz = np.geomspace(resonances[0] / 10, 2 * resonances[-1], 6000)
@@ -63,7 +63,7 @@ def envelope(x: np.ndarray, magnitude: np.ndarray, bins: int = 500) -> np.ndarra
     return np.unique([each[pick(magnitude[each])] for each in stretches for pick in (np.argmin, np.argmax)])
 
 
-def draw_reached(found: Mapping[str, Reached]):
+def paint_reached(found: Mapping[str, Reached]):
     """First crossing of every sensor for every use of the observer, on the model and on the measurement."""
     figure, axis = figures.new(1, 1, height=2.8)
     for number, (attribute, label, marker) in enumerate(
@@ -86,7 +86,7 @@ def draw_reached(found: Mapping[str, Reached]):
     return figure
 
 
-def draw_sensitivities(found: Mapping[str, Reached], machine: Machine):
+def paint_sensitivities(found: Mapping[str, Reached], machine: Machine):
     """Output sensitivity of every sensor at the limit of PID and of the furthest use of the observer."""
     reached = {name: each for name, each in found.items() if each.best is not None}
     if not reached:
@@ -95,7 +95,7 @@ def draw_sensitivities(found: Mapping[str, Reached], machine: Machine):
         )
     furthest = max(reached, key=lambda name: reached[name].best.crossing_hz.min())
     chosen = list(dict.fromkeys([next(iter(reached)), furthest]))
-    return over_masses(
+    return paint_over_masses(
         {
             f"{name}, $S_O$": (reached[name].loops, reached[name].best.controller, "output_sensitivity")
             for name in chosen
@@ -127,14 +127,14 @@ def machine_explorer(
     plant = last.frequency_response(shown)[0, 0]
     flexible = shown > np.pi * machine.resonances_hz[0]  # from half of the first resonance on
 
-    def draw(damping: float, drift: float):
+    def paint(damping: float, drift: float):
         moved = Intensities(intensities.disturbance, intensities.sensor, drift)
         application = Application(compensate=True, damping=damping, selectivity=selectivity)
         settings = observer_settings(machine, application, retained, moved)
         used = observing_compensator(last, application, *settings)
         (o_uu, o_uy), (o_yu, o_yy) = used.frequency_response(shown)
         seen = ((1 - o_yy) * plant - o_yu) / (1 - o_uu - o_uy * plant)
-        figure, axes = bode(
+        figure, axes = paint_bode(
             {"plant": (shown, plant), "with MC and AD": (shown, seen)},
             "magnitude (dB re 1 m/N)",
             height=3.2,
@@ -143,4 +143,4 @@ def machine_explorer(
         axes[0].set_title(f"the highest peak is {lowered:.0f} dB lower")
         return figure
 
-    return draw
+    return paint

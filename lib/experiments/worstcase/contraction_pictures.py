@@ -7,7 +7,7 @@ from stillwork.estimation.secular import SecularFunction
 from stillwork.workbook import figures
 
 
-def draw_scalar(function: SecularFunction):
+def paint_scalar(function: SecularFunction):
     """f and f' for one unknown, with the bounds that Section 8 gives for f'."""
     figure, (left, right) = figures.new(1, 2, height=3.0)
     root, _ = function.root()
@@ -27,7 +27,7 @@ def draw_scalar(function: SecularFunction):
     return figure
 
 
-def draw_counter_example(function: SecularFunction):
+def paint_counter_example(function: SecularFunction):
     """A map for two unknowns whose slope exceeds 1, and its iterates, which converge all the same."""
     figure, (left, middle, right) = figures.new(1, 3, height=3.0)
     root, _ = function.root()
@@ -38,12 +38,12 @@ def draw_counter_example(function: SecularFunction):
     left.set(xlabel="α", ylabel="f(α)")
     left.legend()
     left.minorticks_off()  # over many decades they take longer to draw than all else
-    _draw_slope(middle, function, alpha)
-    _draw_iterates(right, function, root)
+    _paint_slope(middle, function, alpha)
+    _paint_iterates(right, function, root)
     return figure
 
 
-def _draw_slope(axes, function: SecularFunction, alpha: np.ndarray):
+def _paint_slope(axes, function: SecularFunction, alpha: np.ndarray):
     slopes = function.slope(alpha)
     axes.semilogx(alpha, slopes, label="f′")
     axes.semilogx(alpha, alpha * slopes / function(alpha), color=figures.GREEN, label="d log f / d log α")
@@ -53,7 +53,7 @@ def _draw_slope(axes, function: SecularFunction, alpha: np.ndarray):
     axes.legend(loc="upper right")
 
 
-def _draw_iterates(axes, function: SecularFunction, root: float):
+def _paint_iterates(axes, function: SecularFunction, root: float):
     for decade, colour in ((-5, figures.BLUE), (-2, figures.SKY), (1, figures.ORANGE), (3, figures.RED)):
         path = function.iterates(root * 10.0**decade, 25)
         axes.semilogy(
@@ -65,7 +65,7 @@ def _draw_iterates(axes, function: SecularFunction, root: float):
     axes.legend(fontsize=7)
 
 
-def draw_slopes(slopes: dict[int, np.ndarray], rates: dict[int, np.ndarray]):
+def paint_slopes(slopes: dict[int, np.ndarray], rates: dict[int, np.ndarray]):
     """Largest slope of f, and slope at the root, over random problems, by number of unknowns."""
     figure, (left, right) = figures.new(1, 2, height=3.0, sharey=True)
     for axes, values, label in (
@@ -87,6 +87,6 @@ def explore_counter_example(bound: float, excess: float):
     function = counter_example(bound, excess)
     root, _ = function.root()
     figure, (left, right) = figures.new(1, 2, height=3.0)
-    _draw_slope(left, function, np.geomspace(1e-6, 1e3, 201) * root)
-    _draw_iterates(right, function, root)
+    _paint_slope(left, function, np.geomspace(1e-6, 1e3, 201) * root)
+    _paint_iterates(right, function, root)
     return figure

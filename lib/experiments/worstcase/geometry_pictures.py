@@ -21,7 +21,7 @@ def costs(matrix: np.ndarray, target: np.ndarray, bound: float, points: np.ndarr
     return residuals + bound * np.linalg.norm(points, axis=-1)
 
 
-def draw_one_unknown(matrix: np.ndarray, target: np.ndarray, bounds: list[float]):
+def paint_one_unknown(matrix: np.ndarray, target: np.ndarray, bounds: list[float]):
     """Cost (2) over a single unknown for several bounds, its minimum marked."""
     figure, axes = figures.new(height=3.0)
     least = solve_silently(matrix, target, 0.0).estimate[0]
@@ -43,7 +43,7 @@ def draw_one_unknown(matrix: np.ndarray, target: np.ndarray, bounds: list[float]
     return figure
 
 
-def draw_two_unknowns(matrix: np.ndarray, target: np.ndarray, bound: float):
+def paint_two_unknowns(matrix: np.ndarray, target: np.ndarray, bound: float):
     """Contours of the cost over two unknowns, with the estimate's way from least squares to zero."""
     figure, axes = figures.new(height=3.6)
     start = solve_silently(matrix, target, 0.0)
@@ -68,7 +68,7 @@ def draw_two_unknowns(matrix: np.ndarray, target: np.ndarray, bound: float):
     return figure
 
 
-def draw_bounds(matrix: np.ndarray, target: np.ndarray, consistent: np.ndarray):
+def paint_bounds(matrix: np.ndarray, target: np.ndarray, consistent: np.ndarray):
     """The bound that belongs to every regularisation: outside data (b off the column space) and consistent ones."""
     figure, (left, right) = figures.new(1, 2, height=3.0)
     for axes, goal, title in (
@@ -95,7 +95,7 @@ def draw_bounds(matrix: np.ndarray, target: np.ndarray, consistent: np.ndarray):
     return figure
 
 
-def draw_secular(matrix: np.ndarray, target: np.ndarray, shares: list[float]):
+def paint_secular(matrix: np.ndarray, target: np.ndarray, shares: list[float]):
     """f(α) for several bounds; the fixed points are the regularisations."""
     figure, axes = figures.new(height=3.2)
     threshold = solve_silently(matrix, target, 0.0).threshold
@@ -112,9 +112,9 @@ def draw_secular(matrix: np.ndarray, target: np.ndarray, shares: list[float]):
 
 
 def explore_geometry(share: float, noise: float, seed: int = 1):
-    """`draw_two_unknowns` with the bound given as a share of the threshold."""
+    """`paint_two_unknowns` with the bound given as a share of the threshold."""
     matrix, target = example(seed, 8, 2, noise)
-    return draw_two_unknowns(matrix, target, share * solve_silently(matrix, target, 0.0).threshold)
+    return paint_two_unknowns(matrix, target, share * solve_silently(matrix, target, 0.0).threshold)
 
 
 def shifted(function: SecularFunction, bound: float) -> SecularFunction:

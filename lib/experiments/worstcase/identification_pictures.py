@@ -13,12 +13,12 @@ METHODS = (
 )
 
 
-def draw_fig_1(study: Study, parameters: tuple[float, ...]):
+def paint_fig_1(study: Study, parameters: tuple[float, ...]):
     """Estimates averaged over the realisations (a), (b) and residuals (c), drawn as in Fig. 1."""
     figure, (first, second, third) = figures.new(3, 1, height=7.2, sharex=True)
     time = np.arange(1, study["bound"].shape[1] + 1)
     for number, (axes, truth) in enumerate(zip((first, second), parameters, strict=True)):
-        _draw_estimates(axes, study, number, truth)
+        _paint_estimates(axes, study, number, truth)
     first.legend(ncols=3)
     third.plot(time, study["min_max_worst"].mean(0), color=figures.BLUE, label="min-max: worst case")
     third.plot(time, study["total_target"].mean(0), "--", color=figures.RED, label="TLS: |(A + δA)x − b|")
@@ -39,7 +39,7 @@ def draw_fig_1(study: Study, parameters: tuple[float, ...]):
     return figure
 
 
-def _draw_estimates(axes, study: Study, number: int, truth: float):
+def _paint_estimates(axes, study: Study, number: int, truth: float):
     time = np.arange(1, study["bound"].shape[1] + 1)
     for name, label, colour, style in METHODS:
         axes.plot(time, study[name][:, number].mean(0), style, color=colour, label=label)
@@ -56,7 +56,7 @@ def _window(study, number, truth):
     return truth - reach, truth + reach
 
 
-def draw_corrections(study: Study):
+def paint_corrections(study: Study):
     """Norm of the perturbation that TLS assumes, beside the true one and its bound."""
     figure, axes = figures.new(height=3.0)
     time = np.arange(1, study["bound"].shape[1] + 1)
@@ -87,7 +87,7 @@ def group_errors(study: Study, parameters: tuple[float, ...], group: int) -> dic
     }
 
 
-def draw_long(study: Study, parameters: tuple[float, ...], least_limit: np.ndarray):
+def paint_long(study: Study, parameters: tuple[float, ...], least_limit: np.ndarray):
     """Median error over realisations as the record grows, and the limit of least squares."""
     figure, axes = figures.new(height=3.2)
     for name, label, colour, style in METHODS:
@@ -132,7 +132,7 @@ def win_shares(
     return tuple(np.array(shares).T)
 
 
-def draw_wins(cases: list[tuple[tuple[float, ...], int]], against_total, against_least):
+def paint_wins(cases: list[tuple[tuple[float, ...], int]], against_total, against_least):
     """Bars of `win_shares`."""
     figure, axes = figures.new(height=3.2)
     places = np.arange(len(cases))
@@ -158,7 +158,7 @@ def explore_fig_1(period: int, input_noise: float, output_noise: float, second: 
     )  # fmt: skip
     figure, panels = figures.new(1, 2, height=3.2)
     for number, (axes, truth) in enumerate(zip(panels, parameters, strict=True)):
-        _draw_estimates(axes, study, number, truth)
+        _paint_estimates(axes, study, number, truth)
         axes.set_xlabel("time (samples)")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure

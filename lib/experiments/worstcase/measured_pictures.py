@@ -6,7 +6,7 @@ from experiments.worstcase.measured import METHODS, MeasuredPair, bound_sweep, l
 from stillwork.workbook import figures
 
 
-def draw_spectra(pair: MeasuredPair, spectra: dict[str, np.ndarray], quiet_hz: tuple[float, float]):
+def paint_spectra(pair: MeasuredPair, spectra: dict[str, np.ndarray], quiet_hz: tuple[float, float]):
     """Densities of both channels with the sensor noise read from the quiet band, and their coherence."""
     figure, (upper, lower) = figures.new(2, 1, height=4.4, sharex=True)
     shown = spectra["frequency"] > 5
@@ -30,7 +30,7 @@ def draw_spectra(pair: MeasuredPair, spectra: dict[str, np.ndarray], quiet_hz: t
     return figure
 
 
-def draw_windows(lengths: list[int], found: dict[str, list[np.ndarray]]):
+def paint_windows(lengths: list[int], found: dict[str, list[np.ndarray]]):
     """Out-of-sample residual against the length of the training window; bars are quartiles over windows."""
     figure, axes = figures.new(height=3.6)
     for number, (name, colour, style) in enumerate(METHODS):
@@ -56,7 +56,7 @@ def draw_windows(lengths: list[int], found: dict[str, list[np.ndarray]]):
     return figure
 
 
-def draw_tracking(memories: list[int], found: dict[str, np.ndarray]):
+def paint_tracking(memories: list[int], found: dict[str, np.ndarray]):
     """One-step prediction error of the recursive estimators against their memory."""
     figure, axes = figures.new(height=3.0)
     colours = {"RLS": figures.BLACK, "ridge": figures.GREEN, "min-max, typical bound": figures.BLUE}
@@ -68,7 +68,7 @@ def draw_tracking(memories: list[int], found: dict[str, np.ndarray]):
     return figure
 
 
-def draw_sweep(factors: np.ndarray, found: dict[int, np.ndarray]):
+def paint_sweep(factors: np.ndarray, found: dict[int, np.ndarray]):
     """Median out-of-sample residual against the bound, for several window lengths."""
     figure, axes = figures.new(height=3.0)
     for length, values in found.items():
@@ -83,7 +83,7 @@ def draw_sweep(factors: np.ndarray, found: dict[int, np.ndarray]):
 
 
 def explore_sweep(taps: int, length: int):
-    """`draw_sweep` for another model and window."""
+    """`paint_sweep` for another model and window."""
     pair, _ = load_pair((100.0, 1500.0), (300.0, 600.0))
     factors = np.geomspace(0.1, 5, 9)
-    return draw_sweep(factors, {int(length): bound_sweep(pair, int(taps), int(length), factors, 10)})
+    return paint_sweep(factors, {int(length): bound_sweep(pair, int(taps), int(length), factors, 10)})

@@ -14,7 +14,7 @@ METHODS = (
 )
 
 
-def draw_fig_2(studies: dict[str, Study]):
+def paint_fig_2(studies: dict[str, Study]):
     """Error norms averaged over the trials, with the 95 % interval of the mean; one panel a study."""
     figure, panels = figures.new(len(studies), 1, sharex=True, squeeze=False)
     for axes, (title, study) in zip(panels[:, 0], studies.items(), strict=True):
@@ -42,7 +42,7 @@ def gains(study: Study, forgetting: float) -> dict[str, tuple[float, tuple[float
     return found
 
 
-def draw_gains(found: dict[str, dict[str, tuple[float, tuple[float, float]]]]):
+def paint_gains(found: dict[str, dict[str, tuple[float, tuple[float, float]]]]):
     """`gains` of several settings, with intervals."""
     figure, axes = figures.new(height=0.42 * len(found) + 1.5)
     places = np.arange(len(found))
@@ -82,7 +82,7 @@ def win_map(
     return ratios
 
 
-def draw_win_map(
+def paint_win_map(
     noises: np.ndarray, bounds: np.ndarray, ratios: np.ndarray, published: list[tuple[float, float]]
 ):
     """Map of `win_map`: blue where min-max is better than RLS, red where it is worse."""
@@ -111,6 +111,6 @@ def explore_tracking(bound: float, noise: float, scale: float, kind: str, seed: 
         tracking_trial, 40, seed, progress=False, truth=truth, bound=bound, forgetting=0.95, row_error=0.25,
         noise=noise, penalty=14.0,
     )  # fmt: skip
-    return draw_fig_2(
+    return paint_fig_2(
         {f"{kind}, |x| = {np.linalg.norm(truth[:, 0]):.3g}, η = {bound:.3g}, noise {noise:.3g}": study}
     )

@@ -18,7 +18,7 @@ COLOURS = {
 }
 
 
-def draw_exactness(found: dict[str, np.ndarray]):
+def paint_exactness(found: dict[str, np.ndarray]):
     """Norm of the batch estimate along time, and of the exact and the fast recursion at every eighth sample."""
     figure, axes = figures.new(height=2.8)
     time = np.arange(len(found["size"]))
@@ -39,7 +39,7 @@ def draw_exactness(found: dict[str, np.ndarray]):
     return figure
 
 
-def draw_accuracy(records: dict[str, dict[str, np.ndarray]]):
+def paint_accuracy(records: dict[str, dict[str, np.ndarray]]):
     """Error of alpha and of the estimate of (20) with 1, 2 and 3 iterations; one row of axes a record."""
     figure, grid = figures.new(len(records), 2, sharex=True, squeeze=False)
     for (title, found), (left, right) in zip(records.items(), grid, strict=True):
@@ -67,7 +67,7 @@ def _above_rounding(errors: np.ndarray) -> np.ndarray:
     return np.where(errors > 1e-11, errors, np.nan)
 
 
-def draw_counts(sizes: list[int], evaluations: float):
+def paint_counts(sizes: list[int], evaluations: float):
     """Multiplications an update against n, with what the paper claims as slopes."""
     figure, axes = figures.new(height=3.4)
     for update in ("least squares", "ridge", "approximate", "exact", "fast"):
@@ -91,7 +91,7 @@ def times_by_name() -> dict[str, np.ndarray]:
     return columns
 
 
-def draw_times(times: dict[str, np.ndarray]):
+def paint_times(times: dict[str, np.ndarray]):
     """Measured time an update against n (the committed table)."""
     figure, axes = figures.new(height=3.4)
     styles = {
@@ -111,7 +111,7 @@ def draw_times(times: dict[str, np.ndarray]):
 
 
 def explore_accuracy(bound: float, noise: float, seed: int = 1):
-    """`draw_accuracy` on one record of the setting of Fig. 2."""
+    """`paint_accuracy` on one record of the setting of Fig. 2."""
     truth = path("constant", FIG_2_PARAMETERS, 120)
     found = recursion_trial(np.random.default_rng(seed), truth, bound, 0.95, noise)
-    return draw_accuracy({f"η = {bound:.3g}": found})
+    return paint_accuracy({f"η = {bound:.3g}": found})

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from experiments.worstcase.measured_pictures import draw_windows
+from experiments.worstcase.measured_pictures import paint_windows
 from experiments.worstcase.your_record import Fitted, Pair, Spectra, parts, residual, weighted_corner
 from stillwork.estimation.min_max import solve_silently
 from stillwork.identification.regressors import fir_regressors, noise_bound
@@ -20,7 +20,7 @@ STYLES = {
 USELESS = 1.5  # a residual beyond which a model is not drawn
 
 
-def draw_pair(pair: Pair, spectra: Spectra):
+def paint_pair(pair: Pair, spectra: Spectra):
     """Densities of input and output with the noise taken, and their coherence."""
     figure, panels = figures.new(3, 1, height=5.4, sharex=True)
     shown = spectra.frequency > 0
@@ -52,7 +52,7 @@ def draw_pair(pair: Pair, spectra: Spectra):
     return figure
 
 
-def draw_models(pair: Pair, fitted: Fitted, samples: int = 80):
+def paint_models(pair: Pair, fitted: Fitted, samples: int = 80):
     """Impulse responses, and predictions of the output on the first samples of the part that is judged."""
     figure, (left, right) = figures.new(1, 2, height=3.4)
     taps = len(next(iter(fitted.estimates.values())))
@@ -86,7 +86,7 @@ def _nice(unit: str) -> str:
     return unit.replace("^2", "²")
 
 
-def draw_bounds(pair: Pair, fitted: Fitted):
+def paint_bounds(pair: Pair, fitted: Fitted):
     """Residual against the bound on the part for choosing and on the part that is judged."""
     figure, axes = figures.new(1, 1, height=3.2)
     typical = fitted.bounds["min-max, typical bound"]
@@ -106,9 +106,9 @@ def draw_bounds(pair: Pair, fitted: Fitted):
     return figure
 
 
-def draw_lengths(lengths: list[int], found: dict[str, list[np.ndarray]]):
+def paint_lengths(lengths: list[int], found: dict[str, list[np.ndarray]]):
     """Residual on the next window against the length of the training window; in decades where it gets small."""
-    figure = draw_windows(lengths, found)
+    figure = paint_windows(lengths, found)
     [axes] = figure.axes
     smallest = min(np.quantile(values, 0.25) for windows in found.values() for values in windows)
     if smallest < 0.2:
@@ -126,7 +126,7 @@ def record_explorer(pair: Pair, memory: int) -> Callable:
     recent = slice(max(0, fit.stop - min(8 * memory, 8000)), fit.stop)
     later = slice(judge.start, min(judge.start + 8000, judge.stop))
 
-    def draw(taps: int, bound: float):
+    def paint(taps: int, bound: float):
         """Impulse responses for `taps` and `bound` times the typical bound."""
         regressors = fir_regressors(scaled.input, taps)
         matrix, target = weighted_corner(regressors[:, recent], scaled.output[recent], forgetting)
@@ -150,4 +150,4 @@ def record_explorer(pair: Pair, memory: int) -> Callable:
         axes.legend()
         return figure
 
-    return draw
+    return paint

@@ -12,7 +12,6 @@ from stillwork.control.setpoint import Setpoint
 from stillwork.lti.discretisation import zoh
 from stillwork.lti.simulation import simulate
 from stillwork.lti.state_space import StateModel, interconnect
-from stillwork.signals.moving_average import rms
 
 BASIS = ("velocity", "acceleration", "jerk", "snap")
 
@@ -178,37 +177,3 @@ def noise_error(
     model = zoh(loop.select(places, [0, 1]), step)
     noise = rng.standard_normal((len(places), samples)) * np.array(list(deviations.values()))[:, None]
     return simulate(model, noise)
-
-
-def noisy_scans(
-    rng: np.random.Generator,
-    loops: dict[str, StateModel],
-    setpoint: Setpoint,
-    feedforward: Feedforward,
-    deviations: dict[str, float],
-    warm_up: int = 3000,
-) -> dict[str, float]:
-    """Rms of the true error in the scan (m) of several loops under one noise realisation; a trial of a study.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    loops : dict
-        Label to a single `closed_loop`.
-    setpoint, feedforward
-        The move; the feedforward is the modified one.
-    deviations : dict
-        As for `noise_error`.
-    warm_up : int
-        Samples before the move, in which the noise reaches its steady state.
-    """
-    seed = rng.integers(2**63)  # every loop meets the same noise
-    samples = warm_up + setpoint.derivatives.shape[1]
-    found = {}
-    for name, loop in loops.items():
-        noise = noise_error(loop, setpoint.step, samples, deviations, np.random.default_rng(seed))[
-            0, warm_up:
-        ]
-        error = tracking_error(error_loop(loop), setpoint, feedforward) + noise
-        found[name] = rms(error[setpoint.scanning])
-    return found

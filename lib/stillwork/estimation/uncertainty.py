@@ -43,7 +43,7 @@ def perturbed(model: ModalModel, errors: ArrayLike) -> ModalModel:
     )
 
 
-def draw_errors(
+def sample_errors(
     rng: np.random.Generator, model: ModalModel, size: float, law: str = "ends", rigid: bool = False
 ) -> Float64[np.ndarray, "modes 4"]:
     """Random relative errors of every modal parameter.
