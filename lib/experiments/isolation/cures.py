@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike
 
 from stillwork.base.checks import require_array, require_choice, require_count, require_number
 from stillwork.base.kernels import kernel
-from stillwork.estimation.adaptive import add_information, ferls_update
+from stillwork.estimation.adaptive import ferls_update, hold_covariance
+from stillwork.estimation.covariance_forms import TRIANGLE, add_information
 
 CURES = ("none", "trace bound", "leakage", "limit")
 NONE, TRACE_BOUND, LEAKAGE, LIMIT = range(4)
@@ -164,11 +165,11 @@ def _cure_run(
     kept,
 ):
     n, sensors = len(start), floor.shape[1]
-    weights, covariance, limits = np.zeros((1, n)), np.zeros((n, n)), np.empty(n)
+    weights, covariance, levels = np.zeros((1, n)), np.zeros((n, n)), np.zeros((3, n))
     bound = 0.0
     for i in range(n):
         covariance[i, i] = start[i]
-        limits[i] = growth * start[i] if cure == LIMIT else np.inf
+        levels[0, i] = growth * start[i] if cure == LIMIT else np.inf
         bound += growth * start[i]
     psi, shaped, gain = np.empty(n), np.empty(n), np.empty(n)
     error = np.empty(1)
@@ -195,12 +196,14 @@ def _cure_run(
         if not abs(command) <= OVERLOAD * largest:
             return k
 
-        ferls_update(weights, covariance, shaped, error, forgetting, limits, gain)
+        _, reached = ferls_update(weights, covariance, forgetting, levels, np.inf, gain, shaped, error)
+        if reached:
+            hold_covariance(TRIANGLE, covariance, forgetting, levels, gain, gain, 0)
         if cure == LEAKAGE:
             # One axis a sample with n times the amount: the same on average at the cost of one.
             axis = k % n
             information = n * (1 - forgetting) / (growth * start[axis])
-            add_information(covariance, axis, information, gain)
+            add_information(TRIANGLE, covariance, axis, information, gain, gain)
         elif cure == TRACE_BOUND:
             trace = 0.0
             for i in range(n):
