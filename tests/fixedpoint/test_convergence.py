@@ -10,32 +10,29 @@ import pytest
 from experiments.fixedpoint import added_controllers, published_controllers
 from stillwork.base.checks import InputError
 from stillwork.control import (
-    ContractionWarning,
     Controller,
     FlowTransformation,
     KinematicDesign,
-    RobustTransformation,
-    Trajectory,
-    contraction_range,
-    describing_function,
     fixed_point_convergence,
-    limit_cycles,
-    linear_filter,
-    linear_loop,
-    random_gain,
-    response_gain,
     simulate,
+)
+from stillwork.control.fixed_point import response_gain
+from stillwork.control.fixed_point_convergence import (
+    describing_function,
+    limit_cycles,
+    random_gain,
     stable_range,
     strongest_oscillation,
 )
-from stillwork.control.fixed_point_linear import LinearLoop
-from stillwork.estimation import (
+from stillwork.control.fixed_point_linear import LinearLoop, linear_filter, linear_loop
+from stillwork.control.trajectory import Trajectory
+from stillwork.control.transformation import ContractionWarning, RobustTransformation, contraction_range
+from stillwork.estimation import LowPass, filter_signal
+from stillwork.estimation.coordinate_filters import (
     ExtendedKalman,
-    LowPass,
     MovingWindow,
     SavitzkyGolay,
     UnscentedKalman,
-    filter_signal,
 )
 
 STEP = 1e-3

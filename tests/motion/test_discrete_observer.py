@@ -23,8 +23,9 @@ from stillwork.control.feedback import band_pass, damping_gain, fed_back
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.estimation.robust import kalman_gains
 from stillwork.estimation.time_varying import TimeVaryingModel, estimate
-from stillwork.lti import StateModel, simulate, zoh, zoh_modes
+from stillwork.lti import StateModel, simulate, zoh
 from stillwork.lti.delays import delayed
+from stillwork.lti.discretisation import zoh_modes
 from stillwork.lti.reduction import truncate
 
 STEP = 1e-4

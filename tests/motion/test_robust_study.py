@@ -22,7 +22,7 @@ from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
 from stillwork.estimation.robust import kalman_gains
 from stillwork.estimation.time_varying import TimeVaryingModel, estimate
 from stillwork.estimation.uncertainty import norm_bound, perturbed, sample_errors, sampled_derivatives
-from stillwork.lti import zoh_modes
+from stillwork.lti.discretisation import zoh_modes
 from stillwork.workbook.studies import run_study
 
 
