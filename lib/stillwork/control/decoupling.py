@@ -69,6 +69,13 @@ def decouple(
     InputError
         When there are fewer actuators or sensors than modes to tell apart, or their places do not tell these
         modes apart.
+
+    Examples
+    --------
+    >>> shapes = np.array([[0.3, 0.3], [0.5, -0.5]])  # translation and rotation, at two actuators
+    >>> beam = lti.ModalModel([0.0, 0.0], [0.0, 0.0], shapes, shapes.T, np.zeros((2, 2)))
+    >>> np.allclose(shapes @ control.decouple(beam).actuation, np.eye(2))
+    True
     """
     rigid, modes = model.rigid_modes, len(model.frequencies)
     if not rigid:

@@ -46,6 +46,13 @@ class Controller:
         (1).
     model : Plant
         The approximate model, which turns the deformed acceleration into a force.
+
+    Examples
+    --------
+    >>> slide = estimation.Plant(lambda q, v, f, p: f / p[0], lambda q, v, a, p: p[0] * a, [2.0])
+    >>> parts = estimation.LowPass(), control.FlowTransformation(), control.KinematicDesign(10.0), slide
+    >>> control.Controller(*parts).kinematics.exponent  # 1/s
+    10.0
     """
 
     signal_filter: Filter
@@ -140,10 +147,28 @@ def simulate(
     ControlledRun
         With `diverged_at` and `cause` when it diverged.
 
+    Raises
+    ------
+    InputError
+        When the noise does not have a sample for each of the trajectory, or an option is unknown.
+
     Warns
     -----
     ContractionWarning
         When the transformation cannot contract even with perfect measurements.
+
+    References
+    ----------
+    Equations (1), (6) and (8) of the fixed-point work.
+
+    Examples
+    --------
+    >>> slide = estimation.Plant(lambda q, v, f, p: f / p[0], lambda q, v, a, p: p[0] * a, [2.0])
+    >>> parts = estimation.LowPass(), control.FlowTransformation(), control.KinematicDesign(10.0), slide
+    >>> sine = control.asin_trajectory(amplitude=0.1, sharpness=0.5, duration=1.0)
+    >>> run = control.simulate(slide, control.Controller(*parts), sine)
+    >>> bool(np.abs(run.position_error).max() < 1e-3)  # m
+    True
     """
     samples = len(trajectory.position)
     noise = np.zeros(samples) if noise is None else require_array("noise", noise, shape=(samples,))

@@ -111,6 +111,12 @@ def point_to_point(
     InputError
         When a limit is not positive, the settling is longer than the cruise, or `step` does not divide
         the segments.
+
+    Examples
+    --------
+    >>> move = control.point_to_point(1e4, 100.0, 2.0, 0.1, cruise=0.02, settling=0.005, step=1e-3)
+    >>> float(move.derivatives[1].max().round(6))  # m/s
+    0.1
     """
     for name, value in (
         ("snap", snap),

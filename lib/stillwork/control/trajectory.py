@@ -97,6 +97,17 @@ def asin_trajectory(
         k, between 0 and 1.
     frequency_hz, duration, time_step : float
         Hz, s, s.
+
+    Raises
+    ------
+    InputError
+        When the sharpness is not between 0 and 1.
+
+    Examples
+    --------
+    >>> corner = control.asin_trajectory(amplitude=0.1, frequency_hz=1.0, duration=1.0)
+    >>> float(corner.position.max().round(6))  # m
+    0.1
     """
     require_number("sharpness", sharpness, above=0, below=1)
     phase, rate = _phase(amplitude, frequency_hz, duration, time_step)

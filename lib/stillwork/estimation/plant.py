@@ -34,6 +34,12 @@ class Plant:
         ``force(position, velocity, acceleration, parameters)``, N: the inverse of the first.
     parameters : ndarray, shape (parameters,)
         Passed to both; changing them recompiles nothing.
+
+    Examples
+    --------
+    >>> slide = estimation.Plant(lambda q, v, f, p: f / p[0], lambda q, v, a, p: p[0] * a, [2.0])
+    >>> float(slide.force(0.0, 0.1, 3.0, slide.parameters))  # N, for 3 m/s^2 of 2 kg
+    6.0
     """
 
     acceleration: Callable

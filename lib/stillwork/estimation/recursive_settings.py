@@ -98,6 +98,13 @@ class MinMax(_MinMaxUpdate):
     ----------
     Sayed, Garulli, Nascimento, Chandrasekaran, "Exponentially-weighted iterative solutions for worst-case
     parameter estimation", Theorem 2, (20), Section 7. With h as printed, (15) and (18) need lam alpha_t.
+
+    Examples
+    --------
+    >>> rows = identification.fir_regressors(np.random.default_rng(1).standard_normal(500), taps=2)
+    >>> track = estimation.run(estimation.MinMax(bound=1.0, forgetting=0.98), rows, [0.7, 0.2] @ rows)
+    >>> bool(np.linalg.norm(track.estimates[:, -1]) <= np.hypot(0.7, 0.2))  # doubt only shrinks
+    True
     """
 
     bound: float
@@ -115,6 +122,7 @@ class MinMax(_MinMaxUpdate):
         return float(self.forgetting)
 
     def bounds(self, first: int, count: int) -> np.ndarray:
+        """The bound at each of `count` samples."""
         return np.full(count, float(self.bound))
 
 
@@ -157,6 +165,16 @@ class LeastSquares:
         How far an element of the diagonal of P may grow beyond P_0, at least 1; ``inf`` for the textbook's
         recursion. Without excitation P grows as 1 / forgetting^t: it leaves the finite numbers, and long before
         that its return breaks the recursion. Information is added only where P exceeds the limit.
+
+    References
+    ----------
+    Ljung, System Identification (1999), section 11.2.
+
+    Examples
+    --------
+    >>> rows = identification.fir_regressors(np.random.default_rng(1).standard_normal(500), taps=2)
+    >>> estimation.run(estimation.LeastSquares(0.98), rows, [0.7, 0.2] @ rows).estimates[:, -1].round(3)
+    array([0.7, 0.2])
     """
 
     forgetting: float
@@ -170,11 +188,13 @@ class LeastSquares:
             require_number("growth_limit", self.growth_limit, at_least=1.0)
 
     def start(self, unknowns: int) -> tuple[np.ndarray, ...]:
+        """P, x and the limits of the diagonal of P before the first sample."""
         initial = float(self.initial_covariance)
         limits = np.full(unknowns, initial * float(self.growth_limit))
         return initial * np.eye(unknowns), np.zeros(unknowns), limits
 
     def advance(self, state, first: int, rows, outputs) -> Track:
+        """Take in rows from sample `first` on; the state is changed in place."""
         out = _empty(rows)
         recursive_kernels.run_least_squares(rows, outputs, float(self.forgetting), *state, *out[:2])
         out[2][:] = 0

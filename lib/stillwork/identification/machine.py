@@ -117,6 +117,15 @@ def build_machine(
     ------
     InputError
         When the machine is not free to move as one rigid body, or nothing can be fitted.
+
+    Examples
+    --------
+    >>> free = {"M": np.diag([8.0, 2.0]), "K": [[1e6, -1e6], [-1e6, 1e6]], "input": [1.0, 0.0]}
+    >>> np.savez("stage.npz", **free)
+    >>> stage = identification.load_machine("stage.npz")
+    >>> machine = identification.build_machine(stage, modes_hz=[], fit_hz=(0, 0), mirrored_sensor=False)
+    >>> round(machine.mass, 6), machine.resonances_hz.round(1)  # kg, Hz
+    (10.0, array([125.8]))
     """
     machine = _built(file) if file.accelerance is None else _fitted(file, modes_hz, fit_hz)
     if mirrored_sensor and len(machine.sensors) == 1:

@@ -97,6 +97,13 @@ def load_machine(
     ------
     InputError
         For everything that makes the file unusable; it says what to do.
+
+    Examples
+    --------
+    >>> free = {"M": np.diag([8.0, 2.0]), "K": [[1e6, -1e6], [-1e6, 1e6]], "input": [1.0, 0.0]}
+    >>> np.savez("stage.npz", **free)
+    >>> identification.load_machine("stage.npz").kind
+    'matrices'
     """
     file = Path(file)
     arrays = read_arrays(file)
