@@ -124,8 +124,12 @@ def test_read_only_records_of_one_actuator_are_taken(settings, run, tmp_path):
 MODELS = """
 import numpy as np
 from stillwork.base.checks import InputError
-from stillwork.control import Feedforward, FlowTransformation, Setpoint, fed_back, iterate
-from stillwork.estimation import Observer
+from stillwork.control import FlowTransformation
+from stillwork.control.feedback import fed_back
+from stillwork.control.feedforward import Feedforward
+from stillwork.control.setpoint import Setpoint
+from stillwork.control.transformation import iterate
+from stillwork.estimation.observer import Observer
 from stillwork.lti import ModalModel, StateModel, interconnect
 
 model = ModalModel([0, 10], [0, 0.01], [[1], [1]], [[1, -1]], [[0]])
