@@ -2,8 +2,16 @@
 
 import difflib
 from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
+
+# A field that a dataclass turns from array_like into an array when it is built: types know one of the two.
+if TYPE_CHECKING:
+    Converted = Any
+else:
+    Converted = ArrayLike
 
 MOST_COUNT = 2**63 - 1  # numpy's own whole numbers hold no more
 MOST_SAMPLES = 1e8  # of what a duration and a sample time ask for; a slip of units asks for more

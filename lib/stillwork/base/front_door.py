@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache, wraps
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import AbstractArray
@@ -98,7 +99,7 @@ def checked(function: Callable | None = None, *, infinite: bool = False, missing
 
 def check_fields(instance) -> None:
     """Hold the fields of a dataclass against their annotations; called first in its ``__post_init__``."""
-    for name, check in _checks(type(instance)).items():
+    for name, check in _checks(instance.__class__).items():
         value = getattr(instance, name)
         if (fit := check(name, value)) is not value:
             object.__setattr__(instance, name, fit)
@@ -122,7 +123,12 @@ def _checks(owner) -> dict[str, Callable]:
 
 def _check(hint) -> Callable | None:
     """``check(name, value)`` that returns the value as `hint` has it; None for what is not checked here."""
-    plain = {float: require_number, int: require_whole, np.ndarray: require_array, Callable: require_callable}
+    plain: dict[Any, Callable] = {
+        float: require_number,
+        int: require_whole,
+        np.ndarray: require_array,
+        Callable: require_callable,
+    }
     if hint in plain:
         return plain[hint]
     origin, parts = typing.get_origin(hint), typing.get_args(hint)
@@ -143,7 +149,8 @@ def _union(parts: tuple) -> Callable | None:
     if _OPEN & set(parts):
         return None
     rest = [part for part in parts if part is not types.NoneType]
-    if not rest or None in (found := [_check(part) for part in rest]):
+    found: list[Any] = [_check(part) for part in rest]
+    if not rest or None in found:
         return None
     classes = tuple(part for part in rest if inspect.isclass(part) and part not in (float, int))
     optional = len(rest) < len(parts)
@@ -166,7 +173,7 @@ def _union(parts: tuple) -> Callable | None:
 
 def _sequence(origin, parts: tuple) -> Callable | None:
     counted = origin is tuple and parts[-1] is not ...
-    found = [_check(part) for part in parts if part is not ...]
+    found: list[Any] = [_check(part) for part in parts if part is not ...]
     if not found or None in found:
         return None
 

@@ -211,6 +211,7 @@ def maximise_bandwidth(
             good = middle
         else:
             bad, stopped = middle, found
+    assert stopped is not None  # `_rough` rejects nothing that is feasible
     controller = family(good)
     crossings = np.array([loop.crossing_hz(controller) for loop in loops])
     return Bandwidth(good, crossings, controller, *stopped)

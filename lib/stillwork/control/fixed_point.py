@@ -1,6 +1,7 @@
 """The controller's loop, Fig. 1: measure, filter, desire, deform, push, move; one kernel for every filter."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
@@ -206,15 +207,15 @@ def simulate(
         np.array(limits),
         record,
     )
-    ending = {}
+    found: dict[str, Any] = dict(zip(COLUMNS, record, strict=True))
     if status != RUNNING:
         causes = {
             TOO_FAR: f"the plant left the bound of {limits[0]:g} m and {limits[1]:g} m/s",
             NOT_FINITE: "the commanded force is not finite",
             NOT_DEFINITE: "the filter's covariance is no longer positive definite",
         }
-        ending = {"diverged_at": float(done * trajectory.time_step), "cause": causes[status]}
-    return ControlledRun(trajectory, **dict(zip(COLUMNS, record, strict=True)), **ending)
+        found |= {"diverged_at": float(done * trajectory.time_step), "cause": causes[status]}
+    return ControlledRun(trajectory, **found)
 
 
 @checked

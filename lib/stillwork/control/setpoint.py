@@ -140,9 +140,7 @@ def point_to_point(
     return Setpoint(step, derivatives, (rise + settling, rise + cruise), rise)
 
 
-def segment_times(
-    snap: float, jerk: float, acceleration: float, velocity: float
-) -> tuple[float, float, float]:
+def segment_times(snap: float, jerk: float, acceleration: float, velocity: float) -> tuple[float, ...]:
     """Lengths of the snap, jerk-plateau and acceleration-plateau segments (s)."""
     t_snap = min(jerk / snap, np.sqrt(acceleration / snap), np.cbrt(velocity / (2 * snap)))
     top = snap * t_snap

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
-from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, require_array, require_choice, require_number
+from stillwork.base.checks import Converted, InputError, require_array, require_choice, require_number
 from stillwork.base.front_door import checked
 from stillwork.base.kernels import inlined_kernel, kernel
 
@@ -77,7 +76,7 @@ class FeRls:
     array([100., 100.])
     """
 
-    initial_covariance: ArrayLike | float
+    initial_covariance: Converted
     forgetting: float = float(np.exp(-2e-4 / 10))
     growth_limit: float = 10.0
 

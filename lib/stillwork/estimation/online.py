@@ -1,6 +1,7 @@
 """Adaptation on people's own data: over a recorded run, as identification, or one sample at a time."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float64, Int64
@@ -167,7 +168,7 @@ class AdaptationStepper:
     def __init__(self, settings: FeLms | FeRls, weights: ArrayLike):
         self.settings = _require_settings(settings)
         self.weights = require_array("weights", weights, ndim=2).copy()
-        self.covariance, self._limits = None, None
+        self.covariance: Any = None
         if isinstance(settings, FeRls):
             self.covariance, self._limits = settings.start(self.weights.shape[1])
         self._gain = np.zeros(self.weights.shape[1])

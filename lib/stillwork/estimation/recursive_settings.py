@@ -1,7 +1,7 @@
 """Settings and steps of the recursive estimators; `recursive` runs them over data."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float64, Int64
@@ -34,10 +34,16 @@ class Track:
     evaluations: Int64[np.ndarray, " samples"]
 
 
-@dataclass(frozen=True)
 class _MinMaxUpdate:
     # Shared by the two windows below: how alpha is found, and the kernels behind it. The state stands apart
     # from the settings, so one estimator serves many records; `advance` changes the state in place.
+    update: str
+    iterations: int
+    bounds: Callable
+
+    @property
+    def _weight(self) -> float:
+        return 1.0
 
     def start(self, unknowns: int) -> tuple[np.ndarray, ...]:
         square = np.zeros((unknowns, unknowns))
@@ -141,7 +147,6 @@ class GrowingMinMax(_MinMaxUpdate):
     row_bound: float
     update: str = "exact"
     iterations: int = 1
-    _weight: ClassVar[float] = 1.0
 
     def __post_init__(self):
         require_number("row_bound", self.row_bound, at_least=0.0)

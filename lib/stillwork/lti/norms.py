@@ -45,7 +45,7 @@ def hinf_norm(model: StateModel, tolerance: float = 1e-10) -> Peak:
     if model.step or not model.is_stable:
         raise InputError("model must be stable and in continuous time for this norm")
     if not (np.any(model.b) and np.any(model.c)):
-        return Peak(_finite(np.linalg.norm(model.d, 2)) if model.d.size else 0.0, 0.0)
+        return Peak(_finite(float(np.linalg.norm(model.d, 2))) if model.d.size else 0.0, 0.0)
     units = _unit(model.b), _unit(model.c)
     rate = np.abs(model.poles).max()
     a, (scale, _) = linalg.matrix_balance(model.a / rate, permute=False, separate=True)

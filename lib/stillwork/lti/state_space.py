@@ -151,8 +151,8 @@ def from_control(system) -> StateModel:
         raise InputError(f"system is {shown(system)}; give a control.StateSpace")
     if system.dt is None or system.dt is True:
         raise InputError("system.dt is unspecified; give 0 for continuous time or the sample time in s")
-    matrices = (np.array(m, dtype=float, ndmin=2) for m in (system.A, system.B, system.C, system.D))
-    return StateModel(*matrices, step=float(system.dt))
+    a, b, c, d = (np.array(m, dtype=float, ndmin=2) for m in (system.A, system.B, system.C, system.D))
+    return StateModel(a, b, c, d, step=float(system.dt))
 
 
 @checked
