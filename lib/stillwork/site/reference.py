@@ -188,7 +188,7 @@ def _until_section(lines: list[str], start: int) -> tuple[list[str], int]:
 
 def _definitions(lines: list[str]) -> str:
     """``name : type`` lines with indented descriptions as a list; free text (References, Notes) as blocks."""
-    if lines[0].startswith(">>>") or not any(line.startswith(" ") for line in lines):
+    if (lines[:1] and lines[0].startswith(">>>")) or not any(line.startswith(" ") for line in lines):
         return _blocks(lines)
     html = []
     for chunk in re.split(r"\n(?=\S)", "\n".join(lines).strip("\n")):
