@@ -127,8 +127,8 @@ from stillwork.base.checks import InputError
 from stillwork.control import FlowTransformation
 from stillwork.control.feedback import fed_back
 from stillwork.control.feedforward import Feedforward
+from stillwork.control.fixed_point_convergence import iterate
 from stillwork.control.setpoint import Setpoint
-from stillwork.control.transformation import iterate
 from stillwork.estimation.observer import Observer
 from stillwork.lti import ModalModel, StateModel, interconnect
 
