@@ -2,9 +2,11 @@
 
 import gc
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 
 import numpy as np
+
+from stillwork.workbook.house_style import HouseFigure, house_style
 
 
 def pixels(figure, dpi: float) -> np.ndarray:
@@ -27,6 +29,7 @@ def pixels(figure, dpi: float) -> np.ndarray:
     """
     with ExitStack() as stack:
         stack.enter_context(_no_collection())
+        stack.enter_context(house_style() if isinstance(figure, HouseFigure) else nullcontext())
         canvas = stack.enter_context(_canvas(figure, dpi))
         groups = _bare_groups(figure)
         engine = figure.get_layout_engine()
