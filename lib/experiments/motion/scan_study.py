@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
-from scipy import linalg
 
 from experiments.motion.machines import parameters, published_setpoint, stage, stage_mass
 from experiments.motion.positions import shapes_along
@@ -167,19 +166,6 @@ def _scan(a, b, shapes, reference, forward, ca, cb, cc, noise, states, u, y):
                 following[i] = total
             for i in range(n):
                 x[i] = following[i]
-
-
-def slowest_decay(scan: Scan, errors: ArrayLike, stride: int = 100) -> float:
-    """Largest magnitude of the closed loop's poles over the scan; below 1 when every place is stable."""
-    plant = zoh_modes(perturbed(scan.nominal, errors), scan.step)
-    factors = 1 + require_array("errors", errors, ndim=2)[:, 3]
-    rows = output_rows(scan.shapes[::stride] * factors)
-    control = scan.controller
-    largest = 0.0
-    for c in rows:
-        loop = np.block([[plant.a, plant.b @ control.c], [-control.b @ c, control.a]])
-        largest = max(largest, float(np.abs(linalg.eigvals(loop)).max()))
-    return largest
 
 
 @dataclass(frozen=True)
