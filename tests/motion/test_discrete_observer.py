@@ -9,15 +9,10 @@ from scipy import linalg, signal
 from experiments.motion.designs import stage_observer
 from experiments.motion.discrete_pictures import equivalent_plant, paint_sampled
 from experiments.motion.machines import published_noise, stage
+from experiments.motion.placement import gain_by_placement, placement_error, typical_placement_error
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
-from stillwork.control.discrete_damping import (
-    discrete_damping_gain,
-    gain_by_placement,
-    placement_error,
-    sampled_feedback,
-    typical_placement_error,
-)
+from stillwork.control.discrete_damping import discrete_damping_gain, sampled_feedback
 from stillwork.control.discrete_observer import discrete_compensator, discrete_kalman_observer
 from stillwork.control.feedback import band_pass, damping_gain, fed_back
 from stillwork.estimation.observer import NoiseIntensities
