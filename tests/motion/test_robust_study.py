@@ -15,12 +15,12 @@ from experiments.motion.scan_study import (
     published_scan,
     record_scans,
 )
+from experiments.motion.uncertainty import norm_bound, perturbed, sample_errors, sampled_derivatives
 from naive import motion_filters as naive
 from stillwork.base.checks import InputError
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
 from stillwork.estimation.robust import kalman_gains
 from stillwork.estimation.time_varying import TimeVaryingModel, estimate
-from stillwork.estimation.uncertainty import norm_bound, perturbed, sample_errors, sampled_derivatives
 from stillwork.lti import zoh_modes
 from stillwork.workbook.studies import run_study
 

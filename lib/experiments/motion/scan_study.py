@@ -13,13 +13,13 @@ from numpy.typing import ArrayLike
 
 from experiments.motion.machines import parameters, published_setpoint, stage, stage_mass
 from experiments.motion.positions import shapes_along
+from experiments.motion.uncertainty import perturbed
 from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.base.kernels import kernel
 from stillwork.control.pid import PidFamily
 from stillwork.control.setpoint import Setpoint
 from stillwork.estimation.riccati import discrete_gain
 from stillwork.estimation.time_varying import TimeVaryingModel
-from stillwork.estimation.uncertainty import perturbed
 from stillwork.lti.discretisation import zoh, zoh_modes
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
