@@ -240,7 +240,6 @@ def catalogue() -> dict:
         "band_passed": (c.band_passed, {"model": model, "gain": damping, "selectivity": 2.0, "order": 2}),
         "channel": (c.channel, {"loop": loop, "source": "r", "target": "e_true", "inputs": 1, "outputs": 1}),
         "closed_loop": (c.closed_loop, {"plant": model, "compensator": None, "controller": pid(10.0).state_space()}),
-        "common_band_passed": (c.common_band_passed, {"model": model, "gain": damping, "selectivity": 2.0}),
         "compensator": (c.compensator, {"observer": observer, "application": c.Application(True, 0.1)}),
         "constrained_damping": (c.constrained_damping, {**quiet, "undisturbed": [0]}),
         "constrained_stiffness": (c.constrained_stiffness, {"model": broad, "factor": np.array([1.5]), "undisturbed": [0]}),

@@ -17,7 +17,6 @@ from stillwork.estimation.robust import Derivatives, NormBound
 from stillwork.estimation.time_varying import TimeVaryingModel
 from stillwork.lti.modal import ModalModel
 
-PARAMETERS = ("frequency", "damping", "input shape", "output shape")
 LAWS = ("ends", "uniform")
 
 
@@ -28,7 +27,7 @@ def perturbed(model: ModalModel, errors: ArrayLike) -> ModalModel:
     ----------
     model : ModalModel
     errors : array_like, shape (modes, 4)
-        Relative errors in the order of `PARAMETERS`; a rigid-body mode has no frequency and no damping to err.
+        Relative errors of frequency, damping, input shape and output shape; a rigid-body mode has no frequency and no damping to err.
     """
     factors = 1 + require_array("errors", errors, shape=(len(model.frequencies), 4))
     if np.any(factors <= 0):
