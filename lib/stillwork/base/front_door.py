@@ -4,6 +4,7 @@ A function keeps to its own what no annotation says: bounds, which sizes fit tog
 """
 
 import inspect
+import math
 import threading
 import types
 import typing
@@ -29,6 +30,8 @@ from stillwork.base.checks import (
 # Checked where they are used, by `require_array`, which is told there what is wanted of them.
 _OPEN = frozenset(typing.get_args(ArrayLike)) - {bool, int, float, complex, str, bytes}
 
+
+_NUMBERS = (complex, np.ndarray, np.inexact)  # that may be NaN
 
 _BY_PLACE = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 
@@ -194,10 +197,12 @@ def _array(hint) -> Callable:
 
 def _spoiled(value, infinite: bool) -> bool:
     """Whether a number of a result is NaN, or infinite where it may not be."""
-    if isinstance(value, float | complex | np.ndarray | np.inexact):
+    if isinstance(value, float):
+        return math.isnan(value) or (not infinite and math.isinf(value))
+    if isinstance(value, _NUMBERS):
         if isinstance(value, np.ndarray) and value.dtype.kind not in "fc":
             return False
-        return bool(np.any(np.isnan(value) if infinite else ~np.isfinite(value)))
+        return not (~np.isnan(value) if infinite else np.isfinite(value)).all()
     if is_dataclass(value) and not isinstance(value, type):
         return any(_spoiled(getattr(value, field.name), infinite) for field in fields(value))
-    return isinstance(value, tuple | list) and any(_spoiled(each, infinite) for each in value)
+    return isinstance(value, (tuple, list)) and any(_spoiled(each, infinite) for each in value)
