@@ -81,7 +81,7 @@ def _within(*bounds: float | int | None) -> str:
 
 def _float(value) -> float:
     """`value` as a float where it is one number: no text, no flag, no complex number, no missing one."""
-    if type(value) in (float, int):
+    if isinstance(value, float) or type(value) is int:
         return float(value)
     if np.ndim(value) or np.ma.is_masked(value) or np.asarray(value).dtype.kind not in "iufO":
         raise TypeError

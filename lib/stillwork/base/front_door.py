@@ -31,6 +31,8 @@ from stillwork.base.checks import (
 _OPEN = frozenset(typing.get_args(ArrayLike)) - {bool, int, float, complex, str, bytes}
 
 
+_PLAIN = {float: require_number, int: require_whole, np.ndarray: require_array, Callable: require_callable}
+
 _NUMBERS = (complex, np.ndarray, np.inexact)  # that may be NaN
 
 _BY_PLACE = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
@@ -125,9 +127,8 @@ def _checks(owner) -> dict[str, Callable]:
 
 def _check(hint) -> Callable | None:
     """``check(name, value)`` that returns the value as `hint` has it; None for what is not checked here."""
-    plain = {float: require_number, int: require_whole, np.ndarray: require_array, Callable: require_callable}
-    if hint in plain:
-        return plain[hint]
+    if hint in _PLAIN:
+        return _PLAIN[hint]
     origin, parts = typing.get_origin(hint), typing.get_args(hint)
     if origin is Callable:
         return require_callable
@@ -137,9 +138,16 @@ def _check(hint) -> Callable | None:
         return _sequence(origin, parts)
     if inspect.isclass(hint) and issubclass(hint, AbstractArray):
         return _array(hint)
-    if inspect.isclass(hint) and origin is None:
+    if _is_kind(hint):
         return lambda name, value: require_kind(name, value, hint)
     return None
+
+
+def _is_kind(hint) -> bool:
+    """Whether it is a class of which a value is taken as it is."""
+    if hint in _PLAIN or not inspect.isclass(hint) or typing.get_origin(hint) is not None:
+        return False
+    return not issubclass(hint, AbstractArray)
 
 
 def _union(parts: tuple) -> Callable | None:
@@ -150,10 +158,13 @@ def _union(parts: tuple) -> Callable | None:
         return None
     classes = tuple(part for part in rest if inspect.isclass(part) and part not in (float, int))
     optional = len(rest) < len(parts)
+    kinds = tuple(part for part in rest if _is_kind(part))
 
     def check(name: str, value):
         if value is None and optional:
             return None
+        if isinstance(value, kinds):  # before any of the others words its refusal
+            return value
         if len(rest) == 1:
             return found[0](name, value)
         for each in found:
