@@ -19,13 +19,14 @@ import time
 import traceback
 import warnings
 from dataclasses import fields, is_dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 HERE = Path(__file__).resolve().parent
 SECONDS = 20  # of processor time; a case that takes more is a finding
-BATCH = 500  # cases a process
+BATCH = 5000  # cases a process
 MEMORY = 8 * 2**30  # bytes of address space
 sys.path[:0] = [str(HERE), str(HERE.parent / "lib")]
 
@@ -97,6 +98,8 @@ def _worker(options) -> int:
     if absent := calls.missing():
         print(f"no call for {', '.join(absent)}", file=sys.stderr)
         return 1
+    report = os.fdopen(os.dup(1), "w", buffering=1)
+    os.dup2(2, 1)  # LAPACK complains of its arguments there
     faulthandler.enable()
     warnings.simplefilter("ignore")
     calls.warm()
@@ -109,8 +112,8 @@ def _worker(options) -> int:
             rng = np.random.default_rng([options.seed, number])
             kind = str(rng.choice(list(shares), p=list(shares.values())))
             kind = kind if options.only == "all" else options.only
-            print(json.dumps([number, kind, "begun", ""]), flush=True)
-            print(json.dumps([number, kind, *_outcome(makers[kind], rng)]), flush=True)
+            print(json.dumps([number, kind, "begun", ""]), file=report)
+            print(json.dumps([number, kind, *_outcome(makers[kind], rng)]), file=report)
     return 0
 
 
@@ -127,6 +130,7 @@ def _outcome(make, rng) -> tuple[str, str]:
     signal.setitimer(signal.ITIMER_PROF, SECONDS)
     try:
         result = call()
+        result = result, _properties(result)
     except (InputError, FileNotFoundError, UnstableAdaptation) as error:
         return ("refused a good value", f"{name} {told}: {error}") if must_work else ("refused", "")
     except TooSlow:
@@ -140,6 +144,23 @@ def _outcome(make, rng) -> tuple[str, str]:
     if name.split(",")[0] not in _unbounded() and _has_nan(result):
         return "silent NaN", f"{name} {told}"
     return "result", ""
+
+
+def _properties(result) -> list:
+    """What can be read off a result: it is asked for all of it, but for what takes long (zeros)."""
+    from stillwork.base.checks import InputError
+
+    owner = type(result)
+    if not is_dataclass(owner):
+        return []
+    found = []
+    for name, each in vars(owner).items():
+        asked = isinstance(each, property | cached_property) and not name.startswith("_") and name != "zeros"
+        try:
+            found += [getattr(result, name)] if asked else []
+        except InputError:  # it says why it has none
+            continue
+    return found
 
 
 def _unbounded() -> set[str]:
