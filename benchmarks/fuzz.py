@@ -2,7 +2,8 @@
 
 ``python benchmarks/fuzz.py --cases 50000`` throws that many, each made from the seed and its number alone, in
 processes of their own, and lists what ended in another exception, in a result with NaN, in a crash, or not at all.
-``--only KIND`` and ``--case NUMBER`` repeat some of it.
+``--only KIND`` and ``--case NUMBER`` repeat some of it. ``--only forms`` calls every function with good arrays in
+every form that holds the same numbers instead.
 """
 
 import argparse
@@ -40,6 +41,11 @@ def main() -> int:
     options = _options()
     if options.first is not None:
         return _worker(options)
+    if options.only == "forms":
+        from fuzzing import forms
+
+        warnings.simplefilter("ignore")
+        return min(forms.main(), 1)
     wrong, done, start = collections.Counter(), collections.Counter(), time.monotonic()
     first, end = (options.case, options.case + 1) if options.case is not None else (0, options.cases)
     while first < end:
@@ -83,7 +89,9 @@ def _options():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cases", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--only", choices=("all", "calls", "files", "tables", "settings"), default="all")
+    parser.add_argument(
+        "--only", choices=("all", "calls", "files", "tables", "settings", "forms"), default="all"
+    )
     parser.add_argument("--case", type=int, help="this one alone")
     parser.add_argument("--first", type=int, help=argparse.SUPPRESS)
     return parser.parse_args()

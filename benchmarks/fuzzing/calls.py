@@ -1,11 +1,12 @@
 """One good call of every public function, class and method of the toolbox's faces, to be spoiled."""
 
+import copy
 import dataclasses
 from functools import cache
 
 import numpy as np
 
-from fuzzing.hostile import same, wrong
+from fuzzing.hostile import same, same_value, wrong
 from stillwork import control, estimation, identification, lti, signals
 
 FACES = {
@@ -329,7 +330,10 @@ def case(rng: np.random.Generator) -> tuple:
     def call():
         built = {key: each.make() if isinstance(each, Spoiled) else each for key, each in arguments.items()}
         told[:] = [f"{key}={_short(built[key])}" for key in told]
-        return function(**built)
+        before = copy.deepcopy(built)
+        result = function(**built)
+        assert same_value(built, before), "the call changes its arguments"
+        return result
 
     return name, told, must_work, call
 
