@@ -89,6 +89,9 @@ class Entry:
         ``larger`` or ``smaller`` where a value on that side of the published one is better.
     counterfactual : bool
         Whether it tells of something that the work did not do, e.g. its filter corrected.
+    expected : float or None
+        For a check, what theory gives and the work does not state. Without it and without a published value a
+        check is the residual of an identity: nothing should be left.
     """
 
     id: str
@@ -105,6 +108,7 @@ class Entry:
     threshold: float | None = None
     better: str | None = None
     counterfactual: bool = False
+    expected: float | None = None
 
     def __post_init__(self):
         require_choice(f"{self.id}: kind", self.kind, KINDS)
@@ -131,6 +135,12 @@ class Entry:
         if self.kind == "reported" and not self.reason:
             raise InputError(f"{self.id}: say in reason why it is not judged")
         self._require_threshold()
+        if self.expected is not None:
+            require_number(f"{self.id}: expected", self.expected)
+            if self.kind != "check" or self.tolerance is None or self.published is not None:
+                raise InputError(
+                    f"{self.id}: only a check of a size that is not published takes expected; remove it"
+                )
         if self.better is not None:
             require_choice(f"{self.id}: better", self.better, ("larger", "smaller"))
             if self.kind not in ("value", "slope"):
@@ -147,6 +157,13 @@ class Entry:
     def is_fraction(self) -> bool:
         """Whether it is judged by the fraction of runs that obey it."""
         return self.kind == "ordering" or (self.kind == "check" and self.tolerance is None)
+
+    @property
+    def is_residual(self) -> bool:
+        """Whether it is what an identity leaves: rounding, judged by its tolerance alone."""
+        if self.kind != "check":
+            return self.kind == "exact"
+        return self.tolerance is not None and self.published is None and self.expected is None
 
     @property
     def is_own(self) -> bool:
@@ -188,14 +205,14 @@ class Claim:
             return "passes" if entry.kind == "check" else "replicated"
         if entry.kind == "check":
             return "fails"
-        larger = self.ours > (entry.published or 0.0)
+        larger = self.ours > entry.published
         return "better" if entry.better == ("larger" if larger else "smaller") else "deviates"
 
     def _agrees(self) -> bool:
         entry = self.entry
         if not entry.is_fraction:
-            # A check without a published value is the residual of an identity: nothing should be left.
-            return entry.tolerance.allows(entry.published or 0.0, self.ours, self.interval)
+            aim = entry.published if entry.expected is None else entry.expected
+            return entry.tolerance.allows(aim or 0.0, self.ours, self.interval)
         if entry.threshold is None:
             return self.ours == (1.0 if entry.published is None else entry.published)
         if self.interval is None:
@@ -218,7 +235,7 @@ class Claim:
         accepted = self.entry.ours
         if accepted is None or self.ours is None:
             return False
-        if self.entry.kind == "exact":  # an identity: its residual is rounding, judged by its tolerance
+        if self.entry.is_residual:
             return False
         drift = self.entry.drift
         return abs(self.ours - accepted) > 1e-12 and not drift.allows(accepted, self.ours, None)
@@ -228,7 +245,7 @@ class Claim:
         entry = self.entry
         if entry.drift.absolute and abs(self.ours) <= entry.drift.absolute:
             return f"< {entry.drift.absolute:g}"
-        if entry.kind == "exact" and entry.published == 0 and self.verdict == "replicated":
+        if entry.is_residual and not entry.published and self.verdict in AGREEMENT:
             if bound := entry.tolerance.absolute:  # 0 where a count is judged
                 return f"< {bound:g}"
         return f"{self.ours:.{digits}g}"
@@ -244,6 +261,7 @@ class Claim:
             "kind": entry.kind,
             "basis": entry.basis,
             "published": entry.published,
+            "expected": entry.expected,
             "threshold": entry.threshold,
             "better": entry.better,
             "own": entry.is_own,

@@ -362,7 +362,7 @@ def _claims(task: Task) -> tuple[tuple[str, ...], tuple[str, ...]]:
 def same_value(now: Claim, before: Claim) -> bool:
     """Whether value and interval lie within the entry's drift; of an interval, drift of its larger end."""
     entry = before.entry
-    if entry.kind == "exact":  # an identity: its residual is rounding, judged by its tolerance
+    if entry.is_residual:
         return True
     if bool(now.interval) != bool(before.interval):
         return False
