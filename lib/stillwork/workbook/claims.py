@@ -223,6 +223,13 @@ class Claim:
         return self.interval[0] >= entry.threshold
 
     @property
+    def judgement(self) -> str:
+        """The verdict, and in brackets what keeps it from being evidence: its basis, or that the work did no such thing."""
+        entry = self.entry
+        notes = [entry.basis] * (entry.basis != "predicted") + ["counterfactual"] * entry.counterfactual
+        return f"{self.verdict} ({', '.join(notes)})" if notes else self.verdict
+
+    @property
     def deviation(self) -> float | None:
         """Relative distance from the published value; None where it has no meaning."""
         if self.ours is None or not self.entry.published:
@@ -363,10 +370,9 @@ class ClaimsTable:
         for claim in self.claims:
             entry = claim.entry
             spread = "" if not claim.interval else "{:.3g} .. {:.3g}".format(*claim.interval)
-            verdict = claim.verdict + ("" if entry.basis == "predicted" else f" ({entry.basis})")
             published = "" if entry.published is None else f"{entry.published:.4g}"
             row = (entry.id, entry.place, published, claim.shown(3), spread)
-            rows.append((*row, entry.unit, verdict))
+            rows.append((*row, entry.unit, claim.judgement))
         widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
         lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
         lines.insert(1, "-" * len(lines[0]))
