@@ -111,7 +111,7 @@ def _index(pages: list[NotebookPage], claims: list[Claim]) -> str:
         mine = [page for page in pages if page.room == room]
         if mine:
             listing = "\n".join(
-                f"- [{page.title}]({page.name}.ipynb){_verdicts(list(page.claims))}" for page in mine
+                f"- [{page.title}]({page.name}.ipynb){_verdicts(page.claims)}" for page in mine
             )
             first = _headline(work, claims)
             parts.append(f"## {work['title']} (`{room}`)\n\n{work['claimed']}\n\n{first}{listing}")
@@ -149,7 +149,7 @@ def _row(room: str, work: dict[str, str], claims: list[Claim], shown: list[str])
     return f"| `{room}` | {work['work']} | {numbers} |"
 
 
-def _verdicts(claims: list[Claim]) -> str:
+def _verdicts(claims: tuple[Claim, ...]) -> str:
     return f": {tally(claims)}" if claims else ""
 
 
@@ -171,7 +171,7 @@ def _codecheck(pages: list[NotebookPage], _claims: list[Claim]) -> str:
         if page.claims:
             lines += _output(
                 f"figures/{page.name}/claims.json",
-                f"{page.title}: {len(page.claims)} entries of the ledger as found here{_verdicts(list(page.claims))}",
+                f"{page.title}: {len(page.claims)} entries of the ledger as found here{_verdicts(page.claims)}",
             )
     return "\n".join([*lines, ""])
 

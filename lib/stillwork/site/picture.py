@@ -35,7 +35,7 @@ class Picture:
 
     @property
     def description(self) -> str:
-        return f"{len(self.marks)} numbers, ours over published: {tally([mark.claim for mark in self.marks])}"
+        return f"{len(self.marks)} numbers, ours over published: {tally(mark.claim for mark in self.marks)}"
 
 
 def draw(claims: list[Claim]) -> Picture:

@@ -4,6 +4,7 @@ import shutil
 import sys
 import textwrap
 from collections import Counter
+from collections.abc import Iterable
 
 from stillwork.base import paths
 from stillwork.base.checks import InputError, nearest
@@ -195,7 +196,7 @@ def columns(claims: list[Claim]) -> list[str]:
     return [name for name in (*REPLICATIONS, *APART) if name in seen]
 
 
-def tally(claims: list[Claim]) -> str:
+def tally(claims: Iterable[Claim]) -> str:
     """How many claims are counted as what, in words; empty where there are none."""
     counts = Counter(map(column, claims))
     return "; ".join(f"{counts[name]} {name}" for name in (*REPLICATIONS, *APART) if counts[name])
