@@ -18,7 +18,8 @@ REPLICATIONS = (
     "reported",
 )
 APART = ("no number published", "checks passed", "checks failed", "counterfactual", "not built")
-ALWAYS = ("replicated, predicted", "deviates", "reported")  # columns that are shown even when they are empty
+# Columns that are shown even when they are empty: what could be mistaken for evidence stands beside it.
+ALWAYS = ("replicated, predicted", "replicated, fitted", "replicated, calibrated", "deviates", "reported")
 GAP = "  "
 NARROWEST = 8  # characters to which a column may shrink
 
@@ -191,7 +192,7 @@ def column(claim: Claim) -> str:
 
 
 def columns(claims: list[Claim]) -> list[str]:
-    """Columns of a count: the three common ones, and those others that occur."""
+    """Columns of a count: the common ones, and those others that occur."""
     seen = {column(claim) for claim in claims} | set(ALWAYS)
     return [name for name in (*REPLICATIONS, *APART) if name in seen]
 
