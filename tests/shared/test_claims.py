@@ -386,6 +386,16 @@ def test_the_ledger_joins_entries_with_what_was_found(workbook):
     assert [claim.entry.id for claim in ledger(room="isolation")] == []
 
 
+def test_a_value_without_the_interval_that_its_entry_asks_for_is_not_built(workbook):
+    text = LEDGER.replace('kind = "ordering"', 'kind = "ordering"\nthreshold = 0.9')
+    found = {"motion.order": {"ours": 1.0}}
+    workbook(text, **{"01-x": found})
+    _, order = ledger()
+    assert (order.verdict, order.notebook, order.ours) == ("not built", "motion/01-x", None)
+    workbook(text, **{"02-y": {"motion.table-1.pid": {"ours": 37.0}}})
+    assert ledger()[0].verdict == "replicated"
+
+
 def test_half_written_results_do_not_count(workbook):
     found = {"motion.order": {"ours": 1.0}}
     workbook(**{"01-x": found, ".01-x.new": found})

@@ -159,6 +159,13 @@ class Entry:
         return self.kind == "ordering" or (self.kind == "check" and self.tolerance is None)
 
     @property
+    def needs_interval(self) -> bool:
+        """Whether it is judged by an interval over runs."""
+        return self.threshold is not None or (
+            self.tolerance is not None and self.tolerance.interval is not None
+        )
+
+    @property
     def is_residual(self) -> bool:
         """Whether it is what an identity leaves: rounding, judged by its tolerance alone."""
         if self.kind != "check":
@@ -414,6 +421,8 @@ def _rounded(value: float) -> float:
 def ledger(figures: Path | None = None, room: str | None = None) -> list[Claim]:
     """The whole ledger: every entry with what the built notebooks found.
 
+    A value without the interval that its entry asks for is none: it was found before the entry asked.
+
     Parameters
     ----------
     figures : Path, optional
@@ -440,6 +449,8 @@ def ledger(figures: Path | None = None, room: str | None = None) -> list[Claim]:
                 raise InputError(f"{file}: the ledger has no entry {name!r}{nearest(name, claims)}")
             if claims[name].notebook:
                 raise InputError(f"{name} is claimed by {claims[name].notebook} and by {notebook}; keep one")
+            if interval is None and claims[name].entry.needs_interval:
+                ours = None
             claims[name] = replace(claims[name], ours=ours, interval=interval, notebook=notebook)
     return list(claims.values())
 

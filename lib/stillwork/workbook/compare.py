@@ -348,6 +348,9 @@ def _claims(task: Task) -> tuple[tuple[str, ...], tuple[str, ...]]:
         if name not in now or name not in before or name not in entries:
             moved.append(name)
             continue
+        if entries[name].needs_interval and not ("interval" in now[name] and "interval" in before[name]):
+            moved.append(name)
+            continue
         claims = [
             Claim(entries[name], each["ours"], tuple(each["interval"]) if "interval" in each else None)
             for each in (now[name], before[name])
