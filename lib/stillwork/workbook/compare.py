@@ -354,6 +354,9 @@ def _claims(task: Task) -> tuple[tuple[str, ...], tuple[str, ...]]:
         if name not in now or name not in before or name not in entries:
             moved.append(name)
             continue
+        if entries[name].needs_interval and not ("interval" in now[name] and "interval" in before[name]):
+            moved.append(name)
+            continue
         claims = [
             Claim(entries[name], each["ours"], tuple(each["interval"]) if "interval" in each else None)
             for each in (now[name], before[name])
@@ -368,7 +371,7 @@ def _claims(task: Task) -> tuple[tuple[str, ...], tuple[str, ...]]:
 def same_value(now: Claim, before: Claim) -> bool:
     """Whether value and interval lie within the entry's drift; of an interval, drift of its larger end."""
     entry = before.entry
-    if entry.kind == "exact":  # an identity: its residual is rounding, judged by its tolerance
+    if entry.is_residual:
         return True
     if bool(now.interval) != bool(before.interval):
         return False
