@@ -129,6 +129,7 @@ from stillwork.control.feedback import fed_back
 from stillwork.control.feedforward import Feedforward
 from stillwork.control.fixed_point_convergence import iterate
 from stillwork.control.setpoint import Setpoint
+from stillwork.estimation import AdaptationStepper
 from stillwork.estimation.observer import Observer
 from stillwork.lti import ModalModel, StateModel, interconnect
 
@@ -139,6 +140,8 @@ for call, message in (
     (lambda: ModalModel([0.0], [0.0], [[1.0]], [[1.0]], 0.0), "feedthrough has shape ()"),
     (lambda: Observer(None, np.eye(2), np.eye(2), np.eye(2), np.eye(2)), "model is None; give ModalModel"),
     (lambda: Observer(model, -np.eye(2), np.ones((2, 1)), np.ones((1, 2)), np.ones((3, 1))), "gain has shape (3, 1)"),
+    (lambda: AdaptationStepper("rls", np.zeros((1, 2))), "settings is 'rls'; give FeLms or FeRls"),
+    (lambda: Setpoint(0.1, np.zeros((5, 0)), (0.0, 0.5), 0.1), "the arguments of Setpoint do not fit together"),
     (lambda: Feedforward(np.inf), "velocity is inf"),
     (lambda: Setpoint(0.1, np.zeros((5, 10)), ("a", 0.5), 0.1), "scan[0] is 'a'"),
     (lambda: fed_back(model, [[1.0]]), "gain has shape (1, 1)"),
