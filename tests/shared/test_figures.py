@@ -199,3 +199,13 @@ def test_two_processes_write_the_same_bytes(tmp_path):
         subprocess.run([sys.executable, "-c", DRAW, str(tmp_path / name)], check=True)
     for suffix in (".png", ".csv"):
         assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
+
+
+def test_a_legend_below_names_one_panels_lines():
+    figure, axes = figures.new(1, 2)
+    axes[0].plot([0, 1], [0, 1], label="ours")
+    axes[1].plot([0, 1], [1, 0], label="elsewhere")
+    figures.legend_below(axes[0], 2)
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["ours"]
+    assert axes[0].get_legend() is None
