@@ -136,6 +136,7 @@ def test_observability_lost_along_a_trajectory_is_named(plant):
         pass_node(tilted, [0.0, 0.1, 0.2], np.linspace(0.05, 0.15, 50), 1, NoiseIntensities(1.0, 1e-6), 1e-3)
 
 
+@pytest.mark.slow
 def test_online_filter_follows_the_continuous_riccati_equation(plant):
     model, noise, step = plant.modes([0, 1]), NoiseIntensities(1e-4, 2e-16), 2e-5
     places = move(0.05, 0.0, 1.0, 0.006, 0.0, step)

@@ -140,6 +140,7 @@ def test_errors_are_counted_in_the_scanning_phase(scan):
     np.testing.assert_allclose(found.accelerating, 0.0)
 
 
+@pytest.mark.slow
 def test_kalman_filter_is_unbiased_and_as_certain_as_it_says(scan):
     model = filter_model(scan)
     records = record_scans(scan, [np.zeros((3, 4))] * 60, np.random.default_rng(2))
@@ -240,6 +241,7 @@ def test_output_rows_pick_positions():
     np.testing.assert_array_equal(c, [[[2.0, 0.0, 3.0, 0.0]]])
 
 
+@pytest.mark.slow
 def test_tracking_trial_repeats_and_compares_all_cases():
     loops = published_loops()
     one = tracking_trial(np.random.default_rng(1), loops, 0.05)

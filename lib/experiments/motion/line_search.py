@@ -7,7 +7,8 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.algebra import add_product, condition, copy_vector, measure
-from stillwork.base.checks import require_array
+from stillwork.base.checks import require_array, require_finite_run
+from stillwork.base.front_door import checked
 from stillwork.base.kernels import kernel
 from stillwork.estimation.robust import (
     NormBound,
@@ -32,6 +33,7 @@ class LineSearch:
     ]  # optimal lambda over its lower limit; 1 where nothing is uncertain
 
 
+@checked
 def regularised_line_search(
     model: TimeVaryingModel, bound: NormBound, u: ArrayLike, y: ArrayLike, initial: ArrayLike | None = None
 ) -> LineSearch:
@@ -54,6 +56,7 @@ def regularised_line_search(
     limit, start = lower_limit(model, rows, m), model.initial_covariance.copy()
     data = step_data(model, rows, turn)
     _search_filter(data, limit, spread, np.ascontiguousarray(u.T), turned, start, out, ratio)
+    require_finite_run("the estimate", out, "rescale the model or the record")
     return LineSearch(np.ascontiguousarray(out.T), ratio)
 
 

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
+from stillwork.base.front_door import checked
 from stillwork.estimation.robust import Derivatives, NormBound
 from stillwork.estimation.time_varying import TimeVaryingModel
 from stillwork.lti.modal import ModalModel
@@ -20,6 +21,7 @@ from stillwork.lti.modal import ModalModel
 LAWS = ("ends", "uniform")
 
 
+@checked
 def perturbed(model: ModalModel, errors: ArrayLike) -> ModalModel:
     """The model with relative errors on the parameters of its modes.
 
@@ -42,6 +44,7 @@ def perturbed(model: ModalModel, errors: ArrayLike) -> ModalModel:
     )
 
 
+@checked
 def sample_errors(
     rng: np.random.Generator, model: ModalModel, size: float, law: str = "ends", rigid: bool = False
 ) -> Float64[np.ndarray, "modes 4"]:
@@ -93,6 +96,7 @@ class SampledDerivatives:
         return Derivatives(self.a, self.b, self.b, c)
 
 
+@checked
 def sampled_derivatives(
     model: ModalModel, step: float, modes: Sequence[int] | None = None
 ) -> SampledDerivatives:
@@ -128,6 +132,7 @@ def sampled_derivatives(
     return SampledDerivatives(modes, a, b)
 
 
+@checked
 def norm_bound(model: TimeVaryingModel, derivatives: Derivatives, size: float) -> NormBound:
     r"""Norm bound that covers, to first order, all errors up to `size` in every parameter at once.
 

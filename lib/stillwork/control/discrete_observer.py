@@ -38,6 +38,7 @@ class DiscreteObserver:
     covariance: Float64[np.ndarray, "states states"]  # P(k|k-1)
     step: float  # s
 
+    @checked
     def __post_init__(self):
         check_fields(self)
         gain = require_array("gain", self.gain, shape=(len(self.a), len(self.c)))

@@ -5,10 +5,12 @@ from numpy.typing import ArrayLike
 
 from stillwork.base.algebra import add_square, condition, congruence, measure, take_in_turn
 from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.base.front_door import checked
 from stillwork.base.kernels import kernel
 from stillwork.estimation.time_varying import FilterGains, TimeVaryingModel
 
 
+@checked(missing=True)
 def hinfinity_gains(model: TimeVaryingModel, wanted: ArrayLike, level: float) -> FilterGains:
     r"""A-posteriori H-infinity filter of z = L x (Hassibi, Sayed and Kailath, 1999, ch. 4).
 
@@ -35,10 +37,23 @@ def hinfinity_gains(model: TimeVaryingModel, wanted: ArrayLike, level: float) ->
     return gains
 
 
+@checked
 def smallest_level(model: TimeVaryingModel, wanted: ArrayLike, tolerance: float = 1e-3) -> float:
-    """Smallest level for which `hinfinity_gains` exists, from above, by bisection to a relative tolerance."""
+    """Smallest level for which `hinfinity_gains` exists, from above, by bisection to a relative tolerance.
+
+    Raises
+    ------
+    InputError
+        When `wanted` is zero, which every level keeps, or no level suffices.
+    """
     wanted = require_array("wanted", wanted, shape=(None, model.a.shape[1]))
-    high = np.sqrt(np.linalg.norm(wanted @ model.initial_covariance @ wanted.T, 2)) or 1.0
+    require_number("tolerance", tolerance, at_least=1e-12)
+    square = np.linalg.norm(wanted @ model.initial_covariance @ wanted.T, 2) if len(wanted) else 0.0
+    if not 0 < square < np.inf:
+        raise InputError(
+            "wanted is zero, or its square is; every level is kept: give what is to be estimated"
+        )
+    high = np.sqrt(square)
     for _ in range(200):
         if not _design(model, wanted, high)[1]:
             break

@@ -24,6 +24,7 @@ from stillwork.base.algebra import (
     take_in_turn,
 )
 from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.base.front_door import checked
 from stillwork.base.kernels import inlined_kernel, kernel
 from stillwork.estimation.time_varying import FilterGains, TimeVaryingModel
 
@@ -68,6 +69,7 @@ class Derivatives:
         return tuple(stacks)
 
 
+@checked(missing=True)
 def kalman_gains(model: TimeVaryingModel) -> FilterGains:
     """Time-varying Kalman filter: the common limit of both robust filters."""
     samples, outputs, states = model.c.shape
@@ -77,9 +79,10 @@ def kalman_gains(model: TimeVaryingModel) -> FilterGains:
     colour, whiten = np.linalg.cholesky(model.process), np.linalg.inv(np.linalg.cholesky(model.sensor))
     a, g, c = (np.ascontiguousarray(x) for x in (model.a, model.g, model.c))
     _kalman_kernel(states, outputs)(a, g, c, colour, whiten, gain, covariance)
-    return _finite(FilterGains(model.a, model.b, gain, c, covariance))
+    return FilterGains(model.a, model.b, gain, c, covariance)
 
 
+@checked(missing=True)
 def sensitivity_gains(model: TimeVaryingModel, derivatives: Derivatives, weight: float) -> FilterGains:
     r"""Sensitivity-penalised filter (5.25).
 
@@ -102,6 +105,7 @@ def sensitivity_gains(model: TimeVaryingModel, derivatives: Derivatives, weight:
     return _penalised(model, rows, penalty, np.zeros((model.samples, model.c.shape[1], 0)))
 
 
+@checked(missing=True)
 def regularised_gains(model: TimeVaryingModel, bound: NormBound, margin: float = 1.0) -> FilterGains:
     r"""Robust regularised least-squares filter (5.21) with the rule of thumb :math:`\lambda = (1+\alpha)\lambda_l`.
 
@@ -176,14 +180,7 @@ def _penalised(model: TimeVaryingModel, rows, penalty, m) -> FilterGains:
     forward, onward, gain, covariance = out
     covariance[0] = model.initial_covariance
     _gains(step_data(model, rows, turn), penalty, noise, *out)
-    return _finite(FilterGains(forward, onward, gain @ turn, np.ascontiguousarray(model.c), covariance))
-
-
-def _finite(gains: FilterGains) -> FilterGains:
-    for name in ("gain", "covariance"):
-        if not np.all(np.isfinite(getattr(gains, name))):
-            raise InputError(f"the filter's {name} left the finite numbers; rescale the model or the penalty")
-    return gains
+    return FilterGains(forward, onward, gain @ turn, np.ascontiguousarray(model.c), covariance)
 
 
 @cache
