@@ -6,6 +6,7 @@ from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select, WebDriverWait
 
 from stillwork.workbook.claims import ledger
+from stillwork.workbook.report import column
 
 CLAIMS = ledger()
 ROWS = "return [...document.querySelectorAll('#claims tbody tr')].filter((row) => !row.hidden).map((row) => row.id)"
@@ -32,6 +33,7 @@ def told(front) -> str:
     ("field", "value_of"),
     [
         ("room", lambda claim: claim.entry.room),
+        ("counted", column),
         ("verdict", lambda claim: claim.verdict),
         ("kind", lambda claim: claim.entry.kind),
     ],

@@ -16,7 +16,11 @@ class InputError(ValueError):
 
 def nearest(word: str, candidates: Iterable[str]) -> str:
     """Suggestion ``; did you mean 'x'?`` for a misspelt word, or an empty string."""
-    close = difflib.get_close_matches(word, list(candidates), n=1, cutoff=0.5)
+    if not isinstance(word, str):
+        return ""
+    close = difflib.get_close_matches(
+        word, [each for each in candidates if isinstance(each, str)], n=1, cutoff=0.5
+    )
     return f"; did you mean {close[0]!r}?" if close else ""
 
 
@@ -34,8 +38,8 @@ def require_choice(name: str, value, choices: Iterable[str]) -> str:
     """Return `value` when it is one of `choices`, else raise `InputError` with the nearest one."""
     choices = list(choices)
     if not isinstance(value, str) or value not in choices:
-        hint = nearest(value, choices) if isinstance(value, str) else ""
-        raise InputError(f"{name} is {shown(value)}; use one of {', '.join(map(repr, choices))}{hint}")
+        said = ", ".join(map(repr, choices))
+        raise InputError(f"{name} is {shown(value)}; use one of {said}{nearest(value, choices)}")
     return value
 
 
@@ -190,6 +194,27 @@ def _fits(shape: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
         if want is not None and have != want:
             return False
     return True
+
+
+def require_finite_run(name: str, values: np.ndarray, advice: str, *, axis: int = 0, first: int = 0) -> None:
+    """Raise `InputError` with the sample at which a run left the finite numbers, if it did.
+
+    Parameters
+    ----------
+    name : str
+        What the run computed.
+    values : ndarray
+        With the samples along `axis`.
+    advice : str
+        What to do about it.
+    first : int
+        Number of the first sample.
+    """
+    finite = np.isfinite(values)
+    if not finite.all():
+        others = tuple(i for i in range(finite.ndim) if i != axis % finite.ndim)
+        sample = first + int(np.argmin(finite.all(axis=others)))
+        raise InputError(f"{name} leaves the finite numbers at sample {sample}; {advice}")
 
 
 def _numbers(name: str, value, dtype: np.dtype) -> np.ndarray:

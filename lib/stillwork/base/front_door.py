@@ -8,7 +8,7 @@ import math
 import threading
 import types
 import typing
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache, wraps
 from pathlib import Path
@@ -90,7 +90,7 @@ def checked(function: Callable | None = None, *, infinite: bool = False, missing
             if "infs or NaNs" in str(error):  # scipy's word for numbers that overflowed on the way
                 raise _beyond(function, error) from None
             raise InputError(
-                f"the arguments of {function.__name__} do not fit together ({error}); look at their sizes"
+                f"the arguments of {_named(function)} do not fit together ({error}); look at their sizes"
             ) from error
         finally:
             _inside.now = False
@@ -102,16 +102,23 @@ def checked(function: Callable | None = None, *, infinite: bool = False, missing
 
 
 def check_fields(instance) -> None:
-    """Hold the fields of a dataclass against their annotations; called first in its ``__post_init__``."""
+    """Hold the fields of a dataclass against their annotations; called first in its ``__post_init__``.
+
+    One that computes with its fields is `checked` itself.
+    """
     for name, check in _checks(type(instance)).items():
         value = getattr(instance, name)
         if (fit := check(name, value)) is not value:
             object.__setattr__(instance, name, fit)
 
 
+def _named(function: Callable) -> str:
+    return function.__qualname__.rpartition("<locals>.")[2].removesuffix(".__post_init__")
+
+
 def _beyond(function: Callable, why) -> InputError:
     return InputError(
-        f"{function.__name__} has no result for these numbers ({str(why).strip().lower() or 'out of range'}); "
+        f"{_named(function)} has no result for these numbers ({str(why).strip().lower() or 'out of range'}); "
         "they are too large, too small or too close to singular"
     )
 
@@ -134,7 +141,7 @@ def _check(hint) -> Callable | None:
         return require_callable
     if origin in (types.UnionType, typing.Union):
         return _union(parts)
-    if origin in (list, tuple, Sequence):
+    if origin in (list, tuple, Sequence, Collection):
         return _sequence(origin, parts)
     if inspect.isclass(hint) and issubclass(hint, AbstractArray):
         return _array(hint)
@@ -185,7 +192,8 @@ def _sequence(origin, parts: tuple) -> Callable | None:
         return None
 
     def check(name: str, value):
-        if isinstance(value, str | bytes | dict | Path) or not isinstance(value, Iterable):
+        plain = isinstance(value, str | bytes | dict | Path) or getattr(value, "ndim", 1) == 0
+        if plain or not isinstance(value, Iterable):
             raise InputError(f"{name} is {shown(value)}; give a list of values")
         values = list(value)
         if counted and len(values) != len(found):

@@ -47,6 +47,7 @@ class Loop:
     def __post_init__(self):
         check_fields(self)
 
+    @checked
     def at(self, controller: Pid, omega: np.ndarray | None = None) -> LoopResponse:
         """Loop functions on the loop's own grid, or at other frequencies (rad/s)."""
         if omega is None:
@@ -65,7 +66,8 @@ class Loop:
 
     @checked
     def peak(self, controller: Pid, function: str) -> Peak:
-        """Refined peak of a loop function."""
+        """Refined peak of a loop function, one of `FUNCTIONS`."""
+        require_choice("function", function, FUNCTIONS)
         magnitude = np.abs(getattr(self.at(controller), function))
         return refine_peak(lambda w: getattr(self.at(controller, w), function), self.omega, magnitude)
 
@@ -186,7 +188,8 @@ def maximise_bandwidth(
         raise InputError(f"all constraints hold even at high_hz = {high_hz:g}; raise it to find the limit")
     good, bad = float(grid[k]), float(grid[k + 1])
     stopped = _violation(loops, family(bad), constraints, refine)
-    while bad - good > tolerance_hz:
+    resolved = max(require_number("tolerance_hz", tolerance_hz, above=0.0), np.spacing(high_hz))
+    while bad - good > resolved:
         middle = (good + bad) / 2
         found = _violation(loops, family(middle), constraints, refine)
         if found is None:

@@ -97,6 +97,7 @@ class PidFamily:
         check_fields(self)
         require_number("mass", self.mass, above=0.0)
 
+    @checked
     def __call__(self, bandwidth_hz: float) -> Pid:
         """The controller with design parameter f_bw (Hz)."""
         w = 2 * np.pi * require_number("bandwidth_hz", bandwidth_hz, above=0.0)

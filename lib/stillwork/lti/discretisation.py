@@ -52,8 +52,7 @@ def _held(w, z, step: float) -> tuple[Float64[np.ndarray, "modes 2 2"], Float64[
 def zoh(model: StateModel, step: float) -> StateModel:
     """Zero-order-hold discretisation by the exponential of the balanced [A B; 0 0]."""
     require_number("step", step, above=0.0)
-    if model.step:
-        raise InputError("model is in discrete time already; give the continuous model")
+    _require_continuous(model)
     n, m = model.b.shape
     whole = np.zeros((n + m, n + m))
     whole[:n, :n], whole[:n, n:] = model.a * step, model.b * step
@@ -63,9 +62,15 @@ def zoh(model: StateModel, step: float) -> StateModel:
     return StateModel(held[:n, :n], held[:n, n:], model.c, model.d, step)
 
 
+@checked
 def tustin(model: StateModel, step: float, omega: float | None = None) -> StateModel:
     """Discretise by the bilinear rule, exact at the frequency `omega` (rad/s) where one is given."""
-    rate = 2 / step if omega is None else omega / np.tan(omega * step / 2)
+    require_number("step", step, above=0.0)
+    _require_continuous(model)
+    if omega is None:
+        rate = 2 / step
+    else:
+        rate = require_number("omega", omega, above=0.0, below=np.pi / step) / np.tan(omega * step / 2)
     inverse = np.linalg.inv(rate * np.eye(len(model.a)) - model.a)
     c = model.c @ inverse
     return StateModel(
@@ -77,6 +82,12 @@ def tustin(model: StateModel, step: float, omega: float | None = None) -> StateM
     )
 
 
+def _require_continuous(model: StateModel) -> None:
+    if model.step:
+        raise InputError("model is in discrete time already; give the continuous model")
+
+
+@checked
 def sampled_modes(
     frequencies: Float64[np.ndarray, " modes"],
     damping: Float64[np.ndarray, " modes"],
@@ -93,6 +104,7 @@ def sampled_modes(
     return ((lifted - second) * gains[:, :1] + blocks[:, 0, 1, None] * gains[:, 1:]) / determinant
 
 
+@checked
 def zoh_response(
     model: ModalModel, step: float, omega: Float64[np.ndarray, " frequencies"]
 ) -> Complex128[np.ndarray, "outputs inputs frequencies"]:

@@ -48,6 +48,7 @@ class StateModel:
         return bool(np.all(self.poles.real < 0))
 
     @property
+    @checked
     def zeros(self) -> Complex128[np.ndarray, " zeros"]:
         """Finite invariant zeros of a square model, from a balanced pencil."""
         if len(self.c) != self.b.shape[1]:
@@ -68,6 +69,7 @@ class StateModel:
         i, o = list(inputs), list(outputs)
         return StateModel(self.a, self.b[:, i], self.c[o], self.d[np.ix_(o, i)], self.step)
 
+    @checked
     def frequency_response(self, omega: ArrayLike) -> Complex128[np.ndarray, "outputs inputs frequencies"]:
         """Response at `omega` (rad/s): by residues, or by solving where the eigenvectors are too skew."""
         omega = require_array("omega", omega, ndim=1)
