@@ -49,7 +49,7 @@ test: $(READY) ## Style, unit tests, all notebooks, and what is committed agains
 		--nbval-current-env --nbval-cell-timeout 600 -n logical --dist loadfile
 	$(UNDER_PINS) $(BIN)/python -m pytest -p no:nbval tests/committed
 
-quick: $(READY) ## The unit tests without the slow ones, which build notebooks or start clusters
+quick: $(READY) ## The unit tests that take less than a second of CPU each
 	$(UNDER_PINS) $(BIN)/python -m pytest $(UNIT) -m "not slow" -n logical --dist loadfile $(ARGS)
 
 lab: $(READY) ## Open JupyterLab on the notebooks, on this machine only

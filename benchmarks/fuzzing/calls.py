@@ -1,11 +1,12 @@
 """One good call of every public function, class and method of the toolbox's faces, to be spoiled."""
 
+import copy
 import dataclasses
 from functools import cache
 
 import numpy as np
 
-from fuzzing.hostile import same, wrong
+from fuzzing.hostile import same, same_value, wrong
 from stillwork import control, estimation, identification, lti, signals
 
 FACES = {
@@ -27,6 +28,7 @@ MAY_BE_INFINITE = {
     "min_max_solve",
     "run",
     "coupling_onset",
+    "stable_range",
     "maximise_bandwidth",
     "ControlledRun",
     "control.simulate",
@@ -133,6 +135,8 @@ def catalogue() -> dict:
         "ModalModel.state_space": (model.state_space, {"form": 1}),
         "lti.StateModel": (lti.StateModel, fields(state)),
         "StateModel.frequency_response": (state.frequency_response, {"omega": omega}),
+        "StateModel.zeros": (lambda **named: lti.StateModel(**named).zeros, fields(state)),
+        "ModalModel.compliance": (lambda **named: lti.ModalModel(**named).compliance(), fields(model)),
         "StateModel.select": (state.select, {"inputs": [0], "outputs": [0]}),
         "from_control": (lti.from_control, {"system": state}),
         "from_state_space": (lti.from_state_space, {"model": model.state_space(), "form": 1}),
@@ -240,7 +244,6 @@ def catalogue() -> dict:
         "band_passed": (c.band_passed, {"model": model, "gain": damping, "selectivity": 2.0, "order": 2}),
         "channel": (c.channel, {"loop": loop, "source": "r", "target": "e_true", "inputs": 1, "outputs": 1}),
         "closed_loop": (c.closed_loop, {"plant": model, "compensator": None, "controller": pid(10.0).state_space()}),
-        "common_band_passed": (c.common_band_passed, {"model": model, "gain": damping, "selectivity": 2.0}),
         "compensator": (c.compensator, {"observer": observer, "application": c.Application(True, 0.1)}),
         "constrained_damping": (c.constrained_damping, {**quiet, "undisturbed": [0]}),
         "constrained_stiffness": (c.constrained_stiffness, {"model": broad, "factor": np.array([1.5]), "undisturbed": [0]}),
@@ -326,7 +329,10 @@ def case(rng: np.random.Generator) -> tuple:
     def call():
         built = {key: each.make() if isinstance(each, Spoiled) else each for key, each in arguments.items()}
         told[:] = [f"{key}={_short(built[key])}" for key in told]
-        return function(**built)
+        before = copy.deepcopy(built)
+        result = function(**built)
+        assert same_value(built, before), "the call changes its arguments"
+        return result
 
     return name, told, must_work, call
 

@@ -146,6 +146,7 @@ def elsewhere(folder) -> list[str]:
     return done.stdout.split()
 
 
+@pytest.mark.slow
 def test_a_second_process_compiles_nothing(tmp_path, monkeypatch):
     """An own plant in an own file: compiled and cached beside it here, found there by another process."""
     module, loader = load(tmp_path)

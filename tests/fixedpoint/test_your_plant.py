@@ -46,6 +46,7 @@ def test_gain_of_the_cam_is_the_believed_mass_over_the_true_one(cam):
     assert found.allowed == pytest.approx((-2 / found.gain.max(), 0.0), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_the_published_oscillator_runs_as_in_the_other_notebooks():
     models = load_models(str(paths.data("fixedpoint", "oscillator.toml")))
     trajectory = asin_trajectory(duration=3.0)

@@ -230,6 +230,7 @@ def meeting(problem, level, ratio, emphases):
 MEETING = 5e-3
 
 
+@pytest.mark.slow
 def test_mixed_inequalities_and_emphasis_meet_on_the_first_two_modes(problem):
     plant = truncate(stage().at([0], [4]), 2, 0)
     small = ObserverProblem(plant, problem.controller, DAMPING, 2.0, SCALES)

@@ -171,6 +171,7 @@ def recursion_limit(a, g, c, q, r, steps=2000):
     return None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", range(0, 1000, 200))
 def test_observers_are_stable_over_fourteen_decades_of_noise(first):
     settled = 0

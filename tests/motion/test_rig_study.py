@@ -202,12 +202,14 @@ def test_drawn_geometries_stay_in_their_ranges_and_see_all_directions():
     assert np.abs(model_errors(np.random.default_rng(1))).max() <= assumed()["model_error"]
 
 
+@pytest.mark.slow
 def test_trial_is_complete(study):
     assert study["crossing"].shape == (1, len(MEASURES), len(CASES), 3)
     assert np.all(np.isfinite(study["crossing"][:, :, 0]))
     assert study["excitation"].shape == (1, 2, 8)
 
 
+@pytest.mark.slow
 def test_errors_of_a_trial_are_those_of_its_designs(study):
     """Everything again by hand: the draws, the first position, the original and the redesigned controllers."""
     rng = np.random.default_rng(np.random.SeedSequence(5).spawn(1)[0])

@@ -143,6 +143,7 @@ def found():
     return machine, reach(machine, applications(0.02, 2.0), retained=3, intensities=INTENSITIES)
 
 
+@pytest.mark.slow
 def test_measurement_and_model_agree_where_the_fit_is_exact(found):
     _, reached = found
     for each in reached.values():

@@ -125,7 +125,7 @@ MODELS = """
 import numpy as np
 from stillwork.base.checks import InputError
 from stillwork.control import Feedforward, FlowTransformation, Setpoint, fed_back, iterate
-from stillwork.estimation import Observer
+from stillwork.estimation import AdaptationStepper, Observer
 from stillwork.lti import ModalModel, StateModel, interconnect
 
 model = ModalModel([0, 10], [0, 0.01], [[1], [1]], [[1, -1]], [[0]])
@@ -135,6 +135,8 @@ for call, message in (
     (lambda: ModalModel([0.0], [0.0], [[1.0]], [[1.0]], 0.0), "feedthrough has shape ()"),
     (lambda: Observer(None, np.eye(2), np.eye(2), np.eye(2), np.eye(2)), "model is None; give ModalModel"),
     (lambda: Observer(model, -np.eye(2), np.ones((2, 1)), np.ones((1, 2)), np.ones((3, 1))), "gain has shape (3, 1)"),
+    (lambda: AdaptationStepper("rls", np.zeros((1, 2))), "settings is 'rls'; give FeLms or FeRls"),
+    (lambda: Setpoint(0.1, np.zeros((5, 0)), (0.0, 0.5), 0.1), "the arguments of Setpoint do not fit together"),
     (lambda: Feedforward(np.inf), "velocity is inf"),
     (lambda: Setpoint(0.1, np.zeros((5, 10)), ("a", 0.5), 0.1), "scan[0] is 'a'"),
     (lambda: fed_back(model, [[1.0]]), "gain has shape (1, 1)"),

@@ -18,6 +18,8 @@ from stillwork.workbook.notebooks import select
 from stillwork.workbook.publish import replace_folder
 from workbook import toy as toys
 
+pytestmark = pytest.mark.slow
+
 HOSTILE = "<script>alert('x')</script><img src=x onerror=alert(1)> & \"quoted\""
 
 

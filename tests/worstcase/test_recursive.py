@@ -214,6 +214,7 @@ def test_limited_least_squares_are_those_of_the_information_form(seed, growth_li
     assert track.estimates.T == pytest.approx(expected, rel=1e-8, abs=1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "estimator",
     [

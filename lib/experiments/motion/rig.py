@@ -14,7 +14,6 @@ from stillwork.control.decoupling import Decoupling
 from stillwork.lti.modal import ModalModel
 
 CORNERS = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]], dtype=float)  # signs of (x, y), counter-clockwise
-DIRECTIONS = ("z", "rx", "ry")
 POSITIONS = tuple(tuple(k for k in range(4) if k != out) for out in range(4))  # sensors in use, section 6.1
 
 

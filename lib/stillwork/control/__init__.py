@@ -9,7 +9,6 @@ __all__, __getattr__, __dir__ = face(
         "bandwidth": ("Bandwidth", "Loop", "PeakConstraint", "make_loop", "maximise_bandwidth"),
         "decoupled_damping": (
             "band_passed",
-            "common_band_passed",
             "constrained_damping",
             "constrained_stiffness",
         ),

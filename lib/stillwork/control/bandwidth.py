@@ -47,18 +47,27 @@ class Loop:
     def __post_init__(self):
         check_fields(self)
 
+    @checked
     def at(self, controller: Pid, omega: np.ndarray | None = None) -> LoopResponse:
         """Loop functions on the loop's own grid, or at other frequencies (rad/s)."""
         if omega is None:
-            plant, observer, omega = self.plant_response, self.compensator_response, self.omega
-        else:
-            plant = self.plant.frequency_response(omega)[0, 0]
-            observer = self.compensator.frequency_response(omega)
+            return self.within(controller, slice(None))
+        plant = self.plant.frequency_response(omega)[0, 0]
+        observer = self.compensator.frequency_response(omega)
         return LoopResponse(plant, observer, controller.frequency_response(omega))
+
+    def within(self, controller: Pid, part: slice) -> LoopResponse:
+        """Loop functions on a part of the loop's own grid."""
+        return LoopResponse(
+            self.plant_response[part],
+            self.compensator_response[..., part],
+            controller.frequency_response(self.omega[part]),
+        )
 
     @checked
     def peak(self, controller: Pid, function: str) -> Peak:
-        """Refined peak of a loop function."""
+        """Refined peak of a loop function, one of `FUNCTIONS`."""
+        require_choice("function", function, FUNCTIONS)
         magnitude = np.abs(getattr(self.at(controller), function))
         return refine_peak(lambda w: getattr(self.at(controller, w), function), self.omega, magnitude)
 
@@ -162,9 +171,13 @@ def maximise_bandwidth(
         raise InputError("constraints is empty; without a peak constraint no bandwidth is the largest")
     require_number("high_hz", high_hz, above=require_number("low_hz", low_hz, above=0.0))
     grid = np.linspace(low_hz, high_hz, require_count("scan", scan, at_least=2))
+    above = None  # what was exceeded last, and is likely to be again
     for k in reversed(range(scan)):
         controller = family(grid[k])
-        if _rough(loops, controller, constraints) and not _violation(loops, controller, constraints, refine):
+        if above is not None and _still(*above, controller):
+            continue
+        above = _above(loops, controller, constraints)
+        if above is None and not _violation(loops, controller, constraints, refine):
             break
     else:
         raise InputError(
@@ -175,7 +188,8 @@ def maximise_bandwidth(
         raise InputError(f"all constraints hold even at high_hz = {high_hz:g}; raise it to find the limit")
     good, bad = float(grid[k]), float(grid[k + 1])
     stopped = _violation(loops, family(bad), constraints, refine)
-    while bad - good > tolerance_hz:
+    resolved = max(require_number("tolerance_hz", tolerance_hz, above=0.0), np.spacing(high_hz))
+    while bad - good > resolved:
         middle = (good + bad) / 2
         found = _violation(loops, family(middle), constraints, refine)
         if found is None:
@@ -187,13 +201,24 @@ def maximise_bandwidth(
     return Bandwidth(good, crossings, controller, *stopped)
 
 
-def _rough(loops: Sequence[Loop], controller: Pid, constraints: Sequence[PeakConstraint]) -> bool:
+def _above(
+    loops: Sequence[Loop], controller: Pid, constraints: Sequence[PeakConstraint]
+) -> tuple[Loop, PeakConstraint, slice] | None:
+    """The first loop and constraint that is exceeded on a grid, and where; None if there is none."""
     for loop in loops:
         response = loop.at(controller)
         for constraint in constraints:
-            if np.abs(getattr(response, constraint.function)).max() > constraint.limit:
-                return False
-    return True
+            magnitude = np.abs(getattr(response, constraint.function))
+            place = int(magnitude.argmax())
+            if magnitude[place] > constraint.limit:
+                return loop, constraint, slice(place, place + 1)
+    return None
+
+
+def _still(loop: Loop, constraint: PeakConstraint, place: slice, controller: Pid) -> bool:
+    """Whether another controller exceeds the constraint at the same point of the grid."""
+    response = getattr(loop.within(controller, place), constraint.function)
+    return bool(np.abs(response[0]) > constraint.limit)
 
 
 def _violation(

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from stillwork.base.checks import require_count, require_number
+from stillwork.base.front_door import checked
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,7 @@ class KinematicDesign:
         require_count("order", self.order)
 
     @property
+    @checked
     def gains(self) -> Float64[np.ndarray, " terms"]:
         """Gains from the deepest integral over the error to its derivative of order `order` - 1."""
         power = self.order + self.integrals

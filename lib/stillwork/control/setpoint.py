@@ -19,6 +19,7 @@ class Setpoint:
     scan: tuple[float, float]  # s, start and end of the scanning phase
     acceleration_end: float  # s, where the constant velocity begins
 
+    @checked
     def __post_init__(self):
         check_fields(self)
         require_number("step", self.step, above=0.0)

@@ -36,11 +36,13 @@ class FlowTransformation:
         require_number("width", self.width, above=0)
 
     @property
+    @checked
     def local_gain(self) -> float:
         """Change of the command per m/s^2 of error, at the fixed point."""
         return self.gain / self.width
 
     @property
+    @checked
     def packed(self) -> Float64[np.ndarray, "4"]:
         return np.array([0.0, self.gain, self.width, 0.0])
 
@@ -70,11 +72,13 @@ class RobustTransformation:
         require_number("slope", self.slope, above=0)
 
     @property
+    @checked
     def local_gain(self) -> float:
         """Change of the command per m/s^2 of error, where the command is small beside K_c."""
         return self.offset * self.factor * self.slope
 
     @property
+    @checked
     def packed(self) -> Float64[np.ndarray, "4"]:
         return np.array([1.0, self.offset, self.factor, self.slope])
 

@@ -69,6 +69,7 @@ class FeRls:
     forgetting: float = float(np.exp(-2e-4 / 10))
     growth_limit: float = 10.0
 
+    @checked
     def __post_init__(self):
         require_number("forgetting", self.forgetting, above=0.0, at_most=1.0)
         if self.growth_limit != np.inf:

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.base.checks import InputError, require_array, require_finite_run, require_number
 from stillwork.base.front_door import checked
 from stillwork.base.kernels import kernel
 from stillwork.estimation.coordinate_filters import (
@@ -81,6 +81,9 @@ def filter_signal(
             f"the filter's covariance stops being positive definite at sample {done}; "
             "raise process or noise, or check that the model fits the record"
         )
+    require_finite_run(
+        "the estimate", estimates, "check the size of the record, the model and the filter's noises"
+    )
     return Estimate(*np.ascontiguousarray(estimates.T))
 
 

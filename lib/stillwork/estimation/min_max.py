@@ -11,8 +11,6 @@ from stillwork.base.checks import require_array, require_number
 from stillwork.base.front_door import checked
 from stillwork.estimation.secular import ROUNDING, decompose
 
-CASES = ("regularised", "zero", "least squares", "segment")
-
 
 class ZeroEstimateWarning(UserWarning):
     """The bound admits a perturbation that explains all of the data away: the estimate is zero."""

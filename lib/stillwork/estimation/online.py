@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.base.checks import InputError, require_array, require_count, require_kind, require_number
 from stillwork.base.front_door import checked
 from stillwork.base.kernels import kernel
 from stillwork.estimation.adaptive import FeLms, FeRls, felms_update, ferls_update
@@ -143,7 +143,7 @@ class AdaptationStepper:
     """
 
     def __init__(self, settings: FeLms | FeRls, weights: ArrayLike):
-        self.settings = _require_settings(settings)
+        self.settings = require_kind("settings", settings, (FeLms, FeRls))
         self.weights = require_array("weights", weights, ndim=2).copy()
         self.covariance, self._limits = None, None
         if isinstance(settings, FeRls):
@@ -219,14 +219,7 @@ def steady_covariance(regressors: ArrayLike, forgetting: float) -> Float64[np.nd
     return (1 - forgetting) * (inverse + inverse.T) / 2
 
 
-def _require_settings(settings) -> FeLms | FeRls:
-    if not isinstance(settings, FeLms | FeRls):
-        raise InputError(f"settings is {settings!r}; give FeLms(...) or FeRls(...)")
-    return settings
-
-
 def _run(settings, regressors, name, signals, weights, every) -> Adaptation:
-    settings = _require_settings(settings)
     regressors = require_array("regressors", regressors, ndim=2)
     signals = require_array(name, signals, ndim=2)
     n, samples = regressors.shape

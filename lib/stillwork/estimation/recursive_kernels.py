@@ -6,18 +6,40 @@ s <- lam s + a y, `energy` z <- lam z + y^2, the regularisation alpha, the numbe
 
 import numpy as np
 
+from stillwork.base.algebra import factorise, solve_backward, solve_forward
 from stillwork.base.kernels import kernel
 from stillwork.estimation.adaptive import limit_covariance, update_covariance
-from stillwork.estimation.factor import (
-    accumulate_row,
-    factorise,
-    solve_backward,
-    solve_forward,
-    squared_norms,
-)
 from stillwork.estimation.secular import ROUNDING, narrow_bracket, next_alpha
 
 ALPHA, ENERGY, COUNT = 0, 1, 2  # places in the array `scalars`: alpha, z, samples seen
+
+
+@kernel
+def _accumulate_row(row, output, forgetting, information, correlation):
+    # returns |s|^2 and the trace of R
+    size = 0.0
+    trace = 0.0
+    for i in range(len(row)):
+        for j in range(i + 1):
+            information[i, j] = forgetting * information[i, j] + row[i] * row[j]
+        correlation[i] = forgetting * correlation[i] + row[i] * output
+        size += correlation[i] * correlation[i]
+        trace += information[i, i]
+    return size, trace
+
+
+@kernel
+def _squared_norms(information, correlation, energy, solution):
+    # |x|^2 and |A x - b|^2 = z - 2 x's + x'R x, clamped at zero as in (20)
+    norm = 0.0
+    residual = energy
+    for i in range(len(solution)):
+        inner = 0.5 * information[i, i] * solution[i] - correlation[i]
+        for j in range(i):
+            inner += information[i, j] * solution[j]
+        residual += 2.0 * inner * solution[i]
+        norm += solution[i] * solution[i]
+    return norm, max(residual, 0.0)
 
 
 @kernel
@@ -32,7 +54,7 @@ def _exact_solution(
     while True:
         factorise(information, alpha, correlation, factor, inverse_pivots, half, work)
         solve_backward(factor, inverse_pivots, half, x)
-        norm, residual = squared_norms(information, correlation, energy, x)
+        norm, residual = _squared_norms(information, correlation, energy, x)
         evaluations += 1
         if residual == 0.0 or evaluations == 100:
             return alpha, evaluations
@@ -83,7 +105,7 @@ def run_exact(
             row[i] = rows[t, i]
             error -= row[i] * estimate[i]
         errors[t] = error
-        size, trace = accumulate_row(row, output, forgetting, information, correlation)
+        size, trace = _accumulate_row(row, output, forgetting, information, correlation)
         energy = forgetting * energy + output * output
         seen += 1.0
         count = 0
@@ -131,7 +153,7 @@ def run_approximate(
             row[i] = rows[t, i]
             error -= row[i] * estimate[i]
         errors[t] = error
-        size, trace = accumulate_row(row, output, forgetting, information, correlation)
+        size, trace = _accumulate_row(row, output, forgetting, information, correlation)
         energy = forgetting * energy + output * output
         seen += 1.0
         least = ROUNDING * trace
@@ -161,7 +183,7 @@ def run_approximate(
                 gain[i] = entry
                 estimate[i] += entry * share
             for _ in range(iterations):
-                norm, residual = squared_norms(information, correlation, energy, estimate)
+                norm, residual = _squared_norms(information, correlation, energy, estimate)
                 alpha = max(bound * np.sqrt(residual / norm), least)
                 factorise(information, alpha, correlation, factor, inverse_pivots, half, work)
                 solve_backward(factor, inverse_pivots, half, estimate)
@@ -190,7 +212,7 @@ def run_ridge(rows, outputs, penalty, forgetting, information, correlation, esti
             row[i] = rows[t, i]
             error -= row[i] * estimate[i]
         errors[t] = error
-        accumulate_row(row, outputs[t], forgetting, information, correlation)
+        _accumulate_row(row, outputs[t], forgetting, information, correlation)
         factorise(information, penalty, correlation, factor, inverse_pivots, half, work)
         solve_backward(factor, inverse_pivots, half, estimate)
         for i in range(n):
@@ -227,7 +249,7 @@ def worst_residuals(rows, outputs, bounds, forgetting, estimates, worst):
     correlation = np.zeros(n)
     energy = 0.0
     for t in range(len(outputs)):
-        accumulate_row(rows[t], outputs[t], forgetting, information, correlation)
+        _accumulate_row(rows[t], outputs[t], forgetting, information, correlation)
         energy = forgetting * energy + outputs[t] * outputs[t]
-        norm, residual = squared_norms(information, correlation, energy, estimates[t])
+        norm, residual = _squared_norms(information, correlation, energy, estimates[t])
         worst[t] = np.sqrt(residual) + bounds[t] * np.sqrt(norm)

@@ -17,7 +17,17 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.base.algebra import (
+    add_product,
+    condition,
+    congruence,
+    copy_vector,
+    measure,
+    multiply,
+    take_in_turn,
+)
+from stillwork.base.checks import InputError, require_array, require_finite_run, require_number
+from stillwork.base.front_door import checked
 from stillwork.base.kernels import inlined_kernel, kernel
 from stillwork.estimation.time_varying import FilterGains, TimeVaryingModel
 
@@ -62,6 +72,7 @@ class Derivatives:
         return tuple(stacks)
 
 
+@checked(missing=True)
 def kalman_gains(model: TimeVaryingModel) -> FilterGains:
     """Time-varying Kalman filter: the common limit of both robust filters."""
     samples, outputs, states = model.c.shape
@@ -71,9 +82,10 @@ def kalman_gains(model: TimeVaryingModel) -> FilterGains:
     colour, whiten = np.linalg.cholesky(model.process), np.linalg.inv(np.linalg.cholesky(model.sensor))
     a, g, c = (np.ascontiguousarray(x) for x in (model.a, model.g, model.c))
     _kalman_kernel(states, outputs)(a, g, c, colour, whiten, gain, covariance)
-    return _finite(FilterGains(model.a, model.b, gain, c, covariance))
+    return FilterGains(model.a, model.b, gain, c, covariance)
 
 
+@checked(missing=True)
 def sensitivity_gains(model: TimeVaryingModel, derivatives: Derivatives, weight: float) -> FilterGains:
     r"""Sensitivity-penalised filter (5.25).
 
@@ -96,6 +108,7 @@ def sensitivity_gains(model: TimeVaryingModel, derivatives: Derivatives, weight:
     return _penalised(model, rows, penalty, np.zeros((model.samples, model.c.shape[1], 0)))
 
 
+@checked(missing=True)
 def regularised_gains(model: TimeVaryingModel, bound: NormBound, margin: float = 1.0) -> FilterGains:
     r"""Robust regularised least-squares filter (5.21) with the rule of thumb :math:`\lambda = (1+\alpha)\lambda_l`.
 
@@ -128,6 +141,7 @@ class LineSearch:
     ]  # optimal lambda over its lower limit; 1 where nothing is uncertain
 
 
+@checked
 def regularised_line_search(
     model: TimeVaryingModel, bound: NormBound, u: ArrayLike, y: ArrayLike, initial: ArrayLike | None = None
 ) -> LineSearch:
@@ -150,6 +164,7 @@ def regularised_line_search(
     limit, start = _lower_limit(model, rows, m), model.initial_covariance.copy()
     data = _step_data(model, rows, turn)
     _search_filter(data, limit, spread, np.ascontiguousarray(u.T), turned, start, out, ratio)
+    require_finite_run("the estimate", out, "rescale the model or the record")
     return LineSearch(np.ascontiguousarray(out.T), ratio)
 
 
@@ -185,11 +200,11 @@ def _lower_limit(model: TimeVaryingModel, rows, m: np.ndarray) -> np.ndarray:
 
 
 def _step_data(model: TimeVaryingModel, rows, turn: np.ndarray) -> tuple[np.ndarray, ...]:
-    """A, B, G, C, S, T, M of every sample as the step takes them: unit process noise, outputs turned."""
+    """[A G], B, C, [S T] and M of every sample as the step takes them: unit process noise, outputs turned."""
     rows_x, rows_w, rows_u = rows
     root = np.linalg.cholesky(model.process)
-    arrays = (model.a, model.b, model.g @ root, turn @ model.c, rows_x, rows_w @ root, rows_u)
-    return tuple(np.ascontiguousarray(each) for each in arrays)
+    step, joint = np.dstack([model.a, model.g @ root]), np.dstack([rows_x, rows_w @ root])
+    return tuple(np.ascontiguousarray(each) for each in (step, model.b, turn @ model.c, joint, rows_u))
 
 
 def _penalised(model: TimeVaryingModel, rows, penalty, m) -> FilterGains:
@@ -204,14 +219,7 @@ def _penalised(model: TimeVaryingModel, rows, penalty, m) -> FilterGains:
     forward, onward, gain, covariance = out
     covariance[0] = model.initial_covariance
     _gains(_step_data(model, rows, turn), penalty, noise, *out)
-    return _finite(FilterGains(forward, onward, gain @ turn, np.ascontiguousarray(model.c), covariance))
-
-
-def _finite(gains: FilterGains) -> FilterGains:
-    for name in ("gain", "covariance"):
-        if not np.all(np.isfinite(getattr(gains, name))):
-            raise InputError(f"the filter's {name} left the finite numbers; rescale the model or the penalty")
-    return gains
+    return FilterGains(forward, onward, gain @ turn, np.ascontiguousarray(model.c), covariance)
 
 
 @cache
@@ -295,49 +303,31 @@ def _kalman_kernel(states: int, outputs: int):
 
 
 @kernel
-def _regularise(sigma, map_x, map_u, rows_x, rows_w, rows_u, variance):
+def _regularise(sigma, map_x, map_u, rows, rows_u, variance):
     # The penalty as measurements 0 = S x + T w + M u, one row after the other: z = map_x x_hat + map_u u.
     size = sigma.shape[0]
-    n = rows_x.shape[1]
     v = np.empty(size)
-    for i in range(rows_x.shape[0]):
-        s = variance
-        for p in range(size):
-            total = 0.0
-            for q in range(n):
-                total += sigma[p, q] * rows_x[i, q]
-            for q in range(n, size):
-                total += sigma[p, q] * rows_w[i, q - n]
-            v[p] = total
-        for p in range(n):
-            s += rows_x[i, p] * v[p]
-        for p in range(n, size):
-            s += rows_w[i, p - n] * v[p]
+    for i in range(rows.shape[0]):
+        s = measure(sigma, rows, i, variance, v)
         for q in range(map_x.shape[1]):
             total = 0.0
-            for p in range(n):
-                total += rows_x[i, p] * map_x[p, q]
-            for p in range(n, size):
-                total += rows_w[i, p - n] * map_x[p, q]
+            for p in range(size):
+                total += rows[i, p] * map_x[p, q]
             for p in range(size):
                 map_x[p, q] -= v[p] / s * total
         for q in range(map_u.shape[1]):
             total = rows_u[i, q]
-            for p in range(n):
-                total += rows_x[i, p] * map_u[p, q]
-            for p in range(n, size):
-                total += rows_w[i, p - n] * map_u[p, q]
+            for p in range(size):
+                total += rows[i, p] * map_u[p, q]
             for p in range(size):
                 map_u[p, q] -= v[p] / s * total
-        for p in range(size):
-            for q in range(size):
-                sigma[p, q] -= v[p] * v[q] / s
+        condition(sigma, v, s)
 
 
 @inlined_kernel
 def _sample(data, k):
-    a, b, g, c, rows_x, rows_w, rows_u = data
-    return a[k], b[k], g[k], c[k], rows_x[k], rows_w[k], rows_u[k]
+    step, b, c, rows, rows_u = data
+    return step[k], b[k], c[k], rows[k], rows_u[k]
 
 
 @kernel
@@ -355,63 +345,22 @@ def _joint_covariance(p0, causes):
 
 @kernel
 def _step(sample, penalty, noise, p0, forward, onward, gain, p):
-    a, b, g, c, rows_x, rows_w, rows_u = sample
-    n, nw, nu = a.shape[0], g.shape[1], b.shape[1]
-    size = n + nw
-    sigma, map_x, map_u = _joint_covariance(p0, nw), np.zeros((size, n)), np.zeros((size, nu))
+    step, b, c, rows, rows_u = sample
+    (n, size), nu = step.shape, b.shape[1]
+    sigma, map_x, map_u = _joint_covariance(p0, size - n), np.zeros((size, n)), np.zeros((size, nu))
     for i in range(n):
         map_x[i, i] = 1.0
     if penalty > 0:
-        _regularise(sigma, map_x, map_u, rows_x, rows_w, rows_u, 1 / penalty)
-    step = np.zeros((n, size))
+        _regularise(sigma, map_x, map_u, rows, rows_u, 1 / penalty)
+    multiply(step, map_x, forward)
     for i in range(n):
-        for j in range(n):
-            step[i, j] = a[i, j]
-        for j in range(nw):
-            step[i, n + j] = g[i, j]
-    half = np.zeros((n, size))
-    for i in range(n):
-        for j in range(size):
-            total = 0.0
-            for q in range(size):
-                total += step[i, q] * sigma[q, j]
-            half[i, j] = total
-        for j in range(n):
-            total = 0.0
-            for q in range(size):
-                total += step[i, q] * map_x[q, j]
-            forward[i, j] = total
         for j in range(nu):
             total = b[i, j]
             for q in range(size):
                 total += step[i, q] * map_u[q, j]
             onward[i, j] = total
-    for i in range(n):
-        for j in range(i + 1):
-            total = 0.0
-            for q in range(size):
-                total += half[i, q] * step[j, q]
-            p[i, j] = p[j, i] = total
-    v = np.empty(n)
-    for o in range(c.shape[0]):
-        s = noise[o]
-        for i in range(n):
-            total = 0.0
-            for j in range(n):
-                total += p[i, j] * c[o, j]
-            v[i] = total
-        for i in range(n):
-            s += c[o, i] * v[i]
-        for j in range(o):
-            total = 0.0
-            for i in range(n):
-                total += c[o, i] * gain[i, j]
-            for i in range(n):
-                gain[i, j] -= v[i] / s * total
-        for i in range(n):
-            gain[i, o] = v[i] / s
-            for j in range(n):
-                p[i, j] -= v[i] * v[j] / s
+    congruence(step, sigma, np.empty((n, size)), p)
+    take_in_turn(p, c, noise, gain, np.empty(n))
 
 
 @kernel
@@ -424,49 +373,37 @@ def _gains(data, penalty, noise, forward, onward, gain, covariance):
 @kernel
 def _cost(logarithm, limit, spread, sample, p0, x, u, y):
     # G(lambda): the sum of squared innovations, each over its variance, is the minimum of the cost.
-    a, b, g, c, rows_x, rows_w, rows_u = sample
+    step, b, c, rows, rows_u = sample
     penalty = limit * (1 + np.exp(logarithm))
-    n, nw = a.shape[0], g.shape[1]
-    size = n + nw
-    sigma, z, v, row = _joint_covariance(p0, nw), np.zeros(size), np.zeros(size), np.zeros(size)
-    for i in range(n):
-        z[i] = x[i]
+    n, size = step.shape
+    sigma, z, v, row = _joint_covariance(p0, size - n), np.zeros(size), np.zeros(size), np.zeros((1, size))
+    copy_vector(x, z)
     total_cost = 0.0
-    rows = rows_x.shape[0]
-    for i in range(rows + c.shape[0]):
-        if i < rows:
-            innovation, s = 0.0, 1 / penalty
-            for j in range(n):
-                row[j] = rows_x[i, j]
-            for j in range(nw):
-                row[n + j] = rows_w[i, j]
-            for j in range(u.shape[0]):
+    for i in range(len(rows) + len(c)):
+        if i < len(rows):
+            innovation, noise = 0.0, 1 / penalty
+            for j in range(size):
+                row[0, j] = rows[i, j]
+            for j in range(len(u)):
                 innovation -= rows_u[i, j] * u[j]
         else:
-            o = i - rows
+            o = i - len(rows)
             innovation = y[o]
             # 1 - spread / penalty without cancellation close to the limit.
-            s = ((limit - spread[o]) / limit + np.exp(logarithm)) / (1 + np.exp(logarithm))
+            noise = ((limit - spread[o]) / limit + np.exp(logarithm)) / (1 + np.exp(logarithm))
             for j in range(size):
-                row[j] = 0.0
+                row[0, j] = 0.0
             for q in range(n):
-                for j in range(n):
-                    row[j] += c[o, q] * a[q, j]
-                for j in range(nw):
-                    row[n + j] += c[o, q] * g[q, j]
-                for j in range(u.shape[0]):
+                for j in range(size):
+                    row[0, j] += c[o, q] * step[q, j]
+                for j in range(len(u)):
                     innovation -= c[o, q] * b[q, j] * u[j]
+        s = measure(sigma, row, 0, noise, v)
         for j in range(size):
-            innovation -= row[j] * z[j]
-            total = 0.0
-            for q in range(size):
-                total += sigma[j, q] * row[q]
-            v[j] = total
-            s += row[j] * total
+            innovation -= row[0, j] * z[j]
         for j in range(size):
             z[j] += v[j] / s * innovation
-            for q in range(size):
-                sigma[j, q] -= v[j] * v[q] / s
+        condition(sigma, v, s)
         total_cost += innovation * innovation / s
     return total_cost
 
@@ -475,7 +412,7 @@ def _cost(logarithm, limit, spread, sample, p0, x, u, y):
 def _search_filter(data, limit, spread, u, y, p0, out, ratio):
     (samples, n), nu, no = out.shape, u.shape[1], y.shape[1]
     forward, onward, gain = np.zeros((n, n)), np.zeros((n, nu)), np.zeros((n, no))
-    p, noise = np.zeros((n, n)), np.ones(no)
+    p, noise, innovation = np.zeros((n, n)), np.ones(no), np.empty(no)
     shrink = (np.sqrt(5.0) - 1) / 2
     for k in range(1, samples):
         sample, penalty = _sample(data, k), 0.0
@@ -501,28 +438,18 @@ def _search_filter(data, limit, spread, u, y, p0, out, ratio):
             for o in range(no):
                 noise[o] = ((limit[k] - spread[k, o]) / limit[k] + over) / (1 + over)
         _step(sample, penalty, noise, p0, forward, onward, gain, p)
-        for i in range(n):
-            total = 0.0
-            for j in range(n):
-                total += forward[i, j] * out[k - 1, j]
-            for j in range(nu):
-                total += onward[i, j] * u[k - 1, j]
-            out[k, i] = total
+        add_product(forward, out[k - 1], out[k])
+        add_product(onward, u[k - 1], out[k])
         for i in range(n):
             for j in range(n):
                 p0[i, j] = p[i, j]
-        _correct(out[k], gain, sample[3], y[k])
+        _correct(out[k], gain, sample[2], y[k], innovation)
 
 
 @kernel
-def _correct(x, gain, c, y):
-    n, no = gain.shape
-    innovation = np.empty(no)
-    for o in range(no):
-        total = y[o]
-        for i in range(n):
-            total -= c[o, i] * x[i]
-        innovation[o] = total
-    for o in range(no):
-        for i in range(n):
-            x[i] += gain[i, o] * innovation[o]
+def _correct(x, gain, c, y, innovation):
+    for o in range(len(y)):
+        innovation[o] = y[o]
+        for i in range(len(x)):
+            innovation[o] -= c[o, i] * x[i]
+    add_product(gain, innovation, x)

@@ -74,12 +74,14 @@ class ModalModel:
             feedthrough=self.feedthrough[np.ix_(list(outputs), list(inputs))],
         )
 
+    @checked
     def compliance(self) -> Float64[np.ndarray, "outputs inputs"]:
         """Static gain of the flexible modes, eq. (2.13) of the observer thesis (m/N)."""
         flexible = self.frequencies > 0
         gains = self.input_shapes[flexible] / self.frequencies[flexible, None] ** 2
         return self.output_shapes[:, flexible] @ gains
 
+    @checked
     def frequency_response(self, omega: ArrayLike) -> Complex128[np.ndarray, "outputs inputs frequencies"]:
         """Response at `omega` (rad/s) from the closed-form residues of each mode."""
         omega = require_array("omega", omega, ndim=1)

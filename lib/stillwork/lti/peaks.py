@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import require_count, require_number
+from stillwork.base.checks import InputError, require_array, require_count, require_number
 from stillwork.base.front_door import checked
 
 
@@ -23,7 +23,7 @@ def resonance_grid(
     require_number("high_hz", high_hz, above=low_hz)
     require_count("points", points, at_least=2)
     require_count("around", around, at_least=0)
-    poles = np.atleast_1d(np.asarray(poles, dtype=complex))
+    poles = np.atleast_1d(require_array("poles", poles, dtype=complex))
     centre = np.unique(np.abs(poles[np.abs(poles) > 0]))
     pole = poles[np.abs(poles) > 0][np.unique(np.abs(poles[np.abs(poles) > 0]), return_index=True)[1]]
     width = np.maximum(np.abs(pole.real), 1e-7 * centre)
@@ -60,6 +60,8 @@ def refine_peak(
     near : float
         Local maxima above this part of the largest are refined.
     """
+    if not 0 < len(omega) == len(magnitude):
+        raise InputError(f"omega has {len(omega)} frequencies, magnitude {len(magnitude)}; give one of each")
     last = len(omega) - 1
     inner = (magnitude[1:-1] >= magnitude[:-2]) & (magnitude[1:-1] >= magnitude[2:])
     places = np.concatenate([[0], 1 + np.flatnonzero(inner), [last]])

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from jaxtyping import Complex128, Float64
@@ -38,7 +38,7 @@ class StateModel:
     @property
     def poles(self) -> Complex128[np.ndarray, " states"]:
         """Eigenvalues of A, computed on a balanced matrix."""
-        return linalg.eigvals(self.a).astype(complex) if len(self.a) else np.zeros(0, complex)
+        return _eigenvalues(self.a.tobytes(), len(self.a)).copy()
 
     @property
     def is_stable(self) -> bool:
@@ -48,6 +48,7 @@ class StateModel:
         return bool(np.all(self.poles.real < 0))
 
     @property
+    @checked
     def zeros(self) -> Complex128[np.ndarray, " zeros"]:
         """Finite invariant zeros of a square model, from a balanced pencil."""
         if len(self.c) != self.b.shape[1]:
@@ -68,6 +69,7 @@ class StateModel:
         i, o = list(inputs), list(outputs)
         return StateModel(self.a, self.b[:, i], self.c[o], self.d[np.ix_(o, i)], self.step)
 
+    @checked
     def frequency_response(self, omega: ArrayLike) -> Complex128[np.ndarray, "outputs inputs frequencies"]:
         """Response at `omega` (rad/s): by residues, or by solving where the eigenvectors are too skew."""
         omega = require_array("omega", omega, ndim=1)
@@ -83,13 +85,10 @@ class StateModel:
         shifted = point[:, None, None] * np.eye(len(a)) - a
         return response + np.moveaxis(c @ np.linalg.solve(shifted, b[None].astype(complex)), 0, -1)
 
-    @cached_property
+    @property
     def _decomposed(self):
-        """Scale that balances A, the balanced A, its poles, and its eigenvectors where they are not too skew."""
-        a, (scale, _) = linalg.matrix_balance(self.a, permute=False, separate=True)
-        poles, vectors = linalg.eig(a)
-        skew = np.linalg.cond(vectors) > WORST_CONDITION
-        return scale, a, poles.astype(complex), None if skew else vectors.astype(complex)
+        """See `_decomposition`."""
+        return _decomposition(self.a.tobytes(), len(self.a))
 
     @cached_property
     def _residues(self):
@@ -119,6 +118,28 @@ class StateModel:
         control = require_package("control")
 
         return control.StateSpace(self.a, self.b, self.c, self.d, self.step or 0)
+
+
+# Models that differ in their inputs and outputs alone, as the channels of a loop or the gains of a feedforward, have
+# one A: what follows from it is kept, by its bytes. It must not be written to.
+
+
+@lru_cache(maxsize=16)
+def _eigenvalues(a: bytes, states: int) -> Complex128[np.ndarray, " states"]:
+    return linalg.eigvals(_matrix(a, states)).astype(complex) if states else np.zeros(0, complex)
+
+
+@lru_cache(maxsize=16)
+def _decomposition(a: bytes, states: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
+    """Scale that balances A, the balanced A, its poles, and its eigenvectors where they are not too skew."""
+    balanced, (scale, _) = linalg.matrix_balance(_matrix(a, states), permute=False, separate=True)
+    poles, vectors = linalg.eig(balanced)
+    skew = np.linalg.cond(vectors) > WORST_CONDITION
+    return scale, balanced, poles.astype(complex), None if skew else vectors.astype(complex)
+
+
+def _matrix(a: bytes, states: int) -> Float64[np.ndarray, "states states"]:
+    return np.frombuffer(a).reshape(states, states)
 
 
 @checked

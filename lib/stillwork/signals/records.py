@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy import signal
 
 from stillwork.base.checks import InputError, nearest, require_array, require_count, require_number
-from stillwork.base.front_door import checked
+from stillwork.base.front_door import check_fields, checked
 from stillwork.signals.datafiles import read_columns
 
 STANDARD_GRAVITY = 9.80665  # m/s^2
@@ -75,7 +75,7 @@ class Record:
     source: str
 
     def __post_init__(self):
-        require_array("signals", self.signals, ndim=2)
+        check_fields(self)
         low, high = PLAUSIBLE_RATES_HZ
         if not low <= self.sample_rate <= high:
             raise InputError(

@@ -31,6 +31,10 @@ class Spectrum:
 
     def __post_init__(self):
         check_fields(self)
+        if len(self.frequencies_hz) < 2 or self.density.shape[1:] != self.frequencies_hz.shape:
+            raise InputError(
+                "frequencies_hz holds fewer than 2 frequencies, or density has not one value at each"
+            )
 
     @property
     def cumulative(self) -> Float64[np.ndarray, "channels frequencies"]:
