@@ -226,6 +226,8 @@ def test_lost_definiteness_is_reported_with_the_sample(approximate):
         (lambda m: filter_signal(LowPass(), np.zeros(5), np.zeros(4)), "force has shape"),
         (lambda m: filter_signal(SavitzkyGolay(), np.zeros(5), time_step=2e-3), "made for 0.001 s"),
         (lambda m: filter_signal(LowPass(), np.zeros(5), time_step=0.0), "time_step"),
+        (lambda m: filter_signal(LowPass(), np.repeat([0.0, 1e308], 50)), "finite numbers at sample"),
+        (lambda m: SavitzkyGolay(time_step=1e-200).packed(), "packed has no result"),
         (lambda m: filter_signal(LowPass(2000.0), np.ones(5)), "wants less than 2000 rad/s, or it diverges"),
     ],
 )

@@ -17,6 +17,7 @@ from experiments.motion.rig import (
 from experiments.motion.rig_control import placed_damping, sampled_damping
 from experiments.motion.rig_designs import (
     CASES,
+    bandwidths,
     compensated_feedback,
     model_errors,
     observer_model,
@@ -25,7 +26,7 @@ from experiments.motion.rig_designs import (
     rig_loops,
 )
 from experiments.motion.rig_loops import MEASURES
-from experiments.motion.rig_study import bandwidths, flexible_peaks, rig_trial, sample_geometry
+from experiments.motion.rig_study import flexible_peaks, rig_trial, sample_geometry
 from experiments.motion.rig_tracking import (
     Levelling,
     levelling,

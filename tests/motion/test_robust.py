@@ -3,6 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from experiments.motion.line_search import regularised_line_search
 from naive import motion_robust as naive
 from stillwork.base.checks import InputError
 from stillwork.estimation.robust import (
@@ -10,7 +11,6 @@ from stillwork.estimation.robust import (
     NormBound,
     kalman_gains,
     regularised_gains,
-    regularised_line_search,
     sensitivity_gains,
 )
 from stillwork.estimation.time_varying import TimeVaryingModel, estimate

@@ -236,3 +236,13 @@ def test_the_settings_come_back_after_an_error():
     with pytest.raises(ValueError, match="x and y"):
         axes.plot([1, 2], [1, 2, 3])
     assert dict(matplotlib.rcParams) == before
+
+
+def test_a_legend_below_names_one_panels_lines():
+    figure, axes = figures.new(1, 2)
+    axes[0].plot([0, 1], [0, 1], label="ours")
+    axes[1].plot([0, 1], [1, 0], label="elsewhere")
+    figures.legend_below(axes[0], 2)
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["ours"]
+    assert axes[0].get_legend() is None

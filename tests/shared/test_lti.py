@@ -13,11 +13,15 @@ from experiments.motion.machines import chain, stage
 from naive.motion import exponential, step_by_step
 from stillwork import lti
 from stillwork.base.checks import InputError
-from stillwork.lti.discretisation import zoh_modes
+from stillwork.lti.discretisation import tustin, zoh_modes
 from stillwork.lti.modal import from_state_space
 from stillwork.lti.peaks import refine_peak
 
 GRID = lti.resonance_grid(stage().poles, 1.0, 1e4, 400, 20)
+
+
+def unstable(rate: float = 200.0) -> lti.StateModel:
+    return lti.StateModel(np.array([[rate]]), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)))
 
 
 def random_modal(seed: int, inputs: int = 2, outputs: int = 3) -> lti.ModalModel:
@@ -249,6 +253,19 @@ def test_zeros_are_those_of_python_control_and_of_the_response(feedthrough):
             "structure",
         ),
         (lambda: lti.resonance_grid([1j], 10.0, 5.0), "high_hz"),
+        (lambda: lti.resonance_grid([1j, np.nan], 1.0, 5.0), "poles holds 1 NaN"),
+        (lambda: tustin(stage().state_space(), 0.0), "step is 0"),
+        (
+            lambda: tustin(stage().state_space(), 1e-3, 4e3),
+            "omega is 4000; give a finite number above 0 and below",
+        ),
+        (lambda: tustin(lti.zoh_modes(stage(), 1e-4), 1e-4), "discrete time already"),
+        (lambda: tustin(unstable(), 0.01), "tustin has no result"),
+        (
+            lambda: lti.simulate(lti.zoh(unstable(), 1.0), np.ones((1, 2000))),
+            "leaves the finite numbers at sample 4",
+        ),
+        (lambda: stage().frequency_response([1e-200]), "no result"),
     ],
 )
 def test_bad_input_is_named(call, message):

@@ -10,7 +10,7 @@ from jaxtyping import Complex128, Float64
 from scipy import linalg
 
 from experiments.motion.rig_control import RigCompensator, warped
-from stillwork.base.checks import InputError, require_choice, require_count, require_number
+from stillwork.base.checks import InputError, require_choice, require_number
 from stillwork.base.kernels import kernel
 from stillwork.base.rounding import first_largest
 from stillwork.control.bandwidth import SIX_DB
@@ -242,7 +242,8 @@ def maximise_rig_bandwidth(
         When the highest bandwidth still is.
     """
     require_choice("measure", measure, MEASURES)
-    require_count("number of loops", len(loops))
+    if not loops:
+        raise InputError("loops is empty; give at least one position")
     require_number("limit", limit, above=1.0)
     require_number("high_hz", high_hz, above=require_number("low_hz", low_hz, above=0.0))
     loops, start = list(loops), low_hz

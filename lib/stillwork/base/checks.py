@@ -22,7 +22,7 @@ class InputError(ValueError):
     """A value from outside that cannot be used; the message names it and says what to do."""
 
 
-def nearest(word: str, candidates: Iterable[str]) -> str:
+def nearest(word, candidates: Iterable) -> str:
     """Suggestion ``; did you mean 'x'?`` for a misspelt word, or an empty string."""
     if not isinstance(word, str):
         return ""

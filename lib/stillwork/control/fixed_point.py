@@ -15,7 +15,7 @@ from stillwork.control.trajectory import Trajectory
 from stillwork.control.transformation import Transformation, deform_packed, warn_outside_contraction
 from stillwork.estimation.coordinate_filters import Filter, require_step
 from stillwork.estimation.filtering import filter_step, model_of
-from stillwork.estimation.plant import Plant, partial_derivatives
+from stillwork.estimation.plant import Plant, force_slope
 
 INTEGRATIONS = ("semi-implicit", "explicit")
 COLUMNS = (
@@ -221,9 +221,7 @@ def simulate(
 @checked
 def response_gain(plant: Plant, model: Plant) -> float:
     """f': acceleration realised per acceleration commanded through an imperfect model, at rest."""
-    _, _, slope = partial_derivatives(plant, 0.0, 0.0, 0.0)
-    _, _, believed = partial_derivatives(model, 0.0, 0.0, 0.0)
-    return slope / believed
+    return force_slope(plant, 0.0, 0.0, 0.0) / force_slope(model, 0.0, 0.0, 0.0)
 
 
 @kernel

@@ -50,21 +50,16 @@ class _MinMaxUpdate:
         state = (square, np.zeros(unknowns), np.array([np.inf, 0.0, 0.0]), np.zeros(unknowns))
         if self.update == "fast":
             return (np.zeros(unknowns), np.eye(unknowns), *state[1:])
-        if self.update == "approximate":
-            return (*state, np.zeros((unknowns, unknowns)), np.zeros(unknowns))
-        return state
+        return (*state, np.zeros((unknowns, unknowns)), np.zeros(unknowns))
 
     def advance(self, state, first: int, rows, outputs) -> Track:
         out = _empty(rows)
         bounds = self.bounds(first, len(rows))
         if self.update == "fast":
             rank_one.run_fast(rows, outputs, bounds, self._weight, *state, *out)
-        elif self.update == "approximate":
-            recursive_kernels.run_approximate(
-                rows, outputs, bounds, self._weight, self.iterations, *state, *out
-            )
         else:
-            recursive_kernels.run_exact(rows, outputs, bounds, self._weight, *state, *out)
+            iterations = self.iterations if self.update == "approximate" else 0
+            recursive_kernels.run_min_max(rows, outputs, bounds, self._weight, iterations, *state, *out)
         return _track(*out)
 
     def _check(self) -> None:

@@ -14,19 +14,16 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.algebra import (
-    add_product,
     condition,
     congruence,
-    copy_vector,
     measure,
     multiply,
     take_in_turn,
 )
-from stillwork.base.checks import InputError, require_array, require_finite_run, require_number
+from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.base.front_door import checked
 from stillwork.base.kernels import inlined_kernel, kernel
 from stillwork.estimation.time_varying import FilterGains, TimeVaryingModel
@@ -127,48 +124,12 @@ def regularised_gains(model: TimeVaryingModel, bound: NormBound, margin: float =
         When the uncertainty does not fit the model or `margin` is not positive.
     """
     margin = require_number("margin", margin, above=0.0)
-    rows, m = _bound_rows(model, bound)
-    return _penalised(model, rows, (1 + margin) * _lower_limit(model, rows, m), m)
+    rows, m = bound_rows(model, bound)
+    return _penalised(model, rows, (1 + margin) * lower_limit(model, rows, m), m)
 
 
-@dataclass(frozen=True)
-class LineSearch:
-    """Estimates of the regularised filter that solves for lambda at every sample."""
-
-    states: Float64[np.ndarray, "states samples"]
-    ratio: Float64[
-        np.ndarray, " samples"
-    ]  # optimal lambda over its lower limit; 1 where nothing is uncertain
-
-
-@checked
-def regularised_line_search(
-    model: TimeVaryingModel, bound: NormBound, u: ArrayLike, y: ArrayLike, initial: ArrayLike | None = None
-) -> LineSearch:
-    r"""Regularised least-squares filter with the optimal :math:`\hat\lambda = \arg\min G(\lambda)` at every sample.
-
-    :math:`G` is the minimum over (x, w) of the cost above; the optimum depends on the data, so there are no
-    gains beforehand. It is the exact solution of the min-max problem (5.15) at every step.
-
-    Parameters and errors as for `regularised_gains` and `estimate`.
-    """
-    rows, m = _bound_rows(model, bound)
-    samples, outputs, states = model.c.shape
-    u = require_array("u", u, shape=(model.b.shape[2], samples))
-    y = require_array("y", y, shape=(outputs, samples))
-    initial = np.zeros(states) if initial is None else require_array("initial", initial, shape=(states,))
-    turn, spread = _principal(model, m)
-    turned = np.einsum("koi,ik->ko", turn, y)
-    out, ratio = np.zeros((samples, states)), np.ones(samples)
-    out[0] = initial
-    limit, start = _lower_limit(model, rows, m), model.initial_covariance.copy()
-    data = _step_data(model, rows, turn)
-    _search_filter(data, limit, spread, np.ascontiguousarray(u.T), turned, start, out, ratio)
-    require_finite_run("the estimate", out, "rescale the model or the record")
-    return LineSearch(np.ascontiguousarray(out.T), ratio)
-
-
-def _bound_rows(model: TimeVaryingModel, bound: NormBound):
+def bound_rows(model: TimeVaryingModel, bound: NormBound):
+    """S, T and M of a norm bound at every sample, as `Derivatives.rows` gives them, and its directions."""
     samples, outputs, states = model.c.shape
 
     def spread(name, columns):
@@ -183,7 +144,7 @@ def _bound_rows(model: TimeVaryingModel, bound: NormBound):
     return (e_a, e_g, e_b), m
 
 
-def _principal(model: TimeVaryingModel, m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def principal(model: TimeVaryingModel, m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Turn the whitened measurement so that R_hat = R - M M' / lambda is diagonal: I - spread / lambda."""
     whiten = np.linalg.inv(np.linalg.cholesky(model.sensor))
     whitened = whiten @ m
@@ -191,15 +152,15 @@ def _principal(model: TimeVaryingModel, m: np.ndarray) -> tuple[np.ndarray, np.n
     return np.swapaxes(vectors, 1, 2) @ whiten, np.maximum(values, 0)
 
 
-def _lower_limit(model: TimeVaryingModel, rows, m: np.ndarray) -> np.ndarray:
+def lower_limit(model: TimeVaryingModel, rows, m: np.ndarray) -> np.ndarray:
     """lambda_l = |M' R^-1 M| at every sample; 0 where there is no uncertainty."""
     certain = np.ones(model.samples, bool)
     for each in rows:
         certain &= ~np.any(each, axis=(1, 2))
-    return np.where(certain, 0.0, _principal(model, m)[1].max(axis=1))
+    return np.where(certain, 0.0, principal(model, m)[1].max(axis=1))
 
 
-def _step_data(model: TimeVaryingModel, rows, turn: np.ndarray) -> tuple[np.ndarray, ...]:
+def step_data(model: TimeVaryingModel, rows, turn: np.ndarray) -> tuple[np.ndarray, ...]:
     """[A G], B, C, [S T] and M of every sample as the step takes them: unit process noise, outputs turned."""
     rows_x, rows_w, rows_u = rows
     root = np.linalg.cholesky(model.process)
@@ -210,7 +171,7 @@ def _step_data(model: TimeVaryingModel, rows, turn: np.ndarray) -> tuple[np.ndar
 def _penalised(model: TimeVaryingModel, rows, penalty, m) -> FilterGains:
     samples, outputs, states = model.c.shape
     inputs = model.b.shape[2]
-    turn, spread = _principal(model, m)
+    turn, spread = principal(model, m)
     known = penalty[:, None] > 0
     noise = 1 - np.divide(spread, penalty[:, None], out=np.zeros_like(spread), where=known)
     if np.any(noise[1:] <= 0):
@@ -218,7 +179,7 @@ def _penalised(model: TimeVaryingModel, rows, penalty, m) -> FilterGains:
     out = tuple(np.zeros((samples, states, k)) for k in (states, inputs, outputs, states))
     forward, onward, gain, covariance = out
     covariance[0] = model.initial_covariance
-    _gains(_step_data(model, rows, turn), penalty, noise, *out)
+    _gains(step_data(model, rows, turn), penalty, noise, *out)
     return FilterGains(forward, onward, gain @ turn, np.ascontiguousarray(model.c), covariance)
 
 
@@ -325,14 +286,15 @@ def _regularise(sigma, map_x, map_u, rows, rows_u, variance):
 
 
 @inlined_kernel
-def _sample(data, k):
+def sample_at(data, k):
+    """Of `step_data`, what belongs to sample k."""
     step, b, c, rows, rows_u = data
     return step[k], b[k], c[k], rows[k], rows_u[k]
 
 
 @kernel
-def _joint_covariance(p0, causes):
-    # Of the last state and the disturbance, which has unit covariance here.
+def joint_covariance(p0, causes):
+    """Of the last state and the disturbance, which has unit covariance here."""
     n = len(p0)
     sigma = np.zeros((n + causes, n + causes))
     for i in range(n):
@@ -344,10 +306,11 @@ def _joint_covariance(p0, causes):
 
 
 @kernel
-def _step(sample, penalty, noise, p0, forward, onward, gain, p):
+def robust_step(sample, penalty, noise, p0, forward, onward, gain, p):
+    """One sample: matrices and covariance `p` of the filter from the last covariance `p0`."""
     step, b, c, rows, rows_u = sample
     (n, size), nu = step.shape, b.shape[1]
-    sigma, map_x, map_u = _joint_covariance(p0, size - n), np.zeros((size, n)), np.zeros((size, nu))
+    sigma, map_x, map_u = joint_covariance(p0, size - n), np.zeros((size, n)), np.zeros((size, nu))
     for i in range(n):
         map_x[i, i] = 1.0
     if penalty > 0:
@@ -367,89 +330,4 @@ def _step(sample, penalty, noise, p0, forward, onward, gain, p):
 def _gains(data, penalty, noise, forward, onward, gain, covariance):
     for k in range(1, len(forward)):
         p0, p = covariance[k - 1], covariance[k]
-        _step(_sample(data, k), penalty[k], noise[k], p0, forward[k], onward[k], gain[k], p)
-
-
-@kernel
-def _cost(logarithm, limit, spread, sample, p0, x, u, y):
-    # G(lambda): the sum of squared innovations, each over its variance, is the minimum of the cost.
-    step, b, c, rows, rows_u = sample
-    penalty = limit * (1 + np.exp(logarithm))
-    n, size = step.shape
-    sigma, z, v, row = _joint_covariance(p0, size - n), np.zeros(size), np.zeros(size), np.zeros((1, size))
-    copy_vector(x, z)
-    total_cost = 0.0
-    for i in range(len(rows) + len(c)):
-        if i < len(rows):
-            innovation, noise = 0.0, 1 / penalty
-            for j in range(size):
-                row[0, j] = rows[i, j]
-            for j in range(len(u)):
-                innovation -= rows_u[i, j] * u[j]
-        else:
-            o = i - len(rows)
-            innovation = y[o]
-            # 1 - spread / penalty without cancellation close to the limit.
-            noise = ((limit - spread[o]) / limit + np.exp(logarithm)) / (1 + np.exp(logarithm))
-            for j in range(size):
-                row[0, j] = 0.0
-            for q in range(n):
-                for j in range(size):
-                    row[0, j] += c[o, q] * step[q, j]
-                for j in range(len(u)):
-                    innovation -= c[o, q] * b[q, j] * u[j]
-        s = measure(sigma, row, 0, noise, v)
-        for j in range(size):
-            innovation -= row[0, j] * z[j]
-        for j in range(size):
-            z[j] += v[j] / s * innovation
-        condition(sigma, v, s)
-        total_cost += innovation * innovation / s
-    return total_cost
-
-
-@kernel
-def _search_filter(data, limit, spread, u, y, p0, out, ratio):
-    (samples, n), nu, no = out.shape, u.shape[1], y.shape[1]
-    forward, onward, gain = np.zeros((n, n)), np.zeros((n, nu)), np.zeros((n, no))
-    p, noise, innovation = np.zeros((n, n)), np.ones(no), np.empty(no)
-    shrink = (np.sqrt(5.0) - 1) / 2
-    for k in range(1, samples):
-        sample, penalty = _sample(data, k), 0.0
-        for o in range(no):
-            noise[o] = 1.0
-        if limit[k] > 0:
-            low, high = -18.0, 40.0  # of log(lambda / limit - 1); G has one minimum
-            left, right = high - shrink * (high - low), low + shrink * (high - low)
-            posed = (limit[k], spread[k], sample, p0, out[k - 1], u[k - 1], y[k])
-            at_left, at_right = _cost(left, *posed), _cost(right, *posed)
-            while high - low > 1e-7:
-                if at_left <= at_right:
-                    high, right, at_right = right, left, at_left
-                    left = high - shrink * (high - low)
-                    at_left = _cost(left, *posed)
-                else:
-                    low, left, at_left = left, right, at_right
-                    right = low + shrink * (high - low)
-                    at_right = _cost(right, *posed)
-            over = np.exp((low + high) / 2)
-            ratio[k] = 1 + over
-            penalty = limit[k] * (1 + over)
-            for o in range(no):
-                noise[o] = ((limit[k] - spread[k, o]) / limit[k] + over) / (1 + over)
-        _step(sample, penalty, noise, p0, forward, onward, gain, p)
-        add_product(forward, out[k - 1], out[k])
-        add_product(onward, u[k - 1], out[k])
-        for i in range(n):
-            for j in range(n):
-                p0[i, j] = p[i, j]
-        _correct(out[k], gain, sample[2], y[k], innovation)
-
-
-@kernel
-def _correct(x, gain, c, y, innovation):
-    for o in range(len(y)):
-        innovation[o] = y[o]
-        for i in range(len(x)):
-            innovation[o] -= c[o, i] * x[i]
-    add_product(gain, innovation, x)
+        robust_step(sample_at(data, k), penalty[k], noise[k], p0, forward[k], onward[k], gain[k], p)

@@ -58,6 +58,12 @@ def mark_published(axes, x, y, label: str = "published", **options):
     return axes.plot(np.atleast_1d(x), np.atleast_1d(y), label=label, zorder=5, **{**style, **options})
 
 
+def legend_below(axes, columns: int, **options) -> None:
+    """What one panel's lines mean, below the whole figure."""
+    handles = axes.get_legend_handles_labels()
+    axes.figure.legend(*handles, loc="outside lower center", ncols=columns, **options)
+
+
 @dataclass(frozen=True)
 class SavedFigure:
     """A saved figure; Jupyter shows the picture, text shows the names of the files."""
