@@ -37,9 +37,10 @@ figures: $(READY) ## Build what is stale; ARGS="ROOM/NOTEBOOK -p NAME=VALUE --jo
 readings: $(READY) ## Try every choice that the works leave open; ARGS="ROOM --jobs N --budget MINUTES"
 	@$(BIN)/python -m stillwork readings $(ARGS)
 
-test: $(READY) ## Style, unit tests, all notebooks, and what is committed against what they give now
+test: $(READY) ## Style, types, unit tests, all notebooks, and what is committed against what they give now
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/python -m mypy
 	$(UNDER_PINS) $(BIN)/python -m pytest $(UNIT) -n logical --dist loadfile
 	$(BIN)/python -m stillwork figures
 	rm -rf build/nbval

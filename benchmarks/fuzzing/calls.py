@@ -1,8 +1,11 @@
-"""One good call of every public function, class and method of the toolbox's faces, to be spoiled."""
+"""One good call of every public function, class and method of the toolbox's faces, to be spoiled, and of many behind."""
 
 import copy
 import dataclasses
+import pkgutil
 from functools import cache
+from importlib import import_module
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 
@@ -51,12 +54,21 @@ def _measurement(state, inputs, parameters, out):
     out[0] = state[0]
 
 
+def _whole(package: ModuleType) -> SimpleNamespace:
+    """What all modules of a folder define, handed out by its face or not; a face decides between equal names."""
+    names: dict = {}
+    for each in pkgutil.iter_modules(package.__path__):
+        module = import_module(f"{package.__name__}.{each.name}")
+        names |= {n: o for n, o in vars(module).items() if getattr(o, "__module__", "") == module.__name__}
+    return SimpleNamespace(**names | {name: getattr(package, name) for name in package.__all__})
+
+
 @cache
 def catalogue() -> dict:
     """Name to (callable, good arguments by name)."""
     rng = np.random.default_rng(5)
     noise = rng.standard_normal
-    e, c, i = estimation, control, identification
+    signals, lti, i, e, c = map(_whole, FACES.values())
     model = lti.ModalModel(
         np.array([0.0, 300.0, 900.0]), np.array([0.0, 0.01, 0.02]), np.array([[0.3], [0.4], [0.2]]),
         np.array([[0.3, -0.4, 0.2]]), np.zeros((1, 1)),

@@ -18,13 +18,9 @@ from experiments.fixedpoint.your_plant import (
 from experiments.fixedpoint.your_plant_pictures import paint_contraction, paint_runs, plant_explorer
 from stillwork.base import paths
 from stillwork.base.checks import InputError
-from stillwork.control import (
-    FlowTransformation,
-    RobustTransformation,
-    asin_trajectory,
-    simulate,
-    sine_trajectory,
-)
+from stillwork.control import FlowTransformation, asin_trajectory, simulate
+from stillwork.control.trajectory import sine_trajectory
+from stillwork.control.transformation import RobustTransformation
 from stillwork.estimation.plant import outline
 
 TEMPLATE = paths.data("fixedpoint", "your_plant.py")

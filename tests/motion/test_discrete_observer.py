@@ -16,8 +16,9 @@ from stillwork.control.discrete_damping import discrete_damping_gain, sampled_fe
 from stillwork.control.discrete_observer import discrete_compensator, discrete_kalman_observer
 from stillwork.control.feedback import band_pass, damping_gain, fed_back
 from stillwork.estimation.observer import NoiseIntensities
-from stillwork.lti import StateModel, simulate, zoh, zoh_modes
+from stillwork.lti import StateModel, simulate, zoh
 from stillwork.lti.delays import delayed
+from stillwork.lti.discretisation import zoh_modes
 from stillwork.lti.reduction import truncate
 
 STEP = 1e-4

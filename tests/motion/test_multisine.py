@@ -25,8 +25,8 @@ from stillwork.identification.multisine import (
     run_multisine,
     smoothed_deviation,
 )
-from stillwork.lti import ModalModel, simulate, zoh_modes
-from stillwork.lti.discretisation import sampled_modes, zoh_response
+from stillwork.lti import ModalModel, simulate
+from stillwork.lti.discretisation import sampled_modes, zoh_modes, zoh_response
 
 GEOMETRY = assumed_geometry()
 SETTINGS = published_settings()

@@ -141,6 +141,17 @@ def test_no_filter_of_a_random_walk_keeps_a_level_below_one_for_long():
         hinfinity_gains(random_walk(2000), [[1.0]], 0.98)
 
 
+@pytest.mark.parametrize("wanted", [[[0.0]], [[1e-200]], np.zeros((0, 1))])
+def test_what_every_level_keeps_has_no_smallest_one(wanted):
+    with pytest.raises(InputError, match="wanted is zero"):
+        smallest_level(random_walk(5), wanted)
+
+
+def test_a_model_without_a_measurement_is_refused():
+    with pytest.raises(InputError, match="c holds 1 samples"):
+        random_walk(1)
+
+
 def test_control_of_a_double_integrator():
     """SLICOT, SB02MD: X = [2 1; 1 2] for A = [0 1; 0 0], Q = diag(1, 2), G = diag(0, 1); here its dual."""
     found = continuous_gain([[0.0, 0.0], [1.0, 0.0]], np.diag([1.0, np.sqrt(2.0)]), [[0.0, 1.0]], 1.0, 1.0)

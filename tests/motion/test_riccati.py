@@ -11,7 +11,8 @@ from stillwork.base.checks import InputError
 from stillwork.estimation import riccati
 from stillwork.estimation.observer import NoiseIntensities, Observer, kalman_observer
 from stillwork.estimation.riccati import continuous_gain, discrete_gain
-from stillwork.lti import ModalModel, zoh_modes
+from stillwork.lti import ModalModel
+from stillwork.lti.discretisation import zoh_modes
 from stillwork.lti.reduction import truncate
 
 

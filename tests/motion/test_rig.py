@@ -28,8 +28,7 @@ from stillwork.control.bandwidth import SIX_DB
 from stillwork.control.loops import channel
 from stillwork.control.pid import PidFamily
 from stillwork.estimation.observer import NoiseIntensities
-from stillwork.lti import zoh_modes
-from stillwork.lti.discretisation import tustin, zoh_response
+from stillwork.lti.discretisation import tustin, zoh_modes, zoh_response
 
 STEP = 1e-4
 GEOMETRY = assumed_geometry()

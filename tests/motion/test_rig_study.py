@@ -37,7 +37,8 @@ from experiments.motion.rig_tracking import (
 from stillwork.base.checks import InputError
 from stillwork.control.loops import channel
 from stillwork.estimation.observer import NoiseIntensities
-from stillwork.lti import ModalModel, simulate, zoh_modes
+from stillwork.lti import ModalModel, simulate
+from stillwork.lti.discretisation import zoh_modes
 from stillwork.workbook.studies import run_study
 
 GEOMETRY = assumed_geometry()

@@ -21,7 +21,7 @@ from stillwork.base.checks import InputError
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
 from stillwork.estimation.robust import kalman_gains
 from stillwork.estimation.time_varying import TimeVaryingModel, estimate
-from stillwork.lti import zoh_modes
+from stillwork.lti.discretisation import zoh_modes
 from stillwork.workbook.studies import run_study
 
 
@@ -165,6 +165,23 @@ def test_hinfinity_filter_at_a_large_level_is_the_kalman_filter():
     model, u, y = small_model()
     far = estimate(hinfinity_gains(model, np.eye(3), 1e8), u, y)
     np.testing.assert_allclose(far, estimate(kalman_gains(model), u, y), rtol=1e-10, atol=1e-10)
+
+
+def test_a_covariance_that_overflows_is_reported_with_the_sample():
+    model, _, _ = small_model()
+    faster = replace(model, a=1e100 * model.a, c=0 * model.c)
+    with (
+        pytest.raises(InputError, match="gain leaves the finite numbers at sample 2"),
+        np.errstate(all="ignore"),
+    ):
+        kalman_gains(faster)
+
+
+def test_an_estimate_that_overflows_is_reported_with_the_sample():
+    model, u, y = small_model()
+    gains = kalman_gains(model)
+    with pytest.raises(InputError, match="the estimate leaves the finite numbers at sample 4"):
+        estimate(replace(gains, forward=1e100 * gains.forward, gain=0 * gains.gain), u, y, np.ones(3))
 
 
 def test_hinfinity_filter_below_the_smallest_level_is_refused():

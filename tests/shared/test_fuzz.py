@@ -13,7 +13,7 @@ FUZZ = Path(__file__).parents[2] / "benchmarks" / "fuzz.py"
 @pytest.mark.parametrize(
     "cases",
     [
-        pytest.param(["--cases", "750"], id="wrong values end in documented errors"),
+        pytest.param(["--cases", "2500"], id="wrong values end in documented errors"),
         pytest.param(["--only", "forms"], id="an array's form changes neither the result nor the array"),
     ],
 )

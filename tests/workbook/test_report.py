@@ -12,6 +12,7 @@ from stillwork.workbook.report import (
     entry_text,
     find,
     ledger_text,
+    our_quantity,
     paragraph,
     summary,
     table,
@@ -87,6 +88,21 @@ def test_an_entry_is_shown_whole_and_without_what_is_empty():
         "    axis a; total 0.25",
         "  failed: 0",
     ]
+
+
+@pytest.mark.parametrize(
+    ("ours", "text", "cases"),
+    [
+        (1.0, "1", "always"),
+        (0.99982199, "0.9998", "in 99.98 % of cases"),
+        (0.9999999, "0.9999999", "in 99.99999 % of cases"),
+        (0.96, "0.96", "in 96 % of cases"),
+        (0.0, "0", "never"),
+    ],
+)
+def test_nearly_all_runs_are_not_shown_as_all(ours, text, cases):
+    found = claim(ours=ours, kind="ordering", published=1.0)
+    assert (found.shown(3), our_quantity(found)) == (text, cases)
 
 
 def test_an_unknown_entry_names_the_nearest():

@@ -32,7 +32,8 @@ from experiments.worstcase.theory import (
 from naive import worstcase as naive
 from stillwork.base.checks import InputError
 from stillwork.estimation import min_max_solve
-from stillwork.identification import exponential_bound, fir_regressors
+from stillwork.identification import fir_regressors
+from stillwork.identification.regressors import exponential_bound
 from stillwork.workbook import figures
 from stillwork.workbook.studies import run_study
 

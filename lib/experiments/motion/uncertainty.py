@@ -143,7 +143,7 @@ def norm_bound(model: TimeVaryingModel, derivatives: Derivatives, size: float) -
     size = require_number("size", size, above=0.0)
     s, t, m = derivatives.rows(model)
     samples, outputs = model.c.shape[:2]
-    count = len(derivatives.a)
+    count = len(np.asarray(derivatives.a))
 
     def gather(rows):
         # The derivative of C A by a parameter is that of A through C and that of C through A, together.

@@ -3,8 +3,16 @@
 import difflib
 import math
 from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
+
+# A field that a dataclass turns from array_like into an array when it is built: types know one of the two.
+if TYPE_CHECKING:
+    Converted = Any
+else:
+    Converted = ArrayLike
 
 MOST_COUNT = 2**63 - 1  # numpy's own whole numbers hold no more
 MOST_SAMPLES = 1e8  # of what a duration and a sample time ask for; a slip of units asks for more
@@ -14,7 +22,7 @@ class InputError(ValueError):
     """A value from outside that cannot be used; the message names it and says what to do."""
 
 
-def nearest(word: str, candidates: Iterable[str]) -> str:
+def nearest(word, candidates: Iterable) -> str:
     """Suggestion ``; did you mean 'x'?`` for a misspelt word, or an empty string."""
     if not isinstance(word, str):
         return ""

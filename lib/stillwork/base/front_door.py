@@ -12,6 +12,7 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache, wraps
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import AbstractArray
@@ -31,7 +32,12 @@ from stillwork.base.checks import (
 _OPEN = frozenset(typing.get_args(ArrayLike)) - {bool, int, float, complex, str, bytes}
 
 
-_PLAIN = {float: require_number, int: require_whole, np.ndarray: require_array, Callable: require_callable}
+_PLAIN: dict[Any, Callable] = {
+    float: require_number,
+    int: require_whole,
+    np.ndarray: require_array,
+    Callable: require_callable,
+}
 
 _NUMBERS = (complex, np.ndarray, np.inexact)  # that may be NaN
 
@@ -106,7 +112,7 @@ def check_fields(instance) -> None:
 
     One that computes with its fields is `checked` itself.
     """
-    for name, check in _checks(type(instance)).items():
+    for name, check in _checks(instance.__class__).items():
         value = getattr(instance, name)
         if (fit := check(name, value)) is not value:
             object.__setattr__(instance, name, fit)
@@ -161,7 +167,8 @@ def _union(parts: tuple) -> Callable | None:
     if _OPEN & set(parts):
         return None
     rest = [part for part in parts if part is not types.NoneType]
-    if not rest or None in (found := [_check(part) for part in rest]):
+    found: list[Any] = [_check(part) for part in rest]
+    if not rest or None in found:
         return None
     classes = tuple(part for part in rest if inspect.isclass(part) and part not in (float, int))
     optional = len(rest) < len(parts)
@@ -187,7 +194,7 @@ def _union(parts: tuple) -> Callable | None:
 
 def _sequence(origin, parts: tuple) -> Callable | None:
     counted = origin is tuple and parts[-1] is not ...
-    found = [_check(part) for part in parts if part is not ...]
+    found: list[Any] = [_check(part) for part in parts if part is not ...]
     if not found or None in found:
         return None
 

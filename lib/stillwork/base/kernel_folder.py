@@ -14,7 +14,7 @@ from stillwork.base import paths
 try:
     import fcntl
 except ImportError:  # not a Unix: a folder counts as used by its time alone
-    fcntl = None
+    fcntl = None  # type: ignore[assignment]
 
 FOLDER_VARIABLE = "STILLWORK_KERNELS"
 PACKAGES = ("stillwork", "experiments")  # those beside each other that have kernels

@@ -24,10 +24,16 @@ FUNCTIONS = ("input_sensitivity", "output_sensitivity", "true_tracking")
 
 @dataclass(frozen=True)
 class PeakConstraint:
-    """An upper bound on the peak magnitude of one loop function."""
+    """An upper bound on the peak magnitude of one loop function.
 
-    function: str
-    limit: float = SIX_DB
+    Examples
+    --------
+    >>> round(float(20 * np.log10(control.PeakConstraint("output_sensitivity").limit)), 1)
+    6.0
+    """
+
+    function: str  # one of `FUNCTIONS`
+    limit: float = SIX_DB  # largest magnitude, above 1
 
     def __post_init__(self):
         require_choice("function", self.function, FUNCTIONS)
@@ -104,6 +110,17 @@ def make_loop(
         From (u, y) to (u_d, y_flex); None: no observer.
     low_hz, high_hz, points, around
         Grid, see `stillwork.lti.resonance_grid`.
+
+    Raises
+    ------
+    InputError
+        When the plant has more than one input or output.
+
+    Examples
+    --------
+    >>> mass = lti.ModalModel([0.0], [0.0], [[1.0]], [[0.1]], [[0.0]])  # 10 kg
+    >>> round(control.make_loop(mass).crossing_hz(control.PidFamily(10.0)(50.0)))
+    52
     """
     if plant.feedthrough.shape != (1, 1):
         raise InputError("plant must have one input and one output; pick them with plant.at")
@@ -164,6 +181,18 @@ def maximise_bandwidth(
     ------
     InputError
         When there are no loops or constraints, nothing in the range is feasible, or all of it is.
+
+    References
+    ----------
+    Definition 1.2.1 and section 3.2 of the observer thesis.
+
+    Examples
+    --------
+    >>> stage = lti.ModalModel([0.0, 600.0], [0.0, 0.01], [[0.3], [0.3]], [[0.3, -0.3]], [[0.0]])
+    >>> limit = [control.PeakConstraint("input_sensitivity")]
+    >>> best = control.maximise_bandwidth([control.make_loop(stage)], control.PidFamily(11.0), limit)
+    >>> round(best.design_hz, 2), best.function
+    (19.06, 'input_sensitivity')
     """
     if not len(loops):
         raise InputError("loops is empty; give at least one plant")
@@ -196,6 +225,7 @@ def maximise_bandwidth(
             good = middle
         else:
             bad, stopped = middle, found
+    assert stopped is not None  # `_rough` rejects nothing that is feasible
     controller = family(good)
     crossings = np.array([loop.crossing_hz(controller) for loop in loops])
     return Bandwidth(good, crossings, controller, *stopped)

@@ -68,7 +68,7 @@ def _constrained(model: ModalModel, wanted: np.ndarray, undisturbed, state: int)
     ):
         raise InputError(f"undisturbed is {list(undisturbed)}; count modes from 0 to {modes - 1}")
     gain = np.zeros((actuators, 2 * modes))
-    for j in rigid + np.flatnonzero(wanted):
+    for j in (rigid + np.flatnonzero(wanted)).tolist():
         others = [i for i in range(modes) if i != j and (undisturbed is None or i in undisturbed)]
         if undisturbed is None:
             others = others[: actuators - 1]

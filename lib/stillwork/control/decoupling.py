@@ -68,6 +68,13 @@ def decouple(
     InputError
         When there are fewer actuators or sensors than modes to tell apart, or their places do not tell these
         modes apart.
+
+    Examples
+    --------
+    >>> shapes = np.array([[0.3, 0.3], [0.5, -0.5]])  # translation and rotation, at two actuators
+    >>> beam = lti.ModalModel([0.0, 0.0], [0.0, 0.0], shapes, shapes.T, np.zeros((2, 2)))
+    >>> np.allclose(shapes @ control.decouple(beam).actuation, np.eye(2))
+    True
     """
     rigid, modes = model.rigid_modes, len(model.frequencies)
     if not rigid:
@@ -121,19 +128,25 @@ def decoupled_plant(
     machine, seen = plant.state_space(), decoupling.apply(plant).state_space()
     (outputs, inputs), axes = machine.d.shape, len(decoupling.sensing)
     known = len(machine.a) if observer is None else len(observer.a)
-    dynamic = isinstance(gain, StateModel)
-    forces, states = gain.d.shape if dynamic else gain.shape
+    none, i_f = np.zeros((0, 0)), np.eye(inputs)
+    # What is read off the states: they themselves for K(s), the forces at once for a constant K.
+    if isinstance(gain, StateModel):
+        force, (forces, states) = gain, gain.d.shape
+        selected = np.eye(states)
+    else:
+        force, (forces, states) = (
+            StateModel(none, np.zeros((0, inputs)), np.zeros((inputs, 0)), i_f),
+            gain.shape,
+        )
+        selected = gain
     if forces != inputs or states > known:
         raise InputError(
             f"gain goes from {states} states to {forces} forces; the plant takes {inputs} forces and "
             f"{known} states are known"
         )
-    # What is read off the states: they themselves for K(s), the forces at once for a constant K.
-    rows = np.zeros((states if dynamic else inputs, known))
-    rows[:, :states] = np.eye(states) if dynamic else gain
-    read = len(rows)
-    none, i_f, i_r = np.zeros((0, 0)), np.eye(inputs), np.eye(read)
-    force = gain if dynamic else StateModel(none, np.zeros((0, inputs)), np.zeros((inputs, 0)), i_f)
+    read = len(selected)
+    rows, i_r = np.zeros((read, known)), np.eye(read)
+    rows[:, :states] = selected
     b = np.hstack([machine.b, seen.b])  # of f_d and of u
     if observer is None:
         c = np.vstack([seen.c, rows])

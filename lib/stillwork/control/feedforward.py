@@ -64,6 +64,18 @@ def error_loop(loop: StateModel) -> StateModel:
 
     With that feedforward the observer cancels against its copy: the setpoint acts like the sensor reference v
     and the original feedforward like a force w that the observer does not see.
+
+    Parameters
+    ----------
+    loop : StateModel
+        See `closed_loop`.
+
+    Examples
+    --------
+    >>> mass = lti.ModalModel([0.0], [0.0], [[1.0]], [[0.1]], [[0.0]])
+    >>> loop = control.closed_loop(mass, None, control.PidFamily(10.0)(50.0).state_space())
+    >>> control.error_loop(loop).d.shape
+    (1, 2)
     """
     return loop.select([INPUTS.index("v"), INPUTS.index("w")], [OUTPUTS.index("e_true")])
 
@@ -129,6 +141,22 @@ def tracking_error(
     ----------
     loop : StateModel
         From (r, u0) to e_true, see `error_loop`.
+    setpoint : Setpoint
+    feedforward : Feedforward
+
+    Returns
+    -------
+    ndarray, shape (samples,)
+
+    Examples
+    --------
+    >>> mass = lti.ModalModel([0.0], [0.0], [[1.0]], [[0.1]], [[0.0]])
+    >>> loop = control.closed_loop(mass, None, control.PidFamily(10.0)(50.0).state_space())
+    >>> move = control.point_to_point(1e4, 100.0, 2.0, 0.1, cruise=0.02, settling=0.005, step=1e-3)
+    >>> loop = control.error_loop(loop)
+    >>> error = control.tracking_error(loop, move, control.fit_feedforward(loop, move))
+    >>> bool(np.abs(error).max() < 1e-12)  # m: the mass is known
+    True
     """
     return simulate(tracking_model(loop, feedforward, setpoint.step), setpoint.derivatives)[0]
 
@@ -140,10 +168,26 @@ def fit_feedforward(loop: StateModel, setpoint: Setpoint, basis: tuple[str, ...]
     The error is linear in the gains, so least squares on simulated moves is where the iterative data-based
     tuning of the thesis converges.
 
+    Parameters
+    ----------
+    loop : StateModel
+        From (r, u0) to e_true, see `error_loop`.
+    setpoint : Setpoint
+    basis : tuple of str
+        Gains to be fitted; the others are zero.
+
     Raises
     ------
     InputError
         When the basis is empty, or the move does not excite a gain (a setpoint at rest).
+
+    Examples
+    --------
+    >>> mass = lti.ModalModel([0.0], [0.0], [[1.0]], [[0.1]], [[0.0]])
+    >>> loop = control.closed_loop(mass, None, control.PidFamily(10.0)(50.0).state_space())
+    >>> move = control.point_to_point(1e4, 100.0, 2.0, 0.1, cruise=0.02, settling=0.005, step=1e-3)
+    >>> round(control.fit_feedforward(control.error_loop(loop), move).acceleration, 6)  # kg
+    10.0
     """
     if not basis:
         raise InputError(f"basis is empty; choose from {BASIS}")

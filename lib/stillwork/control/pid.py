@@ -88,7 +88,14 @@ def series(models: list[StateModel]) -> StateModel:
 
 @dataclass(frozen=True)
 class PidFamily:
-    """Controllers with one parameter left, the design bandwidth: the rules of Table 3.3."""
+    """Controllers with one parameter left, the design bandwidth: the rules of Table 3.3.
+
+    Examples
+    --------
+    >>> pid = control.PidFamily(mass=10.0)(bandwidth_hz=50.0)
+    >>> round(pid.gain)  # N/m: m w^2 / 3
+    328987
+    """
 
     mass: float  # kg
     notch_frequencies: tuple[float, ...] = ()  # rad/s

@@ -112,7 +112,7 @@ def judged(plant, regular, observer, claimed: float, status: str, tolerance: flo
     loop = regular.close(observer)
     achieved = h2_norm(loop) if loop.is_stable else np.inf
     _, b1, _, c1, *_ = scaled_plant(regular)[0].blocks
-    scale = np.linalg.norm(b1) * np.linalg.norm(c1)
+    scale = float(np.linalg.norm(b1) * np.linalg.norm(c1))
     size = max(claimed, LEAST_SHARE * scale)
     # A norm is the root of a sum that is known to rounding units: near zero to the root of these.
     rounding = 4 * np.sqrt(np.finfo(float).eps) * scale

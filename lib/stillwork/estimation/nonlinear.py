@@ -44,6 +44,7 @@ class NonlinearModel:
     outputs: int
     parameters: ArrayLike = ()
 
+    @checked
     def __post_init__(self):
         check_fields(self)
         require_count("states", self.states)

@@ -50,7 +50,30 @@ def _held(w, z, step: float) -> tuple[Float64[np.ndarray, "modes 2 2"], Float64[
 
 @checked
 def zoh(model: StateModel, step: float) -> StateModel:
-    """Zero-order-hold discretisation by the exponential of the balanced [A B; 0 0]."""
+    """Zero-order-hold discretisation by the exponential of the balanced [A B; 0 0].
+
+    Parameters
+    ----------
+    model : StateModel
+        In continuous time.
+    step : float
+        Sample time, s.
+
+    Raises
+    ------
+    InputError
+        When the model is in discrete time already.
+
+    References
+    ----------
+    Van Loan, Computing integrals involving the matrix exponential (1978).
+
+    Examples
+    --------
+    >>> lag = lti.StateModel([[-100.0]], [[100.0]], [[1.0]], [[0.0]])  # time constant 10 ms
+    >>> lti.zoh(lag, step=0.01).a.round(3)  # exp(-1)
+    array([[0.368]])
+    """
     require_number("step", step, above=0.0)
     _require_continuous(model)
     n, m = model.b.shape

@@ -27,10 +27,20 @@ def simulate(
     inputs : array_like, shape (inputs, samples)
     initial : array_like, shape (states,), optional
 
+    Returns
+    -------
+    ndarray, shape (outputs, samples)
+
     Raises
     ------
     InputError
         When the model is in continuous time, or its outputs leave the finite numbers; the message names the sample.
+
+    Examples
+    --------
+    >>> lag = lti.zoh(lti.StateModel([[-100.0]], [[100.0]], [[1.0]], [[0.0]]), step=0.01)
+    >>> lti.simulate(lag, np.ones((1, 4))).round(3)
+    array([[0.   , 0.632, 0.865, 0.95 ]])
     """
     if not model.step:
         raise InputError("model is in continuous time; discretise it with zoh first")

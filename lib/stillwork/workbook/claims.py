@@ -262,7 +262,11 @@ class Claim:
         if entry.is_residual and not entry.published and self.verdict in AGREEMENT:
             if bound := entry.tolerance.absolute:  # 0 where a count is judged
                 return f"< {bound:g}"
-        return f"{self.ours:.{digits}g}"
+        text = f"{self.ours:.{digits}g}"
+        while entry.is_fraction and float(text) == 1 != self.ours and digits < 8:  # nearly all is not all
+            digits += 1
+            text = f"{self.ours:.{digits}g}"
+        return text
 
     def as_dict(self) -> dict:
         """All of it as plain values, for JSON and for tables."""

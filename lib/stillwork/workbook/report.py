@@ -37,9 +37,15 @@ def our_quantity(claim: Claim) -> str:
 
 def _quantity(claim: Claim, value: float, text: str) -> str:
     if claim.entry.is_fraction:
-        return "always" if value == 1 else "never" if value == 0 else f"in {100 * value:.3g} % of cases"
+        return "always" if value == 1 else "never" if value == 0 else f"in {_percent(value)} % of cases"
     unit = claim.entry.unit
     return text if unit in ("", "1") else f"{text} {unit}"
+
+
+def _percent(share: float) -> str:
+    """A share that is not whole, in per cent; what three digits round to the whole gets more of them."""
+    texts = [f"{100 * share:.{digits}g}" for digits in range(3, 9)]
+    return next((text for text in texts if float(text) != 100), texts[-1])
 
 
 def screen() -> int:
