@@ -2,7 +2,8 @@
 
 ``python benchmarks/fuzz.py --cases 50000`` throws that many, each made from the seed and its number alone, in
 processes of their own, and lists what ended in another exception, in a result with NaN, in a crash, or not at all.
-``--only KIND`` and ``--case NUMBER`` repeat some of it.
+``--only KIND`` and ``--case NUMBER`` repeat some of it. ``--only forms`` calls every function with good arrays in
+every form that holds the same numbers instead.
 """
 
 import argparse
@@ -19,13 +20,14 @@ import time
 import traceback
 import warnings
 from dataclasses import fields, is_dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 HERE = Path(__file__).resolve().parent
 SECONDS = 20  # of processor time; a case that takes more is a finding
-BATCH = 500  # cases a process
+BATCH = 5000  # cases a process
 MEMORY = 8 * 2**30  # bytes of address space
 sys.path[:0] = [str(HERE), str(HERE.parent / "lib")]
 
@@ -39,6 +41,11 @@ def main() -> int:
     options = _options()
     if options.first is not None:
         return _worker(options)
+    if options.only == "forms":
+        from fuzzing import forms
+
+        warnings.simplefilter("ignore")
+        return min(forms.main(), 1)
     wrong, done, start = collections.Counter(), collections.Counter(), time.monotonic()
     first, end = (options.case, options.case + 1) if options.case is not None else (0, options.cases)
     while first < end:
@@ -82,7 +89,9 @@ def _options():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cases", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--only", choices=("all", "calls", "files", "tables", "settings"), default="all")
+    parser.add_argument(
+        "--only", choices=("all", "calls", "files", "tables", "settings", "forms"), default="all"
+    )
     parser.add_argument("--case", type=int, help="this one alone")
     parser.add_argument("--first", type=int, help=argparse.SUPPRESS)
     return parser.parse_args()
@@ -97,6 +106,8 @@ def _worker(options) -> int:
     if absent := calls.missing():
         print(f"no call for {', '.join(absent)}", file=sys.stderr)
         return 1
+    report = os.fdopen(os.dup(1), "w", buffering=1)
+    os.dup2(2, 1)  # LAPACK complains of its arguments there
     faulthandler.enable()
     warnings.simplefilter("ignore")
     calls.warm()
@@ -109,8 +120,8 @@ def _worker(options) -> int:
             rng = np.random.default_rng([options.seed, number])
             kind = str(rng.choice(list(shares), p=list(shares.values())))
             kind = kind if options.only == "all" else options.only
-            print(json.dumps([number, kind, "begun", ""]), flush=True)
-            print(json.dumps([number, kind, *_outcome(makers[kind], rng)]), flush=True)
+            print(json.dumps([number, kind, "begun", ""]), file=report)
+            print(json.dumps([number, kind, *_outcome(makers[kind], rng)]), file=report)
     return 0
 
 
@@ -121,12 +132,13 @@ def _stop(*_):
 def _outcome(make, rng) -> tuple[str, str]:
     """What became of a case: ``result``, ``refused`` (a documented error), or what is wrong."""
     from stillwork.base.checks import InputError
-    from stillwork.estimation import UnstableAdaptation
+    from stillwork.estimation.online import UnstableAdaptation
 
     name, told, must_work, call = make(rng)
     signal.setitimer(signal.ITIMER_PROF, SECONDS)
     try:
         result = call()
+        result = result, _properties(result)
     except (InputError, FileNotFoundError, UnstableAdaptation) as error:
         return ("refused a good value", f"{name} {told}: {error}") if must_work else ("refused", "")
     except TooSlow:
@@ -140,6 +152,23 @@ def _outcome(make, rng) -> tuple[str, str]:
     if name.split(",")[0] not in _unbounded() and _has_nan(result):
         return "silent NaN", f"{name} {told}"
     return "result", ""
+
+
+def _properties(result) -> list:
+    """What can be read off a result: it is asked for all of it, but for what takes long (zeros)."""
+    from stillwork.base.checks import InputError
+
+    owner = type(result)
+    if not is_dataclass(owner):
+        return []
+    found = []
+    for name, each in vars(owner).items():
+        asked = isinstance(each, property | cached_property) and not name.startswith("_") and name != "zeros"
+        try:
+            found += [getattr(result, name)] if asked else []
+        except InputError:  # it says why it has none
+            continue
+    return found
 
 
 def _unbounded() -> set[str]:

@@ -9,15 +9,14 @@ from scipy.signal import savgol_coeffs
 
 from naive import fixedpoint as naive
 from stillwork.base.checks import InputError
-from stillwork.estimation import (
+from stillwork.estimation import LowPass, filter_signal
+from stillwork.estimation.coordinate_filters import (
     ExtendedKalman,
-    LowPass,
     MovingWindow,
     SavitzkyGolay,
-    SigmaPoints,
     UnscentedKalman,
-    filter_signal,
 )
+from stillwork.estimation.unscented import SigmaPoints
 from stillwork.estimation.windows import end_point_weights
 
 STEP = 1e-3
@@ -227,6 +226,8 @@ def test_lost_definiteness_is_reported_with_the_sample(approximate):
         (lambda m: filter_signal(LowPass(), np.zeros(5), np.zeros(4)), "force has shape"),
         (lambda m: filter_signal(SavitzkyGolay(), np.zeros(5), time_step=2e-3), "made for 0.001 s"),
         (lambda m: filter_signal(LowPass(), np.zeros(5), time_step=0.0), "time_step"),
+        (lambda m: filter_signal(LowPass(), np.repeat([0.0, 1e308], 50)), "finite numbers at sample"),
+        (lambda m: SavitzkyGolay(time_step=1e-200).packed(), "packed has no result"),
         (lambda m: filter_signal(LowPass(2000.0), np.ones(5)), "wants less than 2000 rad/s, or it diverges"),
     ],
 )

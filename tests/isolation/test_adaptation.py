@@ -17,7 +17,6 @@ from stillwork.estimation.covariance_forms import FORMS, TRIANGLE, covariance_of
 from stillwork.estimation.online import (
     AdaptationStepper,
     UnstableAdaptation,
-    _require_settings,
     adapt,
     identify,
     steady_covariance,
@@ -280,7 +279,6 @@ def test_replay_and_stepper_name_the_same_sample(settings, burst):
         (lambda: FeRls(1.0, True), "forgetting is True, not a number"),
         (lambda: FeRls(np.array([1.0 + 1j])), "initial_covariance is complex"),
         # What adapt, identify and AdaptationStepper ask; under test the type checker would answer before them.
-        (lambda: _require_settings("rls"), "settings is 'rls'; give FeLms"),
         (lambda: FeRls(1.0, 1.2), "forgetting is 1.2; give a finite number above 0 and at most 1"),
         (lambda: FeRls(1.0, 0.0), "forgetting is 0"),
         (lambda: FeRls(1.0, np.nan), "forgetting is nan"),

@@ -57,6 +57,8 @@ def test_actuators_and_sensors_may_sit_elsewhere_than_the_struts():
     [
         ("body.mass", None, "body: 'mass' is missing"),
         ("body.mas", 5.4, "unknown name 'mas'; did you mean 'mass'"),
+        ("body", [1, 2], r"body is \[1, 2\]; give a table \[body\]"),
+        ("struts", 3.0, r"struts is 3.0; give a table"),
         ("body.mass", -5.4, "mass is -5.4"),
         ("body.mass", "heavy", "mass is 'heavy'"),
         ("body.inertia", [[1.0, 0.0], [0.0, 1.0]], "inertia has shape"),

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy import linalg
 
+from experiments.motion.matrix_inequalities import h2_lmi
 from stillwork.base.checks import InputError
 from stillwork.estimation.generalised_plant import GeneralisedPlant
-from stillwork.estimation.h2 import h2_lmi, h2_riccati
+from stillwork.estimation.h2 import h2_riccati
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
 from stillwork.estimation.riccati import continuous_gain, discrete_gain
 from stillwork.estimation.time_varying import TimeVaryingModel
@@ -138,6 +139,17 @@ def test_no_filter_of_a_random_walk_keeps_a_level_below_one_for_long():
     assert smallest_level(random_walk(2000), [[1.0]]) == pytest.approx(1.0, rel=2e-3)
     with pytest.raises(InputError, match=r"no filter keeps level 0\.98 beyond sample"):
         hinfinity_gains(random_walk(2000), [[1.0]], 0.98)
+
+
+@pytest.mark.parametrize("wanted", [[[0.0]], [[1e-200]], np.zeros((0, 1))])
+def test_what_every_level_keeps_has_no_smallest_one(wanted):
+    with pytest.raises(InputError, match="wanted is zero"):
+        smallest_level(random_walk(5), wanted)
+
+
+def test_a_model_without_a_measurement_is_refused():
+    with pytest.raises(InputError, match="c holds 1 samples"):
+        random_walk(1)
 
 
 def test_control_of_a_double_integrator():

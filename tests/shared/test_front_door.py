@@ -124,9 +124,17 @@ def test_read_only_records_of_one_actuator_are_taken(settings, run, tmp_path):
 MODELS = """
 import numpy as np
 from stillwork.base.checks import InputError
-from stillwork.control import Feedforward, FlowTransformation, Setpoint, fed_back, iterate
-from stillwork.estimation import Observer
+from stillwork.control import FlowTransformation
+from stillwork.control.feedback import fed_back
+from stillwork.control.feedforward import Feedforward
+from stillwork.control.fixed_point_convergence import iterate
+from stillwork.control.setpoint import Setpoint
+from stillwork.estimation import AdaptationStepper
+from stillwork.estimation.observer import Observer
 from stillwork.lti import ModalModel, StateModel, interconnect
+from stillwork.estimation.secular import SecularFunction
+from stillwork.lti.peaks import refine_peak
+from stillwork.signals.spectra import Spectrum
 
 model = ModalModel([0, 10], [0, 0.01], [[1], [1]], [[1, -1]], [[0]])
 assert model.frequencies.dtype == np.float64
@@ -135,6 +143,11 @@ for call, message in (
     (lambda: ModalModel([0.0], [0.0], [[1.0]], [[1.0]], 0.0), "feedthrough has shape ()"),
     (lambda: Observer(None, np.eye(2), np.eye(2), np.eye(2), np.eye(2)), "model is None; give ModalModel"),
     (lambda: Observer(model, -np.eye(2), np.ones((2, 1)), np.ones((1, 2)), np.ones((3, 1))), "gain has shape (3, 1)"),
+    (lambda: refine_peak(np.sin, np.ones(3), np.ones(2)), "omega has 3 frequencies, magnitude 2"),
+    (lambda: SecularFunction([2.0, 1.0], [1.0, 1.0, 1.0], 1.0, 0.1), "one for each of the coefficients"),
+    (lambda: Spectrum([0.0, 1.0], [[1.0]], 1), "density has not one value at each"),
+    (lambda: AdaptationStepper("rls", np.zeros((1, 2))), "settings is 'rls'; give FeLms or FeRls"),
+    (lambda: Setpoint(0.1, np.zeros((5, 0)), (0.0, 0.5), 0.1), "the arguments of Setpoint do not fit together"),
     (lambda: Feedforward(np.inf), "velocity is inf"),
     (lambda: Setpoint(0.1, np.zeros((5, 10)), ("a", 0.5), 0.1), "scan[0] is 'a'"),
     (lambda: fed_back(model, [[1.0]]), "gain has shape (1, 1)"),

@@ -1,4 +1,5 @@
 import warnings
+from dataclasses import replace
 
 import cvxpy
 import numpy as np
@@ -9,8 +10,9 @@ from hypothesis import strategies as st
 from experiments.worstcase import solve_cone_program
 from naive import worstcase as naive
 from stillwork.base.checks import InputError
-from stillwork.estimation import ZeroEstimateWarning, min_max_solve, secular_function
-from stillwork.estimation.min_max import solve_silently
+from stillwork.estimation import min_max_solve
+from stillwork.estimation.min_max import ZeroEstimateWarning, solve_silently
+from stillwork.estimation.secular import SecularFunction, secular_function
 
 
 def problem(seed, rows=12, unknowns=3, noise=1.0, conditioning=0.0):
@@ -266,6 +268,22 @@ def test_root_is_the_same_from_any_start():
     f = secular_function(A, b, 0.5 * threshold(A, b))
     roots = [f.root(start)[0] for start in (1e-9, 1e-3, 1.0, 1e4, 1e12)]
     assert roots == pytest.approx([naive.secular_root(A, b, f.bound)] * 5, rel=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda f: f(-1.0), "alpha holds a negative number"),
+        (lambda f: f.slope([0.5, -0.5]), "alpha holds a negative number"),
+        (lambda f: replace(f, eigenvalues=np.array([1.0, 0.0])), "eigenvalues must be above zero"),
+        (lambda f: replace(f, excess=-1.0), "excess is -1"),
+        (lambda f: replace(f, coefficients=np.zeros(2)).free_bound, "free_bound has no result"),
+        (lambda f: replace(f, coefficients=np.zeros(2))(1.0), "no result"),
+    ],
+)
+def test_secular_functions_without_a_value_are_refused(call, message):
+    with pytest.raises(InputError, match=message), np.errstate(all="ignore"):
+        call(SecularFunction(np.array([2.0, 1.0]), np.ones(2), 1.0, 0.1))
 
 
 def test_secular_function_without_a_root_says_so():

@@ -2,11 +2,13 @@
 
 from dataclasses import MISSING, fields
 
-from stillwork.base.checks import InputError, nearest, require_array, require_count, require_number
+from stillwork.base.checks import InputError, nearest, require_array, require_count, require_number, shown
 
 
 def require_names(where: str, given, required, optional=()) -> None:
     """Raise `InputError` when a name of `required` is missing or one is in neither list."""
+    if not isinstance(given, dict):
+        raise InputError(f"{where} is {shown(given)}; give a table [{where}]")
     known = [*required, *optional]
     for name in given:
         if name not in known:
@@ -20,8 +22,6 @@ def require_names(where: str, given, required, optional=()) -> None:
 
 def build(record: type, table, where: str):
     """Make the dataclass `record` from a TOML table; its own checks speak with `where` in front."""
-    if not isinstance(table, dict):
-        raise InputError(f"{where} is {table!r}; give a table [{where}]")
     required = [f.name for f in fields(record) if f.default is MISSING and f.default_factory is MISSING]
     optional = [f.name for f in fields(record) if f.name not in required]
     require_names(where, table, required, optional)

@@ -193,7 +193,7 @@ def twin_from_table(table: dict) -> Twin:
         rig, plant = None, _plant_from_table(table["plant"])
     else:
         body = {name: part for name, part in table.items() if name not in common}
-        require_names("model", [name for name in table if name in common], common)
+        require_names("model", {name: table[name] for name in common if name in table}, common)
         rig = rig_from_table(body)
         plant = plant_of_rig(rig)
     return Twin(

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from stillwork.base.checks import require_count, require_number
+from stillwork.base.front_door import checked
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,11 @@ class KinematicDesign:
         How many times the error is integrated: 0 for PD, 1 for PID, 2 against ramps of disturbance.
     order : int
         Derivative that the plant's input commands: 2 for a mechanical system.
+
+    Examples
+    --------
+    >>> control.KinematicDesign(exponent=10.0).gains  # of the integral, the error and its derivative
+    array([1000.,  300.,   30.])
     """
 
     exponent: float
@@ -36,6 +42,7 @@ class KinematicDesign:
         require_count("order", self.order)
 
     @property
+    @checked
     def gains(self) -> Float64[np.ndarray, " terms"]:
         """Gains from the deepest integral over the error to its derivative of order `order` - 1."""
         power = self.order + self.integrals

@@ -25,6 +25,11 @@ class FlowTransformation:
         A, m/s^2 a step (the paper prints s^-2); negative for a plant that follows its command.
     width : float
         w, m/s^2.
+
+    Examples
+    --------
+    >>> round(control.FlowTransformation(gain=-1.1, width=3.0).local_gain, 3)
+    -0.367
     """
 
     gain: float = -1.1
@@ -36,12 +41,15 @@ class FlowTransformation:
         require_number("width", self.width, above=0)
 
     @property
+    @checked
     def local_gain(self) -> float:
         """Change of the command per m/s^2 of error, at the fixed point."""
         return self.gain / self.width
 
     @property
+    @checked
     def packed(self) -> Float64[np.ndarray, "4"]:
+        """What the kernels take."""
         return np.array([0.0, self.gain, self.width, 0.0])
 
 
@@ -70,11 +78,13 @@ class RobustTransformation:
         require_number("slope", self.slope, above=0)
 
     @property
+    @checked
     def local_gain(self) -> float:
         """Change of the command per m/s^2 of error, where the command is small beside K_c."""
         return self.offset * self.factor * self.slope
 
     @property
+    @checked
     def packed(self) -> Float64[np.ndarray, "4"]:
         return np.array([1.0, self.offset, self.factor, self.slope])
 

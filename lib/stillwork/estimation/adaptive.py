@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
-from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, require_array, require_choice, require_number
+from stillwork.base.checks import Converted, InputError, require_array, require_choice, require_number
+from stillwork.base.front_door import checked
 from stillwork.base.kernels import inlined_kernel, kernel
 from stillwork.estimation.covariance_forms import (
     FORMS,
@@ -45,6 +45,12 @@ class FeLms:
     trace : str
         ``regressors``: the trace over the n regressors, which fits the published curves. ``literal``: the trace
         that eq. (18) prints, which counts them once for every actuator and is that many times slower.
+
+    Examples
+    --------
+    >>> floor = np.random.default_rng(1).standard_normal((2, 5000))  # m/s^2
+    >>> estimation.identify(estimation.FeLms(step_size=0.2), floor, [[-3.0, 5.0]] @ floor).weights.round(3)
+    array([[ 3., -5.]])
     """
 
     step_size: float = 1e-4
@@ -122,14 +128,21 @@ class FeRls:
         definiteness on regressors that one record drives, Bierman's factors, which take no longer.
     dtype : str
         Arithmetic of the update, ``float64`` or ``float32``; the weights are kept in it, too.
+
+    Examples
+    --------
+    >>> settings = estimation.FeRls(initial_covariance=10.0, forgetting=float(np.exp(-2e-4 / 5)))  # 5 s at 5 kHz
+    >>> settings.start(regressors=2).levels[0]  # limits of the diagonal of P
+    array([100., 100.])
     """
 
-    initial_covariance: ArrayLike | float
+    initial_covariance: Converted
     forgetting: float = float(np.exp(-2e-4 / 10))
     growth_limit: float = 10.0
     form: str = "safe"
     dtype: str = "float64"
 
+    @checked
     def __post_init__(self):
         require_number("forgetting", self.forgetting, above=0.0, at_most=1.0)
         if self.growth_limit != np.inf:

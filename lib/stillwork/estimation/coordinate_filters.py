@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_count, require_number
-from stillwork.base.front_door import check_fields
+from stillwork.base.front_door import check_fields, checked
 from stillwork.estimation.gaussian import BLOCKS, require_covariance
 from stillwork.estimation.plant import Plant
 from stillwork.estimation.unscented import SigmaPoints
@@ -51,6 +51,7 @@ class MovingWindow:
     def __post_init__(self):
         require_count("length", self.length)
 
+    @checked
     def packed(self) -> Packed:
         return _packed(WINDOW, end_point_weights(self.length + 1, 1), (2, 3, self.length + 1))
 
@@ -63,6 +64,12 @@ class LowPass:
     ----------
     bandwidth : float
         lambda of (7), rad/s.
+
+    Examples
+    --------
+    >>> held = estimation.filter_signal(estimation.LowPass(100.0), np.ones(1000), time_step=1e-3)
+    >>> bool(held.position[10] < 0.1 and abs(held.position[-1] - 1) < 1e-6)  # from zero, to what is measured
+    True
     """
 
     bandwidth: float = 350.0
@@ -71,7 +78,9 @@ class LowPass:
     def __post_init__(self):
         require_number("bandwidth", self.bandwidth, above=0)
 
+    @checked
     def packed(self) -> Packed:
+        """What the kernels take."""
         return _packed(LOW_PASS, [self.bandwidth], (1, 1, 3))
 
 
@@ -99,6 +108,7 @@ class SavitzkyGolay:
         require_count("samples", self.samples, at_least=self.degree + 1)
         require_number("time_step", self.time_step, above=0)
 
+    @checked
     def packed(self) -> Packed:
         rows = [
             end_point_weights(self.samples, self.degree, order) / self.time_step**order for order in range(3)
@@ -140,6 +150,7 @@ class UnscentedKalman:
         object.__setattr__(self, "noise", require_covariance("noise", self.noise, 2))
         require_number("initial_variance", self.initial_variance, above=0)
 
+    @checked
     def packed(self) -> Packed:
         options = [*self.points.weights(2), float(self.literal), self.initial_variance]
         return _packed(UNSCENTED, options, (BLOCKS, 5, 2), self.process, self.noise)
@@ -181,6 +192,7 @@ class ExtendedKalman:
         if np.any(deviation < 0):
             raise InputError("initial_deviation holds a negative number; give standard deviations")
 
+    @checked
     def packed(self) -> Packed:
         process = np.diag([self.velocity_step**2, 0.0, self.disturbance_step**2])
         options = np.square(np.asarray(self.initial_deviation, dtype=float))

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.base.checks import InputError, require_array, require_finite_run, require_number
 from stillwork.base.front_door import checked
 from stillwork.base.kernels import kernel
 from stillwork.estimation.coordinate_filters import (
@@ -62,6 +62,13 @@ def filter_signal(
     InputError
         When the filter cannot run at this time step, or a covariance loses its definiteness on the way;
         the message names the sample.
+
+    Examples
+    --------
+    >>> position = 0.01 * np.arange(1000) / 1000  # m, at 10 mm/s
+    >>> estimate = estimation.filter_signal(estimation.LowPass(bandwidth=350.0), position)
+    >>> float(estimate.velocity[-1].round(6))
+    0.01
     """
     require_step(signal_filter, time_step)
     measured = require_array("measured", measured, ndim=1)
@@ -81,6 +88,9 @@ def filter_signal(
             f"the filter's covariance stops being positive definite at sample {done}; "
             "raise process or noise, or check that the model fits the record"
         )
+    require_finite_run(
+        "the estimate", estimates, "check the size of the record, the model and the filter's noises"
+    )
     return Estimate(*np.ascontiguousarray(estimates.T))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, require_array, require_count
+from stillwork.base.checks import InputError, require_array, require_count, require_finite_run
 from stillwork.base.front_door import check_fields, checked
 from stillwork.base.kernels import callback
 from stillwork.estimation.gaussian import BLOCKS, COVARIANCE, ESTIMATE, MEANS, require_covariance
@@ -44,6 +44,7 @@ class NonlinearModel:
     outputs: int
     parameters: ArrayLike = ()
 
+    @checked
     def __post_init__(self):
         check_fields(self)
         require_count("states", self.states)
@@ -155,4 +156,6 @@ def _run(unscented, model, prepared, weights):
         raise InputError(
             f"the covariance stops being positive definite at sample {done}; raise process or noise"
         )
+    for name, values in (("mean", means), ("covariance", covariances)):
+        require_finite_run(f"the {name}", values, "check the model's functions and the size of the record")
     return StateEstimate(np.ascontiguousarray(means.T), covariances)

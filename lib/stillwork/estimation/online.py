@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Float64, Int64
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.base.checks import InputError, require_array, require_count, require_kind, require_number
 from stillwork.base.front_door import checked
 from stillwork.base.kernels import kernel
 from stillwork.estimation.adaptive import (
@@ -99,6 +99,13 @@ def adapt(
         Arrays that do not fit together, or that hold NaN.
     UnstableAdaptation
         With the sample and the cause.
+
+    Examples
+    --------
+    >>> floor = np.ones((1, 10))
+    >>> errors = np.array([[1.0] + 9 * [0.0]])  # gone after the first sample
+    >>> estimation.adapt(estimation.FeLms(0.5), floor, errors).weights.round(3)
+    array([[-0.5]])
     """
     return _run(settings, regressors, "errors", errors, weights, every)
 
@@ -130,6 +137,13 @@ def identify(
     ------
     InputError, UnstableAdaptation
         As in `adapt`.
+
+    Examples
+    --------
+    >>> floor = np.random.default_rng(1).standard_normal((2, 5000))  # m/s^2
+    >>> settings = estimation.FeRls(1e3, forgetting=0.999)
+    >>> estimation.identify(settings, floor, [[-3.0, 5.0]] @ floor).weights.round(3)  # N per (m/s^2)
+    array([[ 3., -5.]])
     """
     return _run(settings, regressors, "disturbance", disturbance, weights, every)
 
@@ -152,10 +166,18 @@ class AdaptationStepper:
         What FeRLS keeps, after the same sample: `recursion.covariance`, `recursion.held` as in `Adaptation`.
     samples : int
         How many samples were seen.
+
+    Examples
+    --------
+    >>> stepper = estimation.AdaptationStepper(estimation.FeRls(1e3), np.zeros((1, 1)))
+    >>> for floor in (1.0, -2.0, 1.5):
+    ...     weights = stepper.update([floor], [(stepper.weights[0, 0] - 0.5) * floor])
+    >>> weights.round(2)
+    array([[0.5]])
     """
 
     def __init__(self, settings: FeLms | FeRls, weights: ArrayLike):
-        self.settings = _require_settings(settings)
+        self.settings = require_kind("settings", settings, (FeLms, FeRls))
         self.weights = require_array("weights", weights, ndim=2).copy()
         self.recursion = None
         if isinstance(settings, FeRls):
@@ -235,14 +257,7 @@ def steady_covariance(regressors: ArrayLike, forgetting: float) -> Float64[np.nd
     return (1 - forgetting) * (inverse + inverse.T) / 2
 
 
-def _require_settings(settings) -> FeLms | FeRls:
-    if not isinstance(settings, FeLms | FeRls):
-        raise InputError(f"settings is {settings!r}; give FeLms(...) or FeRls(...)")
-    return settings
-
-
 def _run(settings, regressors, name, signals, weights, every) -> Adaptation:
-    settings = _require_settings(settings)
     regressors = require_array("regressors", regressors, ndim=2)
     signals = require_array(name, signals, ndim=2)
     n, samples = regressors.shape

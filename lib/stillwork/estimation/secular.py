@@ -112,8 +112,15 @@ class SecularFunction:
 
     def __post_init__(self):
         check_fields(self)
+        require_number("excess", self.excess, at_least=0.0)
+        require_number("bound", self.bound, at_least=0.0)
+        if self.eigenvalues.shape != self.coefficients.shape or np.any(self.eigenvalues <= 0):
+            raise InputError(
+                "eigenvalues must be above zero, one for each of the coefficients; leave the others out"
+            )
 
     @property
+    @checked
     def threshold(self) -> float:
         """tau = |A'b| / |b|: a bound at or above it makes the estimate zero (Theorem 1)."""
         return float(
@@ -122,12 +129,14 @@ class SecularFunction:
         )
 
     @property
+    @checked
     def free_bound(self) -> float:
         """|S^-1 c| / |S^-2 c|: up to it least squares itself is the answer, when b is in the column space."""
         unscaled = self.coefficients / self.eigenvalues
         return float(np.linalg.norm(np.sqrt(self.eigenvalues) * unscaled) / np.linalg.norm(unscaled))
 
-    def __call__(self, alpha) -> np.ndarray | float:
+    @checked
+    def __call__(self, alpha: float | ArrayLike) -> np.ndarray | float:
         """f(alpha), eq. (4), for a number or an array of alphas."""
         norm, residual, _ = self._terms(alpha)
         return self.bound * np.sqrt(residual / norm)
@@ -174,6 +183,8 @@ class SecularFunction:
 
     def _terms(self, alpha):
         alpha = require_array("alpha", alpha)[..., None]
+        if np.any(alpha < 0):
+            raise InputError("alpha holds a negative number; a regularisation is zero or above")
         part = (self.coefficients / (self.eigenvalues + alpha)) ** 2
         norm = (self.eigenvalues * part).sum(-1)
         residual = self.excess**2 + (alpha**2 * part).sum(-1)

@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, require_array
+from stillwork.base.checks import Converted, InputError, require_array, require_finite_run
+from stillwork.base.front_door import checked
 from stillwork.base.kernels import kernel
 
 
@@ -23,17 +24,20 @@ class TimeVaryingModel:
     :math:`D u` off the measurement first. Matrices without the leading axis stand for all samples.
     """
 
-    a: ArrayLike  # (samples, states, states)
-    b: ArrayLike  # (samples, states, inputs)
-    g: ArrayLike  # (samples, states, disturbances)
-    c: ArrayLike  # (samples, outputs, states); sets the number of samples
-    process: ArrayLike  # Q, covariance of w, (disturbances, disturbances)
-    sensor: ArrayLike  # R, covariance of v, (outputs, outputs)
-    initial_covariance: ArrayLike  # P(0|0), (states, states)
+    a: Converted  # (samples, states, states)
+    b: Converted  # (samples, states, inputs)
+    g: Converted  # (samples, states, disturbances)
+    c: Converted  # (samples, outputs, states); sets the number of samples
+    process: Converted  # Q, covariance of w, (disturbances, disturbances)
+    sensor: Converted  # R, covariance of v, (outputs, outputs)
+    initial_covariance: Converted  # P(0|0), (states, states)
 
+    @checked
     def __post_init__(self):
         c = require_array("c", self.c, ndim=3)
         samples, outputs, states = c.shape
+        if samples < 2:
+            raise InputError(f"c holds {samples} samples; give the start and at least one measurement")
         a = self._per_sample("a", samples, (states, states))
         b = self._per_sample("b", samples, (states, None))
         g = self._per_sample("g", samples, (states, None))
@@ -72,12 +76,19 @@ class FilterGains:
     outputs: Float64[np.ndarray, "samples outputs states"]  # C
     covariance: Float64[np.ndarray, "samples states states"]  # P(k|k) of the design
 
+    def __post_init__(self):
+        for name in ("gain", "covariance"):
+            require_finite_run(
+                f"the filter's {name}", getattr(self, name), "rescale the model, its noises or the penalty"
+            )
+
     @property
     def samples(self) -> int:
         """Number of samples."""
         return len(self.forward)
 
 
+@checked(missing=True)
 def estimate(
     gains: FilterGains, u: ArrayLike, y: ArrayLike, initial: ArrayLike | None = None
 ) -> Float64[np.ndarray, "*runs states samples"]:
@@ -107,6 +118,7 @@ def estimate(
     initial = np.zeros(states) if initial is None else require_array("initial", initial, shape=(states,))
     out = np.zeros((len(y), samples, states))
     _estimate(gains.forward, gains.inputs, gains.gain, gains.outputs, u, y, initial, out)
+    require_finite_run("the estimate", out, "check the gains and the size of the record", axis=1)
     out = np.moveaxis(out, 1, 2)
     return np.ascontiguousarray(out[0] if single else out)
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import require_count, require_number
+from stillwork.base.checks import InputError, require_array, require_count, require_number
 from stillwork.base.front_door import checked
 
 
@@ -18,12 +18,31 @@ def resonance_grid(
     """Frequencies (rad/s): logarithmic, and `around` more on either side of every pole, dense at its width.
 
     A logarithmic grid alone (`around` = 0) steps over the peaks of lightly damped modes.
+
+    Parameters
+    ----------
+    poles : array_like
+        rad/s, complex.
+    low_hz, high_hz : float
+        Range, Hz.
+    points, around : int
+        How many there are in all of it, and on either side of a pole.
+
+    Returns
+    -------
+    ndarray, shape (frequencies,)
+
+    Examples
+    --------
+    >>> omega = lti.resonance_grid([-0.5 + 500j, -0.5 - 500j], low_hz=1.0, high_hz=1000.0)
+    >>> bool(np.abs(omega - 500).min() < 0.01)  # rad/s
+    True
     """
     require_number("low_hz", low_hz, above=0.0)
     require_number("high_hz", high_hz, above=low_hz)
     require_count("points", points, at_least=2)
     require_count("around", around, at_least=0)
-    poles = np.atleast_1d(np.asarray(poles, dtype=complex))
+    poles = np.atleast_1d(require_array("poles", poles, dtype=complex))
     centre = np.unique(np.abs(poles[np.abs(poles) > 0]))
     pole = poles[np.abs(poles) > 0][np.unique(np.abs(poles[np.abs(poles) > 0]), return_index=True)[1]]
     width = np.maximum(np.abs(pole.real), 1e-7 * centre)
@@ -60,6 +79,8 @@ def refine_peak(
     near : float
         Local maxima above this part of the largest are refined.
     """
+    if not 0 < len(omega) == len(magnitude):
+        raise InputError(f"omega has {len(omega)} frequencies, magnitude {len(magnitude)}; give one of each")
     last = len(omega) - 1
     inner = (magnitude[1:-1] >= magnitude[:-2]) & (magnitude[1:-1] >= magnitude[2:])
     places = np.concatenate([[0], 1 + np.flatnonzero(inner), [last]])

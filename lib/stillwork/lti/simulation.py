@@ -4,7 +4,8 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, require_array
+from stillwork.base.algebra import add_product, copy_vector
+from stillwork.base.checks import InputError, require_array, require_finite_run
 from stillwork.base.front_door import checked
 from stillwork.base.kernels import kernel
 from stillwork.lti.state_space import StateModel
@@ -25,43 +26,56 @@ def simulate(
         In discrete time.
     inputs : array_like, shape (inputs, samples)
     initial : array_like, shape (states,), optional
+
+    Returns
+    -------
+    ndarray, shape (outputs, samples)
+
+    Raises
+    ------
+    InputError
+        When the model is in continuous time, or its outputs leave the finite numbers; the message names the sample.
+
+    Examples
+    --------
+    >>> lag = lti.zoh(lti.StateModel([[-100.0]], [[100.0]], [[1.0]], [[0.0]]), step=0.01)
+    >>> lti.simulate(lag, np.ones((1, 4))).round(3)
+    array([[0.   , 0.632, 0.865, 0.95 ]])
     """
     if not model.step:
         raise InputError("model is in continuous time; discretise it with zoh first")
     inputs = require_array("inputs", inputs, shape=(model.b.shape[1], None))
     initial = np.zeros(len(model.a)) if initial is None else initial
     initial = require_array("initial", initial, shape=(len(model.a),))
-    direct = model.d @ inputs
-    if not len(model.a):
-        return direct
+    outputs = model.d @ inputs
+    if len(model.a):
+        outputs = outputs + _moved(model, inputs, initial)
+    require_finite_run("the output", outputs, "the model is unstable, or the input too large", axis=1)
+    return outputs
+
+
+def _moved(model: StateModel, inputs: np.ndarray, initial: np.ndarray) -> np.ndarray:
+    """What the states add to the outputs."""
     scale, a, _, vectors = model._decomposed
     if vectors is None:
         driven = np.ascontiguousarray((model.b / scale[:, None] @ inputs).T)
-        return direct + _step_dense(a, driven, model.c * scale, initial / scale)
+        return _step_dense(a, driven, model.c * scale, initial / scale)
     left, parts = model._recursion
     start = left @ initial
     halves = [np.ascontiguousarray(half) for half in (start.real, start.imag)]
-    return direct + _step_decoupled(*parts, *halves, np.ascontiguousarray(inputs.T))
+    return _step_decoupled(*parts, *halves, np.ascontiguousarray(inputs.T))
 
 
 @kernel
 def _step_dense(a, driven, c, start):
-    n, samples, outputs = a.shape[0], driven.shape[0], c.shape[0]
-    y = np.zeros((outputs, samples))
-    x, following = start.copy(), np.zeros(n)
+    samples = len(driven)
+    y = np.zeros((len(c), samples))
+    x, following = start.copy(), np.empty(len(a))
     for k in range(samples):
-        for o in range(outputs):
-            total = 0.0
-            for i in range(n):
-                total += c[o, i] * x[i]
-            y[o, k] = total
-        for i in range(n):
-            total = driven[k, i]
-            for j in range(n):
-                total += a[i, j] * x[j]
-            following[i] = total
-        for i in range(n):
-            x[i] = following[i]
+        add_product(c, x, y[:, k])
+        copy_vector(driven[k], following)
+        add_product(a, x, following)
+        copy_vector(following, x)
     return y
 
 

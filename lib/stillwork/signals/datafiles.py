@@ -123,7 +123,12 @@ def _csv(path: Path) -> dict[str, np.ndarray]:
     ]
     columns = {}
     for number, (name, column) in enumerate(table.items(), 1):
-        numbers = pd.to_numeric(column, errors="coerce").to_numpy(dtype=float)
+        try:
+            numbers = pd.to_numeric(column, errors="coerce").to_numpy(dtype=float)
+        except OverflowError:
+            raise InputError(
+                f"{path.name}, column {name}: a number is beyond the largest floating-point number; mend it"
+            ) from None
         text = column[np.isnan(numbers) & column.notna().to_numpy()]
         if len(text):
             raise InputError(

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy import signal
 
 from stillwork.base.checks import InputError, nearest, require_array, require_count, require_number
-from stillwork.base.front_door import checked
+from stillwork.base.front_door import check_fields, checked
 from stillwork.signals.datafiles import read_columns
 
 STANDARD_GRAVITY = 9.80665  # m/s^2
@@ -66,6 +66,12 @@ class Record:
         One a channel.
     source : str
         File name.
+
+    Examples
+    --------
+    >>> record = signals.Record(np.zeros((1, 4000)), 1000.0, "m/s^2", ("floor",), "floor.csv")
+    >>> record.duration  # s
+    4.0
     """
 
     signals: Float64[np.ndarray, "channels samples"]
@@ -75,7 +81,7 @@ class Record:
     source: str
 
     def __post_init__(self):
-        require_array("signals", self.signals, ndim=2)
+        check_fields(self)
         low, high = PLAUSIBLE_RATES_HZ
         if not low <= self.sample_rate <= high:
             raise InputError(
@@ -135,6 +141,13 @@ def load_record(
     InputError
         For an unknown unit or channel, NaN, a channel that never moves, gaps, uneven time, an implausible or
         contradictory rate, too short a record or too many channels. The message says what to do.
+
+    Examples
+    --------
+    >>> time = np.arange(1000) / 500
+    >>> np.savetxt("floor.csv", np.column_stack([time, np.sin(time)]), header="time floor", comments="")
+    >>> signals.load_record("floor.csv", "mm/s").unit
+    'm/s'
     """
     path = Path(path)
     factor, si_unit = unit_factor(unit)

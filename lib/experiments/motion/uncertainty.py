@@ -13,14 +13,15 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
+from stillwork.base.front_door import checked
 from stillwork.estimation.robust import Derivatives, NormBound
 from stillwork.estimation.time_varying import TimeVaryingModel
 from stillwork.lti.modal import ModalModel
 
-PARAMETERS = ("frequency", "damping", "input shape", "output shape")
 LAWS = ("ends", "uniform")
 
 
+@checked
 def perturbed(model: ModalModel, errors: ArrayLike) -> ModalModel:
     """The model with relative errors on the parameters of its modes.
 
@@ -28,7 +29,7 @@ def perturbed(model: ModalModel, errors: ArrayLike) -> ModalModel:
     ----------
     model : ModalModel
     errors : array_like, shape (modes, 4)
-        Relative errors in the order of `PARAMETERS`; a rigid-body mode has no frequency and no damping to err.
+        Relative errors of frequency, damping, input shape and output shape; a rigid-body mode has no frequency and no damping to err.
     """
     factors = 1 + require_array("errors", errors, shape=(len(model.frequencies), 4))
     if np.any(factors <= 0):
@@ -43,6 +44,7 @@ def perturbed(model: ModalModel, errors: ArrayLike) -> ModalModel:
     )
 
 
+@checked
 def sample_errors(
     rng: np.random.Generator, model: ModalModel, size: float, law: str = "ends", rigid: bool = False
 ) -> Float64[np.ndarray, "modes 4"]:
@@ -94,6 +96,7 @@ class SampledDerivatives:
         return Derivatives(self.a, self.b, self.b, c)
 
 
+@checked
 def sampled_derivatives(
     model: ModalModel, step: float, modes: Sequence[int] | None = None
 ) -> SampledDerivatives:
@@ -129,6 +132,7 @@ def sampled_derivatives(
     return SampledDerivatives(modes, a, b)
 
 
+@checked
 def norm_bound(model: TimeVaryingModel, derivatives: Derivatives, size: float) -> NormBound:
     r"""Norm bound that covers, to first order, all errors up to `size` in every parameter at once.
 
@@ -139,7 +143,7 @@ def norm_bound(model: TimeVaryingModel, derivatives: Derivatives, size: float) -
     size = require_number("size", size, above=0.0)
     s, t, m = derivatives.rows(model)
     samples, outputs = model.c.shape[:2]
-    count = len(derivatives.a)
+    count = len(np.asarray(derivatives.a))
 
     def gather(rows):
         # The derivative of C A by a parameter is that of A through C and that of C through A, together.
