@@ -177,8 +177,8 @@ def condition_bounds(forgetting: float, precision: str) -> tuple[float, float]:
     u / (1 - lambda) of it where all have one sign, to u / sqrt(2 (1 - lambda)) where they are independent. P is
     indefinite when that reaches its smallest eigenvalue.
     """
-    unit = np.finfo(precision).eps / 2
-    return (1 - forgetting) / unit, np.sqrt(2 * (1 - forgetting)) / unit
+    unit = float(np.finfo(precision).eps) / 2
+    return (1 - forgetting) / unit, float(np.sqrt(2 * (1 - forgetting))) / unit
 
 
 def steady_start(regressors: ArrayLike, forgetting: float) -> Float64[np.ndarray, "n n"]:
