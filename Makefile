@@ -37,9 +37,10 @@ figures: $(READY) ## Build what is stale; ARGS="ROOM/NOTEBOOK -p NAME=VALUE --jo
 readings: $(READY) ## Try every choice that the works leave open; ARGS="ROOM --jobs N --budget MINUTES"
 	@$(BIN)/python -m stillwork readings $(ARGS)
 
-test: $(READY) ## Style, unit tests, all notebooks, and what is committed against what they give now
+test: $(READY) ## Style, types, unit tests, all notebooks, and what is committed against what they give now
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/python -m mypy
 	$(UNDER_PINS) $(BIN)/python -m pytest $(UNIT) -n logical --dist loadfile
 	$(BIN)/python -m stillwork figures
 	rm -rf build/nbval
@@ -49,7 +50,7 @@ test: $(READY) ## Style, unit tests, all notebooks, and what is committed agains
 		--nbval-current-env --nbval-cell-timeout 600 -n logical --dist loadfile
 	$(UNDER_PINS) $(BIN)/python -m pytest -p no:nbval tests/committed
 
-quick: $(READY) ## The unit tests without the slow ones, which build notebooks or start clusters
+quick: $(READY) ## The unit tests that take less than a second of CPU each
 	$(UNDER_PINS) $(BIN)/python -m pytest $(UNIT) -m "not slow" -n logical --dist loadfile $(ARGS)
 
 lab: $(READY) ## Open JupyterLab on the notebooks, on this machine only

@@ -28,7 +28,7 @@ from experiments.fixedpoint import (  # noqa: E402
     published_controllers,
 )
 from stillwork.control import asin_trajectory  # noqa: E402
-from stillwork.estimation import UnscentedKalman  # noqa: E402
+from stillwork.estimation.coordinate_filters import UnscentedKalman  # noqa: E402
 from stillwork.estimation.filtering import _filter_record, model_of  # noqa: E402
 
 STEP = 1e-3
@@ -120,7 +120,7 @@ import sys, time
 start = time.process_time()
 import numpy as np
 from experiments.fixedpoint import added_controllers, load_oscillator, published_controllers
-from stillwork.control import asin_trajectory, simulate
+from stillwork.control import asin_trajectory, simulate  # noqa: E402
 imported = time.process_time() - start
 models = load_oscillator()
 exact, approximate = models["exact"].plant, models["approximate"].plant

@@ -132,7 +132,7 @@ def _stop(*_):
 def _outcome(make, rng) -> tuple[str, str]:
     """What became of a case: ``result``, ``refused`` (a documented error), or what is wrong."""
     from stillwork.base.checks import InputError
-    from stillwork.estimation import UnstableAdaptation
+    from stillwork.estimation.online import UnstableAdaptation
 
     name, told, must_work, call = make(rng)
     signal.setitimer(signal.ITIMER_PROF, SECONDS)

@@ -37,7 +37,8 @@ from stillwork.control.loops import closed_loop  # noqa: E402
 from stillwork.control.pid import PidFamily  # noqa: E402
 from stillwork.estimation.robust import kalman_gains  # noqa: E402
 from stillwork.estimation.time_varying import TimeVaryingModel, estimate  # noqa: E402
-from stillwork.lti import simulate, zoh_modes  # noqa: E402
+from stillwork.lti import simulate  # noqa: E402
+from stillwork.lti.discretisation import zoh_modes  # noqa: E402
 from stillwork.workbook.studies import run_study  # noqa: E402
 
 FAMILY = PidFamily(stage_mass())

@@ -26,8 +26,9 @@ import numpy as np  # noqa: E402
 
 from experiments.worstcase import solve_cone_program  # noqa: E402
 from experiments.worstcase.costs import slope  # noqa: E402
-from stillwork.estimation import LeastSquares, MinMax, Ridge  # noqa: E402
+from stillwork.estimation import LeastSquares, MinMax  # noqa: E402
 from stillwork.estimation.recursive import RecursiveStepper  # noqa: E402
+from stillwork.estimation.recursive_settings import Ridge  # noqa: E402
 
 FORGETTING = 0.95
 SIZES = (5, 10, 20, 50, 100, 200)

@@ -1,11 +1,16 @@
-"""One good call of every public function, class and method of the toolbox's faces, to be spoiled."""
+"""One good call of every public function, class and method of the toolbox's faces, to be spoiled, and of many behind."""
 
 import copy
 import dataclasses
+import pkgutil
 from functools import cache
+from importlib import import_module
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 
+from experiments.motion.line_search import regularised_line_search
+from experiments.motion.uncertainty import perturbed, sampled_derivatives
 from fuzzing.hostile import same, same_value, wrong
 from stillwork import control, estimation, identification, lti, signals
 from stillwork.estimation import robust
@@ -13,7 +18,6 @@ from stillwork.estimation.generalised_plant import GeneralisedPlant
 from stillwork.estimation.h2 import h2_riccati
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
 from stillwork.estimation.time_varying import TimeVaryingModel, estimate
-from stillwork.estimation.uncertainty import perturbed, sampled_derivatives
 from stillwork.lti.discretisation import tustin, zoh_response
 
 FACES = {
@@ -58,12 +62,21 @@ def _measurement(state, inputs, parameters, out):
     out[0] = state[0]
 
 
+def _whole(package: ModuleType) -> SimpleNamespace:
+    """What all modules of a folder define, handed out by its face or not; a face decides between equal names."""
+    names: dict = {}
+    for each in pkgutil.iter_modules(package.__path__):
+        module = import_module(f"{package.__name__}.{each.name}")
+        names |= {n: o for n, o in vars(module).items() if getattr(o, "__module__", "") == module.__name__}
+    return SimpleNamespace(**names | {name: getattr(package, name) for name in package.__all__})
+
+
 @cache
 def catalogue() -> dict:
     """Name to (callable, good arguments by name)."""
     rng = np.random.default_rng(5)
     noise = rng.standard_normal
-    e, c, i = estimation, control, identification
+    signals, lti, i, e, c = map(_whole, FACES.values())
     model = lti.ModalModel(
         np.array([0.0, 300.0, 900.0]), np.array([0.0, 0.01, 0.02]), np.array([[0.3], [0.4], [0.2]]),
         np.array([[0.3, -0.4, 0.2]]), np.zeros((1, 1)),
@@ -247,7 +260,7 @@ def catalogue() -> dict:
         "sensitivity_gains": (robust.sensitivity_gains, {"model": walk, "derivatives": slopes, "weight": 0.5}),
         "regularised_gains": (robust.regularised_gains, {"model": walk, "bound": bound, "margin": 1.0}),
         "regularised_gains, bound": (lambda **named: robust.regularised_gains(walk, robust.NormBound(**named)), doubt),
-        "regularised_line_search": (robust.regularised_line_search, {"model": walk, "bound": bound, **two, "initial": np.zeros(2)}),
+        "regularised_line_search": (regularised_line_search, {"model": walk, "bound": bound, **two, "initial": np.zeros(2)}),
         "estimate": (estimate, {"gains": gains, **two, "initial": np.zeros(2)}),
         "hinfinity_gains": (hinfinity_gains, {"model": walk, "wanted": np.eye(2), "level": 9.0}),
         "smallest_level": (smallest_level, {"model": walk, "wanted": np.eye(2), "tolerance": 1e-2}),
@@ -287,7 +300,6 @@ def catalogue() -> dict:
         "band_passed": (c.band_passed, {"model": model, "gain": damping, "selectivity": 2.0, "order": 2}),
         "channel": (c.channel, {"loop": loop, "source": "r", "target": "e_true", "inputs": 1, "outputs": 1}),
         "closed_loop": (c.closed_loop, {"plant": model, "compensator": None, "controller": pid(10.0).state_space()}),
-        "common_band_passed": (c.common_band_passed, {"model": model, "gain": damping, "selectivity": 2.0}),
         "compensator": (c.compensator, {"observer": observer, "application": c.Application(True, 0.1)}),
         "constrained_damping": (c.constrained_damping, {**quiet, "undisturbed": [0]}),
         "constrained_stiffness": (c.constrained_stiffness, {"model": broad, "factor": np.array([1.5]), "undisturbed": [0]}),

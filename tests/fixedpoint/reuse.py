@@ -3,23 +3,12 @@
 import numpy as np
 
 from stillwork.base.kernels import callback
-from stillwork.control import (
-    Controller,
-    KinematicDesign,
-    RobustTransformation,
-    fixed_point,
-    simulate,
-    sine_trajectory,
-)
-from stillwork.estimation import (
-    NonlinearModel,
-    Plant,
-    UnscentedKalman,
-    nonlinear,
-    nonlinear_kernels,
-    plant,
-    unscented_filter,
-)
+from stillwork.control import Controller, KinematicDesign, fixed_point, simulate
+from stillwork.control.trajectory import sine_trajectory
+from stillwork.control.transformation import RobustTransformation
+from stillwork.estimation import Plant, nonlinear, nonlinear_kernels, plant
+from stillwork.estimation.coordinate_filters import UnscentedKalman
+from stillwork.estimation.nonlinear import NonlinearModel, unscented_filter
 
 
 def use(own_model):

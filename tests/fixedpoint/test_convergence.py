@@ -10,32 +10,29 @@ import pytest
 from experiments.fixedpoint import added_controllers, published_controllers
 from stillwork.base.checks import InputError
 from stillwork.control import (
-    ContractionWarning,
     Controller,
     FlowTransformation,
     KinematicDesign,
-    RobustTransformation,
-    Trajectory,
-    contraction_range,
-    describing_function,
     fixed_point_convergence,
-    limit_cycles,
-    linear_filter,
-    linear_loop,
-    random_gain,
-    response_gain,
     simulate,
+)
+from stillwork.control.fixed_point import response_gain
+from stillwork.control.fixed_point_convergence import (
+    describing_function,
+    limit_cycles,
+    random_gain,
     stable_range,
     strongest_oscillation,
 )
-from stillwork.control.fixed_point_linear import LinearLoop
-from stillwork.estimation import (
+from stillwork.control.fixed_point_linear import LinearLoop, linear_filter, linear_loop
+from stillwork.control.trajectory import Trajectory
+from stillwork.control.transformation import ContractionWarning, RobustTransformation, contraction_range
+from stillwork.estimation import LowPass, filter_signal
+from stillwork.estimation.coordinate_filters import (
     ExtendedKalman,
-    LowPass,
     MovingWindow,
     SavitzkyGolay,
     UnscentedKalman,
-    filter_signal,
 )
 
 STEP = 1e-3
@@ -207,3 +204,9 @@ def test_bad_input(exact, approximate):
         linear_loop(exact, published_controllers(approximate)["low pass"], 0.0)
     with pytest.raises(InputError, match="cut the record"):
         strongest_oscillation(np.full(100, np.nan), STEP)
+
+
+def test_a_range_of_one_edge_holds_no_gain():
+    half = fixed_point_convergence.StableRange(fixed_point_convergence.Crossing(-1.0, 100.0), None)
+    assert -0.5 not in half
+    assert np.isnan(half.limits).all()

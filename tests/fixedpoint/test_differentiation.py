@@ -13,8 +13,8 @@ from experiments.fixedpoint import (
 )
 from experiments.fixedpoint.differentiation import quotient_trial
 from stillwork.base.checks import InputError
-from stillwork.control import linear_filter
-from stillwork.estimation import UnscentedKalman
+from stillwork.control.fixed_point_linear import linear_filter
+from stillwork.estimation.coordinate_filters import UnscentedKalman
 
 STEP = 1e-3
 HALF = 0.5 * np.eye(2)

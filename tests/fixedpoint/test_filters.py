@@ -9,15 +9,14 @@ from scipy.signal import savgol_coeffs
 
 from naive import fixedpoint as naive
 from stillwork.base.checks import InputError
-from stillwork.estimation import (
+from stillwork.estimation import LowPass, filter_signal
+from stillwork.estimation.coordinate_filters import (
     ExtendedKalman,
-    LowPass,
     MovingWindow,
     SavitzkyGolay,
-    SigmaPoints,
     UnscentedKalman,
-    filter_signal,
 )
+from stillwork.estimation.unscented import SigmaPoints
 from stillwork.estimation.windows import end_point_weights
 
 STEP = 1e-3

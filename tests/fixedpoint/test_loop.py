@@ -4,15 +4,10 @@ import pytest
 from experiments.fixedpoint import Noise, added_controllers, compare, judge, published_controllers
 from naive import fixedpoint as naive
 from stillwork.base.checks import InputError
-from stillwork.control import (
-    Controller,
-    FlowTransformation,
-    KinematicDesign,
-    RobustTransformation,
-    asin_trajectory,
-    simulate,
-)
-from stillwork.estimation import LowPass, MovingWindow, Plant, SavitzkyGolay, UnscentedKalman
+from stillwork.control import Controller, FlowTransformation, KinematicDesign, asin_trajectory, simulate
+from stillwork.control.transformation import RobustTransformation
+from stillwork.estimation import LowPass, Plant
+from stillwork.estimation.coordinate_filters import MovingWindow, SavitzkyGolay, UnscentedKalman
 from stillwork.workbook.studies import Study
 
 STEP = 1e-3

@@ -16,8 +16,9 @@ from fixedpoint.reuse import use
 from naive import fixedpoint as naive
 from stillwork.base.checks import InputError
 from stillwork.base.kernels import callback
-from stillwork.estimation import NonlinearModel, SigmaPoints, extended_filter, unscented_filter
+from stillwork.estimation.nonlinear import NonlinearModel, extended_filter, unscented_filter
 from stillwork.estimation.plant import SIGNATURE
+from stillwork.estimation.unscented import SigmaPoints
 
 A = np.array([[0.9, 0.1, 0.0], [-0.1, 0.8, 0.05], [0.02, 0.0, 0.95]])
 B = np.array([0.1, 0.0, 0.5])
@@ -146,6 +147,7 @@ def elsewhere(folder) -> list[str]:
     return done.stdout.split()
 
 
+@pytest.mark.slow
 def test_a_second_process_compiles_nothing(tmp_path, monkeypatch):
     """An own plant in an own file: compiled and cached beside it here, found there by another process."""
     module, loader = load(tmp_path)

@@ -6,7 +6,8 @@ import pytest
 from experiments.fixedpoint import explorers, published_controllers, run_pictures
 from experiments.fixedpoint.published import KALMAN, LITERAL, LOW_PASS, WINDOW
 from stillwork.base.checks import InputError
-from stillwork.control import asin_trajectory, simulate, strongest_oscillation
+from stillwork.control import asin_trajectory, simulate
+from stillwork.control.fixed_point_convergence import strongest_oscillation
 from stillwork.workbook import figures
 from stillwork.workbook.timings import measured_times
 

@@ -5,7 +5,8 @@ import pytest
 
 from experiments.fixedpoint import published_controllers
 from experiments.fixedpoint.published import KALMAN, LITERAL, LOW_PASS, WINDOW
-from stillwork.control import FlowTransformation, RobustTransformation
+from stillwork.control import FlowTransformation
+from stillwork.control.transformation import RobustTransformation
 
 
 def test_settings_of_section_ii(approximate):

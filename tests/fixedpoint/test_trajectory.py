@@ -2,13 +2,8 @@ import numpy as np
 import pytest
 
 from stillwork.base.checks import InputError
-from stillwork.control import (
-    Trajectory,
-    asin_trajectory,
-    record_trajectory,
-    sine_trajectory,
-    trapezoid_trajectory,
-)
+from stillwork.control import asin_trajectory
+from stillwork.control.trajectory import Trajectory, record_trajectory, sine_trajectory, trapezoid_trajectory
 
 MAKERS = [sine_trajectory, asin_trajectory, trapezoid_trajectory]
 

@@ -7,18 +7,15 @@ from hypothesis import strategies as st
 
 from naive import fixedpoint as naive
 from stillwork.base.checks import InputError
-from stillwork.control import (
+from stillwork.control import Controller, FlowTransformation, KinematicDesign, simulate
+from stillwork.control.fixed_point import response_gain
+from stillwork.control.fixed_point_convergence import iterate
+from stillwork.control.trajectory import sine_trajectory
+from stillwork.control.transformation import (
     ContractionWarning,
-    Controller,
-    FlowTransformation,
-    KinematicDesign,
     RobustTransformation,
     contraction_range,
     deform,
-    iterate,
-    response_gain,
-    simulate,
-    sine_trajectory,
 )
 from stillwork.estimation import LowPass
 

@@ -18,13 +18,9 @@ from experiments.fixedpoint.your_plant import (
 from experiments.fixedpoint.your_plant_pictures import paint_contraction, paint_runs, plant_explorer
 from stillwork.base import paths
 from stillwork.base.checks import InputError
-from stillwork.control import (
-    FlowTransformation,
-    RobustTransformation,
-    asin_trajectory,
-    simulate,
-    sine_trajectory,
-)
+from stillwork.control import FlowTransformation, asin_trajectory, simulate
+from stillwork.control.trajectory import sine_trajectory
+from stillwork.control.transformation import RobustTransformation
 from stillwork.estimation.plant import outline
 
 TEMPLATE = paths.data("fixedpoint", "your_plant.py")
@@ -46,6 +42,7 @@ def test_gain_of_the_cam_is_the_believed_mass_over_the_true_one(cam):
     assert found.allowed == pytest.approx((-2 / found.gain.max(), 0.0), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_the_published_oscillator_runs_as_in_the_other_notebooks():
     models = load_models(str(paths.data("fixedpoint", "oscillator.toml")))
     trajectory = asin_trajectory(duration=3.0)

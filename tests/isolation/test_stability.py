@@ -102,6 +102,7 @@ def closed_loop(cure, samples=400):
     return run, history, errors, optimum, start
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cure", CURES)
 def test_closed_loop_with_each_cure_is_its_naive_twin(cure):
     run, history, errors, optimum, start = closed_loop(cure)

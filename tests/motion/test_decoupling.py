@@ -9,6 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from experiments.motion.beam import beam, published_beam
+from experiments.motion.common_band_pass import (
+    common_band_passed,
+    common_centre,
+    half_power_selectivity,
+    minimal_order,
+)
 from experiments.motion.decoupling_pictures import paint_slope_ranges, paint_transfer_matrix
 from experiments.motion.decoupling_schemes import (
     ROUNDED,
@@ -18,6 +24,7 @@ from experiments.motion.decoupling_schemes import (
     crosswise_force,
     geometry_trial,
     kept_out_trial,
+    low_frequency_slopes,
     off_diagonal_peak,
     oscillates_stably,
     published_settings,
@@ -27,26 +34,16 @@ from experiments.motion.decoupling_schemes import (
     with_compensation,
     with_scheme,
 )
+from experiments.motion.integral_action import observable_noise_models
 from experiments.motion.machines import published_noise
 from stillwork.base.checks import InputError
 from stillwork.control.decoupled_damping import (
     added_damping,
     band_passed,
-    common_band_passed,
-    common_centre,
     constrained_damping,
     constrained_stiffness,
-    half_power_selectivity,
-    minimal_order,
 )
-from stillwork.control.decoupling import (
-    coupling_onset,
-    decouple,
-    decoupled_plant,
-    low_frequency_slopes,
-    observable_noise_models,
-    rigid_coupling,
-)
+from stillwork.control.decoupling import coupling_onset, decouple, decoupled_plant, rigid_coupling
 from stillwork.control.feedback import damping_gain
 from stillwork.estimation.observer import kalman_observer
 from stillwork.lti import ModalModel

@@ -9,22 +9,16 @@ from scipy import linalg, signal
 from experiments.motion.designs import stage_observer
 from experiments.motion.discrete_pictures import equivalent_plant, paint_sampled
 from experiments.motion.machines import published_noise, stage
+from experiments.motion.placement import gain_by_placement, placement_error, typical_placement_error
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
-from stillwork.control.discrete_damping import (
-    discrete_damping_gain,
-    gain_by_placement,
-    placement_error,
-    sampled_feedback,
-    typical_placement_error,
-)
-from stillwork.control.discrete_observer import discrete_compensator, discrete_kalman_observer, predict
+from stillwork.control.discrete_damping import discrete_damping_gain, sampled_feedback
+from stillwork.control.discrete_observer import discrete_compensator, discrete_kalman_observer
 from stillwork.control.feedback import band_pass, damping_gain, fed_back
 from stillwork.estimation.observer import NoiseIntensities
-from stillwork.estimation.robust import kalman_gains
-from stillwork.estimation.time_varying import TimeVaryingModel, estimate
-from stillwork.lti import StateModel, simulate, zoh, zoh_modes
+from stillwork.lti import StateModel, simulate, zoh
 from stillwork.lti.delays import delayed
+from stillwork.lti.discretisation import zoh_modes
 from stillwork.lti.reduction import truncate
 
 STEP = 1e-4
@@ -238,25 +232,6 @@ def test_a_compensator_with_band_passes_is_its_parts_in_a_row(observer):
         for i, (k, w) in enumerate(zip(gain, observer.model.frequencies[1:], strict=True))
     )
     np.testing.assert_allclose(block.frequency_response(omega)[0], wanted, rtol=1e-6)
-
-
-def test_predicted_estimates_are_one_step_ahead_of_the_filtered_ones(reduced):
-    sampled = zoh_modes(reduced, STEP)
-    c = np.repeat(sampled.c[None], 30, axis=0) * np.linspace(0.5, 1, 30)[:, None, None]
-    q, r = np.array([[1e-4]]), np.array([[2e-18]])
-    gains = kalman_gains(TimeVaryingModel(sampled.a, sampled.b, sampled.b, c, q, r, np.eye(8) * 1e-12))
-    rng = np.random.default_rng(2)
-    u, y = rng.standard_normal((1, 30)), 1e-9 * rng.standard_normal((1, 30))
-    filtered = estimate(gains, u, y)
-    ahead = predict(gains, filtered, u)
-    for k in range(1, 30):
-        np.testing.assert_allclose(
-            ahead[:, k], sampled.a @ filtered[:, k - 1] + sampled.b[:, 0] * u[0, k - 1]
-        )
-        update = ahead[:, k] + gains.gain[k] @ (y[:, k] - c[k] @ ahead[:, k])
-        np.testing.assert_allclose(update, filtered[:, k], rtol=1e-6, atol=1e-12 * np.abs(filtered).max())
-    with pytest.raises(InputError, match="estimates"):
-        predict(gains, filtered[:, 1:], u)
 
 
 @given(samples=st.integers(0, 5), seed=st.integers(0, 100))

@@ -20,7 +20,8 @@ from stillwork.control.applications import Application
 from stillwork.control.pid import PidFamily
 from stillwork.identification.frequency_response import Identified, closed_loop_response, impact_response
 from stillwork.identification.modal_fit import fit_modes
-from stillwork.lti import ModalModel, StateModel, simulate, zoh_modes
+from stillwork.lti import ModalModel, StateModel, simulate
+from stillwork.lti.discretisation import zoh_modes
 from stillwork.lti.modal import mirrored
 
 PLANT = drive()

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from experiments.motion.designs import DESIGNS, RETAINED, stage_compensator, stage_observer
+from experiments.motion.integral_action import keeps_integral_action, required_integrators, slope, static_gain
 from experiments.motion.machines import stage, stage_mass
 from experiments.motion.small_gain import small_gain, without_compliance
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application, compensator
 from stillwork.control.bandwidth import make_loop
-from stillwork.control.integral_action import keeps_integral_action, required_integrators, slope, static_gain
 from stillwork.control.loops import channel, closed_loop
 from stillwork.control.pid import PidFamily
 

@@ -170,6 +170,7 @@ def test_python_control_closes_the_same_loops(name):
             assert peak == pytest.approx(found.peaks[function, mass - 1], rel=1e-4)
 
 
+@pytest.mark.slow
 def test_the_search_finds_the_stored_design_again(joint):
     start = replace(joint.design, bandwidth_hz=85.0, gain=0.8, low_pass=3.5)
     again = search(start, "joint", steps=8, rounds=1)
@@ -177,6 +178,7 @@ def test_the_search_finds_the_stored_design_again(joint):
     assert again.crossing_hz.min() > 0.99 * joint.crossing_hz.min()
 
 
+@pytest.mark.slow
 def test_joint_beats_either_half_and_both_in_turn(joint):
     """The stored rivals, the two steps among them, stay 5 Hz and more below the joint design."""
     for name in (
@@ -187,6 +189,7 @@ def test_joint_beats_either_half_and_both_in_turn(joint):
         assert verify(STORED[name]).crossing_hz.max() < joint.crossing_hz.min() - 5
 
 
+@pytest.mark.slow
 def test_no_small_step_of_one_number_gains_bandwidth(joint):
     """A local optimum: raise the bandwidth by 1 %, move any one number, and a limit or the crossing breaks."""
     faster = replace(joint.design, bandwidth_hz=1.01 * joint.design.bandwidth_hz)
@@ -204,6 +207,7 @@ def test_no_small_step_of_one_number_gains_bandwidth(joint):
         assert not found.keeps() or found.crossing_hz.min() < tried.bandwidth_hz or np.any(soft)
 
 
+@pytest.mark.slow
 def test_peaks_on_perturbed_plants_are_the_exact_ones():
     """Also a narrow one far from every pole, which the search's own grid misses by half a decibel."""
     narrow = replace(
@@ -230,6 +234,7 @@ def test_robust_designs_serve_stages_that_they_have_not_seen(size):
     assert plant_peaks(PUBLISHED, fresh).max() > SIX_DB
 
 
+@pytest.mark.slow
 def test_robust_search_keeps_its_limit_on_the_pool():
     slow, limit = replace(PUBLISHED, bandwidth_hz=38.0), 10 ** (5.7 / 20)
     found = robust_search(slow, "controller", 0.05, 7, pool=4, worst=1, turns=4, steps=6, limit=limit)

@@ -18,6 +18,7 @@ from experiments.motion.low_order import (
 )
 from experiments.motion.low_order_pictures import paint_low_order
 from experiments.motion.machines import published_setpoint, stage, stage_mass
+from experiments.motion.uncertainty import perturbed, sample_errors
 from stillwork.base.checks import InputError
 from stillwork.control.feedforward import (
     BASIS,
@@ -29,7 +30,6 @@ from stillwork.control.feedforward import (
 from stillwork.control.loops import closed_loop
 from stillwork.control.pid import PidFamily
 from stillwork.control.setpoint import Setpoint, from_snap
-from stillwork.estimation.uncertainty import perturbed, sample_errors
 from stillwork.lti import StateModel
 from stillwork.signals.moving_average import rms
 

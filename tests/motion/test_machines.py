@@ -14,7 +14,7 @@ from experiments.motion.discretisation import (
 )
 from experiments.motion.machines import chain, chain_matrix, drive, parameters, stage, stage_mass
 from stillwork.base.checks import InputError
-from stillwork.lti import zoh_modes
+from stillwork.lti.discretisation import zoh_modes
 from stillwork.lti.reduction import roll_off, truncate
 
 

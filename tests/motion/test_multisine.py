@@ -25,8 +25,8 @@ from stillwork.identification.multisine import (
     run_multisine,
     smoothed_deviation,
 )
-from stillwork.lti import ModalModel, simulate, zoh_modes
-from stillwork.lti.discretisation import sampled_modes, zoh_response
+from stillwork.lti import ModalModel, simulate
+from stillwork.lti.discretisation import sampled_modes, zoh_modes, zoh_response
 
 GEOMETRY = assumed_geometry()
 SETTINGS = published_settings()
@@ -140,6 +140,7 @@ def _held(plant, step, omega):
     return np.moveaxis(modes + plant.feedthrough[:, :, None] * late, -1, 0)
 
 
+@pytest.mark.slow
 def test_stated_deviations_are_those_of_many_draws():
     plant, step, rng = _small_plant(), 2e-4, np.random.default_rng(5)
     omega = 2 * np.pi * np.linspace(20, 500, 120)

@@ -8,6 +8,7 @@ from experiments.motion.open_choices import bandwidth_map, open_choices
 from stillwork.base.checks import InputError
 
 
+@pytest.mark.slow
 def test_what_is_open_moves_the_bandwidth_as_it_must():
     study = open_choices("PID")
     published = study.published
@@ -63,6 +64,7 @@ def test_an_empty_map_is_refused(selectivity, noise_model, named):
         bandwidth_map(selectivity, noise_model)
 
 
+@pytest.mark.slow
 def test_filter_explorers_draw_what_their_filters_give():
     """The Kalman filter's own norm is the smaller one, and a fine table comes close to the online gains."""
     labels = [t.get_text() for t in filter_pictures.paint_worst(0.01, 10.0).axes[0].get_legend().get_texts()]

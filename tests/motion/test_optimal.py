@@ -4,17 +4,18 @@ import numpy as np
 import pytest
 from scipy import integrate
 
+from experiments.motion import matrix_inequalities
 from experiments.motion.designs import DAMPING
 from experiments.motion.machines import published_noise, stage, stage_mass
+from experiments.motion.matrix_inequalities import h2_lmi, mixed_lmi
 from experiments.motion.observer_problem import ObserverProblem
 from experiments.motion.tradeoff import emphasised, front, sensitivity_weight, tipping_corner, weighted_peak
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application, compensator
 from stillwork.control.loops import INPUTS, OUTPUTS, closed_loop
 from stillwork.control.pid import PidFamily
-from stillwork.estimation import h2
 from stillwork.estimation.generalised_plant import GeneralisedPlant, low_pass
-from stillwork.estimation.h2 import h2_lmi, h2_riccati, mixed_lmi, regularised
+from stillwork.estimation.h2 import h2_riccati, regularised
 from stillwork.estimation.observer import kalman_observer
 from stillwork.lti import StateModel, h2_norm, hinf_norm
 from stillwork.lti.reduction import truncate
@@ -230,6 +231,7 @@ def meeting(problem, level, ratio, emphases):
 MEETING = 5e-3
 
 
+@pytest.mark.slow
 def test_mixed_inequalities_and_emphasis_meet_on_the_first_two_modes(problem):
     plant = truncate(stage().at([0], [4]), 2, 0)
     small = ObserverProblem(plant, problem.controller, DAMPING, 2.0, SCALES)
@@ -257,13 +259,13 @@ def test_a_level_below_what_can_be_kept_shows_status_and_residuals():
 @pytest.mark.parametrize("lie", ["claim", "level"])
 def test_a_loop_that_breaks_what_the_solver_claims_is_refused(lie, monkeypatch):
     plant, _, peak = single(0)
-    solve, factor = h2._by_inequalities, 0.5 if lie == "claim" else 1.0
+    solve, factor = matrix_inequalities._by_inequalities, 0.5 if lie == "claim" else 1.0
 
     def inaccurate(regular, level, ratio):
         status, claimed, observer = solve(regular, 1.3 * peak if lie == "level" else level, ratio)
         return status, factor * claimed, observer
 
-    monkeypatch.setattr(h2, "_by_inequalities", inaccurate)
+    monkeypatch.setattr(matrix_inequalities, "_by_inequalities", inaccurate)
     level = (0.7 if lie == "claim" else 0.5) * peak
     with pytest.raises(InputError, match=r"'optimal' with H2 norm .* at level .* relative residual"):
         mixed_lmi(emphasised(plant, TOY_WEIGHT, 1.0), level, 100.0, 0.7, 0.4)

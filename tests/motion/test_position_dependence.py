@@ -5,8 +5,6 @@ from scipy import integrate
 from experiments.motion.designs import (
     DAMPING,
     DESIGNS,
-    Design,
-    stage_compensator,
     stage_loops,
     stage_observer,
 )
@@ -16,7 +14,6 @@ from experiments.motion.position_dependence import (
     at_place,
     damping_along,
     damping_table,
-    equivalent_controller,
     nodes,
     observer_at,
     place_loops,
@@ -74,34 +71,6 @@ def test_observer_and_loops_at_a_mass_are_the_published_ones(plant):
             )
 
 
-def test_equivalent_controller_is_the_printed_one(plant):
-    block = stage_compensator(3, Design(DESIGNS["MC"].application, 0.03))
-    pid = PidFamily(stage_mass())(37.0)
-    omega = 2 * np.pi * np.geomspace(1, 2e3, 80)
-    found = equivalent_controller(block, pid.state_space()).frequency_response(omega)[0]
-    o, c = block.frequency_response(omega), pid.frequency_response(omega)
-    printed = c / (1 - c * o[1, 0])  # (4.10), MC alone
-    np.testing.assert_allclose(found[0], printed, rtol=1e-7)
-    np.testing.assert_allclose(found[1], -printed * (1 - o[1, 1]), rtol=1e-6, atol=1e-9 * np.abs(c).max())
-
-
-def test_equivalent_controller_agrees_with_python_control(plant):
-    import control
-
-    block = stage_compensator(3, DESIGNS["AD, no band-pass"])
-    pid = PidFamily(stage_mass())(37.0).state_space()
-    found = equivalent_controller(block, pid)
-    parts = control.append(block.to_control(), pid.to_control())
-    # inputs f, y, e; outputs u_d, y_flex, u: f = u_d + u, e = y_flex + r - y
-    loop = np.array([[1.0, 0, 1], [0, 0, 0], [0, 1, 0]])
-    omega = 2 * np.pi * np.array([3.0, 60.0, 470.0, 1400.0])
-    for k, w in enumerate(omega):
-        p = parts(1j * w)
-        closed = np.linalg.solve(np.eye(3) - p @ loop, p @ np.array([[0, 0], [0, 1], [1.0, -1]]))
-        wanted = np.array([1.0, 0, 1]) @ closed
-        np.testing.assert_allclose(found.frequency_response(omega[[k]])[0, :, 0], wanted, rtol=1e-6)
-
-
 def test_shapes_vanish_at_their_nodes(plant):
     for mode, count in ((0, 0), (1, 1), (2, 2), (3, 2)):
         found = nodes(plant, GRID, mode)
@@ -150,10 +119,6 @@ def test_places_off_the_structure_and_on_nodes_are_refused(plant):
         at_place(modal_model(np.eye(2), np.eye(2), np.eye(2), np.eye(2)), [0, 1], 0.5)
     with pytest.raises(InputError, match="mode is 8"):
         nodes(plant, GRID, 8)
-    with pytest.raises(InputError, match="block has shape"):
-        equivalent_controller(
-            zoh(PidFamily(1.0)(30.0).state_space(), STEP), zoh(PidFamily(1.0)(30.0).state_space(), STEP)
-        )
 
 
 def test_observability_lost_along_a_trajectory_is_named(plant):
@@ -171,6 +136,7 @@ def test_observability_lost_along_a_trajectory_is_named(plant):
         pass_node(tilted, [0.0, 0.1, 0.2], np.linspace(0.05, 0.15, 50), 1, NoiseIntensities(1.0, 1e-6), 1e-3)
 
 
+@pytest.mark.slow
 def test_online_filter_follows_the_continuous_riccati_equation(plant):
     model, noise, step = plant.modes([0, 1]), NoiseIntensities(1e-4, 2e-16), 2e-5
     places = move(0.05, 0.0, 1.0, 0.006, 0.0, step)

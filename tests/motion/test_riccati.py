@@ -11,7 +11,8 @@ from stillwork.base.checks import InputError
 from stillwork.estimation import riccati
 from stillwork.estimation.observer import NoiseIntensities, Observer, kalman_observer
 from stillwork.estimation.riccati import continuous_gain, discrete_gain
-from stillwork.lti import ModalModel, zoh_modes
+from stillwork.lti import ModalModel
+from stillwork.lti.discretisation import zoh_modes
 from stillwork.lti.reduction import truncate
 
 
@@ -171,6 +172,7 @@ def recursion_limit(a, g, c, q, r, steps=2000):
     return None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", range(0, 1000, 200))
 def test_observers_are_stable_over_fourteen_decades_of_noise(first):
     settled = 0

@@ -17,6 +17,7 @@ from experiments.motion.rig import (
 from experiments.motion.rig_control import placed_damping, sampled_damping
 from experiments.motion.rig_designs import (
     CASES,
+    bandwidths,
     compensated_feedback,
     model_errors,
     observer_model,
@@ -25,7 +26,7 @@ from experiments.motion.rig_designs import (
     rig_loops,
 )
 from experiments.motion.rig_loops import MEASURES
-from experiments.motion.rig_study import bandwidths, flexible_peaks, rig_trial, sample_geometry
+from experiments.motion.rig_study import flexible_peaks, rig_trial, sample_geometry
 from experiments.motion.rig_tracking import (
     Levelling,
     levelling,
@@ -36,7 +37,8 @@ from experiments.motion.rig_tracking import (
 from stillwork.base.checks import InputError
 from stillwork.control.loops import channel
 from stillwork.estimation.observer import NoiseIntensities
-from stillwork.lti import ModalModel, simulate, zoh_modes
+from stillwork.lti import ModalModel, simulate
+from stillwork.lti.discretisation import zoh_modes
 from stillwork.workbook.studies import run_study
 
 GEOMETRY = assumed_geometry()
@@ -202,12 +204,14 @@ def test_drawn_geometries_stay_in_their_ranges_and_see_all_directions():
     assert np.abs(model_errors(np.random.default_rng(1))).max() <= assumed()["model_error"]
 
 
+@pytest.mark.slow
 def test_trial_is_complete(study):
     assert study["crossing"].shape == (1, len(MEASURES), len(CASES), 3)
     assert np.all(np.isfinite(study["crossing"][:, :, 0]))
     assert study["excitation"].shape == (1, 2, 8)
 
 
+@pytest.mark.slow
 def test_errors_of_a_trial_are_those_of_its_designs(study):
     """Everything again by hand: the draws, the first position, the original and the redesigned controllers."""
     rng = np.random.default_rng(np.random.SeedSequence(5).spawn(1)[0])

@@ -3,6 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from experiments.motion.line_search import regularised_line_search
 from naive import motion_robust as naive
 from stillwork.base.checks import InputError
 from stillwork.estimation.robust import (
@@ -10,7 +11,6 @@ from stillwork.estimation.robust import (
     NormBound,
     kalman_gains,
     regularised_gains,
-    regularised_line_search,
     sensitivity_gains,
 )
 from stillwork.estimation.time_varying import TimeVaryingModel, estimate
@@ -62,6 +62,7 @@ def first(model):
     return model.a[1], model.b[1], model.g[1], model.c[1]
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(seed=SEEDS, gamma=st.floats(0.01, 1.0))
 def test_sensitivity_step_minimises_its_quadratic_cost(seed, gamma):
@@ -101,6 +102,7 @@ def test_sensitivity_step_minimises_the_cost_of_the_output_error_itself(seed):
     np.testing.assert_allclose(ours, twin, rtol=1e-6, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("outputs", [1, 2])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_line_search_solves_the_min_max_problem(seed, outputs):

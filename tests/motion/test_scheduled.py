@@ -20,7 +20,8 @@ from stillwork.estimation.riccati import discrete_gain
 from stillwork.estimation.robust import kalman_gains
 from stillwork.estimation.scheduled import GainTable, gain_table, require_observable_along, scheduled_gains
 from stillwork.estimation.time_varying import TimeVaryingModel, estimate
-from stillwork.lti import zoh, zoh_modes
+from stillwork.lti import zoh
+from stillwork.lti.discretisation import zoh_modes
 
 GRID = 0.05 * np.arange(7)
 

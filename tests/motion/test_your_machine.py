@@ -17,7 +17,7 @@ from shared.universal_files import function, write_universal
 from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.identification.machine import build_machine, find_modes, whole_band
-from stillwork.identification.machine_files import load_machine
+from stillwork.identification.machine_files import MachineFile, load_machine
 from stillwork.identification.modal_fit import fit_modes
 
 TEMPLATES = paths.data("motion", "your_machine")
@@ -143,6 +143,7 @@ def found():
     return machine, reach(machine, applications(0.02, 2.0), retained=3, intensities=INTENSITIES)
 
 
+@pytest.mark.slow
 def test_measurement_and_model_agree_where_the_fit_is_exact(found):
     _, reached = found
     for each in reached.values():
@@ -327,3 +328,9 @@ def test_bands_outside_the_measurement_and_flat_responses_are_refused(tmp_path):
         find_modes(measured, (5.0, 100.0))
     with pytest.raises(InputError, match="disturbance is 0"):
         Intensities(0.0, 1e-9, 1e-4)
+
+
+def test_a_file_of_neither_form_is_no_machine():
+    nothing = MachineFile("matrices", "empty.npz")
+    with pytest.raises(InputError, match=r"file\.model is None; give ModalModel"):
+        build_machine(nothing, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)

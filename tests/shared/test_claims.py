@@ -1,6 +1,7 @@
 import json
 import math
 import tomllib
+from dataclasses import replace
 
 import pytest
 from hypothesis import assume, given
@@ -112,6 +113,8 @@ def test_better_than_an_interval_of_runs():
         ({"tolerance": Tolerance("rounding", absolute=1e-9)}, 1e-3, "fails"),
         ({"tolerance": Tolerance("theory", relative=0.1), "published": 2.0}, 2.1, "passes"),
         ({"tolerance": Tolerance("theory", relative=0.1), "published": 2.0}, 2.3, "fails"),
+        ({"tolerance": Tolerance("theory", relative=0.1), "expected": 2.0}, 2.1, "passes"),
+        ({"tolerance": Tolerance("theory", relative=0.1), "expected": 2.0}, 0.0, "fails"),
         ({}, 1.0, "passes"),
         ({}, 0.99, "fails"),
     ],
@@ -184,6 +187,8 @@ def test_what_was_accepted_as_zero_may_come_out_as_rounding():
         ("exact", 0.0, Tolerance("a count", absolute=0.0), 0.0, "0"),
         ("exact", 1.0, Tolerance("rounding", absolute=1e-12), 1.0, "1"),
         ("value", 0.0, Tolerance("half a digit", absolute=0.05), 0.012345, "0.0123"),
+        ("check", None, Tolerance("rounding", absolute=1e-12), 6.6613381e-16, "< 1e-12"),
+        ("check", None, Tolerance("rounding", absolute=1e-12), 2.3456e-5, "2.35e-05"),
     ],
 )
 def test_of_an_identity_the_bound_is_shown_and_not_its_rounding(kind, published, tolerance, ours, text):
@@ -194,6 +199,10 @@ def test_nothing_accepted_has_not_moved_and_identities_never_do():
     assert not Claim(entry(), 5.0).moved
     residual = entry("exact", published=0.0, tolerance=Tolerance("x", absolute=1e-9), ours=1e-16)
     assert not Claim(residual, 3e-15).moved
+    check = entry("check", published=None, tolerance=Tolerance("x", absolute=1e-7), ours=4e-8)
+    assert not Claim(check, 6e-8).moved
+    assert Claim(entry("check", tolerance=Tolerance("x", absolute=1e-7), ours=2.0), 2.1).moved
+    assert Claim(replace(check, expected=4e-8), 6e-8).moved
 
 
 @pytest.mark.parametrize(
@@ -208,6 +217,8 @@ def test_nothing_accepted_has_not_moved_and_identities_never_do():
         ({"quantity": ""}, "quantity is empty"),
         ({"published": math.nan}, "published is nan"),
         ({"published": None}, "published is missing; only a check or what is reported goes without"),
+        ({"expected": 2.0}, "only a check of a size that is not published takes expected"),
+        ({"kind": "check", "expected": 2.0}, "only a check of a size that is not published takes expected"),
         ({"threshold": 0.9}, "only a fraction of runs takes a threshold"),
         ({"kind": "ordering", "threshold": 1.5}, "threshold is 1.5"),
         ({"better": "higher"}, "better is 'higher'"),
@@ -360,6 +371,7 @@ def test_the_ledger_joins_entries_with_what_was_found(workbook):
         "kind": "value",
         "basis": "predicted",
         "published": 37.0,
+        "expected": None,
         "threshold": None,
         "better": None,
         "own": False,
@@ -372,6 +384,16 @@ def test_the_ledger_joins_entries_with_what_was_found(workbook):
         "notebook": "motion/01-x",
     }
     assert [claim.entry.id for claim in ledger(room="isolation")] == []
+
+
+def test_a_value_without_the_interval_that_its_entry_asks_for_is_not_built(workbook):
+    text = LEDGER.replace('kind = "ordering"', 'kind = "ordering"\nthreshold = 0.9')
+    found = {"motion.order": {"ours": 1.0}}
+    workbook(text, **{"01-x": found})
+    _, order = ledger()
+    assert (order.verdict, order.notebook, order.ours) == ("not built", "motion/01-x", None)
+    workbook(text, **{"02-y": {"motion.table-1.pid": {"ours": 37.0}}})
+    assert ledger()[0].verdict == "replicated"
 
 
 def test_half_written_results_do_not_count(workbook):

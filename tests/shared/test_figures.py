@@ -2,9 +2,11 @@ import gc
 import subprocess
 import sys
 
+import matplotlib
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.figure import Figure
 
 from stillwork.base.checks import InputError
 from stillwork.workbook import figures
@@ -199,3 +201,48 @@ def test_two_processes_write_the_same_bytes(tmp_path):
         subprocess.run([sys.executable, "-c", DRAW, str(tmp_path / name)], check=True)
     for suffix in (".png", ".csv"):
         assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
+
+
+def test_the_settings_of_matplotlib_are_those_of_its_user(tmp_path):
+    """Each step of a figure has the style of the house, and a figure of the user's has the user's."""
+    with matplotlib.rc_context({"axes.titlesize": 20, "lines.linewidth": 7.0, "xtick.labelsize": 17}):
+        before = dict(matplotlib.rcParams)
+        figure, (left, right) = figures.new(1, 2)
+        twin = left.twinx()
+        (line,) = twin.plot([0, 1], [1, 2], label="b")
+        title = left.set_title("a")
+        left.set_xlabel("time (s)")
+        legend = twin.legend()
+        bar = figure.colorbar(right.pcolormesh(np.eye(3)), ax=right)
+        right.set_xlabel("place (m)")
+        figures.save(figure, tmp_path / "fig-1")
+        assert dict(matplotlib.rcParams) == before
+        sizes = [text.get_size() for text in (title, *left.get_xticklabels(), *bar.ax.get_yticklabels())]
+        assert sizes[0] == 9 and set(sizes[1:]) == {8}
+        assert line.get_linewidth() == 1.3 and not legend.get_frame_on()
+
+        own = Figure()
+        panel = own.subplots()
+        (line,) = panel.plot([0, 1], [1, 2])
+        panel.set_xlabel("time (s)")
+        figures.save(own, tmp_path / "own")
+        assert dict(matplotlib.rcParams) == before
+        assert line.get_linewidth() == 7.0 and {t.get_size() for t in panel.get_xticklabels()} == {17}
+
+
+def test_the_settings_come_back_after_an_error():
+    before = dict(matplotlib.rcParams)
+    _, axes = figures.new()
+    with pytest.raises(ValueError, match="x and y"):
+        axes.plot([1, 2], [1, 2, 3])
+    assert dict(matplotlib.rcParams) == before
+
+
+def test_a_legend_below_names_one_panels_lines():
+    figure, axes = figures.new(1, 2)
+    axes[0].plot([0, 1], [0, 1], label="ours")
+    axes[1].plot([0, 1], [1, 0], label="elsewhere")
+    figures.legend_below(axes[0], 2)
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["ours"]
+    assert axes[0].get_legend() is None

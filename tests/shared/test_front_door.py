@@ -124,10 +124,17 @@ def test_read_only_records_of_one_actuator_are_taken(settings, run, tmp_path):
 MODELS = """
 import numpy as np
 from stillwork.base.checks import InputError
-from stillwork.control import Feedforward, FlowTransformation, Setpoint, fed_back, iterate
-from stillwork.estimation import AdaptationStepper, Observer, SecularFunction
-from stillwork.lti import ModalModel, StateModel, interconnect, refine_peak
-from stillwork.signals import Spectrum
+from stillwork.control import FlowTransformation
+from stillwork.control.feedback import fed_back
+from stillwork.control.feedforward import Feedforward
+from stillwork.control.fixed_point_convergence import iterate
+from stillwork.control.setpoint import Setpoint
+from stillwork.estimation import AdaptationStepper
+from stillwork.estimation.observer import Observer
+from stillwork.lti import ModalModel, StateModel, interconnect
+from stillwork.estimation.secular import SecularFunction
+from stillwork.lti.peaks import refine_peak
+from stillwork.signals.spectra import Spectrum
 
 model = ModalModel([0, 10], [0, 0.01], [[1], [1]], [[1, -1]], [[0]])
 assert model.frequencies.dtype == np.float64

@@ -13,7 +13,9 @@ from experiments.motion.machines import chain, stage
 from naive.motion import exponential, step_by_step
 from stillwork import lti
 from stillwork.base.checks import InputError
-from stillwork.lti.discretisation import tustin
+from stillwork.lti.discretisation import tustin, zoh_modes
+from stillwork.lti.modal import from_state_space
+from stillwork.lti.peaks import refine_peak
 
 GRID = lti.resonance_grid(stage().poles, 1.0, 1e4, 400, 20)
 
@@ -53,7 +55,7 @@ def test_state_response_agrees_with_the_modal_one():
 
 
 def test_discrete_response_is_that_of_python_control():
-    model = lti.zoh_modes(random_modal(1).modes(slice(1, None)), 1e-4)
+    model = zoh_modes(random_modal(1).modes(slice(1, None)), 1e-4)
     omega = np.linspace(10, 3e4, 50)
     theirs = model.to_control()(np.exp(1j * omega * 1e-4), squeeze=False)
     assert np.allclose(model.frequency_response(omega), theirs, rtol=1e-9, atol=1e-12)
@@ -73,7 +75,7 @@ def test_response_of_a_superposition_is_the_sum_over_modes(seed):
 @given(st.integers(0, 10_000), st.sampled_from([1, 2]))
 def test_modal_forms_go_there_and_back(seed, form):
     model = random_modal(seed)
-    again = lti.from_state_space(model.state_space(form), form)
+    again = from_state_space(model.state_space(form), form)
     for name in ("frequencies", "damping", "input_shapes", "output_shapes", "feedthrough"):
         assert np.allclose(getattr(again, name), getattr(model, name), rtol=1e-12, atol=1e-15)
 
@@ -114,7 +116,7 @@ def test_proportional_damping_decouples_and_other_damping_is_refused():
 @pytest.mark.parametrize("step", [1e-5, 1e-4, 1e-3])
 def test_discretisation_mode_by_mode_is_the_exact_exponential(step):
     model = random_modal(11)
-    discrete, states = lti.zoh_modes(model, step), model.state_space()
+    discrete, states = zoh_modes(model, step), model.state_space()
     transition, drive = exponential(states.a, states.b, step)
     assert np.allclose(discrete.a, transition, rtol=1e-11, atol=1e-15 * np.abs(transition).max())
     assert np.allclose(discrete.b, drive, rtol=1e-9, atol=1e-16 * np.abs(drive).max())
@@ -131,7 +133,7 @@ def test_balanced_exponential_of_a_stiff_machine():
 @pytest.mark.parametrize("rigid", [0, 1])
 def test_simulation_is_the_plain_recursion(rigid):
     # One with the rigid body is stepped as it stands, one without is decoupled.
-    model = lti.zoh_modes(random_modal(2).modes(slice(1 - rigid, None)), 1e-4)
+    model = zoh_modes(random_modal(2).modes(slice(1 - rigid, None)), 1e-4)
     rng = np.random.default_rng(4)
     inputs, initial = rng.normal(size=(2, 300)), rng.normal(size=len(model.a))
     expected = step_by_step(model.a, model.b, model.c, model.d, inputs, initial)
@@ -141,7 +143,7 @@ def test_simulation_is_the_plain_recursion(rigid):
 
 
 def test_simulation_through_python_control():
-    model = lti.zoh_modes(random_modal(9, 1, 1).modes(slice(1, None)), 1e-4)
+    model = zoh_modes(random_modal(9, 1, 1).modes(slice(1, None)), 1e-4)
     u = np.random.default_rng(1).normal(size=(1, 200))
     theirs = control.forced_response(model.to_control(), inputs=u[0]).outputs
     assert np.allclose(lti.simulate(model, u)[0], theirs, rtol=1e-9, atol=1e-9 * np.abs(theirs).max())
@@ -182,7 +184,7 @@ def test_refined_peak_finds_what_the_grid_steps_over():
     grid = np.geomspace(1e2, 1e4, 150)
     response = lambda w: mode.frequency_response(w)[0, 0]  # noqa: E731
     coarse = np.abs(response(grid))
-    peak = lti.refine_peak(response, grid, coarse)
+    peak = refine_peak(response, grid, coarse)
     exact = 1 / (2e-3 * np.sqrt(1 - 1e-6) * 1e6)
     assert coarse.max() < 0.9 * exact
     assert peak.magnitude == pytest.approx(exact, rel=1e-4)
@@ -233,8 +235,8 @@ def test_zeros_are_those_of_python_control_and_of_the_response(feedthrough):
         ),
         (lambda: stage().frequency_response([0.0, 1.0]), "rigid-body"),
         (lambda: stage().frequency_response([np.nan]), "omega holds"),
-        (lambda: lti.zoh_modes(stage(), 0.0), "step"),
-        (lambda: lti.zoh(lti.zoh_modes(stage(), 1e-4), 1e-4), "discrete time already"),
+        (lambda: zoh_modes(stage(), 0.0), "step"),
+        (lambda: lti.zoh(zoh_modes(stage(), 1e-4), 1e-4), "discrete time already"),
         (lambda: lti.simulate(stage().state_space(), np.zeros((1, 3))), "continuous time"),
         (lambda: lti.hinf_norm(stage().state_space()), "stable"),
         (lambda: lti.h2_norm(stage().state_space()), "stable"),
@@ -245,7 +247,7 @@ def test_zeros_are_those_of_python_control_and_of_the_response(feedthrough):
         ),
         (lambda: lti.modal_model(np.eye(2), -np.eye(2), np.eye(2), np.eye(2)), "negative eigenvalue"),
         (
-            lambda: lti.from_state_space(
+            lambda: from_state_space(
                 lti.StateModel(-np.ones((2, 2)), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1)))
             ),
             "structure",

@@ -230,6 +230,7 @@ def test_any_bytes_give_our_error(tmp_path_factory, content, suffix):
         load_record(path, "m/s^2", sample_rate=RATE)
 
 
+@pytest.mark.slow
 def test_cut_files_give_our_error(tmp_path):
     whole = io.BytesIO()
     savemat(whole, {"a": SIGNALS, "fs": RATE}, do_compression=True)

@@ -4,6 +4,7 @@ import io
 
 import numpy as np
 import pytest
+from matplotlib.axis import Axis
 from matplotlib.image import imread
 
 from stillwork.workbook import figures, rendering
@@ -131,6 +132,14 @@ def polar():
     return figure
 
 
+def shared_offsets():
+    figure, axes = figures.new(2, 2, sharex=True, sharey=True, gridspec_kw={"width_ratios": [1, 4]})
+    for panel in axes.flat:
+        panel.plot(1e7 + X, 1e-6 * X)
+    axes[0, 0].set_ylabel("far from one")
+    return figure
+
+
 KINDS = (
     log_axes,
     less_than_a_decade,
@@ -144,6 +153,7 @@ KINDS = (
     equal_aspect,
     without_a_layout,
     polar,
+    shared_offsets,
 )
 
 
@@ -162,6 +172,18 @@ def test_the_pixels_are_those_of_savefig(kind):
     np.testing.assert_array_equal(picture, saved(kind(), 120))
     np.testing.assert_array_equal(rendering.pixels(figure, 120), picture)
     np.testing.assert_array_equal(saved(figure, 120), picture)  # what it left behind draws the same
+
+
+def test_ticks_are_placed_once_for_each_place_of_a_panel(monkeypatch):
+    calls = []
+    place = Axis._update_ticks
+    monkeypatch.setattr(Axis, "_update_ticks", lambda axis: calls.append(axis) or place(axis))
+    figure = log_axes()
+    rendering.pixels(figure, 80)
+    assert (
+        max(calls.count(axis) for axis in set(calls)) <= 4
+    )  # two rounds of the layout, the last, the drawing
+    assert not any("_update_ticks" in vars(axis) for axis in set(calls))  # as it was, for whoever draws next
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 import json
 import re
 from html.parser import HTMLParser
+from urllib.parse import unquote
 
 import pytest
 import yaml
@@ -16,6 +17,8 @@ from stillwork.workbook.claims import ledger
 from stillwork.workbook.notebooks import select
 from stillwork.workbook.publish import replace_folder
 from workbook import toy as toys
+
+pytestmark = pytest.mark.slow
 
 HOSTILE = "<script>alert('x')</script><img src=x onerror=alert(1)> & \"quoted\""
 
@@ -165,3 +168,23 @@ def test_the_command_of_a_figure_stands_on_its_page(files):
     for notebook in select():
         text = files[f"notebooks/{notebook.name}.html"].decode()
         assert re.search(rf"make figures ARGS=&#34;{notebook.name} --force&#34;", text)
+
+
+def test_the_front_page_counts_what_was_predicted_apart(toy):
+    """One number is built and agrees; what it is counted as follows from its entry."""
+    counted = {
+        "": "replicated, predicted",
+        'basis = "calibrated"\n': "replicated, calibrated",
+        "counterfactual = true\n": "counterfactual",
+    }
+    file = "data/isolation/published.toml"
+    before = (toy.root / file).read_text()
+    toy.write("figures/isolation/01-first/claims.json", json.dumps({"isolation.gain": {"ours": 2.0}}))
+    for field, column in counted.items():
+        toy.write(file, before + field)
+        links = Elements(site_files()["index.html"]).of("a")
+        shown = [unquote(each["data-filter"]) for each in links if "data-filter" in each]
+        assert [each for each in shown if "not built" not in each] == [
+            f"counted={column}",
+            f"room=isolation&counted={column}",
+        ]

@@ -64,6 +64,12 @@ def test_every_name_of_a_module_has_a_place():
     assert not [name for name in names if ".site" in name]
 
 
+def test_an_example_stands_as_it_was_typed():
+    html = reference.doc_html("Sum.\n\nExamples\n--------\n>>> rows(2)\narray([[1.],\n       [2.]])\n")
+    shown = "&gt;&gt;&gt; rows(2)\narray([[1.],\n       [2.]])"
+    assert html == f'<p>Sum.</p><h4>Examples</h4><pre tabindex="0">{shown}</pre>'
+
+
 def test_a_docstring_becomes_paragraphs_definitions_and_blocks():
     html = reference.doc_html(
         "Sum <up>.\n\nOf `x`::\n\n    a < b\n\nParameters\n----------\nx : array_like, shape (n,)\n    In m.\n\nRaises\n------\nInputError\n    When not."

@@ -96,6 +96,19 @@ def test_what_moved_is_said_by_the_build_and_taken_over(toy):
     assert "ours = 2.1" in (toy.root / "data/isolation/published.toml").read_text()
 
 
+def test_an_entry_that_comes_to_ask_for_an_interval_gets_it_with_the_next_accept(toy):
+    toy.add_page("isolation/01-first")
+    (toy.root / "data/motion/published.toml").unlink()
+    assert toy.run("figures").returncode == toy.run("accept").returncode == 0
+    toy.replace("data/isolation/published.toml", "relative = 0.01", "interval = 0.95")
+    toy.replace("notebooks/isolation/01-first.ipynb", "gain(level))", "gain(level), (1.9, 2.2))")
+    assert "1 not built" in toy.run("claims").stdout
+    said = toy.run("figures").stdout
+    assert "moved: isolation/01-first: cell claims, claim isolation.gain" in said
+    assert toy.run("accept").returncode == 0
+    assert "1 replicated, predicted" in toy.run("claims").stdout
+
+
 def test_a_full_disk_leaves_everything_as_it_was(toy):
     toy.add_page("isolation/01-first")
     assert toy.run("figures").returncode == 0

@@ -15,6 +15,8 @@ from stillwork.workbook import publish
 from stillwork.workbook.inputs import read_inputs
 from workbook import toy as toys
 
+pytestmark = pytest.mark.slow
+
 FIRST, SECOND, OTHER = "isolation/01-first", "isolation/02-second", "motion/01-first"
 ALL = {FIRST, SECOND, OTHER}
 

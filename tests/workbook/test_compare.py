@@ -97,7 +97,7 @@ def test_the_difference_of_two_tables_is_of_the_range(tmp_path):
     span = np.ptp(3 * np.sin(6 * x))
     now = table(tmp_path, "now", zip(x, 3 * np.sin(6 * x) + 5e-5 * span, strict=True))
     assert table_difference(now, before) == pytest.approx(5e-5, rel=1e-2)
-    far = table(tmp_path, "far", zip(x, 3 * np.sin(6 * x) + 2e-3 * span, strict=True))
+    far = table(tmp_path, "far", zip(x, 3 * np.sin(6 * x) + 2e-4 * span, strict=True))
     assert table_difference(far, before) is None
 
 

@@ -4,6 +4,7 @@ import os
 import shutil
 import stat
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -130,3 +131,24 @@ def test_the_tests_run_notebooks_under_the_settings_of_a_build(checkout):
     settings = set((checkout / "settings").read_text().splitlines())
     assert {f"{name}={value}" for name, value in pins().items()} <= settings
     assert f"STILLWORK_OUTPUT={checkout}/build/nbval" in settings
+
+
+@pytest.mark.slow
+def test_pytest_takes_the_options_for_the_notebooks(checkout):
+    """Its plugins must agree on them in this order; only a run shows it."""
+    own = checkout / "own" / "bin"
+    own.mkdir(parents=True)
+    for name in ("python", "ruff"):
+        shutil.copy(checkout / "stub", own / name)
+    assert make(checkout, "ENVIRONMENT=own", "test").returncode == 0
+    (given,) = [line for line in calls(checkout) if line.startswith("-m pytest notebooks ")]
+    arguments = given.replace("notebooks", "notebooks/fixedpoint/01-noise-free.ipynb", 1).split()
+    done = subprocess.run(
+        [sys.executable, *arguments, "-n0", "--collect-only", "-p", "no:cacheprovider"],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": str(ROOT / "lib"), "STILLWORK_OUTPUT": str(checkout / "nbval")},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "01-noise-free.ipynb::Cell 0" in done.stdout

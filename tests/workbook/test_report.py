@@ -6,7 +6,18 @@ from hypothesis import strategies as st
 
 from stillwork.base.checks import InputError
 from stillwork.workbook.claims import Claim, Entry, Tolerance
-from stillwork.workbook.report import column, columns, entry_text, find, ledger_text, paragraph, table
+from stillwork.workbook.report import (
+    column,
+    columns,
+    entry_text,
+    find,
+    ledger_text,
+    our_quantity,
+    paragraph,
+    summary,
+    table,
+    tally,
+)
 
 words = st.text("ab.-c ", min_size=1, max_size=30).map(str.strip)
 
@@ -54,7 +65,7 @@ def test_reasons_are_wrapped_and_those_of_what_agrees_left_out():
     lines = ledger_text(claims, 60).splitlines()
     assert max(map(len, lines)) <= 60
     assert "a remark" not in " ".join(lines)
-    assert lines[-1] == "1 replicated, 1 deviates"
+    assert lines[-1] == "1 replicated, predicted; 1 deviates"
     assert paragraph(f"motion.off: {reason}", 60).splitlines()[1].startswith("  ")
 
 
@@ -79,20 +90,70 @@ def test_an_entry_is_shown_whole_and_without_what_is_empty():
     ]
 
 
+@pytest.mark.parametrize(
+    ("ours", "text", "cases"),
+    [
+        (1.0, "1", "always"),
+        (0.99982199, "0.9998", "in 99.98 % of cases"),
+        (0.9999999, "0.9999999", "in 99.99999 % of cases"),
+        (0.96, "0.96", "in 96 % of cases"),
+        (0.0, "0", "never"),
+    ],
+)
+def test_nearly_all_runs_are_not_shown_as_all(ours, text, cases):
+    found = claim(ours=ours, kind="ordering", published=1.0)
+    assert (found.shown(3), our_quantity(found)) == (text, cases)
+
+
 def test_an_unknown_entry_names_the_nearest():
     with pytest.raises(InputError, match=r"no entry 'motion.gian'; did you mean 'motion.gain'\?"):
         find([claim()], "motion.gian")
 
 
-def test_checks_and_counterfactuals_are_counted_apart():
-    claims = [
-        claim("motion.a"),
-        claim("motion.b", 3.0),
-        claim("motion.c", counterfactual=True),
-        claim("motion.d", 0.0, kind="check", published=None),
-        claim("motion.e", 3.0, better="larger"),
+# One claim for each way to be counted: what it is counted as, its value, its entry.
+COUNTED = [
+    ("replicated, predicted", 2.0, {}),
+    ("replicated, fitted", 2.0, {"basis": "fitted"}),
+    ("replicated, calibrated", 2.0, {"basis": "calibrated"}),
+    ("better, predicted", 3.0, {"better": "larger"}),
+    ("deviates", 3.0, {}),
+    ("deviates", 3.0, {"basis": "calibrated"}),
+    ("reported", 3.0, {"kind": "reported", "reason": "rig not described"}),
+    ("no number published", 3.0, {"kind": "reported", "reason": "words alone", "published": None}),
+    ("checks passed", 0.0, {"kind": "check", "published": None}),
+    ("checks failed", 3.0, {"kind": "check"}),
+    ("counterfactual", 2.0, {"counterfactual": True}),
+    ("not built", None, {}),
+]
+NAMES = list(dict.fromkeys(name for name, *_ in COUNTED))
+
+
+def each_way() -> list[Claim]:
+    return [claim(f"motion.{n}", ours, **fields) for n, (_, ours, fields) in enumerate(COUNTED)]
+
+
+def test_every_claim_is_counted_under_one_name():
+    claims = each_way()
+    assert [column(each) for each in claims] == [name for name, *_ in COUNTED]
+    assert columns(claims) == NAMES
+    assert columns(claims[:1]) == [*NAMES[:3], "deviates", "reported"]
+    assert tally(claims[3:6]) == "1 better, predicted; 2 deviates"
+    assert tally([]) == ""
+
+
+def test_the_summary_counts_only_the_work_s_numbers_as_such(monkeypatch):
+    monkeypatch.setattr("stillwork.workbook.report.ledger", each_way)
+    head, _, row = summary().splitlines()
+    counts = dict(zip(head.split("|")[2:-1], row.split("|")[2:-1], strict=True))
+    found = {name.strip(): int(count) for name, count in counts.items()}
+    assert found == {"numbers": 8, **dict.fromkeys(NAMES, 1), "deviates": 2}
+
+
+def test_a_verdict_is_shown_with_what_keeps_it_from_being_evidence():
+    judged = [claim(), claim(basis="fitted"), claim(ours=3.0, basis="calibrated", counterfactual=True)]
+    assert [each.judgement for each in judged] == [
+        "replicated",
+        "replicated (fitted)",
+        "deviates (calibrated, counterfactual)",
     ]
-    found = [column(each) for each in claims]
-    assert found == ["replicated", "deviates", "counterfactual", "own checks", "better"]
-    assert columns(claims[:2]) == ["replicated", "deviates", "reported"]
-    assert columns(claims) == ["replicated", "better", "deviates", "reported", "own checks", "counterfactual"]
+    assert "replicated (fitted)" in ledger_text(judged, 200)

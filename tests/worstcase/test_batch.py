@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from experiments.worstcase import solve_cone_program
 from naive import worstcase as naive
 from stillwork.base.checks import InputError
-from stillwork.estimation import SecularFunction, ZeroEstimateWarning, min_max_solve, secular_function
-from stillwork.estimation.min_max import solve_silently
+from stillwork.estimation import min_max_solve
+from stillwork.estimation.min_max import ZeroEstimateWarning, solve_silently
+from stillwork.estimation.secular import SecularFunction, secular_function
 
 
 def problem(seed, rows=12, unknowns=3, noise=1.0, conditioning=0.0):

@@ -67,18 +67,19 @@ def counted(update, n):
     square, column = numbers(np.zeros((n, n))), [numbers(np.zeros(n)) for _ in range(3)]
     scalars = numbers(np.array([np.inf, 0.0, 0.0]))
     rows, outputs = numbers(rows), numbers(outputs)
+    factored = [square, column[0], scalars, column[1], numbers(np.zeros((n, n))), column[2]]
     state = {
         "least squares": [numbers(1e4 * np.eye(n)), column[0], np.full(n, np.inf)],
         "ridge": [square, column[0], column[1]],
-        "exact": [square, column[0], scalars, column[1]],
-        "approximate": [square, column[0], scalars, column[1], numbers(np.zeros((n, n))), column[2]],
+        "exact": factored,
+        "approximate": factored,
         "fast": [column[2], numbers(np.eye(n)), column[0], scalars, column[1]],
     }[update]
     run = {
         "least squares": lambda r, y, b, o: steps.run_least_squares(r, y, weight, *state, *o[:2]),
         "ridge": lambda r, y, b, o: steps.run_ridge(r, y, Number(1.0), weight, *state, *o[:2]),
-        "exact": lambda r, y, b, o: steps.run_exact(r, y, b, weight, *state, *o),
-        "approximate": lambda r, y, b, o: steps.run_approximate(r, y, b, weight, 2, *state, *o),
+        "exact": lambda r, y, b, o: steps.run_min_max(r, y, b, weight, 0, *state, *o),
+        "approximate": lambda r, y, b, o: steps.run_min_max(r, y, b, weight, 2, *state, *o),
         "fast": lambda r, y, b, o: rank_one.run_fast(r, y, b, weight, *state, *o),
     }[update]
     half = samples // 2

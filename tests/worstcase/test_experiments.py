@@ -32,7 +32,8 @@ from experiments.worstcase.theory import (
 from naive import worstcase as naive
 from stillwork.base.checks import InputError
 from stillwork.estimation import min_max_solve
-from stillwork.identification import exponential_bound, fir_regressors
+from stillwork.identification import fir_regressors
+from stillwork.identification.regressors import exponential_bound
 from stillwork.workbook import figures
 from stillwork.workbook.studies import run_study
 
@@ -151,6 +152,7 @@ def test_measured_pair_is_the_shipped_record():
     assert swept == pytest.approx(np.array(medians), rel=1e-7)
 
 
+@pytest.mark.slow
 def test_pictures_can_be_saved_with_their_numbers(tmp_path):
     pictures = {
         "geometry": geometry_pictures.explore_geometry(0.4, 0.5),
@@ -168,6 +170,7 @@ def test_pictures_can_be_saved_with_their_numbers(tmp_path):
         assert len((tmp_path / f"{name}.csv").read_text().splitlines()) > 5
 
 
+@pytest.mark.slow
 def test_extreme_settings_of_the_explorers_draw_without_warnings():
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -4,7 +4,8 @@ from scipy import signal
 
 from experiments.worstcase import total_least_squares
 from stillwork.base.checks import InputError
-from stillwork.identification import arx_regressors, exponential_bound, fir_regressors, noise_bound, row_bound
+from stillwork.identification import fir_regressors
+from stillwork.identification.regressors import arx_regressors, exponential_bound, noise_bound, row_bound
 
 
 def test_lags_beyond_the_record_are_zero():

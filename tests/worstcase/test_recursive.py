@@ -7,18 +7,10 @@ from hypothesis import strategies as st
 
 from naive import worstcase as naive
 from stillwork.base.checks import InputError
-from stillwork.estimation import (
-    GrowingMinMax,
-    LeastSquares,
-    MinMax,
-    Ridge,
-    ZeroEstimateWarning,
-    min_max_solve,
-    run,
-    worst_case_residuals,
-)
-from stillwork.estimation.recursive import RecursiveStepper
-from stillwork.estimation.recursive_settings import UPDATES
+from stillwork.estimation import LeastSquares, MinMax, min_max_solve, run
+from stillwork.estimation.min_max import ZeroEstimateWarning
+from stillwork.estimation.recursive import RecursiveStepper, worst_case_residuals
+from stillwork.estimation.recursive_settings import UPDATES, GrowingMinMax, Ridge
 
 FORGETTING = 0.9
 EXACT = ("exact", "fast")
@@ -214,6 +206,7 @@ def test_limited_least_squares_are_those_of_the_information_form(seed, growth_li
     assert track.estimates.T == pytest.approx(expected, rel=1e-8, abs=1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "estimator",
     [

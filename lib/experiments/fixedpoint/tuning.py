@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from experiments.fixedpoint.metrics import QUANTITIES, trial
+from experiments.fixedpoint.metrics import QUANTITIES, judge
 from experiments.fixedpoint.noise import Noise
 from experiments.fixedpoint.published import EXTENDED, KALMAN, LOW_PASS, POLYNOMIAL, WINDOW
 from stillwork.base.checks import InputError, require_count
-from stillwork.control.fixed_point import Controller
+from stillwork.control.fixed_point import Controller, simulate
 from stillwork.control.kinematics import KinematicDesign
 from stillwork.control.trajectory import Trajectory
 from stillwork.control.transformation import RobustTransformation
@@ -163,15 +163,19 @@ def tune(
     if criterion not in QUANTITIES[:3]:
         raise InputError(f"criterion is {criterion!r}; use one of {', '.join(QUANTITIES[:3])}")
     low, high = family.bounds.T
-    streams = np.random.SeedSequence(seed).spawn(runs)
+    records = []  # drawn once: every evaluation sees the same
+    for stream in np.random.SeedSequence(seed).spawn(runs):
+        rng = np.random.default_rng(stream)
+        records.append((noise.sample(rng, len(trajectory.position)), noise.sample_grid(rng)))
     tried: list[tuple[float, np.ndarray]] = []
 
     def cost(knobs):
         knobs = np.clip(knobs, low, high)
         controller = family.controller(model, trajectory.time_step, knobs)
         total = 0.0
-        for stream in streams:
-            total += trial(np.random.default_rng(stream), plant, controller, trajectory, noise)[criterion]
+        for record, grid in records:
+            run = simulate(plant, controller, trajectory, record, resolution=noise.resolution, grid=grid)
+            total += judge(run)[criterion]
             if np.isinf(total):  # one divergence spoils the mean
                 break
         tried.append((total / runs, knobs))

@@ -25,7 +25,6 @@ __all__, __getattr__, __dir__ = face(
         "floors": ("ShapedFloor", "colored_floor", "flat_floor"),
         "recorded_floors": (
             "RecordedFloor",
-            "criterion_floor",
             "ground_floor",
             "record_floor",
             "synthesise_floor",

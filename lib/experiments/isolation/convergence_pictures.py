@@ -56,7 +56,7 @@ def paint_courses(courses: Mapping[str, Course], average_s: float = 1.0):
     above.legend()
     below.set_xlabel("time (s)")
     below.set_ylabel("parameter (N per m/s²)")
-    figure.legend(*below.get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    figures.legend_below(below, 4)
     return figure
 
 
@@ -165,7 +165,7 @@ def paint_path_error(twin: Twin, floor: ShapedFloor):
     left.set_title("eigenvalues of P̂₂⁻¹P₂, 2-300 Hz")
     left.set_ylabel("imaginary part")
     right.set_title("eigenvalues of R⁻¹A: convergence")
-    figure.legend(*right.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    figures.legend_below(right, 3)
     return figure
 
 

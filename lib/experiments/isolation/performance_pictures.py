@@ -61,8 +61,7 @@ def paint_transmissibility(
         panel.set_ylabel("magnitude (dB)")
     for panel in axes[-1]:
         panel.set_xlabel("frequency (Hz)")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=5)
+    figures.legend_below(axes[0, 0], 5)
     return figure
 
 
@@ -114,8 +113,7 @@ def paint_reduction(frequencies_hz: np.ndarray, reductions: dict[str, np.ndarray
         panel.axhline(0, color=figures.GREY, lw=0.8)
         panel.set(title=direction, xlabel="frequency (Hz)", ylim=(-15, 65), xlim=(f[0], f[-1]))
     axes[0].set_ylabel("reduction (dB)")
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    figures.legend_below(axes[0], 4)
     return figure
 
 
@@ -160,8 +158,7 @@ def paint_power(
             ha="right",
             fontsize=7,
         )
-    handles, labels = axes[1, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=5)
+    figures.legend_below(axes[1, 0], 5)
     return figure
 
 
@@ -227,8 +224,7 @@ def explore_power(output_noise: float, floor_noise: float, low_pass_hz: float):
             ylim=(top * 1e-7, top * 3),
         )
     axes[0].set_ylabel("PSD ((m/s²)²/Hz, (rad/s²)²/Hz)")
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    figures.legend_below(axes[0], 3)
     return figure
 
 

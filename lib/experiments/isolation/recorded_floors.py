@@ -143,18 +143,6 @@ def synthesise_floor(
     return RecordedFloor(motion, float(sample_rate), source)
 
 
-def criterion_floor(
-    name: str, duration: float, seed: int, *, upper_hz: float = UPPER_HZ, **options
-) -> RecordedFloor:
-    """Floor that just meets a vibration criterion in every band from 1 Hz on; see `synthesise_floor`.
-
-    The criteria end at 80 Hz; the curve is continued to `upper_hz` at constant velocity, nothing above.
-    """
-    require_number("upper_hz", upper_hz, above=1.0)
-    f = np.geomspace(1.0, upper_hz, 400)
-    return synthesise_floor(f, criterion_density(name, f), duration, seed, source=name, **options)
-
-
 def measured_ground_density(
     axis: str = "Z",
 ) -> tuple[Float64[np.ndarray, " frequencies"], Float64[np.ndarray, " frequencies"]]:

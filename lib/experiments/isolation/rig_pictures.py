@@ -56,7 +56,7 @@ def paint_rig(rig: Rig):
                 fontsize=8,
             )
         axes.set(xlabel=xlabel, ylabel=ylabel, title=title, aspect="equal")
-    figure.legend(*oblique.get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    figures.legend_below(oblique, 4)
     return figure
 
 

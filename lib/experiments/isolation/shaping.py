@@ -8,10 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
-from numpy.typing import ArrayLike
 from scipy import signal
 
-from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.base.checks import InputError, require_count, require_number
 
 Sections = Float64[np.ndarray, "sections 6"]
 
@@ -79,14 +78,14 @@ def weak_integrator(order: int, cutoff: float, beta: float, sample_time: float) 
     cutoff : float
         a, rad/s.
     beta : float
-        Gain; see `normalisation`.
+        Gain. The paper prints no value.
     sample_time : float
         s.
 
     Returns
     -------
     ndarray, shape (sections, 6)
-        Powers of beta H are the same filter again on its own output (`regressors`).
+        Powers of beta H are the same filter again on its own output.
     """
     require_count("order", order)
     require_number("cutoff", cutoff, above=0.0)
@@ -94,20 +93,6 @@ def weak_integrator(order: int, cutoff: float, beta: float, sample_time: float) 
     # (s + a)^n = a^n has the roots a (w - 1) with w the n-th roots of unity; the one at s = 0 is the integrator.
     unity = np.exp(2j * np.pi * np.arange(1, order) / order)
     return _tustin(cutoff * (unity - 1), -cutoff * np.ones(order), beta, sample_time)
-
-
-def normalisation(order: int, cutoff: float, sample_time: float) -> float:
-    """The beta for which beta H passes white noise with unchanged power: the H2 norm of beta H(q) is one.
-
-    The paper prints no value. This literal reading gives 175 for its settings, 13 % below the 201 that Table 1
-    implies for a stiffness of 60e3 N/m. FeRLS does not depend on it, FeLMS does.
-    """
-    sections = weak_integrator(order, cutoff, 1.0, sample_time)
-    # Two dozen time constants of the slowest pole (all are at the cut-off): the tail is below rounding.
-    samples = int(np.ceil((24 + 4 * order) / (cutoff * sample_time)))
-    impulse = np.zeros(samples)
-    impulse[0] = 1
-    return float(1 / np.linalg.norm(signal.sosfilt(sections, impulse)))
 
 
 def secondary_path(path: SecondaryPath, sample_time: float) -> Sections:
@@ -198,35 +183,6 @@ def skyhook(
     require_number("cutoff", cutoff, above=0.0)
     zeros, poles = _notches(() if notch is None else (notch,), sample_time)
     return _tustin(zeros, [-cutoff, *poles], gain, sample_time)
-
-
-def regressors(
-    signals: ArrayLike, integrator: ArrayLike, powers: int = 2
-) -> Float64[np.ndarray, "n samples"]:
-    """Regressors psi = [a0, beta H a0, ..., (beta H)^powers a0] of a record, eq. (13).
-
-    Filters of one input and one output commute: the regressors of N a0 are N psi, at a third of the work of
-    filtering psi.
-
-    Parameters
-    ----------
-    signals : array_like, shape (sensors, samples)
-        a0, m/s².
-    integrator : array_like, shape (sections, 6)
-        beta H, from `weak_integrator`.
-    powers : int
-        Highest power of the weak integrator.
-
-    Returns
-    -------
-    ndarray, shape ((powers + 1) sensors, samples)
-        Power by power, the sensors together.
-    """
-    stack = [require_array("signals", signals, ndim=2)]
-    integrator = require_array("integrator", integrator, shape=(None, 6))
-    for _ in range(require_count("powers", powers, at_least=0)):
-        stack.append(signal.sosfilt(integrator, stack[-1], axis=-1))
-    return np.concatenate(stack)
 
 
 def _band(shaping: NoiseShaping, sample_time: float) -> tuple[list, list, float]:

@@ -56,7 +56,7 @@ def paint_forms(runs: Mapping[str, Mapping[str, CovarianceRun]], experiment: flo
     grid[0, 0].annotate(
         "the paper's 200 s", (experiment / 2, 5.0), ha="center", va="top", fontsize=8, color=figures.GREY
     )
-    figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    figures.legend_below(grid[0, 0], 3)
     return figure
 
 
@@ -88,7 +88,7 @@ def paint_windup(runs: Mapping[str, Mapping[str, CovarianceRun]]):
         axes.semilogy(t, np.exp(t), color=figures.GREY, lw=4, alpha=0.4, zorder=1, label="exp(t / T)")
         axes.set(xlabel="time constants of the forgetting", title=title, ylim=(0.3, 1e22))
     grid[0, 0].set(ylabel="largest eigenvalue of P / start")
-    figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    figures.legend_below(grid[0, 0], 3)
     return figure
 
 
@@ -153,7 +153,7 @@ def paint_cures(
     top.set(ylabel="diagonal of P / start", ylim=(1e-2, 1e6))
     middle.set(ylabel="misalignment")
     bottom.set(xlabel="time constants of the forgetting", ylabel="filtered error, rms (N)")
-    figure.legend(*top.get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    figures.legend_below(top, 4)
     return figure
 
 

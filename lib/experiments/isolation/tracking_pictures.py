@@ -44,7 +44,7 @@ def paint_switches(panels: Mapping[str, Mapping[str, Response]]):
         panel.set_title(title)
         panel.set_ylabel("w − optimum before\n(10⁻³ N per m/s²)")
     axes[-1, 0].set_xlabel("time after the switch (s)")
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    figures.legend_below(axes[0, 0], 3)
     return figure
 
 
@@ -84,7 +84,7 @@ def paint_settling(
         panel.set_xlabel("weights")
     axes = np.atleast_1d(axes)
     axes[0].set_ylabel(f"time to stay within {SHARE:.0%}\nof the shift (s)")
-    figure.legend(*axes[-1].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    figures.legend_below(axes[-1], 3)
     return figure
 
 

@@ -65,7 +65,7 @@ def paint_isolated(isolated: Isolated, resolution_hz: float = 0.5):
             ylabel=f"PSD ({units[k]})",
             ylim=(top * 1e-6, top * 3),
         )
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    figures.legend_below(axes[0, 0], 4)
     return figure
 
 
@@ -81,7 +81,7 @@ def paint_adaptation(isolated: Isolated):
     left.set(xlabel="time (s)", ylabel="weights of actuator 1 (N per m/s²)")
     right.semilogy(run.time_s, run.error_power, lw=0.8, color=_COLORS["FeRLS"], label="filtered error")
     right.set(xlabel="time (s)", ylabel="filtered error e'e (N²)")
-    figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=9)
+    figures.legend_below(left, 9)
     return figure
 
 

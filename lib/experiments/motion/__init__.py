@@ -15,6 +15,6 @@ __all__, __getattr__, __dir__ = face(
             "stage_observer",
         ),
         "machines": ("chain", "published_noise", "published_setpoint", "stage", "stage_mass"),
-        "position_dependence": ("at_place", "equivalent_controller", "observer_at", "place_loops"),
+        "position_dependence": ("at_place", "observer_at", "place_loops"),
     },
 )

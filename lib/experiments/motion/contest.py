@@ -9,11 +9,11 @@ from jaxtyping import Float64
 
 from experiments.motion.model_bank import bank_estimate
 from experiments.motion.scan_study import Records, Scan, filter_model, judge, record_scans
+from experiments.motion.uncertainty import norm_bound, perturbed, sample_errors, sampled_derivatives
 from stillwork.base.checks import InputError, require_choice, require_count
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
 from stillwork.estimation.robust import Derivatives, kalman_gains, regularised_gains, sensitivity_gains
 from stillwork.estimation.time_varying import TimeVaryingModel, estimate
-from stillwork.estimation.uncertainty import norm_bound, perturbed, sample_errors, sampled_derivatives
 from stillwork.lti.discretisation import zoh_modes
 
 

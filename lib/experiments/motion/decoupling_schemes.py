@@ -7,22 +7,21 @@ import numpy as np
 from jaxtyping import Float64
 
 from experiments.motion.beam import beam, beam_parameters
+from experiments.motion.common_band_pass import common_band_passed, half_power_selectivity
+from experiments.motion.integral_action import slope
 from experiments.motion.machines import published_noise
 from stillwork.base.checks import InputError, require_choice, require_count, require_number
 from stillwork.control.applications import Application, compensator
 from stillwork.control.decoupled_damping import (
     added_damping,
     band_passed,
-    common_band_passed,
     constrained_damping,
     constrained_stiffness,
-    half_power_selectivity,
 )
 from stillwork.control.decoupling import (
     coupling_onset,
     decouple,
     decoupled_plant,
-    low_frequency_slopes,
     rigid_coupling,
 )
 from stillwork.control.feedback import damping_gain, stiffness_gain
@@ -307,3 +306,18 @@ def oscillates_stably(system: StateModel) -> bool:
     """Whether every pole but those of the rigid-body modes, at the origin, is stable."""
     poles = system.poles
     return bool(np.all(poles[np.abs(poles) > 1e-4 * np.abs(poles).max()].real < 0))
+
+
+def low_frequency_slopes(
+    system: StateModel, low_hz: float = 1e-6, high_hz: float = 1e-5
+) -> Float64[np.ndarray, "outputs inputs"]:
+    """Slope of every entry in decades a decade between two frequencies far below everything else.
+
+    A 1/s coupling that nearly cancels, as on a machine close to symmetry, shows at very low frequency only:
+    by default the slope is that of the limit. Where it sets in, `coupling_onset` says.
+    """
+    require_number("low_hz", low_hz, above=0.0)
+    require_number("high_hz", high_hz, above=low_hz)
+    omega = 2 * np.pi * np.geomspace(low_hz, high_hz, 7)
+    response = system.frequency_response(omega)
+    return np.array([[slope(omega, entry) for entry in row] for row in response])

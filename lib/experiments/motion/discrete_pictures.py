@@ -6,7 +6,7 @@ import numpy as np
 
 from experiments.motion.designs import COMPENSATED, RETAINED
 from experiments.motion.machines import published_noise, stage
-from experiments.motion.pictures import decibel
+from experiments.motion.pictures import add_magnitude
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
 from stillwork.control.discrete_observer import discrete_compensator, discrete_kalman_observer
@@ -48,12 +48,7 @@ def paint_equivalent_plants(panels: Mapping[str, Mapping[str, StateModel]]):
         for (name, plant), style, colour in zip(plants.items(), styles, colours, strict=False):
             omega = sampled_frequencies(plant.step)
             response = plant.frequency_response(omega)[0, 0]
-            axis.semilogx(
-                omega / (2 * np.pi),
-                decibel(response),
-                label=name,
-                **{"color": colour, "linewidth": 1.1, **style},
-            )
+            add_magnitude(axis, omega, response, label=name, **{"color": colour, "linewidth": 1.1, **style})
         axis.set_title(title)
         axis.set_xlabel("frequency (Hz)")
     axes[0, 0].set_ylabel("magnitude (dB re 1 m/N)")
@@ -76,9 +71,7 @@ def paint_sampled(rate_khz: float, damping: float, compensate: str, timing: str)
     figure, axis = figures.new(1, 1, height=3.0)
     omega = sampled_frequencies(step)
     for name, each, colour in (("plant", plant, figures.GREY), ("with the observer", seen, figures.BLUE)):
-        axis.semilogx(
-            omega / (2 * np.pi), decibel(each.frequency_response(omega)[0, 0]), label=name, color=colour
-        )
+        add_magnitude(axis, omega, each.frequency_response(omega)[0, 0], label=name, color=colour)
     # Two poles of the rigid body stay at z = 1; everything else must decay.
     grows = np.sort(np.abs(seen.poles))[-1] > 1 + 1e-4
     axis.set_title("the damping loop is unstable" if grows else timing)

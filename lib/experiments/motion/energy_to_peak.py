@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
+from stillwork.base.algebra import add_square, congruence
 from stillwork.base.checks import InputError, require_array
 from stillwork.base.kernels import kernel
 
@@ -107,23 +108,10 @@ def generalised_h2_norm(system: ErrorSystem) -> PeakGain:
 
 @kernel
 def _gramians(f, d, out):
-    samples, n = f.shape[0], f.shape[1]
-    half = np.zeros((n, n))
-    for k in range(samples):
-        for i in range(n):
-            for j in range(n):
-                total = 0.0
-                for q in range(n):
-                    total += f[k, i, q] * out[k, q, j]
-                half[i, j] = total
-        for i in range(n):
-            for j in range(i + 1):
-                total = 0.0
-                for q in range(n):
-                    total += half[i, q] * f[k, j, q]
-                for q in range(d.shape[2]):
-                    total += d[k, i, q] * d[k, j, q]
-                out[k + 1, i, j] = out[k + 1, j, i] = total
+    half = np.empty(f.shape[1:])
+    for k in range(len(f)):
+        congruence(f[k], out[k], half, out[k + 1])
+        add_square(d[k], out[k + 1])
 
 
 def response_peak(system: ErrorSystem, disturbance: ArrayLike) -> float:

@@ -9,8 +9,8 @@ from experiments.motion.joint import CHANNELS, JointDesign, StageResponses
 from experiments.motion.joint_search import Verified, search_grid, stable_on
 from experiments.motion.machines import stage
 from experiments.motion.pictures import CASES, LABELS
+from experiments.motion.uncertainty import perturbed
 from stillwork.control.bandwidth import SIX_DB
-from stillwork.estimation.uncertainty import perturbed
 from stillwork.lti.modal import ModalModel
 from stillwork.workbook import figures
 

@@ -18,12 +18,12 @@ from experiments.motion.joint import (
     published_softness,
 )
 from experiments.motion.machines import stage
+from experiments.motion.uncertainty import perturbed, sample_errors
 from stillwork.base.checks import InputError, require_choice, require_count, require_number
 from stillwork.control.bandwidth import SIX_DB, Loop
 from stillwork.control.crossover import crossover
 from stillwork.control.loops import channel, closed_loop
 from stillwork.control.pid import Pid
-from stillwork.estimation.uncertainty import perturbed, sample_errors
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.norms import hinf_norm
 from stillwork.lti.peaks import Peak, resonance_grid

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
+from experiments.motion.uncertainty import perturbed, sample_errors
 from stillwork.base.checks import InputError, require_choice, require_count
 from stillwork.control.feedforward import BASIS, Feedforward, error_loop, tracking_error, tracking_model
 from stillwork.control.loops import INPUTS, OUTPUTS, closed_loop
 from stillwork.control.setpoint import Setpoint
-from stillwork.estimation.uncertainty import perturbed, sample_errors
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.simulation import simulate
 from stillwork.lti.state_space import StateModel, interconnect

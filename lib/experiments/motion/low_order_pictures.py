@@ -81,8 +81,7 @@ def paint_errors_over_plants(studies: Mapping[str, Mapping[str, np.ndarray]]):
         axis.xaxis.set_minor_formatter(NullFormatter())
         axis.set_title(title)
         axis.set_xlabel("rms error in the scan (nm)")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2)
+    figures.legend_below(axes[0, 0], 2)
     return figure
 
 

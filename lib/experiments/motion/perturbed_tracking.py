@@ -7,11 +7,11 @@ import numpy as np
 
 from experiments.motion.designs import DESIGNS, stage_bandwidth, stage_compensator
 from experiments.motion.machines import parameters, published_setpoint, stage, stage_mass
+from experiments.motion.uncertainty import perturbed, sample_errors
 from stillwork.base.checks import require_number
 from stillwork.control.feedforward import Feedforward, error_loop, fit_feedforward, tracking_error
 from stillwork.control.loops import INPUTS, OUTPUTS, closed_loop
 from stillwork.control.pid import PidFamily
-from stillwork.estimation.uncertainty import perturbed, sample_errors
 from stillwork.lti.discretisation import zoh
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.simulation import simulate

@@ -48,6 +48,11 @@ def decibel(response) -> np.ndarray:
     return 20 * np.log10(np.abs(response))
 
 
+def add_magnitude(axis, omega, response, **style) -> None:
+    """Draw the magnitude in dB of a response over frequencies (rad/s) in Hz."""
+    axis.semilogx(np.asarray(omega) / (2 * np.pi), decibel(response), **style)
+
+
 def paint_bode(
     curves: Mapping[str, tuple[np.ndarray, np.ndarray]],
     quantity: str,
@@ -156,7 +161,7 @@ def paint_rejections(
             style = {"color": figures.GREY, "linewidth": 2.5} if number == 0 else {"linewidth": 1.0}
             style |= {"linestyle": "--" if number > 1 else "-"}
             style |= {"color": colours[label]["color"]} if number and colours else {}
-            axis.semilogx(omega / (2 * np.pi), decibel(response), label=label, **style)
+            add_magnitude(axis, omega, response, label=label, **style)
         axis.set_title(f"{names[source]} to $e_{{true}}$")
         axis.set_ylabel("magnitude (dB re 1 m/N)" if source in ("u_ff", "w") else "magnitude (dB)")
     for axis in axes[-1]:
@@ -164,7 +169,7 @@ def paint_rejections(
         axis.xaxis.set_minor_formatter(NullFormatter())
     for axis in axes.ravel()[len(sources) :]:
         axis.set_axis_off()
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=len(cases))
+    figures.legend_below(axes[0, 0], len(cases))
     return figure
 
 
@@ -176,7 +181,7 @@ def paint_controllers(cases: Mapping[str, tuple[Loop, Pid]], omega: np.ndarray):
         style = {"label": label, **styles.get(label, {})}
         response = loop.at(controller, omega)
         for column, c in enumerate((response.reference_controller, response.output_controller)):
-            axes[0, column].semilogx(omega / (2 * np.pi), decibel(c), **style)
+            add_magnitude(axes[0, column], omega, c, **style)
             phase = np.degrees(np.unwrap(np.angle(c)))
             axes[1, column].semilogx(omega / (2 * np.pi), phase - 360 * np.round(phase[0] / 360), **style)
     for axis, title in zip(axes[0], ("from $r$", "from $y$ (sign turned)"), strict=True):
@@ -207,9 +212,7 @@ def paint_pole_zero(systems: Mapping[str, StateModel], quantity: str = "magnitud
                 markerfacecolor="none",
                 label=f"{label}, {kind}",
             )
-        axes[1].semilogx(
-            omega / (2 * np.pi), decibel(system.frequency_response(omega)[0, 0]), color=colour, label=label
-        )
+        add_magnitude(axes[1], omega, system.frequency_response(omega)[0, 0], color=colour, label=label)
     axes[0].set_xlabel("real part (1/s)")
     axes[0].set_ylabel("imaginary part (Hz)")
     axes[0].legend(fontsize=7)

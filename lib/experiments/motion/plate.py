@@ -9,7 +9,7 @@ from numpy.polynomial import legendre
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.base.checks import InputError, require_count
 from stillwork.base.rounding import first_largest
 
 DEGREE = (
@@ -34,9 +34,7 @@ class PlateModes:
         xi, eta : array_like, shape (points,)
             Coordinates over half the length and over half the width.
         """
-        xi = require_array("xi", xi, ndim=1)
-        eta = require_array("eta", eta, shape=xi.shape)
-        if np.any(np.abs(xi) > 1) or np.any(np.abs(eta) > 1):
+        if not np.abs([xi, eta]).max() <= 1:
             raise InputError("xi and eta must lie between -1 and 1; a point is off the plate")
         degree = self.coefficients.shape[1] - 1
         return np.einsum("pm,imn,pn->pi", _basis(xi, degree), self.coefficients, _basis(eta, degree))
@@ -81,8 +79,6 @@ def plate_modes(aspect: float, poisson: float, modes: int, degree: int = DEGREE)
     InputError
         When the polynomials give fewer modes than twice those wanted, so that the last would be poor.
     """
-    require_number("aspect", aspect, above=0.0)
-    require_number("poisson", poisson, above=-1.0, below=0.5)
     require_count("modes", modes)
     size = require_count("degree", degree, at_least=3) + 1
     if 2 * modes + 3 > size**2:

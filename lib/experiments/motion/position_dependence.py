@@ -18,7 +18,6 @@ from stillwork.estimation.observer import NoiseIntensities, Observer, kalman_obs
 from stillwork.estimation.scheduled import GainTable
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.reduction import truncate
-from stillwork.lti.state_space import StateModel, interconnect
 
 MOVING = ("sensor", "actuator")
 
@@ -115,26 +114,6 @@ def place_loops(
             block = compensator(observer, design.application)
         loops.append(make_loop(at_place(plant, grid, float(place), moves), block, **response_grid))
     return loops
-
-
-def equivalent_controller(block: StateModel, controller: StateModel) -> StateModel:
-    """Equivalent controller (4.10): the loop opened at the plant, from (r, y) to the plant input f.
-
-    Parameters
-    ----------
-    block : StateModel
-        Compensator, from (f, y) to (u_d, y_flex); in discrete time when the controller is.
-    controller : StateModel
-        Feedback controller, from the error to u.
-    """
-    m, p = controller.d.shape
-    if block.d.shape != (m + p, m + p):
-        raise InputError(f"block has shape {block.d.shape}; the controller asks for {(m + p, m + p)}")
-    im, ip, none = np.eye(m), np.eye(p), np.zeros
-    # Stacked outputs: u_d, y_flex, u. Stacked inputs: f, y, e = r - y + y_flex.
-    feedback = np.block([[im, none((m, p)), im], [none((p, 2 * m + p))], [none((p, m)), ip, none((p, m))]])
-    external = np.block([[none((m, 2 * p))], [none((p, p)), ip], [ip, -ip]])
-    return interconnect([block, controller], feedback, external, np.hstack([im, none((m, p)), im]))
 
 
 def damping_along(

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from experiments.motion.designs import Design
 from experiments.motion.location_study import LocationStudy, location_loops, stage_error, study_locations
 from experiments.motion.machines import published_setpoint, stage, stage_mass
-from experiments.motion.pictures import LABELS, case_styles, decibel
+from experiments.motion.pictures import LABELS, add_magnitude, case_styles, decibel
 from experiments.motion.position_dependence import place_loops, stage_grid
 from stillwork.control.applications import Application
 from stillwork.control.bandwidth import SIX_DB, Loop
@@ -47,9 +47,7 @@ def paint_sensitivities(
     for axis, function in zip(axes[0], functions, strict=True):
         for colour, (place, loop) in zip(colours(len(loops)), loops.items(), strict=True):
             response = getattr(loop.at(controller, omega), function)
-            axis.semilogx(
-                omega / (2 * np.pi), decibel(response), color=colour, linewidth=1.0, label=f"{place:g} m"
-            )
+            add_magnitude(axis, omega, response, color=colour, linewidth=1.0, label=f"{place:g} m")
         axis.axhline(20 * np.log10(SIX_DB), color=figures.BLACK, linestyle=":", linewidth=1.0)
         axis.set_title(LABELS[function])
         axis.set_xlabel("frequency (Hz)")
@@ -94,9 +92,10 @@ def paint_observers(loops: Mapping[float, Loop], low_hz: float = 1.0, high_hz: f
         response = loop.compensator.frequency_response(omega)
         for row in (0, 1):
             for column in (0, 1):
-                axes[row, column].semilogx(
-                    omega / (2 * np.pi),
-                    decibel(response[row, column]),
+                add_magnitude(
+                    axes[row, column],
+                    omega,
+                    response[row, column],
                     color=colour,
                     linewidth=1.0,
                     label=f"{place:g} m",
@@ -136,8 +135,7 @@ def paint_location_errors(study: LocationStudy, panels: Mapping[str, str]):
         for edge in (study.setpoint.acceleration_end, study.setpoint.scan[1]):
             axis.axvline(edge, color=figures.BLACK, linewidth=0.8)
         axis.set_title(f"{title}: {1e9 * size.min():.1f} to {1e9 * size.max():.1f} nm rms")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=7)
+    figures.legend_below(axes[0, 0], 3, fontsize=7)
     for axis in axes[:, 0]:
         axis.set_ylabel("error (nm)")
     for axis in axes[-1]:

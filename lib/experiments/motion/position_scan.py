@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from experiments.motion.positions import shapes_along
 from experiments.motion.scan_study import output_rows
+from stillwork.base.algebra import advance_state
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
 from stillwork.base.kernels import kernel
 from stillwork.control.feedback import band_pass, damping_gain
@@ -195,13 +196,7 @@ def _applied(
         for i in range(m):
             force += cc[i] * z[i]
         difference = reference[k] - measured + compensate * flexible
-        for i in range(m):
-            total = cb[i] * difference
-            for j in range(m):
-                total += ca[i, j] * z[j]
-            z_next[i] = total
-        for i in range(m):
-            z[i] = z_next[i]
+        advance_state(ca, cb, difference, z, z_next)
         for i in range(modes):
             velocity = hat[2 * (i + 1) + 1]
             first = fa[i, 0, 0] * band[i, 0] + fa[i, 0, 1] * band[i, 1] + fb[i, 0] * velocity
@@ -210,12 +205,7 @@ def _applied(
         error[k] = reference[k] - output
         for i in range(n):
             states[k, i] = x[i]
-            total = b[i] * (force + noise[0, k])
-            for j in range(n):
-                total += a[i, j] * x[j]
-            x_next[i] = total
-        for i in range(n):
-            x[i] = x_next[i]
+        advance_state(a, b, force + noise[0, k], x, x_next)
         for i in range(r):
             estimates[k, i] = hat[i]
         last = force

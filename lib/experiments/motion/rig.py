@@ -14,7 +14,6 @@ from stillwork.control.decoupling import Decoupling
 from stillwork.lti.modal import ModalModel
 
 CORNERS = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]], dtype=float)  # signs of (x, y), counter-clockwise
-DIRECTIONS = ("z", "rx", "ry")
 POSITIONS = tuple(tuple(k for k in range(4) if k != out) for out in range(4))  # sensors in use, section 6.1
 
 
@@ -48,6 +47,7 @@ class Geometry:
     def __post_init__(self):
         for name in ("length", "width", "mass"):
             require_number(name, getattr(self, name), above=0.0)
+        require_number("poisson", self.poisson, above=-1.0, below=0.5)
         require_number("actuators", self.actuators, above=0.0, at_most=1.0)
         for place in require_array("sensors", self.sensors, shape=(2,)):
             require_number("sensors", place, above=0.0, at_most=1.0)

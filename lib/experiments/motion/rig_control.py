@@ -24,7 +24,12 @@ def pid_response(
     pid: Pid, step: float, omega: Float64[np.ndarray, " frequencies"]
 ) -> Complex128[np.ndarray, " frequencies"]:
     """Response of the PID after the bilinear rule, from its continuous one at the warped frequencies."""
-    return pid.frequency_response(2 / step * np.tan(omega * step / 2))
+    return pid.frequency_response(warped(step, omega))
+
+
+def warped(step: float, omega: Float64[np.ndarray, " frequencies"]) -> Float64[np.ndarray, " frequencies"]:
+    """Frequencies that the bilinear rule takes to `omega` (rad/s)."""
+    return 2 / step * np.tan(omega * step / 2)
 
 
 def rig_observer(

@@ -17,7 +17,14 @@ from experiments.motion.rig import (
     scaled_inertia,
 )
 from experiments.motion.rig_control import pid_response, rig_compensator, rig_observer
-from experiments.motion.rig_loops import RigControllers, RigLoop, make_rig_loop
+from experiments.motion.rig_loops import (
+    Infeasible,
+    RigBandwidth,
+    RigControllers,
+    RigLoop,
+    make_rig_loop,
+    maximise_rig_bandwidth,
+)
 from stillwork.control.pid import Pid
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti.modal import ModalModel
@@ -119,6 +126,19 @@ def rig_loops(
 def rig_controllers(geometry: Geometry) -> RigControllers:
     """The family of controllers, for what the plate's directions weigh."""
     return RigControllers(tuple(scaled_inertia(geometry).tolist()))
+
+
+def bandwidths(
+    loops: dict[str, list[RigLoop]], geometry: Geometry, measure: str
+) -> dict[str, RigBandwidth | None]:
+    """Largest bandwidth of every case; None where no bandwidth passes."""
+    family, found = rig_controllers(geometry), {}
+    for case, each in loops.items():
+        try:
+            found[case] = maximise_rig_bandwidth(each, family, measure)
+        except Infeasible:
+            found[case] = None
+    return found
 
 
 def compensated_feedback(loop: RigLoop, pids: Sequence[Pid]) -> float:

@@ -2,14 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Complex128, Float64
 from scipy import linalg
 
-from experiments.motion.rig_control import RigCompensator, pid_response
-from stillwork.base.checks import InputError, require_choice, require_count, require_number
+from experiments.motion.rig_control import RigCompensator, warped
+from stillwork.base.checks import InputError, require_choice, require_number
 from stillwork.base.kernels import kernel
 from stillwork.base.rounding import first_largest
 from stillwork.control.bandwidth import SIX_DB
@@ -37,6 +38,11 @@ class RigLoop:
     step: float  # s
     omega: Float64[np.ndarray, " frequencies"] = field(repr=False)  # rad/s
     parts: Complex128[np.ndarray, "frequencies 8 3 3"] = field(repr=False)  # all but the controller, `_parts`
+
+    @cached_property
+    def warped(self) -> Float64[np.ndarray, " frequencies"]:
+        """Where continuous controllers are evaluated for the grid: the same in every step of a search (rad/s)."""
+        return warped(self.step, self.omega)
 
     def on(self, omega: Float64[np.ndarray, " frequencies"]) -> "RigLoop":
         """The same loop on another grid (rad/s)."""
@@ -174,7 +180,7 @@ def sizes(
 
 
 def _arrays(loop: RigLoop, pids: Sequence[Pid]):
-    return loop.parts, np.stack([pid_response(pid, loop.step, loop.omega) for pid in pids], axis=1)
+    return loop.parts, np.stack([pid.frequency_response(loop.warped) for pid in pids], axis=1)
 
 
 class Infeasible(InputError):
@@ -236,19 +242,22 @@ def maximise_rig_bandwidth(
         When the highest bandwidth still is.
     """
     require_choice("measure", measure, MEASURES)
-    require_count("number of loops", len(loops))
+    if not loops:
+        raise InputError("loops is empty; give at least one position")
     require_number("limit", limit, above=1.0)
     require_number("high_hz", high_hz, above=require_number("low_hz", low_hz, above=0.0))
     loops, start = list(loops), low_hz
     for _ in range(4):  # the grids gain points around the peaks that stop the search, until these stand
-        hints = np.zeros(len(loops), np.int64)  # where each loop was exceeded last: looked at first
+        order, hints = list(range(len(loops))), [0] * len(loops)  # looked at first: what was exceeded last
 
-        def feasible(z_hz: float, rotation_hz: float, hints=hints, loops=loops) -> bool:
+        def feasible(z_hz: float, rotation_hz: float, order=order, hints=hints, loops=loops) -> bool:
             pids = family(z_hz, rotation_hz)
-            for k, loop in enumerate(loops):
-                found = _exceeded(*_arrays(loop, pids), measure == "diagonal", limit, hints[k])
+            for k in order:
+                found = _exceeded(*_arrays(loops[k], pids), measure == "diagonal", limit, hints[k])
                 if found >= 0:
                     hints[k] = found
+                    order.remove(k)
+                    order.insert(0, k)
                     return False
             return True
 
@@ -312,7 +321,7 @@ def _crossings(loop: RigLoop, pids: Sequence[Pid]) -> Float64[np.ndarray, "3"]:
     """First 0 dB crossing (Hz) of the diagonal entries of P_eq C_fb (Definition 1.2.1)."""
 
     def gain(k: int, on: RigLoop) -> Complex128[np.ndarray, " frequencies"]:
-        return on.equivalent_plant()[k, k] * pid_response(pids[k], on.step, on.omega)
+        return on.equivalent_plant()[k, k] * pids[k].frequency_response(on.warped)
 
     found = [
         crossover(lambda w, k=k: gain(k, loop.on(w)), loop.omega, np.abs(gain(k, loop)))

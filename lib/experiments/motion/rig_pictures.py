@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from experiments.motion.pictures import add_magnitude
 from experiments.motion.plate import plate_modes
 from experiments.motion.rig import (
     POSITIONS,
@@ -78,8 +79,7 @@ def paint_mode_shapes(geometry: Geometry):
         axis.set_xlabel("x (m)")
     for axis in axes[:, 0]:
         axis.set_ylabel("y (m)")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    figures.legend_below(axes[0, 0], 3)
     return figure
 
 
@@ -112,21 +112,14 @@ def paint_one_entry(loops: Mapping[str, Sequence[RigLoop]], geometry: Geometry, 
     for case, each in loops.items():
         for axis, loop in zip(axes.ravel(), each, strict=True):
             response = physical_plant(loop, geometry)[to, source]
-            axis.semilogx(
-                loop.omega / (2 * np.pi),
-                20 * np.log10(np.abs(response)),
-                color=COLOURS[case],
-                linewidth=0.9,
-                label=case,
-            )
+            add_magnitude(axis, loop.omega, response, color=COLOURS[case], linewidth=0.9, label=case)
     for number, axis in enumerate(axes.ravel(), 1):
         axis.set_title(f"position {number}")
     for axis in axes[1]:
         axis.set_xlabel("frequency (Hz)")
     for axis in axes[:, 0]:
         axis.set_ylabel(f"${FORCES[source]}$ to ${MOTIONS[to]}$\n(dB re 1 {UNITS[to][source]})")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    figures.legend_below(axes[0, 0], 4)
     return figure
 
 
@@ -159,8 +152,7 @@ def paint_tracking_errors(errors: Mapping[str, np.ndarray], reference: np.ndarra
             axis.plot(time, 1e6 * error[k, ::every], color=COLOURS[case], linewidth=width, label=case)
         axis.set_ylabel(f"error in ${MOTIONS[k]}$ ({'µm' if k == 0 else 'µrad'})")
     axes[-1].set_xlabel("time (s)")
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=5)
+    figures.legend_below(axes[0], 5)
     return figure
 
 
@@ -181,8 +173,7 @@ def paint_error_spectra(spectra: Mapping[str, Spectrum]):
         axis.set_title(f"${MOTIONS[k]}$")
         axis.set_xlabel("frequency (Hz)")
         axis.set_ylabel(f"error ({'µm' if k == 0 else 'µrad'}/√Hz)")
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    figures.legend_below(axes[0], 4)
     return figure
 
 
@@ -266,9 +257,7 @@ def paint_rig(
     for name in ("Original", use):
         loop = _one_position(geometry, noise, name, target_damping, position)
         response = physical_plant(loop, geometry)[row, 0]
-        axis.semilogx(
-            loop.omega / (2 * np.pi), 20 * np.log10(np.abs(response)), color=COLOURS[name], label=name
-        )
+        add_magnitude(axis, loop.omega, response, color=COLOURS[name], label=name)
     axis.set_xlabel("frequency (Hz)")
     axis.set_ylabel(f"$F_z$ to ${MOTIONS[row]}$ (dB re 1 {UNITS[row][0]})")
     axis.legend()
@@ -334,8 +323,7 @@ def paint_identified(
         axis.set_xlabel("frequency (Hz)")
     for axis in axes[:, 0]:
         axis.set_ylabel(f"actuator {actuator + 1} to sensor\n(dB re 1 m/N)")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    figures.legend_below(axes[0, 0], 4)
     return figure
 
 

@@ -1,19 +1,17 @@
 """The rig over geometries that are not published: one trial of the study behind Tables 6.2 to 6.4."""
 
+import contextlib
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
 
 from experiments.motion.rig import Geometry, assumed, excitation, published, scaled_inertia
-from experiments.motion.rig_designs import CASES, RigSettings, model_errors, rig_controllers, rig_loops
+from experiments.motion.rig_designs import CASES, RigSettings, bandwidths, model_errors, rig_loops
 from experiments.motion.rig_loops import (
     FUNCTIONS,
     MEASURES,
-    Infeasible,
-    RigBandwidth,
     RigLoop,
-    maximise_rig_bandwidth,
 )
 from experiments.motion.rig_tracking import levelling, levelling_rms
 from stillwork.base.checks import InputError
@@ -69,19 +67,6 @@ def flexible_peaks(loops: list[RigLoop], inertia: Float64[np.ndarray, "3"]) -> F
     return FlexiblePeaks(np.max(found, axis=0), float(np.mean(coupling)))
 
 
-def bandwidths(
-    loops: dict[str, list[RigLoop]], geometry: Geometry, measure: str
-) -> dict[str, RigBandwidth | None]:
-    """Largest bandwidth of every case; None where no bandwidth passes."""
-    family, found = rig_controllers(geometry), {}
-    for case, each in loops.items():
-        try:
-            found[case] = maximise_rig_bandwidth(each, family, measure)
-        except Infeasible:
-            found[case] = None
-    return found
-
-
 def rig_trial(
     rng: np.random.Generator, settings: RigSettings, geometry: Geometry | None = None
 ) -> dict[str, np.ndarray]:
@@ -117,7 +102,10 @@ def rig_trial(
                 peaks[m, k] = found[case].peaks.max(axis=0)
             for errors, design in ((original, found["Original"]), (redesigned, found[case])):
                 if design is not None:
-                    errors[m, k] = _rms(loops[case][0], design, geometry, trajectory, settings)
+                    with contextlib.suppress(InputError):  # of an unstable loop: it stays NaN
+                        errors[m, k] = levelling_rms(
+                            loops[case][0], design.pids, geometry, trajectory, settings.noise
+                        )
     flexible = [flexible_peaks(loops[case], scaled_inertia(geometry)) for case in CASES]
     return {
         "crossing": crossing,
@@ -134,11 +122,3 @@ def rig_trial(
             [np.abs(excitation(geometry, used)).max(axis=1) for used in ((0, 1, 2, 3), geometry.used)]
         ),
     }
-
-
-def _rms(loop: RigLoop, design: RigBandwidth, geometry: Geometry, trajectory, settings) -> np.ndarray:
-    """Rms of the error, or NaN where that loop is unstable."""
-    try:
-        return levelling_rms(loop, design.pids, geometry, trajectory, settings.noise)
-    except InputError:
-        return np.full(3, np.nan)

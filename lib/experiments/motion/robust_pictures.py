@@ -49,8 +49,7 @@ def paint_state_errors(scan: Scan, truth: np.ndarray, estimates: Mapping[str, np
         axis.set_ylabel(unit)
     for axis in axes[-1]:
         axis.set_xlabel("time (s)")
-    handles, labels = axes[1, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    figures.legend_below(axes[1, 0], 4)
     return figure
 
 

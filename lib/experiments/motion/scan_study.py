@@ -10,17 +10,17 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
-from scipy import linalg
 
 from experiments.motion.machines import parameters, published_setpoint, stage, stage_mass
 from experiments.motion.positions import shapes_along
+from experiments.motion.uncertainty import perturbed
+from stillwork.base.algebra import advance_state
 from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.base.kernels import kernel
 from stillwork.control.pid import PidFamily
 from stillwork.control.setpoint import Setpoint
 from stillwork.estimation.riccati import discrete_gain
 from stillwork.estimation.time_varying import TimeVaryingModel
-from stillwork.estimation.uncertainty import perturbed
 from stillwork.lti.discretisation import zoh, zoh_modes
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
@@ -141,6 +141,7 @@ def _scan(a, b, shapes, reference, forward, ca, cb, cc, noise, states, u, y):
     runs, samples, n = states.shape
     m = ca.shape[0]
     for run in range(runs):
+        plant, into = a[run], b[run]
         x, following, z, z_following = np.zeros(n), np.zeros(n), np.zeros(m), np.zeros(m)
         for k in range(samples):
             output = noise[run, 2, k] - noise[run, 1, k]
@@ -153,33 +154,8 @@ def _scan(a, b, shapes, reference, forward, ca, cb, cc, noise, states, u, y):
                 states[run, k, i] = x[i]
             y[run, k], u[run, k] = output, force
             error = reference[k] - output
-            for i in range(m):
-                total = cb[i] * error
-                for j in range(m):
-                    total += ca[i, j] * z[j]
-                z_following[i] = total
-            for i in range(m):
-                z[i] = z_following[i]
-            for i in range(n):
-                total = b[run, i] * (force + noise[run, 0, k])
-                for j in range(n):
-                    total += a[run, i, j] * x[j]
-                following[i] = total
-            for i in range(n):
-                x[i] = following[i]
-
-
-def slowest_decay(scan: Scan, errors: ArrayLike, stride: int = 100) -> float:
-    """Largest magnitude of the closed loop's poles over the scan; below 1 when every place is stable."""
-    plant = zoh_modes(perturbed(scan.nominal, errors), scan.step)
-    factors = 1 + require_array("errors", errors, ndim=2)[:, 3]
-    rows = output_rows(scan.shapes[::stride] * factors)
-    control = scan.controller
-    largest = 0.0
-    for c in rows:
-        loop = np.block([[plant.a, plant.b @ control.c], [-control.b @ c, control.a]])
-        largest = max(largest, float(np.abs(linalg.eigvals(loop)).max()))
-    return largest
+            advance_state(ca, cb, error, z, z_following)
+            advance_state(plant, into, force + noise[run, 0, k], x, following)
 
 
 @dataclass(frozen=True)

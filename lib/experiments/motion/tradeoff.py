@@ -1,6 +1,6 @@
 """H2 against H-infinity: the sensitivity weight of Fig. 5.6, and verified points on the trade-off of Fig. 5.7.
 
-The mixed matrix inequalities (`h2_synthesis.mixed_lmi`) use one Lyapunov matrix for both norms, take a solver
+The mixed matrix inequalities (`matrix_inequalities.mixed_lmi`) use one Lyapunov matrix for both norms, take a solver
 seconds a point and often fail. Here the weighted error is one more output of the H2 problem instead, with an emphasis
 that moves along the front; what counts are the norms of the loops.
 """

@@ -160,5 +160,5 @@ def explore_fig_1(period: int, input_noise: float, output_noise: float, second: 
     for number, (axes, truth) in enumerate(zip(panels, parameters, strict=True)):
         _paint_estimates(axes, study, number, truth)
         axes.set_xlabel("time (samples)")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    figures.legend_below(panels[0], 3)
     return figure

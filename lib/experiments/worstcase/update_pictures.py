@@ -58,7 +58,7 @@ def paint_accuracy(records: dict[str, dict[str, np.ndarray]]):
         right.set_ylim(bottom=1e-10)
     for axes in grid[-1]:
         axes.set_xlabel("time (samples)")
-    figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    figures.legend_below(grid[0, 0], 3)
     return figure
 
 

@@ -1,9 +1,18 @@
 """Input validation: every message names the argument, what is wrong with it, and the way out."""
 
 import difflib
+import math
 from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
+
+# A field that a dataclass turns from array_like into an array when it is built: types know one of the two.
+if TYPE_CHECKING:
+    Converted = Any
+else:
+    Converted = ArrayLike
 
 MOST_COUNT = 2**63 - 1  # numpy's own whole numbers hold no more
 MOST_SAMPLES = 1e8  # of what a duration and a sample time ask for; a slip of units asks for more
@@ -52,37 +61,39 @@ def require_number(
     at_most: float | int | None = None,
 ) -> float:
     """Return `value` as a finite float within the given bounds, else raise `InputError`."""
-    wanted = " and ".join(
-        f"{word} {bound:g}"
-        for word, bound in (
-            ("above", above),
-            ("at least", at_least),
-            ("below", below),
-            ("at most", at_most),
-        )
-        if bound is not None
-    )
-    hint = f"give a finite number{' ' + wanted if wanted else ''}"
     try:
         number = _float(value)
     except OverflowError:
-        raise InputError(f"{name} is beyond the largest floating-point number; {hint}") from None
+        raise InputError(
+            f"{name} is beyond the largest floating-point number; {_within(above, at_least, below, at_most)}"
+        ) from None
     except (TypeError, ValueError):
-        raise InputError(f"{name} is {shown(value)}, not a number; {hint}") from None
+        raise InputError(
+            f"{name} is {shown(value)}, not a number; {_within(above, at_least, below, at_most)}"
+        ) from None
     if (
-        not np.isfinite(number)
+        not math.isfinite(number)
         or (above is not None and not number > above)
         or (at_least is not None and not number >= at_least)
         or (below is not None and not number < below)
         or (at_most is not None and not number <= at_most)
     ):
-        raise InputError(f"{name} is {number:g}; {hint}")
+        raise InputError(f"{name} is {number:g}; {_within(above, at_least, below, at_most)}")
     return number
+
+
+def _within(*bounds: float | int | None) -> str:
+    """What to give instead: a number above, of at least, below and of at most `bounds`."""
+    words = ("above", "at least", "below", "at most")
+    wanted = " and ".join(
+        f"{word} {bound:g}" for word, bound in zip(words, bounds, strict=True) if bound is not None
+    )
+    return f"give a finite number{' ' + wanted if wanted else ''}"
 
 
 def _float(value) -> float:
     """`value` as a float where it is one number: no text, no flag, no complex number, no missing one."""
-    if type(value) in (float, int):
+    if isinstance(value, float) or type(value) is int:
         return float(value)
     if np.ndim(value) or np.ma.is_masked(value) or np.asarray(value).dtype.kind not in "iufO":
         raise TypeError
@@ -167,22 +178,30 @@ def require_array(
     advice : str
         What to do about values that are not finite.
     """
-    array = _numbers(name, value, np.dtype(dtype))
+    # Nearly all arrays of a calculation come as they are wanted: for them the rest would cost more than the check.
+    ready = type(value) is np.ndarray and value.dtype == dtype and value.flags.carray
+    array = value if ready else _numbers(name, value, np.dtype(dtype))
     if ndim is not None and array.ndim != ndim:
         raise InputError(f"{name} has shape {array.shape}; give an array with {ndim} axes")
-    if shape is not None and (
-        array.ndim != len(shape)
-        or any(want is not None and have != want for have, want in zip(array.shape, shape, strict=True))
-    ):
+    if shape is not None and not _fits(array.shape, shape):
         wanted = " x ".join("any" if want is None else str(want) for want in shape)
         raise InputError(f"{name} has shape {array.shape}; give {wanted}")
-    bad = ~np.isfinite(array)
-    if bad.any():
-        first = tuple(int(i) for i in np.argwhere(bad)[0])
+    finite = np.isfinite(array)
+    if not finite.all():
+        first = tuple(int(i) for i in np.argwhere(~finite)[0])
         raise InputError(
-            f"{name} holds {int(bad.sum())} NaN or infinite values, the first at index {first}; {advice}"
+            f"{name} holds {int((~finite).sum())} NaN or infinite values, the first at index {first}; {advice}"
         )
     return array
+
+
+def _fits(shape: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
+    if len(shape) != len(wanted):
+        return False
+    for have, want in zip(shape, wanted, strict=True):
+        if want is not None and have != want:
+            return False
+    return True
 
 
 def require_finite_run(name: str, values: np.ndarray, advice: str, *, axis: int = 0, first: int = 0) -> None:

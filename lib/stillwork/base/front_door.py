@@ -4,6 +4,7 @@ A function keeps to its own what no annotation says: bounds, which sizes fit tog
 """
 
 import inspect
+import math
 import threading
 import types
 import typing
@@ -11,6 +12,7 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache, wraps
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import AbstractArray
@@ -29,6 +31,15 @@ from stillwork.base.checks import (
 # Checked where they are used, by `require_array`, which is told there what is wanted of them.
 _OPEN = frozenset(typing.get_args(ArrayLike)) - {bool, int, float, complex, str, bytes}
 
+
+_PLAIN: dict[Any, Callable] = {
+    float: require_number,
+    int: require_whole,
+    np.ndarray: require_array,
+    Callable: require_callable,
+}
+
+_NUMBERS = (complex, np.ndarray, np.inexact)  # that may be NaN
 
 _BY_PLACE = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 
@@ -101,7 +112,7 @@ def check_fields(instance) -> None:
 
     One that computes with its fields is `checked` itself.
     """
-    for name, check in _checks(type(instance)).items():
+    for name, check in _checks(instance.__class__).items():
         value = getattr(instance, name)
         if (fit := check(name, value)) is not value:
             object.__setattr__(instance, name, fit)
@@ -129,9 +140,8 @@ def _checks(owner) -> dict[str, Callable]:
 
 def _check(hint) -> Callable | None:
     """``check(name, value)`` that returns the value as `hint` has it; None for what is not checked here."""
-    plain = {float: require_number, int: require_whole, np.ndarray: require_array, Callable: require_callable}
-    if hint in plain:
-        return plain[hint]
+    if hint in _PLAIN:
+        return _PLAIN[hint]
     origin, parts = typing.get_origin(hint), typing.get_args(hint)
     if origin is Callable:
         return require_callable
@@ -141,23 +151,34 @@ def _check(hint) -> Callable | None:
         return _sequence(origin, parts)
     if inspect.isclass(hint) and issubclass(hint, AbstractArray):
         return _array(hint)
-    if inspect.isclass(hint) and origin is None:
+    if _is_kind(hint):
         return lambda name, value: require_kind(name, value, hint)
     return None
+
+
+def _is_kind(hint) -> bool:
+    """Whether it is a class of which a value is taken as it is."""
+    if hint in _PLAIN or not inspect.isclass(hint) or typing.get_origin(hint) is not None:
+        return False
+    return not issubclass(hint, AbstractArray)
 
 
 def _union(parts: tuple) -> Callable | None:
     if _OPEN & set(parts):
         return None
     rest = [part for part in parts if part is not types.NoneType]
-    if not rest or None in (found := [_check(part) for part in rest]):
+    found: list[Any] = [_check(part) for part in rest]
+    if not rest or None in found:
         return None
     classes = tuple(part for part in rest if inspect.isclass(part) and part not in (float, int))
     optional = len(rest) < len(parts)
+    kinds = tuple(part for part in rest if _is_kind(part))
 
     def check(name: str, value):
         if value is None and optional:
             return None
+        if isinstance(value, kinds):  # before any of the others words its refusal
+            return value
         if len(rest) == 1:
             return found[0](name, value)
         for each in found:
@@ -173,7 +194,7 @@ def _union(parts: tuple) -> Callable | None:
 
 def _sequence(origin, parts: tuple) -> Callable | None:
     counted = origin is tuple and parts[-1] is not ...
-    found = [_check(part) for part in parts if part is not ...]
+    found: list[Any] = [_check(part) for part in parts if part is not ...]
     if not found or None in found:
         return None
 
@@ -202,10 +223,12 @@ def _array(hint) -> Callable:
 
 def _spoiled(value, infinite: bool) -> bool:
     """Whether a number of a result is NaN, or infinite where it may not be."""
-    if isinstance(value, float | complex | np.ndarray | np.inexact):
+    if isinstance(value, float):
+        return math.isnan(value) or (not infinite and math.isinf(value))
+    if isinstance(value, _NUMBERS):
         if isinstance(value, np.ndarray) and value.dtype.kind not in "fc":
             return False
-        return bool(np.any(np.isnan(value) if infinite else ~np.isfinite(value)))
+        return not (~np.isnan(value) if infinite else np.isfinite(value)).all()
     if is_dataclass(value) and not isinstance(value, type):
         return any(_spoiled(getattr(value, field.name), infinite) for field in fields(value))
-    return isinstance(value, tuple | list) and any(_spoiled(each, infinite) for each in value)
+    return isinstance(value, (tuple, list)) and any(_spoiled(each, infinite) for each in value)

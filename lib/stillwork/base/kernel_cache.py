@@ -18,7 +18,7 @@ from stillwork.base.kernel_folder import cache_folder
 try:
     import fcntl
 except ImportError:  # not a Unix: processes may compile the same function at once
-    fcntl = None
+    fcntl = None  # type: ignore[assignment]
 
 PATIENCE = 120.0  # s; several times what the largest kernel takes on a busy machine
 
@@ -109,7 +109,7 @@ class _ContentLocator(_CacheLocator):
 class _CheckedCode(CompileResultCacheImpl):
     """Machine code with its digest: a changed byte of it could end the process instead of raising an error."""
 
-    _locator_classes = (_ContentLocator, *CompileResultCacheImpl._locator_classes)
+    _locator_classes = (_ContentLocator, *CompileResultCacheImpl._locator_classes)  # type: ignore[assignment]
 
     def reduce(self, cres):
         code = dumps(super().reduce(cres))
@@ -125,7 +125,7 @@ class _CheckedCode(CompileResultCacheImpl):
 class KernelCache(CodeCache):
     """The cache of a kernel of the package."""
 
-    _impl_class = _CheckedCode
+    _impl_class = _CheckedCode  # type: ignore[assignment]
 
 
 def _locked(path: str):

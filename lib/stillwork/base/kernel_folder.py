@@ -14,7 +14,7 @@ from stillwork.base import paths
 try:
     import fcntl
 except ImportError:  # not a Unix: a folder counts as used by its time alone
-    fcntl = None
+    fcntl = None  # type: ignore[assignment]
 
 FOLDER_VARIABLE = "STILLWORK_KERNELS"
 PACKAGES = ("stillwork", "experiments")  # those beside each other that have kernels
@@ -25,7 +25,8 @@ def cache_folder() -> str:
     """Folder for the machine code of the kernels as they are written now.
 
     Numba's own rule looks at the file of a kernel, not at those of the kernels it calls: after a change of one
-    of these it would go on with the old code. So the folder's name is a digest of every file that has kernels.
+    of these it would go on with the old code. So the folder's name is a digest of every file that has kernels, which
+    all import what makes them from `stillwork.base`.
     Who starts many processes asks once and hands the answer on in ``STILLWORK_KERNELS``. Empty, which is numba's
     rule, where there is no workbook to write to.
     """
@@ -41,7 +42,7 @@ def _folder_by_content() -> str:
     library = Path(__file__).parents[2]
     for file in sorted(each for package in PACKAGES for each in (library / package).rglob("*.py")):
         text = file.read_bytes()
-        if b"kernel" in text:
+        if b"stillwork.base.kernel" in text:
             digest.update(text)
     try:
         folder = paths.root() / "build" / "kernels" / digest.hexdigest()[:16]

@@ -14,7 +14,13 @@ from stillwork.lti.state_space import StateModel, interconnect
 
 @dataclass(frozen=True)
 class Application:
-    """What is done with the estimate; the defaults do nothing."""
+    """What is done with the estimate; the defaults do nothing.
+
+    Examples
+    --------
+    >>> control.Application(compensate=True, damping=0.05).selection
+    'each mode'
+    """
 
     compensate: bool = False  # MC: subtract the estimated flexible part from the measurement
     damping: float | tuple[float, ...] = (
@@ -47,6 +53,25 @@ def compensator(observer: Observer, application: Application) -> StateModel:
     """The block O(s) of (A.2): from plant input and measurement (u, y) to (u_d, y_flex).
 
     u_d is added to the plant input (and is part of u), y_flex is subtracted from the measurement.
+
+    Parameters
+    ----------
+    observer : Observer
+        See `stillwork.estimation.kalman_observer`.
+    application : Application
+
+    Raises
+    ------
+    InputError
+        When there are no flexible modes, or the application does not fit them.
+
+    Examples
+    --------
+    >>> stage = lti.ModalModel([0.0, 600.0], [0.0, 0.01], [[0.3], [0.3]], [[0.3, -0.3]], [[0.0]])
+    >>> observer = estimation.kalman_observer(stage, estimation.NoiseIntensities(1.0, 1e-12))
+    >>> damped = control.compensator(observer, control.Application(damping=0.05))
+    >>> control.closed_loop(stage, damped, control.PidFamily(11.0)(20.0).state_space()).is_stable
+    True
     """
     model = observer.model
     rigid = model.rigid_modes

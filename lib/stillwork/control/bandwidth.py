@@ -24,10 +24,16 @@ FUNCTIONS = ("input_sensitivity", "output_sensitivity", "true_tracking")
 
 @dataclass(frozen=True)
 class PeakConstraint:
-    """An upper bound on the peak magnitude of one loop function."""
+    """An upper bound on the peak magnitude of one loop function.
 
-    function: str
-    limit: float = SIX_DB
+    Examples
+    --------
+    >>> round(float(20 * np.log10(control.PeakConstraint("output_sensitivity").limit)), 1)
+    6.0
+    """
+
+    function: str  # one of `FUNCTIONS`
+    limit: float = SIX_DB  # largest magnitude, above 1
 
     def __post_init__(self):
         require_choice("function", self.function, FUNCTIONS)
@@ -51,11 +57,18 @@ class Loop:
     def at(self, controller: Pid, omega: np.ndarray | None = None) -> LoopResponse:
         """Loop functions on the loop's own grid, or at other frequencies (rad/s)."""
         if omega is None:
-            plant, observer, omega = self.plant_response, self.compensator_response, self.omega
-        else:
-            plant = self.plant.frequency_response(omega)[0, 0]
-            observer = self.compensator.frequency_response(omega)
+            return self.within(controller, slice(None))
+        plant = self.plant.frequency_response(omega)[0, 0]
+        observer = self.compensator.frequency_response(omega)
         return LoopResponse(plant, observer, controller.frequency_response(omega))
+
+    def within(self, controller: Pid, part: slice) -> LoopResponse:
+        """Loop functions on a part of the loop's own grid."""
+        return LoopResponse(
+            self.plant_response[part],
+            self.compensator_response[..., part],
+            controller.frequency_response(self.omega[part]),
+        )
 
     @checked
     def peak(self, controller: Pid, function: str) -> Peak:
@@ -97,6 +110,17 @@ def make_loop(
         From (u, y) to (u_d, y_flex); None: no observer.
     low_hz, high_hz, points, around
         Grid, see `stillwork.lti.resonance_grid`.
+
+    Raises
+    ------
+    InputError
+        When the plant has more than one input or output.
+
+    Examples
+    --------
+    >>> mass = lti.ModalModel([0.0], [0.0], [[1.0]], [[0.1]], [[0.0]])  # 10 kg
+    >>> round(control.make_loop(mass).crossing_hz(control.PidFamily(10.0)(50.0)))
+    52
     """
     if plant.feedthrough.shape != (1, 1):
         raise InputError("plant must have one input and one output; pick them with plant.at")
@@ -157,6 +181,18 @@ def maximise_bandwidth(
     ------
     InputError
         When there are no loops or constraints, nothing in the range is feasible, or all of it is.
+
+    References
+    ----------
+    Definition 1.2.1 and section 3.2 of the observer thesis.
+
+    Examples
+    --------
+    >>> stage = lti.ModalModel([0.0, 600.0], [0.0, 0.01], [[0.3], [0.3]], [[0.3, -0.3]], [[0.0]])
+    >>> limit = [control.PeakConstraint("input_sensitivity")]
+    >>> best = control.maximise_bandwidth([control.make_loop(stage)], control.PidFamily(11.0), limit)
+    >>> round(best.design_hz, 2), best.function
+    (19.06, 'input_sensitivity')
     """
     if not len(loops):
         raise InputError("loops is empty; give at least one plant")
@@ -164,9 +200,13 @@ def maximise_bandwidth(
         raise InputError("constraints is empty; without a peak constraint no bandwidth is the largest")
     require_number("high_hz", high_hz, above=require_number("low_hz", low_hz, above=0.0))
     grid = np.linspace(low_hz, high_hz, require_count("scan", scan, at_least=2))
+    above = None  # what was exceeded last, and is likely to be again
     for k in reversed(range(scan)):
         controller = family(grid[k])
-        if _rough(loops, controller, constraints) and not _violation(loops, controller, constraints, refine):
+        if above is not None and _still(*above, controller):
+            continue
+        above = _above(loops, controller, constraints)
+        if above is None and not _violation(loops, controller, constraints, refine):
             break
     else:
         raise InputError(
@@ -185,18 +225,30 @@ def maximise_bandwidth(
             good = middle
         else:
             bad, stopped = middle, found
+    assert stopped is not None  # `_rough` rejects nothing that is feasible
     controller = family(good)
     crossings = np.array([loop.crossing_hz(controller) for loop in loops])
     return Bandwidth(good, crossings, controller, *stopped)
 
 
-def _rough(loops: Sequence[Loop], controller: Pid, constraints: Sequence[PeakConstraint]) -> bool:
+def _above(
+    loops: Sequence[Loop], controller: Pid, constraints: Sequence[PeakConstraint]
+) -> tuple[Loop, PeakConstraint, slice] | None:
+    """The first loop and constraint that is exceeded on a grid, and where; None if there is none."""
     for loop in loops:
         response = loop.at(controller)
         for constraint in constraints:
-            if np.abs(getattr(response, constraint.function)).max() > constraint.limit:
-                return False
-    return True
+            magnitude = np.abs(getattr(response, constraint.function))
+            place = int(magnitude.argmax())
+            if magnitude[place] > constraint.limit:
+                return loop, constraint, slice(place, place + 1)
+    return None
+
+
+def _still(loop: Loop, constraint: PeakConstraint, place: slice, controller: Pid) -> bool:
+    """Whether another controller exceeds the constraint at the same point of the grid."""
+    response = getattr(loop.within(controller, place), constraint.function)
+    return bool(np.abs(response[0]) > constraint.limit)
 
 
 def _violation(

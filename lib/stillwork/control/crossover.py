@@ -1,6 +1,7 @@
 """Gain crossover: where the magnitude of a loop's response first falls through 1."""
 
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 from jaxtyping import Float64
@@ -39,6 +40,7 @@ def crossover(
         )
     low, high = omega[falls[0]], omega[falls[0] + 1]
 
+    @cache  # both ends are asked for twice
     def excess(frequency: float) -> float:
         return float(np.log(np.abs(response(np.array([frequency]))[0])))
 

@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.base.checks import InputError, require_number
+from stillwork.base.checks import InputError
 from stillwork.base.front_door import check_fields, checked
-from stillwork.control.integral_action import slope
 from stillwork.estimation.observer import Observer
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel, interconnect
@@ -69,6 +68,13 @@ def decouple(
     InputError
         When there are fewer actuators or sensors than modes to tell apart, or their places do not tell these
         modes apart.
+
+    Examples
+    --------
+    >>> shapes = np.array([[0.3, 0.3], [0.5, -0.5]])  # translation and rotation, at two actuators
+    >>> beam = lti.ModalModel([0.0, 0.0], [0.0, 0.0], shapes, shapes.T, np.zeros((2, 2)))
+    >>> np.allclose(shapes @ control.decouple(beam).actuation, np.eye(2))
+    True
     """
     rigid, modes = model.rigid_modes, len(model.frequencies)
     if not rigid:
@@ -122,19 +128,25 @@ def decoupled_plant(
     machine, seen = plant.state_space(), decoupling.apply(plant).state_space()
     (outputs, inputs), axes = machine.d.shape, len(decoupling.sensing)
     known = len(machine.a) if observer is None else len(observer.a)
-    dynamic = isinstance(gain, StateModel)
-    forces, states = gain.d.shape if dynamic else gain.shape
+    none, i_f = np.zeros((0, 0)), np.eye(inputs)
+    # What is read off the states: they themselves for K(s), the forces at once for a constant K.
+    if isinstance(gain, StateModel):
+        force, (forces, states) = gain, gain.d.shape
+        selected = np.eye(states)
+    else:
+        force, (forces, states) = (
+            StateModel(none, np.zeros((0, inputs)), np.zeros((inputs, 0)), i_f),
+            gain.shape,
+        )
+        selected = gain
     if forces != inputs or states > known:
         raise InputError(
             f"gain goes from {states} states to {forces} forces; the plant takes {inputs} forces and "
             f"{known} states are known"
         )
-    # What is read off the states: they themselves for K(s), the forces at once for a constant K.
-    rows = np.zeros((states if dynamic else inputs, known))
-    rows[:, :states] = np.eye(states) if dynamic else gain
-    read = len(rows)
-    none, i_f, i_r = np.zeros((0, 0)), np.eye(inputs), np.eye(read)
-    force = gain if dynamic else StateModel(none, np.zeros((0, inputs)), np.zeros((inputs, 0)), i_f)
+    read = len(selected)
+    rows, i_r = np.zeros((read, known)), np.eye(read)
+    rows[:, :states] = selected
     b = np.hstack([machine.b, seen.b])  # of f_d and of u
     if observer is None:
         c = np.vstack([seen.c, rows])
@@ -163,21 +175,6 @@ def decoupled_plant(
         external[inputs:f], external[f:y] = np.eye(axes), decoupling.actuation
     feedback[:inputs, -inputs:] = i_f
     return interconnect(models, feedback, external, np.eye(axes, feedback.shape[1]))
-
-
-def low_frequency_slopes(
-    system: StateModel, low_hz: float = 1e-6, high_hz: float = 1e-5
-) -> Float64[np.ndarray, "outputs inputs"]:
-    """Slope of every entry in decades a decade between two frequencies far below everything else.
-
-    A 1/s coupling that nearly cancels, as on a machine close to symmetry, shows at very low frequency only:
-    by default the slope is that of the limit. Where it sets in, `coupling_onset` says.
-    """
-    require_number("low_hz", low_hz, above=0.0)
-    require_number("high_hz", high_hz, above=low_hz)
-    omega = 2 * np.pi * np.geomspace(low_hz, high_hz, 7)
-    response = system.frequency_response(omega)
-    return np.array([[slope(omega, entry) for entry in row] for row in response])
 
 
 @checked
@@ -217,20 +214,3 @@ def coupling_onset(
     shapes = both.output_shapes[:, flexible], both.input_shapes[flexible]
     compliance = np.abs(shapes[0] / plant.frequencies[flexible] ** 2 @ shapes[1] + both.feedthrough)
     return np.divide(coupling, compliance, out=np.full_like(coupling, np.inf), where=compliance > 0)
-
-
-def observable_noise_models(plant: ModalModel) -> int:
-    """How many constant forces, one an actuator, the sensors can tell apart: the rank test (3.17).
-
-    The rank of [A B; C 0] beyond the states, after scaling.
-    """
-    states = plant.state_space()
-    size = np.linalg.norm(states.a)
-    whole = np.block([[states.a, states.b], [states.c, np.zeros_like(states.d)]])
-    scale = np.repeat(np.where(plant.frequencies > 0, plant.frequencies, size**0.5), 2)
-    scale[1::2] = 1.0  # velocities count as the displacement they lead to
-    whole[:, : len(states.a)] /= scale
-    whole[: len(states.a)] *= scale[:, None]
-    whole /= np.linalg.norm(whole, axis=1)[:, None]
-    whole /= np.linalg.norm(whole, axis=0)
-    return int(np.linalg.matrix_rank(whole, tol=1e-10)) - len(states.a)

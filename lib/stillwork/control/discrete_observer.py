@@ -14,7 +14,6 @@ from stillwork.control.discrete_damping import discrete_damping_gain
 from stillwork.control.feedback import band_pass, damping_gain
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.estimation.riccati import discrete_gain
-from stillwork.estimation.time_varying import FilterGains
 from stillwork.lti.delays import delayed
 from stillwork.lti.discretisation import zoh, zoh_modes
 from stillwork.lti.modal import ModalModel
@@ -194,23 +193,3 @@ def discrete_compensator(
     take[:inputs, outputs + flexible :] = gain[:, 2 * rigid + 1 :: 2]
     take[inputs:, :outputs] = np.eye(outputs)
     return interconnect(models, feedback, np.eye(len(feedback), inputs + outputs), take)
-
-
-def predict(gains: FilterGains, estimates: ArrayLike, u: ArrayLike) -> Float64[np.ndarray, "states samples"]:
-    """Predictor form of a time-varying filter: x(k|k-1) at sample k from the filtered estimates of one record.
-
-    Parameters
-    ----------
-    gains : FilterGains
-    estimates : array_like, shape (states, samples)
-        x(k|k) from `filters.estimate`.
-    u : array_like, shape (inputs, samples)
-    """
-    samples, states, inputs = gains.inputs.shape
-    estimates = require_array("estimates", estimates, shape=(states, samples))
-    u = require_array("u", u, shape=(inputs, samples))
-    ahead = estimates.copy()
-    ahead[:, 1:] = np.einsum("kij,jk->ik", gains.forward[1:], estimates[:, :-1]) + np.einsum(
-        "kij,jk->ik", gains.inputs[1:], u[:, :-1]
-    )
-    return ahead

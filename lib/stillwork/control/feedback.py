@@ -53,10 +53,20 @@ def damping_gain(
         the pseudo-inverse over all modes, rigid body included; ``pole placement``: (3.33), one input only,
         with the gain on the rigid-body states set to zero.
 
+    Returns
+    -------
+    ndarray, shape (inputs, states)
+
     Raises
     ------
     InputError
         When the actuator cannot move a mode, or an unknown selection is asked for.
+
+    Examples
+    --------
+    >>> mode = lti.ModalModel([100.0], [0.01], [[1.0]], [[1.0]], [[0.0]])
+    >>> control.damping_gain(mode, increase=0.1)  # -2 zeta_des omega on the velocity, N s/m
+    array([[  0., -20.]])
     """
     require_choice("selection", selection, SELECTIONS)
     increase = per_flexible_mode(model, "increase", increase)

@@ -1,6 +1,7 @@
 """Tracking: data-based feedforward (A.1), its modification for an observer (A.7), exact simulation."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
@@ -63,6 +64,18 @@ def error_loop(loop: StateModel) -> StateModel:
 
     With that feedforward the observer cancels against its copy: the setpoint acts like the sensor reference v
     and the original feedforward like a force w that the observer does not see.
+
+    Parameters
+    ----------
+    loop : StateModel
+        See `closed_loop`.
+
+    Examples
+    --------
+    >>> mass = lti.ModalModel([0.0], [0.0], [[1.0]], [[0.1]], [[0.0]])
+    >>> loop = control.closed_loop(mass, None, control.PidFamily(10.0)(50.0).state_space())
+    >>> control.error_loop(loop).d.shape
+    (1, 2)
     """
     return loop.select([INPUTS.index("v"), INPUTS.index("w")], [OUTPUTS.index("e_true")])
 
@@ -86,17 +99,36 @@ def tracking_model(loop: StateModel, feedforward: Feedforward, step: float) -> S
     loop : StateModel
         From (r, u0) to the error, see `error_loop`.
     """
+    return _driven(_moved(loop, step), feedforward)
+
+
+class _Moved(NamedTuple):
+    """A loop moved by a setpoint of constant snap: what does not depend on the feedforward."""
+
+    loop: StateModel
+    a: Float64[np.ndarray, "states states"]
+    drive: Float64[np.ndarray, "states 5"]  # of r and its derivatives
+    force: Float64[np.ndarray, "states 5"]  # of u0 and its derivatives
+    step: float
+
+
+def _moved(loop: StateModel, step: float) -> _Moved:
     if loop.b.shape[1] != 2:
         raise InputError(f"loop has {loop.b.shape[1]} inputs; give error_loop(closed_loop(...))")
     require_stable(loop)
     a, drive = _held(loop, 0, step)
     _, force = _held(loop, 1, step)
+    return _Moved(loop, a, drive, force, step)
+
+
+def _driven(moved: _Moved, feedforward: Feedforward) -> StateModel:
+    loop, drive = moved.loop, moved.drive.copy()
     direct = np.zeros((len(loop.c), 5))
     direct[:, 0] = loop.d[:, 0]
     for order, gain in enumerate(feedforward.gains, 1):
-        drive[:, order:] += gain * force[:, : 5 - order]
+        drive[:, order:] += gain * moved.force[:, : 5 - order]
         direct[:, order] += gain * loop.d[:, 1]
-    return StateModel(a, drive, loop.c, direct, step)
+    return StateModel(moved.a, drive, loop.c, direct, moved.step)
 
 
 @checked
@@ -109,6 +141,22 @@ def tracking_error(
     ----------
     loop : StateModel
         From (r, u0) to e_true, see `error_loop`.
+    setpoint : Setpoint
+    feedforward : Feedforward
+
+    Returns
+    -------
+    ndarray, shape (samples,)
+
+    Examples
+    --------
+    >>> mass = lti.ModalModel([0.0], [0.0], [[1.0]], [[0.1]], [[0.0]])
+    >>> loop = control.closed_loop(mass, None, control.PidFamily(10.0)(50.0).state_space())
+    >>> move = control.point_to_point(1e4, 100.0, 2.0, 0.1, cruise=0.02, settling=0.005, step=1e-3)
+    >>> loop = control.error_loop(loop)
+    >>> error = control.tracking_error(loop, move, control.fit_feedforward(loop, move))
+    >>> bool(np.abs(error).max() < 1e-12)  # m: the mass is known
+    True
     """
     return simulate(tracking_model(loop, feedforward, setpoint.step), setpoint.derivatives)[0]
 
@@ -120,17 +168,38 @@ def fit_feedforward(loop: StateModel, setpoint: Setpoint, basis: tuple[str, ...]
     The error is linear in the gains, so least squares on simulated moves is where the iterative data-based
     tuning of the thesis converges.
 
+    Parameters
+    ----------
+    loop : StateModel
+        From (r, u0) to e_true, see `error_loop`.
+    setpoint : Setpoint
+    basis : tuple of str
+        Gains to be fitted; the others are zero.
+
     Raises
     ------
     InputError
         When the basis is empty, or the move does not excite a gain (a setpoint at rest).
+
+    Examples
+    --------
+    >>> mass = lti.ModalModel([0.0], [0.0], [[1.0]], [[0.1]], [[0.0]])
+    >>> loop = control.closed_loop(mass, None, control.PidFamily(10.0)(50.0).state_space())
+    >>> move = control.point_to_point(1e4, 100.0, 2.0, 0.1, cruise=0.02, settling=0.005, step=1e-3)
+    >>> round(control.fit_feedforward(control.error_loop(loop), move).acceleration, 6)  # kg
+    10.0
     """
     if not basis:
         raise InputError(f"basis is empty; choose from {BASIS}")
     for name in basis:
         require_choice("basis", name, BASIS)
-    base = tracking_error(loop, setpoint, Feedforward())
-    columns = [tracking_error(loop, setpoint, Feedforward(**{name: 1.0})) - base for name in basis]
+    moved = _moved(loop, setpoint.step)
+
+    def error(**gains: float) -> Float64[np.ndarray, " samples"]:
+        return simulate(_driven(moved, Feedforward(**gains)), setpoint.derivatives)[0]
+
+    base = error()
+    columns = [error(**{name: 1.0}) - base for name in basis]
     gains = least_squares(np.array(columns).T, -base)
     return Feedforward(**dict(zip(basis, gains, strict=True)))
 

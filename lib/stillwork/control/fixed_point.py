@@ -1,6 +1,7 @@
 """The controller's loop, Fig. 1: measure, filter, desire, deform, push, move; one kernel for every filter."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
@@ -14,7 +15,7 @@ from stillwork.control.trajectory import Trajectory
 from stillwork.control.transformation import Transformation, deform_packed, warn_outside_contraction
 from stillwork.estimation.coordinate_filters import Filter, require_step
 from stillwork.estimation.filtering import filter_step, model_of
-from stillwork.estimation.plant import Plant, partial_derivatives
+from stillwork.estimation.plant import Plant, force_slope
 
 INTEGRATIONS = ("semi-implicit", "explicit")
 COLUMNS = (
@@ -46,6 +47,13 @@ class Controller:
         (1).
     model : Plant
         The approximate model, which turns the deformed acceleration into a force.
+
+    Examples
+    --------
+    >>> slide = estimation.Plant(lambda q, v, f, p: f / p[0], lambda q, v, a, p: p[0] * a, [2.0])
+    >>> parts = estimation.LowPass(), control.FlowTransformation(), control.KinematicDesign(10.0), slide
+    >>> control.Controller(*parts).kinematics.exponent  # 1/s
+    10.0
     """
 
     signal_filter: Filter
@@ -140,10 +148,28 @@ def simulate(
     ControlledRun
         With `diverged_at` and `cause` when it diverged.
 
+    Raises
+    ------
+    InputError
+        When the noise does not have a sample for each of the trajectory, or an option is unknown.
+
     Warns
     -----
     ContractionWarning
         When the transformation cannot contract even with perfect measurements.
+
+    References
+    ----------
+    Equations (1), (6) and (8) of the fixed-point work.
+
+    Examples
+    --------
+    >>> slide = estimation.Plant(lambda q, v, f, p: f / p[0], lambda q, v, a, p: p[0] * a, [2.0])
+    >>> parts = estimation.LowPass(), control.FlowTransformation(), control.KinematicDesign(10.0), slide
+    >>> sine = control.asin_trajectory(amplitude=0.1, sharpness=0.5, duration=1.0)
+    >>> run = control.simulate(slide, control.Controller(*parts), sine)
+    >>> bool(np.abs(run.position_error).max() < 1e-3)  # m
+    True
     """
     samples = len(trajectory.position)
     noise = np.zeros(samples) if noise is None else require_array("noise", noise, shape=(samples,))
@@ -181,23 +207,21 @@ def simulate(
         np.array(limits),
         record,
     )
-    ending = {}
+    found: dict[str, Any] = dict(zip(COLUMNS, record, strict=True))
     if status != RUNNING:
         causes = {
             TOO_FAR: f"the plant left the bound of {limits[0]:g} m and {limits[1]:g} m/s",
             NOT_FINITE: "the commanded force is not finite",
             NOT_DEFINITE: "the filter's covariance is no longer positive definite",
         }
-        ending = {"diverged_at": float(done * trajectory.time_step), "cause": causes[status]}
-    return ControlledRun(trajectory, **dict(zip(COLUMNS, record, strict=True)), **ending)
+        found |= {"diverged_at": float(done * trajectory.time_step), "cause": causes[status]}
+    return ControlledRun(trajectory, **found)
 
 
 @checked
 def response_gain(plant: Plant, model: Plant) -> float:
     """f': acceleration realised per acceleration commanded through an imperfect model, at rest."""
-    _, _, slope = partial_derivatives(plant, 0.0, 0.0, 0.0)
-    _, _, believed = partial_derivatives(model, 0.0, 0.0, 0.0)
-    return slope / believed
+    return force_slope(plant, 0.0, 0.0, 0.0) / force_slope(model, 0.0, 0.0, 0.0)
 
 
 @kernel

@@ -61,14 +61,14 @@ class StableRange:
         check_fields(self)
 
     def __contains__(self, local_gain: float) -> bool:
-        if self.strongest is None:
+        if self.strongest is None or self.weakest is None:
             return False
         return self.strongest.local_gain < local_gain < self.weakest.local_gain
 
     @property
     def limits(self) -> tuple[float, float]:
         """Strongest and weakest gain; NaN without a stable gain."""
-        if self.strongest is None:
+        if self.strongest is None or self.weakest is None:
             return np.nan, np.nan
         return self.strongest.local_gain, self.weakest.local_gain
 
@@ -108,13 +108,13 @@ def stable_range(loop: LinearLoop) -> StableRange:
     """The widest range of negative gains between two crossings in which all poles are inside the circle."""
     edges = [*crossings(loop), Crossing(0.0, 0.0)]
     ranges = [
-        StableRange(strong, weak)
+        (strong, weak)
         for strong, weak in pairwise(edges)
         if loop.radius((strong.local_gain + weak.local_gain) / 2) < 1
     ]
     if not ranges:
         return StableRange(None, None)
-    return max(ranges, key=lambda r: r.weakest.local_gain - r.strongest.local_gain)
+    return StableRange(*max(ranges, key=lambda edges: edges[1].local_gain - edges[0].local_gain))
 
 
 @checked
@@ -169,7 +169,7 @@ def limit_cycles(
     if not isinstance(transformation, FlowTransformation):
         raise InputError("transformation (8) works in the linear part of its sigmoid; it has no limit cycle")
     linear, region = transformation.local_gain, region or stable_range(loop)
-    if region.strongest is None:
+    if region.strongest is None or region.weakest is None:
         return []
     cycles = []
     for edge, stable in ((region.strongest, True), (region.weakest, False)):

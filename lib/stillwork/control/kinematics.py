@@ -25,6 +25,11 @@ class KinematicDesign:
         How many times the error is integrated: 0 for PD, 1 for PID, 2 against ramps of disturbance.
     order : int
         Derivative that the plant's input commands: 2 for a mechanical system.
+
+    Examples
+    --------
+    >>> control.KinematicDesign(exponent=10.0).gains  # of the integral, the error and its derivative
+    array([1000.,  300.,   30.])
     """
 
     exponent: float

@@ -32,10 +32,29 @@ def closed_loop(
     :math:`e_{meas} = r - (y + d - y_{flex})`, :math:`e_{true} = r - y`,
     :math:`(u_d, y_{flex}) = O(f, y + d)`.
 
+    Parameters
+    ----------
+    plant : StateModel or ModalModel
+    compensator : StateModel, optional
+        O, see `compensator`; None: no observer.
+    controller : StateModel
+        C_fb.
+
     Returns
     -------
     StateModel
         Inputs `INPUTS` and outputs `OUTPUTS`, each as wide as the plant's; pick channels with `channel`.
+
+    Raises
+    ------
+    InputError
+        When the numbers of inputs and outputs differ.
+
+    Examples
+    --------
+    >>> mass = lti.ModalModel([0.0], [0.0], [[1.0]], [[0.1]], [[0.0]])  # 10 kg
+    >>> control.closed_loop(mass, None, control.PidFamily(10.0)(50.0).state_space()).is_stable
+    True
     """
     states = plant.state_space() if isinstance(plant, ModalModel) else plant
     observer = no_observer(states) if compensator is None else compensator

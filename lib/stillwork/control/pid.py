@@ -1,6 +1,7 @@
 """The feedback controllers: PID with low-pass (3.1), and notches."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Complex128, Float64
@@ -64,6 +65,10 @@ class Pid:
 
     def state_space(self) -> StateModel:
         """Realisation by partial fractions: an integrator beside the low-pass, each of its own size."""
+        return self._realised
+
+    @cached_property  # one controller closes the loop at every position
+    def _realised(self) -> StateModel:
         w, z, wi, wd = self.low_pass, self.low_pass_damping, self.integrator, self.differentiator
         a = np.array([[0, 0, 0], [0, 0, w], [0, -w, -2 * z * w]], dtype=float)
         slope, offset = w**2 / wd - wi, w**2 * (1 + wi / wd) - 2 * z * w * wi
@@ -74,6 +79,8 @@ class Pid:
 
 def series(models: list[StateModel]) -> StateModel:
     """Single-input single-output models in a row."""
+    if len(models) == 1:
+        return models[0]
     n = len(models)
     first, last = np.eye(n)[:, :1], np.eye(n)[-1:]
     return interconnect(models, np.eye(n, k=-1), first, last)
@@ -81,7 +88,14 @@ def series(models: list[StateModel]) -> StateModel:
 
 @dataclass(frozen=True)
 class PidFamily:
-    """Controllers with one parameter left, the design bandwidth: the rules of Table 3.3."""
+    """Controllers with one parameter left, the design bandwidth: the rules of Table 3.3.
+
+    Examples
+    --------
+    >>> pid = control.PidFamily(mass=10.0)(bandwidth_hz=50.0)
+    >>> round(pid.gain)  # N/m: m w^2 / 3
+    328987
+    """
 
     mass: float  # kg
     notch_frequencies: tuple[float, ...] = ()  # rad/s

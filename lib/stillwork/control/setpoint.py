@@ -112,6 +112,12 @@ def point_to_point(
     InputError
         When a limit is not positive, the settling is longer than the cruise, or `step` does not divide
         the segments.
+
+    Examples
+    --------
+    >>> move = control.point_to_point(1e4, 100.0, 2.0, 0.1, cruise=0.02, settling=0.005, step=1e-3)
+    >>> float(move.derivatives[1].max().round(6))  # m/s
+    0.1
     """
     for name, value in (
         ("snap", snap),
@@ -135,9 +141,7 @@ def point_to_point(
     return Setpoint(step, derivatives, (rise + settling, rise + cruise), rise)
 
 
-def segment_times(
-    snap: float, jerk: float, acceleration: float, velocity: float
-) -> tuple[float, float, float]:
+def segment_times(snap: float, jerk: float, acceleration: float, velocity: float) -> tuple[float, ...]:
     """Lengths of the snap, jerk-plateau and acceleration-plateau segments (s)."""
     t_snap = min(jerk / snap, np.sqrt(acceleration / snap), np.cbrt(velocity / (2 * snap)))
     top = snap * t_snap

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, require_array, require_number, require_samples
+from stillwork.base.checks import Converted, InputError, require_array, require_number, require_samples
 from stillwork.base.front_door import check_fields, checked
 
 
@@ -21,9 +21,9 @@ class Trajectory:
     """
 
     time_step: float  # s
-    position: ArrayLike  # q^N, m, shape (samples,)
-    velocity: ArrayLike = ()  # m/s, shape (samples,)
-    acceleration: ArrayLike = ()  # m/s^2, shape (samples,)
+    position: Converted  # q^N, m, shape (samples,)
+    velocity: Converted = ()  # m/s, shape (samples,)
+    acceleration: Converted = ()  # m/s^2, shape (samples,)
 
     def __post_init__(self):
         check_fields(self)
@@ -97,6 +97,17 @@ def asin_trajectory(
         k, between 0 and 1.
     frequency_hz, duration, time_step : float
         Hz, s, s.
+
+    Raises
+    ------
+    InputError
+        When the sharpness is not between 0 and 1.
+
+    Examples
+    --------
+    >>> corner = control.asin_trajectory(amplitude=0.1, frequency_hz=1.0, duration=1.0)
+    >>> float(corner.position.max().round(6))  # m
+    0.1
     """
     require_number("sharpness", sharpness, above=0, below=1)
     phase, rate = _phase(amplitude, frequency_hz, duration, time_step)

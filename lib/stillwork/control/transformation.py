@@ -25,6 +25,11 @@ class FlowTransformation:
         A, m/s^2 a step (the paper prints s^-2); negative for a plant that follows its command.
     width : float
         w, m/s^2.
+
+    Examples
+    --------
+    >>> round(control.FlowTransformation(gain=-1.1, width=3.0).local_gain, 3)
+    -0.367
     """
 
     gain: float = -1.1
@@ -44,6 +49,7 @@ class FlowTransformation:
     @property
     @checked
     def packed(self) -> Float64[np.ndarray, "4"]:
+        """What the kernels take."""
         return np.array([0.0, self.gain, self.width, 0.0])
 
 

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
-from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, require_array, require_choice, require_number
+from stillwork.base.checks import Converted, InputError, require_array, require_choice, require_number
 from stillwork.base.front_door import checked
 from stillwork.base.kernels import inlined_kernel, kernel
 
@@ -30,6 +29,12 @@ class FeLms:
     trace : str
         ``regressors``: the trace over the n regressors, which fits the published curves. ``literal``: the trace
         that eq. (18) prints, which counts them once for every actuator and is that many times slower.
+
+    Examples
+    --------
+    >>> floor = np.random.default_rng(1).standard_normal((2, 5000))  # m/s^2
+    >>> estimation.identify(estimation.FeLms(step_size=0.2), floor, [[-3.0, 5.0]] @ floor).weights.round(3)
+    array([[ 3., -5.]])
     """
 
     step_size: float = 1e-4
@@ -63,9 +68,15 @@ class FeRls:
     growth_limit : float
         How far an element of the diagonal of P may grow beyond its initial value, at least 1; ``inf`` for the
         printed algorithm. A floor that gets quieter by more than this, in power, is followed more slowly.
+
+    Examples
+    --------
+    >>> settings = estimation.FeRls(initial_covariance=10.0, forgetting=float(np.exp(-2e-4 / 5)))  # 5 s at 5 kHz
+    >>> settings.start(regressors=2)[1]  # limits of the diagonal of P
+    array([100., 100.])
     """
 
-    initial_covariance: ArrayLike | float
+    initial_covariance: Converted
     forgetting: float = float(np.exp(-2e-4 / 10))
     growth_limit: float = 10.0
 

@@ -64,6 +64,12 @@ class LowPass:
     ----------
     bandwidth : float
         lambda of (7), rad/s.
+
+    Examples
+    --------
+    >>> held = estimation.filter_signal(estimation.LowPass(100.0), np.ones(1000), time_step=1e-3)
+    >>> bool(held.position[10] < 0.1 and abs(held.position[-1] - 1) < 1e-6)  # from zero, to what is measured
+    True
     """
 
     bandwidth: float = 350.0
@@ -74,6 +80,7 @@ class LowPass:
 
     @checked
     def packed(self) -> Packed:
+        """What the kernels take."""
         return _packed(LOW_PASS, [self.bandwidth], (1, 1, 3))
 
 

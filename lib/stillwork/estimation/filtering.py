@@ -62,6 +62,13 @@ def filter_signal(
     InputError
         When the filter cannot run at this time step, or a covariance loses its definiteness on the way;
         the message names the sample.
+
+    Examples
+    --------
+    >>> position = 0.01 * np.arange(1000) / 1000  # m, at 10 mm/s
+    >>> estimate = estimation.filter_signal(estimation.LowPass(bandwidth=350.0), position)
+    >>> float(estimate.velocity[-1].round(6))
+    0.01
     """
     require_step(signal_filter, time_step)
     measured = require_array("measured", measured, ndim=1)

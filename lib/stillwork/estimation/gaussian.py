@@ -5,8 +5,9 @@ Their workspace is a stack of square blocks, one a name below; the block MEANS h
 
 import numpy as np
 
+from stillwork.base.algebra import cholesky_root
 from stillwork.base.checks import InputError, require_array
-from stillwork.base.kernels import inlined_kernel, kernel
+from stillwork.base.kernels import kernel
 
 POINTS, OBSERVED, COVARIANCE, ROOT, INNOVATION, CROSS, GAIN, MEANS = range(8)
 BLOCKS = 8
@@ -40,23 +41,6 @@ def require_covariance(name: str, value, size: int, *, definite: bool = True) ->
         wanted = "positive definite" if definite else "positive semidefinite"
         raise InputError(f"{name} is not {wanted} (eigenvalue {smallest:.3g}); give variances above zero")
     return np.ascontiguousarray(matrix)
-
-
-@inlined_kernel
-def cholesky_root(matrix, root, size):
-    """Lower root of a symmetric matrix; false when it is not positive definite."""
-    for i in range(size):
-        for j in range(i + 1):
-            total = matrix[i, j]
-            for k in range(j):
-                total -= root[i, k] * root[j, k]
-            if i == j:
-                if not total > 0.0:
-                    return False
-                root[i, i] = total**0.5
-            else:
-                root[i, j] = total / root[j, j]
-    return True
 
 
 @kernel

@@ -1,8 +1,6 @@
-"""H2-optimal observers: by two scaled Riccati equations and by linear matrix inequalities (Theorem 5.1.1).
+"""H2-optimal observers by two scaled Riccati equations.
 
-The inequalities also take a bound on one weighted peak, with one Lyapunov matrix for both norms.
-
-Both need a regular problem. The one of Fig. 5.2 is singular twice (the estimate does not enter the performance,
+They need a regular problem. The one of Fig. 5.2 is singular twice (the estimate does not enter the performance,
 and the plant input is measured without noise), so a small cost and a small noise are added; what comes back
 is judged by the norm of the original loop, computed apart.
 """
@@ -13,11 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from stillwork.base.checks import InputError, require_array, require_number
-from stillwork.base.extras import require_package
+from stillwork.base.checks import InputError, require_array
 from stillwork.base.front_door import checked
 from stillwork.estimation.generalised_plant import GeneralisedPlant
-from stillwork.lti.norms import h2_norm, hinf_norm
+from stillwork.lti.norms import h2_norm
 from stillwork.lti.state_space import StateModel
 
 
@@ -91,7 +88,7 @@ def h2_riccati(plant: GeneralisedPlant, effort: float | ArrayLike, noise: float 
         solution, or the check fails.
     """
     regular = regularised(plant, effort, noise)
-    scaled, units = _scaled(regular)
+    scaled, units = scaled_plant(regular)
     a, b1, b2, c1, c2, d11, d12, d21, d22 = scaled.blocks
     if np.any(d11):
         raise InputError("the plant has feedthrough from w to z; its H2 norm is infinite, add a low-pass")
@@ -101,8 +98,8 @@ def h2_riccati(plant: GeneralisedPlant, effort: float | ArrayLike, noise: float 
     missed = StateModel(a - gain @ c2, b1 - gain @ d21, d12 @ feedback, np.zeros_like(d11))
     claimed = float(np.hypot(h2_norm(driven), h2_norm(missed)))
     core = a - b2 @ feedback - gain @ c2 + gain @ d22 @ feedback
-    observer = _in_units(units, core, gain, -feedback)
-    return _judged(plant, regular, observer, claimed, "solved", WORST_SEPARATION)
+    observer = in_units(units, core, gain, -feedback)
+    return judged(plant, regular, observer, claimed, "solved", WORST_SEPARATION)
 
 
 # A scaled pair of Riccati equations leaves 1e-8 at worst; the norms of unbalanced loops scatter above that.
@@ -113,11 +110,12 @@ WORST_SEPARATION = 1e-5
 LEAST_SHARE = 1e-6
 
 
-def _judged(plant, regular, observer, claimed: float, status: str, tolerance: float) -> Synthesis:
+def judged(plant, regular, observer, claimed: float, status: str, tolerance: float) -> Synthesis:
+    """An observer with its norms; `InputError` when its loop does not have the norm that its synthesis claims."""
     loop = regular.close(observer)
     achieved = h2_norm(loop) if loop.is_stable else np.inf
-    _, b1, _, c1, *_ = _scaled(regular)[0].blocks
-    scale = np.linalg.norm(b1) * np.linalg.norm(c1)
+    _, b1, _, c1, *_ = scaled_plant(regular)[0].blocks
+    scale = float(np.linalg.norm(b1) * np.linalg.norm(c1))
     size = max(claimed, LEAST_SHARE * scale)
     # A norm is the root of a sum that is known to rounding units: near zero to the root of these.
     rounding = 4 * np.sqrt(np.finfo(float).eps) * scale
@@ -146,7 +144,7 @@ def _filter_gain(a, b, c, d) -> np.ndarray:
     return gain
 
 
-def _in_units(units: "_Units", a, b, c) -> StateModel:
+def in_units(units: "Units", a, b, c) -> StateModel:
     """An observer of the scaled plant in the plant's own units."""
     return StateModel(
         a * units.rate,
@@ -157,15 +155,15 @@ def _in_units(units: "_Units", a, b, c) -> StateModel:
 
 
 @dataclass(frozen=True)
-class _Units:
-    """Units in which the matrix inequalities are solved."""
+class Units:
+    """Units in which a synthesis is solved."""
 
     rate: float  # rad/s: time runs in 1/rate
     controls: np.ndarray  # their cost becomes 1
     measurements: np.ndarray  # their noise becomes 1
 
 
-def _scaled(plant: GeneralisedPlant) -> tuple[GeneralisedPlant, _Units]:
+def scaled_plant(plant: GeneralisedPlant) -> tuple[GeneralisedPlant, Units]:
     """Slow time, unit cost and noise, balanced states; H2 norms stay what they are."""
     a, b1, b2, c1, c2, d11, d12, d21, d22 = plant.blocks
     rate = float(np.median(np.abs(linalg.eigvals(a)))) or 1.0  # most of them may be zero
@@ -185,161 +183,4 @@ def _scaled(plant: GeneralisedPlant) -> tuple[GeneralisedPlant, _Units]:
     _, (scale, _) = linalg.matrix_balance(whole, permute=False, separate=True)
     scale = scale[:n]
     model = StateModel(a * scale / scale[:, None] / rate, b / scale[:, None], c * scale, d)
-    return GeneralisedPlant(model, plant.exogenous, plant.performance), _Units(rate, controls, measurements)
-
-
-@checked
-def h2_lmi(
-    plant: GeneralisedPlant, effort: float | ArrayLike, noise: float | ArrayLike, tolerance: float = 1e-3
-) -> Synthesis:
-    r"""H2-optimal observer of the regularised plant from the matrix inequalities (5.7), solved by Clarabel.
-
-    The observer's feedthrough is zero: with a regular :math:`D_{12}` and :math:`D_{21}` any other makes the
-    norm infinite.
-
-    Parameters
-    ----------
-    plant, effort, noise
-        See `regularised`.
-    tolerance : float
-        How far, relatively, the norm of the recovered loop may lie from what the solver claims.
-
-    Raises
-    ------
-    InputError
-        When the solver does not report an optimum, or the recovered loop does not keep what was claimed;
-        the message shows the status and the residual. No matrix of a failed solve is returned.
-    """
-    tolerance = require_number("tolerance", tolerance, above=0.0)
-    regular = regularised(plant, effort, noise)
-    status, claimed, observer = _by_inequalities(regular)
-    return _judged(plant, regular, observer, claimed, status, tolerance)
-
-
-@checked
-def mixed_lmi(
-    plant: GeneralisedPlant,
-    level: float,
-    ratio: float,
-    effort: float | ArrayLike,
-    noise: float | ArrayLike,
-    tolerance: float = 1e-3,
-) -> Synthesis:
-    r"""Observer with a small H2 norm whose weighted error keeps a level, from matrix inequalities with Clarabel.
-
-    One change of variables serves both norms only if their Lyapunov matrices are multiples of each other. That
-    makes `claimed` an upper bound of both the loop's norm and the optimum: any ratio is valid, the least claim
-    over ratios is the best, and no ratio gives the true trade-off.
-
-    Parameters
-    ----------
-    plant : GeneralisedPlant
-        With two performance outputs, as `tradeoff.emphasised` gives for emphasis 1: the error and the weighted
-        error. The two-norm is that from all inputs to the first, the peak that from the first input to the second.
-    level : float
-        Bound on the peak.
-    ratio : float
-        Lyapunov matrix of the peak over that of the two-norm, for the scaled problem; 1 in most texts.
-    effort, noise
-        See `regularised`.
-    tolerance : float
-        How far, relatively, the loop's norms may exceed the claim and the level.
-
-    Returns
-    -------
-    Synthesis
-        Its norms are those to the first output, without and with the added cost and noise.
-
-    Raises
-    ------
-    InputError
-        As for `h2_lmi`; here also when the loop does not keep the level.
-    """
-    level = require_number("level", level, above=0.0)
-    ratio = require_number("ratio", ratio, above=0.0)
-    tolerance = require_number("tolerance", tolerance, above=0.0)
-    if plant.performance != 2:
-        raise InputError(
-            f"plant has {plant.performance} performance outputs; give the error and the weighted"
-        )
-    regular = regularised(plant, effort, noise)
-    status, claimed, observer = _by_inequalities(regular, level, ratio)
-    loop = regular.close(observer)
-    achieved = peak = np.inf
-    if loop.is_stable:
-        achieved = h2_norm(loop.select(range(regular.exogenous), _unweighted(regular)))
-        peak = hinf_norm(loop.select([0], [1])).magnitude
-    excess = max(achieved / claimed, peak / level) - 1
-    if not excess <= tolerance:
-        raise InputError(
-            f"the solver reports {status!r} with H2 norm {claimed:.6g} at level {level:.6g}, but the loop of its "
-            f"observer has {achieved:.6g} and {peak:.6g}: relative residual {excess:.1e}, allowed {tolerance:.1e}"
-        )
-    posed = plant.close(observer).select(range(plant.exogenous), [0])
-    return Synthesis(observer, achieved, h2_norm(posed), claimed, status)
-
-
-def _unweighted(regular: GeneralisedPlant) -> list[int]:
-    """Performance outputs of a regularised plant that count for the two-norm when the second has a bound."""
-    return [0, *range(2, regular.performance)]
-
-
-def _by_inequalities(regular: GeneralisedPlant, level: float | None = None, ratio: float = 1.0):
-    """Status, claimed norm and observer of a regularised plant; with a level, the second output is bounded.
-
-    Raises
-    ------
-    InputError
-        When the solver reports anything but an optimum, with what it reports and its residuals.
-    """
-    cp = require_package("cvxpy")
-
-    plant, units = _scaled(regular)
-    a, b1, b2, c1, c2, _, d12, d21, _ = plant.blocks
-    n = len(a)
-    x, y = cp.Variable((n, n), symmetric=True), cp.Variable((n, n), symmetric=True)
-    a_hat, b_hat, c_hat = cp.Variable((n, n)), cp.Variable((n, len(c2))), cp.Variable((b2.shape[1], n))
-    upper, lower = a @ x + b2 @ c_hat, y @ a + b_hat @ c2
-    driven, seen = y @ b1 + b_hat @ d21, c1 @ x + d12 @ c_hat
-    stable = [[upper + upper.T, a_hat.T + a], [a_hat + a.T, lower + lower.T]]
-    kept = list(range(len(c1))) if level is None else _unweighted(plant)
-    q = cp.Variable((len(kept), len(kept)), symmetric=True)
-    dissipated = [[*stable[0], b1], [*stable[1], driven], [b1.T, driven.T, -np.eye(b1.shape[1])]]
-    bounded = [[x, np.eye(n), seen[kept].T], [np.eye(n), y, c1[kept].T], [seen[kept], c1[kept], q]]
-    constraints = [cp.bmat(dissipated) << 0, cp.bmat(bounded) >> 0]
-    if level is not None:
-        own = level * np.sqrt(units.rate)  # in slow time
-        into, out = np.sqrt(ratio / own), np.sqrt(1 / (ratio * own))
-        b, yb, cx, c = into * b1[:, :1], into * driven[:, :1], out * seen[1:2], out * c1[1:2]
-        zero = np.zeros((1, 1))
-        real = [
-            [*stable[0], b, cx.T],
-            [*stable[1], yb, c.T],
-            [b.T, yb.T, -np.eye(1), zero],
-            [cx, c, zero, -np.eye(1)],
-        ]
-        constraints.append(cp.bmat(real) << 0)
-    problem = cp.Problem(cp.Minimize(cp.trace(q)), constraints)
-    data, chain, inverse = problem.get_problem_data(cp.CLARABEL, solver_opts={})
-    solution = chain.solve_via_data(problem, data)
-    if str(solution.status) != "Solved":
-        raise InputError(
-            f"the matrix inequalities have no usable solution: Clarabel reports {str(solution.status)!r} after "
-            f"{solution.iterations} iterations, residuals {solution.r_prim:.1e} (primal) and "
-            f"{solution.r_dual:.1e} (dual); rescale the problem, regularise it more or ask for less"
-        )
-    problem.unpack_results(solution, chain, inverse)
-    found = (variable.value for variable in (x, y, a_hat, b_hat, c_hat))
-    return problem.status, float(np.sqrt(problem.value)), _in_units(units, *_recover(plant, *found))
-
-
-def _recover(plant: GeneralisedPlant, x, y, a_hat, b_hat, c_hat):
-    """Observer matrices of Lemma 5.1.1 without feedthrough, and with D22 taken out of the measurement."""
-    a, _, b2, _, c2, _, _, _, d22 = plant.blocks
-    left, values, right = np.linalg.svd(np.eye(len(x)) - x @ y)
-    m, n = left * np.sqrt(values), right.T * np.sqrt(values)
-    c_o = np.linalg.solve(m, c_hat.T).T
-    b_o = np.linalg.solve(n, b_hat)
-    core = a_hat - b_hat @ c2 @ x - y @ b2 @ c_hat - y @ a @ x
-    a_o = np.linalg.solve(n, np.linalg.solve(m, core.T).T)
-    return a_o - b_o @ d22 @ c_o, b_o, c_o
+    return GeneralisedPlant(model, plant.exogenous, plant.performance), Units(rate, controls, measurements)

@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
+from stillwork.base.algebra import add_square, condition, congruence, measure, take_in_turn
 from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.base.front_door import checked
 from stillwork.base.kernels import kernel
@@ -86,60 +87,18 @@ def _design(model: TimeVaryingModel, wanted: np.ndarray, level: float) -> tuple[
 
 @kernel
 def _riccati(a, g, c, wanted, gain, covariance):
-    samples, n = a.shape[0], a.shape[1]
-    p, half, v = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
-    for i in range(n):
-        for j in range(n):
-            p[i, j] = covariance[0, i, j]
-    for k in range(1, samples):
+    n = a.shape[1]
+    p, half, v, noise = covariance[0].copy(), np.empty((n, n)), np.empty(n), np.ones(c.shape[1])
+    for k in range(1, len(a)):
         # A negative measurement of what is wanted: certainty is taken back where errors would hurt most.
-        for o in range(wanted.shape[0]):
-            s = 1.0
-            for i in range(n):
-                total = 0.0
-                for j in range(n):
-                    total += p[i, j] * wanted[o, j]
-                v[i] = total
-            for i in range(n):
-                s -= wanted[o, i] * v[i]
-            if not s > 0:
+        for o in range(len(wanted)):
+            variance = measure(p, wanted, o, -1.0, v)
+            if not variance < 0:
                 return k
-            for i in range(n):
-                for j in range(n):
-                    p[i, j] += v[i] * v[j] / s
-        for i in range(n):
-            for j in range(n):
-                total = 0.0
-                for q in range(n):
-                    total += a[k, i, q] * p[q, j]
-                half[i, j] = total
-        for i in range(n):
-            for j in range(i + 1):
-                total = 0.0
-                for q in range(n):
-                    total += half[i, q] * a[k, j, q]
-                for q in range(g.shape[2]):
-                    total += g[k, i, q] * g[k, j, q]
-                p[i, j] = p[j, i] = total
-        for o in range(c.shape[1]):
-            s = 1.0
-            for i in range(n):
-                total = 0.0
-                for j in range(n):
-                    total += p[i, j] * c[k, o, j]
-                v[i] = total
-            for i in range(n):
-                s += c[k, o, i] * v[i]
-            for j in range(o):
-                total = 0.0
-                for i in range(n):
-                    total += c[k, o, i] * gain[k, i, j]
-                for i in range(n):
-                    gain[k, i, j] -= v[i] / s * total
-            for i in range(n):
-                gain[k, i, o] = v[i] / s
-                for j in range(n):
-                    p[i, j] -= v[i] * v[j] / s
+            condition(p, v, variance)
+        congruence(a[k], p, half, p)
+        add_square(g[k], p)
+        take_in_turn(p, c[k], noise, gain[k], v)
         for i in range(n):
             for j in range(n):
                 covariance[k, i, j] = p[i, j]

@@ -11,8 +11,6 @@ from stillwork.base.checks import require_array, require_number
 from stillwork.base.front_door import checked
 from stillwork.estimation.secular import ROUNDING, decompose
 
-CASES = ("regularised", "zero", "least squares", "segment")
-
 
 class ZeroEstimateWarning(UserWarning):
     """The bound admits a perturbation that explains all of the data away: the estimate is zero."""
@@ -95,6 +93,12 @@ def min_max_solve(matrix: ArrayLike, target: ArrayLike, bound: float) -> MinMaxS
     Sayed, Garulli, Nascimento, Chandrasekaran, "Exponentially-weighted iterative solutions for worst-case
     parameter estimation", Theorem 1 and the remarks after it. The case of b in the column space of A
     follows from the limit of eq. (4) for |d| to 0.
+
+    Examples
+    --------
+    >>> solution = estimation.min_max_solve([[1.0], [1.0]], [2.0, 1.0], bound=0.5)
+    >>> solution.estimate.round(3)  # 1.5 by least squares
+    array([1.311])
     """
     solution = solve_silently(matrix, target, bound)
     if solution.case == "zero" and solution.threshold > 0:

@@ -15,7 +15,13 @@ from stillwork.lti.state_space import StateModel
 
 @dataclass(frozen=True)
 class NoiseIntensities:
-    """Intensities that the observer is designed for; without a noise model only their ratio matters."""
+    """Intensities that the observer is designed for; without a noise model only their ratio matters.
+
+    Examples
+    --------
+    >>> estimation.NoiseIntensities(process=1.0, sensor=1e-12).sensor  # m^2: 1 um
+    1e-12
+    """
 
     process: float  # Q, N^2
     sensor: float  # R, m^2
@@ -97,6 +103,13 @@ def kalman_observer(model: ModalModel, noise: NoiseIntensities, noise_model: flo
     ------
     InputError
         When a mode that is not stable by itself cannot be observed, or the Riccati equation cannot be trusted.
+
+    Examples
+    --------
+    >>> stage = lti.ModalModel([0.0, 600.0], [0.0, 0.01], [[0.3], [0.3]], [[0.3, -0.3]], [[0.0]])
+    >>> observer = estimation.kalman_observer(stage, estimation.NoiseIntensities(process=1.0, sensor=1e-12))
+    >>> bool(np.linalg.eigvals(observer.a - observer.gain @ observer.c).real.max() < 0)
+    True
     """
     states = model.state_space()
     a, b, c = states.a, states.b, states.c

@@ -1,6 +1,7 @@
 """Adaptation on people's own data: over a recorded run, as identification, or one sample at a time."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float64, Int64
@@ -87,6 +88,13 @@ def adapt(
         Arrays that do not fit together, or that hold NaN.
     UnstableAdaptation
         With the sample and the cause.
+
+    Examples
+    --------
+    >>> floor = np.ones((1, 10))
+    >>> errors = np.array([[1.0] + 9 * [0.0]])  # gone after the first sample
+    >>> estimation.adapt(estimation.FeLms(0.5), floor, errors).weights.round(3)
+    array([[-0.5]])
     """
     return _run(settings, regressors, "errors", errors, weights, every)
 
@@ -118,6 +126,13 @@ def identify(
     ------
     InputError, UnstableAdaptation
         As in `adapt`.
+
+    Examples
+    --------
+    >>> floor = np.random.default_rng(1).standard_normal((2, 5000))  # m/s^2
+    >>> settings = estimation.FeRls(1e3, forgetting=0.999)
+    >>> estimation.identify(settings, floor, [[-3.0, 5.0]] @ floor).weights.round(3)  # N per (m/s^2)
+    array([[ 3., -5.]])
     """
     return _run(settings, regressors, "disturbance", disturbance, weights, every)
 
@@ -140,12 +155,20 @@ class AdaptationStepper:
         P after the same sample; None for FeLMS.
     samples : int
         How many samples were seen.
+
+    Examples
+    --------
+    >>> stepper = estimation.AdaptationStepper(estimation.FeRls(1e3), np.zeros((1, 1)))
+    >>> for floor in (1.0, -2.0, 1.5):
+    ...     weights = stepper.update([floor], [(stepper.weights[0, 0] - 0.5) * floor])
+    >>> weights.round(2)
+    array([[0.5]])
     """
 
     def __init__(self, settings: FeLms | FeRls, weights: ArrayLike):
         self.settings = require_kind("settings", settings, (FeLms, FeRls))
         self.weights = require_array("weights", weights, ndim=2).copy()
-        self.covariance, self._limits = None, None
+        self.covariance: Any = None
         if isinstance(settings, FeRls):
             self.covariance, self._limits = settings.start(self.weights.shape[1])
         self._gain = np.zeros(self.weights.shape[1])

@@ -34,6 +34,12 @@ class Plant:
         ``force(position, velocity, acceleration, parameters)``, N: the inverse of the first.
     parameters : ndarray, shape (parameters,)
         Passed to both; changing them recompiles nothing.
+
+    Examples
+    --------
+    >>> slide = estimation.Plant(lambda q, v, f, p: f / p[0], lambda q, v, a, p: p[0] * a, [2.0])
+    >>> float(slide.force(0.0, 0.1, 3.0, slide.parameters))  # N, for 3 m/s^2 of 2 kg
+    6.0
     """
 
     acceleration: Callable
@@ -67,15 +73,20 @@ class Plant:
 
 def partial_derivatives(plant: Plant, position: float, velocity: float, force: float) -> tuple[float, ...]:
     """Derivatives of the acceleration with respect to position, velocity and force, by central differences."""
-    point = np.array([position, velocity, force], dtype=float)
+    return tuple(_slope(plant, axis, position, velocity, force) for axis in range(3))
 
-    def slope(axis):
-        step = 1e-6 * max(1.0, abs(point[axis])) * np.eye(3)[axis]
-        high = plant.acceleration(*(point + step), plant.parameters)
-        low = plant.acceleration(*(point - step), plant.parameters)
-        return float((high - low) / (2 * step[axis]))
 
-    return slope(0), slope(1), slope(2)
+def force_slope(plant: Plant, position: float, velocity: float, force: float) -> float:
+    """Derivative of the acceleration with respect to the force alone, as `partial_derivatives` gives it."""
+    return _slope(plant, 2, position, velocity, force)
+
+
+def _slope(plant: Plant, axis: int, *point: float) -> float:
+    at = np.array(point, dtype=float)
+    step = 1e-6 * max(1.0, abs(at[axis])) * np.eye(3)[axis]
+    high = plant.acceleration(*(at + step), plant.parameters)
+    low = plant.acceleration(*(at - step), plant.parameters)
+    return float((high - low) / (2 * step[axis]))
 
 
 def outline(file: Path) -> list[str]:

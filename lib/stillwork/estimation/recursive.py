@@ -42,6 +42,12 @@ def run(estimator: Estimator, regressors: ArrayLike, outputs: ArrayLike) -> Trac
     -----
     ZeroEstimateWarning
         When a min-max bound is so large that every estimate is zero.
+
+    Examples
+    --------
+    >>> track = estimation.run(estimation.LeastSquares(0.98), np.ones((1, 5)), 2 * np.ones(5))
+    >>> track.errors.round(2)  # of the prediction, before each sample is used
+    array([2., 0., 0., 0., 0.])
     """
     track = run_silently(estimator, regressors, outputs)
     # without any correlation zero is the answer for every bound
@@ -110,6 +116,12 @@ class RecursiveStepper:
     ----------
     samples : int
         How many samples were seen.
+
+    Examples
+    --------
+    >>> stepper = estimation.RecursiveStepper(estimation.LeastSquares(0.98), unknowns=1)
+    >>> stepper.update([1.0], 2.0).round(2), stepper.update([-1.0], -2.0).round(2)
+    (array([2.]), array([2.]))
     """
 
     def __init__(self, estimator: Estimator, unknowns: int):

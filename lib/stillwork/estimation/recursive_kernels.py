@@ -6,18 +6,40 @@ s <- lam s + a y, `energy` z <- lam z + y^2, the regularisation alpha, the numbe
 
 import numpy as np
 
+from stillwork.base.algebra import factorise, solve_backward, solve_forward
 from stillwork.base.kernels import kernel
 from stillwork.estimation.adaptive import limit_covariance, update_covariance
-from stillwork.estimation.factor import (
-    accumulate_row,
-    factorise,
-    solve_backward,
-    solve_forward,
-    squared_norms,
-)
 from stillwork.estimation.secular import ROUNDING, narrow_bracket, next_alpha
 
 ALPHA, ENERGY, COUNT = 0, 1, 2  # places in the array `scalars`: alpha, z, samples seen
+
+
+@kernel
+def _accumulate_row(row, output, forgetting, information, correlation):
+    # returns |s|^2 and the trace of R
+    size = 0.0
+    trace = 0.0
+    for i in range(len(row)):
+        for j in range(i + 1):
+            information[i, j] = forgetting * information[i, j] + row[i] * row[j]
+        correlation[i] = forgetting * correlation[i] + row[i] * output
+        size += correlation[i] * correlation[i]
+        trace += information[i, i]
+    return size, trace
+
+
+@kernel
+def _squared_norms(information, correlation, energy, solution):
+    # |x|^2 and |A x - b|^2 = z - 2 x's + x'R x, clamped at zero as in (20)
+    norm = 0.0
+    residual = energy
+    for i in range(len(solution)):
+        inner = 0.5 * information[i, i] * solution[i] - correlation[i]
+        for j in range(i):
+            inner += information[i, j] * solution[j]
+        residual += 2.0 * inner * solution[i]
+        norm += solution[i] * solution[i]
+    return norm, max(residual, 0.0)
 
 
 @kernel
@@ -32,7 +54,7 @@ def _exact_solution(
     while True:
         factorise(information, alpha, correlation, factor, inverse_pivots, half, work)
         solve_backward(factor, inverse_pivots, half, x)
-        norm, residual = squared_norms(information, correlation, energy, x)
+        norm, residual = _squared_norms(information, correlation, energy, x)
         evaluations += 1
         if residual == 0.0 or evaluations == 100:
             return alpha, evaluations
@@ -61,60 +83,15 @@ def _exact_solution(
 
 
 @kernel
-def run_exact(
-    rows, outputs, bounds, forgetting, information, correlation, scalars, estimate,
-    estimates, errors, alphas, evaluations,
-):  # fmt: skip
-    """Theorem 2's estimates: the min-max solution of all data so far, at every step, from R, s and z."""
-    n = len(estimate)
-    factor = np.zeros((n, n))
-    inverse_pivots = np.zeros(n)
-    half = np.zeros(n)
-    work = np.zeros(n)
-    turned = np.zeros(n)
-    row = np.zeros(n)
-    alpha = scalars[ALPHA]
-    energy = scalars[ENERGY]
-    seen = scalars[COUNT]
-    for t in range(len(outputs)):
-        output = outputs[t]
-        error = output
-        for i in range(n):
-            row[i] = rows[t, i]
-            error -= row[i] * estimate[i]
-        errors[t] = error
-        size, trace = accumulate_row(row, output, forgetting, information, correlation)
-        energy = forgetting * energy + output * output
-        seen += 1.0
-        count = 0
-        if seen <= n or bounds[t] * bounds[t] * energy >= size:  # Theorem 1: eta >= |A'b| / |b|
-            alpha = np.inf
-            for i in range(n):
-                estimate[i] = 0.0
-        else:
-            # alpha_t itself is nearer to alpha_(t+1) than lam alpha_t, from which (15) starts
-            start = alpha if alpha < np.inf else trace / n
-            alpha, count = _exact_solution(
-                information, correlation, energy, bounds[t], start, ROUNDING * trace, estimate,
-                factor, inverse_pivots, half, work, turned,
-            )  # fmt: skip
-        alphas[t] = alpha
-        evaluations[t] = count
-        for i in range(n):
-            estimates[t, i] = estimate[i]
-    scalars[ALPHA] = alpha
-    scalars[ENERGY] = energy
-    scalars[COUNT] = seen
-
-
-@kernel
-def run_approximate(
+def run_min_max(
     rows, outputs, bounds, forgetting, iterations, information, correlation, scalars, estimate,
     factor, inverse_pivots, estimates, errors, alphas, evaluations,
 ):  # fmt: skip
-    """Algorithm (20): `iterations` steps of the fixed-point map from lam alpha, in place of its root.
+    """Min-max estimates of all data so far at every step, from R, s and z.
 
-    `factor` holds P^-1 of the last step: h follows from it by a rank-one update, as in RLS.
+    With 0 `iterations` the exact ones of Theorem 2. Else algorithm (20): so many steps of the fixed-point map from
+    lam alpha in place of its root; `factor` then holds P^-1 of the last step, from which h follows by a rank-one
+    update, as in RLS.
     """
     n = len(estimate)
     half = np.zeros(n)
@@ -131,37 +108,37 @@ def run_approximate(
             row[i] = rows[t, i]
             error -= row[i] * estimate[i]
         errors[t] = error
-        size, trace = accumulate_row(row, output, forgetting, information, correlation)
+        size, trace = _accumulate_row(row, output, forgetting, information, correlation)
         energy = forgetting * energy + output * output
         seen += 1.0
         least = ROUNDING * trace
         bound = bounds[t]
         count = 0
-        if seen <= n or bound * bound * energy >= size:
+        if seen <= n or bound * bound * energy >= size:  # Theorem 1: eta >= |A'b| / |b|
             alpha = np.inf
             for i in range(n):
                 estimate[i] = 0.0
-        elif alpha == np.inf:
-            # out of the zero solution, and at the first step, there is no lam alpha: solve exactly
+        elif iterations == 0 or alpha == np.inf:
+            # alpha_t itself is nearer to alpha_(t+1) than lam alpha_t, from which (15) starts; out of the zero
+            # solution, and at the first step, there is neither
+            start = alpha if alpha < np.inf else trace / n
             alpha, count = _exact_solution(
-                information, correlation, energy, bound, trace / n, least, estimate,
+                information, correlation, energy, bound, start, least, estimate,
                 factor, inverse_pivots, half, work, gain,
             )  # fmt: skip
-            factorise(information, alpha, correlation, factor, inverse_pivots, half, work)
+            if iterations > 0:
+                factorise(information, alpha, correlation, factor, inverse_pivots, half, work)
         else:
             solve_forward(factor, row, half)
             weight = forgetting
             for i in range(n):
                 weight += half[i] * half[i] * inverse_pivots[i]
             share = error / weight
-            for i in range(n - 1, -1, -1):  # h = x + P a e / (lam + a'P a)
-                entry = half[i] * inverse_pivots[i]
-                for j in range(i + 1, n):
-                    entry -= factor[j, i] * gain[j]
-                gain[i] = entry
-                estimate[i] += entry * share
+            solve_backward(factor, inverse_pivots, half, gain)
+            for i in range(n):  # h = x + P a e / (lam + a'P a)
+                estimate[i] += gain[i] * share
             for _ in range(iterations):
-                norm, residual = squared_norms(information, correlation, energy, estimate)
+                norm, residual = _squared_norms(information, correlation, energy, estimate)
                 alpha = max(bound * np.sqrt(residual / norm), least)
                 factorise(information, alpha, correlation, factor, inverse_pivots, half, work)
                 solve_backward(factor, inverse_pivots, half, estimate)
@@ -190,7 +167,7 @@ def run_ridge(rows, outputs, penalty, forgetting, information, correlation, esti
             row[i] = rows[t, i]
             error -= row[i] * estimate[i]
         errors[t] = error
-        accumulate_row(row, outputs[t], forgetting, information, correlation)
+        _accumulate_row(row, outputs[t], forgetting, information, correlation)
         factorise(information, penalty, correlation, factor, inverse_pivots, half, work)
         solve_backward(factor, inverse_pivots, half, estimate)
         for i in range(n):
@@ -227,7 +204,7 @@ def worst_residuals(rows, outputs, bounds, forgetting, estimates, worst):
     correlation = np.zeros(n)
     energy = 0.0
     for t in range(len(outputs)):
-        accumulate_row(rows[t], outputs[t], forgetting, information, correlation)
+        _accumulate_row(rows[t], outputs[t], forgetting, information, correlation)
         energy = forgetting * energy + outputs[t] * outputs[t]
-        norm, residual = squared_norms(information, correlation, energy, estimates[t])
+        norm, residual = _squared_norms(information, correlation, energy, estimates[t])
         worst[t] = np.sqrt(residual) + bounds[t] * np.sqrt(norm)

@@ -14,10 +14,16 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, require_array, require_finite_run, require_number
+from stillwork.base.algebra import (
+    condition,
+    congruence,
+    measure,
+    multiply,
+    take_in_turn,
+)
+from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.base.front_door import checked
 from stillwork.base.kernels import inlined_kernel, kernel
 from stillwork.estimation.time_varying import FilterGains, TimeVaryingModel
@@ -118,48 +124,12 @@ def regularised_gains(model: TimeVaryingModel, bound: NormBound, margin: float =
         When the uncertainty does not fit the model or `margin` is not positive.
     """
     margin = require_number("margin", margin, above=0.0)
-    rows, m = _bound_rows(model, bound)
-    return _penalised(model, rows, (1 + margin) * _lower_limit(model, rows, m), m)
+    rows, m = bound_rows(model, bound)
+    return _penalised(model, rows, (1 + margin) * lower_limit(model, rows, m), m)
 
 
-@dataclass(frozen=True)
-class LineSearch:
-    """Estimates of the regularised filter that solves for lambda at every sample."""
-
-    states: Float64[np.ndarray, "states samples"]
-    ratio: Float64[
-        np.ndarray, " samples"
-    ]  # optimal lambda over its lower limit; 1 where nothing is uncertain
-
-
-@checked
-def regularised_line_search(
-    model: TimeVaryingModel, bound: NormBound, u: ArrayLike, y: ArrayLike, initial: ArrayLike | None = None
-) -> LineSearch:
-    r"""Regularised least-squares filter with the optimal :math:`\hat\lambda = \arg\min G(\lambda)` at every sample.
-
-    :math:`G` is the minimum over (x, w) of the cost above; the optimum depends on the data, so there are no
-    gains beforehand. It is the exact solution of the min-max problem (5.15) at every step.
-
-    Parameters and errors as for `regularised_gains` and `estimate`.
-    """
-    rows, m = _bound_rows(model, bound)
-    samples, outputs, states = model.c.shape
-    u = require_array("u", u, shape=(model.b.shape[2], samples))
-    y = require_array("y", y, shape=(outputs, samples))
-    initial = np.zeros(states) if initial is None else require_array("initial", initial, shape=(states,))
-    turn, spread = _principal(model, m)
-    turned = np.einsum("koi,ik->ko", turn, y)
-    out, ratio = np.zeros((samples, states)), np.ones(samples)
-    out[0] = initial
-    limit, start = _lower_limit(model, rows, m), model.initial_covariance.copy()
-    data = _step_data(model, rows, turn)
-    _search_filter(data, limit, spread, np.ascontiguousarray(u.T), turned, start, out, ratio)
-    require_finite_run("the estimate", out, "rescale the model or the record")
-    return LineSearch(np.ascontiguousarray(out.T), ratio)
-
-
-def _bound_rows(model: TimeVaryingModel, bound: NormBound):
+def bound_rows(model: TimeVaryingModel, bound: NormBound):
+    """S, T and M of a norm bound at every sample, as `Derivatives.rows` gives them, and its directions."""
     samples, outputs, states = model.c.shape
 
     def spread(name, columns):
@@ -174,7 +144,7 @@ def _bound_rows(model: TimeVaryingModel, bound: NormBound):
     return (e_a, e_g, e_b), m
 
 
-def _principal(model: TimeVaryingModel, m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def principal(model: TimeVaryingModel, m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Turn the whitened measurement so that R_hat = R - M M' / lambda is diagonal: I - spread / lambda."""
     whiten = np.linalg.inv(np.linalg.cholesky(model.sensor))
     whitened = whiten @ m
@@ -182,26 +152,26 @@ def _principal(model: TimeVaryingModel, m: np.ndarray) -> tuple[np.ndarray, np.n
     return np.swapaxes(vectors, 1, 2) @ whiten, np.maximum(values, 0)
 
 
-def _lower_limit(model: TimeVaryingModel, rows, m: np.ndarray) -> np.ndarray:
+def lower_limit(model: TimeVaryingModel, rows, m: np.ndarray) -> np.ndarray:
     """lambda_l = |M' R^-1 M| at every sample; 0 where there is no uncertainty."""
     certain = np.ones(model.samples, bool)
     for each in rows:
         certain &= ~np.any(each, axis=(1, 2))
-    return np.where(certain, 0.0, _principal(model, m)[1].max(axis=1))
+    return np.where(certain, 0.0, principal(model, m)[1].max(axis=1))
 
 
-def _step_data(model: TimeVaryingModel, rows, turn: np.ndarray) -> tuple[np.ndarray, ...]:
-    """A, B, G, C, S, T, M of every sample as the step takes them: unit process noise, outputs turned."""
+def step_data(model: TimeVaryingModel, rows, turn: np.ndarray) -> tuple[np.ndarray, ...]:
+    """[A G], B, C, [S T] and M of every sample as the step takes them: unit process noise, outputs turned."""
     rows_x, rows_w, rows_u = rows
     root = np.linalg.cholesky(model.process)
-    arrays = (model.a, model.b, model.g @ root, turn @ model.c, rows_x, rows_w @ root, rows_u)
-    return tuple(np.ascontiguousarray(each) for each in arrays)
+    step, joint = np.dstack([model.a, model.g @ root]), np.dstack([rows_x, rows_w @ root])
+    return tuple(np.ascontiguousarray(each) for each in (step, model.b, turn @ model.c, joint, rows_u))
 
 
 def _penalised(model: TimeVaryingModel, rows, penalty, m) -> FilterGains:
     samples, outputs, states = model.c.shape
     inputs = model.b.shape[2]
-    turn, spread = _principal(model, m)
+    turn, spread = principal(model, m)
     known = penalty[:, None] > 0
     noise = 1 - np.divide(spread, penalty[:, None], out=np.zeros_like(spread), where=known)
     if np.any(noise[1:] <= 0):
@@ -209,7 +179,7 @@ def _penalised(model: TimeVaryingModel, rows, penalty, m) -> FilterGains:
     out = tuple(np.zeros((samples, states, k)) for k in (states, inputs, outputs, states))
     forward, onward, gain, covariance = out
     covariance[0] = model.initial_covariance
-    _gains(_step_data(model, rows, turn), penalty, noise, *out)
+    _gains(step_data(model, rows, turn), penalty, noise, *out)
     return FilterGains(forward, onward, gain @ turn, np.ascontiguousarray(model.c), covariance)
 
 
@@ -294,54 +264,37 @@ def _kalman_kernel(states: int, outputs: int):
 
 
 @kernel
-def _regularise(sigma, map_x, map_u, rows_x, rows_w, rows_u, variance):
+def _regularise(sigma, map_x, map_u, rows, rows_u, variance):
     # The penalty as measurements 0 = S x + T w + M u, one row after the other: z = map_x x_hat + map_u u.
     size = sigma.shape[0]
-    n = rows_x.shape[1]
     v = np.empty(size)
-    for i in range(rows_x.shape[0]):
-        s = variance
-        for p in range(size):
-            total = 0.0
-            for q in range(n):
-                total += sigma[p, q] * rows_x[i, q]
-            for q in range(n, size):
-                total += sigma[p, q] * rows_w[i, q - n]
-            v[p] = total
-        for p in range(n):
-            s += rows_x[i, p] * v[p]
-        for p in range(n, size):
-            s += rows_w[i, p - n] * v[p]
+    for i in range(rows.shape[0]):
+        s = measure(sigma, rows, i, variance, v)
         for q in range(map_x.shape[1]):
             total = 0.0
-            for p in range(n):
-                total += rows_x[i, p] * map_x[p, q]
-            for p in range(n, size):
-                total += rows_w[i, p - n] * map_x[p, q]
+            for p in range(size):
+                total += rows[i, p] * map_x[p, q]
             for p in range(size):
                 map_x[p, q] -= v[p] / s * total
         for q in range(map_u.shape[1]):
             total = rows_u[i, q]
-            for p in range(n):
-                total += rows_x[i, p] * map_u[p, q]
-            for p in range(n, size):
-                total += rows_w[i, p - n] * map_u[p, q]
+            for p in range(size):
+                total += rows[i, p] * map_u[p, q]
             for p in range(size):
                 map_u[p, q] -= v[p] / s * total
-        for p in range(size):
-            for q in range(size):
-                sigma[p, q] -= v[p] * v[q] / s
+        condition(sigma, v, s)
 
 
 @inlined_kernel
-def _sample(data, k):
-    a, b, g, c, rows_x, rows_w, rows_u = data
-    return a[k], b[k], g[k], c[k], rows_x[k], rows_w[k], rows_u[k]
+def sample_at(data, k):
+    """Of `step_data`, what belongs to sample k."""
+    step, b, c, rows, rows_u = data
+    return step[k], b[k], c[k], rows[k], rows_u[k]
 
 
 @kernel
-def _joint_covariance(p0, causes):
-    # Of the last state and the disturbance, which has unit covariance here.
+def joint_covariance(p0, causes):
+    """Of the last state and the disturbance, which has unit covariance here."""
     n = len(p0)
     sigma = np.zeros((n + causes, n + causes))
     for i in range(n):
@@ -353,175 +306,28 @@ def _joint_covariance(p0, causes):
 
 
 @kernel
-def _step(sample, penalty, noise, p0, forward, onward, gain, p):
-    a, b, g, c, rows_x, rows_w, rows_u = sample
-    n, nw, nu = a.shape[0], g.shape[1], b.shape[1]
-    size = n + nw
-    sigma, map_x, map_u = _joint_covariance(p0, nw), np.zeros((size, n)), np.zeros((size, nu))
+def robust_step(sample, penalty, noise, p0, forward, onward, gain, p):
+    """One sample: matrices and covariance `p` of the filter from the last covariance `p0`."""
+    step, b, c, rows, rows_u = sample
+    (n, size), nu = step.shape, b.shape[1]
+    sigma, map_x, map_u = joint_covariance(p0, size - n), np.zeros((size, n)), np.zeros((size, nu))
     for i in range(n):
         map_x[i, i] = 1.0
     if penalty > 0:
-        _regularise(sigma, map_x, map_u, rows_x, rows_w, rows_u, 1 / penalty)
-    step = np.zeros((n, size))
+        _regularise(sigma, map_x, map_u, rows, rows_u, 1 / penalty)
+    multiply(step, map_x, forward)
     for i in range(n):
-        for j in range(n):
-            step[i, j] = a[i, j]
-        for j in range(nw):
-            step[i, n + j] = g[i, j]
-    half = np.zeros((n, size))
-    for i in range(n):
-        for j in range(size):
-            total = 0.0
-            for q in range(size):
-                total += step[i, q] * sigma[q, j]
-            half[i, j] = total
-        for j in range(n):
-            total = 0.0
-            for q in range(size):
-                total += step[i, q] * map_x[q, j]
-            forward[i, j] = total
         for j in range(nu):
             total = b[i, j]
             for q in range(size):
                 total += step[i, q] * map_u[q, j]
             onward[i, j] = total
-    for i in range(n):
-        for j in range(i + 1):
-            total = 0.0
-            for q in range(size):
-                total += half[i, q] * step[j, q]
-            p[i, j] = p[j, i] = total
-    v = np.empty(n)
-    for o in range(c.shape[0]):
-        s = noise[o]
-        for i in range(n):
-            total = 0.0
-            for j in range(n):
-                total += p[i, j] * c[o, j]
-            v[i] = total
-        for i in range(n):
-            s += c[o, i] * v[i]
-        for j in range(o):
-            total = 0.0
-            for i in range(n):
-                total += c[o, i] * gain[i, j]
-            for i in range(n):
-                gain[i, j] -= v[i] / s * total
-        for i in range(n):
-            gain[i, o] = v[i] / s
-            for j in range(n):
-                p[i, j] -= v[i] * v[j] / s
+    congruence(step, sigma, np.empty((n, size)), p)
+    take_in_turn(p, c, noise, gain, np.empty(n))
 
 
 @kernel
 def _gains(data, penalty, noise, forward, onward, gain, covariance):
     for k in range(1, len(forward)):
         p0, p = covariance[k - 1], covariance[k]
-        _step(_sample(data, k), penalty[k], noise[k], p0, forward[k], onward[k], gain[k], p)
-
-
-@kernel
-def _cost(logarithm, limit, spread, sample, p0, x, u, y):
-    # G(lambda): the sum of squared innovations, each over its variance, is the minimum of the cost.
-    a, b, g, c, rows_x, rows_w, rows_u = sample
-    penalty = limit * (1 + np.exp(logarithm))
-    n, nw = a.shape[0], g.shape[1]
-    size = n + nw
-    sigma, z, v, row = _joint_covariance(p0, nw), np.zeros(size), np.zeros(size), np.zeros(size)
-    for i in range(n):
-        z[i] = x[i]
-    total_cost = 0.0
-    rows = rows_x.shape[0]
-    for i in range(rows + c.shape[0]):
-        if i < rows:
-            innovation, s = 0.0, 1 / penalty
-            for j in range(n):
-                row[j] = rows_x[i, j]
-            for j in range(nw):
-                row[n + j] = rows_w[i, j]
-            for j in range(u.shape[0]):
-                innovation -= rows_u[i, j] * u[j]
-        else:
-            o = i - rows
-            innovation = y[o]
-            # 1 - spread / penalty without cancellation close to the limit.
-            s = ((limit - spread[o]) / limit + np.exp(logarithm)) / (1 + np.exp(logarithm))
-            for j in range(size):
-                row[j] = 0.0
-            for q in range(n):
-                for j in range(n):
-                    row[j] += c[o, q] * a[q, j]
-                for j in range(nw):
-                    row[n + j] += c[o, q] * g[q, j]
-                for j in range(u.shape[0]):
-                    innovation -= c[o, q] * b[q, j] * u[j]
-        for j in range(size):
-            innovation -= row[j] * z[j]
-            total = 0.0
-            for q in range(size):
-                total += sigma[j, q] * row[q]
-            v[j] = total
-            s += row[j] * total
-        for j in range(size):
-            z[j] += v[j] / s * innovation
-            for q in range(size):
-                sigma[j, q] -= v[j] * v[q] / s
-        total_cost += innovation * innovation / s
-    return total_cost
-
-
-@kernel
-def _search_filter(data, limit, spread, u, y, p0, out, ratio):
-    (samples, n), nu, no = out.shape, u.shape[1], y.shape[1]
-    forward, onward, gain = np.zeros((n, n)), np.zeros((n, nu)), np.zeros((n, no))
-    p, noise = np.zeros((n, n)), np.ones(no)
-    shrink = (np.sqrt(5.0) - 1) / 2
-    for k in range(1, samples):
-        sample, penalty = _sample(data, k), 0.0
-        for o in range(no):
-            noise[o] = 1.0
-        if limit[k] > 0:
-            low, high = -18.0, 40.0  # of log(lambda / limit - 1); G has one minimum
-            left, right = high - shrink * (high - low), low + shrink * (high - low)
-            posed = (limit[k], spread[k], sample, p0, out[k - 1], u[k - 1], y[k])
-            at_left, at_right = _cost(left, *posed), _cost(right, *posed)
-            while high - low > 1e-7:
-                if at_left <= at_right:
-                    high, right, at_right = right, left, at_left
-                    left = high - shrink * (high - low)
-                    at_left = _cost(left, *posed)
-                else:
-                    low, left, at_left = left, right, at_right
-                    right = low + shrink * (high - low)
-                    at_right = _cost(right, *posed)
-            over = np.exp((low + high) / 2)
-            ratio[k] = 1 + over
-            penalty = limit[k] * (1 + over)
-            for o in range(no):
-                noise[o] = ((limit[k] - spread[k, o]) / limit[k] + over) / (1 + over)
-        _step(sample, penalty, noise, p0, forward, onward, gain, p)
-        for i in range(n):
-            total = 0.0
-            for j in range(n):
-                total += forward[i, j] * out[k - 1, j]
-            for j in range(nu):
-                total += onward[i, j] * u[k - 1, j]
-            out[k, i] = total
-        for i in range(n):
-            for j in range(n):
-                p0[i, j] = p[i, j]
-        _correct(out[k], gain, sample[3], y[k])
-
-
-@kernel
-def _correct(x, gain, c, y):
-    n, no = gain.shape
-    innovation = np.empty(no)
-    for o in range(no):
-        total = y[o]
-        for i in range(n):
-            total -= c[o, i] * x[i]
-        innovation[o] = total
-    for o in range(no):
-        for i in range(n):
-            x[i] += gain[i, o] * innovation[o]
+        robust_step(sample_at(data, k), penalty[k], noise[k], p0, forward[k], onward[k], gain[k], p)

@@ -7,6 +7,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 from scipy import linalg
 
+from stillwork.base.algebra import add_multiplied, copy_vector, multiply
 from stillwork.base.checks import InputError, require_array
 from stillwork.base.kernels import kernel
 from stillwork.estimation.riccati import discrete_gain
@@ -133,36 +134,22 @@ def scheduled_gains(model: TimeVaryingModel, table: GainTable, places: ArrayLike
 @kernel
 def _spread(a, disturbed, gains, c, sensor, covariance):
     samples, n, outputs = gains.shape
-    half, rest, predicted = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n))
+    half, rest, predicted = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
     for k in range(1, samples):
+        multiply(a[k], covariance[k - 1], half)
         for i in range(n):
-            for j in range(n):
-                total = 0.0
-                for q in range(n):
-                    total += a[k, i, q] * covariance[k - 1, q, j]
-                half[i, j] = total
-        for i in range(n):
-            for j in range(n):
-                total = disturbed[k, i, j]
-                for q in range(n):
-                    total += half[i, q] * a[k, j, q]
-                predicted[i, j] = total
+            copy_vector(disturbed[k, i], predicted[i])
+        add_multiplied(half, a[k], predicted)
         for i in range(n):
             for j in range(n):
                 rest[i, j] = 1.0 if i == j else 0.0
                 for o in range(outputs):
                     rest[i, j] -= gains[k, i, o] * c[k, o, j]
+        multiply(rest, predicted, half)
+        add_multiplied(half, rest, covariance[k])
         for i in range(n):
             for j in range(n):
-                total = 0.0
-                for q in range(n):
-                    total += rest[i, q] * predicted[q, j]
-                half[i, j] = total
-        for i in range(n):
-            for j in range(n):
-                total = 0.0
-                for q in range(n):
-                    total += half[i, q] * rest[j, q]
+                total = covariance[k, i, j]
                 for o in range(outputs):
                     for p in range(outputs):
                         total += gains[k, i, o] * sensor[o, p] * gains[k, j, p]

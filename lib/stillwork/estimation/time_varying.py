@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, require_array, require_finite_run
+from stillwork.base.checks import Converted, InputError, require_array, require_finite_run
 from stillwork.base.front_door import check_fields, checked
 from stillwork.base.kernels import kernel
 
@@ -24,13 +24,13 @@ class TimeVaryingModel:
     :math:`D u` off the measurement first. Matrices without the leading axis stand for all samples.
     """
 
-    a: ArrayLike  # (samples, states, states)
-    b: ArrayLike  # (samples, states, inputs)
-    g: ArrayLike  # (samples, states, disturbances)
-    c: ArrayLike  # (samples, outputs, states); sets the number of samples
-    process: ArrayLike  # Q, covariance of w, (disturbances, disturbances)
-    sensor: ArrayLike  # R, covariance of v, (outputs, outputs)
-    initial_covariance: ArrayLike  # P(0|0), (states, states)
+    a: Converted  # (samples, states, states)
+    b: Converted  # (samples, states, inputs)
+    g: Converted  # (samples, states, disturbances)
+    c: Converted  # (samples, outputs, states); sets the number of samples
+    process: Converted  # Q, covariance of w, (disturbances, disturbances)
+    sensor: Converted  # R, covariance of v, (outputs, outputs)
+    initial_covariance: Converted  # P(0|0), (states, states)
 
     @checked
     def __post_init__(self):

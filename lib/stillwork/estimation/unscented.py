@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
+from stillwork.base.algebra import cholesky_root
 from stillwork.base.checks import require_number
 from stillwork.base.front_door import checked
 from stillwork.base.kernels import inlined_kernel, kernel
@@ -24,7 +25,6 @@ from stillwork.estimation.gaussian import (
     PAST,
     POINTS,
     ROOT,
-    cholesky_root,
     correct_gaussian,
 )
 

@@ -12,7 +12,15 @@ from stillwork.base.front_door import checked
 
 
 class Identified(NamedTuple):
-    """An estimated response."""
+    """An estimated response.
+
+    Examples
+    --------
+    >>> omega = 2 * np.pi * np.arange(20.0, 200.0)
+    >>> rigid = identification.Identified(omega, np.full(180, 0.1 + 0j), np.ones(180))  # 1/kg: 10 kg
+    >>> len(rigid.omega)
+    180
+    """
 
     omega: Float64[np.ndarray, " frequencies"]  # rad/s, without zero
     response: Complex128[np.ndarray, " frequencies"]

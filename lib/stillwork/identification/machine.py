@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.signal import find_peaks
 
-from stillwork.base.checks import InputError
+from stillwork.base.checks import InputError, require_kind
 from stillwork.base.front_door import check_fields, checked
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine_files import MachineFile
@@ -117,16 +117,29 @@ def build_machine(
     ------
     InputError
         When the machine is not free to move as one rigid body, or nothing can be fitted.
+
+    Examples
+    --------
+    >>> free = {"M": np.diag([8.0, 2.0]), "K": [[1e6, -1e6], [-1e6, 1e6]], "input": [1.0, 0.0]}
+    >>> np.savez("stage.npz", **free)
+    >>> stage = identification.load_machine("stage.npz")
+    >>> machine = identification.build_machine(stage, modes_hz=[], fit_hz=(0, 0), mirrored_sensor=False)
+    >>> round(machine.mass, 6), machine.resonances_hz.round(1)  # kg, Hz
+    (10.0, array([125.8]))
     """
-    machine = _built(file) if file.accelerance is None else _fitted(file, modes_hz, fit_hz)
+    if file.accelerance is None:
+        machine = _built(file, require_kind("file.model", file.model, ModalModel))
+    else:
+        machine = _fitted(file, file.accelerance, modes_hz, fit_hz)
     if mirrored_sensor and len(machine.sensors) == 1:
         only = machine.sensors[0]
         machine = replace(machine, sensors=(only, mirrored(only)), mirrored=(False, True))
     return machine
 
 
-def _fitted(file: MachineFile, modes_hz: list[float], fit_hz: tuple[float, float]) -> Machine:
-    measured = file.accelerance
+def _fitted(
+    file: MachineFile, measured: Identified, modes_hz: list[float], fit_hz: tuple[float, float]
+) -> Machine:
     band = whole_band(measured, fit_hz)
     guesses = sorted(modes_hz) or find_modes(measured, band)
     # Below the resonances a free body follows the force; a sensor that faces it counts the other way.
@@ -148,8 +161,7 @@ def _fitted(file: MachineFile, modes_hz: list[float], fit_hz: tuple[float, float
     return Machine((model,), _mass(model), file.source, measured, fit, notes=tuple(notes))
 
 
-def _built(file: MachineFile) -> Machine:
-    model = file.model
+def _built(file: MachineFile, model: ModalModel) -> Machine:
     if model.rigid_modes != 1:
         raise InputError(
             f"{file.source} has {model.rigid_modes} rigid-body modes; the PID rules are for a machine that is free "

@@ -97,6 +97,13 @@ def load_machine(
     ------
     InputError
         For everything that makes the file unusable; it says what to do.
+
+    Examples
+    --------
+    >>> free = {"M": np.diag([8.0, 2.0]), "K": [[1e6, -1e6], [-1e6, 1e6]], "input": [1.0, 0.0]}
+    >>> np.savez("stage.npz", **free)
+    >>> identification.load_machine("stage.npz").kind
+    'matrices'
     """
     file = Path(file)
     arrays = read_arrays(file)
@@ -124,7 +131,7 @@ def load_machine(
 
 
 def _from_response(arrays: dict[str, np.ndarray], response: str) -> tuple[Identified, tuple[str, ...]]:
-    axis = _frequency_name(arrays)
+    axis = str(_frequency_name(arrays))  # there is one: `kind_of` found it
     unit = _bracket(axis) or ("rad/s" if _word(axis) == "omega" else "hz")
     per_hertz = _HERTZ[require_choice(f"{axis}: unit", unit, _HERTZ)]
     hertz = per_hertz * require_array(axis, np.ravel(arrays[axis].real), ndim=1)

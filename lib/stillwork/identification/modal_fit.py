@@ -220,6 +220,16 @@ def fit_modes(
     ------
     InputError
         When there are no guesses, a guess lies outside the band, or the fitted mass is not positive.
+
+    Examples
+    --------
+    >>> stage = lti.ModalModel([0.0, 600.0], [0.0, 0.01], [[0.3], [0.3]], [[0.3, -0.3]], [[0.0]])
+    >>> omega = 2 * np.pi * np.arange(20.0, 200.0)
+    >>> accelerance = -(omega**2) * stage.frequency_response(omega)[0, 0]
+    >>> measured = identification.Identified(omega, accelerance, np.ones(180))
+    >>> fit = identification.fit_modes(measured, [95.0], band_hz=(20.0, 199.0))
+    >>> fit.model.frequencies.round(1), fit.model.damping.round(4)
+    (array([  0., 600.]), array([0.  , 0.01]))
     """
     guesses = np.sort(require_array("guesses_hz", guesses_hz, ndim=1))
     low, high = (2 * np.pi * f for f in band_hz)

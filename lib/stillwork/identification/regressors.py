@@ -21,6 +21,12 @@ def fir_regressors(signal: ArrayLike, taps: int) -> np.ndarray:
     Returns
     -------
     ndarray, shape (taps, samples)
+
+    Examples
+    --------
+    >>> identification.fir_regressors([1.0, 2.0, 3.0], taps=2)
+    array([[1., 2., 3.],
+           [0., 1., 2.]])
     """
     signal = require_array("signal", signal, ndim=1)
     taps = require_count("taps", taps)

@@ -5,11 +5,11 @@ from stillwork.base.faces import face
 __all__, __getattr__, __dir__ = face(
     __name__,
     {
-        "discretisation": ("zoh", "zoh_modes"),
-        "modal": ("ModalModel", "from_state_space", "modal_model"),
+        "discretisation": ("zoh",),
+        "modal": ("ModalModel", "modal_model"),
         "norms": ("h2_norm", "hinf_norm"),
-        "peaks": ("Peak", "refine_peak", "resonance_grid"),
-        "reduction": ("roll_off", "truncate"),
+        "peaks": ("resonance_grid",),
+        "reduction": ("truncate",),
         "simulation": ("simulate",),
         "state_space": ("StateModel", "from_control", "interconnect"),
     },

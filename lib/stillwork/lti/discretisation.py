@@ -18,7 +18,17 @@ def zoh_modes(model: ModalModel, step: float) -> StateModel:
     the damping that (2.33) leaves out.
     """
     require_number("step", step, above=0.0)
-    w, z = model.frequencies, model.damping
+    n = len(model.frequencies)
+    blocks, gains = _held(model.frequencies, model.damping, step)
+    a = np.zeros((n, 2, n, 2))
+    a[np.arange(n), :, np.arange(n), :] = blocks
+    b = gains[:, :, None] * model.input_shapes[:, None, :]
+    continuous = model.state_space()
+    return StateModel(a.reshape(2 * n, 2 * n), b.reshape(2 * n, -1), continuous.c, continuous.d, step)
+
+
+def _held(w, z, step: float) -> tuple[Float64[np.ndarray, "modes 2 2"], Float64[np.ndarray, "modes 2"]]:
+    """Transition matrix and input gains of each mode for itself, over one step with its force held."""
     s = np.sqrt(1 - z**2)
     angle, decay = w * s * step, np.exp(-z * w * step)
     ratio, cosine = z / s, np.cos(angle)
@@ -35,14 +45,35 @@ def zoh_modes(model: ModalModel, step: float) -> StateModel:
     gains = np.empty((len(w), 2))
     gains[:, 0] = np.divide(lifted, w**2, out=np.full(len(w), step**2 / 2), where=flexible)
     gains[:, 1] = decay * sinc
-    b = (gains[:, :, None] * model.input_shapes[:, None, :]).reshape(2 * len(w), -1)
-    continuous = model.state_space()
-    return StateModel(linalg.block_diag(*blocks), b, continuous.c, continuous.d, step)
+    return blocks, gains
 
 
 @checked
 def zoh(model: StateModel, step: float) -> StateModel:
-    """Zero-order-hold discretisation by the exponential of the balanced [A B; 0 0]."""
+    """Zero-order-hold discretisation by the exponential of the balanced [A B; 0 0].
+
+    Parameters
+    ----------
+    model : StateModel
+        In continuous time.
+    step : float
+        Sample time, s.
+
+    Raises
+    ------
+    InputError
+        When the model is in discrete time already.
+
+    References
+    ----------
+    Van Loan, Computing integrals involving the matrix exponential (1978).
+
+    Examples
+    --------
+    >>> lag = lti.StateModel([[-100.0]], [[100.0]], [[1.0]], [[0.0]])  # time constant 10 ms
+    >>> lti.zoh(lag, step=0.01).a.round(3)  # exp(-1)
+    array([[0.368]])
+    """
     require_number("step", step, above=0.0)
     _require_continuous(model)
     n, m = model.b.shape
@@ -87,13 +118,7 @@ def sampled_modes(
     omega: Float64[np.ndarray, " frequencies"],
 ) -> Complex128[np.ndarray, "modes frequencies"]:
     """Force to position of each mode for itself (mass 1), sampled with a zero-order hold, in closed form."""
-    n = len(frequencies)
-    order = np.argsort(frequencies, kind="stable")
-    unit = ModalModel(frequencies[order], damping[order], np.ones((n, 1)), np.ones((1, n)), np.zeros((1, 1)))
-    held = zoh_modes(unit, step)
-    back = np.argsort(order)
-    blocks = held.a.reshape(n, 2, n, 2)[back, :, back, :]
-    gains = held.b.reshape(n, 2)[back]
+    blocks, gains = _held(frequencies, damping, step)
     # The trace near 2 and the determinant near 1 cancel at low frequencies: write them as differences from 1.
     lifted = np.exp(1j * omega * step)[None, :] - 1
     first, second = blocks[:, 0, 0, None] - 1, blocks[:, 1, 1, None] - 1

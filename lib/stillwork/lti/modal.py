@@ -19,6 +19,12 @@ class ModalModel:
 
     The output is :math:`y = \sum_i \phi_{si}\eta_i + D f`, or its velocity counterpart with
     :math:`\dot\eta_i`. A rigid-body mode has zero frequency and zero damping.
+
+    Examples
+    --------
+    >>> stage = lti.ModalModel([0.0, 600.0], [0.0, 0.01], [[0.3], [0.3]], [[0.3, -0.3]], [[0.0]])
+    >>> stage.rigid_modes, stage.state_space().a.shape
+    (1, (4, 4))
     """
 
     frequencies: Float64[np.ndarray, " modes"]  # omega_i, rad/s, ascending
@@ -26,7 +32,7 @@ class ModalModel:
     input_shapes: Float64[np.ndarray, "modes inputs"]  # phi_a, mass-normalised
     output_shapes: Float64[np.ndarray, "outputs modes"]  # phi_s
     feedthrough: Float64[np.ndarray, "outputs inputs"]  # compliance T_DC
-    measures: str = "position"
+    measures: str = "position"  # or "velocity"
 
     def __post_init__(self):
         check_fields(self)
@@ -180,6 +186,13 @@ def modal_model(
     ------
     InputError
         When M or K is not symmetric or not (semi)definite, or the damping does not decouple.
+
+    Examples
+    --------
+    >>> spring = [[1e6, -1e6], [-1e6, 1e6]]  # N/m, between 8 kg and 2 kg
+    >>> model = lti.modal_model(np.diag([8.0, 2.0]), spring, input_map=[[1], [0]], output_map=[[0, 1]])
+    >>> (model.frequencies / (2 * np.pi)).round(1)  # Hz
+    array([  0. , 125.8])
     """
     mass = require_array("mass", mass, ndim=2)
     n = len(mass)

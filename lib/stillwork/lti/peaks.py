@@ -18,6 +18,25 @@ def resonance_grid(
     """Frequencies (rad/s): logarithmic, and `around` more on either side of every pole, dense at its width.
 
     A logarithmic grid alone (`around` = 0) steps over the peaks of lightly damped modes.
+
+    Parameters
+    ----------
+    poles : array_like
+        rad/s, complex.
+    low_hz, high_hz : float
+        Range, Hz.
+    points, around : int
+        How many there are in all of it, and on either side of a pole.
+
+    Returns
+    -------
+    ndarray, shape (frequencies,)
+
+    Examples
+    --------
+    >>> omega = lti.resonance_grid([-0.5 + 500j, -0.5 - 500j], low_hz=1.0, high_hz=1000.0)
+    >>> bool(np.abs(omega - 500).min() < 0.01)  # rad/s
+    True
     """
     require_number("low_hz", low_hz, above=0.0)
     require_number("high_hz", high_hz, above=low_hz)

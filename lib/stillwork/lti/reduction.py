@@ -26,6 +26,12 @@ def truncate(model: ModalModel, modes: int, compensated: int = 0) -> ModalModel:
     ------
     InputError
         When the model has fewer modes, or a rigid-body mode would be discarded.
+
+    Examples
+    --------
+    >>> model = lti.ModalModel([0.0, 2000.0], [0.0, 0.01], [[0.3], [0.2]], [[0.3, 0.2]], [[0.0]])
+    >>> lti.truncate(model, modes=1, compensated=1).feedthrough  # 0.2 0.2 / 2000^2 m/N
+    array([[1.e-08]])
     """
     modes = require_count("modes", modes)
     compensated = require_count("compensated", compensated, at_least=0)

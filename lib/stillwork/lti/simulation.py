@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
+from stillwork.base.algebra import add_product, copy_vector
 from stillwork.base.checks import InputError, require_array, require_finite_run
 from stillwork.base.front_door import checked
 from stillwork.base.kernels import kernel
@@ -26,10 +27,20 @@ def simulate(
     inputs : array_like, shape (inputs, samples)
     initial : array_like, shape (states,), optional
 
+    Returns
+    -------
+    ndarray, shape (outputs, samples)
+
     Raises
     ------
     InputError
         When the model is in continuous time, or its outputs leave the finite numbers; the message names the sample.
+
+    Examples
+    --------
+    >>> lag = lti.zoh(lti.StateModel([[-100.0]], [[100.0]], [[1.0]], [[0.0]]), step=0.01)
+    >>> lti.simulate(lag, np.ones((1, 4))).round(3)
+    array([[0.   , 0.632, 0.865, 0.95 ]])
     """
     if not model.step:
         raise InputError("model is in continuous time; discretise it with zoh first")
@@ -57,22 +68,14 @@ def _moved(model: StateModel, inputs: np.ndarray, initial: np.ndarray) -> np.nda
 
 @kernel
 def _step_dense(a, driven, c, start):
-    n, samples, outputs = a.shape[0], driven.shape[0], c.shape[0]
-    y = np.zeros((outputs, samples))
-    x, following = start.copy(), np.zeros(n)
+    samples = len(driven)
+    y = np.zeros((len(c), samples))
+    x, following = start.copy(), np.empty(len(a))
     for k in range(samples):
-        for o in range(outputs):
-            total = 0.0
-            for i in range(n):
-                total += c[o, i] * x[i]
-            y[o, k] = total
-        for i in range(n):
-            total = driven[k, i]
-            for j in range(n):
-                total += a[i, j] * x[j]
-            following[i] = total
-        for i in range(n):
-            x[i] = following[i]
+        add_product(c, x, y[:, k])
+        copy_vector(driven[k], following)
+        add_product(a, x, following)
+        copy_vector(following, x)
     return y
 
 

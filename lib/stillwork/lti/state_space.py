@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from jaxtyping import Complex128, Float64
@@ -19,7 +19,14 @@ WORST_CONDITION = 1e6
 
 @dataclass(frozen=True)
 class StateModel:
-    r"""Model :math:`\dot x = Ax + Bu,\; y = Cx + Du`, or :math:`x_{k+1} = Ax_k + Bu_k` when `step` > 0."""
+    r"""Model :math:`\dot x = Ax + Bu,\; y = Cx + Du`, or :math:`x_{k+1} = Ax_k + Bu_k` when `step` > 0.
+
+    Examples
+    --------
+    >>> low_pass = lti.StateModel([[-10.0]], [[10.0]], [[1.0]], [[0.0]])
+    >>> np.abs(low_pass.frequency_response([10.0])).round(3)  # at its corner, 10 rad/s
+    array([[[0.707]]])
+    """
 
     a: Float64[np.ndarray, "states states"]
     b: Float64[np.ndarray, "states inputs"]
@@ -38,7 +45,7 @@ class StateModel:
     @property
     def poles(self) -> Complex128[np.ndarray, " states"]:
         """Eigenvalues of A, computed on a balanced matrix."""
-        return linalg.eigvals(self.a).astype(complex) if len(self.a) else np.zeros(0, complex)
+        return _eigenvalues(self.a.tobytes(), len(self.a)).copy()
 
     @property
     def is_stable(self) -> bool:
@@ -85,13 +92,10 @@ class StateModel:
         shifted = point[:, None, None] * np.eye(len(a)) - a
         return response + np.moveaxis(c @ np.linalg.solve(shifted, b[None].astype(complex)), 0, -1)
 
-    @cached_property
+    @property
     def _decomposed(self):
-        """Scale that balances A, the balanced A, its poles, and its eigenvectors where they are not too skew."""
-        a, (scale, _) = linalg.matrix_balance(self.a, permute=False, separate=True)
-        poles, vectors = linalg.eig(a)
-        skew = np.linalg.cond(vectors) > WORST_CONDITION
-        return scale, a, poles.astype(complex), None if skew else vectors.astype(complex)
+        """See `_decomposition`."""
+        return _decomposition(self.a.tobytes(), len(self.a))
 
     @cached_property
     def _residues(self):
@@ -123,15 +127,53 @@ class StateModel:
         return control.StateSpace(self.a, self.b, self.c, self.d, self.step or 0)
 
 
+# Models that differ in their inputs and outputs alone, as the channels of a loop or the gains of a feedforward, have
+# one A: what follows from it is kept, by its bytes. It must not be written to.
+
+
+@lru_cache(maxsize=16)
+def _eigenvalues(a: bytes, states: int) -> Complex128[np.ndarray, " states"]:
+    return linalg.eigvals(_matrix(a, states)).astype(complex) if states else np.zeros(0, complex)
+
+
+@lru_cache(maxsize=16)
+def _decomposition(a: bytes, states: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
+    """Scale that balances A, the balanced A, its poles, and its eigenvectors where they are not too skew."""
+    balanced, (scale, _) = linalg.matrix_balance(_matrix(a, states), permute=False, separate=True)
+    poles, vectors = linalg.eig(balanced)
+    skew = np.linalg.cond(vectors) > WORST_CONDITION
+    return scale, balanced, poles.astype(complex), None if skew else vectors.astype(complex)
+
+
+def _matrix(a: bytes, states: int) -> Float64[np.ndarray, "states states"]:
+    return np.frombuffer(a).reshape(states, states)
+
+
 @checked
 def from_control(system) -> StateModel:
-    """Take a `control.StateSpace`; a system with an unspecified sample time is refused."""
+    """Take a `control.StateSpace`; a system with an unspecified sample time is refused.
+
+    Parameters
+    ----------
+    system : control.StateSpace
+
+    Raises
+    ------
+    InputError
+        When it is something else.
+
+    Examples
+    --------
+    >>> from control import ss
+    >>> lti.from_control(ss(-1.0, 1.0, 1.0, 0.0)).is_stable
+    True
+    """
     if not all(hasattr(system, name) for name in ("A", "B", "C", "D", "dt")):
         raise InputError(f"system is {shown(system)}; give a control.StateSpace")
     if system.dt is None or system.dt is True:
         raise InputError("system.dt is unspecified; give 0 for continuous time or the sample time in s")
-    matrices = (np.array(m, dtype=float, ndmin=2) for m in (system.A, system.B, system.C, system.D))
-    return StateModel(*matrices, step=float(system.dt))
+    a, b, c, d = (np.array(m, dtype=float, ndmin=2) for m in (system.A, system.B, system.C, system.D))
+    return StateModel(a, b, c, d, step=float(system.dt))
 
 
 @checked
@@ -144,10 +186,33 @@ def interconnect(
 ) -> StateModel:
     r"""Connect models by :math:`u = Fy + Gr`, and read :math:`z = Hy + Jr`; u and y are all of theirs, stacked.
 
+    Parameters
+    ----------
+    models : sequence of StateModel
+    feedback : array_like, shape (all inputs, all outputs)
+        F.
+    inputs : array_like, shape (all inputs, external)
+        G.
+    outputs : array_like, shape (wanted, all outputs)
+        H.
+    direct : array_like, shape (wanted, external), optional
+        J; zero without.
+
+    Returns
+    -------
+    StateModel
+        From r to z.
+
     Raises
     ------
     InputError
         When the sample times differ or a loop without dynamics has no unique solution.
+
+    Examples
+    --------
+    >>> integrator = lti.StateModel([[0.0]], [[5.0]], [[1.0]], [[0.0]])
+    >>> lti.interconnect([integrator], feedback=[[-1.0]], inputs=[[1.0]], outputs=[[1.0]]).poles.real
+    array([-5.])
     """
     if not models:
         raise InputError("models is empty; give at least one")

@@ -5,8 +5,8 @@ from stillwork.base.faces import face
 __all__, __getattr__, __dir__ = face(
     __name__,
     {
-        "moving_average": ("moving", "rms"),
-        "records": ("Record", "load_record", "resample"),
-        "spectra": ("Spectrum", "estimate_response", "estimate_spectrum"),
+        "moving_average": ("moving",),
+        "records": ("Record", "load_record"),
+        "spectra": ("estimate_response", "estimate_spectrum"),
     },
 )

@@ -1,4 +1,4 @@
-"""Published limits and levels of floor vibration: VC and ISO curves, noise models of the earth."""
+"""Published limits of floor vibration: VC and ISO curves."""
 
 import numpy as np
 from jaxtyping import Float64
@@ -29,21 +29,6 @@ _LEVELS = {
 # Ungar and Gordon's names of 1983 for the first five.
 _LEVELS.update({f"BBN-{letter}": _LEVELS[f"VC-{letter}"] for letter in "ABCDE"})
 CRITERIA = tuple(_LEVELS)
-
-# Peterson, USGS open-file report 93-322 (1993): from period P_i on, A_i + B_i log10(P) dB re 1 (m/s^2)^2/Hz.
-_NOISE_MODELS = {  # rows: P_i, A_i, B_i
-    "NLNM": """
-        0.1 0.17 0.4 0.8 1.24 2.4 4.3 5 6 10 12 15.6 21.9 31.6 45 70 101 154 328 600 10000
-        -162.36 -166.7 -170 -166.4 -168.6 -159.98 -141.1 -71.36 -97.26 -132.18 -205.27 -37.65 -114.37 -160.58 -187.5 -216.47 -185 -168.34 -217.43 -258.28 -346.88
-        5.64 0 -8.3 28.9 52.48 29.81 0 -99.77 -66.49 -31.57 36.16 -104.33 -47.1 -16.28 0 15.7 0 -7.61 11.9 26.6 48.75
-    """,
-    "NHNM": """
-        0.1 0.22 0.32 0.8 3.8 4.6 6.3 7.9 15.4 20 354.8
-        -108.73 -150.34 -122.31 -116.85 -108.48 -74.66 0.66 -93.37 73.54 -151.52 -206.66
-        -17.23 -80.5 -23.87 32.51 18.08 -32.95 -127.18 -22.42 -162.98 10.01 31.63
-    """,
-}
-NOISE_MODELS = tuple(_NOISE_MODELS)
 
 
 def one_third_octave_velocity(
@@ -127,30 +112,3 @@ def criterion_met(centres_hz: ArrayLike, velocity: ArrayLike) -> str:
         if np.all(v[judged] <= criterion_velocity(name, f[judged])):
             return name
     return "none"
-
-
-def ground_noise_model(name: str, frequencies_hz: ArrayLike) -> Float64[np.ndarray, " frequencies"]:
-    """Peterson's (1993) low or high noise model of the quiet and noisy earth, (m/s^2)^2/Hz.
-
-    Parameters
-    ----------
-    name : str
-        ``NLNM`` or ``NHNM``.
-    frequencies_hz : array_like, shape (frequencies,)
-        1e-5 to 10 Hz.
-
-    Raises
-    ------
-    InputError
-        When the name is unknown or a frequency lies outside the model.
-    """
-    require_choice("name", name, NOISE_MODELS)
-    f = require_array("frequencies_hz", frequencies_hz, ndim=1)
-    if np.any((f < 1e-5) | (f > 10)):
-        raise InputError("frequencies_hz leaves 1e-5 to 10 Hz, where the model is defined; cut it there")
-    start, constant, slope = (
-        np.array(row.split(), dtype=float) for row in _NOISE_MODELS[name].strip().splitlines()
-    )
-    period = 1 / f
-    segment = np.clip(np.searchsorted(start, period, side="right") - 1, 0, None)
-    return 10 ** ((constant[segment] + slope[segment] * np.log10(period)) / 10)

@@ -27,6 +27,21 @@ def moving(error: ArrayLike, step: float, exposure: float) -> Moving:
     error : array_like, shape (samples,)
     step, exposure : float
         Sample time and exposure time T (s); the exposure must cover at least two samples and fit the record.
+
+    Returns
+    -------
+    Moving
+        `average`, `deviation` and `rms`, each of shape (windows,), in the unit of the error.
+
+    Raises
+    ------
+    InputError
+        When the exposure covers fewer than two samples, or more than there are.
+
+    Examples
+    --------
+    >>> signals.moving([3.0, 1.0, -1.0, -3.0], step=1e-3, exposure=2e-3).average
+    array([ 2.,  0., -2.])
     """
     error = require_array("error", error, ndim=1)
     width = round(require_number("exposure", exposure, above=0.0) / require_number("step", step, above=0.0))

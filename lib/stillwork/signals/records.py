@@ -66,6 +66,12 @@ class Record:
         One a channel.
     source : str
         File name.
+
+    Examples
+    --------
+    >>> record = signals.Record(np.zeros((1, 4000)), 1000.0, "m/s^2", ("floor",), "floor.csv")
+    >>> record.duration  # s
+    4.0
     """
 
     signals: Float64[np.ndarray, "channels samples"]
@@ -135,6 +141,13 @@ def load_record(
     InputError
         For an unknown unit or channel, NaN, a channel that never moves, gaps, uneven time, an implausible or
         contradictory rate, too short a record or too many channels. The message says what to do.
+
+    Examples
+    --------
+    >>> time = np.arange(1000) / 500
+    >>> np.savetxt("floor.csv", np.column_stack([time, np.sin(time)]), header="time floor", comments="")
+    >>> signals.load_record("floor.csv", "mm/s").unit
+    'm/s'
     """
     path = Path(path)
     factor, si_unit = unit_factor(unit)

@@ -89,6 +89,17 @@ def estimate_spectrum(signals: ArrayLike, sample_rate: float, resolution_hz: flo
     ------
     InputError
         When the signals hold NaN or are shorter than one segment.
+
+    References
+    ----------
+    Welch, The use of fast Fourier transform for the estimation of power spectra (1967).
+
+    Examples
+    --------
+    >>> error = 3 * np.sin(2 * np.pi * 50 * np.arange(20_000) / 1000)  # um, at 1 kHz
+    >>> spectrum = signals.estimate_spectrum(error, sample_rate=1000.0, resolution_hz=0.5)
+    >>> spectrum.power(40.0, 60.0).round(2)  # um^2: half the square of the amplitude
+    array([4.5])
     """
     rows, length = _segments("signals", signals, sample_rate, resolution_hz)
     frequencies, density = signal.welch(rows, sample_rate, nperseg=length, detrend="constant")
@@ -118,6 +129,13 @@ def estimate_response(
     References
     ----------
     Bendat and Piersol, Random Data (2010), chapters 6, 7 and 9.
+
+    Examples
+    --------
+    >>> force = np.random.default_rng(0).standard_normal((1, 20_000))  # N
+    >>> estimate = signals.estimate_response(force, 2e-6 * force, sample_rate=1000.0, resolution_hz=1.0)
+    >>> np.allclose(estimate.response, 2e-6)  # m/N: a spring
+    True
     """
     x, length = _segments("inputs", inputs, sample_rate, resolution_hz)
     y, _ = _segments("outputs", outputs, sample_rate, resolution_hz)

@@ -22,7 +22,7 @@ from stillwork.workbook import publish
 from stillwork.workbook.claims import KINDS, VERDICTS, Claim, ledger
 from stillwork.workbook.notebooks import notebook_file
 from stillwork.workbook.provenance import commit, modified
-from stillwork.workbook.report import our_quantity, published_quantity
+from stillwork.workbook.report import APART, REPLICATIONS, column, our_quantity, published_quantity, tally
 from stillwork.workbook.tasks import tasks
 
 HERE = Path(__file__).parent
@@ -61,7 +61,8 @@ def site_files() -> dict[str, bytes]:
         "index.html",
         "",
         claims=claims,
-        counts=Counter(claim.verdict for claim in claims),
+        counts=Counter(map(column, claims)),
+        verdicts=[verdict for verdict in VERDICTS if any(claim.verdict == verdict for claim in claims)],
         by_name=by_name,
         kinds=[kind for kind in KINDS if any(claim.entry.kind == kind for claim in claims)],
     )
@@ -114,7 +115,7 @@ def _room(name: str, work: dict, claims: list[Claim], pages: list[NotebookPage])
     return {
         "name": name,
         **work,
-        "counts": Counter(claim.verdict for claim in mine),
+        "counts": Counter(map(column, mine)),
         "picture": picture.draw(mine),
         "headline": [
             (each["says"], claim)
@@ -122,7 +123,7 @@ def _room(name: str, work: dict, claims: list[Claim], pages: list[NotebookPage])
             for claim in mine
             if claim.entry.id == each["entry"]
         ],
-        "orderings": Counter(claim.verdict for claim in mine if claim.entry.kind == "ordering"),
+        "orderings": Counter(column(claim) for claim in mine if claim.entry.kind == "ordering"),
         "pages": [page for page in pages if page.room == name],
     }
 
@@ -140,12 +141,15 @@ def _renderer(**shared):
     environment.filters["published"] = published_quantity
     environment.filters["ours"] = our_quantity
     environment.filters["off_by"] = _off_by
-    environment.filters["slug"] = lambda verdict: verdict.replace(" ", "-")
+    environment.filters["slug"] = lambda name: name.replace(",", "").replace(" ", "-")
+    environment.filters["column"] = column
+    environment.filters["tally"] = tally
     site = {
         "version": stillwork.__version__,
         "commit": commit() or "",
         "modified": bool({name for name in modified() if not name.startswith("build/")}),
-        "verdicts": VERDICTS,
+        "replications": REPLICATIONS,
+        "columns": (*REPLICATIONS, *APART),
     }
 
     def render(template: str, root: str, **values) -> bytes:

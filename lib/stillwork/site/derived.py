@@ -10,10 +10,17 @@ from pathlib import Path
 from stillwork.base import paths
 from stillwork.site.house import paint_house
 from stillwork.site.pages import Figure, NotebookPage, read_page
-from stillwork.workbook.claims import VERDICTS, Claim, ledger
+from stillwork.workbook.claims import Claim, ledger
 from stillwork.workbook.notebooks import METADATA, notebook_text
 from stillwork.workbook.publish import replace_file
-from stillwork.workbook.report import column, columns, our_quantity, published_quantity, readme_with_summary
+from stillwork.workbook.report import (
+    column,
+    columns,
+    our_quantity,
+    published_quantity,
+    readme_with_summary,
+    tally,
+)
 from stillwork.workbook.tasks import tasks
 
 WORKS = Path(__file__).parent / "works.toml"
@@ -104,7 +111,7 @@ def _index(pages: list[NotebookPage], claims: list[Claim]) -> str:
         mine = [page for page in pages if page.room == room]
         if mine:
             listing = "\n".join(
-                f"- [{page.title}]({page.name}.ipynb){_verdicts(list(page.claims))}" for page in mine
+                f"- [{page.title}]({page.name}.ipynb){_verdicts(page.claims)}" for page in mine
             )
             first = _headline(work, claims)
             parts.append(f"## {work['title']} (`{room}`)\n\n{work['claimed']}\n\n{first}{listing}")
@@ -127,7 +134,7 @@ def _headline(work: dict, claims: list[Claim]) -> str:
     """What the work says first, as a table that ends with a blank line; empty where the ledger has none of it."""
     by_id = {claim.entry.id: claim for claim in claims}
     rows = [
-        f"| {each['says']} | {published_quantity(claim)} | {our_quantity(claim)} | {claim.verdict} |"
+        f"| {each['says']} | {published_quantity(claim)} | {our_quantity(claim)} | {claim.judgement} |"
         for each in work["headline"]
         if (claim := by_id.get(each["entry"]))
     ]
@@ -142,10 +149,8 @@ def _row(room: str, work: dict[str, str], claims: list[Claim], shown: list[str])
     return f"| `{room}` | {work['work']} | {numbers} |"
 
 
-def _verdicts(claims: list[Claim]) -> str:
-    counts = Counter(claim.verdict for claim in claims)
-    text = ", ".join(f"{verdict} {counts[verdict]}" for verdict in VERDICTS if counts[verdict])
-    return f": {text}" if text else ""
+def _verdicts(claims: tuple[Claim, ...]) -> str:
+    return f": {tally(claims)}" if claims else ""
 
 
 def _codecheck(pages: list[NotebookPage], _claims: list[Claim]) -> str:
@@ -166,7 +171,7 @@ def _codecheck(pages: list[NotebookPage], _claims: list[Claim]) -> str:
         if page.claims:
             lines += _output(
                 f"figures/{page.name}/claims.json",
-                f"{page.title}: {len(page.claims)} published numbers as found here{_verdicts(list(page.claims))}",
+                f"{page.title}: {len(page.claims)} entries of the ledger as found here{_verdicts(page.claims)}",
             )
     return "\n".join([*lines, ""])
 

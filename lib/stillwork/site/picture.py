@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 
 from stillwork.workbook.claims import Claim
+from stillwork.workbook.report import tally
 
 FARTHEST = 4.0  # ratios beyond are drawn at the edge, as arrows
 WIDTH, ROW, MARGIN = 360, 6, 16
@@ -34,19 +35,18 @@ class Picture:
 
     @property
     def description(self) -> str:
-        verdicts = [mark.claim.verdict for mark in self.marks]
-        return (
-            f"{len(self.marks)} numbers, ours over published: {verdicts.count('replicated')} replicated, "
-            f"{verdicts.count('deviates')} deviate, {verdicts.count('reported')} reported"
-        )
+        return f"{len(self.marks)} numbers, ours over published: {tally(mark.claim for mark in self.marks)}"
 
 
 def draw(claims: list[Claim]) -> Picture:
-    """Picture of the claims that compare sizes; fractions have none, and nothing or zero published no ratio."""
+    """Picture of a work's numbers that compare sizes; fractions have none, and zero published no ratio."""
     sized = [
         claim
         for claim in claims
-        if claim.ours is not None and not claim.entry.is_fraction and claim.entry.published
+        if claim.ours is not None
+        and claim.entry.is_replication
+        and not claim.entry.is_fraction
+        and claim.entry.published
     ]
     sized.sort(key=_ratio)
     marks = tuple(_mark(claim, MARGIN + ROW * row) for row, claim in enumerate(sized))

@@ -188,7 +188,7 @@ def _until_section(lines: list[str], start: int) -> tuple[list[str], int]:
 
 def _definitions(lines: list[str]) -> str:
     """``name : type`` lines with indented descriptions as a list; free text (References, Notes) as blocks."""
-    if not any(line.startswith(" ") for line in lines):
+    if (lines[:1] and lines[0].startswith(">>>")) or not any(line.startswith(" ") for line in lines):
         return _blocks(lines)
     html = []
     for chunk in re.split(r"\n(?=\S)", "\n".join(lines).strip("\n")):
@@ -200,13 +200,13 @@ def _definitions(lines: list[str]) -> str:
 
 
 def _blocks(lines: list[str]) -> str:
-    """Paragraphs, and as they stand blocks that are indented."""
+    """Paragraphs, and as they stand examples and blocks that are indented."""
     html = []
     for block in re.split(r"\n\s*\n", "\n".join(lines).strip("\n")):
         if not block.strip():
             continue
         rows = block.splitlines()
-        if all(row.startswith("    ") for row in rows):
+        if rows[0].startswith(">>>") or all(row.startswith("    ") for row in rows):
             html.append(f'<pre tabindex="0">{escape(inspect.cleandoc(block))}</pre>')
         else:
             text = " ".join(row.strip() for row in rows)

@@ -16,7 +16,7 @@ place = "section 0"  # where the work prints it
 quantity = "logarithmic decrement of the example"
 unit = "1"
 published = 0.63
-kind = "value"  # value | exact | ordering | slope | reported
+kind = "value"  # value | exact | ordering | slope | reported | check
 tolerance = {{ absolute = 0.005, source = "half the last printed digit" }}
 """
 

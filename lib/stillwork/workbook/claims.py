@@ -89,6 +89,9 @@ class Entry:
         ``larger`` or ``smaller`` where a value on that side of the published one is better.
     counterfactual : bool
         Whether it tells of something that the work did not do, e.g. its filter corrected.
+    expected : float or None
+        For a check, what theory gives and the work does not state. Without it and without a published value a
+        check is the residual of an identity: nothing should be left.
     """
 
     id: str
@@ -105,6 +108,7 @@ class Entry:
     threshold: float | None = None
     better: str | None = None
     counterfactual: bool = False
+    expected: float | None = None
 
     def __post_init__(self):
         require_choice(f"{self.id}: kind", self.kind, KINDS)
@@ -131,6 +135,12 @@ class Entry:
         if self.kind == "reported" and not self.reason:
             raise InputError(f"{self.id}: say in reason why it is not judged")
         self._require_threshold()
+        if self.expected is not None:
+            require_number(f"{self.id}: expected", self.expected)
+            if self.kind != "check" or self.tolerance is None or self.published is not None:
+                raise InputError(
+                    f"{self.id}: only a check of a size that is not published takes expected; remove it"
+                )
         if self.better is not None:
             require_choice(f"{self.id}: better", self.better, ("larger", "smaller"))
             if self.kind not in ("value", "slope"):
@@ -147,6 +157,20 @@ class Entry:
     def is_fraction(self) -> bool:
         """Whether it is judged by the fraction of runs that obey it."""
         return self.kind == "ordering" or (self.kind == "check" and self.tolerance is None)
+
+    @property
+    def needs_interval(self) -> bool:
+        """Whether it is judged by an interval over runs."""
+        return self.threshold is not None or (
+            self.tolerance is not None and self.tolerance.interval is not None
+        )
+
+    @property
+    def is_residual(self) -> bool:
+        """Whether it is what an identity leaves: rounding, judged by its tolerance alone."""
+        if self.kind != "check":
+            return self.kind == "exact"
+        return self.tolerance is not None and self.published is None and self.expected is None
 
     @property
     def is_own(self) -> bool:
@@ -188,14 +212,14 @@ class Claim:
             return "passes" if entry.kind == "check" else "replicated"
         if entry.kind == "check":
             return "fails"
-        larger = self.ours > (entry.published or 0.0)
+        larger = self.ours > entry.published
         return "better" if entry.better == ("larger" if larger else "smaller") else "deviates"
 
     def _agrees(self) -> bool:
         entry = self.entry
         if not entry.is_fraction:
-            # A check without a published value is the residual of an identity: nothing should be left.
-            return entry.tolerance.allows(entry.published or 0.0, self.ours, self.interval)
+            aim = entry.published if entry.expected is None else entry.expected
+            return entry.tolerance.allows(aim or 0.0, self.ours, self.interval)
         if entry.threshold is None:
             return self.ours == (1.0 if entry.published is None else entry.published)
         if self.interval is None:
@@ -204,6 +228,13 @@ class Claim:
                 "e.g. from stillwork.workbook.studies.proportion_interval"
             )
         return self.interval[0] >= entry.threshold
+
+    @property
+    def judgement(self) -> str:
+        """The verdict, and in brackets what keeps it from being evidence: its basis, or that the work did no such thing."""
+        entry = self.entry
+        notes = [entry.basis] * (entry.basis != "predicted") + ["counterfactual"] * entry.counterfactual
+        return f"{self.verdict} ({', '.join(notes)})" if notes else self.verdict
 
     @property
     def deviation(self) -> float | None:
@@ -218,7 +249,7 @@ class Claim:
         accepted = self.entry.ours
         if accepted is None or self.ours is None:
             return False
-        if self.entry.kind == "exact":  # an identity: its residual is rounding, judged by its tolerance
+        if self.entry.is_residual:
             return False
         drift = self.entry.drift
         return abs(self.ours - accepted) > 1e-12 and not drift.allows(accepted, self.ours, None)
@@ -228,10 +259,14 @@ class Claim:
         entry = self.entry
         if entry.drift.absolute and abs(self.ours) <= entry.drift.absolute:
             return f"< {entry.drift.absolute:g}"
-        if entry.kind == "exact" and entry.published == 0 and self.verdict == "replicated":
+        if entry.is_residual and not entry.published and self.verdict in AGREEMENT:
             if bound := entry.tolerance.absolute:  # 0 where a count is judged
                 return f"< {bound:g}"
-        return f"{self.ours:.{digits}g}"
+        text = f"{self.ours:.{digits}g}"
+        while entry.is_fraction and float(text) == 1 != self.ours and digits < 8:  # nearly all is not all
+            digits += 1
+            text = f"{self.ours:.{digits}g}"
+        return text
 
     def as_dict(self) -> dict:
         """All of it as plain values, for JSON and for tables."""
@@ -244,6 +279,7 @@ class Claim:
             "kind": entry.kind,
             "basis": entry.basis,
             "published": entry.published,
+            "expected": entry.expected,
             "threshold": entry.threshold,
             "better": entry.better,
             "own": entry.is_own,
@@ -345,10 +381,9 @@ class ClaimsTable:
         for claim in self.claims:
             entry = claim.entry
             spread = "" if not claim.interval else "{:.3g} .. {:.3g}".format(*claim.interval)
-            verdict = claim.verdict + ("" if entry.basis == "predicted" else f" ({entry.basis})")
             published = "" if entry.published is None else f"{entry.published:.4g}"
             row = (entry.id, entry.place, published, claim.shown(3), spread)
-            rows.append((*row, entry.unit, verdict))
+            rows.append((*row, entry.unit, claim.judgement))
         widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
         lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
         lines.insert(1, "-" * len(lines[0]))
@@ -390,6 +425,8 @@ def _rounded(value: float) -> float:
 def ledger(figures: Path | None = None, room: str | None = None) -> list[Claim]:
     """The whole ledger: every entry with what the built notebooks found.
 
+    A value without the interval that its entry asks for is none: it was found before the entry asked.
+
     Parameters
     ----------
     figures : Path, optional
@@ -416,6 +453,8 @@ def ledger(figures: Path | None = None, room: str | None = None) -> list[Claim]:
                 raise InputError(f"{file}: the ledger has no entry {name!r}{nearest(name, claims)}")
             if claims[name].notebook:
                 raise InputError(f"{name} is claimed by {claims[name].notebook} and by {notebook}; keep one")
+            if interval is None and claims[name].entry.needs_interval:
+                ours = None
             claims[name] = replace(claims[name], ours=ours, interval=interval, notebook=notebook)
     return list(claims.values())
 

@@ -21,6 +21,7 @@ BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, RED, PURPLE = (
     "#CC79A7",
 )
 GREY = "#7F7F7F"
+COLOURS = (BLUE, RED, GREEN, ORANGE, PURPLE, SKY, BLACK)  # of lines, in turn
 
 STYLE = {
     "figure.dpi": 100,
@@ -48,7 +49,7 @@ WIDTH = 7.2  # inches, every figure: they stand below one another on a page
 
 
 def new(rows: int = 1, columns: int = 1, height: float | None = None, **options):
-    """New figure in the house style: ``figure, axes = new(2, 3)``.
+    """New figure in the house style: ``figure, axes = new(2, 3)``; matplotlib's settings stay as they are.
 
     Parameters
     ----------
@@ -59,15 +60,11 @@ def new(rows: int = 1, columns: int = 1, height: float | None = None, **options)
     **options
         Passed to `matplotlib.figure.Figure.subplots` (``sharex``, ``squeeze``, ``gridspec_kw``, ...).
     """
-    import matplotlib
-    from matplotlib.figure import Figure
+    from stillwork.workbook.house_style import HouseFigure, house_style
 
-    # Titles, labels and legends read the settings when they are made, after this call: so set them for good.
-    cycle = matplotlib.cycler(color=[BLUE, RED, GREEN, ORANGE, PURPLE, SKY, BLACK])
-    matplotlib.rcParams.update({**STYLE, "axes.prop_cycle": cycle})
-    figure = Figure(figsize=(WIDTH, height or 2.4 * rows + 0.5), layout="constrained")
-    axes = figure.subplots(rows, columns, **options)
-    return figure, axes
+    with house_style():
+        figure = HouseFigure(figsize=(WIDTH, height or 2.4 * rows + 0.5), layout="constrained")
+        return figure, figure.subplots(rows, columns, **options)
 
 
 def mark_published(axes, x, y, label: str = "published", **options):
@@ -80,6 +77,12 @@ def mark_published(axes, x, y, label: str = "published", **options):
         "markerfacecolor": "none",
     }
     return axes.plot(np.atleast_1d(x), np.atleast_1d(y), label=label, zorder=5, **{**style, **options})
+
+
+def legend_below(axes, columns: int, **options) -> None:
+    """What one panel's lines mean, below the whole figure."""
+    handles = axes.get_legend_handles_labels()
+    axes.figure.legend(*handles, loc="outside lower center", ncols=columns, **options)
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,15 @@ def _kill(group: int) -> None:
         pass
 
 
+def stamp(file: Path) -> tuple[int, int] | None:
+    """Which file stands there: of another content, or removed and written again, it is another."""
+    try:
+        found = file.stat()
+    except OSError:
+        return None
+    return found.st_ino, found.st_mtime_ns
+
+
 def kernel_environment(folder: Path, output: Path) -> dict[str, str]:
     """Environment of a kernel that works in `folder` and writes its results to `output`."""
     library = str(Path(stillwork.__file__).parents[1])
@@ -64,11 +73,12 @@ def kernel_manager(build: str, folder: Path, output: Path, reads: Path, warm: Wa
     from jupyter_client.manager import AsyncKernelManager
     from jupyter_client.provisioning import LocalProvisioner
 
-    variables = kernel_environment(folder, output)
+    variables, connection = kernel_environment(folder, output), folder / "kernel"
     command = [sys.executable, "-P", str(PROGRAM), "kernel", str(reads), "-f", "{connection_file}"]
 
     class Provisioner(LocalProvisioner):
         async def launch_kernel(self, cmd, **options):
+            Kernel.written = stamp(connection)
             if warm is None:
                 return await super().launch_kernel(cmd, **options)
             arguments = cmd[cmd.index("kernel") + 1 :]
@@ -78,9 +88,10 @@ def kernel_manager(build: str, folder: Path, output: Path, reads: Path, warm: Wa
 
     class Kernel(AsyncKernelManager):
         process = None
+        written = None  # the file of its sockets, as it was before the launch
 
         def __init__(self, **options):
-            super().__init__(**{**options, "transport": "ipc", "connection_file": str(folder / "kernel")})
+            super().__init__(**{**options, "transport": "ipc", "connection_file": str(connection)})
             self._kernel_spec = KernelSpec(argv=command, language="python")  # this Python, this checkout
 
         async def start_kernel(self, **options):
@@ -97,8 +108,9 @@ def kernel_manager(build: str, folder: Path, output: Path, reads: Path, warm: Wa
                 _kill(self.process.pid)
 
         async def _async_is_alive(self) -> bool:
-            # Without its folder nobody can reach it or get its results.
-            return folder.is_dir() and await super()._async_is_alive()
+            # Where the file of its sockets was removed, so were they perhaps, and a kernel that is starting writes the
+            # file again without them: nobody could reach it.
+            return stamp(connection) == Kernel.written and await super()._async_is_alive()
 
         is_alive = _async_is_alive
 
@@ -109,6 +121,8 @@ def kernel_manager(build: str, folder: Path, output: Path, reads: Path, warm: Wa
             code = cls.process.poll() if cls.process else None
             if code is not None and code < 0:
                 return f"the kernel was killed by {signal.Signals(-code).name} (out of memory?)"
+            if code is None and stamp(connection) != cls.written:
+                return f"its file {connection} was removed from outside"
             return "the kernel did not start" if code is None else f"the kernel ended with exit code {code}"
 
         @classmethod

@@ -18,6 +18,7 @@ import signal
 import socket
 import stat
 import sys
+import tempfile
 from importlib.machinery import SourceFileLoader
 
 # Where the notebooks spend their imports.
@@ -129,13 +130,20 @@ def compile_sources(left_out: tuple[str, ...]) -> None:
 
 def kernel(log: str, *options: str) -> None:
     """Serve a notebook until it says that it is done."""
-    left_out = installed(log)
-    watch(log, left_out)
-    compile_sources(left_out)
-    sys.argv = ["ipykernel_launcher", *options]
-    from ipykernel import kernelapp
+    folder = os.path.dirname(log)
+    try:
+        left_out = installed(log)
+        watch(log, left_out)
+        compile_sources(left_out)
+        tempfile.tempdir = folder  # what is left in it goes with the kernel
+        sys.argv = ["ipykernel_launcher", *options]
+        from ipykernel import kernelapp
 
-    kernelapp.launch_new_instance()
+        kernelapp.launch_new_instance()
+    except Exception:
+        if os.path.isdir(folder):
+            raise
+        sys.exit(1)  # the driver tells that the folder was removed
 
 
 def warm(descriptor: int) -> None:

@@ -2,9 +2,11 @@
 
 import gc
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 
 import numpy as np
+
+from stillwork.workbook.house_style import HouseFigure, house_style
 
 
 def pixels(figure, dpi: float) -> np.ndarray:
@@ -27,8 +29,10 @@ def pixels(figure, dpi: float) -> np.ndarray:
     """
     with ExitStack() as stack:
         stack.enter_context(_no_collection())
+        stack.enter_context(house_style() if isinstance(figure, HouseFigure) else nullcontext())
         canvas = stack.enter_context(_canvas(figure, dpi))
         groups = _bare_groups(figure)
+        stack.enter_context(_ticks_once(figure))
         engine = figure.get_layout_engine()
         if engine is not None:
             stack.enter_context(_places(figure))
@@ -85,6 +89,47 @@ def _places(figure) -> Iterator[None]:
 
 
 @contextmanager
+def _ticks_once(figure) -> Iterator[None]:
+    """Place ticks and measure their labels once for each view and place of a panel: a layout asks a dozen times."""
+    every = [axis for axes in figure.axes for panel in (axes, *axes.child_axes) for axis in _axes_of(panel)]
+    for axis in every:
+        ticks = _Ticks(axis)
+        axis._update_ticks, axis._get_ticklabel_bboxes = ticks.placed, ticks.boxes
+    try:
+        yield
+    finally:
+        for axis in every:
+            del axis._update_ticks, axis._get_ticklabel_bboxes
+
+
+class _Ticks:
+    """What an axis told of its ticks, for as long as it would say the same."""
+
+    def __init__(self, axis):
+        self._axis, self._update, self._measure = axis, axis._update_ticks, axis._get_ticklabel_bboxes
+        self._seen = self._offset = self._placed = self._boxes = None
+
+    def placed(self) -> list:
+        axis, axes = self._axis, self._axis.axes
+        seen = (
+            *(axes.viewLim.bounds, axes.bbox.bounds, axis.get_transform()),
+            *(axis.major.locator, axis.minor.locator, axis.major.formatter, axis.minor.formatter),
+        )
+        # Panels that share an axis share its formatter, whose offset is that of the ticks it saw last.
+        if self._seen != seen or self._offset != axis.major.formatter.get_offset():
+            self._placed, self._boxes = self._update(), None
+            self._seen, self._offset = seen, axis.major.formatter.get_offset()
+        return self._placed
+
+    def boxes(self, ticks: list, renderer) -> tuple[list, list]:
+        if ticks is not self._placed:
+            return self._measure(ticks, renderer)
+        if self._boxes is None:
+            self._boxes = self._measure(ticks, renderer)
+        return self._boxes
+
+
+@contextmanager
 def _without_minor_ticks(groups: list[list]) -> Iterator[None]:
     from matplotlib.ticker import NullLocator
 
@@ -103,9 +148,13 @@ def _bare_groups(figure) -> list[list]:
     groups = {}
     for axes in figure.axes:
         for panel in (axes, *axes.child_axes):
-            for axis in (panel.xaxis, panel.yaxis):
+            for axis in _axes_of(panel):
                 groups.setdefault(id(axis.minor), []).append(axis)
     return [group for group in groups.values() if all(not _drawn(axis) or _bare(axis) for axis in group)]
+
+
+def _axes_of(panel) -> tuple:
+    return panel.xaxis, panel.yaxis
 
 
 def _drawn(axis) -> bool:

@@ -4,13 +4,22 @@ import shutil
 import sys
 import textwrap
 from collections import Counter
+from collections.abc import Iterable
 
 from stillwork.base import paths
 from stillwork.base.checks import InputError, nearest
-from stillwork.workbook.claims import AGREEMENT, BASES, VERDICTS, Claim, ledger
+from stillwork.workbook.claims import AGREEMENT, BASES, Claim, ledger
 
 BEGIN, END = "<!-- ledger:begin -->", "<!-- ledger:end -->"
-APART = ("own checks", "counterfactual")  # counted, but no replications
+# What a claim is counted as: first the work's numbers, then what is none of them.
+REPLICATIONS = (
+    *(f"{verdict}, {basis}" for verdict in ("replicated", "better") for basis in BASES),
+    "deviates",
+    "reported",
+)
+APART = ("no number published", "checks passed", "checks failed", "counterfactual", "not built")
+# Columns that are shown even when they are empty: what could be mistaken for evidence stands beside it.
+ALWAYS = ("replicated, predicted", "replicated, fitted", "replicated, calibrated", "deviates", "reported")
 GAP = "  "
 NARROWEST = 8  # characters to which a column may shrink
 
@@ -28,9 +37,15 @@ def our_quantity(claim: Claim) -> str:
 
 def _quantity(claim: Claim, value: float, text: str) -> str:
     if claim.entry.is_fraction:
-        return "always" if value == 1 else "never" if value == 0 else f"in {100 * value:.3g} % of cases"
+        return "always" if value == 1 else "never" if value == 0 else f"in {_percent(value)} % of cases"
     unit = claim.entry.unit
     return text if unit in ("", "1") else f"{text} {unit}"
+
+
+def _percent(share: float) -> str:
+    """A share that is not whole, in per cent; what three digits round to the whole gets more of them."""
+    texts = [f"{100 * share:.{digits}g}" for digits in range(3, 9)]
+    return next((text for text in texts if float(text) != 100), texts[-1])
 
 
 def screen() -> int:
@@ -91,16 +106,14 @@ def ledger_text(claims: list[Claim], width: int) -> str:
         ours = "" if claim.ours is None else claim.shown(4)
         published = "" if entry.published is None else f"{entry.published:.4g}"
         spread = "{:.3g} .. {:.3g}".format(*claim.interval) if claim.interval else ""
-        verdict = claim.verdict if entry.basis == "predicted" else f"{claim.verdict} ({entry.basis})"
-        rows.append((entry.id, entry.place, published, ours, spread, entry.unit, entry.kind, verdict))
+        rows.append((entry.id, entry.place, published, ours, spread, entry.unit, entry.kind, claim.judgement))
     reasons = [
         paragraph(f"{claim.entry.id}: {claim.entry.reason}", width)
         for claim in claims
         if claim.entry.reason and claim.verdict not in AGREEMENT
     ]
-    counts = Counter(claim.verdict for claim in claims)
-    total = ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS if counts[verdict])
-    return "\n".join([*table(rows, width), *(["", *reasons] if reasons else []), "", total or "no entries"])
+    total = paragraph(tally(claims) or "no entries", width)
+    return "\n".join([*table(rows, width), *(["", *reasons] if reasons else []), "", total])
 
 
 def paragraph(text: str, width: int) -> str:
@@ -167,45 +180,50 @@ def _shown(value, between: str = ", ") -> str:
 
 
 def column(claim: Claim) -> str:
-    """Under what a claim is counted: its verdict, or what sets it apart from the replications."""
-    if claim.entry.is_replication:
-        return claim.verdict
-    return "counterfactual" if claim.entry.counterfactual else "own checks"
+    """Under what a claim is counted.
+
+    Agreement is split by what it rests on, so that only what was predicted stands at the head. Checks of our own,
+    what the work gives no number for and counterfactuals are no replications and have names of their own.
+    """
+    entry, verdict = claim.entry, claim.verdict
+    if verdict == "not built":
+        return verdict
+    if entry.counterfactual:
+        return "counterfactual"
+    if entry.kind == "check":
+        return "checks passed" if verdict == "passes" else "checks failed"
+    if entry.published is None:
+        return "no number published"
+    return f"{verdict}, {entry.basis}" if verdict in AGREEMENT else verdict
 
 
 def columns(claims: list[Claim]) -> list[str]:
-    """Columns of a count: the three common verdicts, and those others that occur."""
-    seen = {column(claim) for claim in claims} | {"replicated", "deviates", "reported"}
-    return [name for name in (*VERDICTS[:-1], *APART) if name in seen]
+    """Columns of a count: the common ones, and those others that occur."""
+    seen = {column(claim) for claim in claims} | set(ALWAYS)
+    return [name for name in (*REPLICATIONS, *APART) if name in seen]
+
+
+def tally(claims: Iterable[Claim]) -> str:
+    """How many claims are counted as what, in words; empty where there are none."""
+    counts = Counter(map(column, claims))
+    return "; ".join(f"{counts[name]} {name}" for name in (*REPLICATIONS, *APART) if counts[name])
 
 
 def summary() -> str:
-    """Markdown table of the verdicts, a row a room; `replicated` is split by what it rests on.
-
-    Checks of our own and counterfactuals are no replications: they have columns of their own, where there are any.
-    """
+    """Markdown table of the counts, a row a room; `numbers` are those that the work publishes."""
     claims = ledger()
-    shown = [
-        name
-        for verdict in columns(claims)
-        for name in ([f"replicated, {basis}" for basis in BASES] if verdict == "replicated" else [verdict])
-    ]
+    shown = columns(claims)
     lines = [
         "| room | numbers | " + " | ".join(shown) + " |",
         "|---|" + "---:|" * (len(shown) + 1),
     ]
     for room in paths.ROOMS:
         mine = [claim for claim in claims if claim.entry.room == room]
-        counts = Counter(_split(claim) for claim in mine)
+        counts = Counter(map(column, mine))
         if mine:
             numbers = " | ".join(str(counts[name]) for name in shown)
             lines.append(f"| `{room}` | {sum(c.entry.is_replication for c in mine)} | {numbers} |")
     return "\n".join(lines)
-
-
-def _split(claim: Claim) -> str:
-    name = column(claim)
-    return f"replicated, {claim.entry.basis}" if name == "replicated" else name
 
 
 def readme_with_summary(text: str) -> str:

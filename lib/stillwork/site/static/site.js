@@ -44,7 +44,7 @@ const form = document.querySelector("form#filters"); // a function in the refere
 if (form) {
   const body = document.querySelector("#claims tbody");
   const rows = Array.from(body.rows);
-  const fields = ["room", "verdict", "kind"];
+  const fields = ["room", "counted", "verdict", "kind"];
 
   const distance = (row) => (row.dataset.deviation === "" ? null : Number(row.dataset.deviation));
 

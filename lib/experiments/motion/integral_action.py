@@ -7,6 +7,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_choice
+from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
 
 
@@ -71,3 +72,20 @@ def keeps_integral_action(
     zero = np.abs(gains) <= relative * peak
     keeps = bool(zero[1] and zero[0]) if application == "compensation" else bool(zero[1])
     return ObserverConditions(float(gains[0]), float(gains[1]), keeps)
+
+
+def observable_noise_models(plant: ModalModel) -> int:
+    """How many constant forces, one an actuator, the sensors can tell apart: the rank test (3.17).
+
+    The rank of [A B; C 0] beyond the states, after scaling.
+    """
+    states = plant.state_space()
+    size = np.linalg.norm(states.a)
+    whole = np.block([[states.a, states.b], [states.c, np.zeros_like(states.d)]])
+    scale = np.repeat(np.where(plant.frequencies > 0, plant.frequencies, size**0.5), 2)
+    scale[1::2] = 1.0  # velocities count as the displacement they lead to
+    whole[:, : len(states.a)] /= scale
+    whole[: len(states.a)] *= scale[:, None]
+    whole /= np.linalg.norm(whole, axis=1)[:, None]
+    whole /= np.linalg.norm(whole, axis=0)
+    return int(np.linalg.matrix_rank(whole, tol=1e-10)) - len(states.a)

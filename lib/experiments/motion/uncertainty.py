@@ -18,7 +18,6 @@ from stillwork.estimation.robust import Derivatives, NormBound
 from stillwork.estimation.time_varying import TimeVaryingModel
 from stillwork.lti.modal import ModalModel
 
-PARAMETERS = ("frequency", "damping", "input shape", "output shape")
 LAWS = ("ends", "uniform")
 
 
@@ -30,7 +29,7 @@ def perturbed(model: ModalModel, errors: ArrayLike) -> ModalModel:
     ----------
     model : ModalModel
     errors : array_like, shape (modes, 4)
-        Relative errors in the order of `PARAMETERS`; a rigid-body mode has no frequency and no damping to err.
+        Relative errors of frequency, damping, input shape and output shape; a rigid-body mode has no frequency and no damping to err.
     """
     factors = 1 + require_array("errors", errors, shape=(len(model.frequencies), 4))
     if np.any(factors <= 0):
@@ -144,7 +143,7 @@ def norm_bound(model: TimeVaryingModel, derivatives: Derivatives, size: float) -
     size = require_number("size", size, above=0.0)
     s, t, m = derivatives.rows(model)
     samples, outputs = model.c.shape[:2]
-    count = len(derivatives.a)
+    count = len(np.asarray(derivatives.a))
 
     def gather(rows):
         # The derivative of C A by a parameter is that of A through C and that of C through A, together.

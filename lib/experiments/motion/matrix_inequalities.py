@@ -1,0 +1,168 @@
+"""H2-optimal observers by linear matrix inequalities (Theorem 5.1.1), solved by Clarabel.
+
+They take a bound on one weighted peak as well, with one Lyapunov matrix for both norms.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from stillwork.base.checks import InputError, require_number
+from stillwork.base.extras import require_package
+from stillwork.estimation.generalised_plant import GeneralisedPlant
+from stillwork.estimation.h2 import Synthesis, in_units, judged, regularised, scaled_plant
+from stillwork.lti.norms import h2_norm, hinf_norm
+
+
+def h2_lmi(
+    plant: GeneralisedPlant, effort: float | ArrayLike, noise: float | ArrayLike, tolerance: float = 1e-3
+) -> Synthesis:
+    r"""H2-optimal observer of the regularised plant from the matrix inequalities (5.7), solved by Clarabel.
+
+    The observer's feedthrough is zero: with a regular :math:`D_{12}` and :math:`D_{21}` any other makes the
+    norm infinite.
+
+    Parameters
+    ----------
+    plant, effort, noise
+        See `regularised`.
+    tolerance : float
+        How far, relatively, the norm of the recovered loop may lie from what the solver claims.
+
+    Raises
+    ------
+    InputError
+        When the solver does not report an optimum, or the recovered loop does not keep what was claimed;
+        the message shows the status and the residual. No matrix of a failed solve is returned.
+    """
+    tolerance = require_number("tolerance", tolerance, above=0.0)
+    regular = regularised(plant, effort, noise)
+    status, claimed, observer = _by_inequalities(regular)
+    return judged(plant, regular, observer, claimed, status, tolerance)
+
+
+def mixed_lmi(
+    plant: GeneralisedPlant,
+    level: float,
+    ratio: float,
+    effort: float | ArrayLike,
+    noise: float | ArrayLike,
+    tolerance: float = 1e-3,
+) -> Synthesis:
+    r"""Observer with a small H2 norm whose weighted error keeps a level, from matrix inequalities with Clarabel.
+
+    One change of variables serves both norms only if their Lyapunov matrices are multiples of each other. That
+    makes `claimed` an upper bound of both the loop's norm and the optimum: any ratio is valid, the least claim
+    over ratios is the best, and no ratio gives the true trade-off.
+
+    Parameters
+    ----------
+    plant : GeneralisedPlant
+        With two performance outputs, as `tradeoff.emphasised` gives for emphasis 1: the error and the weighted
+        error. The two-norm is that from all inputs to the first, the peak that from the first input to the second.
+    level : float
+        Bound on the peak.
+    ratio : float
+        Lyapunov matrix of the peak over that of the two-norm, for the scaled problem; 1 in most texts.
+    effort, noise
+        See `regularised`.
+    tolerance : float
+        How far, relatively, the loop's norms may exceed the claim and the level.
+
+    Returns
+    -------
+    Synthesis
+        Its norms are those to the first output, without and with the added cost and noise.
+
+    Raises
+    ------
+    InputError
+        As for `h2_lmi`; here also when the loop does not keep the level.
+    """
+    level = require_number("level", level, above=0.0)
+    ratio = require_number("ratio", ratio, above=0.0)
+    tolerance = require_number("tolerance", tolerance, above=0.0)
+    if plant.performance != 2:
+        raise InputError(
+            f"plant has {plant.performance} performance outputs; give the error and the weighted"
+        )
+    regular = regularised(plant, effort, noise)
+    status, claimed, observer = _by_inequalities(regular, level, ratio)
+    loop = regular.close(observer)
+    achieved = peak = np.inf
+    if loop.is_stable:
+        achieved = h2_norm(loop.select(range(regular.exogenous), _unweighted(regular)))
+        peak = hinf_norm(loop.select([0], [1])).magnitude
+    excess = max(achieved / claimed, peak / level) - 1
+    if not excess <= tolerance:
+        raise InputError(
+            f"the solver reports {status!r} with H2 norm {claimed:.6g} at level {level:.6g}, but the loop of its "
+            f"observer has {achieved:.6g} and {peak:.6g}: relative residual {excess:.1e}, allowed {tolerance:.1e}"
+        )
+    posed = plant.close(observer).select(range(plant.exogenous), [0])
+    return Synthesis(observer, achieved, h2_norm(posed), claimed, status)
+
+
+def _unweighted(regular: GeneralisedPlant) -> list[int]:
+    """Performance outputs of a regularised plant that count for the two-norm when the second has a bound."""
+    return [0, *range(2, regular.performance)]
+
+
+def _by_inequalities(regular: GeneralisedPlant, level: float | None = None, ratio: float = 1.0):
+    """Status, claimed norm and observer of a regularised plant; with a level, the second output is bounded.
+
+    Raises
+    ------
+    InputError
+        When the solver reports anything but an optimum, with what it reports and its residuals.
+    """
+    cp = require_package("cvxpy")
+
+    plant, units = scaled_plant(regular)
+    a, b1, b2, c1, c2, _, d12, d21, _ = plant.blocks
+    n = len(a)
+    x, y = cp.Variable((n, n), symmetric=True), cp.Variable((n, n), symmetric=True)
+    a_hat, b_hat, c_hat = cp.Variable((n, n)), cp.Variable((n, len(c2))), cp.Variable((b2.shape[1], n))
+    upper, lower = a @ x + b2 @ c_hat, y @ a + b_hat @ c2
+    driven, seen = y @ b1 + b_hat @ d21, c1 @ x + d12 @ c_hat
+    stable = [[upper + upper.T, a_hat.T + a], [a_hat + a.T, lower + lower.T]]
+    kept = list(range(len(c1))) if level is None else _unweighted(plant)
+    q = cp.Variable((len(kept), len(kept)), symmetric=True)
+    dissipated = [[*stable[0], b1], [*stable[1], driven], [b1.T, driven.T, -np.eye(b1.shape[1])]]
+    bounded = [[x, np.eye(n), seen[kept].T], [np.eye(n), y, c1[kept].T], [seen[kept], c1[kept], q]]
+    constraints = [cp.bmat(dissipated) << 0, cp.bmat(bounded) >> 0]
+    if level is not None:
+        own = level * np.sqrt(units.rate)  # in slow time
+        into, out = np.sqrt(ratio / own), np.sqrt(1 / (ratio * own))
+        b, yb, cx, c = into * b1[:, :1], into * driven[:, :1], out * seen[1:2], out * c1[1:2]
+        zero = np.zeros((1, 1))
+        real = [
+            [*stable[0], b, cx.T],
+            [*stable[1], yb, c.T],
+            [b.T, yb.T, -np.eye(1), zero],
+            [cx, c, zero, -np.eye(1)],
+        ]
+        constraints.append(cp.bmat(real) << 0)
+    problem = cp.Problem(cp.Minimize(cp.trace(q)), constraints)
+    data, chain, inverse = problem.get_problem_data(cp.CLARABEL, solver_opts={})
+    solution = chain.solve_via_data(problem, data)
+    if str(solution.status) != "Solved":
+        raise InputError(
+            f"the matrix inequalities have no usable solution: Clarabel reports {str(solution.status)!r} after "
+            f"{solution.iterations} iterations, residuals {solution.r_prim:.1e} (primal) and "
+            f"{solution.r_dual:.1e} (dual); rescale the problem, regularise it more or ask for less"
+        )
+    problem.unpack_results(solution, chain, inverse)
+    found = (variable.value for variable in (x, y, a_hat, b_hat, c_hat))
+    return problem.status, float(np.sqrt(problem.value)), in_units(units, *_recover(plant, *found))
+
+
+def _recover(plant: GeneralisedPlant, x, y, a_hat, b_hat, c_hat):
+    """Observer matrices of Lemma 5.1.1 without feedthrough, and with D22 taken out of the measurement."""
+    a, _, b2, _, c2, _, _, _, d22 = plant.blocks
+    left, values, right = np.linalg.svd(np.eye(len(x)) - x @ y)
+    m, n = left * np.sqrt(values), right.T * np.sqrt(values)
+    c_o = np.linalg.solve(m, c_hat.T).T
+    b_o = np.linalg.solve(n, b_hat)
+    core = a_hat - b_hat @ c2 @ x - y @ b2 @ c_hat - y @ a @ x
+    a_o = np.linalg.solve(n, np.linalg.solve(m, core.T).T)
+    return a_o - b_o @ d22 @ c_o, b_o, c_o

@@ -1,0 +1,172 @@
+"""Algebra of small matrices inside kernels: products, factorisations, and what one measurement does to a covariance.
+
+Every sum runs in index order, whatever calls it, so that two kernels that compute one thing agree to the last bit.
+"""
+
+from stillwork.base.kernels import inlined_kernel, kernel
+
+
+@inlined_kernel
+def copy_vector(source, target):
+    """In a loop: a slice assignment would triple the time to compile."""
+    for i in range(len(source)):
+        target[i] = source[i]
+
+
+@inlined_kernel
+def add_product(matrix, vector, out):
+    """Out += matrix vector."""
+    for i in range(matrix.shape[0]):
+        total = out[i]
+        for j in range(matrix.shape[1]):
+            total += matrix[i, j] * vector[j]
+        out[i] = total
+
+
+@inlined_kernel
+def advance_state(a, b, drive, state, following):
+    """State = b drive + a state, for one input; `following` is scratch."""
+    for i in range(len(state)):
+        total = b[i] * drive
+        for j in range(len(state)):
+            total += a[i, j] * state[j]
+        following[i] = total
+    copy_vector(following, state)
+
+
+@inlined_kernel
+def multiply(left, right, out):
+    """Out = left right."""
+    for i in range(left.shape[0]):
+        for j in range(right.shape[1]):
+            total = 0.0
+            for k in range(left.shape[1]):
+                total += left[i, k] * right[k, j]
+            out[i, j] = total
+
+
+@inlined_kernel
+def add_multiplied(left, right, out):
+    """Out += left right'."""
+    for i in range(left.shape[0]):
+        for j in range(right.shape[0]):
+            total = out[i, j]
+            for k in range(left.shape[1]):
+                total += left[i, k] * right[j, k]
+            out[i, j] = total
+
+
+@inlined_kernel
+def congruence(matrix, middle, half, out):
+    """Out = matrix middle matrix', exactly symmetric; `half` is scratch, `out` may be `middle`."""
+    multiply(matrix, middle, half)
+    for i in range(matrix.shape[0]):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(matrix.shape[1]):
+                total += half[i, k] * matrix[j, k]
+            out[i, j] = out[j, i] = total
+
+
+@inlined_kernel
+def add_square(factor, out):
+    """Out += factor factor', on an exactly symmetric `out`."""
+    for i in range(factor.shape[0]):
+        for j in range(i + 1):
+            total = out[i, j]
+            for k in range(factor.shape[1]):
+                total += factor[i, k] * factor[j, k]
+            out[i, j] = out[j, i] = total
+
+
+@inlined_kernel
+def measure(covariance, rows, o, noise, cross):
+    """Fill cross = covariance row' with row o; returns the variance of what is measured, row covariance row' + noise."""
+    variance = noise
+    for i in range(rows.shape[1]):
+        total = 0.0
+        for j in range(rows.shape[1]):
+            total += covariance[i, j] * rows[o, j]
+        cross[i] = total
+        variance += rows[o, i] * total
+    return variance
+
+
+@inlined_kernel
+def condition(covariance, cross, variance):
+    """Covariance once the measurement is taken in: -= cross cross' / variance."""
+    for i in range(len(cross)):
+        for j in range(len(cross)):
+            covariance[i, j] -= cross[i] * cross[j] / variance
+
+
+@inlined_kernel
+def take_in_turn(covariance, rows, noise, gain, cross):
+    """Take in independent measurements one after the other; `gain` becomes that of all of them together."""
+    for o in range(rows.shape[0]):
+        variance = measure(covariance, rows, o, noise[o], cross)
+        for j in range(o):
+            seen = 0.0
+            for i in range(rows.shape[1]):
+                seen += rows[o, i] * gain[i, j]
+            for i in range(rows.shape[1]):
+                gain[i, j] -= cross[i] / variance * seen
+        for i in range(rows.shape[1]):
+            gain[i, o] = cross[i] / variance
+        condition(covariance, cross, variance)
+
+
+@kernel
+def factorise(information, alpha, right, factor, inverse_pivots, half, work):
+    # R + alpha I = L D L' with L in `factor`; half = L^-1 right on the way. Sums run along rows: at a few
+    # unknowns the chain of pivots is what costs time, and this order keeps it shortest.
+    for i in range(len(right)):
+        rest = right[i]
+        pivot = information[i, i] + alpha
+        for j in range(i):
+            entry = information[i, j]
+            for m in range(j):
+                entry -= work[m] * factor[j, m]
+            work[j] = entry
+            share = entry * inverse_pivots[j]
+            factor[i, j] = share
+            pivot -= entry * share
+            rest -= share * half[j]
+        inverse_pivots[i] = 1.0 / pivot
+        half[i] = rest
+
+
+@kernel
+def solve_forward(factor, right, half):
+    for i in range(len(right)):
+        rest = right[i]
+        for j in range(i):
+            rest -= factor[i, j] * half[j]
+        half[i] = rest
+
+
+@kernel
+def solve_backward(factor, inverse_pivots, half, solution):
+    n = len(half)
+    for i in range(n - 1, -1, -1):
+        rest = half[i] * inverse_pivots[i]
+        for j in range(i + 1, n):
+            rest -= factor[j, i] * solution[j]
+        solution[i] = rest
+
+
+@inlined_kernel
+def cholesky_root(matrix, root, size):
+    """Lower root of a symmetric matrix; false when it is not positive definite."""
+    for i in range(size):
+        for j in range(i + 1):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= root[i, k] * root[j, k]
+            if i == j:
+                if not total > 0.0:
+                    return False
+                root[i, i] = total**0.5
+            else:
+                root[i, j] = total / root[j, j]
+    return True

@@ -1,0 +1,130 @@
+"""What the toolbox's faces hand out says what it takes and gives, and shows it in an example that runs."""
+
+import ast
+import doctest
+import inspect
+import json
+import re
+import subprocess
+import sys
+from importlib import import_module
+from textwrap import dedent
+
+import numpy as np
+import pytest
+
+FOLDERS = ("signals", "lti", "identification", "estimation", "control")
+TOOLBOX = {name: import_module(f"stillwork.{name}") for name in FOLDERS}
+FACES = [f"{folder}.{name}" for folder, package in TOOLBOX.items() for name in package.__all__]
+PLAIN = re.compile(r"[A-Z]\w+|float|bool|int")  # returned by the name that the signature tells
+SHAPED = re.compile(r'"[^"]*"')  # of a field: jaxtyping's sizes
+
+
+def handed_out(face):
+    folder, name = face.split(".")
+    return inspect.unwrap(getattr(TOOLBOX[folder], name))
+
+
+def sections(thing):
+    """Text by heading; that before the first one under an empty heading."""
+    parts = re.split(r"^(\w+)\n-{3,}\n", inspect.getdoc(thing) or "", flags=re.MULTILINE)
+    return dict(zip(["", *parts[1::2]], parts[::2], strict=True))
+
+
+def listed(text):
+    """Names that begin an entry: ``low_hz, high_hz : float``."""
+    heads = [line.partition(" : ")[0] for line in text.splitlines() if line and not line.startswith(" ")]
+    return {name.strip() for head in heads for name in head.split(",")}
+
+
+def untold(thing):
+    """What is missing from a docstring."""
+    told = sections(thing)
+    node = ast.parse(dedent(inspect.getsource(thing))).body[0]
+    gaps = [] if told[""].strip() else ["summary"]
+    if isinstance(node, ast.FunctionDef):
+        wanted = set(inspect.signature(thing).parameters)
+        given = ast.unparse(node.returns) if node.returns else "None"
+        if not PLAIN.fullmatch(given) and given != "None" and "Returns" not in told:
+            gaps.append("Returns")
+        if any(isinstance(each, ast.Raise) for each in ast.walk(node)) and "Raises" not in told:
+            gaps.append("Raises")
+    else:
+        wanted = set(getattr(thing, "__annotations__", {})) or set(inspect.signature(thing).parameters)
+        wanted -= beside(thing, node)
+    missing = wanted - listed(told.get("Parameters", "")) - listed(told.get("Attributes", ""))
+    return gaps + sorted(missing)
+
+
+def beside(thing, node):
+    """Fields of which a comment on their own line, or the sizes in their annotation, say what they hold."""
+    lines = dedent(inspect.getsource(thing)).splitlines()
+    fields = [each for each in node.body if isinstance(each, ast.AnnAssign)]
+    return {
+        field.target.id
+        for field in fields
+        if any("  # " in line for line in lines[field.lineno - 1 : field.end_lineno])
+        or SHAPED.search(ast.unparse(field.annotation).replace("'", '"'))
+    }
+
+
+@pytest.mark.parametrize("face", FACES)
+def test_a_face_tells_what_it_takes_gives_and_refuses(face):
+    assert untold(handed_out(face)) == []
+
+
+@pytest.mark.parametrize("face", FACES)
+def test_the_methods_of_a_face_say_what_they_do(face):
+    thing = handed_out(face)
+    if inspect.isclass(thing):
+        methods = {name: each for name, each in vars(thing).items() if not name.startswith("_")}
+        called = {n: m for n, m in methods.items() if inspect.isfunction(m) or isinstance(m, property)}
+        assert [name for name, method in called.items() if not inspect.getdoc(method)] == []
+
+
+def run_examples():
+    """What went wrong in the example of each face; numpy is `np`, as everywhere, and the folders have their names."""
+    found = {}
+    for face in FACES:
+        finder = doctest.DocTestFinder(recurse=False)
+        (example,) = finder.find(handed_out(face), face, globs={"np": np, **TOOLBOX})
+        said = [] if example.examples else ["no example\n"]
+        doctest.DocTestRunner(verbose=False).run(example, out=said.append)
+        found[face] = "".join(said)
+    return found
+
+
+@pytest.fixture(scope="module")
+def outcomes(tmp_path_factory):
+    """Of all examples, as a person runs them: in a process without the tests' type checker, which refuses lists."""
+    folder = tmp_path_factory.mktemp("examples")
+    done = subprocess.run([sys.executable, __file__], cwd=folder, capture_output=True, text=True, check=True)
+    return json.loads(done.stdout)
+
+
+@pytest.mark.parametrize("face", FACES)
+def test_the_example_of_a_face_runs(face, outcomes):
+    assert "Examples" in sections(handed_out(face))
+    assert outcomes[face] == ""
+
+
+def half_told(matrix, step):
+    """Two arguments.
+
+    Parameters
+    ----------
+    matrix : array_like
+        Numbers.
+    """
+    if step:
+        raise ValueError
+    return np.zeros(2)
+
+
+def test_what_is_missing_is_found():
+    half_told.__annotations__["return"] = "ndarray"
+    assert untold(half_told) == ["Raises", "step"]
+
+
+if __name__ == "__main__":
+    print(json.dumps(run_examples()))
