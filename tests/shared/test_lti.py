@@ -259,7 +259,7 @@ def test_zeros_are_those_of_python_control_and_of_the_response(feedthrough):
             lambda: tustin(stage().state_space(), 1e-3, 4e3),
             "omega is 4000; give a finite number above 0 and below",
         ),
-        (lambda: tustin(lti.zoh_modes(stage(), 1e-4), 1e-4), "discrete time already"),
+        (lambda: tustin(zoh_modes(stage(), 1e-4), 1e-4), "discrete time already"),
         (lambda: tustin(unstable(), 0.01), "tustin has no result"),
         (
             lambda: lti.simulate(lti.zoh(unstable(), 1.0), np.ones((1, 2000))),

@@ -9,41 +9,20 @@ import numpy as np
 
 from stillwork.base.checks import InputError
 
-# Okabe and Ito's palette: told apart by colour-blind readers, and in grey by lightness.
-BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, RED, PURPLE = (
-    "#000000",
-    "#E69F00",
-    "#56B4E9",
-    "#009E73",
-    "#F0E442",
-    "#0072B2",
-    "#D55E00",
-    "#CC79A7",
+# Pictures know their colours as `figures.BLUE`.
+from stillwork.workbook.palette import (  # noqa: F401
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    RED,
+    SKY,
+    STYLE,
+    YELLOW,
 )
-GREY = "#7F7F7F"
-COLOURS = (BLUE, RED, GREEN, ORANGE, PURPLE, SKY, BLACK)  # of lines, in turn
 
-STYLE = {
-    "figure.dpi": 100,
-    "savefig.dpi": 150,
-    "font.family": "DejaVu Sans",
-    "font.size": 9,
-    "axes.titlesize": 9,
-    "axes.titlelocation": "left",
-    "axes.labelsize": 9,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "grid.color": "#DDDDDD",
-    "grid.linewidth": 0.6,
-    "lines.linewidth": 1.3,
-    "legend.frameon": False,
-    "legend.fontsize": 8,
-    "xtick.labelsize": 8,
-    "ytick.labelsize": 8,
-    "svg.hashsalt": "stillwork",
-}
 HEADER = ("panel", "series", "x", "y", "z")  # of a table of plotted numbers
 WIDTH = 7.2  # inches, every figure: they stand below one another on a page
 

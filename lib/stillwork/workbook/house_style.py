@@ -8,7 +8,7 @@ from inspect import getmembers, isfunction
 from matplotlib import RcParams, cycler, rcParams
 from matplotlib.figure import Figure
 
-from stillwork.workbook.figures import COLOURS, STYLE
+from stillwork.workbook.palette import COLOURS, STYLE
 
 _SETTINGS = dict(RcParams({**STYLE, "axes.prop_cycle": cycler(color=COLOURS)}))
 _KEPT = (
