@@ -9,8 +9,16 @@ from types import ModuleType, SimpleNamespace
 
 import numpy as np
 
+from experiments.motion.line_search import regularised_line_search
+from experiments.motion.uncertainty import perturbed, sampled_derivatives
 from fuzzing.hostile import same, same_value, wrong
 from stillwork import control, estimation, identification, lti, signals
+from stillwork.estimation import robust
+from stillwork.estimation.generalised_plant import GeneralisedPlant
+from stillwork.estimation.h2 import h2_riccati
+from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
+from stillwork.estimation.time_varying import TimeVaryingModel, estimate
+from stillwork.lti.discretisation import tustin, zoh_response
 
 FACES = {
     "signals": signals,
@@ -127,6 +135,26 @@ def catalogue() -> dict:
     def fields(value):
         return {each.name: getattr(value, each.name) for each in dataclasses.fields(value)}
 
+    walk = TimeVaryingModel(
+        np.array([[0.9, 0.1], [0.0, 0.8]]), np.ones((2, 1)), np.ones((2, 1)), np.ones((20, 1, 2)),
+        np.eye(1), np.eye(1), np.eye(2),
+    )  # fmt: skip
+    matrices = fields(walk)
+    gains = robust.kalman_gains(walk)
+    doubt = {
+        "m": np.ones((20, 1, 1)),
+        "e_a": 0.1 * np.eye(2),
+        "e_b": np.zeros((2, 1)),
+        "e_g": np.zeros((2, 1)),
+    }
+    bound = robust.NormBound(**doubt)
+    slopes = robust.Derivatives(
+        np.eye(2)[None], np.ones((1, 2, 1)), np.ones((1, 2, 1)), np.zeros((20, 1, 1, 2))
+    )
+    posed = lti.StateModel(
+        state.a, np.ones((2, 3)), np.ones((3, 2)), np.array([[0, 0, 0.0], [0, 0, 1.0], [0, 1.0, 0]])
+    )
+    two = {"u": rows[:1, :20], "y": rows[1:2, :20]}
     impulse = {"force": noise((2, 128)), "response": noise((2, 128)), "rate": 100.0}
     modes = np.linspace(50, 1200, 60)
     residues = np.moveaxis(model.frequency_response(modes), -1, 0).astype(complex)
@@ -225,6 +253,22 @@ def catalogue() -> dict:
         "secular_function": (e.secular_function, block),
         "steady_covariance": (e.steady_covariance, {"regressors": rows, "forgetting": 0.9}),
         "worst_case_residuals": (e.worst_case_residuals, {"regressors": rows, "outputs": signal, "estimates": rows, "bounds": np.ones(60), "forgetting": 0.9}),
+        "tustin": (tustin, {"model": state, "step": 1e-2, "omega": 3.0}),
+        "zoh_response": (zoh_response, {"model": model, "step": 1e-4, "omega": omega}),
+        "TimeVaryingModel": (TimeVaryingModel, matrices),
+        "kalman_gains": (lambda **named: robust.kalman_gains(TimeVaryingModel(**named)), matrices),
+        "sensitivity_gains": (robust.sensitivity_gains, {"model": walk, "derivatives": slopes, "weight": 0.5}),
+        "regularised_gains": (robust.regularised_gains, {"model": walk, "bound": bound, "margin": 1.0}),
+        "regularised_gains, bound": (lambda **named: robust.regularised_gains(walk, robust.NormBound(**named)), doubt),
+        "regularised_line_search": (regularised_line_search, {"model": walk, "bound": bound, **two, "initial": np.zeros(2)}),
+        "estimate": (estimate, {"gains": gains, **two, "initial": np.zeros(2)}),
+        "hinfinity_gains": (hinfinity_gains, {"model": walk, "wanted": np.eye(2), "level": 9.0}),
+        "smallest_level": (smallest_level, {"model": walk, "wanted": np.eye(2), "tolerance": 1e-2}),
+        "smallest_level, model": (lambda **named: smallest_level(TimeVaryingModel(**named), np.eye(2)), matrices),
+        "sampled_derivatives": (sampled_derivatives, {"model": model, "step": 1e-4, "modes": [1, 2]}),
+        "perturbed": (perturbed, {"model": model, "errors": np.full((3, 4), 0.01)}),
+        "h2_riccati": (lambda **named: h2_riccati(GeneralisedPlant(lti.StateModel(**named), 2, 2), 0.1, 0.1), fields(posed)),
+        "h2_riccati, singular": (h2_riccati, {"plant": GeneralisedPlant(posed, 2, 2), "effort": 0.1, "noise": 0.1}),
         "Application": (c.Application, fields(c.Application(True, 0.1, selectivity=2.0, high_pass_hz=1.0))),
         "Controller": (c.Controller, fields(controller)),
         "Decoupling": (c.Decoupling, fields(decoupling)),

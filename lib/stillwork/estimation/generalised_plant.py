@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillwork.base.checks import InputError, require_number
+from stillwork.base.front_door import check_fields
 from stillwork.lti.state_space import StateModel
 
 
@@ -17,6 +18,7 @@ class GeneralisedPlant:
     performance: int  # number of z
 
     def __post_init__(self):
+        check_fields(self)
         outputs, inputs = self.model.d.shape
         if not 0 < self.exogenous < inputs or not 0 < self.performance < outputs:
             raise InputError(

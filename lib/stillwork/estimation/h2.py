@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from stillwork.base.checks import InputError
+from stillwork.base.checks import InputError, require_array
+from stillwork.base.front_door import checked
 from stillwork.estimation.generalised_plant import GeneralisedPlant
 from stillwork.lti.norms import h2_norm
 from stillwork.lti.state_space import StateModel
@@ -28,6 +29,7 @@ class Synthesis:
     status: str = "solved"
 
 
+@checked
 def regularised(
     plant: GeneralisedPlant, effort: float | ArrayLike, noise: float | ArrayLike
 ) -> GeneralisedPlant:
@@ -43,8 +45,8 @@ def regularised(
     """
     a, b1, b2, c1, c2, d11, d12, d21, d22 = plant.blocks
     controls, measurements = b2.shape[1], len(c2)
-    effort = np.broadcast_to(np.asarray(effort, dtype=float), (controls,))
-    noise = np.broadcast_to(np.asarray(noise, dtype=float), (measurements,))
+    effort = np.broadcast_to(require_array("effort", effort), (controls,))
+    noise = np.broadcast_to(require_array("noise", noise), (measurements,))
     if np.any(effort < 0) or np.any(noise < 0):
         raise InputError("effort and noise must be positive; they make the problem regular")
     z, w = len(c1), b1.shape[1]
@@ -67,6 +69,7 @@ def regularised(
     return GeneralisedPlant(StateModel(a, b, c, d), w + measurements, z + controls)
 
 
+@checked
 def h2_riccati(plant: GeneralisedPlant, effort: float | ArrayLike, noise: float | ArrayLike) -> Synthesis:
     """H2-optimal observer of the regularised plant from two Riccati equations, scaled before and checked after.
 

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.base.checks import InputError, require_array, require_count, require_number, require_samples
 from stillwork.base.front_door import check_fields, checked
 from stillwork.base.kernels import kernel
 
@@ -152,7 +152,7 @@ class SecularFunction:
     def iterates(self, start: float, steps: int) -> np.ndarray:
         """start, f(start), f(f(start)), ...: the iteration (21), `steps` + 1 values."""
         values = [require_number("start", start, above=0.0)]
-        for _ in range(require_count("steps", steps)):
+        for _ in range(require_samples("steps", require_count("steps", steps))):
             values.append(float(self(values[-1])))
         return np.array(values)
 

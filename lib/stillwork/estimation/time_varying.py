@@ -12,7 +12,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import Converted, InputError, require_array, require_finite_run
-from stillwork.base.front_door import checked
+from stillwork.base.front_door import check_fields, checked
 from stillwork.base.kernels import kernel
 
 
@@ -76,11 +76,15 @@ class FilterGains:
     outputs: Float64[np.ndarray, "samples outputs states"]  # C
     covariance: Float64[np.ndarray, "samples states states"]  # P(k|k) of the design
 
+    @checked
     def __post_init__(self):
         for name in ("gain", "covariance"):
-            require_finite_run(
-                f"the filter's {name}", getattr(self, name), "rescale the model, its noises or the penalty"
-            )
+            value = getattr(self, name)
+            if isinstance(value, np.ndarray) and value.dtype.kind == "f":
+                require_finite_run(
+                    f"the filter's {name}", value, "rescale the model, its noises or the penalty"
+                )
+        check_fields(self)
 
     @property
     def samples(self) -> int:
