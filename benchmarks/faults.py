@@ -592,7 +592,7 @@ def damage(draw: random.Random, place: Path) -> str:
             if way == "dangling":
                 link.symlink_to(draw.choice(["nowhere", ".", str(place), f".{link.name}", link.name]))
     elif way == "all":
-        shutil.rmtree(place.parent)
+        shutil.rmtree(place.parent, ignore_errors=True)  # another harm may have taken it
     elif way == "plain" and file.is_file():
         name = file.parent / file.name
         name.unlink()

@@ -33,6 +33,8 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"stillwork: {one_line(str(told))}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
+        if arguments is None:  # what was being made when it came goes half made, and without a word
+            sys.unraisablehook = lambda *_: None
         return 130
 
 

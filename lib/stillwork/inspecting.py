@@ -1,5 +1,6 @@
 """What a file of one's own holds, and which notebooks can use it."""
 
+import ast
 import json
 import re
 import shlex
@@ -23,6 +24,10 @@ MODELS = {
     "isolation": ("experiments.isolation.twin", "load_twin"),
     "fixedpoint": ("experiments.fixedpoint.oscillator", "load_oscillator"),
 }
+
+# What a Python file must define to be a plant: functions with their numbers of arguments, tables of parameters.
+NEEDED = {"acceleration": 4, "force": 4}
+TABLES = ("EXACT", "APPROXIMATE")
 
 SHORTEST_FLOOR_S = 15.0  # what the floor's notebook takes; its module would cost seconds to import
 
@@ -169,8 +174,6 @@ def _is_unit(text: str, wanted: tuple[str, ...]) -> bool:
 
 
 def _plant(path: Path) -> Iterator[str]:
-    from stillwork.estimation.plant import outline
-
     missing = outline(path)
     if missing:
         yield f"{path.name}: not a plant as it stands: {', '.join(missing)}; see data/fixedpoint/your_plant.py"
@@ -249,3 +252,35 @@ def _takers(path: Path, room: str) -> Iterator[str]:
         for name, comment in comments(notebook).items():
             if re.search(r"\bpath\b.*\bTOML\b", comment):
                 yield _command(notebook.name, {name: path.resolve()})
+
+
+def outline(file: Path) -> list[str]:
+    """What a Python file lacks to be a plant, read from its source without executing it; empty: nothing.
+
+    Raises
+    ------
+    InputError
+        When there is no such file, or it is not Python.
+    """
+    try:
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"{file}: no such file; give the path of a Python file") from None
+    except (SyntaxError, UnicodeDecodeError, ValueError) as error:
+        raise InputError(f"{file.name} is not Python ({error}); mend it") from None
+    functions = {node.name: len(node.args.args) for node in tree.body if isinstance(node, ast.FunctionDef)}
+    names = {
+        target.id
+        for node in tree.body
+        if isinstance(node, ast.Assign | ast.AnnAssign)
+        for target in (node.targets if isinstance(node, ast.Assign) else [node.target])
+        if isinstance(target, ast.Name)
+    }
+    missing = [
+        f"{name} takes {functions[name]} arguments, not {count}"
+        if name in functions
+        else f"no function {name}"
+        for name, count in NEEDED.items()
+        if functions.get(name) != count
+    ]
+    return missing + [f"no table {name}" for name in TABLES if name not in names]

@@ -21,7 +21,7 @@ from stillwork.base.checks import InputError
 from stillwork.control import FlowTransformation, asin_trajectory, simulate
 from stillwork.control.trajectory import sine_trajectory
 from stillwork.control.transformation import RobustTransformation
-from stillwork.estimation.plant import outline
+from stillwork.inspecting import outline
 
 TEMPLATE = paths.data("fixedpoint", "your_plant.py")
 MOTION = paths.data("fixedpoint", "your_trajectory.csv")

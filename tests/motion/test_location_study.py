@@ -8,6 +8,7 @@ from experiments.motion.designs import DESIGNS, stage_compensator
 from experiments.motion.location_study import (
     LocationStudy,
     bare_error,
+    fit_to_force,
     location_loops,
     ranges,
     stage_error,
@@ -20,7 +21,6 @@ from stillwork.base.checks import InputError
 from stillwork.control.feedforward import Feedforward, error_loop, fit_feedforward, tracking_error
 from stillwork.control.ideal_feedforward import (
     feedforward_error,
-    fit_to_force,
     ideal_force,
     invert,
     respond,

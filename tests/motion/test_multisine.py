@@ -9,22 +9,18 @@ from experiments.motion.rig import assumed_geometry, rig_model
 from experiments.motion.rig_designs import published_settings
 from experiments.motion.rig_identification import (
     convergence,
+    direct_response,
     four_sensor_controller,
     identification_loop,
     predicted_deviation,
     rig_records,
+    smoothed_deviation,
     true_response,
 )
 from stillwork.base.checks import InputError
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.identification.modal_fit import fit_modal_matrix
-from stillwork.identification.multisine import (
-    direct_response,
-    joint_input_output,
-    random_phase_multisine,
-    run_multisine,
-    smoothed_deviation,
-)
+from stillwork.identification.multisine import joint_input_output, random_phase_multisine, run_multisine
 from stillwork.lti import ModalModel, simulate
 from stillwork.lti.discretisation import sampled_modes, zoh_modes, zoh_response
 

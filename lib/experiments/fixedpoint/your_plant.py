@@ -34,7 +34,8 @@ from stillwork.control.transformation import (
     RobustTransformation,
     contraction_range,
 )
-from stillwork.estimation.plant import NEEDED, TABLES, Plant, outline, partial_derivatives
+from stillwork.estimation.plant import Plant, partial_derivatives
+from stillwork.inspecting import NEEDED, TABLES, outline
 from stillwork.signals.records import load_record
 
 OWN_FORM = {"approximate_acceleration": 4, "approximate_force": 4}

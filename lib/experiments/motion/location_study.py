@@ -1,7 +1,7 @@
 """One feedforward error at many places of the structure, under every published design (section 4.2.5)."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -12,11 +12,10 @@ from experiments.motion.machines import stage
 from experiments.motion.position_dependence import at_place, observer_at
 from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
 from stillwork.control.applications import compensator
-from stillwork.control.feedforward import noise_error
+from stillwork.control.feedforward import BASIS, Feedforward, least_squares, noise_error
 from stillwork.control.ideal_feedforward import (
     Force,
     feedforward_error,
-    fit_to_force,
     respond,
     sampled_ideal_force,
 )
@@ -190,3 +189,24 @@ def stage_error(setpoint: Setpoint, controller: Pid, measured: int = 5) -> Force
     loop = bare_error(controller, measured)
     ideal = sampled_ideal_force(stage().at([0], [measured - 1]), setpoint)
     return feedforward_error(ideal, fit_to_force(loop, ideal))
+
+
+def fit_to_force(loop: StateModel, ideal: Force, noise: ArrayLike | None = None) -> Feedforward:
+    """Gains that leave the smallest sum of squared errors over the move, of the ideal force less theirs.
+
+    Parameters
+    ----------
+    loop : StateModel
+        From the force to the error.
+    ideal : Force
+        Held or not; the feedforward is what it is.
+    noise : array_like, shape (samples from the start of the move,), optional
+        Of the measured error (m), when the gains are fitted to a noisy move.
+    """
+    move = ideal.time > -1e-6 * (ideal.time[1] - ideal.time[0])
+    unit = np.eye(len(ideal.states))[-4:]
+    columns = [respond(loop, replace(ideal, row=row))[0, move] for row in unit]
+    wanted = respond(loop, ideal)[0, move]
+    if noise is not None:
+        wanted = wanted + require_array("noise", noise, shape=wanted.shape)
+    return Feedforward(**dict(zip(BASIS, least_squares(np.array(columns).T, wanted), strict=True)))

@@ -3,15 +3,15 @@
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Complex128, Float64
 
 from experiments.motion.rig import Geometry, decoupling, rig_model
 from experiments.motion.rig_designs import RigSettings, rig_controllers
-from stillwork.base.checks import InputError, require_count, require_number
+from stillwork.base.checks import InputError, require_array, require_count, require_number
 from stillwork.control.loops import channel, closed_loop, no_observer
 from stillwork.identification.multisine import (
     MultisineRecords,
-    direct_response,
+    ResponseMatrix,
     joint_input_output,
     run_multisine,
 )
@@ -167,3 +167,21 @@ def convergence(
         ):
             found[name].append(mean_relative_error(geometry, settings, part.omega, response, top_hz))
     return found
+
+
+def direct_response(records: MultisineRecords) -> Complex128[np.ndarray, "lines sensors actuators"]:
+    """Plant from inputs and outputs alone, S_yf S_ff^-1: biased in closed loop, for comparison."""
+    pairs = [
+        np.einsum("ermal,ermbl->lab", left, records.inputs.conj())
+        for left in (records.outputs, records.inputs)
+    ]
+    return pairs[0] @ np.linalg.inv(pairs[1])
+
+
+def smoothed_deviation(estimate: ResponseMatrix, lines: int = 15) -> Float64[np.ndarray, " lines"]:
+    """Deviation over frequency: root mean square over entries and over neighbouring lines."""
+    require_count("lines", lines)
+    power = (estimate.deviation**2).mean(axis=(1, 2))
+    kernel = np.ones(lines)
+    sums = np.convolve(power, kernel, mode="same") / np.convolve(np.ones_like(power), kernel, mode="same")
+    return np.sqrt(require_array("deviation", sums))

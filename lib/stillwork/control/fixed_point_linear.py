@@ -69,13 +69,6 @@ def linear_filter(
     return _linear_extended(signal_filter, slopes, time_step)
 
 
-def position_gain(device: LinearFilter, rate: float, time_step: float) -> float:
-    """Gain from the measured position to its estimate at an angular frequency, rad/s."""
-    z = np.exp(1j * rate * time_step)
-    states = np.linalg.solve(z * np.eye(len(device.A)) - device.A, device.B[:, 0])
-    return float(abs(device.C[0] @ states + device.D[0, 0]))
-
-
 def _finite_impulse_response(rows) -> LinearFilter:
     length = max(len(row) for row in rows)
     weights = np.array([np.pad(row, (0, length - len(row))) for row in rows])

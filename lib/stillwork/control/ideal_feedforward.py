@@ -4,12 +4,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Complex128, Float64
-from numpy.typing import ArrayLike
 from scipy import linalg
 
-from stillwork.base.checks import InputError, require_array, require_samples
+from stillwork.base.checks import InputError, require_samples
 from stillwork.base.front_door import check_fields, checked
-from stillwork.control.feedforward import BASIS, Feedforward, least_squares
+from stillwork.control.feedforward import Feedforward
 from stillwork.control.setpoint import Setpoint
 from stillwork.lti.discretisation import zoh, zoh_modes
 from stillwork.lti.modal import ModalModel
@@ -201,27 +200,6 @@ def feedforward_error(ideal: Force, feedforward: Feedforward) -> Force:
     row = ideal.row.copy()
     row[-4:] -= feedforward.gains
     return replace(ideal, row=row)
-
-
-def fit_to_force(loop: StateModel, ideal: Force, noise: ArrayLike | None = None) -> Feedforward:
-    """Gains that leave the smallest sum of squared errors over the move, of the ideal force less theirs.
-
-    Parameters
-    ----------
-    loop : StateModel
-        From the force to the error.
-    ideal : Force
-        Held or not; the feedforward is what it is.
-    noise : array_like, shape (samples from the start of the move,), optional
-        Of the measured error (m), when the gains are fitted to a noisy move.
-    """
-    move = ideal.time > -1e-6 * (ideal.time[1] - ideal.time[0])
-    unit = np.eye(len(ideal.states))[-4:]
-    columns = [respond(loop, replace(ideal, row=row))[0, move] for row in unit]
-    wanted = respond(loop, ideal)[0, move]
-    if noise is not None:
-        wanted = wanted + require_array("noise", noise, shape=wanted.shape)
-    return Feedforward(**dict(zip(BASIS, least_squares(np.array(columns).T, wanted), strict=True)))
 
 
 def respond(model: StateModel, force: Force) -> Float64[np.ndarray, "outputs samples"]:

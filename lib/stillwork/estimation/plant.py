@@ -1,10 +1,8 @@
 """Plants with one coordinate, and their inverse, from functions of people's own."""
 
-import ast
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,8 +12,6 @@ from stillwork.base.front_door import check_fields
 from stillwork.base.kernels import callback
 
 SIGNATURE = "float64(float64, float64, float64, float64[::1])"  # of a plant's two functions
-NEEDED = {"acceleration": 4, "force": 4}
-TABLES = ("EXACT", "APPROXIMATE")
 
 
 @dataclass(frozen=True)
@@ -87,35 +83,3 @@ def _slope(plant: Plant, axis: int, *point: float) -> float:
     high = plant.acceleration(*(at + step), plant.parameters)
     low = plant.acceleration(*(at - step), plant.parameters)
     return float((high - low) / (2 * step[axis]))
-
-
-def outline(file: Path) -> list[str]:
-    """What a Python file lacks to be a plant, read from its source without executing it; empty: nothing.
-
-    Raises
-    ------
-    InputError
-        When there is no such file, or it is not Python.
-    """
-    try:
-        tree = ast.parse(file.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{file}: no such file; give the path of a Python file") from None
-    except (SyntaxError, UnicodeDecodeError, ValueError) as error:
-        raise InputError(f"{file.name} is not Python ({error}); mend it") from None
-    functions = {node.name: len(node.args.args) for node in tree.body if isinstance(node, ast.FunctionDef)}
-    names = {
-        target.id
-        for node in tree.body
-        if isinstance(node, ast.Assign | ast.AnnAssign)
-        for target in (node.targets if isinstance(node, ast.Assign) else [node.target])
-        if isinstance(target, ast.Name)
-    }
-    missing = [
-        f"{name} takes {functions[name]} arguments, not {count}"
-        if name in functions
-        else f"no function {name}"
-        for name, count in NEEDED.items()
-        if functions.get(name) != count
-    ]
-    return missing + [f"no table {name}" for name in TABLES if name not in names]

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Complex128, Float64
 
-from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.base.checks import InputError, require_count, require_number
 from stillwork.base.front_door import check_fields, checked
 from stillwork.lti.simulation import simulate
 from stillwork.lti.state_space import StateModel
@@ -146,21 +146,3 @@ def joint_input_output(records: MultisineRecords) -> ResponseMatrix:
     return ResponseMatrix(
         records.omega, response, np.sqrt((np.abs(errors) ** 2).sum(axis=0) / (count * (count - 1)))
     )
-
-
-def direct_response(records: MultisineRecords) -> Complex128[np.ndarray, "lines sensors actuators"]:
-    """Plant from inputs and outputs alone, S_yf S_ff^-1: biased in closed loop, for comparison."""
-    pairs = [
-        np.einsum("ermal,ermbl->lab", left, records.inputs.conj())
-        for left in (records.outputs, records.inputs)
-    ]
-    return pairs[0] @ np.linalg.inv(pairs[1])
-
-
-def smoothed_deviation(estimate: ResponseMatrix, lines: int = 15) -> Float64[np.ndarray, " lines"]:
-    """Deviation over frequency: root mean square over entries and over neighbouring lines."""
-    require_count("lines", lines)
-    power = (estimate.deviation**2).mean(axis=(1, 2))
-    kernel = np.ones(lines)
-    sums = np.convolve(power, kernel, mode="same") / np.convolve(np.ones_like(power), kernel, mode="same")
-    return np.sqrt(require_array("deviation", sums))

@@ -91,10 +91,17 @@ def execute(job: Job, on_cell: Callable[[], object] = lambda: None, warm: Warm |
 @contextlib.contextmanager
 def _folder():
     """A folder for one kernel and what it writes, locked as long as this process lives."""
-    with tempfile.TemporaryDirectory(prefix=PREFIX, ignore_cleanup_errors=True) as name:
-        with (Path(name) / LOCK).open("w") as lock:
+    folder = Path(tempfile.mkdtemp(prefix=PREFIX))
+    try:
+        with (folder / LOCK).open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
-            yield Path(name)
+            yield folder
+    finally:
+        for pause in (0.0, 0.05, 0.2, 1.0):  # a kernel that was killed may just be writing its last file
+            time.sleep(pause)
+            shutil.rmtree(folder, ignore_errors=True)
+            if not folder.exists():
+                break
 
 
 def sweep() -> None:
