@@ -101,6 +101,8 @@ def main() -> None:
     for peer, name in (("padasip", "padasip FilterRLS"), ("pyroomacoustics", "pyroomacoustics RLS")):
         if peer in updates:
             rows.append((f"update 9 x 6: {name} per output / numba", updates[peer][0] / recursion, ">= 400"))
+    safe = updates["recursion in float32, safe form"][0]
+    rows.append(("update 9 x 6: float32 safe form / triangle in float64", safe / recursion, "<= 1.5"))
     rows.append(("update 9 x 6: FeRLS / FeLMS alone", recursion / updates["FeLMS"][0], ""))
     loops = loop_times()
     felms, ferls = (loops[f"closed loop {name}"][0] for name in ("FeLMS", "FeRLS"))
@@ -156,14 +158,17 @@ def update_times() -> dict[str, tuple[float, float, float]]:
     def start():
         return np.zeros((ACTUATORS, REGRESSORS)), np.eye(REGRESSORS) * (1 - FORGETTING)
 
-    def recursion():
-        weights, covariance = start()
-        limits, history = np.full(REGRESSORS, np.inf), np.empty((0, ACTUATORS, REGRESSORS))
-        begin = time.thread_time()
-        _run_ferls(
-            weights, covariance, FORGETTING, limits, psi, error, False, np.inf, history, samples + 1, False
-        )
-        return time.thread_time() - begin, samples
+    def recursion(**settings):
+        def run():
+            weights, covariance = start()
+            state = FeRls(covariance, FORGETTING, **settings).start(REGRESSORS)
+            history = np.empty((0, ACTUATORS, REGRESSORS))
+            arrays = [array.astype(state.matrix.dtype) for array in (weights, psi, error)]
+            begin = time.thread_time()
+            _run_ferls(arrays[0], state, *state[-2:], *arrays[1:], False, np.inf, history, samples + 1, False)
+            return time.thread_time() - begin, samples
+
+        return run
 
     def felms():
         weights, _ = start()
@@ -195,7 +200,8 @@ def update_times() -> dict[str, tuple[float, float, float]]:
         return run
 
     contenders = {
-        "recursion": recursion,
+        "recursion": recursion(),
+        "recursion in float32, safe form": recursion(dtype="float32"),
         "FeLMS": felms,
         "block inverse": inverse(1),
         "full inverse": inverse(ACTUATORS),
@@ -267,8 +273,8 @@ def compiled(psi, error, start) -> dict:
 
     weights, covariance = start()
     for k in range(1000):
-        limits, gain = np.full(REGRESSORS, np.inf), np.empty(REGRESSORS)
-        ferls_update(weights, covariance, psi[k], error[k], FORGETTING, limits, gain)
+        levels, gain = np.full((3, REGRESSORS), np.inf), np.empty(REGRESSORS)
+        ferls_update(weights, covariance, FORGETTING, levels, np.inf, gain, psi[k], error[k])
     if not np.allclose(call(1000)[1], weights, rtol=1e-9, atol=1e-12):
         raise SystemExit("the C update gives other weights than the kernel")
     return {"C": lambda: (call(len(psi))[0], len(psi))}
@@ -292,7 +298,18 @@ def loop_times() -> dict[str, tuple[float, float, float]]:
             signals = kept.block(0, simulation.BLOCK)
             begin = time.thread_time()
             for floor, noise in blocks:
-                loop.advance(floor, noise, closed, signals, simulation.BLOCK, 0, code, *numbers, np.inf)
+                loop.advance(
+                    floor,
+                    noise,
+                    closed,
+                    signals,
+                    simulation.BLOCK,
+                    0,
+                    code,
+                    *numbers,
+                    *closed.recursion[-2:],
+                    np.inf,
+                )
             return time.thread_time() - begin, len(blocks) * simulation.BLOCK
 
         return run

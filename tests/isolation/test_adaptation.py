@@ -5,7 +5,15 @@ from hypothesis import strategies as st
 
 from naive import adaptation as naive
 from stillwork.base.checks import InputError
-from stillwork.estimation.adaptive import FeLms, FeRls, felms_update, ferls_update
+from stillwork.estimation.adaptive import (
+    FeLms,
+    FeRls,
+    felms_update,
+    ferls_ud_update,
+    ferls_update,
+    hold_covariance,
+)
+from stillwork.estimation.covariance_forms import FORMS, TRIANGLE, covariance_of, factor_of
 from stillwork.estimation.online import (
     AdaptationStepper,
     UnstableAdaptation,
@@ -128,8 +136,13 @@ def test_limit_is_added_information():
     psi, e = rng.standard_normal(5), rng.standard_normal(2)
     unlimited, limits = covariance.copy(), 0.6 * np.diag(covariance)
     weights, same = np.zeros((2, 5)), np.zeros((2, 5))
-    ferls_update(weights, covariance, psi, e, 0.9, limits, np.empty(5))
-    ferls_update(same, unlimited, psi, e, 0.9, np.full(5, np.inf), np.empty(5))
+    levels, free = np.zeros((3, 5)), np.zeros((3, 5))
+    levels[0], free[0] = limits, np.inf
+    _, reached = ferls_update(weights, covariance, 0.9, levels, np.inf, np.empty(5), psi, e)
+    assert reached
+    hold_covariance(TRIANGLE, covariance, 0.9, levels, np.empty(5), np.empty(5), 0)
+    assert not ferls_update(same, unlimited, 0.9, free, np.inf, np.empty(5), psi, e)[1]
+    np.testing.assert_allclose(levels[2], 0.1 * (np.diag(unlimited) > limits))
     assert np.any(np.diag(unlimited) > limits)  # the limit had something to do
     np.testing.assert_allclose(covariance, naive.limited(unlimited, limits), atol=1e-13)
     np.testing.assert_array_equal(weights, same)
@@ -327,14 +340,90 @@ def test_update_kernels_run_without_compilation_too():
     rng = np.random.default_rng(3)
     psi, e = rng.standard_normal(9), rng.standard_normal(6)
     for update, extra in (
-        (ferls_update, (0.99, np.full(9, np.inf), np.empty(9))),
-        (felms_update, (0.1, 1e-5, 6.0)),
+        (ferls_update, lambda: (0.99, np.ones((3, 9)), np.inf, np.empty(9), psi, e)),
+        (ferls_ud_update, lambda: (0.99, np.ones((3, 9)), 1.0, np.empty(9), np.empty(9), psi, e, 0)),
+        (felms_update, lambda: (psi, e, 0.1, 1e-5, 6.0)),
     ):
         results = []
         for function in (update, update.py_func):
             weights, covariance = np.ones((6, 9)), np.eye(9)
-            state = (weights, covariance) if update is ferls_update else (weights,)
-            function(*state, psi, e, *extra)
+            state = (weights,) if update is felms_update else (weights, covariance)
+            function(*state, *extra())
             results.append((weights, covariance))
         np.testing.assert_allclose(results[0][0], results[1][0], rtol=1e-14)
         np.testing.assert_allclose(results[0][1], results[1][1], rtol=1e-14, atol=1e-16)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_factor_holds_the_covariance(form):
+    rng = np.random.default_rng(8)
+    root = rng.standard_normal((5, 5))
+    covariance = root @ root.T + np.diag([1e-3, 1.0, 10.0, 1.0, 1e3])
+    np.testing.assert_allclose(covariance_of(form, factor_of(form, covariance)), covariance, rtol=1e-12)
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize(("dtype", "tolerance"), [("float64", 1e-10), ("float32", 2e-3)])
+@pytest.mark.parametrize("limit", [2.0, np.inf])
+def test_every_form_is_weighted_least_squares(form, dtype, tolerance, limit):
+    regressors, disturbance, _ = record(6, 3, 300)
+    regressors[4] *= 0.01 if limit == 2.0 else 1.0  # the limit has something to do below
+    regressors, disturbance = regressors.astype(np.float32), disturbance.astype(np.float32)
+    start = 0.05 * np.eye(6)
+    run = identify(FeRls(start, FORGETTING, limit, form, dtype), regressors, disturbance)
+    rounded = float(np.dtype(dtype).type(FORGETTING))
+    if limit == np.inf:
+        weights, covariance = naive.weighted_least_squares(regressors, disturbance, start, rounded)
+        assert not run.held.any()
+    else:
+        whole = identify(FeRls(start, rounded, limit, "triangle"), regressors, disturbance)
+        weights, covariance = whole.weights, whole.covariance
+        assert run.held[4] > 0.5 and not run.held[0]
+        # A factor holds one element a sample against its limit, the triangle all: up to six samples of growth.
+        tolerance = max(tolerance, 6 * (1 - FORGETTING))
+    np.testing.assert_allclose(run.weights, weights, atol=tolerance * np.abs(weights).max())
+    np.testing.assert_allclose(run.covariance, covariance, atol=tolerance * np.abs(covariance).max())
+
+
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+@pytest.mark.parametrize("form", FORMS)
+def test_stepper_in_every_form_is_the_run(form, dtype):
+    regressors, disturbance, _ = record(samples=60)
+    settings = FeRls(1.0, FORGETTING, 1.0, form, dtype)
+    stepper = AdaptationStepper(settings, np.zeros((3, 4)))
+    for psi, d in zip(regressors.T, disturbance.T, strict=True):
+        stepper.update(psi, d + stepper.weights @ psi)
+    run = identify(settings, regressors, disturbance)
+    tolerance = 1e-12 if dtype == "float64" else 1e-4
+    np.testing.assert_allclose(stepper.weights, run.weights, atol=tolerance)
+    np.testing.assert_allclose(stepper.covariance, run.covariance, atol=tolerance)
+    assert stepper.weights.dtype == np.dtype(dtype)
+
+
+def test_safe_form_keeps_float32_definite_where_the_triangle_loses_it():
+    # One motion on four sensors, each with a noise 70 dB below: scaled condition number 4e7.
+    rng = np.random.default_rng(5)
+    regressors = rng.standard_normal(40_000) + 3e-4 * rng.standard_normal((4, 40_000))
+    disturbance = regressors.sum(axis=0, keepdims=True)
+    start = steady_covariance(regressors, 0.999)
+    with pytest.raises(UnstableAdaptation, match="no longer positive definite"):
+        identify(FeRls(start, 0.999, np.inf, "triangle", "float32"), regressors, disturbance)
+    run = identify(FeRls(start, 0.999, np.inf, dtype="float32"), regressors, disturbance)
+    error = disturbance + run.weights @ regressors
+    assert error.std() < 1e-3 * disturbance.std()
+
+
+def test_limit_holds_though_the_start_is_as_large_as_one_likes():
+    regressors, disturbance, _ = record(samples=4000)
+    regressors[2, 2000:] = 0
+    run = identify(FeRls(1e5, FORGETTING), regressors, disturbance)
+    window = FORGETTING ** np.arange(2000)[::-1]
+    power = max(window[-k:] @ regressors[2, :k] ** 2 for k in range(100, 2001, 100))
+    # The granted hundred times the value that its own power gives, at the power's largest.
+    assert 50 / power < run.covariance[2, 2] <= 101 / power
+    assert run.held[2] > 0.9 and run.held[0] < 1e-6  # the start alone was held there
+
+
+def test_float32_refuses_a_memory_that_it_cannot_hold():
+    with pytest.raises(InputError, match="which float32 rounds to"):
+        FeRls(1.0, 1 - 1e-7, dtype="float32")

@@ -5,11 +5,21 @@ from experiments.isolation.cures import CURES, run_cure
 from experiments.isolation.floors import flat_floor
 from experiments.isolation.shaping import NoiseShaping, SecondaryPath, noise_shaping, weak_integrator
 from experiments.isolation.silence import run_to_the_end
-from experiments.isolation.stability import FORMS, _recur, covariance_run
+from experiments.isolation.stability import (
+    FORMS,
+    _recur,
+    condition_bounds,
+    covariance_run,
+    scaled_condition,
+    shared_motion,
+    stability_map,
+    steady_start,
+)
 from experiments.isolation.twin import load_twin
 from naive import cures as naive
 from stillwork.base.checks import InputError
 from stillwork.estimation.adaptive import FeRls
+from stillwork.estimation.covariance_forms import covariance_of, factor_of
 
 FORGETTING = 0.99
 
@@ -25,9 +35,10 @@ def test_one_update_of_each_form_is_the_inverse(code, dtype, tolerance):
     rng = np.random.default_rng(1)
     root = rng.standard_normal((4, 4)) + 3 * np.eye(4)
     start, psi = root @ root.T, rng.standard_normal((1, 4))
-    matrix = (np.linalg.cholesky(start) if FORMS[code] == "square root" else start).astype(dtype)
-    _recur(code, matrix, psi.astype(dtype), dtype(0.9), np.empty((3, 4), dtype))
-    found = matrix @ matrix.T if FORMS[code] == "square root" else matrix
+    form = FORMS[code] if code > 1 else "triangle"  # that keep P itself
+    matrix = factor_of(form, start).astype(dtype)
+    _recur(code, matrix, psi.astype(dtype), dtype(0.9), np.empty(4, dtype), np.empty(4, dtype))
+    found = covariance_of(form, matrix)
     expected = np.linalg.inv(0.9 * np.linalg.inv(start) + psi.T @ psi)
     assert matrix.dtype == dtype
     np.testing.assert_allclose(found, expected, atol=tolerance * np.abs(expected).max())
@@ -41,7 +52,7 @@ def test_what_becomes_of_an_antisymmetric_error(form, rate):
     upper = np.triu(np.ones((5, 5)), 1)
     matrix = matrix + 1e-9 * np.linalg.norm(matrix) * (upper - upper.T)
     before, samples = np.linalg.norm(matrix - matrix.T), 500
-    _recur(code, matrix, np.ascontiguousarray(psi.T[:samples]), FORGETTING, np.empty((3, 5)))
+    _recur(code, matrix, np.ascontiguousarray(psi.T[:samples]), FORGETTING, np.empty(5), np.empty(5))
     growth = np.linalg.norm(matrix - matrix.T) / before
     found = np.log(growth) / (-samples * np.log(FORGETTING))
     if rate > 0:
@@ -68,6 +79,44 @@ def test_one_product_breaks_and_the_triangle_does_not():
     for precision in ("float64", "float32"):
         safe = covariance_run("triangle", psi, FORGETTING, start, 60, precision)
         assert safe.breakdown == np.inf and not safe.asymmetry.any()
+
+
+def test_shared_motion_has_the_condition_number_asked_for():
+    # Of 20 000 samples: eigenvalues scatter by sqrt(9 / 20 000), the units by less.
+    assert scaled_condition(shared_motion(1e4, 20_000, 0)) == pytest.approx(1e4, rel=0.1)
+    scaled = np.geomspace(1e-3, 1e3, 9)[:, None] * shared_motion(1e4, 20_000, 0)
+    assert scaled_condition(scaled) == pytest.approx(1e4, rel=0.1)
+
+
+def test_distance_is_that_of_the_generalised_eigenvalues():
+    psi, start = shared_motion(100.0, 200, 1), 0.01 * np.eye(9)
+    run = covariance_run("triangle", psi, FORGETTING, start, 2, "float32")
+    rounded = float(np.float32(FORGETTING))
+    p, information = start.astype(np.float32), np.linalg.inv(start)
+    for x in psi.astype(np.float32).T[: 2 * 4 * 25]:
+        g = p @ x
+        p = ((p - np.outer(g, g) / (np.float32(FORGETTING) + x @ g)) / np.float32(FORGETTING)).astype(
+            np.float32
+        )
+        information = rounded * information + np.outer(x, x).astype(float)
+    exact = np.abs(np.linalg.eigvals(information @ (p + p.T) / 2).real - 1).max()
+    assert exact / 5 < run.distance[-1] < 5 * exact  # two orders of summation
+
+
+def test_float32_breaks_beyond_the_bound_and_the_factors_do_not():
+    certain, mean = condition_bounds(float(np.exp(-1 / 500)), "float32")
+    found = stability_map((certain / 30, 300 * mean), ("float32",), ("triangle", "UD"), 2, 500, 8)
+    triangle, factored = found["float32", "triangle"], found["float32", "UD"]
+    assert np.isinf(triangle[1, 0]).all() and np.isfinite(triangle[1, 1]).all()
+    assert np.isinf(factored[1]).all() and np.all(factored[0] < 1)
+    assert triangle[0, 0].max() < 1
+
+
+def test_steady_start_is_where_the_recursion_stays():
+    psi = regressors(samples=100)
+    start = steady_start(np.tile(psi, 50), FORGETTING)
+    run = covariance_run("UD", psi, FORGETTING, start, 8, per_time_constant=1)
+    assert run.error[-1] < 0.6  # a repeated memory of one record: within the window's ripple
 
 
 @pytest.mark.parametrize("form", FORMS)

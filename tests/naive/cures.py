@@ -21,8 +21,15 @@ def closed_loop(cure, floor, optimum, integrator, shaping, start, forgetting, gr
         e = signal.sosfilt(shaping, before)[-1]
         arriving = (weights - optimum) @ psi[:, k]
         x = shaped[:, k]
-        p = np.linalg.inv(forgetting * np.linalg.inv(p) + np.outer(x, x))
-        weights = weights - e * p @ x
+        if cure == "directional":
+            power = x @ p @ x
+            weights = weights - e * p @ x / (1 + power)
+            share = forgetting - (1 - forgetting) / power
+            p = np.linalg.inv(np.linalg.inv(p) + share * np.outer(x, x))
+        else:
+            share = 1.0 if cure == "no forgetting" else forgetting
+            p = np.linalg.inv(share * np.linalg.inv(p) + np.outer(x, x))
+            weights = weights - e * p @ x
         if cure == "leakage":
             axis = np.eye(n)[k % n]
             amount = n * (1 - forgetting) / (growth * start[k % n])

@@ -15,10 +15,11 @@ from numpy.typing import ArrayLike
 
 from stillwork.base.checks import require_array, require_choice, require_count, require_number
 from stillwork.base.kernels import kernel
-from stillwork.estimation.adaptive import add_information, ferls_update
+from stillwork.estimation.adaptive import ferls_update, hold_covariance
+from stillwork.estimation.covariance_forms import TRIANGLE, add_information
 
-CURES = ("none", "trace bound", "leakage", "limit")
-NONE, TRACE_BOUND, LEAKAGE, LIMIT = range(4)
+CURES = ("none", "trace bound", "leakage", "limit", "directional", "no forgetting")
+NONE, TRACE_BOUND, LEAKAGE, LIMIT, DIRECTIONAL, NO_FORGETTING = range(6)
 
 # A command this many times the largest one that the right weights would give has left every actuator's range.
 OVERLOAD = 1e3
@@ -73,7 +74,8 @@ def run_cure(
     cure : str
         ``none``; ``limit``, the library's: the diagonal of P stays below `growth` times its start;
         ``leakage`` after Levenberg and Marquardt: every sample adds information along every axis, so that a
-        silent one settles at `growth`; ``trace bound``: P is scaled down as a whole when its trace exceeds
+        silent one settles at `growth`; ``directional`` after Kulhavy: only what the regressor says anew is forgotten,
+        R + (lambda - (1 - lambda) / psi' P psi) psi psi'; ``no forgetting``: lambda = 1; ``trace bound``: P is scaled down as a whole when its trace exceeds
         `growth` times its start.
     segments : sequence of (floor, optimum)
         Motion of the sensors, (sensors, samples), m/s², and w, (n,).
@@ -146,6 +148,28 @@ def _cascade(sections, state, value):
 
 
 @kernel
+def _forget_along(weights, covariance, psi, error, forgetting, gain):
+    """One sample of directional forgetting: the information of directions that are not excited stays."""
+    n, power = len(psi), 0.0
+    for i in range(n):
+        total = 0.0
+        for j in range(n):
+            total += covariance[i, j] * psi[j]
+        gain[i] = total
+        power += total * psi[i]
+    if not power > 0.0:
+        return
+    for i in range(n):
+        weights[0, i] -= error * gain[i] / (1.0 + power)
+    share = forgetting - (1.0 - forgetting) / power
+    share = share / (1.0 + share * power)
+    for i in range(n):
+        for j in range(i + 1):
+            covariance[i, j] -= share * gain[i] * gain[j]
+            covariance[j, i] = covariance[i, j]
+
+
+@kernel
 def _cure_run(
     cure,
     floor,
@@ -164,11 +188,11 @@ def _cure_run(
     kept,
 ):
     n, sensors = len(start), floor.shape[1]
-    weights, covariance, limits = np.zeros((1, n)), np.zeros((n, n)), np.empty(n)
+    weights, covariance, levels = np.zeros((1, n)), np.zeros((n, n)), np.zeros((3, n))
     bound = 0.0
     for i in range(n):
         covariance[i, i] = start[i]
-        limits[i] = growth * start[i] if cure == LIMIT else np.inf
+        levels[0, i] = growth * start[i] if cure == LIMIT else np.inf
         bound += growth * start[i]
     psi, shaped, gain = np.empty(n), np.empty(n), np.empty(n)
     error = np.empty(1)
@@ -195,12 +219,19 @@ def _cure_run(
         if not abs(command) <= OVERLOAD * largest:
             return k
 
-        ferls_update(weights, covariance, shaped, error, forgetting, limits, gain)
+        reached = False
+        if cure == DIRECTIONAL:
+            _forget_along(weights, covariance, shaped, error[0], forgetting, gain)
+        else:
+            kept_share = 1.0 if cure == NO_FORGETTING else forgetting
+            _, reached = ferls_update(weights, covariance, kept_share, levels, np.inf, gain, shaped, error)
+        if reached:
+            hold_covariance(TRIANGLE, covariance, forgetting, levels, gain, gain, 0)
         if cure == LEAKAGE:
             # One axis a sample with n times the amount: the same on average at the cost of one.
             axis = k % n
             information = n * (1 - forgetting) / (growth * start[axis])
-            add_information(covariance, axis, information, gain)
+            add_information(TRIANGLE, covariance, axis, information, gain, gain)
         elif cure == TRACE_BOUND:
             trace = 0.0
             for i in range(n):

@@ -12,7 +12,14 @@ import numpy as np
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import InputError
 from stillwork.base.kernels import inlined_kernel, kernel
-from stillwork.estimation.adaptive import felms_update, ferls_update
+from stillwork.estimation.adaptive import (
+    Recursion,
+    felms_update,
+    ferls_form_update,
+    ferls_ud_update,
+    ferls_update,
+    hold_covariance,
+)
 
 FROZEN, FELMS, FERLS = 0, 1, 2  # what the kernel does with the weights
 STABLE, OVERLOAD, INDEFINITE = 0, 1, 2  # why it stopped
@@ -50,7 +57,7 @@ class ClosedLoop(NamedTuple):
     before: np.ndarray  # (axes, outputs)
     after: np.ndarray  # (actuators, axes)
     weights: np.ndarray  # (actuators, regressors), W
-    covariance: np.ndarray  # (regressors, regressors), P
+    recursion: Recursion  # P, of FeRLS
     power: np.ndarray  # (1,): sum of e'e since the weights were last kept
 
 
@@ -67,7 +74,7 @@ class Signals(NamedTuple):
     error_power: np.ndarray  # (kept,), mean of e'e since the last kept
 
 
-def loop_of(twin: Twin, feedback: bool, weights: np.ndarray, covariance: np.ndarray) -> ClosedLoop:
+def loop_of(twin: Twin, feedback: bool, weights: np.ndarray, recursion: Recursion) -> ClosedLoop:
     """Loop of a twin at rest, with its skyhook closed or open."""
     model = twin.plant.discrete(twin.sample_time)
     matrix = np.block([[model.a, model.b], [model.c, model.d]]).T
@@ -98,8 +105,8 @@ def loop_of(twin: Twin, feedback: bool, weights: np.ndarray, covariance: np.ndar
         else np.stack([rows_of(each) for each in filters.sections], axis=2),
         before=np.zeros((0, 0)) if diagonal else np.ascontiguousarray(filters.before),
         after=np.zeros((0, 0)) if diagonal else np.ascontiguousarray(filters.after),
-        weights=np.array(weights, dtype=np.float64),
-        covariance=np.array(covariance, dtype=np.float64),
+        weights=np.array(weights, dtype=recursion.matrix.dtype),
+        recursion=recursion,
         power=np.zeros(1),
     )
 
@@ -191,8 +198,8 @@ def advance(
     step_size,
     regularisation,
     trace_copies,
-    forgetting,
-    limits,
+    inner,
+    other,
     force_limit,
 ):
     """Advance the loop over a block of samples; returns (status, samples done).
@@ -213,23 +220,16 @@ def advance(
         FROZEN, FELMS or FERLS.
     step_size, regularisation, trace_copies : float
         mu, epsilon and how often the trace counts the regressors, for FELMS.
-    forgetting : float
-        lambda, for FERLS.
-    limits : (regressors,)
-        Cap of the diagonal of P, for FERLS.
+    inner, other : (regressors,) or None
+        Of the loop's recursion; they decide when this is compiled which forms it knows.
     force_limit : float
         A command beyond it, or NaN, stops the run.
     """
     samples, sensors = floor.shape
     # Local names: numba counts references at every access of a field.
     plant, vector, floor_inertia, command = loop.plant, loop.vector, loop.floor_inertia, loop.command
-    before, after, weights, covariance, power = (
-        loop.before,
-        loop.after,
-        loop.weights,
-        loop.covariance,
-        loop.power,
-    )
+    before, after, weights, power = loop.before, loop.after, loop.weights, loop.power
+    matrix, form, forgetting, levels, allowance, gain, _, _ = loop.recursion
     actuator, actuator_1, actuator_2 = loop.actuator
     parasitic, parasitic_1, parasitic_2 = loop.parasitic
     conditioning, conditioning_1, conditioning_2 = loop.conditioning
@@ -256,8 +256,8 @@ def advance(
     shaped = np.empty(sensors)
     both = np.zeros(integrator_1.shape[1])
     regressor = np.empty(count)
-    filtered = np.empty(count)
-    gain = np.empty(count)
+    filtered = np.empty(count, weights.dtype)
+    rounded = np.empty(actuators, weights.dtype)
 
     for k in range(samples):
         # Force: the command of the sample before, through the actuator's lag.
@@ -345,10 +345,37 @@ def advance(
         if adaptation == FELMS:
             felms_update(weights, filtered, error, step_size, regularisation, trace_copies)
         elif adaptation == FERLS:
-            ferls_update(weights, covariance, filtered, error, forgetting, limits, gain)
-            for i in range(count):
-                if not covariance[i, i] > 0.0:
-                    return INDEFINITE, k
+            for i in range(actuators):
+                rounded[i] = error[i]
+            if inner is None:
+                leverage, reached = ferls_update(
+                    weights, matrix, forgetting, levels, allowance, gain, filtered, rounded
+                )
+                if reached:
+                    hold_covariance(form, matrix, forgetting, levels, gain, gain, 0)
+            elif other is None:
+                leverage, reached = ferls_ud_update(
+                    weights, matrix, forgetting, levels, allowance, gain, inner, filtered, rounded, k
+                )
+                if reached:
+                    hold_covariance(form, matrix, forgetting, levels, gain, inner, k % len(gain))
+            else:
+                leverage = ferls_form_update(
+                    weights,
+                    matrix,
+                    form,
+                    forgetting,
+                    levels,
+                    allowance,
+                    gain,
+                    inner,
+                    other,
+                    filtered,
+                    rounded,
+                    k,
+                )
+            if not leverage >= forgetting:
+                return INDEFINITE, k
 
         if (phase + k + 1) % keep_every == 0:
             row = (phase + k) // keep_every

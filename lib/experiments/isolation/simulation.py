@@ -33,7 +33,9 @@ class Run:
     final_weights : ndarray, shape (actuators, regressors)
         W after the last sample.
     covariance : ndarray, shape (regressors, regressors)
-        P after the last sample; what it was at the start unless FeRLS ran.
+        P after the last sample; one unless FeRLS ran.
+    held : ndarray, shape (regressors,)
+        Share of the last time constant in which FeRLS's `growth_limit` acted on each regressor.
     signals_start_s : float
         Time of the first sample of the signals below, which are empty unless asked for.
     floor : ndarray, shape (sensors, samples)
@@ -56,6 +58,7 @@ class Run:
     error_power: Float64[np.ndarray, "kept"]
     final_weights: Float64[np.ndarray, "actuators regressors"]
     covariance: Float64[np.ndarray, "regressors regressors"]
+    held: Float64[np.ndarray, "regressors"]
     signals_start_s: float
     floor: Float64[np.ndarray, "sensors samples"]
     platform: Float64[np.ndarray, "outputs samples"]
@@ -185,8 +188,8 @@ def _runs(
 
     sides = []
     for adaptation in adaptations:
-        code, numbers, covariance = _algorithm(twin, adaptation)
-        closed = loop.loop_of(twin, feedback, start, covariance)
+        code, numbers, recursion = _algorithm(twin, adaptation)
+        closed = loop.loop_of(twin, feedback, start, recursion)
         sides.append((adaptation, code, numbers, closed, _Kept(twin, total, every, first)))
     sources = Sources(twin, segments, noise, require_count("seed", seed, at_least=0))
 
@@ -207,6 +210,7 @@ def _runs(
                 done % every,
                 code,
                 *numbers,
+                *closed.recursion[-2:],
                 twin.instruments.force_limit,
             )
             if status != loop.STABLE:
@@ -218,22 +222,21 @@ def _runs(
 
 
 def _algorithm(twin: Twin, adaptation):
-    """Code of the kernel, its numbers, and P at the start."""
+    """Code of the kernel, numbers of FeLMS, and the recursion of FeRLS at the start."""
     n = twin.regressors
     if isinstance(adaptation, FeRls):
-        covariance, limits = adaptation.start(n)
-        return loop.FERLS, (0.0, 1.0, 1.0, adaptation.forgetting, limits), covariance
-    still = (1.0, np.full(n, np.inf))
+        return loop.FERLS, (0.0, 1.0, 1.0), adaptation.start(n)
+    still = FeRls(1.0).start(n)
     if isinstance(adaptation, FeLms):
         numbers = (
             adaptation.step_size,
             adaptation.regularisation,
             adaptation.trace_copies(twin.actuators),
         )
-        return loop.FELMS, (*numbers, *still), np.eye(n)
+        return loop.FELMS, numbers, still
     if adaptation is not None:
         raise InputError(f"adaptation is {adaptation!r}; give FeLms(...), FeRls(...) or None")
-    return loop.FROZEN, (0.0, 1.0, 1.0, *still), np.eye(n)
+    return loop.FROZEN, (0.0, 1.0, 1.0), still
 
 
 def _segments(twin: Twin, floor, duration_s) -> list[tuple[int, Floor]]:
@@ -315,8 +318,9 @@ class _Kept:
             time_s=self.every / rate * np.arange(1, len(self.power) + 1),
             weights=self.weights,
             error_power=self.power,
-            final_weights=closed.weights,
-            covariance=closed.covariance,
+            final_weights=closed.weights.astype(float),
+            covariance=closed.recursion.covariance,
+            held=closed.recursion.held,
             signals_start_s=self.first / rate,
             floor=self.floor.T,
             platform=platform,

@@ -1,4 +1,4 @@
-"""Numerical stability of the covariance recursion (29): five ways to write it, in any precision.
+"""Numerical stability of the covariance recursion (29): seven ways to write it, in any precision.
 
 On paper they are one formula. In rounded arithmetic they differ in what becomes of an error of P that is
 antisymmetric, and of one that makes P indefinite.
@@ -12,10 +12,13 @@ from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
 from stillwork.base.kernels import inlined_kernel, kernel
+from stillwork.estimation import covariance_forms
+from stillwork.estimation.covariance_forms import factor_of, update_form
 
-FORMS = ("one product", "both products", "triangle", "Joseph", "square root")
+# What one writes first, and what (29) prints; then the library's forms.
+FORMS = ("one product", "both products", *covariance_forms.FORMS)
+ONE_PRODUCT, BOTH_PRODUCTS = 0, 1
 OVERFLOW = 1e100  # so large that its square is still a number
-ONE_PRODUCT, BOTH_PRODUCTS, TRIANGLE, JOSEPH, SQUARE_ROOT = range(5)
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,9 @@ class CovarianceRun:
         Norm of P minus the inverse of the information matrix, over the norm of that inverse.
     smallest : ndarray, shape (kept,)
         Smallest eigenvalue of the symmetric part of P in units of the inverse's smallest; negative: indefinite.
+    distance : ndarray, shape (kept,)
+        Largest distance of an eigenvalue of P times the information matrix from one: the error in P's own metric, which
+        asks no less of the strong directions than of the weak; from 1 on P may be indefinite.
     largest : ndarray, shape (kept,)
         Largest eigenvalue of the symmetric part over that of the initial P.
     """
@@ -40,6 +46,7 @@ class CovarianceRun:
     asymmetry: Float64[np.ndarray, "kept"]
     error: Float64[np.ndarray, "kept"]
     smallest: Float64[np.ndarray, "kept"]
+    distance: Float64[np.ndarray, "kept"]
     largest: Float64[np.ndarray, "kept"]
 
     @property
@@ -75,8 +82,7 @@ def covariance_run(
     ----------
     form : str
         One of `FORMS`: ``one product``, P - (g / den) g' with g = P psi; ``both products``, with P psi and
-        psi' P computed apart as printed; ``triangle``, one triangle and its mirror image; ``Joseph``; ``square
-        root`` after Potter.
+        psi' P computed apart as printed; the others are the library's, `covariance_forms`.
     regressors : array_like, shape (n, samples)
         psi_N; the record is repeated as often as needed.
     forgetting : float
@@ -100,7 +106,7 @@ def covariance_run(
     if not 0 < step <= len(record):
         raise InputError(f"regressors has {len(record)} samples; give at least {step}, or look more often")
 
-    matrix = (np.linalg.cholesky(start) if code == SQUARE_ROOT else start).astype(dtype)
+    matrix = (start if form in FORMS[:2] else factor_of(form, start)).astype(dtype)
     information, rounded = np.linalg.inv(start), float(dtype.type(forgetting))
     weights = rounded ** (np.arange(step)[::-1] / 2)
     rows, place = [], 0
@@ -109,52 +115,112 @@ def covariance_run(
         # Rounded once for both, so that the error is the recursion's and not the data's.
         block = record[place : place + step].astype(dtype)
         place += step
-        _recur(code, matrix, block, dtype.type(forgetting), np.empty((3, n), dtype))
+        _recur(code, matrix, block, dtype.type(forgetting), np.empty(n, dtype), np.empty(n, dtype))
         weighted = block.astype(np.float64) * weights[:, None]
         information = rounded**step * information + weighted.T @ weighted
-        rows.append(((k + 1) * step * (1 - forgetting), *_health(code, matrix, information)))
+        rows.append(((k + 1) * step * (1 - forgetting), *_health(form, matrix, information)))
         if not np.isfinite(rows[-1][2]):
             break
     table = np.array(rows).T
-    table[4] /= np.linalg.eigvalsh(start)[-1]
+    table[5] /= np.linalg.eigvalsh(start)[-1]
     return CovarianceRun(*table)
 
 
-def _health(code, matrix, information) -> tuple[float, float, float, float]:
+def _health(form, matrix, information) -> tuple[float, ...]:
     covariance = matrix.astype(np.float64)
     if not np.all(np.abs(covariance) < OVERFLOW):
-        return np.nan, np.nan, np.nan, np.nan
-    if code == SQUARE_ROOT:
-        # S S' has no negative eigenvalue; singular values keep the digits that forming it would lose.
-        eigenvalues = np.linalg.svd(covariance, compute_uv=False)[::-1] ** 2
-        covariance = covariance @ covariance.T
+        return (np.nan,) * 5
+    metric = np.linalg.cholesky(information)
+    root = None
+    if form in ("square root", "UD", "inverse QR"):
+        # A product has no negative eigenvalue; singular values keep the digits that forming it would lose.
+        root = covariance if form == "square root" else covariance.T
+        if form == "UD":
+            root = (np.triu(root, 1) + np.eye(len(root))) * np.sqrt(np.diag(root))
+        eigenvalues = np.linalg.svd(root, compute_uv=False)[::-1] ** 2
+        relative = np.linalg.svd(metric.T @ root, compute_uv=False) ** 2
+        covariance = root @ root.T
     else:
         eigenvalues = np.linalg.eigvalsh((covariance + covariance.T) / 2)
+        relative = np.linalg.eigvalsh(metric.T @ (covariance + covariance.T) @ metric / 2)
     asymmetry = np.linalg.norm(covariance - covariance.T) / 2 / np.linalg.norm(covariance)
     exact = np.linalg.inv(information)
     error = np.linalg.norm(covariance - exact) / np.linalg.norm(exact)
-    return asymmetry, error, eigenvalues[0] * np.linalg.eigvalsh(information)[-1], eigenvalues[-1]
+    smallest = eigenvalues[0] * np.linalg.eigvalsh(information)[-1]
+    return asymmetry, error, smallest, np.abs(relative - 1).max(), eigenvalues[-1]
+
+
+def shared_motion(condition: float, samples: int, seed: int, regressors: int = 9) -> np.ndarray:
+    """Regressors of power one that share a motion, each with a rest of its own, (regressors, samples).
+
+    Parameters
+    ----------
+    condition : float
+        Of their correlation, above 1: 1 + n c / (1 - c) for the share c of the power that is common.
+    samples, seed, regressors : int
+    """
+    ratio = (require_number("condition", condition, above=1.0) - 1) / regressors
+    rng = np.random.default_rng(seed)
+    common, own = rng.standard_normal(samples), rng.standard_normal((regressors, samples))
+    return (np.sqrt(ratio) * common + own) / np.sqrt(1 + ratio)
+
+
+def scaled_condition(regressors: ArrayLike) -> float:
+    """Condition number of the regressors' correlation: of the information matrix in units that make its diagonal one."""
+    return float(np.linalg.cond(np.corrcoef(require_array("regressors", regressors, ndim=2))))
+
+
+def condition_bounds(forgetting: float, precision: str) -> tuple[float, float]:
+    """Condition number up to which P stays definite for certain, and in the mean, but for a factor of order one.
+
+    A sample rounds P by u times its size, and what was rounded before shrinks by lambda: the errors add up to
+    u / (1 - lambda) of it where all have one sign, to u / sqrt(2 (1 - lambda)) where they are independent. P is
+    indefinite when that reaches its smallest eigenvalue.
+    """
+    unit = float(np.finfo(precision).eps) / 2
+    return (1 - forgetting) / unit, float(np.sqrt(2 * (1 - forgetting))) / unit
+
+
+def steady_start(regressors: ArrayLike, forgetting: float) -> Float64[np.ndarray, "n n"]:
+    """P that the recursion settles at; also of regressors that `steady_covariance` refuses."""
+    psi = require_array("regressors", regressors, ndim=2)
+    size = np.sqrt(np.mean(psi**2, axis=1))
+    scaled = psi / size[:, None]
+    inverse = np.linalg.inv(scaled @ scaled.T / scaled.shape[1]) / np.outer(size, size)
+    return (1 - forgetting) * (inverse + inverse.T) / 2
+
+
+def stability_map(
+    conditions, precisions, forms, seeds: int, samples_per_constant: int, time_constants: float
+) -> dict[tuple[str, str], Float64[np.ndarray, "2 conditions seeds"]]:
+    """Largest distance of P, and time constants to its breakdown, from the steady P on, by (precision, form)."""
+    forgetting, found = float(np.exp(-1 / samples_per_constant)), {}
+    for precision in precisions:
+        for form in forms:
+            found[precision, form] = np.empty((2, len(conditions), seeds))
+    for i, condition in enumerate(conditions):
+        for seed in range(seeds):
+            psi = shared_motion(condition, samples_per_constant, seed)
+            start = steady_start(psi, forgetting)
+            for (precision, form), table in found.items():
+                run = covariance_run(form, psi, forgetting, start, time_constants, precision, 2)
+                table[:, i, seed] = np.nanmax(run.distance), run.breakdown
+    return found
 
 
 @kernel
-def _recur(form, matrix, regressors, forgetting, scratch):
-    """Update P, or its factor for the square root, over a block in place, in the arrays' precision."""
+def _recur(form, matrix, regressors, forgetting, column, row):
+    """Update what the form keeps over a block in place, in the arrays' precision."""
     # A loop a form: asked at every sample for its form, the compiler would optimise none of them.
     if form == ONE_PRODUCT:
         for k in range(len(regressors)):
-            _one_product(matrix, regressors[k], forgetting, scratch)
+            _one_product(matrix, regressors[k], forgetting, column)
     elif form == BOTH_PRODUCTS:
         for k in range(len(regressors)):
-            _both_products(matrix, regressors[k], forgetting, scratch)
-    elif form == TRIANGLE:
-        for k in range(len(regressors)):
-            _triangle(matrix, regressors[k], forgetting, scratch)
-    elif form == JOSEPH:
-        for k in range(len(regressors)):
-            _joseph(matrix, regressors[k], forgetting, scratch)
+            _both_products(matrix, regressors[k], forgetting, column, row)
     else:
         for k in range(len(regressors)):
-            _square_root(matrix, regressors[k], forgetting, scratch)
+            update_form(form - 2, matrix, regressors[k], forgetting, column, row)
 
 
 @inlined_kernel
@@ -172,19 +238,8 @@ def _multiply(matrix, psi, forgetting, column):
 
 
 @inlined_kernel
-def _multiply_left(matrix, psi, row):
-    """psi' P into `row`."""
-    n = len(psi)
-    for i in range(n):
-        total = matrix[0, i] * psi[0]
-        for j in range(1, n):
-            total += matrix[j, i] * psi[j]
-        row[i] = total
-
-
-@inlined_kernel
-def _one_product(matrix, psi, forgetting, scratch):
-    one, n, column = matrix.dtype.type(1), len(psi), scratch[0]
+def _one_product(matrix, psi, forgetting, column):
+    one, n = matrix.dtype.type(1), len(psi)
     shrink = one / _multiply(matrix, psi, forgetting, column)
     forget = one / forgetting
     for i in range(n):
@@ -194,70 +249,15 @@ def _one_product(matrix, psi, forgetting, scratch):
 
 
 @inlined_kernel
-def _both_products(matrix, psi, forgetting, scratch):
-    one, n, column, row = matrix.dtype.type(1), len(psi), scratch[0], scratch[1]
+def _both_products(matrix, psi, forgetting, column, row):
+    one, n = matrix.dtype.type(1), len(psi)
     shrink = one / _multiply(matrix, psi, forgetting, column)
     forget = one / forgetting
-    _multiply_left(matrix, psi, row)
+    for i in range(n):
+        row[i] = matrix[0, i] * psi[0]
+        for j in range(1, n):
+            row[i] += matrix[j, i] * psi[j]
     for i in range(n):
         gain = column[i] * shrink
         for j in range(n):
             matrix[i, j] = (matrix[i, j] - gain * row[j]) * forget
-
-
-@inlined_kernel
-def _triangle(matrix, psi, forgetting, scratch):
-    one, n, column = matrix.dtype.type(1), len(psi), scratch[0]
-    shrink = one / _multiply(matrix, psi, forgetting, column)
-    forget = one / forgetting
-    for i in range(n):
-        gain = column[i] * shrink
-        for j in range(i + 1):
-            matrix[i, j] = (matrix[i, j] - gain * column[j]) * forget
-            matrix[j, i] = matrix[i, j]
-
-
-@inlined_kernel
-def _joseph(matrix, psi, forgetting, scratch):
-    """(I - k psi') P (I - k psi')' / lambda + k k' with k = P psi / den."""
-    one, n, column, row, back = matrix.dtype.type(1), len(psi), scratch[0], scratch[1], scratch[2]
-    shrink = one / _multiply(matrix, psi, forgetting, column)
-    forget = one / forgetting
-    _multiply_left(matrix, psi, row)
-    for i in range(n):
-        column[i] *= shrink
-        gain = column[i]
-        for j in range(n):
-            matrix[i, j] -= gain * row[j]
-        total = matrix[i, 0] * psi[0]
-        for j in range(1, n):
-            total += matrix[i, j] * psi[j]
-        back[i] = total
-    for i in range(n):
-        gain, rest = column[i], back[i]
-        for j in range(n):
-            matrix[i, j] = (matrix[i, j] - rest * column[j]) * forget + gain * column[j]
-
-
-@inlined_kernel
-def _square_root(factor, psi, forgetting, scratch):
-    """Potter's update of S with P = S S'."""
-    one = factor.dtype.type(1)
-    n = len(psi)
-    inner, outer = scratch[0], scratch[1]
-    denominator = forgetting
-    for j in range(n):
-        inner[j] = factor[0, j] * psi[0]
-        for i in range(1, n):
-            inner[j] += factor[i, j] * psi[i]
-        denominator += inner[j] * inner[j]
-    share = one / (denominator + np.sqrt(forgetting * denominator))
-    forget = one / np.sqrt(forgetting)
-    for i in range(n):
-        outer[i] = factor[i, 0] * inner[0]
-        for j in range(1, n):
-            outer[i] += factor[i, j] * inner[j]
-        outer[i] *= share
-    for i in range(n):
-        for j in range(n):
-            factor[i, j] = (factor[i, j] - outer[i] * inner[j]) * forget

@@ -7,11 +7,64 @@ from numpy.typing import ArrayLike
 
 from experiments.isolation.cures import CureRun
 from experiments.isolation.silence import ErrorRecord
-from experiments.isolation.stability import FORMS, CovarianceRun, covariance_run
+from experiments.isolation.stability import CovarianceRun, condition_bounds, covariance_run
 from stillwork.workbook import figures
 
-_LINES = ("-", "--", "-", ":", "-.")
+_LINES = ("-", "--", "-", ":", "-.", "--", "-")
+EXPLORED = ("one product", "both products", "triangle", "Joseph", "UD")
 FLOOR = 1e-19  # where exact zeros are drawn; the axis says so
+
+
+def paint_map(
+    conditions: ArrayLike,
+    found: Mapping[tuple[str, str], np.ndarray],
+    shipped: Mapping[str, tuple[float, Mapping[str, CovarianceRun]]],
+    forgettings: tuple[float, float],
+):
+    """Error of P in its own metric over the condition number, by precision and form, and where forms break.
+
+    Parameters
+    ----------
+    conditions : array_like, shape (conditions,)
+    found : mapping of (precision, form) to array, shape (2, conditions, seeds)
+        As `stability_map` gives it.
+    shipped : mapping of floor to (condition number, runs in float32 by form)
+    forgettings : tuple of float
+        lambda of the synthetic regressors, and of the shipped floors.
+    """
+    precisions = list(dict.fromkeys(precision for precision, _ in found))
+    figure, grid = figures.new(1, len(precisions), height=3.9, sharey=True, squeeze=False)
+    for axes, precision in zip(grid[0], precisions, strict=True):
+        lost, place = [], 0
+        for (of, form), (distance, breakdown) in found.items():
+            if of != precision:
+                continue
+            held = np.all(np.isinf(breakdown), axis=1)
+            low, high = distance.min(axis=1), distance.max(axis=1)
+            middle = np.median(distance, axis=1)
+            style = {"color": f"C{place}", "ls": _LINES[place], "capsize": 2, "label": form}
+            axes.errorbar(conditions, middle, (middle - low, high - middle), **style)
+            lost += list(zip(np.asarray(conditions)[~held], middle[~held], strict=True))
+            place += 1
+        if lost:
+            axes.plot(
+                *np.transpose(lost), "x", color=figures.BLACK, ms=7, mew=1.5, label="P lost definiteness"
+            )
+        if precision == "float32":
+            for mark, (name, (condition, runs)) in zip("osD", shipped.items(), strict=False):
+                values = [float(np.nanmax(run.distance)) for run in runs.values()]
+                axes.plot(np.full(len(values), condition), values, mark, color=figures.GREY, label=name)
+        certain, mean = condition_bounds(forgettings[0], precision)
+        axes.axvline(certain, color=figures.BLACK, lw=0.8, ls=":")
+        axes.axvline(mean, color=figures.BLACK, lw=0.8, ls="--")
+        for bound, text in ((certain, "errors of one sign "), (mean, "independent errors ")):
+            axes.annotate(text, (bound, 1e-13), rotation=90, ha="right", va="bottom", fontsize=7)
+        axes.axhline(1.0, color=figures.GREY, lw=0.8)
+        axes.set(xscale="log", yscale="log", title=precision, ylim=(1e-13, 1e5))
+        axes.set(xlabel="condition number of the scaled regressors")
+    grid[0, 0].set(ylabel="largest relative error of P, in its own metric")
+    figures.legend_below(grid[0, 0], 4)
+    return figure
 
 
 def paint_forms(runs: Mapping[str, Mapping[str, CovarianceRun]], experiment: float):
@@ -72,23 +125,16 @@ def _name_zero(axes):
     )
 
 
-def paint_windup(runs: Mapping[str, Mapping[str, CovarianceRun]]):
+def paint_windup(runs: Mapping[str, CovarianceRun]):
     """Largest eigenvalue of P while a direction is silent, a panel for each kind of silence."""
-    figure, grid = figures.new(1, len(runs), height=3.2, sharey=True, squeeze=False)
-    for axes, (title, forms) in zip(grid[0], runs.items(), strict=True):
-        broken = []
-        for style, (form, run) in zip(_LINES, forms.items(), strict=False):
-            seen = run.time_constants <= run.breakdown
-            axes.semilogy(run.time_constants[seen], run.largest[seen], style, label=form)
-            if np.isfinite(run.breakdown):
-                broken.append((run.breakdown, run.largest[seen][-1]))
-        if broken:
-            axes.plot(*zip(*broken, strict=True), "x", color=figures.BLACK, label="P indefinite")
-        t = next(iter(forms.values())).time_constants
+    figure, grid = figures.new(1, len(runs), height=3.0, sharey=True, squeeze=False)
+    for axes, (title, run) in zip(grid[0], runs.items(), strict=True):
+        t = run.time_constants
+        axes.semilogy(t, run.largest, label="every form")
         axes.semilogy(t, np.exp(t), color=figures.GREY, lw=4, alpha=0.4, zorder=1, label="exp(t / T)")
-        axes.set(xlabel="time constants of the forgetting", title=title, ylim=(0.3, 1e22))
+        axes.set(xlabel="time constants of the forgetting", title=title, ylim=(0.3, 1e15))
     grid[0, 0].set(ylabel="largest eigenvalue of P / start")
-    figures.legend_below(grid[0, 0], 3)
+    figures.legend_below(grid[0, 0], 2)
     return figure
 
 
@@ -114,9 +160,9 @@ def paint_return(outcomes: Mapping[str, Sequence[ErrorRecord]], return_s: float)
 def paint_cures(
     runs: Mapping[str, CureRun], samples_per_constant: float, silence: tuple[float, float], step: float
 ):
-    """Growth of P, misalignment and error of the four cures."""
+    """Growth of P, misalignment and error of the cures."""
     figure, (top, middle, bottom) = figures.new(3, 1, height=6.4, sharex=True)
-    for style, (name, run) in zip(("-", "--", "-.", "-"), runs.items(), strict=False):
+    for style, (name, run) in zip(("-", "--", "-.", "-", "--", ":"), runs.items(), strict=False):
         t = run.samples / samples_per_constant
         top.semilogy(t, run.growth.max(axis=1), style, label=f"{name}, largest")
         top.semilogy(
@@ -163,7 +209,7 @@ def explore_forms(regressors: ArrayLike, initial: ArrayLike):
     def paint(precision: str, samples_per_constant: float, time_constants: float):
         figure, axes = figures.new(1, 1, height=3.0)
         forgetting = float(np.exp(-1 / samples_per_constant))
-        for style, form in zip(_LINES, FORMS, strict=True):
+        for style, form in zip(_LINES, EXPLORED, strict=False):
             run = covariance_run(
                 form, regressors, forgetting, initial, time_constants, precision, per_time_constant=2
             )

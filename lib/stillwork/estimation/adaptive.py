@@ -7,6 +7,7 @@ regressors serves all of them, eq. (27).
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
@@ -14,6 +15,21 @@ from jaxtyping import Float64
 from stillwork.base.checks import Converted, InputError, require_array, require_choice, require_number
 from stillwork.base.front_door import checked
 from stillwork.base.kernels import inlined_kernel, kernel
+from stillwork.estimation.covariance_forms import (
+    FORMS,
+    TRIANGLE,
+    UD,
+    add_information,
+    covariance_of,
+    factor_of,
+    update_covariance,
+    update_form,
+    update_ud,
+    variance,
+)
+
+# How much more than the steady value from its own power alone a regressor's correlation with the others may make of P.
+INFLATION = 10.0
 
 
 @dataclass(frozen=True)
@@ -51,6 +67,42 @@ class FeLms:
         return float(actuators) if self.trace == "literal" else 1.0
 
 
+class Recursion(NamedTuple):
+    """P with what its kernel needs, in the order in which `ferls_update` takes it."""
+
+    matrix: np.ndarray  # (n, n), what the form stores for P
+    form: int  # place in FORMS
+    forgetting: float  # lambda as the precision holds it
+    levels: (
+        np.ndarray
+    )  # (3, n): limits of P's diagonal, power of psi in the window, share of time at the limit
+    allowance: float  # limit times power that is granted to each regressor
+    gain: np.ndarray  # (n,), room for work
+    # Room for work, (n,): none in the triangle, one in UD, both in the others. So kernels that ask whether they are
+    # None are compiled for the first two alone: asked for a form at every sample, they would take half as long again.
+    inner: np.ndarray | None
+    other: np.ndarray | None
+
+    def copy(self) -> "Recursion":
+        """A recursion of its own; the room for work is shared."""
+        return self._replace(matrix=self.matrix.copy(), levels=self.levels.copy())
+
+    @property
+    def filled(self) -> "Recursion":
+        """The same with all room for work, as `ferls_form_update` takes it."""
+        return self._replace(inner=np.zeros_like(self.gain), other=np.zeros_like(self.gain))
+
+    @property
+    def covariance(self) -> Float64[np.ndarray, "n n"]:
+        """P."""
+        return covariance_of(FORMS[self.form], self.matrix.astype(np.float64))
+
+    @property
+    def held(self) -> Float64[np.ndarray, " n"]:
+        """Share of the last time constant in which the limit held a diagonal element of P down."""
+        return self.levels[2].astype(np.float64)
+
+
 @dataclass(frozen=True)
 class FeRls:
     """Settings of filtered-error RLS, eq. (29)-(30).
@@ -66,25 +118,43 @@ class FeRls:
     forgetting : float
         lambda in (0, 1]; exp(-sample time / time constant).
     growth_limit : float
-        How far an element of the diagonal of P may grow beyond its initial value, at least 1; ``inf`` for the
-        printed algorithm. A floor that gets quieter by more than this, in power, is followed more slowly.
+        How far an element of the diagonal of P may grow, at least 1; ``inf`` for the printed algorithm. It counts from
+        P(-1), but from ten times the steady value that the regressor's own power gives, 1 / sum lambda^j psi^2, where
+        that is less: a P(-1) as large as one likes protects all the same. A floor that gets quieter by more than
+        this, in power, and a combination of regressors that is weaker than this are followed more slowly; `held`
+        of the result tells which regressors the limit held.
+    form : str
+        How P is kept, one of `covariance_forms.FORMS`. ``safe``: the triangle in float64; in float32, where it loses
+        definiteness on regressors that one record drives, Bierman's factors, which take no longer.
+    dtype : str
+        Arithmetic of the update, ``float64`` or ``float32``; the weights are kept in it, too.
 
     Examples
     --------
     >>> settings = estimation.FeRls(initial_covariance=10.0, forgetting=float(np.exp(-2e-4 / 5)))  # 5 s at 5 kHz
-    >>> settings.start(regressors=2)[1]  # limits of the diagonal of P
+    >>> settings.start(regressors=2).levels[0]  # limits of the diagonal of P
     array([100., 100.])
     """
 
     initial_covariance: Converted
     forgetting: float = float(np.exp(-2e-4 / 10))
     growth_limit: float = 10.0
+    form: str = "safe"
+    dtype: str = "float64"
 
     @checked
     def __post_init__(self):
         require_number("forgetting", self.forgetting, above=0.0, at_most=1.0)
         if self.growth_limit != np.inf:
             require_number("growth_limit", self.growth_limit, at_least=1.0)
+        require_choice("form", self.form, ("safe", *FORMS))
+        require_choice("dtype", self.dtype, ("float64", "float32"))
+        rounded, forgotten = float(np.dtype(self.dtype).type(self.forgetting)), 1 - self.forgetting
+        if not 0 < rounded or abs(rounded - self.forgetting) > 0.05 * forgotten:
+            raise InputError(
+                f"forgetting is {self.forgetting}, which {self.dtype} rounds to {rounded}; "
+                "give a shorter time constant, in samples, or float64"
+            )
         initial = require_array("initial_covariance", self.initial_covariance)
         if initial.ndim > 2 or (initial.ndim == 2 and initial.shape[0] != initial.shape[1]):
             raise InputError(
@@ -96,8 +166,7 @@ class FeRls:
             raise InputError("initial_covariance is not positive definite; give a covariance")
         object.__setattr__(self, "initial_covariance", initial)
 
-    @checked(infinite=True)
-    def start(self, regressors: int) -> tuple[Float64[np.ndarray, "n n"], Float64[np.ndarray, "n"]]:
+    def start(self, regressors: int) -> Recursion:
         """P(-1), exactly symmetric, and the limits of its diagonal for a number of regressors."""
         initial = self.initial_covariance
         if initial.ndim and len(initial) != regressors:
@@ -106,100 +175,121 @@ class FeRls:
                 "give one value for each, or a single number"
             )
         covariance = initial if initial.ndim == 2 else np.diag(np.broadcast_to(initial, regressors))
-        return (covariance + covariance.T) / 2, self.growth_limit * np.diag(covariance)
+        covariance = (covariance + covariance.T) / 2
+        dtype = np.dtype(self.dtype)
+        form = self.form
+        if form == "safe":
+            form = "triangle" if dtype == np.float64 else "UD"
+        levels = np.zeros((3, regressors), dtype)
+        levels[0] = self.growth_limit * np.diag(covariance)
+        return Recursion(
+            factor_of(form, covariance).astype(dtype),
+            FORMS.index(form),
+            float(dtype.type(self.forgetting)),
+            levels,
+            float(self.growth_limit * INFLATION),
+            np.zeros(regressors, dtype),
+            None if form == "triangle" else np.zeros(regressors, dtype),
+            None if form in ("triangle", "UD") else np.zeros(regressors, dtype),
+        )
 
 
 @inlined_kernel
-def update_covariance(covariance, regressor, forgetting, gain):
-    """P <- (P - P psi psi' P / (lambda + psi' P psi)) / lambda in place; `gain` becomes P psi of before.
-
-    One triangle is computed and mirrored: rounding that differs between the two grows as 1 / lambda^t.
-    Returns lambda + psi' P psi and its inverse, which takes `gain` to P psi with the new P.
-    """
-    n = len(regressor)
-    denominator = forgetting
-    for i in range(n):
-        total = 0.0
-        for j in range(n):
-            total += covariance[i, j] * regressor[j]
-        gain[i] = total
-        denominator += total * regressor[i]
-    shrink = 1.0 / denominator
-    forget = 1.0 / forgetting
-    for i in range(n):
-        scaled = gain[i] * shrink
-        for j in range(i + 1):
-            value = (covariance[i, j] - scaled * gain[j]) * forget
-            covariance[i, j] = value
-            covariance[j, i] = value
-    return denominator, shrink
-
-
-@inlined_kernel
-def ferls_update(weights, covariance, regressor, error, forgetting, limits, gain):
-    """One sample of FeRLS in place, eq. (29)-(30).
+def ferls_update(weights, matrix, forgetting, levels, allowance, gain, regressor, error):
+    """One sample of FeRLS in the triangle's form in place, eq. (29)-(30), in the precision of the arrays.
 
     Parameters
     ----------
     weights : (actuators, n)
         W.
-    covariance : (n, n)
-        P, exactly symmetric; one triangle is computed and mirrored, so it stays so.
+    matrix, forgetting, levels, allowance, gain
+        Of a `Recursion`.
     regressor : (n,)
         psi_N.
     error : (actuators or more,)
         e.
-    forgetting : float
-        lambda.
-    limits : (n,)
-        The diagonal of P may not exceed them; infinite for the printed algorithm.
-    gain : (n,)
-        Scratch.
 
     Returns
     -------
-    float
+    leverage : float
         lambda + psi' P psi; below lambda, or NaN, when P was no longer positive definite.
+    reached : bool
+        Whether `hold_covariance` has something to do; called from here it would cost every sample a third more.
     """
-    n = len(regressor)
-    denominator, shrink = update_covariance(covariance, regressor, forgetting, gain)
+    n, forget = len(regressor), matrix.dtype.type(forgetting)
+    denominator, shrink = update_covariance(matrix, regressor, forget, gain)
+    _step(weights, gain, shrink, error)
+    reached = False
     for i in range(n):
-        gain[i] *= shrink  # P(k-1) psi over the denominator is P(k) psi
-    for a in range(weights.shape[0]):
-        scaled = error[a]
-        for i in range(n):
-            weights[a, i] -= scaled * gain[i]
+        _watch(levels, i, regressor[i], forget, allowance)
+        reached |= matrix[i, i] > levels[0, i]
+    return denominator, reached
+
+
+@inlined_kernel
+def ferls_ud_update(weights, matrix, forgetting, levels, allowance, gain, inner, regressor, error, sample):
+    """`ferls_update` with Bierman's factors.
+
+    They show P's diagonal at the price of a product, so one element a sample is held against its limit.
+    """
+    n, forget = len(regressor), matrix.dtype.type(forgetting)
+    denominator = update_ud(matrix, regressor, forget, gain, inner)
+    _step(weights, gain, matrix.dtype.type(1) / denominator, error)
     for i in range(n):
-        if covariance[i, i] > limits[i]:
-            limit_covariance(covariance, limits, gain)
-            break
+        _watch(levels, i, regressor[i], forget, allowance)
+    axis = sample % n
+    return denominator, variance(UD, matrix, axis) > levels[0, axis]
+
+
+@kernel
+def ferls_form_update(
+    weights, matrix, form, forgetting, levels, allowance, gain, inner, other, regressor, error, sample
+):
+    """One sample in any form with its limit, by a call; returns the leverage."""
+    n, forget, axis = len(regressor), matrix.dtype.type(forgetting), sample % len(regressor)
+    denominator = update_form(form, matrix, regressor, forget, gain, inner)
+    _step(weights, gain, matrix.dtype.type(1) / denominator, error)
+    reached = False
+    for i in range(n):
+        _watch(levels, i, regressor[i], forget, allowance)
+        if form == TRIANGLE or i == axis:
+            reached |= variance(form, matrix, i) > levels[0, i]
+    if reached:
+        hold_covariance(form, matrix, forgetting, levels, gain, inner, axis)
     return denominator
 
 
-@kernel
-def limit_covariance(covariance, limits, scratch):
-    """Bring the diagonal of P back to its limits in place, as if the regressor had been seen once more."""
-    for i in range(len(limits)):
-        if covariance[i, i] > limits[i]:
-            add_information(covariance, i, 1.0 / limits[i] - 1.0 / covariance[i, i], scratch)
+@inlined_kernel
+def _step(weights, gain, shrink, error):
+    """W; the gain becomes P psi of after, which is that of before over the denominator."""
+    for i in range(len(gain)):
+        gain[i] *= shrink
+    for a in range(weights.shape[0]):
+        scaled = error[a]
+        for i in range(len(gain)):
+            weights[a, i] -= scaled * gain[i]
+
+
+@inlined_kernel
+def _watch(levels, i, value, forgetting, allowance):
+    """Power of a regressor in the window; the limit of its variance where that asks for a lower one."""
+    power = forgetting * levels[1, i] + value * value
+    levels[1, i] = power
+    levels[2, i] *= forgetting
+    if levels[0, i] * power > allowance:
+        levels[0, i] = allowance / power
 
 
 @kernel
-def add_information(covariance, axis, information, scratch):
-    """Add to one diagonal element of the inverse of P, in place, by the matrix inversion lemma.
-
-    P stays symmetric, and positive definite for information above zero.
-    """
-    n = len(covariance)
-    for j in range(n):
-        scratch[j] = covariance[axis, j]
-    share = information / (1.0 + information * scratch[axis])
-    for j in range(n):
-        scaled = scratch[j] * share
-        for k in range(j + 1):
-            value = covariance[j, k] - scaled * scratch[k]
-            covariance[j, k] = value
-            covariance[k, j] = value
+def hold_covariance(form, matrix, forgetting, levels, gain, inner, axis):
+    """Bring the diagonal of P, of a factor one element, back to its limit, as if the regressor had been seen once more."""
+    one, n = matrix.dtype.type(1), levels.shape[1]
+    for i in range(n):
+        found = variance(form, matrix, i) if form == TRIANGLE or i == axis else levels[0, i]
+        if found > levels[0, i]:
+            add_information(form, matrix, i, one / levels[0, i] - one / found, gain, inner)
+            # An element that is looked at each n-th sample stands for n.
+            levels[2, i] += (one - matrix.dtype.type(forgetting)) * (1 if form == TRIANGLE else n)
 
 
 @kernel

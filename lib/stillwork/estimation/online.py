@@ -1,16 +1,23 @@
 """Adaptation on people's own data: over a recorded run, as identification, or one sample at a time."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Float, Float64, Int64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_count, require_kind, require_number
 from stillwork.base.front_door import checked
 from stillwork.base.kernels import kernel
-from stillwork.estimation.adaptive import FeLms, FeRls, felms_update, ferls_update
+from stillwork.estimation.adaptive import (
+    FeLms,
+    FeRls,
+    felms_update,
+    ferls_form_update,
+    ferls_ud_update,
+    ferls_update,
+    hold_covariance,
+)
 
 # An error this many times the largest one without adaptation is no transient any more.
 RUNAWAY = 1e6
@@ -43,6 +50,9 @@ class Adaptation:
         W after the last sample.
     covariance : ndarray, shape (n, n), or None
         P after the last sample; None for FeLMS.
+    held : ndarray, shape (n,), or None
+        Share of the last time constant in which `growth_limit` held the variance of each regressor's weight down: where
+        it is not zero, some combination with this regressor is excited too weakly to be followed in that time.
     samples : ndarray, shape (kept,)
         Number of samples seen when each entry of `history` was kept.
     history : ndarray, shape (kept, actuators, n)
@@ -51,6 +61,7 @@ class Adaptation:
 
     weights: Float64[np.ndarray, "actuators n"]
     covariance: Float64[np.ndarray, "n n"] | None
+    held: Float64[np.ndarray, "n"] | None
     samples: Int64[np.ndarray, "kept"]
     history: Float64[np.ndarray, "kept actuators n"]
 
@@ -151,8 +162,8 @@ class AdaptationStepper:
     ----------
     weights : ndarray, shape (actuators, n)
         W after the last sample that could be used.
-    covariance : ndarray, shape (n, n), or None
-        P after the same sample; None for FeLMS.
+    recursion : Recursion or None
+        What FeRLS keeps, after the same sample: `recursion.covariance`, `recursion.held` as in `Adaptation`.
     samples : int
         How many samples were seen.
 
@@ -169,13 +180,18 @@ class AdaptationStepper:
     def __init__(self, settings: FeLms | FeRls, weights: ArrayLike):
         self.settings = require_kind("settings", settings, (FeLms, FeRls))
         self.weights = require_array("weights", weights, ndim=2).copy()
-        self.covariance: Any = None
+        self.recursion = None
         if isinstance(settings, FeRls):
-            self.covariance, self._limits = settings.start(self.weights.shape[1])
-        self._gain = np.zeros(self.weights.shape[1])
+            self.recursion = settings.start(self.weights.shape[1])
+            self.weights = self.weights.astype(settings.dtype)
         self.samples = 0
 
-    def update(self, regressor: ArrayLike, error: ArrayLike) -> Float64[np.ndarray, "actuators n"]:
+    @property
+    def covariance(self) -> Float64[np.ndarray, "n n"] | None:
+        """P after the last sample that could be used; None for FeLMS."""
+        return None if self.recursion is None else self.recursion.covariance
+
+    def update(self, regressor: ArrayLike, error: ArrayLike) -> Float[np.ndarray, "actuators n"]:
         """Take in psi_N, shape (n,), and e, shape (actuators,), of one sample; returns a copy of the new weights.
 
         After an exception weights and covariance are those of the sample before: safe to hold or to fade out.
@@ -190,15 +206,14 @@ class AdaptationStepper:
         actuators, n = self.weights.shape
         regressor = require_array("regressor", regressor, shape=(n,))
         error = require_array("error", error, shape=(actuators,))
-        settings, weights, covariance = self.settings, self.weights.copy(), None
+        settings, weights, recursion = self.settings, self.weights.copy(), None
         if isinstance(settings, FeRls):
-            covariance, forgetting = self.covariance.copy(), settings.forgetting
-            leverage = ferls_update(
-                weights, covariance, regressor, error, forgetting, self._limits, self._gain
-            )
-            if not leverage >= forgetting:
+            recursion = self.recursion.copy()
+            regressor, error = regressor.astype(weights.dtype), error.astype(weights.dtype)
+            leverage = ferls_form_update(weights, *recursion.filled, regressor, error, self.samples)
+            if not leverage >= recursion.forgetting:
                 raise _not_definite(self.samples)
-            if not (leverage < np.inf and _all_finite(covariance)):
+            if not (leverage < np.inf and _all_finite(recursion.matrix)):
                 raise _runaway(self.samples, settings)
         else:
             copies = settings.trace_copies(actuators)
@@ -206,7 +221,7 @@ class AdaptationStepper:
             felms_update(weights, regressor, error, step_size, regularisation, copies)
         if not _all_finite(weights):
             raise _runaway(self.samples, settings)
-        self.weights, self.covariance = weights, covariance
+        self.weights, self.recursion = weights, recursion
         self.samples += 1
         return weights.copy()
 
@@ -261,20 +276,23 @@ def _run(settings, regressors, name, signals, weights, every) -> Adaptation:
     ceiling = (
         RUNAWAY * (np.abs(signals).max() + np.abs(signals + start @ regressors).max()) if samples else 0.0
     )
+    dtype = settings.dtype if isinstance(settings, FeRls) else "float64"
     inputs = (
-        np.ascontiguousarray(regressors.T),
-        np.ascontiguousarray(signals.T),
+        np.ascontiguousarray(regressors.T, dtype),
+        np.ascontiguousarray(signals.T, dtype),
         fits,
         ceiling,
         history,
         every,
     )
     # Overflow lasts, so a look at the end tells; only a run that overflowed is repeated to find the sample.
+    covariance, held = None, None
     for watch in (False, True):
-        weights, covariance = start.copy(), None
+        weights = start.astype(dtype)
         if isinstance(settings, FeRls):
-            covariance, limits = settings.start(n)
-            stopped, definite = _run_ferls(weights, covariance, settings.forgetting, limits, *inputs, watch)
+            recursion = settings.start(n)
+            stopped, definite = _run_ferls(weights, recursion, *recursion[-2:], *inputs, watch)
+            covariance, held = recursion.covariance, recursion.held
             if not definite:
                 raise _not_definite(stopped)
         else:
@@ -284,7 +302,9 @@ def _run(settings, regressors, name, signals, weights, every) -> Adaptation:
             raise _runaway(stopped, settings)
         if np.all(np.isfinite(weights)) and (covariance is None or np.all(np.isfinite(covariance))):
             break
-    return Adaptation(weights, covariance, every * np.arange(1, len(history) + 1), history)
+    return Adaptation(
+        weights.astype(float), covariance, held, every * np.arange(1, len(history) + 1), history
+    )
 
 
 def _not_definite(sample: int) -> UnstableAdaptation:
@@ -335,20 +355,45 @@ def _keep(weights, entry):
 
 
 @kernel
-def _run_ferls(
-    weights, covariance, forgetting, limits, regressors, signals, fits, ceiling, history, every, watch
-):
-    error, gain = np.empty(signals.shape[1]), np.empty(regressors.shape[1])
+def _run_ferls(weights, recursion, inner, other, regressors, signals, fits, ceiling, history, every, watch):
+    matrix, form, forgetting, levels, allowance, gain, _, _ = recursion
+    error = np.empty(signals.shape[1], signals.dtype)
     due = every - 1
     for k in range(len(regressors)):
         if not fits:
             error = signals[k]
         elif not _error_of(weights, regressors[k], signals[k], error) <= ceiling:
             return k, True
-        leverage = ferls_update(weights, covariance, regressors[k], error, forgetting, limits, gain)
+        if inner is None:
+            leverage, reached = ferls_update(
+                weights, matrix, forgetting, levels, allowance, gain, regressors[k], error
+            )
+            if reached:
+                hold_covariance(form, matrix, forgetting, levels, gain, gain, 0)
+        elif other is None:
+            leverage, reached = ferls_ud_update(
+                weights, matrix, forgetting, levels, allowance, gain, inner, regressors[k], error, k
+            )
+            if reached:
+                hold_covariance(form, matrix, forgetting, levels, gain, inner, k % len(gain))
+        else:
+            leverage = ferls_form_update(
+                weights,
+                matrix,
+                form,
+                forgetting,
+                levels,
+                allowance,
+                gain,
+                inner,
+                other,
+                regressors[k],
+                error,
+                k,
+            )
         if not leverage >= forgetting:
             return k, False
-        if not leverage < np.inf or (watch and not (_all_finite(covariance) and _all_finite(weights))):
+        if not leverage < np.inf or (watch and not (_all_finite(matrix) and _all_finite(weights))):
             return k, True
         if k == due:
             _keep(weights, history[k // every])

@@ -8,7 +8,8 @@ import numpy as np
 
 from stillwork.base.algebra import factorise, solve_backward, solve_forward
 from stillwork.base.kernels import kernel
-from stillwork.estimation.adaptive import limit_covariance, update_covariance
+from stillwork.estimation.adaptive import hold_covariance
+from stillwork.estimation.covariance_forms import TRIANGLE, update_covariance
 from stillwork.estimation.secular import ROUNDING, narrow_bracket, next_alpha
 
 ALPHA, ENERGY, COUNT = 0, 1, 2  # places in the array `scalars`: alpha, z, samples seen
@@ -178,7 +179,9 @@ def run_ridge(rows, outputs, penalty, forgetting, information, correlation, esti
 def run_least_squares(rows, outputs, forgetting, covariance, estimate, limits, estimates, errors):
     """Exponentially weighted recursive least squares, covariance form, P kept below limits of its diagonal."""
     n = len(estimate)
-    gain = np.zeros(n)
+    gain, levels = np.zeros(n), np.zeros((3, n))
+    for i in range(n):
+        levels[0, i] = limits[i]
     for t in range(len(outputs)):
         row = rows[t]
         _, shrink = update_covariance(covariance, row, forgetting, gain)
@@ -192,7 +195,7 @@ def run_least_squares(rows, outputs, forgetting, covariance, estimate, limits, e
             estimates[t, i] = estimate[i]
         for i in range(n):
             if covariance[i, i] > limits[i]:
-                limit_covariance(covariance, limits, gain)
+                hold_covariance(TRIANGLE, covariance, forgetting, levels, gain, gain, 0)
                 break
 
 

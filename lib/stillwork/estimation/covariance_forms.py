@@ -1,0 +1,238 @@
+"""Five forms of the covariance recursion of recursive least squares, one formula in exact arithmetic.
+
+    P <- (P - g g' / den) / lambda,   g = P psi,   den = lambda + psi' g
+
+What a form stores, in one square array: P itself (``triangle``, ``Joseph``), S with P = S S' (``square root``, after
+Potter), or a triangular factor whose row j is column j of U: U D U' with D on the diagonal (``UD``, Bierman), U U'
+(``inverse QR``, by Givens rotations). A factor has half as many digits to lose, and no product of it is indefinite.
+All kernels work in the precision of their arrays.
+
+References
+----------
+Bierman, Factorization Methods for Discrete Sequential Estimation (1977); Haykin, Adaptive Filter Theory.
+"""
+
+import numpy as np
+
+from stillwork.base.checks import require_choice
+from stillwork.base.kernels import inlined_kernel, kernel
+
+FORMS = ("triangle", "Joseph", "square root", "UD", "inverse QR")
+TRIANGLE, JOSEPH, SQUARE_ROOT, UD, INVERSE_QR = range(5)
+
+
+def factor_of(form: str, covariance: np.ndarray) -> np.ndarray:
+    """The array that a form stores for a covariance P, in the precision of P."""
+    code = FORMS.index(require_choice("form", form, FORMS))
+    if code in (TRIANGLE, JOSEPH):
+        return covariance.copy()
+    # Upper triangular: Cholesky's factor of the matrix read backwards, read backwards.
+    upper = np.linalg.cholesky(covariance[::-1, ::-1])[::-1, ::-1]
+    if code == SQUARE_ROOT:
+        return upper.copy()
+    if code == INVERSE_QR:
+        return upper.T.copy()
+    root = np.diag(upper)
+    return (upper / root).T - np.eye(len(root)) + np.diag(root**2)
+
+
+def covariance_of(form: str, matrix: np.ndarray) -> np.ndarray:
+    """P from the array that a form stores."""
+    code = FORMS.index(require_choice("form", form, FORMS))
+    if code in (TRIANGLE, JOSEPH):
+        return matrix.copy()
+    if code == SQUARE_ROOT:
+        return matrix @ matrix.T
+    if code == INVERSE_QR:
+        return matrix.T @ matrix
+    unit = np.tril(matrix, -1) + np.eye(len(matrix), dtype=matrix.dtype)
+    return (unit.T * np.diag(matrix)) @ unit
+
+
+@inlined_kernel
+def update_covariance(covariance, regressor, forgetting, gain):
+    """P itself in place; `gain` becomes P psi of before.
+
+    One triangle is computed and mirrored: rounding that differs between the two grows as 1 / lambda^t.
+    Returns lambda + psi' P psi and its inverse, which takes `gain` to P psi with the new P.
+    """
+    one = covariance.dtype.type(1)
+    n = len(regressor)
+    denominator = forgetting
+    for i in range(n):
+        total = covariance.dtype.type(0)
+        for j in range(n):
+            total += covariance[i, j] * regressor[j]
+        gain[i] = total
+        denominator += total * regressor[i]
+    shrink = one / denominator
+    forget = one / forgetting
+    for i in range(n):
+        scaled = gain[i] * shrink
+        for j in range(i + 1):
+            value = (covariance[i, j] - scaled * gain[j]) * forget
+            covariance[i, j] = value
+            covariance[j, i] = value
+    return denominator, shrink
+
+
+@kernel
+def update_joseph(covariance, regressor, forgetting, gain, row):
+    """(I - k psi') P (I - k psi')' / lambda + k k' with k = g / den, in place."""
+    one, n = covariance.dtype.type(1), len(regressor)
+    denominator = forgetting
+    for i in range(n):
+        total, left = covariance.dtype.type(0), covariance.dtype.type(0)
+        for j in range(n):
+            total += covariance[i, j] * regressor[j]
+            left += covariance[j, i] * regressor[j]
+        gain[i], row[i] = total, left
+        denominator += total * regressor[i]
+    shrink, forget = one / denominator, one / forgetting
+    for i in range(n):
+        share, back = gain[i] * shrink, covariance.dtype.type(0)
+        for j in range(n):
+            covariance[i, j] -= share * row[j]
+            back += covariance[i, j] * regressor[j]
+        for j in range(n):
+            step = gain[j] * shrink
+            covariance[i, j] = (covariance[i, j] - back * step) * forget + share * step
+    return denominator
+
+
+@kernel
+def update_square_root(root, regressor, forgetting, gain, inner):
+    """Potter's update of S in place."""
+    one, n = root.dtype.type(1), len(regressor)
+    for j in range(n):
+        inner[j] = 0
+    for i in range(n):
+        for j in range(n):
+            inner[j] += root[i, j] * regressor[i]
+    denominator = forgetting
+    for j in range(n):
+        denominator += inner[j] * inner[j]
+    share = one / (denominator + np.sqrt(forgetting * denominator))
+    forget = one / np.sqrt(forgetting)
+    for i in range(n):
+        total = root.dtype.type(0)
+        for j in range(n):
+            total += root[i, j] * inner[j]
+        gain[i] = total
+        total *= share
+        for j in range(n):
+            root[i, j] = (root[i, j] - total * inner[j]) * forget
+    return denominator
+
+
+@inlined_kernel
+def update_ud(factor, regressor, forgetting, gain, inner):
+    """Bierman's update of U and D in place."""
+    n = len(regressor)
+    forget = factor.dtype.type(1) / forgetting
+    for j in range(n):
+        total = regressor[j]
+        for i in range(j):
+            total += factor[j, i] * regressor[i]
+        inner[j] = total
+    denominator = forgetting
+    for j in range(n):
+        share = factor[j, j] * inner[j]
+        following = denominator + share * inner[j]
+        factor[j, j] *= denominator / following * forget
+        turn = inner[j] / denominator
+        for i in range(j):
+            entry = factor[j, i]
+            factor[j, i] = entry - turn * gain[i]
+            gain[i] += share * entry
+        gain[j] = share
+        denominator = following
+    return denominator
+
+
+@kernel
+def update_inverse_qr(factor, regressor, forgetting, gain, inner):
+    """Givens rotations of [sqrt(lambda), psi' U; 0, U] to [sqrt(den), 0; g / sqrt(den), sqrt(lambda) U], in place."""
+    n = len(regressor)
+    root = np.sqrt(forgetting)
+    forget = factor.dtype.type(1) / root
+    for j in range(n):
+        total = factor.dtype.type(0)
+        for i in range(j + 1):
+            total += factor[j, i] * regressor[i]
+        inner[j] = total
+        gain[j] = 0
+    denominator = forgetting
+    for j in range(n):
+        denominator += inner[j] * inner[j]
+        length = np.sqrt(denominator)
+        cosine, sine = root / length, inner[j] / length
+        for i in range(j + 1):
+            entry, share = factor[j, i], gain[i]
+            gain[i] = cosine * share + sine * entry
+            factor[j, i] = (cosine * entry - sine * share) * forget
+        root = length
+    for i in range(n):
+        gain[i] *= root
+    return denominator
+
+
+@kernel
+def update_form(form, matrix, regressor, forgetting, gain, inner):
+    """One sample of any form in place; `gain` becomes P psi of before, `inner` is room for work.
+
+    Returns lambda + psi' P psi.
+    """
+    if form == TRIANGLE:
+        return update_covariance(matrix, regressor, forgetting, gain)[0]
+    if form == UD:
+        return update_ud(matrix, regressor, forgetting, gain, inner)
+    # The others are functions of their own: of one body with all of them the compiler would optimise none.
+    if form == JOSEPH:
+        return update_joseph(matrix, regressor, forgetting, gain, inner)
+    if form == SQUARE_ROOT:
+        return update_square_root(matrix, regressor, forgetting, gain, inner)
+    return update_inverse_qr(matrix, regressor, forgetting, gain, inner)
+
+
+@inlined_kernel
+def variance(form, matrix, axis):
+    """Diagonal element of P."""
+    n = len(matrix)
+    total = matrix.dtype.type(0)
+    if form == TRIANGLE or form == JOSEPH:
+        total = matrix[axis, axis]
+    elif form == SQUARE_ROOT:
+        for j in range(n):
+            total += matrix[axis, j] * matrix[axis, j]
+    elif form == INVERSE_QR:
+        for j in range(axis, n):
+            total += matrix[j, axis] * matrix[j, axis]
+    else:
+        total = matrix[axis, axis]
+        for j in range(axis + 1, n):
+            total += matrix[j, axis] * matrix[j, axis] * matrix[j, j]
+    return total
+
+
+@kernel
+def add_information(form, matrix, axis, information, gain, inner):
+    """Add to one diagonal element of the inverse of P, in place: a regressor along this axis, seen without forgetting.
+
+    P stays symmetric, and positive definite for information above zero.
+    """
+    n = len(matrix)
+    if form != TRIANGLE:
+        unit = np.zeros(n, matrix.dtype)
+        unit[axis] = np.sqrt(information)
+        update_form(form, matrix, unit, matrix.dtype.type(1), gain, inner)
+        return
+    for j in range(n):
+        gain[j] = matrix[axis, j]
+    share = information / (matrix.dtype.type(1) + information * gain[axis])
+    for j in range(n):
+        scaled = gain[j] * share
+        for k in range(j + 1):
+            value = matrix[j, k] - scaled * gain[k]
+            matrix[j, k] = value
+            matrix[k, j] = value
