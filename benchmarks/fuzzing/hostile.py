@@ -70,7 +70,7 @@ def _number(rng, value):
         rng.choice([1e-320, 1e-300, 1e-160, 1e-30, 1e-9, 1e-3, 0.1, 0.5, 2, 10, 1e3, 1e9, 1e30, 1e160, 1e300])
     )
     if isinstance(value, int):
-        return int(rng.choice([-5, -1, 0, 1, 2, 3, 7, 50, 1000]))
+        return int(rng.choice([-5, -1, 0, 1, 2, 3, 7, 50, 300]))
     return sign * size * value if rng.random() < 0.5 else size * value
 
 

@@ -8,7 +8,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from experiments.isolation.tables import build, require_names
+from experiments.isolation.tables import build, require_names, require_table
 from stillwork.base.checks import InputError, require_array, require_number
 
 # Reciprocal condition below which a geometry counts as degenerate: struts or sensors that do not fix a motion.
@@ -182,7 +182,7 @@ def _lines(table: dict, where: str) -> Lines:
     arrays = {
         key: require_array(f"{where}: {key}", table[key], ndim=2)
         for key in ("positions", "directions")
-        if key in table
+        if key in require_table(where, table)
     }
     rest = {key: value for key, value in table.items() if where != "struts" and key not in arrays}
     return build(Lines, {**arrays, **rest}, where)

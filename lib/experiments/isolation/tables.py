@@ -5,12 +5,17 @@ from dataclasses import MISSING, fields
 from stillwork.base.checks import InputError, nearest, require_array, require_count, require_number, shown
 
 
-def require_names(where: str, given, required, optional=()) -> None:
-    """Raise `InputError` when a name of `required` is missing or one is in neither list."""
+def require_table(where: str, given) -> dict:
+    """Return `given` when it is a table, else raise `InputError`."""
     if not isinstance(given, dict):
         raise InputError(f"{where} is {shown(given)}; give a table [{where}]")
+    return given
+
+
+def require_names(where: str, given, required, optional=()) -> None:
+    """Raise `InputError` when a name of `required` is missing or one is in neither list."""
     known = [*required, *optional]
-    for name in given:
+    for name in require_table(where, given):
         if name not in known:
             raise InputError(
                 f"{where}: unknown name {name!r}{nearest(name, known)}; known: {', '.join(known)}"

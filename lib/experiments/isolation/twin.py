@@ -13,9 +13,10 @@ from experiments.isolation.plant import Platform, plant_of_rig
 from experiments.isolation.rig import Rig, rig_from_table
 from experiments.isolation.settings import Instruments, SelfTunedFeedforward, Skyhook
 from experiments.isolation.shaping import FrequencyNotch, NoiseShaping, SecondaryPath
-from experiments.isolation.tables import build, require_names
+from experiments.isolation.tables import build, require_names, require_table
 from stillwork.base import paths
 from stillwork.base.checks import InputError, require_array, require_choice, require_number, shown
+from stillwork.base.front_door import checked
 from stillwork.base.toml_files import read_toml
 
 SHIPPED = ("rigid_body", "fitted")
@@ -181,6 +182,7 @@ def load_twin(model: str | Path) -> Twin:
         raise InputError(f"{file.name}: {error}") from None
 
 
+@checked(missing=True)
 def twin_from_table(table: dict) -> Twin:
     """Make a `Twin` from the tables of a TOML model.
 
@@ -228,9 +230,11 @@ def _feedforward_from_table(table: dict) -> SelfTunedFeedforward:
         ("integrator_order", "integrator_cutoff_hz", "integrator_powers", "beta", "shaping", "path"),
         ("estimate",),
     )
-    shape = dict(table["shaping"])
+    shape = dict(require_table("feedforward.shaping", table["shaping"]))
     notches = shape.pop("notches", [])
-    path = dict(table["path"])
+    if not isinstance(notches, list):
+        raise InputError(f"feedforward.shaping.notches is {shown(notches)}; give a list of tables")
+    path = dict(require_table("feedforward.path", table["path"]))
     require_names("feedforward.path", path, ("mass", "damping", "stiffness", "actuator_pole_hz"))
     path["actuator_pole"] = 2 * np.pi * require_number("actuator_pole_hz", path.pop("actuator_pole_hz"))
     shape["notches"] = tuple(build(FrequencyNotch, notch, "feedforward.shaping.notches") for notch in notches)

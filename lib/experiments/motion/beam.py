@@ -8,6 +8,7 @@ from scipy import linalg
 
 from stillwork.base import paths
 from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.base.front_door import checked
 from stillwork.base.toml_files import read_numbers
 from stillwork.lti.modal import ModalModel
 
@@ -58,6 +59,7 @@ def beam_shapes(places: ArrayLike, modes: int, taper: float = 0.0) -> Float64[np
     return legendre.legvander(2 * places - 1, TERMS - 1) @ chosen
 
 
+@checked
 def beam(
     actuators: ArrayLike,
     sensors: ArrayLike,
@@ -100,6 +102,7 @@ def beam(
     )
 
 
+@checked
 def published_beam(actuators: int = 2) -> ModalModel:
     """The beam with the first `actuators` of its five actuators and both sensors."""
     places = beam_parameters().table("assumed")

@@ -73,10 +73,10 @@ def chain(masses: ArrayLike) -> ModalModel:
     links, places = np.ones(len(masses) - 1), np.eye(len(masses))
     return modal_model(
         np.diag(masses),
-        chain_matrix(p["stiffness"] * links),
+        chain_matrix(require_number("chain: stiffness", p["stiffness"]) * links),
         places,
         places,
-        damping_matrix=chain_matrix(p["damper"] * links),
+        damping_matrix=chain_matrix(require_number("chain: damper", p["damper"]) * links),
     )
 
 

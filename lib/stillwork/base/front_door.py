@@ -119,7 +119,11 @@ def check_fields(instance) -> None:
 
 
 def _named(function: Callable) -> str:
-    return function.__qualname__.rpartition("<locals>.")[2].removesuffix(".__post_init__")
+    return (
+        function.__qualname__.rpartition("<locals>.")[2]
+        .removesuffix(".__post_init__")
+        .removesuffix(".__init__")
+    )
 
 
 def _beyond(function: Callable, why) -> InputError:

@@ -43,6 +43,7 @@ class DiscreteObserver:
         check_fields(self)
         gain = require_array("gain", self.gain, shape=(len(self.a), len(self.c)))
         object.__setattr__(self, "gain", gain)
+        require_array("covariance", self.covariance, shape=self.a.shape)
         require_number("step", self.step, above=0.0)
         if np.any(np.abs(linalg.eigvals(self.a - self.a @ self.gain @ self.c)) >= 1):
             raise InputError("the observer is unstable; its gain must stabilise A - AKC")

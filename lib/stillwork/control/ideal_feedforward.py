@@ -108,6 +108,7 @@ class Force:
         check_fields(self)
 
     @property
+    @checked
     def values(self) -> Float64[np.ndarray, " samples"]:
         """Force at the samples, N."""
         return self.row @ self.states

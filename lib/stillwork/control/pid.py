@@ -28,6 +28,7 @@ class Notch:
         w = self.omega
         return (s * s + 2 * self.depth * w * s + w**2) / (s * s + 2 * self.width * w * s + w**2)
 
+    @checked
     def state_space(self) -> StateModel:
         w = self.omega
         a = np.array([[0, w], [-w, -2 * self.width * w]])
@@ -63,6 +64,7 @@ class Pid:
             response *= notch.at(s)
         return response
 
+    @checked
     def state_space(self) -> StateModel:
         """Realisation by partial fractions: an integrator beside the low-pass, each of its own size."""
         return self._realised

@@ -47,6 +47,7 @@ class Observer:
     gain: Float64[np.ndarray, "states outputs"]  # L
     residual: float = 0.0  # of the Riccati equation
 
+    @checked
     def __post_init__(self):
         check_fields(self)
         n, outputs = len(self.a), len(self.model.output_shapes)

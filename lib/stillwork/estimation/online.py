@@ -176,6 +176,7 @@ class AdaptationStepper:
     array([[0.5]])
     """
 
+    @checked
     def __init__(self, settings: FeLms | FeRls, weights: ArrayLike):
         self.settings = require_kind("settings", settings, (FeLms, FeRls))
         self.weights = require_array("weights", weights, ndim=2).copy()

@@ -124,6 +124,7 @@ class RecursiveStepper:
     (array([2.]), array([2.]))
     """
 
+    @checked
     def __init__(self, estimator: Estimator, unknowns: int):
         if not hasattr(estimator, "advance"):
             raise InputError(

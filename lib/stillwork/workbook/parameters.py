@@ -131,7 +131,7 @@ def _candidates(text: str):
         yield words[text.lower()]
     try:
         yield ast.literal_eval(text)
-    except (ValueError, SyntaxError, MemoryError, RecursionError, TypeError):
+    except (ValueError, SyntaxError, MemoryError, RecursionError, OverflowError, TypeError):
         pass
     if "," in text:
         parts = [part.strip() for part in text.strip("[]()").removesuffix(",").split(",")]
