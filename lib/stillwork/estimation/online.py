@@ -208,6 +208,7 @@ class AdaptationStepper:
         error = require_array("error", error, shape=(actuators,))
         settings, weights, recursion = self.settings, self.weights.copy(), None
         if isinstance(settings, FeRls):
+            assert self.recursion is not None  # made with these settings
             recursion = self.recursion.copy()
             regressor, error = regressor.astype(weights.dtype), error.astype(weights.dtype)
             leverage = ferls_form_update(weights, *recursion.filled, regressor, error, self.samples)
