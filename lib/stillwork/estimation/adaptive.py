@@ -12,7 +12,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.base.checks import Converted, InputError, require_array, require_choice, require_number
+from stillwork.base.checks import (
+    Converted,
+    InputError,
+    require_array,
+    require_choice,
+    require_count,
+    require_number,
+)
 from stillwork.base.front_door import checked
 from stillwork.base.kernels import inlined_kernel, kernel
 from stillwork.estimation.covariance_forms import (
@@ -168,6 +175,7 @@ class FeRls:
 
     def start(self, regressors: int) -> Recursion:
         """P(-1), exactly symmetric, and the limits of its diagonal for a number of regressors."""
+        require_count("regressors", regressors)
         initial = self.initial_covariance
         if initial.ndim and len(initial) != regressors:
             raise InputError(
