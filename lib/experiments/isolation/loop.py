@@ -15,10 +15,7 @@ from stillwork.base.kernels import inlined_kernel, kernel
 from stillwork.estimation.adaptive import (
     Recursion,
     felms_update,
-    ferls_form_update,
-    ferls_ud_update,
-    ferls_update,
-    hold_covariance,
+    ferls_step,
 )
 
 FROZEN, FELMS, FERLS = 0, 1, 2  # what the kernel does with the weights
@@ -347,33 +344,9 @@ def advance(
         elif adaptation == FERLS:
             for i in range(actuators):
                 rounded[i] = error[i]
-            if inner is None:
-                leverage, reached = ferls_update(
-                    weights, matrix, forgetting, levels, allowance, gain, filtered, rounded
-                )
-                if reached:
-                    hold_covariance(form, matrix, forgetting, levels, gain, gain, 0)
-            elif other is None:
-                leverage, reached = ferls_ud_update(
-                    weights, matrix, forgetting, levels, allowance, gain, inner, filtered, rounded, k
-                )
-                if reached:
-                    hold_covariance(form, matrix, forgetting, levels, gain, inner, k % len(gain))
-            else:
-                leverage = ferls_form_update(
-                    weights,
-                    matrix,
-                    form,
-                    forgetting,
-                    levels,
-                    allowance,
-                    gain,
-                    inner,
-                    other,
-                    filtered,
-                    rounded,
-                    k,
-                )
+            leverage = ferls_step(
+                weights, matrix, form, forgetting, levels, allowance, gain, inner, other, filtered, rounded, k
+            )
             if not leverage >= forgetting:
                 return INDEFINITE, k
 

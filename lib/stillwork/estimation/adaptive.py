@@ -300,6 +300,30 @@ def hold_covariance(form, matrix, forgetting, levels, gain, inner, axis):
             levels[2, i] += (one - matrix.dtype.type(forgetting)) * (1 if form == TRIANGLE else n)
 
 
+@inlined_kernel
+def ferls_step(
+    weights, matrix, form, forgetting, levels, allowance, gain, inner, other, regressor, error, sample
+):
+    """One sample in the form of a `Recursion`, which its `inner` and `other` tell at compile time; returns the leverage."""
+    if inner is None:
+        leverage, reached = ferls_update(
+            weights, matrix, forgetting, levels, allowance, gain, regressor, error
+        )
+        if reached:
+            hold_covariance(form, matrix, forgetting, levels, gain, gain, 0)
+    elif other is None:
+        leverage, reached = ferls_ud_update(
+            weights, matrix, forgetting, levels, allowance, gain, inner, regressor, error, sample
+        )
+        if reached:
+            hold_covariance(form, matrix, forgetting, levels, gain, inner, sample % len(gain))
+    else:
+        leverage = ferls_form_update(
+            weights, matrix, form, forgetting, levels, allowance, gain, inner, other, regressor, error, sample
+        )
+    return leverage
+
+
 @kernel
 def felms_update(weights, regressor, error, step_size, regularisation, trace_copies):
     """One sample of FeLMS in place, eq. (18)-(19).

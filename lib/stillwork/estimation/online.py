@@ -14,9 +14,7 @@ from stillwork.estimation.adaptive import (
     FeRls,
     felms_update,
     ferls_form_update,
-    ferls_ud_update,
-    ferls_update,
-    hold_covariance,
+    ferls_step,
 )
 
 # An error this many times the largest one without adaptation is no transient any more.
@@ -365,33 +363,9 @@ def _run_ferls(weights, recursion, inner, other, regressors, signals, fits, ceil
             error = signals[k]
         elif not _error_of(weights, regressors[k], signals[k], error) <= ceiling:
             return k, True
-        if inner is None:
-            leverage, reached = ferls_update(
-                weights, matrix, forgetting, levels, allowance, gain, regressors[k], error
-            )
-            if reached:
-                hold_covariance(form, matrix, forgetting, levels, gain, gain, 0)
-        elif other is None:
-            leverage, reached = ferls_ud_update(
-                weights, matrix, forgetting, levels, allowance, gain, inner, regressors[k], error, k
-            )
-            if reached:
-                hold_covariance(form, matrix, forgetting, levels, gain, inner, k % len(gain))
-        else:
-            leverage = ferls_form_update(
-                weights,
-                matrix,
-                form,
-                forgetting,
-                levels,
-                allowance,
-                gain,
-                inner,
-                other,
-                regressors[k],
-                error,
-                k,
-            )
+        leverage = ferls_step(
+            weights, matrix, form, forgetting, levels, allowance, gain, inner, other, regressors[k], error, k
+        )
         if not leverage >= forgetting:
             return k, False
         if not leverage < np.inf or (watch and not (_all_finite(matrix) and _all_finite(weights))):
