@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -106,6 +106,23 @@ def test_a_reading_that_kills_its_process_is_told_and_the_others_go_on(workbook,
     (found,) = run(multiverses, tmp_path, partial(processes, 2), at_once=4)
     assert {found.design[point]: reason for (point, _), reason in found.failures.items()} == {(1, 1): DIED}
     assert np.isfinite(found.values["motion.order"]).sum() == 5
+
+
+@pytest.mark.parametrize("broken_at", range(6))
+def test_a_reading_that_a_broken_pool_refuses_is_not_lost(workbook, tmp_path, broken_at):
+    handed_out = []
+
+    class Breaking(ThreadPoolExecutor):
+        def submit(self, *args):
+            handed_out.append(args)
+            if len(handed_out) == broken_at + 1:
+                raise BrokenExecutor
+            return super().submit(*args)
+
+    _, multiverses = workbook(A + B + study())
+    (found,) = run(multiverses, tmp_path, partial(Breaking, 2), at_once=4)
+    assert not found.failures
+    assert np.isfinite(found.values["motion.order"]).all()
 
 
 @pytest.mark.parametrize(

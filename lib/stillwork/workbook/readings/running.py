@@ -185,8 +185,8 @@ def _run_until_broken(waiting: deque[Call], executor, at_once, keep, end, stoppe
                 if stopped():
                     raise _Interrupted
                 while waiting and len(running) < at_once and time.monotonic() < end:
-                    run = waiting.popleft()
-                    running[pool.submit(compute, run)] = run
+                    future = pool.submit(compute, waiting[0])  # refused by a broken pool: it still waits
+                    running[future] = waiting.popleft()
                 done, _ = wait(running, timeout=0.2, return_when=FIRST_COMPLETED)
                 for future in done:
                     found = _found(future)
