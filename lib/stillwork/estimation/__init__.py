@@ -14,5 +14,6 @@ __all__, __getattr__, __dir__ = face(
         "plant": ("Plant",),
         "recursive": ("RecursiveStepper", "run"),
         "recursive_settings": ("LeastSquares", "MinMax"),
+        "regression": ("LeastMeanSquares", "MinMaxRegressor", "RecursiveLeastSquares"),
     },
 )
