@@ -233,6 +233,7 @@ def catalogue() -> dict:
         "AdaptationStepper": (e.AdaptationStepper, {"settings": e.FeLms(), "weights": np.zeros((1, 3))}),
         "AdaptationStepper.update": (lambda regressor, error: e.AdaptationStepper(e.FeRls(1.0), np.zeros((1, 3))).update(regressor, error), {"regressor": rows[:, 0], "error": np.ones(1)}),
         "UnscentedKalman": (e.UnscentedKalman, fields(e.UnscentedKalman(plant))),
+        "UnscentedKalman.step": (e.UnscentedKalman(plant).step, {"state": e.UnscentedKalman(plant).start(0.1), "measured": 0.1, "force": 1.0, "time_step": 1e-3}),
         "adapt": (e.adapt, {**lines, "errors": signal[None], "weights": np.zeros((1, 3))}),
         "identify": (e.identify, {**lines, "disturbance": signal[None], "weights": np.zeros((1, 3))}),
         "identify, FeLms": (e.identify, {**lines, "settings": e.FeLms(), "disturbance": signal[None]}),

@@ -291,7 +291,7 @@ def test_a_refused_call_changes_nothing(estimator):
     ):
         with pytest.raises(InputError):
             refused.partial_fit(*bad)
-    with pytest.raises(InputError, match=r"reaches .* too large"):
+    with pytest.raises(InputError, match="too large to be squared"):
         refused.partial_fit(1e200 * X, 1e200 * y)
     assert np.array_equal(refused.partial_fit(X, y).coef_, twin.partial_fit(X, y).coef_)
 

@@ -181,13 +181,10 @@ class _LinearRegressor:
                 f"{name} has {len(given)} sample(s) of {given.shape[1]} feature(s) (shape={given.shape}) while a minimum of "
                 "1 is required; give more"
             )
-        missing = np.isnan(given) if given.dtype.kind in "fc" and not np.ma.isMaskedArray(given) else False
-        filled = require_array(name, np.where(missing, 0, given) if np.any(missing) else given, dtype=dtype)
-        if np.abs(filled).max() > LARGEST:
-            raise InputError(
-                f"{name} reaches {np.abs(filled).max():g}, too large to be squared; use another unit"
-            )
-        return np.where(missing, np.nan, filled)
+        table = require_array(name, given, dtype=dtype, missing=True)
+        if np.any(np.abs(table) > LARGEST):
+            raise InputError(f"{name} exceeds {LARGEST:g}, too large to be squared; use another unit")
+        return table
 
     def _initial(self, coef, features, outputs):
         # an initial estimate as the kernels take it: real, one row an output
