@@ -16,21 +16,13 @@ FLAT_LEVEL = 1.5e-3  # m/s^2/sqrt(Hz): the plateau of Fig. 2, near BBN-B/C
 
 @dataclass(frozen=True)
 class ShapedFloor:
-    """Independent white noise through a filter per sensor.
+    """Independent white noise through a filter per sensor."""
 
-    Attributes
-    ----------
-    sections : ndarray, shape (channels, sections, 6)
-        Second-order sections as in `scipy.signal.sosfilt`, gain 1 on the plateau.
-    scale : ndarray, shape (channels,)
-        Standard deviation of the white noise that enters, m/s^2 a sample.
-    sample_rate : float
-        Hz.
-    """
-
+    # second-order sections as in `scipy.signal.sosfilt`, gain 1 on the plateau
     sections: Float64[np.ndarray, "channels sections 6"]
+    # standard deviation of the white noise that enters, m/s^2 a sample
     scale: Float64[np.ndarray, " channels"]
-    sample_rate: float = SAMPLE_RATE
+    sample_rate: float = SAMPLE_RATE  # Hz
 
     def __post_init__(self):
         require_number("sample_rate", self.sample_rate, above=0.0)
@@ -66,21 +58,10 @@ def flat_floor(
     channels: int = SENSORS,
     sample_rate: float = SAMPLE_RATE,
 ) -> ShapedFloor:
-    """The 'flat' floor of Fig. 2: a plateau between a second-order high-pass and a second-order low-pass.
+    """The 'flat' floor of Fig. 2: a plateau (m/s^2/sqrt(Hz)) between second-order Butterworth high-pass and low-pass.
 
     The figure gives no number for the upper end. 80 Hz agrees with the published convergence, 1500 Hz is the
-    literal reading of 'flat'.
-
-    Parameters
-    ----------
-    low_pass_hz, high_pass_hz : float
-        Butterworth corners.
-    level : float or array_like, shape (channels,)
-        Plateau, m/s^2/sqrt(Hz).
-    channels : int
-        Sensors, excited independently as by the paper's three shakers.
-    sample_rate : float
-        Hz.
+    literal reading of 'flat'. The sensors are excited independently, as by the paper's three shakers.
     """
     require_number("sample_rate", sample_rate, above=0.0)
     require_number("low_pass_hz", low_pass_hz, above=high_pass_hz, below=sample_rate / 2)

@@ -21,21 +21,11 @@ GROUND_CRITERION = "VC-L"
 
 @dataclass(frozen=True)
 class RecordedFloor:
-    """Accelerations of the floor sensors over time.
+    """Accelerations of the floor sensors over time."""
 
-    Attributes
-    ----------
-    acceleration : ndarray, shape (channels, samples)
-        m/s^2.
-    sample_rate : float
-        Hz.
-    source : str
-        Where it comes from.
-    """
-
-    acceleration: Float64[np.ndarray, "channels samples"]
-    sample_rate: float
-    source: str
+    acceleration: Float64[np.ndarray, "channels samples"]  # m/s^2
+    sample_rate: float  # Hz
+    source: str  # where it comes from
 
     def __post_init__(self):
         require_array("acceleration", self.acceleration, ndim=2)
@@ -53,24 +43,13 @@ class RecordedFloor:
 
 @dataclass(frozen=True)
 class SpectralFloor:
-    """Floor known by its power spectral density alone, alike and independent at all sensors.
+    """Floor known by its power spectral density alone, alike and independent at all sensors."""
 
-    Attributes
-    ----------
-    frequencies_hz : ndarray, shape (frequencies,)
-        Positive and rising.
-    levels : ndarray, shape (frequencies,)
-        Acceleration PSD, (m/s^2)^2/Hz; straight in between, zero outside.
-    source : str
-        Where it comes from.
-    channels : int
-        Sensors.
-    """
-
-    frequencies_hz: Float64[np.ndarray, " frequencies"]
+    frequencies_hz: Float64[np.ndarray, " frequencies"]  # positive and rising
+    # acceleration PSD, (m/s^2)^2/Hz; straight in between, zero outside
     levels: Float64[np.ndarray, " frequencies"]
-    source: str
-    channels: int = SENSORS
+    source: str  # where it comes from
+    channels: int = SENSORS  # sensors
 
     def density(self, frequencies_hz: ArrayLike) -> Float64[np.ndarray, "channels frequencies"]:
         """Acceleration PSD of every sensor, (m/s^2)^2/Hz."""
@@ -91,34 +70,12 @@ def synthesise_floor(
     sample_rate: float = SAMPLE_RATE,
     source: str = "synthesised",
 ) -> RecordedFloor:
-    """Gaussian motion whose expected PSD is exactly the given one on every line 1/duration.
+    """Gaussian motion whose expected PSD ((m/s^2)^2/Hz, one-sided) is exactly the given one on every line 1/duration.
 
     Each Fourier line gets a random amplitude and phase; the motion is stationary and its end joins its start.
     Between the given frequencies the density runs straight, as `spectra.band_power` integrates it; outside it is
-    zero.
-
-    Parameters
-    ----------
-    frequencies_hz, density : array_like, shape (frequencies,)
-        One-sided acceleration PSD, (m/s^2)^2/Hz; frequencies positive and rising.
-    duration : float
-        Seconds.
-    seed : int
-        Of the random lines.
-    common : float
-        Share of the power that all sensors see alike, 0 (independent, as the paper's three shakers) to 1 (the
-        plate only translates, as ground waves far longer than the plate move it).
-    channels : int
-        Sensors.
-    sample_rate : float
-        Hz.
-    source : str
-        Where the density comes from.
-
-    Raises
-    ------
-    InputError
-        When the density is negative or the frequencies do not rise.
+    zero. `common` is the share of the power that all sensors see alike, from 0 (independent, as the paper's three
+    shakers) to 1 (the plate only translates, as ground waves far longer than the plate move it).
     """
     f = require_array("frequencies_hz", frequencies_hz, ndim=1)
     s = require_array("density", density, shape=f.shape)
@@ -146,13 +103,7 @@ def synthesise_floor(
 def measured_ground_density(
     axis: str = "Z",
 ) -> tuple[Float64[np.ndarray, " frequencies"], Float64[np.ndarray, " frequencies"]]:
-    """Measured ground of an observatory, 0.01 to 100 Hz, mean over four days (`data/isolation/ligo_llo_ground`).
-
-    Returns
-    -------
-    frequencies_hz, density : ndarray, shape (frequencies,)
-        Acceleration PSD in (m/s^2)^2/Hz.
-    """
+    """Measured ground of an observatory, mean over four days (`data/isolation/ligo_llo_ground`): Hz from 0.01 to 100, PSD."""
     require_choice("axis", axis, ("X", "Y", "Z"))
     file = paths.data("isolation", "ligo_llo_ground/ground_velocity_density.npz")
     with np.load(file, allow_pickle=False) as ground:
@@ -167,15 +118,6 @@ def ground_spectrum(
     """Measured vertical ground spectrum below 100 Hz and a vibration criterion above.
 
     The records end at 100 Hz; above it the floor is assumed to follow the criterion's curve, up to `upper_hz`.
-
-    Parameters
-    ----------
-    gain : float
-        Amplitude of the whole floor relative to the measured one.
-    criterion : str
-        Curve above 100 Hz.
-    upper_hz : float
-        Upper end of the floor, Hz.
     """
     require_number("gain", gain, above=0.0)
     require_number("upper_hz", upper_hz, above=GROUND_UPPER_HZ)
@@ -215,11 +157,6 @@ def record_floor(
 
     A sensor without a channel of its own moves as the mean of the others, so one channel is a plate that only
     translates.
-
-    Raises
-    ------
-    InputError
-        When the record has more channels than there are sensors.
     """
     channels = require_count("channels", channels)
     if len(record.signals) > channels:

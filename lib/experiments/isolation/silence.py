@@ -14,21 +14,11 @@ from stillwork.estimation.online import UnstableAdaptation
 
 @dataclass(frozen=True)
 class ErrorRecord:
-    """Filtered error of one closed-loop run, to its end or to where it broke.
+    """Filtered error of one closed-loop run, to its end or to where it broke."""
 
-    Attributes
-    ----------
-    time_s : ndarray, shape (kept,)
-        End of each interval.
-    error : ndarray, shape (kept,)
-        Filtered error, root mean square over the interval, N.
-    broke_s : float or None
-        When the adaptation was stopped as unstable.
-    """
-
-    time_s: Float64[np.ndarray, "kept"]
-    error: Float64[np.ndarray, "kept"]
-    broke_s: float | None
+    time_s: Float64[np.ndarray, "kept"]  # end of each interval
+    error: Float64[np.ndarray, "kept"]  # filtered error, root mean square over the interval, N
+    broke_s: float | None  # when the adaptation was stopped as unstable
 
     def peak(self, from_s: float) -> float:
         """Largest error from a moment on over the mean of the ten seconds before it; infinite if it broke."""

@@ -25,20 +25,9 @@ def paint_transfer_matrix(
     low_hz: float = 1.0,
     high_hz: float = 2e3,
 ):
-    """Magnitudes of several systems with two inputs and two outputs, one panel an entry.
+    """Magnitudes of several systems with two inputs and two outputs, one panel an entry; the first lies broad below the others.
 
-    Parameters
-    ----------
-    systems : mapping of str to StateModel
-        The first is drawn broad, below the others.
-    slopes : mapping, optional
-        Published slope of some entries (row, column), drawn as a guide beside the last system.
-    signals : tuple of str
-        Names of inputs and outputs.
-    quantity : str
-        Label of the magnitude axes.
-    low_hz, high_hz : float
-        Range that is shown.
+    `slopes` are the published slopes of some entries (row, column), drawn as a guide beside the last system.
     """
     poles = np.concatenate([system.poles for system in systems.values()])
     omega = resonance_grid(poles[np.abs(poles) > 2 * np.pi * low_hz], low_hz, high_hz, 250, 25)
@@ -102,12 +91,7 @@ def paint_slope_ranges(
 ):
     """Slopes of both off-diagonal entries over the machines of a study, one row a scheme, with the published ones.
 
-    Parameters
-    ----------
-    slopes, above : mapping of str to ndarray, shape (runs, 2, 2)
-        In the limit and at 0.03 to 0.3 Hz.
-    published : mapping of str to tuple
-        Slopes of q1 from u2 and of q2 from u1.
+    `slopes` in the limit and `above`, at 0.03 to 0.3 Hz, have shape (runs, 2, 2); `published` are those of q1 from u2 and of q2 from u1.
     """
     figure, axes = figures.new(1, 2, height=0.34 * len(slopes) + 1.6, sharey=True)
     rows = np.arange(len(slopes))

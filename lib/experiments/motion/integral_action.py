@@ -39,13 +39,7 @@ class ObserverConditions(NamedTuple):
 
 
 def required_integrators(disturbance: int = 1, reference: int = 1, sensor: int = 1, plant: int = 2) -> int:
-    """Smallest number of integrators in C_y that brings the error to zero, (3.8) of Theorem 3.2.1.
-
-    Parameters
-    ----------
-    disturbance, reference, sensor, plant : int
-        Powers of 1/s in w, r, v and P: n_w, n_r, n_v and n_p.
-    """
+    """Smallest number of integrators in C_y that brings the error to zero, (3.8), from the powers of 1/s in w, r, v and P."""
     return max(disturbance - 1, sensor - plant - 1, reference - plant - 1, -1) + 1
 
 
@@ -54,15 +48,8 @@ def keeps_integral_action(
 ) -> ObserverConditions:
     """Conditions (3.12)-(3.13) for measurement compensation or (3.38)-(3.39) for active damping.
 
-    Parameters
-    ----------
-    compensator : StateModel
-        Single loop, (u, y) to (u_d, y_flex).
-    application : str
-        ``compensation`` or ``damping``.
-    relative : float
-        A static gain below this part of the largest gain over frequency counts as zero: it is a difference
-        of large numbers, exact only to rounding.
+    A static gain below `relative` of the largest over frequency counts as zero: it is a difference of large
+    numbers, exact only to rounding.
     """
     require_choice("application", application, ("compensation", "damping"))
     row = 1 if application == "compensation" else 0

@@ -20,13 +20,7 @@ ROBUST_LIMIT = 10 ** (5.7 / 20)  # asked of these stages, to leave room for othe
 
 
 def stored_designs() -> dict[str, JointDesign]:
-    """All stored designs by name, as they were found: rounded to six digits.
-
-    Raises
-    ------
-    InputError
-        When an entry has a number that a design has not.
-    """
+    """All stored designs by name, as they were found: rounded to six digits."""
     tree = read_numbers(paths.data("motion", "joint.toml"))
     found = {}
     for name in tree:

@@ -35,13 +35,7 @@ def paint_ladder(found: Mapping[str, Verified], published_hz: float):
 
 
 def paint_peaks_over_plants(peaks: Mapping[str, Mapping[str, np.ndarray]], top_db: float = 20.0):
-    """Largest peak of every design on every perturbed plant; unstable ones lie on the upper edge.
-
-    Parameters
-    ----------
-    peaks : mapping
-        Title of a panel to a mapping from the design's name to its peaks.
-    """
+    """Largest peak of every design on every perturbed plant, by panel; unstable ones lie on the upper edge."""
     figure, axes = figures.new(1, len(peaks), height=3.2, sharey=True, squeeze=False)
     for axis, (title, designs) in zip(axes[0], peaks.items(), strict=True):
         for place, (name, values) in enumerate(designs.items()):
@@ -63,18 +57,7 @@ def paint_peaks_over_plants(peaks: Mapping[str, Mapping[str, np.ndarray]], top_d
 
 
 def paint_joint(designs: Mapping[str, JointDesign], design: str, frequency_error: float, bandwidth: float):
-    """Explorer: the constrained functions, each of its worst mass, when the flexible frequencies are off.
-
-    Parameters
-    ----------
-    designs : mapping of str to JointDesign
-    design : str
-        One of them.
-    frequency_error : float
-        Relative error of all flexible frequencies, %.
-    bandwidth : float
-        Of the controller, % of the design's own.
-    """
+    """Explorer: the constrained functions, each of its worst mass, with all flexible frequencies off and another bandwidth (%)."""
     chosen = designs[design]
     chosen = replace(chosen, bandwidth_hz=chosen.bandwidth_hz * bandwidth / 100)
     plant = _shifted(frequency_error / 100)

@@ -24,14 +24,7 @@ def paint_errors_over_order(
 ):
     """Rms error in the scan over the number of states of the feedforward, one panel a design.
 
-    Parameters
-    ----------
-    low : mapping
-        Design to (states, rms in m) of the low-order feedforwards.
-    copies : mapping
-        Design to the same of the observer copy.
-    published : mapping
-        Design to the rms of Table 3.7 (nm).
+    Points are (states, rms in m), of low-order feedforwards and of the observer copy; published is Table 3.7 (nm).
     """
     figure, axes = figures.new(1, len(low), height=3.0, sharey=True, squeeze=False)
     for axis, (name, points) in zip(axes[0], low.items(), strict=True):

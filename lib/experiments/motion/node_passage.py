@@ -57,27 +57,7 @@ def pass_node(
 ) -> Passage:
     """Run the time-varying Kalman filter while a force that it does not know excites one mode at its resonance.
 
-    Parameters
-    ----------
-    plant : ModalModel
-        One input, one output a grid point; the filter knows all of its modes.
-    grid : array_like, shape (outputs,)
-        m.
-    places : array_like, shape (samples,)
-        Where the sensor looks (m).
-    mode : int
-        That is excited and judged.
-    noise : NoiseIntensities
-        Intensities that the filter is designed for.
-    step : float
-        s.
-    amplitude, phase : float
-        Of the force, N and rad.
-
-    Raises
-    ------
-    InputError
-        When the trajectory leaves the grid, or a rigid-body mode is not observable on it.
+    The filter knows all modes of the plant and is designed for `noise`; the sensor follows `places` (m).
     """
     places = require_array("places", places, ndim=1)
     if require_count("mode", mode, at_least=plant.rigid_modes) >= len(plant.frequencies):

@@ -16,20 +16,7 @@ def noisy_scan_trial(
     deviations: dict[str, float],
     warm_up: int = 3000,
 ) -> dict[str, float]:
-    """Rms of the true error in the scan (m) of several loops under one noise realisation; one trial.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    loops : dict
-        Label to a single `closed_loop`.
-    setpoint, feedforward
-        The move; the feedforward is the modified one.
-    deviations : dict
-        As for `noise_error`.
-    warm_up : int
-        Samples before the move, in which the noise reaches its steady state.
-    """
+    """Rms of the true error in the scan (m) of several loops with modified feedforward under one noise realisation."""
     seed = rng.integers(2**63)  # every loop meets the same noise
     samples = warm_up + setpoint.derivatives.shape[1]
     found = {}

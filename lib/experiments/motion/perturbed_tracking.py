@@ -62,20 +62,10 @@ def tracking_trial(
     retune: bool = True,
     step: float = 1e-4,
 ) -> dict[str, float]:
-    """rms of the true error in the scanning phase (m) of every case, on one perturbed plant.
+    """Rms of the true error in the scanning phase (m) of every case, on one perturbed plant and one draw of the noise.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Draws the plant and the noise; every case sees the same.
-    loops : PublishedLoops
-    size, law, rigid
-        See `uncertainty.sample_errors`; with size 0 only the noise is drawn.
-    retune : bool
-        Fit the feedforward to the perturbed plant without observer, as the data-based tuning would, rather
-        than keep the gains of the nominal plant.
-    step : float
-        Sample time (s); the noise is white from sample to sample and held between them.
+    With `retune` the feedforward is fitted to the perturbed plant without observer, as the data-based tuning would;
+    else it keeps the gains of the nominal plant. The noise is white from sample to sample and held between them.
     """
     require_number("step", step, above=0.0)
     setpoint = published_setpoint(step)

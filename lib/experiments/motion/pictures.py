@@ -61,26 +61,7 @@ def paint_bode(
     styles: Mapping[str, dict] | None = None,
     height: float | None = None,
 ):
-    """Magnitude (and phase) of single responses on one pair of axes.
-
-    Parameters
-    ----------
-    curves : mapping
-        Label to (omega in rad/s, complex response).
-    quantity : str
-        Label of the magnitude axis, with its unit.
-    phase : bool
-        Add a panel with the phase.
-    styles : mapping, optional
-        Label to line options; by default those of `case_styles`.
-    height : float, optional
-        Inches.
-
-    Returns
-    -------
-    figure, axes
-        The axes as an array of one or two.
-    """
+    """Magnitude (and phase) of single responses, by label (omega in rad/s, response), on one pair of axes."""
     from matplotlib.ticker import MultipleLocator
 
     figure, axes = figures.new(1 + phase, 1, height=height, sharex=True, squeeze=False)
@@ -111,13 +92,7 @@ def paint_over_masses(
     high_hz: float = 2e3,
     label: str = "mass",
 ):
-    """One loop function of every measured mass, one panel a case, with the allowed peak.
-
-    Parameters
-    ----------
-    panels : mapping
-        Title to (loops, controller, name of the loop function).
-    """
+    """One loop function of every measured mass, a panel a case (loops, controller, function), with the allowed peak."""
     figure, axes = figures.new(1, len(panels), height=3.2, sharey=True, squeeze=False)
     for axis, (title, (loops, controller, function)) in zip(axes[0], panels.items(), strict=True):
         for number, loop in enumerate(loops, 1):
@@ -137,17 +112,7 @@ def paint_over_masses(
 def paint_rejections(
     cases: Mapping[str, StateModel], omega: np.ndarray, sources: Sequence[str] = ("u_ff", "w", "v", "d")
 ):
-    """Transfers from each disturbance to the true error for several closed loops, one panel a disturbance.
-
-    Parameters
-    ----------
-    cases : mapping
-        Label to a single `closed_loop`.
-    omega : ndarray
-        rad/s.
-    sources : sequence of str
-        Inputs of `closed_loop`.
-    """
+    """Transfers from each disturbance to the true error for several closed loops, one panel a disturbance."""
     from matplotlib.ticker import NullFormatter
 
     rows = (len(sources) + 1) // 2

@@ -28,19 +28,10 @@ def stage_grid(spacing: float = 0.05) -> Float64[np.ndarray, " masses"]:
 
 
 def at_place(plant: ModalModel, grid: ArrayLike, place: float, moves: str = "sensor") -> ModalModel:
-    """The machine with its sensor, or its actuator, at one place of the structure.
+    """The machine with its sensor, or its actuator, at one place (m) of the structure; between the grid its shapes are splines.
 
-    Parameters
-    ----------
-    plant : ModalModel
-        One input, one output a grid point, without feedthrough.
-    grid : array_like, shape (outputs,)
-        Where the outputs sit (m), ascending; mode shapes between them are splines.
-    place : float
-        m.
-    moves : str
-        ``sensor``: output position dependence, the force stays where it is. ``actuator``: input position
-        dependence, the force acts at `place` and the position is measured where the plant's own force acts.
+    A moving ``sensor`` is output position dependence, the force stays where it is. A moving ``actuator`` is input
+    position dependence: the force acts at `place`, and the position is measured where the plant's own force acts.
     """
     require_choice("moves", moves, MOVING)
     if plant.input_shapes.shape[1] != 1 or np.any(plant.feedthrough):
@@ -64,11 +55,6 @@ def require_seen(plant: ModalModel, grid: ArrayLike, places: ArrayLike, modes: S
     """Refuse a trajectory of the sensor on which one of `modes` is not observable at some sample.
 
     A stable mode may be lost for a while (the system stays detectable); a rigid-body mode may not.
-
-    Raises
-    ------
-    InputError
-        Naming the mode and the first place.
     """
     places = require_array("places", places, ndim=1)
     shapes = shapes_along(plant, grid, places)
@@ -121,10 +107,7 @@ def damping_along(
 ) -> Float64[np.ndarray, "places 1 states"]:
     """Discrete damping gains (4.3) of an actuator that moves along the structure, solved at every place.
 
-    Raises
-    ------
-    InputError
-        Naming the place, when the actuator sits on a node of a retained mode there: no gain damps that mode.
+    On a node of a retained mode no gain damps that mode: the error names the place.
     """
     gains = []
     for place in require_array("places", places, ndim=1):
@@ -139,13 +122,7 @@ def damping_along(
 def damping_table(
     plant: ModalModel, grid: ArrayLike, places: ArrayLike, increase: float | ArrayLike, step: float
 ) -> GainTable:
-    """The same gains computed beforehand on a grid of places, for linear interpolation.
-
-    Raises
-    ------
-    InputError
-        As `damping_along`, and when a node lies between two places of the grid, where the gain has a pole.
-    """
+    """The same gains computed beforehand on a grid of places, for linear interpolation; a node in between is refused."""
     places = require_array("places", places, ndim=1)
     if len(places) < 2 or np.any(np.diff(places) <= 0):
         raise InputError("places must hold at least two places in ascending order")

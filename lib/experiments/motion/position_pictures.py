@@ -111,14 +111,7 @@ def paint_observers(loops: Mapping[float, Loop], low_hz: float = 1.0, high_hz: f
 
 
 def paint_location_errors(study: LocationStudy, panels: Mapping[str, str]):
-    """Tracking errors at all places, a panel a case: the band they fill in half a millisecond, and three of them (Figs 4.10, 4.11).
-
-    Parameters
-    ----------
-    study : LocationStudy
-    panels : mapping
-        Title to the name of a case.
-    """
+    """Tracking errors at all places, a panel a case: the band they fill in half a millisecond, and three of them (Figs 4.10, 4.11)."""
     figure, axes = figures.new(2, 2, height=4.6, sharex=True, sharey=True)
     time = study.setpoint.time
     starts = np.arange(0, len(time), max(round(5e-4 / study.setpoint.step), 1))  # a pixel of the picture each
@@ -161,19 +154,7 @@ def paint_table_of_ranges(
     spread: Mapping[str, np.ndarray],
     published: Mapping[str, ArrayLike],
 ):
-    """Smallest, mean and largest rms error of every case, their spread over the ranges, and the published values.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Cases, from left to right.
-    whole : mapping of str to ndarray, shape (3,)
-        nm, over all of the structure.
-    spread : mapping of str to ndarray, shape (ranges, 3)
-        nm.
-    published : mapping of str to array_like, shape (3,)
-        nm.
-    """
+    """Smallest, mean and largest rms error (nm) of every case, their spread over the ranges, and the published values."""
     figure, axis = figures.new(1, 1, height=3.4)
     parts = (("smallest", -0.22, figures.GREEN), ("mean", 0.0, figures.BLUE), ("largest", 0.22, figures.RED))
     for k, (part, offset, colour) in enumerate(parts):

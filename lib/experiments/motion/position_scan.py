@@ -89,24 +89,8 @@ def run_applied(
 ) -> AppliedScan:
     """Simulate a scan with MC (`compensate`), AD (`increase` of the damping ratios) or both.
 
-    Parameters
-    ----------
-    scan : PositionScan
-    gains : FilterGains
-        In the loop at every sample; the compliance T_DC is taken off with the last held force.
-    controller : Pid
-        Sampled with a zero-order hold.
-    mass : float
-        Of the acceleration feedforward, kg.
-    noise : array_like, shape (3, samples)
-        w (N), v and d (m).
-    increase, compensate, selectivity
-        What the estimate is used for.
-
-    Raises
-    ------
-    InputError
-        When the loop does not stay bounded.
+    The compliance T_DC is taken off with the last held force. `noise` holds w (N), v and d (m); `mass` (kg) is that of
+    the acceleration feedforward.
     """
     setpoint, step = scan.setpoint, scan.setpoint.step
     samples = setpoint.derivatives.shape[1]
@@ -241,18 +225,7 @@ def compare_schedules(
 ) -> dict[str, ScheduleComparison]:
     """Scans at equally spaced starts over all of the structure, each with both gain schedules and the same noise.
 
-    Parameters
-    ----------
-    plant, grid, setpoint, mass
-        See `position_scan` and `run_applied`.
-    cases : mapping of str to tuple
-        Any name to a key of `APPLICATIONS` and the controller.
-    scans : int
-    spacing : float
-        Of the table's grid (m), 5 mm in the thesis.
-    deviations : tuple of float
-        Of w (N), v and d (m).
-    rng : numpy.random.Generator
+    `cases` hold a key of `APPLICATIONS` and the controller; `spacing` is that of the table (m), 5 mm in the thesis.
     """
     for application, _ in cases.values():
         require_choice("application", application, APPLICATIONS)

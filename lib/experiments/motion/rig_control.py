@@ -35,19 +35,7 @@ def warped(step: float, omega: Float64[np.ndarray, " frequencies"]) -> Float64[n
 def rig_observer(
     model: ModalModel, noise: NoiseIntensities, step: float, noise_model: float | None = None
 ) -> DiscreteObserver:
-    """Stationary Kalman observer of chapter 6, from covariances a sample as (6.2) prints them.
-
-    Parameters
-    ----------
-    model : ModalModel
-        Reduced model; its feedthrough is the compliance of the modes left out.
-    noise : NoiseIntensities
-        Here covariances a sample: N^2 and m^2.
-    step : float
-        s.
-    noise_model : float, optional
-        Covariance Q_nu a sample (N^2) of a random walk at every input.
-    """
+    """Stationary Kalman observer of chapter 6, from covariances a sample as (6.2) prints them: N^2, m^2, and N^2 of Q_nu."""
     require_number("step", step, above=0.0)
     if noise_model is not None:
         noise_model = require_number("noise_model", noise_model, above=0.0) / step
@@ -123,22 +111,9 @@ def rig_compensator(
     target_damping: float | None = None,
     selectivity: float | None = 2.0,
 ) -> RigCompensator:
-    """Compensator for MC, AD or both.
+    """Compensator for MC, AD or both: a damping ratio for every flexible mode, (4.17) with the factor 2 omega that it lacks.
 
-    Parameters
-    ----------
-    observer : DiscreteObserver
-    compensate : bool
-        Subtract the estimated flexible part from the measurement.
-    target_damping : float, optional
-        Damping ratio that every flexible mode shall have, (4.17) with the factor 2 omega that it lacks.
-    selectivity : float, optional
-        Q of one band-pass a mode, (4.16); None: no filter.
-
-    Raises
-    ------
-    InputError
-        When a mode is damped more than that already, or an actuator cannot reach it.
+    `selectivity` is the Q of one band-pass a mode, (4.16); None: no filter.
     """
     model = observer.model
     rigid = model.rigid_modes
@@ -175,11 +150,6 @@ def placed_damping(model: ModalModel, target: float, step: float) -> Float64[np.
     """Damping ratios that pole placement on the sampled flexible modes reaches (section 4.1.2), ascending frequency.
 
     The frequencies stay, all damping ratios shall become `target`. The gain acts on positions too.
-
-    Raises
-    ------
-    InputError
-        When two modes have the same frequency, or the poles cannot be placed.
     """
     flexible = model.modes(slice(model.rigid_modes, None))
     require_number("target", target, above=0.0, below=1.0)

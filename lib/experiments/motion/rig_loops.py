@@ -83,22 +83,10 @@ def make_rig_loop(
     points: int = 80,
     around: int = 8,
 ) -> RigLoop:
-    """Prepare one position.
+    """Prepare one position: three actuators to three sensors.
 
-    Parameters
-    ----------
-    plant : ModalModel
-        Three actuators to three sensors.
-    compensator : RigCompensator, optional
-        None: no observer.
-    decoupling : Decoupling
-    step : float
-        s.
-    omega : ndarray, optional
-        rad/s; by default up to the Nyquist frequency, dense around every mode of the plant and every lightly
-        damped pole of the observer.
-    low_hz, points, around
-        Of that default, see `stillwork.lti.resonance_grid`.
+    The grid (rad/s) goes by default up to the Nyquist frequency, dense around every mode of the plant and every lightly
+    damped pole of the observer.
     """
     if plant.feedthrough.shape != (3, 3):
         raise InputError("plant must have three inputs and three outputs; pick them with plant.at")
@@ -166,15 +154,7 @@ def peaks(
 def sizes(
     loop: RigLoop, pids: Sequence[Pid], measure: str = "singular values"
 ) -> Float64[np.ndarray, "functions frequencies"]:
-    """Size of the five loop functions over frequency.
-
-    Parameters
-    ----------
-    loop : RigLoop
-    pids : sequence of Pid
-    measure : str
-        ``singular values``, the largest one; ``diagonal``, the largest magnitude on the diagonal.
-    """
+    """Size of the five loop functions over frequency: the largest singular value, or the largest magnitude on the diagonal."""
     require_choice("measure", measure, MEASURES)
     return _sizes(*_arrays(loop, pids), measure == "diagonal")
 
@@ -217,29 +197,6 @@ def maximise_rig_bandwidth(
     All directions are raised together first; then the rotations alone, then z alone, as far as each still can.
     Along the way no peak exceeds the limit, so no pole can cross the unit circle; the start and the end are
     checked by eigenvalues.
-
-    Parameters
-    ----------
-    loops : sequence of RigLoop
-        One a position.
-    family : RigControllers
-    measure : str
-        How large a matrix is, see `sizes`.
-    limit : float
-        On that size.
-    low_hz, high_hz : float
-        Range of the design bandwidths.
-    ratio : float
-        Step of the way up.
-    tolerance : float
-        Relative width at which the bisection stops.
-
-    Raises
-    ------
-    Infeasible
-        When the lowest bandwidth is not feasible.
-    InputError
-        When the highest bandwidth still is.
     """
     require_choice("measure", measure, MEASURES)
     if not loops:

@@ -124,16 +124,7 @@ def paint_one_entry(loops: Mapping[str, Sequence[RigLoop]], geometry: Geometry, 
 
 
 def paint_tracking_errors(errors: Mapping[str, np.ndarray], reference: np.ndarray, step: float):
-    """True errors over one period with the scaled trajectory in black: Figs 6.10 and 6.11.
-
-    Parameters
-    ----------
-    errors : mapping
-        Case to (3, samples), m and rad.
-    reference : ndarray, shape (3, samples)
-    step : float
-        s.
-    """
+    """True errors (m and rad) over one period with the scaled trajectory in black: Figs 6.10 and 6.11."""
     figure, axes = figures.new(3, 1, height=5.2, sharex=True)
     every = 10  # samples between those drawn: the errors are slow
     time = np.arange(reference.shape[1])[::every] * step
@@ -180,17 +171,7 @@ def paint_error_spectra(spectra: Mapping[str, Spectrum]):
 def paint_over_geometries(
     values: Mapping[str, np.ndarray], marks: Mapping[str, Sequence[float]], quantity: str
 ):
-    """Spread over geometries of a quantity in three directions, one panel each, with the published values.
-
-    Parameters
-    ----------
-    values : mapping
-        Case to (geometries, 3); NaN where a geometry has no value.
-    marks : mapping
-        Case to the three published values.
-    quantity : str
-        Label of the axis, with its unit.
-    """
+    """Spread over geometries of a quantity in three directions (NaN: none), one panel each, with the published values."""
     figure, axes = figures.new(1, 3, height=2.9, sharey=False)
     for k, axis in enumerate(axes):
         for place, (case, each) in enumerate(values.items()):

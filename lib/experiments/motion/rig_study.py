@@ -41,14 +41,7 @@ class FlexiblePeaks(NamedTuple):
 
 
 def flexible_peaks(loops: list[RigLoop], inertia: Float64[np.ndarray, "3"]) -> FlexiblePeaks:
-    """Peaks of the difference between the equivalent plant and a rigid body of that mass and inertia.
-
-    Parameters
-    ----------
-    loops : list of RigLoop
-    inertia : ndarray, shape (3,)
-        Of the scaled directions (kg).
-    """
+    """Peaks of the difference between the equivalent plant and a rigid body of that mass and inertia (scaled directions)."""
     modes = 2 * np.pi * np.array(published()["frequencies_hz"])
     middle = np.sqrt(modes[1:] * modes[:-1])
     # Within 5 % of each mode, and no nearer to another one; further away the tails of lower modes are larger.
@@ -72,21 +65,11 @@ def rig_trial(
 ) -> dict[str, np.ndarray]:
     """One geometry, one draw of model errors, all four cases, under both readings of "peaks below 6 dB".
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    settings : RigSettings
-    geometry : Geometry, optional
-        By default drawn.
-
-    Returns
-    -------
-    dict
-        With one entry a reading (`MEASURES`) in front: ``crossing`` (cases, 3) in Hz, mean over positions;
-        ``peaks`` (cases, functions); ``original`` and ``redesigned`` (cases, 3), rms errors in m and rad at the
-        first position with the original and with the redesigned controllers; all NaN where no bandwidth passes.
-        Besides ``flexible`` (cases, modes) and ``coupling`` (cases,) in m/N, and the drawn ``mass``, ``aspect``,
-        ``actuators`` and ``sensors``, and ``excitation`` (2, modes), the largest of four and of three actuators.
+    With one entry a reading (`MEASURES`) in front: ``crossing`` (cases, 3) in Hz, mean over positions;
+    ``peaks`` (cases, functions); ``original`` and ``redesigned`` (cases, 3), rms errors in m and rad at the
+    first position with the original and with the redesigned controllers; all NaN where no bandwidth passes.
+    Besides ``flexible`` (cases, modes) and ``coupling`` (cases,) in m/N, and the drawn ``mass``, ``aspect``,
+    ``actuators`` and ``sensors``, and ``excitation`` (2, modes), the largest of four and of three actuators.
     """
     geometry = geometry or sample_geometry(rng)
     loops = rig_loops(geometry, settings, model_errors(rng))

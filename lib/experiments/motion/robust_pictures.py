@@ -22,14 +22,7 @@ COLOURS = dict(zip(ENTRANTS, (figures.RED, figures.BLUE, figures.GREEN), strict=
 
 
 def paint_state_errors(scan: Scan, truth: np.ndarray, estimates: Mapping[str, np.ndarray]):
-    """Estimation errors of one run over time, one panel a state, on a symmetric logarithmic axis (Fig. 5.10).
-
-    Parameters
-    ----------
-    scan : Scan
-    truth : ndarray, shape (states, samples)
-    estimates : mapping of str to ndarray, shape (states, samples)
-    """
+    """Estimation errors of one run over time, one panel a state, on a symmetric logarithmic axis (Fig. 5.10)."""
     from matplotlib.ticker import FixedLocator
 
     figure, axes = figures.new(3, 2, sharex=True)

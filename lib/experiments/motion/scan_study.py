@@ -59,11 +59,6 @@ def published_scan(
 
     Not published, and set here: the masses stand `spacing` metres apart, the move is centred on them, the
     controller is (3.1) at `bandwidth_hz`, the sample time is `step`.
-
-    Raises
-    ------
-    InputError
-        When the move does not fit on the structure.
     """
     plant = stage().modes(slice(0, modes))
     setpoint = published_setpoint(step)
@@ -100,15 +95,7 @@ def output_rows(shapes: Float64[np.ndarray, "samples modes"]) -> Float64[np.ndar
 
 
 def record_scans(scan: Scan, errors: Sequence[ArrayLike], rng: np.random.Generator) -> Records:
-    """Simulate one scan for every plant, exactly at the samples, with fresh noise for each.
-
-    Parameters
-    ----------
-    scan : Scan
-    errors : sequence of array_like, shape (modes, 4)
-        Relative errors of each plant, see `uncertainty.perturbed`.
-    rng : numpy.random.Generator
-    """
+    """Simulate one scan for every plant, exactly at the samples, with fresh noise for each."""
     samples, runs = len(scan.shapes), len(errors)
     if any(np.any(np.diff(scan.nominal.frequencies * (1 + e[:, 0])) < 0) for e in map(np.asarray, errors)):
         raise InputError("errors are so large that two modes change places; give smaller ones")

@@ -20,17 +20,9 @@ from stillwork.lti.state_space import StateModel, interconnect
 
 
 def sensitivity_weight(corner_hz: float, floor: float = 0.02, limit: float = 10 ** (6 / 20)) -> StateModel:
-    """Weight with slope -3 below the corner and the inverse of `limit` above: 1 over a wanted sensitivity.
+    """Weight with slope -3 below the corner and the inverse of 6 dB above: 1 over a wanted sensitivity.
 
-    Parameters
-    ----------
-    corner_hz : float
-        Where the slope begins.
-    floor : float
-        Part of the corner below which the weight stays constant (a pure integrator would make every norm
-        infinite).
-    limit : float
-        Peak that is allowed above the corner, 6 dB.
+    Below `floor` of the corner it stays constant: a pure integrator would make every norm infinite.
     """
     w = 2 * np.pi * require_number("corner_hz", corner_hz, above=0.0)
     floor = require_number("floor", floor, above=0.0, below=1.0)
@@ -52,13 +44,7 @@ def weighted_peak(loop: StateModel, weight: StateModel) -> float:
 
 
 def tipping_corner(loop: StateModel, low_hz: float = 1.0, high_hz: float = 60.0) -> float:
-    """Corner (Hz) of the weight at which this loop just keeps a weighted peak of 1.
-
-    Raises
-    ------
-    InputError
-        When there is no such corner within the range.
-    """
+    """Corner (Hz) of the weight at which this loop just keeps a weighted peak of 1."""
 
     def excess(corner_hz: float) -> float:
         return weighted_peak(loop, sensitivity_weight(corner_hz)) - 1
