@@ -140,12 +140,6 @@ def soft_sensor(observer: Observer, performance_shapes: Float64[np.ndarray, "pla
 
     The estimated deformation at the sensor is subtracted and that at the wanted place added; the rigid-body
     part of the measurement passes unfiltered.
-
-    Parameters
-    ----------
-    observer : Observer
-    performance_shapes : ndarray, shape (places, modes)
-        Mode shapes of the observer's modes at the places where the position is wanted.
     """
     model = observer.model
     if model.rigid_modes != 1 or len(model.output_shapes) != 1:

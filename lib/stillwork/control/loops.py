@@ -110,14 +110,6 @@ def channel(loop: StateModel, source: str, target: str, inputs: int = 1, outputs
     """Transfer between named signals of a `closed_loop` model.
 
     S_I is u_ff to u, S_O is v to e_true, and r to e_true holds both T and the tracking behaviour.
-
-    Parameters
-    ----------
-    loop : StateModel
-    source, target : str
-        One of `INPUTS` and one of `OUTPUTS`.
-    inputs, outputs : int
-        Width of the plant.
     """
     widths_in = {"r": outputs, "u_ff": inputs, "w": inputs, "v": outputs, "d": outputs}
     widths_out = {"e_true": outputs, "e_meas": outputs, "u": inputs, "f": inputs}
