@@ -23,14 +23,13 @@ def paint_transfer_matrix(
     signals: tuple[str, str] = ("u", "q"),
     quantity: str = "magnitude (dB re 1 s²)",
     low_hz: float = 1.0,
-    high_hz: float = 2e3,
 ):
     """Magnitudes of several systems with two inputs and two outputs, one panel an entry; the first lies broad below the others.
 
     `slopes` are the published slopes of some entries (row, column), drawn as a guide beside the last system.
     """
     poles = np.concatenate([system.poles for system in systems.values()])
-    omega = resonance_grid(poles[np.abs(poles) > 2 * np.pi * low_hz], low_hz, high_hz, 250, 25)
+    omega = resonance_grid(poles[np.abs(poles) > 2 * np.pi * low_hz], low_hz, 2e3, 250, 25)
     hertz = omega / (2 * np.pi)
     figure, axes = figures.new(2, 2, height=5.0, sharex=True, squeeze=False)
     for number, (name, system) in enumerate(systems.items()):
@@ -56,10 +55,7 @@ def paint_transfer_matrix(
         if not axis.lines:
             axis.annotate("0 but for rounding", (0.5, 0.5), xycoords="axes fraction", ha="center")
             axis.set_yticks([])
-    for axis in axes[-1]:
-        axis.set_xlabel("frequency (Hz)")
-    for axis in axes[:, 0]:
-        axis.set_ylabel(quantity)
+    figures.label(axes, "frequency (Hz)", quantity)
     figure.legend(
         axes[0, 0].lines[: len(systems)], list(systems), loc="outside lower center", ncols=len(systems)
     )

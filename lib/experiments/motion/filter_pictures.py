@@ -53,8 +53,7 @@ def paint_worst(force: float, detuning: float):
         right.plot(time, found.worst[:, 0], label=name)
     left.set_ylabel("largest possible error ($10^{-9}$ m√kg)")
     right.set_ylabel("worst force (in deviations)")
-    for axis in (left, right):
-        axis.set_xlabel("time (s)")
+    figures.label((left, right), "time (s)")
     left.legend()
     return figure
 

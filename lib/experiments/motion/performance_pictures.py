@@ -34,10 +34,7 @@ def paint_tracking(setpoint: Setpoint, errors: Mapping[str, np.ndarray]):
         axis.set_title(f"{name}: {1e9 * rms(error[setpoint.scanning]):.2f} nm rms in the scan")
     axes[0, 0].set_xlim(0, setpoint.time[shown][-1] + 0.02)
     axes[0, 0].legend(loc="upper right", fontsize=7)
-    for axis in axes[:, 0]:
-        axis.set_ylabel("error (nm)")
-    for axis in axes[-1]:
-        axis.set_xlabel("time (s)")
+    figures.label(axes, "time (s)", "error (nm)")
     return figure
 
 
@@ -69,9 +66,8 @@ def paint_cumulative(power: Mapping[str, CumulativePower], low_hz: float = 1.0):
             axis.semilogx(each.omega[shown] / (2 * np.pi), 1e18 * values[shown], **style)
     for axis, title in zip(axes, ("measured error $e_{meas}$", "true error $e_{true}$"), strict=True):
         axis.set_title(title)
-        axis.set_xlabel("frequency (Hz)")
         axis.xaxis.set_minor_formatter(NullFormatter())
-    axes[0].set_ylabel("cumulative power (nm²)")
+    figures.label(axes, "frequency (Hz)", "cumulative power (nm²)")
     axes[0].legend(loc="upper left")
     return figure
 

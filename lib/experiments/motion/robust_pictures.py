@@ -40,8 +40,7 @@ def paint_state_errors(scan: Scan, truth: np.ndarray, estimates: Mapping[str, np
             axis.axvline(edge, color=figures.BLACK, linewidth=0.8)
         axis.set_title(mode)
         axis.set_ylabel(unit)
-    for axis in axes[-1]:
-        axis.set_xlabel("time (s)")
+    figures.label(axes, "time (s)")
     figures.legend_below(axes[1, 0], 4)
     return figure
 

@@ -58,6 +58,16 @@ def mark_published(axes, x, y, label: str = "published", **options):
     return axes.plot(np.atleast_1d(x), np.atleast_1d(y), label=label, zorder=5, **{**style, **options})
 
 
+def label(axes, x: str = "", y: str = "") -> None:
+    """Name what panels share: `x` below the lowest ones, `y` beside the first of each row."""
+    for each in np.ravel(axes):
+        place = each.get_subplotspec()
+        if x and place.is_last_row():
+            each.set_xlabel(x)
+        if y and place.is_first_col():
+            each.set_ylabel(y)
+
+
 def legend_below(axes, columns: int, **options) -> None:
     """What one panel's lines mean, below the whole figure."""
     handles = axes.get_legend_handles_labels()
