@@ -255,9 +255,9 @@ def kept_out_trial(rng: np.random.Generator, settings: Settings) -> Mapping[str,
     return {"peaks": np.array(peaks)}
 
 
-def off_diagonal_peak(system: StateModel, omega: float, part: float = 0.2) -> float:
-    """Largest off-diagonal magnitude within `part` of a frequency (rad/s)."""
-    low, high = omega * (1 - part) / (2 * np.pi), omega * (1 + part) / (2 * np.pi)
+def off_diagonal_peak(system: StateModel, omega: float) -> float:
+    """Largest off-diagonal magnitude within a fifth of a frequency (rad/s)."""
+    low, high = omega * (1 - 0.2) / (2 * np.pi), omega * (1 + 0.2) / (2 * np.pi)
     grid = resonance_grid(system.poles, low, high, 40, 5)
 
     def largest(frequencies: np.ndarray) -> np.ndarray:

@@ -43,12 +43,10 @@ def required_integrators(disturbance: int = 1, reference: int = 1, sensor: int =
     return max(disturbance - 1, sensor - plant - 1, reference - plant - 1, -1) + 1
 
 
-def keeps_integral_action(
-    compensator: StateModel, application: str, relative: float = 1e-9
-) -> ObserverConditions:
+def keeps_integral_action(compensator: StateModel, application: str) -> ObserverConditions:
     """Conditions (3.12)-(3.13) for measurement compensation or (3.38)-(3.39) for active damping.
 
-    A static gain below `relative` of the largest over frequency counts as zero: it is a difference of large
+    A static gain below 1e-9 of the largest over frequency counts as zero: it is a difference of large
     numbers, exact only to rounding.
     """
     require_choice("application", application, ("compensation", "damping"))
@@ -56,7 +54,7 @@ def keeps_integral_action(
     gains = static_gain(compensator)[row]
     omega = np.unique(np.abs(compensator.poles))
     peak = np.abs(compensator.frequency_response(omega)[row]).max(axis=1)
-    zero = np.abs(gains) <= relative * peak
+    zero = np.abs(gains) <= 1e-9 * peak
     keeps = bool(zero[1] and zero[0]) if application == "compensation" else bool(zero[1])
     return ObserverConditions(float(gains[0]), float(gains[1]), keeps)
 

@@ -103,7 +103,7 @@ def location_loops(
 def _block(plant: ModalModel, grid: ArrayLike, place: float, design: Design) -> StateModel | None:
     if design.application is None:
         return None
-    return compensator(observer_at(plant, grid, place, None, design.noise_model), design.application)
+    return compensator(observer_at(plant, grid, place, design.noise_model), design.application)
 
 
 def study_locations(

@@ -13,7 +13,14 @@ from jaxtyping import Float64
 
 from experiments.motion.uncertainty import perturbed, sample_errors
 from stillwork.base.checks import InputError, require_choice, require_count
-from stillwork.control.feedforward import BASIS, Feedforward, error_loop, tracking_error, tracking_model
+from stillwork.control.feedforward import (
+    BASIS,
+    Feedforward,
+    error_loop,
+    least_squares,
+    tracking_error,
+    tracking_model,
+)
 from stillwork.control.loops import INPUTS, OUTPUTS, closed_loop
 from stillwork.control.setpoint import Setpoint
 from stillwork.lti.modal import ModalModel
@@ -109,12 +116,8 @@ class MoveResponses:
         """See `fit_low_order`."""
         if not (basis or poles):
             raise InputError("basis and poles are empty; give at least one")
-        columns = self._columns(basis, poles)
-        sizes = np.linalg.norm(columns, axis=1)
-        if np.any(sizes == 0):
-            raise InputError("setpoint does not move; the feedforward gains cannot be told apart")
-        gains = np.linalg.lstsq((columns / sizes[:, None]).T, -self.alone, rcond=1e-12)[0] / sizes
-        direct, weights = gains[: len(basis)].tolist(), tuple(gains[len(basis) :].tolist())
+        gains = least_squares(self._columns(basis, poles).T, -self.alone)
+        direct, weights = gains[: len(basis)], tuple(gains[len(basis) :])
         return LowOrder(Feedforward(**dict(zip(basis, direct, strict=True))), poles, weights)
 
     def _columns(self, basis, poles) -> Float64[np.ndarray, "gains samples"]:
@@ -137,16 +140,15 @@ def pick_poles(
     setpoint: Setpoint,
     candidates: Sequence[complex],
     order: int,
-    basis: tuple[str, ...] = BASIS,
 ) -> list[LowOrder]:
     """Feedforwards of growing order: each takes the one candidate more that lowers the squared error most."""
     require_count("order", order, at_least=0)
     responses = MoveResponses(loop, setpoint)
-    found = [responses.fit((), basis)]
+    found = [responses.fit()]
     while True:
         chosen = found[-1].poles
         fitting = [
-            responses.fit((*chosen, pole), basis)
+            responses.fit((*chosen, pole))
             for pole in candidates
             if pole not in chosen and found[-1].order + len(filters(pole)) <= order
         ]

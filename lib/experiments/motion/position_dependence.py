@@ -14,7 +14,7 @@ from stillwork.base.checks import InputError, require_array, require_choice, req
 from stillwork.control.applications import compensator
 from stillwork.control.bandwidth import Loop, make_loop
 from stillwork.control.discrete_damping import discrete_damping_gain
-from stillwork.estimation.observer import NoiseIntensities, Observer, kalman_observer
+from stillwork.estimation.observer import Observer, kalman_observer
 from stillwork.estimation.scheduled import GainTable
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.reduction import truncate
@@ -73,13 +73,11 @@ def observer_at(
     plant: ModalModel,
     grid: ArrayLike,
     place: float,
-    noise: NoiseIntensities | None = None,
     noise_model: float | None = None,
-    moves: str = "sensor",
 ) -> Observer:
     """Stationary observer for one place: matrices, compliance and gain of (4.6) belong to it."""
-    reduced = truncate(at_place(plant, grid, place, moves), RETAINED, COMPENSATED)
-    return kalman_observer(reduced, noise or published_noise(), noise_model)
+    reduced = truncate(at_place(plant, grid, place), RETAINED, COMPENSATED)
+    return kalman_observer(reduced, published_noise(), noise_model)
 
 
 def place_loops(
@@ -87,8 +85,6 @@ def place_loops(
     grid: ArrayLike,
     places: ArrayLike,
     design: Design,
-    noise: NoiseIntensities | None = None,
-    moves: str = "sensor",
     **response_grid,
 ) -> list[Loop]:
     """One loop a place, with the observer of that place; `response_grid` goes to `make_loop`."""
@@ -96,9 +92,9 @@ def place_loops(
     for place in require_array("places", places, ndim=1):
         block = None
         if design.application is not None:
-            observer = observer_at(plant, grid, float(place), noise, design.noise_model, moves)
+            observer = observer_at(plant, grid, float(place), design.noise_model)
             block = compensator(observer, design.application)
-        loops.append(make_loop(at_place(plant, grid, float(place), moves), block, **response_grid))
+        loops.append(make_loop(at_place(plant, grid, float(place)), block, **response_grid))
     return loops
 
 

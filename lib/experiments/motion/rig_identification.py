@@ -150,10 +150,9 @@ def direct_response(records: MultisineRecords) -> Complex128[np.ndarray, "lines 
     return pairs[0] @ np.linalg.inv(pairs[1])
 
 
-def smoothed_deviation(estimate: ResponseMatrix, lines: int = 15) -> Float64[np.ndarray, " lines"]:
-    """Deviation over frequency: root mean square over entries and over neighbouring lines."""
-    require_count("lines", lines)
+def smoothed_deviation(estimate: ResponseMatrix) -> Float64[np.ndarray, " lines"]:
+    """Deviation over frequency: root mean square over entries and over fifteen neighbouring lines."""
     power = (estimate.deviation**2).mean(axis=(1, 2))
-    kernel = np.ones(lines)
+    kernel = np.ones(15)
     sums = np.convolve(power, kernel, mode="same") / np.convolve(np.ones_like(power), kernel, mode="same")
     return np.sqrt(require_array("deviation", sums))

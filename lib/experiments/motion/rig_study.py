@@ -8,11 +8,7 @@ from jaxtyping import Float64
 
 from experiments.motion.rig import Geometry, assumed, excitation, published, scaled_inertia
 from experiments.motion.rig_designs import CASES, RigSettings, bandwidths, model_errors, rig_loops
-from experiments.motion.rig_loops import (
-    FUNCTIONS,
-    MEASURES,
-    RigLoop,
-)
+from experiments.motion.rig_loops import FUNCTIONS, MEASURES, RigLoop
 from experiments.motion.rig_tracking import levelling, levelling_rms
 from stillwork.base.checks import InputError
 
@@ -60,9 +56,7 @@ def flexible_peaks(loops: list[RigLoop], inertia: Float64[np.ndarray, "3"]) -> F
     return FlexiblePeaks(np.max(found, axis=0), float(np.mean(coupling)))
 
 
-def rig_trial(
-    rng: np.random.Generator, settings: RigSettings, geometry: Geometry | None = None
-) -> dict[str, np.ndarray]:
+def rig_trial(rng: np.random.Generator, settings: RigSettings) -> dict[str, np.ndarray]:
     """One geometry, one draw of model errors, all four cases, under both readings of "peaks below 6 dB".
 
     With one entry a reading (`MEASURES`) in front: ``crossing`` (cases, 3) in Hz, mean over positions;
@@ -71,7 +65,7 @@ def rig_trial(
     Besides ``flexible`` (cases, modes) and ``coupling`` (cases,) in m/N, and the drawn ``mass``, ``aspect``,
     ``actuators`` and ``sensors``, and ``excitation`` (2, modes), the largest of four and of three actuators.
     """
-    geometry = geometry or sample_geometry(rng)
+    geometry = sample_geometry(rng)
     loops = rig_loops(geometry, settings, model_errors(rng))
     trajectory = levelling(rng)
     shape = (len(MEASURES), len(CASES), 3)
