@@ -79,33 +79,22 @@ def flat_floor(
     )
 
 
-def colored_floor(
-    low_pass_hz: float = 80.0,
-    level: float | ArrayLike = FLAT_LEVEL,
-    *,
-    gain: float = 4.0,
-    high_pass_hz: float = 3.0,
-    channels: int = SENSORS,
-    sample_rate: float = SAMPLE_RATE,
-) -> ShapedFloor:
+def colored_floor(low_pass_hz: float = 80.0, *, gain: float = 4.0) -> ShapedFloor:
     """The 'colored' floor of Fig. 2: `flat_floor` raised at 40-90 Hz and around 150 Hz.
 
     The paper names the bands, not the heights: each is a second-order peak of about `gain` times the amplitude
     (4: 12 dB, assumed), at 60 Hz (the band's geometric mean), 50 Hz wide, and at 150 Hz, 30 Hz wide (assumed).
-    Other parameters as in `flat_floor`.
     """
     require_number("gain", gain, at_least=1.0)
-    flat = flat_floor(
-        low_pass_hz, level, high_pass_hz=high_pass_hz, channels=channels, sample_rate=sample_rate
-    )
-    sections = _peaks([(60.0, 50.0), (150.0, 30.0)], gain, sample_rate)
+    flat = flat_floor(low_pass_hz)
+    sections = _peaks([(60.0, 50.0), (150.0, 30.0)], gain)
     raised = np.concatenate([flat.sections, np.tile(sections, (flat.channels, 1, 1))], axis=1)
     return ShapedFloor(raised, flat.scale, flat.sample_rate)
 
 
-def _peaks(bands: list[tuple[float, float]], gain: float, sample_rate: float):
+def _peaks(bands: list[tuple[float, float]], gain: float):
     """Sections of 1 + (gain - 1) sum of B over (centre, width), with B a resonator that is 1 at its centre."""
-    resonators = [signal.iirpeak(centre, centre / width, fs=sample_rate) for centre, width in bands]
+    resonators = [signal.iirpeak(centre, centre / width, fs=SAMPLE_RATE) for centre, width in bands]
     whole = np.ones(1)
     for _, a in resonators:
         whole = np.polymul(whole, a)

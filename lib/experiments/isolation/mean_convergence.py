@@ -78,13 +78,13 @@ class Sideways:
     eigenvalue: float
 
 
-def narrow_floor(twin: Twin, low_hz: float, high_hz: float, level: float = FLAT_LEVEL) -> ShapedFloor:
+def narrow_floor(twin: Twin, low_hz: float, high_hz: float) -> ShapedFloor:
     """Floor confined to a band, second-order Butterworth, m/s^2/sqrt(Hz) inside; sensors independent."""
     rate = twin.instruments.sample_rate
     sections = signal.butter(2, [low_hz, high_hz], "bandpass", fs=rate, output="sos")
     return ShapedFloor(
         np.repeat(sections[None], twin.sensors, axis=0),
-        np.full(twin.sensors, level * np.sqrt(rate / 2)),
+        np.full(twin.sensors, FLAT_LEVEL * np.sqrt(rate / 2)),
         rate,
     )
 

@@ -29,8 +29,8 @@ SETTLE_S = 5.0  # start of a record that is cut off: two dozen time constants of
 class Axes:
     """From sensor readings to motion of a rigid body in z, θx, θy about the centre of mass."""
 
-    floor: Float64[np.ndarray, "3 sensors"]  # of the floor plate
-    platform: Float64[np.ndarray, "3 outputs"]  # of the platform
+    floor: Float64[np.ndarray, "3 sensors"]
+    platform: Float64[np.ndarray, "3 outputs"]
     floor_readings: Float64[np.ndarray, "sensors 3"]  # readings of the floor sensors per motion of the plate
 
 

@@ -49,7 +49,7 @@ class SpectralFloor:
     # acceleration PSD, (m/s^2)^2/Hz; straight in between, zero outside
     levels: Float64[np.ndarray, " frequencies"]
     source: str  # where it comes from
-    channels: int = SENSORS  # sensors
+    channels: int = SENSORS
 
     def density(self, frequencies_hz: ArrayLike) -> Float64[np.ndarray, "channels frequencies"]:
         """Acceleration PSD of every sensor, (m/s^2)^2/Hz."""
@@ -136,7 +136,6 @@ def ground_floor(
     seed: int,
     *,
     gain: float = 1.0,
-    criterion: str = GROUND_CRITERION,
     upper_hz: float = UPPER_HZ,
     **options,
 ) -> RecordedFloor:
@@ -144,7 +143,7 @@ def ground_floor(
 
     Parameters are those of `ground_spectrum` and `synthesise_floor`.
     """
-    ground = ground_spectrum(gain=gain, criterion=criterion, upper_hz=upper_hz)
+    ground = ground_spectrum(gain=gain, upper_hz=upper_hz)
     return synthesise_floor(
         ground.frequencies_hz, ground.levels, duration, seed, source=ground.source, **options
     )

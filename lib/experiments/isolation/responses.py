@@ -20,15 +20,15 @@ class Responses:
     """
 
     frequencies_hz: Float64[np.ndarray, "frequencies"]  # below half the sample rate
-    primary: Complex128[np.ndarray, "frequencies outputs sensors"]  # p1
-    secondary: Complex128[np.ndarray, "frequencies outputs actuators"]  # p2, m/s^2 per N
+    primary: Complex128[np.ndarray, "frequencies outputs sensors"]  # P1
+    secondary: Complex128[np.ndarray, "frequencies outputs actuators"]  # P2, m/s^2 per N
     # measured platform acceleration per platform noise n1, which enters before the conditioner
     sensitivity: Complex128[np.ndarray, "frequencies outputs outputs"]
     # B: conditioner and weak integrators
     regressors: Complex128[np.ndarray, "frequencies regressors sensors"]
     shaping: Complex128[np.ndarray, "frequencies"]  # N
     error: Complex128[np.ndarray, "frequencies actuators outputs"]  # N P2hat^-1
-    conditioning: Complex128[np.ndarray, "frequencies"]  # signal conditioner
+    conditioning: Complex128[np.ndarray, "frequencies"]
 
     @property
     def path_error(self) -> Complex128[np.ndarray, "frequencies actuators actuators"]:

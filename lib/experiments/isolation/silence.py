@@ -29,18 +29,12 @@ class ErrorRecord:
 
 
 def run_to_the_end(
-    twin: Twin,
-    stages: list[tuple[float, ShapedFloor]],
-    adaptation: FeLms | FeRls,
-    seed: int,
-    keep_every_s: float = 0.02,
+    twin: Twin, stages: list[tuple[float, ShapedFloor]], adaptation: FeLms | FeRls, seed: int
 ) -> ErrorRecord:
     """Run stages of (seconds, floor) as `simulate` does; an unstable run is kept up to where it broke."""
+    settings = {"adaptation": adaptation, "seed": seed, "keep_every_s": 0.02}
     try:
-        run, broke_s = (
-            simulate(twin, stages, adaptation=adaptation, seed=seed, keep_every_s=keep_every_s),
-            None,
-        )
+        run, broke_s = simulate(twin, stages, **settings), None
     except UnstableAdaptation as error:
         broke_s = error.sample * twin.sample_time
         cut, left = [], broke_s - twin.sample_time
@@ -48,5 +42,5 @@ def run_to_the_end(
             if left > 0:
                 cut.append((min(seconds, left), floor))
             left -= seconds
-        run = simulate(twin, cut, adaptation=adaptation, seed=seed, keep_every_s=keep_every_s)
+        run = simulate(twin, cut, **settings)
     return ErrorRecord(run.time_s, np.sqrt(run.error_power), broke_s)

@@ -46,34 +46,18 @@ def simulate(
     duration_s: float | None = None,
     *,
     adaptation: FeLms | FeRls | None = None,
-    weights: ArrayLike | None = None,
-    feedback: bool = True,
-    noise: bool = True,
-    seed: int = 0,
-    keep_every_s: float = 0.1,
-    signals_from_s: float | None = None,
+    **settings,
 ) -> Run:
     """Run a twin in closed loop from rest.
 
     The four cases of the paper: ``feedback=False`` (passive); nothing else (feedback only); ``weights=W``
     (feedforward with frozen weights); ``adaptation=FeLms()`` or ``FeRls(...)``, from `weights` or from zero.
-    A list of (seconds, floor) changes the floor in mid-run, at once. The floor's motion and each noise draw from their own
-    stream of `seed`: runs with the same seed see the same floor, whatever the controller does. From `signals_from_s` on
-    all signals are kept at the full rate. An adaptation that diverges raises `UnstableAdaptation` with the sample and the cause.
+    A list of (seconds, floor) changes the floor in mid-run, at once. The floor's motion and each noise draw from
+    their own stream of `seed`: runs with the same seed see the same floor, whatever the controller does. An
+    adaptation that diverges raises `UnstableAdaptation` with the sample and the cause. All `settings` are those of
+    `simulate_each`.
     """
-    (run,) = _runs(
-        twin,
-        floor,
-        duration_s,
-        [adaptation],
-        weights=weights,
-        feedback=feedback,
-        noise=noise,
-        seed=seed,
-        keep_every_s=keep_every_s,
-        signals_from_s=signals_from_s,
-    )
-    return run
+    return simulate_each(twin, floor, duration_s, adaptations={"": adaptation}, **settings)[""]
 
 
 def simulate_each(
@@ -83,27 +67,16 @@ def simulate_each(
     *,
     adaptations: Mapping[str, FeLms | FeRls | None],
     weights: ArrayLike | None = None,
+    feedback: bool = True,
+    noise: bool = True,
     seed: int = 0,
+    keep_every_s: float = 0.1,
+    signals_from_s: float | None = None,
 ) -> dict[str, Run]:
-    """What `simulate` gives for each of several algorithms, on a floor and noises that are drawn once for all."""
-    runs = _runs(twin, floor, duration_s, list(adaptations.values()), weights=weights, seed=seed)
-    return dict(zip(adaptations, runs, strict=True))
+    """What `simulate` gives for each of several algorithms, side by side, on a floor and noises that are drawn once.
 
-
-def _runs(
-    twin: Twin,
-    floor,
-    duration_s,
-    adaptations: list,
-    *,
-    weights=None,
-    feedback=True,
-    noise=True,
-    seed=0,
-    keep_every_s=0.1,
-    signals_from_s=None,
-) -> list[Run]:
-    """One run an algorithm, side by side, block by block."""
+    Weights and error power are kept every `keep_every_s`; from `signals_from_s` on all signals are, at the full rate.
+    """
     rate = twin.instruments.sample_rate
     every = require_count("keep_every_s times the sample rate", round(keep_every_s * rate))
     segments = _segments(twin, floor, duration_s)
@@ -121,7 +94,7 @@ def _runs(
             )
 
     sides = []
-    for adaptation in adaptations:
+    for adaptation in adaptations.values():
         code, numbers, recursion = _algorithm(twin, adaptation)
         closed = loop.loop_of(twin, feedback, start, recursion)
         sides.append((adaptation, code, numbers, closed, _Kept(twin, total, every, first)))
@@ -152,7 +125,7 @@ def _runs(
             if done + samples > first:
                 kept.floor[done - first : done - first + samples] = floor_block
         done += samples
-    return [kept.run(rate, closed) for _, _, _, closed, kept in sides]
+    return {name: side[-1].run(rate, side[-2]) for name, side in zip(adaptations, sides, strict=True)}
 
 
 def _algorithm(twin: Twin, adaptation):

@@ -35,11 +35,11 @@ class ErrorFilter:
 class Twin:
     """A model of an isolation rig, complete enough to run its controller on."""
 
-    name: str  # what it is
-    plant: Platform  # mechanics
-    instruments: Instruments  # sampling, actuators, sensors, noise
-    skyhook: Skyhook  # feedback
-    feedforward: SelfTunedFeedforward  # self-tuned feedforward
+    name: str
+    plant: Platform
+    instruments: Instruments
+    skyhook: Skyhook
+    feedforward: SelfTunedFeedforward
     rig: Rig | None = None  # geometry, when the plant is a rigid body on struts
 
     def __post_init__(self):

@@ -10,6 +10,7 @@ from scipy import linalg, signal
 from scipy.optimize import linear_sum_assignment
 
 from stillwork.base.checks import InputError, require_number
+from stillwork.control.applications import filtered_estimates
 from stillwork.control.discrete_damping import sampled_feedback
 from stillwork.control.discrete_observer import DiscreteObserver, discrete_kalman_observer
 from stillwork.control.feedback import band_pass, damping_gain, fed_back
@@ -17,7 +18,7 @@ from stillwork.control.pid import Pid
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti.discretisation import tustin, zoh_modes
 from stillwork.lti.modal import ModalModel
-from stillwork.lti.state_space import StateModel, interconnect
+from stillwork.lti.state_space import StateModel
 
 
 def pid_response(
@@ -66,13 +67,6 @@ class RigCompensator:
     def _estimator(self) -> StateModel:
         return self.observer.estimator(self._read(), "predictor", 1)
 
-    def _filters(self) -> list[StateModel]:
-        if self.selectivity is None:
-            return []
-        omega = self.observer.model.frequencies[self.observer.model.rigid_modes :]
-        step = self.observer.step
-        return [tustin(band_pass(float(w), self.selectivity), step, float(w)) for w in omega]
-
     def frequency_response(
         self, omega: Float64[np.ndarray, " frequencies"]
     ) -> Complex128[np.ndarray, "signals signals frequencies"]:
@@ -90,19 +84,12 @@ class RigCompensator:
 
     def state_space(self) -> StateModel:
         """The same block with its states, for closed loops; without damping the filters are left out."""
-        inputs, outputs = self.gains.shape[0], len(self.observer.c)
-        both = inputs + outputs
         if not np.any(self.gains) or self.selectivity is None:
-            damping = self.observer.read(self.gains, "velocity")
+            damping, outputs = self.observer.read(self.gains, "velocity"), len(self.observer.c)
             return self.observer.estimator(np.vstack([damping, self._read()[:outputs]]), "predictor", 1)
-        estimator, filters = self._estimator, self._filters()
-        count = len(filters)
-        feedback = np.zeros((both + count, outputs + 2 * count))
-        feedback[both:, outputs : outputs + count] = np.eye(count)
-        take = np.zeros((both, outputs + 2 * count))
-        take[:inputs, outputs + count :] = self.gains
-        take[inputs:, :outputs] = np.eye(outputs)
-        return interconnect([estimator, *filters], feedback, np.eye(both + count, both), take)
+        omega, step = self.observer.model.frequencies[self.observer.model.rigid_modes :], self.observer.step
+        filters = [tustin(band_pass(float(w), self.selectivity), step, float(w)) for w in omega]
+        return filtered_estimates(self._estimator, filters, self.gains)
 
 
 def rig_compensator(

@@ -1,5 +1,6 @@
 """What an observer does for a loop: measurement compensation, active damping, or both (sections 3.2-3.4)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -132,6 +133,20 @@ def _wired(models, inputs: int, outputs: int, filters: int, gain: np.ndarray, hi
         take[inputs:, :outputs] = np.eye(outputs)
     external = np.eye(all_in, inputs + outputs)
     return interconnect(models, feedback, external, take)
+
+
+def filtered_estimates(
+    estimator: StateModel, filters: Sequence[StateModel], gain: Float64[np.ndarray, "inputs flexible"]
+) -> StateModel:
+    """From (u, y) to (u_d, y_flex), of an estimator of (y_flex, velocities): each velocity through its filter and gain."""
+    inputs, count = gain.shape
+    outputs = len(estimator.c) - count
+    both = inputs + outputs
+    feedback, take = np.zeros((both + count, outputs + 2 * count)), np.zeros((both, outputs + 2 * count))
+    feedback[both:, outputs : outputs + count] = np.eye(count)
+    take[:inputs, outputs + count :] = gain
+    take[inputs:, :outputs] = np.eye(outputs)
+    return interconnect([estimator, *filters], feedback, np.eye(both + count, both), take)
 
 
 @checked

@@ -9,7 +9,7 @@ from scipy import linalg
 
 from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
 from stillwork.base.front_door import check_fields, checked
-from stillwork.control.applications import Application
+from stillwork.control.applications import Application, filtered_estimates
 from stillwork.control.discrete_damping import discrete_damping_gain
 from stillwork.control.feedback import band_pass, damping_gain
 from stillwork.estimation.observer import NoiseIntensities
@@ -17,7 +17,7 @@ from stillwork.estimation.riccati import discrete_gain
 from stillwork.lti.delays import delayed
 from stillwork.lti.discretisation import zoh, zoh_modes
 from stillwork.lti.modal import ModalModel
-from stillwork.lti.state_space import StateModel, interconnect
+from stillwork.lti.state_space import StateModel
 
 FORMS = ("filter", "predictor")
 
@@ -139,7 +139,7 @@ def discrete_compensator(
     if application.stiffness != 1.0 or application.high_pass_hz or application.common:
         raise InputError("application: only MC and AD with a band-pass a mode exist in discrete time")
     model = observer.model
-    rigid, inputs, outputs = model.rigid_modes, observer.b.shape[1], len(observer.c)
+    rigid, inputs = model.rigid_modes, observer.b.shape[1]
     flexible = len(model.frequencies) - rigid
     if not flexible:
         raise InputError("observer.model has no flexible modes; there is nothing to compensate or to damp")
@@ -161,10 +161,4 @@ def discrete_compensator(
     filters = [
         zoh(band_pass(float(w), application.selectivity), observer.step) for w in model.frequencies[rigid:]
     ]
-    models = [estimator, *filters]
-    feedback = np.zeros((inputs + outputs + flexible, outputs + 2 * flexible))
-    feedback[inputs + outputs :, outputs : outputs + flexible] = np.eye(flexible)
-    take = np.zeros((inputs + outputs, outputs + 2 * flexible))
-    take[:inputs, outputs + flexible :] = gain[:, 2 * rigid + 1 :: 2]
-    take[inputs:, :outputs] = np.eye(outputs)
-    return interconnect(models, feedback, np.eye(len(feedback), inputs + outputs), take)
+    return filtered_estimates(estimator, filters, gain[:, 2 * rigid + 1 :: 2])
