@@ -35,7 +35,13 @@ class Axes:
 
 
 def central_axes(rig: Rig | None) -> Axes:
-    """Axes of a rig."""
+    """Axes of a rig.
+
+    Raises
+    ------
+    InputError
+        When the model has no geometry, or its floor sensors do not fix z, θx and θy.
+    """
     if rig is None:
         raise InputError("the model has no geometry, so no z, θx and θy; take one with a body and struts")
     readings = rig.floor_sensors.jacobian[:, _ROWS]

@@ -70,12 +70,34 @@ def synthesise_floor(
     sample_rate: float = SAMPLE_RATE,
     source: str = "synthesised",
 ) -> RecordedFloor:
-    """Gaussian motion whose expected PSD ((m/s^2)^2/Hz, one-sided) is exactly the given one on every line 1/duration.
+    """Gaussian motion whose expected PSD is exactly the given one on every line 1/duration.
 
     Each Fourier line gets a random amplitude and phase; the motion is stationary and its end joins its start.
     Between the given frequencies the density runs straight, as `spectra.band_power` integrates it; outside it is
-    zero. `common` is the share of the power that all sensors see alike, from 0 (independent, as the paper's three
-    shakers) to 1 (the plate only translates, as ground waves far longer than the plate move it).
+    zero.
+
+    Parameters
+    ----------
+    frequencies_hz, density : array_like, shape (frequencies,)
+        One-sided acceleration PSD, (m/s^2)^2/Hz; frequencies positive and rising.
+    duration : float
+        Seconds.
+    seed : int
+        Of the random lines.
+    common : float
+        Share of the power that all sensors see alike, 0 (independent, as the paper's three shakers) to 1 (the
+        plate only translates, as ground waves far longer than the plate move it).
+    channels : int
+        Sensors.
+    sample_rate : float
+        Hz.
+    source : str
+        Where the density comes from.
+
+    Raises
+    ------
+    InputError
+        When the density is negative or the frequencies do not rise.
     """
     f = require_array("frequencies_hz", frequencies_hz, ndim=1)
     s = require_array("density", density, shape=f.shape)

@@ -37,9 +37,15 @@ def _packed(kind, options, work_shape, process=((),), noise=((),)):
 
 @dataclass(frozen=True)
 class MovingWindow:
-    """Section II.A: three cascaded affine fits over `length` + 1 samples, read at the newest sample."""
+    """Section II.A: three cascaded affine fits over `length` + 1 samples, read at the newest sample.
 
-    length: int = 12  # L of the paper; the window holds L + 1 samples
+    Attributes
+    ----------
+    length : int
+        L of the paper; the window holds L + 1 samples.
+    """
+
+    length: int = 12
     error_from_measurement = True  # which position the controller compares with the nominal one
 
     def __post_init__(self):
@@ -80,11 +86,21 @@ class LowPass:
 
 @dataclass(frozen=True)
 class SavitzkyGolay:
-    """Least-squares polynomial over the latest samples; its value and derivatives at the newest one."""
+    """Least-squares polynomial over the latest samples; its value and derivatives at the newest one.
 
-    samples: int = 15  # in the window
-    degree: int = 2  # of the polynomial, 2 at least: an acceleration is wanted
-    time_step: float = 1e-3  # s; the weights of the derivatives depend on it
+    Attributes
+    ----------
+    samples : int
+        In the window.
+    degree : int
+        Of the polynomial, 2 at least: an acceleration is wanted.
+    time_step : float
+        s; the weights of the derivatives depend on it.
+    """
+
+    samples: int = 15
+    degree: int = 2
+    time_step: float = 1e-3
     error_from_measurement = True
 
     def __post_init__(self):
@@ -102,14 +118,30 @@ class SavitzkyGolay:
 
 @dataclass(frozen=True)
 class UnscentedKalman:
-    """Section II.C: state [velocity, position], measured as [difference quotient, position]."""
+    """Section II.C: state [velocity, position], measured as [difference quotient, position].
 
-    plant: Plant  # the model that the filter believes in
-    process: ArrayLike = (1e-1, 1e-3)  # Q (2, 2) or (2,), by velocity and position: m^2/s^2 and m^2
-    noise: ArrayLike = (1e-2, 1e-3)  # R, likewise
-    initial_variance: float = 1e-3  # of both states at the first measurement
-    literal: bool = False  # correct with points around the previous estimate, as (14) is printed
-    points: SigmaPoints = field(default_factory=SigmaPoints)  # scaling, Table II
+    Attributes
+    ----------
+    plant : Plant
+        The model that the filter believes in.
+    process : array_like, shape (2, 2) or (2,)
+        Q, by velocity and position: m^2/s^2 and m^2.
+    noise : array_like, shape (2, 2) or (2,)
+        R, likewise.
+    initial_variance : float
+        Of both states at the first measurement.
+    literal : bool
+        Correct with points around the previous estimate, as (14) is printed.
+    points : SigmaPoints
+        Scaling, Table II.
+    """
+
+    plant: Plant
+    process: ArrayLike = (1e-1, 1e-3)
+    noise: ArrayLike = (1e-2, 1e-3)
+    initial_variance: float = 1e-3
+    literal: bool = False
+    points: SigmaPoints = field(default_factory=SigmaPoints)
     error_from_measurement = False
 
     def __post_init__(self):
@@ -129,13 +161,25 @@ class ExtendedKalman:
     """Extended Kalman filter with a disturbance state, measured by the position alone.
 
     Not in the paper. The disturbance collects what the model gets wrong, as a random walk of acceleration.
+
+    Attributes
+    ----------
+    plant : Plant
+        The model that the filter believes in.
+    disturbance_step : float
+        Standard deviation of the disturbance's change in one sample, m/s^2.
+    noise_deviation : float
+        Standard deviation of the measured position, m.
+    velocity_step : float
+        Standard deviation of what else changes the velocity in one sample, m/s.
+    initial_deviation : tuple of float
+        Of position, velocity and disturbance at the first measurement.
     """
 
-    plant: Plant  # the model that the filter believes in
-    disturbance_step: float = 1.0  # standard deviation of the disturbance's change in one sample, m/s^2
-    noise_deviation: float = 1e-4  # standard deviation of the measured position, m
-    velocity_step: float = 0.0  # standard deviation of what else changes the velocity in one sample, m/s
-    # of position, velocity and disturbance at the first measurement
+    plant: Plant
+    disturbance_step: float = 1.0
+    noise_deviation: float = 1e-4
+    velocity_step: float = 0.0
     initial_deviation: tuple[float, float, float] = (1e-2, 1.0, 10.0)
     error_from_measurement = False
 

@@ -23,15 +23,26 @@ SIGNATURE = "void(float64[::1], float64[::1], float64[::1], float64[::1])"
 
 @dataclass(frozen=True)
 class NonlinearModel:
-    """x_k = transition(x_{k-1}, u_{k-1}) + w, z_k = measurement(x_k, u_{k-1}) + v: (9)."""
+    """x_k = transition(x_{k-1}, u_{k-1}) + w, z_k = measurement(x_k, u_{k-1}) + v: (9).
 
-    transition: Callable  # ``transition(state, inputs, parameters, out)`` fills `out` with the next state
-    # ``measurement(state, inputs, parameters, out)`` fills `out` with the expected measurement
+    Attributes
+    ----------
+    transition : callable
+        ``transition(state, inputs, parameters, out)`` fills `out` with the next state.
+    measurement : callable
+        ``measurement(state, inputs, parameters, out)`` fills `out` with the expected measurement.
+    states, inputs, outputs : int
+        How many.
+    parameters : ndarray, shape (parameters,)
+        Passed to both; changing them recompiles nothing.
+    """
+
+    transition: Callable
     measurement: Callable
-    states: int  # how many
+    states: int
     inputs: int
     outputs: int
-    parameters: ArrayLike = ()  # passed to both; changing them recompiles nothing
+    parameters: ArrayLike = ()
 
     @checked
     def __post_init__(self):
@@ -75,8 +86,25 @@ def unscented_filter(
 ) -> StateEstimate:
     """Unscented Kalman filter (12)-(17), points redrawn around the *predicted* mean, over a record.
 
-    ``inputs[:, k]`` acts on the way to sample k; the initial mean and covariance stand before the first prediction. Q, R and
-    the covariance are matrices or their diagonals. Without `points` alpha = 1, beta = 0, kappa = 0, which loses no digits.
+    Parameters
+    ----------
+    model : NonlinearModel
+        Own model.
+    measurements : array_like, shape (outputs, samples)
+        z.
+    inputs : array_like, shape (inputs, samples), optional
+        ``inputs[:, k]`` acts on the way to sample k; zero without.
+    process, noise : array_like, shape (n, n) or (n,)
+        Q and R, or their diagonals.
+    initial_mean, initial_covariance : array_like, shapes (states,) and (states, states) or (states,)
+        Before the first prediction.
+    points : SigmaPoints, optional
+        Scaling; alpha = 1, beta = 0, kappa = 0 without, which loses no digits.
+
+    Raises
+    ------
+    InputError
+        When a covariance is not positive definite, at the start or on the way.
     """
     points = SigmaPoints(alpha=1.0, beta=0.0) if points is None else points
     prepared = _prepare(model, measurements, inputs, process, noise, initial_mean, initial_covariance)
