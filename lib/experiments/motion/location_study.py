@@ -9,9 +9,8 @@ from numpy.typing import ArrayLike
 
 from experiments.motion.designs import DESIGNS, Design
 from experiments.motion.machines import stage
-from experiments.motion.position_dependence import at_place, observer_at
+from experiments.motion.position_dependence import at_place, compensator_at
 from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
-from stillwork.control.applications import compensator
 from stillwork.control.feedforward import BASIS, Feedforward, least_squares, noise_error
 from stillwork.control.ideal_feedforward import (
     Force,
@@ -88,7 +87,7 @@ def location_loops(
     found: dict[float, dict[str, StateModel]] = {}
     for place in places.tolist():
         machine = at_place(plant, grid, place)
-        blocks = {design: _block(plant, grid, place, design) for design in set(designs.values())}
+        blocks = {design: compensator_at(plant, grid, place, design) for design in set(designs.values())}
         found[place] = {}
         for name, design in designs.items():
             loop = closed_loop(machine, blocks[design], controllers[name])
@@ -98,12 +97,6 @@ def location_loops(
                 raise InputError(f"{name} at {place:g} m: {error}") from None
             found[place][name] = loop
     return found
-
-
-def _block(plant: ModalModel, grid: ArrayLike, place: float, design: Design) -> StateModel | None:
-    if design.application is None:
-        return None
-    return compensator(observer_at(plant, grid, place, design.noise_model), design.application)
 
 
 def study_locations(

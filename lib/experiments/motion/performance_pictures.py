@@ -38,19 +38,26 @@ def paint_tracking(setpoint: Setpoint, errors: Mapping[str, np.ndarray]):
     return figure
 
 
+def paint_errors(setpoint: Setpoint, errors: Mapping[str, np.ndarray], title: str = ""):
+    """Tracking errors in nm over the move by label, the scan in grey: what explorers show."""
+    figure, axis = figures.new(1, 1, height=2.8)
+    for label, error in errors.items():
+        axis.plot(setpoint.time, 1e9 * error, linewidth=0.9, label=label)
+    axis.axvspan(*setpoint.scan, color=figures.GREY, alpha=0.12, linewidth=0)
+    axis.set_title(title)
+    figures.label(axis, "time (s)", "error (nm)")
+    axis.legend(fontsize=7)
+    return figure
+
+
 def paint_feedforward(acceleration_kg: float, snap: float, bandwidth_hz: float):
     """Explorer: the error of the loop without observer for given feedforward gains."""
     setpoint = published_setpoint()
     controller = PidFamily(stage_mass())(bandwidth_hz).state_space()
     loop = error_loop(closed_loop(stage().at([0], [4]), None, controller))
     error = tracking_error(loop, setpoint, Feedforward(acceleration=acceleration_kg, snap=1e-6 * snap))
-    figure, axis = figures.new(1, 1, height=2.8)
-    axis.plot(setpoint.time, 1e9 * error, label="error")
-    axis.axvspan(*setpoint.scan, color=figures.GREY, alpha=0.12, linewidth=0)
-    axis.set_title(f"{1e9 * rms(error[setpoint.scanning]):.1f} nm rms in the scan (grey)")
-    axis.set_xlabel("time (s)")
-    axis.set_ylabel("error (nm)")
-    return figure
+    size = 1e9 * rms(error[setpoint.scanning])
+    return paint_errors(setpoint, {"error": error}, f"{size:.1f} nm rms in the scan (grey)")
 
 
 def paint_cumulative(power: Mapping[str, CumulativePower], low_hz: float = 1.0):

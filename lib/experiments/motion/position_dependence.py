@@ -18,6 +18,7 @@ from stillwork.estimation.observer import Observer, kalman_observer
 from stillwork.estimation.scheduled import GainTable
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.reduction import truncate
+from stillwork.lti.state_space import StateModel
 
 MOVING = ("sensor", "actuator")
 
@@ -80,6 +81,13 @@ def observer_at(
     return kalman_observer(reduced, published_noise(), noise_model)
 
 
+def compensator_at(plant: ModalModel, grid: ArrayLike, place: float, design: Design) -> StateModel | None:
+    """Compensator of a design on the observer of one place; None without observer."""
+    if design.application is None:
+        return None
+    return compensator(observer_at(plant, grid, place, design.noise_model), design.application)
+
+
 def place_loops(
     plant: ModalModel,
     grid: ArrayLike,
@@ -88,14 +96,10 @@ def place_loops(
     **response_grid,
 ) -> list[Loop]:
     """One loop a place, with the observer of that place; `response_grid` goes to `make_loop`."""
-    loops = []
-    for place in require_array("places", places, ndim=1):
-        block = None
-        if design.application is not None:
-            observer = observer_at(plant, grid, float(place), design.noise_model)
-            block = compensator(observer, design.application)
-        loops.append(make_loop(at_place(plant, grid, float(place)), block, **response_grid))
-    return loops
+    return [
+        make_loop(at_place(plant, grid, place), compensator_at(plant, grid, place, design), **response_grid)
+        for place in require_array("places", places, ndim=1).tolist()
+    ]
 
 
 def damping_along(

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from experiments.motion.designs import Design
 from experiments.motion.location_study import LocationStudy, location_loops, stage_error, study_locations
 from experiments.motion.machines import published_setpoint, stage, stage_mass
+from experiments.motion.performance_pictures import paint_errors
 from experiments.motion.pictures import (
     LABELS,
     add_magnitude,
@@ -208,13 +209,5 @@ def paint_location(place: float, damping: float, compensate: str, bandwidth_hz: 
     if used:
         cases["observer"] = (Design(application, 0.03), controller)
     study = study_locations(location_loops(stage(), stage_grid(), [place], cases), force, setpoint)
-    figure, axis = figures.new(1, 1, height=2.8)
-    for name in cases:
-        label = f"{name}: {1e9 * study.rms(name)[0]:.2f} nm rms in the scan"
-        axis.plot(setpoint.time, 1e9 * study.errors[name][0], linewidth=0.9, label=label)
-    for edge in (setpoint.acceleration_end, setpoint.scan[1]):
-        axis.axvline(edge, color=figures.BLACK, linewidth=0.8)
-    axis.set_xlabel("time (s)")
-    axis.set_ylabel("error (nm)")
-    axis.legend(fontsize=7)
-    return figure
+    labels = {name: f"{name}: {1e9 * study.rms(name)[0]:.2f} nm rms in the scan" for name in cases}
+    return paint_errors(setpoint, {labels[name]: study.errors[name][0] for name in cases})

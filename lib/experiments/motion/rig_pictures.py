@@ -7,19 +7,10 @@ import numpy as np
 
 from experiments.motion.pictures import add_magnitude, paint_magnitudes
 from experiments.motion.plate import plate_modes
-from experiments.motion.rig import (
-    POSITIONS,
-    Geometry,
-    assumed,
-    assumed_geometry,
-    decoupling,
-    published,
-    rig_model,
-)
-from experiments.motion.rig_control import rig_compensator, rig_observer
-from experiments.motion.rig_designs import CASES, observer_model, published_settings
+from experiments.motion.rig import POSITIONS, Geometry, assumed_geometry, published, rig_model
+from experiments.motion.rig_designs import CASES, published_settings, rig_loops
 from experiments.motion.rig_identification import predicted_deviation, true_response
-from experiments.motion.rig_loops import RigLoop, make_rig_loop
+from experiments.motion.rig_loops import RigLoop
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti.peaks import resonance_grid
 from stillwork.signals.spectra import Spectrum
@@ -193,24 +184,6 @@ def paint_over_geometries(
     return figure
 
 
-def _one_position(
-    geometry: Geometry, noise: NoiseIntensities, use: str, target: float, position: int
-) -> RigLoop:
-    """Loop of one position on the frequencies of the explorers."""
-    settings = published_settings()
-    used, sensors = geometry.used, POSITIONS[position - 1]
-    plant = rig_model(geometry).at(used, sensors)
-    block = None
-    if use != "Original":
-        intensity = None
-        if "MC" in use:
-            intensity = settings.noise_model_both if "AD" in use else settings.noise_model
-        observer = rig_observer(observer_model(plant), noise, settings.step, intensity)
-        block = rig_compensator(observer, "MC" in use, target if "AD" in use else None, settings.selectivity)
-    omega = frequencies(20.0, points=80, around=5)
-    return make_rig_loop(plant, block, decoupling(geometry, used, sensors), settings.step, omega)
-
-
 ENTRIES = {"Fz to z": 0, "Fz to rx": 1}
 
 
@@ -222,13 +195,15 @@ def paint_rig(
     position: int = 1,
 ):
     """Explorer: one entry of what the controller sees, with and without one use of the observer."""
-    geometry, row = assumed_geometry(), ENTRIES[entry]
-    noise = NoiseIntensities(published()["process"], 10**sensor_exponent)
+    geometry, settings, row = assumed_geometry(), published_settings(), ENTRIES[entry]
+    noise = NoiseIntensities(settings.noise.process, 10**sensor_exponent)
+    settings = replace(settings, noise=noise, target_damping=target_damping)
+    omega = frequencies(20.0, points=80, around=5)
+    loops = rig_loops(geometry, settings, None, [POSITIONS[position - 1]], omega, ("Original", use))
     figure, axis = _plain(1)
-    for name in ("Original", use):
-        loop = _one_position(geometry, noise, name, target_damping, position)
+    for name, (loop, *_) in loops.items():
         response = physical_plant(loop, geometry)[row, 0]
-        add_magnitude(axis, loop.omega, response, color=COLOURS[name], label=name)
+        add_magnitude(axis, omega, response, color=COLOURS[name], label=name)
     axis.set_xlabel("frequency (Hz)")
     axis.set_ylabel(f"$F_z$ to ${MOTIONS[row]}$ (dB re 1 {UNITS[row][0]})")
     axis.legend()
@@ -239,16 +214,9 @@ def paint_geometry(
     aspect: float = 0.83, along_x: float = 0.85, along_y: float = 0.75, actuators: float = 0.9
 ):
     """Explorer: what a geometry lets three actuators and four sensors do with the eight modes."""
-    a = assumed()
-    geometry = Geometry(
-        a["length"],
-        a["length"] * aspect,
-        a["mass"],
-        a["poisson"],
-        actuators,
-        (along_x, along_y),
-        a["left_out"],
-    )
+    geometry = assumed_geometry()
+    width = geometry.length * aspect
+    geometry = replace(geometry, width=width, actuators=actuators, sensors=(along_x, along_y))
     model = rig_model(geometry, higher_modes=0)
     size = np.sqrt(geometry.mass)
     figure, axes = _plain(2)

@@ -1,12 +1,13 @@
 """The rig over geometries that are not published: one trial of the study behind Tables 6.2 to 6.4."""
 
 import contextlib
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
 
-from experiments.motion.rig import Geometry, assumed, excitation, published, scaled_inertia
+from experiments.motion.rig import Geometry, assumed, assumed_geometry, excitation, published, scaled_inertia
 from experiments.motion.rig_designs import CASES, RigSettings, bandwidths, model_errors, rig_loops
 from experiments.motion.rig_loops import FUNCTIONS, MEASURES, RigLoop
 from experiments.motion.rig_tracking import levelling, levelling_rms
@@ -15,17 +16,13 @@ from stillwork.base.checks import InputError
 
 def sample_geometry(rng: np.random.Generator) -> Geometry:
     """A geometry from the ranges of ``rig.toml``; the length stays, since only ratios of lengths matter."""
-    a = assumed()
-    ranges = a["ranges"]
-    mass = np.exp(rng.uniform(*np.log(ranges["mass"])))
-    return Geometry(
-        a["length"],
-        a["length"] * rng.uniform(*ranges["aspect"]),
-        float(mass),
-        a["poisson"],
-        rng.uniform(*ranges["actuators"]),
-        (rng.uniform(*ranges["sensors"]), rng.uniform(*ranges["sensors"])),
-        a["left_out"],
+    ranges, known = assumed()["ranges"], assumed_geometry()
+    return replace(
+        known,
+        mass=float(np.exp(rng.uniform(*np.log(ranges["mass"])))),
+        width=known.length * rng.uniform(*ranges["aspect"]),
+        actuators=rng.uniform(*ranges["actuators"]),
+        sensors=(rng.uniform(*ranges["sensors"]), rng.uniform(*ranges["sensors"])),
     )
 
 
