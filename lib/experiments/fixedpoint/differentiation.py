@@ -74,7 +74,7 @@ class Correlations:
 
 
 def correlations(error: ArrayLike, time_step: float, reach: int = 4) -> Correlations:
-    """Correlations found in a record of measurement errors, measured minus true position (m), up to a lag of `reach` samples."""
+    """Correlations found in a record of measurement errors (m), up to a lag of `reach` samples."""
     error = require_array("error", error, ndim=1)
     require_count("reach", reach, at_least=0)
     if len(error) < reach + 3:
@@ -120,8 +120,8 @@ def steady_errors(
     """Steady state of a filter of x = [velocity, position] fed with z = [difference quotient, position].
 
     The gain comes from the Riccati equation with the process Q and the assumed R (matrices or diagonals), white and
-    uncorrelated in time. The true error follows from the fact that both measurements are made of the same two position
-    errors, and from `true_process`, what really drives the state.
+    uncorrelated in time. The true error follows from the fact that both measurements are made of the same two
+    position errors, and from `true_process`, what really drives the state.
     """
     from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 

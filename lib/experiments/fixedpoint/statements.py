@@ -20,8 +20,8 @@ def statements(
 ) -> dict[str, Bool[np.ndarray, " runs"]]:
     """Which runs obey each statement, among window, low pass and one form of the Kalman filter.
 
-    Smooth and hectic are judged by the roughness of the motion, precise and best by the RMS error of `quantity`. The paper
-    shows errors of q and of q' and does not say which it ranks by.
+    Smooth and hectic are judged by the roughness of the motion, precise and best by the RMS error of `quantity`. The
+    paper shows errors of q and of q' and does not say which it ranks by.
     """
     names = (WINDOW, LOW_PASS, kalman)
     rough = np.array([study[name]["roughness"] for name in names])

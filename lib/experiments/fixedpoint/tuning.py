@@ -136,9 +136,9 @@ def tune(
 ) -> Tuned:
     """Search by a Sobol sequence, then by Nelder and Mead's simplex from each of the best points.
 
-    The sequence takes the largest power of two within half the budget, the same for every family whatever its number of
-    knobs; the simplexes share the rest. What is made small is the mean of `criterion`, a quantity of `metrics.judge`, over
-    the noise records of one seed; test on another one.
+    The sequence takes the largest power of two within half the budget, the same for every family whatever its number
+    of knobs; the simplexes share the rest. What is made small is the mean of `criterion`, a quantity of
+    `metrics.judge`, over the noise records of one seed; test on another one.
     """
     from scipy.optimize import minimize
     from scipy.stats import qmc

@@ -57,9 +57,9 @@ def settling_times(
 ) -> Float64[np.ndarray, "parameters"]:
     """Time after which each trace stays within 63 % of its final value, as the caption of Table 1 has it.
 
-    It is the first kept time from which on no value is further from the final one than `share` of it. Noise is
-    not smoothed away: a trace whose noise exceeds the band of a small final value never settles, and gets the end.
-    A share of 0.63 is the caption to the letter; 0.37 would be the time constant of a first-order course from zero, 2.2
+    It is the first kept time from which on no value is further from the final one than `share` of it. Noise is not
+    smoothed away: a trace whose noise exceeds the band of a small final value never settles, and gets the end. A
+    share of 0.63 is the caption to the letter; 0.37 would be the time constant of a first-order course from zero, 2.2
     times longer.
     """
     time_s = require_array("time_s", time_s, ndim=1)
@@ -82,8 +82,8 @@ def algorithms(
 ) -> dict[str, FeLms | FeRls]:
     """The two algorithms with the settings of Section 5.1.1.
 
-    `trace` is the reading of eq. (18), ``regressors`` or ``literal``; P(-1) is diagonal with `initial_covariance` times
-    the steady diagonal.
+    `trace` is the reading of eq. (18), ``regressors`` or ``literal``; P(-1) is diagonal with `initial_covariance`
+    times the steady diagonal.
     """
     require_number("memory_s", memory_s, above=0.0)
     require_number("initial_covariance", initial_covariance, above=0.0)
@@ -111,8 +111,8 @@ def convergence_trial(
 ) -> dict[str, np.ndarray]:
     """One repetition of the experiment of Table 1 for `run_study`: both algorithms on the same floor.
 
-    For each the time constants ``"FeLMS tau"``, final values ``"FeLMS final"`` and standard deviations
-    ``"FeLMS deviation"`` at the end; and ``"FeLMS error"``, a number, the quadratic filtered error at the end over that
+    For each the time constants ``"FeLMS tau"``, final values ``"FeLMS final"`` and deviations ``"FeLMS deviation"``
+    at the end; and ``"FeLMS error"``, a number, the quadratic filtered error at the end over that
     without feedforward.
     """
     seed = int(rng.integers(2**31))

@@ -37,8 +37,9 @@ def direct_run(
 ) -> DirectRun:
     """Fit weights to a record as `identify` does, with a matrix inverse at every sample; the error is e = d + W psi_N.
 
-    ``full inverse``: eq. (25)-(26), the information matrix of all parameters. ``Newton``: eq. (20)-(24), the same with
-    the Hessian as a sample average and the step alpha. ``block inverse``: eq. (28), one block. P(-1) = I / epsilon.
+    ``full inverse``: eq. (25)-(26), the information matrix of all parameters. ``Newton``: eq. (20)-(24), the same
+    with the Hessian as a sample average and the step alpha. ``block inverse``: eq. (28), one block. P(-1) = I /
+    epsilon.
     """
     require_choice("form", form, FORMS)
     regressors = require_array("regressors", regressors, ndim=2)

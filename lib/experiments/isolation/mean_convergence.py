@@ -29,9 +29,9 @@ def mean_course(
 ) -> Float64[np.ndarray, "times parameters"]:
     """Expected weights of the first actuator, for slow adaptation, without a simulation.
 
-    FeLMS (trace over the regressors): ``w' = -mu / (T tr R) A (w - w*)``. FeRLS: the same with P(t) in place of
-    the gain, ``P^-1 = exp(-t / memory) P0^-1 + (1 - exp(-t / memory)) R memory / T``. On `start` the algorithm has settled
-    before; without it weights start from zero.
+    FeLMS (trace over the regressors): ``w' = -mu / (T tr R) A (w - w*)``. FeRLS: the same with P(t) in place of the
+    gain, ``P^-1 = exp(-t / memory) P0^-1 + (1 - exp(-t / memory)) R memory / T``. On `start` the algorithm has
+    settled before; without it weights start from zero.
     """
     require_choice("algorithm", algorithm, ALGORITHMS)
     time_s = require_array("time_s", time_s, ndim=1)

@@ -105,7 +105,8 @@ def record_case(
 ) -> CaseRecord:
     """Record one of `CASES` with frozen weights; runs with the same seed see the same floor and sensor noise.
 
-    ``passive`` opens the skyhook loop; without weights there is no feedforward. The first 5 s, of settling, are not kept.
+    ``passive`` opens the skyhook loop; without weights there is no feedforward. The first 5 s, of settling, are not
+    kept.
     """
     require_choice("name", name, CASES)
     require_number("duration_s", duration_s, above=0.0)
@@ -151,8 +152,8 @@ def expected_density(
     """Spectrum of the platform in z, θx, θy by cause, without simulation and without mains.
 
     The causes are ``floor``, ``floor noise`` (n0 through the feedforward) and ``output noise`` (n1, also through the
-    skyhook loop), each (m/s^2)^2/Hz or (rad/s^2)^2/Hz; they are independent, so their sum is the spectrum. `sensed` is what
-    the platform's sensors show, otherwise how the platform really moves.
+    skyhook loop), each (m/s^2)^2/Hz or (rad/s^2)^2/Hz; they are independent, so their sum is the spectrum. `sensed`
+    is what the platform's sensors show, otherwise how the platform really moves.
     """
     axes = central_axes(twin.rig)
     paths = responses(twin, frequencies_hz, feedback)
@@ -182,7 +183,7 @@ def expected_density(
 def reduction_db(
     frequencies_hz: ArrayLike, before: ArrayLike, after: ArrayLike
 ) -> tuple[Float64[np.ndarray, " bands"], Float64[np.ndarray, "3 bands"]]:
-    """Reduction of a transmissibility's diagonal, mean square in one-third-octave bands from 3 to 200 Hz, and their centres.
+    """Centres of the one-third-octave bands from 3 to 200 Hz, and the reduction of a transmissibility's diagonal in each.
 
     Responses have shape (3, 3, frequencies), evenly spaced, at most 0.5 Hz apart; positive is less vibration.
     """

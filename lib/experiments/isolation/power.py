@@ -93,10 +93,10 @@ def power_trial(
 
     ``removed FeLMS``, ``removed FeRLS``: share of the power at 1-300 Hz that the feedforward removes from the
     feedback-only case, per cent, (3,); ``removed limit``: the same if only the output noise were left;
-    ``removed with mains``: as FeRLS, lines counted, which all others but the spectra bridge. ``in band``, ``above band``:
-    power with FeRLS over that of the output noise at 3-200 and 300-500 Hz, (3,); ``low end``: power with FeRLS over
-    feedback only at 1-2 Hz. ``density feedback``, ``... FeLMS``, ``... FeRLS``, ``... output noise``: spectra,
-    (3, frequencies).
+    ``removed with mains``: as FeRLS, lines counted, which all others but the spectra bridge. ``in band``, ``above band``: power with
+    FeRLS over that of the output noise at 3-200 and 300-500 Hz, (3,); ``low end``: power with FeRLS over feedback
+    only at 1-2 Hz. ``density feedback``, ``... FeLMS``, ``... FeRLS``, ``... output noise``: spectra, (3,
+    frequencies).
     """
     seed = int(rng.integers(2**31))
     weights = tune(twin, floor, felms_s, ferls_s, seed)

@@ -125,7 +125,7 @@ def synthesise_floor(
 def measured_ground_density(
     axis: str = "Z",
 ) -> tuple[Float64[np.ndarray, " frequencies"], Float64[np.ndarray, " frequencies"]]:
-    """Measured ground of an observatory, mean over four days (`data/isolation/ligo_llo_ground`): Hz from 0.01 to 100, PSD."""
+    """Measured ground (`data/isolation/ligo_llo_ground`), mean over four days: Hz from 0.01 to 100, and PSD."""
     require_choice("axis", axis, ("X", "Y", "Z"))
     file = paths.data("isolation", "ligo_llo_ground/ground_velocity_density.npz")
     with np.load(file, allow_pickle=False) as ground:

@@ -71,8 +71,8 @@ class NoiseShaping:
 def weak_integrator(order: int, cutoff: float, beta: float, sample_time: float) -> Sections:
     """Normalised weak integrator beta H with H = (1 - (a / (s + a))^n) / s, eq. (11)-(13).
 
-    Below the cut-off a (rad/s) the transmissibility is left alone with the order n. The paper prints no value of beta.
-    Powers of beta H are the same filter again on its own output.
+    Below the cut-off a (rad/s) the transmissibility is left alone with the order n. The paper prints no value of
+    beta. Powers of beta H are the same filter again on its own output.
     """
     require_count("order", order)
     require_number("cutoff", cutoff, above=0.0)
@@ -100,9 +100,9 @@ def inverse_secondary_shaping(
 ) -> Sections:
     """Filter N P2^-1 from platform acceleration to the filtered error, eq. (16).
 
-    The suspension of N cancels that of P2, which leaves band x notches x (s + w_a) / w_a. The inverse alone has
-    a double integrator, and with Tustin's rule a pole at z = -1; here neither ever appears, because the low-pass
-    makes the product proper before it is discretised. An `estimate`, one mode of a full one, is inverted in place of the
+    The suspension of N cancels that of P2, which leaves band x notches x (s + w_a) / w_a. The inverse alone has a
+    double integrator, and with Tustin's rule a pole at z = -1; here neither ever appears, because the low-pass makes
+    the product proper before it is discretised. An `estimate`, one mode of a full one, is inverted in place of the
     path in N.
     """
     estimate = estimate or path
@@ -134,7 +134,7 @@ def conditioning(sample_time: float, highpass_hz: float = 0.1, lowpass_hz: float
 def skyhook(
     gain: float, sample_time: float, cutoff: float = 1.0, notch: FrequencyNotch | None = RESONANCE
 ) -> Sections:
-    """Skyhook damping k_v / (s + w_i), eq. (1), with a notch that keeps it off the resonance; the actuator gets minus its output.
+    """Skyhook damping k_v / (s + w_i) with a notch at the resonance, eq. (1); the actuator gets minus its output.
 
     Eq. (1) prints w_i / (s + w_i), which is the same number at the published w_i = 1 rad/s; without the w_i the
     gain is N s/m whatever the cut-off.

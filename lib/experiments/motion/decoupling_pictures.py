@@ -24,7 +24,7 @@ def paint_transfer_matrix(
     quantity: str = "magnitude (dB re 1 s²)",
     low_hz: float = 1.0,
 ):
-    """Magnitudes of several systems with two inputs and two outputs, one panel an entry; the first lies broad below the others.
+    """Magnitudes of several systems with two inputs and two outputs, one panel an entry; the first drawn broad.
 
     `slopes` are the published slopes of some entries (row, column), drawn as a guide beside the last system.
     """
@@ -87,7 +87,8 @@ def paint_slope_ranges(
 ):
     """Slopes of both off-diagonal entries over the machines of a study, one row a scheme, with the published ones.
 
-    `slopes` in the limit and `above`, at 0.03 to 0.3 Hz, have shape (runs, 2, 2); `published` are those of q1 from u2 and of q2 from u1.
+    `slopes` in the limit and `above`, at 0.03 to 0.3 Hz, have shape (runs, 2, 2); `published` are those of q1 from u2
+    and of q2 from u1.
     """
     figure, axes = figures.new(1, 2, height=0.34 * len(slopes) + 1.6, sharey=True)
     rows = np.arange(len(slopes))

@@ -172,12 +172,12 @@ def geometry_trial(
 ) -> Mapping[str, float | np.ndarray]:
     """One machine of the study, and with `compensate` measurement compensation on it: what its decoupled plants are like.
 
-    Of each scheme the ``slopes`` in the limit and ``slopes above``, at 0.03 to 0.3 Hz (axes, axes), ``low`` (entries at
-    1 Hz), ``peak`` (largest off-diagonal entry around the second flexible mode over the undamped one with these
+    Of each scheme the ``slopes`` in the limit and ``slopes above``, at 0.03 to 0.3 Hz (axes, axes), ``low`` (entries
+    at 1 Hz), ``peak`` (largest off-diagonal entry around the second flexible mode over the undamped one with these
     actuators), and whether it is ``stable``; for MC the entries ``at modes`` (axes, axes, damped modes) over the
-    undamped; for those in `STATIC` the ``onset_hz`` of the coupling and ``limit``, the entries at 1 uHz over their closed
-    form; for those in `DAMPING` the ``added`` damping ratio and the ``shift`` of the frequency (damped modes); for those
-    in `FILTERED` the ``crosswise`` force (damped modes).
+    undamped; for those in `STATIC` the ``onset_hz`` of the coupling and ``limit``, the entries at 1 uHz over their
+    closed form; for those in `DAMPING` the ``added`` damping ratio and the ``shift`` of the frequency (damped modes);
+    for those in `FILTERED` the ``crosswise`` force (damped modes).
     """
     machine = sample_beam(rng)
     modes = machine.frequencies[machine.rigid_modes :]

@@ -27,7 +27,7 @@ class ErrorSystem:
 def error_system(
     a: ArrayLike, g: ArrayLike, c: ArrayLike, process: ArrayLike, sensor: ArrayLike, gains: ArrayLike
 ):
-    """Error dynamics of a predictor with any gains; `process` and `sensor` are covariances, or weights of bounded energy."""
+    """Error dynamics of a predictor with any gains, for covariances or weights of bounded energy."""
     c = require_array("c", c, ndim=3)
     samples, outputs, n = c.shape
     a = require_array("a", a, shape=(n, n))

@@ -38,7 +38,7 @@ def _scaled_scan(step: float):
 
 
 def paint_worst(force: float, detuning: float):
-    """Explorer: what the worst disturbance does to a filter designed for `detuning` times the `force` (N) that counts as one."""
+    """Explorer: what the worst disturbance does to a filter designed for `detuning` times the `force` (N)."""
     step = 1e-3
     a, b, c, (_, reference, sensor) = _scaled_scan(step)
     noise = 1e18 * np.array([[reference**2 + sensor**2]])
@@ -70,7 +70,7 @@ def _table(spacing: float):
 
 
 def paint_schedules(speed: str, start: float, spacing: float):
-    """Explorer: estimation error of the first flexible mode with online gains and with a table of this `spacing` (mm); AD, 36 Hz."""
+    """Explorer: error of the first flexible mode with online gains and with a table of this `spacing` (mm); AD, 36 Hz."""
     setpoint = published_setpoint(STEP) if speed == "1 m/s" else published_fast_setpoint(STEP)
     plant = stage()
     grid = SPACING * np.arange(len(plant.output_shapes))

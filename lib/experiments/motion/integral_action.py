@@ -39,7 +39,7 @@ class ObserverConditions(NamedTuple):
 
 
 def required_integrators(disturbance: int = 1, reference: int = 1, sensor: int = 1, plant: int = 2) -> int:
-    """Smallest number of integrators in C_y that brings the error to zero, (3.8), from the powers of 1/s in w, r, v and P."""
+    """Smallest number of integrators in C_y that brings the error to zero, (3.8), by the powers of 1/s in w, r, v, P."""
     return max(disturbance - 1, sensor - plant - 1, reference - plant - 1, -1) + 1
 
 

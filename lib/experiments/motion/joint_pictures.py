@@ -59,7 +59,7 @@ def paint_peaks_over_plants(peaks: Mapping[str, Mapping[str, np.ndarray]]):
 
 
 def paint_joint(designs: Mapping[str, JointDesign], design: str, frequency_error: float, bandwidth: float):
-    """Explorer: the constrained functions, each of its worst mass, with all flexible frequencies off and another bandwidth (%)."""
+    """Explorer: the constrained functions, of the worst mass each, with frequencies and the bandwidth off by some %."""
     chosen = designs[design]
     chosen = replace(chosen, bandwidth_hz=chosen.bandwidth_hz * bandwidth / 100)
     plant = _shifted(frequency_error / 100)

@@ -109,8 +109,9 @@ def study_locations(
 ) -> LocationStudy:
     """Send the same force into the loops of every place.
 
-    The force is a feedforward error, ideal less applied: the plant gets that much too little. Through ``w`` the observer
-    does not see it, through ``u_ff`` it does. Noise of these `deviations` is fresh at every place, the same for all cases.
+    The force is a feedforward error, ideal less applied: the plant gets that much too little. Through ``w`` the
+    observer does not see it, through ``u_ff`` it does. Noise of these `deviations` is fresh at every place, the same
+    for all cases.
     """
     require_choice("source", source, ("w", "u_ff"))
     ahead = len(force.time) - len(setpoint.time)
@@ -163,7 +164,8 @@ def stage_error(setpoint: Setpoint, controller: Pid, measured: int = 5) -> Force
 def fit_to_force(loop: StateModel, ideal: Force, noise: ArrayLike | None = None) -> Feedforward:
     """Gains that leave the smallest sum of squared errors over the move, of the ideal force less theirs.
 
-    `loop` leads from the force to the error; with `noise` of the measured error (m) the gains are fitted to a noisy move.
+    `loop` leads from the force to the error; with `noise` of the measured error (m) the gains are fitted to a noisy
+    move.
     """
     move = ideal.time > -1e-6 * (ideal.time[1] - ideal.time[0])
     unit = np.eye(len(ideal.states))[-4:]

@@ -129,7 +129,7 @@ class MoveResponses:
 def fit_low_order(
     loop: StateModel, setpoint: Setpoint, poles: Sequence[complex] = (), basis: tuple[str, ...] = BASIS
 ) -> LowOrder:
-    """Gains and weights that minimise the sum of squared errors over the whole move, for given poles (rad/s, one of a pair)."""
+    """Gains and weights that minimise the sum of squared errors over the move, for given poles (one of a pair)."""
     if any(pole.real >= 0 or pole.imag < 0 for pole in poles):
         raise InputError("poles must be stable, one of every pair with a positive imaginary part, in rad/s")
     return MoveResponses(loop, setpoint).fit(tuple(poles), basis)

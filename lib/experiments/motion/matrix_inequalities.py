@@ -39,10 +39,10 @@ def mixed_lmi(
     r"""Observer with a small H2 norm whose weighted error keeps a level, from matrix inequalities with Clarabel.
 
     One change of variables serves both norms only if their Lyapunov matrices are multiples of each other, by `ratio`
-    (of the peak's over the two-norm's, for the scaled problem; 1 in most texts). That makes `claimed` an upper bound of
-    both the loop's norm and the optimum: any ratio is valid, the least claim over ratios is the best, and no ratio gives
-    the true trade-off. The plant has two performance outputs, as `tradeoff.emphasised` gives for emphasis 1: the two-norm
-    is that from all inputs to the first, the peak that from the first input to the second.
+    (of the peak's over the two-norm's, for the scaled problem; 1 in most texts). That makes `claimed` an upper bound
+    of both the loop's norm and the optimum: any ratio is valid, the least claim over ratios is the best, and no ratio
+    gives the true trade-off. The plant has two performance outputs, as `tradeoff.emphasised` gives for emphasis 1:
+    the two-norm is that from all inputs to the first, the peak that from the first input to the second.
     """
     level = require_number("level", level, above=0.0)
     ratio = require_number("ratio", ratio, above=0.0)

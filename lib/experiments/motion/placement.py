@@ -61,9 +61,9 @@ def typical_placement_error(
 ) -> float:
     """Median of `placement_error` over machines that differ by a little: the size of rounding without its luck.
 
-    What rounding leaves on one machine is a draw: the next one, or the same one on another processor, gives ten
-    times as much or as little. The median over 21 of them, with frequencies within `spread` of those of `model`, moved by
-    a factor below 2 between processors. NaN where the method takes most of the machines for uncontrollable.
+    What rounding leaves on one machine is a draw: the next one, or the same one on another processor, gives ten times
+    as much or as little. The median over 21 of them, with frequencies within `spread` of those of `model`, moved by a
+    factor below 2 between processors. NaN where the method takes most of the machines for uncontrollable.
     """
     require_choice("method", method, ("closed form", *Z_METHODS))
     require_number("spread", spread, at_least=0.0, below=1.0)

@@ -29,7 +29,7 @@ def stage_grid(spacing: float = 0.05) -> Float64[np.ndarray, " masses"]:
 
 
 def at_place(plant: ModalModel, grid: ArrayLike, place: float, moves: str = "sensor") -> ModalModel:
-    """The machine with its sensor, or its actuator, at one place (m) of the structure; between the grid its shapes are splines.
+    """The machine with its sensor, or its actuator, at one place (m), also between the points of the grid.
 
     A moving ``sensor`` is output position dependence, the force stays where it is. A moving ``actuator`` is input
     position dependence: the force acts at `place`, and the position is measured where the plant's own force acts.

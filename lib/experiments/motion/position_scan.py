@@ -82,8 +82,8 @@ def run_applied(
 ) -> AppliedScan:
     """Simulate a scan with MC (`compensate`), AD (`increase` of the damping ratios) or both.
 
-    The compliance T_DC is taken off with the last held force. `noise` holds w (N), v and d (m); `mass` (kg) is that of
-    the acceleration feedforward.
+    The compliance T_DC is taken off with the last held force. `noise` holds w (N), v and d (m); `mass` (kg) is that
+    of the acceleration feedforward.
     """
     setpoint, step = scan.setpoint, scan.setpoint.step
     samples = setpoint.derivatives.shape[1]

@@ -36,7 +36,7 @@ def warped(step: float, omega: Float64[np.ndarray, " frequencies"]) -> Float64[n
 def rig_observer(
     model: ModalModel, noise: NoiseIntensities, step: float, noise_model: float | None = None
 ) -> DiscreteObserver:
-    """Stationary Kalman observer of chapter 6, from covariances a sample as (6.2) prints them: N^2, m^2, and N^2 of Q_nu."""
+    """Stationary Kalman observer of chapter 6, from covariances a sample as (6.2) prints them (N^2, m^2, N^2)."""
     require_number("step", step, above=0.0)
     if noise_model is not None:
         noise_model = require_number("noise_model", noise_model, above=0.0) / step
@@ -98,7 +98,7 @@ def rig_compensator(
     target_damping: float | None = None,
     selectivity: float | None = 2.0,
 ) -> RigCompensator:
-    """Compensator for MC, AD or both: a damping ratio for every flexible mode, (4.17) with the factor 2 omega that it lacks.
+    """Compensator for MC, AD or both: one damping ratio for all modes, (4.17) with the factor 2 omega that it lacks.
 
     `selectivity` is the Q of one band-pass a mode, (4.16); None: no filter.
     """

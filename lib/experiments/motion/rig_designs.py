@@ -81,8 +81,8 @@ def rig_loops(
 ) -> dict[str, list[RigLoop]]:
     """Loops of the wanted cases, each at all positions.
 
-    The observers work with the rig's own eight modes, off by `errors`, and the compliance of the others; or with what is
-    `known` at all four actuators and sensors, such as an identified model.
+    The observers work with the rig's own eight modes, off by `errors`, and the compliance of the others; or with what
+    is `known` at all four actuators and sensors, such as an identified model.
     """
     full, used = rig_model(geometry), geometry.used
     loops = {case: [] for case in cases}

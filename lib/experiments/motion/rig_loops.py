@@ -84,8 +84,8 @@ def make_rig_loop(
 ) -> RigLoop:
     """Prepare one position: three actuators to three sensors.
 
-    The grid (rad/s) goes by default up to the Nyquist frequency, dense around every mode of the plant and every lightly
-    damped pole of the observer.
+    The grid (rad/s) goes by default up to the Nyquist frequency, dense around every mode of the plant and every
+    lightly damped pole of the observer.
     """
     if plant.feedthrough.shape != (3, 3):
         raise InputError("plant must have three inputs and three outputs; pick them with plant.at")
@@ -153,7 +153,7 @@ def peaks(
 def sizes(
     loop: RigLoop, pids: Sequence[Pid], measure: str = "singular values"
 ) -> Float64[np.ndarray, "functions frequencies"]:
-    """Size of the five loop functions over frequency: the largest singular value, or the largest magnitude on the diagonal."""
+    """Size of the five loop functions over frequency: largest singular value, or magnitude on the diagonal."""
     require_choice("measure", measure, MEASURES)
     return _sizes(*_arrays(loop, pids), measure == "diagonal")
 

@@ -34,7 +34,7 @@ class FlexiblePeaks(NamedTuple):
 
 
 def flexible_peaks(loops: list[RigLoop], inertia: Float64[np.ndarray, "3"]) -> FlexiblePeaks:
-    """Peaks of the difference between the equivalent plant and a rigid body of that mass and inertia (scaled directions)."""
+    """Peaks of the difference between the equivalent plant and a rigid body of that inertia (scaled directions)."""
     modes = 2 * np.pi * np.array(published()["frequencies_hz"])
     middle = np.sqrt(modes[1:] * modes[:-1])
     # Within 5 % of each mode, and no nearer to another one; further away the tails of lower modes are larger.

@@ -83,7 +83,7 @@ class SampledDerivatives:
 def sampled_derivatives(
     model: ModalModel, step: float, modes: Sequence[int] | None = None
 ) -> SampledDerivatives:
-    """Derivatives of the zero-order-hold model in modal form 1 for chosen modes (all flexible ones), by those of the matrix exponential."""
+    """Derivatives of the zero-order-hold model in modal form 1 for chosen modes (by default all flexible ones)."""
     step = require_number("step", step, above=0.0)
     modes = tuple(range(model.rigid_modes, len(model.frequencies)) if modes is None else modes)
     if not modes or min(modes) < 0 or max(modes) >= len(model.frequencies):

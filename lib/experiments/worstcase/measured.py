@@ -66,8 +66,8 @@ def window_residuals(
 ) -> dict[str, list[np.ndarray]]:
     """Out-of-sample residuals: an FIR model from each window predicts the window that follows.
 
-    By method, for each length: rms residual over rms output in every window; 1 is the zero model. At most `most` windows
-    a length, spread over the record.
+    By method, for each length: rms residual over rms output in every window; 1 is the zero model. At most `most`
+    windows a length, spread over the record.
     """
     taps = require_count("taps", taps)
     regressors = fir_regressors(pair.input, taps)

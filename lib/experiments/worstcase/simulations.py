@@ -128,10 +128,10 @@ def tracking_trial(
 ) -> dict[str, np.ndarray]:
     """One trial of Fig. 2: white regressors that are off by a bounded error, outputs with Gaussian noise.
 
-    `truth` is from `path`; RLS and ridge, with its constant `penalty`, forget like min-max; the error of each regressor
-    is drawn uniformly from the ball of radius `row_error`. ``min_max``, ``rls``, ``ridge``, ``zero``: error norms
-    |x_t - estimate|, shape (samples,); ``norm``: |A|_2 of the unweighted regressors; ``vanished``: share of the time with
-    a zero estimate.
+    `truth` is from `path`; RLS and ridge, with its constant `penalty`, forget like min-max; the error of each
+    regressor is drawn uniformly from the ball of radius `row_error`. ``min_max``, ``rls``, ``ridge``, ``zero``: error
+    norms |x_t - estimate|, shape (samples,); ``norm``: |A|_2 of the unweighted regressors; ``vanished``: share of the
+    time with a zero estimate.
     """
     unknowns, samples = truth.shape
     regressors = rng.standard_normal((unknowns, samples))

@@ -130,11 +130,11 @@ def recursion_trial(
 ) -> dict[str, np.ndarray]:
     """All min-max updates on one record, with white regressors of unit variance, beside the batch solution at every step.
 
-    ``exact``, ``fast``, ``approximate_1`` to ``_3``: distance of the estimates from batch, over the
-    largest norm of the batch estimates. ``alpha_1`` to ``alpha_3``: relative error of alpha, NaN where x = 0.
-    ``alpha``: the batch alpha. ``size`` and ``size_*``: norms of the estimates. ``as_printed`` and ``corrected``: relative
-    distance of h (15) from its definition with alpha_t and with lam alpha_t. ``image_as_printed`` and
-    ``image_corrected``: the same of eq. (17) from f(alpha_t) and from f(lam alpha_t).
+    ``exact``, ``fast``, ``approximate_1`` to ``_3``: distance of the estimates from batch, over the largest norm of
+    the batch estimates. ``alpha_1`` to ``alpha_3``: relative error of alpha, NaN where x = 0. ``alpha``: the batch
+    alpha. ``size`` and ``size_*``: norms of the estimates. ``as_printed`` and ``corrected``: relative distance of h
+    (15) from its definition with alpha_t and with lam alpha_t. ``image_as_printed`` and ``image_corrected``: the same
+    of eq. (17) from f(alpha_t) and from f(lam alpha_t).
     """
     unknowns, samples = truth.shape
     regressors = rng.standard_normal((unknowns, samples))

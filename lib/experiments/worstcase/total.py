@@ -21,8 +21,8 @@ class TotalLeastSquaresSolution:
 def total_least_squares(matrix: ArrayLike, target: ArrayLike) -> TotalLeastSquaresSolution:
     """Total least squares by the SVD of [A b] (Golub and Van Loan, Matrix Computations, section 6.3).
 
-    A and b are taken as equally noisy, so scale them to be so. Where the smallest correction lies in A alone there is no
-    solution.
+    A and b are taken as equally noisy, so scale them to be so. Where the smallest correction lies in A alone there is
+    no solution.
     """
     matrix = require_array("matrix", matrix, ndim=2)
     rows, unknowns = matrix.shape

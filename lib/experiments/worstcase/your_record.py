@@ -186,8 +186,8 @@ class Fitted:
 def fit_pair(pair: Pair, taps: int, memory: int, factors: np.ndarray | None = None) -> Fitted:
     """FIR models by RLS, min-max and total least squares from the first half of a record, judged on the last quarter.
 
-    The recursive estimators run over the first half and end with the exponential weights of their memory; total
-    least squares takes its last `memory` samples. The bound is swept with the same weights, over these `factors` of the
+    The recursive estimators run over the first half and end with the exponential weights of their memory; total least
+    squares takes its last `memory` samples. The bound is swept with the same weights, over these `factors` of the
     typical bound, and chosen on the third quarter, which no model was fitted to and none is judged on.
     """
     taps, memory = require_count("taps", taps), require_count("memory", memory, at_least=2)

@@ -56,8 +56,8 @@ _inside = _Inside()
 def checked(function: Callable | None = None, *, infinite: bool = False, missing: bool = False) -> Callable:
     """Check the arguments of a public function by their annotations, and its result for NaN.
 
-    Lists, other number types, read-only and strided arrays become what the annotation says; a value that cannot
-    is an `InputError` that names it. So is a number that leaves the range of floating point on the way. A result may be
+    Lists, other number types, read-only and strided arrays become what the annotation says; a value that cannot is an
+    `InputError` that names it. So is a number that leaves the range of floating point on the way. A result may be
     `infinite`, or NaN where something is `missing`, such as the samples after a divergence.
     """
     if function is None:

@@ -22,11 +22,11 @@ def constrained_damping(
 ) -> Float64[np.ndarray, "inputs states"]:
     r"""Damping gain whose force on one mode leaves others alone: Lemma 4.3.3 and Corollary 4.3.1.
 
-    For every damped mode j, :math:`\phi_{aj}^TK_{dj} = -2\zeta_{des,j}\omega_j` (the minus sign is missing in
-    print) and :math:`\phi_{ai}^TK_{dj} = 0` for the `undisturbed` modes i other than j; with more actuators
-    than constraints, the gain of least norm. A mode with increase 0 gets no feedback. By default as many of the first modes
-    are undisturbed as the actuators can leave alone beside the damped one: one rigid-body mode less than all with minimal
-    actuation, all of these with one more actuator, all other modes with total actuation.
+    For every damped mode j, :math:`\phi_{aj}^TK_{dj} = -2\zeta_{des,j}\omega_j` (the minus sign is missing in print)
+    and :math:`\phi_{ai}^TK_{dj} = 0` for the `undisturbed` modes i other than j; with more actuators than
+    constraints, the gain of least norm. A mode with increase 0 gets no feedback. By default as many of the first
+    modes are undisturbed as the actuators can leave alone beside the damped one: one rigid-body mode less than all
+    with minimal actuation, all of these with one more actuator, all other modes with total actuation.
     """
     increase = per_flexible_mode(model, "increase", increase)
     return _constrained(model, 2 * increase * model.frequencies[model.rigid_modes :], undisturbed, 1)
@@ -82,8 +82,8 @@ def band_passed(
 ) -> StateModel:
     r"""Dynamic gain K(s): each fed-back state through a band-pass at its mode's resonance, (4.16), (4.17).
 
-    The gain acts on the modal states of form 1 of the first modes, on no rigid-body mode. The thesis uses Q = 2, and two
-    band-passes in a row (order 4) for active stiffness, Remark 4.3.5.
+    The gain acts on the modal states of form 1 of the first modes, on no rigid-body mode. The thesis uses Q = 2, and
+    two band-passes in a row (order 4) for active stiffness, Remark 4.3.5.
     """
     require_choice("order", str(order), ("2", "4"))
     fed = fed_back_states(model, gain)

@@ -74,8 +74,8 @@ class DiscreteObserver:
     def estimator(self, rows: ArrayLike, form: str = "filter", delay: int = 0) -> StateModel:
         """Model from (u, y) to ``rows @ x_hat`` as it arrives, `delay` samples after the measurement it uses.
 
-        ``filter``: at sample k there is x(k-d|k-d), which is old. ``predictor``: there is x(k-d+1|k-d), for d = 1 the state of
-        this very sample; it has a delay of one at least, the sample that it looks ahead.
+        ``filter``: at sample k there is x(k-d|k-d), which is old. ``predictor``: there is x(k-d+1|k-d), for d = 1 the
+        state of this very sample; it has a delay of one at least, the sample that it looks ahead.
         """
         require_choice("form", form, FORMS)
         rows = require_array("rows", rows, shape=(None, len(self.a)))
@@ -106,9 +106,9 @@ def discrete_kalman_observer(
 ) -> DiscreteObserver:
     r"""Stationary discrete Kalman observer, (4.7) and section 4.1.3, with the process noise at the plant input.
 
-    The model is reduced, its feedthrough the compliance T_DC. The noises, Q_nu (N^2/s) of the random walk at the plant
-    input among them, are intensities of the continuous design: they become variances by the factor 1/Ts, which changes no
-    gain.
+    The model is reduced, its feedthrough the compliance T_DC. The noises, Q_nu (N^2/s) of the random walk at the
+    plant input among them, are intensities of the continuous design: they become variances by the factor 1/Ts, which
+    changes no gain.
     """
     if model.measures != "position":
         raise InputError("model measures velocities; this observer is for positions")
@@ -131,10 +131,10 @@ def discrete_kalman_observer(
 def discrete_compensator(
     observer: DiscreteObserver, application: Application, form: str = "predictor", delay: int = 1
 ) -> StateModel:
-    """The block from (u, y) to (u_d, y_flex) in discrete time, see `applications.compensator` and `DiscreteObserver.estimator`.
+    """The block from (u, y) to (u_d, y_flex) in discrete time; `form` and `delay` are those of an `estimator`.
 
-    The selection ``pole placement`` takes the discrete gain (4.3), the others the continuous gain as it is; each band-pass
-    is sampled with a zero-order hold.
+    The selection ``pole placement`` takes the discrete gain (4.3), the others the continuous gain as it is; each
+    band-pass is sampled with a zero-order hold.
     """
     if application.stiffness != 1.0 or application.high_pass_hz or application.common:
         raise InputError("application: only MC and AD with a band-pass a mode exist in discrete time")

@@ -42,7 +42,8 @@ class Inverse:
 def invert(plant: ModalModel) -> Inverse:
     """Inverse of a machine with one rigid-body mode, one input and one position output.
 
-    A zero on the imaginary axis is refused (its force would ring for ever), and an inverse that differentiates the snap.
+    A zero on the imaginary axis is refused (its force would ring for ever), and an inverse that differentiates the
+    snap.
     """
     _require_single(plant)
     w, z = plant.frequencies, plant.damping

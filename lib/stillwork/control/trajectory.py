@@ -125,8 +125,8 @@ def trapezoid_trajectory(
 ) -> Trajectory:
     """A trapezoid between -A and A whose corners are rounded, so that the acceleration is continuous.
 
-    Ramps and dwells take a quarter of the period each. At a corner, whose length is `rounding` of a ramp, the velocity
-    follows 3 x^2 - 2 x^3.
+    Ramps and dwells take a quarter of the period each. At a corner, whose length is `rounding` of a ramp, the
+    velocity follows 3 x^2 - 2 x^3.
     """
     require_number("rounding", rounding, above=0, at_most=1)
     phase, rate = _phase(amplitude, frequency_hz, duration, time_step)

@@ -86,9 +86,9 @@ Transformation = FlowTransformation | RobustTransformation
 def contraction_range(response_gain: float) -> tuple[float, float]:
     """Open range of `local_gain` in which deformed -> G(deformed, f(deformed), desired) contracts.
 
-    With f' = `response_gain` (m/s^2 realised per m/s^2 commanded: the approximate over the exact mass) the multiplier of an
-    iteration is 1 + local_gain f'; Banach's theorem wants it within (-1, 1). A filter or a delay in the loop narrows the
-    range: `stable_range` finds it.
+    With f' = `response_gain` (m/s^2 realised per m/s^2 commanded: the approximate over the exact mass) the multiplier
+    of an iteration is 1 + local_gain f'; Banach's theorem wants it within (-1, 1). A filter or a delay in the loop
+    narrows the range: `stable_range` finds it.
     """
     if require_number("response_gain", response_gain) == 0:
         raise InputError("response_gain is 0: the plant does not answer its command")

@@ -35,8 +35,8 @@ def regularised(
 ) -> GeneralisedPlant:
     """Add `effort` times every control to the performance, and white noise to every measurement.
 
-    The effort is in performance units a unit of control, the noise the root of an intensity; they may be zero where D12 has
-    full column rank and D21 full row rank.
+    The effort is in performance units a unit of control, the noise the root of an intensity; they may be zero where
+    D12 has full column rank and D21 full row rank.
     """
     a, b1, b2, c1, c2, d11, d12, d21, d22 = plant.blocks
     controls, measurements = b2.shape[1], len(c2)

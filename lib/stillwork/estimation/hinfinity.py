@@ -14,9 +14,9 @@ from stillwork.estimation.time_varying import FilterGains, TimeVaryingModel
 def hinfinity_gains(model: TimeVaryingModel, wanted: ArrayLike, level: float) -> FilterGains:
     r"""A-posteriori H-infinity filter of z = L x (Hassibi, Sayed and Kailath, 1999, ch. 4).
 
-    It is the Kalman filter on a covariance that every step inflates to :math:`(P^{-1}-\gamma^{-2}L^TL)^{-1}`. L, `wanted`, is
-    in units in which all errors count alike; the level :math:`\gamma` bounds the ratio of error energy to noise energy,
-    both in units of their deviations. Where no filter keeps it, the error names the sample.
+    It is the Kalman filter on a covariance that every step inflates to :math:`(P^{-1}-\gamma^{-2}L^TL)^{-1}`. L,
+    `wanted`, is in units in which all errors count alike; the level :math:`\gamma` bounds the ratio of error energy
+    to noise energy, both in units of their deviations. Where no filter keeps it, the error names the sample.
     """
     level = require_number("level", level, above=0.0)
     wanted = require_array("wanted", wanted, shape=(None, model.a.shape[1]))

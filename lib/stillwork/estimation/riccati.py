@@ -80,9 +80,9 @@ def continuous_gain(
 ) -> KalmanGain:
     r"""Kalman gain :math:`L = PC^TR^{-1}` with :math:`AP + PA^T + GQG^T - PC^TR^{-1}CP = 0` (section 3.1).
 
-    The intensities Q and R are matrices, or numbers for a multiple of the identity. An error tells what leaves no trusted
-    solution: an intensity that is not positive definite, a mode on or right of the imaginary axis that is not observable, one
-    on the axis that the noise does not drive, a large residual or an unstable observer.
+    The intensities Q and R are matrices, or numbers for a multiple of the identity. An error tells what leaves no
+    trusted solution: an intensity that is not positive definite, a mode on or right of the imaginary axis that is not
+    observable, one on the axis that the noise does not drive, a large residual or an unstable observer.
     """
     a, g, c, root = _checked(a, noise_input, c, process, sensor)
     scale = _state_scale(a, g, c)

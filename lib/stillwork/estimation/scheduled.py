@@ -41,7 +41,7 @@ class GainTable:
 def gain_table(
     a: ArrayLike, g: ArrayLike, rows: ArrayLike, grid: ArrayLike, process: ArrayLike, sensor: ArrayLike
 ) -> GainTable:
-    """Stationary Kalman filter gains for the output rows (places, outputs, states) of every point of an ascending grid (m)."""
+    """Stationary Kalman filter gains for the rows of C at every point of an ascending grid (m)."""
     rows = require_array("rows", rows, ndim=3)
     grid = require_array("grid", grid, shape=(len(rows),))
     if len(grid) < 2 or np.any(np.diff(grid) <= 0):

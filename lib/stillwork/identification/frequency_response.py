@@ -59,7 +59,7 @@ def closed_loop_response(
 
 @checked
 def impact_response(force: ArrayLike, response: ArrayLike, rate: float) -> Identified:
-    """H1 estimate from repeated hits: one record (hits, samples) a hit, the force's own cross spectra averaged over hits."""
+    """H1 estimate from repeated hits, one record a hit: the force's own cross spectra averaged over hits."""
     force = require_array("force", force, ndim=2)
     response = require_array("response", response, shape=force.shape)
     require_number("rate", rate, above=0.0)

@@ -62,9 +62,9 @@ def run_multisine(
 ) -> MultisineRecords:
     """Excite one actuator after the other in closed loop; keep the periods after the settling.
 
-    The discrete loop leads from added force, unmeasured force at the plant (both one an actuator) and sensor noise to the
-    commanded forces and the measured outputs; `deviations` are those of the unmeasured force (N) and of the sensor noise
-    (m) a sample. For every one of the `realisations` the phases are drawn anew.
+    The discrete loop leads from added force, unmeasured force at the plant (both one an actuator) and sensor noise to
+    the commanded forces and the measured outputs; `deviations` are those of the unmeasured force (N) and of the
+    sensor noise (m) a sample. For every one of the `realisations` the phases are drawn anew.
     """
     for name, value in (("realisations", realisations), ("periods", periods), ("settling", settling)):
         require_count(name, value)

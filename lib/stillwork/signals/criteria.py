@@ -59,9 +59,9 @@ def one_third_octave_velocity(
 def criterion_velocity(name: str, frequencies_hz: ArrayLike) -> Float64[np.ndarray, " frequencies"]:
     """Limit of a vibration criterion: rms velocity in m/s per one-third-octave band.
 
-    ``VC-A`` to ``VC-M``, ``BBN-A`` to ``BBN-E`` (the earlier names of VC-A to VC-E) or an ISO level, e.g. ``ISO office``:
-    flat from 8 Hz (VC-C and finer: 1 Hz) to 80 Hz and continued so beyond both ends, except that VC-A, VC-B and the ISO
-    levels rise below 8 Hz with constant acceleration; they are defined from 4 Hz.
+    ``VC-A`` to ``VC-M``, ``BBN-A`` to ``BBN-E`` (the earlier names of VC-A to VC-E) or an ISO level, e.g.
+    ``ISO office``: flat from 8 Hz (VC-C and finer: 1 Hz) to 80 Hz and continued so beyond both ends, except that VC-A, VC-B
+    and the ISO levels rise below 8 Hz with constant acceleration; they are defined from 4 Hz.
     """
     require_choice("name", name, CRITERIA)
     f = require_array("frequencies_hz", frequencies_hz, ndim=1)

@@ -235,8 +235,8 @@ def to_acceleration(record: Record) -> Record:
 def sample_rate_of(times: ArrayLike, source: str = "time") -> float:
     """Rate in Hz of evenly spaced instants in s.
 
-    A gap is a step of 1.5 periods or more; uneven is a step that differs from the period by more than a tenth of it, or
-    an instant that leaves the even grid by a period.
+    A gap is a step of 1.5 periods or more; uneven is a step that differs from the period by more than a tenth of it,
+    or an instant that leaves the even grid by a period.
     """
     t = require_array(f"{source}: time", times, ndim=1)
     if len(t) < 2:

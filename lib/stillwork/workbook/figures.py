@@ -91,8 +91,8 @@ class SavedFigure:
 def save(figure, path: Path) -> SavedFigure:
     """Write a figure as ``path.png`` and its plotted numbers as ``path.csv``.
 
-    Dense lines are thinned to what the picture can show, see `stillwork.workbook.thinning`, and so are its colours, see
-    `stillwork.workbook.png`. The figure itself stays as it is. Two calls with the same data write the same bytes.
+    Dense lines are thinned to what the picture can show, see `stillwork.workbook.thinning`, and so are its colours,
+    see `stillwork.workbook.png`. The figure itself stays as it is. Two calls with the same data write the same bytes.
     `read_table` reads the numbers.
 
     Raises
