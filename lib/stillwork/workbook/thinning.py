@@ -8,7 +8,7 @@ import numpy as np
 from stillwork.base.kernels import kernel
 
 DENSE = 200  # points; a line with fewer keeps them all
-REACH = 0.1  # pixels of the saved picture by which a thinned line may leave the full one, sideways and lengthways
+REACH = 0.1  # pixels of the saved picture by which a thinned line may leave the full one
 COLUMN = 0.5  # pixels; of the samples within one only the extremes show
 
 
