@@ -154,6 +154,7 @@ def picture(y=1.0, label="time (s)", colour=BLUE) -> bytes:
     return buffer.getvalue()
 
 
+@pytest.mark.slow
 def test_pictures_agree_when_a_line_moved_within_its_width_and_not_when_a_word_changed():
     assert same_picture(picture(), picture())
     assert same_picture(picture(1.0 + 1e-4), picture())
