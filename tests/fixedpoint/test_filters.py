@@ -83,6 +83,7 @@ def test_savitzky_golay_weights(samples, degree, derivative):
     assert found == pytest.approx(expected, rel=1e-8, abs=1e-12)
 
 
+@pytest.mark.slow
 @given(st.floats(-2, 2), st.floats(-2, 2), st.floats(-5, 5))
 def test_savitzky_golay_reproduces_a_parabola(position, velocity, acceleration):
     time = np.arange(60) * STEP
@@ -97,6 +98,7 @@ def test_savitzky_golay_reproduces_a_parabola(position, velocity, acceleration):
     assert found.acceleration[-1] == pytest.approx(acceleration, abs=1e-6)
 
 
+@pytest.mark.slow
 @given(st.floats(-2, 2), st.floats(-2, 2))
 def test_steady_motion_passes_every_filter_that_presumes_it(position, velocity):
     """A known steady motion leaves no transient: the start of the buffers is right."""

@@ -64,6 +64,7 @@ def test_response_of_a_known_system_is_found_with_correlated_inputs():
     assert estimate.coherence[:, band].min() > 0.999
 
 
+@pytest.mark.slow
 def test_residual_is_the_output_noise_even_with_few_averages():
     x = noise(2, 500)
     y, _ = mimo_filter(x)

@@ -266,6 +266,7 @@ def test_least_squares_resume_with_the_digits_they_had(scale):
     assert track.estimates[:, -1] == pytest.approx(expected, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_the_sample_at_which_an_estimate_leaves_the_finite_numbers_is_named():
     rows = np.ones((20_000, 1))
     rows[100:19_000] = 0

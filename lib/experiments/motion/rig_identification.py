@@ -30,15 +30,7 @@ def four_sensor_controller(geometry: Geometry, settings: RigSettings, bandwidth_
 
 
 def identification_loop(geometry: Geometry, settings: RigSettings, bandwidth_hz: float) -> StateModel:
-    """All four actuators and sensors under a slow controller, as `run_multisine` takes it.
-
-    Parameters
-    ----------
-    geometry : Geometry
-    settings : RigSettings
-    bandwidth_hz : float
-        Design bandwidth of all three directions.
-    """
+    """All four actuators and sensors under a slow controller, as `run_multisine` takes it."""
     plant = zoh_modes(rig_model(geometry), settings.step)
     controller = four_sensor_controller(geometry, settings, bandwidth_hz)
     closed = closed_loop(plant, replace(no_observer(plant), step=settings.step), controller)
@@ -100,17 +92,6 @@ def predicted_deviation(
 
     The error of an experiment is (G w + d) over the excitation, turned by the inverse of the input responses,
     I + C G.
-
-    Parameters
-    ----------
-    geometry, settings, bandwidth_hz
-        The loop.
-    omega : ndarray
-        rad/s.
-    rms : float
-        Of the excitation (N).
-    averages : int
-        Realisations times periods.
     """
     require_number("rms", rms, above=0.0)
     require_count("averages", averages)
@@ -146,16 +127,7 @@ def convergence(
     top_hz: float,
     counts: tuple[int, ...],
 ) -> dict[str, list[float]]:
-    """`mean_relative_error` of the joint and of the direct estimate from the first realisations.
-
-    Parameters
-    ----------
-    records : MultisineRecords
-    geometry, settings
-    top_hz : float
-    counts : tuple of int
-        Numbers of realisations.
-    """
+    """`mean_relative_error` of the joint and of the direct estimate from the first realisations."""
     found = {"joint input-output": [], "direct": []}
     for count in counts:
         part = MultisineRecords(
@@ -178,10 +150,9 @@ def direct_response(records: MultisineRecords) -> Complex128[np.ndarray, "lines 
     return pairs[0] @ np.linalg.inv(pairs[1])
 
 
-def smoothed_deviation(estimate: ResponseMatrix, lines: int = 15) -> Float64[np.ndarray, " lines"]:
-    """Deviation over frequency: root mean square over entries and over neighbouring lines."""
-    require_count("lines", lines)
+def smoothed_deviation(estimate: ResponseMatrix) -> Float64[np.ndarray, " lines"]:
+    """Deviation over frequency: root mean square over entries and over fifteen neighbouring lines."""
     power = (estimate.deviation**2).mean(axis=(1, 2))
-    kernel = np.ones(lines)
+    kernel = np.ones(15)
     sums = np.convolve(power, kernel, mode="same") / np.convolve(np.ones_like(power), kernel, mode="same")
     return np.sqrt(require_array("deviation", sums))

@@ -116,14 +116,8 @@ def decoupled_plant(
 ) -> StateModel:
     r"""The decoupled plant, u to q, under the force :math:`f_d = K(s)\hat x`; :math:`f = \Gamma u + f_d`.
 
-    Parameters
-    ----------
-    plant : ModalModel
-    decoupling : Decoupling
-    gain : ndarray or StateModel
-        On the modal states of form 1 of the first modes; those left out get no feedback.
-    observer : Observer, optional
-        Takes f and y, as in Fig. 4.12. By default perfect estimates.
+    The gain acts on the modal states of form 1 of the first modes; those left out get no feedback. The observer takes
+    f and y, as in Fig. 4.12; by default the estimates are perfect.
     """
     machine, seen = plant.state_space(), decoupling.apply(plant).state_space()
     (outputs, inputs), axes = machine.d.shape, len(decoupling.sensing)

@@ -129,13 +129,7 @@ def _places(modes: int, form: int) -> tuple[np.ndarray, np.ndarray]:
 
 @checked
 def from_state_space(model: StateModel, form: int = 1) -> ModalModel:
-    """Read the modal parameters back from a state-space model of form 1 or 2.
-
-    Raises
-    ------
-    InputError
-        When the matrices do not have the structure of that form.
-    """
+    """Read the modal parameters back from a state-space model of form 1 or 2."""
     require_choice("form", str(form), ("1", "2"))
     position, velocity = _places(len(model.a) // 2, form)
     if len(model.a) % 2:
