@@ -89,6 +89,8 @@ def test_outputs_are_compared_by_kind_and_text():
     assert not same_outputs([stream], [stream, result])
     halves = [{**stream, "text": "a "}, {**stream, "text": "1.0\n"}]
     assert same_outputs([stream], halves) and same_outputs(halves, [stream])
+    error = {"output_type": "error", "ename": "ValueError", "evalue": "no", "traceback": []}
+    assert same_outputs([error], [error]) and not same_outputs([error], [stream])
 
 
 def test_the_difference_of_two_tables_is_of_the_range(tmp_path):

@@ -14,7 +14,9 @@ from stillwork.estimation.coordinate_filters import (
     SAVITZKY_GOLAY,
     UNSCENTED,
     WINDOW,
+    ExtendedKalman,
     Filter,
+    UnscentedKalman,
     require_step,
 )
 from stillwork.estimation.extended import plant_extended_step
@@ -49,7 +51,7 @@ def filter_signal(
     signal_filter : Filter
         One of `stillwork.estimation.coordinate_filters`.
     measured : array_like, shape (samples,)
-        Noisy coordinate, m.
+        Noisy coordinate, m. The Kalman filters take NaN after the first sample, and predict where it stands.
     force : array_like, shape (samples,), optional
         Force that acts from each sample to the next, N; the Kalman filters need it, without it it is zero.
     time_step : float
@@ -71,7 +73,10 @@ def filter_signal(
     0.01
     """
     require_step(signal_filter, time_step)
-    measured = require_array("measured", measured, ndim=1)
+    predicts = isinstance(signal_filter, UnscentedKalman | ExtendedKalman)
+    measured = require_array("measured", measured, ndim=1, missing=predicts)
+    if len(measured) and np.isnan(measured[0]):
+        raise InputError("measured is NaN at the first sample; start with one that was measured")
     force = np.zeros_like(measured) if force is None else require_array("force", force, shape=measured.shape)
     estimates = np.empty((len(measured), 3))
     start = np.array([0.0, require_number("start_velocity", start_velocity), 0.0])
