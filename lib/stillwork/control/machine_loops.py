@@ -20,7 +20,6 @@ from stillwork.control.pid import Pid, PidFamily
 from stillwork.estimation.observer import NoiseIntensities, kalman_observer
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine import Machine, whole_band
-from stillwork.identification.modal_fit import ModalFit
 from stillwork.lti.delays import delayed
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.reduction import truncate
@@ -61,12 +60,12 @@ class Intensities:
 
 def applications(added_damping: float, selectivity: float) -> dict[str, Application | None]:
     """PID alone, measurement compensation (MC), active damping (AD), and both."""
-    damped = {"damping": added_damping, "selectivity": selectivity}
+    damped = Application(damping=added_damping, selectivity=selectivity)
     return {
         "PID": None,
         "MC": Application(compensate=True),
-        "AD": Application(**damped),
-        "MC and AD": Application(compensate=True, **damped),
+        "AD": damped,
+        "MC and AD": replace(damped, compensate=True),
     }
 
 
@@ -293,9 +292,10 @@ def reach(
     InputError
         For bad settings. A use without any feasible bandwidth is a result, see `Reached.reason`.
     """
-    band = None
-    if machine.measured is not None:
-        band = whole_band(machine.measured, loop_hz if any(loop_hz) else _ends(machine.fit))
+    measured, band = machine.measured, (0.0, 0.0)
+    if measured is not None and machine.fit is not None:
+        ends = machine.fit.omega[[0, -1]] / (2 * np.pi)
+        band = whole_band(measured, loop_hz if any(loop_hz) else (float(ends[0]), float(ends[1])))
     low, high = search_hz if any(search_hz) else (share * machine.resonances_hz[0] for share in SEARCH)
     if not any(search_hz):
         low = max(low, ABOVE_SUSPENSION * float(machine.sensors[0].frequencies[0]) / (2 * np.pi))
@@ -307,9 +307,9 @@ def reach(
         modelled = tuple(observed_loops(machine.sensors, application, *settings, step, delay))
         loops, on_data, turns = modelled, None, None
         on_model, reason = _search(loops, family, constraints, low, high, refine=True)
-        if band is not None:
+        if measured is not None:
             loops = tuple(
-                on_measurement(loop, machine.measured, 1.0, band, mirror)
+                on_measurement(loop, measured, 1.0, band, mirror)
                 for loop, mirror in zip(loops, machine.mirrored, strict=True)
             )
             on_data, other = _search(loops, family, constraints, low, high, refine=False)
@@ -335,7 +335,3 @@ def _span(bandwidth: Bandwidth | None) -> str:
         return "none"
     low, high = (f"{pick(bandwidth.crossing_hz):.1f}" for pick in (np.min, np.max))
     return low if low == high else f"{low} to {high}"
-
-
-def _ends(fit: ModalFit) -> tuple[float, float]:
-    return float(fit.omega[0] / (2 * np.pi)), float(fit.omega[-1] / (2 * np.pi))
