@@ -233,3 +233,17 @@ def test_extreme_settings_of_the_explorers_draw_without_warnings():
 def test_bad_input_is_named(make, message):
     with pytest.raises(InputError, match=message):
         make()
+
+
+def test_a_tone_is_the_loudest_band():
+    t = np.arange(32000) / 3200
+    values = 3.0 * np.sin(2 * np.pi * 181.0 * t) + np.random.default_rng(1).standard_normal(len(t))
+    low, high, share = measured.loudest_band(values, 3200.0)
+    assert low < 181.0 < high and high - low <= 8.0
+    assert share == pytest.approx(4.5 / 5.5, abs=0.01)
+
+
+def test_without_noise_an_exact_filter_is_found_by_both():
+    motion = np.random.default_rng(2).standard_normal(2000)
+    found = measured.total_trial(np.random.default_rng(3), motion, 0.0, 8, 200)
+    assert max(found.values()) < 1e-9
