@@ -106,6 +106,7 @@ def test_no_model_error_leaves_the_rigid_body():
     assert peaks["MC"] == pytest.approx(1.0, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_example_of_the_three_masses():
     masses = np.array([4.0, 4.0, 4.0])
     loops, best = designed_for_second(three_masses(masses, scaled_springs(masses, 45.0)), 12.0)

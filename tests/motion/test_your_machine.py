@@ -184,6 +184,7 @@ def test_measurement_and_model_agree_where_the_fit_is_exact(found):
         )  # lines miss the peaks between them
 
 
+@pytest.mark.slow
 def test_found_bandwidths_hold_six_decibels_and_are_stable_on_the_full_model(found):
     """By the closed loop's eigenvalues and by python-control's frequency response, not by the search's own loops."""
     import control
@@ -204,6 +205,7 @@ def test_found_bandwidths_hold_six_decibels_and_are_stable_on_the_full_model(fou
     assert max(peaks) == pytest.approx(10 ** (6 / 20), rel=2e-3)
 
 
+@pytest.mark.slow
 def test_bandwidths_do_not_depend_on_the_unit_of_force(tmp_path):
     """A machine a thousand times heavier, disturbed a thousand times more, is the same machine."""
     for unit in ("N", "kN"):

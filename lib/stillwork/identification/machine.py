@@ -24,33 +24,15 @@ MOST_MODES = 12  # of a matrix model: the others enter as compliance
 
 @dataclass(frozen=True)
 class Machine:
-    """A machine as the search takes it.
+    """A machine as the search takes it."""
 
-    Attributes
-    ----------
-    sensors : tuple of ModalModel
-        Force to position, one a sensor that the controller must serve.
-    mass : float
-        kg, of the rigid body.
-    source : str
-        Where it comes from.
-    measured : Identified, optional
-        Its accelerance at the first sensor, 1/kg, counted along the force.
-    fit : ModalFit, optional
-        Of `measured`.
-    mirrored : tuple of bool
-        By sensor: whether it is the assumed mirror image of the first.
-    notes : tuple of str
-        What was done to it, and what to mind.
-    """
-
-    sensors: tuple[ModalModel, ...]
-    mass: float
-    source: str
-    measured: Identified | None = None
-    fit: ModalFit | None = None
-    mirrored: tuple[bool, ...] = (False,)
-    notes: tuple[str, ...] = ()
+    sensors: tuple[ModalModel, ...]  # force to position, one a sensor that the controller must serve
+    mass: float  # kg, of the rigid body
+    source: str  # where it comes from
+    measured: Identified | None = None  # its accelerance at the first sensor, 1/kg, counted along the force
+    fit: ModalFit | None = None  # of `measured`
+    mirrored: tuple[bool, ...] = (False,)  # by sensor: whether it is the assumed mirror image of the first
+    notes: tuple[str, ...] = ()  # what was done to it, and what to mind
 
     def __post_init__(self):
         check_fields(self)
@@ -62,13 +44,7 @@ class Machine:
 
 
 def find_modes(measured: Identified, band_hz: tuple[float, float]) -> list[float]:
-    """Resonances in Hz that stand out of an accelerance by 10 dB, where it is coherent.
-
-    Raises
-    ------
-    InputError
-        When none stands out.
-    """
+    """Resonances in Hz that stand out of an accelerance by 10 dB, where it is coherent."""
     inside = _inside(measured, band_hz)
     magnitude = 20 * np.log10(np.abs(measured.response[inside]))
     peaks, _ = find_peaks(magnitude, prominence=PROMINENCE_DB)

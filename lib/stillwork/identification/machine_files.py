@@ -26,27 +26,14 @@ _HERTZ = {"hz": 1.0, "khz": 1e3, "rad/s": 1 / (2 * np.pi)}
 
 @dataclass(frozen=True)
 class MachineFile:
-    """What a file says about a machine: either its accelerance, or a modal model.
+    """What a file says about a machine: either its accelerance, or a modal model."""
 
-    Attributes
-    ----------
-    kind : str
-        ``frequency response``, ``hammer records`` or ``matrices``.
-    source : str
-        File name.
-    accelerance : Identified, optional
-        Acceleration over force in 1/kg; coherence is NaN where the file has none.
-    model : ModalModel, optional
-        From force to the position of every sensor.
-    notes : tuple of str
-        What was done to it.
-    """
-
-    kind: str
-    source: str
+    kind: str  # ``frequency response``, ``hammer records`` or ``matrices``
+    source: str  # file name
+    # acceleration over force in 1/kg; coherence is NaN where the file has none
     accelerance: Identified | None = None
-    model: ModalModel | None = None
-    notes: tuple[str, ...] = ()
+    model: ModalModel | None = None  # from force to the position of every sensor
+    notes: tuple[str, ...] = ()  # what was done to it
 
 
 def kind_of(arrays: dict[str, np.ndarray]) -> str:
