@@ -45,18 +45,16 @@ class Axes:
 
 
 def central_axes(rig: Rig | None) -> Axes:
-    """Axes of a rig.
+    """Axes of a rig; motions of the floor plate that its sensors do not measure count as rest.
 
     Raises
     ------
     InputError
-        When the model has no geometry, or its floor sensors do not fix z, θx and θy.
+        When the model has no geometry.
     """
     if rig is None:
         raise InputError("the model has no geometry, so no z, θx and θy; take one with a body and struts")
     readings = rig.floor_sensors.jacobian[:, _ROWS]
-    if np.linalg.matrix_rank(readings, 1e-9) < 3:
-        raise InputError("floor_sensors do not fix z, θx and θy of the plate; place three apart")
     platform = np.linalg.pinv(rig.platform_sensors.jacobian)[_ROWS]
     return Axes(np.linalg.pinv(readings), platform, readings)
 
@@ -166,8 +164,15 @@ def exact_transmissibility(
     """Transmissibility from floor to platform in z, θx, θy without any noise, from the model's responses.
 
     Platform directions along the first axis, floor directions along the second.
+
+    Raises
+    ------
+    InputError
+        When the floor sensors do not fix z, θx and θy.
     """
     axes = central_axes(twin.rig)
+    if np.linalg.matrix_rank(axes.floor_readings, 1e-9) < 3:
+        raise InputError("floor_sensors do not fix z, θx and θy of the plate; place three apart")
     if weights is None:
         weights = np.zeros((twin.actuators, twin.regressors))
     whole = responses(twin, frequencies_hz, feedback).transmissibility(weights)
