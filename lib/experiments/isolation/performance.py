@@ -235,6 +235,31 @@ def expected_density(
     }
 
 
+def band_means(
+    frequencies_hz: ArrayLike, responses: dict[str, np.ndarray], lines_hz: ArrayLike
+) -> tuple[Float64[np.ndarray, " bands"], dict[str, Complex128[np.ndarray, "3 3 bands"]]]:
+    """Complex means of estimated responses over a twelfth of an octave, in which uncorrelated noise averages out.
+
+    Lines within two steps of one of the mains stand for themselves: their peaks are no noise.
+
+    Parameters
+    ----------
+    frequencies_hz : array_like, shape (frequencies,)
+        Evenly spaced, above zero.
+    responses : dict of str to ndarray, shape (3, 3, frequencies)
+        Estimates.
+    lines_hz : array_like, shape (lines,)
+        The mains.
+    """
+    f = require_array("frequencies_hz", frequencies_hz, ndim=1)
+    apart = np.abs(f[:, None] - require_array("lines_hz", lines_hz, ndim=1)).min(axis=1, initial=np.inf)
+    band = np.where(apart <= 2.001 * (f[1] - f[0]), -f, np.floor(12 * np.log2(f)))
+    starts = np.flatnonzero(np.diff(band, prepend=np.nan) != 0)
+    counts = np.diff(starts, append=len(f))
+    means = {name: np.add.reduceat(response, starts, axis=2) / counts for name, response in responses.items()}
+    return np.add.reduceat(f, starts) / counts, means
+
+
 def reduction_db(
     frequencies_hz: ArrayLike, before: ArrayLike, after: ArrayLike
 ) -> tuple[Float64[np.ndarray, " bands"], Float64[np.ndarray, "3 bands"]]:
