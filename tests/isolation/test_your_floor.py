@@ -213,6 +213,7 @@ def test_the_shipped_ground_spectra_are_a_floor_and_each_of_several_its_own(twin
         ({"frequency": [1, 300], "a": [1, 1]}, "N^2/Hz", "needs a density of m/s"),
         ({"frequency": [1, 300], "a": [1, 1]}, "m/s^2 per Hz", "give a density as"),
         ({"frequency": [1, 300], "a": [1, 1]}, "m/s^2", "say their unit as a density"),
+        ({"frequency": [-1, 0], "a": [1, 1]}, "(m/s)^2/Hz", "0 frequencies above zero"),
         ({"x": [1, 300], "a": [1, 1]}, "(m/s)^2/Hz", "no column named frequency"),
         ({"f": [1, 300], **{n: [1, 1] for n in "abcd"}}, "(m/s)^2/Hz", "4 spectra .*choose 1 to 3"),
     ],

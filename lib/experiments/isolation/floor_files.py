@@ -14,7 +14,7 @@ from experiments.isolation.recorded_floors import (
     synthesise_floor,
 )
 from experiments.isolation.twin import Twin
-from stillwork.base.checks import InputError, nearest
+from stillwork.base.checks import InputError, nearest, require_number
 from stillwork.signals.datafiles import read_columns
 from stillwork.signals.records import MOTION_UNITS, PASS_SHARE, is_time, load_record, unit_factor
 
@@ -66,6 +66,7 @@ def open_floor(
         quietest ground on Earth, since its unit is wrong.
     """
     rate = twin.instruments.sample_rate
+    require_number("ground_s", duration_s, at_least=SHORTEST_S)
     options = {"common": common, "sample_rate": rate}
     lowest, highest = _suspension_hz(twin)
     if not floor_record:
@@ -74,9 +75,9 @@ def open_floor(
         floor = synthesise_floor(
             f, density, duration_s, seed, channels=twin.sensors, source=source, **options
         )
-    elif density_unit(unit):
+    elif _density_unit(unit):
         path = Path(floor_record)
-        f, density = read_spectra(path, unit, channels, twin.sensors)
+        f, density = _read_spectra(path, unit, channels, twin.sensors)
         if f[0] > lowest or f[-1] < highest:
             raise InputError(
                 f"{path.name} holds {f[0]:.3g} to {f[-1]:.3g} Hz and misses suspension frequencies of the rig "
@@ -133,7 +134,7 @@ def _recorded(floor_record, unit, rate_hz, channels, twin, highest) -> RecordedF
     return record_floor(record, channels=len(record.signals), sample_rate=twin.instruments.sample_rate)
 
 
-def density_unit(unit: str) -> tuple[str, int] | None:
+def _density_unit(unit: str) -> tuple[str, int] | None:
     """Unit of the motion in a unit of a density, and the power to which the density has it; None for a record's."""
     plain = unit.strip().replace("²", "^2").replace("√Hz", "sqrt(Hz)").replace(" ", "")
     for pattern, power in (
@@ -148,7 +149,7 @@ def density_unit(unit: str) -> tuple[str, int] | None:
     return None
 
 
-def read_spectra(path: Path, unit: str, channels: list[str], most: int) -> tuple[np.ndarray, np.ndarray]:
+def _read_spectra(path: Path, unit: str, channels: list[str], most: int) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies in Hz and acceleration PSDs in (m/s^2)^2/Hz, (channels, frequencies), of a file of spectra.
 
     Raises
@@ -175,11 +176,13 @@ def read_spectra(path: Path, unit: str, channels: list[str], most: int) -> tuple
         raise InputError(
             f"{path.name} holds {len(named)} spectra ({', '.join(named)}) beside {axis!r}; choose 1 to {most}"
         )
-    motion, power = density_unit(unit)
+    motion, power = _density_unit(unit)
     factor, si_unit = unit_factor(motion)
     if si_unit not in MOTION_UNITS:
         raise InputError(f"unit is {unit!r}; a floor needs a density of m/s^2, m/s or m")
     known = f > 0
+    if known.sum() < 2:
+        raise InputError(f"{path.name}: {axis!r} holds {known.sum()} frequencies above zero; give at least 2")
     rows = np.array(list(named.values()))[:, known]
     if not np.isfinite(rows).all() or np.any(rows < 0):
         raise InputError(f"{path.name} holds a density that is missing, infinite or negative; mend it")
