@@ -1,4 +1,4 @@
-"""Command line: ``python -m stillwork figures|readings|claims|portable|accept|site|refresh|inspect|new|doctor``."""
+"""Command line: ``python -m stillwork figures|readings|claims|portable|accept|site|refresh|inspect|export|new|doctor``."""
 
 import argparse
 import json
@@ -109,6 +109,13 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
     inspect.add_argument("file", metavar="FILE")
     inspect.set_defaults(run=_inspect)
 
+    export = commands.add_parser(
+        "export", help="write C99 of a controller, or of FeRls or FeLms, from a file", allow_abbrev=False
+    )
+    export.add_argument("file", metavar="FILE", help="controller.json, or TOML")
+    _add_output(export)
+    export.set_defaults(run=_export)
+
     new = commands.add_parser(
         "new", help="begin a result: notebook, ledger entry and test", allow_abbrev=False
     )
@@ -120,6 +127,13 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
     doctor.set_defaults(run=_doctor)
     usage = " ".join(command.format_usage() for command in commands.choices.values())
     return parser, re.findall(r"--?[a-z]+", usage)
+
+
+def _add_output(command: argparse.ArgumentParser) -> None:
+    """Options of what writes C into a folder."""
+    command.add_argument("--out", metavar="DIR", required=True, help="a new or empty folder")
+    command.add_argument("--name", default="controller", help="what all names in C begin with")
+    command.add_argument("--precision", default="double", metavar="double|single")
 
 
 def _count(text: str) -> int:
@@ -232,6 +246,14 @@ def _inspect(options) -> int:
     from stillwork.inspecting import inspect_file
 
     print(inspect_file(options.file))
+    return 0
+
+
+def _export(options) -> int:
+    from stillwork.exporting import export_file
+
+    written = export_file(options.file, options.out, options.name, options.precision)
+    print(f"{options.out}: {', '.join(written)}")
     return 0
 
 

@@ -73,6 +73,7 @@ def test_platform_follows_the_floor_at_low_frequency_and_rolls_off(twin):
     assert abs(passive[0, 0, 2]) < 0.02
 
 
+@pytest.mark.slow
 def test_feedforward_removes_most_of_the_power_and_the_output_noise_is_the_limit(twin):
     floor = flat_floor(1500.0)
     weights = tune(twin, floor, 0.1, 40.0, 1)["FeRLS"]
@@ -110,6 +111,7 @@ def test_reduction_in_bands_of_a_constant_factor():
     assert found == pytest.approx(40.0) and centres[0] < 3.2 and centres[-1] > 200
 
 
+@pytest.mark.slow
 def test_trial_holds_together(twin):
     trial = power_trial(
         np.random.default_rng(0),

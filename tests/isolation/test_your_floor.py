@@ -53,6 +53,7 @@ def test_shipped_record_is_what_its_source_says():
     assert record.names == ("vertical (m/s^2)",)
 
 
+@pytest.mark.slow
 def test_slab_is_isolated_in_z_and_not_tilted(twin):
     shaken = isolate(twin, opened(twin, SLAB), 1)
     assert list(shaken.moving) == [True, False, False]

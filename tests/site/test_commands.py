@@ -54,6 +54,7 @@ def meant(words):
     }
 
 
+@pytest.mark.slow
 def test_a_record_gets_the_command_that_uses_it():
     report = inspect_file(str(SLAB))
     assert "a record of 1 channel: 425.077 Hz, 30 s" in report

@@ -23,21 +23,11 @@ LOUDEST = STANDARD_GRAVITY
 
 @dataclass(frozen=True)
 class RecordedFloor:
-    """Accelerations of the floor sensors over time.
+    """Accelerations of the floor sensors over time."""
 
-    Attributes
-    ----------
-    acceleration : ndarray, shape (channels, samples)
-        m/s^2.
-    sample_rate : float
-        Hz.
-    source : str
-        Where it comes from.
-    """
-
-    acceleration: Float64[np.ndarray, "channels samples"]
-    sample_rate: float
-    source: str
+    acceleration: Float64[np.ndarray, "channels samples"]  # m/s^2
+    sample_rate: float  # Hz
+    source: str  # where it comes from
 
     def __post_init__(self):
         require_array("acceleration", self.acceleration, ndim=2)
@@ -55,23 +45,12 @@ class RecordedFloor:
 
 @dataclass(frozen=True)
 class SpectralFloor:
-    """Floor known by its power spectral density alone, alike and independent at all sensors.
+    """Floor known by its power spectral density alone, alike and independent at all sensors."""
 
-    Attributes
-    ----------
-    frequencies_hz : ndarray, shape (frequencies,)
-        Positive and rising.
-    levels : ndarray, shape (frequencies,)
-        Acceleration PSD, (m/s^2)^2/Hz; straight in between, zero outside.
-    source : str
-        Where it comes from.
-    channels : int
-        Sensors.
-    """
-
-    frequencies_hz: Float64[np.ndarray, " frequencies"]
+    frequencies_hz: Float64[np.ndarray, " frequencies"]  # positive and rising
+    # acceleration PSD, (m/s^2)^2/Hz; straight in between, zero outside
     levels: Float64[np.ndarray, " frequencies"]
-    source: str
+    source: str  # where it comes from
     channels: int = SENSORS
 
     def density(self, frequencies_hz: ArrayLike) -> Float64[np.ndarray, "channels frequencies"]:
@@ -151,13 +130,7 @@ def synthesise_floor(
 def measured_ground_density(
     axis: str = "Z",
 ) -> tuple[Float64[np.ndarray, " frequencies"], Float64[np.ndarray, " frequencies"]]:
-    """Measured ground of an observatory, 0.01 to 100 Hz, mean over four days (`data/isolation/ligo_llo_ground`).
-
-    Returns
-    -------
-    frequencies_hz, density : ndarray, shape (frequencies,)
-        Acceleration PSD in (m/s^2)^2/Hz.
-    """
+    """Measured ground (`data/isolation/ligo_llo_ground`), mean over four days: Hz from 0.01 to 100, and PSD."""
     require_choice("axis", axis, ("X", "Y", "Z"))
     file = paths.data("isolation", "ligo_llo_ground/ground_velocity_density.npz")
     with np.load(file, allow_pickle=False) as ground:
@@ -172,15 +145,6 @@ def ground_spectrum(
     """Measured vertical ground spectrum below 100 Hz and a vibration criterion above.
 
     The records end at 100 Hz; above it the floor is assumed to follow the criterion's curve, up to `upper_hz`.
-
-    Parameters
-    ----------
-    gain : float
-        Amplitude of the whole floor relative to the measured one.
-    criterion : str
-        Curve above 100 Hz.
-    upper_hz : float
-        Upper end of the floor, Hz.
     """
     require_number("gain", gain, above=0.0)
     require_number("upper_hz", upper_hz, above=GROUND_UPPER_HZ)
@@ -199,7 +163,6 @@ def ground_floor(
     seed: int,
     *,
     gain: float = 1.0,
-    criterion: str = GROUND_CRITERION,
     upper_hz: float = UPPER_HZ,
     **options,
 ) -> RecordedFloor:
@@ -207,7 +170,7 @@ def ground_floor(
 
     Parameters are those of `ground_spectrum` and `synthesise_floor`.
     """
-    ground = ground_spectrum(gain=gain, criterion=criterion, upper_hz=upper_hz)
+    ground = ground_spectrum(gain=gain, upper_hz=upper_hz)
     return synthesise_floor(
         ground.frequencies_hz, ground.levels, duration, seed, source=ground.source, **options
     )
@@ -220,11 +183,6 @@ def record_floor(
 
     A sensor without a channel of its own moves as the mean of the others, so one channel is a plate that only
     translates.
-
-    Raises
-    ------
-    InputError
-        When the record has more channels than there are sensors.
     """
     channels = require_count("channels", channels)
     if len(record.signals) > channels:

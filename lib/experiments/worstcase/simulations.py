@@ -25,25 +25,10 @@ def fir_trial(
 ) -> dict[str, np.ndarray]:
     """One realisation of Fig. 1: square wave into an FIR filter, input and output measured with uniform noise.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    parameters : tuple of float
-        Impulse response x.
-    period : int
-        Samples in a period of the square wave of amplitude 1.
-    samples : int
-        Length of the record.
-    input_noise, output_noise : float
-        w_max and v_max, largest absolute noise.
-
-    Returns
-    -------
-    dict of str to ndarray
-        ``min_max``, ``total``, ``least`` (unknowns x samples): estimates from all rows up to t, NaN before
-        there are more rows than unknowns. ``min_max_worst``, ``total_worst``, ``least_worst``: worst-case
-        residuals |A x - b| + eta |x|. ``total_target``: norm of the correction of b. ``total_matrix``: norm
-        of the correction of A. ``perturbation``: norm of the true perturbation. ``bound``: eta_t.
+    ``min_max``, ``total``, ``least`` (unknowns x samples): estimates from all rows up to t, NaN before
+    there are more rows than unknowns. ``min_max_worst``, ``total_worst``, ``least_worst``: worst-case
+    residuals |A x - b| + eta |x|. ``total_target``: norm of the correction of b. ``total_matrix``: norm
+    of the correction of A. ``perturbation``: norm of the true perturbation. ``bound``: eta_t.
     """
     parameters = require_array("parameters", parameters, ndim=1)
     taps = len(parameters)
@@ -143,25 +128,10 @@ def tracking_trial(
 ) -> dict[str, np.ndarray]:
     """One trial of Fig. 2: white regressors that are off by a bounded error, outputs with Gaussian noise.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    truth : ndarray, shape (unknowns, samples)
-        x_t, from `path`.
-    bound, forgetting : float
-        eta and lambda of the min-max estimator; RLS and ridge forget alike.
-    row_error : float
-        epsilon: the error of each regressor is drawn uniformly from the ball of this radius.
-    noise : float
-        Standard deviation of v_t.
-    penalty : float
-        Constant penalty of ridge regression.
-
-    Returns
-    -------
-    dict of str to ndarray
-        ``min_max``, ``rls``, ``ridge``, ``zero``: error norms |x_t - estimate|, shape (samples,); ``norm``: |A|_2
-        of the unweighted regressors; ``vanished``: share of the time with a zero estimate.
+    `truth` is from `path`; RLS and ridge, with its constant `penalty`, forget like min-max; the error of each
+    regressor is drawn uniformly from the ball of radius `row_error`. ``min_max``, ``rls``, ``ridge``, ``zero``: error
+    norms |x_t - estimate|, shape (samples,); ``norm``: |A|_2 of the unweighted regressors; ``vanished``: share of the
+    time with a zero estimate.
     """
     unknowns, samples = truth.shape
     regressors = rng.standard_normal((unknowns, samples))
