@@ -6,9 +6,13 @@ import shlex
 import numpy as np
 import pytest
 
+from experiments.isolation import load_twin
+from experiments.isolation.floor_files import open_floor
 from experiments.isolation.recorded_floors import record_floor
+from experiments.isolation.your_floor import isolate
 from stillwork.__main__ import main
 from stillwork.base import paths
+from stillwork.estimation.online import UnstableAdaptation
 from stillwork.identification.machine_files import load_machine
 from stillwork.signals.records import load_record
 
@@ -49,7 +53,7 @@ def test_every_command_is_one_that_these_tests_know():
     assert {
         line.split()[1] for line in LINES + re.findall(r"`(make [a-z]+)`", GUIDE) if line.startswith("make")
     } <= set(targets)
-    assert len(BUILDS) == 7 and len(INSPECTIONS) == 7 and len(CODE) == 1
+    assert len(BUILDS) == 8 and len(INSPECTIONS) == 7 and len(CODE) == 1
 
 
 @pytest.mark.parametrize("line", BUILDS)
@@ -96,6 +100,14 @@ def test_the_snippet_writes_a_record_without_drift(tmp_path, monkeypatch):
     assert record.sample_rate == 3200 and record_floor(
         record, channels=3, sample_rate=5000.0
     ).duration == pytest.approx(20)
+    twin = load_twin("rigid_body")
+    settings = {"twin": twin, "ground_gain": 1.0, "common": 1.0, "duration_s": 20.0, "seed": 1}
+    source = str(paths.data("worstcase", "structure_accel_3k2/structure_accel_20s.npz"))
+    drifting = open_floor(source, "m/s^2", 0.0, ["accel_2"], **settings)
+    with pytest.raises(UnstableAdaptation):
+        isolate(twin, drifting, 1, start=2.0)
+    cured = open_floor(str(tmp_path / "without_drift.npz"), "m/s^2", 0.0, [], **settings)
+    assert isolate(twin, cured, 1, start=2.0).left("FeRLS")[0] < 0.1
     slow = np.abs(np.fft.rfft(record.signals[0]))[:40]  # below 2 Hz
     original = load_record(paths.data("worstcase", "structure_accel_3k2/structure_accel_20s.npz"), "m/s^2")
     assert slow[1:].max() < 0.05 * np.abs(np.fft.rfft(original.signals[0]))[1:40].max()
@@ -103,7 +115,7 @@ def test_the_snippet_writes_a_record_without_drift(tmp_path, monkeypatch):
 
 def test_every_template_in_the_table_exists_and_loads():
     templates = set(re.findall(r"`(data/[^`]*)`", GUIDE.partition("## A floor")[0]))
-    assert len(templates) == 6
+    assert len(templates) == 7
     for name in templates:
         file = paths.root() / name
         if "your_machine" in name:
