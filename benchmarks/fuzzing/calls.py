@@ -18,7 +18,7 @@ from stillwork.estimation.generalised_plant import GeneralisedPlant
 from stillwork.estimation.h2 import h2_riccati
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
 from stillwork.estimation.time_varying import TimeVaryingModel, estimate
-from stillwork.lti.discretisation import tustin, zoh_response
+from stillwork.lti.discretisation import zoh_response
 
 FACES = {
     "signals": signals,
@@ -33,7 +33,7 @@ RESULTS = {
     "LoopResponse", "ControlledRun", "Loop", "UnstableAdaptation", "ZeroEstimateWarning", "ContractionWarning",
 }  # fmt: skip
 # Calls whose good arguments stand for a file or a machine that is not there.
-REFUSED = {"load_record", "load_machine", "build_machine", "from_control"}
+REFUSED = {"load_record", "load_machine", "build_machine", "from_control", "load_controller"}
 # Of these NaN (after a divergence, without coherence) or infinity (no estimate, no crossing) is a stated result.
 MAY_BE_INFINITE = {
     "min_max_solve",
@@ -41,6 +41,7 @@ MAY_BE_INFINITE = {
     "coupling_onset",
     "stable_range",
     "maximise_bandwidth",
+    "DigitalController",
     "ControlledRun",
     "control.simulate",
 }
@@ -92,6 +93,7 @@ def catalogue() -> dict:
         np.zeros((1, 1)),
     )
     sampled = lti.zoh(state, 0.01)
+    digital = c.DigitalController(sampled, ("e (m)",), ("f (N)",), [-1.0], [1.0], np.zeros((2, 1)), 1)
     observer = e.kalman_observer(model, e.NoiseIntensities(1.0, 1e-12))
     sampled_observer = c.discrete_kalman_observer(model, e.NoiseIntensities(1.0, 1e-12), 1e-4)
     plant = e.Plant(_acceleration, _force, np.array([2.0]))
@@ -172,14 +174,13 @@ def catalogue() -> dict:
         "ModalModel.frequency_response": (model.frequency_response, {"omega": omega}),
         "ModalModel.at": (model.at, {"inputs": [0], "outputs": [0]}),
         "ModalModel.modes": (model.modes, {"chosen": [0, 1]}),
-        "ModalModel.state_space": (model.state_space, {"form": 1}),
+        "ModalModel.state_space": (model.state_space, {}),
         "lti.StateModel": (lti.StateModel, fields(state)),
         "StateModel.frequency_response": (state.frequency_response, {"omega": omega}),
         "StateModel.zeros": (lambda **named: lti.StateModel(**named).zeros, fields(state)),
         "ModalModel.compliance": (lambda **named: lti.ModalModel(**named).compliance(), fields(model)),
         "StateModel.select": (state.select, {"inputs": [0], "outputs": [0]}),
         "from_control": (lti.from_control, {"system": state}),
-        "from_state_space": (lti.from_state_space, {"model": model.state_space(), "form": 1}),
         "h2_norm": (lti.h2_norm, {"model": state}),
         "hinf_norm": (lti.hinf_norm, {"model": state, "tolerance": 1e-9}),
         "interconnect": (lti.interconnect, {"models": [state], **joined, "direct": np.zeros((1, 1))}),
@@ -259,7 +260,7 @@ def catalogue() -> dict:
         "secular_function": (e.secular_function, block),
         "steady_covariance": (e.steady_covariance, {"regressors": rows, "forgetting": 0.9}),
         "worst_case_residuals": (e.worst_case_residuals, {"regressors": rows, "outputs": signal, "estimates": rows, "bounds": np.ones(60), "forgetting": 0.9}),
-        "tustin": (tustin, {"model": state, "step": 1e-2, "omega": 3.0}),
+        "tustin": (lti.tustin, {"model": state, "step": 1e-2, "omega": 3.0}),
         "zoh_response": (zoh_response, {"model": model, "step": 1e-4, "omega": omega}),
         "TimeVaryingModel": (TimeVaryingModel, matrices),
         "kalman_gains": (lambda **named: robust.kalman_gains(TimeVaryingModel(**named)), matrices),
@@ -276,6 +277,12 @@ def catalogue() -> dict:
         "h2_riccati": (lambda **named: h2_riccati(GeneralisedPlant(lti.StateModel(**named), 2, 2), 0.1, 0.1), fields(posed)),
         "h2_riccati, singular": (h2_riccati, {"plant": GeneralisedPlant(posed, 2, 2), "effort": 0.1, "noise": 0.1}),
         "Application": (c.Application, fields(c.Application(True, 0.1, selectivity=2.0, high_pass_hz=1.0))),
+        "DigitalController": (c.DigitalController, fields(digital)),
+        "DigitalController.run": (digital.run, {"inputs": signal[None], "first": np.ones(1)}),
+        "adaptation_code": (c.adaptation_code, {"settings": e.FeRls(1.0), "actuators": 1, "regressors": 2, "name": "feed", "precision": "single"}),
+        "as_libraries": (c.as_libraries, {"controller": digital}),
+        "controller_code": (c.controller_code, {"controller": digital, "name": "loop", "precision": "single"}),
+        "load_controller": (c.load_controller, {"file": "missing.json"}),
         "Controller": (c.Controller, fields(controller)),
         "Decoupling": (c.Decoupling, fields(decoupling)),
         "Decoupling.apply": (decoupling.apply, {"model": broad}),

@@ -107,20 +107,31 @@ def _course(run: Run) -> Course:
 
 
 def convergence_trial(
-    rng: np.random.Generator, *, twin: Twin, floor: ShapedFloor, both: dict, duration_s: float
+    rng: np.random.Generator,
+    *,
+    twin: Twin,
+    floor: ShapedFloor,
+    both: dict,
+    duration_s: float,
+    final: np.ndarray | None = None,
 ) -> dict[str, np.ndarray]:
     """One repetition of the experiment of Table 1 for `run_study`: both algorithms on the same floor.
 
-    For each the time constants ``"FeLMS tau"``, final values ``"FeLMS final"`` and deviations ``"FeLMS deviation"``
-    at the end; and ``"FeLMS error"``, a number, the quadratic filtered error at the end over that
-    without feedforward.
+    For each the time constants ``"FeLMS tau"``, towards `final` or the run's own final values; the same in the
+    narrower band of a first-order course ``"FeLMS tau 37"``; final values ``"FeLMS final"`` and deviations
+    ``"FeLMS deviation"`` at the end; and ``"FeLMS error"``, a number, the quadratic filtered error at the end over
+    that without feedforward.
     """
     seed = int(rng.integers(2**31))
     before = simulate(twin, floor, FINAL_SHARE * duration_s, seed=seed).error_power.mean()
     found = {}
     for name, run in simulate_each(twin, floor, duration_s, adaptations=both, seed=seed).items():
         course = _course(run)
-        found[f"{name} tau"] = course.time_constants_s
+        for key, share in (("tau", SHARE), ("tau 37", 1 - SHARE)):
+            settled = settling_times(
+                course.time_s, course.weights, course.final if final is None else final, share
+            )
+            found[f"{name} {key}"] = settled
         found[f"{name} final"] = course.final
         found[f"{name} deviation"] = course.deviation
         found[f"{name} error"] = course.final_error / before

@@ -35,18 +35,16 @@ class Axes:
 
 
 def central_axes(rig: Rig | None) -> Axes:
-    """Axes of a rig.
+    """Axes of a rig; motions of the floor plate that its sensors do not measure count as rest.
 
     Raises
     ------
     InputError
-        When the model has no geometry, or its floor sensors do not fix z, θx and θy.
+        When the model has no geometry.
     """
     if rig is None:
         raise InputError("the model has no geometry, so no z, θx and θy; take one with a body and struts")
     readings = rig.floor_sensors.jacobian[:, _ROWS]
-    if np.linalg.matrix_rank(readings, 1e-9) < 3:
-        raise InputError("floor_sensors do not fix z, θx and θy of the plate; place three apart")
     platform = np.linalg.pinv(rig.platform_sensors.jacobian)[_ROWS]
     return Axes(np.linalg.pinv(readings), platform, readings)
 
@@ -132,8 +130,15 @@ def exact_transmissibility(
     """Transmissibility from floor to platform in z, θx, θy without any noise, from the model's responses.
 
     Platform directions along the first axis, floor directions along the second.
+
+    Raises
+    ------
+    InputError
+        When the floor sensors do not fix z, θx and θy.
     """
     axes = central_axes(twin.rig)
+    if np.linalg.matrix_rank(axes.floor_readings, 1e-9) < 3:
+        raise InputError("floor_sensors do not fix z, θx and θy of the plate; place three apart")
     if weights is None:
         weights = np.zeros((twin.actuators, twin.regressors))
     whole = responses(twin, frequencies_hz, feedback).transmissibility(weights)
@@ -178,6 +183,31 @@ def expected_density(
         "floor noise": _power(by_sensors, twin.instruments.floor_noise**2),
         "output noise": _power(by_output, twin.instruments.platform_noise**2),
     }
+
+
+def band_means(
+    frequencies_hz: ArrayLike, responses: dict[str, np.ndarray], lines_hz: ArrayLike
+) -> tuple[Float64[np.ndarray, " bands"], dict[str, Complex128[np.ndarray, "3 3 bands"]]]:
+    """Complex means of estimated responses over a twelfth of an octave, in which uncorrelated noise averages out.
+
+    Lines within two steps of one of the mains stand for themselves: their peaks are no noise.
+
+    Parameters
+    ----------
+    frequencies_hz : array_like, shape (frequencies,)
+        Evenly spaced, above zero.
+    responses : dict of str to ndarray, shape (3, 3, frequencies)
+        Estimates.
+    lines_hz : array_like, shape (lines,)
+        The mains.
+    """
+    f = require_array("frequencies_hz", frequencies_hz, ndim=1)
+    apart = np.abs(f[:, None] - require_array("lines_hz", lines_hz, ndim=1)).min(axis=1, initial=np.inf)
+    band = np.where(apart <= 2.001 * (f[1] - f[0]), -f, np.floor(12 * np.log2(f)))
+    starts = np.flatnonzero(np.diff(band, prepend=np.nan) != 0)
+    counts = np.diff(starts, append=len(f))
+    means = {name: np.add.reduceat(response, starts, axis=2) / counts for name, response in responses.items()}
+    return np.add.reduceat(f, starts) / counts, means
 
 
 def reduction_db(

@@ -10,13 +10,15 @@ from experiments.isolation.floors import SAMPLE_RATE, SENSORS
 from stillwork.base import paths
 from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
 from stillwork.signals.criteria import criterion_density
-from stillwork.signals.records import Record, resample, to_acceleration
+from stillwork.signals.records import STANDARD_GRAVITY, Record, resample, to_acceleration
 
 # The range of interest of the FeRLS paper ends here; a criterion continued further would be no measurement.
 UPPER_HZ = 300.0
 GROUND_UPPER_HZ = 100.0  # the measured ground spectra end here
 # Of the named criteria the one nearest to the measured ground at 100 Hz.
 GROUND_CRITERION = "VC-L"
+# m/s^2: beyond 1 g what stands on a floor leaves it; jumping on the shipped slab reaches a sixth of it.
+LOUDEST = STANDARD_GRAVITY
 
 
 @dataclass(frozen=True)
@@ -78,8 +80,10 @@ def synthesise_floor(
 
     Parameters
     ----------
-    frequencies_hz, density : array_like, shape (frequencies,)
-        One-sided acceleration PSD, (m/s^2)^2/Hz; frequencies positive and rising.
+    frequencies_hz : array_like, shape (frequencies,)
+        Positive and rising.
+    density : array_like, shape (frequencies,) or (channels, frequencies)
+        One-sided acceleration PSD, (m/s^2)^2/Hz, of all sensors or of each.
     duration : float
         Seconds.
     seed : int
@@ -100,7 +104,9 @@ def synthesise_floor(
         When the density is negative or the frequencies do not rise.
     """
     f = require_array("frequencies_hz", frequencies_hz, ndim=1)
-    s = require_array("density", density, shape=f.shape)
+    channels = require_count("channels", channels)
+    s = require_array("density", density)
+    s = require_array("density", s, shape=f.shape if s.ndim < 2 else (channels, *f.shape))
     if len(f) < 2 or f[0] <= 0 or np.any(np.diff(f) <= 0):
         raise InputError("frequencies_hz must be positive and rise; sort them and leave 0 Hz out")
     if np.any(s < 0):
@@ -108,10 +114,9 @@ def synthesise_floor(
     require_number("common", common, at_least=0.0, at_most=1.0)
     require_number("sample_rate", sample_rate, above=0.0)
     require_number("duration", duration, at_least=2 / sample_rate)
-    channels = require_count("channels", channels)
     samples = round(duration * sample_rate)
     lines = np.fft.rfftfreq(samples, 1 / sample_rate)
-    amplitude = np.sqrt(np.interp(lines, f, s, left=0.0, right=0.0))
+    amplitude = np.sqrt([np.interp(lines, f, row, left=0.0, right=0.0) for row in np.atleast_2d(s)])
     # One-sided density = 2 |X|^2 / (rate samples), half of it in the real and half in the imaginary part.
     amplitude *= np.sqrt(sample_rate * samples) / 2
     draws = np.random.default_rng(seed).standard_normal((channels + 1, len(lines), 2)) @ [1, 1j]

@@ -8,7 +8,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from experiments.isolation import loop
-from experiments.isolation.recorded_floors import RecordedFloor
+from experiments.isolation.recorded_floors import LOUDEST, RecordedFloor
 from experiments.isolation.sources import BLOCK, Floor, Sources
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import InputError, require_array, require_count, require_number
@@ -121,7 +121,7 @@ def simulate_each(
                 twin.instruments.force_limit,
             )
             if status != loop.STABLE:
-                raise _unstable(status, done + reached, twin, adaptation, start)
+                raise _unstable(status, done + reached, twin, adaptation, start, np.abs(floor_block).max())
             if done + samples > first:
                 kept.floor[done - first : done - first + samples] = floor_block
         done += samples
@@ -180,7 +180,7 @@ def _segments(twin: Twin, floor, duration_s) -> list[tuple[int, Floor]]:
     return segments
 
 
-def _unstable(status: int, sample: int, twin: Twin, adaptation, weights) -> UnstableAdaptation:
+def _unstable(status: int, sample: int, twin: Twin, adaptation, weights, peak: float) -> UnstableAdaptation:
     if status == loop.INDEFINITE:
         return UnstableAdaptation(
             sample,
@@ -188,6 +188,9 @@ def _unstable(status: int, sample: int, twin: Twin, adaptation, weights) -> Unst
             "start with a smaller initial_covariance or give it a finite growth_limit",
         )
     cause = f"a command exceeds the force limit of {twin.instruments.force_limit:g} N"
+    if peak > LOUDEST:  # no loop is to blame
+        cause += f" while the floor accelerates by {peak:.3g} m/s^2"
+        return UnstableAdaptation(sample, cause, "that is beyond 1 g: check the floor's unit", "the platform")
     if adaptation is not None:
         small = "step_size" if isinstance(adaptation, FeLms) else "initial_covariance"
         return UnstableAdaptation(

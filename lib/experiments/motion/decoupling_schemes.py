@@ -30,7 +30,7 @@ from stillwork.estimation.observer import Observer, kalman_observer
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.peaks import refine_peak, resonance_grid
 from stillwork.lti.reduction import truncate
-from stillwork.lti.state_space import StateModel
+from stillwork.lti.state_space import StateModel, constant
 
 # Name to the number of actuators beyond that of the rigid-body modes; None: one a mode.
 SCHEMES = {
@@ -141,9 +141,7 @@ def with_compensation(plant: ModalModel, settings: Settings) -> StateModel:
     """The decoupled machine, u to q, with measurement compensation by `reduced_observer` (Fig. 4.14)."""
     block = compensator(reduced_observer(plant, settings), Application(compensate=True))
     outputs, inputs = plant.feedthrough.shape
-    idle = StateModel(
-        np.zeros((0, 0)), np.zeros((0, outputs)), np.zeros((inputs, 0)), np.zeros((inputs, outputs))
-    )
+    idle = constant(np.zeros((inputs, outputs)))
     error = channel(closed_loop(plant, block, idle), "u_ff", "e_meas", inputs, outputs)
     both = decouple(plant)
     return StateModel(

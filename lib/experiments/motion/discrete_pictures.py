@@ -14,7 +14,7 @@ from stillwork.control.loops import channel, closed_loop
 from stillwork.lti.discretisation import zoh_modes
 from stillwork.lti.peaks import resonance_grid
 from stillwork.lti.reduction import truncate
-from stillwork.lti.state_space import StateModel
+from stillwork.lti.state_space import StateModel, constant
 from stillwork.workbook import figures
 
 # How the estimate arrives: form and delay of `discrete_compensator`.
@@ -27,8 +27,7 @@ TIMINGS = {
 
 def equivalent_plant(plant: StateModel, block: StateModel) -> StateModel:
     """What a controller of a sampled machine sees: from u to y - y_flex, with the damping loop closed."""
-    open_loop = StateModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.zeros((1, 1)), plant.step)
-    seen = channel(closed_loop(plant, block, open_loop), "u_ff", "e_meas")
+    seen = channel(closed_loop(plant, block, constant(np.zeros((1, 1)), plant.step)), "u_ff", "e_meas")
     return StateModel(seen.a, seen.b, -seen.c, -seen.d, seen.step)
 
 

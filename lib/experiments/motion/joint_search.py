@@ -27,7 +27,7 @@ from stillwork.control.pid import Pid
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.norms import hinf_norm
 from stillwork.lti.peaks import Peak, resonance_grid
-from stillwork.lti.state_space import StateModel
+from stillwork.lti.state_space import constant
 
 # Where the numbers may stand.
 LIMITS = {
@@ -297,7 +297,7 @@ def _near(values: np.ndarray, others: int, frequencies: int) -> np.ndarray:
 
 def stable_on(design: JointDesign, plants: Sequence[ModalModel]) -> Bool[np.ndarray, " plants"]:
     """Whether all loops of every plant are stable, by the eigenvalues of plant and equivalent controller."""
-    nothing = StateModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.zeros((1, 1)))
+    nothing = constant(np.zeros((1, 1)))
     states = [plant.state_space() for plant in plants]
     stable = np.ones(len(plants), bool)
     for mass, loop in enumerate(design.loops()):

@@ -11,7 +11,7 @@ from stillwork.control.pid import Pid
 from stillwork.estimation.generalised_plant import GeneralisedPlant, low_pass
 from stillwork.estimation.observer import Observer
 from stillwork.lti.modal import ModalModel
-from stillwork.lti.state_space import StateModel, interconnect
+from stillwork.lti.state_space import StateModel, constant, interconnect
 
 
 @dataclass(frozen=True)
@@ -78,8 +78,7 @@ class ObserverProblem:
 
     def idle(self) -> StateModel:
         """The block that does nothing: no observer."""
-        n = 1 + self.flexible
-        return StateModel(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((n, 0)), np.zeros((n, 2)))
+        return constant(np.zeros((1 + self.flexible, 2)))
 
     def compensator(self, observer: StateModel) -> StateModel:
         """The observer with band-passes and damping gain: (f, y + d) to (u_d, y_flex), as `loops` wants it."""

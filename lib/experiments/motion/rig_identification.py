@@ -1,14 +1,12 @@
 """Identification of the rig as in section 6.2: four multisine experiments in closed loop, one modal model."""
 
-from dataclasses import replace
-
 import numpy as np
 from jaxtyping import Complex128, Float64
 
 from experiments.motion.rig import Geometry, decoupling, rig_model
 from experiments.motion.rig_designs import RigSettings, rig_controllers
 from stillwork.base.checks import InputError, require_array, require_count, require_number
-from stillwork.control.loops import channel, closed_loop, no_observer
+from stillwork.control.loops import channel, closed_loop
 from stillwork.identification.multisine import (
     MultisineRecords,
     ResponseMatrix,
@@ -33,7 +31,7 @@ def identification_loop(geometry: Geometry, settings: RigSettings, bandwidth_hz:
     """All four actuators and sensors under a slow controller, as `run_multisine` takes it."""
     plant = zoh_modes(rig_model(geometry), settings.step)
     controller = four_sensor_controller(geometry, settings, bandwidth_hz)
-    closed = closed_loop(plant, replace(no_observer(plant), step=settings.step), controller)
+    closed = closed_loop(plant, None, controller)
     inputs = [channel(closed, name, "f", 4, 4) for name in ("u_ff", "w", "d")]
     outputs = [channel(closed, name, "e_meas", 4, 4) for name in ("u_ff", "w", "d")]
     # Without a setpoint the measured error is minus the measurement.
@@ -53,24 +51,12 @@ def rig_records(
     rng: np.random.Generator,
     rms: float,
     realisations: int,
-    periods: int = 2,
-    samples: int = 16384,
-    settling: int = 2,
+    **experiment,
 ) -> MultisineRecords:
-    """Simulated records of the experiments of section 6.2, with force and sensor noise of (6.2)."""
-    noise = settings.noise
-    return run_multisine(
-        identification_loop(geometry, settings, bandwidth_hz),
-        4,
-        4,
-        (np.sqrt(noise.process), np.sqrt(noise.sensor)),
-        rng,
-        samples=samples,
-        rms=rms,
-        realisations=realisations,
-        periods=periods,
-        settling=settling,
-    )
+    """Simulated records of section 6.2, with force and sensor noise of (6.2); the rest goes to `run_multisine`."""
+    loop, noise = identification_loop(geometry, settings, bandwidth_hz), settings.noise
+    deviations = np.sqrt(noise.process), np.sqrt(noise.sensor)
+    return run_multisine(loop, 4, 4, deviations, rng, rms=rms, realisations=realisations, **experiment)
 
 
 def true_response(

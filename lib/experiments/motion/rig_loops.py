@@ -16,7 +16,7 @@ from stillwork.base.rounding import first_largest
 from stillwork.control.bandwidth import SIX_DB
 from stillwork.control.crossover import crossover
 from stillwork.control.decoupling import Decoupling
-from stillwork.control.loops import closed_loop, no_observer
+from stillwork.control.loops import closed_loop
 from stillwork.control.pid import Pid, PidFamily
 from stillwork.lti.discretisation import tustin, zoh_modes, zoh_response
 from stillwork.lti.modal import ModalModel
@@ -57,12 +57,8 @@ class RigLoop:
 
     def closed(self, pids: Sequence[Pid]) -> StateModel:
         """Closed loop in discrete time; its signals are `stillwork.control.loops.INPUTS` and ``OUTPUTS``."""
-        plant = zoh_modes(self.plant, self.step)
-        if self.compensator is None:
-            block = replace(no_observer(plant), step=self.step)
-        else:
-            block = self.compensator.state_space()
-        return closed_loop(plant, block, self.controller(pids))
+        block = None if self.compensator is None else self.compensator.state_space()
+        return closed_loop(zoh_modes(self.plant, self.step), block, self.controller(pids))
 
     def controller(self, pids: Sequence[Pid]) -> StateModel:
         """Gamma C_fb Upsilon, from the errors at the sensors to forces."""

@@ -12,8 +12,9 @@ from stillwork.base.checks import InputError, require_choice, require_count, req
 from stillwork.base.front_door import checked
 from stillwork.control.decoupling import WORST_CONDITION
 from stillwork.control.feedback import band_pass, per_flexible_mode
+from stillwork.control.pid import series
 from stillwork.lti.modal import ModalModel
-from stillwork.lti.state_space import StateModel, interconnect
+from stillwork.lti.state_space import StateModel
 
 
 @checked
@@ -87,7 +88,7 @@ def band_passed(
     """
     require_choice("order", str(order), ("2", "4"))
     fed = fed_back_states(model, gain)
-    filters = [_in_a_row(float(model.frequencies[j // 2]), selectivity, order // 2) for j in fed]
+    filters = [series([band_pass(float(model.frequencies[j // 2]), selectivity)] * (order // 2)) for j in fed]
     a, b, c = (linalg.block_diag(*(getattr(one, name) for one in filters)) for name in "abc")
     select = np.eye(gain.shape[1])[fed]
     return StateModel(a, b @ select, gain[:, fed] @ c, np.zeros_like(gain))
@@ -106,13 +107,6 @@ def fed_back_states(model: ModalModel, gain: np.ndarray) -> np.ndarray:
             "gain must feed back flexible modes, and no rigid-body mode, for a band-pass at them"
         )
     return fed
-
-
-def _in_a_row(omega: float, selectivity: float, count: int) -> StateModel:
-    """`count` equal band-passes, one after the other."""
-    chain = np.eye(count, k=-1)
-    first, last = np.eye(count, 1), np.eye(count)[-1:]
-    return interconnect([band_pass(omega, selectivity)] * count, chain, first, last)
 
 
 def added_damping(

@@ -266,9 +266,16 @@ def _closed_loop(
         if not np.isfinite(force):
             return i, NOT_FINITE
         acceleration = plant_acceleration(position, velocity, force, plant)
-        record[:4, i] = position, velocity, acceleration, measured
-        record[4:7, i] = estimate
-        record[7:, i] = desired, deformed, force
+        record[0, i] = position
+        record[1, i] = velocity
+        record[2, i] = acceleration
+        record[3, i] = measured
+        record[4, i] = estimate[0]
+        record[5, i] = estimate[1]
+        record[6, i] = estimate[2]
+        record[7, i] = desired
+        record[8, i] = deformed
+        record[9, i] = force
         before = velocity
         velocity += time_step * acceleration
         position += time_step * (velocity if semi_implicit else before)

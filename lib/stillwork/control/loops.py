@@ -9,7 +9,7 @@ from jaxtyping import Complex128
 from stillwork.base.checks import InputError
 from stillwork.base.front_door import checked
 from stillwork.lti.modal import ModalModel
-from stillwork.lti.state_space import StateModel, interconnect
+from stillwork.lti.state_space import StateModel, constant, interconnect
 
 INPUTS = ("r", "u_ff", "w", "v", "d")
 OUTPUTS = ("e_true", "e_meas", "u", "f")
@@ -17,9 +17,8 @@ OUTPUTS = ("e_true", "e_meas", "u", "f")
 
 def no_observer(plant: StateModel | ModalModel) -> StateModel:
     """The compensator of a loop without observer: (u_d, y_flex) = 0."""
-    outputs, inputs = plant.feedthrough.shape if isinstance(plant, ModalModel) else plant.d.shape
-    n = inputs + outputs
-    return StateModel(np.zeros((0, 0)), np.zeros((0, n)), np.zeros((n, 0)), np.zeros((n, n)))
+    gain, step = (plant.feedthrough, 0.0) if isinstance(plant, ModalModel) else (plant.d, plant.step)
+    return constant(np.zeros((sum(gain.shape), sum(gain.shape))), step)
 
 
 @checked

@@ -26,11 +26,6 @@ class Spectrum:
                 "frequencies_hz holds fewer than 2 frequencies, or density has not one value at each"
             )
 
-    @property
-    def cumulative(self) -> Float64[np.ndarray, "channels frequencies"]:
-        """Power from the lowest frequency up to and including each bin (Parseval: the last is the power)."""
-        return np.cumsum(self.density, axis=1) * (self.frequencies_hz[1] - self.frequencies_hz[0])
-
     @checked
     def power(self, low_hz: float, high_hz: float) -> Float64[np.ndarray, " channels"]:
         """Power of each channel between two frequencies."""
