@@ -120,6 +120,11 @@ def coloured_noise_bound(
     float
         In the unit of the noise.
 
+    Raises
+    ------
+    InputError
+        For a spectrum of several channels, or a memory that takes too many samples.
+
     Examples
     --------
     >>> rest = np.random.default_rng(1).standard_normal(64_000)  # m/s^2, of a sensor at rest, at 3.2 kHz
