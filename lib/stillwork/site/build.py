@@ -18,6 +18,7 @@ from stillwork.site.derived import works
 from stillwork.site.links import broken_links
 from stillwork.site.mathematics import markdown
 from stillwork.site.pages import NotebookPage, read_page
+from stillwork.site.states import kept_states, make_states
 from stillwork.workbook import publish
 from stillwork.workbook.claims import KINDS, VERDICTS, Claim, ledger
 from stillwork.workbook.notebooks import notebook_file
@@ -31,6 +32,7 @@ HERE = Path(__file__).parent
 def build_site() -> int:
     """Write ``build/site``; returns 1, with a line for each, when a link of it leads nowhere."""
     target = paths.root() / "build" / "site"
+    make_states(tasks())
     files = site_files()
     publish.recover(target)
     publish.replace_folder(target, files)
@@ -43,9 +45,11 @@ def build_site() -> int:
 
 
 def site_files() -> dict[str, bytes]:
-    """The site's files by path."""
+    """The site's files by path, with the explorers' states that are kept."""
     claims = ledger()
-    pages = [read_page(task, claims) for task in tasks()]
+    wanted = tasks()
+    pages = [read_page(task, claims) for task in wanted]
+    states = kept_states(wanted)
     modules = reference.read_modules()
     guides = {file.stem: file.read_text(encoding="utf-8") for file in _guides()}
     rooms = [_room(name, work, claims, pages) for name, work in works().items()]
@@ -71,7 +75,11 @@ def site_files() -> dict[str, bytes]:
     files["replicate.html"] = render("replicate.html", "", pages=pages)
     for page in pages:
         files[f"notebooks/{page.name}.html"] = render(
-            "notebook.html", "../../", page=page, neighbours=_neighbours(page, pages)
+            "notebook.html",
+            "../../",
+            page=page,
+            neighbours=_neighbours(page, pages),
+            states=states.get(page.name, {}),
         )
         files[f"notebooks/{page.name}.ipynb"] = notebook_file(page.name).read_bytes()
         for figure in page.figures:
