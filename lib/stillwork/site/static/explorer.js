@@ -264,12 +264,14 @@
         input.setAttribute("aria-valuetext", unit(control, stop));
         value.textContent = control.choice ? "" : control.stops[stop];
       };
-      input.addEventListener("input", () => {
+      const move = () => {
+        if (Number(input.value) === stops[number]) return;
         for (const [other, row] of rows.entries())
           if (other !== number && !(joint.includes(number) && joint.includes(other))) row.set(home[other]);
         set(Number(input.value));
         show();
-      });
+      };
+      for (const event of ["input", "change"]) input.addEventListener(event, move);
       return { set, element: make("div", { class: "control" }, name, input, value, mark) };
     });
 
