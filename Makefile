@@ -50,7 +50,7 @@ test: $(READY) ## Style, types, unit tests, all notebooks, and what is committed
 		--nbval-current-env --nbval-cell-timeout 600 -n logical --dist loadfile
 	$(UNDER_PINS) $(BIN)/python -m pytest -p no:nbval tests/committed
 
-quick: $(READY) ## The unit tests that take less than a second of CPU each
+quick: $(READY) ## The unit tests that take less than half a second of CPU each
 	$(UNDER_PINS) $(BIN)/python -m pytest $(UNIT) -m "not slow" -n logical --dist loadfile $(ARGS)
 
 lab: $(READY) ## Open JupyterLab on the notebooks, on this machine only

@@ -947,13 +947,6 @@ def prepare(home: Path) -> bool:
     )
     toy = toys.make(root)
     toy.temporary.rmdir()
-    kernel = root / "lib/stillwork/workbook/kernel_process.py"
-    text = re.sub(
-        r"^SLOW = \(.*?^\)", 'SLOW = ("ipykernel.kernelapp",)', kernel.read_text(), flags=re.S | re.M
-    )
-    kernel.write_text(
-        text.replace("    _first_use()\n    import gc", "    import gc")
-    )  # of no use to the toy
     for name in NOTEBOOKS:
         toy.add(name, *(each.format(name.partition("/")[0]) for each in READS))
     return mounted

@@ -29,7 +29,7 @@ from experiments.fixedpoint import (  # noqa: E402
 )
 from stillwork.control import asin_trajectory  # noqa: E402
 from stillwork.estimation.coordinate_filters import UnscentedKalman  # noqa: E402
-from stillwork.estimation.filtering import _filter_record, model_of  # noqa: E402
+from stillwork.estimation.filtering import filter_record, model_of  # noqa: E402
 
 STEP = 1e-3
 SAMPLES = 20_000
@@ -162,7 +162,7 @@ def runner(signal_filter):
     model, estimates = model_of(signal_filter), np.empty((SAMPLES, 3))
 
     def run():
-        done = _filter_record(*signal_filter.packed(), *model, measured, force, STEP, np.zeros(3), estimates)
+        done = filter_record(signal_filter.packed(), *model, measured, force, STEP, np.zeros(3), estimates)
         assert done == SAMPLES
         return estimates
 

@@ -18,7 +18,7 @@ from experiments.isolation import load_twin, simulate  # noqa: E402
 from experiments.isolation.your_floor import open_floor  # noqa: E402
 from stillwork.base import paths  # noqa: E402
 from stillwork.estimation.adaptive import FeRls  # noqa: E402
-from stillwork.estimation.online import _run_ferls  # noqa: E402
+from stillwork.estimation.online import run_ferls  # noqa: E402
 
 FORGETTING = float(np.exp(-2e-4 / 10))
 MEMORY = 100  # time constants that the float64 reference runs
@@ -43,7 +43,7 @@ def left_over(dtype: str, regressors, disturbance, passes: int, growth_limit: fl
     history, begin = np.empty((0, *weights.shape)), time.thread_time()
     record = regressors.astype(dtype), disturbance.astype(dtype)
     for k in range(passes):
-        done, definite = _run_ferls(
+        done, definite = run_ferls(
             weights, recursion, *recursion[-2:], *record, True, np.inf, history, len(regressors) + 1, False
         )
         if done < len(regressors) or not np.all(np.isfinite(weights)):

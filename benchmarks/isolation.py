@@ -25,7 +25,7 @@ from experiments.isolation import loop, simulation  # noqa: E402
 from experiments.isolation.floors import flat_floor  # noqa: E402
 from experiments.isolation.twin import load_twin  # noqa: E402
 from stillwork.estimation.adaptive import FeLms, FeRls, ferls_update  # noqa: E402
-from stillwork.estimation.online import _run_felms, _run_ferls  # noqa: E402
+from stillwork.estimation.online import run_felms, run_ferls  # noqa: E402
 
 ACTUATORS, REGRESSORS = 6, 9
 FORGETTING = float(np.exp(-2e-4 / 10))
@@ -165,7 +165,7 @@ def update_times() -> dict[str, tuple[float, float, float]]:
             history = np.empty((0, ACTUATORS, REGRESSORS))
             arrays = [array.astype(state.matrix.dtype) for array in (weights, psi, error)]
             begin = time.thread_time()
-            _run_ferls(arrays[0], state, *state[-2:], *arrays[1:], False, np.inf, history, samples + 1, False)
+            run_ferls(arrays[0], state, *state[-2:], *arrays[1:], False, np.inf, history, samples + 1, False)
             return time.thread_time() - begin, samples
 
         return run
@@ -174,7 +174,7 @@ def update_times() -> dict[str, tuple[float, float, float]]:
         weights, _ = start()
         history = np.empty((0, ACTUATORS, REGRESSORS))
         begin = time.thread_time()
-        _run_felms(weights, 1e-4, 1e-5, 1.0, psi, error, False, np.inf, history, samples + 1, False)
+        run_felms(weights, 1e-4, 1e-5, 1.0, psi, error, False, np.inf, history, samples + 1, False)
         return time.thread_time() - begin, samples
 
     def inverse(copies):

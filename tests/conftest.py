@@ -7,8 +7,10 @@ from hypothesis import settings
 # As in `stillwork.__main__`: a second or two of every process that loads nbformat.
 sys.modules.setdefault("rfc3987_syntax", None)
 
-# The machine's load must not decide a test.
-settings.register_profile("workbook", deadline=None)
+# Neither the machine's load nor chance decides a test: every run tries the same examples. Others are sought with
+# make quick ARGS=--hypothesis-profile=search.
+settings.register_profile("workbook", deadline=None, derandomize=True)
+settings.register_profile("search", deadline=None, derandomize=False)
 settings.load_profile("workbook")
 
 

@@ -18,7 +18,7 @@ from stillwork.estimation.generalised_plant import GeneralisedPlant
 from stillwork.estimation.h2 import h2_riccati
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
 from stillwork.estimation.time_varying import TimeVaryingModel, estimate
-from stillwork.lti.discretisation import tustin, zoh_response
+from stillwork.lti.discretisation import zoh_response
 
 FACES = {
     "signals": signals,
@@ -33,7 +33,7 @@ RESULTS = {
     "LoopResponse", "ControlledRun", "Loop", "UnstableAdaptation", "ZeroEstimateWarning", "ContractionWarning",
 }  # fmt: skip
 # Calls whose good arguments stand for a file or a machine that is not there.
-REFUSED = {"load_record", "load_machine", "build_machine", "from_control"}
+REFUSED = {"load_record", "load_machine", "build_machine", "from_control", "load_controller"}
 # Of these NaN (after a divergence, without coherence) or infinity (no estimate, no crossing) is a stated result.
 MAY_BE_INFINITE = {
     "min_max_solve",
@@ -41,6 +41,7 @@ MAY_BE_INFINITE = {
     "coupling_onset",
     "stable_range",
     "maximise_bandwidth",
+    "DigitalController",
     "ControlledRun",
     "control.simulate",
 }
@@ -92,6 +93,7 @@ def catalogue() -> dict:
         np.zeros((1, 1)),
     )
     sampled = lti.zoh(state, 0.01)
+    digital = c.DigitalController(sampled, ("e (m)",), ("f (N)",), [-1.0], [1.0], np.zeros((2, 1)), 1)
     observer = e.kalman_observer(model, e.NoiseIntensities(1.0, 1e-12))
     sampled_observer = c.discrete_kalman_observer(model, e.NoiseIntensities(1.0, 1e-12), 1e-4)
     plant = e.Plant(_acceleration, _force, np.array([2.0]))
@@ -172,14 +174,13 @@ def catalogue() -> dict:
         "ModalModel.frequency_response": (model.frequency_response, {"omega": omega}),
         "ModalModel.at": (model.at, {"inputs": [0], "outputs": [0]}),
         "ModalModel.modes": (model.modes, {"chosen": [0, 1]}),
-        "ModalModel.state_space": (model.state_space, {"form": 1}),
+        "ModalModel.state_space": (model.state_space, {}),
         "lti.StateModel": (lti.StateModel, fields(state)),
         "StateModel.frequency_response": (state.frequency_response, {"omega": omega}),
         "StateModel.zeros": (lambda **named: lti.StateModel(**named).zeros, fields(state)),
         "ModalModel.compliance": (lambda **named: lti.ModalModel(**named).compliance(), fields(model)),
         "StateModel.select": (state.select, {"inputs": [0], "outputs": [0]}),
         "from_control": (lti.from_control, {"system": state}),
-        "from_state_space": (lti.from_state_space, {"model": model.state_space(), "form": 1}),
         "h2_norm": (lti.h2_norm, {"model": state}),
         "hinf_norm": (lti.hinf_norm, {"model": state, "tolerance": 1e-9}),
         "interconnect": (lti.interconnect, {"models": [state], **joined, "direct": np.zeros((1, 1))}),
@@ -233,6 +234,7 @@ def catalogue() -> dict:
         "AdaptationStepper": (e.AdaptationStepper, {"settings": e.FeLms(), "weights": np.zeros((1, 3))}),
         "AdaptationStepper.update": (lambda regressor, error: e.AdaptationStepper(e.FeRls(1.0), np.zeros((1, 3))).update(regressor, error), {"regressor": rows[:, 0], "error": np.ones(1)}),
         "UnscentedKalman": (e.UnscentedKalman, fields(e.UnscentedKalman(plant))),
+        "UnscentedKalman.step": (e.UnscentedKalman(plant).step, {"state": e.UnscentedKalman(plant).start(0.1), "measured": 0.1, "force": 1.0, "time_step": 1e-3}),
         "adapt": (e.adapt, {**lines, "errors": signal[None], "weights": np.zeros((1, 3))}),
         "identify": (e.identify, {**lines, "disturbance": signal[None], "weights": np.zeros((1, 3))}),
         "identify, FeLms": (e.identify, {**lines, "settings": e.FeLms(), "disturbance": signal[None]}),
@@ -246,6 +248,9 @@ def catalogue() -> dict:
         "kalman_observer": (e.kalman_observer, {"model": model, "noise": e.NoiseIntensities(1.0, 1e-12), "noise_model": 1.0}),
         "min_max_solve": (e.min_max_solve, block),
         "RecursiveStepper": (e.RecursiveStepper, {"estimator": e.LeastSquares(0.9), "unknowns": 3}),
+        "LeastMeanSquares": (lambda X, y, **named: e.LeastMeanSquares(**named).fit(X, y).coef_, {"X": rows.T, "y": signal, **fields(e.LeastMeanSquares())}),
+        "RecursiveLeastSquares": (lambda X, y, **named: e.RecursiveLeastSquares(**named).fit(X, y).coef_, {"X": rows.T, "y": signal, **fields(e.RecursiveLeastSquares(forgetting=0.9))}),
+        "MinMaxRegressor": (lambda X, y, sample_weight, **named: e.MinMaxRegressor(**named).fit(X, y, sample_weight).coef_, {"X": rows.T, "y": signal, "sample_weight": np.ones(60), **fields(e.MinMaxRegressor(0.1))}),
         "run": (e.run, {"estimator": e.MinMax(0.1, 0.9), "regressors": rows, "outputs": signal}),
         "run, least squares": (e.run, {"estimator": e.LeastSquares(0.9), "regressors": rows, "outputs": signal}),
         "run, ridge": (e.run, {"estimator": e.Ridge(0.1, 0.9), "regressors": rows, "outputs": signal}),
@@ -253,7 +258,7 @@ def catalogue() -> dict:
         "secular_function": (e.secular_function, block),
         "steady_covariance": (e.steady_covariance, {"regressors": rows, "forgetting": 0.9}),
         "worst_case_residuals": (e.worst_case_residuals, {"regressors": rows, "outputs": signal, "estimates": rows, "bounds": np.ones(60), "forgetting": 0.9}),
-        "tustin": (tustin, {"model": state, "step": 1e-2, "omega": 3.0}),
+        "tustin": (lti.tustin, {"model": state, "step": 1e-2, "omega": 3.0}),
         "zoh_response": (zoh_response, {"model": model, "step": 1e-4, "omega": omega}),
         "TimeVaryingModel": (TimeVaryingModel, matrices),
         "kalman_gains": (lambda **named: robust.kalman_gains(TimeVaryingModel(**named)), matrices),
@@ -270,6 +275,12 @@ def catalogue() -> dict:
         "h2_riccati": (lambda **named: h2_riccati(GeneralisedPlant(lti.StateModel(**named), 2, 2), 0.1, 0.1), fields(posed)),
         "h2_riccati, singular": (h2_riccati, {"plant": GeneralisedPlant(posed, 2, 2), "effort": 0.1, "noise": 0.1}),
         "Application": (c.Application, fields(c.Application(True, 0.1, selectivity=2.0, high_pass_hz=1.0))),
+        "DigitalController": (c.DigitalController, fields(digital)),
+        "DigitalController.run": (digital.run, {"inputs": signal[None], "first": np.ones(1)}),
+        "adaptation_code": (c.adaptation_code, {"settings": e.FeRls(1.0), "actuators": 1, "regressors": 2, "name": "feed", "precision": "single"}),
+        "as_libraries": (c.as_libraries, {"controller": digital}),
+        "controller_code": (c.controller_code, {"controller": digital, "name": "loop", "precision": "single"}),
+        "load_controller": (c.load_controller, {"file": "missing.json"}),
         "Controller": (c.Controller, fields(controller)),
         "Decoupling": (c.Decoupling, fields(decoupling)),
         "Decoupling.apply": (decoupling.apply, {"model": broad}),

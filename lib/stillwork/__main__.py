@@ -1,4 +1,4 @@
-"""Command line: ``python -m stillwork figures|readings|claims|portable|accept|site|refresh|inspect|new|doctor``."""
+"""Command line: ``python -m stillwork figures|readings|claims|portable|accept|site|refresh|inspect|design|export|new|doctor``."""
 
 import argparse
 import json
@@ -109,6 +109,31 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
     inspect.add_argument("file", metavar="FILE")
     inspect.set_defaults(run=_inspect)
 
+    design = commands.add_parser(
+        "design", help="from a machine's file to a controller in C, and a page about it", allow_abbrev=False
+    )
+    design.add_argument("file", metavar="FILE", help="frequency response, hammer records, or M and K")
+    design.add_argument("--rate", type=float, metavar="HZ", required=True, help="of the controller")
+    _add_output(design)
+    design.add_argument("--delay", type=int, metavar="SAMPLES", default=1, help="from measurement to force")
+    design.add_argument("--limit", type=float, metavar="N", default=float("inf"), help="largest force")
+    for band, what in (("--fit-hz", "of the fit"), ("--loop-hz", "where the measurement can be trusted")):
+        design.add_argument(band, type=float, nargs=2, metavar=("LOW", "HIGH"), default=(0.0, 0.0), help=what)
+    design.add_argument("--mirrored-sensor", action="store_true", help="serve a mirrored sensor, too")
+    design.add_argument("--response-unit", default="", help="by default what the file says, or m/s^2")
+    design.add_argument("--force-unit", default="", help="by default what the file says, or N")
+    design.add_argument("--response", default="", metavar="NAME", help="of several complex ones")
+    design.add_argument("--sample-rate", type=float, metavar="HZ", help="of records that do not say it")
+    design.add_argument("--damping-ratio", type=float, default=0.005, help="of matrices without damping")
+    design.set_defaults(run=_design)
+
+    export = commands.add_parser(
+        "export", help="write C99 of a controller, or of FeRls or FeLms, from a file", allow_abbrev=False
+    )
+    export.add_argument("file", metavar="FILE", help="controller.json, or TOML")
+    _add_output(export)
+    export.set_defaults(run=_export)
+
     new = commands.add_parser(
         "new", help="begin a result: notebook, ledger entry and test", allow_abbrev=False
     )
@@ -120,6 +145,13 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
     doctor.set_defaults(run=_doctor)
     usage = " ".join(command.format_usage() for command in commands.choices.values())
     return parser, re.findall(r"--?[a-z]+", usage)
+
+
+def _add_output(command: argparse.ArgumentParser) -> None:
+    """Options of what writes C into a folder."""
+    command.add_argument("--out", metavar="DIR", required=True, help="a new or empty folder")
+    command.add_argument("--name", default="controller", help="what all names in C begin with")
+    command.add_argument("--precision", default="double", metavar="double|single")
 
 
 def _count(text: str) -> int:
@@ -232,6 +264,23 @@ def _inspect(options) -> int:
     from stillwork.inspecting import inspect_file
 
     print(inspect_file(options.file))
+    return 0
+
+
+def _design(options) -> int:
+    from stillwork.designing import design_file
+
+    chosen = {name: value for name, value in vars(options).items() if name not in ("run", "file", "out")}
+    chosen |= {band: tuple(chosen[band]) for band in ("fit_hz", "loop_hz")}
+    print("\n".join(map(one_line, design_file(options.file, options.out, **chosen))))
+    return 0
+
+
+def _export(options) -> int:
+    from stillwork.exporting import export_file
+
+    written = export_file(options.file, options.out, options.name, options.precision)
+    print(f"{options.out}: {', '.join(written)}")
     return 0
 
 

@@ -113,7 +113,7 @@ def _record(path: Path) -> Iterator[str]:
 def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
     """What the room motion makes of a file; nothing where no name in it points to a machine."""
     from stillwork.identification.machine import build_machine
-    from stillwork.identification.machine_files import kind_of, load_machine
+    from stillwork.identification.machine_files import kind_of, load_machine, stated_units
 
     try:
         kind = kind_of(arrays)
@@ -130,7 +130,7 @@ def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
         else:
             hertz = file.accelerance.omega / (2 * np.pi)
             yield f"{kind} of a machine: {len(hertz)} lines from {hertz[0]:.4g} to {hertz[-1]:.4g} Hz"
-            response, force = _response_units(arrays)
+            response, force = stated_units(arrays)
             settings |= {"response_unit": response or "UNIT", "force_unit": force or "N"}
             if not response:
                 yield "it does not say the unit of the response; put m/s^2, g, m/s, mm/s, m, mm or um for UNIT"
@@ -147,30 +147,6 @@ def _first_complex(arrays: dict[str, np.ndarray]) -> str:
     """Name of the first complex array where there are several to choose from; else empty."""
     names = [name for name, array in arrays.items() if array.dtype.kind == "c" and array.size > 1]
     return names[0] if len(names) > 1 else ""
-
-
-def _response_units(arrays: dict[str, np.ndarray]) -> tuple[str, str]:
-    """Units of response and force from brackets such as ``(m/s^2/N)``, ``((m/s2)/N)``, ``(m/s^2)`` and ``(N)``."""
-    response = force = ""
-    for name in arrays:
-        found = re.search(r"[(\[](.+)[)\]]\s*$", name)
-        top, _, below = found[1].rpartition("/") if found else ("", "", "")
-        top = top.strip("() ")
-        if _is_unit(top, MOTION_UNITS) and _is_unit(below, ("N",)):
-            return response or top, below
-        whole = found[1] if found else ""
-        if _is_unit(whole, MOTION_UNITS):
-            response = response or whole
-        elif _is_unit(whole, ("N",)):
-            force = force or whole
-    return response, force
-
-
-def _is_unit(text: str, wanted: tuple[str, ...]) -> bool:
-    try:
-        return unit_factor(text)[1] in wanted
-    except InputError:
-        return False
 
 
 def _plant(path: Path) -> Iterator[str]:

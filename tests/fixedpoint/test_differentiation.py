@@ -49,6 +49,7 @@ def test_encoder_and_logistic_noise_are_told_from_gaussian(rng):
     assert rejects_gaussian(rng.uniform(size=5000))
 
 
+@pytest.mark.slow
 def test_steady_errors_against_a_long_run(rng):
     """The believed and the true covariance, by simulating the filter's error with the noise that it gets."""
     F = np.array([[0.95, -0.05], [0.95e-3, 1.0 - 0.05e-3]])

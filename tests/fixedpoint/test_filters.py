@@ -20,6 +20,7 @@ from stillwork.estimation.unscented import SigmaPoints
 from stillwork.estimation.windows import end_point_weights
 
 STEP = 1e-3
+LOST = (1, 50, 51, 52, 100, 102, 398, 399)
 
 
 @pytest.fixture
@@ -82,6 +83,7 @@ def test_savitzky_golay_weights(samples, degree, derivative):
     assert found == pytest.approx(expected, rel=1e-8, abs=1e-12)
 
 
+@pytest.mark.slow
 @given(st.floats(-2, 2), st.floats(-2, 2), st.floats(-5, 5))
 def test_savitzky_golay_reproduces_a_parabola(position, velocity, acceleration):
     time = np.arange(60) * STEP
@@ -96,6 +98,7 @@ def test_savitzky_golay_reproduces_a_parabola(position, velocity, acceleration):
     assert found.acceleration[-1] == pytest.approx(acceleration, abs=1e-6)
 
 
+@pytest.mark.slow
 @given(st.floats(-2, 2), st.floats(-2, 2))
 def test_steady_motion_passes_every_filter_that_presumes_it(position, velocity):
     """A known steady motion leaves no transient: the start of the buffers is right."""
@@ -118,9 +121,11 @@ def test_the_low_pass_converges_up_to_the_bound_that_is_refused():
     assert found.position[-1] == pytest.approx(1.0, abs=1e-9)
 
 
-def test_unscented_is_filterpy_s(approximate, record):
+@pytest.mark.parametrize("lost", [(), LOST])
+def test_unscented_is_filterpy_s(lost, approximate, record):
     """filterpy draws its points anew around the prediction, as the corrected (14) does."""
     measured, force = record
+    measured[list(lost)] = np.nan
     p, kalman = approximate.parameters, UnscentedKalman(approximate)
 
     def move(x, dt, u):
@@ -135,7 +140,10 @@ def test_unscented_is_filterpy_s(approximate, record):
     last_z, last_u, expected = measured[0], 0.0, []
     for z, u in zip(measured, force, strict=True):
         peer.predict(u=last_u)
-        peer.update(np.array([(z - last_z) / STEP, z]))
+        if not np.isnan(z) and np.isnan(last_z):  # no difference quotient yet: the position alone
+            peer.update(np.array([z]), R=kalman.noise[1:, 1:], hx=lambda x: x[1:])
+        elif not np.isnan(z):
+            peer.update(np.array([(z - last_z) / STEP, z]))
         expected.append(peer.x.copy())
         last_z, last_u = z, u
     expected = np.array(expected)
@@ -143,8 +151,10 @@ def test_unscented_is_filterpy_s(approximate, record):
     assert np.abs(found.position - expected[:, 1]).max() < 1e-9
 
 
-def test_extended_is_filterpy_s(approximate, record):
+@pytest.mark.parametrize("lost", [(), LOST])
+def test_extended_is_filterpy_s(lost, approximate, record):
     measured, force = record
+    measured[list(lost)] = np.nan
     m, k, a, b1, b2, d = p = approximate.parameters
     ours = ExtendedKalman(approximate)
     found = filter_signal(ours, measured, force)
@@ -163,12 +173,32 @@ def test_extended_is_filterpy_s(approximate, record):
         moved = np.array([velocity, q + STEP * velocity, w])
         peer.x = moved
         peer.P = peer.F @ peer.P @ peer.F.T + peer.Q
-        peer.update(np.array([z]), lambda x: H, lambda x: x[1:2])
+        if not np.isnan(z):
+            peer.update(np.array([z]), lambda x: H, lambda x: x[1:2])
         expected.append(peer.x.copy())
         last = u
     expected = np.array(expected)
     assert np.abs(found.velocity - expected[:, 0]).max() < 1e-9
     assert np.abs(found.position - expected[:, 1]).max() < 1e-9
+
+
+@pytest.mark.parametrize("kind", [UnscentedKalman, ExtendedKalman])
+def test_a_step_gives_the_numbers_of_the_record(kind, approximate, record):
+    measured, force = record
+    measured[list(LOST)] = np.nan
+    kalman = kind(approximate)
+    found = filter_signal(kalman, measured, force, start_velocity=0.2)
+    state, first = kalman.start(0.2), kalman.start(0.2)
+    variances = []
+    for k, z in enumerate(measured):
+        state = kalman.step(state, z, force[k - 1] if k else 0.0)
+        assert np.array_equal(state.estimate, [found.position[k], found.velocity[k], found.acceleration[k]])
+        variances.append(state.covariance[1, 1])
+    assert np.array_equal(
+        variances[51:53], np.sort(variances[51:53])
+    )  # doubt grows while nothing is measured
+    assert variances[52] > variances[53]
+    assert not first.work.any()  # a step leaves the state that it is given
 
 
 def test_the_literal_filter_runs_one_step_ahead(approximate):
@@ -223,6 +253,21 @@ def test_lost_definiteness_is_reported_with_the_sample(approximate):
         (lambda m: SavitzkyGolay(2, 2), "samples"),
         (lambda m: SavitzkyGolay(9, 1), "degree"),
         (lambda m: filter_signal(LowPass(), np.array([0.0, np.nan])), "measured holds 1 NaN"),
+        (
+            lambda m: filter_signal(UnscentedKalman(m), np.array([np.nan, 0.0])),
+            "measured is NaN at the first",
+        ),
+        (
+            lambda m: filter_signal(UnscentedKalman(m), np.array([0.0, np.inf])),
+            "measured holds 1 NaN or infinite",
+        ),
+        (lambda m: ExtendedKalman(m).step(ExtendedKalman(m).start(), np.nan), "measured is NaN at the first"),
+        (
+            lambda m: ExtendedKalman(m).step(UnscentedKalman(m).start(), 0.0),
+            "state is none of ExtendedKalman",
+        ),
+        (lambda m: ExtendedKalman(m).step(ExtendedKalman(m).start(), [0.0, 1.0]), "measured has shape"),
+        (lambda m: UnscentedKalman(m).step(UnscentedKalman(m).start(), 0.0, time_step=0.0), "time_step"),
         (lambda m: filter_signal(LowPass(), np.zeros(5), np.zeros(4)), "force has shape"),
         (lambda m: filter_signal(SavitzkyGolay(), np.zeros(5), time_step=2e-3), "made for 0.001 s"),
         (lambda m: filter_signal(LowPass(), np.zeros(5), time_step=0.0), "time_step"),

@@ -58,6 +58,38 @@ def test_unscented_extended_and_kalman_coincide_on_a_linear_plant(linear):
             assert np.abs(found.covariance[k] - P).max() < 1e-10
 
 
+def test_missing_measurements_are_marginalised(linear):
+    """Against the joint Gaussian of all states and measurements, conditioned on those that there are."""
+    model, z, u = linear
+    z, u = z[:, :12].copy(), u[:, :12]
+    z[0, 3], z[:, 6:9], z[1, 11] = np.nan, np.nan, np.nan
+    start, spread = np.array([1.0, -1.0, 0.5]), np.diag([1.0, 2.0, 3.0])
+    mean, joint, moved = np.zeros((12, 3)), np.zeros((12, 3, 12, 3)), start
+    for k in range(12):
+        mean[k] = moved = A @ moved + B * u[0, k]
+        spread = A @ spread @ A.T + Q
+        forward = spread
+        for j in range(k, 12):
+            joint[j, :, k, :], joint[k, :, j, :] = forward, forward.T
+            forward = A @ forward
+    settings = {
+        "process": Q,
+        "noise": R,
+        "initial_mean": start,
+        "initial_covariance": np.array([1.0, 2.0, 3.0]),
+    }
+    seen = [k for k in range(12) if np.isfinite(z[:, k]).all()]
+    for found in (unscented_filter(model, z, u, **settings), extended_filter(model, z, u, **settings)):
+        for k in range(12):
+            rows = [j for j in seen if j <= k]
+            cross = np.hstack([joint[k, :, j, :] @ H.T for j in rows])
+            inner = np.block([[H @ joint[i, :, j, :] @ H.T + (i == j) * R for j in rows] for i in rows])
+            news = np.concatenate([z[:, j] - H @ mean[j] for j in rows])
+            gain = cross @ np.linalg.inv(inner)
+            assert found.mean[:, k] == pytest.approx(mean[k] + gain @ news, abs=1e-10)
+            assert found.covariance[k] == pytest.approx(joint[k, :, k, :] - gain @ cross.T, abs=1e-10)
+
+
 def test_small_alpha_loses_digits_only(linear):
     model, z, u = linear
     settings = {"process": Q, "noise": R, "initial_mean": np.zeros(3), "initial_covariance": np.eye(3)}

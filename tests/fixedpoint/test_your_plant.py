@@ -113,6 +113,7 @@ def test_an_approximate_model_of_its_own_form(tmp_path):
     assert found.gain.max() == pytest.approx(1.2, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_module_by_its_import_path_and_nothing_cached_beside_a_file(tmp_path, monkeypatch):
     (tmp_path / "lab_stage.py").write_text(TEMPLATE.read_text(encoding="utf-8"), encoding="utf-8")
     load_models(str(tmp_path / "lab_stage.py"))

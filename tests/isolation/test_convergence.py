@@ -57,6 +57,7 @@ def test_final_values_are_those_of_the_last_tenth():
     assert (course.final[0], course.deviation[0], course.final_error) == (5.0, 1.0, 2.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "duration"), [("FeLMS", 60.0), ("FeRLS", 30.0)])
 def test_expected_course_is_the_mean_of_simulations(name, duration):
     adaptation = algorithms(STEADY, **SETTINGS)[name]
@@ -68,6 +69,7 @@ def test_expected_course_is_the_mean_of_simulations(name, duration):
     assert np.sqrt(np.mean((mean - expected) ** 2)) < 0.025
 
 
+@pytest.mark.slow
 def test_literal_trace_is_six_times_slower():
     quick = converge(FITTED, FLOOR, FeLms(), 20.0, 1)
     slow = converge(FITTED, FLOOR, FeLms(trace="literal"), 120.0, 1)
@@ -99,6 +101,7 @@ def test_small_epsilon_diverges_and_large_does_not():
     assert starts.peak_command[0] > 100 > starts.peak_command[1]
 
 
+@pytest.mark.slow
 def test_sideways_error_follows_the_mean_update():
     rigid = load_twin("rigid_body")
     for floor, sign in ((narrow_floor(rigid, 20.0, 24.0), -1), (FLOOR, 1)):
@@ -109,6 +112,7 @@ def test_sideways_error_follows_the_mean_update():
         follow_sideways(FITTED, FLOOR, 1.0, 10.0, 2)
 
 
+@pytest.mark.slow
 def test_weights_follow_a_switch_to_the_new_optimum_and_as_expected():
     switch = switch_between(FITTED, FLOOR, colored_floor(80.0))
     both = settled(switch, 1e-4, float(np.exp(-2e-5)))

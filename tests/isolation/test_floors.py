@@ -84,6 +84,7 @@ def test_synthesis_has_exactly_the_expected_density_line_by_line():
     assert np.all(lines[~inside] < 1e-20)
 
 
+@pytest.mark.slow
 def test_synthesis_up_to_the_nyquist_line_keeps_the_power():
     f, s = np.array([1.0, 50.0]), np.array([1.0, 1.0])
     power = [synthesise_floor(f, s, 0.2, seed, sample_rate=100.0).acceleration.var() for seed in range(2000)]
@@ -111,6 +112,7 @@ def test_a_floor_of_a_criterions_density_meets_it():
     assert velocity[judged] == pytest.approx(6.25e-6, rel=0.06)
 
 
+@pytest.mark.slow
 def test_ground_is_the_measured_one_below_100_hz_and_the_criterion_above():
     f, density = measured_ground_density()
     spectrum = estimate_spectrum(ground_floor(200.0, 1).acceleration, SAMPLE_RATE, 0.5)

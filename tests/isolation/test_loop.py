@@ -157,6 +157,15 @@ def test_divergence_blames_what_moved_the_platform(gain, options, message):
         simulate(RIGS["fitted"].varied(gain=gain), flat_floor(80.0), 30.0, **options)
 
 
+def test_a_floor_beyond_all_floors_is_blamed_and_not_the_loop():
+    twin = RIGS["fitted"]
+    motion = np.random.default_rng(0).standard_normal((twin.sensors, 5000))
+    with pytest.raises(
+        UnstableAdaptation, match=r"^the platform .*by [45]\S*e\+05 m/s\^2; .*check the floor's unit$"
+    ):
+        simulate(twin, RecordedFloor(5e5 * motion / np.abs(motion).max(), 5000.0, "loud"))
+
+
 def test_a_floor_that_is_not_a_number_stops_at_once():
     floor = record(RIGS["fitted"])
     object.__setattr__(floor, "acceleration", np.where(np.arange(SAMPLES) == 200, np.nan, floor.acceleration))

@@ -6,6 +6,7 @@ import pytest
 from experiments.isolation.floors import flat_floor
 from experiments.isolation.modes import suspension_modes
 from experiments.isolation.performance import (
+    band_means,
     central_axes,
     exact_transmissibility,
     expected_density,
@@ -72,6 +73,7 @@ def test_platform_follows_the_floor_at_low_frequency_and_rolls_off(twin):
     assert abs(passive[0, 0, 2]) < 0.02
 
 
+@pytest.mark.slow
 def test_feedforward_removes_most_of_the_power_and_the_output_noise_is_the_limit(twin):
     floor = flat_floor(1500.0)
     weights = tune(twin, floor, 0.1, 40.0, 1)["FeRLS"]
@@ -109,6 +111,7 @@ def test_reduction_in_bands_of_a_constant_factor():
     assert found == pytest.approx(40.0) and centres[0] < 3.2 and centres[-1] > 200
 
 
+@pytest.mark.slow
 def test_trial_holds_together(twin):
     trial = power_trial(
         np.random.default_rng(0),
@@ -144,6 +147,24 @@ def test_skyhook_damps_every_mode_about_as_an_ideal_one(twin):
     # Lag and delay act as a phase of w (T + tau), up to 16 degrees at 47 Hz.
     assert closed.damping == pytest.approx(ideal, rel=0.15)
     assert np.all(closed.damping > suspension_modes(twin, feedback=False).damping)
+
+
+def test_means_over_bands_keep_what_is_there_and_average_noise():
+    f = np.arange(1, 4001) * 0.25
+    rng = np.random.default_rng(0)
+    noise = rng.standard_normal((3, 3, len(f))) + 1j * rng.standard_normal((3, 3, len(f)))
+    flat = np.full((3, 3, len(f)), 2 + 1j)
+    peak = flat.copy()
+    peak[..., f == 100.0] = 50.0
+    bands, means = band_means(f, {"noise": noise, "flat": flat, "peak": peak}, [50.0, 100.0])
+    assert np.all(np.diff(bands) > 0) and bands[0] == 0.25
+    np.testing.assert_allclose(means["flat"], 2 + 1j)
+    [line] = np.flatnonzero(bands == 100.0)
+    assert means["peak"][0, 0, line] == 50.0
+    assert np.abs(np.delete(means["peak"], line, axis=2) - (2 + 1j)).max() < 1e-12
+    high = bands > 400  # a band of a twelfth of an octave holds over 90 lines there
+    assert np.std(means["noise"][..., high]) < 2 * np.sqrt(2 / 90)
+    np.testing.assert_allclose(means["noise"][..., 0], noise[..., 0])
 
 
 def test_questions_that_have_no_answer(twin):

@@ -84,6 +84,7 @@ def test_secondary_path_is_controls_tustin_of_eq_2():
     )
 
 
+@pytest.mark.slow
 @given(
     mass=st.floats(0.1, 100),
     damping=st.floats(1, 1e4),

@@ -143,10 +143,11 @@ def closed_loop(cure, samples=400):
         FORGETTING,
         growth=1.5,
         noise=noise,
+        noise_power=0.1,
         keep_every=1,
     )
     history, errors = naive.closed_loop(
-        cure, floor, optimum, integrator, shaping, start, FORGETTING, 1.5, noise
+        cure, floor, optimum, integrator, shaping, start, FORGETTING, 1.5, noise, 0.1
     )
     return run, history, errors, optimum, start
 
@@ -163,6 +164,15 @@ def test_closed_loop_with_each_cure_is_its_naive_twin(cure):
     if cure != "none":  # the cure had something to do
         free = closed_loop("none")[0]
         assert np.abs(run.growth - free.growth).max() > 0.1
+
+
+def test_resetting_settles_where_nothing_is_excited():
+    start = np.array([0.2, 0.7])
+    run = run_cure(
+        "resetting", [(np.zeros((1, 6000)), np.ones(2))], np.ones((1, 6)), np.ones((1, 6)), start, 0.99
+    )
+    # p / lambda + b - d p^2 = p in units of the start: p^2 / growth - p - 0.01 = 0.
+    assert run.growth[-1] == pytest.approx(5 + np.sqrt(25 + 0.1), rel=1e-6)
 
 
 def test_limit_protects_the_twin_where_the_printed_algorithm_breaks():

@@ -55,6 +55,7 @@ def test_a_perfect_estimate_without_delay_converges_like_one():
     assert steady.least_error_power <= steady.error_power <= 1.001 * steady.least_error_power
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("twin", [RIGID, FITTED, RIGID.varied(estimate="full")])
 def test_simulated_moments_agree(twin):
     floor = flat_floor(80.0)
@@ -74,6 +75,7 @@ def test_simulated_moments_agree(twin):
     assert np.abs(cross).max() < 0.06
 
 
+@pytest.mark.slow
 def test_adaptation_ends_at_the_fixed_point():
     floor = flat_floor(80.0)
     twin = FITTED.varied(**QUIET, platform_noise=1e-6)
@@ -86,6 +88,7 @@ def test_adaptation_ends_at_the_fixed_point():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("floor", "stable"), [(band_floor(20.0, 24.0), False), (flat_floor(80.0), True)])
 def test_growth_of_a_horizontal_error_is_predicted(floor, stable):
     """Weights that push the platform sideways: slowest eigenvalue against the simulated rate."""

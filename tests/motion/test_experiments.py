@@ -9,14 +9,13 @@ from experiments.motion.drive import drive_loop, drive_observer, identify, resid
 from experiments.motion.machines import Drive, drive, published_noise
 from experiments.motion.structure import (
     as_stage,
-    extra_turns,
     measured_accelerance,
-    on_measurement,
     structure_loops,
 )
 from experiments.motion.three_masses import designed_for_second, scaled_springs, stability_trial, three_masses
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
+from stillwork.control.machine_loops import extra_turns, on_measurement
 from stillwork.control.pid import PidFamily
 from stillwork.identification.frequency_response import Identified, closed_loop_response, impact_response
 from stillwork.identification.modal_fit import fit_modes
@@ -107,6 +106,7 @@ def test_no_model_error_leaves_the_rigid_body():
     assert peaks["MC"] == pytest.approx(1.0, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_example_of_the_three_masses():
     masses = np.array([4.0, 4.0, 4.0])
     loops, best = designed_for_second(three_masses(masses, scaled_springs(masses, 45.0)), 12.0)

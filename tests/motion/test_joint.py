@@ -67,6 +67,7 @@ def test_closed_forms_are_the_state_space_loops(design):
             np.testing.assert_allclose(found.softness[p, mass, [1, 3]], soft * scale, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_published_design_is_that_of_the_bandwidth_table():
     table = stage_bandwidth("MC and AD")
     found = verify(PUBLISHED)
@@ -154,6 +155,7 @@ def _blocks(design, mass):
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["joint, from the published design", "joint, for 5%"])
 def test_python_control_closes_the_same_loops(name):
     """Poles and peaks of all seven masses without a line of the library: the design's numbers go in."""
@@ -249,6 +251,7 @@ def test_stored_designs_are_rounded_and_survive_the_file():
         assert JointDesign(**{k: tuple(v) if isinstance(v, list) else v for k, v in read.items()}) == design
 
 
+@pytest.mark.slow
 def test_explorer_says_when_a_loop_is_unstable():
     title = paint_joint({"published": PUBLISHED}, "published", 0.0, 100.0).axes[0].get_title(loc="left")
     assert "6.0 dB" in title

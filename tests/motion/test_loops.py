@@ -93,6 +93,7 @@ def test_separation_of_observer_and_controller():
         assert np.abs(poles - pole).min() < 1e-4 * abs(pole)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["MC", "AD"])
 def test_limit_is_exact_by_the_infinity_norm(name):
     """Just below the limit every constraint holds exactly, just above one is broken: no grid involved."""
@@ -115,6 +116,7 @@ def test_limit_is_exact_by_the_infinity_norm(name):
     assert norm(1 + 2e-4, loops[found.loop], found.function) > SIX_DB
 
 
+@pytest.mark.slow
 def test_a_logarithmic_grid_overstates_the_bandwidth():
     exact = stage_bandwidth("PID").design_hz
     coarse = [stage_bandwidth("PID", points=n, around=0, refine=False).design_hz for n in (200, 2000)]
@@ -136,6 +138,7 @@ def test_soft_sensor_gives_the_other_mass(hertz):
     assert abs(estimate - p2) < 0.2 * abs(p5 - p2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", ["input_sensitivity", "output_sensitivity"])
 def test_of_constraints_that_are_equal_but_for_rounding_the_first_is_active(first):
     # Without an observer S_I = S_O, computed in two ways; seven machines, so that rounding errs on either side.

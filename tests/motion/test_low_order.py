@@ -84,6 +84,7 @@ def test_error_is_that_of_an_integrated_loop(grown):
     np.testing.assert_allclose(ours, out, atol=1e-6 * np.abs(out).max())
 
 
+@pytest.mark.slow
 def test_the_small_error_of_two_states_with_damping_alone_is_that_of_an_integrated_loop():
     """The published move up to the first 20 ms of the scan by a stiff integrator, segment by segment."""
     block = stage_compensator(5, DESIGNS["AD"])
@@ -126,6 +127,7 @@ def test_the_small_error_of_two_states_with_damping_alone_is_that_of_an_integrat
     assert rms(ours[window]) < 5e-10
 
 
+@pytest.mark.slow
 def test_gains_are_optimal(grown):
     """No change of any single gain or weight lowers the squared error."""
     best = grown[-1]
@@ -139,6 +141,7 @@ def test_gains_are_optimal(grown):
             assert np.sum(replace(best, gains=gains).error(DIRECT, SETPOINT) ** 2) >= size
 
 
+@pytest.mark.slow
 def test_every_state_lowers_the_error_of_the_move_and_the_first_pick_is_the_best_one(grown):
     errors = [rms(each.error(DIRECT, SETPOINT)) for each in grown]
     assert [each.order for each in grown] == [0, 2, 4]
@@ -194,6 +197,7 @@ def test_perturbed_trial_tunes_on_the_plant_that_it_meets(grown):
     assert np.sum(tuned.error(met, SETPOINT) ** 2) < np.sum(grown[1].error(met, SETPOINT) ** 2)
 
 
+@pytest.mark.slow
 def test_explorer_shows_the_states_it_has():
     assert paint_low_order("MC and AD", 5, 100.0).axes[0].get_title(loc="left").startswith("4 states")
 

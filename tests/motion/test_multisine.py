@@ -80,6 +80,7 @@ def test_without_noise_the_plant_comes_out():
         assert np.linalg.norm(estimate - truth) < 2e-3 * np.linalg.norm(truth)
 
 
+@pytest.mark.slow
 def test_deviation_is_what_the_noise_predicts(noisy):
     estimate = joint_input_output(noisy)
     noise = replace(SETTINGS, noise=NoiseIntensities(1e-20, 1e-18))
@@ -93,6 +94,7 @@ def test_deviation_is_what_the_noise_predicts(noisy):
     assert np.mean((error / expected)[chosen] ** 2) == pytest.approx(1, abs=0.1)
 
 
+@pytest.mark.slow
 def test_direct_ratio_keeps_the_bias_of_the_loop_and_the_joint_one_does_not():
     weak = replace(SETTINGS, noise=NoiseIntensities(4e-4, 1e-18))
     records = rig_records(

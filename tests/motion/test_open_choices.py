@@ -22,6 +22,7 @@ def test_what_is_open_moves_the_bandwidth_as_it_must():
     assert np.all(published.crossing_hz > 1.03 * published.design_hz)
 
 
+@pytest.mark.slow
 def test_the_limit_rises_with_the_noise_model_beyond_the_printed_optimum():
     chart = bandwidth_map([2.0], [1e3, 1e5, 1e12])
     assert chart.crossing_hz[0, 1] > chart.crossing_hz[0, 0] > 80

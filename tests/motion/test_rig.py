@@ -163,6 +163,7 @@ def test_tustin_is_the_bilinear_rule_and_holds_the_frequency_asked_for():
     assert held == pytest.approx(pid.frequency_response(omega[2:])[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise_model", [None, 1e-4])
 def test_gain_is_where_the_printed_riccati_recursion_settles(plant, noise_model):
     """The difference equation of section 6.3, iterated from rest, in units that keep it well scaled."""

@@ -226,6 +226,7 @@ def test_errors_of_a_trial_are_those_of_its_designs(study):
     np.testing.assert_array_equal(study["original"][:, :, 0], study["redesigned"][:, :, 0])
 
 
+@pytest.mark.slow
 def test_diagonal_entries_never_exceed_singular_values(study):
     """So the reading by diagonal entries never gives a lower bandwidth without observer."""
     singular, diagonal = study["crossing"][:, 0, 0, 0], study["crossing"][:, 1, 0, 0]

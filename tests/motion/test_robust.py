@@ -76,6 +76,7 @@ def test_sensitivity_step_minimises_its_quadratic_cost(seed, gamma):
     np.testing.assert_allclose(ours, twin, rtol=1e-6, atol=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_sensitivity_step_minimises_the_cost_of_the_output_error_itself(seed):
     rng, model, u, y = problem(seed, states=2, inputs=1, disturbances=1)

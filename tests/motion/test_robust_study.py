@@ -61,6 +61,7 @@ def rows_of(model, derivatives, errors, k):
     return np.concatenate([weights @ s, weights @ m, weights @ t])
 
 
+@pytest.mark.slow
 def test_the_norm_bound_covers_every_corner_of_the_errors(scan):
     model = filter_model(scan)
     derivatives = sampled_derivatives(scan.nominal, scan.step).along(model, scan.shapes[:, None, :])

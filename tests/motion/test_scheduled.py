@@ -116,6 +116,7 @@ def test_scheduled_covariance_is_josephs_form_and_never_below_the_online_one(sca
         assert np.linalg.eigvalsh(more)[0] >= -1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("increase", "compensate"), [(0.0, True), (0.035, False), (0.035, True)])
 def test_applied_scan_is_its_naive_twin(scan, increase, compensate):
     rng = np.random.default_rng(0)

@@ -4,7 +4,7 @@ import numpy as np
 from scipy import signal
 
 
-def closed_loop(cure, floor, optimum, integrator, shaping, start, forgetting, growth, noise):
+def closed_loop(cure, floor, optimum, integrator, shaping, start, forgetting, growth, noise, noise_power):
     """Weights, covariance and error of every sample; the filters run over the whole past each time."""
     sensors, samples = floor.shape
     n = len(start)
@@ -26,8 +26,17 @@ def closed_loop(cure, floor, optimum, integrator, shaping, start, forgetting, gr
             weights = weights - e * p @ x / (1 + power)
             share = forgetting - (1 - forgetting) / power
             p = np.linalg.inv(np.linalg.inv(p) + share * np.outer(x, x))
+        elif cure == "resetting":
+            power = x @ p @ x
+            weights = weights - e * p @ x / (1 + power)
+            grow = (1 - forgetting) / forgetting
+            square = p @ np.diag(1 / start) @ p
+            update = np.outer(p @ x, p @ x) / (1 + power)
+            p = p / forgetting - update + 0.01 * grow * np.diag(start) - grow / growth * square
         else:
             share = 1.0 if cure == "no forgetting" else forgetting
+            if cure == "variable":
+                share = 1 - (1 - forgetting) * min(e**2 / noise_power / (1 + x @ p @ x), 10)
             p = np.linalg.inv(share * np.linalg.inv(p) + np.outer(x, x))
             weights = weights - e * p @ x
         if cure == "leakage":

@@ -101,6 +101,7 @@ def test_first_order_is_at_most_total_and_the_shares_add_up(values, seeded):
         assert sum(shares.total.values()) >= 1 - 1e-9
 
 
+@pytest.mark.slow
 @given(arrays(float, (30, 2), elements=numbers), st.permutations(["a", "b", "c"]), st.integers(0, 99))
 def test_the_order_of_the_axes_does_not_matter_in_a_sample(values, order, seed):
     sizes = {"a": 3, "b": 4, "c": 5}

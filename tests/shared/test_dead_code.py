@@ -5,6 +5,8 @@ import json
 import re
 from collections import defaultdict
 
+import pytest
+
 from stillwork.base import paths
 
 # A face, a study of `data/<room>/readings.toml` and a notebook's text name a function without calling it.
@@ -61,6 +63,7 @@ def dead(modules, others):
     ]
 
 
+@pytest.mark.slow
 def test_every_top_level_name_is_used():
     root = paths.root()
     modules = {

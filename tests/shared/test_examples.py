@@ -102,6 +102,7 @@ def outcomes(tmp_path_factory):
     return json.loads(done.stdout)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("face", FACES)
 def test_the_example_of_a_face_runs(face, outcomes):
     assert "Examples" in sections(handed_out(face))

@@ -42,6 +42,7 @@ def test_in_a_build_it_is_a_picture_at_the_published_setting(monkeypatch):
     assert shown.png.startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_moving_a_control_redraws_and_reset_returns():
     controls, reset, message, picture = parts(explore(draw, **CONTROLS))
     at_home = picture.value

@@ -86,6 +86,7 @@ def test_a_name_that_would_read_as_the_one_above_is_refused(tmp_path, monkeypatc
         figures.save(figure, tmp_path / "a")
 
 
+@pytest.mark.slow
 def test_saving_leaves_the_figure_as_it_is(tmp_path):
     figure, axes = figures.new(2, 1, sharex=True)
     t = np.linspace(1, 1000, 3000)

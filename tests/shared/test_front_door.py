@@ -164,6 +164,7 @@ for call, message in (
 """
 
 
+@pytest.mark.slow
 def test_models_check_themselves():
     """In a process of its own: here the tests' type checker would answer first."""
     done = subprocess.run([sys.executable, "-W", "ignore", "-c", MODELS], capture_output=True, text=True)

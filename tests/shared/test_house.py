@@ -55,6 +55,7 @@ def between_rooms(imported):
     return [(a, b) for a in rooms for b in imported[a] if b in rooms and rooms[a] != rooms[b]]
 
 
+@pytest.mark.slow
 def test_every_folder_has_its_place(trees):
     folders = {file.name for file in (paths.root() / "lib" / "stillwork").iterdir() if file.is_dir()}
     assert folders - {"__pycache__"} == set(ORDER)
@@ -62,6 +63,7 @@ def test_every_folder_has_its_place(trees):
     assert rooms == set(paths.ROOMS)
 
 
+@pytest.mark.slow
 def test_no_arrow_runs_up(imported):
     assert rising(imported) == []
 

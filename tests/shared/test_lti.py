@@ -14,7 +14,6 @@ from naive.motion import exponential, step_by_step
 from stillwork import lti
 from stillwork.base.checks import InputError
 from stillwork.lti.discretisation import tustin, zoh_modes
-from stillwork.lti.modal import from_state_space
 from stillwork.lti.peaks import refine_peak
 
 GRID = lti.resonance_grid(stage().poles, 1.0, 1e4, 400, 20)
@@ -69,22 +68,6 @@ def test_response_of_a_superposition_is_the_sum_over_modes(seed):
     parts = [replace(model.modes([k]), feedthrough=0 * model.feedthrough) for k in range(6)]
     total = sum(part.frequency_response(omega) for part in parts) + model.feedthrough[:, :, None]
     assert np.allclose(model.frequency_response(omega), total, rtol=1e-12)
-
-
-@settings(max_examples=25, deadline=None)
-@given(st.integers(0, 10_000), st.sampled_from([1, 2]))
-def test_modal_forms_go_there_and_back(seed, form):
-    model = random_modal(seed)
-    again = from_state_space(model.state_space(form), form)
-    for name in ("frequencies", "damping", "input_shapes", "output_shapes", "feedthrough"):
-        assert np.allclose(getattr(again, name), getattr(model, name), rtol=1e-12, atol=1e-15)
-
-
-def test_both_forms_are_one_system():
-    model = random_modal(5).modes(slice(1, None))
-    omega = np.array([40.0, 900.0])
-    one, two = (model.state_space(form).frequency_response(omega) for form in (1, 2))
-    assert np.allclose(one, two, rtol=1e-9)
 
 
 def test_control_and_back():
@@ -246,12 +229,6 @@ def test_zeros_are_those_of_python_control_and_of_the_response(feedthrough):
             "stiffness is not symmetric",
         ),
         (lambda: lti.modal_model(np.eye(2), -np.eye(2), np.eye(2), np.eye(2)), "negative eigenvalue"),
-        (
-            lambda: from_state_space(
-                lti.StateModel(-np.ones((2, 2)), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1)))
-            ),
-            "structure",
-        ),
         (lambda: lti.resonance_grid([1j], 10.0, 5.0), "high_hz"),
         (lambda: lti.resonance_grid([1j, np.nan], 1.0, 5.0), "poles holds 1 NaN"),
         (lambda: tustin(stage().state_space(), 0.0), "step is 0"),

@@ -70,6 +70,7 @@ def test_a_reader_that_dies_gives_our_error(other_reader, body, why):
         read_mat(other_reader(body))
 
 
+@pytest.mark.slow
 def test_a_reader_that_does_not_end_is_ended(other_reader, monkeypatch):
     monkeypatch.setattr(matfiles, "MOST_SECONDS", 0.5)
     start = time.monotonic()

@@ -26,6 +26,7 @@ def private(name):
     return name.startswith("_") and not name.startswith("__")
 
 
+@pytest.mark.slow
 def test_a_class_name_stands_once(modules):
     places = defaultdict(list)
     for module, tree in modules.items():

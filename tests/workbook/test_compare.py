@@ -89,6 +89,8 @@ def test_outputs_are_compared_by_kind_and_text():
     assert not same_outputs([stream], [stream, result])
     halves = [{**stream, "text": "a "}, {**stream, "text": "1.0\n"}]
     assert same_outputs([stream], halves) and same_outputs(halves, [stream])
+    error = {"output_type": "error", "ename": "ValueError", "evalue": "no", "traceback": []}
+    assert same_outputs([error], [error]) and not same_outputs([error], [stream])
 
 
 def test_the_difference_of_two_tables_is_of_the_range(tmp_path):
@@ -154,6 +156,7 @@ def picture(y=1.0, label="time (s)", colour=BLUE) -> bytes:
     return buffer.getvalue()
 
 
+@pytest.mark.slow
 def test_pictures_agree_when_a_line_moved_within_its_width_and_not_when_a_word_changed():
     assert same_picture(picture(), picture())
     assert same_picture(picture(1.0 + 1e-4), picture())

@@ -83,8 +83,25 @@ def test_a_malformed_line_is_named(workbook, source, message):
     assert "write 'name: type = literal  # comment'" in str(error.value)
 
 
-def test_a_file_that_is_no_notebook(workbook, tmp_path):
-    (tmp_path / "notebooks/motion/01-x.ipynb").write_text("<html>")
+CODE = '{"cell_type": "code", "id": "a", "metadata": {}, "source": "1"}'
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "<html>",
+        "[]",
+        '{"cells": 1}',
+        '{"cells": [1]}',
+        *(
+            f'{{"cells": [{CODE.replace(*part)}]}}'
+            for part in [('"id": "a", ', ""), ('"metadata": {}, ', ""), ("{}", "1")]
+        ),
+        '{{"cells": [{}]}}'.format(CODE.replace('"1"', "1")),
+    ],
+)
+def test_a_file_that_is_no_notebook(workbook, tmp_path, text):
+    (tmp_path / "notebooks/motion/01-x.ipynb").write_text(text)
     with pytest.raises(InputError, match="not a notebook"):
         read_notebook("motion/01-x")
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -214,6 +215,17 @@ def make(root: Path) -> Toy:
         toy.write(f"lib/stillwork/{file.name}", file.read_text(encoding="utf-8"))
     for package in ("base", "signals", "workbook", "site"):
         shutil.copytree(LIBRARY / package, root / f"lib/stillwork/{package}", ignore=ignore)
+    # Of what its kernels are warmed with, the toy needs Jupyter's part alone: two seconds a build.
+    process = "lib/stillwork/workbook/kernel_process.py"
+    text, found = re.subn(
+        r"^SLOW = \(.*?^\)",
+        'SLOW = ("ipykernel.kernelapp",)',
+        (root / process).read_text(),
+        flags=re.S | re.M,
+    )
+    assert found == 1
+    toy.write(process, text)
+    toy.replace(process, "    _first_use()\n    import gc", "    import gc")
     toy.write("lib/experiments/__init__.py", "")  # else an installed one of this name goes before it
     for room in ("isolation", "motion"):
         toy.write(f"lib/experiments/{room}/__init__.py", "")

@@ -107,6 +107,7 @@ def counts():
     return dict(zip(ACCURACY, json.loads(done.stdout), strict=True))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", range(len(UNKNOWNS)))
 @pytest.mark.parametrize("update", ACCURACY)
 def test_formulas_agree_with_a_count(update, place, counts):

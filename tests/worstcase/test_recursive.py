@@ -1,3 +1,5 @@
+import copy
+import pickle
 import warnings
 
 import numpy as np
@@ -130,6 +132,27 @@ def test_stepper_gives_the_same_numbers_as_the_record(estimator):
     assert np.array_equal(run(estimator, rows.T, outputs).estimates, track.estimates)  # no state left behind
 
 
+@pytest.mark.parametrize("estimator", [MinMax(0.5, FORGETTING), GrowingMinMax(0.1), LeastSquares(FORGETTING)])
+def test_a_copy_of_a_stepper_goes_on_by_itself(estimator):
+    rows, outputs = record(20, samples=200)
+    stepper = RecursiveStepper(estimator, 4)
+    for a, y in zip(rows[:99], outputs[:99], strict=True):
+        stepper.update(a, y)
+    twins = [copy.deepcopy(stepper), pickle.loads(pickle.dumps(stepper))]
+    for a, y in zip(rows[99:], outputs[99:], strict=True):
+        found = stepper.update(a, y)
+        assert all(np.array_equal(twin.update(a, y), found) for twin in twins)
+    assert np.array_equal(found, run(estimator, rows.T, outputs).estimates[:, -1])
+
+
+@pytest.mark.parametrize("form", [list, np.float32, np.asfortranarray, lambda row: np.repeat(row, 2)[::2]])
+def test_a_stepper_takes_a_sample_in_any_form(form):
+    rows, outputs = np.arange(40.0).reshape(10, 4) % 7, np.arange(10.0) % 3
+    stepper, twin = (RecursiveStepper(LeastSquares(FORGETTING), 4) for _ in range(2))
+    for a, y in zip(rows, outputs, strict=True):
+        assert np.array_equal(stepper.update(form(a), int(y)), twin.update(a, y))
+
+
 def test_stepper_is_unchanged_by_a_refused_sample():
     rows, outputs = record(11)
     stepper, twin = (RecursiveStepper(MinMax(0.5, FORGETTING), 4) for _ in range(2))
@@ -243,6 +266,7 @@ def test_least_squares_resume_with_the_digits_they_had(scale):
     assert track.estimates[:, -1] == pytest.approx(expected, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_the_sample_at_which_an_estimate_leaves_the_finite_numbers_is_named():
     rows = np.ones((20_000, 1))
     rows[100:19_000] = 0

@@ -136,17 +136,7 @@ def paint_limit_cycle_condition(loop: LinearLoop, transformation: FlowTransforma
 
 
 def paint_limit_cycle_sweep(gains, predicted, simulated):
-    """Frequency and amplitude of the limit cycle against the gain A: predicted lines, simulated points.
-
-    Parameters
-    ----------
-    gains : array_like
-        Minus A, m/s^2.
-    predicted : list of tuple
-        Frequency in Hz and amplitude of response - desired in m/s^2, NaN without a cycle.
-    simulated : list of tuple
-        Likewise.
-    """
+    """Frequency and amplitude of the limit cycle against the gain A: predicted lines (NaN: no cycle), simulated points."""
     figure, panels = figures.new(1, 2, height=3.0)
     titles = ("frequency (Hz)", "amplitude of response - desired (m/s²)")
     for column, (axes, title) in enumerate(zip(panels, titles, strict=True)):

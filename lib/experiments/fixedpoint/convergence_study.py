@@ -38,17 +38,7 @@ def cycles_over_gain(
 
 
 def remaining_motion(plant: Plant, controller: Controller, kick: float, time_step: float) -> float:
-    """Largest velocity in the last of 8 s at rest after a kick, over the kick; infinite when it diverged.
-
-    Parameters
-    ----------
-    plant, controller
-        As for `simulate`.
-    kick : float
-        Initial velocity, m/s.
-    time_step : float
-        s.
-    """
+    """Largest velocity in the last of 8 s at rest after a kick (m/s), over the kick; infinite when it diverged."""
     run = simulate(plant, controller, at_rest(round(8 / time_step), time_step), start=(0.0, kick))
     if run.diverged_at is not None:
         return np.inf

@@ -26,15 +26,7 @@ def quotient_trial(
 
 
 def rejects_gaussian(values: ArrayLike, level: float = 1e-3) -> bool:
-    """Whether skewness and kurtosis of a record tell it from Gaussian noise (Jarque and Bera's test).
-
-    Parameters
-    ----------
-    values : array_like, shape (samples,)
-        Taken as independent.
-    level : float
-        Probability of rejecting true Gaussian noise.
-    """
+    """Whether skewness and kurtosis of a record tell it from independent Gaussian noise (Jarque and Bera's test)."""
     from scipy.stats import jarque_bera
 
     require_number("level", level, above=0, below=1)
@@ -82,17 +74,7 @@ class Correlations:
 
 
 def correlations(error: ArrayLike, time_step: float, reach: int = 4) -> Correlations:
-    """Correlations found in a record of measurement errors.
-
-    Parameters
-    ----------
-    error : array_like, shape (samples,)
-        Measured minus true position, m.
-    time_step : float
-        s.
-    reach : int
-        Largest lag, samples.
-    """
+    """Correlations found in a record of measurement errors (m), up to a lag of `reach` samples."""
     error = require_array("error", error, ndim=1)
     require_count("reach", reach, at_least=0)
     if len(error) < reach + 3:
@@ -137,21 +119,9 @@ def steady_errors(
 ) -> SteadyErrors:
     """Steady state of a filter of x = [velocity, position] fed with z = [difference quotient, position].
 
-    The gain comes from the Riccati equation with the assumed R, white and uncorrelated in time. The true
-    error follows from the fact that both measurements are made of the same two position errors.
-
-    Parameters
-    ----------
-    transition : array_like, shape (2, 2)
-        F of the linear model.
-    process, assumed : array_like, shape (2, 2) or (2,)
-        Q, and the R that the filter assumes, or their diagonals.
-    deviation : float
-        True standard deviation of the measured position, m.
-    time_step : float
-        s.
-    true_process : array_like, shape (2, 2) or (2,), optional
-        What really drives the state; Q without.
+    The gain comes from the Riccati equation with the process Q and the assumed R (matrices or diagonals), white and
+    uncorrelated in time. The true error follows from the fact that both measurements are made of the same two
+    position errors, and from `true_process`, what really drives the state.
     """
     from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 

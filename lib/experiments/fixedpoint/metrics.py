@@ -16,17 +16,13 @@ QUANTITIES = ("position", "velocity", "roughness", "position_shift", "velocity_s
 
 
 def judge(run: ControlledRun, settle: float = 2.0) -> dict[str, float]:
-    """Numbers of one run, from `settle` seconds on.
+    """Numbers of one run, from `settle` seconds on; all are infinite when the run diverged.
 
-    Returns
-    -------
-    dict
-        position, velocity: RMS tracking error, m and m/s. roughness: RMS change of the true acceleration
-        from sample to sample, m/s^2: what "hectic" means here, and the opposite of smooth. position_shift,
-        velocity_shift: by how many seconds the filter's estimate runs ahead of the truth (behind: negative):
-        regression of its error on the true velocity, and on the deformed acceleration, which is what the
-        controller's model believes the acceleration to be; both averaged over 50 samples against the noise.
-        All are infinite when the run diverged.
+    position, velocity: RMS tracking error, m and m/s. roughness: RMS change of the true acceleration
+    from sample to sample, m/s^2: what "hectic" means here, and the opposite of smooth. position_shift,
+    velocity_shift: by how many seconds the filter's estimate runs ahead of the truth (behind: negative):
+    regression of its error on the true velocity, and on the deformed acceleration, which is what the
+    controller's model believes the acceleration to be; both averaged over 50 samples against the noise.
     """
     first = round(require_number("settle", settle, at_least=0) / run.trajectory.time_step)
     if first > len(run.position) - 51:
@@ -54,13 +50,7 @@ def compare(
     integration: str = "semi-implicit",
     executor: Executor | None = None,
 ) -> dict[str, Study]:
-    """Judge every controller over the same `runs` noise records.
-
-    Returns
-    -------
-    dict of str to Study
-        A study a controller, with the quantities of `judge`; run k of each saw the same noise.
-    """
+    """Judge every controller over the same `runs` noise records: a study a controller, with the quantities of `judge`."""
     settings = {"plant": plant, "trajectory": trajectory, "noise": noise, "integration": integration}
     return {
         name: run_study(

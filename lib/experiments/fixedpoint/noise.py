@@ -16,20 +16,13 @@ LOGISTIC_DEVIATION = math.pi / math.sqrt(3)
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise of one kind; samples are independent.
+    """Noise of one kind; samples are independent."""
 
-    Attributes
-    ----------
-    kind : str
-        ``none``; ``gaussian`` and ``logistic``: `amplitude` is the standard deviation; ``logistic-scale``:
-        `amplitude` is the scale s, the standard deviation 1.814 s; ``encoder``: the position is rounded to
-        a multiple of `amplitude`.
-    amplitude : float
-        m.
-    """
-
+    # ``none``; ``gaussian`` and ``logistic``: `amplitude` is the standard deviation; ``logistic-scale``:
+    # `amplitude` is the scale s, the standard deviation 1.814 s; ``encoder``: the position is rounded to a
+    # multiple of `amplitude`
     kind: str = "none"
-    amplitude: float = 0.0
+    amplitude: float = 0.0  # m
 
     def __post_init__(self):
         require_choice("noise kind", self.kind, KINDS)

@@ -57,13 +57,7 @@ def _restoring_force(position, velocity, parameters):
 
 
 def load_oscillator(file: Path | str | None = None) -> dict[str, VanDerPol]:
-    """Models ``exact`` and ``approximate`` from TOML, by default those of Table I.
-
-    Raises
-    ------
-    InputError
-        When the file lacks a model or a parameter, or holds an unknown one.
-    """
+    """Models ``exact`` and ``approximate`` from TOML, by default those of Table I."""
     file = Path(file) if file else paths.data("fixedpoint", "oscillator.toml")
     tree = read_toml(file)
     known = [field.name for field in fields(VanDerPol)]

@@ -20,15 +20,7 @@ COLOURS = {
 
 
 def paint_tracking(runs: dict[str, ControlledRun], quantity: str = "position"):
-    """Nominal and true motion; the tracking error's range over the run; the error where the motion turns hardest.
-
-    Parameters
-    ----------
-    runs : dict of str to ControlledRun
-        By the filter's name.
-    quantity : str
-        ``position`` or ``velocity``.
-    """
+    """Nominal and true motion; the tracking error's range over the run; the error where the motion turns hardest."""
     unit, small, factor = {"position": ("m", "mm", 1e3), "velocity": ("m/s", "mm/s", 1e3)}[quantity]
     name = {"position": "q", "velocity": "q'"}[quantity]
     figure, (motion, envelope, stretch) = figures.new(3, height=7.2)
@@ -157,17 +149,7 @@ def paint_errors_over_frequency(
 
 
 def paint_statement_map(columns: list[str], fractions: dict[str, list[float]], label: str):
-    """Fraction of runs that obey each statement, a row a statement, a column a setting.
-
-    Parameters
-    ----------
-    columns : list of str
-        Names of the settings.
-    fractions : dict of str to list of float
-        A row each, by the statement.
-    label : str
-        What the settings are.
-    """
+    """Fraction of runs that obey each statement, a row a statement, a column a setting."""
     figure, axes = figures.new(1, height=0.34 * len(fractions) + 1.2)
     grid = np.array(list(fractions.values()), dtype=float)
     rows = np.arange(len(fractions))

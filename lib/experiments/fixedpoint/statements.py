@@ -20,17 +20,8 @@ def statements(
 ) -> dict[str, Bool[np.ndarray, " runs"]]:
     """Which runs obey each statement, among window, low pass and one form of the Kalman filter.
 
-    Smooth and hectic are judged by the roughness of the motion, precise and best by an RMS error. The paper
-    shows errors of q and of q' and does not say which it ranks by.
-
-    Parameters
-    ----------
-    study : dict of str to Study
-        From `compare`.
-    kalman : str
-        Which Kalman filter takes part: as printed, or corrected.
-    quantity : str
-        ``position`` or ``velocity``: whose RMS error says what is precise.
+    Smooth and hectic are judged by the roughness of the motion, precise and best by the RMS error of `quantity`. The
+    paper shows errors of q and of q' and does not say which it ranks by.
     """
     names = (WINDOW, LOW_PASS, kalman)
     rough = np.array([study[name]["roughness"] for name in names])
@@ -56,13 +47,7 @@ def pooled(studies: dict[str, dict[str, Study]], kalman: str) -> dict[str, Bool[
 
 
 def rankings(small: list[dict[str, Study]], large: list[dict[str, Study]]) -> dict[str, list[float]]:
-    """Fractions of runs that obey what the paper says, a number for each pair of studies.
-
-    Parameters
-    ----------
-    small, large : list of dict
-        Studies in small and in large noise, one for each setting.
-    """
+    """Fractions of runs that obey what the paper says, a number for each pair of studies, in small and in large noise."""
 
     def share(studies, kalman, name, quantity="position"):
         return [float(statements(study, kalman, quantity)[name].mean()) for study in studies]

@@ -136,24 +136,9 @@ def tune(
 ) -> Tuned:
     """Search by a Sobol sequence, then by Nelder and Mead's simplex from each of the best points.
 
-    The sequence takes the largest power of two within half the budget, the simplexes share the rest.
-
-    Parameters
-    ----------
-    family : Family
-        What is tuned.
-    plant, model : Plant
-        Exact and approximate.
-    trajectory, noise
-        Training conditions.
-    budget : int
-        Evaluations, the same for every family whatever its number of knobs.
-    runs : int
-        Noise records an evaluation, the same in each.
-    seed : int
-        Of the noise and of the Sobol sequence; test on another one.
-    criterion : str
-        Quantity of `metrics.judge` whose mean is made small.
+    The sequence takes the largest power of two within half the budget, the same for every family whatever its number
+    of knobs; the simplexes share the rest. What is made small is the mean of `criterion`, a quantity of
+    `metrics.judge`, over the noise records of one seed; test on another one.
     """
     from scipy.optimize import minimize
     from scipy.stats import qmc

@@ -211,17 +211,7 @@ def open_trajectory(
 def controllers(
     model: Plant, flow: FlowTransformation, robust: RobustTransformation, exponents: list[float]
 ) -> dict[str, Controller]:
-    """The paper's three filters with one's own settings.
-
-    Parameters
-    ----------
-    model : Plant
-        The approximate one.
-    flow, robust : FlowTransformation, RobustTransformation
-        (6), for the moving window; (8), for the others.
-    exponents : list of float
-        Lambda of (1) in 1/s for moving window, low pass and Kalman filter.
-    """
+    """The paper's three filters with one's own settings: (6) for the moving window, (8) for the others, lambda in 1/s."""
     names = (WINDOW, LOW_PASS, KALMAN)
     if len(exponents) != len(names):
         raise InputError(f"exponents holds {len(exponents)} numbers; give one each for {', '.join(names)}")

@@ -77,19 +77,7 @@ def plant_explorer(
     settle: float,
     seed: int,
 ) -> Callable:
-    """Drawing function of the explorer: all filters with another gain, stiffness of tracking and noise.
-
-    Parameters
-    ----------
-    models, chosen, trajectory
-        As for `drive`.
-    noise_kind : str
-        See `Noise`.
-    settle : float
-        s, before errors count.
-    seed : int
-        Of the noise.
-    """
+    """Drawing function of the explorer: all filters with another gain, stiffness of tracking and noise."""
     found = contraction_along(models, trajectory)
     if len(trajectory.position) > _SHOWN:  # a long record would take too long to redraw
         trajectory = Trajectory(

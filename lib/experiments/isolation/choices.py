@@ -26,22 +26,9 @@ def convergence(
     seed: int,
     lean: bool,
 ) -> dict[str, float]:
-    """Table 1 and the speed-up in one run of 200 s on the fitted twin, as notebook 02 repeats it.
+    """Table 1 and the speed-up in one run of 200 s on the fitted twin, as notebook 02 repeats it; it has no leaner form.
 
-    Parameters
-    ----------
-    trace : str
-        Reading of the trace in eq. (18), ``regressors`` or ``literal``.
-    initial_covariance : float
-        P(-1) over the steady diagonal.
-    floor_upper_end : float
-        Of the flat floor, Hz.
-    settling_band : float
-        Half width of the band around the final value.
-    seed : int
-        Of floor and noise.
-    lean : bool
-        Without effect: one run is short.
+    `trace` is the reading of eq. (18), `initial_covariance` P(-1) over the steady diagonal, `floor_upper_end` in Hz.
     """
     courses = {
         "FeLMS": _course("FeLMS", trace, 1.0, floor_upper_end, seed),
@@ -87,22 +74,10 @@ def transmissibility(
     seed: int,
     lean: bool,
 ) -> dict[str, float]:
-    """Fig. 7 on the rigid body, with weights that FeRLS finds in 100 s, as in notebook 04.
+    """Fig. 7 on the rigid body, with weights that FeRLS finds in 100 s, as in notebook 04; it has no leaner form.
 
-    Parameters
-    ----------
-    strut_damping : float
-        Of each strut, N s/m.
-    actuator_pole : float
-        Of the rig's actuators, Hz; the controller keeps the 300 Hz of eq. (2).
-    floor_upper_end : float
-        Of the flat floor, Hz.
-    record_length : float
-        s.
-    seed : int
-        Of floor and noise.
-    lean : bool
-        Without effect: FeLMS, which takes most of the notebook's time, is left out in any case.
+    FeLMS, which takes most of the notebook's time, is left out. `strut_damping` in N s/m, `record_length` in s;
+    `actuator_pole` (Hz) is the rig's: the controller keeps the 300 Hz of eq. (2).
     """
     twin, floor = rigid_body(strut_damping, actuator_pole), flat_floor(floor_upper_end)
     weights = ferls_weights(strut_damping, actuator_pole, floor_upper_end, seed)

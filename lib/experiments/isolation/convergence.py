@@ -21,20 +21,11 @@ FINAL_SHARE = 0.1  # of a run, at its end, whose mean is the final value
 
 @dataclass(frozen=True)
 class Course:
-    """Weights and quadratic filtered error over a run of one algorithm.
-
-    Attributes
-    ----------
-    time_s : ndarray, shape (kept,)
-    weights : ndarray, shape (kept, parameters)
-        Those of the first actuator.
-    error_power : ndarray, shape (kept,)
-        Quadratic filtered error, mean over each interval, N^2.
-    """
+    """Weights and quadratic filtered error over a run of one algorithm."""
 
     time_s: Float64[np.ndarray, "kept"]
-    weights: Float64[np.ndarray, "kept parameters"]
-    error_power: Float64[np.ndarray, "kept"]
+    weights: Float64[np.ndarray, "kept parameters"]  # those of the first actuator
+    error_power: Float64[np.ndarray, "kept"]  # quadratic filtered error, mean over each interval, N^2
 
     @property
     def final(self) -> Float64[np.ndarray, "parameters"]:
@@ -66,17 +57,10 @@ def settling_times(
 ) -> Float64[np.ndarray, "parameters"]:
     """Time after which each trace stays within 63 % of its final value, as the caption of Table 1 has it.
 
-    It is the first kept time from which on no value is further from the final one than `share` of it. Noise is
-    not smoothed away: a trace whose noise exceeds the band of a small final value never settles, and gets the end.
-
-    Parameters
-    ----------
-    time_s : array_like, shape (kept,)
-    traces : array_like, shape (kept, parameters)
-    final : array_like, shape (parameters,)
-    share : float
-        Half width of the band. 0.63 is the caption to the letter; 0.37 would be the time constant of a
-        first-order course from zero, 2.2 times longer.
+    It is the first kept time from which on no value is further from the final one than `share` of it. Noise is not
+    smoothed away: a trace whose noise exceeds the band of a small final value never settles, and gets the end. A
+    share of 0.63 is the caption to the letter; 0.37 would be the time constant of a first-order course from zero, 2.2
+    times longer.
     """
     time_s = require_array("time_s", time_s, ndim=1)
     traces = require_array("traces", traces, shape=(len(time_s), None))
@@ -98,20 +82,8 @@ def algorithms(
 ) -> dict[str, FeLms | FeRls]:
     """The two algorithms with the settings of Section 5.1.1.
 
-    Parameters
-    ----------
-    steady : Steady
-        Tells the covariance that FeRLS settles at.
-    step_size : float
-        mu.
-    trace : str
-        Reading of the trace in eq. (18), ``regressors`` or ``literal``.
-    memory_s : float
-        Time constant of the forgetting, s.
-    initial_covariance : float
-        P(-1) is diagonal with this multiple of the steady diagonal.
-    sample_time : float
-        s.
+    `trace` is the reading of eq. (18), ``regressors`` or ``literal``; P(-1) is diagonal with `initial_covariance`
+    times the steady diagonal.
     """
     require_number("memory_s", memory_s, above=0.0)
     require_number("initial_covariance", initial_covariance, above=0.0)
@@ -135,34 +107,31 @@ def _course(run: Run) -> Course:
 
 
 def convergence_trial(
-    rng: np.random.Generator, *, twin: Twin, floor: ShapedFloor, both: dict, duration_s: float
+    rng: np.random.Generator,
+    *,
+    twin: Twin,
+    floor: ShapedFloor,
+    both: dict,
+    duration_s: float,
+    final: np.ndarray | None = None,
 ) -> dict[str, np.ndarray]:
     """One repetition of the experiment of Table 1 for `run_study`: both algorithms on the same floor.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Of the repetition.
-    twin, floor
-        Rig and how its floor moves.
-    both : dict of str to FeLms or FeRls
-        From `algorithms`.
-    duration_s : float
-        Length of the run, s.
-
-    Returns
-    -------
-    dict of ndarray, shape (parameters,)
-        For each algorithm the time constants ``"FeLMS tau"``, final values ``"FeLMS final"`` and standard
-        deviations ``"FeLMS deviation"`` at the end; and ``"FeLMS error"``, a number, the quadratic filtered error
-        at the end over that without feedforward.
+    For each the time constants ``"FeLMS tau"``, towards `final` or the run's own final values; the same in the
+    narrower band of a first-order course ``"FeLMS tau 37"``; final values ``"FeLMS final"`` and deviations
+    ``"FeLMS deviation"`` at the end; and ``"FeLMS error"``, a number, the quadratic filtered error at the end over
+    that without feedforward.
     """
     seed = int(rng.integers(2**31))
     before = simulate(twin, floor, FINAL_SHARE * duration_s, seed=seed).error_power.mean()
     found = {}
     for name, run in simulate_each(twin, floor, duration_s, adaptations=both, seed=seed).items():
         course = _course(run)
-        found[f"{name} tau"] = course.time_constants_s
+        for key, share in (("tau", SHARE), ("tau 37", 1 - SHARE)):
+            settled = settling_times(
+                course.time_s, course.weights, course.final if final is None else final, share
+            )
+            found[f"{name} {key}"] = settled
         found[f"{name} final"] = course.final
         found[f"{name} deviation"] = course.deviation
         found[f"{name} error"] = course.final_error / before
@@ -178,26 +147,10 @@ def steady_trial(
     settled: dict,
     duration_s: float,
 ) -> dict[str, np.ndarray]:
-    """Scatter of the weights around the oracle's fixed point once settled, for `run_study`.
+    """Scatter of the weights around the oracle's fixed point once settled, for `run_study`: mean squares by algorithm.
 
     Every run starts at the fixed point and its first half is left out, so no transient from zero is in it, and
     the deviation is taken from the oracle, so slow wandering counts in full.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Of the repetition.
-    twin, floor, steady
-        Rig, floor, and oracle of the two.
-    settled : dict of str to FeLms or FeRls
-        Algorithms as they are in their steady state.
-    duration_s : float
-        Length of the run, s.
-
-    Returns
-    -------
-    dict of ndarray, shape (parameters,)
-        Mean squared deviation over the second half of the run, by algorithm.
     """
     seed = int(rng.integers(2**31))
     found = {}
@@ -210,40 +163,18 @@ def steady_trial(
 
 @dataclass(frozen=True)
 class Starts:
-    """What FeRLS does in the first seconds from P(-1) = I / epsilon.
-
-    Attributes
-    ----------
-    epsilon : ndarray, shape (starts,)
-    peak_command : ndarray, shape (starts,)
-        Largest command, N; that of the last sample before it where the run was stopped.
-    stopped_s : ndarray, shape (starts,)
-        When it was stopped as unstable; NaN where it went on.
-    """
+    """What FeRLS does in the first seconds from P(-1) = I / epsilon."""
 
     epsilon: Float64[np.ndarray, "starts"]
+    # largest command, N; that of the last sample before it where the run was stopped
     peak_command: Float64[np.ndarray, "starts"]
-    stopped_s: Float64[np.ndarray, "starts"]
+    stopped_s: Float64[np.ndarray, "starts"]  # when it was stopped as unstable; NaN where it went on
 
 
 def try_starts(
     twin: Twin, floor: ShapedFloor, epsilons: ArrayLike, forgetting: float, duration_s: float, seed: int
 ) -> Starts:
-    """Start FeRLS from zero weights and P(-1) = I / epsilon for several epsilon.
-
-    Parameters
-    ----------
-    twin, floor
-        Rig and how its floor moves.
-    epsilons : array_like, shape (starts,)
-        In squared units of the regressors.
-    forgetting : float
-        lambda.
-    duration_s : float
-        Length of each run, s.
-    seed : int
-        Of floor and noise, the same for all.
-    """
+    """Start FeRLS from zero weights and P(-1) = I / epsilon for several epsilon (squared units of the regressors)."""
     epsilons = require_array("epsilons", epsilons, ndim=1)
     peaks, stops = [], []
     for epsilon in epsilons:

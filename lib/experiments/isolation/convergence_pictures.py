@@ -29,16 +29,16 @@ def published_row(algorithm: str, quantity: str) -> np.ndarray:
     )
 
 
-def paint_courses(courses: Mapping[str, Course], average_s: float = 1.0):
+def paint_courses(courses: Mapping[str, Course]):
     """Fig. 5: quadratic filtered error and w1, w4, w7 over time, for each algorithm."""
     figure, (above, below) = figures.new(2, 1, height=5.2, sharex=True, height_ratios=[1, 1.6])
     for name, course in courses.items():
-        width = max(round(average_s / course.time_s[0]), 1)
+        width = max(round(1 / course.time_s[0]), 1)
         rows = len(course.time_s) // width * width
         power = course.error_power[:rows].reshape(-1, width).mean(axis=1)
         time = course.time_s[width - 1 : rows : width]
         color = COLORS[name]
-        above.semilogy(time, power, STYLES[name], color=color, label=f"{name}, mean over {average_s:g} s")
+        above.semilogy(time, power, STYLES[name], color=color, label=f"{name}, mean over 1 s")
         for row, color in SHOWN.items():
             below.plot(
                 course.time_s, course.weights[:, row], STYLES[name], color=color, label=f"w{row + 1}, {name}"
@@ -80,16 +80,14 @@ def paint_table(studies: Mapping[str, Study]):
             panel.set_xticks(number, [f"w{i}" for i in number])
             if row == 0:
                 panel.set_yscale("log")
-            if column == 0:
-                panel.set_ylabel(label)
+        figures.label(axes[row], y=label)
         # One scale a row: the point is the comparison.
         limits = [panel.get_ylim() for panel in axes[row]]
         for panel in axes[row]:
             panel.set_ylim(min(low for low, _ in limits), max(high for _, high in limits))
     for panel in axes[0]:
         panel.set_ylim(0.3, 500)  # the intervals of w1 go further
-    for panel in axes[1]:
-        panel.set_xlabel("parameter")
+    figures.label(axes, "parameter")
     axes[1, 1].legend(fontsize=7)
     return figure
 
@@ -120,9 +118,8 @@ def paint_readings(times: Mapping[str, np.ndarray]):
         panel.set_yscale("log")
         panel.set_ylim(top=6 * max(each[3:].max() for each in mine.values()))
         panel.set_xticks(number, [f"w{i}" for i in number])
-        panel.set_xlabel("parameter")
         panel.legend(loc="upper left", fontsize=8)
-    axes[0].set_ylabel("time to stay within 63 % (s)")
+    figures.label(axes, "parameter", "time to stay within 63 % (s)")
     return figure
 
 

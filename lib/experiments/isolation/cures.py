@@ -18,9 +18,11 @@ from stillwork.base.kernels import kernel
 from stillwork.estimation.adaptive import ferls_update, hold_covariance
 from stillwork.estimation.covariance_forms import TRIANGLE, add_information
 
-CURES = ("none", "trace bound", "leakage", "limit", "directional", "no forgetting")
-NONE, TRACE_BOUND, LEAKAGE, LIMIT, DIRECTIONAL, NO_FORGETTING = range(6)
+CURES = ("none", "trace bound", "leakage", "limit", "directional", "no forgetting", "variable", "resetting")
+NONE, TRACE_BOUND, LEAKAGE, LIMIT, DIRECTIONAL, NO_FORGETTING, VARIABLE, RESETTING = range(8)
 
+FASTEST = 10.0  # times the printed 1 - lambda: as fast as variable forgetting may forget (chosen)
+RESET_SHARE = 0.01  # of its start, to which resetting lets P fall at most (chosen)
 # A command this many times the largest one that the right weights would give has left every actuator's range.
 OVERLOAD = 1e3
 
@@ -65,6 +67,7 @@ def run_cure(
     *,
     growth: float = 10.0,
     noise: ArrayLike | float = 0.0,
+    noise_power: float = 1.0,
     keep_every: int = 1000,
 ) -> CureRun:
     """Adapt in closed loop from zero weights over floors and optima that follow one another.
@@ -75,8 +78,12 @@ def run_cure(
         ``none``; ``limit``, the library's: the diagonal of P stays below `growth` times its start;
         ``leakage`` after Levenberg and Marquardt: every sample adds information along every axis, so that a
         silent one settles at `growth`; ``directional`` after Kulhavy: only what the regressor says anew is forgotten,
-        R + (lambda - (1 - lambda) / psi' P psi) psi psi'; ``no forgetting``: lambda = 1; ``trace bound``: P is scaled down as a whole when its trace exceeds
-        `growth` times its start.
+        R + (lambda - (1 - lambda) / psi' P psi) psi psi'; ``no forgetting``: lambda = 1; ``trace bound``: P is
+        scaled down as a whole when its trace exceeds `growth` times its start; ``variable`` after Fortescue,
+        Kershenbaum and Ydstie: 1 - lambda grows with the error, (1 - lambda) e² / (noise (1 + psi' P psi)), at
+        most `FASTEST` times; ``resetting`` after Salgado, Goodwin and Middleton, in units of the start D,
+        P / lambda - P psi psi' P / (1 + psi' P psi) + b D - d P D^-1 P, which without excitation settles at
+        `growth`.
     segments : sequence of (floor, optimum)
         Motion of the sensors, (sensors, samples), m/s², and w, (n,).
     integrator, shaping : array_like, shape (sections, 6)
@@ -89,6 +96,8 @@ def run_cure(
         Strength of the cure.
     noise : array_like, shape (samples,)
         n, over all segments together, N.
+    noise_power : float
+        Of the filtered error when all is learnt, N²; ``variable`` forgets as printed at this power.
     keep_every : int
         Samples between two kept moments.
     """
@@ -99,6 +108,7 @@ def run_cure(
     forgetting = require_number("forgetting", forgetting, above=0.0, below=1.0)
     growth = require_number("growth", growth, above=1.0)
     every = require_count("keep_every", keep_every)
+    noise_power = require_number("noise_power", noise_power, above=0.0)
     floor = np.ascontiguousarray(np.concatenate(floors, axis=1).T)
     samples, sensors = floor.shape
     noise = np.broadcast_to(require_array("noise", noise), samples).astype(float)
@@ -124,6 +134,7 @@ def run_cure(
         start,
         forgetting,
         growth,
+        noise_power,
         every,
         kept,
     )
@@ -148,8 +159,8 @@ def _cascade(sections, state, value):
 
 
 @kernel
-def _forget_along(weights, covariance, psi, error, forgetting, gain):
-    """One sample of directional forgetting: the information of directions that are not excited stays."""
+def _leverage(covariance, psi, gain):
+    """P psi into `gain`; returns psi' P psi."""
     n, power = len(psi), 0.0
     for i in range(n):
         total = 0.0
@@ -157,6 +168,33 @@ def _forget_along(weights, covariance, psi, error, forgetting, gain):
             total += covariance[i, j] * psi[j]
         gain[i] = total
         power += total * psi[i]
+    return power
+
+
+@kernel
+def _reset(weights, covariance, psi, error, forgetting, growth, start, gain, spare):
+    """One sample of exponential resetting and forgetting."""
+    n, power = len(psi), _leverage(covariance, psi, gain)
+    grow = 1.0 / forgetting - 1.0
+    for i in range(n):
+        weights[0, i] -= error * gain[i] / (1.0 + power)
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(n):
+                total += covariance[i, k] * covariance[k, j] / start[k]
+            spare[i, j] = (
+                covariance[i, j] / forgetting - gain[i] * gain[j] / (1.0 + power) - grow / growth * total
+            )
+        spare[i, i] += grow * RESET_SHARE * start[i]
+    for i in range(n):
+        for j in range(i + 1):
+            covariance[i, j] = covariance[j, i] = spare[i, j]
+
+
+@kernel
+def _forget_along(weights, covariance, psi, error, forgetting, gain):
+    """One sample of directional forgetting: the information of directions that are not excited stays."""
+    n, power = len(psi), _leverage(covariance, psi, gain)
     if not power > 0.0:
         return
     for i in range(n):
@@ -184,6 +222,7 @@ def _cure_run(
     start,
     forgetting,
     growth,
+    noise_power,
     every,
     kept,
 ):
@@ -194,7 +233,7 @@ def _cure_run(
         covariance[i, i] = start[i]
         levels[0, i] = growth * start[i] if cure == LIMIT else np.inf
         bound += growth * start[i]
-    psi, shaped, gain = np.empty(n), np.empty(n), np.empty(n)
+    psi, shaped, gain, spare = np.empty(n), np.empty(n), np.empty(n), np.empty((n, n))
     error = np.empty(1)
     command, wanted, squares, largest, first = 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(n):
@@ -222,8 +261,13 @@ def _cure_run(
         reached = False
         if cure == DIRECTIONAL:
             _forget_along(weights, covariance, shaped, error[0], forgetting, gain)
+        elif cure == RESETTING:
+            _reset(weights, covariance, shaped, error[0], forgetting, growth, start, gain, spare)
         else:
             kept_share = 1.0 if cure == NO_FORGETTING else forgetting
+            if cure == VARIABLE:
+                surprise = error[0] ** 2 / noise_power / (1.0 + _leverage(covariance, shaped, gain))
+                kept_share = 1.0 - (1.0 - forgetting) * min(surprise, FASTEST)
             _, reached = ferls_update(weights, covariance, kept_share, levels, np.inf, gain, shaped, error)
         if reached:
             hold_covariance(TRIANGLE, covariance, forgetting, levels, gain, gain, 0)

@@ -18,17 +18,10 @@ FORMS = ("full inverse", "Newton", "block inverse")
 
 @dataclass(frozen=True)
 class DirectRun:
-    """Identification with one of the direct forms.
+    """Identification with one of the direct forms."""
 
-    Attributes
-    ----------
-    weights : ndarray, shape (samples, actuators, n)
-        W after every sample.
-    gain : ndarray, shape (actuators n, actuators n), or (n, n)
-        Adaptation gain matrix after the last sample: of all parameters (26), or P (28).
-    """
-
-    weights: Float64[np.ndarray, "samples actuators n"]
+    weights: Float64[np.ndarray, "samples actuators n"]  # W after every sample
+    # adaptation gain matrix after the last sample: of all parameters (26), or P (28)
     gain: Float64[np.ndarray, "parameters parameters"]
 
     @property
@@ -42,21 +35,11 @@ class DirectRun:
 def direct_run(
     form: str, regressors: ArrayLike, disturbance: ArrayLike, epsilon: float, forgetting: float
 ) -> DirectRun:
-    """Fit weights to a record as `identify` does, with a matrix inverse at every sample.
+    """Fit weights to a record as `identify` does, with a matrix inverse at every sample; the error is e = d + W psi_N.
 
-    Parameters
-    ----------
-    form : str
-        ``full inverse``: eq. (25)-(26), the information matrix of all parameters. ``Newton``: eq. (20)-(24),
-        the same with the Hessian as a sample average and the step alpha. ``block inverse``: eq. (28), one block.
-    regressors : array_like, shape (n, samples)
-        psi_N.
-    disturbance : array_like, shape (actuators, samples)
-        d; the error is e = d + W psi_N.
-    epsilon : float
-        Start: P(-1) = I / epsilon.
-    forgetting : float
-        lambda in (0, 1].
+    ``full inverse``: eq. (25)-(26), the information matrix of all parameters. ``Newton``: eq. (20)-(24), the same
+    with the Hessian as a sample average and the step alpha. ``block inverse``: eq. (28), one block. P(-1) = I /
+    epsilon.
     """
     require_choice("form", form, FORMS)
     regressors = require_array("regressors", regressors, ndim=2)

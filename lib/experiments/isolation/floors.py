@@ -16,21 +16,13 @@ FLAT_LEVEL = 1.5e-3  # m/s^2/sqrt(Hz): the plateau of Fig. 2, near BBN-B/C
 
 @dataclass(frozen=True)
 class ShapedFloor:
-    """Independent white noise through a filter per sensor.
+    """Independent white noise through a filter per sensor."""
 
-    Attributes
-    ----------
-    sections : ndarray, shape (channels, sections, 6)
-        Second-order sections as in `scipy.signal.sosfilt`, gain 1 on the plateau.
-    scale : ndarray, shape (channels,)
-        Standard deviation of the white noise that enters, m/s^2 a sample.
-    sample_rate : float
-        Hz.
-    """
-
+    # second-order sections as in `scipy.signal.sosfilt`, gain 1 on the plateau
     sections: Float64[np.ndarray, "channels sections 6"]
+    # standard deviation of the white noise that enters, m/s^2 a sample
     scale: Float64[np.ndarray, " channels"]
-    sample_rate: float = SAMPLE_RATE
+    sample_rate: float = SAMPLE_RATE  # Hz
 
     def __post_init__(self):
         require_number("sample_rate", self.sample_rate, above=0.0)
@@ -66,21 +58,10 @@ def flat_floor(
     channels: int = SENSORS,
     sample_rate: float = SAMPLE_RATE,
 ) -> ShapedFloor:
-    """The 'flat' floor of Fig. 2: a plateau between a second-order high-pass and a second-order low-pass.
+    """The 'flat' floor of Fig. 2: a plateau (m/s^2/sqrt(Hz)) between second-order Butterworth high-pass and low-pass.
 
     The figure gives no number for the upper end. 80 Hz agrees with the published convergence, 1500 Hz is the
-    literal reading of 'flat'.
-
-    Parameters
-    ----------
-    low_pass_hz, high_pass_hz : float
-        Butterworth corners.
-    level : float or array_like, shape (channels,)
-        Plateau, m/s^2/sqrt(Hz).
-    channels : int
-        Sensors, excited independently as by the paper's three shakers.
-    sample_rate : float
-        Hz.
+    literal reading of 'flat'. The sensors are excited independently, as by the paper's three shakers.
     """
     require_number("sample_rate", sample_rate, above=0.0)
     require_number("low_pass_hz", low_pass_hz, above=high_pass_hz, below=sample_rate / 2)
@@ -98,33 +79,22 @@ def flat_floor(
     )
 
 
-def colored_floor(
-    low_pass_hz: float = 80.0,
-    level: float | ArrayLike = FLAT_LEVEL,
-    *,
-    gain: float = 4.0,
-    high_pass_hz: float = 3.0,
-    channels: int = SENSORS,
-    sample_rate: float = SAMPLE_RATE,
-) -> ShapedFloor:
+def colored_floor(low_pass_hz: float = 80.0, *, gain: float = 4.0) -> ShapedFloor:
     """The 'colored' floor of Fig. 2: `flat_floor` raised at 40-90 Hz and around 150 Hz.
 
     The paper names the bands, not the heights: each is a second-order peak of about `gain` times the amplitude
     (4: 12 dB, assumed), at 60 Hz (the band's geometric mean), 50 Hz wide, and at 150 Hz, 30 Hz wide (assumed).
-    Other parameters as in `flat_floor`.
     """
     require_number("gain", gain, at_least=1.0)
-    flat = flat_floor(
-        low_pass_hz, level, high_pass_hz=high_pass_hz, channels=channels, sample_rate=sample_rate
-    )
-    sections = _peaks([(60.0, 50.0), (150.0, 30.0)], gain, sample_rate)
+    flat = flat_floor(low_pass_hz)
+    sections = _peaks([(60.0, 50.0), (150.0, 30.0)], gain)
     raised = np.concatenate([flat.sections, np.tile(sections, (flat.channels, 1, 1))], axis=1)
     return ShapedFloor(raised, flat.scale, flat.sample_rate)
 
 
-def _peaks(bands: list[tuple[float, float]], gain: float, sample_rate: float):
+def _peaks(bands: list[tuple[float, float]], gain: float):
     """Sections of 1 + (gain - 1) sum of B over (centre, width), with B a resonator that is 1 at its centre."""
-    resonators = [signal.iirpeak(centre, centre / width, fs=sample_rate) for centre, width in bands]
+    resonators = [signal.iirpeak(centre, centre / width, fs=SAMPLE_RATE) for centre, width in bands]
     whole = np.ones(1)
     for _, a in resonators:
         whole = np.polymul(whole, a)

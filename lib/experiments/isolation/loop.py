@@ -201,26 +201,11 @@ def advance(
 ):
     """Advance the loop over a block of samples; returns (status, samples done).
 
-    Parameters
-    ----------
-    floor : (samples, sensors)
-        a0.
-    noise : (samples, outputs + sensors)
-        n1 and n0, before the conditioners.
-    loop : ClosedLoop
-        Changed in place.
-    signals : Signals
-        Filled.
-    keep_every, phase : int
-        Samples between two kept weights, and samples since the last when the block starts.
-    adaptation : int
-        FROZEN, FELMS or FERLS.
-    step_size, regularisation, trace_copies : float
-        mu, epsilon and how often the trace counts the regressors, for FELMS.
-    inner, other : (regressors,) or None
-        Of the loop's recursion; they decide when this is compiled which forms it knows.
-    force_limit : float
-        A command beyond it, or NaN, stops the run.
+    The floor is a0 (samples, sensors), the noise n1 and n0 (samples, outputs + sensors), before the conditioners;
+    `loop` and `signals` are changed in place. `keep_every` samples lie between two kept weights, `phase` since the
+    last when the block starts. `adaptation` is FROZEN, FELMS or FERLS; for FELMS `trace_copies` is how often the
+    trace counts the regressors. `inner` and `other`, of the loop's recursion, decide when this is compiled which
+    forms it knows. A command beyond `force_limit`, or NaN, stops the run.
     """
     samples, sensors = floor.shape
     # Local names: numba counts references at every access of a field.

@@ -29,21 +29,9 @@ def mean_course(
 ) -> Float64[np.ndarray, "times parameters"]:
     """Expected weights of the first actuator, for slow adaptation, without a simulation.
 
-    FeLMS (trace over the regressors): ``w' = -mu / (T tr R) A (w - w*)``. FeRLS: the same with P(t) in place of
-    the gain, ``P^-1 = exp(-t / memory) P0^-1 + (1 - exp(-t / memory)) R memory / T``.
-
-    Parameters
-    ----------
-    twin, steady
-        Model and its oracle on the floor.
-    algorithm : str
-        ``FeLMS`` or ``FeRLS``.
-    time_s : array_like, shape (times,)
-        Rising from above zero.
-    step_size, memory_s, initial_covariance
-        As in `algorithms`.
-    start : Steady, optional
-        Floor on which the algorithm has settled before; without it weights start from zero.
+    FeLMS (trace over the regressors): ``w' = -mu / (T tr R) A (w - w*)``. FeRLS: the same with P(t) in place of the
+    gain, ``P^-1 = exp(-t / memory) P0^-1 + (1 - exp(-t / memory)) R memory / T``. On `start` the algorithm has
+    settled before; without it weights start from zero.
     """
     require_choice("algorithm", algorithm, ALGORITHMS)
     time_s = require_array("time_s", time_s, ndim=1)
@@ -79,30 +67,24 @@ def mean_course(
 
 @dataclass(frozen=True)
 class Sideways:
-    """Course of a weight error that pushes the platform along its x axis, which the floor does not excite.
-
-    Attributes
-    ----------
-    time_s : ndarray, shape (kept,)
-    size, predicted : ndarray, shape (kept,)
-        Root mean square shaped command along the pattern, N: simulated, and from the mean update R^-1 A alone.
-    eigenvalue : float
-        Smallest real part of the eigenvalues of R^-1 A: the rate of decay in the end, times the memory.
-    """
+    """Course of a weight error that pushes the platform along its x axis, which the floor does not excite."""
 
     time_s: Float64[np.ndarray, "kept"]
+    # size, predicted: root mean square shaped command along the pattern, N: simulated, and from the mean
+    # update R^-1 A alone
     size: Float64[np.ndarray, "kept"]
     predicted: Float64[np.ndarray, "kept"]
+    # smallest real part of the eigenvalues of R^-1 A: the rate of decay in the end, times the memory
     eigenvalue: float
 
 
-def narrow_floor(twin: Twin, low_hz: float, high_hz: float, level: float = FLAT_LEVEL) -> ShapedFloor:
+def narrow_floor(twin: Twin, low_hz: float, high_hz: float) -> ShapedFloor:
     """Floor confined to a band, second-order Butterworth, m/s^2/sqrt(Hz) inside; sensors independent."""
     rate = twin.instruments.sample_rate
     sections = signal.butter(2, [low_hz, high_hz], "bandpass", fs=rate, output="sos")
     return ShapedFloor(
         np.repeat(sections[None], twin.sensors, axis=0),
-        np.full(twin.sensors, level * np.sqrt(rate / 2)),
+        np.full(twin.sensors, FLAT_LEVEL * np.sqrt(rate / 2)),
         rate,
     )
 
@@ -110,17 +92,7 @@ def narrow_floor(twin: Twin, low_hz: float, high_hz: float, level: float = FLAT_
 def follow_sideways(
     twin: Twin, floor: ShapedFloor, duration_s: float, memory_s: float, seed: int
 ) -> Sideways:
-    """Run FeRLS without noise from the optimum plus a sideways error of the weights.
-
-    Parameters
-    ----------
-    twin, floor
-        Rig with geometry, and how its floor moves.
-    duration_s, memory_s : float
-        Length of the run and time constant of the forgetting, s.
-    seed : int
-        Of the floor.
-    """
+    """Run FeRLS without noise from the optimum plus a sideways error of the weights."""
     if twin.rig is None:
         raise InputError("the model has no geometry, so no sideways motion; take one with a body and struts")
     forgetting = float(np.exp(-twin.sample_time / memory_s))

@@ -12,33 +12,14 @@ from stillwork.base.checks import InputError
 
 @dataclass(frozen=True)
 class Modes:
-    """Frequencies and relative damping of the suspension modes, by rising frequency.
+    """Frequencies and relative damping of the suspension modes, by rising frequency."""
 
-    Attributes
-    ----------
-    frequencies_hz, damping : ndarray, shape (modes,)
-        Of each pair of poles.
-    """
-
-    frequencies_hz: Float64[np.ndarray, "modes"]
+    frequencies_hz: Float64[np.ndarray, "modes"]  # of each pair of poles
     damping: Float64[np.ndarray, "modes"]
 
 
 def suspension_modes(twin: Twin, feedback: bool = True) -> Modes:
-    """Poles of the sampled loop that belong to the suspension.
-
-    Parameters
-    ----------
-    twin : Twin
-        Model.
-    feedback : bool
-        Whether the skyhook loop is closed.
-
-    Raises
-    ------
-    InputError
-        When the loop leaves another number of oscillating pole pairs near the suspension: a mode is overdamped.
-    """
+    """Poles of the sampled loop that belong to the suspension, none of them overdamped."""
     import control
 
     open_path = control_paths(twin, feedback=False)[1]

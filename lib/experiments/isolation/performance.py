@@ -27,58 +27,36 @@ SETTLE_S = 5.0  # start of a record that is cut off: two dozen time constants of
 
 @dataclass(frozen=True)
 class Axes:
-    """From sensor readings to motion of a rigid body in z, θx, θy about the centre of mass.
-
-    Attributes
-    ----------
-    floor : ndarray, shape (3, sensors)
-        Of the floor plate.
-    platform : ndarray, shape (3, outputs)
-        Of the platform.
-    floor_readings : ndarray, shape (sensors, 3)
-        Readings of the floor sensors per motion of the plate.
-    """
+    """From sensor readings to motion of a rigid body in z, θx, θy about the centre of mass."""
 
     floor: Float64[np.ndarray, "3 sensors"]
     platform: Float64[np.ndarray, "3 outputs"]
-    floor_readings: Float64[np.ndarray, "sensors 3"]
+    floor_readings: Float64[np.ndarray, "sensors 3"]  # readings of the floor sensors per motion of the plate
 
 
 def central_axes(rig: Rig | None) -> Axes:
-    """Axes of a rig.
+    """Axes of a rig; motions of the floor plate that its sensors do not measure count as rest.
 
     Raises
     ------
     InputError
-        When the model has no geometry, or its floor sensors do not fix z, θx and θy.
+        When the model has no geometry.
     """
     if rig is None:
         raise InputError("the model has no geometry, so no z, θx and θy; take one with a body and struts")
     readings = rig.floor_sensors.jacobian[:, _ROWS]
-    if np.linalg.matrix_rank(readings, 1e-9) < 3:
-        raise InputError("floor_sensors do not fix z, θx and θy of the plate; place three apart")
     platform = np.linalg.pinv(rig.platform_sensors.jacobian)[_ROWS]
     return Axes(np.linalg.pinv(readings), platform, readings)
 
 
 @dataclass(frozen=True)
 class CaseRecord:
-    """What the sensors show of one case, in z, θx, θy (m/s^2 and rad/s^2), noise included.
+    """What the sensors show of one case, in z, θx, θy (m/s^2 and rad/s^2), noise included."""
 
-    Attributes
-    ----------
-    name : str
-        One of `CASES`.
-    floor, platform : ndarray, shape (3, samples)
-        Accelerations.
-    sample_rate : float
-        Hz.
-    """
-
-    name: str
-    floor: Float64[np.ndarray, "3 samples"]
+    name: str  # one of `CASES`
+    floor: Float64[np.ndarray, "3 samples"]  # accelerations
     platform: Float64[np.ndarray, "3 samples"]
-    sample_rate: float
+    sample_rate: float  # Hz
 
     def spectrum(self, resolution_hz: float) -> Spectrum:
         """Spectrum of the platform."""
@@ -123,24 +101,10 @@ def record_case(
     weights: ArrayLike | None = None,
     noise: bool = True,
 ) -> CaseRecord:
-    """Record a case with frozen weights; runs with the same seed see the same floor and sensor noise.
+    """Record one of `CASES` with frozen weights; runs with the same seed see the same floor and sensor noise.
 
-    Parameters
-    ----------
-    twin : Twin
-        Rig with geometry.
-    floor : ShapedFloor or RecordedFloor
-        How the floor moves.
-    name : str
-        One of `CASES`; ``passive`` opens the skyhook loop.
-    duration_s : float
-        Seconds kept, after 5 s of settling.
-    seed : int
-        Of floor and noise.
-    weights : array_like, shape (actuators, regressors), optional
-        Frozen feedforward weights; without them there is no feedforward.
-    noise : bool
-        Whether sensors are noisy.
+    ``passive`` opens the skyhook loop; without weights there is no feedforward. The first 5 s, of settling, are not
+    kept.
     """
     require_choice("name", name, CASES)
     require_number("duration_s", duration_s, above=0.0)
@@ -166,8 +130,15 @@ def exact_transmissibility(
     """Transmissibility from floor to platform in z, θx, θy without any noise, from the model's responses.
 
     Platform directions along the first axis, floor directions along the second.
+
+    Raises
+    ------
+    InputError
+        When the floor sensors do not fix z, θx and θy.
     """
     axes = central_axes(twin.rig)
+    if np.linalg.matrix_rank(axes.floor_readings, 1e-9) < 3:
+        raise InputError("floor_sensors do not fix z, θx and θy of the plate; place three apart")
     if weights is None:
         weights = np.zeros((twin.actuators, twin.regressors))
     whole = responses(twin, frequencies_hz, feedback).transmissibility(weights)
@@ -185,25 +156,9 @@ def expected_density(
 ) -> dict[str, Float64[np.ndarray, "3 frequencies"]]:
     """Spectrum of the platform in z, θx, θy by cause, without simulation and without mains.
 
-    Parameters
-    ----------
-    twin, floor
-        Rig with geometry; a floor with a density.
-    frequencies_hz : array_like, shape (frequencies,)
-        Above zero.
-    weights : array_like, shape (actuators, regressors), optional
-        Frozen feedforward weights.
-    feedback : bool
-        Whether the skyhook loop is closed.
-    sensed : bool
-        What the platform's sensors show; otherwise how the platform really moves.
-
-    Returns
-    -------
-    dict
-        ``floor``, ``floor noise`` (n0 through the feedforward) and ``output noise`` (n1, also through the
-        skyhook loop), each (m/s^2)^2/Hz or (rad/s^2)^2/Hz; the causes are independent, so their sum is the
-        spectrum.
+    The causes are ``floor``, ``floor noise`` (n0 through the feedforward) and ``output noise`` (n1, also through the
+    skyhook loop), each (m/s^2)^2/Hz or (rad/s^2)^2/Hz; they are independent, so their sum is the spectrum. `sensed`
+    is what the platform's sensors show, otherwise how the platform really moves.
     """
     axes = central_axes(twin.rig)
     paths = responses(twin, frequencies_hz, feedback)
@@ -230,23 +185,37 @@ def expected_density(
     }
 
 
-def reduction_db(
-    frequencies_hz: ArrayLike, before: ArrayLike, after: ArrayLike
-) -> tuple[Float64[np.ndarray, " bands"], Float64[np.ndarray, "3 bands"]]:
-    """Reduction of the diagonal of a transmissibility, mean square in one-third-octave bands from 3 to 200 Hz.
+def band_means(
+    frequencies_hz: ArrayLike, responses: dict[str, np.ndarray], lines_hz: ArrayLike
+) -> tuple[Float64[np.ndarray, " bands"], dict[str, Complex128[np.ndarray, "3 3 bands"]]]:
+    """Complex means of estimated responses over a twelfth of an octave, in which uncorrelated noise averages out.
+
+    Lines within two steps of one of the mains stand for themselves: their peaks are no noise.
 
     Parameters
     ----------
     frequencies_hz : array_like, shape (frequencies,)
-        Evenly spaced, at most 0.5 Hz apart.
-    before, after : array_like, shape (3, 3, frequencies)
-        Responses.
+        Evenly spaced, above zero.
+    responses : dict of str to ndarray, shape (3, 3, frequencies)
+        Estimates.
+    lines_hz : array_like, shape (lines,)
+        The mains.
+    """
+    f = require_array("frequencies_hz", frequencies_hz, ndim=1)
+    apart = np.abs(f[:, None] - require_array("lines_hz", lines_hz, ndim=1)).min(axis=1, initial=np.inf)
+    band = np.where(apart <= 2.001 * (f[1] - f[0]), -f, np.floor(12 * np.log2(f)))
+    starts = np.flatnonzero(np.diff(band, prepend=np.nan) != 0)
+    counts = np.diff(starts, append=len(f))
+    means = {name: np.add.reduceat(response, starts, axis=2) / counts for name, response in responses.items()}
+    return np.add.reduceat(f, starts) / counts, means
 
-    Returns
-    -------
-    centres_hz : ndarray, shape (bands,)
-    reduction_db : ndarray, shape (3, bands)
-        Positive for less vibration.
+
+def reduction_db(
+    frequencies_hz: ArrayLike, before: ArrayLike, after: ArrayLike
+) -> tuple[Float64[np.ndarray, " bands"], Float64[np.ndarray, "3 bands"]]:
+    """Centres of the one-third-octave bands from 3 to 200 Hz, and the reduction of a transmissibility's diagonal in each.
+
+    Responses have shape (3, 3, frequencies), evenly spaced, at most 0.5 Hz apart; positive is less vibration.
     """
     f = require_array("frequencies_hz", frequencies_hz, ndim=1)
     centres = 2.0 ** (np.arange(5, 24) / 3)  # 3.2 to 203 Hz

@@ -83,23 +83,20 @@ def _mark_reduction(panel, frequencies_hz: np.ndarray, feedback: np.ndarray):
     )
 
 
-def paint_reduction(frequencies_hz: np.ndarray, reductions: dict[str, np.ndarray]):
+def paint_reduction(reductions: dict[str, tuple[np.ndarray, np.ndarray]]):
     """Reduction of the three diagonal elements by the feedforward, with the published 20 and 40 dB.
 
     Parameters
     ----------
-    frequencies_hz : ndarray, shape (frequencies,)
-        Thinned for the figure.
-    reductions : dict of str to ndarray, shape (3, frequencies)
-        dB over the feedback-only case, positive for less vibration.
+    reductions : dict of str to tuple of ndarray, shapes (frequencies,) and (3, frequencies)
+        Frequencies in Hz, thinned for the figure, and dB over the feedback-only case, positive for less vibration.
     """
     figure, axes = figures.new(1, 3, height=2.7, sharey=True)
-    f = frequencies_hz
     for k, (panel, direction) in enumerate(zip(axes, DIRECTIONS, strict=True)):
         panel.fill_between(
             PUBLISHED_BAND_HZ, 20, 40, color=figures.GREY, alpha=0.2, lw=0, label="published, 3-200 Hz"
         )
-        for (name, reduction), style in zip(
+        for (name, (f, reduction)), style in zip(
             reductions.items(),
             (
                 {"color": figures.SKY, "lw": 0.8},

@@ -17,29 +17,17 @@ class Platform:
     """``M y + C ∫y + K ∫∫y = B f + D ∫a0 + K0 ∫∫a0``, ``a1 = H y``, with y the acceleration.
 
     Written in accelerations because they are what the sensors give; its realisation below has no integrator.
-
-    Attributes
-    ----------
-    mass, damping, stiffness : ndarray, shape (coordinates, coordinates)
-        M, C, K.
-    actuation : ndarray, shape (coordinates, actuators)
-        B.
-    observation : ndarray, shape (outputs, coordinates)
-        H.
-    floor_damping, floor_stiffness : ndarray, shape (coordinates, sensors)
-        D, K0: force per floor velocity and displacement at the sensors.
-    floor_inertia : ndarray, shape (actuators, sensors)
-        Force per floor acceleration that takes the actuators' way, delay and lag included; zero for a rigid
-        body.
     """
 
-    mass: ArrayLike
-    damping: ArrayLike
-    stiffness: ArrayLike
-    actuation: ArrayLike
-    observation: ArrayLike
-    floor_damping: ArrayLike
-    floor_stiffness: ArrayLike
+    mass: ArrayLike  # M (coordinates, coordinates)
+    damping: ArrayLike  # C, likewise
+    stiffness: ArrayLike  # K, likewise
+    actuation: ArrayLike  # B (coordinates, actuators)
+    observation: ArrayLike  # H (outputs, coordinates)
+    floor_damping: ArrayLike  # D (coordinates, sensors): force per floor velocity at the sensors
+    floor_stiffness: ArrayLike  # K0, likewise: per displacement
+    # (actuators, sensors): force per floor acceleration that takes the actuators' way, delay and lag included;
+    # zero for a rigid body
     floor_inertia: ArrayLike
 
     def __post_init__(self):

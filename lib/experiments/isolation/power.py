@@ -41,14 +41,7 @@ def limit_ratio_db(
 ) -> tuple[Float64[np.ndarray, " bands"], Float64[np.ndarray, "3 bands"]]:
     """Mean density of several runs over that of the limit, in one-third-octave bands from 3 to 200 Hz, dB.
 
-    Parameters
-    ----------
-    frequencies_hz : array_like, shape (frequencies,)
-        Evenly spaced, at most 0.5 Hz apart.
-    density, limit : array_like, shape (runs, 3, frequencies)
-        Power spectral densities.
-    lines_hz : array_like, shape (lines,)
-        Mains lines, bridged because their size in the twins is assumed.
+    Densities have shape (runs, 3, frequencies); mains lines are bridged because their size in the twins is assumed.
     """
     f = require_array("frequencies_hz", frequencies_hz, ndim=1)
     centres = 2.0 ** (np.arange(5, 24) / 3)
@@ -68,14 +61,7 @@ def floor_level_for(
 
     The sensors' noise stays, so a weaker floor leaves a larger share. Weights are kept.
 
-    Parameters
-    ----------
-    twin, floor
-        Rig with geometry, and its floor.
-    weights : array_like, shape (actuators, regressors)
-        Frozen feedforward weights.
-    removed_percent : array_like, shape (3,)
-        Of the power at 1-300 Hz, over feedback only.
+    The shares are those of the power at 1-300 Hz that are removed, per cent, over feedback only.
     """
     left = 1 - require_array("removed_percent", removed_percent, shape=(3,)) / 100
     f = np.geomspace(*BAND_HZ, 1000)
@@ -105,16 +91,12 @@ def power_trial(
 ) -> dict[str, np.ndarray]:
     """One repetition of the experiment of Fig. 8 for `run_study`: adapt, freeze, record, compare.
 
-    Mains lines are bridged in all but the spectra: their size in the twins is assumed.
-
-    Returns
-    -------
-    dict of ndarray
-        ``removed FeLMS``, ``removed FeRLS``: share of the power at 1-300 Hz that the feedforward removes from the
-        feedback-only case, per cent, (3,); ``removed limit``: the same if only the output noise were left;
-        ``removed with mains``: as FeRLS, lines counted. ``in band``, ``above band``: power with FeRLS over that of
-        the output noise at 3-200 and 300-500 Hz, (3,); ``low end``: power with FeRLS over feedback only at 1-2 Hz.
-        ``density feedback``, ``... FeLMS``, ``... FeRLS``, ``... output noise``: spectra, (3, frequencies).
+    ``removed FeLMS``, ``removed FeRLS``: share of the power at 1-300 Hz that the feedforward removes from the
+    feedback-only case, per cent, (3,); ``removed limit``: the same if only the output noise were left;
+    ``removed with mains``: as FeRLS, lines counted, which all others but the spectra bridge. ``in band``, ``above band``: power with
+    FeRLS over that of the output noise at 3-200 and 300-500 Hz, (3,); ``low end``: power with FeRLS over feedback
+    only at 1-2 Hz. ``density feedback``, ``... FeLMS``, ``... FeRLS``, ``... output noise``: spectra, (3,
+    frequencies).
     """
     seed = int(rng.integers(2**31))
     weights = tune(twin, floor, felms_s, ferls_s, seed)

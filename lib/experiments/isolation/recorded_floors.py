@@ -10,32 +10,24 @@ from experiments.isolation.floors import SAMPLE_RATE, SENSORS
 from stillwork.base import paths
 from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
 from stillwork.signals.criteria import criterion_density
-from stillwork.signals.records import Record, resample, to_acceleration
+from stillwork.signals.records import STANDARD_GRAVITY, Record, resample, to_acceleration
 
 # The range of interest of the FeRLS paper ends here; a criterion continued further would be no measurement.
 UPPER_HZ = 300.0
 GROUND_UPPER_HZ = 100.0  # the measured ground spectra end here
 # Of the named criteria the one nearest to the measured ground at 100 Hz.
 GROUND_CRITERION = "VC-L"
+# m/s^2: beyond 1 g what stands on a floor leaves it; jumping on the shipped slab reaches a sixth of it.
+LOUDEST = STANDARD_GRAVITY
 
 
 @dataclass(frozen=True)
 class RecordedFloor:
-    """Accelerations of the floor sensors over time.
+    """Accelerations of the floor sensors over time."""
 
-    Attributes
-    ----------
-    acceleration : ndarray, shape (channels, samples)
-        m/s^2.
-    sample_rate : float
-        Hz.
-    source : str
-        Where it comes from.
-    """
-
-    acceleration: Float64[np.ndarray, "channels samples"]
-    sample_rate: float
-    source: str
+    acceleration: Float64[np.ndarray, "channels samples"]  # m/s^2
+    sample_rate: float  # Hz
+    source: str  # where it comes from
 
     def __post_init__(self):
         require_array("acceleration", self.acceleration, ndim=2)
@@ -53,23 +45,12 @@ class RecordedFloor:
 
 @dataclass(frozen=True)
 class SpectralFloor:
-    """Floor known by its power spectral density alone, alike and independent at all sensors.
+    """Floor known by its power spectral density alone, alike and independent at all sensors."""
 
-    Attributes
-    ----------
-    frequencies_hz : ndarray, shape (frequencies,)
-        Positive and rising.
-    levels : ndarray, shape (frequencies,)
-        Acceleration PSD, (m/s^2)^2/Hz; straight in between, zero outside.
-    source : str
-        Where it comes from.
-    channels : int
-        Sensors.
-    """
-
-    frequencies_hz: Float64[np.ndarray, " frequencies"]
+    frequencies_hz: Float64[np.ndarray, " frequencies"]  # positive and rising
+    # acceleration PSD, (m/s^2)^2/Hz; straight in between, zero outside
     levels: Float64[np.ndarray, " frequencies"]
-    source: str
+    source: str  # where it comes from
     channels: int = SENSORS
 
     def density(self, frequencies_hz: ArrayLike) -> Float64[np.ndarray, "channels frequencies"]:
@@ -99,8 +80,10 @@ def synthesise_floor(
 
     Parameters
     ----------
-    frequencies_hz, density : array_like, shape (frequencies,)
-        One-sided acceleration PSD, (m/s^2)^2/Hz; frequencies positive and rising.
+    frequencies_hz : array_like, shape (frequencies,)
+        Positive and rising.
+    density : array_like, shape (frequencies,) or (channels, frequencies)
+        One-sided acceleration PSD, (m/s^2)^2/Hz, of all sensors or of each.
     duration : float
         Seconds.
     seed : int
@@ -121,7 +104,9 @@ def synthesise_floor(
         When the density is negative or the frequencies do not rise.
     """
     f = require_array("frequencies_hz", frequencies_hz, ndim=1)
-    s = require_array("density", density, shape=f.shape)
+    channels = require_count("channels", channels)
+    s = require_array("density", density)
+    s = require_array("density", s, shape=f.shape if s.ndim < 2 else (channels, *f.shape))
     if len(f) < 2 or f[0] <= 0 or np.any(np.diff(f) <= 0):
         raise InputError("frequencies_hz must be positive and rise; sort them and leave 0 Hz out")
     if np.any(s < 0):
@@ -129,10 +114,9 @@ def synthesise_floor(
     require_number("common", common, at_least=0.0, at_most=1.0)
     require_number("sample_rate", sample_rate, above=0.0)
     require_number("duration", duration, at_least=2 / sample_rate)
-    channels = require_count("channels", channels)
     samples = round(duration * sample_rate)
     lines = np.fft.rfftfreq(samples, 1 / sample_rate)
-    amplitude = np.sqrt(np.interp(lines, f, s, left=0.0, right=0.0))
+    amplitude = np.sqrt([np.interp(lines, f, row, left=0.0, right=0.0) for row in np.atleast_2d(s)])
     # One-sided density = 2 |X|^2 / (rate samples), half of it in the real and half in the imaginary part.
     amplitude *= np.sqrt(sample_rate * samples) / 2
     draws = np.random.default_rng(seed).standard_normal((channels + 1, len(lines), 2)) @ [1, 1j]
@@ -146,13 +130,7 @@ def synthesise_floor(
 def measured_ground_density(
     axis: str = "Z",
 ) -> tuple[Float64[np.ndarray, " frequencies"], Float64[np.ndarray, " frequencies"]]:
-    """Measured ground of an observatory, 0.01 to 100 Hz, mean over four days (`data/isolation/ligo_llo_ground`).
-
-    Returns
-    -------
-    frequencies_hz, density : ndarray, shape (frequencies,)
-        Acceleration PSD in (m/s^2)^2/Hz.
-    """
+    """Measured ground (`data/isolation/ligo_llo_ground`), mean over four days: Hz from 0.01 to 100, and PSD."""
     require_choice("axis", axis, ("X", "Y", "Z"))
     file = paths.data("isolation", "ligo_llo_ground/ground_velocity_density.npz")
     with np.load(file, allow_pickle=False) as ground:
@@ -167,15 +145,6 @@ def ground_spectrum(
     """Measured vertical ground spectrum below 100 Hz and a vibration criterion above.
 
     The records end at 100 Hz; above it the floor is assumed to follow the criterion's curve, up to `upper_hz`.
-
-    Parameters
-    ----------
-    gain : float
-        Amplitude of the whole floor relative to the measured one.
-    criterion : str
-        Curve above 100 Hz.
-    upper_hz : float
-        Upper end of the floor, Hz.
     """
     require_number("gain", gain, above=0.0)
     require_number("upper_hz", upper_hz, above=GROUND_UPPER_HZ)
@@ -194,7 +163,6 @@ def ground_floor(
     seed: int,
     *,
     gain: float = 1.0,
-    criterion: str = GROUND_CRITERION,
     upper_hz: float = UPPER_HZ,
     **options,
 ) -> RecordedFloor:
@@ -202,7 +170,7 @@ def ground_floor(
 
     Parameters are those of `ground_spectrum` and `synthesise_floor`.
     """
-    ground = ground_spectrum(gain=gain, criterion=criterion, upper_hz=upper_hz)
+    ground = ground_spectrum(gain=gain, upper_hz=upper_hz)
     return synthesise_floor(
         ground.frequencies_hz, ground.levels, duration, seed, source=ground.source, **options
     )
@@ -215,11 +183,6 @@ def record_floor(
 
     A sensor without a channel of its own moves as the mean of the others, so one channel is a plate that only
     translates.
-
-    Raises
-    ------
-    InputError
-        When the record has more channels than there are sensors.
     """
     channels = require_count("channels", channels)
     if len(record.signals) > channels:

@@ -17,34 +17,17 @@ class Responses:
 
     The measured platform acceleration is ``a1 = P1 a0 + P2 u`` and the feedforward ``u = W B (a0 + n0)``, with
     a0 and n0 before the signal conditioner, a1 behind it, and the skyhook part of P1 and P2.
-
-    Attributes
-    ----------
-    frequencies_hz : ndarray, shape (frequencies,)
-        Below half the sample rate.
-    primary : ndarray, shape (frequencies, outputs, sensors)
-        P1.
-    secondary : ndarray, shape (frequencies, outputs, actuators)
-        P2, m/s^2 per N.
-    sensitivity : ndarray, shape (frequencies, outputs, outputs)
-        Measured platform acceleration per platform noise n1, which enters before the conditioner.
-    regressors : ndarray, shape (frequencies, regressors, sensors)
-        B: conditioner and weak integrators.
-    shaping : ndarray, shape (frequencies,)
-        N.
-    error : ndarray, shape (frequencies, actuators, outputs)
-        N P2hat^-1.
-    conditioning : ndarray, shape (frequencies,)
-        Signal conditioner.
     """
 
-    frequencies_hz: Float64[np.ndarray, "frequencies"]
-    primary: Complex128[np.ndarray, "frequencies outputs sensors"]
-    secondary: Complex128[np.ndarray, "frequencies outputs actuators"]
+    frequencies_hz: Float64[np.ndarray, "frequencies"]  # below half the sample rate
+    primary: Complex128[np.ndarray, "frequencies outputs sensors"]  # P1
+    secondary: Complex128[np.ndarray, "frequencies outputs actuators"]  # P2, m/s^2 per N
+    # measured platform acceleration per platform noise n1, which enters before the conditioner
     sensitivity: Complex128[np.ndarray, "frequencies outputs outputs"]
+    # B: conditioner and weak integrators
     regressors: Complex128[np.ndarray, "frequencies regressors sensors"]
-    shaping: Complex128[np.ndarray, "frequencies"]
-    error: Complex128[np.ndarray, "frequencies actuators outputs"]
+    shaping: Complex128[np.ndarray, "frequencies"]  # N
+    error: Complex128[np.ndarray, "frequencies actuators outputs"]  # N P2hat^-1
     conditioning: Complex128[np.ndarray, "frequencies"]
 
     @property
@@ -61,17 +44,7 @@ class Responses:
 
 
 def responses(twin: Twin, frequencies_hz: ArrayLike, feedback: bool = True) -> Responses:
-    """Frequency responses of a twin, with the skyhook loop closed or open.
-
-    Parameters
-    ----------
-    twin : Twin
-        Model.
-    frequencies_hz : array_like, shape (frequencies,)
-        Above zero and below half the sample rate.
-    feedback : bool
-        Whether the skyhook loop is closed.
-    """
+    """Frequency responses of a twin, with the skyhook loop closed or open."""
     f = require_array("frequencies_hz", frequencies_hz, ndim=1)
     rate = twin.instruments.sample_rate
     if f.size == 0 or f.min() <= 0 or f.max() >= rate / 2:
@@ -118,13 +91,7 @@ def _of_sections(sections: np.ndarray, f: np.ndarray, rate: float) -> np.ndarray
 
 
 def control_paths(twin: Twin, feedback: bool = True):
-    """Primary and secondary path, a0 to a1 and u to a1 (a1 behind its conditioner), as `control` systems.
-
-    Returns
-    -------
-    primary, secondary : control.StateSpace
-        Discrete, with the sample time of the twin.
-    """
+    """Primary and secondary path, a0 to a1 and u to a1 (a1 behind its conditioner), as discrete `control.StateSpace`."""
     import control
 
     dt = twin.sample_time

@@ -17,18 +17,10 @@ DEGENERATE = 1e-9
 
 @dataclass(frozen=True)
 class Lines:
-    """Places and directions of struts, actuators or accelerometers.
+    """Places and directions of struts, actuators or accelerometers."""
 
-    Attributes
-    ----------
-    positions : ndarray, shape (elements, 3)
-        m, from the body's centre of mass.
-    directions : ndarray, shape (elements, 3)
-        Any length but zero; kept with length 1.
-    """
-
-    positions: ArrayLike
-    directions: ArrayLike
+    positions: ArrayLike  # (elements, 3), m, from the body's centre of mass
+    directions: ArrayLike  # (elements, 3), any length but zero; kept with length 1
 
     def __post_init__(self):
         positions = require_array("positions", self.positions, shape=(None, 3))
@@ -52,24 +44,13 @@ class Rig:
     Small motions q = (x, y, z, θx, θy, θz) of the body about its centre of mass, q0 of the plate:
     ``M q'' + C (q' - q0') + K (q - q0) = J' f``. Actuators work and platform accelerometers measure along
     the struts, as in the FeRLS paper, unless the model places them elsewhere.
-
-    Attributes
-    ----------
-    mass : float
-        kg.
-    inertia : ndarray, shape (3, 3)
-        kg m^2, about the centre of mass.
-    struts, actuators, platform_sensors, floor_sensors : Lines
-        Geometry, m.
-    stiffness, damping : ndarray, shape (struts,)
-        Of each strut along itself, N/m and N s/m.
     """
 
-    mass: float
-    inertia: ArrayLike
+    mass: float  # kg
+    inertia: ArrayLike  # (3, 3), kg m^2, about the centre of mass
     struts: Lines
-    stiffness: ArrayLike
-    damping: ArrayLike
+    stiffness: ArrayLike  # (struts,), of each strut along itself, N/m
+    damping: ArrayLike  # (struts,), N s/m
     floor_sensors: Lines
     actuators: Lines
     platform_sensors: Lines
@@ -152,11 +133,6 @@ def rig_from_table(table: dict) -> Rig:
     """Make a `Rig` from the tables ``body``, ``struts``, ``floor_sensors`` of a TOML model.
 
     ``actuators`` and ``platform_sensors`` are optional; without them both sit along the struts.
-
-    Raises
-    ------
-    InputError
-        Missing, unknown or non-physical values; the message names the table and the value.
     """
     required = ("body", "struts", "floor_sensors")
     require_names("model", table, required, ("actuators", "platform_sensors"))

@@ -96,7 +96,7 @@ def paint_floors(floors: dict[str, ShapedFloor], measured: dict[str, Spectrum], 
     """Fig. 2: floor spectra as filtered noise and as estimated from a realisation, criteria and the ground."""
     figure, axes = figures.new(1, 1, height=3.6)
     f = np.geomspace(1, 1000, 400)
-    colors = dict(zip(floors, (figures.BLUE, figures.SKY, figures.RED), strict=False))
+    colors = dict(zip(floors, (figures.BLUE, figures.SKY, figures.RED, figures.ORANGE), strict=False))
     for name, spectrum in measured.items():
         inside = (spectrum.frequencies_hz >= 1.0) & (spectrum.frequencies_hz <= 1000)
         density = spectrum.density.mean(axis=0)

@@ -71,21 +71,8 @@ class NoiseShaping:
 def weak_integrator(order: int, cutoff: float, beta: float, sample_time: float) -> Sections:
     """Normalised weak integrator beta H with H = (1 - (a / (s + a))^n) / s, eq. (11)-(13).
 
-    Parameters
-    ----------
-    order : int
-        n; below the cut-off the transmissibility is left alone with this order.
-    cutoff : float
-        a, rad/s.
-    beta : float
-        Gain. The paper prints no value.
-    sample_time : float
-        s.
-
-    Returns
-    -------
-    ndarray, shape (sections, 6)
-        Powers of beta H are the same filter again on its own output.
+    Below the cut-off a (rad/s) the transmissibility is left alone with the order n. The paper prints no value of
+    beta. Powers of beta H are the same filter again on its own output.
     """
     require_count("order", order)
     require_number("cutoff", cutoff, above=0.0)
@@ -102,17 +89,7 @@ def secondary_path(path: SecondaryPath, sample_time: float) -> Sections:
 
 
 def noise_shaping(shaping: NoiseShaping, path: SecondaryPath, sample_time: float) -> Sections:
-    """Noise shaping N = band x notches x s² / (m s² + d s + k), Section 4.2.
-
-    Parameters
-    ----------
-    shaping : NoiseShaping
-        Band and notches.
-    path : SecondaryPath
-        Whose suspension the last factor takes back out of the inverse.
-    sample_time : float
-        s.
-    """
+    """Noise shaping N = band x notches x s² / (m s² + d s + k) of the path, Section 4.2."""
     zeros, poles, gain = _band(shaping, sample_time)
     poles = [*poles, *np.roots(path.suspension)]
     return _tustin([*zeros, 0, 0], poles, gain / path.mass, sample_time)
@@ -123,16 +100,10 @@ def inverse_secondary_shaping(
 ) -> Sections:
     """Filter N P2^-1 from platform acceleration to the filtered error, eq. (16).
 
-    The suspension of N cancels that of P2, which leaves band x notches x (s + w_a) / w_a. The inverse alone has
-    a double integrator, and with Tustin's rule a pole at z = -1; here neither ever appears, because the low-pass
-    makes the product proper before it is discretised.
-
-    Parameters
-    ----------
-    shaping, path, sample_time
-        As in `noise_shaping`.
-    estimate : SecondaryPath, optional
-        The path that is inverted when it differs from the one in N: one mode of a full estimate.
+    The suspension of N cancels that of P2, which leaves band x notches x (s + w_a) / w_a. The inverse alone has a
+    double integrator, and with Tustin's rule a pole at z = -1; here neither ever appears, because the low-pass makes
+    the product proper before it is discretised. An `estimate`, one mode of a full one, is inverted in place of the
+    path in N.
     """
     estimate = estimate or path
     if shaping.order < 2:
@@ -163,21 +134,10 @@ def conditioning(sample_time: float, highpass_hz: float = 0.1, lowpass_hz: float
 def skyhook(
     gain: float, sample_time: float, cutoff: float = 1.0, notch: FrequencyNotch | None = RESONANCE
 ) -> Sections:
-    """Skyhook damping k_v / (s + w_i) with a notch, eq. (1); the actuator gets minus its output.
+    """Skyhook damping k_v / (s + w_i) with a notch at the resonance, eq. (1); the actuator gets minus its output.
 
     Eq. (1) prints w_i / (s + w_i), which is the same number at the published w_i = 1 rad/s; without the w_i the
     gain is N s/m whatever the cut-off.
-
-    Parameters
-    ----------
-    gain : float
-        k_v, N s/m.
-    sample_time : float
-        s.
-    cutoff : float
-        w_i of the weak integrator, rad/s.
-    notch : FrequencyNotch, optional
-        Keeps the loop off the parasitic resonance.
     """
     require_number("gain", gain, at_least=0.0)
     require_number("cutoff", cutoff, above=0.0)

@@ -14,21 +14,11 @@ from stillwork.estimation.online import UnstableAdaptation
 
 @dataclass(frozen=True)
 class ErrorRecord:
-    """Filtered error of one closed-loop run, to its end or to where it broke.
+    """Filtered error of one closed-loop run, to its end or to where it broke."""
 
-    Attributes
-    ----------
-    time_s : ndarray, shape (kept,)
-        End of each interval.
-    error : ndarray, shape (kept,)
-        Filtered error, root mean square over the interval, N.
-    broke_s : float or None
-        When the adaptation was stopped as unstable.
-    """
-
-    time_s: Float64[np.ndarray, "kept"]
-    error: Float64[np.ndarray, "kept"]
-    broke_s: float | None
+    time_s: Float64[np.ndarray, "kept"]  # end of each interval
+    error: Float64[np.ndarray, "kept"]  # filtered error, root mean square over the interval, N
+    broke_s: float | None  # when the adaptation was stopped as unstable
 
     def peak(self, from_s: float) -> float:
         """Largest error from a moment on over the mean of the ten seconds before it; infinite if it broke."""
@@ -39,18 +29,12 @@ class ErrorRecord:
 
 
 def run_to_the_end(
-    twin: Twin,
-    stages: list[tuple[float, ShapedFloor]],
-    adaptation: FeLms | FeRls,
-    seed: int,
-    keep_every_s: float = 0.02,
+    twin: Twin, stages: list[tuple[float, ShapedFloor]], adaptation: FeLms | FeRls, seed: int
 ) -> ErrorRecord:
     """Run stages of (seconds, floor) as `simulate` does; an unstable run is kept up to where it broke."""
+    settings = {"adaptation": adaptation, "seed": seed, "keep_every_s": 0.02}
     try:
-        run, broke_s = (
-            simulate(twin, stages, adaptation=adaptation, seed=seed, keep_every_s=keep_every_s),
-            None,
-        )
+        run, broke_s = simulate(twin, stages, **settings), None
     except UnstableAdaptation as error:
         broke_s = error.sample * twin.sample_time
         cut, left = [], broke_s - twin.sample_time
@@ -58,5 +42,5 @@ def run_to_the_end(
             if left > 0:
                 cut.append((min(seconds, left), floor))
             left -= seconds
-        run = simulate(twin, cut, adaptation=adaptation, seed=seed, keep_every_s=keep_every_s)
+        run = simulate(twin, cut, **settings)
     return ErrorRecord(run.time_s, np.sqrt(run.error_power), broke_s)

@@ -8,7 +8,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from experiments.isolation import loop
-from experiments.isolation.recorded_floors import RecordedFloor
+from experiments.isolation.recorded_floors import LOUDEST, RecordedFloor
 from experiments.isolation.sources import BLOCK, Floor, Sources
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import InputError, require_array, require_count, require_number
@@ -18,55 +18,26 @@ from stillwork.estimation.online import UnstableAdaptation
 
 @dataclass(frozen=True)
 class Run:
-    """What a closed-loop run leaves behind.
+    """What a closed-loop run leaves behind."""
 
-    Attributes
-    ----------
-    sample_rate : float
-        Hz.
-    time_s : ndarray, shape (kept,)
-        End of each interval of the two histories below.
-    weights : ndarray, shape (kept, actuators, regressors)
-        W, N per (m/s^2).
-    error_power : ndarray, shape (kept,)
-        Quadratic filtered error e'e, mean over the interval, N^2.
-    final_weights : ndarray, shape (actuators, regressors)
-        W after the last sample.
-    covariance : ndarray, shape (regressors, regressors)
-        P after the last sample; one unless FeRLS ran.
-    held : ndarray, shape (regressors,)
-        Share of the last time constant in which FeRLS's `growth_limit` acted on each regressor.
-    signals_start_s : float
-        Time of the first sample of the signals below, which are empty unless asked for.
-    floor : ndarray, shape (sensors, samples)
-        a0 without noise, m/s^2.
-    platform : ndarray, shape (outputs, samples)
-        a1 without noise, m/s^2.
-    sensed_floor, measured_platform : ndarray
-        The same through noisy sensors and their conditioners: what the controller and an analyser see.
-    command : ndarray, shape (actuators, samples)
-        u, N.
-    filtered_regressors : ndarray, shape (regressors, samples)
-        psi_N.
-    error : ndarray, shape (actuators, samples)
-        e, N.
-    """
-
-    sample_rate: float
-    time_s: Float64[np.ndarray, "kept"]
-    weights: Float64[np.ndarray, "kept actuators regressors"]
-    error_power: Float64[np.ndarray, "kept"]
-    final_weights: Float64[np.ndarray, "actuators regressors"]
-    covariance: Float64[np.ndarray, "regressors regressors"]
+    sample_rate: float  # Hz
+    time_s: Float64[np.ndarray, "kept"]  # end of each interval of the two histories below
+    weights: Float64[np.ndarray, "kept actuators regressors"]  # W, N per (m/s^2)
+    error_power: Float64[np.ndarray, "kept"]  # quadratic filtered error e'e, mean over the interval, N^2
+    final_weights: Float64[np.ndarray, "actuators regressors"]  # W after the last sample
+    covariance: Float64[np.ndarray, "regressors regressors"]  # P after the last sample; one unless FeRLS ran
+    # share of the last time constant in which FeRLS's `growth_limit` acted on each regressor
     held: Float64[np.ndarray, "regressors"]
-    signals_start_s: float
-    floor: Float64[np.ndarray, "sensors samples"]
-    platform: Float64[np.ndarray, "outputs samples"]
+    signals_start_s: float  # time of the first sample of the signals below, which are empty unless asked for
+    floor: Float64[np.ndarray, "sensors samples"]  # a0 without noise, m/s^2
+    platform: Float64[np.ndarray, "outputs samples"]  # a1 without noise, m/s^2
+    # sensed_floor, measured_platform: the same through noisy sensors and their conditioners: what the
+    # controller and an analyser see
     sensed_floor: Float64[np.ndarray, "sensors samples"]
     measured_platform: Float64[np.ndarray, "outputs samples"]
-    command: Float64[np.ndarray, "actuators samples"]
-    filtered_regressors: Float64[np.ndarray, "regressors samples"]
-    error: Float64[np.ndarray, "actuators samples"]
+    command: Float64[np.ndarray, "actuators samples"]  # u, N
+    filtered_regressors: Float64[np.ndarray, "regressors samples"]  # psi_N
+    error: Float64[np.ndarray, "actuators samples"]  # e, N
 
 
 def simulate(
@@ -75,63 +46,18 @@ def simulate(
     duration_s: float | None = None,
     *,
     adaptation: FeLms | FeRls | None = None,
-    weights: ArrayLike | None = None,
-    feedback: bool = True,
-    noise: bool = True,
-    seed: int = 0,
-    keep_every_s: float = 0.1,
-    signals_from_s: float | None = None,
+    **settings,
 ) -> Run:
     """Run a twin in closed loop from rest.
 
     The four cases of the paper: ``feedback=False`` (passive); nothing else (feedback only); ``weights=W``
     (feedforward with frozen weights); ``adaptation=FeLms()`` or ``FeRls(...)``, from `weights` or from zero.
-    The floor's motion and each noise draw from their own stream of `seed`: runs with the same seed see the same
-    floor, whatever the controller does.
-
-    Parameters
-    ----------
-    twin : Twin
-        Rig, instruments and controller settings.
-    floor : ShapedFloor or RecordedFloor, or list of (seconds, floor)
-        How the floor sensors move; a list changes the floor in mid-run, at once.
-    duration_s : float, optional
-        Seconds; by default all of a list or of a record.
-    adaptation : FeLms or FeRls, optional
-        Algorithm that tunes the weights; without one they stay as given.
-    weights : array_like, shape (actuators, regressors), optional
-        W at the start; zero by default.
-    feedback : bool
-        Whether the skyhook loop is closed.
-    noise : bool
-        Whether sensors are noisy and see the mains.
-    seed : int
-        Root of the random streams.
-    keep_every_s : float
-        Interval of the kept weights and error power.
-    signals_from_s : float, optional
-        Keep all signals at the full rate from here on; memory grows with what is kept only.
-
-    Raises
-    ------
-    UnstableAdaptation
-        When the loop diverges; tells the sample and the cause.
-    InputError
-        Floors or weights of the wrong shape, a floor with another sample rate, a record that is too short.
+    A list of (seconds, floor) changes the floor in mid-run, at once. The floor's motion and each noise draw from
+    their own stream of `seed`: runs with the same seed see the same floor, whatever the controller does. An
+    adaptation that diverges raises `UnstableAdaptation` with the sample and the cause. All `settings` are those of
+    `simulate_each`.
     """
-    (run,) = _runs(
-        twin,
-        floor,
-        duration_s,
-        [adaptation],
-        weights=weights,
-        feedback=feedback,
-        noise=noise,
-        seed=seed,
-        keep_every_s=keep_every_s,
-        signals_from_s=signals_from_s,
-    )
-    return run
+    return simulate_each(twin, floor, duration_s, adaptations={"": adaptation}, **settings)[""]
 
 
 def simulate_each(
@@ -141,35 +67,16 @@ def simulate_each(
     *,
     adaptations: Mapping[str, FeLms | FeRls | None],
     weights: ArrayLike | None = None,
+    feedback: bool = True,
+    noise: bool = True,
     seed: int = 0,
+    keep_every_s: float = 0.1,
+    signals_from_s: float | None = None,
 ) -> dict[str, Run]:
-    """What `simulate` gives for each of several algorithms, on a floor and noises that are drawn once for all.
+    """What `simulate` gives for each of several algorithms, side by side, on a floor and noises that are drawn once.
 
-    Parameters
-    ----------
-    twin, floor, duration_s, weights, seed
-        As for `simulate`.
-    adaptations : mapping of str to FeLms, FeRls or None
-        Algorithms by name.
+    Weights and error power are kept every `keep_every_s`; from `signals_from_s` on all signals are, at the full rate.
     """
-    runs = _runs(twin, floor, duration_s, list(adaptations.values()), weights=weights, seed=seed)
-    return dict(zip(adaptations, runs, strict=True))
-
-
-def _runs(
-    twin: Twin,
-    floor,
-    duration_s,
-    adaptations: list,
-    *,
-    weights=None,
-    feedback=True,
-    noise=True,
-    seed=0,
-    keep_every_s=0.1,
-    signals_from_s=None,
-) -> list[Run]:
-    """One run an algorithm, side by side, block by block."""
     rate = twin.instruments.sample_rate
     every = require_count("keep_every_s times the sample rate", round(keep_every_s * rate))
     segments = _segments(twin, floor, duration_s)
@@ -187,7 +94,7 @@ def _runs(
             )
 
     sides = []
-    for adaptation in adaptations:
+    for adaptation in adaptations.values():
         code, numbers, recursion = _algorithm(twin, adaptation)
         closed = loop.loop_of(twin, feedback, start, recursion)
         sides.append((adaptation, code, numbers, closed, _Kept(twin, total, every, first)))
@@ -214,11 +121,11 @@ def _runs(
                 twin.instruments.force_limit,
             )
             if status != loop.STABLE:
-                raise _unstable(status, done + reached, twin, adaptation, start)
+                raise _unstable(status, done + reached, twin, adaptation, start, np.abs(floor_block).max())
             if done + samples > first:
                 kept.floor[done - first : done - first + samples] = floor_block
         done += samples
-    return [kept.run(rate, closed) for _, _, _, closed, kept in sides]
+    return {name: side[-1].run(rate, side[-2]) for name, side in zip(adaptations, sides, strict=True)}
 
 
 def _algorithm(twin: Twin, adaptation):
@@ -273,7 +180,7 @@ def _segments(twin: Twin, floor, duration_s) -> list[tuple[int, Floor]]:
     return segments
 
 
-def _unstable(status: int, sample: int, twin: Twin, adaptation, weights) -> UnstableAdaptation:
+def _unstable(status: int, sample: int, twin: Twin, adaptation, weights, peak: float) -> UnstableAdaptation:
     if status == loop.INDEFINITE:
         return UnstableAdaptation(
             sample,
@@ -281,6 +188,9 @@ def _unstable(status: int, sample: int, twin: Twin, adaptation, weights) -> Unst
             "start with a smaller initial_covariance or give it a finite growth_limit",
         )
     cause = f"a command exceeds the force limit of {twin.instruments.force_limit:g} N"
+    if peak > LOUDEST:  # no loop is to blame
+        cause += f" while the floor accelerates by {peak:.3g} m/s^2"
+        return UnstableAdaptation(sample, cause, "that is beyond 1 g: check the floor's unit", "the platform")
     if adaptation is not None:
         small = "step_size" if isinstance(adaptation, FeLms) else "initial_covariance"
         return UnstableAdaptation(

@@ -190,6 +190,18 @@ def steady_start(regressors: ArrayLike, forgetting: float) -> Float64[np.ndarray
     return (1 - forgetting) * (inverse + inverse.T) / 2
 
 
+def breakdowns_from_diagonal(
+    regressors: ArrayLike, forgetting: float, forms, time_constants: float
+) -> dict[str, float]:
+    """Time constants to the breakdown of each form in float32, from the steady P of uncorrelated regressors."""
+    psi = require_array("regressors", regressors, ndim=2)
+    start = np.diag((1 - forgetting) / np.mean(psi**2, axis=1))
+    return {
+        form: covariance_run(form, psi, forgetting, start, time_constants, "float32").breakdown
+        for form in forms
+    }
+
+
 def stability_map(
     conditions, precisions, forms, seeds: int, samples_per_constant: int, time_constants: float
 ) -> dict[tuple[str, str], Float64[np.ndarray, "2 conditions seeds"]]:

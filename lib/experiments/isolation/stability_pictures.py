@@ -9,6 +9,7 @@ from experiments.isolation.cures import CureRun
 from experiments.isolation.silence import ErrorRecord
 from experiments.isolation.stability import CovarianceRun, condition_bounds, covariance_run
 from stillwork.workbook import figures
+from stillwork.workbook.palette import COLOURS
 
 _LINES = ("-", "--", "-", ":", "-.", "--", "-")
 EXPLORED = ("one product", "both products", "triangle", "Joseph", "UD")
@@ -162,19 +163,14 @@ def paint_cures(
 ):
     """Growth of P, misalignment and error of the cures."""
     figure, (top, middle, bottom) = figures.new(3, 1, height=6.4, sharex=True)
-    for style, (name, run) in zip(("-", "--", "-.", "-", "--", ":"), runs.items(), strict=False):
+    styles = ("-", "--", "-.", "-", "--", ":", "-.", "--")
+    colors = (*COLOURS, figures.GREY)
+    for style, color, (name, run) in zip(styles, colors, runs.items(), strict=False):
         t = run.samples / samples_per_constant
-        top.semilogy(t, run.growth.max(axis=1), style, label=f"{name}, largest")
-        top.semilogy(
-            t,
-            run.growth.min(axis=1),
-            style,
-            color=top.lines[-1].get_color(),
-            lw=0.7,
-            label=f"{name}, smallest",
-        )
-        middle.semilogy(t, run.misalignment, style, label=name)
-        bottom.semilogy(t, np.sqrt(run.error_power), style, label=name)
+        top.semilogy(t, run.growth.max(axis=1), style, color=color, label=f"{name}, largest")
+        top.semilogy(t, run.growth.min(axis=1), style, color=color, lw=0.7, label=f"{name}, smallest")
+        middle.semilogy(t, run.misalignment, style, color=color, label=name)
+        bottom.semilogy(t, np.sqrt(run.error_power), style, color=color, label=name)
     for axes in (top, middle, bottom):
         axes.axvspan(*silence, color=figures.GREY, alpha=0.12, lw=0)
         axes.axvline(step, color=figures.BLACK, lw=0.8, ls=":")

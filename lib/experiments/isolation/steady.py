@@ -21,37 +21,21 @@ FORGETTING = float(np.exp(-2e-4 / 10))  # exp(-Ts / 10 s), Section 5.1.1
 
 @dataclass(frozen=True)
 class Steady:
-    """Mean behaviour of the adaptation on a stationary floor.
+    """Mean behaviour of the adaptation on a stationary floor."""
 
-    Attributes
-    ----------
-    weights : ndarray, shape (actuators, regressors)
-        Fixed point of both algorithms, E[e psi_N'] = 0.
-    least_squares : ndarray, shape (actuators, regressors)
-        Weights with the smallest E[e'e]: Wiener's solution. Equal to the fixed point for a perfect estimate.
-    error_power, least_error_power : float
-        E[e'e] at the two, N^2.
-    update : ndarray, shape (actuators regressors, actuators regressors)
-        A, on the rows of W one after another: mean of e psi_N' per deviation of W from the fixed point.
-    correlation : ndarray, shape (regressors, regressors)
-        R = E[psi_N psi_N'].
-    covariance : ndarray, shape (regressors, regressors)
-        P that FeRLS settles at, (1 - lambda) R^-1.
-    rls_eigenvalues : ndarray, shape (actuators regressors,)
-        Of R^-1 A. Convergence is stable when all real parts are positive; all are 1 for a perfect estimate, and
-        a mode settles with the forgetting's time constant over its eigenvalue.
-    lms_eigenvalues : ndarray, shape (actuators regressors,)
-        Of A over the trace of R: a mode settles in 1 / (mu eigenvalue) samples (trace over the regressors).
-    """
-
-    weights: Float64[np.ndarray, "actuators regressors"]
+    weights: Float64[np.ndarray, "actuators regressors"]  # fixed point of both algorithms, E[e psi_N'] = 0
+    # weights with the smallest E[e'e]: Wiener's solution. Equal to the fixed point for a perfect estimate
     least_squares: Float64[np.ndarray, "actuators regressors"]
-    error_power: float
+    error_power: float  # E[e'e] at the two, N^2
     least_error_power: float
+    # A, on the rows of W one after another: mean of e psi_N' per deviation of W from the fixed point
     update: Float64[np.ndarray, "modes modes"]
-    correlation: Float64[np.ndarray, "regressors regressors"]
-    covariance: Float64[np.ndarray, "regressors regressors"]
+    correlation: Float64[np.ndarray, "regressors regressors"]  # R = E[psi_N psi_N']
+    covariance: Float64[np.ndarray, "regressors regressors"]  # P that FeRLS settles at, (1 - lambda) R^-1
+    # of R^-1 A. Convergence is stable when all real parts are positive; all are 1 for a perfect estimate,
+    # and a mode settles with the forgetting's time constant over its eigenvalue
     rls_eigenvalues: Complex128[np.ndarray, "modes"]
+    # of A over the trace of R: a mode settles in 1 / (mu eigenvalue) samples (trace over the regressors)
     lms_eigenvalues: Complex128[np.ndarray, "modes"]
 
 
@@ -63,27 +47,9 @@ def steady_state(
     noise: bool = True,
     frequencies_hz: ArrayLike | None = None,
 ) -> Steady:
-    """Fixed point, covariance and mean convergence of FeLMS and FeRLS on a floor.
+    """Fixed point, covariance and mean convergence of FeLMS and FeRLS on a floor with independent sensors.
 
     Mains lines are left out: N has a notch at each.
-
-    Parameters
-    ----------
-    twin : Twin
-        Model.
-    floor : ShapedFloor or SpectralFloor
-        Anything with a ``density(frequencies_hz)`` per sensor, sensors independent.
-    forgetting : float
-        lambda.
-    noise : bool
-        Whether the sensors are noisy.
-    frequencies_hz : array_like, optional
-        Grid of the integrals; by default `default_grid`.
-
-    Raises
-    ------
-    InputError
-        When the floor leaves a regressor without excitation.
     """
     require_number("forgetting", forgetting, above=0.0, below=1.0)
     f = require_array(

@@ -21,19 +21,11 @@ SHARE = 0.37  # of the shift that is left after one time constant
 
 @dataclass(frozen=True)
 class Switch:
-    """A change of the floor, and where the weights settle before and after it.
-
-    Attributes
-    ----------
-    before, after : ShapedFloor
-        The two floors.
-    start, end : Steady
-        Oracles of the two.
-    """
+    """A change of the floor, and where the weights settle before and after it."""
 
     before: ShapedFloor
     after: ShapedFloor
-    start: Steady
+    start: Steady  # oracle of the floor before, end: of that after
     end: Steady
 
     @property
@@ -62,17 +54,9 @@ def settled(switch: Switch, step_size: float, forgetting: float) -> dict[str, Fe
 
 @dataclass(frozen=True)
 class Response:
-    """Course of the first actuator's weights around a switch at time zero.
+    """Course of the first actuator's weights around a switch at time zero."""
 
-    Attributes
-    ----------
-    time_s : ndarray, shape (kept,)
-        From the switch on; negative before it.
-    weights : ndarray, shape (kept, parameters)
-    switch : Switch
-    """
-
-    time_s: Float64[np.ndarray, "kept"]
+    time_s: Float64[np.ndarray, "kept"]  # from the switch on; negative before it
     weights: Float64[np.ndarray, "kept parameters"]
     switch: Switch
 
@@ -104,19 +88,7 @@ class Response:
 def respond(
     twin: Twin, switch: Switch, both: dict[str, FeLms | FeRls], duration_s: float, seed: int
 ) -> dict[str, Response]:
-    """Simulate a switch of the floor, the same for each algorithm.
-
-    Parameters
-    ----------
-    twin, switch
-        Rig and change of its floor.
-    both : dict of str to FeLms or FeRls
-        From `settled`.
-    duration_s : float
-        Length of the run after the switch, s.
-    seed : int
-        Of floor and noise.
-    """
+    """Simulate a switch of the floor, the same for each of the `settled` algorithms."""
     runs = simulate_each(
         twin,
         [(LEAD_S, switch.before), (duration_s, switch.after)],
@@ -131,17 +103,7 @@ def respond(
 
 
 def expected_response(twin: Twin, switch: Switch, name: str, step_size: float, memory_s: float) -> Response:
-    """Mean course after a switch from the oracle, without noise and without simulation, for 20 minutes.
-
-    Parameters
-    ----------
-    twin, switch
-        Rig and change of its floor.
-    name : str
-        ``FeLMS`` or ``FeRLS``.
-    step_size, memory_s : float
-        As in `algorithms`.
-    """
+    """Mean course after a switch from the oracle, without noise and without simulation, for 20 minutes."""
     time = np.concatenate([np.arange(0.1, 60, 0.1), np.arange(60, 1200, 1.0)])
     course = mean_course(
         twin, switch.end, name, time, step_size=step_size, memory_s=memory_s, start=switch.start
@@ -154,11 +116,8 @@ def tracking_trial(
 ) -> dict[str, float]:
     """One switch for `run_study`: both algorithms on the same floor.
 
-    Returns
-    -------
-    dict of float
-        ``"FeLMS all"``, ``"FeRLS w4-w6"``, ...: settling time of each group, s, infinite where
-        it has not settled; ``"FeLMS noise"``, ...
+    ``"FeLMS all"``, ``"FeRLS w4-w6"``, ...: settling time of each group, s, infinite where it has not settled;
+    ``"FeLMS noise"``, ...
     """
     seed = int(rng.integers(2**31))
     responses, found = respond(twin, switch, both, duration_s, seed), {}

@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from experiments.isolation.convergence import ALGORITHMS
+from experiments.isolation.convergence_pictures import COLORS, STYLES
 from experiments.isolation.mean_convergence import mean_course
 from experiments.isolation.tracking import GROUPS, SHARE, Response, Switch
 from experiments.isolation.twin import Twin
@@ -16,8 +17,6 @@ SHOWN = {
     5: figures.GREEN,
     7: figures.RED,
 }  # of each power of the integrator, the largest shift
-STYLES = {"FeLMS": "--", "FeRLS": "-"}
-COLORS = {"FeLMS": figures.GREEN, "FeRLS": figures.BLACK}  # as in Figs. 7 and 8
 MILLI = 1e3
 
 
@@ -42,8 +41,7 @@ def paint_switches(panels: Mapping[str, Mapping[str, Response]]):
             panel.plot(response.time_s[after], level, ":", color=color, label=f"w{row + 1}, new optimum")
         panel.axvline(0, color=figures.BLACK, lw=0.8)
         panel.set_title(title)
-        panel.set_ylabel("w − optimum before\n(10⁻³ N per m/s²)")
-    axes[-1, 0].set_xlabel("time after the switch (s)")
+    figures.label(axes, "time after the switch (s)", "w − optimum before\n(10⁻³ N per m/s²)")
     figures.legend_below(axes[0, 0], 3)
     return figure
 
@@ -55,9 +53,9 @@ def paint_settling(
 
     A run that has not settled at its end `duration_s` is a triangle there: its time is longer, or endless.
     """
-    figure, axes = figures.new(1, len(studies), height=3.6, sharey=True)
+    figure, axes = figures.new(1, len(studies), height=3.6, sharey=True, squeeze=False)
     at = np.arange(len(GROUPS))
-    for panel, (title, study) in zip(np.atleast_1d(axes), studies.items(), strict=True):
+    for panel, (title, study) in zip(axes[0], studies.items(), strict=True):
         for shift, name in zip((-0.15, 0.15), ALGORITHMS, strict=True):
             color = COLORS[name]
             times = np.array([study[f"{name} {group}"] for group in GROUPS]).ravel()
@@ -81,10 +79,8 @@ def paint_settling(
         panel.set_yscale("log")
         panel.set_xticks(at, list(GROUPS))
         panel.set_title(title)
-        panel.set_xlabel("weights")
-    axes = np.atleast_1d(axes)
-    axes[0].set_ylabel(f"time to stay within {SHARE:.0%}\nof the shift (s)")
-    figures.legend_below(axes[-1], 3)
+    figures.label(axes, "weights", f"time to stay within {SHARE:.0%}\nof the shift (s)")
+    figures.legend_below(axes[0, -1], 3)
     return figure
 
 

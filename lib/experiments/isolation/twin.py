@@ -33,30 +33,14 @@ class ErrorFilter:
 
 @dataclass(frozen=True)
 class Twin:
-    """A model of an isolation rig, complete enough to run its controller on.
-
-    Attributes
-    ----------
-    name : str
-        What it is.
-    plant : Platform
-        Mechanics.
-    instruments : Instruments
-        Sampling, actuators, sensors, noise.
-    skyhook : Skyhook
-        Feedback.
-    feedforward : SelfTunedFeedforward
-        Self-tuned feedforward.
-    rig : Rig or None
-        Geometry, when the plant is a rigid body on struts.
-    """
+    """A model of an isolation rig, complete enough to run its controller on."""
 
     name: str
     plant: Platform
     instruments: Instruments
     skyhook: Skyhook
     feedforward: SelfTunedFeedforward
-    rig: Rig | None = None
+    rig: Rig | None = None  # geometry, when the plant is a rigid body on struts
 
     def __post_init__(self):
         if self.outputs != self.actuators:
@@ -156,18 +140,7 @@ class Twin:
 
 
 def load_twin(model: str | Path) -> Twin:
-    """Read a twin from TOML.
-
-    Parameters
-    ----------
-    model : str or Path
-        ``"rigid_body"``, ``"fitted"``, or the path of a TOML file of the same form.
-
-    Raises
-    ------
-    InputError
-        Missing, unknown or non-physical values; the message names file, table and value.
-    """
+    """Read a twin from TOML: ``"rigid_body"``, ``"fitted"``, or the path of a file of the same form."""
     if not isinstance(model, str | Path):
         raise InputError(
             f"model is {shown(model)}; give {', '.join(map(repr, SHIPPED))} or the path of a TOML file"

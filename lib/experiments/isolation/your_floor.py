@@ -1,26 +1,29 @@
-"""What the isolator makes of a floor: any record, or the measured ground (notebook 08)."""
+"""What the isolator makes of a floor, learnt on one part of it and judged on the rest (notebook 08)."""
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float64
 from numpy.typing import ArrayLike
 
-from experiments.isolation.performance import central_axes, expected_density
+from experiments.isolation.performance import DIRECTIONS, central_axes, expected_density
 from experiments.isolation.power import BAND_HZ
-from experiments.isolation.recorded_floors import RecordedFloor, ground_floor, ground_spectrum, record_floor
+from experiments.isolation.recorded_floors import RecordedFloor, SpectralFloor
 from experiments.isolation.simulation import Run, simulate
 from experiments.isolation.steady import FORGETTING, steady_state
 from experiments.isolation.twin import Twin
-from stillwork.base.checks import InputError, require_array
+from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.estimation.adaptive import FeRls
-from stillwork.signals.records import load_record
-from stillwork.signals.spectra import band_power
+from stillwork.signals.criteria import criterion_met, one_third_octave_velocity
+from stillwork.signals.spectra import band_power, estimate_spectrum
 
-# Follows the lines of the measured ground.
-_GRID = np.unique(np.concatenate([np.geomspace(0.02, 2400, 600), np.arange(1.0, 300.0, 0.5)]))
 SETTLE_S = 5.0  # cut off before anything is judged
-SHORTEST_S = 15.0  # the adaptation's own time constant is 10 s
+TRAINING_SHARE = 2 / 3  # of the floor, its first part; the weights never see the rest
+KEEP_EVERY_S = 0.2
+RESOLUTION_HZ = 0.25
+SAME = 0.1  # a change of the motion by less is called none: chosen
+_GRID = np.unique(np.concatenate([np.geomspace(0.02, 2400, 600), np.arange(1.0, 300.0, 0.5)]))
 
 
 @dataclass(frozen=True)
@@ -30,18 +33,27 @@ class Isolated:
     Attributes
     ----------
     floor : ndarray, shape (3, samples)
-        The plate in z, θx, θy, without sensor noise; m/s^2 and rad/s^2.
+        The plate in z, θx, θy, without sensor noise; m/s^2 and rad/s^2; from `SETTLE_S` on.
     platform : dict of str to ndarray, shape (3, samples)
         The platform's real motion, by case: ``passive``, ``feedback``, ``FeRLS`` with frozen weights.
+    quiet : ndarray, shape (3, samples)
+        Case ``feedback`` with sensors that have no noise.
+    training : int
+        Samples before the part that the weights have not seen.
     adaptation : Run
-        FeRLS from zero over the whole floor.
+        FeRLS from zero over the training part.
+    progress : ndarray, shape (kept,)
+        Power of the filtered error while FeRLS adapts, over that without feedforward in the same instants.
     sample_rate : float
         Hz.
     """
 
     floor: Float64[np.ndarray, "3 samples"]
     platform: dict[str, Float64[np.ndarray, "3 samples"]]
+    quiet: Float64[np.ndarray, "3 samples"]
+    training: int
     adaptation: Run
+    progress: Float64[np.ndarray, " kept"]
     sample_rate: float
 
     @property
@@ -50,124 +62,176 @@ class Isolated:
         travel = self.floor.std(axis=1) * np.array([1.0, 0.1, 0.1])  # tilts at a lever of 0.1 m
         return travel > 1e-9 * travel.max()
 
-    def left(self, name: str) -> Float64[np.ndarray, "3"]:
-        """Rms acceleration of a case over that of the floor plate; NaN where the plate does not move."""
-        floor = np.where(self.moving, self.floor.std(axis=1), np.nan)
-        return self.platform[name].std(axis=1) / floor
+    def left(self, name: str, *, training: bool = False) -> Float64[np.ndarray, "3"]:
+        """Rms acceleration of a case over that of the floor plate, on the test or the training part; NaN at rest."""
+        part = slice(self.training) if training else slice(self.training, None)
+        floor = np.where(self.moving, self.floor[:, part].std(axis=1), np.nan)
+        return self.platform[name][:, part].std(axis=1) / floor
+
+    @property
+    def noise_share(self) -> Float64[np.ndarray, "3"]:
+        """Share of the platform's power with feedback that its own sensors' noise makes, test part; NaN at rest."""
+        whole, quiet = self.platform["feedback"][:, self.training :], self.quiet[:, self.training :]
+        return (whole - quiet).var(axis=1) / np.where(self.moving, whole.var(axis=1), np.nan)
 
 
-def open_floor(
-    floor_record: str,
-    unit: str,
-    rate_hz: float,
-    channels: list[str],
-    *,
-    twin: Twin,
-    ground_gain: float,
-    common: float,
-    duration_s: float,
-    seed: int,
-) -> RecordedFloor:
-    """Floor from a record, or synthesised from the measured ground when no record is named.
+def hear(twin: Twin, channels: int) -> tuple[Twin, Float64[np.ndarray, "sensors channels"]]:
+    """Twin whose feedforward hears `channels` floor sensors, and what each of the rig's own reads of them.
 
-    Parameters
-    ----------
-    floor_record : str
-        Path of a CSV, MAT or NPZ file, see `stillwork.signals.records.load_record`; empty for the ground.
-    unit : str
-        Of the record.
-    rate_hz : float
-        Of the record; 0 where the file tells it.
-    channels : list of str
-        Channels to take, as many as floor sensors at most; empty for all.
-    twin : Twin
-        Whose sensors the floor moves.
-    ground_gain, common, duration_s, seed
-        Amplitude of the ground relative to the measured one, share of its power that all sensors see alike,
-        seconds, and the seed of its motion.
+    Where the floor was measured with fewer sensors than the rig has, those that are missing read the mean of the
+    others, so that one sensor is a plate that only translates. The controller gets the measured ones alone:
+    copies of one signal would tell it nothing, and leave its covariance nearly singular (notebook 07).
+    """
+    if not 1 <= channels <= twin.sensors:
+        raise InputError(
+            f"channels is {channels}; the rig has {twin.sensors} floor sensors, give 1 to as many"
+        )
+    missing = twin.sensors - channels
+    spread = np.vstack([np.eye(channels), np.full((missing, channels), 1 / channels)])
+    if not missing:
+        return twin, spread
+    names = ("floor_damping", "floor_stiffness", "floor_inertia")
+    plant = replace(twin.plant, **{name: getattr(twin.plant, name) @ spread for name in names})
+    return replace(twin, plant=plant), spread
+
+
+def isolate(twin: Twin, floor: RecordedFloor, seed: int, start: float = 1.0) -> Isolated:
+    """Run a floor through the passive rig, with feedback, and with the weights that FeRLS learns on its first part.
+
+    FeRLS starts from zero weights and from `start` times (1 - lambda) over the power of each filtered regressor,
+    the steady P of uncorrelated regressors. Its weights are then frozen and judged on what it has not seen, with
+    other sensor noise; every case is judged on the same stretch.
 
     Raises
     ------
-    InputError
-        For everything that makes the record unusable; it says what to do.
+    UnstableAdaptation
+        Where the adaptation diverges on this floor, see `simulate`.
     """
-    rate = twin.instruments.sample_rate
-    if not floor_record:
-        return ground_floor(
-            duration_s,
-            seed,
-            gain=ground_gain,
-            common=common,
-            channels=twin.sensors,
-            sample_rate=rate,
-        )
-    record = load_record(
-        floor_record,
-        unit,
-        sample_rate=rate_hz or None,
-        channels=channels or None,
-        most_channels=twin.sensors,
-    )
-    if record.duration < SHORTEST_S:
-        raise InputError(
-            f"{record.source} lasts {record.duration:.3g} s, too short for an adaptation that averages over 10 s; "
-            f"give at least {SHORTEST_S:g} s"
-        )
-    return record_floor(record, channels=twin.sensors, sample_rate=rate)
-
-
-def isolate(twin: Twin, floor: RecordedFloor, seed: int) -> Isolated:
-    """Run a floor through the passive rig, with feedback, with FeRLS from zero, and with the weights it ends at.
-
-    The frozen weights are judged on the floor they were tuned on, with other sensor noise. FeRLS starts from
-    (1 - lambda) over the power of each filtered regressor, the steady value for uncorrelated regressors.
-    """
+    require_number("start", start, above=0.0)
     axes = central_axes(twin.rig)
+    twin, spread = hear(twin, floor.channels)
+    training_s = round(TRAINING_SHARE * floor.duration / KEEP_EVERY_S) * KEEP_EVERY_S
 
     def run(**options) -> Run:
-        return simulate(twin, floor, signals_from_s=SETTLE_S, **options)
+        return simulate(twin, floor, signals_from_s=SETTLE_S, keep_every_s=KEEP_EVERY_S, **options)
 
     before = run(seed=seed)
-    power = np.mean(before.filtered_regressors**2, axis=1)
-    settings = FeRls((1 - FORGETTING) / power)
-    adaptation = simulate(twin, floor, adaptation=settings, seed=seed, keep_every_s=0.2)
+    rate = before.sample_rate
+    training = round((training_s - SETTLE_S) * rate)
+    settings = FeRls(
+        start * (1 - FORGETTING) / np.mean(before.filtered_regressors[:, :training] ** 2, axis=1)
+    )
+    adaptation = simulate(twin, floor, training_s, adaptation=settings, seed=seed, keep_every_s=KEEP_EVERY_S)
     cases = {
         "passive": run(seed=seed + 1, feedback=False),
-        "feedback": before,
+        "feedback": run(seed=seed + 1),
         "FeRLS": run(seed=seed + 1, weights=adaptation.final_weights),
     }
     return Isolated(
-        axes.floor @ before.floor,
+        axes.floor @ spread @ before.floor,
         {name: axes.platform @ case.platform for name, case in cases.items()},
+        axes.platform @ run(seed=seed + 1, noise=False).platform,
+        training,
         adaptation,
-        before.sample_rate,
+        adaptation.error_power / before.error_power[: len(adaptation.error_power)],
+        rate,
     )
 
 
-def optimum_left(twin: Twin, gains: ArrayLike) -> dict[str, Float64[np.ndarray, " gains"]]:
-    """Rms motion in z at 1-300 Hz over the floor's, for a louder measured ground and the optimum weights.
+def translating_spectrum(floor: RecordedFloor) -> SpectralFloor:
+    """Spectrum of the mean of a floor's sensors, for a rig that hears it with one."""
+    spectrum = estimate_spectrum(floor.acceleration.mean(axis=0), floor.sample_rate, RESOLUTION_HZ)
+    return SpectralFloor(spectrum.frequencies_hz[1:], spectrum.density[0, 1:], floor.source, 1)
 
-    From spectra alone; the three sensors move independently.
+
+def optimum_left(
+    twin: Twin, floor: SpectralFloor, gains: ArrayLike
+) -> dict[str, Float64[np.ndarray, " gains"]]:
+    """Rms motion in z at 1-300 Hz over the floor's, for a louder or quieter floor and the optimum weights.
+
+    From spectra alone, for a plate that only translates.
 
     Parameters
     ----------
     twin : Twin
         Rig with geometry.
+    floor : SpectralFloor
+        Of one sensor.
     gains : array_like, shape (gains,)
-        Amplitude of the ground relative to the measured one.
+        Amplitude of the floor relative to `floor`.
     """
     f = np.geomspace(*BAND_HZ, 1500)[:-1]
+    twin, _ = hear(twin, floor.channels)
     left: dict[str, list[float]] = {"passive": [], "feedback": [], "FeRLS": []}
     for gain in require_array("gains", gains, ndim=1):
-        floor = ground_spectrum(gain=float(gain))
-        weights = steady_state(twin, floor, frequencies_hz=_GRID).weights
-        axes = central_axes(twin.rig)
-        moved = band_power(f, np.sum(axes.floor[0] ** 2) * floor.density(f)[0], f[0], f[-1])
+        scaled = replace(floor, levels=gain**2 * floor.levels)
+        moved = band_power(f, scaled.density(f)[0], f[0], f[-1])
+        weights = steady_state(twin, scaled, frequencies_hz=_GRID).weights
         for name, options in (
             ("passive", {"feedback": False}),
             ("feedback", {}),
             ("FeRLS", {"weights": weights}),
         ):
-            density = sum(expected_density(twin, floor, f, sensed=False, **options).values())[0]
+            density = sum(expected_density(twin, scaled, f, sensed=False, **options).values())[0]
             left[name].append(np.sqrt(band_power(f, density, f[0], f[-1]) / moved))
     return {name: np.array(values) for name, values in left.items()}
+
+
+def described(floor: RecordedFloor) -> Iterator[str]:
+    """What a floor is, sentence by sentence."""
+    sensors = "1 floor sensor" if floor.channels == 1 else f"{floor.channels} floor sensors"
+    yield f"{floor.source}: {sensors}, {floor.duration:.0f} s."
+    rms, peak = 1e3 * floor.acceleration.std(axis=1), 1e3 * np.abs(floor.acceleration).max()
+    yield f"Rms acceleration {_list(f'{each:.3g}' for each in rms)} mm/s², peak {peak:.3g} mm/s²."
+    spectrum = estimate_spectrum(floor.acceleration, floor.sample_rate, RESOLUTION_HZ)
+    met = [
+        criterion_met(*one_third_octave_velocity(spectrum.frequencies_hz, row)) for row in spectrum.density
+    ]
+    yield f"Finest criterion met at 8-80 Hz, by sensor: {_list(met)}."
+
+
+def findings(isolated: Isolated) -> Iterator[str]:
+    """What the isolator makes of a floor, sentence by sentence; every word follows from the numbers of this run."""
+    if not isolated.moving[1:].any():
+        yield "The plate moves up and down without tilting, so the tilts are not judged."
+    left = {name: isolated.left(name) for name in isolated.platform}
+    seen = isolated.left("FeRLS", training=True)
+    for k in np.flatnonzero(isolated.moving):
+        parts = _list(f"{name} {values[k]:.3g}" for name, values in left.items())
+        yield f"{DIRECTIONS[k]}: rms acceleration of the platform over the floor's: {parts}."
+        yield f"  {_compared('The feedback', left['feedback'][k] / left['passive'][k], 'the passive rig')}"
+        share = isolated.noise_share[k]
+        if share > SAME:
+            yield f"  {100 * share:.0f} % of what moves with feedback is noise of the platform's own sensors."
+        yield f"  {_compared('The feedforward', left['FeRLS'][k] / left['feedback'][k], 'feedback alone')}"
+        if left["FeRLS"][k] > (1 + SAME) * seen[k]:
+            yield f"  On the part that it learnt on it left {seen[k]:.3g}; the floor changed, or noise was learnt."
+    fifth = len(isolated.progress) // 5
+    before, last = np.median(isolated.progress[-2 * fifth :].reshape(2, fifth), axis=1)
+    if last < (1 - SAME) * before:
+        yield "The filtered error was still falling when the training part ended."
+
+
+def crossing(gains: np.ndarray, left: dict[str, np.ndarray]) -> str:
+    """How loud the floor must be for the feedforward to leave less motion than the passive rig, as a sentence."""
+    pays = left["FeRLS"] < left["passive"]
+    if pays.all():
+        return f"Even {gains[0]:.2g} times as loud, the feedforward leaves less motion than the passive rig."
+    if not pays.any():
+        return f"Not even {gains[-1]:.2g} times as loud does the feedforward leave less motion than the passive rig."
+    ratio = np.log(left["FeRLS"] / left["passive"])
+    at = int(np.argmax(pays))
+    gain = np.exp(np.interp(0.0, -ratio[at - 1 : at + 1], np.log(gains[at - 1 : at + 1])))
+    return f"The feedforward leaves less motion than the passive rig from {gain:.2g} times this floor's amplitude on."
+
+
+def _compared(who: str, ratio: float, other: str) -> str:
+    if abs(ratio - 1) <= SAME:
+        return f"{who} makes neither better nor worse than {other} (within {100 * SAME:.0f} %)."
+    if ratio < 1:
+        return f"{who} takes {100 * (1 - ratio):.0f} % off the motion of {other}."
+    return f"{who} moves the platform {ratio:.2g} times as much as {other}."
+
+
+def _list(words) -> str:
+    return ", ".join(map(str, words))

@@ -1,13 +1,15 @@
 """Figures of a floor and of what the isolator makes of it (notebook 08)."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from experiments.isolation.performance import DIRECTIONS, expected_density
 from experiments.isolation.performance_pictures import thinned
-from experiments.isolation.recorded_floors import RecordedFloor, ground_spectrum
+from experiments.isolation.recorded_floors import RecordedFloor, SpectralFloor
 from experiments.isolation.steady import steady_state
-from experiments.isolation.twin import Twin, load_twin
-from experiments.isolation.your_floor import Isolated, optimum_left
+from experiments.isolation.twin import Twin
+from experiments.isolation.your_floor import Isolated, hear
 from stillwork.signals.criteria import criterion_velocity, one_third_octave_velocity
 from stillwork.signals.spectra import estimate_spectrum
 from stillwork.workbook import figures
@@ -19,6 +21,11 @@ _COLORS = {
     "FeRLS": figures.BLACK,
 }
 _SHOWN_HZ = (1.0, 400.0)
+_GROUPS = {
+    "weights of acceleration": figures.BLUE,
+    "of its integral": figures.GREEN,
+    "of its double integral": figures.RED,
+}
 
 
 def paint_floor(floor: RecordedFloor, resolution_hz: float = 0.25):
@@ -45,11 +52,12 @@ def paint_floor(floor: RecordedFloor, resolution_hz: float = 0.25):
 
 
 def paint_isolated(isolated: Isolated, resolution_hz: float = 0.5):
-    """Spectra of floor and platform in z, θx and θy, by case; directions in which the floor rests are left out."""
+    """Spectra of floor and platform on the test part, by case; directions in which the floor rests are left out."""
     figure, axes = figures.new(1, int(np.sum(isolated.moving)), height=3.0, squeeze=False)
     signals = {"floor": isolated.floor, **isolated.platform}
     spectra = {
-        name: estimate_spectrum(rows, isolated.sample_rate, resolution_hz) for name, rows in signals.items()
+        name: estimate_spectrum(rows[:, isolated.training :], isolated.sample_rate, resolution_hz)
+        for name, rows in signals.items()
     }
     units = ("(m/s²)²/Hz", "(rad/s²)²/Hz", "(rad/s²)²/Hz")
     for k, panel in zip(np.flatnonzero(isolated.moving), axes[0], strict=True):
@@ -69,55 +77,72 @@ def paint_isolated(isolated: Isolated, resolution_hz: float = 0.5):
     return figure
 
 
-def paint_adaptation(isolated: Isolated):
-    """Weights of the first actuator and quadratic filtered error while FeRLS adapts from zero."""
+def paint_adaptation(isolated: Isolated, window: int = 10):
+    """How far the feedforward brings the filtered error down while it learns, and how far its weights still move.
+
+    Left the median and the central 80 % of `window` kept values; right the distance of each group of weights from
+    where the training part ends, over its size there.
+    """
     figure, (left, right) = figures.new(1, 2, height=2.9)
     run = isolated.adaptation
-    colors = (figures.BLUE, figures.GREEN, figures.RED)
-    for number, values in enumerate(run.weights[:, 0].T, 1):
-        group = (number - 1) * 3 // run.weights.shape[2]
-        style = ("-", "--", ":")[(number - 1) % 3]
-        left.plot(run.time_s, values, style, color=colors[group], lw=0.9, label=f"w{number}")
-    left.set(xlabel="time (s)", ylabel="weights of actuator 1 (N per m/s²)")
-    right.semilogy(run.time_s, run.error_power, lw=0.8, color=_COLORS["FeRLS"], label="filtered error")
-    right.set(xlabel="time (s)", ylabel="filtered error e'e (N²)")
-    figures.legend_below(left, 9)
+    whole = len(isolated.progress) // window * window
+    time_s = run.time_s[:whole].reshape(-1, window).mean(axis=1)
+    low, middle, high = np.quantile(isolated.progress[:whole].reshape(-1, window), [0.1, 0.5, 0.9], axis=1)
+    left.fill_between(time_s, low, high, color=_COLORS["FeRLS"], alpha=0.2, lw=0, label="central 80 %")
+    left.plot(time_s, middle, color=_COLORS["FeRLS"], lw=1.2, label="median of 2 s")
+    left.axhline(1, color=figures.GREY, lw=0.8)
+    left.set(xlabel="time (s)", ylabel="filtered error, power over\nthat without feedforward", ylim=(0, None))
+    left.legend(loc="best")
+    sensors = run.weights.shape[2] // 3
+    for group, (name, color) in enumerate(_GROUPS.items()):
+        weights = run.weights[:, :, group * sensors : (group + 1) * sensors].reshape(len(run.time_s), -1)
+        moved = np.linalg.norm(weights - weights[-1], axis=1) / np.linalg.norm(weights[-1])
+        right.plot(run.time_s, moved, color=color, lw=1.2, label=name)
+    right.set(xlabel="time (s)", ylabel="distance from the last weights")
+    right.legend()
     return figure
 
 
-def paint_gain(twin: Twin, gains: np.ndarray):
-    """Rms motion in z over that of the floor, 1-300 Hz, as the ground gets louder; optimum weights, no simulation."""
+def paint_gain(gains: np.ndarray, left: dict[str, np.ndarray]):
+    """Rms motion in z over that of the floor, 1-300 Hz, for a louder or quieter floor; optimum weights."""
     figure, axes = figures.new(1, 1, height=2.8)
-    left = optimum_left(twin, gains)
     for name, values in left.items():
         axes.loglog(gains, values, color=_COLORS[name], label=name)
     axes.axhline(1, color=figures.GREY, lw=0.8)
-    axes.set(xlabel="ground amplitude over the measured one", ylabel="platform over floor in z, rms")
+    axes.axvline(1, color=figures.GREY, lw=0.8, ls="--")
+    axes.set(xlabel="amplitude over this floor's", ylabel="platform over floor in z, rms")
     axes.legend()
     return figure
 
 
-def explore_ground(gain: float, output_noise: float):
-    """Explorer: one-third-octave velocity in z of a louder ground and of the platform, with other sensors."""
-    twin = load_twin("rigid_body").varied(platform_noise=output_noise * 1e-4)
-    floor = ground_spectrum(gain=gain)
+def explore_floor(twin: Twin, floor: SpectralFloor):
+    """Explorer: one-third-octave velocity in z of a louder floor and of the platform, with other sensors."""
     f = np.geomspace(0.8, 299, 400)
-    weights = steady_state(twin, floor, frequencies_hz=np.geomspace(0.05, 2400, 500)).weights
-    figure, axes = figures.new(1, 1, height=3.2)
-    curves = {"floor": floor.density(f)[0] / 3}  # z is the mean of three independent sensors
-    for name, options in (
-        ("passive", {"feedback": False}),
-        ("feedback", {}),
-        ("FeRLS", {"weights": weights}),
-    ):
-        curves[name] = sum(expected_density(twin, floor, f, sensed=False, **options).values())[0]
-    for name, density in curves.items():
-        centres, velocity = one_third_octave_velocity(f, density)
-        axes.loglog(centres, velocity, "o-", ms=2.5, lw=0.9, color=_COLORS[name], label=name)
-    _criteria(axes)
-    axes.set(xlabel="one-third-octave band (Hz)", ylabel="rms velocity in z (m/s)", ylim=(1e-10, 1e-3))
-    axes.legend(loc="upper left", ncols=4)
-    return figure
+    twin, _ = hear(twin, floor.channels)
+
+    def paint(gain: float, output_noise: float):
+        changed = twin.varied(platform_noise=output_noise * 1e-4)
+        louder = replace(floor, levels=gain**2 * floor.levels)
+        weights = steady_state(changed, louder, frequencies_hz=np.geomspace(0.05, 2400, 500)).weights
+        figure, axes = figures.new(1, 1, height=3.2)
+        curves = {"floor": louder.density(f)[0]}
+        for name, options in (
+            ("passive", {"feedback": False}),
+            ("feedback", {}),
+            ("FeRLS", {"weights": weights}),
+        ):
+            causes = expected_density(changed, louder, f, sensed=False, **options)
+            curves[name] = sum(causes.values())[0]
+        for name, density in curves.items():
+            centres, velocity = one_third_octave_velocity(f, density)
+            axes.loglog(centres, velocity, "o-", ms=2.5, lw=0.9, color=_COLORS[name], label=name)
+        _criteria(axes)
+        axes.set(xlabel="one-third-octave band (Hz)", ylabel="rms velocity in z (m/s)")
+        axes.set_ylim(bottom=1e-9)
+        axes.legend(loc="upper left", ncols=4)
+        return figure
+
+    return paint
 
 
 def _criteria(axes) -> None:

@@ -26,14 +26,8 @@ def beam_shapes(places: ArrayLike, modes: int, taper: float = 0.0) -> Float64[np
     Ritz series in Legendre polynomials, which hold both rigid-body modes exactly and need no condition at
     the free ends.
 
-    Parameters
-    ----------
-    places : array_like, shape (places,)
-        Along the beam, 0 to 1.
-    modes : int
-        At least the 2 rigid-body modes, at most 8.
-    taper : float
-        The thickness runs from 1 - taper/2 to 1 + taper/2; mass follows it, bending stiffness its cube.
+    `places` run from 0 to 1, `modes` from 2 to 8. The thickness runs from 1 - taper/2 to 1 + taper/2; mass follows
+    it, bending stiffness its cube.
     """
     places = require_array("places", places, ndim=1)
     if np.any((places < 0) | (places > 1)):
@@ -70,16 +64,8 @@ def beam(
 ) -> ModalModel:
     """Forces on a free beam to positions along it: shapes of the beam, frequencies as given.
 
-    Parameters
-    ----------
-    actuators, sensors : array_like
-        Places along the beam, 0 to 1.
-    frequencies_hz : array_like, optional
-        Of the flexible modes; by default the published ones, whose ratios are not those of a uniform beam.
-    damping_ratio : float, optional
-        Of every flexible mode.
-    taper : float
-        See `beam_shapes`.
+    `actuators` and `sensors` are places along the beam, 0 to 1. The published frequencies, which it has by default,
+    are not in the ratios of a uniform beam.
     """
     p = beam_parameters()
     published, assumed = p.table("published"), p.table("assumed")

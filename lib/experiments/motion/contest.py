@@ -154,15 +154,7 @@ def contest_trial(
 
     A trial takes several plants, because an observer is designed once and then run on all of them.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    contest : Contest
-    knobs : mapping of str to float
-        Where the knob of every observer stands.
-    plants : int
-    law : str
-        See `uncertainty.sample_errors`; flexible modes err, by the contest's size.
+    `knobs` says where the knob of every observer stands. Flexible modes err, by the contest's size and `law`.
     """
     scan = contest.scan
     errors = [

@@ -23,25 +23,13 @@ def paint_transfer_matrix(
     signals: tuple[str, str] = ("u", "q"),
     quantity: str = "magnitude (dB re 1 s²)",
     low_hz: float = 1.0,
-    high_hz: float = 2e3,
 ):
-    """Magnitudes of several systems with two inputs and two outputs, one panel an entry.
+    """Magnitudes of several systems with two inputs and two outputs, one panel an entry; the first drawn broad.
 
-    Parameters
-    ----------
-    systems : mapping of str to StateModel
-        The first is drawn broad, below the others.
-    slopes : mapping, optional
-        Published slope of some entries (row, column), drawn as a guide beside the last system.
-    signals : tuple of str
-        Names of inputs and outputs.
-    quantity : str
-        Label of the magnitude axes.
-    low_hz, high_hz : float
-        Range that is shown.
+    `slopes` are the published slopes of some entries (row, column), drawn as a guide beside the last system.
     """
     poles = np.concatenate([system.poles for system in systems.values()])
-    omega = resonance_grid(poles[np.abs(poles) > 2 * np.pi * low_hz], low_hz, high_hz, 250, 25)
+    omega = resonance_grid(poles[np.abs(poles) > 2 * np.pi * low_hz], low_hz, 2e3, 250, 25)
     hertz = omega / (2 * np.pi)
     figure, axes = figures.new(2, 2, height=5.0, sharex=True, squeeze=False)
     for number, (name, system) in enumerate(systems.items()):
@@ -67,10 +55,7 @@ def paint_transfer_matrix(
         if not axis.lines:
             axis.annotate("0 but for rounding", (0.5, 0.5), xycoords="axes fraction", ha="center")
             axis.set_yticks([])
-    for axis in axes[-1]:
-        axis.set_xlabel("frequency (Hz)")
-    for axis in axes[:, 0]:
-        axis.set_ylabel(quantity)
+    figures.label(axes, "frequency (Hz)", quantity)
     figure.legend(
         axes[0, 0].lines[: len(systems)], list(systems), loc="outside lower center", ncols=len(systems)
     )
@@ -102,12 +87,8 @@ def paint_slope_ranges(
 ):
     """Slopes of both off-diagonal entries over the machines of a study, one row a scheme, with the published ones.
 
-    Parameters
-    ----------
-    slopes, above : mapping of str to ndarray, shape (runs, 2, 2)
-        In the limit and at 0.03 to 0.3 Hz.
-    published : mapping of str to tuple
-        Slopes of q1 from u2 and of q2 from u1.
+    `slopes` in the limit and `above`, at 0.03 to 0.3 Hz, have shape (runs, 2, 2); `published` are those of q1 from u2
+    and of q2 from u1.
     """
     figure, axes = figures.new(1, 2, height=0.34 * len(slopes) + 1.6, sharey=True)
     rows = np.arange(len(slopes))

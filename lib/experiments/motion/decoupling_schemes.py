@@ -30,7 +30,7 @@ from stillwork.estimation.observer import Observer, kalman_observer
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.peaks import refine_peak, resonance_grid
 from stillwork.lti.reduction import truncate
-from stillwork.lti.state_space import StateModel
+from stillwork.lti.state_space import StateModel, constant
 
 # Name to the number of actuators beyond that of the rigid-body modes; None: one a mode.
 SCHEMES = {
@@ -92,20 +92,7 @@ def actuators_of(name: str, machine: ModalModel) -> int:
 
 
 def scheme_gain(name: str, plant: ModalModel, settings: Settings) -> np.ndarray | StateModel:
-    """Gain K or K(s) of one of `SCHEMES` on the states of the retained modes.
-
-    Parameters
-    ----------
-    name : str
-    plant : ModalModel
-        With the actuators that the scheme takes.
-    settings : Settings
-
-    Raises
-    ------
-    InputError
-        When the machine has another number of actuators than the scheme takes, or cannot meet its constraints.
-    """
+    """Gain K or K(s) of one of `SCHEMES` on the states of the retained modes."""
     modes, actuators = plant.input_shapes.shape
     taken = actuators_of(name, plant)
     if name != "undamped" and actuators != taken:
@@ -139,13 +126,7 @@ def scheme_gain(name: str, plant: ModalModel, settings: Settings) -> np.ndarray 
 
 
 def with_scheme(name: str, plant: ModalModel, settings: Settings, observed: bool = False) -> StateModel:
-    """The decoupled machine, u to q, under one of `SCHEMES`: on the true states, or on `reduced_observer`'s.
-
-    Raises
-    ------
-    InputError
-        As `scheme_gain`, and when the rigid-body modes cannot be decoupled.
-    """
+    """The decoupled machine, u to q, under one of `SCHEMES`: on the true states, or on `reduced_observer`'s."""
     observer = reduced_observer(plant, settings) if observed else None
     return decoupled_plant(plant, decouple(plant), scheme_gain(name, plant, settings), observer)
 
@@ -160,9 +141,7 @@ def with_compensation(plant: ModalModel, settings: Settings) -> StateModel:
     """The decoupled machine, u to q, with measurement compensation by `reduced_observer` (Fig. 4.14)."""
     block = compensator(reduced_observer(plant, settings), Application(compensate=True))
     outputs, inputs = plant.feedthrough.shape
-    idle = StateModel(
-        np.zeros((0, 0)), np.zeros((0, outputs)), np.zeros((inputs, 0)), np.zeros((inputs, outputs))
-    )
+    idle = constant(np.zeros((inputs, outputs)))
     error = channel(closed_loop(plant, block, idle), "u_ff", "e_meas", inputs, outputs)
     both = decouple(plant)
     return StateModel(
@@ -189,27 +168,14 @@ def sample_places(rng: np.random.Generator, count: int, spacing: float) -> Float
 def geometry_trial(
     rng: np.random.Generator, schemes: Sequence[str], settings: Settings, compensate: bool = False
 ) -> Mapping[str, float | np.ndarray]:
-    """One machine of the study: slopes, couplings and stability of its decoupled plants.
+    """One machine of the study, and with `compensate` measurement compensation on it: what its decoupled plants are like.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    schemes : sequence of str
-        Some of `SCHEMES`.
-    settings : Settings
-    compensate : bool
-        Measure the machine with measurement compensation too, under the name ``compensation``.
-
-    Returns
-    -------
-    mapping
-        For each scheme its ``slopes`` in the limit and ``slopes above``, at 0.03 to 0.3 Hz (axes, axes), ``low``
-        (entries at 1 Hz, axes x axes), ``peak`` (largest off-diagonal entry around the second flexible mode over
-        the undamped one with these actuators), and whether it is ``stable``; for MC the entries ``at modes``
-        (axes, axes, damped modes) over the undamped; for those in `STATIC` the ``onset_hz`` of the coupling and
-        ``limit``, the entries at 1 uHz over their closed form (axes, axes); for those in `DAMPING` the ``added``
-        damping ratio and the ``shift`` of the frequency (damped modes); for those in `FILTERED` the
-        ``crosswise`` force (damped modes).
+    Of each scheme the ``slopes`` in the limit and ``slopes above``, at 0.03 to 0.3 Hz (axes, axes), ``low`` (entries
+    at 1 Hz), ``peak`` (largest off-diagonal entry around the second flexible mode over the undamped one with these
+    actuators), and whether it is ``stable``; for MC the entries ``at modes`` (axes, axes, damped modes) over the
+    undamped; for those in `STATIC` the ``onset_hz`` of the coupling and ``limit``, the entries at 1 uHz over their
+    closed form; for those in `DAMPING` the ``added`` damping ratio and the ``shift`` of the frequency (damped modes);
+    for those in `FILTERED` the ``crosswise`` force (damped modes).
     """
     machine = sample_beam(rng)
     modes = machine.frequencies[machine.rigid_modes :]
@@ -270,11 +236,8 @@ def crosswise_force(
 def kept_out_trial(rng: np.random.Generator, settings: Settings) -> Mapping[str, np.ndarray]:
     """Over-actuation on one machine when the actuators decouple the first or the second flexible mode too.
 
-    Returns
-    -------
-    mapping
-        ``peaks``, shape (decoupled mode, damped mode): the largest off-diagonal entry around each damped mode
-        over the undamped one.
+    ``peaks``, shape (decoupled mode, damped mode): the largest off-diagonal entry around each damped mode over the
+    undamped one.
     """
     machine = sample_beam(rng)
     rigid = machine.rigid_modes
@@ -290,9 +253,9 @@ def kept_out_trial(rng: np.random.Generator, settings: Settings) -> Mapping[str,
     return {"peaks": np.array(peaks)}
 
 
-def off_diagonal_peak(system: StateModel, omega: float, part: float = 0.2) -> float:
-    """Largest off-diagonal magnitude within `part` of a frequency (rad/s)."""
-    low, high = omega * (1 - part) / (2 * np.pi), omega * (1 + part) / (2 * np.pi)
+def off_diagonal_peak(system: StateModel, omega: float) -> float:
+    """Largest off-diagonal magnitude within a fifth of a frequency (rad/s)."""
+    low, high = omega * (1 - 0.2) / (2 * np.pi), omega * (1 + 0.2) / (2 * np.pi)
     grid = resonance_grid(system.poles, low, high, 40, 5)
 
     def largest(frequencies: np.ndarray) -> np.ndarray:

@@ -95,22 +95,7 @@ def stage_bandwidth(
     refine: bool = True,
     **grid,
 ) -> Bandwidth:
-    """Achievable bandwidth of a published design (a name in `DESIGNS`) or of one's own.
-
-    Parameters
-    ----------
-    name : str or Design
-    noise : NoiseIntensities, optional
-        By default the published one.
-    damping_ratio : float, optional
-        Of the stage.
-    limit : float
-        Peak allowed in every constraint.
-    refine : bool
-        Search for the peaks between the grid points.
-    **grid
-        Passed to `make_loop`.
-    """
+    """Achievable bandwidth of a published design (a name in `DESIGNS`) or of one's own."""
     if isinstance(name, str):
         require_choice("name", name, DESIGNS)
     design = DESIGNS[name] if isinstance(name, str) else name

@@ -14,7 +14,7 @@ from stillwork.control.loops import channel, closed_loop
 from stillwork.lti.discretisation import zoh_modes
 from stillwork.lti.peaks import resonance_grid
 from stillwork.lti.reduction import truncate
-from stillwork.lti.state_space import StateModel
+from stillwork.lti.state_space import StateModel, constant
 from stillwork.workbook import figures
 
 # How the estimate arrives: form and delay of `discrete_compensator`.
@@ -27,16 +27,18 @@ TIMINGS = {
 
 def equivalent_plant(plant: StateModel, block: StateModel) -> StateModel:
     """What a controller of a sampled machine sees: from u to y - y_flex, with the damping loop closed."""
-    open_loop = StateModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.zeros((1, 1)), plant.step)
-    seen = channel(closed_loop(plant, block, open_loop), "u_ff", "e_meas")
+    seen = channel(closed_loop(plant, block, constant(np.zeros((1, 1)), plant.step)), "u_ff", "e_meas")
     return StateModel(seen.a, seen.b, -seen.c, -seen.d, seen.step)
 
 
-def sampled_frequencies(step: float, low_hz: float = 100.0) -> np.ndarray:
+LOW_HZ = 100.0  # where the pictures begin
+
+
+def sampled_frequencies(step: float) -> np.ndarray:
     """Grid around the resonances of the stage, up to half the sampling frequency (rad/s)."""
-    if 0.5 / step <= low_hz:
-        raise InputError(f"step is {step:g} s, too long for frequencies above {low_hz:g} Hz")
-    return resonance_grid(stage().poles, low_hz, min(2.5e3, 0.499 / step), 250, 20)
+    if 0.5 / step <= LOW_HZ:
+        raise InputError(f"step is {step:g} s, too long for frequencies above {LOW_HZ:g} Hz")
+    return resonance_grid(stage().poles, LOW_HZ, min(2.5e3, 0.499 / step), 250, 20)
 
 
 def paint_equivalent_plants(panels: Mapping[str, Mapping[str, StateModel]]):
@@ -50,10 +52,8 @@ def paint_equivalent_plants(panels: Mapping[str, Mapping[str, StateModel]]):
             response = plant.frequency_response(omega)[0, 0]
             add_magnitude(axis, omega, response, label=name, **{"color": colour, "linewidth": 1.1, **style})
         axis.set_title(title)
-        axis.set_xlabel("frequency (Hz)")
-    axes[0, 0].set_ylabel("magnitude (dB re 1 m/N)")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=7)
+    figures.label(axes, "frequency (Hz)", "magnitude (dB re 1 m/N)")
+    figures.legend_below(axes[0, 0], len(axes[0, 0].lines), fontsize=7)
     return figure
 
 

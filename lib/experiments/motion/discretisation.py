@@ -16,13 +16,8 @@ def transition(
 ) -> Float64[np.ndarray, "2 2"]:
     r"""Transition matrix of one flexible mode, states :math:`(\eta, \dot\eta)`.
 
-    Parameters
-    ----------
-    omega, damping, step : float
-        rad/s, ratio, s.
-    variant : str
-        ``exact``; ``printed``, (2.31) to the letter, whose off-diagonal terms lack
-        :math:`1/\sqrt{1-\zeta^2}`; ``lightly damped``, (2.32).
+    ``exact``; ``printed``, (2.31) to the letter, whose off-diagonal terms lack :math:`1/\sqrt{1-\zeta^2}`;
+    ``lightly damped``, (2.32).
     """
     require_number("omega", omega, above=0.0)
     require_number("damping", damping, at_least=0.0, below=1.0)

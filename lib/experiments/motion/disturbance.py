@@ -24,18 +24,9 @@ def cumulative_power(
 ) -> CumulativePower:
     """Cumulative power of true and measured error under independent white noise held over each sample.
 
-    It comes from the discrete frequency responses, not from a simulated record, so it has no scatter.
-
-    Parameters
-    ----------
-    loop : StateModel
-        Single `closed_loop`.
-    step : float
-        s; a standard deviation sigma has the one-sided density 2 sigma^2 step.
-    deviations : dict
-        Standard deviation of the inputs ``w``, ``v``, ``d`` (N and m).
-    omega : ndarray
-        Ascending grid up to the Nyquist frequency, fine at every resonance.
+    It comes from the discrete frequency responses, not from a simulated record, so it has no scatter. `deviations`
+    are those of the inputs ``w``, ``v``, ``d`` (N and m): a standard deviation sigma has the one-sided density 2
+    sigma^2 step. `omega` ascends to the Nyquist frequency at most and is fine at every resonance.
     """
     omega = require_array("omega", omega, ndim=1)
     if np.any(np.diff(omega) <= 0) or omega[-1] > np.pi / step * (1 + 1e-12):

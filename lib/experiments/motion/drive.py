@@ -68,17 +68,7 @@ def identify(
 ) -> Identified:
     """The experiment: white current on the plant input, sensor noise, and the imbalance of the turning inertias.
 
-    Parameters
-    ----------
-    loop : StateModel
-    rng : numpy.random.Generator
-    step : float
-        s.
-    samples, segment : int
-    excitation, sensor_noise : float
-        Standard deviations, A and rad.
-    imbalance, turns_hz : float
-        Amplitude (A at the motor) and frequency of the imbalance.
+    `excitation` (A) and `sensor_noise` (rad) are standard deviations, `imbalance` an amplitude (A at the motor).
     """
     noise = excitation * rng.standard_normal(samples)
     swing = imbalance * np.sin(2 * np.pi * turns_hz * step * np.arange(samples))

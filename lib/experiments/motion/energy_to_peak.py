@@ -27,20 +27,7 @@ class ErrorSystem:
 def error_system(
     a: ArrayLike, g: ArrayLike, c: ArrayLike, process: ArrayLike, sensor: ArrayLike, gains: ArrayLike
 ):
-    """Error dynamics of a predictor with any gains.
-
-    Parameters
-    ----------
-    a, g : array_like, shape (states, states), (states, disturbances)
-    c : array_like, shape (samples, outputs, states)
-    process, sensor : array_like
-        Covariances Q and R (or, for bounded-energy disturbances, their weights).
-    gains : array_like, shape (samples, states, outputs)
-
-    Returns
-    -------
-    ErrorSystem
-    """
+    """Error dynamics of a predictor with any gains, for covariances or weights of bounded energy."""
     c = require_array("c", c, ndim=3)
     samples, outputs, n = c.shape
     a = require_array("a", a, shape=(n, n))

@@ -38,15 +38,7 @@ def _scaled_scan(step: float):
 
 
 def paint_worst(force: float, detuning: float):
-    """Explorer: what the worst disturbance does to a filter designed for another force.
-
-    Parameters
-    ----------
-    force : float
-        Deviation of the force (N) that counts as one.
-    detuning : float
-        Force that the filter is designed for, over `force`.
-    """
+    """Explorer: what the worst disturbance does to a filter designed for `detuning` times the `force` (N)."""
     step = 1e-3
     a, b, c, (_, reference, sensor) = _scaled_scan(step)
     noise = 1e18 * np.array([[reference**2 + sensor**2]])
@@ -61,8 +53,7 @@ def paint_worst(force: float, detuning: float):
         right.plot(time, found.worst[:, 0], label=name)
     left.set_ylabel("largest possible error ($10^{-9}$ m√kg)")
     right.set_ylabel("worst force (in deviations)")
-    for axis in (left, right):
-        axis.set_xlabel("time (s)")
+    figures.label((left, right), "time (s)")
     left.legend()
     return figure
 
@@ -79,17 +70,7 @@ def _table(spacing: float):
 
 
 def paint_schedules(speed: str, start: float, spacing: float):
-    """Explorer: estimation error of the first flexible mode with online and with interpolated gains (AD, 36 Hz).
-
-    Parameters
-    ----------
-    speed : str
-        ``1 m/s`` or ``10 m/s``.
-    start : float
-        Where the scan begins (m).
-    spacing : float
-        Of the gain table (mm).
-    """
+    """Explorer: error of the first flexible mode with online gains and with a table of this `spacing` (mm); AD, 36 Hz."""
     setpoint = published_setpoint(STEP) if speed == "1 m/s" else published_fast_setpoint(STEP)
     plant = stage()
     grid = SPACING * np.arange(len(plant.output_shapes))

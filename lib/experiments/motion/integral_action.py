@@ -39,37 +39,22 @@ class ObserverConditions(NamedTuple):
 
 
 def required_integrators(disturbance: int = 1, reference: int = 1, sensor: int = 1, plant: int = 2) -> int:
-    """Smallest number of integrators in C_y that brings the error to zero, (3.8) of Theorem 3.2.1.
-
-    Parameters
-    ----------
-    disturbance, reference, sensor, plant : int
-        Powers of 1/s in w, r, v and P: n_w, n_r, n_v and n_p.
-    """
+    """Smallest number of integrators in C_y that brings the error to zero, (3.8), by the powers of 1/s in w, r, v, P."""
     return max(disturbance - 1, sensor - plant - 1, reference - plant - 1, -1) + 1
 
 
-def keeps_integral_action(
-    compensator: StateModel, application: str, relative: float = 1e-9
-) -> ObserverConditions:
+def keeps_integral_action(compensator: StateModel, application: str) -> ObserverConditions:
     """Conditions (3.12)-(3.13) for measurement compensation or (3.38)-(3.39) for active damping.
 
-    Parameters
-    ----------
-    compensator : StateModel
-        Single loop, (u, y) to (u_d, y_flex).
-    application : str
-        ``compensation`` or ``damping``.
-    relative : float
-        A static gain below this part of the largest gain over frequency counts as zero: it is a difference
-        of large numbers, exact only to rounding.
+    A static gain below 1e-9 of the largest over frequency counts as zero: it is a difference of large
+    numbers, exact only to rounding.
     """
     require_choice("application", application, ("compensation", "damping"))
     row = 1 if application == "compensation" else 0
     gains = static_gain(compensator)[row]
     omega = np.unique(np.abs(compensator.poles))
     peak = np.abs(compensator.frequency_response(omega)[row]).max(axis=1)
-    zero = np.abs(gains) <= relative * peak
+    zero = np.abs(gains) <= 1e-9 * peak
     keeps = bool(zero[1] and zero[0]) if application == "compensation" else bool(zero[1])
     return ObserverConditions(float(gains[0]), float(gains[1]), keeps)
 

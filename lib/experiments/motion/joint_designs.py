@@ -20,13 +20,7 @@ ROBUST_LIMIT = 10 ** (5.7 / 20)  # asked of these stages, to leave room for othe
 
 
 def stored_designs() -> dict[str, JointDesign]:
-    """All stored designs by name, as they were found: rounded to six digits.
-
-    Raises
-    ------
-    InputError
-        When an entry has a number that a design has not.
-    """
+    """All stored designs by name, as they were found: rounded to six digits."""
     tree = read_numbers(paths.data("motion", "joint.toml"))
     found = {}
     for name in tree:
@@ -61,21 +55,14 @@ def searched_designs() -> Iterator[tuple[str, JointDesign]]:
             yield f"{kind}, for {size:.0%}", found.design
 
 
-def rounded(design: JointDesign, digits: int = 6) -> JointDesign:
-    """The design with so many significant digits."""
-    return replace(
-        design,
-        **{
-            name: tuple(_rounded(v, digits) for v in value)
-            if isinstance(value, tuple)
-            else _rounded(value, digits)
-            for name, value in ((name, getattr(design, name)) for name in ("bandwidth_hz", *FREE["joint"]))
-        },
-    )
+def rounded(design: JointDesign) -> JointDesign:
+    """The design with six significant digits."""
 
+    def six(value):
+        return tuple(map(six, value)) if isinstance(value, tuple) else float(f"{value:.5e}")
 
-def _rounded(value: float, digits: int) -> float:
-    return float(f"{value:.{digits - 1}e}")
+    names = ("bandwidth_hz", *FREE["joint"])
+    return replace(design, **{name: six(getattr(design, name)) for name in names})
 
 
 def as_toml(name: str, design: JointDesign) -> str:

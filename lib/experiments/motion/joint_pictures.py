@@ -8,9 +8,8 @@ import numpy as np
 from experiments.motion.joint import CHANNELS, JointDesign, StageResponses
 from experiments.motion.joint_search import Verified, search_grid, stable_on
 from experiments.motion.machines import stage
-from experiments.motion.pictures import CASES, LABELS
+from experiments.motion.pictures import CASES, LABELS, add_magnitude, mark_limit
 from experiments.motion.uncertainty import perturbed
-from stillwork.control.bandwidth import SIX_DB
 from stillwork.lti.modal import ModalModel
 from stillwork.workbook import figures
 
@@ -34,47 +33,33 @@ def paint_ladder(found: Mapping[str, Verified], published_hz: float):
     return figure
 
 
-def paint_peaks_over_plants(peaks: Mapping[str, Mapping[str, np.ndarray]], top_db: float = 20.0):
-    """Largest peak of every design on every perturbed plant; unstable ones lie on the upper edge.
+TOP_DB = 20.0  # where larger peaks are cut
 
-    Parameters
-    ----------
-    peaks : mapping
-        Title of a panel to a mapping from the design's name to its peaks.
-    """
+
+def paint_peaks_over_plants(peaks: Mapping[str, Mapping[str, np.ndarray]]):
+    """Largest peak of every design on every perturbed plant, by panel; unstable ones lie on the upper edge."""
     figure, axes = figures.new(1, len(peaks), height=3.2, sharey=True, squeeze=False)
     for axis, (title, designs) in zip(axes[0], peaks.items(), strict=True):
         for place, (name, values) in enumerate(designs.items()):
-            shown = np.minimum(20 * np.log10(values), top_db)
+            shown = np.minimum(20 * np.log10(values), TOP_DB)
             across = place + np.linspace(-0.3, 0.3, len(shown))
             axis.plot(across, shown, ".", markersize=4, color=CASES["MC and AD"], label=name)
             axis.annotate(
                 f"{np.mean(~np.isfinite(values)):.0%}\nunstable",
-                (place, top_db + 0.8),
+                (place, TOP_DB + 0.8),
                 ha="center",
                 fontsize=6,
             )
-        axis.axhline(20 * np.log10(SIX_DB), color=figures.BLACK, linestyle=":", linewidth=1.0)
+        mark_limit(axis)
         axis.set_xticks(range(len(designs)), [name.replace(" ", "\n", 1) for name in designs], fontsize=6)
-        axis.set_ylim(0, top_db + 4)
+        axis.set_ylim(0, TOP_DB + 4)
         axis.set_title(title)
-    axes[0, 0].set_ylabel(f"largest peak (dB), cut at {top_db:g}")
+    axes[0, 0].set_ylabel(f"largest peak (dB), cut at {TOP_DB:g}")
     return figure
 
 
 def paint_joint(designs: Mapping[str, JointDesign], design: str, frequency_error: float, bandwidth: float):
-    """Explorer: the constrained functions, each of its worst mass, when the flexible frequencies are off.
-
-    Parameters
-    ----------
-    designs : mapping of str to JointDesign
-    design : str
-        One of them.
-    frequency_error : float
-        Relative error of all flexible frequencies, %.
-    bandwidth : float
-        Of the controller, % of the design's own.
-    """
+    """Explorer: the constrained functions, of the worst mass each, with frequencies and the bandwidth off by some %."""
     chosen = designs[design]
     chosen = replace(chosen, bandwidth_hz=chosen.bandwidth_hz * bandwidth / 100)
     plant = _shifted(frequency_error / 100)
@@ -87,8 +72,8 @@ def paint_joint(designs: Mapping[str, JointDesign], design: str, frequency_error
     for name in CHANNELS:
         largest = np.abs(getattr(found, name)[0]).max(axis=0)
         peak = max(peak, float(largest.max()))
-        axis.semilogx(responses.omega / (2 * np.pi), 20 * np.log10(largest), label=LABELS[name])
-    axis.axhline(20 * np.log10(SIX_DB), color=figures.BLACK, linestyle=":", linewidth=1.0)
+        add_magnitude(axis, responses.omega, largest, label=LABELS[name])
+    mark_limit(axis)
     verdict = f"largest peak {20 * np.log10(peak):.1f} dB" if stable_on(chosen, [plant])[0] else "unstable"
     axis.set_title(f"worst of the seven masses: {verdict}")
     axis.set_xlabel("frequency (Hz)")

@@ -27,7 +27,7 @@ from stillwork.control.pid import Pid
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.norms import hinf_norm
 from stillwork.lti.peaks import Peak, resonance_grid
-from stillwork.lti.state_space import StateModel
+from stillwork.lti.state_space import constant
 
 # Where the numbers may stand.
 LIMITS = {
@@ -111,33 +111,12 @@ def search(
     rounds: int = 20,
     seen: Sequence[float] = (),
 ) -> Verified:
-    """Largest bandwidth with all peaks below `limit` and slow forces rejected as published, from one start.
+    """Largest bandwidth with all peaks below `limit` and slow forces rejected as published, from one stable start.
 
     Every step linearises the logarithms of all constraints in the logarithms of the free numbers and solves a
     linear program within a trusted region; it is taken when it lowers an exact penalty. Every round verifies the
-    result and adds the frequencies of the true peaks to the grid, where the grid has missed one.
-
-    Parameters
-    ----------
-    start : JointDesign
-        Stable, but it need not keep the limit.
-    free : str
-        ``controller``, ``observer`` or ``joint``; the bandwidth is always free.
-    limit : float
-        Of all peaks.
-    plants : sequence of ModalModel, optional
-        Stages that the design must serve; the nominal one by default. Peaks are verified on the nominal one.
-    steps : int
-        Linear programs at most in a round.
-    rounds : int
-        Of search and verification, at most.
-    seen : sequence of float
-        Frequencies (rad/s) to look at besides those of `search_grid`.
-
-    Raises
-    ------
-    InputError
-        When `free` is unknown, or the start is unstable.
+    result and adds the frequencies of the true peaks to the grid, where the grid has missed one; `seen` (rad/s) are
+    there from the start. The design serves all `plants`, its peaks are verified on the nominal one.
     """
     names = ("bandwidth_hz", *FREE[require_choice("free", free, FREE)])
     require_number("limit", limit, above=1.0)
@@ -224,18 +203,7 @@ def robust_search(
 ) -> Verified:
     """Search for a design that keeps the limit on a pool of perturbed plants, taking in the worst ones in turn.
 
-    Parameters
-    ----------
-    start, free
-        See `search`.
-    size, seed, pool
-        See `sample_plants`; judge the result on plants of another seed.
-    worst : int
-        Plants that every turn adds to those that the search must serve.
-    turns : int
-        Of search and judgement.
-    **settings
-        Of `search`.
+    Judge it on plants of another seed.
     """
     plants, limit = sample_plants(size, pool, seed), settings.get("limit", SIX_DB)
     design, counted, served, missed = start, 0, [], []
@@ -329,7 +297,7 @@ def _near(values: np.ndarray, others: int, frequencies: int) -> np.ndarray:
 
 def stable_on(design: JointDesign, plants: Sequence[ModalModel]) -> Bool[np.ndarray, " plants"]:
     """Whether all loops of every plant are stable, by the eigenvalues of plant and equivalent controller."""
-    nothing = StateModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.zeros((1, 1)))
+    nothing = constant(np.zeros((1, 1)))
     states = [plant.state_space() for plant in plants]
     stable = np.ones(len(plants), bool)
     for mass, loop in enumerate(design.loops()):

@@ -9,9 +9,8 @@ from numpy.typing import ArrayLike
 
 from experiments.motion.designs import DESIGNS, Design
 from experiments.motion.machines import stage
-from experiments.motion.position_dependence import at_place, observer_at
+from experiments.motion.position_dependence import at_place, compensator_at
 from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
-from stillwork.control.applications import compensator
 from stillwork.control.feedforward import BASIS, Feedforward, least_squares, noise_error
 from stillwork.control.ideal_feedforward import (
     Force,
@@ -75,19 +74,7 @@ def location_loops(
 ) -> dict[float, dict[str, StateModel]]:
     """Closed loops of every case at every place, with the observer of that place.
 
-    Parameters
-    ----------
-    plant, grid
-        See `position_dependence.at_place`; the sensor stands still at each place.
-    places : array_like, shape (places,)
-        m, ascending.
-    cases : mapping
-        Any name to a design (a name in `DESIGNS`) and the controller.
-
-    Raises
-    ------
-    InputError
-        When a loop is unstable at a place, or a place lies outside the structure.
+    The sensor stands still at each place; `cases` hold a design, or its name in `DESIGNS`, and the controller.
     """
     places = require_array("places", places, ndim=1)
     if not len(places) or np.any(np.diff(places) <= 0):
@@ -100,7 +87,7 @@ def location_loops(
     found: dict[float, dict[str, StateModel]] = {}
     for place in places.tolist():
         machine = at_place(plant, grid, place)
-        blocks = {design: _block(plant, grid, place, design) for design in set(designs.values())}
+        blocks = {design: compensator_at(plant, grid, place, design) for design in set(designs.values())}
         found[place] = {}
         for name, design in designs.items():
             loop = closed_loop(machine, blocks[design], controllers[name])
@@ -110,12 +97,6 @@ def location_loops(
                 raise InputError(f"{name} at {place:g} m: {error}") from None
             found[place][name] = loop
     return found
-
-
-def _block(plant: ModalModel, grid: ArrayLike, place: float, design: Design) -> StateModel | None:
-    if design.application is None:
-        return None
-    return compensator(observer_at(plant, grid, place, None, design.noise_model), design.application)
 
 
 def study_locations(
@@ -128,20 +109,9 @@ def study_locations(
 ) -> LocationStudy:
     """Send the same force into the loops of every place.
 
-    Parameters
-    ----------
-    loops : mapping
-        Place (m) to case to loop, of `location_loops`.
-    force : Force
-        The feedforward error, ideal less applied; the plant gets that much too little.
-    setpoint : Setpoint
-        With the sample time of the force.
-    source : str
-        ``w``: the observer does not see the force. ``u_ff``: it does.
-    deviations : dict, optional
-        Noise of `tracking.noise_error`, fresh at every place and the same for all cases; without it, none.
-    rng : numpy.random.Generator, optional
-        Draws the noise.
+    The force is a feedforward error, ideal less applied: the plant gets that much too little. Through ``w`` the
+    observer does not see it, through ``u_ff`` it does. Noise of these `deviations` is fresh at every place, the same
+    for all cases.
     """
     require_choice("source", source, ("w", "u_ff"))
     ahead = len(force.time) - len(setpoint.time)
@@ -194,14 +164,8 @@ def stage_error(setpoint: Setpoint, controller: Pid, measured: int = 5) -> Force
 def fit_to_force(loop: StateModel, ideal: Force, noise: ArrayLike | None = None) -> Feedforward:
     """Gains that leave the smallest sum of squared errors over the move, of the ideal force less theirs.
 
-    Parameters
-    ----------
-    loop : StateModel
-        From the force to the error.
-    ideal : Force
-        Held or not; the feedforward is what it is.
-    noise : array_like, shape (samples from the start of the move,), optional
-        Of the measured error (m), when the gains are fitted to a noisy move.
+    `loop` leads from the force to the error; with `noise` of the measured error (m) the gains are fitted to a noisy
+    move.
     """
     move = ideal.time > -1e-6 * (ideal.time[1] - ideal.time[0])
     unit = np.eye(len(ideal.states))[-4:]

@@ -13,7 +13,14 @@ from jaxtyping import Float64
 
 from experiments.motion.uncertainty import perturbed, sample_errors
 from stillwork.base.checks import InputError, require_choice, require_count
-from stillwork.control.feedforward import BASIS, Feedforward, error_loop, tracking_error, tracking_model
+from stillwork.control.feedforward import (
+    BASIS,
+    Feedforward,
+    error_loop,
+    least_squares,
+    tracking_error,
+    tracking_model,
+)
 from stillwork.control.loops import INPUTS, OUTPUTS, closed_loop
 from stillwork.control.setpoint import Setpoint
 from stillwork.lti.modal import ModalModel
@@ -109,12 +116,8 @@ class MoveResponses:
         """See `fit_low_order`."""
         if not (basis or poles):
             raise InputError("basis and poles are empty; give at least one")
-        columns = self._columns(basis, poles)
-        sizes = np.linalg.norm(columns, axis=1)
-        if np.any(sizes == 0):
-            raise InputError("setpoint does not move; the feedforward gains cannot be told apart")
-        gains = np.linalg.lstsq((columns / sizes[:, None]).T, -self.alone, rcond=1e-12)[0] / sizes
-        direct, weights = gains[: len(basis)].tolist(), tuple(gains[len(basis) :].tolist())
+        gains = least_squares(self._columns(basis, poles).T, -self.alone)
+        direct, weights = gains[: len(basis)], tuple(gains[len(basis) :])
         return LowOrder(Feedforward(**dict(zip(basis, direct, strict=True))), poles, weights)
 
     def _columns(self, basis, poles) -> Float64[np.ndarray, "gains samples"]:
@@ -126,23 +129,7 @@ class MoveResponses:
 def fit_low_order(
     loop: StateModel, setpoint: Setpoint, poles: Sequence[complex] = (), basis: tuple[str, ...] = BASIS
 ) -> LowOrder:
-    """Gains and weights that minimise the sum of squared errors over the whole move, for given poles.
-
-    Parameters
-    ----------
-    loop : StateModel
-        From (r, u_ff) to e_true, see `direct_loop`.
-    setpoint : Setpoint
-    poles : sequence of complex
-        Of the filters, rad/s; one of every pair.
-    basis : tuple of str
-        Derivatives that act directly, of `tracking.BASIS`.
-
-    Raises
-    ------
-    InputError
-        When a pole is not stable, the basis unknown, or the move does not excite a gain.
-    """
+    """Gains and weights that minimise the sum of squared errors over the move, for given poles (one of a pair)."""
     if any(pole.real >= 0 or pole.imag < 0 for pole in poles):
         raise InputError("poles must be stable, one of every pair with a positive imaginary part, in rad/s")
     return MoveResponses(loop, setpoint).fit(tuple(poles), basis)
@@ -153,31 +140,15 @@ def pick_poles(
     setpoint: Setpoint,
     candidates: Sequence[complex],
     order: int,
-    basis: tuple[str, ...] = BASIS,
 ) -> list[LowOrder]:
-    """Feedforwards of growing order: each takes the one candidate more that lowers the squared error most.
-
-    Parameters
-    ----------
-    loop, setpoint, basis
-        See `fit_low_order`.
-    candidates : sequence of complex
-        Poles to pick from, see `copy_poles`.
-    order : int
-        States at most.
-
-    Returns
-    -------
-    list of LowOrder
-        Beginning with the one without filters.
-    """
+    """Feedforwards of growing order: each takes the one candidate more that lowers the squared error most."""
     require_count("order", order, at_least=0)
     responses = MoveResponses(loop, setpoint)
-    found = [responses.fit((), basis)]
+    found = [responses.fit()]
     while True:
         chosen = found[-1].poles
         fitting = [
-            responses.fit((*chosen, pole), basis)
+            responses.fit((*chosen, pole))
             for pole in candidates
             if pole not in chosen and found[-1].order + len(filters(pole)) <= order
         ]
@@ -199,20 +170,8 @@ def perturbed_trial(
     """Rms of the true error in the scan (m) of every feedforward on one perturbed plant; a trial of a study.
 
     Every feedforward meets the plant twice: with the gains that were found on the nominal plant, and with gains
-    tuned again on this one (poles and observer copy stay), as the data-based tuning does.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    plant : ModalModel
-        Nominal, one output.
-    compensator, controller : StateModel
-    setpoint : Setpoint
-    copied : Feedforward
-        Gains in front of the observer copy.
-    candidates : mapping of str to LowOrder
-    size : float
-        Relative error of the flexible modes' parameters; mass and place of the sensor are known.
+    tuned again on this one (poles and observer copy stay), as the data-based tuning does. The flexible modes err by
+    `size`; mass and place of the sensor are known. `copied` are the gains in front of the observer copy.
     """
     loop = closed_loop(perturbed(plant, sample_errors(rng, plant, size)), compensator, controller)
     direct, hidden = (MoveResponses(each(loop), setpoint) for each in (direct_loop, error_loop))

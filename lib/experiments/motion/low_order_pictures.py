@@ -9,6 +9,7 @@ import numpy as np
 from experiments.motion.designs import DESIGNS, stage_bandwidth, stage_compensator
 from experiments.motion.low_order import LowOrder, copy_poles, direct_loop, pick_poles
 from experiments.motion.machines import published_setpoint, stage, stage_mass
+from experiments.motion.performance_pictures import paint_errors
 from experiments.motion.pictures import CASES
 from stillwork.control.feedforward import modified_feedforward
 from stillwork.control.loops import closed_loop
@@ -24,14 +25,7 @@ def paint_errors_over_order(
 ):
     """Rms error in the scan over the number of states of the feedforward, one panel a design.
 
-    Parameters
-    ----------
-    low : mapping
-        Design to (states, rms in m) of the low-order feedforwards.
-    copies : mapping
-        Design to the same of the observer copy.
-    published : mapping
-        Design to the rms of Table 3.7 (nm).
+    Points are (states, rms in m), of low-order feedforwards and of the observer copy; published is Table 3.7 (nm).
     """
     figure, axes = figures.new(1, len(low), height=3.0, sharey=True, squeeze=False)
     for axis, (name, points) in zip(axes[0], low.items(), strict=True):
@@ -101,12 +95,6 @@ def paint_low_order(design: str, states: int, gain: float):
     chosen = replace(chosen, weights=tuple(gain / 100 * w for w in chosen.weights))
     setpoint = published_setpoint()
     error = chosen.error(loop, setpoint)
-    figure, axis = figures.new(1, 1, height=2.8)
-    axis.plot(setpoint.time, 1e9 * error, linewidth=0.9)
-    axis.axvspan(*setpoint.scan, color=figures.GREY, alpha=0.12, linewidth=0)
-    axis.set_title(
-        f"{chosen.order} states: {1e9 * rms(error[setpoint.scanning]):.2f} nm rms in the scan (grey)"
-    )
-    axis.set_xlabel("time (s)")
-    axis.set_ylabel("error (nm)")
-    return figure
+    size = 1e9 * rms(error[setpoint.scanning])
+    title = f"{chosen.order} states: {size:.2f} nm rms in the scan (grey)"
+    return paint_errors(setpoint, {"error": error}, title)

@@ -33,10 +33,7 @@ def chain_matrix(springs: ArrayLike) -> Float64[np.ndarray, "nodes nodes"]:
 def stage(damping_ratio: float | None = None) -> ModalModel:
     """Stage of Fig. 3.1 and Table 3.2: force on the actuator mass to the positions y1..y7 of the other masses.
 
-    Parameters
-    ----------
-    damping_ratio : float, optional
-        Of every flexible mode; by default 0.005, which Table 3.4 shows (Table 3.2 prints 0.001).
+    Flexible modes are damped by 0.005, which Table 3.4 shows (Table 3.2 prints 0.001), unless told otherwise.
     """
     p = parameters("stage")
     ratio = require_number(
@@ -59,12 +56,9 @@ def stage_mass() -> float:
 
 
 def chain(masses: ArrayLike) -> ModalModel:
-    """Chain of Fig. 2.5: equal springs and dampers, a force on and a position of every mass.
+    """Chain of Fig. 2.5: equal springs and dampers, a force on and a position of every mass (kg).
 
-    Parameters
-    ----------
-    masses : array_like, shape (nodes,)
-        kg; the dampers are in proportion to the springs, so the modes decouple for any masses.
+    The dampers are in proportion to the springs, so the modes decouple for any masses.
     """
     masses = require_array("masses", masses, ndim=1)
     if len(masses) < 2 or np.any(masses <= 0):

@@ -19,20 +19,8 @@ def h2_lmi(
     r"""H2-optimal observer of the regularised plant from the matrix inequalities (5.7), solved by Clarabel.
 
     The observer's feedthrough is zero: with a regular :math:`D_{12}` and :math:`D_{21}` any other makes the
-    norm infinite.
-
-    Parameters
-    ----------
-    plant, effort, noise
-        See `regularised`.
-    tolerance : float
-        How far, relatively, the norm of the recovered loop may lie from what the solver claims.
-
-    Raises
-    ------
-    InputError
-        When the solver does not report an optimum, or the recovered loop does not keep what was claimed;
-        the message shows the status and the residual. No matrix of a failed solve is returned.
+    norm infinite. `tolerance` is how far, relatively, the norm of the recovered loop may lie from what the solver
+    claims; no matrix of a failed solve is returned.
     """
     tolerance = require_number("tolerance", tolerance, above=0.0)
     regular = regularised(plant, effort, noise)
@@ -50,33 +38,11 @@ def mixed_lmi(
 ) -> Synthesis:
     r"""Observer with a small H2 norm whose weighted error keeps a level, from matrix inequalities with Clarabel.
 
-    One change of variables serves both norms only if their Lyapunov matrices are multiples of each other. That
-    makes `claimed` an upper bound of both the loop's norm and the optimum: any ratio is valid, the least claim
-    over ratios is the best, and no ratio gives the true trade-off.
-
-    Parameters
-    ----------
-    plant : GeneralisedPlant
-        With two performance outputs, as `tradeoff.emphasised` gives for emphasis 1: the error and the weighted
-        error. The two-norm is that from all inputs to the first, the peak that from the first input to the second.
-    level : float
-        Bound on the peak.
-    ratio : float
-        Lyapunov matrix of the peak over that of the two-norm, for the scaled problem; 1 in most texts.
-    effort, noise
-        See `regularised`.
-    tolerance : float
-        How far, relatively, the loop's norms may exceed the claim and the level.
-
-    Returns
-    -------
-    Synthesis
-        Its norms are those to the first output, without and with the added cost and noise.
-
-    Raises
-    ------
-    InputError
-        As for `h2_lmi`; here also when the loop does not keep the level.
+    One change of variables serves both norms only if their Lyapunov matrices are multiples of each other, by `ratio`
+    (of the peak's over the two-norm's, for the scaled problem; 1 in most texts). That makes `claimed` an upper bound
+    of both the loop's norm and the optimum: any ratio is valid, the least claim over ratios is the best, and no ratio
+    gives the true trade-off. The plant has two performance outputs, as `tradeoff.emphasised` gives for emphasis 1:
+    the two-norm is that from all inputs to the first, the peak that from the first input to the second.
     """
     level = require_number("level", level, above=0.0)
     ratio = require_number("ratio", ratio, above=0.0)
@@ -108,13 +74,7 @@ def _unweighted(regular: GeneralisedPlant) -> list[int]:
 
 
 def _by_inequalities(regular: GeneralisedPlant, level: float | None = None, ratio: float = 1.0):
-    """Status, claimed norm and observer of a regularised plant; with a level, the second output is bounded.
-
-    Raises
-    ------
-    InputError
-        When the solver reports anything but an optimum, with what it reports and its residuals.
-    """
+    """Status, claimed norm and observer of a regularised plant; with a level, the second output is bounded."""
     cp = require_package("cvxpy")
 
     plant, units = scaled_plant(regular)

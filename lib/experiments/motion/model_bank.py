@@ -21,20 +21,7 @@ class BankEstimate:
 
 
 def bank_estimate(models: Sequence[TimeVaryingModel], u: ArrayLike, y: ArrayLike) -> BankEstimate:
-    """Mean over the models, each with its posterior probability (static multiple-model estimation, Magill 1965).
-
-    Parameters
-    ----------
-    models : sequence of TimeVaryingModel
-        Equally likely at first.
-    u : array_like, shape (runs, inputs, samples)
-    y : array_like, shape (runs, outputs, samples)
-
-    Raises
-    ------
-    InputError
-        When the bank is empty.
-    """
+    """Mean over the models, each with its posterior probability (static multiple-model estimation, Magill 1965)."""
     if not models:
         raise InputError("models is empty; give at least one")
     y, u = require_array("y", y, ndim=3), require_array("u", u, ndim=3)

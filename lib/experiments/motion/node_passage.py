@@ -8,15 +8,16 @@ from numpy.typing import ArrayLike
 
 from experiments.motion.position_dependence import require_seen
 from experiments.motion.positions import shapes_along
-from experiments.motion.scan_study import output_rows
+from experiments.motion.scan_study import along_scan
 from stillwork.base.checks import InputError, require_array, require_count, require_number
 from stillwork.estimation.observer import NoiseIntensities
-from stillwork.estimation.riccati import discrete_gain
 from stillwork.estimation.robust import kalman_gains
-from stillwork.estimation.time_varying import TimeVaryingModel, estimate
-from stillwork.lti.discretisation import zoh_modes
+from stillwork.estimation.time_varying import estimate
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.simulation import simulate
+from stillwork.lti.state_space import StateModel
+
+AMPLITUDE = 0.01  # N, of the force
 
 
 @dataclass(frozen=True)
@@ -52,47 +53,23 @@ def pass_node(
     mode: int,
     noise: NoiseIntensities,
     step: float,
-    amplitude: float = 0.01,
     phase: float = 0.0,
 ) -> Passage:
     """Run the time-varying Kalman filter while a force that it does not know excites one mode at its resonance.
 
-    Parameters
-    ----------
-    plant : ModalModel
-        One input, one output a grid point; the filter knows all of its modes.
-    grid : array_like, shape (outputs,)
-        m.
-    places : array_like, shape (samples,)
-        Where the sensor looks (m).
-    mode : int
-        That is excited and judged.
-    noise : NoiseIntensities
-        Intensities that the filter is designed for.
-    step : float
-        s.
-    amplitude, phase : float
-        Of the force, N and rad.
-
-    Raises
-    ------
-    InputError
-        When the trajectory leaves the grid, or a rigid-body mode is not observable on it.
+    The filter knows all modes of the plant and is designed for `noise`; the sensor follows `places` (m).
     """
     places = require_array("places", places, ndim=1)
     if require_count("mode", mode, at_least=plant.rigid_modes) >= len(plant.frequencies):
         raise InputError(f"mode is {mode}; the plant has modes 0 to {len(plant.frequencies) - 1}")
     require_seen(plant, grid, places, range(plant.rigid_modes))
-    sampled = zoh_modes(plant, step)
-    rows = output_rows(shapes_along(plant, grid, places))
-    q, r = np.array([[noise.process / step]]), np.array([[noise.sensor / step]])
-    start = discrete_gain(sampled.a, sampled.b, rows[0], q, r)
-    initial = start.covariance - start.filter_gain @ rows[0] @ start.covariance
-    model = TimeVaryingModel(sampled.a, sampled.b, sampled.b, rows, q, r, (initial + initial.T) / 2)
+    model = along_scan(
+        plant, step, shapes_along(plant, grid, places), noise.process / step, noise.sensor / step
+    )
     time = np.arange(len(places)) * step
-    force = amplitude * np.sin(plant.frequencies[mode] * time + phase)
-    n = len(sampled.a)
-    states = simulate(type(sampled)(sampled.a, sampled.b, np.eye(n), np.zeros((n, 1)), step), force[None])
-    y = np.einsum("koi,ik->ok", rows, states)
+    force = AMPLITUDE * np.sin(plant.frequencies[mode] * time + phase)
+    a, b = model.a[0], model.b[0]
+    states = simulate(StateModel(a, b, np.eye(len(a)), np.zeros_like(b), step), force[None])
+    y = np.einsum("koi,ik->ok", model.c, states)
     found = estimate(kalman_gains(model), np.zeros((1, len(places))), y)
     return Passage(time, places, states[2 * mode], found[2 * mode])

@@ -5,12 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillwork.base.checks import InputError
+from stillwork.control.applications import filtered_estimates
 from stillwork.control.feedback import band_pass, damping_gain
 from stillwork.control.pid import Pid
 from stillwork.estimation.generalised_plant import GeneralisedPlant, low_pass
 from stillwork.estimation.observer import Observer
 from stillwork.lti.modal import ModalModel
-from stillwork.lti.state_space import StateModel, interconnect
+from stillwork.lti.state_space import StateModel, constant, interconnect
 
 
 @dataclass(frozen=True)
@@ -39,12 +40,16 @@ class ObserverProblem:
         """Number of flexible modes, as many as band-passes."""
         return len(self.plant.frequencies) - self.plant.rigid_modes
 
+    def _damping(self) -> tuple[list[StateModel], np.ndarray]:
+        """Band-pass and gain of every flexible mode's velocity."""
+        rigid = self.plant.rigid_modes
+        filters = [band_pass(float(w), self.selectivity) for w in self.plant.frequencies[rigid:]]
+        return filters, damping_gain(self.plant, self.increase)[:, 2 * rigid + 1 :: 2]
+
     def generalised(self) -> GeneralisedPlant:
         """The generalised plant: 8 + 3 + 6 + 3 = 20 states for the stage."""
         plant, control, n = self.plant.state_space(), self.controller.state_space(), self.flexible
-        rigid = self.plant.rigid_modes
-        gain = damping_gain(self.plant, self.increase)[0, 2 * rigid + 1 :: 2]
-        filters = [band_pass(float(w), self.selectivity) for w in self.plant.frequencies[rigid:]]
+        filters, gain = self._damping()
         weights = [low_pass(corner) for corner in self.corners_hz]
         s_w, s_v, s_d = self.scales
         # Outputs: y0, u_fb, filtered velocities, W_r r, W_w w, W_v v. Inputs likewise. External: r, w, v, d,
@@ -52,14 +57,14 @@ class ObserverProblem:
         total = 2 + n + 3
         reference, force, sensor = range(2 + n, total)
         feedback, external = np.zeros((total, total)), np.zeros((total, 4 + 1 + n))
-        feedback[0, 1], feedback[0, 2 : 2 + n], feedback[0, force] = 1, gain, s_w
+        feedback[0, 1], feedback[0, 2 : 2 + n], feedback[0, force] = 1, gain[0], s_w
         feedback[1, 0], feedback[1, reference], feedback[1, sensor] = -1, 1, s_v
         external[1, 3], external[1, 4] = -s_d, 1
         external[2 : 2 + n, 5:] = np.eye(n)
         external[reference:, :3] = np.eye(3)
         read, direct = np.zeros((3, total)), np.zeros((3, 4 + 1 + n))
         read[0, 0], read[0, reference], read[0, sensor] = -1, 1, s_v  # e_true = r - (y0 - v)
-        read[1, 1], read[1, 2 : 2 + n] = 1, gain  # f
+        read[1, 1], read[1, 2 : 2 + n] = 1, gain[0]  # f
         read[2, 0], read[2, sensor], direct[2, 3] = 1, -s_v, s_d  # y + d
         model = interconnect([plant, control, *filters, *weights], feedback, external, read, direct)
         return GeneralisedPlant(model, exogenous=4, performance=1)
@@ -73,16 +78,8 @@ class ObserverProblem:
 
     def idle(self) -> StateModel:
         """The block that does nothing: no observer."""
-        n = 1 + self.flexible
-        return StateModel(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((n, 0)), np.zeros((n, 2)))
+        return constant(np.zeros((1 + self.flexible, 2)))
 
     def compensator(self, observer: StateModel) -> StateModel:
         """The observer with band-passes and damping gain: (f, y + d) to (u_d, y_flex), as `loops` wants it."""
-        n, rigid = self.flexible, self.plant.rigid_modes
-        gain = damping_gain(self.plant, self.increase)[0, 2 * rigid + 1 :: 2]
-        filters = [band_pass(float(w), self.selectivity) for w in self.plant.frequencies[rigid:]]
-        feedback = np.zeros((2 + n, 1 + 2 * n))
-        feedback[2:, 1 : 1 + n] = np.eye(n)
-        read = np.zeros((2, 1 + 2 * n))
-        read[0, 1 + n :], read[1, 0] = gain, 1
-        return interconnect([observer, *filters], feedback, np.eye(2 + n, 2), read)
+        return filtered_estimates(observer, *self._damping())

@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from experiments.motion.designs import DAMPING, DESIGNS, Design, stage_bandwidth, stage_loops
-from experiments.motion.machines import parameters, published_noise, stage_mass
-from stillwork.base.checks import InputError, require_array, require_choice
+from experiments.motion.machines import parameters, stage_mass
+from stillwork.base.checks import InputError, require_array
 from stillwork.control.applications import Application
 from stillwork.control.bandwidth import Bandwidth, PeakConstraint, maximise_bandwidth
 from stillwork.control.pid import PidFamily
@@ -56,12 +56,11 @@ class OpenChoices:
         return float(crossings.min() - 0.5), float(crossings.max() + 0.5)
 
 
-def open_choices(name: str, choices: tuple[str, ...] = tuple(CHOICES)) -> OpenChoices:
-    """Bandwidth of a published design under each of `choices`; without an observer R has no effect."""
+def open_choices(name: str) -> OpenChoices:
+    """Bandwidth of a published design under each of `CHOICES`; without an observer R has no effect."""
     found = {}
-    for choice in choices:
-        require_choice("choices", choice, CHOICES)
-        settings = dict(CHOICES[choice])
+    for choice, given in CHOICES.items():
+        settings = dict(given)
         if "noise" in settings:
             settings["noise"] = settings["noise"]()
             if DESIGNS[name].application is None:  # no observer: R has no effect
@@ -83,7 +82,7 @@ class BandwidthMap:
     crossing_hz: Float64[np.ndarray, "rows columns"]  # for mass 5
 
 
-def bandwidth_map(selectivity, noise_model, *, noise: NoiseIntensities | None = None) -> BandwidthMap:
+def bandwidth_map(selectivity, noise_model) -> BandwidthMap:
     """Bandwidth of MC and AD together over (Q, Q_nu), the search of (3.47) as a map."""
     rows = require_array("selectivity", selectivity, ndim=1)
     columns = require_array("noise_model", noise_model, ndim=1)
@@ -96,7 +95,7 @@ def bandwidth_map(selectivity, noise_model, *, noise: NoiseIntensities | None = 
     for i, q in enumerate(rows):
         for j, intensity in enumerate(columns):
             setting = Design(Application(True, DAMPING, selectivity=float(q)), float(intensity))
-            loops = stage_loops(setting, noise or published_noise(), points=300, around=15)
+            loops = stage_loops(setting, points=300, around=15)
             limits = [PeakConstraint(function) for function in setting.constraints]
             try:
                 found = maximise_bandwidth(loops, family, limits, 20.0, 110.0, scan=46, tolerance_hz=0.02)

@@ -57,8 +57,7 @@ def paint_responses(
         left.semilogx(hertz, 20 * np.log10(bound), color=figures.BLACK, linewidth=0.8, label="1 / $W_{sens}$")
     left.set_ylabel("$r$ to $e_{true}$ (dB)")
     right.set_ylabel("equivalent controller (dB re 1 N/m)")
-    for axis in (left, right):
-        axis.set_xlabel("frequency (Hz)")
+    figures.label((left, right), "frequency (Hz)")
     left.legend()
     return figure
 

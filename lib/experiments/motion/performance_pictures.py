@@ -34,10 +34,19 @@ def paint_tracking(setpoint: Setpoint, errors: Mapping[str, np.ndarray]):
         axis.set_title(f"{name}: {1e9 * rms(error[setpoint.scanning]):.2f} nm rms in the scan")
     axes[0, 0].set_xlim(0, setpoint.time[shown][-1] + 0.02)
     axes[0, 0].legend(loc="upper right", fontsize=7)
-    for axis in axes[:, 0]:
-        axis.set_ylabel("error (nm)")
-    for axis in axes[-1]:
-        axis.set_xlabel("time (s)")
+    figures.label(axes, "time (s)", "error (nm)")
+    return figure
+
+
+def paint_errors(setpoint: Setpoint, errors: Mapping[str, np.ndarray], title: str = ""):
+    """Tracking errors in nm over the move by label, the scan in grey: what explorers show."""
+    figure, axis = figures.new(1, 1, height=2.8)
+    for label, error in errors.items():
+        axis.plot(setpoint.time, 1e9 * error, linewidth=0.9, label=label)
+    axis.axvspan(*setpoint.scan, color=figures.GREY, alpha=0.12, linewidth=0)
+    axis.set_title(title)
+    figures.label(axis, "time (s)", "error (nm)")
+    axis.legend(fontsize=7)
     return figure
 
 
@@ -47,13 +56,8 @@ def paint_feedforward(acceleration_kg: float, snap: float, bandwidth_hz: float):
     controller = PidFamily(stage_mass())(bandwidth_hz).state_space()
     loop = error_loop(closed_loop(stage().at([0], [4]), None, controller))
     error = tracking_error(loop, setpoint, Feedforward(acceleration=acceleration_kg, snap=1e-6 * snap))
-    figure, axis = figures.new(1, 1, height=2.8)
-    axis.plot(setpoint.time, 1e9 * error, label="error")
-    axis.axvspan(*setpoint.scan, color=figures.GREY, alpha=0.12, linewidth=0)
-    axis.set_title(f"{1e9 * rms(error[setpoint.scanning]):.1f} nm rms in the scan (grey)")
-    axis.set_xlabel("time (s)")
-    axis.set_ylabel("error (nm)")
-    return figure
+    size = 1e9 * rms(error[setpoint.scanning])
+    return paint_errors(setpoint, {"error": error}, f"{size:.1f} nm rms in the scan (grey)")
 
 
 def paint_cumulative(power: Mapping[str, CumulativePower], low_hz: float = 1.0):
@@ -69,9 +73,8 @@ def paint_cumulative(power: Mapping[str, CumulativePower], low_hz: float = 1.0):
             axis.semilogx(each.omega[shown] / (2 * np.pi), 1e18 * values[shown], **style)
     for axis, title in zip(axes, ("measured error $e_{meas}$", "true error $e_{true}$"), strict=True):
         axis.set_title(title)
-        axis.set_xlabel("frequency (Hz)")
         axis.xaxis.set_minor_formatter(NullFormatter())
-    axes[0].set_ylabel("cumulative power (nm²)")
+    figures.label(axes, "frequency (Hz)", "cumulative power (nm²)")
     axes[0].legend(loc="upper left")
     return figure
 

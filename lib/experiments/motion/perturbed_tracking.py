@@ -1,4 +1,4 @@
-"""Tracking of perturbed plants under the published designs: the trial behind Table 5.2 of the observer thesis."""
+"""Tracking under the published designs: with noise (Table 3.7), and of perturbed plants (Table 5.2)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,15 +9,24 @@ from experiments.motion.designs import DESIGNS, stage_bandwidth, stage_compensat
 from experiments.motion.machines import parameters, published_setpoint, stage, stage_mass
 from experiments.motion.uncertainty import perturbed, sample_errors
 from stillwork.base.checks import require_number
-from stillwork.control.feedforward import Feedforward, error_loop, fit_feedforward, tracking_error
+from stillwork.control.feedforward import (
+    Feedforward,
+    error_loop,
+    fit_feedforward,
+    noise_error,
+    tracking_error,
+)
 from stillwork.control.loops import INPUTS, OUTPUTS, closed_loop
 from stillwork.control.pid import PidFamily
+from stillwork.control.setpoint import Setpoint
 from stillwork.lti.discretisation import zoh
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.simulation import simulate
+from stillwork.lti.state_space import StateModel
 from stillwork.signals.moving_average import rms
 
 MEASURED = 5  # y5, section 3.1
+WARM_UP = 3000  # samples in which the noise reaches its steady state
 # Row and column of Table 5.2, the observer's design and the design that its controller is taken from.
 CASES = {
     "none": (None, "PID"),
@@ -62,20 +71,10 @@ def tracking_trial(
     retune: bool = True,
     step: float = 1e-4,
 ) -> dict[str, float]:
-    """rms of the true error in the scanning phase (m) of every case, on one perturbed plant.
+    """Rms of the true error in the scanning phase (m) of every case, on one perturbed plant and one draw of the noise.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Draws the plant and the noise; every case sees the same.
-    loops : PublishedLoops
-    size, law, rigid
-        See `uncertainty.sample_errors`; with size 0 only the noise is drawn.
-    retune : bool
-        Fit the feedforward to the perturbed plant without observer, as the data-based tuning would, rather
-        than keep the gains of the nominal plant.
-    step : float
-        Sample time (s); the noise is white from sample to sample and held between them.
+    With `retune` the feedforward is fitted to the perturbed plant without observer, as the data-based tuning would;
+    else it keeps the gains of the nominal plant. The noise is white from sample to sample and held between them.
     """
     require_number("step", step, above=0.0)
     setpoint = published_setpoint(step)
@@ -99,4 +98,24 @@ def tracking_trial(
         error = tracking_error(error_loop(loop), setpoint, feedforward)
         error = error + simulate(zoh(loop.select(places, [OUTPUTS.index("e_true")]), step), noise)[0]
         found[case] = rms(error[setpoint.scanning])
+    return found
+
+
+def noisy_scan_trial(
+    rng: np.random.Generator,
+    loops: dict[str, StateModel],
+    setpoint: Setpoint,
+    feedforward: Feedforward,
+    deviations: dict[str, float],
+) -> dict[str, float]:
+    """Rms of the true error in the scan (m) of several loops with modified feedforward under one noise realisation."""
+    seed = rng.integers(2**63)  # every loop meets the same noise
+    samples = WARM_UP + setpoint.derivatives.shape[1]
+    found = {}
+    for name, loop in loops.items():
+        noise = noise_error(loop, setpoint.step, samples, deviations, np.random.default_rng(seed))[
+            0, WARM_UP:
+        ]
+        error = tracking_error(error_loop(loop), setpoint, feedforward) + noise
+        found[name] = rms(error[setpoint.scanning])
     return found

@@ -61,26 +61,7 @@ def paint_bode(
     styles: Mapping[str, dict] | None = None,
     height: float | None = None,
 ):
-    """Magnitude (and phase) of single responses on one pair of axes.
-
-    Parameters
-    ----------
-    curves : mapping
-        Label to (omega in rad/s, complex response).
-    quantity : str
-        Label of the magnitude axis, with its unit.
-    phase : bool
-        Add a panel with the phase.
-    styles : mapping, optional
-        Label to line options; by default those of `case_styles`.
-    height : float, optional
-        Inches.
-
-    Returns
-    -------
-    figure, axes
-        The axes as an array of one or two.
-    """
+    """Magnitude (and phase) of single responses, by label (omega in rad/s, response), on one pair of axes."""
     from matplotlib.ticker import MultipleLocator
 
     figure, axes = figures.new(1 + phase, 1, height=height, sharex=True, squeeze=False)
@@ -103,51 +84,56 @@ def paint_bode(
     return figure, axes
 
 
+def mark_limit(axis) -> None:
+    """The peak that the thesis allows, 6 dB."""
+    axis.axhline(20 * np.log10(SIX_DB), color=figures.BLACK, linestyle=":", linewidth=1.0)
+
+
+def paint_magnitudes(
+    panels: Mapping[str, Mapping[str, tuple]], quantity: str = "", rows: int = 1, **options
+) -> tuple:
+    """Magnitudes in dB, a panel a title, each from label to (omega in rad/s, response, line options): figure, axes."""
+    figure, axes = figures.new(rows, len(panels) // rows, squeeze=False, **options)
+    for axis, (title, lines) in zip(axes.ravel(), panels.items(), strict=True):
+        for label, (omega, response, style) in lines.items():
+            add_magnitude(axis, omega, response, label=label, **style)
+        axis.set_title(title)
+    figures.label(axes, "frequency (Hz)", quantity)
+    return figure, axes
+
+
+def paint_limited(panels: Mapping[str, Mapping[str, tuple]], bottom: float, top: float, height: float):
+    """Magnitudes of loop functions, a panel a title, with the allowed peak."""
+    figure, axes = paint_magnitudes(panels, "magnitude (dB)", height=height, sharey=True)
+    for axis in axes[0]:
+        mark_limit(axis)
+        axis.set_ylim(bottom, top)
+    axes[0, 0].legend(ncols=2, loc="lower right", fontsize=7)
+    return figure
+
+
 def paint_over_masses(
     panels: Mapping[str, tuple[Sequence[Loop], Pid, str]],
     *,
-    limit: float = SIX_DB,
     low_hz: float = 1.0,
     high_hz: float = 2e3,
     label: str = "mass",
 ):
-    """One loop function of every measured mass, one panel a case, with the allowed peak.
-
-    Parameters
-    ----------
-    panels : mapping
-        Title to (loops, controller, name of the loop function).
-    """
-    figure, axes = figures.new(1, len(panels), height=3.2, sharey=True, squeeze=False)
-    for axis, (title, (loops, controller, function)) in zip(axes[0], panels.items(), strict=True):
+    """One loop function of every measured mass, a panel a case (loops, controller, function), with the allowed peak."""
+    curves = {title: {} for title in panels}
+    for title, (loops, controller, function) in panels.items():
         for number, loop in enumerate(loops, 1):
             hertz = loop.omega / (2 * np.pi)
             shown = (hertz >= low_hz) & (hertz <= high_hz)
-            response = getattr(loop.at(controller), function)
-            axis.semilogx(hertz[shown], decibel(response)[shown], label=f"{label} {number}", linewidth=1.0)
-        axis.axhline(20 * np.log10(limit), color=figures.BLACK, linestyle=":", linewidth=1.0)
-        axis.set_title(title)
-        axis.set_xlabel("frequency (Hz)")
-        axis.set_ylim(-50, 15)
-    axes[0, 0].set_ylabel("magnitude (dB)")
-    axes[0, 0].legend(ncols=2, loc="lower right", fontsize=7)
-    return figure
+            response = getattr(loop.at(controller), function)[shown]
+            curves[title][f"{label} {number}"] = loop.omega[shown], response, {"linewidth": 1.0}
+    return paint_limited(curves, -50, 15, 3.2)
 
 
 def paint_rejections(
     cases: Mapping[str, StateModel], omega: np.ndarray, sources: Sequence[str] = ("u_ff", "w", "v", "d")
 ):
-    """Transfers from each disturbance to the true error for several closed loops, one panel a disturbance.
-
-    Parameters
-    ----------
-    cases : mapping
-        Label to a single `closed_loop`.
-    omega : ndarray
-        rad/s.
-    sources : sequence of str
-        Inputs of `closed_loop`.
-    """
+    """Transfers from each disturbance to the true error for several closed loops, one panel a disturbance."""
     from matplotlib.ticker import NullFormatter
 
     rows = (len(sources) + 1) // 2
@@ -164,8 +150,8 @@ def paint_rejections(
             add_magnitude(axis, omega, response, label=label, **style)
         axis.set_title(f"{names[source]} to $e_{{true}}$")
         axis.set_ylabel("magnitude (dB re 1 m/N)" if source in ("u_ff", "w") else "magnitude (dB)")
+    figures.label(axes, "frequency (Hz)")
     for axis in axes[-1]:
-        axis.set_xlabel("frequency (Hz)")
         axis.xaxis.set_minor_formatter(NullFormatter())
     for axis in axes.ravel()[len(sources) :]:
         axis.set_axis_off()
@@ -188,13 +174,12 @@ def paint_controllers(cases: Mapping[str, tuple[Loop, Pid]], omega: np.ndarray):
         axis.set_title(title)
     axes[0, 0].set_ylabel("magnitude (dB re 1 N/m)")
     axes[1, 0].set_ylabel("phase (deg)")
-    for axis in axes[1]:
-        axis.set_xlabel("frequency (Hz)")
+    figures.label(axes, "frequency (Hz)")
     axes[0, 0].legend(loc="best", fontsize=7)
     return figure
 
 
-def paint_pole_zero(systems: Mapping[str, StateModel], quantity: str = "magnitude (dB re 1 m/N)"):
+def paint_pole_zero(systems: Mapping[str, StateModel]):
     """Poles and zeros in the upper half-plane beside the magnitude, for systems with a few modes."""
     figure, axes = figures.new(1, 2, height=3.2)
     colours = [figures.BLUE, figures.GREEN, figures.RED]
@@ -217,6 +202,6 @@ def paint_pole_zero(systems: Mapping[str, StateModel], quantity: str = "magnitud
     axes[0].set_ylabel("imaginary part (Hz)")
     axes[0].legend(fontsize=7)
     axes[1].set_xlabel("frequency (Hz)")
-    axes[1].set_ylabel(quantity)
+    axes[1].set_ylabel("magnitude (dB re 1 m/N)")
     axes[1].legend(fontsize=7)
     return figure

@@ -19,20 +19,7 @@ Z_METHODS = ("Ackermann", "robust")
 def gain_by_placement(
     model: ModalModel, increase: float | ArrayLike, step: float, method: str
 ) -> Float64[np.ndarray, "1 states"]:
-    """The gain of (4.3) by a general pole-placement method in z, for comparison: it loses digits at high rates.
-
-    Parameters
-    ----------
-    model, increase, step
-        See `discrete_damping_gain`.
-    method : str
-        ``Ackermann``: `feedback.place`; ``robust``: `scipy.signal.place_poles`.
-
-    Raises
-    ------
-    InputError
-        When the method finds the model uncontrollable to rounding.
-    """
+    """The gain of (4.3) by a general pole-placement method in z, for comparison: it loses digits at high rates."""
     require_choice("method", method, Z_METHODS)
     upper = np.exp(damped_poles(model, increase) * step)
     wanted = np.concatenate([upper, upper.conj()])
@@ -74,24 +61,9 @@ def typical_placement_error(
 ) -> float:
     """Median of `placement_error` over machines that differ by a little: the size of rounding without its luck.
 
-    What rounding leaves on one machine is a draw: the next one, or the same one on another processor, gives ten
-    times as much or as little. The median over 21 of them moved by a factor below 2 between processors.
-
-    Parameters
-    ----------
-    model, increase, step
-        See `discrete_damping_gain`.
-    method : str
-        ``closed form``: `discrete_damping_gain`; or one of `Z_METHODS`.
-    machines : int
-        Number of machines.
-    spread : float
-        Their frequencies lie evenly within this part of those of `model`, on either side.
-
-    Returns
-    -------
-    float
-        NaN where the method takes most of the machines for uncontrollable.
+    What rounding leaves on one machine is a draw: the next one, or the same one on another processor, gives ten times
+    as much or as little. The median over 21 of them, with frequencies within `spread` of those of `model`, moved by a
+    factor below 2 between processors. NaN where the method takes most of the machines for uncontrollable.
     """
     require_choice("method", method, ("closed form", *Z_METHODS))
     require_number("spread", spread, at_least=0.0, below=1.0)

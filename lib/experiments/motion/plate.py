@@ -27,13 +27,7 @@ class PlateModes:
     ]  # of the products of normalised Legendre polynomials
 
     def shapes(self, xi: ArrayLike, eta: ArrayLike) -> Float64[np.ndarray, "points modes"]:
-        """Shapes at points of the square, scaled to a mean square of one over the plate.
-
-        Parameters
-        ----------
-        xi, eta : array_like, shape (points,)
-            Coordinates over half the length and over half the width.
-        """
+        """Shapes at points of the square, scaled to a mean square of one over the plate."""
         if not np.abs([xi, eta]).max() <= 1:
             raise InputError("xi and eta must lie between -1 and 1; a point is off the plate")
         degree = self.coefficients.shape[1] - 1
@@ -62,22 +56,6 @@ def plate_modes(aspect: float, poisson: float, modes: int, degree: int = DEGREE)
     The strain energy is :math:`\frac D2\int w_{xx}^2 + w_{yy}^2 + 2\nu w_{xx}w_{yy} + 2(1-\nu)w_{xy}^2`; the free
     edges are its natural boundary conditions, so polynomials need not meet any. Modes of unlike symmetry are
     computed apart, which also tells modes of equal frequency apart.
-
-    Parameters
-    ----------
-    aspect : float
-        Width over length.
-    poisson : float
-        Poisson's ratio.
-    modes : int
-        How many flexible modes.
-    degree : int
-        Of the polynomials along each side.
-
-    Raises
-    ------
-    InputError
-        When the polynomials give fewer modes than twice those wanted, so that the last would be poor.
     """
     require_count("modes", modes)
     size = require_count("degree", degree, at_least=3) + 1

@@ -14,10 +14,11 @@ from stillwork.base.checks import InputError, require_array, require_choice, req
 from stillwork.control.applications import compensator
 from stillwork.control.bandwidth import Loop, make_loop
 from stillwork.control.discrete_damping import discrete_damping_gain
-from stillwork.estimation.observer import NoiseIntensities, Observer, kalman_observer
+from stillwork.estimation.observer import Observer, kalman_observer
 from stillwork.estimation.scheduled import GainTable
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.reduction import truncate
+from stillwork.lti.state_space import StateModel
 
 MOVING = ("sensor", "actuator")
 
@@ -28,19 +29,10 @@ def stage_grid(spacing: float = 0.05) -> Float64[np.ndarray, " masses"]:
 
 
 def at_place(plant: ModalModel, grid: ArrayLike, place: float, moves: str = "sensor") -> ModalModel:
-    """The machine with its sensor, or its actuator, at one place of the structure.
+    """The machine with its sensor, or its actuator, at one place (m), also between the points of the grid.
 
-    Parameters
-    ----------
-    plant : ModalModel
-        One input, one output a grid point, without feedthrough.
-    grid : array_like, shape (outputs,)
-        Where the outputs sit (m), ascending; mode shapes between them are splines.
-    place : float
-        m.
-    moves : str
-        ``sensor``: output position dependence, the force stays where it is. ``actuator``: input position
-        dependence, the force acts at `place` and the position is measured where the plant's own force acts.
+    A moving ``sensor`` is output position dependence, the force stays where it is. A moving ``actuator`` is input
+    position dependence: the force acts at `place`, and the position is measured where the plant's own force acts.
     """
     require_choice("moves", moves, MOVING)
     if plant.input_shapes.shape[1] != 1 or np.any(plant.feedthrough):
@@ -64,11 +56,6 @@ def require_seen(plant: ModalModel, grid: ArrayLike, places: ArrayLike, modes: S
     """Refuse a trajectory of the sensor on which one of `modes` is not observable at some sample.
 
     A stable mode may be lost for a while (the system stays detectable); a rigid-body mode may not.
-
-    Raises
-    ------
-    InputError
-        Naming the mode and the first place.
     """
     places = require_array("places", places, ndim=1)
     shapes = shapes_along(plant, grid, places)
@@ -87,13 +74,18 @@ def observer_at(
     plant: ModalModel,
     grid: ArrayLike,
     place: float,
-    noise: NoiseIntensities | None = None,
     noise_model: float | None = None,
-    moves: str = "sensor",
 ) -> Observer:
     """Stationary observer for one place: matrices, compliance and gain of (4.6) belong to it."""
-    reduced = truncate(at_place(plant, grid, place, moves), RETAINED, COMPENSATED)
-    return kalman_observer(reduced, noise or published_noise(), noise_model)
+    reduced = truncate(at_place(plant, grid, place), RETAINED, COMPENSATED)
+    return kalman_observer(reduced, published_noise(), noise_model)
+
+
+def compensator_at(plant: ModalModel, grid: ArrayLike, place: float, design: Design) -> StateModel | None:
+    """Compensator of a design on the observer of one place; None without observer."""
+    if design.application is None:
+        return None
+    return compensator(observer_at(plant, grid, place, design.noise_model), design.application)
 
 
 def place_loops(
@@ -101,19 +93,13 @@ def place_loops(
     grid: ArrayLike,
     places: ArrayLike,
     design: Design,
-    noise: NoiseIntensities | None = None,
-    moves: str = "sensor",
     **response_grid,
 ) -> list[Loop]:
     """One loop a place, with the observer of that place; `response_grid` goes to `make_loop`."""
-    loops = []
-    for place in require_array("places", places, ndim=1):
-        block = None
-        if design.application is not None:
-            observer = observer_at(plant, grid, float(place), noise, design.noise_model, moves)
-            block = compensator(observer, design.application)
-        loops.append(make_loop(at_place(plant, grid, float(place), moves), block, **response_grid))
-    return loops
+    return [
+        make_loop(at_place(plant, grid, place), compensator_at(plant, grid, place, design), **response_grid)
+        for place in require_array("places", places, ndim=1).tolist()
+    ]
 
 
 def damping_along(
@@ -121,10 +107,7 @@ def damping_along(
 ) -> Float64[np.ndarray, "places 1 states"]:
     """Discrete damping gains (4.3) of an actuator that moves along the structure, solved at every place.
 
-    Raises
-    ------
-    InputError
-        Naming the place, when the actuator sits on a node of a retained mode there: no gain damps that mode.
+    On a node of a retained mode no gain damps that mode: the error names the place.
     """
     gains = []
     for place in require_array("places", places, ndim=1):
@@ -139,13 +122,7 @@ def damping_along(
 def damping_table(
     plant: ModalModel, grid: ArrayLike, places: ArrayLike, increase: float | ArrayLike, step: float
 ) -> GainTable:
-    """The same gains computed beforehand on a grid of places, for linear interpolation.
-
-    Raises
-    ------
-    InputError
-        As `damping_along`, and when a node lies between two places of the grid, where the gain has a pole.
-    """
+    """The same gains computed beforehand on a grid of places, for linear interpolation; a node in between is refused."""
     places = require_array("places", places, ndim=1)
     if len(places) < 2 or np.any(np.diff(places) <= 0):
         raise InputError("places must hold at least two places in ascending order")

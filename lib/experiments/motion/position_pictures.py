@@ -9,10 +9,18 @@ from numpy.typing import ArrayLike
 from experiments.motion.designs import Design
 from experiments.motion.location_study import LocationStudy, location_loops, stage_error, study_locations
 from experiments.motion.machines import published_setpoint, stage, stage_mass
-from experiments.motion.pictures import LABELS, add_magnitude, case_styles, decibel
+from experiments.motion.performance_pictures import paint_errors
+from experiments.motion.pictures import (
+    LABELS,
+    add_magnitude,
+    case_styles,
+    mark_limit,
+    paint_limited,
+    paint_magnitudes,
+)
 from experiments.motion.position_dependence import place_loops, stage_grid
 from stillwork.control.applications import Application
-from stillwork.control.bandwidth import SIX_DB, Loop
+from stillwork.control.bandwidth import Loop
 from stillwork.control.ideal_feedforward import Force
 from stillwork.control.pid import Pid, PidFamily
 from stillwork.control.setpoint import Setpoint
@@ -28,97 +36,69 @@ def colours(count: int) -> list[str]:
     return [to_hex(colormaps["viridis"](0.92 * k / max(count - 1, 1))) for k in range(count)]
 
 
-def _frequencies(loops: Sequence[Loop], low_hz: float, high_hz: float) -> np.ndarray:
-    """One grid for all places, dense at the poles of plants and compensators, as far as a picture shows."""
-    poles = np.concatenate([loops[0].plant.poles, *(loop.compensator.poles for loop in loops[::3])])
-    return resonance_grid(poles, low_hz, high_hz, 250, 6)
+def _along(loops: Mapping[float, Loop], low_hz: float, high_hz: float):
+    """One grid for all places, dense at the poles of plants and compensators, and each loop's label and line."""
+    each = list(loops.values())
+    poles = np.concatenate([each[0].plant.poles, *(loop.compensator.poles for loop in each[::3])])
+    styles = [{"color": colour, "linewidth": 1.0} for colour in colours(len(loops))]
+    lines = zip([f"{place:g} m" for place in loops], each, styles, strict=True)
+    return resonance_grid(poles, low_hz, high_hz, 250, 6), list(lines)
 
 
 def paint_sensitivities(
     loops: Mapping[float, Loop],
     controller: Pid,
     functions: Sequence[str] = ("input_sensitivity", "output_sensitivity"),
-    low_hz: float = 10.0,
-    high_hz: float = 2e3,
 ):
     """Loop functions with one controller, a line a place (m), and the allowed 6 dB."""
-    figure, axes = figures.new(1, len(functions), height=3.4, sharey=True, squeeze=False)
-    omega = _frequencies(list(loops.values()), low_hz, high_hz)
-    for axis, function in zip(axes[0], functions, strict=True):
-        for colour, (place, loop) in zip(colours(len(loops)), loops.items(), strict=True):
-            response = getattr(loop.at(controller, omega), function)
-            add_magnitude(axis, omega, response, color=colour, linewidth=1.0, label=f"{place:g} m")
-        axis.axhline(20 * np.log10(SIX_DB), color=figures.BLACK, linestyle=":", linewidth=1.0)
-        axis.set_title(LABELS[function])
-        axis.set_xlabel("frequency (Hz)")
-        axis.set_ylim(-15, 12)
-    axes[0, 0].set_ylabel("magnitude (dB)")
-    axes[0, 0].legend(ncols=2, loc="lower right", fontsize=7)
-    return figure
+    omega, lines = _along(loops, 10.0, 2e3)
+    panels = {
+        LABELS[function]: {
+            label: (omega, getattr(loop.at(controller, omega), function), style)
+            for label, loop, style in lines
+        }
+        for function in functions
+    }
+    return paint_limited(panels, -15, 12, 3.4)
 
 
-def paint_equivalent_controllers(
-    loops: Mapping[float, Loop], controller: Pid, low_hz: float = 1.0, high_hz: float = 3e3
-):
+def paint_equivalent_controllers(loops: Mapping[float, Loop], controller: Pid):
     """Equivalent controllers from r and from y to the plant input, a line a place (m), beside the controller."""
-    figure, axes = figures.new(1, 2, height=3.4, sharey=True)
-    omega = _frequencies(list(loops.values()), low_hz, high_hz)
-    hertz = omega / (2 * np.pi)
-    original = decibel(controller.frequency_response(omega))
-    for axis in axes:
-        axis.semilogx(hertz, original, color=figures.GREY, linewidth=2.5, label="controller")
-    for colour, (place, loop) in zip(colours(len(loops)), loops.items(), strict=True):
-        response = loop.at(controller, omega)
-        for axis, c in zip(axes, (response.reference_controller, response.output_controller), strict=True):
-            axis.semilogx(hertz, decibel(c), color=colour, linewidth=1.0, label=f"{place:g} m")
-    for axis, title in zip(axes, ("$r$ to $f$", "$y$ to $f$"), strict=True):
-        axis.set_title(title)
-        axis.set_xlabel("frequency (Hz)")
-    axes[0].set_ylabel("magnitude (dB re 1 N/m)")
-    axes[0].legend(ncols=2, fontsize=7)
+    omega, lines = _along(loops, 1.0, 3e3)
+    broad = {"color": figures.GREY, "linewidth": 2.5}
+    panels = {
+        title: {"controller": (omega, controller.frequency_response(omega), broad)}
+        | {label: (omega, getattr(loop.at(controller, omega), name), style) for label, loop, style in lines}
+        for title, name in (("$r$ to $f$", "reference_controller"), ("$y$ to $f$", "output_controller"))
+    }
+    figure, axes = paint_magnitudes(panels, "magnitude (dB re 1 N/m)", height=3.4, sharey=True)
+    axes[0, 0].legend(ncols=2, fontsize=7)
     return figure
 
 
-def paint_observers(loops: Mapping[float, Loop], low_hz: float = 1.0, high_hz: float = 3e3):
+def paint_observers(loops: Mapping[float, Loop]):
     """Observers from u and from y to the damping force and to the estimated deformation, a line a place (Fig. 4.2)."""
-    figure, axes = figures.new(2, 2, height=5.0, sharex=True)
-    omega = _frequencies(list(loops.values()), low_hz, high_hz)
-    titles = (
-        ("$u$ to $u_d$", "$y$ to $u_d$"),
-        (r"$u$ to $\hat y_{flex}$", r"$y$ to $\hat y_{flex}$"),
-    )
-    units = (("dB re 1 N/N", "dB re 1 N/m"), ("dB re 1 m/N", "dB re 1 m/m"))
-    for colour, (place, loop) in zip(colours(len(loops)), loops.items(), strict=True):
-        response = loop.compensator.frequency_response(omega)
-        for row in (0, 1):
-            for column in (0, 1):
-                add_magnitude(
-                    axes[row, column],
-                    omega,
-                    response[row, column],
-                    color=colour,
-                    linewidth=1.0,
-                    label=f"{place:g} m",
-                )
-    for row in (0, 1):
-        for column in (0, 1):
-            axes[row, column].set_title(titles[row][column])
-            axes[row, column].set_ylabel(f"magnitude ({units[row][column]})")
-    for axis in axes[1]:
-        axis.set_xlabel("frequency (Hz)")
+    omega, lines = _along(loops, 1.0, 3e3)
+    found = [(label, loop.compensator.frequency_response(omega), style) for label, loop, style in lines]
+    units = {
+        "$u$ to $u_d$": "N/N",
+        "$y$ to $u_d$": "N/m",
+        r"$u$ to $\hat y_{flex}$": "m/N",
+        r"$y$ to $\hat y_{flex}$": "m/m",
+    }
+    panels = {
+        title: {label: (omega, response[divmod(k, 2)], style) for label, response, style in found}
+        for k, title in enumerate(units)
+    }
+    figure, axes = paint_magnitudes(panels, rows=2, height=5.0, sharex=True)
+    for axis, unit in zip(axes.ravel(), units.values(), strict=True):
+        axis.set_ylabel(f"magnitude (dB re 1 {unit})")
     axes[0, 0].legend(ncols=2, fontsize=7)
     return figure
 
 
 def paint_location_errors(study: LocationStudy, panels: Mapping[str, str]):
-    """Tracking errors at all places, a panel a case: the band they fill in half a millisecond, and three of them (Figs 4.10, 4.11).
-
-    Parameters
-    ----------
-    study : LocationStudy
-    panels : mapping
-        Title to the name of a case.
-    """
+    """Tracking errors at all places, a panel a case: the band they fill in half a millisecond, and three of them (Figs 4.10, 4.11)."""
     figure, axes = figures.new(2, 2, height=4.6, sharex=True, sharey=True)
     time = study.setpoint.time
     starts = np.arange(0, len(time), max(round(5e-4 / study.setpoint.step), 1))  # a pixel of the picture each
@@ -136,10 +116,7 @@ def paint_location_errors(study: LocationStudy, panels: Mapping[str, str]):
             axis.axvline(edge, color=figures.BLACK, linewidth=0.8)
         axis.set_title(f"{title}: {1e9 * size.min():.1f} to {1e9 * size.max():.1f} nm rms")
     figures.legend_below(axes[0, 0], 3, fontsize=7)
-    for axis in axes[:, 0]:
-        axis.set_ylabel("error (nm)")
-    for axis in axes[-1]:
-        axis.set_xlabel("time (s)")
+    figures.label(axes, "time (s)", "error (nm)")
     return figure
 
 
@@ -161,19 +138,7 @@ def paint_table_of_ranges(
     spread: Mapping[str, np.ndarray],
     published: Mapping[str, ArrayLike],
 ):
-    """Smallest, mean and largest rms error of every case, their spread over the ranges, and the published values.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Cases, from left to right.
-    whole : mapping of str to ndarray, shape (3,)
-        nm, over all of the structure.
-    spread : mapping of str to ndarray, shape (ranges, 3)
-        nm.
-    published : mapping of str to array_like, shape (3,)
-        nm.
-    """
+    """Smallest, mean and largest rms error (nm) of every case, their spread over the ranges, and the published values."""
     figure, axis = figures.new(1, 1, height=3.4)
     parts = (("smallest", -0.22, figures.GREEN), ("mean", 0.0, figures.BLUE), ("largest", 0.22, figures.RED))
     for k, (part, offset, colour) in enumerate(parts):
@@ -209,28 +174,19 @@ def paint_place(place: float, damping: float, compensate: str, noise_exponent: f
     omega = loop.omega[shown]
     response = loop.at(controller, omega)
     figure, (left, right) = figures.new(1, 2, height=3.0)
-    hertz = omega / (2 * np.pi)
-    left.semilogx(
-        hertz,
-        decibel(controller.frequency_response(omega)),
-        color=figures.GREY,
-        linewidth=2.5,
-        label="controller",
-    )
-    left.semilogx(hertz, decibel(response.output_controller), label="equivalent, y to f")
-    left.set_ylabel("magnitude (dB re 1 N/m)")
-    left.legend(fontsize=7)
-    stable = bool(np.all(loop.poles(controller).real < 0))
-    right.semilogx(hertz, decibel(response.input_sensitivity), label="input sensitivity")
-    right.semilogx(hertz, decibel(response.output_sensitivity), label="output sensitivity")
-    right.axhline(20 * np.log10(SIX_DB), color=figures.BLACK, linestyle=":", linewidth=1.0)
+    original = controller.frequency_response(omega)
+    add_magnitude(left, omega, original, color=figures.GREY, linewidth=2.5, label="controller")
+    add_magnitude(left, omega, response.output_controller, label="equivalent, y to f")
+    add_magnitude(right, omega, response.input_sensitivity, label="input sensitivity")
+    add_magnitude(right, omega, response.output_sensitivity, label="output sensitivity")
+    mark_limit(right)
     right.set_ylim(-20, 15)
-    right.set_ylabel("magnitude (dB)")
-    right.set_title("stable" if stable else "unstable")
-    right.legend(fontsize=7)
-    for axis in (left, right):
+    right.set_title("stable" if np.all(loop.poles(controller).real < 0) else "unstable")
+    for axis, unit in ((left, "dB re 1 N/m"), (right, "dB")):
         axis.set_xlabel("frequency (Hz)")
+        axis.set_ylabel(f"magnitude ({unit})")
         axis.xaxis.set_minor_locator(NullLocator())
+        axis.legend(fontsize=7)
     # The automatic layout, small ticks and formulas would take longer than the drawing.
     figure.set_layout_engine(None)
     figure.subplots_adjust(0.09, 0.16, 0.985, 0.91, wspace=0.2)
@@ -253,13 +209,5 @@ def paint_location(place: float, damping: float, compensate: str, bandwidth_hz: 
     if used:
         cases["observer"] = (Design(application, 0.03), controller)
     study = study_locations(location_loops(stage(), stage_grid(), [place], cases), force, setpoint)
-    figure, axis = figures.new(1, 1, height=2.8)
-    for name in cases:
-        label = f"{name}: {1e9 * study.rms(name)[0]:.2f} nm rms in the scan"
-        axis.plot(setpoint.time, 1e9 * study.errors[name][0], linewidth=0.9, label=label)
-    for edge in (setpoint.acceleration_end, setpoint.scan[1]):
-        axis.axvline(edge, color=figures.BLACK, linewidth=0.8)
-    axis.set_xlabel("time (s)")
-    axis.set_ylabel("error (nm)")
-    axis.legend(fontsize=7)
-    return figure
+    labels = {name: f"{name}: {1e9 * study.rms(name)[0]:.2f} nm rms in the scan" for name in cases}
+    return paint_errors(setpoint, {labels[name]: study.errors[name][0] for name in cases})

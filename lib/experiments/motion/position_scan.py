@@ -8,14 +8,13 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from experiments.motion.positions import shapes_along
-from experiments.motion.scan_study import output_rows
+from experiments.motion.scan_study import along_scan, contiguous, output_rows
 from stillwork.base.algebra import advance_state
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
 from stillwork.base.kernels import kernel
 from stillwork.control.feedback import band_pass, damping_gain
 from stillwork.control.pid import Pid
 from stillwork.control.setpoint import Setpoint, point_to_point
-from stillwork.estimation.riccati import discrete_gain
 from stillwork.estimation.robust import kalman_gains
 from stillwork.estimation.scheduled import gain_table, scheduled_gains
 from stillwork.estimation.time_varying import FilterGains, TimeVaryingModel
@@ -60,12 +59,7 @@ def position_scan(plant: ModalModel, grid: ArrayLike, setpoint: Setpoint, start:
 
 def observer_model(scan: PositionScan, process: float, sensor: float) -> TimeVaryingModel:
     """Four-mode model along the scan for the filters; variances of w (N^2) and of the measurement (m^2)."""
-    sampled = zoh_modes(scan.reduced, scan.setpoint.step)
-    c = output_rows(scan.shapes[:, :RETAINED])
-    q, r = np.array([[process]]), np.array([[sensor]])
-    start = discrete_gain(sampled.a, sampled.b, c[0], q, r)
-    initial = start.covariance - start.filter_gain @ c[0] @ start.covariance
-    return TimeVaryingModel(sampled.a, sampled.b, sampled.b, c, q, r, (initial + initial.T) / 2)
+    return along_scan(scan.reduced, scan.setpoint.step, scan.shapes[:, :RETAINED], process, sensor)
 
 
 @dataclass(frozen=True)
@@ -85,28 +79,11 @@ def run_applied(
     noise: ArrayLike,
     increase: float = 0.0,
     compensate: bool = False,
-    selectivity: float = 2.0,
 ) -> AppliedScan:
     """Simulate a scan with MC (`compensate`), AD (`increase` of the damping ratios) or both.
 
-    Parameters
-    ----------
-    scan : PositionScan
-    gains : FilterGains
-        In the loop at every sample; the compliance T_DC is taken off with the last held force.
-    controller : Pid
-        Sampled with a zero-order hold.
-    mass : float
-        Of the acceleration feedforward, kg.
-    noise : array_like, shape (3, samples)
-        w (N), v and d (m).
-    increase, compensate, selectivity
-        What the estimate is used for.
-
-    Raises
-    ------
-    InputError
-        When the loop does not stay bounded.
+    The compliance T_DC is taken off with the last held force. `noise` holds w (N), v and d (m); `mass` (kg) is that
+    of the acceleration feedforward.
     """
     setpoint, step = scan.setpoint, scan.setpoint.step
     samples = setpoint.derivatives.shape[1]
@@ -114,26 +91,19 @@ def run_applied(
     plant = zoh_modes(scan.plant, step)
     flexible = scan.reduced.frequencies[1:]
     gain = damping_gain(scan.reduced, increase)[0, 3::2] if increase else np.zeros(len(flexible))
-    filters = [zoh(band_pass(float(w), selectivity), step) for w in flexible]
+    filters = [zoh(band_pass(float(w), 2.0), step) for w in flexible]
     control = zoh(controller.state_space(), step)
     n = len(plant.a)
     estimates, states, error = np.zeros((samples, 2 * RETAINED)), np.zeros((samples, n)), np.zeros(samples)
     with np.errstate(over="ignore", invalid="ignore"):
         _applied(
-            *(np.ascontiguousarray(m) for m in (plant.a, plant.b[:, 0], scan.shapes, scan.compliance)),
-            *(np.ascontiguousarray(m) for m in (gains.forward, gains.inputs[:, :, 0], gains.gain[:, :, 0])),
-            np.ascontiguousarray(gains.outputs[:, 0]),
-            *(np.ascontiguousarray(m) for m in (control.a, control.b[:, 0], control.c[0])),
-            np.array([f.a for f in filters]),
-            np.array([f.b[:, 0] for f in filters]),
-            gain,
+            contiguous(plant.a, plant.b[:, 0], scan.shapes, scan.compliance),
+            contiguous(gains.forward, gains.inputs[:, :, 0], gains.gain[:, :, 0], gains.outputs[:, 0]),
+            contiguous(control.a, control.b[:, 0], control.c[0]),
+            contiguous([f.a for f in filters], [f.b[:, 0] for f in filters], gain),
             float(compensate),
-            setpoint.derivatives[0].copy(),
-            mass * setpoint.derivatives[2],
-            noise,
-            estimates,
-            states,
-            error,
+            contiguous(setpoint.derivatives[0], mass * setpoint.derivatives[2], noise),
+            (estimates, states, error),
         )
     if not np.all(np.isfinite(error)) or np.abs(error).max() > 1.0:
         raise InputError("the loop with this observer is unstable; lower the controller's bandwidth")
@@ -142,29 +112,11 @@ def run_applied(
 
 
 @kernel
-def _applied(
-    a,
-    b,
-    shapes,
-    compliance,
-    forward,
-    inputs,
-    gain,
-    outputs,
-    ca,
-    cb,
-    cc,
-    fa,
-    fb,
-    damping,
-    compensate,
-    reference,
-    feedforward,
-    noise,
-    estimates,
-    states,
-    error,
-):
+def _applied(plant, observer, control, filters, compensate, given, found):
+    a, b, shapes, compliance = plant
+    forward, inputs, gain, outputs = observer
+    (ca, cb, cc), (fa, fb, damping) = control, filters
+    (reference, feedforward, noise), (estimates, states, error) = given, found
     samples, n, m, modes = len(reference), a.shape[0], ca.shape[0], fa.shape[0]
     r = forward.shape[1]
     x, x_next, z, z_next = np.zeros(n), np.zeros(n), np.zeros(m), np.zeros(m)
@@ -241,18 +193,7 @@ def compare_schedules(
 ) -> dict[str, ScheduleComparison]:
     """Scans at equally spaced starts over all of the structure, each with both gain schedules and the same noise.
 
-    Parameters
-    ----------
-    plant, grid, setpoint, mass
-        See `position_scan` and `run_applied`.
-    cases : mapping of str to tuple
-        Any name to a key of `APPLICATIONS` and the controller.
-    scans : int
-    spacing : float
-        Of the table's grid (m), 5 mm in the thesis.
-    deviations : tuple of float
-        Of w (N), v and d (m).
-    rng : numpy.random.Generator
+    `cases` hold a key of `APPLICATIONS` and the controller; `spacing` is that of the table (m), 5 mm in the thesis.
     """
     for application, _ in cases.values():
         require_choice("application", application, APPLICATIONS)

@@ -11,22 +11,7 @@ from stillwork.lti.modal import ModalModel
 def shapes_along(
     model: ModalModel, grid: ArrayLike, places: ArrayLike
 ) -> Float64[np.ndarray, "samples modes"]:
-    """Mode shapes at places between the outputs of a model, by cubic splines through them.
-
-    Parameters
-    ----------
-    model : ModalModel
-        One output a grid point.
-    grid : array_like, shape (outputs,)
-        Where the outputs sit (m), ascending.
-    places : array_like, shape (samples,)
-        Where the sensor looks (m).
-
-    Raises
-    ------
-    InputError
-        When the schedule leaves the grid: the shapes are not known there.
-    """
+    """Mode shapes at places (m) between the outputs of a model, which sit on a `grid`, by cubic splines through them."""
     from scipy.interpolate import CubicSpline
 
     grid = require_array("grid", grid, shape=(len(model.output_shapes),))

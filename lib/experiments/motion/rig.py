@@ -107,12 +107,6 @@ def rig_model(geometry: Geometry, higher_modes: int | None = None) -> ModalModel
     The shapes of the first eight flexible modes are the plate's, in the order of its frequencies; their
     frequencies and damping are those of Table 6.1. The plate's next modes follow in the plate's own proportion
     to the eighth, with the damping of the eighth.
-
-    Parameters
-    ----------
-    geometry : Geometry
-    higher_modes : int, optional
-        Modes above the eight of the table.
     """
     p = published()
     table = 2 * np.pi * np.array(p["frequencies_hz"])
@@ -139,11 +133,6 @@ def decoupling(geometry: Geometry, actuators: tuple[int, ...], sensors: tuple[in
 
     The directions are scaled to motions of the edges, all in m: u and q hold z, and rx and ry times half the
     width and half the length. So singular values over directions compare like with like.
-
-    Raises
-    ------
-    InputError
-        When fewer than three places are given, or they stand in line.
     """
     matrices = []
     for name, places, chosen in (

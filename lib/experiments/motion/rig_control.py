@@ -10,6 +10,7 @@ from scipy import linalg, signal
 from scipy.optimize import linear_sum_assignment
 
 from stillwork.base.checks import InputError, require_number
+from stillwork.control.applications import filtered_estimates
 from stillwork.control.discrete_damping import sampled_feedback
 from stillwork.control.discrete_observer import DiscreteObserver, discrete_kalman_observer
 from stillwork.control.feedback import band_pass, damping_gain, fed_back
@@ -17,7 +18,7 @@ from stillwork.control.pid import Pid
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti.discretisation import tustin, zoh_modes
 from stillwork.lti.modal import ModalModel
-from stillwork.lti.state_space import StateModel, interconnect
+from stillwork.lti.state_space import StateModel
 
 
 def pid_response(
@@ -35,19 +36,7 @@ def warped(step: float, omega: Float64[np.ndarray, " frequencies"]) -> Float64[n
 def rig_observer(
     model: ModalModel, noise: NoiseIntensities, step: float, noise_model: float | None = None
 ) -> DiscreteObserver:
-    """Stationary Kalman observer of chapter 6, from covariances a sample as (6.2) prints them.
-
-    Parameters
-    ----------
-    model : ModalModel
-        Reduced model; its feedthrough is the compliance of the modes left out.
-    noise : NoiseIntensities
-        Here covariances a sample: N^2 and m^2.
-    step : float
-        s.
-    noise_model : float, optional
-        Covariance Q_nu a sample (N^2) of a random walk at every input.
-    """
+    """Stationary Kalman observer of chapter 6, from covariances a sample as (6.2) prints them (N^2, m^2, N^2)."""
     require_number("step", step, above=0.0)
     if noise_model is not None:
         noise_model = require_number("noise_model", noise_model, above=0.0) / step
@@ -78,13 +67,6 @@ class RigCompensator:
     def _estimator(self) -> StateModel:
         return self.observer.estimator(self._read(), "predictor", 1)
 
-    def _filters(self) -> list[StateModel]:
-        if self.selectivity is None:
-            return []
-        omega = self.observer.model.frequencies[self.observer.model.rigid_modes :]
-        step = self.observer.step
-        return [tustin(band_pass(float(w), self.selectivity), step, float(w)) for w in omega]
-
     def frequency_response(
         self, omega: Float64[np.ndarray, " frequencies"]
     ) -> Complex128[np.ndarray, "signals signals frequencies"]:
@@ -102,19 +84,12 @@ class RigCompensator:
 
     def state_space(self) -> StateModel:
         """The same block with its states, for closed loops; without damping the filters are left out."""
-        inputs, outputs = self.gains.shape[0], len(self.observer.c)
-        both = inputs + outputs
         if not np.any(self.gains) or self.selectivity is None:
-            damping = self.observer.read(self.gains, "velocity")
+            damping, outputs = self.observer.read(self.gains, "velocity"), len(self.observer.c)
             return self.observer.estimator(np.vstack([damping, self._read()[:outputs]]), "predictor", 1)
-        estimator, filters = self._estimator, self._filters()
-        count = len(filters)
-        feedback = np.zeros((both + count, outputs + 2 * count))
-        feedback[both:, outputs : outputs + count] = np.eye(count)
-        take = np.zeros((both, outputs + 2 * count))
-        take[:inputs, outputs + count :] = self.gains
-        take[inputs:, :outputs] = np.eye(outputs)
-        return interconnect([estimator, *filters], feedback, np.eye(both + count, both), take)
+        omega, step = self.observer.model.frequencies[self.observer.model.rigid_modes :], self.observer.step
+        filters = [tustin(band_pass(float(w), self.selectivity), step, float(w)) for w in omega]
+        return filtered_estimates(self._estimator, filters, self.gains)
 
 
 def rig_compensator(
@@ -123,22 +98,9 @@ def rig_compensator(
     target_damping: float | None = None,
     selectivity: float | None = 2.0,
 ) -> RigCompensator:
-    """Compensator for MC, AD or both.
+    """Compensator for MC, AD or both: one damping ratio for all modes, (4.17) with the factor 2 omega that it lacks.
 
-    Parameters
-    ----------
-    observer : DiscreteObserver
-    compensate : bool
-        Subtract the estimated flexible part from the measurement.
-    target_damping : float, optional
-        Damping ratio that every flexible mode shall have, (4.17) with the factor 2 omega that it lacks.
-    selectivity : float, optional
-        Q of one band-pass a mode, (4.16); None: no filter.
-
-    Raises
-    ------
-    InputError
-        When a mode is damped more than that already, or an actuator cannot reach it.
+    `selectivity` is the Q of one band-pass a mode, (4.16); None: no filter.
     """
     model = observer.model
     rigid = model.rigid_modes
@@ -175,11 +137,6 @@ def placed_damping(model: ModalModel, target: float, step: float) -> Float64[np.
     """Damping ratios that pole placement on the sampled flexible modes reaches (section 4.1.2), ascending frequency.
 
     The frequencies stay, all damping ratios shall become `target`. The gain acts on positions too.
-
-    Raises
-    ------
-    InputError
-        When two modes have the same frequency, or the poles cannot be placed.
     """
     flexible = model.modes(slice(model.rigid_modes, None))
     require_number("target", target, above=0.0, below=1.0)

@@ -81,21 +81,8 @@ def rig_loops(
 ) -> dict[str, list[RigLoop]]:
     """Loops of the wanted cases, each at all positions.
 
-    Parameters
-    ----------
-    geometry : Geometry
-    settings : RigSettings
-    errors : ndarray, optional
-        Relative errors of the observer's frequencies.
-    positions : sequence of tuple of int
-        Sensors in use.
-    omega : ndarray, optional
-        Frequencies, see `make_rig_loop`.
-    cases : tuple of str
-        From `CASES`.
-    known : ModalModel, optional
-        What the observers work with, at all four actuators and sensors, such as an identified model; by default
-        the rig's own eight modes and the compliance of the others.
+    The observers work with the rig's own eight modes, off by `errors`, and the compliance of the others; or with what
+    is `known` at all four actuators and sensors, such as an identified model.
     """
     full, used = rig_model(geometry), geometry.used
     loops = {case: [] for case in cases}

@@ -1,14 +1,12 @@
 """Identification of the rig as in section 6.2: four multisine experiments in closed loop, one modal model."""
 
-from dataclasses import replace
-
 import numpy as np
 from jaxtyping import Complex128, Float64
 
 from experiments.motion.rig import Geometry, decoupling, rig_model
 from experiments.motion.rig_designs import RigSettings, rig_controllers
 from stillwork.base.checks import InputError, require_array, require_count, require_number
-from stillwork.control.loops import channel, closed_loop, no_observer
+from stillwork.control.loops import channel, closed_loop
 from stillwork.identification.multisine import (
     MultisineRecords,
     ResponseMatrix,
@@ -30,18 +28,10 @@ def four_sensor_controller(geometry: Geometry, settings: RigSettings, bandwidth_
 
 
 def identification_loop(geometry: Geometry, settings: RigSettings, bandwidth_hz: float) -> StateModel:
-    """All four actuators and sensors under a slow controller, as `run_multisine` takes it.
-
-    Parameters
-    ----------
-    geometry : Geometry
-    settings : RigSettings
-    bandwidth_hz : float
-        Design bandwidth of all three directions.
-    """
+    """All four actuators and sensors under a slow controller, as `run_multisine` takes it."""
     plant = zoh_modes(rig_model(geometry), settings.step)
     controller = four_sensor_controller(geometry, settings, bandwidth_hz)
-    closed = closed_loop(plant, replace(no_observer(plant), step=settings.step), controller)
+    closed = closed_loop(plant, None, controller)
     inputs = [channel(closed, name, "f", 4, 4) for name in ("u_ff", "w", "d")]
     outputs = [channel(closed, name, "e_meas", 4, 4) for name in ("u_ff", "w", "d")]
     # Without a setpoint the measured error is minus the measurement.
@@ -61,24 +51,12 @@ def rig_records(
     rng: np.random.Generator,
     rms: float,
     realisations: int,
-    periods: int = 2,
-    samples: int = 16384,
-    settling: int = 2,
+    **experiment,
 ) -> MultisineRecords:
-    """Simulated records of the experiments of section 6.2, with force and sensor noise of (6.2)."""
-    noise = settings.noise
-    return run_multisine(
-        identification_loop(geometry, settings, bandwidth_hz),
-        4,
-        4,
-        (np.sqrt(noise.process), np.sqrt(noise.sensor)),
-        rng,
-        samples=samples,
-        rms=rms,
-        realisations=realisations,
-        periods=periods,
-        settling=settling,
-    )
+    """Simulated records of section 6.2, with force and sensor noise of (6.2); the rest goes to `run_multisine`."""
+    loop, noise = identification_loop(geometry, settings, bandwidth_hz), settings.noise
+    deviations = np.sqrt(noise.process), np.sqrt(noise.sensor)
+    return run_multisine(loop, 4, 4, deviations, rng, rms=rms, realisations=realisations, **experiment)
 
 
 def true_response(
@@ -100,17 +78,6 @@ def predicted_deviation(
 
     The error of an experiment is (G w + d) over the excitation, turned by the inverse of the input responses,
     I + C G.
-
-    Parameters
-    ----------
-    geometry, settings, bandwidth_hz
-        The loop.
-    omega : ndarray
-        rad/s.
-    rms : float
-        Of the excitation (N).
-    averages : int
-        Realisations times periods.
     """
     require_number("rms", rms, above=0.0)
     require_count("averages", averages)
@@ -146,16 +113,7 @@ def convergence(
     top_hz: float,
     counts: tuple[int, ...],
 ) -> dict[str, list[float]]:
-    """`mean_relative_error` of the joint and of the direct estimate from the first realisations.
-
-    Parameters
-    ----------
-    records : MultisineRecords
-    geometry, settings
-    top_hz : float
-    counts : tuple of int
-        Numbers of realisations.
-    """
+    """`mean_relative_error` of the joint and of the direct estimate from the first realisations."""
     found = {"joint input-output": [], "direct": []}
     for count in counts:
         part = MultisineRecords(
@@ -178,10 +136,9 @@ def direct_response(records: MultisineRecords) -> Complex128[np.ndarray, "lines 
     return pairs[0] @ np.linalg.inv(pairs[1])
 
 
-def smoothed_deviation(estimate: ResponseMatrix, lines: int = 15) -> Float64[np.ndarray, " lines"]:
-    """Deviation over frequency: root mean square over entries and over neighbouring lines."""
-    require_count("lines", lines)
+def smoothed_deviation(estimate: ResponseMatrix) -> Float64[np.ndarray, " lines"]:
+    """Deviation over frequency: root mean square over entries and over fifteen neighbouring lines."""
     power = (estimate.deviation**2).mean(axis=(1, 2))
-    kernel = np.ones(lines)
+    kernel = np.ones(15)
     sums = np.convolve(power, kernel, mode="same") / np.convolve(np.ones_like(power), kernel, mode="same")
     return np.sqrt(require_array("deviation", sums))

@@ -16,7 +16,7 @@ from stillwork.base.rounding import first_largest
 from stillwork.control.bandwidth import SIX_DB
 from stillwork.control.crossover import crossover
 from stillwork.control.decoupling import Decoupling
-from stillwork.control.loops import closed_loop, no_observer
+from stillwork.control.loops import closed_loop
 from stillwork.control.pid import Pid, PidFamily
 from stillwork.lti.discretisation import tustin, zoh_modes, zoh_response
 from stillwork.lti.modal import ModalModel
@@ -26,6 +26,9 @@ from stillwork.lti.state_space import StateModel, interconnect
 # Section 6.1: both orders of the plant with the controller, at the controller and at the plant, and the true error.
 MEASURES = ("singular values", "diagonal")  # what "peak below 6 dB" means for a matrix is not printed
 FUNCTIONS = ("S_I", "S_I2", "S_O", "S_O2", "true_tracking")
+
+RATIO = 1.1  # of the search, a step on its way up
+TOLERANCE = 1e-3  # relative width at which its bisection stops
 
 
 @dataclass(frozen=True)
@@ -54,12 +57,8 @@ class RigLoop:
 
     def closed(self, pids: Sequence[Pid]) -> StateModel:
         """Closed loop in discrete time; its signals are `stillwork.control.loops.INPUTS` and ``OUTPUTS``."""
-        plant = zoh_modes(self.plant, self.step)
-        if self.compensator is None:
-            block = replace(no_observer(plant), step=self.step)
-        else:
-            block = self.compensator.state_space()
-        return closed_loop(plant, block, self.controller(pids))
+        block = None if self.compensator is None else self.compensator.state_space()
+        return closed_loop(zoh_modes(self.plant, self.step), block, self.controller(pids))
 
     def controller(self, pids: Sequence[Pid]) -> StateModel:
         """Gamma C_fb Upsilon, from the errors at the sensors to forces."""
@@ -78,27 +77,11 @@ def make_rig_loop(
     decoupling: Decoupling,
     step: float,
     omega: Float64[np.ndarray, " frequencies"] | None = None,
-    *,
-    low_hz: float = 0.3,
-    points: int = 80,
-    around: int = 8,
 ) -> RigLoop:
-    """Prepare one position.
+    """Prepare one position: three actuators to three sensors.
 
-    Parameters
-    ----------
-    plant : ModalModel
-        Three actuators to three sensors.
-    compensator : RigCompensator, optional
-        None: no observer.
-    decoupling : Decoupling
-    step : float
-        s.
-    omega : ndarray, optional
-        rad/s; by default up to the Nyquist frequency, dense around every mode of the plant and every lightly
-        damped pole of the observer.
-    low_hz, points, around
-        Of that default, see `stillwork.lti.resonance_grid`.
+    The grid (rad/s) goes by default up to the Nyquist frequency, dense around every mode of the plant and every
+    lightly damped pole of the observer.
     """
     if plant.feedthrough.shape != (3, 3):
         raise InputError("plant must have three inputs and three outputs; pick them with plant.at")
@@ -109,7 +92,7 @@ def make_rig_loop(
             sampled = linalg.eigvals(observer.a - observer.a @ observer.gain @ observer.c)
             own = np.log(sampled[np.abs(sampled) > 1e-3].astype(complex)) / step
             poles = np.concatenate([poles, own[np.abs(own.real) < 0.1 * np.abs(own)]])
-        omega = resonance_grid(poles, low_hz, 0.499 / step, points, around)
+        omega = resonance_grid(poles, 0.3, 0.499 / step, 80, 8)
     p = np.moveaxis(zoh_response(plant, step, omega), -1, 0)
     o = np.zeros((len(omega), 6, 6), complex)
     if compensator is not None:
@@ -166,15 +149,7 @@ def peaks(
 def sizes(
     loop: RigLoop, pids: Sequence[Pid], measure: str = "singular values"
 ) -> Float64[np.ndarray, "functions frequencies"]:
-    """Size of the five loop functions over frequency.
-
-    Parameters
-    ----------
-    loop : RigLoop
-    pids : sequence of Pid
-    measure : str
-        ``singular values``, the largest one; ``diagonal``, the largest magnitude on the diagonal.
-    """
+    """Size of the five loop functions over frequency: largest singular value, or magnitude on the diagonal."""
     require_choice("measure", measure, MEASURES)
     return _sizes(*_arrays(loop, pids), measure == "diagonal")
 
@@ -206,45 +181,18 @@ def maximise_rig_bandwidth(
     loops: Sequence[RigLoop],
     family: RigControllers,
     measure: str = "singular values",
-    limit: float = SIX_DB,
     low_hz: float = 1.5,
     high_hz: float = 60.0,
-    ratio: float = 1.1,
-    tolerance: float = 1e-3,
 ) -> RigBandwidth:
-    """Largest bandwidths for which every position is stable and every loop function stays below `limit`.
+    """Largest bandwidths for which every position is stable and every loop function stays below 6 dB.
 
     All directions are raised together first; then the rotations alone, then z alone, as far as each still can.
     Along the way no peak exceeds the limit, so no pole can cross the unit circle; the start and the end are
     checked by eigenvalues.
-
-    Parameters
-    ----------
-    loops : sequence of RigLoop
-        One a position.
-    family : RigControllers
-    measure : str
-        How large a matrix is, see `sizes`.
-    limit : float
-        On that size.
-    low_hz, high_hz : float
-        Range of the design bandwidths.
-    ratio : float
-        Step of the way up.
-    tolerance : float
-        Relative width at which the bisection stops.
-
-    Raises
-    ------
-    Infeasible
-        When the lowest bandwidth is not feasible.
-    InputError
-        When the highest bandwidth still is.
     """
     require_choice("measure", measure, MEASURES)
     if not loops:
         raise InputError("loops is empty; give at least one position")
-    require_number("limit", limit, above=1.0)
     require_number("high_hz", high_hz, above=require_number("low_hz", low_hz, above=0.0))
     loops, start = list(loops), low_hz
     for _ in range(4):  # the grids gain points around the peaks that stop the search, until these stand
@@ -253,7 +201,7 @@ def maximise_rig_bandwidth(
         def feasible(z_hz: float, rotation_hz: float, order=order, hints=hints, loops=loops) -> bool:
             pids = family(z_hz, rotation_hz)
             for k in order:
-                found = _exceeded(*_arrays(loops[k], pids), measure == "diagonal", limit, hints[k])
+                found = _exceeded(*_arrays(loops[k], pids), measure == "diagonal", SIX_DB, hints[k])
                 if found >= 0:
                     hints[k] = found
                     order.remove(k)
@@ -266,15 +214,15 @@ def maximise_rig_bandwidth(
                 raise Infeasible(
                     f"a loop function exceeds the limit at low_hz = {low_hz:g} already; lower it"
                 )
-            start = max(start / ratio, low_hz)
-        z = rotation = _climb(lambda f: feasible(f, f), start, high_hz, ratio, tolerance)
-        start = z / ratio
-        rotation = _climb(lambda f, z=z: feasible(z, f), rotation, high_hz, ratio, tolerance)
-        z = _climb(lambda f, r=rotation: feasible(f, r), z, high_hz, ratio, tolerance)
+            start = max(start / RATIO, low_hz)
+        z = rotation = _climb(lambda f: feasible(f, f), start, high_hz)
+        start = z / RATIO
+        rotation = _climb(lambda f, z=z: feasible(z, f), rotation, high_hz)
+        z = _climb(lambda f, r=rotation: feasible(f, r), z, high_hz)
         pids = family(z, rotation)
-        finer = [_refined(loop, pids, limit, measure) for loop in loops]
+        finer = [_refined(loop, pids, measure) for loop in loops]
         found = peaks(finer, pids, measure)
-        if found.max() <= limit * (1 + 5 * tolerance):
+        if found.max() <= SIX_DB * (1 + 5 * TOLERANCE):
             break
         loops = finer
     if max(z, rotation) >= high_hz:
@@ -286,24 +234,24 @@ def maximise_rig_bandwidth(
     return RigBandwidth((z, rotation), crossings, pids, found, radius)
 
 
-def _climb(feasible, low: float, high: float, ratio: float, tolerance: float) -> float:
+def _climb(feasible, low: float, high: float) -> float:
     """Step up from a feasible value until one is not, then bisect."""
-    good, bad = low, low * ratio
+    good, bad = low, low * RATIO
     while feasible(bad):
-        good, bad = bad, bad * ratio
+        good, bad = bad, bad * RATIO
         if good >= high:
             return good
-    while bad > good * (1 + tolerance):
+    while bad > good * (1 + TOLERANCE):
         middle = np.sqrt(good * bad)
         good, bad = (middle, bad) if feasible(middle) else (good, middle)
     return float(good)
 
 
-def _refined(loop: RigLoop, pids: Sequence[Pid], limit: float, measure: str) -> RigLoop:
+def _refined(loop: RigLoop, pids: Sequence[Pid], measure: str) -> RigLoop:
     """The loop on its grid with more points around every local maximum near the limit."""
     values = sizes(loop, pids, measure)
     inner = (values[:, 1:-1] >= values[:, :-2]) & (values[:, 1:-1] >= values[:, 2:])
-    places = 1 + np.unique(np.nonzero(inner & (values[:, 1:-1] > 0.8 * limit))[1])
+    places = 1 + np.unique(np.nonzero(inner & (values[:, 1:-1] > 0.8 * SIX_DB))[1])
     if not len(places):
         return loop
     w = loop.omega

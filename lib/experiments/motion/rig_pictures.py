@@ -5,21 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from experiments.motion.pictures import add_magnitude
+from experiments.motion.pictures import add_magnitude, paint_magnitudes
 from experiments.motion.plate import plate_modes
-from experiments.motion.rig import (
-    POSITIONS,
-    Geometry,
-    assumed,
-    assumed_geometry,
-    decoupling,
-    published,
-    rig_model,
-)
-from experiments.motion.rig_control import rig_compensator, rig_observer
-from experiments.motion.rig_designs import CASES, observer_model, published_settings
+from experiments.motion.rig import POSITIONS, Geometry, assumed_geometry, published, rig_model
+from experiments.motion.rig_designs import CASES, published_settings, rig_loops
 from experiments.motion.rig_identification import predicted_deviation, true_response
-from experiments.motion.rig_loops import RigLoop, make_rig_loop
+from experiments.motion.rig_loops import RigLoop
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti.peaks import resonance_grid
 from stillwork.signals.spectra import Spectrum
@@ -75,10 +66,7 @@ def paint_mode_shapes(geometry: Geometry):
     for k, axis in enumerate(axes.ravel()):
         places(axis, geometry, shapes[:, :, k])
         axis.set_title(f"mode {k + 1}, {p['frequencies_hz'][k]:.0f} Hz")
-    for axis in axes[1]:
-        axis.set_xlabel("x (m)")
-    for axis in axes[:, 0]:
-        axis.set_ylabel("y (m)")
+    figures.label(axes, "x (m)", "y (m)")
     figures.legend_below(axes[0, 0], 3)
     return figure
 
@@ -88,16 +76,12 @@ def paint_decoupled_plants(loops: Sequence[RigLoop], geometry: Geometry):
     figure, axes = figures.new(3, 3, height=6.2, sharex=True, sharey=False)
     for number, loop in enumerate(loops, 1):
         plant = physical_plant(loop, geometry)
-        hertz = loop.omega / (2 * np.pi)
-        for i, j in np.ndindex(3, 3):
-            axes[i, j].semilogx(
-                hertz, 20 * np.log10(np.abs(plant[i, j])), linewidth=0.8, label=f"position {number}"
-            )
+        for place in np.ndindex(3, 3):
+            add_magnitude(axes[place], loop.omega, plant[place], linewidth=0.8, label=f"position {number}")
     for i, j in np.ndindex(3, 3):
         axes[i, j].set_title(f"${FORCES[j]}$ to ${MOTIONS[i]}$")
         axes[i, j].set_ylabel(f"magnitude (dB re 1 {UNITS[i][j]})", fontsize=7)
-    for axis in axes[-1]:
-        axis.set_xlabel("frequency (Hz)")
+    figures.label(axes, "frequency (Hz)")
     # Nine panels with axes of their own: the constrained layout would take longer than all the rest.
     figure.set_layout_engine(None)
     figure.subplots_adjust(left=0.09, right=0.99, bottom=0.12, top=0.96, wspace=0.4, hspace=0.28)
@@ -106,34 +90,22 @@ def paint_decoupled_plants(loops: Sequence[RigLoop], geometry: Geometry):
     return figure
 
 
-def paint_one_entry(loops: Mapping[str, Sequence[RigLoop]], geometry: Geometry, to: int, source: int = 0):
-    """One entry of the decoupled plant under the four uses of the observer: Figs 6.8 and 6.9."""
+def paint_one_entry(loops: Mapping[str, Sequence[RigLoop]], geometry: Geometry, to: int):
+    """From F_z to one direction of the decoupled plant under the four uses of the observer: Figs 6.8 and 6.9."""
     figure, axes = figures.new(2, 2, height=4.6, sharex=True, sharey=True)
     for case, each in loops.items():
         for axis, loop in zip(axes.ravel(), each, strict=True):
-            response = physical_plant(loop, geometry)[to, source]
+            response = physical_plant(loop, geometry)[to, 0]
             add_magnitude(axis, loop.omega, response, color=COLOURS[case], linewidth=0.9, label=case)
     for number, axis in enumerate(axes.ravel(), 1):
         axis.set_title(f"position {number}")
-    for axis in axes[1]:
-        axis.set_xlabel("frequency (Hz)")
-    for axis in axes[:, 0]:
-        axis.set_ylabel(f"${FORCES[source]}$ to ${MOTIONS[to]}$\n(dB re 1 {UNITS[to][source]})")
+    figures.label(axes, "frequency (Hz)", f"$F_z$ to ${MOTIONS[to]}$\n(dB re 1 {UNITS[to][0]})")
     figures.legend_below(axes[0, 0], 4)
     return figure
 
 
 def paint_tracking_errors(errors: Mapping[str, np.ndarray], reference: np.ndarray, step: float):
-    """True errors over one period with the scaled trajectory in black: Figs 6.10 and 6.11.
-
-    Parameters
-    ----------
-    errors : mapping
-        Case to (3, samples), m and rad.
-    reference : ndarray, shape (3, samples)
-    step : float
-        s.
-    """
+    """True errors (m and rad) over one period with the scaled trajectory in black: Figs 6.10 and 6.11."""
     figure, axes = figures.new(3, 1, height=5.2, sharex=True)
     every = 10  # samples between those drawn: the errors are slow
     time = np.arange(reference.shape[1])[::every] * step
@@ -169,9 +141,9 @@ def paint_error_spectra(spectra: Mapping[str, Spectrum]):
                 linewidth=2.4 - 0.6 * order,  # lines that coincide stay visible
                 label=case,
             )
+    figures.label(axes, "frequency (Hz)")
     for k, axis in enumerate(axes):
         axis.set_title(f"${MOTIONS[k]}$")
-        axis.set_xlabel("frequency (Hz)")
         axis.set_ylabel(f"error ({'µm' if k == 0 else 'µrad'}/√Hz)")
     figures.legend_below(axes[0], 4)
     return figure
@@ -180,17 +152,7 @@ def paint_error_spectra(spectra: Mapping[str, Spectrum]):
 def paint_over_geometries(
     values: Mapping[str, np.ndarray], marks: Mapping[str, Sequence[float]], quantity: str
 ):
-    """Spread over geometries of a quantity in three directions, one panel each, with the published values.
-
-    Parameters
-    ----------
-    values : mapping
-        Case to (geometries, 3); NaN where a geometry has no value.
-    marks : mapping
-        Case to the three published values.
-    quantity : str
-        Label of the axis, with its unit.
-    """
+    """Spread over geometries of a quantity in three directions (NaN: none), one panel each, with the published values."""
     figure, axes = figures.new(1, 3, height=2.9, sharey=False)
     for k, axis in enumerate(axes):
         for place, (case, each) in enumerate(values.items()):
@@ -222,24 +184,6 @@ def paint_over_geometries(
     return figure
 
 
-def _one_position(
-    geometry: Geometry, noise: NoiseIntensities, use: str, target: float, position: int
-) -> RigLoop:
-    """Loop of one position on the frequencies of the explorers."""
-    settings = published_settings()
-    used, sensors = geometry.used, POSITIONS[position - 1]
-    plant = rig_model(geometry).at(used, sensors)
-    block = None
-    if use != "Original":
-        intensity = None
-        if "MC" in use:
-            intensity = settings.noise_model_both if "AD" in use else settings.noise_model
-        observer = rig_observer(observer_model(plant), noise, settings.step, intensity)
-        block = rig_compensator(observer, "MC" in use, target if "AD" in use else None, settings.selectivity)
-    omega = frequencies(20.0, points=80, around=5)
-    return make_rig_loop(plant, block, decoupling(geometry, used, sensors), settings.step, omega)
-
-
 ENTRIES = {"Fz to z": 0, "Fz to rx": 1}
 
 
@@ -251,13 +195,15 @@ def paint_rig(
     position: int = 1,
 ):
     """Explorer: one entry of what the controller sees, with and without one use of the observer."""
-    geometry, row = assumed_geometry(), ENTRIES[entry]
-    noise = NoiseIntensities(published()["process"], 10**sensor_exponent)
+    geometry, settings, row = assumed_geometry(), published_settings(), ENTRIES[entry]
+    noise = NoiseIntensities(settings.noise.process, 10**sensor_exponent)
+    settings = replace(settings, noise=noise, target_damping=target_damping)
+    omega = frequencies(20.0, points=80, around=5)
+    loops = rig_loops(geometry, settings, None, [POSITIONS[position - 1]], omega, ("Original", use))
     figure, axis = _plain(1)
-    for name in ("Original", use):
-        loop = _one_position(geometry, noise, name, target_damping, position)
+    for name, (loop, *_) in loops.items():
         response = physical_plant(loop, geometry)[row, 0]
-        add_magnitude(axis, loop.omega, response, color=COLOURS[name], label=name)
+        add_magnitude(axis, omega, response, color=COLOURS[name], label=name)
     axis.set_xlabel("frequency (Hz)")
     axis.set_ylabel(f"$F_z$ to ${MOTIONS[row]}$ (dB re 1 {UNITS[row][0]})")
     axis.legend()
@@ -268,16 +214,9 @@ def paint_geometry(
     aspect: float = 0.83, along_x: float = 0.85, along_y: float = 0.75, actuators: float = 0.9
 ):
     """Explorer: what a geometry lets three actuators and four sensors do with the eight modes."""
-    a = assumed()
-    geometry = Geometry(
-        a["length"],
-        a["length"] * aspect,
-        a["mass"],
-        a["poisson"],
-        actuators,
-        (along_x, along_y),
-        a["left_out"],
-    )
+    geometry = assumed_geometry()
+    width = geometry.length * aspect
+    geometry = replace(geometry, width=width, actuators=actuators, sensors=(along_x, along_y))
     model = rig_model(geometry, higher_modes=0)
     size = np.sqrt(geometry.mass)
     figure, axes = _plain(2)
@@ -304,25 +243,22 @@ def paint_geometry(
     return figure
 
 
-def paint_identified(
-    omega: np.ndarray, measured: np.ndarray, model: np.ndarray, deviation: np.ndarray, actuator: int = 0
-):
-    """One actuator to all sensors: measured, fitted, what is left, and what the noise explains: Fig. 6.4."""
-    figure, axes = figures.new(2, 2, height=5.0, sharex=True, sharey=True)
-    hertz = omega / (2 * np.pi)
-    for sensor, axis in enumerate(axes.ravel()):
-        for values, label, style in (
-            (measured, "measured", {"color": figures.GREEN, "linewidth": 1.6}),
-            (model, "model", {"color": figures.BLUE, "linewidth": 0.8}),
-            (measured - model, "difference", {"color": figures.GREY, "linewidth": 0.4}),
-            (deviation, "least from noise", {"color": figures.BLACK, "linewidth": 0.8, "linestyle": "--"}),
-        ):
-            axis.semilogx(hertz, 20 * np.log10(np.abs(values[:, sensor, actuator])), label=label, **style)
-        axis.set_title(f"sensor {sensor + 1}")
-    for axis in axes[1]:
-        axis.set_xlabel("frequency (Hz)")
-    for axis in axes[:, 0]:
-        axis.set_ylabel(f"actuator {actuator + 1} to sensor\n(dB re 1 m/N)")
+def paint_identified(omega: np.ndarray, measured: np.ndarray, model: np.ndarray, deviation: np.ndarray):
+    """Actuator 1 to all sensors: measured, fitted, what is left, and what the noise explains: Fig. 6.4."""
+    lines = {
+        "measured": (measured, {"color": figures.GREEN, "linewidth": 1.6}),
+        "model": (model, {"color": figures.BLUE, "linewidth": 0.8}),
+        "difference": (measured - model, {"color": figures.GREY, "linewidth": 0.4}),
+        "least from noise": (deviation, {"color": figures.BLACK, "linewidth": 0.8, "linestyle": "--"}),
+    }
+    panels = {
+        f"sensor {k + 1}": {
+            label: (omega, values[:, k, 0], style) for label, (values, style) in lines.items()
+        }
+        for k in range(4)
+    }
+    quantity = "actuator 1 to sensor\n(dB re 1 m/N)"
+    figure, axes = paint_magnitudes(panels, quantity, rows=2, height=5.0, sharex=True, sharey=True)
     figures.legend_below(axes[0, 0], 4)
     return figure
 
@@ -337,11 +273,8 @@ def paint_identification(
     response = true_response(geometry, settings, omega)
     deviation = predicted_deviation(geometry, settings, bandwidth_hz, omega, rms, averages)
     figure, axis = _plain(1)
-    hertz = omega / (2 * np.pi)
-    axis.semilogx(hertz, 20 * np.log10(np.abs(response[:, 2, 0])), color=figures.BLUE, label="response")
-    axis.semilogx(
-        hertz, 20 * np.log10(deviation[:, 2, 0]), "--", color=figures.BLACK, label="least deviation"
-    )
+    add_magnitude(axis, omega, response[:, 2, 0], color=figures.BLUE, label="response")
+    add_magnitude(axis, omega, deviation[:, 2, 0], ls="--", color=figures.BLACK, label="least deviation")
     axis.set_xlabel("frequency (Hz)")
     axis.set_ylabel("actuator 1 to sensor 3 (dB re 1 m/N)")
     axis.legend()

@@ -1,35 +1,28 @@
 """The rig over geometries that are not published: one trial of the study behind Tables 6.2 to 6.4."""
 
 import contextlib
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
 
-from experiments.motion.rig import Geometry, assumed, excitation, published, scaled_inertia
+from experiments.motion.rig import Geometry, assumed, assumed_geometry, excitation, published, scaled_inertia
 from experiments.motion.rig_designs import CASES, RigSettings, bandwidths, model_errors, rig_loops
-from experiments.motion.rig_loops import (
-    FUNCTIONS,
-    MEASURES,
-    RigLoop,
-)
+from experiments.motion.rig_loops import FUNCTIONS, MEASURES, RigLoop
 from experiments.motion.rig_tracking import levelling, levelling_rms
 from stillwork.base.checks import InputError
 
 
 def sample_geometry(rng: np.random.Generator) -> Geometry:
     """A geometry from the ranges of ``rig.toml``; the length stays, since only ratios of lengths matter."""
-    a = assumed()
-    ranges = a["ranges"]
-    mass = np.exp(rng.uniform(*np.log(ranges["mass"])))
-    return Geometry(
-        a["length"],
-        a["length"] * rng.uniform(*ranges["aspect"]),
-        float(mass),
-        a["poisson"],
-        rng.uniform(*ranges["actuators"]),
-        (rng.uniform(*ranges["sensors"]), rng.uniform(*ranges["sensors"])),
-        a["left_out"],
+    ranges, known = assumed()["ranges"], assumed_geometry()
+    return replace(
+        known,
+        mass=float(np.exp(rng.uniform(*np.log(ranges["mass"])))),
+        width=known.length * rng.uniform(*ranges["aspect"]),
+        actuators=rng.uniform(*ranges["actuators"]),
+        sensors=(rng.uniform(*ranges["sensors"]), rng.uniform(*ranges["sensors"])),
     )
 
 
@@ -41,14 +34,7 @@ class FlexiblePeaks(NamedTuple):
 
 
 def flexible_peaks(loops: list[RigLoop], inertia: Float64[np.ndarray, "3"]) -> FlexiblePeaks:
-    """Peaks of the difference between the equivalent plant and a rigid body of that mass and inertia.
-
-    Parameters
-    ----------
-    loops : list of RigLoop
-    inertia : ndarray, shape (3,)
-        Of the scaled directions (kg).
-    """
+    """Peaks of the difference between the equivalent plant and a rigid body of that inertia (scaled directions)."""
     modes = 2 * np.pi * np.array(published()["frequencies_hz"])
     middle = np.sqrt(modes[1:] * modes[:-1])
     # Within 5 % of each mode, and no nearer to another one; further away the tails of lower modes are larger.
@@ -67,28 +53,16 @@ def flexible_peaks(loops: list[RigLoop], inertia: Float64[np.ndarray, "3"]) -> F
     return FlexiblePeaks(np.max(found, axis=0), float(np.mean(coupling)))
 
 
-def rig_trial(
-    rng: np.random.Generator, settings: RigSettings, geometry: Geometry | None = None
-) -> dict[str, np.ndarray]:
+def rig_trial(rng: np.random.Generator, settings: RigSettings) -> dict[str, np.ndarray]:
     """One geometry, one draw of model errors, all four cases, under both readings of "peaks below 6 dB".
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    settings : RigSettings
-    geometry : Geometry, optional
-        By default drawn.
-
-    Returns
-    -------
-    dict
-        With one entry a reading (`MEASURES`) in front: ``crossing`` (cases, 3) in Hz, mean over positions;
-        ``peaks`` (cases, functions); ``original`` and ``redesigned`` (cases, 3), rms errors in m and rad at the
-        first position with the original and with the redesigned controllers; all NaN where no bandwidth passes.
-        Besides ``flexible`` (cases, modes) and ``coupling`` (cases,) in m/N, and the drawn ``mass``, ``aspect``,
-        ``actuators`` and ``sensors``, and ``excitation`` (2, modes), the largest of four and of three actuators.
+    With one entry a reading (`MEASURES`) in front: ``crossing`` (cases, 3) in Hz, mean over positions;
+    ``peaks`` (cases, functions); ``original`` and ``redesigned`` (cases, 3), rms errors in m and rad at the
+    first position with the original and with the redesigned controllers; all NaN where no bandwidth passes.
+    Besides ``flexible`` (cases, modes) and ``coupling`` (cases,) in m/N, and the drawn ``mass``, ``aspect``,
+    ``actuators`` and ``sensors``, and ``excitation`` (2, modes), the largest of four and of three actuators.
     """
-    geometry = geometry or sample_geometry(rng)
+    geometry = sample_geometry(rng)
     loops = rig_loops(geometry, settings, model_errors(rng))
     trajectory = levelling(rng)
     shape = (len(MEASURES), len(CASES), 3)

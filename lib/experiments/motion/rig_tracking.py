@@ -88,23 +88,7 @@ def _lines(trajectory: Levelling, loop: RigLoop, geometry: Geometry) -> Complex1
 def levelling_rms(
     loop: RigLoop, pids: Sequence[Pid], geometry: Geometry, trajectory: Levelling, noise: NoiseIntensities
 ) -> Float64[np.ndarray, "3"]:
-    """Expected rms of the true error in z (m), rx and ry (rad), in steady state: lines plus noise.
-
-    Parameters
-    ----------
-    loop : RigLoop
-    pids : sequence of Pid
-        On scaled directions.
-    geometry : Geometry
-    trajectory : Levelling
-    noise : Noise
-        Covariances a sample of the force at every actuator (N^2) and of every sensor (m^2).
-
-    Raises
-    ------
-    InputError
-        When the loop is unstable.
-    """
+    """Expected rms of the true error in z (m), rx and ry (rad), in steady state: lines plus noise."""
     model = _to_error(loop, pids, geometry)
     _require_stable(model)
     z = np.exp(1j * trajectory.omega * loop.step)

@@ -22,14 +22,7 @@ COLOURS = dict(zip(ENTRANTS, (figures.RED, figures.BLUE, figures.GREEN), strict=
 
 
 def paint_state_errors(scan: Scan, truth: np.ndarray, estimates: Mapping[str, np.ndarray]):
-    """Estimation errors of one run over time, one panel a state, on a symmetric logarithmic axis (Fig. 5.10).
-
-    Parameters
-    ----------
-    scan : Scan
-    truth : ndarray, shape (states, samples)
-    estimates : mapping of str to ndarray, shape (states, samples)
-    """
+    """Estimation errors of one run over time, one panel a state, on a symmetric logarithmic axis (Fig. 5.10)."""
     from matplotlib.ticker import FixedLocator
 
     figure, axes = figures.new(3, 2, sharex=True)
@@ -47,8 +40,7 @@ def paint_state_errors(scan: Scan, truth: np.ndarray, estimates: Mapping[str, np
             axis.axvline(edge, color=figures.BLACK, linewidth=0.8)
         axis.set_title(mode)
         axis.set_ylabel(unit)
-    for axis in axes[-1]:
-        axis.set_xlabel("time (s)")
+    figures.label(axes, "time (s)")
     figures.legend_below(axes[1, 0], 4)
     return figure
 

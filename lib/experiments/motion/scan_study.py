@@ -52,20 +52,13 @@ class Records:
     states: Float64[np.ndarray, "runs states samples"]  # true modal states, form 1
 
 
-def published_scan(
-    modes: int = 3, spacing: float = 0.05, bandwidth_hz: float = 30.0, step: float = 1e-4
-) -> Scan:
+def published_scan(spacing: float = 0.05, bandwidth_hz: float = 30.0, step: float = 1e-4) -> Scan:
     """Section 5.4.3: the first three modes of the stage on the setpoint of Fig. 3.32.
 
     Not published, and set here: the masses stand `spacing` metres apart, the move is centred on them, the
     controller is (3.1) at `bandwidth_hz`, the sample time is `step`.
-
-    Raises
-    ------
-    InputError
-        When the move does not fit on the structure.
     """
-    plant = stage().modes(slice(0, modes))
+    plant = stage().modes(slice(0, 3))
     setpoint = published_setpoint(step)
     grid = require_number("spacing", spacing, above=0.0) * np.arange(len(plant.output_shapes))
     position = setpoint.derivatives[0]
@@ -82,14 +75,27 @@ def published_scan(
 
 
 def filter_model(scan: Scan) -> TimeVaryingModel:
-    """Nominal model for the filters, started from the stationary covariance at the first place."""
-    sampled = zoh_modes(scan.nominal, scan.step)
-    c = output_rows(scan.shapes)
+    """Nominal model for the filters."""
     w, v, d = scan.deviations
-    process, sensor = np.array([[w**2]]), np.array([[v**2 + d**2]])
-    start = discrete_gain(sampled.a, sampled.b, c[0], process, sensor)
+    return along_scan(scan.nominal, scan.step, scan.shapes, w**2, v**2 + d**2)
+
+
+def along_scan(
+    machine: ModalModel,
+    step: float,
+    shapes: Float64[np.ndarray, "samples modes"],
+    process: float,
+    sensor: float,
+) -> TimeVaryingModel:
+    """A sampled machine under a moving sensor, started from the stationary covariance at the first place.
+
+    `process` and `sensor` are the variances of w (N^2) and of the measurement (m^2).
+    """
+    sampled, c = zoh_modes(machine, step), output_rows(shapes)
+    q, r = np.array([[process]]), np.array([[sensor]])
+    start = discrete_gain(sampled.a, sampled.b, c[0], q, r)
     initial = start.covariance - start.filter_gain @ c[0] @ start.covariance
-    return TimeVaryingModel(sampled.a, sampled.b, sampled.b, c, process, sensor, (initial + initial.T) / 2)
+    return TimeVaryingModel(sampled.a, sampled.b, sampled.b, c, q, r, (initial + initial.T) / 2)
 
 
 def output_rows(shapes: Float64[np.ndarray, "samples modes"]) -> Float64[np.ndarray, "samples 1 states"]:
@@ -100,16 +106,8 @@ def output_rows(shapes: Float64[np.ndarray, "samples modes"]) -> Float64[np.ndar
 
 
 def record_scans(scan: Scan, errors: Sequence[ArrayLike], rng: np.random.Generator) -> Records:
-    """Simulate one scan for every plant, exactly at the samples, with fresh noise for each.
-
-    Parameters
-    ----------
-    scan : Scan
-    errors : sequence of array_like, shape (modes, 4)
-        Relative errors of each plant, see `uncertainty.perturbed`.
-    rng : numpy.random.Generator
-    """
-    samples, runs = len(scan.shapes), len(errors)
+    """Simulate one scan for every plant, exactly at the samples, with fresh noise for each."""
+    samples, runs, control = len(scan.shapes), len(errors), scan.controller
     if any(np.any(np.diff(scan.nominal.frequencies * (1 + e[:, 0])) < 0) for e in map(np.asarray, errors)):
         raise InputError("errors are so large that two modes change places; give smaller ones")
     plants = [perturbed(scan.nominal, e) for e in errors]
@@ -122,12 +120,8 @@ def record_scans(scan: Scan, errors: Sequence[ArrayLike], rng: np.random.Generat
         np.array([m.a for m in sampled]),
         np.array([m.b[:, 0] for m in sampled]),
         scan.shapes[None] * factors[:, None, :],
-        scan.setpoint.derivatives[0].copy(),
-        scan.mass * scan.setpoint.derivatives[2],
-        *(
-            np.ascontiguousarray(x)
-            for x in (scan.controller.a, scan.controller.b[:, 0], scan.controller.c[0])
-        ),
+        contiguous(scan.setpoint.derivatives[0], scan.mass * scan.setpoint.derivatives[2]),
+        contiguous(control.a, control.b[:, 0], control.c[0]),
         noise,
         states,
         u,
@@ -136,9 +130,14 @@ def record_scans(scan: Scan, errors: Sequence[ArrayLike], rng: np.random.Generat
     return Records(u[:, None], y[:, None], np.ascontiguousarray(np.swapaxes(states, 1, 2)))
 
 
+def contiguous(*arrays) -> tuple[np.ndarray, ...]:
+    """Arrays as kernels take them."""
+    return tuple(np.ascontiguousarray(each) for each in arrays)
+
+
 @kernel
-def _scan(a, b, shapes, reference, forward, ca, cb, cc, noise, states, u, y):
-    runs, samples, n = states.shape
+def _scan(a, b, shapes, given, control, noise, states, u, y):
+    (runs, samples, n), (reference, forward), (ca, cb, cc) = states.shape, given, control
     m = ca.shape[0]
     for run in range(runs):
         plant, into = a[run], b[run]

@@ -36,22 +36,9 @@ def small_gain(
 ) -> SmallGain:
     r""":math:`|H_{11}S|` of (3.45) for one loop.
 
-    The discarded modes enter in two places, the measurement that the controller sees and the innovation of
-    the observer, where the compliance T_DC is subtracted: S has one input (the actuator force) and two outputs.
-
-    Parameters
-    ----------
-    omega : ndarray
-        rad/s.
-    plant : ModalModel
-        All modes, one input and one output.
-    retained : int
-        Number of modes in the observer.
-    feedthrough : float
-        T_DC of the observer.
-    compensator : StateModel
-        Of an observer *without* T_DC, with the gain of the real one.
-    controller : StateModel
+    The discarded modes enter in two places, the measurement that the controller sees and the innovation of the
+    observer, where the compliance T_DC (`feedthrough`) is subtracted: S has one input (the actuator force) and two
+    outputs. The compensator is that of an observer *without* T_DC, with the gain of the real one.
     """
     if retained >= len(plant.frequencies):
         raise InputError("retained covers all modes; nothing is discarded and the check is empty")

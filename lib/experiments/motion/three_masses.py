@@ -10,12 +10,12 @@ from stillwork.control.pid import PidFamily
 from stillwork.lti.modal import ModalModel, modal_model
 
 
-def three_masses(masses: ArrayLike, springs: ArrayLike, damping_ratio: float = 0.005) -> ModalModel:
+def three_masses(masses: ArrayLike, springs: ArrayLike) -> ModalModel:
     """Three masses in a row, the force on the first, positions of all (Fig. 1.7a)."""
     masses = require_array("masses", masses, shape=(3,))
     springs = require_array("springs", springs, shape=(2,))
     places = np.eye(3)
-    return modal_model(np.diag(masses), chain_matrix(springs), places[:, :1], places, damping_ratio)
+    return modal_model(np.diag(masses), chain_matrix(springs), places[:, :1], places, 0.005)
 
 
 def scaled_springs(masses: ArrayLike, bandwidth_hz: float) -> np.ndarray:

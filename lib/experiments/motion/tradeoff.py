@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from scipy import optimize
 
 from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.control.bandwidth import SIX_DB
 from stillwork.control.pid import series
 from stillwork.estimation.generalised_plant import GeneralisedPlant
 from stillwork.estimation.h2 import Synthesis, h2_riccati
@@ -19,18 +20,10 @@ from stillwork.lti.norms import h2_norm, hinf_norm
 from stillwork.lti.state_space import StateModel, interconnect
 
 
-def sensitivity_weight(corner_hz: float, floor: float = 0.02, limit: float = 10 ** (6 / 20)) -> StateModel:
-    """Weight with slope -3 below the corner and the inverse of `limit` above: 1 over a wanted sensitivity.
+def sensitivity_weight(corner_hz: float, floor: float = 0.02) -> StateModel:
+    """Weight with slope -3 below the corner and the inverse of 6 dB above: 1 over a wanted sensitivity.
 
-    Parameters
-    ----------
-    corner_hz : float
-        Where the slope begins.
-    floor : float
-        Part of the corner below which the weight stays constant (a pure integrator would make every norm
-        infinite).
-    limit : float
-        Peak that is allowed above the corner, 6 dB.
+    Below `floor` of the corner it stays constant: a pure integrator would make every norm infinite.
     """
     w = 2 * np.pi * require_number("corner_hz", corner_hz, above=0.0)
     floor = require_number("floor", floor, above=0.0, below=1.0)
@@ -38,7 +31,7 @@ def sensitivity_weight(corner_hz: float, floor: float = 0.02, limit: float = 10 
         np.array([[-floor * w]]), np.array([[w * (1 - floor)]]), np.array([[1.0]]), np.array([[1.0]])
     )
     whole = series([slope] * 3)
-    return StateModel(whole.a, whole.b, whole.c / limit, whole.d / limit)
+    return StateModel(whole.a, whole.b, whole.c / SIX_DB, whole.d / SIX_DB)
 
 
 def weighted_peak(loop: StateModel, weight: StateModel) -> float:
@@ -51,23 +44,15 @@ def weighted_peak(loop: StateModel, weight: StateModel) -> float:
     return hinf_norm(chain).magnitude
 
 
-def tipping_corner(loop: StateModel, low_hz: float = 1.0, high_hz: float = 60.0) -> float:
-    """Corner (Hz) of the weight at which this loop just keeps a weighted peak of 1.
-
-    Raises
-    ------
-    InputError
-        When there is no such corner within the range.
-    """
+def tipping_corner(loop: StateModel) -> float:
+    """Corner (1 to 60 Hz) of the weight at which this loop just keeps a weighted peak of 1."""
 
     def excess(corner_hz: float) -> float:
         return weighted_peak(loop, sensitivity_weight(corner_hz)) - 1
 
-    if excess(low_hz) * excess(high_hz) > 0:
-        raise InputError(
-            f"the loop keeps or breaks the weight at every corner from {low_hz:g} to {high_hz:g} Hz"
-        )
-    return float(optimize.brentq(excess, low_hz, high_hz, xtol=1e-9))
+    if excess(1.0) * excess(60.0) > 0:
+        raise InputError("the loop keeps or breaks the weight at every corner from 1 to 60 Hz")
+    return float(optimize.brentq(excess, 1.0, 60.0, xtol=1e-9))
 
 
 def emphasised(plant: GeneralisedPlant, weight: StateModel, emphasis: float) -> GeneralisedPlant:

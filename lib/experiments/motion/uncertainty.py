@@ -23,14 +23,7 @@ LAWS = ("ends", "uniform")
 
 @checked
 def perturbed(model: ModalModel, errors: ArrayLike) -> ModalModel:
-    """The model with relative errors on the parameters of its modes.
-
-    Parameters
-    ----------
-    model : ModalModel
-    errors : array_like, shape (modes, 4)
-        Relative errors of frequency, damping, input shape and output shape; a rigid-body mode has no frequency and no damping to err.
-    """
+    """The model with relative errors (modes, 4) of every mode's frequency, damping, input shape and output shape."""
     factors = 1 + require_array("errors", errors, shape=(len(model.frequencies), 4))
     if np.any(factors <= 0):
         raise InputError("errors reach -1, which takes a parameter away; give relative errors above -1")
@@ -48,19 +41,9 @@ def perturbed(model: ModalModel, errors: ArrayLike) -> ModalModel:
 def sample_errors(
     rng: np.random.Generator, model: ModalModel, size: float, law: str = "ends", rigid: bool = False
 ) -> Float64[np.ndarray, "modes 4"]:
-    """Random relative errors of every modal parameter.
+    """Random relative errors of every modal parameter: at the ``ends``, plus or minus `size`, or ``uniform`` between them.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    model : ModalModel
-    size : float
-        Largest relative error, 0.05 in the thesis.
-    law : str
-        ``ends``: every parameter is off by exactly plus or minus `size`; ``uniform``: by anything between.
-    rigid : bool
-        Let the shapes of rigid-body modes err too. Left alone by default: a scale and a weighing of the
-        machine settle them.
+    The shapes of rigid-body modes are left alone unless `rigid`: a scale and a weighing of the machine settle them.
     """
     size = require_number("size", size, at_least=0.0, below=1.0)
     require_choice("law", law, LAWS)
@@ -100,16 +83,7 @@ class SampledDerivatives:
 def sampled_derivatives(
     model: ModalModel, step: float, modes: Sequence[int] | None = None
 ) -> SampledDerivatives:
-    """Derivatives of the zero-order-hold model in modal form 1, by the derivative of the matrix exponential.
-
-    Parameters
-    ----------
-    model : ModalModel
-    step : float
-        Sample time (s).
-    modes : sequence of int, optional
-        Uncertain modes; by default all flexible ones.
-    """
+    """Derivatives of the zero-order-hold model in modal form 1 for chosen modes (by default all flexible ones)."""
     step = require_number("step", step, above=0.0)
     modes = tuple(range(model.rigid_modes, len(model.frequencies)) if modes is None else modes)
     if not modes or min(modes) < 0 or max(modes) >= len(model.frequencies):

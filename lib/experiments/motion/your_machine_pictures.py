@@ -5,10 +5,9 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from experiments.motion.pictures import decibel, paint_bode, paint_over_masses
-from experiments.motion.structure import observing_compensator
-from experiments.motion.your_machine import Intensities, Reached, observer_settings
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
+from stillwork.control.machine_loops import Intensities, Reached, observer_settings, observing_compensator
 from stillwork.identification.machine import Machine
 from stillwork.lti.peaks import resonance_grid
 from stillwork.workbook import figures
@@ -88,16 +87,20 @@ def paint_reached(found: Mapping[str, Reached]):
 
 def paint_sensitivities(found: Mapping[str, Reached], machine: Machine):
     """Output sensitivity of every sensor at the limit of PID and of the furthest use of the observer."""
-    reached = {name: each for name, each in found.items() if each.best is not None}
+    reached = {name: each for name, each in found.items() if each.recommended is not None}
     if not reached:
         raise InputError(
             "no loop has a feasible bandwidth; the reasons stand above: widen search_hz or mend the fit"
         )
-    furthest = max(reached, key=lambda name: reached[name].best.crossing_hz.min())
+    furthest = max(reached, key=lambda name: reached[name].recommended.crossing_hz.min())
     chosen = list(dict.fromkeys([next(iter(reached)), furthest]))
     return paint_over_masses(
         {
-            f"{name}, $S_O$": (reached[name].loops, reached[name].best.controller, "output_sensitivity")
+            f"{name}, $S_O$": (
+                reached[name].loops,
+                reached[name].recommended.controller,
+                "output_sensitivity",
+            )
             for name in chosen
         },
         low_hz=machine.resonances_hz[0] / 80,

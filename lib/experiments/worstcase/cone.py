@@ -7,22 +7,10 @@ from stillwork.base.checks import require_array, require_number
 
 
 def solve_cone_program(matrix: ArrayLike, target: ArrayLike, bound: float) -> tuple[np.ndarray, float]:
-    """Minimise |A x - b| + eta |x| (2) as a second-order cone program, by cvxpy and Clarabel.
+    """Minimise |A x - b| + eta |x| (2) as a second-order cone program, by cvxpy and Clarabel: the estimate and its cost.
 
     It shares no code and no formula with `min_max_solve`. Compare costs, not estimates: near the minimum
     the cost is flat, and a solver that is right to 1e-8 in cost is right to 1e-4 in x.
-
-    Parameters
-    ----------
-    matrix : array_like, shape (rows, unknowns)
-    target : array_like, shape (rows,)
-    bound : float
-
-    Returns
-    -------
-    estimate : ndarray, shape (unknowns,)
-    cost : float
-        |A x - b| + eta |x| at the estimate.
     """
     import cvxpy
 

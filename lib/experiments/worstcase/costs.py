@@ -11,17 +11,10 @@ COUNTED = ("least squares", "ridge", "approximate", "exact", "fast")
 
 
 def multiplications(update: str, unknowns: int, evaluations: float = 1.0) -> float:
-    """Multiplications, divisions and square roots of one update.
+    """Multiplications, divisions and square roots of one update, one of `COUNTED`.
 
-    Parameters
-    ----------
-    update : str
-        One of `COUNTED`.
-    unknowns : int
-        n.
-    evaluations : float
-        Evaluations of the secular function in the update: from `Track.evaluations` (exact, fast), or the
-        number of fixed-point iterations (approximate).
+    `evaluations` are those of the secular function: from `Track.evaluations` (exact, fast), or the number of
+    fixed-point iterations (approximate).
     """
     require_choice("update", update, COUNTED)
     n = require_count("unknowns", unknowns)

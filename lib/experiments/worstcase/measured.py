@@ -27,25 +27,16 @@ METHODS = (
 
 @dataclass(frozen=True)
 class MeasuredPair:
-    """Two accelerations of one structure, band-passed alike, and their sensor noise.
+    """Two accelerations of one structure, band-passed alike, and their sensor noise."""
 
-    Attributes
-    ----------
-    input, output : ndarray, shape (samples,)
-        Accelerations in m/s^2; band-passed to `band_hz`, so that the offsets and drifts of the sensors are gone.
-    sample_rate : float
-        Hz.
-    band_hz : tuple of float
-        Pass band.
-    noise : float
-        Standard deviation of the input's sensor noise in the band, m/s^2: the density between 300 and 600 Hz,
-        where the two channels are incoherent, taken as white over the band.
-    """
-
+    # input, output: accelerations in m/s^2; band-passed to `band_hz`, so that the offsets and drifts of the
+    # sensors are gone
     input: Float64[np.ndarray, " samples"]
     output: Float64[np.ndarray, " samples"]
-    sample_rate: float
-    band_hz: tuple[float, float]
+    sample_rate: float  # Hz
+    band_hz: tuple[float, float]  # pass band
+    # standard deviation of the input's sensor noise in the band, m/s^2: the density between 300 and 600 Hz,
+    # where the two channels are incoherent, taken as white over the band
     noise: float
 
 
@@ -54,11 +45,7 @@ def load_pair(
 ) -> tuple[MeasuredPair, dict[str, np.ndarray]]:
     """The shipped record `structure_accel_3k2`, channels 2 (input) and 3 (output), and its spectra.
 
-    Returns
-    -------
-    pair : MeasuredPair
-    spectra : dict of str to ndarray
-        ``frequency`` in Hz, ``input`` and ``output``: densities in (m/s^2)^2/Hz, ``coherence``.
+    ``frequency`` in Hz, ``input`` and ``output``: densities in (m/s^2)^2/Hz, ``coherence``.
     """
     record = load_record(paths.data("worstcase", "structure_accel_3k2/structure_accel_20s.npz"), "m/s^2")
     rate = record.sample_rate
@@ -74,25 +61,47 @@ def load_pair(
     return MeasuredPair(quiet, loud, rate, tuple(band_hz), noise), spectra
 
 
+def loudest_band(values: np.ndarray, sample_rate: float, width_hz: float = 8.0) -> tuple[float, float, float]:
+    """Where a signal's power lies: ends of the band of this width that holds most, Hz, and its share of the power."""
+    frequency, power = signal.welch(values, sample_rate, nperseg=min(len(values), 4096))
+    count = max(round(width_hz / frequency[1]), 1)
+    held = np.convolve(power, np.ones(count), "valid")
+    first = int(held.argmax())
+    return float(frequency[first]), float(frequency[first + count - 1]), float(held[first] / power.sum())
+
+
+def total_trial(
+    rng: np.random.Generator, motion: np.ndarray, noise: float, taps: int, length: int
+) -> dict[str, float]:
+    """Total against plain least squares on a machine that is exactly an FIR filter, with noise on both channels.
+
+    A stretch of `motion` drives a filter of random, fading taps; input and output get white noise of one size, as
+    total least squares presumes. ``total``, ``least``: rms residual over rms output on the window that follows.
+    """
+    start = rng.integers(len(motion) - 2 * length - taps)
+    motion = motion[start : start + 2 * length + taps]
+    response = rng.standard_normal(taps) * np.exp(-np.arange(taps) / 8)
+    output = signal.lfilter(response, 1.0, motion) + noise * rng.standard_normal(len(motion))
+    matrix = fir_regressors(motion + noise * rng.standard_normal(len(motion)), taps)[:, taps:].T
+    output = output[taps:]
+    estimates = {
+        "total": total_least_squares(matrix[:length], output[:length]).estimate,
+        "least": np.linalg.lstsq(matrix[:length], output[:length])[0],
+    }
+    goal = output[length:]
+    return {
+        name: float(np.linalg.norm(goal - matrix[length:] @ each) / np.linalg.norm(goal))
+        for name, each in estimates.items()
+    }
+
+
 def window_residuals(
     pair: MeasuredPair, taps: int, lengths: list[int], most: int
 ) -> dict[str, list[np.ndarray]]:
     """Out-of-sample residuals: an FIR model from each window predicts the window that follows.
 
-    Parameters
-    ----------
-    pair : MeasuredPair
-    taps : int
-        Length of the FIR model.
-    lengths : list of int
-        Samples in a window.
-    most : int
-        At most so many windows a length, spread over the record.
-
-    Returns
-    -------
-    dict of str to list of ndarray
-        By method, for each length: rms residual over rms output in every window; 1 is the zero model.
+    By method, for each length: rms residual over rms output in every window; 1 is the zero model. At most `most`
+    windows a length, spread over the record.
     """
     taps = require_count("taps", taps)
     regressors = fir_regressors(pair.input, taps)
@@ -140,20 +149,9 @@ def _estimates(matrix, target, noise) -> dict[str, np.ndarray]:
 
 
 def tracking_residuals(pair: MeasuredPair, taps: int, memories: list[int]) -> dict[str, np.ndarray]:
-    """One-step prediction errors of the recursive estimators over the whole record, against memory length.
+    """One-step prediction errors of the recursive estimators over the whole record, against memory length (samples).
 
-    Parameters
-    ----------
-    pair : MeasuredPair
-    taps : int
-        Length of the FIR model.
-    memories : list of int
-        1 / (1 - forgetting), samples.
-
-    Returns
-    -------
-    dict of str to ndarray, shape (memories,)
-        rms prediction error over rms output, from ten memory lengths of the longest memory on.
+    By method: rms prediction error over rms output, from ten memory lengths of the longest memory on.
     """
     regressors = fir_regressors(pair.input, taps)
     start = min(10 * max(memories), len(pair.output) // 2)

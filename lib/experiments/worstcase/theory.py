@@ -22,15 +22,12 @@ def random_problem(rng: np.random.Generator, unknowns: int) -> tuple[np.ndarray,
 def solution_trial(rng: np.random.Generator, perturbations: int) -> dict[str, float]:
     """Theorem 1 on one problem: cost against the cone program's, (6), the zero case, the worst perturbation.
 
-    Returns
-    -------
-    dict of str to float
-        ``share``: bound over threshold. ``cost``: relative distance of the costs. ``identity``: relative
-        residual of (6). ``crossings``: sign changes of alpha - f(alpha) over 24 decades. ``zero_agrees``: 1
-        when the estimate is zero exactly for a bound above the threshold and the cone program agrees (to 1e-6
-        of |b| in A x). ``attained``: relative distance of the worst perturbation's residual from (2).
-        ``exceeded``: largest of the random perturbations' residuals over (2). ``several``: 1 with more than
-        one unknown and a nonzero estimate.
+    ``share``: bound over threshold. ``cost``: relative distance of the costs. ``identity``: relative
+    residual of (6). ``crossings``: sign changes of alpha - f(alpha) over 24 decades. ``zero_agrees``: 1
+    when the estimate is zero exactly for a bound above the threshold and the cone program agrees (to 1e-6
+    of |b| in A x). ``attained``: relative distance of the worst perturbation's residual from (2).
+    ``exceeded``: largest of the random perturbations' residuals over (2). ``several``: 1 with more than
+    one unknown and a nonzero estimate.
     """
     matrix, target, threshold = random_problem(rng, int(rng.integers(1, 7)))
     bound = threshold * 10.0 ** rng.uniform(-1.5, 0.15)
@@ -99,12 +96,9 @@ def scalar_trial(rng: np.random.Generator) -> dict[str, float]:
 def convergence_trial(rng: np.random.Generator, unknowns: int, steps: int) -> dict[str, float]:
     """Theorem 3 on one problem, from thirteen starts over twelve decades; and the largest slope of f.
 
-    Returns
-    -------
-    dict of str to float
-        ``converged``: share of starts within 1e-6 of the root after `steps`. ``monotone``: share whose
-        iterates never turn back. ``slope``: largest f'. ``log_slope``: largest d log f / d log alpha.
-        ``rate``: f' at the root. ``few``: relative error after 3 iterations from twice the root.
+    ``converged``: share of starts within 1e-6 of the root after `steps`. ``monotone``: share whose
+    iterates never turn back. ``slope``: largest f'. ``log_slope``: largest d log f / d log alpha.
+    ``rate``: f' at the root. ``few``: relative error after 3 iterations from twice the root.
     """
     matrix, target, threshold = random_problem(rng, unknowns)
     function = secular_function(matrix, target, threshold * rng.uniform(0.05, 0.9))
@@ -134,24 +128,13 @@ def counter_example(bound: float, excess: float) -> SecularFunction:
 def recursion_trial(
     rng: np.random.Generator, truth: np.ndarray, bound: float, forgetting: float, noise: float
 ) -> dict[str, np.ndarray]:
-    """All min-max updates on one record beside the batch solution at every step.
+    """All min-max updates on one record, with white regressors of unit variance, beside the batch solution at every step.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    truth : ndarray, shape (unknowns, samples)
-        True parameters; regressors are white with unit variance.
-    bound, forgetting, noise : float
-        eta, lambda, and the standard deviation of the output noise.
-
-    Returns
-    -------
-    dict of str to ndarray, shape (samples,)
-        ``exact``, ``fast``, ``approximate_1`` to ``_3``: distance of the estimates from batch, over the
-        largest norm of the batch estimates. ``alpha_1`` to ``alpha_3``: relative error of alpha, NaN where x = 0.
-        ``alpha``: the batch alpha. ``size`` and ``size_*``: norms of the estimates. ``as_printed`` and ``corrected``: relative distance of h (15) from its
-        definition with alpha_t and with lam alpha_t. ``image_as_printed`` and ``image_corrected``: the same
-        of eq. (17) from f(alpha_t) and from f(lam alpha_t).
+    ``exact``, ``fast``, ``approximate_1`` to ``_3``: distance of the estimates from batch, over the largest norm of
+    the batch estimates. ``alpha_1`` to ``alpha_3``: relative error of alpha, NaN where x = 0. ``alpha``: the batch
+    alpha. ``size`` and ``size_*``: norms of the estimates. ``as_printed`` and ``corrected``: relative distance of h
+    (15) from its definition with alpha_t and with lam alpha_t. ``image_as_printed`` and ``image_corrected``: the same
+    of eq. (17) from f(alpha_t) and from f(lam alpha_t).
     """
     unknowns, samples = truth.shape
     regressors = rng.standard_normal((unknowns, samples))

@@ -11,37 +11,18 @@ from stillwork.base.checks import InputError, require_array
 
 @dataclass(frozen=True)
 class TotalLeastSquaresSolution:
-    """Smallest correction of [A b] that makes (A + dA) x = b + db solvable.
+    """Smallest correction of [A b] that makes (A + dA) x = b + db solvable."""
 
-    Attributes
-    ----------
-    estimate : ndarray, shape (unknowns,)
-        x.
-    matrix_correction : ndarray, shape (rows, unknowns)
-        dA, in the unit of A.
-    target_correction : ndarray, shape (rows,)
-        db, in the unit of b.
-    """
-
-    estimate: Float64[np.ndarray, " unknowns"]
-    matrix_correction: Float64[np.ndarray, "rows unknowns"]
-    target_correction: Float64[np.ndarray, " rows"]
+    estimate: Float64[np.ndarray, " unknowns"]  # x
+    matrix_correction: Float64[np.ndarray, "rows unknowns"]  # dA, in the unit of A
+    target_correction: Float64[np.ndarray, " rows"]  # db, in the unit of b
 
 
 def total_least_squares(matrix: ArrayLike, target: ArrayLike) -> TotalLeastSquaresSolution:
     """Total least squares by the SVD of [A b] (Golub and Van Loan, Matrix Computations, section 6.3).
 
-    Parameters
-    ----------
-    matrix : array_like, shape (rows, unknowns)
-        A, with more rows than unknowns; A and b are taken as equally noisy, so scale them to be so.
-    target : array_like, shape (rows,)
-        b.
-
-    Raises
-    ------
-    InputError
-        For bad data, or when the problem has no solution (the smallest correction lies in A alone).
+    A and b are taken as equally noisy, so scale them to be so. Where the smallest correction lies in A alone there is
+    no solution.
     """
     matrix = require_array("matrix", matrix, ndim=2)
     rows, unknowns = matrix.shape

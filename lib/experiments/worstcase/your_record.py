@@ -33,37 +33,18 @@ class Spectra(NamedTuple):
 
 @dataclass(frozen=True)
 class Pair:
-    """An input, an output, and the noise of the sensors that measured them.
+    """An input, an output, and the noise of the sensors that measured them."""
 
-    Attributes
-    ----------
-    input, output : ndarray, shape (samples,)
-        In `units`, band-passed alike, without their means.
-    sample_rate : float
-        Hz.
-    band_hz : tuple of float
-        What passed.
-    units : tuple of str
-        SI units of input and output.
-    noise : tuple of float
-        Standard deviation of the sensor noise of input and output in the band, in `units`.
-    names : tuple of str
-        Of the channels.
-    source : str
-        File name.
-    noise_source : str
-        Where the noise was read.
-    """
-
-    input: Float64[np.ndarray, " samples"]
+    input: Float64[np.ndarray, " samples"]  # in `units`, band-passed alike, without their means
     output: Float64[np.ndarray, " samples"]
-    sample_rate: float
-    band_hz: tuple[float, float]
-    units: tuple[str, str]
+    sample_rate: float  # Hz
+    band_hz: tuple[float, float]  # what passed
+    units: tuple[str, str]  # SI units of input and output
+    # standard deviation of the sensor noise of input and output in the band, in `units`
     noise: tuple[float, float]
-    names: tuple[str, str]
-    source: str
-    noise_source: str
+    names: tuple[str, str]  # of the channels
+    source: str  # file name
+    noise_source: str  # where the noise was read
 
     @property
     def normalised(self) -> MeasuredPair:
@@ -181,30 +162,18 @@ def _noise(frequency, densities, band_hz, quiet_hz) -> tuple[np.ndarray, str]:
 
 @dataclass(frozen=True)
 class Fitted:
-    """Models of one record from its first part, and how they do on its last.
+    """Models of one record from its first part, and how they do on its last."""
 
-    Attributes
-    ----------
-    estimates : dict of str to ndarray, shape (taps,)
-        Impulse responses by method, output unit per input unit.
-    inside, held_out : dict of str to float
-        rms residual over rms output where the model was fitted, and on the last part; 1 is the zero model.
-    bounds : dict of str to float
-        eta of each min-max estimate, in the input's unit.
-    threshold : float
-        From this bound on the estimate is zero, in the input's unit.
-    factors : ndarray, shape (factors,)
-        Bounds of the sweep over the typical bound.
-    choosing, judging : ndarray, shape (factors,)
-        Residual of each on the part for choosing and on the last part.
-    """
-
+    # impulse responses by method, output unit per input unit
     estimates: dict[str, Float64[np.ndarray, " taps"]]
+    # inside, held_out: rms residual over rms output where the model was fitted, and on the last part; 1 is
+    # the zero model
     inside: dict[str, float]
     held_out: dict[str, float]
-    bounds: dict[str, float]
-    threshold: float
-    factors: Float64[np.ndarray, " factors"]
+    bounds: dict[str, float]  # eta of each min-max estimate, in the input's unit
+    threshold: float  # from this bound on the estimate is zero, in the input's unit
+    factors: Float64[np.ndarray, " factors"]  # bounds of the sweep over the typical bound
+    # choosing, judging: residual of each on the part for choosing and on the last part
     choosing: Float64[np.ndarray, " factors"]
     judging: Float64[np.ndarray, " factors"]
 
@@ -217,24 +186,9 @@ class Fitted:
 def fit_pair(pair: Pair, taps: int, memory: int, factors: np.ndarray | None = None) -> Fitted:
     """FIR models by RLS, min-max and total least squares from the first half of a record, judged on the last quarter.
 
-    The recursive estimators run over the first half and end with the exponential weights of their memory; total
-    least squares takes its last `memory` samples. The bound is swept with the same weights, and chosen on the
-    third quarter, which no model was fitted to and none is judged on.
-
-    Parameters
-    ----------
-    pair : Pair
-    taps : int
-        Length of the FIR model.
-    memory : int
-        1 / (1 - forgetting), samples.
-    factors : ndarray, optional
-        Bounds to try over the typical bound; 25 from 0.01 to 10 by default.
-
-    Raises
-    ------
-    InputError
-        When the record is too short for the model or the memory.
+    The recursive estimators run over the first half and end with the exponential weights of their memory; total least
+    squares takes its last `memory` samples. The bound is swept with the same weights, over these `factors` of the
+    typical bound, and chosen on the third quarter, which no model was fitted to and none is judged on.
     """
     taps, memory = require_count("taps", taps), require_count("memory", memory, at_least=2)
     scaled = pair.normalised

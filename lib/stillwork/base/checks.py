@@ -156,6 +156,7 @@ def require_array(
     shape: tuple[int | None, ...] | None = None,
     dtype=np.float64,
     advice: str = "remove or repair them first",
+    missing: bool = False,
 ) -> np.ndarray:
     """Return `value` as a finite, C-contiguous array that may be written to, else raise `InputError`.
 
@@ -177,6 +178,8 @@ def require_array(
         Type of the returned array.
     advice : str
         What to do about values that are not finite.
+    missing : bool
+        Whether NaN stands for values that were lost.
     """
     # Nearly all arrays of a calculation come as they are wanted: for them the rest would cost more than the check.
     ready = type(value) is np.ndarray and value.dtype == dtype and value.flags.carray
@@ -187,6 +190,8 @@ def require_array(
         wanted = " x ".join("any" if want is None else str(want) for want in shape)
         raise InputError(f"{name} has shape {array.shape}; give {wanted}")
     finite = np.isfinite(array)
+    if missing:
+        finite |= np.isnan(array)
     if not finite.all():
         first = tuple(int(i) for i in np.argwhere(~finite)[0])
         raise InputError(

@@ -56,17 +56,9 @@ _inside = _Inside()
 def checked(function: Callable | None = None, *, infinite: bool = False, missing: bool = False) -> Callable:
     """Check the arguments of a public function by their annotations, and its result for NaN.
 
-    Lists, other number types, read-only and strided arrays become what the annotation says; a value that cannot
-    is an `InputError` that names it. So is a number that leaves the range of floating point on the way.
-
-    Parameters
-    ----------
-    function : callable
-        With annotated parameters; ``Float64[np.ndarray, "inputs states"]`` gives the number of axes.
-    infinite : bool
-        Whether a result may be infinite.
-    missing : bool
-        Whether NaN stands for what a result does not have, such as the samples after a divergence.
+    Lists, other number types, read-only and strided arrays become what the annotation says; a value that cannot is an
+    `InputError` that names it. So is a number that leaves the range of floating point on the way. A result may be
+    `infinite`, or NaN where something is `missing`, such as the samples after a divergence.
     """
     if function is None:
         return lambda each: checked(each, infinite=infinite, missing=missing)

@@ -48,11 +48,6 @@ def callback(function: Callable, signature: str):
     The cache notices a change of that file, not of another one from which the function calls: keep what belongs
     to a model in one file. A function typed at a prompt, or of a module that ``sys.modules`` does not hold, is
     compiled anew in every process.
-
-    Raises
-    ------
-    InputError
-        When numba cannot compile it.
     """
     function = inspect.unwrap(function)
     compiled = CFunc(function, normalize_signature(signature), locals={}, options=ARITHMETIC)

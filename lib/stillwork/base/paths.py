@@ -12,11 +12,6 @@ def root() -> Path:
     """Folder that holds `notebooks/`, `data/` and `figures/`.
 
     It is the checkout that this package runs from; the environment variable `STILLWORK_ROOT` names another.
-
-    Raises
-    ------
-    FileNotFoundError
-        When the package was installed without its checkout and `STILLWORK_ROOT` is not set.
     """
     folder = Path(os.environ.get(ROOT_VARIABLE) or Path(__file__).parents[3])
     if not (folder / "data").is_dir():

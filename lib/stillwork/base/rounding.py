@@ -17,13 +17,8 @@ TIE = 1e-6
 def below(residual: float, bound: float) -> str:
     """Text of a residual: ``below 1e-12`` within its bound, the number itself where it is not.
 
-    Parameters
-    ----------
-    residual : float
-        What is left of an identity.
-    bound : float
-        The most that rounding explains: say at the call why, such as operations times rounding unit times
-        condition. It follows from the problem, never from the residual, or the text would change with it.
+    The bound is the most that rounding explains: say at the call why, such as operations times rounding unit times
+    condition. It follows from the problem, never from the residual, or the text would change with it.
     """
     require_number("bound", bound, above=0.0)
     size = abs(require_number("residual", residual))
@@ -31,19 +26,7 @@ def below(residual: float, bound: float) -> str:
 
 
 def first_largest(values: ArrayLike, tie: float = TIE) -> int:
-    """Index of the largest value; of those that tie with it, the first.
-
-    Parameters
-    ----------
-    values : array_like, shape (n,)
-    tie : float
-        Values that fall short of the largest by no more than this part of its magnitude tie with it.
-
-    Raises
-    ------
-    InputError
-        When there are no values.
-    """
+    """Index of the largest value; of those that tie with it, by this part of its magnitude, the first."""
     values = require_array("values", values, ndim=1)
     if not len(values):
         raise InputError("values is empty; there is no largest")
@@ -53,15 +36,7 @@ def first_largest(values: ArrayLike, tie: float = TIE) -> int:
 
 
 def in_order(values: ArrayLike, decimals: int = 9) -> np.ndarray:
-    """Complex values along the last axis by imaginary, then real part: eigenvalues come in an order of rounding.
-
-    Parameters
-    ----------
-    values : array_like, shape (..., n)
-        Of the order of one.
-    decimals : int
-        Parts that agree to so many decimals tie.
-    """
+    """Complex values of the order of one by imaginary, then real part: eigenvalues come in an order of rounding."""
     values = require_array("values", values, dtype=complex)
     keys = np.round(values.real, decimals) + 0.0, np.round(values.imag, decimals) + 0.0
     return np.take_along_axis(values, np.lexsort(keys, axis=-1), axis=-1)

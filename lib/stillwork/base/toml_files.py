@@ -25,13 +25,7 @@ class Table(dict):
 
 
 def read_toml(file: str | Path) -> Table:
-    """Read a TOML file; it can hold values only, so reading it executes nothing.
-
-    Raises
-    ------
-    InputError
-        When the file is missing, cannot be read or is not valid TOML.
-    """
+    """Read a TOML file; it can hold values only, so reading it executes nothing."""
     file = Path(file)
     try:
         return Table(tomllib.loads(file.read_text(encoding="utf-8")), file.name)

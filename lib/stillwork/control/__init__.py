@@ -7,7 +7,9 @@ __all__, __getattr__, __dir__ = face(
     {
         "applications": ("Application", "compensator"),
         "bandwidth": ("PeakConstraint", "make_loop", "maximise_bandwidth"),
+        "c_code": ("adaptation_code", "controller_code"),
         "decoupling": ("decouple",),
+        "digital": ("DigitalController", "as_libraries", "load_controller"),
         "feedback": ("damping_gain",),
         "feedforward": ("error_loop", "fit_feedforward", "tracking_error"),
         "fixed_point": ("Controller", "simulate"),

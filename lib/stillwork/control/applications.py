@@ -1,5 +1,6 @@
 """What an observer does for a loop: measurement compensation, active damping, or both (sections 3.2-3.4)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -134,18 +135,26 @@ def _wired(models, inputs: int, outputs: int, filters: int, gain: np.ndarray, hi
     return interconnect(models, feedback, external, take)
 
 
+def filtered_estimates(
+    estimator: StateModel, filters: Sequence[StateModel], gain: Float64[np.ndarray, "inputs flexible"]
+) -> StateModel:
+    """From (u, y) to (u_d, y_flex), of an estimator of (y_flex, velocities): each velocity through its filter and gain."""
+    inputs, count = gain.shape
+    outputs = len(estimator.c) - count
+    both = inputs + outputs
+    feedback, take = np.zeros((both + count, outputs + 2 * count)), np.zeros((both, outputs + 2 * count))
+    feedback[both:, outputs : outputs + count] = np.eye(count)
+    take[:inputs, outputs + count :] = gain
+    take[inputs:, :outputs] = np.eye(outputs)
+    return interconnect([estimator, *filters], feedback, np.eye(both + count, both), take)
+
+
 @checked
 def soft_sensor(observer: Observer, performance_shapes: Float64[np.ndarray, "places modes"]) -> StateModel:
     """Soft sensor (3.21) from (u, y) to the position at other places, for one rigid-body direction.
 
     The estimated deformation at the sensor is subtracted and that at the wanted place added; the rigid-body
     part of the measurement passes unfiltered.
-
-    Parameters
-    ----------
-    observer : Observer
-    performance_shapes : ndarray, shape (places, modes)
-        Mode shapes of the observer's modes at the places where the position is wanted.
     """
     model = observer.model
     if model.rigid_modes != 1 or len(model.output_shapes) != 1:

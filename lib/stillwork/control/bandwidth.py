@@ -1,7 +1,8 @@
 """The largest bandwidth that keeps every loop stable and below its peak constraints: (3.2), (3.4), (3.35), (3.47)."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Complex128, Float64
@@ -13,9 +14,11 @@ from stillwork.base.rounding import TIE
 from stillwork.control.crossover import crossover
 from stillwork.control.loops import LoopResponse, closed_loop, no_observer
 from stillwork.control.pid import Pid
+from stillwork.lti.delays import delayed
+from stillwork.lti.discretisation import tustin, zoh_modes, zoh_response
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.peaks import Peak, refine_peak, resonance_grid
-from stillwork.lti.state_space import StateModel
+from stillwork.lti.state_space import StateModel, interconnect
 
 SIX_DB = 10 ** (6 / 20)  # not 2
 
@@ -42,32 +45,53 @@ class PeakConstraint:
 
 @dataclass(frozen=True)
 class Loop:
-    """One plant with its compensator; the controller is what is searched for."""
+    """One plant with its compensator; the controller is what is searched for.
+
+    With a `step` the loop is sampled: the plant is held and late, a measurement is taken before the force of its
+    sample acts, the controller is Tustin's.
+    """
 
     plant: ModalModel
     compensator: StateModel
     omega: Float64[np.ndarray, " frequencies"] = field(repr=False)  # rad/s, refined around every pole
     plant_response: Complex128[np.ndarray, " frequencies"] = field(repr=False)
     compensator_response: Complex128[np.ndarray, "2 2 frequencies"] = field(repr=False)
+    step: float = 0.0  # s, sample time; 0: continuous time
+    delay: int = 0  # samples from command to force
 
     def __post_init__(self):
         check_fields(self)
+
+    def plant_at(self, omega: np.ndarray, held: bool = True) -> Complex128[np.ndarray, " frequencies"]:
+        """Response of the plant as the controller meets it; not `held`: of a sampled one before aliasing."""
+        if not self.step:
+            return self.plant.frequency_response(omega)[0, 0]
+        turn = 1j * omega * self.step
+        if not held:
+            hold = -np.expm1(-turn) / turn
+            return self.plant.frequency_response(omega)[0, 0] * hold * np.exp(-turn * self.delay)
+        compliance = self.plant.feedthrough[0, 0] * np.expm1(-turn)  # it shows the force of the sample before
+        return (zoh_response(self.plant, self.step, omega)[0, 0] + compliance) * np.exp(-turn * self.delay)
+
+    def _controlled(self, controller: Pid, omega: np.ndarray) -> np.ndarray:
+        return controller.frequency_response(
+            2 / self.step * np.tan(omega * self.step / 2) if self.step else omega
+        )
 
     @checked
     def at(self, controller: Pid, omega: np.ndarray | None = None) -> LoopResponse:
         """Loop functions on the loop's own grid, or at other frequencies (rad/s)."""
         if omega is None:
             return self.within(controller, slice(None))
-        plant = self.plant.frequency_response(omega)[0, 0]
         observer = self.compensator.frequency_response(omega)
-        return LoopResponse(plant, observer, controller.frequency_response(omega))
+        return LoopResponse(self.plant_at(omega), observer, self._controlled(controller, omega))
 
     def within(self, controller: Pid, part: slice) -> LoopResponse:
         """Loop functions on a part of the loop's own grid."""
         return LoopResponse(
             self.plant_response[part],
             self.compensator_response[..., part],
-            controller.frequency_response(self.omega[part]),
+            self._controlled(controller, self.omega[part]),
         )
 
     @checked
@@ -79,15 +103,44 @@ class Loop:
 
     @checked
     def poles(self, controller: Pid) -> Complex128[np.ndarray, " states"]:
-        """Closed-loop poles."""
-        a = closed_loop(self.plant, self.compensator, controller.state_space()).a
-        return linalg.eigvals(a).astype(complex)
+        """Closed-loop poles, rad/s; of a sampled loop ln(z) over the sample time."""
+        if not self.step:
+            a = closed_loop(self.plant, self.compensator, controller.state_space()).a
+            return linalg.eigvals(a).astype(complex)
+        pid = tustin(controller.state_space(), self.step)
+        unit = float(np.abs(pid.d[0, 0]))  # N/m: with forces in it no part of the loop is larger than another
+        loop = closed_loop(
+            _scaled(self._held, [unit], [1.0]),
+            _scaled(self.compensator, [unit, 1.0], [unit, 1.0]),
+            _scaled(pid, [1.0], [unit]),
+        )
+        return _continuous(linalg.eigvals(loop.a), self.step)
+
+    @cached_property
+    def _held(self) -> StateModel:
+        """The sampled plant, late, its compliance showing the force of the sample before."""
+        held = zoh_modes(self.plant, self.step)
+        last = StateModel(np.zeros((1, 1)), np.ones((1, 1)), held.d, np.zeros((1, 1)), self.step)
+        modes = StateModel(held.a, held.b, held.c, np.zeros((1, 1)), self.step)
+        plant = interconnect([modes, last], np.zeros((2, 2)), np.ones((2, 1)), np.ones((1, 2)))
+        return delayed(plant, self.delay)
 
     @checked
     def crossing_hz(self, controller: Pid) -> float:
         """First 0 dB crossing of the open loop that the controller sees (Definition 1.2.1), Hz."""
         gain = np.abs(self.at(controller).loop)
         return crossover(lambda w: self.at(controller, w).loop, self.omega, gain) / (2 * np.pi)
+
+
+def _scaled(model: StateModel, inputs: list[float], outputs: list[float]) -> StateModel:
+    """The model with its inputs and outputs in other units."""
+    into, out = np.array(inputs), np.array(outputs)[:, None]
+    return StateModel(model.a, model.b * into, model.c / out, model.d * into / out, model.step)
+
+
+def _continuous(poles: np.ndarray, step: float) -> np.ndarray:
+    """Discrete poles as a continuous model would have them, without those of pure delays at 0."""
+    return np.log(poles[np.abs(poles) > 1e-6].astype(complex)) / step
 
 
 @checked
@@ -99,6 +152,8 @@ def make_loop(
     high_hz: float = 2e4,
     points: int = 600,
     around: int = 40,
+    step: float = 0.0,
+    delay: int = 0,
 ) -> Loop:
     """Prepare a loop: responses of everything but the controller, on a grid refined around every pole.
 
@@ -109,12 +164,16 @@ def make_loop(
     compensator : StateModel, optional
         From (u, y) to (u_d, y_flex); None: no observer.
     low_hz, high_hz, points, around
-        Grid, see `stillwork.lti.resonance_grid`.
+        Grid, see `stillwork.lti.resonance_grid`; that of a sampled loop ends at half of its rate.
+    step : float
+        Sample time, s; 0: continuous time.
+    delay : int
+        Samples that the force is late; of a sampled loop alone.
 
     Raises
     ------
     InputError
-        When the plant has more than one input or output.
+        When the plant has more than one input or output, or the compensator another sample time.
 
     Examples
     --------
@@ -125,11 +184,18 @@ def make_loop(
     if plant.feedthrough.shape != (1, 1):
         raise InputError("plant must have one input and one output; pick them with plant.at")
     observer = no_observer(plant) if compensator is None else compensator
-    poles = np.concatenate([plant.poles, observer.poles])
-    omega = resonance_grid(poles, low_hz, high_hz, points, around)
-    return Loop(
-        plant, observer, omega, plant.frequency_response(omega)[0, 0], observer.frequency_response(omega)
+    if compensator is None:
+        observer = replace(observer, step=step)
+    require_count("delay", delay, at_least=0)
+    if observer.step != step or (delay and not step):
+        raise InputError("compensator has another sample time than step, or there is a delay without one")
+    poles = _continuous(observer.poles, step) if step else observer.poles
+    high_hz = min(high_hz, 0.499 / step) if step else high_hz
+    omega = resonance_grid(np.concatenate([plant.poles, poles]), low_hz, high_hz, points, around)
+    loop = Loop(
+        plant, observer, omega, np.zeros(len(omega), complex), observer.frequency_response(omega), step, delay
     )
+    return replace(loop, plant_response=loop.plant_at(omega))
 
 
 @dataclass(frozen=True)
@@ -141,7 +207,8 @@ class Bandwidth:
     controller: Pid
     function: str  # the active constraint ...
     loop: int  # ... the loop it is active in ...
-    peak: Peak  # ... and its peak there; "stability" has peak infinity
+    peak: Peak  # ... and its peak there; "stability" and "the end of the search" have peak infinity
+    lowest_hz: float = 0.0  # design parameter from which on all are feasible, where that was asked for
 
 
 @checked(infinite=True)
@@ -154,11 +221,13 @@ def maximise_bandwidth(
     scan: int = 141,
     tolerance_hz: float = 1e-4,
     refine: bool = True,
+    lowest: bool = False,
 ) -> Bandwidth:
     """Largest design parameter for which every loop is stable and below every constraint.
 
     A scan from above finds the highest interval that is feasible (it looks at grid values first, which reject
-    nothing that is); its upper end is then bisected with refined peaks and eigenvalues.
+    nothing that is); its upper end is then bisected with refined peaks and eigenvalues. With `lowest` a scan from
+    below finds the first such interval: no loop on the way up to its end breaks a constraint.
 
     Parameters
     ----------
@@ -176,6 +245,8 @@ def maximise_bandwidth(
     refine : bool
         Search for the peaks between the grid points; without it the answer depends on the grid and is
         never below the true one.
+    lowest : bool
+        Take the lowest interval, in steps of 2 % at most; one without an upper end stops at `high_hz`.
 
     Raises
     ------
@@ -199,6 +270,8 @@ def maximise_bandwidth(
     if not len(constraints):
         raise InputError("constraints is empty; without a peak constraint no bandwidth is the largest")
     require_number("high_hz", high_hz, above=require_number("low_hz", low_hz, above=0.0))
+    if lowest:
+        return _lowest(loops, family, constraints, low_hz, high_hz, tolerance_hz, refine)
     grid = np.linspace(low_hz, high_hz, require_count("scan", scan, at_least=2))
     above = None  # what was exceeded last, and is likely to be again
     for k in reversed(range(scan)):
@@ -215,9 +288,19 @@ def maximise_bandwidth(
         )
     if k == len(grid) - 1:
         raise InputError(f"all constraints hold even at high_hz = {high_hz:g}; raise it to find the limit")
-    good, bad = float(grid[k]), float(grid[k + 1])
-    stopped = _violation(loops, family(bad), constraints, refine)
-    resolved = max(require_number("tolerance_hz", tolerance_hz, above=0.0), np.spacing(high_hz))
+    stopped = _violation(loops, family(grid[k + 1]), constraints, refine)
+    assert stopped is not None  # `_rough` rejects nothing that is feasible
+    return _bisected(loops, family, constraints, grid[k], grid[k + 1], stopped, tolerance_hz, refine)
+
+
+Violation = tuple[str, int, Peak]  # function or "stability", number of the loop, peak
+
+
+def _bisected(
+    loops, family, constraints, good: float, bad: float, stopped: Violation, tolerance_hz: float, refine: bool
+) -> Bandwidth:
+    """The end of the feasible interval between a design that is and one that is not."""
+    resolved = max(require_number("tolerance_hz", tolerance_hz, above=0.0), np.spacing(bad))
     while bad - good > resolved:
         middle = (good + bad) / 2
         found = _violation(loops, family(middle), constraints, refine)
@@ -225,10 +308,41 @@ def maximise_bandwidth(
             good = middle
         else:
             bad, stopped = middle, found
-    assert stopped is not None  # `_rough` rejects nothing that is feasible
     controller = family(good)
     crossings = np.array([loop.crossing_hz(controller) for loop in loops])
-    return Bandwidth(good, crossings, controller, *stopped)
+    return Bandwidth(float(good), crossings, controller, *stopped)
+
+
+def _lowest(
+    loops, family, constraints, low_hz: float, high_hz: float, tolerance_hz: float, refine: bool
+) -> Bandwidth:
+    """See `maximise_bandwidth`."""
+    grid = np.geomspace(low_hz, high_hz, 2 + int(np.log(high_hz / low_hz) / np.log(1.02)))
+    first, stopped, at_first = None, None, None
+    for k, design_hz in enumerate(grid):
+        stopped = _violation(loops, family(design_hz), constraints, refine)
+        if k == 0:
+            at_first = stopped
+        if first is None and stopped is None:
+            first = k
+        if first is not None and stopped is not None:
+            break
+    if first is None:
+        assert at_first is not None
+        function, number, peak = at_first
+        size = "" if np.isinf(peak.magnitude) else f" of {20 * np.log10(peak.magnitude):.1f} dB"
+        raise InputError(
+            f"no bandwidth from {low_hz:g} to {high_hz:g} Hz is stable and below every constraint; at {low_hz:g} Hz "
+            f"{function.replace('_', ' ')} of loop {number + 1} fails at {peak.omega / (2 * np.pi):.4g} Hz"
+            f"{f' with a peak{size}' if size else ''}"
+        )
+    if stopped is None:
+        stopped = ("the end of the search", 0, Peak(np.inf, 2 * np.pi * high_hz))
+        good = bad = grid[-1]
+    else:
+        good, bad = grid[k - 1], grid[k]
+    found = _bisected(loops, family, constraints, good, bad, stopped, tolerance_hz, refine)
+    return replace(found, lowest_hz=float(grid[first]))
 
 
 def _above(
@@ -253,7 +367,7 @@ def _still(loop: Loop, constraint: PeakConstraint, place: slice, controller: Pid
 
 def _violation(
     loops: Sequence[Loop], controller: Pid, constraints: Sequence[PeakConstraint], refine: bool
-) -> tuple[str, int, Peak] | None:
+) -> Violation | None:
     """The constraint that is exceeded most, or the loop that is unstable, or None.
 
     Of constraints that are exceeded equally, but for rounding, the first of the first loop: without an observer

@@ -17,20 +17,8 @@ def crossover(
 ) -> float:
     """First frequency (rad/s) at which ``abs(response(omega))`` falls through 1, Definition 1.2.1.
 
-    A grid brackets the crossing, the response itself finds it: between two points of a grid a magnitude is no
-    straight line, in logarithms either.
-
-    Parameters
-    ----------
-    response : callable
-        Returns the open loop's complex response on an array of frequencies in rad/s.
-    omega, magnitude : ndarray, shape (frequencies,)
-        Grid and the magnitudes on it.
-
-    Raises
-    ------
-    InputError
-        When the magnitude does not fall through 1 on the grid.
+    A grid and the magnitudes on it bracket the crossing, the response itself finds it: between two points of a grid a
+    magnitude is no straight line, in logarithms either.
     """
     falls = np.flatnonzero((magnitude[1:] < 1) & (magnitude[:-1] >= 1))
     if not len(falls):

@@ -12,8 +12,9 @@ from stillwork.base.checks import InputError, require_choice, require_count, req
 from stillwork.base.front_door import checked
 from stillwork.control.decoupling import WORST_CONDITION
 from stillwork.control.feedback import band_pass, per_flexible_mode
+from stillwork.control.pid import series
 from stillwork.lti.modal import ModalModel
-from stillwork.lti.state_space import StateModel, interconnect
+from stillwork.lti.state_space import StateModel
 
 
 @checked
@@ -22,25 +23,11 @@ def constrained_damping(
 ) -> Float64[np.ndarray, "inputs states"]:
     r"""Damping gain whose force on one mode leaves others alone: Lemma 4.3.3 and Corollary 4.3.1.
 
-    For every damped mode j, :math:`\phi_{aj}^TK_{dj} = -2\zeta_{des,j}\omega_j` (the minus sign is missing in
-    print) and :math:`\phi_{ai}^TK_{dj} = 0` for the `undisturbed` modes i other than j; with more actuators
-    than constraints, the gain of least norm.
-
-    Parameters
-    ----------
-    model : ModalModel
-        All modes that take part in a constraint, damped or not.
-    increase : float or array_like, shape (flexible modes,)
-        Wanted increase of each damping ratio; a mode with 0 gets no feedback.
-    undisturbed : collection of int, optional
-        Modes counted from 0, rigid-body modes first; by default as many of the first ones as the actuators can
-        leave alone beside the damped mode: one rigid-body mode less than all with minimal actuation, all of
-        these with one more actuator, all other modes with total actuation.
-
-    Raises
-    ------
-    InputError
-        When there are more constraints than actuators, or the places of these cannot meet them.
+    For every damped mode j, :math:`\phi_{aj}^TK_{dj} = -2\zeta_{des,j}\omega_j` (the minus sign is missing in print)
+    and :math:`\phi_{ai}^TK_{dj} = 0` for the `undisturbed` modes i other than j; with more actuators than
+    constraints, the gain of least norm. A mode with increase 0 gets no feedback. By default as many of the first
+    modes are undisturbed as the actuators can leave alone beside the damped one: one rigid-body mode less than all
+    with minimal actuation, all of these with one more actuator, all other modes with total actuation.
     """
     increase = per_flexible_mode(model, "increase", increase)
     return _constrained(model, 2 * increase * model.frequencies[model.rigid_modes :], undisturbed, 1)
@@ -96,24 +83,12 @@ def band_passed(
 ) -> StateModel:
     r"""Dynamic gain K(s): each fed-back state through a band-pass at its mode's resonance, (4.16), (4.17).
 
-    Parameters
-    ----------
-    model : ModalModel
-    gain : ndarray, shape (inputs, states)
-        Static gain on the modal states of form 1 of the first modes; none on rigid-body modes.
-    selectivity : float
-        Q; the thesis uses 2.
-    order : int
-        2, or 4 for two band-passes in a row (active stiffness, Remark 4.3.5).
-
-    Returns
-    -------
-    StateModel
-        From the modal states to the forces; of `order` states a fed-back state.
+    The gain acts on the modal states of form 1 of the first modes, on no rigid-body mode. The thesis uses Q = 2, and
+    two band-passes in a row (order 4) for active stiffness, Remark 4.3.5.
     """
     require_choice("order", str(order), ("2", "4"))
     fed = fed_back_states(model, gain)
-    filters = [_in_a_row(float(model.frequencies[j // 2]), selectivity, order // 2) for j in fed]
+    filters = [series([band_pass(float(model.frequencies[j // 2]), selectivity)] * (order // 2)) for j in fed]
     a, b, c = (linalg.block_diag(*(getattr(one, name) for one in filters)) for name in "abc")
     select = np.eye(gain.shape[1])[fed]
     return StateModel(a, b @ select, gain[:, fed] @ c, np.zeros_like(gain))
@@ -132,13 +107,6 @@ def fed_back_states(model: ModalModel, gain: np.ndarray) -> np.ndarray:
             "gain must feed back flexible modes, and no rigid-body mode, for a band-pass at them"
         )
     return fed
-
-
-def _in_a_row(omega: float, selectivity: float, count: int) -> StateModel:
-    """`count` equal band-passes, one after the other."""
-    chain = np.eye(count, k=-1)
-    first, last = np.eye(count, 1), np.eye(count)[-1:]
-    return interconnect([band_pass(omega, selectivity)] * count, chain, first, last)
 
 
 def added_damping(

@@ -10,7 +10,7 @@ from stillwork.base.checks import InputError
 from stillwork.base.front_door import check_fields, checked
 from stillwork.estimation.observer import Observer
 from stillwork.lti.modal import ModalModel
-from stillwork.lti.state_space import StateModel, interconnect
+from stillwork.lti.state_space import StateModel, constant, interconnect
 
 # Above this condition of mode shapes at actuators or sensors, a decoupling loses half of the digits.
 WORST_CONDITION = 1e8
@@ -116,29 +116,18 @@ def decoupled_plant(
 ) -> StateModel:
     r"""The decoupled plant, u to q, under the force :math:`f_d = K(s)\hat x`; :math:`f = \Gamma u + f_d`.
 
-    Parameters
-    ----------
-    plant : ModalModel
-    decoupling : Decoupling
-    gain : ndarray or StateModel
-        On the modal states of form 1 of the first modes; those left out get no feedback.
-    observer : Observer, optional
-        Takes f and y, as in Fig. 4.12. By default perfect estimates.
+    The gain acts on the modal states of form 1 of the first modes; those left out get no feedback. The observer takes
+    f and y, as in Fig. 4.12; by default the estimates are perfect.
     """
     machine, seen = plant.state_space(), decoupling.apply(plant).state_space()
     (outputs, inputs), axes = machine.d.shape, len(decoupling.sensing)
     known = len(machine.a) if observer is None else len(observer.a)
-    none, i_f = np.zeros((0, 0)), np.eye(inputs)
+    i_f = np.eye(inputs)
     # What is read off the states: they themselves for K(s), the forces at once for a constant K.
     if isinstance(gain, StateModel):
-        force, (forces, states) = gain, gain.d.shape
-        selected = np.eye(states)
+        force, (forces, states), selected = gain, gain.d.shape, np.eye(gain.d.shape[1])
     else:
-        force, (forces, states) = (
-            StateModel(none, np.zeros((0, inputs)), np.zeros((inputs, 0)), i_f),
-            gain.shape,
-        )
-        selected = gain
+        force, (forces, states), selected = constant(i_f), gain.shape, gain
     if forces != inputs or states > known:
         raise InputError(
             f"gain goes from {states} states to {forces} forces; the plant takes {inputs} forces and "

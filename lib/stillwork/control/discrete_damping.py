@@ -40,27 +40,7 @@ def discrete_damping_gain(
     With one input the gain is unique. It follows in closed form from the characteristic polynomial
     :math:`\prod_j(z-\lambda_j)(1 - \sum_i k_ib_i/(z-\lambda_i))` in modal coordinates. Written with
     :math:`\delta = (z-1)/T_s`, no difference of nearly equal poles remains, so that the numerical trouble of
-    Remark 4.1.1 does not arise at any sampling rate.
-
-    Parameters
-    ----------
-    model : ModalModel
-        One input; the rigid body stays as it is.
-    increase : float or array_like, shape (flexible modes,)
-        Wanted increase of the damping ratios.
-    step : float
-        Sample time, s.
-
-    Returns
-    -------
-    ndarray, shape (1, states)
-        On the states of modal form 1, for u = Kx.
-
-    Raises
-    ------
-    InputError
-        When there are several inputs, the actuator sits on a node of a mode, two modes have one frequency, or
-        a mode lies above half the sampling frequency.
+    Remark 4.1.1 does not arise at any sampling rate. The rigid body stays as it is.
     """
     require_number("step", step, above=0.0)
     if model.input_shapes.shape[1] != 1:
@@ -97,22 +77,7 @@ def discrete_damping_gain(
 def sampled_feedback(model: ModalModel, gain: ArrayLike, step: float, delay: int = 0) -> DampedModes:
     """Damping ratios and frequencies that a gain gives the sampled machine, (4.2), with perfect estimates.
 
-    The eigenvalues z are read as those of a continuous machine, ln(z)/T_s.
-
-    Parameters
-    ----------
-    model : ModalModel
-    gain : array_like, shape (inputs, states)
-        On modal form 1, zero on the rigid body.
-    step : float
-        s.
-    delay : int
-        Samples by which the force comes late.
-
-    Raises
-    ------
-    InputError
-        When the gain has another shape or acts on the rigid body, or a mode no longer oscillates.
+    The eigenvalues z are read as those of a continuous machine, ln(z)/T_s. The force comes late by `delay` samples.
     """
     gain = require_array("gain", gain, shape=(model.input_shapes.shape[1], 2 * len(model.frequencies)))
     still = 2 * model.rigid_modes

@@ -9,7 +9,7 @@ from scipy import linalg
 
 from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
 from stillwork.base.front_door import check_fields, checked
-from stillwork.control.applications import Application
+from stillwork.control.applications import Application, filtered_estimates
 from stillwork.control.discrete_damping import discrete_damping_gain
 from stillwork.control.feedback import band_pass, damping_gain
 from stillwork.estimation.observer import NoiseIntensities
@@ -17,7 +17,7 @@ from stillwork.estimation.riccati import discrete_gain
 from stillwork.lti.delays import delayed
 from stillwork.lti.discretisation import zoh, zoh_modes
 from stillwork.lti.modal import ModalModel
-from stillwork.lti.state_space import StateModel, interconnect
+from stillwork.lti.state_space import StateModel
 
 FORMS = ("filter", "predictor")
 
@@ -74,14 +74,8 @@ class DiscreteObserver:
     def estimator(self, rows: ArrayLike, form: str = "filter", delay: int = 0) -> StateModel:
         """Model from (u, y) to ``rows @ x_hat`` as it arrives, `delay` samples after the measurement it uses.
 
-        Parameters
-        ----------
-        rows : array_like, shape (signals, states)
-        form : str
-            ``filter``: at sample k there is x(k-d|k-d), which is old. ``predictor``: there is
-            x(k-d+1|k-d), for d = 1 the state of this very sample.
-        delay : int
-            d, whole samples; a predictor has at least one, the sample that it looks ahead.
+        ``filter``: at sample k there is x(k-d|k-d), which is old. ``predictor``: there is x(k-d+1|k-d), for d = 1 the
+        state of this very sample; it has a delay of one at least, the sample that it looks ahead.
         """
         require_choice("form", form, FORMS)
         rows = require_array("rows", rows, shape=(None, len(self.a)))
@@ -112,22 +106,9 @@ def discrete_kalman_observer(
 ) -> DiscreteObserver:
     r"""Stationary discrete Kalman observer, (4.7) and section 4.1.3, with the process noise at the plant input.
 
-    Parameters
-    ----------
-    model : ModalModel
-        Reduced model of positions; its feedthrough is the compliance T_DC.
-    noise : NoiseIntensities
-        Intensities of the continuous design. Both become variances by the factor 1/Ts, which changes no gain.
-    step : float
-        Sample time Ts, s.
-    noise_model : float, optional
-        Intensity Q_nu of the random walk at the plant input, N^2/s as in continuous time.
-
-    Raises
-    ------
-    InputError
-        When the model measures velocities, a mode that is not stable cannot be observed, or the Riccati
-        equation cannot be trusted.
+    The model is reduced, its feedthrough the compliance T_DC. The noises, Q_nu (N^2/s) of the random walk at the
+    plant input among them, are intensities of the continuous design: they become variances by the factor 1/Ts, which
+    changes no gain.
     """
     if model.measures != "position":
         raise InputError("model measures velocities; this observer is for positions")
@@ -150,22 +131,15 @@ def discrete_kalman_observer(
 def discrete_compensator(
     observer: DiscreteObserver, application: Application, form: str = "predictor", delay: int = 1
 ) -> StateModel:
-    """The block from (u, y) to (u_d, y_flex) in discrete time, see `applications.compensator`.
+    """The block from (u, y) to (u_d, y_flex) in discrete time; `form` and `delay` are those of an `estimator`.
 
-    Parameters
-    ----------
-    observer : DiscreteObserver
-    application : Application
-        MC, AD with or without band-pass. The selection ``pole placement`` takes the discrete gain (4.3), the
-        others the continuous gain as it is; each band-pass is sampled with a zero-order hold.
-    form : str
-    delay : int
-        See `DiscreteObserver.estimator`; both signals have the same.
+    The selection ``pole placement`` takes the discrete gain (4.3), the others the continuous gain as it is; each
+    band-pass is sampled with a zero-order hold.
     """
     if application.stiffness != 1.0 or application.high_pass_hz or application.common:
         raise InputError("application: only MC and AD with a band-pass a mode exist in discrete time")
     model = observer.model
-    rigid, inputs, outputs = model.rigid_modes, observer.b.shape[1], len(observer.c)
+    rigid, inputs = model.rigid_modes, observer.b.shape[1]
     flexible = len(model.frequencies) - rigid
     if not flexible:
         raise InputError("observer.model has no flexible modes; there is nothing to compensate or to damp")
@@ -187,10 +161,4 @@ def discrete_compensator(
     filters = [
         zoh(band_pass(float(w), application.selectivity), observer.step) for w in model.frequencies[rigid:]
     ]
-    models = [estimator, *filters]
-    feedback = np.zeros((inputs + outputs + flexible, outputs + 2 * flexible))
-    feedback[inputs + outputs :, outputs : outputs + flexible] = np.eye(flexible)
-    take = np.zeros((inputs + outputs, outputs + 2 * flexible))
-    take[:inputs, outputs + flexible :] = gain[:, 2 * rigid + 1 :: 2]
-    take[inputs:, :outputs] = np.eye(outputs)
-    return interconnect(models, feedback, np.eye(len(feedback), inputs + outputs), take)
+    return filtered_estimates(estimator, filters, gain[:, 2 * rigid + 1 :: 2])

@@ -92,13 +92,7 @@ def _held(loop: StateModel, source: int, step: float) -> tuple[np.ndarray, np.nd
 
 
 def tracking_model(loop: StateModel, feedforward: Feedforward, step: float) -> StateModel:
-    """Discrete model from the setpoint and its derivatives (5 inputs) to the error, exact for constant snap.
-
-    Parameters
-    ----------
-    loop : StateModel
-        From (r, u0) to the error, see `error_loop`.
-    """
+    """Discrete model from the setpoint and its derivatives (5 inputs) to the error, exact for constant snap."""
     return _driven(_moved(loop, step), feedforward)
 
 
@@ -207,13 +201,7 @@ def fit_feedforward(loop: StateModel, setpoint: Setpoint, basis: tuple[str, ...]
 def least_squares(
     matrix: Float64[np.ndarray, "samples gains"], wanted: Float64[np.ndarray, " samples"]
 ) -> list[float]:
-    """Gains whose combination of the columns comes closest to `wanted`; the columns are brought to one size.
-
-    Raises
-    ------
-    InputError
-        When the columns cannot be told apart.
-    """
+    """Gains whose combination of the columns comes closest to `wanted`; the columns are brought to one size."""
     sizes = np.linalg.norm(matrix, axis=0)
     if np.any(sizes == 0):
         raise InputError("setpoint does not move; the feedforward gains cannot be told apart")
@@ -228,15 +216,8 @@ def noise_error(
 ) -> Float64[np.ndarray, "2 samples"]:
     """True and measured error of a single `closed_loop` under white noise held over each sample.
 
-    Parameters
-    ----------
-    loop : StateModel
-    step : float
-        s; with a given standard deviation it sets the noise's power, step x deviation^2 a hertz, two-sided.
-    samples : int
-    deviations : dict
-        Standard deviation of the inputs ``w``, ``v``, ``d`` (N and m).
-    rng : numpy.random.Generator
+    The standard deviations of the inputs ``w``, ``v``, ``d`` (N and m) set with the step (s) the noise's power,
+    step x deviation^2 a hertz, two-sided.
     """
     for name in deviations:
         require_choice("deviations", name, ("w", "v", "d"))

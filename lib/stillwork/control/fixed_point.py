@@ -181,27 +181,21 @@ def simulate(
     start = (trajectory.position[0], trajectory.velocity[0]) if start is None else start
     start = require_array("start", start, shape=(2,))
     warn_outside_contraction(controller.transformation, response_gain(plant, controller.model))
-    acceleration, _, parameters = plant.compiled
-    _, force, believed = controller.model.compiled
     limits = [bound * max(1.0, np.abs(x).max()) for x in (trajectory.position, trajectory.velocity)]
     record = np.full((len(COLUMNS), samples), np.nan)
     done, status = _closed_loop(
-        *controller.signal_filter.packed(),
+        controller.signal_filter.packed(),
         *model_of(controller.signal_filter),
         bool(controller.signal_filter.error_from_measurement),
         controller.transformation.packed,
         controller.kinematics.gains,
-        acceleration,
-        parameters,
-        force,
-        believed,
+        plant.compiled[0],
+        plant.parameters,
+        controller.model.compiled[1],
+        controller.model.parameters,
         trajectory.time_step,
-        trajectory.position,
-        trajectory.velocity,
-        trajectory.acceleration,
-        noise,
-        float(resolution),
-        float(grid),
+        (trajectory.position, trajectory.velocity, trajectory.acceleration),
+        (noise, float(resolution), float(grid)),
         integration == "semi-implicit",
         start,
         np.array(limits),
@@ -226,11 +220,7 @@ def response_gain(plant: Plant, model: Plant) -> float:
 
 @kernel
 def _closed_loop(
-    kind,
-    options,
-    process,
-    noise_covariance,
-    work,
+    device,
     filter_acceleration,
     filter_plant,
     error_from_measurement,
@@ -241,18 +231,18 @@ def _closed_loop(
     model_force,
     model,
     time_step,
-    nominal_position,
-    nominal_velocity,
-    nominal_acceleration,
-    noise,
-    resolution,
-    grid,
+    nominal,
+    measurement,
     semi_implicit,
     start,
     limits,
     record,
 ):
     """Fill `record` (COLUMNS x samples); returns the samples done and how it ended."""
+    (nominal_position, nominal_velocity, nominal_acceleration), (noise, resolution, grid) = (
+        nominal,
+        measurement,
+    )
     integrals = len(gains) - 2
     chain = np.zeros(integrals + 1)  # chain[j]: j-fold integral of the error
     estimate = np.array([start[0], start[1], nominal_acceleration[0]])
@@ -262,19 +252,7 @@ def _closed_loop(
         measured = position + noise[i]
         if resolution > 0.0:
             measured = np.round((measured - grid) / resolution) * resolution + grid
-        if not filter_step(
-            kind,
-            options,
-            process,
-            noise_covariance,
-            work,
-            filter_acceleration,
-            filter_plant,
-            time_step,
-            measured,
-            force,
-            estimate,
-        ):
+        if not filter_step(device, filter_acceleration, filter_plant, time_step, measured, force, estimate):
             return i, NOT_DEFINITE
         seen = measured if error_from_measurement else estimate[0]
         chain[0] = nominal_position[i] - seen

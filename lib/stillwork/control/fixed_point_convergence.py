@@ -75,16 +75,10 @@ class StableRange:
 
 @checked
 def crossings(loop: LinearLoop, points: int = 300) -> list[Crossing]:
-    """All negative gains at which poles cross the unit circle, strongest first.
+    """All negative gains at which poles of a `linear_loop` cross the unit circle, strongest first.
 
-    A crossing is where the open loop's frequency response is real: 1 = gain response.
-
-    Parameters
-    ----------
-    loop : LinearLoop
-        From `linear_loop`.
-    points : int
-        Of the logarithmic grid of frequencies on which sign changes are sought; they are refined after.
+    A crossing is where the open loop's frequency response is real: 1 = gain response. Sign changes are sought on a
+    logarithmic grid of frequencies and refined after.
     """
     from scipy.optimize import brentq
 
@@ -203,15 +197,7 @@ class Oscillation:
 
 @checked
 def strongest_oscillation(values: ArrayLike, time_step: float) -> Oscillation:
-    """Frequency and amplitude of the strongest sine in a record, refined between the FFT's lines.
-
-    Parameters
-    ----------
-    values : array_like, shape (samples,)
-        Its mean is removed.
-    time_step : float
-        s.
-    """
+    """Frequency and amplitude of the strongest sine in a record, refined between the FFT's lines."""
     from scipy.optimize import minimize_scalar
 
     require_number("time_step", time_step, above=0)

@@ -38,13 +38,7 @@ class LinearFilter:
 def linear_filter(
     signal_filter: Filter, time_step: float, position: float = 0.0, velocity: float = 0.0
 ) -> LinearFilter:
-    """A filter near an operating point; of a Kalman filter the steady state that it settles to there.
-
-    Raises
-    ------
-    InputError
-        When the filter cannot run at this time step.
-    """
+    """A filter near an operating point; of a Kalman filter the steady state that it settles to there."""
     require_step(signal_filter, time_step)
     if isinstance(signal_filter, MovingWindow):
         fit = end_point_weights(signal_filter.length + 1, 1)[::-1]
@@ -196,17 +190,7 @@ def linear_loop(
     position: float = 0.0,
     velocity: float = 0.0,
 ) -> LinearLoop:
-    """The loop of `stillwork.control.fixed_point.simulate` near an operating point, semi-implicit order.
-
-    Parameters
-    ----------
-    plant, controller
-        As for `simulate`.
-    time_step : float
-        s.
-    position, velocity : float
-        Operating point, m and m/s.
-    """
+    """The loop of `stillwork.control.fixed_point.simulate` near an operating point (m and m/s), semi-implicit order."""
     device = linear_filter(controller.signal_filter, time_step, position, velocity)
     by_position, by_velocity, by_force = _slopes(plant, position, velocity)
     model_position, model_velocity, model_force = _slopes(controller.model, position, velocity)

@@ -42,11 +42,8 @@ class Inverse:
 def invert(plant: ModalModel) -> Inverse:
     """Inverse of a machine with one rigid-body mode, one input and one position output.
 
-    Raises
-    ------
-    InputError
-        When the plant is of another kind, a zero lies on the imaginary axis (its force would ring for ever),
-        or the inverse differentiates the snap.
+    A zero on the imaginary axis is refused (its force would ring for ever), and an inverse that differentiates the
+    snap.
     """
     _require_single(plant)
     w, z = plant.frequencies, plant.damping
@@ -164,11 +161,6 @@ def sampled_ideal_force(plant: ModalModel, setpoint: Setpoint) -> Force:
 
     The zero-order hold adds zeros of its own; those outside the unit circle are run backwards. Solved by Fourier
     transformation of :math:`(z-1)^2r = (z-1)^2P(z)f` over a record so long that nothing is left at its ends.
-
-    Raises
-    ------
-    InputError
-        When the plant is not a single one, or a zero lies on the unit circle.
     """
     _require_single(plant)
     step = setpoint.step
@@ -203,14 +195,7 @@ def feedforward_error(ideal: Force, feedforward: Feedforward) -> Force:
 
 
 def respond(model: StateModel, force: Force) -> Float64[np.ndarray, "outputs samples"]:
-    """Outputs of a continuous model driven by the force alone, exact at the samples.
-
-    Parameters
-    ----------
-    model : StateModel
-        One input.
-    force : Force
-    """
+    """Outputs of a continuous model driven by the force alone, exact at the samples."""
     if model.b.shape[1] != 1:
         raise InputError(f"model has {model.b.shape[1]} inputs; select the one that the force drives")
     n, size = len(model.a), len(force.generator)

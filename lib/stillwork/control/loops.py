@@ -9,7 +9,7 @@ from jaxtyping import Complex128
 from stillwork.base.checks import InputError
 from stillwork.base.front_door import checked
 from stillwork.lti.modal import ModalModel
-from stillwork.lti.state_space import StateModel, interconnect
+from stillwork.lti.state_space import StateModel, constant, interconnect
 
 INPUTS = ("r", "u_ff", "w", "v", "d")
 OUTPUTS = ("e_true", "e_meas", "u", "f")
@@ -17,9 +17,8 @@ OUTPUTS = ("e_true", "e_meas", "u", "f")
 
 def no_observer(plant: StateModel | ModalModel) -> StateModel:
     """The compensator of a loop without observer: (u_d, y_flex) = 0."""
-    outputs, inputs = plant.feedthrough.shape if isinstance(plant, ModalModel) else plant.d.shape
-    n = inputs + outputs
-    return StateModel(np.zeros((0, 0)), np.zeros((0, n)), np.zeros((n, 0)), np.zeros((n, n)))
+    gain, step = (plant.feedthrough, 0.0) if isinstance(plant, ModalModel) else (plant.d, plant.step)
+    return constant(np.zeros((sum(gain.shape), sum(gain.shape))), step)
 
 
 @checked
@@ -67,42 +66,23 @@ def closed_loop(
 @cache  # a search closes thousands of loops of one size
 def _wiring(m: int, p: int) -> tuple[np.ndarray, ...]:
     """Constant matrices of `closed_loop` for m inputs and p outputs, as `interconnect` takes them."""
-    im, ip = np.eye(m), np.eye(p)
-    zmm, zmp, zpm, zpp = np.zeros((m, m)), np.zeros((m, p)), np.zeros((p, m)), np.zeros((p, p))
-    # Stacked outputs: y0 = P(f + w), u_d, y_flex, u_fb. Stacked inputs: f + w, f, y + d, e_meas.
-    feedback = np.block(
-        [
-            [zmp, im, zmp, im],
-            [zmp, im, zmp, im],
-            [ip, zpm, zpp, zpm],
-            [-ip, zpm, ip, zpm],
-        ]
+    found, made = (p, m, p, m), (m, m, p, p)  # y0 = P(f + w), u_d, y_flex, u_fb; f + w, f, y + d, e_meas
+    given, wanted = (p, m, m, p, p), (p, p, m, m)  # `INPUTS`, `OUTPUTS`
+
+    def blocks(rows, columns, *signs) -> np.ndarray:
+        return np.block(
+            [
+                [s * np.eye(r, c) for s, c in zip(each, columns, strict=True)]
+                for each, r in zip(signs, rows, strict=True)
+            ]
+        )
+
+    return (
+        blocks(made, found, (0, 1, 0, 1), (0, 1, 0, 1), (1, 0, 0, 0), (-1, 0, 1, 0)),
+        blocks(made, given, (0, 1, 1, 0, 0), (0, 1, 0, 0, 0), (0, 0, 0, -1, 1), (1, 0, 0, 1, -1)),
+        blocks(wanted, found, (-1, 0, 0, 0), (-1, 0, 1, 0), (0, 0, 0, 1), (0, 1, 0, 1)),
+        blocks(wanted, given, (1, 0, 0, 1, 0), (1, 0, 0, 1, -1), (0, 1, 0, 0, 0), (0, 1, 0, 0, 0)),
     )
-    external = np.block(
-        [
-            [zmp, im, im, zmp, zmp],
-            [zmp, im, zmm, zmp, zmp],
-            [zpp, zpm, zpm, -ip, ip],
-            [ip, zpm, zpm, ip, -ip],
-        ]
-    )
-    wanted = np.block(
-        [
-            [-ip, zpm, zpp, zpm],
-            [-ip, zpm, ip, zpm],
-            [zmp, zmm, zmp, im],
-            [zmp, im, zmp, im],
-        ]
-    )
-    direct = np.block(
-        [
-            [ip, zpm, zpm, ip, zpp],
-            [ip, zpm, zpm, ip, -ip],
-            [zmp, im, zmm, zmp, zmp],
-            [zmp, im, zmm, zmp, zmp],
-        ]
-    )
-    return feedback, external, wanted, direct
 
 
 @checked
@@ -110,14 +90,6 @@ def channel(loop: StateModel, source: str, target: str, inputs: int = 1, outputs
     """Transfer between named signals of a `closed_loop` model.
 
     S_I is u_ff to u, S_O is v to e_true, and r to e_true holds both T and the tracking behaviour.
-
-    Parameters
-    ----------
-    loop : StateModel
-    source, target : str
-        One of `INPUTS` and one of `OUTPUTS`.
-    inputs, outputs : int
-        Width of the plant.
     """
     widths_in = {"r": outputs, "u_ff": inputs, "w": inputs, "v": outputs, "d": outputs}
     widths_out = {"e_true": outputs, "e_meas": outputs, "u": inputs, "f": inputs}

@@ -47,13 +47,7 @@ class Setpoint:
 
 
 def from_snap(segments: ArrayLike, durations: ArrayLike, step: float) -> Float64[np.ndarray, "5 samples"]:
-    """Position, velocity, acceleration, jerk and snap at every sample, from constant-snap segments.
-
-    Raises
-    ------
-    InputError
-        When there is no segment, or a duration is not a positive multiple of `step` (then the simulation would not be exact).
-    """
+    """Position, velocity, acceleration, jerk and snap at every sample, from constant-snap segments."""
     segments = require_array("segments", segments, ndim=1)
     if not len(segments):
         raise InputError("segments is empty; give the snap of at least one segment in m/s^4")

@@ -12,13 +12,7 @@ from stillwork.base.front_door import check_fields, checked
 
 @dataclass(frozen=True)
 class Trajectory:
-    """What the coordinate shall do, sampled, with both derivatives.
-
-    Raises
-    ------
-    InputError
-        When a derivative is missing, or is not the derivative of what stands before it.
-    """
+    """What the coordinate shall do, sampled, with both derivatives, each that of what stands before it."""
 
     time_step: float  # s
     position: Converted  # q^N, m, shape (samples,)
@@ -131,16 +125,8 @@ def trapezoid_trajectory(
 ) -> Trajectory:
     """A trapezoid between -A and A whose corners are rounded, so that the acceleration is continuous.
 
-    Ramps and dwells take a quarter of the period each. At a corner the velocity follows 3 x^2 - 2 x^3.
-
-    Parameters
-    ----------
-    amplitude : float
-        A, m.
-    rounding : float
-        Length of a corner as a fraction of a ramp, above 0 and at most 1.
-    frequency_hz, duration, time_step : float
-        Hz, s, s.
+    Ramps and dwells take a quarter of the period each. At a corner, whose length is `rounding` of a ramp, the
+    velocity follows 3 x^2 - 2 x^3.
     """
     require_number("rounding", rounding, above=0, at_most=1)
     phase, rate = _phase(amplitude, frequency_hz, duration, time_step)
@@ -163,15 +149,7 @@ def trapezoid_trajectory(
 
 @checked
 def record_trajectory(time: ArrayLike, position: ArrayLike, time_step: float = 1e-3) -> Trajectory:
-    """A recorded motion as a trajectory: the quintic spline through the record, and its exact derivatives.
-
-    Parameters
-    ----------
-    time, position : array_like, shape (samples,)
-        s and m; the times rise, not necessarily evenly.
-    time_step : float
-        Sampling of the trajectory, s.
-    """
+    """A recorded motion as a trajectory: the quintic spline through the record, and its exact derivatives."""
     from scipy.interpolate import make_interp_spline
 
     require_number("time_step", time_step, above=0)

@@ -55,21 +55,11 @@ class FlowTransformation:
 
 @dataclass(frozen=True)
 class RobustTransformation:
-    """Transformation (8): deformed = (deformed + K) (1 + B sigma(A (response - desired))) - K.
+    """Transformation (8): deformed = (deformed + K) (1 + B sigma(A (response - desired))) - K."""
 
-    Attributes
-    ----------
-    offset : float
-        K_c, m/s^2, far above every acceleration.
-    factor : float
-        B_c.
-    slope : float
-        A_c, s^2/m.
-    """
-
-    offset: float = 4e7
-    factor: float = -1.05
-    slope: float = 9e-2 / 4e7
+    offset: float = 4e7  # K_c, m/s^2, far above every acceleration
+    factor: float = -1.05  # B_c
+    slope: float = 9e-2 / 4e7  # A_c, s^2/m
 
     def __post_init__(self):
         require_number("offset", self.offset, above=0)
@@ -96,13 +86,9 @@ Transformation = FlowTransformation | RobustTransformation
 def contraction_range(response_gain: float) -> tuple[float, float]:
     """Open range of `local_gain` in which deformed -> G(deformed, f(deformed), desired) contracts.
 
-    With f' = `response_gain` the multiplier of an iteration is 1 + local_gain f'; Banach's theorem wants it
-    within (-1, 1). A filter or a delay in the loop narrows the range: `stable_range` finds it.
-
-    Parameters
-    ----------
-    response_gain : float
-        f', m/s^2 realised per m/s^2 commanded: the approximate over the exact mass.
+    With f' = `response_gain` (m/s^2 realised per m/s^2 commanded: the approximate over the exact mass) the multiplier
+    of an iteration is 1 + local_gain f'; Banach's theorem wants it within (-1, 1). A filter or a delay in the loop
+    narrows the range: `stable_range` finds it.
     """
     if require_number("response_gain", response_gain) == 0:
         raise InputError("response_gain is 0: the plant does not answer its command")

@@ -6,7 +6,7 @@ __all__, __getattr__, __dir__ = face(
     __name__,
     {
         "adaptive": ("FeLms", "FeRls"),
-        "coordinate_filters": ("LowPass",),
+        "coordinate_filters": ("ExtendedKalman", "LowPass", "UnscentedKalman"),
         "filtering": ("filter_signal",),
         "min_max": ("min_max_solve",),
         "observer": ("NoiseIntensities", "kalman_observer"),
@@ -14,5 +14,6 @@ __all__, __getattr__, __dir__ = face(
         "plant": ("Plant",),
         "recursive": ("RecursiveStepper", "run"),
         "recursive_settings": ("LeastSquares", "MinMax"),
+        "regression": ("LeastMeanSquares", "MinMaxRegressor", "RecursiveLeastSquares"),
     },
 )

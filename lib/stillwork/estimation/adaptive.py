@@ -206,23 +206,9 @@ class FeRls:
 def ferls_update(weights, matrix, forgetting, levels, allowance, gain, regressor, error):
     """One sample of FeRLS in the triangle's form in place, eq. (29)-(30), in the precision of the arrays.
 
-    Parameters
-    ----------
-    weights : (actuators, n)
-        W.
-    matrix, forgetting, levels, allowance, gain
-        Of a `Recursion`.
-    regressor : (n,)
-        psi_N.
-    error : (actuators or more,)
-        e.
-
-    Returns
-    -------
-    leverage : float
-        lambda + psi' P psi; below lambda, or NaN, when P was no longer positive definite.
-    reached : bool
-        Whether `hold_covariance` has something to do; called from here it would cost every sample a third more.
+    `matrix` to `gain` are those of a `Recursion`; the error e may be longer than the actuators are many. Returns the
+    leverage lambda + psi' P psi, below lambda or NaN when P was no longer positive definite, and whether
+    `hold_covariance` has something to do: called from here it would cost every sample a third more.
     """
     n, forget = len(regressor), matrix.dtype.type(forgetting)
     denominator, shrink = update_covariance(matrix, regressor, forget, gain)
@@ -328,19 +314,8 @@ def ferls_step(
 def felms_update(weights, regressor, error, step_size, regularisation, trace_copies):
     """One sample of FeLMS in place, eq. (18)-(19).
 
-    Parameters
-    ----------
-    weights : (actuators, n)
-        W.
-    regressor : (n,)
-        psi_N.
-    error : (actuators or more,)
-        e.
-    step_size, regularisation : float
-        mu and epsilon.
-    trace_copies : float
-        How often the trace counts psi_N' psi_N: the number of actuators for the literal trace of eq. (18), 1 for
-        the trace over the regressors.
+    The trace counts psi_N' psi_N `trace_copies` times: the number of actuators for the literal trace of eq. (18), 1
+    for the trace over the regressors.
     """
     n = len(regressor)
     power = 0.0

@@ -4,17 +4,20 @@ A filter is a frozen description that packs itself for the kernel in `stillwork.
 runs over a record or inside the controller's loop.
 """
 
+import math
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_count, require_number
 from stillwork.base.front_door import check_fields, checked
-from stillwork.estimation.gaussian import BLOCKS, require_covariance
+from stillwork.estimation.extended import plant_extended_step
+from stillwork.estimation.gaussian import BLOCKS, COVARIANCE, require_covariance
 from stillwork.estimation.plant import Plant
-from stillwork.estimation.unscented import SigmaPoints
+from stillwork.estimation.unscented import SigmaPoints, plant_unscented_step
 from stillwork.estimation.windows import end_point_weights
 
 WINDOW, LOW_PASS, UNSCENTED, EXTENDED, SAVITZKY_GOLAY = range(5)
@@ -117,7 +120,87 @@ class SavitzkyGolay:
 
 
 @dataclass(frozen=True)
-class UnscentedKalman:
+class FilterState:
+    """What a Kalman filter knows after a sample, from `start` and `step`.
+
+    Attributes
+    ----------
+    estimate : ndarray, shape (3,)
+        Position in m, velocity in m/s, acceleration in m/s^2.
+    work : ndarray
+        Of the kernel: covariance and last measurement.
+    """
+
+    estimate: Float64[np.ndarray, "3"]
+    work: Float64[np.ndarray, "blocks rows columns"]
+
+    def __post_init__(self):
+        check_fields(self)
+        require_array("estimate", self.estimate, shape=(3,))
+
+    @property
+    def covariance(self) -> Float64[np.ndarray, "states states"]:
+        """By velocity, position and, in the extended filter, the disturbance; zero before the first measurement."""
+        size = self.work.shape[2]
+        return self.work[COVARIANCE, :size, :size].copy()
+
+
+class _KalmanFilter:
+    # Both Kalman filters one sample at a time.
+    plant: Plant
+
+    def packed(self) -> Packed:
+        raise NotImplementedError
+
+    @checked
+    def start(self, velocity: float = 0.0) -> FilterState:
+        """State before the first sample, with the velocity that is presumed then, m/s."""
+        return FilterState(np.array([0.0, require_number("velocity", velocity), 0.0]), self.packed().work)
+
+    @checked
+    def step(
+        self, state: FilterState, measured: ArrayLike, force: float = 0.0, *, time_step: float = 1e-3
+    ) -> FilterState:
+        """State after one sample; the numbers of `filter_signal`.
+
+        Parameters
+        ----------
+        state : FilterState
+            From `start` or the sample before; it is left as it is.
+        measured : float
+            Position in m; NaN where it is missing, then the filter predicts.
+        force : float
+            That acted since the sample before, N.
+        time_step : float
+            Since the sample before, s.
+
+        Raises
+        ------
+        InputError
+            For a first measurement that is missing, numbers that cannot be used, or a covariance that is no longer
+            positive definite.
+        """
+        measured = float(require_array("measured", measured, shape=(), missing=True))
+        if math.isnan(measured) and not state.work.any():
+            raise InputError("measured is NaN at the first sample; start with one that was measured")
+        kind, options, process, noise, fresh = self.packed()
+        if state.work.shape != fresh.shape:
+            raise InputError(f"state is none of {type(self).__name__}; give one of its own start or step")
+        advance = plant_unscented_step if kind == UNSCENTED else plant_extended_step
+        acceleration, _, parameters = self.plant.compiled
+        estimate, work = state.estimate.copy(), state.work.copy()
+        numbers = require_number("time_step", time_step, above=0), measured, require_number("force", force)
+        definite = advance(options, process, noise, work, acceleration, parameters, *numbers, estimate)
+        if not (definite and np.isfinite(estimate).all()):
+            raise InputError(
+                "the covariance stops being positive definite, or the estimate finite; raise process or noise, or check "
+                "that the model fits the record"
+            )
+        return FilterState(estimate, work)
+
+
+@dataclass(frozen=True)
+class UnscentedKalman(_KalmanFilter):
     """Section II.C: state [velocity, position], measured as [difference quotient, position].
 
     Attributes
@@ -134,6 +217,16 @@ class UnscentedKalman:
         Correct with points around the previous estimate, as (14) is printed.
     points : SigmaPoints
         Scaling, Table II.
+
+    Examples
+    --------
+    >>> slide = estimation.Plant(lambda q, v, f, p: f / p[0], lambda q, v, a, p: p[0] * a, [2.0])
+    >>> kalman = estimation.UnscentedKalman(slide)
+    >>> state = kalman.start(velocity=1.0)
+    >>> for position in (0.001, 0.002, np.nan, 0.004):  # m, each millisecond; one is lost
+    ...     state = kalman.step(state, position)
+    >>> state.estimate[:2].round(6)  # position and velocity
+    array([0.004, 1.   ])
     """
 
     plant: Plant
@@ -152,12 +245,13 @@ class UnscentedKalman:
 
     @checked
     def packed(self) -> Packed:
+        """What the kernels take."""
         options = [*self.points.weights(2), float(self.literal), self.initial_variance]
         return _packed(UNSCENTED, options, (BLOCKS, 5, 2), self.process, self.noise)
 
 
 @dataclass(frozen=True)
-class ExtendedKalman:
+class ExtendedKalman(_KalmanFilter):
     """Extended Kalman filter with a disturbance state, measured by the position alone.
 
     Not in the paper. The disturbance collects what the model gets wrong, as a random walk of acceleration.
@@ -174,6 +268,14 @@ class ExtendedKalman:
         Standard deviation of what else changes the velocity in one sample, m/s.
     initial_deviation : tuple of float
         Of position, velocity and disturbance at the first measurement.
+
+    Examples
+    --------
+    >>> slide = estimation.Plant(lambda q, v, f, p: f / p[0], lambda q, v, a, p: p[0] * a, [2.0])
+    >>> time = 1e-3 * np.arange(2000)  # s
+    >>> found = estimation.filter_signal(estimation.ExtendedKalman(slide), time**2)  # pushed, and nobody said so
+    >>> float(found.acceleration[-1].round(3))  # m/s^2
+    2.0
     """
 
     plant: Plant
@@ -194,6 +296,7 @@ class ExtendedKalman:
 
     @checked
     def packed(self) -> Packed:
+        """What the kernels take."""
         process = np.diag([self.velocity_step**2, 0.0, self.disturbance_step**2])
         options = np.square(np.asarray(self.initial_deviation, dtype=float))
         return _packed(EXTENDED, options, (BLOCKS, 5, 3), process, [[self.noise_deviation**2]])

@@ -1,5 +1,7 @@
 """The extended Kalman filter in kernels that know no model, and its form with a disturbance state."""
 
+import numpy as np
+
 from stillwork.base.kernels import kernel
 from stillwork.estimation.gaussian import (
     COVARIANCE,
@@ -63,7 +65,8 @@ def plant_extended_step(
     """One sample for a second-order plant: x = [velocity, position, disturbance], z = position.
 
     The disturbance is the acceleration that the model does not explain, a random walk. options: initial
-    variances of position, velocity and disturbance. work[MEANS, PAST, 0]: 1 once there was a measurement.
+    variances of position, velocity and disturbance. work[MEANS, PAST, 0]: 1 once there was a measurement. NaN is a
+    missing one: the filter predicts.
     """
     means, jacobian = work[MEANS], work[JACOBIAN]
     if means[PAST, 0] == 0.0:
@@ -98,10 +101,11 @@ def plant_extended_step(
     means[ESTIMATE, 0] = velocity + time_step * change
     means[ESTIMATE, 1] = position + time_step * means[ESTIMATE, 0]
     predict_extended(work, process, 3)
-    means[MEASURED, 0] = measured
-    means[EXPECTED, 0] = means[ESTIMATE, 1]
-    if not correct_extended(work, noise, 3, 1):
-        return False
+    if not np.isnan(measured):
+        means[MEASURED, 0] = measured
+        means[EXPECTED, 0] = means[ESTIMATE, 1]
+        if not correct_extended(work, noise, 3, 1):
+            return False
     estimate[0] = means[ESTIMATE, 1]
     estimate[1] = means[ESTIMATE, 0]
     estimate[2] = acceleration(estimate[0], estimate[1], force, plant) + means[ESTIMATE, 2]

@@ -14,7 +14,9 @@ from stillwork.estimation.coordinate_filters import (
     SAVITZKY_GOLAY,
     UNSCENTED,
     WINDOW,
+    ExtendedKalman,
     Filter,
+    UnscentedKalman,
     require_step,
 )
 from stillwork.estimation.extended import plant_extended_step
@@ -49,7 +51,7 @@ def filter_signal(
     signal_filter : Filter
         One of `stillwork.estimation.coordinate_filters`.
     measured : array_like, shape (samples,)
-        Noisy coordinate, m.
+        Noisy coordinate, m. The Kalman filters take NaN after the first sample, and predict where it stands.
     force : array_like, shape (samples,), optional
         Force that acts from each sample to the next, N; the Kalman filters need it, without it it is zero.
     time_step : float
@@ -71,17 +73,16 @@ def filter_signal(
     0.01
     """
     require_step(signal_filter, time_step)
-    measured = require_array("measured", measured, ndim=1)
+    predicts = isinstance(signal_filter, UnscentedKalman | ExtendedKalman)
+    measured = require_array("measured", measured, ndim=1, missing=predicts)
+    if len(measured) and np.isnan(measured[0]):
+        raise InputError("measured is NaN at the first sample; start with one that was measured")
     force = np.zeros_like(measured) if force is None else require_array("force", force, shape=measured.shape)
     estimates = np.empty((len(measured), 3))
-    done = _filter_record(
-        *signal_filter.packed(),
-        *model_of(signal_filter),
-        measured,
-        force,
-        float(time_step),
-        np.array([0.0, require_number("start_velocity", start_velocity), 0.0]),
-        estimates,
+    start = np.array([0.0, require_number("start_velocity", start_velocity), 0.0])
+    device = signal_filter.packed()
+    done = filter_record(
+        device, *model_of(signal_filter), measured, force, float(time_step), start, estimates
     )
     if done < len(measured):
         raise InputError(
@@ -96,8 +97,7 @@ def filter_signal(
 
 def model_of(signal_filter: Filter):
     """Compiled acceleration and parameters of a filter's model; a stand-in where it has none."""
-    plant = getattr(signal_filter, "plant", NO_MODEL)
-    acceleration, _, parameters = plant.compiled
+    acceleration, _, parameters = getattr(signal_filter, "plant", NO_MODEL).compiled
     return acceleration, parameters
 
 
@@ -115,10 +115,9 @@ NO_MODEL = Plant(unit_mass_acceleration, unit_mass_force, np.zeros(0))
 
 
 @kernel
-def filter_step(
-    kind, options, process, noise, work, acceleration, plant, time_step, measured, force, estimate
-):
+def filter_step(device, acceleration, plant, time_step, measured, force, estimate):
     """Advance one filter by one sample; `estimate` (position, velocity, acceleration) is read and written."""
+    kind, options, process, noise, work = device
     if kind == WINDOW:
         moving_window_step(options, work, time_step, measured, estimate)
         return True
@@ -138,28 +137,13 @@ def filter_step(
 
 
 @kernel
-def _filter_record(
-    kind, options, process, noise, work, acceleration, plant, measured, force, time_step, estimate, estimates
-):
+def filter_record(device, acceleration, plant, measured, force, time_step, estimate, estimates):
     """Filter a record; returns the number of samples done."""
     last_force = 0.0
     for i in range(len(measured)):
-        if not filter_step(
-            kind,
-            options,
-            process,
-            noise,
-            work,
-            acceleration,
-            plant,
-            time_step,
-            measured[i],
-            last_force,
-            estimate,
-        ):
+        if not filter_step(device, acceleration, plant, time_step, measured[i], last_force, estimate):
             return i
         last_force = force[i]
-        estimates[i, 0] = estimate[0]
-        estimates[i, 1] = estimate[1]
-        estimates[i, 2] = estimate[2]
+        for j in range(3):
+            estimates[i, j] = estimate[j]
     return len(measured)

@@ -17,16 +17,7 @@ ESTIMATE, EXPECTED, MEASURED, SCRATCH, PAST = range(5)  # rows of MEANS
 def require_covariance(name: str, value, size: int, *, definite: bool = True) -> np.ndarray:
     """Return a symmetric positive definite matrix from a matrix or from its diagonal, else raise `InputError`.
 
-    Parameters
-    ----------
-    name : str
-        How the caller knows the argument.
-    value : array_like, shape (size, size) or (size,)
-        The matrix, or its diagonal.
-    size : int
-        Rows wanted.
-    definite : bool
-        False allows zero eigenvalues: a process without noise.
+    Not `definite`: zero eigenvalues are allowed, for a process without noise.
     """
     matrix = require_array(name, value)
     if matrix.shape == (size,):

@@ -35,13 +35,8 @@ def regularised(
 ) -> GeneralisedPlant:
     """Add `effort` times every control to the performance, and white noise to every measurement.
 
-    Parameters
-    ----------
-    plant : GeneralisedPlant
-    effort : float or array_like, shape (controls,)
-        Cost of each control, in performance units a unit of control; may be zero where D12 has full column rank.
-    noise : float or array_like, shape (measurements,)
-        Intensity root of the noise on each measurement; may be zero where D21 has full row rank.
+    The effort is in performance units a unit of control, the noise the root of an intensity; they may be zero where
+    D12 has full column rank and D21 full row rank.
     """
     a, b1, b2, c1, c2, d11, d12, d21, d22 = plant.blocks
     controls, measurements = b2.shape[1], len(c2)
@@ -75,17 +70,6 @@ def h2_riccati(plant: GeneralisedPlant, effort: float | ArrayLike, noise: float 
 
     The check is the separation theorem: the cost of full information and that of estimating, each from its own
     half of the solution, must add up to the norm of the closed loop.
-
-    Parameters
-    ----------
-    plant, effort, noise
-        See `regularised`.
-
-    Raises
-    ------
-    InputError
-        When a feedthrough from w to z makes every norm infinite, a Riccati equation has no stabilising
-        solution, or the check fails.
     """
     regular = regularised(plant, effort, noise)
     scaled, units = scaled_plant(regular)

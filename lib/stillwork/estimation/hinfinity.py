@@ -14,20 +14,9 @@ from stillwork.estimation.time_varying import FilterGains, TimeVaryingModel
 def hinfinity_gains(model: TimeVaryingModel, wanted: ArrayLike, level: float) -> FilterGains:
     r"""A-posteriori H-infinity filter of z = L x (Hassibi, Sayed and Kailath, 1999, ch. 4).
 
-    It is the Kalman filter on a covariance that every step inflates to :math:`(P^{-1}-\gamma^{-2}L^TL)^{-1}`.
-
-    Parameters
-    ----------
-    model : TimeVaryingModel
-    wanted : array_like, shape (signals, states)
-        L: what is to be estimated, in units in which all errors count alike.
-    level : float
-        :math:`\gamma`: bound on the ratio of error energy to noise energy, both in units of their deviations.
-
-    Raises
-    ------
-    InputError
-        When no filter keeps this level at some sample; the message names it.
+    It is the Kalman filter on a covariance that every step inflates to :math:`(P^{-1}-\gamma^{-2}L^TL)^{-1}`. L,
+    `wanted`, is in units in which all errors count alike; the level :math:`\gamma` bounds the ratio of error energy
+    to noise energy, both in units of their deviations. Where no filter keeps it, the error names the sample.
     """
     level = require_number("level", level, above=0.0)
     wanted = require_array("wanted", wanted, shape=(None, model.a.shape[1]))
@@ -39,13 +28,7 @@ def hinfinity_gains(model: TimeVaryingModel, wanted: ArrayLike, level: float) ->
 
 @checked
 def smallest_level(model: TimeVaryingModel, wanted: ArrayLike, tolerance: float = 1e-3) -> float:
-    """Smallest level for which `hinfinity_gains` exists, from above, by bisection to a relative tolerance.
-
-    Raises
-    ------
-    InputError
-        When `wanted` is zero, which every level keeps, or no level suffices.
-    """
+    """Smallest level for which `hinfinity_gains` exists, from above, by bisection to a relative tolerance."""
     wanted = require_array("wanted", wanted, shape=(None, model.a.shape[1]))
     require_number("tolerance", tolerance, at_least=1e-12)
     square = np.linalg.norm(wanted @ model.initial_covariance @ wanted.T, 2) if len(wanted) else 0.0

@@ -91,7 +91,7 @@ def unscented_filter(
     model : NonlinearModel
         Own model.
     measurements : array_like, shape (outputs, samples)
-        z.
+        z; where one of its outputs is NaN the measurement is missing, and the sample is predicted.
     inputs : array_like, shape (inputs, samples), optional
         ``inputs[:, k]`` acts on the way to sample k; zero without.
     process, noise : array_like, shape (n, n) or (n,)
@@ -131,7 +131,7 @@ def extended_filter(
 
 
 def _prepare(model, measurements, inputs, process, noise, mean, covariance):
-    measurements = require_array("measurements", measurements, shape=(model.outputs, None))
+    measurements = require_array("measurements", measurements, shape=(model.outputs, None), missing=True)
     samples = measurements.shape[1]
     if inputs is None:
         inputs = np.zeros((model.inputs, samples))

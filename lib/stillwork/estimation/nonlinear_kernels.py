@@ -23,20 +23,22 @@ def model_record(
     means,
     covariances,
 ):
-    """Filter a record, unscented or extended; returns the samples done."""
+    """Filter a record, unscented or extended; returns the samples done. Without its measurement a sample is predicted."""
     states, outputs = means.shape[1], measurements.shape[1]
     state, seen = np.empty((3, states)), np.empty((3, outputs))  # one row an argument of the model functions
     for k in range(len(measurements)):
+        missing = False
         for j in range(outputs):
             work[MEANS, MEASURED, j] = measurements[k, j]
+            missing |= np.isnan(measurements[k, j])
         if unscented:
-            definite = _unscented_step(
-                transition, measurement, parameters, inputs[k], process, noise, work, weights, state, seen
+            definite = _predict_points(transition, parameters, inputs[k], process, work, weights, state) and (
+                missing
+                or _correct_points(measurement, parameters, inputs[k], noise, work, weights, state, seen)
             )
         else:
-            definite = _extended_step(
-                transition, measurement, parameters, inputs[k], process, noise, work, state, seen
-            )
+            _predict_mean(transition, parameters, inputs[k], process, work, state)
+            definite = missing or _correct_mean(measurement, parameters, inputs[k], noise, work, state, seen)
         if not definite:
             return k
         for i in range(states):
@@ -47,12 +49,18 @@ def model_record(
 
 
 @kernel
-def _unscented_step(transition, measurement, parameters, inputs, process, noise, work, weights, state, seen):
-    states, outputs = state.shape[1], seen.shape[1]
+def _predict_points(transition, parameters, inputs, process, work, weights, state):
+    states = state.shape[1]
     if not spread_points(work, states, weights[0]):
         return False
     _move_points(transition, inputs, parameters, work[POINTS], work[POINTS], state[0], state[1])
     predict_unscented(work, weights, process, states)
+    return True
+
+
+@kernel
+def _correct_points(measurement, parameters, inputs, noise, work, weights, state, seen):
+    states, outputs = state.shape[1], seen.shape[1]
     if not spread_points(work, states, weights[0]):
         return False
     _move_points(measurement, inputs, parameters, work[POINTS], work[OBSERVED], state[0], seen[0])
@@ -71,8 +79,8 @@ def _move_points(function, inputs, parameters, points, results, here, there):
 
 
 @kernel
-def _extended_step(transition, measurement, parameters, inputs, process, noise, work, state, seen):
-    states, outputs = state.shape[1], seen.shape[1]
+def _predict_mean(transition, parameters, inputs, process, work, state):
+    states = state.shape[1]
     here, mean = state[0], work[MEANS, ESTIMATE]
     for j in range(states):
         here[j] = mean[j]
@@ -80,8 +88,15 @@ def _extended_step(transition, measurement, parameters, inputs, process, noise, 
     transition(here, inputs, parameters, state[1])
     for j in range(states):
         mean[j] = state[1, j]
-        here[j] = mean[j]
     predict_extended(work, process, states)
+
+
+@kernel
+def _correct_mean(measurement, parameters, inputs, noise, work, state, seen):
+    states, outputs = state.shape[1], seen.shape[1]
+    here = state[0]
+    for j in range(states):
+        here[j] = work[MEANS, ESTIMATE, j]
     _differences(measurement, here, inputs, parameters, seen[1], seen[2], work[OBSERVATION])
     measurement(here, inputs, parameters, seen[0])
     for j in range(outputs):

@@ -290,13 +290,13 @@ def _run(settings, regressors, name, signals, weights, every) -> Adaptation:
         weights = start.astype(dtype)
         if isinstance(settings, FeRls):
             recursion = settings.start(n)
-            stopped, definite = _run_ferls(weights, recursion, *recursion[-2:], *inputs, watch)
+            stopped, definite = run_ferls(weights, recursion, *recursion[-2:], *inputs, watch)
             covariance, held = recursion.covariance, recursion.held
             if not definite:
                 raise _not_definite(stopped)
         else:
             rates = settings.step_size, settings.regularisation, settings.trace_copies(actuators)
-            stopped = _run_felms(weights, *rates, *inputs, watch)
+            stopped = run_felms(weights, *rates, *inputs, watch)
         if stopped < samples:
             raise _runaway(stopped, settings)
         if np.all(np.isfinite(weights)) and (covariance is None or np.all(np.isfinite(covariance))):
@@ -354,7 +354,7 @@ def _keep(weights, entry):
 
 
 @kernel
-def _run_ferls(weights, recursion, inner, other, regressors, signals, fits, ceiling, history, every, watch):
+def run_ferls(weights, recursion, inner, other, regressors, signals, fits, ceiling, history, every, watch):
     matrix, form, forgetting, levels, allowance, gain, _, _ = recursion
     error = np.empty(signals.shape[1], signals.dtype)
     due = every - 1
@@ -377,7 +377,7 @@ def _run_ferls(weights, recursion, inner, other, regressors, signals, fits, ceil
 
 
 @kernel
-def _run_felms(
+def run_felms(
     weights,
     step_size,
     regularisation,

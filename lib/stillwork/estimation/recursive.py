@@ -1,5 +1,6 @@
 """Recursive estimators with one interface: `run` over a record, `RecursiveStepper` for one sample at a time."""
 
+import math
 import warnings
 
 import numpy as np
@@ -9,10 +10,13 @@ from stillwork.base.checks import InputError, require_array, require_count, requ
 from stillwork.base.front_door import checked
 from stillwork.estimation import recursive_kernels
 from stillwork.estimation.min_max import ZeroEstimateWarning
-from stillwork.estimation.recursive_settings import Estimator, GrowingMinMax, MinMax, Track
+from stillwork.estimation.recursive_settings import Estimator, GrowingMinMax, MinMax, Track, empty_track
 
 # The recursions work with |s|^2, the fourth power of the data, which must neither overflow nor vanish.
 LARGEST = 1e70
+SQUARE = LARGEST**2
+FLOAT = np.dtype(np.float64)
+AHEAD = 64  # samples for which a stepper asks for the bounds at once
 
 
 @checked(infinite=True)
@@ -81,7 +85,7 @@ def run_silently(estimator: Estimator, regressors: ArrayLike, outputs: ArrayLike
                 f"{name} is nowhere above {largest:g}, too small to be squared; use another unit"
             )
     track = estimator.advance(estimator.start(unknowns), 0, np.ascontiguousarray(regressors.T), outputs)
-    _require_finite(track, 0)
+    _require_finite(track.estimates.T, track.errors, 0)
     return track
 
 
@@ -89,8 +93,8 @@ def _is_min_max(estimator) -> bool:
     return isinstance(estimator, MinMax | GrowingMinMax)
 
 
-def _require_finite(track: Track, first: int) -> None:
-    finite = np.isfinite(track.errors) & np.isfinite(track.estimates).all(axis=0)
+def _require_finite(estimates, errors, first: int) -> None:
+    finite = np.isfinite(errors) & np.isfinite(estimates).all(axis=1)
     if not finite.all():
         raise InputError(
             f"the estimate leaves the finite numbers at sample {first + int(np.argmin(finite))}; use other units, "
@@ -101,6 +105,13 @@ def _require_finite(track: Track, first: int) -> None:
 def _require_size(name, largest) -> None:
     if largest > LARGEST:
         raise InputError(f"{name} reaches {largest:g}, too large to be squared; use another unit")
+
+
+def _side_by_side(parts: tuple[np.ndarray, ...]) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+    """Arrays as parts of one, which is copied at once, and this one."""
+    whole = np.concatenate([part.ravel() for part in parts])
+    pieces = np.split(whole, np.cumsum([part.size for part in parts])[:-1])
+    return whole, tuple(piece.reshape(part.shape) for piece, part in zip(pieces, parts, strict=True))
 
 
 class RecursiveStepper:
@@ -132,9 +143,26 @@ class RecursiveStepper:
             )
         self._estimator = estimator
         self._unknowns = require_count("unknowns", unknowns)
-        self._state = estimator.start(self._unknowns)
         self.samples = 0
         self._excited = self._warned = False
+        self._lay_out(estimator.start(self._unknowns))
+
+    def _lay_out(self, state) -> None:
+        # What an update writes to, once for all of them.
+        self._kept, self._state = _side_by_side(state)
+        self._trial, self._next = _side_by_side(state)  # becomes the state when its numbers can be used
+        self._rows, self._outputs = np.zeros((1, self._unknowns)), np.zeros(1)
+        self._row, self._shape = self._rows[0], (self._unknowns,)
+        self._track = empty_track(self._rows)
+        self._bounds = self._estimator.bounds(self.samples - self.samples % AHEAD, AHEAD)
+
+    def __getstate__(self):
+        return self._estimator, self._unknowns, self.samples, self._excited, self._warned, self._state
+
+    def __setstate__(self, kept):
+        # Of a copy: views copied one by one would be views no more.
+        self._estimator, self._unknowns, self.samples, self._excited, self._warned, state = kept
+        self._lay_out(state)
 
     def update(self, regressor: ArrayLike, output: float) -> np.ndarray:
         """Use one sample; returns the new estimate, shape (unknowns,).
@@ -150,18 +178,33 @@ class RecursiveStepper:
         ZeroEstimateWarning
             At the first sample, once there are more than unknowns, at which a min-max bound makes the estimate zero.
         """
-        row = require_array("regressor", regressor, shape=(self._unknowns,))
-        output = require_number("output", output)
-        _require_size("regressor", max(map(abs, row.tolist())))
-        _require_size("output", abs(output))
-        state = tuple(part.copy() for part in self._state)
-        track = self._estimator.advance(state, self.samples, row[None], np.array([output]))
-        _require_finite(track, self.samples)
-        self._state = state
+        # Nearly all samples come as they are wanted: for them the full checks would cost more than the update.
+        if (
+            type(regressor) is not np.ndarray
+            or regressor.dtype is not FLOAT
+            or regressor.shape != self._shape
+        ):
+            regressor = require_array("regressor", regressor, shape=self._shape)
+        row, place = self._row, self.samples % AHEAD
+        row[:] = regressor
+        if not (row.dot(row) <= SQUARE and isinstance(output, float) and -LARGEST <= output <= LARGEST):
+            _require_size("regressor", max(map(abs, require_array("regressor", row).tolist())))
+            output = require_number("output", output)
+            _require_size("output", abs(output))
+        self._outputs[0] = output
+        if place == 0:
+            self._bounds = self._estimator.bounds(self.samples, AHEAD)
+        self._trial[:] = self._kept
+        estimates, errors, alphas, _ = track = self._track
+        bounds = self._bounds[place : place + 1]
+        self._estimator.fill(self._next, bounds, self._rows, self._outputs, *track)
+        estimate = estimates[0]
+        if not (estimate.dot(estimate) < np.inf and math.isfinite(errors[0])):
+            _require_finite(estimates, errors, self.samples)
+        self._kept, self._state, self._trial, self._next = self._trial, self._next, self._kept, self._state
         self.samples += 1
-        self._excited = self._excited or (output != 0 and bool(row.any()))
-        zero = self._excited and self.samples > self._unknowns and track.alphas[0] == np.inf
-        if zero and not self._warned:
+        self._excited = self._excited or bool(output != 0 and row.any())
+        if alphas[0] == np.inf and not self._warned and self._excited and self.samples > self._unknowns:
             self._warned = True
             warnings.warn(
                 f"the estimate is zero after sample {self.samples}: the bound is at or above |A'b|/|b|, so a "
@@ -170,7 +213,7 @@ class RecursiveStepper:
                 ZeroEstimateWarning,
                 stacklevel=2,
             )
-        return track.estimates[:, 0].copy()
+        return estimate.copy()
 
 
 @checked

@@ -1,6 +1,5 @@
 """Settings and steps of the recursive estimators; `recursive` runs them over data."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,12 +33,28 @@ class Track:
     evaluations: Int64[np.ndarray, " samples"]
 
 
-class _MinMaxUpdate:
-    # Shared by the two windows below: how alpha is found, and the kernels behind it. The state stands apart
-    # from the settings, so one estimator serves many records; `advance` changes the state in place.
+class _Recursion:
+    # The state stands apart from the settings, so one estimator serves many records.
+    def bounds(self, first: int, count: int) -> np.ndarray:
+        """eta of `count` samples from sample `first` on; zero where nothing is doubted."""
+        return np.zeros(count)
+
+    def fill(self, state, bounds, rows, outputs, *track) -> None:
+        """Take in rows with their bounds: the state and the arrays of a track are changed in place."""
+        raise NotImplementedError
+
+    def advance(self, state, first: int, rows, outputs) -> Track:
+        """Take in rows from sample `first` on; the state is changed in place."""
+        out = empty_track(rows)
+        self.fill(state, self.bounds(first, len(rows)), rows, outputs, *out)
+        estimates, *others = out
+        return Track(estimates.T, *others)
+
+
+class _MinMaxUpdate(_Recursion):
+    # Shared by the two windows below: how alpha is found, and the kernels behind it.
     update: str
     iterations: int
-    bounds: Callable
 
     @property
     def _weight(self) -> float:
@@ -52,15 +67,12 @@ class _MinMaxUpdate:
             return (np.zeros(unknowns), np.eye(unknowns), *state[1:])
         return (*state, np.zeros((unknowns, unknowns)), np.zeros(unknowns))
 
-    def advance(self, state, first: int, rows, outputs) -> Track:
-        out = _empty(rows)
-        bounds = self.bounds(first, len(rows))
+    def fill(self, state, bounds, rows, outputs, *track) -> None:
         if self.update == "fast":
-            rank_one.run_fast(rows, outputs, bounds, self._weight, *state, *out)
+            rank_one.run_fast(rows, outputs, bounds, self._weight, *state, *track)
         else:
             iterations = self.iterations if self.update == "approximate" else 0
-            recursive_kernels.run_min_max(rows, outputs, bounds, self._weight, iterations, *state, *out)
-        return _track(*out)
+            recursive_kernels.run_min_max(rows, outputs, bounds, self._weight, iterations, *state, *track)
 
     def _check(self) -> None:
         require_choice("update", self.update, UPDATES)
@@ -152,7 +164,7 @@ class GrowingMinMax(_MinMaxUpdate):
 
 
 @dataclass(frozen=True)
-class LeastSquares:
+class LeastSquares(_Recursion):
     """Exponentially weighted recursive least squares (RLS) in covariance form.
 
     Attributes
@@ -193,16 +205,13 @@ class LeastSquares:
         limits = np.full(unknowns, initial * float(self.growth_limit))
         return initial * np.eye(unknowns), np.zeros(unknowns), limits
 
-    def advance(self, state, first: int, rows, outputs) -> Track:
-        """Take in rows from sample `first` on; the state is changed in place."""
-        out = _empty(rows)
-        recursive_kernels.run_least_squares(rows, outputs, float(self.forgetting), *state, *out[:2])
-        out[2][:] = 0
-        return _track(*out)
+    def fill(self, state, bounds, rows, outputs, *track) -> None:
+        """As of all estimators, without bounds."""
+        recursive_kernels.run_least_squares(rows, outputs, float(self.forgetting), *state, *track[:2])
 
 
 @dataclass(frozen=True)
-class Ridge:
+class Ridge(_Recursion):
     """Exponentially weighted ridge regression with a constant penalty: x = (R + penalty I)^-1 s.
 
     Attributes
@@ -223,25 +232,20 @@ class Ridge:
     def start(self, unknowns: int) -> tuple[np.ndarray, ...]:
         return np.zeros((unknowns, unknowns)), np.zeros(unknowns), np.zeros(unknowns)
 
-    def advance(self, state, first: int, rows, outputs) -> Track:
-        out = _empty(rows)
+    def fill(self, state, bounds, rows, outputs, *track) -> None:
         settings = float(self.penalty), float(self.forgetting)
-        recursive_kernels.run_ridge(rows, outputs, *settings, *state, *out[:2])
-        out[2][:] = self.penalty
-        return _track(*out)
+        recursive_kernels.run_ridge(rows, outputs, *settings, *state, *track[:2])
+        track[2][:] = self.penalty
 
 
 Estimator = MinMax | GrowingMinMax | LeastSquares | Ridge
 
 
-def _empty(rows):
+def empty_track(rows) -> tuple[np.ndarray, ...]:
+    """Arrays that `fill` takes, one entry a row."""
     return (
         np.zeros(rows.shape),
         np.zeros(len(rows)),
         np.zeros(len(rows)),
         np.zeros(len(rows), dtype=np.int64),
     )
-
-
-def _track(estimates, errors, alphas, evaluations) -> Track:
-    return Track(estimates.T, errors, alphas, evaluations)

@@ -80,19 +80,9 @@ def continuous_gain(
 ) -> KalmanGain:
     r"""Kalman gain :math:`L = PC^TR^{-1}` with :math:`AP + PA^T + GQG^T - PC^TR^{-1}CP = 0` (section 3.1).
 
-    Parameters
-    ----------
-    a, noise_input, c : array_like
-        A, G and C of the model.
-    process, sensor : float or array_like
-        Intensities Q and R; a number stands for a multiple of the identity.
-
-    Raises
-    ------
-    InputError
-        When an intensity is not positive definite, `noise_input` or `c` is zero, a mode on or right of the
-        imaginary axis is not observable, one on the axis is not driven by the noise, or the solution leaves
-        too large a residual or an unstable observer.
+    The intensities Q and R are matrices, or numbers for a multiple of the identity. An error tells what leaves no
+    trusted solution: an intensity that is not positive definite, a mode on or right of the imaginary axis that is not
+    observable, one on the axis that the noise does not drive, a large residual or an unstable observer.
     """
     a, g, c, root = _checked(a, noise_input, c, process, sensor)
     scale = _state_scale(a, g, c)

@@ -86,18 +86,8 @@ def kalman_gains(model: TimeVaryingModel) -> FilterGains:
 def sensitivity_gains(model: TimeVaryingModel, derivatives: Derivatives, weight: float) -> FilterGains:
     r"""Sensitivity-penalised filter (5.25).
 
-    Parameters
-    ----------
-    model : TimeVaryingModel
-    derivatives : Derivatives
-    weight : float
-        :math:`\gamma` in (0, 1]: 1 is the Kalman filter, small values punish sensitivity. It weighs squared
-        metres against variances, so only values of the order of R act (Remark 5.4.1).
-
-    Raises
-    ------
-    InputError
-        When the derivatives do not fit the model or `weight` lies outside (0, 1].
+    The weight :math:`\gamma` in (0, 1] is 1 for the Kalman filter, small values punish sensitivity. It weighs squared
+    metres against variances, so only values of the order of R act (Remark 5.4.1).
     """
     weight = require_number("weight", weight, above=0.0, at_most=1.0)
     rows = derivatives.rows(model)
@@ -109,19 +99,9 @@ def sensitivity_gains(model: TimeVaryingModel, derivatives: Derivatives, weight:
 def regularised_gains(model: TimeVaryingModel, bound: NormBound, margin: float = 1.0) -> FilterGains:
     r"""Robust regularised least-squares filter (5.21) with the rule of thumb :math:`\lambda = (1+\alpha)\lambda_l`.
 
-    Parameters
-    ----------
-    model : TimeVaryingModel
-    bound : NormBound
-        The rule does not see how large E is: with one output and margin 1 it halves R even for errors that
-        vanish. Only the exact search, or no uncertainty at all, returns to the Kalman filter.
-    margin : float
-        :math:`\alpha > 0`; the thesis takes 1.
-
-    Raises
-    ------
-    InputError
-        When the uncertainty does not fit the model or `margin` is not positive.
+    The thesis takes a margin :math:`\alpha` of 1. The rule does not see how large E is: with one output and margin 1
+    it halves R even for errors that vanish. Only the exact search, or no uncertainty at all, returns to the Kalman
+    filter.
     """
     margin = require_number("margin", margin, above=0.0)
     rows, m = bound_rows(model, bound)

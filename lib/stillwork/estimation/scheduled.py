@@ -22,13 +22,7 @@ class GainTable:
     gains: Float64[np.ndarray, "places states outputs"]
 
     def at(self, places: ArrayLike) -> Float64[np.ndarray, "samples states outputs"]:
-        """Gains at places (m) by linear interpolation.
-
-        Raises
-        ------
-        InputError
-            When the schedule leaves the grid: the table knows no gain there.
-        """
+        """Gains at places (m) on the grid by linear interpolation."""
         places = require_array("places", places, ndim=1)
         if not len(places):
             raise InputError("places is empty; give the position at every sample in m")
@@ -47,24 +41,7 @@ class GainTable:
 def gain_table(
     a: ArrayLike, g: ArrayLike, rows: ArrayLike, grid: ArrayLike, process: ArrayLike, sensor: ArrayLike
 ) -> GainTable:
-    """Stationary Kalman filter gains for the output rows of every grid point.
-
-    Parameters
-    ----------
-    a, g : array_like
-        Sampled model; the noise enters through g.
-    rows : array_like, shape (places, outputs, states)
-        C at the grid points.
-    grid : array_like, shape (places,)
-        m, ascending, at least two.
-    process, sensor : array_like
-        Covariances.
-
-    Raises
-    ------
-    InputError
-        When the grid does not ascend, or a mode that is not stable cannot be observed at a grid point.
-    """
+    """Stationary Kalman filter gains for the rows of C at every point of an ascending grid (m)."""
     rows = require_array("rows", rows, ndim=3)
     grid = require_array("grid", grid, shape=(len(rows),))
     if len(grid) < 2 or np.any(np.diff(grid) <= 0):
@@ -83,22 +60,10 @@ BLIND = 1e-6
 
 
 def require_observable_along(model: TimeVaryingModel, places: ArrayLike) -> None:
-    """Refuse a trajectory along which a mode that is not stable by itself is lost from view.
+    """Refuse a trajectory (m) along which a mode that is not stable by itself is lost from view: the first place is named.
 
     Between samples a filter may coast; a stationary gain has no meaning where such a mode cannot be seen, and a
     time-varying one lets its error grow as long as that lasts.
-
-    Parameters
-    ----------
-    model : TimeVaryingModel
-        With one A for all samples.
-    places : array_like, shape (samples,)
-        m, for the message.
-
-    Raises
-    ------
-    InputError
-        Names the first place, and the mode.
     """
     places = require_array("places", places, shape=(model.samples,))
     values, every = linalg.eig(model.a[-1])

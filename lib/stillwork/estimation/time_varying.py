@@ -96,20 +96,9 @@ class FilterGains:
 def estimate(
     gains: FilterGains, u: ArrayLike, y: ArrayLike, initial: ArrayLike | None = None
 ) -> Float64[np.ndarray, "*runs states samples"]:
-    """Filtered estimates x(k|k) of one record or of many.
+    """Filtered estimates x(k|k) of one record (states, samples) or of many (runs, states, samples).
 
-    Parameters
-    ----------
-    gains : FilterGains
-    u : array_like, shape (inputs, samples) or (runs, inputs, samples)
-        Known input, held from sample to sample.
-    y : array_like, shape (outputs, samples) or (runs, outputs, samples)
-    initial : array_like, shape (states,), optional
-        x(0|0); zero by default. The measurement at sample 0 is not used.
-
-    Returns
-    -------
-    ndarray, shape (states, samples) or (runs, states, samples)
+    The known input is held from sample to sample, x(0|0) zero by default; the measurement at sample 0 is not used.
     """
     samples, states, inputs = gains.inputs.shape
     y = require_array("y", y)

@@ -130,7 +130,8 @@ def plant_unscented_step(
     """One sample for a second-order plant: x = [velocity, position], z = [difference quotient, position].
 
     options: four weights, 1 for the literal (14), initial variance. work[MEANS, PAST]: the last measurement,
-    and 1 once there was one.
+    and 1 once there was one, 2 while it is missing. NaN is a missing measurement: the filter predicts. The one after
+    has no difference quotient, so that the position alone corrects.
     """
     points, observed, means = work[POINTS], work[OBSERVED], work[MEANS]
     if means[PAST, 1] == 0.0:
@@ -156,11 +157,21 @@ def plant_unscented_step(
         if not spread_points(work, 2, options[0]):
             return False
         _copy_points(points, observed)
-    means[MEASURED, 0] = (measured - means[PAST, 0]) / time_step
-    means[MEASURED, 1] = measured
-    means[PAST, 0] = measured
-    if not correct_unscented(work, options, noise, 2, 2):
-        return False
+    if np.isnan(measured):
+        means[PAST, 1] = 2.0
+    elif means[PAST, 1] == 2.0:
+        for i in range(5):
+            observed[i, 0] = observed[i, 1]
+        means[MEASURED, 0] = measured
+        if not correct_unscented(work, options, noise[1:, 1:], 2, 1):
+            return False
+        means[PAST, 0], means[PAST, 1] = measured, 1.0
+    else:
+        means[MEASURED, 0] = (measured - means[PAST, 0]) / time_step
+        means[MEASURED, 1] = measured
+        means[PAST, 0] = measured
+        if not correct_unscented(work, options, noise, 2, 2):
+            return False
     estimate[0] = means[ESTIMATE, 1]
     estimate[1] = means[ESTIMATE, 0]
     estimate[2] = (means[ESTIMATE, 0] - last_velocity) / time_step

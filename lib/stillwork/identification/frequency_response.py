@@ -35,14 +35,6 @@ def closed_loop_response(
 
     The direct ratio of output and input would be biased by the noise that the loop feeds back; noise that is
     independent of the excitation averages out of this one.
-
-    Parameters
-    ----------
-    excitation, inputs, outputs : array_like, shape (samples,)
-    step : float
-        s.
-    segment : int
-        Samples a segment (Hann window, half overlap).
     """
     excitation = require_array("excitation", excitation, ndim=1)
     inputs = require_array("inputs", inputs, shape=excitation.shape)
@@ -67,14 +59,7 @@ def closed_loop_response(
 
 @checked
 def impact_response(force: ArrayLike, response: ArrayLike, rate: float) -> Identified:
-    """H1 estimate from repeated hits: one record a hit, the force's own cross spectra averaged over hits.
-
-    Parameters
-    ----------
-    force, response : array_like, shape (hits, samples)
-    rate : float
-        Samples a second.
-    """
+    """H1 estimate from repeated hits, one record a hit: the force's own cross spectra averaged over hits."""
     force = require_array("force", force, ndim=2)
     response = require_array("response", response, shape=force.shape)
     require_number("rate", rate, above=0.0)

@@ -16,57 +16,35 @@ from stillwork.lti.reduction import truncate
 
 PROMINENCE_DB = 10.0  # by which a resonance must stand out to be taken for a mode
 COHERENT = 0.8  # coherence that a resonance must have
+SUSPENDED = (
+    3.0  # times its suspension's frequency that a machine's first resonance must have, or it is no rigid body
+)
 MOST_MODES = 12  # of a matrix model: the others enter as compliance
 
 
 @dataclass(frozen=True)
 class Machine:
-    """A machine as the search takes it.
+    """A machine as the search takes it."""
 
-    Attributes
-    ----------
-    sensors : tuple of ModalModel
-        Force to position, one a sensor that the controller must serve.
-    mass : float
-        kg, of the rigid body.
-    source : str
-        Where it comes from.
-    measured : Identified, optional
-        Its accelerance at the first sensor, 1/kg, counted along the force.
-    fit : ModalFit, optional
-        Of `measured`.
-    mirrored : tuple of bool
-        By sensor: whether it is the assumed mirror image of the first.
-    notes : tuple of str
-        What was done to it, and what to mind.
-    """
-
-    sensors: tuple[ModalModel, ...]
-    mass: float
-    source: str
-    measured: Identified | None = None
-    fit: ModalFit | None = None
-    mirrored: tuple[bool, ...] = (False,)
-    notes: tuple[str, ...] = ()
+    sensors: tuple[ModalModel, ...]  # force to position, one a sensor that the controller must serve
+    mass: float  # kg, of the rigid body
+    source: str  # where it comes from
+    measured: Identified | None = None  # its accelerance at the first sensor, 1/kg, counted along the force
+    fit: ModalFit | None = None  # of `measured`
+    mirrored: tuple[bool, ...] = (False,)  # by sensor: whether it is the assumed mirror image of the first
+    notes: tuple[str, ...] = ()  # what was done to it, and what to mind
 
     def __post_init__(self):
         check_fields(self)
 
     @property
     def resonances_hz(self) -> Float64[np.ndarray, " modes"]:
-        """Of the flexible modes."""
-        model = self.sensors[0]
-        return model.frequencies[model.rigid_modes :] / (2 * np.pi)
+        """Of the flexible modes; a suspension, the first mode of a machine on springs to the ground, is none."""
+        return self.sensors[0].frequencies[1:] / (2 * np.pi)
 
 
 def find_modes(measured: Identified, band_hz: tuple[float, float]) -> list[float]:
-    """Resonances in Hz that stand out of an accelerance by 10 dB, where it is coherent.
-
-    Raises
-    ------
-    InputError
-        When none stands out.
-    """
+    """Resonances in Hz that stand out of an accelerance by 10 dB, where it is coherent."""
     inside = _inside(measured, band_hz)
     magnitude = 20 * np.log10(np.abs(measured.response[inside]))
     peaks, _ = find_peaks(magnitude, prominence=PROMINENCE_DB)
@@ -162,10 +140,12 @@ def _fitted(
 
 
 def _built(file: MachineFile, model: ModalModel) -> Machine:
-    if model.rigid_modes != 1:
+    suspended = not model.rigid_modes and SUSPENDED * model.frequencies[0] <= model.frequencies[1:2].sum()
+    if model.rigid_modes != 1 and not suspended:
         raise InputError(
-            f"{file.source} has {model.rigid_modes} rigid-body modes; the PID rules are for a machine that is free "
-            "to move in one direction: leave out the stiffness to the ground, and fix the other directions"
+            f"{file.source} has {model.rigid_modes} rigid-body modes; the PID rules are for a machine that is free to "
+            f"move in one direction, or on springs to the ground with all resonances above {SUSPENDED:g} times that "
+            "of its suspension: free this direction, and fix the others"
         )
     if not len(model.frequencies) > 1:
         raise InputError(
@@ -188,6 +168,8 @@ def _built(file: MachineFile, model: ModalModel) -> Machine:
             "the force (a row of shares that add up to 1)"
         )
     notes = ("counted against the force, turned",) if turned else ()
+    if suspended:
+        notes += (f"on springs to the ground: its suspension at {model.frequencies[0] / (2 * np.pi):.4g} Hz",)
     return Machine(sensors, masses[0], file.source, mirrored=(False,) * len(sensors), notes=notes)
 
 

@@ -1,6 +1,7 @@
 """A machine of one's own from a file: a measured frequency response, hammer records, or mass and stiffness."""
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,27 +26,14 @@ _HERTZ = {"hz": 1.0, "khz": 1e3, "rad/s": 1 / (2 * np.pi)}
 
 @dataclass(frozen=True)
 class MachineFile:
-    """What a file says about a machine: either its accelerance, or a modal model.
+    """What a file says about a machine: either its accelerance, or a modal model."""
 
-    Attributes
-    ----------
-    kind : str
-        ``frequency response``, ``hammer records`` or ``matrices``.
-    source : str
-        File name.
-    accelerance : Identified, optional
-        Acceleration over force in 1/kg; coherence is NaN where the file has none.
-    model : ModalModel, optional
-        From force to the position of every sensor.
-    notes : tuple of str
-        What was done to it.
-    """
-
-    kind: str
-    source: str
+    kind: str  # ``frequency response``, ``hammer records`` or ``matrices``
+    source: str  # file name
+    # acceleration over force in 1/kg; coherence is NaN where the file has none
     accelerance: Identified | None = None
-    model: ModalModel | None = None
-    notes: tuple[str, ...] = ()
+    model: ModalModel | None = None  # from force to the position of every sensor
+    notes: tuple[str, ...] = ()  # what was done to it
 
 
 def kind_of(arrays: dict[str, np.ndarray]) -> str:
@@ -63,8 +51,8 @@ def kind_of(arrays: dict[str, np.ndarray]) -> str:
 @checked(missing=True)
 def load_machine(
     file: str | Path,
-    response_unit: str = "m/s^2",
-    force_unit: str = "N",
+    response_unit: str = "",
+    force_unit: str = "",
     *,
     sample_rate: float | None = None,
     response: str = "",
@@ -85,7 +73,8 @@ def load_machine(
     ----------
     file : str or Path
     response_unit, force_unit : str
-        Of the response and of the force, e.g. ``m/s^2``, ``g``, ``um`` and ``N``, ``kN``. Not for matrices.
+        Of the response and of the force, e.g. ``m/s^2``, ``g``, ``um`` and ``N``, ``kN``; empty: as the brackets in
+        the file say, or m/s^2 and N where it does not. Not for matrices.
     sample_rate : float, optional
         Hz, of hammer records without a time or a rate.
     response : str
@@ -111,6 +100,16 @@ def load_machine(
         kind = kind_of(arrays)
         if kind == "matrices":
             return MachineFile(kind, file.name, model=_from_matrices(arrays, damping_ratio))
+        stated = stated_units([response] if response in arrays else arrays)
+        silent = [
+            name
+            for name, said, given in zip(
+                ("response", "force"), stated, (response_unit, force_unit), strict=True
+            )
+            if not said and not given
+        ]
+        response_unit = _agreed("response_unit", response_unit, stated[0]) or "m/s^2"
+        force_unit = _agreed("force_unit", force_unit, stated[1]) or "N"
         factor, unit = unit_factor(response_unit)
         force, force_si = unit_factor(force_unit)
         if unit not in MOTION_UNITS:
@@ -125,9 +124,55 @@ def load_machine(
             found, notes = _from_response(arrays, response)
     except InputError as error:
         raise InputError(f"{file.name}: {error}") from None
+    if silent:
+        notes += (
+            f"nothing says the unit of {' and '.join(silent)}; taken for {response_unit} over {force_unit}",
+        )
     derivatives = MOTION_UNITS.index(unit)
     scaled = factor / force * found.response * (1j * found.omega) ** derivatives
     return MachineFile(kind, file.name, found._replace(response=scaled), notes=notes)
+
+
+def stated_units(names: Iterable[str]) -> tuple[str, str]:
+    """Units of response and force from brackets such as ``(m/s^2/N)``, ``((m/s2)/N)``, ``(g)`` and ``(N)``; empty: none.
+
+    Raises
+    ------
+    InputError
+        When two names contradict each other.
+    """
+    units: dict[str, str] = {}
+    for name in names:
+        found = re.search(r"[(\[](.+)[)\]]\s*$", name)
+        whole = found[1] if found else ""
+        top, _, below = whole.rpartition("/")
+        top = top.strip("() ")
+        if is_unit(top, MOTION_UNITS) and is_unit(below, ("N",)):
+            said = {"response": top, "force": below}
+        else:
+            kinds = (("response", MOTION_UNITS), ("force", ("N",)))
+            said = {kind: whole for kind, wanted in kinds if is_unit(whole, wanted)}
+        for kind, unit in said.items():
+            if unit_factor(units.setdefault(kind, unit)) != unit_factor(unit):
+                raise InputError(
+                    f"the {kind} is in {units[kind]} and in {unit}; give one unit to all of its columns"
+                )
+    return units.get("response", ""), units.get("force", "")
+
+
+def is_unit(text: str, wanted: tuple[str, ...]) -> bool:
+    """Whether `text` is a unit of one of these SI units."""
+    try:
+        return unit_factor(text)[1] in wanted
+    except InputError:
+        return False
+
+
+def _agreed(name: str, given: str, stated: str) -> str:
+    """The unit that is given or stated in the file; `InputError` when they are two."""
+    if given and stated and unit_factor(given) != unit_factor(stated):
+        raise InputError(f"{name} is {given!r}, but the file says {stated!r}; leave it out, or mend the file")
+    return given or stated
 
 
 def _from_response(arrays: dict[str, np.ndarray], response: str) -> tuple[Identified, tuple[str, ...]]:

@@ -47,29 +47,8 @@ def fit_modal_matrix(
     the hold delays it by half a sample, as the exact response of an undamped mode does. The model keeps :math:`D`.
     The residues follow linearly from frequencies and damping, which alone are searched (variable projection). The
     modes are found one after the other, each where what the others leave is largest. At the end every residue is
-    brought to rank one, the rigid body's to rank `rigid_modes`.
-
-    Parameters
-    ----------
-    omega : array_like, shape (lines,)
-        rad/s, without zero, ascending.
-    response : array_like, shape (lines, outputs, inputs)
-        m/N.
-    deviation : array_like, shape (lines,)
-        Standard deviation of an entry's complex error, m/N.
-    modes : int
-        Number of flexible modes.
-    step : float
-        Sample time, s.
-    rigid_modes : int
-        Rank of the rigid body's residue.
-    damping_guess : float
-        Where the search for each damping ratio starts.
-
-    Raises
-    ------
-    InputError
-        When a deviation is not positive, there are too few lines, or the search does not end.
+    brought to rank one, the rigid body's to rank `rigid_modes`. The response (lines, outputs, inputs) is in m/N, and
+    `deviation` the standard deviation of an entry's complex error on each line.
     """
     omega = require_array("omega", omega, ndim=1)
     response = require_array("response", response, shape=(len(omega), None, None), dtype=np.complex128)

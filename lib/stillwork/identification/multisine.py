@@ -16,15 +16,7 @@ from stillwork.lti.state_space import StateModel
 def random_phase_multisine(
     rng: np.random.Generator, samples: int, rms: float
 ) -> Float64[np.ndarray, " samples"]:
-    """One period of a multisine with equal amplitudes and random phases on every line up to the Nyquist frequency.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    samples : int
-        Of the period, even.
-    rms : float
-    """
+    """One period of a multisine with equal amplitudes and random phases on every line up to the Nyquist frequency."""
     if require_count("samples", samples, at_least=4) % 2:
         raise InputError(f"samples is {samples}; give an even number")
     require_number("rms", rms, above=0.0)
@@ -70,21 +62,9 @@ def run_multisine(
 ) -> MultisineRecords:
     """Excite one actuator after the other in closed loop; keep the periods after the settling.
 
-    Parameters
-    ----------
-    loop : StateModel
-        Discrete and stable: from added force, unmeasured force at the plant (both one an actuator) and sensor
-        noise to the commanded forces and the measured outputs.
-    actuators, sensors : int
-    deviations : tuple of float
-        Standard deviations a sample of the unmeasured force (N) and of the sensor noise (m).
-    rng : numpy.random.Generator
-    samples : int
-        Of a period.
-    rms : float
-        Of the excitation (N).
-    realisations, periods, settling : int
-        Draws of the phases, measured periods and periods left out at the start of each.
+    The discrete loop leads from added force, unmeasured force at the plant (both one an actuator) and sensor noise to
+    the commanded forces and the measured outputs; `deviations` are those of the unmeasured force (N) and of the
+    sensor noise (m) a sample. For every one of the `realisations` the phases are drawn anew.
     """
     for name, value in (("realisations", realisations), ("periods", periods), ("settling", settling)):
         require_count(name, value)

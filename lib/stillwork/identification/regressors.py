@@ -37,22 +37,9 @@ def fir_regressors(signal: ArrayLike, taps: int) -> np.ndarray:
 def arx_regressors(
     signal: ArrayLike, output: ArrayLike, *, output_lags: int, input_lags: int, delay: int = 0
 ) -> np.ndarray:
-    """Columns (y_(t-1), ..., y_(t-output_lags), u_(t-delay), ..., u_(t-delay-input_lags+1)).
+    """Columns (y_(t-1), ..., y_(t-output_lags), u_(t-delay), ..., u_(t-delay-input_lags+1)), with zeros before the record.
 
     They belong to y_t = sum over i of x_i y_(t-i) + sum over k of x_(output_lags+k) u_(t-delay-k+1).
-
-    Parameters
-    ----------
-    signal, output : array_like, shape (samples,)
-        Input u and output y; taken as zero before the record.
-    output_lags, input_lags : int
-        Past outputs and inputs that the model looks at.
-    delay : int
-        Samples from input to output.
-
-    Returns
-    -------
-    ndarray, shape (output_lags + input_lags, samples)
     """
     signal = require_array("signal", signal, ndim=1)
     output = require_array("output", output, shape=signal.shape)
@@ -68,11 +55,6 @@ def row_bound(amplitudes: ArrayLike) -> float:
     """Bound epsilon on the 2-norm of one regressor's error from the largest error of each entry.
 
     The paper's FIR example: two entries within w_max give epsilon = sqrt(2) w_max.
-
-    Parameters
-    ----------
-    amplitudes : array_like, shape (unknowns,)
-        Largest absolute error of each entry, in the unit of the entry.
     """
     amplitudes = require_array("amplitudes", amplitudes, ndim=1)
     if np.any(amplitudes < 0):
@@ -85,15 +67,6 @@ def exponential_bound(row: float, forgetting: float, samples: int | None = None)
     """Bound eta on the 2-norm of the exponentially weighted perturbation, Section 5.
 
     epsilon sqrt(sum of forgetting^j over the samples); without `samples` its limit epsilon / sqrt(1 - forgetting).
-
-    Parameters
-    ----------
-    row : float
-        epsilon, bound on the 2-norm of each regressor's error.
-    forgetting : float
-        lambda, between 0 and 1.
-    samples : int, optional
-        Number of rows so far.
     """
     row = require_number("row", row, at_least=0.0)
     forgetting = require_number("forgetting", forgetting, above=0.0, below=1.0)
@@ -110,15 +83,6 @@ def noise_bound(deviation: float, unknowns: int, forgetting: float) -> float:
     deviation (sqrt(m) + sqrt(unknowns)) with m = 1 / (1 - forgetting) effective rows: the expected norm
     of a random matrix (Davidson and Szarek 2001, Theorem II.13, an upper bound on it). The guaranteed
     bound of `exponential_bound` grows as sqrt(m unknowns) and is then needlessly large.
-
-    Parameters
-    ----------
-    deviation : float
-        Standard deviation of the noise on each entry.
-    unknowns : int
-        Entries of a regressor.
-    forgetting : float
-        lambda, between 0 and 1.
     """
     deviation = require_number("deviation", deviation, at_least=0.0)
     forgetting = require_number("forgetting", forgetting, above=0.0, below=1.0)

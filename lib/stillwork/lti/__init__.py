@@ -5,7 +5,10 @@ from stillwork.base.faces import face
 __all__, __getattr__, __dir__ = face(
     __name__,
     {
-        "discretisation": ("zoh",),
+        "discretisation": (
+            "tustin",
+            "zoh",
+        ),
         "modal": ("ModalModel", "modal_model"),
         "norms": ("h2_norm", "hinf_norm"),
         "peaks": ("resonance_grid",),

@@ -87,7 +87,23 @@ def zoh(model: StateModel, step: float) -> StateModel:
 
 @checked
 def tustin(model: StateModel, step: float, omega: float | None = None) -> StateModel:
-    """Discretise by the bilinear rule, exact at the frequency `omega` (rad/s) where one is given."""
+    """Discretise by the bilinear rule, as controllers are.
+
+    Parameters
+    ----------
+    model : StateModel
+        In continuous time.
+    step : float
+        Sample time, s.
+    omega : float, optional
+        rad/s; where the response stays exactly what it was.
+
+    Examples
+    --------
+    >>> integrator = lti.StateModel([[0.0]], [[1.0]], [[1.0]], [[0.0]])
+    >>> lti.tustin(integrator, step=0.1).d  # half a sample of its input at once
+    array([[0.05]])
+    """
     require_number("step", step, above=0.0)
     _require_continuous(model)
     if omega is None:

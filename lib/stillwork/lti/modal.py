@@ -101,13 +101,12 @@ class ModalModel:
         return residues @ modal + self.feedthrough[:, :, None]
 
     @checked
-    def state_space(self, form: int = 1) -> StateModel:
-        """State-space model of form 1 (states grouped by mode, (2.9)) or 2 (positions, then velocities, (2.6))."""
-        require_choice("form", str(form), ("1", "2"))
+    def state_space(self) -> StateModel:
+        """State-space model of form 1 of the observer thesis: position and velocity of one mode after the other, (2.9)."""
         n = len(self.frequencies)
         a, b = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, self.input_shapes.shape[1]))
         c = np.zeros((len(self.output_shapes), 2 * n))
-        position, velocity = _places(n, form)
+        position, velocity = np.arange(0, 2 * n, 2), np.arange(1, 2 * n, 2)
         a[position, velocity] = 1
         a[velocity, position] = -(self.frequencies**2)
         a[velocity, velocity] = -2 * self.damping * self.frequencies
@@ -118,46 +117,6 @@ class ModalModel:
     def to_control(self):
         """The same model as `control.StateSpace`, in form 1."""
         return self.state_space().to_control()
-
-
-def _places(modes: int, form: int) -> tuple[np.ndarray, np.ndarray]:
-    """Indices of the modal positions and of the modal velocities in the state."""
-    if form == 1:
-        return np.arange(0, 2 * modes, 2), np.arange(1, 2 * modes, 2)
-    return np.arange(modes), np.arange(modes, 2 * modes)
-
-
-@checked
-def from_state_space(model: StateModel, form: int = 1) -> ModalModel:
-    """Read the modal parameters back from a state-space model of form 1 or 2.
-
-    Raises
-    ------
-    InputError
-        When the matrices do not have the structure of that form.
-    """
-    require_choice("form", str(form), ("1", "2"))
-    position, velocity = _places(len(model.a) // 2, form)
-    if len(model.a) % 2:
-        raise InputError(f"model has {len(model.a)} states; a modal form has two a mode")
-    w = np.sqrt(np.abs(model.a[velocity, position]))
-    rate = -model.a[velocity, velocity]
-    measures = "velocity" if np.any(model.c[:, velocity]) else "position"
-    read = ModalModel(
-        w,
-        np.divide(rate, 2 * w, out=np.zeros_like(w), where=w > 0),
-        model.b[velocity],
-        model.c[:, velocity if measures == "velocity" else position],
-        model.d,
-        measures,
-    )
-    built = read.state_space(form)
-    for name in "abc":
-        if not np.allclose(getattr(built, name), getattr(model, name), rtol=1e-12, atol=0):
-            raise InputError(
-                f"{name} does not have the structure of modal form {form}; use modal_model on M and K"
-            )
-    return read
 
 
 @checked

@@ -68,17 +68,7 @@ def refine_peak(
     magnitude: Float64[np.ndarray, " frequencies"],
     near: float = 0.7,
 ) -> Peak:
-    """Peak of ``abs(response(omega))`` between grid points: zoom into every local maximum that could win.
-
-    Parameters
-    ----------
-    response : callable
-        Returns the complex (or real) response on an array of frequencies in rad/s.
-    omega, magnitude : ndarray, shape (frequencies,)
-        Grid and the magnitudes on it.
-    near : float
-        Local maxima above this part of the largest are refined.
-    """
+    """Peak of ``abs(response(omega))`` between grid points: zoom into every local maximum above `near` of the largest."""
     if not 0 < len(omega) == len(magnitude):
         raise InputError(f"omega has {len(omega)} frequencies, magnitude {len(magnitude)}; give one of each")
     last = len(omega) - 1

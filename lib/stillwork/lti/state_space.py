@@ -149,6 +149,12 @@ def _matrix(a: bytes, states: int) -> Float64[np.ndarray, "states states"]:
     return np.frombuffer(a).reshape(states, states)
 
 
+def constant(gain: Float64[np.ndarray, "outputs inputs"], step: float = 0.0) -> StateModel:
+    """A gain without states."""
+    outputs, inputs = gain.shape
+    return StateModel(np.zeros((0, 0)), np.zeros((0, inputs)), np.zeros((outputs, 0)), gain, step)
+
+
 @checked
 def from_control(system) -> StateModel:
     """Take a `control.StateSpace`; a system with an unspecified sample time is refused.

@@ -34,20 +34,9 @@ CRITERIA = tuple(_LEVELS)
 def one_third_octave_velocity(
     frequencies_hz: ArrayLike, acceleration_density: ArrayLike
 ) -> tuple[Float64[np.ndarray, " bands"], Float64[np.ndarray, " bands"]]:
-    """Root-mean-square velocity in the one-third-octave bands that the grid covers, from an acceleration PSD.
+    """Root-mean-square velocity (m/s) in the one-third-octave bands that a rising grid covers, from an acceleration PSD.
 
-    Parameters
-    ----------
-    frequencies_hz : array_like, shape (frequencies,)
-        Rising.
-    acceleration_density : array_like, shape (frequencies,)
-        (m/s^2)^2/Hz.
-
-    Returns
-    -------
-    centres_hz, velocity : ndarray, shape (bands,)
-        Centres 2^(k/3) Hz of the whole bands inside the grid that hold at least three of its points;
-        rms velocity in m/s.
+    The bands have centres 2^(k/3) Hz; they lie inside the grid and hold at least three of its points.
     """
     f = require_array("frequencies_hz", frequencies_hz, ndim=1)
     s = require_array("acceleration_density", acceleration_density, shape=f.shape)
@@ -70,19 +59,9 @@ def one_third_octave_velocity(
 def criterion_velocity(name: str, frequencies_hz: ArrayLike) -> Float64[np.ndarray, " frequencies"]:
     """Limit of a vibration criterion: rms velocity in m/s per one-third-octave band.
 
-    Parameters
-    ----------
-    name : str
-        ``VC-A`` to ``VC-M``, ``BBN-A`` to ``BBN-E`` (the earlier names of VC-A to VC-E) or an ISO level, e.g.
-        ``ISO office``.
-    frequencies_hz : array_like, shape (frequencies,)
-        Hz. Flat from 8 Hz (VC-C and finer: 1 Hz) to 80 Hz and continued so beyond both ends, except that
-        VC-A, VC-B and the ISO levels rise below 8 Hz with constant acceleration; they are defined from 4 Hz.
-
-    Raises
-    ------
-    InputError
-        When the name is unknown; the nearest is named.
+    ``VC-A`` to ``VC-M``, ``BBN-A`` to ``BBN-E`` (the earlier names of VC-A to VC-E) or an ISO level, e.g.
+    ``ISO office``: flat from 8 Hz (VC-C and finer: 1 Hz) to 80 Hz and continued so beyond both ends, except that VC-A, VC-B
+    and the ISO levels rise below 8 Hz with constant acceleration; they are defined from 4 Hz.
     """
     require_choice("name", name, CRITERIA)
     f = require_array("frequencies_hz", frequencies_hz, ndim=1)

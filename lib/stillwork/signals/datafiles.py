@@ -18,11 +18,6 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
 
     Of a CSV file each column is an array; of a universal file (UFF, UNV) each measured function, see
     `stillwork.signals.universal`.
-
-    Raises
-    ------
-    InputError
-        When there is no such file or it cannot be read as what its name says.
     """
     readers = {
         ".csv": _csv,
@@ -61,13 +56,7 @@ def is_folder(path: Path) -> bool:
 
 
 def read_columns(path: Path) -> dict[str, np.ndarray]:
-    """Every real array of a file by name, each one-dimensional; a matrix gives one a channel.
-
-    Raises
-    ------
-    InputError
-        As `read_arrays`, and for an array with more than two axes.
-    """
+    """Every real array of a file by name, each one-dimensional; a matrix gives one a channel."""
     columns: dict[str, np.ndarray] = {}
     for name, array in read_arrays(path).items():
         if array.dtype.kind != "c":  # no measurement over time

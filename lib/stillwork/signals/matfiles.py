@@ -24,11 +24,6 @@ def read_mat(path: Path) -> dict[str, np.ndarray]:
 
     The file is read in a process of its own, with limits on time and, where the system has them, on memory:
     whatever a damaged file does to the reader, it does not do to the caller.
-
-    Raises
-    ------
-    InputError
-        When the file cannot be read within the limits.
     """
     with tempfile.TemporaryDirectory() as folder:
         result = Path(folder) / "arrays.npz"

@@ -196,11 +196,6 @@ def resample(record: Record, sample_rate: float) -> Record:
 
     Content up to 0.8 of the lower Nyquist frequency passes within 0.1 %; what would fold back, or appear as an
     image, is 80 dB down. The rates' ratio is taken as a fraction, to 1e-6.
-
-    Raises
-    ------
-    InputError
-        When the wanted rate is implausible.
     """
     low, high = PLAUSIBLE_RATES_HZ
     require_number("sample_rate", sample_rate, at_least=low, at_most=high)
@@ -224,11 +219,6 @@ def to_acceleration(record: Record) -> Record:
 
     Done by Fourier transform, so exact up to the Nyquist frequency; the line between the ends is taken off and
     5 % at either end are faded in and out, because the transform closes the record to a ring.
-
-    Raises
-    ------
-    InputError
-        When the record is in another unit than those.
     """
     if record.unit not in MOTION_UNITS:
         raise InputError(f"{record.source} is in {record.unit}; an acceleration needs m/s^2, m/s or m")
@@ -245,11 +235,8 @@ def to_acceleration(record: Record) -> Record:
 def sample_rate_of(times: ArrayLike, source: str = "time") -> float:
     """Rate in Hz of evenly spaced instants in s.
 
-    Raises
-    ------
-    InputError
-        When time stands still, runs backwards, has a gap (a step of 1.5 periods or more), or is uneven: a step
-        differs from the period by more than a tenth of it, or an instant leaves the even grid by a period.
+    A gap is a step of 1.5 periods or more; uneven is a step that differs from the period by more than a tenth of it,
+    or an instant that leaves the even grid by a period.
     """
     t = require_array(f"{source}: time", times, ndim=1)
     if len(t) < 2:
@@ -284,22 +271,7 @@ def sample_rate_of(times: ArrayLike, source: str = "time") -> float:
 
 
 def sampling_rate(source: str, columns: dict[str, np.ndarray], stated: float | None = None) -> float:
-    """Rate in Hz that a file's columns tell, by a time or a scalar, or that is stated.
-
-    Parameters
-    ----------
-    source : str
-        Name of the file, for the messages.
-    columns : dict of str to ndarray
-        By name.
-    stated : float, optional
-        Hz; must agree with the file's own to 1 %.
-
-    Raises
-    ------
-    InputError
-        When there is none, when the two contradict each other, or when the time is not even.
-    """
+    """Rate in Hz that a file's columns tell, by a time or a scalar, or that is stated; the two must agree to 1 %."""
     if stated is not None:
         require_number("sample_rate", stated, above=0.0)
     found = stated

@@ -13,21 +13,11 @@ from stillwork.base.front_door import check_fields, checked
 
 @dataclass(frozen=True)
 class Spectrum:
-    """One-sided power spectral densities of one or more channels.
+    """One-sided power spectral densities of one or more channels."""
 
-    Attributes
-    ----------
-    frequencies_hz : ndarray, shape (frequencies,)
-        Rising.
-    density : ndarray, shape (channels, frequencies)
-        Unit of the signal squared per Hz.
-    averages : int
-        Segments averaged; half-overlapping ones are not independent.
-    """
-
-    frequencies_hz: Float64[np.ndarray, " frequencies"]
-    density: Float64[np.ndarray, "channels frequencies"]
-    averages: int
+    frequencies_hz: Float64[np.ndarray, " frequencies"]  # rising
+    density: Float64[np.ndarray, "channels frequencies"]  # unit of the signal squared per Hz
+    averages: int  # segments averaged; half-overlapping ones are not independent
 
     def __post_init__(self):
         check_fields(self)
@@ -35,11 +25,6 @@ class Spectrum:
             raise InputError(
                 "frequencies_hz holds fewer than 2 frequencies, or density has not one value at each"
             )
-
-    @property
-    def cumulative(self) -> Float64[np.ndarray, "channels frequencies"]:
-        """Power from the lowest frequency up to and including each bin (Parseval: the last is the power)."""
-        return np.cumsum(self.density, axis=1) * (self.frequencies_hz[1] - self.frequencies_hz[0])
 
     @checked
     def power(self, low_hz: float, high_hz: float) -> Float64[np.ndarray, " channels"]:
@@ -49,27 +34,15 @@ class Spectrum:
 
 @dataclass(frozen=True)
 class ResponseEstimate:
-    """Frequency response estimated from measured inputs and outputs (H1: noise at the outputs only).
+    """Frequency response estimated from measured inputs and outputs (H1: noise at the outputs only)."""
 
-    Attributes
-    ----------
-    frequencies_hz : ndarray, shape (frequencies,)
-        Rising.
-    response : ndarray, shape (outputs, inputs, frequencies)
-        Output per input.
-    coherence : ndarray, shape (outputs, frequencies)
-        Multiple coherence: share of an output's power that all inputs together explain.
-    residual : ndarray, shape (outputs, frequencies)
-        Density that no linear filter of the inputs explains, i.e. the output noise, unbiased.
-    averages : int
-        Segments averaged.
-    """
-
-    frequencies_hz: Float64[np.ndarray, " frequencies"]
-    response: Complex128[np.ndarray, "outputs inputs frequencies"]
+    frequencies_hz: Float64[np.ndarray, " frequencies"]  # rising
+    response: Complex128[np.ndarray, "outputs inputs frequencies"]  # output per input
+    # multiple coherence: share of an output's power that all inputs together explain
     coherence: Float64[np.ndarray, "outputs frequencies"]
+    # density that no linear filter of the inputs explains, i.e. the output noise, unbiased
     residual: Float64[np.ndarray, "outputs frequencies"]
-    averages: int
+    averages: int  # segments averaged
 
 
 @checked
@@ -173,20 +146,7 @@ def estimate_response(
 
 
 def band_power(frequencies_hz: ArrayLike, density: ArrayLike, low_hz: float, high_hz: float) -> float:
-    """Integral of a density between two frequencies (trapezoids; the ends are interpolated).
-
-    Parameters
-    ----------
-    frequencies_hz, density : array_like, shape (frequencies,)
-        On any rising grid.
-    low_hz, high_hz : float
-        Band, inside the grid.
-
-    Raises
-    ------
-    InputError
-        When the band leaves the grid.
-    """
+    """Integral of a density between two frequencies (trapezoids; the ends are interpolated)."""
     f = require_array("frequencies_hz", frequencies_hz, ndim=1)
     s = require_array("density", density, shape=f.shape)
     require_number("low_hz", low_hz, at_least=f[0], below=high_hz)

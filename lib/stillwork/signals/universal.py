@@ -44,12 +44,6 @@ def read_universal(path: Path) -> dict[str, np.ndarray]:
     Time responses stand over ``time (s)``; frequency responses (complex, named ``frf ...``), spectra and
     coherences over ``frequency (Hz)``. A name tells quantity, place and direction, and the unit where the file
     labels it: ``acceleration 2+Z (m/s2)``, ``frf 2+Z/1+Z ((m/s2)/N)``. A second function of a name gets a number.
-
-    Raises
-    ------
-    InputError
-        When the file holds no such function, is damaged, is not in SI units, or holds functions over
-        different axes.
     """
     pyuff = require_package("pyuff")
 

@@ -341,7 +341,11 @@ def same_outputs(now: list[dict], before: list[dict]) -> bool:
 
 def printed(output: dict) -> str:
     """The text of an output."""
-    text = output.get("text") if output["output_type"] == "stream" else output["data"].get("text/plain", "")
+    text = (
+        output.get("text")
+        if output["output_type"] == "stream"
+        else output.get("data", {}).get("text/plain", "")
+    )
     return "".join(text or "")
 
 

@@ -58,6 +58,16 @@ def mark_published(axes, x, y, label: str = "published", **options):
     return axes.plot(np.atleast_1d(x), np.atleast_1d(y), label=label, zorder=5, **{**style, **options})
 
 
+def label(axes, x: str = "", y: str = "") -> None:
+    """Name what panels share: `x` below the lowest ones, `y` beside the first of each row."""
+    for each in np.ravel(axes):
+        place = each.get_subplotspec()
+        if x and place.is_last_row():
+            each.set_xlabel(x)
+        if y and place.is_first_col():
+            each.set_ylabel(y)
+
+
 def legend_below(axes, columns: int, **options) -> None:
     """What one panel's lines mean, below the whole figure."""
     handles = axes.get_legend_handles_labels()
@@ -81,8 +91,8 @@ class SavedFigure:
 def save(figure, path: Path) -> SavedFigure:
     """Write a figure as ``path.png`` and its plotted numbers as ``path.csv``.
 
-    Dense lines are thinned to what the picture can show, see `stillwork.workbook.thinning`, and so are its colours, see
-    `stillwork.workbook.png`. The figure itself stays as it is. Two calls with the same data write the same bytes.
+    Dense lines are thinned to what the picture can show, see `stillwork.workbook.thinning`, and so are its colours,
+    see `stillwork.workbook.png`. The figure itself stays as it is. Two calls with the same data write the same bytes.
     `read_table` reads the numbers.
 
     Raises

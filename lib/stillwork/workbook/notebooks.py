@@ -53,13 +53,15 @@ def read_notebook(name: str) -> Notebook:
     source = file.read_text(encoding="utf-8")
     try:
         cells = [cell for cell in json.loads(source)["cells"] if cell["cell_type"] == "code"]
-    except (ValueError, KeyError, TypeError):
-        raise InputError(f"{file}: not a notebook; save it again from Jupyter") from None
-    tagged = [cell for cell in cells if "parameters" in cell["metadata"].get("tags", [])]
+        tagged = [cell for cell in cells if "parameters" in cell["metadata"].get("tags", [])]
+        code = {cell["id"]: _text(cell) for cell in cells if cell not in tagged}
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise InputError(
+            f"{file}: not a notebook whose cells have ids (nbformat 4.5); save it again from Jupyter"
+        ) from None
     if len(tagged) > 1:
         raise InputError(f"{file}: {len(tagged)} cells are tagged 'parameters'; keep one")
     parameters = read_parameters(str(file), _text(tagged[0])) if tagged else {}
-    code = {cell.get("id", str(i)): _text(cell) for i, cell in enumerate(cells) if cell not in tagged}
     return Notebook(name, source, code, parameters)
 
 
@@ -163,7 +165,7 @@ def joined(outputs: list[dict]) -> list[dict]:
 def _text_only(output: dict) -> dict | None:
     if output["output_type"] == "stream":
         return output
-    text = output["data"].get("text/plain")
+    text = output.get("data", {}).get("text/plain")  # an error has no data
     if text is None:
         return None
     return {**output, "data": {"text/plain": text}, "metadata": {}}

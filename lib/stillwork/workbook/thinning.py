@@ -63,7 +63,8 @@ def kept_points(pixels: np.ndarray, reach: float = REACH) -> np.ndarray:
     pixels : ndarray, shape (points, 2)
         The line, in pixels.
     reach : float
-        How far a point that is left out may lie from the line that is drawn, in pixels.
+        How far a point that is left out may lie beside the line that is drawn, and how far beyond an end at which
+        the line turns back, in pixels: together at most sqrt(2) times as far from it.
     """
     if len(pixels) < 3 or not np.isfinite(pixels).all():
         return np.arange(len(pixels))

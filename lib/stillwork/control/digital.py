@@ -1,0 +1,418 @@
+"""A controller as a processor runs it: sampled, limited without winding up, started without a bump."""
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import ArrayLike
+from scipy import linalg, signal
+
+from stillwork.base.checks import Converted, InputError, require_array, require_count, require_number, shown
+from stillwork.base.extras import require_package
+from stillwork.base.front_door import check_fields, checked
+from stillwork.base.toml_files import Table, read_toml
+from stillwork.control.pid import Pid, series
+from stillwork.lti.discretisation import tustin
+from stillwork.lti.state_space import StateModel, interconnect
+
+FORMAT = "stillwork controller 1"
+AT_ONE = (
+    1e-9  # a pole closer to 1 than this is an integrator: at 1 MHz it would forget in a quarter of an hour
+)
+# Of its file; what else stands there goes along with it.
+KEPT = (
+    *("format", "sample_time_s", "inputs", "outputs", "state_space", "low", "high", "anti_windup"),
+    *("delay_samples", "start"),
+)
+SAME = 1e-6  # to which biquads must agree with their model, or they are left out
+
+
+@dataclass(frozen=True)
+class DigitalController:
+    r"""A sampled controller, :math:`v = Cx + De`, :math:`f = \mathrm{sat}(v)`, :math:`x^+ = Ax + B_ee + B_ff + L(f - v)`.
+
+    Attributes
+    ----------
+    model : StateModel
+        In discrete time, from the inputs e to the command v; inputs behind those that have a name are the limited
+        output f, which an observer wants to know. They must not reach v within the sample.
+    inputs, outputs : tuple of str
+        Their names with units, as ``y (m)``.
+    low, high : array_like, shape (outputs,)
+        Limits of the output, or one for all; infinite by default.
+    anti_windup : array_like, shape (states, outputs)
+        L; see `anti_windup`. Zero by default.
+    delay : int
+        Samples by which f leaves late; a model that is fed back has to delay it by itself.
+    about : dict
+        What goes with it into its file: gains, provenance.
+
+    Examples
+    --------
+    >>> pid = lti.tustin(control.PidFamily(10.0)(50.0).state_space(), 1e-4)
+    >>> limited = control.DigitalController(pid, ("e (m)",), ("f (N)",), low=[-20.0], high=[20.0])
+    >>> limited.run(np.full((1, 3), 1e-3))[0]  # N: an error of 1 mm is too much for it
+    array([20., 20., 20.])
+    """
+
+    model: StateModel
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    low: Converted = -np.inf
+    high: Converted = np.inf
+    anti_windup: Converted = 0.0
+    delay: int = 0
+    about: dict = field(default_factory=dict)
+
+    @checked
+    def __post_init__(self):
+        check_fields(self)
+        states, outputs = len(self.model.a), len(self.outputs)
+        if not self.model.step:
+            raise InputError("model is in continuous time; discretise it first")
+        if not self.inputs or len(self.model.c) != outputs or self.fed_back not in (0, outputs):
+            raise InputError(
+                f"inputs and outputs name {len(self.inputs)} and {outputs} signals for a model of "
+                f"{self.model.d.shape[1]} and {len(self.model.c)}; name each, the limited outputs behind the "
+                "inputs excepted"
+            )
+        if np.any(self.model.d[:, len(self.inputs) :]):
+            raise InputError(
+                "model: its output follows from the limited output of the same sample; delay that"
+            )
+        require_count("delay", self.delay, at_least=0)
+        for name, shape in (
+            ("low", (outputs,)),
+            ("high", (outputs,)),
+            ("anti_windup", (states, outputs)),
+        ):
+            value = np.array(getattr(self, name), dtype=float)
+            if (value.ndim and value.shape != shape) or np.isnan(value).any():
+                raise InputError(f"{name} has shape {value.shape}; give {shape} numbers, or one for all")
+            object.__setattr__(self, name, np.broadcast_to(value, shape).copy())
+        if not np.all(self.low < self.high):
+            raise InputError("low is not below high; give the limits of each output")
+        if self.limited and np.any(np.abs(linalg.eigvals(self._at_limit)) > 1 + AT_ONE):
+            raise InputError(
+                "anti_windup: the controller is unstable while its output is limited; give one that "
+                "stabilises A - LC"
+            )
+
+    @property
+    def fed_back(self) -> int:
+        """How many limited outputs the model takes in."""
+        return self.model.d.shape[1] - len(self.inputs)
+
+    @property
+    def limited(self) -> bool:
+        """Whether there is any limit."""
+        return bool(np.isfinite(self.low).any() or np.isfinite(self.high).any())
+
+    @property
+    def _at_limit(self) -> np.ndarray:
+        return self.model.a - self.anti_windup @ self.model.c
+
+    @property
+    def linear(self) -> StateModel:
+        """From the inputs to the outputs while no limit is reached, without `delay`."""
+        m, n = self.model, len(self.inputs)
+        back = m.b[:, n:] if self.fed_back else np.zeros((len(m.a), len(m.c)))
+        return StateModel(m.a + back @ m.c, m.b[:, :n] + back @ m.d[:, :n], m.c, m.d[:, :n], m.step)
+
+    @property
+    @checked
+    def start(self) -> Float64[np.ndarray, "states signals"]:
+        """Rows that turn inputs and wanted outputs into the state that gives them, and stays if any does.
+
+        Of the states with Cx + De = f the one whose change, with e and f held, is least.
+        """
+        m, outputs = self.model, len(self.outputs)
+        states, fed = len(m.a), self.fed_back
+        held = np.hstack([m.b[:, : len(self.inputs)], m.b[:, -fed:] if fed else np.zeros((states, outputs))])
+        wanted = np.hstack([-m.d[:, : len(self.inputs)], np.eye(outputs)])
+        scale = linalg.matrix_balance(m.a, permute=False, separate=True)[1][0] if states else np.ones(0)
+        c = m.c * scale
+        meets = np.linalg.pinv(c)
+        rest = (m.a - np.eye(states)) * scale / scale[:, None]
+        free = linalg.null_space(c) if states else np.zeros((0, 0))
+        left = -(held / scale[:, None] + rest @ meets @ wanted)
+        return scale[:, None] * (meets @ wanted + free @ np.linalg.pinv(rest @ free) @ left)
+
+    @checked
+    def run(
+        self, inputs: ArrayLike, first: ArrayLike | None = None
+    ) -> Float64[np.ndarray, "outputs samples"]:
+        """Outputs as the processor gives them, sample by sample.
+
+        Parameters
+        ----------
+        inputs : ndarray, shape (inputs, samples)
+        first : array_like, shape (outputs,), optional
+            What acts when it takes over; without, it starts from a state of zero.
+        """
+        m, n = self.model, len(self.inputs)
+        inputs = require_array("inputs", inputs, shape=(n, None))
+        held = np.zeros(len(self.outputs))
+        x = np.zeros(len(m.a))
+        if first is not None:
+            held = np.clip(require_array("first", first, shape=held.shape), self.low, self.high)
+            x = self.start @ np.concatenate([inputs[:, 0], held])
+        ring = [held] * self.delay
+        outputs = np.empty((len(held), inputs.shape[1]))
+        back = m.b[:, n:] if self.fed_back else np.zeros((len(m.a), len(m.c)))
+        for k, e in enumerate(inputs.T):
+            command = m.c @ x + m.d[:, :n] @ e
+            limited = np.clip(command, self.low, self.high)
+            ring.append(limited)
+            outputs[:, k] = ring.pop(0)
+            x = m.a @ x + m.b[:, :n] @ e + back @ limited + self.anti_windup @ (limited - command)
+        return outputs
+
+    def as_dict(self) -> dict[str, Any]:
+        """What its file holds; an infinite limit is null."""
+        limits = {
+            name: [None if np.isinf(x) else x for x in getattr(self, name).tolist()]
+            for name in ("low", "high")
+        }
+        return {
+            "format": FORMAT,
+            "sample_time_s": self.model.step,
+            "inputs": list(self.inputs),
+            "outputs": list(self.outputs),
+            "state_space": {name: getattr(self.model, name).tolist() for name in "abcd"},
+            **limits,
+            "anti_windup": self.anti_windup.tolist(),
+            "delay_samples": self.delay,
+            "start": self.start.tolist(),
+            **self.about,
+        }
+
+
+@checked
+def observed_controller(controller: StateModel, compensator: StateModel) -> StateModel:
+    """Feedback with an observer's compensator as one model: from (r, y, f), what acts included, to the command.
+
+    Parameters
+    ----------
+    controller : StateModel
+        C_fb, one input and one output; its states are the last ones of the result.
+    compensator : StateModel
+        O from (f, y) to (u_d, y_flex), see `stillwork.control.discrete_observer.discrete_compensator`.
+    """
+    feedback = np.array([[0.0, 0, 0], [0, 0, 0], [0, 1, 0]])  # e_meas takes y_flex
+    outside = np.array([[0.0, 0, 1], [0, 1, 0], [1, -1, 0]])
+    return interconnect([compensator, controller], feedback, outside, np.array([[1.0, 0, 1]]))
+
+
+def runnable(pid: Pid, compensator: StateModel, limit: float, about: dict) -> DigitalController:
+    """A sampled loop's controller as a processor runs it: Tustin's PID with the compensator, limits to both sides.
+
+    The integrator tracks a limited force within the root of integral and differential time; the observer is told it.
+
+    Parameters
+    ----------
+    pid : Pid
+    compensator : StateModel
+        In discrete time; that of a `stillwork.control.bandwidth.Loop`.
+    limit : float
+        Largest force, N; may be infinite.
+    about : dict
+        See `DigitalController`.
+    """
+    step = compensator.step
+    feedback = tustin(pid.state_space(), step)
+    tracking_time = 1 / np.sqrt(pid.integrator * pid.differentiator)
+    winding = np.vstack([np.zeros((len(compensator.a), 1)), anti_windup(feedback, tracking_time)])
+    return DigitalController(
+        observed_controller(feedback, compensator),
+        ("r (m)", "y (m)"),
+        ("f (N)",),
+        -limit,
+        limit,
+        winding,
+        about=about,
+    )
+
+
+@checked
+def anti_windup(model: StateModel, tracking_time: float) -> Float64[np.ndarray, "states outputs"]:
+    """Back-calculation L that takes every integrator to the limited output within `tracking_time` (s).
+
+    It acts on the poles at 1 alone, which become exp(-step/tracking_time) in A - LC; the others stay.
+
+    Parameters
+    ----------
+    model : StateModel
+        In discrete time.
+    tracking_time : float
+        s; for a PID the root of integral and differential time is usual.
+
+    Raises
+    ------
+    InputError
+        When there are more integrators than outputs, or one that no output shows.
+
+    References
+    ----------
+    Astrom and Hagglund, PID Controllers (1995), section 3.5.
+    """
+    require_number("tracking_time", tracking_time, above=0.0)
+    poles, left, right = (
+        linalg.eig(model.a, left=True) if len(model.a) else (np.zeros(0), *np.zeros((2, 0, 0)))
+    )
+    ones = np.abs(poles - 1) < AT_ONE
+    if not ones.any():
+        return np.zeros((len(model.a), len(model.c)))
+    left, right = left[:, ones].real, right[:, ones].real
+    overlap = left.T @ right
+    seen = model.c @ right
+    if np.linalg.matrix_rank(seen) < seen.shape[1] or np.linalg.cond(overlap) > 1e9:
+        raise InputError(
+            "model has integrators in a row, or more of them than outputs; give the gain anti_windup yourself"
+        )
+    return -np.expm1(-model.step / tracking_time) * right @ np.linalg.pinv(seen)
+
+
+def from_biquads(sections: ArrayLike, step: float) -> StateModel:
+    """Model of biquads in a row, (b0, b1, b2, 1, a1, a2) each as SciPy has them, in a form that single precision can hold.
+
+    The states turn as the poles do; of b and a themselves a few digits near z = 1 would be all that is left.
+    """
+    sections = require_array("sections", sections, shape=(None, 6))
+    require_number("step", step, above=0.0)
+    if not len(sections) or np.any(sections[:, 3] != 1):
+        raise InputError("sections must hold at least one (b0, b1, b2, 1, a1, a2)")
+    models = []
+    for b0, b1, b2, _, a1, a2 in sections:
+        n1, n0, square = b1 - a1 * b0, b2 - a2 * b0, a1 * a1 / 4 - a2
+        if square < 0:
+            turn, middle = np.sqrt(-square), -a1 / 2
+            a = [[middle, turn], [-turn, middle]]
+            c = [[(n0 + n1 * middle) / turn, n1]]
+        else:
+            outer = -a1 / 2 - np.copysign(np.sqrt(square), a1)
+            inner = a2 / outer if outer else 0.0
+            a, c = [[outer, 1.0], [0.0, inner]], [[n0 + n1 * outer, n1]]
+        models.append(StateModel(np.array(a), np.array([[0.0], [1.0]]), np.array(c), np.array([[b0]]), step))
+    return series(models)
+
+
+def biquads(model: StateModel) -> np.ndarray | None:
+    """Second-order sections of a model with one input and one output; None where they would not agree with it."""
+    omega = np.geomspace(1e-4, 0.99, 200) * np.pi / model.step
+    wanted = model.frequency_response(omega)[0, 0]
+    zeros, poles = model.zeros, model.poles
+    shape = signal.freqz_zpk(zeros, poles, 1.0, omega * model.step)[1]
+    gain = float(np.median((wanted / shape).real))
+    sections = signal.zpk2sos(zeros, poles, gain)
+    found = signal.sosfreqz(sections, omega * model.step)[1]
+    return sections if np.abs(found - wanted).max() <= SAME * np.abs(wanted).max() else None
+
+
+class LibraryObjects(NamedTuple):
+    """One linear controller as other libraries have it."""
+
+    control: Any  # control.StateSpace
+    scipy: Any  # scipy.signal.StateSpace in discrete time
+    biquads: np.ndarray | None  # (sections, 6), where there is one input and one output
+
+
+@checked
+def as_libraries(controller: DigitalController) -> LibraryObjects:
+    """What a controller is between its limits, without its delay, as python-control and SciPy have it.
+
+    Parameters
+    ----------
+    controller : DigitalController
+
+    Examples
+    --------
+    >>> pid = lti.tustin(control.PidFamily(10.0)(50.0).state_space(), 1e-4)
+    >>> control.as_libraries(control.DigitalController(pid, ("e (m)",), ("f (N)",))).scipy.dt
+    0.0001
+    """
+    require_package("control")
+    model = controller.linear
+    discrete = signal.StateSpace(model.a, model.b, model.c, model.d, dt=model.step)
+    return LibraryObjects(model.to_control(), discrete, biquads(model) if model.d.shape == (1, 1) else None)
+
+
+@checked(infinite=True)
+def load_controller(file: str | Path) -> DigitalController:
+    """Read a controller from the JSON file that `design` writes, or from the table [controller] of a TOML file.
+
+    The table holds ``rate_hz`` and either ``biquads`` or ``a``, ``b``, ``c`` and ``d``; if wanted ``inputs``,
+    ``outputs``, ``low``, ``high``, ``delay_samples`` and ``tracking_time_s``, the time of anti-wind-up.
+
+    Parameters
+    ----------
+    file : str or Path
+
+    Raises
+    ------
+    InputError
+        When it is none of these; the message says what it lacks.
+
+    Examples
+    --------
+    >>> text = '[controller]\\nrate_hz = 1000.0\\nbiquads = [[0.5, 0.5, 0.0, 1.0, 0.0, 0.0]]\\n'
+    >>> _ = open("mean.toml", "w").write(text)
+    >>> control.load_controller("mean.toml").run(np.ones((1, 3)))
+    array([[0.5, 1. , 1. ]])
+    """
+    file = Path(file)
+    if file.suffix.lower() == ".toml":
+        return _from_table(read_toml(file).table("controller"))
+    try:
+        entries = json.loads(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(
+            f"{shown(str(file))} cannot be read ({error.strerror}); give a JSON or TOML file"
+        ) from None
+    except (ValueError, RecursionError):
+        entries = None
+    if not isinstance(entries, dict):
+        raise InputError(f"{file.name} is no controller; give the controller.json that design wrote")
+    table = Table(entries, file.name)
+    if table["format"] != FORMAT:
+        raise InputError(f"{file.name}: format is {shown(table['format'])}; this reads {FORMAT!r}")
+    space = table.table("state_space")
+    model = _model(space, table["sample_time_s"])
+    read = {
+        "low": [-np.inf if x is None else x for x in _list(table, "low")],
+        "high": [np.inf if x is None else x for x in _list(table, "high")],
+        "anti_windup": require_array("anti_windup", table["anti_windup"]) if len(model.a) else 0.0,
+        "delay": table["delay_samples"],
+        "about": {name: value for name, value in table.items() if name not in KEPT},
+    }
+    return DigitalController(model, tuple(_list(table, "inputs")), tuple(_list(table, "outputs")), **read)
+
+
+def _from_table(table: Table) -> DigitalController:
+    step = 1 / require_number("rate_hz", table["rate_hz"], above=0.0)
+    model = from_biquads(table["biquads"], step) if "biquads" in table else _model(table, step)
+    outputs, inputs = model.d.shape
+    read: dict[str, Any] = {
+        name: tuple(table.get(name, [f"{name[:-1]} {k + 1}" for k in range(count)]))
+        for name, count in (("inputs", inputs), ("outputs", outputs))
+    }
+    read |= {name: table[name] for name in ("low", "high") if name in table}
+    if "tracking_time_s" in table:
+        read["anti_windup"] = anti_windup(model, table["tracking_time_s"])
+    return DigitalController(model, delay=table.get("delay_samples", 0), **read)
+
+
+def _model(table: Table, step: float) -> StateModel:
+    a, b, c, d = (require_array(f"{table.where}: {name}", table[name]) for name in "abcd")
+    if d.ndim == 2 and not a.size:  # without states the other lists are empty
+        a, b, c = np.zeros((0, 0)), np.zeros((0, d.shape[1])), np.zeros((len(d), 0))
+    return StateModel(a, b, c, d, step)
+
+
+def _list(table: Table, name: str) -> list:
+    if not isinstance(table[name], list):
+        raise InputError(f"{table.where}: {name} is {shown(table[name])}; give a list")
+    return table[name]

@@ -1,0 +1,337 @@
+"""Loops of a machine with an observer, on its model and on its measurement, and how far each use of it gets safely."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stillwork.base.checks import InputError, require_count, require_number
+from stillwork.control.applications import Application, compensator
+from stillwork.control.bandwidth import (
+    FUNCTIONS,
+    Bandwidth,
+    Loop,
+    PeakConstraint,
+    make_loop,
+    maximise_bandwidth,
+)
+from stillwork.control.discrete_observer import discrete_compensator, discrete_kalman_observer
+from stillwork.control.pid import Pid, PidFamily
+from stillwork.estimation.observer import NoiseIntensities, kalman_observer
+from stillwork.identification.frequency_response import Identified
+from stillwork.identification.machine import Machine, whole_band
+from stillwork.lti.delays import delayed
+from stillwork.lti.modal import ModalModel
+from stillwork.lti.reduction import truncate
+from stillwork.lti.state_space import StateModel, interconnect
+
+SAFE = tuple(PeakConstraint(name) for name in FUNCTIONS)  # also the true error stays below 6 dB
+SHOWN = {"input_sensitivity": "S_I", "output_sensitivity": "S_O", "true_tracking": "r to e_true"}
+ABOVE_SUSPENSION = 2.0  # of a machine on springs to the ground: lowest bandwidth sought, over its suspension
+SEARCH = (1 / 40, 1.0)  # of the first resonance: where bandwidths are sought
+
+
+@dataclass(frozen=True)
+class Intensities:
+    """What the observer is designed for, as accelerations of the rigid body, so that it fits any mass.
+
+    Attributes
+    ----------
+    disturbance : float
+        m/s^2, root of the intensity of the force disturbance over the mass.
+    sensor : float
+        m, root of the intensity of the sensor noise.
+    drift : float
+        (m/s^2)^2/s, intensity of the random walk of the disturbance that gives MC its integral action.
+    """
+
+    disturbance: float
+    sensor: float
+    drift: float
+
+    def __post_init__(self):
+        for name in ("disturbance", "sensor", "drift"):
+            require_number(name, getattr(self, name), above=0.0)
+
+    def noise(self, mass: float) -> NoiseIntensities:
+        """The same for a machine of `mass` (kg)."""
+        return NoiseIntensities((self.disturbance * mass) ** 2, self.sensor**2)
+
+
+def applications(added_damping: float, selectivity: float) -> dict[str, Application | None]:
+    """PID alone, measurement compensation (MC), active damping (AD), and both."""
+    damped = Application(damping=added_damping, selectivity=selectivity)
+    return {
+        "PID": None,
+        "MC": Application(compensate=True),
+        "AD": damped,
+        "MC and AD": replace(damped, compensate=True),
+    }
+
+
+def observer_settings(
+    machine: Machine, application: Application | None, retained: int, intensities: Intensities
+) -> tuple[int, NoiseIntensities, float | None]:
+    """Modes in the observer, its noise, and the intensity of its noise model, which only MC has."""
+    retained = min(require_count("retained", retained, at_least=2), len(machine.sensors[0].frequencies))
+    compensates = application is not None and application.compensate
+    drift = intensities.drift * machine.mass**2 if compensates else None
+    return retained, intensities.noise(machine.mass), drift
+
+
+def on_measurement(
+    loop: Loop, measured: Identified, factor: float, band_hz: tuple[float, float], mirror: bool = False
+) -> Loop:
+    """The same loop with the measured response for a plant inside `band_hz`, and the model below it.
+
+    Its loop functions are measured; its poles stay those of the model. With `mirror` the flexible part of the
+    measurement, what it has beside the rigid body, changes sign. What sampling folds back is taken from the model.
+    """
+    inside = (measured.omega >= 2 * np.pi * band_hz[0]) & (measured.omega <= 2 * np.pi * band_hz[1])
+    inside &= measured.omega <= loop.omega[-1]
+    below = loop.omega[loop.omega < 2 * np.pi * band_hz[0]]
+    seen = measured.omega[inside]
+    omega = np.concatenate([below, seen])
+    position = -factor * measured.response[inside] / seen**2
+    if mirror:
+        mobility = float(loop.plant.input_shapes[0, 0] * loop.plant.output_shapes[0, 0])
+        position = -2 * mobility / seen**2 - position
+    if loop.step:
+        before = loop.plant_at(seen, held=False)
+        position *= before / loop.plant.frequency_response(seen)[0, 0]
+        position += loop.plant_at(seen) - before
+    return replace(
+        loop,
+        omega=omega,
+        plant_response=np.concatenate([loop.plant_at(below), position]),
+        compensator_response=loop.compensator.frequency_response(omega),
+    )
+
+
+def extra_turns(measured: Loop, controller: Pid) -> int:
+    """Turns around -1 that the measured open loop makes more than that of the model, on the measured band.
+
+    Zero, with a stable model, means that the loop on the measured plant is stable too (Nyquist).
+    """
+    model = replace(measured, plant_response=measured.plant_at(measured.omega))
+    ratio = (1 + measured.at(controller).loop) / (1 + model.at(controller).loop)
+    return round(float(np.sum(np.angle(ratio[1:] / ratio[:-1]))) / (2 * np.pi))
+
+
+def observed_loops(
+    plants: Sequence[ModalModel],
+    application: Application | None,
+    retained: int,
+    noise: NoiseIntensities,
+    noise_model: float | None,
+    step: float = 0.0,
+    delay: int = 0,
+) -> list[Loop]:
+    """One loop a plant, each with its own observer; sampled where there is a `step` (s)."""
+    return [
+        make_loop(
+            plant,
+            application
+            and observing_compensator(plant, application, retained, noise, noise_model, step, delay),
+            step=step,
+            delay=delay,
+        )
+        for plant in plants
+    ]
+
+
+def observing_compensator(
+    plant: ModalModel,
+    application: Application,
+    retained: int,
+    noise: NoiseIntensities,
+    noise_model: float | None,
+    step: float = 0.0,
+    delay: int = 0,
+) -> StateModel:
+    """Compensator on an observer of the plant's first `retained` modes and the compliance of the others.
+
+    The suspension of a machine on springs to the ground counts as its rigid body. With a `step` it is sampled, takes
+    the newest measurement, and knows the `delay` of the force in samples.
+    """
+    reduced = truncate(plant, retained, len(plant.frequencies) - retained)
+    if not reduced.rigid_modes:
+        free = {
+            name: np.concatenate([[0.0], getattr(reduced, name)[1:]]) for name in ("frequencies", "damping")
+        }
+        reduced = replace(reduced, **free)
+    if not step:
+        return compensator(kalman_observer(reduced, noise, noise_model), application)
+    observer = discrete_kalman_observer(reduced, noise, step, noise_model)
+    block = discrete_compensator(observer, application, "filter", 0)
+    if not delay:
+        return block
+    line = delayed(
+        StateModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1)), step), delay
+    )
+    feedback, outside = np.zeros((3, 3)), np.zeros((3, 2))
+    feedback[0, 2] = outside[1, 1] = outside[2, 0] = 1
+    return interconnect([block, line], feedback, outside, np.eye(2, 3))
+
+
+@dataclass(frozen=True)
+class Reached:
+    """How far one use of the observer gets.
+
+    Attributes
+    ----------
+    on_model, on_measurement : Bandwidth, optional
+        None where no bandwidth is feasible, and without a measurement.
+    extra_turns : int, optional
+        Turns around -1 that the measured open loops make more than those of the model: 0 proves stability.
+    loops : tuple of Loop
+        One a sensor; on the measurement where there is one.
+    model_loops : tuple of Loop
+        The same on the model.
+    reason : str
+        Why no bandwidth was found; empty when one was.
+    """
+
+    on_model: Bandwidth | None
+    on_measurement: Bandwidth | None
+    extra_turns: int | None
+    loops: tuple[Loop, ...]
+    model_loops: tuple[Loop, ...]
+    reason: str = ""
+
+    @property
+    def recommended(self) -> Bandwidth | None:
+        """The lower of both, feasible on both; None where one of them has none, or the loop makes extra turns."""
+        if self.on_model is None or self.reason or self.extra_turns:
+            return None
+        if self.on_measurement is None:
+            return self.on_model
+        lower = min(self.on_model, self.on_measurement, key=lambda each: each.design_hz)
+        first = max(self.on_model.lowest_hz, self.on_measurement.lowest_hz)
+        return lower if lower.design_hz >= first else None
+
+    def peaks_db(self) -> dict[str, tuple[float, float | None]]:
+        """Largest peak of each loop function over the sensors for what is recommended: on the model, on the measurement."""
+        if self.recommended is None:
+            return {}
+        pid, found = self.recommended.controller, {}
+        for name in FUNCTIONS:
+            model = max(loop.peak(pid, name).magnitude for loop in self.model_loops)
+            seen = max(float(np.abs(getattr(loop.at(pid), name)).max()) for loop in self.loops)
+            measured = self.loops is not self.model_loops
+            found[name] = float(20 * np.log10(model)), float(20 * np.log10(seen)) if measured else None
+        return found
+
+    def highest_db(self, function: str) -> str:
+        """The higher of both, rounded."""
+        return (
+            f"{max(size for size in self.peaks_db()[function] if size is not None):.1f}"
+            if self.recommended
+            else ""
+        )
+
+    @property
+    def summary(self) -> dict[str, str]:
+        """One row of a table, rounded; bandwidths from the lowest sensor to the highest."""
+        row = {"on the model (Hz)": _span(self.on_model)}
+        if (
+            self.on_measurement is not None
+            or self.extra_turns is not None
+            or self.loops is not self.model_loops
+        ):
+            row["on the measurement (Hz)"] = _span(self.on_measurement)
+        stop = self.recommended or self.on_measurement or self.on_model
+        if stop is not None:
+            place = f" of sensor {stop.loop + 1}" if stop.function in FUNCTIONS else ""
+            name = SHOWN.get(stop.function, stop.function)
+            row["stopped by"] = f"{name}{place} at {stop.peak.omega / (2 * np.pi):.0f} Hz"
+            row["feasible"] = f"{stop.lowest_hz:.3g} to {stop.design_hz:.3g} Hz"
+        if self.extra_turns is not None:
+            row["extra turns"] = str(self.extra_turns)
+        return row
+
+
+def reach(
+    machine: Machine,
+    chosen: Mapping[str, Application | None],
+    *,
+    retained: int,
+    intensities: Intensities,
+    loop_hz: tuple[float, float] = (0.0, 0.0),
+    search_hz: tuple[float, float] = (0.0, 0.0),
+    constraints: Sequence[PeakConstraint] = SAFE,
+    step: float = 0.0,
+    delay: int = 0,
+) -> dict[str, Reached]:
+    """Largest bandwidth of every use below which, and at which, all constraints hold at every sensor.
+
+    Of several feasible intervals the lowest is taken, see `maximise_bandwidth`.
+
+    Parameters
+    ----------
+    machine : Machine
+    chosen : mapping of str to Application
+        See `applications`.
+    retained : int
+        At most so many modes in the observer, the rigid body included; the others enter as compliance.
+    intensities : Intensities
+        For which the observer is made.
+    loop_hz : tuple of float
+        Band in which the measurement stands for the plant; (0, 0) for that of the fit.
+    search_hz : tuple of float
+        Range of the design parameter; (0, 0) for 1/40 of the first resonance to all of it.
+    constraints : sequence of PeakConstraint
+        By default both sensitivities and r to e_true, each at most 6 dB.
+    step : float
+        Sample time, s; 0: continuous time.
+    delay : int
+        Samples from command to force.
+
+    Raises
+    ------
+    InputError
+        For bad settings. A use without any feasible bandwidth is a result, see `Reached.reason`.
+    """
+    measured, band = machine.measured, (0.0, 0.0)
+    if measured is not None and machine.fit is not None:
+        ends = machine.fit.omega[[0, -1]] / (2 * np.pi)
+        band = whole_band(measured, loop_hz if any(loop_hz) else (float(ends[0]), float(ends[1])))
+    low, high = search_hz if any(search_hz) else (share * machine.resonances_hz[0] for share in SEARCH)
+    if not any(search_hz):
+        low = max(low, ABOVE_SUSPENSION * float(machine.sensors[0].frequencies[0]) / (2 * np.pi))
+        high = min(high, 0.1 / step) if step else high
+    family = PidFamily(machine.mass)
+    found = {}
+    for name, application in chosen.items():
+        settings = observer_settings(machine, application, retained, intensities)
+        modelled = tuple(observed_loops(machine.sensors, application, *settings, step, delay))
+        loops, on_data, turns = modelled, None, None
+        on_model, reason = _search(loops, family, constraints, low, high, refine=True)
+        if measured is not None:
+            loops = tuple(
+                on_measurement(loop, measured, 1.0, band, mirror)
+                for loop, mirror in zip(loops, machine.mirrored, strict=True)
+            )
+            on_data, other = _search(loops, family, constraints, low, high, refine=False)
+            reason = reason or other
+            if on_data is not None:
+                lower = min((each for each in (on_model, on_data) if each), key=lambda each: each.design_hz)
+                turns = sum(abs(extra_turns(loop, lower.controller)) for loop in loops)
+        found[name] = Reached(on_model, on_data, turns, loops, modelled, reason)
+    return found
+
+
+def _search(loops, family, limits, low, high, *, refine) -> tuple[Bandwidth | None, str]:
+    try:
+        return maximise_bandwidth(
+            loops, family, limits, low, high, tolerance_hz=1e-4 * low, refine=refine, lowest=True
+        ), ""
+    except InputError as error:
+        return None, str(error)
+
+
+def _span(bandwidth: Bandwidth | None) -> str:
+    if bandwidth is None:
+        return "none"
+    low, high = (f"{pick(bandwidth.crossing_hz):.1f}" for pick in (np.min, np.max))
+    return low if low == high else f"{low} to {high}"

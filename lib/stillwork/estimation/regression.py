@@ -1,0 +1,499 @@
+"""Recursive estimators with scikit-learn's interface: a record at once with `fit`, a stream with `partial_fit`.
+
+They need no scikit-learn, and stand in its pipelines and searches where there is one.
+
+A sample with NaN in it (a feature or an output) is lost: time passes, so that forgetting forgets, and nothing is learned.
+Complex data are turned into twice as many real rows and coefficients, [Re x, -Im x] and [Im x, Re x] for a sample x;
+this keeps every norm, so that each of the three criteria is the complex one.
+"""
+
+import warnings
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from stillwork.base.checks import (
+    InputError,
+    nearest,
+    require_array,
+    require_choice,
+    require_kind,
+    require_number,
+)
+from stillwork.estimation.adaptive import FeLms, FeRls
+from stillwork.estimation.min_max import ZeroEstimateWarning, solve_silently
+from stillwork.estimation.online import run_felms, run_ferls
+from stillwork.estimation.recursive import LARGEST
+from stillwork.estimation.secular import ROUNDING
+
+
+class _NotNumbers(InputError, TypeError):
+    """What scikit-learn calls a TypeError and the toolbox an InputError."""
+
+
+class _LinearRegressor:
+    # y = coef x. A subclass starts a state and advances it by rows; of a call that is refused nothing is kept.
+    complex_data: Any
+
+    def get_params(self, deep=True):
+        """Parameters by name; scikit-learn's `deep` asks for those of parts, of which there are none."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
+
+    def set_params(self, **parameters):
+        """Change parameters by name; returns the estimator."""
+        known = self.get_params()
+        for name, value in parameters.items():
+            if name not in known:
+                raise InputError(
+                    f"{name} is no parameter of {type(self).__name__}; use {', '.join(known)}{nearest(name, known)}"
+                )
+            setattr(self, name, value)
+        return self
+
+    def fit(self, X, y):
+        """Learn from samples in their order, from the start; returns the estimator.
+
+        Parameters
+        ----------
+        X : array_like, shape (samples, features)
+        y : array_like, shape (samples,) or (samples, outputs)
+        """
+        return self._learn(X, y, None, anew=True)
+
+    def partial_fit(self, X, y):
+        """Learn from the samples that follow those of the calls before, as `fit` does of all at once."""
+        return self._learn(X, y, None, anew=not hasattr(self, "coef_"))
+
+    def predict(self, X):
+        """Outputs for X, shaped as `y` was; NaN for a sample with NaN."""
+        return self._table("X", X, self._fitted().n_features_in_) @ self.coef_.T
+
+    def score(self, X, y, sample_weight=None):
+        """Coefficient of determination 1 - |y - prediction|^2 / |y - mean|^2, its mean over the outputs."""
+        X, y, weights = self._samples(X, y, sample_weight, self._fitted().n_features_in_)
+        used = ~_lost(X, y)
+        if not weights[used].any():
+            raise _nothing()
+        X, y, weights = X[used], y[used], weights[used]
+        left = weights @ np.abs(y - X @ np.atleast_2d(self.coef_).T) ** 2
+        spread = weights @ np.abs(y - np.average(y, axis=0, weights=weights)) ** 2
+        constant = spread == 0
+        return float(np.mean(np.where(constant, left == 0, 1 - left / np.where(constant, 1.0, spread))))
+
+    def __sklearn_tags__(self):
+        from sklearn.utils import InputTags, RegressorTags, Tags, TargetTags
+
+        return Tags(
+            estimator_type="regressor",
+            target_tags=TargetTags(required=True, multi_output=True),
+            regressor_tags=RegressorTags(),
+            input_tags=InputTags(allow_nan=True),
+        )
+
+    def _start(self, features, outputs) -> Any:
+        raise NotImplementedError
+
+    def _advance(self, state, rows, outputs, weights) -> tuple[Any, np.ndarray]:
+        raise NotImplementedError
+
+    def _learn(self, X, y, sample_weight, anew):
+        X, targets, weights = self._samples(X, y, sample_weight, None if anew else self.n_features_in_)
+        single, lost = np.asanyarray(y).ndim == 1, _lost(X, targets)
+        if anew and lost.all():
+            raise _nothing()
+        weights[lost] = 0
+        rows, outputs = (np.sqrt(weights)[:, None] * np.nan_to_num(part) for part in (X, targets))
+        if self.complex_data:
+            rows = _interleaved(np.hstack([rows.real, -rows.imag]), np.hstack([rows.imag, rows.real]))
+            outputs = _interleaved(outputs.real, outputs.imag)
+        if anew:
+            state = self._start(rows.shape[1], outputs.shape[1])
+        elif single == (self.coef_.ndim == 1) and targets.shape[1] == len(np.atleast_2d(self.coef_)):
+            state = self._state
+        else:
+            raise InputError(f"y has {targets.shape[1]} outputs; give as many outputs as in the calls before")
+        state, found = self._advance(state, rows, outputs, weights)
+        if not np.isfinite(found).all():
+            raise InputError("X and y lead out of the finite numbers; give them in other units")
+        if self.complex_data:
+            found = found[:, : X.shape[1]] + 1j * found[:, X.shape[1] :]
+        self._state, self.n_features_in_, self.coef_ = state, X.shape[1], found[0] if single else found
+        return self
+
+    def _fitted(self):
+        if hasattr(self, "coef_"):
+            return self
+        try:
+            from sklearn.exceptions import NotFittedError
+        except ModuleNotFoundError:
+            NotFittedError = InputError
+        raise NotFittedError(f"{type(self).__name__} has learned nothing yet; call fit or partial_fit first")
+
+    def _samples(self, X, y, sample_weight, features):
+        # X, outputs as columns, and a weight for each sample
+        X = self._table("X", X, features)
+        if y is None:
+            raise InputError(
+                f"{type(self).__name__} requires y to be passed, but the target y is None; give it"
+            )
+        y = self._table("y", y)
+        if len(y) != len(X):
+            raise InputError(f"y has {len(y)} samples but X has {len(X)}; give one output for each")
+        if sample_weight is None:
+            return X, y, np.ones(len(X))
+        weights = require_array("sample_weight", sample_weight, shape=(len(X),)).copy()
+        if np.any(weights < 0):
+            raise InputError("sample_weight holds a negative number; give weights of zero or above")
+        return X, y, weights
+
+    def _table(self, name, value, features=None):
+        # numbers of any form as a matrix, in which NaN may stand
+        if hasattr(value, "toarray"):
+            raise InputError(f"{name} is sparse, which is not supported; give {name}.toarray()")
+        dtype = np.dtype(
+            complex if require_kind("complex_data", self.complex_data, (bool, np.bool_)) else float
+        )
+        try:
+            given = np.asanyarray(value)
+            if given.dtype.kind == "O":
+                given = given.astype(dtype)
+        except (TypeError, ValueError, OverflowError) as error:
+            raise _NotNumbers(f"{name} is no table of numbers ({error}); give a rectangular array") from None
+        if given.dtype.kind == "c" and dtype.kind != "c":
+            raise InputError(
+                f"{name}: Complex data not supported without complex_data=True; set it, or give real ones"
+            )
+        if name == "y" and given.ndim == 1:
+            given = given[:, None]
+        if given.ndim != 2:
+            raise InputError(
+                f"{name} has shape {given.shape}; give (samples, columns). Reshape your data with "
+                f"{name}.reshape(-1, 1) for one column, or {name}.reshape(1, -1) for one sample"
+            )
+        if features is not None and given.shape[1] != features:
+            raise InputError(
+                f"{name} has {given.shape[1]} features, but {type(self).__name__} is expecting {features} features as "
+                "input; give those it has learned from"
+            )
+        if not given.size:
+            raise InputError(
+                f"{name} has {len(given)} sample(s) of {given.shape[1]} feature(s) (shape={given.shape}) while a minimum of "
+                "1 is required; give more"
+            )
+        table = require_array(name, given, dtype=dtype, missing=True)
+        if np.any(np.abs(table) > LARGEST):
+            raise InputError(f"{name} exceeds {LARGEST:g}, too large to be squared; use another unit")
+        return table
+
+    def _initial(self, coef, features, outputs):
+        # an initial estimate as the kernels take it: real, one row an output
+        if coef is None:
+            return np.zeros((outputs, features))
+        given = np.atleast_2d(
+            require_array("initial_coef", coef, dtype=complex if self.complex_data else float)
+        )
+        wanted = (outputs, features // 2 if self.complex_data else features)
+        if given.shape != wanted:
+            raise InputError(
+                f"initial_coef has shape {np.shape(coef)}; give {wanted}, or {wanted[1:]} for one output"
+            )
+        return np.hstack([given.real, given.imag]) if self.complex_data else given.copy()
+
+
+class _WeightedRegressor(_LinearRegressor):
+    def fit(self, X, y, sample_weight=None):
+        """Learn from samples in their order, from the start; returns the estimator.
+
+        Parameters
+        ----------
+        X : array_like, shape (samples, features)
+        y : array_like, shape (samples,) or (samples, outputs)
+        sample_weight : array_like, shape (samples,), optional
+            How many samples each one stands for; a weight of zero is a lost sample.
+        """
+        return self._learn(X, y, sample_weight, anew=True)
+
+    def partial_fit(self, X, y, sample_weight=None):
+        """Learn from the samples that follow those of the calls before, as `fit` does of all at once."""
+        return self._learn(X, y, sample_weight, anew=not hasattr(self, "coef_"))
+
+
+@dataclass(eq=False)
+class LeastMeanSquares(_LinearRegressor):
+    """Normalised least mean squares: coef += step_size (y - coef x) x' / (regularisation + |x|^2).
+
+    `fit` is one pass over the samples in their order.
+
+    Attributes
+    ----------
+    step_size : float
+        Above 0 and below 2; 1 meets every sample exactly, less averages over more of them.
+    regularisation : float
+        Above 0, in squared units of the features.
+    initial_coef : array_like, shape (features,) or (outputs, features), optional
+        Where to start; zero without.
+    complex_data : bool
+        Whether X and y may be complex.
+    coef_ : ndarray, shape (features,) or (outputs, features)
+        The estimate.
+    n_features_in_ : int
+        Number of features.
+
+    Notes
+    -----
+    The same kernel as of `FeLms`. A sample without excitation changes nothing.
+
+    Examples
+    --------
+    >>> X = np.random.default_rng(1).standard_normal((500, 2))
+    >>> estimation.LeastMeanSquares(step_size=0.5).fit(X, X @ [3.0, -5.0]).coef_.round(3)
+    array([ 3., -5.])
+    """
+
+    step_size: Any = 0.1
+    regularisation: Any = 1e-5
+    initial_coef: Any = None
+    complex_data: Any = False
+
+    def _start(self, features, outputs):
+        return self._initial(self.initial_coef, features, outputs)
+
+    def _advance(self, state, rows, outputs, weights):
+        coef = state.copy()
+        settings = FeLms(self.step_size, self.regularisation)
+        require_number("step_size", self.step_size, below=2.0)
+        steps = settings.step_size, settings.regularisation, settings.trace_copies(1)
+        run_felms(coef, *steps, *_record(rows, outputs), False)
+        return coef, coef
+
+
+@dataclass(eq=False)
+class RecursiveLeastSquares(_WeightedRegressor):
+    """Recursive least squares with exponential forgetting, all outputs with one covariance.
+
+    It minimises sum_j forgetting^(t - j) w_j |y_j - coef x_j|^2 plus forgetting^t times the distance from the initial
+    estimate, weighted by the inverse of the initial covariance.
+
+    Attributes
+    ----------
+    forgetting : float
+        lambda in (0, 1]; 1 weighs all samples alike.
+    initial_coef : array_like, shape (features,) or (outputs, features), optional
+        Estimate before the first sample; zero without.
+    initial_covariance : float or array_like
+        P before the first sample, its diagonal, or one number for all of it: large where the initial estimate is not
+        believed. Of complex data that of the real parts, then of the imaginary ones, or one number.
+    growth_limit : float
+        Guard against wind-up, as `growth_limit` of `FeRls`: how far the variance of a coefficient may grow while
+        nothing excites it; ``inf`` for none. Without forgetting there is no wind-up, and it is not used.
+    form : str
+        How the covariance is kept, as `form` of `FeRls`.
+    complex_data : bool
+        Whether X and y may be complex.
+    coef_ : ndarray, shape (features,) or (outputs, features)
+        The estimate.
+    n_features_in_ : int
+        Number of features.
+
+    Notes
+    -----
+    The same kernel as of `FeRls`. `set_params` between two calls of `partial_fit` changes `forgetting`; the start and
+    the form remain as they were.
+
+    Examples
+    --------
+    >>> X = np.random.default_rng(1).standard_normal((500, 2))
+    >>> y = np.append(X[:250] @ [1.0, 2.0], X[250:] @ [3.0, -5.0])  # it changes half way
+    >>> estimation.RecursiveLeastSquares(forgetting=0.95).fit(X, y).coef_.round(3)
+    array([ 3., -5.])
+    """
+
+    forgetting: Any = 1.0
+    initial_coef: Any = None
+    initial_covariance: Any = 1e4
+    growth_limit: Any = 1e6
+    form: Any = "safe"
+    complex_data: Any = False
+
+    @property
+    def covariance_(self):
+        """P after the last sample, shape (features, features); times the variance of the noise that of `coef_`."""
+        covariance, n = self._fitted()._state[1].covariance, self.n_features_in_
+        return covariance[:n, :n] + 1j * covariance[n:, :n] if self.complex_data else covariance
+
+    def _start(self, features, outputs):
+        return self._initial(self.initial_coef, features, outputs), self._settings().start(features)
+
+    def _settings(self) -> FeRls:
+        forgetting = require_number("forgetting", self.forgetting, above=0.0, at_most=1.0)
+        limit = self.growth_limit if forgetting < 1 else np.inf
+        if self.complex_data:
+            forgetting = np.sqrt(forgetting)  # two rows a sample
+        return FeRls(self.initial_covariance, float(forgetting), limit, self.form)
+
+    def _advance(self, state, rows, outputs, weights):
+        recursion = state[1].copy()._replace(forgetting=self._settings().forgetting)
+        if (
+            self.complex_data
+        ):  # the first of two rows is forgotten once more than the second: give it that back
+            rows[::2] /= np.sqrt(recursion.forgetting)
+            outputs[::2] /= np.sqrt(recursion.forgetting)
+        coef = state[0].copy()
+        stopped, _ = run_ferls(coef, recursion, *recursion[-2:], *_record(rows, outputs), False)
+        if stopped < len(rows):
+            raise InputError(
+                "initial_covariance, growth_limit and X together make the covariance indefinite; give a smaller "
+                "initial_covariance, a finite growth_limit, features of similar size, or form 'UD'"
+            )
+        return (coef, recursion), coef
+
+
+@dataclass(eq=False)
+class MinMaxRegressor(_WeightedRegressor):
+    """Least squares for features that are off by a bounded error: the smallest of the largest residuals.
+
+    Over all perturbations dX with |dX diag(bound)^-1| <= 1 of the features seen so far it minimises the largest
+    |y - (X + dX) coef|. Of sample j, row and output carry the weight (w_j forgetting^(t - j))^(1/2).
+
+    Attributes
+    ----------
+    bound : float or array_like, shape (features,)
+        eta, the bound on the 2-norm of the perturbation, in the unit of the features, or one for each column. A column
+        of bound 0 is known exactly, such as one of ones for an intercept. `set_params` may change it at any time.
+    bound_on : str
+        ``record``: of what the bound holds is the perturbation of all weighted samples together, however many.
+        ``sample``: of that of each sample, so that of all it grows as (sum of the weights)^(1/2).
+    forgetting : float
+        lambda in (0, 1]; 1 weighs all samples alike.
+    initial_coef : array_like, shape (features,) or (outputs, features), optional
+        Estimate before the first sample.
+    initial_covariance : float
+        Of the initial estimate, which counts as so many samples more; ``inf`` for no initial estimate.
+    complex_data : bool
+        Whether X and y may be complex.
+    coef_ : ndarray, shape (features,) or (outputs, features)
+        The estimate.
+    n_features_in_ : int
+        Number of features.
+
+    Notes
+    -----
+    What is kept of the samples is a triangle that has their residuals, so that the estimate is exact at every time and
+    loses no digits; it is that of `min_max_solve`. There is nothing to wind up: an estimate without excitation fades to
+    zero where its bound does not fade as well.
+
+    Warns
+    -----
+    ZeroEstimateWarning
+        From `fit`, when the bound is so large that the estimate is zero.
+
+    Examples
+    --------
+    >>> X, y = [[1.0, 1.0], [1.0, 1.0], [-1.0, 1.0]], [12.0, 11.0, 9.0]
+    >>> estimation.MinMaxRegressor(bound=0.0).fit(X, y).coef_.round(2)  # least squares
+    array([ 1.25, 10.25])
+    >>> estimation.MinMaxRegressor(bound=[0.5, 0.0]).fit(X, y).coef_.round(2)  # the intercept is free of doubt
+    array([ 1.11, 10.3 ])
+    """
+
+    bound: Any
+    bound_on: Any = "record"
+    forgetting: Any = 1.0
+    initial_coef: Any = None
+    initial_covariance: Any = np.inf
+    complex_data: Any = False
+
+    def fit(self, X, y, sample_weight=None):
+        """As of every regressor here, with a warning where the bound explains all of the data away."""
+        super().fit(X, y, sample_weight)
+        if self._state[2]:
+            warnings.warn(
+                "the estimate is zero: a perturbation within the bound explains all of the data; give a smaller bound or "
+                "more samples",
+                ZeroEstimateWarning,
+                stacklevel=2,
+            )
+        return self
+
+    def _start(self, features, outputs):
+        # the triangle of [X y], the sum of the weights, whether the bound explains all of the data away
+        corner = np.zeros((features + outputs, features + outputs))
+        if not (isinstance(self.initial_covariance, float) and self.initial_covariance == np.inf):
+            root = 1 / np.sqrt(require_number("initial_covariance", self.initial_covariance, above=0.0))
+            corner[:features, :features] = root * np.eye(features)
+            corner[:features, features:] = root * self._initial(self.initial_coef, features, outputs).T
+        elif self.initial_coef is not None:
+            raise InputError(
+                "initial_covariance is inf, so that initial_coef does not count; give a finite one"
+            )
+        return corner, 0.0, False
+
+    def _advance(self, state, rows, outputs, weights):
+        corner, mass, _ = state
+        forgetting = require_number("forgetting", self.forgetting, above=0.0, at_most=1.0)
+        fading = forgetting ** np.arange(len(weights) - 1, -1, -1)
+        mass = forgetting ** len(weights) * mass + weights @ fading
+        root = np.repeat(np.sqrt(fading), len(rows) // len(weights))[:, None]
+        past = forgetting ** (len(weights) / 2) * corner
+        corner = np.linalg.qr(np.vstack([past, root * np.hstack([rows, outputs])]), mode="r")
+        features = rows.shape[1]
+        bounds = self._bounds(features)
+        if require_choice("bound_on", self.bound_on, ("record", "sample")) == "sample":
+            bounds = bounds * np.sqrt(mass)
+        solved = [_mixed_solution(corner[:, :features], target, bounds) for target in corner.T[features:]]
+        return (corner, mass, any(zero for _, zero in solved)), np.array([coef for coef, _ in solved])
+
+    def _bounds(self, features):
+        bounds = require_array("bound", self.bound)
+        wanted = features // 2 if self.complex_data else features
+        if bounds.shape not in ((), (wanted,)):
+            raise InputError(
+                f"bound has shape {bounds.shape}; give a number, or one for each of {wanted} features"
+            )
+        if np.any(bounds < 0):
+            raise InputError("bound holds a negative number; give bounds on a norm, zero or above")
+        return np.resize(bounds, features)
+
+
+def _mixed_solution(matrix, target, bounds) -> tuple[np.ndarray, bool]:
+    """Min-max solution with a bound a column, and whether a bound made it zero; those of bound 0 are known exactly.
+
+    min over x of |A x - b| + |diag(bounds) x|: what the known columns explain is taken out of the others first.
+    """
+    known = bounds == 0
+    left, sizes, _ = np.linalg.svd(matrix[:, known], full_matrices=False)
+    basis = left[:, sizes > len(matrix) * ROUNDING * np.max(sizes, initial=0.0)]
+    doubtful, aimed = ((part - basis @ (basis.T @ part)) for part in (matrix[:, ~known], target))
+    coef, zero = np.zeros(len(bounds)), False
+    if not known.all():
+        largest = bounds.max()
+        shares = bounds[~known] / largest
+        if shares.min() < 1e-12:
+            raise InputError(
+                "bound holds numbers that differ by more than 1e12; give 0 for a column known so well"
+            )
+        solution = solve_silently(doubtful / shares, aimed, largest)
+        coef[~known] = solution.estimate / shares
+        zero = solution.case == "zero" and solution.threshold > 0
+    if known.any():
+        coef[known] = np.linalg.lstsq(matrix[:, known], target - matrix @ coef)[0]
+    return coef, zero
+
+
+def _record(rows, outputs) -> tuple:
+    """What a kernel takes to fit a record: e = coef x - y, no ceiling on it, and no history."""
+    nothing = np.empty((0, outputs.shape[1], rows.shape[1]))
+    return np.ascontiguousarray(rows), np.ascontiguousarray(-outputs), True, np.inf, nothing, len(rows) + 1
+
+
+def _interleaved(first, second) -> np.ndarray:
+    return np.stack([first, second], axis=1).reshape(-1, first.shape[1])
+
+
+def _lost(X, y) -> np.ndarray:
+    return np.isnan(X).any(axis=1) | np.isnan(y).any(axis=1)
+
+
+def _nothing() -> InputError:
+    return InputError("X and y hold no sample without NaN; give at least one")

@@ -1,0 +1,71 @@
+"""C99 of a controller or an adaptation from a file: the command ``export``, and how its folder is written."""
+
+from dataclasses import MISSING, fields
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from stillwork.base.checks import InputError, nearest, require_choice
+from stillwork.base.toml_files import Table, read_toml
+from stillwork.control.c_code import adaptation_code, controller_code
+from stillwork.control.digital import load_controller
+from stillwork.estimation.adaptive import FeLms, FeRls
+
+ADAPTATIONS = {"FeRls": FeRls, "FeLms": FeLms}
+
+
+def export_file(file: str, folder: str, name: str, precision: str) -> list[str]:
+    """Write C99 of what `file` describes into a new folder; returns the names of what was written.
+
+    Parameters
+    ----------
+    file : str
+        ``controller.json`` of the command ``design``; or TOML with a table [controller], see
+        `stillwork.control.load_controller`, or [FeRls] or [FeLms] with their settings, ``actuators`` and ``regressors``.
+    folder : str
+        New, or empty.
+    name, precision : str
+        See `stillwork.control.controller_code`.
+
+    Raises
+    ------
+    InputError
+        When the file describes neither, or there is something in the folder.
+    """
+    table = read_toml(file) if file.lower().endswith(".toml") else Table({"controller": None}, file)
+    if "controller" in table:
+        files = controller_code(load_controller(file), name, precision)
+    else:
+        kind = require_choice(f"{table.where}: table", next(iter(table), None), ["controller", *ADAPTATIONS])
+        given = table.table(kind)
+        known = {each.name: each for each in fields(ADAPTATIONS[kind])}
+        sizes = {size: given[size] for size in ("actuators", "regressors")}
+        needed = {name: given[name] for name, each in known.items() if each.default is MISSING}
+        for name_given in given:
+            if name_given not in (*sizes, *known):
+                raise InputError(f"{table.where}: {kind} has no {name_given!r}{nearest(name_given, known)}")
+        settings = ADAPTATIONS[kind](**needed | {each: given[each] for each in given if each in known})
+        files = adaptation_code(settings, **sizes, name=name, precision=precision)
+    write_folder(folder, {each: text.encode() for each, text in files.items()})
+    return list(files)
+
+
+def write_folder(folder: str | Path, files: dict[str, bytes]) -> None:
+    """Write files into a new or empty folder: all of them, put in place by one step, or none."""
+    require_free(folder)
+    folder = Path(folder).resolve()
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}-") as beside:
+        new = Path(beside) / folder.name
+        new.mkdir()
+        for name, content in files.items():
+            (new / name).write_bytes(content)
+        if folder.exists():
+            folder.rmdir()  # fails if it was filled meanwhile
+        new.rename(folder)
+
+
+def require_free(folder: str | Path) -> None:
+    """Refuse a folder in which something stands: nothing is overwritten."""
+    folder = Path(folder)
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(f"{folder} is not empty; nothing is overwritten: name a new folder, or move it away")

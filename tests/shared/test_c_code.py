@@ -1,0 +1,324 @@
+"""Controllers in C against the same in Python, over long records, at limits, late, and started in mid-motion."""
+
+import ctypes
+
+import numpy as np
+import pytest
+
+from shared.compiled import compiled, pointer, run_controller
+from stillwork.base.checks import InputError
+from stillwork.control.applications import Application
+from stillwork.control.c_code import adaptation_code, controller_code
+from stillwork.control.digital import DigitalController, anti_windup, observed_controller
+from stillwork.control.discrete_observer import discrete_compensator, discrete_kalman_observer
+from stillwork.control.pid import Notch, Pid
+from stillwork.estimation.adaptive import FeLms, FeRls
+from stillwork.estimation.observer import NoiseIntensities
+from stillwork.estimation.online import adapt
+from stillwork.lti.delays import delayed
+from stillwork.lti.discretisation import tustin
+from stillwork.lti.modal import ModalModel
+from stillwork.lti.simulation import simulate
+from stillwork.lti.state_space import StateModel
+
+SAMPLES = 100_000
+STEP = 1e-4
+EPS = 2.0**-24  # half a unit in the last place of single precision
+
+
+def pid(gain=1e4):
+    controller = Pid(
+        gain, 2 * np.pi * 2, 2 * np.pi * 20, 2 * np.pi * 200, notches=(Notch(2 * np.pi * 300.0),)
+    )
+    return tustin(controller.state_space(), STEP)
+
+
+def observing():
+    """(r, y), then what acts, to the command: a PID behind measurement compensation and active damping."""
+    shapes = np.array([[0.3], [0.3]])
+    stage = ModalModel(
+        np.array([0.0, 2000.0]), np.array([0.0, 0.01]), shapes, shapes.T * [[1, -1]], np.zeros((1, 1))
+    )
+    observer = discrete_kalman_observer(stage, NoiseIntensities(1.0, 1e-12), STEP)
+    application = Application(compensate=True, damping=0.05, selectivity=2.0)
+    return observed_controller(pid(), discrete_compensator(observer, application, "filter", 0))
+
+
+def turning():
+    a, b = np.array([[0.9, 0.2], [-0.2, 0.9]]), np.array([[1.0, 0.0], [0.5, 1.0]])
+    return StateModel(a, b, np.array([[1.0, 2.0], [0.0, 1.0]]), np.array([[0.0, 1.0], [2.0, 0.0]]), STEP)
+
+
+def noise(rows, seed=1, samples=SAMPLES):
+    return np.random.default_rng(seed).standard_normal((rows, samples))
+
+
+CONTROLLERS = {
+    "PID with a notch": (pid(), 1),
+    "observer in the loop": (observing(), 2),
+    "late and of two outputs": (delayed(turning(), 3), 2),
+    "a gain": (StateModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.array([[2.5]]), STEP), 1),
+}
+
+
+def named(model, inputs, **options):
+    return DigitalController(
+        model,
+        tuple(f"in {k} (m)" for k in range(inputs)),
+        tuple(f"out {k} (N)" for k in range(len(model.c))),
+        **options,
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("which", CONTROLLERS)
+def test_double_precision_gives_what_python_gives(tmp_path, which):
+    controller = named(*CONTROLLERS[which])
+    inputs = 1e-6 * noise(len(controller.inputs))
+    found = run_controller(
+        controller_code(controller, "loop"), tmp_path, inputs, len(controller.outputs), np.float64
+    )
+    wanted = simulate(controller.linear, inputs)
+    assert np.abs(found - wanted).max() < 1e-9 * np.abs(wanted).max()
+
+
+def rounding_bound(controller, inputs):
+    """Bound on the error of single precision at each sample, to first order in the rounding unit.
+
+    What a sample adds to a state is a sum of products: with as many terms as the row has, its error is at most
+    terms + 1 units of the sum of magnitudes, the rounding of each coefficient and of the input included (Higham,
+    Accuracy and Stability of Numerical Algorithms, 2002, (3.5)). The sum over samples is compensated: 2 units of the
+    change and 2 eps^2 of the state (ibid., (4.8)). From there the error moves as the loop does; at worst all signs of
+    its impulse response meet.
+    """
+    model, whole, n = controller.model, controller.linear, len(controller.model.a)
+    states, x = np.empty((SAMPLES, n)), np.zeros(n)
+    for k in range(SAMPLES):
+        states[k] = x
+        x = whole.a @ x + whole.b @ inputs[:, k]
+    sizes, given = np.abs(states), np.abs(inputs.T)
+    out = sizes @ np.abs(model.c[0]) + given @ np.abs(whole.d[0])
+    out_error = EPS * (n + whole.d.shape[1] + 2) * out
+    change = np.abs(model.a - np.diag((np.diag(model.a) > 0.5).astype(float)))
+    terms = np.count_nonzero(change, axis=1) + np.count_nonzero(model.b, axis=1)
+    fed = np.abs(model.b)
+    moved = sizes @ change.T + np.hstack([given, out[:, None]])[:, : fed.shape[1]] @ fed.T
+    added = EPS * (terms + 4) * moved + 2 * EPS**2 * sizes
+    if controller.fed_back:
+        added += out_error[:, None] * fed[:, -1]
+    response, row = np.empty((SAMPLES, n)), model.c[0]
+    for k in range(SAMPLES):
+        response[k] = np.abs(row)
+        row = row @ whole.a
+    size = 2 * SAMPLES
+    spread = np.fft.irfft(
+        np.fft.rfft(response, size, axis=0) * np.fft.rfft(added, size, axis=0), size, axis=0
+    )
+    return np.concatenate([[0.0], spread[: SAMPLES - 1].sum(axis=1)]) + out_error
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("which", ["PID with a notch", "observer in the loop"])
+def test_single_precision_stays_within_its_rounding(tmp_path, which):
+    controller = named(*CONTROLLERS[which])
+    inputs = 1e-6 * noise(len(controller.inputs), 2).astype(np.float32).astype(float)
+    found = run_controller(controller_code(controller, "loop", "single"), tmp_path, inputs, 1, np.float32)
+    wanted, bound = simulate(controller.linear, inputs)[0], rounding_bound(controller, inputs)
+    assert np.all(np.abs(found[0] - wanted) <= bound)
+    assert bound.max() < 1e-3 * np.abs(wanted).max()  # a bound that says something
+
+
+@pytest.mark.slow
+def test_an_integrator_in_single_precision_takes_in_steps_below_its_last_place(tmp_path):
+    """A held input of 1 beside 1e8 of state: a plain sum would stay where it is."""
+    model = StateModel(np.eye(1), np.array([[1.0]]), np.array([[1.0]]), np.zeros((1, 1)), STEP)
+    controller = named(model, 1)
+    inputs = np.ones((1, SAMPLES))
+    code = controller_code(controller, "sum", "single")
+    found = run_controller(code, tmp_path, inputs, 1, np.float32, first=[1e8])
+    assert found[0, -1] == pytest.approx(1e8 + SAMPLES - 1, rel=1.2e-7)
+    assert np.float32(1e8) + np.float32(1) == np.float32(1e8)
+
+
+# --------------------------------------------------------------------------------- limits, delay and the first sample
+
+
+def limited(model, inputs, **options):
+    """With half of what a record asks for, and every integrator led back within 10 ms."""
+    return named(model, inputs, anti_windup=anti_windup(model, 0.01), low=[-0.2], high=[0.1], **options)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("which", ["PID with a notch", "observer in the loop"])
+@pytest.mark.parametrize("delay", [0, 2])
+def test_limits_delay_and_a_start_in_motion_are_those_of_python(tmp_path, which, delay):
+    controller = limited(*CONTROLLERS[which], delay=delay)
+    inputs = 2e-5 * noise(len(controller.inputs), 3, 20_000)
+    found = run_controller(controller_code(controller, "loop"), tmp_path, inputs, 1, np.float64, first=[0.05])
+    wanted = controller.run(inputs, first=[0.05])
+    assert np.mean((wanted == 0.1) | (wanted == -0.2)) > 0.1
+    assert np.abs(found - wanted).max() < 1e-9
+    assert np.all(found[0, : 1 + delay] == pytest.approx(0.05, abs=1e-12))
+
+
+def test_without_limits_a_run_is_the_linear_model():
+    for which in CONTROLLERS:
+        controller = named(*CONTROLLERS[which])
+        inputs = noise(len(controller.inputs), 4, 500)
+        wanted = simulate(controller.linear, inputs)
+        assert controller.run(inputs) == pytest.approx(wanted, abs=1e-9 * np.abs(wanted).max())
+        late = named(*CONTROLLERS[which], delay=3).run(inputs)
+        assert np.all(late[:, :3] == 0) and np.all(late[:, 3:] == controller.run(inputs)[:, :-3])
+
+
+def test_it_takes_over_where_it_rests_and_stays_there():
+    """A PID with no error keeps any force; with an observer also where the machine pushes against a constant."""
+    for which, e in (("PID with a notch", [0.0]), ("observer in the loop", [3e-3, 3e-3])):
+        controller = named(*CONTROLLERS[which])
+        held = np.repeat(np.array(e)[:, None], 2000, axis=1)
+        found = controller.run(held, first=[7.0])[0]
+        assert found[0] == pytest.approx(7.0, rel=1e-9)
+        if which == "PID with a notch":
+            assert found == pytest.approx(np.full(2000, 7.0), rel=1e-6)
+
+
+def test_anti_windup_moves_the_integrator_alone():
+    model = pid()
+    gain = anti_windup(model, 0.01)
+    before, after = (np.sort_complex(np.linalg.eigvals(a)) for a in (model.a, model.a - gain @ model.c))
+    kept = np.abs(before - 1) > 1e-6
+    assert np.count_nonzero(~kept) == 1
+    assert np.abs(after[:, None] - before[None, kept]).min(axis=0).max() < 1e-7
+    assert np.abs(after - np.exp(-STEP / 0.01)).min() < 1e-9
+
+
+def test_a_limited_integrator_lets_go_at_once():
+    """After a second at the limit the output leaves it within two tracking times of the sign's change."""
+    inputs = 1e-6 * np.where(np.arange(12_000) < 10_000, 1.0, -1.0)[None]
+    model = tustin(Pid(1e6, 20.0, 100.0, 2000.0).state_space(), STEP)
+    options = {"low": [-0.5], "high": [0.5]}
+    wound = named(model, 1, **options).run(inputs)[0]
+    free = named(model, 1, anti_windup=anti_windup(model, 0.02), **options).run(inputs)[0]
+    assert free[9_999] == wound[9_999] == 0.5
+    assert free[10_400] < 0 < wound[10_400]
+
+
+# --------------------------------------------------------------------------------------------------------- adaptation
+
+
+def run_adaptation(files, folder, regressors, errors, dtype):
+    """Weights after each sample, by the C code."""
+    (name,) = {file.removesuffix(".c") for file in files if file.endswith(".c")}
+    actuators, n, samples = len(errors), *regressors.shape
+    driver = f"""
+#include "{name}.h"
+long run(long samples, const {name}_real *psi, const {name}_real *e, {name}_real *out)
+{{
+    {name}_state s;
+    {name}_start(&s);
+    for (long k = 0; k < samples; k++) {{
+        if (!{name}_update(&s, psi + k * {n}, e + k * {actuators}))
+            return k;
+        for (int a = 0; a < {actuators}; a++)
+            for (int i = 0; i < {n}; i++)
+                out[(k * {actuators} + a) * {n} + i] = s.weights[a][i];
+    }}
+    return samples;
+}}
+"""
+    library = compiled(files, folder, driver)
+    library.run.restype = ctypes.c_long
+    given = [np.ascontiguousarray(each.T, dtype) for each in (regressors, errors)]
+    out = np.zeros((samples, actuators, n), dtype)
+    used = library.run(ctypes.c_long(samples), *map(pointer, given), pointer(out))
+    return used, out
+
+
+def floor(samples, n=5, actuators=2):
+    """Coloured regressors of which two are nearly one, and the error that fixed weights leave, by a plain product."""
+    rng = np.random.default_rng(7)
+    psi = np.cumsum(rng.standard_normal((n, samples)), axis=1)
+    psi -= psi.mean(axis=1, keepdims=True)
+    psi[-1] = psi[-2] + 1e-2 * psi[-1]
+    errors = rng.standard_normal((actuators, n)) @ psi * np.exp(-np.arange(samples) / 2000)
+    return psi.astype(np.float32).astype(float), errors.astype(np.float32).astype(float)
+
+
+RLS = {"initial_covariance": 1e-2, "forgetting": 0.999}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "settings", [FeRls(**RLS, form="UD"), FeRls(**RLS, growth_limit=np.inf), FeLms(1e-2, trace="literal")]
+)
+def test_an_adaptation_in_double_precision_gives_what_python_gives(tmp_path, settings):
+    psi, errors = floor(SAMPLES)
+    used, found = run_adaptation(adaptation_code(settings, 2, 5, "feed"), tmp_path, psi, errors, np.float64)
+    wanted = adapt(settings, psi, errors, every=100).history
+    assert used == SAMPLES
+    assert np.abs(found[99::100] - wanted).max() < 1e-9 * np.abs(wanted).max()
+
+
+@pytest.mark.slow
+def test_ferls_in_single_precision_is_the_single_precision_of_python(tmp_path):
+    """The same operations in the same order, in IEEE arithmetic: not a bit may differ."""
+    psi, errors = floor(SAMPLES)
+    settings = FeRls(**RLS, form="UD", dtype="float32")
+    code = adaptation_code(FeRls(**RLS), 2, 5, "feed", "single")
+    used, found = run_adaptation(code, tmp_path, psi, errors, np.float32)
+    wanted = adapt(settings, psi, errors, every=100).history
+    assert used == SAMPLES and np.array_equal(found[99::100], wanted)
+
+
+@pytest.mark.slow
+def test_felms_in_single_precision_stays_within_its_rounding(tmp_path):
+    """Errors are given, so roundings add up: of each step 8 + n units, of the compensated sum 2 and the last place."""
+    psi, errors = floor(SAMPLES)
+    code = adaptation_code(FeLms(1e-4), 2, 5, "feed", "single")
+    used, found = run_adaptation(code, tmp_path, psi, errors, np.float32)
+    history = adapt(FeLms(1e-4), psi, errors, every=1).history
+    steps = np.abs(np.diff(history, axis=0, prepend=0))
+    bound = EPS * (10 + 5) * np.cumsum(steps, axis=0) + 2 * EPS * np.abs(history)
+    assert used == SAMPLES and np.all(np.abs(found - history) <= bound)
+    assert bound.max() < 1e-3 * np.abs(history).max()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("settings", [FeRls(1e3), FeLms()])
+def test_a_sample_that_cannot_be_used_leaves_the_weights(tmp_path, settings):
+    psi, errors = floor(50)
+    errors[0, 30] = np.nan
+    used, found = run_adaptation(adaptation_code(settings, 2, 5, "feed"), tmp_path, psi, errors, np.float64)
+    assert used == 30 and np.all(np.isfinite(found)) and not np.any(found[30:])
+
+
+# --------------------------------------------------------------------------------------------------------- bad input
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"name": "2fast"}, "name is '2fast'; give letters"),
+        ({"name": "a-b"}, "name is 'a-b'"),
+        ({"precision": "half"}, "precision is 'half'; use one of 'double', 'single'"),
+    ],
+)
+def test_code_that_cannot_be_written_says_why(change, message):
+    for write, given in ((controller_code, (named(pid(), 1),)), (adaptation_code, (FeLms(), 1, 2))):
+        with pytest.raises(InputError, match=message):
+            write(*given, **{"name": "loop", "precision": "double", **change})
+
+
+def test_other_forms_of_the_covariance_and_numbers_beyond_single_precision_are_refused():
+    with pytest.raises(InputError, match="C is written for 'safe' or 'UD'"):
+        adaptation_code(FeRls(1.0, form="Joseph"), 1, 2, "feed")
+    with pytest.raises(InputError, match=r"e\+\d\d is beyond single precision"):
+        controller_code(named(pid(1e60), 1), "loop", "single")
+
+
+def test_names_of_signals_cannot_leave_their_comment():
+    odd = DigitalController(pid(), ("e */ int x; (µm)\n\\",), ("f (N)",))
+    header = controller_code(odd, "loop")["loop.h"]
+    assert "e * / int x; (?m)" in header and header.count("*/") == controller_code(named(pid(), 1), "loop")[
+        "loop.h"
+    ].count("*/")

@@ -1,0 +1,165 @@
+"""Controllers on their way out: to files and back, to SciPy and python-control, which answer as they do."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from stillwork.base.checks import InputError
+from stillwork.control.digital import (
+    DigitalController,
+    anti_windup,
+    as_libraries,
+    biquads,
+    from_biquads,
+    load_controller,
+    observed_controller,
+)
+from stillwork.control.pid import Notch, Pid
+from stillwork.lti.discretisation import tustin
+from stillwork.lti.simulation import simulate
+from stillwork.lti.state_space import StateModel
+
+STEP = 1e-4
+PID = Pid(1e4, 12.0, 120.0, 1200.0, notches=(Notch(2000.0),))
+MODEL = tustin(PID.state_space(), STEP)
+INPUTS = np.random.default_rng(3).standard_normal((1, 3000))
+LIMITED = DigitalController(
+    MODEL,
+    ("e (m)",),
+    ("f (N)",),
+    low=[-np.inf],
+    high=[3e4],
+    anti_windup=anti_windup(MODEL, 0.01),
+    delay=1,
+    about={"gains": {"gain": 1e4}},
+)
+
+
+@pytest.mark.parametrize(
+    "sections",
+    [
+        signal.butter(5, 0.1, output="sos"),
+        signal.iirnotch(0.002, 30.0),
+        signal.ellip(6, 1, 60, [0.01, 0.03], "band", output="sos"),
+        [[0.5, 0.25, 0.0, 1.0, 0.0, 0.0], [1.0, -0.2, 0.1, 1.0, -1.8, 0.81]],
+    ],
+)
+def test_biquads_filter_as_scipy_does(sections):
+    if isinstance(sections, tuple):
+        sections = np.hstack(sections)[None]
+    sections = np.array(sections)
+    wanted = signal.sosfilt(sections, INPUTS[0])
+    model = from_biquads(sections, STEP)
+    assert simulate(model, INPUTS)[0] == pytest.approx(wanted, abs=1e-8 * np.abs(wanted).max())
+    if np.all(np.abs(model.poles) > 0.1):
+        again = signal.sosfilt(biquads(model), INPUTS[0])
+        assert again == pytest.approx(wanted, abs=1e-5 * np.abs(wanted).max())
+
+
+def test_libraries_answer_as_the_controller_does():
+    import control
+
+    objects = as_libraries(DigitalController(MODEL, ("e (m)",), ("f (N)",)))
+    wanted = simulate(MODEL, INPUTS)[0]
+    scale = np.abs(wanted).max()
+    assert control.forced_response(objects.control, inputs=INPUTS).outputs == pytest.approx(
+        wanted, abs=1e-9 * scale
+    )
+    assert signal.dlsim(objects.scipy, INPUTS[0])[1][:, 0] == pytest.approx(wanted, abs=1e-9 * scale)
+    assert signal.sosfilt(objects.biquads, INPUTS[0]) == pytest.approx(wanted, abs=1e-6 * scale)
+
+
+def test_an_observed_controller_is_the_block_diagram():
+    """By substitution at one frequency: e = r - y + y_flex, v = C e + u_d, (u_d, y_flex) = O(f, y)."""
+    rng = np.random.default_rng(0)
+    other = StateModel(
+        np.diag([0.5, 0.8]), rng.standard_normal((2, 2)), rng.standard_normal((2, 2)), np.array([[0.0, 0.3], [0.0, 0.2]]), STEP
+    )  # fmt: skip
+    omega = np.array([900.0])
+    (o_uf, o_uy), (o_yf, o_yy) = other.frequency_response(omega)[..., 0]
+    c = MODEL.frequency_response(omega)[0, 0, 0]
+    found = observed_controller(MODEL, other).frequency_response(omega)[0, :, 0]
+    assert found == pytest.approx([c, -c + c * o_yy + o_uy, c * o_yf + o_uf], rel=1e-9)
+
+
+def test_a_file_gives_the_controller_back(tmp_path):
+    file = tmp_path / "controller.json"
+    file.write_text(json.dumps(LIMITED.as_dict(), allow_nan=False))
+    again = load_controller(file)
+    assert again.as_dict() == LIMITED.as_dict()
+    assert np.array_equal(again.run(INPUTS), LIMITED.run(INPUTS))
+    assert again.low[0] == -np.inf and again.about == {"gains": {"gain": 1e4}}
+
+
+def test_a_gain_comes_back_from_its_file(tmp_path):
+    gain = StateModel(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), np.array([[2.0, -1.0]]), STEP)
+    controller = DigitalController(gain, ("r", "y"), ("f",))
+    (tmp_path / "a.json").write_text(json.dumps(controller.as_dict()))
+    assert load_controller(tmp_path / "a.json").run(np.ones((2, 2))) == pytest.approx(np.ones((1, 2)))
+
+
+def test_a_table_gives_a_controller(tmp_path):
+    file = tmp_path / "pid.toml"
+    rows = {name: getattr(MODEL, name).tolist() for name in "abcd"}
+    text = "\n".join(f"{name} = {value}" for name, value in rows.items())
+    file.write_text(f"[controller]\nrate_hz = 10000\n{text}\nlow = -5\nhigh = [5]\ntracking_time_s = 0.01\n")
+    found = load_controller(file)
+    wanted = DigitalController(MODEL, ("e",), ("f",), -5.0, 5.0, anti_windup(MODEL, 0.01))
+    assert np.array_equal(found.run(INPUTS), wanted.run(INPUTS))
+    assert found.inputs == ("input 1",)
+
+
+BAD = {
+    "no file": (None, "cannot be read .*; give a JSON or TOML file"),
+    "text": ("hello", "is no controller"),
+    "a list": ("[1]", "is no controller"),
+    "another file": ("{}", "'format' is missing"),
+    "another format": ('{"format": "x"}', "this reads 'stillwork controller 1'"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_files_that_hold_no_controller_say_why(tmp_path, name):
+    text, message = BAD[name]
+    if text is not None:
+        (tmp_path / "a.json").write_text(text)
+    with pytest.raises(InputError, match=message):
+        load_controller(tmp_path / "a.json")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"state_space": {"a": [[1]], "b": [[1]], "c": [[1]]}}, "'d' is missing"),
+        ({"low": [5.0], "high": [-5.0]}, "low is not below high"),
+        ({"inputs": []}, "name 0 and 1 signals for a model of 1 and 1"),
+        ({"inputs": "e"}, "give a list"),
+        ({"anti_windup": [[1.0]] * 4}, "anti_windup has shape"),
+        ({"anti_windup": [[1e9]] * 5}, "unstable while its output is limited"),
+        ({"delay_samples": -1}, "delay is -1"),
+        ({"sample_time_s": 0.0}, "in continuous time"),
+    ],
+)
+def test_controllers_that_cannot_run_say_why(tmp_path, change, message):
+    (tmp_path / "a.json").write_text(json.dumps(LIMITED.as_dict() | change))
+    with pytest.raises(InputError, match=message):
+        load_controller(tmp_path / "a.json")
+
+
+def test_integrators_in_a_row_and_outputs_that_show_none_have_no_back_calculation():
+    double = StateModel(
+        np.array([[1.0, 1.0], [0.0, 1.0]]), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1)), STEP
+    )
+    with pytest.raises(InputError, match="integrators in a row"):
+        anti_windup(double, 0.1)
+    hidden = StateModel(np.eye(1), np.ones((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)), STEP)
+    with pytest.raises(InputError, match="integrators in a row"):
+        anti_windup(hidden, 0.1)
+
+
+def test_an_output_that_follows_from_itself_is_refused():
+    model = StateModel(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), np.ones((1, 2)), STEP)
+    with pytest.raises(InputError, match="follows from the limited output of the same sample"):
+        DigitalController(model, ("e",), ("f",))

@@ -1,0 +1,77 @@
+"""The command `export`: C from a file into a new folder, all of it or nothing."""
+
+import json
+
+import numpy as np
+import pytest
+
+from stillwork.__main__ import main
+from stillwork.base.checks import InputError
+from stillwork.control.c_code import adaptation_code, controller_code
+from stillwork.control.digital import DigitalController
+from stillwork.estimation.adaptive import FeLms, FeRls
+from stillwork.exporting import write_folder
+from stillwork.lti.state_space import StateModel
+
+LAG = DigitalController(
+    StateModel(np.array([[0.9]]), np.array([[0.1]]), np.array([[1.0]]), np.zeros((1, 1)), 1e-3), ("e (m)",), ("f (N)",)
+)  # fmt: skip
+
+
+def read(folder):
+    return {file.name: file.read_text() for file in folder.iterdir()}
+
+
+def test_a_controller_is_written_as_the_library_gives_it(tmp_path, capsys):
+    (tmp_path / "lag.json").write_text(json.dumps(LAG.as_dict()))
+    out = tmp_path / "new" / "c"
+    arguments = [str(tmp_path / "lag.json"), "--out", str(out), "--name", "lag", "--precision", "single"]
+    assert main(["export", *arguments]) == 0
+    assert read(out) == controller_code(LAG, "lag", "single")
+    assert "lag.h, lag.c" in capsys.readouterr().out
+    assert [each.name for each in out.parent.iterdir()] == ["c"]  # nothing lies beside it
+
+
+@pytest.mark.parametrize(
+    ("text", "settings"),
+    [
+        ("[FeRls]\ninitial_covariance = [1.0, 2.0, 3.0]\nforgetting = 0.999\n", FeRls([1.0, 2.0, 3.0], 0.999)),
+        ("[FeLms]\nstep_size = 0.01\n", FeLms(0.01)),
+    ],
+)  # fmt: skip
+def test_an_adaptation_is_written_as_the_library_gives_it(tmp_path, text, settings):
+    (tmp_path / "a.toml").write_text(f"{text}actuators = 2\nregressors = 3\n")
+    (tmp_path / "out").mkdir()
+    assert main(["export", str(tmp_path / "a.toml"), "--out", str(tmp_path / "out")]) == 0
+    assert read(tmp_path / "out") == adaptation_code(settings, 2, 3, "controller")
+
+
+BAD = {
+    "[FeRls]\nactuators = 2\nregressors = 3\n": "initial_covariance",
+    "[FeRls]\ninitial_covariance = 1.0\nregressors = 3\n": "'actuators' is missing",
+    "[FeLms]\nactuators = 2\nregressors = 3\nstepsize = 0.1\n": "FeLms has no 'stepsize'; did you mean 'step_size'?",
+    "[FeRsl]\nactuators = 2\n": "did you mean 'FeRls'?",
+    "": "table is None; use one of",
+    "[controller]\nbiquads = []\n": "'rate_hz' is missing",
+    "[controller]\nrate_hz = 1\nbiquads = [[1, 2]]\n": "sections has shape",
+    "FeLms = 3\n": "make it a table [FeLms]",
+}
+
+
+@pytest.mark.parametrize("text", BAD)
+def test_files_that_describe_nothing_say_why_and_leave_nothing(tmp_path, capsys, text):
+    (tmp_path / "a.toml").write_text(text)
+    assert main(["export", str(tmp_path / "a.toml"), "--out", str(tmp_path / "out")]) == 2
+    assert BAD[text] in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_nothing_is_overwritten_and_nothing_half_written(tmp_path):
+    out = tmp_path / "out"
+    write_folder(out, {"a.c": b"1"})
+    with pytest.raises(InputError, match="is not empty; nothing is overwritten"):
+        write_folder(out, {"a.c": b"2"})
+    assert read(out) == {"a.c": "1"}
+    with pytest.raises(TypeError):
+        write_folder(tmp_path / "half", {"a.c": b"1", "b.c": None})
+    assert [each.name for each in tmp_path.iterdir()] == ["out"]

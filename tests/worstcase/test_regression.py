@@ -1,0 +1,360 @@
+import pickle
+import subprocess
+import sys
+import warnings
+
+import cvxpy
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sklearn.exceptions import NotFittedError
+from sklearn.metrics import r2_score
+from sklearn.model_selection import GridSearchCV
+from sklearn.utils.estimator_checks import check_estimator
+
+from naive import worstcase as naive
+from stillwork.base.checks import InputError
+from stillwork.estimation import (
+    FeRls,
+    LeastMeanSquares,
+    MinMax,
+    MinMaxRegressor,
+    RecursiveLeastSquares,
+    identify,
+    min_max_solve,
+    run,
+)
+from stillwork.estimation.min_max import ZeroEstimateWarning
+
+EVERY = [
+    LeastMeanSquares(),
+    RecursiveLeastSquares(),
+    RecursiveLeastSquares(form="UD"),
+    MinMaxRegressor(bound=0.0),
+    MinMaxRegressor(bound=0.1),
+    MinMaxRegressor(bound=0.01, bound_on="sample", initial_covariance=100.0),
+]
+KINDS = [
+    LeastMeanSquares(step_size=0.4),
+    RecursiveLeastSquares(forgetting=0.95),
+    RecursiveLeastSquares(),
+    MinMaxRegressor(0.3, forgetting=0.95),
+    MinMaxRegressor([0.3, 0.0, 0.1], "sample", initial_covariance=10.0),
+]
+
+
+@pytest.mark.filterwarnings("ignore:Estimator .* does not inherit from:UserWarning")
+@pytest.mark.filterwarnings("ignore::stillwork.estimation.min_max.ZeroEstimateWarning")
+@pytest.mark.parametrize("estimator", EVERY, ids=repr)
+def test_it_passes_scikit_learn_s_own_checks(estimator):
+    assert len(check_estimator(estimator, on_skip=None)) > 50
+
+
+def record(seed=0, samples=60, outputs=None, features=3):
+    rng = np.random.default_rng(seed)
+    X = rng.normal(size=(samples, features))
+    coef = rng.normal(size=features if outputs is None else (outputs, features))
+    y = X @ coef.T
+    return X, y + 0.3 * rng.normal(size=y.shape)
+
+
+def complex_record(seed=0, samples=40):
+    rng = np.random.default_rng(seed)
+    X, coef, noise = (rng.normal(size=(2, *shape)) for shape in ((samples, 3), (3,), (samples,)))
+    X, coef, noise = (real + 1j * imaginary for real, imaginary in (X, coef, noise))
+    return X, X @ coef + 0.3 * noise
+
+
+def weighted(X, y, forgetting, weights=1.0):
+    root = np.sqrt(weights * forgetting ** np.arange(len(X) - 1, -1, -1))
+    return X * root[:, None], y * (root if y.ndim == 1 else root[:, None])
+
+
+def assert_cone_program(found, X, y, bounds):
+    """The min-max problem as a second-order cone program, with `bounds` on the columns: same cost, same point."""
+    coef = cvxpy.Variable(X.shape[1], complex=np.iscomplexobj(X))
+    cost = cvxpy.norm(y - X @ coef) + cvxpy.norm(cvxpy.multiply(bounds, coef))
+    least = cvxpy.Problem(cvxpy.Minimize(cost)).solve(solver="CLARABEL", tol_gap_abs=1e-10, tol_gap_rel=1e-10)
+    assert np.linalg.norm(y - X @ found) + np.linalg.norm(bounds * found) <= least * (1 + 1e-9)
+    # the cost is flat: the solver's gap of 1e-10 lets the point move by its root
+    assert found == pytest.approx(coef.value, abs=1e-4)
+
+
+@pytest.mark.parametrize("outputs", [None, 2])
+@pytest.mark.parametrize("forgetting", [0.9, 1.0])
+def test_recursive_least_squares_are_weighted_least_squares(forgetting, outputs):
+    X, y = record(1, outputs=outputs)
+    weights = np.random.default_rng(2).uniform(0, 3, len(X))
+    prior, start = np.array([2.0, 5.0, 0.5]), np.arange(3.0) if outputs is None else np.ones((2, 3))
+    found = RecursiveLeastSquares(
+        forgetting=forgetting, initial_coef=start, initial_covariance=prior, growth_limit=np.inf
+    ).fit(X, y, weights)
+    root = np.sqrt(forgetting ** len(X) / prior)
+    A, b = weighted(X, y, forgetting, weights)
+    A, b = np.vstack([A, np.diag(root)]), np.concatenate([b, (root * start).T])
+    assert found.coef_ == pytest.approx(np.linalg.lstsq(A, b)[0].T, rel=1e-9)
+    assert found.covariance_ == pytest.approx(np.linalg.inv(A.T @ A), rel=1e-8, abs=1e-12)
+
+
+@settings(max_examples=10)
+@given(st.integers(0, 2**32 - 1))
+def test_the_default_guard_leaves_an_excited_estimate_alone(seed):
+    X, y = record(seed, samples=400)
+    A, b = weighted(X, y, 0.9)
+    assert RecursiveLeastSquares(forgetting=0.9).fit(X, y).coef_ == pytest.approx(np.linalg.lstsq(A, b)[0])
+
+
+def test_least_mean_squares_take_the_published_step():
+    X, y = record(3, outputs=2)
+    start = np.ones((2, 3))
+    coef = start.copy()
+    for row, output in zip(X, y, strict=True):
+        coef += 0.4 * np.outer(output - coef @ row, row) / (1e-2 + row @ row)
+    found = LeastMeanSquares(step_size=0.4, regularisation=1e-2, initial_coef=start).fit(X, y)
+    assert found.coef_ == pytest.approx(coef, rel=1e-12)
+
+
+@pytest.mark.filterwarnings("ignore::stillwork.estimation.min_max.ZeroEstimateWarning")
+@pytest.mark.parametrize("bound", [0.0, 0.4, [0.4, 0.0, 0.0], [0.0, 2.0, 0.3], [0.1, 0.2, 0.3]])
+@pytest.mark.parametrize("bound_on", ["record", "sample"])
+def test_min_max_is_the_cone_program(bound, bound_on):
+    X, y = record(4, samples=20, outputs=2)
+    weights = np.random.default_rng(5).uniform(0, 3, len(X))
+    A, b = weighted(X, y, 0.9, weights)
+    growth = 1.0 if bound_on == "record" else np.sqrt(weights @ 0.9 ** np.arange(19, -1, -1))
+    bounds = growth * np.broadcast_to(bound, 3)
+    found = MinMaxRegressor(bound, bound_on, forgetting=0.9).fit(X, y, weights)
+    for coef, target in zip(found.coef_, b.T, strict=True):
+        assert_cone_program(coef, A, target, bounds)
+
+
+def test_min_max_without_options_is_theorem_one():
+    X, y = record(6)
+    assert MinMaxRegressor(0.7).fit(X, y).coef_ == pytest.approx(min_max_solve(X, y, 0.7).estimate, rel=1e-12)
+    assert MinMaxRegressor(0.7).fit(X, y).coef_ == pytest.approx(naive.min_max(X, y, 0.7)[0], rel=1e-9)
+
+
+def test_min_max_keeps_the_digits_of_data_that_fit():
+    X, y = record(7)
+    coef = np.array([1.0, -2.0, 3.0])
+    noise = 1e-9 * (y - X @ np.linalg.lstsq(X, y)[0])
+    found = MinMaxRegressor(0.05).fit(X, X @ coef + noise)
+    expected = small_noise_solution(X, noise, coef, 0.05)
+    assert np.abs(expected - coef).max() > 1e-12  # what sums of squares, of 1e-17 beside 1e3, could not tell
+    assert found.coef_ == pytest.approx(expected, abs=1e-14)
+
+
+def small_noise_solution(X, noise, coef, bound):
+    """To first order in the noise: alpha = bound |noise| / |coef|, then ridge."""
+    alpha = bound * np.linalg.norm(noise) / np.linalg.norm(coef)
+    return coef - np.linalg.solve(X.T @ X + alpha * np.eye(3), alpha * coef - X.T @ noise)
+
+
+def test_a_known_column_that_says_nothing_new_does_no_harm():
+    X, y = record(8)
+    doubled = np.column_stack([X[:, :2], X[:, :2] @ [1.0, 1.0], X[:, 2]])
+    found = MinMaxRegressor([0, 0, 0, 0.5]).fit(doubled, y)
+    assert found.coef_[3] == pytest.approx(MinMaxRegressor([0, 0, 0.5]).fit(X, y).coef_[2], rel=1e-10)
+
+
+@pytest.mark.parametrize("estimator", KINDS, ids=lambda e: type(e).__name__)
+@pytest.mark.parametrize("outputs", [None, 2])
+def test_a_stream_is_its_batch(estimator, outputs):
+    X, y = record(9, samples=200, outputs=outputs)
+    X[17], y[40] = np.nan, np.nan
+    whole = clone(estimator).fit(X, y)
+    for pieces in (np.arange(1, 200), [3, 18, 150], []):
+        stream = clone(estimator)
+        for part, target in zip(np.split(X, pieces), np.split(y, pieces), strict=True):
+            assert stream.partial_fit(part, target) is stream
+        assert np.abs(stream.coef_ - whole.coef_).max() <= 1e-12 * np.abs(whole.coef_).max()
+    assert stream.fit(X[:50], y[:50]).coef_ == pytest.approx(clone(estimator).fit(X[:50], y[:50]).coef_)
+
+
+def clone(estimator):
+    return type(estimator)(**estimator.get_params())
+
+
+def test_the_recursions_are_those_of_the_toolbox():
+    X, y = record(10, samples=300)
+    found = RecursiveLeastSquares(forgetting=0.95, initial_covariance=7.0, growth_limit=20.0).fit(X, y)
+    twin = identify(FeRls(7.0, forgetting=0.95, growth_limit=20.0), X.T, -y[None])
+    assert np.array_equal(found.coef_, twin.weights[0])
+    track = run(MinMax(0.5, 0.95), X.T, y)
+    assert MinMaxRegressor(0.5, forgetting=0.95).fit(X, y).coef_ == pytest.approx(track.estimates[:, -1])
+
+
+@pytest.mark.parametrize("estimator", KINDS, ids=lambda e: type(e).__name__)
+def test_a_lost_sample_is_time_without_news(estimator):
+    X, y = record(11, outputs=2)
+    lost = [5, 20, 21, 59]
+    gone = np.ones(60)
+    gone[lost] = 0
+    for spoiled, target in ((X.copy(), y), (X, y.copy())):
+        (spoiled if target is y else target)[lost, 0] = np.nan
+        found = clone(estimator).fit(spoiled, target)
+        silent_X, silent_y = X * gone[:, None], y * gone[:, None]
+        if isinstance(estimator, LeastMeanSquares):
+            expected = clone(estimator).fit(silent_X, silent_y)
+        else:
+            expected = clone(estimator).fit(X, y, gone)
+            assert np.array_equal(found.coef_, clone(estimator).fit(silent_X, silent_y, gone).coef_)
+        assert np.array_equal(found.coef_, expected.coef_)
+        assert np.array_equal(np.isnan(found.predict(spoiled)).any(axis=1), np.isnan(spoiled).any(axis=1))
+    assert found.score(X, target) == pytest.approx(r2_score(y[gone > 0], found.predict(X)[gone > 0]))
+
+
+def test_complex_least_squares_and_least_mean_squares():
+    X, y = complex_record(12)
+    A, b = weighted(X, y, 0.9)
+    root = np.sqrt(0.9 ** len(X) / 3.0)
+    A, b = np.vstack([A, root * np.eye(3)]), np.append(b, root * np.array([1j, 0, 2]))
+    found = RecursiveLeastSquares(
+        forgetting=0.9,
+        initial_covariance=3.0,
+        initial_coef=[1j, 0, 2],
+        growth_limit=np.inf,
+        complex_data=True,
+    ).fit(X, y)
+    assert found.coef_ == pytest.approx(np.linalg.lstsq(A, b)[0], rel=1e-9)
+    assert found.covariance_ == pytest.approx(np.linalg.inv(A.conj().T @ A), rel=1e-8)
+    assert found.predict(X) == pytest.approx(X @ found.coef_)
+    coef = np.zeros(3, complex)
+    for row, output in zip(X, y, strict=True):
+        coef += 0.4 * (output - row @ coef) * row.conj() / (1e-5 + np.linalg.norm(row) ** 2)
+    assert LeastMeanSquares(step_size=0.4, complex_data=True).fit(X, y).coef_ == pytest.approx(
+        coef, rel=1e-12
+    )
+
+
+@pytest.mark.parametrize("bound", [0.8, [0.0, 0.8, 0.3]])
+def test_complex_min_max_is_the_complex_cone_program(bound):
+    X, y = complex_record(13, samples=12)
+    found = MinMaxRegressor(bound, "sample", complex_data=True).fit(X, y)
+    assert_cone_program(found.coef_, X, y, np.sqrt(12) * np.broadcast_to(bound, 3))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "estimator",
+    [
+        LeastMeanSquares(step_size=0.5),
+        RecursiveLeastSquares(),
+        RecursiveLeastSquares(forgetting=0.95),
+        RecursiveLeastSquares(forgetting=0.95, form="UD"),
+        MinMaxRegressor(1e-3, forgetting=0.95),
+        MinMaxRegressor(1e-3, "sample", forgetting=0.95, initial_covariance=1.0),
+    ],
+    ids=lambda e: type(e).__name__,
+)
+@pytest.mark.parametrize("lost", [0.0, np.nan])
+def test_a_million_unexcited_samples_stay_finite_and_learning_resumes(estimator, lost):
+    X, y = record(14, samples=800)
+    estimator = clone(estimator).partial_fit(X[:400], y[:400])
+    estimator.partial_fit(np.full((1_000_000, 3), lost), np.zeros(1_000_000))
+    assert np.isfinite(estimator.coef_).all()
+    estimator.partial_fit(X[400:], y[400:])
+    X, y = (X, y) if getattr(estimator, "forgetting", 0) == 1 else (X[400:], y[400:])
+    # what 0.95 forgets, the initial estimate and the little doubt all count for less than a thousandth
+    tolerance = 0.3 if isinstance(estimator, LeastMeanSquares) else 2e-3
+    A, b = weighted(X, y, getattr(estimator, "forgetting", 1.0))
+    assert estimator.coef_ == pytest.approx(np.linalg.lstsq(A, b)[0], abs=tolerance)
+
+
+def test_the_bound_may_change_between_two_calls():
+    X, y = record(15)
+    stream = MinMaxRegressor(0.1).partial_fit(X[:30], y[:30])
+    stream.set_params(bound=[0.0, 2.0, 0.0]).partial_fit(X[30:], y[30:])
+    assert stream.coef_ == pytest.approx(MinMaxRegressor([0.0, 2.0, 0.0]).fit(X, y).coef_, rel=1e-12)
+
+
+def test_forgetting_may_change_between_two_calls():
+    X, y = record(16)
+    stream = RecursiveLeastSquares(forgetting=0.8).partial_fit(X[:30], y[:30])
+    stream.set_params(forgetting=0.9).partial_fit(X[30:], y[30:])
+    root = np.sqrt(np.append(0.9**30 * 0.8 ** np.arange(29, -1, -1), 0.9 ** np.arange(29, -1, -1)))
+    assert stream.coef_ == pytest.approx(np.linalg.lstsq(X * root[:, None], y * root)[0], rel=1e-6)
+
+
+@pytest.mark.parametrize("estimator", KINDS, ids=lambda e: type(e).__name__)
+def test_a_refused_call_changes_nothing(estimator):
+    X, y = record(17, outputs=2)
+    refused, twin = (clone(estimator).partial_fit(X[:30], y[:30]) for _ in range(2))
+    for bad in (
+        (X[:, :2], y),
+        (X, y[:, :1]),
+        (X, y[:, 0]),
+        (X[:5], y),
+        (np.full((60, 3), np.inf), y),
+        (X, None),
+    ):
+        with pytest.raises(InputError):
+            refused.partial_fit(*bad)
+    with pytest.raises(InputError, match="too large to be squared"):
+        refused.partial_fit(1e200 * X, 1e200 * y)
+    assert np.array_equal(refused.partial_fit(X, y).coef_, twin.partial_fit(X, y).coef_)
+
+
+def test_it_stands_in_a_search_and_in_a_pickle():
+    X, y = record(18, samples=200)
+    search = GridSearchCV(MinMaxRegressor(0.1), {"bound": [0.0, 0.5, 100.0]}, error_score="raise")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ZeroEstimateWarning)
+        assert search.fit(X, y).best_params_["bound"] < 100
+    again = pickle.loads(pickle.dumps(search.best_estimator_))
+    assert np.array_equal(again.partial_fit(X, y).coef_, search.best_estimator_.partial_fit(X, y).coef_)
+
+
+def test_it_needs_no_scikit_learn():
+    script = (
+        "import sys; sys.modules['sklearn'] = None\n"
+        "from stillwork.estimation import MinMaxRegressor\n"
+        "one = MinMaxRegressor(0.1)\n"
+        "try: one.predict([[1.0]])\n"
+        "except ValueError as error: print(error)\n"
+        "print(one.fit([[1.0], [2.0]], [1.0, 2.1]).score([[1.0], [2.0]], [1.0, 2.1]) > 0.9, one)"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert "call fit or partial_fit first\nTrue MinMaxRegressor(bound=0.1" in done.stdout
+
+
+def test_a_bound_that_explains_everything_away_warns():
+    X, y = record(19)
+    with pytest.warns(ZeroEstimateWarning, match="smaller bound"):
+        assert not MinMaxRegressor(50.0).fit(X, y).coef_.any()
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: MinMaxRegressor(-1.0).fit(*record()), "bound holds a negative"),
+        (lambda: MinMaxRegressor([1.0, 2.0]).fit(*record()), "bound has shape .*3 features"),
+        (
+            lambda: MinMaxRegressor(1.0, "row").fit(*record()),
+            "bound_on is 'row'; use one of 'record', 'sample'",
+        ),
+        (lambda: MinMaxRegressor(1.0, initial_coef=np.ones(3)).fit(*record()), "initial_covariance is inf"),
+        (lambda: MinMaxRegressor(1.0, forgetting=1.1).fit(*record()), "forgetting is 1.1"),
+        (lambda: RecursiveLeastSquares(forgetting=0.0).fit(*record()), "forgetting is 0"),
+        (lambda: RecursiveLeastSquares(initial_coef=np.ones(2)).fit(*record()), "initial_coef has shape"),
+        (lambda: RecursiveLeastSquares(form="square").fit(*record()), "did you mean 'square root'"),
+        (lambda: LeastMeanSquares(step_size=2.0).fit(*record()), "step_size is 2"),
+        (lambda: LeastMeanSquares().set_params(step=1.0), "no parameter of LeastMeanSquares.*'step_size'"),
+        (lambda: LeastMeanSquares().fit(np.full((5, 2), np.nan), np.ones(5)), "no sample without NaN"),
+        (lambda: LeastMeanSquares().fit(np.ones((5, 2)), np.full(5, np.inf)), "y holds 5 NaN or infinite"),
+        (lambda: LeastMeanSquares().fit(np.ones((5, 2)), np.ones(4)), "y has 4 samples but X has 5"),
+        (lambda: LeastMeanSquares().fit([["a"]], [1.0]), "X is not an array of numbers"),
+        (lambda: LeastMeanSquares().fit(np.ma.masked_equal([[1.0], [2.0]], 2), [1.0, 2.0]), "X has masked"),
+        (lambda: RecursiveLeastSquares().fit(*record(), -np.ones(60)), "sample_weight holds a negative"),
+    ],
+)
+def test_bad_input_is_named(call, message):
+    with pytest.raises(InputError, match=message):
+        call()
+
+
+def test_an_estimator_that_has_learned_nothing_says_so():
+    for estimator in KINDS:
+        with pytest.raises(NotFittedError, match="has learned nothing yet"):
+            clone(estimator).predict(np.ones((2, 3)))
