@@ -45,14 +45,16 @@ def test_only_what_the_explorer_needs_runs():
         "%matplotlib inline",
         "study = 1 / 0",
         "table = {}\ntable['gain'] = level\nother = [level for table in range(3)]",
-        "def draw(x): return table['gain'] * x",
+        "rows = []\nfor number in range(3):\n    rows.append(number)\nprint(rows, 1 / 0)",
+        "math.nothing(level)",
+        "def draw(x): return table['gain'] * x + sum(rows)",
         "explore(draw, x=Slider(0.0, 1.0, math.floor(0.5)))",
         "later = 1 / 0",
     ]
     explorer = read_explorer(notebook(*cells))
-    assert explorer.draw(3.0) == 6.0
+    assert explorer.draw(3.0) == 6.0 + 3
     assert explorer.controls == {"x": Slider(0.0, 1.0, 0)}
-    assert len(statements(notebook(*cells).source)) == 7
+    assert len(statements(notebook(*cells).source)) == 9
     assert read_explorer(notebook("explored = 1")) is None
 
 

@@ -37,7 +37,8 @@ def read_explorer(notebook: Notebook) -> Explorer | None:
 def statements(source: str) -> list[ast.stmt]:
     """The statements of a notebook (its file's text) that its call of ``explore`` needs, the call last.
 
-    A statement is needed when it binds or changes a name that a later needed one reads.
+    A statement is needed when it binds or changes a name that a later needed one reads: by assignment, or by calling a
+    method of it and dropping what that returns. What a function does to its arguments is not seen.
     """
     body = []
     for cell in json.loads(source)["cells"]:
@@ -51,8 +52,10 @@ def statements(source: str) -> list[ast.stmt]:
         return []
     kept = [body[calls[-1]]]
     needed = _read(kept[0])
+    imported = set().union(*(_imported(each) for each in body))
     for each in reversed(body[: calls[-1]]):
-        if _bound(each) & needed and not _explores(each):
+        changed = _bound(each) | (_called(each) - imported)
+        if changed & needed and not _explores(each):
             kept.insert(0, each)
             needed |= _read(each)
     return kept
@@ -71,20 +74,42 @@ def _read(statement: ast.stmt) -> set[str]:
 
 def _bound(statement: ast.stmt) -> set[str]:
     """Names that a statement binds, or whose elements or attributes it sets."""
-    names = set()
+    names = _imported(statement)
     for node in ast.walk(statement):
         match node:
-            case ast.Import(names=found) | ast.ImportFrom(names=found):
-                names |= {(each.asname or each.name).partition(".")[0] for each in found}
             case ast.FunctionDef(name=name) | ast.ClassDef(name=name):
                 names.add(name)
             case ast.Name(id=name, ctx=ast.Store()):
                 names.add(name)
             case ast.Subscript(ctx=ast.Store()) | ast.Attribute(ctx=ast.Store()):
-                while isinstance(node, ast.Subscript | ast.Attribute):
-                    node = node.value
-                names |= {node.id} if isinstance(node, ast.Name) else set()
+                names |= _root(node)
     return names - _own(statement)
+
+
+def _called(statement: ast.stmt) -> set[str]:
+    """Names of which a statement calls a method and drops what it returns: ``rows.append(row)``."""
+    names = set()
+    for node in ast.walk(statement):
+        match node:
+            case ast.Expr(value=ast.Call(func=ast.Attribute() as method)):
+                names |= _root(method)
+    return names
+
+
+def _imported(statement: ast.stmt) -> set[str]:
+    return {
+        (each.asname or each.name).partition(".")[0]
+        for node in ast.walk(statement)
+        if isinstance(node, ast.Import | ast.ImportFrom)
+        for each in node.names
+    }
+
+
+def _root(node: ast.expr) -> set[str]:
+    """The name that an element, an attribute or a method is of."""
+    while isinstance(node, ast.Subscript | ast.Attribute):
+        node = node.value
+    return {node.id} if isinstance(node, ast.Name) else set()
 
 
 def _own(statement: ast.stmt) -> set[str]:
