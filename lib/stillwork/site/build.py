@@ -14,9 +14,10 @@ import stillwork
 from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.site import picture, reference, search
-from stillwork.site.derived import project, works
+from stillwork.site.derived import works
 from stillwork.site.links import broken_links
 from stillwork.site.mathematics import markdown
+from stillwork.site.metadata import project
 from stillwork.site.pages import NotebookPage, read_page
 from stillwork.site.standing import class_of, stands
 from stillwork.site.states import kept_states, make_states

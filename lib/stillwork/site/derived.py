@@ -8,7 +8,9 @@ from html import escape
 from pathlib import Path
 
 from stillwork.base import paths
+from stillwork.site import metadata
 from stillwork.site.house import paint_house
+from stillwork.site.metadata import project
 from stillwork.site.pages import Figure, NotebookPage, read_page
 from stillwork.workbook.claims import Claim, ledger
 from stillwork.workbook.notebooks import METADATA, notebook_text
@@ -44,12 +46,16 @@ def derived_files() -> dict[str, str]:
         "README.md": _readme,
         "notebooks/index.ipynb": _index,
         "codecheck.yml": _codecheck,
-        "codemeta.json": _codemeta,
+        "codemeta.json": lambda _pages, _claims: metadata.codemeta(works()),
+        ".zenodo.json": lambda _pages, _claims: metadata.zenodo(works()),
+        "ro-crate-metadata.json": lambda pages, _claims: metadata.crate(works(), pages),
         "docs/house.svg": _house,
     }
     for name in ("README.md", "docs/house.svg"):  # a workbook may do without
         if _present(name) is None:
             del makers[name]
+    if _present("CITATION.cff") is None:  # and one that is not published
+        del makers[".zenodo.json"], makers["ro-crate-metadata.json"]
     return {name: make(pages, claims) for name, make in makers.items()}
 
 
@@ -185,41 +191,5 @@ def _quoted(text: str) -> str:
     return json.dumps(text, ensure_ascii=False)
 
 
-def _codemeta(_pages: list[NotebookPage], _claims: list[Claim]) -> str:
-    about = project()
-    record = {
-        "@context": "https://w3id.org/codemeta/3.0",
-        "@type": "SoftwareSourceCode",
-        "name": about["name"],
-        "description": about["description"],
-        "version": about["version"],
-        "license": "https://spdx.org/licenses/BSD-3-Clause",
-        "author": [{"@type": "Organization", "name": author["name"]} for author in about["authors"]],
-        "keywords": about["keywords"],
-        "programmingLanguage": {"@type": "ComputerLanguage", "name": "Python"},
-        "runtimePlatform": f"Python {about['requires-python']}",
-        "softwareRequirements": _requirements(about),
-        "referencePublication": [
-            {"@type": "ScholarlyArticle", "name": work["work"], "description": work["source"]}
-            for work in works().values()
-        ],
-    }
-    return json.dumps(record, indent=1, ensure_ascii=False) + "\n"
-
-
 def _house(_pages: list[NotebookPage], _claims: list[Claim]) -> str:
     return paint_house(paths.root())
-
-
-def project() -> dict:
-    """What pyproject.toml says of the project."""
-    return tomllib.loads((paths.root() / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-
-
-def _requirements(project: dict) -> list[str]:
-    """What the workbook needs: the toolbox's own and those of its extras, without what only tests need."""
-    extras = project["optional-dependencies"]
-    every = project["dependencies"] + [
-        each for name, listed in extras.items() if name != "all" for each in listed
-    ]
-    return sorted(each for each in every if not each.startswith("stillwork["))
