@@ -118,7 +118,8 @@ class _LinearRegressor:
             raise InputError("X and y lead out of the finite numbers; give them in other units")
         if self.complex_data:
             found = found[:, : X.shape[1]] + 1j * found[:, X.shape[1] :]
-        self._state, self.n_features_in_, self.coef_ = state, X.shape[1], found[0] if single else found
+        self._state, self.n_features_in_ = state, X.shape[1]
+        self.coef_ = found[0].copy() if single else found.copy()  # a reader may change it
         return self
 
     def _fitted(self):
