@@ -1,4 +1,4 @@
-"""Command line: ``python -m stillwork figures|readings|claims|portable|accept|site|refresh|inspect|export|new|doctor``."""
+"""Command line: ``python -m stillwork figures|readings|claims|portable|accept|site|refresh|inspect|design|export|new|doctor``."""
 
 import argparse
 import json
@@ -108,6 +108,24 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
     )
     inspect.add_argument("file", metavar="FILE")
     inspect.set_defaults(run=_inspect)
+
+    design = commands.add_parser(
+        "design", help="from a machine's file to a controller in C, and a page about it", allow_abbrev=False
+    )
+    design.add_argument("file", metavar="FILE", help="frequency response, hammer records, or M and K")
+    design.add_argument("--rate", type=float, metavar="HZ", required=True, help="of the controller")
+    _add_output(design)
+    design.add_argument("--delay", type=int, metavar="SAMPLES", default=1, help="from measurement to force")
+    design.add_argument("--limit", type=float, metavar="N", default=float("inf"), help="largest force")
+    for band, what in (("--fit-hz", "of the fit"), ("--loop-hz", "where the measurement can be trusted")):
+        design.add_argument(band, type=float, nargs=2, metavar=("LOW", "HIGH"), default=(0.0, 0.0), help=what)
+    design.add_argument("--mirrored-sensor", action="store_true", help="serve a mirrored sensor, too")
+    design.add_argument("--response-unit", default="", help="by default what the file says, or m/s^2")
+    design.add_argument("--force-unit", default="", help="by default what the file says, or N")
+    design.add_argument("--response", default="", metavar="NAME", help="of several complex ones")
+    design.add_argument("--sample-rate", type=float, metavar="HZ", help="of records that do not say it")
+    design.add_argument("--damping-ratio", type=float, default=0.005, help="of matrices without damping")
+    design.set_defaults(run=_design)
 
     export = commands.add_parser(
         "export", help="write C99 of a controller, or of FeRls or FeLms, from a file", allow_abbrev=False
@@ -246,6 +264,15 @@ def _inspect(options) -> int:
     from stillwork.inspecting import inspect_file
 
     print(inspect_file(options.file))
+    return 0
+
+
+def _design(options) -> int:
+    from stillwork.designing import design_file
+
+    chosen = {name: value for name, value in vars(options).items() if name not in ("run", "file", "out")}
+    chosen |= {band: tuple(chosen[band]) for band in ("fit_hz", "loop_hz")}
+    print("\n".join(map(one_line, design_file(options.file, options.out, **chosen))))
     return 0
 
 

@@ -21,6 +21,7 @@ BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```$", GUIDE, re.DOTALL | re.MULTILINE)
 LINES = [line for language, block in BLOCKS if not language for line in block.splitlines()]
 BUILDS = [line for line in LINES if line.startswith("make figures")]
 INSPECTIONS = [line for line in LINES if line.startswith("python -m stillwork inspect")]
+CODE = [line for line in LINES if line.startswith("python -m stillwork design")]
 COPIES = dict(line.split()[:0:-1] for line in LINES if line.startswith("cp "))
 
 
@@ -40,7 +41,9 @@ def checkout(tmp_path, monkeypatch):
 
 
 def test_every_command_is_one_that_these_tests_know():
-    others = [line for line in LINES if line not in BUILDS + INSPECTIONS and not line.startswith("cp ")]
+    others = [
+        line for line in LINES if line not in BUILDS + INSPECTIONS + CODE and not line.startswith("cp ")
+    ]
     assert others == [
         "make doctor",
         "source .venv/bin/activate",
@@ -50,7 +53,7 @@ def test_every_command_is_one_that_these_tests_know():
     assert {
         line.split()[1] for line in LINES + re.findall(r"`(make [a-z]+)`", GUIDE) if line.startswith("make")
     } <= set(targets)
-    assert len(BUILDS) == 8 and len(INSPECTIONS) == 7
+    assert len(BUILDS) == 8 and len(INSPECTIONS) == 7 and len(CODE) == 1
 
 
 @pytest.mark.parametrize("line", BUILDS)
@@ -67,6 +70,26 @@ def test_builds_have_parameters_and_files_that_exist(line, checkout, capsys):
 def test_inspections_end_in_a_command(line, checkout, capsys):
     assert main(shlex.split(checkout(line))[3:]) == 0
     assert ": python -m stillwork figures " in capsys.readouterr().out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("line", CODE)
+def test_a_design_writes_the_files_that_the_guide_names(line, checkout, capsys, tmp_path):
+    words = shlex.split(line)[3:]
+    words[words.index("--out") + 1] = str(tmp_path / "code")
+    assert main(words) == 0
+    told = set(re.findall(r"`((?:controller|report)\.\w+)`", GUIDE))
+    assert told == {each.name for each in (tmp_path / "code").iterdir()}
+    [snippet] = [block for language, block in BLOCKS if language == "c"]
+    header = (tmp_path / "code" / "controller.h").read_text(encoding="utf-8")
+    assert all(f"{name}(" in header for name in re.findall(r"(controller_\w+)\(", snippet))
+
+
+def test_the_table_of_a_controller_is_exported(tmp_path):
+    [table] = [block for language, block in BLOCKS if language == "toml"]
+    (tmp_path / "my.toml").write_text(table, encoding="utf-8")
+    assert main(["export", str(tmp_path / "my.toml"), "--out", str(tmp_path / "my_code")]) == 0
+    assert "f[0] > 10.0" in (tmp_path / "my_code" / "controller.c").read_text(encoding="utf-8")
 
 
 def test_the_snippet_writes_a_record_without_drift(tmp_path, monkeypatch):

@@ -2,6 +2,7 @@ import warnings
 
 import numpy as np
 import pytest
+from scipy import optimize
 
 from experiments.worstcase import (
     contraction_pictures,
@@ -15,7 +16,9 @@ from experiments.worstcase import (
 )
 from experiments.worstcase.simulations import (
     FIG_2_PARAMETERS,
+    criterion_trial,
     fir_trial,
+    gain_trial,
     least_squares_limit,
     path,
     settled,
@@ -49,6 +52,28 @@ def fig_1_record(seed):
     rows = np.array([[clean[t] + error[t], clean[t - 1] + error[t - 1]] for t in range(1, 61)])
     outputs = np.array([clean[t] + 0.5 * clean[t - 1] + noise[t - 1] for t in range(1, 61)])
     return rows, outputs, np.array([[error[t], error[t - 1]] for t in range(1, 61)])
+
+
+@pytest.mark.parametrize("gain", [0.8, 1.2])
+def test_a_gain_error_alone_scales_the_estimates(gain):
+    """Without noise the outputs are A (gain x), which least squares finds."""
+    found = gain_trial(np.random.default_rng(1), (1.0, 0.5), 20, 60, gain, 0.0)
+    assert found["least"] == pytest.approx(abs(gain - 1) * np.hypot(1.0, 0.5), rel=1e-9)
+    assert gain_trial(np.random.default_rng(1), (1.0, 0.5), 20, 60, 1.0, 0.0)["min_max"] < 1e-9
+
+
+def test_what_is_saved_of_the_worst_case_is_what_a_search_saves():
+    saved = criterion_trial(np.random.default_rng(3), (0.3, 0.9), **FIG_1)["saved"]
+    rows, outputs, _ = fig_1_record(3)
+    least = np.linalg.lstsq(rows, outputs)[0]
+    threshold = np.linalg.norm(rows.T @ outputs) / np.linalg.norm(outputs)
+    for share, ours in zip((0.3, 0.9), saved, strict=True):
+
+        def worst(x, eta=share * threshold):
+            return np.linalg.norm(rows @ x - outputs) + eta * np.linalg.norm(x)
+
+        best = optimize.minimize(worst, least, method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-12})
+        assert ours == pytest.approx(1 - best.fun / worst(least), abs=1e-8)
 
 
 def test_fir_trial_agrees_with_batch_solutions():
@@ -208,3 +233,17 @@ def test_extreme_settings_of_the_explorers_draw_without_warnings():
 def test_bad_input_is_named(make, message):
     with pytest.raises(InputError, match=message):
         make()
+
+
+def test_a_tone_is_the_loudest_band():
+    t = np.arange(32000) / 3200
+    values = 3.0 * np.sin(2 * np.pi * 181.0 * t) + np.random.default_rng(1).standard_normal(len(t))
+    low, high, share = measured.loudest_band(values, 3200.0)
+    assert low < 181.0 < high and high - low <= 8.0
+    assert share == pytest.approx(4.5 / 5.5, abs=0.01)
+
+
+def test_without_noise_an_exact_filter_is_found_by_both():
+    motion = np.random.default_rng(2).standard_normal(2000)
+    found = measured.total_trial(np.random.default_rng(3), motion, 0.0, 8, 200)
+    assert max(found.values()) < 1e-9

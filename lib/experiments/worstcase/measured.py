@@ -61,6 +61,40 @@ def load_pair(
     return MeasuredPair(quiet, loud, rate, tuple(band_hz), noise), spectra
 
 
+def loudest_band(values: np.ndarray, sample_rate: float, width_hz: float = 8.0) -> tuple[float, float, float]:
+    """Where a signal's power lies: ends of the band of this width that holds most, Hz, and its share of the power."""
+    frequency, power = signal.welch(values, sample_rate, nperseg=min(len(values), 4096))
+    count = max(round(width_hz / frequency[1]), 1)
+    held = np.convolve(power, np.ones(count), "valid")
+    first = int(held.argmax())
+    return float(frequency[first]), float(frequency[first + count - 1]), float(held[first] / power.sum())
+
+
+def total_trial(
+    rng: np.random.Generator, motion: np.ndarray, noise: float, taps: int, length: int
+) -> dict[str, float]:
+    """Total against plain least squares on a machine that is exactly an FIR filter, with noise on both channels.
+
+    A stretch of `motion` drives a filter of random, fading taps; input and output get white noise of one size, as
+    total least squares presumes. ``total``, ``least``: rms residual over rms output on the window that follows.
+    """
+    start = rng.integers(len(motion) - 2 * length - taps)
+    motion = motion[start : start + 2 * length + taps]
+    response = rng.standard_normal(taps) * np.exp(-np.arange(taps) / 8)
+    output = signal.lfilter(response, 1.0, motion) + noise * rng.standard_normal(len(motion))
+    matrix = fir_regressors(motion + noise * rng.standard_normal(len(motion)), taps)[:, taps:].T
+    output = output[taps:]
+    estimates = {
+        "total": total_least_squares(matrix[:length], output[:length]).estimate,
+        "least": np.linalg.lstsq(matrix[:length], output[:length])[0],
+    }
+    goal = output[length:]
+    return {
+        name: float(np.linalg.norm(goal - matrix[length:] @ each) / np.linalg.norm(goal))
+        for name, each in estimates.items()
+    }
+
+
 def window_residuals(
     pair: MeasuredPair, taps: int, lengths: list[int], most: int
 ) -> dict[str, list[np.ndarray]]:

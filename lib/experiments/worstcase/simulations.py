@@ -8,6 +8,7 @@ import numpy as np
 from scipy import signal
 
 from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.estimation.min_max import min_max_solve
 from stillwork.estimation.recursive import run_silently, worst_case_residuals
 from stillwork.estimation.recursive_settings import GrowingMinMax, LeastSquares, MinMax, Ridge
 from stillwork.identification.regressors import fir_regressors
@@ -30,17 +31,8 @@ def fir_trial(
     residuals |A x - b| + eta |x|. ``total_target``: norm of the correction of b. ``total_matrix``: norm
     of the correction of A. ``perturbation``: norm of the true perturbation. ``bound``: eta_t.
     """
-    parameters = require_array("parameters", parameters, ndim=1)
-    taps = len(parameters)
-    if samples <= 2 * taps:
-        raise InputError(f"samples is {samples}; give more than {2 * taps}, twice the number of taps")
-    clean = signal.square(2 * np.pi * (np.arange(samples + taps - 1) + 0.5) / period)
-    error = rng.uniform(-input_noise, input_noise, clean.shape)
-    full = slice(taps - 1, None)  # every row holds measured samples only
-    outputs = parameters @ fir_regressors(clean, taps)[:, full]
-    outputs += rng.uniform(-output_noise, output_noise, samples)
-    errors = fir_regressors(error, taps)[:, full]
-    regressors = fir_regressors(clean, taps)[:, full] + errors
+    regressors, outputs, errors = _fir_record(rng, parameters, period, samples, input_noise, output_noise)
+    taps = len(regressors)
     estimator = GrowingMinMax(np.sqrt(taps) * input_noise)
     bounds = estimator.bounds(0, samples)
     estimates = {"min_max": run_silently(estimator, regressors, outputs).estimates}
@@ -56,6 +48,58 @@ def fir_trial(
     found["perturbation"] = np.sqrt(np.linalg.eigvalsh(np.moveaxis(outer, 2, 0))[:, -1])
     found["bound"] = bounds
     return found
+
+
+def _fir_record(rng, parameters, period, samples, input_noise, output_noise):
+    """Measured regressors, outputs, and the errors of the regressors."""
+    parameters = require_array("parameters", parameters, ndim=1)
+    taps = len(parameters)
+    if samples <= 2 * taps:
+        raise InputError(f"samples is {samples}; give more than {2 * taps}, twice the number of taps")
+    clean = signal.square(2 * np.pi * (np.arange(samples + taps - 1) + 0.5) / period)
+    error = rng.uniform(-input_noise, input_noise, clean.shape)
+    full = slice(taps - 1, None)  # every row holds measured samples only
+    outputs = parameters @ fir_regressors(clean, taps)[:, full]
+    outputs += rng.uniform(-output_noise, output_noise, samples)
+    errors = fir_regressors(error, taps)[:, full]
+    return fir_regressors(clean, taps)[:, full] + errors, outputs, errors
+
+
+def gain_trial(
+    rng: np.random.Generator,
+    parameters: tuple[float, ...],
+    period: int,
+    samples: int,
+    gain: float,
+    output_noise: float,
+) -> dict[str, float]:
+    """One record whose true input is `gain` times the measured one: a perturbation that is the same at every instant.
+
+    Distances from the true parameters: of ``min_max``, told the norm of that perturbation, and of ``least`` squares.
+    """
+    regressors, outputs, _ = _fir_record(rng, gain * np.array(parameters), period, samples, 0.0, output_noise)
+    bound = abs(gain - 1) * np.linalg.norm(regressors, 2)
+    estimates = {
+        "min_max": min_max_solve(regressors.T, outputs, bound).estimate,
+        "least": np.linalg.lstsq(regressors.T, outputs)[0],
+    }
+    return {name: float(np.linalg.norm(each - parameters)) for name, each in estimates.items()}
+
+
+def criterion_trial(
+    rng: np.random.Generator, shares: tuple[float, ...], parameters: tuple[float, ...], **record
+) -> dict[str, np.ndarray]:
+    """``saved``: by how much the smallest worst-case residual is below that of least squares, as a share of it.
+
+    The bound is each of `shares` of the one at which the estimate becomes zero; `record` as of `fir_trial`.
+    """
+    regressors, outputs, _ = _fir_record(rng, parameters, **record)
+    matrix = regressors.T
+    least = np.linalg.lstsq(matrix, outputs)[0]
+    residual, length = np.linalg.norm(matrix @ least - outputs), np.linalg.norm(least)
+    bounds = np.array(shares) * np.linalg.norm(matrix.T @ outputs) / np.linalg.norm(outputs)
+    worst = [min_max_solve(matrix, outputs, bound).worst_case_residual for bound in bounds]
+    return {"saved": 1 - np.array(worst) / (residual + bounds * length)}
 
 
 def least_squares_limit(parameters: tuple[float, float], period: int, input_noise: float) -> np.ndarray:

@@ -14,13 +14,12 @@ from stillwork.base.checks import Converted, InputError, require_array, require_
 from stillwork.base.extras import require_package
 from stillwork.base.front_door import check_fields, checked
 from stillwork.base.toml_files import Table, read_toml
-from stillwork.control.pid import series
+from stillwork.control.pid import Pid, series
+from stillwork.lti.discretisation import tustin
 from stillwork.lti.state_space import StateModel, interconnect
 
 FORMAT = "stillwork controller 1"
-AT_ONE = (
-    1e-9  # a pole closer to 1 than this is an integrator: at 1 MHz it would forget in a quarter of an hour
-)
+AT_ONE = 1e-9  # a pole closer to 1 than this is an integrator: it would forget in a thousand million samples
 # Of its file; what else stands there goes along with it.
 KEPT = (
     *("format", "sample_time_s", "inputs", "outputs", "state_space", "low", "high", "anti_windup"),
@@ -176,7 +175,7 @@ class DigitalController:
             name: [None if np.isinf(x) else x for x in getattr(self, name).tolist()]
             for name in ("low", "high")
         }
-        return {
+        return self.about | {
             "format": FORMAT,
             "sample_time_s": self.model.step,
             "inputs": list(self.inputs),
@@ -186,7 +185,6 @@ class DigitalController:
             "anti_windup": self.anti_windup.tolist(),
             "delay_samples": self.delay,
             "start": self.start.tolist(),
-            **self.about,
         }
 
 
@@ -197,7 +195,7 @@ def observed_controller(controller: StateModel, compensator: StateModel) -> Stat
     Parameters
     ----------
     controller : StateModel
-        C_fb, one input and one output.
+        C_fb, one input and one output; its states are the last ones of the result.
     compensator : StateModel
         O from (f, y) to (u_d, y_flex), see `stillwork.control.discrete_observer.discrete_compensator`.
     """
@@ -206,10 +204,38 @@ def observed_controller(controller: StateModel, compensator: StateModel) -> Stat
     return interconnect([compensator, controller], feedback, outside, np.array([[1.0, 0, 1]]))
 
 
+def runnable(pid: Pid, compensator: StateModel, limit: float, about: dict) -> DigitalController:
+    """A sampled loop's controller as a processor runs it: Tustin's PID with the compensator, limits to both sides.
+
+    The integrator tracks a limited force within the root of integral and differential time; the observer is told it.
+
+    Parameters
+    ----------
+    pid : Pid
+    compensator : StateModel
+        In discrete time; that of a `stillwork.control.bandwidth.Loop`.
+    limit : float
+        Largest force, N; may be infinite.
+    about : dict
+        See `DigitalController`.
+    """
+    step = compensator.step
+    feedback = tustin(pid.state_space(), step)
+    tracking_time = 1 / np.sqrt(pid.integrator * pid.differentiator)
+    winding = np.vstack([np.zeros((len(compensator.a), 1)), anti_windup(feedback, tracking_time)])
+    return DigitalController(
+        observed_controller(feedback, compensator),
+        ("r (m)", "y (m)"),
+        ("f (N)",),
+        -limit,
+        limit,
+        winding,
+        about=about,
+    )
+
+
 @checked
-def anti_windup(
-    model: StateModel, tracking_time: float, inputs: int | None = None
-) -> Float64[np.ndarray, "states outputs"]:
+def anti_windup(model: StateModel, tracking_time: float) -> Float64[np.ndarray, "states outputs"]:
     """Back-calculation L that takes every integrator to the limited output within `tracking_time` (s).
 
     It acts on the poles at 1 alone, which become exp(-step/tracking_time) in A - LC; the others stay.

@@ -22,7 +22,7 @@ from stillwork.base.checks import (
     require_number,
 )
 from stillwork.estimation.adaptive import FeLms, FeRls
-from stillwork.estimation.min_max import ZeroEstimateWarning, solve_silently
+from stillwork.estimation.min_max import ZeroEstimateWarning, solve_silently, triangle
 from stillwork.estimation.online import run_felms, run_ferls
 from stillwork.estimation.recursive import LARGEST
 from stillwork.estimation.secular import ROUNDING
@@ -436,7 +436,7 @@ class MinMaxRegressor(_WeightedRegressor):
         mass = forgetting ** len(weights) * mass + weights @ fading
         root = np.repeat(np.sqrt(fading), len(rows) // len(weights))[:, None]
         past = forgetting ** (len(weights) / 2) * corner
-        corner = np.linalg.qr(np.vstack([past, root * np.hstack([rows, outputs])]), mode="r")
+        corner = triangle(np.vstack([past, root * np.hstack([rows, outputs])]))
         features = rows.shape[1]
         bounds = self._bounds(features)
         if require_choice("bound_on", self.bound_on, ("record", "sample")) == "sample":

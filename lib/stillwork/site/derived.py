@@ -156,8 +156,8 @@ def _verdicts(claims: tuple[Claim, ...]) -> str:
 def _codecheck(pages: list[NotebookPage], _claims: list[Claim]) -> str:
     """The manifest of https://codecheck.org.uk: every output, and what of which work it replicates."""
     lines = ["---", f"version: {CODECHECK}", "paper:"]
-    lines += [f"  title: {_quoted(_project()['description'])}", "  authors:"]
-    lines += [f"    - name: {_quoted(author['name'])}" for author in _project()["authors"]]
+    lines += [f"  title: {_quoted(project()['description'])}", "  authors:"]
+    lines += [f"    - name: {_quoted(author['name'])}" for author in project()["authors"]]
     lines.append("manifest:")
     for page in pages:
         source = works()[page.room]["work"]
@@ -186,19 +186,19 @@ def _quoted(text: str) -> str:
 
 
 def _codemeta(_pages: list[NotebookPage], _claims: list[Claim]) -> str:
-    project = _project()
+    about = project()
     record = {
         "@context": "https://w3id.org/codemeta/3.0",
         "@type": "SoftwareSourceCode",
-        "name": project["name"],
-        "description": project["description"],
-        "version": project["version"],
+        "name": about["name"],
+        "description": about["description"],
+        "version": about["version"],
         "license": "https://spdx.org/licenses/BSD-3-Clause",
-        "author": [{"@type": "Organization", "name": author["name"]} for author in project["authors"]],
-        "keywords": project["keywords"],
+        "author": [{"@type": "Organization", "name": author["name"]} for author in about["authors"]],
+        "keywords": about["keywords"],
         "programmingLanguage": {"@type": "ComputerLanguage", "name": "Python"},
-        "runtimePlatform": f"Python {project['requires-python']}",
-        "softwareRequirements": _requirements(project),
+        "runtimePlatform": f"Python {about['requires-python']}",
+        "softwareRequirements": _requirements(about),
         "referencePublication": [
             {"@type": "ScholarlyArticle", "name": work["work"], "description": work["source"]}
             for work in works().values()
@@ -211,7 +211,8 @@ def _house(_pages: list[NotebookPage], _claims: list[Claim]) -> str:
     return paint_house(paths.root())
 
 
-def _project() -> dict:
+def project() -> dict:
+    """What pyproject.toml says of the project."""
     return tomllib.loads((paths.root() / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 

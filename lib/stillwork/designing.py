@@ -1,0 +1,256 @@
+"""The command ``design``: from a file of a machine to a controller that runs on it, and one page that says why."""
+
+import base64
+import hashlib
+import html
+import io
+import json
+from dataclasses import asdict
+from pathlib import Path
+from string import Template
+
+import numpy as np
+
+import stillwork
+from stillwork.base.checks import InputError, require_count, require_number
+from stillwork.control.bandwidth import FUNCTIONS, SIX_DB, Loop
+from stillwork.control.c_code import controller_code, require_names
+from stillwork.control.digital import DigitalController, biquads, runnable
+from stillwork.control.machine_loops import SHOWN, Intensities, Reached, applications, reach
+from stillwork.exporting import require_free, write_folder
+from stillwork.identification.machine import Machine, build_machine
+from stillwork.identification.machine_files import load_machine
+from stillwork.lti.discretisation import tustin
+
+# What the observer is made for where nothing is known: accelerations and noise of a machine that moves by nanometres.
+INTENSITIES = Intensities(disturbance=8e-4, sensor=1.41e-9, drift=1.92e-4)
+ADDED_DAMPING, SELECTIVITY, RETAINED = 0.02, 2.0, 5
+ALLOWED_DB = 6.01  # of a loop that is handed out; the search keeps 6 dB
+
+
+def design_file(
+    file: str,
+    folder: str,
+    rate: float,
+    *,
+    delay: int = 1,
+    limit: float = np.inf,
+    name: str = "controller",
+    precision: str = "double",
+    fit_hz: tuple[float, float] = (0.0, 0.0),
+    loop_hz: tuple[float, float] = (0.0, 0.0),
+    mirrored_sensor: bool = False,
+    **reading,
+) -> list[str]:
+    """Design a controller for the machine in `file` and write it, in C and otherwise, into a new folder.
+
+    Parameters
+    ----------
+    file, folder : str
+        See `load_machine`; the folder is new or empty.
+    rate : float
+        Samples a second of the controller, Hz.
+    delay : int
+        Samples from a measurement to the force that follows from it, beside the hold.
+    limit : float
+        Largest force, N.
+    name, precision : str
+        See `controller_code`. Of several sensors each gets a controller, with its number behind the name.
+    fit_hz : tuple of float
+        Band of the fit of a measurement; (0, 0): all of it.
+    loop_hz : tuple of float
+        Band in which the measurement stands for the plant, where it can be trusted; (0, 0): that of the fit.
+    mirrored_sensor : bool
+        Serve a second sensor, too, at which every flexible mode has the other sign.
+    **reading
+        Other arguments of `load_machine`.
+
+    Returns
+    -------
+    list of str
+        What was found, a line each.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be used, no use of an observer has a safe loop, or something stands in the folder.
+    """
+    require_free(folder)
+    require_names(name, precision)
+    if limit != np.inf:
+        require_number("limit", limit, above=0.0)
+    step = 1 / require_number("rate", rate, above=0.0)
+    delay = require_count("delay", delay, at_least=0)
+    source = Path(file)
+    taken = load_machine(source, **reading)
+    machine = build_machine(taken, modes_hz=[], fit_hz=fit_hz, mirrored_sensor=mirrored_sensor)
+    uses = applications(ADDED_DAMPING, SELECTIVITY)
+    sampled = {"step": step, "delay": delay, "loop_hz": loop_hz}
+    found = reach(machine, uses, retained=RETAINED, intensities=INTENSITIES, **sampled)
+    safe = {use: each for use, each in found.items() if each.recommended is not None}
+    if not safe:
+        reasons = "; ".join(
+            f"{use}: {each.reason or 'unstable on the measurement'}" for use, each in found.items()
+        )
+        raise InputError(
+            f"{source.name}: no safe loop at {rate:g} Hz ({reasons}); sample faster or add damping"
+        )
+    # In the order of the uses, so that of equals the simplest is taken.
+    best = max(safe, key=lambda use: round(float(safe[use].recommended.crossing_hz.min()), 2))
+    pid, loops = safe[best].recommended.controller, safe[best].model_loops
+    sections = biquads(tustin(pid.state_space(), step))
+    about = {
+        "gains": {key: value for key, value in asdict(pid).items() if key != "notches"},
+        "units": "SI: m, N, s, rad/s; gain N/m, integrator, differentiator and low_pass rad/s",
+        "biquads_of_the_pid": None if sections is None else sections.tolist(),
+        "provenance": {
+            "made_by": f"stillwork {stillwork.__version__} design",
+            "file": source.name,
+            "sha256": hashlib.sha256(source.read_bytes()).hexdigest(),
+            "machine": taken.kind,
+            "notes": list(machine.notes),
+            "mass_kg": machine.mass,
+            "resonances_hz": machine.resonances_hz.tolist(),
+            "use": best,
+            "application": uses[best] and asdict(uses[best]),
+            "intensities": asdict(INTENSITIES),
+            "retained_modes": RETAINED,
+            "delay_samples_of_the_loop": delay,
+            "design_hz": safe[best].recommended.design_hz,
+        },
+    }
+    controllers = [runnable(pid, loop.compensator, limit, about) for loop in loops]
+    worst = max(size for pair in recheck(safe[best], controllers).values() for size in pair)
+    if worst > ALLOWED_DB:
+        raise InputError(f"{source.name}: the sampled controller peaks at {worst:.2f} dB; sample faster")
+    files = {}
+    for number, controller in enumerate(controllers, 1):
+        own = name if len(controllers) == 1 else f"{name}_{number}"
+        files[f"{own}.json"] = json.dumps(controller.as_dict(), indent=1, allow_nan=False) + "\n"
+        files |= controller_code(controller, own, precision)
+    files["report.html"] = report(machine, found, best, controllers, rate, sorted(files))
+    write_folder(folder, {each: text.encode() for each, text in files.items()})
+    rows = {
+        use: ", ".join(f"{key} {value}" for key, value in each.summary.items()) for use, each in found.items()
+    }
+    return [
+        f"{machine.source}: {taken.kind}; {machine.mass:.4g} kg; first resonance at {machine.resonances_hz[0]:.4g} Hz",
+        *machine.notes,
+        *(f"{use}: {row}{found[use].reason and '; ' + found[use].reason}" for use, row in rows.items()),
+        f"taken: {best}, stopped by {safe[best].summary['stopped by']}",
+        f"{folder}: {', '.join(sorted(files))}",
+    ]
+
+
+def recheck(reached: Reached, controllers: list[DigitalController]) -> dict[str, tuple[float, ...]]:
+    """Largest peaks in dB of the controllers' own numbers in the loops: on the model, and on the measurement if any."""
+    measured = [] if reached.loops is reached.model_loops else [reached.loops]
+    found = [
+        np.max(
+            [np.abs(own_functions(*pair)).max(axis=1) for pair in zip(loops, controllers, strict=True)],
+            axis=0,
+        )
+        for loops in (reached.model_loops, *measured)
+    ]
+    return dict(zip(FUNCTIONS, map(tuple, (20 * np.log10(found)).T.tolist()), strict=True))
+
+
+def own_functions(loop: Loop, controller: DigitalController) -> np.ndarray:
+    """S_I, S_O and r to e_true with a controller's own matrices, on the loop's grid: shape (3, frequencies)."""
+    k_r, k_y, k_f = controller.model.frequency_response(loop.omega)[0]
+    (o_uu, o_uy), _ = loop.compensator_response
+    plant = loop.plant_response
+    turn = 1 - k_f - k_y * plant  # f = K_r r + K_y y + K_f f + u_ff
+    return np.array([1 - o_uu - o_uy * plant, 1 - k_f, turn - plant * k_r]) / turn
+
+
+def report(
+    machine: Machine,
+    found: dict[str, Reached],
+    best: str,
+    controllers: list[DigitalController],
+    rate: float,
+    files: list[str],
+) -> str:
+    """One page: the machine, how far each use of an observer gets, what was taken, its peaks, and how to run it."""
+    reached = found[best]
+    columns = list(dict.fromkeys(key for each in found.values() for key in each.summary))
+    uses = [
+        [use, *(each.summary.get(key, "") for key in columns), each.reason] for use, each in found.items()
+    ]
+    where = ("on the model (dB)", "on the measurement (dB)")
+    peaks = recheck(reached, controllers)
+    sizes = [[SHOWN[name], *(f"{size:.2f}" for size in each)] for name, each in peaks.items()]
+    limit = controllers[0].high[0]
+    facts = [
+        ["mass", f"{machine.mass:.4g} kg"],
+        ["resonances", ", ".join(f"{hertz:.4g}" for hertz in machine.resonances_hz) + " Hz"],
+        ["rate", f"{rate:g} Hz"],
+        ["limit of the force", f"{limit:g} N" if np.isfinite(limit) else "none: give --limit"],
+        *(["note", note] for note in machine.notes),
+    ]
+    page = Template((Path(__file__).parent / "design.html").read_text(encoding="utf-8"))
+    return page.substitute(
+        source=html.escape(machine.source),
+        taken=html.escape(best),
+        stopped=html.escape(reached.summary["stopped by"]),
+        facts=_table([], facts),
+        uses=_table(["use", *columns, "why none"], uses),
+        peaks=_table(["peak", *where[: len(next(iter(peaks.values())))]], sizes),
+        machine=_picture(paint_machine(machine)),
+        loops=_picture(paint_loops(reached, controllers)),
+        files=html.escape(", ".join(files)),
+    )
+
+
+def paint_machine(machine: Machine):
+    """Accelerance of the model at every sensor, and of the measurement at the first."""
+    from stillwork.workbook import figures
+
+    figure, axis = figures.new(1, 1, height=3.0)
+    resonances = machine.resonances_hz
+    hertz = np.unique(
+        np.concatenate([np.geomspace(resonances[0] / 10, 2 * resonances[-1], 3000), resonances])
+    )
+    if machine.measured is not None:
+        seen = machine.measured.omega / (2 * np.pi)
+        shown = (seen >= hertz[0]) & (seen <= hertz[-1])
+        size = 20 * np.log10(np.abs(machine.measured.response[shown]))
+        axis.semilogx(seen[shown], size, linewidth=0.6, color=figures.GREY, label="measured, sensor 1")
+    for number, sensor in enumerate(machine.sensors, 1):
+        omega = 2 * np.pi * hertz
+        size = 20 * np.log10(np.abs(omega**2 * sensor.frequency_response(omega)[0, 0]))
+        axis.semilogx(hertz, size, linewidth=1.0, label=f"model, sensor {number}")
+    axis.set(xlabel="frequency (Hz)", ylabel="accelerance (dB re 1/kg)")
+    axis.legend()
+    return figure
+
+
+def paint_loops(reached: Reached, controllers: list[DigitalController]):
+    """The three loop functions of every sensor with the controllers' own numbers, and what they may reach."""
+    from stillwork.workbook import figures
+
+    figure, axes = figures.new(1, 3, height=2.8, sharey=True)
+    colours = (figures.RED, figures.BLUE, figures.GREEN, figures.ORANGE)
+    for number, pair in enumerate(zip(reached.loops, controllers, strict=True)):
+        hertz = pair[0].omega / (2 * np.pi)
+        for axis, name, response in zip(axes, FUNCTIONS, own_functions(*pair), strict=True):
+            axis.semilogx(hertz, 20 * np.log10(np.abs(response)), linewidth=0.8, color=colours[number % 4])
+            axis.axhline(20 * np.log10(SIX_DB), color=figures.BLACK, linestyle=":", linewidth=1.0)
+            axis.set(title=SHOWN[name], xlabel="frequency (Hz)", ylim=(-50, 15))
+    axes[0].set_ylabel("magnitude (dB)")
+    return figure
+
+
+def _picture(figure) -> str:
+    """A figure as the page holds it."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=110, metadata={"Software": None})
+    return base64.b64encode(buffer.getvalue()).decode()
+
+
+def _table(head: list[str], rows: list[list[str]]) -> str:
+    lines = [("th", head)] if head else []
+    lines += [("td", row) for row in rows]
+    cells = ("".join(f"<{tag}>{html.escape(each)}</{tag}>" for each in row) for tag, row in lines)
+    return "<table>" + "".join(f"<tr>{row}</tr>\n" for row in cells) + "</table>"

@@ -1,0 +1,159 @@
+"""The command `design`: what it writes controls the machine of the file, by python-control, and by the C itself."""
+
+import ctypes
+import json
+import re
+
+import numpy as np
+import pytest
+
+from shared.compiled import compiled, pointer
+from stillwork.__main__ import main
+from stillwork.base import paths
+from stillwork.base.checks import InputError
+from stillwork.control.digital import load_controller
+from stillwork.designing import design_file
+from stillwork.identification.machine_files import load_machine
+from stillwork.lti.modal import ModalModel, modal_model
+
+TEMPLATES = paths.data("motion", "your_machine")
+RATE = 1e4
+MASS = np.diag([30.0, 10.0])
+STIFFNESS = 1.5e7 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """Folder of the design of a non-collocated machine with a limit of 40 N, and what the command said."""
+    folder = tmp_path_factory.mktemp("design")
+    np.savez(folder / "<pair>.npz", M=MASS, K=STIFFNESS, input=[1.0, 0], output=[[0.0, 1.0]])
+    said = design_file(str(folder / "<pair>.npz"), str(folder / "out"), RATE, limit=40.0)
+    return folder / "out", said
+
+
+@pytest.mark.slow
+def test_it_writes_all_of_it(written):
+    folder, said = written
+    assert {file.name for file in folder.iterdir()} == {
+        "controller.c", "controller.h", "controller.json", "report.html"
+    }  # fmt: skip
+    held = json.loads((folder / "controller.json").read_text())
+    assert held["provenance"]["mass_kg"] == pytest.approx(40.0) and held["high"] == [40.0]
+    assert (
+        len(held["provenance"]["sha256"]) == 64
+        and held["gains"]["gain"] > 0
+        and len(held["biquads_of_the_pid"]) == 2
+    )
+    page = (folder / "report.html").read_text()
+    assert "&lt;pair&gt;.npz" in page and "<pair>" not in page and page.count("data:image/png;base64,") == 2
+    assert not re.search(r"(src|href)=\"http|<script", page)
+    assert said[0].endswith("40 kg; first resonance at 225.1 Hz") and said[-2].startswith("taken: ")
+
+
+@pytest.mark.slow
+def test_the_written_controller_keeps_six_decibels_by_python_control(written):
+    import control
+
+    controller = load_controller(written[0] / "controller.json")
+    plant = modal_model(MASS, STIFFNESS, [[1.0], [0.0]], [[0.0, 1.0]], damping_ratio=0.005)
+    held = control.sample_system(plant.to_control(), 1 / RATE, "zoh")
+    omega = 2 * np.pi * np.concatenate([np.geomspace(0.5, 4e3, 3000), np.linspace(215, 235, 2000)])
+    z = np.exp(1j * omega / RATE)
+    p = held(z) / z
+    k_r, k_y = control.ss(controller.linear.to_control())(z)[0]
+    assert 20 * np.log10(np.abs(1 / (1 - k_y * p)).max()) < 6.01
+    assert 20 * np.log10(np.abs(1 - k_r * p / (1 - k_y * p)).max()) < 6.01
+    late = held * control.ss([[0.0]], [[1.0]], [[1.0]], [[0.0]], 1 / RATE)
+    loop = control.feedback(late * control.ss(controller.linear.to_control())[0, 1], 1, sign=1)
+    assert np.all(np.abs(loop.poles()) < 1)
+
+
+CLOSED = """
+#include "controller.h"
+/* Two masses by symplectic steps of a tenth of a sample; the force is a sample late and limited. */
+void run(long samples, const double *reference, double *position, double *force)
+{
+    controller_state s;
+    double in[2] = {0, 0}, out[1] = {0}, late = 0, x[2] = {0, 0}, v[2] = {0, 0};
+    controller_start(&s, in, out);
+    for (long k = 0; k < samples; k++) {
+        in[0] = reference[k];
+        in[1] = position[k] = x[1];
+        controller_step(&s, in, out);
+        force[k] = out[0];
+        for (int i = 0; i < 10; i++) {
+            double spring = 1.5e7 * (x[1] - x[0]) + 2 * 0.005 * 7.5 * 1414.2 * (v[1] - v[0]);
+            v[0] += 1e-5 * (late + spring) / 30;
+            v[1] -= 1e-5 * spring / 10;
+            x[0] += 1e-5 * v[0];
+            x[1] += 1e-5 * v[1];
+        }
+        late = out[0];
+    }
+}
+"""
+
+
+@pytest.mark.slow
+def test_the_c_moves_the_machine_and_lets_go_of_its_limit(written, tmp_path):
+    """A step that asks for more than 40 N: it arrives within a micrometre, and overshoots less than the step."""
+    folder = written[0]
+    files = {name: (folder / name).read_text() for name in ("controller.c", "controller.h")}
+    library = compiled(files, tmp_path, CLOSED)
+    samples = 10_000
+    reference = np.full(samples, 1e-3)
+    position, force = np.zeros(samples), np.zeros(samples)
+    library.run(ctypes.c_long(samples), *map(pointer, (reference, position, force)))
+    assert np.abs(force).max() == 40.0 and np.mean(np.abs(force) == 40.0) > 1e-3
+    assert np.abs(position[-1] - 1e-3) < 1e-6
+    assert position.max() < 2e-3
+
+
+@pytest.mark.slow
+def test_a_measurement_is_designed_for_and_each_sensor_gets_its_controller(tmp_path, capsys):
+    out = tmp_path / "out"
+    file = str(TEMPLATES / "frequency_response.csv")
+    arguments = ["--rate", "10000", "--out", str(out), "--mirrored-sensor", "--precision", "single"]
+    assert main(["design", file, *arguments, "--name", "axis", "--delay", "0"]) == 0
+    said = capsys.readouterr().out
+    assert "on the measurement (Hz)" in said and "taken: " in said
+    assert {"axis_1.c", "axis_2.h", "axis_2.json", "report.html"} <= {each.name for each in out.iterdir()}
+    assert "typedef float axis_1_real;" in (out / "axis_1.h").read_text()
+    assert "on the measurement (dB)" in (out / "report.html").read_text()
+
+
+@pytest.mark.slow
+def test_a_machine_that_has_no_safe_loop_is_told_so_and_nothing_is_written(tmp_path):
+    file = str(TEMPLATES / "matrices.csv")
+    with pytest.raises(InputError, match=r"matrices.csv: no safe loop at 100 Hz \(PID: .*sample faster"):
+        design_file(file, str(tmp_path / "out"), 100.0)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_with_something_in_it_is_refused_first(tmp_path):
+    (tmp_path / "mine.txt").write_text("mine")
+    with pytest.raises(InputError, match="is not empty; nothing is overwritten"):
+        design_file("missing.csv", str(tmp_path), RATE)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"name": "1st"}, "name is '1st'"),
+        ({"precision": "half"}, "precision is 'half'"),
+        ({"limit": -5.0}, "limit is -5; give a finite number above 0"),
+        ({"limit": float("nan")}, "limit is nan"),
+        ({"delay": -1}, "delay is -1"),
+    ],
+)
+def test_settings_are_asked_before_anything_is_computed(tmp_path, change, message):
+    with pytest.raises(InputError, match=message):
+        design_file("missing.csv", str(tmp_path / "out"), RATE, **change)
+
+
+def test_the_file_of_a_machine_is_asked_for(tmp_path):
+    assert main(["design", "missing.csv", "--rate", "1e4", "--out", str(tmp_path / "out")]) == 2
+    assert (
+        main(["design", str(TEMPLATES / "matrices.csv"), "--rate", "0", "--out", str(tmp_path / "out")]) == 2
+    )
+    assert isinstance(load_machine(TEMPLATES / "matrices.csv").model, ModalModel)
