@@ -44,6 +44,7 @@ KINDS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:Estimator .* does not inherit from:UserWarning")
 @pytest.mark.filterwarnings("ignore::stillwork.estimation.min_max.ZeroEstimateWarning")
 @pytest.mark.parametrize("estimator", EVERY, ids=repr)
@@ -262,6 +263,26 @@ def test_a_million_unexcited_samples_stay_finite_and_learning_resumes(estimator,
     assert estimator.coef_ == pytest.approx(np.linalg.lstsq(A, b)[0], abs=tolerance)
 
 
+def test_without_news_min_max_fades_where_its_bound_does_not():
+    X, y = record(20)
+    silence = np.full((200, 3), np.nan), np.zeros(200)
+    for bound_on in ("record", "sample"):
+        stream = MinMaxRegressor(0.1, bound_on, forgetting=0.95).partial_fit(X, y)
+        before = stream.coef_
+        after = stream.partial_fit(*silence).coef_
+        assert after == pytest.approx(before, rel=1e-9) if bound_on == "sample" else not after.any()
+
+
+def test_a_changed_coef_does_not_change_the_stream():
+    X, y = record(22)
+    for kind in KINDS:
+        stream, twin = (clone(kind).partial_fit(X[:30], y[:30]) for _ in range(2))
+        stream.coef_[:] = 0
+        assert np.array_equal(
+            stream.partial_fit(X[30:], y[30:]).coef_, twin.partial_fit(X[30:], y[30:]).coef_
+        )
+
+
 def test_the_bound_may_change_between_two_calls():
     X, y = record(15)
     stream = MinMaxRegressor(0.1).partial_fit(X[:30], y[:30])
@@ -306,6 +327,7 @@ def test_it_stands_in_a_search_and_in_a_pickle():
     assert np.array_equal(again.partial_fit(X, y).coef_, search.best_estimator_.partial_fit(X, y).coef_)
 
 
+@pytest.mark.slow
 def test_it_needs_no_scikit_learn():
     script = (
         "import sys; sys.modules['sklearn'] = None\n"

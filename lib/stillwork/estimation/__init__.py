@@ -6,6 +6,7 @@ __all__, __getattr__, __dir__ = face(
     __name__,
     {
         "adaptive": ("FeLms", "FeRls"),
+        "bound_choice": ("choose_bound",),
         "coordinate_filters": ("ExtendedKalman", "LowPass", "UnscentedKalman"),
         "filtering": ("filter_signal",),
         "min_max": ("min_max_solve",),

@@ -157,6 +157,11 @@ def solve_silently(matrix: ArrayLike, target: ArrayLike, bound: float) -> MinMax
     )
 
 
+def triangle(rows: np.ndarray) -> np.ndarray:
+    """Triangle with the norm of every combination of the columns: what least squares and min-max need of rows."""
+    return np.asarray(np.linalg.qr(rows, mode="r"))
+
+
 def _size(values: np.ndarray) -> float:
     return float(np.max(np.abs(values), initial=0.0)) or 1.0
 

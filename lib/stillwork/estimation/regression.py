@@ -22,7 +22,7 @@ from stillwork.base.checks import (
     require_number,
 )
 from stillwork.estimation.adaptive import FeLms, FeRls
-from stillwork.estimation.min_max import ZeroEstimateWarning, solve_silently
+from stillwork.estimation.min_max import ZeroEstimateWarning, solve_silently, triangle
 from stillwork.estimation.online import run_felms, run_ferls
 from stillwork.estimation.recursive import LARGEST
 from stillwork.estimation.secular import ROUNDING
@@ -118,7 +118,8 @@ class _LinearRegressor:
             raise InputError("X and y lead out of the finite numbers; give them in other units")
         if self.complex_data:
             found = found[:, : X.shape[1]] + 1j * found[:, X.shape[1] :]
-        self._state, self.n_features_in_, self.coef_ = state, X.shape[1], found[0] if single else found
+        self._state, self.n_features_in_ = state, X.shape[1]
+        self.coef_ = found[0].copy() if single else found.copy()  # a reader may change it
         return self
 
     def _fitted(self):
@@ -436,7 +437,7 @@ class MinMaxRegressor(_WeightedRegressor):
         mass = forgetting ** len(weights) * mass + weights @ fading
         root = np.repeat(np.sqrt(fading), len(rows) // len(weights))[:, None]
         past = forgetting ** (len(weights) / 2) * corner
-        corner = np.linalg.qr(np.vstack([past, root * np.hstack([rows, outputs])]), mode="r")
+        corner = triangle(np.vstack([past, root * np.hstack([rows, outputs])]))
         features = rows.shape[1]
         bounds = self._bounds(features)
         if require_choice("bound_on", self.bound_on, ("record", "sample")) == "sample":

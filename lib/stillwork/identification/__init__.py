@@ -9,6 +9,6 @@ __all__, __getattr__, __dir__ = face(
         "machine": ("build_machine",),
         "machine_files": ("load_machine",),
         "modal_fit": ("fit_modes",),
-        "regressors": ("fir_regressors",),
+        "regressors": ("coloured_noise_bound", "fir_regressors"),
     },
 )
