@@ -14,7 +14,7 @@ import numpy as np
 import stillwork
 from stillwork.base.checks import InputError, require_count, require_number
 from stillwork.control.bandwidth import FUNCTIONS, SIX_DB, Loop
-from stillwork.control.c_code import controller_code
+from stillwork.control.c_code import controller_code, require_names
 from stillwork.control.digital import DigitalController, biquads, runnable
 from stillwork.control.machine_loops import SHOWN, Intensities, Reached, applications, reach
 from stillwork.exporting import require_free, write_folder
@@ -76,6 +76,9 @@ def design_file(
         When the file cannot be used, no use of an observer has a safe loop, or something stands in the folder.
     """
     require_free(folder)
+    require_names(name, precision)
+    if limit != np.inf:
+        require_number("limit", limit, above=0.0)
     step = 1 / require_number("rate", rate, above=0.0)
     delay = require_count("delay", delay, at_least=0)
     source = Path(file)
@@ -95,10 +98,11 @@ def design_file(
     # In the order of the uses, so that of equals the simplest is taken.
     best = max(safe, key=lambda use: round(float(safe[use].recommended.crossing_hz.min()), 2))
     pid, loops = safe[best].recommended.controller, safe[best].model_loops
+    sections = biquads(tustin(pid.state_space(), step))
     about = {
         "gains": {key: value for key, value in asdict(pid).items() if key != "notches"},
         "units": "SI: m, N, s, rad/s; gain N/m, integrator, differentiator and low_pass rad/s",
-        "biquads": biquads(tustin(pid.state_space(), step)).tolist(),
+        "biquads_of_the_pid": None if sections is None else sections.tolist(),
         "provenance": {
             "made_by": f"stillwork {stillwork.__version__} design",
             "file": source.name,
@@ -116,11 +120,9 @@ def design_file(
         },
     }
     controllers = [runnable(pid, loop.compensator, limit, about) for loop in loops]
-    peaks = recheck(safe[best], controllers)
-    if max(size for pair in peaks.values() for size in pair) > ALLOWED_DB:
-        raise InputError(
-            f"{source.name}: the sampled controller peaks at {max(map(max, peaks.values())):.2f} dB; sample faster"
-        )
+    worst = max(size for pair in recheck(safe[best], controllers).values() for size in pair)
+    if worst > ALLOWED_DB:
+        raise InputError(f"{source.name}: the sampled controller peaks at {worst:.2f} dB; sample faster")
     files = {}
     for number, controller in enumerate(controllers, 1):
         own = name if len(controllers) == 1 else f"{name}_{number}"

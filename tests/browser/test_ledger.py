@@ -1,11 +1,14 @@
-"""The front page's table: filters, order, links, and all of it by keyboard."""
+"""The ledger's page: filters, order, links, and all of it by keyboard."""
 
 import pytest
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select, WebDriverWait
 
+from stillwork.base import paths
+from stillwork.site.standing import class_of
 from stillwork.workbook.claims import ledger
+from stillwork.workbook.readings.command import standings_of
 from stillwork.workbook.report import column
 
 CLAIMS = ledger()
@@ -17,7 +20,7 @@ BY_ID = {f"row-{claim.entry.id}": claim for claim in CLAIMS}
 def front(browser, site):
     browser.resize(1440)
     browser.open("about:blank")
-    browser.open((site / "index.html").as_uri())
+    browser.open((site / "ledger.html").as_uri())
     return browser
 
 
@@ -68,11 +71,56 @@ def test_the_order_is_that_of_the_deviation(front, order, sign):
     assert front.run(ROWS) == list(BY_ID)
 
 
-def test_a_work_s_count_filters_the_table(front):
-    link = front.driver.find_element(By.CSS_SELECTOR, ".card [data-filter]")
+def test_a_count_on_the_front_page_leads_to_its_rows(front, site):
+    front.open((site / "index.html").as_uri())
+    link = front.driver.find_element(By.CSS_SELECTOR, ".work .counts a")
     wanted = int(link.text.split()[0])
     link.click()
-    assert len(front.run(ROWS)) == wanted
+    assert "ledger.html?room=" in front.driver.current_url
+    assert len(front.run(ROWS)) == wanted > 0
+
+
+def test_words_find_rows_that_hold_all_of_them(front):
+    field = front.driver.find_element(By.CSS_SELECTOR, "#filters [name=q]")
+    field.send_keys("Table TIME constant")
+    texts = front.run(
+        "return Object.fromEntries([...document.querySelectorAll('#claims tbody tr')].map((r) => [r.id, r.textContent]))"
+    )
+    wanted = [
+        row
+        for row, text in texts.items()
+        if all(word in text.lower() for word in ("table", "time", "constant"))
+    ]
+    assert wanted
+    assert sorted(front.run(ROWS)) == sorted(wanted)
+
+
+def test_a_view_is_kept_in_the_address(front):
+    choose(front, "verdict", "deviates")
+    choose(front, "order", "farthest")
+    front.driver.find_element(By.CSS_SELECTOR, "#filters [name=q]").send_keys("floor")
+    shown, address = front.run(ROWS), front.driver.current_url
+    assert shown
+    front.open("about:blank")
+    front.open(address)
+    assert front.run(ROWS) == shown
+    front.open(address.replace("verdict=deviates", "verdict=nothing"))
+    assert len(front.run(ROWS)) > len(shown)
+
+
+def test_an_address_of_a_row_shows_it_whatever_the_filters_say(front, site):
+    row = next(row for row, claim in BY_ID.items() if claim.verdict == "deviates")
+    front.open((site / "ledger.html").as_uri() + f"?verdict=replicated#{row}")
+    WebDriverWait(front.driver, 5).until(lambda _: row in front.run(ROWS))
+
+
+def test_rows_with_readings_tell_their_class(front):
+    standings = {name: each for room in paths.ROOMS for name, each in standings_of(room).items()}
+    for name in ("holds", "depends", "fails"):
+        choose(front, "readings", name)
+        wanted = [row for row, claim in BY_ID.items() if class_of(standings.get(claim.entry.id)) == name]
+        assert front.run(ROWS) == wanted
+        assert all(f"{name}: under" in front.driver.find_element(By.ID, row).text for row in wanted)
 
 
 def test_a_row_leads_to_its_place_and_its_figure(front):
@@ -88,7 +136,7 @@ def test_a_row_leads_to_its_place_and_its_figure(front):
 def test_the_table_is_there_without_the_script(front, site):
     front.driver.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": True})
     try:
-        front.open((site / "index.html").as_uri())
+        front.open((site / "ledger.html").as_uri())
         rows = front.driver.find_elements(By.CSS_SELECTOR, "#claims tbody tr")
         assert len(rows) == len(CLAIMS)
         assert rows[0].is_displayed()

@@ -50,7 +50,7 @@ def test_one_button_opens_and_closes_all_code(page):
 
 
 def test_every_row_leads_to_its_place_and_every_place_back(browser, site):
-    browser.open((site / "index.html").as_uri())
+    browser.open((site / "ledger.html").as_uri())
     links = browser.run(
         "return Object.fromEntries([...document.querySelectorAll('#claims tbody tr')].map((row) =>"
         "[row.id, [...row.querySelectorAll('td:last-child a')].map((link) => link.getAttribute('href'))]))"

@@ -1,8 +1,14 @@
 """Every page of the site, as a browser sees it from the disk. Each page is opened once, and all is asked then."""
 
 import re
+from urllib.parse import unquote
 
 import pytest
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.support.ui import Select, WebDriverWait
+
+from stillwork.workbook.claims import ledger
 
 NARROW, WIDE = 390, 1440
 
@@ -85,6 +91,29 @@ return faults;
 """
 
 
+# Explorers that do not move: each control is put to both of its ends.
+EXPLORERS = """
+const faults = [];
+for (const figure of document.querySelectorAll("figure[data-states]")) {
+  if (!figure.dataset.ready) faults.push("not drawn");
+  const drawn = () => figure.querySelector(".panels").innerHTML + figure.querySelector(".told").textContent;
+  const home = drawn();
+  for (const control of figure.querySelectorAll(".control :is(input, select)")) {
+    const pictures = [0, control.options ? control.options.length - 1 : control.max].map((stop) => {
+      control.value = stop;
+      control.dispatchEvent(new Event("input", {bubbles: true}));
+      if (/NaN|undefined|Infinity/.test(drawn())) faults.push(`${control.id} at ${stop}: no number`);
+      return drawn();
+    });
+    if (pictures.every((each) => each === home)) faults.push(`${control.id} moves nothing`);
+    figure.querySelector(".controls button").click();
+    if (drawn() !== home) faults.push(`${control.id} does not come back`);
+  }
+}
+return faults;
+"""
+
+
 @pytest.fixture(scope="module")
 def pages(site):
     return sorted(site.rglob("*.html"))
@@ -106,7 +135,11 @@ def seen(browser, site, pages) -> dict[str, dict[str, list]]:
             + re.findall(r"\$[^$\n]*[\\^_{][^$\n]*\$|\\[a-z]+\{", browser.run(PROSE)),
             "contrast": browser.run(CONTRAST),
             "outline": browser.run(OUTLINE),
+            "explorers": browser.run(EXPLORERS),
         }
+        browser.dark(True)
+        answers["contrast in the dark"] = browser.run(CONTRAST)
+        browser.dark(False)
         browser.resize(NARROW)
         answers["narrow"] = browser.run(MISFITS)
         answers["outside"] = [
@@ -121,7 +154,19 @@ def seen(browser, site, pages) -> dict[str, dict[str, list]]:
 
 
 @pytest.mark.parametrize(
-    "question", ["outside", "messages", "pictures", "unrendered", "narrow", "wide", "contrast", "outline"]
+    "question",
+    [
+        "outside",
+        "messages",
+        "pictures",
+        "unrendered",
+        "narrow",
+        "wide",
+        "contrast",
+        "contrast in the dark",
+        "outline",
+        "explorers",
+    ],
 )
 def test_nothing_is_wrong_with(seen, question):
     assert seen[question] == {}
@@ -138,6 +183,10 @@ def test_formulas_were_there_to_be_rendered(seen):
         (FORMULAS, "document.querySelector('math').style.display = 'none'"),
         (MISFITS, "document.querySelector('main p').style.width = '3000px'"),
         (MISFITS, "document.querySelector('main p').style.fontSize = '9px'"),
+        (
+            EXPLORERS,
+            "document.querySelector('main p').outerHTML = '<figure data-states=x><div class=panels></div><p class=told></p></figure>'",
+        ),
         (OUTLINE, "document.querySelector('main p').outerHTML = '<h1>Again</h1>'"),
     ],
 )
@@ -159,3 +208,61 @@ def test_a_request_to_the_outside_and_a_missing_picture_are_noticed(browser, pag
     assert browser.driver.execute_async_script(PICTURES) == [outside]
     assert outside in browser.requests()
     assert browser.messages()
+
+
+def test_the_front_page_is_seen_at_a_glance(browser, site):
+    browser.resize(WIDE)
+    browser.open((site / "index.html").as_uri())
+    assert browser.run("return document.documentElement.scrollHeight") < 4000
+
+
+@pytest.mark.parametrize(("page", "sheets"), [("index.html", 4), ("ledger.html", 40), ("gallery.html", 12)])
+def test_few_sheets_are_printed(browser, site, page, sheets):
+    browser.open((site / page).as_uri())
+    assert browser.sheets() <= sheets
+
+
+def test_search_finds_sections_numbers_and_names_and_keeps_the_words_in_the_address(browser, site):
+    browser.resize(WIDE)
+    browser.open((site / "index.html").as_uri())
+    field = browser.driver.find_element(By.CSS_SELECTOR, "header input[type=search]")
+    field.send_keys("bandwidth damping", Keys.ENTER)
+    WebDriverWait(browser.driver, 10).until(lambda _: "search.html?q=bandwidth" in browser.driver.current_url)
+    found = browser.run(
+        "return [...document.querySelectorAll('#results a')].map((each) => each.getAttribute('href'))"
+    )
+    texts = {
+        address: " ".join(each).lower()
+        for *each, address in browser.run(
+            "return searchIndex.map(([title, kind, address, text]) => [title, kind, text, address])"
+        )
+    }
+    assert 5 < len(found) <= 50
+    assert all("bandwidth" in texts[each] and "damping" in texts[each] for each in found)
+    browser.driver.find_element(By.CSS_SELECTOR, "#results a").click()
+    assert browser.run("return Boolean(document.querySelector(':target'))")
+    entry = next(claim.entry for claim in ledger() if claim.notebook)
+    for words, place in (
+        (entry.id, f"ledger.html#row-{entry.id}"),
+        ("lti tustin", "reference/stillwork.lti."),
+    ):
+        browser.open((site / "search.html").as_uri() + f"?q={words}")
+        first = browser.driver.find_element(By.CSS_SELECTOR, "#results a").get_attribute("href")
+        assert place in unquote(first)
+    browser.open((site / "search.html").as_uri() + "?q=nothing+of+that+kind")
+    assert browser.driver.find_element(By.ID, "found").text == "0 places"
+
+
+def test_the_gallery_shows_a_work_or_a_verdict_alone(browser, site):
+    browser.open((site / "gallery.html").as_uri() + "?room=worstcase")
+    shown = (
+        "return [...document.querySelectorAll('.gallery figure')].filter((each) => each.checkVisibility())"
+    )
+    names = browser.run(f"{shown}.map((each) => each.querySelector('.zoom').getAttribute('href'))")
+    assert names
+    assert all(name.startswith("figures/worstcase/") for name in names)
+    Select(browser.driver.find_element(By.NAME, "verdict")).select_by_value("deviates")
+    few = browser.run(f"{shown}.map((each) => each.querySelector('figcaption').textContent)")
+    assert 0 < len(few) < len(names)
+    assert all("deviates" in text for text in few)
+    assert "verdict=deviates" in browser.driver.current_url

@@ -95,6 +95,21 @@ def test_trial_is_reproducible_and_complete():
     assert not np.array_equal(one["FeLMS final"][0], one["FeLMS final"][1])
 
 
+def test_a_short_run_is_judged_by_where_the_weights_settle():
+    both = algorithms(STEADY, **SETTINGS)
+    options = {"twin": FITTED, "floor": FLOOR, "both": both, "duration_s": 6.0}
+    final = STEADY.weights[0]
+    own, given = (
+        convergence_trial(np.random.default_rng(3), **options, final=each) for each in (None, final)
+    )
+    course = converge(FITTED, FLOOR, both["FeRLS"], 6.0, int(np.random.default_rng(3).integers(2**31)))
+    for found, towards in ((own, course.final), (given, final)):
+        for key, share in (("FeRLS tau", 0.63), ("FeRLS tau 37", 0.37)):
+            assert found[key] == pytest.approx(settling_times(course.time_s, course.weights, towards, share))
+        assert np.all(found["FeRLS tau 37"] >= found["FeRLS tau"])
+    assert np.any(own["FeRLS tau"] != given["FeRLS tau"])
+
+
 def test_small_epsilon_diverges_and_large_does_not():
     starts = try_starts(FITTED, FLOOR, [1e-5, 1.0], FeRls(1.0).forgetting, 1.0, 1)
     assert starts.stopped_s[0] < 0.2 and np.isnan(starts.stopped_s[1])

@@ -8,6 +8,7 @@ from experiments.isolation.silence import run_to_the_end
 from experiments.isolation.stability import (
     FORMS,
     _recur,
+    breakdowns_from_diagonal,
     condition_bounds,
     covariance_run,
     scaled_condition,
@@ -125,6 +126,14 @@ def test_silence_winds_every_form_up(form):
     psi[3] = 0
     run = covariance_run(form, psi, FORGETTING, 0.01 * np.eye(5), 20)
     np.testing.assert_allclose(run.largest, FORGETTING ** (-run.time_constants / (1 - FORGETTING)), rtol=1e-6)
+
+
+def test_one_motion_breaks_the_triangle_in_float32_and_not_the_factors():
+    psi = shared_motion(1e9, 2000, 0)
+    found = breakdowns_from_diagonal(psi, FORGETTING, ("triangle", "UD"), 30)
+    assert 1 < found["triangle"] < 30 and np.isinf(found["UD"])
+    apart = breakdowns_from_diagonal(shared_motion(2.0, 2000, 0), FORGETTING, ("triangle", "UD"), 30)
+    assert np.isinf(list(apart.values())).all()
 
 
 def closed_loop(cure, samples=400):

@@ -5,9 +5,10 @@ import pytest
 
 from experiments.isolation import performance_pictures, rig_pictures, your_floor_pictures
 from experiments.isolation.floor_files import open_floor
+from experiments.isolation.performance import exact_transmissibility
 from experiments.isolation.recorded_floors import RecordedFloor, ground_floor, record_floor
 from experiments.isolation.simulation import simulate
-from experiments.isolation.twin import load_twin
+from experiments.isolation.twin import load_twin, twin_from_table
 from experiments.isolation.your_floor import (
     Isolated,
     crossing,
@@ -20,6 +21,7 @@ from experiments.isolation.your_floor import (
 )
 from stillwork.base import paths
 from stillwork.base.checks import InputError
+from stillwork.base.toml_files import read_toml
 from stillwork.signals.records import load_record
 from stillwork.signals.spectra import estimate_spectrum
 
@@ -87,6 +89,18 @@ def test_missing_sensors_read_the_mean_of_the_others(twin, channels):
     np.testing.assert_allclose(
         runs[1].platform, runs[0].platform, atol=1e-9 * np.abs(runs[0].platform).max(), rtol=0
     )
+
+
+def test_a_rig_with_one_floor_sensor_is_a_rig():
+    table = read_toml(paths.data("isolation", "rigid_body.toml"))
+    table["floor_sensors"] = {"positions": [[0.0, 0.0, 0.0]], "directions": [[0.0, 0.0, 1.0]]}
+    one = twin_from_table(table)
+    floor = open_floor("", "m/s^2", 0.0, [], twin=one, ground_gain=100.0, common=0.9, duration_s=15.0, seed=1)
+    shaken = isolate(one, floor, 1)
+    assert floor.channels == 1 and list(shaken.moving) == [True, False, False]
+    assert shaken.left("FeRLS")[0] < shaken.left("feedback")[0] / 2
+    with pytest.raises(InputError, match="place three apart"):
+        exact_transmissibility(one, [10.0])
 
 
 def test_the_weights_never_see_the_part_they_are_judged_on(twin):

@@ -39,7 +39,11 @@ def test_it_writes_all_of_it(written):
     }  # fmt: skip
     held = json.loads((folder / "controller.json").read_text())
     assert held["provenance"]["mass_kg"] == pytest.approx(40.0) and held["high"] == [40.0]
-    assert len(held["provenance"]["sha256"]) == 64 and held["gains"]["gain"] > 0 and held["biquads"]
+    assert (
+        len(held["provenance"]["sha256"]) == 64
+        and held["gains"]["gain"] > 0
+        and len(held["biquads_of_the_pid"]) == 2
+    )
     page = (folder / "report.html").read_text()
     assert "&lt;pair&gt;.npz" in page and "<pair>" not in page and page.count("data:image/png;base64,") == 2
     assert not re.search(r"(src|href)=\"http|<script", page)
@@ -118,6 +122,7 @@ def test_a_measurement_is_designed_for_and_each_sensor_gets_its_controller(tmp_p
     assert "on the measurement (dB)" in (out / "report.html").read_text()
 
 
+@pytest.mark.slow
 def test_a_machine_that_has_no_safe_loop_is_told_so_and_nothing_is_written(tmp_path):
     file = str(TEMPLATES / "matrices.csv")
     with pytest.raises(InputError, match=r"matrices.csv: no safe loop at 100 Hz \(PID: .*sample faster"):
@@ -129,6 +134,21 @@ def test_a_folder_with_something_in_it_is_refused_first(tmp_path):
     (tmp_path / "mine.txt").write_text("mine")
     with pytest.raises(InputError, match="is not empty; nothing is overwritten"):
         design_file("missing.csv", str(tmp_path), RATE)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"name": "1st"}, "name is '1st'"),
+        ({"precision": "half"}, "precision is 'half'"),
+        ({"limit": -5.0}, "limit is -5; give a finite number above 0"),
+        ({"limit": float("nan")}, "limit is nan"),
+        ({"delay": -1}, "delay is -1"),
+    ],
+)
+def test_settings_are_asked_before_anything_is_computed(tmp_path, change, message):
+    with pytest.raises(InputError, match=message):
+        design_file("missing.csv", str(tmp_path / "out"), RATE, **change)
 
 
 def test_the_file_of_a_machine_is_asked_for(tmp_path):

@@ -105,6 +105,7 @@ def test_no_recommended_loop_exceeds_six_decibels(tmp_path, name):
             assert loop_peaks(plant, block, controller, omega).max() < 6.01
 
 
+@pytest.mark.slow
 def test_without_the_third_constraint_compensation_rings_on_a_plain_machine(tmp_path):
     machine = machine_of(tmp_path, "collocated")
     chosen = {"MC": applications(0.02, 2.0)["MC"]}
@@ -121,6 +122,7 @@ def test_without_the_third_constraint_compensation_rings_on_a_plain_machine(tmp_
 # ------------------------------------------------------------------------------------------------------- the search
 
 
+@pytest.mark.slow
 def test_a_wider_search_finds_the_same_interval(tmp_path):
     machine = machine_of(tmp_path, "lightly damped")
     options = {"retained": 5, "intensities": INTENSITIES}
@@ -133,6 +135,7 @@ def test_a_wider_search_finds_the_same_interval(tmp_path):
     assert wide.summary["feasible"].startswith("2 to ")
 
 
+@pytest.mark.slow
 def test_the_lowest_of_two_intervals_is_taken():
     """A family that is good for nothing from 20 to 60 Hz: a detuned gain."""
     machine_plant = make_loop(modal_model([[10.0]], [[0.0]], [[1.0]], [[1.0]]))
@@ -156,6 +159,7 @@ def test_the_lowest_of_two_intervals_is_taken():
 # ----------------------------------------------------------------------------------------------------- sampled loops
 
 
+@pytest.mark.slow
 def test_a_sampled_loop_is_that_of_python_control(tmp_path):
     import control
 

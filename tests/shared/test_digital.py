@@ -58,6 +58,7 @@ def test_biquads_filter_as_scipy_does(sections):
         assert again == pytest.approx(wanted, abs=1e-5 * np.abs(wanted).max())
 
 
+@pytest.mark.slow
 def test_libraries_answer_as_the_controller_does():
     import control
 

@@ -1,21 +1,27 @@
 """The site's files, checked without a browser: links, escaping, places, completeness."""
 
+import io
 import json
 import re
+from collections import Counter
 from html.parser import HTMLParser
 from urllib.parse import unquote
 
+import numpy as np
 import pytest
 import yaml
+from PIL import Image
 
 from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.site.build import site_files
 from stillwork.site.derived import works
 from stillwork.site.links import broken_links
-from stillwork.workbook.claims import ledger
+from stillwork.site.standing import class_of, stands
+from stillwork.workbook.claims import Claim, Entry, Tolerance, ledger
 from stillwork.workbook.notebooks import select
 from stillwork.workbook.publish import replace_folder
+from stillwork.workbook.readings.judging import Standing
 from workbook import toy as toys
 
 pytestmark = pytest.mark.slow
@@ -63,9 +69,10 @@ def toy(tmp_path, monkeypatch):
     )
     made.write(f"figures/{name}/claims.json", json.dumps({"isolation.gain": {"ours": 2.5}}))
 
-    header = b"\x89PNG\r\n\x1a\n" + b"\0" * 8 + (7).to_bytes(4) + (5).to_bytes(4)
+    picture = io.BytesIO()
+    Image.new("RGB", (7, 5)).save(picture, "PNG")
     for stem in ("fig-1", "<b>&'quoted'"):
-        (made.root / f"figures/{name}/{stem}.png").write_bytes(header)
+        (made.root / f"figures/{name}/{stem}.png").write_bytes(picture.getvalue())
         (made.root / f"figures/{name}/{stem}.csv").write_text("panel,series,x,y,z\n")
     monkeypatch.setenv("STILLWORK_ROOT", str(made.root))
     yield made
@@ -101,7 +108,7 @@ def test_every_notebook_number_and_module_is_there(files):
     for notebook in select():
         assert f"notebooks/{notebook.name}.html" in files
         assert files[f"notebooks/{notebook.name}.ipynb"].decode() == notebook.source
-    rows = {each["id"] for each in Elements(files["index.html"]).of("tr") if "id" in each}
+    rows = {each["id"] for each in Elements(files["ledger.html"]).of("tr") if "id" in each}
     assert rows == {f"row-{claim.entry.id}" for claim in ledger()}
     assert "reference/stillwork.signals.spectra.html" in files
 
@@ -136,9 +143,85 @@ def test_the_manifest_lists_files_that_are_there():
 def test_what_a_work_says_first_is_judged_by_an_entry_of_its_own_ledger():
     known = {claim.entry.id: claim.entry.room for claim in ledger()}
     for room, work in works().items():
-        named = [each["entry"] for each in work["headline"]]
-        assert named
-        assert {known.get(each) for each in named} == {room}
+        for part in ("headline", "found"):
+            named = [each["entry"] for each in work[part]]
+            assert named
+            assert {known.get(each) for each in named} == {room}
+
+
+def test_advice_rests_on_verdicts_that_stand():
+    """With another verdict the sentence would be false: it is to be written anew then."""
+    verdicts = {claim.entry.id: claim.verdict for claim in ledger()}
+    for work in works().values():
+        assert work["builder"].endswith(".")
+        assert work["rests"] == {entry: verdicts.get(entry) for entry in work["rests"]}
+
+
+def test_the_front_page_shows_each_work_by_its_picture_and_what_came_out(files):
+    page = Elements(files["index.html"])
+    text = " ".join(re.sub(r"<[^>]*>", " ", files["index.html"].decode()).split())
+    pictures = {each["src"] for each in page.of("img")}
+    for work in works().values():
+        assert f"thumbnails/{work['hero']}.webp" in pictures
+        assert all(each["says"] in text for each in work["found"])
+        assert work["builder"] in text
+
+
+def test_a_thumbnail_is_a_small_copy_of_its_picture(files):
+    small = {name: content for name, content in files.items() if name.startswith("thumbnails/")}
+    whole = {name for name in files if name.startswith("figures/") and name.endswith(".csv")}
+    assert {name.replace("thumbnails/", "figures/").replace(".webp", ".csv") for name in small} == whole
+    assert sum(map(len, small.values())) < 4e6
+    name = min(small)
+    little = Image.open(io.BytesIO(small[name]))
+    large = Image.open(io.BytesIO(files[name.replace("thumbnails/", "figures/").replace(".webp", ".png")]))
+    assert little.width == min(480, large.width)
+    assert little.width / little.height == pytest.approx(large.width / large.height, rel=0.01)
+    difference = np.asarray(large.convert("L").resize(little.size, Image.Resampling.BOX), float) - np.asarray(
+        little.convert("L"), float
+    )
+    assert abs(difference).mean() < 6  # of 255
+
+
+def test_the_search_index_leads_to_places_that_are_there(files):
+    text = files["search-index.js"].decode()
+    found = json.loads(text.removeprefix("globalThis.searchIndex = ").removesuffix(";\n"))
+    kinds = Counter(kind for _, kind, _, _ in found)
+    assert kinds["ledger"] == len(ledger())
+    assert set(kinds) == {"ledger", "reference", "guide", *works()}
+    places: dict[str, set] = {}
+    for title, _, address, _ in found:
+        page, _, place = address.partition("#")
+        if page not in places:
+            places[page] = {values.get("id") for _, values in Elements(files[page]).found}
+        assert title, address
+        assert place in places[page], address
+
+
+def test_every_page_describes_itself(files):
+    for name, content in files.items():
+        if name.endswith(".html"):
+            described = [
+                each["content"] for each in Elements(content).of("meta") if each.get("name") == "description"
+            ]
+            assert len(described) == 1, name
+            assert len(described[0]) > 20, name
+
+
+def test_how_a_statement_stands_is_told_by_its_readings_else_by_its_verdict():
+    entry = Entry("room.fig-1.a", "Fig. 1", "time", "s", "value", 2.0, Tolerance("digits", relative=0.1))
+    claim = Claim(entry, 4.0)
+    assert stands(claim, None) == "deviates: 4 s"
+    assert class_of(None) == "not tried"
+    for agreeing, words, name in (
+        (4, "under every one of 4 readings", "holds"),
+        (0, "under none of 4 readings", "fails"),
+        (1, "under 1 of 4 readings", "depends"),
+    ):
+        agrees = np.arange(4)[:, None] < agreeing
+        standing = Standing(entry, (), np.ones((4, 1)), agrees, np.zeros((4, 1), bool), None, ())
+        assert stands(claim, standing) == words
+        assert class_of(standing) == name
 
 
 def test_two_builds_give_the_same_bytes(files):
@@ -154,8 +237,8 @@ def test_foreign_text_is_escaped(toy):
             assert [each for each in page.of("img") if each["src"] == "x"] == [], name
             assert page.of("b") == [], name
             assert not [each for _, each in page.found if any(key.startswith("on") for key in each)], name
-    assert "&lt;script&gt;alert" in files["index.html"].decode()
-    assert "deviates" in files["index.html"].decode()
+    assert "&lt;script&gt;alert" in files["ledger.html"].decode()
+    assert "deviates" in files["ledger.html"].decode()
 
 
 def test_a_formula_that_cannot_be_shown_names_the_notebook(toy):
@@ -183,7 +266,7 @@ def test_the_front_page_counts_what_was_predicted_apart(toy):
     for field, column in counted.items():
         toy.write(file, before + field)
         links = Elements(site_files()["index.html"]).of("a")
-        shown = [unquote(each["data-filter"]) for each in links if "data-filter" in each]
+        shown = [unquote(each["href"].partition("?")[2]) for each in links if "?" in each["href"]]
         assert [each for each in shown if "not built" not in each] == [
             f"counted={column}",
             f"room=isolation&counted={column}",

@@ -43,11 +43,6 @@ class Course:
         return float(self.error_power[-self._tail :].mean())
 
     @property
-    def time_constants_s(self) -> Float64[np.ndarray, "parameters"]:
-        """See `settling_times`."""
-        return settling_times(self.time_s, self.weights, self.final)
-
-    @property
     def _tail(self) -> int:
         return max(round(FINAL_SHARE * len(self.time_s)), 1)
 

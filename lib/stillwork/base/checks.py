@@ -162,24 +162,8 @@ def require_array(
 
     It is the one front door for arrays: lists, other number types, transposed, strided, read-only and
     memory-mapped arrays come out alike, so that a kernel is compiled for one type alone. It is `value` itself
-    where nothing has to be changed; a function that writes to it copies it first.
-
-    Parameters
-    ----------
-    name : str
-        How the caller knows the argument.
-    value : array_like
-        Anything numpy turns into numbers.
-    ndim : int, optional
-        Number of axes that is wanted.
-    shape : tuple, optional
-        Shape that is wanted; None leaves an axis free.
-    dtype : dtype
-        Type of the returned array.
-    advice : str
-        What to do about values that are not finite.
-    missing : bool
-        Whether NaN stands for values that were lost.
+    where nothing has to be changed; a function that writes to it copies it first. None in `shape` leaves an axis
+    free, `advice` says what to do about values that are not finite, and `missing` lets NaN stand for lost ones.
     """
     # Nearly all arrays of a calculation come as they are wanted: for them the rest would cost more than the check.
     ready = type(value) is np.ndarray and value.dtype == dtype and value.flags.carray
@@ -210,19 +194,7 @@ def _fits(shape: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
 
 
 def require_finite_run(name: str, values: np.ndarray, advice: str, *, axis: int = 0, first: int = 0) -> None:
-    """Raise `InputError` with the sample at which a run left the finite numbers, if it did.
-
-    Parameters
-    ----------
-    name : str
-        What the run computed.
-    values : ndarray
-        With the samples along `axis`.
-    advice : str
-        What to do about it.
-    first : int
-        Number of the first sample.
-    """
+    """Raise `InputError` with the sample, counted from `first`, at which a run left the finite numbers, if it did."""
     finite = np.isfinite(values)
     if not finite.all():
         others = tuple(i for i in range(finite.ndim) if i != axis % finite.ndim)

@@ -215,13 +215,19 @@ def adaptation_code(
     return write.files("adaptation.h", "ferls.c", values)
 
 
+def require_names(name: str, precision: str) -> None:
+    """Refuse what cannot begin names in C, and a precision that there is not."""
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,30}", name):
+        raise InputError(f"name is {shown(name)}; give letters, digits and _, a letter first, 31 at most")
+    require_choice("precision", precision, PRECISIONS)
+
+
 class _Numbers:
     """Numbers, sums and files of one piece of C."""
 
     def __init__(self, name: str, precision: str):
-        if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,30}", name):
-            raise InputError(f"name is {shown(name)}; give letters, digits and _, a letter first, 31 at most")
-        self.name, self.type = name, PRECISIONS[require_choice("precision", precision, PRECISIONS)]
+        require_names(name, precision)
+        self.name, self.type = name, PRECISIONS[precision]
 
     def __call__(self, value) -> str:
         """A literal that reads back as the same number."""
@@ -260,5 +266,8 @@ def _lines(statements) -> str:
 
 
 def _comment(text: str) -> str:
-    """A name as a comment holds it."""
-    return re.sub(r"[^\x20-\x7e]", "?", text).replace("*/", "* /").replace("\\", "/")
+    """A name as a comment holds it, which it neither ends nor makes a compiler warn of."""
+    text = re.sub(r"[^\x20-\x7e]", "_", text).replace("\\", "/")
+    for pair in ("*/", "/*", "??"):  # of two question marks C99 makes trigraphs
+        text = text.replace(pair, " ".join(pair))
+    return text

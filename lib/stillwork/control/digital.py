@@ -19,9 +19,7 @@ from stillwork.lti.discretisation import tustin
 from stillwork.lti.state_space import StateModel, interconnect
 
 FORMAT = "stillwork controller 1"
-AT_ONE = (
-    1e-9  # a pole closer to 1 than this is an integrator: at 1 MHz it would forget in a quarter of an hour
-)
+AT_ONE = 1e-9  # a pole closer to 1 than this is an integrator: it would forget in a thousand million samples
 # Of its file; what else stands there goes along with it.
 KEPT = (
     *("format", "sample_time_s", "inputs", "outputs", "state_space", "low", "high", "anti_windup"),
@@ -177,7 +175,7 @@ class DigitalController:
             name: [None if np.isinf(x) else x for x in getattr(self, name).tolist()]
             for name in ("low", "high")
         }
-        return {
+        return self.about | {
             "format": FORMAT,
             "sample_time_s": self.model.step,
             "inputs": list(self.inputs),
@@ -187,7 +185,6 @@ class DigitalController:
             "anti_windup": self.anti_windup.tolist(),
             "delay_samples": self.delay,
             "start": self.start.tolist(),
-            **self.about,
         }
 
 

@@ -279,7 +279,8 @@ def reach(
     loop_hz : tuple of float
         Band in which the measurement stands for the plant; (0, 0) for that of the fit.
     search_hz : tuple of float
-        Range of the design parameter; (0, 0) for 1/40 of the first resonance to all of it.
+        Range of the design parameter; (0, 0) for 1/40 of the first resonance to all of it, from twice a suspension
+        and to a tenth of the rate.
     constraints : sequence of PeakConstraint
         By default both sensitivities and r to e_true, each at most 6 dB.
     step : float

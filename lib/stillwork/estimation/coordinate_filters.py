@@ -40,15 +40,9 @@ def _packed(kind, options, work_shape, process=((),), noise=((),)):
 
 @dataclass(frozen=True)
 class MovingWindow:
-    """Section II.A: three cascaded affine fits over `length` + 1 samples, read at the newest sample.
+    """Section II.A: three cascaded affine fits over `length` + 1 samples, read at the newest sample."""
 
-    Attributes
-    ----------
-    length : int
-        L of the paper; the window holds L + 1 samples.
-    """
-
-    length: int = 12
+    length: int = 12  # L of the paper; the window holds L + 1 samples
     error_from_measurement = True  # which position the controller compares with the nominal one
 
     def __post_init__(self):
@@ -89,21 +83,11 @@ class LowPass:
 
 @dataclass(frozen=True)
 class SavitzkyGolay:
-    """Least-squares polynomial over the latest samples; its value and derivatives at the newest one.
+    """Least-squares polynomial over the latest samples; its value and derivatives at the newest one."""
 
-    Attributes
-    ----------
-    samples : int
-        In the window.
-    degree : int
-        Of the polynomial, 2 at least: an acceleration is wanted.
-    time_step : float
-        s; the weights of the derivatives depend on it.
-    """
-
-    samples: int = 15
-    degree: int = 2
-    time_step: float = 1e-3
+    samples: int = 15  # in the window
+    degree: int = 2  # of the polynomial, 2 at least: an acceleration is wanted
+    time_step: float = 1e-3  # s; the weights of the derivatives depend on it
     error_from_measurement = True
 
     def __post_init__(self):

@@ -23,26 +23,15 @@ SIGNATURE = "void(float64[::1], float64[::1], float64[::1], float64[::1])"
 
 @dataclass(frozen=True)
 class NonlinearModel:
-    """x_k = transition(x_{k-1}, u_{k-1}) + w, z_k = measurement(x_k, u_{k-1}) + v: (9).
+    """x_k = transition(x_{k-1}, u_{k-1}) + w, z_k = measurement(x_k, u_{k-1}) + v: (9)."""
 
-    Attributes
-    ----------
-    transition : callable
-        ``transition(state, inputs, parameters, out)`` fills `out` with the next state.
-    measurement : callable
-        ``measurement(state, inputs, parameters, out)`` fills `out` with the expected measurement.
-    states, inputs, outputs : int
-        How many.
-    parameters : ndarray, shape (parameters,)
-        Passed to both; changing them recompiles nothing.
-    """
-
-    transition: Callable
+    transition: Callable  # ``transition(state, inputs, parameters, out)`` fills `out` with the next state
+    # ``measurement(state, inputs, parameters, out)`` fills `out` with the expected measurement
     measurement: Callable
-    states: int
+    states: int  # how many
     inputs: int
     outputs: int
-    parameters: ArrayLike = ()
+    parameters: ArrayLike = ()  # passed to both; changing them recompiles nothing
 
     @checked
     def __post_init__(self):

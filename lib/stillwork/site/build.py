@@ -13,15 +13,19 @@ from markupsafe import Markup
 import stillwork
 from stillwork.base import paths
 from stillwork.base.checks import InputError
-from stillwork.site import picture, reference
+from stillwork.site import picture, reference, search
 from stillwork.site.derived import works
 from stillwork.site.links import broken_links
 from stillwork.site.mathematics import markdown
+from stillwork.site.metadata import project
 from stillwork.site.pages import NotebookPage, read_page
+from stillwork.site.standing import class_of, stands
+from stillwork.site.states import kept_states, make_states
 from stillwork.workbook import publish
 from stillwork.workbook.claims import KINDS, VERDICTS, Claim, ledger
 from stillwork.workbook.notebooks import notebook_file
 from stillwork.workbook.provenance import commit, modified
+from stillwork.workbook.readings.command import standings_of
 from stillwork.workbook.report import APART, REPLICATIONS, column, our_quantity, published_quantity, tally
 from stillwork.workbook.tasks import tasks
 
@@ -31,6 +35,7 @@ HERE = Path(__file__).parent
 def build_site() -> int:
     """Write ``build/site``; returns 1, with a line for each, when a link of it leads nowhere."""
     target = paths.root() / "build" / "site"
+    make_states(tasks())
     files = site_files()
     publish.recover(target)
     publish.replace_folder(target, files)
@@ -43,41 +48,52 @@ def build_site() -> int:
 
 
 def site_files() -> dict[str, bytes]:
-    """The site's files by path."""
+    """The site's files by path, with the explorers' states that are kept."""
     claims = ledger()
-    pages = [read_page(task, claims) for task in tasks()]
+    wanted = tasks()
+    pages = [read_page(task, claims) for task in wanted]
+    states = kept_states(wanted)
     modules = reference.read_modules()
     guides = {file.stem: file.read_text(encoding="utf-8") for file in _guides()}
+    standings = {entry: each for room in paths.ROOMS for entry, each in standings_of(room).items()}
     rooms = [_room(name, work, claims, pages) for name, work in works().items()]
     render = _renderer(
         rooms=[room for room in rooms if room["pages"] or room["counts"]],
         guides={name: _title(text) for name, text in guides.items()},
         places=reference.index(modules),
+        standings=standings,
+        verdicts=[verdict for verdict in VERDICTS if any(claim.verdict == verdict for claim in claims)],
+        counts=Counter(map(column, claims)),
     )
 
     files = _static()
     by_name = {page.name: page for page in pages}
-    files["index.html"] = render(
-        "index.html",
+    files["index.html"] = render("index.html", "", citation=_citation())
+    files["ledger.html"] = render(
+        "ledger.html",
         "",
         claims=claims,
-        counts=Counter(map(column, claims)),
-        verdicts=[verdict for verdict in VERDICTS if any(claim.verdict == verdict for claim in claims)],
         by_name=by_name,
         kinds=[kind for kind in KINDS if any(claim.entry.kind == kind for claim in claims)],
+        classes=sorted({class_of(standings.get(claim.entry.id)) for claim in claims}),
     )
     files["ledger.json"] = json.dumps([claim.as_dict() for claim in claims], indent=1).encode()
     files["gallery.html"] = render("gallery.html", "", pages=pages)
     files["replicate.html"] = render("replicate.html", "", pages=pages)
     for page in pages:
         files[f"notebooks/{page.name}.html"] = render(
-            "notebook.html", "../../", page=page, neighbours=_neighbours(page, pages)
+            "notebook.html",
+            "../../",
+            page=page,
+            neighbours=_neighbours(page, pages),
+            states=states.get(page.name, {}),
         )
         files[f"notebooks/{page.name}.ipynb"] = notebook_file(page.name).read_bytes()
         for figure in page.figures:
             files[f"{figure.path}.png"] = figure.png
             if figure.csv is not None:
                 files[f"{figure.path}.csv"] = figure.csv
+                files[figure.thumbnail] = figure.small[0]
     files["reference/index.html"] = render(
         "reference.html", "../", folders=reference.folders(modules), doc=_doc
     )
@@ -85,10 +101,13 @@ def site_files() -> dict[str, bytes]:
         files[f"reference/{module.name}.html"] = render(
             "module.html", "../", module=module, doc=_doc, source=_source(module.source)
         )
-    for name, text in guides.items():
+    bodies = {name: markdown(text) for name, text in guides.items()}
+    for name, body in bodies.items():
         files[f"guide/{name}.html"] = render(
-            "guide.html", "../", title=_title(text), body=Markup(markdown(text))
+            "guide.html", "../", title=_title(guides[name]), body=Markup(body)
         )
+    files["search.html"] = render("search.html", "")
+    files["search-index.js"] = search.script(search.index(pages, bodies, modules, claims))
     return files
 
 
@@ -117,15 +136,27 @@ def _room(name: str, work: dict, claims: list[Claim], pages: list[NotebookPage])
         **work,
         "counts": Counter(map(column, mine)),
         "picture": picture.draw(mine),
-        "headline": [
-            (each["says"], claim)
-            for each in work["headline"]
-            for claim in mine
-            if claim.entry.id == each["entry"]
-        ],
+        "headline": _said(work["headline"], mine),
+        "found": _said(work["found"], mine),
+        "rests": [entry for entry in work["rests"] if any(claim.entry.id == entry for claim in mine)],
+        "hero": next(
+            (each for page in pages for each in page.figures if each.path == f"figures/{work['hero']}"), None
+        ),
         "orderings": Counter(column(claim) for claim in mine if claim.entry.kind == "ordering"),
         "pages": [page for page in pages if page.room == name],
     }
+
+
+def _said(statements: list[dict], claims: list[Claim]) -> list[tuple[str, Claim]]:
+    """What a work says, each with the claim that judges it."""
+    by_id = {claim.entry.id: claim for claim in claims}
+    return [(each["says"], by_id[each["entry"]]) for each in statements if each["entry"] in by_id]
+
+
+def _citation() -> str:
+    about = project()
+    authors = ", ".join(each["name"] for each in about["authors"])
+    return f"{authors}, {about['name']}: {about['description']}, version {about['version']}."
 
 
 def _renderer(**shared):
@@ -144,6 +175,8 @@ def _renderer(**shared):
     environment.filters["slug"] = lambda name: name.replace(",", "").replace(" ", "-")
     environment.filters["column"] = column
     environment.filters["tally"] = tally
+    environment.filters["stands"] = stands
+    environment.filters["class_of"] = class_of
     site = {
         "version": stillwork.__version__,
         "commit": commit() or "",

@@ -8,7 +8,9 @@ from html import escape
 from pathlib import Path
 
 from stillwork.base import paths
+from stillwork.site import metadata
 from stillwork.site.house import paint_house
+from stillwork.site.metadata import project
 from stillwork.site.pages import Figure, NotebookPage, read_page
 from stillwork.workbook.claims import Claim, ledger
 from stillwork.workbook.notebooks import METADATA, notebook_text
@@ -44,12 +46,16 @@ def derived_files() -> dict[str, str]:
         "README.md": _readme,
         "notebooks/index.ipynb": _index,
         "codecheck.yml": _codecheck,
-        "codemeta.json": _codemeta,
+        "codemeta.json": lambda _pages, _claims: metadata.codemeta(works()),
+        ".zenodo.json": lambda _pages, _claims: metadata.zenodo(works()),
+        "ro-crate-metadata.json": lambda pages, _claims: metadata.crate(works(), pages),
         "docs/house.svg": _house,
     }
     for name in ("README.md", "docs/house.svg"):  # a workbook may do without
         if _present(name) is None:
             del makers[name]
+    if _present("CITATION.cff") is None:  # and one that is not published
+        del makers[".zenodo.json"], makers["ro-crate-metadata.json"]
     return {name: make(pages, claims) for name, make in makers.items()}
 
 
@@ -156,8 +162,8 @@ def _verdicts(claims: tuple[Claim, ...]) -> str:
 def _codecheck(pages: list[NotebookPage], _claims: list[Claim]) -> str:
     """The manifest of https://codecheck.org.uk: every output, and what of which work it replicates."""
     lines = ["---", f"version: {CODECHECK}", "paper:"]
-    lines += [f"  title: {_quoted(_project()['description'])}", "  authors:"]
-    lines += [f"    - name: {_quoted(author['name'])}" for author in _project()["authors"]]
+    lines += [f"  title: {_quoted(project()['description'])}", "  authors:"]
+    lines += [f"    - name: {_quoted(author['name'])}" for author in project()["authors"]]
     lines.append("manifest:")
     for page in pages:
         source = works()[page.room]["work"]
@@ -185,40 +191,5 @@ def _quoted(text: str) -> str:
     return json.dumps(text, ensure_ascii=False)
 
 
-def _codemeta(_pages: list[NotebookPage], _claims: list[Claim]) -> str:
-    project = _project()
-    record = {
-        "@context": "https://w3id.org/codemeta/3.0",
-        "@type": "SoftwareSourceCode",
-        "name": project["name"],
-        "description": project["description"],
-        "version": project["version"],
-        "license": "https://spdx.org/licenses/BSD-3-Clause",
-        "author": [{"@type": "Organization", "name": author["name"]} for author in project["authors"]],
-        "keywords": project["keywords"],
-        "programmingLanguage": {"@type": "ComputerLanguage", "name": "Python"},
-        "runtimePlatform": f"Python {project['requires-python']}",
-        "softwareRequirements": _requirements(project),
-        "referencePublication": [
-            {"@type": "ScholarlyArticle", "name": work["work"], "description": work["source"]}
-            for work in works().values()
-        ],
-    }
-    return json.dumps(record, indent=1, ensure_ascii=False) + "\n"
-
-
 def _house(_pages: list[NotebookPage], _claims: list[Claim]) -> str:
     return paint_house(paths.root())
-
-
-def _project() -> dict:
-    return tomllib.loads((paths.root() / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-
-
-def _requirements(project: dict) -> list[str]:
-    """What the workbook needs: the toolbox's own and those of its extras, without what only tests need."""
-    extras = project["optional-dependencies"]
-    every = project["dependencies"] + [
-        each for name, listed in extras.items() if name != "all" for each in listed
-    ]
-    return sorted(each for each in every if not each.startswith("stillwork["))

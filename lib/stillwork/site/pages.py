@@ -4,6 +4,7 @@ import base64
 import json
 import re
 import struct
+from collections import Counter
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -14,6 +15,8 @@ from nbconvert.filters.highlight import Highlight2HTML
 from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.site.mathematics import markdown
+from stillwork.site.outline import Section, plain, sections
+from stillwork.site.thumbnails import thumbnail
 from stillwork.workbook import reading
 from stillwork.workbook.claims import VERDICTS, Claim
 from stillwork.workbook.notebooks import Notebook
@@ -54,6 +57,16 @@ class Figure:
     def size(self) -> tuple[int, int]:
         """Width and height in pixels, from the PNG's header."""
         return struct.unpack(">II", self.png[16:24])
+
+    @property
+    def small(self) -> tuple[bytes, int, int]:
+        """The picture for lists, with its width and height."""
+        return thumbnail(self.png)
+
+    @property
+    def thumbnail(self) -> str:
+        """Path of the small picture."""
+        return f"thumbnails/{self.notebook}/{self.name}.webp"
 
 
 @dataclass(frozen=True)
@@ -97,6 +110,26 @@ class NotebookPage:
     def command(self) -> str:
         """Rebuilds every figure of the notebook."""
         return f'make figures ARGS="{self.name} --force"'
+
+    @property
+    def contents(self) -> list[Section]:
+        """The parts that a reader may go to."""
+        return [
+            part for cell in self.cells if not cell.code for part in sections(cell.html) if part.level == 2
+        ]
+
+    @property
+    def summary(self) -> str:
+        """The first paragraph, for who lists or shares the page."""
+        paragraphs = (
+            re.findall(r"<p>(.*?)</p>", cell.html, re.DOTALL) for cell in self.cells if not cell.code
+        )
+        return next((plain(each) for found in paragraphs for each in found), self.title)
+
+    def verdicts_of(self, figure: Figure) -> dict[str, int]:
+        """How many of the numbers that a figure is about have which verdict."""
+        found = Counter(claim.verdict for claim in self.claims if self.figure_of(claim) == figure)
+        return {verdict: found[verdict] for verdict in VERDICTS if found[verdict]}
 
     def figure_of(self, claim: Claim) -> Figure | None:
         """The figure that a claim is about: the one its id names, else the last one before its place."""

@@ -37,6 +37,30 @@ if (allCode) {
   });
 }
 
+// What a form's fields say stands in the address, so that a view can be kept and sent.
+
+const fromAddress = (form) => {
+  for (const [name, value] of new URLSearchParams(location.search)) {
+    const field = form.elements[name];
+    if (field) field.value = value;
+    if (field && field.value !== value) field.value = ""; // no such option
+  }
+};
+
+const toAddress = (form) => {
+  const chosen = new URLSearchParams([...new FormData(form)].filter(([, value]) => value));
+  const query = chosen.toString();
+  history.replaceState(null, "", (query ? `?${query}` : location.pathname) + location.hash);
+};
+
+// Of a list chosen from by keyboard or by a program a browser may tell one of the two only.
+const whenChanged = (form, show) => {
+  for (const event of ["input", "change"]) form.addEventListener(event, show);
+  form.addEventListener("submit", (event) => event.preventDefault());
+};
+
+const wordsIn = (text) => text.toLowerCase().split(/\s+/).filter(Boolean);
+
 // The ledger's filters and its order.
 
 const form = document.querySelector("form#filters"); // a function in the reference may be called so, too
@@ -44,7 +68,8 @@ const form = document.querySelector("form#filters"); // a function in the refere
 if (form) {
   const body = document.querySelector("#claims tbody");
   const rows = Array.from(body.rows);
-  const fields = ["room", "counted", "verdict", "kind"];
+  const fields = ["room", "counted", "verdict", "kind", "readings"];
+  const texts = new Map(rows.map((row) => [row, row.textContent.toLowerCase()]));
 
   const distance = (row) => (row.dataset.deviation === "" ? null : Number(row.dataset.deviation));
 
@@ -59,32 +84,105 @@ if (form) {
   };
 
   const show = () => {
+    const wanted = wordsIn(form.elements.q.value);
     let shown = 0;
     for (const row of ordered(form.elements.order.value)) {
-      row.hidden = fields.some((name) => form.elements[name].value && form.elements[name].value !== row.dataset[name]);
+      row.hidden =
+        fields.some((name) => form.elements[name].value && form.elements[name].value !== row.dataset[name]) ||
+        !wanted.every((word) => texts.get(row).includes(word));
       shown += !row.hidden;
       body.append(row);
     }
     document.getElementById("shown").textContent = `${shown} of ${rows.length} numbers`;
+    toAddress(form);
   };
 
-  form.addEventListener("change", show);
-  form.addEventListener("submit", (event) => event.preventDefault());
+  whenChanged(form, show);
   form.addEventListener("reset", () => setTimeout(show));
-  for (const link of document.querySelectorAll("[data-filter]")) {
-    link.addEventListener("click", () => {
-      const wanted = new URLSearchParams(link.dataset.filter);
-      for (const name of fields) form.elements[name].value = wanted.get(name) ?? "";
-      show();
-    });
-  }
   // A link to a row must not lead to a hidden one.
-  window.addEventListener("hashchange", () => {
+  const reveal = () => {
     const target = document.getElementById(decodeURIComponent(location.hash.slice(1)));
     if (target && target.hidden) {
       form.reset();
       setTimeout(() => target.scrollIntoView());
     }
-  });
-  show(); // a reloaded page keeps what was chosen
+  };
+  window.addEventListener("hashchange", reveal);
+  fromAddress(form);
+  show();
+  reveal();
+}
+
+// The gallery's filters.
+
+const gallery = document.querySelector("form#gallery-filters");
+
+if (gallery) {
+  const show = () => {
+    const { room, verdict } = Object.fromEntries(new FormData(gallery));
+    let [shown, all] = [0, 0];
+    for (const section of document.querySelectorAll("section[data-room]")) {
+      section.hidden = Boolean(room) && room !== section.dataset.room;
+      for (const figure of section.querySelectorAll("figure")) {
+        figure.hidden = Boolean(verdict) && !figure.dataset.verdicts.split(" ").includes(verdict.replaceAll(" ", "-"));
+        shown += !section.hidden && !figure.hidden;
+        all += 1;
+      }
+    }
+    document.getElementById("shown").textContent = `${shown} of ${all} figures`;
+    toAddress(gallery);
+  };
+  whenChanged(gallery, show);
+  fromAddress(gallery);
+  show();
+}
+
+// Search: all words must occur; those in a title count most.
+
+const search = document.querySelector("form#search");
+
+if (search) {
+  const list = document.getElementById("results");
+  const entries = globalThis.searchIndex.map(([title, kind, address, text]) => ({
+    title,
+    kind,
+    address,
+    text,
+    head: title.toLowerCase(),
+    all: `${title} ${kind} ${text}`.toLowerCase(),
+  }));
+
+  const weight = (entry, wanted) => wanted.reduce((sum, word) => sum + (entry.head.includes(word) ? 10 : 1), 0);
+
+  const excerpt = (text, word) => {
+    const at = Math.max(0, text.toLowerCase().indexOf(word) - 60);
+    return `${at ? "…" : ""}${text.slice(at, at + 200)}${text.length > at + 200 ? "…" : ""}`;
+  };
+
+  const show = () => {
+    const wanted = wordsIn(search.elements.q.value);
+    const found = wanted.length ? entries.filter((entry) => wanted.every((word) => entry.all.includes(word))) : [];
+    found.sort((a, b) => weight(b, wanted) - weight(a, wanted));
+    list.replaceChildren(
+      ...found.slice(0, 50).map((entry) => {
+        const item = document.createElement("li");
+        const link = document.createElement("a");
+        link.href = entry.address;
+        link.textContent = entry.title;
+        const kind = document.createElement("span");
+        kind.className = "kind";
+        kind.textContent = ` ${entry.kind}`;
+        const words = document.createElement("p");
+        words.textContent = excerpt(entry.text, wanted[0]);
+        item.append(link, kind, words);
+        return item;
+      }),
+    );
+    const more = found.length > 50 ? `, the first 50 of ${found.length}` : "";
+    document.getElementById("found").textContent = wanted.length ? `${Math.min(found.length, 50)} places${more}` : "";
+    toAddress(search);
+  };
+  whenChanged(search, show);
+  fromAddress(search);
+  show();
 }

@@ -1,0 +1,184 @@
+"""An explorer without a kernel: moved by hand, keyboard and finger, on a page from the disk."""
+
+import pytest
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.support.ui import WebDriverWait
+
+from stillwork.base.checks import InputError
+from stillwork.site.build import _static
+from stillwork.site.explorers import Explorer
+from stillwork.site.states import packed, states
+from stillwork.workbook import figures
+from stillwork.workbook.explorer import Choice, Slider
+from stillwork.workbook.publish import replace_folder
+
+PAGE = """<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>x</title>
+<link rel="stylesheet" href="static/site.css"><script src="static/explorer.js" defer></script></head>
+<body><main><article class="notebook"><figure id="figure-x" class="explorer" data-states="{states}">
+<a class="zoom" href="x.png">the picture</a><figcaption>below</figcaption></figure></article></main></body></html>"""
+
+# Ends of the first line in front, or of its ghost, in shares of the plot.
+ENDS = """
+const [plot] = document.querySelectorAll(".panel > svg > svg");
+const path = plot.querySelector(arguments[0]);
+if (!path) return null;
+const [x, y, width, height] = plot.getAttribute("viewBox").split(" ").map(Number);
+const points = path.getAttribute("d").slice(1).split("L").map((pair) => pair.split(" ").map(Number));
+return [points[0], points.at(-1)].map(([a, b]) => [(a - x) / width, 1 - (b - y) / height]);
+"""
+
+
+def paint(rise, level_mm, kind, bend):
+    if kind == "refused":
+        raise InputError("kind is refused; take the other")
+    figure, (left, right) = figures.new(1, 2)
+    left.plot([1, 100], [level_mm, level_mm + rise + bend / 100], label="line $x_1$")
+    left.set(xscale="log", xlabel="frequency (Hz)", ylabel="height (mm)", xlim=(1, 100), ylim=(0, 10))
+    left.legend()
+    right.plot([0, 1], [0, bend], "o")
+    right.set(xlabel="time (s)", ylabel="bend (1)")
+    return figure
+
+
+@pytest.fixture(scope="module")
+def page(browser, tmp_path_factory):
+    controls = {
+        "rise": Slider(0.0, 4.0, 1.0, step=0.5),
+        "level_mm": Slider(0.0, 5.0, 2.0, "mm", step=1.0),
+        "kind": Choice(("plain", "refused"), "plain"),
+        "bend": Slider(1.0, 100.0, 10.0, log=True, step=1),
+    }
+    folder = tmp_path_factory.mktemp("explorer") / "site"
+    found = states(Explorer(paint, controls))
+    html = PAGE.format(states=packed(found))
+    replace_folder(folder, {**_static(), "page.html": html.encode()})
+    browser.resize(1200)
+    browser.requests()
+    browser.open((folder / "page.html").as_uri())
+    yield browser
+    assert [each for each in browser.requests() if not each.startswith((folder.as_uri(), "data:"))] == []
+    assert browser.messages() == []
+
+
+@pytest.fixture
+def moving(page):
+    """The page at the published setting, and its controls."""
+    page.resize(1200)
+    WebDriverWait(page.driver, 10).until(lambda _: page.run("return document.querySelector('[data-ready]')"))
+    page.driver.find_element(By.CSS_SELECTOR, ".controls button").click()
+    return page
+
+
+def control(page, number: int):
+    return page.driver.find_element(By.ID, f"figure-x-{number}")
+
+
+def told(page) -> str:
+    return page.driver.find_element(By.CSS_SELECTOR, ".told").text
+
+
+def near(wanted):
+    return [pytest.approx(each, abs=0.005) for each in wanted]
+
+
+def test_the_published_setting_comes_first_without_a_ghost(moving):
+    assert moving.run(ENDS, ".front path") == near([[0, 0.2], [1, 0.31]])
+    assert moving.run(ENDS, ".ghost path") is None
+    assert told(moving) == "At the published setting."
+    assert not moving.driver.find_elements(By.CSS_SELECTOR, "a.zoom")
+
+
+def test_keys_move_the_line_and_leave_the_published_one_as_a_ghost(moving):
+    control(moving, 0).send_keys(Keys.END)
+    assert moving.run(ENDS, ".front path") == near([[0, 0.2], [1, 0.61]])
+    assert moving.run(ENDS, ".ghost path") == near([[0, 0.2], [1, 0.31]])
+    assert control(moving, 0).get_attribute("aria-valuetext") == "4"
+    control(moving, 0).send_keys(Keys.ARROW_LEFT)
+    assert moving.run(ENDS, ".front path") == near([[0, 0.2], [1, 0.56]])
+    assert "grey" in told(moving)
+    moving.driver.find_element(By.CSS_SELECTOR, ".controls button").click()
+    assert moving.run(ENDS, ".ghost path") is None
+
+
+def test_a_unit_stands_by_its_control_and_its_axes(moving):
+    label = moving.driver.find_element(By.CSS_SELECTOR, "label[for=figure-x-1]").text
+    assert label == "level (mm)"
+    control(moving, 1).send_keys(Keys.HOME)
+    assert control(moving, 1).get_attribute("aria-valuetext") == "0 mm"
+    axes = [each.text for each in moving.driver.find_elements(By.CSS_SELECTOR, ".panel .axis")]
+    assert axes == ["height (mm)", "frequency (Hz)", "bend (1)", "time (s)"]
+    assert moving.run("return document.querySelector('.key').textContent.trim()") == "line x1"
+    ticks = moving.run(
+        "return [...document.querySelector('.panel > svg').querySelectorAll('text')].map((t) => t.textContent)"
+    )
+    assert ticks[:3] == ["1", "10", "100"]
+
+
+def test_two_move_together_and_a_third_alone(moving):
+    note = moving.driver.find_element(By.CSS_SELECTOR, ".note").text
+    assert note.startswith(
+        ("rise and kind move", "level and kind move", "kind and bend move", "rise and level move")
+    )
+    alone = next(
+        number
+        for number, name in ((0, "rise"), (1, "level"), (3, "bend"))
+        if name not in note.split(" move")[0]
+    )
+    partner = next(
+        number for number in (0, 1, 3) if number != alone and ("rise", "level", "", "bend")[number] in note
+    )
+    control(moving, partner).send_keys(Keys.END)
+    control(moving, alone).send_keys(Keys.END)
+    assert control(moving, partner).get_attribute("value") != control(moving, partner).get_attribute("max")
+
+
+def test_a_setting_without_a_picture_says_why(moving):
+    moving.run(
+        "const s = document.getElementById('figure-x-2'); s.value = 1; s.dispatchEvent(new Event('input'))"
+    )
+    assert told(moving) == "no picture: kind is refused; take the other"
+    assert not moving.driver.find_elements(By.CSS_SELECTOR, ".panel")
+
+
+def test_a_pointed_place_is_read_with_its_units(moving):
+    moving.run(
+        "const svg = document.querySelector('.panel > svg'), box = svg.getBoundingClientRect(),"
+        "[x, y, w, h] = svg.querySelector('svg').getAttribute('viewBox').split(' ').map(Number);"
+        "svg.dispatchEvent(new PointerEvent('pointermove', {clientX: box.left + x + w, clientY: box.top + y + 0.69 * h}))"
+    )
+    assert moving.driver.find_element(By.CSS_SELECTOR, ".read").text == "line x1: 100 Hz, 3.1 mm"
+
+
+def test_panels_stand_below_one_another_on_a_phone(moving):
+    tops = "return [...document.querySelectorAll('.panel')].map((each) => each.getBoundingClientRect().top)"
+    side_by_side = moving.run(tops)
+    assert side_by_side[0] == side_by_side[1]
+    moving.resize(390)
+    WebDriverWait(moving.driver, 10).until(lambda _: len(set(moving.run(tops))) == 2)
+    assert moving.run("return document.documentElement.scrollWidth") <= 390
+    control(moving, 0).send_keys(Keys.HOME)
+    assert moving.run(ENDS, ".front path") == near([[0, 0.2], [1, 0.21]])
+
+
+def test_a_finger_drags_a_slider(moving):
+    slider = control(moving, 0)
+    box = slider.rect
+    places = [box["x"] + share * box["width"] for share in (0.25, 0.6, 0.98)]
+    y = box["y"] + box["height"] / 2 - moving.run("return window.scrollY")
+    events = [("touchStart", places[0]), *(("touchMove", place) for place in places[1:]), ("touchEnd", None)]
+    for kind, place in events:
+        points = [] if place is None else [{"x": place, "y": y}]
+        moving.driver.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+    WebDriverWait(moving.driver, 10).until(
+        lambda _: slider.get_attribute("value") == slider.get_attribute("max")
+    )
+    assert moving.run(ENDS, ".front path") == near([[0, 0.2], [1, 0.61]])
+
+
+def test_a_picture_is_drawn_in_a_blink(moving):
+    times = []
+    for _ in range(10):
+        control(moving, 0).send_keys(Keys.ARROW_RIGHT, Keys.ARROW_LEFT)
+        times.append(float(moving.run("return document.querySelector('.explorer').dataset.milliseconds")))
+    assert sorted(times)[5] < 50

@@ -1,0 +1,275 @@
+"""Explorers without a kernel: what of a notebook runs, what a figure becomes, and at which settings."""
+
+import base64
+import json
+import zlib
+
+import numpy as np
+import pytest
+
+from stillwork.base.checks import InputError
+from stillwork.site import states as states_of
+from stillwork.site.explorers import Explorer, read_explorer, statements
+from stillwork.site.shapes import panels
+from stillwork.site.states import compute, kept_states, make_states, packed, states
+from stillwork.site.stops import distance, ladder
+from stillwork.workbook import figures
+from stillwork.workbook.explorer import Choice, Slider
+from stillwork.workbook.notebooks import Notebook
+from stillwork.workbook.tasks import tasks
+from workbook import toy as toys
+
+
+def notebook(*cells: str) -> Notebook:
+    source = json.dumps({"cells": [{"cell_type": "code", "source": cell} for cell in cells]})
+    return Notebook("isolation/01-first", source, {}, {})
+
+
+def points(path: list[int]) -> np.ndarray:
+    """The points of one piece, from its steps."""
+    return np.array(path, float).reshape(-1, 2).cumsum(axis=0)
+
+
+def paint(**settings):
+    """A line whose height is the sum of its settings."""
+    figure, axes = figures.new()
+    axes.plot([0, 1], 2 * [sum(settings.values())], label="sum")
+    axes.set(xlabel="time (s)", ylabel="sum (m)", ylim=(0, 10))
+    return figure
+
+
+def test_only_what_the_explorer_needs_runs():
+    cells = [
+        "import math\nfrom stillwork.workbook.explorer import Slider, explore",
+        "level: float = 2.0  # V",
+        "%matplotlib inline",
+        "study = 1 / 0",
+        "table = {}\ntable['gain'] = level\nother = [level for table in range(3)]",
+        "rows = []\nfor number in range(3):\n    rows.append(number)\nprint(rows, 1 / 0)",
+        "math.nothing(level)",
+        "def draw(x): return table['gain'] * x + sum(rows)",
+        "explore(draw, x=Slider(0.0, 1.0, math.floor(0.5)))",
+        "later = 1 / 0",
+    ]
+    explorer = read_explorer(notebook(*cells))
+    assert explorer.draw(3.0) == 6.0 + 3
+    assert explorer.controls == {"x": Slider(0.0, 1.0, 0)}
+    assert len(statements(notebook(*cells).source)) == 9
+    assert read_explorer(notebook("explored = 1")) is None
+
+
+def test_a_line_stands_where_its_axes_put_it():
+    figure, (left, right) = figures.new(1, 2)
+    x, y = np.array([1.0, 10.0, 1000.0]), np.array([1.0, 4.0, 2.0])
+    left.plot(x, y, "--", label="line", color="#0072B2")
+    left.set(xscale="log", xlim=(1, 1e4), ylim=(0, 5), xlabel="frequency (Hz)", ylabel="gain (1)")
+    right.axhspan(1, 2)
+    right.axvline(3)
+    right.set(xlim=(0, 4), ylim=(0, 4), xlabel="x (m)", ylabel="y (m)")
+    first, second = panels(figure)
+    width, height = first["units"]
+    (line,) = first["items"]
+    expected = np.column_stack([np.log10(x) / 4 * width, y / 5 * height])
+    assert points(line["path"][0]) == pytest.approx(expected, abs=0.51)
+    assert (line["label"], line["stroke"], line["dash"]) == ("line", "#0072b2", "6 3")
+    assert first["x"] == {"label": "frequency (Hz)", "log": True, "limits": [0.0, 4.0], "ticks": None}
+    assert (first["place"], second["place"], first["legend"]) == ([0, 0], [0, 1], None)
+    span, mark = second["items"]
+    corners = points(span["path"][0])
+    assert corners.min(axis=0) == pytest.approx([0, height / 4], abs=0.51)
+    assert corners.max(axis=0) == pytest.approx([width, height / 2], abs=0.51)
+    assert points(mark["path"][0]) == pytest.approx(
+        np.array([[0.75 * width, 0], [0.75 * width, height]]), abs=0.51
+    )
+
+
+def test_names_ticks_marks_and_words_of_a_panel():
+    figure, axes = figures.new()
+    axes.plot([1], [2], "o", label="point", markerfacecolor="none", markersize=6)
+    axes.plot([0, 2, np.nan, 3, 4], [1, 1, 1, 3, 3], label="_hidden")
+    axes.fill_between([0, 4], [0, 0], [1, 1], label="band", color="#009E73")
+    axes.text(1, 2, "here")
+    axes.set_yticks([1, 3], ["low", "high"])
+    axes.set(xlim=(0, 4), ylim=(0, 4), xlabel="x (m)")
+    axes.legend([axes.lines[0]], ["point"], title="of the rig")
+    (panel,) = panels(figure)
+    assert panel["y"]["ticks"] == [[1.0, "low"], [3.0, "high"]]
+    assert panel["legend"] == ["of the rig", "point"]
+    width, height = panel["units"]
+    by_name = {item.get("label"): item for item in panel["items"] if "path" in item}
+    assert by_name["point"]["mark"] == ["o", 8.0, "#0072b2", None]
+    assert "stroke" not in by_name["point"]
+    assert len(by_name[None]["path"]) == 2  # a gap parts it
+    assert points(by_name["band"]["path"][0]).max(axis=0) == pytest.approx([width, height / 4], abs=0.51)
+    (word,) = [item for item in panel["items"] if "text" in item]
+    assert (word["text"], word["at"], word["shift"]) == ("here", [width // 4, height // 2], [0, 0])
+
+
+def test_what_is_left_out_of_a_dense_line_is_not_seen():
+    figure, axes = figures.new()
+    x = np.linspace(0, 1, 20_001)
+    y = np.sin(60 * x) * np.exp(-2 * x)
+    axes.plot(x, y)
+    axes.set(xlim=(0, 1), ylim=(-1, 1), xlabel="x (1)", ylabel="y (1)")
+    (panel,) = panels(figure)
+    kept = points(panel["items"][0]["path"][0])
+    assert len(kept) < 2000
+    width, height = panel["units"]
+    drawn = np.column_stack([x * width, (y + 1) / 2 * height])[::40]
+    begin, way = kept[:-1], np.diff(kept, axis=0)
+    along = np.einsum("psk,sk->ps", drawn[:, None] - begin, way) / (way**2).sum(axis=1)
+    nearest = begin + np.clip(along, 0, 1)[..., None] * way
+    assert np.linalg.norm(drawn[:, None] - nearest, axis=2).min(axis=1).max() < 1.2  # units; two are a pixel
+
+
+def test_stops_crowd_where_the_picture_changes():
+    control = Slider(0.0, 10.0, 3.0, step=0.1)
+    found = ladder(control, lambda value: panels(paint(x=10 * (value > 7))), 12)
+    assert len(found.values) == 12
+    assert found.values == tuple(sorted(found.values))
+    assert {0.0, 10.0} <= set(found.values)
+    assert found.values[found.published] == 3.0
+    assert sum(6 <= value <= 8 for value in found.values) > sum(0 <= value <= 3 for value in found.values)
+    assert np.array(found.values) * 10 == pytest.approx(np.rint(np.array(found.values) * 10))
+
+
+@pytest.mark.parametrize(
+    ("control", "values"),
+    [
+        (Slider(1, 5, 2), (1, 2, 3, 4, 5)),
+        (Slider(0, 8, 2, step=2), (0, 2, 4, 6, 8)),
+        (Slider(0.1, 10.0, 1.1, log=True, step=1), (0.1, 1, 1.1, 10)),
+        (Slider(12.499, 12.501, 12.49996, step=5e-4), (12.499, 12.4995, 12.49996, 12.5, 12.5005, 12.501)),
+        (Choice(("a", "b"), "b"), ("a", "b")),
+    ],
+)
+def test_a_control_stops_at_what_its_slider_offers_and_at_the_published_setting(control, values):
+    found = ladder(control, lambda value: [], 20)
+    assert found.values == values
+    assert found.values[found.published] == control.published
+    assert [type(each) for each in found.values] == [type(each) for each in values] or control.log
+
+
+def test_two_pictures_lie_as_far_apart_as_their_lines():
+    one, two = (panels(paint(x=x)) for x in (2.0, 5.0))
+    assert distance(one, one) == 0.0
+    assert distance(one, two) == pytest.approx(0.3 * 64 / 66, abs=0.001)  # of 66 numbers 2 are its ends
+    assert distance(one, {"message": "no picture"}) == 1.0
+
+
+CONTROLS = {
+    "small": Slider(0.0, 0.1, 0.0),
+    "large_m": Slider(0.0, 4.0, 2.0, "m"),
+    "middle": Slider(0.0, 2.0, 1.0, "N"),
+    "tiny": Slider(0.0, 0.01, 0.0),
+}
+
+
+def test_the_two_that_change_the_picture_most_move_together():
+    found = states(Explorer(paint, CONTROLS), 40)
+    assert found["joint"] == [1, 2]
+    assert [each["name"] for each in found["controls"]] == ["small", "large", "middle", "tiny"]
+    home = [each["published"] for each in found["controls"]]
+    counts = [len(each["stops"]) for each in found["controls"]]
+    everything = {
+        ".".join(map(str, [home[0], a, b, home[3]])) for a in range(counts[1]) for b in range(counts[2])
+    }
+    alone = {".".join(map(str, [a, *home[1:]])) for a in range(counts[0])}
+    alone |= {".".join(map(str, [*home[:3], a])) for a in range(counts[3])}
+    assert set(found["states"]) == everything | alone
+    assert 35 <= len(found["states"]) <= 45
+    for key, place in found["states"].items():
+        stops = map(int, key.split("."))
+        values = [float(each["stops"][stop]) for each, stop in zip(found["controls"], stops, strict=True)]
+        wanted = panels(paint(**dict(zip(CONTROLS, values, strict=True))))
+        assert found["pictures"][place] == wanted
+
+
+def test_a_setting_without_a_picture_says_why():
+    def refuse(x):
+        if x > 5:
+            raise InputError("x is too large; take less")
+        return paint(x=x)
+
+    found = states(Explorer(refuse, {"x": Slider(0.0, 10.0, 1.0)}))
+    last = found["pictures"][found["states"][str(len(found["controls"][0]["stops"]) - 1)]]
+    assert last == {"message": "no picture: x is too large; take less"}
+
+
+def test_what_is_packed_is_json_deflated_in_letters():
+    value = {"text": "µm/√Hz", "numbers": list(range(500))}
+    assert json.loads(zlib.decompress(base64.b64decode(packed(value)))) == value
+    assert packed(value) == packed(value)
+
+
+def random_lines(**settings):
+    figure, axes = figures.new()
+    axes.plot(np.random.default_rng(int(1000 * settings["x"])).normal(size=2000))
+    axes.set(xlabel="x (m)")
+    return figure
+
+
+@pytest.fixture
+def explorer(monkeypatch):
+    """Makes `compute` take a drawing function in place of a notebook's."""
+
+    def take(draw):
+        monkeypatch.setattr(states_of, "read_notebook", lambda name: None)
+        monkeypatch.setattr(
+            states_of, "read_explorer", lambda _: Explorer(draw, {"x": Slider(0.0, 1.0, 0.0)})
+        )
+
+    return take
+
+
+def test_what_does_not_fit_has_fewer_pictures_or_says_so(explorer, monkeypatch):
+    explorer(random_lines)
+    whole = compute("a")
+    monkeypatch.setattr(states_of, "LARGEST", len(whole["states"]) - 1)
+    assert compute("a")["count"] < whole["count"]
+    monkeypatch.setattr(states_of, "LARGEST", 2000)
+    assert compute("a") == {"reason": "its pictures take more than 2 kB"}
+
+
+def test_what_takes_long_or_fails_says_so(explorer, monkeypatch):
+    explorer(lambda x: 1 / x)
+    assert compute("a") == {
+        "reason": "to compute its pictures failed: ZeroDivisionError: float division by zero"
+    }
+    explorer(paint)
+    monkeypatch.setattr(states_of, "LONGEST_S", 0.0)
+    assert compute("a") == {"reason": "its pictures take more than 0 s to compute"}
+
+
+EXPLORER = """\
+from stillwork.workbook import figures
+from stillwork.workbook.explorer import Slider, explore
+def draw(x):
+    figure, axes = figures.new()
+    axes.plot([0, 1], [level, x])
+    axes.set(xlabel="x (m)")
+    return figure
+explore(draw, x=Slider(0, 4, 1))
+"""
+
+
+@pytest.mark.slow
+def test_pictures_are_computed_once_for_each_build(tmp_path, monkeypatch):
+    toy = toys.make(tmp_path / "toy")
+    name = "isolation/01-first"
+    toy.add(name, EXPLORER)
+    monkeypatch.setenv("STILLWORK_ROOT", str(toy.root))
+    try:
+        assert make_states(tasks()) == {}  # not built: nobody knows what the notebook reads
+        toy.run("figures")
+        made = make_states(tasks())
+        assert made[name]["count"] == 5
+        assert kept_states(tasks()) == made
+        file = toy.root / "build" / "explorers" / f"{name}.json"
+        before = file.stat().st_mtime_ns
+        assert make_states(tasks()) == made
+        assert file.stat().st_mtime_ns == before
+        toy.replace(f"notebooks/{name}.ipynb", "level, x", "2 * level, x")
+        assert kept_states(tasks()) == {}
+    finally:
+        toys.clean_up(toy)
