@@ -149,7 +149,7 @@ def recursion_trial(
             found = solve_silently(*weighted[t], bound)
             batch[:, t], alphas[t] = found.estimate, found.alpha
     sizes = np.linalg.norm(batch, axis=0)
-    scale = sizes.max()
+    scale = sizes.max() or 1.0  # where the bound leaves no estimate but zero
     settings = {"exact": ("exact", 1), "fast": ("fast", 1)}
     settings |= {f"approximate_{k}": ("approximate", k) for k in (1, 2, 3)}
     found = {"alpha": np.where(np.isfinite(alphas), alphas, np.nan), "size": sizes}
