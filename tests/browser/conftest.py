@@ -48,6 +48,8 @@ class Browser:
         self.driver.get(address)
         # From the disk the driver may come back before the styles have.
         WebDriverWait(self.driver, 60).until(lambda _: self.run("return document.readyState") == "complete")
+        waiting = "return document.querySelectorAll('figure[data-states]:not([data-ready])').length"
+        WebDriverWait(self.driver, 60).until(lambda _: not self.run(waiting))
 
     def run(self, script: str, *arguments):
         return self.driver.execute_script(script, *arguments)
