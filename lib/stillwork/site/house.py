@@ -25,9 +25,9 @@ PLACES = {
     "stillwork.signals": (1, 10, 18),
     "stillwork.workbook": (1, 19, 26),
     "stillwork.estimation": (2, 0, 7),
-    "stillwork.site": (2, 21, 26),
+    "stillwork.site": (2, 19.5, 26),
     "stillwork.control": (3, 0, 8),
-    "stillwork.identification": (3, 11, 18),
+    "stillwork.identification": (2, 11, 18),
     "experiments": (4, 0, 20.5),
     "notebooks": (5, 0, 20.5),
 }
