@@ -179,7 +179,7 @@ if (search) {
       }),
     );
     const more = found.length > 50 ? `, the first 50 of ${found.length}` : "";
-    document.getElementById("found").textContent = wanted.length ? `${Math.min(found.length, 50)} places${more}` : "";
+    document.getElementById("found").textContent = wanted.length ? `${Math.min(found.length, 50)} place${found.length === 1 ? "" : "s"}${more}` : "";
     toAddress(search);
   };
   whenChanged(search, show);
