@@ -34,6 +34,7 @@ def cam():
     return models, open_trajectory(), controllers(models.approximate, *SETTINGS)
 
 
+@pytest.mark.slow
 def test_gain_of_the_cam_is_the_believed_mass_over_the_true_one(cam):
     models, trajectory, _ = cam
     found = contraction_along(models, trajectory)
@@ -54,6 +55,7 @@ def test_the_published_oscillator_runs_as_in_the_other_notebooks():
         assert np.array_equal(run.position, simulate(exact, published[name], trajectory).position)
 
 
+@pytest.mark.slow
 def test_a_gain_beyond_the_contraction_range_is_warned_of_and_runs_away(cam):
     models, trajectory, _ = cam
     # -2 / 1.4 = -1.43 where the mass is smallest, which is passed at the start; 1.2 times that is outside there only.
@@ -97,6 +99,7 @@ def test_a_mass_of_zero_on_the_way_is_refused(tmp_path):
         contraction_along(models, sine_trajectory(duration=2.0))
 
 
+@pytest.mark.slow
 def test_an_approximate_model_of_its_own_form(tmp_path):
     text = TEMPLATE.read_text(encoding="utf-8")
     head, tail = text.split("APPROXIMATE = {")

@@ -35,6 +35,7 @@ def record(n=4, actuators=3, samples=150, seed=0, spread=1.0):
     return regressors, -optimum @ regressors + 0.1 * rng.standard_normal((actuators, samples)), optimum
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("n", "actuators", "samples"), [(9, 6, 120), (4, 2, 200), (1, 1, 50), (5, 1, 80)])
 def test_efficient_form_is_the_full_inverse(n, actuators, samples):
     regressors, disturbance, _ = record(n, actuators, samples)
@@ -46,6 +47,7 @@ def test_efficient_form_is_the_full_inverse(n, actuators, samples):
     np.testing.assert_allclose(np.kron(np.eye(actuators), run.covariance), gain, atol=1e-11 * gain.max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("forgetting", [0.97, 1.0])
 def test_newton_form_with_its_gain_is_the_same(forgetting):
     regressors, disturbance, _ = record(samples=60)
@@ -55,6 +57,7 @@ def test_newton_form_with_its_gain_is_the_same(forgetting):
     )
 
 
+@pytest.mark.slow
 @given(
     seed=st.integers(0, 10**6),
     forgetting=st.floats(0.9, 1.0),
@@ -71,6 +74,7 @@ def test_identification_is_weighted_least_squares(seed, forgetting, n, actuators
     np.testing.assert_allclose(run.covariance, covariance, atol=1e-10 * np.abs(covariance).max())
 
 
+@pytest.mark.slow
 @given(
     seed=st.integers(0, 10**6),
     scale=st.floats(-6, 6),

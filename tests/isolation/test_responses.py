@@ -12,6 +12,7 @@ F = np.array([0.5, 3.0, 15.0, 24.0, 35.0, 40.0, 90.0, 200.0, 350.0, 962.0, 2000.
 TWINS = {"rigid": load_twin("rigid_body"), "fitted": load_twin("fitted")}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("feedback", [True, False])
 @pytest.mark.parametrize("name", TWINS)
 def test_control_objects_have_the_exact_responses(name, feedback):

@@ -91,6 +91,7 @@ def test_missing_sensors_read_the_mean_of_the_others(twin, channels):
     )
 
 
+@pytest.mark.slow
 def test_a_rig_with_one_floor_sensor_is_a_rig():
     table = read_toml(paths.data("isolation", "rigid_body.toml"))
     table["floor_sensors"] = {"positions": [[0.0, 0.0, 0.0]], "directions": [[0.0, 0.0, 1.0]]}
@@ -103,6 +104,7 @@ def test_a_rig_with_one_floor_sensor_is_a_rig():
         exact_transmissibility(one, [10.0])
 
 
+@pytest.mark.slow
 def test_the_weights_never_see_the_part_they_are_judged_on(twin):
     floor = ground_floor(20.0, 1, gain=100.0)
     changed = floor.acceleration.copy()
@@ -119,6 +121,7 @@ def test_the_weights_never_see_the_part_they_are_judged_on(twin):
     )
 
 
+@pytest.mark.slow
 def test_a_csv_in_mm_per_s_moves_the_platform_as_the_same_motion_in_si(twin, tmp_path):
     rng = np.random.default_rng(0)
     t = np.arange(16_000) / 1000.0
@@ -140,6 +143,7 @@ def test_ground_stands_in_for_a_missing_record(twin):
     assert floor.duration == 20.0 and "measured ground" in floor.source
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("rows", "options", "message"),
     [
@@ -300,6 +304,7 @@ def test_more_channels_than_sensors_are_refused(twin, tmp_path):
         opened(twin, tmp_path / "floor.npz")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_adaptation_stays_small_where_the_sensors_hear_mostly_noise(twin, seed):
     quiet = isolate(twin, ground_floor(20.0, seed, common=0.9), seed)
@@ -307,6 +312,7 @@ def test_adaptation_stays_small_where_the_sensors_hear_mostly_noise(twin, seed):
     assert quiet.left("FeRLS") == pytest.approx(quiet.left("feedback"), rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_louder_ground_is_isolated_better(twin):
     spectrum = translating_spectrum(ground_floor(60.0, 1, common=1.0))
     left = optimum_left(twin, spectrum, [1.0, 30.0, 1000.0])
@@ -346,6 +352,7 @@ def test_the_explorer_moves_the_floor_that_was_given(twin):
     assert all(np.isfinite(line.get_ydata()).all() for line in louder)
 
 
+@pytest.mark.slow
 def test_pictures_show_what_moves(twin):
     shaken = isolate(twin, opened(twin, SLAB), 1)
     assert len(your_floor_pictures.paint_isolated(shaken).axes) == 1  # no empty panels of tilts

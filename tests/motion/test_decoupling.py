@@ -346,6 +346,7 @@ def test_trials_depend_on_their_stream_alone():
     assert kept_out_trial(np.random.default_rng(4), SETTINGS)["peaks"].shape == (2, 2)
 
 
+@pytest.mark.slow
 def test_trial_measures_what_it_says():
     """One machine of the study again, on a dense grid."""
     names = ("each mode", "common band-pass", "over-actuation", "stiffness, fourth order")

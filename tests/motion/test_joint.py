@@ -78,6 +78,7 @@ def test_published_design_is_that_of_the_bandwidth_table():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STORED)
 def test_stored_designs_keep_every_constraint(name):
     found = verify(STORED[name])
@@ -229,6 +230,7 @@ def test_peaks_on_perturbed_plants_are_the_exact_ones():
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [0.02, 0.05])
 def test_robust_designs_serve_stages_that_they_have_not_seen(size):
     fresh = sample_plants(size, 12, 99)

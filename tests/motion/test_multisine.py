@@ -187,6 +187,7 @@ def test_sampled_modes_may_stand_in_any_order():
         np.testing.assert_allclose(together[k], sampled_modes(w[k : k + 1], z[k : k + 1], 1e-4, omega)[0])
 
 
+@pytest.mark.slow
 def test_smoothing_keeps_a_constant(noisy):
     estimate = joint_input_output(noisy)
     flat = estimate._replace(deviation=np.full_like(estimate.deviation, 3e-9))

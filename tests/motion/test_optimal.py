@@ -149,6 +149,7 @@ def test_the_optimum_is_lost_on_modes_it_does_not_know_and_the_kalman_loop_is_no
     assert not survives(optimal)
 
 
+@pytest.mark.slow
 def test_the_front_is_verified_and_monotone(problem):
     generalised = problem.generalised()
     kalman = generalised.close(problem.read(kalman_observer(problem.plant, published_noise(), 1e3)))

@@ -44,6 +44,7 @@ def test_double_integrator_has_its_closed_form():
     assert np.isclose(solved.covariance[0, 0], r * np.sqrt(2 * w2), rtol=1e-10)
 
 
+@pytest.mark.slow
 @settings(max_examples=20, deadline=None)
 @given(st.floats(-3, 3), st.floats(-3, 3))
 def test_only_the_ratio_of_the_intensities_matters(q, common):

@@ -89,6 +89,7 @@ def test_rigid_plate_follows_the_trajectory_exactly(loops):
     assert np.all(flexible > 1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ["Original", "MC and AD"])
 def test_expected_rms_is_that_of_simulations(loops, case):
     """Without noise to the digits that settling leaves, with noise within the scatter of a few periods."""

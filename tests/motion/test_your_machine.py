@@ -91,6 +91,7 @@ def universal(folder):
     return write_universal(folder / "a.uff", [one]), {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", [mobility, compliance_in_kilonewton, decibels, two_parts, universal])
 def test_every_form_of_a_frequency_response_gives_the_same_accelerance(tmp_path, form):
     file, options = form(tmp_path)
@@ -218,6 +219,7 @@ def test_bandwidths_do_not_depend_on_the_unit_of_force(tmp_path):
     assert other.on_model.crossing_hz == pytest.approx(one.on_model.crossing_hz, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_use_without_a_feasible_bandwidth_is_a_result(found):
     machine, _ = found
     asked = reach(machine, {"PID": None}, retained=3, intensities=INTENSITIES, search_hz=(300.0, 400.0))
@@ -227,6 +229,7 @@ def test_a_use_without_a_feasible_bandwidth_is_a_result(found):
         paint_sensitivities(asked, machine)
 
 
+@pytest.mark.slow
 def test_pictures_and_explorer(found):
     machine, reached = found
     for figure in (paint_machine(machine), paint_reached(reached), paint_sensitivities(reached, machine)):

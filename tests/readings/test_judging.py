@@ -121,6 +121,7 @@ def test_agreement_at_the_default_was_not_searched_for(outcomes):
     assert (found["basis"], found["reading"], found["tried"]) == ("predicted", {"a": 0, "b": 0}, 6)
 
 
+@pytest.mark.slow
 def test_a_joint_reading_over_two_studies_is_one_reading(workbook):
     """Two studies that share the axis a: the best pair by brute force over all pairs that agree on a."""
     _, multiverses = workbook(

@@ -164,6 +164,7 @@ def test_the_panels_stay_where_the_first_picture_put_them(monkeypatch):
     assert second == first
 
 
+@pytest.mark.slow
 def test_a_label_that_would_leave_the_picture_makes_a_new_layout():
     drawing, calls = counted(scaled)
     redraw = Redraw(drawing)
@@ -174,6 +175,7 @@ def test_a_label_that_would_leave_the_picture_makes_a_new_layout():
     assert wide == Redraw(scaled)(top=99999)
 
 
+@pytest.mark.slow
 def test_another_number_of_panels_makes_a_new_layout():
     redraw = Redraw(scaled)
     redraw(top=10)

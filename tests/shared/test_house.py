@@ -68,6 +68,7 @@ def test_no_arrow_runs_up(imported):
     assert rising(imported) == []
 
 
+@pytest.mark.slow
 def test_nothing_runs_in_a_circle(imported):
     assert circles(imported) == set()
     folders = {}
@@ -79,6 +80,7 @@ def test_nothing_runs_in_a_circle(imported):
     assert circles({name: others - {name} for name, others in folders.items()}) == set()
 
 
+@pytest.mark.slow
 def test_the_workbook_knows_no_physics(imported):
     seen = {
         folder(other)
@@ -89,6 +91,7 @@ def test_the_workbook_knows_no_physics(imported):
     assert not seen & {f"stillwork.{name}" for name in TOOLBOX if name != "base"}
 
 
+@pytest.mark.slow
 def test_a_room_imports_no_other_room_and_nothing_of_the_site(imported):
     assert between_rooms(imported) == []
     below = [module for module in imported if module.startswith(("experiments.", "notebooks."))]

@@ -36,6 +36,7 @@ def test_a_class_name_stands_once(modules):
     assert {name: found for name, found in places.items() if len(found) > 1} == {}
 
 
+@pytest.mark.slow
 def test_a_private_name_is_used_in_its_own_file_alone(modules):
     """Neither imported, nor reached through a module that is."""
     reached = []
@@ -63,6 +64,7 @@ def functions(tree):
     return [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
 
 
+@pytest.mark.slow
 def test_a_figure_is_painted_and_chance_is_sampled(modules):
     """`paint_*` makes a figure, `sample_*` is random; "draw" would mean both."""
     for module, tree in modules.items():

@@ -249,6 +249,7 @@ def test_no_name_in_a_file_becomes_a_command(tmp_path, shell):
             ]
 
 
+@pytest.mark.slow
 def test_a_column_s_name_in_a_table_is_no_command_either(tmp_path, shell):
     rows = "\n".join(f"{i / 10},{i % 7},{i % 3}" for i in range(300))
     file = tmp_path / "a.csv"

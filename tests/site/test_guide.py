@@ -66,6 +66,7 @@ def test_builds_have_parameters_and_files_that_exist(line, checkout, capsys):
     assert files and all(paths.Path(file).is_file() for file in files)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("line", INSPECTIONS)
 def test_inspections_end_in_a_command(line, checkout, capsys):
     assert main(shlex.split(checkout(line))[3:]) == 0
@@ -92,6 +93,7 @@ def test_the_table_of_a_controller_is_exported(tmp_path):
     assert "f[0] > 10.0" in (tmp_path / "my_code" / "controller.c").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_the_snippet_writes_a_record_without_drift(tmp_path, monkeypatch):
     [snippet] = [block for language, block in BLOCKS if language == "python"]
     monkeypatch.chdir(tmp_path)

@@ -82,6 +82,7 @@ def test_a_docstring_becomes_paragraphs_definitions_and_blocks():
     )
 
 
+@pytest.mark.slow
 @given(st.text(alphabet="ab <>&'\"`-:\n", max_size=80))
 def test_no_docstring_opens_an_element_of_its_own(text):
     html = reference.doc_html(text)
@@ -298,6 +299,7 @@ def test_zero_and_orderings_have_no_row():
     )
 
 
+@pytest.mark.slow
 def test_the_reference_shows_what_a_folder_hands_out_by_concept():
     folders = {folder.name: folder for folder in reference.folders(reference.read_modules())}
     assert list(folders)[:6] == ["base", "signals", "lti", "identification", "estimation", "control"]

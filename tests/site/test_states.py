@@ -122,6 +122,7 @@ def test_what_is_left_out_of_a_dense_line_is_not_seen():
     assert np.linalg.norm(drawn[:, None] - nearest, axis=2).min(axis=1).max() < 1.2  # units; two are a pixel
 
 
+@pytest.mark.slow
 def test_stops_crowd_where_the_picture_changes():
     control = Slider(0.0, 10.0, 3.0, step=0.1)
     found = ladder(control, lambda value: panels(paint(x=10 * (value > 7))), 12)
@@ -165,6 +166,7 @@ CONTROLS = {
 }
 
 
+@pytest.mark.slow
 def test_the_two_that_change_the_picture_most_move_together():
     found = states(Explorer(paint, CONTROLS), 40)
     assert found["joint"] == [1, 2]
@@ -222,6 +224,7 @@ def explorer(monkeypatch):
     return take
 
 
+@pytest.mark.slow
 def test_what_does_not_fit_has_fewer_pictures_or_says_so(explorer, monkeypatch):
     explorer(random_lines)
     whole = compute("a")

@@ -175,6 +175,7 @@ def test_the_same_numbers_in_another_colour_are_another_figure(tmp_path, colour)
     assert difference(tmp_path / "now", tmp_path / "before") is None
 
 
+@pytest.mark.slow
 def test_a_figure_is_its_table_and_its_picture(tmp_path):
     for name, label in (("now", "time (s)"), ("before", "time (s)"), ("other", "time (h)")):
         table(tmp_path, name, [(0, 0), (1, 1)])

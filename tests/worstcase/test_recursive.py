@@ -32,6 +32,7 @@ def through_zero():
     return rows, outputs
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("update", EXACT)
 @pytest.mark.parametrize("bound", [0.05, 0.8, 1.5])
 @pytest.mark.parametrize("unknowns", [1, 2, 5])
@@ -165,6 +166,7 @@ def test_stepper_is_unchanged_by_a_refused_sample():
     assert np.array_equal(stepper.update(rows[20], outputs[20]), twin.update(rows[20], outputs[20]))
 
 
+@pytest.mark.slow
 @settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1), st.floats(-8, 8), st.floats(-8, 8))
 def test_tracks_do_not_depend_on_units(seed, unit_a, unit_y):
@@ -176,6 +178,7 @@ def test_tracks_do_not_depend_on_units(seed, unit_a, unit_y):
         assert second.estimates * (p / q) == pytest.approx(first.estimates, rel=1e-6, abs=1e-9)
 
 
+@pytest.mark.slow
 @settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1))
 def test_tracks_rotate_with_the_parameters(seed):
@@ -219,6 +222,7 @@ def test_long_records_lose_no_digits(update):
     assert track.estimates[:, -1] == pytest.approx(min_max_solve(A, b, 0.5).estimate, rel=1e-11)
 
 
+@pytest.mark.slow
 @settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1), st.floats(1.0, 30.0))
 def test_limited_least_squares_are_those_of_the_information_form(seed, growth_limit):

@@ -159,6 +159,7 @@ def test_a_known_column_that_says_nothing_new_does_no_harm():
     assert found.coef_[3] == pytest.approx(MinMaxRegressor([0, 0, 0.5]).fit(X, y).coef_[2], rel=1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("estimator", KINDS, ids=lambda e: type(e).__name__)
 @pytest.mark.parametrize("outputs", [None, 2])
 def test_a_stream_is_its_batch(estimator, outputs):
