@@ -120,7 +120,8 @@ def design_file(
         },
     }
     controllers = [runnable(pid, loop.compensator, limit, about) for loop in loops]
-    worst = max(size for pair in recheck(safe[best], controllers).values() for size in pair)
+    peaks = recheck(safe[best], controllers)
+    worst = max(size for pair in peaks.values() for size in pair)
     if worst > ALLOWED_DB:
         raise InputError(f"{source.name}: the sampled controller peaks at {worst:.2f} dB; sample faster")
     files = {}
@@ -128,7 +129,7 @@ def design_file(
         own = name if len(controllers) == 1 else f"{name}_{number}"
         files[f"{own}.json"] = json.dumps(controller.as_dict(), indent=1, allow_nan=False) + "\n"
         files |= controller_code(controller, own, precision)
-    files["report.html"] = report(machine, found, best, controllers, rate, sorted(files))
+    files["report.html"] = report(machine, found, best, controllers, peaks, rate, sorted(files))
     write_folder(folder, {each: text.encode() for each, text in files.items()})
     rows = {
         use: ", ".join(f"{key} {value}" for key, value in each.summary.items()) for use, each in found.items()
@@ -169,6 +170,7 @@ def report(
     found: dict[str, Reached],
     best: str,
     controllers: list[DigitalController],
+    peaks: dict[str, tuple[float, ...]],
     rate: float,
     files: list[str],
 ) -> str:
@@ -179,7 +181,6 @@ def report(
         [use, *(each.summary.get(key, "") for key in columns), each.reason] for use, each in found.items()
     ]
     where = ("on the model (dB)", "on the measurement (dB)")
-    peaks = recheck(reached, controllers)
     sizes = [[SHOWN[name], *(f"{size:.2f}" for size in each)] for name, each in peaks.items()]
     limit = controllers[0].high[0]
     facts = [

@@ -110,14 +110,19 @@ class DigitalController:
         return bool(np.isfinite(self.low).any() or np.isfinite(self.high).any())
 
     @property
+    def _back(self) -> np.ndarray:
+        """From the limited outputs to the states' change: zeros where the model does not take them in."""
+        m = self.model
+        return m.b[:, len(self.inputs) :] if self.fed_back else np.zeros((len(m.a), len(m.c)))
+
+    @property
     def _at_limit(self) -> np.ndarray:
         return self.model.a - self.anti_windup @ self.model.c
 
     @property
     def linear(self) -> StateModel:
         """From the inputs to the outputs while no limit is reached, without `delay`."""
-        m, n = self.model, len(self.inputs)
-        back = m.b[:, n:] if self.fed_back else np.zeros((len(m.a), len(m.c)))
+        m, n, back = self.model, len(self.inputs), self._back
         return StateModel(m.a + back @ m.c, m.b[:, :n] + back @ m.d[:, :n], m.c, m.d[:, :n], m.step)
 
     @property
@@ -128,8 +133,8 @@ class DigitalController:
         Of the states with Cx + De = f the one whose change, with e and f held, is least.
         """
         m, outputs = self.model, len(self.outputs)
-        states, fed = len(m.a), self.fed_back
-        held = np.hstack([m.b[:, : len(self.inputs)], m.b[:, -fed:] if fed else np.zeros((states, outputs))])
+        states = len(m.a)
+        held = np.hstack([m.b[:, : len(self.inputs)], self._back])
         wanted = np.hstack([-m.d[:, : len(self.inputs)], np.eye(outputs)])
         scale = linalg.matrix_balance(m.a, permute=False, separate=True)[1][0] if states else np.ones(0)
         c = m.c * scale
@@ -160,7 +165,7 @@ class DigitalController:
             x = self.start @ np.concatenate([inputs[:, 0], held])
         ring = [held] * self.delay
         outputs = np.empty((len(held), inputs.shape[1]))
-        back = m.b[:, n:] if self.fed_back else np.zeros((len(m.a), len(m.c)))
+        back = self._back
         for k, e in enumerate(inputs.T):
             command = m.c @ x + m.d[:, :n] @ e
             limited = np.clip(command, self.low, self.high)

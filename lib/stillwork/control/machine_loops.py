@@ -23,7 +23,7 @@ from stillwork.identification.machine import Machine, whole_band
 from stillwork.lti.delays import delayed
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.reduction import truncate
-from stillwork.lti.state_space import StateModel, interconnect
+from stillwork.lti.state_space import StateModel, constant, interconnect
 
 SAFE = tuple(PeakConstraint(name) for name in FUNCTIONS)  # also the true error stays below 6 dB
 SHOWN = {"input_sensitivity": "S_I", "output_sensitivity": "S_O", "true_tracking": "r to e_true"}
@@ -166,9 +166,7 @@ def observing_compensator(
     block = discrete_compensator(observer, application, "filter", 0)
     if not delay:
         return block
-    line = delayed(
-        StateModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1)), step), delay
-    )
+    line = delayed(constant(np.ones((1, 1)), step), delay)
     feedback, outside = np.zeros((3, 3)), np.zeros((3, 2))
     feedback[0, 2] = outside[1, 1] = outside[2, 0] = 1
     return interconnect([block, line], feedback, outside, np.eye(2, 3))

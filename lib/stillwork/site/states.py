@@ -19,7 +19,7 @@ from stillwork.site.shapes import panels
 from stillwork.site.stops import Ladder, distance, ladder, shares
 from stillwork.workbook.explorer import Choice, Slider
 from stillwork.workbook.notebooks import read_notebook
-from stillwork.workbook.publish import digest, read_record
+from stillwork.workbook.publish import digest, read_record, replace_file
 from stillwork.workbook.tasks import Task
 from stillwork.workbook.workers import cores, processes
 
@@ -39,7 +39,7 @@ def picture(draw: Callable, settings: dict) -> list | dict:
         return {"message": f"no picture: {error}"}
 
 
-def states(explorer: Explorer, count: int = STATES[0]) -> dict:
+def states(explorer: Explorer, count: int = STATES[0], known: dict | None = None) -> dict:
     """Pictures of an explorer: each control by itself, and the two that change the picture most together.
 
     Parameters
@@ -47,6 +47,8 @@ def states(explorer: Explorer, count: int = STATES[0]) -> dict:
     explorer : Explorer
     count : int
         How many pictures, about.
+    known : dict, optional
+        Pictures of a call before, which are not computed again.
 
     Returns
     -------
@@ -62,7 +64,7 @@ def states(explorer: Explorer, count: int = STATES[0]) -> dict:
     begun = time.process_time()
     controls = explorer.controls
     published = {name: control.published for name, control in controls.items()}
-    known: dict[tuple, list | dict] = {}
+    known = {} if known is None else known
 
     def at(**moved):
         settings = {**published, **moved}
@@ -160,9 +162,9 @@ def compute(name: str) -> dict:
     """What a page holds of a notebook's explorer: ``states`` and their ``count``, or ``reason`` why it has none."""
     with tempfile.TemporaryDirectory() as folder, _writing_to(folder):
         try:
-            explorer = read_explorer(read_notebook(name))
+            explorer, known = read_explorer(read_notebook(name)), {}
             for count in STATES:
-                found = states(explorer, count)
+                found = states(explorer, count, known)
                 if len(text := packed(found)) <= LARGEST:
                     return {"states": text, "count": len(found["pictures"])}
         except TimeoutError:
@@ -222,11 +224,7 @@ def make_states(of: list[Task]) -> dict[str, dict]:
         print(f"computing the pictures of {len(missing)} explorers; they are kept for the next time")
         with processes(min(cores(), len(missing))) as pool:
             for name, made in zip(missing, pool.map(compute, missing), strict=True):
-                file = _file(name)
-                file.parent.mkdir(parents=True, exist_ok=True)
-                beside = file.with_suffix(".new")
-                beside.write_text(_text({"key": missing[name], **made}), encoding="utf-8")
-                beside.replace(file)
+                replace_file(_file(name), _text({"key": missing[name], **made}).encode())
                 found[name] = made
                 if "reason" in made:
                     print(f"{name}: the explorer stands still: {made['reason']}")
