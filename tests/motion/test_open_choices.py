@@ -84,7 +84,7 @@ def test_filter_explorers_draw_what_their_filters_give():
 
 
 def test_what_is_drawn_is_read_off_by_line():
-    figure, axis = figures.new(1, 1)
+    _, axis = figures.new(1, 1)
     axis.plot([1.0, 2.0, 3.0], [0.0, 5.0, 1.0], label="first")
     axis.plot([1.0, 2.0, 3.0], [7.0, 2.0, 4.0], label="second")
     axis.axhline(6.0)  # without a label
