@@ -87,50 +87,6 @@ def simulate_together(
     seeds = [require_count("seed", seed, at_least=0) for seed in seeds]
     if len(seeds) > 1:
         _require_triangle(adaptations)
-        batches = [seeds[first : first + TOGETHER] for first in range(0, len(seeds), TOGETHER)]
-        given = (twin, floor, duration_s, adaptations, weights, feedback, noise, keep_every_s, signals_from_s)
-        return [run for batch in batches for run in _simulate(*given, batch, (0,) * TOGETHER)]
-    return _simulate(
-        twin,
-        floor,
-        duration_s,
-        adaptations,
-        weights,
-        feedback,
-        noise,
-        keep_every_s,
-        signals_from_s,
-        seeds,
-        None,
-    )
-
-
-def _require_triangle(adaptations) -> None:
-    for name, adaptation in adaptations.items():
-        if isinstance(adaptation, FeRls) and (adaptation.dtype, adaptation.form) not in (
-            ("float64", "safe"),
-            ("float64", "triangle"),
-        ):
-            raise InputError(
-                f"adaptations[{name!r}] has the form {adaptation.form!r} in {adaptation.dtype}; "
-                "several seeds take 'triangle' in float64, other forms run one seed at a time"
-            )
-
-
-def _simulate(
-    twin,
-    floor,
-    duration_s,
-    adaptations,
-    weights,
-    feedback,
-    noise,
-    keep_every_s,
-    signals_from_s,
-    seeds,
-    together,
-) -> list[dict[str, Run]]:
-    """Runs of all seeds; the kernel takes as many as `together` is long, the last seed's repeated to fill it up."""
     rate = twin.instruments.sample_rate
     every = require_count("keep_every_s times the sample rate", round(keep_every_s * rate))
     segments = _segments(twin, floor, duration_s)
@@ -147,13 +103,25 @@ def _simulate(
                 f"signals_from_s is {signals_from_s:g} but the run lasts {total / rate:g} s; give less"
             )
 
-    runs, sides = 1 if together is None else len(together), []
-    for adaptation in adaptations.values():
-        code, numbers, recursion = _algorithm(twin, adaptation)
-        closed = loop.loop_of(twin, feedback, start, recursion, runs)
-        sides.append((adaptation, code, numbers, closed, _Kept(twin, total, every, first, runs)))
-    sources = Together(twin, segments, noise, seeds, runs)
+    runs = 1 if len(seeds) == 1 else TOGETHER
+    found = []
+    for batch in (seeds[at : at + runs] for at in range(0, len(seeds), runs)):
+        sides = []
+        for adaptation in adaptations.values():
+            code, numbers, recursion = _algorithm(twin, adaptation)
+            closed = loop.loop_of(twin, feedback, start, recursion, runs)
+            sides.append((adaptation, code, numbers, closed, _Kept(twin, total, every, first, runs)))
+        _advance(twin, Together(twin, segments, noise, batch, runs), sides, total, first, start)
+        found += [
+            {name: side[-1].run(rate, side[-2], run) for name, side in zip(adaptations, sides, strict=True)}
+            for run in range(len(batch))
+        ]
+    return found
 
+
+def _advance(twin: Twin, sources: Together, sides: list, total: int, first: int, start: np.ndarray) -> None:
+    """Run the algorithms of `sides` over the same samples, block by block, as many runs at a time as the sources are."""
+    together = None if sources.runs == 1 else (0,) * sources.runs
     done = 0
     while done < total:
         # A block ends where the signals start.
@@ -167,8 +135,8 @@ def _simulate(
                 noise_block,
                 closed,
                 kept.block(done, samples),
-                every,
-                done % every,
+                kept.every,
+                done % kept.every,
                 code,
                 *numbers,
                 *closed.recursion[-2:],
@@ -176,15 +144,23 @@ def _simulate(
                 together,
             )
             if status != loop.STABLE:
-                peak = np.abs(floor_block[:, stopped::runs]).max()
+                peak = np.abs(floor_block[:, stopped :: sources.runs]).max()
                 raise _unstable(status, done + reached, twin, adaptation, start, peak)
             if done + samples > first:
                 kept.floor[done - first : done - first + samples] = floor_block
         done += samples
-    return [
-        {name: side[-1].run(rate, side[-2], run) for name, side in zip(adaptations, sides, strict=True)}
-        for run in range(len(seeds))
-    ]
+
+
+def _require_triangle(adaptations) -> None:
+    for name, adaptation in adaptations.items():
+        if isinstance(adaptation, FeRls) and (adaptation.dtype, adaptation.form) not in (
+            ("float64", "safe"),
+            ("float64", "triangle"),
+        ):
+            raise InputError(
+                f"adaptations[{name!r}] has the form {adaptation.form!r} in {adaptation.dtype}; "
+                "several seeds take 'triangle' in float64, other forms run one seed at a time"
+            )
 
 
 def _algorithm(twin: Twin, adaptation):
