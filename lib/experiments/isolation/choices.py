@@ -129,4 +129,4 @@ def rigid_body(strut_damping: float, actuator_pole: float) -> Twin:
 def ferls_weights(strut_damping: float, actuator_pole: float, floor_upper_end: float, seed: int):
     """Weights after 100 s of FeRLS."""
     twin, floor = rigid_body(strut_damping, actuator_pole), flat_floor(floor_upper_end)
-    return tune(twin, floor, RESOLUTION_HZ, 100.0, seed)["FeRLS"]
+    return tune(twin, floor, RESOLUTION_HZ, 100.0, [seed])[0]["FeRLS"]
