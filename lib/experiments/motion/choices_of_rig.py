@@ -17,7 +17,7 @@ from experiments.motion.rig_study import Rig, levelling_errors, sample_geometry
 from experiments.motion.rig_tracking import levelling
 
 DIRECTIONS = ("z", "rx", "ry")
-GEOMETRIES, LEAN_GEOMETRIES = 36, 16  # of the notebook and of the lean form
+GEOMETRIES = 36
 
 Values = dict[str, float | tuple[float, tuple[float, float]]]
 
@@ -32,13 +32,13 @@ def rig_tables(
     seed: int,
     lean: bool,
 ) -> Values:
-    """Bandwidths of Table 6.2 and ratios of Tables 6.3 and 6.4 over 36 geometries, 16 in the lean form.
+    """Bandwidths of Table 6.2 and ratios of Tables 6.3 and 6.4 over geometries; it has no leaner form.
 
     `six_db_of_a_matrix` is one of `rig_loops.MEASURES`; `rig_noise_floor` (m at the edges) is in every error;
     `rig_feedforward` is ``exact`` or ``5 % too heavy``.
     """
     crossing, ratios = [], []
-    for rig, each in _study(rig_plates, six_db_of_a_matrix, seed, LEAN_GEOMETRIES if lean else GEOMETRIES):
+    for rig, each in _study(rig_plates, six_db_of_a_matrix, seed):
         crossing.append(
             [[np.nan] * 3 if each[case] is None else each[case].crossing_hz.mean(axis=0) for case in CASES]
         )
@@ -64,9 +64,9 @@ def rig_tables(
 
 
 @lru_cache(maxsize=8)
-def _rigs(plates: str, seed: int, count: int) -> list[Rig]:
+def _rigs(plates: str, seed: int) -> list[Rig]:
     settings, rigs = published_settings(), []
-    for stream in np.random.SeedSequence(seed).spawn(count):
+    for stream in np.random.SeedSequence(seed).spawn(GEOMETRIES):
         rng = np.random.default_rng(stream)
         geometry = assumed_geometry() if plates == "one" else sample_geometry(rng)
         rigs.append((geometry, rig_loops(geometry, settings, model_errors(rng)), levelling(rng)))
@@ -74,10 +74,8 @@ def _rigs(plates: str, seed: int, count: int) -> list[Rig]:
 
 
 @lru_cache(maxsize=8)  # readings that differ in the levelling share the designs
-def _study(
-    plates: str, measure: str, seed: int, count: int
-) -> list[tuple[Rig, dict[str, RigBandwidth | None]]]:
-    return [(rig, bandwidths(rig[1], rig[0], measure)) for rig in _rigs(plates, seed, count)]
+def _study(plates: str, measure: str, seed: int) -> list[tuple[Rig, dict[str, RigBandwidth | None]]]:
+    return [(rig, bandwidths(rig[1], rig[0], measure)) for rig in _rigs(plates, seed)]
 
 
 def _over(sample: np.ndarray) -> float | tuple[float, tuple[float, float]]:
