@@ -100,6 +100,9 @@ def test_errors_have_the_law_that_was_asked_for():
     uniform = sample_errors(rng, plant, 0.05, "uniform", rigid=True)
     assert np.all(np.abs(uniform) <= 0.05)
     assert np.all(uniform[0] != 0)
+    normal = np.array([sample_errors(rng, plant, 0.02, "normal", rigid=True) for _ in range(200)])
+    assert normal.std() == pytest.approx(0.02, rel=0.05)
+    assert np.abs(normal).max() > 0.06
     with pytest.raises(InputError, match="law"):
         sample_errors(rng, plant, 0.05, "gaussian")
 

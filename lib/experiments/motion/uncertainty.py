@@ -6,6 +6,7 @@ that is the same along the whole output shape (section 5.2.3 of the observer the
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float64
@@ -18,7 +19,7 @@ from stillwork.estimation.robust import Derivatives, NormBound
 from stillwork.estimation.time_varying import TimeVaryingModel
 from stillwork.lti.modal import ModalModel
 
-LAWS = ("ends", "uniform")
+LAWS = ("ends", "uniform", "normal")
 
 
 @checked
@@ -43,12 +44,14 @@ def sample_errors(
 ) -> Float64[np.ndarray, "modes 4"]:
     """Random relative errors of every modal parameter: at the ``ends``, plus or minus `size`, or ``uniform`` between them.
 
+    Those that are ``normal`` have `size` as their standard deviation.
     The shapes of rigid-body modes are left alone unless `rigid`: a scale and a weighing of the machine settle them.
     """
     size = require_number("size", size, at_least=0.0, below=1.0)
     require_choice("law", law, LAWS)
     shape = (len(model.frequencies), 4)
-    errors = size * (rng.choice([-1.0, 1.0], shape) if law == "ends" else rng.uniform(-1, 1, shape))
+    draws = {"ends": partial(rng.choice, [-1.0, 1.0]), "uniform": partial(rng.uniform, -1, 1)}
+    errors = size * draws.get(law, rng.standard_normal)(shape)
     if not rigid:
         errors[: model.rigid_modes] = 0
     return errors
