@@ -149,13 +149,17 @@ def test_a_useless_model_is_named_and_not_drawn():
         ({"channels": ("drive (V)", "")}, "give both or none"),
         ({"channels": ("drive", "plate (m/s^2)")}, r"did you mean 'drive \(V\)'"),
         ({"units": ("Volt", "m/s^2")}, "unit is 'Volt'"),
+        (
+            {"units": ("m/s^2", "g")},
+            r"input_unit is m/s\^2, .* names the channel 'drive \(V\)'; give input_unit V",
+        ),
         ({"noise": (-1.0, 0.0)}, "noise is -1"),
         ({"sample_rate": 500.0}, "leave one out or mend it"),
     ],
 )
 def test_records_that_cannot_be_used(options, message):
     with pytest.raises(InputError, match=message):
-        open_pair(TEMPLATE, **options)
+        open_pair(TEMPLATE, **{"units": ("V", "m/s^2"), **options})
 
 
 def test_too_many_channels_and_too_short_records(tmp_path, template):

@@ -15,7 +15,7 @@ from stillwork.estimation.min_max import solve_silently
 from stillwork.estimation.recursive import run_silently
 from stillwork.estimation.recursive_settings import LeastSquares, MinMax
 from stillwork.identification.regressors import exponential_bound, fir_regressors, noise_bound
-from stillwork.signals.records import load_record, unit_factor
+from stillwork.signals.records import load_record, stated_unit, unit_factor
 
 QUIETEST = 0.1  # share of the band whose density counts as sensor noise when nothing else is said
 SETTLE_S = 1.0  # cut off after a band-pass
@@ -103,6 +103,12 @@ def open_pair(
             f"{record.source} holds {len(record.names)} channels ({', '.join(record.names)}); name the two with "
             "input_channel and output_channel"
         )
+    for side, name, unit, quantity in zip(("input", "output"), record.names, units, si, strict=True):
+        stated = stated_unit(name)
+        if stated and unit_factor(stated)[1] != quantity:
+            raise InputError(
+                f"{side}_unit is {unit}, but {record.source} names the channel {name!r}; give {side}_unit {stated}"
+            )
     rate = record.sample_rate
     raw = record.signals * np.array(factors)[:, None]
     raw = raw - raw.mean(axis=1, keepdims=True)
