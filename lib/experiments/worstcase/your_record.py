@@ -14,7 +14,7 @@ from stillwork.base.checks import InputError, require_array, require_count, requ
 from stillwork.estimation.min_max import solve_silently
 from stillwork.estimation.recursive import run_silently
 from stillwork.estimation.recursive_settings import LeastSquares, MinMax
-from stillwork.identification.regressors import exponential_bound, fir_regressors, noise_bound
+from stillwork.identification.regressors import exponential_bound, fir_regressors
 from stillwork.signals.records import load_record, stated_unit, unit_factor
 
 QUIETEST = 0.1  # share of the band whose density counts as sensor noise when nothing else is said
@@ -206,7 +206,7 @@ def fit_pair(pair: Pair, taps: int, memory: int, factors: np.ndarray | None = No
         )
     regressors, output = fir_regressors(scaled.input, taps), scaled.output
     forgetting = 1 - 1 / memory
-    typical = noise_bound(1.0, taps, forgetting)
+    typical = scaled.typical_bound(taps, forgetting)
     bounds = {
         "min-max, typical bound": typical,
         "min-max, guaranteed bound": exponential_bound(3 * np.sqrt(taps), forgetting),
