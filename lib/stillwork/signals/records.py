@@ -194,9 +194,11 @@ def unit_factor(unit: str) -> tuple[float, str]:
 def stated_unit(name: str) -> str:
     """The unit in the brackets of a channel's name; empty when there is none that is known."""
     found = re.search(r"[(\[](.+?)[)\]]", name)
+    if found is None:
+        return ""
     try:
         unit_factor(found[1])
-    except (TypeError, InputError):
+    except InputError:
         return ""
     return found[1]
 
