@@ -15,7 +15,14 @@ from stillwork.base import paths
 from stillwork.base.checks import InputError, one_line, shown
 from stillwork.base.toml_files import read_toml
 from stillwork.signals.datafiles import is_file, is_folder, read_arrays
-from stillwork.signals.records import MOTION_UNITS, UNITS_SAID, is_time, load_record, unit_factor
+from stillwork.signals.records import (
+    MOTION_UNITS,
+    UNITS_SAID,
+    is_time,
+    load_record,
+    stated_unit,
+    unit_factor,
+)
 from stillwork.workbook.notebooks import select
 from stillwork.workbook.reading import comments
 
@@ -75,7 +82,7 @@ def _record(path: Path) -> Iterator[str]:
     except InputError as error:
         yield f"not a record as it stands: {error}"
         return
-    units = [_unit(name) for name in record.names]
+    units = [stated_unit(name) for name in record.names]
     channels = "1 channel" if len(record.names) == 1 else f"{len(record.names)} channels"
     yield f"a record of {channels}: {record.sample_rate:.6g} Hz, {record.duration:.4g} s"
     if "" in units:
@@ -156,16 +163,6 @@ def _plant(path: Path) -> Iterator[str]:
         return
     yield f"{path.name}: the model functions of a plant; the notebook executes the file, this command did not"
     yield _command("fixedpoint/09-your-plant", {"plant": path.resolve()})
-
-
-def _unit(name: str) -> str:
-    """The unit in the brackets of a column's name; empty when there is none that is known."""
-    found = re.search(r"[(\[](.+?)[)\]]", name)
-    try:
-        unit_factor(found[1])
-    except (TypeError, InputError):
-        return ""
-    return found[1]
 
 
 def _described(values: np.ndarray) -> str:
