@@ -14,6 +14,7 @@ import stillwork
 from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.site import picture, reference, search
+from stillwork.site.benchmarks import benchmarks
 from stillwork.site.derived import works
 from stillwork.site.links import broken_links
 from stillwork.site.mathematics import markdown
@@ -90,6 +91,7 @@ def site_files() -> dict[str, bytes]:
             )
     files["ledger.json"] = json.dumps([claim.as_dict() for claim in claims], indent=1).encode()
     files["gallery.html"] = render("gallery.html", "", pages=pages)
+    files["benchmarks.html"] = render("benchmarks.html", "", tables=benchmarks())
     files["replicate.html"] = render("replicate.html", "", pages=pages)
     for page in pages:
         files[f"notebooks/{page.name}.html"] = render(
