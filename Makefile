@@ -26,7 +26,7 @@ RERUN ?= 3
 # Kept bytecode halves the start of every worker, which reads all tests and checks all functions' types.
 test quick: export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help figures readings test quick course lab site browser bench faults portable accept doctor clean
+.PHONY: help figures readings test quick course lab site browser bench faults portable accept release doctor clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-8s  %s\n", $$1, $$2 }' Makefile
@@ -77,6 +77,9 @@ portable: $(READY) ## Build under other processors' settings and compare; ARGS="
 
 accept: $(READY) ## Take a build over into the notebooks, the ledger and the README
 	@$(BIN)/python -m stillwork accept
+
+release: $(READY) ## Write wheel, site and archive to build/release, and try the wheel in an environment of its own
+	@$(BIN)/python -m stillwork release
 
 doctor: $(READY) ## Compare the environment with environment.txt
 	@$(BIN)/python -m stillwork doctor
