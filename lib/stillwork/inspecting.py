@@ -4,7 +4,7 @@ import ast
 import json
 import re
 import shlex
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -32,8 +32,9 @@ MODELS = {
     "fixedpoint": ("experiments.fixedpoint.oscillator", "load_oscillator"),
 }
 
-# What a Python file must define to be a plant: functions with their numbers of arguments, tables of parameters.
-NEEDED = {"acceleration": 4, "force": 4}
+# What a Python file must define to be a plant, with one coordinate or with several: functions with their numbers of
+# arguments, tables of parameters.
+FORMS = ({"acceleration": 4, "force": 4}, {"inertia": 3, "bias": 4})
 TABLES = ("EXACT", "APPROXIMATE")
 
 SHORTEST_FLOOR_S = 15.0  # what the floor's notebook takes; its module would cost seconds to import
@@ -107,7 +108,7 @@ def _record(path: Path) -> Iterator[str]:
     positions = [
         (name, unit)
         for name, unit in zip(record.names, units, strict=True)
-        if not unit or unit_factor(unit)[1] == "m"
+        if not unit or unit_factor(unit)[1] in ("m", "rad")
     ]
     if positions:
         name, unit = positions[0]
@@ -159,7 +160,7 @@ def _first_complex(arrays: dict[str, np.ndarray]) -> str:
 def _plant(path: Path) -> Iterator[str]:
     missing = outline(path)
     if missing:
-        yield f"{path.name}: not a plant as it stands: {', '.join(missing)}; see data/fixedpoint/your_plant.py"
+        yield f"{path.name}: not a plant as it stands: {', '.join(missing)}; see data/fixedpoint/your_plant.py and arm.py"
         return
     yield f"{path.name}: the model functions of a plant; the notebook executes the file, this command did not"
     yield _command("fixedpoint/09-your-plant", {"plant": path.resolve()})
@@ -227,6 +228,11 @@ def _takers(path: Path, room: str) -> Iterator[str]:
                 yield _command(notebook.name, {name: path.resolve()})
 
 
+def plant_form(names: Collection[str]) -> dict[str, int]:
+    """Which of `FORMS` a file that defines these names means: the first, unless it holds more of the second."""
+    return max(FORMS, key=lambda form: len(form.keys() & set(names)))
+
+
 def outline(file: Path) -> list[str]:
     """What a Python file lacks to be a plant, read from its source without executing it; empty: nothing.
 
@@ -253,7 +259,7 @@ def outline(file: Path) -> list[str]:
         f"{name} takes {functions[name]} arguments, not {count}"
         if name in functions
         else f"no function {name}"
-        for name, count in NEEDED.items()
+        for name, count in plant_form(functions).items()
         if functions.get(name) != count
     ]
     return missing + [f"no table {name}" for name in TABLES if name not in names]
