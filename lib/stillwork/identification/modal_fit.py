@@ -308,8 +308,8 @@ class _Accelerance:
         self.omega, self.target = measured.omega[inside], measured.response[inside]
         # A line that noise has made small by chance must not weigh more than its neighbours.
         size = np.sqrt(uniform_filter1d(np.abs(self.target) ** 2, SMOOTH, mode="nearest"))
-        coherence = np.clip(np.nan_to_num(measured.coherence[inside], nan=1.0), 1e-6, 1.0)
-        coherence = uniform_filter1d(coherence, SMOOTH, mode="nearest")
+        coherence = np.nan_to_num(measured.coherence[inside], nan=1.0)
+        coherence = np.clip(uniform_filter1d(coherence, SMOOTH, mode="nearest"), 1e-6, 1.0)
         noise = np.sqrt((1 - coherence) / coherence)
         self.weight = 1 / (size * np.hypot(1.0, noise / FLOOR))
         goal = self.target * self.weight
