@@ -54,12 +54,15 @@ def site_files() -> dict[str, bytes]:
     pages = [read_page(task, claims) for task in wanted]
     states = kept_states(wanted)
     modules = reference.read_modules()
-    guides = {file.stem: file.read_text(encoding="utf-8") for file in _guides()}
+    guides = {name: file.read_text(encoding="utf-8") for name, file in _documents("*.md").items()}
     standings = {entry: each for room in paths.ROOMS for entry, each in standings_of(room).items()}
     rooms = [_room(name, work, claims, pages) for name, work in works().items()]
     render = _renderer(
         rooms=[room for room in rooms if room["pages"] or room["counts"]],
-        guides={name: _title(text) for name, text in guides.items()},
+        # Of a folder its front stands in the navigation and leads to the others.
+        guides={
+            name: _title(text) for name, text in guides.items() if "/" not in name or name.endswith("/index")
+        },
         places=reference.index(modules),
         standings=standings,
         verdicts=[verdict for verdict in VERDICTS if any(claim.verdict == verdict for claim in claims)],
@@ -104,7 +107,14 @@ def site_files() -> dict[str, bytes]:
     bodies = {name: markdown(text) for name, text in guides.items()}
     for name, body in bodies.items():
         files[f"guide/{name}.html"] = render(
-            "guide.html", "../", title=_title(guides[name]), body=Markup(body)
+            "guide.html", _to_front(name), title=_title(guides[name]), body=Markup(body)
+        )
+    for name, file in _documents("*.py").items():
+        files[f"guide/{name}.html"] = render(
+            "source.html",
+            _to_front(name),
+            file=file.relative_to(paths.root()).as_posix(),
+            source=_source(file.read_text(encoding="utf-8")),
         )
     files["search.html"] = render("search.html", "")
     files["search-index.js"] = search.script(search.index(pages, bodies, modules, claims))
@@ -201,8 +211,17 @@ def _off_by(claim: Claim) -> str:
     return f"factor {claim.ours / claim.entry.published:.3g}"
 
 
-def _guides() -> list[Path]:
-    return sorted((paths.root() / "docs").glob("*.md"))
+def _documents(pattern: str) -> dict[str, Path]:
+    """Files below ``docs`` by their path there without suffix; a page lies as deep, so that links serve in both."""
+    folder = paths.root() / "docs"
+    return {
+        file.relative_to(folder).with_suffix("").as_posix(): file for file in sorted(folder.rglob(pattern))
+    }
+
+
+def _to_front(guide: str) -> str:
+    """What leads from a guide's page to the site's front."""
+    return "../" * (1 + guide.count("/"))
 
 
 def _title(text: str) -> str:
