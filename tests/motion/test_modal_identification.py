@@ -8,6 +8,8 @@ from experiments.motion.structure import measured_accelerance
 from stillwork.base.checks import InputError
 from stillwork.identification.complex_frequency import complex_frequency_poles, stabilisation
 from stillwork.identification.frequency_response import Identified
+from stillwork.identification.machine import build_machine
+from stillwork.identification.machine_files import load_machine
 from stillwork.identification.modal_fit import identify_modes
 
 
@@ -140,6 +142,68 @@ def test_ten_main_modes_of_the_shipped_structure_and_none_spurious():
     maxima = hertz[1:-1][(size[1:-1] > size[:-2]) & (size[1:-1] > size[2:])]
     for frequency, damping in zip(frequencies, found_modes(fit)[1], strict=True):
         assert np.abs(maxima - frequency).min() < max(2 * damping * frequency, 1.0)
+
+
+def hammered(hits, noise=0.0):
+    """Force and acceleration of hits on a machine of 40 kg with two modes, by its exact response; and their rate."""
+    rate, samples, rng = 5000.0, 8000, np.random.default_rng(hits)
+    t = np.arange(samples) / rate
+    hertz = np.fft.rfftfreq(8 * samples, 1 / rate)
+    response = accelerance(hertz, 40.0, [(120.0, 0.01, 0.8), (310.0, 0.015, -0.6)])
+    width = 5e-4 * rng.uniform(0.8, 1.3, (hits, 1))
+    force = rng.uniform(50, 200, (hits, 1)) * np.exp(-(((t - 0.02) / width) ** 2))
+    moved = np.fft.irfft(np.fft.rfft(force, 8 * samples) * response, 8 * samples)[:, :samples]
+    return {"force": force, "acceleration": moved + noise * rng.normal(size=moved.shape), "fs": rate}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("hits", [1, 2, 5])
+@pytest.mark.parametrize("noise", [0.0, 1e-2])
+def test_hammer_records_without_a_band_give_their_two_modes(tmp_path, hits, noise):
+    """Clean or with noise of a per cent of the peak, the command of `inspect` as it stands: all that was measured."""
+    np.savez(tmp_path / "hits.npz", **hammered(hits, noise))
+    file = load_machine(tmp_path / "hits.npz")
+    machine = build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)
+    assert machine.resonances_hz == pytest.approx([120.0, 310.0], rel=1e-3)
+    assert machine.mass == pytest.approx(40.0, rel=0.02)
+    assert machine.sensors[0].damping[1:] == pytest.approx([0.01, 0.015], rel=0.05)
+    assert ("1 hit: without a second there is no coherence to trust" in file.notes) == (hits == 1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("place", [0, 1])
+def test_a_measured_machine_on_springs_keeps_its_suspension(tmp_path, sign, place):
+    """Two masses on a soft spring by the equations of motion; the frequencies from the matrices' eigenvalues."""
+    hertz = np.arange(2.0, 1000.0, 0.5)
+    mass = np.diag([30.0, 10.0])
+    stiffness = 1.5e7 * np.array([[1.0, -1.0], [-1.0, 1.0]]) + np.diag([1e6, 0.0])
+    damping = 1e-5 * stiffness + 0.5 * mass
+    response = [
+        -(w**2) * np.linalg.solve(stiffness + 1j * w * damping - w**2 * mass, [sign, 0.0])[place]
+        for w in 2 * np.pi * hertz
+    ]
+    error = np.random.default_rng(place).normal(size=(2, len(hertz))) * 1e-4
+    np.savez(tmp_path / "a.npz", frequency=hertz, h=np.array(response) + error[0] + 1j * error[1])
+    machine = build_machine(
+        load_machine(tmp_path / "a.npz"), modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False
+    )
+    wanted = np.sqrt(np.sort(np.linalg.eigvals(np.linalg.solve(mass, stiffness)).real)) / (2 * np.pi)
+    assert machine.sensors[0].frequencies / (2 * np.pi) == pytest.approx(wanted, rel=1e-3)
+    assert machine.mass == pytest.approx(40.0, rel=0.02)
+    assert "on springs to the ground: its suspension at 25.11 Hz" in machine.notes
+    assert ("counted against the force, turned" in machine.notes) == (sign < 0)
+
+
+def test_a_matrix_of_responses_is_taken_one_by_one(tmp_path):
+    hertz = np.arange(5.0, 200.0, 0.5)
+    matrix = np.array([[accelerance(hertz, m + 10 * n, []) for n in (1, 2)] for m in (1, 2, 3)])
+    for name, stored in (("last", matrix), ("first", np.moveaxis(matrix, -1, 0))):
+        np.savez(tmp_path / f"{name}.npz", frequency=hertz, h=stored)
+        with pytest.raises(InputError, match=r"holds 6 responses; choose with response='h\[1,1\]'"):
+            load_machine(tmp_path / f"{name}.npz")
+        taken = load_machine(tmp_path / f"{name}.npz", response="h[3,2]").accelerance
+        assert taken.response == pytest.approx(matrix[2, 1], rel=1e-12)
 
 
 def test_diagram_marks_the_machine_and_little_else():

@@ -9,13 +9,10 @@ from stillwork.base.checks import InputError, require_kind
 from stillwork.base.front_door import check_fields, checked
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine_files import MachineFile
-from stillwork.identification.modal_fit import ModalFit, identify_modes
+from stillwork.identification.modal_fit import SUSPENDED, ModalFit, identify_modes
 from stillwork.lti.modal import ModalModel, mirrored
 from stillwork.lti.reduction import truncate
 
-SUSPENDED = (
-    3.0  # times its suspension's frequency that a machine's first resonance must have, or it is no rigid body
-)
 MOST_MODES = 12  # of a matrix model: the others enter as compliance
 
 
@@ -108,6 +105,14 @@ def _fitted(
     if fit.turned:
         measured = measured._replace(response=-measured.response)
         notes.append("counted against the force, turned")
+    if not model.rigid_modes:
+        notes.append(
+            f"on springs to the ground: its suspension at {model.frequencies[0] / (2 * np.pi):.4g} Hz"
+        )
+    if len(model.frequencies) < 2:
+        raise InputError(
+            f"{file.source} has no flexible mode from {band[0]:g} to {band[1]:g} Hz; widen fit_hz"
+        )
     widths = 2 * model.damping[1:] * model.frequencies[1:] / (2 * np.pi)
     spacing = float(np.median(np.diff(measured.omega))) / (2 * np.pi)
     if spacing > widths.min():

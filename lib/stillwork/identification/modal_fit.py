@@ -18,6 +18,10 @@ from stillwork.lti.modal import ModalModel
 POWERS = (0, 2, 4)  # of the frequency, in the series for the compliance of the modes above the band
 DAMPING = (1e-5, 0.3)  # range of the damping ratios that the fit looks for
 FIXED = 3  # columns of an accelerance beside its modes: rigid body, compliance and its growth towards higher modes
+SUSPENDED = (
+    3.0  # times its suspension's frequency that a machine's first resonance must have, or it is no rigid body
+)
+GROUNDED = 0.02  # of the first mode's part, below which what would move freely is none
 ROUNDS = 4  # of looking at what the modes so far leave
 MOST_FITTED = 40  # of a measurement
 FLOOR = 0.1  # relative noise of a line below which all lines weigh the same
@@ -278,20 +282,23 @@ def identify_modes(
     problem = _Accelerance(measured, band_hz)
     diagram = stabilisation(problem.omega, problem.target[:, None, None])
     settled = np.log(diagram.settled())
+    modes = np.zeros((2, 0))
     if len(guesses):
         modes = np.log([2 * np.pi * guesses, np.full(len(guesses), damping_guess)])
         for mode in modes.T:
             apart = np.abs(settled[0] - mode[0])
             if apart.size and apart.min() < NEAR_GUESS:
                 mode[:] = settled[:, apart.argmin()]
-        return problem.fit(problem.refined(modes, 60), diagram)
-    modes = np.zeros((2, 0))
-    for _ in range(ROUNDS):
+        modes = problem.refined(modes, 60)
+    for _ in range(0 if len(guesses) else ROUNDS):
         more = problem.extended(modes, settled)
         if more.shape[1] == modes.shape[1]:
             break
         modes = problem.pruned(problem.refined(problem.pruned(more, LEAST / 2), 20), LEAST)
-    modes = problem.pruned(problem.refined(modes, 60), LEAST) if modes.size else modes
+    problem.grounded = problem.on_springs(modes)
+    if modes.size and (problem.grounded or not len(guesses)):
+        modes = problem.refined(modes, 60)
+        modes = modes if len(guesses) else problem.pruned(modes, LEAST)
     if not modes.size:
         raise InputError(
             f"no resonance stands out from {band_hz[0]:g} to {band_hz[1]:g} Hz; say where the modes are with "
@@ -314,6 +321,7 @@ class _Accelerance:
         self.weight = 1 / (size * np.hypot(1.0, noise / FLOOR))
         goal = self.target * self.weight
         self.goal = np.concatenate([goal.real, goal.imag])
+        self.grounded = False  # then no rigid body is free, and a third term of the series takes its column
 
     def columns(self, modes):
         """Weighted columns, real above imaginary: rigid body, compliance, its growth, modes; and the modes' derivatives."""
@@ -321,7 +329,8 @@ class _Accelerance:
         loss = 2j * damping * frequency * w
         own = -(w**2) / (frequency**2 - w**2 + loss)
         moved = own**2 / w**2
-        fixed = [np.ones_like(w), -((w / w[-1]) ** 2), -((w / w[-1]) ** 4)]
+        fixed = -((w / w[-1]) ** np.array([[6 if self.grounded else 0], [2], [4]]))
+        fixed[0] *= -1
         parts = np.vstack([*fixed, own, moved * (2 * frequency**2 + loss), moved * loss]) * self.weight
         stacked = np.hstack([parts.real, parts.imag]).T
         return np.split(stacked, [FIXED + modes.shape[1]], axis=1)
@@ -407,33 +416,42 @@ class _Accelerance:
                 found[k] = np.sqrt(growth[k] / inside)
         return found
 
+    def on_springs(self, modes):
+        """Whether the first mode is the whole machine on its springs: beside its part nothing moves freely."""
+        if not modes.size:
+            return False
+        modes = modes[:, np.argsort(modes[0])]
+        gains = self.solved(modes)[0]
+        first = np.append(np.exp(modes[0]), np.inf)
+        return bool(abs(gains[0]) < GROUNDED * abs(gains[FIXED]) and SUSPENDED * first[0] <= first[1])
+
     def fit(self, modes, diagram):
         """The model, its relative error and the standard deviations."""
         modes = modes[:, np.argsort(modes[0])]
         gains, residual, _ = self.solved(modes)
         linear, moving = self.columns(modes)
+        rigid = FIXED if self.grounded else 0  # the suspension is the rigid body of a machine on springs
         below = np.tile(self.omega < np.exp(modes[0, 0]) / 2, 2)
-        if (
-            below.any()
-        ):  # the mass by itself: what the flexible part leaves of the lines below half the first resonance
+        if below.any() and not self.grounded:
+            # The mass by itself: what the flexible part leaves of the lines below half the first resonance.
             line = linear[below, 0]
             gains[0] -= line @ residual[below] / (line @ line)
         jacobian = np.hstack([linear, moving * np.tile(gains[FIXED:], 2)])
         spread = _spread(jacobian, linear @ gains - self.goal)
         # The model has no growth of the compliance: its gains are those that do best without.
-        kept = np.delete(linear, [0, *range(2, FIXED)], axis=1)
-        left = self.goal - gains[0] * linear[:, 0]
+        kept = linear[:, [1, *range(FIXED, linear.shape[1])]]
+        left = self.goal - (0.0 if self.grounded else gains[0] * linear[:, 0])
         sizes = np.linalg.norm(kept, axis=0)
         own = np.linalg.lstsq(kept / sizes, left, rcond=None)[0] / sizes
         residual = left - kept @ own
-        turned = bool(gains[0] < 0)
-        frequencies, damping = np.exp(modes)
-        sign = -1 if turned else 1
-        residues = sign * np.append(gains[0], own[1:])
+        sign = float(np.sign(gains[rigid]))
+        free = np.zeros(0 if self.grounded else 1)
+        residues = sign * np.append(gains[: len(free)], own[1:])
         shapes = np.sqrt(np.abs(residues))
+        frequencies, damping = np.exp(modes)
         model = ModalModel(
-            np.concatenate([[0.0], frequencies]),
-            np.concatenate([[0.0], damping]),
+            np.append(free, frequencies),
+            np.append(free, damping),
             shapes[:, None],
             (shapes * np.sign(residues))[None, :],
             np.array([[sign * own[0] / self.omega[-1] ** 2]]),
@@ -445,8 +463,8 @@ class _Accelerance:
             np.hypot(*residual.reshape(2, -1)) / (self.weight * np.abs(self.target)),
             frequencies * spread[-2 * count : -count],
             damping * spread[-count:],
-            float(spread[0] / abs(gains[0])),
-            turned,
+            float(spread[rigid] / abs(gains[rigid])),
+            sign < 0,
             diagram,
         )
 
