@@ -121,7 +121,12 @@ def _record(path: Path) -> Iterator[str]:
 def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
     """What the room motion makes of a file; nothing where no name in it points to a machine."""
     from stillwork.identification.machine import build_machine
-    from stillwork.identification.machine_files import kind_of, load_machine, stated_units
+    from stillwork.identification.machine_files import (
+        complex_responses,
+        kind_of,
+        load_machine,
+        stated_units,
+    )
 
     try:
         kind = kind_of(arrays)
@@ -129,7 +134,9 @@ def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
         return
     settings = {"machine_file": path.resolve()}
     try:
-        file = load_machine(path, response=_first_complex(arrays))
+        several = list(complex_responses(arrays)) if kind == "frequency response" else []
+        chosen = several[0] if len(several) > 1 else ""
+        file = load_machine(path, response=chosen)
         if file.model is not None:
             machine = build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)
             resonances = ", ".join(f"{hertz:.4g}" for hertz in machine.resonances_hz[:5])
@@ -143,18 +150,12 @@ def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
             if not response:
                 yield "it does not say the unit of the response; put m/s^2, g, m/s, mm/s, m, mm or um for UNIT"
             settings |= {"fit_hz": "0,0", "loop_hz": "0,0"}
-            if chosen := _first_complex(arrays):
+            if chosen:
                 settings["response"] = chosen
     except InputError as error:
         yield f"not a machine as it stands: {error}"
         return
     yield _command("motion/29-your-machine", settings)
-
-
-def _first_complex(arrays: dict[str, np.ndarray]) -> str:
-    """Name of the first complex array where there are several to choose from; else empty."""
-    names = [name for name, array in arrays.items() if array.dtype.kind == "c" and array.size > 1]
-    return names[0] if len(names) > 1 else ""
 
 
 def _plant(path: Path) -> Iterator[str]:
