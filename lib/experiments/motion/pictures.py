@@ -129,10 +129,12 @@ def paint_magnitudes(
     return figure, axes
 
 
-def paint_limited(panels: Mapping[str, Mapping[str, tuple]], bottom: float, top: float, height: float):
+def paint_limited(
+    panels: Mapping[str, Mapping[str, tuple]], bottom: float, top: float, height: float, rows: int = 1
+):
     """Magnitudes of loop functions, a panel a title, with the allowed peak."""
-    figure, axes = paint_magnitudes(panels, "magnitude (dB)", height=height, sharey=True)
-    for axis in axes[0]:
+    figure, axes = paint_magnitudes(panels, "magnitude (dB)", rows, height=height, sharex=True, sharey=True)
+    for axis in axes.ravel():
         mark_limit(axis)
         axis.set_ylim(bottom, top)
     axes[0, 0].legend(ncols=2, loc="lower right", fontsize=7)
