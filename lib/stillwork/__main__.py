@@ -1,4 +1,4 @@
-"""Command line: ``python -m stillwork figures|readings|claims|portable|accept|site|refresh|inspect|design|export|contest|new|doctor``."""
+"""Command line: ``python -m stillwork figures|readings|claims|portable|accept|site|release|refresh|inspect|design|export|contest|new|doctor``."""
 
 import argparse
 import json
@@ -97,6 +97,11 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
 
     site = commands.add_parser("site", help="write the static site to build/site")
     site.set_defaults(run=_site)
+
+    release = commands.add_parser(
+        "release", help="write wheel, site and archive to build/release, and try the wheel"
+    )
+    release.set_defaults(run=_release)
 
     refresh = commands.add_parser(
         "refresh", help="rewrite what follows from ledger and notebooks: README tables, index, manifests"
@@ -272,6 +277,14 @@ def _site(_options) -> int:
 
     settle()
     return build_site()
+
+
+def _release(_options) -> int:
+    from stillwork.site.release import release
+    from stillwork.workbook.lock import settle
+
+    settle()
+    return release()
 
 
 def _refresh(_options) -> int:
