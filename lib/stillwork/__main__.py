@@ -1,4 +1,4 @@
-"""Command line: ``python -m stillwork figures|readings|claims|portable|accept|site|refresh|inspect|report|design|export|new|doctor``."""
+"""Command line: ``python -m stillwork figures|readings|claims|portable|accept|site|release|refresh|inspect|report|design|export|contest|new|doctor``."""
 
 import argparse
 import json
@@ -98,6 +98,11 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
     site = commands.add_parser("site", help="write the static site to build/site")
     site.set_defaults(run=_site)
 
+    release = commands.add_parser(
+        "release", help="write wheel, site and archive to build/release, and try the wheel"
+    )
+    release.set_defaults(run=_release)
+
     refresh = commands.add_parser(
         "refresh", help="rewrite what follows from ledger and notebooks: README tables, index, manifests"
     )
@@ -147,6 +152,26 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
     export.add_argument("file", metavar="FILE", help="controller.json, or TOML")
     _add_output(export)
     export.set_defaults(run=_export)
+
+    contest = commands.add_parser(
+        "contest",
+        help="run observers, yours among them, against hidden seeds and rank them",
+        allow_abbrev=False,
+    )
+    contest.add_argument("files", nargs="*", metavar="MY_OBSERVER.py", help="each defines a class Observer")
+    contest.add_argument(
+        "--seeds", type=_count, metavar="N", default=2, help="scans a plant and doubt (default: 2)"
+    )
+    contest.add_argument(
+        "--public",
+        metavar="NUMBER",
+        default="20180628",
+        help="what the hidden seeds follow from, e.g. a lottery's draw",
+    )
+    contest.add_argument("--jobs", type=_count, metavar="N", help="processes (default: one a core)")
+    contest.add_argument("--scheduler", metavar="ADDRESS", help="run on the workers of a Dask cluster")
+    contest.add_argument("--out", metavar="FILE.csv", help="write the table there")
+    contest.set_defaults(run=_contest)
 
     new = commands.add_parser(
         "new", help="begin a result: notebook, ledger entry and test", allow_abbrev=False
@@ -276,6 +301,14 @@ def _site(_options) -> int:
     return build_site()
 
 
+def _release(_options) -> int:
+    from stillwork.site.release import release
+    from stillwork.workbook.lock import settle
+
+    settle()
+    return release()
+
+
 def _refresh(_options) -> int:
     from stillwork.site.derived import refresh
     from stillwork.workbook.lock import settle
@@ -334,6 +367,14 @@ def _export(options) -> int:
     written = export_file(options.file, options.out, options.name, options.precision)
     print(f"{options.out}: {', '.join(written)}")
     return 0
+
+
+def _contest(options) -> int:
+    from importlib import import_module  # the experiments stand above the package, in a checkout alone
+
+    command = import_module("experiments.motion.observer_contest.command")
+    chosen = {name: value for name, value in vars(options).items() if name not in ("run", "files")}
+    return command.hold_contest(options.files, **chosen)
 
 
 def _new(options) -> int:

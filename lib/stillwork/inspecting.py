@@ -4,7 +4,7 @@ import ast
 import json
 import re
 import shlex
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,7 +15,14 @@ from stillwork.base import paths
 from stillwork.base.checks import InputError, one_line, shown
 from stillwork.base.toml_files import read_toml
 from stillwork.signals.datafiles import is_file, is_folder, read_arrays
-from stillwork.signals.records import MOTION_UNITS, UNITS_SAID, is_time, load_record, unit_factor
+from stillwork.signals.records import (
+    MOTION_UNITS,
+    UNITS_SAID,
+    is_time,
+    load_record,
+    stated_unit,
+    unit_factor,
+)
 from stillwork.workbook.notebooks import select
 from stillwork.workbook.reading import comments
 
@@ -25,8 +32,9 @@ MODELS = {
     "fixedpoint": ("experiments.fixedpoint.oscillator", "load_oscillator"),
 }
 
-# What a Python file must define to be a plant: functions with their numbers of arguments, tables of parameters.
-NEEDED = {"acceleration": 4, "force": 4}
+# What a Python file must define to be a plant, with one coordinate or with several: functions with their numbers of
+# arguments, tables of parameters.
+FORMS = ({"acceleration": 4, "force": 4}, {"inertia": 3, "bias": 4})
 TABLES = ("EXACT", "APPROXIMATE")
 
 SHORTEST_FLOOR_S = 15.0  # what the floor's notebook takes; its module would cost seconds to import
@@ -75,7 +83,7 @@ def _record(path: Path) -> Iterator[str]:
     except InputError as error:
         yield f"not a record as it stands: {error}"
         return
-    units = [_unit(name) for name in record.names]
+    units = [stated_unit(name) for name in record.names]
     channels = "1 channel" if len(record.names) == 1 else f"{len(record.names)} channels"
     yield f"a record of {channels}: {record.sample_rate:.6g} Hz, {record.duration:.4g} s"
     if "" in units:
@@ -100,7 +108,7 @@ def _record(path: Path) -> Iterator[str]:
     positions = [
         (name, unit)
         for name, unit in zip(record.names, units, strict=True)
-        if not unit or unit_factor(unit)[1] == "m"
+        if not unit or unit_factor(unit)[1] in ("m", "rad")
     ]
     if positions:
         name, unit = positions[0]
@@ -153,20 +161,10 @@ def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
 def _plant(path: Path) -> Iterator[str]:
     missing = outline(path)
     if missing:
-        yield f"{path.name}: not a plant as it stands: {', '.join(missing)}; see data/fixedpoint/your_plant.py"
+        yield f"{path.name}: not a plant as it stands: {', '.join(missing)}; see data/fixedpoint/your_plant.py and arm.py"
         return
     yield f"{path.name}: the model functions of a plant; the notebook executes the file, this command did not"
     yield _command("fixedpoint/09-your-plant", {"plant": path.resolve()})
-
-
-def _unit(name: str) -> str:
-    """The unit in the brackets of a column's name; empty when there is none that is known."""
-    found = re.search(r"[(\[](.+?)[)\]]", name)
-    try:
-        unit_factor(found[1])
-    except (TypeError, InputError):
-        return ""
-    return found[1]
 
 
 def _described(values: np.ndarray) -> str:
@@ -231,6 +229,11 @@ def _takers(path: Path, room: str) -> Iterator[str]:
                 yield _command(notebook.name, {name: path.resolve()})
 
 
+def plant_form(names: Collection[str]) -> dict[str, int]:
+    """Which of `FORMS` a file that defines these names means: the first, unless it holds more of the second."""
+    return max(FORMS, key=lambda form: len(form.keys() & set(names)))
+
+
 def outline(file: Path) -> list[str]:
     """What a Python file lacks to be a plant, read from its source without executing it; empty: nothing.
 
@@ -257,7 +260,7 @@ def outline(file: Path) -> list[str]:
         f"{name} takes {functions[name]} arguments, not {count}"
         if name in functions
         else f"no function {name}"
-        for name, count in NEEDED.items()
+        for name, count in plant_form(functions).items()
         if functions.get(name) != count
     ]
     return missing + [f"no table {name}" for name in TABLES if name not in names]

@@ -132,7 +132,7 @@ def test_an_infinite_force_is_reported(exact, approximate, short):
     [
         ({"integration": "implicit"}, "did you mean 'semi-implicit'"),
         ({"noise": np.zeros(3)}, "noise has shape"),
-        ({"noise": np.full(600, np.nan)}, "noise holds 600 NaN"),
+        ({"noise": np.full(600, np.nan)}, "noise is NaN at the first sample"),
         ({"resolution": -1.0}, "resolution"),
         ({"start": (0.0, np.nan)}, "start holds 1 NaN"),
         ({"bound": 0.5}, "bound"),

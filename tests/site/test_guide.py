@@ -56,7 +56,7 @@ def test_every_command_is_one_that_these_tests_know():
     assert {
         line.split()[1] for line in LINES + re.findall(r"`(make [a-z]+)`", GUIDE) if line.startswith("make")
     } <= set(targets)
-    assert len(BUILDS) == 8 and len(INSPECTIONS) == 7 and len(CODE) == len(REPORTS) == 1
+    assert len(BUILDS) == 9 and len(INSPECTIONS) == 7 and len(CODE) == len(REPORTS) == 1
 
 
 @pytest.mark.slow
@@ -128,7 +128,7 @@ def test_the_snippet_writes_a_record_without_drift(tmp_path, monkeypatch):
 
 def test_every_template_in_the_table_exists_and_loads():
     templates = set(re.findall(r"`(data/[^`]*)`", GUIDE.partition("## A floor")[0]))
-    assert len(templates) == 7
+    assert len(templates) == 8
     for name in templates:
         file = paths.root() / name
         if "your_machine" in name:

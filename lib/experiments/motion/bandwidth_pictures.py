@@ -7,17 +7,19 @@ from functools import cache, lru_cache
 import numpy as np
 
 from experiments.motion.designs import stage_observer
-from experiments.motion.drive import drive_loop, seen_by_controller
-from experiments.motion.machines import drive, published_noise, stage, stage_mass
+from experiments.motion.drive import drive_loop, rigid_response, seen_by_controller
+from experiments.motion.machines import Drive, drive, published_noise, stage, stage_mass
 from experiments.motion.open_choices import BandwidthMap
-from experiments.motion.pictures import LABELS, paint_bode, paint_over_masses
+from experiments.motion.pictures import CASES, LABELS, add_magnitude, paint_bode, paint_over_masses
 from experiments.motion.structure import as_stage, measured_accelerance, structure_loops
 from stillwork.control.applications import Application, compensator
 from stillwork.control.bandwidth import Bandwidth, Loop, make_loop
 from stillwork.control.pid import PidFamily
 from stillwork.estimation.observer import Observer
+from stillwork.identification.frequency_response import Identified
 from stillwork.identification.modal_fit import fit_modes
 from stillwork.lti.modal import ModalModel
+from stillwork.lti.state_space import StateModel
 from stillwork.workbook import figures
 
 
@@ -99,6 +101,26 @@ def _edges(centres: np.ndarray) -> np.ndarray:
     """Edges of cells around ascending positive centres, halfway in logarithms."""
     inner = np.sqrt(centres[1:] * centres[:-1])
     return np.concatenate([[centres[0] ** 2 / inner[0]], inner, [centres[-1] ** 2 / inner[-1]]])
+
+
+def paint_identified(
+    plant: Drive, loops: Mapping[str, StateModel], found: Mapping[str, Identified], hertz: tuple[float, float]
+):
+    """What the controller of the drive sees, as identified and exact, beside the rigid body, and the coherence."""
+    figure, axes = figures.new(2, 1, height=5.0, sharex=True)
+    for name, each in found.items():
+        shown = (each.omega > 2 * np.pi * hertz[0]) & (each.omega < 2 * np.pi * hertz[1])
+        omega, style = each.omega[shown], {"color": CASES[name], "linewidth": 0.7}
+        add_magnitude(axes[0], omega, each.response[shown], label=f"{name}, identified", **style)
+        exact = seen_by_controller(loops[name], omega)
+        add_magnitude(axes[0], omega, exact, label=f"{name}, exact", color=CASES[name], linestyle=":")
+        axes[1].semilogx(omega / (2 * np.pi), each.coherence[shown], label=name, **style)
+    add_magnitude(axes[0], omega, rigid_response(plant, omega), label="rigid body", color=figures.GREY)
+    axes[0].set_ylabel("magnitude (dB re 1 rad/A)")
+    axes[0].legend(ncols=3, fontsize=7)
+    axes[1].set_ylabel("coherence")
+    axes[1].set_xlabel("frequency (Hz)")
+    return figure
 
 
 def paint_drive(stiffness_error: float, damping: float, bandwidth_hz: float):

@@ -1,5 +1,6 @@
 """Measured records: read from CSV, MAT, NPZ or UFF, checked, in SI units, evenly sampled."""
 
+import re
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -189,6 +190,18 @@ def unit_factor(unit: str) -> tuple[float, str]:
     if plain not in UNITS:
         raise InputError(f"unit is {unit!r}; use {UNITS_SAID}{nearest(plain, UNITS)}")
     return UNITS[plain]
+
+
+def stated_unit(name: str) -> str:
+    """The unit in the brackets of a channel's name; empty when there is none that is known."""
+    found = re.search(r"[(\[](.+?)[)\]]", name)
+    if found is None:
+        return ""
+    try:
+        unit_factor(found[1])
+    except InputError:
+        return ""
+    return found[1]
 
 
 @checked

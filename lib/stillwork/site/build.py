@@ -14,11 +14,13 @@ import stillwork
 from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.site import picture, reference, search
+from stillwork.site.benchmarks import benchmarks
 from stillwork.site.derived import works
 from stillwork.site.links import broken_links
 from stillwork.site.mathematics import markdown
 from stillwork.site.metadata import project
 from stillwork.site.pages import NotebookPage, read_page
+from stillwork.site.specification import curves
 from stillwork.site.standing import class_of, stands
 from stillwork.site.states import kept_states, make_states
 from stillwork.workbook import publish
@@ -26,6 +28,7 @@ from stillwork.workbook.claims import KINDS, VERDICTS, Claim, ledger
 from stillwork.workbook.notebooks import notebook_file
 from stillwork.workbook.provenance import commit, modified
 from stillwork.workbook.readings.command import standings_of
+from stillwork.workbook.readings.judging import Standing
 from stillwork.workbook.report import APART, REPLICATIONS, column, our_quantity, published_quantity, tally
 from stillwork.workbook.tasks import tasks
 
@@ -56,7 +59,7 @@ def site_files() -> dict[str, bytes]:
     modules = reference.read_modules()
     guides = {name: file.read_text(encoding="utf-8") for name, file in _documents("*.md").items()}
     standings = {entry: each for room in paths.ROOMS for entry, each in standings_of(room).items()}
-    rooms = [_room(name, work, claims, pages) for name, work in works().items()]
+    rooms = [_room(name, work, claims, pages, standings) for name, work in works().items()]
     render = _renderer(
         rooms=[room for room in rooms if room["pages"] or room["counts"]],
         # Of a folder its front stands in the navigation and leads to the others.
@@ -77,11 +80,18 @@ def site_files() -> dict[str, bytes]:
         "",
         claims=claims,
         by_name=by_name,
+        curved={curve.standing.entry.id for room in rooms for curve in room["curves"]},
         kinds=[kind for kind in KINDS if any(claim.entry.kind == kind for claim in claims)],
         classes=sorted({class_of(standings.get(claim.entry.id)) for claim in claims}),
     )
+    for room in rooms:
+        if room["curves"]:
+            files[f"readings/{room['name']}.html"] = render(
+                "readings.html", "../", room=room, curves=room["curves"]
+            )
     files["ledger.json"] = json.dumps([claim.as_dict() for claim in claims], indent=1).encode()
     files["gallery.html"] = render("gallery.html", "", pages=pages)
+    files["benchmarks.html"] = render("benchmarks.html", "", tables=benchmarks())
     files["replicate.html"] = render("replicate.html", "", pages=pages)
     for page in pages:
         files[f"notebooks/{page.name}.html"] = render(
@@ -138,14 +148,19 @@ def _neighbours(page: NotebookPage, pages: list[NotebookPage]) -> list[tuple[str
     return before + [("next", each) for each in mine[at + 1 : at + 2]]
 
 
-def _room(name: str, work: dict, claims: list[Claim], pages: list[NotebookPage]) -> dict:
+def _room(
+    name: str, work: dict, claims: list[Claim], pages: list[NotebookPage], standings: dict[str, Standing]
+) -> dict:
     """What a template shows of a room."""
     mine = [claim for claim in claims if claim.entry.room == name]
+    drawn = curves(name, standings)
     return {
         "name": name,
         **work,
         "counts": Counter(map(column, mine)),
         "picture": picture.draw(mine),
+        "curves": drawn,
+        "classes": Counter(curve.standing.class_ for curve in drawn if curve.standing.class_),
         "headline": _said(work["headline"], mine),
         "found": _said(work["found"], mine),
         "rests": [entry for entry in work["rests"] if any(claim.entry.id == entry for claim in mine)],
