@@ -34,6 +34,12 @@ def transition(
     return decay * np.array([[ratio * sine + cosine, off / omega], [-omega * off, cosine - ratio * sine]])
 
 
+def transition_error(omega: float, ratios, step: float, variant: str, row: int) -> list[float]:
+    """Relative error of an entry in the second column of a variant's transition matrix, by damping ratio."""
+    pairs = ([transition(omega, ratio, step, each) for each in (variant, "exact")] for ratio in ratios)
+    return [float(np.abs(given / exact - 1)[row, 1]) for given, exact in pairs]
+
+
 def undamped_input(omega: float, shapes, step: float) -> Float64[np.ndarray, "2 inputs"]:
     """Input matrix of one flexible mode without its damping, (2.33)."""
     require_number("omega", omega, above=0.0)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
+from scipy import linalg
 
 from stillwork.base import paths
 from stillwork.base.checks import InputError, require_array, require_count, require_number
@@ -72,6 +73,15 @@ def chain(masses: ArrayLike) -> ModalModel:
         places,
         damping_matrix=chain_matrix(require_number("chain: damper", p["damper"]) * links),
     )
+
+
+def loaded_modes(place: float) -> tuple[np.ndarray, np.ndarray]:
+    """Mass matrix and mass-normalised shapes of the chain of Example 2.3.2, its extra mass at a place from 1 to 5."""
+    p = parameters("chain")
+    share = np.maximum(1 - np.abs(np.arange(1, 6) - place), 0)  # between neighbours
+    mass = np.diag(p["light_mass"] + (p["heavy_mass"] - p["light_mass"]) * share)
+    shapes = linalg.eigh(chain_matrix(np.full(4, p["stiffness"])), mass)[1]
+    return mass, shapes * np.sign(shapes[0])
 
 
 @dataclass(frozen=True)

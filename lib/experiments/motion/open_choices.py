@@ -72,6 +72,24 @@ def open_choices(name: str) -> OpenChoices:
     return OpenChoices(found)
 
 
+def fastest(setting: Design) -> Bandwidth | None:
+    """The largest bandwidth of a design by a quicker search on a coarser grid; None where nothing is feasible."""
+    loops = stage_loops(setting, points=300, around=15)
+    limits = [PeakConstraint(function) for function in setting.constraints]
+    try:
+        return maximise_bandwidth(
+            loops, PidFamily(stage_mass()), limits, 20.0, 110.0, scan=46, tolerance_hz=0.02
+        )
+    except InputError:  # no feasible bandwidth is a result here
+        return None
+
+
+def first_crossing(setting: Design, position: int) -> float:
+    """First crossing of `fastest` at one mass (Hz); NaN where nothing is feasible."""
+    found = fastest(setting)
+    return np.nan if found is None else float(found.crossing_hz[position - 1])
+
+
 @dataclass(frozen=True)
 class BandwidthMap:
     """Design bandwidth over the selectivity and the noise model; NaN where nothing in the range is feasible."""
@@ -91,15 +109,9 @@ def bandwidth_map(selectivity, noise_model) -> BandwidthMap:
             raise InputError(f"{name} must hold at least one value, all of them positive")
     design = np.full((len(rows), len(columns)), np.nan)
     crossing = design.copy()
-    family = PidFamily(stage_mass())
     for i, q in enumerate(rows):
         for j, intensity in enumerate(columns):
-            setting = Design(Application(True, DAMPING, selectivity=float(q)), float(intensity))
-            loops = stage_loops(setting, points=300, around=15)
-            limits = [PeakConstraint(function) for function in setting.constraints]
-            try:
-                found = maximise_bandwidth(loops, family, limits, 20.0, 110.0, scan=46, tolerance_hz=0.02)
-            except InputError:  # no feasible bandwidth is a result here
-                continue
-            design[i, j], crossing[i, j] = found.design_hz, found.crossing_hz[4]
+            found = fastest(Design(Application(True, DAMPING, selectivity=float(q)), float(intensity)))
+            if found is not None:
+                design[i, j], crossing[i, j] = found.design_hz, found.crossing_hz[4]
     return BandwidthMap(rows, columns, design, crossing)

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
+from experiments.motion.integral_action import slope
 from stillwork.base.rounding import in_order
 from stillwork.control.bandwidth import SIX_DB, Loop
 from stillwork.control.loops import channel
@@ -109,6 +110,13 @@ def highest(axis, low: float = 0.0, high: float = np.inf) -> np.ndarray:
     """Place and height of the largest value of each line of a panel, for x from `low` to `high`: (lines, 2)."""
     parts = [(x, np.where((x >= low) & (x <= high), y, -np.inf)) for x, y in drawn(axis).values()]
     return np.array([(x[y.argmax()], y.max()) for x, y in parts])
+
+
+def drawn_slope(axis, label: str, low: float, high: float) -> float:
+    """Slope of a line in dB between two x, in decades a decade."""
+    x, level = drawn(axis)[label]
+    part = (x >= low) & (x <= high)
+    return slope(x[part], 10 ** (level[part] / 20))
 
 
 def mark_limit(axis) -> None:
