@@ -10,8 +10,6 @@ import pytest
 from experiments.motion.observer_contest import bench
 from experiments.motion.observer_contest.doubts import DOUBTS, hidden_seed, sample_truth
 from experiments.motion.observer_contest.entrants import ENTRANTS
-from experiments.motion.observer_contest.noise_map import flexible_errors
-from experiments.motion.observer_contest.pictures import crossing
 from experiments.motion.observer_contest.plants import PLANTS, sample_plant
 from experiments.motion.observer_contest.referee import Disqualified, ForeignObserver
 from experiments.motion.observer_contest.scores import contest_trial
@@ -296,34 +294,3 @@ def test_the_table_and_the_ranking_say_what_the_scores_say(tmp_path):
     stood = ranking(ContestResult(contest.scores + twins, {}))
     ranks = {each.entrant: each.rank for each in stood}
     assert ranks["twin"] == ranks["Kalman"]
-
-
-def test_the_noise_at_which_an_order_turns():
-    noises = np.array([1.0, 10.0, 100.0])
-    assert crossing(noises, np.array([[1.0], [-1.0], [-3.0]])) == pytest.approx(10**0.5)
-    assert crossing(noises, np.array([[2.0, 4.0], [1.0, 1.0], [-1.0, -2.0]])) == pytest.approx(
-        10 ** (1 + 1 / 2.5)
-    )
-    assert crossing(noises, np.ones((3, 2))) == np.inf
-    assert crossing(noises, -np.ones((3, 2))) == 1.0
-
-
-def test_the_committed_table_holds_every_entrant_plant_and_doubt():
-    with open(paths.data("motion", "contest.csv"), encoding="utf-8") as stream:
-        header, *lines = csv.reader(stream)
-    assert tuple(header) == COLUMNS
-    flexible = {tuple(line[:3]) for line in lines if line[3] == "flexible"}
-    assert flexible == {(name, plant, doubt) for name in ENTRANTS for plant in PLANTS for doubt in DOUBTS}
-    assert all(float(line[5]) <= float(line[4]) <= float(line[6]) for line in lines if line[1] != "all")
-
-
-@pytest.mark.slow
-def test_a_cell_of_the_map_is_its_seeds_whoever_else_runs():
-    plant = sample_plant("stage", np.random.default_rng(0))
-    names = ("Kalman", "open model")
-    both = flexible_errors(
-        plant, 0.02, 3.0, "a test", 2, {name: OwnObserver(ENTRANTS[name]) for name in names}
-    )
-    alone = flexible_errors(plant, 0.02, 3.0, "a test", 1, {"Kalman": OwnObserver(ENTRANTS["Kalman"])})
-    assert both["Kalman"][0] == alone["Kalman"][0]
-    assert not np.array_equal(both["Kalman"], both["open model"])
