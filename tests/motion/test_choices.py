@@ -5,6 +5,7 @@ import pytest
 
 from experiments.motion import choices
 from experiments.motion.designs import DESIGNS, stage_compensator
+from experiments.motion.drive import statements
 from experiments.motion.machines import published_setpoint, stage
 from experiments.motion.perturbed_tracking import noisy_scan_trial
 from stillwork.control.feedforward import Feedforward
@@ -63,3 +64,25 @@ def test_an_order_needs_both_columns():
     redesigned = {f"{name}-redesigned": value for name, value in values.items() if name != "original"}
     assert choices.ranked(values | redesigned)
     assert not choices.ranked(values | redesigned | {"mc-redesigned": 2.9})
+
+
+def test_a_model_too_soft_leaves_a_peak_and_one_too_stiff_a_notch():
+    reading = {"drive_damping": 0.1, "drive_weights": "angles first", "seed": 1, "lean": True}
+    soft = choices.drive_figure(stiffness_error=-0.05, **reading)
+    stiff = choices.drive_figure(stiffness_error=0.05, **reading)
+    assert soft["motion.fig-3-36.residual-peak"] == 1
+    assert stiff["motion.fig-3-36.residual-peak"] == 0
+    exact = choices.drive_figure(stiffness_error=1e-9, **reading)
+    assert exact["motion.fig-3-36.compensation-reduces"] == 1
+    assert exact["motion.fig-3-36.combination-best"] == 0  # MC alone is the rigid body then
+
+
+def test_a_notch_is_as_far_from_the_rigid_body_as_a_peak():
+    levels = {"no observer": [16.0, 0], "MC": [-3.0, 1], "AD": [9.0, 0], "MC and AD": [2.0, -4]}
+    levels = {name: np.array(level) for name, level in levels.items()}
+    assert statements(levels) == {
+        "compensation-reduces": True,
+        "residual-peak": False,
+        "damping-reduces-less": True,
+        "combination-best": False,
+    }

@@ -173,6 +173,22 @@ def test_refined_peak_finds_what_the_grid_steps_over():
     assert peak.magnitude == pytest.approx(exact, rel=1e-4)
 
 
+@pytest.mark.parametrize("unit", [1.0, 1e-9, 1e9])
+def test_units_do_not_make_a_loop_ill_posed(unit):
+    """Two gains in a ring, of N by m and back: solvable but for a product of one, however large each is."""
+
+    def ring(product):
+        gains = [
+            lti.StateModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.array([[g]]))
+            for g in (1e9 / unit, unit * product / 1e9)
+        ]
+        return lti.interconnect(gains, np.eye(2)[::-1].copy(), np.eye(2, 1), np.eye(1, 2))
+
+    assert ring(0.5).d[0, 0] == pytest.approx(2e9 / unit)
+    with pytest.raises(InputError, match="no unique solution"):
+        ring(1.0)
+
+
 def test_interconnection_is_that_of_python_control():
     plant = random_modal(2, 1, 1).modes(slice(1, None)).state_space()
     filter_ = lti.StateModel(np.array([[-50.0]]), np.array([[50.0]]), np.eye(1), np.zeros((1, 1)))

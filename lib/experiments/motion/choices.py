@@ -13,8 +13,10 @@ from experiments.motion.designs import (
     stage_compensator,
     stage_loops,
 )
-from experiments.motion.machines import parameters, published_setpoint, stage, stage_mass
+from experiments.motion.drive import drive_loop, rigid_response, seen_by_controller, statements
+from experiments.motion.machines import drive, parameters, published_setpoint, stage, stage_mass
 from experiments.motion.perturbed_tracking import CASES, MEASURED, noisy_scan_trial
+from stillwork.control.applications import Application
 from stillwork.control.bandwidth import SIX_DB, Bandwidth, Loop
 from stillwork.control.crossover import crossover
 from stillwork.control.feedforward import error_loop, fit_feedforward
@@ -186,3 +188,31 @@ def tracking_loop(case: str, redesign: str, stage_damping: float):
     )
     controller = PidFamily(stage_mass())(hz).state_space()
     return closed_loop(plant.at([0], [MEASURED - 1]), block, controller)
+
+
+# --- Section 3.6: Fig. 3.36 --------------------------------------------------------------------------------------
+
+
+def drive_figure(
+    *, stiffness_error: float, drive_damping: float, drive_weights: str, seed: int, lean: bool
+) -> dict[str, float]:
+    """What Fig. 3.36 shows, from exact responses between 5 and 30 Hz; it has no leaner form.
+
+    `stiffness_error` is that of the observer's model (relative), `drive_damping` the added ratio, `drive_weights` one
+    of `drive.WEIGHTS`. The controller has no effect on what it sees.
+    """
+    plant = drive()
+    model = replace(plant, stiffness=plant.stiffness * (1 + stiffness_error))
+    omega = 2 * np.pi * np.linspace(5, 30, 2000)
+    applications = {
+        "no observer": None,
+        "MC": Application(compensate=True),
+        "AD": Application(damping=drive_damping),
+        "MC and AD": Application(compensate=True, damping=drive_damping),
+    }
+    levels = {}
+    for name, each in applications.items():
+        loop = drive_loop(plant, model, each, 4.0, drive_weights)
+        levels[name] = 20 * np.log10(np.abs(seen_by_controller(loop, omega) / rigid_response(plant, omega)))
+    found = {f"motion.fig-3-36.{name}": float(holds) for name, holds in statements(levels).items()}
+    return found | {"motion.fig-3-36.rigid": float(np.abs(levels["MC and AD"]).max())}

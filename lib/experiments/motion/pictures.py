@@ -58,6 +58,7 @@ def paint_bode(
     quantity: str,
     *,
     phase: bool = False,
+    unwrap: bool = True,
     styles: Mapping[str, dict] | None = None,
     height: float | None = None,
     xlim: tuple[float, float] | None = None,
@@ -65,7 +66,7 @@ def paint_bode(
 ):
     """Magnitude (and phase) of single responses, by label (omega in rad/s, response), on one pair of axes.
 
-    `xlim` in Hz, `ylim` in dB.
+    Without `unwrap` the phase stays between -270 and 90 degrees. `xlim` in Hz, `ylim` in dB.
     """
     from matplotlib.ticker import MultipleLocator
 
@@ -77,8 +78,12 @@ def paint_bode(
         hertz = np.asarray(omega) / (2 * np.pi)
         axes[0].semilogx(hertz, decibel(response), label=label, **style)
         if phase:
-            angle = np.degrees(np.unwrap(np.angle(response)))
-            angle -= 360 * np.ceil(angle[0] / 360 - 1e-6)  # start between -360 and 0 degrees
+            angle = np.degrees(np.angle(response))
+            if unwrap:
+                angle = np.unwrap(angle, period=360)
+                angle -= 360 * np.ceil(angle[0] / 360 - 1e-6)  # start between -360 and 0 degrees
+            else:
+                angle = (angle + 270) % 360 - 270
             axes[1].semilogx(hertz, angle, label=label, **style)
     axes[0].set_ylabel(quantity)
     if phase:
