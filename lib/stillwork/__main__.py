@@ -1,4 +1,4 @@
-"""Command line: ``python -m stillwork figures|readings|claims|portable|accept|site|refresh|inspect|design|export|new|doctor``."""
+"""Command line: ``python -m stillwork figures|readings|claims|portable|accept|site|refresh|inspect|design|export|verify|new|doctor``."""
 
 import argparse
 import json
@@ -133,6 +133,10 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
     export.add_argument("file", metavar="FILE", help="controller.json, or TOML")
     _add_output(export)
     export.set_defaults(run=_export)
+
+    verify = commands.add_parser("verify", help="check stored results again by another library alone")
+    verify.add_argument("name", metavar="NAME", help="e.g. joint")
+    verify.set_defaults(run=_verify)
 
     new = commands.add_parser(
         "new", help="begin a result: notebook, ledger entry and test", allow_abbrev=False
@@ -282,6 +286,19 @@ def _export(options) -> int:
     written = export_file(options.file, options.out, options.name, options.precision)
     print(f"{options.out}: {', '.join(written)}")
     return 0
+
+
+def _verify(options) -> int:
+    from importlib import import_module
+
+    prefix = "verify_"
+    files = sorted((paths.root() / "lib" / "experiments").glob(f"*/{prefix}*.py"))
+    modules = {
+        file.stem.removeprefix(prefix): f"experiments.{file.parent.name}.{file.stem}" for file in files
+    }
+    if options.name not in modules:
+        raise InputError(f"there is nothing to verify called {options.name!r}; use {', '.join(modules)}")
+    return 0 if import_module(modules[options.name]).main() else 1
 
 
 def _new(options) -> int:
