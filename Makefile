@@ -26,7 +26,7 @@ RERUN ?= 3
 # Kept bytecode halves the start of every worker, which reads all tests and checks all functions' types.
 test quick: export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help figures readings test quick lab site browser bench faults portable accept doctor clean
+.PHONY: help figures readings contest test quick course lab site browser bench faults portable accept release doctor clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-8s  %s\n", $$1, $$2 }' Makefile
@@ -36,6 +36,9 @@ figures: $(READY) ## Build what is stale; ARGS="ROOM/NOTEBOOK -p NAME=VALUE --jo
 
 readings: $(READY) ## Try every choice that the works leave open; ARGS="ROOM --jobs N --budget MINUTES"
 	@$(BIN)/python -m stillwork readings $(ARGS)
+
+contest: $(READY) ## Rank observers of flexible machines; ARGS="MY_OBSERVER.py --seeds N --public NUMBER --jobs N"
+	@$(BIN)/python -m stillwork contest $(ARGS)
 
 test: $(READY) ## Style, types, unit tests, all notebooks, and what is committed against what they give now
 	$(BIN)/ruff check .
@@ -52,6 +55,9 @@ test: $(READY) ## Style, types, unit tests, all notebooks, and what is committed
 
 quick: $(READY) ## The unit tests that take less than half a second of CPU each
 	$(UNDER_PINS) $(BIN)/python -m pytest $(UNIT) -m "not slow" -n logical --dist loadfile $(ARGS)
+
+course: $(READY) ## Run the solutions of the course's exercises
+	$(UNDER_PINS) $(BIN)/python -m pytest tests/site/test_course.py -p no:nbval -p no:anyio $(ARGS)
 
 lab: $(READY) ## Open JupyterLab on the notebooks, on this machine only
 	JUPYTER_PREFER_ENV_PATH=1 $(BIN)/python -m jupyter lab --LabApp.default_url=/lab/tree/notebooks/index.ipynb \
@@ -74,6 +80,9 @@ portable: $(READY) ## Build under other processors' settings and compare; ARGS="
 
 accept: $(READY) ## Take a build over into the notebooks, the ledger and the README
 	@$(BIN)/python -m stillwork accept
+
+release: $(READY) ## Write wheel, site and archive to build/release, and try the wheel in an environment of its own
+	@$(BIN)/python -m stillwork release
 
 doctor: $(READY) ## Compare the environment with environment.txt
 	@$(BIN)/python -m stillwork doctor

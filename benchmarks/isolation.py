@@ -21,7 +21,7 @@ os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1", MKL_NUM_THREADS
 
 import numpy as np  # noqa: E402
 
-from experiments.isolation import loop, simulation  # noqa: E402
+from experiments.isolation import loop, simulation, sources  # noqa: E402
 from experiments.isolation.floors import flat_floor  # noqa: E402
 from experiments.isolation.twin import load_twin  # noqa: E402
 from stillwork.estimation.adaptive import FeLms, FeRls, ferls_update  # noqa: E402
@@ -286,12 +286,12 @@ def loop_times() -> dict[str, tuple[float, float, float]]:
     covariance = np.full(twin.regressors, 0.6)  # about the steady value on this floor
     algorithms = {"FeLMS": FeLms(), "FeRLS": FeRls(covariance)}
     samples = round(seconds / twin.sample_time)
-    sources = simulation.Sources(twin, [(samples, flat_floor())], True, 0)
-    blocks = [sources.sample(simulation.BLOCK) for _ in range(samples // simulation.BLOCK)]
+    drawn_from = sources.Sources(twin, [(samples, flat_floor())], True, 0)
+    blocks = [drawn_from.sample(simulation.BLOCK) for _ in range(samples // simulation.BLOCK)]
 
     def alone(settings):
         code, numbers, start = simulation._algorithm(twin, settings)
-        kept = simulation._Kept(twin, simulation.BLOCK, simulation.BLOCK, simulation.BLOCK)
+        kept = simulation._Kept(twin, simulation.BLOCK, simulation.BLOCK, simulation.BLOCK, 1)
 
         def run():
             closed = loop.loop_of(twin, True, np.zeros((twin.actuators, twin.regressors)), start)
@@ -309,21 +309,26 @@ def loop_times() -> dict[str, tuple[float, float, float]]:
                     *numbers,
                     *closed.recursion[-2:],
                     np.inf,
+                    None,
                 )
             return time.thread_time() - begin, len(blocks) * simulation.BLOCK
 
         return run
 
-    def drawn(settings):
+    def drawn(settings, seeds=(0,)):
         def run():
             begin = time.thread_time()
-            simulation.simulate(twin, flat_floor(), seconds, adaptation=settings)
-            return time.thread_time() - begin, samples
+            simulation.simulate_together(twin, flat_floor(), seconds, adaptations={"": settings}, seeds=seeds)
+            return time.thread_time() - begin, samples * len(seeds)
 
         return run
 
     contenders = {f"closed loop {name}": alone(settings) for name, settings in algorithms.items()}
     contenders |= {f"simulation {name}": drawn(settings) for name, settings in algorithms.items()}
+    seeds = range(simulation.TOGETHER)
+    contenders |= {
+        f"{len(seeds)} seeds together {name}": drawn(settings, seeds) for name, settings in algorithms.items()
+    }
     return in_turn(contenders)
 
 

@@ -44,6 +44,7 @@ MAY_BE_INFINITE = {
     "DigitalController",
     "ControlledRun",
     "control.simulate",
+    "simulate_mechanism",
 }
 
 
@@ -53,6 +54,14 @@ def _acceleration(position, velocity, force, parameters):
 
 def _force(position, velocity, acceleration, parameters):
     return acceleration * parameters[0]
+
+
+def _inertia(position, parameters, out):
+    out[0, 0], out[0, 1], out[1, 0], out[1, 1] = parameters[0], 0.1, 0.1, parameters[0]
+
+
+def _bias(position, velocity, parameters, out):
+    out[0], out[1] = position[0], velocity[1]
 
 
 def _transition(state, inputs, parameters, out):
@@ -100,6 +109,8 @@ def catalogue() -> dict:
     guess = e.Plant(_acceleration, _force, np.array([2.2]))
     controller = c.Controller(e.LowPass(), c.FlowTransformation(), c.KinematicDesign(10.0), guess)
     trajectory = c.sine_trajectory(duration=0.1)
+    arm = c.Mechanism(_inertia, _bias, 2, np.array([2.0]))
+    arms = c.Controller(e.LowPass(), c.FlowTransformation(), c.KinematicDesign(10.0), arm)
     near = c.linear_loop(plant, controller, 1e-3)
     setpoint = c.point_to_point(1e4, 100.0, 2.0, 0.1, 0.02, 0.005, 1e-3)
     pid = c.PidFamily(11.0)
@@ -199,6 +210,9 @@ def catalogue() -> dict:
         "exponential_bound": (i.exponential_bound, {"row": 1.0, "forgetting": 0.9, "samples": 10}),
         "fir_regressors": (i.fir_regressors, {"signal": signal, "taps": 3}),
         "fit_modal_matrix": (i.fit_modal_matrix, {"omega": modes, "response": residues, "deviation": np.full(len(modes), 1e-6), "modes": 2, "step": 1e-4, "rigid_modes": 1}),
+        "complex_frequency_poles": (i.complex_frequency_poles, {"omega": measured.omega, "response": measured.response[:, None, None], "weight": np.ones(len(measured.omega)), "order": 4}),
+        "stabilisation": (i.stabilisation, {"omega": measured.omega, "response": measured.response[:, None, None]}),
+        "identify_modes": (i.identify_modes, {"measured": measured, "band_hz": (10.0, 200.0), "guesses_hz": [48.0, 143.0], "damping_guess": 1e-2}),
         "fit_modes": (i.fit_modes, {"measured": measured, "guesses_hz": [48.0, 143.0], "band_hz": (10.0, 200.0), "damping_guess": 1e-2}),
         "impact_response": (i.impact_response, impulse),
         "joint_input_output": (i.joint_input_output, {"records": i.run_multisine(**experiment)}),
@@ -284,6 +298,8 @@ def catalogue() -> dict:
         "controller_code": (c.controller_code, {"controller": digital, "name": "loop", "precision": "single"}),
         "load_controller": (c.load_controller, {"file": "missing.json"}),
         "Controller": (c.Controller, fields(controller)),
+        "Mechanism": (c.Mechanism, fields(arm)),
+        "Mechanism.force": (arm.force, {"position": np.zeros(2), "velocity": np.zeros(2), "acceleration": np.ones(2)}),
         "Decoupling": (c.Decoupling, fields(decoupling)),
         "Decoupling.apply": (decoupling.apply, {"model": broad}),
         "DiscreteObserver": (c.DiscreteObserver, fields(sampled_observer)),
@@ -350,7 +366,8 @@ def catalogue() -> dict:
         "response_gain": (c.response_gain, {"plant": plant, "model": guess}),
         "rigid_coupling": (c.rigid_coupling, {"plant": broad, "gain": wide, "decoupling": decoupling}),
         "sampled_feedback": (c.sampled_feedback, {"model": model, "gain": damping, "step": 1e-4, "delay": 1}),
-        "control.simulate": (c.simulate, {"plant": plant, "controller": controller, "trajectory": trajectory, "noise": 1e-6 * noise(100), "resolution": 1e-6, "grid": 0.1, "start": (0.0, 0.0), "bound": 10.0}),
+        "control.simulate": (c.simulate, {"plant": plant, "controller": controller, "trajectory": trajectory, "noise": 1e-6 * noise(100), "resolution": 1e-6, "grid": 0.1, "start": (0.0, 0.0), "bound": 10.0, "force_limit": 50.0}),
+        "simulate_mechanism": (c.simulate_mechanism, {"plant": arm, "controller": arms, "trajectories": [trajectory] * 2, "noise": 1e-6 * np.array([noise(100), noise(100)]), "resolution": 1e-6, "grid": 0.1, "start": np.zeros((2, 2)), "bound": 10.0, "force_limits": [50.0, 50.0]}),
         "sine_trajectory": (c.sine_trajectory, {"amplitude": 1.0, "frequency_hz": 2.0, "duration": 0.1, "time_step": 1e-3}),
         "soft_sensor": (c.soft_sensor, {"observer": observer, "performance_shapes": np.ones((1, 3))}),
         "stable_range": (c.stable_range, {"loop": near}),

@@ -4,7 +4,7 @@ import ast
 import json
 import re
 import shlex
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,7 +15,14 @@ from stillwork.base import paths
 from stillwork.base.checks import InputError, one_line, shown
 from stillwork.base.toml_files import read_toml
 from stillwork.signals.datafiles import is_file, is_folder, read_arrays
-from stillwork.signals.records import MOTION_UNITS, UNITS_SAID, is_time, load_record, unit_factor
+from stillwork.signals.records import (
+    MOTION_UNITS,
+    UNITS_SAID,
+    is_time,
+    load_record,
+    stated_unit,
+    unit_factor,
+)
 from stillwork.workbook.notebooks import select
 from stillwork.workbook.reading import comments
 
@@ -25,8 +32,9 @@ MODELS = {
     "fixedpoint": ("experiments.fixedpoint.oscillator", "load_oscillator"),
 }
 
-# What a Python file must define to be a plant: functions with their numbers of arguments, tables of parameters.
-NEEDED = {"acceleration": 4, "force": 4}
+# What a Python file must define to be a plant, with one coordinate or with several: functions with their numbers of
+# arguments, tables of parameters.
+FORMS = ({"acceleration": 4, "force": 4}, {"inertia": 3, "bias": 4})
 TABLES = ("EXACT", "APPROXIMATE")
 
 SHORTEST_FLOOR_S = 15.0  # what the floor's notebook takes; its module would cost seconds to import
@@ -75,7 +83,7 @@ def _record(path: Path) -> Iterator[str]:
     except InputError as error:
         yield f"not a record as it stands: {error}"
         return
-    units = [_unit(name) for name in record.names]
+    units = [stated_unit(name) for name in record.names]
     channels = "1 channel" if len(record.names) == 1 else f"{len(record.names)} channels"
     yield f"a record of {channels}: {record.sample_rate:.6g} Hz, {record.duration:.4g} s"
     if "" in units:
@@ -100,7 +108,7 @@ def _record(path: Path) -> Iterator[str]:
     positions = [
         (name, unit)
         for name, unit in zip(record.names, units, strict=True)
-        if not unit or unit_factor(unit)[1] == "m"
+        if not unit or unit_factor(unit)[1] in ("m", "rad")
     ]
     if positions:
         name, unit = positions[0]
@@ -113,7 +121,12 @@ def _record(path: Path) -> Iterator[str]:
 def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
     """What the room motion makes of a file; nothing where no name in it points to a machine."""
     from stillwork.identification.machine import build_machine
-    from stillwork.identification.machine_files import kind_of, load_machine, stated_units
+    from stillwork.identification.machine_files import (
+        complex_responses,
+        kind_of,
+        load_machine,
+        stated_units,
+    )
 
     try:
         kind = kind_of(arrays)
@@ -121,7 +134,9 @@ def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
         return
     settings = {"machine_file": path.resolve()}
     try:
-        file = load_machine(path, response=_first_complex(arrays))
+        several = list(complex_responses(arrays)) if kind == "frequency response" else []
+        chosen = several[0] if len(several) > 1 else ""
+        file = load_machine(path, response=chosen)
         if file.model is not None:
             machine = build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)
             resonances = ", ".join(f"{hertz:.4g}" for hertz in machine.resonances_hz[:5])
@@ -135,7 +150,7 @@ def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
             if not response:
                 yield "it does not say the unit of the response; put m/s^2, g, m/s, mm/s, m, mm or um for UNIT"
             settings |= {"fit_hz": "0,0", "loop_hz": "0,0"}
-            if chosen := _first_complex(arrays):
+            if chosen:
                 settings["response"] = chosen
     except InputError as error:
         yield f"not a machine as it stands: {error}"
@@ -143,29 +158,13 @@ def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
     yield _command("motion/29-your-machine", settings)
 
 
-def _first_complex(arrays: dict[str, np.ndarray]) -> str:
-    """Name of the first complex array where there are several to choose from; else empty."""
-    names = [name for name, array in arrays.items() if array.dtype.kind == "c" and array.size > 1]
-    return names[0] if len(names) > 1 else ""
-
-
 def _plant(path: Path) -> Iterator[str]:
     missing = outline(path)
     if missing:
-        yield f"{path.name}: not a plant as it stands: {', '.join(missing)}; see data/fixedpoint/your_plant.py"
+        yield f"{path.name}: not a plant as it stands: {', '.join(missing)}; see data/fixedpoint/your_plant.py and arm.py"
         return
     yield f"{path.name}: the model functions of a plant; the notebook executes the file, this command did not"
     yield _command("fixedpoint/09-your-plant", {"plant": path.resolve()})
-
-
-def _unit(name: str) -> str:
-    """The unit in the brackets of a column's name; empty when there is none that is known."""
-    found = re.search(r"[(\[](.+?)[)\]]", name)
-    try:
-        unit_factor(found[1])
-    except (TypeError, InputError):
-        return ""
-    return found[1]
 
 
 def _described(values: np.ndarray) -> str:
@@ -230,6 +229,11 @@ def _takers(path: Path, room: str) -> Iterator[str]:
                 yield _command(notebook.name, {name: path.resolve()})
 
 
+def plant_form(names: Collection[str]) -> dict[str, int]:
+    """Which of `FORMS` a file that defines these names means: the first, unless it holds more of the second."""
+    return max(FORMS, key=lambda form: len(form.keys() & set(names)))
+
+
 def outline(file: Path) -> list[str]:
     """What a Python file lacks to be a plant, read from its source without executing it; empty: nothing.
 
@@ -256,7 +260,7 @@ def outline(file: Path) -> list[str]:
         f"{name} takes {functions[name]} arguments, not {count}"
         if name in functions
         else f"no function {name}"
-        for name, count in NEEDED.items()
+        for name, count in plant_form(functions).items()
         if functions.get(name) != count
     ]
     return missing + [f"no table {name}" for name in TABLES if name not in names]

@@ -104,7 +104,7 @@ def test_stability_is_what_the_simulation_does(name, inside, exact, approximate)
 
 def test_open_loop_response_matches_python_control(exact, approximate):
     loop = linear_loop(exact, published_controllers(approximate)["low pass"], STEP)
-    peer = control.ss(loop.A, loop.B[:, None], loop.C[None, :], 0, STEP)
+    peer = control.ss(loop.A, loop.B, loop.C, 0, STEP)
     rates = np.array([5.0, 50.0, 500.0, 3000.0])
     assert loop.response(rates) == pytest.approx(peer(np.exp(1j * rates * STEP)), rel=1e-9)
 
@@ -169,7 +169,7 @@ def test_the_widest_stable_range_counts(monkeypatch, exact, approximate):
             return 1.5 if -4.5 < local_gain < -2.0 else 0.5
 
     monkeypatch.setattr(fixed_point_convergence, "crossings", lambda loop: edges)
-    stub = Stub(np.eye(1), np.zeros(1), np.zeros(1), STEP)
+    stub = Stub(np.eye(1), np.zeros((1, 1)), np.zeros((1, 1)), STEP)
     assert stable_range(stub).limits == (-2.0, 0.0)
 
 

@@ -5,12 +5,14 @@ import sys
 import numpy as np
 import pytest
 
-from experiments.fixedpoint import Noise, load_oscillator, published_controllers
+from experiments.fixedpoint import Noise, judge, load_oscillator, published_controllers
+from experiments.fixedpoint.noise import lose
 from experiments.fixedpoint.your_plant import (
     contraction_along,
     controllers,
     drive,
     load_models,
+    open_trajectories,
     open_trajectory,
     stable_ranges,
     warnings_of,
@@ -24,6 +26,7 @@ from stillwork.control.transformation import RobustTransformation
 from stillwork.inspecting import outline
 
 TEMPLATE = paths.data("fixedpoint", "your_plant.py")
+ARM = paths.data("fixedpoint", "arm.py")
 MOTION = paths.data("fixedpoint", "your_trajectory.csv")
 SETTINGS = (FlowTransformation(), RobustTransformation(), [24.0, 16.0, 36.0])
 
@@ -31,15 +34,15 @@ SETTINGS = (FlowTransformation(), RobustTransformation(), [24.0, 16.0, 36.0])
 @pytest.fixture(scope="module")
 def cam():
     models = load_models()
-    return models, open_trajectory(), controllers(models.approximate, *SETTINGS)
+    return models, [open_trajectory()], controllers(models.approximate, *SETTINGS)
 
 
 @pytest.mark.slow
 def test_gain_of_the_cam_is_the_believed_mass_over_the_true_one(cam):
-    models, trajectory, _ = cam
-    found = contraction_along(models, trajectory)
+    models, [trajectory], _ = cam
+    found = contraction_along(models, [trajectory])
     q = np.interp(found.time, trajectory.time, trajectory.position)
-    assert found.gain == pytest.approx(1.4 / (1 + 1.5 * q**2), rel=1e-6)
+    assert found.gain[:, 0] == pytest.approx(1.4 / (1 + 1.5 * q**2), rel=1e-6)
     assert found.allowed == pytest.approx((-2 / found.gain.max(), 0.0), rel=1e-6)
 
 
@@ -47,23 +50,23 @@ def test_gain_of_the_cam_is_the_believed_mass_over_the_true_one(cam):
 def test_the_published_oscillator_runs_as_in_the_other_notebooks():
     models = load_models(str(paths.data("fixedpoint", "oscillator.toml")))
     trajectory = asin_trajectory(duration=3.0)
-    ours = drive(models, controllers(models.approximate, *SETTINGS), trajectory, Noise(), 0)
+    ours = drive(models, controllers(models.approximate, *SETTINGS), [trajectory], Noise(), 0)
     exact, approximate = (one.plant for one in load_oscillator().values())
     published = published_controllers(approximate)
     assert len(ours) == 3
-    for name, run in ours.items():
+    for name, [run] in ours.items():
         assert np.array_equal(run.position, simulate(exact, published[name], trajectory).position)
 
 
 @pytest.mark.slow
 def test_a_gain_beyond_the_contraction_range_is_warned_of_and_runs_away(cam):
-    models, trajectory, _ = cam
+    models, trajectories, _ = cam
     # -2 / 1.4 = -1.43 where the mass is smallest, which is passed at the start; 1.2 times that is outside there only.
     strong = controllers(
         models.approximate, FlowTransformation(-1.2 * 3 * 2 / 1.4, 3.0), RobustTransformation(), SETTINGS[2]
     )
-    [sentence] = warnings_of(contraction_along(models, trajectory), strong)
-    share = np.mean(np.abs(1 - 1.2 * 2 / 1.4 * contraction_along(models, trajectory).gain) >= 1)
+    [sentence] = warnings_of(contraction_along(models, trajectories), strong)
+    share = np.mean(np.abs(1 - 1.2 * 2 / 1.4 * contraction_along(models, trajectories).gain) >= 1)
     assert 0 < share < 1
     assert sentence.startswith(
         "moving window: the local gain -1.71 is outside the contraction range (-1.43, 0)"
@@ -72,23 +75,23 @@ def test_a_gain_beyond_the_contraction_range_is_warned_of_and_runs_away(cam):
     divergent = controllers(
         models.approximate, FlowTransformation(), RobustTransformation(slope=1e-7), SETTINGS[2]
     )
-    assert len(warnings_of(contraction_along(models, trajectory), divergent)) == 2
-    runs = drive(models, divergent, trajectory, Noise(), 0)  # no warning: `warnings_of` said it
-    assert runs["Kalman filter"].diverged_at is not None and runs["moving window"].diverged_at is None
+    assert len(warnings_of(contraction_along(models, trajectories), divergent)) == 2
+    runs = drive(models, divergent, trajectories, Noise(), 0)  # no warning: `warnings_of` said it
+    assert runs["Kalman filter"][0].diverged_at is not None and runs["moving window"][0].diverged_at is None
 
 
 def test_published_gains_neither_warn_nor_leave_the_stable_range_of_low_pass_and_kalman_filter(cam):
-    models, trajectory, chosen = cam
-    assert warnings_of(contraction_along(models, trajectory), chosen) == []
-    ranges = stable_ranges(models, chosen, trajectory)
+    models, trajectories, chosen = cam
+    assert warnings_of(contraction_along(models, trajectories), chosen) == []
+    ranges = stable_ranges(models, chosen, trajectories)
     stable = {name: chosen[name].transformation.local_gain in each for name, each in ranges.items()}
     assert stable == {"moving window": False, "low pass": True, "Kalman filter": True}
 
 
 def test_a_gain_that_changes_its_sign_leaves_no_range(cam):
-    models, trajectory, _ = cam
-    found = contraction_along(models, trajectory)
-    assert np.isnan(found._replace(gain=np.array([1.0, -1.0])).allowed).all()
+    models, trajectories, _ = cam
+    found = contraction_along(models, trajectories)
+    assert np.isnan(found._replace(gain=np.array([[1.0], [-1.0]])).allowed).all()
 
 
 def test_a_mass_of_zero_on_the_way_is_refused(tmp_path):
@@ -96,7 +99,7 @@ def test_a_mass_of_zero_on_the_way_is_refused(tmp_path):
     (tmp_path / "light.py").write_text(text, encoding="utf-8")
     models = load_models(str(tmp_path / "light.py"))  # no worse than others where it is tried
     with pytest.raises(InputError, match="does not answer the force at q = 0 m"):
-        contraction_along(models, sine_trajectory(duration=2.0))
+        contraction_along(models, [sine_trajectory(duration=2.0)])
 
 
 @pytest.mark.slow
@@ -112,7 +115,7 @@ def test_an_approximate_model_of_its_own_form(tmp_path):
     (tmp_path / "own.py").write_text(f'{head}APPROXIMATE = {{"mass": 1.2}}{rest}{own}', encoding="utf-8")
     models = load_models(str(tmp_path / "own.py"))
     assert models.approximate.parameters.tolist() == [1.2]
-    found = contraction_along(models, sine_trajectory(duration=2.0))
+    found = contraction_along(models, [sine_trajectory(duration=2.0)])
     assert found.gain.max() == pytest.approx(1.2, rel=1e-6)
 
 
@@ -154,7 +157,7 @@ def test_a_low_pass_takes_the_noise_out_of_the_acceleration(tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"record": str(MOTION), "unit": "mm/s"}, "a trajectory is a position: m, mm, um or km"),
+        ({"record": str(MOTION), "unit": "mm/s"}, "this coordinate is in m: m, mm, um or km"),
         ({"record": str(MOTION), "unit": "mm", "channel": "positon"}, "did you mean 'position"),
         ({"record": str(MOTION), "unit": "mm", "low_pass_hz": 30.0}, "low_pass_hz is 30; .* below 25"),
         ({"record": "none.csv"}, "no such file"),
@@ -208,6 +211,136 @@ def test_plants_that_cannot_be_used_say_why(tmp_path, change, message):
         load_models(str(file))
 
 
+# ------------------------------------------------------------------------------------- several coordinates, in rad
+
+
+def test_the_arm_from_its_file_to_the_loop():
+    """By its bare name and by its path; both joints are driven, in rad, through losses and at their limits."""
+    models = load_models("arm.py")
+    assert load_models(str(ARM)).exact.parameters.tolist() == models.exact.parameters.tolist()
+    assert models.units == ("rad", "rad")
+    motion = open_trajectories(models.units, "", "m", channel="", amplitudes=[1.0, 0.5], duration=4.0)
+    assert [each.position.max().round(3) for each in motion] == [1.0, 0.5]
+    chosen = controllers(models.approximate, FlowTransformation(-8.0, 100.0), *SETTINGS[1:])
+    found = contraction_along(models, motion)
+    assert found.gain.shape == (200, 2) and warnings_of(found, chosen) == []
+    assert all(
+        chosen[name].transformation.local_gain in each
+        for name, each in stable_ranges(models, chosen, motion).items()
+    )
+    runs = drive(
+        models, chosen, motion, Noise("gaussian", 1e-5), 1, lost_every=1.0, lost_for=0.01, force_limit=40.0
+    )
+    for each in runs.values():
+        assert len(each) == 2
+        assert all(run.diverged_at is None and judge(run)["position"] < 5e-3 for run in each)
+        assert max(np.abs(run.force).max() for run in each) <= 40.0
+    assert np.isnan(runs["Kalman filter"][0].measured[990:1000]).all()
+    figure = paint_runs(runs, models.units, 2.0)
+    assert [axes.get_ylabel() for axes in figure.axes] == [
+        "q1 (rad)",
+        "q2 (rad)",
+        "error of q1 (mrad)",
+        "error of q2 (mrad)",
+    ]
+    assert len(paint_contraction(found, chosen).axes[0].lines) == 8
+    draw = plant_explorer(models, chosen, motion, "none", 2.0, 1)
+    [said, *_] = [text.get_text() for text in draw(1.0, 1.0, 1e-5).axes[1].get_legend().get_texts()]
+    assert said.endswith("mrad rms")
+
+
+def test_on_the_arm_the_window_wants_a_wider_sigmoid_and_a_smaller_gain():
+    models = load_models("arm.py")
+    motion = open_trajectories(models.units, "", "m", channel="", amplitudes=[1.0], duration=3.0)
+    ends = []
+    for flow in (FlowTransformation(), FlowTransformation(-0.24, 3.0), FlowTransformation(-8.0, 100.0)):
+        runs = drive(
+            models, controllers(models.approximate, flow, *SETTINGS[1:]), motion, Noise("gaussian", 1e-5), 1
+        )
+        ends.append(runs["moving window"][0].diverged_at)
+    assert ends[0] < 1 and ends[1] < 1 and ends[2] is None
+
+
+def test_a_recorded_motion_of_two_joints(tmp_path):
+    t = np.arange(2000) / 200.0
+    np.savez(tmp_path / "a.npz", time=t, one=np.sin(t), two=1 - np.cos(t))
+    first, second = open_trajectories(
+        ("rad", "rad"), str(tmp_path / "a.npz"), "mrad", channel="one; two", amplitudes=[1.0]
+    )
+    assert first.position == pytest.approx(1e-3 * np.sin(first.time), abs=1e-9)
+    assert second.velocity == pytest.approx(1e-3 * np.sin(first.time), abs=1e-8)
+    for units, unit, message in (
+        (("rad", "rad"), "mm", "this coordinate is in rad: rad, mrad"),
+        (("rad",) * 3, "mrad", "names 2; give 3 names"),
+    ):
+        with pytest.raises(InputError, match=message):
+            open_trajectories(units, str(tmp_path / "a.npz"), unit, channel="one; two", amplitudes=[1.0])
+    with pytest.raises(InputError, match="amplitudes holds 3"):
+        open_trajectories(("rad", "rad"), "", "m", channel="", amplitudes=[1.0] * 3)
+
+
+def test_one_angle_is_said_in_rad(tmp_path):
+    (tmp_path / "a.py").write_text(
+        TEMPLATE.read_text(encoding="utf-8") + "\nUNITS = ('rad',)\n", encoding="utf-8"
+    )
+    models = load_models(str(tmp_path / "a.py"))
+    runs = drive(
+        models, controllers(models.approximate, *SETTINGS), [sine_trajectory(duration=3.0)], Noise(), 0
+    )
+    assert [axes.get_ylabel() for axes in paint_runs(runs, models.units, 2.0).axes] == [
+        "q (rad)",
+        "error of q (mrad)",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("UNITS =", "UNIT ="), r"UNITS is \(\); give the unit of each coordinate"),
+        (('UNITS = ("rad", "rad")', 'UNITS = ("deg", "deg")'), "UNITS is .*deg.*m or rad"),
+        (('UNITS = ("rad", "rad")', 'UNITS = ("rad",)'), "fails on 1 coordinates"),
+        (("def bias(", "def biased("), "no function bias"),
+        (
+            ("def inertia(position, parameters, out)", "def inertia(position, out)"),
+            "inertia takes 2 arguments, not 3",
+        ),
+        (("out[1, 0] = out[0, 1]", "out[1, 0] = 0.0"), "inertia is not symmetric"),
+        (("out[1, 1] = m2", "out[1, 1] = math.nan * m2"), "leaves an entry of out unset, or not finite"),
+        (("out[1, 1] = m2", "print(eval('m2')); out[1, 1] = m2"), "stops with|cannot be compiled|fails on"),
+        (
+            ("\n\ndef bias", "\n\ndef approximate_bias(q, v, p, out):\n    out[:] = 0.0\n\n\ndef bias"),
+            "alone",
+        ),
+        (
+            ("import math", "import math\nacceleration = force = inertia = None"),
+            "UNITS names 2 coordinates|lacks",
+        ),
+    ],
+)
+def test_mechanisms_that_cannot_be_used_say_why(tmp_path, change, message):
+    text = ARM.read_text(encoding="utf-8")
+    assert change[0] in text
+    (tmp_path / "mine.py").write_text(text.replace(*change, 1), encoding="utf-8")
+    with pytest.raises(InputError, match=message):
+        load_models(str(tmp_path / "mine.py"))
+
+
+def test_a_plant_of_one_coordinate_takes_no_two_units(tmp_path):
+    (tmp_path / "a.py").write_text(
+        TEMPLATE.read_text(encoding="utf-8") + "\nUNITS = ('m', 'm')\n", encoding="utf-8"
+    )
+    with pytest.raises(InputError, match=r"UNITS names 2 coordinates, .* define inertia and bias"):
+        load_models(str(tmp_path / "a.py"))
+
+
+def test_lost_signals_come_back():
+    noise = lose(np.zeros((2, 100)), 1e-3, 0.05, 0.01)
+    assert np.isnan(noise[:, 40:50]).all() and np.isnan(noise).sum() == 40
+    assert lose(noise, 1e-3, 0.0, 0.01) is noise
+    with pytest.raises(InputError, match="leave a sample between"):
+        lose(noise, 1e-3, 0.01, 0.01)
+
+
 def test_a_plant_that_is_nowhere(tmp_path):
     with pytest.raises(InputError, match="cannot be imported"):
         load_models("no_such.module")
@@ -229,12 +362,12 @@ def test_an_outline_executes_nothing(tmp_path):
 
 
 def test_pictures_and_explorer(cam):
-    models, trajectory, chosen = cam
-    runs = drive(models, chosen, trajectory, Noise("gaussian", 1e-5), 1)
-    draw = plant_explorer(models, chosen, trajectory, "gaussian", 2.0, 1)
+    models, trajectories, chosen = cam
+    runs = drive(models, chosen, trajectories, Noise("gaussian", 1e-5), 1)
+    draw = plant_explorer(models, chosen, trajectories, "gaussian", 2.0, 1)
     figures = [
-        paint_contraction(contraction_along(models, trajectory), chosen),
-        paint_runs(runs, 2.0),
+        paint_contraction(contraction_along(models, trajectories), chosen),
+        paint_runs(runs, models.units, 2.0),
         draw(30.0, 1.0, 1e-5),
     ]
     labels = [text.get_text() for text in figures[2].axes[0].get_legend().get_texts()]

@@ -88,8 +88,8 @@ def test_algorithms_start_from_multiples_of_the_steady_diagonal():
 def test_trial_is_reproducible_and_complete():
     both = algorithms(STEADY, **SETTINGS)
     options = {"twin": FITTED, "floor": FLOOR, "both": both, "duration_s": 2.0, "progress": False}
-    one = run_study(convergence_trial, 2, 5, **options)
-    two = run_study(convergence_trial, 2, 5, **options)
+    one = run_study(convergence_trial, 2, 5, together=8, **options)
+    two = run_study(convergence_trial, 2, 5, together=2, **options)
     assert one["FeRLS final"].shape == (2, 9)
     assert np.array_equal(one["FeLMS tau"], two["FeLMS tau"])
     assert not np.array_equal(one["FeLMS final"][0], one["FeLMS final"][1])
@@ -100,7 +100,7 @@ def test_a_short_run_is_judged_by_where_the_weights_settle():
     options = {"twin": FITTED, "floor": FLOOR, "both": both, "duration_s": 6.0}
     final = STEADY.weights[0]
     own, given = (
-        convergence_trial(np.random.default_rng(3), **options, final=each) for each in (None, final)
+        convergence_trial([np.random.default_rng(3)], **options, final=each)[0] for each in (None, final)
     )
     course = converge(FITTED, FLOOR, both["FeRLS"], 6.0, int(np.random.default_rng(3).integers(2**31)))
     for found, towards in ((own, course.final), (given, final)):
@@ -131,7 +131,7 @@ def test_sideways_error_follows_the_mean_update():
 def test_weights_follow_a_switch_to_the_new_optimum_and_as_expected():
     switch = switch_between(FITTED, FLOOR, colored_floor(80.0))
     both = settled(switch, 1e-4, float(np.exp(-2e-5)))
-    later, response = respond(FITTED, switch, both, 40.0, 1).values()
+    later, response = respond(FITTED, switch, both, 40.0, [1])[0].values()
     assert response.left()[response.time_s < 0] == pytest.approx(1, abs=0.25)
     assert response.left()[-100:].mean() == pytest.approx(0, abs=0.1)
     time = np.array([20.0, 40.0])
@@ -140,7 +140,9 @@ def test_weights_follow_a_switch_to_the_new_optimum_and_as_expected():
     seen = [later.left()[np.argmin(np.abs(later.time_s - t))] for t in time]
     assert seen == pytest.approx(left, abs=0.15)
     assert response.settling_s() < later.settling_s()
-    found = tracking_trial(np.random.default_rng(1), twin=FITTED, switch=switch, both=both, duration_s=5.0)
+    (found,) = tracking_trial(
+        [np.random.default_rng(1)], twin=FITTED, switch=switch, both=both, duration_s=5.0
+    )
     assert set(found) >= {"FeLMS all", "FeRLS w4-w6", "FeRLS noise"}
     with pytest.raises(InputError, match="did you mean 'w4-w6'"):
         response.left("w4-w5")

@@ -1,12 +1,15 @@
 """The closed loop's kernel against its slow twin, and the promises of `simulate`."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from experiments.isolation import simulation as module
 from experiments.isolation.floors import colored_floor, flat_floor
 from experiments.isolation.recorded_floors import RecordedFloor
-from experiments.isolation.simulation import simulate, simulate_each
+from experiments.isolation.simulation import simulate, simulate_together
+from experiments.isolation.sources import Sources
 from experiments.isolation.twin import load_twin
 from naive import closed_loop
 from stillwork.base.checks import InputError
@@ -56,7 +59,7 @@ def test_kernel_agrees_with_its_slow_twin(name, case):
         options["adaptation"] = FeRls(0.3, growth_limit=np.inf)
         slow["ferls"] = (0.3 * np.eye(twin.regressors), options["adaptation"].forgetting)
     run = simulate(twin, floor, seed=3, keep_every_s=2e-4, signals_from_s=0.0, **options)
-    source = module.Sources(twin, [(SAMPLES, floor)], True, 3)
+    source = Sources(twin, [(SAMPLES, floor)], True, 3)
     expected = closed_loop.run(twin, *source.sample(SAMPLES), **slow)
     for got, wanted in (
         (run.platform, expected["platform"]),
@@ -102,12 +105,45 @@ def test_algorithms_side_by_side_run_as_each_alone():
     twin, floors = RIGS["fitted"], [(0.9, flat_floor(80.0)), (0.6, colored_floor(80.0))]
     adaptations = {"FeLMS": FeLms(), "FeRLS": FeRls(np.full(9, 1e-3), 0.9999), "none": None}
     weights = np.full((6, 9), 0.01)
-    together = simulate_each(twin, floors, adaptations=adaptations, weights=weights, seed=7)
+    together = simulate_together(twin, floors, adaptations=adaptations, weights=weights, seeds=[7])[0]
     for name, adaptation in adaptations.items():
         alone = simulate(twin, floors, adaptation=adaptation, weights=weights, seed=7)
         assert np.array_equal(together[name].weights, alone.weights)
         assert np.array_equal(together[name].error_power, alone.error_power)
         assert np.array_equal(together[name].covariance, alone.covariance)
+
+
+@pytest.mark.parametrize("name", ["fitted", "full estimate", "order 2"])
+def test_seeds_side_by_side_run_as_each_alone(name):
+    twin, floors = RIGS[name], [(0.5, flat_floor(80.0)), (0.2, colored_floor(80.0))]
+    held = FeRls(np.full(9, 1e-3), 0.999, growth_limit=1.0)  # its limit acts in every run
+    adaptations = {"FeLMS": FeLms(trace="literal"), "FeRLS": held, "none": None}
+    options = {"weights": np.full((6, 9), 0.01), "keep_every_s": 0.0302, "signals_from_s": 0.6}
+    seeds = [7, 11, 3, 7, 5, 2, 9, 1, 4]  # a second batch of one
+    together = simulate_together(twin, floors, adaptations=adaptations, seeds=seeds, **options)
+    assert len(together) == len(seeds) and together[0]["FeRLS"].held.min() > 0.1
+    for runs, seed in zip(together, seeds, strict=True):
+        for name, adaptation in adaptations.items():
+            alone = simulate(twin, floors, adaptation=adaptation, seed=seed, **options)
+            for field in dataclasses.fields(alone):
+                assert np.array_equal(getattr(runs[name], field.name), getattr(alone, field.name)), field.name
+
+
+def test_seeds_side_by_side_name_what_they_cannot_run():
+    twin = RIGS["fitted"]
+    for adaptation in (FeRls(1.0, form="UD"), FeRls(1.0, dtype="float32")):
+        with pytest.raises(InputError, match=r"adaptations\['x'\].*one seed at a time"):
+            simulate_together(twin, flat_floor(80.0), 0.1, adaptations={"x": adaptation}, seeds=[1, 2])
+    with pytest.raises(UnstableAdaptation, match=r"force limit") as caught:
+        simulate_together(
+            twin, flat_floor(80.0), 30.0, adaptations={"": FeLms(step_size=0.5)}, seeds=range(8)
+        )
+    samples = []
+    for seed in range(8):
+        with pytest.raises(UnstableAdaptation) as alone:
+            simulate(twin, flat_floor(80.0), 30.0, adaptation=FeLms(step_size=0.5), seed=seed)
+        samples.append(alone.value.sample)
+    assert caught.value.sample == min(samples)
 
 
 def test_without_noise_the_loop_is_linear_in_the_floor():

@@ -76,7 +76,7 @@ def test_platform_follows_the_floor_at_low_frequency_and_rolls_off(twin):
 @pytest.mark.slow
 def test_feedforward_removes_most_of_the_power_and_the_output_noise_is_the_limit(twin):
     floor = flat_floor(1500.0)
-    weights = tune(twin, floor, 0.1, 40.0, 1)["FeRLS"]
+    weights = tune(twin, floor, 0.1, 40.0, [1])[0]["FeRLS"]
     before = record_case(twin, floor, "feedback", 30.0, 2)
     after = record_case(twin, floor, "FeRLS", 30.0, 2, weights=weights)
     total, left, limit = (
@@ -113,8 +113,8 @@ def test_reduction_in_bands_of_a_constant_factor():
 
 @pytest.mark.slow
 def test_trial_holds_together(twin):
-    trial = power_trial(
-        np.random.default_rng(0),
+    [trial] = power_trial(
+        [np.random.default_rng(0)],
         twin=twin,
         floor=flat_floor(1500.0),
         felms_s=1.0,

@@ -3,9 +3,16 @@
 import numpy as np
 import pytest
 
-from experiments.motion import bandwidth_pictures, filter_pictures, model_pictures, performance_pictures
+from experiments.motion import (
+    bandwidth_pictures,
+    filter_pictures,
+    model_pictures,
+    performance_pictures,
+    pictures,
+)
 from experiments.motion.open_choices import bandwidth_map, open_choices
 from stillwork.base.checks import InputError
+from stillwork.workbook import figures
 
 
 @pytest.mark.slow
@@ -74,3 +81,14 @@ def test_filter_explorers_draw_what_their_filters_give():
     lines = filter_pictures.paint_schedules("1 m/s", 0.05, 5.0).axes[0].lines
     online, scheduled = (np.abs(line.get_ydata()).max() for line in lines)
     assert abs(scheduled / online - 1) < 0.05
+
+
+def test_what_is_drawn_is_read_off_by_line():
+    _, axis = figures.new(1, 1)
+    axis.plot([1.0, 2.0, 3.0], [0.0, 5.0, 1.0], label="first")
+    axis.plot([1.0, 2.0, 3.0], [7.0, 2.0, 4.0], label="second")
+    axis.axhline(6.0)  # without a label
+    assert list(pictures.drawn(axis)) == ["first", "second"]
+    np.testing.assert_array_equal(pictures.drawn(axis)["second"], [[1, 2, 3], [7, 2, 4]])
+    np.testing.assert_array_equal(pictures.highest(axis), [[2, 5], [1, 7]])
+    np.testing.assert_array_equal(pictures.highest(axis, 1.5), [[2, 5], [3, 4]])

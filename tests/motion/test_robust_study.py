@@ -8,6 +8,7 @@ from experiments.motion.machines import stage
 from experiments.motion.model_bank import bank_estimate
 from experiments.motion.perturbed_tracking import CASES, published_loops, tracking_trial
 from experiments.motion.positions import shapes_along
+from experiments.motion.robust_statements import figure_statements, output_errors
 from experiments.motion.scan_study import (
     filter_model,
     judge,
@@ -100,9 +101,11 @@ def test_errors_have_the_law_that_was_asked_for():
     uniform = sample_errors(rng, plant, 0.05, "uniform", rigid=True)
     assert np.all(np.abs(uniform) <= 0.05)
     assert np.all(uniform[0] != 0)
-    normal = np.array([sample_errors(rng, plant, 0.02, "normal", rigid=True) for _ in range(200)])
-    assert normal.std() == pytest.approx(0.02, rel=0.05)
-    assert np.abs(normal).max() > 0.06
+    common = sample_errors(rng, plant, 0.05, "common", rigid=True)
+    assert np.all(common == common[0])
+    assert np.all(np.abs(common) == 0.05)
+    many = np.array([sample_errors(rng, plant, 0.05, "normal", rigid=True) for _ in range(400)])
+    assert abs(many.std() - 0.05) < 4 * 0.05 / np.sqrt(2 * many.size)
     with pytest.raises(InputError, match="law"):
         sample_errors(rng, plant, 0.05, "gaussian")
 
@@ -302,3 +305,40 @@ def test_the_contest_on_a_cluster_gives_identical_numbers():
     for name in knobs:
         assert here[name].shape == (3, 2)
         np.testing.assert_array_equal(here[name], there[name])
+
+
+def test_the_pseudo_inverse_is_the_shortest_error_that_explains_the_output(scan):
+    errors = [sample_errors(np.random.default_rng(k), scan.nominal, 0.05, rigid=True) for k in range(2)]
+    records = record_scans(scan, errors, np.random.default_rng(3))
+    window = np.flatnonzero(scan.setpoint.scanning)
+    told = records.states.copy()
+    shortest = np.zeros((2, 3, len(window)))
+    for run in range(2):
+        for k, sample in enumerate(window):
+            row = scan.shapes[sample]
+            away = records.y[run, 0, sample] - row @ records.states[run, ::2, sample]
+            shortest[run, :, k] = np.linalg.lstsq(row[None], [away], rcond=None)[0]
+            told[run, ::2, sample] += shortest[run, :, k]
+    found = output_errors(scan, errors, records, told)
+    np.testing.assert_allclose(found.innovation, 0, atol=1e-15)
+    np.testing.assert_allclose(found.by_pseudo_inverse, np.sqrt(np.mean(shortest**2, axis=2)), rtol=1e-9)
+    np.testing.assert_allclose(found.position_errors, found.by_pseudo_inverse, rtol=1e-9)
+    exact = output_errors(scan, np.zeros((2, 3, 4)), records, records.states)
+    np.testing.assert_allclose(exact.innovation, exact.noise, rtol=1e-12)
+    np.testing.assert_allclose(exact.deformation_error, 0, atol=1e-20)
+
+
+def test_a_filter_without_error_obeys_and_one_that_tells_nothing_does_not(scan):
+    errors = [sample_errors(np.random.default_rng(k), scan.nominal, 0.05) for k in range(3)]
+    records = record_scans(scan, errors, np.random.default_rng(3))
+    time = scan.setpoint.time
+    near = judge(scan, records, records.states + 1e-3 * records.states.std(axis=2, keepdims=True))
+    drifting = judge(scan, records, records.states * 1.001 + 1e3 * time * (np.arange(6) >= 2)[:, None])
+    poor = judge(scan, records, 1e6 * records.states)
+    said = figure_statements(near, drifting, poor)
+    assert said["sensitivity-drift"].all()
+    assert said["sensitivity-end-above-state"].all()
+    assert said["kalman-below-state-move"].all()
+    assert said["regularised-above-state"].all()
+    assert not said["regularised-best-on-rigid"].any()
+    assert not figure_statements(poor, near, near)["kalman-below-state-scan"].any()

@@ -61,6 +61,31 @@ def test_moving_a_control_redraws_and_reset_returns():
     assert message.value == "at the published setting"
 
 
+def test_the_published_lines_stand_behind_and_leave_the_axes_alone():
+    seen = []
+
+    def panels(gain, shown):
+        figure, axes = figures.new(1, 1 + shown, squeeze=False)
+        for axis in axes[0]:
+            axis.plot([0, 1, 2], gain * np.arange(3))
+            axis.axhline(50.0)
+        seen.append(figure)
+        return figure
+
+    box = explore(panels, gain=Slider(1.0, 9.0, published=2.0), shown=Slider(0, 1, published=0))
+    gain, shown = (row.children[0] for row in box.children[:2])
+    assert gain.continuous_update
+    assert [len(axis.lines) for axis in seen[-1].axes] == [2]
+    gain.value = 3.0
+    [axes] = seen[-1].axes
+    alone = panels(3.0, 0).axes[0]
+    assert axes.lines[-1].get_xydata().tolist() == [[0, 0], [1, 2], [2, 4]]
+    assert axes.lines[-1].get_zorder() < axes.lines[0].get_zorder()
+    assert axes.get_ylim() == alone.get_ylim() and axes.get_xlim() == alone.get_xlim()
+    shown.value = 1  # another number of panels: no place for the published ones
+    assert [len(axis.lines) for axis in seen[-1].axes] == [2, 2]
+
+
 def test_each_control_shows_its_name_unit_and_published_value():
     box = explore(draw, **CONTROLS)
     controls = parts(box)[0]

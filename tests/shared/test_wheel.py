@@ -84,6 +84,7 @@ def test_inspect_works_without_a_checkout(wheel, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
+        (("contest",), "this needs the experiments, which stand in a checkout of stillwork"),
         (("claims",), "set STILLWORK_ROOT to a checkout of stillwork"),
         (("doctor",), "set STILLWORK_ROOT to a checkout of stillwork"),
         (("figures",), "set STILLWORK_ROOT to a checkout of stillwork"),

@@ -89,6 +89,21 @@ def test_another_pin_makes_the_environment_again(checkout):
     assert short(calls(checkout))[:3] == MADE
 
 
+def test_jupyter_reaches_data_and_figures_beside_the_notebooks(checkout):
+    """Its files begin at the checkout, and it opens on the index below."""
+    make(checkout, "lab")
+    (started,) = [line for line in calls(checkout) if "jupyter lab" in line]
+    assert "--ServerApp.root_dir=. " in started
+    assert "--LabApp.default_url=/lab/tree/notebooks/index.ipynb" in started
+
+
+def test_binder_gets_a_python_that_the_pins_serve_and_a_script_that_runs():
+    runtime = (ROOT / ".binder" / "runtime.txt").read_text().strip()
+    assert runtime in {f"python-3.{minor}" for minor in range(11, 15)}
+    assert os.access(ROOT / ".binder" / "postBuild", os.X_OK)
+    subprocess.run(["bash", "-n", str(ROOT / ".binder" / "postBuild")], check=True)
+
+
 def test_the_pins_are_installed_from_wheels():
     """By make, Binder and anyone with pip: the option stands in the file of the pins."""
     assert (ROOT / "environment.txt").read_text().splitlines()[0] == "--only-binary :all:"

@@ -117,7 +117,10 @@ def test_tracking_trial_draws_rows_within_the_bound_and_reports_error_norms():
     truth = path("constant", FIG_2_PARAMETERS, 100)
     found = tracking_trial(np.random.default_rng(1), truth, 1.0, 0.95, 0.25, 0.1, 10.0)
     assert found["zero"] == pytest.approx(np.full(100, np.linalg.norm(FIG_2_PARAMETERS)))
-    assert set(found) == {"min_max", "rls", "ridge", "zero", "norm", "vanished"}
+    assert set(found) == {"min_max", "rls", "ridge", "zero", "norm", "weighted_norm", "vanished"}
+    rows = np.random.default_rng(1).standard_normal(truth.shape).T
+    products = sum(0.95 ** (len(rows) - 1 - t) * np.outer(row, row) for t, row in enumerate(rows))
+    assert found["weighted_norm"] == pytest.approx(np.sqrt(np.linalg.eigvalsh(products)[-1]))
     # without noise and errors RLS finds the truth, and so does min-max for a small bound
     clean = tracking_trial(np.random.default_rng(1), 20 * truth, 1e-6, 0.95, 0.0, 0.0, 1e-6)
     assert clean["rls"][-1] < 1e-3

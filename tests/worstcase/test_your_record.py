@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import minimize
 
 from experiments.worstcase import your_record_pictures as draw
-from experiments.worstcase.measured import load_pair, window_residuals
+from experiments.worstcase.measured import MeasuredPair, load_pair, window_residuals
 from experiments.worstcase.your_record import (
     fit_pair,
     open_pair,
@@ -59,6 +59,27 @@ def test_estimates_solve_the_weighted_problem_of_the_whole_fitted_part(template)
         return np.linalg.norm(matrix @ x - target) / pair.noise[1] + eta * np.linalg.norm(x) / pair.noise[1]
 
     assert worst(fitted.estimates[name]) <= minimize(worst, plain, method="BFGS").fun * (1 + 1e-7)
+
+
+@pytest.mark.parametrize("band", [(0.0, 1600.0), (100.0, 1500.0), (100.0, 600.0), (400.0, 600.0)])
+def test_the_typical_bound_is_the_norm_of_noise_of_the_band(band):
+    """White noise with an ideal pass band, against the norm of its weighted rows."""
+    rng, taps, forgetting = np.random.default_rng(4), 16, 1 - 1 / 200
+    norms = []
+    for _ in range(20):
+        lines = np.fft.rfft(rng.standard_normal(2048))
+        frequency = np.fft.rfftfreq(2048, 1 / 3200)
+        lines[(frequency < band[0]) | (frequency > band[1])] = 0
+        noise = np.fft.irfft(lines)
+        rows = np.array([noise[t : t + taps] for t in range(1600)])
+        norms.append(
+            np.linalg.norm(forgetting ** (np.arange(1600)[::-1] / 2)[:, None] * rows / noise.std(), 2)
+        )
+    nothing = np.zeros(1)
+    bound = MeasuredPair(nothing, nothing, 3200.0, band, 0.5).typical_bound(taps, forgetting)
+    # 24 samples independent of one another in the narrowest band's memory: a mean of 20 is good to a few per cent
+    assert 0.8 < 0.5 * np.mean(norms) / bound < 1.0
+    assert (bound / (0.5 * noise_bound(1.0, taps, forgetting)) > 1.4) == (band[1] == 600.0)
 
 
 def test_the_corner_says_the_same_as_all_rows(template):
@@ -149,13 +170,17 @@ def test_a_useless_model_is_named_and_not_drawn():
         ({"channels": ("drive (V)", "")}, "give both or none"),
         ({"channels": ("drive", "plate (m/s^2)")}, r"did you mean 'drive \(V\)'"),
         ({"units": ("Volt", "m/s^2")}, "unit is 'Volt'"),
+        (
+            {"units": ("m/s^2", "g")},
+            r"input_unit is m/s\^2, .* names the channel 'drive \(V\)'; give input_unit V",
+        ),
         ({"noise": (-1.0, 0.0)}, "noise is -1"),
         ({"sample_rate": 500.0}, "leave one out or mend it"),
     ],
 )
 def test_records_that_cannot_be_used(options, message):
     with pytest.raises(InputError, match=message):
-        open_pair(TEMPLATE, **options)
+        open_pair(TEMPLATE, **{"units": ("V", "m/s^2"), **options})
 
 
 def test_too_many_channels_and_too_short_records(tmp_path, template):

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.base.checks import require_choice, require_count, require_number
+from stillwork.base.checks import InputError, require_choice, require_count, require_number
 
 KINDS = ("none", "gaussian", "logistic", "logistic-scale", "encoder")
 
@@ -65,3 +65,18 @@ class Noise:
             return measured
         grid = self.sample_grid(rng)
         return np.round((measured - grid) / self.resolution) * self.resolution + grid
+
+
+def lose(
+    noise: Float64[np.ndarray, "*coordinates samples"], time_step: float, every: float, length: float
+) -> Float64[np.ndarray, "*coordinates samples"]:
+    """The same noise with NaN, a lost signal, in the last `length` seconds of each `every` seconds; 0: none is lost."""
+    require_number("lost_every", every, at_least=0)
+    require_number("lost_for", length, at_least=0)
+    if not (every and length):
+        return noise
+    if length > every - time_step:
+        raise InputError(f"lost_for is {length:g} s of every {every:g} s; leave a sample between two losses")
+    period, lost = round(every / time_step), round(length / time_step)
+    gone = np.arange(noise.shape[-1]) % period >= period - lost
+    return np.where(gone, np.nan, noise)

@@ -9,18 +9,19 @@ from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 
-from experiments.fixedpoint.metrics import noisy_run
-from experiments.fixedpoint.noise import Noise
+from experiments.fixedpoint.noise import Noise, lose
 from experiments.fixedpoint.oscillator import load_oscillator
 from experiments.fixedpoint.published import KALMAN, LOW_PASS, WINDOW, published_controllers
 from stillwork.base import paths
 from stillwork.base.checks import InputError, nearest, require_choice, require_number
-from stillwork.control.fixed_point import ControlledRun, Controller
+from stillwork.control.fixed_point import ControlledRun, Controller, simulate
 from stillwork.control.fixed_point_convergence import StableRange, stable_range
 from stillwork.control.fixed_point_linear import linear_loop
+from stillwork.control.fixed_point_mechanism import simulate_mechanism
 from stillwork.control.kinematics import KinematicDesign
+from stillwork.control.mechanism import Mechanism, response_gains
 from stillwork.control.trajectory import (
     Trajectory,
     asin_trajectory,
@@ -34,11 +35,13 @@ from stillwork.control.transformation import (
     RobustTransformation,
     contraction_range,
 )
+from stillwork.estimation.filtering import UNIT_MASS
 from stillwork.estimation.plant import Plant, partial_derivatives
-from stillwork.inspecting import NEEDED, TABLES, outline
+from stillwork.inspecting import TABLES, outline, plant_form
 from stillwork.signals.records import load_record
 
-OWN_FORM = {"approximate_acceleration": 4, "approximate_force": 4}
+UNITS = {"m": "N", "rad": "N m"}  # of a coordinate, and of what pushes it
+COPY = "copy data/fixedpoint/your_plant.py, or arm.py beside it for several coordinates, and fill it in"
 SHAPES = ("sine", "asin", "trapezoid")
 _PLACES = 200  # along a trajectory, where the gain is looked at
 
@@ -47,31 +50,37 @@ _PLACES = 200  # along a trajectory, where the gain is looked at
 class Models:
     """The plant and what the controller believes it to be."""
 
-    exact: Plant
-    approximate: Plant
+    exact: Plant | Mechanism
+    approximate: Plant | Mechanism
     source: str
+    units: tuple[str, ...] = ("m",)  # of the coordinates
 
 
 def load_models(plant: str = "") -> Models:
     """Exact and approximate model from a Python file, a module, or a TOML file of the van der Pol form.
 
     A Python file (it is executed) or a module defines ``acceleration(position, velocity, force, parameters)``
-    and its inverse ``force(position, velocity, acceleration, parameters)``, and the tables ``EXACT`` and
-    ``APPROXIMATE`` from names to numbers, whose values the functions get in order. An approximate model of
-    another form is ``approximate_acceleration`` and ``approximate_force``.
+    and its inverse ``force(position, velocity, acceleration, parameters)``, or with several coordinates
+    ``inertia(position, parameters, out)`` and ``bias(position, velocity, parameters, out)``, and the tables ``EXACT``
+    and ``APPROXIMATE`` from names to numbers, whose values the functions get in order. ``UNITS`` names the unit of each
+    coordinate, m or rad; without it there is one, in m. An approximate model of another form is a second pair of
+    functions, with ``approximate_`` before their names.
 
     Parameters
     ----------
     plant : str
-        Path of a ``.py`` or ``.toml`` file, or an import path such as ``mylab.stage``; empty: the template
-        ``data/fixedpoint/your_plant.py``.
+        Path of a ``.py`` or ``.toml`` file, the bare name of one in ``data/fixedpoint``, or an import path such as
+        ``mylab.stage``; empty: the template ``data/fixedpoint/your_plant.py``.
 
     Raises
     ------
     InputError
         When the file or module lacks one of these, or they do not fit together; it says what to do.
     """
-    path = Path(plant) if plant else paths.data("fixedpoint", "your_plant.py")
+    path = Path(plant or "your_plant.py")
+    shipped = paths.data("fixedpoint", path.name)
+    if not plant or (plant == path.name and not path.exists() and shipped.exists()):
+        path = shipped
     if path.suffix == ".toml":
         models = load_oscillator(path)
         return Models(models["exact"].plant, models["approximate"].plant, path.name)
@@ -89,9 +98,7 @@ def load_models(plant: str = "") -> Models:
 
 def _executed(file: Path) -> SimpleNamespace:
     if missing := outline(file):
-        raise InputError(
-            f"{file.name}: {', '.join(missing)}; copy data/fixedpoint/your_plant.py and fill it in"
-        )
+        raise InputError(f"{file.name}: {', '.join(missing)}; {COPY}")
     space = {"__name__": file.stem}
     try:
         # Under no file name, so that nothing is cached beside a file of the user's, or of the data.
@@ -102,45 +109,63 @@ def _executed(file: Path) -> SimpleNamespace:
 
 
 def _models(space, source: str) -> Models:
-    for name in (*NEEDED, *TABLES):
+    form = [*plant_form(vars(space))]
+    for name in (*form, *TABLES):
         if not hasattr(space, name):
-            raise InputError(
-                f"{source} lacks {name}{nearest(name, vars(space))}; see data/fixedpoint/your_plant.py"
-            )
+            raise InputError(f"{source} lacks {name}{nearest(name, vars(space))}; {COPY}")
     tables = {name: getattr(space, name) for name in TABLES}
     for name, table in tables.items():
         if not isinstance(table, Mapping) or not table:
             raise InputError(f"{source}: {name} is no table; give names and numbers, such as {{'mass': 1.5}}")
         for key, value in table.items():
             require_number(f"{source}: {name}[{key!r}]", value)
-    own_form = [name for name in OWN_FORM if hasattr(space, name)]
-    if len(own_form) == 1:
+    own_form = [f"approximate_{name}" for name in form]
+    defined = [name for name in own_form if hasattr(space, name)]
+    if len(defined) == 1:
         raise InputError(
-            f"{source} defines {own_form[0]} alone; the approximate model takes both {' and '.join(OWN_FORM)}"
+            f"{source} defines {defined[0]} alone; the approximate model takes both {' and '.join(own_form)}"
         )
-    if not own_form and list(tables["EXACT"]) != list(tables["APPROXIMATE"]):
+    if not defined and list(tables["EXACT"]) != list(tables["APPROXIMATE"]):
         raise InputError(
             f"{source}: EXACT has {', '.join(tables['EXACT'])} and APPROXIMATE has "
             f"{', '.join(tables['APPROXIMATE'])}; give the same names in the same order, or an approximate model of "
-            f"its own form ({' and '.join(OWN_FORM)})"
+            f"its own form ({' and '.join(own_form)})"
         )
-    prefix = "approximate_" if own_form else ""
+    units = _units(space, form, source)
     try:
-        exact = Plant(space.acceleration, space.force, list(tables["EXACT"].values()))
-        approximate = Plant(
-            getattr(space, f"{prefix}acceleration"),
-            getattr(space, f"{prefix}force"),
-            list(tables["APPROXIMATE"].values()),
-        )
-        for model in (exact, approximate):
-            _ = model.compiled  # fails here, with the name of the function, not in the loop
+        exact = _model(space, form, tables["EXACT"], len(units))
+        approximate = _model(space, defined or form, tables["APPROXIMATE"], len(units))
     except InputError as error:
         raise InputError(f"{source}: {error}") from None
     except Exception as error:
         raise InputError(
             f"{source}: a model function stops with {type(error).__name__}: {error}; mend it"
         ) from None
-    return Models(exact, approximate, source)
+    return Models(exact, approximate, source, units)
+
+
+def _units(space, form: list[str], source: str) -> tuple[str, ...]:
+    units = getattr(space, "UNITS", ("m",) if "force" in form else ())
+    if not isinstance(units, tuple | list) or not units or any(unit not in UNITS for unit in units):
+        raise InputError(
+            f"{source}: UNITS is {units!r}; give the unit of each coordinate, m or rad, such as ('rad', 'rad')"
+        )
+    if "force" in form and len(units) != 1:
+        raise InputError(
+            f"{source}: UNITS names {len(units)} coordinates, acceleration and force know one; define inertia and bias "
+            "for more, as data/fixedpoint/arm.py does"
+        )
+    return tuple(units)
+
+
+def _model(space, names: list[str], table: Mapping, coordinates: int) -> Plant | Mechanism:
+    functions, numbers = [getattr(space, name) for name in names], list(table.values())
+    if names[0].endswith("inertia"):
+        model = Mechanism(*functions, coordinates, numbers)
+    else:
+        model = Plant(*functions, numbers)
+    _ = model.compiled  # fails here, with the name of the function, not in the loop
+    return model
 
 
 def open_trajectory(
@@ -156,6 +181,7 @@ def open_trajectory(
     frequency_hz: float = 0.2,
     duration: float = 12.0,
     time_step: float = 1e-3,
+    quantity: str = "m",
 ) -> Trajectory:
     """Nominal motion from a record of positions, or from a formula where none is named.
 
@@ -164,7 +190,7 @@ def open_trajectory(
     record : str
         Path of a CSV, MAT, NPZ or UFF file, see `stillwork.signals.records.load_record`; empty for the formula.
     unit : str
-        Of the record: m, mm, um, km, ...
+        Of the record: m, mm, um, km, rad, mrad, ...
     sample_rate : float, optional
         Hz; needed when the file has neither a time nor a rate.
     channel : str
@@ -175,9 +201,11 @@ def open_trajectory(
     shape : str
         ``sine``, ``asin`` (sharp corners) or ``trapezoid``.
     amplitude, sharpness, frequency_hz, duration : float
-        Of the formula: m, 0 to 1 (the trapezoid's rounding is its rest to 1), Hz, s.
+        Of the formula: m or rad, 0 to 1 (the trapezoid's rounding is its rest to 1), Hz, s.
     time_step : float
         s, of the loop.
+    quantity : str
+        What the record must hold: m, or rad for an angle.
 
     Raises
     ------
@@ -197,8 +225,11 @@ def open_trajectory(
     read = load_record(
         record, unit, sample_rate=sample_rate, channels=[channel] if channel else None, most_channels=1
     )
-    if read.unit != "m":
-        raise InputError(f"trajectory_unit is {unit!r}; a trajectory is a position: m, mm, um or km")
+    if read.unit != quantity:
+        raise InputError(
+            f"trajectory_unit is {unit!r}; this coordinate is in {quantity}: {quantity}, m{quantity}, u{quantity} or "
+            f"k{quantity}"
+        )
     position = read.signals[0]
     if low_pass_hz:
         from scipy.signal import butter, sosfiltfilt
@@ -208,19 +239,50 @@ def open_trajectory(
     return record_trajectory(np.arange(len(position)) / read.sample_rate, position, time_step)
 
 
+def open_trajectories(
+    units: tuple[str, ...], record: str, unit: str, *, channel: str, amplitudes: list[float], **options
+) -> list[Trajectory]:
+    """`open_trajectory` for each coordinate: of its channel (names separated by ;), or with its amplitude."""
+    channels = [name.strip() for name in channel.split(";")] if len(units) > 1 and record else [channel]
+    if len(channels) not in (1, len(units)) or (record and len(channels) != len(units)):
+        raise InputError(
+            f"trajectory_channel names {len(channels)}; give {len(units)} names for the coordinates, separated by ;"
+        )
+    if len(amplitudes) not in (1, len(units)):
+        raise InputError(
+            f"amplitudes holds {len(amplitudes)} numbers; give one, or one for each of {len(units)}"
+        )
+    return [
+        open_trajectory(
+            record,
+            unit,
+            channel=channels[number % len(channels)],
+            amplitude=amplitudes[number % len(amplitudes)],
+            quantity=quantity,
+            **options,
+        )
+        for number, quantity in enumerate(units)
+    ]
+
+
 def controllers(
-    model: Plant, flow: FlowTransformation, robust: RobustTransformation, exponents: list[float]
+    model: Plant | Mechanism, flow: FlowTransformation, robust: RobustTransformation, exponents: list[float]
 ) -> dict[str, Controller]:
-    """The paper's three filters with one's own settings: (6) for the moving window, (8) for the others, lambda in 1/s."""
+    """The paper's three filters with one's own settings: (6) for the moving window, (8) for the others, Lambda in 1/s.
+
+    The Kalman filter believes in the approximate model; of several coordinates, in a unit mass that the deformed
+    acceleration pushes.
+    """
     names = (WINDOW, LOW_PASS, KALMAN)
     if len(exponents) != len(names):
         raise InputError(f"exponents holds {len(exponents)} numbers; give one each for {', '.join(names)}")
-    published = published_controllers(model)
+    published = published_controllers(model if isinstance(model, Plant) else UNIT_MASS)
     return {
         name: replace(
             published[name],
             transformation=flow if name == WINDOW else robust,
             kinematics=KinematicDesign(exponent),
+            model=model,
         )
         for name, exponent in zip(names, exponents, strict=True)
     }
@@ -230,37 +292,53 @@ class Contraction(NamedTuple):
     """How the iteration contracts along a trajectory."""
 
     time: Float64[np.ndarray, " places"]  # s
-    gain: Float64[np.ndarray, " places"]  # f': m/s^2 realised per m/s^2 commanded
+    # f': m/s^2 realised per m/s^2 commanded, smallest first; of several coordinates the eigenvalues of M^-1 M_model
+    gain: Float64[np.ndarray, "places coordinates"]
 
-    def multiplier(self, local_gain: float) -> Float64[np.ndarray, " places"]:
+    def multiplier(self, local_gain: float) -> Float64[np.ndarray, "places coordinates"]:
         """1 + local_gain f': within (-1, 1) an iteration brings the command nearer to what is wanted."""
         return 1 + local_gain * self.gain
+
+    def outside(self, local_gain: float) -> Bool[np.ndarray, " places"]:
+        """Where the iteration does not contract."""
+        return (np.abs(self.multiplier(local_gain)) >= 1).any(axis=1)
 
     @property
     def allowed(self) -> tuple[float, float]:
         """Local gains that contract everywhere on the way; empty (NaN) when f' changes its sign."""
-        ranges = [contraction_range(float(gain)) for gain in self.gain]
+        ranges = [contraction_range(float(gain)) for gain in self.gain.flat]
         low, high = max(low for low, _ in ranges), min(high for _, high in ranges)
         return (low, high) if low < high else (np.nan, np.nan)
 
 
-def contraction_along(models: Models, trajectory: Trajectory) -> Contraction:
-    """Gain f' of the approximate model's command at the states that the trajectory visits."""
-    at = np.unique(np.linspace(0, len(trajectory.position) - 1, _PLACES).astype(int))
-    gains = []
-    for position, velocity, wanted in zip(
-        trajectory.position[at], trajectory.velocity[at], trajectory.acceleration[at], strict=True
-    ):
-        slopes = []
-        for model in (models.exact, models.approximate):
-            force = model.force(position, velocity, wanted, model.parameters)
-            slopes.append(partial_derivatives(model, position, velocity, force)[2])
-        if slopes[1] == 0 or not np.isfinite(slopes).all() or slopes[0] == 0:
-            raise InputError(
-                f"a model does not answer the force at q = {position:.3g} m, q' = {velocity:.3g} m/s; mend it there"
-            )
-        gains.append(slopes[0] / slopes[1])
-    return Contraction(trajectory.time[at], np.array(gains))
+def contraction_along(models: Models, trajectories: list[Trajectory]) -> Contraction:
+    """Gains f' of the approximate model's command at the states that the trajectories visit."""
+    time = trajectories[0].time
+    at = np.unique(np.linspace(0, len(time) - 1, _PLACES).astype(int))
+    if isinstance(models.exact, Mechanism):
+        positions = np.array([each.position for each in trajectories]).T
+        return Contraction(
+            time[at], np.array([response_gains(models.exact, models.approximate, positions[i]) for i in at])
+        )
+    [trajectory] = trajectories
+    gains = [
+        _response_gain(models, trajectory.position[i], trajectory.velocity[i], trajectory.acceleration[i])
+        for i in at
+    ]
+    return Contraction(time[at], np.array(gains)[:, None])
+
+
+def _response_gain(models: Models, position: float, velocity: float, wanted: float) -> float:
+    slopes = []
+    for model in (models.exact, models.approximate):
+        force = model.force(position, velocity, wanted, model.parameters)
+        slopes.append(partial_derivatives(model, position, velocity, force)[2])
+    if slopes[1] == 0 or not np.isfinite(slopes).all() or slopes[0] == 0:
+        unit = models.units[0]
+        raise InputError(
+            f"a model does not answer the force at q = {position:.3g} {unit}, q' = {velocity:.3g} {unit}/s; mend it there"
+        )
+    return slopes[0] / slopes[1]
 
 
 def warnings_of(found: Contraction, chosen: Mapping[str, Controller]) -> list[str]:
@@ -269,7 +347,7 @@ def warnings_of(found: Contraction, chosen: Mapping[str, Controller]) -> list[st
     said = []
     for name, controller in chosen.items():
         gain = controller.transformation.local_gain
-        outside = np.abs(found.multiplier(gain)) >= 1
+        outside = found.outside(gain)
         if outside.any():
             said.append(
                 f"{name}: the local gain {gain:.3g} is outside the contraction range ({low:.3g}, {high:.3g}) on "
@@ -280,30 +358,56 @@ def warnings_of(found: Contraction, chosen: Mapping[str, Controller]) -> list[st
 
 
 def stable_ranges(
-    models: Models, chosen: Mapping[str, Controller], trajectory: Trajectory
+    models: Models, chosen: Mapping[str, Controller], trajectories: list[Trajectory]
 ) -> dict[str, StableRange]:
     """Local gains for which the whole linear loop, filter and delay included, is stable where the motion starts."""
+    position, velocity = (
+        np.array([getattr(each, name)[0] for each in trajectories]) for name in ("position", "velocity")
+    )
     return {
         name: stable_range(
-            linear_loop(
-                models.exact,
-                controller,
-                trajectory.time_step,
-                float(trajectory.position[0]),
-                float(trajectory.velocity[0]),
-            )
+            linear_loop(models.exact, controller, trajectories[0].time_step, position, velocity)
         )
         for name, controller in chosen.items()
     }
 
 
 def drive(
-    models: Models, chosen: Mapping[str, Controller], trajectory: Trajectory, noise: Noise, seed: int
-) -> dict[str, ControlledRun]:
-    """One run of every controller in the same noise; contraction is judged by `warnings_of`, not here."""
+    models: Models,
+    chosen: Mapping[str, Controller],
+    trajectories: list[Trajectory],
+    noise: Noise,
+    seed: int,
+    *,
+    lost_every: float = 0.0,
+    lost_for: float = 0.0,
+    lost: str = "predict",
+    force_limit: float = 0.0,
+) -> dict[str, list[ControlledRun]]:
+    """One run of every controller in the same noise, for each coordinate.
+
+    Contraction is judged by `warnings_of`, not here. `lost_every`, `lost_for` (s): see `noise.lose`; `lost`: what stands
+    for a lost sample, see `control.simulate`; `force_limit` (N or N m): of every actuator, 0 for none.
+    """
+    rng = np.random.default_rng(seed)
+    count, samples = len(trajectories), len(trajectories[0].position)
+    added = noise.sample(rng, count * samples).reshape(count, samples)
+    added = lose(added, trajectories[0].time_step, lost_every, lost_for)
+    options = {"resolution": noise.resolution, "grid": noise.sample_grid(rng), "lost": lost}
+    runs = {}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ContractionWarning)
-        return {
-            name: noisy_run(models.exact, controller, trajectory, noise, seed)
-            for name, controller in chosen.items()
-        }
+        for name, controller in chosen.items():
+            if isinstance(models.exact, Mechanism):
+                limits = [force_limit] * count if force_limit else None
+                runs[name] = simulate_mechanism(
+                    models.exact, controller, trajectories, added, force_limits=limits, **options
+                )
+            else:
+                limit = force_limit or None
+                runs[name] = [
+                    simulate(
+                        models.exact, controller, trajectories[0], added[0], force_limit=limit, **options
+                    )
+                ]
+    return runs

@@ -20,12 +20,14 @@ _SHOWN = 20_000  # samples in the explorer at most
 
 
 def paint_contraction(found: Contraction, chosen: Mapping[str, Controller]):
-    """Multiplier of the iteration along the trajectory: it contracts between -1 and 1, fastest at 0."""
+    """Multipliers of the iteration along the trajectory: it contracts between -1 and 1, fastest at 0."""
     figure, axes = figures.new(1, 1, height=2.6)
     for number, (name, controller) in enumerate(chosen.items()):
         values = found.multiplier(controller.transformation.local_gain)
-        # Equal gains lie upon each other.
-        axes.plot(found.time, values, "--" if number == 2 else "-", color=COLOURS[name], label=name)
+        # Equal gains lie upon each other; of several coordinates there are several lines.
+        for line, each in enumerate(values.T):
+            label = name if line == 0 else f"{name}, direction {line + 1}"
+            axes.plot(found.time, each, "--" if number == 2 else "-", color=COLOURS[name], label=label)
     for edge in (-1.0, 1.0):
         axes.axhline(edge, color=figures.BLACK, ls="--", lw=0.9)
     low, high = axes.get_ylim()
@@ -33,13 +35,28 @@ def paint_contraction(found: Contraction, chosen: Mapping[str, Controller]):
     axes.set(
         xlabel="time (s)", ylabel="multiplier of an iteration", title="it contracts between the dashed lines"
     )
-    axes.legend(ncols=3)
+    handles, labels = axes.get_legend_handles_labels()
+    axes.legend(handles[:: found.gain.shape[1]], labels[:: found.gain.shape[1]], ncols=3)
     return figure
 
 
-def paint_runs(runs: Mapping[str, ControlledRun], settle: float):
-    """Nominal and true motion, and the range of the tracking error in short stretches."""
-    figure, (motion, error) = figures.new(2, 1, height=4.8, sharex=True)
+def paint_runs(runs: Mapping[str, list[ControlledRun]], units: tuple[str, ...], settle: float):
+    """Nominal and true motion, and the range of the tracking error in short stretches; a column for each coordinate."""
+    figure, panels = figures.new(2, len(units), height=4.8, sharex=True, squeeze=False)
+    for number, ((motion, error), unit) in enumerate(zip(panels.T, units, strict=True)):
+        _paint_coordinate(motion, error, {name: each[number] for name, each in runs.items()}, settle)
+        motion.set(ylabel=f"{symbol(number, units)} ({unit})")
+        error.set(xlabel="time (s)", ylabel=f"error of {symbol(number, units)} (m{unit})")
+    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
+    return figure
+
+
+def symbol(number: int, units: tuple[str, ...]) -> str:
+    """q, or q1, q2, ... where there are several."""
+    return "q" if len(units) == 1 else f"q{number + 1}"
+
+
+def _paint_coordinate(motion, error, runs: Mapping[str, ControlledRun], settle: float):
     nominal = next(iter(runs.values())).trajectory
     coarse = slice(None, None, max(1, len(nominal.position) // 600))
     motion.plot(nominal.time[coarse], nominal.position[coarse], "k--", label="nominal", zorder=5)
@@ -55,14 +72,10 @@ def paint_runs(runs: Mapping[str, ControlledRun], settle: float):
     motion.set_ylim(nominal.position.min() - margin, nominal.position.max() + margin)
     if reach:
         error.set_ylim(-reach, reach)
-    motion.set(ylabel="q (m)")
-    error.set(xlabel="time (s)", ylabel="error of q (mm)")
-    figure.legend(*motion.get_legend_handles_labels(), loc="outside upper center", ncols=2)
-    return figure
 
 
 def _envelope(run: ControlledRun) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Middle of each stretch in s, smallest and largest error in it in mm."""
+    """Middle of each stretch in s, smallest and largest error in it in mm or mrad."""
     length = max(1, len(run.time) // _BINS)
     whole = len(run.time) // length * length
     blocks = 1e3 * run.position_error[:whole].reshape(-1, length)
@@ -72,22 +85,19 @@ def _envelope(run: ControlledRun) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def plant_explorer(
     models: Models,
     chosen: Mapping[str, Controller],
-    trajectory: Trajectory,
+    trajectories: list[Trajectory],
     noise_kind: str,
     settle: float,
     seed: int,
 ) -> Callable:
     """Drawing function of the explorer: all filters with another gain, stiffness of tracking and noise."""
-    found = contraction_along(models, trajectory)
-    if len(trajectory.position) > _SHOWN:  # a long record would take too long to redraw
-        trajectory = Trajectory(
-            trajectory.time_step,
-            trajectory.position[:_SHOWN],
-            trajectory.velocity[:_SHOWN],
-            trajectory.acceleration[:_SHOWN],
-        )
+    found = contraction_along(models, trajectories)
+    trajectories = [  # a long record would take too long to redraw
+        Trajectory(each.time_step, each.position[:_SHOWN], each.velocity[:_SHOWN], each.acceleration[:_SHOWN])
+        for each in trajectories
+    ]
 
-    def paint(gain: float, stiffness: float, noise_m: float):
+    def paint(gain: float, stiffness: float, noise_size: float):
         """Every local gain times `gain`, every Lambda times `stiffness`."""
         moved = {}
         for name, controller in chosen.items():
@@ -102,24 +112,26 @@ def plant_explorer(
                 transformation=replace(old, **factor),
                 kinematics=KinematicDesign(stiffness * controller.kinematics.exponent),
             )
-        noise = Noise() if noise_kind == "none" else Noise(noise_kind, noise_m)
-        runs = drive(models, moved, trajectory, noise, seed)
-        figure, axes = figures.new(1, 1, height=3.2)
-        for name, run in runs.items():
-            time, low, high = _envelope(run)
-            outside = np.abs(found.multiplier(moved[name].transformation.local_gain)) >= 1
-            if run.diverged_at is None:
-                said = f"{1e3 * judge(run, settle)['position']:.3g} mm rms"
-            else:
-                said = f"diverges at {run.diverged_at:.2f} s"
-            if outside.any():
-                said += ", outside the contraction range"
-            axes.fill_between(
-                time, low, high, alpha=0.6, lw=0.8, color=COLOURS[name], label=f"{name}: {said}"
-            )
-        axes.set(xlabel="time (s)", ylabel="error of q (mm)")
-        axes.margins(y=0.4)  # room for the legend
-        axes.legend(loc="upper right")
+        noise = Noise() if noise_kind == "none" else Noise(noise_kind, noise_size)
+        runs = drive(models, moved, trajectories, noise, seed)
+        count = len(models.units)
+        figure, panels = figures.new(count, 1, height=1.6 + 1.6 * count, squeeze=False)
+        for number, (axes, unit) in enumerate(zip(panels[:, 0], models.units, strict=True)):
+            for name, each in runs.items():
+                run = each[number]
+                time, low, high = _envelope(run)
+                if run.diverged_at is None:
+                    said = f"{1e3 * judge(run, settle)['position']:.3g} m{unit} rms"
+                else:
+                    said = f"diverges at {run.diverged_at:.2f} s"
+                if found.outside(moved[name].transformation.local_gain).any():
+                    said += ", outside the contraction range"
+                axes.fill_between(
+                    time, low, high, alpha=0.6, lw=0.8, color=COLOURS[name], label=f"{name}: {said}"
+                )
+            axes.set(xlabel="time (s)", ylabel=f"error of {symbol(number, models.units)} (m{unit})")
+            axes.margins(y=0.4)  # room for the legend
+            axes.legend(loc="upper right")
         return figure
 
     return paint

@@ -30,7 +30,7 @@ __all__, __getattr__, __dir__ = face(
             "synthesise_floor",
         ),
         "rig": ("Lines", "Rig"),
-        "simulation": ("Run", "simulate", "simulate_each"),
+        "simulation": ("Run", "simulate", "simulate_together"),
         "steady": ("Steady", "steady_state"),
         "twin": ("Twin", "load_twin", "twin_from_table"),
     },

@@ -87,6 +87,9 @@ def transmissibility(
         for each in (None, weights)
     )
     reduction = 20 * np.log10(before / after).min(axis=0)  # the worst of the three directions
+    share = frequencies / twin.feedforward.integrator_cutoff_hz
+    rolling = (share >= 2) & (share <= 5)
+    left = np.log10(after / before)[:, rolling].mean(axis=0)
     enough, less = reduction > 20, (reduction > 0) & (frequencies < 900)
     estimated = {
         name: record_case(twin, floor, name, record_length, seed + 1, weights=given).response(RESOLUTION_HZ)
@@ -109,6 +112,7 @@ def transmissibility(
         "isolation.fig-7.largest-reduction": float(bands.max(axis=1).mean()),
         "isolation.fig-7.passive-low-frequency": float(miss > 1),
         "isolation.fig-7.mains-peak": float(np.mean(peak > 6)),
+        "isolation.fig-7.roll-off": float(np.polyfit(np.log10(share[rolling]), left, 1)[0]),
     }
 
 
@@ -129,4 +133,4 @@ def rigid_body(strut_damping: float, actuator_pole: float) -> Twin:
 def ferls_weights(strut_damping: float, actuator_pole: float, floor_upper_end: float, seed: int):
     """Weights after 100 s of FeRLS."""
     twin, floor = rigid_body(strut_damping, actuator_pole), flat_floor(floor_upper_end)
-    return tune(twin, floor, RESOLUTION_HZ, 100.0, seed)["FeRLS"]
+    return tune(twin, floor, RESOLUTION_HZ, 100.0, [seed])[0]["FeRLS"]

@@ -1,5 +1,6 @@
 """Initial convergence: time constants and final values as in Table 1."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,7 +8,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from experiments.isolation.floors import ShapedFloor
-from experiments.isolation.simulation import Run, simulate, simulate_each
+from experiments.isolation.simulation import Run, simulate, simulate_together
 from experiments.isolation.steady import Steady
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import require_array, require_number
@@ -102,25 +103,33 @@ def _course(run: Run) -> Course:
 
 
 def convergence_trial(
-    rng: np.random.Generator,
+    draws: Sequence[np.random.Generator],
     *,
     twin: Twin,
     floor: ShapedFloor,
     both: dict,
     duration_s: float,
     final: np.ndarray | None = None,
-) -> dict[str, np.ndarray]:
-    """One repetition of the experiment of Table 1 for `run_study`: both algorithms on the same floor.
+) -> list[dict[str, np.ndarray]]:
+    """Repetitions of the experiment of Table 1 for `run_study` with `together`: both algorithms on the same floor.
 
     For each the time constants ``"FeLMS tau"``, towards `final` or the run's own final values; the same in the
     narrower band of a first-order course ``"FeLMS tau 37"``; final values ``"FeLMS final"`` and deviations
     ``"FeLMS deviation"`` at the end; and ``"FeLMS error"``, a number, the quadratic filtered error at the end over
     that without feedforward.
     """
-    seed = int(rng.integers(2**31))
-    before = simulate(twin, floor, FINAL_SHARE * duration_s, seed=seed).error_power.mean()
+    seeds = [int(rng.integers(2**31)) for rng in draws]
+    still = simulate_together(twin, floor, FINAL_SHARE * duration_s, seeds=seeds, adaptations={"": None})
+    moving = simulate_together(twin, floor, duration_s, seeds=seeds, adaptations=both)
+    return [
+        _measures(runs, before[""].error_power.mean(), final)
+        for runs, before in zip(moving, still, strict=True)
+    ]
+
+
+def _measures(runs: dict[str, Run], before: float, final: np.ndarray | None) -> dict[str, np.ndarray]:
     found = {}
-    for name, run in simulate_each(twin, floor, duration_s, adaptations=both, seed=seed).items():
+    for name, run in runs.items():
         course = _course(run)
         for key, share in (("tau", SHARE), ("tau 37", 1 - SHARE)):
             settled = settling_times(
@@ -134,26 +143,30 @@ def convergence_trial(
 
 
 def steady_trial(
-    rng: np.random.Generator,
+    draws: Sequence[np.random.Generator],
     *,
     twin: Twin,
     floor: ShapedFloor,
     steady: Steady,
     settled: dict,
     duration_s: float,
-) -> dict[str, np.ndarray]:
-    """Scatter of the weights around the oracle's fixed point once settled, for `run_study`: mean squares by algorithm.
+) -> list[dict[str, np.ndarray]]:
+    """Scatter of the weights around the oracle's fixed point once settled: mean squares by algorithm.
 
-    Every run starts at the fixed point and its first half is left out, so no transient from zero is in it, and
-    the deviation is taken from the oracle, so slow wandering counts in full.
+    For `run_study` with `together`. Every run starts at the fixed point and its first half is left out, so no
+    transient from zero is in it, and the deviation is taken from the oracle, so slow wandering counts in full.
     """
-    seed = int(rng.integers(2**31))
-    found = {}
-    runs = simulate_each(twin, floor, duration_s, adaptations=settled, weights=steady.weights, seed=seed)
-    for name, run in runs.items():
-        late = run.weights[run.time_s > duration_s / 2, 0]
-        found[name] = np.mean((late - steady.weights[0]) ** 2, axis=0)
-    return found
+    seeds = [int(rng.integers(2**31)) for rng in draws]
+    found = simulate_together(
+        twin, floor, duration_s, adaptations=settled, weights=steady.weights, seeds=seeds
+    )
+    return [
+        {
+            name: np.mean((run.weights[run.time_s > duration_s / 2, 0] - steady.weights[0]) ** 2, axis=0)
+            for name, run in runs.items()
+        }
+        for runs in found
+    ]
 
 
 @dataclass(frozen=True)

@@ -3,12 +3,16 @@
 The kernel works on blocks of samples with all memory in `State`, so that a run of any length takes constant
 memory and does not depend on how it is cut into blocks. Filters are cascades of second-order sections in
 transposed direct form II, a bank of channels side by side: section after section, each over all channels.
+
+Several runs of one loop go side by side in the same kernel (`together`): every channel then stands once a run, the
+runs next to each other, so that a processor's vectors hold the same number of several runs.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
+from experiments.isolation.together import command_of, felms_updates, ferls_updates, multiply_runs
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import InputError
 from stillwork.base.kernels import inlined_kernel, kernel
@@ -34,7 +38,10 @@ class Bank(NamedTuple):
 
 
 class ClosedLoop(NamedTuple):
-    """Coefficients and memory of a closed loop; the kernel changes the memory in place."""
+    """Coefficients and memory of a closed loop; the kernel changes the memory in place.
+
+    Memory of several runs side by side is that many times as wide: channel after channel, each once a run.
+    """
 
     plant: np.ndarray  # (inputs, outputs): [A B; C D]' padded, from [states, force, floor] to [states, a1]
     states: int  # of the plant
@@ -55,11 +62,14 @@ class ClosedLoop(NamedTuple):
     after: np.ndarray  # (actuators, axes)
     weights: np.ndarray  # (actuators, regressors), W
     recursion: Recursion  # P, of FeRLS
-    power: np.ndarray  # (1,): sum of e'e since the weights were last kept
+    power: np.ndarray  # (runs,): sum of e'e since the weights were last kept
 
 
 class Signals(NamedTuple):
-    """What a block of samples leaves behind; the first six have length 0 where they are not kept."""
+    """What a block of samples leaves behind; the first six have length 0 where they are not kept.
+
+    Of several runs side by side each channel stands once a run.
+    """
 
     platform: np.ndarray  # (samples, outputs), a1 without noise
     measured: np.ndarray  # (samples, outputs), noisy and conditioned
@@ -68,11 +78,13 @@ class Signals(NamedTuple):
     regressors: np.ndarray  # (samples, regressors), psi_N
     error: np.ndarray  # (samples, actuators), e
     weights: np.ndarray  # (kept, actuators, regressors)
-    error_power: np.ndarray  # (kept,), mean of e'e since the last kept
+    error_power: np.ndarray  # (kept, runs), mean of e'e since the last kept
 
 
-def loop_of(twin: Twin, feedback: bool, weights: np.ndarray, recursion: Recursion) -> ClosedLoop:
-    """Loop of a twin at rest, with its skyhook closed or open."""
+def loop_of(
+    twin: Twin, feedback: bool, weights: np.ndarray, recursion: Recursion, runs: int = 1
+) -> ClosedLoop:
+    """Loop of a twin at rest, with its skyhook closed or open, for a number of runs side by side."""
     model = twin.plant.discrete(twin.sample_time)
     matrix = np.block([[model.a, model.b], [model.c, model.d]]).T
     inputs, outputs = (padded(size) for size in matrix.shape)
@@ -82,29 +94,36 @@ def loop_of(twin: Twin, feedback: bool, weights: np.ndarray, recursion: Recursio
     diagonal = twin.feedforward.estimate == "diagonal"
     powers = twin.feedforward.integrator_powers
     skyhook = rows_of(twin.skyhook_filter)
+    if runs > 1:
+        recursion = recursion._replace(
+            **{
+                name: np.repeat(getattr(recursion, name), runs, axis=-1)
+                for name in ("matrix", "levels", "gain")
+            }
+        )
     return ClosedLoop(
         plant=plant,
         states=len(model.a),
-        vector=aligned(inputs),
-        product=aligned(outputs),
-        readings=aligned(twin.outputs + twin.sensors),
+        vector=aligned(inputs * runs),
+        product=aligned(outputs * runs),
+        readings=aligned((twin.outputs + twin.sensors) * runs),
         floor_inertia=twin.plant.floor_inertia,
-        command=aligned(twin.actuators),
-        actuator=bank_of(rows_of(twin.instruments.actuator), twin.actuators),
-        parasitic=bank_of(rows_of(twin.instruments.parasitic), twin.actuators),
-        conditioning=bank_of(rows_of(twin.instruments.conditioning), twin.outputs + twin.sensors),
-        skyhook=bank_of(skyhook if feedback else 0 * skyhook, twin.outputs),
-        shaping=bank_of(rows_of(twin.noise_shaping), twin.sensors),
-        integrator=bank_of(np.tile(rows_of(twin.integrator), (powers, 1)), padded(2 * twin.sensors)),
-        error=bank_of(rows_of(filters.sections[0]), padded(twin.outputs)),
+        command=aligned(twin.actuators * runs),
+        actuator=bank_of(rows_of(twin.instruments.actuator), twin.actuators * runs),
+        parasitic=bank_of(rows_of(twin.instruments.parasitic), twin.actuators * runs),
+        conditioning=bank_of(rows_of(twin.instruments.conditioning), (twin.outputs + twin.sensors) * runs),
+        skyhook=bank_of(skyhook if feedback else 0 * skyhook, twin.outputs * runs),
+        shaping=bank_of(rows_of(twin.noise_shaping), twin.sensors * runs),
+        integrator=bank_of(np.tile(rows_of(twin.integrator), (powers, 1)), padded(2 * twin.sensors * runs)),
+        error=bank_of(rows_of(filters.sections[0]), padded(twin.outputs * runs)),
         modes=np.zeros((0, 5, 0))
         if diagonal
-        else np.stack([rows_of(each) for each in filters.sections], axis=2),
+        else np.repeat(np.stack([rows_of(each) for each in filters.sections], axis=2), runs, axis=2),
         before=np.zeros((0, 0)) if diagonal else np.ascontiguousarray(filters.before),
         after=np.zeros((0, 0)) if diagonal else np.ascontiguousarray(filters.after),
-        weights=np.array(weights, dtype=recursion.matrix.dtype),
+        weights=np.repeat(np.asarray(weights, dtype=recursion.matrix.dtype), runs, axis=1),
         recursion=recursion,
-        power=np.zeros(1),
+        power=np.zeros(runs),
     )
 
 
@@ -198,16 +217,23 @@ def advance(
     inner,
     other,
     force_limit,
+    together,
 ):
-    """Advance the loop over a block of samples; returns (status, samples done).
+    """Advance the loop over a block of samples; returns (status, samples done, run that stopped).
 
     The floor is a0 (samples, sensors), the noise n1 and n0 (samples, outputs + sensors), before the conditioners;
     `loop` and `signals` are changed in place. `keep_every` samples lie between two kept weights, `phase` since the
     last when the block starts. `adaptation` is FROZEN, FELMS or FERLS; for FELMS `trace_copies` is how often the
     trace counts the regressors. `inner` and `other`, of the loop's recursion, decide when this is compiled which
-    forms it knows. A command beyond `force_limit`, or NaN, stops the run.
+    forms it knows. A command beyond `force_limit`, or NaN, stops the run. `together` is None or a tuple as long as
+    the runs side by side are many, which the compiler then knows; each channel of every array stands for that many,
+    and P has the triangle's form.
     """
-    samples, sensors = floor.shape
+    if together is None:
+        runs = 1
+    else:
+        runs = len(together)
+    samples, sensors = floor.shape[0], floor.shape[1] // runs
     # Local names: numba counts references at every access of a field.
     plant, vector, floor_inertia, command = loop.plant, loop.vector, loop.floor_inertia, loop.command
     before, after, weights, power = loop.before, loop.after, loop.weights, loop.power
@@ -224,107 +250,143 @@ def advance(
     kept_weights, kept_power = signals.weights, signals.error_power
 
     vector, product, readings = loop.vector, loop.product, loop.readings
-    states, modes = loop.states, loop.modes
-    actuators, count = weights.shape
-    outputs = skyhook_1.shape[1]
+    modes = loop.modes
+    actuators, count = weights.shape[0], weights.shape[1] // runs
+    outputs = skyhook_1.shape[1] // runs
     through = len(integrator) * sensors // max(count - sensors, 1)  # sections of one power of beta H
     full = len(modes) > 0
     keep = len(kept_platform) > 0
+    # Where groups of channels end in arrays that hold every run.
+    states, forces, floors, outs = loop.states * runs, actuators * runs, sensors * runs, outputs * runs
 
-    resonance = np.empty(actuators)
-    damping = np.empty(outputs)
+    resonance = np.empty(forces)
+    damping = np.empty(outs)
     error = np.zeros(error_1.shape[1])
-    axes = np.empty(outputs)
-    shaped = np.empty(sensors)
+    axes = np.empty(outs)
+    shaped = np.empty(floors)
     both = np.zeros(integrator_1.shape[1])
-    regressor = np.empty(count)
-    filtered = np.empty(count, weights.dtype)
-    rounded = np.empty(actuators, weights.dtype)
+    regressor = np.empty(count * runs)
+    filtered = np.empty(count * runs, weights.dtype)
+    rounded = np.empty(forces, weights.dtype)
+    totals, shrink = np.empty(runs), np.empty(runs)
 
     for k in range(samples):
         # Force: the command of the sample before, through the actuator's lag.
         _filter(actuator, actuator_1, actuator_2, command)
-        for i in range(actuators):
+        for i in range(forces):
             vector[states + i] = command[i]
             resonance[i] = command[i]
         _filter(parasitic, parasitic_1, parasitic_2, resonance)
 
         # Plant and sensors.
-        for i in range(sensors):
-            vector[states + actuators + i] = floor[k, i]
-            readings[outputs + i] = floor[k, i] + noise[k, outputs + i]
-        _multiply(plant, vector, product)
+        for i in range(floors):
+            vector[states + forces + i] = floor[k, i]
+            readings[outs + i] = floor[k, i] + noise[k, outs + i]
+        if together is None:
+            _multiply(plant, vector, product)
+        else:
+            multiply_runs(plant, vector, product, together)
         for i in range(states):
             vector[i] = product[i]
-        for i in range(outputs):
+        for i in range(outs):
             product[states + i] += resonance[i]
             readings[i] = product[states + i] + noise[k, i]
         _filter(conditioning, conditioning_1, conditioning_2, readings)
 
         # Filtered error, eq. (16).
-        for i in range(outputs):
+        for i in range(outs):
             damping[i] = readings[i]
             error[i] = readings[i]
         if full:
             for i in range(outputs):
-                total = 0.0
-                for j in range(outputs):
-                    total += before[i, j] * readings[j]
-                axes[i] = total
+                for run in range(runs):
+                    total = 0.0
+                    for j in range(outputs):
+                        total += before[i, j] * readings[j * runs + run]
+                    axes[i * runs + run] = total
             _filter_each(modes, error_1, error_2, axes)
             for i in range(actuators):
-                total = 0.0
-                for j in range(outputs):
-                    total += after[i, j] * axes[j]
-                error[i] = total
+                for run in range(runs):
+                    total = 0.0
+                    for j in range(outputs):
+                        total += after[i, j] * axes[j * runs + run]
+                    error[i * runs + run] = total
         else:
             _filter(error_sections, error_1, error_2, error)
 
         # Regressors psi and psi_N: N acts on the sensors, before the integrators.
-        for i in range(sensors):
-            shaped[i] = readings[outputs + i]
+        for i in range(floors):
+            shaped[i] = readings[outs + i]
         _filter(shaping, shaping_1, shaping_2, shaped)
-        for i in range(sensors):
-            both[i] = readings[outputs + i]
-            both[sensors + i] = shaped[i]
+        for i in range(floors):
+            both[i] = readings[outs + i]
+            both[floors + i] = shaped[i]
             regressor[i] = both[i]
             filtered[i] = shaped[i]
         for power_of in range(1, count // sensors):
             first = (power_of - 1) * through
             last = first + through
             _filter(integrator[first:last], integrator_1[first:last], integrator_2[first:last], both)
-            for i in range(sensors):
-                regressor[power_of * sensors + i] = both[i]
-                filtered[power_of * sensors + i] = both[sensors + i]
+            for i in range(floors):
+                regressor[power_of * floors + i] = both[i]
+                filtered[power_of * floors + i] = both[floors + i]
 
         # Command: feedforward (13), skyhook (1), and what the floor's inertia adds on the same way.
         _filter(skyhook, skyhook_1, skyhook_2, damping)
-        squares = 0.0
-        for i in range(actuators):
-            total = -damping[i]
-            for j in range(count):
-                total += weights[i, j] * regressor[j]
-            if not abs(total) <= force_limit:  # true for NaN as well
-                return OVERLOAD, k
-            command[i] = total
-            squares += error[i] * error[i]
-        power[0] += squares
+        if together is None:
+            for i in range(actuators):
+                total = -damping[i]
+                for j in range(count):
+                    total += weights[i, j] * regressor[j]
+                command[i] = total
+        else:
+            command_of(weights, regressor, damping, command, totals, together)
+        for i in range(forces):
+            if not abs(command[i]) <= force_limit:  # true for NaN as well
+                return OVERLOAD, k, i % runs
+        for run in range(runs):
+            squares = 0.0
+            for i in range(actuators):
+                squares += error[i * runs + run] * error[i * runs + run]
+            power[run] += squares
         if keep:
-            for i in range(outputs):
+            for i in range(outs):
                 kept_platform[k, i] = product[states + i]
                 kept_measured[k, i] = readings[i]
-            for i in range(sensors):
-                kept_sensed[k, i] = readings[outputs + i]
-            for i in range(actuators):
+            for i in range(floors):
+                kept_sensed[k, i] = readings[outs + i]
+            for i in range(forces):
                 kept_command[k, i] = command[i]
                 kept_error[k, i] = error[i]
-            for i in range(count):
+            for i in range(count * runs):
                 kept_regressors[k, i] = filtered[i]
         for i in range(actuators):
             for j in range(sensors):
-                command[i] += floor_inertia[i, j] * floor[k, j]
+                for run in range(runs):
+                    command[i * runs + run] += floor_inertia[i, j] * floor[k, j * runs + run]
 
-        if adaptation == FELMS:
+        if together is not None:
+            if adaptation == FELMS:
+                felms_updates(
+                    weights, filtered, error, step_size, regularisation, trace_copies, totals, together
+                )
+            elif adaptation == FERLS:
+                lost = ferls_updates(
+                    weights,
+                    matrix,
+                    forgetting,
+                    levels,
+                    allowance,
+                    gain,
+                    filtered,
+                    error,
+                    totals,
+                    shrink,
+                    together,
+                )
+                if lost >= 0:
+                    return INDEFINITE, k, lost
+        elif adaptation == FELMS:
             felms_update(weights, filtered, error, step_size, regularisation, trace_copies)
         elif adaptation == FERLS:
             for i in range(actuators):
@@ -333,13 +395,14 @@ def advance(
                 weights, matrix, form, forgetting, levels, allowance, gain, inner, other, filtered, rounded, k
             )
             if not leverage >= forgetting:
-                return INDEFINITE, k
+                return INDEFINITE, k, 0
 
         if (phase + k + 1) % keep_every == 0:
             row = (phase + k) // keep_every
             for i in range(actuators):
-                for j in range(count):
+                for j in range(count * runs):
                     kept_weights[row, i, j] = weights[i, j]
-            kept_power[row] = power[0] / keep_every
-            power[0] = 0.0
-    return STABLE, samples
+            for run in range(runs):
+                kept_power[row, run] = power[run] / keep_every
+                power[run] = 0.0
+    return STABLE, samples, 0

@@ -1,5 +1,6 @@
 """How the platform moves in z, θx and θy: transmissibility and spectra, measured and exact (section 5.2)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +12,7 @@ from experiments.isolation.floors import ShapedFloor
 from experiments.isolation.recorded_floors import RecordedFloor, SpectralFloor
 from experiments.isolation.responses import responses
 from experiments.isolation.rig import Rig
-from experiments.isolation.simulation import simulate
+from experiments.isolation.simulation import simulate, simulate_together
 from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
@@ -73,22 +74,21 @@ class CaseRecord:
 
 
 def tune(
-    twin: Twin, floor: ShapedFloor, felms_s: float, ferls_s: float, seed: int
-) -> dict[str, Float64[np.ndarray, "actuators regressors"]]:
-    """Weights that FeLMS and FeRLS reach from zero with the published settings, each in its own time.
+    twin: Twin, floor: ShapedFloor, felms_s: float, ferls_s: float, seeds: Sequence[int]
+) -> list[dict[str, Float64[np.ndarray, "actuators regressors"]]]:
+    """For each seed the weights that FeLMS and FeRLS reach from zero with the published settings, each in its own time.
 
     FeRLS starts from ten times the steady covariance's diagonal, section 5.1.1.
     """
     covariance = 10 * np.diag(steady_state(twin, floor).covariance)
-    return {
-        name: simulate(
-            twin, floor, seconds, adaptation=settings, seed=seed, keep_every_s=seconds
-        ).final_weights
-        for name, settings, seconds in (
-            ("FeLMS", FeLms(), felms_s),
-            ("FeRLS", FeRls(covariance), ferls_s),
+    found: list[dict] = [{} for _ in seeds]
+    for name, settings, seconds in (("FeLMS", FeLms(), felms_s), ("FeRLS", FeRls(covariance), ferls_s)):
+        runs = simulate_together(
+            twin, floor, seconds, adaptations={name: settings}, seeds=seeds, keep_every_s=seconds
         )
-    }
+        for weights, run in zip(found, runs, strict=True):
+            weights[name] = run[name].final_weights
+    return found
 
 
 def record_case(

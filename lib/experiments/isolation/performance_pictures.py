@@ -43,17 +43,18 @@ def paint_transmissibility(
     for i, to in enumerate(DIRECTIONS):
         for j, start in enumerate(DIRECTIONS):
             panel = axes[i, j]
+            # An off-diagonal panel takes its scale from the lengths involved: rad/m is large, m/rad small.
+            shift = {"": 0.0, " (m/rad)": -25.0, " (rad/m)": 25.0}[units[i, j]]
             for name, response in cases.items():
                 size = np.abs(response[i, j])
-                shown = thinned(f, size)
-                shown = shown[size[shown] > _ROUNDING]
-                if len(shown):
+                if size.max() > _ROUNDING:
+                    # How deep a zero reaches below the panel hangs on the last bits.
+                    size = np.maximum(size, 10 ** ((low_db + shift - 10) / 20))
+                    shown = thinned(f, size)
                     decibels = 20 * np.log10(size[shown])
                     panel.semilogx(f[shown], decibels, label=name, lw=0.9, **_STYLES[name])
             if i == j:
                 _mark_reduction(panel, f, cases["feedback"][i, i])
-            # An off-diagonal panel takes its scale from the lengths involved: rad/m is large, m/rad small.
-            shift = {"": 0.0, " (m/rad)": -25.0, " (rad/m)": 25.0}[units[i, j]]
             panel.set(
                 title=f"{start} → {to}{units[i, j]}", ylim=(low_db + shift, 25 + shift), xlim=(f[0], f[-1])
             )

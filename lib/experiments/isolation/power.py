@@ -1,5 +1,7 @@
 """Power that the feedforward removes, and the limit that output noise sets (section 5.2.2, Fig. 8)."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
@@ -81,15 +83,15 @@ def floor_level_for(
 
 
 def power_trial(
-    rng: np.random.Generator,
+    draws: Sequence[np.random.Generator],
     *,
     twin: Twin,
     floor: ShapedFloor,
     felms_s: float,
     ferls_s: float,
     record_s: float,
-) -> dict[str, np.ndarray]:
-    """One repetition of the experiment of Fig. 8 for `run_study`: adapt, freeze, record, compare.
+) -> list[dict[str, np.ndarray]]:
+    """Repetitions of the experiment of Fig. 8 for `run_study` with `together`: adapt, freeze, record, compare.
 
     ``removed FeLMS``, ``removed FeRLS``: share of the power at 1-300 Hz that the feedforward removes from the
     feedback-only case, per cent, (3,); ``removed limit``: the same if only the output noise were left;
@@ -98,8 +100,16 @@ def power_trial(
     only at 1-2 Hz. ``density feedback``, ``... FeLMS``, ``... FeRLS``, ``... output noise``: spectra, (3,
     frequencies).
     """
-    seed = int(rng.integers(2**31))
-    weights = tune(twin, floor, felms_s, ferls_s, seed)
+    seeds = [int(rng.integers(2**31)) for rng in draws]
+    tuned = tune(twin, floor, felms_s, ferls_s, seeds)
+    return [
+        _removed(twin, floor, record_s, seed, weights) for seed, weights in zip(seeds, tuned, strict=True)
+    ]
+
+
+def _removed(
+    twin: Twin, floor: ShapedFloor, record_s: float, seed: int, weights: dict
+) -> dict[str, np.ndarray]:
     records = {
         name: record_case(twin, floor, name, record_s, seed + 1, weights=weights.get(name))
         for name in ("feedback", "FeLMS", "FeRLS")

@@ -1,6 +1,6 @@
 """Closed-loop runs of a twin: passive, with feedback, with frozen or self-tuning feedforward."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,11 +9,13 @@ from numpy.typing import ArrayLike
 
 from experiments.isolation import loop
 from experiments.isolation.recorded_floors import LOUDEST, RecordedFloor
-from experiments.isolation.sources import BLOCK, Floor, Sources
+from experiments.isolation.sources import BLOCK, Floor, Together
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import InputError, require_array, require_count, require_number
 from stillwork.estimation.adaptive import FeLms, FeRls
 from stillwork.estimation.online import UnstableAdaptation
+
+TOGETHER = 8  # runs in one kernel: two vectors of AVX2, one of AVX-512
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,7 @@ def simulate(
     duration_s: float | None = None,
     *,
     adaptation: FeLms | FeRls | None = None,
+    seed: int = 0,
     **settings,
 ) -> Run:
     """Run a twin in closed loop from rest.
@@ -55,28 +58,35 @@ def simulate(
     A list of (seconds, floor) changes the floor in mid-run, at once. The floor's motion and each noise draw from
     their own stream of `seed`: runs with the same seed see the same floor, whatever the controller does. An
     adaptation that diverges raises `UnstableAdaptation` with the sample and the cause. All `settings` are those of
-    `simulate_each`.
+    `simulate_together`.
     """
-    return simulate_each(twin, floor, duration_s, adaptations={"": adaptation}, **settings)[""]
+    together = simulate_together(
+        twin, floor, duration_s, adaptations={"": adaptation}, seeds=[seed], **settings
+    )
+    return together[0][""]
 
 
-def simulate_each(
+def simulate_together(
     twin: Twin,
     floor: Floor | list[tuple[float, Floor]],
     duration_s: float | None = None,
     *,
+    seeds: Sequence[int],
     adaptations: Mapping[str, FeLms | FeRls | None],
     weights: ArrayLike | None = None,
     feedback: bool = True,
     noise: bool = True,
-    seed: int = 0,
     keep_every_s: float = 0.1,
     signals_from_s: float | None = None,
-) -> dict[str, Run]:
-    """What `simulate` gives for each of several algorithms, side by side, on a floor and noises that are drawn once.
+) -> list[dict[str, Run]]:
+    """For each seed what `simulate` gives for each of several algorithms, on a floor and noises that are drawn once.
 
-    Weights and error power are kept every `keep_every_s`; from `signals_from_s` on all signals are, at the full rate.
+    Several seeds go through one kernel side by side, with the same bits in half the time. Weights and error power are kept every `keep_every_s`; from `signals_from_s` on all signals are, at the full rate.
+    Several seeds take FeRLS in the triangle's form and float64. The first run that diverges ends them all.
     """
+    seeds = [require_count("seed", seed, at_least=0) for seed in seeds]
+    if len(seeds) > 1:
+        _require_triangle(adaptations)
     rate = twin.instruments.sample_rate
     every = require_count("keep_every_s times the sample rate", round(keep_every_s * rate))
     segments = _segments(twin, floor, duration_s)
@@ -93,13 +103,25 @@ def simulate_each(
                 f"signals_from_s is {signals_from_s:g} but the run lasts {total / rate:g} s; give less"
             )
 
-    sides = []
-    for adaptation in adaptations.values():
-        code, numbers, recursion = _algorithm(twin, adaptation)
-        closed = loop.loop_of(twin, feedback, start, recursion)
-        sides.append((adaptation, code, numbers, closed, _Kept(twin, total, every, first)))
-    sources = Sources(twin, segments, noise, require_count("seed", seed, at_least=0))
+    runs = 1 if len(seeds) == 1 else TOGETHER
+    found = []
+    for batch in (seeds[at : at + runs] for at in range(0, len(seeds), runs)):
+        sides = []
+        for adaptation in adaptations.values():
+            code, numbers, recursion = _algorithm(twin, adaptation)
+            closed = loop.loop_of(twin, feedback, start, recursion, runs)
+            sides.append((adaptation, code, numbers, closed, _Kept(twin, total, every, first, runs)))
+        _advance(twin, Together(twin, segments, noise, batch, runs), sides, total, first, start)
+        found += [
+            {name: side[-1].run(rate, side[-2], run) for name, side in zip(adaptations, sides, strict=True)}
+            for run in range(len(batch))
+        ]
+    return found
 
+
+def _advance(twin: Twin, sources: Together, sides: list, total: int, first: int, start: np.ndarray) -> None:
+    """Run the algorithms of `sides` over the same samples, block by block, as many runs at a time as the sources are."""
+    together = None if sources.runs == 1 else (0,) * sources.runs
     done = 0
     while done < total:
         # A block ends where the signals start.
@@ -108,24 +130,37 @@ def simulate_each(
             samples = min(samples, first - done)
         floor_block, noise_block = sources.sample(samples)
         for adaptation, code, numbers, closed, kept in sides:
-            status, reached = loop.advance(
+            status, reached, stopped = loop.advance(
                 floor_block,
                 noise_block,
                 closed,
                 kept.block(done, samples),
-                every,
-                done % every,
+                kept.every,
+                done % kept.every,
                 code,
                 *numbers,
                 *closed.recursion[-2:],
                 twin.instruments.force_limit,
+                together,
             )
             if status != loop.STABLE:
-                raise _unstable(status, done + reached, twin, adaptation, start, np.abs(floor_block).max())
+                peak = np.abs(floor_block[:, stopped :: sources.runs]).max()
+                raise _unstable(status, done + reached, twin, adaptation, start, peak)
             if done + samples > first:
                 kept.floor[done - first : done - first + samples] = floor_block
         done += samples
-    return {name: side[-1].run(rate, side[-2]) for name, side in zip(adaptations, sides, strict=True)}
+
+
+def _require_triangle(adaptations) -> None:
+    for name, adaptation in adaptations.items():
+        if isinstance(adaptation, FeRls) and (adaptation.dtype, adaptation.form) not in (
+            ("float64", "safe"),
+            ("float64", "triangle"),
+        ):
+            raise InputError(
+                f"adaptations[{name!r}] has the form {adaptation.form!r} in {adaptation.dtype}; "
+                "several seeds take 'triangle' in float64, other forms run one seed at a time"
+            )
 
 
 def _algorithm(twin: Twin, adaptation):
@@ -203,16 +238,16 @@ def _unstable(status: int, sample: int, twin: Twin, adaptation, weights, peak: f
 
 
 class _Kept:
-    """Arrays that outlive the blocks."""
+    """Arrays that outlive the blocks; of several runs side by side each channel stands once a run."""
 
-    def __init__(self, twin: Twin, total: int, every: int, first: int):
+    def __init__(self, twin: Twin, total: int, every: int, first: int, runs: int):
         long = max(total - first, 0)
-        self.first, self.every = first, every
-        self.floor = np.empty((long, twin.sensors))
+        self.first, self.every, self.runs = first, every, runs
+        self.floor = np.empty((long, twin.sensors * runs))
         widths = (twin.outputs, twin.outputs, twin.sensors, twin.actuators, twin.regressors, twin.actuators)
-        self.long = [np.empty((long, width)) for width in widths]
-        self.weights = np.empty((total // every, twin.actuators, twin.regressors))
-        self.power = np.empty(total // every)
+        self.long = [np.empty((long, width * runs)) for width in widths]
+        self.weights = np.empty((total // every, twin.actuators, twin.regressors * runs))
+        self.power = np.empty((total // every, runs))
 
     def block(self, done: int, samples: int) -> loop.Signals:
         """Views for the kernel to fill."""
@@ -221,18 +256,26 @@ class _Kept:
         rows = slice(done // self.every, (done + samples) // self.every)  # due in this block
         return loop.Signals(*long, self.weights[rows], self.power[rows])
 
-    def run(self, rate: float, closed: loop.ClosedLoop) -> Run:
-        platform, measured, sensed, command, regressors, error = (array.T for array in self.long)
+    def run(self, rate: float, closed: loop.ClosedLoop, run: int) -> Run:
+        """One of the runs."""
+
+        def of(array):
+            return np.ascontiguousarray(array[..., run :: self.runs])
+
+        recursion = closed.recursion._replace(
+            matrix=of(closed.recursion.matrix), levels=of(closed.recursion.levels)
+        )
+        platform, measured, sensed, command, regressors, error = (of(array).T for array in self.long)
         return Run(
             sample_rate=rate,
             time_s=self.every / rate * np.arange(1, len(self.power) + 1),
-            weights=self.weights,
-            error_power=self.power,
-            final_weights=closed.weights.astype(float),
-            covariance=closed.recursion.covariance,
-            held=closed.recursion.held,
+            weights=of(self.weights),
+            error_power=of(self.power)[:, 0],
+            final_weights=of(closed.weights).astype(float),
+            covariance=recursion.covariance,
+            held=recursion.held,
             signals_start_s=self.first / rate,
-            floor=self.floor.T,
+            floor=of(self.floor).T,
             platform=platform,
             sensed_floor=sensed,
             measured_platform=measured,

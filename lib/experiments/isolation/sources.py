@@ -71,3 +71,19 @@ class Sources:
         self.floor_stream.standard_normal(out=floor)
         floor *= self.part.scale
         loop.filter_block(*self.shaping, floor)
+
+
+class Together:
+    """Sources of several runs, channel after channel, each once a run."""
+
+    def __init__(self, twin: Twin, segments, noise: bool, seeds: list[int], runs: int):
+        self.each = [Sources(twin, segments, noise, seed) for seed in seeds]
+        self.runs = runs
+
+    def sample(self, samples: int) -> tuple[np.ndarray, np.ndarray]:
+        """As `Sources.sample`; the last seed's stands in every place that is left over."""
+        if self.runs == 1:
+            return self.each[0].sample(samples)
+        found = [source.sample(samples) for source in self.each]
+        found += found[-1:] * (self.runs - len(found))
+        return tuple(np.stack(part, axis=-1).reshape(samples, -1) for part in zip(*found, strict=True))

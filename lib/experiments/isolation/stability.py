@@ -55,6 +55,11 @@ class CovarianceRun:
         broken = ~(self.smallest > 0)
         return float(self.time_constants[np.argmax(broken)]) if broken.any() else float("inf")
 
+    @property
+    def worst(self) -> float:
+        """Largest `distance`, at most one, the size of P: beyond it P means nothing, and its numbers are chaos."""
+        return min(float(np.nanmax(self.distance)), 1.0)
+
     def breakdown_tens(self) -> float:
         """`breakdown` to tens: rounding errors decide it, and another processor's are of the same size alone."""
         return round(self.breakdown, -1) if np.isfinite(self.breakdown) else self.breakdown
@@ -205,7 +210,7 @@ def breakdowns_from_diagonal(
 def stability_map(
     conditions, precisions, forms, seeds: int, samples_per_constant: int, time_constants: float
 ) -> dict[tuple[str, str], Float64[np.ndarray, "2 conditions seeds"]]:
-    """Largest distance of P, and time constants to its breakdown, from the steady P on, by (precision, form)."""
+    """`worst` distance of P, and time constants to its breakdown, from the steady P on, by (precision, form)."""
     forgetting, found = float(np.exp(-1 / samples_per_constant)), {}
     for precision in precisions:
         for form in forms:
@@ -216,7 +221,7 @@ def stability_map(
             start = steady_start(psi, forgetting)
             for (precision, form), table in found.items():
                 run = covariance_run(form, psi, forgetting, start, time_constants, precision, 2)
-                table[:, i, seed] = np.nanmax(run.distance), run.breakdown
+                table[:, i, seed] = run.worst, run.breakdown
     return found
 
 

@@ -22,7 +22,7 @@ def paint_map(
     shipped: Mapping[str, tuple[float, Mapping[str, CovarianceRun]]],
     forgettings: tuple[float, float],
 ):
-    """Error of P in its own metric over the condition number, by precision and form, and where forms break.
+    """Error of P in its own metric, drawn at one where it is larger, over the condition number, by precision and form, and where forms break.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def paint_map(
             )
         if precision == "float32":
             for mark, (name, (condition, runs)) in zip("osD", shipped.items(), strict=False):
-                values = [float(np.nanmax(run.distance)) for run in runs.values()]
+                values = [run.worst for run in runs.values()]
                 axes.plot(np.full(len(values), condition), values, mark, color=figures.GREY, label=name)
         certain, mean = condition_bounds(forgettings[0], precision)
         axes.axvline(certain, color=figures.BLACK, lw=0.8, ls=":")
@@ -61,7 +61,7 @@ def paint_map(
         for bound, text in ((certain, "errors of one sign "), (mean, "independent errors ")):
             axes.annotate(text, (bound, 1e-13), rotation=90, ha="right", va="bottom", fontsize=7)
         axes.axhline(1.0, color=figures.GREY, lw=0.8)
-        axes.set(xscale="log", yscale="log", title=precision, ylim=(1e-13, 1e5))
+        axes.set(xscale="log", yscale="log", title=precision, ylim=(1e-13, 10))
         axes.set(xlabel="condition number of the scaled regressors")
     grid[0, 0].set(ylabel="largest relative error of P, in its own metric")
     figures.legend_below(grid[0, 0], 4)

@@ -1,5 +1,6 @@
 """Response of the weights to a change of the floor (section 5.1.2, Fig. 6)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,7 +9,7 @@ from jaxtyping import Float64
 from experiments.isolation.convergence import ALGORITHMS
 from experiments.isolation.floors import ShapedFloor
 from experiments.isolation.mean_convergence import mean_course
-from experiments.isolation.simulation import simulate_each
+from experiments.isolation.simulation import simulate_together
 from experiments.isolation.steady import Steady, steady_state
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import require_choice
@@ -86,20 +87,23 @@ class Response:
 
 
 def respond(
-    twin: Twin, switch: Switch, both: dict[str, FeLms | FeRls], duration_s: float, seed: int
-) -> dict[str, Response]:
-    """Simulate a switch of the floor, the same for each of the `settled` algorithms."""
-    runs = simulate_each(
+    twin: Twin, switch: Switch, both: dict[str, FeLms | FeRls], duration_s: float, seeds: Sequence[int]
+) -> list[dict[str, Response]]:
+    """Simulate a switch of the floor for each seed, the same for each of the `settled` algorithms."""
+    runs = simulate_together(
         twin,
         [(LEAD_S, switch.before), (duration_s, switch.after)],
         adaptations=both,
         weights=switch.start.weights,
-        seed=seed,
+        seeds=seeds,
     )
-    return {
-        name: Response(run.time_s - LEAD_S, np.ascontiguousarray(run.weights[:, 0]), switch)
-        for name, run in runs.items()
-    }
+    return [
+        {
+            name: Response(run.time_s - LEAD_S, np.ascontiguousarray(run.weights[:, 0]), switch)
+            for name, run in each.items()
+        }
+        for each in runs
+    ]
 
 
 def expected_response(twin: Twin, switch: Switch, name: str, step_size: float, memory_s: float) -> Response:
@@ -112,18 +116,18 @@ def expected_response(twin: Twin, switch: Switch, name: str, step_size: float, m
 
 
 def tracking_trial(
-    rng: np.random.Generator, *, twin: Twin, switch: Switch, both: dict, duration_s: float
-) -> dict[str, float]:
-    """One switch for `run_study`: both algorithms on the same floor.
+    draws: Sequence[np.random.Generator], *, twin: Twin, switch: Switch, both: dict, duration_s: float
+) -> list[dict[str, float]]:
+    """One switch for each generator, for `run_study` with `together`: both algorithms on the same floor.
 
     ``"FeLMS all"``, ``"FeRLS w4-w6"``, ...: settling time of each group, s, infinite where it has not settled;
     ``"FeLMS noise"``, ...
     """
-    seed = int(rng.integers(2**31))
-    responses, found = respond(twin, switch, both, duration_s, seed), {}
-    for name in ALGORITHMS:
-        response = responses[name]
-        for group in GROUPS:
-            found[f"{name} {group}"] = response.settling_s(group)
-        found[f"{name} noise"] = response.noise
+    seeds = [int(rng.integers(2**31)) for rng in draws]
+    found = []
+    for responses in respond(twin, switch, both, duration_s, seeds):
+        times = {
+            f"{name} {group}": responses[name].settling_s(group) for name in ALGORITHMS for group in GROUPS
+        }
+        found.append(times | {f"{name} noise": responses[name].noise for name in ALGORITHMS})
     return found

@@ -1,21 +1,26 @@
-"""Explorers of what an observer does to the bandwidth: the stage, the two-inertia drive, a measured structure."""
+"""What an observer does to the bandwidth: table, map, and explorers of stage, drive and measured structure."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache, lru_cache
 
 import numpy as np
 
 from experiments.motion.designs import stage_observer
-from experiments.motion.drive import drive_loop, seen_by_controller
-from experiments.motion.machines import drive, published_noise, stage, stage_mass
-from experiments.motion.pictures import LABELS, paint_bode, paint_over_masses
+from experiments.motion.drive import drive_loop, rigid_response, seen_by_controller
+from experiments.motion.machines import Drive, drive, published_noise, stage, stage_mass
+from experiments.motion.open_choices import BandwidthMap
+from experiments.motion.pictures import CASES, LABELS, add_magnitude, paint_bode, paint_over_masses
 from experiments.motion.structure import as_stage, measured_accelerance, structure_loops
 from stillwork.control.applications import Application, compensator
-from stillwork.control.bandwidth import Loop, make_loop
+from stillwork.control.bandwidth import Bandwidth, Loop, make_loop
 from stillwork.control.pid import PidFamily
 from stillwork.estimation.observer import Observer
+from stillwork.identification.frequency_response import Identified
 from stillwork.identification.modal_fit import fit_modes
 from stillwork.lti.modal import ModalModel
+from stillwork.lti.state_space import StateModel
+from stillwork.workbook import figures
 
 
 @lru_cache(maxsize=64)
@@ -58,6 +63,63 @@ def paint_design(
     for axis, peak in zip(figure.axes, peaks, strict=True):
         verdict = f"peak {20 * np.log10(peak):.1f} dB" if stable else "unstable"
         axis.set_title(f"{axis.get_title(loc='left')}: {verdict}")
+    return figure
+
+
+def paint_bandwidths(found: Mapping[str, Bandwidth], position: int, published_hz: Sequence[float]):
+    """First crossings at one mass with their range over the masses, and the design parameters, beside the published."""
+    figure, axis = figures.new(1, 1, height=3.2)
+    places, crossings = range(len(found)), np.array([each.crossing_hz for each in found.values()])
+    middle = crossings[:, position - 1]
+    reach = [middle - crossings.min(axis=1), crossings.max(axis=1) - middle]
+    label = f"first crossing, mass {position} and range over masses"
+    axis.errorbar(places, middle, yerr=reach, fmt="o", capsize=4, color=figures.BLUE, label=label)
+    designs = [each.design_hz for each in found.values()]
+    style = {"markersize": 14, "color": figures.RED, "label": "design parameter $f_{bw}$"}
+    axis.plot(places, designs, "_", **style)
+    figures.mark_published(axis, places, published_hz)
+    names = [name.replace(", ", ",\n").replace(" with ", "\nwith ") for name in found]
+    axis.set_xticks(places, names, fontsize=7)
+    axis.set_ylabel("bandwidth (Hz)")
+    axis.legend()
+    return figure
+
+
+def paint_map(chart: BandwidthMap, best: tuple[float, float, str]):
+    """First crossings over Q_nu and Q, each cell as wide as the other; `best` is a printed place and what it says."""
+    figure, axis = figures.new(1, 1, height=3.4)
+    edges = [_edges(chart.noise_model), _edges(chart.selectivity)]
+    mesh = axis.pcolormesh(*edges, chart.crossing_hz, cmap="viridis")
+    figure.colorbar(mesh, ax=axis, label="first crossing (Hz)")
+    axis.set(xscale="log", yscale="log", xlabel=r"noise model $Q_\nu$ (N²/s)", ylabel="selectivity $Q$")
+    figures.mark_published(axis, *best[:2], label=best[2], markersize=9, color="white")
+    axis.legend(axis.lines, [best[2]], loc="lower left", labelcolor="white")
+    return figure
+
+
+def _edges(centres: np.ndarray) -> np.ndarray:
+    """Edges of cells around ascending positive centres, halfway in logarithms."""
+    inner = np.sqrt(centres[1:] * centres[:-1])
+    return np.concatenate([[centres[0] ** 2 / inner[0]], inner, [centres[-1] ** 2 / inner[-1]]])
+
+
+def paint_identified(
+    plant: Drive, loops: Mapping[str, StateModel], found: Mapping[str, Identified], hertz: tuple[float, float]
+):
+    """What the controller of the drive sees, as identified and exact, beside the rigid body, and the coherence."""
+    figure, axes = figures.new(2, 1, height=5.0, sharex=True)
+    for name, each in found.items():
+        shown = (each.omega > 2 * np.pi * hertz[0]) & (each.omega < 2 * np.pi * hertz[1])
+        omega, style = each.omega[shown], {"color": CASES[name], "linewidth": 0.7}
+        add_magnitude(axes[0], omega, each.response[shown], label=f"{name}, identified", **style)
+        exact = seen_by_controller(loops[name], omega)
+        add_magnitude(axes[0], omega, exact, label=f"{name}, exact", color=CASES[name], linestyle=":")
+        axes[1].semilogx(omega / (2 * np.pi), each.coherence[shown], label=name, **style)
+    add_magnitude(axes[0], omega, rigid_response(plant, omega), label="rigid body", color=figures.GREY)
+    axes[0].set_ylabel("magnitude (dB re 1 rad/A)")
+    axes[0].legend(ncols=3, fontsize=7)
+    axes[1].set_ylabel("coherence")
+    axes[1].set_xlabel("frequency (Hz)")
     return figure
 
 

@@ -2,14 +2,15 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from experiments.motion.designs import DESIGNS, Design
-from experiments.motion.machines import stage
-from experiments.motion.position_dependence import at_place, compensator_at
+from experiments.motion.designs import DESIGNS, Design, stage_bandwidth
+from experiments.motion.machines import parameters, published_setpoint, stage
+from experiments.motion.position_dependence import at_place, compensator_at, stage_grid
 from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
 from stillwork.control.feedforward import BASIS, Feedforward, least_squares, noise_error
 from stillwork.control.ideal_feedforward import (
@@ -67,6 +68,95 @@ class LocationStudy:
 
 
 Loops = Mapping[float, Mapping[str, StateModel]]
+
+APPLICATIONS = ("MC", "AD", "MC and AD")
+CASES = {"original": ("PID", "PID")}  # row of Table 4.1: the observer's design, and that of the controller
+CASES |= {name: (name, "PID") for name in APPLICATIONS}
+CASES |= {f"{name}, redesigned": (name, name) for name in APPLICATIONS}
+
+
+def structure(masses: int = 8, spacing: float = 0.05) -> tuple[ModalModel, Float64[np.ndarray, " masses"]]:
+    """Stage with a sensor at every place (m) of seven masses, or of all `masses` = 8, the actuator's first."""
+    plant, grid = stage(), stage_grid(spacing)
+    if require_count("masses", masses, at_least=len(grid)) > len(grid) + 1:
+        raise InputError(f"masses is {masses}; the stage has {len(grid)} and that of the actuator")
+    if masses == len(grid):
+        return plant, grid
+    shapes = np.vstack([plant.input_shapes.T, plant.output_shapes])
+    whole = replace(plant, output_shapes=shapes, feedthrough=np.zeros((masses, 1)))
+    return whole, spacing * np.arange(-1, len(grid))
+
+
+@cache
+def table_cases() -> dict[str, tuple[str, Pid]]:
+    """The seven cases of Table 4.1 with the controllers of the bandwidth table."""
+    controllers = {name: stage_bandwidth(name).controller for name in ("PID", *APPLICATIONS)}
+    return {case: (design, controllers[name]) for case, (design, name) in CASES.items()}
+
+
+@cache
+def table_loops(masses: int = 8, scans: int = 29) -> dict[float, dict[str, StateModel]]:
+    """Closed loops of the seven cases at equally spaced places from the first to the last of the masses."""
+    plant, grid = structure(masses)
+    return location_loops(plant, grid, np.linspace(grid[0], grid[-1], scans), table_cases())
+
+
+def published_deviations() -> dict[str, float]:
+    """Standard deviations of w (N), v and d (m), section 3.1."""
+    noise = parameters("stage")["noise"]
+    return {"w": noise["process"], "v": noise["reference"], "d": noise["sensor"]}
+
+
+def read_table(
+    *, channel: str, noise: bool, masses: int, fit_noise: bool, fit_loop: str, step: float, seed: int
+) -> LocationStudy:
+    """The study of Table 4.1 at one reading of all that the thesis leaves open.
+
+    The error acts through `channel`; the loops run with `noise` or without; the sensor moves along 7 or 8 `masses`;
+    the gains are fitted to a move with noise or without (`fit_noise`), in the loop with the controller of `fit_loop`.
+    """
+    setpoint, deviations = published_setpoint(step), published_deviations()
+    controller = stage_bandwidth(fit_loop).controller
+    machine = stage().at([0], [4])
+    ideal, measured = sampled_ideal_force(machine, setpoint), None
+    if fit_noise:
+        loop = closed_loop(machine, None, controller.state_space())
+        draws = np.random.default_rng((seed, 0))
+        measured = noise_error(loop, step, WARM_UP + len(setpoint.time), deviations, draws)[1, WARM_UP:]
+    force = feedforward_error(ideal, fit_to_force(bare_error(controller), ideal, measured))
+    drawn = (deviations, np.random.default_rng(seed)) if noise else ()
+    return study_locations(table_loops(masses), force, setpoint, channel, *drawn)
+
+
+def table_agreement(
+    study: LocationStudy, published: Mapping[str, tuple[float, float, float]]
+) -> Float64[np.ndarray, "cases 3"]:
+    """Relative distance of smallest, mean and largest rms error from `published` ones (nm), a row a case."""
+    sizes = {name: 1e9 * study.rms(name) for name in published}
+    found = np.array([[each.min(), each.mean(), each.max()] for each in sizes.values()])
+    return np.abs(found / np.array(list(published.values())) - 1)
+
+
+def table_statements(study: LocationStudy, settled_band: float = 2e-8) -> dict[str, bool]:
+    """Whether one run of Table 4.1's cases says what section 4.2.5 says of it."""
+    size = {name: study.rms(name) for name in CASES}
+    mean = {name: each.mean() for name, each in size.items()}
+    settling = (study.setpoint.time >= study.setpoint.acceleration_end) & (
+        study.setpoint.time < study.setpoint.scan[0]
+    )
+    transient = {name: np.mean(study.errors[name][:, settling] ** 2) for name in ("MC", "MC, redesigned")}
+    damped = ("AD", "MC and AD")
+    return {
+        "damping-mean": all(mean[name] < mean["original"] for name in damped),
+        "damping-variance": all(size[name].var() < size["original"].var() for name in damped),
+        "compensation": mean["MC"] > mean["original"],
+        "both-best": mean["MC and AD"] < mean["AD"]
+        and mean["MC and AD, redesigned"] < mean["AD, redesigned"],
+        "redesign": all(mean[f"{name}, redesigned"] < mean[name] for name in APPLICATIONS),
+        "transient": transient["MC, redesigned"] < transient["MC"],
+        "settling": np.median(study.settled("AD, redesigned", settled_band))
+        < np.median(study.settled("original", settled_band)),
+    }
 
 
 def location_loops(

@@ -105,10 +105,13 @@ def noisy_scan_trial(
     rng: np.random.Generator,
     loops: dict[str, StateModel],
     setpoint: Setpoint,
-    feedforward: Feedforward,
+    feedforward: Feedforward | Mapping[str, Feedforward],
     deviations: dict[str, float],
 ) -> dict[str, float]:
-    """Rms of the true error in the scan (m) of several loops with modified feedforward under one noise realisation."""
+    """Rms of the true error in the scan (m) of several loops with modified feedforward under one noise realisation.
+
+    The feedforward is one for all, or each loop's own.
+    """
     seed = rng.integers(2**63)  # every loop meets the same noise
     samples = WARM_UP + setpoint.derivatives.shape[1]
     found = {}
@@ -116,6 +119,7 @@ def noisy_scan_trial(
         noise = noise_error(loop, setpoint.step, samples, deviations, np.random.default_rng(seed))[
             0, WARM_UP:
         ]
-        error = tracking_error(error_loop(loop), setpoint, feedforward) + noise
+        own = feedforward if isinstance(feedforward, Feedforward) else feedforward[name]
+        error = tracking_error(error_loop(loop), setpoint, own) + noise
         found[name] = rms(error[setpoint.scanning])
     return found

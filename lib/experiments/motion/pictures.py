@@ -58,10 +58,16 @@ def paint_bode(
     quantity: str,
     *,
     phase: bool = False,
+    unwrap: bool = True,
     styles: Mapping[str, dict] | None = None,
     height: float | None = None,
+    xlim: tuple[float, float] | None = None,
+    ylim: tuple[float, float] | None = None,
 ):
-    """Magnitude (and phase) of single responses, by label (omega in rad/s, response), on one pair of axes."""
+    """Magnitude (and phase) of single responses, by label (omega in rad/s, response), on one pair of axes.
+
+    Without `unwrap` the phase stays between -270 and 90 degrees. `xlim` in Hz, `ylim` in dB.
+    """
     from matplotlib.ticker import MultipleLocator
 
     figure, axes = figures.new(1 + phase, 1, height=height, sharex=True, squeeze=False)
@@ -72,16 +78,37 @@ def paint_bode(
         hertz = np.asarray(omega) / (2 * np.pi)
         axes[0].semilogx(hertz, decibel(response), label=label, **style)
         if phase:
-            angle = np.degrees(np.unwrap(np.angle(response)))
-            angle -= 360 * np.ceil(angle[0] / 360 - 1e-6)  # start between -360 and 0 degrees
+            angle = np.degrees(np.angle(response))
+            if unwrap:
+                angle = np.unwrap(angle, period=360)
+                angle -= 360 * np.ceil(angle[0] / 360 - 1e-6)  # start between -360 and 0 degrees
+            else:
+                angle = (angle + 270) % 360 - 270
             axes[1].semilogx(hertz, angle, label=label, **style)
     axes[0].set_ylabel(quantity)
     if phase:
         axes[1].set_ylabel("phase (deg)")
         axes[1].yaxis.set_major_locator(MultipleLocator(180))
+    axes[0].set(**{name: ends for name, ends in (("xlim", xlim), ("ylim", ylim)) if ends})
     axes[-1].set_xlabel("frequency (Hz)")
     axes[0].legend()
     return figure, axes
+
+
+def drawn(axis) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """What a panel shows: x and y of its labelled lines, by label."""
+    lines = {str(line.get_label()): line.get_data() for line in axis.lines}
+    return {
+        label: tuple(np.asarray(values, dtype=float) for values in data)
+        for label, data in lines.items()
+        if not label.startswith("_")
+    }
+
+
+def highest(axis, low: float = 0.0, high: float = np.inf) -> np.ndarray:
+    """Place and height of the largest value of each line of a panel, for x from `low` to `high`: (lines, 2)."""
+    parts = [(x, np.where((x >= low) & (x <= high), y, -np.inf)) for x, y in drawn(axis).values()]
+    return np.array([(x[y.argmax()], y.max()) for x, y in parts])
 
 
 def mark_limit(axis) -> None:
@@ -102,10 +129,12 @@ def paint_magnitudes(
     return figure, axes
 
 
-def paint_limited(panels: Mapping[str, Mapping[str, tuple]], bottom: float, top: float, height: float):
+def paint_limited(
+    panels: Mapping[str, Mapping[str, tuple]], bottom: float, top: float, height: float, rows: int = 1
+):
     """Magnitudes of loop functions, a panel a title, with the allowed peak."""
-    figure, axes = paint_magnitudes(panels, "magnitude (dB)", height=height, sharey=True)
-    for axis in axes[0]:
+    figure, axes = paint_magnitudes(panels, "magnitude (dB)", rows, height=height, sharex=True, sharey=True)
+    for axis in axes.ravel():
         mark_limit(axis)
         axis.set_ylim(bottom, top)
     axes[0, 0].legend(ncols=2, loc="lower right", fontsize=7)
@@ -117,6 +146,7 @@ def paint_over_masses(
     *,
     low_hz: float = 1.0,
     high_hz: float = 2e3,
+    bottom: float = -50.0,
     label: str = "mass",
 ):
     """One loop function of every measured mass, a panel a case (loops, controller, function), with the allowed peak."""
@@ -127,7 +157,7 @@ def paint_over_masses(
             shown = (hertz >= low_hz) & (hertz <= high_hz)
             response = getattr(loop.at(controller), function)[shown]
             curves[title][f"{label} {number}"] = loop.omega[shown], response, {"linewidth": 1.0}
-    return paint_limited(curves, -50, 15, 3.2)
+    return paint_limited(curves, bottom, 15, 3.2)
 
 
 def paint_rejections(

@@ -8,10 +8,23 @@ import numpy as np
 from jaxtyping import Float64
 
 from experiments.motion.rig import Geometry, assumed, assumed_geometry, excitation, published, scaled_inertia
-from experiments.motion.rig_designs import CASES, RigSettings, bandwidths, model_errors, rig_loops
-from experiments.motion.rig_loops import FUNCTIONS, MEASURES, RigLoop
-from experiments.motion.rig_tracking import levelling, levelling_rms
+from experiments.motion.rig_designs import (
+    CASES,
+    RigSettings,
+    bandwidths,
+    model_errors,
+    published_settings,
+    rig_controllers,
+    rig_loops,
+)
+from experiments.motion.rig_loops import FUNCTIONS, MEASURES, RigBandwidth, RigLoop
+from experiments.motion.rig_tracking import Levelling, levelling, levelling_rms
 from stillwork.base.checks import InputError
+from stillwork.estimation.observer import NoiseIntensities
+
+PRINTED_HZ = {"Original": (6.0, 8.0), "MC": (9.0, 11.0), "AD": (12.0, 13.0), "MC and AD": (17.0, 21.0)}
+
+Rig = tuple[Geometry, dict[str, list[RigLoop]], Levelling]
 
 
 def sample_geometry(rng: np.random.Generator) -> Geometry:
@@ -53,13 +66,41 @@ def flexible_peaks(loops: list[RigLoop], inertia: Float64[np.ndarray, "3"]) -> F
     return FlexiblePeaks(np.max(found, axis=0), float(np.mean(coupling)))
 
 
+def levelling_errors(
+    rig: Rig,
+    designs: dict[str, RigBandwidth | None],
+    controllers_at: str,
+    floor: float,
+    mass_error: float = 0.0,
+    noise: NoiseIntensities | None = None,
+) -> Float64[np.ndarray, "2 cases 3"]:
+    """True errors (m, rad, rad) with the original and with each case's own controller; NaN where there is none.
+
+    The controllers are those of `designs` (``own limit``) or have the ``printed`` bandwidths; `floor` (m) is added to
+    the motion of the edges.
+    """
+    geometry, loops, trajectory = rig
+    family, noise = rig_controllers(geometry), noise or published_settings().noise
+    if controllers_at == "printed":
+        pids = {case: family(*hz) for case, hz in PRINTED_HZ.items()}
+    else:
+        pids = {case: None if each is None else each.pids for case, each in designs.items()}
+    found = np.full((2, len(CASES), 3), np.nan)
+    for k, case in enumerate(CASES):
+        for row, used in zip(found, (pids["Original"], pids[case]), strict=True):
+            if used is not None:
+                with contextlib.suppress(InputError):  # of an unstable loop: it stays NaN
+                    row[k] = levelling_rms(loops[case][0], used, geometry, trajectory, noise, mass_error)
+    return np.hypot(found, floor / geometry.edges)
+
+
 def rig_trial(rng: np.random.Generator, settings: RigSettings) -> dict[str, np.ndarray]:
     """One geometry, one draw of model errors, all four cases, under both readings of "peaks below 6 dB".
 
     With one entry a reading (`MEASURES`) in front: ``crossing`` (cases, 3) in Hz, mean over positions;
     ``peaks`` (cases, functions); ``original`` and ``redesigned`` (cases, 3), rms errors in m and rad at the
     first position with the original and with the redesigned controllers; all NaN where no bandwidth passes.
-    Besides ``flexible`` (cases, modes) and ``coupling`` (cases,) in m/N, and the drawn ``mass``, ``aspect``,
+    Then ``printed`` (2, cases, 3), the same errors with the bandwidths of Table 6.2, and ``edges`` (3,) in m. Besides ``flexible`` (cases, modes) and ``coupling`` (cases,) in m/N, and the drawn ``mass``, ``aspect``,
     ``actuators`` and ``sensors``, and ``excitation`` (2, modes), the largest of four and of three actuators.
     """
     geometry = sample_geometry(rng)
@@ -74,18 +115,16 @@ def rig_trial(rng: np.random.Generator, settings: RigSettings) -> dict[str, np.n
             if found[case] is not None:
                 crossing[m, k] = found[case].crossing_hz.mean(axis=0)
                 peaks[m, k] = found[case].peaks.max(axis=0)
-            for errors, design in ((original, found["Original"]), (redesigned, found[case])):
-                if design is not None:
-                    with contextlib.suppress(InputError):  # of an unstable loop: it stays NaN
-                        errors[m, k] = levelling_rms(
-                            loops[case][0], design.pids, geometry, trajectory, settings.noise
-                        )
+        rig = geometry, loops, trajectory
+        original[m], redesigned[m] = levelling_errors(rig, found, "own limit", 0.0, noise=settings.noise)
     flexible = [flexible_peaks(loops[case], scaled_inertia(geometry)) for case in CASES]
     return {
         "crossing": crossing,
         "peaks": peaks,
         "original": original,
         "redesigned": redesigned,
+        "printed": levelling_errors((geometry, loops, trajectory), {}, "printed", 0.0, noise=settings.noise),
+        "edges": geometry.edges,
         "flexible": np.array([each.peaks for each in flexible]),
         "coupling": np.array([each.coupling for each in flexible]),
         "mass": np.array(geometry.mass),

@@ -72,7 +72,9 @@ def _require_stable(model: StateModel) -> None:
         raise InputError(f"the loop is unstable (a pole of magnitude {radius:.6f}); lower the bandwidth")
 
 
-def _lines(trajectory: Levelling, loop: RigLoop, geometry: Geometry) -> Complex128[np.ndarray, "6 harmonics"]:
+def _lines(
+    trajectory: Levelling, loop: RigLoop, geometry: Geometry, mass_error: float
+) -> Complex128[np.ndarray, "6 harmonics"]:
     """Amplitudes of (v, w): the trajectory at the sensors, and the rigid-body forces that would follow it.
 
     The force is held over a sample; the rigid body then passes through the trajectory at every sample.
@@ -80,19 +82,27 @@ def _lines(trajectory: Levelling, loop: RigLoop, geometry: Geometry) -> Complex1
     turned = np.exp(1j * trajectory.omega * loop.step)
     held = loop.step**2 * (turned + 1) / (2 * (turned - 1) ** 2)
     scaled = geometry.edges[:, None] * trajectory.lines
-    force = scaled_inertia(geometry)[:, None] * scaled / held
+    force = (1 + mass_error) * scaled_inertia(geometry)[:, None] * scaled / held
     at_sensors = np.linalg.solve(loop.decoupling.sensing, scaled)
     return np.vstack([at_sensors, loop.decoupling.actuation @ force])
 
 
 def levelling_rms(
-    loop: RigLoop, pids: Sequence[Pid], geometry: Geometry, trajectory: Levelling, noise: NoiseIntensities
+    loop: RigLoop,
+    pids: Sequence[Pid],
+    geometry: Geometry,
+    trajectory: Levelling,
+    noise: NoiseIntensities,
+    mass_error: float = 0.0,
 ) -> Float64[np.ndarray, "3"]:
-    """Expected rms of the true error in z (m), rx and ry (rad), in steady state: lines plus noise."""
+    """Expected rms of the true error in z (m), rx and ry (rad), in steady state: lines plus noise.
+
+    The feedforward takes the rig for heavier by `mass_error`, relative.
+    """
     model = _to_error(loop, pids, geometry)
     _require_stable(model)
     z = np.exp(1j * trajectory.omega * loop.step)
-    drive = _lines(trajectory, loop, geometry)
+    drive = _lines(trajectory, loop, geometry, mass_error)
     periodic = np.zeros(3)
     for point, amplitudes in zip(z, drive.T, strict=True):
         state = np.linalg.solve(point * np.eye(len(model.a)) - model.a, model.b[:, :6] @ amplitudes)
@@ -137,7 +147,7 @@ def levelling_error(
     if abs(count * loop.step - trajectory.period) > 1e-9 * trajectory.period:
         raise InputError("period of the trajectory is not a multiple of the sample time; change one of them")
     time = np.arange((periods + 1) * count) * loop.step
-    known = (_lines(trajectory, loop, geometry) @ np.exp(1j * np.outer(trajectory.omega, time))).real
+    known = (_lines(trajectory, loop, geometry, 0.0) @ np.exp(1j * np.outer(trajectory.omega, time))).real
     sizes = np.sqrt(np.repeat([noise.process, noise.sensor], 3))
     random = sizes[:, None] * rng.standard_normal((6, len(time)))
     inputs = np.vstack([known[:3], known[3:] + random[:3], random[3:]])

@@ -6,16 +6,16 @@ from functools import lru_cache
 import numpy as np
 
 from experiments.motion.contest import ENTRANTS, Contest, prepare, run_entrant, sample_scans
-from experiments.motion.scan_study import Records, Scan, published_scan
+from experiments.motion.scan_study import Errors, Records, Scan, published_scan
 from stillwork.workbook import figures
 
 STATES = (
-    ("rigid body", "position (nm √kg)", 1e9),
-    ("rigid body", "velocity (µm/s √kg)", 1e6),
-    ("first flexible mode", "position (nm √kg)", 1e9),
-    ("first flexible mode", "velocity (µm/s √kg)", 1e6),
-    ("second flexible mode", "position (nm √kg)", 1e9),
-    ("second flexible mode", "velocity (µm/s √kg)", 1e6),
+    ("rigid body", "position error (nm √kg)", 1e9),
+    ("rigid body", "velocity error (µm/s √kg)", 1e6),
+    ("first flexible mode", "position error (nm √kg)", 1e9),
+    ("first flexible mode", "velocity error (µm/s √kg)", 1e6),
+    ("second flexible mode", "position error (nm √kg)", 1e9),
+    ("second flexible mode", "velocity error (µm/s √kg)", 1e6),
 )
 PUBLISHED = ("Kalman", "sensitivity penalised", "regularised least squares")
 COLOURS = dict(zip(ENTRANTS, (figures.RED, figures.BLUE, figures.GREEN), strict=False))
@@ -42,6 +42,37 @@ def paint_state_errors(scan: Scan, truth: np.ndarray, estimates: Mapping[str, np
         axis.set_ylabel(unit)
     figures.label(axes, "time (s)")
     figures.legend_below(axes[1, 0], 4)
+    return figure
+
+
+def paint_statements(
+    weights: np.ndarray,
+    sweep: Sequence[Errors],
+    kalman: Errors,
+    regularised: Errors,
+    shares: Mapping[str, np.ndarray],
+    chosen: float,
+):
+    """Errors of the sensitivity-penalised filter over its weight, and the share of plants on which statements hold."""
+    figure, (sizes, held) = figures.new(2, 1, height=4.6, sharex=True)
+    rigid = [np.median(each.rms[:, 0] / kalman.rms[:, 0]) for each in sweep]
+    sizes.loglog(weights, rigid, color=figures.BLACK, label="rigid body, over the Kalman filter's")
+    flexible = [np.median(each.flexible()) for each in sweep]
+    sizes.loglog(
+        weights, flexible, color=COLOURS["sensitivity penalised"], label="flexible states, over their size"
+    )
+    for name, each in (("regularised least squares", regularised), ("Kalman", kalman)):
+        level = np.median(each.flexible())
+        sizes.axhline(level, color=COLOURS[name], ls="--", linewidth=0.9, label=f"the same, {name}")
+    sizes.set_ylabel("error (1, median)")
+    sizes.legend(fontsize=7)
+    for k, (claim, share) in enumerate(shares.items()):  # thinner and thinner: lines at 1 lie on each other
+        held.semilogx(weights, share, linewidth=5 - 1.3 * k, label=claim.replace("-", " "))
+    held.set_ylabel("share of the plants")
+    held.set_xlabel("weight $\\gamma$")
+    held.legend(fontsize=7)
+    for axis in (sizes, held):
+        axis.axvline(chosen, color=figures.BLACK, linewidth=0.8)
     return figure
 
 

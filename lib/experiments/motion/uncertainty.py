@@ -6,7 +6,6 @@ that is the same along the whole output shape (section 5.2.3 of the observer the
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from jaxtyping import Float64
@@ -19,7 +18,7 @@ from stillwork.estimation.robust import Derivatives, NormBound
 from stillwork.estimation.time_varying import TimeVaryingModel
 from stillwork.lti.modal import ModalModel
 
-LAWS = ("ends", "uniform", "normal")
+LAWS = ("ends", "uniform", "normal", "common")
 
 
 @checked
@@ -42,16 +41,21 @@ def perturbed(model: ModalModel, errors: ArrayLike) -> ModalModel:
 def sample_errors(
     rng: np.random.Generator, model: ModalModel, size: float, law: str = "ends", rigid: bool = False
 ) -> Float64[np.ndarray, "modes 4"]:
-    """Random relative errors of every modal parameter: at the ``ends``, plus or minus `size`, or ``uniform`` between them.
+    """Random relative errors of every modal parameter, by one of four laws that "±5 %" may mean.
 
-    Those that are ``normal`` have `size` as their standard deviation.
-    The shapes of rigid-body modes are left alone unless `rigid`: a scale and a weighing of the machine settle them.
+    At the ``ends``, plus or minus `size`; ``uniform`` between them; ``normal`` with `size` as standard deviation; or
+    ``common``: at the ends, the same for all modes. The shapes of rigid-body modes are left alone unless `rigid`: a scale and a weighing of the machine settle them.
     """
     size = require_number("size", size, at_least=0.0, below=1.0)
     require_choice("law", law, LAWS)
     shape = (len(model.frequencies), 4)
-    draws = {"ends": partial(rng.choice, [-1.0, 1.0]), "uniform": partial(rng.uniform, -1, 1)}
-    errors = size * draws.get(law, rng.standard_normal)(shape)
+    if law == "uniform":
+        errors = size * rng.uniform(-1, 1, shape)
+    elif law == "normal":
+        errors = size * rng.standard_normal(shape)
+    else:
+        signs = rng.choice([-1.0, 1.0], shape if law == "ends" else 4)
+        errors = size * np.broadcast_to(signs, shape).copy()
     if not rigid:
         errors[: model.rigid_modes] = 0
     return errors

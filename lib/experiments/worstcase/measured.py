@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
-from scipy import signal
+from scipy import linalg, signal
 
 from experiments.worstcase.total import total_least_squares
 from stillwork.base import paths
@@ -12,7 +12,7 @@ from stillwork.base.checks import InputError, require_count, require_number
 from stillwork.estimation.min_max import solve_silently
 from stillwork.estimation.recursive import run_silently
 from stillwork.estimation.recursive_settings import LeastSquares, MinMax, Ridge
-from stillwork.identification.regressors import fir_regressors, noise_bound
+from stillwork.identification.regressors import fir_regressors
 from stillwork.signals.records import load_record
 from stillwork.workbook import figures
 
@@ -38,6 +38,19 @@ class MeasuredPair:
     # standard deviation of the input's sensor noise in the band, m/s^2: the density between 300 and 600 Hz,
     # where the two channels are incoherent, taken as white over the band
     noise: float
+
+    def typical_bound(self, taps: int, forgetting: float) -> float:
+        """Norm of the weighted perturbation that noise of this band has; for white noise that of `noise_bound`.
+
+        noise (sqrt(m r) + sqrt(taps)) with m = 1 / (1 - forgetting) and r the largest eigenvalue of the noise's
+        correlation over the taps (Gordon's inequality): noise in a narrow band leans all rows in one direction.
+        """
+        low, high = 2 * np.array(self.band_hz) / self.sample_rate
+        lags = np.arange(require_count("taps", taps))
+        correlation = (high * np.sinc(high * lags) - low * np.sinc(low * lags)) / (high - low)
+        largest = np.linalg.eigvalsh(linalg.toeplitz(correlation))[-1]
+        memory = 1 / (1 - require_number("forgetting", forgetting, above=0.0, below=1.0))
+        return float(self.noise * (np.sqrt(memory * largest) + np.sqrt(taps)))
 
 
 def load_pair(
@@ -109,7 +122,7 @@ def window_residuals(
     for length in lengths:
         residuals = {name: [] for name in found}
         for matrix, target, later, goal in _windows(pair, regressors, length, most):
-            for name, estimate in _estimates(matrix, target, pair.noise).items():
+            for name, estimate in _estimates(matrix, target, pair).items():
                 residuals[name].append(np.linalg.norm(goal - later @ estimate) / np.linalg.norm(goal))
         for name, values in residuals.items():
             found[name].append(np.array(values))
@@ -134,9 +147,9 @@ def _windows(pair: MeasuredPair, regressors, length: int, most: int) -> list[tup
     ]
 
 
-def _estimates(matrix, target, noise) -> dict[str, np.ndarray]:
+def _estimates(matrix, target, pair) -> dict[str, np.ndarray]:
     rows, taps = matrix.shape
-    typical = noise_bound(noise, taps, 1 - 1 / rows)
+    noise, typical = pair.noise, pair.typical_bound(taps, 1 - 1 / rows)
     guaranteed = 3 * noise * np.sqrt(rows * taps)  # every entry off by three deviations at once
     penalised = matrix.T @ matrix + rows * noise**2 * np.eye(taps)
     return {
@@ -162,7 +175,7 @@ def tracking_residuals(pair: MeasuredPair, taps: int, memories: list[int]) -> di
         estimators = {
             "RLS": LeastSquares(forgetting, 1 / pair.noise**2),
             "ridge": Ridge(memory * pair.noise**2, forgetting),
-            "min-max, typical bound": MinMax(noise_bound(pair.noise, taps, forgetting), forgetting),
+            "min-max, typical bound": MinMax(pair.typical_bound(taps, forgetting), forgetting),
         }
         for name, estimator in estimators.items():
             errors = run_silently(estimator, regressors, pair.output).errors[start:]
@@ -173,7 +186,7 @@ def tracking_residuals(pair: MeasuredPair, taps: int, memories: list[int]) -> di
 def bound_sweep(pair: MeasuredPair, taps: int, length: int, factors: np.ndarray, most: int) -> np.ndarray:
     """Median out-of-sample residual of min-max when the bound is `factors` times the typical one."""
     regressors = fir_regressors(pair.input, taps)
-    typical = noise_bound(pair.noise, taps, 1 - 1 / length)
+    typical = pair.typical_bound(taps, 1 - 1 / length)
     windows = _windows(pair, regressors, length, most)
     found = np.zeros((len(windows), len(factors)))
     for i, (matrix, target, later, goal) in enumerate(windows):

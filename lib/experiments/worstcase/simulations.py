@@ -174,7 +174,7 @@ def tracking_trial(
 
     `truth` is from `path`; RLS and ridge, with its constant `penalty`, forget like min-max; the error of each
     regressor is drawn uniformly from the ball of radius `row_error`. ``min_max``, ``rls``, ``ridge``, ``zero``: error
-    norms |x_t - estimate|, shape (samples,); ``norm``: |A|_2 of the unweighted regressors; ``vanished``: share of the
+    norms |x_t - estimate|, shape (samples,); ``norm``: |A|_2 of the unweighted regressors, ``weighted_norm`` of the weighted ones at the end; ``vanished``: share of the
     time with a zero estimate.
     """
     unknowns, samples = truth.shape
@@ -192,6 +192,8 @@ def tracking_trial(
     }
     found = {name: np.linalg.norm(truth - values, axis=0) for name, values in tracks.items()}
     found["norm"] = np.linalg.norm(regressors, 2)
+    weights = forgetting ** (np.arange(samples - 1, -1, -1) / 2)
+    found["weighted_norm"] = np.linalg.norm(regressors * weights, 2)
     found["vanished"] = np.isinf(min_max.alphas[unknowns:]).mean()
     return found
 

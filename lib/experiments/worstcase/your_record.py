@@ -14,8 +14,8 @@ from stillwork.base.checks import InputError, require_array, require_count, requ
 from stillwork.estimation.min_max import solve_silently
 from stillwork.estimation.recursive import run_silently
 from stillwork.estimation.recursive_settings import LeastSquares, MinMax
-from stillwork.identification.regressors import exponential_bound, fir_regressors, noise_bound
-from stillwork.signals.records import load_record, unit_factor
+from stillwork.identification.regressors import exponential_bound, fir_regressors
+from stillwork.signals.records import load_record, stated_unit, unit_factor
 
 QUIETEST = 0.1  # share of the band whose density counts as sensor noise when nothing else is said
 SETTLE_S = 1.0  # cut off after a band-pass
@@ -103,6 +103,12 @@ def open_pair(
             f"{record.source} holds {len(record.names)} channels ({', '.join(record.names)}); name the two with "
             "input_channel and output_channel"
         )
+    for side, name, unit, quantity in zip(("input", "output"), record.names, units, si, strict=True):
+        stated = stated_unit(name)
+        if stated and unit_factor(stated)[1] != quantity:
+            raise InputError(
+                f"{side}_unit is {unit}, but {record.source} names the channel {name!r}; give {side}_unit {stated}"
+            )
     rate = record.sample_rate
     raw = record.signals * np.array(factors)[:, None]
     raw = raw - raw.mean(axis=1, keepdims=True)
@@ -200,7 +206,7 @@ def fit_pair(pair: Pair, taps: int, memory: int, factors: np.ndarray | None = No
         )
     regressors, output = fir_regressors(scaled.input, taps), scaled.output
     forgetting = 1 - 1 / memory
-    typical = noise_bound(1.0, taps, forgetting)
+    typical = scaled.typical_bound(taps, forgetting)
     bounds = {
         "min-max, typical bound": typical,
         "min-max, guaranteed bound": exponential_bound(3 * np.sqrt(taps), forgetting),

@@ -7,7 +7,7 @@ import numpy as np
 from experiments.worstcase.measured_pictures import paint_windows
 from experiments.worstcase.your_record import Fitted, Pair, Spectra, parts, residual, weighted_corner
 from stillwork.estimation.min_max import solve_silently
-from stillwork.identification.regressors import fir_regressors, noise_bound
+from stillwork.identification.regressors import fir_regressors
 from stillwork.workbook import figures
 
 STYLES = {
@@ -130,7 +130,7 @@ def record_explorer(pair: Pair, memory: int) -> Callable:
         """Impulse responses for `taps` and `bound` times the typical bound."""
         regressors = fir_regressors(scaled.input, taps)
         matrix, target = weighted_corner(regressors[:, recent], scaled.output[recent], forgetting)
-        eta = bound * noise_bound(1.0, taps, forgetting)
+        eta = bound * scaled.typical_bound(taps, forgetting)
         estimates = {
             "RLS": np.linalg.lstsq(matrix, target, rcond=None)[0],
             "min-max, typical bound": solve_silently(matrix, target, eta).estimate,

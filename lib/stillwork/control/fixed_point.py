@@ -11,13 +11,15 @@ from stillwork.base.checks import InputError, require_array, require_choice, req
 from stillwork.base.front_door import check_fields, checked
 from stillwork.base.kernels import kernel
 from stillwork.control.kinematics import KinematicDesign
+from stillwork.control.mechanism import Mechanism
 from stillwork.control.trajectory import Trajectory
 from stillwork.control.transformation import Transformation, deform_packed, warn_outside_contraction
-from stillwork.estimation.coordinate_filters import Filter, require_step
+from stillwork.estimation.coordinate_filters import ExtendedKalman, Filter, UnscentedKalman, require_step
 from stillwork.estimation.filtering import filter_step, model_of
 from stillwork.estimation.plant import Plant, force_slope
 
 INTEGRATIONS = ("semi-implicit", "explicit")
+LOSSES = ("predict", "hold")  # what stands for a sample that is lost
 COLUMNS = (
     "position",
     "velocity",
@@ -30,7 +32,13 @@ COLUMNS = (
     "deformed",
     "force",
 )
-RUNNING, TOO_FAR, NOT_FINITE, NOT_DEFINITE = range(4)
+RUNNING, TOO_FAR, NOT_FINITE, NOT_DEFINITE, NO_INERTIA = range(5)
+HOLD, EXTEND, SKIP = range(3)  # of a lost sample
+SEEN, MEASURED, DESIRED, DEFORMED = range(4)  # what a coordinate's `memory` holds
+CAUSES = {
+    NOT_FINITE: "the commanded force is not finite",
+    NOT_DEFINITE: "the filter's covariance is no longer positive definite",
+}
 
 
 @dataclass(frozen=True)
@@ -45,7 +53,7 @@ class Controller:
         (6) or (8).
     kinematics : KinematicDesign
         (1).
-    model : Plant
+    model : Plant or Mechanism
         The approximate model, which turns the deformed acceleration into a force.
 
     Examples
@@ -59,7 +67,7 @@ class Controller:
     signal_filter: Filter
     transformation: Transformation
     kinematics: KinematicDesign
-    model: Plant
+    model: Plant | Mechanism
 
     def __post_init__(self):
         check_fields(self)
@@ -71,13 +79,16 @@ class Controller:
 
 @dataclass(frozen=True)
 class ControlledRun:
-    """One simulated run; all arrays of shape (samples,), NaN after a divergence."""
+    """One coordinate of a simulated run; all arrays of shape (samples,), NaN after a divergence.
+
+    Of an angle read rad for m and N m for N.
+    """
 
     trajectory: Trajectory
     position: Float64[np.ndarray, " samples"]  # m, true
     velocity: Float64[np.ndarray, " samples"]  # m/s, true
     acceleration: Float64[np.ndarray, " samples"]  # m/s^2, true, over the coming step
-    measured: Float64[np.ndarray, " samples"]  # m
+    measured: Float64[np.ndarray, " samples"]  # m; what stands for a lost sample, NaN where a filter predicts
     position_estimate: Float64[np.ndarray, " samples"]  # m
     velocity_estimate: Float64[np.ndarray, " samples"]  # m/s
     acceleration_estimate: Float64[np.ndarray, " samples"]  # m/s^2
@@ -115,6 +126,9 @@ def simulate(
     integration: str = "semi-implicit",
     start: tuple[float, float] | ArrayLike | None = None,
     bound: float = 10.0,
+    lost: str = "predict",
+    force_limit: float | None = None,
+    force_from_estimate: bool = False,
 ) -> ControlledRun:
     """Drive `plant` along `trajectory`.
 
@@ -131,7 +145,7 @@ def simulate(
     trajectory : Trajectory
         Nominal motion.
     noise : array_like, shape (samples,), optional
-        Added to the position when it is measured, m.
+        Added to the position when it is measured, m; NaN where a sample is lost.
     resolution : float
         Step of an encoder that rounds the measured position, m; 0 without one.
     grid : float
@@ -142,6 +156,14 @@ def simulate(
         Initial position and velocity; by default on the trajectory.
     bound : float
         A position or velocity beyond `bound` times the trajectory's largest (at least 1) counts as diverged.
+    lost : str
+        ``predict``: where a sample is lost a Kalman filter predicts, and the others get the last measurement moved on
+        at the estimated velocity; ``hold``: all get the last measurement.
+    force_limit : float, optional
+        Largest force that the actuator gives, N; by default any. At the limit the error is not integrated, and the deformed
+        acceleration is set back to what the limited force commands of the approximate model.
+    force_from_estimate : bool
+        Take the force from the model at the filtered position even where the error uses the measured one.
 
     Returns
     -------
@@ -171,9 +193,10 @@ def simulate(
     >>> bool(np.abs(run.position_error).max() < 1e-3)  # m
     True
     """
+    if not isinstance(controller.model, Plant):
+        raise InputError("the controller's model is a Mechanism; drive one with simulate_mechanism")
     samples = len(trajectory.position)
-    noise = np.zeros(samples) if noise is None else require_array("noise", noise, shape=(samples,))
-    require_number("resolution", resolution, at_least=0)
+    noise = require_noise(noise, (samples,))
     require_number("grid", grid)
     require_number("bound", bound, above=1)
     require_choice("integration", integration, INTEGRATIONS)
@@ -186,16 +209,15 @@ def simulate(
     done, status = _closed_loop(
         controller.signal_filter.packed(),
         *model_of(controller.signal_filter),
-        bool(controller.signal_filter.error_from_measurement),
-        controller.transformation.packed,
-        controller.kinematics.gains,
+        packed_parts(controller, resolution, grid, lost),
+        bool(force_from_estimate),
         plant.compiled[0],
         plant.parameters,
-        controller.model.compiled[1],
-        controller.model.parameters,
+        *controller.model.compiled,
         trajectory.time_step,
         (trajectory.position, trajectory.velocity, trajectory.acceleration),
-        (noise, float(resolution), float(grid)),
+        noise,
+        np.inf if force_limit is None else require_number("force_limit", force_limit, above=0),
         integration == "semi-implicit",
         start,
         np.array(limits),
@@ -204,9 +226,8 @@ def simulate(
     found: dict[str, Any] = dict(zip(COLUMNS, record, strict=True))
     if status != RUNNING:
         causes = {
-            TOO_FAR: f"the plant left the bound of {limits[0]:g} m and {limits[1]:g} m/s",
-            NOT_FINITE: "the commanded force is not finite",
-            NOT_DEFINITE: "the filter's covariance is no longer positive definite",
+            TOO_FAR: f"the plant left the bound of {limits[0]:g} in position and {limits[1]:g} in velocity",
+            **CAUSES,
         }
         found |= {"diverged_at": float(done * trajectory.time_step), "cause": causes[status]}
     return ControlledRun(trajectory, **found)
@@ -218,67 +239,151 @@ def response_gain(plant: Plant, model: Plant) -> float:
     return force_slope(plant, 0.0, 0.0, 0.0) / force_slope(model, 0.0, 0.0, 0.0)
 
 
+def require_noise(noise: ArrayLike | None, shape: tuple[int, ...]) -> np.ndarray:
+    """Noise of this shape, zero where none is given; NaN is a lost sample, and the first one is needed."""
+    if noise is None:
+        return np.zeros(shape)
+    noise = require_array("noise", noise, shape=shape, missing=True)
+    if np.isnan(noise[..., 0]).any():
+        raise InputError("noise is NaN at the first sample; start with one that was measured")
+    return noise
+
+
+def packed_parts(controller: Controller, resolution: float, grid: float, lost: str) -> tuple:
+    """What `command_step` takes beside the filter itself."""
+    predicts = isinstance(controller.signal_filter, UnscentedKalman | ExtendedKalman)
+    if require_choice("lost", lost, LOSSES) == "hold":
+        loss = HOLD
+    else:
+        loss = SKIP if predicts else EXTEND
+    return (
+        bool(controller.signal_filter.error_from_measurement),
+        controller.transformation.packed,
+        controller.kinematics.gains,
+        (require_number("resolution", resolution, at_least=0), float(grid), loss),
+    )
+
+
+@kernel
+def command_step(
+    device,
+    acceleration,
+    plant,
+    parts,
+    time_step,
+    nominal,
+    position,
+    noise,
+    push,
+    first,
+    held,
+    chain,
+    estimate,
+    memory,
+):
+    """One sample of one coordinate: measure, filter, desire, deform. False when a covariance is lost.
+
+    push: what pushed the filter's model since the last sample. held: the force is at its limit, nothing is integrated.
+    """
+    error_from_measurement, transformation, gains, (resolution, grid, loss) = parts
+    measured = position + noise
+    if resolution > 0.0:
+        measured = np.round((measured - grid) / resolution) * resolution + grid
+    if np.isnan(noise) and loss == HOLD:
+        measured = memory[MEASURED]
+    elif np.isnan(noise) and loss == EXTEND:
+        measured = memory[MEASURED] + time_step * estimate[1]
+    if not filter_step(device, acceleration, plant, time_step, measured, push, estimate):
+        return False
+    integrals = len(gains) - 2
+    seen = measured if error_from_measurement else estimate[0]
+    chain[0] = nominal[0] - seen  # chain[j]: j-fold integral of the error
+    desired = nominal[2] + gains[integrals + 1] * (nominal[1] - estimate[1])
+    desired += gains[integrals] * chain[0]
+    for j in range(1, integrals + 1):
+        if not held:
+            chain[j] += time_step * chain[j - 1]
+        desired += gains[integrals - j] * chain[j]
+    deformed = memory[DEFORMED]
+    memory[DEFORMED] = desired if first else deform_packed(transformation, deformed, estimate[2], desired)
+    memory[SEEN], memory[MEASURED], memory[DESIRED] = seen, measured, desired
+    return True
+
+
+@kernel
+def record_sample(record, i, position, velocity, acceleration, estimate, memory, force):
+    """One column of the record, in the order of `COLUMNS`."""
+    record[0, i] = position
+    record[1, i] = velocity
+    record[2, i] = acceleration
+    record[3, i] = memory[MEASURED]
+    record[4, i] = estimate[0]
+    record[5, i] = estimate[1]
+    record[6, i] = estimate[2]
+    record[7, i] = memory[DESIRED]
+    record[8, i] = memory[DEFORMED]
+    record[9, i] = force
+
+
 @kernel
 def _closed_loop(
     device,
     filter_acceleration,
     filter_plant,
-    error_from_measurement,
-    transformation,
-    gains,
+    parts,
+    force_from_estimate,
     plant_acceleration,
     plant,
+    model_acceleration,
     model_force,
     model,
     time_step,
     nominal,
-    measurement,
+    noise,
+    force_limit,
     semi_implicit,
     start,
     limits,
     record,
 ):
     """Fill `record` (COLUMNS x samples); returns the samples done and how it ended."""
-    (nominal_position, nominal_velocity, nominal_acceleration), (noise, resolution, grid) = (
-        nominal,
-        measurement,
-    )
-    integrals = len(gains) - 2
-    chain = np.zeros(integrals + 1)  # chain[j]: j-fold integral of the error
-    estimate = np.array([start[0], start[1], nominal_acceleration[0]])
+    chain = np.zeros(len(parts[2]) - 1)
+    estimate = np.array([start[0], start[1], nominal[2][0]])
+    memory = np.zeros(4)
     position, velocity = start[0], start[1]
-    force, deformed = 0.0, 0.0
-    for i in range(len(nominal_position)):
-        measured = position + noise[i]
-        if resolution > 0.0:
-            measured = np.round((measured - grid) / resolution) * resolution + grid
-        if not filter_step(device, filter_acceleration, filter_plant, time_step, measured, force, estimate):
+    force, held = 0.0, False
+    for i in range(len(noise)):
+        now = nominal[0][i], nominal[1][i], nominal[2][i]
+        if not command_step(
+            device,
+            filter_acceleration,
+            filter_plant,
+            parts,
+            time_step,
+            now,
+            position,
+            noise[i],
+            force,
+            i == 0,
+            held,
+            chain,
+            estimate,
+            memory,
+        ):
             return i, NOT_DEFINITE
-        seen = measured if error_from_measurement else estimate[0]
-        chain[0] = nominal_position[i] - seen
-        desired = nominal_acceleration[i] + gains[integrals + 1] * (nominal_velocity[i] - estimate[1])
-        desired += gains[integrals] * chain[0]
-        for j in range(1, integrals + 1):
-            chain[j] += time_step * chain[j - 1]
-            desired += gains[integrals - j] * chain[j]
-        deformed = desired if i == 0 else deform_packed(transformation, deformed, estimate[2], desired)
-        force = model_force(seen, estimate[1], deformed, model)
+        place = estimate[0] if force_from_estimate else memory[SEEN]
+        force = model_force(place, estimate[1], memory[DEFORMED], model)
         if not np.isfinite(force):
             return i, NOT_FINITE
+        held = abs(force) > force_limit
+        if held:
+            force = np.copysign(force_limit, force)
+            memory[DEFORMED] = model_acceleration(place, estimate[1], force, model)
         acceleration = plant_acceleration(position, velocity, force, plant)
-        record[0, i] = position
-        record[1, i] = velocity
-        record[2, i] = acceleration
-        record[3, i] = measured
-        record[4, i] = estimate[0]
-        record[5, i] = estimate[1]
-        record[6, i] = estimate[2]
-        record[7, i] = desired
-        record[8, i] = deformed
-        record[9, i] = force
+        record_sample(record, i, position, velocity, acceleration, estimate, memory, force)
         before = velocity
         velocity += time_step * acceleration
         position += time_step * (velocity if semi_implicit else before)
         if not (abs(position) < limits[0] and abs(velocity) < limits[1]):
             return i, TOO_FAR
-    return len(nominal_position), RUNNING
+    return len(noise), RUNNING

@@ -100,6 +100,8 @@ def crossings(loop: LinearLoop, points: int = 300) -> list[Crossing]:
 @checked
 def stable_range(loop: LinearLoop) -> StableRange:
     """The widest range of negative gains between two crossings in which all poles are inside the circle."""
+    if loop.B.shape[1] > 1:
+        return _scanned_range(loop)
     edges = [*crossings(loop), Crossing(0.0, 0.0)]
     ranges = [
         (strong, weak)
@@ -109,6 +111,29 @@ def stable_range(loop: LinearLoop) -> StableRange:
     if not ranges:
         return StableRange(None, None)
     return StableRange(*max(ranges, key=lambda edges: edges[1].local_gain - edges[0].local_gain))
+
+
+def _scanned_range(loop: LinearLoop) -> StableRange:
+    """The same for several coordinates, by the poles themselves: sought on a grid of gains from -1e-3 to -10."""
+    from scipy.optimize import brentq
+
+    gains = -np.geomspace(10.0, 1e-3, 161)
+    excess = np.array([loop.radius(gain) for gain in gains]) - 1
+    edges = [float(gains[0])]
+    for i in np.flatnonzero(excess[:-1] * excess[1:] < 0):
+        edges.append(brentq(lambda gain: loop.radius(gain) - 1, gains[i], gains[i + 1], xtol=1e-9))
+    edges.append(float(gains[-1]))
+    ranges = [pair for pair in pairwise(edges) if loop.radius(sum(pair) / 2) < 1]
+    if not ranges:
+        return StableRange(None, None)
+
+    def crossing(gain):
+        poles = loop.poles(gain)
+        angle = abs(np.angle(poles[np.abs(poles).argmax()]))
+        return Crossing(float(gain), float(angle / (2 * np.pi * loop.time_step)))
+
+    low, high = max(ranges, key=lambda pair: pair[1] - pair[0])
+    return StableRange(crossing(low), crossing(high))
 
 
 @checked

@@ -7,8 +7,10 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
+from stillwork.base.checks import require_array
 from stillwork.base.front_door import check_fields, checked
 from stillwork.control.fixed_point import Controller
+from stillwork.control.mechanism import Mechanism
 from stillwork.estimation.coordinate_filters import (
     Filter,
     LowPass,
@@ -140,17 +142,33 @@ def _slopes(plant: Plant, position: float, velocity: float):
     return partial_derivatives(plant, position, velocity, force)
 
 
+def _slope_matrices(plant: Plant | Mechanism, position: np.ndarray, velocity: np.ndarray):
+    """The same, a matrix each: rows are accelerations."""
+    if isinstance(plant, Plant):
+        return [np.array([[slope]]) for slope in _slopes(plant, float(position[0]), float(velocity[0]))]
+    point = [position, velocity, plant.force(position, velocity, np.zeros_like(position))]
+    matrices = []
+    for axis in range(3):
+        columns = []
+        for direction in 1e-6 * np.eye(len(position)):
+            high, low = ([*point[:axis], point[axis] + s * direction, *point[axis + 1 :]] for s in (1, -1))
+            columns.append((plant.acceleration(*high) - plant.acceleration(*low)) / 2e-6)
+        matrices.append(np.array(columns).T)
+    return matrices
+
+
 @dataclass(frozen=True)
 class LinearLoop:
     """The loop cut open at the transformation: x+ = A x + B c, s = C x.
 
     c is the change of the deformed acceleration, s = response - desired, both in m/s^2: the transformation
-    closes the loop with c = local_gain s. The first two states are the true position and velocity.
+    closes the loop with c = local_gain s. The first two states are the true position and velocity. Of several
+    coordinates every state, c and s are as many numbers as there are coordinates, side by side.
     """
 
     A: Float64[np.ndarray, "states states"]
-    B: Float64[np.ndarray, " states"]
-    C: Float64[np.ndarray, " states"]
+    B: Float64[np.ndarray, "states coordinates"]
+    C: Float64[np.ndarray, "coordinates states"]
     time_step: float  # s
 
     def __post_init__(self):
@@ -163,43 +181,54 @@ class LinearLoop:
         return schur(self.A, output="complex")
 
     def response(self, rate: ArrayLike, row: np.ndarray | None = None) -> np.ndarray:
-        """Frequency response from c to s (or to ``row @ x``) at angular frequencies `rate`, rad/s.
+        """Frequency response from c to s (or to ``row @ x``) at angular frequencies `rate`, rad/s; of one coordinate.
 
         By back substitution in Schur's form, all frequencies at once.
         """
         z = np.exp(1j * np.atleast_1d(np.asarray(rate, dtype=float)) * self.time_step)
         triangular, basis = self._schur
-        drive = basis.conj().T @ self.B
+        drive = basis.conj().T @ self.B[:, 0]
         states = np.zeros((len(z), len(drive)), dtype=complex)
         for k in range(len(drive) - 1, -1, -1):
             known = states[:, k + 1 :] @ triangular[k, k + 1 :]
             states[:, k] = (drive[k] + known) / (z - triangular[k, k])
-        return states @ (basis.T @ (self.C if row is None else row))
+        return states @ (basis.T @ (self.C[0] if row is None else row))
 
     def radius(self, local_gain: float) -> float:
         """Spectral radius of the closed loop; stable below 1."""
-        closed = self.A + local_gain * np.outer(self.B, self.C)
-        return float(np.abs(np.linalg.eigvals(closed)).max())
+        return float(np.abs(self.poles(local_gain)).max())
+
+    def poles(self, local_gain: float) -> np.ndarray:
+        """Eigenvalues of the closed loop."""
+        return np.linalg.eigvals(self.A + local_gain * self.B @ self.C)
 
 
 @checked
 def linear_loop(
-    plant: Plant,
+    plant: Plant | Mechanism,
     controller: Controller,
     time_step: float,
-    position: float = 0.0,
-    velocity: float = 0.0,
+    position: ArrayLike = 0.0,
+    velocity: ArrayLike = 0.0,
 ) -> LinearLoop:
-    """The loop of `stillwork.control.fixed_point.simulate` near an operating point (m and m/s), semi-implicit order."""
-    device = linear_filter(controller.signal_filter, time_step, position, velocity)
-    by_position, by_velocity, by_force = _slopes(plant, position, velocity)
-    model_position, model_velocity, model_force = _slopes(controller.model, position, velocity)
+    """The loop of `simulate` or `simulate_mechanism` near an operating point (m and m/s), semi-implicit order."""
+    count = getattr(plant, "coordinates", 1)
+    place, speed = (
+        require_array(name, np.atleast_1d(values), shape=(count,))
+        for name, values in (("position", position), ("velocity", velocity))
+    )
+    several = isinstance(plant, Mechanism)
+    # Of a mechanism the filters know nothing but unit masses, which are alike everywhere.
+    at = (0.0, 0.0) if several else (float(place[0]), float(speed[0]))
+    device = linear_filter(controller.signal_filter, time_step, *at)
+    by_position, by_velocity, by_force = _slope_matrices(plant, place, speed)
+    model_position, model_velocity, model_force = _slope_matrices(controller.model, place, speed)
     gains, integrals = controller.kinematics.gains, controller.kinematics.integrals
     first = 4 + integrals  # position, velocity, deformed, force, integrals, filter
     states = first + len(device.A)
 
     def step(x, change):
-        inputs = np.array([x[0], x[3]])
+        inputs = np.array([x[0], x[2 if several else 3]])
         estimate = device.C @ x[first:] + device.D @ inputs
         seen = x[0] if controller.signal_filter.error_from_measurement else estimate[0]
         chain = [-seen]
@@ -207,12 +236,15 @@ def linear_loop(
             chain.append(x[4 + j] + time_step * chain[j])
         desired = gains[:-1] @ np.array(chain)[::-1] - gains[-1] * estimate[1]
         deformed = x[2] + change
-        force = (deformed - model_position * seen - model_velocity * estimate[1]) / model_force
-        speed = x[1] + time_step * (by_position * x[0] + by_velocity * x[1] + by_force * force)
-        after = [x[0] + time_step * speed, speed, deformed, force, *chain[1:]]
-        return np.append(after, device.A @ x[first:] + device.B @ inputs), estimate[2] - desired
+        force = np.linalg.solve(model_force, deformed - model_position @ seen - model_velocity @ estimate[1])
+        speed = x[1] + time_step * (by_position @ x[0] + by_velocity @ x[1] + by_force @ force)
+        after = np.array([x[0] + time_step * speed, speed, deformed, force, *chain[1:]])
+        after = np.concatenate([after, device.A @ x[first:] + device.B @ inputs])
+        return after.ravel(), estimate[2] - desired
 
-    columns = [step(unit, 0.0) for unit in np.eye(states)]
+    size = states * count
+    columns = [step(unit.reshape(states, count), np.zeros(count)) for unit in np.eye(size)]
     A = np.column_stack([column for column, _ in columns])
-    B = step(np.zeros(states), 1.0)[0]
-    return LinearLoop(A, B, np.array([output for _, output in columns]), float(time_step))
+    B = np.column_stack([step(np.zeros((states, count)), unit)[0] for unit in np.eye(count)])
+    C = np.column_stack([output for _, output in columns])
+    return LinearLoop(A, B, C, float(time_step))

@@ -215,7 +215,7 @@ def ferls_update(weights, matrix, forgetting, levels, allowance, gain, regressor
     _step(weights, gain, shrink, error)
     reached = False
     for i in range(n):
-        _watch(levels, i, regressor[i], forget, allowance)
+        watch_power(levels, i, regressor[i], forget, allowance)
         reached |= matrix[i, i] > levels[0, i]
     return denominator, reached
 
@@ -230,7 +230,7 @@ def ferls_ud_update(weights, matrix, forgetting, levels, allowance, gain, inner,
     denominator = update_ud(matrix, regressor, forget, gain, inner)
     _step(weights, gain, matrix.dtype.type(1) / denominator, error)
     for i in range(n):
-        _watch(levels, i, regressor[i], forget, allowance)
+        watch_power(levels, i, regressor[i], forget, allowance)
     axis = sample % n
     return denominator, variance(UD, matrix, axis) > levels[0, axis]
 
@@ -245,7 +245,7 @@ def ferls_form_update(
     _step(weights, gain, matrix.dtype.type(1) / denominator, error)
     reached = False
     for i in range(n):
-        _watch(levels, i, regressor[i], forget, allowance)
+        watch_power(levels, i, regressor[i], forget, allowance)
         if form == TRIANGLE or i == axis:
             reached |= variance(form, matrix, i) > levels[0, i]
     if reached:
@@ -265,7 +265,7 @@ def _step(weights, gain, shrink, error):
 
 
 @inlined_kernel
-def _watch(levels, i, value, forgetting, allowance):
+def watch_power(levels, i, value, forgetting, allowance):
     """Power of a regressor in the window; the limit of its variance where that asks for a lower one."""
     power = forgetting * levels[1, i] + value * value
     levels[1, i] = power

@@ -97,7 +97,7 @@ def filter_signal(
 
 def model_of(signal_filter: Filter):
     """Compiled acceleration and parameters of a filter's model; a stand-in where it has none."""
-    acceleration, _, parameters = getattr(signal_filter, "plant", NO_MODEL).compiled
+    acceleration, _, parameters = getattr(signal_filter, "plant", UNIT_MASS).compiled
     return acceleration, parameters
 
 
@@ -111,7 +111,7 @@ def unit_mass_force(position, velocity, acceleration, parameters):
     return acceleration
 
 
-NO_MODEL = Plant(unit_mass_acceleration, unit_mass_force, np.zeros(0))
+UNIT_MASS = Plant(unit_mass_acceleration, unit_mass_force, np.zeros(0))
 
 
 @kernel

@@ -86,8 +86,8 @@ def kalman_gains(model: TimeVaryingModel) -> FilterGains:
 def sensitivity_gains(model: TimeVaryingModel, derivatives: Derivatives, weight: float) -> FilterGains:
     r"""Sensitivity-penalised filter (5.25).
 
-    The weight :math:`\gamma` in (0, 1] is 1 for the Kalman filter, small values punish sensitivity. It weighs squared
-    metres against variances, so only values of the order of R act (Remark 5.4.1).
+    The weight :math:`\gamma` in (0, 1] is 1 for the Kalman filter, small values punish sensitivity. It weighs squares of
+    sensitivities (m) against variances: the larger the sensitivities, the larger a weight acts already.
     """
     weight = require_number("weight", weight, above=0.0, at_most=1.0)
     rows = derivatives.rows(model)

@@ -5,10 +5,11 @@ from stillwork.base.faces import face
 __all__, __getattr__, __dir__ = face(
     __name__,
     {
+        "complex_frequency": ("complex_frequency_poles", "stabilisation"),
         "frequency_response": ("Identified",),
         "machine": ("build_machine",),
         "machine_files": ("load_machine",),
-        "modal_fit": ("fit_modes",),
+        "modal_fit": ("fit_modes", "identify_modes"),
         "regressors": ("coloured_noise_bound", "fir_regressors"),
     },
 )

@@ -57,14 +57,17 @@ def closed_loop_response(
     return Identified(2 * np.pi * hertz[keep], (to_output / to_input)[keep], coherence[keep])
 
 
-@checked
+@checked(missing=True)
 def impact_response(force: ArrayLike, response: ArrayLike, rate: float) -> Identified:
-    """H1 estimate from repeated hits, one record a hit: the force's own cross spectra averaged over hits."""
+    """H1 estimate from hits, one record a hit: the force's own cross spectra averaged over hits.
+
+    The coherence of a single hit would be one everywhere and say nothing: it is NaN.
+    """
     force = require_array("force", force, ndim=2)
     response = require_array("response", response, shape=force.shape)
     require_number("rate", rate, above=0.0)
-    if len(force) < 2:
-        raise InputError("force holds one hit; coherence and averaging take at least two")
+    if not len(force):
+        raise InputError("force holds no hit; give one row a hit")
     f, a = (np.fft.rfft(x - x.mean(axis=1, keepdims=True), axis=1) for x in (force, response))
     s_ff, s_aa = (np.abs(f) ** 2).mean(axis=0), (np.abs(a) ** 2).mean(axis=0)
     s_fa = (f.conj() * a).mean(axis=0)
@@ -75,4 +78,5 @@ def impact_response(force: ArrayLike, response: ArrayLike, rate: float) -> Ident
         raise InputError(
             f"force or response has no power at all at {int(dead[keep].sum())} frequencies; hit harder"
         )
-    return Identified(omega[keep], (s_fa / s_ff)[keep], (np.abs(s_fa) ** 2 / (s_ff * s_aa))[keep])
+    coherence = np.abs(s_fa) ** 2 / (s_ff * s_aa) if len(force) > 1 else np.full(len(omega), np.nan)
+    return Identified(omega[keep], (s_fa / s_ff)[keep], coherence[keep])

@@ -4,21 +4,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
-from scipy.signal import find_peaks
 
 from stillwork.base.checks import InputError, require_kind
 from stillwork.base.front_door import check_fields, checked
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine_files import MachineFile
-from stillwork.identification.modal_fit import ModalFit, fit_modes
+from stillwork.identification.modal_fit import SUSPENDED, ModalFit, identify_modes
 from stillwork.lti.modal import ModalModel, mirrored
 from stillwork.lti.reduction import truncate
 
-PROMINENCE_DB = 10.0  # by which a resonance must stand out to be taken for a mode
-COHERENT = 0.8  # coherence that a resonance must have
-SUSPENDED = (
-    3.0  # times its suspension's frequency that a machine's first resonance must have, or it is no rigid body
-)
 MOST_MODES = 12  # of a matrix model: the others enter as compliance
 
 
@@ -41,21 +35,6 @@ class Machine:
     def resonances_hz(self) -> Float64[np.ndarray, " modes"]:
         """Of the flexible modes; a suspension, the first mode of a machine on springs to the ground, is none."""
         return self.sensors[0].frequencies[1:] / (2 * np.pi)
-
-
-def find_modes(measured: Identified, band_hz: tuple[float, float]) -> list[float]:
-    """Resonances in Hz that stand out of an accelerance by 10 dB, where it is coherent."""
-    inside = _inside(measured, band_hz)
-    magnitude = 20 * np.log10(np.abs(measured.response[inside]))
-    peaks, _ = find_peaks(magnitude, prominence=PROMINENCE_DB)
-    coherent = ~(measured.coherence[inside][peaks] < COHERENT)  # one without coherence counts
-    found = (measured.omega[inside][peaks][coherent] / (2 * np.pi)).tolist()
-    if not found:
-        raise InputError(
-            f"no resonance stands out by {PROMINENCE_DB:g} dB from {band_hz[0]:g} to {band_hz[1]:g} Hz; say "
-            "where the modes are with modes_hz, or widen fit_hz"
-        )
-    return found
 
 
 def whole_band(measured: Identified, band_hz: tuple[float, float]) -> tuple[float, float]:
@@ -85,7 +64,7 @@ def build_machine(
     ----------
     file : MachineFile
     modes_hz : list of float
-        Where the fit starts; empty: the resonances that stand out.
+        Where the fit starts; empty: found by `identify_modes`.
     fit_hz : tuple of float
         Band of the fit; (0, 0) for all that was measured.
     mirrored_sensor : bool
@@ -119,16 +98,24 @@ def _fitted(
     file: MachineFile, measured: Identified, modes_hz: list[float], fit_hz: tuple[float, float]
 ) -> Machine:
     band = whole_band(measured, fit_hz)
-    guesses = sorted(modes_hz) or find_modes(measured, band)
-    # Below the resonances a free body follows the force; a sensor that faces it counts the other way.
-    below = _inside(measured, (band[0], max(guesses[0] / 2, band[0] * 1.5)))
-    line = float(np.median(measured.response[below].real)) if below.any() else 1.0
-    turned = line < 0
-    if turned:
-        measured = measured._replace(response=-measured.response)
-    fit = fit_modes(_thinned(measured, 12_000, band), guesses, band)
+    fit = identify_modes(_thinned(measured, 12_000, band), band, modes_hz)
     model = fit.model
-    notes = [*file.notes, *(["counted against the force, turned"] if turned else [])]
+    low = fit.omega[0] / (2 * np.pi)
+    notes = [
+        *file.notes,
+        f"the mass is that from {low:.4g} Hz on, with a standard deviation of {100 * fit.mass_deviation:.2g} %",
+    ]
+    if fit.turned:
+        measured = measured._replace(response=-measured.response)
+        notes.append("counted against the force, turned")
+    if not model.rigid_modes:
+        notes.append(
+            f"on springs to the ground: its suspension at {model.frequencies[0] / (2 * np.pi):.4g} Hz"
+        )
+    if len(model.frequencies) < 2:
+        raise InputError(
+            f"{file.source} has no flexible mode from {band[0]:g} to {band[1]:g} Hz; widen fit_hz"
+        )
     widths = 2 * model.damping[1:] * model.frequencies[1:] / (2 * np.pi)
     spacing = float(np.median(np.diff(measured.omega))) / (2 * np.pi)
     if spacing > widths.min():

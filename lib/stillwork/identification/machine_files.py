@@ -20,6 +20,7 @@ FORMS = (
     "response), or the matrices M and K"
 )
 PADDING = 4  # lengths of a record that has died out: zeros appended to it give a finer grid
+LONGEST_HIT = 0.2  # part of a record during which the force may exceed a tenth of its peak
 DIED_OUT = 0.02  # of the peak, what the last tenth of a record may still hold
 _HERTZ = {"hz": 1.0, "khz": 1e3, "rad/s": 1 / (2 * np.pi)}
 
@@ -60,11 +61,11 @@ def load_machine(
 ) -> MachineFile:
     """Read a machine from a CSV, MAT, NPZ or universal file; which of the three forms it is, the names tell.
 
-    - Frequency response: ``frequency`` (Hz, or with ``(rad/s)`` behind it) and either a complex array or
-      ``real`` and ``imaginary``, or ``magnitude`` (``(dB)`` behind it when it is) and ``phase`` (degrees, or
-      ``(rad)``); ``coherence`` if there is one.
+    - Frequency response: ``frequency`` (Hz, or with ``(rad/s)`` behind it) and either a complex array, also one of
+      outputs by inputs (`response` chooses, e.g. ``h[2,1]``), or ``real`` and ``imaginary``, or ``magnitude``
+      (``(dB)`` behind it when it is) and ``phase`` (degrees, or ``(rad)``); ``coherence`` if there is one.
     - Hammer records: ``force`` and one response, each hits by samples (in CSV ``force 1``, ``force 2``, ...),
-      and ``fs`` or a time.
+      and ``fs`` or a time. One hit will do, without coherence.
     - Matrices in SI units: ``M`` and ``K``, perhaps ``D``; ``input``, the force's share at each node, and
       ``output``, one row a sensor (in CSV columns ``M 1``, ``M 2``, ... and ``output 1``, ...); without
       ``output`` the sensor sits where the force acts.
@@ -100,7 +101,8 @@ def load_machine(
         kind = kind_of(arrays)
         if kind == "matrices":
             return MachineFile(kind, file.name, model=_from_matrices(arrays, damping_ratio))
-        stated = stated_units([response] if response in arrays else arrays)
+        named = response.partition("[")[0]
+        stated = stated_units([each for each in (response, named) if each in arrays] or arrays)
         silent = [
             name
             for name, said, given in zip(
@@ -131,6 +133,21 @@ def load_machine(
     derivatives = MOTION_UNITS.index(unit)
     scaled = factor / force * found.response * (1j * found.omega) ** derivatives
     return MachineFile(kind, file.name, found._replace(response=scaled), notes=notes)
+
+
+def complex_responses(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Every complex response by name; those of a matrix of outputs by inputs as ``h[1,1]``, ``h[2,1]``, ..."""
+    lines = arrays[str(_frequency_name(arrays))].size
+    found = {}
+    for name, array in arrays.items():
+        axes = [axis for axis, length in enumerate(array.shape) if length == lines]
+        if array.dtype.kind != "c" or not axes or lines == 1:
+            continue
+        rows = np.moveaxis(array, axes[0] if len(axes) == 1 else -1, -1)
+        for place in np.ndindex(rows.shape[:-1]):
+            numbers = ",".join(str(k + 1) for k in place)
+            found[f"{name}[{numbers}]" if array.size > lines else name] = rows[place]
+    return found
 
 
 def stated_units(names: Iterable[str]) -> tuple[str, str]:
@@ -184,6 +201,7 @@ def _from_response(arrays: dict[str, np.ndarray], response: str) -> tuple[Identi
     same = {
         name: np.ravel(array) for name, array in arrays.items() if array.size == hertz.size and name != axis
     }
+    same |= complex_responses(arrays)
     complex_ones = [name for name in same if np.iscomplexobj(same[name])]
     if complex_ones:
         if response and response not in complex_ones:
@@ -244,12 +262,18 @@ def _from_hammer(
             raise InputError(
                 f"{name} does not move in hit {int(np.argmin(np.ptp(rows, axis=1))) + 1}; leave it out"
             )
+    if (share := np.mean(np.abs(force) > 0.1 * np.abs(force).max(axis=1, keepdims=True))) > LONGEST_HIT:
+        raise InputError(
+            f"force acts during {100 * share:.0f} % of the record, which is no hit; give a frequency response instead"
+        )
     # A record's own offset must go before zeros are appended to it.
     force, response = (
         rows - rows[:, -rows.shape[1] // 10 :].mean(axis=1, keepdims=True) for rows in (force, response)
     )
     tail = np.abs(response[:, -response.shape[1] // 10 :]).max(axis=1) / np.abs(response).max(axis=1)
-    notes = [f"{len(force)} hits"]
+    notes = [
+        f"{len(force)} hits" if len(force) > 1 else "1 hit: without a second there is no coherence to trust"
+    ]
     if tail.max() <= DIED_OUT:
         force, response = (
             np.pad(rows, ((0, 0), (0, (PADDING - 1) * rows.shape[1]))) for rows in (force, response)

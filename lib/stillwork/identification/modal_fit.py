@@ -5,16 +5,34 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
+from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares
 
 from stillwork.base.checks import InputError, require_array, require_count, require_number
 from stillwork.base.front_door import check_fields, checked
+from stillwork.identification.complex_frequency import STRONGEST, Stabilisation, stabilisation
 from stillwork.identification.frequency_response import Identified
 from stillwork.lti.discretisation import sampled_modes
 from stillwork.lti.modal import ModalModel
 
 POWERS = (0, 2, 4)  # of the frequency, in the series for the compliance of the modes above the band
 DAMPING = (1e-5, 0.3)  # range of the damping ratios that the fit looks for
+FIXED = 3  # columns of an accelerance beside its modes: rigid body, compliance and its growth towards higher modes
+SUSPENDED = (
+    3.0  # times its suspension's frequency that a machine's first resonance must have, or it is no rigid body
+)
+GROUNDED = 0.02  # of the first mode's part, below which what would move freely is none
+ROUNDS = 4  # of looking at what the modes so far leave
+MOST_FITTED = 40  # of a measurement
+FLOOR = 0.1  # relative noise of a line below which all lines weigh the same
+SMOOTH = 9  # lines over which a response's size and its noise are averaged
+LEAST = 0.5  # relative error that a mode must prevent, root mean square over its own width
+SURE = 30.0  # times the mean square error beside it, that the sum of squares without a mode must grow by
+CANCELLED = 3.0  # times the response at its frequency, that a mode's own part may have
+NEAR_GUESS = 5e-3  # of a frequency, within which a pole that settles takes the place of a guess
+LITTLE = 1e-4  # part of the error that a candidate must take away to be tried
+EXACT = 1e-16  # part of the response's square that is rounding
+LAGS = 8  # lines over which errors may depend on each other, zeros appended to a record among the reasons
 
 
 @dataclass(frozen=True)
@@ -160,11 +178,20 @@ class _Problem:
 
 @dataclass(frozen=True)
 class ModalFit:
-    """A modal model fitted to a measured accelerance."""
+    """A modal model fitted to a measured accelerance.
+
+    Standard deviations hold the noise, the error of the model and that errors of neighbouring lines are alike
+    (Newey and West); 1.96 of them either side are an interval of 95 %.
+    """
 
     model: ModalModel  # force to position
     omega: Float64[np.ndarray, " frequencies"]  # rad/s, of the fit
     error: Float64[np.ndarray, " frequencies"]  # relative
+    deviation: Float64[np.ndarray, " modes"]  # rad/s, of the flexible frequencies
+    damping_deviation: Float64[np.ndarray, " modes"]  # of the damping ratios
+    mass_deviation: float  # relative
+    turned: bool = False  # whether the response is counted against the force
+    diagram: Stabilisation | None = None  # where the modes were looked for
 
     def __post_init__(self):
         check_fields(self)
@@ -182,18 +209,20 @@ def fit_modes(
     r"""Fit rigid body, modes and compliance to an accelerance, by least squares of the relative error.
 
     :math:`A(\omega) = \frac1M + \sum_i\frac{-\omega^2 r_i}{\omega_i^2 - \omega^2 + 2j\zeta_i\omega_i\omega}
-    - \omega^2 D`: the real residues follow linearly from frequencies and damping, which alone are searched.
+    - \omega^2 D`: the real residues follow linearly from frequencies and damping, which alone are searched (variable
+    projection). :math:`M` is what the force feels far below the resonances at its own place, the rotation of a free body
+    included; the lines below half the first resonance weigh as much as all others together.
 
     Parameters
     ----------
     measured : Identified
-        Accelerance, 1/kg.
+        Accelerance, 1/kg. Lines with little coherence weigh less.
     guesses_hz : array_like
         Where the modes are, one entry a mode.
     band_hz : tuple of float
         Band of the fit.
     damping_guess : float
-        Where the search for the damping ratios starts.
+        Where the search for the damping ratio starts of a mode at which no pole settles.
 
     Raises
     ------
@@ -210,49 +239,252 @@ def fit_modes(
     >>> fit.model.frequencies.round(1), fit.model.damping.round(4)
     (array([  0., 600.]), array([0.  , 0.01]))
     """
-    guesses = np.sort(require_array("guesses_hz", guesses_hz, ndim=1))
-    low, high = (2 * np.pi * f for f in band_hz)
-    if not len(guesses) or guesses[0] * 2 * np.pi <= low or guesses[-1] * 2 * np.pi >= high:
-        raise InputError("guesses_hz must hold at least one frequency, all inside band_hz")
-    require_number("damping_guess", damping_guess, above=0.0, below=1.0)
-    inside = (measured.omega >= low) & (measured.omega <= high)
-    w, target = measured.omega[inside], measured.response[inside]
-    weight = 1 / np.abs(target)
-
-    def columns(parameters):
-        modes, ratios = np.exp(parameters.reshape(2, -1))
-        terms = -(w**2) / (modes[:, None] ** 2 - w**2 + 2j * ratios[:, None] * modes[:, None] * w)
-        return modes, ratios, np.vstack([np.ones_like(w), terms, -(w**2) / high**2])
-
-    def solve(parameters):
-        matrix = (columns(parameters)[2] * weight).T
-        stacked, goal = (
-            np.vstack([matrix.real, matrix.imag]),
-            np.concatenate([(target * weight).real, (target * weight).imag]),
+    guesses = require_array("guesses_hz", guesses_hz, ndim=1)
+    if not len(guesses):
+        raise InputError(
+            "guesses_hz must hold at least one frequency; identify_modes finds the modes by itself"
         )
-        sizes = np.linalg.norm(stacked, axis=0)
-        gains = np.linalg.lstsq(stacked / sizes, goal, rcond=None)[0] / sizes
-        return gains, stacked @ gains - goal
-
-    start = np.log(np.concatenate([2 * np.pi * guesses, np.full(len(guesses), damping_guess)]))
-    # Modes may move by 1 % and damping by a factor of 30: further away they would swap places.
-    reach = np.concatenate([np.full(len(guesses), 0.01), np.full(len(guesses), np.log(30))])
-    best = least_squares(
-        lambda p: solve(p)[1], start, bounds=(start - reach, start + reach), x_scale=reach / 10, max_nfev=60
-    )
-    gains, residual = solve(best.x)
-    modes, ratios, _ = columns(best.x)
-    order = np.argsort(modes)
-    residues = gains[1:-1][order]
-    if gains[0] <= 0:
+    fit = identify_modes(measured, band_hz, guesses, damping_guess)
+    if fit.turned:
         raise InputError("the fitted mass is not positive; check the sign of the response and the band")
-    shapes = np.sqrt(np.abs(np.concatenate([gains[:1], residues])))
-    model = ModalModel(
-        np.concatenate([[0.0], modes[order]]),
-        np.concatenate([[0.0], ratios[order]]),
-        shapes[:, None],
-        (shapes * np.sign(np.concatenate([gains[:1], residues])))[None, :],
-        np.array([[gains[-1] / high**2]]),
-    )
-    half = len(w)
-    return ModalFit(model, w, np.hypot(residual[:half], residual[half:]))
+    return fit
+
+
+@checked
+def identify_modes(
+    measured: Identified, band_hz: tuple[float, float], guesses_hz=(), damping_guess: float = 1e-3
+) -> ModalFit:
+    """Find the modes of an accelerance, leave out the spurious ones, and fit as `fit_modes` does.
+
+    Candidates are the poles that settle in a stabilisation diagram (`stabilisation`). In rounds, those that lower the
+    error most are added and all are refined together; then modes go one by one that do not prevent an error of 50 %
+    over their own width, that noise could have made, or that mostly cancel another. With `guesses_hz` the modes are
+    these. A response that is counted against the force is turned. See `fit_modes` for the parameters.
+
+    Raises
+    ------
+    InputError
+        When no mode is found, or a guess lies outside the band.
+
+    Examples
+    --------
+    >>> stage = lti.ModalModel([0.0, 600.0], [0.0, 0.01], [[0.3], [0.3]], [[0.3, -0.3]], [[0.0]])
+    >>> omega = 2 * np.pi * np.arange(20.0, 200.0)
+    >>> accelerance = -(omega**2) * stage.frequency_response(omega)[0, 0]
+    >>> measured = identification.Identified(omega, accelerance, np.ones(180))
+    >>> identification.identify_modes(measured, band_hz=(20.0, 199.0)).model.frequencies.round(1)
+    array([  0., 600.])
+    """
+    guesses = np.sort(require_array("guesses_hz", guesses_hz, ndim=1))
+    if len(guesses) and (guesses[0] <= band_hz[0] or guesses[-1] >= band_hz[1]):
+        raise InputError("guesses_hz must be empty or hold frequencies all inside band_hz")
+    require_number("damping_guess", damping_guess, above=0.0, below=1.0)
+    problem = _Accelerance(measured, band_hz)
+    diagram = stabilisation(problem.omega, problem.target[:, None, None])
+    settled = np.log(diagram.settled())
+    modes = np.zeros((2, 0))
+    if len(guesses):
+        modes = np.log([2 * np.pi * guesses, np.full(len(guesses), damping_guess)])
+        for mode in modes.T:
+            apart = np.abs(settled[0] - mode[0])
+            if apart.size and apart.min() < NEAR_GUESS:
+                mode[:] = settled[:, apart.argmin()]
+        modes = problem.refined(modes, 60)
+    for _ in range(0 if len(guesses) else ROUNDS):
+        more = problem.extended(modes, settled)
+        if more.shape[1] == modes.shape[1]:
+            break
+        modes = problem.pruned(problem.refined(problem.pruned(more, LEAST / 2), 20), LEAST)
+    problem.grounded = problem.on_springs(modes)
+    if modes.size and (problem.grounded or not len(guesses)):
+        modes = problem.refined(modes, 60)
+        modes = modes if len(guesses) else problem.pruned(modes, LEAST)
+    if not modes.size:
+        raise InputError(
+            f"no resonance stands out from {band_hz[0]:g} to {band_hz[1]:g} Hz; say where the modes are with "
+            "modes_hz, or widen fit_hz"
+        )
+    return problem.fit(modes, diagram)
+
+
+class _Accelerance:
+    """An accelerance in a band, its weights, and what is linear in the residues."""
+
+    def __init__(self, measured: Identified, band_hz: tuple[float, float]):
+        inside = (measured.omega >= 2 * np.pi * band_hz[0]) & (measured.omega <= 2 * np.pi * band_hz[1])
+        self.omega, self.target = measured.omega[inside], measured.response[inside]
+        # A line that noise has made small by chance must not weigh more than its neighbours.
+        size = np.sqrt(uniform_filter1d(np.abs(self.target) ** 2, SMOOTH, mode="nearest"))
+        coherence = np.nan_to_num(measured.coherence[inside], nan=1.0)
+        coherence = np.clip(uniform_filter1d(coherence, SMOOTH, mode="nearest"), 1e-6, 1.0)
+        noise = np.sqrt((1 - coherence) / coherence)
+        self.weight = 1 / (size * np.hypot(1.0, noise / FLOOR))
+        goal = self.target * self.weight
+        self.goal = np.concatenate([goal.real, goal.imag])
+        self.grounded = False  # then no rigid body is free, and a third term of the series takes its column
+
+    def columns(self, modes):
+        """Weighted columns, real above imaginary: rigid body, compliance, its growth, modes; and the modes' derivatives."""
+        (frequency, damping), w = np.exp(modes)[:, :, None], self.omega
+        loss = 2j * damping * frequency * w
+        own = -(w**2) / (frequency**2 - w**2 + loss)
+        moved = own**2 / w**2
+        fixed = -((w / w[-1]) ** np.array([[6 if self.grounded else 0], [2], [4]]))
+        fixed[0] *= -1
+        parts = np.vstack([*fixed, own, moved * (2 * frequency**2 + loss), moved * loss]) * self.weight
+        stacked = np.hstack([parts.real, parts.imag]).T
+        return np.split(stacked, [FIXED + modes.shape[1]], axis=1)
+
+    def solved(self, modes):
+        """Gains, residual and its derivative by the modes' parameters, what the gains take up left out (Kaufman)."""
+        linear, moving = self.columns(modes)
+        sizes = np.linalg.norm(linear, axis=0)
+        q, r = np.linalg.qr(linear / sizes)
+        gains = np.linalg.solve(r, q.T @ self.goal) / sizes
+        moving = moving * np.tile(gains[FIXED:], 2)
+        return gains, linear @ gains - self.goal, moving - q @ (q.T @ moving)
+
+    def refined(self, modes, steps):
+        """Frequencies and damping by Levenberg and Marquardt; a mode that moved further would take another's place."""
+        reach = np.stack([np.maximum(0.01, np.exp(modes[1])), np.full(modes.shape[1], np.log(30))])
+        low, high = modes - reach, modes + reach
+        low[1], high[1] = np.maximum(low[1], np.log(1e-5)), np.minimum(high[1], np.log(STRONGEST))
+        _, residual, jacobian = self.solved(modes)
+        cost, caution = residual @ residual, 1e-3
+        for _ in range(steps):
+            normal, slope = jacobian.T @ jacobian, jacobian.T @ residual
+            normal[np.diag_indices_from(normal)] *= 1 + caution
+            move = np.linalg.lstsq(normal, -slope, rcond=None)[0]
+            trial = np.clip(modes + move.reshape(2, -1), low, high)
+            _, residual_there, jacobian_there = self.solved(trial)
+            gained = cost - residual_there @ residual_there
+            if gained < 0:
+                caution *= 10
+                continue
+            modes, residual, jacobian, caution = trial, residual_there, jacobian_there, caution / 10
+            cost -= gained
+            if gained <= 1e-7 * cost:
+                break
+        return modes
+
+    def extended(self, modes, settled):
+        """The modes and of the settled poles those that lower the error most, one after the other."""
+        both = np.hstack([modes, settled])
+        columns = self.columns(both)[0]
+        columns = np.column_stack([columns / np.linalg.norm(columns, axis=0), self.goal])
+        gram = columns.T @ columns
+        taken = list(range(FIXED + modes.shape[1]))
+        for pivot in taken:
+            gram = _swept(gram, pivot)
+        while len(taken) < FIXED + MOST_FITTED:
+            own = np.diag(gram)[:-1]
+            gain = np.where(own > 1e-6, gram[-1, :-1] ** 2 / np.maximum(own, 1e-6), 0.0)
+            gain[taken] = 0.0
+            best = int(gain.argmax())
+            if gain[best] <= max(LITTLE * gram[-1, -1], EXACT * columns[:, -1] @ columns[:, -1]):
+                break
+            taken.append(best)
+            gram = _swept(gram, best)
+        return both[:, np.array(taken[FIXED:], dtype=int) - FIXED]
+
+    def pruned(self, modes, least):
+        """Without the spurious modes, which go one by one."""
+        linear, _ = self.columns(modes)
+        linear = linear / np.linalg.norm(linear, axis=0)
+        while modes.size:
+            standing = self._standing(modes, linear)
+            worst = int(standing.argmin())
+            if standing[worst] >= least:
+                break
+            modes, linear = np.delete(modes, worst, axis=1), np.delete(linear, FIXED + worst, axis=1)
+        return modes
+
+    def _standing(self, modes, linear):
+        """Relative error that each mode prevents over its own width; 0 for one that noise or cancelling could make."""
+        inverse = np.linalg.pinv(linear.T @ linear, rcond=1e-13, hermitian=True)
+        gains = inverse @ (linear.T @ self.goal)
+        growth = (gains**2 / np.diag(inverse))[FIXED:]
+        error = np.sum((linear @ gains - self.goal).reshape(2, -1) ** 2, axis=0)
+        found = np.zeros(len(growth))
+        for k, (frequency, damping) in enumerate(np.exp(modes).T):
+            place = np.abs(self.omega - frequency)
+            inside = max(int(np.sum(place < damping * frequency)), 2)
+            beside = np.partition(place, min(20, len(place) - 1))[min(20, len(place) - 1)]
+            noise = np.mean(error[place <= max(beside, 5 * damping * frequency)])
+            part = np.hypot(*linear[:, FIXED + k].reshape(2, -1)[:, place.argmin()]) * abs(gains[FIXED + k])
+            if growth[k] >= SURE * noise and part <= CANCELLED:
+                found[k] = np.sqrt(growth[k] / inside)
+        return found
+
+    def on_springs(self, modes):
+        """Whether the first mode is the whole machine on its springs: beside its part nothing moves freely."""
+        if not modes.size:
+            return False
+        modes = modes[:, np.argsort(modes[0])]
+        gains = self.solved(modes)[0]
+        first = np.append(np.exp(modes[0]), np.inf)
+        return bool(abs(gains[0]) < GROUNDED * abs(gains[FIXED]) and SUSPENDED * first[0] <= first[1])
+
+    def fit(self, modes, diagram):
+        """The model, its relative error and the standard deviations."""
+        modes = modes[:, np.argsort(modes[0])]
+        gains, residual, _ = self.solved(modes)
+        linear, moving = self.columns(modes)
+        rigid = FIXED if self.grounded else 0  # the suspension is the rigid body of a machine on springs
+        below = np.tile(self.omega < np.exp(modes[0, 0]) / 2, 2)
+        if below.any() and not self.grounded:
+            # The mass by itself: what the flexible part leaves of the lines below half the first resonance.
+            line = linear[below, 0]
+            gains[0] -= line @ residual[below] / (line @ line)
+        jacobian = np.hstack([linear, moving * np.tile(gains[FIXED:], 2)])
+        spread = _spread(jacobian, linear @ gains - self.goal)
+        # The model has no growth of the compliance: its gains are those that do best without.
+        kept = linear[:, [1, *range(FIXED, linear.shape[1])]]
+        left = self.goal - (0.0 if self.grounded else gains[0] * linear[:, 0])
+        sizes = np.linalg.norm(kept, axis=0)
+        own = np.linalg.lstsq(kept / sizes, left, rcond=None)[0] / sizes
+        residual = left - kept @ own
+        sign = float(np.sign(gains[rigid]))
+        free = np.zeros(0 if self.grounded else 1)
+        residues = sign * np.append(gains[: len(free)], own[1:])
+        shapes = np.sqrt(np.abs(residues))
+        frequencies, damping = np.exp(modes)
+        model = ModalModel(
+            np.append(free, frequencies),
+            np.append(free, damping),
+            shapes[:, None],
+            (shapes * np.sign(residues))[None, :],
+            np.array([[sign * own[0] / self.omega[-1] ** 2]]),
+        )
+        count = len(frequencies)
+        return ModalFit(
+            model,
+            self.omega,
+            np.hypot(*residual.reshape(2, -1)) / (self.weight * np.abs(self.target)),
+            frequencies * spread[-2 * count : -count],
+            damping * spread[-count:],
+            float(spread[rigid] / abs(gains[rigid])),
+            sign < 0,
+            diagram,
+        )
+
+
+def _swept(gram, pivot):
+    """What is left of normal equations when one column is taken."""
+    if gram[pivot, pivot] < 1e-12:
+        return gram
+    return gram - np.outer(gram[:, pivot], gram[pivot]) / gram[pivot, pivot]
+
+
+def _spread(jacobian, residual):
+    """Standard deviations of parameters when errors differ from line to line and depend on their neighbours'."""
+    sizes = np.linalg.norm(jacobian, axis=0)
+    q, r = np.linalg.qr(jacobian / sizes)
+    residual = residual / (1 - np.sum(q**2, axis=1))  # what a line draws the fit to itself
+    scores = (q * residual[:, None]).reshape(2, -1, q.shape[1]).sum(axis=0)
+    middle = scores.T @ scores
+    for lag in range(1, min(LAGS, len(scores) - 1) + 1):
+        shifted = scores[lag:].T @ scores[:-lag]
+        middle += (1 - lag / (LAGS + 1)) * (shifted + shifted.T)
+    turned = np.linalg.solve(r, middle)
+    return np.sqrt(np.maximum(np.diag(np.linalg.solve(r, turned.T)), 0.0)) / sizes

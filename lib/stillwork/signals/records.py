@@ -1,5 +1,6 @@
 """Measured records: read from CSV, MAT, NPZ or UFF, checked, in SI units, evenly sampled."""
 
+import re
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -16,6 +17,7 @@ from stillwork.signals.datafiles import read_columns
 STANDARD_GRAVITY = 9.80665  # m/s^2
 MOTION_UNITS = ("m/s^2", "m/s", "m")
 _QUANTITIES = (*MOTION_UNITS, "N", "V", "A", "Pa", "rad", "rad/s", "rad/s^2")
+SI_UNITS = (*_QUANTITIES, "1")
 _PREFIXES = {"": 1.0, "m": 1e-3, "u": 1e-6, "n": 1e-9, "k": 1e3}
 # What a unit means: factor to SI, and the SI unit.
 UNITS = {
@@ -93,7 +95,7 @@ class Record:
                 f"{self.source}: {self.signals.shape[1]} samples are too short; "
                 f"give at least {SHORTEST_SAMPLES}"
             )
-        if self.unit not in (*_QUANTITIES, "1"):
+        if self.unit not in SI_UNITS:
             raise InputError(f"unit is {self.unit!r}; convert to {', '.join(_QUANTITIES)} or 1")
         if len(self.names) != len(self.signals):
             raise InputError(
@@ -188,6 +190,18 @@ def unit_factor(unit: str) -> tuple[float, str]:
     if plain not in UNITS:
         raise InputError(f"unit is {unit!r}; use {UNITS_SAID}{nearest(plain, UNITS)}")
     return UNITS[plain]
+
+
+def stated_unit(name: str) -> str:
+    """The unit in the brackets of a channel's name; empty when there is none that is known."""
+    found = re.search(r"[(\[](.+?)[)\]]", name)
+    if found is None:
+        return ""
+    try:
+        unit_factor(found[1])
+    except InputError:
+        return ""
+    return found[1]
 
 
 @checked

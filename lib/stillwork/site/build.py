@@ -14,11 +14,13 @@ import stillwork
 from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.site import picture, reference, search
+from stillwork.site.benchmarks import benchmarks
 from stillwork.site.derived import works
 from stillwork.site.links import broken_links
 from stillwork.site.mathematics import markdown
 from stillwork.site.metadata import project
 from stillwork.site.pages import NotebookPage, read_page
+from stillwork.site.specification import curves
 from stillwork.site.standing import class_of, stands
 from stillwork.site.states import kept_states, make_states
 from stillwork.workbook import publish
@@ -26,6 +28,7 @@ from stillwork.workbook.claims import KINDS, VERDICTS, Claim, ledger
 from stillwork.workbook.notebooks import notebook_file
 from stillwork.workbook.provenance import commit, modified
 from stillwork.workbook.readings.command import standings_of
+from stillwork.workbook.readings.judging import Standing
 from stillwork.workbook.report import APART, REPLICATIONS, column, our_quantity, published_quantity, tally
 from stillwork.workbook.tasks import tasks
 
@@ -54,12 +57,15 @@ def site_files() -> dict[str, bytes]:
     pages = [read_page(task, claims) for task in wanted]
     states = kept_states(wanted)
     modules = reference.read_modules()
-    guides = {file.stem: file.read_text(encoding="utf-8") for file in _guides()}
+    guides = {name: file.read_text(encoding="utf-8") for name, file in _documents("*.md").items()}
     standings = {entry: each for room in paths.ROOMS for entry, each in standings_of(room).items()}
-    rooms = [_room(name, work, claims, pages) for name, work in works().items()]
+    rooms = [_room(name, work, claims, pages, standings) for name, work in works().items()]
     render = _renderer(
         rooms=[room for room in rooms if room["pages"] or room["counts"]],
-        guides={name: _title(text) for name, text in guides.items()},
+        # Of a folder its front stands in the navigation and leads to the others.
+        guides={
+            name: _title(text) for name, text in guides.items() if "/" not in name or name.endswith("/index")
+        },
         places=reference.index(modules),
         standings=standings,
         verdicts=[verdict for verdict in VERDICTS if any(claim.verdict == verdict for claim in claims)],
@@ -74,11 +80,18 @@ def site_files() -> dict[str, bytes]:
         "",
         claims=claims,
         by_name=by_name,
+        curved={curve.standing.entry.id for room in rooms for curve in room["curves"]},
         kinds=[kind for kind in KINDS if any(claim.entry.kind == kind for claim in claims)],
         classes=sorted({class_of(standings.get(claim.entry.id)) for claim in claims}),
     )
+    for room in rooms:
+        if room["curves"]:
+            files[f"readings/{room['name']}.html"] = render(
+                "readings.html", "../", room=room, curves=room["curves"]
+            )
     files["ledger.json"] = json.dumps([claim.as_dict() for claim in claims], indent=1).encode()
     files["gallery.html"] = render("gallery.html", "", pages=pages)
+    files["benchmarks.html"] = render("benchmarks.html", "", tables=benchmarks())
     files["replicate.html"] = render("replicate.html", "", pages=pages)
     for page in pages:
         files[f"notebooks/{page.name}.html"] = render(
@@ -104,7 +117,14 @@ def site_files() -> dict[str, bytes]:
     bodies = {name: markdown(text) for name, text in guides.items()}
     for name, body in bodies.items():
         files[f"guide/{name}.html"] = render(
-            "guide.html", "../", title=_title(guides[name]), body=Markup(body)
+            "guide.html", _to_front(name), title=_title(guides[name]), body=Markup(body)
+        )
+    for name, file in _documents("*.py").items():
+        files[f"guide/{name}.html"] = render(
+            "source.html",
+            _to_front(name),
+            file=file.relative_to(paths.root()).as_posix(),
+            source=_source(file.read_text(encoding="utf-8")),
         )
     files["search.html"] = render("search.html", "")
     files["search-index.js"] = search.script(search.index(pages, bodies, modules, claims))
@@ -128,14 +148,19 @@ def _neighbours(page: NotebookPage, pages: list[NotebookPage]) -> list[tuple[str
     return before + [("next", each) for each in mine[at + 1 : at + 2]]
 
 
-def _room(name: str, work: dict, claims: list[Claim], pages: list[NotebookPage]) -> dict:
+def _room(
+    name: str, work: dict, claims: list[Claim], pages: list[NotebookPage], standings: dict[str, Standing]
+) -> dict:
     """What a template shows of a room."""
     mine = [claim for claim in claims if claim.entry.room == name]
+    drawn = curves(name, standings)
     return {
         "name": name,
         **work,
         "counts": Counter(map(column, mine)),
         "picture": picture.draw(mine),
+        "curves": drawn,
+        "classes": Counter(curve.standing.class_ for curve in drawn if curve.standing.class_),
         "headline": _said(work["headline"], mine),
         "found": _said(work["found"], mine),
         "rests": [entry for entry in work["rests"] if any(claim.entry.id == entry for claim in mine)],
@@ -201,8 +226,17 @@ def _off_by(claim: Claim) -> str:
     return f"factor {claim.ours / claim.entry.published:.3g}"
 
 
-def _guides() -> list[Path]:
-    return sorted((paths.root() / "docs").glob("*.md"))
+def _documents(pattern: str) -> dict[str, Path]:
+    """Files below ``docs`` by their path there without suffix; a page lies as deep, so that links serve in both."""
+    folder = paths.root() / "docs"
+    return {
+        file.relative_to(folder).with_suffix("").as_posix(): file for file in sorted(folder.rglob(pattern))
+    }
+
+
+def _to_front(guide: str) -> str:
+    """What leads from a guide's page to the site's front."""
+    return "../" * (1 + guide.count("/"))
 
 
 def _title(text: str) -> str:

@@ -27,7 +27,7 @@ from stillwork.workbook.tasks import tasks
 
 WORKS = Path(__file__).parent / "works.toml"
 GALLERY_BEGIN, GALLERY_END = "<!-- gallery:begin -->", "<!-- gallery:end -->"
-CODECHECK = "https://codecheck.org.uk/spec/config/1.0/"
+CODECHECK = "https://codecheck.org.uk/spec/config/2.0/"
 
 
 def refresh() -> list[str]:

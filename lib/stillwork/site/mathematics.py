@@ -43,7 +43,7 @@ def mathml(formula: str, block: bool = False) -> str:
 
 
 class _Renderer(IPythonRenderer):
-    """HTML in the text is shown as text; links to other notebooks lead to their pages."""
+    """HTML in the text is shown as text; links to notebooks, guides and their code lead to the pages."""
 
     def __init__(self):
         super().__init__(escape=True, allow_harmful_protocols=False, anchor_link_text="#")
@@ -65,7 +65,7 @@ class _Renderer(IPythonRenderer):
 
     def link(self, text: str, url: str, title: str | None = None) -> str:
         if ":" not in url:
-            url = re.sub(r"\.(ipynb|md)(?=$|#)", ".html", url)
+            url = re.sub(r"\.(ipynb|md|py)(?=$|#)", ".html", url)
         return super().link(text, url, title)
 
 

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
+import griffe
+
 import stillwork
 from stillwork.base import paths
 from stillwork.site.house import TOOLBOX, face_names
@@ -128,81 +130,80 @@ def _module(file: Path) -> Module:
     parts = file.relative_to(LIBRARY.parent).with_suffix("").parts
     name = ".".join(part for part in parts if part != "__init__")
     source = file.read_text(encoding="utf-8")
-    tree = ast.parse(source)
-    constants = {
-        each.id: node.lineno
-        for node in tree.body
-        if isinstance(node, ast.Assign)
-        for each in ast.walk(node.targets[0])
-        if isinstance(each, ast.Name) and not each.id.startswith("_")
-    }
-    return Module(name, ast.get_docstring(tree) or "", source, _items(tree.body), constants)
+    read = griffe.visit(name, filepath=file, code=source)
+    constants = {each.name: each.lineno or 1 for each in _public(read) if each.is_attribute}
+    return Module(name, _text(read), source, _items(read), constants)
 
 
-def _items(body: list[ast.stmt], owner: str = "") -> tuple[Item, ...]:
+def _public(read: griffe.Module | griffe.Class) -> list[griffe.Object]:
+    """What is defined there, without what is imported and what a leading underscore hides."""
+    return [each for name, each in read.members.items() if not each.is_alias and not name.startswith("_")]
+
+
+def _items(read: griffe.Module | griffe.Class, owner: str = "") -> tuple[Item, ...]:
     items = []
-    for node in body:
-        if not isinstance(node, ast.FunctionDef | ast.ClassDef) or node.name.startswith("_"):
-            continue
-        name = f"{owner}{node.name}"
-        members = _items(node.body, f"{name}.") if isinstance(node, ast.ClassDef) else ()
-        items.append(Item(name, _signature(node, owner), ast.get_docstring(node) or "", node.lineno, members))
+    for each in _public(read):
+        if not each.is_attribute or "property" in each.labels:
+            name = f"{owner}{each.name}"
+            members = _items(each, f"{name}.") if each.is_class else ()
+            items.append(Item(name, _signature(each), _text(each), each.lineno or 1, members))
     return tuple(items)
 
 
-def _signature(node: ast.FunctionDef | ast.ClassDef, owner: str) -> str:
-    if isinstance(node, ast.ClassDef):
-        fields = [ast.unparse(each) for each in node.body if isinstance(each, ast.AnnAssign)]
-        return f"{node.name}({', '.join(field for field in fields if not field.startswith('_'))})"
-    decorators = {ast.unparse(each) for each in node.decorator_list}
-    if decorators & {"property", "cached_property"}:
-        return f"{node.name}{f' -> {ast.unparse(node.returns)}' if node.returns else ''}"
-    arguments = node.args
-    if owner and "staticmethod" not in decorators and arguments.args:
-        arguments = ast.arguments(**{**dict(ast.iter_fields(arguments)), "args": arguments.args[1:]})
-    returns = f" -> {ast.unparse(node.returns)}" if node.returns else ""
-    return f"{node.name}({ast.unparse(arguments)}){returns}"
+def _text(read: griffe.Object) -> str:
+    return read.docstring.value if read.docstring else ""
+
+
+def _signature(read: griffe.Object) -> str:
+    """As Python would print it: without `self`, and for a class its annotated fields."""
+    if read.is_class:
+        fields = [
+            f"{each.name}: {each.annotation}" + (f" = {each.value}" if each.value is not None else "")
+            for each in _public(read)
+            if each.is_attribute and each.annotation is not None and "property" not in each.labels
+        ]
+        return f"{read.name}({', '.join(fields)})"
+    if read.is_attribute:
+        return read.name + (f" -> {read.annotation}" if read.annotation else "")
+    shown = read.signature()
+    return re.sub(r"\((?:self|cls)(?:, )?", "(", shown, count=1) if read.parent.is_class else shown
 
 
 def doc_html(doc: str) -> str:
     """HTML of a numpydoc docstring: paragraphs, indented blocks and sections of definitions."""
-    lines = inspect.cleandoc(doc).splitlines()
-    html, at = [], 0
-    while at < len(lines):
-        if at + 1 < len(lines) and re.fullmatch(r"-{3,}", lines[at + 1].strip()):
-            html.append(f"<h4>{escape(lines[at])}</h4>")
-            body, at = _until_section(lines, at + 2)
-            html.append(_definitions(body))
+    html = []
+    for section in griffe.Docstring(inspect.cleandoc(doc)).parse("numpy", warnings=False):
+        kind, value = section.kind.value, section.value
+        if kind == "text":
+            html.append(_blocks(value))
+        elif kind == "examples":
+            blocks = (
+                f'<pre tabindex="0">{escape(text)}</pre>' if part.value == "examples" else _blocks(text)
+                for part, text in value
+            )
+            html.append(f"<h4>Examples</h4>{''.join(blocks)}")
+        elif kind == "admonition":
+            html.append(f"<h4>{escape(section.title)}</h4>{_blocks(value.contents)}")
         else:
-            body, at = _until_section(lines, at)
-            html.append(_blocks(body))
+            html.append(
+                f"<h4>{kind.capitalize()}</h4><dl>{''.join(_definition(each) for each in value)}</dl>"
+            )
     return "".join(html)
 
 
-def _until_section(lines: list[str], start: int) -> tuple[list[str], int]:
-    for at in range(start, len(lines)):
-        if at + 1 < len(lines) and re.fullmatch(r"-{3,}", lines[at + 1].strip()):
-            return lines[start:at], at
-    return lines[start:], len(lines)
+def _definition(element) -> str:
+    """A name with its type, and what is said about it; a result has the type alone."""
+    name, kind = getattr(element, "name", ""), str(element.annotation or "")
+    shown = f"<code>{escape(name or kind)}</code>"
+    if name and kind:
+        shown += f" <span>{_inline(kind)}</span>"
+    return f"<dt>{shown}</dt><dd>{_blocks(element.description)}</dd>"
 
 
-def _definitions(lines: list[str]) -> str:
-    """``name : type`` lines with indented descriptions as a list; free text (References, Notes) as blocks."""
-    if (lines[:1] and lines[0].startswith(">>>")) or not any(line.startswith(" ") for line in lines):
-        return _blocks(lines)
+def _blocks(text: str) -> str:
+    """Paragraphs, and as they stand blocks that are indented."""
     html = []
-    for chunk in re.split(r"\n(?=\S)", "\n".join(lines).strip("\n")):
-        head, _, body = chunk.partition("\n")
-        name, colon, kind = head.partition(" : ")
-        shown = f"<code>{escape(name)}</code>{f' <span>{_inline(kind)}</span>' if colon else ''}"
-        html.append(f"<dt>{shown}</dt><dd>{_blocks(inspect.cleandoc(body).splitlines())}</dd>")
-    return f"<dl>{''.join(html)}</dl>"
-
-
-def _blocks(lines: list[str]) -> str:
-    """Paragraphs, and as they stand examples and blocks that are indented."""
-    html = []
-    for block in re.split(r"\n\s*\n", "\n".join(lines).strip("\n")):
+    for block in re.split(r"\n\s*\n", text.strip("\n")):
         if not block.strip():
             continue
         rows = block.splitlines()

@@ -51,7 +51,8 @@ class Slider:
         import ipywidgets as widgets
 
         text = f"{name.replace('_', ' ')}{f' ({self.unit})' if self.unit else ''}"
-        shared = {"description": text, "continuous_update": False}
+        # While the kernel draws, the front end keeps the last place alone: a drag is never behind by more than one.
+        shared = {"description": text, "continuous_update": True}
         shared["style"] = {"description_width": "initial"}
         shared["layout"] = widgets.Layout(width="32em")
         if self.log:
@@ -174,8 +175,29 @@ class Redraw:
         return buffer.getvalue()
 
 
+def lines_of(figure) -> list[list]:
+    """Points (n, 2) of the lines of each panel; lines across a whole panel are marks, not data."""
+    return [
+        [line.get_xydata().copy() for line in axes.lines if line.get_transform() == axes.transData]
+        for axes in figure.axes
+    ]
+
+
+def show_behind(figure, lines: list[list]) -> None:
+    """Lines, as `lines_of` gives them, in grey behind a figure of as many panels; its axes keep their limits."""
+    from matplotlib.lines import Line2D
+
+    from stillwork.workbook.palette import GREY
+
+    if len(lines) != len(figure.axes):
+        return
+    for axes, each in zip(figure.axes, lines, strict=True):
+        for points in each:
+            axes.add_artist(Line2D(*points.T, color=GREY, alpha=0.45, lw=2.5, zorder=0.5))
+
+
 def explore(draw: Callable, **controls: Slider | Choice):
-    """Redraw ``draw(**settings)`` whenever a control moves; Reset returns to the published setting.
+    """Redraw ``draw(**settings)`` while a control moves, before the published lines in grey; Reset returns to these.
 
     Parameters
     ----------
@@ -190,7 +212,17 @@ def explore(draw: Callable, **controls: Slider | Choice):
         The picture at the published setting where a build, not a person, runs the notebook.
     """
     published = {name: control.published for name, control in controls.items()}
-    picture_of = Redraw(draw)
+    ghost: list[list] = []
+
+    def drawn(**settings):
+        figure = draw(**settings)
+        if settings == published:
+            ghost[:] = lines_of(figure)
+        else:
+            show_behind(figure, ghost)
+        return figure
+
+    picture_of = Redraw(drawn)
     if in_batch():
         return StaticPicture(picture_of(**published), ", ".join(f"{k} = {v}" for k, v in published.items()))
 

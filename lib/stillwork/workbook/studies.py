@@ -41,6 +41,7 @@ def run_study(
     runs: int,
     seed: int,
     *,
+    together: int = 1,
     executor: Executor | None = None,
     progress: bool = True,
     **settings,
@@ -58,6 +59,9 @@ def run_study(
         Number of trials.
     seed : int
         Root seed.
+    together : int
+        How many trials one call makes: above 1 the trial takes a list of that many generators, at the end fewer, and
+        returns a list with a mapping for each.
     executor : concurrent.futures.Executor, optional
         Threads, processes or ``distributed.Client.get_executor()``; without one, trials run in turn.
     progress : bool
@@ -71,25 +75,30 @@ def run_study(
         When `runs` is not a positive whole number or trials return different quantities.
     """
     runs = require_count("runs", runs)
+    together = require_count("together", together)
     streams = np.random.SeedSequence(seed).spawn(runs)
-    one = partial(_run_one, trial, settings)
-    outcomes = map(one, streams) if executor is None else _in_order(executor, one, streams)
+    calls = [streams[first : first + together] for first in range(0, runs, together)]
+    one = partial(_run_some, trial, settings, together > 1)
+    outcomes = map(one, calls) if executor is None else _in_order(executor, one, calls)
     if progress and not in_batch():
         from tqdm.auto import tqdm
 
-        outcomes = tqdm(outcomes, total=runs, desc=getattr(trial, "__name__", "study"))
-    outcomes = list(outcomes)
+        outcomes = tqdm(outcomes, total=len(calls), desc=getattr(trial, "__name__", "study"))
+    outcomes = [outcome for some in outcomes for outcome in some]
+    if len(outcomes) != runs:
+        raise InputError(f"trial gave {len(outcomes)} mappings for {runs} generators; return one for each")
     if any(outcome.keys() != outcomes[0].keys() for outcome in outcomes):
         raise InputError("trial returned different quantities in different runs; return all of them")
     return Study(seed, {key: np.array([o[key] for o in outcomes]) for key in outcomes[0]})
 
 
-def _run_one(trial, settings, stream) -> dict:
-    return dict(trial(np.random.default_rng(stream), **settings))
+def _run_some(trial, settings, several, streams) -> list[dict]:
+    draws = [np.random.default_rng(stream) for stream in streams]
+    return [dict(each) for each in (trial(draws, **settings) if several else [trial(draws[0], **settings)])]
 
 
-def _in_order(executor, one, streams):
-    futures = [executor.submit(one, stream) for stream in streams]
+def _in_order(executor, one, calls):
+    futures = [executor.submit(one, call) for call in calls]
     try:
         for future in futures:
             yield future.result()

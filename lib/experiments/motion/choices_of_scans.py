@@ -1,0 +1,137 @@
+"""Chapters 4 to 6 of the observer thesis at any reading of what it leaves open (``readings.toml``)."""
+
+from functools import lru_cache
+
+import numpy as np
+
+from experiments.motion.contest import prepare, run_entrant, sample_scans
+from experiments.motion.location_study import CASES as LOCATION_CASES
+from experiments.motion.location_study import ranges, read_table
+from experiments.motion.perturbed_tracking import CASES, published_loops, tracking_trial
+from experiments.motion.robust_statements import figure_statements
+from experiments.motion.scan_study import judge, published_scan
+from stillwork.workbook.studies import proportion_interval, run_study
+
+Values = dict[str, float | tuple[float, tuple[float, float]]]
+
+
+def key(case: str) -> str:
+    """A case as the ledger writes it."""
+    return case.lower().replace(",", "").replace(" ", "-")
+
+
+# --- Section 4.2.5: Table 4.1 ------------------------------------------------------------------------------------
+
+
+def locations(
+    *,
+    error_channel: str,
+    location_noise: bool,
+    location_masses: int,
+    gains_from: str,
+    gains_in: str,
+    location_sample_time: float,
+    seed: int,
+    lean: bool,
+) -> Values:
+    """Table 4.1 (nm), one draw of the noise and its spread over ranges of the places; it has no leaner form."""
+    study = read_table(
+        channel={"seen by the observer": "u_ff", "unseen": "w"}[error_channel],
+        noise=location_noise,
+        masses=location_masses,
+        fit_noise=gains_from == "noisy move",
+        fit_loop={"37 Hz": "PID", "83 Hz": "MC and AD"}[gains_in],
+        step=location_sample_time,
+        seed=seed,
+    )
+    found: Values = {}
+    ends = study.places[0], study.places[-1]
+    for case in LOCATION_CASES:
+        over = 1e9 * np.array([study.over(case, *each) for each in ranges(study.places, 0.5)])
+        for part, value, each in zip(("min", "mean", "max"), study.over(case, *ends), over.T, strict=True):
+            found[f"motion.table-4-1.{key(case)}.{part}"] = (
+                float(1e9 * value),
+                (float(each.min()), float(each.max())),
+            )
+    return found
+
+
+# --- Section 5.4.3: Fig. 5.10 and Table 5.2 ----------------------------------------------------------------------
+
+PLANTS, LEAN_PLANTS = 100, 40  # perturbed plants; of the notebook and of the lean form of Table 5.2
+
+
+def estimation(
+    *,
+    penalty_weight: float,
+    error_law: str,
+    rigid_body_errs: bool,
+    estimation_sample_time: float,
+    seed: int,
+    lean: bool,
+) -> Values:
+    """Statements about Fig. 5.10, as fractions of 100 plants; it has no leaner form."""
+    scan = published_scan(step=estimation_sample_time)
+    contest = prepare(scan, 0.05, rigid_body_errs)
+    records = sample_scans(scan, PLANTS, seed, 0.05, error_law, rigid_body_errs)
+    knobs = {"Kalman": 1.0, "sensitivity penalised": penalty_weight, "regularised least squares": 0.05}
+    errors = [judge(scan, records, run_entrant(name, contest, knob, records)) for name, knob in knobs.items()]
+    said = figure_statements(*errors)
+    kalman, penalised, _ = errors
+    ratio, bias = penalised.rms[:, 0] / kalman.rms[:, 0], kalman.bias[:, 2] / kalman.rms[:, 2]
+    found: Values = {
+        f"motion.fig-5-10.{claim}": (float(holds.mean()), proportion_interval(holds.sum(), PLANTS))
+        for claim, holds in said.items()
+    }
+    return found | {
+        "motion.fig-5-10.sensitivity-rigid-as-kalman": _central(ratio),
+        "motion.fig-5-10.kalman-unbiased": _central(bias),
+    }
+
+
+def perturbed_scans(
+    *,
+    error_law: str,
+    rigid_body_errs: bool,
+    perturbed_feedforward: str,
+    perturbed_sample_time: float,
+    seed: int,
+    lean: bool,
+) -> Values:
+    """The perturbed values of Table 5.2 and what is said of them; the lean form draws 40 plants instead of 100."""
+    settings = {"loops": loops_of_table(), "step": perturbed_sample_time, "progress": False}
+    plants = LEAN_PLANTS if lean else PLANTS
+    off = run_study(
+        tracking_trial,
+        plants,
+        seed,
+        size=0.05,
+        law=error_law,
+        rigid=rigid_body_errs,
+        retune=perturbed_feedforward == "refitted",
+        **settings,
+    )
+    percent = {case: 100 * off[case] / off["none"] for case in CASES if case != "none"}
+    found: Values = {
+        f"motion.table-5-2.perturbed.{key(case).replace('and-', '')}": _central(each)
+        for case, each in percent.items()
+    }
+    better = {case: each < 100 for case, each in percent.items()}
+    said = {
+        "ad-beats-none": better["AD"] & better["AD, redesigned"],
+        "mc-ad-beats-none": better["MC and AD"] & better["MC and AD, redesigned"],
+        "mc-ad-beats-ad": percent["MC and AD, redesigned"] < percent["AD, redesigned"],
+        "redesign-beats-original": percent["AD, redesigned"] < percent["AD"],
+    }
+    return found | {
+        f"motion.table-5-2.{claim}": (float(holds.mean()), proportion_interval(holds.sum(), plants))
+        for claim, holds in said.items()
+    }
+
+
+loops_of_table = lru_cache(published_loops)
+
+
+def _central(sample: np.ndarray) -> tuple[float, tuple[float, float]]:
+    low, middle, high = np.quantile(sample, [0.025, 0.5, 0.975])
+    return float(middle), (float(low), float(high))

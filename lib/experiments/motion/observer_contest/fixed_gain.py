@@ -1,0 +1,175 @@
+"""Entrants whose gain does not depend on the data: designed once, a few products a sample."""
+
+import numpy as np
+
+from experiments.motion.observer_contest.told import (
+    Knob,
+    MadeObserver,
+    Rival,
+    ToldModel,
+    ToldNoise,
+    over_samples,
+)
+from experiments.motion.uncertainty import norm_bound, sampled_derivatives
+from stillwork.base.kernels import kernel
+from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
+from stillwork.estimation.riccati import discrete_gain
+from stillwork.estimation.robust import Derivatives, regularised_gains, sensitivity_gains
+from stillwork.estimation.time_varying import FilterGains, TimeVaryingModel
+from stillwork.lti.modal import ModalModel
+
+HORIZON = 800  # samples until a recursion's gain is taken as its last
+
+
+@kernel
+def _advance_fixed(data, memory, inputs, measurements, estimates):
+    forward, onward, gain, c = data
+    x = memory[0]
+    for k in range(len(inputs)):
+        x[:] = forward @ x + onward @ inputs[k]
+        if not np.isnan(measurements[k, 0]):
+            x += gain @ (measurements[k] - c @ x)
+        estimates[k] = x
+
+
+def fixed(forward, onward, gain, c) -> MadeObserver:
+    """Observer x = F x + B u + K (y - C (F x + B u)); a sample without a measurement is predicted."""
+    arrays = tuple(map(np.ascontiguousarray, (forward, onward, gain, c)))
+    return MadeObserver(_advance_fixed, arrays, (np.zeros(len(forward)),))
+
+
+def last(gains: FilterGains) -> MadeObserver:
+    """The gain that a recursion has come to."""
+    return fixed(gains.forward[-1], gains.inputs[-1], gains.gain[-1], gains.outputs[-1])
+
+
+def stationary(model: ToldModel, noise: ToldNoise) -> tuple[np.ndarray, np.ndarray]:
+    """Kalman gain of the measurement, and the covariance after it."""
+    solved = discrete_gain(model.a, model.b, model.c, noise.process, noise.sensor)
+    after = solved.covariance - solved.filter_gain @ model.c @ solved.covariance
+    return solved.filter_gain, (after + after.T) / 2
+
+
+def recursion(model: ToldModel, noise: ToldNoise) -> TimeVaryingModel:
+    """The model over the horizon of a design, begun where the Kalman filter ends."""
+    return over_samples(model, noise, HORIZON, stationary(model, noise)[1])
+
+
+def zero(model: ToldModel, noise: ToldNoise, sample_time: float) -> MadeObserver:
+    """The estimate zero: it scores 1 by definition."""
+    n, (outputs, _), inputs = len(model.a), model.c.shape, model.b.shape[1]
+    return fixed(np.zeros((n, n)), np.zeros((n, inputs)), np.zeros((n, outputs)), model.c)
+
+
+def open_model(model: ToldModel, noise: ToldNoise, sample_time: float) -> MadeObserver:
+    """The model for the flexible states, driven by the force alone; the rigid body has the Kalman gain."""
+    gain = stationary(model, noise)[0].copy()
+    gain[2 * model.rigid_modes :] = 0
+    return fixed(model.a, model.b, gain, model.c)
+
+
+def kalman(model: ToldModel, noise: ToldNoise, sample_time: float) -> MadeObserver:
+    """The stationary Kalman filter for the noises as told (the thesis's choice)."""
+    return fixed(model.a, model.b, stationary(model, noise)[0], model.c)
+
+
+def fictitious(model: ToldModel, noise: ToldNoise, sample_time: float, force: float) -> MadeObserver:
+    """Kalman filter with an independent force on every flexible mode besides, `force` times the deviation of w."""
+    flexible = range(model.rigid_modes, len(model.frequencies))
+    own = np.zeros((len(model.a), len(flexible)))
+    for j, mode in enumerate(flexible):
+        pair = slice(2 * mode, 2 * mode + 2)
+        own[pair, j] = model.b[pair][:, np.abs(model.b[pair]).sum(axis=0).argmax()]
+    own *= force * np.sqrt(noise.process[0, 0])
+    driven = np.hstack([model.b @ np.linalg.cholesky(noise.process), own])
+    solved = discrete_gain(model.a, driven, model.c, 1.0, noise.sensor)
+    return fixed(model.a, model.b, solved.filter_gain, model.c)
+
+
+def derivatives(model: ToldModel, sample_time: float, samples: int, weights=(1.0, 1.0, 1.0, 1.0)):
+    """Derivatives by the flexible modes' frequency, damping, input and output shape, each times its weight."""
+    machine = ModalModel(
+        model.frequencies,
+        model.damping,
+        model.input_shapes,
+        model.output_shapes,
+        np.zeros((len(model.c), model.b.shape[1])),
+    )
+    by = sampled_derivatives(machine, sample_time)
+    factors = np.tile(weights, len(by.modes))[:, None, None]
+    c = np.zeros((len(by.a), *model.c.shape))
+    for k, mode in enumerate(by.modes):
+        c[4 * k + 3, :, 2 * mode] = model.output_shapes[:, mode]
+    a, b = factors * by.a, factors * by.b
+    return Derivatives(a, b, b, np.tile(factors * c, (samples, 1, 1, 1)))
+
+
+def sensitivity(model: ToldModel, noise: ToldNoise, sample_time: float, weight: float) -> MadeObserver:
+    """Sensitivity penalisation (5.25) with gamma = `weight` times the variance of the sensor."""
+    by = derivatives(model, sample_time, HORIZON)
+    gamma = min(weight * noise.sensor[0, 0], 1.0)
+    return last(sensitivity_gains(recursion(model, noise), by, gamma))
+
+
+def non_uniform(
+    model: ToldModel, noise: ToldNoise, sample_time: float, weight: float, frequency: float
+) -> MadeObserver:
+    """The same with unlike errors: the derivative by the frequency counts `frequency` times the others."""
+    by = derivatives(model, sample_time, HORIZON, (frequency, 1.0, 1.0, 1.0))
+    gamma = min(weight * noise.sensor[0, 0], 1.0)
+    return last(sensitivity_gains(recursion(model, noise), by, gamma))
+
+
+def regularised(model: ToldModel, noise: ToldNoise, sample_time: float, size: float) -> MadeObserver:
+    """Regularised least squares (5.21), told of errors up to `size`; lambda by the rule of thumb."""
+    long = recursion(model, noise)
+    bound = norm_bound(long, derivatives(model, sample_time, HORIZON), size)
+    return last(regularised_gains(long, bound))
+
+
+def _wanted(model: ToldModel, noise: ToldNoise) -> np.ndarray:
+    """The flexible states in units of the deviations that the Kalman filter believes in."""
+    scale = np.sqrt(np.diag(stationary(model, noise)[1]))
+    return np.diag(1 / scale)[2 * model.rigid_modes :]
+
+
+def hinfinity(model: ToldModel, noise: ToldNoise, sample_time: float, ratio: float) -> MadeObserver:
+    """H-infinity filter for the flexible states at `ratio` times the smallest level."""
+    long, wanted = recursion(model, noise), _wanted(model, noise)
+    return last(hinfinity_gains(long, wanted, ratio * smallest_level(long, wanted)))
+
+
+def mixed(model: ToldModel, noise: ToldNoise, sample_time: float, share: float) -> MadeObserver:
+    """The gain `share` of the way from the Kalman filter's to the H-infinity filter's near its smallest level."""
+    one, other = (
+        design.data[2]
+        for design in (kalman(model, noise, sample_time), hinfinity(model, noise, sample_time, 1.05))
+    )
+    return fixed(model.a, model.b, (1 - share) * one + share * other, model.c)
+
+
+FIXED = {
+    "zero": Rival(zero, (), "the estimate zero"),
+    "open model": Rival(open_model, (), "the model without its measurements"),
+    "Kalman": Rival(kalman, (), "Kalman 1960; the thesis, section 5.1"),
+    "fictitious noise": Rival(
+        fictitious, (Knob("force on a mode over w", 1e-1, 1e4, 10.0),), "Jazwinski 1970, section 8.11"
+    ),
+    "regularised least squares": Rival(
+        regularised, (Knob("largest error told", 1e-7, 1.0, 0.05),), "Sayed 2001; the thesis, (5.21)"
+    ),
+    "sensitivity penalised": Rival(
+        sensitivity, (Knob("gamma over R", 1e-6, 1e8, 1.0),), "Zhou 2010; the thesis, (5.25)"
+    ),
+    "sensitivity penalised, unlike errors": Rival(
+        non_uniform,
+        (Knob("gamma over R", 1e-6, 1e8, 1.0), Knob("weight of frequencies", 0.1, 100.0, 1.0)),
+        "Ishihara, Terra and Cerri 2015",
+    ),
+    "H-infinity": Rival(
+        hinfinity, (Knob("level over the smallest", 1.01, 1e3, 1.2),), "Hassibi, Sayed and Kailath 1999"
+    ),
+    "mixed H2 and H-infinity": Rival(
+        mixed, (Knob("share of H-infinity", 0.01, 1.0, 0.5),), "Simon 2006, section 12.2"
+    ),
+}

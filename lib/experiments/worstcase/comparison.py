@@ -1,0 +1,259 @@
+"""Who comes nearest to the truth: min-max estimation beside what else one would reach for, in many settings.
+
+All methods see the same measured rows and outputs with the same exponential weights. Each is told how large the errors
+are in the form that it asks for, as `estimates` says, and that the parameters are of norm 1. Nothing is tuned.
+"""
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from jaxtyping import Float64
+from scipy import signal
+
+from experiments.worstcase.total import total_least_squares
+from stillwork.base.checks import InputError, require_array, require_choice
+from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
+from stillwork.estimation.min_max import solve_silently
+from stillwork.estimation.recursive import run_silently
+from stillwork.estimation.recursive_settings import MinMax
+from stillwork.estimation.time_varying import TimeVaryingModel, estimate
+from stillwork.identification.regressors import fir_regressors
+from stillwork.workbook.studies import mean_interval, run_study
+
+METHODS = {
+    "least": "least squares",
+    "ridge": "ridge, told the doubt",
+    "bayes": "ridge, told the size",
+    "total": "scaled TLS",
+    "compensated": "bias compensation",
+    "instrumental": "instruments",
+    "hinfinity": "H-infinity",
+    "min_max": "min-max, exact",
+    "approximate": "min-max, (20)",
+}
+EXCITATIONS = ("white", "three tones", "low-pass", "tone")
+CORNER, TONE = 0.1, 0.057  # of the sample rate; the tone lies where that of the room's measured record does
+TONES = (
+    1 / 16,
+    3 / 16,
+    6 / 16,
+)  # of one size; what a short past foretells, so that instruments have a chance
+MARGIN = 1.1  # level of the H-infinity filter over the smallest that there is
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What is wrong with a record; noises are standard deviations, that of the input is 1."""
+
+    input_noise: float = 0.0
+    output_noise: float = 0.1
+    gain: float = 1.0  # true input over the measured one
+    delay: float = 0.0  # of the true input against the measured one, samples
+    input_pole: float = 0.0  # that colours the input noise
+    output_pole: float = 0.0  # that colours the output noise
+    jump: int = 0  # samples from a change of sign of all parameters to the end of the record; 0 for none
+
+
+SETTINGS = {
+    "noise 0.1, 0.01": Setting(0.1, 0.01),
+    "noise 0.1, 0.1": Setting(0.1, 0.1),
+    "noise 0.1, 1": Setting(0.1, 1.0),
+    "noise 0.1, 3": Setting(0.1, 3.0),
+    "noise 0.5, 0.05": Setting(0.5, 0.05),
+    "noise 0.5, 0.5": Setting(0.5, 0.5),
+    "noise 0.5, 5": Setting(0.5, 5.0),
+    "gain 0.8": Setting(gain=0.8),
+    "gain 1.2": Setting(gain=1.2),
+    "half a sample early": Setting(delay=-0.5),
+    "half a sample late": Setting(delay=0.5),
+    "coloured input noise": Setting(0.5, 0.05, input_pole=0.9),
+    "coloured output noise": Setting(0.1, 1.0, output_pole=0.9),
+    "jump": Setting(0.1, 0.1, jump=50),
+}
+
+
+@dataclass(frozen=True)
+class FlawedRecord:
+    """Rows and outputs as measured, and what was wrong: target = (matrix + perturbation) x + noise."""
+
+    matrix: Float64[np.ndarray, "rows taps"]
+    target: Float64[np.ndarray, " rows"]
+    instruments: Float64[np.ndarray, "rows delays"]  # the measured input, older than in the rows
+    perturbation: Float64[np.ndarray, "rows taps"]
+    noise: Float64[np.ndarray, " rows"]
+    truth: Float64[np.ndarray, " taps"]  # x at the end
+
+
+def sample_record(
+    rng: np.random.Generator, setting: Setting, excitation: str, taps: int, rows: int
+) -> FlawedRecord:
+    """An FIR filter with parameters of norm 1 in any direction, driven by `excitation`, measured as `setting` says."""
+    require_choice("excitation", excitation, EXCITATIONS)
+    if not 0 <= setting.jump < rows:
+        raise InputError(f"jump is {setting.jump}; give at least 0 and less than the {rows} rows")
+    before = 3 * taps  # no row and no instrument reaches before the record
+    measured, true = _sample_inputs(rng, excitation, setting.delay, rows + before)
+    measured = measured + setting.input_noise * _sample_coloured(rng, setting.input_pole, len(measured))
+    lagged = fir_regressors(measured, before)[:, before:].T
+    matrix, instruments = np.ascontiguousarray(lagged[:, :taps]), lagged[:, taps:]
+    true_rows = setting.gain * fir_regressors(true, taps)[:, before:].T
+    truth = rng.standard_normal(taps)
+    truth /= np.linalg.norm(truth)
+    sign = np.ones(rows)
+    if setting.jump:
+        sign[: -setting.jump] = -1
+    noise = setting.output_noise * _sample_coloured(rng, setting.output_pole, rows)
+    return FlawedRecord(
+        matrix, sign * (true_rows @ truth) + noise, instruments, true_rows - matrix, noise, truth
+    )
+
+
+def _sample_inputs(rng, excitation, delay, count) -> tuple[np.ndarray, np.ndarray]:
+    # one period of an input of deviation 1, made of lines, and the same delayed, be it by a part of a sample
+    frequency = np.fft.rfftfreq(count)
+    lines = rng.standard_normal(len(frequency)) + 1j * rng.standard_normal(len(frequency))
+    lines[0] = 0
+    lines[frequency == 0.5] = 0  # half a sample has no meaning there
+    if excitation == "three tones":
+        tones = np.round(np.array(TONES) * count).astype(int)
+        only = np.zeros_like(lines)
+        only[tones] = lines[tones] / np.abs(lines[tones])
+        lines = only
+    elif excitation != "white":
+        lines /= 1 + 1j * frequency / CORNER
+    power = np.sum(np.abs(lines) ** 2)
+    if excitation == "tone":  # holds three quarters of the power
+        lines[round(TONE * count)] += np.sqrt(3 * power) * np.exp(2j * np.pi * rng.random())
+        power = np.sum(np.abs(lines) ** 2)
+    lines *= count / np.sqrt(2 * power)
+    delayed = lines * np.exp(-2j * np.pi * frequency * delay)
+    return np.fft.irfft(lines, count), np.fft.irfft(delayed, count)
+
+
+def _sample_coloured(rng, pole, count) -> np.ndarray:
+    # stationary noise of deviation 1 with one pole
+    start = pole * rng.standard_normal(1)
+    driven = np.sqrt(1 - pole**2) * rng.standard_normal(count)
+    return signal.lfilter([1.0], [1.0, -pole], driven, zi=start)[0]
+
+
+def comparison_trial(
+    rng: np.random.Generator, setting: Setting, excitation: str, taps: int, rows: int, forgetting: float
+) -> dict[str, np.ndarray]:
+    """By method: ``errors``, distances from the true parameters, and ``worst``, worst-case residuals |A x - b| + eta |x|."""
+    record = sample_record(rng, setting, excitation, taps, rows)
+    found = np.array(list(estimates(record, forgetting).values()))
+    weights = _weights(rows, forgetting)
+    bound = np.linalg.norm(weights * record.perturbation, 2)
+    residuals = np.linalg.norm(weights * (record.matrix @ found.T - record.target[:, None]), axis=0)
+    return {
+        "errors": np.linalg.norm(found - record.truth, axis=1),
+        "worst": residuals + bound * np.linalg.norm(found, axis=1),
+    }
+
+
+def estimates(record: FlawedRecord, forgetting: float) -> dict[str, np.ndarray]:
+    """Every method's estimate at the end of a record, in the order of `METHODS`.
+
+    They are told, of the weighted data: min-max the 2-norm of the perturbation; ridge and bias compensation, which add
+    and subtract it, its mean square; scaled total least squares this and that of the noise; the other ridge and the
+    H-infinity filter, which start from parameters of norm 1, the sum of the two.
+    """
+    weights = _weights(len(record.target), forgetting)
+    matrix, perturbation = weights * record.matrix, weights * record.perturbation
+    target, noise = weights[:, 0] * record.target, weights[:, 0] * record.noise
+    taps, memory = matrix.shape[1], np.sum(weights**2)
+    bound, square = np.linalg.norm(perturbation, 2), np.sum(perturbation**2) / taps
+    ratio = np.sqrt(square) / np.linalg.norm(noise)
+    variance = (noise @ noise + square) / memory
+    products, correlation, identity = matrix.T @ matrix, matrix.T @ target, np.eye(taps)
+    recursion = run_silently(MinMax(bound, forgetting, "approximate"), record.matrix.T, record.target)
+    return {
+        "least": np.linalg.solve(products, correlation),
+        "ridge": np.linalg.solve(products + square * identity, correlation),
+        "bayes": np.linalg.solve(products + taps * variance * identity, correlation),
+        "total": total_least_squares(matrix, ratio * target).estimate / ratio,
+        "compensated": np.linalg.solve(products - square * identity, correlation),
+        "instrumental": instrumental_variables(matrix, target, weights * record.instruments),
+        "hinfinity": hinfinity_estimate(record.matrix, record.target, np.sqrt(variance), forgetting),
+        "min_max": solve_silently(matrix, target, bound).estimate,
+        "approximate": recursion.estimates[:, -1],
+    }
+
+
+def _weights(rows, forgetting) -> np.ndarray:
+    return forgetting ** (np.arange(rows - 1, -1, -1) / 2)[:, None]
+
+
+def instrumental_variables(matrix: np.ndarray, target: np.ndarray, instruments: np.ndarray) -> np.ndarray:
+    """Two-stage least squares: rows are replaced by what the instruments say of them (Söderström and Stoica, 1983)."""
+    explained = instruments @ np.linalg.lstsq(instruments, matrix, rcond=None)[0]
+    return np.linalg.solve(explained.T @ matrix, explained.T @ target)
+
+
+def hinfinity_model(matrix: np.ndarray, deviation: float, forgetting: float) -> TimeVaryingModel:
+    """Constant parameters of norm 1 as a state that is seen through the rows; sample 0 is the start.
+
+    Forgetting is the growth of the state times forgetting^(-t/2) (Sayed and Kailath, 1994).
+    """
+    taps = matrix.shape[1]
+    identity, none, one = np.eye(taps), np.zeros((taps, 1)), np.ones((1, 1))
+    seen = np.concatenate([np.zeros((1, 1, taps)), matrix[:, None]])
+    growth = identity / np.sqrt(forgetting)
+    return TimeVaryingModel(growth, none, none, seen, one, deviation**2 * one, identity / taps)
+
+
+def hinfinity_estimate(
+    matrix: np.ndarray, target: np.ndarray, deviation: float, forgetting: float
+) -> np.ndarray:
+    """The parameters at the end by the a-posteriori H-infinity filter of all of them, near its smallest level.
+
+    Hassibi, Sayed and Kailath (1999), chapter 4.
+    """
+    model, wanted = hinfinity_model(matrix, deviation, forgetting), np.eye(matrix.shape[1])
+    gains = hinfinity_gains(model, wanted, MARGIN * smallest_level(model, wanted, 1e-2))
+    scale = forgetting ** (-np.arange(model.samples) / 2)
+    outputs = scale * np.concatenate([[0.0], target])
+    return estimate(gains, np.zeros((1, model.samples)), outputs[None])[:, -1] / scale[-1]
+
+
+def compare(
+    settings: dict[str, Setting], runs: int, seed: int, taps: int, rows: int, forgetting: float
+) -> dict[str, Float64[np.ndarray, "settings excitations runs methods"]]:
+    """`comparison_trial` in every setting with every excitation: ``errors`` and ``worst``.
+
+    Cell k, counted along the rows, has the root seed `seed` + k: its runs are independent of all others, and it can be
+    made again on its own.
+    """
+    cells = [
+        run_study(
+            comparison_trial, runs, seed + number, progress=False, setting=setting, excitation=excitation,
+            taps=taps, rows=rows, forgetting=forgetting,
+        ).values
+        for number, (setting, excitation) in enumerate(product(settings.values(), EXCITATIONS))
+    ]  # fmt: skip
+    shape = (len(settings), len(EXCITATIONS), runs, len(METHODS))
+    return {key: np.reshape([cell[key] for cell in cells], shape) for key in ("errors", "worst")}
+
+
+def over_best(errors: np.ndarray) -> np.ndarray:
+    """Geometric mean over runs of every method's error, over the smallest of a cell; shape (..., methods)."""
+    logs = np.log(require_array("errors", errors)).mean(axis=-2)
+    return np.exp(logs - logs.min(axis=-1, keepdims=True))
+
+
+def among_best(errors: np.ndarray, margin: float = 1.02, level: float = 0.99) -> np.ndarray:
+    """Whether a method is level with the best of its cell; shape (..., methods).
+
+    That is where the interval, at `level`, of its error over that of the best, run by run, reaches down to `margin`.
+    """
+    logs = np.log(require_array("errors", errors))
+    best = logs.mean(axis=-2).argmin(axis=-1)[..., None, None]
+    behind = logs - np.take_along_axis(logs, best, axis=-1)
+    return np.apply_along_axis(lambda runs: mean_interval(runs, level)[0] <= np.log(margin), -2, behind)
+
+
+def recommend(errors: np.ndarray) -> np.ndarray:
+    """For every setting the method whose error, over the best one's, is smallest with the excitation that is worst for it."""
+    return over_best(errors).max(axis=-2).argmin(axis=-1)

@@ -1,0 +1,235 @@
+"""The controller's loop on a plant with several coordinates: each has its own filter, (1) and (6) or (8)."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.base.front_door import checked
+from stillwork.base.kernels import kernel
+from stillwork.control.fixed_point import (
+    CAUSES,
+    COLUMNS,
+    DEFORMED,
+    NO_INERTIA,
+    NOT_DEFINITE,
+    NOT_FINITE,
+    RUNNING,
+    SEEN,
+    TOO_FAR,
+    ControlledRun,
+    Controller,
+    command_step,
+    packed_parts,
+    record_sample,
+    require_noise,
+)
+from stillwork.control.mechanism import Mechanism, forward_dynamics, inverse_dynamics, response_gains
+from stillwork.control.trajectory import Trajectory
+from stillwork.control.transformation import warn_outside_contraction
+from stillwork.estimation.coordinate_filters import require_step
+from stillwork.estimation.filtering import model_of
+
+
+@checked(missing=True)
+def simulate_mechanism(
+    plant: Mechanism,
+    controller: Controller,
+    trajectories: list[Trajectory],
+    noise: ArrayLike | None = None,
+    *,
+    resolution: float = 0.0,
+    grid: float = 0.0,
+    start: ArrayLike | None = None,
+    bound: float = 10.0,
+    lost: str = "predict",
+    force_limits: ArrayLike | None = None,
+) -> list[ControlledRun]:
+    """Drive a plant with several coordinates along a trajectory each, as `control.simulate` drives one with one.
+
+    Filter, (1) and the transformation work in every coordinate by itself; the models couple them. A Kalman filter's
+    plant is pushed by its coordinate's deformed acceleration, which is what the approximate model commands: give the
+    filter `estimation.filtering.UNIT_MASS`.
+
+    Parameters
+    ----------
+    plant : Mechanism
+        The exact model.
+    controller : Controller
+        The same for every coordinate; its `model` is a Mechanism.
+    trajectories : list of Trajectory
+        One for each coordinate, of one length and time step.
+    noise : array_like, shape (coordinates, samples), optional
+        Added to the positions when they are measured; NaN where a sample is lost.
+    resolution, grid : float
+        Of the encoders, as in `control.simulate`.
+    start : array_like, shape (2, coordinates), optional
+        Initial positions and velocities; by default on the trajectories.
+    bound : float
+        As in `control.simulate`, for each coordinate.
+    lost : str
+        ``predict`` or ``hold``, as in `control.simulate`.
+    force_limits : array_like, shape (coordinates,), optional
+        Largest force or torque of each actuator. Where one is at its limit nothing is integrated in that coordinate, and
+        the deformed accelerations are set back to what the limited forces command of the approximate model.
+
+    Returns
+    -------
+    list of ControlledRun
+        One for each coordinate, all with the same `diverged_at` and `cause`.
+
+    Raises
+    ------
+    InputError
+        When models, trajectories, noise or limits do not fit together; it says which.
+
+    Warns
+    -----
+    ContractionWarning
+        When the transformation cannot contract even with perfect measurements.
+
+    Examples
+    --------
+    >>> def inertia(position, parameters, out):
+    ...     out[0, 0], out[1, 1], out[0, 1], out[1, 0] = parameters[0], parameters[0], 0.0, 0.0
+    >>> def bias(position, velocity, parameters, out):
+    ...     out[0], out[1] = 0.0, 9.81 * parameters[0]
+    >>> load, guess = (control.Mechanism(inertia, bias, 2, [mass]) for mass in (3.0, 2.5))
+    >>> parts = estimation.LowPass(), control.FlowTransformation(-3.0, 30.0), control.KinematicDesign(10.0), guess
+    >>> sine = control.asin_trajectory(amplitude=0.1, sharpness=0.5, duration=1.0)
+    >>> along, up = control.simulate_mechanism(load, control.Controller(*parts), [sine, sine])
+    >>> bool(np.abs(along.position_error).max() < 2e-3 and np.abs(up.position_error).max() < 2e-2)  # m
+    True
+    """
+    model, count, samples = (
+        controller.model,
+        plant.coordinates,
+        len(trajectories[0].position) if trajectories else 0,
+    )
+    if not isinstance(model, Mechanism):
+        raise InputError(
+            "the controller's model is a Plant; give it a Mechanism, or drive the plant with simulate"
+        )
+    if (
+        len(trajectories) != count
+        or len({(each.time_step, len(each.position)) for each in trajectories}) != 1
+    ):
+        raise InputError(
+            f"trajectories holds {len(trajectories)}; give one for each of {count} coordinates, of one length and time step"
+        )
+    step = require_step(controller.signal_filter, trajectories[0].time_step)
+    noise = require_noise(noise, (count, samples))
+    require_number("grid", grid)
+    require_number("bound", bound, above=1)
+    nominal = np.array([[each.position, each.velocity, each.acceleration] for each in trajectories])
+    start = require_array("start", nominal[:, :2, 0].T if start is None else start, shape=(2, count))
+    limits = bound * np.maximum(1.0, np.abs(nominal[:, :2]).max(axis=2))
+    forces = np.full(count, np.inf)
+    if force_limits is not None:
+        forces = require_array("force_limits", force_limits, shape=(count,))
+        if np.any(forces <= 0):
+            raise InputError(f"force_limits is {forces}; give numbers above 0")
+    warn_outside_contraction(controller.transformation, response_gains(plant, model, start[0])[-1])
+    record = np.full((count, len(COLUMNS), samples), np.nan)
+    done, status = _closed_mechanism(
+        tuple(controller.signal_filter.packed() for _ in range(count)),
+        *model_of(controller.signal_filter),
+        packed_parts(controller, resolution, grid, lost),
+        *plant.compiled,
+        *model.compiled,
+        step,
+        nominal,
+        noise,
+        forces,
+        np.array(start),
+        limits,
+        record,
+    )
+    ended: dict[str, Any] = {}
+    if status != RUNNING:
+        causes = {
+            TOO_FAR: "a coordinate left its bound",
+            NO_INERTIA: "the inertia of a model is not positive definite",
+            **CAUSES,
+        }
+        ended = {"diverged_at": float(done * step), "cause": causes[status]}
+    return [
+        ControlledRun(trajectory, **dict(zip(COLUMNS, rows, strict=True)), **ended)
+        for trajectory, rows in zip(trajectories, record, strict=True)
+    ]
+
+
+@kernel
+def _closed_mechanism(
+    devices,
+    filter_acceleration,
+    filter_plant,
+    parts,
+    inertia,
+    bias,
+    plant,
+    model_inertia,
+    model_bias,
+    model,
+    time_step,
+    nominal,
+    noise,
+    force_limits,
+    start,
+    limits,
+    record,
+):
+    """Fill `record` (coordinates x COLUMNS x samples); returns the samples done and how it ended."""
+    count, samples = noise.shape
+    chain, estimate, memory = np.zeros((count, len(parts[2]) - 1)), np.zeros((count, 3)), np.zeros((count, 4))
+    position, velocity = start[0].copy(), start[1].copy()
+    estimate[:, 0], estimate[:, 1], estimate[:, 2] = position, velocity, nominal[:, 2, 0]
+    force, acceleration, deformed = np.zeros(count), np.zeros(count), np.zeros(count)
+    seen, held, work = np.zeros(count), np.zeros(count, dtype=np.bool_), np.zeros((2 * count + 1, count))
+    for i in range(samples):
+        for j in range(count):
+            now = nominal[j, 0, i], nominal[j, 1, i], nominal[j, 2, i]
+            if not command_step(
+                devices[j],
+                filter_acceleration,
+                filter_plant,
+                parts,
+                time_step,
+                now,
+                position[j],
+                noise[j, i],
+                deformed[j],
+                i == 0,
+                held[j],
+                chain[j],
+                estimate[j],
+                memory[j],
+            ):
+                return i, NOT_DEFINITE
+            seen[j], deformed[j] = memory[j, SEEN], memory[j, DEFORMED]
+        speed = estimate[:, 1].copy()
+        inverse_dynamics(model_inertia, model_bias, model, seen, speed, deformed, work, force)
+        limited = False
+        for j in range(count):
+            if not np.isfinite(force[j]):
+                return i, NOT_FINITE
+            held[j] = abs(force[j]) > force_limits[j]
+            if held[j]:
+                force[j] = np.copysign(force_limits[j], force[j])
+                limited = True
+        if limited:
+            if not forward_dynamics(model_inertia, model_bias, model, seen, speed, force, work, deformed):
+                return i, NO_INERTIA
+            memory[:, DEFORMED] = deformed
+        if not forward_dynamics(inertia, bias, plant, position, velocity, force, work, acceleration):
+            return i, NO_INERTIA
+        for j in range(count):
+            record_sample(
+                record[j], i, position[j], velocity[j], acceleration[j], estimate[j], memory[j], force[j]
+            )
+            velocity[j] += time_step * acceleration[j]
+            position[j] += time_step * velocity[j]
+            if not (abs(position[j]) < limits[j, 0] and abs(velocity[j]) < limits[j, 1]):
+                return i, TOO_FAR
+    return samples, RUNNING

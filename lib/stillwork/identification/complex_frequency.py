@@ -1,0 +1,181 @@
+"""Poles of a machine from its frequency responses: the poly-reference least-squares complex frequency method (LSCF)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Complex128, Float64, Int64
+from numpy.typing import ArrayLike
+from scipy.linalg import toeplitz
+
+from stillwork.base.checks import InputError, require_array, require_count
+from stillwork.base.front_door import check_fields, checked
+
+ORDERS = range(6, 41, 2)  # of the denominators, in each part of a band
+WIDTH = 2.0  # highest over lowest frequency of a part; parts overlap by half
+WEIGHTS = (
+    0.0,
+    0.5,
+)  # powers of the response that an equation is divided by: what is high alone, and what is low too
+STRONGEST = 0.4  # damping ratio beyond which a pole is no resonance
+STEADY = (
+    5e-4,
+    0.3,
+    1.5,
+)  # move of a stable pole from order to order: of its frequency, its damping; factor of the latter
+SEEN = 3  # orders at which a pole must be stable
+
+
+@dataclass(frozen=True)
+class Stabilisation:
+    """A stabilisation diagram: the poles of every order, and which of them stay from order to order."""
+
+    order: Int64[np.ndarray, " poles"]
+    frequency: Float64[np.ndarray, " poles"]  # rad/s
+    damping: Float64[np.ndarray, " poles"]  # ratio
+    stable: Bool[np.ndarray, " poles"]
+
+    def __post_init__(self):
+        check_fields(self)
+
+    def settled(self) -> Float64[np.ndarray, "2 modes"]:
+        """Frequency (rad/s) and damping ratio of what is stable at three orders or more, from the most often seen on."""
+        poles = np.log([self.frequency[self.stable], self.damping[self.stable]])
+        near, left = _near(poles, poles), np.ones(poles.shape[1], dtype=bool)
+        found = [np.zeros((2, 0))]
+        while left.any():
+            often = (near[:, left].sum(axis=1) * left).argmax()
+            group = near[often] & left
+            if group.sum() < SEEN:
+                break
+            found.append(np.median(poles[:, group], axis=1, keepdims=True))
+            left &= ~group
+        return np.exp(np.hstack(found))
+
+
+@checked
+def complex_frequency_poles(
+    omega: ArrayLike, response: ArrayLike, weight: ArrayLike, order: int
+) -> Complex128[np.ndarray, " poles"]:
+    r"""Poles (rad/s) of the polynomial fraction of one order that fits a response matrix best.
+
+    The fraction :math:`H_o = B_o(z)A^{-1}(z)` of each output :math:`o` has real coefficients, those of :math:`A` are as
+    many by as many as there are inputs, and :math:`z = e^{j\pi(\omega - \omega_1)/(\omega_n - \omega_1)}`: the band
+    fills the upper half of the unit circle. Least squares of :math:`w(B_o - H_oA)` with the highest coefficient of
+    :math:`A` one; the :math:`B_o` follow from :math:`A` and are eliminated. All sums over lines are Toeplitz.
+
+    Parameters
+    ----------
+    omega : array_like, shape (lines,)
+        rad/s, ascending.
+    response : array_like, shape (lines, outputs, inputs)
+    weight : array_like, shape (lines,)
+        Of each line's equations.
+    order : int
+        Of :math:`A`: the number of poles is this times that of inputs, half of them with positive frequency.
+
+    References
+    ----------
+    B. Peeters, H. Van der Auweraer, P. Guillaume and J. Leuridan, "The PolyMAX frequency-domain method: a new standard
+    for modal parameter estimation?", Shock and Vibration 11 (2004).
+
+    Examples
+    --------
+    >>> omega = np.linspace(100.0, 200.0, 400)
+    >>> response = 1 / (150.0**2 - omega**2 + 2j * 0.01 * 150 * omega)
+    >>> poles = identification.complex_frequency_poles(omega, response[:, None, None], np.ones(400), 4)
+    >>> nearest = poles[np.argmin(np.abs(poles - 150j))]
+    >>> nearest.round(2)
+    np.complex128(-1.5+149.99j)
+    """
+    omega = require_array("omega", omega, ndim=1)
+    response = require_array("response", response, shape=(len(omega), None, None), dtype=complex)
+    weight = require_array("weight", weight, shape=omega.shape)
+    require_count("order", order)
+    if len(omega) < 4 * order or np.any(np.diff(omega) <= 0):
+        raise InputError(f"omega must ascend and hold at least {4 * order} lines for order {order}")
+    return _poles(_sums(omega, response, weight, order), order, omega)
+
+
+@checked
+def stabilisation(omega: ArrayLike, response: ArrayLike) -> Stabilisation:
+    """Poles over orders in overlapping octaves, so that low and close resonances are resolved like high ones.
+
+    Parameters
+    ----------
+    omega : array_like, shape (lines,)
+        rad/s, ascending.
+    response : array_like, shape (lines, outputs, inputs)
+        Accelerances, or others.
+    """
+    omega = require_array("omega", omega, ndim=1)
+    response = require_array("response", response, shape=(len(omega), None, None), dtype=complex)
+    size = np.sqrt(np.mean(np.abs(response) ** 2, axis=(1, 2)))
+    found = [(np.zeros(0, int), np.zeros((2, 0)), np.zeros(0, bool))]
+    high = omega[-1]
+    while True:
+        low = high / WIDTH
+        inside = (omega >= low) & (omega <= high)
+        for power in WEIGHTS:
+            if inside.sum() >= 4 * ORDERS[0]:
+                found += _diagram(omega[inside], response[inside], size[inside] ** -power)
+        if low <= omega[0]:
+            break
+        high /= np.sqrt(WIDTH)
+    order, poles, stable = (np.concatenate(each, axis=-1) for each in zip(*found, strict=True))
+    frequency, damping = np.exp(poles)
+    return Stabilisation(order.astype(np.int64), frequency, damping, stable)
+
+
+def _diagram(omega, response, weight):
+    """Poles of every order in one part of a band: order, logarithms of frequency and damping, whether stable."""
+    orders = [order for order in ORDERS if 4 * order <= len(omega)]
+    sums = _sums(omega, response, weight, orders[-1])
+    before = np.zeros((2, 0))
+    for order in orders:
+        poles = _poles(sums, order, omega)
+        size = np.abs(poles)
+        damping = -poles.real / size
+        edge = 0.02 * (omega[-1] - omega[0])
+        kept = (damping > 1e-6) & (damping < STRONGEST)
+        kept &= (poles.imag > omega[0] + edge) & (poles.imag < omega[-1] - edge)
+        found = np.log([size[kept], damping[kept]])
+        yield np.full(kept.sum(), order), found, _near(found, before).any(axis=1)
+        before = found
+
+
+def _near(one, other):
+    """Whether poles, as logarithms of frequency and damping, are the same within what a stable one moves."""
+    apart = np.abs(one[:, :, None] - other[:, None, :])
+    alike, share, factor = STEADY
+    return (apart[0] < np.maximum(alike, share * np.exp(one[1]))[:, None]) & (apart[1] < np.log(factor))
+
+
+def _sums(omega, response, weight, order):
+    """Sums over lines of 1, H and H'H, times z to the powers 0 to `order` and 0 to -`order` (real parts)."""
+    turn = np.exp(1j * np.pi * (omega - omega[0]) / (omega[-1] - omega[0]))
+    square = np.einsum("lop,loq->lpq", response.conj(), response)
+    data = [np.ones((len(omega), 1)), response.reshape(len(omega), -1), square.reshape(len(omega), -1)]
+    data = np.hstack(data) * (weight**2)[:, None]
+    power, found = np.ones_like(turn), []
+    for _ in range(order + 1):
+        found.append([(power @ data).real, (power.conj() @ data).real])
+        power = power * turn
+    up, down = np.swapaxes(found, 0, 1)
+    return up, down, response.shape[1:]
+
+
+def _poles(sums, order, omega):
+    up, down, (outputs, inputs) = sums
+    matrices = [toeplitz(down[: order + 1, k], up[: order + 1, k]) for k in range(up.shape[1])]
+    own = matrices[0]
+    cross = np.array(matrices[1 : 1 + outputs * inputs]).reshape(outputs, inputs, order + 1, -1)
+    normal = np.array(matrices[1 + outputs * inputs :]).reshape(inputs, inputs, order + 1, -1)
+    normal = normal.transpose(2, 0, 3, 1).reshape((order + 1) * inputs, -1)
+    for each in cross.transpose(0, 2, 3, 1).reshape(outputs, order + 1, -1):
+        normal = normal - each.T @ np.linalg.lstsq(own, each, rcond=1e-14)[0]
+    below = np.linalg.lstsq(normal[:-inputs, :-inputs], -normal[:-inputs, -inputs:], rcond=1e-15)[0]
+    companion = np.eye(order * inputs, k=inputs)
+    companion[-inputs:] = -below.T
+    values = np.linalg.eigvals(companion).astype(complex)
+    found = np.log(values[values != 0]) * (omega[-1] - omega[0]) / np.pi
+    return found[found.imag > 0] + 1j * omega[0]

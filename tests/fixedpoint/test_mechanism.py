@@ -1,0 +1,408 @@
+"""Several coordinates: the arm against its Lagrangian, the loop against one coordinate and a solver, contraction."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from experiments.fixedpoint.your_plant import load_models
+from naive import fixedpoint as naive
+from stillwork.base.checks import InputError
+from stillwork.control import (
+    Controller,
+    FlowTransformation,
+    KinematicDesign,
+    Mechanism,
+    asin_trajectory,
+    simulate,
+    simulate_mechanism,
+)
+from stillwork.control.fixed_point_convergence import stable_range
+from stillwork.control.fixed_point_linear import linear_loop
+from stillwork.control.mechanism import response_gains, response_matrix
+from stillwork.control.transformation import ContractionWarning, RobustTransformation, deform
+from stillwork.estimation import LowPass, Plant
+from stillwork.estimation.coordinate_filters import (
+    ExtendedKalman,
+    MovingWindow,
+    SavitzkyGolay,
+    UnscentedKalman,
+)
+from stillwork.estimation.filtering import UNIT_MASS, filter_signal
+
+PUSHED = UnscentedKalman(UNIT_MASS)
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return load_models("arm.py")
+
+
+def frictionless(model):
+    return Mechanism(model.inertia, model.bias, 2, np.r_[model.parameters[:8], 0, 0, 0, 0, 1.0])
+
+
+def lagrangian(q, v, numbers):
+    """Kinetic minus potential energy of two bars, from the velocities of their centres; and their sum."""
+    m1, c1, i1, l1, m2, c2, i2, g = numbers[:8]
+    across = [np.array([-np.sin(a), np.cos(a)]) for a in (q[0], q[0] + q[1])]
+    first = c1 * v[0] * across[0]
+    second = l1 * v[0] * across[0] + c2 * (v[0] + v[1]) * across[1]
+    kinetic = m1 * first @ first + m2 * second @ second + i1 * v[0] ** 2 + i2 * (v[0] + v[1]) ** 2
+    potential = m1 * g * c1 * np.sin(q[0]) + m2 * g * (l1 * np.sin(q[0]) + c2 * np.sin(q[0] + q[1]))
+    return kinetic / 2 - potential, kinetic / 2 + potential
+
+
+def from_lagrangian(q, v, a, numbers, step=1e-4):
+    """d/dt dL/dv - dL/dq by differences alone."""
+    x = np.concatenate([q, v])
+
+    def energy(point):
+        return lagrangian(point[:2], point[2:], numbers)[0]
+
+    def second(i, j):
+        e, f = step * np.eye(4)[i], step * np.eye(4)[j]
+        return (energy(x + e + f) - energy(x + e - f) - energy(x - e + f) + energy(x - e - f)) / (4 * step**2)
+
+    def first(i):
+        e = step * np.eye(4)[i]
+        return (energy(x + e) - energy(x - e)) / (2 * step)
+
+    return np.array(
+        [
+            sum(second(2 + i, 2 + j) * a[j] + second(2 + i, j) * v[j] for j in range(2)) - first(i)
+            for i in range(2)
+        ]
+    )
+
+
+def test_the_arm_is_its_lagrangian_and_friction(arm, rng):
+    for _ in range(20):
+        q, v, a = rng.uniform(-3, 3, (3, 2))
+        numbers = arm.exact.parameters
+        friction = numbers[8:10] * v + numbers[10:12] * np.tanh(v / numbers[12])
+        assert arm.exact.force(q, v, a) == pytest.approx(
+            from_lagrangian(q, v, a, numbers) + friction, abs=1e-5
+        )
+        assert arm.exact.acceleration(q, v, arm.exact.force(q, v, a)) == pytest.approx(a)
+
+
+def test_without_friction_and_torque_the_loop_keeps_the_energy_as_well_as_a_solver_finds_it(arm):
+    """Motors of no torque leave a double pendulum; the loop's error is of the order of its step."""
+    free = frictionless(arm.exact)
+    start = np.array([[-1.0, 0.8], [0.0, 0.0]])
+    energy = lagrangian(*start, free.parameters)[1]
+    solved = solve_ivp(
+        lambda _, x: np.r_[x[2:], free.acceleration(x[:2], x[2:], [0.0, 0.0])],
+        (0, 1.0),
+        start.ravel(),
+        rtol=1e-10,
+        atol=1e-12,
+        dense_output=True,
+    )
+    assert lagrangian(solved.y[:2, -1], solved.y[2:, -1], free.parameters)[1] == pytest.approx(
+        energy, rel=1e-8
+    )
+    errors = []
+    for step in (1e-3, 5e-4):
+        still = asin_trajectory(duration=1.0, time_step=step)
+        parts = Controller(LowPass(), RobustTransformation(), KinematicDesign(1.0), arm.approximate)
+        runs = simulate_mechanism(free, parts, [still] * 2, start=start, force_limits=[1e-12] * 2)
+        moved = np.array([[run.position, run.velocity] for run in runs])
+        assert np.ptp(moved[0, 0]) > 0.5
+        held = [lagrangian(*moved[:, :, i].T, free.parameters)[1] for i in range(0, moved.shape[2], 50)]
+        at = solved.sol(still.time).reshape(2, 2, -1).swapaxes(0, 1)
+        errors.append((np.abs(np.array(held) - energy).max(), np.abs(moved - at).max()))
+    assert np.array(errors[0]) / np.array(errors[1]) == pytest.approx([2, 2], rel=0.1)
+    assert errors[1][0] < 0.01 * abs(energy) and errors[1][1] < 0.02
+
+
+FILTERS = [
+    (MovingWindow(), FlowTransformation(-0.22)),
+    (LowPass(), RobustTransformation()),
+    (SavitzkyGolay(), RobustTransformation()),
+    (PUSHED, RobustTransformation()),
+    (ExtendedKalman(UNIT_MASS), RobustTransformation()),
+]
+
+
+def cart_inertia(position, parameters, out):
+    for i in range(len(position)):
+        for j in range(len(position)):
+            out[i, j] = parameters[0] * (i == j)
+
+
+def cart_bias(position, velocity, parameters, out):
+    for i in range(len(position)):
+        out[i] = parameters[1] * position[i] + parameters[2] * velocity[i] * abs(velocity[i])
+
+
+def cart_acceleration(position, velocity, force, parameters):
+    return (force - parameters[1] * position - parameters[2] * velocity * abs(velocity)) / parameters[0]
+
+
+def cart_force(position, velocity, acceleration, parameters):
+    return parameters[0] * acceleration + parameters[1] * position + parameters[2] * velocity * abs(velocity)
+
+
+@pytest.mark.parametrize("number", range(len(FILTERS)))
+@pytest.mark.parametrize("coordinates", [1, 3])
+def test_uncoupled_coordinates_run_as_one_alone(number, coordinates, short, rng):
+    """With losses and with a limit of the force; the Kalman filters where their model is the believed mass alone."""
+    device, transformation = FILTERS[number]
+    numbers, guess = [2.0, 40.0, 0.7], [1.5, 0.0, 0.0]
+    alone = device
+    if hasattr(device, "plant"):
+        alone = type(device)(Plant(cart_acceleration, cart_force, guess))
+    many, one = (
+        Controller(each, transformation, KinematicDesign(16.0), model)
+        for each, model in (
+            (device, Mechanism(cart_inertia, cart_bias, coordinates, guess)),
+            (alone, Plant(cart_acceleration, cart_force, guess)),
+        )
+    )
+    noise = 1e-5 * rng.standard_normal((coordinates, len(short.position)))
+    noise[:, 200:215] = np.nan
+    plant = Mechanism(cart_inertia, cart_bias, coordinates, numbers)
+    runs = simulate_mechanism(
+        plant, many, [short] * coordinates, noise, force_limits=[30.0] * coordinates, resolution=1e-5
+    )
+    for run, added in zip(runs, noise, strict=True):
+        want = simulate(
+            Plant(cart_acceleration, cart_force, numbers),
+            one,
+            short,
+            added,
+            force_limit=30.0,
+            resolution=1e-5,
+        )
+        assert np.abs(want.force).max() <= 30.0
+        assert run.position == pytest.approx(want.position, abs=1e-9)
+        assert run.force == pytest.approx(want.force, rel=1e-5, abs=1e-5)
+
+
+def test_the_arm_runs_as_its_naive_twin(arm, short, rng):
+    """Fig. 1 with vectors, by numpy alone."""
+    noise = 1e-5 * rng.standard_normal((2, len(short.position)))
+    controller = Controller(LowPass(), RobustTransformation(), KinematicDesign(16.0), arm.approximate)
+    runs = simulate_mechanism(arm.exact, controller, [short] * 2, noise)
+    devices, transform = [naive.LowPass(350.0, 1e-3) for _ in range(2)], naive.robust(4e7, -1.05, 9e-2 / 4e7)
+    gains, integral, deformed = controller.kinematics.gains, np.zeros(2), None
+    q, v, rows = np.full(2, short.position[0]), np.full(2, short.velocity[0]), []
+    for i in range(len(short.position)):
+        measured = q + noise[:, i]
+        filtered = np.array([device(z, 0.0, None) for device, z in zip(devices, measured, strict=True)])
+        error = short.position[i] - measured
+        integral = integral + 1e-3 * error
+        desired = short.acceleration[i] + gains @ [integral, error, short.velocity[i] - filtered[:, 1]]
+        if deformed is None:
+            deformed = desired
+        else:
+            deformed = np.array(
+                [transform(*each) for each in zip(deformed, filtered[:, 2], desired, strict=True)]
+            )
+        force = arm.approximate.force(measured, filtered[:, 1], deformed)
+        rows.append(q)
+        v = v + 1e-3 * arm.exact.acceleration(q, v, force)
+        q = q + 1e-3 * v
+    assert np.array(rows).T == pytest.approx(np.array([run.position for run in runs]), abs=1e-7)
+
+
+def test_a_response_is_what_the_plant_makes_of_a_command(arm, rng):
+    for _ in range(10):
+        q, v, a = rng.uniform(-2, 2, (3, 2))
+        columns = []
+        for direction in 1e-3 * np.eye(2):
+            high, low = (
+                arm.exact.acceleration(q, v, arm.approximate.force(q, v, a + s * direction)) for s in (1, -1)
+            )
+            columns.append((high - low) / 2e-3)
+        response = response_matrix(arm.exact, arm.approximate, q)
+        assert response == pytest.approx(np.array(columns).T, rel=1e-6, abs=1e-8)
+        assert response_gains(arm.exact, arm.approximate, q) == pytest.approx(
+            np.sort(np.linalg.eigvals(response).real)
+        )
+
+
+def test_iterations_contract_in_the_energy_norm_as_the_gains_say_and_grow_beyond(arm, rng):
+    """By brute force: `deform` in each coordinate, the plant's answer, again."""
+    q, v, wanted = np.array([0.4, 1.1]), np.array([0.3, -0.5]), np.array([1.0, -2.0])
+    gains = response_gains(arm.exact, arm.approximate, q)
+    root = np.linalg.cholesky(arm.exact.mass(q)).T
+    for factor in (0.3, 0.9, 1.1):
+        transformation = RobustTransformation(slope=factor * 2 / gains[-1] / (4e7 * 1.05))
+        radius = np.abs(1 + transformation.local_gain * gains).max()
+        assert (radius < 1) == (factor < 1)
+        command, sizes = wanted + rng.standard_normal(2), []
+        for _ in range(30):
+            response = arm.exact.acceleration(q, v, arm.approximate.force(q, v, command))
+            sizes.append(np.linalg.norm(root @ (response - wanted)))
+            command = np.array(
+                [deform(transformation, *each) for each in zip(command, response, wanted, strict=True)]
+            )
+        growth = np.array(sizes[1:]) / sizes[:-1]
+        assert (growth < radius * (1 + 1e-5)).all()
+        assert growth[-1] == pytest.approx(radius, rel=1e-3)
+
+
+def test_in_the_euclidean_norm_a_step_may_grow_where_the_iteration_contracts():
+    """The spectral norm is no condition: two masses that answer each other's commands."""
+    exact, believed = np.array([[1.0, 0.95], [0.95, 1.0]]), np.diag([1.0, 0.05])
+
+    def constant(matrix):
+        def inertia(position, parameters, out):
+            out[:] = matrix
+
+        return Mechanism(inertia, cart_bias, 2, [1.0, 0.0, 0.0])
+
+    response = response_matrix(constant(exact), constant(believed), [0.0, 0.0])
+    step = np.eye(2) - 1.0 / response_gains(constant(exact), constant(believed), [0.0, 0.0])[-1] * response
+    assert np.abs(np.linalg.eigvals(step)).max() < 1 < np.linalg.norm(step, 2)
+
+
+def test_stable_gains_of_the_whole_loop_are_those_with_which_it_settles(arm):
+    """The arm at rest, kicked: decays with a gain inside the range, grows outside."""
+    controller = Controller(
+        PUSHED, RobustTransformation(), KinematicDesign(36.0), frictionless(arm.approximate)
+    )
+    plant, place = frictionless(arm.exact), np.array([0.4, 1.1])
+    found = stable_range(linear_loop(plant, controller, 1e-3, place, np.zeros(2)))
+    still = [asin_trajectory(1e-9, duration=1.5)] * 2
+    still = [
+        type(each)(1e-3, each.position + q, each.velocity, each.acceleration)
+        for each, q in zip(still, place, strict=True)
+    ]
+
+    def grows(gain):
+        moved = replace(controller, transformation=RobustTransformation(slope=-gain / (4e7 * 1.05)))
+        runs = simulate_mechanism(plant, moved, still, start=np.array([place + 1e-6, [0.0, 0.0]]))
+        speed = np.array([run.velocity for run in runs]) ** 2
+        return runs[0].diverged_at is not None or speed[:, -300:].sum() > speed[:, 300:600].sum()
+
+    low, high = found.limits
+    assert not grows(0.95 * low) and not grows(1.05 * high)
+    assert grows(1.05 * low) and grows(0.9 * high)
+
+
+def test_one_coordinate_as_a_mechanism_has_the_stable_range_of_the_plant():
+    numbers, guess = [2.0, 40.0, 0.0], [1.5, 0.0, 0.0]
+    plant, model = (Plant(cart_acceleration, cart_force, each) for each in (numbers, guess))
+    several, guessed = (Mechanism(cart_inertia, cart_bias, 2, each) for each in (numbers, guess))
+    one, two = (
+        stable_range(
+            linear_loop(
+                each, Controller(LowPass(), RobustTransformation(), KinematicDesign(16.0), m), 1e-3, *at
+            )
+        )
+        for each, m, at in ((plant, model, (0.0, 0.0)), (several, guessed, ([0.0, 0.0], [0.0, 0.0])))
+    )
+    assert two.limits == pytest.approx(one.limits, rel=1e-5)
+    assert two.strongest.frequency_hz == pytest.approx(one.strongest.frequency_hz, rel=1e-3)
+
+
+# -------------------------------------------------------------------------------- lost samples and limited forces
+
+
+@pytest.mark.parametrize("number", range(len(FILTERS)))
+@pytest.mark.parametrize("lost", ["hold", "predict"])
+def test_what_stands_for_a_lost_sample_is_what_the_filter_gets(number, lost, exact, approximate, short, rng):
+    """The filter alone, over the record that the loop says it measured."""
+    device, transformation = FILTERS[number]
+    if hasattr(device, "plant"):
+        device = type(device)(approximate)
+    noise = 1e-5 * rng.standard_normal(len(short.position))
+    noise[300:320] = np.nan
+    controller = Controller(device, transformation, KinematicDesign(16.0), approximate)
+    run = simulate(exact, controller, short, noise, lost=lost)
+    estimate = filter_signal(device, run.measured, run.force, start_velocity=short.velocity[0])
+    if not isinstance(device, LowPass | MovingWindow | SavitzkyGolay):
+        assert run.position_estimate == pytest.approx(estimate.position, abs=1e-9)
+    part = slice(100, None)  # a window starts from the nominal acceleration in the loop
+    assert run.velocity_estimate[part] == pytest.approx(estimate.velocity[part], abs=1e-7)
+    gone = run.measured[300:320]
+    if lost == "hold":
+        assert (gone == run.measured[299]).all()
+    elif hasattr(device, "plant"):
+        assert np.isnan(gone).all() and np.isfinite(run.measured[320:]).all()
+    else:
+        assert np.diff(run.measured[299:320]) == pytest.approx(
+            1e-3 * run.velocity_estimate[299:319], abs=1e-12
+        )
+
+
+def test_a_limited_force_does_not_wind_up(exact, approximate, short):
+    """Off the trajectory at the start: the force stays at its limit, and the loop comes back without a swing."""
+    controller = Controller(LowPass(), RobustTransformation(), KinematicDesign(16.0), approximate)
+    long = asin_trajectory(duration=3.0)
+    free, limited = (
+        simulate(exact, controller, long, start=(0.15, 0.0), force_limit=f) for f in (None, 160.0)
+    )
+    assert np.abs(free.force).max() > 190.0 and np.abs(limited.force).max() == 160.0
+    at = np.abs(limited.force) == 160.0
+    assert 5 < at.sum() < 1500
+    believed = [
+        approximate.acceleration(q, v, u, approximate.parameters)
+        for q, v, u in zip(
+            limited.measured[at], limited.velocity_estimate[at], limited.force[at], strict=True
+        )
+    ]
+    assert limited.deformed[at] == pytest.approx(believed)
+    assert np.abs(limited.position_error[-500:]).max() < 1.05 * np.abs(free.position_error[-500:]).max()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"noise": np.zeros((2, 3))}, "noise has shape"),
+        ({"noise": np.full((2, 600), np.nan)}, "noise is NaN at the first sample"),
+        ({"lost": "guess"}, "lost is 'guess'"),
+        ({"force_limits": [1.0, 0.0]}, "give numbers above 0"),
+        ({"force_limits": [1.0]}, "force_limits has shape"),
+        ({"start": np.zeros(2)}, "start has shape"),
+        ({"bound": 0.0}, "bound"),
+        ({"trajectories": [asin_trajectory(duration=0.6)]}, "trajectories holds 1; give one for each of 2"),
+        (
+            {"trajectories": [asin_trajectory(duration=0.6), asin_trajectory(duration=0.5)]},
+            "of one length and time step",
+        ),
+    ],
+)
+def test_bad_input(change, message, arm, short):
+    controller = Controller(LowPass(), RobustTransformation(), KinematicDesign(16.0), arm.approximate)
+    with pytest.raises(InputError, match=message):
+        simulate_mechanism(arm.exact, controller, **{"trajectories": [short] * 2, **change})
+
+
+def test_models_that_do_not_fit(arm, exact, approximate, short):
+    parts = LowPass(), RobustTransformation(), KinematicDesign(16.0)
+    with pytest.raises(InputError, match="drive one with simulate_mechanism"):
+        simulate(exact, Controller(*parts, arm.approximate), short)
+    with pytest.raises(InputError, match="or drive the plant with simulate"):
+        simulate_mechanism(arm.exact, Controller(*parts, approximate), [short] * 2)
+    three = Mechanism(cart_inertia, cart_bias, 3, [1.0, 0.0, 0.0])
+    with pytest.raises(InputError, match="plant has 2 coordinates, model 3"):
+        response_gains(arm.exact, three, [0.0, 0.0])
+    with pytest.raises(InputError, match="fails on 2 coordinates"):
+        Mechanism(cart_inertia, cart_bias, 2, [1.0])
+    with pytest.raises(InputError, match="not symmetric"):
+        Mechanism(lopsided, cart_bias, 2, [1.0, 0.0, 0.0])
+    with pytest.raises(InputError, match="unset"):
+        Mechanism(lambda q, p, out: None, cart_bias, 2, [1.0, 0.0, 0.0])
+    with pytest.raises(InputError, match="not positive definite"):
+        Mechanism(cart_inertia, cart_bias, 2, [-1.0, 0.0, 0.0]).mass([0.0, 0.0])
+
+
+def lopsided(position, parameters, out):
+    out[:] = 1.0
+    out[0, 1] = 0.5
+
+
+def test_divergence_and_its_cause_are_those_of_all_coordinates(arm, short):
+    wild = Controller(PUSHED, RobustTransformation(slope=1e-7), KinematicDesign(36.0), arm.approximate)
+    with pytest.warns(ContractionWarning):
+        runs = simulate_mechanism(
+            arm.exact, wild, [short] * 2, np.full((2, 600), 1e-4) * (np.arange(600) % 2)
+        )
+    assert runs[0].diverged_at == runs[1].diverged_at is not None
+    assert runs[0].cause == "a coordinate left its bound"

@@ -1,0 +1,228 @@
+"""Modes that nobody typed in: synthetic machines, the shipped structure, and a dense twin of the reduced equations."""
+
+import numpy as np
+import pytest
+from scipy.signal import find_peaks
+
+from experiments.motion.structure import measured_accelerance
+from stillwork.base.checks import InputError
+from stillwork.identification.complex_frequency import complex_frequency_poles, stabilisation
+from stillwork.identification.frequency_response import Identified
+from stillwork.identification.machine import build_machine
+from stillwork.identification.machine_files import load_machine
+from stillwork.identification.modal_fit import identify_modes
+
+
+def accelerance(hertz, mass, modes):
+    """Rigid body and modes (Hz, damping ratio, share of the rigid body), term by term."""
+    found = np.ones(len(hertz), complex)
+    for frequency, damping, share in modes:
+        ratio = hertz / frequency
+        found -= share * ratio**2 / (1 - ratio**2 + 2j * damping * ratio)
+    return found / mass
+
+
+def noisy(rng, hertz, mass, modes, noise):
+    """A measurement without coherence; `noise` is a share of the mass line."""
+    error = rng.normal(size=(2, len(hertz))) * noise / mass / np.sqrt(2)
+    return Identified(
+        2 * np.pi * hertz,
+        accelerance(hertz, mass, modes) + error[0] + 1j * error[1],
+        np.full(len(hertz), np.nan),
+    )
+
+
+def found_modes(fit):
+    """Frequencies (Hz), damping ratios and mass."""
+    model = fit.model
+    mass = 1 / (model.input_shapes[0, 0] * model.output_shapes[0, 0])
+    return model.frequencies[1:] / (2 * np.pi), model.damping[1:], mass
+
+
+def random_machine(rng):
+    """One to six modes of 0.1 to 10 % damping, a quarter apart at least, and their machine's mass."""
+    count = rng.integers(1, 7)
+    frequencies = np.cumprod(np.append(rng.uniform(50, 200), rng.uniform(1.25, 2, count - 1)))
+    damping = np.exp(rng.uniform(np.log(1e-3), np.log(0.1), count))
+    shares = rng.uniform(0.2, 1.5, count) * rng.choice([-1, 1], count)
+    return np.exp(rng.uniform(-1, 4)), np.column_stack([frequencies, damping, shares])
+
+
+def test_poles_are_those_of_the_dense_equations():
+    """All unknowns of all lines in one least-squares problem, nothing eliminated, no Toeplitz sums."""
+    rng = np.random.default_rng(0)
+    omega, order, outputs, inputs = np.linspace(100.0, 200.0, 150), 5, 3, 2
+    response = sum(
+        np.outer(rng.normal(size=outputs), rng.normal(size=inputs))
+        / (w**2 - omega[:, None, None] ** 2 + 2j * z * w * omega[:, None, None])
+        for w, z in ((120.0, 0.01), (150.0, 0.005), (151.0, 0.006), (180.0, 0.03))
+    )
+    weight = rng.uniform(0.5, 2.0, len(omega))
+    powers = np.exp(1j * np.pi * (omega - 100) / 100)[:, None] ** np.arange(order + 1)
+    blocks = []
+    for o in range(outputs):
+        own = [powers if o == k else 0 * powers for k in range(outputs)]
+        shared = -(powers[:, :, None] * response[:, o, None, :]).reshape(len(omega), -1)
+        blocks.append(np.hstack([*own, shared]) * weight[:, None])
+    dense = np.vstack([np.vstack(blocks).real, np.vstack(blocks).imag])
+    solved = np.linalg.lstsq(dense[:, :-inputs], -dense[:, -inputs:], rcond=None)[0]
+    below = solved[outputs * (order + 1) :].reshape(order, inputs, inputs)
+    companion = np.eye(order * inputs, k=inputs)
+    companion[-inputs:] = -np.hstack(list(below))
+    wanted = np.log(np.linalg.eigvals(companion).astype(complex)) * 100 / np.pi
+    wanted = np.sort_complex(wanted[wanted.imag > 0] + 100j)
+    found = np.sort_complex(complex_frequency_poles(omega, response, weight, order))
+    assert found == pytest.approx(wanted, rel=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(6))
+def test_random_machines_are_found_whole(seed):
+    """Damping within 5 %, mass within 2 %, nothing lost, nothing spurious, at noise of half a per cent."""
+    rng = np.random.default_rng(seed)
+    mass, modes = random_machine(rng)
+    hertz = np.linspace(modes[0, 0] / 10, 1.5 * modes[-1, 0], 3000)
+    modes[:, 1] = np.maximum(
+        modes[:, 1], (hertz[1] - hertz[0]) / modes[:, 0]
+    )  # two lines a resonance at least
+    band = (hertz[0], hertz[-1])
+    frequencies, damping, found = found_modes(identify_modes(noisy(rng, hertz, mass, modes, 0.005), band))
+    assert frequencies == pytest.approx(modes[:, 0], rel=5e-3)
+    assert damping == pytest.approx(modes[:, 1], rel=0.05)
+    assert found == pytest.approx(mass, rel=0.02)
+
+
+@pytest.mark.slow
+def test_heavy_damping_and_a_modes_neighbour_are_kept():
+    modes = [(80.0, 0.2, 1.0), (200.0, 0.05, -0.7), (212.0, 0.04, 0.9)]
+    measured = noisy(np.random.default_rng(1), np.arange(5.0, 500.0, 0.25), 40.0, modes, 0.002)
+    frequencies, damping, mass = found_modes(identify_modes(measured, (5.0, 500.0)))
+    assert frequencies == pytest.approx([80.0, 200.0, 212.0], rel=0.01)
+    assert damping == pytest.approx([0.2, 0.05, 0.04], rel=0.05)
+    assert mass == pytest.approx(40.0, rel=0.02)
+
+
+@pytest.mark.slow
+def test_intervals_hold_the_truth_as_often_as_they_say():
+    """Monte Carlo over noise alone: 95 % intervals, and the spread of estimates beside the spread that is told."""
+    hertz, modes = np.arange(5.0, 200.0, 0.25), [(50.0, 0.01, 0.8), (120.0, 0.03, -0.5)]
+    fits = [
+        identify_modes(noisy(np.random.default_rng(seed), hertz, 10.0, modes, 0.02), (5.0, 200.0))
+        for seed in range(40)
+    ]
+    values = np.array(
+        [[*found_modes(fit)[0], *found_modes(fit)[1], np.log(found_modes(fit)[2])] for fit in fits]
+    )
+    told = np.array(
+        [[*fit.deviation / (2 * np.pi), *fit.damping_deviation, fit.mass_deviation] for fit in fits]
+    )
+    truth = np.array([50.0, 120.0, 0.01, 0.03, np.log(10.0)])
+    inside = np.abs(values - truth) < 1.96 * told
+    assert inside.mean() > 0.9  # of 200, 0.95 expected; 3.5 standard deviations
+    spread = np.sqrt(np.mean((values - truth) ** 2, axis=0))
+    assert np.all(told.mean(axis=0) < 1.6 * spread) and np.all(told.mean(axis=0) > 0.65 * spread)
+
+
+@pytest.mark.slow
+def test_ten_main_modes_of_the_shipped_structure_and_none_spurious():
+    measured = measured_accelerance(2)
+    hertz = measured.omega / (2 * np.pi)
+    fit = identify_modes(measured, (100.0, 6500.0))
+    frequencies = found_modes(fit)[0]
+    size = np.abs(measured.response)
+    peaks = find_peaks(20 * np.log10(size), prominence=8.0)[0]
+    peaks = peaks[(hertz[peaks] > 100) & (hertz[peaks] < 6500)]
+    main = hertz[peaks[np.argsort(size[peaks])[-10:]]]
+    assert sorted(main)[::9] == [900.0, 6077.5]
+    apart = np.array([np.abs(frequencies - peak).min() for peak in main])
+    assert (
+        np.sum(apart < 1.0) >= 9 and apart.max() < 1.3
+    )  # the one at 5969 Hz has a shoulder and is 11 Hz wide
+    # Every mode stands on a maximum of the measurement within its own width and two lines.
+    maxima = hertz[1:-1][(size[1:-1] > size[:-2]) & (size[1:-1] > size[2:])]
+    for frequency, damping in zip(frequencies, found_modes(fit)[1], strict=True):
+        assert np.abs(maxima - frequency).min() < max(2 * damping * frequency, 1.0)
+
+
+def hammered(hits, noise=0.0):
+    """Force and acceleration of hits on a machine of 40 kg with two modes, by its exact response; and their rate."""
+    rate, samples, rng = 5000.0, 8000, np.random.default_rng(hits)
+    t = np.arange(samples) / rate
+    hertz = np.fft.rfftfreq(8 * samples, 1 / rate)
+    response = accelerance(hertz, 40.0, [(120.0, 0.01, 0.8), (310.0, 0.015, -0.6)])
+    width = 5e-4 * rng.uniform(0.8, 1.3, (hits, 1))
+    force = rng.uniform(50, 200, (hits, 1)) * np.exp(-(((t - 0.02) / width) ** 2))
+    moved = np.fft.irfft(np.fft.rfft(force, 8 * samples) * response, 8 * samples)[:, :samples]
+    return {"force": force, "acceleration": moved + noise * rng.normal(size=moved.shape), "fs": rate}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("hits", [1, 2, 5])
+@pytest.mark.parametrize("noise", [0.0, 1e-2])
+def test_hammer_records_without_a_band_give_their_two_modes(tmp_path, hits, noise):
+    """Clean or with noise of a per cent of the peak, the command of `inspect` as it stands: all that was measured."""
+    np.savez(tmp_path / "hits.npz", **hammered(hits, noise))
+    file = load_machine(tmp_path / "hits.npz")
+    machine = build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)
+    assert machine.resonances_hz == pytest.approx([120.0, 310.0], rel=1e-3)
+    assert machine.mass == pytest.approx(40.0, rel=0.02)
+    assert machine.sensors[0].damping[1:] == pytest.approx([0.01, 0.015], rel=0.05)
+    assert ("1 hit: without a second there is no coherence to trust" in file.notes) == (hits == 1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("place", [0, 1])
+def test_a_measured_machine_on_springs_keeps_its_suspension(tmp_path, sign, place):
+    """Two masses on a soft spring by the equations of motion; the frequencies from the matrices' eigenvalues."""
+    hertz = np.arange(2.0, 1000.0, 0.5)
+    mass = np.diag([30.0, 10.0])
+    stiffness = 1.5e7 * np.array([[1.0, -1.0], [-1.0, 1.0]]) + np.diag([1e6, 0.0])
+    damping = 1e-5 * stiffness + 0.5 * mass
+    response = [
+        -(w**2) * np.linalg.solve(stiffness + 1j * w * damping - w**2 * mass, [sign, 0.0])[place]
+        for w in 2 * np.pi * hertz
+    ]
+    error = np.random.default_rng(place).normal(size=(2, len(hertz))) * 1e-4
+    np.savez(tmp_path / "a.npz", frequency=hertz, h=np.array(response) + error[0] + 1j * error[1])
+    machine = build_machine(
+        load_machine(tmp_path / "a.npz"), modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False
+    )
+    wanted = np.sqrt(np.sort(np.linalg.eigvals(np.linalg.solve(mass, stiffness)).real)) / (2 * np.pi)
+    assert machine.sensors[0].frequencies / (2 * np.pi) == pytest.approx(wanted, rel=1e-3)
+    assert machine.mass == pytest.approx(40.0, rel=0.02)
+    assert "on springs to the ground: its suspension at 25.11 Hz" in machine.notes
+    assert ("counted against the force, turned" in machine.notes) == (sign < 0)
+
+
+def test_a_matrix_of_responses_is_taken_one_by_one(tmp_path):
+    hertz = np.arange(5.0, 200.0, 0.5)
+    matrix = np.array([[accelerance(hertz, m + 10 * n, []) for n in (1, 2)] for m in (1, 2, 3)])
+    for name, stored in (("last", matrix), ("first", np.moveaxis(matrix, -1, 0))):
+        np.savez(tmp_path / f"{name}.npz", frequency=hertz, h=stored)
+        with pytest.raises(InputError, match=r"holds 6 responses; choose with response='h\[1,1\]'"):
+            load_machine(tmp_path / f"{name}.npz")
+        taken = load_machine(tmp_path / f"{name}.npz", response="h[3,2]").accelerance
+        assert taken.response == pytest.approx(matrix[2, 1], rel=1e-12)
+
+
+def test_diagram_marks_the_machine_and_little_else():
+    hertz = np.arange(5.0, 200.0, 0.5)
+    response = accelerance(hertz, 10.0, [(50.0, 0.01, 0.8), (120.0, 0.03, -0.5)])
+    diagram = stabilisation(2 * np.pi * hertz, response[:, None, None])
+    stable = diagram.frequency[diagram.stable] / (2 * np.pi)
+    near = np.abs(np.subtract.outer(stable, [50.0, 120.0])).min(axis=1) < 0.5
+    assert near.mean() > 0.5
+    settled = diagram.settled()
+    assert np.sort(settled[0, :2]) / (2 * np.pi) == pytest.approx([50.0, 120.0], rel=1e-3)
+
+
+def test_bad_arguments_are_refused():
+    omega = np.linspace(1.0, 2.0, 20)
+    with pytest.raises(InputError, match="at least 40 lines for order 10"):
+        complex_frequency_poles(omega, np.ones((20, 1, 1)), np.ones(20), 10)
+    measured = noisy(np.random.default_rng(0), np.arange(5.0, 99.0), 1.0, [], 1e-3)
+    with pytest.raises(InputError, match="guesses_hz must be empty or hold frequencies all inside"):
+        identify_modes(measured, (5.0, 98.0), [200.0])
+    with pytest.raises(InputError, match="no resonance stands out"):
+        identify_modes(measured, (5.0, 98.0))

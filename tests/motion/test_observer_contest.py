@@ -1,0 +1,296 @@
+"""The contest of observers: what an observer is given, who is shown to the door, and what the scores mean."""
+
+import csv
+import re
+import textwrap
+
+import numpy as np
+import pytest
+
+from experiments.motion.observer_contest import bench
+from experiments.motion.observer_contest.doubts import DOUBTS, hidden_seed, sample_truth
+from experiments.motion.observer_contest.entrants import ENTRANTS
+from experiments.motion.observer_contest.plants import PLANTS, sample_plant
+from experiments.motion.observer_contest.referee import Disqualified, ForeignObserver
+from experiments.motion.observer_contest.scores import contest_trial
+from experiments.motion.observer_contest.table import (
+    COLUMNS,
+    ContestResult,
+    leaderboard,
+    median_interval,
+    ranking,
+    run_contest,
+    write_table,
+)
+from experiments.motion.observer_contest.told import OwnObserver, told_of
+from stillwork.base import paths
+from stillwork.base.checks import InputError
+
+GUIDE = (paths.root() / "docs" / "contest.md").read_text(encoding="utf-8")
+# The guide's Kalman filter shares no code with the house's: its Riccati equation is run until it stands still.
+[KALMAN] = re.findall(r"^```python\n(.*?)^```$", GUIDE, re.DOTALL | re.MULTILINE)
+
+
+def test_the_guide_counts_right():
+    words = {6: "Six machines", 22: "22 ways"}
+    assert words[len(PLANTS)] in GUIDE and words[len(DOUBTS)] in " ".join(GUIDE.split())
+
+
+@pytest.fixture
+def told():
+    plant = sample_plant("drive", np.random.default_rng(0))
+    return plant, *told_of(plant, 1.0), plant.sample_time
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(text, name="mine.py"):
+        (tmp_path / name).write_text(textwrap.dedent(text), encoding="utf-8")
+        return tmp_path / name
+
+    return write
+
+
+def step_of(body, start="pass"):
+    """An observer whose `step` (and `start`) is this."""
+    return f"""
+import numpy as np
+class Observer:
+    def start(self, model, noise, sample_time):
+        self.n = len(model.a)
+        {start}
+    def step(self, input, measurement):
+        {body}
+        return np.zeros(self.n)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "text, reason",
+    [
+        (step_of("raise ValueError('no idea')"), "raises ValueError: no idea"),
+        (step_of("return np.full(self.n, np.nan)"), "not finite"),
+        (step_of("return np.zeros(self.n + 1)"), "an estimate of shape (5,), not (4,)"),
+        (step_of("return 'the truth'"), "raises ValueError"),
+        (step_of("while True: pass"), "hangs"),
+        (step_of("print('look')"), "prints"),
+        (step_of("import os; os.write(1, b'look')"), "prints"),
+        (step_of("self.all = [np.empty(10**8) for _ in range(1000)]"), "allocates more memory"),
+        (step_of("open('/etc/hostname').read()"), "reads files (/etc/hostname)"),
+        (step_of("import experiments.motion.observer_contest.doubts"), "reads files ("),
+        (step_of("import subprocess; subprocess.run(['true'])"), "asks for subprocess.Popen"),
+        (step_of("import os; os._exit(0)"), "its process ends"),
+        ("class Other: pass", "raises AttributeError"),
+        ("class Observer(:", "raises SyntaxError"),
+    ],
+)
+def test_who_breaks_the_rules_is_out_by_name_and_reason(text, reason, told, written):
+    given = told[1:]
+    seconds = 5.0 if "hangs" in reason else 60.0
+    with pytest.raises(Disqualified) as out, ForeignObserver(written(text), seconds) as observer:
+        observer.start([given])
+        for _ in range(2):
+            observer.step([0], np.zeros((1, 1)), np.zeros((1, 1)))
+    assert reason in str(out.value)
+
+
+@pytest.mark.slow
+def test_caught_errors_do_not_hide_what_was_tried(told, written):
+    sly = step_of(
+        """try:
+            open('/etc/passwd')
+        except PermissionError:
+            pass"""
+    )
+    given = told[1:]
+    with pytest.raises(Disqualified, match="reads files"), ForeignObserver(written(sly)) as observer:
+        observer.start([given])
+        observer.step([0], np.zeros((1, 1)), np.zeros((1, 1)))
+
+
+@pytest.mark.slow
+def test_an_observer_is_told_of_nothing_but_the_nominal_model(written):
+    """It writes what it finds into its estimate: of all arrays that its process holds none knows what comes."""
+    spy = """
+    import gc
+    import numpy as np
+    class Observer:
+        def start(self, model, noise, sample_time):
+            self.n, self.seen = len(model.a), 0
+            assert sorted(vars(model)) == [
+                'a', 'b', 'c', 'damping', 'frequencies', 'input_shapes', 'output_shapes', 'rigid_modes'
+            ]
+            assert sorted(vars(noise)) == ['process', 'sensor']
+        def step(self, input, measurement):
+            self.seen += 1
+            largest = max((each.size for each in gc.get_objects() if isinstance(each, np.ndarray)), default=0)
+            out = np.zeros(self.n)
+            out[0], out[1], out[2] = self.seen, largest, input.size + measurement.size
+            return out
+    """
+    plant = sample_plant("drive", np.random.default_rng(0))
+    with ForeignObserver(written(spy)) as observer:
+        observer.start([(*told_of(plant, 1.0), plant.sample_time)])
+        answers = np.array([observer.step([0], np.zeros((1, 1)), np.ones((1, 1)))[0] for _ in range(50)])
+    assert answers[:, 0].tolist() == list(range(1, 51))  # one call a sample, each before the next is shown
+    assert answers[:, 1].max() <= 1000  # not even a short scan fits in there; numpy's own tables do
+    assert set(answers[:, 2]) == {2.0}
+
+
+@pytest.mark.slow
+def test_a_foreign_kalman_filter_stands_where_ours_does(written):
+    scores, out = contest_trial(
+        "random machine",
+        0,
+        "a test",
+        {"Kalman": []},
+        {"mine": str(written(KALMAN))},
+        ("all 5 %", "lost 20 %"),
+    )
+    assert not out
+    ours, theirs = (
+        [(x.rigid, x.flexible, x.tracking) for x in scores if x.entrant == name]
+        for name in ("Kalman", "mine")
+    )
+    assert np.allclose(ours, theirs, rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_the_contest_goes_on_without_the_disqualified(written):
+    bad = written(step_of("return np.full(self.n, np.nan)"), "hopeless.py")
+    contest = run_contest("a test", 1, [bad], plants=("drive",), doubts=("none", "all 2 %"))
+    assert contest.disqualified == {"hopeless": "estimates that are not finite"}
+    assert {each.entrant for each in contest.scores} == set(ENTRANTS)
+    assert "hopeless" in leaderboard(contest).splitlines()[-1]
+
+
+def test_a_file_that_is_not_there_and_a_name_that_is_taken_are_told(written):
+    with pytest.raises(InputError, match="cannot be read"):
+        ForeignObserver("nowhere.py")
+    with pytest.raises(InputError, match="'Kalman' is an entrant already"):
+        run_contest("a test", 1, [str(written(KALMAN, "Kalman.py"))])
+
+
+def scan(name, doubt, samples=bench.SAMPLES, seed=1):
+    plant = sample_plant(name, np.random.default_rng(seed))
+    truth = sample_truth(plant, DOUBTS[doubt], samples, np.random.default_rng([seed, 1]))
+    return plant, truth, bench.record(bench.assemble(plant, truth, bench.CAUTIOUS, estimated=False))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", PLANTS)
+@pytest.mark.parametrize("doubt", ["drift 5 %", "truncation", "delay"])
+def test_scans_follow_the_equations_of_the_machine(name, doubt):
+    _, truth, record = scan(name, doubt)
+    pieces, samples = len(truth.a), len(record.states)
+    for k in range(0, samples - 1, 37):
+        piece = k * pieces // samples
+        following = truth.a[piece] @ record.states[k] + truth.b[piece] @ (
+            record.inputs[k + 1] + truth.process[k]
+        )
+        assert np.allclose(
+            record.states[k + 1], following, rtol=1e-10, atol=1e-12 * np.abs(record.states).max()
+        )
+        late = max(k - truth.delay, 0)
+        seen = truth.c @ record.states[late] + truth.sensor[late]
+        assert np.allclose(record.measurements[k], seen, rtol=1e-9, atol=1e-12 * np.abs(seen).max())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", PLANTS)
+def test_without_doubt_the_machine_is_the_one_told_of_and_the_cautious_loop_holds(name):
+    plant, truth, record = scan(name, "none")
+    model, _ = told_of(plant, 1.0)
+    assert np.allclose(truth.a, model.a, rtol=1e-12) and np.allclose(truth.c, model.c, rtol=1e-12)
+    machine = bench.assemble(plant, truth, bench.CAUTIOUS, estimated=False)
+    stroke = machine.setpoint[-1, 0]
+    assert bench.tracking_error(machine, record.states) < 0.01 * stroke
+    assert bench.state_errors(record, np.zeros_like(record.states), model.rigid_modes) == (1.0, 1.0)
+    perfect = bench.state_errors(record, record.states, model.rigid_modes)
+    assert perfect == (0.0, 0.0)
+
+
+@pytest.mark.slow
+def test_a_loop_with_the_estimate_zero_is_the_loop_alone():
+    plant, truth, record = scan("stage", "all 2 %")
+    machine = bench.assemble(plant, truth, bench.CAUTIOUS, estimated=True)
+    width = machine.compensation.shape[1]
+    moved = bench.run_scans([bench.loop_scan(machine)], lambda *_: [np.zeros(width)])[0]
+    assert np.allclose(moved, record.states, rtol=1e-12, atol=0)
+
+
+@pytest.mark.slow
+def test_the_true_states_let_the_bold_loop_stand_and_zero_does_not():
+    """What measurement compensation and active damping are for, with the best estimate there could be."""
+    plant, truth, record = scan("stage", "none")
+    machine = bench.assemble(plant, truth, bench.BOLD, estimated=True)
+    width, run = machine.compensation.shape[1], bench.loop_scan(machine)
+    next(run)
+    with pytest.raises(StopIteration) as end:
+        while True:
+            run.send(run.gi_frame.f_locals["memory"][0][:width].copy())
+    moved = end.value.value
+    steady = bench.tracking_error(
+        bench.assemble(plant, truth, bench.CAUTIOUS, estimated=False), record.states
+    )
+    assert bench.tracking_error(machine, moved) < 0.1 * steady
+    [alone] = bench.run_scans([bench.loop_scan(machine)], lambda *_: [np.zeros(width)])
+    assert bench.tracking_error(machine, alone) == np.inf
+
+
+def test_hidden_seeds_follow_from_the_public_number_alone():
+    assert hidden_seed("20180628", "stage", 0) == hidden_seed("20180628", "stage", 0)
+    others = {hidden_seed(public, plant, k) for public in "12" for plant in PLANTS for k in range(20)}
+    assert len(others) == 2 * len(PLANTS) * 20 and max(others) < 2**64
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ENTRANTS)
+def test_sample_by_sample_is_what_the_whole_scan_gives(name):
+    plant, _, record = scan("drive", "lost 20 %", 60)
+    given = *told_of(plant, 1.0), plant.sample_time
+    observer = OwnObserver(ENTRANTS[name])
+    observer.start(*given)
+    whole = observer.run(record.inputs, record.measurements)
+    observer.start(*given)
+    for k, (u, y) in enumerate(zip(record.inputs, record.measurements, strict=True)):
+        assert np.array_equal(observer.step(u, y), whole[k])
+    # What comes later changes nothing: the same start of another scan gives the same estimates.
+    observer.start(*given)
+    changed = record.measurements.copy()
+    changed[40:] += 1.0
+    assert np.array_equal(observer.run(record.inputs, changed)[:40], whole[:40])
+
+
+def test_the_interval_of_a_median_holds_it_as_often_as_it_says():
+    rng = np.random.default_rng(0)
+    for runs in (6, 10, 25):
+        held = 0
+        for _ in range(2000):
+            _, low, high = median_interval(rng.exponential(size=runs))
+            held += low <= np.log(2) <= high
+        assert held / 2000 > 0.94
+    assert median_interval([3.0, np.inf, 1.0]) == (3.0, 1.0, np.inf)
+
+
+@pytest.mark.slow
+def test_the_table_and_the_ranking_say_what_the_scores_say(tmp_path):
+    contest = run_contest("a test", 2, plants=("drive",), doubts=("all 2 %",), loops=0)
+    write_table(contest, tmp_path / "table.csv")
+    with open(tmp_path / "table.csv", encoding="utf-8") as stream:
+        header, *lines = csv.reader(stream)
+    assert tuple(header) == COLUMNS
+    assert len(lines) == 5 * len(ENTRANTS)  # three of the ranking, rigid and flexible; no loop was run
+    zero = [line for line in lines if line[0] == "zero" and line[1] != "all"]
+    assert {tuple(line[4:7]) for line in zero} == {("1", "1", "1")}
+    stood = ranking(contest)
+    assert [each.error for each in stood] == sorted(each.error for each in stood)
+    own = [each.flexible for each in contest.scores if each.entrant == "Kalman"]
+    kalman = next(each for each in stood if each.entrant == "Kalman")
+    assert kalman.error == pytest.approx(np.mean(own)) and kalman.behind_interval == (0.0, 0.0)
+    # A tie is one place for both.
+    twins = [each._replace(entrant="twin") for each in contest.scores if each.entrant == "Kalman"]
+    stood = ranking(ContestResult(contest.scores + twins, {}))
+    ranks = {each.entrant: each.rank for each in stood}
+    assert ranks["twin"] == ranks["Kalman"]

@@ -1,0 +1,31 @@
+"""The page of benchmarks: its ratios are those of the committed tables, and it names no place on a machine."""
+
+import csv
+
+from stillwork.base import paths
+from stillwork.site.benchmarks import benchmarks
+
+
+def test_ratios_are_those_of_the_committed_times():
+    updates, unknowns, filters = benchmarks()
+    with paths.data("isolation", "update_times/update_times.csv").open(encoding="utf-8") as file:
+        median = {row["form"]: float(row["median_us"]) for row in csv.DictReader(file)}
+    found = dict(updates.rows)
+    assert found["FeRLS of this library"] == ((median["recursion"], 1.0),)
+    assert found["padasip FilterRLS, one an actuator"] == (
+        (median["padasip"], median["padasip"] / median["recursion"]),
+    )
+    with paths.data("worstcase", "update_times/update_times.csv").open(encoding="utf-8") as file:
+        exact = {
+            row["unknowns"]: float(row["exact (us)"]) / float(row["RLS (us)"]) for row in csv.DictReader(file)
+        }
+    ratios = [ratio for _, ratio in dict(unknowns.rows)["min-max, exact update"]]
+    assert unknowns.headings == ("5", "20", "100")
+    assert ratios == [exact[size] for size in unknowns.headings]
+    assert {ratio for _, ((_, ratio),) in filters.rows} >= {1.0}
+
+
+def test_a_table_says_on_what_it_was_measured_and_how_to_measure_it():
+    for table in benchmarks():
+        assert "Python" in table.machine and "/" not in table.machine
+        assert (paths.root() / table.command.split()[1]).is_file()

@@ -1,0 +1,85 @@
+"""What a release refuses and holds, and that a stranger can install its wheel."""
+
+import io
+import subprocess
+import tarfile
+import zipfile
+
+import pytest
+
+from stillwork.base import paths
+from stillwork.base.checks import InputError
+from stillwork.site import release
+
+
+@pytest.fixture
+def workbook(tmp_path, monkeypatch):
+    """A checkout that states its version in each of the files that do."""
+    (tmp_path / "data").mkdir()
+    (tmp_path / ".gitignore").write_text("build/\n")
+    (tmp_path / "pyproject.toml").write_text('[project]\nname = "toy"\nversion = "0.1.0"\n')
+    (tmp_path / "CITATION.cff").write_text("version: 0.1.0\n")
+    (tmp_path / "CHANGELOG.md").write_text("# Changelog\n\n## 0.1.0 (unreleased)\n\n- All.\n")
+    (tmp_path / "codecheck.yml").write_text("---\npaper:\n  title: toy\n  authors:\n    - name: A\n")
+    run = ["git", "-c", "user.name=a", "-c", "user.email=a@b", "-C", str(tmp_path)]
+    for command in (["init", "-q"], ["add", "-A"], ["commit", "-q", "-m", "all"]):
+        subprocess.run([*run, *command], check=True)
+    monkeypatch.setenv("STILLWORK_ROOT", str(tmp_path))
+    return tmp_path
+
+
+def test_what_is_not_committed_is_not_released(workbook):
+    (workbook / "CITATION.cff").write_text("version: 0.1.0\ntitle: toy\n")
+    with pytest.raises(InputError, match=r"CITATION\.cff is not committed, and 1 in all; commit"):
+        release.release()
+
+
+@pytest.mark.parametrize(
+    ("file", "text"),
+    [("CITATION.cff", "version: 0.2.0\n"), ("CHANGELOG.md", "# Changelog\n\n## 0.2.0\n")],
+)
+def test_versions_that_differ_are_found(workbook, file, text):
+    assert release.same_version() == "0.1.0"
+    (workbook / file).write_text(text)
+    with pytest.raises(InputError, match=rf"{file} states version 0\.2\.0, pyproject\.toml 0\.1\.0"):
+        release.same_version()
+
+
+def test_an_archive_holds_what_is_committed_and_has_the_same_bytes_twice(workbook):
+    (workbook / "not-committed").write_text("")
+    content = release.archive("0.1.0")
+    assert content == release.archive("0.1.0")
+    with tarfile.open(fileobj=io.BytesIO(content)) as whole:
+        names = {each.name for each in whole.getmembers() if each.isfile()}
+    wanted = {".gitignore", "pyproject.toml", "CITATION.cff", "CHANGELOG.md", "codecheck.yml"}
+    assert names == {f"stillwork-0.1.0/{name}" for name in wanted}
+
+
+def test_a_zipped_folder_has_the_same_bytes_whenever_its_files_were_written(tmp_path):
+    (tmp_path / "site/a").mkdir(parents=True)
+    (tmp_path / "site/a/b.html").write_text("text")
+    first = release.zipped(tmp_path / "site", "toy")
+    (tmp_path / "site/a/b.html").touch()
+    assert release.zipped(tmp_path / "site", "toy") == first
+    assert zipfile.ZipFile(io.BytesIO(first)).read("toy/a/b.html") == b"text"
+
+
+def test_it_tells_what_is_left_to_a_person(workbook):
+    lines = release.left_to_do("0.1.0")
+    assert any("still says 'unreleased'" in line for line in lines)
+    assert any("codecheck.yml lacks paper.reference, an ORCID for each author" in line for line in lines)
+    assert any("codechecker, report, summary, certificate" in line for line in lines)
+    (workbook / "CHANGELOG.md").write_text(
+        "# Changelog\n\n## 0.1.0 (2026-11-30)\n\n- An unreleased thought.\n"
+    )
+    assert not any("still says" in line for line in release.left_to_do("0.1.0"))
+
+
+@pytest.mark.slow
+def test_a_stranger_installs_the_wheel_and_runs_its_tests(monkeypatch):
+    monkeypatch.setattr(release, "STRANGER", ("rounding",))
+    ((name, content),) = release.wheel(paths.root()).items()
+    source = release.archive("0.1.0")
+    assert release.try_wheel(name, content, source) == 0
+    monkeypatch.setattr(release, "STRANGER", ("house",))  # asks for the checkout, which is not there
+    assert release.try_wheel(name, content, source) != 0

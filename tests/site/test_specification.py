@@ -1,0 +1,83 @@
+"""Specification curves, of a study of two axes that can be told by hand."""
+
+import re
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from stillwork.site.specification import HEIGHT, TOP, _curve
+from stillwork.workbook.claims import Entry, Tolerance
+from stillwork.workbook.readings.axes import Axis, Multiverse
+from stillwork.workbook.readings.judging import Standing
+from stillwork.workbook.readings.results import Outcomes
+
+# Value = size of `scale`, or minus it: published is 2, and 1.5 to 2.5 agree.
+SCALE = Axis("motion.scale", "how large?", (1.0, 2.0, 4.0), 2.0, "not printed", ("motion.size",), "number")
+SIGN = Axis("motion.sign", "which way?", ("up", "down"), "up", "not printed", ("motion.size",), "text")
+OTHER = Axis("motion.other", "what else?", ("a", "b"), "a", "not printed", ("motion.else",), "text")
+DESIGN = [(scale, sign, 0) for scale in range(3) for sign in range(2)]
+VALUES = np.array([[(1.0, 2.0, 4.0)[scale] * (1, -1)[sign]] for scale, sign, _ in DESIGN])
+
+
+def curve(values=VALUES, published=2.0, kind="value"):
+    tolerance = None if kind == "reported" else Tolerance("printed", absolute=0.5)
+    entry = Entry("motion.size", "Table 1", "size", "m", kind, published, tolerance, reason="a toy")
+    agrees = np.abs(values - 2) <= 0.5
+    standing = Standing(entry, (SCALE, SIGN), values, agrees, np.zeros(values.shape, bool))
+    seeds = tuple(range(1, values.shape[1] + 1))
+    study = Multiverse("motion", "toy", "a:b", ("motion.size",), (SCALE, SIGN, OTHER), seeds)
+    return _curve(Outcomes(study, DESIGN, {"motion.size": values}), standing)
+
+
+def places(path):
+    return [(float(x), float(y)) for x, y in re.findall(r"M([\d.]+) ([\d.]+)h0", path)]
+
+
+def test_values_rise_from_left_to_right_and_colours_tell_who_agrees():
+    drawn = curve()
+    assert {kind: len(places(path)) for kind, path in drawn.dots.items()} == {"agrees": 1, "differs": 5}
+    rising = sorted(place for path in drawn.dots.values() for place in places(path))
+    assert all(a[1] > b[1] for a, b in pairwise(rising))  # heights grow downwards
+    assert places(drawn.dots["agrees"])[0] == pytest.approx((rising[4][0], drawn.published), abs=0.06)
+    assert drawn.ticks == ((TOP + HEIGHT, "-4"), (TOP, "4"))
+    assert drawn.band == pytest.approx((TOP + HEIGHT * (4 - 2.5) / 8, HEIGHT / 8))
+    assert drawn.seeds == ""
+
+
+def test_below_each_value_stand_the_options_that_gave_it():
+    drawn = curve()
+    names = [name for _, name, _ in drawn.options]
+    assert names == ["scale: 1.0", "scale: 2.0 (taken)", "scale: 4.0", "sign: up (taken)", "sign: down"]
+    columns = sorted(x for path in drawn.dots.values() for x, _ in places(path))
+    on = {
+        name: sorted(columns.index(x) for path in paths.values() for x, _ in places(path))
+        for (_, name, paths) in drawn.options
+    }
+    # In order of value: -4, -2, -1, 1, 2, 4.
+    assert list(on.values()) == [[2, 3], [1, 4], [0, 5], [3, 4, 5], [0, 1, 2]]
+    assert drawn.options[1][2].keys() == {"agrees", "differs"}
+
+
+def test_seeds_show_as_ranges_and_what_gave_nothing_is_left_out():
+    values = VALUES + np.array([[-0.1, 0.1]])
+    values[0] = np.nan
+    drawn = curve(values)
+    assert drawn.seeds.count("M") == 5
+    assert sum(len(places(path)) for path in drawn.dots.values()) == 5
+
+
+def test_a_published_value_far_from_all_readings_leaves_the_scale_to_them():
+    drawn = curve(published=1000.0)
+    assert drawn.published is None and drawn.band is None
+    assert [text for _, text in drawn.ticks] == ["-4", "4"]
+
+
+def test_what_is_not_judged_has_a_colour_of_its_own():
+    assert curve(kind="reported").dots.keys() == {"open"}
+
+
+def test_a_wide_range_is_drawn_by_its_logarithm():
+    drawn = curve(np.array([[10.0**k] for k in range(6)]), published=100.0)
+    heights = [y for _, y in sorted(place for path in drawn.dots.values() for place in places(path))]
+    assert np.allclose(np.diff(heights), -HEIGHT / 5, atol=0.11)

@@ -1,0 +1,200 @@
+"""The estimators of the comparison against slow twins, brute force and what theory says of long records."""
+
+import numpy as np
+import pytest
+from scipy import optimize
+
+from experiments.worstcase import comparison, comparison_pictures
+from experiments.worstcase.comparison import (
+    EXCITATIONS,
+    METHODS,
+    SETTINGS,
+    Setting,
+    among_best,
+    compare,
+    comparison_trial,
+    estimates,
+    hinfinity_estimate,
+    hinfinity_model,
+    instrumental_variables,
+    over_best,
+    recommend,
+    sample_record,
+)
+from stillwork.base.checks import InputError
+from stillwork.estimation.hinfinity import smallest_level
+from stillwork.workbook import figures
+
+FORGETTING = 0.9
+
+
+def record(setting=SETTINGS["noise 0.5, 0.5"], excitation="low-pass", taps=3, rows=40, seed=1):
+    return sample_record(np.random.default_rng(seed), setting, excitation, taps, rows)
+
+
+def nearest(cost, start):
+    return optimize.minimize(cost, start, method="BFGS", options={"gtol": 1e-10}).x
+
+
+def test_every_estimate_minimises_its_own_criterion():
+    """Sums over samples, written out; the minimum is left to a general optimiser."""
+    one = record()
+    found = estimates(one, FORGETTING)
+    assert list(found) == list(METHODS)
+    rows, taps = one.matrix.shape
+    weight = [FORGETTING ** (rows - 1 - t) for t in range(rows)]
+    square = sum(weight[t] * one.perturbation[t] @ one.perturbation[t] for t in range(rows)) / taps
+    noise = sum(weight[t] * one.noise[t] ** 2 for t in range(rows))
+    bound = np.sqrt(
+        np.linalg.eigvalsh(sum(w * np.outer(e, e) for w, e in zip(weight, one.perturbation, strict=True)))[-1]
+    )
+
+    def misfit(x):
+        return sum(weight[t] * (one.target[t] - one.matrix[t] @ x) ** 2 for t in range(rows))
+
+    criteria = {
+        "least": misfit,
+        "ridge": lambda x: misfit(x) + square * x @ x,
+        "bayes": lambda x: misfit(x) + taps * (noise + square) / sum(weight) * x @ x,
+        "compensated": lambda x: misfit(x) - square * x @ x,
+        "total": lambda x: misfit(x) / (square * x @ x + noise),
+        "min_max": lambda x: np.sqrt(misfit(x)) + bound * np.linalg.norm(x),
+    }
+    for name, criterion in criteria.items():
+        # a minimum found from differences of the criterion is good to the root of rounding, 1e-8, and some conditioning
+        assert nearest(criterion, found["least"]) == pytest.approx(found[name], abs=2e-6), name
+    mild = estimates(record(SETTINGS["noise 0.1, 0.1"]), FORGETTING)
+    # one step of the iteration leaves a share f' of alpha's error, which is small for a small bound
+    assert mild["approximate"] == pytest.approx(mild["min_max"], abs=1e-3)
+
+
+def test_instruments_are_two_regressions():
+    one = record()
+    projection = one.instruments @ np.linalg.pinv(one.instruments)
+    inner = one.matrix.T @ projection
+    expected = np.linalg.inv(inner @ one.matrix) @ inner @ one.target
+    assert instrumental_variables(one.matrix, one.target, one.instruments) == pytest.approx(expected)
+
+
+def test_long_records_tell_consistent_methods_from_the_others():
+    """White noise of known size: least squares stays off, three methods come nearer with the root of the length."""
+    one = record(Setting(0.5, 0.5), "three tones", rows=20000, seed=2)
+    errors = {name: np.linalg.norm(x - one.truth) for name, x in estimates(one, 1 - 1e-9).items()}
+    assert all(errors[name] < 0.06 for name in ("total", "compensated", "instrumental"))
+    assert errors["least"] > 0.15 and errors["min_max"] > errors["ridge"] > errors["least"]
+
+
+def gain_of(matrix, level):
+    """Largest ratio of the errors' energy to that of what is unknown, by the filter run on each unknown of its own."""
+    rows, taps = matrix.shape
+    deviation = 0.7
+    columns = []
+    for unknown in np.eye(taps + rows):
+        truth, noise = unknown[:taps] / np.sqrt(taps), deviation * unknown[taps:]
+        # the state grows as forgetting^(-t/2) while white noise does not, so neither do the outputs of the model
+        growth = FORGETTING ** (-np.arange(1, rows + 1) / 2)
+        outputs = (matrix @ truth) + noise / growth
+        errors = [truth]
+        for t in range(1, rows):
+            found = filtered(matrix[:t], outputs[:t], deviation, level)
+            errors.append(growth[t - 1] * (truth - found))
+        columns.append(np.concatenate(errors))
+    return np.linalg.norm(np.array(columns).T, 2)
+
+
+def filtered(matrix, outputs, deviation, level):
+    # information form, with plain inverses: P^-1 - level^-2 I at the start of each step, then the sample
+    taps = matrix.shape[1]
+    information, state = taps * np.eye(taps), np.zeros(taps)
+    for t, (row, output) in enumerate(zip(matrix, outputs, strict=True), 1):
+        information = FORGETTING * (information - np.eye(taps) / level**2)
+        assert np.linalg.eigvalsh(information)[0] > 0
+        information = information + np.outer(row, row) / deviation**2
+        state = state / np.sqrt(FORGETTING)
+        scaled = FORGETTING ** (-t / 2) * output
+        state = state + np.linalg.inv(information) @ row * (scaled - row @ state) / deviation**2
+    return state * FORGETTING ** (len(outputs) / 2)
+
+
+def test_hinfinity_keeps_its_level_and_nothing_keeps_less(monkeypatch):
+    matrix = record(rows=9).matrix
+    model = hinfinity_model(matrix, 0.7, FORGETTING)
+    smallest = smallest_level(model, np.eye(3), 1e-3)
+    monkeypatch.setattr(comparison, "MARGIN", 1.3)
+    target = np.random.default_rng(3).standard_normal(9)
+    level = 1.3 * smallest_level(model, np.eye(3), 1e-2)
+    twin = filtered(matrix, target, 0.7, level)
+    assert hinfinity_estimate(matrix, target, 0.7, FORGETTING) == pytest.approx(twin, abs=1e-9)
+    assert smallest / 1.001 < gain_of(matrix, level) < level
+    with pytest.raises(AssertionError):  # below the smallest level the information loses its sign
+        filtered(matrix, target, 0.7, 0.99 * smallest)
+
+
+@pytest.mark.parametrize("excitation", EXCITATIONS)
+def test_a_record_is_what_it_says(excitation):
+    one = record(Setting(0.3, 0.2), excitation, rows=4000)
+    assert (one.matrix + one.perturbation) @ one.truth + one.noise == pytest.approx(one.target)
+    assert np.linalg.norm(one.truth) == pytest.approx(1)
+    clean = one.matrix + one.perturbation
+    # three deviations of the variance of 4000 samples, fewer that are independent with a low-pass
+    assert clean.std() == pytest.approx(1, rel=0.05)
+    assert one.perturbation.std() == pytest.approx(0.3, rel=0.05) and one.noise.std() == pytest.approx(
+        0.2, rel=0.05
+    )
+    assert one.instruments[3:, 0] == pytest.approx(one.matrix[:-3, 0])  # three samples older
+    power = np.abs(np.fft.rfft(clean[:, 0])) ** 2
+    near = slice(int(0.052 * 4000), int(0.062 * 4000))
+    share = power[near].sum() / power.sum()
+    assert (share > 0.7) == (excitation == "tone")
+
+
+def test_gain_delay_jump_and_colour():
+    assert (one := record(Setting(gain=1.2))).perturbation == pytest.approx(0.2 * one.matrix)
+    late = record(Setting(delay=1.0))
+    assert (late.matrix + late.perturbation)[1:] == pytest.approx(late.matrix[:-1])
+    half = record(Setting(delay=0.5, output_noise=0.0), "tone", rows=500)
+    true, measured = half.matrix + half.perturbation, half.matrix
+    # the tone is most of it: over half a sample it turns by half of its angle over one
+    assert np.corrcoef(true[:, 0], measured[:, 0])[0, 1] == pytest.approx(
+        0.25 + 0.75 * np.cos(np.pi * 0.057), abs=0.05
+    )
+    jump = record(Setting(output_noise=0.0, jump=10))
+    signs = np.sign(jump.target / (jump.matrix @ jump.truth))
+    assert np.all(signs[:-10] == -1) and np.all(signs[-10:] == 1)
+    noise = record(Setting(output_noise=1.0, output_pole=0.9), rows=20000).noise
+    assert np.corrcoef(noise[1:], noise[:-1])[0, 1] == pytest.approx(0.9, abs=0.01)
+    assert noise.std() == pytest.approx(1, rel=0.1)
+    with pytest.raises(InputError, match="jump is 40"):
+        record(Setting(jump=40))
+
+
+def test_cells_can_be_made_again_and_nothing_has_a_smaller_worst_case_than_min_max():
+    chosen = {name: SETTINGS[name] for name in ("noise 0.5, 0.5", "gain 0.8")}
+    found = compare(chosen, 4, 3, 3, 60, FORGETTING)
+    assert found["errors"].shape == (2, len(EXCITATIONS), 4, len(METHODS))
+    stream = np.random.default_rng(np.random.SeedSequence(3 + 7).spawn(4)[2])
+    again = comparison_trial(stream, SETTINGS["gain 0.8"], "tone", 3, 60, FORGETTING)
+    assert np.array_equal(again["errors"], found["errors"][1, 3, 2])
+    best = found["worst"][..., list(METHODS).index("min_max")]
+    assert np.all(found["worst"] >= best[..., None] * (1 - 1e-12))
+
+
+def test_the_judgement_of_a_cell():
+    """Two runs a method, errors by hand: geometric means 2, 4 and 2; the third scatters too much to be behind."""
+    errors = np.array([[[2.0, 4.0, 0.1], [2.0, 4.0, 44.1]]])
+    assert over_best(errors)[0] == pytest.approx([1, 2, 1.05], abs=1e-4)
+    assert among_best(errors).tolist() == [[True, False, True]]
+    # two excitations: the second method is nowhere best, and nowhere far behind
+    rows = np.array([[[[1.0, 1.1, 3.0]] * 2, [[3.0, 1.1, 1.0]] * 2]])
+    assert recommend(rows).tolist() == [1]
+
+
+def test_pictures_show_every_cell():
+    names = ["noise 0.5, 0.5", "gain 0.8"]
+    errors = compare({name: SETTINGS[name] for name in names}, 3, 3, 3, 60, FORGETTING)["errors"]
+    drawn = figures.plotted(comparison_pictures.paint_map(names, errors))
+    cells = [row for row in drawn if row[-1]]
+    assert len(cells) == len(names) * len(EXCITATIONS) * len(METHODS)
+    ratios = figures.plotted(comparison_pictures.paint_ratios(names, errors))
+    assert {row[1] for row in ratios} >= {METHODS[name] for name, _ in comparison_pictures.AGAINST}
+    comparison_pictures.explore_comparison(0.1, 0.1, 1.0, 0.0, 2)
