@@ -168,6 +168,9 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
         default="20180628",
         help="what the hidden seeds follow from, e.g. a lottery's draw",
     )
+    contest.add_argument(
+        "--loops", type=_count, metavar="N", help="seeds of which the loops are run, too (default: all)"
+    )
     contest.add_argument("--jobs", type=_count, metavar="N", help="processes (default: one a core)")
     contest.add_argument("--scheduler", metavar="ADDRESS", help="run on the workers of a Dask cluster")
     contest.add_argument("--out", metavar="FILE.csv", help="write the table there")

@@ -97,7 +97,7 @@ def test_divergence_is_reported_with_time_and_cause(exact, approximate, short):
     wild = Controller(SavitzkyGolay(40), RobustTransformation(), KinematicDesign(36.0), approximate)
     run = simulate(exact, wild, short, start=(0.0, 0.0))
     assert run.diverged_at == pytest.approx(0.1, abs=0.1)
-    assert run.cause == "the plant left the bound of 10 m and 10 m/s"
+    assert run.cause == "the plant left the bound of 10 in position and 10 in velocity"
     done = round(run.diverged_at / STEP)
     assert np.isfinite(run.position[:done]).all() and np.isnan(run.position[done + 1 :]).all()
     assert all(np.isinf(value) for value in judge(run, settle=0.1).values())

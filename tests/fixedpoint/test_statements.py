@@ -12,6 +12,7 @@ from experiments.fixedpoint.statements import (
     WINDOW_PRECISE,
     changed,
     fraction,
+    longest_replaced,
     pooled,
     rankings,
     statements,
@@ -109,3 +110,35 @@ def test_sweep_is_compare_at_each_frequency(exact, approximate):
     error = run.position_error[2000:]
     assert fast[LOW_PASS]["position"][0] == pytest.approx(np.sqrt(np.mean(error**2)))
     assert slow[LOW_PASS]["position"][0] < fast[LOW_PASS]["position"][0]
+
+
+def test_the_longest_gap_that_a_simple_filter_bridges_as_well_by_hand():
+    def gap(*positions):
+        names = (WINDOW, LOW_PASS, KALMAN)
+        return {name: study(each, (1, 1)) for name, each in zip(names, positions, strict=True)}
+
+    worse, level = gap([3.0, 3.0], [2.0, 2.0], [1.0, 3.0]), gap([3.0, 1.0], [2.0, 3.0], [2.0, 1.0])
+    lost = gap([np.inf, 1.0], [np.inf, 1.0], [np.inf, 5.0])
+    assert longest_replaced([0.01, 0.02, 0.05], [worse, level, lost], KALMAN) == 0.02
+    assert longest_replaced([0.01, 0.05], [worse, lost], KALMAN) == 0.0
+
+
+def test_signals_are_lost_in_every_run_alike(exact, approximate, short):
+    controller = published_controllers(approximate)[KALMAN]
+    options = {"lost_every": 0.1, "lost_for": 0.02}
+    runs = [noisy_run(exact, controller, short, Noise("gaussian", 1e-5), seed, **options) for seed in (1, 2)]
+    for run in runs:
+        assert np.flatnonzero(np.isnan(run.measured))[:21].tolist() == [*range(80, 100), 180]
+    held = noisy_run(exact, controller, short, Noise("gaussian", 1e-5), 1, lost="hold", **options)
+    assert (held.measured[80:100] == held.measured[79]).all()
+
+
+def test_the_forces_place_is_the_filtered_one_where_it_is_asked_for(exact, approximate, short):
+    """The force is the approximate model's answer, at one position or the other."""
+    controller = published_controllers(approximate)[LOW_PASS]
+    for asked, place in ((False, "measured"), (True, "position_estimate")):
+        run = noisy_run(exact, controller, short, Noise("gaussian", 1e-4), 1, force_from_estimate=asked)
+        states = zip(getattr(run, place), run.velocity_estimate, run.deformed, strict=True)
+        assert run.force == pytest.approx(
+            [approximate.force(*each, approximate.parameters) for each in states]
+        )

@@ -72,7 +72,7 @@ def paint_noisy(kind: str, amplitude: float, frequency_hz: float, integration: s
     trajectory = asin_trajectory(frequency_hz=float(frequency_hz))
     noise = Noise(kind, float(amplitude))
     runs = {
-        name: noisy_run(exact, controller, trajectory, noise, 0, integration)
+        name: noisy_run(exact, controller, trajectory, noise, 0, integration=integration)
         for name, controller in published_controllers(approximate).items()
     }
     return _error_lines(runs, f"{kind} noise")

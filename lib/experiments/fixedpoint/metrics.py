@@ -5,7 +5,7 @@ from concurrent.futures import Executor
 
 import numpy as np
 
-from experiments.fixedpoint.noise import Noise
+from experiments.fixedpoint.noise import Noise, lose
 from stillwork.base.checks import InputError, require_number
 from stillwork.control.fixed_point import ControlledRun, Controller, simulate
 from stillwork.control.trajectory import Trajectory, asin_trajectory
@@ -47,11 +47,14 @@ def compare(
     *,
     runs: int,
     seed: int,
-    integration: str = "semi-implicit",
     executor: Executor | None = None,
+    **options,
 ) -> dict[str, Study]:
-    """Judge every controller over the same `runs` noise records: a study a controller, with the quantities of `judge`."""
-    settings = {"plant": plant, "trajectory": trajectory, "noise": noise, "integration": integration}
+    """Judge every controller over the same `runs` noise records: a study a controller, with the quantities of `judge`.
+
+    The options are those of `noisy_run`.
+    """
+    settings = {"plant": plant, "trajectory": trajectory, "noise": noise, **options}
     return {
         name: run_study(
             trial, runs, seed, executor=executor, progress=False, controller=controller, **settings
@@ -66,10 +69,10 @@ def trial(
     controller: Controller,
     trajectory: Trajectory,
     noise: Noise,
-    integration: str = "semi-implicit",
+    **options,
 ) -> dict[str, float]:
     """One run with noise from `rng`, judged."""
-    return judge(noisy_run(plant, controller, trajectory, noise, rng, integration))
+    return judge(noisy_run(plant, controller, trajectory, noise, rng, **options))
 
 
 def noisy_run(
@@ -78,18 +81,22 @@ def noisy_run(
     trajectory: Trajectory,
     noise: Noise,
     rng: np.random.Generator | int,
-    integration: str = "semi-implicit",
+    *,
+    lost_every: float = 0.0,
+    lost_for: float = 0.0,
+    **options,
 ) -> ControlledRun:
-    """One run with noise from a generator or a seed."""
+    """One run with noise from a generator or a seed, signals lost as in `noise.lose`, other options of `control.simulate`."""
     rng = np.random.default_rng(rng)
+    added = lose(noise.sample(rng, len(trajectory.position)), trajectory.time_step, lost_every, lost_for)
     return simulate(
         plant,
         controller,
         trajectory,
-        noise.sample(rng, len(trajectory.position)),
+        added,
         resolution=noise.resolution,
         grid=noise.sample_grid(rng),
-        integration=integration,
+        **options,
     )
 
 

@@ -131,15 +131,19 @@ def paint_errors_by_case(
 
 
 def paint_errors_over_frequency(
-    frequencies_hz, studies: dict[str, list[dict[str, Study]]], quantity="position"
+    frequencies_hz,
+    studies: dict[str, list[dict[str, Study]]],
+    quantity="position",
+    label="trajectory frequency (Hz)",
 ):
-    """RMS error against the trajectory's frequency, a panel a noise case; the published setting is not known."""
-    figure, panels = figures.new(1, len(studies), height=3.3, sharey=True)
+    """RMS error against the trajectory's frequency, or what else `label` says, a panel a case; none where a run diverged."""
+    figure, panels = figures.new(1, len(studies), height=3.3, sharex=True, sharey=True)
     for axes, (case, sweep) in zip(np.atleast_1d(panels), studies.items(), strict=True):
         for name in sweep[0]:
-            values = [METRICS[quantity][2] * study[name][quantity].mean() for study in sweep]
+            values = np.array([METRICS[quantity][2] * study[name][quantity].mean() for study in sweep])
+            values[np.isinf(values)] = np.nan
             axes.loglog(frequencies_hz, values, "o-", markersize=3, color=COLOURS[name], label=name)
-        axes.set(xlabel="trajectory frequency (Hz)", title=case)
+        axes.set(xlabel=label, title=case)
         log_axis(axes.xaxis)
         log_axis(axes.yaxis)
     np.atleast_1d(panels)[0].set_ylabel(METRICS[quantity][0])

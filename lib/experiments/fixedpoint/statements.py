@@ -102,3 +102,13 @@ def table(studies: dict[str, dict[str, Study]], corrected: str, printed: str) ->
                 cells.append(f"{share:.2f}" if repeated else f"{share:.2f} ({low:.2f} .. {high:.2f})")
             rows.append((case, name, *cells))
     return StatementTable(tuple(rows))
+
+
+def longest_replaced(gaps: list[float], studies: list[dict[str, Study]], kalman: str) -> float:
+    """Longest gap, s, at which the better simple filter tracks q as well as the Kalman filter in every run; 0 if none."""
+    replaced = [0.0]
+    for gap, study in zip(gaps, studies, strict=True):
+        simple = np.minimum(study[WINDOW]["position"], study[LOW_PASS]["position"])
+        if (np.isfinite(simple) & (simple <= study[kalman]["position"])).all():
+            replaced.append(gap)
+    return max(replaced)

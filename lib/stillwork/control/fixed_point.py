@@ -226,7 +226,7 @@ def simulate(
     found: dict[str, Any] = dict(zip(COLUMNS, record, strict=True))
     if status != RUNNING:
         causes = {
-            TOO_FAR: f"the plant left the bound of {limits[0]:g} m and {limits[1]:g} m/s",
+            TOO_FAR: f"the plant left the bound of {limits[0]:g} in position and {limits[1]:g} in velocity",
             **CAUSES,
         }
         found |= {"diverged_at": float(done * trajectory.time_step), "cause": causes[status]}
