@@ -1,4 +1,4 @@
-"""Command line: ``python -m stillwork figures|readings|claims|portable|accept|site|release|refresh|inspect|design|export|contest|new|doctor``."""
+"""Command line: ``python -m stillwork figures|readings|claims|portable|accept|site|release|refresh|inspect|report|design|export|contest|new|doctor``."""
 
 import argparse
 import json
@@ -114,6 +114,17 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
     inspect.add_argument("file", metavar="FILE")
     inspect.set_defaults(run=_inspect)
 
+    report = commands.add_parser(
+        "report",
+        help="write one page about a measurement of yours; what is missing, it asks",
+        allow_abbrev=False,
+    )
+    report.add_argument("file", metavar="FILE", help="of a machine, a record, or power spectral densities")
+    report.add_argument("--out", default="", metavar="PAGE", help="by default FILE.html, here")
+    report.add_argument("--unit", default="", help="of a record's channels, or of densities")
+    _add_reading(report)
+    report.set_defaults(run=_report)
+
     design = commands.add_parser(
         "design", help="from a machine's file to a controller in C, and a page about it", allow_abbrev=False
     )
@@ -122,13 +133,16 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
     _add_output(design)
     design.add_argument("--delay", type=int, metavar="SAMPLES", default=1, help="from measurement to force")
     design.add_argument("--limit", type=float, metavar="N", default=float("inf"), help="largest force")
-    for band, what in (("--fit-hz", "of the fit"), ("--loop-hz", "where the measurement can be trusted")):
-        design.add_argument(band, type=float, nargs=2, metavar=("LOW", "HIGH"), default=(0.0, 0.0), help=what)
+    _add_reading(design)
+    design.add_argument(
+        "--loop-hz",
+        type=float,
+        nargs=2,
+        metavar=("LOW", "HIGH"),
+        default=(0.0, 0.0),
+        help="where the measurement can be trusted",
+    )
     design.add_argument("--mirrored-sensor", action="store_true", help="serve a mirrored sensor, too")
-    design.add_argument("--response-unit", default="", help="by default what the file says, or m/s^2")
-    design.add_argument("--force-unit", default="", help="by default what the file says, or N")
-    design.add_argument("--response", default="", metavar="NAME", help="of several complex ones")
-    design.add_argument("--sample-rate", type=float, metavar="HZ", help="of records that do not say it")
     design.add_argument("--damping-ratio", type=float, default=0.005, help="of matrices without damping")
     design.set_defaults(run=_design)
 
@@ -154,6 +168,9 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
         default="20180628",
         help="what the hidden seeds follow from, e.g. a lottery's draw",
     )
+    contest.add_argument(
+        "--loops", type=_count, metavar="N", help="seeds of which the loops are run, too (default: all)"
+    )
     contest.add_argument("--jobs", type=_count, metavar="N", help="processes (default: one a core)")
     contest.add_argument("--scheduler", metavar="ADDRESS", help="run on the workers of a Dask cluster")
     contest.add_argument("--out", metavar="FILE.csv", help="write the table there")
@@ -177,6 +194,17 @@ def _add_output(command: argparse.ArgumentParser) -> None:
     command.add_argument("--out", metavar="DIR", required=True, help="a new or empty folder")
     command.add_argument("--name", default="controller", help="what all names in C begin with")
     command.add_argument("--precision", default="double", metavar="double|single")
+
+
+def _add_reading(command: argparse.ArgumentParser) -> None:
+    """Options of what reads a machine."""
+    command.add_argument(
+        "--fit-hz", type=float, nargs=2, metavar=("LOW", "HIGH"), default=(0.0, 0.0), help="of the fit"
+    )
+    command.add_argument("--response-unit", default="", help="by default what the file says, or m/s^2")
+    command.add_argument("--force-unit", default="", help="by default what the file says, or N")
+    command.add_argument("--response", default="", metavar="NAME", help="of several complex ones")
+    command.add_argument("--sample-rate", type=float, metavar="HZ", help="of records that do not say it")
 
 
 def _count(text: str) -> int:
@@ -298,6 +326,33 @@ def _inspect(options) -> int:
 
     print(inspect_file(options.file))
     return 0
+
+
+def _report(options) -> int:
+    from stillwork.reporting import Missing, report_file
+
+    chosen = {name: value for name, value in vars(options).items() if name not in ("run", "file", "out")}
+    if any(chosen["fit_hz"]):
+        chosen["fit_hz"] = tuple(chosen["fit_hz"])
+    else:
+        del chosen["fit_hz"]
+    while True:
+        try:
+            print("\n".join(map(one_line, report_file(options.file, options.out, **chosen))))
+        except Missing as missed:
+            if not sys.stdin.isatty():
+                raise
+            answer = input(f"{one_line(missed.question)}: ").strip()
+            chosen[missed.name] = _number(answer) if missed.name == "sample_rate" else answer
+        else:
+            return 0
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(f"{text!r} is no number of Hz; begin again") from None
 
 
 def _design(options) -> int:

@@ -1,9 +1,7 @@
 """The command ``design``: from a file of a machine to a controller that runs on it, and one page that says why."""
 
-import base64
 import hashlib
 import html
-import io
 import json
 from dataclasses import asdict
 from pathlib import Path
@@ -18,6 +16,7 @@ from stillwork.control.c_code import controller_code, require_names
 from stillwork.control.digital import DigitalController, biquads, runnable
 from stillwork.control.machine_loops import SHOWN, Intensities, Reached, applications, reach
 from stillwork.exporting import require_free, write_folder
+from stillwork.html_page import picture, table
 from stillwork.identification.machine import Machine, build_machine
 from stillwork.identification.machine_files import load_machine
 from stillwork.lti.discretisation import tustin
@@ -176,10 +175,6 @@ def report(
 ) -> str:
     """One page: the machine, how far each use of an observer gets, what was taken, its peaks, and how to run it."""
     reached = found[best]
-    columns = list(dict.fromkeys(key for each in found.values() for key in each.summary))
-    uses = [
-        [use, *(each.summary.get(key, "") for key in columns), each.reason] for use, each in found.items()
-    ]
     where = ("on the model (dB)", "on the measurement (dB)")
     sizes = [[SHOWN[name], *(f"{size:.2f}" for size in each)] for name, each in peaks.items()]
     limit = controllers[0].high[0]
@@ -195,13 +190,22 @@ def report(
         source=html.escape(machine.source),
         taken=html.escape(best),
         stopped=html.escape(reached.summary["stopped by"]),
-        facts=_table([], facts),
-        uses=_table(["use", *columns, "why none"], uses),
-        peaks=_table(["peak", *where[: len(next(iter(peaks.values())))]], sizes),
-        machine=_picture(paint_machine(machine)),
-        loops=_picture(paint_loops(reached, controllers)),
+        facts=table([], facts),
+        uses=uses_table(found),
+        peaks=table(["peak", *where[: len(next(iter(peaks.values())))]], sizes),
+        machine=picture(paint_machine(machine)),
+        loops=picture(paint_loops(reached, controllers)),
         files=html.escape(", ".join(files)),
     )
+
+
+def uses_table(found: dict[str, Reached]) -> str:
+    """How far each use of an observer gets, or why it gets nowhere."""
+    columns = list(dict.fromkeys(key for each in found.values() for key in each.summary))
+    rows = [
+        [use, *(each.summary.get(key, "") for key in columns), each.reason] for use, each in found.items()
+    ]
+    return table(["use", *columns, "why none"], rows)
 
 
 def paint_machine(machine: Machine):
@@ -241,17 +245,3 @@ def paint_loops(reached: Reached, controllers: list[DigitalController]):
             axis.set(title=SHOWN[name], xlabel="frequency (Hz)", ylim=(-50, 15))
     axes[0].set_ylabel("magnitude (dB)")
     return figure
-
-
-def _picture(figure) -> str:
-    """A figure as the page holds it."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110, metadata={"Software": None})
-    return base64.b64encode(buffer.getvalue()).decode()
-
-
-def _table(head: list[str], rows: list[list[str]]) -> str:
-    lines = [("th", head)] if head else []
-    lines += [("td", row) for row in rows]
-    cells = ("".join(f"<{tag}>{html.escape(each)}</{tag}>" for each in row) for tag, row in lines)
-    return "<table>" + "".join(f"<tr>{row}</tr>\n" for row in cells) + "</table>"

@@ -2,15 +2,20 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import linalg
 
 from experiments.motion.energy_to_peak import (
     ErrorSystem,
     error_system,
     generalised_h2_norm,
+    inequality_margins,
     predictor_gains,
     response_peak,
+    settled_covariance,
 )
+from experiments.motion.shares import share
 from stillwork.base.checks import InputError
+from stillwork.workbook.studies import proportion_interval
 
 
 def problem(seed, samples=12, n=3, outputs=1):
@@ -110,3 +115,53 @@ def test_bad_input_is_named():
     growing = ErrorSystem(np.full((400, 1, 1), 1e3), np.ones((400, 1, 1)))
     with pytest.raises(InputError, match="grows without bound"):
         generalised_h2_norm(growing)
+
+
+def test_the_inequalities_hold_above_the_norm_and_for_no_matrices_below_it():
+    _, model = problem(0)
+    system = error_system(*model, predictor_gains(*model))
+    norm = generalised_h2_norm(system).norm
+    n, m = system.f.shape[1], system.d.shape[2]
+    for part in (1.001, 0.999):
+        first, second = inequality_margins(system, part * norm)
+        assert (second > 0) == (part > 1)
+        assert first > 0
+        # The inequalities as they are printed, from the same recursion.
+        level, k = part * norm, []
+        p = 1e-9 * np.abs(system.d[0] @ system.d[0].T).max() * np.eye(n)
+        slack = p
+        for f, d in zip(system.f, system.d, strict=True):
+            after = (1 + 1e-9) * (f @ p @ f.T + d @ d.T) + slack
+            now, then = level * np.linalg.inv(p), level * np.linalg.inv(after)
+            printed = np.block(
+                [
+                    [then, then @ f, then @ d],
+                    [f.T @ then, now, np.zeros((n, m))],
+                    [d.T @ then, np.zeros((m, n)), level * np.eye(m)],
+                ]
+            )
+            size = np.sqrt(np.diag(printed))
+            assert np.linalg.eigvalsh(printed / np.outer(size, size))[0] > -1e-9
+            eye, none = np.eye(n), np.zeros((n, n))
+            k.append(
+                np.linalg.eigvalsh(
+                    np.block([[then, none, eye], [none, eye, none], [eye, none, level * eye]])
+                )[0]
+            )
+            p = after
+        assert (min(k) > 0) == (part > 1)
+
+
+def test_the_recursion_settles_at_the_algebraic_solution():
+    rng = np.random.default_rng(3)
+    a, g, c = 0.9 * np.linalg.qr(rng.normal(size=(3, 3)))[0], rng.normal(size=(3, 1)), rng.normal(size=(1, 3))
+    q, r = np.array([[2.0]]), np.array([[0.5]])
+    found = settled_covariance(a, g, c, q, r, np.eye(3), 500)
+    wanted = linalg.solve_discrete_are(a.T, c.T, g @ q @ g.T, r)
+    np.testing.assert_allclose(found, wanted, rtol=1e-10)
+
+
+def test_a_share_counts_runs_and_not_their_parts():
+    value, interval = share([[True, True], [True, False], [True, True], [True, True]])
+    assert value == pytest.approx(7 / 8)
+    assert interval == proportion_interval(3, 4)

@@ -276,19 +276,19 @@ def test_the_interval_of_a_median_holds_it_as_often_as_it_says():
 
 @pytest.mark.slow
 def test_the_table_and_the_ranking_say_what_the_scores_say(tmp_path):
-    contest = run_contest("a test", 2, plants=("drive",), doubts=("all 2 %",), loops=False)
+    contest = run_contest("a test", 2, plants=("drive",), doubts=("all 2 %",), loops=0)
     write_table(contest, tmp_path / "table.csv")
     with open(tmp_path / "table.csv", encoding="utf-8") as stream:
         header, *lines = csv.reader(stream)
     assert tuple(header) == COLUMNS
-    assert len(lines) == 2 * len(ENTRANTS)  # rigid and flexible; no loop was run
-    zero = [line for line in lines if line[0] == "zero"]
+    assert len(lines) == 5 * len(ENTRANTS)  # three of the ranking, rigid and flexible; no loop was run
+    zero = [line for line in lines if line[0] == "zero" and line[1] != "all"]
     assert {tuple(line[4:7]) for line in zero} == {("1", "1", "1")}
     stood = ranking(contest)
     assert [each.error for each in stood] == sorted(each.error for each in stood)
     own = [each.flexible for each in contest.scores if each.entrant == "Kalman"]
     kalman = next(each for each in stood if each.entrant == "Kalman")
-    assert kalman.error == pytest.approx(np.mean(own)) and kalman.behind == (0.0, 0.0)
+    assert kalman.error == pytest.approx(np.mean(own)) and kalman.behind_interval == (0.0, 0.0)
     # A tie is one place for both.
     twins = [each._replace(entrant="twin") for each in contest.scores if each.entrant == "Kalman"]
     stood = ranking(ContestResult(contest.scores + twins, {}))

@@ -2,7 +2,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from scipy import integrate
+from scipy import integrate, linalg
 
 from experiments.motion import matrix_inequalities
 from experiments.motion.designs import DAMPING
@@ -331,3 +331,38 @@ def test_feedthrough_and_wrong_shapes_are_named(problem):
         ObserverProblem(truncate(stage().at([0], [4]), 4, 3), problem.controller, 0.035, 2.0, SCALES)
     with pytest.raises(InputError, match="other modes"):
         problem.read(kalman_observer(truncate(stage().at([0], [4]), 3, 0), published_noise()))
+
+
+def test_the_bound_is_the_norm_of_the_shortest_error_that_the_zeros_allow(problem):
+    model = problem.plant.state_space()
+    pencil = np.block([[model.a, model.b], [model.c, model.d]])
+    zeros = linalg.eigvals(pencil, linalg.block_diag(np.eye(len(model.a)), 0))
+    zeros = zeros[np.isfinite(zeros)]
+    zeros = zeros[(zeros.real > 1.0) & (np.abs(zeros) < 1e5)]
+    assert len(zeros) == 2
+    rate = 2 * np.pi * 700
+    # Least squares over a rational basis with the values at the zeros as constraints, in another basis than the kernel.
+    omega, poles = rate * np.tan(np.linspace(1e-4, np.pi / 2 - 1e-4, 40001)), rate * np.geomspace(0.2, 5, 12)
+    weight = np.gradient(omega)
+    basis = 1 / (1j * omega[:, None] + poles)
+    gram = (basis.conj().T @ (weight[:, None] * basis)).real / np.pi
+    at = 1 / (zeros[:1, None] + poles)
+    constraints, values = np.vstack([at.real, at.imag]), rate / (zeros[:1] + rate)
+    solved = np.linalg.solve(
+        np.block([[gram, constraints.T], [constraints, np.zeros((2, 2))]]),
+        np.concatenate([np.zeros(12), values.real, values.imag]),
+    )[:12]
+    np.testing.assert_allclose(np.sqrt(solved @ gram @ solved), problem.bound, rtol=2e-4)
+
+
+def test_a_norm_survives_weak_regularisation(problem):
+    """Where the equation loses digits its own residual corrects it."""
+    generalised = problem.generalised()
+    found = h2_riccati(generalised, *regularisation(problem, 3e-5))
+    loop = generalised.close(found.observer)
+    near = [abs(pole) * (1 + np.linspace(-0.2, 0.2, 2001)) for pole in loop.poles]
+    omega = np.unique(np.concatenate([np.geomspace(1e-2, 1e8, 50001), *near]))
+    power = np.sum(np.abs(loop.frequency_response(omega)) ** 2, axis=(0, 1))
+    np.testing.assert_allclose(
+        np.sqrt(np.trapezoid(power, omega) / np.pi), found.norm, rtol=5e-5
+    )  # of the grid

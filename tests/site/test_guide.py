@@ -22,6 +22,7 @@ LINES = [line for language, block in BLOCKS if not language for line in block.sp
 BUILDS = [line for line in LINES if line.startswith("make figures")]
 INSPECTIONS = [line for line in LINES if line.startswith("python -m stillwork inspect")]
 CODE = [line for line in LINES if line.startswith("python -m stillwork design")]
+REPORTS = [line for line in LINES if line.startswith("python -m stillwork report")]
 COPIES = dict(line.split()[:0:-1] for line in LINES if line.startswith("cp "))
 
 
@@ -42,7 +43,9 @@ def checkout(tmp_path, monkeypatch):
 
 def test_every_command_is_one_that_these_tests_know():
     others = [
-        line for line in LINES if line not in BUILDS + INSPECTIONS + CODE and not line.startswith("cp ")
+        line
+        for line in LINES
+        if line not in BUILDS + INSPECTIONS + CODE + REPORTS and not line.startswith("cp ")
     ]
     assert others == [
         "make doctor",
@@ -53,7 +56,15 @@ def test_every_command_is_one_that_these_tests_know():
     assert {
         line.split()[1] for line in LINES + re.findall(r"`(make [a-z]+)`", GUIDE) if line.startswith("make")
     } <= set(targets)
-    assert len(BUILDS) == 9 and len(INSPECTIONS) == 7 and len(CODE) == 1
+    assert len(BUILDS) == 9 and len(INSPECTIONS) == 7 and len(CODE) == len(REPORTS) == 1
+
+
+@pytest.mark.slow
+def test_the_report_is_written(checkout, tmp_path, capsys):
+    words = shlex.split(REPORTS[0])[3:]
+    assert main([*words[:-1], str(tmp_path / words[-1])]) == 0
+    assert "hammer records of a machine of 12 kg" in capsys.readouterr().out
+    assert (tmp_path / words[-1]).read_text(encoding="utf-8").count("<img") == 2
 
 
 @pytest.mark.parametrize("line", BUILDS)

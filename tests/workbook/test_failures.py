@@ -77,6 +77,18 @@ def test_a_notebook_that_raises(built):
     ]
 
 
+def test_wrong_input_is_told_once_and_without_a_traceback(built):
+    refuse = (
+        "from stillwork.base.checks import require_number\nchecked = require_number('level', -level, above=0)"
+    )
+    good = end_with(built, refuse)
+    done = built.run("figures")
+    assert done.returncode == 1
+    assert (done.stdout + done.stderr).count("level is -1; give a finite number above 0") == 1
+    assert "Traceback" not in done.stdout + done.stderr
+    assert_only_second_was_built(built, good)
+
+
 def test_a_kernel_that_is_killed_and_had_children(built):
     child = "import subprocess\nchild = subprocess.Popen(['sleep', '1000'])"
     good = end_with(built, child, "import os\nos.kill(os.getpid(), 9)")

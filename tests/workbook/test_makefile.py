@@ -89,6 +89,14 @@ def test_another_pin_makes_the_environment_again(checkout):
     assert short(calls(checkout))[:3] == MADE
 
 
+def test_jupyter_reaches_data_and_figures_beside_the_notebooks(checkout):
+    """Its files begin at the checkout, and it opens on the index below."""
+    make(checkout, "lab")
+    (started,) = [line for line in calls(checkout) if "jupyter lab" in line]
+    assert "--ServerApp.root_dir=. " in started
+    assert "--LabApp.default_url=/lab/tree/notebooks/index.ipynb" in started
+
+
 def test_binder_gets_a_python_that_the_pins_serve_and_a_script_that_runs():
     runtime = (ROOT / ".binder" / "runtime.txt").read_text().strip()
     assert runtime in {f"python-3.{minor}" for minor in range(11, 15)}

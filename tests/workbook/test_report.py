@@ -1,9 +1,18 @@
 """The ledger as text: what a terminal shows, and what is counted where."""
 
+import fcntl
+import os
+import pty
+import struct
+import subprocess
+import sys
+import termios
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.workbook.claims import Claim, Entry, Tolerance
 from stillwork.workbook.report import (
@@ -157,3 +166,30 @@ def test_a_verdict_is_shown_with_what_keeps_it_from_being_evidence():
         "deviates (calibrated, counterfactual)",
     ]
     assert "replicated (fitted)" in ledger_text(judged, 200)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arguments", [[], ["--entry", "isolation.fig-7.lower-end"]])
+@pytest.mark.parametrize("width", [80, 120])
+def test_the_ledger_fits_a_terminal_of_that_width(arguments, width):
+    driver, terminal = pty.openpty()
+    fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 24, width, 0, 0))
+    around = {key: value for key, value in os.environ.items() if key not in ("COLUMNS", "LINES")}
+    command = [sys.executable, "-m", "stillwork", "claims", *arguments]
+    with subprocess.Popen(
+        command, cwd=paths.root(), env=around, stdout=terminal, stderr=subprocess.DEVNULL
+    ) as running:
+        os.close(terminal)
+        shown = b""
+        while True:
+            try:
+                part = os.read(driver, 65536)
+            except OSError:  # the other end is closed
+                break
+            if not part:
+                break
+            shown += part
+    os.close(driver)
+    assert running.returncode == 0
+    lengths = list(map(len, shown.decode().splitlines()))
+    assert 0.75 * width < max(lengths) <= width

@@ -209,3 +209,20 @@ def exercise_12() -> str:
     assert 0.8 < np.quantile(norms, 0.975) / coloured < 1.2
     assert np.median(norms) > white
     return f"{coloured / white:.1f}"
+
+
+def exercise_13() -> str:
+    """The penalty that takes the bias away is minus the noise's power; the worst case wants it positive."""
+    rng = np.random.default_rng(8)
+    clean, noise = rng.standard_normal((2, 200_000))
+    matrix = fir_regressors(clean + 0.5 * noise, 2).T
+    outputs = np.array([1.0, -0.5]) @ fir_regressors(clean, 2)
+    size = len(outputs)
+
+    def found(penalty: float) -> np.ndarray:
+        return np.linalg.solve(matrix.T @ matrix + size * penalty * np.eye(2), matrix.T @ outputs)
+
+    penalty = optimize.brentq(lambda each: found(each) @ [1.0, -0.5] / 1.25 - 1, -0.6, 0.5)
+    assert np.allclose(found(-(0.5**2)), [1.0, -0.5], atol=0.01)
+    assert min_max_solve(matrix, outputs, 0.5 * np.sqrt(size)).alpha > 0
+    return f"{penalty:.2f}"

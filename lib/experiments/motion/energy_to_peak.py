@@ -101,6 +101,44 @@ def _gramians(f, d, out):
         add_square(d[k], out[k + 1])
 
 
+def inequality_margins(system: ErrorSystem, level: float, slack: float = 1e-9) -> tuple[float, float]:
+    r"""Smallest eigenvalues of (5.30) and (5.31) over the samples for the matrices that fulfil them if any do.
+
+    With :math:`K_k=\gamma P_k^{-1}`, P the Gramian with a factor 1 + `slack` a step, (5.30) is P above what one step
+    makes of it, and (5.31) :math:`P\prec\gamma^2I`. Both are scaled so that the diagonal blocks are unit matrices.
+    """
+    n = system.f.shape[1]
+    start = slack * np.abs(system.d[0] @ system.d[0].T).max() * np.eye(n)
+    p, first, second = start, np.inf, np.inf
+    for f, d in zip(system.f, system.d, strict=True):
+        following = (1 + slack) * (f @ p @ f.T + d @ d.T) + start
+        root, next_root = np.linalg.cholesky(p), np.linalg.cholesky(following)
+        coupling = np.linalg.solve(next_root, np.hstack([f @ root, d]))
+        block = np.block([[np.eye(n), coupling], [coupling.T, np.eye(coupling.shape[1])]])
+        first = min(first, np.linalg.eigvalsh(block)[0])
+        second = min(second, 1 - np.linalg.eigvalsh(following)[-1] / level**2)
+        p = following
+    return float(first), float(second)
+
+
+def settled_covariance(
+    a: ArrayLike,
+    g: ArrayLike,
+    c: ArrayLike,
+    process: ArrayLike,
+    sensor: ArrayLike,
+    start: ArrayLike,
+    steps: int,
+) -> Float64[np.ndarray, "states states"]:
+    """Covariance of the Kalman predictor after so many steps of (5.37) with one C, from any `start`."""
+    a, g, c, process, sensor, p = (np.asarray(each, float) for each in (a, g, c, process, sensor, start))
+    for _ in range(steps):
+        gain = np.linalg.solve(c @ p @ c.T + sensor, c @ p @ a.T).T
+        rest = a - gain @ c
+        p = rest @ p @ rest.T + gain @ sensor @ gain.T + g @ process @ g.T
+    return p
+
+
 def response_peak(system: ErrorSystem, disturbance: ArrayLike) -> float:
     """Largest Euclidean norm of the error under a disturbance, by simulation."""
     disturbance = require_array("disturbance", disturbance, shape=system.d.shape[::2])

@@ -7,6 +7,7 @@ import numpy as np
 from stillwork.base.checks import InputError
 from stillwork.control.applications import filtered_estimates
 from stillwork.control.feedback import band_pass, damping_gain
+from stillwork.control.ideal_feedforward import invert
 from stillwork.control.pid import Pid
 from stillwork.estimation.generalised_plant import GeneralisedPlant, low_pass
 from stillwork.estimation.observer import Observer
@@ -68,6 +69,21 @@ class ObserverProblem:
         read[2, 0], read[2, sensor], direct[2, 3] = 1, -s_v, s_d  # y + d
         model = interconnect([plant, control, *filters, *weights], feedback, external, read, direct)
         return GeneralisedPlant(model, exogenous=4, performance=1)
+
+    @property
+    def bound(self) -> float:
+        r"""What no linear controller's two-norm can fall below, whatever it measures.
+
+        The error to the reference is (1 - T) W_r with T = P Q stable, so at every zero z of P in the right half plane
+        it is W_r(z). The smallest two-norm of a stable function with given values at given points follows from the
+        kernel 1 / (s + z*) of that space: the root of :math:`w^HK^{-1}w` with :math:`K_{ij}=1/(z_i+z_j^*)`.
+        """
+        zeros = invert(self.plant).zeros
+        zeros = zeros[zeros.real > 1e-9 * np.abs(zeros).max()]
+        reference = 2 * np.pi * self.corners_hz[0]
+        values = reference / (zeros + reference)
+        kernel = 1 / (zeros[:, None] + zeros.conj())
+        return float(np.sqrt((values.conj() @ np.linalg.solve(kernel, values)).real))
 
     def read(self, observer: Observer) -> StateModel:
         """An observer of chapter 3 as the block that this problem asks for: (f, y + d) to (y_flex, velocities)."""

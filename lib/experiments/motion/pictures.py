@@ -58,6 +58,7 @@ def paint_bode(
     quantity: str,
     *,
     phase: bool = False,
+    unwrap: bool = True,
     styles: Mapping[str, dict] | None = None,
     height: float | None = None,
     xlim: tuple[float, float] | None = None,
@@ -65,7 +66,7 @@ def paint_bode(
 ):
     """Magnitude (and phase) of single responses, by label (omega in rad/s, response), on one pair of axes.
 
-    `xlim` in Hz, `ylim` in dB.
+    Without `unwrap` the phase stays between -270 and 90 degrees. `xlim` in Hz, `ylim` in dB.
     """
     from matplotlib.ticker import MultipleLocator
 
@@ -77,8 +78,12 @@ def paint_bode(
         hertz = np.asarray(omega) / (2 * np.pi)
         axes[0].semilogx(hertz, decibel(response), label=label, **style)
         if phase:
-            angle = np.degrees(np.unwrap(np.angle(response)))
-            angle -= 360 * np.ceil(angle[0] / 360 - 1e-6)  # start between -360 and 0 degrees
+            angle = np.degrees(np.angle(response))
+            if unwrap:
+                angle = np.unwrap(angle, period=360)
+                angle -= 360 * np.ceil(angle[0] / 360 - 1e-6)  # start between -360 and 0 degrees
+            else:
+                angle = (angle + 270) % 360 - 270
             axes[1].semilogx(hertz, angle, label=label, **style)
     axes[0].set_ylabel(quantity)
     if phase:
@@ -124,10 +129,12 @@ def paint_magnitudes(
     return figure, axes
 
 
-def paint_limited(panels: Mapping[str, Mapping[str, tuple]], bottom: float, top: float, height: float):
+def paint_limited(
+    panels: Mapping[str, Mapping[str, tuple]], bottom: float, top: float, height: float, rows: int = 1
+):
     """Magnitudes of loop functions, a panel a title, with the allowed peak."""
-    figure, axes = paint_magnitudes(panels, "magnitude (dB)", height=height, sharey=True)
-    for axis in axes[0]:
+    figure, axes = paint_magnitudes(panels, "magnitude (dB)", rows, height=height, sharex=True, sharey=True)
+    for axis in axes.ravel():
         mark_limit(axis)
         axis.set_ylim(bottom, top)
     axes[0, 0].legend(ncols=2, loc="lower right", fontsize=7)

@@ -47,19 +47,21 @@ def _along(loops: Mapping[float, Loop], low_hz: float, high_hz: float):
 
 def paint_sensitivities(
     loops: Mapping[float, Loop],
-    controller: Pid,
+    controllers: Mapping[str, Pid],
     functions: Sequence[str] = ("input_sensitivity", "output_sensitivity"),
 ):
-    """Loop functions with one controller, a line a place (m), and the allowed 6 dB."""
+    """Loop functions, a row a controller (by the name in the title), a line a place (m), and the allowed 6 dB."""
     omega, lines = _along(loops, 10.0, 2e3)
     panels = {
-        LABELS[function]: {
+        f"{LABELS[function]}{name}": {
             label: (omega, getattr(loop.at(controller, omega), function), style)
             for label, loop, style in lines
         }
+        for name, controller in controllers.items()
         for function in functions
     }
-    return paint_limited(panels, -15, 12, 3.4)
+    rows = len(controllers)
+    return paint_limited(panels, -15, 12, 3.4 if rows == 1 else 5.2, rows)
 
 
 def paint_equivalent_controllers(loops: Mapping[float, Loop], controller: Pid):

@@ -21,7 +21,6 @@ from experiments.motion.rig_loops import FUNCTIONS, MEASURES, RigBandwidth, RigL
 from experiments.motion.rig_tracking import Levelling, levelling, levelling_rms
 from stillwork.base.checks import InputError
 from stillwork.estimation.observer import NoiseIntensities
-from stillwork.workbook.studies import proportion_interval
 
 PRINTED_HZ = {"Original": (6.0, 8.0), "MC": (9.0, 11.0), "AD": (12.0, 13.0), "MC and AD": (17.0, 21.0)}
 
@@ -93,14 +92,6 @@ def levelling_errors(
                 with contextlib.suppress(InputError):  # of an unstable loop: it stays NaN
                     row[k] = levelling_rms(loops[case][0], used, geometry, trajectory, noise, mass_error)
     return np.hypot(found, floor / geometry.edges)
-
-
-def share(holds) -> tuple[float, tuple[float, float]]:
-    """Share of what holds and its interval over geometries (first axis), each counted whole or not at all."""
-    holds = np.asarray(holds, float)
-    count = len(holds)
-    whole = int(np.floor(holds.mean() * count + 1e-9))
-    return float(holds.mean()), proportion_interval(whole, count)
 
 
 def rig_trial(rng: np.random.Generator, settings: RigSettings) -> dict[str, np.ndarray]:

@@ -100,7 +100,9 @@ def sample_record(
     true_rows = setting.gain * fir_regressors(true, taps)[:, before:].T
     truth = rng.standard_normal(taps)
     truth /= np.linalg.norm(truth)
-    sign = np.where(np.arange(rows) < rows - setting.jump, -1.0 if setting.jump else 1.0, 1.0)
+    sign = np.ones(rows)
+    if setting.jump:
+        sign[: -setting.jump] = -1
     noise = setting.output_noise * _sample_coloured(rng, setting.output_pole, rows)
     return FlawedRecord(
         matrix, sign * (true_rows @ truth) + noise, instruments, true_rows - matrix, noise, truth

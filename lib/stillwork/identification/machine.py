@@ -101,7 +101,10 @@ def _fitted(
     fit = identify_modes(_thinned(measured, 12_000, band), band, modes_hz)
     model = fit.model
     low = fit.omega[0] / (2 * np.pi)
-    notes = [*file.notes, f"the mass is that from {low:.4g} Hz on, known to {100 * fit.mass_deviation:.2g} %"]
+    notes = [
+        *file.notes,
+        f"the mass is that from {low:.4g} Hz on, with a standard deviation of {100 * fit.mass_deviation:.2g} %",
+    ]
     if fit.turned:
         measured = measured._replace(response=-measured.response)
         notes.append("counted against the force, turned")

@@ -20,6 +20,7 @@ FORMS = (
     "response), or the matrices M and K"
 )
 PADDING = 4  # lengths of a record that has died out: zeros appended to it give a finer grid
+LONGEST_HIT = 0.2  # part of a record during which the force may exceed a tenth of its peak
 DIED_OUT = 0.02  # of the peak, what the last tenth of a record may still hold
 _HERTZ = {"hz": 1.0, "khz": 1e3, "rad/s": 1 / (2 * np.pi)}
 
@@ -261,6 +262,10 @@ def _from_hammer(
             raise InputError(
                 f"{name} does not move in hit {int(np.argmin(np.ptp(rows, axis=1))) + 1}; leave it out"
             )
+    if (share := np.mean(np.abs(force) > 0.1 * np.abs(force).max(axis=1, keepdims=True))) > LONGEST_HIT:
+        raise InputError(
+            f"force acts during {100 * share:.0f} % of the record, which is no hit; give a frequency response instead"
+        )
     # A record's own offset must go before zeros are appended to it.
     force, response = (
         rows - rows[:, -rows.shape[1] // 10 :].mean(axis=1, keepdims=True) for rows in (force, response)

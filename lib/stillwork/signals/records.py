@@ -17,6 +17,7 @@ from stillwork.signals.datafiles import read_columns
 STANDARD_GRAVITY = 9.80665  # m/s^2
 MOTION_UNITS = ("m/s^2", "m/s", "m")
 _QUANTITIES = (*MOTION_UNITS, "N", "V", "A", "Pa", "rad", "rad/s", "rad/s^2")
+SI_UNITS = (*_QUANTITIES, "1")
 _PREFIXES = {"": 1.0, "m": 1e-3, "u": 1e-6, "n": 1e-9, "k": 1e3}
 # What a unit means: factor to SI, and the SI unit.
 UNITS = {
@@ -94,7 +95,7 @@ class Record:
                 f"{self.source}: {self.signals.shape[1]} samples are too short; "
                 f"give at least {SHORTEST_SAMPLES}"
             )
-        if self.unit not in (*_QUANTITIES, "1"):
+        if self.unit not in SI_UNITS:
             raise InputError(f"unit is {self.unit!r}; convert to {', '.join(_QUANTITIES)} or 1")
         if len(self.names) != len(self.signals):
             raise InputError(

@@ -60,14 +60,17 @@ def build_figures(
         fresh = len(wanted) - len(stale)
         if not stale:
             print(f"nothing to do: {fresh} up to date")
+            if settings:
+                _tell(wanted)
             return 0
         sweep()
         workers = _cluster(scheduler) if scheduler else _threads(jobs or cores(), len(stale) >= WARM_FROM)
         with workers as (submit, halt):
             failures, caught = _build(stale, submit, halt)
     code = _close(failures, len(stale), fresh, caught)
-    if not settings and not caught:
-        _compare([task for task in wanted if task not in [failed for failed, _ in failures]])
+    if not caught:
+        built = [task for task in wanted if task not in [failed for failed, _ in failures]]
+        (_tell if settings else _compare)(built)
     return code
 
 
@@ -151,6 +154,14 @@ def _compare(wanted: list[Task]) -> None:
     if whole:
         for line in summary([compare(task) for task in whole]):
             print(line)
+
+
+def _tell(variants: list[Task]) -> None:
+    """Say where variants are and how they differ from the published settings."""
+    from stillwork.workbook.variants import difference
+
+    for task in variants:
+        print("\n".join(difference(task)))
 
 
 @contextlib.contextmanager

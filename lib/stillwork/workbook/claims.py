@@ -448,7 +448,7 @@ def ledger(figures: Path | None = None, room: str | None = None) -> list[Claim]:
     pattern = f"{room or '[!.]*'}/[!.]*/claims.json"  # a build's half-written folders are hidden
     for file in sorted(figures.glob(pattern)):
         notebook = file.parent.relative_to(figures).as_posix()
-        for name, (ours, interval) in _found(file).items():
+        for name, (ours, interval) in recorded_claims(file).items():
             if name not in claims:
                 raise InputError(f"{file}: the ledger has no entry {name!r}{nearest(name, claims)}")
             if claims[name].notebook:
@@ -459,7 +459,7 @@ def ledger(figures: Path | None = None, room: str | None = None) -> list[Claim]:
     return list(claims.values())
 
 
-def _found(file: Path) -> dict[str, tuple[float, tuple[float, float] | None]]:
+def recorded_claims(file: Path) -> dict[str, tuple[float, tuple[float, float] | None]]:
     """What a notebook recorded in its ``claims.json``: value and interval of every claim."""
     try:
         recorded = json.loads(file.read_text(encoding="utf-8"))

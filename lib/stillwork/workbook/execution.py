@@ -154,7 +154,9 @@ def _execute(job: Job, folder: Path, on_cell: Callable[[], object], warm: Warm |
         )
     except PapermillExecutionError as error:
         message = f"{error.ename}: {error.evalue}".strip().splitlines()[-1]
-        return Outcome(failure=Failure(_where(begun), message, _plain("\n".join(error.traceback))))
+        # Wrong input says itself what to do; where it was refused deep in the library tells its reader nothing.
+        traceback = "" if error.ename == "InputError" else _plain("\n".join(error.traceback))
+        return Outcome(failure=Failure(_where(begun), message, traceback))
     except DeadKernelError:
         return Outcome(failure=Failure(_where(begun), manager.last_words()))
     except RuntimeError as error:  # the kernel did not come up

@@ -35,11 +35,12 @@ def run_contest(
     *,
     plants: Sequence[str] = tuple(PLANTS),
     doubts: Sequence[str] = tuple(DOUBTS),
-    loops: bool = True,
+    loops: int | None = None,
     executor=None,
 ) -> ContestResult:
     """Run all entrants, and the observers in these files, over `seeds` hidden seeds a plant.
 
+    Loops are run for the first `loops` of them, by default for all.
     The result does not depend on the executor, on its number of workers or on their order.
     """
     named = {Path(file).stem: str(Path(file).resolve()) for file in files}
@@ -47,7 +48,7 @@ def run_contest(
     if taken := set(named) & set(settings[plants[0]]):
         raise InputError(f"{taken.pop()!r} is an entrant already; give the file another name")
     work = [
-        (plant, seed, public, settings[plant], named, doubts, loops)
+        (plant, seed, public, settings[plant], named, doubts, loops is None or seed < loops)
         for seed in range(require_count("seeds", seeds))
         for plant in plants
     ]
@@ -75,16 +76,26 @@ def median_interval(values: ArrayLike, level: float = 0.95) -> tuple[float, floa
 
 
 def rows(contest: ContestResult) -> list[tuple]:
-    """The table: a row an entrant, plant, doubt and score, with the median over the seeds and its interval."""
+    """The table: a row an entrant, plant, doubt and score, with the median over the seeds and its interval.
+
+    Those of the ranking, over all plants and doubts, come first: their middle column is the mean's.
+    """
+    table = []
+    for each in ranking(contest):
+        for score, value, interval in (
+            ("mean error", each.error, each.interval),
+            ("rank", each.rank, each.rank_interval),
+            ("less Kalman", each.behind, each.behind_interval),
+        ):
+            table.append((each.entrant, "all", "all", score, value, *interval, each.microseconds))
     groups: dict[tuple, list[Scored]] = defaultdict(list)
     for each in contest.scores:
         groups[each.entrant, each.plant, each.doubt].append(each)
-    table = []
     for key, runs in groups.items():
         speed = float(np.median([run.microseconds for run in runs]))
         for score in SCORES:
-            values = [getattr(run, score) for run in runs]
-            if not np.isnan(values).any():
+            values = [value for run in runs if not np.isnan(value := getattr(run, score))]
+            if values:
                 table.append((*key, score, *median_interval(values), speed))
     return table
 
@@ -109,7 +120,8 @@ class Place:
     interval: tuple[float, float]
     rank: float
     rank_interval: tuple[float, float]
-    behind: tuple[float, float]  # its error less the Kalman filter's, on the same scans
+    behind: float  # its error less the Kalman filter's, on the same scans
+    behind_interval: tuple[float, float]
     unstable: float  # share of the loops that ran away
     microseconds: float
     bytes: int
@@ -128,7 +140,7 @@ def ranking(contest: ContestResult) -> list[Place]:
     chosen = np.random.default_rng(0).integers(len(seeds), size=(RESAMPLES, len(seeds)))
     means = errors[:, chosen].mean(axis=2)
     ranks = stats.rankdata(means, axis=0)
-    kalman = means[names.index("Kalman")] if "Kalman" in names else np.nan
+    kalman = names.index("Kalman")
 
     def interval(values):
         return tuple(float(each) for each in np.quantile(values, [0.025, 0.975]))
@@ -143,8 +155,11 @@ def ranking(contest: ContestResult) -> list[Place]:
                 interval(means[i]),
                 float(stats.rankdata(errors.mean(axis=1))[i]),
                 interval(ranks[i]),
-                interval(means[i] - kalman),
-                float(np.mean([np.isinf(each.tracking) for each in own])),
+                float((errors[i] - errors[kalman]).mean()),
+                interval(means[i] - means[kalman]),
+                float(
+                    np.mean([np.isinf(each.tracking) for each in own if not np.isnan(each.tracking)] or [0])
+                ),
                 float(np.median([each.microseconds for each in own])),
                 max(each.bytes for each in own),
             )
@@ -161,7 +176,7 @@ def leaderboard(contest: ContestResult) -> str:
         first, final = (round(end) for end in each.rank_interval)
         lines.append(
             f"{place:>2}  {each.entrant:38} {each.error:5.2f}  {each.interval[0]:4.2f}..{each.interval[1]:4.2f} "
-            f" {first:>2}..{final:<3} {each.behind[0]:+.2f}..{each.behind[1]:+.2f} "
+            f" {first:>2}..{final:<3} {each.behind_interval[0]:+.2f}..{each.behind_interval[1]:+.2f} "
             f" {100 * each.unstable:6.0f} %  {each.microseconds:9.1f}  {each.bytes or '':>6}"
         )
     lines += [f" -  {name:38} disqualified: {reason}" for name, reason in contest.disqualified.items()]

@@ -1,0 +1,74 @@
+"""Machines whose frequencies and gains are in doubt: which of them, and their sampled modes inside kernels."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from experiments.motion.observer_contest.told import ToldModel
+from stillwork.base.kernels import kernel
+from stillwork.lti.discretisation import zoh_modes
+from stillwork.lti.modal import ModalModel
+
+
+def dominant(model: ToldModel, most: int) -> np.ndarray:
+    """The flexible modes with the largest share in the static deflection, at most so many, in order of frequency."""
+    rigid = model.rigid_modes
+    shares = np.abs(model.output_shapes[:, rigid:]).max(axis=0) * np.abs(model.input_shapes[rigid:]).max(
+        axis=1
+    )
+    shares = shares / model.frequencies[rigid:] ** 2
+    return np.sort(np.argsort(-shares, kind="stable")[:most]) + rigid
+
+
+def detuned(model: ToldModel, sample_time: float, modes: np.ndarray, errors: np.ndarray) -> ToldModel:
+    """The model with the frequencies of these modes off by these relative errors."""
+    frequencies = model.frequencies.copy()
+    frequencies[modes] *= 1 + errors
+    order = np.argsort(frequencies, kind="stable")
+    machine = ModalModel(
+        frequencies[order],
+        model.damping[order],
+        model.input_shapes[order],
+        model.output_shapes[:, order],
+        np.zeros((len(model.c), model.b.shape[1])),
+    )
+    sampled, back = zoh_modes(machine, sample_time), np.argsort(order)
+    states = np.stack([2 * back, 2 * back + 1], axis=1).ravel()
+    return replace(model, a=sampled.a[np.ix_(states, states)], b=sampled.b[states], frequencies=frequencies)
+
+
+@kernel
+def sampled_mode(omega, damping, step, block, lever):
+    """Transition of one mode over a step, 2 x 2, and what a unit force on it does, held over the step."""
+    if omega == 0.0:
+        block[0, 0] = block[1, 1] = 1.0
+        block[0, 1], block[1, 0] = step, 0.0
+        lever[0], lever[1] = step * step / 2, step
+        return
+    root = np.sqrt(1 - damping * damping)
+    angle, decay = omega * root * step, np.exp(-damping * omega * step)
+    sine, cosine = np.sin(angle), np.cos(angle)
+    block[0, 0] = decay * (cosine + damping / root * sine)
+    block[0, 1] = decay * sine / (omega * root)
+    block[1, 0] = -decay * omega * sine / root
+    block[1, 1] = decay * (cosine - damping / root * sine)
+    lever[0] = (1 - block[0, 0]) / (omega * omega)
+    lever[1] = block[0, 1]
+
+
+@kernel
+def propagate(a, p, n):
+    """P = A P A' on the first `n` states, whose A has 2 x 2 blocks along its diagonal alone."""
+    for i in range(0, n, 2):
+        for j in range(n):
+            first, second = p[i, j], p[i + 1, j]
+            p[i, j] = a[i, i] * first + a[i, i + 1] * second
+            p[i + 1, j] = a[i + 1, i] * first + a[i + 1, i + 1] * second
+    for j in range(n):
+        for i in range(0, n, 2):
+            first, second = p[j, i], p[j, i + 1]
+            p[j, i] = a[i, i] * first + a[i, i + 1] * second
+            p[j, i + 1] = a[i + 1, i] * first + a[i + 1, i + 1] * second
+    for i in range(n):  # what rounding leaves of asymmetry would grow where nothing forgets
+        for j in range(i):
+            p[i, j] = p[j, i] = (p[i, j] + p[j, i]) / 2

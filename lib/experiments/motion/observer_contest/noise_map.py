@@ -1,0 +1,95 @@
+"""Where a robust observer beats the Kalman filter and the estimate zero: a map over error size and sensor noise.
+
+``python -m experiments.motion.observer_contest.noise_map`` makes ``data/motion/contest_map.csv``: errors of the flexible
+states of the thesis's stage, a row a seed. Every cell has its own settings, tuned on training seeds.
+"""
+
+import csv
+from collections.abc import Mapping
+
+import numpy as np
+
+from experiments.motion.observer_contest import bench
+from experiments.motion.observer_contest.doubts import Doubt, hidden_seed, sample_truth
+from experiments.motion.observer_contest.entrants import ENTRANTS
+from experiments.motion.observer_contest.plants import ContestPlant, sample_plant
+from experiments.motion.observer_contest.told import OwnObserver, told_of
+from experiments.motion.observer_contest.tuning import TRAINING, capped_mean, positions
+from stillwork.base import paths
+from stillwork.base.checks import InputError
+
+SIZES = (0.005, 0.01, 0.02, 0.05, 0.1)  # of the errors of frequency, damping, gain and shape
+NOISES = (1.0, 3.0, 10.0, 30.0, 100.0, 1000.0)  # factors on the sensor's noise
+MAPPED = ("Kalman", "sensitivity penalised", "regularised least squares", "interacting models")
+TRAINED, SEEDS = 6, 40  # seeds a cell is tuned on, and judged on
+PUBLIC = "20180628"
+FILE = paths.data("motion", "contest_map.csv")
+
+
+def flexible_errors(
+    plant: ContestPlant,
+    size: float,
+    noise: float,
+    public: str,
+    seeds: int,
+    observers: Mapping[str, OwnObserver],
+) -> dict[str, np.ndarray]:
+    """Error of the flexible states of each observer, a seed each, all on the same scans."""
+    doubt = Doubt(size, size, size, size, noise=noise)
+    told = (*told_of(plant, noise), plant.sample_time)
+    errors = {name: np.empty(seeds) for name in observers}
+    for seed in range(seeds):
+        rng = np.random.default_rng(hidden_seed(public, "map", size, noise, seed))
+        truth = sample_truth(plant, doubt, bench.SAMPLES, rng)
+        record = bench.record(bench.assemble(plant, truth, bench.CAUTIOUS, estimated=False))
+        for name, observer in observers.items():
+            observer.start(*told)
+            estimates = observer.run(record.inputs, record.measurements)
+            errors[name][seed] = bench.state_errors(record, estimates, plant.model.rigid_modes)[1]
+    return errors
+
+
+def tuned(plant: ContestPlant, size: float, noise: float, candidates: Mapping[str, list[OwnObserver]]):
+    """Of each entrant's candidates the one with the least mean error on the training seeds."""
+    every = {f"{name}:{k}": each for name, some in candidates.items() for k, each in enumerate(some)}
+    errors = flexible_errors(plant, size, noise, TRAINING, TRAINED, every)
+    return {
+        name: some[int(np.argmin([capped_mean(errors[f"{name}:{k}"]) for k in range(len(some))]))]
+        for name, some in candidates.items()
+    }
+
+
+def main() -> None:
+    """Make the map."""
+    plant = sample_plant("stage", np.random.default_rng(0))
+    with open(FILE, "w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(("size", "noise", "seed", *MAPPED))
+        for noise in NOISES:
+            told = (*told_of(plant, noise), plant.sample_time)
+            candidates: dict[str, list[OwnObserver]] = {}
+            for name in MAPPED:
+                places = positions(name) if ENTRANTS[name].knobs else [()]
+                candidates[name] = []
+                for settings in places:
+                    observer = OwnObserver(ENTRANTS[name], tuple(map(float, settings)))
+                    try:
+                        observer.start(*told)
+                    except InputError:  # there is no such design
+                        continue
+                    candidates[name].append(observer)
+            for size in SIZES:
+                chosen = tuned(plant, size, noise, candidates)
+                errors = flexible_errors(plant, size, noise, PUBLIC, SEEDS, chosen)
+                for seed in range(SEEDS):
+                    writer.writerow((size, noise, seed, *(f"{errors[name][seed]:.4g}" for name in MAPPED)))
+                print(
+                    size,
+                    noise,
+                    {name: np.median(values).round(2) for name, values in errors.items()},
+                    flush=True,
+                )
+
+
+if __name__ == "__main__":
+    main()

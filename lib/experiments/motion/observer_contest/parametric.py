@@ -1,0 +1,221 @@
+r"""Entrants that carry parameters beside the states: three frequencies, the rigid body's gain and two more, at most.
+
+With :math:`z = (x, \theta)` the model is :math:`x_k = A(\theta) x_{k-1} + B(\theta) (u_{k-1} + w)`, and
+:math:`\theta` walks: relative errors of the frequencies, then of the gains.
+"""
+
+import numpy as np
+
+from experiments.motion.observer_contest.fixed_gain import stationary
+from experiments.motion.observer_contest.modes import dominant, sampled_mode
+from experiments.motion.observer_contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
+from stillwork.base.algebra import cholesky_root, congruence
+from stillwork.base.kernels import inlined_kernel, kernel
+
+NUDGE = 1e-5  # of a relative error, for a central difference of one mode's block
+WIDEST = 0.5  # relative error at which a parameter is held
+
+
+@kernel
+def _move(force, data, point):
+    """Take z, at `point`, one sample on without noise."""
+    a, b, modes, omega, damping, shapes, places, settings = data[:8]
+    n = len(a)
+    block, lever = np.empty((2, 2)), np.empty(2)
+    for i in range(0, n, 2):
+        first, second = point[i], point[i + 1]
+        for r in range(i, i + 2):
+            point[r] = a[r, i] * first + a[r, i + 1] * second
+            for q in range(len(force)):
+                point[r] += b[r, q] * force[q]
+        for j in range(len(modes)):
+            if 2 * modes[j] == i:
+                push = 0.0
+                for q in range(len(force)):
+                    push += shapes[j, q] * force[q]
+                frequency, gain = places[j]
+                bent = point[frequency] if frequency >= 0 else 0.0
+                push *= 1 + point[gain] if gain >= 0 else 1.0
+                sampled_mode(omega[j] * (1 + bent), damping[j], settings[0], block, lever)
+                for r in range(2):
+                    point[i + r] = block[r, 0] * first + block[r, 1] * second + lever[r] * push
+
+
+@kernel
+def _measure_in_turn(z, p, c, sensor, measured, considered):
+    """Take in the outputs one after the other; of the last `considered` states only the covariance is learnt."""
+    size, n = len(z), c.shape[1]
+    kept = size - considered
+    cross, gain = np.empty(size), np.zeros(size)
+    for o in range(len(c)):
+        variance, innovation = sensor[o], measured[o]
+        for i in range(size):
+            total = 0.0
+            for j in range(n):
+                total += p[i, j] * c[o, j]
+            cross[i] = total
+        for i in range(n):
+            variance += c[o, i] * cross[i]
+            innovation -= c[o, i] * z[i]
+        for i in range(kept):
+            gain[i] = cross[i] / variance
+            z[i] += gain[i] * innovation
+        for i in range(size):
+            for j in range(i + 1):
+                p[i, j] -= gain[i] * cross[j] + cross[i] * gain[j] - gain[i] * gain[j] * variance
+                p[j, i] = p[i, j]
+
+
+@kernel
+def _advance_extended(data, memory, inputs, measurements, estimates):
+    a, _, modes, omega, damping, shapes, places, settings, c, sensor, added = data
+    z, p = memory
+    considered = int(settings[1])
+    n, size = len(a), len(z)
+    jacobian, half = np.eye(size), np.empty((size, size))
+    block, lever = np.empty((2, 2)), np.empty(2)
+    blocks, levers = np.empty((2, 2, 2)), np.empty((2, 2))
+    jacobian[:n, :n] = a
+    for k in range(len(inputs)):
+        for j in range(len(modes)):
+            first, push = 2 * modes[j], 0.0
+            for q in range(inputs.shape[1]):
+                push += shapes[j, q] * inputs[k, q]
+            frequency, gain = places[j]
+            bent = z[frequency] if frequency >= 0 else 0.0
+            pushed = push * (1 + z[gain] if gain >= 0 else 1.0)
+            sampled_mode(omega[j] * (1 + bent), damping[j], settings[0], block, lever)
+            for side in range(2):
+                nudge = NUDGE if side else -NUDGE
+                sampled_mode(
+                    omega[j] * (1 + bent + nudge), damping[j], settings[0], blocks[side], levers[side]
+                )
+            for r in range(2):
+                for s in range(2):
+                    jacobian[first + r, first + s] = block[r, s]
+                if frequency >= 0:
+                    moved = (levers[1, r] - levers[0, r]) * pushed
+                    for s in range(2):
+                        moved += (blocks[1, r, s] - blocks[0, r, s]) * z[first + s]
+                    jacobian[first + r, frequency] = moved / (2 * NUDGE)
+                if gain >= 0:
+                    jacobian[first + r, gain] = lever[r] * push
+        _move(inputs[k], data, z)
+        congruence(jacobian, p, half, p)
+        for i in range(size):
+            for j in range(size):
+                p[i, j] += added[i, j]
+        if not np.isnan(measurements[k, 0]):
+            _measure_in_turn(z, p, c, sensor, measurements[k], considered)
+        _finish(z, n, estimates[k])
+
+
+@inlined_kernel
+def _finish(z, n, estimate):
+    # Parameters are held within what is physical.
+    for i in range(n, len(z)):
+        z[i] = min(max(z[i], -WIDEST), WIDEST)
+    for i in range(n):
+        estimate[i] = z[i]
+
+
+@kernel
+def _advance_unscented(data, memory, inputs, measurements, estimates):
+    c, sensor, added = data[8], data[9], data[10]
+    z, p = memory
+    size, n = len(z), c.shape[1]
+    root, points = np.zeros((size, size)), np.empty((2 * size, size))
+    for k in range(len(inputs)):
+        # Points at plus and minus the columns of the root of N P, each with weight 1 / 2N: alpha = 1, kappa = 0.
+        if not cholesky_root(p, root, size):
+            estimates[k] = np.nan
+            continue
+        for s in range(2 * size):
+            sign = np.sqrt(size) if s < size else -np.sqrt(size)
+            for i in range(size):
+                points[s, i] = z[i] + sign * root[i, s % size]
+            for i in range(n, size):
+                points[s, i] = min(max(points[s, i], -0.9), 0.9)
+            _move(inputs[k], data, points[s])
+        for i in range(size):
+            total = 0.0
+            for s in range(2 * size):
+                total += points[s, i]
+            z[i] = total / (2 * size)
+        for i in range(size):
+            for j in range(i + 1):
+                total = 0.0
+                for s in range(2 * size):
+                    total += (points[s, i] - z[i]) * (points[s, j] - z[j])
+                p[i, j] = p[j, i] = added[i, j] + total / (2 * size)
+        if not np.isnan(measurements[k, 0]):
+            _measure_in_turn(z, p, c, sensor, measurements[k], 0)
+        _finish(z, n, estimates[k])
+
+
+def _parts(model, noise, sample_time, deviation, walk, factor, considered):
+    """Data and memory that the filters of this file share."""
+    bent = dominant(model, 3)
+    modes = np.concatenate([[0], bent])  # the rigid body's gain, three frequencies, two flexible gains
+    n, count = len(model.a), len(modes)
+    places = np.full((count, 2), -1)
+    places[1:, 0] = n + np.arange(count - 1)
+    places[: min(count, 3), 1] = n + count - 1 + np.arange(min(count, 3))
+    size = places.max() + 1
+    fair = ToldNoise(factor * noise.process, noise.sensor)
+    added, covariance = np.zeros((2, size, size))
+    added[:n, :n] = model.b @ fair.process @ model.b.T
+    covariance[:n, :n] = stationary(model, fair)[1]
+    for i in range(n, size):
+        covariance[i, i], added[i, i] = deviation**2, walk**2
+    data = (
+        model.a,
+        model.b,
+        modes,
+        model.frequencies[modes],
+        model.damping[modes],
+        np.ascontiguousarray(model.input_shapes[modes]),
+        places,
+        np.array([sample_time, size - n if considered else 0.0]),
+        np.ascontiguousarray(model.c),
+        np.diag(noise.sensor).copy(),
+        added,
+    )
+    return data, (np.zeros(size), covariance)
+
+
+def extended(
+    model: ToldModel, noise: ToldNoise, sample_time: float, deviation: float, walk: float, factor: float
+) -> MadeObserver:
+    """Extended Kalman filter of states and parameters."""
+    return MadeObserver(
+        _advance_extended, *_parts(model, noise, sample_time, deviation, walk, factor, considered=False)
+    )
+
+
+def considering(model: ToldModel, noise: ToldNoise, sample_time: float, deviation: float) -> MadeObserver:
+    """Schmidt-Kalman filter: the parameters are never estimated, but the states know how uncertain they are."""
+    return MadeObserver(
+        _advance_extended, *_parts(model, noise, sample_time, deviation, 0.0, 1.0, considered=True)
+    )
+
+
+def unscented(
+    model: ToldModel, noise: ToldNoise, sample_time: float, deviation: float, walk: float, factor: float
+) -> MadeObserver:
+    """Unscented Kalman filter of states and parameters."""
+    return MadeObserver(
+        _advance_unscented, *_parts(model, noise, sample_time, deviation, walk, factor, considered=False)
+    )
+
+
+_KNOBS = (
+    Knob("deviation of parameters", 0.002, 0.1, 0.03),
+    Knob("walk of parameters a sample", 1e-7, 1e-3, 1e-5),
+    Knob("factor on Q", 1.0, 1e5, 50.0),
+)
+PARAMETRIC = {
+    "Schmidt-Kalman": Rival(considering, (Knob("deviation of parameters", 1e-4, 0.3, 0.03),), "Schmidt 1966"),
+    "extended Kalman": Rival(extended, _KNOBS, "Jazwinski 1970, section 8.3"),
+    "unscented Kalman": Rival(unscented, _KNOBS, "Julier and Uhlmann 2004"),
+}

@@ -1,0 +1,304 @@
+"""The command ``report``: what a measurement says, on one page: a machine's, a record's, or power spectral densities."""
+
+import html
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from string import Template
+
+import numpy as np
+
+from stillwork.base.checks import InputError
+from stillwork.control.machine_loops import applications, reach
+from stillwork.designing import (
+    ADDED_DAMPING,
+    INTENSITIES,
+    RETAINED,
+    SELECTIVITY,
+    paint_machine,
+    uses_table,
+)
+from stillwork.html_page import picture, table
+from stillwork.identification.complex_frequency import Stabilisation
+from stillwork.identification.machine import Machine, build_machine
+from stillwork.identification.machine_files import (
+    complex_responses,
+    is_unit,
+    kind_of,
+    load_machine,
+    stated_units,
+)
+from stillwork.inspecting import inspect_file
+from stillwork.signals.datafiles import read_arrays
+from stillwork.signals.densities import DENSITIES_SAID, density_unit, frequency_axis, read_densities
+from stillwork.signals.records import (
+    SI_UNITS,
+    UNITS_SAID,
+    Record,
+    is_time,
+    load_record,
+    sampling_rate,
+    unit_factor,
+)
+from stillwork.signals.spectra import band_power, estimate_response, estimate_spectrum
+
+SEGMENTS = 16  # of a record, at least, in its spectra
+MOST_CHANNELS = 8  # of a record or of spectra on one page
+NORMAL = 1.96  # standard deviations either side of a number, 95 %
+
+
+class Missing(InputError):
+    """What a file does not say and nobody has said: ask for `name`."""
+
+    def __init__(self, name: str, question: str, option: str):
+        super().__init__(f"{question}; give {option}")
+        self.name, self.question = name, question
+
+
+def report_file(file: str, out: str = "", **said) -> list[str]:
+    """Write one page about the measurement in `file`.
+
+    Parameters
+    ----------
+    file : str
+        A frequency response, hammer records, or M and K; a record over time; power spectral densities.
+    out : str
+        The page, a new file; by default the file's name with ``.html`` behind it.
+    **said
+        What the file may leave out: `unit` of a record or of densities, `response_unit`, `force_unit`, `response`,
+        `sample_rate` (Hz), `fit_hz`; empty or None where nothing is said.
+
+    Returns
+    -------
+    list of str
+        What was found, a line each.
+
+    Raises
+    ------
+    Missing
+        When the file does not say something that is needed.
+    InputError
+        When the file cannot be used, or the page exists.
+    """
+    source = Path(file)
+    said = {name: value for name, value in said.items() if value}
+    held = inspect_file(file)
+    if source.suffix.lower() in (".toml", ".py"):
+        raise InputError(
+            f"{source.name} is a model, not a measurement; `stillwork inspect` says what takes it"
+        )
+    page = Path(out or f"{source.name}.html")
+    if page.exists():
+        raise InputError(f"{page} exists; move it away, or give another --out")
+    arrays = read_arrays(source)
+    if all(array.size < 2 for array in arrays.values()):
+        raise InputError(f"{source.name} holds no rows of numbers; export the measurement again")
+    try:
+        kind = kind_of(arrays)
+    except InputError:
+        kind = "densities" if frequency_axis(arrays) else "record"
+    real = kind == "frequency response" and not complex_responses(arrays)
+    if real and not re.search(r"\b(re|real|mag|magnitude|amplitude|gain)\b", " ".join(arrays).lower()):
+        kind = "densities"
+    parts = {"densities": _densities, "record": _record}.get(kind, _machine)
+    lines, sections = [], []
+    for part in parts(source, arrays, said):
+        (lines if isinstance(part, str) else sections).append(part)
+    body = [f"<p>{html.escape(line)}</p>" for line in lines]
+    body += [f"<h2>{html.escape(title)}</h2>\n{content}" for title, content in sections]
+    template = Template((Path(__file__).parent / "report.html").read_text(encoding="utf-8"))
+    text = template.substitute(source=html.escape(source.name), body="\n".join(body), held=html.escape(held))
+    page.write_text(text, encoding="utf-8")
+    return [*lines, f"written: {page}"]
+
+
+def _machine(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
+    options = {
+        key: said[key] for key in ("response_unit", "force_unit", "sample_rate", "response") if key in said
+    }
+    kind = kind_of(arrays)
+    if kind == "frequency response":
+        several = list(complex_responses(arrays))
+        if len(several) > 1 and "response" not in said:
+            raise Missing(
+                "response", f"{source.name} holds {', '.join(several)}; which one", "--response NAME"
+            )
+    if kind == "hammer records":
+        _rate(source, arrays, said)
+    if kind != "matrices":
+        for name, stated, usual in zip(
+            ("response_unit", "force_unit"), stated_units(arrays), ("m/s^2, g or um", "N or kN"), strict=True
+        ):
+            if not stated and name not in said:
+                raise Missing(
+                    name,
+                    f"{source.name} does not say the unit of the {name.partition('_')[0]} ({usual}, say)",
+                    f"--{name.replace('_', '-')} UNIT",
+                )
+    file = load_machine(source, **options)
+    band = said.get("fit_hz", (0.0, 0.0))
+    machine = build_machine(file, modes_hz=[], fit_hz=band, mirrored_sensor=False)
+    known = f" ± {100 * NORMAL * machine.fit.mass_deviation:.2g} %" if machine.fit else ""
+    yield f"{kind} of a machine of {machine.mass:.4g} kg{known}"
+    yield from machine.notes
+    yield "Modes", _modes(machine) + _image(paint_machine(machine), "accelerance")
+    if machine.fit and machine.fit.diagram:
+        yield "Stabilisation", _image(paint_stabilisation(machine.fit.diagram), "poles over the order")
+    try:
+        found = reach(
+            machine, applications(ADDED_DAMPING, SELECTIVITY), retained=RETAINED, intensities=INTENSITIES
+        )
+    except InputError as error:
+        yield f"no loop was searched: {error}"
+    else:
+        yield "How far a PID controller gets, and what an observer adds", uses_table(found)
+
+
+def _modes(machine: Machine) -> str:
+    """Table of the flexible modes, with intervals of 95 % where they were measured."""
+    model, fit = machine.sensors[0], machine.fit
+    first = model.rigid_modes
+    rows = []
+    for k in range(first, len(model.frequencies)):
+        hertz, ratio = model.frequencies[k] / (2 * np.pi), 100 * model.damping[k]
+        share = model.input_shapes[k, 0] * model.output_shapes[0, k] * machine.mass
+        row = [f"{hertz:.6g}", f"{ratio:.3g}", f"{share:.3g}"]
+        if fit:
+            spread = fit.deviation[k - first] / (2 * np.pi), 100 * fit.damping_deviation[k - first]
+            row[:2] = (f"{each} ± {NORMAL * by:.2g}" for each, by in zip(row[:2], spread, strict=True))
+        rows.append(row)
+    return table(["frequency (Hz)", "damping (%)", "share of the rigid body"], rows)
+
+
+def _record(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
+    rate = _rate(source, arrays, said)
+    record = load_record(source, "1", sample_rate=rate, most_channels=MOST_CHANNELS)
+    units = [_unit(name) or said.get("unit", "") for name in record.names]
+    if "" in units:
+        name = record.names[units.index("")]
+        raise Missing("unit", f"{source.name} does not say the unit of {name} ({UNITS_SAID})", "--unit UNIT")
+    factors, units = zip(*map(unit_factor, units), strict=True)
+    signals = record.signals * np.array(factors)[:, None]
+    signals -= signals.mean(axis=1, keepdims=True)
+    yield f"a record: {record.sample_rate:.6g} Hz, {record.duration:.4g} s, {len(units)} channel(s)"
+    rows = [
+        [
+            name,
+            unit,
+            f"{row.std():.4g}",
+            f"{np.abs(row).max():.4g}",
+            f"{np.mean(row**4) / row.var() ** 2:.3g}",
+        ]
+        for name, unit, row in zip(record.names, units, signals, strict=True)
+    ]
+    yield "Channels", table(["channel", "SI unit", "rms", "peak", "kurtosis (3: Gaussian)"], rows)
+    resolution = max(1 / record.duration * SEGMENTS / 2, record.sample_rate / 2**14)
+    spectrum = estimate_spectrum(signals, record.sample_rate, resolution)
+    yield (
+        "Spectra",
+        _image(
+            paint_densities(
+                spectrum.frequencies_hz[1:],
+                spectrum.density[:, 1:],
+                record.names,
+                " or ".join(dict.fromkeys(units)),
+            ),
+            "power spectral densities",
+        ),
+    )
+    if len(signals) > 1:
+        yield (
+            "From the first channel to the others",
+            _image(paint_response(replace(record, signals=signals), resolution), "coherence"),
+        )
+
+
+def _densities(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
+    names = [name for name in arrays if name != frequency_axis(arrays)]
+    found = {each[1] for name in names if (each := re.search(r"[(\[](.+)[)\]]$", name.strip()))}
+    unit = said.get("unit") or (found.pop() if len(found) == 1 else "")
+    if not unit or not density_unit(unit):
+        raise Missing(
+            "unit", f"{source.name} does not say the unit of its densities ({DENSITIES_SAID})", "--unit UNIT"
+        )
+    hertz, density = read_densities(source, unit, [], MOST_CHANNELS)
+    yield f"power spectral densities, {len(hertz)} frequencies from {hertz[0]:.4g} to {hertz[-1]:.4g} Hz, as accelerations"
+    rows = [
+        [
+            name,
+            *(
+                f"{np.sqrt(band_power(hertz, row / (2 * np.pi * hertz) ** (2 * order), hertz[0], hertz[-1])):.4g}"
+                for order in (0, 1, 2)
+            ),
+        ]
+        for name, row in zip(names, density, strict=True)
+    ]
+    yield "Root mean squares", table(["spectrum", "m/s^2", "m/s", "m"], rows)
+    yield "Spectra", _image(paint_densities(hertz, density, names, "m/s^2"), "power spectral densities")
+
+
+def paint_densities(hertz, density, names, unit: str):
+    """Power spectral densities over frequency, and the rms that gathers from the lowest one on."""
+    from stillwork.workbook import figures
+
+    figure, (upper, lower) = figures.new(2, 1, height=4.6, sharex=True)
+    for name, row in zip(names, density, strict=True):
+        upper.loglog(hertz, np.maximum(row, row.max() * 1e-12), linewidth=0.8, label=name)
+        steps = np.diff(hertz) * (row[1:] + row[:-1]) / 2
+        lower.semilogx(hertz[1:], np.sqrt(np.cumsum(steps)), linewidth=0.9)
+    upper.set_ylabel(f"density (({unit})²/Hz)")
+    upper.legend()
+    lower.set(xlabel="frequency (Hz)", ylabel=f"rms up to there ({unit})")
+    return figure
+
+
+def paint_response(record: Record, resolution: float):
+    """Size of the response of every other channel to the first, and its coherence."""
+    from stillwork.workbook import figures
+
+    found = estimate_response(record.signals[:1], record.signals[1:], record.sample_rate, resolution)
+    figure, (upper, lower) = figures.new(2, 1, height=4.6, sharex=True)
+    for k, name in enumerate(record.names[1:]):
+        upper.loglog(found.frequencies_hz[1:], np.abs(found.response[k, 0, 1:]), linewidth=0.8, label=name)
+        lower.semilogx(found.frequencies_hz[1:], found.coherence[k, 1:], linewidth=0.8)
+    upper.set_ylabel(f"over {record.names[0]}")
+    upper.legend()
+    lower.set(xlabel="frequency (Hz)", ylabel="coherence", ylim=(0, 1.05))
+    return figure
+
+
+def paint_stabilisation(diagram: Stabilisation):
+    """Poles over their orders: those that stay from order to order stand out."""
+    from stillwork.workbook import figures
+
+    figure, axis = figures.new(1, 1, height=3.0)
+    for chosen, colour, label in (
+        (~diagram.stable, figures.GREY, "moves"),
+        (diagram.stable, figures.BLUE, "stays"),
+    ):
+        hertz = diagram.frequency[chosen] / (2 * np.pi)
+        axis.semilogx(hertz, diagram.order[chosen], ".", markersize=2, color=colour, label=label)
+    axis.set(xlabel="frequency (Hz)", ylabel="order")
+    axis.legend()
+    return figure
+
+
+def _rate(source: Path, arrays, said) -> float:
+    stated = said.get("sample_rate")
+    timed = any(is_time(name) and array.size > 1 for name, array in arrays.items())
+    if stated is None and not timed and not any(array.size == 1 for array in arrays.values()):
+        raise Missing(
+            "sample_rate", f"{source.name} has no time and no rate; its rate in Hz", "--sample-rate HZ"
+        )
+    return sampling_rate(source.name, arrays, stated)
+
+
+def _unit(name: str) -> str:
+    """The unit in the brackets of a channel's name; empty when there is none that is known."""
+    found = re.search(r"[(\[](.+?)[)\]]", name)
+    return found[1] if found and is_unit(found[1], SI_UNITS) else ""
+
+
+def _image(figure, words: str) -> str:
+    return f'<p><img src="data:image/png;base64,{picture(figure)}" alt="{words}"></p>'

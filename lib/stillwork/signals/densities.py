@@ -1,0 +1,80 @@
+"""Power spectral densities of motions from files: CSV, MAT or NPZ with a column of frequencies."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from stillwork.base.checks import InputError, nearest
+from stillwork.signals.datafiles import read_columns
+from stillwork.signals.records import MOTION_UNITS, unit_factor
+
+DENSITIES_SAID = "(m/s^2)^2/Hz, (m/s)^2/Hz, g^2/Hz or m/s^2/sqrt(Hz), say, with m, u or n before a unit"
+_FREQUENCY_WORDS = ("frequency", "frequencies", "freq", "f", "hz")
+
+
+def density_unit(unit: str) -> tuple[str, int] | None:
+    """Unit of the motion in a unit of a density, and the power to which the density has it; None for a record's."""
+    plain = unit.strip().replace("²", "^2").replace("√Hz", "sqrt(Hz)").replace(" ", "")
+    for pattern, power in (
+        (r"\((.+)\)\^2/Hz", 2),
+        (r"(\w+)\^2/Hz", 2),
+        (r"\(?(.+?)\)?/(?:sqrt\(Hz\)|rtHz|Hz\^0\.5|Hz\^\(1/2\))", 1),
+    ):
+        if found := re.fullmatch(pattern, plain):
+            return found[1], power
+    if "hz" in plain.lower():
+        raise InputError(f"unit is {unit!r}; give a density as {DENSITIES_SAID}")
+    return None
+
+
+def read_densities(path: Path, unit: str, channels: list[str], most: int) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies in Hz and acceleration PSDs in (m/s^2)^2/Hz, (channels, frequencies), of a file of spectra.
+
+    Raises
+    ------
+    InputError
+        When there is no column of frequencies, or a spectrum cannot be one of a motion.
+    """
+    columns = read_columns(path)
+    axis = frequency_axis(columns)
+    if not axis:
+        raise InputError(
+            f"{path.name} has no column named frequency (in Hz), which a density in {unit} needs; "
+            "name it, or give the unit of a record"
+        )
+    f = columns.pop(axis)
+    named = {name: column for name, column in columns.items() if column.size == f.size}
+    for name in channels:
+        if name not in named:
+            raise InputError(
+                f"{path.name} has no spectrum {name!r}{nearest(name, named)}; it has {', '.join(named)}"
+            )
+    named = {name: named[name] for name in channels} if channels else named
+    if not 0 < len(named) <= most:
+        raise InputError(
+            f"{path.name} holds {len(named)} spectra ({', '.join(named)}) beside {axis!r}; choose 1 to {most}"
+        )
+    if not (said := density_unit(unit)):
+        raise InputError(f"unit is {unit!r}; give a density as {DENSITIES_SAID}")
+    motion, power = said
+    factor, si_unit = unit_factor(motion)
+    if si_unit not in MOTION_UNITS:
+        raise InputError(f"unit is {unit!r}; a floor needs a density of m/s^2, m/s or m")
+    known = f > 0
+    if known.sum() < 2:
+        raise InputError(f"{path.name}: {axis!r} holds {known.sum()} frequencies above zero; give at least 2")
+    rows = np.array(list(named.values()))[:, known]
+    if not np.isfinite(rows).all() or np.any(rows < 0):
+        raise InputError(f"{path.name} holds a density that is missing, infinite or negative; mend it")
+    squares = (factor * rows) ** 2 if power == 1 else factor**2 * rows
+    return f[known], squares * (2 * np.pi * f[known]) ** (2 * MOTION_UNITS.index(si_unit))
+
+
+def frequency_axis(columns: dict[str, np.ndarray]) -> str:
+    """Name of the column of frequencies; empty where there is none."""
+    for name, column in columns.items():
+        words = re.split(r"[\s_(\[.]", name.strip().lower())
+        if words[0] in _FREQUENCY_WORDS and column.size > 1:
+            return name
+    return ""

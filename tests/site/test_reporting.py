@@ -1,0 +1,161 @@
+"""The command ``report``: one page for what can be read, one clear line for what cannot, questions for what is missing."""
+
+import re
+import time
+
+import numpy as np
+import pytest
+
+from stillwork.__main__ import main
+from stillwork.base import paths
+from stillwork.reporting import Missing, report_file
+
+HERTZ = np.arange(5.0, 500.0)
+RESPONSE = 1 - 0.5 * HERTZ**2 / (120.0**2 - HERTZ**2 + 2j * 0.01 * 120 * HERTZ)
+HAMMER = paths.data("motion", "impact_frf_25k6/impact_hammer_5_hits.npz")
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def csv(**columns):
+    """Columns of equal length as text."""
+    rows = np.column_stack(list(columns.values()))
+    return "\n".join([",".join(columns), *(",".join(map(repr, row)) for row in rows.tolist())])
+
+
+def npz(**arrays):
+    with open("made.npz", "wb") as file:
+        np.savez(file, **arrays)
+    return open("made.npz", "rb").read()
+
+
+def record(n=600, **columns):
+    t = np.arange(n) / 100.0
+    return {"time": t, "a (m/s^2)": np.sin(t**2), **columns}
+
+
+def densities(unit="(m/s^2)^2/Hz", sign=1.0):
+    return {"frequency": HERTZ, f"floor ({unit})": sign / HERTZ}
+
+
+def response(hertz=HERTZ, unit="m/s^2/N"):
+    return {"frequency": hertz, f"real ({unit})": RESPONSE.real, f"imag ({unit})": RESPONSE.imag}
+
+
+PULSE = np.exp(-(((np.arange(512) - 20) / 2.0) ** 2))
+HITS = {"time": np.arange(512) / 1000, "force 1 (N)": PULSE, "force 2 (N)": PULSE}
+RINGS = np.exp(-np.arange(512) / 30) * np.sin(np.arange(512) / 2)
+PAIR = {"M": np.diag([8.0, 2.0]), "K": np.array([[1e6, -1e6], [-1e6, 1e6]]), "input": [1.0, 0.0]}
+
+BROKEN = {
+    "an empty file": ("a.csv", lambda: "", "a.csv is empty"),
+    "names alone": ("a.csv", lambda: "time,a (g)\n", "holds no rows of numbers"),
+    "prose": ("a.csv", lambda: "we measured\nthe floor\n", "'the' in row 1 is not a number"),
+    "a ragged table": ("a.csv", lambda: "time,a\n0,1\n1,2,3\n2,1\n", "row 2 holds 3 values for 2 columns"),
+    "no archive": ("a.npz", lambda: b"PK nothing", "a.npz cannot be read"),
+    "half an archive": ("a.npz", lambda: npz(**PAIR)[:300], "a.npz cannot be read"),
+    "no MAT file": ("a.mat", lambda: b"MATLAB 5.0 MAT-file" + bytes(200), "a.mat cannot be read"),
+    "no universal file": ("a.uff", lambda: "    -1\n    58\nnothing\n", "a.uff holds no measured function"),
+    "a workbook of sheets": ("a.xlsx", lambda: "x", "not read; export CSV"),
+    "a model": ("a.toml", lambda: "mass = 1.0\n", "is a model, not a measurement"),
+    "a gap in values": ("a.csv", lambda: csv(**record(b=np.where(np.arange(600) == 9, np.nan, 1.0))), "not finite"),
+    "a gap in time": ("a.csv", lambda: csv(**record() | {"time": np.arange(600) + (np.arange(600) > 99)}), "gap"),
+    "time that turns back": ("a.csv", lambda: csv(**record() | {"time": np.arange(600.0)[::-1]}), "does not rise"),
+    "a dead channel": ("a.csv", lambda: csv(**record(b=np.ones(600))), "b stands at 1 throughout"),
+    "a short record": ("a.csv", lambda: csv(**record(n=100)), "100 samples are too short"),
+    "no rate": ("a.csv", lambda: csv(**{"a (g)": RINGS}), "no time and no rate; .* give --sample-rate HZ"),
+    "no unit": ("a.csv", lambda: csv(**record(b=RINGS[np.arange(600) % 512])), "unit of b .*; give --unit UNIT"),
+    "densities below zero": ("a.csv", lambda: csv(**densities(sign=-1.0)), "missing, infinite or negative"),
+    "densities of what": ("a.csv", lambda: csv(**densities("x")), "unit of its densities .*; give --unit UNIT"),
+    "falling frequencies": ("a.csv", lambda: csv(**response(HERTZ[::-1])), "does not rise from line to line"),
+    "a response without units": ("a.csv", lambda: csv(f=HERTZ, real=RESPONSE.real, imag=RESPONSE.imag), "--response-unit UNIT"),
+    "a response in volts": ("a.csv", lambda: csv(**response(unit="V/N")), "unit of the response"),
+    "a matrix of responses": ("a.npz", lambda: npz(frequency=HERTZ, h=np.ones((2, 1)) * RESPONSE[None, None]), r"h\[1,1\].*; give --response NAME"),
+    "a hit without its response": ("a.csv", lambda: csv(**HITS, **{"acceleration 1 (g)": RINGS}), "force holds 2 hits"),
+    "a force that never ends": ("a.csv", lambda: csv(**{"time": HITS["time"], "force (N)": np.sin(np.arange(512)), "a (g)": RINGS}), "which is no hit"),
+    "a stiffness that is not symmetric": ("a.npz", lambda: npz(**PAIR | {"K": [[1e6, 0.0], [-1e6, 1e6]]}), "not symmetric"),
+    "matrices without a force": ("a.npz", lambda: npz(M=PAIR["M"], K=PAIR["K"]), "input is missing"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_broken_file_gives_one_clear_line_and_no_page(tmp_path, capsys, name):
+    file, content, message = BROKEN[name]
+    content = content()
+    (tmp_path / file).write_bytes(content if isinstance(content, bytes) else content.encode())
+    assert main(["report", file, "--out", "page.html"]) == 2
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1 and told.startswith("stillwork: ")
+    assert re.search(message, told) and "Traceback" not in told and "Error" not in told
+    assert not (tmp_path / "page.html").exists()
+
+
+def test_no_two_broken_files_are_told_the_same(tmp_path):
+    assert len({message for _, _, message in BROKEN.values()}) >= 20
+
+
+def page_of(file, **said):
+    """The page's text without its pictures, and how many there are."""
+    lines = report_file(str(file), "page.html", **said)
+    text = open("page.html", encoding="utf-8").read()
+    pictures = re.findall(r'src="data:image/png;base64,[A-Za-z0-9+/=]{4000,}"', text)
+    assert "$" not in re.sub(r'src="[^"]*"', "", text)
+    return lines, text, len(pictures)
+
+
+@pytest.mark.slow
+def test_a_record_gets_its_spectra_and_its_coherence(tmp_path):
+    rng = np.random.default_rng(0)
+    shaken = rng.normal(size=4000)
+    columns = {"time": np.arange(4000) / 500, "drive (V)": shaken, "plate (g)": 0.5 * shaken}
+    (tmp_path / "a.csv").write_text(csv(**columns))
+    lines, text, pictures = page_of("a.csv")
+    assert "a record: 500 Hz, 8 s, 2 channel(s)" in lines and pictures == 2
+    rms = re.search(r"plate \(g\)</td><td>m/s\^2</td><td>([\d.]+)", text)
+    assert float(rms[1]) == pytest.approx(0.5 * 9.80665 * shaken.std(), rel=1e-3)
+    with pytest.raises(ValueError, match=r"page\.html exists; move it away"):
+        report_file("a.csv", "page.html")
+
+
+@pytest.mark.slow
+def test_densities_get_their_root_mean_squares(tmp_path):
+    """1/f^2 in position between 5 and 499 Hz by the integral in closed form, as (mm)^2/Hz."""
+    hertz = np.geomspace(5.0, 499.0, 2000)
+    (tmp_path / "a.csv").write_text(csv(**{"frequency": hertz, "floor (mm^2/Hz)": 1 / hertz**2}))
+    _, text, pictures = page_of("a.csv")
+    found = [
+        float(each) for each in re.search(r"floor.*?</td><td>(.*?)</td></tr>", text)[1].split("</td><td>")
+    ]
+    exact = [
+        (2 * np.pi) ** 2 * np.sqrt((499.0**3 - 5.0**3) / 3),
+        2 * np.pi * np.sqrt(494.0),
+        np.sqrt(1 / 5 - 1 / 499),
+    ]
+    assert found == pytest.approx(1e-3 * np.array(exact), rel=2e-3) and pictures == 1
+
+
+@pytest.mark.slow
+def test_what_is_missing_is_asked(tmp_path, monkeypatch, capsys):
+    (tmp_path / "a.csv").write_text(csv(**{"a": RINGS}))
+    with pytest.raises(Missing, match="--sample-rate HZ"):
+        report_file("a.csv")
+    answers = iter(["1000", "mg"])
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
+    monkeypatch.setattr("builtins.input", lambda question: (print(question), next(answers))[1])
+    assert main(["report", "a.csv"]) == 0
+    said = capsys.readouterr().out
+    assert "its rate in Hz" in said and "the unit of a" in said and "written: a.csv.html" in said
+
+
+@pytest.mark.slow
+def test_the_shipped_hammer_records_get_a_page_within_a_minute():
+    begun = time.process_time()
+    lines, text, pictures = page_of(HAMMER, response_unit="m/s^2", force_unit="N", fit_hz=(100.0, 3100.0))
+    assert time.process_time() - begun < 60.0
+    assert lines[0].startswith("hammer records of a machine of 0.8") and pictures == 2
+    first = re.search(r"<tr><td>(8\d\d\.?\d*) ± [\d.]+</td><td>0\.\d+ ± ", text)
+    assert float(first[1]) == pytest.approx(810.3, abs=0.3)
+    assert "MC and AD" in text and "stopped by" in text
