@@ -224,5 +224,10 @@ def test_bad_arguments_are_refused():
     measured = noisy(np.random.default_rng(0), np.arange(5.0, 99.0), 1.0, [], 1e-3)
     with pytest.raises(InputError, match="guesses_hz must be empty or hold frequencies all inside"):
         identify_modes(measured, (5.0, 98.0), [200.0])
+    for band, size in (((300.0, 400.0), 1.0), ((5.0, 20.0), 1.0), ((5.0, 98.0), 0.0), ((5.0, 98.0), 1e200)):
+        with pytest.raises(InputError, match="give at least 32 lines of a response in 1/kg"):
+            identify_modes(measured._replace(response=size * measured.response), band)
+    with pytest.raises(InputError, match="omega must ascend from above 0"):
+        stabilisation(np.arange(50.0), np.ones((50, 1, 1)))
     with pytest.raises(InputError, match="no resonance stands out"):
         identify_modes(measured, (5.0, 98.0))

@@ -110,6 +110,8 @@ def stabilisation(omega: ArrayLike, response: ArrayLike) -> Stabilisation:
     omega = require_array("omega", omega, ndim=1)
     response = require_array("response", response, shape=(len(omega), None, None), dtype=complex)
     size = np.sqrt(np.mean(np.abs(response) ** 2, axis=(1, 2)))
+    if len(omega) < 2 or np.any(np.diff(omega) <= 0) or omega[0] <= 0 or not size.min() > 0:
+        raise InputError("omega must ascend from above 0, and response be other than zero at every line")
     found = [(np.zeros(0, int), np.zeros((2, 0)), np.zeros(0, bool))]
     high = omega[-1]
     while True:

@@ -32,6 +32,7 @@ CANCELLED = 3.0  # times the response at its frequency, that a mode's own part m
 NEAR_GUESS = 5e-3  # of a frequency, within which a pole that settles takes the place of a guess
 LITTLE = 1e-4  # part of the error that a candidate must take away to be tried
 EXACT = 1e-16  # part of the response's square that is rounding
+LEAST_LINES, HUGE = 32, 1e30  # of a measurement; what its response stays below, and its inverse above
 LAGS = 8  # lines over which errors may depend on each other, zeros appended to a record among the reasons
 
 
@@ -313,6 +314,14 @@ class _Accelerance:
     def __init__(self, measured: Identified, band_hz: tuple[float, float]):
         inside = (measured.omega >= 2 * np.pi * band_hz[0]) & (measured.omega <= 2 * np.pi * band_hz[1])
         self.omega, self.target = measured.omega[inside], measured.response[inside]
+        if (
+            len(self.omega) < LEAST_LINES
+            or not 1 / HUGE < np.abs(self.target).min() <= np.abs(self.target).max() < HUGE
+        ):
+            raise InputError(
+                f"measured holds {len(self.omega)} lines from {band_hz[0]:g} to {band_hz[1]:g} Hz, or a response of zero, "
+                f"NaN or beyond {HUGE:g}; give at least {LEAST_LINES} lines of a response in 1/kg"
+            )
         # A line that noise has made small by chance must not weigh more than its neighbours.
         size = np.sqrt(uniform_filter1d(np.abs(self.target) ** 2, SMOOTH, mode="nearest"))
         coherence = np.nan_to_num(measured.coherence[inside], nan=1.0)
