@@ -153,7 +153,8 @@ def test_python_control_agrees_with_every_stored_design():
         assert found.stable[0] and radius < 1
         # Most agree to 0.001 dB; the nominal joint design differs by 0.013, within what its search kept from 6 dB.
         assert peak == pytest.approx(found.peaks.max(), abs=0.017)
-        assert error == pytest.approx(1e9 * found.error[0], rel=2e-3)
+        # The transform repeats after 1.6 s, when the slowest pole (0.9998 a sample) has not forgotten its last 4 %.
+        assert error == pytest.approx(1e9 * found.error[0], rel=5e-3)
 
 
 def _data():
