@@ -292,9 +292,11 @@ def _highest(around: Callable, moved: Late, first: np.ndarray, poles: np.ndarray
 
 
 def _between(omega: np.ndarray, values: np.ndarray, points: int) -> np.ndarray:
-    """Frequencies around the tops of what comes within a tenth of the largest of its function."""
-    high = values.max(axis=2) >= 0.9 * values.max(axis=(1, 2))[:, None]
-    tops = np.unique(values.argmax(axis=2)[high])
+    """Frequencies around all tops within a twentieth of the largest of their function."""
+    padded = np.pad(values, ((0, 0), (0, 0), (1, 1)))
+    high = values >= 0.95 * values.max(axis=(1, 2))[:, None, None]
+    high &= (values >= padded[..., :-2]) & (values >= padded[..., 2:])
+    tops = np.flatnonzero(high.any(axis=(0, 1)))
     ends = omega[np.maximum(tops - 1, 0)], omega[np.minimum(tops + 1, len(omega) - 1)]
     return np.unique(np.linspace(*ends, points))
 

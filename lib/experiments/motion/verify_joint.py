@@ -15,7 +15,7 @@ from stillwork.base import paths
 
 STEP, HALF = 1e-4, 0.5e-4  # s; the force is late by three halves of a sample
 NANO = 1e9  # lengths in nm: no entry of a matrix is larger than it need be
-LARGEST_DB, NEAR = 6.01, 1e-3  # allowed peak; to which errors must agree, relative
+LARGEST_DB = 6.005  # 6 dB and half of the last digit that is printed
 NAMES = ("r", "u_ff", "v", "w", "d", "u0")
 SAMPLES, AHEAD = 4096, 10  # of a move: what follows until all is still, and the rest before it
 
@@ -174,7 +174,11 @@ def highest(loop, poles: np.ndarray) -> float:
         three = np.array([response[1, 1], response[0, 2], response[0, 0]])
         values = np.abs(np.vstack([three, 1 - three]))
         largest = max(largest, float(values.max()))
-        tops = np.unique(values.argmax(axis=1))
+        inner = values[:, 1:-1]
+        top = (inner >= values[:, :-2]) & (inner >= values[:, 2:]) & (inner > 0.95 * largest)
+        tops = 1 + np.flatnonzero(top.any(axis=0))
+        if not len(tops):
+            break
         ends = omega[np.maximum(tops - 1, 0)], omega[np.minimum(tops + 1, len(omega) - 1)]
         omega = np.unique(np.linspace(*ends, 9))
     return largest
