@@ -1,4 +1,4 @@
-"""Command line: ``python -m stillwork figures|readings|claims|portable|accept|site|release|refresh|inspect|report|design|export|contest|new|doctor``."""
+"""Command line: ``python -m stillwork figures|readings|claims|portable|accept|site|release|refresh|inspect|report|design|export|contest|verify|new|doctor``."""
 
 import argparse
 import json
@@ -175,6 +175,10 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
     contest.add_argument("--scheduler", metavar="ADDRESS", help="run on the workers of a Dask cluster")
     contest.add_argument("--out", metavar="FILE.csv", help="write the table there")
     contest.set_defaults(run=_contest)
+
+    verify = commands.add_parser("verify", help="check stored results again by another library alone")
+    verify.add_argument("name", metavar="NAME", help="e.g. joint")
+    verify.set_defaults(run=_verify)
 
     new = commands.add_parser(
         "new", help="begin a result: notebook, ledger entry and test", allow_abbrev=False
@@ -378,6 +382,19 @@ def _contest(options) -> int:
     command = import_module("experiments.motion.observer_contest.command")
     chosen = {name: value for name, value in vars(options).items() if name not in ("run", "files")}
     return command.hold_contest(options.files, **chosen)
+
+
+def _verify(options) -> int:
+    from importlib import import_module
+
+    prefix = "verify_"
+    files = sorted((paths.root() / "lib" / "experiments").glob(f"*/{prefix}*.py"))
+    modules = {
+        file.stem.removeprefix(prefix): f"experiments.{file.parent.name}.{file.stem}" for file in files
+    }
+    if options.name not in modules:
+        raise InputError(f"there is nothing to verify called {options.name!r}; use {', '.join(modules)}")
+    return 0 if import_module(modules[options.name]).main() else 1
 
 
 def _new(options) -> int:

@@ -19,6 +19,7 @@ from stillwork.exporting import require_free, write_folder
 from stillwork.html_page import picture, table
 from stillwork.identification.machine import Machine, build_machine
 from stillwork.identification.machine_files import load_machine
+from stillwork.identification.modal_fit import ModalFit
 from stillwork.lti.discretisation import tustin
 
 # What the observer is made for where nothing is known: accelerations and noise of a machine that moves by nanometres.
@@ -227,6 +228,25 @@ def paint_machine(machine: Machine):
         size = 20 * np.log10(np.abs(omega**2 * sensor.frequency_response(omega)[0, 0]))
         axis.semilogx(hertz, size, linewidth=1.0, label=f"model, sensor {number}")
     axis.set(xlabel="frequency (Hz)", ylabel="accelerance (dB re 1/kg)")
+    axis.legend()
+    return figure
+
+
+def paint_stabilisation(fit: ModalFit):
+    """Poles over their orders: those that stay from order to order stand out, and those that were taken for modes."""
+    from stillwork.workbook import figures
+
+    diagram = fit.diagram
+    figure, axis = figures.new(1, 1, height=3.0)
+    for hertz in fit.model.frequencies[fit.model.rigid_modes :] / (2 * np.pi):
+        axis.axvline(hertz, color=figures.RED, linewidth=0.8)
+    for chosen, colour, label in (
+        (~diagram.stable, figures.GREY, "moves"),
+        (diagram.stable, figures.BLUE, "stays; red: a mode"),
+    ):
+        hertz = diagram.frequency[chosen] / (2 * np.pi)
+        axis.semilogx(hertz, diagram.order[chosen], ".", markersize=2, color=colour, label=label)
+    axis.set(xlabel="frequency (Hz)", ylabel="order")
     axis.legend()
     return figure
 

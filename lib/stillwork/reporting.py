@@ -17,10 +17,10 @@ from stillwork.designing import (
     RETAINED,
     SELECTIVITY,
     paint_machine,
+    paint_stabilisation,
     uses_table,
 )
 from stillwork.html_page import picture, table
-from stillwork.identification.complex_frequency import Stabilisation
 from stillwork.identification.machine import Machine, build_machine
 from stillwork.identification.machine_files import (
     complex_responses,
@@ -143,8 +143,8 @@ def _machine(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
     yield f"{kind} of a machine of {machine.mass:.4g} kg{known}"
     yield from machine.notes
     yield "Modes", _modes(machine) + _image(paint_machine(machine), "accelerance")
-    if machine.fit and machine.fit.diagram:
-        yield "Stabilisation", _image(paint_stabilisation(machine.fit.diagram), "poles over the order")
+    if machine.fit:
+        yield "Stabilisation", _image(paint_stabilisation(machine.fit), "poles over the order")
     try:
         found = reach(
             machine, applications(ADDED_DAMPING, SELECTIVITY), retained=RETAINED, intensities=INTENSITIES
@@ -265,22 +265,6 @@ def paint_response(record: Record, resolution: float):
     upper.set_ylabel(f"over {record.names[0]}")
     upper.legend()
     lower.set(xlabel="frequency (Hz)", ylabel="coherence", ylim=(0, 1.05))
-    return figure
-
-
-def paint_stabilisation(diagram: Stabilisation):
-    """Poles over their orders: those that stay from order to order stand out."""
-    from stillwork.workbook import figures
-
-    figure, axis = figures.new(1, 1, height=3.0)
-    for chosen, colour, label in (
-        (~diagram.stable, figures.GREY, "moves"),
-        (diagram.stable, figures.BLUE, "stays"),
-    ):
-        hertz = diagram.frequency[chosen] / (2 * np.pi)
-        axis.semilogx(hertz, diagram.order[chosen], ".", markersize=2, color=colour, label=label)
-    axis.set(xlabel="frequency (Hz)", ylabel="order")
-    axis.legend()
     return figure
 
 

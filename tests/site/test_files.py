@@ -134,6 +134,16 @@ def test_every_committed_figure_is_shown(files):
     assert committed <= shown
 
 
+def test_an_explorer_of_which_no_settings_are_kept_shows_its_picture(toy):
+    file = toy.root / "notebooks/isolation/01-first.ipynb"
+    notebook = json.loads(file.read_text(encoding="utf-8"))
+    data = {"image/png": "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJ"}
+    notebook["cells"][-1]["outputs"] = [{"output_type": "display_data", "data": data, "metadata": {}}]
+    file.write_text(json.dumps(notebook), encoding="utf-8")
+    page = site_files()["notebooks/isolation/01-first.html"].decode()
+    assert "The explorer at the published setting; it moves in Jupyter" in page
+
+
 def test_the_manifest_lists_files_that_are_there():
     manifest = yaml.safe_load((paths.root() / "codecheck.yml").read_text(encoding="utf-8"))["manifest"]
     assert all((paths.root() / each["file"]).is_file() and each["comment"] for each in manifest)

@@ -17,7 +17,7 @@ from stillwork.control.bandwidth import Bandwidth, Loop, make_loop
 from stillwork.control.pid import PidFamily
 from stillwork.estimation.observer import Observer
 from stillwork.identification.frequency_response import Identified
-from stillwork.identification.modal_fit import fit_modes
+from stillwork.identification.modal_fit import identify_modes
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
 from stillwork.workbook import figures
@@ -143,8 +143,7 @@ def paint_drive(stiffness_error: float, damping: float, bandwidth_hz: float):
 
 @cache
 def _fitted_structure() -> ModalModel:
-    guesses = [810.0, 824.0, 851.0, 900.0, 1519.0, 2640.0, 3007.0]
-    fit = fit_modes(measured_accelerance(1), guesses, (100.0, 3100.0))
+    fit = identify_modes(measured_accelerance(1), (100.0, 3100.0))
     return as_stage(fit, stage_mass())[0]
 
 

@@ -1,46 +1,46 @@
-"""Observer and feedback controller of the stage in one optimisation, the first recommendation of chapter 7.
+r"""Observer and controller of the stage in one optimisation, the first recommendation of chapter 7, as a processor runs it.
 
-Nothing is added to the structure of the published design: the PID controller (3.1), the Kalman observer with a
-noise model, compensation and damping through one band-pass a mode. What the thesis chooses in two steps, and by
-rules, is free here at once.
+The structure is the published one: the PID controller (3.1), the Kalman observer with a noise model, compensation and
+damping through one band-pass a mode. All of it is sampled, and the whole control force is late: what sample k commands
+acts from `delay` samples later on, held for one. The observer is told which force acts when, and predicts the
+velocities that it damps to the moment at which its force begins.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Complex128, Float64
-from numpy.typing import ArrayLike
+from scipy import linalg
 
-from experiments.motion.designs import COMPENSATED, RETAINED, Design, stage_loops
+from experiments.motion.designs import COMPENSATED, RETAINED
 from experiments.motion.machines import published_noise, stage, stage_mass
 from stillwork.base.checks import require_array, require_number
-from stillwork.control.applications import Application
-from stillwork.control.bandwidth import Loop
-from stillwork.control.loops import LoopResponse
+from stillwork.control.applications import filtered_estimates
+from stillwork.control.digital import observed_controller
+from stillwork.control.feedback import band_pass, damping_gain
+from stillwork.control.loops import closed_loop
 from stillwork.control.pid import Pid
-from stillwork.estimation.observer import NoiseIntensities
+from stillwork.estimation.riccati import discrete_gain
+from stillwork.lti.delays import delayed
+from stillwork.lti.discretisation import tustin, zoh_modes
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.reduction import truncate
+from stillwork.lti.state_space import StateModel
 
-CHANNELS = {
-    "input_sensitivity": ("u_ff", "u"),
-    "output_sensitivity": ("v", "e_true"),
-    "true_tracking": ("r", "e_true"),
-}
-
-
-_mass, _noise = cache(stage_mass), cache(published_noise)  # a search asks for them thousands of times
+STEP, DELAY = 1e-4, 1.5  # s, as in notebook 11; samples from command to force
+CONTROLLER = ("bandwidth_hz", "integrator", "differentiator", "low_pass", "low_pass_damping")
+OBSERVER = ("process", "noise_model", "damping", "selectivity")
+NUMBERS = CONTROLLER + OBSERVER
 
 
 @dataclass(frozen=True)
 class JointDesign:
     """All numbers of an observer and its controller; the defaults are the published ones."""
 
-    bandwidth_hz: float = 77.7  # f: no loop may cross 0 dB below it
-    gain: float = 1.0  # Kp over the M (2 pi f)^2/3 of Table 3.3
+    bandwidth_hz: float = 77.7  # f, design parameter of (3.1): Kp = M (2 pi f)^2/3
     integrator: float = 1.0  # over the 2 pi f / 9 of Table 3.3
     differentiator: float = 1 / 3  # over 2 pi f
     low_pass: float = 3.0  # over 2 pi f
@@ -49,12 +49,11 @@ class JointDesign:
     noise_model: float = 1e3  # Q_nu, N^2/s
     damping: tuple[float, ...] = (0.035, 0.035, 0.035)  # increase of each mode's ratio
     selectivity: tuple[float, ...] = (2.0, 2.0, 2.0)  # Q of each band-pass
-    observed: bool = True  # with the observer, or the controller alone
 
     def __post_init__(self):
         for name in ("damping", "selectivity"):
             require_array(name, np.array(getattr(self, name)), shape=(RETAINED - 1,))
-        for name in FREE["joint"]:
+        for name in NUMBERS:
             for value in np.atleast_1d(getattr(self, name)):
                 require_number(name, value, above=0.0)
 
@@ -63,55 +62,65 @@ class JointDesign:
         """The PID controller."""
         w = 2 * np.pi * self.bandwidth_hz
         return Pid(
-            self.gain * _mass() * w**2 / 3,
+            _mass() * w**2 / 3,
             self.integrator * w / 9,
             self.differentiator * w,
             self.low_pass * w,
             self.low_pass_damping,
         )
 
-    @property
-    def fast_gain(self) -> float:
-        """Kp omega_lp^2 / omega_d (N/m rad/s): what the controller still gives far above its low-pass, times omega."""
-        pid = self.controller
-        return pid.gain * pid.low_pass**2 / pid.differentiator
 
-    @property
-    def noise(self) -> NoiseIntensities:
-        """Intensities of the Kalman observer."""
-        return NoiseIntensities(self.process * _noise().process, _noise().sensor)
-
-    @property
-    def design(self) -> Design:
-        """The observer and its use, with all three constraints of the thesis."""
-        if not self.observed:
-            return Design(constraints=tuple(CHANNELS))
-        application = Application(True, self.damping, selectivity=self.selectivity)
-        return Design(application, self.noise_model, tuple(CHANNELS))
-
-    def loops(self, plant: ModalModel | None = None, **grid) -> list[Loop]:
-        """The seven loops, with the observers of the nominal stage; `plant` is what they really meet."""
-        designed = stage_loops(self.design, self.noise, **(grid or {"points": 60, "around": 0}))
-        return designed if plant is None else on_plant(designed, plant)
+_mass, _noise = cache(stage_mass), cache(published_noise)  # a search asks for them thousands of times
 
 
-def on_plant(loops: Sequence[Loop], plant: ModalModel) -> list[Loop]:
-    """The same compensators on another stage; the loops' own grids and responses stay those of the first one."""
-    return [replace(loop, plant=plant.at([0], [k])) for k, loop in enumerate(loops)]
+class Late(NamedTuple):
+    """A model of modes whose force is held and late: x+ = a x + new f(k-n) + old f(k-n-1), n whole samples of delay."""
+
+    a: Float64[np.ndarray, "states states"]
+    new: Float64[np.ndarray, " states"]
+    old: Float64[np.ndarray, " states"]
+    whole: int
+    shapes: Float64[np.ndarray, "outputs modes"]
 
 
-CONTROLLER = ("gain", "integrator", "differentiator", "low_pass", "low_pass_damping")
-OBSERVER = ("process", "noise_model", "damping", "selectivity")
-FREE = {"controller": CONTROLLER, "observer": OBSERVER, "joint": CONTROLLER + OBSERVER}
+def late(model: ModalModel, delay: float = DELAY) -> Late:
+    """Exact sampled modes of a model with one input; the delay in samples need not be whole."""
+    whole = int(delay)
+    part = delay - whole
+    full, rest = zoh_modes(model, STEP), zoh_modes(model, (1 - part) * STEP)
+    old = rest.a @ zoh_modes(model, part * STEP).b[:, 0] if part else np.zeros(len(full.a))
+    return Late(full.a, rest.b[:, 0], old, whole, model.output_shapes)
 
-# The design at 83 Hz by its first crossing, 81.6 Hz here for the slowest mass, with the controller's rule of Table
-# 3.3 at the design parameter of 77.7 Hz (notebook 09).
-RULE = 77.73 / 81.58
-PUBLISHED = JointDesign(81.58, RULE**2, RULE, RULE / 3, 3 * RULE)
 
-SLOW = np.array(
-    [0.02, 0.05, 0.1, 0.2, 1.0]
-)  # parts of the bandwidth at which the loops are looked at, itself last
+def late_response(moved: Late, omega: np.ndarray) -> Complex128[np.ndarray, "outputs frequencies"]:
+    """From the command to all outputs at some frequencies (rad/s), mode by mode in closed form."""
+    z = np.exp(1j * omega * STEP)
+    rows = np.arange(0, len(moved.a), 2)
+    # The trace near 2 and the determinant near 1 cancel at low frequencies: write them as differences from 1.
+    first, second = moved.a[rows, rows, None] - 1, moved.a[rows + 1, rows + 1, None] - 1
+    cross, lifted = moved.a[rows, rows + 1, None], z - 1
+    determinant = lifted**2 - lifted * (first + second) + first * second
+    determinant -= cross * moved.a[rows + 1, rows, None]
+    force = moved.new[:, None] + moved.old[:, None] / z
+    return moved.shapes @ (
+        ((lifted - second) * force[::2] + cross * force[1::2]) / determinant / z**moved.whole
+    )
+
+
+def late_plant(moved: Late, mass: int) -> StateModel:
+    """The plant as the processor meets it, measured at one mass: from the command to the position."""
+    n, kept = len(moved.a), moved.whole + 1
+    a, b = np.zeros((n + kept, n + kept)), np.zeros((n + kept, 1))
+    a[:n, :n], a[:n, -1] = moved.a, moved.old
+    a[n:, n:] = np.eye(kept, k=-1)
+    b[n] = 1.0
+    if moved.whole:
+        a[:n, n + moved.whole - 1] = moved.new
+    else:
+        b[:n, 0] = moved.new
+    c = np.zeros((1, n + kept))
+    c[0, :n:2] = moved.shapes[mass - 1]
+    return StateModel(a, b, c, np.zeros((1, 1)), STEP)
 
 
 @cache
@@ -120,140 +129,162 @@ def _observed() -> ModalModel:
     return truncate(stage(), RETAINED, COMPENSATED)
 
 
-@lru_cache(maxsize=4)  # on many stages the observers stay the same
-def _gains(process: float, noise_model: float) -> np.ndarray:
-    return kalman_gains(_observed(), JointDesign(process=process).noise, noise_model)
+class Estimator(NamedTuple):
+    """Observer of one mass, x+ = a x + by y + new f(k-n) + old f(k-n-1); it reads c x + dy y + dold f(k-n-1) + ..."""
+
+    a: np.ndarray
+    drive: np.ndarray  # (states, 1 + n + 1): of y, f(k-1), ... f(k-n-1), and of f(k) before them where n = 0
+    c: np.ndarray  # (4, states): what the modes put into the measurement, and three velocities ahead
+    direct: np.ndarray  # (4, 1 + n + 1)
+    modal: tuple[np.ndarray, ...]  # eigenvalues of a, drive and c in its eigenvectors
 
 
-class SearchedLoops(NamedTuple):
-    """What a search wants to know of the loops of one design; axes: plants, masses, frequencies."""
+@lru_cache(maxsize=8)  # a search moves the other numbers far more often
+def estimators(process: float, noise_model: float, delay: float) -> tuple[Estimator, ...]:
+    """The sampled Kalman observers of all seven masses."""
+    model = _observed()
+    whole, part = int(delay), delay - int(delay)
+    modes, moved = zoh_modes(model, STEP), late(model, delay)
+    n = len(modes.a)
 
-    response: LoopResponse  # on the grid
-    gain: Float64[np.ndarray, "plants masses"]  # of the open loop at the bandwidth
-    softness: Float64[
-        np.ndarray, "plants masses slow"
-    ]  # |e_true / w| M (2 pi f)^2 at SLOW f, the last left out
+    def walked(a, b):  # a constant force, the noise model, pushes along
+        return np.block([[a, b], [np.zeros((1, n)), np.ones((1, 1))]])
 
-
-class StageResponses:
-    """Loop functions of all seven masses at once, in closed form: what a search can afford at every step.
-
-    The observers' responses need no state space: A is modal, and the gain enters by the inversion lemma.
-    """
-
-    def __init__(self, omega: ArrayLike, plants: Sequence[ModalModel] = ()):
-        """Prepare the frequencies (rad/s) and the plants that one design must serve; by default the nominal stage."""
-        self.omega = require_array("omega", omega, ndim=1)
-        self.plants = tuple(plants) or (stage(),)
-        self._reduced = _observed()
-        self.rows = len(self.plants) * len(self._reduced.output_shapes)  # loops
-        self._plants, self._modal = self._prepare(self.omega)
-        self._last = (None, None)
-
-    def _prepare(self, omega: np.ndarray):
-        """Responses of the plants, and of every mode that the observers know."""
-        model, s = self._reduced, 1j * omega
-        rates = 2 * (model.damping * model.frequencies)[:, None]
-        plants = np.array([plant.frequency_response(omega)[:, 0] for plant in self.plants])
-        return plants, 1 / (s**2 + rates * s + (model.frequencies**2)[:, None])
-
-    def loops(self, design: JointDesign) -> SearchedLoops:
-        """Responses of shape (plants, 7, frequencies) on the grid, and at `SLOW` times the bandwidth."""
-        corner = 2 * np.pi * design.bandwidth_hz * SLOW
-        plants, modal = self._prepare(corner)
-        on_grid = np.zeros((2, 2, 1, len(self.omega)), complex)  # a loop without observer
-        at_corner = np.zeros((2, 2, 1, len(SLOW)), complex)
-        if design.observed:
-            gain, estimates = self._estimated(design.process, design.noise_model)
-            on_grid = self._compensator(design, estimates, self.omega)
-            at_corner = self._compensator(design, self._estimates(gain, corner, modal), corner)
-        grid = LoopResponse(self._plants, on_grid, design.controller.frequency_response(self.omega))
-        slow = LoopResponse(plants, at_corner, design.controller.frequency_response(corner))
-        softness = np.abs(plants * slow.output_sensitivity)[..., :-1] * _mass() * corner[-1] ** 2
-        return SearchedLoops(grid, np.abs(slow.loop[..., -1]), softness)
-
-    def _estimated(self, process: float, noise_model: float):
-        """Gains of the observers and their estimates on the grid; from the last call where only others moved."""
-        key = process, noise_model
-        if key != self._last[0]:
-            gain = _gains(process, noise_model)
-            self._last = key, (gain, self._estimates(gain, self.omega, self._modal))
-        return self._last[1]
-
-    def _estimates(self, gain, omega, modal):
-        """From u and from y: estimated velocities of the flexible modes, and what they put into the measurement."""
-        model, s = self._reduced, 1j * omega
-        shapes, push = model.output_shapes, model.input_shapes[:, 0]
-        first, second, walk = gain[:, 0:-1:2, None], gain[:, 1:-1:2, None], gain[:, -1, None]
-        rates = 2 * (model.damping * model.frequencies)[:, None]
-        pushed = push[:, None] * modal  # u to eta, (modes, frequencies)
-        # Innovation e to eta; the random walk z = walk e / s pushes like the force.
-        driven = modal * ((s + rates) * first + second) + pushed * (walk / s)[:, None]
-        seen = shapes @ pushed + model.feedthrough
-        turn = 1 + np.einsum("pm,pmf->pf", shapes, driven)
-        out = []
-        for force, innovation in ((1.0, -seen / turn), (0.0, 1 / turn)):
-            position = force * pushed[1:] + driven[:, 1:] * innovation[:, None]
-            velocity = s * position - first[:, 1:] * innovation[:, None]
-            out.append((velocity, np.einsum("pm,pmf->pf", shapes[:, 1:], position)))
-        return out
-
-    def _compensator(
-        self, design: JointDesign, estimates, omega
-    ) -> Complex128[np.ndarray, "2 2 masses frequencies"]:
-        model, s = self._reduced, 1j * omega
-        w, q = model.frequencies[1:, None], np.array(design.selectivity)[:, None]
-        band = (w / q) * s / (s**2 + (w / q) * s + w**2)
-        weights = -2 * np.array(design.damping)[:, None] * w / model.input_shapes[1:] * band
-        damped = [(weights * velocity).sum(axis=1) for velocity, _ in estimates]
-        return np.array([damped, [flexible for _, flexible in estimates]])
+    a, drive = walked(modes.a, modes.b), linalg.block_diag(modes.b, 1.0)
+    ahead = np.eye(n + 1)
+    forces = np.zeros((n + 1, whole + 2))  # of f(k), ... f(k-n-1) on the state ahead
+    for k in range(whole):
+        ahead, forces = a @ ahead, a @ forces
+        forces[:n, whole - k] += moved.new
+        forces[:n, whole - k + 1] += moved.old
+    if part:
+        short = zoh_modes(model, part * STEP)
+        tail = walked(short.a, short.b)
+        ahead, forces = tail @ ahead, tail @ forces
+        forces[:n, 1] += short.b[:, 0]
+    rows = np.eye(n + 1)[[3, 5, 7]]
+    variances = np.diag([process * _noise().process / STEP, noise_model * STEP])
+    found = []
+    for shape, compliance in zip(model.output_shapes, model.feedthrough[:, 0], strict=True):
+        c, flexible = np.zeros((1, n + 1)), np.zeros((1, n + 1))
+        c[0, :n:2], flexible[0, 2:n:2] = shape, shape[1:]
+        gain = discrete_gain(a, drive, c, variances, _noise().sensor / STEP).filter_gain
+        kept = np.eye(n + 1) - gain @ c
+        # The compliance shows the force that acts when the sample is taken, f(k-n-1).
+        acts = np.zeros((1, whole + 2))
+        acts[0, -1] = compliance
+        updated = np.hstack([gain, -gain @ acts])  # of y, f(k), ... f(k-n-1)
+        into = a @ updated
+        into[:n, 1 + whole] += moved.new
+        into[:n, 2 + whole] += moved.old
+        direct = np.vstack([flexible @ updated, rows @ ahead @ updated])
+        direct[1:, 1:] += rows @ forces
+        transition, read = a @ kept, np.vstack([flexible, rows @ ahead]) @ kept
+        values, vectors = linalg.eig(transition)
+        modal = values, linalg.solve(vectors, into), read @ vectors
+        found.append(Estimator(transition, into, read, direct, modal))
+    return tuple(found)
 
 
-def kalman_gains(
-    model: ModalModel, noise: NoiseIntensities, noise_model: float
-) -> Float64[np.ndarray, "outputs states"]:
-    """Gains of one observer a sensor, each as `observer.kalman_observer` gives it, from one stacked eigenproblem.
+def sampled_compensator(design: JointDesign, mass: int, delay: float = DELAY) -> StateModel:
+    """The block from (f, y) to (u_d, y_flex), see `stillwork.control.loops.closed_loop`."""
+    found = estimators(design.process, design.noise_model, delay)[mass - 1]
+    n, kept = len(found.a), int(delay) + 1
+    a, b = np.zeros((n + kept, n + kept)), np.zeros((n + kept, 2))
+    a[:n, :n], a[:n, n:] = found.a, found.drive[:, 2:]
+    a[n:, n:] = np.eye(kept, k=-1)
+    b[:n, 0], b[:n, 1], b[n, 0] = found.drive[:, 1], found.drive[:, 0], 1.0
+    c, d = np.hstack([found.c, found.direct[:, 2:]]), found.direct[:, 1::-1]
+    model, gain = _observed(), _gain(design)
+    filters = [
+        tustin(band_pass(float(w), q), STEP, float(w))
+        for w, q in zip(model.frequencies[1:], design.selectivity, strict=True)
+    ]
+    return filtered_estimates(StateModel(a, b, c, d, STEP), filters, gain[None])
 
-    The stable subspace of the Hamiltonian, in units of time and state that make its entries alike; what a search
-    tries is not checked here but in the loops that come out of it.
-    """
-    outputs, modes = model.output_shapes.shape
-    n = 2 * modes + 1
-    push, size = model.input_shapes[:, 0], np.sqrt(noise.process / noise.sensor)
-    rate = np.sqrt(
-        np.abs(push[0] * model.output_shapes[:, 0]).max() * size
-    )  # of the rigid-body filter, rad/s
-    a, drive = np.zeros((n, n)), np.zeros((n, 2))
-    position = np.arange(0, 2 * modes, 2)
-    a[position, position + 1] = 1
-    a[position + 1, position] = -((model.frequencies / rate) ** 2)
-    a[position + 1, position + 1] = -2 * model.damping * model.frequencies / rate
-    a[position + 1, -1] = push
-    drive[position + 1, 0] = push
-    drive[-1, 1] = np.sqrt(noise_model / noise.process) / rate
-    c = np.zeros((outputs, n))
-    c[:, position] = model.output_shapes * size / rate**2
-    hamiltonian = np.zeros((outputs, 2 * n, 2 * n))
-    hamiltonian[:, :n, :n], hamiltonian[:, n:, n:] = a.T, -a
-    hamiltonian[:, :n, n:] = -c[:, :, None] * c[:, None, :]
-    hamiltonian[:, n:, :n] = -drive @ drive.T
-    values, vectors = np.linalg.eig(hamiltonian)
-    order = np.argsort(values.real, axis=1)[:, :n]
-    stable = np.take_along_axis(vectors, order[:, None, :], axis=2)
-    covariance = np.linalg.solve(np.swapaxes(stable[:, :n], 1, 2), np.swapaxes(stable[:, n:], 1, 2)).real
-    units = np.full(n, size)
-    units[position], units[-1] = size / rate, size * rate
-    return np.einsum("pij,pj->pi", covariance, c) * units
+
+def _gain(design: JointDesign) -> np.ndarray:
+    return _unit_gain() * design.damping
 
 
 @cache
-def published_softness() -> Float64[np.ndarray, " slow"]:
-    """Softness of the published design against slow forces, at parts of its own bandwidth; the softest mass."""
-    found = StageResponses(np.array([1.0])).loops(PUBLISHED)
-    return found.softness.max(axis=(0, 1))
+def _unit_gain() -> np.ndarray:
+    return damping_gain(_observed(), np.ones(RETAINED - 1))[0, 3::2]
 
 
-def relative_softness(design: JointDesign) -> Float64[np.ndarray, " slow"]:
-    """Softness of the softest mass over that of the published design; the constraint allows 1."""
-    found = StageResponses(np.array([1.0])).loops(design).softness
-    return found.max(axis=(0, 1)) / published_softness()
+def joint_loop(
+    design: JointDesign, mass: int, plant: ModalModel | None = None, delay: float = DELAY
+) -> StateModel:
+    """The closed loop of one mass in discrete time; `plant` is what the nominal stage's observer really meets."""
+    met = late_plant(late(stage() if plant is None else plant, delay), mass)
+    controller = tustin(design.controller.state_space(), STEP)
+    return closed_loop(met, sampled_compensator(design, mass, delay), controller)
+
+
+def closed_poles(
+    design: JointDesign,
+    plants: Sequence[ModalModel],
+    delay: float = DELAY,
+    alone: int = 0,
+    told: float | None = None,
+) -> Complex128[np.ndarray, "plants masses states"]:
+    """Poles z of the loops of all masses on every plant, by the eigenvalues of plant and controller together.
+
+    `alone` (samples) delays the controller's output by itself, before the damping force is added; `told` is the delay
+    that the observer knows of, by default `delay`.
+    """
+    told = delay if told is None else told
+    controller, found = delayed(tustin(design.controller.state_space(), STEP), alone), []
+    moved = [late(plant, delay) for plant in plants]
+    for mass in range(1, 8):
+        seen = observed_controller(controller, sampled_compensator(design, mass, told))  # from r, y and f
+        into, direct = seen.b[:, 2:], seen.d[:, 1:2]
+        a, b = seen.a + into @ seen.c, seen.b[:, 1:2] + into @ direct
+        met = [late_plant(each, mass) for each in moved]
+        found.append([np.block([[p.a + p.b @ direct @ p.c, p.b @ seen.c], [b @ p.c, a]]) for p in met])
+    return np.swapaxes(np.linalg.eigvals(np.array(found)), 0, 1).astype(complex)
+
+
+class Compensated(NamedTuple):
+    """What a design puts around any plant, the masses and frequencies last."""
+
+    feedback: Complex128[np.ndarray, "masses frequencies"]  # C_y, from -y to f
+    reference: Complex128[np.ndarray, "masses frequencies"]  # C_r, from r to f
+    share: Complex128[np.ndarray, "masses frequencies"]  # S_I is (share - seen P) S_O
+    seen: Complex128[np.ndarray, "masses frequencies"]
+
+
+def compensated(
+    design: JointDesign,
+    omega: np.ndarray,
+    delay: float = DELAY,
+    alone: int = 0,
+    masses: slice = slice(None),
+) -> Compensated:
+    """The design's responses at some frequencies (rad/s), with an observer that is told of `delay`."""
+    z = np.exp(1j * omega * STEP)
+    estimates = _estimates(design.process, design.noise_model, delay, omega.tobytes())[:, masses]
+    s = 2 / STEP * np.tan(omega * STEP / 2)
+    w, q = _observed().frequencies[1:, None], np.array(design.selectivity)[:, None]
+    warped = 1j * s * w * STEP / 2 / np.tan(w * STEP / 2)
+    band = _gain(design)[:, None] * (w / q) * warped / (warped**2 + (w / q) * warped + w**2)
+    (o_yy, o_yu) = estimates[:, :, 0]
+    o_uy, o_uu = np.einsum("impf,pf->imf", estimates[:, :, 1:], band)
+    pid = design.controller.frequency_response(s) / z**alone
+    turn = 1 - pid * o_yu - o_uu
+    return Compensated((pid * (1 - o_yy) - o_uy) / turn, pid / turn, (1 - o_uu) / turn, o_uy / turn)
+
+
+@lru_cache(maxsize=8)
+def _estimates(process: float, noise_model: float, delay: float, omega: bytes) -> np.ndarray:
+    """From y and from f: y_flex and the velocities ahead, (2, masses, 4, frequencies), by the observers' eigenvectors."""
+    z = np.exp(1j * np.frombuffer(omega) * STEP)
+    past = z ** -np.arange(int(delay) + 2)[:, None]
+    out = []
+    for each in estimators(process, noise_model, delay):
+        values, drive, read = each.modal
+        turn = 1 / (z - values[:, None])
+        by_output = read @ (turn * drive[:, :1]) + each.direct[:, :1]
+        by_force = read @ (turn * (drive[:, 1:] @ past)) + each.direct[:, 1:] @ past
+        out.append((by_output, by_force))
+    return np.swapaxes(np.array(out), 0, 1)

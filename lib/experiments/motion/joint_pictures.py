@@ -5,50 +5,67 @@ from dataclasses import replace
 
 import numpy as np
 
-from experiments.motion.joint import CHANNELS, JointDesign, StageResponses
-from experiments.motion.joint_search import Verified, search_grid, stable_on
+from experiments.motion.joint import JointDesign, compensated
+from experiments.motion.joint_designs import Stored
+from experiments.motion.joint_search import PEAKS, Judged, grid, judge, serve, six
 from experiments.motion.machines import stage
-from experiments.motion.pictures import CASES, LABELS, add_magnitude, mark_limit
+from experiments.motion.pictures import add_magnitude, mark_limit
 from experiments.motion.uncertainty import perturbed
 from stillwork.lti.modal import ModalModel
 from stillwork.workbook import figures
 
-
-def paint_ladder(found: Mapping[str, Verified], published_hz: float):
-    """First crossing of every design at the mass of the published number."""
-    figure, axis = figures.new(1, 1, height=2.9)
-    rows = np.arange(len(found))[::-1]
-    axis.plot(
-        [each.crossing_hz[4] for each in found.values()],
-        rows,
-        "o",
-        color=CASES["MC and AD"],
-        label="first crossing, mass 5",
-    )
-    figures.mark_published(axis, published_hz, rows[list(found).index("published")])
-    axis.set_yticks(rows, list(found))
-    axis.set_xlabel("bandwidth (Hz)")
-    axis.set_xlim(left=0)
-    axis.legend(loc="center left")
-    return figure
-
-
+SIZES = {0.0: figures.RED, 0.02: figures.BLUE, 0.05: figures.GREEN}  # of the errors that a design serves
 TOP_DB = 20.0  # where larger peaks are cut
 
 
-def paint_peaks_over_plants(peaks: Mapping[str, Mapping[str, np.ndarray]]):
+def paint_front(
+    designs: Mapping[str, Stored],
+    nominal: Mapping[str, Judged],
+    unstable: Mapping[str, float],
+    published: Judged,
+):
+    """Scan error over the noise in the control force, a line a size of errors; hollow where stages were unstable.
+
+    `unstable` is the share of such stages, written beside the rivals' names and the designs that have any.
+    """
+    figure, axis = figures.new(1, 1, height=3.4)
+    at = {name: (1e3 * found.force[0], 1e9 * found.error[0]) for name, found in nominal.items()}
+    for size, colour in SIZES.items():
+        ours = [name for name, each in designs.items() if each.size == size and name.startswith("joint")]
+        points = np.array(sorted(at[name] for name in ours))
+        axis.plot(*points.T, "-", color=colour, linewidth=1.0, label=f"joint, for errors of {size:.0%}")
+    for name, stored in designs.items():
+        joint, colour = name.startswith("joint"), SIZES[stored.size]
+        fill = "white" if unstable[name] else colour
+        axis.plot(
+            *at[name], "o" if joint else "s", color=colour, markerfacecolor=fill, markersize=5, label=name
+        )
+        notes = [] if joint else [name.partition(",")[0]]
+        notes += [f"{unstable[name]:.0%} unstable"] if unstable[name] else []
+        axis.annotate(", ".join(notes), at[name], (5, 3), textcoords="offset points", fontsize=6)
+    late = 1e3 * published.force[0], 1e9 * published.error[0]
+    axis.plot(*late, "x", color=figures.BLACK, label="as published, late")
+    axis.annotate("as published, late", late, (5, 3), textcoords="offset points", fontsize=6)
+    axis.set_xscale("log")
+    axis.set_xticks([2, 5, 10, 20, 30], ["2", "5", "10", "20", "30"])
+    axis.minorticks_off()
+    axis.set_xlabel("rms of the control force under noise (mN)")
+    axis.set_ylabel("rms error in the scan (nm)")
+    axis.set_ylim(1.0, None)
+    axis.legend(handles=[line for line in axis.lines if line.get_linestyle() == "-"], loc="upper left")
+    return figure
+
+
+def paint_peaks_over_plants(judged: Mapping[str, Mapping[str, Judged]]):
     """Largest peak of every design on every perturbed plant, by panel; unstable ones lie on the upper edge."""
-    figure, axes = figures.new(1, len(peaks), height=3.2, sharey=True, squeeze=False)
-    for axis, (title, designs) in zip(axes[0], peaks.items(), strict=True):
-        for place, (name, values) in enumerate(designs.items()):
-            shown = np.minimum(20 * np.log10(values), TOP_DB)
+    figure, axes = figures.new(1, len(judged), height=3.2, sharey=True, squeeze=False)
+    for axis, (title, designs) in zip(axes[0], judged.items(), strict=True):
+        for place, (name, found) in enumerate(designs.items()):
+            shown = np.minimum(found.peaks.max(axis=1), TOP_DB)
             across = place + np.linspace(-0.3, 0.3, len(shown))
-            axis.plot(across, shown, ".", markersize=4, color=CASES["MC and AD"], label=name)
+            axis.plot(across, shown, ".", markersize=4, color=figures.RED, label=name)
             axis.annotate(
-                f"{np.mean(~np.isfinite(values)):.0%}\nunstable",
-                (place, TOP_DB + 0.8),
-                ha="center",
-                fontsize=6,
+                f"{np.mean(~found.stable):.0%}\nunstable", (place, TOP_DB + 0.8), ha="center", fontsize=6
             )
         mark_limit(axis)
         axis.set_xticks(range(len(designs)), [name.replace(" ", "\n", 1) for name in designs], fontsize=6)
@@ -58,28 +75,29 @@ def paint_peaks_over_plants(peaks: Mapping[str, Mapping[str, np.ndarray]]):
     return figure
 
 
-def paint_joint(designs: Mapping[str, JointDesign], design: str, frequency_error: float, bandwidth: float):
-    """Explorer: the constrained functions, of the worst mass each, with frequencies and the bandwidth off by some %."""
+def paint_joint(
+    designs: Mapping[str, JointDesign], design: str, frequency_error: float, bandwidth: float, delay: float
+):
+    """Explorer: the six functions, of the worst mass each, with frequencies, bandwidth (%) and delay (samples) moved."""
     chosen = designs[design]
     chosen = replace(chosen, bandwidth_hz=chosen.bandwidth_hz * bandwidth / 100)
     plant = _shifted(frequency_error / 100)
-    responses = StageResponses(search_grid([plant], 150, 8), [plant])
-    found = responses.loops(chosen).response
+    judged = judge(chosen, [plant], delay)
+    values = six(serve(plant, delay).plant, compensated(chosen, grid(), delay)).max(axis=1)
     figure, axis = figures.new(1, 1, height=2.8)
     figure.set_layout_engine(None)
     figure.subplots_adjust(left=0.1, right=0.98, bottom=0.17, top=0.9)
-    peak = 0.0
-    for name in CHANNELS:
-        largest = np.abs(getattr(found, name)[0]).max(axis=0)
-        peak = max(peak, float(largest.max()))
-        add_magnitude(axis, responses.omega, largest, label=LABELS[name])
+    for name, magnitude in zip(PEAKS, values, strict=True):
+        add_magnitude(axis, grid()[1:-1], magnitude[1:-1], label=name)
     mark_limit(axis)
-    verdict = f"largest peak {20 * np.log10(peak):.1f} dB" if stable_on(chosen, [plant])[0] else "unstable"
+    verdict = "unstable"
+    if judged.stable[0]:
+        verdict = f"largest peak {judged.peaks.max():.1f} dB, scan error {1e9 * judged.error[0]:.2f} nm"
     axis.set_title(f"worst of the seven masses: {verdict}")
     axis.set_xlabel("frequency (Hz)")
     axis.set_ylabel("magnitude (dB)")
     axis.set_ylim(-40, 20)
-    axis.legend(loc="lower left")
+    axis.legend(loc="lower left", ncols=2)
     return figure
 
 

@@ -22,27 +22,41 @@ def paint_errors_over_order(
     low: Mapping[str, Sequence[tuple[int, float]]],
     copies: Mapping[str, tuple[int, float]],
     published: Mapping[str, float],
+    noise: Mapping[str, float],
 ):
     """Rms error in the scan over the number of states of the feedforward, one panel a design.
 
-    Points are (states, rms in m), of low-order feedforwards and of the observer copy; published is Table 3.7 (nm).
+    Points are (states, rms in m), of low-order feedforwards and of the observer copy, without noise (dashed) and with
+    what `noise` alone makes (m); published is Table 3.7 (nm), with noise.
     """
     figure, axes = figures.new(1, len(low), height=3.0, sharey=True, squeeze=False)
     for axis, (name, points) in zip(axes[0], low.items(), strict=True):
         states, errors = np.array(points).T
-        axis.semilogy(states, 1e9 * errors, "o-", color=CASES[name], label="low order")
-        axis.semilogy(
-            *np.multiply(copies[name], [1, 1e9])[:, None],
-            "s",
-            color=figures.BLACK,
-            label="observer copy",
-        )
+        order, copied = copies[name]
+        for alone, label, hollow in ((noise[name], "with noise", False), (0.0, "without", True)):
+            line, face = "--" if hollow else "-", "none" if hollow else None
+            axis.semilogy(
+                states,
+                1e9 * np.hypot(errors, alone),
+                f"o{line}",
+                color=CASES[name],
+                markerfacecolor=face,
+                label=f"low order, {label}",
+            )
+            axis.semilogy(
+                [order],
+                [1e9 * np.hypot(copied, alone)],
+                "s",
+                color=figures.BLACK,
+                markerfacecolor=face,
+                label=f"observer copy, {label}",
+            )
         figures.mark_published(axis, copies[name][0], published[name], "published, with noise")
         axis.xaxis.get_major_locator().set_params(integer=True)
         axis.set_title(f"{name}, redesigned")
         axis.set_xlabel("states of the feedforward (1)")
     axes[0, 0].set_ylabel("rms error in the scan (nm)")
-    axes[0, 0].legend()
+    figures.legend_below(axes[0, 0], 3)
     return figure
 
 

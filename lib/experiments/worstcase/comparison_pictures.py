@@ -80,7 +80,10 @@ def explore_comparison(
         rows = np.arange(len(METHODS)) + 0.2 * (number - 1.5)
         axes.errorbar(mean, rows, xerr=np.abs(ends - mean), fmt="o", markersize=4, color=colour, label=name)
     axes.set_yticks(np.arange(len(METHODS)), METHODS.values())
+    axes.axvline(1, color=figures.GREY, linestyle=":", label="the estimate zero")
     axes.set(xscale="log", xlabel="|x − estimate| over |x|")
+    axes.xaxis.set_minor_formatter("{x:g}")
+    axes.xaxis.set_major_formatter("{x:g}")
     axes.invert_yaxis()
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), title="excitation")
     return figure

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
 from stillwork.base.front_door import check_fields, checked
-from stillwork.base.kernels import kernel
+from stillwork.base.kernels import inlined_kernel, kernel
 from stillwork.control.kinematics import KinematicDesign
 from stillwork.control.mechanism import Mechanism
 from stillwork.control.trajectory import Trajectory
@@ -264,12 +264,15 @@ def packed_parts(controller: Controller, resolution: float, grid: float, lost: s
     )
 
 
-@kernel
+@inlined_kernel
 def command_step(
     device,
     acceleration,
     plant,
-    parts,
+    error_from_measurement,
+    transformation,
+    gains,
+    measurement,
     time_step,
     nominal,
     position,
@@ -285,7 +288,7 @@ def command_step(
 
     push: what pushed the filter's model since the last sample. held: the force is at its limit, nothing is integrated.
     """
-    error_from_measurement, transformation, gains, (resolution, grid, loss) = parts
+    resolution, grid, loss = measurement
     measured = position + noise
     if resolution > 0.0:
         measured = np.round((measured - grid) / resolution) * resolution + grid
@@ -310,7 +313,7 @@ def command_step(
     return True
 
 
-@kernel
+@inlined_kernel
 def record_sample(record, i, position, velocity, acceleration, estimate, memory, force):
     """One column of the record, in the order of `COLUMNS`."""
     record[0, i] = position
@@ -347,18 +350,23 @@ def _closed_loop(
     record,
 ):
     """Fill `record` (COLUMNS x samples); returns the samples done and how it ended."""
-    chain = np.zeros(len(parts[2]) - 1)
-    estimate = np.array([start[0], start[1], nominal[2][0]])
+    error_from_measurement, transformation, gains, measurement = parts
+    positions, velocities, accelerations = nominal
+    chain = np.zeros(len(gains) - 1)
+    estimate = np.array([start[0], start[1], accelerations[0]])
     memory = np.zeros(4)
     position, velocity = start[0], start[1]
     force, held = 0.0, False
     for i in range(len(noise)):
-        now = nominal[0][i], nominal[1][i], nominal[2][i]
+        now = positions[i], velocities[i], accelerations[i]
         if not command_step(
             device,
             filter_acceleration,
             filter_plant,
-            parts,
+            error_from_measurement,
+            transformation,
+            gains,
+            measurement,
             time_step,
             now,
             position,

@@ -182,7 +182,8 @@ def _closed_mechanism(
 ):
     """Fill `record` (coordinates x COLUMNS x samples); returns the samples done and how it ended."""
     count, samples = noise.shape
-    chain, estimate, memory = np.zeros((count, len(parts[2]) - 1)), np.zeros((count, 3)), np.zeros((count, 4))
+    error_from_measurement, transformation, gains, measurement = parts
+    chain, estimate, memory = np.zeros((count, len(gains) - 1)), np.zeros((count, 3)), np.zeros((count, 4))
     position, velocity = start[0].copy(), start[1].copy()
     estimate[:, 0], estimate[:, 1], estimate[:, 2] = position, velocity, nominal[:, 2, 0]
     force, acceleration, deformed = np.zeros(count), np.zeros(count), np.zeros(count)
@@ -194,7 +195,10 @@ def _closed_mechanism(
                 devices[j],
                 filter_acceleration,
                 filter_plant,
-                parts,
+                error_from_measurement,
+                transformation,
+                gains,
+                measurement,
                 time_step,
                 now,
                 position[j],

@@ -190,8 +190,8 @@ class ModalFit:
     deviation: Float64[np.ndarray, " modes"]  # rad/s, of the flexible frequencies
     damping_deviation: Float64[np.ndarray, " modes"]  # of the damping ratios
     mass_deviation: float  # relative
-    turned: bool = False  # whether the response is counted against the force
-    diagram: Stabilisation | None = None  # where the modes were looked for
+    turned: bool  # whether the response is counted against the force
+    diagram: Stabilisation  # where the modes were looked for
 
     def __post_init__(self):
         check_fields(self)
