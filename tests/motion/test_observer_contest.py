@@ -294,3 +294,12 @@ def test_the_table_and_the_ranking_say_what_the_scores_say(tmp_path):
     stood = ranking(ContestResult(contest.scores + twins, {}))
     ranks = {each.entrant: each.rank for each in stood}
     assert ranks["twin"] == ranks["Kalman"]
+
+
+def test_the_committed_table_holds_every_entrant_plant_and_doubt():
+    with open(paths.data("motion", "contest.csv"), encoding="utf-8") as stream:
+        header, *lines = csv.reader(stream)
+    assert tuple(header) == COLUMNS
+    flexible = {tuple(line[:3]) for line in lines if line[3] == "flexible"}
+    assert flexible == {(name, plant, doubt) for name in ENTRANTS for plant in PLANTS for doubt in DOUBTS}
+    assert all(float(line[5]) <= float(line[4]) <= float(line[6]) for line in lines if line[1] != "all")
