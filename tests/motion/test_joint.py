@@ -10,14 +10,15 @@ from scipy import linalg, signal
 from experiments.motion import verify_joint
 from experiments.motion.designs import DESIGNS, stage_compensator
 from experiments.motion.joint import (
+    DELAY,
     STEP,
     JointDesign,
     closed_poles,
     compensated,
-    joint_loop,
     late,
     late_plant,
     late_response,
+    sampled_compensator,
 )
 from experiments.motion.joint_designs import ASKED, SIZES, as_toml, rounded, stored_designs
 from experiments.motion.joint_pictures import paint_joint
@@ -41,6 +42,8 @@ from stillwork.base.checks import InputError
 from stillwork.control.bandwidth import SIX_DB
 from stillwork.control.feedforward import error_loop, fit_feedforward, tracking_error
 from stillwork.control.loops import INPUTS, OUTPUTS, channel, closed_loop
+from stillwork.lti.discretisation import tustin
+from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
 
 PUBLISHED = JointDesign()
@@ -58,6 +61,15 @@ ENDS = {
     "S_O": ("v", "e_true"),
     "r to e": ("r", "e_true"),
 }
+
+
+def joint_loop(
+    design: JointDesign, mass: int, plant: ModalModel | None = None, delay: float = DELAY
+) -> StateModel:
+    """The closed loop of one mass in discrete time; `plant` is what the nominal stage's observer really meets."""
+    met = late_plant(late(stage() if plant is None else plant, delay), mass)
+    controller = tustin(design.controller.state_space(), STEP)
+    return closed_loop(met, sampled_compensator(design, mass, delay), controller)
 
 
 @pytest.mark.parametrize("delay", [0.0, 1.0, 1.5, 2.0])

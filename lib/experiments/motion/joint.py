@@ -21,7 +21,6 @@ from stillwork.base.checks import require_array, require_number
 from stillwork.control.applications import filtered_estimates
 from stillwork.control.digital import observed_controller
 from stillwork.control.feedback import band_pass, damping_gain
-from stillwork.control.loops import closed_loop
 from stillwork.control.pid import Pid
 from stillwork.estimation.riccati import discrete_gain
 from stillwork.lti.delays import delayed
@@ -210,15 +209,6 @@ def _gain(design: JointDesign) -> np.ndarray:
 @cache
 def _unit_gain() -> np.ndarray:
     return damping_gain(_observed(), np.ones(RETAINED - 1))[0, 3::2]
-
-
-def joint_loop(
-    design: JointDesign, mass: int, plant: ModalModel | None = None, delay: float = DELAY
-) -> StateModel:
-    """The closed loop of one mass in discrete time; `plant` is what the nominal stage's observer really meets."""
-    met = late_plant(late(stage() if plant is None else plant, delay), mass)
-    controller = tustin(design.controller.state_space(), STEP)
-    return closed_loop(met, sampled_compensator(design, mass, delay), controller)
 
 
 def closed_poles(
