@@ -5,11 +5,21 @@ import re
 import textwrap
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from experiments.motion.observer_contest import bench
 from experiments.motion.observer_contest.doubts import DOUBTS, hidden_seed, sample_truth
 from experiments.motion.observer_contest.entrants import ENTRANTS
+from experiments.motion.observer_contest.noise_map import (
+    FILE,
+    MAPPED,
+    NOISES,
+    SEEDS,
+    SIZES,
+    flexible_errors,
+    leads,
+)
 from experiments.motion.observer_contest.plants import PLANTS, sample_plant
 from experiments.motion.observer_contest.referee import Disqualified, ForeignObserver
 from experiments.motion.observer_contest.scores import contest_trial
@@ -303,3 +313,38 @@ def test_the_committed_table_holds_every_entrant_plant_and_doubt():
     flexible = {tuple(line[:3]) for line in lines if line[3] == "flexible"}
     assert flexible == {(name, plant, doubt) for name in ENTRANTS for plant in PLANTS for doubt in DOUBTS}
     assert all(float(line[5]) <= float(line[4]) <= float(line[6]) for line in lines if line[1] != "all")
+
+
+def test_the_committed_map_holds_every_cell_and_seed():
+    errors = pd.read_csv(FILE)
+    assert list(errors.columns) == ["size", "noise", "seed", *MAPPED]
+    cells = {(size, noise, seed) for size in SIZES for noise in NOISES for seed in range(SEEDS)}
+    assert set(errors[["size", "noise", "seed"]].itertuples(index=False, name=None)) == cells
+    assert len(errors) == len(cells)
+    assert np.isfinite(errors.to_numpy()).all() and (errors[list(MAPPED)] > 0).all(axis=None)
+
+
+def test_a_lead_is_over_the_same_scans():
+    # Errors of the scans differ by far more than the observers do: only pairs show the lead.
+    kalman = np.array([0.2, 1.0, 3.0])
+    errors = pd.DataFrame({"size": 0.01, "noise": 1.0, "seed": range(3), "Kalman": kalman})
+    for place, name in enumerate(MAPPED[1:]):
+        errors[name] = kalman - [0.1, 0.2, 0.3] + place
+    found = leads(errors)
+    assert list(found["entrant"]) == list(MAPPED[1:])
+    assert found["lead"].to_numpy() == pytest.approx(0.2 - np.arange(len(found)))
+    # Student's t with two degrees of freedom: 4.30265 deviations of 0.1 over the root of three.
+    assert (found["high"] - found["lead"]).to_numpy() == pytest.approx(0.248414, rel=1e-5)
+    assert (found["lead"] - found["low"]).to_numpy() == pytest.approx(0.248414, rel=1e-5)
+    assert found["error at most"][0] > 1.2  # the mean of its errors
+
+
+@pytest.mark.slow
+def test_a_cell_of_the_map_is_its_seeds_whoever_else_runs():
+    plant = sample_plant("stage", np.random.default_rng(0))
+    observers = {name: OwnObserver(ENTRANTS[name]) for name in ("Kalman", "open model", "zero")}
+    all_three = flexible_errors(plant, 0.02, 3.0, "a test", 2, observers)
+    alone = flexible_errors(plant, 0.02, 3.0, "a test", 1, {"Kalman": OwnObserver(ENTRANTS["Kalman"])})
+    assert all_three["Kalman"][0] == alone["Kalman"][0]
+    assert not np.array_equal(all_three["Kalman"], all_three["open model"])
+    assert all_three["zero"] == pytest.approx(1.0, abs=1e-12)

@@ -1,4 +1,4 @@
-"""Figures of the observer contest, from its table."""
+"""Figures of the observer contest, from its two tables."""
 
 from functools import cache
 
@@ -12,7 +12,9 @@ from experiments.motion.observer_contest.told import OwnObserver
 from experiments.motion.observer_contest.tuning import settings_for
 from stillwork.workbook import figures
 
-COLOURS = dict(zip(MAPPED, (figures.RED, figures.BLUE, figures.GREEN, figures.ORANGE), strict=True))
+COLOURS = dict(
+    zip(MAPPED, (figures.RED, figures.BLUE, figures.GREEN, figures.PURPLE, figures.ORANGE), strict=True)
+)
 
 
 def paint_leaderboard(ranked: pd.DataFrame):
@@ -71,13 +73,49 @@ def paint_cost(speed: pd.Series, error: pd.Series, unstable: pd.Series):
     return figure
 
 
+def paint_noise(errors: pd.DataFrame, size: float):
+    """Median errors with quartiles over the sensor's noise, for errors of one size."""
+    figure, axis = figures.new(1, 1, height=3.2)
+    one = errors[np.isclose(errors["size"], size)]
+    for name in MAPPED:
+        quartiles = one.groupby("noise")[name].quantile([0.25, 0.5, 0.75]).unstack()
+        axis.semilogx(quartiles.index, quartiles[0.5], "o-", color=COLOURS[name], markersize=3, label=name)
+        axis.fill_between(quartiles.index, quartiles[0.25], quartiles[0.75], color=COLOURS[name], alpha=0.12)
+    axis.axhline(1, color=figures.BLACK, linewidth=0.8)
+    axis.set_ylim(0, 2)
+    axis.set_xlabel("sensor's noise over the thesis's")
+    axis.set_ylabel("error over that of zero")
+    figures.legend_below(axis, 3)
+    return figure
+
+
+def paint_leads(found: pd.DataFrame, names: tuple[str, ...], saying: float):
+    """Leads over the Kalman filter, a map an observer; a dot where one is sure and the mean error is below `saying`."""
+    figure, axes = figures.new(1, len(names), height=3.0, sharey=True)
+    for axis, name in zip(axes, names, strict=True):
+        own = found[found["entrant"] == name]
+        lead = own.pivot(index="size", columns="noise", values="lead")
+        columns, rows = np.arange(lead.shape[1]), np.arange(lead.shape[0])
+        mesh = axis.pcolormesh(columns, rows, lead.to_numpy(), cmap="coolwarm_r", vmin=-0.2, vmax=0.2)
+        sure = own.assign(sure=(own["low"] > 0) & (own["error at most"] < saying))
+        row, column = np.nonzero(sure.pivot(index="size", columns="noise", values="sure").to_numpy())
+        axis.plot(column, row, "o", color=figures.BLACK, markersize=3, label="ahead of both")
+        axis.set_xticks(columns, [f"{noise:g}" for noise in lead.columns])
+        axis.set_yticks(rows, [f"{100 * size:g}" for size in lead.index])
+        axis.set_title(name)
+        axis.set_xlabel("sensor's noise")
+    axes[0].set_ylabel("size of the errors (%)")
+    figure.colorbar(mesh, ax=axes[-1], label="lead over Kalman")
+    return figure
+
+
 @cache
 def _stage():
     return sample_plant("stage", np.random.default_rng(0))
 
 
 def paint_cell(size_percent: float, noise_exponent: float):
-    """Explorer: errors of four observers, with the contest's settings, on eight scans of one cell of the map."""
+    """Explorer: errors of the map's observers, with the contest's settings, on eight scans of one cell of the map."""
     settings = settings_for("stage")
     observers = {name: OwnObserver(ENTRANTS[name], tuple(settings[name])) for name in MAPPED}
     errors = flexible_errors(_stage(), size_percent / 100, 10.0**noise_exponent, "explorer", 8, observers)
