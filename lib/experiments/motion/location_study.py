@@ -1,6 +1,6 @@
 """One feedforward error at many places of the structure, under every published design (section 4.2.5)."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -124,8 +124,7 @@ def read_table(
         draws = np.random.default_rng((seed, 0))
         measured = noise_error(loop, step, WARM_UP + len(setpoint.time), deviations, draws)[1, WARM_UP:]
     force = feedforward_error(ideal, fit_to_force(bare_error(controller), ideal, measured))
-    drawn = (deviations, np.random.default_rng(seed)) if noise else ()
-    return study_locations(table_loops(masses), force, setpoint, channel, *drawn)
+    return study_locations(table_loops(masses), force, setpoint, channel, deviations if noise else None, seed)
 
 
 def table_agreement(
@@ -195,28 +194,29 @@ def study_locations(
     setpoint: Setpoint,
     source: str = "w",
     deviations: dict[str, float] | None = None,
-    rng: np.random.Generator | None = None,
+    seed: int | Sequence[int] | np.random.Generator | None = None,
 ) -> LocationStudy:
     """Send the same force into the loops of every place.
 
     The force is a feedforward error, ideal less applied: the plant gets that much too little. Through ``w`` the
-    observer does not see it, through ``u_ff`` it does. Noise of these `deviations` is fresh at every place, the same
-    for all cases.
+    observer does not see it, through ``u_ff`` it does. Noise of these `deviations`, drawn from `seed`, is fresh at
+    every place, the same for all cases.
     """
     require_choice("source", source, ("w", "u_ff"))
     ahead = len(force.time) - len(setpoint.time)
-    if (deviations is None) != (rng is None):
-        raise InputError("deviations and rng belong together; give both or neither")
+    if deviations is not None and seed is None:
+        raise InputError("seed is missing: deviations are drawn from it; give it, too")
     if ahead < 0 or not np.allclose(force.time[ahead:], setpoint.time, rtol=0, atol=1e-6 * setpoint.step):
         raise InputError("force and setpoint do not have the same samples; make both with one step")
     errors: dict[str, list[np.ndarray]] = {}
+    rng = np.random.default_rng(seed)
     for cases in loops.values():
-        seed = 0 if rng is None else int(rng.integers(2**63))
+        draw = int(rng.integers(2**63))
         for name, loop in cases.items():
             channel = loop.select([INPUTS.index(source)], [OUTPUTS.index("e_true")])
             error = -respond(channel, force)[0, ahead:]
             if deviations is not None:
-                draws = np.random.default_rng(seed)
+                draws = np.random.default_rng(draw)
                 samples = WARM_UP + len(setpoint.time)
                 error = error + noise_error(loop, setpoint.step, samples, deviations, draws)[0, WARM_UP:]
             errors.setdefault(name, []).append(error)

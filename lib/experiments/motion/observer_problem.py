@@ -99,3 +99,13 @@ class ObserverProblem:
     def compensator(self, observer: StateModel) -> StateModel:
         """The observer with band-passes and damping gain: (f, y + d) to (u_d, y_flex), as `loops` wants it."""
         return filtered_estimates(observer, *self._damping())
+
+
+def problem_sizes(weight_states: int, axes: int, modes: int, flexible: int, sensors: int) -> dict[str, int]:
+    """Size of Fig. 5.2's problem for a machine with so many controlled axes, modes, band-passes an axis and sensors.
+
+    States are those of the plant, of a PID and of `flexible` band-passes, and of four weights, three of first order;
+    inputs r, w, v, d and the estimates; outputs e, weighted e, f and y.
+    """
+    states = 2 * modes + 3 * axes + 2 * flexible + 3 * axes + weight_states * axes
+    return {"states": states, "inputs": axes + 3 * sensors + 2 * modes, "outputs": 2 * axes + 2 * sensors}
