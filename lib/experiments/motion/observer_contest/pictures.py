@@ -57,7 +57,8 @@ def paint_matrix(table: pd.DataFrame, over: str):
 def paint_cost(speed: pd.Series, error: pd.Series, unstable: pd.Series):
     """Error over time a sample; the larger the dot, the more loops ran away."""
     figure, axis = figures.new(1, 1, height=3.6)
-    for name in error.index:
+    place = 0.0
+    for name in error.sort_values().index:
         axis.semilogx(
             speed[name],
             error[name],
@@ -67,7 +68,16 @@ def paint_cost(speed: pd.Series, error: pd.Series, unstable: pd.Series):
             alpha=0.6,
             label=name,
         )
-        axis.annotate(name, (speed[name], error[name]), fontsize=6, xytext=(3, 3), textcoords="offset points")
+        place = max(error[name], place + 0.045)  # names in a column, none on another
+        axis.annotate(
+            name,
+            (speed[name], error[name]),
+            xytext=(1.04, place),
+            textcoords=("axes fraction", "data"),
+            va="center",
+            fontsize=7,
+            arrowprops={"arrowstyle": "-", "color": figures.GREY, "lw": 0.4, "alpha": 0.6},
+        )
     axis.set_xlabel("time a sample (µs)")
     axis.set_ylabel("mean error over that of zero")
     return figure
