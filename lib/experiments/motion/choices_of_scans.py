@@ -80,7 +80,7 @@ def estimation(
     kalman, penalised, _ = errors
     ratio, bias = penalised.rms[:, 0] / kalman.rms[:, 0], kalman.bias[:, 2] / kalman.rms[:, 2]
     found: Values = {
-        f"motion.fig-5-10.{claim}": (float(holds.mean()), proportion_interval(holds.sum(), PLANTS))
+        f"motion.fig-5-10.{claim}": (float(holds.mean()), proportion_interval(int(holds.sum()), PLANTS))
         for claim, holds in said.items()
     }
     return found | {
@@ -124,7 +124,7 @@ def perturbed_scans(
         "redesign-beats-original": percent["AD, redesigned"] < percent["AD"],
     }
     return found | {
-        f"motion.table-5-2.{claim}": (float(holds.mean()), proportion_interval(holds.sum(), plants))
+        f"motion.table-5-2.{claim}": (float(holds.mean()), proportion_interval(int(holds.sum()), plants))
         for claim, holds in said.items()
     }
 
