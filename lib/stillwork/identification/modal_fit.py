@@ -260,7 +260,18 @@ def identify_modes(
     Candidates are the poles that settle in a stabilisation diagram (`stabilisation`). In rounds, those that lower the
     error most are added and all are refined together; then modes go one by one that do not prevent an error of 50 %
     over their own width, that noise could have made, or that mostly cancel another. With `guesses_hz` the modes are
-    these. A response that is counted against the force is turned. See `fit_modes` for the parameters.
+    these. A response that is counted against the force is turned.
+
+    Parameters
+    ----------
+    measured : Identified
+        Accelerance of one place, with its coherence.
+    band_hz : tuple of float
+        Lines that count; the mass comes from those below half the first resonance.
+    guesses_hz : array_like, shape (modes,)
+        Where the modes are; empty to find them.
+    damping_guess : float
+        Relative damping of a guess that no pole of the diagram is near.
 
     Raises
     ------

@@ -31,7 +31,7 @@ class ContestResult:
 def run_contest(
     public: str,
     seeds: int,
-    files: Sequence[str] = (),
+    files: Sequence[str | Path] = (),
     *,
     plants: Sequence[str] = tuple(PLANTS),
     doubts: Sequence[str] = tuple(DOUBTS),
