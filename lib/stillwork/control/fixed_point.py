@@ -264,40 +264,40 @@ def packed_parts(controller: Controller, resolution: float, grid: float, lost: s
     )
 
 
+# The filter itself is stepped between the next two by the loop that holds it: handed on through another function, its
+# arrays would be counted again at every sample, which takes as long as all the rest.
+@inlined_kernel
+def measure_position(measurement, position, noise, time_step, speed, last):
+    """Position as it is measured, or what stands for it where it is lost; `speed` is the estimated one."""
+    resolution, grid, loss = measurement
+    measured = position + noise
+    if resolution > 0.0:
+        measured = np.round((measured - grid) / resolution) * resolution + grid
+    if np.isnan(noise) and loss == HOLD:
+        measured = last
+    elif np.isnan(noise) and loss == EXTEND:
+        measured = last + time_step * speed
+    return measured
+
+
 @inlined_kernel
 def command_step(
-    device,
-    acceleration,
-    plant,
     error_from_measurement,
     transformation,
     gains,
-    measurement,
     time_step,
     nominal,
-    position,
-    noise,
-    push,
+    measured,
     first,
     held,
     chain,
     estimate,
     memory,
 ):
-    """One sample of one coordinate: measure, filter, desire, deform. False when a covariance is lost.
+    """Desire and deform the acceleration of one coordinate for one sample.
 
-    push: what pushed the filter's model since the last sample. held: the force is at its limit, nothing is integrated.
+    held: the force is at its limit, nothing is integrated.
     """
-    resolution, grid, loss = measurement
-    measured = position + noise
-    if resolution > 0.0:
-        measured = np.round((measured - grid) / resolution) * resolution + grid
-    if np.isnan(noise) and loss == HOLD:
-        measured = memory[MEASURED]
-    elif np.isnan(noise) and loss == EXTEND:
-        measured = memory[MEASURED] + time_step * estimate[1]
-    if not filter_step(device, acceleration, plant, time_step, measured, push, estimate):
-        return False
     integrals = len(gains) - 2
     seen = measured if error_from_measurement else estimate[0]
     chain[0] = nominal[0] - seen  # chain[j]: j-fold integral of the error
@@ -310,7 +310,6 @@ def command_step(
     deformed = memory[DEFORMED]
     memory[DEFORMED] = desired if first else deform_packed(transformation, deformed, estimate[2], desired)
     memory[SEEN], memory[MEASURED], memory[DESIRED] = seen, measured, desired
-    return True
 
 
 @inlined_kernel
@@ -359,26 +358,22 @@ def _closed_loop(
     force, held = 0.0, False
     for i in range(len(noise)):
         now = positions[i], velocities[i], accelerations[i]
-        if not command_step(
-            device,
-            filter_acceleration,
-            filter_plant,
+        measured = measure_position(measurement, position, noise[i], time_step, estimate[1], memory[MEASURED])
+        if not filter_step(device, filter_acceleration, filter_plant, time_step, measured, force, estimate):
+            return i, NOT_DEFINITE
+        command_step(
             error_from_measurement,
             transformation,
             gains,
-            measurement,
             time_step,
             now,
-            position,
-            noise[i],
-            force,
+            measured,
             i == 0,
             held,
             chain,
             estimate,
             memory,
-        ):
-            return i, NOT_DEFINITE
+        )
         place = estimate[0] if force_from_estimate else memory[SEEN]
         force = model_force(place, estimate[1], memory[DEFORMED], model)
         if not np.isfinite(force):

@@ -12,6 +12,7 @@ from stillwork.control.fixed_point import (
     CAUSES,
     COLUMNS,
     DEFORMED,
+    MEASURED,
     NO_INERTIA,
     NOT_DEFINITE,
     NOT_FINITE,
@@ -21,6 +22,7 @@ from stillwork.control.fixed_point import (
     ControlledRun,
     Controller,
     command_step,
+    measure_position,
     packed_parts,
     record_sample,
     require_noise,
@@ -29,7 +31,7 @@ from stillwork.control.mechanism import Mechanism, forward_dynamics, inverse_dyn
 from stillwork.control.trajectory import Trajectory
 from stillwork.control.transformation import warn_outside_contraction
 from stillwork.estimation.coordinate_filters import require_step
-from stillwork.estimation.filtering import model_of
+from stillwork.estimation.filtering import filter_step, model_of
 
 
 @checked(missing=True)
@@ -191,26 +193,32 @@ def _closed_mechanism(
     for i in range(samples):
         for j in range(count):
             now = nominal[j, 0, i], nominal[j, 1, i], nominal[j, 2, i]
-            if not command_step(
+            measured = measure_position(
+                measurement, position[j], noise[j, i], time_step, estimate[j, 1], memory[j, MEASURED]
+            )
+            if not filter_step(
                 devices[j],
                 filter_acceleration,
                 filter_plant,
+                time_step,
+                measured,
+                deformed[j],
+                estimate[j],
+            ):
+                return i, NOT_DEFINITE
+            command_step(
                 error_from_measurement,
                 transformation,
                 gains,
-                measurement,
                 time_step,
                 now,
-                position[j],
-                noise[j, i],
-                deformed[j],
+                measured,
                 i == 0,
                 held[j],
                 chain[j],
                 estimate[j],
                 memory[j],
-            ):
-                return i, NOT_DEFINITE
+            )
             seen[j], deformed[j] = memory[j, SEEN], memory[j, DEFORMED]
         speed = estimate[:, 1].copy()
         inverse_dynamics(model_inertia, model_bias, model, seen, speed, deformed, work, force)
