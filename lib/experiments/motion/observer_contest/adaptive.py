@@ -3,7 +3,7 @@
 import numpy as np
 
 from experiments.motion.observer_contest.fixed_gain import stationary
-from experiments.motion.observer_contest.modes import propagate
+from experiments.motion.observer_contest.modes import predict_mode, propagate
 from experiments.motion.observer_contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
 from stillwork.base.kernels import inlined_kernel, kernel
 
@@ -14,11 +14,7 @@ MET = 0.9  # innovation over the reach of ellipsoid and bound together, at which
 @inlined_kernel
 def _predict(a, b, force, x, p, n):
     for i in range(0, n, 2):
-        first, second = x[i], x[i + 1]
-        for r in range(i, i + 2):
-            x[r] = a[r, i] * first + a[r, i + 1] * second
-            for q in range(len(force)):
-                x[r] += b[r, q] * force[q]
+        predict_mode(a, b, force, i, x)
     propagate(a, p, n)
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from experiments.motion.observer_contest.told import ToldModel
-from stillwork.base.kernels import kernel
+from stillwork.base.kernels import inlined_kernel, kernel
 from stillwork.lti.discretisation import zoh_modes
 from stillwork.lti.modal import ModalModel
 
@@ -35,6 +35,16 @@ def detuned(model: ToldModel, sample_time: float, modes: np.ndarray, errors: np.
     sampled, back = zoh_modes(machine, sample_time), np.argsort(order)
     states = np.stack([2 * back, 2 * back + 1], axis=1).ravel()
     return replace(model, a=sampled.a[np.ix_(states, states)], b=sampled.b[states], frequencies=frequencies)
+
+
+@inlined_kernel
+def predict_mode(a, b, force, i, x):
+    """Position and velocity of one mode, at `i` and after it, one sample on: modes do not move each other."""
+    first, second = x[i], x[i + 1]
+    for r in range(i, i + 2):
+        x[r] = a[r, i] * first + a[r, i + 1] * second
+        for q in range(len(force)):
+            x[r] += b[r, q] * force[q]
 
 
 @kernel

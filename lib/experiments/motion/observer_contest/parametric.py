@@ -7,7 +7,7 @@ With :math:`z = (x, \theta)` the model is :math:`x_k = A(\theta) x_{k-1} + B(\th
 import numpy as np
 
 from experiments.motion.observer_contest.fixed_gain import stationary
-from experiments.motion.observer_contest.modes import dominant, sampled_mode
+from experiments.motion.observer_contest.modes import dominant, predict_mode, sampled_mode
 from experiments.motion.observer_contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
 from stillwork.base.algebra import cholesky_root, congruence
 from stillwork.base.kernels import inlined_kernel, kernel
@@ -24,10 +24,7 @@ def _move(force, data, point):
     block, lever = np.empty((2, 2)), np.empty(2)
     for i in range(0, n, 2):
         first, second = point[i], point[i + 1]
-        for r in range(i, i + 2):
-            point[r] = a[r, i] * first + a[r, i + 1] * second
-            for q in range(len(force)):
-                point[r] += b[r, q] * force[q]
+        predict_mode(a, b, force, i, point)
         for j in range(len(modes)):
             if 2 * modes[j] == i:
                 push = 0.0
