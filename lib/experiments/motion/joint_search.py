@@ -276,21 +276,26 @@ def judge(
 def _highest(around: Callable, moved: Late, first: np.ndarray, poles: np.ndarray) -> np.ndarray:
     """The largest magnitude of each of the six functions over all masses; `first` is what the grid shows."""
     angles = np.abs(np.angle(poles[np.abs(poles) > 0.5])) / STEP
-    omega = np.union1d(_between(grid(), first, 3), angles[angles > 1.0])
-    for _ in range(3):
+    omega = _apart(np.union1d(_between(grid(), first, 3), angles[angles > 1.0]))
+    for _ in range(5):
         values = six(late_response(moved, omega), around(omega))
         omega = _between(omega, values, 9)
     return values.max(axis=(1, 2))
 
 
 def _between(omega: np.ndarray, values: np.ndarray, points: int) -> np.ndarray:
-    """Frequencies around all tops within a twentieth of the largest of their function."""
+    """All tops within a twentieth of the largest of their function, and frequencies around them."""
     padded = np.pad(values, ((0, 0), (0, 0), (1, 1)))
     high = values >= 0.95 * values.max(axis=(1, 2))[:, None, None]
     high &= (values >= padded[..., :-2]) & (values >= padded[..., 2:])
     tops = np.flatnonzero(high.any(axis=(0, 1)))
     ends = omega[np.maximum(tops - 1, 0)], omega[np.minimum(tops + 1, len(omega) - 1)]
-    return np.unique(np.linspace(*ends, points))
+    return _apart(np.union1d(np.linspace(*ends, points), omega[tops]))
+
+
+def _apart(omega: np.ndarray) -> np.ndarray:
+    """Sorted frequencies without those that all but repeat the one before: of two such, rounding chooses the top."""
+    return omega[np.diff(omega, prepend=0.0) > 1e-7 * omega]
 
 
 def six(plant: np.ndarray, around: Compensated) -> np.ndarray:
