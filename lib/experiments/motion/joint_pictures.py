@@ -54,8 +54,7 @@ def paint_front(
     axis.set_xscale("log")
     axis.set_xticks([2, 5, 10, 20, 30], ["2", "5", "10", "20", "30"])
     axis.minorticks_off()
-    axis.set_xlabel("rms of the control force under noise (mN)")
-    axis.set_ylabel("rms error in the scan (nm)")
+    axis.set(xlabel="rms of the control force under noise (mN)", ylabel="rms error in the scan (nm)")
     axis.set_ylim(1.0, None)
     legend = [line for line in axis.lines if line.get_linestyle() == "-"] + axis.lines[-1:]
     legend += [
@@ -78,8 +77,7 @@ def paint_peaks_over_plants(judged: Mapping[str, Mapping[str, Judged]]):
             )
         mark_limit(axis)
         axis.set_xticks(range(len(designs)), [name.replace(" ", "\n", 1) for name in designs], fontsize=6)
-        axis.set_ylim(0, TOP_DB + 4)
-        axis.set_title(title)
+        axis.set(ylim=(0, TOP_DB + 4), title=title)
     axes[0, 0].set_ylabel(f"largest peak (dB), cut at {TOP_DB:g}")
     return figure
 
@@ -102,9 +100,7 @@ def paint_joint(
     verdict = "unstable"
     if judged.stable[0]:
         verdict = f"largest peak {judged.peaks.max():.1f} dB, scan error {1e9 * judged.error[0]:.2f} nm"
-    axis.set_title(f"worst of the seven masses: {verdict}")
-    axis.set_xlabel("frequency (Hz)")
-    axis.set_ylabel("magnitude (dB)")
+    axis.set(title=f"worst of the seven masses: {verdict}", xlabel="frequency (Hz)", ylabel="magnitude (dB)")
     axis.set_ylim(-40, 20)
     axis.legend(loc="lower left", ncols=2)
     return figure

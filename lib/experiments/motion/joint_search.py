@@ -254,16 +254,8 @@ def judge(
 ) -> Judged:
     """Stability by eigenvalues, peaks looked for between grid points and at closed-loop poles, the scan's error.
 
-    Parameters
-    ----------
-    design : JointDesign
-    plants : sequence of ModalModel
-    delay : float
-        Of the whole control force, samples.
-    alone : int
-        One more of the controller's output by itself, samples.
-    told : float
-        What the observer knows of `delay`; by default all of it.
+    `delay` is that of the whole control force in samples, of which the observer is `told` all if nothing else is said;
+    `alone` one more of the controller's output by itself.
     """
     poles = closed_poles(design, plants, delay, alone, told)
     stable = np.all(np.abs(poles) < 1, axis=(1, 2))
@@ -343,26 +335,11 @@ def search(
 ) -> Found:
     """Least mean square of the scan error over some stages, all six peaks of all masses below `limit`, from one start.
 
-    Every step linearises the logarithms of error, peaks and noise in the logarithms of the free numbers and solves a
-    linear program within a trusted region; it is taken when it lowers an exact penalty and leaves all loops stable.
-
-    Parameters
-    ----------
-    start : JointDesign
-        Stable; its peaks may exceed the limit.
-    free : str
-        One of `FREE`; the other numbers stay.
-    served : sequence of Served
-    limit : float
-        Of the six peaks, magnitude.
-    force : float
-        Largest rms of the control force under noise, N; without, none.
-    steps : int
-        Linear programs at most.
-    counted : int
-        How many of the stages, the first ones, count in the error; the others must keep the limits only.
-    aim : str
-        One of `AIMS`; ``bandwidth``: the latest crossing of the slowest loop, and of the error nothing.
+    Every step linearises the logarithms of error, peaks and noise in the logarithms of the `free` numbers and solves a
+    linear program within a trusted region; it is taken when it lowers an exact penalty and leaves all loops stable. The
+    start is stable, but its peaks may exceed the limit. `force` limits the rms of the control force under noise (N). The
+    first `counted` stages count in the error; the others must keep the limits only. The `aim` ``bandwidth`` seeks the
+    latest crossing of the slowest loop, and of the error nothing.
     """
     names = FREE[require_choice("free", free, FREE)]
     require_choice("aim", aim, AIMS)
