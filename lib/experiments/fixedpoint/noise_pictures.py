@@ -68,8 +68,7 @@ def paint_tuned_errors(
             axes.set_yticks(
                 range(len(study)), list(study) if quantity == quantities[0] else [""] * len(study)
             )
-            axes.set_ylim(len(study) - 0.5, -0.5)
-            axes.set_xlim(0, 1.06 * axes.get_xlim()[1])
+            axes.set(ylim=(len(study) - 0.5, -0.5), xlim=(0, 1.06 * axes.get_xlim()[1]))
     return figure
 
 

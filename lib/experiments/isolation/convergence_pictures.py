@@ -54,8 +54,7 @@ def paint_courses(courses: Mapping[str, Course]):
         )
     above.set_ylabel("filtered error e'e (N²)")
     above.legend()
-    below.set_xlabel("time (s)")
-    below.set_ylabel("parameter (N per m/s²)")
+    below.set(xlabel="time (s)", ylabel="parameter (N per m/s²)")
     figures.legend_below(below, 4)
     return figure
 
@@ -114,8 +113,7 @@ def paint_readings(times: Mapping[str, np.ndarray]):
                 number, each[3:], marker, color=color, mfc="none", label=name.removeprefix(f"{algorithm}, ")
             )
         figures.mark_published(panel, number, published_row(algorithm, "tau")[3:])
-        panel.set_title(algorithm)
-        panel.set_yscale("log")
+        panel.set(title=algorithm, yscale="log")
         panel.set_ylim(top=6 * max(each[3:].max() for each in mine.values()))
         panel.set_xticks(number, [f"w{i}" for i in number])
         panel.legend(loc="upper left", fontsize=8)
@@ -137,8 +135,7 @@ def paint_starts(starts: Starts, steady: ArrayLike):
         markersize=9,
     )
     axes.axvspan(np.min(steady), np.max(steady), color=figures.GREEN, alpha=0.3, label="steady diagonal of P")
-    axes.set_xlabel("initial covariance 1/ε")
-    axes.set_ylabel("largest command (N)")
+    axes.set(xlabel="initial covariance 1/ε", ylabel="largest command (N)")
     axes.legend()
     return figure
 
@@ -159,8 +156,7 @@ def paint_path_error(twin: Twin, floor: ShapedFloor):
         axes.axvline(0, color=figures.BLACK, lw=0.8)
         axes.plot(1, 0, "+", markersize=9, color=figures.RED, label="perfect estimate")
         axes.set_xlabel("real part")
-    left.set_title("eigenvalues of P̂₂⁻¹P₂, 2-300 Hz")
-    left.set_ylabel("imaginary part")
+    left.set(title="eigenvalues of P̂₂⁻¹P₂, 2-300 Hz", ylabel="imaginary part")
     right.set_title("eigenvalues of R⁻¹A: convergence")
     figures.legend_below(right, 3)
     return figure
@@ -178,8 +174,7 @@ def paint_sideways(courses: Mapping[str, Sideways]):
             color=figures.BLACK,
             label=f"{name}, predicted",
         )
-    axes.set_xlabel("time (s)")
-    axes.set_ylabel("sideways command over its start")
+    axes.set(xlabel="time (s)", ylabel="sideways command over its start")
     axes.legend()
     return figure
 
@@ -208,8 +203,7 @@ def expected_course_painter(twin: Twin, steady: Steady, duration_s: float) -> Ca
             published_row("FeRLS", "final")[list(SHOWN)],
             "published, FeRLS",
         )
-        axes.set_xlabel("time (s)")
-        axes.set_ylabel("expected parameter (N per m/s²)")
+        axes.set(xlabel="time (s)", ylabel="expected parameter (N per m/s²)")
         axes.legend(ncols=2)
         return figure
 

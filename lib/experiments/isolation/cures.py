@@ -29,27 +29,13 @@ OVERLOAD = 1e3
 
 @dataclass(frozen=True)
 class CureRun:
-    """Closed-loop adaptation with one cure, at equally spaced moments; NaN after an overload.
+    """Closed-loop adaptation with one cure, at equally spaced moments; NaN after an overload."""
 
-    Attributes
-    ----------
-    samples : ndarray, shape (kept,)
-        Samples seen.
-    growth : ndarray, shape (kept, n)
-        Diagonal of P over that of P(-1).
-    misalignment : ndarray, shape (kept,)
-        Size of W - w in the metric of P(-1), over its start; how much of the floor is not cancelled.
-    error_power : ndarray, shape (kept,)
-        Mean square of e over the interval.
-    overload : int or None
-        Sample at which the command left the actuator's range.
-    """
-
-    samples: Float64[np.ndarray, "kept"]
-    growth: Float64[np.ndarray, "kept n"]
-    misalignment: Float64[np.ndarray, "kept"]
-    error_power: Float64[np.ndarray, "kept"]
-    overload: int | None
+    samples: Float64[np.ndarray, "kept"]  # samples seen
+    growth: Float64[np.ndarray, "kept n"]  # diagonal of P over that of P(-1)
+    misalignment: Float64[np.ndarray, "kept"]  # size of W - w in the metric of P(-1), over its start
+    error_power: Float64[np.ndarray, "kept"]  # mean square of e over the interval
+    overload: int | None  # sample at which the command left the actuator's range
 
     def decay(self, start: int, stop: int) -> float:
         """Time constant of the misalignment in samples, fitted to the kept moments `start` to `stop`."""
@@ -70,36 +56,18 @@ def run_cure(
     noise_power: float = 1.0,
     keep_every: int = 1000,
 ) -> CureRun:
-    """Adapt in closed loop from zero weights over floors and optima that follow one another.
+    """Adapt in closed loop from zero weights over (floor (sensors, samples) in m/s², optimum w) that follow one another.
 
-    Parameters
-    ----------
-    cure : str
-        ``none``; ``limit``, the library's: the diagonal of P stays below `growth` times its start;
-        ``leakage`` after Levenberg and Marquardt: every sample adds information along every axis, so that a
-        silent one settles at `growth`; ``directional`` after Kulhavy: only what the regressor says anew is forgotten,
-        R + (lambda - (1 - lambda) / psi' P psi) psi psi'; ``no forgetting``: lambda = 1; ``trace bound``: P is
-        scaled down as a whole when its trace exceeds `growth` times its start; ``variable`` after Fortescue,
-        Kershenbaum and Ydstie: 1 - lambda grows with the error, (1 - lambda) e² / (noise (1 + psi' P psi)), at
-        most `FASTEST` times; ``resetting`` after Salgado, Goodwin and Middleton, in units of the start D,
-        P / lambda - P psi psi' P / (1 + psi' P psi) + b D - d P D^-1 P, which without excitation settles at
-        `growth`.
-    segments : sequence of (floor, optimum)
-        Motion of the sensors, (sensors, samples), m/s², and w, (n,).
-    integrator, shaping : array_like, shape (sections, 6)
-        beta H and N.
-    covariance : array_like, shape (n,)
-        Diagonal of P(-1), steady values.
-    forgetting : float
-        lambda.
-    growth : float
-        Strength of the cure.
-    noise : array_like, shape (samples,)
-        n, over all segments together, N.
-    noise_power : float
-        Of the filtered error when all is learnt, N²; ``variable`` forgets as printed at this power.
-    keep_every : int
-        Samples between two kept moments.
+    Of the cures, ``limit`` is the library's: the diagonal of P stays below `growth` times its start;
+    ``leakage`` after Levenberg and Marquardt: every sample adds information along every axis, so that a
+    silent one settles at `growth`; ``directional`` after Kulhavy: only what the regressor says anew is forgotten,
+    R + (lambda - (1 - lambda) / psi' P psi) psi psi'; ``no forgetting``: lambda = 1; ``trace bound``: P is
+    scaled down as a whole when its trace exceeds `growth` times its start; ``variable`` after Fortescue,
+    Kershenbaum and Ydstie: 1 - lambda grows with the error, (1 - lambda) e² / (noise (1 + psi' P psi)), at
+    most `FASTEST` times, noise being `noise_power` (N²), the error's when all is learnt; ``resetting`` after Salgado,
+    Goodwin and Middleton, in units of the start D, P / lambda - P psi psi' P / (1 + psi' P psi) + b D - d P D^-1 P, which
+    without excitation settles at `growth`. `covariance` is the diagonal of P(-1), steady values; `noise` runs over all
+    segments together (N).
     """
     code = CURES.index(require_choice("cure", cure, CURES))
     floors = [require_array("floor", floor, ndim=2) for floor, _ in segments]

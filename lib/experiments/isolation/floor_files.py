@@ -37,31 +37,11 @@ def open_floor(
     """Floor from a record or from spectra, or the measured ground when no file is named.
 
     A record of one or two channels gives one or two: the feedforward hears no sensor that was not there. One
-    spectrum moves all of the rig's sensors alike, several each its own.
-
-    Parameters
-    ----------
-    floor_record : str
-        Path of a CSV, MAT, NPZ or universal file, see `stillwork.signals.records.load_record`; empty for the
-        ground. Spectra stand beside a column or array named ``frequency``, in Hz.
-    unit : str
-        Of the record; a density, such as ``(m/s)^2/Hz`` or ``m/s^2/sqrt(Hz)``, says that the file holds spectra.
-    rate_hz : float
-        Of the record; 0 where the file tells it.
-    channels : list of str
-        Channels to take, as many as floor sensors at most; empty for all.
-    twin : Twin
-        Whose sensors the floor moves.
-    ground_gain, common, duration_s, seed
-        Of a motion that is made from spectra: its amplitude relative to them, share of its power that all
-        sensors see alike, seconds, and seed.
-
-    Raises
-    ------
-    InputError
-        For everything that makes the file unusable; it says what to do. A floor that does not reach the rig's
-        suspension is refused, since it cannot teach the feedforward anything; so is one beyond 1 g, or below the
-        quietest ground on Earth, since its unit is wrong.
+    spectrum moves all of the rig's sensors alike, several each its own. Spectra stand beside a column or array named
+    ``frequency``, in Hz, and a density for a `unit`, such as ``(m/s)^2/Hz`` or ``m/s^2/sqrt(Hz)``, says that the file
+    holds them; their motion is made with the last four arguments: amplitude, share of the power that all sensors see
+    alike, seconds, seed. A floor that does not reach the rig's suspension is refused, since it cannot teach the
+    feedforward anything; so is one beyond 1 g, or below the quietest ground on Earth, since its unit is wrong.
     """
     rate = twin.instruments.sample_rate
     require_number("ground_s", duration_s, at_least=SHORTEST_S)

@@ -36,13 +36,7 @@ class Axes:
 
 
 def central_axes(rig: Rig | None) -> Axes:
-    """Axes of a rig; motions of the floor plate that its sensors do not measure count as rest.
-
-    Raises
-    ------
-    InputError
-        When the model has no geometry.
-    """
+    """Axes of a rig; motions of the floor plate that its sensors do not measure count as rest."""
     if rig is None:
         raise InputError("the model has no geometry, so no z, θx and θy; take one with a body and struts")
     readings = rig.floor_sensors.jacobian[:, _ROWS]
@@ -130,11 +124,6 @@ def exact_transmissibility(
     """Transmissibility from floor to platform in z, θx, θy without any noise, from the model's responses.
 
     Platform directions along the first axis, floor directions along the second.
-
-    Raises
-    ------
-    InputError
-        When the floor sensors do not fix z, θx and θy.
     """
     axes = central_axes(twin.rig)
     if np.linalg.matrix_rank(axes.floor_readings, 1e-9) < 3:
@@ -190,16 +179,7 @@ def band_means(
 ) -> tuple[Float64[np.ndarray, " bands"], dict[str, Complex128[np.ndarray, "3 3 bands"]]]:
     """Complex means of estimated responses over a twelfth of an octave, in which uncorrelated noise averages out.
 
-    Lines within two steps of one of the mains stand for themselves: their peaks are no noise.
-
-    Parameters
-    ----------
-    frequencies_hz : array_like, shape (frequencies,)
-        Evenly spaced, above zero.
-    responses : dict of str to ndarray, shape (3, 3, frequencies)
-        Estimates.
-    lines_hz : array_like, shape (lines,)
-        The mains.
+    Lines within two steps of one of the mains (`lines_hz`) stand for themselves: their peaks are no noise.
     """
     f = require_array("frequencies_hz", frequencies_hz, ndim=1)
     apart = np.abs(f[:, None] - require_array("lines_hz", lines_hz, ndim=1)).min(axis=1, initial=np.inf)

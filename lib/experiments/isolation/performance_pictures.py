@@ -26,17 +26,7 @@ _ROUNDING = 1e-9
 def paint_transmissibility(
     frequencies_hz: np.ndarray, cases: dict[str, np.ndarray], *, low_db: float = -80.0
 ):
-    """Fig. 7: the 3x3 matrix of transmissibilities, platform direction down, floor direction across.
-
-    Parameters
-    ----------
-    frequencies_hz : ndarray, shape (frequencies,)
-        Thinned for the figure; peaks are kept.
-    cases : dict of str to ndarray, shape (3, 3, frequencies)
-        Responses.
-    low_db : float
-        Lower end of the diagonal panels.
-    """
+    """Fig. 7: the 3x3 matrix of transmissibilities, platform direction down, floor direction across."""
     figure, axes = figures.new(3, 3, height=6.6, sharex=True)
     f = frequencies_hz
     units = np.array([["", " (m/rad)", " (m/rad)"], [" (rad/m)", "", ""], [" (rad/m)", "", ""]])
@@ -85,13 +75,7 @@ def _mark_reduction(panel, frequencies_hz: np.ndarray, feedback: np.ndarray):
 
 
 def paint_reduction(reductions: dict[str, tuple[np.ndarray, np.ndarray]]):
-    """Reduction of the three diagonal elements by the feedforward, with the published 20 and 40 dB.
-
-    Parameters
-    ----------
-    reductions : dict of str to tuple of ndarray, shapes (frequencies,) and (3, frequencies)
-        Frequencies in Hz, thinned for the figure, and dB over the feedback-only case, positive for less vibration.
-    """
+    """Reduction (dB) of the three diagonal elements by the feedforward, with the published 20 and 40 dB."""
     figure, axes = figures.new(1, 3, height=2.7, sharey=True)
     for k, (panel, direction) in enumerate(zip(axes, DIRECTIONS, strict=True)):
         panel.fill_between(
@@ -120,14 +104,7 @@ def paint_power(
 ):
     """Fig. 8: power spectral density of the platform and its running sum from 1 Hz, in z, θx and θy.
 
-    Parameters
-    ----------
-    frequencies_hz : ndarray, shape (frequencies,)
-        Evenly spaced.
-    densities : dict of str to ndarray, shape (3, frequencies)
-        By case, (m/s^2)^2/Hz and (rad/s^2)^2/Hz.
-    published : tuple of float
-        Published share of the power at 1-300 Hz removed in z, θx, θy, per cent.
+    Published is the share of the power at 1-300 Hz removed in z, θx, θy, per cent.
     """
     figure, axes = figures.new(2, 3, height=5.0, sharex=True)
     units = ("(m/s²)²", "(rad/s²)²", "(rad/s²)²")
@@ -236,13 +213,6 @@ def thinned(frequencies_hz: np.ndarray, values: np.ndarray) -> np.ndarray:
 
     Of 240 bins even in the logarithm the smallest and the largest value are kept, so that a mains line one bin
     wide is drawn at its full height.
-
-    Parameters
-    ----------
-    frequencies_hz : ndarray, shape (frequencies,)
-        Increasing; those not above zero are left out.
-    values : ndarray, shape (frequencies,)
-        The curve.
     """
     positive = np.flatnonzero(frequencies_hz > 0)
     f = frequencies_hz[positive]

@@ -22,16 +22,10 @@ def paint_map(
     shipped: Mapping[str, tuple[float, Mapping[str, CovarianceRun]]],
     forgettings: tuple[float, float],
 ):
-    """Error of P in its own metric, drawn at one where it is larger, over the condition number, by precision and form, and where forms break.
+    """Error of P in its own metric over the condition number, drawn at one where it is larger, and where forms break.
 
-    Parameters
-    ----------
-    conditions : array_like, shape (conditions,)
-    found : mapping of (precision, form) to array, shape (2, conditions, seeds)
-        As `stability_map` gives it.
-    shipped : mapping of floor to (condition number, runs in float32 by form)
-    forgettings : tuple of float
-        lambda of the synthetic regressors, and of the shipped floors.
+    `found` by precision and form is what `stability_map` gives, `shipped` by floor a condition number and the runs in
+    float32 by form; the forgetting factors are those of the synthetic regressors and of the shipped floors.
     """
     precisions = list(dict.fromkeys(precision for precision, _ in found))
     figure, grid = figures.new(1, len(precisions), height=3.9, sharey=True, squeeze=False)
@@ -69,15 +63,7 @@ def paint_map(
 
 
 def paint_forms(runs: Mapping[str, Mapping[str, CovarianceRun]], experiment: float):
-    """Asymmetry and error of P over time constants, a column for each precision.
-
-    Parameters
-    ----------
-    runs : mapping of precision to mapping of form to CovarianceRun
-        What to show.
-    experiment : float
-        Length of the published experiment in time constants.
-    """
+    """Asymmetry and error of P over time constants, by precision and form; `experiment` is the published length."""
     figure, grid = figures.new(2, len(runs), height=5.4, sharex=True, squeeze=False)
     for (upper, lower), (precision, forms) in zip(grid.T, runs.items(), strict=True):
         for style, (form, run) in zip(_LINES, forms.items(), strict=False):

@@ -101,8 +101,7 @@ def expected_switch_painter(twin: Twin, switches: Mapping[str, Switch], duration
                 np.append(0.0, time), np.append(1.0, left), STYLES[name], color=COLORS[name], label=name
             )
         axes.axhline(SHARE, color=figures.GREY, lw=0.8)
-        axes.set_xlabel("time after the switch (s)")
-        axes.set_ylabel("share of the shift to go")
+        axes.set(xlabel="time after the switch (s)", ylabel="share of the shift to go")
         axes.legend()
         return figure
 

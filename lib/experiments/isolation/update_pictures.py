@@ -24,17 +24,8 @@ def paint_agreement(
 ):
     """Weights of one actuator by the recursion, (samples, n), and how far the direct forms are from it.
 
-    Parameters
-    ----------
-    time_s : array_like, shape (samples,)
-        s.
-    recursion : array_like, shape (samples, n)
-        One row of W.
-    differences : mapping of form to array_like, shape (samples,)
-        Largest difference of any weight, relative to the largest weight. Drawn is the largest so far: that of one
-        sample is a draw of rounding.
-    bound : float
-        What rounding may reach.
+    Differences are relative to the largest weight; drawn is the largest so far: that of one sample is a draw of
+    rounding. `bound` is what rounding may reach.
     """
     figure, (upper, lower) = figures.new(2, 1, height=4.8, sharex=True)
     for number, row in enumerate(np.transpose(recursion), 1):
@@ -129,8 +120,7 @@ def _bars(axes, values: Mapping[str, float], text: str):
             va="center",
             fontsize=8,
         )
-    axes.set_xscale("log")
-    axes.set_xlim(min(numbers) / 3, max(numbers) * 30)
+    axes.set(xscale="log", xlim=(min(numbers) / 3, max(numbers) * 30))
     axes.set_yticks(place, list(values))
     axes.set_ylim(len(values) - 0.4, -0.8)
     axes.grid(visible=False, axis="y")

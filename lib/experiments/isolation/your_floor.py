@@ -28,33 +28,15 @@ _GRID = np.unique(np.concatenate([np.geomspace(0.02, 2400, 600), np.arange(1.0, 
 
 @dataclass(frozen=True)
 class Isolated:
-    """A floor and what the platform does above it.
+    """A floor and what the platform does above it, in z, θx, θy (m/s^2 and rad/s^2), from `SETTLE_S` on."""
 
-    Attributes
-    ----------
-    floor : ndarray, shape (3, samples)
-        The plate in z, θx, θy, without sensor noise; m/s^2 and rad/s^2; from `SETTLE_S` on.
-    platform : dict of str to ndarray, shape (3, samples)
-        The platform's real motion, by case: ``passive``, ``feedback``, ``FeRLS`` with frozen weights.
-    quiet : ndarray, shape (3, samples)
-        Case ``feedback`` with sensors that have no noise.
-    training : int
-        Samples before the part that the weights have not seen.
-    adaptation : Run
-        FeRLS from zero over the training part.
-    progress : ndarray, shape (kept,)
-        Power of the filtered error while FeRLS adapts, over that without feedforward in the same instants.
-    sample_rate : float
-        Hz.
-    """
-
-    floor: Float64[np.ndarray, "3 samples"]
-    platform: dict[str, Float64[np.ndarray, "3 samples"]]
-    quiet: Float64[np.ndarray, "3 samples"]
-    training: int
-    adaptation: Run
-    progress: Float64[np.ndarray, " kept"]
-    sample_rate: float
+    floor: Float64[np.ndarray, "3 samples"]  # the plate, without sensor noise
+    platform: dict[str, Float64[np.ndarray, "3 samples"]]  # truly: ``passive``, ``feedback``, ``FeRLS``
+    quiet: Float64[np.ndarray, "3 samples"]  # case ``feedback`` with sensors that have no noise
+    training: int  # samples before the part that the weights have not seen
+    adaptation: Run  # FeRLS from zero over the training part
+    progress: Float64[np.ndarray, " kept"]  # power of the filtered error over that without feedforward
+    sample_rate: float  # Hz
 
     @property
     def moving(self) -> Bool[np.ndarray, "3"]:
@@ -101,11 +83,6 @@ def isolate(twin: Twin, floor: RecordedFloor, seed: int, start: float = 1.0) -> 
     FeRLS starts from zero weights and from `start` times (1 - lambda) over the power of each filtered regressor,
     the steady P of uncorrelated regressors. Its weights are then frozen and judged on what it has not seen, with
     other sensor noise; every case is judged on the same stretch.
-
-    Raises
-    ------
-    UnstableAdaptation
-        Where the adaptation diverges on this floor, see `simulate`.
     """
     require_number("start", start, above=0.0)
     axes = central_axes(twin.rig)
@@ -149,16 +126,7 @@ def optimum_left(
 ) -> dict[str, Float64[np.ndarray, " gains"]]:
     """Rms motion in z at 1-300 Hz over the floor's, for a louder or quieter floor and the optimum weights.
 
-    From spectra alone, for a plate that only translates.
-
-    Parameters
-    ----------
-    twin : Twin
-        Rig with geometry.
-    floor : SpectralFloor
-        Of one sensor.
-    gains : array_like, shape (gains,)
-        Amplitude of the floor relative to `floor`.
+    From spectra of one sensor alone, for a plate that only translates; `gains` are amplitudes relative to `floor`.
     """
     f = np.geomspace(*BAND_HZ, 1500)[:-1]
     twin, _ = hear(twin, floor.channels)

@@ -118,8 +118,7 @@ def paint_identified(
     add_magnitude(axes[0], omega, rigid_response(plant, omega), label="rigid body", color=figures.GREY)
     axes[0].set_ylabel("magnitude (dB re 1 rad/A)")
     axes[0].legend(ncols=3, fontsize=7)
-    axes[1].set_ylabel("coherence")
-    axes[1].set_xlabel("frequency (Hz)")
+    axes[1].set(ylabel="coherence", xlabel="frequency (Hz)")
     return figure
 
 

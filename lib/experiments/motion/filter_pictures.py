@@ -93,7 +93,6 @@ def paint_schedules(speed: str, start: float, spacing: float):
             linewidth=0.9,
             label=f"{name}: largest {1e9 * np.abs(error).max():.3g}",
         )
-    axis.set_xlabel("time (s)")
-    axis.set_ylabel("error of mode 1 (nm√kg)")
+    axis.set(xlabel="time (s)", ylabel="error of mode 1 (nm√kg)")
     axis.legend()
     return figure

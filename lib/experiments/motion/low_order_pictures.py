@@ -53,8 +53,7 @@ def paint_errors_over_order(
             )
         figures.mark_published(axis, copies[name][0], published[name], "published, with noise")
         axis.xaxis.get_major_locator().set_params(integer=True)
-        axis.set_title(f"{name}, redesigned")
-        axis.set_xlabel("states of the feedforward (1)")
+        axis.set(title=f"{name}, redesigned", xlabel="states of the feedforward (1)")
     axes[0, 0].set_ylabel("rms error in the scan (nm)")
     figures.legend_below(axes[0, 0], 3)
     return figure
@@ -87,8 +86,7 @@ def paint_errors_over_plants(studies: Mapping[str, Mapping[str, np.ndarray]]):
         axis.xaxis.set_major_locator(FixedLocator([0.5, 1, 2, 5, 10, 20, 50]))
         axis.xaxis.set_major_formatter(ScalarFormatter())
         axis.xaxis.set_minor_formatter(NullFormatter())
-        axis.set_title(title)
-        axis.set_xlabel("rms error in the scan (nm)")
+        axis.set(title=title, xlabel="rms error in the scan (nm)")
     figures.legend_below(axes[0, 0], 2)
     return figure
 

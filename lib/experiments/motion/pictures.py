@@ -236,10 +236,8 @@ def paint_pole_zero(systems: Mapping[str, StateModel]):
                 label=f"{label}, {kind}",
             )
         add_magnitude(axes[1], omega, system.frequency_response(omega)[0, 0], color=colour, label=label)
-    axes[0].set_xlabel("real part (1/s)")
-    axes[0].set_ylabel("imaginary part (Hz)")
+    axes[0].set(xlabel="real part (1/s)", ylabel="imaginary part (Hz)")
     axes[0].legend(fontsize=7)
-    axes[1].set_xlabel("frequency (Hz)")
-    axes[1].set_ylabel("magnitude (dB re 1 m/N)")
+    axes[1].set(xlabel="frequency (Hz)", ylabel="magnitude (dB re 1 m/N)")
     axes[1].legend(fontsize=7)
     return figure

@@ -33,8 +33,7 @@ def paint_machine(machine: Machine):
     upper.legend()
     kept = envelope(omega, machine.fit.error)
     lower.loglog(omega[kept] / (2 * np.pi), 100 * machine.fit.error[kept], linewidth=0.7, color=figures.BLACK)
-    lower.set_ylabel("error of the fit (%)")
-    lower.set_xlabel("frequency (Hz)")
+    lower.set(ylabel="error of the fit (%)", xlabel="frequency (Hz)")
     return figure
 
 
@@ -48,8 +47,7 @@ def _paint_model(machine: Machine):
         response = -(omega**2) * sensor.frequency_response(omega)[0, 0]
         kept = envelope(hertz, np.abs(response))
         axis.semilogx(hertz[kept], decibel(response[kept]), linewidth=0.9, label=f"sensor {number}")
-    axis.set_xlabel("frequency (Hz)")
-    axis.set_ylabel("accelerance (dB re 1/kg)")
+    axis.set(xlabel="frequency (Hz)", ylabel="accelerance (dB re 1/kg)")
     axis.legend()
     return figure
 
@@ -78,9 +76,7 @@ def paint_reached(found: Mapping[str, Reached]):
             face = {} if number == 0 else {"markerfacecolor": "none"}
             axis.plot(*np.transpose(points), marker, label=label, **face)
     axis.set_xticks(range(len(found)), list(found))
-    axis.set_xlim(-0.5, len(found) - 0.4)
-    axis.set_ylim(0, None)
-    axis.set_ylabel("first crossing (Hz)")
+    axis.set(xlim=(-0.5, len(found) - 0.4), ylim=(0, None), ylabel="first crossing (Hz)")
     axis.legend()
     return figure
 
@@ -112,18 +108,7 @@ def paint_sensitivities(found: Mapping[str, Reached], machine: Machine):
 def machine_explorer(
     machine: Machine, intensities: Intensities, retained: int, selectivity: float
 ) -> Callable:
-    """Drawing function of the explorer: what the controller sees at the last sensor, bare and with MC and AD.
-
-    Parameters
-    ----------
-    machine : Machine
-    intensities : Intensities
-        The starting point; the explorer moves the drift.
-    retained : int
-        Modes in the observer.
-    selectivity : float
-        Q of the band-pass of AD.
-    """
+    """Drawing function of the explorer: what the controller sees at the last sensor, bare and with MC and AD."""
     last = machine.sensors[-1]
     low, high = machine.resonances_hz[0] * 0.05, machine.resonances_hz[-1] * 1.2
     shown = resonance_grid(last.poles, low, high, 200, 16)  # coarse enough to redraw quickly
