@@ -5,8 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from experiments.isolation.cures import CureRun
-from experiments.isolation.silence import ErrorRecord
+from experiments.isolation.cures import CureRun, ErrorRecord
 from experiments.isolation.stability import CovarianceRun, condition_bounds, covariance_run
 from stillwork.workbook import figures
 from stillwork.workbook.palette import COLOURS
