@@ -181,15 +181,8 @@ def paint_costs(
     shown = {**_NAMES, "C": "the recursion in C"}
     _bars(lower, {text: times[name]["median_us"] for name, text in shown.items() if name in times}, "{:.2g}")
     lower.axvline(1e6 * sample_time, color=figures.BLACK, lw=1, ls="--")
-    lower.annotate(
-        f"sampling interval, {1e6 * sample_time:.0f} µs",
-        (1e6 * sample_time, 3.0),
-        ha="right",
-        va="center",
-        fontsize=8,
-        xytext=(-3, 0),
-        textcoords="offset points",
-    )
+    style = {"ha": "right", "va": "center", "fontsize": 8, "xytext": (-3, 0), "textcoords": "offset points"}
+    lower.annotate(f"sampling interval, {1e6 * sample_time:.0f} µs", (1e6 * sample_time, 3.0), **style)
     lower.set(xlabel="measured time per update (µs)", title="measured, 6 outputs × 9 regressors")
     return figure
 
@@ -220,14 +213,8 @@ def _bars(axes, values: Mapping[str, float], text: str):
     axes.barh(place, numbers, color=figures.SKY, height=0.6)
     axes.plot(numbers, place, "|", color=figures.BLUE, ms=14, mew=2, label="value")
     for y, number in zip(place, numbers, strict=True):
-        axes.annotate(
-            text.format(number),
-            (number, y),
-            xytext=(5, 0),
-            textcoords="offset points",
-            va="center",
-            fontsize=8,
-        )
+        style = {"xytext": (5, 0), "textcoords": "offset points", "va": "center", "fontsize": 8}
+        axes.annotate(text.format(number), (number, y), **style)
     axes.set(xscale="log", xlim=(min(numbers) / 3, max(numbers) * 30))
     axes.set_yticks(place, list(values))
     axes.set_ylim(len(values) - 0.4, -0.8)

@@ -210,22 +210,10 @@ def paint_errors_over_order(
         order, copied = copies[name]
         for alone, label, hollow in ((noise[name], "with noise", False), (0.0, "without", True)):
             line, face = "--" if hollow else "-", "none" if hollow else None
-            axis.semilogy(
-                states,
-                1e9 * np.hypot(errors, alone),
-                f"o{line}",
-                color=CASES[name],
-                markerfacecolor=face,
-                label=f"low order, {label}",
-            )
-            axis.semilogy(
-                [order],
-                [1e9 * np.hypot(copied, alone)],
-                "s",
-                color=figures.BLACK,
-                markerfacecolor=face,
-                label=f"observer copy, {label}",
-            )
+            style = {"color": CASES[name], "markerfacecolor": face, "label": f"low order, {label}"}
+            axis.semilogy(states, 1e9 * np.hypot(errors, alone), f"o{line}", **style)
+            style = {"color": figures.BLACK, "markerfacecolor": face, "label": f"observer copy, {label}"}
+            axis.semilogy([order], [1e9 * np.hypot(copied, alone)], "s", **style)
         figures.mark_published(axis, copies[name][0], published[name], "published, with noise")
         axis.xaxis.get_major_locator().set_params(integer=True)
         axis.set(title=f"{name}, redesigned", xlabel="states of the feedforward (1)")
