@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from experiments.isolation import performance_pictures, rig_pictures, your_floor_pictures
+from experiments.isolation import performance_pictures, rig_pictures, your_floor
 from experiments.isolation.floor_files import open_floor
 from experiments.isolation.performance import exact_transmissibility
 from experiments.isolation.recorded_floors import RecordedFloor, ground_floor, record_floor
@@ -346,7 +346,7 @@ def test_explorers_draw_away_from_home(draw, settings):
 
 def test_the_explorer_moves_the_floor_that_was_given(twin):
     spectrum = translating_spectrum(ground_floor(20.0, 1))
-    paint = your_floor_pictures.explore_floor(twin, spectrum)
+    paint = your_floor.explore_floor(twin, spectrum)
     once, louder = (paint(gain=gain, output_noise=0.1).axes[0].lines for gain in (1.0, 50.0))
     assert louder[0].get_ydata() == pytest.approx(50 * once[0].get_ydata())
     assert all(np.isfinite(line.get_ydata()).all() for line in louder)
@@ -355,8 +355,8 @@ def test_the_explorer_moves_the_floor_that_was_given(twin):
 @pytest.mark.slow
 def test_pictures_show_what_moves(twin):
     shaken = isolate(twin, opened(twin, SLAB), 1)
-    assert len(your_floor_pictures.paint_isolated(shaken).axes) == 1  # no empty panels of tilts
-    left, right = your_floor_pictures.paint_adaptation(shaken).axes
+    assert len(your_floor.paint_isolated(shaken).axes) == 1  # no empty panels of tilts
+    left, right = your_floor.paint_adaptation(shaken).axes
     assert len(left.lines) == 2 and len(right.lines) == 3  # a median and 1; one line a group of weights
     windows = shaken.progress.reshape(10, -1)
     assert left.lines[0].get_ydata() == pytest.approx(np.median(windows, axis=1))

@@ -24,14 +24,8 @@ def paint_noise_correlations(found: dict[str, Correlations]):
         axes.plot(
             lags, [theory(int(lag)) for lag in lags], "kD", mfc="none", ms=9, label="derived from (18)-(21)"
         )
-        axes.plot(
-            lags,
-            (lags == 0) * float(name == "quotient"),
-            "x",
-            color=figures.RED,
-            ms=7,
-            label="assumed: R diagonal, white",
-        )
+        style = {"color": figures.RED, "ms": 7, "label": "assumed: R diagonal, white"}
+        axes.plot(lags, (lags == 0) * float(name == "quotient"), "x", **style)
         for (label, correlations), colour, shift in zip(
             found.items(), colours, (-0.12, 0.0, 0.12), strict=False
         ):

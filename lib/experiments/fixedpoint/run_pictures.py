@@ -167,15 +167,8 @@ def paint_statement_map(columns: list[str], fractions: dict[str, list[float]], l
     axes.set(xlabel=label)
     for row in rows:
         for column, value in enumerate(grid[row]):
-            axes.text(
-                column,
-                row,
-                f"{value:.2g}",
-                ha="center",
-                va="center",
-                fontsize=7,
-                color="w" if value > 0.5 else "k",
-            )
+            style = {"ha": "center", "va": "center", "fontsize": 7, "color": "w" if value > 0.5 else "k"}
+            axes.text(column, row, f"{value:.2g}", **style)
     figure.colorbar(image, ax=axes, label="fraction of runs that obey (1)")
     return figure
 

@@ -127,13 +127,8 @@ def paint_starts(starts: Starts, steady: ArrayLike):
     on = np.isnan(starts.stopped_s)
     axes.loglog(1 / starts.epsilon[on], starts.peak_command[on], "o", color=figures.BLUE, label="goes on")
     axes.loglog(1 / starts.epsilon[~on], starts.peak_command[~on], "x", color=figures.RED, label="diverges")
-    figures.mark_published(
-        axes,
-        1e5,
-        starts.peak_command[~on].max() if (~on).any() else 1.0,
-        label="printed: ε = 10⁻⁵",
-        markersize=9,
-    )
+    style = {"label": "printed: ε = 10⁻⁵", "markersize": 9}
+    figures.mark_published(axes, 1e5, starts.peak_command[~on].max() if (~on).any() else 1.0, **style)
     axes.axvspan(np.min(steady), np.max(steady), color=figures.GREEN, alpha=0.3, label="steady diagonal of P")
     axes.set(xlabel="initial covariance 1/ε", ylabel="largest command (N)")
     axes.legend()
@@ -167,13 +162,8 @@ def paint_sideways(courses: Mapping[str, Sideways]):
     figure, axes = figures.new(1, 1, height=3.0)
     for (name, course), color in zip(courses.items(), (figures.BLUE, figures.RED), strict=False):
         axes.semilogy(course.time_s, course.size / course.size[0], color=color, label=name)
-        axes.semilogy(
-            course.time_s,
-            course.predicted / course.size[0],
-            ":",
-            color=figures.BLACK,
-            label=f"{name}, predicted",
-        )
+        style = {"color": figures.BLACK, "label": f"{name}, predicted"}
+        axes.semilogy(course.time_s, course.predicted / course.size[0], ":", **style)
     axes.set(xlabel="time (s)", ylabel="sideways command over its start")
     axes.legend()
     return figure

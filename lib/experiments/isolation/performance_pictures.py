@@ -63,15 +63,8 @@ def _mark_reduction(panel, frequencies_hz: np.ndarray, feedback: np.ndarray):
     inside = [(frequencies_hz >= low) & (frequencies_hz <= high) for low, high in pairwise(edges)]
     level = np.array([np.median(decibels[each]) for each in inside])
     middle = np.sqrt(edges[1:] * edges[:-1])
-    panel.fill_between(
-        middle,
-        level - 40,
-        level - 20,
-        color=figures.GREY,
-        alpha=0.25,
-        lw=0,
-        label="published: 20 to 40 dB less",
-    )
+    style = {"color": figures.GREY, "alpha": 0.25, "lw": 0}
+    panel.fill_between(middle, level - 40, level - 20, label="published: 20 to 40 dB less", **style)
 
 
 def paint_reduction(reductions: dict[str, tuple[np.ndarray, np.ndarray]]):
@@ -126,13 +119,8 @@ def paint_power(
             axes[1, k], BAND_HZ[1], before * (1 - published[k] / 100), "published, of feedback"
         )
         axes[1, k].axvline(BAND_HZ[1], color=figures.GREY, ls=":", lw=1)
-        axes[1, k].annotate(
-            f"{published[k]:g} % less\nat 300 Hz",
-            (280, 0.04),
-            xycoords=("data", "axes fraction"),
-            ha="right",
-            fontsize=7,
-        )
+        style = {"xycoords": ("data", "axes fraction"), "ha": "right", "fontsize": 7}
+        axes[1, k].annotate(f"{published[k]:g} % less\nat 300 Hz", (280, 0.04), **style)
     figures.legend_below(axes[1, 0], 5)
     return figure
 

@@ -5,8 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from experiments.isolation.cures import CureRun
-from experiments.isolation.silence import ErrorRecord
+from experiments.isolation.cures import CureRun, ErrorRecord
 from experiments.isolation.stability import CovarianceRun, condition_bounds, covariance_run
 from stillwork.workbook import figures
 from stillwork.workbook.palette import COLOURS
@@ -101,15 +100,8 @@ def paint_forms(runs: Mapping[str, Mapping[str, CovarianceRun]], experiment: flo
 
 
 def _name_zero(axes):
-    axes.annotate(
-        "exactly 0 is drawn here",
-        (0.99, FLOOR * 2),
-        xycoords=("axes fraction", "data"),
-        ha="right",
-        va="bottom",
-        fontsize=8,
-        color=figures.GREY,
-    )
+    style = {"xycoords": ("axes fraction", "data"), "ha": "right", "va": "bottom", "fontsize": 8}
+    axes.annotate("exactly 0 is drawn here", (0.99, FLOOR * 2), color=figures.GREY, **style)
 
 
 def paint_windup(runs: Mapping[str, CovarianceRun]):
@@ -160,14 +152,8 @@ def paint_cures(
     for axes in (top, middle, bottom):
         axes.axvspan(*silence, color=figures.GREY, alpha=0.12, lw=0)
         axes.axvline(step, color=figures.BLACK, lw=0.8, ls=":")
-    top.annotate(
-        "one floor sensor silent",
-        (np.mean(silence), 0.96),
-        xycoords=("data", "axes fraction"),
-        ha="center",
-        va="top",
-        fontsize=8,
-    )
+    look = {"xycoords": ("data", "axes fraction"), "ha": "center", "va": "top", "fontsize": 8}
+    top.annotate("one floor sensor silent", (np.mean(silence), 0.96), **look)
     middle.annotate(
         "the optimum moves by 20 %",
         (step, 0.96),

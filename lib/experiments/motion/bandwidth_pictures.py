@@ -7,7 +7,7 @@ from functools import cache, lru_cache
 import numpy as np
 
 from experiments.motion.designs import stage_observer
-from experiments.motion.drive import drive_loop, rigid_response, seen_by_controller
+from experiments.motion.drive import drive_applications, drive_loop, rigid_response, seen_by_controller
 from experiments.motion.machines import Drive, drive, published_noise, stage, stage_mass
 from experiments.motion.open_choices import BandwidthMap
 from experiments.motion.pictures import CASES, LABELS, add_magnitude, paint_bode, paint_over_masses
@@ -128,15 +128,9 @@ def paint_drive(stiffness_error: float, damping: float, bandwidth_hz: float):
     plant = drive()
     model = replace(plant, stiffness=plant.stiffness * (1 + stiffness_error))
     omega = 2 * np.pi * np.geomspace(2, 60, 400)
-    cases = {
-        "no observer": None,
-        "MC": Application(compensate=True),
-        "AD": Application(damping=damping),
-        "MC and AD": Application(compensate=True, damping=damping),
-    }
     curves = {
         name: (omega, seen_by_controller(drive_loop(plant, model, each, bandwidth_hz), omega))
-        for name, each in cases.items()
+        for name, each in drive_applications(damping).items()
     }
     return paint_bode(curves, "magnitude (dB re 1 rad/A)", height=3.2)[0]
 

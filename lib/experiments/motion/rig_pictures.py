@@ -114,13 +114,8 @@ def paint_tracking_errors(errors: Mapping[str, np.ndarray], reference: np.ndarra
     for k, axis in enumerate(axes):
         largest = max(np.abs(error[k]).max() for error in errors.values()) * 1e6
         scale = largest / np.abs(reference[k]).max()
-        axis.plot(
-            time,
-            scale * reference[k, ::every],
-            color=figures.BLACK,
-            linewidth=0.8,
-            label="trajectory, scaled",
-        )
+        style = {"color": figures.BLACK, "linewidth": 0.8}
+        axis.plot(time, scale * reference[k, ::every], label="trajectory, scaled", **style)
         for order, (case, error) in enumerate(errors.items()):
             width = 1.9 - 0.45 * order  # lines that coincide stay visible
             axis.plot(time, 1e6 * error[k, ::every], color=COLOURS[case], linewidth=width, label=case)
@@ -159,14 +154,8 @@ def paint_over_geometries(
         for place, (case, each) in enumerate(values.items()):
             found = each[np.isfinite(each[:, k]), k]
             rank = np.linspace(-0.22, 0.22, len(found))
-            axis.plot(
-                place + rank,
-                np.sort(found),
-                ".",
-                markersize=4,
-                color=COLOURS[case],
-                label=f"one geometry, {case}",
-            )
+            style = {"markersize": 4, "color": COLOURS[case]}
+            axis.plot(place + rank, np.sort(found), ".", label=f"one geometry, {case}", **style)
             if case in marks:
                 figures.mark_published(
                     axis, place, marks[case][k], "published" if not place else f"_published, {case}"

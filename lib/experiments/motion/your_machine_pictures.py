@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from experiments.motion.pictures import decibel, paint_bode, paint_over_masses
+from stillwork import designing
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
 from stillwork.control.machine_loops import Intensities, Reached, observer_settings, observing_compensator
@@ -16,7 +17,7 @@ from stillwork.workbook import figures
 def paint_machine(machine: Machine):
     """Accelerance of the model at every sensor; with a measurement also that, and the error of the fit."""
     if machine.measured is None:
-        return _paint_model(machine)
+        return designing.paint_machine(machine)
     figure, (upper, lower) = figures.new(2, 1, height=4.6, sharex=True)
     omega = machine.fit.omega
     inside = (machine.measured.omega >= 0.3 * omega[0]) & (machine.measured.omega <= 1.2 * omega[-1])
@@ -34,21 +35,6 @@ def paint_machine(machine: Machine):
     kept = envelope(omega, machine.fit.error)
     lower.loglog(omega[kept] / (2 * np.pi), 100 * machine.fit.error[kept], linewidth=0.7, color=figures.BLACK)
     lower.set(ylabel="error of the fit (%)", xlabel="frequency (Hz)")
-    return figure
-
-
-def _paint_model(machine: Machine):
-    figure, axis = figures.new(1, 1, height=3.0)
-    resonances = machine.resonances_hz
-    hertz = np.geomspace(resonances[0] / 10, 2 * resonances[-1], 6000)
-    hertz = np.unique(np.concatenate([hertz, resonances]))
-    omega = 2 * np.pi * hertz
-    for number, sensor in enumerate(machine.sensors, 1):
-        response = -(omega**2) * sensor.frequency_response(omega)[0, 0]
-        kept = envelope(hertz, np.abs(response))
-        axis.semilogx(hertz[kept], decibel(response[kept]), linewidth=0.9, label=f"sensor {number}")
-    axis.set(xlabel="frequency (Hz)", ylabel="accelerance (dB re 1/kg)")
-    axis.legend()
     return figure
 
 

@@ -22,13 +22,8 @@ def paint_fig_1(study: Study, parameters: tuple[float, ...]):
     first.legend(ncols=3)
     third.plot(time, study["min_max_worst"].mean(0), color=figures.BLUE, label="min-max: worst case")
     third.plot(time, study["total_target"].mean(0), "--", color=figures.RED, label="TLS: |(A + δA)x − b|")
-    third.plot(
-        time,
-        np.median(study["total_worst"], 0),
-        ":",
-        color=figures.RED,
-        label="TLS: worst case under the same bound, median",
-    )
+    style = {"color": figures.RED, "label": "TLS: worst case under the same bound, median"}
+    third.plot(time, np.median(study["total_worst"], 0), ":", **style)
     third.set(
         ylabel="residual",
         xlabel="time (samples)",

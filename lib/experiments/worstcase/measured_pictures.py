@@ -38,16 +38,8 @@ def paint_windows(lengths: list[int], found: dict[str, list[np.ndarray]]):
         if middle.min() > 1.6:
             name += " (above the frame)"
         places = np.array(lengths) * 1.03 ** (number - 2)  # side by side
-        axes.errorbar(
-            places,
-            middle,
-            yerr=[middle - low, high - middle],
-            fmt=style,
-            markersize=4,
-            color=colour,
-            label=name,
-            capsize=2,
-        )
+        look = {"yerr": [middle - low, high - middle], "fmt": style, "markersize": 4, "color": colour}
+        axes.errorbar(places, middle, label=name, capsize=2, **look)
     axes.axhline(1, color=figures.GREY, linewidth=0.8)
     axes.set(
         xscale="log", xlabel="training window (samples)", ylabel="rms residual / rms output", ylim=(0.4, 1.6)

@@ -35,13 +35,8 @@ def paint_pair(pair: Pair, spectra: Spectra):
         (figures.BLUE, figures.RED),
         strict=True,
     ):
-        axes.loglog(
-            spectra.frequency[shown],
-            getattr(spectra, side)[shown],
-            lw=0.8,
-            color=colour,
-            label=f"{side}: {name}",
-        )
+        style = {"lw": 0.8, "color": colour, "label": f"{side}: {name}"}
+        axes.loglog(spectra.frequency[shown], getattr(spectra, side)[shown], **style)
         axes.loglog(band, [noise, noise], color=figures.BLACK, label="sensor noise taken, over the pass band")
         axes.set_ylabel(f"density (({_nice(unit)})²/Hz)")
         axes.legend()
