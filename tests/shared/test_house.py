@@ -1,6 +1,7 @@
 """The rules of the house, held against the imports of the library and the notebooks."""
 
 import ast
+import json
 import re
 
 import pytest
@@ -103,6 +104,16 @@ def test_the_toolbox_reads_no_ledger_and_no_work():
     files = [file for name in TOOLBOX if name != "base" for file in (library / name).glob("**/*.py")]
     assert len(files) > 50
     assert not [file.name for file in files if LEDGER.search(file.read_text(encoding="utf-8"))]
+
+
+def test_every_notebook_writes_its_model_out():
+    silent = []
+    files = sorted(paths.root().glob("notebooks/*/*.ipynb"))
+    for file in files:
+        cells = json.loads(file.read_text(encoding="utf-8"))["cells"]
+        if not any("$$" in "".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown"):
+            silent.append(file.stem)
+    assert len(files) > 50 and silent == []
 
 
 def written(**sources):
