@@ -92,15 +92,9 @@ def paint_stability_ranges(ranges: dict[str, StableRange], gains: dict[str, floa
 
 
 def _name_edge(axes, crossing: Crossing, row: int, side: str):
-    axes.annotate(
-        f"{crossing.frequency_hz:.0f} Hz",
-        (-crossing.local_gain, row),
-        xytext=(4 if side == "left" else -4, 0),
-        textcoords="offset points",
-        ha=side,
-        va="center",
-        fontsize=7,
-    )
+    look = {"textcoords": "offset points", "ha": side, "va": "center", "fontsize": 7}
+    away = (4 if side == "left" else -4, 0)
+    axes.annotate(f"{crossing.frequency_hz:.0f} Hz", (-crossing.local_gain, row), xytext=away, **look)
 
 
 def paint_limit_cycle_condition(loop: LinearLoop, transformation: FlowTransformation, drawn_on=None):
