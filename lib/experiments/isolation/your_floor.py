@@ -265,12 +265,8 @@ def paint_isolated(isolated: Isolated, resolution_hz: float = 0.5):
             points = inside[thinned(f[inside], spectrum.density[k, inside])]
             panel.loglog(f[points], spectrum.density[k, points], lw=0.9, color=_COLORS[name], label=name)
         top = max(line.get_ydata().max() for line in panel.lines)
-        panel.set(
-            title=DIRECTIONS[k],
-            xlabel="frequency (Hz)",
-            ylabel=f"PSD ({units[k]})",
-            ylim=(top * 1e-6, top * 3),
-        )
+        panel.set(title=DIRECTIONS[k], xlabel="frequency (Hz)", ylabel=f"PSD ({units[k]})")
+        panel.set(ylim=(top * 1e-6, top * 3))
     figures.legend_below(axes[0, 0], 4)
     return figure
 
