@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 import pytest
+from filterpy.kalman import IMMEstimator, KalmanFilter
 
 from experiments.motion.observer_contest import bench
 from experiments.motion.observer_contest.doubts import DOUBTS, sample_truth
 from experiments.motion.observer_contest.entrants import ENTRANTS
-from experiments.motion.observer_contest.modes import detuned
-from experiments.motion.observer_contest.multi_model import SWITCHING
+from experiments.motion.observer_contest.multi_model import GRID
 from experiments.motion.observer_contest.plants import sample_plant
 from experiments.motion.observer_contest.told import OwnObserver, told_of
 from stillwork.estimation.nonlinear import NonlinearModel, extended_filter, unscented_filter
@@ -70,10 +70,11 @@ def assert_close(found, wanted, relative):
         ("extended Kalman", (1e-9, 1e-12, 1.0)),
         ("unscented Kalman", (1e-9, 1e-12, 1.0)),
         ("Schmidt-Kalman", (1e-9,)),
-        ("interacting models", (0.0, 1.0)),
+        ("interacting models", (0.0, 1e-3, 1.0)),
         ("adaptive process noise", (0.0,)),
         ("fictitious noise", (1e-9,)),
         ("sensitivity penalised", (1e30,)),
+        ("guaranteed cost", (1e-9, 1e-9)),
     ],
 )
 def test_without_doubt_every_filter_is_the_kalman_filter(plant, name, settings):
@@ -183,38 +184,132 @@ def test_the_schmidt_kalman_filter_considers_what_it_does_not_estimate():
     assert_close(found, np.array(wanted), 1e-4)
 
 
+def peers(told, frequency_errors, deviation, factor):
+    """A Kalman filter of filterpy for every frequency, of the drive's states and its two gains."""
+    model, noise, _ = told
+    twin, some = nonlinear(told), []
+    for error in frequency_errors:
+        peer = KalmanFilter(dim_x=6, dim_z=1, dim_u=1)
+        peer.error, peer.H, peer.R = error, np.hstack([model.c, np.zeros((1, 2))]), noise.sensor
+        peer.x, peer.P, peer.Q = np.zeros((6, 1)), np.zeros((6, 6)), np.zeros((6, 6))
+        peer.Q[:4, :4] = factor * model.b @ noise.process @ model.b.T
+        peer.P[:4, :4], peer.P[4:, 4:] = riccati(model, noise, factor)[0], deviation**2 * np.eye(2)
+        some.append(peer)
+
+    def told_of_force(u):
+        """Given its frequency and the force the machine is affine."""
+        for peer in some:
+            ends = np.empty((7, 7))
+            for row, point in zip(ends, np.vstack([np.zeros(6), np.eye(6)]), strict=True):
+                drive_transition(np.insert(point, 4, peer.error), u, twin.parameters, row)
+            ends = np.delete(ends, 4, axis=1)
+            peer.B, peer.F = ends[:1].T, (ends[1:] - ends[0]).T
+
+    return some, told_of_force
+
+
 @pytest.mark.slow
-def test_the_bank_mixes_as_interacting_models_do():
-    spread, factor = 0.03, 9.0
+def test_the_bank_is_filterpys_interacting_models():
+    spread, switching, factor = 0.03, 0.01, 1e4
     told, record = scan()
-    model, noise, step = told
-    found, _ = run("interacting models", (spread, factor), told, record)
-    models = [detuned(model, step, np.array([1]), np.array([e])) for e in spread * np.linspace(-1, 1, 11)]
-    gains, covariances = [], []
-    for each in models:
-        p, gain = riccati(each, noise, factor)
-        gains.append(gain)
-        before = each.a @ p @ each.a.T + factor * each.b @ noise.process @ each.b.T
-        covariances.append(float((each.c @ before @ each.c.T + noise.sensor)[0, 0]))
-    count = len(models)
-    chain = np.full((count, count), SWITCHING / (count - 1)) + (1 - SWITCHING * count / (count - 1)) * np.eye(
-        count
-    )
-    assert np.allclose(chain.sum(axis=1), 1)
-    weights, x, wanted = np.full(count, 1 / count), np.zeros((count, 4)), []
+    found, _ = run("interacting models", (spread, switching, factor), told, record)
+    some, told_of_force = peers(told, spread * np.linspace(-1, 1, GRID[0]), spread, factor)
+    chain = np.full((len(some), len(some)), switching / (len(some) - 1))
+    np.fill_diagonal(chain, 1 - switching)
+    peer, wanted = IMMEstimator(some, np.full(len(some), 1 / len(some)), chain), []
     for u, y in zip(record.inputs, record.measurements, strict=True):
-        before = chain.T @ weights
-        mixed = (chain * weights[:, None]).T @ x / before[:, None]
-        likelihood = np.zeros(count)
-        for m, each in enumerate(models):
-            x[m] = each.a @ mixed[m] + each.b @ u
-            innovation = y - each.c @ x[m]
-            likelihood[m] = -(innovation[0] ** 2) / covariances[m] / 2 - np.log(covariances[m]) / 2
-            x[m] += gains[m] @ innovation
-        weights = before * np.exp(likelihood - likelihood.max())
-        weights /= weights.sum()
-        wanted.append(weights @ x)
+        told_of_force(u)
+        peer.predict(np.ones((1, 1)))
+        peer.update(y)
+        wanted.append(peer.x[:4, 0].copy())
+    assert np.ptp(peer.mu) > 0.1  # it has learnt something
     assert_close(found, np.array(wanted), 1e-5)
+
+
+def drive_feedback(told, size):
+    """Derivatives of the drive's flexible states by frequency, damping and gain, in their deviations, times `size`."""
+    model, noise, _ = told
+    twin, scale, nudge = nonlinear(told), np.sqrt(np.diag(riccati(model, noise)[0]))[2:], 1e-5
+
+    def moved(x, u, errors):
+        parameters, out = np.array(twin.parameters), np.empty(7)
+        parameters[2] *= 1 + errors[1]
+        drive_transition(np.array([*x, errors[0], 0.0, errors[2]]), u, parameters, out)
+        return out[2:4] / scale
+
+    def fed(x, u):
+        return np.concatenate(
+            [size / (2 * nudge) * (moved(x, u, each) - moved(x, u, -each)) for each in nudge * np.eye(3)]
+        )
+
+    of_state = np.stack([fed(x, np.zeros(1)) for x in np.eye(4)], axis=1)
+    returned = np.zeros((4, 6))
+    returned[2:] = np.tile(np.diag(scale), 3)
+    return of_state, fed(np.zeros(4), np.ones(1)), returned
+
+
+@pytest.mark.slow
+def test_the_guaranteed_cost_filter_ends_where_its_indefinite_sum_of_squares_stands_still():
+    size, multiplier, samples = 0.003, 0.3, 160
+    told, record = scan(samples=samples)
+    model, noise, _ = told
+    found, _ = run("guaranteed cost", (size, multiplier), told, record)
+    of_state, of_force, returned = drive_feedback(told, size)
+    p, _ = riccati(model, noise)
+    # Unknowns: the first state, then w and d of every sample.
+    state, known = np.zeros((4, 4 + 7 * samples)), np.zeros(4)
+    state[:, :4] = np.eye(4)
+    rows, right = [np.linalg.solve(np.linalg.cholesky(p), state)], [np.zeros(4)]
+    own = (
+        np.eye(state.shape[1])[4:]
+        / np.sqrt(np.tile([noise.process[0, 0], *[multiplier] * 6], samples))[:, None]
+    )
+    rows, right, signs = [*rows, own], [*right, np.zeros(len(own))], [np.ones(4 + len(own))]
+    for k, (u, y) in enumerate(zip(record.inputs, record.measurements, strict=True)):
+        rows += [of_state @ state / np.sqrt(multiplier)]
+        right += [-(of_state @ known + of_force * u) / np.sqrt(multiplier)]
+        state, known = model.a @ state, model.a @ known + model.b @ u
+        state[:, 4 + 7 * k : 11 + 7 * k] = np.hstack([model.b, returned])
+        rows += [model.c @ state / np.sqrt(noise.sensor)]
+        right += [(y - model.c @ known) / np.sqrt(noise.sensor[0])]
+        signs += [-np.ones(6), np.ones(1)]
+    stacked, signs = np.vstack(rows), np.concatenate(signs)
+    units, right = np.linalg.norm(stacked, axis=0), np.concatenate(right)
+
+    def stands_still(signs):
+        scaled = stacked / units
+        best = np.linalg.solve(scaled.T @ (signs[:, None] * scaled), scaled.T @ (signs * right)) / units
+        return (state @ best + known)[None]
+
+    # The filter's gain is the last of a longer recursion, and its first state was known.
+    assert_close(found[-1:], stands_still(signs), 1e-5)
+    assert np.any(np.abs(found[-1] / stands_still(np.maximum(signs, 0))[0] - 1) > 1e-3)
+
+
+@pytest.mark.slow
+def test_the_moving_horizon_is_the_gaussian_estimate_from_its_window_alone():
+    horizon, factor = 40, 9.0
+    told, record = scan()
+    model, noise, _ = told
+    found, _ = run("moving horizon", (float(horizon), factor), told, record)
+    start = len(record.inputs) - horizon
+    first, known, driven = [np.eye(4)], [np.zeros(4)], [np.zeros((4, horizon))]
+    for k in range(1, horizon):
+        first.append(model.a @ first[-1])
+        known.append(model.a @ known[-1] + model.b @ record.inputs[start + k])
+        driven.append(model.a @ driven[-1])
+        driven[-1][:, k] = model.b[:, 0]
+    first, known, driven = (np.array(each) for each in (first, known, driven))
+    noisy = (model.c @ driven)[:, 0]
+    covariance = factor * noise.process[0, 0] * noisy @ noisy.T + noise.sensor[0, 0] * np.eye(horizon)
+    root = np.linalg.cholesky(covariance)
+    seen = np.linalg.solve(root, record.measurements[start:, 0] - (model.c @ known[..., None])[:, 0, 0])
+    shown = np.linalg.solve(root, (model.c @ first)[:, 0])
+    units = np.linalg.norm(shown, axis=0)
+    begun = np.linalg.lstsq(shown / units, seen, rcond=None)[0] / units
+    cross = np.linalg.solve(root, factor * noise.process[0, 0] * noisy @ driven[-1].T).T
+    wanted = known[-1] + first[-1] @ begun + cross @ (seen - shown @ begun)
+    assert_close(found[-1:], wanted[None], 1e-6)
 
 
 @pytest.mark.slow
@@ -258,15 +353,3 @@ def test_the_adaptive_filter_finds_the_process_noise(true, low, high):
         observer.step(np.zeros(1), model.c @ x + np.sqrt(noise.sensor[0, 0]) * rng.standard_normal(1))
         factors.append(observer.memory[2][0])
     assert low <= np.median(factors[1500:]) <= high
-
-
-def test_detuned_models_keep_the_order_of_the_states():
-    """Two modes that change places stay where they were among the states."""
-    model, _ = told_of(sample_plant("measured structure", np.random.default_rng(0)), 1.0)
-    step = 5e-5
-    changed = detuned(model, step, np.array([1, 2]), np.array([0.05, -0.05]))
-    for mode, factor in ((1, 1.05), (2, 0.95), (3, 1.0)):
-        pair = slice(2 * mode, 2 * mode + 2)
-        angle = np.abs(np.angle(np.linalg.eigvals(changed.a[pair, pair])))[0]
-        wanted = factor * model.frequencies[mode] * np.sqrt(1 - model.damping[mode] ** 2) * step
-        assert angle == pytest.approx(wanted, rel=1e-9)

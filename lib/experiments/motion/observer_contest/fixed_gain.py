@@ -1,6 +1,7 @@
 """Entrants whose gain does not depend on the data: designed once, a few products a sample."""
 
 import numpy as np
+from scipy.linalg import block_diag, solve_triangular
 
 from experiments.motion.observer_contest.told import (
     Knob,
@@ -148,6 +149,92 @@ def mixed(model: ToldModel, noise: ToldNoise, sample_time: float, share: float) 
     return fixed(model.a, model.b, (1 - share) * one + share * other, model.c)
 
 
+def guaranteed_cost(
+    model: ToldModel, noise: ToldNoise, sample_time: float, size: float, multiplier: float
+) -> MadeObserver:
+    r"""Set-valued filter of a machine whose error is fed back, with a sum of squares bounded by that of its input.
+
+    x+ = A x + B (u + w) + D d, with d at most as large as z = K x + G u: derivatives times `size`, in the states'
+    deviations. The filter makes the least of :math:`w'Q^{-1}w + v'R^{-1}v + \tau (d'd - z'z)`, with :math:`1/\tau`
+    the `multiplier`: it is that of H-infinity which wants K x, and takes z besides as measured zero, at a negative
+    variance.
+    """
+    by, long = derivatives(model, sample_time, 1), recursion(model, noise)
+    scale = np.sqrt(np.diag(long.initial_covariance))
+    flexible = np.arange(len(by.a) // 4)[:, None]
+    chosen = (4 * flexible + np.arange(3)).reshape(-1, 1)  # by frequency, damping and input shape
+    rows = np.repeat(2 * (model.rigid_modes + flexible) + np.arange(2), 3, axis=0)
+    share = size / scale[rows][..., None]
+    of_state, of_force = ((share * x[chosen, rows]).reshape(rows.size, -1) for x in (by.a, by.b))
+    fed = np.zeros((len(scale), rows.size))
+    fed[rows.ravel(), np.arange(rows.size)] = scale[rows.ravel()]
+    process = block_diag(noise.process, multiplier * np.eye(rows.size))
+    driven = long.with_process(np.hstack([model.b, fed]), process)
+    gains = hinfinity_gains(driven, of_state, np.sqrt(multiplier))
+    p = gains.covariance[-1]
+    back = np.linalg.solve(multiplier * np.eye(len(of_state)) - of_state @ p @ of_state.T, of_state @ p).T
+    forward, onward = model.a @ (np.eye(len(p)) + back @ of_state), model.b + model.a @ back @ of_force
+    return fixed(forward, onward, gains.gain[-1], model.c)
+
+
+@kernel
+def _advance_window(data, memory, inputs, measurements, estimates):
+    a, b, c, of_measured, of_forces = data
+    x, seen, forces, place = memory
+    horizon = len(seen)
+    for k in range(len(inputs)):
+        x[:] = a @ x + b @ inputs[k]
+        now = place[0] % horizon
+        forces[now] = inputs[k]
+        seen[now] = c @ x if np.isnan(measurements[k, 0]) else measurements[k]
+        place[0] += 1
+        x[:] = 0.0
+        for back in range(horizon):
+            at = (now - back) % horizon
+            for i in range(len(x)):
+                for o in range(seen.shape[1]):
+                    x[i] += of_measured[back, i, o] * seen[at, o]
+                for j in range(forces.shape[1]):
+                    x[i] += of_forces[back, i, j] * forces[at, j]
+        estimates[k] = x
+
+
+def moving_horizon(
+    model: ToldModel, noise: ToldNoise, sample_time: float, samples: float, factor: float
+) -> MadeObserver:
+    """Least squares over the last `samples` alone, Q times `factor`; what came before counts nothing (no arrival cost).
+
+    A lost sample is taken as predicted; before the first all rested.
+    """
+    horizon = max(round(samples), len(model.a))
+    n, (outputs, inputs) = len(model.a), (len(model.c), model.b.shape[1])
+    push, root = model.b @ np.linalg.cholesky(factor * noise.process), np.linalg.cholesky(noise.sensor)
+    # State k of the window from the first one, the forces held since and the noises on them.
+    state = np.hstack([np.eye(n), np.zeros((n, 2 * horizon * inputs))])
+    rows, columns = [], np.arange(inputs)
+    for k in range(horizon):
+        if k:
+            state = model.a @ state
+            state[:, n + k * inputs + columns] = model.b
+            state[:, n + (horizon + k) * inputs + columns] = push
+        rows.append(np.linalg.solve(root, model.c @ state))
+    known, unknown = slice(n, n + horizon * inputs), np.r_[:n, n + horizon * inputs : state.shape[1]]
+    stacked = np.vstack(rows)
+    least = np.vstack([stacked[:, unknown], np.eye(len(unknown))[n:]])
+    size = np.linalg.norm(least, axis=0)
+    q, r = np.linalg.qr(least / size)
+    inverse = solve_triangular(r, q.T) / size[:, None]
+    of_measured = state[:, unknown] @ inverse[:, : horizon * outputs]
+    of_forces = state[:, known] - of_measured @ stacked[:, known]
+    by_sample = (x.reshape(n, horizon, -1).transpose(1, 0, 2)[::-1] for x in (of_measured, of_forces))
+    of_measured, of_forces = map(np.ascontiguousarray, by_sample)
+    of_measured = of_measured @ np.linalg.inv(root)
+    memory = (np.zeros(n), np.zeros((horizon, outputs)), np.zeros((horizon, inputs)), np.zeros(1, np.int64))
+    return MadeObserver(
+        _advance_window, (model.a, model.b, np.ascontiguousarray(model.c), of_measured, of_forces), memory
+    )
+
+
 FIXED = {
     "zero": Rival(zero, (), "the estimate zero"),
     "open model": Rival(open_model, (), "the model without its measurements"),
@@ -171,5 +258,15 @@ FIXED = {
     ),
     "mixed H2 and H-infinity": Rival(
         mixed, (Knob("share of H-infinity", 0.01, 1.0, 0.5),), "Simon 2006, section 12.2"
+    ),
+    "guaranteed cost": Rival(
+        guaranteed_cost,
+        (Knob("largest error told", 1e-5, 0.1, 1e-3), Knob("multiplier", 1e-4, 1e2, 1.0)),
+        "Savkin and Petersen 1998",
+    ),
+    "moving horizon": Rival(
+        moving_horizon,
+        (Knob("samples", 20.0, 200.0, 60.0), Knob("factor on Q", 1.0, 1e5, 50.0)),
+        "Kwon and Han 2005, without arrival cost",
     ),
 }

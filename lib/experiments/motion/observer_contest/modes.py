@@ -1,13 +1,9 @@
 """Machines whose frequencies and gains are in doubt: which of them, and their sampled modes inside kernels."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from experiments.motion.observer_contest.told import ToldModel
 from stillwork.base.kernels import inlined_kernel, kernel
-from stillwork.lti.discretisation import zoh_modes
-from stillwork.lti.modal import ModalModel
 
 
 def dominant(model: ToldModel, most: int) -> np.ndarray:
@@ -18,23 +14,6 @@ def dominant(model: ToldModel, most: int) -> np.ndarray:
     )
     shares = shares / model.frequencies[rigid:] ** 2
     return np.sort(np.argsort(-shares, kind="stable")[:most]) + rigid
-
-
-def detuned(model: ToldModel, sample_time: float, modes: np.ndarray, errors: np.ndarray) -> ToldModel:
-    """The model with the frequencies of these modes off by these relative errors."""
-    frequencies = model.frequencies.copy()
-    frequencies[modes] *= 1 + errors
-    order = np.argsort(frequencies, kind="stable")
-    machine = ModalModel(
-        frequencies[order],
-        model.damping[order],
-        model.input_shapes[order],
-        model.output_shapes[:, order],
-        np.zeros((len(model.c), model.b.shape[1])),
-    )
-    sampled, back = zoh_modes(machine, sample_time), np.argsort(order)
-    states = np.stack([2 * back, 2 * back + 1], axis=1).ravel()
-    return replace(model, a=sampled.a[np.ix_(states, states)], b=sampled.b[states], frequencies=frequencies)
 
 
 @inlined_kernel

@@ -1,95 +1,99 @@
-"""A bank of models of one machine, which mixes and is weighed by what each model predicts."""
+"""A bank of models of one machine, which mixes and is weighed by what each model predicts.
+
+Given its frequencies a machine is linear in states and gains together: each model has its exact Kalman filter.
+"""
 
 import numpy as np
 
-from experiments.motion.observer_contest.fixed_gain import stationary
-from experiments.motion.observer_contest.modes import detuned, dominant
+from experiments.motion.observer_contest.modes import dominant
+from experiments.motion.observer_contest.parametric import measure_in_turn, parts, predict
 from experiments.motion.observer_contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
 from stillwork.base.kernels import kernel
 
-GRID = (11, 5)  # models along the frequencies of the first and second mode in doubt
-SWITCHING = 1e-3  # probability that the machine changes model from one sample to the next
+GRID = (9, 3)  # models along the frequencies of the first and second mode in doubt
+
+
+@kernel
+def _filter_all(force, measured, data, omegas, z, p, scores, a, by):
+    """One sample of every model's filter; its score grows by the logarithm of the measurement's density."""
+    for m in range(len(omegas)):
+        predict(force, data, omegas[m], z[m], p[m], a, by)
+        if not np.isnan(measured[0]):
+            scores[m] += measure_in_turn(z[m], p[m], data[8], data[9], measured, 0)
+
+
+@kernel
+def _weigh(scores, weights, z, estimate):
+    """Turn scores into weights that sum to one; the estimate is the weighted mean."""
+    best = scores.max()
+    for m in range(len(scores)):
+        weights[m] = np.exp(scores[m] - best)
+    weights /= weights.sum()
+    for i in range(len(estimate)):
+        estimate[i] = 0.0
+        for m in range(len(scores)):
+            estimate[i] += weights[m] * z[m, i]
+
+
+@kernel
+def _mix(switching, weights, z, p, scores, mean, spread):
+    """Every model begins with what it holds if the machine switched to it: the moments of a mixture."""
+    models, size = z.shape
+    leaving = switching / max(models - 1, 1)
+    mean[:], spread[:] = 0.0, 0.0
+    for m in range(models):
+        for i in range(size):
+            mean[i] += weights[m] * z[m, i]
+    for m in range(models):
+        for i in range(size):
+            for j in range(size):
+                spread[i, j] += weights[m] * (p[m, i, j] + (z[m, i] - mean[i]) * (z[m, j] - mean[j]))
+    for m in range(models):
+        stays = (1 - switching - leaving if models > 1 else 1.0) * weights[m]
+        own = stays / (stays + leaving)
+        scores[m] = np.log(stays + leaving)
+        for i in range(size):
+            for j in range(size):
+                apart = (z[m, i] - mean[i]) * (z[m, j] - mean[j])
+                p[m, i, j] = own * p[m, i, j] + (1 - own) * (spread[i, j] + own * apart)
+        for i in range(size):
+            z[m, i] = own * z[m, i] + (1 - own) * mean[i]
 
 
 @kernel
 def _advance_bank(data, memory, inputs, measurements, estimates):
-    forward, onward, gain, c, whiten, logs, switching = data
-    x, weights = memory
-    models, n = x.shape
-    outputs = c.shape[0]
-    mixed, scores, innovation = np.empty((models, n)), np.empty(models), np.empty(outputs)
-    leaving = switching[0] / max(models - 1, 1)
-    staying = 1 - switching[0] if models > 1 else 1.0
+    filters, omegas, switching = data[:11], data[11], data[12]
+    z, p, weights = memory
+    n, size = estimates.shape[1], z.shape[1]
+    a, by = data[0].copy(), np.zeros((n, size - n))
+    mean, spread, scores = np.empty(size), np.empty((size, size)), np.empty(len(z))
     for k in range(len(inputs)):
-        # Mixing: model j was model i a sample ago with probability `leaving`, was itself with `staying`.
-        for i in range(n):
-            total = 0.0
-            for m in range(models):
-                total += weights[m] * x[m, i]
-            for m in range(models):
-                before = (staying - leaving) * weights[m] * x[m, i] + leaving * total
-                mixed[m, i] = before / ((staying - leaving) * weights[m] + leaving)
-        best, present = -np.inf, not np.isnan(measurements[k, 0])
-        for m in range(models):
-            for i in range(n):
-                total = 0.0
-                for j in range(n):
-                    total += forward[m, i, j] * mixed[m, j]
-                for j in range(onward.shape[2]):
-                    total += onward[m, i, j] * inputs[k, j]
-                x[m, i] = total
-            scores[m] = np.log((staying - leaving) * weights[m] + leaving)
-            if present:
-                for o in range(outputs):
-                    total = measurements[k, o]
-                    for i in range(n):
-                        total -= c[o, i] * x[m, i]
-                    innovation[o] = total
-                scores[m] -= logs[m]
-                for o in range(outputs):
-                    total = 0.0
-                    for j in range(o + 1):
-                        total += whiten[m, o, j] * innovation[j]
-                    scores[m] -= total * total / 2
-                    for i in range(n):
-                        x[m, i] += gain[m, i, o] * innovation[o]
-            best = max(best, scores[m])
-        total = 0.0
-        for m in range(models):
-            weights[m] = np.exp(scores[m] - best)
-            total += weights[m]
-        estimates[k] = 0.0
-        for m in range(models):
-            weights[m] /= total
-            for i in range(n):
-                estimates[k, i] += weights[m] * x[m, i]
+        _mix(switching[0], weights, z, p, scores, mean, spread)
+        _filter_all(inputs[k], measurements[k], filters, omegas, z, p, scores, a, by)
+        _weigh(scores, weights, z, estimates[k])
 
 
 def bank(
-    model: ToldModel, noise: ToldNoise, sample_time: float, spread: float, factor: float
+    model: ToldModel, noise: ToldNoise, sample_time: float, spread: float, switching: float, factor: float
 ) -> MadeObserver:
-    """Interacting multiple models with stationary gains: frequencies off by up to `spread`, Q times `factor`."""
-    modes = dominant(model, 2)
-    axes = [spread * np.linspace(-1, 1, points) for points in GRID[: len(modes)]]
+    """Interacting multiple models: frequencies off by up to `spread`, gains by as much in deviation, Q times `factor`."""
+    data, (z, p) = parts(model, noise, sample_time, spread, 0.0, factor, frequencies=False)
+    axes = [spread * np.linspace(-1, 1, points) for points in GRID[: len(dominant(model, 2))]]
     grid = np.stack([each.ravel() for each in np.meshgrid(*axes, indexing="ij")], axis=1)
-    fair = ToldNoise(factor * noise.process, noise.sensor)
-    parts = []
-    for errors in grid:
-        each = detuned(model, sample_time, modes, errors)
-        gain, after = stationary(each, fair)
-        before = each.a @ after @ each.a.T + each.b @ fair.process @ each.b.T
-        root = np.linalg.cholesky(each.c @ before @ each.c.T + noise.sensor)
-        parts.append((each.a, each.b, gain, np.linalg.inv(root), np.log(np.diag(root)).sum()))
-    a, b, gain, whiten, logs = (np.array(each) for each in zip(*parts, strict=True))
-    count = len(grid)
-    data = (a, b, gain, np.ascontiguousarray(model.c), whiten, logs, np.array([SWITCHING]))
-    return MadeObserver(_advance_bank, data, (np.zeros((count, len(model.a))), np.full(count, 1 / count)))
+    count, omegas = len(grid), np.tile(data[3], (len(grid), 1))
+    omegas[:, np.searchsorted(data[2], dominant(model, 2))] *= 1 + grid
+    memory = (np.tile(z, (count, 1)), np.tile(p, (count, 1, 1)), np.full(count, 1 / count))
+    return MadeObserver(_advance_bank, (*data, omegas, np.array([switching])), memory)
 
 
 MULTI_MODEL = {
     "interacting models": Rival(
         bank,
-        (Knob("spread of frequencies", 0.005, 0.2, 0.05), Knob("factor on Q", 1.0, 1e5, 50.0)),
+        (
+            Knob("spread of frequencies", 0.005, 0.2, 0.05),
+            Knob("probability of a switch a sample", 1e-6, 1e-2, 1e-3),
+            Knob("factor on Q", 1.0, 1e5, 50.0),
+        ),
         "Blom and Bar-Shalom 1988",
     ),
 }

@@ -42,9 +42,12 @@ def _move(force, data, points):
 
 
 @kernel
-def _measure_in_turn(z, p, c, sensor, measured, considered):
-    """Take in the outputs one after the other; of the last `considered` states only the covariance is learnt."""
-    size, n = len(z), c.shape[1]
+def measure_in_turn(z, p, c, sensor, measured, considered):
+    """Take in the outputs one after the other; of the last `considered` states only the covariance is learnt.
+
+    Returns the logarithm of their density, less a constant.
+    """
+    size, n, score = len(z), c.shape[1], 0.0
     kept = size - considered
     cross, gain = np.empty(size), np.zeros(size)
     for o in range(len(c)):
@@ -57,6 +60,7 @@ def _measure_in_turn(z, p, c, sensor, measured, considered):
         for i in range(n):
             variance += c[o, i] * cross[i]
             innovation -= c[o, i] * z[i]
+        score -= (innovation * innovation / variance + np.log(variance)) / 2
         for i in range(kept):
             gain[i] = cross[i] / variance
             z[i] += gain[i] * innovation
@@ -64,12 +68,13 @@ def _measure_in_turn(z, p, c, sensor, measured, considered):
             for j in range(i + 1):
                 p[i, j] -= gain[i] * cross[j] + cross[i] * gain[j] - gain[i] * gain[j] * variance
                 p[j, i] = p[i, j]
+    return score
 
 
 @kernel
-def _predict(force, data, z, p, a, by):
-    """Take z and P one sample on; A and D, its derivatives by z, are filled on the way."""
-    _, b, modes, omega, damping, shapes, places, settings, _, _, added = data
+def predict(force, data, omega, z, p, a, by):
+    """Take z and P one sample on, the modes in doubt at these frequencies; A and D are filled on the way."""
+    _, b, modes, _, damping, shapes, places, settings, _, _, added = data
     n = len(a)
     block, lever = np.empty((2, 2)), np.empty(2)
     blocks, levers = np.empty((2, 2, 2)), np.empty((2, 2))
@@ -108,14 +113,14 @@ def _predict(force, data, z, p, a, by):
 
 @kernel
 def _advance_extended(data, memory, inputs, measurements, estimates):
-    settings, c, sensor = data[7], data[8], data[9]
+    omega, settings, c, sensor = data[3], data[7], data[8], data[9]
     z, p = memory
     n, considered = c.shape[1], int(settings[1])
     a, by = data[0].copy(), np.zeros((n, len(z) - n))
     for k in range(len(inputs)):
-        _predict(inputs[k], data, z, p, a, by)
+        predict(inputs[k], data, omega, z, p, a, by)
         if not np.isnan(measurements[k, 0]):
-            _measure_in_turn(z, p, c, sensor, measurements[k], considered)
+            measure_in_turn(z, p, c, sensor, measurements[k], considered)
         _finish(z, n, estimates[k])
 
 
@@ -158,18 +163,18 @@ def _advance_unscented(data, memory, inputs, measurements, estimates):
                     total += (points[s, i] - z[i]) * (points[s, j] - z[j])
                 p[i, j] = p[j, i] = added[i, j] + total / (2 * size)
         if not np.isnan(measurements[k, 0]):
-            _measure_in_turn(z, p, c, sensor, measurements[k], 0)
+            measure_in_turn(z, p, c, sensor, measurements[k], 0)
         _finish(z, n, estimates[k])
 
 
-def _parts(model, noise, sample_time, deviation, walk, factor, considered=False):
-    """Data and memory that the filters of this file share."""
+def parts(model, noise, sample_time, deviation, walk, factor, considered=False, frequencies=True):
+    """Data and memory of a filter of states, gains and (or) `frequencies`."""
     bent = dominant(model, 3)
     modes = np.concatenate([[0], bent])  # the rigid body's gain, three frequencies, two flexible gains
     n, count = len(model.a), len(modes)
     places = np.full((count, 2), -1)
-    places[1:, 0] = n + np.arange(count - 1)
-    places[: min(count, 3), 1] = n + count - 1 + np.arange(min(count, 3))
+    places[1:, 0] = n + np.arange(count - 1) if frequencies else -1
+    places[: min(count, 3), 1] = max(n - 1, places.max()) + 1 + np.arange(min(count, 3))
     size = places.max() + 1
     fair = ToldNoise(factor * noise.process, noise.sensor)
     added, covariance = np.zeros((2, size, size))
@@ -197,13 +202,13 @@ def extended(
     model: ToldModel, noise: ToldNoise, sample_time: float, deviation: float, walk: float, factor: float
 ) -> MadeObserver:
     """Extended Kalman filter of states and parameters."""
-    return MadeObserver(_advance_extended, *_parts(model, noise, sample_time, deviation, walk, factor))
+    return MadeObserver(_advance_extended, *parts(model, noise, sample_time, deviation, walk, factor))
 
 
 def considering(model: ToldModel, noise: ToldNoise, sample_time: float, deviation: float) -> MadeObserver:
     """Schmidt-Kalman filter: the parameters are never estimated, but the states know how uncertain they are."""
     return MadeObserver(
-        _advance_extended, *_parts(model, noise, sample_time, deviation, 0.0, 1.0, considered=True)
+        _advance_extended, *parts(model, noise, sample_time, deviation, 0.0, 1.0, considered=True)
     )
 
 
@@ -211,7 +216,7 @@ def unscented(
     model: ToldModel, noise: ToldNoise, sample_time: float, deviation: float, walk: float, factor: float
 ) -> MadeObserver:
     """Unscented Kalman filter of states and parameters."""
-    return MadeObserver(_advance_unscented, *_parts(model, noise, sample_time, deviation, walk, factor))
+    return MadeObserver(_advance_unscented, *parts(model, noise, sample_time, deviation, walk, factor))
 
 
 _KNOBS = (
