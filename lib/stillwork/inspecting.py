@@ -141,7 +141,9 @@ def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
             machine = build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)
             resonances = ", ".join(f"{hertz:.4g}" for hertz in machine.resonances_hz[:5])
             yield f"{kind} of a machine of {machine.mass:.4g} kg, first resonances at {resonances} Hz"
-            settings["mirrored_sensor"] = str(len(machine.sensors) == 1).lower()
+            settings["mirrored_sensor"] = str(
+                len(machine.sensors) == 1 and machine.sensors[0].rigid_modes > 0
+            ).lower()
         else:
             hertz = file.accelerance.omega / (2 * np.pi)
             yield f"{kind} of a machine: {len(hertz)} lines from {hertz[0]:.4g} to {hertz[-1]:.4g} Hz"

@@ -195,6 +195,42 @@ def test_a_measured_machine_on_springs_keeps_its_suspension(tmp_path, sign, plac
     assert ("counted against the force, turned" in machine.notes) == (sign < 0)
 
 
+def on_springs(hertz, suspension_hz=6.0):
+    """Accelerance of 8 kg on springs (5 % of damping) with two modes, term by term."""
+    s = 2j * np.pi * hertz
+    modes = ((suspension_hz, 0.05, 1.0), (130.0, 0.01, 0.6), (310.0, 0.003, -0.4))
+    parts = [
+        share / (s**2 + 2 * damping * w * s + w**2)
+        for w, damping, share in ((2 * np.pi * f, z, a) for f, z, a in modes)
+    ]
+    return s**2 * sum(parts) / 8.0
+
+
+def test_a_suspension_in_an_octave_of_few_lines_is_found(tmp_path):
+    """Lines 0.8 Hz apart: a resonance 0.6 Hz wide lies between two of them, and its octave holds eight."""
+    hertz = np.arange(0.8, 640.0, 0.8)
+    error = 3e-3 * np.random.default_rng(3).normal(size=(2, len(hertz)))
+    response = on_springs(hertz) * (1 + error[0] + 1j * error[1])
+    np.savez(tmp_path / "a.npz", **{"frequency (Hz)": hertz, "h (m/s^2/N)": response})
+    file = load_machine(tmp_path / "a.npz")
+    machine = build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)
+    assert machine.mass == pytest.approx(8.0, rel=0.02)
+    assert machine.sensors[0].frequencies / (2 * np.pi) == pytest.approx([6.0, 130.0, 310.0], rel=0.01)
+    with pytest.raises(InputError, match=r"mirrored_sensor: a.npz stands on springs .* \(false\)"):
+        build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=True)
+
+
+def test_a_mass_that_the_lowest_lines_contradict_is_doubted(tmp_path):
+    """Modes given by hand to a machine on springs: taken for free, its lowest lines are off by more than half."""
+    hertz = np.arange(2.0, 640.0, 0.8)
+    np.savez(tmp_path / "a.npz", **{"frequency (Hz)": hertz, "h (m/s^2/N)": on_springs(hertz, 12.0)})
+    file = load_machine(tmp_path / "a.npz")
+    machine = build_machine(file, modes_hz=[130.0, 310.0], fit_hz=(0.0, 0.0), mirrored_sensor=False)
+    assert any("mind the mass, start fit_hz above it" in note for note in machine.notes)
+    above = build_machine(file, modes_hz=[130.0, 310.0], fit_hz=(40.0, 600.0), mirrored_sensor=False)
+    assert not any("mind the mass" in note for note in above.notes)
+
+
 def test_a_matrix_of_responses_is_taken_one_by_one(tmp_path):
     hertz = np.arange(5.0, 200.0, 0.5)
     matrix = np.array([[accelerance(hertz, m + 10 * n, []) for n in (1, 2)] for m in (1, 2, 3)])

@@ -12,6 +12,7 @@ from stillwork.base.front_door import check_fields, checked
 
 ORDERS = range(6, 41, 2)  # of the denominators, in each part of a band
 WIDTH = 2.0  # highest over lowest frequency of a part; parts overlap by half
+LOWEST = 64  # lines of the lowest part, where an octave holds too few for the lowest order
 WEIGHTS = (
     0.0,
     0.5,
@@ -137,15 +138,14 @@ def stabilisation(omega: ArrayLike, response: ArrayLike) -> Stabilisation:
     if len(omega) < 2 or np.any(np.diff(omega) <= 0) or omega[0] <= 0 or not size.min() > 0:
         raise InputError("omega must ascend from above 0, and response be other than zero at every line")
     found = [(np.zeros(0, int), np.zeros((2, 0)), np.zeros(0, bool))]
-    high = omega[-1]
-    while True:
+    high, low = omega[-1], np.inf
+    while low > omega[0]:
         low = high / WIDTH
         inside = (omega >= low) & (omega <= high)
+        if inside.sum() < 4 * ORDERS[0]:
+            low, inside = omega[0], np.arange(len(omega)) < LOWEST
         for power in WEIGHTS:
-            if inside.sum() >= 4 * ORDERS[0]:
-                found += _diagram(omega[inside], response[inside], size[inside] ** -power)
-        if low <= omega[0]:
-            break
+            found += _diagram(omega[inside], response[inside], size[inside] ** -power)
         high /= np.sqrt(WIDTH)
     order, poles, stable = (np.concatenate(each, axis=-1) for each in zip(*found, strict=True))
     frequency, damping = np.exp(poles)
@@ -155,6 +155,8 @@ def stabilisation(omega: ArrayLike, response: ArrayLike) -> Stabilisation:
 def _diagram(omega, response, weight):
     """Poles of every order in one part of a band: order, logarithms of frequency and damping, whether stable."""
     orders = [order for order in ORDERS if 4 * order <= len(omega)]
+    if not orders:
+        return
     sums = _sums(omega, response, weight, orders[-1])
     before = np.zeros((2, 0))
     for order in orders:

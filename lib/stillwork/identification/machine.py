@@ -13,6 +13,7 @@ from stillwork.identification.modal_fit import SUSPENDED, ModalFit, identify_mod
 from stillwork.lti.modal import ModalModel, mirrored
 from stillwork.lti.reduction import truncate
 
+MISSED = 0.5  # relative error below half the first resonance from which on the mass is doubtful
 MOST_MODES = 12  # of a matrix model: the others enter as compliance
 
 
@@ -90,6 +91,11 @@ def build_machine(
         machine = _fitted(file, file.accelerance, modes_hz, fit_hz)
     if mirrored_sensor and len(machine.sensors) == 1:
         only = machine.sensors[0]
+        if not only.rigid_modes:
+            raise InputError(
+                f"mirrored_sensor: {file.source} stands on springs to the ground, and what a sensor turned around "
+                "would see of its suspension nobody knows; leave mirrored_sensor out (false)"
+            )
         machine = replace(machine, sensors=(only, mirrored(only)), mirrored=(False, True))
     return machine
 
@@ -115,6 +121,14 @@ def _fitted(
     if len(model.frequencies) < 2:
         raise InputError(
             f"{file.source} has no flexible mode from {band[0]:g} to {band[1]:g} Hz; widen fit_hz"
+        )
+    below = fit.omega < model.frequencies[1] / 2
+    missed = float(np.sqrt(np.mean(fit.error[below] ** 2))) if below.any() else 0.0
+    if missed > MISSED:
+        notes.append(
+            f"up to {model.frequencies[1] / (4 * np.pi):.4g} Hz the model is off by {100 * missed:.2g} % (root mean "
+            "square): noise, or a suspension that the lines do not resolve; mind the mass, start fit_hz above it, or "
+            "measure finer"
         )
     widths = 2 * model.damping[1:] * model.frequencies[1:] / (2 * np.pi)
     spacing = float(np.median(np.diff(measured.omega))) / (2 * np.pi)
