@@ -118,9 +118,7 @@ def isolate(twin: Twin, floor: RecordedFloor, seed: int, start: float = 1.0) -> 
     before = run(seed=seed)
     rate = before.sample_rate
     training = round((training_s - SETTLE_S) * rate)
-    settings = FeRls(
-        start * (1 - FORGETTING) / np.mean(before.filtered_regressors[:, :training] ** 2, axis=1)
-    )
+    settings = steady_start(before.filtered_regressors[:, :training], start)
     adaptation = simulate(twin, floor, training_s, adaptation=settings, seed=seed, keep_every_s=KEEP_EVERY_S)
     cases = {
         "passive": run(seed=seed + 1, feedback=False),
@@ -136,6 +134,11 @@ def isolate(twin: Twin, floor: RecordedFloor, seed: int, start: float = 1.0) -> 
         adaptation.error_power / before.error_power[: len(adaptation.error_power)],
         rate,
     )
+
+
+def steady_start(regressors: Float64[np.ndarray, "regressors samples"], start: float = 1.0) -> FeRls:
+    """FeRLS that begins at `start` times the steady P of uncorrelated filtered regressors."""
+    return FeRls(start * (1 - FORGETTING) / np.mean(regressors**2, axis=1))
 
 
 def translating_spectrum(floor: RecordedFloor) -> SpectralFloor:

@@ -25,7 +25,7 @@ PUSH = 1.03  # of the bandwidth, at a time
 
 
 @dataclass(frozen=True)
-class Settings:
+class LoopSettings:
     """What one use of an observer is made of."""
 
     application: Application | None  # None: no observer
@@ -37,22 +37,22 @@ class Settings:
 
 def tuned(
     machine: Machine,
-    settings: Settings,
+    settings: LoopSettings,
     design_hz: float,
     *,
     doubt: float,
     step: float,
     delay: int,
     constraints: Sequence[PeakConstraint] = SAFE,
-) -> Settings:
-    """Settings that hold the constraints on the model at a higher bandwidth than those given do at `design_hz`."""
+) -> LoopSettings:
+    """LoopSettings that hold the constraints on the model at a higher bandwidth than those given do at `design_hz`."""
 
-    def loops_of(each: Settings) -> list[Loop]:
+    def loops_of(each: LoopSettings) -> list[Loop]:
         chosen = observer_settings(machine, each.application, each.retained, each.intensities)
         loops = observed_loops(machine.sensors, each.application, *chosen, step, delay)
         return [*loops, *doubted_loops(loops, doubt)]
 
-    def pushed(each: Settings) -> float:
+    def pushed(each: LoopSettings) -> float:
         """The bandwidth up to which these settings hold, from the best so far on; that itself if they hold no more."""
         try:
             loops = loops_of(each)
@@ -75,7 +75,7 @@ def tuned(
     return settings
 
 
-def varied(settings: Settings, name: str, factor: float) -> Settings | None:
+def varied(settings: LoopSettings, name: str, factor: float) -> LoopSettings | None:
     """The settings with one of them changed by a factor; None where they have no such thing, or no more of it."""
     application, intensities = settings.application, settings.intensities
     if name == "lead":
