@@ -142,3 +142,9 @@ def test_the_forces_place_is_the_filtered_one_where_it_is_asked_for(exact, appro
         assert run.force == pytest.approx(
             [approximate.force(*each, approximate.parameters) for each in states]
         )
+
+
+def test_a_run_that_diverged_is_neither_smooth_nor_precise():
+    lost = {name: study([np.inf, 1], [np.inf, 1], velocity=[np.inf, 1]) for name in CASE}
+    found = statements(lost, KALMAN)
+    assert not any(obeyed[0] for name, obeyed in found.items() if name != KALMAN_WORST)

@@ -1,10 +1,9 @@
 import numpy as np
 import pytest
 
-from experiments.isolation.cures import CURES, run_cure
+from experiments.isolation.cures import CURES, run_cure, run_to_the_end
 from experiments.isolation.floors import flat_floor
 from experiments.isolation.shaping import NoiseShaping, SecondaryPath, noise_shaping, weak_integrator
-from experiments.isolation.silence import run_to_the_end
 from experiments.isolation.stability import (
     FORMS,
     _recur,

@@ -231,6 +231,17 @@ def test_decoupling_inverts_the_shapes_that_are_told_apart():
     assert np.allclose(free @ both.actuation, 0, atol=1e-12)
 
 
+def test_decoupling_made_for_another_place_leaves_rigid_coupling():
+    # Both sensors a tenth further on: a rotation theta moves what was read as the translation by 0.1 theta.
+    built, moved = (beam([0.1, 0.85], [0.03 + shift, 0.82 + shift]) for shift in (0.0, 0.1))
+    seen = decouple(built).apply(moved)
+    # Shapes of a uniform beam of mass m: 1 and sqrt(12) (x - 1/2), over sqrt(m).
+    assert seen.output_shapes[:, :2] == pytest.approx(np.array([[1, 0.1 * np.sqrt(12)], [0, 1]]), abs=1e-9)
+    coupled = np.abs(seen.state_space().frequency_response([0.01])[..., 0])
+    assert coupled[0, 1] == pytest.approx(0.1 * np.sqrt(12) / 0.01**2, rel=1e-6)
+    assert np.array_equal(seen.input_shapes[:2], np.eye(2))  # the actuators did not move
+
+
 @pytest.mark.parametrize("constrained", [constrained_damping, constrained_stiffness])
 def test_constrained_gain_is_the_least_norm_solution(constrained):
     """Against the KKT system of min |k|^2 with the constraints of (4.19) and (4.20)."""

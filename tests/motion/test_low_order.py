@@ -13,10 +13,10 @@ from experiments.motion.low_order import (
     direct_loop,
     filters,
     fit_low_order,
+    paint_low_order,
     perturbed_trial,
     pick_poles,
 )
-from experiments.motion.low_order_pictures import paint_low_order
 from experiments.motion.machines import published_setpoint, stage, stage_mass
 from experiments.motion.uncertainty import perturbed, sample_errors
 from stillwork.base.checks import InputError

@@ -30,6 +30,7 @@ from experiments.motion.observer_contest.table import (
     median_interval,
     ranking,
     run_contest,
+    standings,
     write_table,
 )
 from experiments.motion.observer_contest.told import OwnObserver, told_of
@@ -44,6 +45,17 @@ GUIDE = (paths.root() / "docs" / "contest.md").read_text(encoding="utf-8")
 def test_the_guide_counts_right():
     words = {6: "Six machines", 22: "22 ways"}
     assert words[len(PLANTS)] in GUIDE and words[len(DOUBTS)] in " ".join(GUIDE.split())
+
+
+def test_the_guide_shows_the_committed_ranking():
+    file = paths.data("motion", "contest.csv")
+    assert standings(file) in GUIDE
+    with open(file, encoding="utf-8") as stream:
+        _, *lines = csv.reader(stream)
+    mean = {line[0]: float(line[4]) for line in lines if line[3] == "mean error"}
+    shown = re.findall(r"^\| \d+ to \d+ \| ([^|]+) \| ([\d.]+) to ([\d.]+) \|", GUIDE, re.MULTILINE)
+    assert [name for name, _, _ in shown] == sorted(mean, key=mean.get)
+    assert all(float(low) - 0.005 <= mean[name] <= float(high) + 0.005 for name, low, high in shown)
 
 
 @pytest.fixture
@@ -82,7 +94,8 @@ class Observer:
         (step_of("raise ValueError('no idea')"), "raises ValueError: no idea"),
         (step_of("return np.full(self.n, np.nan)"), "not finite"),
         (step_of("return np.zeros(self.n + 1)"), "an estimate of shape (5,), not (4,)"),
-        (step_of("return 'the truth'"), "raises ValueError"),
+        (step_of("return 'the truth'"), "not of real numbers"),
+        (step_of("return np.zeros(self.n, complex)"), "an estimate of complex128, not of real numbers"),
         (step_of("while True: pass"), "hangs"),
         (step_of("print('look')"), "prints"),
         (step_of("import os; os.write(1, b'look')"), "prints"),
@@ -90,6 +103,8 @@ class Observer:
         (step_of("open('/etc/hostname').read()"), "reads files (/etc/hostname)"),
         (step_of("import experiments.motion.observer_contest.doubts"), "reads files ("),
         (step_of("import subprocess; subprocess.run(['true'])"), "asks for subprocess.Popen"),
+        (step_of("import os; os.listdir('/etc')"), "reads files (/etc)"),
+        (step_of("import os; os.kill(os.getppid(), 0)"), "asks for os.kill"),
         (step_of("import os; os._exit(0)"), "its process ends"),
         ("class Other: pass", "raises AttributeError"),
         ("class Observer(:", "raises SyntaxError"),

@@ -8,8 +8,14 @@ from experiments.motion import matrix_inequalities
 from experiments.motion.designs import DAMPING
 from experiments.motion.machines import published_noise, stage, stage_mass
 from experiments.motion.matrix_inequalities import h2_lmi, mixed_lmi
-from experiments.motion.observer_problem import ObserverProblem
-from experiments.motion.tradeoff import emphasised, front, sensitivity_weight, tipping_corner, weighted_peak
+from experiments.motion.optimal_observer import (
+    ObserverProblem,
+    emphasised,
+    front,
+    sensitivity_weight,
+    tipping_corner,
+    weighted_peak,
+)
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application, compensator
 from stillwork.control.loops import INPUTS, OUTPUTS, closed_loop

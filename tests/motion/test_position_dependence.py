@@ -9,13 +9,14 @@ from experiments.motion.designs import (
     stage_observer,
 )
 from experiments.motion.machines import published_noise, stage, stage_mass
-from experiments.motion.node_passage import move, pass_node
 from experiments.motion.position_dependence import (
     at_place,
     damping_along,
     damping_table,
+    move,
     nodes,
     observer_at,
+    pass_node,
     place_loops,
     require_seen,
     stage_grid,

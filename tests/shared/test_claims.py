@@ -195,6 +195,21 @@ def test_of_an_identity_the_bound_is_shown_and_not_its_rounding(kind, published,
     assert Claim(entry(kind, published, tolerance=tolerance), ours).shown(3) == text
 
 
+@pytest.mark.parametrize(
+    ("ours", "room", "text"),
+    [
+        (0.21105, 0.005, "0.21"),  # ten samples of 1,900 may turn
+        (0.21105, 0.01, "0.21"),
+        (-37.26, 0.2, "-37"),
+        (37.26, 1e-6, "37.3"),
+        (0.3, 0.2, "0.3"),
+    ],
+)
+def test_no_digit_is_shown_that_the_drift_lets_turn(ours, room, text):
+    drift = Tolerance("seen between two processors", absolute=room)
+    assert Claim(entry(drift=drift), ours).shown(3) == text
+
+
 def test_nothing_accepted_has_not_moved_and_identities_never_do():
     assert not Claim(entry(), 5.0).moved
     residual = entry("exact", published=0.0, tolerance=Tolerance("x", absolute=1e-9), ours=1e-16)

@@ -12,7 +12,10 @@ import termios
 import pytest
 
 from stillwork.workbook import publish
+from stillwork.workbook.build import in_turn
 from stillwork.workbook.inputs import read_inputs
+from stillwork.workbook.notebooks import Notebook
+from stillwork.workbook.tasks import Task
 from workbook import toy as toys
 
 pytestmark = pytest.mark.slow
@@ -426,3 +429,18 @@ def test_a_terminal_shows_a_bar_with_the_time_left(toy):
     assert b"figures:" in shown
     assert b"<" in shown  # elapsed<left
     assert b"cell" in shown
+
+
+def test_rooms_take_turns():
+    def stale(name):
+        return Task(Notebook(name, "", {}, {}), {}, {}), ["never built"]
+
+    names = ["isolation/01", "isolation/02", "isolation/03", "motion/01", "worstcase/01", "worstcase/02"]
+    assert [task.notebook.name for task, _ in in_turn([stale(name) for name in names])] == [
+        "isolation/01",
+        "motion/01",
+        "worstcase/01",
+        "isolation/02",
+        "worstcase/02",
+        "isolation/03",
+    ]

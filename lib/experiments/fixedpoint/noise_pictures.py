@@ -8,7 +8,13 @@ from experiments.fixedpoint.differentiation import (
     quotient_cross_correlation,
 )
 from experiments.fixedpoint.published import EXTENDED
-from experiments.fixedpoint.run_pictures import COLOURS, METRICS, log_axis, points_with_intervals
+from experiments.fixedpoint.run_pictures import (
+    COLOURS,
+    METRICS,
+    legend_above,
+    log_axis,
+    points_with_intervals,
+)
 from stillwork.workbook import figures
 from stillwork.workbook.studies import Study
 
@@ -24,21 +30,14 @@ def paint_noise_correlations(found: dict[str, Correlations]):
         axes.plot(
             lags, [theory(int(lag)) for lag in lags], "kD", mfc="none", ms=9, label="derived from (18)-(21)"
         )
-        axes.plot(
-            lags,
-            (lags == 0) * float(name == "quotient"),
-            "x",
-            color=figures.RED,
-            ms=7,
-            label="assumed: R diagonal, white",
-        )
+        style = {"color": figures.RED, "ms": 7, "label": "assumed: R diagonal, white"}
+        axes.plot(lags, (lags == 0) * float(name == "quotient"), "x", **style)
         for (label, correlations), colour, shift in zip(
             found.items(), colours, (-0.12, 0.0, 0.12), strict=False
         ):
             axes.plot(lags + shift, getattr(correlations, name), ".", color=colour, ms=7, label=label)
         axes.set(xlabel="lag (samples)", ylabel="correlation (1)", title=title)
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=3)
+    legend_above(panels[0], 3)
     return figure
 
 
@@ -68,8 +67,7 @@ def paint_tuned_errors(
             axes.set_yticks(
                 range(len(study)), list(study) if quantity == quantities[0] else [""] * len(study)
             )
-            axes.set_ylim(len(study) - 0.5, -0.5)
-            axes.set_xlim(0, 1.06 * axes.get_xlim()[1])
+            axes.set(ylim=(len(study) - 0.5, -0.5), xlim=(0, 1.06 * axes.get_xlim()[1]))
     return figure
 
 
@@ -80,9 +78,8 @@ def paint_cost_against_error(cost_ns: dict[str, float], errors: dict[str, float]
         axes.plot(cost_ns[name], error, "o", color=COLOURS[name], label=name)
         below = -13 if name == EXTENDED else 4  # its neighbour is close
         axes.annotate(name, (cost_ns[name], error), xytext=(6, below), textcoords="offset points", fontsize=8)
-    axes.set(
-        xscale="log", xlabel="measured time a sample, published settings (ns)", ylabel=unit, xlim=(20, 1000)
-    )
+    axes.set(xscale="log", xlabel="measured time a sample, published settings (ns)", ylabel=unit)
+    axes.set(xlim=(20, 1000))
     axes.set_ylim(0, 1.15 * max(errors.values()))
     log_axis(axes.xaxis)
     return figure

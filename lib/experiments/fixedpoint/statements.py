@@ -21,16 +21,16 @@ def statements(
     """Which runs obey each statement, among window, low pass and one form of the Kalman filter.
 
     Smooth and hectic are judged by the roughness of the motion, precise and best by the RMS error of `quantity`. The
-    paper shows errors of q and of q' and does not say which it ranks by.
+    paper shows errors of q and of q' and does not say which it ranks by. A run that diverged is neither.
     """
     names = (WINDOW, LOW_PASS, kalman)
     rough = np.array([study[name]["roughness"] for name in names])
     error = np.array([study[name][quantity] for name in names])
     return {
-        SMOOTHEST: rough.argmin(axis=0) == 1,
-        HECTIC: rough.argmax(axis=0) == 2,
-        WINDOW_PRECISE: error.argmin(axis=0) == 0,
-        LOW_PASS_BEST: error.argmin(axis=0) == 1,
+        SMOOTHEST: (rough.argmin(axis=0) == 1) & np.isfinite(rough[1]),
+        HECTIC: (rough.argmax(axis=0) == 2) & np.isfinite(rough[2]),
+        WINDOW_PRECISE: (error.argmin(axis=0) == 0) & np.isfinite(error[0]),
+        LOW_PASS_BEST: (error.argmin(axis=0) == 1) & np.isfinite(error[1]),
         KALMAN_WORST: error.argmax(axis=0) == 2,
     }
 

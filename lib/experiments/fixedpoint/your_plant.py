@@ -59,23 +59,14 @@ class Models:
 def load_models(plant: str = "") -> Models:
     """Exact and approximate model from a Python file, a module, or a TOML file of the van der Pol form.
 
-    A Python file (it is executed) or a module defines ``acceleration(position, velocity, force, parameters)``
-    and its inverse ``force(position, velocity, acceleration, parameters)``, or with several coordinates
+    A Python file (it is executed) or a module such as ``mylab.stage`` defines
+    ``acceleration(position, velocity, force, parameters)`` and its inverse
+    ``force(position, velocity, acceleration, parameters)``, or with several coordinates
     ``inertia(position, parameters, out)`` and ``bias(position, velocity, parameters, out)``, and the tables ``EXACT``
     and ``APPROXIMATE`` from names to numbers, whose values the functions get in order. ``UNITS`` names the unit of each
     coordinate, m or rad; without it there is one, in m. An approximate model of another form is a second pair of
-    functions, with ``approximate_`` before their names.
-
-    Parameters
-    ----------
-    plant : str
-        Path of a ``.py`` or ``.toml`` file, the bare name of one in ``data/fixedpoint``, or an import path such as
-        ``mylab.stage``; empty: the template ``data/fixedpoint/your_plant.py``.
-
-    Raises
-    ------
-    InputError
-        When the file or module lacks one of these, or they do not fit together; it says what to do.
+    functions, with ``approximate_`` before their names. A bare file name is sought in ``data/fixedpoint``; empty is the
+    template ``data/fixedpoint/your_plant.py``.
     """
     path = Path(plant or "your_plant.py")
     shipped = paths.data("fixedpoint", path.name)
@@ -185,32 +176,9 @@ def open_trajectory(
 ) -> Trajectory:
     """Nominal motion from a record of positions, or from a formula where none is named.
 
-    Parameters
-    ----------
-    record : str
-        Path of a CSV, MAT, NPZ or UFF file, see `stillwork.signals.records.load_record`; empty for the formula.
-    unit : str
-        Of the record: m, mm, um, km, rad, mrad, ...
-    sample_rate : float, optional
-        Hz; needed when the file has neither a time nor a rate.
-    channel : str
-        Which to take where there are several.
-    low_pass_hz : float
-        Corner of a fourth-order zero-phase low pass for the record, whose noise two derivatives would blow up;
-        0: none.
-    shape : str
-        ``sine``, ``asin`` (sharp corners) or ``trapezoid``.
-    amplitude, sharpness, frequency_hz, duration : float
-        Of the formula: m or rad, 0 to 1 (the trapezoid's rounding is its rest to 1), Hz, s.
-    time_step : float
-        s, of the loop.
-    quantity : str
-        What the record must hold: m, or rad for an angle.
-
-    Raises
-    ------
-    InputError
-        For everything that makes the record unusable; it says what to do.
+    `unit` and, where the file does not tell it, `sample_rate` are the record's; a zero-phase low pass of fourth order
+    spares it from noise that two derivatives would blow up. A formula's `shape` is ``sine``, ``asin`` (sharp corners) or
+    ``trapezoid``, whose rounding is the rest of `sharpness` to 1. `quantity` is what the record must hold: m or rad.
     """
     if not record:
         require_choice("shape", shape, SHAPES)

@@ -40,22 +40,14 @@ def paint_courses(courses: Mapping[str, Course]):
         color = COLORS[name]
         above.semilogy(time, power, STYLES[name], color=color, label=f"{name}, mean over 1 s")
         for row, color in SHOWN.items():
-            below.plot(
-                course.time_s, course.weights[:, row], STYLES[name], color=color, label=f"w{row + 1}, {name}"
-            )
-        end = course.time_s[-1] * (1.02 if name == "FeLMS" else 1.04)
-        marker = {"marker": "s"} if name == "FeLMS" else {}
-        figures.mark_published(
-            below,
-            np.full(len(SHOWN), end),
-            published_row(name, "final")[list(SHOWN)],
-            label=f"published, {name}",
-            **marker,
-        )
+            label = f"w{row + 1}, {name}"
+            below.plot(course.time_s, course.weights[:, row], STYLES[name], color=color, label=label)
+        ends = np.full(len(SHOWN), course.time_s[-1] * (1.02 if name == "FeLMS" else 1.04))
+        style = {"label": f"published, {name}"} | ({"marker": "s"} if name == "FeLMS" else {})
+        figures.mark_published(below, ends, published_row(name, "final")[list(SHOWN)], **style)
     above.set_ylabel("filtered error e'e (N²)")
     above.legend()
-    below.set_xlabel("time (s)")
-    below.set_ylabel("parameter (N per m/s²)")
+    below.set(xlabel="time (s)", ylabel="parameter (N per m/s²)")
     figures.legend_below(below, 4)
     return figure
 
@@ -114,8 +106,7 @@ def paint_readings(times: Mapping[str, np.ndarray]):
                 number, each[3:], marker, color=color, mfc="none", label=name.removeprefix(f"{algorithm}, ")
             )
         figures.mark_published(panel, number, published_row(algorithm, "tau")[3:])
-        panel.set_title(algorithm)
-        panel.set_yscale("log")
+        panel.set(title=algorithm, yscale="log")
         panel.set_ylim(top=6 * max(each[3:].max() for each in mine.values()))
         panel.set_xticks(number, [f"w{i}" for i in number])
         panel.legend(loc="upper left", fontsize=8)
@@ -129,16 +120,10 @@ def paint_starts(starts: Starts, steady: ArrayLike):
     on = np.isnan(starts.stopped_s)
     axes.loglog(1 / starts.epsilon[on], starts.peak_command[on], "o", color=figures.BLUE, label="goes on")
     axes.loglog(1 / starts.epsilon[~on], starts.peak_command[~on], "x", color=figures.RED, label="diverges")
-    figures.mark_published(
-        axes,
-        1e5,
-        starts.peak_command[~on].max() if (~on).any() else 1.0,
-        label="printed: ε = 10⁻⁵",
-        markersize=9,
-    )
+    style = {"label": "printed: ε = 10⁻⁵", "markersize": 9}
+    figures.mark_published(axes, 1e5, starts.peak_command[~on].max() if (~on).any() else 1.0, **style)
     axes.axvspan(np.min(steady), np.max(steady), color=figures.GREEN, alpha=0.3, label="steady diagonal of P")
-    axes.set_xlabel("initial covariance 1/ε")
-    axes.set_ylabel("largest command (N)")
+    axes.set(xlabel="initial covariance 1/ε", ylabel="largest command (N)")
     axes.legend()
     return figure
 
@@ -159,8 +144,7 @@ def paint_path_error(twin: Twin, floor: ShapedFloor):
         axes.axvline(0, color=figures.BLACK, lw=0.8)
         axes.plot(1, 0, "+", markersize=9, color=figures.RED, label="perfect estimate")
         axes.set_xlabel("real part")
-    left.set_title("eigenvalues of P̂₂⁻¹P₂, 2-300 Hz")
-    left.set_ylabel("imaginary part")
+    left.set(title="eigenvalues of P̂₂⁻¹P₂, 2-300 Hz", ylabel="imaginary part")
     right.set_title("eigenvalues of R⁻¹A: convergence")
     figures.legend_below(right, 3)
     return figure
@@ -171,15 +155,9 @@ def paint_sideways(courses: Mapping[str, Sideways]):
     figure, axes = figures.new(1, 1, height=3.0)
     for (name, course), color in zip(courses.items(), (figures.BLUE, figures.RED), strict=False):
         axes.semilogy(course.time_s, course.size / course.size[0], color=color, label=name)
-        axes.semilogy(
-            course.time_s,
-            course.predicted / course.size[0],
-            ":",
-            color=figures.BLACK,
-            label=f"{name}, predicted",
-        )
-    axes.set_xlabel("time (s)")
-    axes.set_ylabel("sideways command over its start")
+        style = {"color": figures.BLACK, "label": f"{name}, predicted"}
+        axes.semilogy(course.time_s, course.predicted / course.size[0], ":", **style)
+    axes.set(xlabel="time (s)", ylabel="sideways command over its start")
     axes.legend()
     return figure
 
@@ -191,25 +169,13 @@ def expected_course_painter(twin: Twin, steady: Steady, duration_s: float) -> Ca
     def paint(step_size: float, memory_s: float, initial_covariance: float):
         figure, axes = figures.new(1, 1, height=3.6)
         for name in ALGORITHMS:
-            expected = mean_course(
-                twin,
-                steady,
-                name,
-                time,
-                step_size=step_size,
-                memory_s=memory_s,
-                initial_covariance=initial_covariance,
-            )
+            moved = {"step_size": step_size, "memory_s": memory_s, "initial_covariance": initial_covariance}
+            expected = mean_course(twin, steady, name, time, **moved)
             for row, color in SHOWN.items():
                 axes.plot(time, expected[:, row], STYLES[name], color=color, label=f"w{row + 1}, {name}")
-        figures.mark_published(
-            axes,
-            np.full(3, duration_s * 1.02),
-            published_row("FeRLS", "final")[list(SHOWN)],
-            "published, FeRLS",
-        )
-        axes.set_xlabel("time (s)")
-        axes.set_ylabel("expected parameter (N per m/s²)")
+        final = published_row("FeRLS", "final")[list(SHOWN)]
+        figures.mark_published(axes, np.full(3, duration_s * 1.02), final, "published, FeRLS")
+        axes.set(xlabel="time (s)", ylabel="expected parameter (N per m/s²)")
         axes.legend(ncols=2)
         return figure
 

@@ -13,10 +13,14 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
+from experiments.isolation.floors import ShapedFloor
+from experiments.isolation.simulation import simulate
+from experiments.isolation.twin import Twin
 from stillwork.base.checks import require_array, require_choice, require_count, require_number
 from stillwork.base.kernels import kernel
-from stillwork.estimation.adaptive import ferls_update, hold_covariance
+from stillwork.estimation.adaptive import FeLms, FeRls, ferls_update, hold_covariance
 from stillwork.estimation.covariance_forms import TRIANGLE, add_information
+from stillwork.estimation.online import UnstableAdaptation
 
 CURES = ("none", "trace bound", "leakage", "limit", "directional", "no forgetting", "variable", "resetting")
 NONE, TRACE_BOUND, LEAKAGE, LIMIT, DIRECTIONAL, NO_FORGETTING, VARIABLE, RESETTING = range(8)
@@ -29,27 +33,13 @@ OVERLOAD = 1e3
 
 @dataclass(frozen=True)
 class CureRun:
-    """Closed-loop adaptation with one cure, at equally spaced moments; NaN after an overload.
+    """Closed-loop adaptation with one cure, at equally spaced moments; NaN after an overload."""
 
-    Attributes
-    ----------
-    samples : ndarray, shape (kept,)
-        Samples seen.
-    growth : ndarray, shape (kept, n)
-        Diagonal of P over that of P(-1).
-    misalignment : ndarray, shape (kept,)
-        Size of W - w in the metric of P(-1), over its start; how much of the floor is not cancelled.
-    error_power : ndarray, shape (kept,)
-        Mean square of e over the interval.
-    overload : int or None
-        Sample at which the command left the actuator's range.
-    """
-
-    samples: Float64[np.ndarray, "kept"]
-    growth: Float64[np.ndarray, "kept n"]
-    misalignment: Float64[np.ndarray, "kept"]
-    error_power: Float64[np.ndarray, "kept"]
-    overload: int | None
+    samples: Float64[np.ndarray, "kept"]  # samples seen
+    growth: Float64[np.ndarray, "kept n"]  # diagonal of P over that of P(-1)
+    misalignment: Float64[np.ndarray, "kept"]  # size of W - w in the metric of P(-1), over its start
+    error_power: Float64[np.ndarray, "kept"]  # mean square of e over the interval
+    overload: int | None  # sample at which the command left the actuator's range
 
     def decay(self, start: int, stop: int) -> float:
         """Time constant of the misalignment in samples, fitted to the kept moments `start` to `stop`."""
@@ -70,36 +60,18 @@ def run_cure(
     noise_power: float = 1.0,
     keep_every: int = 1000,
 ) -> CureRun:
-    """Adapt in closed loop from zero weights over floors and optima that follow one another.
+    """Adapt in closed loop from zero weights over (floor (sensors, samples) in m/s², optimum w) that follow one another.
 
-    Parameters
-    ----------
-    cure : str
-        ``none``; ``limit``, the library's: the diagonal of P stays below `growth` times its start;
-        ``leakage`` after Levenberg and Marquardt: every sample adds information along every axis, so that a
-        silent one settles at `growth`; ``directional`` after Kulhavy: only what the regressor says anew is forgotten,
-        R + (lambda - (1 - lambda) / psi' P psi) psi psi'; ``no forgetting``: lambda = 1; ``trace bound``: P is
-        scaled down as a whole when its trace exceeds `growth` times its start; ``variable`` after Fortescue,
-        Kershenbaum and Ydstie: 1 - lambda grows with the error, (1 - lambda) e² / (noise (1 + psi' P psi)), at
-        most `FASTEST` times; ``resetting`` after Salgado, Goodwin and Middleton, in units of the start D,
-        P / lambda - P psi psi' P / (1 + psi' P psi) + b D - d P D^-1 P, which without excitation settles at
-        `growth`.
-    segments : sequence of (floor, optimum)
-        Motion of the sensors, (sensors, samples), m/s², and w, (n,).
-    integrator, shaping : array_like, shape (sections, 6)
-        beta H and N.
-    covariance : array_like, shape (n,)
-        Diagonal of P(-1), steady values.
-    forgetting : float
-        lambda.
-    growth : float
-        Strength of the cure.
-    noise : array_like, shape (samples,)
-        n, over all segments together, N.
-    noise_power : float
-        Of the filtered error when all is learnt, N²; ``variable`` forgets as printed at this power.
-    keep_every : int
-        Samples between two kept moments.
+    Of the cures, ``limit`` is the library's: the diagonal of P stays below `growth` times its start;
+    ``leakage`` after Levenberg and Marquardt: every sample adds information along every axis, so that a
+    silent one settles at `growth`; ``directional`` after Kulhavy: only what the regressor says anew is forgotten,
+    R + (lambda - (1 - lambda) / psi' P psi) psi psi'; ``no forgetting``: lambda = 1; ``trace bound``: P is
+    scaled down as a whole when its trace exceeds `growth` times its start; ``variable`` after Fortescue,
+    Kershenbaum and Ydstie: 1 - lambda grows with the error, (1 - lambda) e² / (noise (1 + psi' P psi)), at
+    most `FASTEST` times, noise being `noise_power` (N²), the error's when all is learnt; ``resetting`` after Salgado,
+    Goodwin and Middleton, in units of the start D, P / lambda - P psi psi' P / (1 + psi' P psi) + b D - d P D^-1 P, which
+    without excitation settles at `growth`. `covariance` is the diagonal of P(-1), steady values; `noise` runs over all
+    segments together (N).
     """
     code = CURES.index(require_choice("cure", cure, CURES))
     floors = [require_array("floor", floor, ndim=2) for floor, _ in segments]
@@ -122,29 +94,10 @@ def run_cure(
         np.zeros((sensors, len(shaping), 2)),
         np.zeros((len(shaping), 2)),
     )
-    reached = _cure_run(
-        code,
-        floor,
-        noise,
-        which,
-        optima,
-        integrator,
-        shaping,
-        *memories,
-        start,
-        forgetting,
-        growth,
-        noise_power,
-        every,
-        kept,
-    )
-    return CureRun(
-        every * np.arange(1.0, len(kept) + 1),
-        kept[:, 2:],
-        kept[:, 0],
-        kept[:, 1],
-        None if reached == samples else int(reached),
-    )
+    loop = floor, noise, which, optima, integrator, shaping, *memories
+    reached = _cure_run(code, loop, start, forgetting, growth, noise_power, every, kept)
+    overload = None if reached == samples else int(reached)
+    return CureRun(every * np.arange(1.0, len(kept) + 1), kept[:, 2:], kept[:, 0], kept[:, 1], overload)
 
 
 @kernel
@@ -208,24 +161,8 @@ def _forget_along(weights, covariance, psi, error, forgetting, gain):
 
 
 @kernel
-def _cure_run(
-    cure,
-    floor,
-    noise,
-    which,
-    optima,
-    integrator,
-    shaping,
-    stacks,
-    memory,
-    error_memory,
-    start,
-    forgetting,
-    growth,
-    noise_power,
-    every,
-    kept,
-):
+def _cure_run(cure, loop, start, forgetting, growth, noise_power, every, kept):
+    floor, noise, which, optima, integrator, shaping, stacks, memory, error_memory = loop
     n, sensors = len(start), floor.shape[1]
     weights, covariance, levels = np.zeros((1, n)), np.zeros((n, n)), np.zeros((3, n))
     bound = 0.0
@@ -294,3 +231,37 @@ def _cure_run(
             kept[row, 1] = squares / every
             squares = 0.0
     return len(floor)
+
+
+@dataclass(frozen=True)
+class ErrorRecord:
+    """Filtered error of one closed-loop run, to its end or to where it broke."""
+
+    time_s: Float64[np.ndarray, "kept"]  # end of each interval
+    error: Float64[np.ndarray, "kept"]  # filtered error, root mean square over the interval, N
+    broke_s: float | None  # when the adaptation was stopped as unstable
+
+    def peak(self, from_s: float) -> float:
+        """Largest error from a moment on over the mean of the ten seconds before it; infinite if it broke."""
+        if self.broke_s is not None:
+            return float("inf")
+        before = (self.time_s > from_s - 10) & (self.time_s <= from_s)
+        return float(self.error[self.time_s > from_s].max() / self.error[before].mean())
+
+
+def run_to_the_end(
+    twin: Twin, stages: list[tuple[float, ShapedFloor]], adaptation: FeLms | FeRls, seed: int
+) -> ErrorRecord:
+    """Run stages of (seconds, floor) as `simulate` does; an unstable run is kept up to where it broke."""
+    settings = {"adaptation": adaptation, "seed": seed, "keep_every_s": 0.02}
+    try:
+        run, broke_s = simulate(twin, stages, **settings), None
+    except UnstableAdaptation as error:
+        broke_s = error.sample * twin.sample_time
+        cut, left = [], broke_s - twin.sample_time
+        for seconds, floor in stages:
+            if left > 0:
+                cut.append((min(seconds, left), floor))
+            left -= seconds
+        run = simulate(twin, cut, **settings)
+    return ErrorRecord(run.time_s, np.sqrt(run.error_power), broke_s)

@@ -12,20 +12,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.isolation.together import command_of, felms_updates, ferls_updates, multiply_runs
+from experiments.isolation.together import COLUMNS, command_of, felms_updates, ferls_updates, multiply_runs
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import InputError
 from stillwork.base.kernels import inlined_kernel, kernel
-from stillwork.estimation.adaptive import (
-    Recursion,
-    felms_update,
-    ferls_step,
-)
+from stillwork.estimation.adaptive import Recursion, felms_update, ferls_step
 
 FROZEN, FELMS, FERLS = 0, 1, 2  # what the kernel does with the weights
 STABLE, OVERLOAD, INDEFINITE = 0, 1, 2  # why it stopped
 
-COLUMNS = 4  # that `_multiply` takes at a time
 CACHE_LINE = 64  # bytes
 
 

@@ -26,17 +26,7 @@ _ROUNDING = 1e-9
 def paint_transmissibility(
     frequencies_hz: np.ndarray, cases: dict[str, np.ndarray], *, low_db: float = -80.0
 ):
-    """Fig. 7: the 3x3 matrix of transmissibilities, platform direction down, floor direction across.
-
-    Parameters
-    ----------
-    frequencies_hz : ndarray, shape (frequencies,)
-        Thinned for the figure; peaks are kept.
-    cases : dict of str to ndarray, shape (3, 3, frequencies)
-        Responses.
-    low_db : float
-        Lower end of the diagonal panels.
-    """
+    """Fig. 7: the 3x3 matrix of transmissibilities, platform direction down, floor direction across."""
     figure, axes = figures.new(3, 3, height=6.6, sharex=True)
     f = frequencies_hz
     units = np.array([["", " (m/rad)", " (m/rad)"], [" (rad/m)", "", ""], [" (rad/m)", "", ""]])
@@ -55,9 +45,8 @@ def paint_transmissibility(
                     panel.semilogx(f[shown], decibels, label=name, lw=0.9, **_STYLES[name])
             if i == j:
                 _mark_reduction(panel, f, cases["feedback"][i, i])
-            panel.set(
-                title=f"{start} → {to}{units[i, j]}", ylim=(low_db + shift, 25 + shift), xlim=(f[0], f[-1])
-            )
+            panel.set(title=f"{start} → {to}{units[i, j]}", ylim=(low_db + shift, 25 + shift))
+            panel.set(xlim=(f[0], f[-1]))
     for panel in axes[:, 0]:
         panel.set_ylabel("magnitude (dB)")
     for panel in axes[-1]:
@@ -73,25 +62,12 @@ def _mark_reduction(panel, frequencies_hz: np.ndarray, feedback: np.ndarray):
     inside = [(frequencies_hz >= low) & (frequencies_hz <= high) for low, high in pairwise(edges)]
     level = np.array([np.median(decibels[each]) for each in inside])
     middle = np.sqrt(edges[1:] * edges[:-1])
-    panel.fill_between(
-        middle,
-        level - 40,
-        level - 20,
-        color=figures.GREY,
-        alpha=0.25,
-        lw=0,
-        label="published: 20 to 40 dB less",
-    )
+    style = {"color": figures.GREY, "alpha": 0.25, "lw": 0}
+    panel.fill_between(middle, level - 40, level - 20, label="published: 20 to 40 dB less", **style)
 
 
 def paint_reduction(reductions: dict[str, tuple[np.ndarray, np.ndarray]]):
-    """Reduction of the three diagonal elements by the feedforward, with the published 20 and 40 dB.
-
-    Parameters
-    ----------
-    reductions : dict of str to tuple of ndarray, shapes (frequencies,) and (3, frequencies)
-        Frequencies in Hz, thinned for the figure, and dB over the feedback-only case, positive for less vibration.
-    """
+    """Reduction (dB) of the three diagonal elements by the feedforward, with the published 20 and 40 dB."""
     figure, axes = figures.new(1, 3, height=2.7, sharey=True)
     for k, (panel, direction) in enumerate(zip(axes, DIRECTIONS, strict=True)):
         panel.fill_between(
@@ -120,14 +96,7 @@ def paint_power(
 ):
     """Fig. 8: power spectral density of the platform and its running sum from 1 Hz, in z, θx and θy.
 
-    Parameters
-    ----------
-    frequencies_hz : ndarray, shape (frequencies,)
-        Evenly spaced.
-    densities : dict of str to ndarray, shape (3, frequencies)
-        By case, (m/s^2)^2/Hz and (rad/s^2)^2/Hz.
-    published : tuple of float
-        Published share of the power at 1-300 Hz removed in z, θx, θy, per cent.
+    Published is the share of the power at 1-300 Hz removed in z, θx, θy, per cent.
     """
     figure, axes = figures.new(2, 3, height=5.0, sharex=True)
     units = ("(m/s²)²", "(rad/s²)²", "(rad/s²)²")
@@ -141,21 +110,15 @@ def paint_power(
                 panel.loglog(f[points], row[points], label=name, **{"lw": width, **_STYLES[name]})
     for k, direction in enumerate(DIRECTIONS):
         axes[0, k].set(title=f"(a) {direction}", ylabel=f"PSD ({units[k]}/Hz)")
-        axes[1, k].set(
-            title=f"(b) {direction}", ylabel=f"power from 1 Hz ({units[k]})", xlabel="frequency (Hz)"
-        )
+        axes[1, k].set(title=f"(b) {direction}", ylabel=f"power from 1 Hz ({units[k]})")
+        axes[1, k].set(xlabel="frequency (Hz)")
         before = np.sum(densities["feedback"][k, inside & (frequencies_hz <= BAND_HZ[1])]) * (f[1] - f[0])
         figures.mark_published(
             axes[1, k], BAND_HZ[1], before * (1 - published[k] / 100), "published, of feedback"
         )
         axes[1, k].axvline(BAND_HZ[1], color=figures.GREY, ls=":", lw=1)
-        axes[1, k].annotate(
-            f"{published[k]:g} % less\nat 300 Hz",
-            (280, 0.04),
-            xycoords=("data", "axes fraction"),
-            ha="right",
-            fontsize=7,
-        )
+        style = {"xycoords": ("data", "axes fraction"), "ha": "right", "fontsize": 7}
+        axes[1, k].annotate(f"{published[k]:g} % less\nat 300 Hz", (280, 0.04), **style)
     figures.legend_below(axes[1, 0], 5)
     return figure
 
@@ -216,11 +179,8 @@ def explore_power(output_noise: float, floor_noise: float, low_pass_hz: float):
         ):
             panel.loglog(f, after[cause][k], ":", color=color, label=f"left by {cause}")
         top = before[k].max()
-        panel.set(
-            title=f"{DIRECTIONS[k]}: {removed[k]:.1f} % removed",
-            xlabel="frequency (Hz)",
-            ylim=(top * 1e-7, top * 3),
-        )
+        panel.set(title=f"{DIRECTIONS[k]}: {removed[k]:.1f} % removed", xlabel="frequency (Hz)")
+        panel.set(ylim=(top * 1e-7, top * 3))
     axes[0].set_ylabel("PSD ((m/s²)²/Hz, (rad/s²)²/Hz)")
     figures.legend_below(axes[0], 3)
     return figure
@@ -236,13 +196,6 @@ def thinned(frequencies_hz: np.ndarray, values: np.ndarray) -> np.ndarray:
 
     Of 240 bins even in the logarithm the smallest and the largest value are kept, so that a mains line one bin
     wide is drawn at its full height.
-
-    Parameters
-    ----------
-    frequencies_hz : ndarray, shape (frequencies,)
-        Increasing; those not above zero are left out.
-    values : ndarray, shape (frequencies,)
-        The curve.
     """
     positive = np.flatnonzero(frequencies_hz > 0)
     f = frequencies_hz[positive]

@@ -76,32 +76,9 @@ def synthesise_floor(
 
     Each Fourier line gets a random amplitude and phase; the motion is stationary and its end joins its start.
     Between the given frequencies the density runs straight, as `spectra.band_power` integrates it; outside it is
-    zero.
-
-    Parameters
-    ----------
-    frequencies_hz : array_like, shape (frequencies,)
-        Positive and rising.
-    density : array_like, shape (frequencies,) or (channels, frequencies)
-        One-sided acceleration PSD, (m/s^2)^2/Hz, of all sensors or of each.
-    duration : float
-        Seconds.
-    seed : int
-        Of the random lines.
-    common : float
-        Share of the power that all sensors see alike, 0 (independent, as the paper's three shakers) to 1 (the
-        plate only translates, as ground waves far longer than the plate move it).
-    channels : int
-        Sensors.
-    sample_rate : float
-        Hz.
-    source : str
-        Where the density comes from.
-
-    Raises
-    ------
-    InputError
-        When the density is negative or the frequencies do not rise.
+    zero. The density is one-sided, (m/s^2)^2/Hz, of all channels or of each; `common` the share of the power that all
+    sensors see alike, 0 (independent, as the paper's three shakers) to 1 (the plate only translates, as ground waves far
+    longer than the plate move it).
     """
     f = require_array("frequencies_hz", frequencies_hz, ndim=1)
     channels = require_count("channels", channels)
@@ -166,10 +143,7 @@ def ground_floor(
     upper_hz: float = UPPER_HZ,
     **options,
 ) -> RecordedFloor:
-    """Motion with the spectrum of `ground_spectrum`; the record has no phase, so the motion is synthesised.
-
-    Parameters are those of `ground_spectrum` and `synthesise_floor`.
-    """
+    """Motion with the spectrum of `ground_spectrum`; the record has no phase, so the motion is synthesised."""
     ground = ground_spectrum(gain=gain, upper_hz=upper_hz)
     return synthesise_floor(
         ground.frequencies_hz, ground.levels, duration, seed, source=ground.source, **options

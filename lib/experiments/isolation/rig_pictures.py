@@ -47,14 +47,8 @@ def paint_rig(rig: Rig):
             )
         axes.plot(*(view @ sensors.T), "^", color=figures.RED, ms=8, label="floor accelerometer (vertical)")
         for number, place in enumerate(sensors, 1):
-            axes.annotate(
-                str(number),
-                view @ place,
-                xytext=(7, -2),
-                textcoords="offset points",
-                color=figures.RED,
-                fontsize=8,
-            )
+            style = {"xytext": (7, -2), "textcoords": "offset points", "color": figures.RED, "fontsize": 8}
+            axes.annotate(str(number), view @ place, **style)
         axes.set(xlabel=xlabel, ylabel=ylabel, title=title, aspect="equal")
     figures.legend_below(oblique, 4)
     return figure
@@ -101,14 +95,8 @@ def paint_floors(floors: dict[str, ShapedFloor], measured: dict[str, Spectrum], 
         inside = (spectrum.frequencies_hz >= 1.0) & (spectrum.frequencies_hz <= 1000)
         density = spectrum.density.mean(axis=0)
         shown = np.flatnonzero(inside)[thinned(spectrum.frequencies_hz[inside], density[inside])]
-        axes.loglog(
-            spectrum.frequencies_hz[shown],
-            density[shown],
-            color=colors[name],
-            lw=2.5,
-            alpha=0.35,
-            label=f"{name}, estimated",
-        )
+        look = {"color": colors[name], "lw": 2.5, "alpha": 0.35}
+        axes.loglog(spectrum.frequencies_hz[shown], density[shown], label=f"{name}, estimated", **look)
     for name, floor in floors.items():
         axes.loglog(f, floor.density(f)[0], color=colors[name], label=name)
     band = np.geomspace(1, 80, 100)
@@ -116,9 +104,8 @@ def paint_floors(floors: dict[str, ShapedFloor], measured: dict[str, Spectrum], 
         axes.loglog(band, criterion_density(name, band), style, color=figures.BLACK, label=name)
     shown = ground[0] >= 1.0
     axes.loglog(ground[0][shown], ground[1][shown], color=figures.GREEN, lw=0.8, label="measured ground")
-    axes.set(
-        xlabel="frequency (Hz)", ylabel="acceleration PSD ((m/s²)²/Hz)", ylim=(1e-14, 1e-3), xlim=(1, 1000)
-    )
+    axes.set(xlabel="frequency (Hz)", ylabel="acceleration PSD ((m/s²)²/Hz)", ylim=(1e-14, 1e-3))
+    axes.set(xlim=(1, 1000))
     axes.legend(loc="center left", bbox_to_anchor=(1, 0.5))
     return figure
 

@@ -23,31 +23,14 @@ OVERFLOW = 1e100  # so large that its square is still a number
 
 @dataclass(frozen=True)
 class CovarianceRun:
-    """What became of P, at equally spaced moments.
+    """What became of P, at equally spaced moments."""
 
-    Attributes
-    ----------
-    time_constants : ndarray, shape (kept,)
-        Samples seen times (1 - forgetting).
-    asymmetry : ndarray, shape (kept,)
-        Norm of the antisymmetric part of P over the norm of P.
-    error : ndarray, shape (kept,)
-        Norm of P minus the inverse of the information matrix, over the norm of that inverse.
-    smallest : ndarray, shape (kept,)
-        Smallest eigenvalue of the symmetric part of P in units of the inverse's smallest; negative: indefinite.
-    distance : ndarray, shape (kept,)
-        Largest distance of an eigenvalue of P times the information matrix from one: the error in P's own metric, which
-        asks no less of the strong directions than of the weak; from 1 on P may be indefinite.
-    largest : ndarray, shape (kept,)
-        Largest eigenvalue of the symmetric part over that of the initial P.
-    """
-
-    time_constants: Float64[np.ndarray, "kept"]
-    asymmetry: Float64[np.ndarray, "kept"]
-    error: Float64[np.ndarray, "kept"]
-    smallest: Float64[np.ndarray, "kept"]
-    distance: Float64[np.ndarray, "kept"]
-    largest: Float64[np.ndarray, "kept"]
+    time_constants: Float64[np.ndarray, "kept"]  # samples seen times (1 - forgetting)
+    asymmetry: Float64[np.ndarray, "kept"]  # norm of the antisymmetric part of P over that of P
+    error: Float64[np.ndarray, "kept"]  # norm of P - R^-1, R the information matrix, over that of R^-1
+    smallest: Float64[np.ndarray, "kept"]  # eigenvalue of (P + P')/2 over the smallest of R^-1
+    distance: Float64[np.ndarray, "kept"]  # largest of |eigenvalue of P R - 1|; from 1 on P may be indefinite
+    largest: Float64[np.ndarray, "kept"]  # eigenvalue of (P + P')/2 over the largest of the initial P
 
     @property
     def breakdown(self) -> float:
@@ -81,25 +64,10 @@ def covariance_run(
     precision: str = "float64",
     per_time_constant: int = 4,
 ) -> CovarianceRun:
-    """Run the covariance recursion over a record, again and again, and watch P.
+    """Run the covariance recursion over a record (n, samples), repeated for so many `time_constants`, and watch P.
 
-    Parameters
-    ----------
-    form : str
-        One of `FORMS`: ``one product``, P - (g / den) g' with g = P psi; ``both products``, with P psi and
-        psi' P computed apart as printed; the others are the library's, `covariance_forms`.
-    regressors : array_like, shape (n, samples)
-        psi_N; the record is repeated as often as needed.
-    forgetting : float
-        lambda in (0, 1).
-    initial : array_like, shape (n, n)
-        P(-1).
-    time_constants : float
-        How long to run, in units of 1 / (1 - lambda) samples.
-    precision : str
-        ``float64`` or ``float32``.
-    per_time_constant : int
-        How often to look at P.
+    Of `FORMS`, ``one product`` is P - (g / den) g' with g = P psi; ``both products``, with P psi and psi' P computed
+    apart as printed; the others are the library's, `covariance_forms`. P is looked at so often `per_time_constant`.
     """
     code = FORMS.index(require_choice("form", form, FORMS))
     dtype = np.dtype(require_choice("precision", precision, ("float64", "float32")))
@@ -158,11 +126,7 @@ def _health(form, matrix, information) -> tuple[float, ...]:
 def shared_motion(condition: float, samples: int, seed: int, regressors: int = 9) -> np.ndarray:
     """Regressors of power one that share a motion, each with a rest of its own, (regressors, samples).
 
-    Parameters
-    ----------
-    condition : float
-        Of their correlation, above 1: 1 + n c / (1 - c) for the share c of the power that is common.
-    samples, seed, regressors : int
+    The `condition` of their correlation is 1 + n c / (1 - c) for the share c of the power that is common.
     """
     ratio = (require_number("condition", condition, above=1.0) - 1) / regressors
     rng = np.random.default_rng(seed)

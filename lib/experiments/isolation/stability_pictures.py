@@ -5,8 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from experiments.isolation.cures import CureRun
-from experiments.isolation.silence import ErrorRecord
+from experiments.isolation.cures import CureRun, ErrorRecord
 from experiments.isolation.stability import CovarianceRun, condition_bounds, covariance_run
 from stillwork.workbook import figures
 from stillwork.workbook.palette import COLOURS
@@ -22,16 +21,10 @@ def paint_map(
     shipped: Mapping[str, tuple[float, Mapping[str, CovarianceRun]]],
     forgettings: tuple[float, float],
 ):
-    """Error of P in its own metric, drawn at one where it is larger, over the condition number, by precision and form, and where forms break.
+    """Error of P in its own metric over the condition number, drawn at one where it is larger, and where forms break.
 
-    Parameters
-    ----------
-    conditions : array_like, shape (conditions,)
-    found : mapping of (precision, form) to array, shape (2, conditions, seeds)
-        As `stability_map` gives it.
-    shipped : mapping of floor to (condition number, runs in float32 by form)
-    forgettings : tuple of float
-        lambda of the synthetic regressors, and of the shipped floors.
+    `found` by precision and form is what `stability_map` gives, `shipped` by floor a condition number and the runs in
+    float32 by form; the forgetting factors are those of the synthetic regressors and of the shipped floors.
     """
     precisions = list(dict.fromkeys(precision for precision, _ in found))
     figure, grid = figures.new(1, len(precisions), height=3.9, sharey=True, squeeze=False)
@@ -69,15 +62,7 @@ def paint_map(
 
 
 def paint_forms(runs: Mapping[str, Mapping[str, CovarianceRun]], experiment: float):
-    """Asymmetry and error of P over time constants, a column for each precision.
-
-    Parameters
-    ----------
-    runs : mapping of precision to mapping of form to CovarianceRun
-        What to show.
-    experiment : float
-        Length of the published experiment in time constants.
-    """
+    """Asymmetry and error of P over time constants, by precision and form; `experiment` is the published length."""
     figure, grid = figures.new(2, len(runs), height=5.4, sharex=True, squeeze=False)
     for (upper, lower), (precision, forms) in zip(grid.T, runs.items(), strict=True):
         for style, (form, run) in zip(_LINES, forms.items(), strict=False):
@@ -87,14 +72,9 @@ def paint_forms(runs: Mapping[str, Mapping[str, CovarianceRun]], experiment: flo
             if np.isfinite(run.breakdown):
                 for axes in (upper, lower):
                     axes.axvline(run.breakdown, color=figures.GREY, lw=0.8, ls=":")
-                lower.annotate(
-                    f"indefinite at about {run.breakdown_tens():.0f} ",
-                    (run.breakdown, 1e-13),
-                    fontsize=8,
-                    ha="right",
-                    va="bottom",
-                    color=figures.GREY,
-                )
+                look = {"fontsize": 8, "ha": "right", "va": "bottom", "color": figures.GREY}
+                text = f"indefinite at about {run.breakdown_tens():.0f} "
+                lower.annotate(text, (run.breakdown, 1e-13), **look)
         unit = np.finfo(precision).eps
         guide = np.array([0.0, np.log(1 / unit)])
         upper.semilogy(
@@ -105,8 +85,8 @@ def paint_forms(runs: Mapping[str, Mapping[str, CovarianceRun]], experiment: flo
         upper.set(title=precision, ylabel="antisymmetric part of P", ylim=(FLOOR / 3, 10))
         _name_zero(upper)
         lower.set(xlabel="time constants of the forgetting", ylabel="error of P", ylim=(1e-14, 1e3))
-        for axes in (upper, lower):
-            axes.set_yticks(10.0 ** np.arange(-18, 4, 3) if axes is upper else 10.0 ** np.arange(-12, 4, 3))
+        upper.set_yticks(10.0 ** np.arange(-18, 4, 3))
+        lower.set_yticks(10.0 ** np.arange(-12, 4, 3))
     grid[0, 0].annotate(
         "the paper's 200 s", (experiment / 2, 5.0), ha="center", va="top", fontsize=8, color=figures.GREY
     )
@@ -115,15 +95,8 @@ def paint_forms(runs: Mapping[str, Mapping[str, CovarianceRun]], experiment: flo
 
 
 def _name_zero(axes):
-    axes.annotate(
-        "exactly 0 is drawn here",
-        (0.99, FLOOR * 2),
-        xycoords=("axes fraction", "data"),
-        ha="right",
-        va="bottom",
-        fontsize=8,
-        color=figures.GREY,
-    )
+    style = {"xycoords": ("axes fraction", "data"), "ha": "right", "va": "bottom", "fontsize": 8}
+    axes.annotate("exactly 0 is drawn here", (0.99, FLOOR * 2), color=figures.GREY, **style)
 
 
 def paint_windup(runs: Mapping[str, CovarianceRun]):
@@ -174,24 +147,10 @@ def paint_cures(
     for axes in (top, middle, bottom):
         axes.axvspan(*silence, color=figures.GREY, alpha=0.12, lw=0)
         axes.axvline(step, color=figures.BLACK, lw=0.8, ls=":")
-    top.annotate(
-        "one floor sensor silent",
-        (np.mean(silence), 0.96),
-        xycoords=("data", "axes fraction"),
-        ha="center",
-        va="top",
-        fontsize=8,
-    )
-    middle.annotate(
-        "the optimum moves by 20 %",
-        (step, 0.96),
-        xycoords=("data", "axes fraction"),
-        ha="right",
-        va="top",
-        fontsize=8,
-        xytext=(-4, 0),
-        textcoords="offset points",
-    )
+    look = {"xycoords": ("data", "axes fraction"), "va": "top", "fontsize": 8}
+    top.annotate("one floor sensor silent", (np.mean(silence), 0.96), ha="center", **look)
+    look |= {"xytext": (-4, 0), "textcoords": "offset points"}
+    middle.annotate("the optimum moves by 20 %", (step, 0.96), ha="right", **look)
     top.set(ylabel="diagonal of P / start", ylim=(1e-2, 1e6))
     middle.set(ylabel="misalignment")
     bottom.set(xlabel="time constants of the forgetting", ylabel="filtered error, rms (N)")

@@ -11,6 +11,8 @@ from stillwork.base.kernels import inlined_kernel, kernel
 from stillwork.estimation.adaptive import hold_covariance, watch_power
 from stillwork.estimation.covariance_forms import TRIANGLE
 
+COLUMNS = 4  # of the loop's matrix that a product takes at a time
+
 
 @inlined_kernel
 def multiply_runs(matrix, vector, product, together):
@@ -18,7 +20,7 @@ def multiply_runs(matrix, vector, product, together):
     for i in range(len(product)):
         product[i] = 0.0
     runs = len(together)
-    for j in range(0, matrix.shape[0], 4):
+    for j in range(0, matrix.shape[0], COLUMNS):
         for i in range(matrix.shape[1]):
             for run in range(runs):
                 product[i * runs + run] += (

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float64
 from numpy.typing import ArrayLike
 
 from experiments.isolation.performance import DIRECTIONS, central_axes, expected_density
+from experiments.isolation.performance_pictures import thinned
 from experiments.isolation.power import BAND_HZ
 from experiments.isolation.recorded_floors import RecordedFloor, SpectralFloor
 from experiments.isolation.simulation import Run, simulate
@@ -15,46 +16,30 @@ from experiments.isolation.steady import FORGETTING, steady_state
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.estimation.adaptive import FeRls
-from stillwork.signals.criteria import criterion_met, one_third_octave_velocity
+from stillwork.signals.criteria import criterion_met, criterion_velocity, one_third_octave_velocity
 from stillwork.signals.spectra import band_power, estimate_spectrum
+from stillwork.workbook import figures
 
 SETTLE_S = 5.0  # cut off before anything is judged
 TRAINING_SHARE = 2 / 3  # of the floor, its first part; the weights never see the rest
 KEEP_EVERY_S = 0.2
 RESOLUTION_HZ = 0.25
 SAME = 0.1  # a change of the motion by less is called none: chosen
+OTHER = 2.0  # so many times louder or quieter, a floor is called another one: chosen
 _GRID = np.unique(np.concatenate([np.geomspace(0.02, 2400, 600), np.arange(1.0, 300.0, 0.5)]))
 
 
 @dataclass(frozen=True)
 class Isolated:
-    """A floor and what the platform does above it.
+    """A floor and what the platform does above it, in z, θx, θy (m/s^2 and rad/s^2), from `SETTLE_S` on."""
 
-    Attributes
-    ----------
-    floor : ndarray, shape (3, samples)
-        The plate in z, θx, θy, without sensor noise; m/s^2 and rad/s^2; from `SETTLE_S` on.
-    platform : dict of str to ndarray, shape (3, samples)
-        The platform's real motion, by case: ``passive``, ``feedback``, ``FeRLS`` with frozen weights.
-    quiet : ndarray, shape (3, samples)
-        Case ``feedback`` with sensors that have no noise.
-    training : int
-        Samples before the part that the weights have not seen.
-    adaptation : Run
-        FeRLS from zero over the training part.
-    progress : ndarray, shape (kept,)
-        Power of the filtered error while FeRLS adapts, over that without feedforward in the same instants.
-    sample_rate : float
-        Hz.
-    """
-
-    floor: Float64[np.ndarray, "3 samples"]
-    platform: dict[str, Float64[np.ndarray, "3 samples"]]
-    quiet: Float64[np.ndarray, "3 samples"]
-    training: int
-    adaptation: Run
-    progress: Float64[np.ndarray, " kept"]
-    sample_rate: float
+    floor: Float64[np.ndarray, "3 samples"]  # the plate, without sensor noise
+    platform: dict[str, Float64[np.ndarray, "3 samples"]]  # truly: ``passive``, ``feedback``, ``FeRLS``
+    quiet: Float64[np.ndarray, "3 samples"]  # case ``feedback`` with sensors that have no noise
+    training: int  # samples before the part that the weights have not seen
+    adaptation: Run  # FeRLS from zero over the training part
+    progress: Float64[np.ndarray, " kept"]  # power of the filtered error over that without feedforward
+    sample_rate: float  # Hz
 
     @property
     def moving(self) -> Bool[np.ndarray, "3"]:
@@ -101,24 +86,20 @@ def isolate(twin: Twin, floor: RecordedFloor, seed: int, start: float = 1.0) -> 
     FeRLS starts from zero weights and from `start` times (1 - lambda) over the power of each filtered regressor,
     the steady P of uncorrelated regressors. Its weights are then frozen and judged on what it has not seen, with
     other sensor noise; every case is judged on the same stretch.
-
-    Raises
-    ------
-    UnstableAdaptation
-        Where the adaptation diverges on this floor, see `simulate`.
     """
     require_number("start", start, above=0.0)
     axes = central_axes(twin.rig)
     twin, spread = hear(twin, floor.channels)
     training_s = round(TRAINING_SHARE * floor.duration / KEEP_EVERY_S) * KEEP_EVERY_S
 
-    def run(**options) -> Run:
-        return simulate(twin, floor, signals_from_s=SETTLE_S, keep_every_s=KEEP_EVERY_S, **options)
+    def run(from_s: float = SETTLE_S, **options) -> Run:
+        return simulate(twin, floor, signals_from_s=from_s, keep_every_s=KEEP_EVERY_S, **options)
 
-    before = run(seed=seed)
+    # The power is that of the whole part that the adaptation meets: a loud beginning is where a large P hurts.
+    before = run(0.0, seed=seed)
     rate = before.sample_rate
-    training = round((training_s - SETTLE_S) * rate)
-    settings = steady_start(before.filtered_regressors[:, :training], start)
+    settled, training = (round(each * rate) for each in (SETTLE_S, training_s - SETTLE_S))
+    settings = steady_start(before.filtered_regressors[:, : settled + training], start)
     adaptation = simulate(twin, floor, training_s, adaptation=settings, seed=seed, keep_every_s=KEEP_EVERY_S)
     cases = {
         "passive": run(seed=seed + 1, feedback=False),
@@ -126,7 +107,7 @@ def isolate(twin: Twin, floor: RecordedFloor, seed: int, start: float = 1.0) -> 
         "FeRLS": run(seed=seed + 1, weights=adaptation.final_weights),
     }
     return Isolated(
-        axes.floor @ spread @ before.floor,
+        axes.floor @ spread @ before.floor[:, settled:],
         {name: axes.platform @ case.platform for name, case in cases.items()},
         axes.platform @ run(seed=seed + 1, noise=False).platform,
         training,
@@ -152,16 +133,7 @@ def optimum_left(
 ) -> dict[str, Float64[np.ndarray, " gains"]]:
     """Rms motion in z at 1-300 Hz over the floor's, for a louder or quieter floor and the optimum weights.
 
-    From spectra alone, for a plate that only translates.
-
-    Parameters
-    ----------
-    twin : Twin
-        Rig with geometry.
-    floor : SpectralFloor
-        Of one sensor.
-    gains : array_like, shape (gains,)
-        Amplitude of the floor relative to `floor`.
+    From spectra of one sensor alone, for a plate that only translates; `gains` are amplitudes relative to `floor`.
     """
     f = np.geomspace(*BAND_HZ, 1500)[:-1]
     twin, _ = hear(twin, floor.channels)
@@ -197,6 +169,10 @@ def findings(isolated: Isolated) -> Iterator[str]:
     """What the isolator makes of a floor, sentence by sentence; every word follows from the numbers of this run."""
     if not isolated.moving[1:].any():
         yield "The plate moves up and down without tilting, so the tilts are not judged."
+    parts = isolated.floor[:, : isolated.training], isolated.floor[:, isolated.training :]
+    taught, judged = (part[isolated.moving].std() for part in parts)
+    if not 1 / OTHER < judged / taught < OTHER:
+        yield f"The floor moves {judged / taught:.3g} times as much where it is judged as where it was learnt."
     left = {name: isolated.left(name) for name in isolated.platform}
     seen = isolated.left("FeRLS", training=True)
     for k in np.flatnonzero(isolated.moving):
@@ -238,3 +214,139 @@ def _compared(who: str, ratio: float, other: str) -> str:
 
 def _list(words) -> str:
     return ", ".join(map(str, words))
+
+
+_COLORS = {
+    "floor": figures.RED,
+    "passive": figures.SKY,
+    "feedback": figures.BLUE,
+    "FeRLS": figures.BLACK,
+}
+_SHOWN_HZ = (1.0, 400.0)
+_GROUPS = {
+    "weights of acceleration": figures.BLUE,
+    "of its integral": figures.GREEN,
+    "of its double integral": figures.RED,
+}
+
+
+def paint_floor(floor: RecordedFloor, resolution_hz: float = 0.25):
+    """The sensors' mean and what one sees beside it, over time; each in one-third-octave velocity."""
+    figure, (left, right) = figures.new(1, 2, height=3.4)
+    time_s = np.arange(floor.acceleration.shape[1]) / floor.sample_rate
+    common = floor.acceleration.mean(axis=0)
+    own = floor.acceleration[0] - common
+    left.plot(time_s, common, lw=0.6, label="mean of the sensors")
+    if np.abs(own).max() > 1e-9 * np.abs(common).max():
+        left.plot(time_s, own, lw=0.6, color=figures.ORANGE, label="sensor 1 less the mean")
+    left.set(xlabel="time (s)", ylabel="floor acceleration (m/s²)")
+    spectrum = estimate_spectrum(floor.acceleration, floor.sample_rate, resolution_hz)
+    for number, row in enumerate(spectrum.density, 1):
+        centres, velocity = one_third_octave_velocity(spectrum.frequencies_hz, row)
+        shown = (centres >= _SHOWN_HZ[0]) & (centres <= _SHOWN_HZ[1]) & (velocity > 1e-4 * velocity.max())
+        label = "each sensor" if number == 1 else f"_sensor {number}"
+        right.loglog(centres[shown], velocity[shown], "o-", ms=2.5, lw=0.8, color=figures.GREEN, label=label)
+    _criteria(right)
+    right.set(xlabel="one-third-octave band (Hz)", ylabel="rms velocity (m/s)", xlim=(0.8, 600))
+    lines = [line for axes in (left, right) for line in axes.get_legend_handles_labels()[0]]
+    figure.legend(handles=lines, loc="outside lower center", ncols=3)
+    return figure
+
+
+def paint_isolated(isolated: Isolated, resolution_hz: float = 0.5):
+    """Spectra of floor and platform on the test part, by case; directions in which the floor rests are left out."""
+    figure, axes = figures.new(1, int(np.sum(isolated.moving)), height=3.0, squeeze=False)
+    signals = {"floor": isolated.floor, **isolated.platform}
+    spectra = {
+        name: estimate_spectrum(rows[:, isolated.training :], isolated.sample_rate, resolution_hz)
+        for name, rows in signals.items()
+    }
+    units = ("(m/s²)²/Hz", "(rad/s²)²/Hz", "(rad/s²)²/Hz")
+    for k, panel in zip(np.flatnonzero(isolated.moving), axes[0], strict=True):
+        for name, spectrum in spectra.items():
+            f = spectrum.frequencies_hz
+            inside = np.flatnonzero((f >= _SHOWN_HZ[0]) & (f <= _SHOWN_HZ[1]))
+            points = inside[thinned(f[inside], spectrum.density[k, inside])]
+            panel.loglog(f[points], spectrum.density[k, points], lw=0.9, color=_COLORS[name], label=name)
+        top = max(line.get_ydata().max() for line in panel.lines)
+        panel.set(title=DIRECTIONS[k], xlabel="frequency (Hz)", ylabel=f"PSD ({units[k]})")
+        panel.set(ylim=(top * 1e-6, top * 3))
+    figures.legend_below(axes[0, 0], 4)
+    return figure
+
+
+def paint_adaptation(isolated: Isolated, window: int = 10):
+    """How far the feedforward brings the filtered error down while it learns, and how far its weights still move.
+
+    Left the median and the central 80 % of `window` kept values; right the distance of each group of weights from
+    where the training part ends, over its size there.
+    """
+    figure, (left, right) = figures.new(1, 2, height=2.9)
+    run = isolated.adaptation
+    whole = len(isolated.progress) // window * window
+    time_s = run.time_s[:whole].reshape(-1, window).mean(axis=1)
+    low, middle, high = np.quantile(isolated.progress[:whole].reshape(-1, window), [0.1, 0.5, 0.9], axis=1)
+    left.fill_between(time_s, low, high, color=_COLORS["FeRLS"], alpha=0.2, lw=0, label="central 80 %")
+    left.plot(time_s, middle, color=_COLORS["FeRLS"], lw=1.2, label="median of 2 s")
+    left.axhline(1, color=figures.GREY, lw=0.8)
+    left.set(xlabel="time (s)", ylabel="filtered error, power over\nthat without feedforward", ylim=(0, None))
+    left.legend(loc="best")
+    sensors = run.weights.shape[2] // 3
+    for group, (name, color) in enumerate(_GROUPS.items()):
+        weights = run.weights[:, :, group * sensors : (group + 1) * sensors].reshape(len(run.time_s), -1)
+        moved = np.linalg.norm(weights - weights[-1], axis=1) / np.linalg.norm(weights[-1])
+        right.plot(run.time_s, moved, color=color, lw=1.2, label=name)
+    right.set(xlabel="time (s)", ylabel="distance from the last weights")
+    right.legend()
+    return figure
+
+
+def paint_gain(gains: np.ndarray, left: dict[str, np.ndarray]):
+    """Rms motion in z over that of the floor, 1-300 Hz, for a louder or quieter floor; optimum weights."""
+    figure, axes = figures.new(1, 1, height=2.8)
+    for name, values in left.items():
+        axes.loglog(gains, values, color=_COLORS[name], label=name)
+    axes.axhline(1, color=figures.GREY, lw=0.8)
+    axes.axvline(1, color=figures.GREY, lw=0.8, ls="--")
+    axes.set(xlabel="amplitude over this floor's", ylabel="platform over floor in z, rms")
+    axes.legend()
+    return figure
+
+
+def explore_floor(twin: Twin, floor: SpectralFloor):
+    """Explorer: one-third-octave velocity in z of a louder floor and of the platform, with other sensors."""
+    f = np.geomspace(0.8, 299, 400)
+    twin, _ = hear(twin, floor.channels)
+
+    def paint(gain: float, output_noise: float):
+        changed = twin.varied(platform_noise=output_noise * 1e-4)
+        louder = replace(floor, levels=gain**2 * floor.levels)
+        weights = steady_state(changed, louder, frequencies_hz=np.geomspace(0.05, 2400, 500)).weights
+        figure, axes = figures.new(1, 1, height=3.2)
+        curves = {"floor": louder.density(f)[0]}
+        for name, options in (
+            ("passive", {"feedback": False}),
+            ("feedback", {}),
+            ("FeRLS", {"weights": weights}),
+        ):
+            causes = expected_density(changed, louder, f, sensed=False, **options)
+            curves[name] = sum(causes.values())[0]
+        for name, density in curves.items():
+            centres, velocity = one_third_octave_velocity(f, density)
+            axes.loglog(centres, velocity, "o-", ms=2.5, lw=0.9, color=_COLORS[name], label=name)
+        _criteria(axes)
+        axes.set(xlabel="one-third-octave band (Hz)", ylabel="rms velocity in z (m/s)")
+        axes.set_ylim(bottom=1e-9)
+        axes.legend(loc="upper left", ncols=4)
+        return figure
+
+    return paint
+
+
+def _criteria(axes) -> None:
+    bands = 2.0 ** (np.arange(0, 20) / 3)
+    for name in ("VC-A", "VC-C", "VC-E", "VC-G", "VC-I", "VC-K", "VC-M"):
+        defined = bands[bands > 3.9] if name == "VC-A" else bands
+        limit = criterion_velocity(name, defined)
+        axes.loglog(defined, limit, "--", color=figures.GREY, lw=0.7, label=f"_{name}")
+        axes.annotate(name, (defined[-1] * 1.1, limit[-1]), color=figures.GREY, fontsize=7, va="center")

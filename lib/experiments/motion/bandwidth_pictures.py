@@ -7,18 +7,19 @@ from functools import cache, lru_cache
 import numpy as np
 
 from experiments.motion.designs import stage_observer
-from experiments.motion.drive import drive_loop, rigid_response, seen_by_controller
+from experiments.motion.drive import drive_applications, drive_loop, rigid_response, seen_by_controller
 from experiments.motion.machines import Drive, drive, published_noise, stage, stage_mass
 from experiments.motion.open_choices import BandwidthMap
 from experiments.motion.pictures import CASES, LABELS, add_magnitude, paint_bode, paint_over_masses
-from experiments.motion.structure import as_stage, measured_accelerance, structure_loops
+from experiments.motion.structure import as_stage, measured_accelerance
 from stillwork.control.applications import Application, compensator
 from stillwork.control.bandwidth import Bandwidth, Loop, make_loop
+from stillwork.control.machine_loops import observed_loops
 from stillwork.control.pid import PidFamily
 from stillwork.estimation.observer import Observer
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.modal_fit import identify_modes
-from stillwork.lti.modal import ModalModel
+from stillwork.lti.modal import ModalModel, mirrored
 from stillwork.lti.state_space import StateModel
 from stillwork.workbook import figures
 
@@ -118,8 +119,7 @@ def paint_identified(
     add_magnitude(axes[0], omega, rigid_response(plant, omega), label="rigid body", color=figures.GREY)
     axes[0].set_ylabel("magnitude (dB re 1 rad/A)")
     axes[0].legend(ncols=3, fontsize=7)
-    axes[1].set_ylabel("coherence")
-    axes[1].set_xlabel("frequency (Hz)")
+    axes[1].set(ylabel="coherence", xlabel="frequency (Hz)")
     return figure
 
 
@@ -128,15 +128,9 @@ def paint_drive(stiffness_error: float, damping: float, bandwidth_hz: float):
     plant = drive()
     model = replace(plant, stiffness=plant.stiffness * (1 + stiffness_error))
     omega = 2 * np.pi * np.geomspace(2, 60, 400)
-    cases = {
-        "no observer": None,
-        "MC": Application(compensate=True),
-        "AD": Application(damping=damping),
-        "MC and AD": Application(compensate=True, damping=damping),
-    }
     curves = {
         name: (omega, seen_by_controller(drive_loop(plant, model, each, bandwidth_hz), omega))
-        for name, each in cases.items()
+        for name, each in drive_applications(damping).items()
     }
     return paint_bode(curves, "magnitude (dB re 1 rad/A)", height=3.2)[0]
 
@@ -149,10 +143,10 @@ def _fitted_structure() -> ModalModel:
 
 def paint_structure(damping: float, noise_model: float):
     """Explorer: the mirrored sensor of the measured structure, bare and with MC and AD."""
-    machine = _fitted_structure()
+    machine = [mirrored(_fitted_structure())]
     application = Application(compensate=True, damping=damping, selectivity=2.0)
-    bare = structure_loops(machine, None, 5, published_noise(), None)[1]
-    used = structure_loops(machine, application, 5, published_noise(), noise_model)[1]
+    bare = observed_loops(machine, None, 5, published_noise(), None)[0]
+    used = observed_loops(machine, application, 5, published_noise(), noise_model)[0]
     controller = PidFamily(stage_mass())(45.0)
     omega = used.omega[(used.omega > 2 * np.pi * 100) & (used.omega < 2 * np.pi * 3000)]
     curves = {

@@ -13,10 +13,15 @@ from experiments.motion.designs import (
     stage_compensator,
     stage_loops,
 )
-from experiments.motion.drive import drive_loop, rigid_response, seen_by_controller, statements
+from experiments.motion.drive import (
+    drive_applications,
+    drive_loop,
+    rigid_response,
+    seen_by_controller,
+    statements,
+)
 from experiments.motion.machines import drive, parameters, published_setpoint, stage, stage_mass
 from experiments.motion.perturbed_tracking import CASES, MEASURED, noisy_scan_trial
-from stillwork.control.applications import Application
 from stillwork.control.bandwidth import SIX_DB, Bandwidth, Loop
 from stillwork.control.crossover import crossover
 from stillwork.control.feedforward import error_loop, fit_feedforward
@@ -204,14 +209,8 @@ def drive_figure(
     plant = drive()
     model = replace(plant, stiffness=plant.stiffness * (1 + stiffness_error))
     omega = 2 * np.pi * np.linspace(5, 30, 2000)
-    applications = {
-        "no observer": None,
-        "MC": Application(compensate=True),
-        "AD": Application(damping=drive_damping),
-        "MC and AD": Application(compensate=True, damping=drive_damping),
-    }
     levels = {}
-    for name, each in applications.items():
+    for name, each in drive_applications(drive_damping).items():
         loop = drive_loop(plant, model, each, 4.0, drive_weights)
         levels[name] = 20 * np.log10(np.abs(seen_by_controller(loop, omega) / rigid_response(plant, omega)))
     found = {f"motion.fig-3-36.{name}": float(holds) for name, holds in statements(levels).items()}

@@ -74,8 +74,7 @@ def paint_beam_layout(actuators: Sequence[float], sensors: Sequence[float]):
     for number, place in enumerate(actuators, 1):
         axis.annotate(str(number), (place, -2.3), xytext=(6, 0), textcoords="offset points", fontsize=8)
     axis.plot(sensors, np.full(len(sensors), 2.35), "v", color=figures.GREY, label="sensors")
-    axis.set_xlabel("place along the beam (1)")
-    axis.set_ylabel("mode shape (1)")
+    axis.set(xlabel="place along the beam (1)", ylabel="mode shape (1)")
     axis.legend(loc="upper center", bbox_to_anchor=(0.5, 1.22), ncols=len(published) + 2)
     return figure
 
@@ -101,9 +100,7 @@ def paint_slope_ranges(
                 at = np.full(len(value), row + offset)
                 axis.plot(value, at, "|", color=colour, markersize=6, label=label)
         figures.mark_published(axis, [published[name][number] for name in slopes], rows)
-        axis.set_title(title)
-        axis.set_xlabel("slope (decades per decade)")
-        axis.set_xlim(-2.3, 0.3)
+        axis.set(title=title, xlabel="slope (decades per decade)", xlim=(-2.3, 0.3))
     axes[0].set_yticks(rows, list(slopes))
     axes[0].invert_yaxis()
     lines = axes[0].lines
@@ -133,8 +130,6 @@ def paint_decoupling(scheme: str, increase: float, selectivity: float, second: f
         for entry, style, place in (("u2 to q1", "-", (0, 1)), ("u1 to q2", "--", (1, 0))):
             label = f"{name}, {entry}"
             axis.semilogx(omega / (2 * np.pi), response[place], style, color=colour, label=label)
-    axis.set_xlabel("frequency (Hz)")
-    axis.set_ylabel("magnitude (dB re 1 s²)")
-    axis.set_ylim(-220, -40)
+    axis.set(xlabel="frequency (Hz)", ylabel="magnitude (dB re 1 s²)", ylim=(-220, -40))
     axis.legend(fontsize=7, ncols=2)
     return figure

@@ -74,8 +74,7 @@ def paint_sampled(rate_khz: float, damping: float, compensate: str, timing: str)
         add_magnitude(axis, omega, each.frequency_response(omega)[0, 0], label=name, color=colour)
     # Two poles of the rigid body stay at z = 1; everything else must decay.
     grows = np.sort(np.abs(seen.poles))[-1] > 1 + 1e-4
-    axis.set_title("the damping loop is unstable" if grows else timing)
-    axis.set_xlabel("frequency (Hz)")
+    axis.set(title="the damping loop is unstable" if grows else timing, xlabel="frequency (Hz)")
     axis.set_ylabel("magnitude (dB re 1 m/N)")
     axis.legend()
     return figure

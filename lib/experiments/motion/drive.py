@@ -41,6 +41,16 @@ def drive_observer(drive: Drive, weights: str = "angles first") -> Observer:
     return Observer(model, states.a, states.b, states.c, solved.gain, solved.residual)
 
 
+def drive_applications(damping: float) -> dict[str, Application | None]:
+    """The four cases of Fig. 3.36, with this added damping ratio for AD."""
+    return {
+        "no observer": None,
+        "MC": Application(compensate=True),
+        "AD": Application(damping=damping),
+        "MC and AD": Application(compensate=True, damping=damping),
+    }
+
+
 def drive_loop(
     plant: Drive,
     model: Drive,

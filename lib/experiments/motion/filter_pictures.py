@@ -87,13 +87,8 @@ def paint_schedules(speed: str, start: float, spacing: float):
             scan, gains, PidFamily(stage_mass())(35.6), stage_mass(), noise, *APPLICATIONS["AD"]
         )
         error = ran.states[2] - ran.estimates[2]
-        axis.plot(
-            setpoint.time,
-            1e9 * error,
-            linewidth=0.9,
-            label=f"{name}: largest {1e9 * np.abs(error).max():.3g}",
-        )
-    axis.set_xlabel("time (s)")
-    axis.set_ylabel("error of mode 1 (nm√kg)")
+        style = {"linewidth": 0.9, "label": f"{name}: largest {1e9 * np.abs(error).max():.3g}"}
+        axis.plot(setpoint.time, 1e9 * error, **style)
+    axis.set(xlabel="time (s)", ylabel="error of mode 1 (nm√kg)")
     axis.legend()
     return figure

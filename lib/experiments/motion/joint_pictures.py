@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
+from matplotlib.lines import Line2D
 
 from experiments.motion.joint import JointDesign, compensated
 from experiments.motion.joint_designs import Stored
@@ -15,6 +16,13 @@ from stillwork.lti.modal import ModalModel
 from stillwork.workbook import figures
 
 SIZES = {0.0: figures.RED, 0.02: figures.BLUE, 0.05: figures.GREEN}  # of the errors that a design serves
+MARKS = {
+    "joint": "o",
+    "two steps": "^",
+    "observer free": "D",
+    "controller free": "s",
+    "largest bandwidth": "v",
+}  # of what a search was free to change
 TOP_DB = 20.0  # where larger peaks are cut
 
 
@@ -24,9 +32,9 @@ def paint_front(
     unstable: Mapping[str, float],
     published: Judged,
 ):
-    """Scan error over the noise in the control force, a line a size of errors; hollow where stages were unstable.
+    """Scan error over the noise in the control force; marks by what was free, hollow where stages were unstable.
 
-    `unstable` is the share of such stages, written beside the rivals' names and the designs that have any.
+    `unstable` is the share of such stages, written beside the designs that have any.
     """
     figure, axis = figures.new(1, 1, height=3.4)
     at = {name: (1e3 * found.force[0], 1e9 * found.error[0]) for name, found in nominal.items()}
@@ -35,24 +43,24 @@ def paint_front(
         points = np.array(sorted(at[name] for name in ours))
         axis.plot(*points.T, "-", color=colour, linewidth=1.0, label=f"joint, for errors of {size:.0%}")
     for name, stored in designs.items():
-        joint, colour = name.startswith("joint"), SIZES[stored.size]
+        free, colour = name.partition(",")[0], SIZES[stored.size]
         fill = "white" if unstable[name] else colour
-        axis.plot(
-            *at[name], "o" if joint else "s", color=colour, markerfacecolor=fill, markersize=5, label=name
-        )
-        notes = [] if joint else [name.partition(",")[0]]
-        notes += [f"{unstable[name]:.0%} unstable"] if unstable[name] else []
-        axis.annotate(", ".join(notes), at[name], (5, 3), textcoords="offset points", fontsize=6)
+        axis.plot(*at[name], MARKS[free], color=colour, markerfacecolor=fill, markersize=5, label=name)
+        if unstable[name]:
+            note = f"{unstable[name]:.0%} unstable"
+            axis.annotate(note, at[name], (5, 3), textcoords="offset points", fontsize=6)
     late = 1e3 * published.force[0], 1e9 * published.error[0]
     axis.plot(*late, "x", color=figures.BLACK, label="as published, late")
-    axis.annotate("as published, late", late, (5, 3), textcoords="offset points", fontsize=6)
     axis.set_xscale("log")
     axis.set_xticks([2, 5, 10, 20, 30], ["2", "5", "10", "20", "30"])
     axis.minorticks_off()
-    axis.set_xlabel("rms of the control force under noise (mN)")
-    axis.set_ylabel("rms error in the scan (nm)")
+    axis.set(xlabel="rms of the control force under noise (mN)", ylabel="rms error in the scan (nm)")
     axis.set_ylim(1.0, None)
-    axis.legend(handles=[line for line in axis.lines if line.get_linestyle() == "-"], loc="upper left")
+    legend = [line for line in axis.lines if line.get_linestyle() == "-"] + axis.lines[-1:]
+    legend += [
+        Line2D([], [], linestyle="", marker=MARKS[free], color=figures.GREY, label=free) for free in MARKS
+    ]
+    figure.legend(handles=legend, loc="outside lower center", ncols=3)
     return figure
 
 
@@ -69,8 +77,7 @@ def paint_peaks_over_plants(judged: Mapping[str, Mapping[str, Judged]]):
             )
         mark_limit(axis)
         axis.set_xticks(range(len(designs)), [name.replace(" ", "\n", 1) for name in designs], fontsize=6)
-        axis.set_ylim(0, TOP_DB + 4)
-        axis.set_title(title)
+        axis.set(ylim=(0, TOP_DB + 4), title=title)
     axes[0, 0].set_ylabel(f"largest peak (dB), cut at {TOP_DB:g}")
     return figure
 
@@ -93,9 +100,7 @@ def paint_joint(
     verdict = "unstable"
     if judged.stable[0]:
         verdict = f"largest peak {judged.peaks.max():.1f} dB, scan error {1e9 * judged.error[0]:.2f} nm"
-    axis.set_title(f"worst of the seven masses: {verdict}")
-    axis.set_xlabel("frequency (Hz)")
-    axis.set_ylabel("magnitude (dB)")
+    axis.set(title=f"worst of the seven masses: {verdict}", xlabel="frequency (Hz)", ylabel="magnitude (dB)")
     axis.set_ylim(-40, 20)
     axis.legend(loc="lower left", ncols=2)
     return figure

@@ -254,16 +254,8 @@ def judge(
 ) -> Judged:
     """Stability by eigenvalues, peaks looked for between grid points and at closed-loop poles, the scan's error.
 
-    Parameters
-    ----------
-    design : JointDesign
-    plants : sequence of ModalModel
-    delay : float
-        Of the whole control force, samples.
-    alone : int
-        One more of the controller's output by itself, samples.
-    told : float
-        What the observer knows of `delay`; by default all of it.
+    `delay` is that of the whole control force in samples, of which the observer is `told` all if nothing else is said;
+    `alone` one more of the controller's output by itself.
     """
     poles = closed_poles(design, plants, delay, alone, told)
     stable = np.all(np.abs(poles) < 1, axis=(1, 2))
@@ -284,21 +276,26 @@ def judge(
 def _highest(around: Callable, moved: Late, first: np.ndarray, poles: np.ndarray) -> np.ndarray:
     """The largest magnitude of each of the six functions over all masses; `first` is what the grid shows."""
     angles = np.abs(np.angle(poles[np.abs(poles) > 0.5])) / STEP
-    omega = np.union1d(_between(grid(), first, 3), angles[angles > 1.0])
-    for _ in range(3):
+    omega = _apart(np.union1d(_between(grid(), first, 3), angles[angles > 1.0]))
+    for _ in range(5):
         values = six(late_response(moved, omega), around(omega))
         omega = _between(omega, values, 9)
     return values.max(axis=(1, 2))
 
 
 def _between(omega: np.ndarray, values: np.ndarray, points: int) -> np.ndarray:
-    """Frequencies around all tops within a twentieth of the largest of their function."""
+    """All tops within a twentieth of the largest of their function, and frequencies around them."""
     padded = np.pad(values, ((0, 0), (0, 0), (1, 1)))
     high = values >= 0.95 * values.max(axis=(1, 2))[:, None, None]
     high &= (values >= padded[..., :-2]) & (values >= padded[..., 2:])
     tops = np.flatnonzero(high.any(axis=(0, 1)))
     ends = omega[np.maximum(tops - 1, 0)], omega[np.minimum(tops + 1, len(omega) - 1)]
-    return np.unique(np.linspace(*ends, points))
+    return _apart(np.union1d(np.linspace(*ends, points), omega[tops]))
+
+
+def _apart(omega: np.ndarray) -> np.ndarray:
+    """Sorted frequencies without those that all but repeat the one before: of two such, rounding chooses the top."""
+    return omega[np.diff(omega, prepend=0.0) > 1e-7 * omega]
 
 
 def six(plant: np.ndarray, around: Compensated) -> np.ndarray:
@@ -338,26 +335,11 @@ def search(
 ) -> Found:
     """Least mean square of the scan error over some stages, all six peaks of all masses below `limit`, from one start.
 
-    Every step linearises the logarithms of error, peaks and noise in the logarithms of the free numbers and solves a
-    linear program within a trusted region; it is taken when it lowers an exact penalty and leaves all loops stable.
-
-    Parameters
-    ----------
-    start : JointDesign
-        Stable; its peaks may exceed the limit.
-    free : str
-        One of `FREE`; the other numbers stay.
-    served : sequence of Served
-    limit : float
-        Of the six peaks, magnitude.
-    force : float
-        Largest rms of the control force under noise, N; without, none.
-    steps : int
-        Linear programs at most.
-    counted : int
-        How many of the stages, the first ones, count in the error; the others must keep the limits only.
-    aim : str
-        One of `AIMS`; ``bandwidth``: the latest crossing of the slowest loop, and of the error nothing.
+    Every step linearises the logarithms of error, peaks and noise in the logarithms of the `free` numbers and solves a
+    linear program within a trusted region; it is taken when it lowers an exact penalty and leaves all loops stable. The
+    start is stable, but its peaks may exceed the limit. `force` limits the rms of the control force under noise (N). The
+    first `counted` stages count in the error; the others must keep the limits only. The `aim` ``bandwidth`` seeks the
+    latest crossing of the slowest loop, and of the error nothing.
     """
     names = FREE[require_choice("free", free, FREE)]
     require_choice("aim", aim, AIMS)

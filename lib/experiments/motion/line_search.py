@@ -41,8 +41,6 @@ def regularised_line_search(
 
     :math:`G` is the minimum over (x, w) of the cost above; the optimum depends on the data, so there are no
     gains beforehand. It is the exact solution of the min-max problem (5.15) at every step.
-
-    Parameters and errors as for `regularised_gains` and `estimate`.
     """
     rows, m = bound_rows(model, bound)
     samples, outputs, states = model.c.shape

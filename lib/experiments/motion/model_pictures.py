@@ -26,11 +26,9 @@ def paint_nyquist(loops: Mapping[str, Loop], controller: Pid):
             open_loop.real[near], open_loop.imag[near], label=f"{label}: {'stable' if stable else 'unstable'}"
         )
     axis.plot([-1], [0], "+", color=figures.BLACK, markersize=12, label="-1")
-    axis.set_xlim(-6, 6)
-    axis.set_ylim(-6, 6)
+    axis.set(xlim=(-6, 6), ylim=(-6, 6))
     axis.set_aspect("equal")
-    axis.set_xlabel("real part")
-    axis.set_ylabel("imaginary part")
+    axis.set(xlabel="real part", ylabel="imaginary part")
     axis.legend()
     return figure
 
@@ -87,7 +85,6 @@ def paint_transition_error(frequency_hz: float, damping: float):
             size = np.array([[1, 1 / w], [w, 1]])  # the size of each entry, which itself passes zero
             error.append((np.abs(transition(w, damping, step, variant) - exact) / size).max())
         axis.loglog(1e3 * steps, error, label=variant)
-    axis.set_xlabel("sample time (ms)")
-    axis.set_ylabel("largest error, scaled entries")
+    axis.set(xlabel="sample time (ms)", ylabel="largest error, scaled entries")
     axis.legend()
     return figure

@@ -227,19 +227,11 @@ def paint_pole_zero(systems: Mapping[str, StateModel]):
         for kind, marker, values in (("poles", "x", system.poles), ("zeros", "o", system.zeros)):
             values = top * in_order(values / top)
             upper = values[(values.imag >= -1e-6) & (np.abs(values) < 3 * top)]
-            axes[0].plot(
-                upper.real,
-                upper.imag / (2 * np.pi),
-                marker,
-                color=colour,
-                markerfacecolor="none",
-                label=f"{label}, {kind}",
-            )
+            style = {"color": colour, "markerfacecolor": "none"}
+            axes[0].plot(upper.real, upper.imag / (2 * np.pi), marker, label=f"{label}, {kind}", **style)
         add_magnitude(axes[1], omega, system.frequency_response(omega)[0, 0], color=colour, label=label)
-    axes[0].set_xlabel("real part (1/s)")
-    axes[0].set_ylabel("imaginary part (Hz)")
+    axes[0].set(xlabel="real part (1/s)", ylabel="imaginary part (Hz)")
     axes[0].legend(fontsize=7)
-    axes[1].set_xlabel("frequency (Hz)")
-    axes[1].set_ylabel("magnitude (dB re 1 m/N)")
+    axes[1].set(xlabel="frequency (Hz)", ylabel="magnitude (dB re 1 m/N)")
     axes[1].legend(fontsize=7)
     return figure

@@ -128,8 +128,7 @@ def paint_rms_along(study: LocationStudy, cases: Sequence[str]):
     styles = case_styles(cases)
     for case in cases:
         axis.semilogy(study.places, 1e9 * study.rms(case), label=case, linewidth=1.2, **styles.get(case, {}))
-    axis.set_xlabel("place of the sensor (m)")
-    axis.set_ylabel("rms error in the scan (nm)")
+    axis.set(xlabel="place of the sensor (m)", ylabel="rms error in the scan (nm)")
     axis.legend(ncols=3, fontsize=7, loc="upper center")
     return figure
 
@@ -157,8 +156,7 @@ def paint_table_of_ranges(
         )
     axis.set_yscale("log")
     axis.set_xticks(np.arange(len(names)), [n.replace(", ", ",\n") for n in names], fontsize=7)
-    axis.set_ylabel("rms error in the scan (nm)")
-    axis.set_ylim(0.3, None)
+    axis.set(ylabel="rms error in the scan (nm)", ylim=(0.3, None))
     axis.legend(ncols=3, fontsize=7, loc="lower left")
     return figure
 
@@ -182,11 +180,9 @@ def paint_place(place: float, damping: float, compensate: str, noise_exponent: f
     add_magnitude(right, omega, response.input_sensitivity, label="input sensitivity")
     add_magnitude(right, omega, response.output_sensitivity, label="output sensitivity")
     mark_limit(right)
-    right.set_ylim(-20, 15)
-    right.set_title("stable" if np.all(loop.poles(controller).real < 0) else "unstable")
+    right.set(ylim=(-20, 15), title="stable" if np.all(loop.poles(controller).real < 0) else "unstable")
     for axis, unit in ((left, "dB re 1 N/m"), (right, "dB")):
-        axis.set_xlabel("frequency (Hz)")
-        axis.set_ylabel(f"magnitude ({unit})")
+        axis.set(xlabel="frequency (Hz)", ylabel=f"magnitude ({unit})")
         axis.xaxis.set_minor_locator(NullLocator())
         axis.legend(fontsize=7)
     # The automatic layout, small ticks and formulas would take longer than the drawing.

@@ -114,13 +114,8 @@ def paint_tracking_errors(errors: Mapping[str, np.ndarray], reference: np.ndarra
     for k, axis in enumerate(axes):
         largest = max(np.abs(error[k]).max() for error in errors.values()) * 1e6
         scale = largest / np.abs(reference[k]).max()
-        axis.plot(
-            time,
-            scale * reference[k, ::every],
-            color=figures.BLACK,
-            linewidth=0.8,
-            label="trajectory, scaled",
-        )
+        style = {"color": figures.BLACK, "linewidth": 0.8}
+        axis.plot(time, scale * reference[k, ::every], label="trajectory, scaled", **style)
         for order, (case, error) in enumerate(errors.items()):
             width = 1.9 - 0.45 * order  # lines that coincide stay visible
             axis.plot(time, 1e6 * error[k, ::every], color=COLOURS[case], linewidth=width, label=case)
@@ -145,8 +140,7 @@ def paint_error_spectra(spectra: Mapping[str, Spectrum]):
             )
     figures.label(axes, "frequency (Hz)")
     for k, axis in enumerate(axes):
-        axis.set_title(f"${MOTIONS[k]}$")
-        axis.set_ylabel(f"error ({'µm' if k == 0 else 'µrad'}/√Hz)")
+        axis.set(title=f"${MOTIONS[k]}$", ylabel=f"error ({'µm' if k == 0 else 'µrad'}/√Hz)")
     figures.legend_below(axes[0], 4)
     return figure
 
@@ -160,22 +154,15 @@ def paint_over_geometries(
         for place, (case, each) in enumerate(values.items()):
             found = each[np.isfinite(each[:, k]), k]
             rank = np.linspace(-0.22, 0.22, len(found))
-            axis.plot(
-                place + rank,
-                np.sort(found),
-                ".",
-                markersize=4,
-                color=COLOURS[case],
-                label=f"one geometry, {case}",
-            )
+            style = {"markersize": 4, "color": COLOURS[case]}
+            axis.plot(place + rank, np.sort(found), ".", label=f"one geometry, {case}", **style)
             if case in marks:
                 figures.mark_published(
                     axis, place, marks[case][k], "published" if not place else f"_published, {case}"
                 )
         axis.set_ylim(0, 1.08 * axis.dataLim.y1)
         axis.set_xticks(range(len(values)), [case.replace(" and ", "\nand ") for case in values])
-        axis.set_title(f"${MOTIONS[k]}$")
-        axis.set_xlabel("use of the observer")
+        axis.set(title=f"${MOTIONS[k]}$", xlabel="use of the observer")
     axes[0].set_ylabel(quantity)
     handles, labels = axes[0].get_legend_handles_labels()
     shown = {
@@ -206,8 +193,7 @@ def paint_rig(
     for name, (loop, *_) in loops.items():
         response = physical_plant(loop, geometry)[row, 0]
         add_magnitude(axis, omega, response, color=COLOURS[name], label=name)
-    axis.set_xlabel("frequency (Hz)")
-    axis.set_ylabel(f"$F_z$ to ${MOTIONS[row]}$ (dB re 1 {UNITS[row][0]})")
+    axis.set(xlabel="frequency (Hz)", ylabel=f"$F_z$ to ${MOTIONS[row]}$ (dB re 1 {UNITS[row][0]})")
     axis.legend()
     return figure
 
@@ -229,18 +215,14 @@ def paint_geometry(
     )
     axes[0].plot(*geometry.sensor_places.T, "x", color=figures.BLACK)
     axes[0].set_aspect("equal")
-    axes[0].set_xlabel("x (m)")
-    axes[0].set_ylabel("y (m)")
-    axes[0].set_title("circles: actuators, crosses: sensors")
+    axes[0].set(xlabel="x (m)", ylabel="y (m)", title="circles: actuators, crosses: sensors")
     number = np.arange(1, 9)
     for shift, shapes, colour, label in (
         (-0.15, np.abs(model.input_shapes[3:]).max(axis=1), figures.RED, "largest at an actuator"),
         (0.15, np.abs(model.output_shapes[:, 3:]).max(axis=0), figures.BLUE, "largest at a sensor"),
     ):
         axes[1].bar(number + shift, shapes * size, 0.3, color=colour, label=label)
-    axes[1].set_xlabel("flexible mode")
-    axes[1].set_ylabel(r"mode shape, rms over the plate = 1 (1)")
-    axes[1].set_ylim(0, 3)
+    axes[1].set(xlabel="flexible mode", ylabel=r"mode shape, rms over the plate = 1 (1)", ylim=(0, 3))
     axes[1].legend()
     return figure
 
@@ -277,8 +259,7 @@ def paint_identification(
     figure, axis = _plain(1)
     add_magnitude(axis, omega, response[:, 2, 0], color=figures.BLUE, label="response")
     add_magnitude(axis, omega, deviation[:, 2, 0], ls="--", color=figures.BLACK, label="least deviation")
-    axis.set_xlabel("frequency (Hz)")
-    axis.set_ylabel("actuator 1 to sensor 3 (dB re 1 m/N)")
+    axis.set(xlabel="frequency (Hz)", ylabel="actuator 1 to sensor 3 (dB re 1 m/N)")
     axis.legend()
     return figure
 

@@ -137,10 +137,7 @@ def levelling_error(
     rng: np.random.Generator,
     periods: int = 1,
 ) -> Float64[np.ndarray, "3 samples"]:
-    """True error over the last period (m, rad, rad), simulated with noise after `periods` periods of settling.
-
-    Parameters as for `levelling_rms`.
-    """
+    """True error over the last period (m, rad, rad), simulated with noise after `periods` periods of settling."""
     model = _to_error(loop, pids, geometry)
     _require_stable(model)
     count = round(trajectory.period / loop.step)

@@ -38,8 +38,7 @@ def paint_state_errors(scan: Scan, truth: np.ndarray, estimates: Mapping[str, np
         axis.yaxis.set_major_locator(FixedLocator([-1e9, -1e6, -1e3, 0.0, 1e3, 1e6, 1e9]))
         for edge in scan.setpoint.scan:
             axis.axvline(edge, color=figures.BLACK, linewidth=0.8)
-        axis.set_title(mode)
-        axis.set_ylabel(unit)
+        axis.set(title=mode, ylabel=unit)
     figures.label(axes, "time (s)")
     figures.legend_below(axes[1, 0], 4)
     return figure
@@ -68,8 +67,7 @@ def paint_statements(
     sizes.legend(fontsize=7)
     for k, (claim, share) in enumerate(shares.items()):  # thinner and thinner: lines at 1 lie on each other
         held.semilogx(weights, share, linewidth=5 - 1.3 * k, label=claim.replace("-", " "))
-    held.set_ylabel("share of the plants")
-    held.set_xlabel("weight $\\gamma$")
+    held.set(ylabel="share of the plants", xlabel="weight $\\gamma$")
     held.legend(fontsize=7)
     for axis in (sizes, held):
         axis.axvline(chosen, color=figures.BLACK, linewidth=0.8)
@@ -106,8 +104,7 @@ def paint_weight(weight_exponent: float, size_percent: float):
         error = records.states[0] - run_entrant(name, contest, knob, records)[0]
         for axis, state in zip(axes, (2, 4), strict=True):
             axis.plot(scan.setpoint.time[window], 1e9 * error[state, window], label=name, color=COLOURS[name])
-            axis.set_title(STATES[state][0])
-            axis.set_xlabel("time (s)")
+            axis.set(title=STATES[state][0], xlabel="time (s)")
     axes[0].set_ylabel("estimation error (nm √kg)")
     axes[0].legend()
     return figure

@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from experiments.motion.pictures import decibel, paint_bode, paint_over_masses
+from stillwork import designing
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
 from stillwork.control.machine_loops import Intensities, Reached, observer_settings, observing_compensator
@@ -16,7 +17,7 @@ from stillwork.workbook import figures
 def paint_machine(machine: Machine):
     """Accelerance of the model at every sensor; with a measurement also that, and the error of the fit."""
     if machine.measured is None:
-        return _paint_model(machine)
+        return designing.paint_machine(machine)
     figure, (upper, lower) = figures.new(2, 1, height=4.6, sharex=True)
     omega = machine.fit.omega
     inside = (machine.measured.omega >= 0.3 * omega[0]) & (machine.measured.omega <= 1.2 * omega[-1])
@@ -33,24 +34,7 @@ def paint_machine(machine: Machine):
     upper.legend()
     kept = envelope(omega, machine.fit.error)
     lower.loglog(omega[kept] / (2 * np.pi), 100 * machine.fit.error[kept], linewidth=0.7, color=figures.BLACK)
-    lower.set_ylabel("error of the fit (%)")
-    lower.set_xlabel("frequency (Hz)")
-    return figure
-
-
-def _paint_model(machine: Machine):
-    figure, axis = figures.new(1, 1, height=3.0)
-    resonances = machine.resonances_hz
-    hertz = np.geomspace(resonances[0] / 10, 2 * resonances[-1], 6000)
-    hertz = np.unique(np.concatenate([hertz, resonances]))
-    omega = 2 * np.pi * hertz
-    for number, sensor in enumerate(machine.sensors, 1):
-        response = -(omega**2) * sensor.frequency_response(omega)[0, 0]
-        kept = envelope(hertz, np.abs(response))
-        axis.semilogx(hertz[kept], decibel(response[kept]), linewidth=0.9, label=f"sensor {number}")
-    axis.set_xlabel("frequency (Hz)")
-    axis.set_ylabel("accelerance (dB re 1/kg)")
-    axis.legend()
+    lower.set(ylabel="error of the fit (%)", xlabel="frequency (Hz)")
     return figure
 
 
@@ -78,9 +62,7 @@ def paint_reached(found: Mapping[str, Reached]):
             face = {} if number == 0 else {"markerfacecolor": "none"}
             axis.plot(*np.transpose(points), marker, label=label, **face)
     axis.set_xticks(range(len(found)), list(found))
-    axis.set_xlim(-0.5, len(found) - 0.4)
-    axis.set_ylim(0, None)
-    axis.set_ylabel("first crossing (Hz)")
+    axis.set(xlim=(-0.5, len(found) - 0.4), ylim=(0, None), ylabel="first crossing (Hz)")
     axis.legend()
     return figure
 
@@ -112,18 +94,7 @@ def paint_sensitivities(found: Mapping[str, Reached], machine: Machine):
 def machine_explorer(
     machine: Machine, intensities: Intensities, retained: int, selectivity: float
 ) -> Callable:
-    """Drawing function of the explorer: what the controller sees at the last sensor, bare and with MC and AD.
-
-    Parameters
-    ----------
-    machine : Machine
-    intensities : Intensities
-        The starting point; the explorer moves the drift.
-    retained : int
-        Modes in the observer.
-    selectivity : float
-        Q of the band-pass of AD.
-    """
+    """Drawing function of the explorer: what the controller sees at the last sensor, bare and with MC and AD."""
     last = machine.sensors[-1]
     low, high = machine.resonances_hz[0] * 0.05, machine.resonances_hz[-1] * 1.2
     shown = resonance_grid(last.poles, low, high, 200, 16)  # coarse enough to redraw quickly

@@ -46,15 +46,8 @@ def paint_ratios(names: list[str], errors: np.ndarray):
             ends = np.exp([mean_interval(each) for each in runs]).T
             mean = np.exp(runs.mean(axis=1))
             rows = np.arange(len(names)) + 0.2 * (place - 1.5)
-            axes.errorbar(
-                mean,
-                rows,
-                xerr=np.abs(ends - mean),
-                fmt="o",
-                markersize=3,
-                color=colour,
-                label=METHODS[method],
-            )
+            style = {"xerr": np.abs(ends - mean), "fmt": "o", "markersize": 3, "color": colour}
+            axes.errorbar(mean, rows, label=METHODS[method], **style)
         axes.axvline(1, color=figures.BLACK, linestyle="--", linewidth=1)
         axes.set(xscale="log", xlim=(0.2, 8), title=title)
         axes.set_xticks([0.25, 0.5, 1, 2, 4], ["1/4", "1/2", "1", "2", "4"])

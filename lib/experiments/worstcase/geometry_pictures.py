@@ -31,13 +31,8 @@ def paint_one_unknown(matrix: np.ndarray, target: np.ndarray, bounds: list[float
         found = solve_silently(matrix, target, bound)
         values = costs(matrix, target, bound, x[:, None])
         (line,) = axes.plot(x, values, label=f"η = {bound:.3g}, {found.case}")
-        axes.plot(
-            found.estimate,
-            found.worst_case_residual,
-            "o",
-            color=line.get_color(),
-            label=f"minimum, η = {bound:.3g}",
-        )
+        style = {"color": line.get_color(), "label": f"minimum, η = {bound:.3g}"}
+        axes.plot(found.estimate, found.worst_case_residual, "o", **style)
     axes.set(xlabel="x", ylabel="worst-case residual (unit of b)")
     axes.legend(ncols=2)
     return figure
@@ -60,9 +55,8 @@ def paint_two_unknowns(matrix: np.ndarray, target: np.ndarray, bound: float):
     axes.plot(*start.estimate, "s", color=figures.BLACK, label="least squares, η = 0")
     axes.plot(*found.estimate, "o", color=figures.RED, label=f"min-max, η = {bound:.3g} ({found.case})")
     axes.plot(0, 0, "x", color=figures.BLACK, label="zero, η ≥ τ")
-    axes.set(
-        xlabel="x₁", ylabel="x₂", title=f"contours of the worst-case residual, τ = {start.threshold:.3g}"
-    )
+    axes.set(xlabel="x₁", ylabel="x₂")
+    axes.set(title=f"contours of the worst-case residual, τ = {start.threshold:.3g}")
     axes.set_aspect("equal")
     axes.legend(loc="center left", bbox_to_anchor=(1.02, 0.5))
     return figure
@@ -82,14 +76,8 @@ def paint_bounds(matrix: np.ndarray, target: np.ndarray, consistent: np.ndarray)
         axes.text(alpha[0], function.threshold, " τ: zero from here on", va="bottom", fontsize=8)
         if function.excess == 0:
             axes.axhline(function.free_bound, color=figures.GREEN, linestyle="--", linewidth=0.9)
-            axes.text(
-                alpha[-1],
-                function.free_bound,
-                "least squares up to here ",
-                va="bottom",
-                ha="right",
-                fontsize=8,
-            )
+            style = {"va": "bottom", "ha": "right", "fontsize": 8}
+            axes.text(alpha[-1], function.free_bound, "least squares up to here ", **style)
         axes.set(xlabel="α", ylabel="bound η (unit of A)", title=title, ylim=(0, 1.15 * function.threshold))
         axes.legend(loc="lower right")
     return figure

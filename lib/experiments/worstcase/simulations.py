@@ -5,15 +5,17 @@ noise and the length of Fig. 2; what is assumed is a parameter here and named in
 """
 
 import numpy as np
-from scipy import signal
+from scipy import signal, special
 
-from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.base.checks import InputError, require_array, require_choice, require_number
 from stillwork.estimation.min_max import min_max_solve
 from stillwork.estimation.recursive import run_silently, worst_case_residuals
 from stillwork.estimation.recursive_settings import GrowingMinMax, LeastSquares, MinMax, Ridge
 from stillwork.identification.regressors import fir_regressors
 
 FIG_2_PARAMETERS = (-0.0134, -0.0316, 0.0265, -0.0114, 0.0132)
+NOISE_LAWS = ("uniform", "cut Gaussian")
+ROW_ERRORS = ("ball", "sphere", "one direction")
 
 
 def fir_trial(
@@ -23,17 +25,23 @@ def fir_trial(
     samples: int,
     input_noise: float,
     output_noise: float,
+    law: str = "uniform",
+    update: str = "exact",
 ) -> dict[str, np.ndarray]:
-    """One realisation of Fig. 1: square wave into an FIR filter, input and output measured with uniform noise.
+    """One realisation of Fig. 1: square wave into an FIR filter, input and output measured with bounded noise.
+
+    The `law` of both noises is one of `NOISE_LAWS`, `update` that of `GrowingMinMax`.
 
     ``min_max``, ``total``, ``least`` (unknowns x samples): estimates from all rows up to t, NaN before
     there are more rows than unknowns. ``min_max_worst``, ``total_worst``, ``least_worst``: worst-case
     residuals |A x - b| + eta |x|. ``total_target``: norm of the correction of b. ``total_matrix``: norm
     of the correction of A. ``perturbation``: norm of the true perturbation. ``bound``: eta_t.
     """
-    regressors, outputs, errors = _fir_record(rng, parameters, period, samples, input_noise, output_noise)
+    regressors, outputs, errors = _fir_record(
+        rng, parameters, period, samples, input_noise, output_noise, law
+    )
     taps = len(regressors)
-    estimator = GrowingMinMax(np.sqrt(taps) * input_noise)
+    estimator = GrowingMinMax(np.sqrt(taps) * input_noise, update)
     bounds = estimator.bounds(0, samples)
     estimates = {"min_max": run_silently(estimator, regressors, outputs).estimates}
     estimates["least"], estimates["total"], correction = _growing_windows(regressors, outputs)
@@ -50,19 +58,27 @@ def fir_trial(
     return found
 
 
-def _fir_record(rng, parameters, period, samples, input_noise, output_noise):
+def _fir_record(rng, parameters, period, samples, input_noise, output_noise, law="uniform"):
     """Measured regressors, outputs, and the errors of the regressors."""
     parameters = require_array("parameters", parameters, ndim=1)
     taps = len(parameters)
     if samples <= 2 * taps:
         raise InputError(f"samples is {samples}; give more than {2 * taps}, twice the number of taps")
     clean = signal.square(2 * np.pi * (np.arange(samples + taps - 1) + 0.5) / period)
-    error = rng.uniform(-input_noise, input_noise, clean.shape)
+    error = sample_bounded(rng, law, input_noise, len(clean))
     full = slice(taps - 1, None)  # every row holds measured samples only
     outputs = parameters @ fir_regressors(clean, taps)[:, full]
-    outputs += rng.uniform(-output_noise, output_noise, samples)
+    outputs += sample_bounded(rng, law, output_noise, samples)
     errors = fir_regressors(error, taps)[:, full]
     return fir_regressors(clean, taps)[:, full] + errors, outputs, errors
+
+
+def sample_bounded(rng: np.random.Generator, law: str, bound: float, count: int) -> np.ndarray:
+    """Independent noise within +-`bound`, by one of `NOISE_LAWS`; the Gaussian is cut at two standard deviations."""
+    if require_choice("law", law, NOISE_LAWS) == "uniform":
+        return rng.uniform(-bound, bound, count)
+    tail = special.ndtr(-2.0)
+    return bound / 2 * special.ndtri(rng.uniform(tail, 1 - tail, count))
 
 
 def gain_trial(
@@ -169,21 +185,36 @@ def tracking_trial(
     row_error: float,
     noise: float,
     penalty: float,
+    update: str = "exact",
+    amplitude: float = 1.0,
+    delay_line: bool = False,
+    error_law: str = "ball",
 ) -> dict[str, np.ndarray]:
     """One trial of Fig. 2: white regressors that are off by a bounded error, outputs with Gaussian noise.
 
-    `truth` is from `path`; RLS and ridge, with its constant `penalty`, forget like min-max; the error of each
-    regressor is drawn uniformly from the ball of radius `row_error`. ``min_max``, ``rls``, ``ridge``, ``zero``: error
-    norms |x_t - estimate|, shape (samples,); ``norm``: |A|_2 of the unweighted regressors, ``weighted_norm`` of the weighted ones at the end; ``vanished``: share of the
-    time with a zero estimate.
+    `truth` is from `path`; RLS and ridge, with its constant `penalty`, forget like min-max. The regressors have the
+    standard deviation `amplitude`, each row anew or, in a `delay_line`, one sample a row. Their errors are drawn
+    uniformly from the ``ball`` of radius `row_error` or its ``sphere``, or have all ``one direction`` and that length.
+    ``min_max``, ``rls``, ``ridge``, ``zero``: error norms |x_t - estimate|, shape (samples,); ``norm``: |A|_2 of the
+    unweighted regressors, ``weighted_norm`` of the weighted ones at the end; ``vanished``: share of the time with a
+    zero estimate.
     """
+    require_choice("error_law", error_law, ROW_ERRORS)
     unknowns, samples = truth.shape
-    regressors = rng.standard_normal((unknowns, samples))
+    if delay_line:
+        regressors = fir_regressors(rng.standard_normal(samples + unknowns - 1), unknowns)[:, unknowns - 1 :]
+    else:
+        regressors = rng.standard_normal((unknowns, samples))
+    regressors *= amplitude
     directions = rng.standard_normal((unknowns, samples))
     radius = row_error * rng.random(samples) ** (1 / unknowns)
+    if error_law != "ball":
+        radius[:] = row_error
+    if error_law == "one direction":
+        directions[:] = directions[:, :1]
     errors = directions * (radius / np.linalg.norm(directions, axis=0))
     outputs = np.sum((regressors + errors) * truth, axis=0) + noise * rng.standard_normal(samples)
-    min_max = run_silently(MinMax(bound, forgetting), regressors, outputs)
+    min_max = run_silently(MinMax(bound, forgetting, update), regressors, outputs)
     tracks = {
         "min_max": min_max.estimates,
         "rls": run_silently(LeastSquares(forgetting), regressors, outputs).estimates,
@@ -198,10 +229,15 @@ def tracking_trial(
     return found
 
 
-def settled(errors: np.ndarray, forgetting: float) -> np.ndarray:
-    """Root mean square of error norms (..., samples) after three memory lengths 1 / (1 - forgetting)."""
-    forgetting = require_number("forgetting", forgetting, above=0.0, below=1.0)
-    start = int(np.ceil(3 / (1 - forgetting)))
+def settled(errors: np.ndarray, forgetting: float, memories: float = 3.0) -> np.ndarray:
+    """Root mean square of error norms (..., samples) after so many memory lengths 1 / (1 - forgetting)."""
+    start = settled_from(forgetting, memories)
     if start >= np.shape(errors)[-1]:
         raise InputError(f"errors has {np.shape(errors)[-1]} samples; give more than {start}")
     return np.sqrt(np.mean(np.square(errors[..., start:]), axis=-1))
+
+
+def settled_from(forgetting: float, memories: float = 3.0) -> int:
+    """The sample after so many memory lengths."""
+    forgetting = require_number("forgetting", forgetting, above=0.0, below=1.0)
+    return int(np.ceil(memories / (1 - forgetting)))

@@ -23,14 +23,8 @@ def paint_exactness(found: dict[str, np.ndarray]):
     figure, axes = figures.new(height=2.8)
     time = np.arange(len(found["size"]))
     axes.plot(time, found["size"], color=figures.BLACK, linewidth=0.9, label="batch solution at every sample")
-    axes.plot(
-        time[::8],
-        found["size_exact"][::8],
-        "o",
-        markersize=3,
-        color=COLOURS["exact"],
-        label="exact recursion",
-    )
+    style = {"markersize": 3, "color": COLOURS["exact"]}
+    axes.plot(time[::8], found["size_exact"][::8], "o", label="exact recursion", **style)
     axes.plot(
         time[4::8], found["size_fast"][4::8], "x", markersize=4, color=COLOURS["fast"], label="fast recursion"
     )

@@ -71,27 +71,11 @@ def open_pair(
 ) -> tuple[Pair, Spectra]:
     """Read a record of two channels, band-pass both alike, and find the noise of the sensors.
 
-    Parameters
-    ----------
-    file : str or Path
-        CSV, MAT, NPZ or UFF, see `stillwork.signals.records.load_record`.
-    channels, units : tuple of str
-        Of input and output; empty channels: the file's only two, in order.
-    sample_rate : float, optional
-        Hz; needed when the file has neither a time nor a rate.
-    band_hz : tuple of float
-        Pass band; (0, 0): everything but the mean.
-    quiet_hz : tuple of float
-        Band in which the machine rests, so that what is seen is sensor noise, taken as white over the pass
-        band; (0, 0): the quietest tenth of the pass band, an upper bound on a white floor.
-    noise : tuple of float
-        Standard deviations of the noise of input and output in the pass band, in the file's units, from a
-        data sheet or a measurement at rest; 0: from `quiet_hz`.
-
-    Raises
-    ------
-    InputError
-        For everything that makes the record unusable; it says what to do.
+    Empty `channels` take the file's only two, in order: input and output, as `units` and `noise` have them; `sample_rate`
+    is for files without a time or a rate. Without a `band_hz` everything passes but the mean. In `quiet_hz` the machine
+    rests, so that what is seen is sensor noise, taken as white over the pass band; by default the quietest tenth of it,
+    an upper bound on a white floor. `noise` are standard deviations in the pass band from a data sheet or a measurement
+    at rest, in the file's units; 0: from `quiet_hz`.
     """
     factors, si = zip(*(unit_factor(unit) for unit in units), strict=True)
     named = [name for name in channels if name]

@@ -14,6 +14,8 @@ from stillwork.lti.state_space import StateModel, constant, interconnect
 
 # Above this condition of mode shapes at actuators or sensors, a decoupling loses half of the digits.
 WORST_CONDITION = 1e8
+# What such an inverse times its shapes may differ from the unit matrix: rounding times that condition, with room.
+ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
@@ -30,8 +32,8 @@ class Decoupling:
     def apply(self, model: ModalModel) -> ModalModel:
         r"""The modal model from u to q; its shapes of the flexible modes are Theta and Psi of (4.13).
 
-        On the rigid-body modes they are unit matrices by construction and written as such: their rounding
-        would grow as 1/s^2.
+        On the rigid-body modes they are unit matrices where actuators and sensors stand as designed for, and
+        written as such: their rounding would grow as 1/s^2. Elsewhere they are what is left of the decoupling.
         """
         outputs, inputs = model.feedthrough.shape
         if (outputs, inputs) != (self.sensing.shape[1], len(self.actuation)):
@@ -41,7 +43,9 @@ class Decoupling:
             )
         rigid = model.rigid_modes
         input_shapes, output_shapes = model.input_shapes @ self.actuation, self.sensing @ model.output_shapes
-        input_shapes[:rigid], output_shapes[:, :rigid] = np.eye(rigid), np.eye(rigid)
+        for block in (input_shapes[:rigid], output_shapes[:, :rigid]):
+            if np.abs(block - np.eye(rigid)).max() < ROUNDING:
+                block[...] = np.eye(rigid)
         feedthrough = self.sensing @ model.feedthrough @ self.actuation
         return replace(model, input_shapes=input_shapes, output_shapes=output_shapes, feedthrough=feedthrough)
 

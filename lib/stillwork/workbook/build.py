@@ -5,6 +5,7 @@ import shutil
 import uuid
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from itertools import zip_longest
 
 from stillwork.base.kernel_folder import cache_folder
 from stillwork.workbook.execution import Failure, Job, Outcome, execute, sweep
@@ -81,7 +82,7 @@ def _build(stale: list[tuple[Task, list[str]]], submit: Callable, halt: Callable
     failures: list[tuple[Task, Failure]] = []
     running = {}
     with interrupts() as caught, Progress(sum(task.cells for task, _ in stale)) as progress:
-        for task, reasons in stale:
+        for task, reasons in in_turn(stale):
             progress.say(f"build {task.label}: {_short(reasons)}")
             job = Job(build, task.notebook.name, task.notebook.source, task.settings)
             running[submit(job, task, progress)] = task
@@ -102,6 +103,17 @@ def _build(stale: list[tuple[Task, list[str]]], submit: Callable, halt: Callable
             wait(started)
             failures += [(task, Failure("", "interrupted")) for task in running.values()]
     return failures, caught
+
+
+def in_turn(stale: list[tuple[Task, list[str]]]) -> list[tuple[Task, list[str]]]:
+    """One notebook of each room in turn.
+
+    Neighbours in a room call the same machine code: where one compiles it, the other would wait with its core.
+    """
+    rooms: dict[str, list[tuple[Task, list[str]]]] = {}
+    for each in stale:
+        rooms.setdefault(each[0].notebook.room, []).append(each)
+    return [each for turn in zip_longest(*rooms.values()) for each in turn if each is not None]
 
 
 def _outcome(future: Future) -> Outcome:

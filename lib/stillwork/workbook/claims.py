@@ -5,6 +5,7 @@ A room's published numbers stand in ``data/<room>/published.toml``; what a noteb
 """
 
 import json
+import math
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -262,6 +263,9 @@ class Claim:
         if entry.is_residual and not entry.published and self.verdict in AGREEMENT:
             if bound := entry.tolerance.absolute:  # 0 where a count is judged
                 return f"< {bound:g}"
+        if self.ours and entry.drift.absolute:  # no digit that another processor may turn
+            size, room = (math.log10(abs(each)) for each in (self.ours, entry.drift.absolute))
+            digits = min(digits, max(1, 1 + math.floor(size) - math.ceil(room)))
         text = f"{self.ours:.{digits}g}"
         while entry.is_fraction and float(text) == 1 != self.ours and digits < 8:  # nearly all is not all
             digits += 1

@@ -33,6 +33,7 @@ SLOW = (
     "matplotlib.figure",
     "numba",
     "control",
+    "jaxtyping",
     "pandas",
     "ipywidgets",
     "ipykernel.kernelapp",

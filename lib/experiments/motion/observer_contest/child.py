@@ -7,13 +7,23 @@ out of the result; they are no prison for hostile code.
 import os
 import sys
 import types
+import warnings
 from contextlib import suppress
 from multiprocessing.connection import Connection
 
 MOST_BYTES = 4 << 30  # of address space, of which the numerical libraries take the first gigabyte
 MOST_WRITTEN = 64 << 20  # of any file: a compiler's cache
 # What a process asks for that wants more than its measurements.
-FORBIDDEN = ("subprocess.", "socket.", "os.system", "os.exec", "os.fork", "os.spawn", "os.posix_spawn")
+FORBIDDEN = (
+    "subprocess.",
+    "socket.",
+    "os.system",
+    "os.exec",
+    "os.fork",
+    "os.spawn",
+    "os.posix_spawn",
+    "os.kill",
+)
 
 
 class _Loud:
@@ -46,7 +56,7 @@ def _limit() -> None:
 
 def _watch(offences: list[str], allowed: tuple[str, ...]) -> None:
     def hook(event: str, arguments: tuple) -> None:
-        if event == "open" and isinstance(arguments[0], str | bytes):
+        if event in ("open", "os.listdir", "os.scandir") and isinstance(arguments[0], str | bytes):
             path = os.path.abspath(os.fsdecode(arguments[0]))
             if not path.startswith(allowed):
                 offences.append(f"reads files ({path})")
@@ -80,7 +90,10 @@ def _serve(file: str, requests: Connection, answers: Connection, offences: list[
         else:
             answer = b""
             for number, given, measured in zip(*message, strict=True):
-                estimate = np.asarray(observers[number].step(given, measured), dtype=float)
+                estimate = np.asarray(observers[number].step(given, measured))
+                if estimate.dtype.kind not in "fiu":
+                    raise ValueError(f"an estimate of {estimate.dtype}, not of real numbers")
+                estimate = estimate.astype(float)
                 if estimate.shape != (states,):
                     raise ValueError(f"an estimate of shape {estimate.shape}, not ({states},)")
                 answer += estimate.tobytes()
@@ -94,6 +107,7 @@ def main() -> int:
     file, folder, toolbox, *numbers = sys.argv[1:]
     requests, answers = (Connection(int(number)) for number in numbers)
     offences: list[str] = []
+    warnings.simplefilter("ignore")  # an overflow on the way is no print
     import numpy  # noqa: F401 - its libraries are no offence
 
     sys.stdout = sys.stderr = _Loud(offences)

@@ -164,7 +164,7 @@ FIXED = {
     "sensitivity penalised, unlike errors": Rival(
         non_uniform,
         (Knob("gamma over R", 1e-6, 1e8, 1.0), Knob("weight of frequencies", 0.1, 100.0, 1.0)),
-        "Ishihara, Terra and Cerri 2015",
+        "Zhou 2010, with a weight of its own on the frequencies",
     ),
     "H-infinity": Rival(
         hinfinity, (Knob("level over the smallest", 1.01, 1e3, 1.2),), "Hassibi, Sayed and Kailath 1999"

@@ -1,4 +1,7 @@
-"""The contest over all plants, doubts and seeds: its table, its ranking with intervals, and the command."""
+"""The contest over all plants, doubts and seeds: its table, and its ranking with intervals.
+
+``python -m experiments.motion.observer_contest.table`` writes the committed table's ranking into ``docs/contest.md``.
+"""
 
 import csv
 from collections import defaultdict
@@ -7,17 +10,22 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike
 from scipy import stats
 
 from experiments.motion.observer_contest.doubts import DOUBTS
+from experiments.motion.observer_contest.entrants import ENTRANTS
 from experiments.motion.observer_contest.plants import PLANTS
 from experiments.motion.observer_contest.scores import SCORES, Scored, contest_trial
 from experiments.motion.observer_contest.tuning import WORST, settings_for
+from stillwork.base import paths
 from stillwork.base.checks import InputError, require_count
 
 COLUMNS = ("entrant", "plant", "doubt", "score", "median", "low", "high", "microseconds")
 RESAMPLES = 1000
+FILE, GUIDE = paths.data("motion", "contest.csv"), paths.root() / "docs" / "contest.md"
+BEGIN, END = "<!-- leaderboard:begin -->", "<!-- leaderboard:end -->"  # in the guide
 
 
 @dataclass(frozen=True)
@@ -181,3 +189,33 @@ def leaderboard(contest: ContestResult) -> str:
         )
     lines += [f" -  {name:38} disqualified: {reason}" for name, reason in contest.disqualified.items()]
     return "\n".join(lines)
+
+
+def standings(file: str | Path) -> str:
+    """The ranking that a written table holds, as Markdown; a page of the site shows the committed one's."""
+    table = pd.read_csv(file)
+    away = table[table["score"] == "tracking"].groupby("entrant")["median"].agg(lambda x: np.isinf(x).mean())
+    scores = {name: of.set_index("entrant") for name, of in table[table["plant"] == "all"].groupby("score")}
+    lines = [
+        "| rank | observer | error | less Kalman | ran away | µs a sample | after |",
+        "|---:|---|---:|---:|---:|---:|---|",
+    ]
+    for name, each in scores["mean error"].sort_values("median", kind="stable").iterrows():
+        rank, behind = (scores[score].loc[name] for score in ("rank", "less Kalman"))
+        lines.append(
+            f"| {rank['low']:.0f} to {rank['high']:.0f} | {name} | {each['low']:.2f} to {each['high']:.2f} | "
+            f"{behind['low']:+.2f} to {behind['high']:+.2f} | {100 * away[name]:.0f} % | "
+            f"{each['microseconds']:.2g} | {ENTRANTS[name].source} |"
+        )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Write the committed table's ranking into its guide."""
+    before, _, rest = GUIDE.read_text(encoding="utf-8").partition(BEGIN)
+    after = rest.partition(END)[2]
+    GUIDE.write_text(f"{before}{BEGIN}\n{standings(FILE)}\n{END}{after}", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

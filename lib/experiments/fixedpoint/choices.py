@@ -1,0 +1,292 @@
+"""The fixed-point paper's statements at any reading of what it leaves open (``readings.toml``)."""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy import special
+
+from experiments.fixedpoint import statements as said
+from experiments.fixedpoint.convergence_study import remaining_motion
+from experiments.fixedpoint.differentiation import difference_quotient, quotient_trial, rejects_gaussian
+from experiments.fixedpoint.metrics import judge, noisy_run
+from experiments.fixedpoint.noise import LOGISTIC_DEVIATION, Noise
+from experiments.fixedpoint.oscillator import load_oscillator
+from experiments.fixedpoint.published import KALMAN, LITERAL, LOW_PASS, WINDOW, published_controllers
+from stillwork.control.fixed_point import ControlledRun, Controller, simulate
+from stillwork.control.trajectory import Trajectory, asin_trajectory, trapezoid_trajectory
+from stillwork.control.transformation import FlowTransformation
+from stillwork.estimation.coordinate_filters import MovingWindow, UnscentedKalman
+from stillwork.workbook.studies import mean_interval, run_study
+
+Values = dict[str, float | tuple[float, tuple[float, float]]]
+
+TIME_STEP = 1e-3  # s, section III
+PRINTED_NOISE = {"small": 1e-5, "large": 1e-4}  # m, sections III.B and III.C
+SHAPES = {"asin 0.9": 0.9, "asin 0.98": 0.98, "asin 0.999": 0.999}
+ROUNDINGS = {"trapezoid 1/2": 0.5, "trapezoid 1/5": 0.2}
+
+
+def trajectory(shape: str, frequency_hz: float, amplitude: float) -> Trajectory:
+    """A nominal motion of 12 s with corners; `amplitude` in m."""
+    timing = {"frequency_hz": frequency_hz, "time_step": TIME_STEP}
+    if shape in SHAPES:
+        return asin_trajectory(amplitude, SHAPES[shape], **timing)
+    return trapezoid_trajectory(amplitude, ROUNDINGS[shape], **timing)
+
+
+class MeasuredKalman(UnscentedKalman):
+    """The Kalman filter in a loop that takes the error from the measured position, as with the other two."""
+
+    error_from_measurement = True
+
+
+def controllers(kalman_error: str, kalman_model: str, window_samples: int) -> dict[str, Controller]:
+    """The paper's filters, the Kalman filter in both forms, by what they are told."""
+    approximate = load_oscillator()["approximate"]
+    believed = approximate if kalman_model == "(11)" else replace(approximate, damping=0.0, drag=0.0)
+    form = UnscentedKalman if kalman_error == "estimate" else MeasuredKalman
+    found = published_controllers(approximate.plant)
+    found[WINDOW] = replace(found[WINDOW], signal_filter=MovingWindow(window_samples - 1))
+    for name in (KALMAN, LITERAL):
+        kalman = form(believed.plant, literal=name == LITERAL)
+        found[name] = replace(found[name], signal_filter=kalman)
+    return found
+
+
+def noise_of(kind: str, size: str, amplitude: str) -> Noise:
+    """Noise of a printed amplitude, which means its standard deviation, the law's scale or three deviations."""
+    factor = {"deviation": 1.0, "scale": LOGISTIC_DEVIATION, "three deviations": 1 / 3}[amplitude]
+    if kind == "gaussian" and amplitude == "scale":
+        factor = 1.0  # of a Gaussian the deviation is the scale
+    return Noise(kind, factor * PRINTED_NOISE[size])
+
+
+# --- Sections III.B, III.C and IV: rankings ---------------------------------------------------------------------
+
+RECORDS = 2  # of noise, of a call; the notebooks take 40
+
+
+def rankings(
+    *,
+    trajectory_shape: str,
+    trajectory_frequency: float,
+    trajectory_amplitude: float,
+    judged_from: float,
+    noise_amplitude: str,
+    integration: str,
+    force_at: str,
+    kalman_error: str,
+    kalman_model: str,
+    window_samples: int,
+    hectic_by: str,
+    error_measure: str,
+    seed: int,
+    lean: bool,
+) -> Values:
+    """Rankings in four noises, as fractions of the records; the lean form takes 2 records instead of 40."""
+    exact = load_oscillator()["exact"].plant
+    nominal = trajectory(trajectory_shape, trajectory_frequency, trajectory_amplitude)
+    who = controllers(kalman_error, kalman_model, window_samples)
+    options = {"integration": integration, "force_from_estimate": force_at == "filtered"}
+
+    def ranked_trial(rng, controller, noise) -> dict[str, float]:
+        run = noisy_run(exact, controller, nominal, noise, rng, **options)
+        return _judged(run, judged_from, hectic_by, error_measure)
+
+    studies = {}
+    for size in PRINTED_NOISE:
+        for kind in ("gaussian", "logistic"):
+            noise = noise_of(kind, size, noise_amplitude)
+            studies[f"{size} {kind}"] = {
+                name: run_study(
+                    ranked_trial, RECORDS if lean else 40, seed, progress=False, controller=each, noise=noise
+                )
+                for name, each in who.items()
+            }
+    found: Values = {}
+    for size, kind, smooth, q, speed in (
+        ("small", "gaussian", "fig-5.smoothest", "fig-5", "fig-6"),
+        ("small", "logistic", "fig-8.smoothest", "fig-8", "fig-9"),
+        ("large", "gaussian", "", "fig-11", "fig-12"),
+        ("large", "logistic", "", "fig-14", "fig-15"),
+    ):
+        study = studies[f"{size} {kind}"]
+        forms = {"printed": LITERAL, "corrected": KALMAN}
+        by_q = {form: said.statements(study, name) for form, name in forms.items()}
+        by_speed = {form: said.statements(study, name, "velocity") for form, name in forms.items()}
+        ranking, claim = said.WINDOW_PRECISE, "window-most-precise"
+        if size == "large":
+            ranking, claim = said.LOW_PASS_BEST, "low-pass-best"
+        else:
+            found[smooth] = _both(by_q, said.SMOOTHEST)
+        found[f"{speed}.kalman-hectic"] = _both(by_q, said.HECTIC)
+        for form in forms:
+            found[f"{q}.{claim}.{form}"] = float(by_q[form][ranking].mean())
+            found[f"{speed}.{claim}.{form}"] = float(by_speed[form][ranking].mean())
+    last = studies["large logistic"]
+    for form, name in (("printed", LITERAL), ("corrected", KALMAN)):
+        found[f"section-4.kalman-worst.{form}"] = float(said.pooled(studies, name)[said.KALMAN_WORST].mean())
+        for claim, quantity in (
+            ("fig-14.offset-q", "position_shift"),
+            ("fig-15.offset-dq", "velocity_shift"),
+        ):
+            shift = np.abs(last[name][quantity]) / TIME_STEP
+            found[f"{claim}.{form}"] = float(np.mean((shift > 0.5) & np.isfinite(shift)))
+    return {f"fixedpoint.{name}": value for name, value in found.items()}
+
+
+def _both(forms: dict[str, dict[str, np.ndarray]], name: str) -> float:
+    """Fraction of the records that obey with either form of the Kalman filter."""
+    return float(np.logical_and(*(each[name] for each in forms.values())).mean())
+
+
+def _judged(run: ControlledRun, settle: float, hectic_by: str, error_measure: str) -> dict[str, float]:
+    """A run in the quantities of `metrics.judge`, by other measures of an error and of what is hectic."""
+    found = judge(run, settle)
+    if run.diverged_at is not None:
+        return found
+    part = slice(round(settle / run.trajectory.time_step), None)
+    if error_measure == "largest":
+        found["position"] = float(np.abs(run.position_error[part]).max())
+        found["velocity"] = float(np.abs(run.velocity_error[part]).max())
+    if hectic_by == "velocity":
+        found["roughness"] = float(np.sqrt(np.mean(np.diff(run.velocity_error[part]) ** 2)))
+    return found
+
+
+# --- Section III.A: without noise ---------------------------------------------------------------------------------
+
+SWEEP_HZ = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)  # of notebook 01
+
+
+def noise_free(
+    *,
+    trajectory_shape: str,
+    trajectory_amplitude: float,
+    integration: str,
+    window_samples: int,
+    hectic_by: str,
+    kick: float,
+    seed: int,
+    lean: bool,
+) -> Values:
+    """The fluctuation and the comparable errors of Figs 2 to 4; it has no leaner form."""
+    exact = load_oscillator()["exact"].plant
+    who = controllers("estimate", "(11)", window_samples)
+    roughest, errors = [], {}
+    for frequency in SWEEP_HZ:
+        nominal = trajectory(trajectory_shape, frequency, trajectory_amplitude)
+        found = {
+            name: _judged(simulate(exact, each, nominal, integration=integration), 2.0, hectic_by, "rms")
+            for name, each in who.items()
+        }
+        rough = {name: each["roughness"] for name, each in found.items()}
+        roughest.append(max(rough, key=rough.__getitem__) == WINDOW and np.isfinite(rough[WINDOW]))
+        if frequency == 0.2:
+            errors = {name: found[name]["position"] for name in (WINDOW, LOW_PASS, LITERAL)}
+    flow = FlowTransformation()
+    kept = [
+        remaining_motion(exact, replace(who[name], transformation=flow), kick, TIME_STEP)
+        for name in (WINDOW, LOW_PASS, KALMAN)
+    ]
+    return {
+        "fixedpoint.fig-2.comparable": max(errors.values()) / min(errors.values()),
+        "fixedpoint.fig-3.fluctuation": float(np.mean(roughest)),
+        "fixedpoint.fig-2.property-of-the-iteration": float(np.mean(np.array(kept) > 1)),
+    }
+
+
+# --- Section III.B: neutral to the distribution ---------------------------------------------------------------------
+
+NEUTRAL_RECORDS = {"small": 40, "large": 400}  # of notebooks 02 and 03
+COUPLED_RECORDS = 40
+
+
+def neutral(
+    *,
+    trajectory_shape: str,
+    trajectory_frequency: float,
+    trajectory_amplitude: float,
+    integration: str,
+    window_samples: int,
+    seed: int,
+    lean: bool,
+) -> Values:
+    """Change of the error of q' from Gaussian to logistic noise of the same standard deviation.
+
+    In the lean form 40 records of large noise stand for 400: the logistic one is the Gaussian one, sample by sample at
+    the same place of its distribution, so that the difference scatters less and is the same in the mean.
+    """
+    exact = load_oscillator()["exact"].plant
+    nominal = trajectory(trajectory_shape, trajectory_frequency, trajectory_amplitude)
+    who = controllers("estimate", "(11)", window_samples)
+
+    def speed_trial(rng, controller, size, coupled) -> dict[str, float]:
+        gaussian, logistic = (Noise(kind, PRINTED_NOISE[size]) for kind in ("gaussian", "logistic"))
+        samples = len(nominal.position)
+        stream = rng.bit_generator.seed_seq
+        first = gaussian.sample(np.random.default_rng(stream), samples)
+        second = logistic.sample(np.random.default_rng(stream), samples)
+        if coupled:
+            second = coupled_logistic(first, gaussian.amplitude)
+        runs = [
+            simulate(exact, controller, nominal, added, integration=integration) for added in (first, second)
+        ]
+        return dict(zip(("before", "after"), (judge(run)["velocity"] for run in runs), strict=True))
+
+    found: Values = {}
+    for section, (size, records) in zip(("3b", "3c"), NEUTRAL_RECORDS.items(), strict=True):
+        settings = {"size": size, "coupled": lean and size == "large", "progress": False}
+        for name in (WINDOW, LOW_PASS):
+            runs = COUPLED_RECORDS if settings["coupled"] else records
+            study = run_study(speed_trial, runs, seed, controller=who[name], **settings)
+            key = f"fixedpoint.section-{section}.neutral.{name.replace(' ', '-')}"
+            found[key] = np.nan
+            if np.isfinite([study["before"], study["after"]]).all():
+                change = (study["after"] - study["before"]) / study["before"].mean()
+                found[key] = float(change.mean()), mean_interval(change)
+    return found
+
+
+def coupled_logistic(gaussian: np.ndarray, deviation: float) -> np.ndarray:
+    """Logistic numbers of the same deviation, each at the place of the Gaussian one in its distribution."""
+    place = gaussian / deviation
+    return deviation / LOGISTIC_DEVIATION * (special.log_ndtr(place) - special.log_ndtr(-place))
+
+
+# --- Section II.C: numerical differentiation ------------------------------------------------------------------------
+
+
+def differentiation(
+    *,
+    noise_law: str,
+    record_samples: int,
+    encoder_step: float,
+    trajectory_shape: str,
+    trajectory_frequency: float,
+    seed: int,
+    lean: bool,
+) -> Values:
+    """(20), (21) and what is said of the noises, in 40 records as in notebook 05; it has no leaner form."""
+    records, deviation = 40, PRINTED_NOISE["large"]
+    study = run_study(
+        quotient_trial, records, seed, progress=False, noise=Noise(noise_law, deviation), samples=record_samples,
+        time_step=TIME_STEP,
+    )  # fmt: skip
+    found: Values = {
+        f"fixedpoint.{claim}": (float(study[quantity].mean()), mean_interval(study[quantity]))
+        for claim, quantity in (("eq-20.mean", "mean"), ("eq-21.variance", "variance"))
+    }
+    beyond = np.abs(study["correlation"]) > 10 / np.sqrt(record_samples)
+    motion = trajectory(trajectory_shape, trajectory_frequency, 1.0).position[:record_samples]
+    encoder = Noise("encoder", encoder_step)
+    told = [
+        rejects_gaussian(
+            difference_quotient(encoder.measure(motion, np.random.default_rng(stream)) - motion, TIME_STEP)
+        )
+        for stream in np.random.SeedSequence(seed).spawn(records)
+    ]
+    return found | {
+        "fixedpoint.section-2c.not-independent": said.fraction(beyond),
+        "fixedpoint.section-4.encoder-not-gaussian": said.fraction(np.array(told)),
+    }

@@ -1,0 +1,76 @@
+"""Readings of the fixed-point paper: at the defaults what the notebooks give, and each choice does what it says."""
+
+import numpy as np
+import pytest
+
+from experiments.fixedpoint import Noise, choices, load_oscillator
+from experiments.fixedpoint.metrics import noisy_run
+from experiments.fixedpoint.published import KALMAN, LITERAL, WINDOW, published_controllers
+from stillwork.workbook.claims import load_entries
+from stillwork.workbook.readings.axes import load_axes
+
+
+def at_the_defaults(study: str, lean: bool) -> dict[str, float]:
+    multiverse = next(each for each in load_axes("fixedpoint")[1] if each.study == study)
+    function = getattr(choices, multiverse.function.partition(":")[2])
+    found = function(**multiverse.options(multiverse.default_point), seed=multiverse.seeds[0], lean=lean)
+    assert set(found) == set(multiverse.entries)
+    return {name: value[0] if isinstance(value, tuple) else value for name, value in found.items()}
+
+
+@pytest.mark.parametrize("study", ["noise-free", "differentiation"])
+def test_without_leaving_anything_out_the_defaults_give_what_the_notebooks_gave(study):
+    entries = load_entries("fixedpoint")
+    for name, value in at_the_defaults(study, lean=False).items():
+        ours = entries[name].ours
+        assert abs(value - ours) <= entries[name].drift.width(ours) + 1e-12, name
+
+
+@pytest.mark.slow
+def test_two_records_rank_as_the_notebooks_forty():
+    entries = load_entries("fixedpoint")
+    for name, value in at_the_defaults("rankings", lean=True).items():
+        assert value == round(entries[name].ours), name
+
+
+def test_at_the_defaults_the_controllers_are_the_published_ones():
+    approximate = load_oscillator()["approximate"].plant
+    exact = load_oscillator()["exact"].plant
+    nominal = choices.trajectory("asin 0.98", 0.2, 1.0)
+    noise = Noise("logistic", 1e-4)
+    ours, published = choices.controllers("estimate", "(11)", 13), published_controllers(approximate)
+    assert list(ours) == list(published)
+    for name in published:
+        runs = [noisy_run(exact, who[name], nominal, noise, 1).position for who in (ours, published)]
+        assert np.array_equal(*runs)
+
+
+def test_each_choice_reaches_the_loop():
+    who = choices.controllers("measured", "(10)", 12)
+    assert who[WINDOW].signal_filter.length == 11
+    for name in (KALMAN, LITERAL):
+        assert who[name].signal_filter.error_from_measurement
+        assert who[name].signal_filter.literal == (name == LITERAL)
+        assert list(who[name].signal_filter.plant.parameters[-2:]) == [0.0, 0.0]  # b2 and d
+        assert all(who[name].model.parameters[-2:] > 0)  # the force still has them
+
+
+def test_the_amplitude_of_a_noise_by_its_three_meanings():
+    deviations = {
+        (kind, meaning): choices.noise_of(kind, "large", meaning).standard_deviation
+        for kind in ("gaussian", "logistic")
+        for meaning in ("deviation", "scale", "three deviations")
+    }
+    assert deviations["gaussian", "scale"] == deviations["gaussian", "deviation"] == 1e-4
+    assert deviations["logistic", "scale"] == pytest.approx(np.pi / np.sqrt(3) * 1e-4)
+    assert deviations["logistic", "three deviations"] == pytest.approx(1e-4 / 3)
+
+
+def test_coupled_noise_is_logistic_and_follows_the_gaussian():
+    from scipy import stats
+
+    normal = 1e-4 * np.random.default_rng(5).standard_normal(20000)
+    found = choices.coupled_logistic(normal, 1e-4)
+    assert stats.kstest(found, stats.logistic(scale=1e-4 * np.sqrt(3) / np.pi).cdf).pvalue > 1e-3
+    assert np.corrcoef(normal, found)[0, 1] > 0.98
+    assert np.isfinite(choices.coupled_logistic(np.array([-3e-3, 3e-3]), 1e-4)).all()  # thirty deviations out
