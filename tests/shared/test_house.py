@@ -1,6 +1,7 @@
 """The rules of the house, held against the imports of the library and the notebooks."""
 
 import ast
+import importlib
 import json
 import re
 
@@ -179,3 +180,30 @@ def test_files_that_the_texts_name_exist():
     }
     assert len(named) > 5
     assert not [name for name in named if not (paths.root() / name).exists()]
+
+
+def broken_imports(source: str) -> list[str]:
+    """Names that a script wants from the library and that are not there."""
+    wanted = [
+        (node.module, alias.name)
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.ImportFrom)
+        and (node.module or "").split(".")[0] in ("stillwork", "experiments")
+        for alias in node.names
+    ]
+    missing = []
+    for module, name in wanted:
+        if not hasattr(importlib.import_module(module), name):
+            try:
+                importlib.import_module(f"{module}.{name}")
+            except ModuleNotFoundError:
+                missing.append(f"{module}.{name}")
+    return missing
+
+
+def test_what_the_benchmarks_import_exists():
+    for file in sorted((paths.root() / "benchmarks").rglob("*.py")):
+        assert not broken_imports(file.read_text(encoding="utf-8")), file.name
+    assert broken_imports("from experiments.isolation.your_floor import open_floor") == [
+        "experiments.isolation.your_floor.open_floor"
+    ]
