@@ -3,7 +3,7 @@
 import numpy as np
 
 from experiments.fixedpoint.published import LITERAL
-from experiments.fixedpoint.run_pictures import COLOURS
+from experiments.fixedpoint.run_pictures import COLOURS, legend_above
 from stillwork.control.fixed_point_convergence import Crossing, StableRange, describing_function, iterate
 from stillwork.control.fixed_point_linear import LinearFilter, LinearLoop
 from stillwork.control.transformation import FlowTransformation, Transformation
@@ -30,12 +30,8 @@ def paint_contraction(transformations: dict[str, Transformation], response_gain:
             for size in sizes
         ]
         multiplier.semilogx(sizes, ratio, color=colour, label=name)
-    decay.set(
-        xlabel="iteration (1)",
-        ylabel="|response - desired| (m/s²)",
-        title="static iteration",
-        ylim=(1e-4, 60),
-    )
+    decay.set(xlabel="iteration (1)", ylabel="|response - desired| (m/s²)", title="static iteration")
+    decay.set(ylim=(1e-4, 60))
     figure.legend(handles=decay.lines, loc="outside upper center", ncols=2)
     multiplier.set(xlabel="|response - desired| (m/s²)", ylabel="ratio of two errors (1)", ylim=(0, 1.05))
     multiplier.set_title("multiplier: below 1 contracts")
@@ -65,8 +61,7 @@ def paint_filter_responses(filters: dict[str, LinearFilter], time_step: float):
         panels[1, column].set(xlabel="frequency (Hz)", ylim=(-400, 90))
     panels[0, 0].set_ylabel("gain (1)")
     panels[1, 0].set_ylabel("phase (degrees)")
-    handles, labels = panels[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=3)
+    legend_above(panels[0, 0], 3)
     return figure
 
 
@@ -92,15 +87,9 @@ def paint_stability_ranges(ranges: dict[str, StableRange], gains: dict[str, floa
 
 
 def _name_edge(axes, crossing: Crossing, row: int, side: str):
-    axes.annotate(
-        f"{crossing.frequency_hz:.0f} Hz",
-        (-crossing.local_gain, row),
-        xytext=(4 if side == "left" else -4, 0),
-        textcoords="offset points",
-        ha=side,
-        va="center",
-        fontsize=7,
-    )
+    look = {"textcoords": "offset points", "ha": side, "va": "center", "fontsize": 7}
+    away = (4 if side == "left" else -4, 0)
+    axes.annotate(f"{crossing.frequency_hz:.0f} Hz", (-crossing.local_gain, row), xytext=away, **look)
 
 
 def paint_limit_cycle_condition(loop: LinearLoop, transformation: FlowTransformation, drawn_on=None):
@@ -128,9 +117,8 @@ def paint_limit_cycle_condition(loop: LinearLoop, transformation: FlowTransforma
         axes.annotate(
             f"{size} m/s²", (x, 0), xytext=(0, -12), textcoords="offset points", fontsize=7, ha="center"
         )
-    axes.set(
-        xlabel="real part of the response (1)", ylabel="imaginary part (1)", xlim=(-75, 10), ylim=(-45, 45)
-    )
+    axes.set(xlabel="real part of the response (1)", ylabel="imaginary part (1)", xlim=(-75, 10))
+    axes.set(ylim=(-45, 45))
     axes.legend(handles=axes.lines[:2], loc="upper right")
     return figure
 
@@ -163,7 +151,6 @@ def paint_noise_gain(deviations, remaining, weakest: float, marks: dict[str, flo
     for (name, place), line in zip(marks.items(), (":", "-."), strict=False):
         axes.axvline(place, color=figures.BLACK, linestyle=line, linewidth=1)
         axes.text(place * 1.06, remaining.max(), name, rotation=90, ha="left", va="top", fontsize=8)
-    axes.set(
-        xlabel="standard deviation of response - desired (m/s²)", ylabel="strength, minus the local gain (1)"
-    )
+    axes.set(xlabel="standard deviation of response - desired (m/s²)")
+    axes.set(ylabel="strength, minus the local gain (1)")
     return figure

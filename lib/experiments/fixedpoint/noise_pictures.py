@@ -8,7 +8,13 @@ from experiments.fixedpoint.differentiation import (
     quotient_cross_correlation,
 )
 from experiments.fixedpoint.published import EXTENDED
-from experiments.fixedpoint.run_pictures import COLOURS, METRICS, log_axis, points_with_intervals
+from experiments.fixedpoint.run_pictures import (
+    COLOURS,
+    METRICS,
+    legend_above,
+    log_axis,
+    points_with_intervals,
+)
 from stillwork.workbook import figures
 from stillwork.workbook.studies import Study
 
@@ -31,8 +37,7 @@ def paint_noise_correlations(found: dict[str, Correlations]):
         ):
             axes.plot(lags + shift, getattr(correlations, name), ".", color=colour, ms=7, label=label)
         axes.set(xlabel="lag (samples)", ylabel="correlation (1)", title=title)
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=3)
+    legend_above(panels[0], 3)
     return figure
 
 
@@ -73,9 +78,8 @@ def paint_cost_against_error(cost_ns: dict[str, float], errors: dict[str, float]
         axes.plot(cost_ns[name], error, "o", color=COLOURS[name], label=name)
         below = -13 if name == EXTENDED else 4  # its neighbour is close
         axes.annotate(name, (cost_ns[name], error), xytext=(6, below), textcoords="offset points", fontsize=8)
-    axes.set(
-        xscale="log", xlabel="measured time a sample, published settings (ns)", ylabel=unit, xlim=(20, 1000)
-    )
+    axes.set(xscale="log", xlabel="measured time a sample, published settings (ns)", ylabel=unit)
+    axes.set(xlim=(20, 1000))
     axes.set_ylim(0, 1.15 * max(errors.values()))
     log_axis(axes.xaxis)
     return figure

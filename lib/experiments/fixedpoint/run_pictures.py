@@ -47,9 +47,14 @@ def paint_tracking(runs: dict[str, ControlledRun], quantity: str = "position"):
     envelope.set_ylim(*_range_after(runs, quantity, factor))
     envelope.set_xlim(motion.get_xlim())
     stretch.set(xlabel="time (s)", ylabel=f"error of {name} ({small})", title="error at a corner")
-    handles, labels = motion.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+    legend_above(motion)
     return figure
+
+
+def legend_above(axes, columns: int | None = None):
+    """What a panel's lines mean, above the whole figure; by default in one row."""
+    handles, labels = axes.get_legend_handles_labels()
+    axes.figure.legend(handles, labels, loc="outside upper center", ncols=columns or len(labels))
 
 
 def hardest_turn(nominal: Trajectory) -> float:
@@ -81,8 +86,7 @@ def paint_phase(runs: dict[str, ControlledRun], last: float = 5.0):
         corner.plot(run.position[near], run.velocity[near], **style)
     for axes, title in ((whole, f"the last {last:g} s"), (corner, "at a corner")):
         axes.set(xlabel="q (m)", ylabel="q' (m/s)", title=title)
-    handles, labels = whole.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+    legend_above(whole)
     return figure
 
 
@@ -147,8 +151,7 @@ def paint_errors_over_frequency(
         log_axis(axes.xaxis)
         log_axis(axes.yaxis)
     np.atleast_1d(panels)[0].set_ylabel(METRICS[quantity][0])
-    handles, labels = np.atleast_1d(panels)[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+    legend_above(np.atleast_1d(panels)[0])
     return figure
 
 
@@ -189,6 +192,5 @@ def paint_estimate_shift(runs: dict[str, ControlledRun], settle: float = 2.0):
         reach = np.array(axes.get_xlim())
         axes.plot(reach, 1e3 * step * reach, "k:", linewidth=1, label=f"one sample ({1e3 * step:g} ms) ahead")
         axes.set(xlabel=across, ylabel=up)
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+    legend_above(panels[0])
     return figure

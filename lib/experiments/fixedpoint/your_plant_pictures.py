@@ -32,9 +32,8 @@ def paint_contraction(found: Contraction, chosen: Mapping[str, Controller]):
         axes.axhline(edge, color=figures.BLACK, ls="--", lw=0.9)
     low, high = axes.get_ylim()
     axes.set_ylim(min(low, -1.3), max(high, 1.3))
-    axes.set(
-        xlabel="time (s)", ylabel="multiplier of an iteration", title="it contracts between the dashed lines"
-    )
+    axes.set(xlabel="time (s)", ylabel="multiplier of an iteration")
+    axes.set(title="it contracts between the dashed lines")
     handles, labels = axes.get_legend_handles_labels()
     axes.legend(handles[:: found.gain.shape[1]], labels[:: found.gain.shape[1]], ncols=3)
     return figure

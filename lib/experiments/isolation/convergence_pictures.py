@@ -40,18 +40,11 @@ def paint_courses(courses: Mapping[str, Course]):
         color = COLORS[name]
         above.semilogy(time, power, STYLES[name], color=color, label=f"{name}, mean over 1 s")
         for row, color in SHOWN.items():
-            below.plot(
-                course.time_s, course.weights[:, row], STYLES[name], color=color, label=f"w{row + 1}, {name}"
-            )
-        end = course.time_s[-1] * (1.02 if name == "FeLMS" else 1.04)
-        marker = {"marker": "s"} if name == "FeLMS" else {}
-        figures.mark_published(
-            below,
-            np.full(len(SHOWN), end),
-            published_row(name, "final")[list(SHOWN)],
-            label=f"published, {name}",
-            **marker,
-        )
+            label = f"w{row + 1}, {name}"
+            below.plot(course.time_s, course.weights[:, row], STYLES[name], color=color, label=label)
+        ends = np.full(len(SHOWN), course.time_s[-1] * (1.02 if name == "FeLMS" else 1.04))
+        style = {"label": f"published, {name}"} | ({"marker": "s"} if name == "FeLMS" else {})
+        figures.mark_published(below, ends, published_row(name, "final")[list(SHOWN)], **style)
     above.set_ylabel("filtered error e'e (N²)")
     above.legend()
     below.set(xlabel="time (s)", ylabel="parameter (N per m/s²)")
@@ -176,23 +169,12 @@ def expected_course_painter(twin: Twin, steady: Steady, duration_s: float) -> Ca
     def paint(step_size: float, memory_s: float, initial_covariance: float):
         figure, axes = figures.new(1, 1, height=3.6)
         for name in ALGORITHMS:
-            expected = mean_course(
-                twin,
-                steady,
-                name,
-                time,
-                step_size=step_size,
-                memory_s=memory_s,
-                initial_covariance=initial_covariance,
-            )
+            moved = {"step_size": step_size, "memory_s": memory_s, "initial_covariance": initial_covariance}
+            expected = mean_course(twin, steady, name, time, **moved)
             for row, color in SHOWN.items():
                 axes.plot(time, expected[:, row], STYLES[name], color=color, label=f"w{row + 1}, {name}")
-        figures.mark_published(
-            axes,
-            np.full(3, duration_s * 1.02),
-            published_row("FeRLS", "final")[list(SHOWN)],
-            "published, FeRLS",
-        )
+        final = published_row("FeRLS", "final")[list(SHOWN)]
+        figures.mark_published(axes, np.full(3, duration_s * 1.02), final, "published, FeRLS")
         axes.set(xlabel="time (s)", ylabel="expected parameter (N per m/s²)")
         axes.legend(ncols=2)
         return figure

@@ -94,29 +94,10 @@ def run_cure(
         np.zeros((sensors, len(shaping), 2)),
         np.zeros((len(shaping), 2)),
     )
-    reached = _cure_run(
-        code,
-        floor,
-        noise,
-        which,
-        optima,
-        integrator,
-        shaping,
-        *memories,
-        start,
-        forgetting,
-        growth,
-        noise_power,
-        every,
-        kept,
-    )
-    return CureRun(
-        every * np.arange(1.0, len(kept) + 1),
-        kept[:, 2:],
-        kept[:, 0],
-        kept[:, 1],
-        None if reached == samples else int(reached),
-    )
+    loop = floor, noise, which, optima, integrator, shaping, *memories
+    reached = _cure_run(code, loop, start, forgetting, growth, noise_power, every, kept)
+    overload = None if reached == samples else int(reached)
+    return CureRun(every * np.arange(1.0, len(kept) + 1), kept[:, 2:], kept[:, 0], kept[:, 1], overload)
 
 
 @kernel
@@ -180,24 +161,8 @@ def _forget_along(weights, covariance, psi, error, forgetting, gain):
 
 
 @kernel
-def _cure_run(
-    cure,
-    floor,
-    noise,
-    which,
-    optima,
-    integrator,
-    shaping,
-    stacks,
-    memory,
-    error_memory,
-    start,
-    forgetting,
-    growth,
-    noise_power,
-    every,
-    kept,
-):
+def _cure_run(cure, loop, start, forgetting, growth, noise_power, every, kept):
+    floor, noise, which, optima, integrator, shaping, stacks, memory, error_memory = loop
     n, sensors = len(start), floor.shape[1]
     weights, covariance, levels = np.zeros((1, n)), np.zeros((n, n)), np.zeros((3, n))
     bound = 0.0

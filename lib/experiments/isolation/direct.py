@@ -144,11 +144,8 @@ def paint_agreement(
         lower.semilogy(time_s, so_far, style, label=name)
     lower.axhline(bound, color=figures.BLACK, lw=0.8, ls="-.", label="bound of rounding")
     upper.set(ylabel="weight of the first\nactuator (N per m/s²)", title="recursion")
-    lower.set(
-        xlabel="time (s)",
-        ylabel="relative difference",
-        title="direct forms to recursion, all weights, so far",
-    )
+    lower.set(xlabel="time (s)", ylabel="relative difference")
+    lower.set(title="direct forms to recursion, all weights, so far")
     upper.legend(loc="center left", bbox_to_anchor=(1, 0.5))
     lower.legend(loc="center left", bbox_to_anchor=(1, 0.5))
     return figure
@@ -174,10 +171,8 @@ def paint_costs(
     figure, (upper, lower) = figures.new(2, 1, height=4.6)
     counts = multiplications(actuators, regressors)
     _bars(upper, {_NAMES[name]: count for name, count in counts.items()}, "{:,.0f}")
-    upper.set(
-        xlabel="multiplications and divisions per sample",
-        title=f"{actuators} outputs × {regressors} regressors",
-    )
+    upper.set(xlabel="multiplications and divisions per sample")
+    upper.set(title=f"{actuators} outputs × {regressors} regressors")
     shown = {**_NAMES, "C": "the recursion in C"}
     _bars(lower, {text: times[name]["median_us"] for name, text in shown.items() if name in times}, "{:.2g}")
     lower.axvline(1e6 * sample_time, color=figures.BLACK, lw=1, ls="--")

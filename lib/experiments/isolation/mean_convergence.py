@@ -100,15 +100,9 @@ def follow_sideways(
     pattern = twin.rig.actuators.jacobian[:, 0]
     pattern = pattern / np.linalg.norm(pattern)
     error = 1e-3 * np.outer(pattern, np.ones(twin.regressors))
-    run = simulate(
-        twin,
-        floor,
-        duration_s,
-        adaptation=FeRls(steady.covariance, forgetting, growth_limit=np.inf),
-        weights=steady.weights + error,
-        noise=False,
-        seed=seed,
-    )
+    adaptation = FeRls(steady.covariance, forgetting, growth_limit=np.inf)
+    settings = {"adaptation": adaptation, "weights": steady.weights + error, "noise": False, "seed": seed}
+    run = simulate(twin, floor, duration_s, **settings)
     update = np.kron(np.eye(twin.actuators), np.linalg.inv(steady.correlation)) @ steady.update
     values, vectors = np.linalg.eig(update)
     modes = np.linalg.solve(vectors, error.ravel().astype(complex))

@@ -103,16 +103,8 @@ def record_case(
     require_choice("name", name, CASES)
     require_number("duration_s", duration_s, above=0.0)
     axes = central_axes(twin.rig)
-    run = simulate(
-        twin,
-        floor,
-        SETTLE_S + duration_s,
-        weights=weights,
-        feedback=name != "passive",
-        noise=noise,
-        seed=seed,
-        signals_from_s=SETTLE_S,
-    )
+    settings = {"weights": weights, "feedback": name != "passive", "noise": noise, "seed": seed}
+    run = simulate(twin, floor, SETTLE_S + duration_s, signals_from_s=SETTLE_S, **settings)
     return CaseRecord(
         name, axes.floor @ run.sensed_floor, axes.platform @ run.measured_platform, run.sample_rate
     )
@@ -157,10 +149,8 @@ def expected_density(
     by_floor = axes.platform @ (paths.primary + command)
     by_sensors = axes.platform @ command
     # n1 reaches the reading directly and through the loop: (I + L)^-1 = I - P2 K.
-    skyhook = (
-        feedback
-        * signal.freqz_sos(twin.skyhook_filter, paths.frequencies_hz, fs=twin.instruments.sample_rate)[1]
-    )
+    rate = twin.instruments.sample_rate
+    skyhook = feedback * signal.freqz_sos(twin.skyhook_filter, paths.frequencies_hz, fs=rate)[1]
     sensitivity = np.eye(twin.outputs) - paths.secondary * skyhook[:, None, None]
     by_output = axes.platform @ (sensitivity * paths.conditioning[:, None, None])
     if not sensed:  # the reading is conditioner (motion + n1)
@@ -198,11 +188,16 @@ def reduction_db(
     Responses have shape (3, 3, frequencies), evenly spaced, at most 0.5 Hz apart; positive is less vibration.
     """
     f = require_array("frequencies_hz", frequencies_hz, ndim=1)
-    centres = 2.0 ** (np.arange(5, 24) / 3)  # 3.2 to 203 Hz
-    inside = [(f >= centre / BAND_EDGE) & (f < centre * BAND_EDGE) for centre in centres]
+    centres, inside = third_octaves(f)
     squares = [np.abs(np.einsum("iif->if", np.asarray(response))) ** 2 for response in (before, after)]
     means = [np.stack([square[:, band].mean(axis=1) for band in inside], axis=1) for square in squares]
     return centres, 10 * np.log10(means[0] / means[1])
+
+
+def third_octaves(f: np.ndarray) -> tuple[Float64[np.ndarray, " bands"], list[np.ndarray]]:
+    """Centres of the one-third-octave bands from 3.2 to 203 Hz, and which frequencies lie in each."""
+    centres = 2.0 ** (np.arange(5, 24) / 3)
+    return centres, [(f >= centre / BAND_EDGE) & (f < centre * BAND_EDGE) for centre in centres]
 
 
 def _power(gain, density):

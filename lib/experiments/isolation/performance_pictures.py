@@ -45,9 +45,8 @@ def paint_transmissibility(
                     panel.semilogx(f[shown], decibels, label=name, lw=0.9, **_STYLES[name])
             if i == j:
                 _mark_reduction(panel, f, cases["feedback"][i, i])
-            panel.set(
-                title=f"{start} → {to}{units[i, j]}", ylim=(low_db + shift, 25 + shift), xlim=(f[0], f[-1])
-            )
+            panel.set(title=f"{start} → {to}{units[i, j]}", ylim=(low_db + shift, 25 + shift))
+            panel.set(xlim=(f[0], f[-1]))
     for panel in axes[:, 0]:
         panel.set_ylabel("magnitude (dB)")
     for panel in axes[-1]:
@@ -111,9 +110,8 @@ def paint_power(
                 panel.loglog(f[points], row[points], label=name, **{"lw": width, **_STYLES[name]})
     for k, direction in enumerate(DIRECTIONS):
         axes[0, k].set(title=f"(a) {direction}", ylabel=f"PSD ({units[k]}/Hz)")
-        axes[1, k].set(
-            title=f"(b) {direction}", ylabel=f"power from 1 Hz ({units[k]})", xlabel="frequency (Hz)"
-        )
+        axes[1, k].set(title=f"(b) {direction}", ylabel=f"power from 1 Hz ({units[k]})")
+        axes[1, k].set(xlabel="frequency (Hz)")
         before = np.sum(densities["feedback"][k, inside & (frequencies_hz <= BAND_HZ[1])]) * (f[1] - f[0])
         figures.mark_published(
             axes[1, k], BAND_HZ[1], before * (1 - published[k] / 100), "published, of feedback"
@@ -181,11 +179,8 @@ def explore_power(output_noise: float, floor_noise: float, low_pass_hz: float):
         ):
             panel.loglog(f, after[cause][k], ":", color=color, label=f"left by {cause}")
         top = before[k].max()
-        panel.set(
-            title=f"{DIRECTIONS[k]}: {removed[k]:.1f} % removed",
-            xlabel="frequency (Hz)",
-            ylim=(top * 1e-7, top * 3),
-        )
+        panel.set(title=f"{DIRECTIONS[k]}: {removed[k]:.1f} % removed", xlabel="frequency (Hz)")
+        panel.set(ylim=(top * 1e-7, top * 3))
     axes[0].set_ylabel("PSD ((m/s²)²/Hz, (rad/s²)²/Hz)")
     figures.legend_below(axes[0], 3)
     return figure

@@ -7,10 +7,9 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from experiments.isolation.floors import ShapedFloor
-from experiments.isolation.performance import expected_density, record_case, tune
+from experiments.isolation.performance import expected_density, record_case, third_octaves, tune
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import InputError, require_array
-from stillwork.signals.criteria import BAND_EDGE
 from stillwork.signals.spectra import Spectrum, band_power
 
 BAND_HZ = (1.0, 300.0)  # the paper's range of interest
@@ -46,8 +45,7 @@ def limit_ratio_db(
     Densities have shape (runs, 3, frequencies); mains lines are bridged because their size in the twins is assumed.
     """
     f = require_array("frequencies_hz", frequencies_hz, ndim=1)
-    centres = 2.0 ** (np.arange(5, 24) / 3)
-    inside = [(f >= centre / BAND_EDGE) & (f < centre * BAND_EDGE) for centre in centres]
+    centres, inside = third_octaves(f)
     over, under = (
         without_lines(Spectrum(f, np.mean(np.asarray(each), axis=0), len(each)), lines_hz).density
         for each in (density, limit)

@@ -104,9 +104,8 @@ def paint_floors(floors: dict[str, ShapedFloor], measured: dict[str, Spectrum], 
         axes.loglog(band, criterion_density(name, band), style, color=figures.BLACK, label=name)
     shown = ground[0] >= 1.0
     axes.loglog(ground[0][shown], ground[1][shown], color=figures.GREEN, lw=0.8, label="measured ground")
-    axes.set(
-        xlabel="frequency (Hz)", ylabel="acceleration PSD ((m/s²)²/Hz)", ylim=(1e-14, 1e-3), xlim=(1, 1000)
-    )
+    axes.set(xlabel="frequency (Hz)", ylabel="acceleration PSD ((m/s²)²/Hz)", ylim=(1e-14, 1e-3))
+    axes.set(xlim=(1, 1000))
     axes.legend(loc="center left", bbox_to_anchor=(1, 0.5))
     return figure
 

@@ -72,14 +72,9 @@ def paint_forms(runs: Mapping[str, Mapping[str, CovarianceRun]], experiment: flo
             if np.isfinite(run.breakdown):
                 for axes in (upper, lower):
                     axes.axvline(run.breakdown, color=figures.GREY, lw=0.8, ls=":")
-                lower.annotate(
-                    f"indefinite at about {run.breakdown_tens():.0f} ",
-                    (run.breakdown, 1e-13),
-                    fontsize=8,
-                    ha="right",
-                    va="bottom",
-                    color=figures.GREY,
-                )
+                look = {"fontsize": 8, "ha": "right", "va": "bottom", "color": figures.GREY}
+                text = f"indefinite at about {run.breakdown_tens():.0f} "
+                lower.annotate(text, (run.breakdown, 1e-13), **look)
         unit = np.finfo(precision).eps
         guide = np.array([0.0, np.log(1 / unit)])
         upper.semilogy(
@@ -90,8 +85,8 @@ def paint_forms(runs: Mapping[str, Mapping[str, CovarianceRun]], experiment: flo
         upper.set(title=precision, ylabel="antisymmetric part of P", ylim=(FLOOR / 3, 10))
         _name_zero(upper)
         lower.set(xlabel="time constants of the forgetting", ylabel="error of P", ylim=(1e-14, 1e3))
-        for axes in (upper, lower):
-            axes.set_yticks(10.0 ** np.arange(-18, 4, 3) if axes is upper else 10.0 ** np.arange(-12, 4, 3))
+        upper.set_yticks(10.0 ** np.arange(-18, 4, 3))
+        lower.set_yticks(10.0 ** np.arange(-12, 4, 3))
     grid[0, 0].annotate(
         "the paper's 200 s", (experiment / 2, 5.0), ha="center", va="top", fontsize=8, color=figures.GREY
     )
@@ -152,18 +147,10 @@ def paint_cures(
     for axes in (top, middle, bottom):
         axes.axvspan(*silence, color=figures.GREY, alpha=0.12, lw=0)
         axes.axvline(step, color=figures.BLACK, lw=0.8, ls=":")
-    look = {"xycoords": ("data", "axes fraction"), "ha": "center", "va": "top", "fontsize": 8}
-    top.annotate("one floor sensor silent", (np.mean(silence), 0.96), **look)
-    middle.annotate(
-        "the optimum moves by 20 %",
-        (step, 0.96),
-        xycoords=("data", "axes fraction"),
-        ha="right",
-        va="top",
-        fontsize=8,
-        xytext=(-4, 0),
-        textcoords="offset points",
-    )
+    look = {"xycoords": ("data", "axes fraction"), "va": "top", "fontsize": 8}
+    top.annotate("one floor sensor silent", (np.mean(silence), 0.96), ha="center", **look)
+    look |= {"xytext": (-4, 0), "textcoords": "offset points"}
+    middle.annotate("the optimum moves by 20 %", (step, 0.96), ha="right", **look)
     top.set(ylabel="diagonal of P / start", ylim=(1e-2, 1e6))
     middle.set(ylabel="misalignment")
     bottom.set(xlabel="time constants of the forgetting", ylabel="filtered error, rms (N)")

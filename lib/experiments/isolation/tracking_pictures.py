@@ -27,14 +27,9 @@ def paint_switches(panels: Mapping[str, Mapping[str, Response]]):
         for name, response in responses.items():
             start = response.switch.start.weights[0]
             for row, color in SHOWN.items():
-                panel.plot(
-                    response.time_s,
-                    MILLI * (response.weights[:, row] - start[row]),
-                    STYLES[name],
-                    color=color,
-                    lw=1.0,
-                    label=f"w{row + 1}, {name}",
-                )
+                way = MILLI * (response.weights[:, row] - start[row])
+                label = f"w{row + 1}, {name}"
+                panel.plot(response.time_s, way, STYLES[name], color=color, lw=1.0, label=label)
         for row, color in SHOWN.items():
             after = response.time_s > 0
             level = np.full(after.sum(), MILLI * response.switch.shift[row])
@@ -65,15 +60,8 @@ def paint_settling(
             if not ended.all():
                 # Side by side, or several would look like one.
                 spread = places[~ended] + 0.04 * (np.arange(np.sum(~ended)) % 3 - 1)
-                panel.plot(
-                    spread,
-                    np.full(len(spread), duration_s),
-                    "^",
-                    ms=5,
-                    color=color,
-                    mfc="none",
-                    label=f"{name}, not settled in {duration_s:g} s",
-                )
+                ends, label = np.full(len(spread), duration_s), f"{name}, not settled in {duration_s:g} s"
+                panel.plot(spread, ends, "^", ms=5, color=color, mfc="none", label=label)
             means = [expected[title][name].settling_s(group) for group in GROUPS]
             panel.plot(at + shift, means, "_", ms=12, mew=2, color=color, label=f"{name}, mean course")
         panel.set_yscale("log")

@@ -233,17 +233,9 @@ def paint_errors_over_plants(studies: Mapping[str, Mapping[str, np.ndarray]]):
             values = [1e9 * np.asarray(study[f"{name}, {how}"]) for name in names]
             low, middle, high = (np.array([np.quantile(v, q) for v in values]) for q in (0.025, 0.5, 0.975))
             rows = np.arange(len(names))[::-1] + offset
-            axis.errorbar(
-                middle,
-                rows,
-                xerr=[middle - low, high - middle],
-                fmt="o",
-                markersize=4,
-                markerfacecolor=fill,
-                capsize=3,
-                color=CASES["MC and AD"],
-                label="gains of the nominal plant" if how == "kept" else "gains tuned on each plant",
-            )
+            style = {"fmt": "o", "markersize": 4, "markerfacecolor": fill, "color": CASES["MC and AD"]}
+            style["label"] = "gains of the nominal plant" if how == "kept" else "gains tuned on each plant"
+            axis.errorbar(middle, rows, xerr=[middle - low, high - middle], capsize=3, **style)
         axis.set_yticks(np.arange(len(names))[::-1], names)
         axis.set_xscale("log")
         axis.xaxis.set_major_locator(FixedLocator([0.5, 1, 2, 5, 10, 20, 50]))

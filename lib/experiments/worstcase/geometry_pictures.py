@@ -55,9 +55,8 @@ def paint_two_unknowns(matrix: np.ndarray, target: np.ndarray, bound: float):
     axes.plot(*start.estimate, "s", color=figures.BLACK, label="least squares, η = 0")
     axes.plot(*found.estimate, "o", color=figures.RED, label=f"min-max, η = {bound:.3g} ({found.case})")
     axes.plot(0, 0, "x", color=figures.BLACK, label="zero, η ≥ τ")
-    axes.set(
-        xlabel="x₁", ylabel="x₂", title=f"contours of the worst-case residual, τ = {start.threshold:.3g}"
-    )
+    axes.set(xlabel="x₁", ylabel="x₂")
+    axes.set(title=f"contours of the worst-case residual, τ = {start.threshold:.3g}")
     axes.set_aspect("equal")
     axes.legend(loc="center left", bbox_to_anchor=(1.02, 0.5))
     return figure

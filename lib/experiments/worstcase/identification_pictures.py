@@ -24,12 +24,8 @@ def paint_fig_1(study: Study, parameters: tuple[float, ...]):
     third.plot(time, study["total_target"].mean(0), "--", color=figures.RED, label="TLS: |(A + δA)x − b|")
     style = {"color": figures.RED, "label": "TLS: worst case under the same bound, median"}
     third.plot(time, np.median(study["total_worst"], 0), ":", **style)
-    third.set(
-        ylabel="residual",
-        xlabel="time (samples)",
-        title="(c)",
-        ylim=(0, 1.5 * study["min_max_worst"].mean(0)[-1]),
-    )
+    third.set(ylabel="residual", xlabel="time (samples)", title="(c)")
+    third.set(ylim=(0, 1.5 * study["min_max_worst"].mean(0)[-1]))
     third.legend(ncols=2)
     return figure
 
@@ -39,9 +35,8 @@ def _paint_estimates(axes, study: Study, number: int, truth: float):
     for name, label, colour, style in METHODS:
         axes.plot(time, study[name][:, number].mean(0), style, color=colour, label=label)
     axes.axhline(truth, color=figures.GREY, linewidth=2.5, alpha=0.5, zorder=1)
-    axes.set(
-        ylabel=f"estimate of x{number + 1}", title=f"({'ab'[number]})", ylim=_window(study, number, truth)
-    )
+    axes.set(ylabel=f"estimate of x{number + 1}", title=f"({'ab'[number]})")
+    axes.set(ylim=_window(study, number, truth))
 
 
 def _window(study, number, truth):
@@ -135,11 +130,8 @@ def paint_wins(cases: list[tuple[tuple[float, ...], int]], against_total, agains
     axes.bar(places + 0.2, against_least, 0.38, color=figures.BLACK, label="min-max beats least squares")
     names = [f"({', '.join(f'{p:g}' for p in parameters)})\n{period}" for parameters, period in cases]
     axes.set_xticks(places, names)
-    axes.set(
-        xlabel="true parameters, and period of the square wave (samples)",
-        ylabel="share of experiments",
-        ylim=(0, 1.25),
-    )
+    axes.set(xlabel="true parameters, and period of the square wave (samples)")
+    axes.set(ylabel="share of experiments", ylim=(0, 1.25))
     axes.legend(ncols=2, loc="upper center")
     return figure
 

@@ -41,9 +41,8 @@ def paint_windows(lengths: list[int], found: dict[str, list[np.ndarray]]):
         look = {"yerr": [middle - low, high - middle], "fmt": style, "markersize": 4, "color": colour}
         axes.errorbar(places, middle, label=name, capsize=2, **look)
     axes.axhline(1, color=figures.GREY, linewidth=0.8)
-    axes.set(
-        xscale="log", xlabel="training window (samples)", ylabel="rms residual / rms output", ylim=(0.4, 1.6)
-    )
+    axes.set(xscale="log", xlabel="training window (samples)", ylabel="rms residual / rms output")
+    axes.set(ylim=(0.4, 1.6))
     axes.legend(ncols=2)
     return figure
 
@@ -67,9 +66,8 @@ def paint_sweep(factors: np.ndarray, found: dict[int, np.ndarray]):
         axes.semilogx(factors, values, "o-", markersize=3, label=f"window of {length} samples")
     axes.axvline(1, color=figures.BLACK, linewidth=0.8, linestyle="--")
     axes.text(1, axes.get_ylim()[1], " from the sensor noise", va="top", fontsize=8)
-    axes.set(
-        xlabel="bound over the typical norm of the sensor noise", ylabel="median rms residual / rms output"
-    )
+    axes.set(xlabel="bound over the typical norm of the sensor noise")
+    axes.set(ylabel="median rms residual / rms output")
     axes.legend()
     return figure
 

@@ -90,12 +90,8 @@ def paint_win_map(
     mesh = axes.pcolormesh(noises, bounds, np.log2(ratios), cmap="RdBu_r", vmin=-2, vmax=2, shading="nearest")
     axes.contour(noises, bounds, np.log2(ratios), levels=[0.0], colors=figures.BLACK, linewidths=1.0)
     figures.mark_published(axes, *zip(*published, strict=True), label="settings of Fig. 2 (noise assumed)")
-    axes.set(
-        xscale="log",
-        yscale="log",
-        xlabel="standard deviation of the output noise (unit of b)",
-        ylabel="bound η (unit of the regressors)",
-    )
+    axes.set(xscale="log", yscale="log", xlabel="standard deviation of the output noise (unit of b)")
+    axes.set(ylabel="bound η (unit of the regressors)")
     bar = figure.colorbar(
         mesh, ax=axes, label="error over that of RLS", extend="both", ticks=[-2, -1, 0, 1, 2]
     )

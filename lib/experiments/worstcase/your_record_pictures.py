@@ -66,9 +66,8 @@ def paint_models(pair: Pair, fitted: Fitted, samples: int = 80):
     for name in (name for name in fitted.estimates if name not in useful):
         left.plot([], [], color=STYLES[name][0], ls=STYLES[name][1], label=f"{name}: too far off to draw")
     left.set(xlabel="lag (ms)", ylabel=f"impulse response ({_per(pair)})", title="models")
-    right.set(
-        xlabel="time (s)", ylabel=f"output ({_nice(pair.units[1])})", title="on the part that is judged"
-    )
+    right.set(xlabel="time (s)", ylabel=f"output ({_nice(pair.units[1])})")
+    right.set(title="on the part that is judged")
     figure.legend(loc="outside lower center", ncols=3)
     return figure
 

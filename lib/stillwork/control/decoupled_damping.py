@@ -8,10 +8,10 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 from scipy.optimize import linear_sum_assignment
 
-from stillwork.base.checks import InputError, require_choice, require_count, require_number
+from stillwork.base.checks import InputError, require_choice, require_count
 from stillwork.base.front_door import checked
 from stillwork.control.decoupling import WORST_CONDITION
-from stillwork.control.feedback import band_pass, per_flexible_mode
+from stillwork.control.feedback import band_pass, per_flexible_mode, stiffening
 from stillwork.control.pid import series
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
@@ -41,10 +41,7 @@ def constrained_stiffness(
 
     Parameters and errors as there, with a factor on each resonance frequency; 1 gives no feedback.
     """
-    factor = per_flexible_mode(model, "factor", factor)
-    for each in factor:
-        require_number("factor", each, above=0.0)
-    return _constrained(model, (factor**2 - 1) * model.frequencies[model.rigid_modes :] ** 2, undisturbed, 0)
+    return _constrained(model, stiffening(model, factor), undisturbed, 0)
 
 
 def _constrained(model: ModalModel, wanted: np.ndarray, undisturbed, state: int) -> np.ndarray:

@@ -197,12 +197,7 @@ class DigitalController:
 def observed_controller(controller: StateModel, compensator: StateModel) -> StateModel:
     """Feedback with an observer's compensator as one model: from (r, y, f), what acts included, to the command.
 
-    Parameters
-    ----------
-    controller : StateModel
-        C_fb, one input and one output; its states are the last ones of the result.
-    compensator : StateModel
-        O from (f, y) to (u_d, y_flex), see `stillwork.control.discrete_observer.discrete_compensator`.
+    Of one input and one output; the states of the controller are the last ones.
     """
     feedback = np.array([[0.0, 0, 0], [0, 0, 0], [0, 1, 0]])  # e_meas takes y_flex
     outside = np.array([[0.0, 0, 1], [0, 1, 0], [1, -1, 0]])
@@ -213,16 +208,7 @@ def runnable(pid: Pid, compensator: StateModel, limit: float, about: dict) -> Di
     """A sampled loop's controller as a processor runs it: Tustin's PID with the compensator, limits to both sides.
 
     The integrator tracks a limited force within the root of integral and differential time; the observer is told it.
-
-    Parameters
-    ----------
-    pid : Pid
-    compensator : StateModel
-        In discrete time; that of a `stillwork.control.bandwidth.Loop`.
-    limit : float
-        Largest force, N; may be infinite.
-    about : dict
-        See `DigitalController`.
+    The compensator is that of a sampled `bandwidth.Loop`, the limit, N, may be infinite.
     """
     step = compensator.step
     feedback = tustin(pid.state_space(), step)
@@ -243,23 +229,8 @@ def runnable(pid: Pid, compensator: StateModel, limit: float, about: dict) -> Di
 def anti_windup(model: StateModel, tracking_time: float) -> Float64[np.ndarray, "states outputs"]:
     """Back-calculation L that takes every integrator to the limited output within `tracking_time` (s).
 
-    It acts on the poles at 1 alone, which become exp(-step/tracking_time) in A - LC; the others stay.
-
-    Parameters
-    ----------
-    model : StateModel
-        In discrete time.
-    tracking_time : float
-        s; for a PID the root of integral and differential time is usual.
-
-    Raises
-    ------
-    InputError
-        When there are more integrators than outputs, or one that no output shows.
-
-    References
-    ----------
-    Astrom and Hagglund, PID Controllers (1995), section 3.5.
+    It acts on the poles at 1 alone, which become exp(-step/tracking_time) in A - LC; the others stay. For a PID the
+    root of integral and differential time is usual: Astrom and Hagglund, PID Controllers (1995), section 3.5.
     """
     require_number("tracking_time", tracking_time, above=0.0)
     poles, left, right = (

@@ -7,7 +7,7 @@ from scipy import linalg
 
 from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.base.front_door import checked
-from stillwork.control.feedback import DampedModes
+from stillwork.control.feedback import DampedModes, damped_modes, per_flexible_mode, require_reach
 from stillwork.lti.delays import delayed
 from stillwork.lti.discretisation import zoh_modes
 from stillwork.lti.modal import ModalModel
@@ -16,19 +16,14 @@ from stillwork.lti.state_space import StateModel
 
 def damped_poles(model: ModalModel, increase: float | ArrayLike) -> Complex128[np.ndarray, " flexible_modes"]:
     """Continuous upper poles of the flexible modes with `increase` added to each damping ratio, (3.33)."""
+    increase = per_flexible_mode(model, "increase", increase)
     rigid = model.rigid_modes
-    w = model.frequencies[rigid:]
-    if not len(w):
-        raise InputError("model has no flexible modes; there is nothing to damp")
-    increase = require_array("increase", increase)
-    if increase.ndim == 0:
-        increase = np.full(len(w), float(increase))
-    ratio = model.damping[rigid:] + require_array("increase", increase, shape=(len(w),))
+    ratio = model.damping[rigid:] + increase
     if np.any(ratio <= 0) or np.any(ratio >= 1):
         raise InputError(
             f"increase asks for damping ratios from {ratio.min():.3g} to {ratio.max():.3g}; keep them between 0 and 1"
         )
-    return w * (-ratio + 1j * np.sqrt(1 - ratio**2))
+    return model.frequencies[rigid:] * (-ratio + 1j * np.sqrt(1 - ratio**2))
 
 
 @checked
@@ -48,10 +43,7 @@ def discrete_damping_gain(
     wanted = damped_poles(model, increase)
     rigid = model.rigid_modes
     w, z, shapes = model.frequencies[rigid:], model.damping[rigid:], model.input_shapes[rigid:, 0]
-    if np.any(np.abs(shapes) < 1e-9 * np.linalg.norm(model.input_shapes)):
-        raise InputError(
-            "input_shapes: the actuator sits on a node of a mode and cannot move it; leave that mode out"
-        )
+    require_reach(model)
     if w[-1] * step >= np.pi:
         raise InputError(
             f"step is {step:g} s, too long for a mode at {w[-1] / (2 * np.pi):.4g} Hz; sample more than twice a period"
@@ -94,7 +86,4 @@ def sampled_feedback(model: ModalModel, gain: ArrayLike, step: float, delay: int
     upper = upper[np.argsort(np.abs(upper))][: n // 2]
     if len(upper) < n // 2:
         raise InputError("gain is so large that a mode no longer oscillates; it has no damping ratio below 1")
-    rest = np.zeros(model.rigid_modes)
-    return DampedModes(
-        np.concatenate([rest, -upper.real / np.abs(upper)]), np.concatenate([rest, np.abs(upper)])
-    )
+    return damped_modes(upper, model.rigid_modes)

@@ -28,7 +28,7 @@ def per_flexible_mode(
     return require_array(name, value, shape=(len(flexible.frequencies),))
 
 
-def _require_reach(model: ModalModel) -> None:
+def require_reach(model: ModalModel) -> None:
     """Refuse an actuator on a node of a flexible mode."""
     reach = np.linalg.norm(model.input_shapes[model.rigid_modes :], axis=1)
     if np.any(reach < 1e-9 * np.linalg.norm(model.input_shapes)):
@@ -72,7 +72,7 @@ def damping_gain(
     increase = per_flexible_mode(model, "increase", increase)
     rigid = model.rigid_modes
     w, shapes = model.frequencies[rigid:], model.input_shapes[rigid:]
-    _require_reach(model)
+    require_reach(model)
     if selection == "pole placement":
         z = model.damping[rigid:] + increase
         if np.any(np.abs(z) >= 1):
@@ -137,15 +137,19 @@ def stiffness_gain(model: ModalModel, factor: float | ArrayLike) -> Float64[np.n
 
     A factor of 1.5 gives the -1.25 omega^2/phi of (3.43).
     """
+    require_reach(model)
+    rigid = model.rigid_modes
+    gain = np.zeros((model.input_shapes.shape[1], 2 * len(model.frequencies)))
+    gain[:, 2 * rigid :: 2] = -_each(model.input_shapes[rigid:], stiffening(model, factor))
+    return gain
+
+
+def stiffening(model: ModalModel, factor: float | ArrayLike) -> Float64[np.ndarray, " flexible"]:
+    """What is added to the square of each resonance frequency to multiply it by `factor`, one for all or each."""
     factor = per_flexible_mode(model, "factor", factor)
     for each in factor:
         require_number("factor", each, above=0.0)
-    _require_reach(model)
-    rigid = model.rigid_modes
-    gain = np.zeros((model.input_shapes.shape[1], 2 * len(model.frequencies)))
-    wanted = (factor**2 - 1) * model.frequencies[rigid:] ** 2
-    gain[:, 2 * rigid :: 2] = -_each(model.input_shapes[rigid:], wanted)
-    return gain
+    return (factor**2 - 1) * model.frequencies[model.rigid_modes :] ** 2
 
 
 class DampedModes(NamedTuple):
@@ -169,10 +173,13 @@ def fed_back(model: ModalModel, gain: Float64[np.ndarray, "inputs states"]) -> D
         raise InputError("gain is so large that a mode no longer oscillates; it has no damping ratio below 1")
     upper = poles[poles.imag > 0]
     upper = upper[np.argsort(np.abs(upper))]
-    rest = np.zeros(still // 2)
-    return DampedModes(
-        np.concatenate([rest, -upper.real / np.abs(upper)]), np.concatenate([rest, np.abs(upper)])
-    )
+    return damped_modes(upper, still // 2)
+
+
+def damped_modes(upper: np.ndarray, rigid: int) -> DampedModes:
+    """Modes with these poles in the upper half-plane, behind the rigid-body modes."""
+    rest = np.zeros(rigid)
+    return DampedModes(np.append(rest, -upper.real / np.abs(upper)), np.append(rest, np.abs(upper)))
 
 
 @checked

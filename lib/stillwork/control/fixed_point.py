@@ -281,23 +281,12 @@ def measure_position(measurement, position, noise, time_step, speed, last):
 
 
 @inlined_kernel
-def command_step(
-    error_from_measurement,
-    transformation,
-    gains,
-    time_step,
-    nominal,
-    measured,
-    first,
-    held,
-    chain,
-    estimate,
-    memory,
-):
-    """Desire and deform the acceleration of one coordinate for one sample.
+def command_step(parts, time_step, nominal, measured, first, held, chain, estimate, memory):
+    """Desire and deform the acceleration of one coordinate for one sample, with `packed_parts`.
 
     held: the force is at its limit, nothing is integrated.
     """
+    error_from_measurement, transformation, gains, _ = parts
     integrals = len(gains) - 2
     seen = measured if error_from_measurement else estimate[0]
     chain[0] = nominal[0] - seen  # chain[j]: j-fold integral of the error
@@ -349,7 +338,7 @@ def _closed_loop(
     record,
 ):
     """Fill `record` (COLUMNS x samples); returns the samples done and how it ended."""
-    error_from_measurement, transformation, gains, measurement = parts
+    _, _, gains, measurement = parts
     positions, velocities, accelerations = nominal
     chain = np.zeros(len(gains) - 1)
     estimate = np.array([start[0], start[1], accelerations[0]])
@@ -361,19 +350,7 @@ def _closed_loop(
         measured = measure_position(measurement, position, noise[i], time_step, estimate[1], memory[MEASURED])
         if not filter_step(device, filter_acceleration, filter_plant, time_step, measured, force, estimate):
             return i, NOT_DEFINITE
-        command_step(
-            error_from_measurement,
-            transformation,
-            gains,
-            time_step,
-            now,
-            measured,
-            i == 0,
-            held,
-            chain,
-            estimate,
-            memory,
-        )
+        command_step(parts, time_step, now, measured, i == 0, held, chain, estimate, memory)
         place = estimate[0] if force_from_estimate else memory[SEEN]
         force = model_force(place, estimate[1], memory[DEFORMED], model)
         if not np.isfinite(force):

@@ -184,7 +184,7 @@ def _closed_mechanism(
 ):
     """Fill `record` (coordinates x COLUMNS x samples); returns the samples done and how it ended."""
     count, samples = noise.shape
-    error_from_measurement, transformation, gains, measurement = parts
+    _, _, gains, measurement = parts
     chain, estimate, memory = np.zeros((count, len(gains) - 1)), np.zeros((count, 3)), np.zeros((count, 4))
     position, velocity = start[0].copy(), start[1].copy()
     estimate[:, 0], estimate[:, 1], estimate[:, 2] = position, velocity, nominal[:, 2, 0]
@@ -197,28 +197,10 @@ def _closed_mechanism(
                 measurement, position[j], noise[j, i], time_step, estimate[j, 1], memory[j, MEASURED]
             )
             if not filter_step(
-                devices[j],
-                filter_acceleration,
-                filter_plant,
-                time_step,
-                measured,
-                deformed[j],
-                estimate[j],
+                devices[j], filter_acceleration, filter_plant, time_step, measured, deformed[j], estimate[j]
             ):
                 return i, NOT_DEFINITE
-            command_step(
-                error_from_measurement,
-                transformation,
-                gains,
-                time_step,
-                now,
-                measured,
-                i == 0,
-                held[j],
-                chain[j],
-                estimate[j],
-                memory[j],
-            )
+            command_step(parts, time_step, now, measured, i == 0, held[j], chain[j], estimate[j], memory[j])
             seen[j], deformed[j] = memory[j, SEEN], memory[j, DEFORMED]
         speed = estimate[:, 1].copy()
         inverse_dynamics(model_inertia, model_bias, model, seen, speed, deformed, work, force)

@@ -16,20 +16,13 @@ from stillwork.estimation.secular import secular_function
 class BoundChoice:
     """What cross-validation says of the bounds that were tried.
 
-    Attributes
-    ----------
-    bounds : ndarray, shape (tried,)
-        eta for all rows, rising.
-    errors : ndarray, shape (tried,)
-        Held-out residual over the target, rms; 1 is the zero model.
-    interval : tuple of float
-        Bounds between which the best one lies when the folds are drawn anew. It needs a dozen rows an unknown: on
-        shorter records it misses the bound that predicts best more often than it says.
+    The interval holds the best bound when the folds are drawn anew. It needs a dozen rows an unknown: on shorter records
+    it misses the bound that predicts best more often than it says.
     """
 
-    bounds: Float64[np.ndarray, " tried"]
-    errors: Float64[np.ndarray, " tried"]
-    interval: tuple[float, float]
+    bounds: Float64[np.ndarray, " tried"]  # eta for all rows, rising
+    errors: Float64[np.ndarray, " tried"]  # held-out residual over the target, rms; 1: the zero model
+    interval: tuple[float, float]  # of bounds
 
     @property
     def best(self) -> float:

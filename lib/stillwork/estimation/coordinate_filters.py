@@ -105,18 +105,10 @@ class SavitzkyGolay:
 
 @dataclass(frozen=True)
 class FilterState:
-    """What a Kalman filter knows after a sample, from `start` and `step`.
+    """What a Kalman filter knows after a sample, from `start` and `step`."""
 
-    Attributes
-    ----------
-    estimate : ndarray, shape (3,)
-        Position in m, velocity in m/s, acceleration in m/s^2.
-    work : ndarray
-        Of the kernel: covariance and last measurement.
-    """
-
-    estimate: Float64[np.ndarray, "3"]
-    work: Float64[np.ndarray, "blocks rows columns"]
+    estimate: Float64[np.ndarray, "3"]  # position in m, velocity in m/s, acceleration in m/s^2
+    work: Float64[np.ndarray, "blocks rows columns"]  # the kernel's: covariance and last measurement
 
     def __post_init__(self):
         check_fields(self)

@@ -20,40 +20,20 @@ class ZeroEstimateWarning(UserWarning):
 class MinMaxSolution:
     """Solution of min over x of max over |dA| <= eta of |(A + dA) x - b|, Theorem 1.
 
-    Attributes
-    ----------
-    estimate : ndarray, shape (unknowns,)
-        x.
-    alpha : float
-        Regularisation that the bound amounts to: x = (A'A + alpha I)^-1 A'b; infinite when x = 0.
-    worst_case_residual : float
-        |A x - b| + eta |x|, the largest residual that the bound admits at x, in the unit of b.
-    perturbation : ndarray, shape (rows, unknowns)
-        A perturbation dA of norm eta that attains it; zero when x = 0 (then every dA does).
-    case : str
-        ``regularised`` (a positive root alpha); ``zero`` (eta at or above `threshold`); ``least squares``
-        (eta = 0, or b in the column space and eta at most `free_bound`); ``segment`` (b in the column
-        space and eta = `free_bound` = `threshold`: every point between zero and least squares is optimal,
-        least squares is returned).
-    threshold : float
-        tau = |A'b| / |b|: from this bound on the estimate is zero.
-    free_bound : float
-        Up to this bound the estimate is least squares; 0 unless b is in the column space of A.
-    rank : int
-        Numerical rank of A.
-    evaluations : int
-        Evaluations of the secular function that the root took.
+    The case is ``regularised`` (a positive root alpha); ``zero`` (eta at or above `threshold`); ``least squares``
+    (eta = 0, or b in the column space and eta at most `free_bound`); ``segment`` (b in the column space and
+    eta = `free_bound` = `threshold`: every point between zero and least squares is optimal, least squares is returned).
     """
 
-    estimate: Float64[np.ndarray, " unknowns"]
-    alpha: float
-    worst_case_residual: float
-    perturbation: Float64[np.ndarray, "rows unknowns"]
+    estimate: Float64[np.ndarray, " unknowns"]  # x
+    alpha: float  # x = (A'A + alpha I)^-1 A'b; infinite when x = 0
+    worst_case_residual: float  # |A x - b| + eta |x|, the largest that the bound admits
+    perturbation: Float64[np.ndarray, "rows unknowns"]  # dA that attains it; 0 when x = 0: each does
     case: str
-    threshold: float
-    free_bound: float
-    rank: int
-    evaluations: int
+    threshold: float  # tau = |A'b| / |b|: from this bound on the estimate is zero
+    free_bound: float  # up to this least squares; 0 unless b is in the column space of A
+    rank: int  # numerical, of A
+    evaluations: int  # of the secular function, for the root
 
 
 @checked(infinite=True)

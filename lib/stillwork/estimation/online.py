@@ -22,15 +22,7 @@ RUNAWAY = 1e6
 
 
 class UnstableAdaptation(ArithmeticError):
-    """The adaptation, or the loop around it, diverged; says in which sample, why, and what to do.
-
-    Attributes
-    ----------
-    sample : int
-        First sample whose update cannot be used.
-    cause : str
-        What was seen.
-    """
+    """The adaptation, or the loop around it, diverged: the `sample` whose update cannot be used, the `cause`, what to do."""
 
     def __init__(self, sample: int, cause: str, advice: str, what: str = "the adaptation"):
         super().__init__(f"{what} became unstable at sample {sample}: {cause}; {advice}")
@@ -42,26 +34,15 @@ class UnstableAdaptation(ArithmeticError):
 class Adaptation:
     """What an adaptation over a record gave.
 
-    Attributes
-    ----------
-    weights : ndarray, shape (actuators, n)
-        W after the last sample.
-    covariance : ndarray, shape (n, n), or None
-        P after the last sample; None for FeLMS.
-    held : ndarray, shape (n,), or None
-        Share of the last time constant in which `growth_limit` held the variance of each regressor's weight down: where
-        it is not zero, some combination with this regressor is excited too weakly to be followed in that time.
-    samples : ndarray, shape (kept,)
-        Number of samples seen when each entry of `history` was kept.
-    history : ndarray, shape (kept, actuators, n)
-        W along the way.
+    Where `held` is not zero, some combination with this regressor is excited too weakly to be followed in the last time
+    constant.
     """
 
-    weights: Float64[np.ndarray, "actuators n"]
-    covariance: Float64[np.ndarray, "n n"] | None
-    held: Float64[np.ndarray, "n"] | None
-    samples: Int64[np.ndarray, "kept"]
-    history: Float64[np.ndarray, "kept actuators n"]
+    weights: Float64[np.ndarray, "actuators n"]  # W after the last sample
+    covariance: Float64[np.ndarray, "n n"] | None  # P after the last sample; None for FeLMS
+    held: Float64[np.ndarray, "n"] | None  # share of the last time constant in which `growth_limit` acted
+    samples: Int64[np.ndarray, "kept"]  # seen when each entry of `history` was kept
+    history: Float64[np.ndarray, "kept actuators n"]  # W along the way
 
 
 @checked
@@ -227,19 +208,9 @@ class AdaptationStepper:
 
 @checked
 def steady_covariance(regressors: ArrayLike, forgetting: float) -> Float64[np.ndarray, "n n"]:
-    """P that FeRLS settles at, (1 - lambda) E[psi psi']^-1, from a stretch of psi_N.
+    """P that FeRLS settles at, (1 - lambda) E[psi psi']^-1, from a stretch of psi_N after the transients of the filters.
 
-    Parameters
-    ----------
-    regressors : array_like, shape (n, samples)
-        psi_N, after the transients of the filters.
-    forgetting : float
-        lambda in (0, 1).
-
-    Raises
-    ------
-    InputError
-        When a direction of the regressors is silent: it has no steady value.
+    A direction of the regressors that is silent has no steady value, and is an `InputError`.
     """
     regressors = require_array("regressors", regressors, ndim=2)
     forgetting = require_number("forgetting", forgetting, above=0.0, below=1.0)

@@ -226,17 +226,7 @@ def worst_case_residuals(
 ) -> np.ndarray:
     """|A_t x_t - b_t| + eta_t |x_t| of any estimates, the criterion that min-max estimation minimises.
 
-    Parameters
-    ----------
-    regressors, estimates : array_like, shape (unknowns, samples)
-    outputs, bounds : array_like, shape (samples,)
-    forgetting : float
-        lambda in (0, 1]; 1 weighs all rows alike.
-
-    Returns
-    -------
-    ndarray, shape (samples,)
-        In the unit of the outputs.
+    Regressors and estimates are (unknowns, samples); the forgetting, at most 1, weighs all rows alike at 1.
     """
     regressors = require_array("regressors", regressors, ndim=2)
     estimates = require_array("estimates", estimates, shape=regressors.shape)

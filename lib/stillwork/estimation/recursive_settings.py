@@ -13,24 +13,12 @@ UPDATES = ("exact", "approximate", "fast")
 
 @dataclass(frozen=True)
 class Track:
-    """What an estimator gave along a record.
+    """What an estimator gave along a record."""
 
-    Attributes
-    ----------
-    estimates : ndarray, shape (unknowns, samples)
-        x_t after the sample at t; zero before there are more samples than unknowns (min-max only).
-    errors : ndarray, shape (samples,)
-        Prediction error y_t - a_t'x_(t-1), before the sample is used.
-    alphas : ndarray, shape (samples,)
-        Regularisation: x_t = (R_t + alpha_t I)^-1 s_t; infinite where x_t = 0; 0 for least squares.
-    evaluations : ndarray of int, shape (samples,)
-        Evaluations of the secular function that each step took.
-    """
-
-    estimates: Float64[np.ndarray, "unknowns samples"]
-    errors: Float64[np.ndarray, " samples"]
-    alphas: Float64[np.ndarray, " samples"]
-    evaluations: Int64[np.ndarray, " samples"]
+    estimates: Float64[np.ndarray, "unknowns samples"]  # x_t; min-max: 0 up to as many samples
+    errors: Float64[np.ndarray, " samples"]  # y_t - a_t'x_(t-1), before the sample is used
+    alphas: Float64[np.ndarray, " samples"]  # x_t = (R_t + alpha_t I)^-1 s_t; infinite where x_t = 0
+    evaluations: Int64[np.ndarray, " samples"]  # of the secular function, a step
 
 
 class _Recursion:
@@ -143,15 +131,10 @@ class MinMax(_MinMaxUpdate):
 class GrowingMinMax(_MinMaxUpdate):
     """Min-max estimator in which all rows count alike and the bound grows: eta_t = row_bound sqrt(t).
 
-    This is the setting of Fig. 1 (forgetting 1); parameters as in `MinMax`, with
-
-    Attributes
-    ----------
-    row_bound : float
-        epsilon, the bound on the 2-norm of the perturbation of one regressor.
+    This is the setting of Fig. 1 (forgetting 1); parameters as in `MinMax`.
     """
 
-    row_bound: float
+    row_bound: float  # epsilon, on the 2-norm of the perturbation of one regressor
     update: str = "exact"
     iterations: int = 1
 
@@ -212,18 +195,10 @@ class LeastSquares(_Recursion):
 
 @dataclass(frozen=True)
 class Ridge(_Recursion):
-    """Exponentially weighted ridge regression with a constant penalty: x = (R + penalty I)^-1 s.
+    """Exponentially weighted ridge regression with a constant penalty: x = (R + penalty I)^-1 s."""
 
-    Attributes
-    ----------
-    penalty : float
-        Above 0; in the unit of the squared regressors, summed over the window.
-    forgetting : float
-        lambda, between 0 and 1.
-    """
-
-    penalty: float
-    forgetting: float
+    penalty: float  # above 0; in the unit of the squared regressors, summed over the window
+    forgetting: float  # lambda, between 0 and 1
 
     def __post_init__(self):
         require_number("penalty", self.penalty, above=0.0)

@@ -91,24 +91,12 @@ def secular_root(eigenvalues, c_squared, d_squared, bound, start):
 
 @dataclass(frozen=True)
 class SecularFunction:
-    """The map f of eq. (4) for one problem: its fixed point is the min-max regularisation.
+    """The map f of eq. (4) for one problem: its fixed point is the min-max regularisation."""
 
-    Attributes
-    ----------
-    eigenvalues : ndarray, shape (rank,)
-        Squares of the nonzero singular values of A, descending.
-    coefficients : ndarray, shape (rank,)
-        c = U1'b.
-    excess : float
-        |d|, the part of b outside the column space of A; 0 when that is rounding.
-    bound : float
-        eta, the bound on the 2-norm of the perturbation of A.
-    """
-
-    eigenvalues: Float64[np.ndarray, " rank"]
-    coefficients: Float64[np.ndarray, " rank"]
-    excess: float
-    bound: float
+    eigenvalues: Float64[np.ndarray, " rank"]  # squares of the nonzero singular values of A, descending
+    coefficients: Float64[np.ndarray, " rank"]  # c = U1'b
+    excess: float  # |d|, the part of b outside the column space of A; 0 when that is rounding
+    bound: float  # eta, on the 2-norm of the perturbation of A
 
     def __post_init__(self):
         check_fields(self)
@@ -195,19 +183,7 @@ class SecularFunction:
 def secular_function(matrix: ArrayLike, target: ArrayLike, bound: float) -> SecularFunction:
     """The secular function of min-max estimation for data A, b and a bound, eq. (3)-(4).
 
-    Parameters
-    ----------
-    matrix : array_like, shape (rows, unknowns)
-        A, with at least as many rows as unknowns.
-    target : array_like, shape (rows,)
-        b, with A'b not zero.
-    bound : float
-        eta, in the unit of A.
-
-    Raises
-    ------
-    InputError
-        When the data cannot be used, or A'b = 0 so that no bound gives a nonzero estimate.
+    A has at least as many rows as unknowns, and A'b = 0 is refused: then no bound gives a nonzero estimate.
     """
     function, _, _ = decompose(matrix, target, bound)
     if not np.any(function.coefficients):
