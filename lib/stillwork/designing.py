@@ -15,7 +15,7 @@ from stillwork.control.bandwidth import FUNCTIONS, SIX_DB, Loop
 from stillwork.control.c_code import controller_code, require_names
 from stillwork.control.digital import DigitalController, biquads, runnable
 from stillwork.control.machine_loops import SHOWN, Intensities, Reached, applications, reach, search_range
-from stillwork.control.machine_tuning import Settings, tuned
+from stillwork.control.machine_tuning import DesignSettings, tuned
 from stillwork.exporting import require_free, write_folder
 from stillwork.html_page import picture, table
 from stillwork.identification.machine import Machine, build_machine
@@ -95,7 +95,7 @@ def design_file(
     how = {"doubt": doubt, "step": step, "delay": delay}
     settings, found = {}, {}
     for use, application in ({"PID": None, NOTCHED: None} | applications(ADDED_DAMPING, SELECTIVITY)).items():
-        first = Settings(application, RETAINED, INTENSITIES, use == NOTCHED)
+        first = DesignSettings(application, RETAINED, INTENSITIES, use == NOTCHED)
         settings[use], found[use] = _furthest(machine, first, how, loop_hz)
     safe = {use: each for use, each in found.items() if each.recommended is not None}
     if not safe:
@@ -154,14 +154,14 @@ def design_file(
     ]
 
 
-def _reached(machine: Machine, settings: Settings, how: dict) -> Reached:
+def _reached(machine: Machine, settings: DesignSettings, how: dict) -> Reached:
     own = {each.name: getattr(settings, each.name) for each in fields(settings) if each.name != "application"}
     return reach(machine, {"": settings.application}, **own, **how)[""]
 
 
 def _furthest(
-    machine: Machine, settings: Settings, how: dict, loop_hz: tuple[float, float]
-) -> tuple[Settings, Reached]:
+    machine: Machine, settings: DesignSettings, how: dict, loop_hz: tuple[float, float]
+) -> tuple[DesignSettings, Reached]:
     """The settings, tuned where that leads further, and how far they get."""
     found = _reached(machine, settings, how | {"loop_hz": loop_hz})
     lowest, _ = search_range(machine, how["step"])
@@ -176,7 +176,7 @@ def _crossing(reached: Reached) -> float:
     return float(reached.recommended.crossing_hz.min()) if reached.recommended else 0.0
 
 
-def _improvements(machine: Machine, settings: Settings, how: dict, reached: Reached) -> list[list[str]]:
+def _improvements(machine: Machine, settings: DesignSettings, how: dict, reached: Reached) -> list[list[str]]:
     """Changes of the machine that raise the bandwidth of the same settings on the model, and to what, the best first."""
 
     def changed(change) -> Machine:

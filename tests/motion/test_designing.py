@@ -15,7 +15,7 @@ from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
 from stillwork.control.digital import load_controller
 from stillwork.control.machine_loops import Intensities, applications, pid_family, reach
-from stillwork.control.machine_tuning import Settings, varied
+from stillwork.control.machine_tuning import DesignSettings, varied
 from stillwork.designing import ADDED_DAMPING, INTENSITIES, SELECTIVITY, design_file
 from stillwork.identification.machine import Machine, build_machine
 from stillwork.identification.machine_files import load_machine
@@ -126,7 +126,7 @@ def test_settings_are_varied_and_never_for_less(written):
     ],
 )
 def test_one_setting_is_varied_at_a_time(name, factor, wanted):
-    settings = Settings(Application(damping=0.02, selectivity=2.0), 5, INTENSITIES)
+    settings = DesignSettings(Application(damping=0.02, selectivity=2.0), 5, INTENSITIES)
     assert varied(settings, name, factor) == (wanted and replace(settings, **wanted))
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
@@ -25,7 +26,7 @@ PUSH = 1.03  # of the bandwidth, at a time
 
 
 @dataclass(frozen=True)
-class Settings:
+class DesignSettings:
     """What one use of an observer is made of."""
 
     application: Application | None  # None: no observer
@@ -37,22 +38,22 @@ class Settings:
 
 def tuned(
     machine: Machine,
-    settings: Settings,
+    settings: DesignSettings,
     design_hz: float,
     *,
     doubt: float,
     step: float,
     delay: int,
     constraints: Sequence[PeakConstraint] = SAFE,
-) -> Settings:
+) -> DesignSettings:
     """Settings that hold the constraints on the model at a higher bandwidth than those given do at `design_hz`."""
 
-    def loops_of(each: Settings) -> list[Loop]:
+    def loops_of(each: DesignSettings) -> list[Loop]:
         chosen = observer_settings(machine, each.application, each.retained, each.intensities)
         loops = observed_loops(machine.sensors, each.application, *chosen, step, delay)
         return [*loops, *doubted_loops(loops, doubt)]
 
-    def pushed(each: Settings) -> float:
+    def pushed(each: DesignSettings) -> float:
         """The bandwidth up to which these settings hold, from the best so far on; that itself if they hold no more."""
         try:
             loops = loops_of(each)
@@ -75,7 +76,7 @@ def tuned(
     return settings
 
 
-def varied(settings: Settings, name: str, factor: float) -> Settings | None:
+def varied(settings: DesignSettings, name: str, factor: float) -> DesignSettings | None:
     """The settings with one of them changed by a factor; None where they have no such thing, or no more of it."""
     application, intensities = settings.application, settings.intensities
     if name == "lead":
@@ -88,9 +89,10 @@ def varied(settings: Settings, name: str, factor: float) -> Settings | None:
     if application is None or (name == "drift" and not application.compensate):
         return None
     if name in ("sensor", "drift"):
-        changed = replace(intensities, **{name: factor * getattr(intensities, name)})
-        return replace(settings, intensities=changed)
+        noise = replace(intensities, **{name: factor * getattr(intensities, name)})
+        return replace(settings, intensities=noise)
     value = getattr(application, name)
     if not isinstance(value, float) or not value or factor * value > MOST[name]:
         return None
-    return replace(settings, application=replace(application, **{name: factor * value}))
+    changed: dict[str, Any] = {name: factor * value}
+    return replace(settings, application=replace(application, **changed))
