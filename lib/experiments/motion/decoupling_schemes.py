@@ -18,12 +18,7 @@ from stillwork.control.decoupled_damping import (
     constrained_damping,
     constrained_stiffness,
 )
-from stillwork.control.decoupling import (
-    coupling_onset,
-    decouple,
-    decoupled_plant,
-    rigid_coupling,
-)
+from stillwork.control.decoupling import coupling_onset, decouple, decoupled_plant, rigid_coupling
 from stillwork.control.feedback import damping_gain, stiffness_gain
 from stillwork.control.loops import channel, closed_loop
 from stillwork.estimation.observer import Observer, kalman_observer
