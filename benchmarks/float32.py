@@ -15,10 +15,11 @@ sys.path.insert(0, str(ROOT / "lib"))
 import numpy as np  # noqa: E402
 
 from experiments.isolation import load_twin, simulate  # noqa: E402
-from experiments.isolation.your_floor import open_floor  # noqa: E402
+from experiments.isolation.recorded_floors import record_floor  # noqa: E402
 from stillwork.base import paths  # noqa: E402
 from stillwork.estimation.adaptive import FeRls  # noqa: E402
 from stillwork.estimation.online import run_ferls  # noqa: E402
+from stillwork.signals import load_record  # noqa: E402
 
 FORGETTING = float(np.exp(-2e-4 / 10))
 MEMORY = 100  # time constants that the float64 reference runs
@@ -26,9 +27,8 @@ MEMORY = 100  # time constants that the float64 reference runs
 
 def slab_record() -> tuple[np.ndarray, np.ndarray]:
     """psi_N, (samples, regressors), and the error of zero weights, (samples, actuators), as float32 holds them."""
-    twin, file = load_twin("rigid_body"), paths.data("isolation", "slab_footfall/slab_vertical.csv")
-    options = {"twin": twin, "ground_gain": 1.0, "common": 1.0, "duration_s": 30.0, "seed": 1}
-    run = simulate(twin, open_floor(str(file), "m/s^2", 0.0, [], **options), signals_from_s=5.0, seed=1)
+    slab = load_record(paths.data("isolation", "slab_footfall/slab_vertical.csv"), "m/s^2")
+    run = simulate(load_twin("rigid_body"), record_floor(slab), signals_from_s=5.0, seed=1)
     return tuple(
         np.ascontiguousarray(signals.T.astype(np.float32)) for signals in (run.filtered_regressors, run.error)
     )

@@ -143,6 +143,9 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
         help="where the measurement can be trusted",
     )
     design.add_argument("--mirrored-sensor", action="store_true", help="serve a mirrored sensor, too")
+    design.add_argument(
+        "--doubt", type=float, default=0.05, metavar="SHARE", help="by which resonances may differ"
+    )
     design.add_argument("--damping-ratio", type=float, default=0.005, help="of matrices without damping")
     design.set_defaults(run=_design)
 

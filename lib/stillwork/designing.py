@@ -3,7 +3,7 @@
 import hashlib
 import html
 import json
-from dataclasses import asdict
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from string import Template
 
@@ -14,18 +14,22 @@ from stillwork.base.checks import InputError, require_count, require_number
 from stillwork.control.bandwidth import FUNCTIONS, SIX_DB, Loop
 from stillwork.control.c_code import controller_code, require_names
 from stillwork.control.digital import DigitalController, biquads, runnable
-from stillwork.control.machine_loops import SHOWN, Intensities, Reached, applications, reach
+from stillwork.control.machine_loops import SHOWN, Intensities, Reached, applications, reach, search_range
+from stillwork.control.machine_tuning import DesignSettings, tuned
 from stillwork.exporting import require_free, write_folder
 from stillwork.html_page import picture, table
 from stillwork.identification.machine import Machine, build_machine
 from stillwork.identification.machine_files import load_machine
 from stillwork.identification.modal_fit import ModalFit
 from stillwork.lti.discretisation import tustin
+from stillwork.lti.modal import ModalModel
 
 # What the observer is made for where nothing is known: accelerations and noise of a machine that moves by nanometres.
 INTENSITIES = Intensities(disturbance=8e-4, sensor=1.41e-9, drift=1.92e-4)
 ADDED_DAMPING, SELECTIVITY, RETAINED = 0.02, 2.0, 5
 ALLOWED_DB = 6.01  # of a loop that is handed out; the search keeps 6 dB
+NOTCHED = "PID with notches"
+WORTH = 0.01  # relative gain of bandwidth below which a change of the machine is none
 
 
 def design_file(
@@ -40,6 +44,7 @@ def design_file(
     fit_hz: tuple[float, float] = (0.0, 0.0),
     loop_hz: tuple[float, float] = (0.0, 0.0),
     mirrored_sensor: bool = False,
+    doubt: float = 0.05,
     **reading,
 ) -> list[str]:
     """Design a controller for the machine in `file` and write it, in C and otherwise, into a new folder.
@@ -62,6 +67,8 @@ def design_file(
         Band in which the measurement stands for the plant, where it can be trusted; (0, 0): that of the fit.
     mirrored_sensor : bool
         Serve a second sensor, too, at which every flexible mode has the other sign.
+    doubt : float
+        Share by which all resonances may be lower or higher than found: every constraint holds there, too.
     **reading
         Other arguments of `load_machine`.
 
@@ -81,12 +88,15 @@ def design_file(
         require_number("limit", limit, above=0.0)
     step = 1 / require_number("rate", rate, above=0.0)
     delay = require_count("delay", delay, at_least=0)
+    require_number("doubt", doubt, at_least=0.0, below=1.0)
     source = Path(file)
     taken = load_machine(source, **reading)
     machine = build_machine(taken, modes_hz=[], fit_hz=fit_hz, mirrored_sensor=mirrored_sensor)
-    uses = applications(ADDED_DAMPING, SELECTIVITY)
-    sampled = {"step": step, "delay": delay, "loop_hz": loop_hz}
-    found = reach(machine, uses, retained=RETAINED, intensities=INTENSITIES, **sampled)
+    how = {"doubt": doubt, "step": step, "delay": delay}
+    settings, found = {}, {}
+    for use, application in ({"PID": None, NOTCHED: None} | applications(ADDED_DAMPING, SELECTIVITY)).items():
+        first = DesignSettings(application, RETAINED, INTENSITIES, use == NOTCHED)
+        settings[use], found[use] = _furthest(machine, first, how, loop_hz)
     safe = {use: each for use, each in found.items() if each.recommended is not None}
     if not safe:
         reasons = "; ".join(
@@ -96,11 +106,11 @@ def design_file(
             f"{source.name}: no safe loop at {rate:g} Hz ({reasons}); sample faster or add damping"
         )
     # In the order of the uses, so that of equals the simplest is taken.
-    best = max(safe, key=lambda use: round(float(safe[use].recommended.crossing_hz.min()), 2))
+    best = max(safe, key=lambda use: round(_crossing(safe[use]), 2))
     pid, loops = safe[best].recommended.controller, safe[best].model_loops
     sections = biquads(tustin(pid.state_space(), step))
     about = {
-        "gains": {key: value for key, value in asdict(pid).items() if key != "notches"},
+        "gains": asdict(pid),
         "units": "SI: m, N, s, rad/s; gain N/m, integrator, differentiator and low_pass rad/s",
         "biquads_of_the_pid": None if sections is None else sections.tolist(),
         "provenance": {
@@ -112,24 +122,24 @@ def design_file(
             "mass_kg": machine.mass,
             "resonances_hz": machine.resonances_hz.tolist(),
             "use": best,
-            "application": uses[best] and asdict(uses[best]),
-            "intensities": asdict(INTENSITIES),
-            "retained_modes": RETAINED,
+            "settings": asdict(settings[best]),
+            "doubt_of_the_resonances": doubt,
             "delay_samples_of_the_loop": delay,
             "design_hz": safe[best].recommended.design_hz,
         },
     }
     controllers = [runnable(pid, loop.compensator, limit, about) for loop in loops]
     peaks = recheck(safe[best], controllers)
-    worst = max(size for pair in peaks.values() for size in pair)
+    worst = max(size for each in peaks.values() for size in each.values())
     if worst > ALLOWED_DB:
         raise InputError(f"{source.name}: the sampled controller peaks at {worst:.2f} dB; sample faster")
+    helps = _improvements(machine, settings[best], how, safe[best])
     files = {}
     for number, controller in enumerate(controllers, 1):
         own = name if len(controllers) == 1 else f"{name}_{number}"
         files[f"{own}.json"] = json.dumps(controller.as_dict(), indent=1, allow_nan=False) + "\n"
         files |= controller_code(controller, own, precision)
-    files["report.html"] = report(machine, found, best, controllers, peaks, rate, sorted(files))
+    files["report.html"] = report(machine, found, best, controllers, peaks, helps, doubt, rate, sorted(files))
     write_folder(folder, {each: text.encode() for each, text in files.items()})
     rows = {
         use: ", ".join(f"{key} {value}" for key, value in each.summary.items()) for use, each in found.items()
@@ -139,21 +149,78 @@ def design_file(
         *machine.notes,
         *(f"{use}: {row}{found[use].reason and '; ' + found[use].reason}" for use, row in rows.items()),
         f"taken: {best}, stopped by {safe[best].summary['stopped by']}",
+        f"what would help most: {'; '.join(' '.join(row) + ' Hz' for row in helps[:2]) or 'nothing that was tried'}",
         f"{folder}: {', '.join(sorted(files))}",
     ]
 
 
-def recheck(reached: Reached, controllers: list[DigitalController]) -> dict[str, tuple[float, ...]]:
-    """Largest peaks in dB of the controllers' own numbers in the loops: on the model, and on the measurement if any."""
-    measured = [] if reached.loops is reached.model_loops else [reached.loops]
-    found = [
-        np.max(
-            [np.abs(own_functions(*pair)).max(axis=1) for pair in zip(loops, controllers, strict=True)],
-            axis=0,
-        )
-        for loops in (reached.model_loops, *measured)
-    ]
-    return dict(zip(FUNCTIONS, map(tuple, (20 * np.log10(found)).T.tolist()), strict=True))
+def _reached(machine: Machine, settings: DesignSettings, how: dict) -> Reached:
+    own = {each.name: getattr(settings, each.name) for each in fields(settings) if each.name != "application"}
+    return reach(machine, {"": settings.application}, **own, **how)[""]
+
+
+def _furthest(
+    machine: Machine, settings: DesignSettings, how: dict, loop_hz: tuple[float, float]
+) -> tuple[DesignSettings, Reached]:
+    """The settings, tuned where that leads further, and how far they get."""
+    found = _reached(machine, settings, how | {"loop_hz": loop_hz})
+    lowest, _ = search_range(machine, how["step"])
+    trial = tuned(machine, settings, found.recommended.design_hz if found.recommended else lowest, **how)
+    further = found if trial == settings else _reached(machine, trial, how | {"loop_hz": loop_hz})
+    if further.recommended is None or _crossing(further) <= _crossing(found):
+        return settings, found
+    return trial, further
+
+
+def _crossing(reached: Reached) -> float:
+    return float(reached.recommended.crossing_hz.min()) if reached.recommended else 0.0
+
+
+def _improvements(machine: Machine, settings: DesignSettings, how: dict, reached: Reached) -> list[list[str]]:
+    """Changes of the machine that raise the bandwidth of the same settings on the model, and to what, the best first."""
+
+    def changed(change) -> Machine:
+        return replace(machine, measured=None, fit=None, sensors=tuple(map(change, machine.sensors)))
+
+    def damped(model: ModalModel) -> ModalModel:
+        factor = np.append(1.0, np.full(len(model.damping) - 1, 2.0))
+        return replace(model, damping=np.minimum(factor * model.damping, np.maximum(model.damping, 0.5)))
+
+    def beside(model: ModalModel) -> ModalModel:
+        shapes = np.abs(model.output_shapes) * np.sign(model.input_shapes.T)
+        return replace(model, output_shapes=shapes, feedthrough=np.abs(model.feedthrough))
+
+    trials = {
+        "twice the damping of its modes:": (changed(damped), how),
+        "the sensor where the force acts:": (changed(beside), how),
+        "twice the rate:": (changed(lambda model: model), how | {"step": how["step"] / 2}),
+        "no delay:": (changed(lambda model: model), how | {"delay": 0}),
+    }
+    if not how["delay"]:
+        del trials["no delay:"]
+    before = reached.on_model.crossing_hz.min() if reached.on_model else 0.0
+    gains = []
+    for words, (other, changes) in trials.items():
+        found = _reached(other, settings, changes).on_model
+        if found is not None and found.crossing_hz.min() > (1 + WORTH) * before:
+            gains.append([float(found.crossing_hz.min()), words])
+    return [[words, f"{hertz:.1f}"] for hertz, words in sorted(gains, key=lambda each: -each[0])]
+
+
+def recheck(reached: Reached, controllers: list[DigitalController]) -> dict[str, dict[str, float]]:
+    """Largest peaks in dB of the controllers' own numbers, by function and by loops: all that the search looked at."""
+    looked = {"on the model (dB)": reached.model_loops}
+    if reached.doubted_loops:
+        looked["with resonances moved (dB)"] = reached.doubted_loops
+    if reached.loops is not reached.model_loops:
+        looked["on the measurement (dB)"] = reached.loops
+    found: dict[str, dict[str, float]] = {name: {} for name in FUNCTIONS}
+    for where, loops in looked.items():
+        pairs = [(loop, controllers[k % len(controllers)]) for k, loop in enumerate(loops)]
+        peaks = np.max([np.abs(own_functions(*pair)).max(axis=1) for pair in pairs], axis=0)
+        for name, size in zip(FUNCTIONS, peaks, strict=True):
+            found[name][where] = float(20 * np.log10(size))
+    return found
 
 
 def own_functions(loop: Loop, controller: DigitalController) -> np.ndarray:
@@ -170,19 +237,22 @@ def report(
     found: dict[str, Reached],
     best: str,
     controllers: list[DigitalController],
-    peaks: dict[str, tuple[float, ...]],
+    peaks: dict[str, dict[str, float]],
+    helps: list[list[str]],
+    doubt: float,
     rate: float,
     files: list[str],
 ) -> str:
     """One page: the machine, how far each use of an observer gets, what was taken, its peaks, and how to run it."""
     reached = found[best]
-    where = ("on the model (dB)", "on the measurement (dB)")
-    sizes = [[SHOWN[name], *(f"{size:.2f}" for size in each)] for name, each in peaks.items()]
+    where = list(next(iter(peaks.values())))
+    sizes = [[SHOWN[name], *(f"{each[column]:.2f}" for column in where)] for name, each in peaks.items()]
     limit = controllers[0].high[0]
     facts = [
         ["mass", f"{machine.mass:.4g} kg"],
         ["resonances", ", ".join(f"{hertz:.4g}" for hertz in machine.resonances_hz) + " Hz"],
         ["rate", f"{rate:g} Hz"],
+        ["doubt of the resonances", f"{100 * doubt:g} %"],
         ["limit of the force", f"{limit:g} N" if np.isfinite(limit) else "none: give --limit"],
         *(["note", note] for note in machine.notes),
     ]
@@ -193,7 +263,8 @@ def report(
         stopped=html.escape(reached.summary["stopped by"]),
         facts=table([], facts),
         uses=uses_table(found),
-        peaks=table(["peak", *where[: len(next(iter(peaks.values())))]], sizes),
+        peaks=table(["peak", *where], sizes),
+        helps=table(["change", "bandwidth (Hz)"], helps or [["nothing that was tried", ""]]),
         machine=picture(paint_machine(machine)),
         loops=picture(paint_loops(reached, controllers)),
         files=html.escape(", ".join(files)),

@@ -214,6 +214,46 @@ def test_spectra_move_the_floor_with_their_density(twin, tmp_path, unit, scale, 
         assert found.power(low, high) == pytest.approx(power_wanted, rel=5 / np.sqrt(900))
 
 
+def test_spectra_from_the_highest_frequency_on_are_the_same_floor(twin, tmp_path):
+    f = np.geomspace(1.0, 200.0, 50)
+    np.savez(tmp_path / "up.npz", frequency=f, a=1e-4 / f)
+    np.savez(tmp_path / "down.npz", frequency=f[::-1], a=1e-4 / f[::-1])
+    up, down = (opened(twin, tmp_path / name, "(m/s^2)^2/Hz").acceleration for name in ("up.npz", "down.npz"))
+    assert np.array_equal(up, down)
+
+
+def test_a_sensor_that_drifts_is_told_from_a_floor(twin, tmp_path):
+    time = np.arange(20_000) / 1000
+    for rms, refused in ((0.05, False), (0.2, True)):  # m, of a motion at 0.2 Hz beside what shakes the rig
+        drift = rms * np.sqrt(2) * (0.4 * np.pi) ** 2 * np.sin(0.4 * np.pi * time)
+        np.savez(tmp_path / "floor.npz", fs=1000.0, a=drift + 1e-3 * np.sin(2 * np.pi * 30 * time))
+        if not refused:
+            assert opened(twin, tmp_path / "floor.npz").channels == 1
+            continue
+        with pytest.raises(InputError, match=r"travels 0\.2\d m rms, which is a sensor that drifts"):
+            opened(twin, tmp_path / "floor.npz")
+
+
+def test_a_record_that_begins_in_mid_motion_begins_at_rest(twin, tmp_path):
+    np.savez(tmp_path / "floor.npz", fs=5000.0, a=np.cos(2 * np.pi * 30 * np.arange(100_000) / 5000))
+    motion = opened(twin, tmp_path / "floor.npz").acceleration[0]
+    assert motion[0] == 0 and np.abs(motion[:200]).max() < 0.01
+    assert motion[5000:] == pytest.approx(np.cos(2 * np.pi * 30 * np.arange(5000, 100_000) / 5000), abs=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("quiet_first", [True, False])
+def test_a_floor_that_begins_louder_or_ends_louder_than_the_rest_is_learnt(twin, tmp_path, quiet_first):
+    time = np.arange(22_500) / 500
+    loud = (time > 30) if quiet_first else (time < 4)
+    motion = np.random.default_rng(3).standard_normal(len(time)) * np.where(loud, 0.3, 1e-3)
+    np.savez(tmp_path / "floor.npz", fs=500.0, a=motion)
+    isolated = isolate(twin, opened(twin, tmp_path / "floor.npz"), 1)
+    assert isolated.left("FeRLS")[0] < isolated.left("feedback")[0]
+    louder = [text for text in findings(isolated) if "times as much where it is judged" in text]
+    assert len(louder) == quiet_first  # what is cut off before the judging counts on neither side
+
+
 def test_the_shipped_ground_spectra_are_a_floor_and_each_of_several_its_own(twin, tmp_path):
     one = opened(twin, GROUND, "(m/s)^2/Hz", channels=("velocity_density_Z 1",))
     assert one.channels == 3 and one.acceleration.std() == pytest.approx(8e-5, rel=0.5)

@@ -3,6 +3,7 @@
 import ctypes
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,15 +12,21 @@ from shared.compiled import compiled, pointer
 from stillwork.__main__ import main
 from stillwork.base import paths
 from stillwork.base.checks import InputError
+from stillwork.control.applications import Application
 from stillwork.control.digital import load_controller
-from stillwork.designing import design_file
+from stillwork.control.machine_loops import Intensities, applications, pid_family, reach
+from stillwork.control.machine_tuning import DesignSettings, varied
+from stillwork.designing import ADDED_DAMPING, INTENSITIES, SELECTIVITY, design_file
+from stillwork.identification.machine import Machine, build_machine
 from stillwork.identification.machine_files import load_machine
+from stillwork.lti.discretisation import tustin
 from stillwork.lti.modal import ModalModel, modal_model
 
 TEMPLATES = paths.data("motion", "your_machine")
 RATE = 1e4
 MASS = np.diag([30.0, 10.0])
 STIFFNESS = 1.5e7 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+PAIR = modal_model(MASS, STIFFNESS, [[1.0], [0.0]], [[0.0, 1.0]], damping_ratio=0.005)
 
 
 @pytest.fixture(scope="module")
@@ -47,17 +54,21 @@ def test_it_writes_all_of_it(written):
     page = (folder / "report.html").read_text()
     assert "&lt;pair&gt;.npz" in page and "<pair>" not in page and page.count("data:image/png;base64,") == 2
     assert not re.search(r"(src|href)=\"http|<script", page)
-    assert said[0].endswith("40 kg; first resonance at 225.1 Hz") and said[-2].startswith("taken: ")
+    assert said[0].endswith("40 kg; first resonance at 225.1 Hz") and said[-3].startswith("taken: ")
+    assert held["provenance"]["doubt_of_the_resonances"] == 0.05
 
 
 @pytest.mark.slow
-def test_the_written_controller_keeps_six_decibels_by_python_control(written):
+@pytest.mark.parametrize("factor", [0.95, 1.0, 1.05])
+def test_the_written_controller_keeps_six_decibels_by_python_control(written, factor):
+    """On the machine of the file, and on those whose resonance is 5 % away from it."""
     import control
 
     controller = load_controller(written[0] / "controller.json")
-    plant = modal_model(MASS, STIFFNESS, [[1.0], [0.0]], [[0.0, 1.0]], damping_ratio=0.005)
+    stiffness = factor**2 * STIFFNESS
+    plant = modal_model(MASS, stiffness, [[1.0], [0.0]], [[0.0, 1.0]], damping_ratio=0.005)
     held = control.sample_system(plant.to_control(), 1 / RATE, "zoh")
-    omega = 2 * np.pi * np.concatenate([np.geomspace(0.5, 4e3, 3000), np.linspace(215, 235, 2000)])
+    omega = 2 * np.pi * np.concatenate([np.geomspace(0.5, 4e3, 3000), np.linspace(205, 245, 4000)])
     z = np.exp(1j * omega / RATE)
     p = held(z) / z
     k_r, k_y = control.ss(controller.linear.to_control())(z)[0]
@@ -66,6 +77,66 @@ def test_the_written_controller_keeps_six_decibels_by_python_control(written):
     late = held * control.ss([[0.0]], [[1.0]], [[1.0]], [[0.0]], 1 / RATE)
     loop = control.feedback(late * control.ss(controller.linear.to_control())[0, 1], 1, sign=1)
     assert np.all(np.abs(loop.poles()) < 1)
+
+
+@pytest.mark.slow
+def test_what_would_help_is_what_it_would_give(written, tmp_path):
+    """Twice the damping: the file searched afresh with that damping ratio, by the settings that were written down."""
+    folder, said = written
+    words = "twice the damping of its modes:"
+    hertz = re.match(rf"what would help most: .*?{words} ([0-9.]+) Hz", said[-2])[1]
+    held = json.loads((folder / "controller.json").read_text())["provenance"]["settings"]
+    np.savez(tmp_path / "pair.npz", M=MASS, K=STIFFNESS, input=[1.0, 0], output=[[0.0, 1.0]])
+    file = load_machine(tmp_path / "pair.npz", damping_ratio=0.01)
+    machine = build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)
+    use = {"": held["application"] and Application(**held["application"])}
+    own = {each: held[each] for each in ("retained", "notches", "lead")}
+    own["intensities"] = Intensities(**held["intensities"])
+    found = reach(machine, use, step=1 / RATE, delay=1, doubt=0.05, **own)[""].on_model
+    assert f"{found.crossing_hz[0]:.1f}" == hertz
+    page = (folder / "report.html").read_text()
+    assert f"<td>{words}</td><td>{hertz}</td>" in page and "with resonances moved (dB)" in page
+
+
+@pytest.mark.slow
+def test_settings_are_varied_and_never_for_less(written):
+    """A use gets at least as far as with the settings that the search begins with, and one of them further."""
+    said = {line.partition(":")[0]: line for line in written[1]}
+    machine = Machine((PAIR,), 40.0, "pair")
+    gained = []
+    for name in ("PID", "MC"):
+        application = applications(ADDED_DAMPING, SELECTIVITY)[name]
+        how = {"retained": 5, "intensities": INTENSITIES, "step": 1 / RATE, "delay": 1, "doubt": 0.05}
+        first = reach(machine, {name: application}, **how)[name].on_model
+        found = float(re.search(r"on the model \(Hz\) ([0-9.]+)", said[name])[1])
+        gained.append(found / first.crossing_hz[0])
+    assert min(gained) > 0.998 and max(gained) > 1.2
+
+
+@pytest.mark.parametrize(
+    ("name", "factor", "wanted"),
+    [
+        ("lead", 2.0, {"lead": 6.0}),
+        ("lead", 4.0, None),
+        ("retained", 1.5, {"retained": 8}),
+        ("drift", 10.0, None),
+        ("sensor", 10.0, {"intensities": replace(INTENSITIES, sensor=10 * INTENSITIES.sensor)}),
+        ("damping", 2.0, {"application": Application(damping=0.04, selectivity=2.0)}),
+        ("damping", 64.0, None),
+    ],
+)
+def test_one_setting_is_varied_at_a_time(name, factor, wanted):
+    settings = DesignSettings(Application(damping=0.02, selectivity=2.0), 5, INTENSITIES)
+    assert varied(settings, name, factor) == (wanted and replace(settings, **wanted))
+
+
+def test_notches_stand_where_tustin_puts_them():
+    """The sampled controller of the family is smallest at the resonance itself."""
+    machine = Machine((PAIR,), 40.0, "pair")
+    pid = tustin(pid_family(machine, 3.0, 5, 1e-3)(20.0).state_space(), 1e-3)
+    omega = 2 * np.pi * np.linspace(150, 300, 3001)
+    lowest = omega[np.abs(pid.frequency_response(omega)[0, 0]).argmin()]
+    assert lowest == pytest.approx(PAIR.frequencies[1], rel=1e-3)
 
 
 CLOSED = """
@@ -144,6 +215,7 @@ def test_a_folder_with_something_in_it_is_refused_first(tmp_path):
         ({"limit": -5.0}, "limit is -5; give a finite number above 0"),
         ({"limit": float("nan")}, "limit is nan"),
         ({"delay": -1}, "delay is -1"),
+        ({"doubt": 1.0}, "doubt is 1"),
     ],
 )
 def test_settings_are_asked_before_anything_is_computed(tmp_path, change, message):

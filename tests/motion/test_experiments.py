@@ -7,15 +7,11 @@ import pytest
 
 from experiments.motion.drive import drive_loop, drive_observer, identify, residual_trial, seen_by_controller
 from experiments.motion.machines import Drive, drive, published_noise
-from experiments.motion.structure import (
-    as_stage,
-    measured_accelerance,
-    structure_loops,
-)
+from experiments.motion.structure import as_stage, measured_accelerance
 from experiments.motion.three_masses import designed_for_second, scaled_springs, stability_trial, three_masses
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
-from stillwork.control.machine_loops import extra_turns, on_measurement
+from stillwork.control.machine_loops import extra_turns, observed_loops, on_measurement
 from stillwork.control.pid import PidFamily
 from stillwork.identification.frequency_response import Identified, closed_loop_response, impact_response
 from stillwork.identification.modal_fit import fit_modes
@@ -134,12 +130,18 @@ def test_shipped_records_give_a_mass_line():
     assert np.median(found.coherence[line]) > 0.99
 
 
+def both_sensors(stage):
+    return stage, mirrored(stage)
+
+
 def test_measured_loop_with_a_perfect_fit_is_the_model_loop():
     stage, factor = as_stage(
         fit_modes(accelerance(TRUE, np.arange(100.0, 2000.0, 0.5)), [797.0, 1505.0], (110.0, 1990.0)), 12.5
     )
     assert stage.input_shapes[0, 0] * stage.output_shapes[0, 0] == pytest.approx(1 / 12.5, rel=1e-9)
-    loops = structure_loops(stage, Application(compensate=True, damping=0.01), 3, published_noise(), 0.03)
+    loops = observed_loops(
+        both_sensors(stage), Application(compensate=True, damping=0.01), 3, published_noise(), 0.03
+    )
     data = accelerance(TRUE, np.arange(100.0, 2000.0, 0.5))
     controller = PidFamily(12.5)(40.0)
     for loop, mirror in zip(loops, (False, True), strict=True):
@@ -157,9 +159,9 @@ def test_an_encirclement_is_counted():
     stage, factor = as_stage(
         fit_modes(accelerance(TRUE, np.arange(100.0, 2000.0, 0.5)), [797.0, 1505.0], (110.0, 1990.0)), 12.5
     )
-    loop = structure_loops(stage, None, 3, published_noise(), None)[0]
+    loop = observed_loops(both_sensors(stage), None, 3, published_noise(), None)[0]
     data = accelerance(TRUE, np.arange(100.0, 2000.0, 0.05))
-    loops = structure_loops(stage, None, 3, published_noise(), None)
+    loops = observed_loops(both_sensors(stage), None, 3, published_noise(), None)
     for hertz, turns in ((40.0, 0), (100.0, -1)):
         controller = PidFamily(12.5)(hertz)
         # The mirror image is unstable where its loop turns around -1 more often than that of the stable model.

@@ -13,12 +13,19 @@ from experiments.motion.location_study import (
     ranges,
     stage_error,
     study_locations,
+    study_runs,
 )
 from experiments.motion.machines import chain, published_setpoint, stage, stage_mass
 from experiments.motion.position_dependence import stage_grid
 from experiments.motion.position_pictures import paint_location
 from stillwork.base.checks import InputError
-from stillwork.control.feedforward import Feedforward, error_loop, fit_feedforward, tracking_error
+from stillwork.control.feedforward import (
+    Feedforward,
+    error_loop,
+    fit_feedforward,
+    noise_error,
+    tracking_error,
+)
 from stillwork.control.ideal_feedforward import (
     feedforward_error,
     ideal_force,
@@ -133,6 +140,24 @@ def test_noise_adds_to_the_error_and_is_the_same_for_all_cases(setpoint, force):
     assert 1e-11 < added.std() < 5e-10  # the true error follows 1 nm of sensor noise to the bandwidth only
     with pytest.raises(InputError, match="seed is missing"):
         study_locations(loops, force, setpoint, "w", noise)
+
+
+def test_runs_together_are_the_runs_by_themselves(setpoint, force):
+    """Drawn in the order of the places, the same for all cases of one."""
+    pid = PidFamily(stage_mass())(30.0)
+    loops = location_loops(stage(), GRID, [0.07, 0.1], {"bare": ("PID", pid), "AD": ("AD", pid)})
+    noise, seeds = {"w": 0.01, "d": 1e-9}, [(1, 0), (1, 7)]
+    quiet = study_locations(loops, force, setpoint)
+    runs = study_runs(loops, force, setpoint, "w", noise, seeds)
+    for seed, run in zip(seeds, runs, strict=True):
+        rng, samples = np.random.default_rng(seed), 3000 + len(setpoint.time)
+        for k, cases in enumerate(loops.values()):
+            draw = int(rng.integers(2**63))
+            for name, loop in cases.items():
+                alone = noise_error(loop, setpoint.step, samples, noise, np.random.default_rng(draw))
+                np.testing.assert_array_equal(run.errors[name][k], quiet.errors[name][k] + alone[0, 3000:])
+    (still,) = study_runs(loops, force, setpoint, "w", None, [1])
+    np.testing.assert_array_equal(still.errors["AD"], quiet.errors["AD"])
 
 
 def test_whether_the_observer_sees_the_force_matters_to_it_alone(setpoint, force):

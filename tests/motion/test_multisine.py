@@ -1,6 +1,6 @@
 """Multisine identification: exactness without noise, the expected variance with it, the bias that it avoids."""
 
-from dataclasses import replace
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
@@ -13,7 +13,6 @@ from experiments.motion.rig_identification import (
     four_sensor_controller,
     identification_loop,
     predicted_deviation,
-    rig_records,
     smoothed_deviation,
     true_response,
 )
@@ -27,6 +26,13 @@ from stillwork.lti.discretisation import sampled_modes, zoh_modes, zoh_response
 GEOMETRY = assumed_geometry()
 SETTINGS = published_settings()
 QUIET = replace(SETTINGS, noise=NoiseIntensities(1e-24, 1e-36))
+
+
+def records_of(settings, bandwidth_hz, seed, rms, realisations, **experiment):
+    """The four experiments with the noise of the settings, at every actuator and sensor."""
+    loop, rng = identification_loop(GEOMETRY, settings, bandwidth_hz), np.random.default_rng(seed)
+    deviations = tuple(np.sqrt(astuple(settings.noise)))
+    return run_multisine(loop, 4, 4, deviations, rng, rms=rms, realisations=realisations, **experiment)
 
 
 def test_multisine_has_its_rms_and_a_flat_spectrum():
@@ -60,7 +66,7 @@ def test_identification_loop_is_the_loop_by_hand():
 def noisy():
     """Sensor noise only: force noise leaks between lines, because what it leaves in the plant is not periodic."""
     noise = replace(SETTINGS, noise=NoiseIntensities(1e-20, 1e-18))
-    return rig_records(GEOMETRY, noise, 4.0, np.random.default_rng(3), 0.3, 6, samples=4096, settling=9)
+    return records_of(noise, 4.0, 3, 0.3, 6, samples=4096, settling=9)
 
 
 def test_without_noise_the_plant_comes_out():
@@ -97,9 +103,7 @@ def test_deviation_is_what_the_noise_predicts(noisy):
 @pytest.mark.slow
 def test_direct_ratio_keeps_the_bias_of_the_loop_and_the_joint_one_does_not():
     weak = replace(SETTINGS, noise=NoiseIntensities(4e-4, 1e-18))
-    records = rig_records(
-        GEOMETRY, weak, 5.0, np.random.default_rng(4), 0.2, 12, samples=8192, periods=2, settling=1
-    )
+    records = records_of(weak, 5.0, 4, 0.2, 12, samples=8192, periods=2, settling=1)
     found = convergence(records, GEOMETRY, weak, 5.5, (12,))
     assert found["direct"][0] > 0.1
     assert found["joint input-output"][0] < 0.03
@@ -216,7 +220,7 @@ def test_bad_input_is_named(call, message):
 
 def test_unstable_loop_is_refused():
     with pytest.raises(InputError, match="unstable"):
-        rig_records(GEOMETRY, SETTINGS, 60.0, np.random.default_rng(0), 1.0, 2, samples=16)
+        records_of(SETTINGS, 60.0, 0, 1.0, 2, samples=16)
 
 
 def _run(sensors=4, **options):

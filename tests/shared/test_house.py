@@ -1,6 +1,8 @@
 """The rules of the house, held against the imports of the library and the notebooks."""
 
 import ast
+import importlib
+import json
 import re
 
 import pytest
@@ -105,6 +107,16 @@ def test_the_toolbox_reads_no_ledger_and_no_work():
     assert not [file.name for file in files if LEDGER.search(file.read_text(encoding="utf-8"))]
 
 
+def test_every_notebook_writes_its_model_out():
+    silent = []
+    files = sorted(paths.root().glob("notebooks/*/*.ipynb"))
+    for file in files:
+        cells = json.loads(file.read_text(encoding="utf-8"))["cells"]
+        if not any("$$" in "".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown"):
+            silent.append(file.stem)
+    assert len(files) > 50 and silent == []
+
+
 def written(**sources):
     return {name.replace("__", "."): ast.parse(source) for name, source in sources.items()}
 
@@ -168,3 +180,30 @@ def test_files_that_the_texts_name_exist():
     }
     assert len(named) > 5
     assert not [name for name in named if not (paths.root() / name).exists()]
+
+
+def broken_imports(source: str) -> list[str]:
+    """Names that a script wants from the library and that are not there."""
+    wanted = [
+        (node.module, alias.name)
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.ImportFrom)
+        and (node.module or "").split(".")[0] in ("stillwork", "experiments")
+        for alias in node.names
+    ]
+    missing = []
+    for module, name in wanted:
+        if not hasattr(importlib.import_module(module), name):
+            try:
+                importlib.import_module(f"{module}.{name}")
+            except ModuleNotFoundError:
+                missing.append(f"{module}.{name}")
+    return missing
+
+
+def test_what_the_benchmarks_import_exists():
+    for file in sorted((paths.root() / "benchmarks").rglob("*.py")):
+        assert not broken_imports(file.read_text(encoding="utf-8")), file.name
+    assert broken_imports("from experiments.isolation.your_floor import open_floor") == [
+        "experiments.isolation.your_floor.open_floor"
+    ]

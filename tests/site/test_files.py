@@ -221,7 +221,7 @@ def test_every_page_describes_itself(files):
 def test_how_a_statement_stands_is_told_by_its_readings_else_by_its_verdict():
     entry = Entry("room.fig-1.a", "Fig. 1", "time", "s", "value", 2.0, Tolerance("digits", relative=0.1))
     claim = Claim(entry, 4.0)
-    assert stands(claim, None) == "deviates: 4 s"
+    assert stands(claim, None) == "deviates, here 4 s"
     assert class_of(None) == "not tried"
     for agreeing, words, name in (
         (4, "under every one of 4 readings", "holds"),

@@ -82,6 +82,24 @@ def test_a_docstring_becomes_paragraphs_definitions_and_blocks():
     )
 
 
+def test_a_docstrings_formulas_are_rendered():
+    html = reference.doc_html("Solves :math:`a < b` of `x`.\n\n.. math:: a^2\n    + b\n\nThen more.")
+    assert html == (
+        f"<p>Solves {mathml('a < b')} of <code>x</code>.</p>{mathml('a^2 + b', block=True)}<p>Then more.</p>"
+    )
+    shown = tree.fromstring(mathml(r"\hat x = \arg\min_x f"))
+    assert "".join(shown.itertext()) == "x^=argminxf"
+
+
+@pytest.mark.slow
+def test_no_docstring_of_the_reference_shows_its_markup():
+    for module in reference.read_modules():
+        for item in module.items:
+            texts = [item.doc, *(member.doc for member in item.members)]
+            html = "".join(reference.doc_html(text) for text in texts)
+            assert not re.search(r":math:|\.\. \w+::", html), f"{module.name}.{item.name}"
+
+
 @pytest.mark.slow
 @given(st.text(alphabet="ab <>&'\"`-:\n", max_size=80))
 def test_no_docstring_opens_an_element_of_its_own(text):

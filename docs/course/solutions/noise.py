@@ -57,13 +57,13 @@ def exercise_3() -> str:
 
 
 def exercise_4() -> str:
-    """The velocity of a straight line through a window, against the difference quotient."""
+    """The velocity of a parabola through a window, against the difference quotient."""
     window = SavitzkyGolay(samples=12, degree=2, time_step=1e-3)
     errors = Noise("gaussian", 1e-5).sample(np.random.default_rng(4), 200_000)
     found = filter_signal(window, errors).velocity[100:]
     ratio = np.std(found) / (np.sqrt(2) * 1e-5 / 1e-3)
 
-    # The same slope from the normal equations of a parabola, read at its newest sample.
+    # The same slope from the normal equations, read at its newest sample.
     design = np.vander(np.arange(-11, 1), 3, increasing=True).astype(float)
     covariance = np.linalg.inv(design.T @ design)
     expected = np.sqrt(covariance[1, 1] / 2)

@@ -1,5 +1,6 @@
 """A floor of one's own: a measured record, or measured spectra, as motions of the floor sensors (notebook 08)."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,8 @@ from stillwork.signals.densities import DENSITIES_SAID, density_unit, frequency_
 from stillwork.signals.records import PASS_SHARE, is_time, load_record
 
 SHORTEST_S = 15.0  # two thirds of it are the adaptation's own time constant of 10 s
+FADE_S = 1.0  # at the beginning of a record; the first 5 s are judged by nobody
+FARTHEST = 0.1  # m rms: no floor travels so far, a drifting sensor seems to (chosen)
 QUIETEST = 1e-8  # m/s^2 rms: the quietest ground on Earth (Peterson's low noise model) has that at 1-10 Hz
 
 
@@ -37,11 +40,31 @@ def open_floor(
     """Floor from a record or from spectra, or the measured ground when no file is named.
 
     A record of one or two channels gives one or two: the feedforward hears no sensor that was not there. One
-    spectrum moves all of the rig's sensors alike, several each its own. Spectra stand beside a column or array named
-    ``frequency``, in Hz, and a density for a `unit`, such as ``(m/s)^2/Hz`` or ``m/s^2/sqrt(Hz)``, says that the file
-    holds them; their motion is made with the last four arguments: amplitude, share of the power that all sensors see
-    alike, seconds, seed. A floor that does not reach the rig's suspension is refused, since it cannot teach the
-    feedforward anything; so is one beyond 1 g, or below the quietest ground on Earth, since its unit is wrong.
+    spectrum moves all of the rig's sensors alike, several each its own.
+
+    Parameters
+    ----------
+    floor_record : str
+        Path of a CSV, MAT, NPZ or universal file, see `stillwork.signals.records.load_record`; empty for the
+        ground. Spectra stand beside a column or array named ``frequency``, in Hz.
+    unit : str
+        Of the record; a density, such as ``(m/s)^2/Hz`` or ``m/s^2/sqrt(Hz)``, says that the file holds spectra.
+    rate_hz : float
+        Of the record; 0 where the file tells it.
+    channels : list of str
+        Channels to take, as many as floor sensors at most; empty for all.
+    twin : Twin
+        Whose sensors the floor moves.
+    ground_gain, common, duration_s, seed
+        Of a motion that is made from spectra: its amplitude relative to them, share of its power that all
+        sensors see alike, seconds, and seed.
+
+    Raises
+    ------
+    InputError
+        For everything that makes the file unusable; it says what to do. A floor that does not reach the rig's
+        suspension is refused, since it cannot teach the feedforward anything; so is one beyond 1 g, or below the
+        quietest ground on Earth, since its unit is wrong, and a record of a sensor that drifts.
     """
     rate = twin.instruments.sample_rate
     require_number("ground_s", duration_s, at_least=SHORTEST_S)
@@ -109,7 +132,24 @@ def _recorded(floor_record, unit, rate_hz, channels, twin, highest) -> RecordedF
             f"{record.sample_rate * PASS_SHARE / 2:.3g} Hz, where the rig has suspension frequencies up to "
             f"{highest:.3g} Hz; measure at {2 * highest / PASS_SHARE:.3g} Hz at least"
         )
-    return record_floor(record, channels=len(record.signals), sample_rate=twin.instruments.sample_rate)
+    floor = record_floor(record, channels=len(record.signals), sample_rate=twin.instruments.sample_rate)
+    if (travel := _travel(floor)) > FARTHEST:
+        raise InputError(
+            f"{record.source}: integrated twice, the floor travels {travel:.2g} m rms, which is a sensor that drifts; "
+            "take a high-pass of some 0.5 Hz over the record"
+        )
+    # The loop starts at rest: a floor that does not, by an offset or in mid-motion, would be a step that no floor makes.
+    fade = np.minimum(np.arange(floor.acceleration.shape[1]) / (FADE_S * floor.sample_rate), 1.0)
+    return replace(floor, acceleration=floor.acceleration * np.sin(np.pi / 2 * fade) ** 2)
+
+
+def _travel(floor: RecordedFloor) -> float:
+    """Rms displacement of the sensor that moves farthest, m, without what is slower than half the record."""
+    samples = floor.acceleration.shape[1]
+    omega = 2 * np.pi * np.fft.rfftfreq(samples, 1 / floor.sample_rate)[2:]
+    lines = np.fft.rfft(floor.acceleration * np.hanning(samples), axis=1)[:, 2:] / omega**2
+    # A Hann window keeps 3/8 of the power.
+    return float(np.sqrt(2 * np.sum(np.abs(lines) ** 2, axis=1).max() * 8 / 3) / samples)
 
 
 def _suspension_hz(twin: Twin) -> tuple[float, float]:

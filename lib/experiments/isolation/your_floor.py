@@ -25,6 +25,7 @@ TRAINING_SHARE = 2 / 3  # of the floor, its first part; the weights never see th
 KEEP_EVERY_S = 0.2
 RESOLUTION_HZ = 0.25
 SAME = 0.1  # a change of the motion by less is called none: chosen
+OTHER = 2.0  # so many times louder or quieter, a floor is called another one: chosen
 _GRID = np.unique(np.concatenate([np.geomspace(0.02, 2400, 600), np.arange(1.0, 300.0, 0.5)]))
 
 
@@ -91,15 +92,15 @@ def isolate(twin: Twin, floor: RecordedFloor, seed: int, start: float = 1.0) -> 
     twin, spread = hear(twin, floor.channels)
     training_s = round(TRAINING_SHARE * floor.duration / KEEP_EVERY_S) * KEEP_EVERY_S
 
-    def run(**options) -> Run:
-        return simulate(twin, floor, signals_from_s=SETTLE_S, keep_every_s=KEEP_EVERY_S, **options)
+    def run(from_s: float = SETTLE_S, **options) -> Run:
+        return simulate(twin, floor, signals_from_s=from_s, keep_every_s=KEEP_EVERY_S, **options)
 
-    before = run(seed=seed)
+    # The power is that of the whole part that the adaptation meets: a loud beginning is where a large P hurts.
+    before = run(0.0, seed=seed)
     rate = before.sample_rate
-    training = round((training_s - SETTLE_S) * rate)
-    settings = FeRls(
-        start * (1 - FORGETTING) / np.mean(before.filtered_regressors[:, :training] ** 2, axis=1)
-    )
+    settled, training = (round(each * rate) for each in (SETTLE_S, training_s - SETTLE_S))
+    power = np.mean(before.filtered_regressors[:, : settled + training] ** 2, axis=1)
+    settings = FeRls(start * (1 - FORGETTING) / power)
     adaptation = simulate(twin, floor, training_s, adaptation=settings, seed=seed, keep_every_s=KEEP_EVERY_S)
     cases = {
         "passive": run(seed=seed + 1, feedback=False),
@@ -107,7 +108,7 @@ def isolate(twin: Twin, floor: RecordedFloor, seed: int, start: float = 1.0) -> 
         "FeRLS": run(seed=seed + 1, weights=adaptation.final_weights),
     }
     return Isolated(
-        axes.floor @ spread @ before.floor,
+        axes.floor @ spread @ before.floor[:, settled:],
         {name: axes.platform @ case.platform for name, case in cases.items()},
         axes.platform @ run(seed=seed + 1, noise=False).platform,
         training,
@@ -164,6 +165,10 @@ def findings(isolated: Isolated) -> Iterator[str]:
     """What the isolator makes of a floor, sentence by sentence; every word follows from the numbers of this run."""
     if not isolated.moving[1:].any():
         yield "The plate moves up and down without tilting, so the tilts are not judged."
+    parts = isolated.floor[:, : isolated.training], isolated.floor[:, isolated.training :]
+    taught, judged = (part[isolated.moving].std() for part in parts)
+    if not 1 / OTHER < judged / taught < OTHER:
+        yield f"The floor moves {judged / taught:.3g} times as much where it is judged as where it was learnt."
     left = {name: isolated.left(name) for name in isolated.platform}
     seen = isolated.left("FeRLS", training=True)
     for k in np.flatnonzero(isolated.moving):

@@ -11,14 +11,15 @@ from experiments.motion.drive import drive_applications, drive_loop, rigid_respo
 from experiments.motion.machines import Drive, drive, published_noise, stage, stage_mass
 from experiments.motion.open_choices import BandwidthMap
 from experiments.motion.pictures import CASES, LABELS, add_magnitude, paint_bode, paint_over_masses
-from experiments.motion.structure import as_stage, measured_accelerance, structure_loops
+from experiments.motion.structure import as_stage, measured_accelerance
 from stillwork.control.applications import Application, compensator
 from stillwork.control.bandwidth import Bandwidth, Loop, make_loop
+from stillwork.control.machine_loops import observed_loops
 from stillwork.control.pid import PidFamily
 from stillwork.estimation.observer import Observer
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.modal_fit import identify_modes
-from stillwork.lti.modal import ModalModel
+from stillwork.lti.modal import ModalModel, mirrored
 from stillwork.lti.state_space import StateModel
 from stillwork.workbook import figures
 
@@ -142,10 +143,10 @@ def _fitted_structure() -> ModalModel:
 
 def paint_structure(damping: float, noise_model: float):
     """Explorer: the mirrored sensor of the measured structure, bare and with MC and AD."""
-    machine = _fitted_structure()
+    machine = [mirrored(_fitted_structure())]
     application = Application(compensate=True, damping=damping, selectivity=2.0)
-    bare = structure_loops(machine, None, 5, published_noise(), None)[1]
-    used = structure_loops(machine, application, 5, published_noise(), noise_model)[1]
+    bare = observed_loops(machine, None, 5, published_noise(), None)[0]
+    used = observed_loops(machine, application, 5, published_noise(), noise_model)[0]
     controller = PidFamily(stage_mass())(45.0)
     omega = used.omega[(used.omega > 2 * np.pi * 100) & (used.omega < 2 * np.pi * 3000)]
     curves = {

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 from jaxtyping import Float64
@@ -12,7 +12,7 @@ from experiments.motion.designs import DESIGNS, Design, stage_bandwidth
 from experiments.motion.machines import parameters, published_setpoint, stage
 from experiments.motion.position_dependence import at_place, compensator_at, stage_grid
 from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
-from stillwork.control.feedforward import BASIS, Feedforward, least_squares, noise_error
+from stillwork.control.feedforward import BASIS, Feedforward, least_squares, noise_error, noise_errors
 from stillwork.control.ideal_feedforward import (
     Force,
     feedforward_error,
@@ -27,6 +27,8 @@ from stillwork.lti.state_space import StateModel
 
 WARM_UP = 3000  # samples in which the noise reaches its steady state
 
+Errors = Mapping[str, Float64[np.ndarray, "places samples"]]
+
 
 @dataclass(frozen=True)
 class LocationStudy:
@@ -34,7 +36,7 @@ class LocationStudy:
 
     places: Float64[np.ndarray, " places"]  # m
     setpoint: Setpoint
-    errors: Mapping[str, Float64[np.ndarray, "places samples"]]  # m, at the samples of the setpoint
+    errors: Errors  # m, at the samples of the setpoint
 
     def rms(self, case: str) -> Float64[np.ndarray, " places"]:
         """Root mean square in the scanning phase (m)."""
@@ -115,6 +117,22 @@ def read_table(
     The error acts through `channel`; the loops run with `noise` or without; the sensor moves along 7 or 8 `masses`;
     the gains are fitted to a move with noise or without (`fit_noise`), in the loop with the controller of `fit_loop`.
     """
+    study = _quiet_table(channel, masses, fit_noise, fit_loop, step, seed)
+    return _with_noise(study, _table_noise(masses, step, seed)) if noise else study
+
+
+# Readings that differ in one choice alone share the rest.
+
+
+@lru_cache(maxsize=2)
+def _table_noise(masses: int, step: float, seed: int) -> Errors:
+    return _location_noise(table_loops(masses), published_setpoint(step), published_deviations(), [seed])[0]
+
+
+@lru_cache(maxsize=2)
+def _quiet_table(
+    channel: str, masses: int, fit_noise: bool, fit_loop: str, step: float, seed: int
+) -> LocationStudy:
     setpoint, deviations = published_setpoint(step), published_deviations()
     controller = stage_bandwidth(fit_loop).controller
     machine = stage().at([0], [4])
@@ -124,7 +142,7 @@ def read_table(
         draws = np.random.default_rng((seed, 0))
         measured = noise_error(loop, step, WARM_UP + len(setpoint.time), deviations, draws)[1, WARM_UP:]
     force = feedforward_error(ideal, fit_to_force(bare_error(controller), ideal, measured))
-    return study_locations(table_loops(masses), force, setpoint, channel, deviations if noise else None, seed)
+    return study_locations(table_loops(masses), force, setpoint, channel)
 
 
 def table_agreement(
@@ -202,25 +220,58 @@ def study_locations(
     observer does not see it, through ``u_ff`` it does. Noise of these `deviations`, drawn from `seed`, is fresh at
     every place, the same for all cases.
     """
-    require_choice("source", source, ("w", "u_ff"))
-    ahead = len(force.time) - len(setpoint.time)
     if deviations is not None and seed is None:
         raise InputError("seed is missing: deviations are drawn from it; give it, too")
+    return study_runs(loops, force, setpoint, source, deviations, [seed])[0]
+
+
+def study_runs(
+    loops: Loops,
+    force: Force,
+    setpoint: Setpoint,
+    source: str,
+    deviations: dict[str, float] | None,
+    seeds: Sequence[int | Sequence[int] | np.random.Generator | None],
+) -> list[LocationStudy]:
+    """`study_locations` for each of several seeds; all but the noise is computed once."""
+    quiet = _quiet_study(loops, force, setpoint, source)
+    if deviations is None:
+        return [quiet for _ in seeds]
+    return [_with_noise(quiet, noise) for noise in _location_noise(loops, setpoint, deviations, seeds)]
+
+
+def _quiet_study(loops: Loops, force: Force, setpoint: Setpoint, source: str) -> LocationStudy:
+    require_choice("source", source, ("w", "u_ff"))
+    ahead = len(force.time) - len(setpoint.time)
     if ahead < 0 or not np.allclose(force.time[ahead:], setpoint.time, rtol=0, atol=1e-6 * setpoint.step):
         raise InputError("force and setpoint do not have the same samples; make both with one step")
     errors: dict[str, list[np.ndarray]] = {}
-    rng = np.random.default_rng(seed)
     for cases in loops.values():
-        draw = int(rng.integers(2**63))
         for name, loop in cases.items():
             channel = loop.select([INPUTS.index(source)], [OUTPUTS.index("e_true")])
-            error = -respond(channel, force)[0, ahead:]
-            if deviations is not None:
-                draws = np.random.default_rng(draw)
-                samples = WARM_UP + len(setpoint.time)
-                error = error + noise_error(loop, setpoint.step, samples, deviations, draws)[0, WARM_UP:]
-            errors.setdefault(name, []).append(error)
+            errors.setdefault(name, []).append(-respond(channel, force)[0, ahead:])
     return LocationStudy(np.array(list(loops)), setpoint, {name: np.array(e) for name, e in errors.items()})
+
+
+def _location_noise(
+    loops: Loops, setpoint: Setpoint, deviations: dict[str, float], seeds: Sequence
+) -> list[Errors]:
+    """What noise adds to the errors, for each seed: fresh at every place, the same for all cases."""
+    samples = WARM_UP + len(setpoint.time)
+    streams = [np.random.default_rng(seed) for seed in seeds]
+    found: list[dict[str, list[np.ndarray]]] = [{} for _ in seeds]
+    for cases in loops.values():
+        places = [int(rng.integers(2**63)) for rng in streams]
+        for name, loop in cases.items():
+            draws = [np.random.default_rng(place) for place in places]
+            noises = noise_errors(loop, setpoint.step, samples, deviations, draws)
+            for run, noise in zip(found, noises, strict=True):
+                run.setdefault(name, []).append(noise[0, WARM_UP:].copy())
+    return [{name: np.array(each) for name, each in run.items()} for run in found]
+
+
+def _with_noise(study: LocationStudy, noise: Errors) -> LocationStudy:
+    return replace(study, errors={name: each + noise[name] for name, each in study.errors.items()})
 
 
 def ranges(places: ArrayLike, shortest: float, points: int = 11) -> Float64[np.ndarray, "ranges 2"]:

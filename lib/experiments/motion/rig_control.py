@@ -84,6 +84,10 @@ class RigCompensator:
 
     def state_space(self) -> StateModel:
         """The same block with its states, for closed loops; without damping the filters are left out."""
+        return self._realised
+
+    @cached_property  # one compensator closes the loop with every controller
+    def _realised(self) -> StateModel:
         if not np.any(self.gains) or self.selectivity is None:
             damping, outputs = self.observer.read(self.gains, "velocity"), len(self.observer.c)
             return self.observer.estimator(np.vstack([damping, self._read()[:outputs]]), "predictor", 1)

@@ -11,7 +11,6 @@ from stillwork.identification.multisine import (
     MultisineRecords,
     ResponseMatrix,
     joint_input_output,
-    run_multisine,
 )
 from stillwork.lti.discretisation import tustin, zoh_modes, zoh_response
 from stillwork.lti.state_space import StateModel, interconnect
@@ -42,21 +41,6 @@ def identification_loop(geometry: Geometry, settings: RigSettings, bandwidth_hz:
         np.vstack([np.hstack([each.d for each in inputs]), -np.hstack([each.d for each in outputs])]),
         closed.step,
     )
-
-
-def rig_records(
-    geometry: Geometry,
-    settings: RigSettings,
-    bandwidth_hz: float,
-    rng: np.random.Generator,
-    rms: float,
-    realisations: int,
-    **experiment,
-) -> MultisineRecords:
-    """Simulated records of section 6.2, with force and sensor noise of (6.2); the rest goes to `run_multisine`."""
-    loop, noise = identification_loop(geometry, settings, bandwidth_hz), settings.noise
-    deviations = np.sqrt(noise.process), np.sqrt(noise.sensor)
-    return run_multisine(loop, 4, 4, deviations, rng, rms=rms, realisations=realisations, **experiment)
 
 
 def true_response(

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -93,24 +93,30 @@ def make_rig_loop(
             own = np.log(sampled[np.abs(sampled) > 1e-3].astype(complex)) / step
             poles = np.concatenate([poles, own[np.abs(own.real) < 0.1 * np.abs(own)]])
         omega = resonance_grid(poles, 0.3, 0.499 / step, 80, 8)
+    around = _around(plant, compensator, step, omega)
+    return RigLoop(plant, compensator, decoupling, step, omega, _parts(*around, decoupling))
+
+
+def _around(plant: ModalModel, compensator: RigCompensator | None, step: float, omega):
+    """Plant P and compensator O of every frequency, and N = (I - O_uu - O_uy P)^-1 and Z = (I - O_yy) P - O_yu."""
     p = np.moveaxis(zoh_response(plant, step, omega), -1, 0)
     o = np.zeros((len(omega), 6, 6), complex)
     if compensator is not None:
         o = np.moveaxis(compensator.frequency_response(omega), -1, 0)
-    return RigLoop(plant, compensator, decoupling, step, omega, _parts(p, o, decoupling))
-
-
-def _parts(p, o, decoupling: Decoupling) -> Complex128[np.ndarray, "frequencies 8 3 3"]:
-    """What the loop functions are made of, from plant P and compensator O of every frequency.
-
-    With N = (I - O_uu - O_uy P)^-1 the plant's input is f = N Gamma u, so that P_eq = Upsilon Z N Gamma with
-    Z = (I - O_yy) P - O_yu. Noise at the sensors enters q_comp by V = Upsilon (Z N O_uy + I - O_yy).
-    """
-    gamma, upsilon = decoupling.actuation, decoupling.sensing
     o_uu, o_uy, o_yu, o_yy = o[:, :3, :3], o[:, :3, 3:], o[:, 3:, :3], o[:, 3:, 3:]
     one = np.eye(3)
-    n = np.linalg.inv(one - o_uu - o_uy @ p)
-    seen = (one - o_yy) @ p - o_yu
+    return p, o, np.linalg.inv(one - o_uu - o_uy @ p), (one - o_yy) @ p - o_yu
+
+
+def _parts(p, o, n, seen, decoupling: Decoupling) -> Complex128[np.ndarray, "frequencies 8 3 3"]:
+    """What the loop functions are made of.
+
+    The plant's input is f = N Gamma u, so that P_eq = Upsilon Z N Gamma. Noise at the sensors enters q_comp by
+    V = Upsilon (Z N O_uy + I - O_yy).
+    """
+    gamma, upsilon = decoupling.actuation, decoupling.sensing
+    o_uy, o_yy = o[:, :3, 3:], o[:, 3:, 3:]
+    one = np.eye(3)
     force = n @ gamma
     v = upsilon @ (seen @ n @ o_uy + one - o_yy)
     damped = n @ o_uy
@@ -268,12 +274,18 @@ def _refined(loop: RigLoop, pids: Sequence[Pid], measure: str) -> RigLoop:
 def _crossings(loop: RigLoop, pids: Sequence[Pid]) -> Float64[np.ndarray, "3"]:
     """First 0 dB crossing (Hz) of the diagonal entries of P_eq C_fb (Definition 1.2.1)."""
 
-    def gain(k: int, on: RigLoop) -> Complex128[np.ndarray, " frequencies"]:
-        return on.equivalent_plant()[k, k] * pids[k].frequency_response(on.warped)
+    upsilon, gamma = loop.decoupling.sensing, loop.decoupling.actuation
 
+    def gain(w, k: int) -> Complex128[np.ndarray, " frequencies"]:
+        _, _, n, seen = _around(
+            loop.plant, loop.compensator, loop.step, w
+        )  # P_eq alone: a search asks for one point
+        return (upsilon @ seen @ (n @ gamma))[:, k, k] * pids[k].frequency_response(warped(loop.step, w))
+
+    grid = loop.equivalent_plant()
     found = [
-        crossover(lambda w, k=k: gain(k, loop.on(w)), loop.omega, np.abs(gain(k, loop)))
-        for k in range(len(pids))
+        crossover(partial(gain, k=k), loop.omega, np.abs(grid[k, k] * pid.frequency_response(loop.warped)))
+        for k, pid in enumerate(pids)
     ]
     return np.array(found) / (2 * np.pi)
 

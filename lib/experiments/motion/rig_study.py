@@ -20,6 +20,7 @@ from experiments.motion.rig_designs import (
 from experiments.motion.rig_loops import FUNCTIONS, MEASURES, RigBandwidth, RigLoop
 from experiments.motion.rig_tracking import Levelling, levelling, levelling_rms
 from stillwork.base.checks import InputError
+from stillwork.control.pid import Pid
 from stillwork.estimation.observer import NoiseIntensities
 
 PRINTED_HZ = {"Original": (6.0, 8.0), "MC": (9.0, 11.0), "AD": (12.0, 13.0), "MC and AD": (17.0, 21.0)}
@@ -58,9 +59,11 @@ def flexible_peaks(loops: list[RigLoop], inertia: Float64[np.ndarray, "3"]) -> F
         turned = np.exp(1j * loop.omega * loop.step)
         rigid = loop.step**2 * (turned + 1) / (2 * (turned - 1) ** 2)
         seen = np.moveaxis(loop.equivalent_plant(), -1, 0)
-        sizes = np.linalg.norm(seen - rigid[:, None, None] * np.diag(1 / inertia), 2, axis=(1, 2))
-        bands = [(loop.omega >= a) & (loop.omega <= b) for a, b in zip(low, high, strict=True)]
-        found.append([sizes[band].max() for band in bands])
+        bands = np.array([(loop.omega >= a) & (loop.omega <= b) for a, b in zip(low, high, strict=True)])
+        used = bands.any(axis=0)
+        apart = seen[used] - rigid[used, None, None] * np.diag(1 / inertia)
+        sizes = np.linalg.norm(apart, 2, axis=(1, 2))
+        found.append([sizes[band].max() for band in bands[:, used]])
         slow = np.abs(seen[np.searchsorted(loop.omega, modes[0] / 10)])
         coupling.append(slow[~np.eye(3, dtype=bool)].mean())
     return FlexiblePeaks(np.max(found, axis=0), float(np.mean(coupling)))
@@ -85,13 +88,16 @@ def levelling_errors(
         pids = {case: family(*hz) for case, hz in PRINTED_HZ.items()}
     else:
         pids = {case: None if each is None else each.pids for case, each in designs.items()}
-    found = np.full((2, len(CASES), 3), np.nan)
-    for k, case in enumerate(CASES):
-        for row, used in zip(found, (pids["Original"], pids[case]), strict=True):
-            if used is not None:
-                with contextlib.suppress(InputError):  # of an unstable loop: it stays NaN
-                    row[k] = levelling_rms(loops[case][0], used, geometry, trajectory, noise, mass_error)
-    return np.hypot(found, floor / geometry.edges)
+
+    def rms(case: str, used: tuple[Pid, Pid, Pid] | None) -> Float64[np.ndarray, "3"]:
+        if used is not None:
+            with contextlib.suppress(InputError):  # of an unstable loop
+                return levelling_rms(loops[case][0], used, geometry, trajectory, noise, mass_error)
+        return np.full(3, np.nan)
+
+    with_original = [rms(case, pids["Original"]) for case in CASES]
+    with_own = [with_original[0], *(rms(case, pids[case]) for case in CASES[1:])]
+    return np.hypot([with_original, with_own], floor / geometry.edges)
 
 
 def rig_trial(rng: np.random.Generator, settings: RigSettings) -> dict[str, np.ndarray]:

@@ -1,4 +1,4 @@
-"""A measured structure as a stage: its hammer records and its loops."""
+"""A measured structure as a stage: its hammer records, and the fit with the mass of the stage."""
 
 from dataclasses import replace
 
@@ -6,13 +6,9 @@ import numpy as np
 
 from stillwork.base import paths
 from stillwork.base.checks import require_number
-from stillwork.control.applications import Application
-from stillwork.control.bandwidth import Loop
-from stillwork.control.machine_loops import observed_loops
-from stillwork.estimation.observer import NoiseIntensities
 from stillwork.identification.frequency_response import Identified, impact_response
 from stillwork.identification.modal_fit import ModalFit
-from stillwork.lti.modal import ModalModel, mirrored
+from stillwork.lti.modal import ModalModel
 
 
 def hammer_records() -> dict[str, np.ndarray]:
@@ -49,14 +45,3 @@ def as_stage(fit: ModalFit, mass: float) -> tuple[ModalModel, float]:
         feedthrough=factor * model.feedthrough,
     )
     return scaled, factor
-
-
-def structure_loops(
-    stage: ModalModel,
-    application: Application | None,
-    retained: int,
-    noise: NoiseIntensities,
-    noise_model: float | None,
-) -> list[Loop]:
-    """Loops of a one-sensor structure and of its mirror image under one use of the observer."""
-    return observed_loops((stage, mirrored(stage)), application, retained, noise, noise_model)

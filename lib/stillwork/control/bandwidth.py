@@ -318,18 +318,19 @@ def _lowest(
 ) -> Bandwidth:
     """See `maximise_bandwidth`."""
     grid = np.geomspace(low_hz, high_hz, 2 + int(np.log(high_hz / low_hz) / np.log(1.02)))
-    first, stopped, at_first = None, None, None
+    first = None
     for k, design_hz in enumerate(grid):
-        stopped = _violation(loops, family(design_hz), constraints, refine)
-        if k == 0:
-            at_first = stopped
-        if first is None and stopped is None:
+        feasible = holds(loops, family(design_hz), constraints, refine)
+        if first is None and feasible:
             first = k
-        if first is not None and stopped is not None:
+        if first is not None and not feasible:
             break
+    stopped = (
+        None if feasible else _violation(loops, family(grid[0 if first is None else k]), constraints, refine)
+    )
     if first is None:
-        assert at_first is not None
-        function, number, peak = at_first
+        assert stopped is not None
+        function, number, peak = stopped
         size = "" if np.isinf(peak.magnitude) else f" of {20 * np.log10(peak.magnitude):.1f} dB"
         raise InputError(
             f"no bandwidth from {low_hz:g} to {high_hz:g} Hz is stable and below every constraint; at {low_hz:g} Hz "
@@ -343,6 +344,15 @@ def _lowest(
         good, bad = grid[k - 1], grid[k]
     found = _bisected(loops, family, constraints, good, bad, stopped, tolerance_hz, refine)
     return replace(found, lowest_hz=float(grid[first]))
+
+
+def holds(
+    loops: Sequence[Loop], controller: Pid, constraints: Sequence[PeakConstraint], refine: bool = True
+) -> bool:
+    """Whether every loop is stable and below every constraint, the cheapest refusal first."""
+    return _above(loops, controller, constraints) is None and not _violation(
+        loops, controller, constraints, refine
+    )
 
 
 def _above(

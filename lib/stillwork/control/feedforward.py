@@ -1,5 +1,6 @@
 """Tracking: data-based feedforward (A.1), its modification for an observer (A.7), exact simulation."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -219,11 +220,22 @@ def noise_error(
     The standard deviations of the inputs ``w``, ``v``, ``d`` (N and m) set with the step (s) the noise's power,
     step x deviation^2 a hertz, two-sided.
     """
+    return noise_errors(loop, step, samples, deviations, [rng])[0]
+
+
+def noise_errors(
+    loop: StateModel,
+    step: float,
+    samples: int,
+    deviations: dict[str, float],
+    draws: Sequence[np.random.Generator],
+) -> list[Float64[np.ndarray, "2 samples"]]:
+    """`noise_error` for each of several generators; the loop is discretised and decoupled once for all."""
     for name in deviations:
         require_choice("deviations", name, ("w", "v", "d"))
         require_number(f"deviations[{name!r}]", deviations[name], at_least=0.0)
     require_stable(loop)
     places = [INPUTS.index(name) for name in deviations]
     model = zoh(loop.select(places, [0, 1]), step)
-    noise = rng.standard_normal((len(places), samples)) * np.array(list(deviations.values()))[:, None]
-    return simulate(model, noise)
+    sizes = np.array(list(deviations.values()))[:, None]
+    return [simulate(model, rng.standard_normal((len(places), samples)) * sizes) for rng in draws]

@@ -28,6 +28,7 @@ from stillwork.lti.state_space import StateModel, constant, interconnect
 SAFE = tuple(PeakConstraint(name) for name in FUNCTIONS)  # also the true error stays below 6 dB
 SHOWN = {"input_sensitivity": "S_I", "output_sensitivity": "S_O", "true_tracking": "r to e_true"}
 ABOVE_SUSPENSION = 2.0  # of a machine on springs to the ground: lowest bandwidth sought, over its suspension
+HIGHEST_NOTCH = 0.8  # of half the rate
 SEARCH = (1 / 40, 1.0)  # of the first resonance: where bandwidths are sought
 
 
@@ -172,6 +173,22 @@ def observing_compensator(
     return interconnect([block, line], feedback, outside, np.eye(2, 3))
 
 
+def doubted_loops(loops: Sequence[Loop], doubt: float) -> tuple[Loop, ...]:
+    """The same observers and sample times on plants whose resonances are all lower by the share `doubt`, then all higher."""
+    return tuple(
+        make_loop(_moved(loop.plant, factor), loop.compensator, step=loop.step, delay=loop.delay)
+        for factor in (1 - doubt, 1 + doubt)
+        for loop in loops
+        if doubt
+    )
+
+
+def _moved(plant: ModalModel, factor: float) -> ModalModel:
+    scale = np.full(len(plant.frequencies), factor)
+    scale[0] = 1.0  # the rigid body, or its suspension
+    return replace(plant, frequencies=scale * plant.frequencies)
+
+
 @dataclass(frozen=True)
 class Reached:
     """How far one use of the observer gets.
@@ -186,6 +203,8 @@ class Reached:
         One a sensor; on the measurement where there is one.
     model_loops : tuple of Loop
         The same on the model.
+    doubted_loops : tuple of Loop
+        The same on the model with its resonances lower, then higher; empty without a doubt.
     reason : str
         Why no bandwidth was found; empty when one was.
     """
@@ -195,6 +214,7 @@ class Reached:
     extra_turns: int | None
     loops: tuple[Loop, ...]
     model_loops: tuple[Loop, ...]
+    doubted_loops: tuple[Loop, ...] = ()
     reason: str = ""
 
     @property
@@ -240,9 +260,11 @@ class Reached:
             row["on the measurement (Hz)"] = _span(self.on_measurement)
         stop = self.recommended or self.on_measurement or self.on_model
         if stop is not None:
-            place = f" of sensor {stop.loop + 1}" if stop.function in FUNCTIONS else ""
+            moved, sensor = divmod(stop.loop, len(self.model_loops))
+            place = f" of sensor {sensor + 1}" if stop.function in FUNCTIONS else ""
+            doubt = ("", " with lower resonances", " with higher resonances")[moved]
             name = SHOWN.get(stop.function, stop.function)
-            row["stopped by"] = f"{name}{place} at {stop.peak.omega / (2 * np.pi):.0f} Hz"
+            row["stopped by"] = f"{name}{place} at {stop.peak.omega / (2 * np.pi):.0f} Hz{doubt}"
             row["feasible"] = f"{stop.lowest_hz:.3g} to {stop.design_hz:.3g} Hz"
         if self.extra_turns is not None:
             row["extra turns"] = str(self.extra_turns)
@@ -260,6 +282,9 @@ def reach(
     constraints: Sequence[PeakConstraint] = SAFE,
     step: float = 0.0,
     delay: int = 0,
+    doubt: float = 0.0,
+    notches: bool = False,
+    lead: float = 3.0,
 ) -> dict[str, Reached]:
     """Largest bandwidth of every use below which, and at which, all constraints hold at every sensor.
 
@@ -285,6 +310,12 @@ def reach(
         Sample time, s; 0: continuous time.
     delay : int
         Samples from command to force.
+    doubt : float
+        Share by which all resonances may be lower or higher than the model's: the constraints hold there, too.
+    notches : bool
+        Give the controller a notch at each resonance that the observer holds and the rate reaches.
+    lead : float
+        Of the controller, see `PidFamily`.
 
     Raises
     ------
@@ -295,17 +326,20 @@ def reach(
     if measured is not None and machine.fit is not None:
         ends = machine.fit.omega[[0, -1]] / (2 * np.pi)
         band = whole_band(measured, loop_hz if any(loop_hz) else (float(ends[0]), float(ends[1])))
-    low, high = search_hz if any(search_hz) else (share * machine.resonances_hz[0] for share in SEARCH)
-    if not any(search_hz):
-        low = max(low, ABOVE_SUSPENSION * float(machine.sensors[0].frequencies[0]) / (2 * np.pi))
-        high = min(high, 0.1 / step) if step else high
-    family = PidFamily(machine.mass)
+    low, high = search_hz if any(search_hz) else search_range(machine, step)
+    require_number("doubt", doubt, at_least=0.0, below=1.0)
+    family = pid_family(machine, lead, retained if notches else 1, step)
     found = {}
     for name, application in chosen.items():
         settings = observer_settings(machine, application, retained, intensities)
         modelled = tuple(observed_loops(machine.sensors, application, *settings, step, delay))
         loops, on_data, turns = modelled, None, None
-        on_model, reason = _search(loops, family, constraints, low, high, refine=True)
+        doubted = doubted_loops(modelled, doubt)
+        on_model, reason = _search((*loops, *doubted), family, constraints, low, high, refine=True)
+        if on_model is not None:
+            on_model = replace(on_model, crossing_hz=on_model.crossing_hz[: len(loops)])
+        elif doubted:
+            reason += f" (loops from {len(loops) + 1} on: resonances {100 * doubt:g} % lower, then higher)"
         if measured is not None:
             loops = tuple(
                 on_measurement(loop, measured, 1.0, band, mirror)
@@ -316,8 +350,23 @@ def reach(
             if on_data is not None:
                 lower = min((each for each in (on_model, on_data) if each), key=lambda each: each.design_hz)
                 turns = sum(abs(extra_turns(loop, lower.controller)) for loop in loops)
-        found[name] = Reached(on_model, on_data, turns, loops, modelled, reason)
+        found[name] = Reached(on_model, on_data, turns, loops, modelled, doubted, reason)
     return found
+
+
+def search_range(machine: Machine, step: float) -> tuple[float, float]:
+    """Where bandwidths are sought, Hz: below the first resonance, above a suspension, to a tenth of the rate."""
+    low, high = (share * float(machine.resonances_hz[0]) for share in SEARCH)
+    low = max(low, ABOVE_SUSPENSION * float(machine.sensors[0].frequencies[0]) / (2 * np.pi))
+    return low, min(high, 0.1 / step) if step else high
+
+
+def pid_family(machine: Machine, lead: float, modes: int, step: float) -> PidFamily:
+    """PID rules, with notches at the resonances among the first modes; where Tustin puts them, with a `step`."""
+    omega = machine.sensors[0].frequencies[1:modes]
+    if step:
+        omega = 2 / step * np.tan(omega[omega < HIGHEST_NOTCH * np.pi / step] * step / 2)
+    return PidFamily(machine.mass, tuple(omega.tolist()), lead)
 
 
 def _search(loops, family, limits, low, high, *, refine) -> tuple[Bandwidth | None, str]:

@@ -90,7 +90,7 @@ def series(models: list[StateModel]) -> StateModel:
 
 @dataclass(frozen=True)
 class PidFamily:
-    """Controllers with one parameter left, the design bandwidth: the rules of Table 3.3.
+    """Controllers with one parameter left, the design bandwidth: the rules of Table 3.3, where `lead` is 3.
 
     Examples
     --------
@@ -101,14 +101,17 @@ class PidFamily:
 
     mass: float  # kg
     notch_frequencies: tuple[float, ...] = ()  # rad/s
+    lead: float = 3.0  # of the bandwidth to the zero below it, and of the low-pass above it
 
     def __post_init__(self):
         check_fields(self)
         require_number("mass", self.mass, above=0.0)
+        require_number("lead", self.lead, above=1.0)
 
     @checked
     def __call__(self, bandwidth_hz: float) -> Pid:
         """The controller with design parameter f_bw (Hz)."""
         w = 2 * np.pi * require_number("bandwidth_hz", bandwidth_hz, above=0.0)
         notches = tuple(Notch(omega) for omega in self.notch_frequencies)
-        return Pid(self.mass * w**2 / 3, w / 9, w / 3, 3 * w, notches=notches)
+        lead = self.lead
+        return Pid(self.mass * w**2 / lead, w / (lead * lead), w / lead, lead * w, notches=notches)

@@ -67,8 +67,10 @@ def read_densities(path: Path, unit: str, channels: list[str], most: int) -> tup
     rows = np.array(list(named.values()))[:, known]
     if not np.isfinite(rows).all() or np.any(rows < 0):
         raise InputError(f"{path.name} holds a density that is missing, infinite or negative; mend it")
+    order = np.argsort(f[known], kind="stable")  # some analysers write the highest frequency first
+    f, rows = f[known][order], rows[:, order]
     squares = (factor * rows) ** 2 if power == 1 else factor**2 * rows
-    return f[known], squares * (2 * np.pi * f[known]) ** (2 * MOTION_UNITS.index(si_unit))
+    return f, squares * (2 * np.pi * f) ** (2 * MOTION_UNITS.index(si_unit))
 
 
 def frequency_axis(columns: dict[str, np.ndarray]) -> str:

@@ -22,7 +22,8 @@ def mathml(formula: str, block: bool = False) -> str:
         When a command of it is unknown to the converter, or makes a link or a style.
     """
     try:
-        root = convert_to_element(formula.strip(), display="block" if block else "inline")
+        known = re.sub(r"\\arg\b", r"\\operatorname{arg}", formula)  # the only common word that it lacks
+        root = convert_to_element(known.strip(), display="block" if block else "inline")
     except Exception as error:  # the converter raises a class of its own for every kind of mistake
         raise InputError(
             f"the formula {formula!r} cannot be rendered ({error!r}); write it simpler"

@@ -4,7 +4,7 @@ import ast
 import inspect
 import re
 from dataclasses import dataclass
-from html import escape
+from html import escape, unescape
 from pathlib import Path
 
 import griffe
@@ -12,6 +12,7 @@ import griffe
 import stillwork
 from stillwork.base import paths
 from stillwork.site.house import TOOLBOX, face_names
+from stillwork.site.mathematics import mathml
 
 LIBRARY = Path(stillwork.__file__).parent
 FOR_NOTEBOOKS = ("__init__", "claims", "explorer", "figures", "page", "studies")  # modules of the workbook
@@ -209,6 +210,8 @@ def _blocks(text: str) -> str:
         rows = block.splitlines()
         if rows[0].startswith(">>>") or all(row.startswith("    ") for row in rows):
             html.append(f'<pre tabindex="0">{escape(inspect.cleandoc(block))}</pre>')
+        elif rows[0].startswith(".. math::"):
+            html.append(mathml(block.strip().removeprefix(".. math::"), block=True))
         else:
             text = " ".join(row.strip() for row in rows)
             html.append(f"<p>{_inline(text[:-1] if text.endswith('::') else text)}</p>")
@@ -216,4 +219,9 @@ def _blocks(text: str) -> str:
 
 
 def _inline(text: str) -> str:
-    return re.sub(r"``(.+?)``|`(.+?)`", lambda m: f"<code>{m[1] or m[2]}</code>", escape(text, quote=False))
+    """A docstring's words as HTML: its names as code, its formulas as MathML."""
+    return re.sub(
+        r":math:`(.+?)`|``(.+?)``|`(.+?)`",
+        lambda m: mathml(unescape(m[1])) if m[1] else f"<code>{m[2] or m[3]}</code>",
+        escape(text, quote=False),
+    )

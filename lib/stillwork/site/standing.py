@@ -9,7 +9,7 @@ def stands(claim: Claim, standing: Standing | None) -> str:
     """Under how many readings a claim agrees; its verdict and value where no readings were tried or none is judged."""
     if standing is None or standing.share is None:
         ours = our_quantity(claim)
-        return f"{claim.verdict}: {ours}" if ours else claim.verdict
+        return f"{claim.verdict}, here {ours}" if ours else claim.verdict
     if standing.agree == standing.tried:
         return f"under every one of {standing.tried} readings"
     if standing.agree == 0:

@@ -155,7 +155,8 @@ if (search) {
   const weight = (entry, wanted) => wanted.reduce((sum, word) => sum + (entry.head.includes(word) ? 10 : 1), 0);
 
   const excerpt = (text, word) => {
-    const at = Math.max(0, text.toLowerCase().indexOf(word) - 60);
+    const first = text.toLowerCase().indexOf(word) - 60;
+    const at = first > 0 ? text.indexOf(" ", first) + 1 : 0; // from the beginning of a word
     return `${at ? "…" : ""}${text.slice(at, at + 200)}${text.length > at + 200 ? "…" : ""}`;
   };
 
@@ -178,8 +179,8 @@ if (search) {
         return item;
       }),
     );
-    const more = found.length > 50 ? `, the first 50 of ${found.length}` : "";
-    document.getElementById("found").textContent = wanted.length ? `${Math.min(found.length, 50)} place${found.length === 1 ? "" : "s"}${more}` : "";
+    const count = `${found.length} place${found.length === 1 ? "" : "s"}${found.length > 50 ? ", the first 50 shown" : ""}`;
+    document.getElementById("found").textContent = wanted.length ? count : "";
     toAddress(search);
   };
   whenChanged(search, show);

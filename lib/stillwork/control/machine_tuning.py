@@ -1,0 +1,98 @@
+"""The settings of a controller and its observer that get a machine furthest: one look around at each of them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from stillwork.base.checks import InputError
+from stillwork.control.applications import Application
+from stillwork.control.bandwidth import Loop, PeakConstraint, holds
+from stillwork.control.machine_loops import (
+    SAFE,
+    Intensities,
+    doubted_loops,
+    observed_loops,
+    observer_settings,
+    pid_family,
+    search_range,
+)
+from stillwork.identification.machine import Machine
+
+# One step of each setting; tried up, then down, again and again while the bandwidth grows.
+STEPS = {"lead": 4 / 3, "damping": 2.0, "selectivity": 2.0, "sensor": 10.0, "drift": 10.0, "retained": 1.5}
+LEADS = (2.0, 8.0)
+MOST = {"damping": 0.5, "selectivity": 16.0}
+PUSH = 1.03  # of the bandwidth, at a time
+
+
+@dataclass(frozen=True)
+class DesignSettings:
+    """What one use of an observer is made of."""
+
+    application: Application | None  # None: no observer
+    retained: int  # modes in the observer, the rigid body included
+    intensities: Intensities
+    notches: bool = False
+    lead: float = 3.0
+
+
+def tuned(
+    machine: Machine,
+    settings: DesignSettings,
+    design_hz: float,
+    *,
+    doubt: float,
+    step: float,
+    delay: int,
+    constraints: Sequence[PeakConstraint] = SAFE,
+) -> DesignSettings:
+    """Settings that hold the constraints on the model at a higher bandwidth than those given do at `design_hz`."""
+
+    def loops_of(each: DesignSettings) -> list[Loop]:
+        chosen = observer_settings(machine, each.application, each.retained, each.intensities)
+        loops = observed_loops(machine.sensors, each.application, *chosen, step, delay)
+        return [*loops, *doubted_loops(loops, doubt)]
+
+    def pushed(each: DesignSettings) -> float:
+        """The bandwidth up to which these settings hold, from the best so far on; that itself if they hold no more."""
+        try:
+            loops = loops_of(each)
+        except InputError:  # no observer can be made with these
+            return design_hz
+        family = pid_family(machine, each.lead, each.retained if each.notches else 1, step)
+        reached = design_hz
+        while PUSH * reached < highest and holds(loops, family(PUSH * reached), constraints):
+            reached *= PUSH
+        return reached
+
+    _, highest = search_range(machine, step)
+    for name, size in STEPS.items():
+        for factor in (size, 1 / size):
+            while (trial := varied(settings, name, factor)) is not None:
+                reached = pushed(trial)
+                if reached == design_hz:
+                    break
+                settings, design_hz = trial, reached
+    return settings
+
+
+def varied(settings: DesignSettings, name: str, factor: float) -> DesignSettings | None:
+    """The settings with one of them changed by a factor; None where they have no such thing, or no more of it."""
+    application, intensities = settings.application, settings.intensities
+    if name == "lead":
+        lead = factor * settings.lead
+        return replace(settings, lead=lead) if LEADS[0] <= lead <= LEADS[1] else None
+    if name == "retained":
+        count = max(2, round(factor * settings.retained))
+        unused = application is None and not settings.notches
+        return None if unused or count == settings.retained else replace(settings, retained=count)
+    if application is None or (name == "drift" and not application.compensate):
+        return None
+    if name in ("sensor", "drift"):
+        noise = replace(intensities, **{name: factor * getattr(intensities, name)})
+        return replace(settings, intensities=noise)
+    value = getattr(application, name)
+    if not isinstance(value, float) or not value or factor * value > MOST[name]:
+        return None
+    changed: dict[str, Any] = {name: factor * value}
+    return replace(settings, application=replace(application, **changed))
