@@ -216,12 +216,7 @@ def _list(words) -> str:
     return ", ".join(map(str, words))
 
 
-_COLORS = {
-    "floor": figures.RED,
-    "passive": figures.SKY,
-    "feedback": figures.BLUE,
-    "FeRLS": figures.BLACK,
-}
+_COLORS = {"floor": figures.RED, "passive": figures.SKY, "feedback": figures.BLUE, "FeRLS": figures.BLACK}
 _SHOWN_HZ = (1.0, 400.0)
 _GROUPS = {
     "weights of acceleration": figures.BLUE,
