@@ -119,7 +119,8 @@ def test_what_is_stored_was_found_by_this_code():
         if name in SEARCHED:
             low, high = found[name]["seen"]
             assert low < value < high, name
-    drawn = search.sample_prior(SEARCHED)[1]
+    drawn = search.sample_prior(SEARCHED, 20)[1]  # the first of those that the search began with
     for name, values in zip(SEARCHED, drawn.T, strict=True):
-        ends = sorted(search.unsized(name, np.array([values.min(), values.max()])))
-        assert ends == pytest.approx(found[name]["drawn"], rel=1e-3), name
+        low, high = sorted(search.unsized(name, np.array([values.min(), values.max()])))
+        wide = 1e-3 * abs(high - low)
+        assert found[name]["drawn"][0] - wide <= low and high <= found[name]["drawn"][1] + wide, name

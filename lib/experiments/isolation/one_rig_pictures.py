@@ -12,10 +12,10 @@ _BANDS = {
 _WEIGHTS = [f"w{k}" for k in range(1, 10)]
 _PANELS = [
     ("table-1.felms.tau-", _WEIGHTS, _WEIGHTS, "FeLMS", "time to stay within 63 % (s)"),
-    ("table-1.ferls.tau-", _WEIGHTS, _WEIGHTS, "FeRLS", ""),
+    ("table-1.ferls.tau-", _WEIGHTS, _WEIGHTS, "FeRLS", "time (s)"),
     ("fig-8.removed.", ["z", "theta-x", "theta-y"], DIRECTIONS, "Fig. 8", "power removed (%)"),
     ("table-1.felms.final-", _WEIGHTS, _WEIGHTS, "", "final value (N per m/s²)"),
-    ("table-1.ferls.final-", _WEIGHTS, _WEIGHTS, "", ""),
+    ("table-1.ferls.final-", _WEIGHTS, _WEIGHTS, "", "final value (N per m/s²)"),
     (
         "fig-7.",
         ["low-frequency-loss", "lower-end", "upper-end"],
@@ -41,7 +41,9 @@ def paint_one_rig(found: Mapping[str, Mapping[str, tuple[float, float]]], printe
                 low, high = zip(*ends, strict=True)
                 x, middle = [k + shift for k in at], [(a + b) / 2 for a, b in ends]
                 panel.vlines(x, low, high, color=color, lw=3, alpha=0.6, label=label)
-                panel.plot(x, middle, "o", ms=3, color=color)  # some bands are a point
+                panel.plot(
+                    x, middle, "o", ms=3, color=color, label=f"{label}, middle"
+                )  # some bands are a point
         known = [(k, printed[first + name]) for k, name in enumerate(names) if first + name in printed]
         figures.mark_published(panel, *zip(*known, strict=True))
         panel.set_xticks(range(len(names)), labels)

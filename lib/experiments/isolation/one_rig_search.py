@@ -165,9 +165,9 @@ def alone(
     return band(name, simulate(middle, [name]), of(name))
 
 
-def sample_prior(names: list[str]) -> tuple[np.ndarray, np.ndarray]:
+def sample_prior(names: list[str], draws: int = DRAWS) -> tuple[np.ndarray, np.ndarray]:
     """Rigs drawn from the ranges, as standard normal positions, and their numbers."""
-    positions = np.random.default_rng(SEED).standard_normal((DRAWS, len(ranges())))
+    positions = np.random.default_rng(SEED).standard_normal((draws, len(ranges())))
     simulated = np.array([simulate(position, names) for position in positions])
     whole = simulated[:, 0] != FAR
     return positions[whole], simulated[whole]
