@@ -214,6 +214,29 @@ def test_the_front_page_is_seen_at_a_glance(browser, site):
     browser.resize(WIDE)
     browser.open((site / "index.html").as_uri())
     assert browser.run("return document.documentElement.scrollHeight") < 4000
+    # The navigation is one line.
+    tops = browser.run("return [...document.querySelectorAll('header li')].map((each) => each.offsetTop)")
+    assert len(set(tops)) == 1
+
+
+def test_on_a_phone_the_front_page_is_a_few_screens_and_a_work_begins_with_its_name(browser, site):
+    browser.resize(NARROW)
+    browser.open((site / "index.html").as_uri())
+    assert browser.run("return document.documentElement.scrollHeight") < 6 * 900
+    top = (
+        "return [...document.querySelectorAll(arguments[0])].map((each) => each.getBoundingClientRect().top)"
+    )
+    names, heroes = browser.run(top, ".work h2"), browser.run(top, ".work .hero")
+    assert len(names) == len(heroes) > 1
+    assert all(name < hero for name, hero in zip(names, heroes, strict=True))
+
+
+def test_on_a_phone_the_gallery_leaves_no_white_around_a_picture(browser, site):
+    browser.resize(NARROW)
+    browser.open((site / "gallery.html").as_uri())
+    off = """return [...document.querySelectorAll('.gallery img')].map((image) =>
+      Math.abs(image.offsetHeight - image.offsetWidth * image.getAttribute('height') / image.getAttribute('width')))"""
+    assert max(browser.run(off)) < 2  # pixels: a picture's own shape, rounded
 
 
 @pytest.mark.parametrize(("page", "sheets"), [("index.html", 4), ("ledger.html", 40), ("gallery.html", 12)])
@@ -251,6 +274,15 @@ def test_search_finds_sections_numbers_and_names_and_keeps_the_words_in_the_addr
         assert place in unquote(first)
     browser.open((site / "search.html").as_uri() + "?q=xyzzy+plugh")
     assert browser.driver.find_element(By.ID, "found").text == "0 places"
+    browser.open((site / "search.html").as_uri() + "?q=the")
+    assert re.fullmatch(
+        r"\d{3,} places, the first 50 shown", browser.driver.find_element(By.ID, "found").text
+    )
+    words = set(browser.run("return searchIndex.map((each) => each[3]).join(' ')").split())
+    for excerpt in browser.run(
+        "return [...document.querySelectorAll('#results p')].map((each) => each.textContent)"
+    ):
+        assert not excerpt.startswith("…") or excerpt[1:].split()[0].rstrip("…") in words
 
 
 def test_the_gallery_shows_a_work_or_a_verdict_alone(browser, site):

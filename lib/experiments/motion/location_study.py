@@ -27,7 +27,7 @@ from stillwork.lti.state_space import StateModel
 
 WARM_UP = 3000  # samples in which the noise reaches its steady state
 
-Errors = Mapping[str, Float64[np.ndarray, "places samples"]]
+ErrorsByCase = Mapping[str, Float64[np.ndarray, "places samples"]]
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class LocationStudy:
 
     places: Float64[np.ndarray, " places"]  # m
     setpoint: Setpoint
-    errors: Errors  # m, at the samples of the setpoint
+    errors: ErrorsByCase  # m, at the samples of the setpoint
 
     def rms(self, case: str) -> Float64[np.ndarray, " places"]:
         """Root mean square in the scanning phase (m)."""
@@ -125,7 +125,7 @@ def read_table(
 
 
 @lru_cache(maxsize=2)
-def _table_noise(masses: int, step: float, seed: int) -> Errors:
+def _table_noise(masses: int, step: float, seed: int) -> ErrorsByCase:
     return _location_noise(table_loops(masses), published_setpoint(step), published_deviations(), [seed])[0]
 
 
@@ -255,7 +255,7 @@ def _quiet_study(loops: Loops, force: Force, setpoint: Setpoint, source: str) ->
 
 def _location_noise(
     loops: Loops, setpoint: Setpoint, deviations: dict[str, float], seeds: Sequence
-) -> list[Errors]:
+) -> list[ErrorsByCase]:
     """What noise adds to the errors, for each seed: fresh at every place, the same for all cases."""
     samples = WARM_UP + len(setpoint.time)
     streams = [np.random.default_rng(seed) for seed in seeds]
@@ -270,7 +270,7 @@ def _location_noise(
     return [{name: np.array(each) for name, each in run.items()} for run in found]
 
 
-def _with_noise(study: LocationStudy, noise: Errors) -> LocationStudy:
+def _with_noise(study: LocationStudy, noise: ErrorsByCase) -> LocationStudy:
     return replace(study, errors={name: each + noise[name] for name, each in study.errors.items()})
 
 
