@@ -2,6 +2,7 @@
 
 Times are processor time of the one thread that works; medians over repeats that take the contenders in turn, so
 that a busy machine slows all of them alike. A target in the last column is missed or met; no test asserts it.
+With `--write` the times beside peers are stored in `data/motion/times/` for the site's page of benchmarks.
 """
 
 import ctypes
@@ -72,6 +73,8 @@ def main() -> None:
             )
         if "filterpy" in name:
             rows.append(("Kalman step: filterpy / ours", float(np.median(times / ours)), ">= 30"))
+    if "--write" in sys.argv[1:]:
+        write({**response, **tracking, **search, **filtering})
     rows += monte_carlo()
     for group in (response, tracking, search, drawing, filtering):
         for name, times in group.items():
@@ -85,6 +88,24 @@ def main() -> None:
 
 def machine() -> str:
     return f"{platform.processor() or platform.machine()}, Python {platform.python_version()}, control {control.__version__}"
+
+
+def write(times: dict[str, list[float]]) -> None:
+    folder = ROOT / "data" / "motion" / "times"
+    folder.mkdir(parents=True, exist_ok=True)
+    lines = ["what,median_ms,lowest_ms,highest_ms"]
+    for name, each in times.items():
+        shown = ",".join(f"{1e3 * value:.4g}" for value in (np.median(each), min(each), max(each)))
+        lines.append(f'"{name}",{shown}')
+    (folder / "times.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    (folder / "SOURCE.md").write_text(
+        "# Measured times of a response, a simulation, a search and a filter, beside named peers\n\n"
+        "Milliseconds of processor time, median, lowest and highest of repeats in turn; written by\n"
+        "`python benchmarks/motion.py --write`, which says what each is. Measured, not computed: another machine\n"
+        "gives other times.\n\n"
+        f"Machine: {machine()}; other programs were running.\n",
+        encoding="utf-8",
+    )
 
 
 def turns(contenders: dict, repeats: int) -> dict[str, list[float]]:

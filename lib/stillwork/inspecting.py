@@ -195,14 +195,17 @@ def _model(path: Path) -> Iterator[str]:
     if not _in_checkout():
         yield "whether it is a machine of the workbook, a checkout of stillwork can tell: run this there"
         return
+    lacking = []
     for room, (module, function) in MODELS.items():
         try:
             getattr(import_module(module), function)(path)
         except InputError as error:
-            yield f"not a machine of the room {room}: {error}"
+            lacking.append(f"not a machine of the room {room}: {error}")
         else:
             yield f"a machine of the room {room}: {module}.{function}({str(path)!r})"
             yield from _takers(path, room)
+    if len(lacking) == len(MODELS):
+        yield from lacking
 
 
 def _command(notebook: str, settings: dict) -> str:

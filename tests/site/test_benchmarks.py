@@ -7,7 +7,7 @@ from stillwork.site.benchmarks import benchmarks
 
 
 def test_ratios_are_those_of_the_committed_times():
-    updates, unknowns, filters = benchmarks()
+    updates, response, *_, kalman, unknowns, filters = benchmarks()
     with paths.data("isolation", "update_times/update_times.csv").open(encoding="utf-8") as file:
         median = {row["form"]: float(row["median_us"]) for row in csv.DictReader(file)}
     found = dict(updates.rows)
@@ -23,6 +23,11 @@ def test_ratios_are_those_of_the_committed_times():
     assert unknowns.headings == ("5", "20", "100")
     assert ratios == [exact[size] for size in unknowns.headings]
     assert {ratio for _, ((_, ratio),) in filters.rows} >= {1.0}
+    with paths.data("motion", "times/times.csv").open(encoding="utf-8") as file:
+        times = {row["what"]: float(row["median_ms"]) for row in csv.DictReader(file)}
+    mine, peer = times["modal residues"], times["control.frequency_response"]
+    assert dict(response.rows)["python-control"] == ((peer, peer / mine),)
+    assert dict(kalman.rows)["filterpy"][0][0] == times["Kalman step, filterpy"]
 
 
 def test_a_table_says_on_what_it_was_measured_and_how_to_measure_it():

@@ -385,6 +385,7 @@ def test_a_machine_is_recognised_by_the_room_that_reads_it(tmp_path):
     report = inspect_file(str(paths.data("isolation", "rigid_body.toml")))
     assert "a machine of the room isolation" in report
     assert "-p model=" in report
+    assert "not a machine" not in report  # one answer, without what it is not
     broken = tmp_path / "rig.toml"
     broken.write_text(
         paths.data("isolation", "rigid_body.toml").read_text(encoding="utf-8").replace("mass =", "mas =")

@@ -39,6 +39,8 @@ def test_the_crate_is_one():
     root = ENTITIES["./"]
     assert root["@type"] == "Dataset"
     assert {"name", "description", "datePublished", "license"} <= set(root)
+    assert ENTITIES[root["publisher"]["@id"]]["@type"] == "Organization"  # recommended, as is a value alone
+    assert root["author"] == root["publisher"]
     assert all("@type" in each for each in CRATE["@graph"])
 
 

@@ -34,6 +34,27 @@ def test_what_is_not_committed_is_not_released(workbook):
         release.release()
 
 
+def test_a_tree_that_changes_while_the_release_is_made_is_not_released(workbook, monkeypatch):
+    change = {}
+    monkeypatch.setattr(release.stillwork, "__version__", "0.1.0")
+    monkeypatch.setattr(release, "build_site", lambda: change["now"]())
+    monkeypatch.setattr(release, "wheel", lambda root: {"toy.whl": b""})
+    monkeypatch.setattr(release, "zipped", lambda folder, name: b"")
+    monkeypatch.setattr(release, "try_wheel", lambda *files: 0)
+    git = ["git", "-c", "user.name=a", "-c", "user.email=a@b", "-C", str(workbook)]
+    change["now"] = lambda: subprocess.run([*git, "commit", "-q", "--allow-empty", "-m", "more"]).returncode
+    with pytest.raises(InputError, match="was checked out when the release began"):
+        release.release()
+    assert not (workbook / "build/release").exists()
+    change["now"] = lambda: bool((workbook / "new.py").write_text(""))
+    with pytest.raises(InputError, match=r"new\.py is not committed"):
+        release.release()
+    (workbook / "new.py").unlink()
+    change["now"] = lambda: 0
+    assert release.release() == 0
+    assert (workbook / "build/release/SHA256SUMS").is_file()
+
+
 @pytest.mark.parametrize(
     ("file", "text"),
     [("CITATION.cff", "version: 0.2.0\n"), ("CHANGELOG.md", "# Changelog\n\n## 0.2.0\n")],

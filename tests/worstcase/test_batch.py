@@ -1,5 +1,5 @@
 import warnings
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import cvxpy
 import numpy as np
@@ -11,7 +11,7 @@ from experiments.worstcase import solve_cone_program
 from naive import worstcase as naive
 from stillwork.base.checks import InputError
 from stillwork.estimation import min_max_solve
-from stillwork.estimation.min_max import ZeroEstimateWarning, solve_silently
+from stillwork.estimation.min_max import ZeroEstimateWarning, solve_silently, solve_sweep
 from stillwork.estimation.secular import SecularFunction, secular_function
 
 
@@ -315,3 +315,17 @@ def test_secular_function_without_a_root_says_so():
 def test_bad_input_is_named(A, b, bound, message):
     with pytest.raises(InputError, match=message):
         min_max_solve(A, b, bound)
+
+
+def test_a_sweep_is_its_bounds_one_by_one():
+    rng = np.random.default_rng(4)
+    matrix = rng.standard_normal((12, 4))
+    for data in (matrix, matrix[:, [0, 1, 2, 2]]):  # of full rank, and not
+        target = data @ np.ones(4) + 0.1 * rng.standard_normal(12)
+        bounds = [0.0, 0.1, 1.0, 100.0]
+        sweep = solve_sweep(data, target, bounds)
+        assert [each.case for each in sweep] == ["least squares", "regularised", "regularised", "zero"]
+        for bound, each in zip(bounds, sweep, strict=True):
+            alone = solve_silently(data, target, bound)
+            for field in fields(each):
+                np.testing.assert_array_equal(getattr(each, field.name), getattr(alone, field.name))

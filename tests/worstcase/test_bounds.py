@@ -7,7 +7,7 @@ from scipy import signal
 from naive import worstcase as naive
 from stillwork.base.checks import InputError
 from stillwork.estimation import choose_bound
-from stillwork.estimation.min_max import solve_silently
+from stillwork.estimation.min_max import solve_sweep
 from stillwork.identification import coloured_noise_bound, fir_regressors
 from stillwork.signals import estimate_spectrum
 from stillwork.signals.spectra import Spectrum
@@ -125,7 +125,8 @@ def test_the_chosen_bound_predicts_as_well_as_the_best():
             tried = np.geomspace(0.03, 1, 8) * np.linalg.norm(matrix.T @ target) / np.linalg.norm(target)
             found = choose_bound(matrix, target, tried, folds=6)
             left = [
-                np.linalg.norm(goal - later @ solve_silently(matrix, target, eta).estimate) for eta in tried
+                np.linalg.norm(goal - later @ solution.estimate)
+                for solution in solve_sweep(matrix, target, tried)
             ]
             if rows == 400:
                 near.append(left[np.argmin(found.errors)] <= 1.02 * min(left))

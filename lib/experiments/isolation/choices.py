@@ -47,9 +47,8 @@ def convergence(
     }
 
 
-@lru_cache(
-    maxsize=32
-)  # readings that differ in the band, or in what the other algorithm alone takes, share it
+# Readings that differ in the band, or in what the other algorithm alone takes, share it.
+@lru_cache(maxsize=32)
 def _course(
     name: str, trace: str, initial_covariance: float, floor_upper_end: float, seed: int
 ) -> con.Course:

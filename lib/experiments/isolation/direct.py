@@ -125,10 +125,7 @@ _NAMES = {
 
 
 def paint_agreement(
-    time_s: ArrayLike,
-    recursion: ArrayLike,
-    differences: Mapping[str, ArrayLike],
-    bound: float,
+    time_s: ArrayLike, recursion: ArrayLike, differences: Mapping[str, ArrayLike], bound: float
 ):
     """Weights of one actuator by the recursion, (samples, n), and how far the direct forms are from it.
 

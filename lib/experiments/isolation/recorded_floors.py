@@ -136,12 +136,7 @@ def ground_spectrum(
 
 
 def ground_floor(
-    duration: float,
-    seed: int,
-    *,
-    gain: float = 1.0,
-    upper_hz: float = UPPER_HZ,
-    **options,
+    duration: float, seed: int, *, gain: float = 1.0, upper_hz: float = UPPER_HZ, **options
 ) -> RecordedFloor:
     """Motion with the spectrum of `ground_spectrum`; the record has no phase, so the motion is synthesised."""
     ground = ground_spectrum(gain=gain, upper_hz=upper_hz)

@@ -170,11 +170,7 @@ def _algorithm(twin: Twin, adaptation):
         return loop.FERLS, (0.0, 1.0, 1.0), adaptation.start(n)
     still = FeRls(1.0).start(n)
     if isinstance(adaptation, FeLms):
-        numbers = (
-            adaptation.step_size,
-            adaptation.regularisation,
-            adaptation.trace_copies(twin.actuators),
-        )
+        numbers = (adaptation.step_size, adaptation.regularisation, adaptation.trace_copies(twin.actuators))
         return loop.FELMS, numbers, still
     if adaptation is not None:
         raise InputError(f"adaptation is {adaptation!r}; give FeLms(...), FeRls(...) or None")

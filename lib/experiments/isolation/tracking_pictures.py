@@ -12,11 +12,8 @@ from experiments.isolation.twin import Twin
 from stillwork.workbook import figures
 from stillwork.workbook.studies import Study
 
-SHOWN = {
-    1: figures.BLUE,
-    5: figures.GREEN,
-    7: figures.RED,
-}  # of each power of the integrator, the largest shift
+# of each power of the integrator, the largest shift
+SHOWN = {1: figures.BLUE, 5: figures.GREEN, 7: figures.RED}
 MILLI = 1e3
 
 

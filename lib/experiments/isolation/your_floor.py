@@ -99,8 +99,7 @@ def isolate(twin: Twin, floor: RecordedFloor, seed: int, start: float = 1.0) -> 
     before = run(0.0, seed=seed)
     rate = before.sample_rate
     settled, training = (round(each * rate) for each in (SETTLE_S, training_s - SETTLE_S))
-    power = np.mean(before.filtered_regressors[:, : settled + training] ** 2, axis=1)
-    settings = FeRls(start * (1 - FORGETTING) / power)
+    settings = steady_start(before.filtered_regressors[:, : settled + training], start)
     adaptation = simulate(twin, floor, training_s, adaptation=settings, seed=seed, keep_every_s=KEEP_EVERY_S)
     cases = {
         "passive": run(seed=seed + 1, feedback=False),
@@ -116,6 +115,11 @@ def isolate(twin: Twin, floor: RecordedFloor, seed: int, start: float = 1.0) -> 
         adaptation.error_power / before.error_power[: len(adaptation.error_power)],
         rate,
     )
+
+
+def steady_start(regressors: Float64[np.ndarray, "regressors samples"], start: float = 1.0) -> FeRls:
+    """FeRLS that begins at `start` times the steady P of uncorrelated filtered regressors."""
+    return FeRls(start * (1 - FORGETTING) / np.mean(regressors**2, axis=1))
 
 
 def translating_spectrum(floor: RecordedFloor) -> SpectralFloor:
@@ -212,12 +216,7 @@ def _list(words) -> str:
     return ", ".join(map(str, words))
 
 
-_COLORS = {
-    "floor": figures.RED,
-    "passive": figures.SKY,
-    "feedback": figures.BLUE,
-    "FeRLS": figures.BLACK,
-}
+_COLORS = {"floor": figures.RED, "passive": figures.SKY, "feedback": figures.BLUE, "FeRLS": figures.BLACK}
 _SHOWN_HZ = (1.0, 400.0)
 _GROUPS = {
     "weights of acceleration": figures.BLUE,

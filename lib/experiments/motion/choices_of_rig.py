@@ -5,13 +5,7 @@ from functools import lru_cache
 import numpy as np
 
 from experiments.motion.rig import assumed_geometry
-from experiments.motion.rig_designs import (
-    CASES,
-    bandwidths,
-    model_errors,
-    published_settings,
-    rig_loops,
-)
+from experiments.motion.rig_designs import CASES, bandwidths, model_errors, published_settings, rig_loops
 from experiments.motion.rig_loops import RigBandwidth
 from experiments.motion.rig_study import Rig, levelling_errors, sample_geometry
 from experiments.motion.rig_tracking import levelling

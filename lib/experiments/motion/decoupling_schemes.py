@@ -18,12 +18,7 @@ from stillwork.control.decoupled_damping import (
     constrained_damping,
     constrained_stiffness,
 )
-from stillwork.control.decoupling import (
-    coupling_onset,
-    decouple,
-    decoupled_plant,
-    rigid_coupling,
-)
+from stillwork.control.decoupling import coupling_onset, decouple, decoupled_plant, rigid_coupling
 from stillwork.control.feedback import damping_gain, stiffness_gain
 from stillwork.control.loops import channel, closed_loop
 from stillwork.estimation.observer import Observer, kalman_observer
@@ -227,9 +222,8 @@ def crosswise_force(
     """Largest force on each damped mode, at its own resonance, by the unit velocity of another one."""
     rigid, count = plant.rigid_modes, len(damped)
     response = gain.frequency_response(damped)[:, 2 * rigid + 1 : 2 * (rigid + count) : 2]
-    forces = np.einsum(
-        "if,fji->ij", plant.input_shapes[rigid : rigid + count], response
-    )  # at mode i's resonance
+    # at mode i's resonance
+    forces = np.einsum("if,fji->ij", plant.input_shapes[rigid : rigid + count], response)
     return np.where(np.eye(count, dtype=bool), 0, np.abs(forces)).max(axis=1)
 
 

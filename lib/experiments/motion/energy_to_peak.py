@@ -59,10 +59,15 @@ def predictor_gains(
     r = require_array("sensor", sensor, shape=(outputs, outputs))
     p, gains = np.zeros((n, n)), np.zeros((samples, n, outputs))
     for k in range(samples):
-        gains[k] = np.linalg.solve(c[k] @ p @ c[k].T + r, c[k] @ p @ a.T).T
-        rest = a - gains[k] @ c[k]
-        p = rest @ p @ rest.T + gains[k] @ r @ gains[k].T + q
+        gains[k], p = _predicted(a, c[k], p, q, r)
     return gains
+
+
+def _predicted(a, c, p, q, r) -> tuple[np.ndarray, np.ndarray]:
+    """Gain of the predictor and covariance after one sample, (5.37)."""
+    gain = np.linalg.solve(c @ p @ c.T + r, c @ p @ a.T).T
+    rest = a - gain @ c
+    return gain, rest @ p @ rest.T + gain @ r @ gain.T + q
 
 
 @dataclass(frozen=True)
@@ -121,21 +126,11 @@ def inequality_margins(system: ErrorSystem, level: float, slack: float = 1e-9) -
     return float(first), float(second)
 
 
-def settled_covariance(
-    a: ArrayLike,
-    g: ArrayLike,
-    c: ArrayLike,
-    process: ArrayLike,
-    sensor: ArrayLike,
-    start: ArrayLike,
-    steps: int,
-) -> Float64[np.ndarray, "states states"]:
+def settled_covariance(a, g, c, process, sensor, start, steps: int) -> Float64[np.ndarray, "states states"]:
     """Covariance of the Kalman predictor after so many steps of (5.37) with one C, from any `start`."""
     a, g, c, process, sensor, p = (np.asarray(each, float) for each in (a, g, c, process, sensor, start))
     for _ in range(steps):
-        gain = np.linalg.solve(c @ p @ c.T + sensor, c @ p @ a.T).T
-        rest = a - gain @ c
-        p = rest @ p @ rest.T + gain @ sensor @ gain.T + g @ process @ g.T
+        _, p = _predicted(a, c, p, g @ process @ g.T, sensor)
     return p
 
 

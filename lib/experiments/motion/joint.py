@@ -245,11 +245,7 @@ class Compensated(NamedTuple):
 
 
 def compensated(
-    design: JointDesign,
-    omega: np.ndarray,
-    delay: float = DELAY,
-    alone: int = 0,
-    masses: slice = slice(None),
+    design: JointDesign, omega: np.ndarray, delay: float = DELAY, alone: int = 0, masses: slice = slice(None)
 ) -> Compensated:
     """The design's responses at some frequencies (rad/s), with an observer that is told of `delay`."""
     z = np.exp(1j * omega * STEP)

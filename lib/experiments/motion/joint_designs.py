@@ -33,10 +33,8 @@ SIZES = (0.0, 0.02, 0.05)  # relative errors of the modal parameters that the de
 POOL, POOL_SEED = 60, 7  # perturbed stages that a search may look at, beside the nominal one
 ASKED = 10 ** (5.6 / 20)  # of these stages, to leave room for others
 NOMINAL = 0.999 * SIX_DB  # asked of the nominal stage, for peaks between the grid's points
-FORCES = (
-    0.005,
-    0.01,
-)  # N, rms of the control force under noise, for the front; the published design has 0.0048
+# N, rms of the control force under noise, for the front; the published design has 0.0048
+FORCES = (0.005, 0.01)
 KEPT = 1e-3  # logarithm by which a search may end above its limit
 
 

@@ -227,9 +227,8 @@ class Judged:
     """What a design does on some stages; nothing here trusts a grid."""
 
     stable: Bool[np.ndarray, " plants"]  # by eigenvalues, all masses
-    peaks: Float64[
-        np.ndarray, "plants functions"
-    ]  # dB, in the order of `PEAKS`, of the worst mass; inf if unstable
+    # dB, in the order of `PEAKS`, of the worst mass; inf if unstable
+    peaks: Float64[np.ndarray, "plants functions"]
     error: Float64[np.ndarray, " plants"]  # m, rms in the scan with noise; inf if unstable
     quiet: Float64[np.ndarray, " plants"]  # m, without noise
     force: Float64[np.ndarray, " plants"]  # N, rms of the control force under noise

@@ -28,9 +28,8 @@ class LineSearch:
     """Estimates of the regularised filter that solves for lambda at every sample."""
 
     states: Float64[np.ndarray, "states samples"]
-    ratio: Float64[
-        np.ndarray, " samples"
-    ]  # optimal lambda over its lower limit; 1 where nothing is uncertain
+    # optimal lambda over its lower limit; 1 where nothing is uncertain
+    ratio: Float64[np.ndarray, " samples"]
 
 
 @checked

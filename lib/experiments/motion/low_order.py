@@ -144,10 +144,7 @@ def fit_low_order(
 
 
 def pick_poles(
-    loop: StateModel,
-    setpoint: Setpoint,
-    candidates: Sequence[complex],
-    order: int,
+    loop: StateModel, setpoint: Setpoint, candidates: Sequence[complex], order: int
 ) -> list[LowOrder]:
     """Feedforwards of growing order: each takes the one candidate more that lowers the squared error most."""
     require_count("order", order, at_least=0)

@@ -12,9 +12,8 @@ from scipy import linalg
 from stillwork.base.checks import InputError, require_count
 from stillwork.base.rounding import first_largest
 
-DEGREE = (
-    13  # of the polynomials along each side; the first fourteen modes then hold to a hundredth of a per cent
-)
+# of the polynomials along each side; the first fourteen modes then hold to a hundredth of a per cent
+DEGREE = 13
 
 
 @dataclass(frozen=True)
@@ -22,9 +21,8 @@ class PlateModes:
     r"""Flexible modes, sorted by frequency, on the square :math:`-1\le\xi,\eta\le1` that the plate is mapped to."""
 
     parameters: Float64[np.ndarray, " modes"]  # omega length^2 sqrt(mass per area / bending stiffness)
-    coefficients: Float64[
-        np.ndarray, "modes degrees degrees"
-    ]  # of the products of normalised Legendre polynomials
+    # of the products of normalised Legendre polynomials
+    coefficients: Float64[np.ndarray, "modes degrees degrees"]
 
     def shapes(self, xi: ArrayLike, eta: ArrayLike) -> Float64[np.ndarray, "points modes"]:
         """Shapes at points of the square, scaled to a mean square of one over the plate."""

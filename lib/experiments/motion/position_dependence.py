@@ -75,10 +75,7 @@ def require_seen(plant: ModalModel, grid: ArrayLike, places: ArrayLike, modes: S
 
 
 def observer_at(
-    plant: ModalModel,
-    grid: ArrayLike,
-    place: float,
-    noise_model: float | None = None,
+    plant: ModalModel, grid: ArrayLike, place: float, noise_model: float | None = None
 ) -> Observer:
     """Stationary observer for one place: matrices, compliance and gain of (4.6) belong to it."""
     reduced = truncate(at_place(plant, grid, place), RETAINED, COMPENSATED)
@@ -93,11 +90,7 @@ def compensator_at(plant: ModalModel, grid: ArrayLike, place: float, design: Des
 
 
 def place_loops(
-    plant: ModalModel,
-    grid: ArrayLike,
-    places: ArrayLike,
-    design: Design,
-    **response_grid,
+    plant: ModalModel, grid: ArrayLike, places: ArrayLike, design: Design, **response_grid
 ) -> list[Loop]:
     """One loop a place, with the observer of that place; `response_grid` goes to `make_loop`."""
     return [

@@ -149,10 +149,7 @@ def paint_table_of_ranges(
         axis.vlines(place, low, high, color=colour, linewidth=4, alpha=0.4, label=f"{part}, over the ranges")
         axis.plot(place, middle, "_", color=colour, markersize=9, label=f"{part}, whole structure")
         figures.mark_published(
-            axis,
-            place,
-            [np.asarray(published[n])[k] for n in names],
-            label="published" if k == 0 else None,
+            axis, place, [np.asarray(published[n])[k] for n in names], label="published" if k == 0 else None
         )
     axis.set_yscale("log")
     axis.set_xticks(np.arange(len(names)), [n.replace(", ", ",\n") for n in names], fontsize=7)

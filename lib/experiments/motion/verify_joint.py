@@ -144,9 +144,8 @@ def _observer(noise, design, w, push, see, ratio):
     )
     taken = np.vstack([gain, np.zeros((2, 1))])
     advance = np.block([[whole, late, half @ late], [np.zeros((2, 9)), np.eye(2, k=-1)]])
-    ahead = (
-        np.hstack([half, late, np.zeros((9, 1))]) @ advance
-    )  # half a sample more, on which f(k-1) acts ...
+    # half a sample more, on which f(k-1) acts ...
+    ahead = np.hstack([half, late, np.zeros((9, 1))]) @ advance
     ahead += np.hstack([np.zeros((9, 9)), late, np.zeros((9, 1))])  # ... which in x(k+1) has become f(k-2)
     rows = np.zeros((4, 11))
     rows[0, 2:8:2] = see[1:4]

@@ -109,9 +109,7 @@ def machine_explorer(
         (o_uu, o_uy), (o_yu, o_yy) = used.frequency_response(shown)
         seen = ((1 - o_yy) * plant - o_yu) / (1 - o_uu - o_uy * plant)
         figure, axes = paint_bode(
-            {"plant": (shown, plant), "with MC and AD": (shown, seen)},
-            "magnitude (dB re 1 m/N)",
-            height=3.2,
+            {"plant": (shown, plant), "with MC and AD": (shown, seen)}, "magnitude (dB re 1 m/N)", height=3.2
         )
         lowered = 20 * np.log10(np.abs(plant[flexible]).max() / np.abs(seen[flexible]).max())
         axes[0].set_title(f"the highest peak is {lowered:.0f} dB lower")

@@ -34,11 +34,8 @@ METHODS = {
 }
 EXCITATIONS = ("white", "three tones", "low-pass", "tone")
 CORNER, TONE = 0.1, 0.057  # of the sample rate; the tone lies where that of the room's measured record does
-TONES = (
-    1 / 16,
-    3 / 16,
-    6 / 16,
-)  # of one size; what a short past foretells, so that instruments have a chance
+# of one size; what a short past foretells, so that instruments have a chance
+TONES = (1 / 16, 3 / 16, 6 / 16)
 MARGIN = 1.1  # level of the H-infinity filter over the smallest that there is
 
 

@@ -9,7 +9,7 @@ from scipy import linalg, signal
 from experiments.worstcase.total import total_least_squares
 from stillwork.base import paths
 from stillwork.base.checks import InputError, require_count, require_number
-from stillwork.estimation.min_max import solve_silently
+from stillwork.estimation.min_max import solve_silently, solve_sweep
 from stillwork.estimation.recursive import run_silently
 from stillwork.estimation.recursive_settings import LeastSquares, MinMax, Ridge
 from stillwork.identification.regressors import fir_regressors
@@ -192,7 +192,6 @@ def bound_sweep(pair: MeasuredPair, taps: int, length: int, factors: np.ndarray,
     for i, (matrix, target, later, goal) in enumerate(windows):
         # a rotation of the rows changes no residual: taps + 1 of them say all
         corner = np.linalg.qr(np.column_stack([matrix, target]), mode="r")
-        for j, factor in enumerate(factors):
-            estimate = solve_silently(corner[:, :-1], corner[:, -1], factor * typical).estimate
-            found[i, j] = np.linalg.norm(goal - later @ estimate) / np.linalg.norm(goal)
+        for j, solution in enumerate(solve_sweep(corner[:, :-1], corner[:, -1], factors * typical)):
+            found[i, j] = np.linalg.norm(goal - later @ solution.estimate) / np.linalg.norm(goal)
     return np.median(found, axis=0)

@@ -11,7 +11,7 @@ from scipy import signal
 from experiments.worstcase.measured import MeasuredPair
 from experiments.worstcase.total import total_least_squares
 from stillwork.base.checks import InputError, require_array, require_count, require_number
-from stillwork.estimation.min_max import solve_silently
+from stillwork.estimation.min_max import solve_sweep
 from stillwork.estimation.recursive import run_silently
 from stillwork.estimation.recursive_settings import LeastSquares, MinMax
 from stillwork.identification.regressors import exponential_bound, fir_regressors
@@ -207,7 +207,7 @@ def fit_pair(pair: Pair, taps: int, memory: int, factors: np.ndarray | None = No
     estimates["total least squares"] = total_least_squares(regressors[:, last].T, output[last]).estimate
     matrix, target = weighted_corner(regressors[:, fit], output[fit], forgetting)
     factors = np.geomspace(0.01, 10, 25) if factors is None else require_array("factors", factors, ndim=1)
-    swept = [solve_silently(matrix, target, factor * typical) for factor in factors]
+    swept = solve_sweep(matrix, target, factors * typical)
     choosing, judging = (
         np.array([residual(regressors[:, part], output[part], one.estimate) for one in swept])
         for part in (choose, judge)

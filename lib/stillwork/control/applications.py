@@ -24,17 +24,14 @@ class Application:
     """
 
     compensate: bool = False  # MC: subtract the estimated flexible part from the measurement
-    damping: float | tuple[float, ...] = (
-        0.0  # AD: wanted increase of the damping ratios, one for all modes or each
-    )
+    # AD: wanted increase of the damping ratios, one for all modes or each
+    damping: float | tuple[float, ...] = 0.0
     selection: str = "each mode"  # of the damping gains
     stiffness: float = 1.0  # active stiffness: wanted factor on the resonance frequencies
-    selectivity: float | tuple[float, ...] | None = (
-        None  # Q of the band-pass on the damping gains, one for all modes or each; None: no filter
-    )
-    common: float | None = (
-        None  # rad/s, centre of one band-pass for all gains; None: one a mode at its resonance
-    )
+    # Q of the band-pass on the damping gains, one for all modes or each; None: no filter
+    selectivity: float | tuple[float, ...] | None = None
+    # rad/s, centre of one band-pass for all gains; None: one a mode at its resonance
+    common: float | None = None
     high_pass_hz: float | None = None  # corner of a high-pass on the compensation, instead of a noise model
 
     def __post_init__(self):

@@ -73,10 +73,7 @@ def _constrained(model: ModalModel, wanted: np.ndarray, undisturbed, state: int)
 
 @checked
 def band_passed(
-    model: ModalModel,
-    gain: Float64[np.ndarray, "inputs states"],
-    selectivity: float,
-    order: int = 2,
+    model: ModalModel, gain: Float64[np.ndarray, "inputs states"], selectivity: float, order: int = 2
 ) -> StateModel:
     r"""Dynamic gain K(s): each fed-back state through a band-pass at its mode's resonance, (4.16), (4.17).
 

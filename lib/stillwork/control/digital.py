@@ -82,11 +82,7 @@ class DigitalController:
                 "model: its output follows from the limited output of the same sample; delay that"
             )
         require_count("delay", self.delay, at_least=0)
-        for name, shape in (
-            ("low", (outputs,)),
-            ("high", (outputs,)),
-            ("anti_windup", (states, outputs)),
-        ):
+        for name, shape in (("low", (outputs,)), ("high", (outputs,)), ("anti_windup", (states, outputs))):
             value = np.array(getattr(self, name), dtype=float)
             if (value.ndim and value.shape != shape) or np.isnan(value).any():
                 raise InputError(f"{name} has shape {value.shape}; give {shape} numbers, or one for all")

@@ -83,12 +83,7 @@ class DiscreteObserver:
         inputs, outputs = self.b.shape[1], len(self.c)
         d = self.model.feedthrough
         kept = np.eye(len(self.a)) - self.gain @ self.c
-        a = np.block(
-            [
-                [self.a @ kept, -self.a @ self.gain @ d],
-                [np.zeros((inputs, len(self.a) + inputs))],
-            ]
-        )
+        a = np.block([[self.a @ kept, -self.a @ self.gain @ d], [np.zeros((inputs, len(self.a) + inputs))]])
         b = np.block([[self.b, self.a @ self.gain], [np.eye(inputs), np.zeros((inputs, outputs))]])
         none = np.zeros((len(rows), inputs))
         if form == "predictor":

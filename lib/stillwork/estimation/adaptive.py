@@ -80,9 +80,8 @@ class Recursion(NamedTuple):
     matrix: np.ndarray  # (n, n), what the form stores for P
     form: int  # place in FORMS
     forgetting: float  # lambda as the precision holds it
-    levels: (
-        np.ndarray
-    )  # (3, n): limits of P's diagonal, power of psi in the window, share of time at the limit
+    # (3, n): limits of P's diagonal, power of psi in the window, share of time at the limit
+    levels: np.ndarray
     allowance: float  # limit times power that is granted to each regressor
     gain: np.ndarray  # (n,), room for work
     # Room for work, (n,): none in the triangle, one in UD, both in the others. So kernels that ask whether they are

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_count, require_number
 from stillwork.base.front_door import checked
-from stillwork.estimation.min_max import solve_silently, triangle
+from stillwork.estimation.min_max import solve_sweep, triangle
 from stillwork.estimation.secular import secular_function
 
 
@@ -110,9 +110,8 @@ def choose_bound(
         kept = triangle(np.vstack(corners[:out] + corners[out + 1 :]))
         fitted, aimed = np.ascontiguousarray(kept[:, :-1]), np.ascontiguousarray(kept[:, -1])
         share = np.sqrt(1 - len(stretches[out]) / rows)
-        for place, bound in enumerate(tried):
-            estimate = solve_silently(fitted, aimed, share * bound).estimate
-            squares[out, place] = np.sum((held[:, -1] - held[:, :-1] @ estimate) ** 2)
+        for place, solution in enumerate(solve_sweep(fitted, aimed, share * tried)):
+            squares[out, place] = np.sum((held[:, -1] - held[:, :-1] @ solution.estimate) ** 2)
     rng = np.random.default_rng(require_count("seed", seed, at_least=0))
     times = rng.multinomial(folds, np.full(folds, 1 / folds), draws)
     best = tried[np.argmin(times @ squares, axis=1)]

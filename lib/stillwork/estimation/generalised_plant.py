@@ -54,10 +54,7 @@ class GeneralisedPlant:
         # u = turn (C_o x_o + D_o (C2 x + D21 w)), y = C2 x + D21 w + D22 u
         u_x, u_o, u_w = turn @ observer.d @ c2, turn @ observer.c, turn @ observer.d @ d21
         whole = np.block(
-            [
-                [a + b2 @ u_x, b2 @ u_o],
-                [observer.b @ (c2 + d22 @ u_x), observer.a + observer.b @ d22 @ u_o],
-            ]
+            [[a + b2 @ u_x, b2 @ u_o], [observer.b @ (c2 + d22 @ u_x), observer.a + observer.b @ d22 @ u_o]]
         )
         b = np.vstack([b1 + b2 @ u_w, observer.b @ (d21 + d22 @ u_w)])
         c = np.hstack([c1 + d12 @ u_x, d12 @ u_o])

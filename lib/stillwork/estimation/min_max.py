@@ -1,7 +1,8 @@
 """Min-max estimation from one block of data: Theorem 1 with all of its cases."""
 
 import warnings
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -9,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from stillwork.base.checks import require_array, require_number
 from stillwork.base.front_door import checked
-from stillwork.estimation.secular import ROUNDING, decompose
+from stillwork.estimation.secular import ROUNDING, SecularFunction, decompose
 
 
 class ZeroEstimateWarning(UserWarning):
@@ -92,20 +93,43 @@ def min_max_solve(matrix: ArrayLike, target: ArrayLike, bound: float) -> MinMaxS
 
 
 def solve_silently(matrix: ArrayLike, target: ArrayLike, bound: float) -> MinMaxSolution:
-    """`min_max_solve` without its warning, for sweeps in which a zero estimate is a result."""
+    """`min_max_solve` without its warning, where a zero estimate is a result."""
+    return solve_sweep(matrix, target, [bound])[0]
+
+
+def solve_sweep(matrix: ArrayLike, target: ArrayLike, bounds: Iterable[float]) -> list[MinMaxSolution]:
+    """`solve_silently` for several bounds, with one decomposition of the data."""
     matrix = require_array("matrix", matrix, ndim=2)
     target = require_array("target", target, ndim=1)
-    bound = require_number("bound", bound, at_least=0.0)
+    bounds = [require_number("bound", bound, at_least=0.0) for bound in bounds]
     matrix_unit = _size(matrix)
     target_unit = _size(target)
     scaled, aimed = matrix / matrix_unit, target / target_unit
-    function, right, rank = decompose(scaled, aimed, bound / matrix_unit)
+    function, right, rank = decompose(scaled, aimed, 0.0)
+    return [
+        _solution(
+            scaled, aimed, replace(function, bound=bound / matrix_unit), right, rank, matrix_unit, target_unit
+        )
+        for bound in bounds
+    ]
+
+
+def _solution(
+    scaled: np.ndarray,
+    aimed: np.ndarray,
+    function: SecularFunction,
+    right: np.ndarray,
+    rank: int,
+    matrix_unit: float,
+    target_unit: float,
+) -> MinMaxSolution:
+    """Solution of the data, which are given over their units."""
     bound = function.bound
     threshold = free = 0.0
     if np.any(function.coefficients):
         threshold = function.threshold
         free = min(function.free_bound, threshold) if function.excess == 0 else 0.0
-    tie = len(matrix) * ROUNDING * threshold
+    tie = len(scaled) * ROUNDING * threshold
     evaluations = 0
     if threshold == 0:
         case, alpha = "zero", np.inf

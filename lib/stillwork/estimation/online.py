@@ -9,13 +9,7 @@ from numpy.typing import ArrayLike
 from stillwork.base.checks import InputError, require_array, require_count, require_kind, require_number
 from stillwork.base.front_door import checked
 from stillwork.base.kernels import kernel
-from stillwork.estimation.adaptive import (
-    FeLms,
-    FeRls,
-    felms_update,
-    ferls_form_update,
-    ferls_step,
-)
+from stillwork.estimation.adaptive import FeLms, FeRls, felms_update, ferls_form_update, ferls_step
 
 # An error this many times the largest one without adaptation is no transient any more.
 RUNAWAY = 1e6

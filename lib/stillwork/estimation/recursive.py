@@ -218,11 +218,7 @@ class RecursiveStepper:
 
 @checked
 def worst_case_residuals(
-    regressors: ArrayLike,
-    outputs: ArrayLike,
-    estimates: ArrayLike,
-    bounds: ArrayLike,
-    forgetting: float,
+    regressors: ArrayLike, outputs: ArrayLike, estimates: ArrayLike, bounds: ArrayLike, forgetting: float
 ) -> np.ndarray:
     """|A_t x_t - b_t| + eta_t |x_t| of any estimates, the criterion that min-max estimation minimises.
 

@@ -16,13 +16,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stillwork.base.algebra import (
-    condition,
-    congruence,
-    measure,
-    multiply,
-    take_in_turn,
-)
+from stillwork.base.algebra import condition, congruence, measure, multiply, take_in_turn
 from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.base.front_door import checked
 from stillwork.base.kernels import inlined_kernel, kernel

@@ -13,16 +13,11 @@ from stillwork.base.front_door import check_fields, checked
 ORDERS = range(6, 41, 2)  # of the denominators, in each part of a band
 WIDTH = 2.0  # highest over lowest frequency of a part; parts overlap by half
 LOWEST = 64  # lines of the lowest part, where an octave holds too few for the lowest order
-WEIGHTS = (
-    0.0,
-    0.5,
-)  # powers of the response that an equation is divided by: what is high alone, and what is low too
+# powers of the response that an equation is divided by: what is high alone, and what is low too
+WEIGHTS = (0.0, 0.5)
 STRONGEST = 0.4  # damping ratio beyond which a pole is no resonance
-STEADY = (
-    5e-4,
-    0.3,
-    1.5,
-)  # move of a stable pole from order to order: of its frequency, its damping; factor of the latter
+# move of a stable pole from order to order: of its frequency, its damping; factor of the latter
+STEADY = (5e-4, 0.3, 1.5)
 SEEN = 3  # orders at which a pole must be stable
 
 

@@ -53,11 +53,7 @@ def whole_band(measured: Identified, band_hz: tuple[float, float]) -> tuple[floa
 
 @checked(missing=True)
 def build_machine(
-    file: MachineFile,
-    *,
-    modes_hz: list[float],
-    fit_hz: tuple[float, float],
-    mirrored_sensor: bool,
+    file: MachineFile, *, modes_hz: list[float], fit_hz: tuple[float, float], mirrored_sensor: bool
 ) -> Machine:
     """Fit a modal model to a measurement, or take that of the matrices.
 

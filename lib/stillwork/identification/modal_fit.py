@@ -18,9 +18,8 @@ from stillwork.lti.modal import ModalModel
 POWERS = (0, 2, 4)  # of the frequency, in the series for the compliance of the modes above the band
 DAMPING = (1e-5, 0.3)  # range of the damping ratios that the fit looks for
 FIXED = 3  # columns of an accelerance beside its modes: rigid body, compliance and its growth towards higher modes
-SUSPENDED = (
-    3.0  # times its suspension's frequency that a machine's first resonance must have, or it is no rigid body
-)
+# times its suspension's frequency that a machine's first resonance must have, or it is no rigid body
+SUSPENDED = 3.0
 GROUNDED = 0.02  # of the first mode's part, below which what would move freely is none
 ROUNDS = 4  # of looking at what the modes so far leave
 MOST_FITTED = 40  # of a measurement

@@ -23,13 +23,7 @@ _KINDS = {
     6: ("coherence", "frequency (Hz)"),
     9: ("density", "frequency (Hz)"),
 }
-_QUANTITIES = {
-    8: "displacement",
-    9: "force",
-    11: "velocity",
-    12: "acceleration",
-    13: "force",
-}
+_QUANTITIES = {8: "displacement", 9: "force", 11: "velocity", 12: "acceleration", 13: "force"}
 _DIRECTIONS = {
     0: "",
     **{s * (k + 1): f"{'+' if s > 0 else '-'}{'XYZ'[k]}" for s in (1, -1) for k in range(3)},

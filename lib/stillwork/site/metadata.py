@@ -97,6 +97,8 @@ def crate(works: dict[str, dict], pages: list[NotebookPage]) -> str:
         {"@id": f"#author-{number}", "@type": "Organization", "name": author["name"]}
         for number, author in enumerate(about["authors"], 1)
     ]
+    makers = [{"@id": each["@id"]} for each in people]
+    makers = makers[0] if len(makers) == 1 else makers  # the crate's recommendation for a single value
     articles = [
         {"@id": f"#{room}", "@type": "ScholarlyArticle", "name": work["work"], "description": work["source"]}
         for room, work in works.items()
@@ -116,7 +118,8 @@ def crate(works: dict[str, dict], pages: list[NotebookPage]) -> str:
         "datePublished": release_date(),
         "license": {"@id": LICENSE},
         "keywords": ", ".join(about["keywords"]),
-        "author": [{"@id": each["@id"]} for each in people],
+        "author": makers,
+        "publisher": makers,
         "citation": [{"@id": each["@id"]} for each in articles],
         "hasPart": [{"@id": each["@id"]} for each in entities],
         "mentions": [{"@id": each["@id"]} for each in actions],

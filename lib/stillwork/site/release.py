@@ -35,10 +35,9 @@ def release() -> int:
     Raises
     ------
     InputError
-        When something is not committed, or the versions of the metadata differ.
+        When something is not committed or changes meanwhile, or the versions of the metadata differ.
     """
-    if changed := sorted(name for name in modified() if not name.startswith("build/")):
-        raise InputError(f"{changed[0]} is not committed, and {len(changed)} in all; commit before a release")
+    of = committed()
     version = same_version()
     if build_site():
         return 1
@@ -48,6 +47,8 @@ def release() -> int:
         f"stillwork-{version}-site.zip": zipped(paths.root() / "build/site", f"stillwork-{version}-site"),
     }
     (name,) = (name for name in files if name.endswith(".whl"))
+    if committed() != of:
+        raise InputError(f"{of} was checked out when the release began, {commit()} is now; begin again")
     print(f"{name}: installed beside nothing of the checkout, its tests:", flush=True)
     if failed := try_wheel(name, files[name], files[f"stillwork-{version}.tar.gz"]):
         return failed
@@ -57,10 +58,17 @@ def release() -> int:
     print(f"{target}:")
     for name, content in files.items():
         print(f"  {name}  {len(content) / 1e6:.1f} MB")
-    print(f"of commit {commit()}. What a person does:")
+    print(f"of commit {of}. What a person does:")
     for line in left_to_do(version):
         print(f"  - {line}")
     return 0
+
+
+def committed() -> str | None:
+    """The commit that is checked out, of which nothing is changed."""
+    if changed := sorted(name for name in modified() if not name.startswith("build/")):
+        raise InputError(f"{changed[0]} is not committed, and {len(changed)} in all; commit before a release")
+    return commit()
 
 
 def same_version() -> str:

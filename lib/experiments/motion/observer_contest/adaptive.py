@@ -12,10 +12,10 @@ MET = 0.9  # innovation over the reach of ellipsoid and bound together, at which
 
 
 @inlined_kernel
-def _predict(a, b, force, x, p, n):
-    for i in range(0, n, 2):
+def _predict(a, b, force, x, p, alone):
+    for i in range(0, len(x), 2):
         predict_mode(a, b, force, i, x)
-    propagate(a, p, n)
+    propagate(a, alone, p)
 
 
 @inlined_kernel
@@ -38,9 +38,9 @@ def _advance_adaptive(data, memory, inputs, measurements, estimates):
     x, p, factor = memory
     rate = settings[0]
     n, outputs = len(x), len(c)
-    cross = np.empty(n)
+    cross, alone = np.empty(n), np.empty((n, 0))
     for k in range(len(inputs)):
-        _predict(a, b, inputs[k], x, p, n)
+        _predict(a, b, inputs[k], x, p, alone)
         for i in range(n):
             for j in range(n):
                 p[i, j] += factor[0] * added[i, j]
@@ -78,9 +78,9 @@ def _advance_sets(data, memory, inputs, measurements, estimates):
     a, b, c, bounds, added, units = data
     x, p = memory
     n = len(x)
-    cross = np.empty(n)
+    cross, alone = np.empty(n), np.empty((n, 0))
     for k in range(len(inputs)):
-        _predict(a, b, inputs[k], x, p, n)
+        _predict(a, b, inputs[k], x, p, alone)
         # The sum of two ellipsoids lies in one; this weight gives it the least trace, in the states' units.
         own, other = 0.0, 0.0
         for i in range(n):

@@ -67,18 +67,25 @@ def sampled_mode(omega, damping, step, block, lever):
 
 
 @kernel
-def propagate(a, p, n):
-    """P = A P A' on the first `n` states, whose A has 2 x 2 blocks along its diagonal alone."""
+def propagate(a, by, p):
+    """P = F P F' where F = (A, D; 0, I): blocks of 2 x 2 along A, and D, `by`, what constants beside the states do."""
+    n, constants = by.shape
     for i in range(0, n, 2):
-        for j in range(n):
+        for j in range(n + constants):
             first, second = p[i, j], p[i + 1, j]
             p[i, j] = a[i, i] * first + a[i, i + 1] * second
             p[i + 1, j] = a[i + 1, i] * first + a[i + 1, i + 1] * second
-    for j in range(n):
+            for q in range(constants):
+                p[i, j] += by[i, q] * p[n + q, j]
+                p[i + 1, j] += by[i + 1, q] * p[n + q, j]
+    for j in range(n + constants):
         for i in range(0, n, 2):
             first, second = p[j, i], p[j, i + 1]
             p[j, i] = a[i, i] * first + a[i, i + 1] * second
             p[j, i + 1] = a[i + 1, i] * first + a[i + 1, i + 1] * second
-    for i in range(n):  # what rounding leaves of asymmetry would grow where nothing forgets
+            for q in range(constants):
+                p[j, i] += by[i, q] * p[j, n + q]
+                p[j, i + 1] += by[i + 1, q] * p[j, n + q]
+    for i in range(n + constants):  # what rounding leaves of asymmetry would grow where nothing forgets
         for j in range(i):
             p[i, j] = p[j, i] = (p[i, j] + p[j, i]) / 2

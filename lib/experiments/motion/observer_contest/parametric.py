@@ -7,9 +7,9 @@ With :math:`z = (x, \theta)` the model is :math:`x_k = A(\theta) x_{k-1} + B(\th
 import numpy as np
 
 from experiments.motion.observer_contest.fixed_gain import stationary
-from experiments.motion.observer_contest.modes import dominant, predict_mode, sampled_mode
+from experiments.motion.observer_contest.modes import dominant, predict_mode, propagate, sampled_mode
 from experiments.motion.observer_contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
-from stillwork.base.algebra import cholesky_root, congruence
+from stillwork.base.algebra import cholesky_root
 from stillwork.base.kernels import inlined_kernel, kernel
 
 NUDGE = 1e-5  # of a relative error, for a central difference of one mode's block
@@ -17,25 +17,28 @@ WIDEST = 0.5  # relative error at which a parameter is held
 
 
 @kernel
-def _move(force, data, point):
-    """Take z, at `point`, one sample on without noise."""
+def _move(force, data, points):
+    """Take every z among these points one sample on without noise."""
     a, b, modes, omega, damping, shapes, places, settings = data[:8]
     n = len(a)
     block, lever = np.empty((2, 2)), np.empty(2)
-    for i in range(0, n, 2):
-        first, second = point[i], point[i + 1]
-        predict_mode(a, b, force, i, point)
-        for j in range(len(modes)):
-            if 2 * modes[j] == i:
-                push = 0.0
-                for q in range(len(force)):
-                    push += shapes[j, q] * force[q]
-                frequency, gain = places[j]
-                bent = point[frequency] if frequency >= 0 else 0.0
-                push *= 1 + point[gain] if gain >= 0 else 1.0
-                sampled_mode(omega[j] * (1 + bent), damping[j], settings[0], block, lever)
-                for r in range(2):
-                    point[i + r] = block[r, 0] * first + block[r, 1] * second + lever[r] * push
+    for s in range(len(points)):
+        j = 0
+        for i in range(0, n, 2):
+            first, second = points[s, i], points[s, i + 1]
+            if j == len(modes) or 2 * modes[j] != i:
+                predict_mode(a, b, force, i, points[s])
+                continue
+            push = 0.0
+            for q in range(len(force)):
+                push += shapes[j, q] * force[q]
+            frequency, gain = places[j, 0], places[j, 1]
+            bent = points[s, frequency] if frequency >= 0 else 0.0
+            push *= 1 + points[s, gain] if gain >= 0 else 1.0
+            sampled_mode(omega[j] * (1 + bent), damping[j], settings[0], block, lever)
+            for r in range(2):
+                points[s, i + r] = block[r, 0] * first + block[r, 1] * second + lever[r] * push
+            j += 1
 
 
 @kernel
@@ -64,44 +67,53 @@ def _measure_in_turn(z, p, c, sensor, measured, considered):
 
 
 @kernel
-def _advance_extended(data, memory, inputs, measurements, estimates):
-    a, _, modes, omega, damping, shapes, places, settings, c, sensor, added = data
-    z, p = memory
-    considered = int(settings[1])
-    n, size = len(a), len(z)
-    jacobian, half = np.eye(size), np.empty((size, size))
+def _predict(force, data, z, p, a, by):
+    """Take z and P one sample on; A and D, its derivatives by z, are filled on the way."""
+    _, b, modes, omega, damping, shapes, places, settings, _, _, added = data
+    n = len(a)
     block, lever = np.empty((2, 2)), np.empty(2)
     blocks, levers = np.empty((2, 2, 2)), np.empty((2, 2))
-    jacobian[:n, :n] = a
-    for k in range(len(inputs)):
-        for j in range(len(modes)):
-            first, push = 2 * modes[j], 0.0
-            for q in range(inputs.shape[1]):
-                push += shapes[j, q] * inputs[k, q]
-            frequency, gain = places[j]
-            bent = z[frequency] if frequency >= 0 else 0.0
-            pushed = push * (1 + z[gain] if gain >= 0 else 1.0)
-            sampled_mode(omega[j] * (1 + bent), damping[j], settings[0], block, lever)
+    j = 0
+    for i in range(0, n, 2):
+        if j == len(modes) or 2 * modes[j] != i:
+            predict_mode(a, b, force, i, z)
+            continue
+        push, first, second = 0.0, z[i], z[i + 1]
+        for q in range(len(force)):
+            push += shapes[j, q] * force[q]
+        frequency, gain = places[j, 0], places[j, 1]
+        bent = z[frequency] if frequency >= 0 else 0.0
+        pushed = push * (1 + z[gain] if gain >= 0 else 1.0)
+        sampled_mode(omega[j] * (1 + bent), damping[j], settings[0], block, lever)
+        if frequency >= 0:
             for side in range(2):
-                nudge = NUDGE if side else -NUDGE
-                sampled_mode(
-                    omega[j] * (1 + bent + nudge), damping[j], settings[0], blocks[side], levers[side]
-                )
-            for r in range(2):
-                for s in range(2):
-                    jacobian[first + r, first + s] = block[r, s]
-                if frequency >= 0:
-                    moved = (levers[1, r] - levers[0, r]) * pushed
-                    for s in range(2):
-                        moved += (blocks[1, r, s] - blocks[0, r, s]) * z[first + s]
-                    jacobian[first + r, frequency] = moved / (2 * NUDGE)
-                if gain >= 0:
-                    jacobian[first + r, gain] = lever[r] * push
-        _move(inputs[k], data, z)
-        congruence(jacobian, p, half, p)
-        for i in range(size):
-            for j in range(size):
-                p[i, j] += added[i, j]
+                nudged = omega[j] * (1 + bent + (2 * side - 1) * NUDGE)
+                sampled_mode(nudged, damping[j], settings[0], blocks[side], levers[side])
+        for r in range(2):
+            a[i + r, i], a[i + r, i + 1] = block[r, 0], block[r, 1]
+            z[i + r] = block[r, 0] * first + block[r, 1] * second + lever[r] * pushed
+            if frequency >= 0:
+                moved = (levers[1, r] - levers[0, r]) * pushed
+                moved += (blocks[1, r, 0] - blocks[0, r, 0]) * first
+                moved += (blocks[1, r, 1] - blocks[0, r, 1]) * second
+                by[i + r, frequency - n] = moved / (2 * NUDGE)
+            if gain >= 0:
+                by[i + r, gain - n] = lever[r] * push
+        j += 1
+    propagate(a, by, p)
+    for i in range(len(z)):
+        for j in range(len(z)):
+            p[i, j] += added[i, j]
+
+
+@kernel
+def _advance_extended(data, memory, inputs, measurements, estimates):
+    settings, c, sensor = data[7], data[8], data[9]
+    z, p = memory
+    n, considered = c.shape[1], int(settings[1])
+    a, by = data[0].copy(), np.zeros((n, len(z) - n))
+    for k in range(len(inputs)):
+        _predict(inputs[k], data, z, p, a, by)
         if not np.isnan(measurements[k, 0]):
             _measure_in_turn(z, p, c, sensor, measurements[k], considered)
         _finish(z, n, estimates[k])
@@ -133,7 +145,7 @@ def _advance_unscented(data, memory, inputs, measurements, estimates):
                 points[s, i] = z[i] + sign * root[i, s % size]
             for i in range(n, size):
                 points[s, i] = min(max(points[s, i], -0.9), 0.9)
-            _move(inputs[k], data, points[s])
+        _move(inputs[k], data, points)
         for i in range(size):
             total = 0.0
             for s in range(2 * size):
@@ -150,7 +162,7 @@ def _advance_unscented(data, memory, inputs, measurements, estimates):
         _finish(z, n, estimates[k])
 
 
-def _parts(model, noise, sample_time, deviation, walk, factor, considered):
+def _parts(model, noise, sample_time, deviation, walk, factor, considered=False):
     """Data and memory that the filters of this file share."""
     bent = dominant(model, 3)
     modes = np.concatenate([[0], bent])  # the rigid body's gain, three frequencies, two flexible gains
@@ -185,9 +197,7 @@ def extended(
     model: ToldModel, noise: ToldNoise, sample_time: float, deviation: float, walk: float, factor: float
 ) -> MadeObserver:
     """Extended Kalman filter of states and parameters."""
-    return MadeObserver(
-        _advance_extended, *_parts(model, noise, sample_time, deviation, walk, factor, considered=False)
-    )
+    return MadeObserver(_advance_extended, *_parts(model, noise, sample_time, deviation, walk, factor))
 
 
 def considering(model: ToldModel, noise: ToldNoise, sample_time: float, deviation: float) -> MadeObserver:
@@ -201,9 +211,7 @@ def unscented(
     model: ToldModel, noise: ToldNoise, sample_time: float, deviation: float, walk: float, factor: float
 ) -> MadeObserver:
     """Unscented Kalman filter of states and parameters."""
-    return MadeObserver(
-        _advance_unscented, *_parts(model, noise, sample_time, deviation, walk, factor, considered=False)
-    )
+    return MadeObserver(_advance_unscented, *_parts(model, noise, sample_time, deviation, walk, factor))
 
 
 _KNOBS = (
