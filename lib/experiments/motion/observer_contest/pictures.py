@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy as np
 import pandas as pd
+from scipy.optimize import isotonic_regression
 
 from experiments.motion.observer_contest.entrants import ENTRANTS
 from experiments.motion.observer_contest.noise_map import MAPPED, flexible_errors
@@ -57,27 +58,22 @@ def paint_matrix(table: pd.DataFrame, over: str):
 def paint_cost(speed: pd.Series, error: pd.Series, unstable: pd.Series):
     """Error over time a sample; the larger the dot, the more loops ran away."""
     figure, axis = figures.new(1, 1, height=3.6)
-    place = 0.0
-    for name in error.sort_values().index:
-        axis.semilogx(
-            speed[name],
-            error[name],
-            "o",
-            markersize=3 + 14 * unstable[name],
-            color=figures.BLUE,
-            alpha=0.6,
-            label=name,
-        )
-        place = max(error[name], place + 0.045)  # names in a column, none on another
+    error = error.sort_values()
+    apart = 0.04 * np.arange(len(error))  # names in a column, each as near its dot as the others let it
+    places = isotonic_regression(error - apart).x + apart
+    for name, place in zip(error.index, places, strict=True):
+        at, size = (speed[name], error[name]), 3 + 14 * unstable[name]
+        axis.semilogx(*at, "o", markersize=size, color=figures.BLUE, alpha=0.6, label=name)
         axis.annotate(
             name,
-            (speed[name], error[name]),
+            at,
             xytext=(1.04, place),
             textcoords=("axes fraction", "data"),
             va="center",
             fontsize=7,
             arrowprops={"arrowstyle": "-", "color": figures.GREY, "lw": 0.4, "alpha": 0.6},
         )
+    axis.set_ylim(places[0] - 0.03, places[-1] + 0.03)
     axis.set_xlabel("time a sample (µs)")
     axis.set_ylabel("mean error over that of zero")
     return figure
