@@ -57,13 +57,14 @@ def untold(thing):
 
 
 def beside(thing, node):
-    """Fields of which a comment on their own line, or the sizes in their annotation, say what they hold."""
+    """Fields of which a comment behind or right above, or the sizes in their annotation, say what they hold."""
     lines = dedent(inspect.getsource(thing)).splitlines()
     fields = [each for each in node.body if isinstance(each, ast.AnnAssign)]
     return {
         field.target.id
         for field in fields
         if any("  # " in line for line in lines[field.lineno - 1 : field.end_lineno])
+        or lines[field.lineno - 2].lstrip().startswith("# ")
         or SHAPED.search(ast.unparse(field.annotation).replace("'", '"'))
     }
 
