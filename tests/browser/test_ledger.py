@@ -73,6 +73,7 @@ def test_the_order_is_that_of_the_deviation(front, order, sign):
 
 def test_a_count_on_the_front_page_leads_to_its_rows(front, site):
     front.open((site / "index.html").as_uri())
+    front.driver.find_element(By.CSS_SELECTOR, ".work details summary").click()
     link = front.driver.find_element(By.CSS_SELECTOR, ".work .counts a")
     wanted = int(link.text.split()[0])
     link.click()

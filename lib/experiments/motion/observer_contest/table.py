@@ -198,7 +198,7 @@ def standings(file: str | Path) -> str:
     scores = {name: of.set_index("entrant") for name, of in table[table["plant"] == "all"].groupby("score")}
     lines = [
         "| rank | observer | error | less Kalman | ran away | µs a sample | after |",
-        "|---:|---|---:|---:|---:|---:|---|",
+        "|---|---|---|---|---|---|---|",
     ]
     for name, each in scores["mean error"].sort_values("median", kind="stable").iterrows():
         rank, behind = (scores[score].loc[name] for score in ("rank", "less Kalman"))
