@@ -6,30 +6,19 @@ import pytest
 from experiments.fixedpoint import Noise, choices, load_oscillator
 from experiments.fixedpoint.metrics import noisy_run
 from experiments.fixedpoint.published import KALMAN, LITERAL, WINDOW, published_controllers
+from readings.defaults import at_the_defaults, require_accepted
 from stillwork.workbook.claims import load_entries
-from stillwork.workbook.readings.axes import load_axes
-
-
-def at_the_defaults(study: str, lean: bool) -> dict[str, float]:
-    multiverse = next(each for each in load_axes("fixedpoint")[1] if each.study == study)
-    function = getattr(choices, multiverse.function.partition(":")[2])
-    found = function(**multiverse.options(multiverse.default_point), seed=multiverse.seeds[0], lean=lean)
-    assert set(found) == set(multiverse.entries)
-    return {name: value[0] if isinstance(value, tuple) else value for name, value in found.items()}
 
 
 @pytest.mark.parametrize("study", ["noise-free", "differentiation"])
 def test_without_leaving_anything_out_the_defaults_give_what_the_notebooks_gave(study):
-    entries = load_entries("fixedpoint")
-    for name, value in at_the_defaults(study, lean=False).items():
-        ours = entries[name].ours
-        assert abs(value - ours) <= entries[name].drift.width(ours) + 1e-12, name
+    require_accepted("fixedpoint", study)
 
 
 @pytest.mark.slow
 def test_two_records_rank_as_the_notebooks_forty():
     entries = load_entries("fixedpoint")
-    for name, value in at_the_defaults("rankings", lean=True).items():
+    for name, value in at_the_defaults("fixedpoint", "rankings", lean=True).items():
         assert value == round(entries[name].ours), name
 
 

@@ -6,6 +6,7 @@ not see the numbers of its fold: each column of Table 1 and each direction of Fi
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import cache
 
 import numpy as np
 from jaxtyping import Float64
@@ -25,6 +26,7 @@ DIRECTIONS = ("z", "theta-x", "theta-y")
 EDGES = ("fig-7.lower-end", "fig-7.upper-end", "fig-7.low-frequency-loss")  # no search sees them
 
 
+@cache
 def published() -> dict[str, float]:
     """The paper's numbers that a rig is held against, by the last parts of their entries.
 
@@ -98,6 +100,13 @@ def simulate(position: np.ndarray, names: Collection[str]) -> Float64[np.ndarray
     return np.array([sized(name, found[name]) for name in names])
 
 
+def simulate_all(positions: np.ndarray, names: Collection[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Those of the positions of which a rig can be built, and the numbers of each."""
+    found = np.array([simulate(position, names) for position in positions])
+    whole = found[:, 0] != FAR
+    return positions[whole], found[whole]
+
+
 def soften(residual: np.ndarray) -> np.ndarray:
     """Residuals whose squares grow as the residual alone when it is large: an exponential's tails."""
     # The square root of 2 (sqrt(1 + r^2) - 1), without its cancellation at small r.
@@ -167,10 +176,7 @@ def alone(
 
 def sample_prior(names: list[str], draws: int = DRAWS) -> tuple[np.ndarray, np.ndarray]:
     """Rigs drawn from the ranges, as standard normal positions, and their numbers."""
-    positions = np.random.default_rng(SEED).standard_normal((draws, len(ranges())))
-    simulated = np.array([simulate(position, names) for position in positions])
-    whole = simulated[:, 0] != FAR
-    return positions[whole], simulated[whole]
+    return simulate_all(np.random.default_rng(SEED).standard_normal((draws, len(ranges()))), names)
 
 
 def search() -> tuple[dict[str, float], Mapping[str, dict[str, tuple[float, float]]]]:
@@ -183,9 +189,7 @@ def search() -> tuple[dict[str, float], Mapping[str, dict[str, tuple[float, floa
         found[name] = {"drawn": (float(low), float(high))}
     of = scatter(names)
     best, draws = infer(prior, names, names, of, STARTS)
-    values = np.array([simulate(position, names) for position in draws])
-    values = values[values[:, 0] != FAR]
-    for name, each in zip(names, values.T, strict=True):
+    for name, each in zip(names, simulate_all(draws, names)[1].T, strict=True):
         found[name]["seen"] = band(name, each, of(name))
     ends = np.array([edges(parameters(position)) for position in draws])
     for name, each in zip(EDGES, ends.T, strict=True):
@@ -195,9 +199,7 @@ def search() -> tuple[dict[str, float], Mapping[str, dict[str, tuple[float, floa
         seen = [name for name in names if fold_of(name) != fold]
         of_fold = scatter(seen)
         _, draws = infer(prior, names, seen, of_fold, 1)
-        values = np.array([simulate(position, names) for position in draws])
-        values = values[values[:, 0] != FAR]
-        for name, each in zip(names, values.T, strict=True):
+        for name, each in zip(names, simulate_all(draws, names)[1].T, strict=True):
             if fold_of(name) == fold:
                 found[name]["held_out"] = band(name, each, of_fold(name))
     for name in [name for name in names if not inside(name, found[name]["seen"])]:

@@ -16,6 +16,18 @@ NUDGE = 1e-5  # of a relative error, for a central difference of one mode's bloc
 WIDEST = 0.5  # relative error at which a parameter is held
 
 
+@inlined_kernel
+def _doubted(force, omega, damping, shapes, places, step, z, j, block, lever):
+    """Fill the transition of mode `j` of those in doubt; what pushes it, the same by its gain, its frequency's error."""
+    push = 0.0
+    for q in range(len(force)):
+        push += shapes[j, q] * force[q]
+    frequency, gain = places[j, 0], places[j, 1]
+    bent = z[frequency] if frequency >= 0 else 0.0
+    sampled_mode(omega[j] * (1 + bent), damping[j], step, block, lever)
+    return push, push * (1 + z[gain] if gain >= 0 else 1.0), bent
+
+
 @kernel
 def _move(force, data, points):
     """Take every z among these points one sample on without noise."""
@@ -29,15 +41,11 @@ def _move(force, data, points):
             if j == len(modes) or 2 * modes[j] != i:
                 predict_mode(a, b, force, i, points[s])
                 continue
-            push = 0.0
-            for q in range(len(force)):
-                push += shapes[j, q] * force[q]
-            frequency, gain = places[j, 0], places[j, 1]
-            bent = points[s, frequency] if frequency >= 0 else 0.0
-            push *= 1 + points[s, gain] if gain >= 0 else 1.0
-            sampled_mode(omega[j] * (1 + bent), damping[j], settings[0], block, lever)
+            _, pushed, _ = _doubted(
+                force, omega, damping, shapes, places, settings[0], points[s], j, block, lever
+            )
             for r in range(2):
-                points[s, i + r] = block[r, 0] * first + block[r, 1] * second + lever[r] * push
+                points[s, i + r] = block[r, 0] * first + block[r, 1] * second + lever[r] * pushed
             j += 1
 
 
@@ -83,13 +91,8 @@ def predict(force, data, omega, z, p, a, by):
         if j == len(modes) or 2 * modes[j] != i:
             predict_mode(a, b, force, i, z)
             continue
-        push, first, second = 0.0, z[i], z[i + 1]
-        for q in range(len(force)):
-            push += shapes[j, q] * force[q]
-        frequency, gain = places[j, 0], places[j, 1]
-        bent = z[frequency] if frequency >= 0 else 0.0
-        pushed = push * (1 + z[gain] if gain >= 0 else 1.0)
-        sampled_mode(omega[j] * (1 + bent), damping[j], settings[0], block, lever)
+        first, second, frequency, gain = z[i], z[i + 1], places[j, 0], places[j, 1]
+        push, pushed, bent = _doubted(force, omega, damping, shapes, places, settings[0], z, j, block, lever)
         if frequency >= 0:
             for side in range(2):
                 nudged = omega[j] * (1 + bent + (2 * side - 1) * NUDGE)

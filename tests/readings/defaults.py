@@ -1,0 +1,23 @@
+"""A room's studies at the defaults of their axes, where they are to give what the notebooks gave."""
+
+from dataclasses import replace
+
+from stillwork.workbook.claims import load_entries
+from stillwork.workbook.readings.axes import load_axes
+from stillwork.workbook.readings.running import calls_of, compute
+
+
+def at_the_defaults(room: str, study: str, lean: bool) -> dict[str, float]:
+    """Values of a study's entries, without their intervals."""
+    multiverse = next(each for each in load_axes(room)[1] if each.study == study)
+    found = compute(replace(calls_of(multiverse)[0, 0], lean=lean))  # the default point is tried first
+    assert isinstance(found, dict), found
+    return {name: value[0] if isinstance(value, tuple) else value for name, value in found.items()}
+
+
+def require_accepted(room: str, study: str) -> None:
+    """With nothing left out every entry has the value that was accepted, but for its drift."""
+    entries = load_entries(room)
+    for name, value in at_the_defaults(room, study, lean=False).items():
+        ours = entries[name].ours
+        assert abs(value - ours) <= entries[name].drift.width(ours) + 1e-12, name
