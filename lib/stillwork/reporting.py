@@ -24,7 +24,6 @@ from stillwork.html_page import picture, table
 from stillwork.identification.machine import Machine, build_machine
 from stillwork.identification.machine_files import (
     complex_responses,
-    is_unit,
     kind_of,
     load_machine,
     stated_units,
@@ -33,12 +32,12 @@ from stillwork.inspecting import inspect_file
 from stillwork.signals.datafiles import read_arrays
 from stillwork.signals.densities import DENSITIES_SAID, density_unit, frequency_axis, read_densities
 from stillwork.signals.records import (
-    SI_UNITS,
     UNITS_SAID,
     Record,
     is_time,
     load_record,
     sampling_rate,
+    stated_unit,
     unit_factor,
 )
 from stillwork.signals.spectra import band_power, estimate_response, estimate_spectrum
@@ -174,7 +173,7 @@ def _modes(machine: Machine) -> str:
 def _record(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
     rate = _rate(source, arrays, said)
     record = load_record(source, "1", sample_rate=rate, most_channels=MOST_CHANNELS)
-    units = [_unit(name) or said.get("unit", "") for name in record.names]
+    units = [stated_unit(name) or said.get("unit", "") for name in record.names]
     if "" in units:
         name = record.names[units.index("")]
         raise Missing("unit", f"{source.name} does not say the unit of {name} ({UNITS_SAID})", "--unit UNIT")
@@ -276,12 +275,6 @@ def _rate(source: Path, arrays, said) -> float:
             "sample_rate", f"{source.name} has no time and no rate; its rate in Hz", "--sample-rate HZ"
         )
     return sampling_rate(source.name, arrays, stated)
-
-
-def _unit(name: str) -> str:
-    """The unit in the brackets of a channel's name; empty when there is none that is known."""
-    found = re.search(r"[(\[](.+?)[)\]]", name)
-    return found[1] if found and is_unit(found[1], SI_UNITS) else ""
 
 
 def _image(figure, words: str) -> str:

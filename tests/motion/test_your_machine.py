@@ -131,6 +131,24 @@ def test_units_that_contradict_the_file_or_each_other_are_refused(tmp_path):
         )
 
 
+def test_decibels_say_what_they_refer_to(tmp_path):
+    sizes = 20 * np.log10(np.abs(ACCELERANCE) / 9.80665)
+    columns = {"magnitude (dB re 1 g/N)": sizes, "phase (deg)": np.degrees(np.angle(ACCELERANCE))}
+    found = load_machine(write_csv(tmp_path / "a.csv", frequency=HERTZ, **columns))
+    assert np.abs(found.accelerance.response / ACCELERANCE - 1).max() < 1e-9
+
+
+@pytest.mark.parametrize("bracket", ["(g/lbf)", "(dB re 1e-6 g/N)", "[furlong]"])
+def test_an_unknown_unit_is_not_taken_for_none(tmp_path, bracket):
+    columns = {f"real {bracket}": ACCELERANCE.real, f"imag {bracket}": ACCELERANCE.imag}
+    file = write_csv(tmp_path / "a.csv", frequency=HERTZ, **columns)
+    with pytest.raises(
+        InputError, match=r"a\.csv: real .*: the unit is not known; use m/s\^2, .* or give response_unit"
+    ):
+        load_machine(file)
+    assert load_machine(file, "g", "N").kind == "frequency response"
+
+
 def test_templates_are_one_machine():
     """M and K by eigenvalues; the fits find the same frequencies, the same mass and the damping of 1 %."""
     wanted = np.sqrt(np.linalg.eigvals(np.linalg.solve(MASS, STIFFNESS)).real.clip(0))

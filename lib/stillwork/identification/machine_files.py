@@ -13,7 +13,7 @@ from stillwork.base.front_door import checked
 from stillwork.identification.frequency_response import Identified, impact_response
 from stillwork.lti.modal import ModalModel, modal_model
 from stillwork.signals.datafiles import read_arrays
-from stillwork.signals.records import MOTION_UNITS, is_time, sampling_rate, unit_factor
+from stillwork.signals.records import MOTION_UNITS, UNITS_SAID, is_time, sampling_rate, unit_factor
 
 FORMS = (
     "a frequency response (frequency, and complex values or magnitude and phase), hammer records (force and "
@@ -22,6 +22,7 @@ FORMS = (
 PADDING = 4  # lengths of a record that has died out: zeros appended to it give a finer grid
 LONGEST_HIT = 0.2  # part of a record during which the force may exceed a tenth of its peak
 DIED_OUT = 0.02  # of the peak, what the last tenth of a record may still hold
+_PLAIN = ("", "-", "1", "s", "ms", "rad", "deg", "degrees", "°")  # in brackets of time, phase and coherence
 _HERTZ = {"hz": 1.0, "khz": 1e3, "rad/s": 1 / (2 * np.pi)}
 
 
@@ -114,6 +115,10 @@ def load_machine(
         force_unit = _agreed("force_unit", force_unit, stated[1]) or "N"
         factor, unit = unit_factor(response_unit)
         force, force_si = unit_factor(force_unit)
+        if silent and (unknown := _unknown_unit(arrays)):
+            raise InputError(
+                f"{unknown}: the unit is not known; use {UNITS_SAID}, or give response_unit and force_unit"
+            )
         if unit not in MOTION_UNITS:
             raise InputError(
                 f"response_unit is {response_unit!r}; give an acceleration, a velocity or a position"
@@ -160,8 +165,7 @@ def stated_units(names: Iterable[str]) -> tuple[str, str]:
     """
     units: dict[str, str] = {}
     for name in names:
-        found = re.search(r"[(\[](.+)[)\]]\s*$", name)
-        whole = found[1] if found else ""
+        whole = _in_brackets(name)
         top, _, below = whole.rpartition("/")
         top = top.strip("() ")
         if is_unit(top, MOTION_UNITS) and is_unit(below, ("N",)):
@@ -175,6 +179,24 @@ def stated_units(names: Iterable[str]) -> tuple[str, str]:
                     f"the {kind} is in {units[kind]} and in {unit}; give one unit to all of its columns"
                 )
     return units.get("response", ""), units.get("force", "")
+
+
+def _in_brackets(name: str) -> str:
+    """What stands in the brackets at the end of a name, after ``dB re 1``."""
+    found = re.search(r"[(\[](.+)[)\]]\s*$", name)
+    return re.sub(r"(?i)^dB\b\s*((re\s*)?1\s+|re\s+)?", "", found[1]) if found else ""
+
+
+def _unknown_unit(names: Iterable[str]) -> str:
+    """The first name whose brackets hold nothing that is known of a machine; empty when there is none."""
+    return next(
+        (
+            name
+            for name in names
+            if _in_brackets(name).lower() not in (*_PLAIN, *_HERTZ) and stated_units([name]) == ("", "")
+        ),
+        "",
+    )
 
 
 def is_unit(text: str, wanted: tuple[str, ...]) -> bool:
@@ -220,7 +242,7 @@ def _from_response(arrays: dict[str, np.ndarray], response: str) -> tuple[Identi
     elif (size := _named(same, "magnitude", "mag", "amplitude", "gain")) and (
         angle := _named(same, "phase", "angle")
     ):
-        sizes = 10 ** (same[size] / 20) if _bracket(size) == "db" else same[size]
+        sizes = 10 ** (same[size] / 20) if _bracket(size).startswith("db") else same[size]
         values = sizes * np.exp(1j * (same[angle] if _bracket(angle) == "rad" else np.radians(same[angle])))
     else:
         raise InputError(
