@@ -68,7 +68,7 @@ def design_file(
     mirrored_sensor : bool
         Serve a second sensor, too, at which every flexible mode has the other sign.
     doubt : float
-        Share by which all resonances may be lower or higher than found: every constraint holds there, too.
+        Share by which each resonance may be lower or higher than found: every constraint holds there, too. See `reach`.
     **reading
         Other arguments of `load_machine`.
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from stillwork.control.bandwidth import (
     maximise_bandwidth,
 )
 from stillwork.control.discrete_observer import discrete_compensator, discrete_kalman_observer
+from stillwork.control.moved_resonances import harmful_factors, moved_loop
 from stillwork.control.pid import Pid, PidFamily
 from stillwork.estimation.observer import NoiseIntensities, kalman_observer
 from stillwork.identification.frequency_response import Identified
@@ -29,6 +31,8 @@ SAFE = tuple(PeakConstraint(name) for name in FUNCTIONS)  # also the true error 
 SHOWN = {"input_sensitivity": "S_I", "output_sensitivity": "S_O", "true_tracking": "r to e_true"}
 ABOVE_SUSPENSION = 2.0  # of a machine on springs to the ground: lowest bandwidth sought, over its suspension
 HIGHEST_NOTCH = 0.8  # of half the rate
+NORMAL = 1.96  # standard deviations either side of a number, 95 %
+WIDEST = 0.9  # share by which a resonance may be lower at most
 SEARCH = (1 / 40, 1.0)  # of the first resonance: where bandwidths are sought
 
 
@@ -173,20 +177,23 @@ def observing_compensator(
     return interconnect([block, line], feedback, outside, np.eye(2, 3))
 
 
-def doubted_loops(loops: Sequence[Loop], doubt: float) -> tuple[Loop, ...]:
-    """The same observers and sample times on plants whose resonances are all lower by the share `doubt`, then all higher."""
-    return tuple(
-        make_loop(_moved(loop.plant, factor), loop.compensator, step=loop.step, delay=loop.delay)
-        for factor in (1 - doubt, 1 + doubt)
-        for loop in loops
-        if doubt
-    )
+def doubted_shares(machine: Machine, doubt: float) -> np.ndarray:
+    """Share by which each frequency of the sensors may differ: `doubt`, or the interval of 95 % of the fit if wider.
+
+    The rigid body or its suspension stays; without a doubt nothing moves.
+    """
+    frequencies = machine.sensors[0].frequencies
+    shares = np.full(len(frequencies), require_number("doubt", doubt, at_least=0.0, below=1.0))
+    shares[0] = 0.0
+    if doubt and machine.fit is not None:
+        spread = NORMAL * machine.fit.deviation[1 - machine.sensors[0].rigid_modes :] / frequencies[1:]
+        shares[1:] = np.clip(spread, shares[1:], WIDEST)
+    return shares
 
 
-def _moved(plant: ModalModel, factor: float) -> ModalModel:
-    scale = np.full(len(plant.frequencies), factor)
-    scale[0] = 1.0  # the rigid body, or its suspension
-    return replace(plant, frequencies=scale * plant.frequencies)
+def doubted_loops(loops: Sequence[Loop], moves: Sequence[np.ndarray]) -> tuple[Loop, ...]:
+    """All loops with the frequencies multiplied by the first factors, then by the next ones."""
+    return tuple(moved_loop(loop, factors) for factors in moves for loop in loops)
 
 
 @dataclass(frozen=True)
@@ -204,7 +211,7 @@ class Reached:
     model_loops : tuple of Loop
         The same on the model.
     doubted_loops : tuple of Loop
-        The same on the model with its resonances lower, then higher; empty without a doubt.
+        The same on the model with its resonances lower, higher, then where they do most harm; empty without a doubt.
     reason : str
         Why no bandwidth was found; empty when one was.
     """
@@ -262,7 +269,9 @@ class Reached:
         if stop is not None:
             moved, sensor = divmod(stop.loop, len(self.model_loops))
             place = f" of sensor {sensor + 1}" if stop.function in FUNCTIONS else ""
-            doubt = ("", " with lower resonances", " with higher resonances")[moved]
+            doubt = ("", " with lower resonances", " with higher resonances", " with moved resonances")[
+                min(moved, 3)
+            ]
             name = SHOWN.get(stop.function, stop.function)
             row["stopped by"] = f"{name}{place} at {stop.peak.omega / (2 * np.pi):.0f} Hz{doubt}"
             row["feasible"] = f"{stop.lowest_hz:.3g} to {stop.design_hz:.3g} Hz"
@@ -311,7 +320,8 @@ def reach(
     delay : int
         Samples from command to force.
     doubt : float
-        Share by which all resonances may be lower or higher than the model's: the constraints hold there, too.
+        Share by which each resonance may be lower or higher than the model's, whatever the others do, or the interval
+        of a fit where that is wider: the constraints hold all over that box.
     notches : bool
         Give the controller a notch at each resonance that the observer holds and the rate reaches.
     lead : float
@@ -327,29 +337,46 @@ def reach(
         ends = machine.fit.omega[[0, -1]] / (2 * np.pi)
         band = whole_band(measured, loop_hz if any(loop_hz) else (float(ends[0]), float(ends[1])))
     low, high = search_hz if any(search_hz) else search_range(machine, step)
-    require_number("doubt", doubt, at_least=0.0, below=1.0)
+    shares = doubted_shares(machine, doubt)
     family = pid_family(machine, lead, retained if notches else 1, step)
     found = {}
     for name, application in chosen.items():
         settings = observer_settings(machine, application, retained, intensities)
         modelled = tuple(observed_loops(machine.sensors, application, *settings, step, delay))
         loops, on_data, turns = modelled, None, None
-        doubted = doubted_loops(modelled, doubt)
-        on_model, reason = _search((*loops, *doubted), family, constraints, low, high, refine=True)
-        if on_model is not None:
-            on_model = replace(on_model, crossing_hz=on_model.crossing_hz[: len(loops)])
-        elif doubted:
-            reason += f" (loops from {len(loops) + 1} on: resonances {100 * doubt:g} % lower, then higher)"
+        doubted = doubted_loops(modelled, (1 - shares, 1 + shares) if doubt else ())
+        search = partial(_search, family=family, limits=constraints, refine=True)
+        on_model, reason = search((*loops, *doubted), low=low, high=high)
         if measured is not None:
             loops = tuple(
                 on_measurement(loop, measured, 1.0, band, mirror)
                 for loop, mirror in zip(loops, machine.mirrored, strict=True)
             )
-            on_data, other = _search(loops, family, constraints, low, high, refine=False)
+            on_data, other = search(loops, low=low, high=high, refine=False)
             reason = reason or other
-            if on_data is not None:
-                lower = min((each for each in (on_model, on_data) if each), key=lambda each: each.design_hz)
-                turns = sum(abs(extra_turns(loop, lower.controller)) for loop in loops)
+        while doubted and on_model is not None:
+            pid = _lower(on_model, on_data).controller
+            new = doubted_loops(modelled, harmful_factors(modelled, pid, constraints, shares))
+            if not new:
+                break
+            ends = on_model.lowest_hz, _lower(on_model, on_data).design_hz
+            before, doubted = len(modelled) + len(doubted), (*doubted, *new)
+            on_model, _ = search(new, low=ends[0], high=ends[1])
+            if on_model is not None:  # the loops before hold up to there
+                on_model = replace(on_model, loop=before + on_model.loop)
+            else:
+                on_model, other = search((*modelled, *doubted), low=low, high=high)
+                reason = reason or other
+        if on_model is not None:
+            crossings = [loop.crossing_hz(on_model.controller) for loop in modelled]
+            on_model = replace(on_model, crossing_hz=np.array(crossings))
+        elif doubted:
+            reason += (
+                f" (loops from {len(loops) + 1} on: resonances moved by up to {100 * shares.max():.3g} %)"
+            )
+        if on_data is not None:
+            lower = _lower(on_model, on_data)
+            turns = sum(abs(extra_turns(loop, lower.controller)) for loop in loops)
         found[name] = Reached(on_model, on_data, turns, loops, modelled, doubted, reason)
     return found
 
@@ -369,13 +396,17 @@ def pid_family(machine: Machine, lead: float, modes: int, step: float) -> PidFam
     return PidFamily(machine.mass, tuple(omega.tolist()), lead)
 
 
-def _search(loops, family, limits, low, high, *, refine) -> tuple[Bandwidth | None, str]:
+def _search(loops, *, family, limits, low, high, refine) -> tuple[Bandwidth | None, str]:
     try:
         return maximise_bandwidth(
             loops, family, limits, low, high, tolerance_hz=1e-4 * low, refine=refine, lowest=True
         ), ""
     except InputError as error:
         return None, str(error)
+
+
+def _lower(first: Bandwidth | None, second: Bandwidth | None) -> Bandwidth:
+    return min((each for each in (first, second) if each), key=lambda each: each.design_hz)
 
 
 def _span(bandwidth: Bandwidth | None) -> str:

@@ -11,11 +11,13 @@ from stillwork.control.machine_loops import (
     SAFE,
     Intensities,
     doubted_loops,
+    doubted_shares,
     observed_loops,
     observer_settings,
     pid_family,
     search_range,
 )
+from stillwork.control.moved_resonances import harmful_factors
 from stillwork.identification.machine import Machine
 
 # One step of each setting; tried up, then down, again and again while the bandwidth grows.
@@ -48,23 +50,28 @@ def tuned(
 ) -> DesignSettings:
     """Settings that hold the constraints on the model at a higher bandwidth than those given do at `design_hz`."""
 
-    def loops_of(each: DesignSettings) -> list[Loop]:
+    def loops_of(each: DesignSettings) -> tuple[list[Loop], list[Loop]]:
         chosen = observer_settings(machine, each.application, each.retained, each.intensities)
         loops = observed_loops(machine.sensors, each.application, *chosen, step, delay)
-        return [*loops, *doubted_loops(loops, doubt)]
+        return loops, [*loops, *doubted_loops(loops, (1 - shares, 1 + shares) if doubt else ())]
 
     def pushed(each: DesignSettings) -> float:
         """The bandwidth up to which these settings hold, from the best so far on; that itself if they hold no more."""
         try:
-            loops = loops_of(each)
+            modelled, loops = loops_of(each)
         except InputError:  # no observer can be made with these
             return design_hz
         family = pid_family(machine, each.lead, each.retained if each.notches else 1, step)
         reached = design_hz
-        while PUSH * reached < highest and holds(loops, family(PUSH * reached), constraints):
+        while (
+            PUSH * reached < highest
+            and holds(loops, pid := family(PUSH * reached), constraints)
+            and not (doubt and harmful_factors(modelled, pid, constraints, shares))
+        ):
             reached *= PUSH
         return reached
 
+    shares = doubted_shares(machine, doubt)
     _, highest = search_range(machine, step)
     for name, size in STEPS.items():
         for factor in (size, 1 / size):

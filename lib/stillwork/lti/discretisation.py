@@ -131,12 +131,15 @@ def sampled_modes(
     frequencies: Float64[np.ndarray, " modes"],
     damping: Float64[np.ndarray, " modes"],
     step: float,
-    omega: Float64[np.ndarray, " frequencies"],
+    omega: Float64[np.ndarray, "*modes frequencies"],
 ) -> Complex128[np.ndarray, "modes frequencies"]:
-    """Force to position of each mode for itself (mass 1), sampled with a zero-order hold, in closed form."""
+    """Force to position of each mode for itself (mass 1), sampled with a zero-order hold, in closed form.
+
+    `omega` is the same for all modes, or holds a row for each.
+    """
     blocks, gains = _held(frequencies, damping, step)
     # The trace near 2 and the determinant near 1 cancel at low frequencies: write them as differences from 1.
-    lifted = np.exp(1j * omega * step)[None, :] - 1
+    lifted = np.exp(1j * omega * step) - 1
     first, second = blocks[:, 0, 0, None] - 1, blocks[:, 1, 1, None] - 1
     cross = blocks[:, 0, 1, None] * blocks[:, 1, 0, None]
     determinant = lifted**2 - lifted * (first + second) + first * second - cross

@@ -1,0 +1,120 @@
+"""Loops whose resonances are each somewhere in an interval: where they do most harm, and the loop with them there."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from stillwork.base.checks import InputError, require_array, require_choice
+from stillwork.base.front_door import checked
+from stillwork.control.bandwidth import FUNCTIONS, Loop, PeakConstraint, make_loop
+from stillwork.control.loops import LoopResponse
+from stillwork.control.pid import Pid
+from stillwork.lti.discretisation import sampled_modes
+
+PHASES = np.linspace(-np.pi / 2, np.pi / 2, 9)[1:-1]  # of a mode beside its resonance: places that are tried
+SWEEPS = 2
+SEEN = 1.0005  # times a limit, 0.004 dB: what is handed out keeps it within 0.01 dB
+
+
+@checked
+def moved_loop(loop: Loop, factors: Float64[np.ndarray, " modes"]) -> Loop:
+    """The same observer and sample time on a plant whose frequencies are multiplied by these factors."""
+    factors = require_array("factors", factors, shape=loop.plant.frequencies.shape)
+    if not factors.min() > 0:
+        raise InputError("factors must be above 0")
+    plant = replace(loop.plant, frequencies=factors * loop.plant.frequencies)
+    return make_loop(plant, loop.compensator, step=loop.step, delay=loop.delay)
+
+
+@checked
+def worst_factors(
+    loop: Loop, controller: Pid, function: str, shares: Float64[np.ndarray, " modes"]
+) -> tuple[float, Float64[np.ndarray, " modes"]]:
+    """Largest magnitude of a loop function over all resonances in their intervals, and factors that lead there.
+
+    At each frequency of the loop's grid the modes are moved one after the other to the place that raises the
+    magnitude most, from all of them low, high and in the middle: a mode's part of the plant runs along an arc. As a
+    bounded sensitivity never lets the loop pass -1, the loop is stable in the whole box when it is in its middle.
+
+    Parameters
+    ----------
+    loop : Loop
+        On a model.
+    controller : Pid
+    function : str
+        One of `FUNCTIONS`.
+    shares : array_like, shape (modes,)
+        By which each frequency of the plant may be lower or higher; 0: it stays.
+
+    Examples
+    --------
+    >>> stage = lti.ModalModel([0.0, 600.0], [0.0, 0.01], [[0.3], [0.3]], [[0.3, -0.3]], [[0.0]])
+    >>> loop, pid = control.make_loop(stage), control.PidFamily(11.0)(15.0)
+    >>> size, factors = control.worst_factors(loop, pid, "input_sensitivity", [0.0, 0.05])
+    >>> bool(size > loop.peak(pid, "input_sensitivity").magnitude), factors  # lower is worse
+    (True, array([1.  , 0.95]))
+    """
+    plant, omega = loop.plant, loop.omega
+    shares = require_array("shares", shares, shape=plant.frequencies.shape)
+    if not 0 <= shares.min() <= shares.max() < 1:
+        raise InputError("shares must be at least 0 and below 1; 0 for a frequency that stays")
+    require_choice("function", function, FUNCTIONS)
+    moving = np.flatnonzero(shares)
+    centre, damping = plant.frequencies[moving, None, None], plant.damping[moving, None, None]
+    low, high = centre * (1 - shares[moving, None, None]), centre * (1 + shares[moving, None, None])
+    turns = np.round(
+        centre * loop.step / (2 * np.pi)
+    )  # sampled, a mode above half the rate is seen folded back
+    folded = 2 * np.pi * turns / loop.step if loop.step else 0 * centre
+    seen = np.abs(folded + np.where((centre < folded), -1, 1) * omega)
+    beside = seen * (1 + damping * np.tan(PHASES)[:, None])
+    ends = np.broadcast_to(np.concatenate([low, high, centre], axis=1), (len(moving), 3, len(omega)))
+    places = np.concatenate([ends, np.clip(beside, low, high)], axis=1)
+    parts = (plant.output_shapes[0] * plant.input_shapes[:, 0])[moving, None, None] * _unit(
+        loop, places, damping
+    )
+    rest = loop.plant_response - parts[:, 2].sum(axis=0)
+    k_fb = loop.within(controller, slice(None)).controller
+    every, worst, best = np.arange(len(omega)), 0.0, np.ones(len(shares))
+    for start in range(3):
+        taken = np.full((len(moving), len(omega)), start)
+        sum_of = rest + parts[:, start].sum(axis=0)
+        for mode in [*range(len(moving))] * SWEEPS:
+            others = sum_of - parts[mode, taken[mode], every]
+            response = LoopResponse(others + parts[mode], loop.compensator_response, k_fb)
+            sizes = np.abs(getattr(response, function))
+            taken[mode] = sizes.argmax(axis=0)
+            sum_of = others + parts[mode, taken[mode], every]
+        sizes = sizes.max(axis=0)
+        place = int(sizes.argmax())
+        if sizes[place] > worst:
+            worst = float(sizes[place])
+            best[moving] = places[np.arange(len(moving)), taken[:, place], place] / centre[:, 0, 0]
+    return worst, best
+
+
+def _unit(loop: Loop, frequencies: np.ndarray, damping: np.ndarray) -> np.ndarray:
+    """Responses of modes of mass 1 on the loop's grid, each element of it with a frequency of its own."""
+    omega = np.broadcast_to(loop.omega, frequencies.shape)
+    if not loop.step:
+        return 1 / (frequencies**2 - omega**2 + 2j * damping * frequencies * omega)
+    ratios = np.broadcast_to(damping, frequencies.shape)
+    flat = sampled_modes(frequencies.ravel(), ratios.ravel(), loop.step, omega.reshape(-1, 1))
+    return flat.reshape(frequencies.shape) * np.exp(-1j * loop.omega * loop.step * loop.delay)
+
+
+def harmful_factors(
+    loops: Sequence[Loop], controller: Pid, constraints: Sequence[PeakConstraint], shares: np.ndarray
+) -> list[np.ndarray]:
+    """Factors that make a loop exceed a constraint, the worst of each; empty when no place in the box does."""
+    found = []
+    for constraint in constraints:
+        size, factors = max(
+            (worst_factors(loop, controller, constraint.function, shares) for loop in loops),
+            key=lambda each: each[0],
+        )
+        if size > SEEN * constraint.limit:
+            found.append(factors)
+    return found

@@ -1,0 +1,72 @@
+"""Resonances in a box: the worst place against all places of a grid, and what `design` promises against errors of its own."""
+
+import itertools
+import json
+import runpy
+
+import numpy as np
+import pytest
+
+from stillwork.base import paths
+from stillwork.base.checks import InputError
+from stillwork.control.bandwidth import FUNCTIONS, make_loop
+from stillwork.control.machine_loops import doubted_shares
+from stillwork.control.moved_resonances import moved_loop, worst_factors
+from stillwork.control.pid import PidFamily
+from stillwork.designing import design_file
+from stillwork.identification.frequency_response import Identified
+from stillwork.identification.machine import Machine
+from stillwork.identification.modal_fit import identify_modes
+from stillwork.lti.modal import modal_model
+
+STIFFNESS = np.array([[3e7, -3e7, 0], [-3e7, 5e7, -2e7], [0, -2e7, 2e7]])
+CHAIN = modal_model(np.diag([20.0, 10, 10]), STIFFNESS, [[1.0], [0], [0]], [[0.0, 0, 1]], damping_ratio=0.005)
+SHARES = [0.0, 0.05, 0.05]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [{}, {"step": 1e-4, "delay": 1}, {"step": 1.1e-3}])
+@pytest.mark.parametrize("function", FUNCTIONS)
+def test_the_worst_place_is_the_worst_of_a_grid(options, function):
+    """The last step folds the second mode back below half the rate."""
+    loop, pid = make_loop(CHAIN, **options), PidFamily(40.0)(12.0)
+    size, factors = worst_factors(loop, pid, function, SHARES)
+    sides = itertools.product(np.linspace(0.95, 1.05, 9), repeat=2)
+    grid = max(moved_loop(loop, np.array([1.0, *each])).peak(pid, function).magnitude for each in sides)
+    there = moved_loop(loop, factors).peak(pid, function).magnitude
+    assert there >= 0.999 * grid and size == pytest.approx(there, rel=2e-3)
+    assert factors[0] == 1 and np.all(np.abs(factors - 1) <= 0.05 + 1e-12)
+
+
+def test_shares_that_do_not_fit_are_refused():
+    loop, pid = make_loop(CHAIN), PidFamily(40.0)(12.0)
+    for shares in ([0.05], [0.0, -0.1, 0.0], [0.0, 1.0, 0.0]):
+        with pytest.raises(InputError, match="shares"):
+            worst_factors(loop, pid, "input_sensitivity", shares)
+    with pytest.raises(InputError, match="factors"):
+        moved_loop(loop, [1.0, -1.0, 1.0])
+
+
+def test_a_fit_that_knows_less_than_the_doubt_widens_it():
+    omega = 2 * np.pi * np.arange(20.0, 900.0)
+    rng = np.random.default_rng(0)
+    noise = 1 + 0.3 * (rng.standard_normal(len(omega)) + 1j * rng.standard_normal(len(omega)))
+    accelerance = -(omega**2) * CHAIN.frequency_response(omega)[0, 0] * noise
+    fit = identify_modes(Identified(omega, accelerance, np.ones(len(omega))), (20.0, 899.0))
+    machine = Machine((fit.model,), 40.0, "noisy", fit=fit)
+    known = 1.96 * fit.deviation / fit.model.frequencies[1:]
+    assert doubted_shares(machine, 1e-9)[1:] == pytest.approx(known)
+    assert np.all(doubted_shares(machine, 0.05) == [0.0, *[0.05] * len(known)])
+    assert not doubted_shares(machine, 0.0).any()
+
+
+@pytest.mark.slow
+def test_six_decibels_hold_for_errors_of_single_resonances(tmp_path):
+    """By SciPy alone, over corners and draws of 5 % by resonance."""
+    bench = runpy.run_path(str(paths.root() / "benchmarks" / "machines.py"))
+    arrays, rate, delay = bench["sample_machine"](np.random.default_rng(0))
+    np.savez(tmp_path / "machine.npz", **arrays)
+    design_file(str(tmp_path / "machine.npz"), str(tmp_path / "out"), rate, delay=delay)
+    held = json.loads((tmp_path / "out" / "controller.json").read_text())
+    peaks, radius = bench["worst"](arrays, held, 1 / rate, delay, np.random.default_rng(5))
+    assert peaks.max() < 6.01 and radius < 1
