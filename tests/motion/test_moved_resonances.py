@@ -9,11 +9,12 @@ import pytest
 
 from stillwork.base import paths
 from stillwork.base.checks import InputError
-from stillwork.control.bandwidth import FUNCTIONS, make_loop
-from stillwork.control.machine_loops import doubted_shares
+from stillwork.control.bandwidth import FUNCTIONS, holds, make_loop
+from stillwork.control.machine_loops import SAFE, doubted_loops, doubted_shares
+from stillwork.control.machine_tuning import DesignSettings, tuned
 from stillwork.control.moved_resonances import moved_loop, worst_factors
 from stillwork.control.pid import PidFamily
-from stillwork.designing import design_file
+from stillwork.designing import INTENSITIES, design_file
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine import Machine
 from stillwork.identification.modal_fit import identify_modes
@@ -45,6 +46,33 @@ def test_shares_that_do_not_fit_are_refused():
             worst_factors(loop, pid, "input_sensitivity", shares)
     with pytest.raises(InputError, match="factors"):
         moved_loop(loop, [1.0, -1.0, 1.0])
+
+
+def test_other_forms_of_numbers_are_taken_and_nonsense_is_named():
+    loop, pid = make_loop(CHAIN), PidFamily(40.0)(12.0)
+    frozen = np.array([1.0, 0.95, 1.05])
+    frozen.flags.writeable = False
+    forms = [frozen, frozen.astype(np.float32), frozen.tolist()]
+    moved = [doubted_loops([loop], [each])[0].plant.frequencies for each in forms]
+    assert moved[1] == pytest.approx(moved[0], rel=1e-6) and np.array_equal(moved[2], moved[0])
+    assert holds((loop,), pid, [*SAFE]) and not holds([loop], PidFamily(40.0)(80.0), SAFE)
+    for call, message in (
+        (lambda: holds([], pid, SAFE), "loops is empty"),
+        (lambda: holds([loop], pid, []), "constraints is empty"),
+        (lambda: holds([loop], 3.0, SAFE), "controller"),
+        (lambda: doubted_loops([loop], [[1.0, 0.9]]), "factors"),
+        (lambda: doubted_loops([loop], "12"), "moves"),
+    ):
+        with pytest.raises(InputError, match=message):
+            call()
+
+
+def test_settings_are_not_tuned_for_nonsense():
+    machine, settings = Machine((CHAIN,), 40.0, "chain"), DesignSettings(None, 5, INTENSITIES)
+    good = {"design_hz": 10.0, "doubt": 0.05, "step": 1e-4, "delay": 1}
+    for name, value in {"design_hz": np.nan, "doubt": 1.5, "step": 0.0, "delay": -1}.items():
+        with pytest.raises(InputError, match=name):
+            tuned(machine, settings, **good | {name: value})
 
 
 def test_a_fit_that_knows_less_than_the_doubt_widens_it():

@@ -16,7 +16,7 @@ __all__, __getattr__, __dir__ = face(
         "fixed_point_mechanism": ("simulate_mechanism",),
         "kinematics": ("KinematicDesign",),
         "loops": ("closed_loop",),
-        "moved_resonances": ("moved_loop", "worst_factors"),
+        "moved_resonances": ("worst_factors",),
         "mechanism": ("Mechanism",),
         "pid": ("PidFamily",),
         "setpoint": ("point_to_point",),

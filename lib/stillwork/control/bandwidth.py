@@ -265,10 +265,7 @@ def maximise_bandwidth(
     >>> round(best.design_hz, 2), best.function
     (19.06, 'input_sensitivity')
     """
-    if not len(loops):
-        raise InputError("loops is empty; give at least one plant")
-    if not len(constraints):
-        raise InputError("constraints is empty; without a peak constraint no bandwidth is the largest")
+    _require_some(loops, constraints)
     require_number("high_hz", high_hz, above=require_number("low_hz", low_hz, above=0.0))
     if lowest:
         return _lowest(loops, family, constraints, low_hz, high_hz, tolerance_hz, refine)
@@ -291,6 +288,13 @@ def maximise_bandwidth(
     stopped = _violation(loops, family(grid[k + 1]), constraints, refine)
     assert stopped is not None  # `_rough` rejects nothing that is feasible
     return _bisected(loops, family, constraints, grid[k], grid[k + 1], stopped, tolerance_hz, refine)
+
+
+def _require_some(loops, constraints) -> None:
+    if not len(loops):
+        raise InputError("loops is empty; give at least one plant")
+    if not len(constraints):
+        raise InputError("constraints is empty; without a peak constraint no bandwidth is the largest")
 
 
 Violation = tuple[str, int, Peak]  # function or "stability", number of the loop, peak
@@ -346,10 +350,12 @@ def _lowest(
     return replace(found, lowest_hz=float(grid[first]))
 
 
+@checked
 def holds(
     loops: Sequence[Loop], controller: Pid, constraints: Sequence[PeakConstraint], refine: bool = True
 ) -> bool:
     """Whether every loop is stable and below every constraint, the cheapest refusal first."""
+    _require_some(loops, constraints)
     return _above(loops, controller, constraints) is None and not _violation(
         loops, controller, constraints, refine
     )

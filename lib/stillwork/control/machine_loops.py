@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 
 from stillwork.base.checks import InputError, require_count, require_number
+from stillwork.base.front_door import checked
 from stillwork.control.applications import Application, compensator
 from stillwork.control.bandwidth import (
     FUNCTIONS,
@@ -177,6 +178,7 @@ def observing_compensator(
     return interconnect([block, line], feedback, outside, np.eye(2, 3))
 
 
+@checked
 def doubted_shares(machine: Machine, doubt: float) -> np.ndarray:
     """Share by which each frequency of the sensors may differ: `doubt`, or the interval of 95 % of the fit if wider.
 
@@ -191,6 +193,7 @@ def doubted_shares(machine: Machine, doubt: float) -> np.ndarray:
     return shares
 
 
+@checked
 def doubted_loops(loops: Sequence[Loop], moves: Sequence[np.ndarray]) -> tuple[Loop, ...]:
     """All loops with the frequencies multiplied by the first factors, then by the next ones."""
     return tuple(moved_loop(loop, factors) for factors in moves for loop in loops)
@@ -280,6 +283,7 @@ class Reached:
         return row
 
 
+@checked(infinite=True)
 def reach(
     machine: Machine,
     chosen: Mapping[str, Application | None],

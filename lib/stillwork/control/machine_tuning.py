@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from stillwork.base.checks import InputError
+from stillwork.base.checks import InputError, require_count, require_number
+from stillwork.base.front_door import checked
 from stillwork.control.applications import Application
 from stillwork.control.bandwidth import Loop, PeakConstraint, holds
 from stillwork.control.machine_loops import (
@@ -38,6 +39,7 @@ class DesignSettings:
     lead: float = 3.0
 
 
+@checked(infinite=True)
 def tuned(
     machine: Machine,
     settings: DesignSettings,
@@ -71,6 +73,9 @@ def tuned(
             reached *= PUSH
         return reached
 
+    require_number("design_hz", design_hz, above=0.0)
+    require_number("step", step, above=0.0)
+    require_count("delay", delay, at_least=0)
     shares = doubted_shares(machine, doubt)
     _, highest = search_range(machine, step)
     for name, size in STEPS.items():

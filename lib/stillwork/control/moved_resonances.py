@@ -48,6 +48,16 @@ def worst_factors(
     shares : array_like, shape (modes,)
         By which each frequency of the plant may be lower or higher; 0: it stays.
 
+    Returns
+    -------
+    tuple
+        The magnitude, and the factors, one a frequency of the plant.
+
+    Raises
+    ------
+    InputError
+        When a share is negative or not below 1, or there is not one a frequency.
+
     Examples
     --------
     >>> stage = lti.ModalModel([0.0, 600.0], [0.0, 0.01], [[0.3], [0.3]], [[0.3, -0.3]], [[0.0]])
