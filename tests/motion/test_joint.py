@@ -163,6 +163,7 @@ def test_a_peak_between_poles_that_all_but_coincide_is_found():
     assert found[1] == pytest.approx(20 * np.log10(dense[1]), abs=1e-4)
 
 
+@pytest.mark.slow
 def test_python_control_agrees_with_every_stored_design():
     """Poles, peaks and scan error without a line of the toolbox: the numbers of the files go in."""
     machines = tomllib.loads((_data() / "machines.toml").read_text())
