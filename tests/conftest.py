@@ -4,6 +4,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+import order
 import typecheck
 
 # As in `stillwork.__main__`: a second or two of every process that loads nbformat.
@@ -14,6 +15,10 @@ sys.modules.setdefault("rfc3987_syntax", None)
 settings.register_profile("workbook", deadline=None, derandomize=True)
 settings.register_profile("search", deadline=None, derandomize=False)
 settings.load_profile("workbook")
+
+
+def pytest_collection_modifyitems(items):
+    items.sort(key=lambda item: order.rank(item.path))
 
 
 @pytest.fixture(autouse=True)
