@@ -222,7 +222,7 @@ def test_the_front_page_is_seen_at_a_glance(browser, site):
 def test_on_a_phone_the_front_page_is_a_few_screens_and_a_work_begins_with_its_name(browser, site):
     browser.resize(NARROW)
     browser.open((site / "index.html").as_uri())
-    assert browser.run("return document.documentElement.scrollHeight") < 6 * 900
+    assert browser.run("return document.documentElement.scrollHeight") < 4000
     top = (
         "return [...document.querySelectorAll(arguments[0])].map((each) => each.getBoundingClientRect().top)"
     )
