@@ -149,6 +149,15 @@ def test_an_unknown_unit_is_not_taken_for_none(tmp_path, bracket):
     assert load_machine(file, "g", "N").kind == "frequency response"
 
 
+@pytest.mark.parametrize(("end", "told"), [(616.0, True), (700.0, False)])
+def test_a_band_that_cuts_a_resonance_is_told(end, told):
+    """The second one stands at 616.4 Hz."""
+    file = load_machine(TEMPLATES / "frequency_response.csv")
+    machine = build_machine(file, modes_hz=[], fit_hz=(5.0, end), mirrored_sensor=False)
+    assert any("a resonance that the band cuts" in note for note in machine.notes) == told
+    assert len(machine.resonances_hz) == (1 if told else 2)
+
+
 def test_templates_are_one_machine():
     """M and K by eigenvalues; the fits find the same frequencies, the same mass and the damping of 1 %."""
     wanted = np.sqrt(np.linalg.eigvals(np.linalg.solve(MASS, STIFFNESS)).real.clip(0))

@@ -13,7 +13,8 @@ from stillwork.identification.modal_fit import SUSPENDED, ModalFit, identify_mod
 from stillwork.lti.modal import ModalModel, mirrored
 from stillwork.lti.reduction import truncate
 
-MISSED = 0.5  # relative error below half the first resonance from which on the mass is doubtful
+MISSED = 0.5  # relative error below half the first resonance, or at the end of the band, that is told
+END = 0.01  # of the band's highest frequency
 MOST_MODES = 12  # of a matrix model: the others enter as compliance
 
 
@@ -125,6 +126,12 @@ def _fitted(
             f"up to {model.frequencies[1] / (4 * np.pi):.4g} Hz the model is off by {100 * missed:.2g} % (root mean "
             "square): noise, or a suspension that the lines do not resolve; mind the mass, start fit_hz above it, or "
             "measure finer"
+        )
+    end = fit.omega > (1 - END) * fit.omega[-1]
+    if (off := float(np.sqrt(np.mean(fit.error[end] ** 2)))) > MISSED:
+        notes.append(
+            f"at the end of the band, {band[1]:.4g} Hz, the model is off by {100 * off:.2g} % (root mean square): "
+            "noise, or a resonance that the band cuts, which draws at the mass; end fit_hz well beyond it, or before it"
         )
     widths = 2 * model.damping[1:] * model.frequencies[1:] / (2 * np.pi)
     spacing = float(np.median(np.diff(measured.omega))) / (2 * np.pi)
