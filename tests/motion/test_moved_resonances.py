@@ -1,7 +1,6 @@
 """Resonances in a box: the worst place against all places of a grid, and what `design` promises against errors of its own."""
 
 import itertools
-import json
 import runpy
 
 import numpy as np
@@ -9,14 +8,17 @@ import pytest
 
 from stillwork.base import paths
 from stillwork.base.checks import InputError
+from stillwork.control.applications import Application
 from stillwork.control.bandwidth import FUNCTIONS, holds, make_loop
-from stillwork.control.machine_loops import SAFE, doubted_loops, doubted_shares
+from stillwork.control.digital import runnable
+from stillwork.control.machine_loops import SAFE, doubted_loops, doubted_shares, reach
 from stillwork.control.machine_tuning import DesignSettings, tuned
 from stillwork.control.moved_resonances import moved_loop, worst_factors
 from stillwork.control.pid import PidFamily
-from stillwork.designing import INTENSITIES, design_file
+from stillwork.designing import INTENSITIES
 from stillwork.identification.frequency_response import Identified
-from stillwork.identification.machine import Machine
+from stillwork.identification.machine import Machine, build_machine
+from stillwork.identification.machine_files import load_machine
 from stillwork.identification.modal_fit import identify_modes
 from stillwork.lti.modal import modal_model
 
@@ -90,11 +92,16 @@ def test_a_fit_that_knows_less_than_the_doubt_widens_it():
 
 @pytest.mark.slow
 def test_six_decibels_hold_for_errors_of_single_resonances(tmp_path):
-    """By SciPy alone, over corners and draws of 5 % by resonance."""
+    """By SciPy alone, over corners and draws of 5 % by resonance; all moved alike would let it go further."""
     bench = runpy.run_path(str(paths.root() / "benchmarks" / "machines.py"))
-    arrays, rate, delay = bench["sample_machine"](np.random.default_rng(0))
+    arrays, rate, delay = bench["sample_machine"](np.random.default_rng(4))
     np.savez(tmp_path / "machine.npz", **arrays)
-    design_file(str(tmp_path / "machine.npz"), str(tmp_path / "out"), rate, delay=delay)
-    held = json.loads((tmp_path / "out" / "controller.json").read_text())
-    peaks, radius = bench["worst"](arrays, held, 1 / rate, delay, np.random.default_rng(5))
+    file = load_machine(tmp_path / "machine.npz")
+    machine = build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)
+    use = {"MC": Application(compensate=True)}
+    how = {"step": 1 / rate, "delay": delay, "doubt": 0.05}
+    found = reach(machine, use, retained=5, intensities=INTENSITIES, **how)["MC"]
+    assert len(found.doubted_loops) > 2
+    controller = runnable(found.recommended.controller, found.loops[0].compensator, np.inf, {})
+    peaks, radius = bench["worst"](arrays, controller.as_dict(), 1 / rate, delay, np.random.default_rng(5))
     assert peaks.max() < 6.01 and radius < 1
