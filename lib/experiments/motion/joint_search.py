@@ -27,12 +27,13 @@ from experiments.motion.joint import (
     late,
     late_response,
 )
-from experiments.motion.machines import parameters, published_setpoint, stage
+from experiments.motion.machines import parameters, published_noise, published_setpoint, stage
 from experiments.motion.uncertainty import perturbed, sample_errors
 from stillwork.base.checks import InputError, require_choice, require_count, require_number
 from stillwork.base.kernels import kernel
 from stillwork.control.bandwidth import SIX_DB
-from stillwork.lti.discretisation import zoh_response
+from stillwork.estimation.riccati import discrete_gain
+from stillwork.lti.discretisation import zoh_modes, zoh_response
 from stillwork.lti.modal import ModalModel
 
 # Of the transform: 2.4 Hz between frequencies and 0.24 s for an error to die out while a search goes on, and four
@@ -215,6 +216,19 @@ def scanned(
     error = weights @ (s * given + np.abs(1 - sensitivity) ** 2 * noise["sensor"] ** 2)
     force = weights @ (np.abs(feedback) ** 2 * s * (given + noise["sensor"] ** 2))
     return Scanned(float(np.hypot(quiet, np.sqrt(error))), quiet, float(np.sqrt(force)))
+
+
+def noise_floor(model: ModalModel, delay: float = DELAY) -> float:
+    """Rms of mass 5's error under the noise of section 3.1 (m) that no controller goes below, whatever it knows.
+
+    The first position that a command moves is that of sample `1 + int(delay)` from it; what the measurements up to the
+    command leave unknown of that position no command takes away.
+    """
+    plant, noise = zoh_modes(model.at([0], [MEASURED]), STEP), published_noise()
+    unknown = discrete_gain(plant.a, plant.b, plant.c, noise.process, noise.sensor).covariance
+    for _ in range(int(delay)):
+        unknown = plant.a @ unknown @ plant.a.T + noise.process * plant.b @ plant.b.T
+    return float(np.sqrt((plant.c @ unknown @ plant.c.T)[0, 0] + parameters_of_noise()["reference"] ** 2))
 
 
 @cache
