@@ -318,7 +318,7 @@ def _bisected(
             break
         watched.add(found[:2])
     if bad < first:
-        stopped = _violation(loops, family(bad), constraints, refine)
+        stopped = _violation(loops, family(bad), constraints, refine) or stopped
     controller = family(good)
     crossings = np.array([loop.crossing_hz(controller) for loop in loops])
     return Bandwidth(float(good), crossings, controller, *stopped)
