@@ -22,6 +22,7 @@ from stillwork.site.standing import class_of, stands
 from stillwork.workbook.claims import Claim, Entry, Tolerance, ledger
 from stillwork.workbook.notebooks import select
 from stillwork.workbook.publish import replace_folder
+from stillwork.workbook.readings.command import standings_of
 from stillwork.workbook.readings.judging import Standing
 from workbook import toy as toys
 
@@ -161,11 +162,13 @@ def test_what_a_work_says_first_is_judged_by_an_entry_of_its_own_ledger():
 
 
 def test_advice_rests_on_verdicts_that_stand():
-    """With another verdict the sentence would be false: it is to be written anew then."""
+    """With another verdict, or another class over the readings, the sentence is to be written anew."""
     verdicts = {claim.entry.id: claim.verdict for claim in ledger()}
-    for work in works().values():
+    for room, work in works().items():
+        classes = {name: each.class_ for name, each in standings_of(room).items() if each.class_}
         assert work["builder"].endswith(".")
-        assert work["rests"] == {entry: verdicts.get(entry) for entry in work["rests"]}
+        for entry, stated in work["rests"].items():
+            assert stated == ", ".join([verdicts[entry], *([classes[entry]] if entry in classes else [])])
 
 
 def test_the_front_page_shows_each_work_by_its_picture_and_what_came_out(files):
