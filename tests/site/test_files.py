@@ -4,6 +4,7 @@ import io
 import itertools
 import json
 import re
+import tomllib
 from collections import Counter
 from html.parser import HTMLParser
 from urllib.parse import unquote
@@ -280,6 +281,21 @@ def test_the_command_of_a_figure_stands_on_its_page(files):
     for notebook in select():
         text = files[f"notebooks/{notebook.name}.html"].decode()
         assert re.search(rf"make figures ARGS=&#34;{notebook.name} --force&#34;", text)
+
+
+def test_pages_lead_to_binder_and_the_source_once_there_is_an_address(toy):
+    def leading(page: str) -> list[str]:
+        links = [each["href"] for each in Elements(site_files()[page]).of("a")]
+        return [unquote(each) for each in links if each.startswith("https://")]
+
+    assert leading("notebooks/isolation/01-first.html") == []
+    public = "https://example.org/a/b"
+    text = (toy.root / "pyproject.toml").read_text()
+    toy.write("pyproject.toml", f'{text}\n[project.urls]\nRepository = "{public}"\n')
+    version = tomllib.loads(text)["project"]["version"]
+    for page, file in (("notebooks/isolation/01-first", "isolation/01-first"), ("replicate", "index")):
+        start = f"https://mybinder.org/v2/git/{public}/v{version}?labpath=notebooks/{file}.ipynb"
+        assert leading(f"{page}.html") == [start, public]
 
 
 def test_the_front_page_counts_what_was_predicted_apart(toy):

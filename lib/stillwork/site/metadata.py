@@ -24,25 +24,12 @@ def address() -> str:
     return project().get("urls", {}).get("Repository", "").rstrip("/")
 
 
-def binder(path: str = "") -> str:
-    """Where mybinder.org starts a file of this release without an installation; empty while there is no address.
-
-    Raises
-    ------
-    InputError
-        When the address is none of a repository on GitHub or GitLab.
-    """
-    if not (public := address()):
+def binder(path: str) -> str:
+    """Where mybinder.org opens a file of this release in a browser; empty while the source has no public address."""
+    if not address():
         return ""
-    hosts = {"https://github.com/": "gh/", "https://gitlab.com/": "gl/"}
-    for host, short in hosts.items():
-        name = public.removeprefix(host)
-        if name != public and re.fullmatch(r"[\w.-]+/[\w.-]+", name):
-            name = quote(name, safe="/" if short == "gh/" else "")
-            return f"https://mybinder.org/v2/{short}{name}/v{project()['version']}?labpath={quote(path, safe='')}"
-    raise InputError(
-        f"pyproject.toml has the Repository {public!r}; give https://github.com/OWNER/NAME or https://gitlab.com/OWNER/NAME"
-    )
+    place = f"{quote(address(), safe='')}/v{project()['version']}"
+    return f"https://mybinder.org/v2/git/{place}?labpath={quote(path, safe='')}"
 
 
 def release_date() -> str:
