@@ -13,7 +13,7 @@ from stillwork.control.loops import LoopResponse
 from stillwork.control.pid import Pid
 from stillwork.lti.discretisation import sampled_modes
 
-PHASES = np.linspace(-np.pi / 2, np.pi / 2, 9)[1:-1]  # of a mode beside its resonance: places that are tried
+STEPS = np.linspace(-1, 1, 25)  # to places of a mode beside its resonance, dense at its width, that are tried
 SWEEPS = 2
 SEEN = 1.0005  # times a limit, 0.004 dB: what is handed out keeps it within 0.01 dB
 
@@ -79,7 +79,9 @@ def worst_factors(
     )  # sampled, a mode above half the rate is seen folded back
     folded = 2 * np.pi * turns / loop.step if loop.step else 0 * centre
     seen = np.abs(folded + np.where((centre < folded), -1, 1) * omega)
-    beside = seen * (1 + damping * np.tan(PHASES)[:, None])
+    width = np.maximum(damping, 1e-7)
+    reach = np.arcsinh(2 * shares[moving, None, None] / width)
+    beside = seen * (1 + width * np.sinh(reach * STEPS[:, None]))
     ends = np.broadcast_to(np.concatenate([low, high, centre], axis=1), (len(moving), 3, len(omega)))
     places = np.concatenate([ends, np.clip(beside, low, high)], axis=1)
     parts = (plant.output_shapes[0] * plant.input_shapes[:, 0])[moving, None, None] * _unit(
