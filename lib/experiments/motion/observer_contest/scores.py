@@ -14,7 +14,7 @@ from experiments.motion.observer_contest.plants import ContestPlant, sample_plan
 from experiments.motion.observer_contest.referee import Disqualified, ForeignObserver
 from experiments.motion.observer_contest.told import OwnObserver, told_of
 
-SCORES = ("rigid", "flexible", "tracking")
+SCORES = ("rigid", "flexible", "tracking", "peak")
 
 
 class Scored(NamedTuple):
@@ -27,8 +27,9 @@ class Scored(NamedTuple):
     rigid: float  # errors of the states relative to those of the estimate zero
     flexible: float
     tracking: (
-        float  # error of the loop with the observer over the cautious loop's; infinite where it runs away
+        float  # rms error of the loop with the observer over the cautious loop's; infinite where it runs away
     )
+    peak: float  # the same of the largest error
     microseconds: float  # a sample, on the scan outside the loop
     bytes: int  # that the observer holds; 0 for a foreign one
 
@@ -122,10 +123,10 @@ def _foreign_scans(file: str, prepared: Sequence[_Prepared], loops: bool) -> lis
 def _judged(name, plant, seed, doubts, prepared, results) -> list[Scored]:
     found = []
     for doubt, each, (estimates, taken, moved, held) in zip(doubts, prepared, results, strict=True):
-        tracking = np.nan
+        loop = np.full(2, np.nan)
         if moved is not None:
-            steady = bench.tracking_error(each.cautious, each.record.states)
-            tracking = bench.tracking_error(each.bold, moved) / steady
+            steady = bench.tracking_errors(each.cautious, each.record.states)
+            loop = bench.tracking_errors(each.bold, moved) / steady
         errors = bench.state_errors(each.record, estimates, each.told[0].rigid_modes)
-        found.append(Scored(name, plant, doubt, seed, *errors, tracking, taken, held))
+        found.append(Scored(name, plant, doubt, seed, *errors, *map(float, loop), taken, held))
     return found
