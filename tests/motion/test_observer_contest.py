@@ -3,6 +3,7 @@
 import csv
 import re
 import textwrap
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pandas as pd
@@ -391,6 +392,17 @@ def test_an_entrant_that_comes_later_stands_where_it_would_have_stood(small):
     )
     with pytest.raises(InputError, match="other scans"):
         joined(before, others)
+
+
+@pytest.mark.slow
+def test_workers_that_share_a_process_do_not_share_an_observer():
+    """As a cluster's workers with several threads do."""
+    given = {"only": ["open model"], "plants": ("drive", "stage"), "doubts": ("all 2 %", "delay")}
+    alone = run_contest("a test", 2, **given)
+    with ThreadPoolExecutor(4) as pool:
+        together = run_contest("a test", 2, executor=pool, **given)
+    kept = ["entrant", "plant", "doubt", "seed", "rigid", "flexible", "tracking", "peak"]
+    assert pd.DataFrame(together.scores)[kept].equals(pd.DataFrame(alone.scores)[kept])
 
 
 @pytest.mark.slow

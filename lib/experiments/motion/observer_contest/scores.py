@@ -52,7 +52,8 @@ def contest_trial(
     scores: list[Scored] = []
     out: dict[str, str] = {}
     for name, knobs in settings.items():
-        results = _own_scans(_own(name, tuple(knobs)), prepared, loops)
+        own = OwnObserver(ENTRANTS[name], tuple(knobs), _designs(name, tuple(knobs)))
+        results = _own_scans(own, prepared, loops)
         scores += _judged(name, plant, seed, doubts, prepared, results)
     for name, file in files.items():
         try:
@@ -81,9 +82,9 @@ def _prepare(machine: ContestPlant, doubt: str, stream: int) -> _Prepared:
     return _Prepared(cautious, bold, bench.record(cautious), told)
 
 
-@cache  # a design serves all seeds
-def _own(name: str, knobs: tuple[float, ...]) -> OwnObserver:
-    return OwnObserver(ENTRANTS[name], knobs)
+@cache  # they serve all seeds, and every thread of a worker
+def _designs(name: str, knobs: tuple[float, ...]) -> dict:
+    return {}
 
 
 def _own_scans(observer: OwnObserver, prepared: Sequence[_Prepared], loops: bool) -> list[tuple]:
