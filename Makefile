@@ -19,9 +19,15 @@ PINNED := lib/stillwork/workbook/pinned.env
 UNDER_PINS = env $(shell grep -v '^\#' $(PINNED))
 
 # nbval is for the notebooks, anyio for nobody; loading them takes a second of every process.
-UNIT := tests -p no:nbval -p no:anyio --ignore=tests/committed --ignore=tests/browser
+# Files go to the workers whole, for their tests share what is dear to make, and in the order of tests/order.py.
+UNIT := tests -p no:nbval -p no:anyio --ignore=tests/committed --ignore=tests/browser \
+	-n logical --dist loadfile --no-loadscope-reorder
 # How many notebooks nbval executes although their build is fresh, others each day.
 RERUN ?= 3
+
+# A part of `make test`, $(1) in words and $(2) to run: how long each took stands at the end.
+SECONDS := build/test-seconds
+part = @echo "$(1)"; begin=$$(date +%s); $(2) && echo "$$(($$(date +%s) - begin)) s: $(1)" >> $(SECONDS)
 
 # Kept bytecode halves the start of every worker, which reads all tests and checks all functions' types.
 test quick: export PYTHONDONTWRITEBYTECODE :=
@@ -41,20 +47,21 @@ contest: $(READY) ## Rank observers of flexible machines; ARGS="MY_OBSERVER.py -
 	@$(BIN)/python -m stillwork contest $(ARGS)
 
 test: $(READY) ## Style, types, unit tests, all notebooks, and what is committed against what they give now
-	$(BIN)/ruff check .
-	$(BIN)/ruff format --check .
-	$(BIN)/python -m mypy
-	$(UNDER_PINS) $(BIN)/python -m pytest $(UNIT) -n logical --dist loadfile
-	$(BIN)/python -m stillwork figures
-	rm -rf build/nbval
+	@mkdir -p build && rm -f $(SECONDS)
+	$(call part,style and types,$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/python -m mypy)
+	$(call part,unit tests,$(UNDER_PINS) $(BIN)/python -m pytest $(UNIT))
+	$(call part,build,$(BIN)/python -m stillwork figures)
 	@# The plugin lies in the package, so the package is imported before its types could be checked.
-	$(UNDER_PINS) STILLWORK_OUTPUT="$(CURDIR)/build/nbval" $(BIN)/python -m pytest notebooks \
+	$(call part,notebooks,rm -rf build/nbval && $(UNDER_PINS) STILLWORK_OUTPUT="$(CURDIR)/build/nbval" \
+		$(BIN)/python -m pytest notebooks \
 		-p no:nbval -p stillwork.workbook.nbval_check --jaxtyping-packages= --nbval --nbval-rerun $(RERUN) \
-		--nbval-current-env --nbval-cell-timeout 600 -n logical --dist loadfile
-	$(UNDER_PINS) $(BIN)/python -m pytest -p no:nbval tests/committed
+		--nbval-current-env --nbval-cell-timeout 600 -n logical --dist loadfile)
+	$(call part,what is committed,$(UNDER_PINS) $(BIN)/python -m pytest tests/committed \
+		-p no:nbval -p no:anyio -n logical --dist worksteal)
+	@awk '{ all += $$1; print } END { print all " s in all" }' $(SECONDS)
 
 quick: $(READY) ## The unit tests that take less than half a second of CPU each
-	$(UNDER_PINS) $(BIN)/python -m pytest $(UNIT) -m "not slow" -n logical --dist loadfile $(ARGS)
+	$(UNDER_PINS) $(BIN)/python -m pytest $(UNIT) -m "not slow" $(ARGS)
 
 course: $(READY) ## Run the solutions of the course's exercises
 	$(UNDER_PINS) $(BIN)/python -m pytest tests/site/test_course.py -p no:nbval -p no:anyio $(ARGS)

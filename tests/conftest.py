@@ -4,6 +4,9 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+import order
+import typecheck
+
 # As in `stillwork.__main__`: a second or two of every process that loads nbformat.
 sys.modules.setdefault("rfc3987_syntax", None)
 
@@ -14,8 +17,18 @@ settings.register_profile("search", deadline=None, derandomize=False)
 settings.load_profile("workbook")
 
 
+def pytest_collection_modifyitems(items):
+    items.sort(key=lambda item: order.rank(item.path))
+
+
 @pytest.fixture(autouse=True)
 def as_a_person(monkeypatch):
     """Tests look at this checkout's library as a person does, unless they say otherwise."""
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1] / "lib"))
     monkeypatch.delenv("STILLWORK_OUTPUT", raising=False)
+
+
+@pytest.fixture(autouse=True)
+def types_are_checked():
+    """Each test checks the types of all functions that it calls, whatever the tests before it called."""
+    typecheck.begin_again()

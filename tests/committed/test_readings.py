@@ -30,20 +30,22 @@ def test_they_are_of_these_axes_and_this_code(room):
         assert each.design == design(each.multiverse)
 
 
-@pytest.mark.parametrize("room", paths.ROOMS)
-def test_a_few_give_the_same_again(room):
+@pytest.mark.parametrize(
+    ("room", "multiverse"),
+    [pytest.param(room, each, id=each.study) for room in paths.ROOMS for each in studies(room)],
+)
+def test_a_few_give_the_same_again(room, multiverse):
     entries = load_entries(room)
-    for multiverse in studies(room):
-        (before,) = read_results([multiverse])
-        runs = calls_of(multiverse)
-        again = [list(runs)[k * (len(runs) - 1) // (AGAIN - 1)] for k in range(AGAIN)]
-        now = collect(multiverse, before.design, {at: compute(runs[at]) for at in again})
-        for at in again:
-            assert now.failures.get(at) == before.failures.get(at)
-            for entry in multiverse.entries:
-                value = before.values[entry][at]
-                room_for = 1e-12 + entries[entry].drift.width(value)
-                assert now.values[entry][at] == pytest.approx(value, rel=0, abs=room_for, nan_ok=True)
+    (before,) = read_results([multiverse])
+    runs = calls_of(multiverse)
+    again = [list(runs)[k * (len(runs) - 1) // (AGAIN - 1)] for k in range(AGAIN)]
+    now = collect(multiverse, before.design, {at: compute(runs[at]) for at in again})
+    for at in again:
+        assert now.failures.get(at) == before.failures.get(at)
+        for entry in multiverse.entries:
+            value = before.values[entry][at]
+            room_for = 1e-12 + entries[entry].drift.width(value)
+            assert now.values[entry][at] == pytest.approx(value, rel=0, abs=room_for, nan_ok=True)
 
 
 @pytest.mark.parametrize("room", paths.ROOMS)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from order import PLACES
 from stillwork.workbook.pinned import FILE, pins
 
 ROOT = Path(__file__).parents[2]
@@ -146,6 +147,30 @@ def test_the_tests_run_notebooks_under_the_settings_of_a_build(checkout):
     settings = set((checkout / "settings").read_text().splitlines())
     assert {f"{name}={value}" for name, value in pins().items()} <= settings
     assert f"STILLWORK_OUTPUT={checkout}/build/nbval" in settings
+
+
+def test_what_each_part_of_a_test_run_took_stands_at_its_end(checkout):
+    own = checkout / "own" / "bin"
+    own.mkdir(parents=True)
+    for name in ("python", "ruff"):
+        shutil.copy(checkout / "stub", own / name)
+    *_, last = parts = make(checkout, "ENVIRONMENT=own", "test").stdout.splitlines()[-6:]
+    seconds = [int(line.split(" s")[0]) for line in parts]
+    assert [line.partition(": ")[2] for line in parts[:-1]] == [
+        "style and types",
+        "unit tests",
+        "build",
+        "notebooks",
+        "what is committed",
+    ]
+    assert last == f"{sum(seconds[:-1])} s in all"
+    (own / "ruff").write_text("#!/bin/sh\nexit 1\n")
+    failed = make(checkout, "ENVIRONMENT=own", "test")
+    assert failed.returncode != 0 and "in all" not in failed.stdout
+
+
+def test_the_files_that_begin_first_are_there():
+    assert [file for file in PLACES if not file.is_file()] == []
 
 
 @pytest.mark.slow

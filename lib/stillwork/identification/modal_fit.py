@@ -342,15 +342,18 @@ class _Accelerance:
         self.goal = np.concatenate([goal.real, goal.imag])
         self.grounded = False  # then no rigid body is free, and a third term of the series takes its column
 
-    def columns(self, modes):
+    def columns(self, modes, derivatives=True):
         """Weighted columns, real above imaginary: rigid body, compliance, its growth, modes; and the modes' derivatives."""
         (frequency, damping), w = np.exp(modes)[:, :, None], self.omega
         loss = 2j * damping * frequency * w
         own = -(w**2) / (frequency**2 - w**2 + loss)
-        moved = own**2 / w**2
         fixed = -((w / w[-1]) ** np.array([[6 if self.grounded else 0], [2], [4]]))
         fixed[0] *= -1
-        parts = np.vstack([*fixed, own, moved * (2 * frequency**2 + loss), moved * loss]) * self.weight
+        parts = [*fixed, own]
+        if derivatives:
+            moved = own**2 / w**2
+            parts += [moved * (2 * frequency**2 + loss), moved * loss]
+        parts = np.vstack(parts) * self.weight
         stacked = np.hstack([parts.real, parts.imag]).T
         return np.split(stacked, [FIXED + modes.shape[1]], axis=1)
 
@@ -389,7 +392,7 @@ class _Accelerance:
     def extended(self, modes, settled):
         """The modes and of the settled poles those that lower the error most, one after the other."""
         both = np.hstack([modes, settled])
-        columns = self.columns(both)[0]
+        columns, _ = self.columns(both, derivatives=False)
         columns = np.column_stack([columns / np.linalg.norm(columns, axis=0), self.goal])
         gram = columns.T @ columns
         taken = list(range(FIXED + modes.shape[1]))
@@ -408,7 +411,7 @@ class _Accelerance:
 
     def pruned(self, modes, least):
         """Without the spurious modes, which go one by one."""
-        linear, _ = self.columns(modes)
+        linear, _ = self.columns(modes, derivatives=False)
         linear = linear / np.linalg.norm(linear, axis=0)
         while modes.size:
             standing = self._standing(modes, linear)

@@ -1,0 +1,35 @@
+"""The tests' own type checker: what it refuses, and from which call of a function on it trusts."""
+
+import numpy as np
+import pytest
+from jaxtyping import Float, TypeCheckError, jaxtyped
+
+import typecheck
+from stillwork.estimation.generalised_plant import low_pass
+
+
+@jaxtyped(typechecker=typecheck.check)
+def doubled(values: Float[np.ndarray, " n"], times: float = 2.0) -> Float[np.ndarray, " n"]:
+    return values if times < 0 else times * values if times else times * values[1:]
+
+
+def test_arguments_results_and_sizes_are_checked():
+    assert doubled(np.ones(3), 2)[0] == 2.0  # an int serves as a float
+    for arguments in ((np.ones((3, 3)),), ([1.0],), (np.ones(3), "2"), (np.ones(3), 0.0)):
+        with pytest.raises(TypeCheckError):
+            doubled(*arguments)
+
+
+def test_the_toolbox_is_checked():
+    with pytest.raises(TypeCheckError):
+        low_pass("10 Hz")
+
+
+def test_a_function_is_trusted_after_its_first_calls_and_checked_again_in_the_next_test():
+    for _ in range(2):
+        typecheck.begin_again()
+        with pytest.raises(TypeCheckError):
+            doubled([1.0])
+        for _ in range(typecheck.FIRST):
+            doubled(np.ones(3))
+        assert doubled([1.0], -1.0) == [1.0]
