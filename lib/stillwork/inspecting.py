@@ -23,13 +23,14 @@ from stillwork.signals.records import (
     stated_unit,
     unit_factor,
 )
+from stillwork.workbook.figures import HEADER, read_table
 from stillwork.workbook.notebooks import select
 from stillwork.workbook.reading import comments
 
-# What reads a machine of one's own from TOML, by room.
+# What reads a machine of one's own from TOML, by room, and the file to copy.
 MODELS = {
-    "isolation": ("experiments.isolation.twin", "load_twin"),
-    "fixedpoint": ("experiments.fixedpoint.oscillator", "load_oscillator"),
+    "isolation": ("experiments.isolation.twin", "load_twin", "rigid_body.toml"),
+    "fixedpoint": ("experiments.fixedpoint.oscillator", "load_oscillator", "oscillator.toml"),
 }
 
 # What a Python file must define to be a plant, with one coordinate or with several: functions with their numbers of
@@ -56,10 +57,39 @@ def inspect_file(name: str) -> str:
             raise InputError(f"{name}: this is a folder; name a file in it")
         raise InputError(f"{shown(name)}: no such file; give a CSV, MAT, NPZ, UFF, TOML or Python file")
     kinds = {".toml": _model, ".py": _plant}
-    lines = list(kinds.get(path.suffix.lower(), _data)(path))
+    own = _own(path)
+    lines = [f"{path.name}: {own}"] if own else list(kinds.get(path.suffix.lower(), _data)(path))
     if not _in_checkout() and any(line.startswith("for ") for line in lines):
         lines.append("these commands are run in a checkout of stillwork")
     return "\n".join(map(one_line, lines))
+
+
+def _own(path: Path) -> str:
+    """What a file that the workbook itself wrote or reads is, in a sentence; empty for other files."""
+    if path.suffix.lower() == ".csv":
+        with path.open(encoding="utf-8", errors="replace") as file:
+            first = file.readline().strip()
+        if tuple(first.split(",")) == HEADER:
+            table = read_table(path)
+            panels, points = len({panel for panel, _ in table}), sum(map(len, table.values()))
+            counted = (
+                f"{points} points of {len(table)} series in {panels} {'panel' if panels == 1 else 'panels'}"
+            )
+            notebook = "/".join(path.resolve().parts[-3:-1])
+            known = _in_checkout() and notebook in {each.name for each in select()}
+            again = f"; to build it anew: python -m stillwork figures {notebook} --force" if known else ""
+            return f"the numbers that the picture {path.stem}.png shows, {counted}{again}"
+        if first.startswith("# study "):
+            return "what the ledger's entries come to under each reading; see python -m stillwork claims --entry ID"
+    if path.name in ("published.toml", "readings.toml") and len(table := read_toml(path)) > 0:
+        room = next(iter(table))
+        if path.name == "readings.toml" and "studies" in table:
+            return f"the {len(table[room])} choices that the work of the room {room} leaves open; to try them: python -m stillwork readings {room}"
+        if room in paths.ROOMS:
+            return (
+                f"the published numbers of the room {room}; how they stand: python -m stillwork claims {room}"
+            )
+    return ""
 
 
 def _data(path: Path) -> Iterator[str]:
@@ -195,17 +225,23 @@ def _model(path: Path) -> Iterator[str]:
     if not _in_checkout():
         yield "whether it is a machine of the workbook, a checkout of stillwork can tell: run this there"
         return
-    lacking = []
-    for room, (module, function) in MODELS.items():
+    lacking = {}
+    for room, (module, function, _) in MODELS.items():
         try:
             getattr(import_module(module), function)(path)
         except InputError as error:
-            lacking.append(f"not a machine of the room {room}: {error}")
+            lacking[room] = error
         else:
             yield f"a machine of the room {room}: {module}.{function}({str(path)!r})"
             yield from _takers(path, room)
     if len(lacking) == len(MODELS):
-        yield from lacking
+        templates = {room: paths.data(room, name) for room, (_, _, name) in MODELS.items()}
+        meant = [room for room, file in templates.items() if table.keys() & read_toml(file).keys() - {"name"}]
+        if len(meant) == 1:
+            yield f"not a machine of the room {meant[0]}: {lacking[meant[0]]}"
+        else:
+            begin = " or ".join(file.relative_to(paths.root()).as_posix() for file in templates.values())
+            yield f"no machine that a notebook takes; begin with a copy of {begin}"
 
 
 def _command(notebook: str, settings: dict) -> str:

@@ -222,13 +222,30 @@ def test_the_front_page_is_seen_at_a_glance(browser, site):
 def test_on_a_phone_the_front_page_is_a_few_screens_and_a_work_begins_with_its_name(browser, site):
     browser.resize(NARROW)
     browser.open((site / "index.html").as_uri())
-    assert browser.run("return document.documentElement.scrollHeight") < 6 * 900
+    assert browser.run("return document.documentElement.scrollHeight") < 4000
     top = (
         "return [...document.querySelectorAll(arguments[0])].map((each) => each.getBoundingClientRect().top)"
     )
     names, heroes = browser.run(top, ".work h2"), browser.run(top, ".work .hero")
     assert len(names) == len(heroes) > 1
     assert all(name < hero for name, hero in zip(names, heroes, strict=True))
+
+
+def test_on_a_phone_readings_fit_the_page_with_words_to_read(browser, site):
+    browser.resize(NARROW)
+    browser.open((site / "readings/worstcase.html").as_uri())
+    off = """const limit = document.documentElement.clientWidth;
+      return [...document.querySelectorAll('.curve text, .curve .readings')].filter((each) => {
+        const box = each.getBoundingClientRect();
+        return box.left < 0 || box.right > limit || (each.tagName === "text" && box.height < 11.5);
+      }).map((each) => each.outerHTML.slice(0, 80))"""
+    assert browser.run("return document.querySelectorAll('.curve text').length") > 100
+    assert browser.run(off) == []
+    rows = browser.run("return [...document.querySelectorAll('.curve')].map((each) => each.offsetHeight)")
+    heights = browser.run(
+        "return [...document.querySelectorAll('.words')].map((each) => Number(each.getAttribute('height')))"
+    )
+    assert max(abs(row - height) for row, height in zip(rows, heights, strict=True)) < 1
 
 
 def test_on_a_phone_the_gallery_leaves_no_white_around_a_picture(browser, site):

@@ -14,7 +14,7 @@ from experiments.motion.designs import (
 from experiments.motion.machines import chain, published_noise, stage, stage_mass
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application, compensator, soft_sensor
-from stillwork.control.bandwidth import SIX_DB, PeakConstraint, make_loop, maximise_bandwidth
+from stillwork.control.bandwidth import SIX_DB, PeakConstraint, holds, make_loop, maximise_bandwidth
 from stillwork.control.loops import channel, closed_loop
 from stillwork.control.pid import Notch, PidFamily
 from stillwork.estimation.observer import kalman_observer
@@ -121,6 +121,24 @@ def test_a_logarithmic_grid_overstates_the_bandwidth():
     exact = stage_bandwidth("PID").design_hz
     coarse = [stage_bandwidth("PID", points=n, around=0, refine=False).design_hz for n in (200, 2000)]
     assert coarse[0] > coarse[1] >= exact - 1e-3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["PID", "MC", "AD"])
+def test_the_search_ends_where_looking_at_everything_at_every_step_ends(name):
+    """A scan so coarse that two or three other constraints stop the search on its way to the end."""
+    limits = [PeakConstraint(function) for function in DESIGNS[name].constraints]
+    loops = stage_loops(DESIGNS[name])
+    found = maximise_bandwidth(loops, FAMILY, limits, 20.0, 150.0, 3, tolerance_hz=0.01)
+    good, bad = 20.0, 85.0
+    while bad - good > 0.01:
+        middle = (good + bad) / 2
+        good, bad = (middle, bad) if holds(loops, FAMILY(middle), limits) else (good, middle)
+    assert found.design_hz == good
+    peaks = [
+        (loops[k].peak(FAMILY(bad), each.function), each.function, k) for each in limits for k in range(7)
+    ]
+    assert (found.peak, found.function, found.loop) == max(peaks)
 
 
 @pytest.mark.parametrize("hertz", [20.0, 30.0])

@@ -182,6 +182,32 @@ def test_a_foreign_kalman_filter_stands_where_ours_does(written):
 
 
 @pytest.mark.slow
+def test_an_observer_may_compile_itself_and_look_at_the_clock(told, written):
+    compiled = """
+    import time
+    import numba
+    import numpy as np
+    import scipy.linalg
+    from stillwork.base.kernels import kernel
+    @numba.njit
+    def twice(x):
+        return 2 * x
+    @kernel
+    def half(x):
+        return x / 2
+    class Observer:
+        def start(self, model, noise, sample_time):
+            self.n, self.began = len(model.a), time.perf_counter()
+        def step(self, input, measurement):
+            assert time.perf_counter() > self.began
+            return half(twice(np.full(self.n, 3.0)))
+    """
+    with ForeignObserver(written(compiled)) as observer:
+        observer.start([told[1:]])
+        assert observer.step([0], np.zeros((1, 1)), np.zeros((1, 1))).tolist() == [[3.0] * 4]
+
+
+@pytest.mark.slow
 def test_the_contest_goes_on_without_the_disqualified(written):
     bad = written(step_of("return np.full(self.n, np.nan)"), "hopeless.py")
     contest = run_contest("a test", 1, [bad], plants=("drive",), doubts=("none", "all 2 %"))

@@ -235,6 +235,26 @@ def test_entrants_fall_back_to_the_kalman_filter(scan):
         assert np.abs(found - plain).max(axis=(0, 2)) == pytest.approx(0, abs=1e-3 * size.min()), name
 
 
+@pytest.mark.slow
+def test_a_bank_that_holds_the_plant_is_the_filter_told_of_it(scan):
+    """Flexible frequencies on the fine grid, and off the coarse one."""
+    told = contests.prepare(scan, 0.05, rigid=False)
+    errors = np.zeros((len(scan.nominal.frequencies), 4))
+    errors[1:3, 0] = -0.03, 0.025
+    records = record_scans(scan, [errors], np.random.default_rng(3))
+    true = zoh_modes(perturbed(scan.nominal, errors), scan.step)
+    for factor in (1.0, 50.0):
+        process = factor * told.model.process
+        knowing = replace(told.model, a=true.a, b=true.b, g=true.b, process=process)
+        wanted = estimate(kalman_gains(knowing), records.u, records.y)
+        fine, coarse = (
+            contests.bank(told, 0.05, records.u, records.y, grid, factor) for grid in ((11, 5), (3, 3))
+        )
+        judged, size = slice(len(scan.shapes) // 2, None), np.abs(wanted).max(axis=2)
+        apart = [np.abs(each - wanted)[:, :, judged].max(axis=2) / size for each in (fine, coarse)]
+        assert apart[0].max() < 1e-3 < 1e-1 < apart[1].max()
+
+
 def test_the_rule_of_thumb_halves_the_sensor_noise_however_small_the_errors(scan):
     told = contests.prepare(scan, 0.05, rigid=False)
     records = contests.sample_scans(scan, 2, 4, 0.05, "ends", False)

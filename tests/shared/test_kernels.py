@@ -210,6 +210,13 @@ def test_a_file_of_the_cache_that_ends_too_early_is_compiled_anew(fresh, tmp_pat
     assert misses(outer) + misses(inner) == 0
 
 
+def test_a_constant_in_a_call_compiles_no_kernel_of_its_own(fresh):
+    inner, _ = fresh()
+    caller = numba.njit(lambda number: inner(2) + inner(3) + inner(number))
+    assert caller(4) == 18
+    assert len(inner.overloads) == 1
+
+
 @pytest.mark.slow
 def test_changed_machine_code_is_not_run(fresh, tmp_path):
     inner, _ = fresh()

@@ -1,6 +1,7 @@
 """The commands for one's own data and one's own result."""
 
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -393,6 +394,61 @@ def test_a_machine_is_recognised_by_the_room_that_reads_it(tmp_path):
     report = inspect_file(str(broken))
     assert "not a machine of the room isolation: rig.toml" in report
     assert "stillwork figures" not in report
+
+
+@pytest.mark.parametrize(
+    ("file", "said"),
+    [
+        (
+            "figures/isolation/02-convergence/fig-5.csv",
+            "fig-5.csv: the numbers that the picture fig-5.png shows, {points} points of {series} series in 2 panels; "
+            "to build it anew: python -m stillwork figures isolation/02-convergence --force",
+        ),
+        (
+            "data/motion/published.toml",
+            "published.toml: the published numbers of the room motion; how they stand: python -m stillwork claims motion",
+        ),
+        (
+            "data/fixedpoint/readings.toml",
+            "readings.toml: the {choices} choices that the work of the room fixedpoint leaves open; "
+            "to try them: python -m stillwork readings fixedpoint",
+        ),
+        (
+            "data/worstcase/readings.csv",
+            "readings.csv: what the ledger's entries come to under each reading; see python -m stillwork claims --entry ID",
+        ),
+    ],
+)
+def test_a_file_of_the_workbook_s_own_gets_one_answer(file, said):
+    text = (paths.root() / file).read_text(encoding="utf-8")
+    rows = [line.split(",") for line in text.splitlines()[1:]]
+    counts = {
+        "points": len(rows),
+        "series": sum(bool(row[1]) for row in rows if len(row) > 1),
+        "choices": len(re.findall(r"^question = ", text, re.MULTILINE)),
+    }
+    assert inspect_file(str(paths.root() / file)) == said.format(**counts)
+
+
+def test_a_table_copied_elsewhere_names_no_notebook_and_a_harmed_one_its_line(tmp_path):
+    file = tmp_path / "a.csv"
+    file.write_text("panel,series,x,y,z\np,s,1,2,\n")
+    assert (
+        inspect_file(str(file))
+        == "a.csv: the numbers that the picture a.png shows, 1 points of 1 series in 1 panel"
+    )
+    file.write_text("panel,series,x,y,z\np,s,1,2,\np,s,1,two,\n")
+    with pytest.raises(InputError, match="line 3 is no row"):
+        inspect_file(str(file))
+
+
+def test_a_toml_file_that_is_no_machine_gets_one_answer():
+    report = inspect_file(str(paths.data("motion", "beam.toml")))
+    assert report.splitlines()[-1] == (
+        "no machine that a notebook takes; begin with a copy of data/isolation/rigid_body.toml "
+        "or data/fixedpoint/oscillator.toml"
+    )
+    assert "not a machine" not in report
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """The site's files, checked without a browser: links, escaping, places, completeness."""
 
 import io
+import itertools
 import json
 import re
 from collections import Counter
@@ -174,7 +175,20 @@ def test_the_front_page_shows_each_work_by_its_picture_and_what_came_out(files):
     for work in works().values():
         assert f"thumbnails/{work['hero']}.webp" in pictures
         assert all(each["says"] in text for each in work["found"])
+        assert work["by"] in text
         assert work["builder"] in text
+
+
+def test_what_came_out_is_a_sentence_that_the_readings_end(files):
+    lines = paths.data("isolation", "readings.csv").read_text(encoding="utf-8").splitlines()
+    name = "isolation.convergence.faster-each"
+    (head,) = [number for number, line in enumerate(lines) if name in line.split(",")]
+    rows = list(itertools.takewhile(lambda line: line[:1].isdigit(), lines[head + 1 :]))
+    assert {line.split(",")[lines[head].split(",").index(name)] for line in rows} == {"1"}
+    text = re.sub(r"<[^>]*>", "", files["index.html"].decode())
+    assert (
+        f"Here: {works()['isolation']['found'][0]['says']} under every one of {len(rows)} readings, " in text
+    )
 
 
 def test_a_thumbnail_is_a_small_copy_of_its_picture(files):
@@ -221,7 +235,9 @@ def test_every_page_describes_itself(files):
 def test_how_a_statement_stands_is_told_by_its_readings_else_by_its_verdict():
     entry = Entry("room.fig-1.a", "Fig. 1", "time", "s", "value", 2.0, Tolerance("digits", relative=0.1))
     claim = Claim(entry, 4.0)
-    assert stands(claim, None) == "deviates, here 4 s"
+    assert stands(claim, None) == "not here (4 s)"
+    assert stands(Claim(entry, 2.1), None) == "here, too"
+    assert stands(Claim(entry, None), None) == "not built"
     assert class_of(None) == "not tried"
     for agreeing, words, name in (
         (4, "under every one of 4 readings", "holds"),

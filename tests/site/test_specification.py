@@ -48,7 +48,10 @@ def test_values_rise_from_left_to_right_and_colours_tell_who_agrees():
 def test_below_each_value_stand_the_options_that_gave_it():
     drawn = curve()
     names = [name for _, name, _ in drawn.options]
-    assert names == ["scale: 1.0", "scale: 2.0 (taken)", "scale: 4.0", "sign: up (taken)", "sign: down"]
+    assert names == ["1.0", "2.0", "4.0", "up", "down"]
+    assert [name for _, name in drawn.axes] == ["scale, 2.0 taken", "sign, up taken"]
+    heights = [y for y, *_ in drawn.options]
+    assert drawn.axes[0][0] < heights[0] < heights[2] < drawn.axes[1][0] < heights[3]
     columns = sorted(x for path in drawn.dots.values() for x, _ in places(path))
     on = {
         name: sorted(columns.index(x) for path in paths.values() for x, _ in places(path))

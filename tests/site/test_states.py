@@ -234,6 +234,21 @@ def test_what_does_not_fit_has_fewer_pictures_or_says_so(explorer, monkeypatch):
     assert compute("a") == {"reason": "its pictures take more than 2 kB"}
 
 
+def test_what_takes_long_has_fewer_pictures(explorer, monkeypatch):
+    """A clock that runs a second a picture: 45 of them are too few for all stops, and enough for forty."""
+    drawn = []
+
+    def draw(x):
+        drawn.append(x)
+        return paint(x=x)
+
+    explorer(draw)
+    monkeypatch.setattr(states_of.time, "process_time", lambda: len(drawn))
+    monkeypatch.setattr(states_of, "LONGEST_S", 45.0)
+    assert 20 < compute("a")["count"] <= 40
+    assert len(drawn) < 100
+
+
 def test_what_takes_long_or_fails_says_so(explorer, monkeypatch):
     explorer(lambda x: 1 / x)
     assert compute("a") == {

@@ -24,7 +24,7 @@ FIG_2 = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("study", ["identification", "tracking"])
+@pytest.mark.parametrize("study", ["identification", "tracking", "updates"])
 def test_without_leaving_anything_out_the_defaults_give_what_the_notebooks_gave(study):
     require_accepted("worstcase", study)
 

@@ -5,6 +5,7 @@ import warnings
 
 import cvxpy
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -329,6 +330,36 @@ def test_it_stands_in_a_search_and_in_a_pickle():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    "estimator", [LeastMeanSquares(), RecursiveLeastSquares(), MinMaxRegressor(0.1)], ids=repr
+)
+def test_a_frame_with_other_columns_is_refused(estimator):
+    X = pd.DataFrame(np.random.default_rng(31).standard_normal((50, 2)), columns=["drive", "floor"])
+    fitted = clone(estimator).fit(X, X["drive"])
+    assert fitted.feature_names_in_.tolist() == ["drive", "floor"]
+    learned = fitted.coef_.copy()
+    for call in (fitted.predict, lambda table: fitted.score(table, X["drive"])):
+        with pytest.raises(InputError, match=r"floor, drive: The feature names should match.*drive, floor"):
+            call(X[["floor", "drive"]])
+    with pytest.raises(InputError, match="in this order"):
+        fitted.partial_fit(X[["floor", "drive"]], X["drive"])
+    assert np.array_equal(fitted.coef_, learned)
+    assert np.array_equal(fitted.predict(X), fitted.predict(X.to_numpy()))
+    assert not hasattr(fitted.fit(X.to_numpy(), X["drive"]), "feature_names_in_")
+
+
+@pytest.mark.parametrize(
+    "estimator", [LeastMeanSquares(), RecursiveLeastSquares(), MinMaxRegressor(0.1)], ids=repr
+)
+def test_what_a_frame_calls_missing_is_lost(estimator):
+    X = pd.DataFrame(np.random.default_rng(32).standard_normal((50, 2)), columns=["drive", "floor"])
+    y = X @ [3.0, -5.0]
+    X.iloc[5, 0] = y[7] = np.nan
+    missing = X.convert_dtypes(), y.convert_dtypes()
+    assert missing[0].iloc[5, 0] is pd.NA
+    assert np.array_equal(clone(estimator).fit(*missing).coef_, clone(estimator).fit(X, y).coef_)
+
+
 def test_it_needs_no_scikit_learn():
     script = (
         "import sys; sys.modules['sklearn'] = None\n"

@@ -117,9 +117,16 @@ def _hold_each(matrix, forgetting, levels, runs):
     """`hold_covariance` of every run, by copies: it is rare."""
     count = len(matrix)
     one, limits, work = np.empty((count, count)), np.empty((3, count)), np.empty(count)
+    # In loops: slices would triple the time to compile.
     for run in range(runs):
-        one[:] = matrix[:, run::runs]
-        limits[:] = levels[:, run::runs]
+        for i in range(count):
+            for row in range(count):
+                one[row, i] = matrix[row, i * runs + run]
+            for row in range(len(limits)):
+                limits[row, i] = levels[row, i * runs + run]
         hold_covariance(TRIANGLE, one, forgetting, limits, work, work, 0)
-        matrix[:, run::runs] = one
-        levels[:, run::runs] = limits
+        for i in range(count):
+            for row in range(count):
+                matrix[row, i * runs + run] = one[row, i]
+            for row in range(len(limits)):
+                levels[row, i * runs + run] = limits[row, i]

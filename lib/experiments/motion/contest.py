@@ -73,16 +73,18 @@ def hinfinity(contest: Contest, ratio: float, u, y):
     return estimate(hinfinity_gains(contest.model, wanted, level), u, y)
 
 
-def bank(contest: Contest, spread: float, u, y):
-    """Nine Kalman filters: the first two flexible frequencies off by -`spread`, 0 and `spread`."""
+def bank(contest: Contest, spread: float, u, y, grid=(3, 3), factor: float = 1.0):
+    """Kalman filters on a grid of the first two flexible frequencies, off by up to `spread`, with Q times `factor`."""
     nominal = contest.scan.nominal
     models = []
-    for first in (-spread, 0.0, spread):
-        for second in (-spread, 0.0, spread):
-            errors = np.zeros((len(nominal.frequencies), 4))
-            errors[1:3, 0] = first, second
-            sampled = zoh_modes(perturbed(nominal, errors), contest.scan.step)
-            models.append(replace(contest.model, a=sampled.a, b=sampled.b, g=sampled.b))
+    for place in np.ndindex(grid):
+        errors = np.zeros((len(nominal.frequencies), 4))
+        errors[1:3, 0] = [
+            spread * np.linspace(-1, 1, points)[k] for points, k in zip(grid, place, strict=True)
+        ]
+        sampled = zoh_modes(perturbed(nominal, errors), contest.scan.step)
+        process = factor * contest.model.process
+        models.append(replace(contest.model, a=sampled.a, b=sampled.b, g=sampled.b, process=process))
     return bank_estimate(models, u, y).states
 
 

@@ -54,7 +54,7 @@ def stage_observer(
 ) -> Observer:
     """Observer of the stage for the measured mass `position` (1 to 7), reduced as in section 3.1."""
     if plant is None:
-        return _published_observer(position, noise or published_noise(), noise_model)
+        return _published_observer(position, noise, noise_model)
     if require_count("position", position) > len(plant.output_shapes):
         raise InputError(f"position is {position}; the stage has masses 1 to {len(plant.output_shapes)}")
     reduced = truncate(plant.at([0], [position - 1]), RETAINED, COMPENSATED)
@@ -62,7 +62,7 @@ def stage_observer(
 
 
 @lru_cache(maxsize=128)  # studies vary what is done with the estimates, or the loops, far more often
-def _published_observer(position: int, noise: NoiseIntensities, noise_model: float | None) -> Observer:
+def _published_observer(position: int, noise: NoiseIntensities | None, noise_model: float | None) -> Observer:
     return stage_observer(position, noise, noise_model, stage())
 
 

@@ -251,6 +251,44 @@ def among_best(errors: np.ndarray, margin: float = 1.02, level: float = 0.99) ->
     return np.apply_along_axis(lambda runs: mean_interval(runs, level)[0] <= np.log(margin), -2, behind)
 
 
+DOUBTED = (
+    "noise 0.5, 0.05",
+    "noise 0.5, 0.5",
+    "gain 0.8",
+    "coloured input noise",
+)  # too large an input is measured
+
+
+def statements(found: dict[str, np.ndarray]) -> dict[str, float]:
+    """What a map by `compare` of all `SETTINGS` says of min-max and of least squares, by the ledger's names."""
+    errors, names, methods = found["errors"], list(SETTINGS), list(METHODS)
+    minmax, least, total, hinfinity = (methods.index(m) for m in ("min_max", "least", "total", "hinfinity"))
+    behind, level = over_best(errors), among_best(errors)
+    worst = found["worst"] / found["worst"][..., minmax, None] - 1
+    others = np.delete(behind, least, axis=-1).max(axis=(0, 1))
+    doubtful = errors[[names.index(name) for name in DOUBTED]]
+    return {
+        "criterion": float(np.mean(worst.min(axis=-1) > -1e-9)),
+        "criterion-least-squares": float(np.median(np.median(worst[..., least], axis=-1))),
+        "level": float(level[..., minmax].mean()),
+        "level-least-squares": float(level[..., least].mean()),
+        "largest": float(behind[..., minmax].max()),
+        "largest-least-squares": float(behind[..., least].max()),
+        "least-squares-safest": float(np.mean(others > behind[..., least].max())),
+        "hinfinity": float(np.mean(behind[..., minmax] < behind[..., hinfinity])),
+        "errors-in-variables": float(np.mean(behind[..., minmax] < behind[..., total])),
+        "noise-dominates": float(level[names.index("noise 0.1, 3"), :, minmax].mean()),
+        "doubt-dominates": float(np.mean(doubtful[..., minmax] >= doubtful[..., least])),
+    }
+
+
+def statements_at(*, map_taps: int, map_memory: int, seed: int, lean: bool) -> dict[str, float]:
+    """`statements` with other filters and records (``readings.toml``); the lean form has 16 records a cell, not 32."""
+    # seeds count cells, so that those of another map must be far away
+    found = compare(SETTINGS, 16 if lean else 32, seed, map_taps, 4 * map_memory, 1 - 1 / map_memory)
+    return {f"worstcase.comparison.{name}": value for name, value in statements(found).items()}
+
+
 def recommend(errors: np.ndarray) -> np.ndarray:
     """For every setting the method whose error, over the best one's, is smallest with the excitation that is worst for it."""
     return over_best(errors).max(axis=-2).argmin(axis=-1)

@@ -1,6 +1,6 @@
-"""A measured case: one accelerometer of a structure predicted from another, both noisy."""
+"""Measured cases: an accelerometer predicted from another, both noisy, and from the force of hammer blows."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -27,17 +27,15 @@ METHODS = (
 
 @dataclass(frozen=True)
 class MeasuredPair:
-    """Two accelerations of one structure, band-passed alike, and their sensor noise."""
+    """Two channels of one structure, band-passed alike, and the noise of the input's sensor."""
 
-    # input, output: accelerations in m/s^2; band-passed to `band_hz`, so that the offsets and drifts of the
-    # sensors are gone
+    # acceleration or force (m/s^2, N), and acceleration; band-passed to `band_hz`, so that the offsets and drifts of
+    # the sensors are gone
     input: Float64[np.ndarray, " samples"]
     output: Float64[np.ndarray, " samples"]
     sample_rate: float  # Hz
     band_hz: tuple[float, float]  # pass band
-    # standard deviation of the input's sensor noise in the band, m/s^2: the density between 300 and 600 Hz,
-    # where the two channels are incoherent, taken as white over the band
-    noise: float
+    noise: float  # standard deviation of the input's sensor noise, taken as white over the band
 
     def typical_bound(self, taps: int, forgetting: float) -> float:
         """Norm of the weighted perturbation that noise of this band has; for white noise that of `noise_bound`.
@@ -72,6 +70,44 @@ def load_pair(
     noise = float(np.sqrt(power[still].mean() * (band_hz[1] - band_hz[0])))
     spectra = {"frequency": frequency, "input": power, "output": other, "coherence": coherence}
     return MeasuredPair(quiet, loud, rate, tuple(band_hz), noise), spectra
+
+
+def load_blows(thinning: int = 8) -> list[MeasuredPair]:
+    """The shipped hammer blows on a light structure, force and acceleration, one of so many samples kept of 25.6 kHz.
+
+    A blow lasts a millisecond: what the force sensor shows in the second half of its record is noise.
+    """
+    file = paths.data("motion", "impact_frf_25k6/impact_hammer_5_hits.npz")
+    with np.load(file, allow_pickle=False) as archive:
+        force, answer = (
+            signal.decimate(archive[name], thinning, ftype="fir") for name in ("force_n", "accel_m_s2")
+        )
+        rate = float(archive["fs_hz"]) / thinning
+    noise = float(np.median(force[:, force.shape[1] // 2 :].std(axis=1)))
+    return [MeasuredPair(*blow, rate, (0.0, rate / 2), noise) for blow in zip(force, answer, strict=True)]
+
+
+def blow_trial(
+    rng: np.random.Generator, blows: list[MeasuredPair], taps: int, length: int, noisier: float
+) -> dict[str, Float64[np.ndarray, " pairs"]]:
+    """An FIR model from each blow predicts the others, by a force sensor that noise makes `noisier` times as noisy.
+
+    By method: rms residual over rms output on the first `length` samples, for all ordered pairs of blows.
+    """
+    noise = blows[0].noise
+    added = noise * np.sqrt(require_number("noisier", noisier, at_least=1.0) ** 2 - 1)
+    windows = [
+        (fir_regressors(each.input + added * rng.standard_normal(len(each.input)), taps), each.output)
+        for each in blows
+    ]
+    windows = [(regressors[:, :length].T, output[:length]) for regressors, output in windows]
+    found = {name: [] for name, *_ in METHODS}
+    for number, (matrix, target) in enumerate(windows):
+        models = _estimates(matrix, target, replace(blows[0], noise=noisier * noise))
+        for other, (later, goal) in enumerate(windows):
+            for name, estimate in models.items() if other != number else ():
+                found[name].append(np.linalg.norm(goal - later @ estimate) / np.linalg.norm(goal))
+    return {name: np.array(values) for name, values in found.items()}
 
 
 def loudest_band(values: np.ndarray, sample_rate: float, width_hz: float = 8.0) -> tuple[float, float, float]:

@@ -37,7 +37,19 @@ def _compiled(function, **options):
     compiled = numba.njit(**FLAGS, **options)(function)
     if not numba.config.DISABLE_JIT:
         KernelCache(function).serve(compiled)
+        _take_constants_as_numbers(compiled)
     return compiled
+
+
+def _take_constants_as_numbers(compiled):
+    """A constant in a call has a type of its own for numba: the kernel would be compiled once more for each."""
+    template_of = compiled.get_call_template
+
+    def get_call_template(arguments, options):
+        plain = tuple(numba.types.unliteral(each) for each in arguments)
+        return template_of(plain, {name: numba.types.unliteral(each) for name, each in options.items()})
+
+    compiled.get_call_template = get_call_template
 
 
 @cache

@@ -299,15 +299,26 @@ Violation = tuple[str, int, Peak]  # function or "stability", number of the loop
 def _bisected(
     loops, family, constraints, good: float, bad: float, stopped: Violation, tolerance_hz: float, refine: bool
 ) -> Bandwidth:
-    """The end of the feasible interval between a design that is and one that is not."""
+    """The end of the feasible interval between a design that is and one that is not.
+
+    Only what stopped a design so far is looked at on the way, the whole of it at the end; what is found there is
+    looked at from then on, too.
+    """
     resolved = max(require_number("tolerance_hz", tolerance_hz, above=0.0), np.spacing(bad))
-    while bad - good > resolved:
-        middle = (good + bad) / 2
-        found = _violation(loops, family(middle), constraints, refine)
+    watched = {stopped[:2]}
+    feasible, first = good, bad
+    while True:
+        good, bad = feasible, first
+        while bad - good > resolved:
+            middle = (good + bad) / 2
+            found = _violation(loops, family(middle), constraints, refine, watched)
+            good, bad = (middle, bad) if found is None else (good, middle)
+        found = None if good == feasible else _violation(loops, family(good), constraints, refine)
         if found is None:
-            good = middle
-        else:
-            bad, stopped = middle, found
+            break
+        watched.add(found[:2])
+    if bad < first:
+        stopped = _violation(loops, family(bad), constraints, refine) or stopped
     controller = family(good)
     crossings = np.array([loop.crossing_hz(controller) for loop in loops])
     return Bandwidth(float(good), crossings, controller, *stopped)
@@ -376,17 +387,22 @@ def _still(loop: Loop, constraint: PeakConstraint, place: slice, controller: Pid
 
 
 def _violation(
-    loops: Sequence[Loop], controller: Pid, constraints: Sequence[PeakConstraint], refine: bool
+    loops: Sequence[Loop],
+    controller: Pid,
+    constraints: Sequence[PeakConstraint],
+    refine: bool,
+    watched: set[tuple[str, int]] | None = None,
 ) -> Violation | None:
-    """The constraint that is exceeded most, or the loop that is unstable, or None.
+    """The constraint that is exceeded most, or the loop that is unstable, or None; of the `watched` ones alone.
 
     Of constraints that are exceeded equally, but for rounding, the first of the first loop: without an observer
     S_I and S_O are one function.
     """
     worst, excess = None, 1.0
     for number, loop in enumerate(loops):
-        response = loop.at(controller)
-        for constraint in constraints:
+        asked = [each for each in constraints if watched is None or (each.function, number) in watched]
+        response = loop.at(controller) if asked else None
+        for constraint in asked:
             name = constraint.function
             magnitude = np.abs(getattr(response, name))
             if magnitude.max() < 0.97 * constraint.limit * excess:  # no peak grows by 3 % between grid points
@@ -405,6 +421,8 @@ def _violation(
     if worst is not None:
         return worst
     for number, loop in enumerate(loops):
+        if watched is not None and ("stability", number) not in watched:
+            continue
         poles = loop.poles(controller)
         if np.any(poles.real >= 0):
             return "stability", number, Peak(np.inf, float(np.abs(poles[poles.real.argmax()].imag)))

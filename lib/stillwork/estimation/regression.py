@@ -3,6 +3,8 @@
 They need no scikit-learn, and stand in its pipelines and searches where there is one.
 
 A sample with NaN in it (a feature or an output) is lost: time passes, so that forgetting forgets, and nothing is learned.
+Of a data frame the names of the columns are kept in `feature_names_in_`; a later frame with other names, or the same in
+another order, is refused.
 Complex data are turned into twice as many real rows and coefficients, [Re x, -Im x] and [Im x, Re x] for a sample x;
 this keeps every norm, so that each of the three criteria is the complex one.
 """
@@ -67,11 +69,11 @@ class _LinearRegressor:
 
     def predict(self, X):
         """Outputs for X, shaped as `y` was; NaN for a sample with NaN."""
-        return self._table("X", X, self._fitted().n_features_in_) @ self.coef_.T
+        return self._features(X, anew=False) @ self.coef_.T
 
     def score(self, X, y, sample_weight=None):
         """Coefficient of determination 1 - |y - prediction|^2 / |y - mean|^2, its mean over the outputs."""
-        X, y, weights = self._samples(X, y, sample_weight, self._fitted().n_features_in_)
+        X, y, weights = self._samples(X, y, sample_weight, anew=False)
         used = ~_lost(X, y)
         if not weights[used].any():
             raise _nothing()
@@ -98,7 +100,8 @@ class _LinearRegressor:
         raise NotImplementedError
 
     def _learn(self, X, y, sample_weight, anew):
-        X, targets, weights = self._samples(X, y, sample_weight, None if anew else self.n_features_in_)
+        names = _column_names(X)
+        X, targets, weights = self._samples(X, y, sample_weight, anew=anew)
         single, lost = np.asanyarray(y).ndim == 1, _lost(X, targets)
         if anew and lost.all():
             raise _nothing()
@@ -119,6 +122,10 @@ class _LinearRegressor:
         if self.complex_data:
             found = found[:, : X.shape[1]] + 1j * found[:, X.shape[1] :]
         self._state, self.n_features_in_ = state, X.shape[1]
+        if anew:
+            vars(self).pop("feature_names_in_", None)
+            if names is not None:
+                self.feature_names_in_ = names
         self.coef_ = found[0].copy() if single else found.copy()  # a reader may change it
         return self
 
@@ -131,9 +138,9 @@ class _LinearRegressor:
             NotFittedError = InputError
         raise NotFittedError(f"{type(self).__name__} has learned nothing yet; call fit or partial_fit first")
 
-    def _samples(self, X, y, sample_weight, features):
+    def _samples(self, X, y, sample_weight, anew):
         # X, outputs as columns, and a weight for each sample
-        X = self._table("X", X, features)
+        X = self._features(X, anew)
         if y is None:
             raise InputError(
                 f"{type(self).__name__} requires y to be passed, but the target y is None; give it"
@@ -148,6 +155,17 @@ class _LinearRegressor:
             raise InputError("sample_weight holds a negative number; give weights of zero or above")
         return X, y, weights
 
+    def _features(self, X, anew):
+        if anew:
+            return self._table("X", X)
+        known, names = getattr(self._fitted(), "feature_names_in_", None), _column_names(X)
+        if known is not None and names is not None and not np.array_equal(known, names):
+            raise InputError(
+                f"X has the columns {', '.join(names)}: The feature names should match those that were passed during fit; "
+                f"give {', '.join(known)}, in this order"
+            )
+        return self._table("X", X, self.n_features_in_)
+
     def _table(self, name, value, features=None):
         # numbers of any form as a matrix, in which NaN may stand
         if hasattr(value, "toarray"):
@@ -157,8 +175,10 @@ class _LinearRegressor:
         )
         try:
             given = np.asanyarray(value)
-            if given.dtype.kind == "O":
-                given = given.astype(dtype)
+            if given.dtype.kind == "O":  # a frame's own conversion knows its missing values
+                given = (
+                    value.to_numpy(dtype, na_value=np.nan) if hasattr(value, "iloc") else given.astype(dtype)
+                )
         except (TypeError, ValueError, OverflowError) as error:
             raise _NotNumbers(f"{name} is no table of numbers ({error}); give a rectangular array") from None
         if given.dtype.kind == "c" and dtype.kind != "c":
@@ -490,6 +510,14 @@ def _record(rows, outputs) -> tuple:
 
 def _interleaved(first, second) -> np.ndarray:
     return np.stack([first, second], axis=1).reshape(-1, first.shape[1])
+
+
+def _column_names(X) -> np.ndarray | None:
+    # of a data frame whose columns all have names, as scikit-learn keeps them
+    names = getattr(X, "columns", None)
+    if names is None or not all(isinstance(name, str) for name in names):
+        return None
+    return np.asarray(names, dtype=object)
 
 
 def _lost(X, y) -> np.ndarray:

@@ -71,9 +71,8 @@ def kalman_gains(model: TimeVaryingModel) -> FilterGains:
     covariance = np.empty((samples, states, states))
     gain[0], covariance[0] = 0.0, model.initial_covariance
     colour, whiten = np.linalg.cholesky(model.process), np.linalg.inv(np.linalg.cholesky(model.sensor))
-    a, g, c = (np.ascontiguousarray(x) for x in (model.a, model.g, model.c))
-    _kalman_kernel(states, outputs)(a, g, c, colour, whiten, gain, covariance)
-    return FilterGains(model.a, model.b, gain, c, covariance)
+    _kalman_kernel(states, outputs)(model.a, model.g, model.c, colour, whiten, gain, covariance)
+    return FilterGains(model.a, model.b, gain, model.c, covariance)
 
 
 @checked(missing=True)
@@ -154,7 +153,7 @@ def _penalised(model: TimeVaryingModel, rows, penalty, m) -> FilterGains:
     forward, onward, gain, covariance = out
     covariance[0] = model.initial_covariance
     _gains(step_data(model, rows, turn), penalty, noise, *out)
-    return FilterGains(forward, onward, gain @ turn, np.ascontiguousarray(model.c), covariance)
+    return FilterGains(forward, onward, gain @ turn, model.c, covariance)
 
 
 @cache

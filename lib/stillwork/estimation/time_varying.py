@@ -78,13 +78,16 @@ class FilterGains:
 
     @checked
     def __post_init__(self):
-        for name in ("gain", "covariance"):
-            value = getattr(self, name)
-            if isinstance(value, np.ndarray) and value.dtype.kind == "f":
-                require_finite_run(
-                    f"the filter's {name}", value, "rescale the model, its noises or the penalty"
-                )
-        check_fields(self)
+        try:
+            check_fields(self)
+        except InputError:
+            for name in ("gain", "covariance"):
+                value = getattr(self, name)
+                if isinstance(value, np.ndarray) and value.dtype.kind == "f":
+                    require_finite_run(
+                        f"the filter's {name}", value, "rescale the model, its noises or the penalty"
+                    )
+            raise
 
     @property
     def samples(self) -> int:

@@ -8,14 +8,15 @@ from stillwork.workbook.readings.axes import load_axes
 from stillwork.workbook.readings.judging import Standing
 from stillwork.workbook.readings.results import Outcomes, read_results
 
-WIDTH, LEFT, TOP = 720, 250, 10
+WIDTH, TOP = 460, 10  # of the values and dots; a page stretches the width to what it has
 HEIGHT, ROW = 120, 15  # of the values; of an option
+LETTER = 7  # width of one in the words beside them
 SPREAD = 30.0  # largest over smallest value from which on the scale is logarithmic
 
 
 @dataclass(frozen=True)
 class Curve:
-    """What the template draws of an entry, in SVG units.
+    """What the template draws of an entry, in SVG units: words in one picture and, beside it, what they tell of.
 
     Attributes
     ----------
@@ -30,6 +31,8 @@ class Curve:
         Height of the published value; None where there is none, or it lies beyond all values.
     band : tuple of float or None
         Top and height of what agrees with it, inside the picture.
+    axes : tuple of (float, str)
+        Height and name of each axis, which stands above its options.
     options : tuple of (float, str, dict of str to str)
         Height and name of each option, and paths as of `dots` where it was on.
     height : float
@@ -41,10 +44,16 @@ class Curve:
     ticks: tuple[tuple[float, str], ...]
     published: float | None
     band: tuple[float, float] | None
+    axes: tuple[tuple[float, str], ...]
     options: tuple[tuple[float, str, dict[str, str]], ...]
     height: float
     width: int = WIDTH
-    left: int = LEFT
+
+    @property
+    def words(self) -> int:
+        """Width of the longest word beside the dots."""
+        beside = [text for _, text in self.ticks] + [text for _, text, _ in self.options]
+        return 10 + LETTER * max(map(len, beside))
 
 
 def curves(room: str, standings: dict[str, Standing]) -> list[Curve]:
@@ -67,27 +76,26 @@ def _curve(study: Outcomes, standing: Standing) -> Curve:
     kinds = np.where(standing.agrees[points].mean(axis=1) >= 0.5, "agrees", "differs")
     if standing.agree is None:
         kinds[:] = "open"
-    x = LEFT + (np.arange(len(points)) + 0.5) * (WIDTH - LEFT - 10) / len(points)
+    x = (np.arange(len(points)) + 0.5) * WIDTH / len(points)
     scale, ticks, published, band = _scale(standing, standing.values[points])
     low, high = (scale(pick(standing.values[points], axis=1)) for pick in (np.nanmin, np.nanmax))
     ranges = "".join(f"M{a:.1f} {b:.1f}V{c:.1f}" for a, b, c in zip(x, low, high, strict=True))
 
     touching = {axis.name for axis in standing.axes}
-    options, y = [], TOP + HEIGHT + 18.0
+    axes, options, y = [], [], TOP + HEIGHT + 18.0
     for column, axis in enumerate(study.multiverse.axes):
         if axis.name not in touching:
             continue
         places = np.array([study.design[point][column] for point in points])
+        axes.append((y, f"{axis.name}, {axis.texts[axis.default_index]} taken"))
+        y += ROW
         for place, text in enumerate(axis.texts):
-            name = f"{axis.name}: {text}{' (taken)' if place == axis.default_index else ''}"
-            options.append(
-                (y, name if len(name) < 40 else name[:39] + "…", _paths(x, y, kinds, places == place))
-            )
+            options.append((y, text, _paths(x, y, kinds, places == place)))
             y += ROW
         y += ROW / 2
     dots = _paths(x, scale(middle), kinds, np.ones(len(points), bool))
     ranged = ranges if standing.values.shape[1] > 1 else ""
-    return Curve(standing, dots, ranged, ticks, published, band, tuple(options), y)
+    return Curve(standing, dots, ranged, ticks, published, band, tuple(axes), tuple(options), y)
 
 
 def _scale(standing: Standing, values: np.ndarray):

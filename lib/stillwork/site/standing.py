@@ -1,15 +1,19 @@
 """How a published statement stands, in a few words: over the readings of what the work leaves open, or as built."""
 
-from stillwork.workbook.claims import Claim
+from stillwork.workbook.claims import AGREEMENT, Claim
 from stillwork.workbook.readings.judging import Standing
 from stillwork.workbook.report import our_quantity
 
 
 def stands(claim: Claim, standing: Standing | None) -> str:
-    """Under how many readings a claim agrees; its verdict and value where no readings were tried or none is judged."""
+    """The end of a sentence: under how many readings it is so, or where none were tried or judged, whether here."""
     if standing is None or standing.share is None:
+        if claim.verdict in AGREEMENT:
+            return "here, too"
+        if claim.ours is None:
+            return claim.verdict
         ours = our_quantity(claim)
-        return f"{claim.verdict}, here {ours}" if ours else claim.verdict
+        return f"not here ({ours})" if claim.verdict in ("deviates", "fails") else f"here {ours}"
     if standing.agree == standing.tried:
         return f"under every one of {standing.tried} readings"
     if standing.agree == 0:

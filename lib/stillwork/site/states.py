@@ -161,19 +161,21 @@ def packed(value: dict) -> str:
 def compute(name: str) -> dict:
     """What a page holds of a notebook's explorer: ``states`` and their ``count``, or ``reason`` why it has none."""
     with tempfile.TemporaryDirectory() as folder, _writing_to(folder):
+        # What a drawing function trips over is told on its page, and does not stop the site.
         try:
             explorer, known = read_explorer(read_notebook(name)), {}
-            for count in STATES:
-                found = states(explorer, count, known)
+            for count in STATES:  # what takes too long or is too large for many pictures may do for fewer
+                try:
+                    found = states(explorer, count, known)
+                except TimeoutError:
+                    reason = f"its pictures take more than {LONGEST_S:g} s to compute"
+                    continue
                 if len(text := packed(found)) <= LARGEST:
                     return {"states": text, "count": len(found["pictures"])}
-        except TimeoutError:
-            return {"reason": f"its pictures take more than {LONGEST_S:g} s to compute"}
-        except (
-            Exception
-        ) as error:  # what a drawing function trips over is told on its page, and does not stop the site
-            return {"reason": f"to compute its pictures failed: {type(error).__name__}: {error}"}
-    return {"reason": f"its pictures take more than {LARGEST // 1000} kB"}
+                reason = f"its pictures take more than {LARGEST // 1000} kB"
+        except Exception as error:
+            reason = f"to compute its pictures failed: {type(error).__name__}: {error}"
+    return {"reason": reason}
 
 
 @contextlib.contextmanager
