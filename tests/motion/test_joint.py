@@ -28,6 +28,7 @@ from experiments.motion.joint_search import (
     grid,
     judge,
     meet,
+    noise_floor,
     robust_search,
     sample_plants,
     search,
@@ -42,7 +43,7 @@ from stillwork.base.checks import InputError
 from stillwork.control.bandwidth import SIX_DB
 from stillwork.control.feedforward import error_loop, fit_feedforward, tracking_error
 from stillwork.control.loops import INPUTS, OUTPUTS, channel, closed_loop
-from stillwork.lti.discretisation import tustin
+from stillwork.lti.discretisation import tustin, zoh
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
 
@@ -139,6 +140,22 @@ def test_noise_is_that_of_the_lyapunov_equation():
     error, force = (float(power[OUTPUTS.index(name)]) for name in ("e_true", "f"))
     assert found.error**2 - found.quiet**2 == pytest.approx(error, rel=0.02)
     assert found.force**2 == pytest.approx(force, rel=0.02)
+
+
+@pytest.mark.slow
+def test_noise_floor_is_what_all_measurements_together_leave_unknown():
+    """Conditional variance in the joint Gaussian of all positions and measurements: no recursion, no Riccati equation."""
+    measured, plant = 1000, zoh(stage().at([0], [4]).state_space(), STEP)
+    pulses, state = np.zeros(measured + 2), plant.b[:, 0]
+    for k in range(1, len(pulses)):
+        pulses[k], state = plant.c[0] @ state, plant.a @ state
+    moved = 0.01 * linalg.toeplitz(pulses, np.zeros(len(pulses)))  # by the force of every sample, 10 mN each
+    covariance = 1e18 * moved @ moved.T
+    seen = covariance[:measured, :measured] + 2.0 * np.eye(measured)  # nm^2: v and d
+    for delay, place in ((0.0, -2), (1.5, -1)):
+        cross = covariance[place, :measured]
+        unknown = covariance[place, place] - cross @ linalg.solve(seen, cross, assume_a="pos") + 1.0  # and v
+        assert 1e9 * noise_floor(stage(), delay) == pytest.approx(np.sqrt(unknown), rel=1e-4)
 
 
 def test_peaks_are_found_between_the_points_of_the_grid():

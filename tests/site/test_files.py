@@ -4,6 +4,7 @@ import io
 import itertools
 import json
 import re
+import tomllib
 from collections import Counter
 from html.parser import HTMLParser
 from urllib.parse import unquote
@@ -22,6 +23,7 @@ from stillwork.site.standing import class_of, stands
 from stillwork.workbook.claims import Claim, Entry, Tolerance, ledger
 from stillwork.workbook.notebooks import select
 from stillwork.workbook.publish import replace_folder
+from stillwork.workbook.readings.command import standings_of
 from stillwork.workbook.readings.judging import Standing
 from workbook import toy as toys
 
@@ -161,11 +163,13 @@ def test_what_a_work_says_first_is_judged_by_an_entry_of_its_own_ledger():
 
 
 def test_advice_rests_on_verdicts_that_stand():
-    """With another verdict the sentence would be false: it is to be written anew then."""
+    """With another verdict, or another class over the readings, the sentence is to be written anew."""
     verdicts = {claim.entry.id: claim.verdict for claim in ledger()}
-    for work in works().values():
+    for room, work in works().items():
+        classes = {name: each.class_ for name, each in standings_of(room).items() if each.class_}
         assert work["builder"].endswith(".")
-        assert work["rests"] == {entry: verdicts.get(entry) for entry in work["rests"]}
+        for entry, stated in work["rests"].items():
+            assert stated == ", ".join([verdicts[entry], *([classes[entry]] if entry in classes else [])])
 
 
 def test_the_front_page_shows_each_work_by_its_picture_and_what_came_out(files):
@@ -277,6 +281,21 @@ def test_the_command_of_a_figure_stands_on_its_page(files):
     for notebook in select():
         text = files[f"notebooks/{notebook.name}.html"].decode()
         assert re.search(rf"make figures ARGS=&#34;{notebook.name} --force&#34;", text)
+
+
+def test_pages_lead_to_binder_and_the_source_once_there_is_an_address(toy):
+    def leading(page: str) -> list[str]:
+        links = [each["href"] for each in Elements(site_files()[page]).of("a")]
+        return [unquote(each) for each in links if each.startswith("https://")]
+
+    assert leading("notebooks/isolation/01-first.html") == []
+    public = "https://example.org/a/b"
+    text = (toy.root / "pyproject.toml").read_text()
+    toy.write("pyproject.toml", f'{text}\n[project.urls]\nRepository = "{public}"\n')
+    version = tomllib.loads(text)["project"]["version"]
+    for page, file in (("notebooks/isolation/01-first", "isolation/01-first"), ("replicate", "index")):
+        start = f"https://mybinder.org/v2/git/{public}/v{version}?labpath=notebooks/{file}.ipynb"
+        assert leading(f"{page}.html") == [start, public]
 
 
 def test_the_front_page_counts_what_was_predicted_apart(toy):

@@ -351,6 +351,7 @@ def test_a_file_named_by_a_parameter_is_an_input(toy):
         (["-p", "seed=2", "-p", "seed=3"], "-p seed is given twice"),
         (["isolaton"], "no notebook or room 'isolaton'; did you mean 'isolation'?"),
         (["isolation/01-frst"], "did you mean 'isolation/01-first'?"),
+        (["isolation/01"], "no notebook or room 'isolation/01'; did you mean 'isolation/01-first'?"),
         (["--jobs", "0"], "'0' is not a number of kernels"),
         (["--job", "1"], "did you mean '--jobs'?"),
     ],

@@ -14,7 +14,14 @@ __all__, __getattr__, __dir__ = face(
             "stage_loops",
             "stage_observer",
         ),
-        "machines": ("chain", "published_noise", "published_setpoint", "stage", "stage_mass"),
+        "machines": (
+            "chain",
+            "published_deviations",
+            "published_noise",
+            "published_setpoint",
+            "stage",
+            "stage_mass",
+        ),
         "position_dependence": ("at_place", "observer_at", "place_loops"),
     },
 )

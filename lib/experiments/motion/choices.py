@@ -20,7 +20,7 @@ from experiments.motion.drive import (
     seen_by_controller,
     statements,
 )
-from experiments.motion.machines import drive, parameters, published_setpoint, stage, stage_mass
+from experiments.motion.machines import drive, published_deviations, published_setpoint, stage, stage_mass
 from experiments.motion.perturbed_tracking import CASES, MEASURED, noisy_scan_trial
 from stillwork.control.bandwidth import SIX_DB, Bandwidth, Loop
 from stillwork.control.crossover import crossover
@@ -148,8 +148,6 @@ def tracking(
         case: fit_feedforward(error_loop(loops["none" if feedforward_fit == "once" else case]), setpoint)
         for case in CASES
     }
-    noise = parameters("stage")["noise"]
-    sizes = {"w": noise["process"], "v": noise["reference"], "d": noise["sensor"]}
     quiet = scan_noise == "none"
     study = run_study(
         noisy_scan_trial,
@@ -158,7 +156,7 @@ def tracking(
         loops=loops,
         setpoint=setpoint,
         feedforward=fitted,
-        deviations={name: 0.0 if quiet else size for name, size in sizes.items()},
+        deviations={name: 0.0 if quiet else size for name, size in published_deviations().items()},
         progress=False,
     )
     nm = {claim: 1e9 * study[case] for claim, case in TRACKING.items()}

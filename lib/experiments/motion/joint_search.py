@@ -27,13 +27,16 @@ from experiments.motion.joint import (
     late,
     late_response,
 )
-from experiments.motion.machines import parameters, published_setpoint, stage
+from experiments.motion.machines import published_deviations, published_noise, published_setpoint, stage
 from experiments.motion.uncertainty import perturbed, sample_errors
 from stillwork.base.checks import InputError, require_choice, require_count, require_number
 from stillwork.base.kernels import kernel
 from stillwork.control.bandwidth import SIX_DB
-from stillwork.lti.discretisation import zoh_response
+from stillwork.estimation.riccati import discrete_gain
+from stillwork.lti.discretisation import zoh_modes, zoh_response
 from stillwork.lti.modal import ModalModel
+
+_deviations = cache(published_deviations)  # a search asks for them thousands of times
 
 # Of the transform: 2.4 Hz between frequencies and 0.24 s for an error to die out while a search goes on, and four
 # times as much of both for a verdict.
@@ -208,18 +211,26 @@ def scanned(
     columns = errors[1:] / np.linalg.norm(errors[1:], axis=1)[:, None]
     gains = np.linalg.solve(columns @ columns.T, columns @ errors[0])
     quiet = float(np.sqrt(np.mean((errors[0] - gains @ columns)[scanning] ** 2)))
-    noise, s = parameters_of_noise(), np.abs(sensitivity) ** 2
-    given = noise["process"] ** 2 * pushed**2 + noise["reference"] ** 2
+    noise, s = _deviations(), np.abs(sensitivity) ** 2
+    given = noise["w"] ** 2 * pushed**2 + noise["v"] ** 2
     weights = np.full(len(s), 2.0 / samples)  # of both signs of a frequency
     weights[[0, -1]] /= 2
-    error = weights @ (s * given + np.abs(1 - sensitivity) ** 2 * noise["sensor"] ** 2)
-    force = weights @ (np.abs(feedback) ** 2 * s * (given + noise["sensor"] ** 2))
+    error = weights @ (s * given + np.abs(1 - sensitivity) ** 2 * noise["d"] ** 2)
+    force = weights @ (np.abs(feedback) ** 2 * s * (given + noise["d"] ** 2))
     return Scanned(float(np.hypot(quiet, np.sqrt(error))), quiet, float(np.sqrt(force)))
 
 
-@cache
-def parameters_of_noise() -> dict:
-    return dict(parameters("stage").table("noise"))
+def noise_floor(model: ModalModel, delay: float = DELAY) -> float:
+    """Rms of mass 5's error under the noise of section 3.1 (m) that no controller goes below, whatever it knows.
+
+    The first position that a command moves is that of sample `1 + int(delay)` from it; what the measurements up to the
+    command leave unknown of that position no command takes away.
+    """
+    plant, noise = zoh_modes(model.at([0], [MEASURED]), STEP), published_noise()
+    unknown = discrete_gain(plant.a, plant.b, plant.c, noise.process, noise.sensor).covariance
+    for _ in range(int(delay)):
+        unknown = plant.a @ unknown @ plant.a.T + noise.process * plant.b @ plant.b.T
+    return float(np.sqrt((plant.c @ unknown @ plant.c.T)[0, 0] + published_deviations()["v"] ** 2))
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from experiments.motion.designs import DESIGNS, Design, stage_bandwidth
-from experiments.motion.machines import parameters, published_setpoint, stage
+from experiments.motion.machines import published_deviations, published_setpoint, stage
 from experiments.motion.position_dependence import at_place, compensator_at, stage_grid
 from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
 from stillwork.control.feedforward import BASIS, Feedforward, least_squares, noise_error, noise_errors
@@ -101,12 +101,6 @@ def table_loops(masses: int = 8, scans: int = 29) -> dict[float, dict[str, State
     """Closed loops of the seven cases at equally spaced places from the first to the last of the masses."""
     plant, grid = structure(masses)
     return location_loops(plant, grid, np.linspace(grid[0], grid[-1], scans), table_cases())
-
-
-def published_deviations() -> dict[str, float]:
-    """Standard deviations of w (N), v and d (m), section 3.1."""
-    noise = parameters("stage")["noise"]
-    return {"w": noise["process"], "v": noise["reference"], "d": noise["sensor"]}
 
 
 def read_table(

@@ -125,10 +125,16 @@ def drive() -> Drive:
     return Drive(**{name: p[name] for name in Drive.__dataclass_fields__})
 
 
+def published_deviations() -> dict[str, float]:
+    """Standard deviations of w (N), v and d (m), section 3.1."""
+    p = parameters("stage").table("noise")
+    return {"w": p["process"], "v": p["reference"], "d": p["sensor"]}
+
+
 def published_noise() -> NoiseIntensities:
     """Q = sigma_w^2 and R = sigma_v^2 + sigma_d^2 of section 3.1."""
-    p = parameters("stage").table("noise")
-    return NoiseIntensities(p["process"] ** 2, p["sensor"] ** 2 + p["reference"] ** 2)
+    sigma = published_deviations()
+    return NoiseIntensities(sigma["w"] ** 2, sigma["d"] ** 2 + sigma["v"] ** 2)
 
 
 def published_setpoint(step: float = 1e-4) -> Setpoint:

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from experiments.motion.designs import DAMPING, DESIGNS, Design, stage_bandwidth, stage_loops
-from experiments.motion.machines import parameters, stage_mass
+from experiments.motion.machines import published_deviations, stage_mass
 from stillwork.base.checks import InputError, require_array
 from stillwork.control.applications import Application
 from stillwork.control.bandwidth import Bandwidth, PeakConstraint, maximise_bandwidth
@@ -16,8 +16,8 @@ from stillwork.estimation.observer import NoiseIntensities
 
 def sensor_noise_alone() -> NoiseIntensities:
     """Half the printed R: the sensor noise without the sensor reference, R = sigma_d^2."""
-    p = parameters("stage")["noise"]
-    return NoiseIntensities(p["process"] ** 2, p["sensor"] ** 2)
+    sigma = published_deviations()
+    return NoiseIntensities(sigma["w"] ** 2, sigma["d"] ** 2)
 
 
 CHOICES = {

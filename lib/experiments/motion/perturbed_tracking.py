@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from experiments.motion.designs import DESIGNS, stage_bandwidth, stage_compensator
-from experiments.motion.machines import parameters, published_setpoint, stage, stage_mass
+from experiments.motion.machines import published_deviations, published_setpoint, stage, stage_mass
 from experiments.motion.uncertainty import perturbed, sample_errors
 from stillwork.base.checks import require_number
 from stillwork.control.feedforward import (
@@ -79,10 +79,11 @@ def tracking_trial(
     require_number("step", step, above=0.0)
     setpoint = published_setpoint(step)
     plant = perturbed(loops.plant, sample_errors(rng, loops.plant, size, law, rigid))
-    machine = parameters("stage")["noise"]
-    deviations = [machine["process"], machine["reference"], machine["sensor"]]
-    noise = rng.standard_normal((3, setpoint.derivatives.shape[1])) * np.array(deviations)[:, None]
-    places = [INPUTS.index(name) for name in ("w", "v", "d")]
+    deviations = published_deviations()
+    noise = (
+        rng.standard_normal((3, setpoint.derivatives.shape[1])) * np.array([*deviations.values()])[:, None]
+    )
+    places = [INPUTS.index(name) for name in deviations]
     feedforward: Feedforward | None = None
     found = {}
     for case in CASES:  # the case without observer comes first: its loop is the one that is tuned

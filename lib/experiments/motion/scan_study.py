@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from experiments.motion.machines import parameters, published_setpoint, stage, stage_mass
+from experiments.motion.machines import published_deviations, published_setpoint, stage, stage_mass
 from experiments.motion.positions import shapes_along
 from experiments.motion.uncertainty import perturbed
 from stillwork.base.algebra import advance_state
@@ -63,14 +63,13 @@ def published_scan(spacing: float = 0.05, bandwidth_hz: float = 30.0, step: floa
     grid = require_number("spacing", spacing, above=0.0) * np.arange(len(plant.output_shapes))
     position = setpoint.derivatives[0]
     start = (grid[-1] - position[-1]) / 2
-    noise = parameters("stage")["noise"]
     return Scan(
         plant,
         shapes_along(plant, grid, start + position),
         setpoint,
         zoh(PidFamily(stage_mass())(bandwidth_hz).state_space(), step),
         stage_mass(),
-        (noise["process"], noise["reference"], noise["sensor"]),
+        tuple(published_deviations().values()),
     )
 
 

@@ -18,7 +18,7 @@ from stillwork.site.benchmarks import benchmarks
 from stillwork.site.derived import works
 from stillwork.site.links import broken_links
 from stillwork.site.mathematics import markdown
-from stillwork.site.metadata import project
+from stillwork.site.metadata import address, binder, project
 from stillwork.site.pages import NotebookPage, read_page
 from stillwork.site.specification import curves
 from stillwork.site.standing import class_of, stands
@@ -92,7 +92,9 @@ def site_files() -> dict[str, bytes]:
     files["ledger.json"] = json.dumps([claim.as_dict() for claim in claims], indent=1).encode()
     files["gallery.html"] = render("gallery.html", "", pages=pages)
     files["benchmarks.html"] = render("benchmarks.html", "", tables=benchmarks())
-    files["replicate.html"] = render("replicate.html", "", pages=pages)
+    files["replicate.html"] = render(
+        "replicate.html", "", pages=pages, binder=binder("notebooks/index.ipynb")
+    )
     for page in pages:
         files[f"notebooks/{page.name}.html"] = render(
             "notebook.html",
@@ -100,6 +102,7 @@ def site_files() -> dict[str, bytes]:
             page=page,
             neighbours=_neighbours(page, pages),
             states=states.get(page.name, {}),
+            binder=binder(f"notebooks/{page.name}.ipynb"),
         )
         files[f"notebooks/{page.name}.ipynb"] = notebook_file(page.name).read_bytes()
         for figure in page.figures:
@@ -205,6 +208,7 @@ def _renderer(**shared):
     environment.filters["class_of"] = class_of
     site = {
         "version": stillwork.__version__,
+        "address": address(),
         "commit": commit() or "",
         "modified": bool({name for name in modified() if not name.startswith("build/")}),
         "replications": REPLICATIONS,

@@ -3,6 +3,7 @@
 import json
 import re
 import tomllib
+from urllib.parse import quote
 
 from stillwork.base import paths
 from stillwork.base.checks import InputError
@@ -16,6 +17,19 @@ MEDIA = {"png": "image/png", "csv": "text/csv", "ipynb": "application/x-ipynb+js
 def project() -> dict:
     """What pyproject.toml says of the project."""
     return tomllib.loads((paths.root() / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+
+
+def address() -> str:
+    """Where the source lies in public, as pyproject.toml has it under ``[project.urls]``; empty while it has none."""
+    return project().get("urls", {}).get("Repository", "").rstrip("/")
+
+
+def binder(path: str) -> str:
+    """Where mybinder.org opens a file of this release in a browser; empty while the source has no public address."""
+    if not address():
+        return ""
+    place = f"{quote(address(), safe='')}/v{project()['version']}"
+    return f"https://mybinder.org/v2/git/{place}?labpath={quote(path, safe='')}"
 
 
 def release_date() -> str:
@@ -40,6 +54,7 @@ def codemeta(works: dict[str, dict]) -> str:
         "license": LICENSE,
         "author": [{"@type": "Organization", "name": author["name"]} for author in about["authors"]],
         "keywords": about["keywords"],
+        **({"codeRepository": address()} if address() else {}),
         "programmingLanguage": {"@type": "ComputerLanguage", "name": "Python"},
         "runtimePlatform": f"Python {about['requires-python']}",
         "softwareRequirements": _requirements(about),
@@ -67,6 +82,10 @@ def zenodo(works: dict[str, dict]) -> str:
         "keywords": about["keywords"],
         "language": "eng",
     }
+    if address():
+        record["related_identifiers"] = [
+            {"identifier": address(), "relation": "isSupplementTo", "resource_type": "software"}
+        ]
     return _text(record)
 
 
@@ -115,6 +134,7 @@ def crate(works: dict[str, dict], pages: list[NotebookPage]) -> str:
         "name": about["name"],
         "description": about["description"],
         "version": about["version"],
+        **({"url": address()} if address() else {}),
         "datePublished": release_date(),
         "license": {"@id": LICENSE},
         "keywords": ", ".join(about["keywords"]),

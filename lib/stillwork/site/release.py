@@ -19,7 +19,7 @@ import stillwork
 from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.site.build import build_site
-from stillwork.site.metadata import project
+from stillwork.site.metadata import address, project
 from stillwork.workbook import publish
 from stillwork.workbook.provenance import commit, modified
 
@@ -184,8 +184,10 @@ def left_to_do(version: str) -> list[str]:
     ]
     if "unreleased" in (paths.root() / "CHANGELOG.md").read_text(encoding="utf-8").partition("\n- ")[0]:
         lines.append("CHANGELOG.md still says 'unreleased': put the day there and into CITATION.cff")
-    if "urls" not in project():
-        lines.append("pyproject.toml has no [project.urls]: the address that Binder builds .binder/ from")
+    if not address():
+        lines.append(
+            "pyproject.toml has no Repository under [project.urls]: with it the pages get links to Binder"
+        )
     wanted = [f"paper.{name}" for name in AUTHORS if name not in manifest["paper"]]
     wanted += ["an ORCID for each author"] * any("ORCID" not in each for each in manifest["paper"]["authors"])
     if wanted:

@@ -88,7 +88,9 @@ def select(*targets: str) -> list[Notebook]:
     for target, name in wanted.items():
         if not any(name in (each, each.partition("/")[0]) for each in names):
             rooms = {each.partition("/")[0] for each in names}
-            raise InputError(f"there is no notebook or room {target!r}{nearest(name, [*names, *rooms])}")
+            begun = [each for each in names if each.startswith(name)]  # a number without its words
+            hint = f"; did you mean {begun[0]!r}?" if len(begun) == 1 else nearest(name, [*names, *rooms])
+            raise InputError(f"there is no notebook or room {target!r}{hint}")
     chosen = {name for name in names if {name, name.partition("/")[0]} & set(wanted.values())}
     return [read_notebook(name) for name in names if name in chosen or not targets]
 

@@ -51,8 +51,12 @@ def indexed(pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     tuple of ndarray of uint8, optional
         Shapes (height, width) and (colours, 3).
     """
-    codes = np.ascontiguousarray(pixels).view("<u4")[..., 0] & np.uint32(0xFFFFFF)
-    colours, counts = np.unique(codes, return_counts=True)
+    codes = (np.ascontiguousarray(pixels).view("<u4")[..., 0] & np.uint32(0xFFFFFF)).ravel()
+    # A picture is mostly paper: a run of one colour counts as one.
+    starts = np.flatnonzero(np.diff(codes, prepend=~codes[:1]))
+    lengths = np.diff(starts, append=codes.size)
+    colours, colour = np.unique(codes[starts], return_inverse=True)
+    counts = np.bincount(colour, lengths).astype(int)
     channels = (colours[:, None] >> np.array([0, 8, 16], np.uint32) & 255).astype(np.int16)
     area = counts >= AREA * codes.size
     cells = colours
@@ -69,9 +73,8 @@ def indexed(pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     off = np.abs(channels - palette[place]).max(axis=1)
     if off[area].any() or counts[off > NOTICED].sum() > SHARE * codes.size:
         return None
-    table = np.empty(1 << 24, np.uint8)
-    table[colours] = place
-    return table[codes], palette.astype(np.uint8)
+    index = np.repeat(place.astype(np.uint8)[colour], lengths)
+    return index.reshape(pixels.shape[:2]), palette.astype(np.uint8)
 
 
 def _palette(colours: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

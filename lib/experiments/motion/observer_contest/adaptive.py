@@ -5,6 +5,7 @@ import numpy as np
 from experiments.motion.observer_contest.fixed_gain import stationary
 from experiments.motion.observer_contest.modes import predict_mode, propagate
 from experiments.motion.observer_contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
+from stillwork.base.algebra import copy_vector
 from stillwork.base.kernels import inlined_kernel, kernel
 
 MOST = 1e12  # factor on the process noise
@@ -56,7 +57,7 @@ def _advance_adaptive(data, memory, inputs, measurements, estimates):
                         p[i, j] -= cross[i] * cross[j] / variance
             # The innovations should have the variance that the filter expects; the noise follows until they do.
             factor[0] = min(max(factor[0] * np.exp(rate * (min(surprise, 10.0) - 1)), 1.0), MOST)
-        estimates[k] = x
+        copy_vector(x, estimates[k])
 
 
 def adaptive(model: ToldModel, noise: ToldNoise, sample_time: float, rate: float) -> MadeObserver:
@@ -94,7 +95,7 @@ def _advance_sets(data, memory, inputs, measurements, estimates):
             for o in range(len(c)):
                 innovation, spread = _see(p, c, o, x, measurements[k, o], cross)
                 _cut(x, p, cross, innovation, spread, bounds[o] ** 2)
-        estimates[k] = x
+        copy_vector(x, estimates[k])
 
 
 @kernel

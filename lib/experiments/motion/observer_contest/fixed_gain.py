@@ -12,6 +12,7 @@ from experiments.motion.observer_contest.told import (
     over_samples,
 )
 from experiments.motion.uncertainty import norm_bound, sampled_derivatives
+from stillwork.base.algebra import copy_vector
 from stillwork.base.kernels import kernel
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
 from stillwork.estimation.riccati import discrete_gain
@@ -27,10 +28,10 @@ def _advance_fixed(data, memory, inputs, measurements, estimates):
     forward, onward, gain, c = data
     x = memory[0]
     for k in range(len(inputs)):
-        x[:] = forward @ x + onward @ inputs[k]
+        copy_vector(forward @ x + onward @ inputs[k], x)
         if not np.isnan(measurements[k, 0]):
             x += gain @ (measurements[k] - c @ x)
-        estimates[k] = x
+        copy_vector(x, estimates[k])
 
 
 def fixed(forward, onward, gain, c) -> MadeObserver:
@@ -183,10 +184,10 @@ def _advance_window(data, memory, inputs, measurements, estimates):
     x, seen, forces, place = memory
     horizon = len(seen)
     for k in range(len(inputs)):
-        x[:] = a @ x + b @ inputs[k]
+        copy_vector(a @ x + b @ inputs[k], x)
         now = place[0] % horizon
-        forces[now] = inputs[k]
-        seen[now] = c @ x if np.isnan(measurements[k, 0]) else measurements[k]
+        copy_vector(inputs[k], forces[now])
+        copy_vector(c @ x if np.isnan(measurements[k, 0]) else measurements[k], seen[now])
         place[0] += 1
         x[:] = 0.0
         for back in range(horizon):
@@ -196,7 +197,7 @@ def _advance_window(data, memory, inputs, measurements, estimates):
                     x[i] += of_measured[back, i, o] * seen[at, o]
                 for j in range(forces.shape[1]):
                     x[i] += of_forces[back, i, j] * forces[at, j]
-        estimates[k] = x
+        copy_vector(x, estimates[k])
 
 
 def moving_horizon(
