@@ -174,6 +174,13 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
     contest.add_argument(
         "--loops", type=_count, metavar="N", help="seeds of which the loops are run, too (default: all)"
     )
+    contest.add_argument(
+        "--only",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="of ours this one and the Kalman filter alone; the others' rows are those of the table --out",
+    )
     contest.add_argument("--jobs", type=_count, metavar="N", help="processes (default: one a core)")
     contest.add_argument("--scheduler", metavar="ADDRESS", help="run on the workers of a Dask cluster")
     contest.add_argument("--out", metavar="FILE.csv", help="write the table there")

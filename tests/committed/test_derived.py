@@ -1,19 +1,15 @@
 """What follows from the ledger and the notebooks is as they are: README, index notebook, manifests."""
 
-import pytest
-
 from stillwork.base import paths
 from stillwork.site.derived import derived_files
 
-FILES = derived_files()
-
 
 def test_the_readme_has_a_place_for_the_ledger():
-    assert "<!-- ledger:begin -->" in FILES["README.md"]
+    assert "<!-- ledger:begin -->" in (paths.root() / "README.md").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("name", FILES)
-def test_a_derived_file_is_current(name):
-    assert (paths.root() / name).read_text(encoding="utf-8") == FILES[name], (
-        "run `python -m stillwork refresh`"
-    )
+def test_a_derived_file_is_current():
+    made = derived_files()  # once, by the worker that takes this test
+    assert "README.md" in made
+    stale = [name for name, text in made.items() if (paths.root() / name).read_text(encoding="utf-8") != text]
+    assert stale == [], "run `python -m stillwork refresh`"

@@ -10,6 +10,7 @@ from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import load_twin
 from readings.defaults import at_the_defaults, require_accepted
 from stillwork.workbook.claims import load_entries
+from stillwork.workbook.readings.command import standings_of
 
 
 def test_the_rig_at_its_defaults_is_the_shipped_one():
@@ -84,3 +85,15 @@ def test_counting_the_mains_costs_the_vertical_direction_alone():
     change = {name: counted[name] - bridged[name] for name in bridged}
     assert change["isolation.fig-8.removed.z"] == pytest.approx(-1.8, abs=0.2)  # 92.0 of 93.8 in notebook 05
     assert abs(change["isolation.fig-8.removed.theta-x"]) < 0.01
+
+
+def test_what_notebooks_03_and_05_say_of_other_readings_was_found():
+    found = standings_of("isolation")
+    agree = {name.removeprefix("isolation."): each.share for name, each in found.items()}
+    for name in ("fig-8.removed.range", "tracking.colored-to-flat"):
+        assert agree[name] == 0, name
+    for name in ("fig-8.reaches-the-limit", "fig-8.low-end-lost", "tracking.flat-to-colored"):
+        assert agree[name] == 1, name
+    assert agree["tracking.benefit-shrinks"] == 1
+    deciding = found["isolation.tracking.colored-to-flat-w4-w6"].decided_by
+    assert set(deciding) == {"floor-upper-end", "trace"}

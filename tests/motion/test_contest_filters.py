@@ -71,6 +71,7 @@ def assert_close(found, wanted, relative):
         ("unscented Kalman", (1e-9, 1e-12, 1.0)),
         ("Schmidt-Kalman", (1e-9,)),
         ("interacting models", (0.0, 1e-3, 1.0)),
+        ("particles", (0.0, 0.0, 1.0)),
         ("adaptive process noise", (0.0,)),
         ("fictitious noise", (1e-9,)),
         ("sensitivity penalised", (1e30,)),
@@ -224,6 +225,48 @@ def test_the_bank_is_filterpys_interacting_models():
         wanted.append(peer.x[:4, 0].copy())
     assert np.ptp(peer.mu) > 0.1  # it has learnt something
     assert_close(found, np.array(wanted), 1e-5)
+
+
+@pytest.mark.slow
+def test_particles_are_filterpys_kalman_filters_weighed_by_what_they_predicted():
+    """Until they are resampled, which does not happen in so few samples."""
+    spread, factor, samples = 0.003, 9.0, slice(0, 17)
+    told, record = scan()
+    parts = (record.inputs, record.measurements, record.states)
+    given = bench.ScanRecord(*(each[samples] for each in parts))
+    found, observer = run("particles", (spread, 0.0, factor), told, given)
+    errors = observer.made.memory[2]
+    assert np.array_equal(observer.memory[2], errors) and errors[:, 1].std() > spread / 2
+    some, told_of_force = peers(told, errors[:, 1], spread, factor)
+    scores = np.zeros(len(some))
+    for u, y in zip(given.inputs, given.measurements, strict=True):
+        told_of_force(u)
+        for m, peer in enumerate(some):
+            peer.predict(np.ones((1, 1)))
+            peer.update(y)
+            scores[m] += peer.log_likelihood
+    weights = np.exp(scores - scores.max())
+    weights /= weights.sum()
+    assert 2 < 1 / np.sum(weights**2) < len(some) - 1
+    assert_close(found[-1:], (weights @ np.array([peer.x[:4, 0] for peer in some]))[None], 1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("true", [-0.02, 0.02])
+def test_particles_gather_where_the_frequency_is(true):
+    """Resampled and walking, on a drive that is another by this much."""
+    told, _ = scan()
+    model, noise, _ = told
+    observer = OwnObserver(ENTRANTS["particles"], (0.02, 1e-5, 1.0))
+    observer.start(*told)
+    twin, rng = nonlinear(told), np.random.default_rng(4)
+    z, out = np.array([0, 0, 0, 0, true, 0, 0]), np.empty(7)
+    for force in rng.normal(size=600):
+        w = np.sqrt(noise.process[0, 0]) * rng.standard_normal()
+        drive_transition(z, [force + w], twin.parameters, out)
+        z = out.copy()
+        observer.step(np.array([force]), model.c @ z[:4] + np.sqrt(noise.sensor[0]) * rng.standard_normal(1))
+    assert observer.memory[2][:, 1] == pytest.approx(true, abs=1e-3)
 
 
 def drive_feedback(told, size):

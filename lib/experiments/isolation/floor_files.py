@@ -70,6 +70,7 @@ def open_floor(
     require_number("ground_s", duration_s, at_least=SHORTEST_S)
     options = {"common": common, "sample_rate": rate}
     lowest, highest = _suspension_hz(twin)
+    measured = False
     if not floor_record:
         ground = ground_spectrum(gain=ground_gain)
         f, density, source = ground.frequencies_hz, ground.levels, ground.source
@@ -91,7 +92,7 @@ def open_floor(
             f, ground_gain**2 * density, duration_s, seed, channels=len(density), source=source, **options
         )
     else:
-        floor = _recorded(floor_record, unit, rate_hz, channels, twin, highest)
+        floor, measured = _recorded(floor_record, unit, rate_hz, channels, twin, highest), True
     peak, rms = np.abs(floor.acceleration).max(), floor.acceleration.std(axis=1).max()
     if peak > LOUDEST:
         raise InputError(
@@ -103,7 +104,7 @@ def open_floor(
             f"{floor.source}: the floor accelerates by {rms:.1g} m/s^2 rms, less than the quietest ground on Earth; "
             f"check the unit {unit!r}"
         )
-    return floor
+    return _from_rest(floor) if measured else floor  # a wrong unit travels far, too, and is no drift
 
 
 def _recorded(floor_record, unit, rate_hz, channels, twin, highest) -> RecordedFloor:
@@ -132,13 +133,16 @@ def _recorded(floor_record, unit, rate_hz, channels, twin, highest) -> RecordedF
             f"{record.sample_rate * PASS_SHARE / 2:.3g} Hz, where the rig has suspension frequencies up to "
             f"{highest:.3g} Hz; measure at {2 * highest / PASS_SHARE:.3g} Hz at least"
         )
-    floor = record_floor(record, channels=len(record.signals), sample_rate=twin.instruments.sample_rate)
+    return record_floor(record, channels=len(record.signals), sample_rate=twin.instruments.sample_rate)
+
+
+def _from_rest(floor: RecordedFloor) -> RecordedFloor:
+    """The loop starts at rest: a floor that does not, by an offset or in mid-motion, would be a step that no floor makes."""
     if (travel := _travel(floor)) > FARTHEST:
         raise InputError(
-            f"{record.source}: integrated twice, the floor travels {travel:.2g} m rms, which is a sensor that drifts; "
+            f"{floor.source}: integrated twice, the floor travels {travel:.2g} m rms, which is a sensor that drifts; "
             "take a high-pass of some 0.5 Hz over the record"
         )
-    # The loop starts at rest: a floor that does not, by an offset or in mid-motion, would be a step that no floor makes.
     fade = np.minimum(np.arange(floor.acceleration.shape[1]) / (FADE_S * floor.sample_rate), 1.0)
     return replace(floor, acceleration=floor.acceleration * np.sin(np.pi / 2 * fade) ** 2)
 

@@ -1,6 +1,6 @@
 """The search for one rig (`one_rig`) and what it found, ``data/isolation/one_rig_found.toml``.
 
-``python -m experiments.isolation.one_rig_search`` searches anew (two minutes) and writes that file: the most probable
+``python -m experiments.isolation.one_rig_search`` searches anew (some minutes) and writes that file: the most probable
 parameters, by least squares from the nearest of many draws, and Laplace's approximation around them. A search does
 not see the numbers of its fold: each column of Table 1 and each direction of Fig. 8 is held out once.
 """

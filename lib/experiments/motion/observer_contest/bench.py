@@ -160,12 +160,12 @@ def record(machine: Bench) -> ScanRecord:
     return done
 
 
-def tracking_error(machine: Bench, states: np.ndarray) -> float:
-    """Root mean square over the scan of the first rigid-body coordinate's error, as the true outputs show it."""
+def tracking_errors(machine: Bench, states: np.ndarray) -> Float64[np.ndarray, "2"]:
+    """Root mean square and peak over the scan of the first rigid-body coordinate's error, as the true outputs show it."""
     if not np.isfinite(states).all():
-        return np.inf
-    seen = states[JUDGED] @ machine.truth.c.T @ machine.directions[0][0]
-    return float(np.sqrt(np.mean((machine.setpoint[JUDGED, 0] - seen) ** 2)))
+        return np.full(2, np.inf)
+    error = machine.setpoint[JUDGED, 0] - states[JUDGED] @ machine.truth.c.T @ machine.directions[0][0]
+    return np.array([np.sqrt(np.mean(error**2)), np.abs(error).max()])
 
 
 Scan = Generator[tuple[np.ndarray, np.ndarray], np.ndarray, np.ndarray]

@@ -1,4 +1,4 @@
-"""A bank of models of one machine, which mixes and is weighed by what each model predicts.
+"""Many models of one machine, weighed by what each predicts: a bank that mixes, and particles that wander.
 
 Given its frequencies a machine is linear in states and gains together: each model has its exact Kalman filter.
 """
@@ -6,11 +6,12 @@ Given its frequencies a machine is linear in states and gains together: each mod
 import numpy as np
 
 from experiments.motion.observer_contest.modes import dominant
-from experiments.motion.observer_contest.parametric import measure_in_turn, parts, predict
+from experiments.motion.observer_contest.parametric import KNOBS, WIDEST, measure_in_turn, parts, predict
 from experiments.motion.observer_contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
-from stillwork.base.kernels import kernel
+from stillwork.base.kernels import inlined_kernel, kernel
 
 GRID = (9, 3)  # models along the frequencies of the first and second mode in doubt
+PARTICLES = 24
 
 
 @kernel
@@ -86,6 +87,72 @@ def bank(
     return MadeObserver(_advance_bank, (*data, omegas, np.array([switching])), memory)
 
 
+@inlined_kernel
+def _uniform(state):
+    # xorshift64*: all that it remembers is `state`, so that a scan begun again is the same scan.
+    word = state[0]
+    word ^= word >> np.uint64(12)
+    word ^= word << np.uint64(25)
+    word ^= word >> np.uint64(27)
+    state[0] = word
+    return (float((word * np.uint64(2685821657736338717)) >> np.uint64(11)) + 0.5) / 9007199254740992.0
+
+
+@kernel
+def _normal(state):
+    """A standard normal number, by Box and Muller."""
+    size = np.sqrt(-2 * np.log(_uniform(state)))
+    return size * np.cos(2 * np.pi * _uniform(state))
+
+
+@kernel
+def _resample(weights, scores, bent, z, p):
+    """Put particles at even distances along the sum of their weights, each with what it holds."""
+    count, chosen, passed = len(scores), 0, weights[0]
+    old, states, covariances = bent.copy(), z.copy(), p.copy()
+    for m in range(count):
+        while passed < (m + 0.5) / count and chosen < count - 1:
+            chosen += 1
+            passed += weights[chosen]
+        bent[m], z[m], p[m] = old[chosen], states[chosen], covariances[chosen]
+    scores[:] = 0.0
+
+
+@kernel
+def _advance_particles(data, memory, inputs, measurements, estimates):
+    filters, nominal, walk = data[:11], data[3], data[11][0]
+    z, p, bent, scores, state = memory
+    n, size = estimates.shape[1], z.shape[1]
+    a, by = data[0].copy(), np.zeros((n, size - n))
+    omegas, weights = np.empty(bent.shape), np.empty(len(z))
+    for k in range(len(inputs)):
+        for m in range(len(z)):
+            for j in range(len(nominal)):
+                bent[m, j] = min(max(bent[m, j] + walk * _normal(state), -WIDEST), WIDEST)
+                omegas[m, j] = nominal[j] * (1 + bent[m, j])
+        _filter_all(inputs[k], measurements[k], filters, omegas, z, p, scores, a, by)
+        _weigh(scores, weights, z, estimates[k])
+        scores -= scores.max()
+        if len(z) * np.sum(weights * weights) > 2:  # fewer than half of them count
+            _resample(weights, scores, bent, z, p)
+
+
+def particles(
+    model: ToldModel, noise: ToldNoise, sample_time: float, spread: float, walk: float, factor: float
+) -> MadeObserver:
+    """Rao-Blackwellised particles: three frequencies walk, each particle has the exact filter of states and gains."""
+    data, (z, p) = parts(model, noise, sample_time, spread, 0.0, factor, frequencies=False)
+    bent = spread * np.random.default_rng(0).standard_normal((PARTICLES, len(data[3])))
+    memory = (
+        np.tile(z, (PARTICLES, 1)),
+        np.tile(p, (PARTICLES, 1, 1)),
+        np.clip(bent, -WIDEST, WIDEST),
+        np.zeros(PARTICLES),
+        np.array([88172645463325252], dtype=np.uint64),
+    )
+    return MadeObserver(_advance_particles, (*data, np.array([walk])), memory)
+
+
 MULTI_MODEL = {
     "interacting models": Rival(
         bank,
@@ -96,4 +163,5 @@ MULTI_MODEL = {
         ),
         "Blom and Bar-Shalom 1988",
     ),
+    "particles": Rival(particles, KNOBS, "Doucet, de Freitas, Murphy and Russell 2000"),
 }

@@ -222,13 +222,13 @@ def unscented(
     return MadeObserver(_advance_unscented, *parts(model, noise, sample_time, deviation, walk, factor))
 
 
-_KNOBS = (
+KNOBS = (
     Knob("deviation of parameters", 0.002, 0.1, 0.03),
     Knob("walk of parameters a sample", 1e-7, 1e-3, 1e-5),
     Knob("factor on Q", 1.0, 1e5, 50.0),
 )
 PARAMETRIC = {
     "Schmidt-Kalman": Rival(considering, (Knob("deviation of parameters", 1e-4, 0.3, 0.03),), "Schmidt 1966"),
-    "extended Kalman": Rival(extended, _KNOBS, "Jazwinski 1970, section 8.3"),
-    "unscented Kalman": Rival(unscented, _KNOBS, "Julier and Uhlmann 2004"),
+    "extended Kalman": Rival(extended, KNOBS, "Jazwinski 1970, section 8.3"),
+    "unscented Kalman": Rival(unscented, KNOBS, "Julier and Uhlmann 2004"),
 }

@@ -14,7 +14,7 @@ from experiments.motion.observer_contest.plants import ContestPlant, sample_plan
 from experiments.motion.observer_contest.referee import Disqualified, ForeignObserver
 from experiments.motion.observer_contest.told import OwnObserver, told_of
 
-SCORES = ("rigid", "flexible", "tracking")
+SCORES = ("rigid", "flexible", "tracking", "peak")
 
 
 class Scored(NamedTuple):
@@ -27,8 +27,9 @@ class Scored(NamedTuple):
     rigid: float  # errors of the states relative to those of the estimate zero
     flexible: float
     tracking: (
-        float  # error of the loop with the observer over the cautious loop's; infinite where it runs away
+        float  # rms error of the loop with the observer over the cautious loop's; infinite where it runs away
     )
+    peak: float  # the same of the largest error
     microseconds: float  # a sample, on the scan outside the loop
     bytes: int  # that the observer holds; 0 for a foreign one
 
@@ -51,7 +52,8 @@ def contest_trial(
     scores: list[Scored] = []
     out: dict[str, str] = {}
     for name, knobs in settings.items():
-        results = _own_scans(_own(name, tuple(knobs)), prepared, loops)
+        own = OwnObserver(ENTRANTS[name], tuple(knobs), _designs(name, tuple(knobs)))
+        results = _own_scans(own, prepared, loops)
         scores += _judged(name, plant, seed, doubts, prepared, results)
     for name, file in files.items():
         try:
@@ -80,9 +82,9 @@ def _prepare(machine: ContestPlant, doubt: str, stream: int) -> _Prepared:
     return _Prepared(cautious, bold, bench.record(cautious), told)
 
 
-@cache  # a design serves all seeds
-def _own(name: str, knobs: tuple[float, ...]) -> OwnObserver:
-    return OwnObserver(ENTRANTS[name], knobs)
+@cache  # they serve all seeds, and every thread of a worker
+def _designs(name: str, knobs: tuple[float, ...]) -> dict:
+    return {}
 
 
 def _own_scans(observer: OwnObserver, prepared: Sequence[_Prepared], loops: bool) -> list[tuple]:
@@ -122,10 +124,10 @@ def _foreign_scans(file: str, prepared: Sequence[_Prepared], loops: bool) -> lis
 def _judged(name, plant, seed, doubts, prepared, results) -> list[Scored]:
     found = []
     for doubt, each, (estimates, taken, moved, held) in zip(doubts, prepared, results, strict=True):
-        tracking = np.nan
+        loop = np.full(2, np.nan)
         if moved is not None:
-            steady = bench.tracking_error(each.cautious, each.record.states)
-            tracking = bench.tracking_error(each.bold, moved) / steady
+            steady = bench.tracking_errors(each.cautious, each.record.states)
+            loop = bench.tracking_errors(each.bold, moved) / steady
         errors = bench.state_errors(each.record, estimates, each.told[0].rigid_modes)
-        found.append(Scored(name, plant, doubt, seed, *errors, tracking, taken, held))
+        found.append(Scored(name, plant, doubt, seed, *errors, *map(float, loop), taken, held))
     return found

@@ -3,8 +3,6 @@
 ``python -m experiments.motion.observer_contest.table`` writes the committed table's ranking into ``docs/contest.md``.
 """
 
-import csv
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,9 +16,9 @@ from experiments.motion.observer_contest.doubts import DOUBTS
 from experiments.motion.observer_contest.entrants import ENTRANTS
 from experiments.motion.observer_contest.plants import PLANTS
 from experiments.motion.observer_contest.scores import SCORES, Scored, contest_trial
-from experiments.motion.observer_contest.tuning import WORST, settings_for
+from experiments.motion.observer_contest.tuning import capped_mean, settings_for
 from stillwork.base import paths
-from stillwork.base.checks import InputError, require_count
+from stillwork.base.checks import InputError, require_choice, require_count
 
 COLUMNS = ("entrant", "plant", "doubt", "score", "median", "low", "high", "microseconds")
 RESAMPLES = 1000
@@ -41,30 +39,38 @@ def run_contest(
     seeds: int,
     files: Sequence[str | Path] = (),
     *,
+    only: Sequence[str] = (),
     plants: Sequence[str] = tuple(PLANTS),
     doubts: Sequence[str] = tuple(DOUBTS),
     loops: int | None = None,
     executor=None,
 ) -> ContestResult:
-    """Run all entrants, and the observers in these files, over `seeds` hidden seeds a plant.
+    """Run our entrants (`only` these and the Kalman filter) and the observers in these files over `seeds` hidden seeds.
 
     Loops are run for the first `loops` of them, by default for all.
     The result does not depend on the executor, on its number of workers or on their order.
     """
+    for name in only:
+        require_choice("only", name, ENTRANTS)
     named = {Path(file).stem: str(Path(file).resolve()) for file in files}
-    settings = {plant: settings_for(plant) for plant in plants}
-    if taken := set(named) & set(settings[plants[0]]):
+    if taken := set(named) & set(ENTRANTS):
         raise InputError(f"{taken.pop()!r} is an entrant already; give the file another name")
-    work = [
+    names = [name for name in ENTRANTS if not only or name in ("Kalman", *only)]
+    settings = {plant: settings_for(plant, names) for plant in plants}
+    trials = [
         (plant, seed, public, settings[plant], named, doubts, loops is None or seed < loops)
         for seed in range(require_count("seeds", seeds))
         for plant in plants
     ]
+    # Whoever is out on the first is not waited for on all others.
+    reasons = contest_trial(plants[0], 0, public, {}, named, doubts[:1])[1] if named else {}
+    for name in reasons:
+        del named[name]
     if executor is None:
-        done = [contest_trial(*each) for each in work]
+        done = [contest_trial(*each) for each in trials]
     else:
-        done = [future.result() for future in [executor.submit(contest_trial, *each) for each in work]]
-    reasons = {name: reason for _, out in done for name, reason in out.items()}
+        done = [future.result() for future in [executor.submit(contest_trial, *each) for each in trials]]
+    reasons |= {name: reason for _, out in done for name, reason in out.items()}
     return ContestResult(
         [each for found, _ in done for each in found if each.entrant not in reasons], reasons
     )
@@ -83,138 +89,121 @@ def median_interval(values: ArrayLike, level: float = 0.95) -> tuple[float, floa
     return float(middle), float(ordered[low]), float(ordered[-1 - low])
 
 
-def rows(contest: ContestResult) -> list[tuple]:
-    """The table: a row an entrant, plant, doubt and score, with the median over the seeds and its interval.
+def measured(contest: ContestResult) -> pd.DataFrame:
+    """What was measured: a row an entrant, plant, doubt and score, with the median over the seeds and its interval.
 
-    Those of the ranking, over all plants and doubts, come first: their middle column is the mean's.
+    Over all plants and doubts there are the mean error of each seed and the bytes that the entrant holds at most.
     """
-    table = []
-    for each in ranking(contest):
-        for score, value, interval in (
-            ("mean error", each.error, each.interval),
-            ("rank", each.rank, each.rank_interval),
-            ("less Kalman", each.behind, each.behind_interval),
-        ):
-            table.append((each.entrant, "all", "all", score, value, *interval, each.microseconds))
-    groups: dict[tuple, list[Scored]] = defaultdict(list)
-    for each in contest.scores:
-        groups[each.entrant, each.plant, each.doubt].append(each)
-    for key, runs in groups.items():
-        speed = float(np.median([run.microseconds for run in runs]))
+    runs = pd.DataFrame(contest.scores)
+    by_entrant = runs.groupby("entrant", sort=False)
+    speed, held = by_entrant["microseconds"].median(), by_entrant["bytes"].max()
+    errors = runs.groupby(["entrant", "seed"], sort=False)["flexible"].agg(capped_mean)
+    table = [
+        (name, "all", f"seed {seed}", "mean error", error, error, error, speed[name])
+        for (name, seed), error in errors.items()
+    ]
+    table += [(name, "all", "all", "bytes", *[held[name]] * 3, speed[name]) for name in held[held > 0].index]
+    for key, own in runs.groupby(["entrant", "plant", "doubt"], sort=False):
         for score in SCORES:
-            values = [value for run in runs if not np.isnan(value := getattr(run, score))]
-            if values:
-                table.append((*key, score, *median_interval(values), speed))
-    return table
+            if len(values := own[score].dropna()):
+                table.append((*key, score, *median_interval(values), own["microseconds"].median()))
+    return _rounded(table)
 
 
-def write_table(contest: ContestResult, file: str | Path) -> None:
-    """The table as CSV, four digits a number."""
-    with open(file, "w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        for *names, median, low, high, speed in rows(contest):
-            writer.writerow((*names, *(f"{each:.4g}" for each in (median, low, high)), f"{speed:.2g}"))
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where an entrant stands; every pair is an interval of 95 % over seeds."""
-
-    entrant: str
-    error: (
-        float  # of the flexible states, mean over plants, doubts and seeds, none counted beyond twice zero's
+def _rounded(rows: list[tuple]) -> pd.DataFrame:
+    """Rows of the table as it is written: four digits a number, two a time."""
+    return pd.DataFrame(
+        [(*row[:4], *(float(f"{each:.4g}") for each in row[4:7]), float(f"{row[7]:.2g}")) for row in rows],
+        columns=COLUMNS,
     )
-    interval: tuple[float, float]
-    rank: float
-    rank_interval: tuple[float, float]
-    behind: float  # its error less the Kalman filter's, on the same scans
-    behind_interval: tuple[float, float]
-    unstable: float  # share of the loops that ran away
-    microseconds: float
-    bytes: int
 
 
-def ranking(contest: ContestResult) -> list[Place]:
-    """Entrants by their mean error, with intervals from resampled seeds."""
-    names = list(dict.fromkeys(each.entrant for each in contest.scores))
-    seeds = sorted({each.seed for each in contest.scores})
-    errors = np.zeros((len(names), len(seeds)))
-    for i, name in enumerate(names):
-        for j, seed in enumerate(seeds):
-            errors[i, j] = np.mean(
-                [min(x.flexible, WORST) for x in contest.scores if x.entrant == name and x.seed == seed]
-            )
-    chosen = np.random.default_rng(0).integers(len(seeds), size=(RESAMPLES, len(seeds)))
+def of_seeds(table: pd.DataFrame) -> pd.DataFrame:
+    """Mean error of every entrant, a row each, on every seed."""
+    rows = table[table["doubt"].str.startswith("seed ")]
+    return rows.pivot(index="entrant", columns="doubt", values="median").loc[rows["entrant"].unique()]
+
+
+def ranked(table: pd.DataFrame) -> pd.DataFrame:
+    """The table with its ranking on top, by mean error; intervals of 95 % from resampled seeds.
+
+    For each entrant: its mean error, its rank (ties share one), and its error less the Kalman filter's on the same scans.
+    """
+    seen = of_seeds(table)
+    errors = seen.to_numpy()
+    chosen = np.random.default_rng(0).integers(errors.shape[1], size=(RESAMPLES, errors.shape[1]))
     means = errors[:, chosen].mean(axis=2)
-    ranks = stats.rankdata(means, axis=0)
-    kalman = names.index("Kalman")
+    kalman = seen.index.get_loc("Kalman")
+    scores = {
+        "mean error": (errors.mean(axis=1), means),
+        "rank": (stats.rankdata(errors.mean(axis=1)), stats.rankdata(means, axis=0)),
+        "less Kalman": (errors.mean(axis=1) - errors[kalman].mean(), means - means[kalman]),
+    }
+    speed = table[table["plant"] == "all"].groupby("entrant")["microseconds"].first()
+    rows = []
+    for place in np.argsort(errors.mean(axis=1), kind="stable"):
+        name = seen.index[place]
+        for score, (values, resampled) in scores.items():
+            interval = np.quantile(resampled[place], [0.025, 0.975])
+            rows.append((name, "all", "all", score, values[place], *interval, speed[name]))
+    kept = table[~((table["doubt"] == "all") & table["score"].isin(list(scores)))]
+    return pd.concat([_rounded(rows), kept], ignore_index=True)
 
-    def interval(values):
-        return tuple(float(each) for each in np.quantile(values, [0.025, 0.975]))
 
-    standings = []
-    for i, name in enumerate(names):
-        own = [each for each in contest.scores if each.entrant == name]
-        standings.append(
-            Place(
-                name,
-                float(errors[i].mean()),
-                interval(means[i]),
-                float(stats.rankdata(errors.mean(axis=1))[i]),
-                interval(ranks[i]),
-                float((errors[i] - errors[kalman]).mean()),
-                interval(means[i] - means[kalman]),
-                float(
-                    np.mean([np.isinf(each.tracking) for each in own if not np.isnan(each.tracking)] or [0])
-                ),
-                float(np.median([each.microseconds for each in own])),
-                max(each.bytes for each in own),
-            )
+def joined(before: pd.DataFrame, new: pd.DataFrame) -> pd.DataFrame:
+    """A table with the rows of some entrants in place of those that it had, ranked anew: all ran on the same scans."""
+    old, again = (of_seeds(each).reindex(["Kalman"]) for each in (before, new))
+    if not old.equals(again):
+        raise InputError(
+            "the table to join is of other scans; give the seeds and the public number that made it"
         )
-    return sorted(standings, key=lambda each: each.error)
+    kept = before[~before["entrant"].isin(new["entrant"].unique())]
+    return ranked(pd.concat([kept, new], ignore_index=True))
 
 
-def leaderboard(contest: ContestResult) -> str:
-    """The ranking as text."""
-    lines = [
-        f"{'':>2}  {'observer':38} {'error':>5}  {'95 %':^11}  {'rank':^7}  {'less Kalman':^14}  unstable  us/sample  bytes"
-    ]
-    for place, each in enumerate(ranking(contest), 1):
-        first, final = (round(end) for end in each.rank_interval)
-        lines.append(
-            f"{place:>2}  {each.entrant:38} {each.error:5.2f}  {each.interval[0]:4.2f}..{each.interval[1]:4.2f} "
-            f" {first:>2}..{final:<3} {each.behind_interval[0]:+.2f}..{each.behind_interval[1]:+.2f} "
-            f" {100 * each.unstable:6.0f} %  {each.microseconds:9.1f}  {each.bytes or '':>6}"
-        )
-    lines += [f" -  {name:38} disqualified: {reason}" for name, reason in contest.disqualified.items()]
-    return "\n".join(lines)
+def write_table(table: pd.DataFrame, file: str | Path) -> None:
+    """The table as CSV."""
+    table.to_csv(file, index=False, float_format="%.4g", lineterminator="\n")
 
 
-def standings(file: str | Path) -> str:
-    """The ranking that a written table holds, as Markdown; a page of the site shows the committed one's."""
-    table = pd.read_csv(file)
+def standings(table: pd.DataFrame) -> pd.DataFrame:
+    """Who stands where, in words: every pair is an interval of 95 % over seeds."""
     away = table[table["score"] == "tracking"].groupby("entrant")["median"].agg(lambda x: np.isinf(x).mean())
-    scores = {name: of.set_index("entrant") for name, of in table[table["plant"] == "all"].groupby("score")}
-    lines = [
-        "| rank | observer | error | less Kalman | ran away | µs a sample | after |",
-        "|---|---|---|---|---|---|---|",
-    ]
+    whole = table[(table["plant"] == "all") & (table["doubt"] == "all")]
+    scores = {name: of.set_index("entrant") for name, of in whole.groupby("score")}
+    rows = []
     for name, each in scores["mean error"].sort_values("median", kind="stable").iterrows():
         rank, behind = (scores[score].loc[name] for score in ("rank", "less Kalman"))
-        lines.append(
-            f"| {rank['low']:.0f} to {rank['high']:.0f} | {name} | {each['low']:.2f} to {each['high']:.2f} | "
-            f"{behind['low']:+.2f} to {behind['high']:+.2f} | {100 * away[name]:.0f} % | "
-            f"{each['microseconds']:.2g} | {ENTRANTS[name].source} |"
+        own = ENTRANTS.get(name)
+        rows.append(
+            {
+                "rank": f"{rank['low']:.0f} to {rank['high']:.0f}",
+                "observer": name,
+                "error": f"{each['low']:.2f} to {each['high']:.2f}",
+                "less Kalman": f"{behind['low']:+.2f} to {behind['high']:+.2f}",
+                "ran away": f"{100 * away[name]:.0f} %" if name in away else "",
+                "µs a sample": f"{each['microseconds']:.2g}",
+                "bytes": f"{scores['bytes'].loc[name, 'median']:.0f}" if own and "bytes" in scores else "",
+                "knobs": str(len(own.knobs)) if own else "",
+                "after": own.source if own else "your file",
+            }
         )
-    return "\n".join(lines)
+    found = pd.DataFrame(rows)
+    return found.loc[:, (found != "").any()]
+
+
+def as_markdown(found: pd.DataFrame) -> str:
+    """A ranking as a page of the site shows it."""
+    lines = [f"| {' | '.join(line)} |" for line in (found.columns, *found.to_numpy())]
+    return "\n".join([lines[0], "|" + "---|" * found.shape[1], *lines[1:]])
 
 
 def main() -> None:
     """Write the committed table's ranking into its guide."""
     before, _, rest = GUIDE.read_text(encoding="utf-8").partition(BEGIN)
     after = rest.partition(END)[2]
-    GUIDE.write_text(f"{before}{BEGIN}\n{standings(FILE)}\n{END}{after}", encoding="utf-8")
+    shown = as_markdown(standings(pd.read_csv(FILE)))
+    GUIDE.write_text(f"{before}{BEGIN}\n{shown}\n{END}{after}", encoding="utf-8")
 
 
 if __name__ == "__main__":

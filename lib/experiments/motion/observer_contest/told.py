@@ -86,15 +86,16 @@ class Rival(NamedTuple):
 class OwnObserver:
     """An entrant with its knobs set, as the bench runs it; anybody's observer has `start` and `step` alike."""
 
-    def __init__(self, entrant: Rival, settings: tuple[float, ...] | None = None):
+    def __init__(
+        self, entrant: Rival, settings: tuple[float, ...] | None = None, designs: dict | None = None
+    ):
         self.entrant = entrant
         self.settings = tuple(knob.given for knob in entrant.knobs) if settings is None else settings
-        self.designs: dict[
-            tuple, MadeObserver
-        ] = {}  # of what it was told of before: many scans are told the same
+        # Of what it was told of before: many scans are told the same.
+        self.designs: dict[tuple, MadeObserver] = {} if designs is None else designs
 
     def start(self, model: ToldModel, noise: ToldNoise, sample_time: float) -> None:
-        """MadeObserver it, and let it forget all scans."""
+        """Design it, and let it forget all scans."""
         key = (model.a.tobytes(), model.b.tobytes(), model.c.tobytes(), noise.sensor.tobytes())
         if key not in self.designs:
             self.designs[key] = self.entrant.design(model, noise, sample_time, *self.settings)

@@ -1,6 +1,7 @@
 """Every entrant's knobs, set by one procedure with one budget on training seeds: python -m experiments.motion.observer_contest.tuning."""
 
 import sys
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -64,10 +65,10 @@ def tune(name: str, plant: str) -> list[float]:
     return [float(f"{each:.6g}") for each in positions(name)[int(np.argmin(costs))]]
 
 
-def settings_for(plant: str) -> dict[str, list[float]]:
-    """Where the tuned knobs of all entrants stand on a plant."""
+def settings_for(plant: str, names: Iterable[str] = ENTRANTS) -> dict[str, list[float]]:
+    """Where the tuned knobs of these entrants stand on a plant."""
     tuned = read_toml(FILE)
-    return {name: list(tuned[name][plant]) if ENTRANTS[name].knobs else [] for name in ENTRANTS}
+    return {name: list(tuned[name][plant]) if ENTRANTS[name].knobs else [] for name in names}
 
 
 def main(names: list[str]) -> None:
