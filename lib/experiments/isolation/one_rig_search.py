@@ -169,8 +169,8 @@ def band(name: str, values: np.ndarray, deviation: float) -> tuple[float, float]
 def alone(
     prior: tuple[np.ndarray, np.ndarray], names: list[str], name: str, of: Callable[[str], float]
 ) -> tuple[float, float]:
-    """95 % band of a number around the rig that is searched for it alone."""
-    middle, _ = infer(prior, names, [name], of, 1)
+    """95 % band of a number around the rig that is searched for it alone, from as many starts as the one for all."""
+    middle, _ = infer(prior, names, [name], of, STARTS)
     return band(name, simulate(middle, [name]), of(name))
 
 
