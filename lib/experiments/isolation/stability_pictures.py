@@ -72,8 +72,10 @@ def paint_forms(runs: Mapping[str, Mapping[str, CovarianceRun]], experiment: flo
             if np.isfinite(run.breakdown):
                 for axes in (upper, lower):
                     axes.axvline(run.breakdown, color=figures.GREY, lw=0.8, ls=":")
-                look = {"fontsize": 8, "ha": "right", "va": "bottom", "color": figures.GREY}
-                text = f"indefinite at about {run.breakdown_tens():.0f} "
+                # Towards the wider side of the line, or the words would leave the frame.
+                side = "left" if run.breakdown < t[-1] / 2 else "right"
+                look = {"fontsize": 8, "ha": side, "va": "bottom", "color": figures.GREY}
+                text = f" indefinite at about {run.breakdown_tens():.0f} "
                 lower.annotate(text, (run.breakdown, 1e-13), **look)
         unit = np.finfo(precision).eps
         guide = np.array([0.0, np.log(1 / unit)])

@@ -65,7 +65,10 @@ def paint_settling(
         panel.set_xticks(at, list(GROUPS))
         panel.set_title(title)
     figures.label(axes, "weights", f"time to stay within {SHARE:.0%}\nof the shift (s)")
-    figures.legend_below(axes[0, -1], 3)
+    # Of all panels, for an algorithm may leave runs unsettled in one of them only.
+    entries = [panel.get_legend_handles_labels() for panel in axes[0]]
+    named = {name: handle for handles, names in entries for handle, name in zip(handles, names, strict=True)}
+    figure.legend(named.values(), named.keys(), loc="outside lower center", ncols=2)
     return figure
 
 
