@@ -131,7 +131,7 @@ def sampled_modes(
     frequencies: Float64[np.ndarray, " modes"],
     damping: Float64[np.ndarray, " modes"],
     step: float,
-    omega: Float64[np.ndarray, "*modes frequencies"],
+    omega: Float64[np.ndarray, "... frequencies"],
 ) -> Complex128[np.ndarray, "modes frequencies"]:
     """Force to position of each mode for itself (mass 1), sampled with a zero-order hold, in closed form.
 
