@@ -47,8 +47,9 @@ GUIDE = (paths.root() / "docs" / "contest.md").read_text(encoding="utf-8")
 
 
 def test_the_guide_counts_right():
-    words = {6: "Six machines", 22: "22 ways"}
-    assert words[len(PLANTS)] in GUIDE and words[len(DOUBTS)] in " ".join(GUIDE.split())
+    words = " ".join(GUIDE.split())
+    assert {6: "Six machines"}[len(PLANTS)] in words
+    assert f"{len(DOUBTS)} doubts: none at all, and {len(DOUBTS) - 1} ways" in words
 
 
 def test_the_guide_shows_the_committed_ranking():
