@@ -23,9 +23,8 @@ def check(function):
     def checked(*arguments, **named):
         _calls[function] += 1
         if _calls[function] == FIRST:
-            called = sys._getframe(1).f_locals[
-                "fn"
-            ]  # what jaxtyping checks by `function`, which it made for that
+            # What jaxtyping checks by `function`, which it made for that.
+            called = sys._getframe(1).f_locals["fn"]
             called.__no_type_check__ = True
             _trusted.add(called)
         return compiled(function)(*arguments, **named)

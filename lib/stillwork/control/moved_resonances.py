@@ -79,9 +79,8 @@ def worst_factors(
     moving = np.flatnonzero(shares)
     centre, damping = plant.frequencies[moving, None, None], plant.damping[moving, None, None]
     low, high = centre * (1 - shares[moving, None, None]), centre * (1 + shares[moving, None, None])
-    turns = np.round(
-        centre * loop.step / (2 * np.pi)
-    )  # sampled, a mode above half the rate is seen folded back
+    # Sampled, a mode above half the rate is seen folded back.
+    turns = np.round(centre * loop.step / (2 * np.pi))
     folded = 2 * np.pi * turns / loop.step if loop.step else 0 * centre
     seen = np.abs(folded + np.where((centre < folded), -1, 1) * omega)
     width = np.maximum(damping, 1e-7)

@@ -45,9 +45,9 @@ def hold_contest(
         contest = run_contest(
             public, seeds, files, only=only, loops=loops, executor=executor if scheduler else pool
         )
-    table = ranked(measured(contest))
-    if only and out and Path(out).exists():
-        table = joined(pd.read_csv(out), table)
+    table = measured(contest)
+    late = only and out and Path(out).exists()
+    table = joined(pd.read_csv(out), table) if late else ranked(table)
     print(standings(table).to_string(index=False))
     for name, reason in contest.disqualified.items():
         print(f"{name} is disqualified: {reason}")
