@@ -10,7 +10,14 @@ from experiments.motion.designs import stage_observer
 from experiments.motion.drive import drive_applications, drive_loop, rigid_response, seen_by_controller
 from experiments.motion.machines import Drive, drive, published_noise, stage, stage_mass
 from experiments.motion.open_choices import BandwidthMap
-from experiments.motion.pictures import CASES, LABELS, add_magnitude, paint_bode, paint_over_masses
+from experiments.motion.pictures import (
+    CASES,
+    LABELS,
+    add_magnitude,
+    paint_bode,
+    paint_over_masses,
+    plain_numbers,
+)
 from experiments.motion.structure import as_stage, measured_accelerance
 from stillwork.control.applications import Application, compensator
 from stillwork.control.bandwidth import Bandwidth, Loop, make_loop
@@ -120,6 +127,7 @@ def paint_identified(
     axes[0].set_ylabel("magnitude (dB re 1 rad/A)")
     axes[0].legend(ncols=3, fontsize=7)
     axes[1].set(ylabel="coherence", xlabel="frequency (Hz)")
+    plain_numbers(axes[1].xaxis)
     return figure
 
 
