@@ -59,7 +59,7 @@ def test_kernel_agrees_with_its_slow_twin(name, case):
         options["adaptation"] = FeRls(0.3, growth_limit=np.inf)
         slow["ferls"] = (0.3 * np.eye(twin.regressors), options["adaptation"].forgetting)
     run = simulate(twin, floor, seed=3, keep_every_s=2e-4, signals_from_s=0.0, **options)
-    source = Sources(twin, [(SAMPLES, floor)], True, 3)
+    source = Sources(twin, [(SAMPLES, floor)], True, [3])
     expected = closed_loop.run(twin, *source.sample(SAMPLES), **slow)
     for got, wanted in (
         (run.platform, expected["platform"]),

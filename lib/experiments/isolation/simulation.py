@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from experiments.isolation import loop
 from experiments.isolation.recorded_floors import LOUDEST, RecordedFloor
-from experiments.isolation.sources import BLOCK, Floor, Together
+from experiments.isolation.sources import BLOCK, Floor, Sources
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import InputError, require_array, require_count, require_number
 from stillwork.estimation.adaptive import FeLms, FeRls
@@ -111,7 +111,7 @@ def simulate_together(
             code, numbers, recursion = _algorithm(twin, adaptation)
             closed = loop.loop_of(twin, feedback, start, recursion, runs)
             sides.append((adaptation, code, numbers, closed, _Kept(twin, total, every, first, runs)))
-        _advance(twin, Together(twin, segments, noise, batch, runs), sides, total, first, start)
+        _advance(twin, Sources(twin, segments, noise, batch, runs), sides, total, first, start)
         found += [
             {name: side[-1].run(rate, side[-2], run) for name, side in zip(adaptations, sides, strict=True)}
             for run in range(len(batch))
@@ -119,7 +119,7 @@ def simulate_together(
     return found
 
 
-def _advance(twin: Twin, sources: Together, sides: list, total: int, first: int, start: np.ndarray) -> None:
+def _advance(twin: Twin, sources: Sources, sides: list, total: int, first: int, start: np.ndarray) -> None:
     """Run the algorithms of `sides` over the same samples, block by block, as many runs at a time as the sources are."""
     together = None if sources.runs == 1 else (0,) * sources.runs
     done = 0
