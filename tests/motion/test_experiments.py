@@ -172,6 +172,9 @@ def test_an_encirclement_is_counted():
         )
 
 
+HITS = np.array([[0.0, 1.0, 0.0, 0.0], [0.0, 2.0, 0.5, 0.0]])
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [
@@ -183,6 +186,8 @@ def test_an_encirclement_is_counted():
             "inputs has shape",
         ),
         (lambda: impact_response(np.zeros((0, 9)), np.zeros((0, 9)), 1.0), "force (holds no hit|is empty)"),
+        (lambda: impact_response(1e-160 * HITS, HITS, 1.0), "too large or too small"),
+        (lambda: impact_response(HITS, 1e300 * HITS, 1.0), "too large or too small"),
         (lambda: fit_modes(accelerance(TRUE, np.arange(100.0, 2000.0)), [], (110.0, 1990.0)), "at least one"),
         (
             lambda: fit_modes(accelerance(TRUE, np.arange(100.0, 2000.0)), [3000.0], (110.0, 1990.0)),
