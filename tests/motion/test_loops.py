@@ -24,13 +24,13 @@ FAMILY = PidFamily(stage_mass())
 OMEGA = 2 * np.pi * np.array([0.5, 20.0, 60.0, 140.0, 469.0, 900.0])
 
 
+@pytest.mark.parametrize("lead", [3.0, 2.0])
 @pytest.mark.parametrize("notches", [(), (3000.0, 6000.0)])
-def test_controller_realisation(notches):
-    pid = PidFamily(12.5, notches)(40.0)
+def test_controller_realisation(notches, lead):
+    pid = PidFamily(12.5, notches, lead)(40.0)
     s, w = 1j * OMEGA, 2 * np.pi * 40
-    expected = (
-        12.5 * w**2 / 3 * (s + w / 9) / s * (3 * s / w + 1) * 9 * w**2 / (s**2 + 4.2 * w * s + 9 * w**2)
-    )
+    low_pass = (lead * w) ** 2 / (s**2 + 1.4 * lead * w * s + (lead * w) ** 2)
+    expected = 12.5 * w**2 / lead * (s + w / lead**2) / s * (lead * s / w + 1) * low_pass
     for each in notches:
         expected = expected * Notch(each).at(s)
     np.testing.assert_allclose(pid.frequency_response(OMEGA), expected, rtol=1e-12)

@@ -52,6 +52,12 @@ def test_state_response_agrees_with_the_modal_one():
     assert np.all(np.abs(by_solving - expected) <= 1e-8 * np.linalg.norm(expected, axis=(0, 1)))
 
 
+def test_a_grid_is_dense_where_a_pole_is_narrow():
+    grid = lti.resonance_grid([-0.05 + 500j, -0.05 - 500j], 1.0, 1000.0)
+    near = grid[np.abs(grid - 500) < 0.1]  # twice the half width of the resonance
+    assert len(near) > 8 and np.diff(near).max() < 0.05
+
+
 def test_discrete_response_is_that_of_python_control():
     model = zoh_modes(random_modal(1).modes(slice(1, None)), 1e-4)
     omega = np.linspace(10, 3e4, 50)
