@@ -248,6 +248,8 @@ def test_a_floor_that_is_not_a_number_stops_at_once():
     ("change", "message"),
     [
         ({"weights": np.zeros((6, 3))}, "weights has shape"),
+        ({"weights": np.zeros((2, 6, 9))}, "weights has shape"),
+        ({"weights": [[1.0, 2.0], [3.0]]}, "weights is not an array of numbers"),
         ({"signals_from_s": 50.0}, "signals_from_s is 50 but the run lasts"),
         ({"signals_from_s": -1.0}, "signals_from_s is -1; give a finite number at least 0"),
         ({"signals": ["comand"]}, "signals is 'comand'.*did you mean 'command'"),
