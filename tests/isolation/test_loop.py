@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from experiments.isolation import simulation as module
 from experiments.isolation.floors import colored_floor, flat_floor
@@ -72,6 +73,28 @@ def test_kernel_agrees_with_its_slow_twin(name, case):
         assert np.max(np.abs(got.T - wanted)) <= 1e-9 * np.max(np.abs(wanted))
     assert np.max(np.abs(run.weights - expected["weights"])) <= 1e-9 * np.max(np.abs(start))
     assert run.error_power == pytest.approx(np.sum(expected["error"] ** 2, axis=1), rel=1e-7, abs=1e-20)
+
+
+def test_sources_are_white_noise_through_the_floor_and_the_mains():
+    twin, floor, seeds, count = RIGS["fitted"], flat_floor(80.0), [3, 8], 1500
+    moved, noise = Sources(twin, [(count, floor)], True, seeds, 4).sample(count)
+    instruments, rate = twin.instruments, twin.instruments.sample_rate
+    for place, seed in enumerate([*seeds, 8, 8]):
+        first, second = (
+            np.random.Generator(np.random.SFC64(each)) for each in np.random.SeedSequence(seed).spawn(2)
+        )
+        white = (first.standard_normal((count, 3)) * floor.scale).T
+        shaken = [signal.sosfilt(rows, row) for rows, row in zip(floor.sections, white, strict=True)]
+        assert np.abs(moved[:, place::4].T - shaken).max() < 1e-12 * np.abs(shaken).max()
+        sensors = second.standard_normal((count, twin.outputs + 3))
+        for k, column in enumerate(noise[:, place::4].T):
+            ours = k < twin.outputs
+            density = instruments.platform_noise if ours else instruments.floor_noise
+            lines = instruments.platform_mains if ours else instruments.floor_mains
+            expected = density * np.sqrt(rate / 2) * sensors[:, k]
+            for frequency, size in zip(instruments.mains_hz, lines, strict=True):
+                expected = expected + size * np.sin(2 * np.pi * frequency * np.arange(count) / rate)
+            assert np.abs(column - expected).max() < 1e-12 * np.abs(expected).max()
 
 
 def test_run_does_not_depend_on_its_blocks(monkeypatch):
@@ -225,6 +248,8 @@ def test_a_floor_that_is_not_a_number_stops_at_once():
     ("change", "message"),
     [
         ({"weights": np.zeros((6, 3))}, "weights has shape"),
+        ({"weights": np.zeros((2, 6, 9))}, "weights has shape"),
+        ({"weights": [[1.0, 2.0], [3.0]]}, "weights is not an array of numbers"),
         ({"signals_from_s": 50.0}, "signals_from_s is 50 but the run lasts"),
         ({"signals_from_s": -1.0}, "signals_from_s is -1; give a finite number at least 0"),
         ({"signals": ["comand"]}, "signals is 'comand'.*did you mean 'command'"),

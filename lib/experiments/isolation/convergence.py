@@ -1,6 +1,6 @@
 """Initial convergence: time constants and final values as in Table 1."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -95,7 +95,19 @@ def converge(
     twin: Twin, floor: ShapedFloor, adaptation: FeLms | FeRls, duration_s: float, seed: int
 ) -> Course:
     """Adaptation from zero weights; keeps the first actuator's parameters every 0.1 s."""
-    return _course(simulate(twin, floor, duration_s, adaptation=adaptation, seed=seed))
+    return converge_each(twin, floor, {"": adaptation}, duration_s, [seed])[0][""]
+
+
+def converge_each(
+    twin: Twin,
+    floor: ShapedFloor,
+    adaptations: Mapping[str, FeLms | FeRls],
+    duration_s: float,
+    seeds: Sequence[int],
+) -> list[dict[str, Course]]:
+    """For each seed what `converge` gives for each of several algorithms, side by side on one floor."""
+    runs = simulate_together(twin, floor, duration_s, seeds=seeds, adaptations=adaptations)
+    return [{name: _course(run) for name, run in each.items()} for each in runs]
 
 
 def _course(run: Run) -> Course:
@@ -120,17 +132,16 @@ def convergence_trial(
     """
     seeds = [int(rng.integers(2**31)) for rng in draws]
     still = simulate_together(twin, floor, FINAL_SHARE * duration_s, seeds=seeds, adaptations={"": None})
-    moving = simulate_together(twin, floor, duration_s, seeds=seeds, adaptations=both)
+    moving = converge_each(twin, floor, both, duration_s, seeds)
     return [
-        _measures(runs, before[""].error_power.mean(), final)
-        for runs, before in zip(moving, still, strict=True)
+        _measures(courses, before[""].error_power.mean(), final)
+        for courses, before in zip(moving, still, strict=True)
     ]
 
 
-def _measures(runs: dict[str, Run], before: float, final: np.ndarray | None) -> dict[str, np.ndarray]:
+def _measures(courses: dict[str, Course], before: float, final: np.ndarray | None) -> dict[str, np.ndarray]:
     found = {}
-    for name, run in runs.items():
-        course = _course(run)
+    for name, course in courses.items():
         for key, share in (("tau", SHARE), ("tau 37", 1 - SHARE)):
             settled = settling_times(
                 course.time_s, course.weights, course.final if final is None else final, share
@@ -189,12 +200,13 @@ def try_starts(
         adaptation = FeRls(
             1 / require_number("epsilons", epsilon, above=0.0), forgetting, growth_limit=np.inf
         )
-        length, stopped = duration_s, np.nan
+        options = {"adaptation": adaptation, "seed": seed, "signals_from_s": 0.0, "signals": ["command"]}
+        stopped = np.nan
         try:
-            run = simulate(twin, floor, length, adaptation=adaptation, seed=seed, signals_from_s=0.0)
+            run = simulate(twin, floor, duration_s, **options)
         except UnstableAdaptation as error:
             stopped = error.sample * twin.sample_time
-            run = simulate(twin, floor, stopped, adaptation=adaptation, seed=seed, signals_from_s=0.0)
+            run = simulate(twin, floor, stopped, **options)
         peaks.append(np.abs(run.command).max())
         stops.append(stopped)
     return Starts(epsilons, np.array(peaks), np.array(stops))

@@ -108,8 +108,8 @@ def simulate_together(
     if total < 1:
         raise InputError(f"duration_s is {duration_s}; give at least one sample")
     shape = (twin.actuators, twin.regressors)
-    start = np.zeros(shape) if weights is None else np.asarray(weights)
-    start = require_array("weights", start, shape=(len(seeds), *shape) if start.ndim == 3 else shape)
+    start = require_array("weights", np.zeros(shape) if weights is None else weights)
+    require_array("weights", start, shape=(len(seeds), *shape) if start.ndim == 3 else shape)
     for signal in signals:
         require_choice("signals", signal, SIGNALS)
     first = total
