@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from experiments.motion import machines
 from experiments.motion.discretisation import (
     discrete_compliance,
     disturbance_matrix,
@@ -14,6 +15,7 @@ from experiments.motion.discretisation import (
 )
 from experiments.motion.machines import chain, chain_matrix, drive, parameters, stage, stage_mass
 from stillwork.base.checks import InputError
+from stillwork.base.toml_files import Table
 from stillwork.lti.discretisation import zoh_modes
 from stillwork.lti.reduction import roll_off, truncate
 
@@ -127,3 +129,11 @@ def test_undamped_matrices_are_the_limit_of_small_damping():
 def test_bad_input_is_named(call, message):
     with pytest.raises(InputError, match=message):
         call()
+
+
+@pytest.mark.parametrize("deviation", [{"a": 1.0}, 1e300, -1.0])
+def test_a_deviation_whose_square_is_no_number_is_named(deviation, monkeypatch):
+    table = Table({"noise": {"process": deviation, "reference": 1.0, "sensor": 1.0}}, "machines.toml")
+    monkeypatch.setattr(machines, "parameters", lambda _: table)
+    with pytest.raises(InputError, match=r"machines\.toml: process is"):
+        machines.published_noise()

@@ -25,12 +25,14 @@ from stillwork.control.feedforward import (
 from stillwork.control.loops import channel, closed_loop
 from stillwork.control.pid import PidFamily
 from stillwork.control.setpoint import Setpoint, from_snap, point_to_point
-from stillwork.lti import StateModel, interconnect, resonance_grid, truncate, zoh
+from stillwork.lti import ModalModel, StateModel, interconnect, resonance_grid, truncate, zoh
 from stillwork.signals.moving_average import average_filter, average_reduction, moving, rms
 
 PLANT = stage().at([0], [4])
 CONTROLLER = PidFamily(stage_mass())(35.626).state_space()
 SHORT = Setpoint(1e-3, from_snap([1.0], [0.01], 1e-3), (0.0, 0.01), 0.01)
+TWICE = StateModel(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0)), np.eye(2))
+FREE = ModalModel(np.zeros(2), np.zeros(2), np.eye(2), np.eye(2), np.zeros((2, 2)))
 UNSTABLE = closed_loop(PLANT, None, PidFamily(stage_mass())(200.0).state_space())
 
 
@@ -187,6 +189,10 @@ def test_noise_has_the_power_that_the_norm_predicts():
         (lambda: replace(SHORT, scan=(0.02, 0.01)), "scan"),
         (lambda: replace(SHORT, scan=(0.0, 1.0)), "within the 0.01 s of the move"),
         (lambda: tracking_error(error_loop(UNSTABLE), SHORT, Feedforward()), "loop is unstable"),
+        (
+            lambda: error_loop(closed_loop(FREE, None, TWICE)),
+            "10 inputs and 8 outputs; give .* one actuator",
+        ),
         (lambda: fit_feedforward(error_loop(UNSTABLE), SHORT), "loop is unstable"),
         (lambda: noise_error(UNSTABLE, 1e-4, 9, {"w": 1.0}, np.random.default_rng(1)), "loop is unstable"),
         (lambda: cumulative_power(UNSTABLE, 1e-4, {"w": 1.0}, np.array([1.0, 2.0])), "loop is unstable"),

@@ -128,7 +128,11 @@ def drive() -> Drive:
 def published_deviations() -> dict[str, float]:
     """Standard deviations of w (N), v and d (m), section 3.1."""
     p = parameters("stage").table("noise")
-    return {"w": p["process"], "v": p["reference"], "d": p["sensor"]}
+    names = {"w": "process", "v": "reference", "d": "sensor"}
+    most = np.sqrt(np.finfo(float).max) / 2  # so that their squares are numbers
+    return {
+        k: require_number(f"machines.toml: {n}", p[n], at_least=0.0, at_most=most) for k, n in names.items()
+    }
 
 
 def published_noise() -> NoiseIntensities:

@@ -17,6 +17,15 @@ from stillwork.lti.state_space import StateModel, interconnect
 class Application:
     """What is done with the estimate; the defaults do nothing.
 
+    Raises
+    ------
+    InputError
+        When a damping ratio is not in [0, 1) or another number not positive.
+
+    References
+    ----------
+    Verkerk, Improved accuracy of flexible systems by state estimation, thesis (2018), sections 3.2-3.4.
+
     Examples
     --------
     >>> control.Application(compensate=True, damping=0.05).selection
@@ -62,6 +71,10 @@ def compensator(observer: Observer, application: Application) -> StateModel:
     ------
     InputError
         When there are no flexible modes, or the application does not fit them.
+
+    References
+    ----------
+    Verkerk, Improved accuracy of flexible systems by state estimation, thesis (2018), (A.2).
 
     Examples
     --------

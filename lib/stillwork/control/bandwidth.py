@@ -29,6 +29,11 @@ FUNCTIONS = ("input_sensitivity", "output_sensitivity", "true_tracking")
 class PeakConstraint:
     """An upper bound on the peak magnitude of one loop function.
 
+    Raises
+    ------
+    InputError
+        When there is no such loop function, or the limit is not above 1.
+
     Examples
     --------
     >>> round(float(20 * np.log10(control.PeakConstraint("output_sensitivity").limit)), 1)
@@ -255,7 +260,7 @@ def maximise_bandwidth(
 
     References
     ----------
-    Definition 1.2.1 and section 3.2 of the observer thesis.
+    Verkerk, Improved accuracy of flexible systems by state estimation, thesis (2018), Definition 1.2.1, section 3.2.
 
     Examples
     --------

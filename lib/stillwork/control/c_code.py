@@ -41,6 +41,10 @@ def controller_code(controller: DigitalController, name: str, precision: str = "
     InputError
         When `name` is no name in C.
 
+    References
+    ----------
+    Middleton and Goodwin, Digital Control and Estimation (1990).
+
     Examples
     --------
     >>> pid = lti.tustin(control.PidFamily(10.0)(50.0).state_space(), 1e-4)
@@ -168,6 +172,10 @@ def adaptation_code(
     ------
     InputError
         When `name` is no name in C, or the settings ask for another form or do not fit.
+
+    References
+    ----------
+    Bierman, Factorization Methods for Discrete Sequential Estimation (1977).
 
     Examples
     --------

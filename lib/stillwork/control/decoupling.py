@@ -73,6 +73,10 @@ def decouple(
         When there are fewer actuators or sensors than modes to tell apart, or their places do not tell these
         modes apart.
 
+    References
+    ----------
+    Verkerk, Improved accuracy of flexible systems by state estimation, thesis (2018), section 4.3.
+
     Examples
     --------
     >>> shapes = np.array([[0.3, 0.3], [0.5, -0.5]])  # translation and rotation, at two actuators

@@ -48,6 +48,15 @@ class DigitalController:
     about : dict
         What goes with it into its file: gains, provenance.
 
+    Raises
+    ------
+    InputError
+        When names and limits do not fit the model, or it winds up without a stable correction.
+
+    References
+    ----------
+    Åström and Wittenmark, Computer-Controlled Systems (1997).
+
     Examples
     --------
     >>> pid = lti.tustin(control.PidFamily(10.0)(50.0).state_space(), 1e-4)
@@ -296,6 +305,11 @@ def as_libraries(controller: DigitalController) -> LibraryObjects:
     Parameters
     ----------
     controller : DigitalController
+
+    Raises
+    ------
+    MissingPackage
+        When python-control is not installed.
 
     Examples
     --------

@@ -62,6 +62,10 @@ def damping_gain(
     InputError
         When the actuator cannot move a mode, or an unknown selection is asked for.
 
+    References
+    ----------
+    Verkerk, Improved accuracy of flexible systems by state estimation, thesis (2018), (3.31)-(3.34).
+
     Examples
     --------
     >>> mode = lti.ModalModel([100.0], [0.01], [[1.0]], [[1.0]], [[0.0]])

@@ -71,6 +71,15 @@ def error_loop(loop: StateModel) -> StateModel:
     loop : StateModel
         See `closed_loop`.
 
+    Raises
+    ------
+    InputError
+        When the loop has more than one actuator or sensor, or is none of `closed_loop`.
+
+    References
+    ----------
+    Verkerk, Improved accuracy of flexible systems by state estimation, thesis (2018), (A.7).
+
     Examples
     --------
     >>> mass = lti.ModalModel([0.0], [0.0], [[1.0]], [[0.1]], [[0.0]])
@@ -78,6 +87,11 @@ def error_loop(loop: StateModel) -> StateModel:
     >>> control.error_loop(loop).d.shape
     (1, 2)
     """
+    outputs, inputs = loop.d.shape
+    if (inputs, outputs) != (len(INPUTS), len(OUTPUTS)):
+        raise InputError(
+            f"loop has {inputs} inputs and {outputs} outputs; give closed_loop(...) of one actuator and sensor"
+        )
     return loop.select([INPUTS.index("v"), INPUTS.index("w")], [OUTPUTS.index("e_true")])
 
 
@@ -143,6 +157,11 @@ def tracking_error(
     -------
     ndarray, shape (samples,)
 
+    Raises
+    ------
+    InputError
+        When the loop is unstable or none of `error_loop`.
+
     Examples
     --------
     >>> mass = lti.ModalModel([0.0], [0.0], [[1.0]], [[0.1]], [[0.0]])
@@ -175,6 +194,10 @@ def fit_feedforward(loop: StateModel, setpoint: Setpoint, basis: tuple[str, ...]
     ------
     InputError
         When the basis is empty, or the move does not excite a gain (a setpoint at rest).
+
+    References
+    ----------
+    Verkerk, Improved accuracy of flexible systems by state estimation, thesis (2018), (A.1).
 
     Examples
     --------

@@ -56,6 +56,16 @@ class Controller:
     model : Plant or Mechanism
         The approximate model, which turns the deformed acceleration into a force.
 
+    Raises
+    ------
+    InputError
+        When the kinematic design is not of order 2.
+
+    References
+    ----------
+    Issa, Al-Bkree and Tar, On certain noise filtering techniques in fixed point iteration-based adaptive control,
+    Fig. 1.
+
     Examples
     --------
     >>> slide = estimation.Plant(lambda q, v, f, p: f / p[0], lambda q, v, a, p: p[0] * a, [2.0])
@@ -182,7 +192,8 @@ def simulate(
 
     References
     ----------
-    Equations (1), (6) and (8) of the fixed-point work.
+    Issa, Al-Bkree and Tar, On certain noise filtering techniques in fixed point iteration-based adaptive control,
+    (1), (6) and (8).
 
     Examples
     --------

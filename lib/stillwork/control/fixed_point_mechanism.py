@@ -91,6 +91,11 @@ def simulate_mechanism(
     ContractionWarning
         When the transformation cannot contract even with perfect measurements.
 
+    References
+    ----------
+    Issa, Al-Bkree and Tar, On certain noise filtering techniques in fixed point iteration-based adaptive control,
+    (1), (6) and (8).
+
     Examples
     --------
     >>> def inertia(position, parameters, out):

@@ -26,6 +26,16 @@ class KinematicDesign:
     order : int
         Derivative that the plant's input commands: 2 for a mechanical system.
 
+    Raises
+    ------
+    InputError
+        When the exponent is not positive.
+
+    References
+    ----------
+    Issa, Al-Bkree and Tar, On certain noise filtering techniques in fixed point iteration-based adaptive control,
+    (1).
+
     Examples
     --------
     >>> control.KinematicDesign(exponent=10.0).gains  # of the integral, the error and its derivative

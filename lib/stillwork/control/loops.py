@@ -49,6 +49,10 @@ def closed_loop(
     InputError
         When the numbers of inputs and outputs differ.
 
+    References
+    ----------
+    Verkerk, Improved accuracy of flexible systems by state estimation, thesis (2018), Figs 3.4 and 3.20.
+
     Examples
     --------
     >>> mass = lti.ModalModel([0.0], [0.0], [[1.0]], [[0.1]], [[0.0]])  # 10 kg

@@ -34,6 +34,11 @@ class Mechanism:
     parameters : ndarray, shape (parameters,)
         Passed to both; changing them recompiles nothing.
 
+    Raises
+    ------
+    InputError
+        When a function fails, leaves an entry unset, or the inertia is not symmetric.
+
     Examples
     --------
     >>> def inertia(position, parameters, out):

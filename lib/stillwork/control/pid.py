@@ -92,6 +92,15 @@ def series(models: list[StateModel]) -> StateModel:
 class PidFamily:
     """Controllers with one parameter left, the design bandwidth: the rules of Table 3.3, where `lead` is 3.
 
+    Raises
+    ------
+    InputError
+        When the mass is not positive or the lead not above 1.
+
+    References
+    ----------
+    Verkerk, Improved accuracy of flexible systems by state estimation, thesis (2018), (3.1), Table 3.3.
+
     Examples
     --------
     >>> pid = control.PidFamily(mass=10.0)(bandwidth_hz=50.0)

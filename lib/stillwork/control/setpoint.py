@@ -107,6 +107,10 @@ def point_to_point(
         When a limit is not positive, the settling is longer than the cruise, or `step` does not divide
         the segments.
 
+    References
+    ----------
+    Verkerk, Improved accuracy of flexible systems by state estimation, thesis (2018), Fig. 3.32.
+
     Examples
     --------
     >>> move = control.point_to_point(1e4, 100.0, 2.0, 0.1, cruise=0.02, settling=0.005, step=1e-3)

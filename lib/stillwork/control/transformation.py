@@ -26,6 +26,16 @@ class FlowTransformation:
     width : float
         w, m/s^2.
 
+    Raises
+    ------
+    InputError
+        When the gain is zero or the width not positive.
+
+    References
+    ----------
+    Issa, Al-Bkree and Tar, On certain noise filtering techniques in fixed point iteration-based adaptive control,
+    (6).
+
     Examples
     --------
     >>> round(control.FlowTransformation(gain=-1.1, width=3.0).local_gain, 3)

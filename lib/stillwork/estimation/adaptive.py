@@ -53,6 +53,16 @@ class FeLms:
         ``regressors``: the trace over the n regressors, which fits the published curves. ``literal``: the trace
         that eq. (18) prints, which counts them once for every actuator and is that many times slower.
 
+    Raises
+    ------
+    InputError
+        When a number is not positive.
+
+    References
+    ----------
+    The work that extends Beijen, Heertjes, van Dijk, Hakvoort, Control Engineering Practice 72 (2018), by FeRLS,
+    eq. (18)-(19).
+
     Examples
     --------
     >>> floor = np.random.default_rng(1).standard_normal((2, 5000))  # m/s^2
@@ -134,6 +144,16 @@ class FeRls:
         definiteness on regressors that one record drives, Bierman's factors, which take no longer.
     dtype : str
         Arithmetic of the update, ``float64`` or ``float32``; the weights are kept in it, too.
+
+    Raises
+    ------
+    InputError
+        When the covariance is not positive definite, or the precision rounds the forgetting to another number.
+
+    References
+    ----------
+    The work that extends Beijen, Heertjes, van Dijk, Hakvoort, Control Engineering Practice 72 (2018), by FeRLS,
+    eq. (29)-(30).
 
     Examples
     --------

@@ -77,6 +77,10 @@ def choose_bound(
     InputError
         For data that do not fit together, or too few rows for a fit without one stretch.
 
+    References
+    ----------
+    Stone, Cross-validatory choice and assessment of statistical predictions (1974).
+
     Examples
     --------
     >>> rng = np.random.default_rng(1)

@@ -62,6 +62,16 @@ class LowPass:
     bandwidth : float
         lambda of (7), rad/s.
 
+    Raises
+    ------
+    InputError
+        When the bandwidth is not positive.
+
+    References
+    ----------
+    Issa, Al-Bkree and Tar, On certain noise filtering techniques in fixed point iteration-based adaptive control,
+    section II.B.
+
     Examples
     --------
     >>> held = estimation.filter_signal(estimation.LowPass(100.0), np.ones(1000), time_step=1e-3)
@@ -194,6 +204,16 @@ class UnscentedKalman(_KalmanFilter):
     points : SigmaPoints
         Scaling, Table II.
 
+    Raises
+    ------
+    InputError
+        When a covariance is not positive definite.
+
+    References
+    ----------
+    Issa, Al-Bkree and Tar, On certain noise filtering techniques in fixed point iteration-based adaptive control,
+    section II.C.
+
     Examples
     --------
     >>> slide = estimation.Plant(lambda q, v, f, p: f / p[0], lambda q, v, a, p: p[0] * a, [2.0])
@@ -244,6 +264,15 @@ class ExtendedKalman(_KalmanFilter):
         Standard deviation of what else changes the velocity in one sample, m/s.
     initial_deviation : tuple of float
         Of position, velocity and disturbance at the first measurement.
+
+    Raises
+    ------
+    InputError
+        When a deviation or step is negative.
+
+    References
+    ----------
+    Anderson and Moore, Optimal Filtering (1979), chapter 8.
 
     Examples
     --------

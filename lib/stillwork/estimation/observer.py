@@ -17,6 +17,11 @@ from stillwork.lti.state_space import StateModel
 class NoiseIntensities:
     """Intensities that the observer is designed for; without a noise model only their ratio matters.
 
+    Raises
+    ------
+    InputError
+        When an intensity is not positive.
+
     Examples
     --------
     >>> estimation.NoiseIntensities(process=1.0, sensor=1e-12).sensor  # m^2: 1 um
@@ -104,6 +109,10 @@ def kalman_observer(model: ModalModel, noise: NoiseIntensities, noise_model: flo
     ------
     InputError
         When a mode that is not stable by itself cannot be observed, or the Riccati equation cannot be trusted.
+
+    References
+    ----------
+    Verkerk, Improved accuracy of flexible systems by state estimation, thesis (2018), section 3.1.
 
     Examples
     --------

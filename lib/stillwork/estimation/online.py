@@ -73,6 +73,11 @@ def adapt(
     UnstableAdaptation
         With the sample and the cause.
 
+    References
+    ----------
+    The work that extends Beijen, Heertjes, van Dijk, Hakvoort, Control Engineering Practice 72 (2018), by FeRLS,
+    section 4.
+
     Examples
     --------
     >>> floor = np.ones((1, 10))
@@ -111,6 +116,11 @@ def identify(
     InputError, UnstableAdaptation
         As in `adapt`.
 
+    References
+    ----------
+    The work that extends Beijen, Heertjes, van Dijk, Hakvoort, Control Engineering Practice 72 (2018), by FeRLS,
+    section 4.
+
     Examples
     --------
     >>> floor = np.random.default_rng(1).standard_normal((2, 5000))  # m/s^2
@@ -139,6 +149,11 @@ class AdaptationStepper:
         What FeRLS keeps, after the same sample: `recursion.covariance`, `recursion.held` as in `Adaptation`.
     samples : int
         How many samples were seen.
+
+    Raises
+    ------
+    InputError
+        When a sample is not finite or not of the size of the first.
 
     Examples
     --------

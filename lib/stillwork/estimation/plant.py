@@ -31,6 +31,11 @@ class Plant:
     parameters : ndarray, shape (parameters,)
         Passed to both; changing them recompiles nothing.
 
+    Raises
+    ------
+    InputError
+        When a function fails, or `force` is not the inverse of `acceleration`.
+
     Examples
     --------
     >>> slide = estimation.Plant(lambda q, v, f, p: f / p[0], lambda q, v, a, p: p[0] * a, [2.0])

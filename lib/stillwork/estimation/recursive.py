@@ -127,6 +127,11 @@ class RecursiveStepper:
     samples : int
         How many samples were seen.
 
+    Raises
+    ------
+    InputError
+        When `estimator` is not one, or a sample does not fit.
+
     Examples
     --------
     >>> stepper = estimation.RecursiveStepper(estimation.LeastSquares(0.98), unknowns=1)

@@ -92,6 +92,11 @@ class MinMax(_MinMaxUpdate):
     iterations : int
         Fixed-point steps of the approximate update; the published algorithm takes 1.
 
+    Raises
+    ------
+    InputError
+        When a number is out of its range.
+
     Notes
     -----
     The residual comes from sums of squares: below 1e-7 of |b| it drowns in rounding. Use `min_max_solve`
@@ -162,6 +167,11 @@ class LeastSquares(_Recursion):
         How far an element of the diagonal of P may grow beyond P_0, at least 1; ``inf`` for the textbook's
         recursion. Without excitation P grows as 1 / forgetting^t: it leaves the finite numbers, and long before
         that its return breaks the recursion. Information is added only where P exceeds the limit.
+
+    Raises
+    ------
+    InputError
+        When a number is out of its range.
 
     References
     ----------

@@ -261,9 +261,18 @@ class LeastMeanSquares(_LinearRegressor):
     n_features_in_ : int
         Number of features.
 
+    Raises
+    ------
+    InputError
+        When a setting is out of its range, or a table does not fit; `fit` and `partial_fit` say so.
+
     Notes
     -----
     The same kernel as of `FeLms`. A sample without excitation changes nothing.
+
+    References
+    ----------
+    Haykin, Adaptive Filter Theory (2002), chapter 6.
 
     Examples
     --------
@@ -317,10 +326,19 @@ class RecursiveLeastSquares(_WeightedRegressor):
     n_features_in_ : int
         Number of features.
 
+    Raises
+    ------
+    InputError
+        When a setting is out of its range, or a table does not fit; `fit` and `partial_fit` say so.
+
     Notes
     -----
     The same kernel as of `FeRls`. `set_params` between two calls of `partial_fit` changes `forgetting`; the start and
     the form remain as they were.
+
+    References
+    ----------
+    Haykin, Adaptive Filter Theory (2002), chapter 9.
 
     Examples
     --------
@@ -398,6 +416,11 @@ class MinMaxRegressor(_WeightedRegressor):
     n_features_in_ : int
         Number of features.
 
+    Raises
+    ------
+    InputError
+        When a setting is out of its range, or a table does not fit; `fit` and `partial_fit` say so.
+
     Notes
     -----
     What is kept of the samples is a triangle that has their residuals, so that the estimate is exact at every time and
@@ -408,6 +431,11 @@ class MinMaxRegressor(_WeightedRegressor):
     -----
     ZeroEstimateWarning
         From `fit`, when the bound is so large that the estimate is zero.
+
+    References
+    ----------
+    Sayed, Garulli, Nascimento, Chandrasekaran, "Exponentially-weighted iterative solutions for worst-case
+    parameter estimation", Theorem 1.
 
     Examples
     --------

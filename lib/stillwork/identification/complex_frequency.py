@@ -118,6 +118,11 @@ def stabilisation(omega: ArrayLike, response: ArrayLike) -> Stabilisation:
     InputError
         When the lines do not ascend from above zero, or the response is zero at one of them.
 
+    References
+    ----------
+    B. Peeters, H. Van der Auweraer, P. Guillaume and J. Leuridan, "The PolyMAX frequency-domain method: a new standard
+    for modal parameter estimation?", Shock and Vibration 11 (2004).
+
     Examples
     --------
     >>> omega = np.linspace(100.0, 200.0, 400)

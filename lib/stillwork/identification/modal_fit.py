@@ -229,6 +229,11 @@ def fit_modes(
     InputError
         When there are no guesses, a guess lies outside the band, or the fitted mass is not positive.
 
+    References
+    ----------
+    Golub and Pereyra, The differentiation of pseudo-inverses and nonlinear least squares problems whose variables
+    separate (1973).
+
     Examples
     --------
     >>> stage = lti.ModalModel([0.0, 600.0], [0.0, 0.01], [[0.3], [0.3]], [[0.3, -0.3]], [[0.0]])
@@ -276,6 +281,11 @@ def identify_modes(
     ------
     InputError
         When no mode is found, or a guess lies outside the band.
+
+    References
+    ----------
+    B. Peeters, H. Van der Auweraer, P. Guillaume and J. Leuridan, "The PolyMAX frequency-domain method: a new standard
+    for modal parameter estimation?", Shock and Vibration 11 (2004).
 
     Examples
     --------

@@ -23,6 +23,15 @@ def fir_regressors(signal: ArrayLike, taps: int) -> np.ndarray:
     -------
     ndarray, shape (taps, samples)
 
+    Raises
+    ------
+    InputError
+        When the signal is not a finite list of numbers.
+
+    References
+    ----------
+    Ljung, System Identification (1999), section 4.2.
+
     Examples
     --------
     >>> identification.fir_regressors([1.0, 2.0, 3.0], taps=2)

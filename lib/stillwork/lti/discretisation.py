@@ -98,6 +98,15 @@ def tustin(model: StateModel, step: float, omega: float | None = None) -> StateM
     omega : float, optional
         rad/s; where the response stays exactly what it was.
 
+    Raises
+    ------
+    InputError
+        When the model is sampled already, or `omega` is not below half the sample rate.
+
+    References
+    ----------
+    Franklin, Powell and Workman, Digital Control of Dynamic Systems (1998), chapter 6.
+
     Examples
     --------
     >>> integrator = lti.StateModel([[0.0]], [[1.0]], [[1.0]], [[0.0]])

@@ -20,6 +20,15 @@ class ModalModel:
     The output is :math:`y = \sum_i \phi_{si}\eta_i + D f`, or its velocity counterpart with
     :math:`\dot\eta_i`. A rigid-body mode has zero frequency and zero damping.
 
+    Raises
+    ------
+    InputError
+        When sizes do not fit, frequencies do not ascend or a damping is not in [0, 1).
+
+    References
+    ----------
+    Gawronski, Advanced Structural Dynamics and Active Control of Structures (2004), chapter 2.
+
     Examples
     --------
     >>> stage = lti.ModalModel([0.0, 600.0], [0.0, 0.01], [[0.3], [0.3]], [[0.3, -0.3]], [[0.0]])
@@ -128,7 +137,7 @@ def modal_model(
     damping_ratio: float | ArrayLike = 0.0,
     damping_matrix: ArrayLike | None = None,
 ) -> ModalModel:
-    r"""Modal model of :math:`M\ddot q + D\dot q + Kq = S_a f,\; y = S_s q`, (2.1)-(2.5) of the observer thesis.
+    r"""Modal model of :math:`M\ddot q + D\dot q + Kq = S_a f,\; y = S_s q`.
 
     Parameters
     ----------
@@ -145,6 +154,10 @@ def modal_model(
     ------
     InputError
         When M or K is not symmetric or not (semi)definite, or the damping does not decouple.
+
+    References
+    ----------
+    Verkerk, Improved accuracy of flexible systems by state estimation, thesis (2018), (2.1)-(2.5).
 
     Examples
     --------

@@ -16,8 +16,7 @@ NOTHING = 1e-15
 def hinf_norm(model: StateModel, tolerance: float = 1e-10) -> Peak:
     """H-infinity norm of a stable continuous model, and its frequency, by the eigenvalues of a Hamiltonian.
 
-    No frequency grid: a level is exceeded exactly when the Hamiltonian has imaginary eigenvalues there
-    (Boyd and Balakrishnan; Bruinsma and Steinbuch).
+    No frequency grid: a level is exceeded exactly when the Hamiltonian has imaginary eigenvalues there.
 
     Parameters
     ----------
@@ -34,6 +33,10 @@ def hinf_norm(model: StateModel, tolerance: float = 1e-10) -> Peak:
     ------
     InputError
         When the model is unstable or in discrete time.
+
+    References
+    ----------
+    Boyd and Balakrishnan, Systems & Control Letters 15 (1990); Bruinsma and Steinbuch, ibid. 14 (1990).
 
     Examples
     --------
@@ -121,6 +124,10 @@ def h2_norm(model: StateModel) -> float:
     ------
     InputError
         When the model is unstable, has feedthrough, or the equation is too ill-conditioned to trust.
+
+    References
+    ----------
+    Zhou, Doyle and Glover, Robust and Optimal Control (1996), chapter 4.
 
     Examples
     --------

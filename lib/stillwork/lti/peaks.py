@@ -32,6 +32,11 @@ def resonance_grid(
     -------
     ndarray, shape (frequencies,)
 
+    Raises
+    ------
+    InputError
+        When the range is empty or a count is too small.
+
     Examples
     --------
     >>> omega = lti.resonance_grid([-0.5 + 500j, -0.5 - 500j], low_hz=1.0, high_hz=1000.0)

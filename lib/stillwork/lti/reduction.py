@@ -27,6 +27,10 @@ def truncate(model: ModalModel, modes: int, compensated: int = 0) -> ModalModel:
     InputError
         When the model has fewer modes, or a rigid-body mode would be discarded.
 
+    References
+    ----------
+    Verkerk, Improved accuracy of flexible systems by state estimation, thesis (2018), (2.14).
+
     Examples
     --------
     >>> model = lti.ModalModel([0.0, 2000.0], [0.0, 0.01], [[0.3], [0.2]], [[0.3, 0.2]], [[0.0]])

@@ -21,6 +21,11 @@ WORST_CONDITION = 1e6
 class StateModel:
     r"""Model :math:`\dot x = Ax + Bu,\; y = Cx + Du`, or :math:`x_{k+1} = Ax_k + Bu_k` when `step` > 0.
 
+    Raises
+    ------
+    InputError
+        When the shapes do not fit together.
+
     Examples
     --------
     >>> low_pass = lti.StateModel([[-10.0]], [[10.0]], [[1.0]], [[0.0]])
@@ -221,6 +226,10 @@ def interconnect(
     ------
     InputError
         When the sample times differ or a loop without dynamics has no unique solution.
+
+    References
+    ----------
+    Zhou, Doyle and Glover, Robust and Optimal Control (1996), chapter 10.
 
     Examples
     --------

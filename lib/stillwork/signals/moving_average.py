@@ -38,6 +38,10 @@ def moving(error: ArrayLike, step: float, exposure: float) -> Moving:
     InputError
         When the exposure covers fewer than two samples, or more than there are.
 
+    References
+    ----------
+    Verkerk, Improved accuracy of flexible systems by state estimation, thesis (2018), (1.1)-(1.3).
+
     Examples
     --------
     >>> signals.moving([3.0, 1.0, -1.0, -3.0], step=1e-3, exposure=2e-3).average

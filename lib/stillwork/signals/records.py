@@ -69,6 +69,11 @@ class Record:
     source : str
         File name.
 
+    Raises
+    ------
+    InputError
+        When the rate is implausible, the samples are too few, or unit and names do not fit.
+
     Examples
     --------
     >>> record = signals.Record(np.zeros((1, 4000)), 1000.0, "m/s^2", ("floor",), "floor.csv")
