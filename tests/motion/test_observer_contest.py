@@ -349,8 +349,8 @@ def test_the_table_and_the_ranking_say_what_the_scores_say(small, tmp_path):
     with open(tmp_path / "table.csv", encoding="utf-8") as stream:
         header, *lines = csv.reader(stream)
     assert tuple(header) == COLUMNS
-    # Three of the ranking, two seeds, the bytes; rigid and flexible, tracking and peak.
-    assert len(lines) == 10 * len({each.entrant for each in small.scores}) == 30
+    # Six of the ranking, the means of two seeds and of one's loops, the bytes; rigid and flexible, tracking and peak.
+    assert len(lines) == 17 * len({each.entrant for each in small.scores}) == 51
     zero = [line for line in lines if line[0] == "zero" and line[3] in ("rigid", "flexible", "mean error")]
     assert {tuple(line[4:7]) for line in zero} == {("1", "1", "1")}
     own = [each.flexible for each in small.scores if each.entrant == "Kalman"]
@@ -366,6 +366,32 @@ def test_the_table_and_the_ranking_say_what_the_scores_say(small, tmp_path):
     stood = ranked(measured(ContestResult(small.scores + twins, {})))
     ranks = stood[stood["score"] == "rank"].set_index("entrant")["median"]
     assert ranks["twin"] == ranks["Kalman"]
+
+
+@pytest.mark.slow
+def test_who_runs_on_fewer_seeds_is_compared_with_kalman_there(small):
+    """A twin of the Kalman filter that ran on one seed alone stands where the filter does, whatever that seed."""
+    for seed in (0, 1):
+        twins = [
+            each._replace(entrant="twin")
+            for each in small.scores
+            if (each.entrant, each.seed) == ("Kalman", seed)
+        ]
+        both = ranked(measured(ContestResult(small.scores + twins, {})))
+        stood = both[both["score"].isin(["mean error", "rank", "less Kalman"]) & (both["doubt"] == "all")]
+        columns = ["score", "median", "low", "high"]
+        twin, kalman = (
+            stood.loc[stood["entrant"] == name, columns].reset_index(drop=True) for name in ("twin", "Kalman")
+        )
+        assert twin.equals(kalman)
+        assert standings(both).set_index("observer").loc[["twin", "Kalman"], "seeds"].tolist() == ["1", "2"]
+
+
+@pytest.mark.slow
+def test_heavy_entrants_run_on_the_first_seeds_alone():
+    given = {"only": ["unscented Kalman"], "plants": ("drive",), "doubts": ("none",), "loops": 1}
+    found = {(each.entrant, each.seed) for each in run_contest("a test", 2, heavy=1, **given).scores}
+    assert found == {("Kalman", 0), ("Kalman", 1), ("unscented Kalman", 0)}
 
 
 @pytest.mark.slow

@@ -22,6 +22,7 @@ from stillwork.base.checks import InputError, require_choice, require_count
 
 COLUMNS = ("entrant", "plant", "doubt", "score", "median", "low", "high", "microseconds")
 RESAMPLES = 1000
+MEANS = {"mean error": "flexible", "mean rigid": "rigid", "mean loop": "tracking", "mean peak": "peak"}
 FILE, GUIDE = paths.data("motion", "contest.csv"), paths.root() / "docs" / "contest.md"
 BEGIN, END = "<!-- leaderboard:begin -->", "<!-- leaderboard:end -->"  # in the guide
 
@@ -43,11 +44,12 @@ def run_contest(
     plants: Sequence[str] = tuple(PLANTS),
     doubts: Sequence[str] = tuple(DOUBTS),
     loops: int | None = None,
+    heavy: int | None = None,
     executor=None,
 ) -> ContestResult:
     """Run our entrants (`only` these and the Kalman filter) and the observers in these files over `seeds` hidden seeds.
 
-    Loops are run for the first `loops` of them, by default for all.
+    Loops are run for the first `loops` of them, our heavy entrants on the first `heavy`, by default on all.
     The result does not depend on the executor, on its number of workers or on their order.
     """
     for name in only:
@@ -56,9 +58,18 @@ def run_contest(
     if taken := set(named) & set(ENTRANTS):
         raise InputError(f"{taken.pop()!r} is an entrant already; give the file another name")
     names = [name for name in ENTRANTS if not only or name in ("Kalman", *only)]
-    settings = {plant: settings_for(plant, names) for plant in plants}
+    light = [name for name in names if not ENTRANTS[name].heavy]
+    settings = {plant: (settings_for(plant, names), settings_for(plant, light)) for plant in plants}
     trials = [
-        (plant, seed, public, settings[plant], named, doubts, loops is None or seed < loops)
+        (
+            plant,
+            seed,
+            public,
+            settings[plant][heavy is not None and seed >= heavy],
+            named,
+            doubts,
+            loops is None or seed < loops,
+        )
         for seed in range(require_count("seeds", seeds))
         for plant in plants
     ]
@@ -92,16 +103,18 @@ def median_interval(values: ArrayLike, level: float = 0.95) -> tuple[float, floa
 def measured(contest: ContestResult) -> pd.DataFrame:
     """What was measured: a row an entrant, plant, doubt and score, with the median over the seeds and its interval.
 
-    Over all plants and doubts there are the mean error of each seed and the bytes that the entrant holds at most.
+    Over all plants and doubts there are each seed's means and the bytes that the entrant holds at most.
     """
     runs = pd.DataFrame(contest.scores)
     by_entrant = runs.groupby("entrant", sort=False)
     speed, held = by_entrant["microseconds"].median(), by_entrant["bytes"].max()
-    errors = runs.groupby(["entrant", "seed"], sort=False)["flexible"].agg(capped_mean)
-    table = [
-        (name, "all", f"seed {seed}", "mean error", error, error, error, speed[name])
-        for (name, seed), error in errors.items()
-    ]
+    table = []
+    for mean, score in MEANS.items():
+        errors = runs.dropna(subset=[score]).groupby(["entrant", "seed"], sort=False)[score].agg(capped_mean)
+        table += [
+            (name, "all", f"seed {seed}", mean, *[error] * 3, speed[name])
+            for (name, seed), error in errors.items()
+        ]
     table += [(name, "all", "all", "bytes", *[held[name]] * 3, speed[name]) for name in held[held > 0].index]
     for key, own in runs.groupby(["entrant", "plant", "doubt"], sort=False):
         for score in SCORES:
@@ -118,33 +131,54 @@ def _rounded(rows: list[tuple]) -> pd.DataFrame:
     )
 
 
-def of_seeds(table: pd.DataFrame) -> pd.DataFrame:
-    """Mean error of every entrant, a row each, on every seed."""
-    rows = table[table["doubt"].str.startswith("seed ")]
-    return rows.pivot(index="entrant", columns="doubt", values="median").loc[rows["entrant"].unique()]
+def of_seeds(table: pd.DataFrame, mean: str = "mean error") -> pd.DataFrame:
+    """One of the means of every entrant, a row each, on every seed; NaN where it did not run."""
+    rows = table[table["doubt"].str.startswith("seed ") & (table["score"] == mean)]
+    found = rows.pivot(index="entrant", columns="doubt", values="median")
+    return found.loc[rows["entrant"].unique(), rows["doubt"].unique()]
+
+
+def level(seen: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
+    """Mean over the seeds of each entrant, and the same of resampled seeds.
+
+    Who ran on some of the seeds is compared with the Kalman filter there: its lead is taken off the filter's mean
+    over all. Seeds that all ran on, and the others, are resampled apart.
+    """
+    errors, kalman = seen.to_numpy(), seen.loc["Kalman"].to_numpy()
+    rng, whole = np.random.default_rng(0), np.isfinite(errors).all(axis=0)
+    chosen = np.hstack(
+        [rng.choice(np.flatnonzero(part), (RESAMPLES, part.sum())) for part in (whole, ~whole) if part.any()]
+    )
+    behind = errors - kalman
+    means, resampled = (
+        np.nanmean(behind[:, of], axis=-1) + kalman[of].mean(axis=-1)
+        for of in (np.arange(len(kalman)), chosen)
+    )
+    return means, resampled
 
 
 def ranked(table: pd.DataFrame) -> pd.DataFrame:
     """The table with its ranking on top, by mean error; intervals of 95 % from resampled seeds.
 
-    For each entrant: its mean error, its rank (ties share one), and its error less the Kalman filter's on the same scans.
+    For each entrant: its means, its rank (ties share one), and its error less the Kalman filter's on the same scans.
     """
     seen = of_seeds(table)
-    errors = seen.to_numpy()
-    chosen = np.random.default_rng(0).integers(errors.shape[1], size=(RESAMPLES, errors.shape[1]))
-    means = errors[:, chosen].mean(axis=2)
+    means, resampled = level(seen)
     kalman = seen.index.get_loc("Kalman")
     scores = {
-        "mean error": (errors.mean(axis=1), means),
-        "rank": (stats.rankdata(errors.mean(axis=1)), stats.rankdata(means, axis=0)),
-        "less Kalman": (errors.mean(axis=1) - errors[kalman].mean(), means - means[kalman]),
+        "mean error": (means, resampled),
+        "rank": (stats.rankdata(means), stats.rankdata(resampled, axis=0)),
+        "less Kalman": (means - means[kalman], resampled - resampled[kalman]),
     }
+    for mean in list(MEANS)[1:]:
+        if len(others := of_seeds(table, mean)):
+            scores[mean] = level(others.loc[seen.index])
     speed = table[table["plant"] == "all"].groupby("entrant")["microseconds"].first()
     rows = []
-    for place in np.argsort(errors.mean(axis=1), kind="stable"):
+    for place in np.argsort(means, kind="stable"):
         name = seen.index[place]
-        for score, (values, resampled) in scores.items():
-            interval = np.quantile(resampled[place], [0.025, 0.975])
+        for score, (values, again) in scores.items():
+            interval = np.quantile(again[place], [0.025, 0.975])
             rows.append((name, "all", "all", score, values[place], *interval, speed[name]))
     kept = table[~((table["doubt"] == "all") & table["score"].isin(list(scores)))]
     return pd.concat([_rounded(rows), kept], ignore_index=True)
@@ -171,6 +205,7 @@ def standings(table: pd.DataFrame) -> pd.DataFrame:
     away = table[table["score"] == "tracking"].groupby("entrant")["median"].agg(lambda x: np.isinf(x).mean())
     whole = table[(table["plant"] == "all") & (table["doubt"] == "all")]
     scores = {name: of.set_index("entrant") for name, of in whole.groupby("score")}
+    seen = of_seeds(table)
     rows = []
     for name, each in scores["mean error"].sort_values("median", kind="stable").iterrows():
         rank, behind = (scores[score].loc[name] for score in ("rank", "less Kalman"))
@@ -181,7 +216,14 @@ def standings(table: pd.DataFrame) -> pd.DataFrame:
                 "observer": name,
                 "error": f"{each['low']:.2f} to {each['high']:.2f}",
                 "less Kalman": f"{behind['low']:+.2f} to {behind['high']:+.2f}",
+                **{
+                    mean.removeprefix("mean "): f"{of['low']:.2f} to {of['high']:.2f}"
+                    for mean in list(MEANS)[1:]
+                    if mean in scores
+                    for of in [scores[mean].loc[name]]
+                },
                 "ran away": f"{100 * away[name]:.0f} %" if name in away else "",
+                "seeds": str(seen.loc[name].count()),
                 "µs a sample": f"{each['microseconds']:.2g}",
                 "bytes": f"{scores['bytes'].loc[name, 'median']:.0f}" if own and "bytes" in scores else "",
                 "knobs": str(len(own.knobs)) if own else "",
