@@ -108,7 +108,8 @@ def sample_truth(plant: ContestPlant, doubt: Doubt, samples: int, rng: np.random
     place = np.arange(PIECES) / (PIECES - 1)
     change = 1 + direction * (doubt.drift * place + doubt.jump * (place > 0.5))
     sampled = []
-    for each in change:
+    different, piece = np.unique(change, return_inverse=True)
+    for each in different:
         # Ascending order is the model's rule and nothing to physics: modes that change places are sorted apart.
         frequencies = model.frequencies * factors[0] * each
         order = np.argsort(frequencies, kind="stable")
@@ -123,7 +124,7 @@ def sample_truth(plant: ContestPlant, doubt: Doubt, samples: int, rng: np.random
         back = np.argsort(order)
         states = np.stack([2 * back, 2 * back + 1], axis=1).ravel()
         sampled.append((step.a[np.ix_(states, states)], step.b[states], step.c[:, states]))
-    a, b, c = (np.array(x) for x in zip(*sampled, strict=True))
+    a, b, c = (np.array(x)[piece] for x in zip(*sampled, strict=True))
     if doubt.truncated:
         high = zoh_modes(plant.higher, plant.sample_time)
         n, m = a.shape[1], len(high.a)

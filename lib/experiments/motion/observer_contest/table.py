@@ -22,7 +22,7 @@ from stillwork.base.checks import InputError, require_choice, require_count
 
 COLUMNS = ("entrant", "plant", "doubt", "score", "median", "low", "high", "microseconds")
 RESAMPLES = 1000
-MEANS = {"mean error": "flexible", "mean rigid": "rigid", "mean loop": "tracking", "mean peak": "peak"}
+OTHERS = {"rigid": "rigid", "loop": "tracking", "peak": "peak"}  # columns of the page and their scores
 FILE, GUIDE = paths.data("motion", "contest.csv"), paths.root() / "docs" / "contest.md"
 BEGIN, END = "<!-- leaderboard:begin -->", "<!-- leaderboard:end -->"  # in the guide
 
@@ -55,6 +55,8 @@ def run_contest(
     for name in only:
         require_choice("only", name, ENTRANTS)
     named = {Path(file).stem: str(Path(file).resolve()) for file in files}
+    if len(named) < len(files):
+        raise InputError("two files have one name, by which observers are ranked; give one of them another")
     if taken := set(named) & set(ENTRANTS):
         raise InputError(f"{taken.pop()!r} is an entrant already; give the file another name")
     names = [name for name in ENTRANTS if not only or name in ("Kalman", *only)]
@@ -103,18 +105,16 @@ def median_interval(values: ArrayLike, level: float = 0.95) -> tuple[float, floa
 def measured(contest: ContestResult) -> pd.DataFrame:
     """What was measured: a row an entrant, plant, doubt and score, with the median over the seeds and its interval.
 
-    Over all plants and doubts there are each seed's means and the bytes that the entrant holds at most.
+    Over all plants and doubts there are the mean error of each seed and the bytes that the entrant holds at most.
     """
     runs = pd.DataFrame(contest.scores)
     by_entrant = runs.groupby("entrant", sort=False)
     speed, held = by_entrant["microseconds"].median(), by_entrant["bytes"].max()
-    table = []
-    for mean, score in MEANS.items():
-        errors = runs.dropna(subset=[score]).groupby(["entrant", "seed"], sort=False)[score].agg(capped_mean)
-        table += [
-            (name, "all", f"seed {seed}", mean, *[error] * 3, speed[name])
-            for (name, seed), error in errors.items()
-        ]
+    errors = runs.groupby(["entrant", "seed"], sort=False)["flexible"].agg(capped_mean)
+    table = [
+        (name, "all", f"seed {seed}", "mean error", error, error, error, speed[name])
+        for (name, seed), error in errors.items()
+    ]
     table += [(name, "all", "all", "bytes", *[held[name]] * 3, speed[name]) for name in held[held > 0].index]
     for key, own in runs.groupby(["entrant", "plant", "doubt"], sort=False):
         for score in SCORES:
@@ -131,11 +131,11 @@ def _rounded(rows: list[tuple]) -> pd.DataFrame:
     )
 
 
-def of_seeds(table: pd.DataFrame, mean: str = "mean error") -> pd.DataFrame:
-    """One of the means of every entrant, a row each, on every seed; NaN where it did not run."""
-    rows = table[table["doubt"].str.startswith("seed ") & (table["score"] == mean)]
+def of_seeds(table: pd.DataFrame) -> pd.DataFrame:
+    """Mean error of every entrant, a row each, on every seed; NaN where it did not run."""
+    rows = table[table["doubt"].str.startswith("seed ")]
     found = rows.pivot(index="entrant", columns="doubt", values="median")
-    return found.loc[rows["entrant"].unique(), rows["doubt"].unique()]
+    return found.loc[rows["entrant"].unique()]
 
 
 def level(seen: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
@@ -160,7 +160,7 @@ def level(seen: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
 def ranked(table: pd.DataFrame) -> pd.DataFrame:
     """The table with its ranking on top, by mean error; intervals of 95 % from resampled seeds.
 
-    For each entrant: its means, its rank (ties share one), and its error less the Kalman filter's on the same scans.
+    For each entrant: its mean error, its rank (ties share one), and its error less the Kalman filter's on the same scans.
     """
     seen = of_seeds(table)
     means, resampled = level(seen)
@@ -170,9 +170,6 @@ def ranked(table: pd.DataFrame) -> pd.DataFrame:
         "rank": (stats.rankdata(means), stats.rankdata(resampled, axis=0)),
         "less Kalman": (means - means[kalman], resampled - resampled[kalman]),
     }
-    for mean in list(MEANS)[1:]:
-        if len(others := of_seeds(table, mean)):
-            scores[mean] = level(others.loc[seen.index])
     speed = table[table["plant"] == "all"].groupby("entrant")["microseconds"].first()
     rows = []
     for place in np.argsort(means, kind="stable"):
@@ -200,12 +197,21 @@ def write_table(table: pd.DataFrame, file: str | Path) -> None:
     table.to_csv(file, index=False, float_format="%.4g", lineterminator="\n")
 
 
+def middle_half(rows: pd.DataFrame, score: str) -> str:
+    """Quartiles of a score's medians over machines and doubts, in words; nothing where it was not run."""
+    medians = rows.loc[rows["score"] == score, "median"]
+    if medians.empty:
+        return ""
+    low, high = medians.quantile([0.25, 0.75], interpolation="nearest")
+    return f"{low:.2g} to {high:.2g}"
+
+
 def standings(table: pd.DataFrame) -> pd.DataFrame:
-    """Who stands where, in words: every pair is an interval of 95 % over seeds."""
+    """Who stands where, in words: rank and errors as intervals of 95 % over seeds, the other scores as quartiles."""
     away = table[table["score"] == "tracking"].groupby("entrant")["median"].agg(lambda x: np.isinf(x).mean())
     whole = table[(table["plant"] == "all") & (table["doubt"] == "all")]
     scores = {name: of.set_index("entrant") for name, of in whole.groupby("score")}
-    seen = of_seeds(table)
+    seen, own_rows = of_seeds(table), table[table["plant"] != "all"].set_index("entrant")
     rows = []
     for name, each in scores["mean error"].sort_values("median", kind="stable").iterrows():
         rank, behind = (scores[score].loc[name] for score in ("rank", "less Kalman"))
@@ -216,12 +222,7 @@ def standings(table: pd.DataFrame) -> pd.DataFrame:
                 "observer": name,
                 "error": f"{each['low']:.2f} to {each['high']:.2f}",
                 "less Kalman": f"{behind['low']:+.2f} to {behind['high']:+.2f}",
-                **{
-                    mean.removeprefix("mean "): f"{of['low']:.2f} to {of['high']:.2f}"
-                    for mean in list(MEANS)[1:]
-                    if mean in scores
-                    for of in [scores[mean].loc[name]]
-                },
+                **{shown: middle_half(own_rows.loc[name], score) for shown, score in OTHERS.items()},
                 "ran away": f"{100 * away[name]:.0f} %" if name in away else "",
                 "seeds": str(seen.loc[name].count()),
                 "µs a sample": f"{each['microseconds']:.2g}",
