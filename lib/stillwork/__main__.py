@@ -175,6 +175,9 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
         "--loops", type=_count, metavar="N", help="seeds of which the loops are run, too (default: all)"
     )
     contest.add_argument(
+        "--heavy", type=_count, metavar="N", help="seeds on which our heavy entrants run (default: all)"
+    )
+    contest.add_argument(
         "--only",
         action="append",
         default=[],

@@ -9,7 +9,7 @@ from filterpy.kalman import IMMEstimator, KalmanFilter
 from experiments.motion.observer_contest import bench
 from experiments.motion.observer_contest.doubts import DOUBTS, sample_truth
 from experiments.motion.observer_contest.entrants import ENTRANTS
-from experiments.motion.observer_contest.multi_model import GRID
+from experiments.motion.observer_contest.multi_model import FINE, GRID
 from experiments.motion.observer_contest.plants import sample_plant
 from experiments.motion.observer_contest.told import OwnObserver, told_of
 from stillwork.estimation.nonlinear import NonlinearModel, extended_filter, unscented_filter
@@ -71,6 +71,7 @@ def assert_close(found, wanted, relative):
         ("unscented Kalman", (1e-9, 1e-12, 1.0)),
         ("Schmidt-Kalman", (1e-9,)),
         ("interacting models", (0.0, 1e-3, 1.0)),
+        ("bank of 55 models", (0.0, 1e-3, 1.0)),
         ("particles", (0.0, 0.0, 1.0)),
         ("adaptive process noise", (0.0,)),
         ("fictitious noise", (1e-9,)),
@@ -224,6 +225,36 @@ def test_the_bank_is_filterpys_interacting_models():
         peer.update(y)
         wanted.append(peer.x[:4, 0].copy())
     assert np.ptp(peer.mu) > 0.1  # it has learnt something
+    assert_close(found, np.array(wanted), 1e-5)
+
+
+@pytest.mark.slow
+def test_the_fine_bank_is_filterpys_kalman_filters_whose_beliefs_leak():
+    spread, switching, factor = 0.03, 0.01, 1e4
+    told, record = scan()
+    found, _ = run("bank of 55 models", (spread, switching, factor), told, record)
+    some, told_of_force = peers(told, spread * np.linspace(-1, 1, FINE[0]), 0.0, factor)
+    told_of_force(np.ones(1))
+    for (
+        peer
+    ) in some:  # the noise on the force through its own input matrix, and its own stationary covariance
+        peer.Q = factor * peer.B @ told[1].process @ peer.B.T
+        for _ in range(4000):
+            peer.predict(np.zeros((1, 1)))
+            peer.update(np.zeros(1))
+        peer.x[:] = 0
+    beliefs, wanted = np.full(len(some), 1 / len(some)), []
+    for u, y in zip(record.inputs, record.measurements, strict=True):
+        told_of_force(u)
+        for peer in some:
+            peer.predict(np.ones((1, 1)))
+            peer.update(y)
+        beliefs = (1 - switching) * beliefs + switching / len(some)
+        beliefs = beliefs * np.array([peer.likelihood for peer in some])
+        beliefs /= beliefs.sum()
+        wanted.append(beliefs @ np.array([peer.x[:4, 0] for peer in some]))
+    assert np.ptp(beliefs) > 0.1  # it has learnt something
+    # The gains of a recursion that ends after a finite horizon, and of a Riccati solver, differ by so much.
     assert_close(found, np.array(wanted), 1e-5)
 
 

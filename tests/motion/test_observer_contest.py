@@ -4,12 +4,13 @@ import csv
 import re
 import textwrap
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.motion.observer_contest import bench
+from experiments.motion.observer_contest import bench, command
 from experiments.motion.observer_contest.doubts import DOUBTS, hidden_seed, sample_truth
 from experiments.motion.observer_contest.entrants import ENTRANTS
 from experiments.motion.observer_contest.noise_map import (
@@ -18,8 +19,11 @@ from experiments.motion.observer_contest.noise_map import (
     NOISES,
     SEEDS,
     SIZES,
+    ahead_of,
+    crossings,
     flexible_errors,
     leads,
+    turning,
 )
 from experiments.motion.observer_contest.plants import PLANTS, sample_plant
 from experiments.motion.observer_contest.referee import Disqualified, ForeignObserver
@@ -96,7 +100,8 @@ class Observer:
 @pytest.mark.parametrize(
     "text, reason",
     [
-        (step_of("raise ValueError('no idea')"), "raises ValueError: no idea"),
+        (step_of("raise ValueError('no idea')"), "raises ValueError: no idea (line 8)"),
+        (step_of("return None"), "raises ValueError: step returns nothing"),
         (step_of("return np.full(self.n, np.nan)"), "not finite"),
         (step_of("return np.zeros(self.n + 1)"), "an estimate of shape (5,), not (4,)"),
         (step_of("return 'the truth'"), "not of real numbers"),
@@ -229,6 +234,8 @@ def test_a_file_that_is_not_there_and_a_name_that_is_taken_are_told(written):
         ForeignObserver("nowhere.py")
     with pytest.raises(InputError, match="'Kalman' is an entrant already"):
         run_contest("a test", 1, [str(written(KALMAN, "Kalman.py"))])
+    with pytest.raises(InputError, match="two files have one name"):
+        run_contest("a test", 1, ["here/mine.py", "there/mine.py"])
 
 
 def scan(name, doubt, samples=bench.SAMPLES, seed=1):
@@ -361,12 +368,41 @@ def test_the_table_and_the_ranking_say_what_the_scores_say(small, tmp_path):
     assert row.loc["less Kalman", ["median", "low", "high"]].tolist() == [0.0, 0.0, 0.0]
     found = standings(table)
     assert found["observer"].tolist() == table[table["score"] == "rank"]["entrant"].tolist()
-    assert found.set_index("observer").loc["zero", "rank"] == "3 to 3"
+    zero = found.set_index("observer").loc["zero"]
+    assert zero[["rank", "seeds", "rigid"]].tolist() == ["3 to 3", "2", "1 to 1"]
+    one = table[(table["entrant"] == "zero") & (table["score"] == "peak")]["median"].item()
+    assert zero["peak"] == f"{one:.2g} to {one:.2g}"  # on one machine under one doubt
     # A tie is one place for both.
     twins = [each._replace(entrant="twin") for each in small.scores if each.entrant == "Kalman"]
     stood = ranked(measured(ContestResult(small.scores + twins, {})))
     ranks = stood[stood["score"] == "rank"].set_index("entrant")["median"]
     assert ranks["twin"] == ranks["Kalman"]
+
+
+@pytest.mark.slow
+def test_who_runs_on_fewer_seeds_is_compared_with_kalman_there(small):
+    """A twin of the Kalman filter that ran on one seed alone stands where the filter does, whatever that seed."""
+    for seed in (0, 1):
+        twins = [
+            each._replace(entrant="twin")
+            for each in small.scores
+            if (each.entrant, each.seed) == ("Kalman", seed)
+        ]
+        both = ranked(measured(ContestResult(small.scores + twins, {})))
+        stood = both[both["score"].isin(["mean error", "rank", "less Kalman"]) & (both["doubt"] == "all")]
+        columns = ["score", "median", "low", "high"]
+        twin, kalman = (
+            stood.loc[stood["entrant"] == name, columns].reset_index(drop=True) for name in ("twin", "Kalman")
+        )
+        assert twin.equals(kalman)
+        assert standings(both).set_index("observer").loc[["twin", "Kalman"], "seeds"].tolist() == ["1", "2"]
+
+
+@pytest.mark.slow
+def test_heavy_entrants_run_on_the_first_seeds_alone():
+    given = {"only": ["unscented Kalman"], "plants": ("drive",), "doubts": ("none",), "loops": 1}
+    found = {(each.entrant, each.seed) for each in run_contest("a test", 2, heavy=1, **given).scores}
+    assert found == {("Kalman", 0), ("Kalman", 1), ("unscented Kalman", 0)}
 
 
 @pytest.mark.slow
@@ -405,6 +441,20 @@ def test_workers_that_share_a_process_do_not_share_an_observer():
         together = run_contest("a test", 2, executor=pool, **given)
     kept = ["entrant", "plant", "doubt", "seed", "rigid", "flexible", "tracking", "peak"]
     assert pd.DataFrame(together.scores)[kept].equals(pd.DataFrame(alone.scores)[kept])
+
+
+@pytest.mark.slow
+def test_a_cluster_gives_the_table_that_this_machine_gives(written, tmp_path, monkeypatch):
+    from distributed import LocalCluster
+
+    monkeypatch.setattr(command, "run_contest", partial(run_contest, plants=("drive",), doubts=("all 2 %",)))
+    given = {"seeds": 2, "public": "a test", "only": ["unscented Kalman"], "loops": 1, "heavy": 1}
+    mine, here, there = [str(written(KALMAN))], str(tmp_path / "here.csv"), str(tmp_path / "there.csv")
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        assert command.hold_contest(mine, scheduler=cluster.scheduler_address, out=there, **given) == 0
+    assert command.hold_contest(mine, jobs=1, out=here, **given) == 0
+    one, other = (pd.read_csv(file).drop(columns="microseconds") for file in (here, there))
+    assert one.equals(other) and set(one["entrant"]) == {"Kalman", "unscented Kalman", "mine"}
 
 
 @pytest.mark.slow
@@ -448,6 +498,34 @@ def test_a_lead_is_over_the_same_scans():
     assert (found["high"] - found["lead"]).to_numpy() == pytest.approx(0.248414, rel=1e-5)
     assert (found["lead"] - found["low"]).to_numpy() == pytest.approx(0.248414, rel=1e-5)
     assert found["error at most"][0] > 1.2  # the mean of its errors
+
+
+def test_where_a_lead_begins_is_interpolated_in_the_logarithm_of_the_noise():
+    noises = [1.0, 10.0, 100.0, 1000.0]
+    assert turning(noises, [-1, 3, 1, 1]) == pytest.approx(10**0.25)
+    assert turning(noises, [-1, 3, -1, 1]) == pytest.approx(10**2.5)  # from there on it stays
+    assert turning(noises, [1, 2, 3, 4]) == 0.0
+    assert turning(noises, [1, 2, 3, -4]) == np.inf
+
+
+@pytest.mark.slow
+def test_the_line_of_a_known_map_has_the_interval_of_its_means():
+    rng, deviation = np.random.default_rng(3), 0.3
+    cells = [(size, noise, seed) for size in SIZES for noise in NOISES for seed in range(SEEDS)]
+    errors = pd.DataFrame(cells, columns=["size", "noise", "seed"])
+    errors["one"], errors["other"] = (
+        0.0,
+        np.log10(errors["noise"] / 7) + rng.normal(0, deviation, len(errors)),
+    )
+    line = crossings(errors, ahead_of("one", "other"))
+    # Between three and ten times the noise the mean lead is a mean of two, weighed by their distances.
+    share = np.log(7 / 3) / np.log(10 / 3)
+    width = 2 * 1.96 * deviation / np.sqrt(SEEDS) * np.hypot(share, 1 - share)
+    # The deviation of forty values is known to a tenth, and that of the quantiles to a twentieth.
+    assert np.log10(line["high"] / line["low"]).mean() == pytest.approx(width, rel=0.15)
+    assert (np.abs(np.log10(line["noise"] / 7)) < width).all() and (line["crosses"] == 1).all()
+    backwards = crossings(errors, ahead_of("other", "one"))
+    assert np.isinf(backwards["noise"]).all() and (backwards["crosses"] == 0).all()
 
 
 @pytest.mark.slow

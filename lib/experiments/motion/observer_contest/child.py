@@ -90,7 +90,10 @@ def _serve(file: str, requests: Connection, answers: Connection, offences: list[
         else:
             answer = b""
             for number, given, measured in zip(*message, strict=True):
-                estimate = np.asarray(observers[number].step(given, measured))
+                estimate = observers[number].step(given, measured)
+                if estimate is None:
+                    raise ValueError("step returns nothing; it has to return the estimate")
+                estimate = np.asarray(estimate)
                 if estimate.dtype.kind not in "fiu":
                     raise ValueError(f"an estimate of {estimate.dtype}, not of real numbers")
                 estimate = estimate.astype(float)
@@ -100,6 +103,16 @@ def _serve(file: str, requests: Connection, answers: Connection, offences: list[
         if offences:
             raise PermissionError(offences[0])
         answers.send_bytes(b"+" + answer)
+
+
+def _place(error: BaseException, file: str) -> str:
+    """Line of the observer's file that the error came through last; the error may be of the observer's answer."""
+    lines, step = [], error.__traceback__
+    while step:
+        if step.tb_frame.f_code.co_filename == file:
+            lines.append(step.tb_lineno)
+        step = step.tb_next
+    return f" (line {lines[-1]})" if lines else ""
 
 
 def main() -> int:
@@ -124,7 +137,7 @@ def main() -> int:
     except MemoryError:
         reason = "allocates more memory than it may"
     except BaseException as error:  # whatever a stranger's code may raise
-        reason = offences[0] if offences else f"raises {type(error).__name__}: {error}"
+        reason = offences[0] if offences else f"raises {type(error).__name__}: {error}{_place(error, file)}"
     answers.send_bytes(b"-" + reason.encode(errors="replace")[:500])
     return 1
 

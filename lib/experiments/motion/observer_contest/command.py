@@ -26,6 +26,7 @@ def hold_contest(
     public: str,
     only: Sequence[str] = (),
     loops: int | None = None,
+    heavy: int | None = None,
     jobs: int | None = None,
     scheduler: str | None = None,
     out: str | None = None,
@@ -43,7 +44,13 @@ def hold_contest(
         context = processes(jobs) if jobs > 1 else nullcontext()
     with context as pool:
         contest = run_contest(
-            public, seeds, files, only=only, loops=loops, executor=executor if scheduler else pool
+            public,
+            seeds,
+            files,
+            only=only,
+            loops=loops,
+            heavy=heavy,
+            executor=executor if scheduler else pool,
         )
     table = measured(contest)
     late = only and out and Path(out).exists()

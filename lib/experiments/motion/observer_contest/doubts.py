@@ -8,6 +8,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from experiments.motion.observer_contest.plants import ContestPlant
+from stillwork.base import paths
+from stillwork.base.toml_files import read_numbers
 from stillwork.lti.discretisation import zoh_modes
 from stillwork.lti.modal import ModalModel
 
@@ -26,7 +28,7 @@ class Doubt:
     gain: float = 0.0  # of every mode's input shape, those of the rigid body too
     shape: float = 0.0  # of the flexible modes at every sensor
     student: bool = False
-    temperature: bool = False  # all modes together, cold, room or hot, as the hard disk's benchmark has it
+    cases: bool = False  # the hard disk's nine: cold, room or hot, each with the gain as it is, high or low
     drift: float = 0.0  # of the frequencies along the record, up or down
     jump: float = 0.0  # the same at once, half-way
     truncated: bool = False  # the higher modes are there
@@ -53,7 +55,7 @@ DOUBTS: Mapping[str, Doubt] = {
     "all 2 %": TWO,
     "all 5 %": _all(0.05),
     "all 10 %": _all(0.1),
-    "temperature": Doubt(temperature=True),
+    "temperature and gain": Doubt(cases=True),
     "truncation": Doubt(truncated=True),
     "drift 5 %": Doubt(drift=0.05),
     "jump 5 %": Doubt(jump=0.05),
@@ -96,14 +98,18 @@ def sample_truth(plant: ContestPlant, doubt: Doubt, samples: int, rng: np.random
     sizes = np.array([doubt.frequency, doubt.damping, doubt.gain, *[doubt.shape] * outputs])
     factors = np.maximum(1 + sizes[:, None] * draws, 0.3)  # Student's tail would turn a parameter's sign
     factors[[0, 1, *range(3, 3 + outputs)], :rigid] = 1.0
-    case, direction = rng.integers(3), rng.choice([-1.0, 1.0])
-    if doubt.temperature:
-        factors[0, rigid:] *= (1.04, 1.0, 0.96)[case]
-        factors[1, rigid:] *= (0.8, 1.0, 1.2)[case]
+    case, direction = rng.integers(9), rng.choice([-1.0, 1.0])
+    if doubt.cases:
+        nine = read_numbers(paths.data("motion", "hard_disk.toml"), lists=True)["cases"]
+        temperature, gain = divmod(case, 3)
+        factors[0, rigid:] *= nine["frequencies"][temperature]
+        factors[1, rigid:] *= nine["damping"][temperature]
+        factors[2] *= nine["gains"][gain]
     place = np.arange(PIECES) / (PIECES - 1)
     change = 1 + direction * (doubt.drift * place + doubt.jump * (place > 0.5))
     sampled = []
-    for each in change:
+    different, piece = np.unique(change, return_inverse=True)
+    for each in different:
         # Ascending order is the model's rule and nothing to physics: modes that change places are sorted apart.
         frequencies = model.frequencies * factors[0] * each
         order = np.argsort(frequencies, kind="stable")
@@ -118,7 +124,7 @@ def sample_truth(plant: ContestPlant, doubt: Doubt, samples: int, rng: np.random
         back = np.argsort(order)
         states = np.stack([2 * back, 2 * back + 1], axis=1).ravel()
         sampled.append((step.a[np.ix_(states, states)], step.b[states], step.c[:, states]))
-    a, b, c = (np.array(x) for x in zip(*sampled, strict=True))
+    a, b, c = (np.array(x)[piece] for x in zip(*sampled, strict=True))
     if doubt.truncated:
         high = zoh_modes(plant.higher, plant.sample_time)
         n, m = a.shape[1], len(high.a)

@@ -12,7 +12,7 @@ from experiments.motion.observer_contest.told import (
     over_samples,
 )
 from experiments.motion.uncertainty import norm_bound, sampled_derivatives
-from stillwork.base.algebra import copy_vector
+from stillwork.base.algebra import add_product, copy_vector
 from stillwork.base.kernels import kernel
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
 from stillwork.estimation.riccati import discrete_gain
@@ -26,11 +26,18 @@ HORIZON = 800  # samples until a recursion's gain is taken as its last
 @kernel
 def _advance_fixed(data, memory, inputs, measurements, estimates):
     forward, onward, gain, c = data
-    x = memory[0]
+    x, predicted, innovation = memory[0], np.empty(len(forward)), np.empty(len(c))
     for k in range(len(inputs)):
-        copy_vector(forward @ x + onward @ inputs[k], x)
+        predicted[:] = 0.0
+        add_product(forward, x, predicted)
+        add_product(onward, inputs[k], predicted)
+        copy_vector(predicted, x)
         if not np.isnan(measurements[k, 0]):
-            x += gain @ (measurements[k] - c @ x)
+            innovation[:] = 0.0
+            add_product(c, predicted, innovation)
+            for o in range(len(c)):
+                innovation[o] = measurements[k, o] - innovation[o]
+            add_product(gain, innovation, x)
         copy_vector(x, estimates[k])
 
 

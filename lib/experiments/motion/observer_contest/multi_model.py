@@ -1,16 +1,18 @@
-"""Many models of one machine, weighed by what each predicts: a bank that mixes, and particles that wander.
+"""Many models of one machine, weighed by what each predicts: banks that mix or do not, and particles that wander.
 
-Given its frequencies a machine is linear in states and gains together: each model has its exact Kalman filter.
+Given its frequencies a machine is linear in states and gains together: each model has its exact Kalman filter. Only
+the fine bank takes the gains as told, so that its filters stand still from the start.
 """
 
 import numpy as np
 
-from experiments.motion.observer_contest.modes import dominant
+from experiments.motion.observer_contest.modes import dominant, predict_mode, sampled_mode
 from experiments.motion.observer_contest.parametric import KNOBS, WIDEST, measure_in_turn, parts, predict
 from experiments.motion.observer_contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
 from stillwork.base.kernels import inlined_kernel, kernel
+from stillwork.estimation.riccati import discrete_gain
 
-GRID = (9, 3)  # models along the frequencies of the first and second mode in doubt
+GRID, FINE = (9, 3), (11, 5)  # models along the frequencies of the first and second mode in doubt
 PARTICLES = 24
 
 
@@ -74,17 +76,76 @@ def _advance_bank(data, memory, inputs, measurements, estimates):
         _weigh(scores, weights, z, estimates[k])
 
 
+def _grid(model: ToldModel, spread: float, points: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Two modes, or the only one, and the relative errors of their frequencies in each model."""
+    bent = dominant(model, 2)
+    axes = [spread * np.linspace(-1, 1, count) for count in points[: len(bent)]]
+    return bent, np.stack([each.ravel() for each in np.meshgrid(*axes, indexing="ij")], axis=1)
+
+
 def bank(
     model: ToldModel, noise: ToldNoise, sample_time: float, spread: float, switching: float, factor: float
 ) -> MadeObserver:
     """Interacting multiple models: frequencies off by up to `spread`, gains by as much in deviation, Q times `factor`."""
     data, (z, p) = parts(model, noise, sample_time, spread, 0.0, factor, frequencies=False)
-    axes = [spread * np.linspace(-1, 1, points) for points in GRID[: len(dominant(model, 2))]]
-    grid = np.stack([each.ravel() for each in np.meshgrid(*axes, indexing="ij")], axis=1)
+    bent, grid = _grid(model, spread, GRID)
     count, omegas = len(grid), np.tile(data[3], (len(grid), 1))
-    omegas[:, np.searchsorted(data[2], dominant(model, 2))] *= 1 + grid
+    omegas[:, np.searchsorted(data[2], bent)] *= 1 + grid
     memory = (np.tile(z, (count, 1)), np.tile(p, (count, 1, 1)), np.full(count, 1 / count))
     return MadeObserver(_advance_bank, (*data, omegas, np.array([switching])), memory)
+
+
+@kernel
+def _advance_fine(data, memory, inputs, measurements, estimates):
+    a, b, c, gain, whitening, logs, switching = data
+    z, weights = memory
+    models, outputs = len(z), len(c)
+    innovation, scores = np.empty(outputs), np.empty(models)
+    for k in range(len(inputs)):
+        for m in range(models):
+            for i in range(0, z.shape[1], 2):
+                predict_mode(a[m], b[m], inputs[k], i, z[m])
+            scores[m] = np.log((1 - switching[0]) * weights[m] + switching[0] / models)
+            if np.isnan(measurements[k, 0]):
+                continue
+            for o in range(outputs):
+                innovation[o] = measurements[k, o]
+                for i in range(z.shape[1]):
+                    innovation[o] -= c[o, i] * z[m, i]
+            scores[m] -= logs[m]
+            for o in range(outputs):
+                white = 0.0
+                for q in range(o + 1):
+                    white += whitening[m, o, q] * innovation[q]
+                scores[m] -= white * white / 2
+                for i in range(z.shape[1]):
+                    z[m, i] += gain[m, i, o] * innovation[o]
+        _weigh(scores, weights, z, estimates[k])
+
+
+def fine_bank(
+    model: ToldModel, noise: ToldNoise, sample_time: float, spread: float, switching: float, factor: float
+) -> MadeObserver:
+    """Stationary Kalman filters side by side, Q times `factor`; only their beliefs leak into each other."""
+    bent, grid = _grid(model, spread, FINE)
+    a, b = (np.tile(x, (len(grid), 1, 1)) for x in (model.a, model.b))
+    gains, whitening, block, lever = [], [], np.empty((2, 2)), np.empty(2)
+    for own_a, own_b, errors in zip(a, b, grid, strict=True):
+        for mode, error in zip(bent, errors, strict=True):
+            pair = slice(2 * mode, 2 * mode + 2)
+            sampled_mode(
+                model.frequencies[mode] * (1 + error), model.damping[mode], sample_time, block, lever
+            )
+            own_a[pair, pair], own_b[pair] = block, np.outer(lever, model.input_shapes[mode])
+        solved = discrete_gain(own_a, own_b, model.c, factor * noise.process, noise.sensor)
+        gains.append(solved.filter_gain)
+        root = np.linalg.cholesky(model.c @ solved.covariance @ model.c.T + noise.sensor)
+        whitening.append(np.linalg.inv(root))
+    whitening = np.array(whitening)
+    logs = -np.log(np.einsum("moo->mo", whitening)).sum(axis=1)
+    data = (a, b, np.ascontiguousarray(model.c), np.array(gains), whitening, logs, np.array([switching]))
+    memory = (np.zeros((len(grid), len(model.a))), np.full(len(grid), 1 / len(grid)))
+    return MadeObserver(_advance_fine, data, memory)
 
 
 @inlined_kernel
@@ -153,15 +214,13 @@ def particles(
     return MadeObserver(_advance_particles, (*data, np.array([walk])), memory)
 
 
+GRID_KNOBS = (
+    Knob("spread of frequencies", 0.005, 0.2, 0.05),
+    Knob("probability of a switch a sample", 1e-6, 1e-2, 1e-3),
+    Knob("factor on Q", 1.0, 1e5, 50.0),
+)
 MULTI_MODEL = {
-    "interacting models": Rival(
-        bank,
-        (
-            Knob("spread of frequencies", 0.005, 0.2, 0.05),
-            Knob("probability of a switch a sample", 1e-6, 1e-2, 1e-3),
-            Knob("factor on Q", 1.0, 1e5, 50.0),
-        ),
-        "Blom and Bar-Shalom 1988",
-    ),
-    "particles": Rival(particles, KNOBS, "Doucet, de Freitas, Murphy and Russell 2000"),
+    "interacting models": Rival(bank, GRID_KNOBS, "Blom and Bar-Shalom 1988", heavy=True),
+    "bank of 55 models": Rival(fine_bank, GRID_KNOBS, "Magill 1965; Maybeck 1982", heavy=True),
+    "particles": Rival(particles, KNOBS, "Doucet, de Freitas, Murphy and Russell 2000", heavy=True),
 }

@@ -5,7 +5,7 @@ states of the thesis's stage, a row a seed. Every cell has its own settings, tun
 """
 
 import csv
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import pandas as pd
@@ -26,6 +26,8 @@ ROBUST = ("sensitivity penalised", "regularised least squares")  # the thesis's 
 MAPPED = ("Kalman", *ROBUST, "fictitious noise", "interacting models")
 TRAINED, SEEDS = 6, 40  # seeds a cell is tuned on, and judged on
 PUBLIC = "20180628"
+SAYING = 0.9  # error over that of the estimate zero, from which on an observer says nothing
+RESAMPLES = 2000
 FILE = paths.data("motion", "contest_map.csv")
 
 
@@ -62,8 +64,8 @@ def tuned(plant: ContestPlant, size: float, noise: float, candidates: Mapping[st
     }
 
 
-def leads(errors: pd.DataFrame) -> pd.DataFrame:
-    """How far every observer is ahead of the Kalman filter on the same scans, a row a cell and observer.
+def leads(errors: pd.DataFrame, over: str = "Kalman") -> pd.DataFrame:
+    """How far every observer is ahead of the Kalman filter, or of `over`, on the same scans, a row a cell and observer.
 
     Mean over the seeds with its interval of 95 %, and the upper end of that of the observer's mean error.
     """
@@ -71,9 +73,52 @@ def leads(errors: pd.DataFrame) -> pd.DataFrame:
     for (size, noise), cell in errors.groupby(["size", "noise"]):
         for name in MAPPED[1:]:
             own = cell[name].to_numpy()
-            ahead = cell["Kalman"].to_numpy() - own
+            ahead = cell[over].to_numpy() - own
             rows.append((size, noise, name, ahead.mean(), *mean_interval(ahead), mean_interval(own)[1]))
     return pd.DataFrame(rows, columns=["size", "noise", "entrant", "lead", "low", "high", "error at most"])
+
+
+def turning(noises: Sequence[float], lead: Sequence[float] | np.ndarray) -> float:
+    """Noise above which a lead stays positive, interpolated in its logarithm; 0 where it always is, else infinite."""
+    noises, lead = np.log(noises), np.asarray(lead, dtype=float)
+    behind = np.flatnonzero(lead <= 0)
+    if not behind.size:
+        return 0.0
+    last = behind[-1]
+    if last == len(lead) - 1:
+        return np.inf
+    share = lead[last] / (lead[last] - lead[last + 1])
+    return float(np.exp(noises[last] + share * (noises[last + 1] - noises[last])))
+
+
+def ahead_of(one: str | float, other: str | float) -> Callable[[pd.DataFrame], pd.Series]:
+    """By how much the error of `one` is below that of `other`, observers or numbers, on each scan."""
+
+    def lead(errors: pd.DataFrame) -> pd.Series:
+        of_one, of_other = (errors[each] if isinstance(each, str) else each for each in (one, other))
+        return of_other - of_one
+
+    return lead
+
+
+def crossings(errors: pd.DataFrame, lead: Callable[[pd.DataFrame], pd.Series]) -> pd.DataFrame:
+    """For each size of the errors the noise above which the mean of ``lead(errors)`` stays positive.
+
+    Its interval of 95 % is from seeds resampled in every cell, and `crosses` the share of them that do cross within
+    the map, on whichever side the others lie.
+    """
+    rng = np.random.default_rng(0)
+    cells = errors.assign(lead=lead(errors)).pivot(index="seed", columns=["size", "noise"], values="lead")
+    rows = []
+    for size in SIZES:
+        own = cells[size].to_numpy()
+        draws = rng.integers(len(own), size=(RESAMPLES, *own.shape))
+        again = np.take_along_axis(own[None], draws, axis=1).mean(axis=1)
+        turns = np.array([turning(NOISES, each) for each in again])
+        low, high = np.quantile(turns, [0.025, 0.975], method="inverted_cdf")
+        inside = np.mean((turns > 0) & np.isfinite(turns))
+        rows.append((size, turning(NOISES, own.mean(axis=0)), low, high, inside))
+    return pd.DataFrame(rows, columns=["size", "noise", "low", "high", "crosses"])
 
 
 def main() -> None:

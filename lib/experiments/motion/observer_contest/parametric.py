@@ -230,5 +230,5 @@ KNOBS = (
 PARAMETRIC = {
     "Schmidt-Kalman": Rival(considering, (Knob("deviation of parameters", 1e-4, 0.3, 0.03),), "Schmidt 1966"),
     "extended Kalman": Rival(extended, KNOBS, "Jazwinski 1970, section 8.3"),
-    "unscented Kalman": Rival(unscented, KNOBS, "Julier and Uhlmann 2004"),
+    "unscented Kalman": Rival(unscented, KNOBS, "Julier and Uhlmann 2004", heavy=True),
 }

@@ -7,7 +7,16 @@ import pandas as pd
 from scipy.optimize import isotonic_regression
 
 from experiments.motion.observer_contest.entrants import ENTRANTS
-from experiments.motion.observer_contest.noise_map import MAPPED, flexible_errors
+from experiments.motion.observer_contest.noise_map import (
+    MAPPED,
+    NOISES,
+    ROBUST,
+    SAYING,
+    ahead_of,
+    crossings,
+    flexible_errors,
+    leads,
+)
 from experiments.motion.observer_contest.plants import sample_plant
 from experiments.motion.observer_contest.told import OwnObserver
 from experiments.motion.observer_contest.tuning import settings_for
@@ -95,23 +104,42 @@ def paint_noise(errors: pd.DataFrame, size: float):
     return figure
 
 
-def paint_leads(found: pd.DataFrame, names: tuple[str, ...], saying: float):
-    """Leads over the Kalman filter, a map an observer; a dot where one is sure and the mean error is below `saying`."""
-    figure, axes = figures.new(1, len(names), height=3.0, sharey=True)
-    for axis, name in zip(axes, names, strict=True):
-        own = found[found["entrant"] == name]
-        lead = own.pivot(index="size", columns="noise", values="lead")
-        columns, rows = np.arange(lead.shape[1]), np.arange(lead.shape[0])
-        mesh = axis.pcolormesh(columns, rows, lead.to_numpy(), cmap="coolwarm_r", vmin=-0.2, vmax=0.2)
-        sure = own.assign(sure=(own["low"] > 0) & (own["error at most"] < saying))
-        row, column = np.nonzero(sure.pivot(index="size", columns="noise", values="sure").to_numpy())
-        axis.plot(column, row, "o", color=figures.BLACK, markersize=3, label="ahead of both")
-        axis.set_xticks(columns, [f"{noise:g}" for noise in lead.columns])
-        axis.set_yticks(rows, [f"{100 * size:g}" for size in lead.index])
-        axis.set_title(name)
+def paint_leads(errors: pd.DataFrame, over: tuple[str, ...]):
+    """Leads of the robust observers, a column each, over these Kalman filters; a dot where one is sure and says something.
+
+    The line is where a lead begins, the dashed one where the observer ceases to say something, each with its interval.
+    """
+    figure, axes = figures.new(len(over), len(ROBUST), height=4.6, sharex=True, sharey=True)
+    for row, rival in zip(axes, over, strict=True):
+        found = leads(errors, rival)
+        for axis, name in zip(row, ROBUST, strict=True):
+            own = found[found["entrant"] == name]
+            lead = own.pivot(index="size", columns="noise", values="lead")
+            columns, rows = np.arange(lead.shape[1]), np.arange(lead.shape[0])
+            mesh = axis.pcolormesh(columns, rows, lead.to_numpy(), cmap="coolwarm_r", vmin=-0.2, vmax=0.2)
+            sure = own.assign(sure=(own["low"] > 0) & (own["error at most"] < SAYING))
+            down, across = np.nonzero(sure.pivot(index="size", columns="noise", values="sure").to_numpy())
+            axis.plot(across, down, "o", color=figures.BLACK, markersize=3, label="ahead of both")
+            for line, style, label in (
+                (crossings(errors, ahead_of(name, rival)), "-", "ahead from here on"),
+                (crossings(errors, ahead_of(SAYING, name)), "--", "says nothing from here on"),
+            ):
+                inside = line["crosses"].to_numpy() > 0.5
+                low, at, high = (
+                    np.interp(np.log(line[end].clip(NOISES[0], NOISES[-1])), np.log(NOISES), columns)[inside]
+                    for end in ("low", "noise", "high")
+                )
+                axis.errorbar(
+                    at, rows[inside], xerr=[at - low, high - at], fmt=style, color=figures.GREEN, label=label
+                )
+            axis.set_xticks(columns, [f"{noise:g}" for noise in lead.columns])
+            axis.set_yticks(rows, [f"{100 * size:g}" for size in lead.index])
+            axis.set_title(f"{name} over {rival}", fontsize=8)
+    for axis in axes[-1]:
         axis.set_xlabel("sensor's noise")
-    axes[0].set_ylabel("size of the errors (%)")
-    figure.colorbar(mesh, ax=axes[-1], label="lead over Kalman")
+    for axis in axes[:, 0]:
+        axis.set_ylabel("size of the errors (%)")
+    figure.colorbar(mesh, ax=axes, label="lead")
     return figure
 
 

@@ -22,6 +22,7 @@ from stillwork.base.checks import InputError, require_choice, require_count
 
 COLUMNS = ("entrant", "plant", "doubt", "score", "median", "low", "high", "microseconds")
 RESAMPLES = 1000
+OTHERS = {"rigid": "rigid", "loop": "tracking", "peak": "peak"}  # columns of the page and their scores
 FILE, GUIDE = paths.data("motion", "contest.csv"), paths.root() / "docs" / "contest.md"
 BEGIN, END = "<!-- leaderboard:begin -->", "<!-- leaderboard:end -->"  # in the guide
 
@@ -43,22 +44,34 @@ def run_contest(
     plants: Sequence[str] = tuple(PLANTS),
     doubts: Sequence[str] = tuple(DOUBTS),
     loops: int | None = None,
+    heavy: int | None = None,
     executor=None,
 ) -> ContestResult:
     """Run our entrants (`only` these and the Kalman filter) and the observers in these files over `seeds` hidden seeds.
 
-    Loops are run for the first `loops` of them, by default for all.
+    Loops are run for the first `loops` of them, our heavy entrants on the first `heavy`, by default on all.
     The result does not depend on the executor, on its number of workers or on their order.
     """
     for name in only:
         require_choice("only", name, ENTRANTS)
     named = {Path(file).stem: str(Path(file).resolve()) for file in files}
+    if len(named) < len(files):
+        raise InputError("two files have one name, by which observers are ranked; give one of them another")
     if taken := set(named) & set(ENTRANTS):
         raise InputError(f"{taken.pop()!r} is an entrant already; give the file another name")
     names = [name for name in ENTRANTS if not only or name in ("Kalman", *only)]
-    settings = {plant: settings_for(plant, names) for plant in plants}
+    light = [name for name in names if not ENTRANTS[name].heavy]
+    settings = {plant: (settings_for(plant, names), settings_for(plant, light)) for plant in plants}
     trials = [
-        (plant, seed, public, settings[plant], named, doubts, loops is None or seed < loops)
+        (
+            plant,
+            seed,
+            public,
+            settings[plant][heavy is not None and seed >= heavy],
+            named,
+            doubts,
+            loops is None or seed < loops,
+        )
         for seed in range(require_count("seeds", seeds))
         for plant in plants
     ]
@@ -119,9 +132,29 @@ def _rounded(rows: list[tuple]) -> pd.DataFrame:
 
 
 def of_seeds(table: pd.DataFrame) -> pd.DataFrame:
-    """Mean error of every entrant, a row each, on every seed."""
+    """Mean error of every entrant, a row each, on every seed; NaN where it did not run."""
     rows = table[table["doubt"].str.startswith("seed ")]
-    return rows.pivot(index="entrant", columns="doubt", values="median").loc[rows["entrant"].unique()]
+    found = rows.pivot(index="entrant", columns="doubt", values="median")
+    return found.loc[rows["entrant"].unique()]
+
+
+def level(seen: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
+    """Mean over the seeds of each entrant, and the same of resampled seeds.
+
+    Who ran on some of the seeds is compared with the Kalman filter there: its lead is taken off the filter's mean
+    over all. Seeds that all ran on, and the others, are resampled apart.
+    """
+    errors, kalman = seen.to_numpy(), seen.loc["Kalman"].to_numpy()
+    rng, whole = np.random.default_rng(0), np.isfinite(errors).all(axis=0)
+    chosen = np.hstack(
+        [rng.choice(np.flatnonzero(part), (RESAMPLES, part.sum())) for part in (whole, ~whole) if part.any()]
+    )
+    behind = errors - kalman
+    means, resampled = (
+        np.nanmean(behind[:, of], axis=-1) + kalman[of].mean(axis=-1)
+        for of in (np.arange(len(kalman)), chosen)
+    )
+    return means, resampled
 
 
 def ranked(table: pd.DataFrame) -> pd.DataFrame:
@@ -130,21 +163,19 @@ def ranked(table: pd.DataFrame) -> pd.DataFrame:
     For each entrant: its mean error, its rank (ties share one), and its error less the Kalman filter's on the same scans.
     """
     seen = of_seeds(table)
-    errors = seen.to_numpy()
-    chosen = np.random.default_rng(0).integers(errors.shape[1], size=(RESAMPLES, errors.shape[1]))
-    means = errors[:, chosen].mean(axis=2)
+    means, resampled = level(seen)
     kalman = seen.index.get_loc("Kalman")
     scores = {
-        "mean error": (errors.mean(axis=1), means),
-        "rank": (stats.rankdata(errors.mean(axis=1)), stats.rankdata(means, axis=0)),
-        "less Kalman": (errors.mean(axis=1) - errors[kalman].mean(), means - means[kalman]),
+        "mean error": (means, resampled),
+        "rank": (stats.rankdata(means), stats.rankdata(resampled, axis=0)),
+        "less Kalman": (means - means[kalman], resampled - resampled[kalman]),
     }
     speed = table[table["plant"] == "all"].groupby("entrant")["microseconds"].first()
     rows = []
-    for place in np.argsort(errors.mean(axis=1), kind="stable"):
+    for place in np.argsort(means, kind="stable"):
         name = seen.index[place]
-        for score, (values, resampled) in scores.items():
-            interval = np.quantile(resampled[place], [0.025, 0.975])
+        for score, (values, again) in scores.items():
+            interval = np.quantile(again[place], [0.025, 0.975])
             rows.append((name, "all", "all", score, values[place], *interval, speed[name]))
     kept = table[~((table["doubt"] == "all") & table["score"].isin(list(scores)))]
     return pd.concat([_rounded(rows), kept], ignore_index=True)
@@ -166,11 +197,21 @@ def write_table(table: pd.DataFrame, file: str | Path) -> None:
     table.to_csv(file, index=False, float_format="%.4g", lineterminator="\n")
 
 
+def middle_half(rows: pd.DataFrame, score: str) -> str:
+    """Quartiles of a score's medians over machines and doubts, in words; nothing where it was not run."""
+    medians = rows.loc[rows["score"] == score, "median"]
+    if medians.empty:
+        return ""
+    low, high = medians.quantile([0.25, 0.75], interpolation="nearest")
+    return f"{low:.2g} to {high:.2g}"
+
+
 def standings(table: pd.DataFrame) -> pd.DataFrame:
-    """Who stands where, in words: every pair is an interval of 95 % over seeds."""
+    """Who stands where, in words: rank and errors as intervals of 95 % over seeds, the other scores as quartiles."""
     away = table[table["score"] == "tracking"].groupby("entrant")["median"].agg(lambda x: np.isinf(x).mean())
     whole = table[(table["plant"] == "all") & (table["doubt"] == "all")]
     scores = {name: of.set_index("entrant") for name, of in whole.groupby("score")}
+    seen, own_rows = of_seeds(table), table[table["plant"] != "all"].set_index("entrant")
     rows = []
     for name, each in scores["mean error"].sort_values("median", kind="stable").iterrows():
         rank, behind = (scores[score].loc[name] for score in ("rank", "less Kalman"))
@@ -181,7 +222,9 @@ def standings(table: pd.DataFrame) -> pd.DataFrame:
                 "observer": name,
                 "error": f"{each['low']:.2f} to {each['high']:.2f}",
                 "less Kalman": f"{behind['low']:+.2f} to {behind['high']:+.2f}",
+                **{shown: middle_half(own_rows.loc[name], score) for shown, score in OTHERS.items()},
                 "ran away": f"{100 * away[name]:.0f} %" if name in away else "",
+                "seeds": str(seen.loc[name].count()),
                 "µs a sample": f"{each['microseconds']:.2g}",
                 "bytes": f"{scores['bytes'].loc[name, 'median']:.0f}" if own and "bytes" in scores else "",
                 "knobs": str(len(own.knobs)) if own else "",

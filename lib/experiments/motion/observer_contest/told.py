@@ -81,6 +81,7 @@ class Rival(NamedTuple):
     design: Callable[..., MadeObserver]
     knobs: tuple[Knob, ...]
     source: str
+    heavy: bool = False  # many models or points a sample: may run on fewer seeds
 
 
 class OwnObserver:
