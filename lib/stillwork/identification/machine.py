@@ -39,6 +39,15 @@ class Machine:
         return self.sensors[0].frequencies[1:] / (2 * np.pi)
 
 
+def brought_forward(machine: Machine) -> tuple[Machine, float]:
+    """The machine with the delay of its measurement taken out, and that delay, s; a response that is early stays so."""
+    measured, late = machine.measured, max(machine.fit.delay, 0.0) if machine.fit else 0.0
+    if measured is None or not late:
+        return machine, 0.0
+    turned = measured._replace(response=measured.response * np.exp(1j * measured.omega * late))
+    return replace(machine, measured=turned), late
+
+
 def whole_band(measured: Identified, band_hz: tuple[float, float]) -> tuple[float, float]:
     """The band, or for (0, 0) all that was measured; `InputError` for a band in which too little was."""
     hertz = measured.omega / (2 * np.pi)
@@ -119,6 +128,11 @@ def _fitted(
         raise InputError(
             f"{file.source} has no flexible mode from {band[0]:g} to {band[1]:g} Hz; widen fit_hz"
         )
+    if fit.delay:
+        notes.append(
+            f"the response is {1e6 * abs(fit.delay):.4g} us {'late' if fit.delay > 0 else 'early'}: a delay beside the "
+            "machine, which the model is without"
+        )
     below = fit.omega < model.frequencies[1] / 2
     missed = float(np.sqrt(np.mean(fit.error[below] ** 2))) if below.any() else 0.0
     if missed > MISSED:
@@ -128,7 +142,12 @@ def _fitted(
             "measure finer"
         )
     end = fit.omega > (1 - END) * fit.omega[-1]
-    if (off := float(np.sqrt(np.mean(fit.error[end] ** 2)))) > MISSED:
+    if len(fit.cut):
+        notes.append(
+            f"a resonance at about {fit.cut[0] / (2 * np.pi):.4g} Hz, beyond the band, is left out of the model; widen "
+            "fit_hz to hold it"
+        )
+    elif (off := float(np.sqrt(np.mean(fit.error[end] ** 2)))) > MISSED:
         notes.append(
             f"at the end of the band, {band[1]:.4g} Hz, the model is off by {100 * off:.2g} % (root mean square): "
             "noise, or a resonance that the band cuts, which draws at the mass; end fit_hz well beyond it, or before it"
