@@ -18,7 +18,7 @@ from stillwork.control.machine_loops import SHOWN, Intensities, Reached, applica
 from stillwork.control.machine_tuning import DesignSettings, tuned
 from stillwork.exporting import require_free, write_folder
 from stillwork.html_page import picture, table
-from stillwork.identification.machine import Machine, build_machine
+from stillwork.identification.machine import Machine, brought_forward, build_machine
 from stillwork.identification.machine_files import load_machine
 from stillwork.identification.modal_fit import ModalFit
 from stillwork.lti.discretisation import tustin
@@ -56,7 +56,8 @@ def design_file(
     rate : float
         Samples a second of the controller, Hz.
     delay : int
-        Samples from a measurement to the force that follows from it, beside the hold.
+        Samples from a measurement to the force that follows from it, beside the hold and beside a delay that the
+        measured response itself holds, which is found and added in whole samples.
     limit : float
         Largest force, N.
     name, precision : str
@@ -92,6 +93,8 @@ def design_file(
     source = Path(file)
     taken = load_machine(source, **reading)
     machine = build_machine(taken, modes_hz=[], fit_hz=fit_hz, mirrored_sensor=mirrored_sensor)
+    machine, late = brought_forward(machine)
+    delay += int(np.ceil(late / step))
     how = {"doubt": doubt, "step": step, "delay": delay}
     settings, found = {}, {}
     for use, application in ({"PID": None, NOTCHED: None} | applications(ADDED_DAMPING, SELECTIVITY)).items():
