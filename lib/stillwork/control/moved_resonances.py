@@ -13,6 +13,7 @@ from stillwork.control.bandwidth import FUNCTIONS, Loop, PeakConstraint, make_lo
 from stillwork.control.loops import LoopResponse
 from stillwork.control.pid import Pid
 from stillwork.lti.discretisation import sampled_modes
+from stillwork.lti.modal import ModalModel
 
 STEPS = np.linspace(-1, 1, 25)  # to places of a mode beside its resonance, dense at its width, that are tried
 SWEEPS = 2
@@ -21,11 +22,22 @@ SEEN = 1.0005  # times a limit, 0.004 dB: what is handed out keeps it within 0.0
 
 @checked
 def moved_loop(loop: Loop, factors: Float64[np.ndarray, " modes"]) -> Loop:
-    """The same observer and sample time on a plant whose frequencies are multiplied by these factors."""
+    """The same observer and sample time on a plant whose frequencies are multiplied by these factors.
+
+    Two of them may change places.
+    """
     factors = require_array("factors", factors, shape=loop.plant.frequencies.shape)
     if not factors.min() > 0:
         raise InputError("factors must be above 0")
-    plant = replace(loop.plant, frequencies=factors * loop.plant.frequencies)
+    moved, plant = factors * loop.plant.frequencies, loop.plant
+    order = np.argsort(moved, kind="stable")
+    plant = ModalModel(
+        moved[order],
+        plant.damping[order],
+        plant.input_shapes[order],
+        plant.output_shapes[:, order],
+        plant.feedthrough,
+    )
     return make_loop(plant, loop.compensator, step=loop.step, delay=loop.delay)
 
 
