@@ -52,6 +52,12 @@ def test_close_resonances_may_change_places():
     assert found == pytest.approx(parts.sum(axis=1), rel=1e-9)
 
 
+def test_where_no_mode_moves_the_worst_is_the_peak():
+    loop, pid = make_loop(CHAIN), PidFamily(40.0)(12.0)
+    size, factors = worst_factors(loop, pid, "input_sensitivity", [0.0, 0.0, 0.0])
+    assert size == loop.peak(pid, "input_sensitivity").magnitude and np.array_equal(factors, np.ones(3))
+
+
 def test_shares_that_do_not_fit_are_refused():
     loop, pid = make_loop(CHAIN), PidFamily(40.0)(12.0)
     for shares in ([0.05], [0.0, -0.1, 0.0], [0.0, 1.0, 0.0]):

@@ -78,8 +78,8 @@ def counted(update, n):
     run = {
         "least squares": lambda r, y, b, o: steps.run_least_squares(r, y, weight, *state, *o[:2]),
         "ridge": lambda r, y, b, o: steps.run_ridge(r, y, Number(1.0), weight, *state, *o[:2]),
-        "exact": lambda r, y, b, o: steps.run_min_max(r, y, b, weight, 0, *state, *o),
-        "approximate": lambda r, y, b, o: steps.run_min_max(r, y, b, weight, 2, *state, *o),
+        "exact": lambda r, y, b, o: steps.run_min_max((), r, y, b, weight, 0, *state, *o),
+        "approximate": lambda r, y, b, o: steps.run_min_max((), r, y, b, weight, 2, *state, *o),
         "fast": lambda r, y, b, o: rank_one.run_fast(r, y, b, weight, *state, *o),
     }[update]
     half = samples // 2

@@ -12,6 +12,7 @@ from stillwork.base.checks import InputError
 from stillwork.estimation import LeastSquares, MinMax, min_max_solve, run
 from stillwork.estimation.min_max import ZeroEstimateWarning
 from stillwork.estimation.recursive import RecursiveStepper, worst_case_residuals
+from stillwork.estimation.recursive_kernels import FEW, LONG, known_length
 from stillwork.estimation.recursive_settings import UPDATES, GrowingMinMax, Ridge
 
 FORGETTING = 0.9
@@ -76,6 +77,25 @@ def test_approximate_update_is_algorithm_20(iterations, bound):
     finite = np.isfinite(alphas)
     assert track.alphas[finite] == pytest.approx(alphas[finite], rel=1e-8)
     assert track.estimates.T == pytest.approx(estimates, rel=1e-7, abs=1e-10)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("update", ["exact", "approximate"])
+def test_a_kernel_for_one_number_of_unknowns_gives_the_bits_of_the_one_for_all(update):
+    rows, outputs = record(9, unknowns=3, samples=LONG)
+    outputs[300:330] = 0.0  # through the zero solution
+    estimator = MinMax(1.6, FORGETTING, update)
+    assert known_length(3, LONG) == (0.0, 0.0, 0.0)
+    assert known_length(3, LONG - 1) == known_length(FEW + 1, LONG) == ()
+    whole = run(estimator, rows.T, outputs)
+    state = estimator.start(3)
+    parts = [
+        estimator.advance(state, k, rows[k : k + 250], outputs[k : k + 250]) for k in range(0, LONG, 250)
+    ]
+    assert np.isinf(whole.alphas[3:]).any()
+    for name in ("estimates", "errors", "alphas", "evaluations"):
+        again = np.concatenate([getattr(part, name) for part in parts], axis=-1)
+        assert np.array_equal(getattr(whole, name), again)
 
 
 def test_more_fixed_point_iterations_come_nearer():

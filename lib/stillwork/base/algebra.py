@@ -3,7 +3,7 @@
 Every sum runs in index order, whatever calls it, so that two kernels that compute one thing agree to the last bit.
 """
 
-from stillwork.base.kernels import inlined_kernel, kernel
+from stillwork.base.kernels import inlined_kernel
 
 
 @inlined_kernel
@@ -116,11 +116,11 @@ def take_in_turn(covariance, rows, noise, gain, cross):
         condition(covariance, cross, variance)
 
 
-@kernel
+@inlined_kernel
 def factorise(information, alpha, right, factor, inverse_pivots, half, work):
     # R + alpha I = L D L' with L in `factor`; half = L^-1 right on the way. Sums run along rows: at a few
     # unknowns the chain of pivots is what costs time, and this order keeps it shortest.
-    for i in range(len(right)):
+    for i in range(len(half)):
         rest = right[i]
         pivot = information[i, i] + alpha
         for j in range(i):
@@ -136,16 +136,16 @@ def factorise(information, alpha, right, factor, inverse_pivots, half, work):
         half[i] = rest
 
 
-@kernel
+@inlined_kernel
 def solve_forward(factor, right, half):
-    for i in range(len(right)):
+    for i in range(len(half)):
         rest = right[i]
         for j in range(i):
             rest -= factor[i, j] * half[j]
         half[i] = rest
 
 
-@kernel
+@inlined_kernel
 def solve_backward(factor, inverse_pivots, half, solution):
     n = len(half)
     for i in range(n - 1, -1, -1):

@@ -90,7 +90,7 @@ class _Box(NamedTuple):
     moving: np.ndarray  # numbers of the modes that move
     places: (
         np.ndarray
-    )  # rad/s, (moving, places, frequencies): lowest, highest, found, and beside the grid's lines
+    )  # rad/s, (moving, places, frequencies): lowest, highest, found, beside the grid's lines
     parts: np.ndarray  # m/N, of a mode at a place
     rest: np.ndarray  # m/N, of everything else
 
@@ -100,12 +100,15 @@ def _box(loop: Loop, shares: np.ndarray) -> _Box:
     shares = require_array("shares", shares, shape=plant.frequencies.shape)
     if not 0 <= shares.min() <= shares.max() < 1:
         raise InputError("shares must be at least 0 and below 1; 0 for a frequency that stays")
+    moving = np.flatnonzero(shares)
+    if not len(moving):
+        nothing = np.zeros((0, 0, len(loop.omega)))
+        return _Box(loop, moving, nothing, nothing, loop.plant_response)
     # As dense at the ends of the intervals as in their middle: there the worst place changes most from line to line.
     ends = [factor * loop.omega for factor in (1 - shares.max(), 1.0, 1 + shares.max())]
     omega = np.unique(np.clip(np.concatenate(ends), loop.omega[0], loop.omega[-1]))
     observer = loop.compensator.frequency_response(omega)
     loop = replace(loop, omega=omega, plant_response=loop.plant_at(omega), compensator_response=observer)
-    moving = np.flatnonzero(shares)
     centre, damping = plant.frequencies[moving, None, None], plant.damping[moving, None, None]
     low, high = centre * (1 - shares[moving, None, None]), centre * (1 + shares[moving, None, None])
     # Sampled, a mode above half the rate is seen folded back.
@@ -126,6 +129,8 @@ def _box(loop: Loop, shares: np.ndarray) -> _Box:
 
 def _worst(box: _Box, controller: Pid, function: str) -> tuple[float, np.ndarray]:
     loop, moving, places, parts, rest = box
+    if not len(moving):
+        return loop.peak(controller, function).magnitude, np.ones(len(loop.plant.frequencies))
     k_fb = loop.within(controller, slice(None)).controller
     every, worst, best = np.arange(len(loop.omega)), 0.0, np.ones(len(loop.plant.frequencies))
     starts, sweeps = (3, SWEEPS) if len(moving) > 1 else (1, 1)  # a mode by itself is seen through in one go

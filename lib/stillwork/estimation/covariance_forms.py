@@ -216,23 +216,29 @@ def variance(form, matrix, axis):
 
 
 @kernel
-def add_information(form, matrix, axis, information, gain, inner):
-    """Add to one diagonal element of the inverse of P, in place: a regressor along this axis, seen without forgetting.
-
-    P stays symmetric, and positive definite for information above zero.
-    """
-    n = len(matrix)
-    if form != TRIANGLE:
-        unit = np.zeros(n, matrix.dtype)
-        unit[axis] = np.sqrt(information)
-        update_form(form, matrix, unit, matrix.dtype.type(1), gain, inner)
-        return
+def add_triangle_information(covariance, axis, information, gain):
+    """`add_information` of the triangle: P stays symmetric."""
+    one, n = covariance.dtype.type(1), len(covariance)
     for j in range(n):
-        gain[j] = matrix[axis, j]
-    share = information / (matrix.dtype.type(1) + information * gain[axis])
+        gain[j] = covariance[axis, j]
+    share = information / (one + information * gain[axis])
     for j in range(n):
         scaled = gain[j] * share
         for k in range(j + 1):
-            value = matrix[j, k] - scaled * gain[k]
-            matrix[j, k] = value
-            matrix[k, j] = value
+            value = covariance[j, k] - scaled * gain[k]
+            covariance[j, k] = value
+            covariance[k, j] = value
+
+
+@kernel
+def add_information(form, matrix, axis, information, gain, inner):
+    """Add to one diagonal element of the inverse of P, in place: a regressor along this axis, seen without forgetting.
+
+    P stays positive definite for information above zero.
+    """
+    if form == TRIANGLE:
+        add_triangle_information(matrix, axis, information, gain)
+        return
+    unit = np.zeros(len(matrix), matrix.dtype)
+    unit[axis] = np.sqrt(information)
+    update_form(form, matrix, unit, matrix.dtype.type(1), gain, inner)

@@ -14,7 +14,6 @@ from stillwork.estimation.recursive_settings import Estimator, GrowingMinMax, Mi
 
 # The recursions work with |s|^2, the fourth power of the data, which must neither overflow nor vanish.
 LARGEST = 1e70
-SQUARE = LARGEST**2
 FLOAT = np.dtype(np.float64)
 AHEAD = 64  # samples for which a stepper asks for the bounds at once
 
@@ -187,7 +186,8 @@ class RecursiveStepper:
             regressor = require_array("regressor", regressor, shape=self._shape)
         row, place = self._row, self.samples % AHEAD
         row[:] = regressor
-        if not (row.dot(row) <= SQUARE and isinstance(output, float) and -LARGEST <= output <= LARGEST):
+        size = math.hypot(*row.tolist())  # of a few numbers faster than numpy's norms
+        if not (size <= LARGEST and isinstance(output, float) and -LARGEST <= output <= LARGEST):
             _require_size("regressor", max(map(abs, require_array("regressor", row).tolist())))
             output = require_number("output", output)
             _require_size("output", abs(output))
@@ -199,11 +199,11 @@ class RecursiveStepper:
         bounds = self._bounds[place : place + 1]
         self._estimator.fill(self._next, bounds, self._rows, self._outputs, *track)
         estimate = estimates[0]
-        if not (estimate.dot(estimate) < np.inf and math.isfinite(errors[0])):
+        if not math.isfinite(math.hypot(errors[0], *estimate.tolist())):
             _require_finite(estimates, errors, self.samples)
         self._kept, self._state, self._trial, self._next = self._trial, self._next, self._kept, self._state
         self.samples += 1
-        self._excited = self._excited or bool(output != 0 and row.any())
+        self._excited = self._excited or bool(output != 0 and size > 0)
         if alphas[0] == np.inf and not self._warned and self._excited and self.samples > self._unknowns:
             self._warned = True
             warnings.warn(

@@ -6,16 +6,24 @@ s <- lam s + a y, `energy` z <- lam z + y^2, the regularisation alpha, the numbe
 
 import numpy as np
 
-from stillwork.base.algebra import factorise, solve_backward, solve_forward
-from stillwork.base.kernels import kernel
-from stillwork.estimation.adaptive import hold_covariance
-from stillwork.estimation.covariance_forms import TRIANGLE, update_covariance
+from stillwork.base.algebra import copy_vector, factorise, solve_backward, solve_forward
+from stillwork.base.kernels import inlined_kernel, kernel
+from stillwork.estimation.covariance_forms import add_triangle_information, update_covariance
 from stillwork.estimation.secular import ROUNDING, narrow_bracket, next_alpha
 
 ALPHA, ENERGY, COUNT = 0, 1, 2  # places in the array `scalars`: alpha, z, samples seen
+FEW, LONG = 8, 1000  # unknowns and samples for which a kernel of their number alone is worth its compilation
 
 
-@kernel
+def known_length(unknowns: int, samples: int) -> tuple[float, ...]:
+    """As many zeros as unknowns: a kernel knows a tuple's length when it is compiled, and unrolls its loops.
+
+    Empty for more than a few unknowns, or a short record: then the kernel that serves every length runs, to the same bits.
+    """
+    return (0.0,) * unknowns if samples >= LONG and unknowns <= FEW else ()
+
+
+@inlined_kernel
 def _accumulate_row(row, output, forgetting, information, correlation):
     # returns |s|^2 and the trace of R
     size = 0.0
@@ -29,7 +37,7 @@ def _accumulate_row(row, output, forgetting, information, correlation):
     return size, trace
 
 
-@kernel
+@inlined_kernel
 def _squared_norms(information, correlation, energy, solution):
     # |x|^2 and |A x - b|^2 = z - 2 x's + x'R x, clamped at zero as in (20)
     norm = 0.0
@@ -43,7 +51,7 @@ def _squared_norms(information, correlation, energy, solution):
     return norm, max(residual, 0.0)
 
 
-@kernel
+@inlined_kernel
 def _exact_solution(
     information, correlation, energy, bound, start, least, x, factor, inverse_pivots, half, work, turned
 ):
@@ -85,7 +93,7 @@ def _exact_solution(
 
 @kernel
 def run_min_max(
-    rows, outputs, bounds, forgetting, iterations, information, correlation, scalars, estimate,
+    known, rows, outputs, bounds, forgetting, iterations, information, correlation, scalars, estimate,
     factor, inverse_pivots, estimates, errors, alphas, evaluations,
 ):  # fmt: skip
     """Min-max estimates of all data so far at every step, from R, s and z.
@@ -94,7 +102,9 @@ def run_min_max(
     lam alpha in place of its root; `factor` then holds P^-1 of the last step, from which h follows by a rank-one
     update, as in RLS.
     """
-    n = len(estimate)
+    n = len(known) if len(known) > 0 else len(estimate)
+    x = np.zeros(n)  # loops run over arrays that are made here, whose length is known where n is
+    copy_vector(estimate, x)
     half = np.zeros(n)
     work = np.zeros(n)
     gain = np.zeros(n)
@@ -107,7 +117,7 @@ def run_min_max(
         error = output
         for i in range(n):
             row[i] = rows[t, i]
-            error -= row[i] * estimate[i]
+            error -= row[i] * x[i]
         errors[t] = error
         size, trace = _accumulate_row(row, output, forgetting, information, correlation)
         energy = forgetting * energy + output * output
@@ -118,13 +128,13 @@ def run_min_max(
         if seen <= n or bound * bound * energy >= size:  # Theorem 1: eta >= |A'b| / |b|
             alpha = np.inf
             for i in range(n):
-                estimate[i] = 0.0
+                x[i] = 0.0
         elif iterations == 0 or alpha == np.inf:
             # alpha_t itself is nearer to alpha_(t+1) than lam alpha_t, from which (15) starts; out of the zero
             # solution, and at the first step, there is neither
             start = alpha if alpha < np.inf else trace / n
             alpha, count = _exact_solution(
-                information, correlation, energy, bound, start, least, estimate,
+                information, correlation, energy, bound, start, least, x,
                 factor, inverse_pivots, half, work, gain,
             )  # fmt: skip
             if iterations > 0:
@@ -137,17 +147,18 @@ def run_min_max(
             share = error / weight
             solve_backward(factor, inverse_pivots, half, gain)
             for i in range(n):  # h = x + P a e / (lam + a'P a)
-                estimate[i] += gain[i] * share
+                x[i] += gain[i] * share
             for _ in range(iterations):
-                norm, residual = _squared_norms(information, correlation, energy, estimate)
+                norm, residual = _squared_norms(information, correlation, energy, x)
                 alpha = max(bound * np.sqrt(residual / norm), least)
                 factorise(information, alpha, correlation, factor, inverse_pivots, half, work)
-                solve_backward(factor, inverse_pivots, half, estimate)
+                solve_backward(factor, inverse_pivots, half, x)
             count = iterations
         alphas[t] = alpha
         evaluations[t] = count
         for i in range(n):
-            estimates[t, i] = estimate[i]
+            estimates[t, i] = x[i]
+    copy_vector(x, estimate)
     scalars[ALPHA] = alpha
     scalars[ENERGY] = energy
     scalars[COUNT] = seen
@@ -179,9 +190,7 @@ def run_ridge(rows, outputs, penalty, forgetting, information, correlation, esti
 def run_least_squares(rows, outputs, forgetting, covariance, estimate, limits, estimates, errors):
     """Exponentially weighted recursive least squares, covariance form, P kept below limits of its diagonal."""
     n = len(estimate)
-    gain, levels = np.zeros(n), np.zeros((3, n))
-    for i in range(n):
-        levels[0, i] = limits[i]
+    gain = np.zeros(n)
     for t in range(len(outputs)):
         row = rows[t]
         _, shrink = update_covariance(covariance, row, forgetting, gain)
@@ -195,8 +204,7 @@ def run_least_squares(rows, outputs, forgetting, covariance, estimate, limits, e
             estimates[t, i] = estimate[i]
         for i in range(n):
             if covariance[i, i] > limits[i]:
-                hold_covariance(TRIANGLE, covariance, forgetting, levels, gain, gain, 0)
-                break
+                add_triangle_information(covariance, i, 1.0 / limits[i] - 1.0 / covariance[i, i], gain)
 
 
 @kernel

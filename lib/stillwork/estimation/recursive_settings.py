@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from stillwork.base.checks import InputError, require_choice, require_count, require_number
-from stillwork.estimation import rank_one, recursive_kernels
+from stillwork.estimation import rank_one
+from stillwork.estimation.recursive_kernels import known_length, run_least_squares, run_min_max, run_ridge
 
 UPDATES = ("exact", "approximate", "fast")
 
@@ -60,7 +61,8 @@ class _MinMaxUpdate(_Recursion):
             rank_one.run_fast(rows, outputs, bounds, self._weight, *state, *track)
         else:
             iterations = self.iterations if self.update == "approximate" else 0
-            recursive_kernels.run_min_max(rows, outputs, bounds, self._weight, iterations, *state, *track)
+            known = known_length(rows.shape[1], len(rows))
+            run_min_max(known, rows, outputs, bounds, self._weight, iterations, *state, *track)
 
     def _check(self) -> None:
         require_choice("update", self.update, UPDATES)
@@ -190,7 +192,7 @@ class LeastSquares(_Recursion):
 
     def fill(self, state, bounds, rows, outputs, *track) -> None:
         """As of all estimators, without bounds."""
-        recursive_kernels.run_least_squares(rows, outputs, float(self.forgetting), *state, *track[:2])
+        run_least_squares(rows, outputs, float(self.forgetting), *state, *track[:2])
 
 
 @dataclass(frozen=True)
@@ -209,7 +211,7 @@ class Ridge(_Recursion):
 
     def fill(self, state, bounds, rows, outputs, *track) -> None:
         settings = float(self.penalty), float(self.forgetting)
-        recursive_kernels.run_ridge(rows, outputs, *settings, *state, *track[:2])
+        run_ridge(rows, outputs, *settings, *state, *track[:2])
         track[2][:] = self.penalty
 
 
