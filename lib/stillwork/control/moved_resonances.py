@@ -88,9 +88,7 @@ class _Box(NamedTuple):
 
     loop: Loop
     moving: np.ndarray  # numbers of the modes that move
-    places: (
-        np.ndarray
-    )  # rad/s, (moving, places, frequencies): lowest, highest, found, beside the grid's lines
+    places: np.ndarray  # rad/s, (moving, places, frequencies): lowest, highest, found, beside a line
     parts: np.ndarray  # m/N, of a mode at a place
     rest: np.ndarray  # m/N, of everything else
 
