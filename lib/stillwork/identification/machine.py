@@ -205,11 +205,8 @@ def _mass(model: ModalModel) -> float:
     return 1 / mobility
 
 
-def _inside(measured: Identified, band_hz: tuple[float, float]) -> np.ndarray:
-    return (measured.omega >= 2 * np.pi * band_hz[0]) & (measured.omega <= 2 * np.pi * band_hz[1])
-
-
 def _thinned(measured: Identified, most: int, band_hz: tuple[float, float]) -> Identified:
     """At most about `most` lines in the band, evenly chosen."""
-    step = max(1, int(_inside(measured, band_hz).sum()) // most)
+    low, high = (2 * np.pi * end for end in band_hz)
+    step = max(1, int(np.sum((measured.omega >= low) & (measured.omega <= high))) // most)
     return Identified(*(values[step - 1 :: step] for values in measured))
