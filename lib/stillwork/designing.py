@@ -29,6 +29,7 @@ INTENSITIES = Intensities(disturbance=8e-4, sensor=1.41e-9, drift=1.92e-4)
 ADDED_DAMPING, SELECTIVITY, RETAINED = 0.02, 2.0, 5
 ALLOWED_DB = 6.01  # of a loop that is handed out; the search keeps 6 dB
 NOTCHED = "PID with notches"
+WHOLE = 0.05  # of a sample, by which a found delay may exceed whole ones and be no sample more
 WORTH = 0.01  # relative gain of bandwidth below which a change of the machine is none
 
 
@@ -93,8 +94,8 @@ def design_file(
     source = Path(file)
     taken = load_machine(source, **reading)
     machine = build_machine(taken, modes_hz=[], fit_hz=fit_hz, mirrored_sensor=mirrored_sensor)
-    machine, late = brought_forward(machine)
-    delay += int(np.ceil(late / step))
+    late = max(int(np.ceil(machine.fit.delay / step - WHOLE)), 0) if machine.fit else 0
+    machine, delay = brought_forward(machine, late * step), delay + late
     how = {"doubt": doubt, "step": step, "delay": delay}
     settings, found = {}, {}
     for use, application in ({"PID": None, NOTCHED: None} | applications(ADDED_DAMPING, SELECTIVITY)).items():

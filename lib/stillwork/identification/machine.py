@@ -39,13 +39,12 @@ class Machine:
         return self.sensors[0].frequencies[1:] / (2 * np.pi)
 
 
-def brought_forward(machine: Machine) -> tuple[Machine, float]:
-    """The machine with the delay of its measurement taken out, and that delay, s; a response that is early stays so."""
-    measured, late = machine.measured, max(machine.fit.delay, 0.0) if machine.fit else 0.0
-    if measured is None or not late:
-        return machine, 0.0
-    turned = measured._replace(response=measured.response * np.exp(1j * measured.omega * late))
-    return replace(machine, measured=turned), late
+def brought_forward(machine: Machine, delay: float) -> Machine:
+    """The machine with its measurement earlier by a delay (s) that a loop then holds instead."""
+    if machine.measured is None:
+        return machine
+    turned = machine.measured.response * np.exp(1j * machine.measured.omega * delay)
+    return replace(machine, measured=machine.measured._replace(response=turned))
 
 
 def whole_band(measured: Identified, band_hz: tuple[float, float]) -> tuple[float, float]:

@@ -36,10 +36,8 @@ LEAST_LINES, HUGE = 32, 1e30  # of a measurement; what its response stays below,
 CUT = np.log(
     np.array([(end, ratio) for end in (0.98, 0.99, 1.0, 1.01, 1.03, 1.06, 1.12) for ratio in (2e-3, 0.02)]).T
 )
-LATE = (
-    0.05,
-    0.5,
-)  # a delay is one from that phase at the band's end on (rad), and with that share of the squares left
+# a delay is one from that phase at the band's end on (rad), and with that share of the squares left
+LATE = (0.05, 0.5)
 CYCLES = 2.0  # of the band's end, that a response may be late or early at most
 LAGS = 8  # lines over which errors may depend on each other, zeros appended to a record among the reasons
 
@@ -202,9 +200,8 @@ class ModalFit:
     turned: bool  # whether the response is counted against the force
     diagram: Stabilisation  # where the modes were looked for
     delay: float = 0.0  # s, by which the response is late; the model is without
-    cut: Float64[np.ndarray, " cut"] = field(
-        default_factory=lambda: np.zeros(0)
-    )  # rad/s, resonances beyond the band
+    # rad/s, resonances beyond the band
+    cut: Float64[np.ndarray, " cut"] = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self):
         check_fields(self)
@@ -411,7 +408,8 @@ class _Accelerance:
     def bring_forward(self, modes):
         """Take the delay out of the response with which these modes, moved a little, leave least of it."""
         linear, moving = self.columns(modes)
-        q = np.linalg.qr(np.hstack([linear, moving]) / np.linalg.norm(np.hstack([linear, moving]), axis=0))[0]
+        both = np.hstack([linear, moving])
+        q = np.linalg.qr(both / np.linalg.norm(both, axis=0))[0]
 
         def left(delay: float) -> float:
             goal = self.target * self.weight * np.exp(1j * self.omega * delay)
