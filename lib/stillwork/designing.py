@@ -18,7 +18,7 @@ from stillwork.control.machine_loops import SHOWN, Intensities, Reached, applica
 from stillwork.control.machine_tuning import DesignSettings, tuned
 from stillwork.exporting import require_free, write_folder
 from stillwork.html_page import picture, table
-from stillwork.identification.machine import Machine, build_machine
+from stillwork.identification.machine import Machine, brought_forward, build_machine
 from stillwork.identification.machine_files import load_machine
 from stillwork.identification.modal_fit import ModalFit
 from stillwork.lti.discretisation import tustin
@@ -29,6 +29,7 @@ INTENSITIES = Intensities(disturbance=8e-4, sensor=1.41e-9, drift=1.92e-4)
 ADDED_DAMPING, SELECTIVITY, RETAINED = 0.02, 2.0, 5
 ALLOWED_DB = 6.01  # of a loop that is handed out; the search keeps 6 dB
 NOTCHED = "PID with notches"
+WHOLE = 0.05  # of a sample, by which a found delay may exceed whole ones and be no sample more
 WORTH = 0.01  # relative gain of bandwidth below which a change of the machine is none
 
 
@@ -56,7 +57,8 @@ def design_file(
     rate : float
         Samples a second of the controller, Hz.
     delay : int
-        Samples from a measurement to the force that follows from it, beside the hold.
+        Samples from a measurement to the force that follows from it, beside the hold and beside a delay that the
+        measured response itself holds, which is found and added in whole samples.
     limit : float
         Largest force, N.
     name, precision : str
@@ -92,6 +94,8 @@ def design_file(
     source = Path(file)
     taken = load_machine(source, **reading)
     machine = build_machine(taken, modes_hz=[], fit_hz=fit_hz, mirrored_sensor=mirrored_sensor)
+    late = max(int(np.ceil(machine.fit.delay / step - WHOLE)), 0) if machine.fit else 0
+    machine, delay = brought_forward(machine, late * step), delay + late
     how = {"doubt": doubt, "step": step, "delay": delay}
     settings, found = {}, {}
     for use, application in ({"PID": None, NOTCHED: None} | applications(ADDED_DAMPING, SELECTIVITY)).items():

@@ -181,16 +181,27 @@ def test_the_c_moves_the_machine_and_lets_go_of_its_limit(written, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_measurement_is_designed_for_and_each_sensor_gets_its_controller(tmp_path, capsys):
+def test_a_late_measurement_is_designed_for_and_each_sensor_gets_its_controller(tmp_path, capsys):
+    """The template 150 us late, two samples: six decibels hold on what was measured, by the loop's own equation."""
+    hertz, size, phase = np.loadtxt(TEMPLATES / "frequency_response.csv", delimiter=",", skiprows=2).T
+    measured = size * np.exp(1j * np.radians(phase) - 2j * np.pi * hertz * 1.5e-4)
+    np.savez(tmp_path / "late.npz", **{"frequency (Hz)": hertz, "h (m/s^2/N)": measured})
     out = tmp_path / "out"
-    file = str(TEMPLATES / "frequency_response.csv")
     arguments = ["--rate", "10000", "--out", str(out), "--mirrored-sensor", "--precision", "single"]
-    assert main(["design", file, *arguments, "--name", "axis", "--delay", "0"]) == 0
+    arguments += ["--name", "axis", "--delay", "0", "--doubt", "0"]
+    assert main(["design", str(tmp_path / "late.npz"), *arguments]) == 0
     said = capsys.readouterr().out
-    assert "on the measurement (Hz)" in said and "taken: " in said
+    assert "on the measurement (Hz)" in said and "taken: " in said and "the response is 150 us late" in said
     assert {"axis_1.c", "axis_2.h", "axis_2.json", "report.html"} <= {each.name for each in out.iterdir()}
     assert "typedef float axis_1_real;" in (out / "axis_1.h").read_text()
     assert "on the measurement (dB)" in (out / "report.html").read_text()
+    held = json.loads((out / "axis_1.json").read_text())
+    assert held["provenance"]["delay_samples_of_the_loop"] == 2
+    turn = 2j * np.pi * hertz / RATE
+    plant = -measured / (2 * np.pi * hertz) ** 2 * -np.expm1(-turn) / turn
+    k_r, k_y = load_controller(out / "axis_1.json").linear.frequency_response(2 * np.pi * hertz)[0]
+    assert 20 * np.log10(np.abs(1 / (1 - k_y * plant)).max()) < 6.01
+    assert 20 * np.log10(np.abs(1 - k_r * plant / (1 - k_y * plant)).max()) < 6.01
 
 
 @pytest.mark.slow

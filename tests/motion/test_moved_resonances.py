@@ -42,6 +42,17 @@ def test_the_worst_place_is_the_worst_of_a_grid(options, function):
     assert factors[0] == 1 and np.all(np.abs(factors - 1) <= 0.05 + 1e-12)
 
 
+def test_close_resonances_may_change_places():
+    """The moved plant term by term: each mode keeps its shapes and its damping ratio."""
+    factors, omega = [1.0, 1.5, 0.7], np.array([100.0, 1500.0, 2500.0])
+    moved = CHAIN.frequencies * factors
+    assert moved[1] > moved[2]
+    gains = CHAIN.output_shapes[0] * CHAIN.input_shapes[:, 0]
+    parts = gains / (moved**2 - omega[:, None] ** 2 + 2j * CHAIN.damping * moved * omega[:, None])
+    found = moved_loop(make_loop(CHAIN), factors).plant.frequency_response(omega)[0, 0]
+    assert found == pytest.approx(parts.sum(axis=1), rel=1e-9)
+
+
 def test_where_no_mode_moves_the_worst_is_the_peak():
     loop, pid = make_loop(CHAIN), PidFamily(40.0)(12.0)
     size, factors = worst_factors(loop, pid, "input_sensitivity", [0.0, 0.0, 0.0])

@@ -151,11 +151,14 @@ def test_an_unknown_unit_is_not_taken_for_none(tmp_path, bracket):
 
 @pytest.mark.parametrize(("end", "told"), [(616.0, True), (700.0, False)])
 def test_a_band_that_cuts_a_resonance_is_told(end, told):
-    """The second one stands at 616.4 Hz."""
+    """The second one stands at 616.4 Hz; it is fitted, unless somebody says which modes there are."""
     file = load_machine(TEMPLATES / "frequency_response.csv")
     machine = build_machine(file, modes_hz=[], fit_hz=(5.0, end), mirrored_sensor=False)
-    assert any("a resonance that the band cuts" in note for note in machine.notes) == told
+    assert any("at about 616.4 Hz, beyond the band" in note for note in machine.notes) == told
     assert len(machine.resonances_hz) == (1 if told else 2)
+    assert machine.mass == pytest.approx(12.0, rel=1e-3)
+    given = build_machine(file, modes_hz=[355.9, 616.4][: 2 - told], fit_hz=(5.0, end), mirrored_sensor=False)
+    assert any("a resonance that the band cuts" in note for note in given.notes) == told
 
 
 def test_templates_are_one_machine():

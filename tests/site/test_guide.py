@@ -16,6 +16,7 @@ from shared.compiled import compiled, pointer
 from stillwork.__main__ import main
 from stillwork.base import paths
 from stillwork.base.toml_files import read_toml
+from stillwork.control.digital import load_controller
 from stillwork.estimation.adaptive import FeRls
 from stillwork.estimation.online import UnstableAdaptation
 from stillwork.identification.machine_files import load_machine
@@ -93,8 +94,9 @@ def test_inspections_end_in_a_command(line, checkout, capsys):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("line", CODE)
-def test_a_design_writes_the_files_that_the_guide_names(line, checkout, capsys, tmp_path):
-    words = shlex.split(line)[3:]
+def test_a_design_writes_the_files_that_the_guide_names(line, checkout, tmp_path):
+    """Without its doubt, whose search other tests hold; six decibels on what was measured, by the loop's equation."""
+    words = [*shlex.split(line)[3:], "--doubt", "0"]
     words[words.index("--out") + 1] = str(tmp_path / "code")
     assert main(words) == 0
     told = set(re.findall(r"`((?:controller|report)\.\w+)`", GUIDE))
@@ -102,6 +104,15 @@ def test_a_design_writes_the_files_that_the_guide_names(line, checkout, capsys, 
     [snippet] = [block for language, block in BLOCKS if language == "c"]
     header = (tmp_path / "code" / "controller.h").read_text(encoding="utf-8")
     assert all(f"{name}(" in header for name in re.findall(r"(controller_\w+)\(", snippet))
+    controller = load_controller(tmp_path / "code" / "controller.json")
+    measured = load_machine(words[1], "m/s^2", "N").accelerance
+    inside = (measured.omega > 2 * np.pi * 300) & (measured.omega < 2 * np.pi * 2000)
+    omega, accelerance = measured.omega[inside], measured.response[inside]  # counted against the force
+    turn = 1j * omega / 20_000
+    plant = accelerance / omega**2 * -np.expm1(-turn) / turn * np.exp(-turn)
+    k_r, k_y = controller.linear.frequency_response(omega)[0]
+    for size in (1 / (1 - k_y * plant), 1 - k_r * plant / (1 - k_y * plant)):
+        assert 1.5 < np.abs(size).max() < 10 ** (6.01 / 20)
 
 
 def test_the_table_of_a_controller_is_exported(tmp_path):

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
@@ -12,6 +13,7 @@ from stillwork.control.bandwidth import FUNCTIONS, Loop, PeakConstraint, make_lo
 from stillwork.control.loops import LoopResponse
 from stillwork.control.pid import Pid
 from stillwork.lti.discretisation import sampled_modes
+from stillwork.lti.modal import ModalModel
 
 STEPS = np.linspace(-1, 1, 25)  # to places of a mode beside its resonance, dense at its width, that are tried
 SWEEPS = 2
@@ -20,11 +22,22 @@ SEEN = 1.0005  # times a limit, 0.004 dB: what is handed out keeps it within 0.0
 
 @checked
 def moved_loop(loop: Loop, factors: Float64[np.ndarray, " modes"]) -> Loop:
-    """The same observer and sample time on a plant whose frequencies are multiplied by these factors."""
+    """The same observer and sample time on a plant whose frequencies are multiplied by these factors.
+
+    Two of them may change places.
+    """
     factors = require_array("factors", factors, shape=loop.plant.frequencies.shape)
     if not factors.min() > 0:
         raise InputError("factors must be above 0")
-    plant = replace(loop.plant, frequencies=factors * loop.plant.frequencies)
+    moved, plant = factors * loop.plant.frequencies, loop.plant
+    order = np.argsort(moved, kind="stable")
+    plant = ModalModel(
+        moved[order],
+        plant.damping[order],
+        plant.input_shapes[order],
+        plant.output_shapes[:, order],
+        plant.feedthrough,
+    )
     return make_loop(plant, loop.compensator, step=loop.step, delay=loop.delay)
 
 
@@ -66,19 +79,34 @@ def worst_factors(
     >>> bool(size > loop.peak(pid, "input_sensitivity").magnitude), factors  # lower is worse
     (True, array([1.  , 0.95]))
     """
+    require_choice("function", function, FUNCTIONS)
+    return _worst(_box(loop, shares), controller, function)
+
+
+class _Box(NamedTuple):
+    """A loop on a grid that its moved resonances need, and what each mode adds to its plant at the places tried."""
+
+    loop: Loop
+    moving: np.ndarray  # numbers of the modes that move
+    places: np.ndarray  # rad/s, (moving, places, frequencies): lowest, highest, found, beside a line
+    parts: np.ndarray  # m/N, of a mode at a place
+    rest: np.ndarray  # m/N, of everything else
+
+
+def _box(loop: Loop, shares: np.ndarray) -> _Box:
     plant = loop.plant
     shares = require_array("shares", shares, shape=plant.frequencies.shape)
     if not 0 <= shares.min() <= shares.max() < 1:
         raise InputError("shares must be at least 0 and below 1; 0 for a frequency that stays")
-    require_choice("function", function, FUNCTIONS)
-    if not shares.any():
-        return loop.peak(controller, function).magnitude, np.ones(len(shares))
+    moving = np.flatnonzero(shares)
+    if not len(moving):
+        nothing = np.zeros((0, 0, len(loop.omega)))
+        return _Box(loop, moving, nothing, nothing, loop.plant_response)
     # As dense at the ends of the intervals as in their middle: there the worst place changes most from line to line.
     ends = [factor * loop.omega for factor in (1 - shares.max(), 1.0, 1 + shares.max())]
     omega = np.unique(np.clip(np.concatenate(ends), loop.omega[0], loop.omega[-1]))
     observer = loop.compensator.frequency_response(omega)
     loop = replace(loop, omega=omega, plant_response=loop.plant_at(omega), compensator_response=observer)
-    moving = np.flatnonzero(shares)
     centre, damping = plant.frequencies[moving, None, None], plant.damping[moving, None, None]
     low, high = centre * (1 - shares[moving, None, None]), centre * (1 + shares[moving, None, None])
     # Sampled, a mode above half the rate is seen folded back.
@@ -94,12 +122,20 @@ def worst_factors(
         loop, places, damping
     )
     rest = loop.plant_response - parts[:, 2].sum(axis=0)
+    return _Box(loop, moving, places, parts, rest)
+
+
+def _worst(box: _Box, controller: Pid, function: str) -> tuple[float, np.ndarray]:
+    loop, moving, places, parts, rest = box
+    if not len(moving):
+        return loop.peak(controller, function).magnitude, np.ones(len(loop.plant.frequencies))
     k_fb = loop.within(controller, slice(None)).controller
-    every, worst, best = np.arange(len(omega)), 0.0, np.ones(len(shares))
-    for start in range(3):
-        taken = np.full((len(moving), len(omega)), start)
+    every, worst, best = np.arange(len(loop.omega)), 0.0, np.ones(len(loop.plant.frequencies))
+    starts, sweeps = (3, SWEEPS) if len(moving) > 1 else (1, 1)  # a mode by itself is seen through in one go
+    for start in range(starts):
+        taken = np.full((len(moving), len(loop.omega)), start)
         sum_of = rest + parts[:, start].sum(axis=0)
-        for mode in [*range(len(moving))] * SWEEPS:
+        for mode in [*range(len(moving))] * sweeps:
             others = sum_of - parts[mode, taken[mode], every]
             response = LoopResponse(others + parts[mode], loop.compensator_response, k_fb)
             sizes = np.abs(getattr(response, function))
@@ -109,7 +145,8 @@ def worst_factors(
         place = int(sizes.argmax())
         if sizes[place] > worst:
             worst = float(sizes[place])
-            best[moving] = places[np.arange(len(moving)), taken[:, place], place] / centre[:, 0, 0]
+            there = places[np.arange(len(moving)), taken[:, place], place]
+            best[moving] = there / loop.plant.frequencies[moving]
     return worst, best
 
 
@@ -127,10 +164,10 @@ def harmful_factors(
     loops: Sequence[Loop], controller: Pid, constraints: Sequence[PeakConstraint], shares: np.ndarray
 ) -> list[np.ndarray]:
     """Factors that make a loop exceed a constraint, the worst of each; empty when no place in the box does."""
-    found = []
+    found, boxes = [], [_box(loop, shares) for loop in loops]
     for constraint in constraints:
         size, factors = max(
-            (worst_factors(loop, controller, constraint.function, shares) for loop in loops),
+            (_worst(box, controller, constraint.function) for box in boxes),
             key=lambda each: each[0],
         )
         if size > SEEN * constraint.limit:

@@ -39,6 +39,14 @@ class Machine:
         return self.sensors[0].frequencies[1:] / (2 * np.pi)
 
 
+def brought_forward(machine: Machine, delay: float) -> Machine:
+    """The machine with its measurement earlier by a delay (s) that a loop then holds instead."""
+    if machine.measured is None:
+        return machine
+    turned = machine.measured.response * np.exp(1j * machine.measured.omega * delay)
+    return replace(machine, measured=machine.measured._replace(response=turned))
+
+
 def whole_band(measured: Identified, band_hz: tuple[float, float]) -> tuple[float, float]:
     """The band, or for (0, 0) all that was measured; `InputError` for a band in which too little was."""
     hertz = measured.omega / (2 * np.pi)
@@ -119,6 +127,11 @@ def _fitted(
         raise InputError(
             f"{file.source} has no flexible mode from {band[0]:g} to {band[1]:g} Hz; widen fit_hz"
         )
+    if fit.delay:
+        notes.append(
+            f"the response is {1e6 * abs(fit.delay):.4g} us {'late' if fit.delay > 0 else 'early'}: a delay beside the "
+            "machine, which the model is without"
+        )
     below = fit.omega < model.frequencies[1] / 2
     missed = float(np.sqrt(np.mean(fit.error[below] ** 2))) if below.any() else 0.0
     if missed > MISSED:
@@ -128,7 +141,12 @@ def _fitted(
             "measure finer"
         )
     end = fit.omega > (1 - END) * fit.omega[-1]
-    if (off := float(np.sqrt(np.mean(fit.error[end] ** 2)))) > MISSED:
+    if len(fit.cut):
+        notes.append(
+            f"a resonance at about {fit.cut[0] / (2 * np.pi):.4g} Hz, beyond the band, is left out of the model; widen "
+            "fit_hz to hold it"
+        )
+    elif (off := float(np.sqrt(np.mean(fit.error[end] ** 2)))) > MISSED:
         notes.append(
             f"at the end of the band, {band[1]:.4g} Hz, the model is off by {100 * off:.2g} % (root mean square): "
             "noise, or a resonance that the band cuts, which draws at the mass; end fit_hz well beyond it, or before it"
@@ -186,11 +204,8 @@ def _mass(model: ModalModel) -> float:
     return 1 / mobility
 
 
-def _inside(measured: Identified, band_hz: tuple[float, float]) -> np.ndarray:
-    return (measured.omega >= 2 * np.pi * band_hz[0]) & (measured.omega <= 2 * np.pi * band_hz[1])
-
-
 def _thinned(measured: Identified, most: int, band_hz: tuple[float, float]) -> Identified:
     """At most about `most` lines in the band, evenly chosen."""
-    step = max(1, int(_inside(measured, band_hz).sum()) // most)
+    low, high = (2 * np.pi * end for end in band_hz)
+    step = max(1, int(np.sum((measured.omega >= low) & (measured.omega <= high))) // most)
     return Identified(*(values[step - 1 :: step] for values in measured))

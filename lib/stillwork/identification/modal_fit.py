@@ -1,12 +1,12 @@
 """Modal models fitted to frequency responses: a sampled plant's response matrix, or one measured accelerance."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 from scipy.ndimage import uniform_filter1d
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, minimize_scalar
 
 from stillwork.base.checks import InputError, require_array, require_count, require_number
 from stillwork.base.front_door import check_fields, checked
@@ -32,6 +32,13 @@ NEAR_GUESS = 5e-3  # of a frequency, within which a pole that settles takes the 
 LITTLE = 1e-4  # part of the error that a candidate must take away to be tried
 EXACT = 1e-16  # part of the response's square that is rounding
 LEAST_LINES, HUGE = 32, 1e30  # of a measurement; what its response stays below, and its inverse above
+# where a resonance that the band cuts may be, over the band's end, and its damping
+CUT = np.log(
+    np.array([(end, ratio) for end in (0.98, 0.99, 1.0, 1.01, 1.03, 1.06, 1.12) for ratio in (2e-3, 0.02)]).T
+)
+# a delay is one from that phase at the band's end on (rad), and with that share of the squares left
+LATE = (0.05, 0.5)
+CYCLES = 2.0  # of the band's end, that a response may be late or early at most
 LAGS = 8  # lines over which errors may depend on each other, zeros appended to a record among the reasons
 
 
@@ -192,6 +199,9 @@ class ModalFit:
     mass_deviation: float  # relative
     turned: bool  # whether the response is counted against the force
     diagram: Stabilisation  # where the modes were looked for
+    delay: float = 0.0  # s, by which the response is late; the model is without
+    # rad/s, resonances beyond the band
+    cut: Float64[np.ndarray, " cut"] = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self):
         check_fields(self)
@@ -264,7 +274,9 @@ def identify_modes(
     Candidates are the poles that settle in a stabilisation diagram (`stabilisation`). In rounds, those that lower the
     error most are added and all are refined together; then modes go one by one that do not prevent an error of 50 %
     over their own width, that noise could have made, or that mostly cancel another. With `guesses_hz` the modes are
-    these. A response that is counted against the force is turned.
+    these. A response that is counted against the force is turned, and one that is late by a delay of its own brought
+    forward. A resonance beyond the band that its lines tell of is fitted, too, so that it draws at no other, and
+    left out of the model.
 
     Parameters
     ----------
@@ -303,6 +315,8 @@ def identify_modes(
     problem = _Accelerance(measured, band_hz)
     diagram = stabilisation(problem.omega, problem.target[:, None, None])
     settled = np.log(diagram.settled())
+    ends = CUT + np.log([[problem.omega[-1]], [1.0]])
+    problem.bring_forward(np.hstack([settled, ends]))
     modes = np.zeros((2, 0))
     if len(guesses):
         modes = np.log([2 * np.pi * guesses, np.full(len(guesses), damping_guess)])
@@ -311,21 +325,22 @@ def identify_modes(
             if apart.size and apart.min() < NEAR_GUESS:
                 mode[:] = settled[:, apart.argmin()]
         modes = problem.refined(modes, 60)
-    for _ in range(0 if len(guesses) else ROUNDS):
-        more = problem.extended(modes, settled)
-        if more.shape[1] == modes.shape[1]:
-            break
-        modes = problem.pruned(problem.refined(problem.pruned(more, LEAST / 2), 20), LEAST)
+    else:
+        modes = problem.found(modes, settled)
+        cut = problem.pruned(problem.refined(problem.extended(modes, ends, most=1), 20), LEAST)
+        if cut.shape[1] > modes.shape[1]:
+            modes = problem.found(cut, settled)
     problem.grounded = problem.on_springs(modes)
     if modes.size and (problem.grounded or not len(guesses)):
         modes = problem.refined(modes, 60)
         modes = modes if len(guesses) else problem.pruned(modes, LEAST)
-    if not modes.size:
+    if not np.any(modes[0] <= np.log(problem.omega[-1])):
         raise InputError(
             f"no resonance stands out from {band_hz[0]:g} to {band_hz[1]:g} Hz; say where the modes are with "
             "modes_hz, or widen fit_hz"
         )
-    return problem.fit(modes, diagram)
+    problem.bring_forward(modes)
+    return problem.fit(problem.refined(modes, 60) if problem.delay else modes, diagram)
 
 
 class _Accelerance:
@@ -350,6 +365,7 @@ class _Accelerance:
         self.weight = 1 / (size * np.hypot(1.0, noise / FLOOR))
         goal = self.target * self.weight
         self.goal = np.concatenate([goal.real, goal.imag])
+        self.delay = 0.0  # s, by which the response was late
         self.grounded = False  # then no rigid body is free, and a third term of the series takes its column
 
     def columns(self, modes, derivatives=True):
@@ -399,7 +415,43 @@ class _Accelerance:
                 break
         return modes
 
-    def extended(self, modes, settled):
+    def bring_forward(self, modes):
+        """Take the delay out of the response with which these modes, moved a little, leave least of it."""
+        linear, moving = self.columns(modes)
+        both = np.hstack([linear, moving])
+        q = np.linalg.qr(both / np.linalg.norm(both, axis=0))[0]
+
+        def left(delay: float) -> float:
+            goal = self.target * self.weight * np.exp(1j * self.omega * delay)
+            goal = np.concatenate([goal.real, goal.imag])
+            return float(np.sum((goal - q @ (q.T @ goal)) ** 2))
+
+        cycle = 2 * np.pi / self.omega[-1]
+        tried = cycle * np.arange(-CYCLES, CYCLES + 1e-9, 1 / 16)
+        near = tried[np.argmin([left(delay) for delay in tried])]
+        found = minimize_scalar(
+            left,
+            bounds=(near - cycle / 16, near + cycle / 16),
+            method="bounded",
+            options={"xatol": 1e-6 * cycle},
+        )
+        phase, share = LATE
+        if abs(found.x) * self.omega[-1] > phase and found.fun < share * left(0.0):
+            self.delay += float(found.x)
+            self.target = self.target * np.exp(1j * self.omega * found.x)
+            goal = self.target * self.weight
+            self.goal = np.concatenate([goal.real, goal.imag])
+
+    def found(self, modes, settled):
+        """These modes and those of the settled poles that stand, in rounds."""
+        for _ in range(ROUNDS):
+            more = self.extended(modes, settled)
+            if more.shape[1] == modes.shape[1]:
+                break
+            modes = self.pruned(self.refined(self.pruned(more, LEAST / 2), 20), LEAST)
+        return modes
+
+    def extended(self, modes, settled, most=MOST_FITTED):
         """The modes and of the settled poles those that lower the error most, one after the other."""
         both = np.hstack([modes, settled])
         columns, _ = self.columns(both, derivatives=False)
@@ -408,7 +460,7 @@ class _Accelerance:
         taken = list(range(FIXED + modes.shape[1]))
         for pivot in taken:
             gram = _swept(gram, pivot)
-        while len(taken) < FIXED + MOST_FITTED:
+        while len(taken) < FIXED + min(modes.shape[1] + most, MOST_FITTED):
             own = np.diag(gram)[:-1]
             gain = np.where(own > 1e-6, gram[-1, :-1] ** 2 / np.maximum(own, 1e-6), 0.0)
             gain[taken] = 0.0
@@ -470,8 +522,9 @@ class _Accelerance:
             gains[0] -= line @ residual[below] / (line @ line)
         jacobian = np.hstack([linear, moving * np.tile(gains[FIXED:], 2)])
         spread = _spread(jacobian, linear @ gains - self.goal)
-        # The model has no growth of the compliance: its gains are those that do best without.
-        kept = linear[:, [1, *range(FIXED, linear.shape[1])]]
+        # The model has no growth of the compliance and no mode beyond the band: its gains are those that do best without.
+        every, count = modes.shape[1], int(np.sum(modes[0] <= np.log(self.omega[-1])))
+        kept = linear[:, [1, *range(FIXED, FIXED + count)]]
         left = self.goal - (0.0 if self.grounded else gains[0] * linear[:, 0])
         sizes = np.linalg.norm(kept, axis=0)
         own = np.linalg.lstsq(kept / sizes, left, rcond=None)[0] / sizes
@@ -480,7 +533,7 @@ class _Accelerance:
         free = np.zeros(0 if self.grounded else 1)
         residues = sign * np.append(gains[: len(free)], own[1:])
         shapes = np.sqrt(np.abs(residues))
-        frequencies, damping = np.exp(modes)
+        frequencies, damping = np.exp(modes[:, :count])
         model = ModalModel(
             np.append(free, frequencies),
             np.append(free, damping),
@@ -488,16 +541,17 @@ class _Accelerance:
             (shapes * np.sign(residues))[None, :],
             np.array([[sign * own[0] / self.omega[-1] ** 2]]),
         )
-        count = len(frequencies)
         return ModalFit(
             model,
             self.omega,
             np.hypot(*residual.reshape(2, -1)) / (self.weight * np.abs(self.target)),
-            frequencies * spread[-2 * count : -count],
-            damping * spread[-count:],
+            frequencies * spread[-2 * every :][:count],
+            damping * spread[-every:][:count],
             float(spread[rigid] / abs(gains[rigid])),
             sign < 0,
             diagram,
+            self.delay,
+            np.exp(modes[0, count:]),
         )
 
 
