@@ -22,8 +22,9 @@ UNDER_PINS = env $(shell grep -v '^\#' $(PINNED))
 # Files go to the workers whole, for their tests share what is dear to make, and in the order of tests/order.py.
 UNIT := tests -p no:nbval -p no:anyio --ignore=tests/committed --ignore=tests/browser \
 	-n logical --dist loadfile --no-loadscope-reorder
-# How many notebooks nbval executes although their build is fresh, others each day.
+# How many notebooks nbval executes although an earlier run built them, others each day.
 RERUN ?= 3
+BEGUN := build/test-begun
 
 # A part of `make test`, $(1) in words and $(2) to run: how long each took stands at the end.
 SECONDS := build/test-seconds
@@ -47,7 +48,7 @@ contest: $(READY) ## Rank observers of flexible machines; ARGS="MY_OBSERVER.py -
 	@$(BIN)/python -m stillwork contest $(ARGS)
 
 test: $(READY) ## Style, types, unit tests, all notebooks, and what is committed against what they give now
-	@mkdir -p build && rm -f $(SECONDS)
+	@mkdir -p build && rm -f $(SECONDS) && touch $(BEGUN)
 	$(call part,style and types,$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/python -m mypy)
 	$(call part,unit tests,$(UNDER_PINS) $(BIN)/python -m pytest $(UNIT))
 	$(call part,build,$(BIN)/python -m stillwork figures)
@@ -55,7 +56,7 @@ test: $(READY) ## Style, types, unit tests, all notebooks, and what is committed
 	$(call part,notebooks,rm -rf build/nbval && $(UNDER_PINS) STILLWORK_OUTPUT="$(CURDIR)/build/nbval" \
 		$(BIN)/python -m pytest notebooks \
 		-p no:nbval -p stillwork.workbook.nbval_check --jaxtyping-packages= --nbval --nbval-rerun $(RERUN) \
-		--nbval-current-env --nbval-cell-timeout 600 -n logical --dist loadfile)
+		--nbval-begun $(BEGUN) --nbval-current-env --nbval-cell-timeout 600 -n logical --dist loadfile)
 	$(call part,what is committed,$(UNDER_PINS) $(BIN)/python -m pytest tests/committed \
 		-p no:nbval -p no:anyio -n logical --dist worksteal)
 	@awk '{ all += $$1; print } END { print all " s in all" }' $(SECONDS)

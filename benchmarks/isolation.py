@@ -286,7 +286,7 @@ def loop_times() -> dict[str, tuple[float, float, float]]:
     covariance = np.full(twin.regressors, 0.6)  # about the steady value on this floor
     algorithms = {"FeLMS": FeLms(), "FeRLS": FeRls(covariance)}
     samples = round(seconds / twin.sample_time)
-    drawn_from = sources.Sources(twin, [(samples, flat_floor())], True, 0)
+    drawn_from = sources.Sources(twin, [(samples, flat_floor())], True, [0])
     blocks = [drawn_from.sample(simulation.BLOCK) for _ in range(samples // simulation.BLOCK)]
 
     def alone(settings):

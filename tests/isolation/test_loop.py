@@ -59,7 +59,7 @@ def test_kernel_agrees_with_its_slow_twin(name, case):
         options["adaptation"] = FeRls(0.3, growth_limit=np.inf)
         slow["ferls"] = (0.3 * np.eye(twin.regressors), options["adaptation"].forgetting)
     run = simulate(twin, floor, seed=3, keep_every_s=2e-4, signals_from_s=0.0, **options)
-    source = Sources(twin, [(SAMPLES, floor)], True, 3)
+    source = Sources(twin, [(SAMPLES, floor)], True, [3])
     expected = closed_loop.run(twin, *source.sample(SAMPLES), **slow)
     for got, wanted in (
         (run.platform, expected["platform"]),
@@ -127,6 +127,18 @@ def test_seeds_side_by_side_run_as_each_alone(name):
             alone = simulate(twin, floors, adaptation=adaptation, seed=seed, **options)
             for field in dataclasses.fields(alone):
                 assert np.array_equal(getattr(runs[name], field.name), getattr(alone, field.name)), field.name
+
+
+def test_seeds_side_by_side_take_weights_of_their_own_and_keep_what_is_asked_for():
+    twin, floor, seeds = RIGS["fitted"], flat_floor(80.0), [3, 8, 1]
+    weights = [np.full((6, 9), 0.01 * k) for k in seeds]
+    options = {"adaptations": {"": FeLms()}, "signals_from_s": 0.3, "signals": ("command", "floor")}
+    together = simulate_together(twin, floor, 0.5, seeds=seeds, weights=weights, **options)
+    for runs, seed, start in zip(together, seeds, weights, strict=True):
+        alone = simulate(twin, floor, 0.5, seed=seed, weights=start, adaptation=FeLms(), signals_from_s=0.3)
+        for name in ("command", "floor", "weights", "final_weights"):
+            assert np.array_equal(getattr(runs[""], name), getattr(alone, name)), name
+        assert runs[""].platform.shape == (6, 0) and alone.platform.shape == (6, 1000)
 
 
 def test_seeds_side_by_side_name_what_they_cannot_run():
@@ -215,6 +227,7 @@ def test_a_floor_that_is_not_a_number_stops_at_once():
         ({"weights": np.zeros((6, 3))}, "weights has shape"),
         ({"signals_from_s": 50.0}, "signals_from_s is 50 but the run lasts"),
         ({"signals_from_s": -1.0}, "signals_from_s is -1; give a finite number at least 0"),
+        ({"signals": ["comand"]}, "signals is 'comand'.*did you mean 'command'"),
         ({"weights": np.full((6, 9), np.nan)}, "weights holds 54 NaN"),
         ({"duration_s": None}, "duration_s is missing"),
         ({"duration_s": -1.0}, "duration_s is -1"),

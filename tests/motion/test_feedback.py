@@ -36,8 +36,8 @@ def test_printed_damping_of_the_plant_would_not_give_that_table():
 
 def test_pole_placement_places():
     achieved = fed_back(MODEL, damping_gain(MODEL, 0.035, "pole placement"))
-    assert np.allclose(achieved.damping[1:], 0.04, rtol=1e-6)
-    assert np.allclose(achieved.frequencies, MODEL.frequencies, rtol=1e-6)
+    np.testing.assert_allclose(achieved.damping[1:], 0.04, rtol=1e-6)
+    np.testing.assert_allclose(achieved.frequencies, MODEL.frequencies, rtol=1e-6)
 
 
 @settings(max_examples=20, deadline=None)
@@ -72,7 +72,7 @@ def test_state_feedback_leaves_the_zeros_where_they_are():
         return np.sort(np.abs(values))
 
     before, after = zeros(states.a), zeros(states.a + states.b @ gain)
-    assert np.allclose(before[:4], after[:4], rtol=1e-6)
+    np.testing.assert_allclose(before[:4], after[:4], rtol=1e-6)
 
 
 @settings(max_examples=20, deadline=None)

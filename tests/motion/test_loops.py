@@ -33,8 +33,8 @@ def test_controller_realisation(notches):
     )
     for each in notches:
         expected = expected * Notch(each).at(s)
-    assert np.allclose(pid.frequency_response(OMEGA), expected, rtol=1e-12)
-    assert np.allclose(pid.state_space().frequency_response(OMEGA)[0, 0], expected, rtol=1e-9)
+    np.testing.assert_allclose(pid.frequency_response(OMEGA), expected, rtol=1e-12)
+    np.testing.assert_allclose(pid.state_space().frequency_response(OMEGA)[0, 0], expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize("name", ["MC", "AD", "MC and AD"])
@@ -49,8 +49,8 @@ def test_closed_forms_agree_with_the_state_space_loop(name):
         "true_tracking": ("r", "e_true"),
     }.items():
         theirs = channel(loop, source, target).frequency_response(OMEGA)[0, 0]
-        assert np.allclose(getattr(response, ours), theirs, rtol=1e-6), ours
-    assert np.allclose(
+        np.testing.assert_allclose(getattr(response, ours), theirs, rtol=1e-6, err_msg=ours)
+    np.testing.assert_allclose(
         response.input_sensitivity, channel(loop, "r", "e_meas").frequency_response(OMEGA)[0, 0], rtol=1e-6
     )
 
@@ -60,7 +60,7 @@ def test_loop_without_observer_is_that_of_python_control():
     loop = closed_loop(plant, None, pid.state_space())
     theirs = control.feedback(control.ss([], [], [], 1), plant.to_control() * pid.state_space().to_control())
     ours = channel(loop, "r", "e_true").frequency_response(OMEGA)[0, 0]
-    assert np.allclose(ours, theirs(1j * OMEGA), rtol=1e-7)
+    np.testing.assert_allclose(ours, theirs(1j * OMEGA), rtol=1e-7)
     assert np.abs(channel(loop, "d", "e_true").frequency_response(OMEGA)[0, 0] + ours - 1).max() < 1e-7
 
 

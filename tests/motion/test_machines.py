@@ -24,7 +24,7 @@ def test_stage_is_the_published_one():
     assert model.rigid_modes == 1
     assert len(model.frequencies) == 8
     # A rigid body: phi_s phi_a = 1/M for every mass.
-    assert np.allclose(model.output_shapes[:, 0] * model.input_shapes[0, 0], 1 / 12.5, rtol=1e-10)
+    np.testing.assert_allclose(model.output_shapes[:, 0] * model.input_shapes[0, 0], 1 / 12.5, rtol=1e-10)
 
 
 def test_chain_in_nodal_form():
@@ -35,7 +35,7 @@ def test_chain_in_nodal_form():
     direct = [
         np.linalg.inv((p["stiffness"] + 1j * w * p["damper"]) * links - w**2 * np.diag(masses)) for w in omega
     ]
-    assert np.allclose(model.frequency_response(omega), np.moveaxis(direct, 0, -1), rtol=1e-8)
+    np.testing.assert_allclose(model.frequency_response(omega), np.moveaxis(direct, 0, -1), rtol=1e-8)
 
 
 def test_drive_in_nodal_form():
@@ -49,7 +49,7 @@ def test_drive_in_nodal_form():
         for w in omega
     ]
     expected = d.motor_constant * np.array([h[0, 1] for h in direct])
-    assert np.allclose(d.modal_states().frequency_response(omega)[0, 0], expected, rtol=1e-8)
+    np.testing.assert_allclose(d.modal_states().frequency_response(omega)[0, 0], expected, rtol=1e-8)
 
 
 def test_compliance_closes_the_error_at_low_frequency():
@@ -58,7 +58,9 @@ def test_compliance_closes_the_error_at_low_frequency():
     full = model.frequency_response(omega)[0, 0]
     plain, compensated = (truncate(model, 4, k).frequency_response(omega)[0, 0] for k in (0, 4))
     missing = model.modes(slice(4, None)).compliance()[0, 0]
-    assert np.allclose(full - plain, missing, rtol=1e-5)
+    # A spring, but for the damping: of the first mode that is missing 2 zeta w / w_0.
+    damped = 2 * model.damping[4] * omega / model.frequencies[4]
+    assert np.all(np.abs(full - plain - missing) < 2 * damped * abs(missing))
     # With it the error falls with the square of the frequency.
     left = np.abs(full - compensated)
     assert left[0] < 1e-4 * abs(missing)
@@ -69,7 +71,7 @@ def test_rolled_off_compliance_is_strictly_proper_and_exact_at_rest():
     rolled = roll_off(reduced, 5e4)
     assert not np.any(rolled.d)
     omega = 2 * np.pi * np.array([1.0])
-    assert np.allclose(rolled.frequency_response(omega), reduced.frequency_response(omega), rtol=1e-6)
+    np.testing.assert_allclose(rolled.frequency_response(omega), reduced.frequency_response(omega), rtol=1e-6)
 
 
 def test_reduction_and_discretisation_commute():
@@ -81,28 +83,30 @@ def test_reduction_and_discretisation_commute():
     assert np.array_equal(first.a, whole.a[kept, kept])
     assert np.array_equal(first.b, whole.b[kept])
     discarded = zoh_modes(model.modes(slice(4, None)), 1e-4)
-    assert np.allclose(discrete_compliance(discarded), first.d, rtol=1e-10)
+    np.testing.assert_allclose(discrete_compliance(discarded), first.d, rtol=1e-10)
 
 
 def test_printed_transition_lacks_a_factor():
     w, z, step = 3e3, 0.3, 1e-4
     exact, printed = (transition(w, z, step, name) for name in ("exact", "printed"))
-    assert np.allclose(np.diag(printed), np.diag(exact), rtol=1e-14)
+    np.testing.assert_allclose(np.diag(printed), np.diag(exact), rtol=1e-14)
     assert printed[0, 1] / exact[0, 1] == pytest.approx(np.sqrt(1 - z**2), rel=1e-12)
     small = [transition(w, 1e-4, step, name) for name in ("exact", "lightly damped")]
     assert np.allclose(*small, rtol=1e-3, atol=1e-3 * np.abs(small[0]).max())
     mode = stage().modes([3])
     z, w = mode.damping[0], mode.frequencies[0]
-    assert np.allclose(zoh_modes(mode, step).a, transition(w, z, step), rtol=1e-12)
+    np.testing.assert_allclose(zoh_modes(mode, step).a, transition(w, z, step), rtol=1e-12)
 
 
 def test_undamped_matrices_are_the_limit_of_small_damping():
     mode = replace(stage().modes([2]), damping=np.zeros(1))
     w = float(mode.frequencies[0])
-    assert np.allclose(zoh_modes(mode, 1e-4).b, undamped_input(w, mode.input_shapes[0], 1e-4), rtol=1e-9)
+    np.testing.assert_allclose(
+        zoh_modes(mode, 1e-4).b, undamped_input(w, mode.input_shapes[0], 1e-4), rtol=1e-9
+    )
     g = np.array([[0.3], [-0.7]])
     expected = undamped_disturbance(w, g[0], g[1], 1e-4)
-    assert np.allclose(disturbance_matrix(mode, g, 1e-4), expected, rtol=1e-9)
+    np.testing.assert_allclose(disturbance_matrix(mode, g, 1e-4), expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -41,6 +41,12 @@ def test_the_worst_place_is_the_worst_of_a_grid(options, function):
     assert factors[0] == 1 and np.all(np.abs(factors - 1) <= 0.05 + 1e-12)
 
 
+def test_where_no_mode_moves_the_worst_is_the_peak():
+    loop, pid = make_loop(CHAIN), PidFamily(40.0)(12.0)
+    size, factors = worst_factors(loop, pid, "input_sensitivity", [0.0, 0.0, 0.0])
+    assert size == loop.peak(pid, "input_sensitivity").magnitude and np.array_equal(factors, np.ones(3))
+
+
 def test_shares_that_do_not_fit_are_refused():
     loop, pid = make_loop(CHAIN), PidFamily(40.0)(12.0)
     for shares in ([0.05], [0.0, -0.1, 0.0], [0.0, 1.0, 0.0]):

@@ -92,3 +92,13 @@ def test_what_is_drawn_is_read_off_by_line():
     np.testing.assert_array_equal(pictures.drawn(axis)["second"], [[1, 2, 3], [7, 2, 4]])
     np.testing.assert_array_equal(pictures.highest(axis), [[2, 5], [1, 7]])
     np.testing.assert_array_equal(pictures.highest(axis, 1.5), [[2, 5], [3, 4]])
+
+
+def test_a_logarithmic_axis_of_a_decade_shows_plain_numbers():
+    figure, axis = figures.new()
+    axis.semilogy([2.0, 30.0])
+    pictures.plain_numbers(axis.yaxis)
+    figure.draw_without_rendering()
+    texts = [label.get_text() for label in axis.get_yticklabels(which="both") if label.get_text()]
+    assert {"3", "10"} <= set(texts)
+    assert not any("^" in text for text in texts)

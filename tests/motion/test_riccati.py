@@ -40,8 +40,8 @@ def test_double_integrator_has_its_closed_form():
     a, g, c = np.array([[0.0, 1], [0, 0]]), np.array([[0], [1 / mass]]), np.array([[1.0, 0]])
     w2 = np.sqrt(q / r) / mass
     solved = continuous_gain(a, g, c, q, r)
-    assert np.allclose(solved.gain[:, 0], [np.sqrt(2 * w2), w2], rtol=1e-10)
-    assert np.isclose(solved.covariance[0, 0], r * np.sqrt(2 * w2), rtol=1e-10)
+    np.testing.assert_allclose(solved.gain[:, 0], [np.sqrt(2 * w2), w2], rtol=1e-10)
+    np.testing.assert_allclose(solved.covariance[0, 0], r * np.sqrt(2 * w2), rtol=1e-10)
 
 
 @pytest.mark.slow
@@ -58,7 +58,7 @@ def test_only_the_ratio_of_the_intensities_matters(q, common):
 def test_predictor_and_filter_form():
     model = zoh_modes(truncate(stage().at([0], [4]), 4, 3), 1e-4)
     solved = discrete_gain(model.a, model.b, model.c, 1e-4, 2e-18)
-    assert np.allclose(solved.gain, model.a @ solved.filter_gain, rtol=1e-12)
+    np.testing.assert_allclose(solved.gain, model.a @ solved.filter_gain, rtol=1e-12)
     # Iterating the covariance recursion from far away must end there.
     p = solved.covariance * 50
     for _ in range(4000):

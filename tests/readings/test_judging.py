@@ -114,6 +114,14 @@ def test_the_best_joint_reading_is_one_for_the_whole_group(outcomes):
     assert found["basis"] == "calibrated"
     assert found["agrees"] and found["ours"] == 2
     assert not standings["motion.table-1.product"].as_dict()["joint"]["agrees"]
+    # There the sum is 2, a third below the published 3, and the product 0, all of 2 below; no ordering has a distance.
+    assert found["within"] == {"5%": 0, "15%": 0, "25%": 0, "of": 2}
+
+
+def test_a_joint_reading_counts_its_numbers_by_their_distance(outcomes, monkeypatch):
+    monkeypatch.setattr("stillwork.workbook.readings.judging.NEAR", (0.3, 1 / 3 + 1e-12, 1.0))
+    found = judged(outcomes())["motion.table-1.sum"].joint
+    assert found.near == {"30%": 0, "33%": 1, "100%": 2, "of": 2}
 
 
 def test_agreement_at_the_default_was_not_searched_for(outcomes):

@@ -75,6 +75,13 @@ def test_finest_criterion_met():
     assert criterion_met(centres, np.full(11, 1e-3)) == "none"
 
 
+def test_every_band_from_8_to_80_hz_counts_and_no_other():
+    centres = 2.0 ** (np.arange(7, 22) / 3)
+    for centre in centres:
+        velocity = np.where(centres == centre, 1e-3, 1e-9)
+        assert criterion_met(centres, velocity) == ("none" if 8 <= centre < 81 else "VC-M")
+
+
 def test_bad_questions_are_answered():
     with pytest.raises(InputError, match="did you mean 'VC-C'"):
         criterion_velocity("VCC", [10.0])

@@ -1,6 +1,7 @@
 """Controllers on their way out: to files and back, to SciPy and python-control, which answer as they do."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -138,6 +139,7 @@ def test_files_that_hold_no_controller_say_why(tmp_path, name):
         ({"inputs": []}, "name 0 and 1 signals for a model of 1 and 1"),
         ({"inputs": "e"}, "give a list"),
         ({"anti_windup": [[1.0]] * 4}, "anti_windup has shape"),
+        ({"anti_windup": {}}, "anti_windup is not an array of numbers"),
         ({"anti_windup": [[1e9]] * 5}, "unstable while its output is limited"),
         ({"delay_samples": -1}, "delay is -1"),
         ({"sample_time_s": 0.0}, "in continuous time"),
@@ -147,6 +149,14 @@ def test_controllers_that_cannot_run_say_why(tmp_path, change, message):
     (tmp_path / "a.json").write_text(json.dumps(LIMITED.as_dict() | change))
     with pytest.raises(InputError, match=message):
         load_controller(tmp_path / "a.json")
+
+
+@pytest.mark.parametrize("change", [{"high": "none"}, {"low": np.nan}, {"anti_windup": np.inf}])
+def test_limits_are_numbers_or_infinite_and_corrections_finite(change):
+    unlimited = replace(LIMITED, low=-np.inf, high=np.inf)
+    assert not unlimited.limited
+    with pytest.raises(InputError, match=next(iter(change))):
+        replace(unlimited, **change)
 
 
 def test_integrators_in_a_row_and_outputs_that_show_none_have_no_back_calculation():

@@ -48,9 +48,8 @@ def test_state_response_agrees_with_the_modal_one():
     by_residues = flexible.state_space().frequency_response(GRID)
     assert np.allclose(by_residues, flexible.frequency_response(GRID), rtol=1e-9, atol=0)
     # The rigid body makes A defective: the response then comes from solving.
-    assert np.allclose(
-        model.state_space().frequency_response(GRID), model.frequency_response(GRID), rtol=1e-8
-    )
+    by_solving, expected = model.state_space().frequency_response(GRID), model.frequency_response(GRID)
+    assert np.all(np.abs(by_solving - expected) <= 1e-8 * np.linalg.norm(expected, axis=(0, 1)))
 
 
 def test_discrete_response_is_that_of_python_control():
@@ -67,7 +66,7 @@ def test_response_of_a_superposition_is_the_sum_over_modes(seed):
     omega = np.array([10.0, 300.0, 4e3])
     parts = [replace(model.modes([k]), feedthrough=0 * model.feedthrough) for k in range(6)]
     total = sum(part.frequency_response(omega) for part in parts) + model.feedthrough[:, :, None]
-    assert np.allclose(model.frequency_response(omega), total, rtol=1e-12)
+    np.testing.assert_allclose(model.frequency_response(omega), total, rtol=1e-12)
 
 
 def test_control_and_back():
@@ -91,7 +90,7 @@ def test_modal_model_diagonalises_the_machine():
 def test_proportional_damping_decouples_and_other_damping_is_refused():
     mass, stiffness = np.diag([1.0, 2.0]), np.array([[2e4, -1e4], [-1e4, 2e4]])
     model = lti.modal_model(mass, stiffness, np.eye(2), np.eye(2), damping_matrix=1e-4 * stiffness)
-    assert np.allclose(model.damping, 1e-4 * model.frequencies / 2, rtol=1e-12)
+    np.testing.assert_allclose(model.damping, 1e-4 * model.frequencies / 2, rtol=1e-12)
     with pytest.raises(InputError, match="does not decouple"):
         lti.modal_model(mass, stiffness, np.eye(2), np.eye(2), damping_matrix=np.diag([1.0, 5.0]))
 
@@ -138,8 +137,10 @@ def test_norms_of_one_mode_have_their_closed_form(damping, omega):
     mode = lti.ModalModel(np.array([omega]), np.array([damping]), np.eye(1), np.eye(1), np.zeros((1, 1)))
     peak = lti.hinf_norm(mode.state_space())
     exact = 1 / (2 * damping * np.sqrt(1 - damping**2) * omega**2)
-    assert peak.magnitude == pytest.approx(exact, rel=1e-8)
-    assert lti.h2_norm(mode.state_space()) == pytest.approx(1 / np.sqrt(4 * damping * omega**3), rel=1e-9)
+    assert peak.magnitude == pytest.approx(exact, rel=1e-8, abs=0)
+    assert lti.h2_norm(mode.state_space()) == pytest.approx(
+        1 / np.sqrt(4 * damping * omega**3), rel=1e-9, abs=0
+    )
 
 
 def test_infinity_norm_of_several_inputs_and_outputs_beats_every_grid():
@@ -197,7 +198,7 @@ def test_interconnection_is_that_of_python_control():
     )
     theirs = control.feedback(plant.to_control(), filter_.to_control())
     omega = np.array([3.0, 200.0, 4e3])
-    assert np.allclose(loop.frequency_response(omega)[0, 0], theirs(1j * omega), rtol=1e-9)
+    np.testing.assert_allclose(loop.frequency_response(omega)[0, 0], theirs(1j * omega), rtol=1e-9)
 
 
 @pytest.mark.parametrize("feedthrough", [0.0, 0.7])
@@ -207,7 +208,7 @@ def test_zeros_are_those_of_python_control_and_of_the_response(feedthrough):
     theirs = control.zeros(model.to_control())
     theirs = theirs[np.abs(theirs) < 1e6]
     assert len(zeros) == len(theirs)
-    assert np.allclose(np.sort(np.abs(zeros)), np.sort(np.abs(theirs)), rtol=1e-6)
+    np.testing.assert_allclose(np.sort(np.abs(zeros)), np.sort(np.abs(theirs)), rtol=1e-6)
     states = model.state_space()
     for zero in zeros:
         value = states.d + states.c @ np.linalg.solve(zero * np.eye(len(states.a)) - states.a, states.b)

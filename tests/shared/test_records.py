@@ -248,6 +248,7 @@ def test_cut_files_give_our_error(tmp_path):
         ("a.csv", "time,x\n0,1\n0.1,oops\n", "'oops' in row 2 is not a number"),
         ("a.csv", "time,x\n0,1\n0.1,1,2,3\n", "not a table: row 2 holds 4 values for 2 columns"),
         ("a.csv", "time,x\n0,1,5\n0.1,1,2\n", "names 2 columns and holds 3"),
+        ("a.tsv", "\r,", "is not a table"),
         ("a.xlsx", "", "files of type '.xlsx' are not read; export"),
         ("a.mat", "not a mat file" * 20, "save it with -v7"),
     ],

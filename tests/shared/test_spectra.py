@@ -90,10 +90,16 @@ def test_coherence_and_response_agree_with_scipy_for_one_input():
     assert np.abs(estimate.response[0, 0] - cross / power)[1:].max() < 1e-9
 
 
-def test_odd_segments_keep_the_last_line_doubled():
-    rows = noise(1, 100)
-    estimate = estimate_response(rows, rows, 999.0, 9.0)  # 111 samples a segment
-    assert np.abs(estimate.response[0, 0] - 1).max() < 1e-12
+@pytest.mark.parametrize("samples", [100, 111])
+def test_coherent_and_residual_density_add_up_to_welchs(samples):
+    """Up to both ends, where a line has no other half: at 0 Hz, and at the last one of even segments."""
+    x = noise(1, 20)
+    y = 2 * x + noise(1, 20, 5)
+    estimate = estimate_response(x, y, RATE, RATE / samples)
+    _, power = signal.welch(y[0], RATE, nperseg=samples)
+    # One input takes one of the averages: the residual is unbiased.
+    left = estimate.residual[0] * (1 - 1 / estimate.averages)
+    assert left == pytest.approx(power * (1 - estimate.coherence[0]), rel=1e-9)
 
 
 @pytest.mark.parametrize(

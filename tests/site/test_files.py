@@ -195,6 +195,26 @@ def test_what_came_out_is_a_sentence_that_the_readings_end(files):
     )
 
 
+def test_a_table_tells_its_best_joint_reading_and_what_comes_near_there(files):
+    """Of Table 4.1 that is the default, the first row of its study: its numbers are held against the ledger's here."""
+    lines = paths.data("motion", "readings.csv").read_text(encoding="utf-8").splitlines()
+    (head,) = [number for number, line in enumerate(lines) if "motion.table-4-1.mc.mean" in line.split(",")]
+    tried = len(list(itertools.takewhile(lambda line: line[:1].isdigit(), lines[head + 1 :])))
+    first = dict(zip(lines[head].split(","), lines[head + 1].split(","), strict=True))
+    ledger = tomllib.loads(paths.data("motion", "published.toml").read_text(encoding="utf-8"))["motion"]
+    off = [
+        abs(float(first[f"motion.table-4-1.{case}.{which}"]) / entry["published"] - 1)
+        for case, row in ledger["table-4-1"].items()
+        for which, entry in row.items()
+        if f"motion.table-4-1.{case}.{which}" in first
+    ]
+    counts = [f"{sum(each <= size for each in off)} of {len(off)}" for size in (0.05, 0.15, 0.25)]
+    text = files["readings/motion.html"].decode()
+    row = re.search(r"<tr><td><code>motion.table-4-1</code></td><td>(.*?)</td><td>.*?</td>(.*?)</tr>", text)
+    assert "(moved)" not in row[1]
+    assert re.findall(r"<td>(.*?)</td>", row[2]) == [*counts, str(tried)]
+
+
 def test_a_thumbnail_is_a_small_copy_of_its_picture(files):
     small = {name: content for name, content in files.items() if name.startswith("thumbnails/")}
     whole = {name for name in files if name.startswith("figures/") and name.endswith(".csv")}

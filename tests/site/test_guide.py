@@ -10,7 +10,7 @@ from experiments.isolation import load_twin, loop
 from experiments.isolation.floor_files import open_floor
 from experiments.isolation.recorded_floors import record_floor
 from experiments.isolation.simulation import simulate
-from experiments.isolation.sources import BLOCK, Together
+from experiments.isolation.sources import BLOCK, Sources
 from experiments.isolation.your_floor import isolate
 from shared.compiled import compiled, pointer
 from stillwork.__main__ import main
@@ -160,7 +160,7 @@ def test_the_feedforward_in_c_learns_in_the_loop_with_the_twin(tmp_path, monkeyp
     library.begin()
 
     heard, floor, samples, last = scope["twin"], scope["floor"], 20_000, 5_000
-    sources = Together(heard, [(samples, floor)], True, [3], 1)
+    sources = Sources(heard, [(samples, floor)], True, [3])
     weights = np.zeros((heard.actuators, heard.regressors))
     closed = loop.loop_of(heard, True, weights, FeRls(1.0).start(heard.regressors))
     widths = (heard.outputs, heard.outputs, heard.sensors, heard.actuators, heard.regressors, heard.actuators)

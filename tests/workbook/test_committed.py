@@ -1,5 +1,6 @@
 """`tests/committed` passes on an accepted workbook and notices what differs."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -130,7 +131,7 @@ def test_nbval_notices_another_output(toy, options):
     assert "1 failed" in done.stdout
 
 
-def test_nbval_replays_a_fresh_build_and_executes_a_stale_one(toy):
+def test_nbval_replays_a_fresh_build_and_executes_a_stale_one(toy, tmp_path):
     written = toy.root / "build/nbval" / NAME / "fig-1.csv"
     written.unlink()
     assert nbval(toy, "--nbval-rerun", "0").returncode == 0
@@ -140,7 +141,13 @@ def test_nbval_replays_a_fresh_build_and_executes_a_stale_one(toy):
     assert written.exists()
     toy.replace("data/isolation/rig.toml", "2.0", "1.0")
     written.unlink()
-    assert nbval(toy, "--nbval-rerun", "1").returncode == 0
+    begun = tmp_path / "begun"
+    begun.touch()
+    os.utime(begun, (0, 0))  # before the build: what this run built has had its turn
+    assert nbval(toy, "--nbval-rerun", "1", "--nbval-begun", str(begun)).returncode == 0
+    assert not written.exists()
+    begun.touch()
+    assert nbval(toy, "--nbval-rerun", "1", "--nbval-begun", str(begun)).returncode == 0
     assert written.exists()
 
 

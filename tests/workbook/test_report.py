@@ -86,6 +86,7 @@ def test_an_entry_is_shown_whole_and_without_what_is_empty():
         "published": 2.0,
         "interval": [1.0, 3.0],
         "readings": {"share": 1 / 3, "decided_by": [{"axis": "a", "total": 0.25, "unit": ""}], "failed": 0},
+        "joint": {"reading": {"noise": False, "law": "ends"}, "agrees": False},
     }
     assert entry_text(fields, 40).splitlines() == [
         "id: motion.gain",
@@ -96,6 +97,11 @@ def test_an_entry_is_shown_whole_and_without_what_is_empty():
         "  decided_by:",
         "    axis a; total 0.25",
         "  failed: 0",
+        "joint:",
+        "  reading:",
+        "    noise: False",
+        "    law: ends",
+        "  agrees: False",
     ]
 
 

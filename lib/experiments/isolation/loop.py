@@ -79,7 +79,7 @@ class Signals(NamedTuple):
 def loop_of(
     twin: Twin, feedback: bool, weights: np.ndarray, recursion: Recursion, runs: int = 1
 ) -> ClosedLoop:
-    """Loop of a twin at rest, with its skyhook closed or open, for a number of runs side by side."""
+    """Loop of a twin at rest, with its skyhook closed or open, for a number of runs side by side, each with its `weights`."""
     model = twin.plant.discrete(twin.sample_time)
     matrix = np.block([[model.a, model.b], [model.c, model.d]]).T
     inputs, outputs = (padded(size) for size in matrix.shape)
@@ -116,7 +116,7 @@ def loop_of(
         else np.repeat(np.stack([rows_of(each) for each in filters.sections], axis=2), runs, axis=2),
         before=np.zeros((0, 0)) if diagonal else np.ascontiguousarray(filters.before),
         after=np.zeros((0, 0)) if diagonal else np.ascontiguousarray(filters.after),
-        weights=np.repeat(np.asarray(weights, dtype=recursion.matrix.dtype), runs, axis=1),
+        weights=np.array(weights, dtype=recursion.matrix.dtype),
         recursion=recursion,
         power=np.zeros(runs),
     )

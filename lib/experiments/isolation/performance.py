@@ -12,7 +12,7 @@ from experiments.isolation.floors import ShapedFloor
 from experiments.isolation.recorded_floors import RecordedFloor, SpectralFloor
 from experiments.isolation.responses import responses
 from experiments.isolation.rig import Rig
-from experiments.isolation.simulation import simulate, simulate_together
+from experiments.isolation.simulation import simulate_together
 from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
@@ -100,14 +100,41 @@ def record_case(
     ``passive`` opens the skyhook loop; without weights there is no feedforward. The first 5 s, of settling, are not
     kept.
     """
+    return record_cases(twin, floor, name, duration_s, [seed], weights=weights, noise=noise)[0]
+
+
+def record_cases(
+    twin: Twin,
+    floor: ShapedFloor | RecordedFloor,
+    name: str,
+    duration_s: float,
+    seeds: Sequence[int],
+    *,
+    weights: ArrayLike | None = None,
+    noise: bool = True,
+) -> list[CaseRecord]:
+    """`record_case` for each seed, side by side; `weights` are those of all, or one W for each seed."""
     require_choice("name", name, CASES)
     require_number("duration_s", duration_s, above=0.0)
     axes = central_axes(twin.rig)
-    settings = {"weights": weights, "feedback": name != "passive", "noise": noise, "seed": seed}
-    run = simulate(twin, floor, SETTLE_S + duration_s, signals_from_s=SETTLE_S, **settings)
-    return CaseRecord(
-        name, axes.floor @ run.sensed_floor, axes.platform @ run.measured_platform, run.sample_rate
+    runs = simulate_together(
+        twin,
+        floor,
+        SETTLE_S + duration_s,
+        seeds=seeds,
+        adaptations={name: None},
+        weights=weights,
+        feedback=name != "passive",
+        noise=noise,
+        signals_from_s=SETTLE_S,
+        signals=("sensed_floor", "measured_platform"),
     )
+    return [
+        CaseRecord(
+            name, axes.floor @ run.sensed_floor, axes.platform @ run.measured_platform, run.sample_rate
+        )
+        for run in (each[name] for each in runs)
+    ]
 
 
 def exact_transmissibility(

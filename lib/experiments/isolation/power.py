@@ -7,7 +7,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from experiments.isolation.floors import ShapedFloor
-from experiments.isolation.performance import expected_density, record_case, third_octaves, tune
+from experiments.isolation.performance import CaseRecord, expected_density, record_cases, third_octaves, tune
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import InputError, require_array
 from stillwork.signals.spectra import Spectrum, band_power
@@ -100,18 +100,17 @@ def power_trial(
     """
     seeds = [int(rng.integers(2**31)) for rng in draws]
     tuned = tune(twin, floor, felms_s, ferls_s, seeds)
+    records = {}
+    for name in ("feedback", "FeLMS", "FeRLS"):
+        weights = None if name == "feedback" else [each[name] for each in tuned]
+        after = [seed + 1 for seed in seeds]
+        records[name] = record_cases(twin, floor, name, record_s, after, weights=weights)
     return [
-        _removed(twin, floor, record_s, seed, weights) for seed, weights in zip(seeds, tuned, strict=True)
+        _removed(twin, dict(zip(records, each, strict=True))) for each in zip(*records.values(), strict=True)
     ]
 
 
-def _removed(
-    twin: Twin, floor: ShapedFloor, record_s: float, seed: int, weights: dict
-) -> dict[str, np.ndarray]:
-    records = {
-        name: record_case(twin, floor, name, record_s, seed + 1, weights=weights.get(name))
-        for name in ("feedback", "FeLMS", "FeRLS")
-    }
+def _removed(twin: Twin, records: dict[str, CaseRecord]) -> dict[str, np.ndarray]:
     measured = {name: record.spectrum(RESOLUTION_HZ) for name, record in records.items()}
     measured["output noise"] = records["feedback"].output_noise(RESOLUTION_HZ)
     bridged = {name: without_lines(each, twin.instruments.mains_hz) for name, each in measured.items()}

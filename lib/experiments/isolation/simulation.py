@@ -1,6 +1,6 @@
 """Closed-loop runs of a twin: passive, with feedback, with frozen or self-tuning feedforward."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,13 +9,24 @@ from numpy.typing import ArrayLike
 
 from experiments.isolation import loop
 from experiments.isolation.recorded_floors import LOUDEST, RecordedFloor
-from experiments.isolation.sources import BLOCK, Floor, Together
+from experiments.isolation.sources import BLOCK, Floor, Sources
 from experiments.isolation.twin import Twin
-from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
 from stillwork.estimation.adaptive import FeLms, FeRls
 from stillwork.estimation.online import UnstableAdaptation
 
 TOGETHER = 8  # runs in one kernel: two vectors of AVX2, one of AVX-512
+
+# Of a `Run`, in the order in which the kernel takes them, and the floor.
+SIGNALS = (
+    "platform",
+    "measured_platform",
+    "sensed_floor",
+    "command",
+    "filtered_regressors",
+    "error",
+    "floor",
+)
 
 
 @dataclass(frozen=True)
@@ -30,16 +41,16 @@ class Run:
     covariance: Float64[np.ndarray, "regressors regressors"]  # P after the last sample; one unless FeRLS ran
     # share of the last time constant in which FeRLS's `growth_limit` acted on each regressor
     held: Float64[np.ndarray, "regressors"]
-    signals_start_s: float  # time of the first sample of the signals below, which are empty unless asked for
-    floor: Float64[np.ndarray, "sensors samples"]  # a0 without noise, m/s^2
-    platform: Float64[np.ndarray, "outputs samples"]  # a1 without noise, m/s^2
+    signals_start_s: float  # time of the first sample of the signals below; those not asked for are empty
+    floor: Float64[np.ndarray, "sensors _"]  # a0 without noise, m/s^2
+    platform: Float64[np.ndarray, "outputs _"]  # a1 without noise, m/s^2
     # sensed_floor, measured_platform: the same through noisy sensors and their conditioners: what the
     # controller and an analyser see
-    sensed_floor: Float64[np.ndarray, "sensors samples"]
-    measured_platform: Float64[np.ndarray, "outputs samples"]
-    command: Float64[np.ndarray, "actuators samples"]  # u, N
-    filtered_regressors: Float64[np.ndarray, "regressors samples"]  # psi_N
-    error: Float64[np.ndarray, "actuators samples"]  # e, N
+    sensed_floor: Float64[np.ndarray, "sensors _"]
+    measured_platform: Float64[np.ndarray, "outputs _"]
+    command: Float64[np.ndarray, "actuators _"]  # u, N
+    filtered_regressors: Float64[np.ndarray, "regressors _"]  # psi_N
+    error: Float64[np.ndarray, "actuators _"]  # e, N
 
 
 def simulate(
@@ -78,11 +89,14 @@ def simulate_together(
     noise: bool = True,
     keep_every_s: float = 0.1,
     signals_from_s: float | None = None,
+    signals: Collection[str] = SIGNALS,
 ) -> list[dict[str, Run]]:
     """For each seed what `simulate` gives for each of several algorithms, on a floor and noises that are drawn once.
 
-    Several seeds go through one kernel side by side, with the same bits in half the time. Weights and error power are kept every `keep_every_s`; from `signals_from_s` on all signals are, at the full rate.
-    Several seeds take FeRLS in the triangle's form and float64. The first run that diverges ends them all.
+    Several seeds go through one kernel side by side, with the same bits in half the time. Weights and error power are kept
+    every `keep_every_s`; from `signals_from_s` on `signals` are, at the full rate. `weights` are those of all runs, or
+    one W for each seed. Several seeds take FeRLS in the triangle's form and float64. The first run that diverges ends
+    them all.
     """
     seeds = [require_count("seed", seed, at_least=0) for seed in seeds]
     if len(seeds) > 1:
@@ -93,8 +107,11 @@ def simulate_together(
     total = sum(samples for samples, _ in segments)
     if total < 1:
         raise InputError(f"duration_s is {duration_s}; give at least one sample")
-    start = np.zeros((twin.actuators, twin.regressors)) if weights is None else weights
-    start = require_array("weights", start, shape=(twin.actuators, twin.regressors))
+    shape = (twin.actuators, twin.regressors)
+    start = np.zeros(shape) if weights is None else np.asarray(weights)
+    start = require_array("weights", start, shape=(len(seeds), *shape) if start.ndim == 3 else shape)
+    for signal in signals:
+        require_choice("signals", signal, SIGNALS)
     first = total
     if signals_from_s is not None:
         first = round(require_number("signals_from_s", signals_from_s, at_least=0.0) * rate)
@@ -105,13 +122,17 @@ def simulate_together(
 
     runs = 1 if len(seeds) == 1 else TOGETHER
     found = []
-    for batch in (seeds[at : at + runs] for at in range(0, len(seeds), runs)):
-        sides = []
+    each = np.broadcast_to(start, (len(seeds), *shape))
+    for at in range(0, len(seeds), runs):
+        batch, sides = seeds[at : at + runs], []
+        places = np.minimum(np.arange(at, at + runs), len(seeds) - 1)
+        begin = np.moveaxis(each[places], 0, -1).reshape(twin.actuators, -1)
         for adaptation in adaptations.values():
             code, numbers, recursion = _algorithm(twin, adaptation)
-            closed = loop.loop_of(twin, feedback, start, recursion, runs)
-            sides.append((adaptation, code, numbers, closed, _Kept(twin, total, every, first, runs)))
-        _advance(twin, Together(twin, segments, noise, batch, runs), sides, total, first, start)
+            closed = loop.loop_of(twin, feedback, begin, recursion, runs)
+            kept = _Kept(twin, total, every, first, runs, signals)
+            sides.append((adaptation, code, numbers, closed, kept))
+        _advance(twin, Sources(twin, segments, noise, batch, runs), sides, total, first, start)
         found += [
             {name: side[-1].run(rate, side[-2], run) for name, side in zip(adaptations, sides, strict=True)}
             for run in range(len(batch))
@@ -119,7 +140,7 @@ def simulate_together(
     return found
 
 
-def _advance(twin: Twin, sources: Together, sides: list, total: int, first: int, start: np.ndarray) -> None:
+def _advance(twin: Twin, sources: Sources, sides: list, total: int, first: int, start: np.ndarray) -> None:
     """Run the algorithms of `sides` over the same samples, block by block, as many runs at a time as the sources are."""
     together = None if sources.runs == 1 else (0,) * sources.runs
     done = 0
@@ -146,8 +167,8 @@ def _advance(twin: Twin, sources: Together, sides: list, total: int, first: int,
             if status != loop.STABLE:
                 peak = np.abs(floor_block[:, stopped :: sources.runs]).max()
                 raise _unstable(status, done + reached, twin, adaptation, start, peak)
-            if done + samples > first:
-                kept.floor[done - first : done - first + samples] = floor_block
+            room = kept.room("floor", done, samples)
+            room[:] = floor_block[: len(room)]
         done += samples
 
 
@@ -236,21 +257,33 @@ def _unstable(status: int, sample: int, twin: Twin, adaptation, weights, peak: f
 class _Kept:
     """Arrays that outlive the blocks; of several runs side by side each channel stands once a run."""
 
-    def __init__(self, twin: Twin, total: int, every: int, first: int, runs: int):
+    def __init__(
+        self, twin: Twin, total: int, every: int, first: int, runs: int, signals: Collection[str] = SIGNALS
+    ):
         long = max(total - first, 0)
-        self.first, self.every, self.runs = first, every, runs
-        self.floor = np.empty((long, twin.sensors * runs))
-        widths = (twin.outputs, twin.outputs, twin.sensors, twin.actuators, twin.regressors, twin.actuators)
-        self.long = [np.empty((long, width * runs)) for width in widths]
+        self.first, self.every, self.runs, self.signals = first, every, runs, signals
+        n = twin.sensors
+        widths = (twin.outputs, twin.outputs, n, twin.actuators, twin.regressors, twin.actuators, n)
+        # The kernel writes all of them or none: what is not wanted goes where the next block's will.
+        self.long = {
+            name: np.empty((long if name in signals else min(long, BLOCK), width * runs))
+            for name, width in zip(SIGNALS, widths, strict=True)
+        }
         self.weights = np.empty((total // every, twin.actuators, twin.regressors * runs))
         self.power = np.empty((total // every, runs))
 
     def block(self, done: int, samples: int) -> loop.Signals:
         """Views for the kernel to fill."""
-        start = done - self.first
-        long = [array[start : start + samples] if start >= 0 else array[:0] for array in self.long]
+        long = [self.room(name, done, samples) for name in SIGNALS[:-1]]
         rows = slice(done // self.every, (done + samples) // self.every)  # due in this block
         return loop.Signals(*long, self.weights[rows], self.power[rows])
+
+    def room(self, name: str, done: int, samples: int) -> np.ndarray:
+        """Where a signal of a block goes: nowhere before the first that is kept."""
+        if done < self.first:
+            return self.long[name][:0]
+        start = done - self.first if name in self.signals else 0
+        return self.long[name][start : start + samples]
 
     def run(self, rate: float, closed: loop.ClosedLoop, run: int) -> Run:
         """One of the runs."""
@@ -261,7 +294,9 @@ class _Kept:
         recursion = closed.recursion._replace(
             matrix=of(closed.recursion.matrix), levels=of(closed.recursion.levels)
         )
-        platform, measured, sensed, command, regressors, error = (of(array).T for array in self.long)
+        signals = {
+            name: of(array if name in self.signals else array[:0]).T for name, array in self.long.items()
+        }
         return Run(
             sample_rate=rate,
             time_s=self.every / rate * np.arange(1, len(self.power) + 1),
@@ -271,11 +306,5 @@ class _Kept:
             covariance=recursion.covariance,
             held=recursion.held,
             signals_start_s=self.first / rate,
-            floor=of(self.floor).T,
-            platform=platform,
-            sensed_floor=sensed,
-            measured_platform=measured,
-            command=command,
-            filtered_regressors=regressors,
-            error=error,
+            **signals,
         )

@@ -1,4 +1,4 @@
-"""Floor motion and sensor noise of a run, drawn block by block."""
+"""Floor motion and sensor noise of runs side by side, drawn block by block."""
 
 import numpy as np
 
@@ -6,6 +6,7 @@ from experiments.isolation import loop
 from experiments.isolation.floors import ShapedFloor
 from experiments.isolation.recorded_floors import RecordedFloor
 from experiments.isolation.twin import Twin
+from stillwork.base.kernels import kernel
 
 BLOCK = 4096  # most samples drawn at a time: small enough for the cache, large enough to forget the call
 
@@ -13,11 +14,19 @@ Floor = ShapedFloor | RecordedFloor
 
 
 class Sources:
-    """Floor motion and sensor noise, block by block, each from its own random stream."""
+    """Floor motion and sensor noise, block by block, each of every run from a random stream of its own.
 
-    def __init__(self, twin: Twin, segments: list[tuple[int, Floor]], noise: bool, seed: int):
-        streams = np.random.SeedSequence(seed).spawn(2)
-        self.floor_stream, self.noise_stream = (np.random.Generator(np.random.SFC64(s)) for s in streams)
+    Channel c of run r stands at c * runs + r; the last seed's run stands in every place that is left over.
+    """
+
+    def __init__(
+        self, twin: Twin, segments: list[tuple[int, Floor]], noise: bool, seeds: list[int], runs: int = 1
+    ):
+        streams = [np.random.SeedSequence(seed).spawn(2) for seed in seeds]
+        self.floor_streams, self.noise_streams = (
+            [np.random.Generator(np.random.SFC64(s)) for s in each] for each in zip(*streams, strict=True)
+        )
+        self.runs = runs
         instruments = twin.instruments
         self.rate = instruments.sample_rate
         each = [twin.outputs, twin.sensors]
@@ -29,6 +38,7 @@ class Sources:
         angle = np.outer(np.arange(BLOCK), self.omega)
         self.waves = np.hstack([np.sin(angle), np.cos(angle)])
         self.sensors = twin.sensors
+        self.room = np.empty((len(seeds), BLOCK * len(self.deviation)))
         self.segments = list(segments)
         self.done = 0
         self._enter()
@@ -38,11 +48,11 @@ class Sources:
         self.position = 0
         if isinstance(self.part, ShapedFloor):
             rows = np.stack([loop.rows_of(each) for each in self.part.sections], axis=2)
-            self.shaping = loop.bank_of(rows, self.sensors)
+            self.shaping = loop.bank_of(np.repeat(rows, self.runs, axis=2), self.sensors * self.runs)
 
     def sample(self, samples: int) -> tuple[np.ndarray, np.ndarray]:
-        """Next block of a0, (samples, sensors), and of (n1, n0), (samples, outputs + sensors)."""
-        floor = np.empty((samples, self.sensors))
+        """Next block of a0, (samples, sensors * runs), and of (n1, n0), (samples, (outputs + sensors) * runs)."""
+        floor = np.empty((samples, self.sensors * self.runs))
         filled = 0
         while filled < samples:
             if not self.left:
@@ -52,38 +62,36 @@ class Sources:
             filled += take
             self.left -= take
             self.position += take
-        noise = np.zeros((samples, len(self.deviation)))
-        if self.deviation.any():
-            self.noise_stream.standard_normal(out=noise)
-            noise *= self.deviation
-        if self.mains.any():
+        noise = np.zeros((samples, len(self.deviation) * self.runs))
+        if self.deviation.any() or self.mains.any():
             start = (self.omega * self.done)[:, None]
-            noise += self.waves[:samples] @ np.vstack(
-                [np.cos(start) * self.mains, np.sin(start) * self.mains]
-            )
+            hum = self.waves[:samples] @ np.vstack([np.cos(start) * self.mains, np.sin(start) * self.mains])
+            _interleave(self._draw(self.noise_streams, hum.shape), self.deviation, hum, noise)
         self.done += samples
         return floor, noise
 
     def _fill(self, floor):
         if isinstance(self.part, RecordedFloor):
-            floor[:] = self.part.acceleration[:, self.position : self.position + len(floor)].T
+            record = self.part.acceleration[:, self.position : self.position + len(floor)].T
+            floor[:] = np.repeat(record, self.runs, axis=1)
             return
-        self.floor_stream.standard_normal(out=floor)
-        floor *= self.part.scale
+        nothing = np.zeros((len(floor), self.sensors))
+        _interleave(self._draw(self.floor_streams, nothing.shape), self.part.scale, nothing, floor)
         loop.filter_block(*self.shaping, floor)
 
+    def _draw(self, streams: list[np.random.Generator], shape: tuple[int, int]) -> np.ndarray:
+        """White noise of variance 1, (runs, samples, channels), until the next call: fresh memory would cost as much."""
+        size = shape[0] * shape[1]
+        for stream, room in zip(streams, self.room, strict=True):
+            stream.standard_normal(out=room[:size])
+        return self.room[:, :size].reshape(-1, *shape)
 
-class Together:
-    """Sources of several runs, channel after channel, each once a run."""
 
-    def __init__(self, twin: Twin, segments, noise: bool, seeds: list[int], runs: int):
-        self.each = [Sources(twin, segments, noise, seed) for seed in seeds]
-        self.runs = runs
-
-    def sample(self, samples: int) -> tuple[np.ndarray, np.ndarray]:
-        """As `Sources.sample`; the last seed's stands in every place that is left over."""
-        if self.runs == 1:
-            return self.each[0].sample(samples)
-        found = [source.sample(samples) for source in self.each]
-        found += found[-1:] * (self.runs - len(found))
-        return tuple(np.stack(part, axis=-1).reshape(samples, -1) for part in zip(*found, strict=True))
+@kernel
+def _interleave(drawn, scale, added, out):
+    """The runs of `drawn` side by side, each channel times its `scale`, with what is `added` to all of them."""
+    runs = out.shape[1] // len(scale)
+    for k in range(len(out)):
+        for c in range(len(scale)):
+            for run in range(runs):
+                out[k, c * runs + run] = drawn[min(run, len(drawn) - 1), k, c] * scale[c] + added[k, c]

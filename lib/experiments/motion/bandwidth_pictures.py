@@ -6,17 +6,23 @@ from functools import cache, lru_cache
 
 import numpy as np
 
-from experiments.motion.designs import stage_observer
+from experiments.motion.designs import Design, stage_loops
 from experiments.motion.drive import drive_applications, drive_loop, rigid_response, seen_by_controller
-from experiments.motion.machines import Drive, drive, published_noise, stage, stage_mass
+from experiments.motion.machines import Drive, drive, published_noise, stage_mass
 from experiments.motion.open_choices import BandwidthMap
-from experiments.motion.pictures import CASES, LABELS, add_magnitude, paint_bode, paint_over_masses
+from experiments.motion.pictures import (
+    CASES,
+    LABELS,
+    add_magnitude,
+    paint_bode,
+    paint_over_masses,
+    plain_numbers,
+)
 from experiments.motion.structure import as_stage, measured_accelerance
-from stillwork.control.applications import Application, compensator
-from stillwork.control.bandwidth import Bandwidth, Loop, make_loop
+from stillwork.control.applications import Application
+from stillwork.control.bandwidth import Bandwidth, Loop
 from stillwork.control.machine_loops import observed_loops
 from stillwork.control.pid import PidFamily
-from stillwork.estimation.observer import Observer
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.modal_fit import identify_modes
 from stillwork.lti.modal import ModalModel, mirrored
@@ -24,21 +30,10 @@ from stillwork.lti.state_space import StateModel
 from stillwork.workbook import figures
 
 
-@lru_cache(maxsize=64)
-def _observer(position: int, noise_model: float) -> Observer:
-    """Observer of one measured mass: it stays while its application or the controller moves."""
-    return stage_observer(position, noise_model=noise_model)
-
-
 @lru_cache(maxsize=8)
-def _loops(application: Application | None, noise_model: float) -> list[Loop]:
+def _loops(design: Design) -> list[Loop]:
     """Loops of the seven masses: they stay while the bandwidth alone moves."""
-    plant = stage()
-    loops = []
-    for position in range(1, len(plant.output_shapes) + 1):
-        used = compensator(_observer(position, noise_model), application) if application else None
-        loops.append(make_loop(plant.at([0], [position - 1]), used, points=250, around=8))
-    return loops
+    return stage_loops(design, points=250, around=8)
 
 
 def paint_design(
@@ -51,7 +46,7 @@ def paint_design(
     """Explorer: S_I and S_O of the seven loops for one controller and one use of the observer."""
     used = damping > 0 or compensate == "yes"
     application = Application(compensate == "yes", damping, selectivity=selectivity) if used else None
-    loops = _loops(application, noise_model)
+    loops = _loops(Design(application, noise_model))
     controller = PidFamily(stage_mass())(bandwidth_hz)
     figure = paint_over_masses(
         {LABELS[name]: (loops, controller, name) for name in ("input_sensitivity", "output_sensitivity")}
@@ -120,6 +115,7 @@ def paint_identified(
     axes[0].set_ylabel("magnitude (dB re 1 rad/A)")
     axes[0].legend(ncols=3, fontsize=7)
     axes[1].set(ylabel="coherence", xlabel="frequency (Hz)")
+    plain_numbers(axes[1].xaxis)
     return figure
 
 

@@ -76,7 +76,8 @@ def beam(
         raise InputError("frequencies_hz holds a value that is not positive; give the flexible modes only")
     ratio = assumed["damping_ratio"] if damping_ratio is None else damping_ratio
     frequencies = 2 * np.pi * np.concatenate([[0.0, 0.0], flexible])
-    modes, scale = len(frequencies), 1 / np.sqrt(assumed["mass"])
+    modes = len(frequencies)
+    scale = 1 / np.sqrt(require_number("beam.toml: mass", assumed["mass"], above=0.0))
     inputs = scale * beam_shapes(actuators, modes, taper).T
     outputs = scale * beam_shapes(sensors, modes, taper)
     return ModalModel(

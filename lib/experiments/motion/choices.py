@@ -179,11 +179,9 @@ def ranked(errors: dict[str, float]) -> bool:
 @lru_cache(maxsize=64)  # readings that differ in the scan share them
 def tracking_loop(case: str, redesign: str, stage_damping: float):
     observer, controlled = CASES[case]
-    plant, block = stage(stage_damping), None
-    if observer is not None:
-        block = stage_compensator(
-            MEASURED, _as_read(DESIGNS[observer], "noise model", stage_damping), plant=plant
-        )
+    plant = stage(stage_damping)
+    design = _as_read(DESIGNS[observer], "noise model", stage_damping)
+    block = stage_compensator(MEASURED, design, plant=plant)
     hz = (
         PRINTED_HZ[controlled]
         if redesign == "printed"

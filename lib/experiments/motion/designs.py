@@ -80,6 +80,7 @@ def stage_loops(
 ) -> list[Loop]:
     """The seven loops of the stage under one design; `grid` goes to `make_loop`."""
     machine = stage() if plant is None else plant
+    noise = noise or published_noise()  # read once for all masses
     positions = range(1, len(machine.output_shapes) + 1)
     return [
         make_loop(machine.at([0], [k - 1]), stage_compensator(k, design, noise, plant), **grid)

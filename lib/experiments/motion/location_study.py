@@ -8,8 +8,10 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
+from experiments.motion import perturbed_tracking
 from experiments.motion.designs import DESIGNS, Design, stage_bandwidth
 from experiments.motion.machines import published_deviations, published_setpoint, stage
+from experiments.motion.perturbed_tracking import APPLICATIONS, WARM_UP
 from experiments.motion.position_dependence import at_place, compensator_at, stage_grid
 from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
 from stillwork.control.feedforward import BASIS, Feedforward, least_squares, noise_error, noise_errors
@@ -24,8 +26,6 @@ from stillwork.control.pid import Pid
 from stillwork.control.setpoint import Setpoint
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
-
-WARM_UP = 3000  # samples in which the noise reaches its steady state
 
 ErrorsByCase = Mapping[str, Float64[np.ndarray, "places samples"]]
 
@@ -71,10 +71,9 @@ class LocationStudy:
 
 Loops = Mapping[float, Mapping[str, StateModel]]
 
-APPLICATIONS = ("MC", "AD", "MC and AD")
-CASES = {"original": ("PID", "PID")}  # row of Table 4.1: the observer's design, and that of the controller
-CASES |= {name: (name, "PID") for name in APPLICATIONS}
-CASES |= {f"{name}, redesigned": (name, name) for name in APPLICATIONS}
+CASES = {
+    name.replace("none", "original"): case for name, case in perturbed_tracking.CASES.items()
+}  # Table 4.1
 
 
 def structure(masses: int = 8, spacing: float = 0.05) -> tuple[ModalModel, Float64[np.ndarray, " masses"]]:

@@ -27,16 +27,11 @@ from stillwork.signals.moving_average import rms
 
 MEASURED = 5  # y5, section 3.1
 WARM_UP = 3000  # samples in which the noise reaches its steady state
+APPLICATIONS = ("MC", "AD", "MC and AD")
 # Row and column of Table 5.2, the observer's design and the design that its controller is taken from.
-CASES = {
-    "none": (None, "PID"),
-    "MC": ("MC", "PID"),
-    "AD": ("AD", "PID"),
-    "MC and AD": ("MC and AD", "PID"),
-    "MC, redesigned": ("MC", "MC"),
-    "AD, redesigned": ("AD", "AD"),
-    "MC and AD, redesigned": ("MC and AD", "MC and AD"),
-}
+CASES = {"none": ("PID", "PID")}
+CASES |= {name: (name, "PID") for name in APPLICATIONS}
+CASES |= {f"{name}, redesigned": (name, name) for name in APPLICATIONS}
 
 
 @dataclass(frozen=True)
@@ -57,7 +52,7 @@ def published_loops() -> PublishedLoops:
     family = PidFamily(stage_mass())
     compensators, controllers = {}, {}
     for case, (observer, controller) in CASES.items():
-        compensators[case] = None if observer is None else stage_compensator(MEASURED, DESIGNS[observer])
+        compensators[case] = stage_compensator(MEASURED, DESIGNS[observer])
         controllers[case] = family(design_hz[controller]).state_space()
     return PublishedLoops(plant, compensators, controllers, design_hz)
 

@@ -119,6 +119,14 @@ def drawn_slope(axis, label: str, low: float, high: float) -> float:
     return slope(x[part], 10 ** (level[part] / 20))
 
 
+def plain_numbers(axis) -> None:
+    """Numbers beside a logarithmic axis of about a decade as 6 and 20, not as multiples of powers of ten."""
+    from matplotlib.ticker import LogFormatter
+
+    axis.set_major_formatter(LogFormatter())
+    axis.set_minor_formatter(LogFormatter())
+
+
 def mark_limit(axis) -> None:
     """The peak that the thesis allows, 6 dB."""
     axis.axhline(20 * np.log10(SIX_DB), color=figures.BLACK, linestyle=":", linewidth=1.0)

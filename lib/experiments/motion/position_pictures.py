@@ -17,6 +17,7 @@ from experiments.motion.pictures import (
     mark_limit,
     paint_limited,
     paint_magnitudes,
+    plain_numbers,
 )
 from experiments.motion.position_dependence import place_loops, stage_grid
 from stillwork.control.applications import Application
@@ -71,7 +72,10 @@ def paint_equivalent_controllers(loops: Mapping[float, Loop], controller: Pid):
     panels = {
         title: {"controller": (omega, controller.frequency_response(omega), broad)}
         | {label: (omega, getattr(loop.at(controller, omega), name), style) for label, loop, style in lines}
-        for title, name in (("$r$ to $f$", "reference_controller"), ("$y$ to $f$", "output_controller"))
+        for title, name in (
+            ("reference $r$ to force $f$", "reference_controller"),
+            ("position $y$ to force $f$", "output_controller"),
+        )
     }
     figure, axes = paint_magnitudes(panels, "magnitude (dB re 1 N/m)", height=3.4, sharey=True)
     axes[0, 0].legend(ncols=2, fontsize=7)
@@ -129,6 +133,7 @@ def paint_rms_along(study: LocationStudy, cases: Sequence[str]):
     for case in cases:
         axis.semilogy(study.places, 1e9 * study.rms(case), label=case, linewidth=1.2, **styles.get(case, {}))
     axis.set(xlabel="place of the sensor (m)", ylabel="rms error in the scan (nm)")
+    plain_numbers(axis.yaxis)
     axis.legend(ncols=3, fontsize=7, loc="upper center")
     return figure
 
@@ -173,7 +178,7 @@ def paint_place(place: float, damping: float, compensate: str, noise_exponent: f
     figure, (left, right) = figures.new(1, 2, height=3.0)
     original = controller.frequency_response(omega)
     add_magnitude(left, omega, original, color=figures.GREY, linewidth=2.5, label="controller")
-    add_magnitude(left, omega, response.output_controller, label="equivalent, y to f")
+    add_magnitude(left, omega, response.output_controller, label="equivalent, $y$ to $f$")
     add_magnitude(right, omega, response.input_sensitivity, label="input sensitivity")
     add_magnitude(right, omega, response.output_sensitivity, label="output sensitivity")
     mark_limit(right)

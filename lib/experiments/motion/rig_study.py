@@ -20,6 +20,7 @@ from experiments.motion.rig_designs import (
 from experiments.motion.rig_loops import FUNCTIONS, MEASURES, RigBandwidth, RigLoop
 from experiments.motion.rig_tracking import Levelling, levelling, levelling_rms
 from stillwork.base.checks import InputError
+from stillwork.base.front_door import checked
 from stillwork.control.pid import Pid
 from stillwork.estimation.observer import NoiseIntensities
 
@@ -100,6 +101,7 @@ def levelling_errors(
     return np.hypot([with_original, with_own], floor / geometry.edges)
 
 
+@checked
 def rig_trial(rng: np.random.Generator, settings: RigSettings) -> dict[str, np.ndarray]:
     """One geometry, one draw of model errors, all four cases, under both readings of "peaks below 6 dB".
 

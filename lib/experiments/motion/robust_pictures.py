@@ -17,6 +17,12 @@ STATES = (
     ("second flexible mode", "position error (nm √kg)", 1e9),
     ("second flexible mode", "velocity error (µm/s √kg)", 1e6),
 )
+SAID = {  # of Fig. 5.10, what hangs on the weight, by claim
+    "sensitivity-rigid-as-kalman": "penalised filter's rigid body as Kalman's",
+    "regularised-worst-on-flexible": "regularised filter worst on flexible states",
+    "sensitivity-drift": "penalised filter drifts more than Kalman's",
+    "sensitivity-end-above-state": "penalised filter's error at the end above the state",
+}
 PUBLISHED = ("Kalman", "sensitivity penalised", "regularised least squares")
 COLOURS = dict(zip(ENTRANTS, (figures.RED, figures.BLUE, figures.GREEN), strict=False))
 
@@ -66,9 +72,9 @@ def paint_statements(
     sizes.set_ylabel("error (1, median)")
     sizes.legend(fontsize=7)
     for k, (claim, share) in enumerate(shares.items()):  # thinner and thinner: lines at 1 lie on each other
-        held.semilogx(weights, share, linewidth=5 - 1.3 * k, label=claim.replace("-", " "))
+        held.semilogx(weights, share, linewidth=5 - 1.3 * k, label=SAID[claim])
     held.set(ylabel="share of the plants", xlabel="weight $\\gamma$")
-    held.legend(fontsize=7)
+    figures.legend_below(held, 2, fontsize=7)
     for axis in (sizes, held):
         axis.axvline(chosen, color=figures.BLACK, linewidth=0.8)
     return figure

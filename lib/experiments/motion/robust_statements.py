@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float64
 from numpy.typing import ArrayLike
 
 from experiments.motion.contest import Contest, run_entrant
-from experiments.motion.scan_study import Errors, Records, Scan, record_scans
+from experiments.motion.scan_study import Errors, Records, Scan, record_scans, rms
 from experiments.motion.uncertainty import sample_errors
 from stillwork.base.checks import require_array
 
@@ -69,9 +69,6 @@ def output_errors(scan: Scan, errors: ArrayLike, records: Records, estimates: Ar
     noise = measured - np.sum(shapes * true, axis=1)
     deformation = np.sum((shapes * true)[:, 1:], axis=1)
     seen = noise + np.sum((shapes - model) * true, axis=1)
-
-    def rms(signal):
-        return np.sqrt(np.mean(signal**2, axis=-1))
 
     return OutputErrors(
         rms(noise),

@@ -188,16 +188,17 @@ def judge(scan: Scan, records: Records, estimates: ArrayLike) -> Errors:
     moving = (time < scan.setpoint.acceleration_end) | (~window & (time > scan.setpoint.scan[0]))
     line = np.linspace(-1, 1, window.sum())
     return Errors(
-        _rms(error),
+        rms(error),
         error.mean(axis=2),
         2 * (error @ line) / (line @ line),
         true.std(axis=2),
         error[:, :, -1],
-        _rms(whole[:, :, moving]),
-        _rms(whole),
-        _rms(records.states),
+        rms(whole[:, :, moving]),
+        rms(whole),
+        rms(records.states),
     )
 
 
-def _rms(signals: np.ndarray) -> np.ndarray:
+def rms(signals: np.ndarray) -> np.ndarray:
+    """Root mean square along the last axis."""
     return np.sqrt(np.mean(signals**2, axis=-1))

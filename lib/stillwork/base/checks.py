@@ -157,13 +157,15 @@ def require_array(
     dtype=np.float64,
     advice: str = "remove or repair them first",
     missing: bool = False,
+    infinite: bool = False,
 ) -> np.ndarray:
     """Return `value` as a finite, C-contiguous array that may be written to, else raise `InputError`.
 
     It is the one front door for arrays: lists, other number types, transposed, strided, read-only and
     memory-mapped arrays come out alike, so that a kernel is compiled for one type alone. It is `value` itself
     where nothing has to be changed; a function that writes to it copies it first. None in `shape` leaves an axis
-    free, `advice` says what to do about values that are not finite, and `missing` lets NaN stand for lost ones.
+    free, `advice` says what to do about values that are not finite, `missing` lets NaN stand for lost ones, and
+    `infinite` lets an infinity stand for no limit.
     """
     # Nearly all arrays of a calculation come as they are wanted: for them the rest would cost more than the check.
     ready = type(value) is np.ndarray and value.dtype == dtype and value.flags.carray
@@ -176,6 +178,8 @@ def require_array(
     finite = np.isfinite(array)
     if missing:
         finite |= np.isnan(array)
+    if infinite:
+        finite |= np.isinf(array)
     if not finite.all():
         first = tuple(int(i) for i in np.argwhere(~finite)[0])
         raise InputError(

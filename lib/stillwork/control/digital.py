@@ -83,8 +83,8 @@ class DigitalController:
             )
         require_count("delay", self.delay, at_least=0)
         for name, shape in (("low", (outputs,)), ("high", (outputs,)), ("anti_windup", (states, outputs))):
-            value = np.array(getattr(self, name), dtype=float)
-            if (value.ndim and value.shape != shape) or np.isnan(value).any():
+            value = require_array(name, getattr(self, name), infinite=name != "anti_windup")
+            if value.ndim and value.shape != shape:
                 raise InputError(f"{name} has shape {value.shape}; give {shape} numbers, or one for all")
             object.__setattr__(self, name, np.broadcast_to(value, shape).copy())
         if not np.all(self.low < self.high):

@@ -71,6 +71,8 @@ def worst_factors(
     if not 0 <= shares.min() <= shares.max() < 1:
         raise InputError("shares must be at least 0 and below 1; 0 for a frequency that stays")
     require_choice("function", function, FUNCTIONS)
+    if not shares.any():
+        return loop.peak(controller, function).magnitude, np.ones(len(shares))
     # As dense at the ends of the intervals as in their middle: there the worst place changes most from line to line.
     ends = [factor * loop.omega for factor in (1 - shares.max(), 1.0, 1 + shares.max())]
     omega = np.unique(np.clip(np.concatenate(ends), loop.omega[0], loop.omega[-1]))

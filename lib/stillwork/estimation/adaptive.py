@@ -172,6 +172,7 @@ class FeRls:
             raise InputError("initial_covariance is not positive definite; give a covariance")
         object.__setattr__(self, "initial_covariance", initial)
 
+    @checked(infinite=True)
     def start(self, regressors: int) -> Recursion:
         """P(-1), exactly symmetric, and the limits of its diagonal for a number of regressors."""
         require_count("regressors", regressors)

@@ -104,7 +104,7 @@ def _csv(path: Path) -> dict[str, np.ndarray]:
             skipinitialspace=True,
             encoding="utf-8-sig",
         )
-    except (pd.errors.ParserError, UnicodeDecodeError) as error:
+    except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
         raise InputError(f"{path.name} is not a table ({error}); give rows of equally many numbers") from None
     # A separator at the end of every row makes one more, empty column.
     table = table[

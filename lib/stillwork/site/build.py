@@ -157,12 +157,14 @@ def _room(
     """What a template shows of a room."""
     mine = [claim for claim in claims if claim.entry.room == name]
     drawn = curves(name, standings)
+    joints = {curve.standing.joint.group: curve.standing.joint for curve in drawn if curve.standing.joint}
     return {
         "name": name,
         **work,
         "counts": Counter(map(column, mine)),
         "picture": picture.draw(mine),
         "curves": drawn,
+        "joints": [joint for joint in joints.values() if len(joint.ours) > 1],
         "classes": Counter(curve.standing.class_ for curve in drawn if curve.standing.class_),
         "headline": _said(work["headline"], mine),
         "found": _said(work["found"], mine),

@@ -4,27 +4,35 @@ A plugin of pytest in the place of nbval's own (``-p no:nbval -p stillwork.workb
 checks and its reports. Two things are added. An output that differs from the committed one in nothing but the last
 digits of its numbers passes (`stillwork.workbook.compare.same_text`). And where a build of exactly this notebook
 stands in ``build/figures``, its recorded outputs stand in for a kernel's; ``--nbval-rerun N`` executes N notebooks all
-the same, others on each day, so that a build that was accepted is not only held against itself.
+the same, others on each day, so that a build that was accepted is not only held against itself. A build younger than
+the file ``--nbval-begun`` was executed a moment ago: it needs no other turn.
 """
 
 import datetime
+import importlib
 import itertools
 import json
+import sys
+from pathlib import Path
 from queue import Empty
-
-from nbval import plugin as nbval
 
 from stillwork.base import paths
 from stillwork.workbook.compare import printed, same_text
 from stillwork.workbook.notebooks import select
-from stillwork.workbook.tasks import Task, tasks
+from stillwork.workbook.tasks import Task, built, tasks
+
+# As in `stillwork.__main__`: a second or two of every process that loads nbformat, as nbval does.
+sys.modules.setdefault("rfc3987_syntax", None)
+nbval = importlib.import_module("nbval.plugin")
 
 
 def pytest_addoption(parser):
     nbval.pytest_addoption(parser)
-    parser.getgroup("nbval").addoption(
+    group = parser.getgroup("nbval")
+    group.addoption(
         "--nbval-rerun", type=int, default=None, help="execute N notebooks although their build is fresh"
     )
+    group.addoption("--nbval-begun", type=Path, help="but none whose build is younger than this file")
 
 
 def pytest_configure(config):
@@ -40,6 +48,17 @@ def pytest_collect_file(file_path, parent):
 def chosen_to_run(count: int, names: list[str], day: int) -> set[str]:
     """The notebooks that are executed again on a day: each has its turn before the first comes again."""
     return {names[(day * count + offset) % len(names)] for offset in range(min(count, len(names)))}
+
+
+def older_than(file: Path | None, names: list[str]) -> list[str]:
+    """Those whose build was put in its place before the file was written; all without a file."""
+    if file is None:
+        return names
+    begun = file.stat().st_mtime_ns
+    links = {name: built() / name for name in names}
+    return [
+        name for name, link in links.items() if not (link.is_symlink() and link.lstat().st_mtime_ns > begun)
+    ]
 
 
 class ComparedNotebook(nbval.IPyNbFile):
@@ -65,11 +84,11 @@ class ComparedNotebook(nbval.IPyNbFile):
             name = self.path.relative_to(paths.root() / "notebooks").with_suffix("").as_posix()
         except ValueError:
             return None
-        rerun = self.config.option.nbval_rerun
+        rerun, begun = self.config.option.nbval_rerun, self.config.option.nbval_begun
         names = [notebook.name for notebook in select()]
         if rerun is None or name not in names:
             return None
-        if name in chosen_to_run(rerun, names, datetime.date.today().toordinal()):
+        if name in chosen_to_run(rerun, older_than(begun, names), datetime.date.today().toordinal()):
             return None
         [task] = tasks(name)
         return None if task.reasons() else task

@@ -141,7 +141,8 @@ def entry_text(fields: dict, width: int) -> str:
     Parameters
     ----------
     fields : dict
-        As `Claim.as_dict` gives them. What is empty is left out.
+        As `Claim.as_dict` gives them. What is empty is left out, and a mark that does not apply; of a joint reading an
+        option may be false, too.
     width : int
         Characters in a line.
     """
@@ -151,7 +152,7 @@ def entry_text(fields: dict, width: int) -> str:
 def _field_lines(fields: dict, width: int, indent: str) -> list[str]:
     lines = []
     for name, value in fields.items():
-        if value in (None, "", [], {}) or value is False:
+        if value in (None, "", [], {}) or (value is False and not indent):
             continue
         if isinstance(value, dict):
             lines += [f"{indent}{name}:", *_field_lines(value, width, indent + GAP)]

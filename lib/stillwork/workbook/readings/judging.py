@@ -18,6 +18,11 @@ CERTAIN = 0.95  # share of readings from which on an entry holds; it fails up to
 NORMAL = 1.959963984540054  # 97.5 % point of the normal distribution
 DECIDES = 0.1  # least share of variance, joint effects included, of an axis that is named
 NAMED = 2  # axes at most
+NEAR = (
+    0.05,
+    0.15,
+    0.25,
+)  # of a published value: relative distances within which a table's numbers are counted
 
 
 @dataclass(frozen=True)
@@ -36,6 +41,8 @@ class Joint:
         Entries that agree there in at least half of the seeds.
     ours : dict of str to float
         Mean over the seeds there, by entry.
+    near : dict of str to int
+        How many of the published values are within 5, 15 and 25 % there, and of how many: ``{"5%": 3, ..., "of": 9}``.
     tried : int
         Readings among which it is the best.
     """
@@ -45,6 +52,7 @@ class Joint:
     moved: tuple[str, ...]
     agreeing: tuple[str, ...]
     ours: dict[str, float]
+    near: dict[str, int]
     tried: int
 
 
@@ -151,6 +159,7 @@ class Standing:
             "tried": joint.tried,
             "agreeing": len(joint.agreeing),
             "of": len(joint.ours),
+            "within": joint.near,
         }
 
 
@@ -352,4 +361,9 @@ def _joint_at(group: str, places, standings, tried: int) -> Joint:
             ours[name] = float(there.mean()) if there.size else math.nan
             if standings[name].agrees[point].mean() >= 0.5:
                 agreeing.append(name)
-    return Joint(group, reading, tuple(moved), tuple(agreeing), ours, tried)
+    entries = [standings[name].entry for name in ours]
+    off = [
+        abs(ours[each.id] / each.published - 1) for each in entries if each.kind == "value" and each.published
+    ]
+    near = {f"{size:.0%}": sum(each <= size for each in off) for size in NEAR} | {"of": len(off)}
+    return Joint(group, reading, tuple(moved), tuple(agreeing), ours, near, tried)
