@@ -66,7 +66,7 @@ class Sources:
         if self.deviation.any() or self.mains.any():
             start = (self.omega * self.done)[:, None]
             hum = self.waves[:samples] @ np.vstack([np.cos(start) * self.mains, np.sin(start) * self.mains])
-            _interleave(self._draw(self.noise_streams, hum.shape), self.deviation, hum, noise)
+            _interleave(self._sample(self.noise_streams, hum.shape), self.deviation, hum, noise)
         self.done += samples
         return floor, noise
 
@@ -76,10 +76,10 @@ class Sources:
             floor[:] = np.repeat(record, self.runs, axis=1)
             return
         nothing = np.zeros((len(floor), self.sensors))
-        _interleave(self._draw(self.floor_streams, nothing.shape), self.part.scale, nothing, floor)
+        _interleave(self._sample(self.floor_streams, nothing.shape), self.part.scale, nothing, floor)
         loop.filter_block(*self.shaping, floor)
 
-    def _draw(self, streams: list[np.random.Generator], shape: tuple[int, int]) -> np.ndarray:
+    def _sample(self, streams: list[np.random.Generator], shape: tuple[int, int]) -> np.ndarray:
         """White noise of variance 1, (runs, samples, channels), until the next call: fresh memory would cost as much."""
         size = shape[0] * shape[1]
         for stream, room in zip(streams, self.room, strict=True):
