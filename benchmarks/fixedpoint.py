@@ -206,7 +206,7 @@ def peers(approximate, times) -> None:
     print("\nunscented Kalman filter, n = 2, beside its peers")
     for name, (median, _, _) in taken.items():
         if name != "ours":
-            report(f"ours / {name}", taken["ours"][0] / median, "at most", 3.0)
+            report(f"ours / {name}", taken["ours"][0] / median, "at most", 1.5)
     slow = filterpy_time(signal_filter, expected)
     report("filterpy / ours", slow / taken["ours"][0], "at least", 300.0)
 

@@ -1,5 +1,7 @@
 """Every filter against its naive twin, scipy or filterpy, on the same data."""
 
+import sys
+
 import numpy as np
 import pytest
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
@@ -16,6 +18,7 @@ from stillwork.estimation.coordinate_filters import (
     SavitzkyGolay,
     UnscentedKalman,
 )
+from stillwork.estimation.filtering import filter_record, model_of
 from stillwork.estimation.unscented import SigmaPoints
 from stillwork.estimation.windows import end_point_weights
 
@@ -279,3 +282,12 @@ def test_lost_definiteness_is_reported_with_the_sample(approximate):
 def test_bad_input(call, message, approximate):
     with pytest.raises(InputError, match=message):
         call(approximate)
+
+
+def test_a_kernel_that_borrows_its_arrays_leaves_their_references_alone(approximate):
+    signal_filter, measured, out = UnscentedKalman(approximate), np.linspace(0.0, 1.0, 50), np.empty((50, 3))
+    device = signal_filter.packed()
+    arrays = [*device[1:], measured, out]
+    before = [sys.getrefcount(array) for array in arrays]
+    assert filter_record(device, *model_of(signal_filter), measured, measured, 1e-3, np.zeros(3), out) == 50
+    assert [sys.getrefcount(array) for array in arrays] == before

@@ -31,6 +31,14 @@ def inlined_kernel(function):
     return _compiled(function, inline="always")
 
 
+def borrowing_kernel(function):
+    """As `kernel`, for what makes no array: the references of those it is given, and of their parts, stay uncounted.
+
+    Each count is an atomic operation, which costs more than the arithmetic of a few numbers.
+    """
+    return _compiled(function, _nrt=False)
+
+
 def _compiled(function, **options):
     """Numba's dispatcher, with a cache of the package's own."""
     function = inspect.unwrap(function)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stillwork.base.kernels import kernel
+from stillwork.base.kernels import borrowing_kernel
 from stillwork.estimation.gaussian import (
     COVARIANCE,
     CROSS,
@@ -20,7 +20,7 @@ from stillwork.estimation.gaussian import (
 JACOBIAN, OBSERVATION = POINTS, OBSERVED  # the two blocks that the unscented filter fills with points
 
 
-@kernel
+@borrowing_kernel
 def predict_extended(work, process, size):
     """P = F P F' + Q."""
     covariance, jacobian, product = work[COVARIANCE], work[JACOBIAN], work[CROSS]
@@ -39,7 +39,7 @@ def predict_extended(work, process, size):
             covariance[j, i] = total
 
 
-@kernel
+@borrowing_kernel
 def correct_extended(work, noise, size, outputs):
     """Cross covariance P H', innovation H P H' + R, and the correction."""
     covariance, observation, cross = work[COVARIANCE], work[OBSERVATION], work[CROSS]
@@ -58,7 +58,7 @@ def correct_extended(work, noise, size, outputs):
     return correct_gaussian(work, size, outputs)
 
 
-@kernel
+@borrowing_kernel
 def plant_extended_step(
     options, process, noise, work, acceleration, plant, time_step, measured, force, estimate
 ):

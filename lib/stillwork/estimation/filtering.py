@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_finite_run, require_number
 from stillwork.base.front_door import checked
-from stillwork.base.kernels import kernel
+from stillwork.base.kernels import borrowing_kernel
 from stillwork.estimation.coordinate_filters import (
     LOW_PASS,
     SAVITZKY_GOLAY,
@@ -114,7 +114,7 @@ def unit_mass_force(position, velocity, acceleration, parameters):
 UNIT_MASS = Plant(unit_mass_acceleration, unit_mass_force, np.zeros(0))
 
 
-@kernel
+@borrowing_kernel
 def filter_step(device, acceleration, plant, time_step, measured, force, estimate):
     """Advance one filter by one sample; `estimate` (position, velocity, acceleration) is read and written."""
     kind, options, process, noise, work = device
@@ -136,7 +136,7 @@ def filter_step(device, acceleration, plant, time_step, measured, force, estimat
     )
 
 
-@kernel
+@borrowing_kernel
 def filter_record(device, acceleration, plant, measured, force, time_step, estimate, estimates):
     """Filter a record; returns the number of samples done."""
     last_force = 0.0

@@ -1,9 +1,9 @@
 """The third-order low pass (7), integrated by Euler's rule."""
 
-from stillwork.base.kernels import kernel
+from stillwork.base.kernels import borrowing_kernel
 
 
-@kernel
+@borrowing_kernel
 def low_pass_step(bandwidth, state, time_step, measured, estimate):
     """(bandwidth + d/dt)^3 filtered = bandwidth^3 measured; state[0, 0, :3]: filtered and two derivatives.
 

@@ -12,7 +12,7 @@ from jaxtyping import Float64
 from stillwork.base.algebra import cholesky_root
 from stillwork.base.checks import require_number
 from stillwork.base.front_door import checked
-from stillwork.base.kernels import inlined_kernel, kernel
+from stillwork.base.kernels import borrowing_kernel, inlined_kernel
 from stillwork.estimation.gaussian import (
     COVARIANCE,
     CROSS,
@@ -53,7 +53,7 @@ class SigmaPoints:
         return np.array([spread, first, first + 1 - self.alpha**2 + self.beta, 1 / (2 * spread)])
 
 
-@kernel
+@inlined_kernel
 def spread_points(work, size, spread):
     """(12): the mean, and the mean plus and minus the columns of sqrt(spread P), spread = L + lambda."""
     points, means, root = work[POINTS], work[MEANS], work[ROOT]
@@ -88,7 +88,7 @@ def _weighted_product(points, mean, others, other_mean, result, count, rows, col
             result[i, j] = total
 
 
-@kernel
+@inlined_kernel
 def predict_unscented(work, weights, process, size):
     """(13): mean and covariance of the moved points, about the predicted mean, plus Q."""
     points, covariance, mean, count = work[POINTS], work[COVARIANCE], work[MEANS, ESTIMATE], 2 * size + 1
@@ -99,8 +99,8 @@ def predict_unscented(work, weights, process, size):
             covariance[i, j] += process[i, j]
 
 
-@kernel
-def correct_unscented(work, weights, noise, size, outputs):
+@inlined_kernel
+def _correct_by_points(work, weights, noise, size, outputs):
     """(15)-(17): the points, what they would measure, and the measurement are in place."""
     points, observed, innovation, count = work[POINTS], work[OBSERVED], work[INNOVATION], 2 * size + 1
     mean, expected = work[MEANS, ESTIMATE], work[MEANS, EXPECTED]
@@ -116,14 +116,20 @@ def correct_unscented(work, weights, noise, size, outputs):
     return correct_gaussian(work, size, outputs)
 
 
-@kernel
+@borrowing_kernel
+def correct_unscented(work, weights, noise, size, outputs):
+    """`_correct_by_points` by a call: for sizes that are not known when a kernel is compiled."""
+    return _correct_by_points(work, weights, noise, size, outputs)
+
+
+@borrowing_kernel
 def _copy_points(source, target):
     for i in range(source.shape[0]):  # a slice assignment would triple the time to compile
         for j in range(source.shape[1]):
             target[i, j] = source[i, j]
 
 
-@kernel
+@borrowing_kernel
 def plant_unscented_step(
     options, process, noise, work, acceleration, plant, time_step, measured, force, estimate
 ):
@@ -170,7 +176,7 @@ def plant_unscented_step(
         means[MEASURED, 0] = (measured - means[PAST, 0]) / time_step
         means[MEASURED, 1] = measured
         means[PAST, 0] = measured
-        if not correct_unscented(work, options, noise, 2, 2):
+        if not _correct_by_points(work, options, noise, 2, 2):
             return False
     estimate[0] = means[ESTIMATE, 1]
     estimate[1] = means[ESTIMATE, 0]

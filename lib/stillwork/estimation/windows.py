@@ -5,7 +5,7 @@ import math
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.base.kernels import kernel
+from stillwork.base.kernels import borrowing_kernel
 
 
 def end_point_weights(samples: int, degree: int, derivative: int = 0) -> Float64[np.ndarray, " samples"]:
@@ -22,14 +22,14 @@ def end_point_weights(samples: int, degree: int, derivative: int = 0) -> Float64
 # state[0]: the buffers, one a row, oldest sample first; state[1, 0, 0] = 1 once they are filled.
 
 
-@kernel
+@borrowing_kernel
 def _window_push(buffer, value):
     for i in range(buffer.shape[0] - 1):
         buffer[i] = buffer[i + 1]
     buffer[-1] = value
 
 
-@kernel
+@borrowing_kernel
 def _window_dot(weights, buffer):
     total = 0.0
     for i in range(buffer.shape[0]):
@@ -37,7 +37,7 @@ def _window_dot(weights, buffer):
     return total
 
 
-@kernel
+@borrowing_kernel
 def moving_window_step(weights, state, time_step, measured, estimate):
     """Section II.A: fit, difference, fit, difference, fit.
 
@@ -59,7 +59,7 @@ def moving_window_step(weights, state, time_step, measured, estimate):
         estimate[level] = fitted
 
 
-@kernel
+@borrowing_kernel
 def savitzky_golay_step(weights, state, time_step, measured, estimate):
     """Three rows of weights on one buffer: position, velocity, acceleration; starts as the moving window."""
     samples = state.shape[2]
