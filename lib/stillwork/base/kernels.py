@@ -39,6 +39,14 @@ def borrowing_kernel(function):
     return _compiled(function, _nrt=False)
 
 
+def pasted_kernel(function):
+    """As `borrowing_kernel`, but its machine code is copied into its callers: for long ones that few places call.
+
+    Numba analyses it once, an `inlined_kernel` again in everything that calls it.
+    """
+    return _compiled(function, _nrt=False, forceinline=True)
+
+
 def _compiled(function, **options):
     """Numba's dispatcher, with a cache of the package's own."""
     function = inspect.unwrap(function)

@@ -7,7 +7,7 @@ import numpy as np
 
 from stillwork.base.algebra import cholesky_root
 from stillwork.base.checks import InputError, require_array
-from stillwork.base.kernels import inlined_kernel
+from stillwork.base.kernels import pasted_kernel
 
 POINTS, OBSERVED, COVARIANCE, ROOT, INNOVATION, CROSS, GAIN, MEANS = range(8)
 BLOCKS = 8
@@ -34,7 +34,7 @@ def require_covariance(name: str, value, size: int, *, definite: bool = True) ->
     return np.ascontiguousarray(matrix)
 
 
-@inlined_kernel
+@pasted_kernel
 def correct_gaussian(work, size, outputs):
     """(17): gain = cross innovation^-1, mean += gain (z - expected), P -= gain innovation gain'."""
     covariance, innovation, cross = work[COVARIANCE], work[INNOVATION], work[CROSS]

@@ -12,7 +12,7 @@ from jaxtyping import Float64
 from stillwork.base.algebra import cholesky_root
 from stillwork.base.checks import require_number
 from stillwork.base.front_door import checked
-from stillwork.base.kernels import borrowing_kernel, inlined_kernel
+from stillwork.base.kernels import borrowing_kernel, pasted_kernel
 from stillwork.estimation.gaussian import (
     COVARIANCE,
     CROSS,
@@ -53,7 +53,7 @@ class SigmaPoints:
         return np.array([spread, first, first + 1 - self.alpha**2 + self.beta, 1 / (2 * spread)])
 
 
-@inlined_kernel
+@pasted_kernel
 def spread_points(work, size, spread):
     """(12): the mean, and the mean plus and minus the columns of sqrt(spread P), spread = L + lambda."""
     points, means, root = work[POINTS], work[MEANS], work[ROOT]
@@ -69,7 +69,7 @@ def spread_points(work, size, spread):
     return True
 
 
-@inlined_kernel
+@pasted_kernel
 def _weighted_mean(points, mean, count, size, first, other):
     for j in range(size):
         total = first * points[0, j]
@@ -78,7 +78,7 @@ def _weighted_mean(points, mean, count, size, first, other):
         mean[j] = total
 
 
-@inlined_kernel
+@pasted_kernel
 def _weighted_product(points, mean, others, other_mean, result, count, rows, columns, first, other):
     for i in range(rows):
         for j in range(columns):
@@ -88,7 +88,7 @@ def _weighted_product(points, mean, others, other_mean, result, count, rows, col
             result[i, j] = total
 
 
-@inlined_kernel
+@pasted_kernel
 def predict_unscented(work, weights, process, size):
     """(13): mean and covariance of the moved points, about the predicted mean, plus Q."""
     points, covariance, mean, count = work[POINTS], work[COVARIANCE], work[MEANS, ESTIMATE], 2 * size + 1
@@ -99,8 +99,8 @@ def predict_unscented(work, weights, process, size):
             covariance[i, j] += process[i, j]
 
 
-@inlined_kernel
-def _correct_by_points(work, weights, noise, size, outputs):
+@pasted_kernel
+def correct_unscented(work, weights, noise, size, outputs):
     """(15)-(17): the points, what they would measure, and the measurement are in place."""
     points, observed, innovation, count = work[POINTS], work[OBSERVED], work[INNOVATION], 2 * size + 1
     mean, expected = work[MEANS, ESTIMATE], work[MEANS, EXPECTED]
@@ -114,12 +114,6 @@ def _correct_by_points(work, weights, noise, size, outputs):
         for j in range(outputs):
             innovation[i, j] += noise[i, j]
     return correct_gaussian(work, size, outputs)
-
-
-@borrowing_kernel
-def correct_unscented(work, weights, noise, size, outputs):
-    """`_correct_by_points` by a call: for sizes that are not known when a kernel is compiled."""
-    return _correct_by_points(work, weights, noise, size, outputs)
 
 
 @borrowing_kernel
@@ -176,7 +170,7 @@ def plant_unscented_step(
         means[MEASURED, 0] = (measured - means[PAST, 0]) / time_step
         means[MEASURED, 1] = measured
         means[PAST, 0] = measured
-        if not _correct_by_points(work, options, noise, 2, 2):
+        if not correct_unscented(work, options, noise, 2, 2):
             return False
     estimate[0] = means[ESTIMATE, 1]
     estimate[1] = means[ESTIMATE, 0]
