@@ -80,7 +80,14 @@ def paint_cost(speed: pd.Series, error: pd.Series, unstable: pd.Series):
             textcoords=("axes fraction", "data"),
             va="center",
             fontsize=7,
-            arrowprops={"arrowstyle": "-", "color": figures.GREY, "lw": 0.4, "alpha": 0.6},
+            arrowprops={
+                "arrowstyle": "-",
+                "color": figures.GREY,
+                "lw": 0.4,
+                "alpha": 0.6,
+                "relpos": (0, 0.5),  # to the name's left end
+                "shrinkA": 1,
+            },
         )
     axis.set_ylim(places[0] - 0.03, places[-1] + 0.03)
     axis.set_xlabel("time a sample (µs)")
