@@ -214,6 +214,7 @@ def test_plants_that_cannot_be_used_say_why(tmp_path, change, message):
 # ------------------------------------------------------------------------------------- several coordinates, in rad
 
 
+@pytest.mark.slow
 def test_the_arm_from_its_file_to_the_loop():
     """By its bare name and by its path; both joints are driven, in rad, through losses and at their limits."""
     models = load_models("arm.py")

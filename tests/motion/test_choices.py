@@ -31,6 +31,7 @@ def test_a_bandwidth_is_the_first_crossing_of_the_loop_that_it_is_read_from(open
     assert np.all(open_loop_gain("MC and AD", open_loop, 3, np.geomspace(1, 0.999 * hertz, 200)) > 1)
 
 
+@pytest.mark.slow
 def test_readings_that_change_the_search_change_its_limit():
     usual = choices.bandwidth("MC", "f_bw", 1)
     assert choices.bandwidth("MC", "f_bw", 7) == usual

@@ -55,6 +55,7 @@ def test_distance_from_a_published_table_by_hand():
     np.testing.assert_allclose(found, [[0, 0, 0.2], [0, 0.5, 0.5]], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_readings_change_what_they_say_they_change():
     usual = {
         "error_channel": "seen by the observer",

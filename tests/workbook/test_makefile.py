@@ -39,7 +39,7 @@ def checkout(tmp_path):
 
 
 def make(checkout, *arguments):
-    clean = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")}
+    clean = {name: value for name, value in os.environ.items() if not name.startswith(("MAKE", "ARGS"))}
     command = ["make", "PYTHON=./stub", *arguments]
     return subprocess.run(command, cwd=checkout, env=clean, capture_output=True, text=True)
 
