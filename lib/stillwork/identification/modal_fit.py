@@ -363,8 +363,7 @@ class _Accelerance:
         coherence = np.clip(uniform_filter1d(coherence, SMOOTH, mode="nearest"), 1e-6, 1.0)
         noise = np.sqrt((1 - coherence) / coherence)
         self.weight = 1 / (size * np.hypot(1.0, noise / FLOOR))
-        goal = self.target * self.weight
-        self.goal = np.concatenate([goal.real, goal.imag])
+        self.goal = _stacked(self.target * self.weight)
         self.delay = 0.0  # s, by which the response was late
         self.grounded = False  # then no rigid body is free, and a third term of the series takes its column
 
@@ -422,8 +421,7 @@ class _Accelerance:
         q = np.linalg.qr(both / np.linalg.norm(both, axis=0))[0]
 
         def left(delay: float) -> float:
-            goal = self.target * self.weight * np.exp(1j * self.omega * delay)
-            goal = np.concatenate([goal.real, goal.imag])
+            goal = _stacked(self.target * self.weight * np.exp(1j * self.omega * delay))
             return float(np.sum((goal - q @ (q.T @ goal)) ** 2))
 
         cycle = 2 * np.pi / self.omega[-1]
@@ -439,8 +437,7 @@ class _Accelerance:
         if abs(found.x) * self.omega[-1] > phase and found.fun < share * left(0.0):
             self.delay += float(found.x)
             self.target = self.target * np.exp(1j * self.omega * found.x)
-            goal = self.target * self.weight
-            self.goal = np.concatenate([goal.real, goal.imag])
+            self.goal = _stacked(self.target * self.weight)
 
     def found(self, modes, settled):
         """These modes and those of the settled poles that stand, in rounds."""
@@ -553,6 +550,11 @@ class _Accelerance:
             self.delay,
             np.exp(modes[0, count:]),
         )
+
+
+def _stacked(values: np.ndarray) -> np.ndarray:
+    """Real parts above imaginary ones."""
+    return np.concatenate([values.real, values.imag])
 
 
 def _swept(gram, pivot):
