@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from jaxtyping import Float64
@@ -88,6 +89,12 @@ class Truth:
     delay: int
 
 
+@cache
+def _nine_cases() -> dict[str, list[float]]:
+    """Factors on frequencies, damping and gains in the hard disk's benchmark."""
+    return read_numbers(paths.data("motion", "hard_disk.toml"), lists=True)["cases"]
+
+
 def sample_truth(plant: ContestPlant, doubt: Doubt, samples: int, rng: np.random.Generator) -> Truth:
     """A machine that the nominal one may be mistaken for, and its noises, from `rng`."""
     model, rigid = plant.model, plant.model.rigid_modes
@@ -100,7 +107,7 @@ def sample_truth(plant: ContestPlant, doubt: Doubt, samples: int, rng: np.random
     factors[[0, 1, *range(3, 3 + outputs)], :rigid] = 1.0
     case, direction = rng.integers(9), rng.choice([-1.0, 1.0])
     if doubt.cases:
-        nine = read_numbers(paths.data("motion", "hard_disk.toml"), lists=True)["cases"]
+        nine = _nine_cases()
         temperature, gain = divmod(case, 3)
         factors[0, rigid:] *= nine["frequencies"][temperature]
         factors[1, rigid:] *= nine["damping"][temperature]

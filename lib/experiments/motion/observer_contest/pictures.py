@@ -117,6 +117,7 @@ def paint_leads(errors: pd.DataFrame, over: tuple[str, ...]):
     The line is where a lead begins, the dashed one where the observer ceases to say something, each with its interval.
     """
     figure, axes = figures.new(len(over), len(ROBUST), height=4.6, sharex=True, sharey=True)
+    silent = {name: crossings(errors, ahead_of(SAYING, name)) for name in ROBUST}
     for row, rival in zip(axes, over, strict=True):
         found = leads(errors, rival)
         for axis, name in zip(row, ROBUST, strict=True):
@@ -129,7 +130,7 @@ def paint_leads(errors: pd.DataFrame, over: tuple[str, ...]):
             axis.plot(across, down, "o", color=figures.BLACK, markersize=3, label="ahead of both")
             for line, style, label in (
                 (crossings(errors, ahead_of(name, rival)), "-", "ahead from here on"),
-                (crossings(errors, ahead_of(SAYING, name)), "--", "says nothing from here on"),
+                (silent[name], "--", "says nothing from here on"),
             ):
                 inside = line["crosses"].to_numpy() > 0.5
                 low, at, high = (

@@ -61,13 +61,13 @@ def run_contest(
         raise InputError(f"{taken.pop()!r} is an entrant already; give the file another name")
     names = [name for name in ENTRANTS if not only or name in ("Kalman", *only)]
     light = [name for name in names if not ENTRANTS[name].heavy]
-    settings = {plant: (settings_for(plant, names), settings_for(plant, light)) for plant in plants}
+    settings = {plant: settings_for(plant, names) for plant in plants}
     trials = [
         (
             plant,
             seed,
             public,
-            settings[plant][heavy is not None and seed >= heavy],
+            {name: settings[plant][name] for name in (names if heavy is None or seed < heavy else light)},
             named,
             doubts,
             loops is None or seed < loops,
