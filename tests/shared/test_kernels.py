@@ -79,7 +79,7 @@ def workbook(tmp_path) -> Path:
     package = root / "lib" / "stillwork"
     (package / "base").mkdir(parents=True)
     (root / "data").mkdir()
-    for name in ("__init__", "checks", "kernel_cache", "kernel_folder", "kernels", "paths"):
+    for name in ("__init__", "checks", "garbage", "kernel_cache", "kernel_folder", "kernels", "paths"):
         shutil.copy(Path(stillwork.__file__).parent / "base" / f"{name}.py", package / "base")
     shutil.copy(Path(stillwork.__file__), package)
     (package / "caller.py").write_text(CALLER)

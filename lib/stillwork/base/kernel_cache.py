@@ -13,6 +13,7 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLoca
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.serialize import dumps
 
+from stillwork.base.garbage import no_collection
 from stillwork.base.kernel_folder import cache_folder
 
 try:
@@ -38,7 +39,7 @@ class CodeCache(FunctionCache):
 
         @functools.wraps(compile_any)
         def compile_alone(*arguments):
-            with global_compiler_lock:  # numba's own, for a turn belongs to one thread
+            with global_compiler_lock, no_collection():  # numba's own lock, for a turn belongs to one thread
                 outer = self._turn
                 try:
                     return compile_any(*arguments)

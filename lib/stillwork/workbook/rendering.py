@@ -1,11 +1,11 @@
 """Draw a figure in one pass: the pixels of `savefig`, for a good half of the time."""
 
-import gc
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
 
 import numpy as np
 
+from stillwork.base.garbage import no_collection
 from stillwork.workbook.house_style import HouseFigure, house_style
 
 
@@ -28,7 +28,7 @@ def pixels(figure, dpi: float) -> np.ndarray:
         Red, green, blue and alpha; rows from the top.
     """
     with ExitStack() as stack:
-        stack.enter_context(_no_collection())
+        stack.enter_context(no_collection())
         stack.enter_context(house_style() if isinstance(figure, HouseFigure) else nullcontext())
         canvas = stack.enter_context(_canvas(figure, dpi))
         groups = _bare_groups(figure)
@@ -48,18 +48,6 @@ def pixels(figure, dpi: float) -> np.ndarray:
         with _without_minor_ticks(groups):
             canvas.draw()
         return np.array(canvas.buffer_rgba())
-
-
-@contextmanager
-def _no_collection() -> Iterator[None]:
-    """No search for unused cycles among the many small objects of a figure, all of them in use."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
 
 
 @contextmanager
