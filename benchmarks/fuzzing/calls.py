@@ -64,14 +64,6 @@ def _bias(position, velocity, parameters, out):
     out[0], out[1] = position[0], velocity[1]
 
 
-def _transition(state, inputs, parameters, out):
-    out[0] = parameters[0] * state[0] + inputs[0]
-
-
-def _measurement(state, inputs, parameters, out):
-    out[0] = state[0]
-
-
 def _whole(package: ModuleType) -> SimpleNamespace:
     """What all modules of a folder define, handed out by its face or not; a face decides between equal names."""
     names: dict = {}
@@ -122,13 +114,6 @@ def catalogue() -> dict:
     rows, signal = noise((3, 60)), noise(60)
     omega = np.linspace(50.0, 1500.0, 120)
     record = signals.Record(noise((2, 600)), 100.0, "m", ("a", "b"), "record.csv")
-    own = e.NonlinearModel(_transition, _measurement, 1, 1, 1, np.array([0.9]))
-    covariances = {
-        "process": np.eye(1),
-        "noise": np.eye(1),
-        "initial_mean": np.zeros(1),
-        "initial_covariance": np.eye(1),
-    }
     accelerance = (-(omega**2) * model.frequency_response(omega)[0, 0]).astype(complex)
     measured = i.Identified(omega, accelerance, np.ones(len(omega)))
     multisine = lti.StateModel(
@@ -246,7 +231,6 @@ def catalogue() -> dict:
         "SecularFunction.root": (e.secular_function(**block).root, {"start": 0.3}),
         "SigmaPoints": (e.SigmaPoints, fields(e.SigmaPoints())),
         "SigmaPoints.weights": (lambda **named: e.SigmaPoints(**named).weights(2), fields(e.SigmaPoints())),
-        "estimation.NonlinearModel": (e.NonlinearModel, fields(own)),
         "AdaptationStepper": (e.AdaptationStepper, {"settings": e.FeLms(), "weights": np.zeros((1, 3))}),
         "AdaptationStepper.update": (lambda regressor, error: e.AdaptationStepper(e.FeRls(1.0), np.zeros((1, 3))).update(regressor, error), {"regressor": rows[:, 0], "error": np.ones(1)}),
         "UnscentedKalman": (e.UnscentedKalman, fields(e.UnscentedKalman(plant))),
@@ -256,8 +240,6 @@ def catalogue() -> dict:
         "identify, FeLms": (e.identify, {**lines, "settings": e.FeLms(), "disturbance": signal[None]}),
         "continuous_gain": (e.continuous_gain, pair),
         "discrete_gain": (e.discrete_gain, {**pair, "a": 0.1 * state.a}),
-        "extended_filter": (e.extended_filter, {"model": own, "measurements": signal[None], "inputs": signal[None], **covariances}),
-        "unscented_filter": (e.unscented_filter, {"model": own, "measurements": signal[None], "inputs": signal[None], **covariances, "points": e.SigmaPoints(1.0, 0.0)}),
         "filter_signal": (e.filter_signal, {"signal_filter": e.MovingWindow(), "measured": signal, "time_step": 1e-3, "start_velocity": 0.1}),
         "filter_signal, Kalman": (e.filter_signal, {"signal_filter": e.UnscentedKalman(plant), "measured": signal, "force": signal, "time_step": 1e-3}),
         "filter_signal, extended": (e.filter_signal, {"signal_filter": e.ExtendedKalman(plant), "measured": signal, "force": signal, "time_step": 1e-3}),
