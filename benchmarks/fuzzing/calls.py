@@ -9,13 +9,14 @@ from types import ModuleType, SimpleNamespace
 
 import numpy as np
 
+from experiments.motion import decoupled_damping, ideal_feedforward
+from experiments.motion.generalised_plant import GeneralisedPlant
+from experiments.motion.h2 import h2_riccati
 from experiments.motion.line_search import regularised_line_search
 from experiments.motion.uncertainty import perturbed, sampled_derivatives
 from fuzzing.hostile import same, same_value, wrong
 from stillwork import control, estimation, identification, lti, signals
 from stillwork.estimation import robust
-from stillwork.estimation.generalised_plant import GeneralisedPlant
-from stillwork.estimation.h2 import h2_riccati
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
 from stillwork.estimation.time_varying import TimeVaryingModel, estimate
 from stillwork.lti.discretisation import zoh_response
@@ -109,7 +110,7 @@ def catalogue() -> dict:
     loop = c.closed_loop(model, None, pid(10.0).state_space())
     search = c.make_loop(model, points=50, around=3)
     damping = c.damping_gain(model, 0.01)
-    wide = c.constrained_damping(broad, 0.05)
+    wide = decoupled_damping.constrained_damping(broad, 0.05)
     decoupling = c.decouple(broad)
     rows, signal = noise((3, 60)), noise(60)
     omega = np.linspace(50.0, 1500.0, 120)
@@ -308,12 +309,12 @@ def catalogue() -> dict:
         "Trajectory": (c.Trajectory, fields(trajectory)),
         "asin_trajectory": (c.asin_trajectory, {"amplitude": 1.0, "sharpness": 0.9, "frequency_hz": 2.0, "duration": 0.1, "time_step": 1e-3}),
         "band_pass": (c.band_pass, {"omega": 10.0, "selectivity": 2.0}),
-        "band_passed": (c.band_passed, {"model": model, "gain": damping, "selectivity": 2.0, "order": 2}),
+        "band_passed": (decoupled_damping.band_passed, {"model": model, "gain": damping, "selectivity": 2.0, "order": 2}),
         "channel": (c.channel, {"loop": loop, "source": "r", "target": "e_true", "inputs": 1, "outputs": 1}),
         "closed_loop": (c.closed_loop, {"plant": model, "compensator": None, "controller": pid(10.0).state_space()}),
         "compensator": (c.compensator, {"observer": observer, "application": c.Application(True, 0.1)}),
-        "constrained_damping": (c.constrained_damping, {**quiet, "undisturbed": [0]}),
-        "constrained_stiffness": (c.constrained_stiffness, {"model": broad, "factor": np.array([1.5]), "undisturbed": [0]}),
+        "constrained_damping": (decoupled_damping.constrained_damping, {**quiet, "undisturbed": [0]}),
+        "constrained_stiffness": (decoupled_damping.constrained_stiffness, {"model": broad, "factor": np.array([1.5]), "undisturbed": [0]}),
         "contraction_range": (c.contraction_range, {"response_gain": 1.0}),
         "coupling_onset": (c.coupling_onset, {"plant": broad, "gain": wide, "decoupling": decoupling}),
         "crossings": (c.crossings, {"loop": near, "points": 20}),
@@ -328,10 +329,10 @@ def catalogue() -> dict:
         "discrete_kalman_observer": (c.discrete_kalman_observer, {"model": model, "noise": e.NoiseIntensities(1.0, 1e-12), "step": 1e-4, "noise_model": 1.0}),
         "error_loop": (c.error_loop, {"loop": loop}),
         "fed_back": (c.fed_back, {"model": model, "gain": damping}),
-        "feedforward_error": (c.feedforward_error, {"ideal": c.ideal_force(c.invert(model), setpoint), "feedforward": c.Feedforward(1.0)}),
+        "feedforward_error": (ideal_feedforward.feedforward_error, {"ideal": ideal_feedforward.ideal_force(ideal_feedforward.invert(model), setpoint), "feedforward": c.Feedforward(1.0)}),
         "fit_feedforward": (c.fit_feedforward, {"loop": c.error_loop(loop), "setpoint": setpoint, "basis": ("acceleration",)}),
-        "ideal_force": (c.ideal_force, {"inverse": c.invert(model), "setpoint": setpoint}),
-        "invert": (c.invert, {"plant": model}),
+        "ideal_force": (ideal_feedforward.ideal_force, {"inverse": ideal_feedforward.invert(model), "setpoint": setpoint}),
+        "invert": (ideal_feedforward.invert, {"plant": model}),
         "iterate": (c.iterate, {"transformation": c.FlowTransformation(), "desired": 1.0, "steps": 5, "response_gain": 1.0, "response_offset": 0.1, "start": 0.5}),
         "iterate, robust": (c.iterate, {"transformation": c.RobustTransformation(), "desired": 1.0, "steps": 5}),
         "limit_cycles": (c.limit_cycles, {"loop": near, "transformation": c.FlowTransformation(), "region": None}),

@@ -13,12 +13,12 @@ from experiments.motion.position_scan import (
 )
 from experiments.motion.positions import shapes_along
 from experiments.motion.scan_study import output_rows
+from experiments.motion.scheduled import GainTable, gain_table, require_observable_along, scheduled_gains
 from stillwork.base.checks import InputError
 from stillwork.control.feedback import band_pass, damping_gain
 from stillwork.control.pid import PidFamily
 from stillwork.estimation.riccati import discrete_gain
 from stillwork.estimation.robust import kalman_gains
-from stillwork.estimation.scheduled import GainTable, gain_table, require_observable_along, scheduled_gains
 from stillwork.estimation.time_varying import TimeVaryingModel, estimate
 from stillwork.lti import zoh
 from stillwork.lti.discretisation import zoh_modes
