@@ -2,6 +2,7 @@
 
 import html
 import re
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +10,7 @@ from string import Template
 
 import numpy as np
 
-from stillwork.base.checks import InputError
+from stillwork.base.checks import InputError, one_line
 from stillwork.control.machine_loops import applications, reach
 from stillwork.designing import (
     ADDED_DAMPING,
@@ -53,6 +54,25 @@ class Missing(InputError):
     def __init__(self, name: str, question: str, option: str):
         super().__init__(f"{question}; give {option}")
         self.name, self.question = name, question
+
+
+def report_asking(file: str, out: str, **said) -> list[str]:
+    """`report_file`, with a question to who sits at a terminal for each thing that is missing."""
+    while True:
+        try:
+            return report_file(file, out, **said)
+        except Missing as missed:
+            if not sys.stdin.isatty():
+                raise
+            answer = input(f"{one_line(missed.question)}: ").strip()
+            said[missed.name] = _number(answer) if missed.name == "sample_rate" else answer
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(f"{text!r} is no number of Hz; begin again") from None
 
 
 def report_file(file: str, out: str = "", **said) -> list[str]:
