@@ -88,18 +88,19 @@ def _stationary(
         size = np.sqrt(np.linalg.norm(g_s) / np.linalg.norm(c_s))
         g_s, c_s = g_s / size, c_s * size
         values = linalg.eigvals(a_s)
+        values = values[values.imag >= 0]  # of a pair one
         beyond = np.abs(values) - 1 if discrete else values.real  # the boundary of stability
         measured = "observable and not stable; measure it or leave it out"
         _require_seen(a_s, c_s, values[~(beyond < -1e-12)], measured)
         driven = "driven and not stable; let noise_input reach it"
         _require_seen(a_s.T, g_s.T, values[np.abs(beyond) <= 1e-12], driven)
         p = _solved(solve, a_s, g_s, c_s)
-        update, residual, stable = check(a_s, g_s, c_s, p)
-        if last and not (stable and residual < WORST_RESIDUAL):
-            start = (a_s.T, c_s.T @ c_s, g_s @ g_s.T) if discrete else _cayley(a_s, g_s, c_s)
-            p = _doubled(*start)
+        if last:
             update, residual, stable = check(a_s, g_s, c_s, p)
-        gain = scale[:, None] * update * size * np.sqrt(rate)
+            if not (stable and residual < WORST_RESIDUAL):
+                p = _doubled(*((a_s.T, c_s.T @ c_s, g_s @ g_s.T) if discrete else _cayley(a_s, g_s, c_s)))
+                update, residual, stable = check(a_s, g_s, c_s, p)
+            gain = scale[:, None] * update * size * np.sqrt(rate)
         full = p * size**2 * scale[:, None] * scale
         scale = np.sqrt(np.maximum(np.diag(full), 1e-300))
     _require_solved(residual, stable)
