@@ -9,13 +9,14 @@ from types import ModuleType, SimpleNamespace
 
 import numpy as np
 
+from experiments.motion import decoupled_damping, ideal_feedforward
+from experiments.motion.generalised_plant import GeneralisedPlant
+from experiments.motion.h2 import h2_riccati
 from experiments.motion.line_search import regularised_line_search
 from experiments.motion.uncertainty import perturbed, sampled_derivatives
 from fuzzing.hostile import same, same_value, wrong
 from stillwork import control, estimation, identification, lti, signals
 from stillwork.estimation import robust
-from stillwork.estimation.generalised_plant import GeneralisedPlant
-from stillwork.estimation.h2 import h2_riccati
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
 from stillwork.estimation.time_varying import TimeVaryingModel, estimate
 from stillwork.lti.discretisation import zoh_response
@@ -64,14 +65,6 @@ def _bias(position, velocity, parameters, out):
     out[0], out[1] = position[0], velocity[1]
 
 
-def _transition(state, inputs, parameters, out):
-    out[0] = parameters[0] * state[0] + inputs[0]
-
-
-def _measurement(state, inputs, parameters, out):
-    out[0] = state[0]
-
-
 def _whole(package: ModuleType) -> SimpleNamespace:
     """What all modules of a folder define, handed out by its face or not; a face decides between equal names."""
     names: dict = {}
@@ -117,18 +110,11 @@ def catalogue() -> dict:
     loop = c.closed_loop(model, None, pid(10.0).state_space())
     search = c.make_loop(model, points=50, around=3)
     damping = c.damping_gain(model, 0.01)
-    wide = c.constrained_damping(broad, 0.05)
+    wide = decoupled_damping.constrained_damping(broad, 0.05)
     decoupling = c.decouple(broad)
     rows, signal = noise((3, 60)), noise(60)
     omega = np.linspace(50.0, 1500.0, 120)
     record = signals.Record(noise((2, 600)), 100.0, "m", ("a", "b"), "record.csv")
-    own = e.NonlinearModel(_transition, _measurement, 1, 1, 1, np.array([0.9]))
-    covariances = {
-        "process": np.eye(1),
-        "noise": np.eye(1),
-        "initial_mean": np.zeros(1),
-        "initial_covariance": np.eye(1),
-    }
     accelerance = (-(omega**2) * model.frequency_response(omega)[0, 0]).astype(complex)
     measured = i.Identified(omega, accelerance, np.ones(len(omega)))
     multisine = lti.StateModel(
@@ -246,7 +232,6 @@ def catalogue() -> dict:
         "SecularFunction.root": (e.secular_function(**block).root, {"start": 0.3}),
         "SigmaPoints": (e.SigmaPoints, fields(e.SigmaPoints())),
         "SigmaPoints.weights": (lambda **named: e.SigmaPoints(**named).weights(2), fields(e.SigmaPoints())),
-        "estimation.NonlinearModel": (e.NonlinearModel, fields(own)),
         "AdaptationStepper": (e.AdaptationStepper, {"settings": e.FeLms(), "weights": np.zeros((1, 3))}),
         "AdaptationStepper.update": (lambda regressor, error: e.AdaptationStepper(e.FeRls(1.0), np.zeros((1, 3))).update(regressor, error), {"regressor": rows[:, 0], "error": np.ones(1)}),
         "UnscentedKalman": (e.UnscentedKalman, fields(e.UnscentedKalman(plant))),
@@ -256,8 +241,6 @@ def catalogue() -> dict:
         "identify, FeLms": (e.identify, {**lines, "settings": e.FeLms(), "disturbance": signal[None]}),
         "continuous_gain": (e.continuous_gain, pair),
         "discrete_gain": (e.discrete_gain, {**pair, "a": 0.1 * state.a}),
-        "extended_filter": (e.extended_filter, {"model": own, "measurements": signal[None], "inputs": signal[None], **covariances}),
-        "unscented_filter": (e.unscented_filter, {"model": own, "measurements": signal[None], "inputs": signal[None], **covariances, "points": e.SigmaPoints(1.0, 0.0)}),
         "filter_signal": (e.filter_signal, {"signal_filter": e.MovingWindow(), "measured": signal, "time_step": 1e-3, "start_velocity": 0.1}),
         "filter_signal, Kalman": (e.filter_signal, {"signal_filter": e.UnscentedKalman(plant), "measured": signal, "force": signal, "time_step": 1e-3}),
         "filter_signal, extended": (e.filter_signal, {"signal_filter": e.ExtendedKalman(plant), "measured": signal, "force": signal, "time_step": 1e-3}),
@@ -326,14 +309,14 @@ def catalogue() -> dict:
         "Trajectory": (c.Trajectory, fields(trajectory)),
         "asin_trajectory": (c.asin_trajectory, {"amplitude": 1.0, "sharpness": 0.9, "frequency_hz": 2.0, "duration": 0.1, "time_step": 1e-3}),
         "band_pass": (c.band_pass, {"omega": 10.0, "selectivity": 2.0}),
-        "band_passed": (c.band_passed, {"model": model, "gain": damping, "selectivity": 2.0, "order": 2}),
+        "band_passed": (decoupled_damping.band_passed, {"model": model, "gain": damping, "selectivity": 2.0, "order": 2}),
         "channel": (c.channel, {"loop": loop, "source": "r", "target": "e_true", "inputs": 1, "outputs": 1}),
         "closed_loop": (c.closed_loop, {"plant": model, "compensator": None, "controller": pid(10.0).state_space()}),
         "compensator": (c.compensator, {"observer": observer, "application": c.Application(True, 0.1)}),
-        "constrained_damping": (c.constrained_damping, {**quiet, "undisturbed": [0]}),
-        "constrained_stiffness": (c.constrained_stiffness, {"model": broad, "factor": np.array([1.5]), "undisturbed": [0]}),
+        "constrained_damping": (decoupled_damping.constrained_damping, {**quiet, "undisturbed": [0]}),
+        "constrained_stiffness": (decoupled_damping.constrained_stiffness, {"model": broad, "factor": np.array([1.5]), "undisturbed": [0]}),
         "contraction_range": (c.contraction_range, {"response_gain": 1.0}),
-        "coupling_onset": (c.coupling_onset, {"plant": broad, "gain": wide, "decoupling": decoupling}),
+        "coupling_onset": (decoupled_damping.coupling_onset, {"plant": broad, "gain": wide, "decoupling": decoupling}),
         "crossings": (c.crossings, {"loop": near, "points": 20}),
         "damping_gain": (c.damping_gain, {"model": model, "increase": np.array([0.1, 0.1]), "selection": "each mode"}),
         "damping_gain, placed": (c.damping_gain, {"model": model, "increase": 0.1, "selection": "pole placement"}),
@@ -346,10 +329,10 @@ def catalogue() -> dict:
         "discrete_kalman_observer": (c.discrete_kalman_observer, {"model": model, "noise": e.NoiseIntensities(1.0, 1e-12), "step": 1e-4, "noise_model": 1.0}),
         "error_loop": (c.error_loop, {"loop": loop}),
         "fed_back": (c.fed_back, {"model": model, "gain": damping}),
-        "feedforward_error": (c.feedforward_error, {"ideal": c.ideal_force(c.invert(model), setpoint), "feedforward": c.Feedforward(1.0)}),
+        "feedforward_error": (ideal_feedforward.feedforward_error, {"ideal": ideal_feedforward.ideal_force(ideal_feedforward.invert(model), setpoint), "feedforward": c.Feedforward(1.0)}),
         "fit_feedforward": (c.fit_feedforward, {"loop": c.error_loop(loop), "setpoint": setpoint, "basis": ("acceleration",)}),
-        "ideal_force": (c.ideal_force, {"inverse": c.invert(model), "setpoint": setpoint}),
-        "invert": (c.invert, {"plant": model}),
+        "ideal_force": (ideal_feedforward.ideal_force, {"inverse": ideal_feedforward.invert(model), "setpoint": setpoint}),
+        "invert": (ideal_feedforward.invert, {"plant": model}),
         "iterate": (c.iterate, {"transformation": c.FlowTransformation(), "desired": 1.0, "steps": 5, "response_gain": 1.0, "response_offset": 0.1, "start": 0.5}),
         "iterate, robust": (c.iterate, {"transformation": c.RobustTransformation(), "desired": 1.0, "steps": 5}),
         "limit_cycles": (c.limit_cycles, {"loop": near, "transformation": c.FlowTransformation(), "region": None}),
@@ -365,7 +348,7 @@ def catalogue() -> dict:
         "random_gain": (c.random_gain, {"deviation": 1.0}),
         "record_trajectory": (c.record_trajectory, {"time": np.arange(20.0), "position": signal[:20], "time_step": 0.1}),
         "response_gain": (c.response_gain, {"plant": plant, "model": guess}),
-        "rigid_coupling": (c.rigid_coupling, {"plant": broad, "gain": wide, "decoupling": decoupling}),
+        "rigid_coupling": (decoupled_damping.rigid_coupling, {"plant": broad, "gain": wide, "decoupling": decoupling}),
         "sampled_feedback": (c.sampled_feedback, {"model": model, "gain": damping, "step": 1e-4, "delay": 1}),
         "control.simulate": (c.simulate, {"plant": plant, "controller": controller, "trajectory": trajectory, "noise": 1e-6 * noise(100), "resolution": 1e-6, "grid": 0.1, "start": (0.0, 0.0), "bound": 10.0, "force_limit": 50.0}),
         "simulate_mechanism": (c.simulate_mechanism, {"plant": arm, "controller": arms, "trajectories": [trajectory] * 2, "noise": 1e-6 * np.array([noise(100), noise(100)]), "resolution": 1e-6, "grid": 0.1, "start": np.zeros((2, 2)), "bound": 10.0, "force_limits": [50.0, 50.0]}),

@@ -14,7 +14,7 @@ ADAPTATIONS = {"FeRls": FeRls, "FeLms": FeLms}
 
 
 def export_file(file: str, folder: str, name: str, precision: str) -> list[str]:
-    """Write C99 of what `file` describes into a new folder; returns the names of what was written.
+    """Write C99 of what `file` describes into a new folder; returns a line that says what was written.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def export_file(file: str, folder: str, name: str, precision: str) -> list[str]:
         settings = ADAPTATIONS[kind](**needed | {each: given[each] for each in given if each in known})
         files = adaptation_code(settings, **sizes, name=name, precision=precision)
     write_folder(folder, {each: text.encode() for each, text in files.items()})
-    return list(files)
+    return [f"{folder}: {', '.join(files)}"]
 
 
 def write_folder(folder: str | Path, files: dict[str, bytes]) -> None:

@@ -2,18 +2,12 @@
 
 import ast
 import json
-import re
-import shlex
 from collections.abc import Collection, Iterator
-from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 
-from stillwork.base import paths
 from stillwork.base.checks import InputError, one_line, shown
-from stillwork.base.toml_files import read_toml
 from stillwork.signals.datafiles import is_file, is_folder, read_arrays
 from stillwork.signals.records import (
     MOTION_UNITS,
@@ -23,15 +17,7 @@ from stillwork.signals.records import (
     stated_unit,
     unit_factor,
 )
-from stillwork.workbook.figures import HEADER, read_table
-from stillwork.workbook.notebooks import select
-from stillwork.workbook.reading import comments
-
-# What reads a machine of one's own from TOML, by room, and the file to copy.
-MODELS = {
-    "isolation": ("experiments.isolation.twin", "load_twin", "rigid_body.toml"),
-    "fixedpoint": ("experiments.fixedpoint.oscillator", "load_oscillator", "oscillator.toml"),
-}
+from stillwork.workbook.own_files import command, in_checkout, model_file, own_file
 
 # What a Python file must define to be a plant, with one coordinate or with several: functions with their numbers of
 # arguments, tables of parameters.
@@ -56,40 +42,12 @@ def inspect_file(name: str) -> str:
         if is_folder(path):
             raise InputError(f"{name}: this is a folder; name a file in it")
         raise InputError(f"{shown(name)}: no such file; give a CSV, MAT, NPZ, UFF, TOML or Python file")
-    kinds = {".toml": _model, ".py": _plant}
-    own = _own(path)
+    kinds = {".toml": model_file, ".py": _plant}
+    own = own_file(path)
     lines = [f"{path.name}: {own}"] if own else list(kinds.get(path.suffix.lower(), _data)(path))
-    if not _in_checkout() and any(line.startswith("for ") for line in lines):
+    if not in_checkout() and any(line.startswith("for ") for line in lines):
         lines.append("these commands are run in a checkout of stillwork")
     return "\n".join(map(one_line, lines))
-
-
-def _own(path: Path) -> str:
-    """What a file that the workbook itself wrote or reads is, in a sentence; empty for other files."""
-    if path.suffix.lower() == ".csv":
-        with path.open(encoding="utf-8", errors="replace") as file:
-            first = file.readline().strip()
-        if tuple(first.split(",")) == HEADER:
-            table = read_table(path)
-            panels, points = len({panel for panel, _ in table}), sum(map(len, table.values()))
-            counted = (
-                f"{points} points of {len(table)} series in {panels} {'panel' if panels == 1 else 'panels'}"
-            )
-            notebook = "/".join(path.resolve().parts[-3:-1])
-            known = _in_checkout() and notebook in {each.name for each in select()}
-            again = f"; to build it anew: python -m stillwork figures {notebook} --force" if known else ""
-            return f"the numbers that the picture {path.stem}.png shows, {counted}{again}"
-        if first.startswith("# study "):
-            return "what the ledger's entries come to under each reading; see python -m stillwork claims --entry ID"
-    if path.name in ("published.toml", "readings.toml") and len(table := read_toml(path)) > 0:
-        room = next(iter(table))
-        if path.name == "readings.toml" and "studies" in table:
-            return f"the {len(table[room])} choices that the work of the room {room} leaves open; to try them: python -m stillwork readings {room}"
-        if room in paths.ROOMS:
-            return (
-                f"the published numbers of the room {room}; how they stand: python -m stillwork claims {room}"
-            )
-    return ""
 
 
 def _data(path: Path) -> Iterator[str]:
@@ -118,34 +76,32 @@ def _record(path: Path) -> Iterator[str]:
     yield f"a record of {channels}: {record.sample_rate:.6g} Hz, {record.duration:.4g} s"
     if "" in units:
         yield f"it does not say every unit; put one of these for UNIT: {UNITS_SAID}"
-    motions = [
-        (name, unit)
-        for name, unit in zip(record.names, units, strict=True)
-        if not unit or unit_factor(unit)[1] in MOTION_UNITS
-    ]
+
+    def measuring(wanted: tuple[str, ...]) -> list[tuple[str, str]]:
+        """Channels in one of these SI units, or in one that the file does not say."""
+        named = zip(record.names, units, strict=True)
+        return [(name, unit) for name, unit in named if not unit or unit_factor(unit)[1] in wanted]
+
+    motions = measuring(MOTION_UNITS)
     if motions and record.duration >= SHORTEST_FLOOR_S:
         name, unit = motions[0]
         settings = {"floor_record": path.resolve(), "floor_unit": unit or "UNIT"}
         if len(record.names) > 1:
             settings["floor_channels"] = json.dumps([name], ensure_ascii=False)
-        yield _command("isolation/08-your-floor", settings)
+        yield command("isolation/08-your-floor", settings)
     if len(record.names) >= 2:
         settings = {"record_file": path.resolve()}
         for side, name, unit in zip(("input", "output"), record.names, units, strict=False):
             settings |= {f"{side}_channel": name, f"{side}_unit": unit or "UNIT"}
         settings |= {"band_hz": "0,0", "quiet_hz": "0,0"}  # the defaults are those of the shipped record
-        yield _command("worstcase/07-your-record", settings)
-    positions = [
-        (name, unit)
-        for name, unit in zip(record.names, units, strict=True)
-        if not unit or unit_factor(unit)[1] in ("m", "rad")
-    ]
+        yield command("worstcase/07-your-record", settings)
+    positions = measuring(("m", "rad"))
     if positions:
         name, unit = positions[0]
         settings = {"trajectory_record": path.resolve(), "trajectory_unit": unit or "UNIT"}
         if len(record.names) > 1:
             settings["trajectory_channel"] = name
-        yield _command("fixedpoint/09-your-plant", settings)
+        yield command("fixedpoint/09-your-plant", settings)
 
 
 def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
@@ -187,7 +143,7 @@ def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
     except InputError as error:
         yield f"not a machine as it stands: {error}"
         return
-    yield _command("motion/29-your-machine", settings)
+    yield command("motion/29-your-machine", settings)
 
 
 def _plant(path: Path) -> Iterator[str]:
@@ -196,7 +152,7 @@ def _plant(path: Path) -> Iterator[str]:
         yield f"{path.name}: not a plant as it stands: {', '.join(missing)}; see data/fixedpoint/your_plant.py and arm.py"
         return
     yield f"{path.name}: the model functions of a plant; the notebook executes the file, this command did not"
-    yield _command("fixedpoint/09-your-plant", {"plant": path.resolve()})
+    yield command("fixedpoint/09-your-plant", {"plant": path.resolve()})
 
 
 def _described(values: np.ndarray) -> str:
@@ -214,60 +170,6 @@ def _described(values: np.ndarray) -> str:
         return f"{values.item():.6g}"
     spread = f"mean {good.mean():.4g}, standard deviation {good.std():.4g}"
     return f"{values.size} values{shape} from {good.min():.4g} to {good.max():.4g}, {spread}{missing}"
-
-
-def _model(path: Path) -> Iterator[str]:
-    table = read_toml(path)
-    yield f"{path.name}: {len(table)} entries"
-    for name, value in table.items():
-        shown = f"table of {', '.join(value)}" if isinstance(value, dict) else repr(value)
-        yield f"  {name}: {shown}"
-    if not _in_checkout():
-        yield "whether it is a machine of the workbook, a checkout of stillwork can tell: run this there"
-        return
-    lacking = {}
-    for room, (module, function, _) in MODELS.items():
-        try:
-            getattr(import_module(module), function)(path)
-        except InputError as error:
-            lacking[room] = error
-        else:
-            yield f"a machine of the room {room}: {module}.{function}({str(path)!r})"
-            yield from _takers(path, room)
-    if len(lacking) == len(MODELS):
-        templates = {room: paths.data(room, name) for room, (_, _, name) in MODELS.items()}
-        meant = [room for room, file in templates.items() if table.keys() & read_toml(file).keys() - {"name"}]
-        if len(meant) == 1:
-            yield f"not a machine of the room {meant[0]}: {lacking[meant[0]]}"
-        else:
-            begin = " or ".join(file.relative_to(paths.root()).as_posix() for file in templates.values())
-            yield f"no machine that a notebook takes; begin with a copy of {begin}"
-
-
-def _command(notebook: str, settings: dict) -> str:
-    """The line for a shell, with every name as one word of it."""
-    words = ["python", "-m", "stillwork", "figures", notebook]
-    for key, value in settings.items():
-        if not str(value).isprintable():  # a terminal acts on a control code that is pasted, quoted or not
-            return f"no command for {notebook}: {value} holds what cannot be typed; rename it and ask again"
-        words += ["-p", f"{key}={value}"]
-    return f"for {notebook}: {shlex.join(words)}"
-
-
-def _in_checkout() -> bool:
-    """Whether the experiments and the notebooks are at hand, which a wheel does not hold."""
-    try:
-        return find_spec("experiments") is not None and (paths.root() / "notebooks").is_dir()
-    except FileNotFoundError:
-        return False
-
-
-def _takers(path: Path, room: str) -> Iterator[str]:
-    """The command for each notebook of a room with a parameter whose comment asks for the path of a TOML file."""
-    for notebook in select(room):
-        for name, comment in comments(notebook).items():
-            if re.search(r"\bpath\b.*\bTOML\b", comment):
-                yield _command(notebook.name, {name: path.resolve()})
 
 
 def plant_form(names: Collection[str]) -> dict[str, int]:

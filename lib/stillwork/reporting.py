@@ -2,6 +2,7 @@
 
 import html
 import re
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +10,7 @@ from string import Template
 
 import numpy as np
 
-from stillwork.base.checks import InputError
+from stillwork.base.checks import InputError, one_line
 from stillwork.control.machine_loops import applications, reach
 from stillwork.designing import (
     ADDED_DAMPING,
@@ -53,6 +54,25 @@ class Missing(InputError):
     def __init__(self, name: str, question: str, option: str):
         super().__init__(f"{question}; give {option}")
         self.name, self.question = name, question
+
+
+def report_asking(file: str, out: str, **said) -> list[str]:
+    """`report_file`, with a question to who sits at a terminal for each thing that is missing."""
+    while True:
+        try:
+            return report_file(file, out, **said)
+        except Missing as missed:
+            if not sys.stdin.isatty():
+                raise
+            answer = input(f"{one_line(missed.question)}: ").strip()
+            said[missed.name] = _number(answer) if missed.name == "sample_rate" else answer
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(f"{text!r} is no number of Hz; begin again") from None
 
 
 def report_file(file: str, out: str = "", **said) -> list[str]:
@@ -181,36 +201,18 @@ def _record(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
     signals = record.signals * np.array(factors)[:, None]
     signals -= signals.mean(axis=1, keepdims=True)
     yield f"a record: {record.sample_rate:.6g} Hz, {record.duration:.4g} s, {len(units)} channel(s)"
-    rows = [
-        [
-            name,
-            unit,
-            f"{row.std():.4g}",
-            f"{np.abs(row).max():.4g}",
-            f"{np.mean(row**4) / row.var() ** 2:.3g}",
-        ]
-        for name, unit, row in zip(record.names, units, signals, strict=True)
-    ]
+    rows = []
+    for name, unit, row in zip(record.names, units, signals, strict=True):
+        kurtosis = np.mean(row**4) / row.var() ** 2
+        rows.append([name, unit, f"{row.std():.4g}", f"{np.abs(row).max():.4g}", f"{kurtosis:.3g}"])
     yield "Channels", table(["channel", "SI unit", "rms", "peak", "kurtosis (3: Gaussian)"], rows)
     resolution = max(1 / record.duration * SEGMENTS / 2, record.sample_rate / 2**14)
     spectrum = estimate_spectrum(signals, record.sample_rate, resolution)
-    yield (
-        "Spectra",
-        _image(
-            paint_densities(
-                spectrum.frequencies_hz[1:],
-                spectrum.density[:, 1:],
-                record.names,
-                " or ".join(dict.fromkeys(units)),
-            ),
-            "power spectral densities",
-        ),
-    )
+    hertz, unit = spectrum.frequencies_hz[1:], " or ".join(dict.fromkeys(units))
+    yield "Spectra", _densities_of(hertz, spectrum.density[:, 1:], record.names, unit)
     if len(signals) > 1:
-        yield (
-            "From the first channel to the others",
-            _image(paint_response(replace(record, signals=signals), resolution), "coherence"),
-        )
+        figure = paint_response(replace(record, signals=signals), resolution)
+        yield "From the first channel to the others", _image(figure, "coherence")
 
 
 def _densities(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
@@ -223,18 +225,17 @@ def _densities(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
         )
     hertz, density = read_densities(source, unit, [], MOST_CHANNELS)
     yield f"power spectral densities, {len(hertz)} frequencies from {hertz[0]:.4g} to {hertz[-1]:.4g} Hz, as accelerations"
-    rows = [
-        [
-            name,
-            *(
-                f"{np.sqrt(band_power(hertz, row / (2 * np.pi * hertz) ** (2 * order), hertz[0], hertz[-1])):.4g}"
-                for order in (0, 1, 2)
-            ),
-        ]
-        for name, row in zip(names, density, strict=True)
-    ]
+    rows = []
+    for name, row in zip(names, density, strict=True):
+        motions = [row / (2 * np.pi * hertz) ** (2 * order) for order in (0, 1, 2)]
+        powers = [band_power(hertz, each, hertz[0], hertz[-1]) for each in motions]
+        rows.append([name, *(f"{np.sqrt(power):.4g}" for power in powers)])
     yield "Root mean squares", table(["spectrum", "m/s^2", "m/s", "m"], rows)
-    yield "Spectra", _image(paint_densities(hertz, density, names, "m/s^2"), "power spectral densities")
+    yield "Spectra", _densities_of(hertz, density, names, "m/s^2")
+
+
+def _densities_of(hertz, density, names, unit: str) -> str:
+    return _image(paint_densities(hertz, density, names, unit), "power spectral densities")
 
 
 def paint_densities(hertz, density, names, unit: str):

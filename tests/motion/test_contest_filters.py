@@ -1,4 +1,4 @@
-"""The contest's own filters against slow twins in plain numpy, the toolbox's filters, limits and guarantees."""
+"""The contest's own filters against slow twins in plain numpy, filterpy's filters, limits and guarantees."""
 
 import math
 
@@ -12,7 +12,7 @@ from experiments.motion.observer_contest.entrants import ENTRANTS
 from experiments.motion.observer_contest.multi_model import FINE, GRID
 from experiments.motion.observer_contest.plants import sample_plant
 from experiments.motion.observer_contest.told import OwnObserver, told_of
-from stillwork.estimation.nonlinear import NonlinearModel, extended_filter, unscented_filter
+from naive.fixedpoint import kalman_step, unscented_step
 
 SAMPLES = 150
 
@@ -115,23 +115,51 @@ def drive_measurement(state, inputs, parameters, out):
     out[0] = parameters[5] * state[0] + parameters[6] * state[2]
 
 
-def nonlinear(told):
+def parameters_of(told):
     model, _, step = told
-    parameters = [
-        step,
-        model.frequencies[1],
-        model.damping[1],
-        *model.input_shapes[:, 0],
-        *model.output_shapes[0],
-    ]
-    return NonlinearModel(drive_transition, drive_measurement, 7, 1, 1, parameters)
+    shapes = *model.input_shapes[:, 0], *model.output_shapes[0]
+    return step, model.frequencies[1], model.damping[1], *shapes
+
+
+def written_otherwise(told):
+    """Next state and measurement as functions of the state, the first of the force, too."""
+    parameters = parameters_of(told)
+
+    def moved(state, u):
+        out = np.empty(7)
+        drive_transition(state, u, parameters, out)
+        return out
+
+    def seen(state):
+        out = np.empty(1)
+        drive_measurement(state, None, parameters, out)
+        return out
+
+    return moved, seen
+
+
+def slopes(function, at):
+    """Jacobian by central differences."""
+    steps = np.diag(1e-5 * np.maximum(1.0, np.abs(at)))
+    return np.stack([(function(at + d) - function(at - d)) / (2 * d.max()) for d in steps], axis=1)
+
+
+def extended_step(x, p, y, moved, seen, q, r):
+    """A textbook's extended Kalman filter."""
+    there = moved(x)
+    return kalman_step(x, p, y, there, slopes(moved, x), slopes(seen, there), seen(there), q, r)
+
+
+def spread_step(x, p, y, moved, seen, q, r):
+    """A textbook's unscented Kalman filter, points drawn anew for the measurement."""
+    return unscented_step(x, p, y, moved, seen, q, r, 1.0, 0.0, 0.0)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "twin"), [("extended Kalman", extended_filter), ("unscented Kalman", unscented_filter)]
+    ("name", "twin"), [("extended Kalman", extended_step), ("unscented Kalman", spread_step)]
 )
-def test_filters_of_parameters_agree_with_the_toolbox_on_a_model_written_otherwise(name, twin):
+def test_filters_of_parameters_agree_with_textbooks_on_a_model_written_otherwise(name, twin):
     deviation, walk, factor = 0.03, 1e-5, 4.0
     told, record = scan()
     model, noise, _ = told
@@ -140,16 +168,12 @@ def test_filters_of_parameters_agree_with_the_toolbox_on_a_model_written_otherwi
     process[:4, :4] = factor * model.b @ noise.process @ model.b.T
     initial[:4, :4] = riccati(model, noise, factor)[0]
     process[4:, 4:], initial[4:, 4:] = walk**2 * np.eye(3), deviation**2 * np.eye(3)
-    wanted = twin(
-        nonlinear(told),
-        record.measurements.T,
-        record.inputs.T,
-        process=process,
-        noise=noise.sensor,
-        initial_mean=np.zeros(7),
-        initial_covariance=initial,
-    )
-    assert_close(found, wanted.mean[:4].T, 1e-5)
+    moved, seen = written_otherwise(told)
+    x, p, wanted = np.zeros(7), initial, []
+    for u, y in zip(record.inputs, record.measurements, strict=True):
+        x, p = twin(x, p, y, lambda state, u=u: moved(state, u), seen, process, noise.sensor)
+        wanted.append(x[:4])
+    assert_close(found, np.array(wanted), 1e-5)
 
 
 @pytest.mark.slow
@@ -158,15 +182,10 @@ def test_the_schmidt_kalman_filter_considers_what_it_does_not_estimate():
     told, record = told_and_record
     model, noise, _ = told
     found, _ = run("Schmidt-Kalman", (deviation,), told, record)
-    twin = nonlinear(told)
+    moved, _ = written_otherwise(told)
     p, added, h = np.zeros((7, 7)), np.zeros((7, 7)), np.zeros((1, 7))
     p[:4, :4], p[4:, 4:] = riccati(model, noise)[0], deviation**2 * np.eye(3)
     added[:4, :4], h[:, :4] = model.b @ noise.process @ model.b.T, model.c
-
-    def moved(state, u):
-        out = np.empty(7)
-        drive_transition(state, u, twin.parameters, out)
-        return out
 
     z, wanted = np.zeros(7), []
     for u, y in zip(record.inputs, record.measurements, strict=True):
@@ -189,7 +208,7 @@ def test_the_schmidt_kalman_filter_considers_what_it_does_not_estimate():
 def peers(told, frequency_errors, deviation, factor):
     """A Kalman filter of filterpy for every frequency, of the drive's states and its two gains."""
     model, noise, _ = told
-    twin, some = nonlinear(told), []
+    (moved, _), some = written_otherwise(told), []
     for error in frequency_errors:
         peer = KalmanFilter(dim_x=6, dim_z=1, dim_u=1)
         peer.error, peer.H, peer.R = error, np.hstack([model.c, np.zeros((1, 2))]), noise.sensor
@@ -201,10 +220,8 @@ def peers(told, frequency_errors, deviation, factor):
     def told_of_force(u):
         """Given its frequency and the force the machine is affine."""
         for peer in some:
-            ends = np.empty((7, 7))
-            for row, point in zip(ends, np.vstack([np.zeros(6), np.eye(6)]), strict=True):
-                drive_transition(np.insert(point, 4, peer.error), u, twin.parameters, row)
-            ends = np.delete(ends, 4, axis=1)
+            points = np.insert(np.vstack([np.zeros(6), np.eye(6)]), 4, peer.error, axis=1)
+            ends = np.delete([moved(point, u) for point in points], 4, axis=1)
             peer.B, peer.F = ends[:1].T, (ends[1:] - ends[0]).T
 
     return some, told_of_force
@@ -290,12 +307,11 @@ def test_particles_gather_where_the_frequency_is(true):
     model, noise, _ = told
     observer = OwnObserver(ENTRANTS["particles"], (0.02, 1e-5, 1.0))
     observer.start(*told)
-    twin, rng = nonlinear(told), np.random.default_rng(4)
-    z, out = np.array([0, 0, 0, 0, true, 0, 0]), np.empty(7)
+    (moved, _), rng = written_otherwise(told), np.random.default_rng(4)
+    z = np.array([0, 0, 0, 0, true, 0, 0])
     for force in rng.normal(size=600):
         w = np.sqrt(noise.process[0, 0]) * rng.standard_normal()
-        drive_transition(z, [force + w], twin.parameters, out)
-        z = out.copy()
+        z = moved(z, [force + w])
         observer.step(np.array([force]), model.c @ z[:4] + np.sqrt(noise.sensor[0]) * rng.standard_normal(1))
     assert observer.memory[2][:, 1] == pytest.approx(true, abs=1e-3)
 
@@ -303,10 +319,10 @@ def test_particles_gather_where_the_frequency_is(true):
 def drive_feedback(told, size):
     """Derivatives of the drive's flexible states by frequency, damping and gain, in their deviations, times `size`."""
     model, noise, _ = told
-    twin, scale, nudge = nonlinear(told), np.sqrt(np.diag(riccati(model, noise)[0]))[2:], 1e-5
+    scale, nudge = np.sqrt(np.diag(riccati(model, noise)[0]))[2:], 1e-5
 
     def moved(x, u, errors):
-        parameters, out = np.array(twin.parameters), np.empty(7)
+        parameters, out = np.array(parameters_of(told)), np.empty(7)
         parameters[2] *= 1 + errors[1]
         drive_transition(np.array([*x, errors[0], 0.0, errors[2]]), u, parameters, out)
         return out[2:4] / scale

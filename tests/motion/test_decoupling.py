@@ -15,6 +15,14 @@ from experiments.motion.common_band_pass import (
     half_power_selectivity,
     minimal_order,
 )
+from experiments.motion.decoupled_damping import (
+    added_damping,
+    band_passed,
+    constrained_damping,
+    constrained_stiffness,
+    coupling_onset,
+    rigid_coupling,
+)
 from experiments.motion.decoupling_pictures import paint_slope_ranges, paint_transfer_matrix
 from experiments.motion.decoupling_schemes import (
     ROUNDED,
@@ -37,13 +45,7 @@ from experiments.motion.decoupling_schemes import (
 from experiments.motion.integral_action import observable_noise_models
 from experiments.motion.machines import published_noise
 from stillwork.base.checks import InputError
-from stillwork.control.decoupled_damping import (
-    added_damping,
-    band_passed,
-    constrained_damping,
-    constrained_stiffness,
-)
-from stillwork.control.decoupling import coupling_onset, decouple, decoupled_plant, rigid_coupling
+from stillwork.control.decoupling import decouple, decoupled_plant
 from stillwork.control.feedback import damping_gain
 from stillwork.estimation.observer import kalman_observer
 from stillwork.lti import ModalModel

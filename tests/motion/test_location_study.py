@@ -5,6 +5,13 @@ import pytest
 from scipy import linalg, signal
 
 from experiments.motion.designs import DESIGNS, stage_compensator
+from experiments.motion.ideal_feedforward import (
+    feedforward_error,
+    ideal_force,
+    invert,
+    respond,
+    sampled_ideal_force,
+)
 from experiments.motion.location_study import (
     LocationStudy,
     bare_error,
@@ -25,13 +32,6 @@ from stillwork.control.feedforward import (
     fit_feedforward,
     noise_error,
     tracking_error,
-)
-from stillwork.control.ideal_feedforward import (
-    feedforward_error,
-    ideal_force,
-    invert,
-    respond,
-    sampled_ideal_force,
 )
 from stillwork.control.loops import channel, closed_loop
 from stillwork.control.pid import PidFamily

@@ -6,6 +6,8 @@ from scipy import integrate, linalg
 
 from experiments.motion import matrix_inequalities
 from experiments.motion.designs import DAMPING
+from experiments.motion.generalised_plant import GeneralisedPlant, low_pass
+from experiments.motion.h2 import h2_riccati, regularised
 from experiments.motion.machines import published_noise, stage, stage_mass
 from experiments.motion.matrix_inequalities import h2_lmi, mixed_lmi
 from experiments.motion.optimal_observer import (
@@ -20,8 +22,6 @@ from stillwork.base.checks import InputError
 from stillwork.control.applications import Application, compensator
 from stillwork.control.loops import INPUTS, OUTPUTS, closed_loop
 from stillwork.control.pid import PidFamily
-from stillwork.estimation.generalised_plant import GeneralisedPlant, low_pass
-from stillwork.estimation.h2 import h2_riccati, regularised
 from stillwork.estimation.observer import kalman_observer
 from stillwork.lti import StateModel, h2_norm, hinf_norm
 from stillwork.lti.reduction import truncate

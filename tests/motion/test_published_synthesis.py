@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy import linalg
 
+from experiments.motion.generalised_plant import GeneralisedPlant
+from experiments.motion.h2 import h2_riccati
 from experiments.motion.matrix_inequalities import h2_lmi
 from stillwork.base.checks import InputError
-from stillwork.estimation.generalised_plant import GeneralisedPlant
-from stillwork.estimation.h2 import h2_riccati
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
 from stillwork.estimation.riccati import continuous_gain, discrete_gain
 from stillwork.estimation.time_varying import TimeVaryingModel

@@ -13,12 +13,12 @@ from experiments.motion.position_scan import (
 )
 from experiments.motion.positions import shapes_along
 from experiments.motion.scan_study import output_rows
+from experiments.motion.scheduled import GainTable, gain_table, require_observable_along, scheduled_gains
 from stillwork.base.checks import InputError
 from stillwork.control.feedback import band_pass, damping_gain
 from stillwork.control.pid import PidFamily
 from stillwork.estimation.riccati import discrete_gain
 from stillwork.estimation.robust import kalman_gains
-from stillwork.estimation.scheduled import GainTable, gain_table, require_observable_along, scheduled_gains
 from stillwork.estimation.time_varying import TimeVaryingModel, estimate
 from stillwork.lti import zoh
 from stillwork.lti.discretisation import zoh_modes
@@ -98,22 +98,21 @@ def test_at_rest_the_scheduled_filter_is_the_time_varying_one(scan, table):
     scheduled = scheduled_gains(still, fixed, np.full(400, 0.1))
     online = kalman_gains(still)
     np.testing.assert_allclose(scheduled.gain[1:], online.gain[1:], rtol=1e-6, atol=1e-9 * np.abs(row).max())
-    np.testing.assert_allclose(scheduled.covariance[-1], online.covariance[-1], rtol=1e-5, atol=1e-24)
 
 
-def test_scheduled_covariance_is_josephs_form_and_never_below_the_online_one(scan, table):
+def test_what_looked_up_gains_leave_is_never_below_what_the_online_ones_do(scan, table):
+    """By Joseph's form, which holds for any gain."""
     model = observer_model(scan, 1e-4, 2e-18)
     scheduled, online = scheduled_gains(model, table, scan.places), kalman_gains(model)
     p = model.initial_covariance
-    for k in range(1, 60):
+    deviations = np.sqrt(np.diag(online.covariance[-1]))
+    for k in range(1, model.samples):
         spread = model.a[k] @ p @ model.a[k].T + model.g[k] @ model.process @ model.g[k].T
         rest = np.eye(8) - scheduled.gain[k] @ model.c[k]
         p = rest @ spread @ rest.T + scheduled.gain[k] @ model.sensor @ scheduled.gain[k].T
-    np.testing.assert_allclose(scheduled.covariance[59], p, rtol=1e-8, atol=1e-30)
-    deviations = np.sqrt(np.diag(online.covariance[-1]))
-    for k in range(0, model.samples, 20):
-        more = (scheduled.covariance[k] - online.covariance[k]) / np.outer(deviations, deviations)
-        assert np.linalg.eigvalsh(more)[0] >= -1e-6
+        if k % 20 == 0:
+            more = (p - online.covariance[k]) / np.outer(deviations, deviations)
+            assert np.linalg.eigvalsh(more)[0] >= -1e-6
 
 
 @pytest.mark.slow

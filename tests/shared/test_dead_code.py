@@ -9,7 +9,7 @@ import pytest
 
 from stillwork.base import paths
 
-# A face, a study of `data/<room>/readings.toml` and a notebook's text name a function without calling it.
+# A face, a command, a study of `data/<room>/readings.toml` and a notebook's text name a function without calling it.
 NAMED = re.compile(r"experiments[\w.]*:(\w+)|stillwork[\w.]*:(\w+)")
 WRITTEN = re.compile(r"`[\w.]*?(\w+)`")
 # pytest and Jupyter call these by their names.
@@ -39,6 +39,8 @@ def used(tree, offers=False):
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
             if offers:
                 found.add(node.value)
+            elif named := NAMED.fullmatch(node.value):
+                found.add(named[1] or named[2])
             elif node.value.isidentifier() and node.value[:1].isupper():  # an annotation ahead of its class
                 found.add(node.value)
     return found

@@ -10,6 +10,13 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 
+COMMANDS_OF_THE_SITE = (
+    "accept",
+    "release",
+    "refresh",
+    "site",
+)  # they need packages that a wheel alone lacks, too
+
 CHECK = """
 import importlib.util, sys
 sys.path[:] = [sys.argv[1], *(each for each in sys.path if "lib" != each.rstrip("/").rpartition("/")[2])]
@@ -61,11 +68,11 @@ def test_its_metadata_name_the_command_and_the_extras(wheel):
     assert "stillwork = stillwork.__main__:main" in wheel.read(f"{info}/entry_points.txt").decode()
 
 
-def _run(wheel, folder: Path, *arguments: str) -> subprocess.CompletedProcess:
+def _run(wheel, folder: Path, *arguments: str, **settings: str) -> subprocess.CompletedProcess:
     """The command of the wheel alone, without the checkout and what only the workbook needs."""
     wheel.extractall(folder / "installed")
     command = [sys.executable, "-P", "-c", CHECK, str(folder / "installed"), *arguments]
-    environment = {"PATH": "/usr/bin:/bin", "PYTHONDONTWRITEBYTECODE": "1"}
+    environment = {"PATH": "/usr/bin:/bin", "PYTHONDONTWRITEBYTECODE": "1", **settings}
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
 
 
@@ -88,10 +95,17 @@ def test_inspect_works_without_a_checkout(wheel, tmp_path):
         (("claims",), "set STILLWORK_ROOT to a checkout of stillwork"),
         (("doctor",), "set STILLWORK_ROOT to a checkout of stillwork"),
         (("figures",), "set STILLWORK_ROOT to a checkout of stillwork"),
-        (("site",), "pip install 'stillwork[site]'"),
+        *(((name,), "set STILLWORK_ROOT to a checkout of stillwork") for name in COMMANDS_OF_THE_SITE),
     ],
 )
 def test_other_commands_say_what_they_miss(wheel, tmp_path, arguments, told):
     done = _run(wheel, tmp_path, *arguments)
     assert done.returncode == 2, done.stderr
     assert told in done.stdout + done.stderr and "Traceback" not in done.stderr
+
+
+@pytest.mark.slow
+def test_a_package_is_missed_by_who_has_a_checkout_alone(wheel, tmp_path):
+    done = _run(wheel, tmp_path, "site", STILLWORK_ROOT=str(ROOT))
+    assert done.returncode == 2, done.stderr
+    assert "pip install 'stillwork[site]'" in done.stderr and "Traceback" not in done.stderr

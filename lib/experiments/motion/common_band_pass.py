@@ -4,9 +4,9 @@ import numpy as np
 from jaxtyping import Float64
 from scipy import linalg
 
+from experiments.motion.decoupled_damping import fed_back_states
 from stillwork.base.checks import InputError
 from stillwork.base.front_door import checked
-from stillwork.control.decoupled_damping import fed_back_states
 from stillwork.control.feedback import band_pass
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel

@@ -8,17 +8,19 @@ from jaxtyping import Float64
 
 from experiments.motion.beam import beam, beam_parameters
 from experiments.motion.common_band_pass import common_band_passed, half_power_selectivity
-from experiments.motion.integral_action import slope
-from experiments.motion.machines import published_noise
-from stillwork.base.checks import InputError, require_choice, require_count, require_number
-from stillwork.control.applications import Application, compensator
-from stillwork.control.decoupled_damping import (
+from experiments.motion.decoupled_damping import (
     added_damping,
     band_passed,
     constrained_damping,
     constrained_stiffness,
+    coupling_onset,
+    rigid_coupling,
 )
-from stillwork.control.decoupling import coupling_onset, decouple, decoupled_plant, rigid_coupling
+from experiments.motion.integral_action import slope
+from experiments.motion.machines import published_noise
+from stillwork.base.checks import InputError, require_choice, require_count, require_number
+from stillwork.control.applications import Application, compensator
+from stillwork.control.decoupling import decouple, decoupled_plant
 from stillwork.control.feedback import damping_gain, stiffness_gain
 from stillwork.control.loops import channel, closed_loop
 from stillwork.estimation.observer import Observer, kalman_observer

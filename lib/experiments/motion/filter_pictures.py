@@ -16,9 +16,9 @@ from experiments.motion.position_scan import (
 )
 from experiments.motion.positions import shapes_along
 from experiments.motion.scan_study import output_rows, published_scan
+from experiments.motion.scheduled import gain_table, scheduled_gains
 from stillwork.control.pid import PidFamily
 from stillwork.estimation.robust import kalman_gains
-from stillwork.estimation.scheduled import gain_table, scheduled_gains
 from stillwork.lti.discretisation import zoh_modes
 from stillwork.workbook import figures
 

@@ -6,10 +6,10 @@ They take a bound on one weighted peak as well, with one Lyapunov matrix for bot
 import numpy as np
 from numpy.typing import ArrayLike
 
+from experiments.motion.generalised_plant import GeneralisedPlant
+from experiments.motion.h2 import Synthesis, in_units, judged, regularised, scaled_plant
 from stillwork.base.checks import InputError, require_number
 from stillwork.base.extras import require_package
-from stillwork.estimation.generalised_plant import GeneralisedPlant
-from stillwork.estimation.h2 import Synthesis, in_units, judged, regularised, scaled_plant
 from stillwork.lti.norms import h2_norm, hinf_norm
 
 

@@ -9,16 +9,16 @@ from numpy.typing import ArrayLike
 from scipy import optimize
 
 from experiments.motion.designs import DAMPING
+from experiments.motion.generalised_plant import GeneralisedPlant, low_pass
+from experiments.motion.h2 import Synthesis, h2_riccati
+from experiments.motion.ideal_feedforward import invert
 from experiments.motion.machines import published_noise, stage, stage_mass
 from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.control.applications import filtered_estimates
 from stillwork.control.bandwidth import SIX_DB
 from stillwork.control.feedback import band_pass, damping_gain
-from stillwork.control.ideal_feedforward import invert
 from stillwork.control.loops import INPUTS, closed_loop
 from stillwork.control.pid import Pid, PidFamily, series
-from stillwork.estimation.generalised_plant import GeneralisedPlant, low_pass
-from stillwork.estimation.h2 import Synthesis, h2_riccati
 from stillwork.estimation.observer import Observer, kalman_observer
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.norms import h2_norm, hinf_norm

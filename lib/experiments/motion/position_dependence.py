@@ -11,13 +11,13 @@ from experiments.motion.designs import COMPENSATED, RETAINED, Design
 from experiments.motion.machines import published_noise, stage
 from experiments.motion.positions import shapes_along
 from experiments.motion.scan_study import along_scan
+from experiments.motion.scheduled import GainTable
 from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
 from stillwork.control.applications import compensator
 from stillwork.control.bandwidth import Loop, make_loop
 from stillwork.control.discrete_damping import discrete_damping_gain
 from stillwork.estimation.observer import NoiseIntensities, Observer, kalman_observer
 from stillwork.estimation.robust import kalman_gains
-from stillwork.estimation.scheduled import GainTable
 from stillwork.estimation.time_varying import estimate
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.reduction import truncate

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from experiments.motion.designs import Design
+from experiments.motion.ideal_feedforward import Force
 from experiments.motion.location_study import LocationStudy, location_loops, stage_error, study_locations
 from experiments.motion.machines import published_setpoint, stage, stage_mass
 from experiments.motion.performance_pictures import paint_errors
@@ -22,7 +23,6 @@ from experiments.motion.pictures import (
 from experiments.motion.position_dependence import place_loops, stage_grid
 from stillwork.control.applications import Application
 from stillwork.control.bandwidth import Loop
-from stillwork.control.ideal_feedforward import Force
 from stillwork.control.pid import Pid, PidFamily
 from stillwork.control.setpoint import Setpoint
 from stillwork.lti.peaks import resonance_grid

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from experiments.motion.positions import shapes_along
 from experiments.motion.scan_study import along_scan, contiguous, output_rows
+from experiments.motion.scheduled import gain_table, scheduled_gains
 from stillwork.base.algebra import advance_state
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
 from stillwork.base.kernels import kernel
@@ -16,7 +17,6 @@ from stillwork.control.feedback import band_pass, damping_gain
 from stillwork.control.pid import Pid
 from stillwork.control.setpoint import Setpoint, point_to_point
 from stillwork.estimation.robust import kalman_gains
-from stillwork.estimation.scheduled import gain_table, scheduled_gains
 from stillwork.estimation.time_varying import FilterGains, TimeVaryingModel
 from stillwork.lti.discretisation import zoh, zoh_modes
 from stillwork.lti.modal import ModalModel

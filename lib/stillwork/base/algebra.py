@@ -46,17 +46,6 @@ def multiply(left, right, out):
 
 
 @inlined_kernel
-def add_multiplied(left, right, out):
-    """Out += left right'."""
-    for i in range(left.shape[0]):
-        for j in range(right.shape[0]):
-            total = out[i, j]
-            for k in range(left.shape[1]):
-                total += left[i, k] * right[j, k]
-            out[i, j] = total
-
-
-@inlined_kernel
 def congruence(matrix, middle, half, out):
     """Out = matrix middle matrix', exactly symmetric; `half` is scratch, `out` may be `middle`."""
     multiply(matrix, middle, half)

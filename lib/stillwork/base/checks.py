@@ -197,12 +197,12 @@ def _fits(shape: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
     return True
 
 
-def require_finite_run(name: str, values: np.ndarray, advice: str, *, axis: int = 0, first: int = 0) -> None:
-    """Raise `InputError` with the sample, counted from `first`, at which a run left the finite numbers, if it did."""
+def require_finite_run(name: str, values: np.ndarray, advice: str, *, axis: int = 0) -> None:
+    """Raise `InputError` with the sample at which a run left the finite numbers, if it did."""
     finite = np.isfinite(values)
     if not finite.all():
         others = tuple(i for i in range(finite.ndim) if i != axis % finite.ndim)
-        sample = first + int(np.argmin(finite.all(axis=others)))
+        sample = int(np.argmin(finite.all(axis=others)))
         raise InputError(f"{name} leaves the finite numbers at sample {sample}; {advice}")
 
 

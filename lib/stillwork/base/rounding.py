@@ -35,8 +35,8 @@ def first_largest(values: ArrayLike, tie: float = TIE) -> int:
     return int(np.argmax(values >= largest - tie * abs(largest)))
 
 
-def in_order(values: ArrayLike, decimals: int = 9) -> np.ndarray:
+def in_order(values: ArrayLike) -> np.ndarray:
     """Complex values of the order of one by imaginary, then real part: eigenvalues come in an order of rounding."""
     values = require_array("values", values, dtype=complex)
-    keys = np.round(values.real, decimals) + 0.0, np.round(values.imag, decimals) + 0.0
+    keys = np.round(values.real, 9) + 0.0, np.round(values.imag, 9) + 0.0
     return np.take_along_axis(values, np.lexsort(keys, axis=-1), axis=-1)

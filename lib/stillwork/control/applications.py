@@ -10,7 +10,7 @@ from stillwork.base.checks import InputError, require_array, require_choice, req
 from stillwork.base.front_door import check_fields, checked
 from stillwork.control.feedback import SELECTIONS, band_pass, damping_gain, stiffness_gain
 from stillwork.estimation.observer import Observer
-from stillwork.lti.state_space import StateModel, interconnect
+from stillwork.lti.state_space import StateModel, blocks, interconnect
 
 
 @dataclass(frozen=True)
@@ -110,15 +110,11 @@ def compensator(observer: Observer, application: Application) -> StateModel:
         widths = np.full(flexible, float(widths)) if widths.ndim == 0 else widths
         widths = require_array("selectivity", widths, shape=(flexible,))
         filters = [band_pass(float(w), float(q)) for w, q in zip(centres, widths, strict=True)]
-    direct = observer.read(static[:, 2 * rigid :: 2]) + observer.read(
-        static[:, 2 * rigid + 1 :: 2], "velocity"
-    )
-    estimator = observer.estimator(
-        np.vstack([application.compensate * observer.flexible_outputs, direct, velocities])
-    )
+    compensation = application.compensate * observer.flexible_outputs
+    estimator = observer.estimator(np.vstack([compensation, observer.feedback(static), velocities]))
     high_pass = [_high_pass(application.high_pass_hz)] * outputs if application.high_pass_hz else []
-    gain = gain[:, 2 * rigid + 1 :: 2]
-    return _wired([estimator, *filters, *high_pass], inputs, outputs, len(filters), gain, bool(high_pass))
+    gain = gain[:, 2 * rigid + 1 :: 2][:, : len(filters)]
+    return filtered_estimates(estimator, filters, gain, direct=inputs, high_pass=high_pass)
 
 
 def _high_pass(corner_hz: float) -> StateModel:
@@ -126,37 +122,28 @@ def _high_pass(corner_hz: float) -> StateModel:
     return StateModel(np.array([[-w]]), np.array([[w]]), np.array([[-1.0]]), np.ones((1, 1)))
 
 
-def _wired(models, inputs: int, outputs: int, filters: int, gain: np.ndarray, high_pass: bool) -> StateModel:
-    """Estimator outputs (y_flex, u_d, velocities) through their filters to (u_d, y_flex)."""
-    all_in = sum(m.b.shape[1] for m in models)
-    all_out = sum(len(m.c) for m in models)
-    feedback, take = np.zeros((all_in, all_out)), np.zeros((inputs + outputs, all_out))
-    first = inputs + outputs  # of the filters, among the inputs and among the estimator's velocities alike
-    for k in range(filters):
-        feedback[first + k, outputs + inputs + k] = 1
-        take[:inputs, first + filters + k] = gain[:, k]
-    take[:inputs, outputs : outputs + inputs] = np.eye(inputs)
-    if high_pass:
-        feedback[-outputs:, :outputs] = np.eye(outputs)
-        take[inputs:, -outputs:] = np.eye(outputs)
-    else:
-        take[inputs:, :outputs] = np.eye(outputs)
-    external = np.eye(all_in, inputs + outputs)
-    return interconnect(models, feedback, external, take)
-
-
 def filtered_estimates(
-    estimator: StateModel, filters: Sequence[StateModel], gain: Float64[np.ndarray, "inputs flexible"]
+    estimator: StateModel,
+    filters: Sequence[StateModel],
+    gain: Float64[np.ndarray, "inputs filters"],
+    *,
+    direct: int = 0,
+    high_pass: Sequence[StateModel] = (),
 ) -> StateModel:
-    """From (u, y) to (u_d, y_flex), of an estimator of (y_flex, velocities): each velocity through its filter and gain."""
+    """From (u, y) to (u_d, y_flex), of an estimator of (y_flex, velocities): each velocity through its filter and gain.
+
+    With `direct` inputs it gives forces, too, between both; y_flex passes the `high_pass` of each output.
+    """
     inputs, count = gain.shape
-    outputs = len(estimator.c) - count
-    both = inputs + outputs
-    feedback, take = np.zeros((both + count, outputs + 2 * count)), np.zeros((both, outputs + 2 * count))
-    feedback[both:, outputs : outputs + count] = np.eye(count)
-    take[:inputs, outputs + count :] = gain
-    take[inputs:, :outputs] = np.eye(outputs)
-    return interconnect([estimator, *filters], feedback, np.eye(both + count, both), take)
+    outputs = len(estimator.c) - direct - count
+    external = np.eye(inputs + outputs + count + len(high_pass), inputs + outputs)
+    found = (outputs, direct, count, count, len(high_pass))
+    feedback = blocks(
+        (inputs + outputs, count, len(high_pass)), found, (0, 0, 0, 0, 0), (0, 0, 1, 0, 0), (1, 0, 0, 0, 0)
+    )
+    whole = 0 if high_pass else 1
+    take = blocks((inputs, outputs), found, (0, 1, 0, gain, 0), (whole, 0, 0, 0, 1 - whole))
+    return interconnect([estimator, *filters, *high_pass], feedback, external, take)
 
 
 @checked

@@ -68,8 +68,7 @@ def controller_code(controller: DigitalController, name: str, precision: str = "
         rows = np.hstack([rows, winding])
     given = [f"in[{k}]" for k in range(n)]
     ends = [
-        (write(a) if np.isfinite(a) else "", write(b) if np.isfinite(b) else "")
-        for a, b in zip(low, high, strict=True)
+        [write(each) if np.isfinite(each) else "" for each in pair] for pair in zip(low, high, strict=True)
     ]
     commands, clipped = [], []
     for k, (row, (least, most)) in enumerate(zip(np.hstack([m.c, m.d[:, :n]]), ends, strict=True)):

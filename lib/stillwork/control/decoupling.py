@@ -10,7 +10,7 @@ from stillwork.base.checks import InputError
 from stillwork.base.front_door import check_fields, checked
 from stillwork.estimation.observer import Observer
 from stillwork.lti.modal import ModalModel
-from stillwork.lti.state_space import StateModel, constant, interconnect
+from stillwork.lti.state_space import StateModel, blocks, constant, interconnect
 
 # Above this condition of mode shapes at actuators or sensors, a decoupling loses half of the digits.
 WORST_CONDITION = 1e8
@@ -130,84 +130,34 @@ def decoupled_plant(
     machine, seen = plant.state_space(), decoupling.apply(plant).state_space()
     (outputs, inputs), axes = machine.d.shape, len(decoupling.sensing)
     known = len(machine.a) if observer is None else len(observer.a)
-    i_f = np.eye(inputs)
     # What is read off the states: they themselves for K(s), the forces at once for a constant K.
     if isinstance(gain, StateModel):
         force, (forces, states), selected = gain, gain.d.shape, np.eye(gain.d.shape[1])
     else:
-        force, (forces, states), selected = constant(i_f), gain.shape, gain
+        force, (forces, states), selected = constant(np.eye(inputs)), gain.shape, gain
     if forces != inputs or states > known:
         raise InputError(
             f"gain goes from {states} states to {forces} forces; the plant takes {inputs} forces and "
             f"{known} states are known"
         )
     read = len(selected)
-    rows, i_r = np.zeros((read, known)), np.eye(read)
+    rows = np.zeros((read, known))
     rows[:, :states] = selected
     b = np.hstack([machine.b, seen.b])  # of f_d and of u
+    both = np.hstack([decoupling.sensing @ machine.d, seen.d])
     if observer is None:
-        c = np.vstack([seen.c, rows])
-        d = np.vstack([np.hstack([decoupling.sensing @ machine.d, seen.d]), np.zeros((read, inputs + axes))])
+        c, d = np.vstack([seen.c, rows]), np.vstack([both, np.zeros((read, inputs + axes))])
         models = [StateModel(machine.a, b, c, d), force]
-        # Inputs f_d, u | rows; outputs q, rows | f_d.
-        feedback = np.zeros((inputs + axes + read, axes + read + inputs))
-        feedback[inputs + axes :, axes : axes + read] = i_r
-        external = np.vstack([np.zeros((inputs, axes)), np.eye(axes), np.zeros((read, axes))])
+        taken, given = (inputs, axes, read), (axes, read, inputs)  # f_d, u | rows; q, rows | f_d
+        feedback = blocks(taken, given, (0, 0, 1), (0, 0, 0), (0, 1, 0))
+        external = blocks(taken, (axes,), (0,), (1,), (0,))
     else:
-        c = np.vstack([seen.c, machine.c])
-        d = np.vstack(
-            [
-                np.hstack([decoupling.sensing @ machine.d, seen.d]),
-                np.hstack([machine.d, machine.d @ decoupling.actuation]),
-            ]
-        )
+        own = np.hstack([machine.d, machine.d @ decoupling.actuation])
+        c, d = np.vstack([seen.c, machine.c]), np.vstack([both, own])
         models = [StateModel(machine.a, b, c, d), observer.estimator(rows), force]
-        # Inputs f_d, u | f, y | rows; outputs q, y | rows | f_d.
-        f, y = inputs + axes, inputs + axes + inputs
-        feedback = np.zeros((y + outputs + read, axes + outputs + read + inputs))
-        feedback[f:y, -inputs:] = i_f
-        feedback[y : y + outputs, axes : axes + outputs] = np.eye(outputs)
-        feedback[y + outputs :, axes + outputs : axes + outputs + read] = i_r
-        external = np.zeros((len(feedback), axes))
-        external[inputs:f], external[f:y] = np.eye(axes), decoupling.actuation
-    feedback[:inputs, -inputs:] = i_f
+        # f_d, u | f, y | rows; q, y | rows | f_d
+        taken, given = (inputs, axes, inputs, outputs, read), (axes, outputs, read, inputs)
+        nothing, f_d, y, estimates = (0, 0, 0, 0), (0, 0, 0, 1), (0, 1, 0, 0), (0, 0, 1, 0)
+        feedback = blocks(taken, given, f_d, nothing, f_d, y, estimates)
+        external = blocks(taken, (axes,), (0,), (1,), (decoupling.actuation,), (0,), (0,))
     return interconnect(models, feedback, external, np.eye(axes, feedback.shape[1]))
-
-
-@checked
-def rigid_coupling(
-    plant: ModalModel, gain: Float64[np.ndarray, "inputs states"], decoupling: Decoupling
-) -> Float64[np.ndarray, "axes axes"]:
-    r"""Factor of 1/s from u to q that a velocity feedback on the flexible modes adds: (4.15) for all modes.
-
-    At rest a flexible mode follows u by :math:`\Theta_j/\omega_j^2`; its velocity, fed back, drives the
-    rigid-body modes by :math:`\phi_{ai}^T K_{dj}`.
-    """
-    rigid = plant.rigid_modes
-    inputs, modes = plant.input_shapes.shape[1], len(plant.frequencies)
-    if len(gain) != inputs or gain.shape[1] > 2 * modes:
-        raise InputError(f"gain has shape {gain.shape}; give {inputs} x at most {2 * modes}")
-    if np.any(gain[:, ::2]) or np.any(gain[:, : 2 * rigid]):
-        raise InputError(
-            "gain must act on the velocities of flexible modes only, for a coupling that goes as 1/s"
-        )
-    velocities = gain[:, 2 * rigid + 1 :: 2]
-    fed = slice(rigid, rigid + velocities.shape[1])
-    static = plant.input_shapes[fed] @ decoupling.actuation / plant.frequencies[fed, None] ** 2
-    return plant.input_shapes[:rigid] @ velocities @ static
-
-
-@checked(infinite=True)
-def coupling_onset(
-    plant: ModalModel, gain: Float64[np.ndarray, "inputs states"], decoupling: Decoupling
-) -> Float64[np.ndarray, "axes axes"]:
-    r"""Frequency (rad/s) below which `rigid_coupling` exceeds the compliance of the undamped machine.
-
-    The compliance is :math:`\sum_j\Psi_j\Theta_j/\omega_j^2` of (4.13), off the diagonal what is there without
-    damping. The slope -1 shows below the onset only; symmetry brings it to 0.
-    """
-    coupling, both = np.abs(rigid_coupling(plant, gain, decoupling)), decoupling.apply(plant)
-    flexible = slice(plant.rigid_modes, None)
-    shapes = both.output_shapes[:, flexible], both.input_shapes[flexible]
-    compliance = np.abs(shapes[0] / plant.frequencies[flexible] ** 2 @ shapes[1] + both.feedthrough)
-    return np.divide(coupling, compliance, out=np.full_like(coupling, np.inf), where=compliance > 0)

@@ -12,7 +12,7 @@ from stillwork.base.front_door import check_fields, checked
 from stillwork.control.applications import Application, filtered_estimates
 from stillwork.control.discrete_damping import discrete_damping_gain
 from stillwork.control.feedback import band_pass, damping_gain
-from stillwork.estimation.observer import NoiseIntensities
+from stillwork.estimation.observer import FlexibleEstimates, NoiseIntensities, with_walk
 from stillwork.estimation.riccati import discrete_gain
 from stillwork.lti.delays import delayed
 from stillwork.lti.discretisation import zoh, zoh_modes
@@ -23,7 +23,7 @@ FORMS = ("filter", "predictor")
 
 
 @dataclass(frozen=True)
-class DiscreteObserver:
+class DiscreteObserver(FlexibleEstimates):
     r"""Observer of a sampled reduced modal model, the force of the last period among its states.
 
     A measurement is taken before the force of its sample acts, so the compliance shows the last force:
@@ -53,22 +53,6 @@ class DiscreteObserver:
         """P(k|k), after the measurement."""
         rest = self.covariance - self.gain @ self.c @ self.covariance
         return (rest + rest.T) / 2
-
-    @checked
-    def read(
-        self, flexible: Float64[np.ndarray, "signals flexible_modes"], quantity: str = "position"
-    ) -> Float64[np.ndarray, "signals states"]:
-        """Rows that weight the estimated positions (or velocities) of the flexible modes."""
-        require_choice("quantity", quantity, ("position", "velocity"))
-        first = 2 * self.model.rigid_modes + (quantity == "velocity")
-        rows = np.zeros((len(flexible), len(self.a)))
-        rows[:, first : first + 2 * flexible.shape[1] : 2] = flexible
-        return rows
-
-    @property
-    def flexible_outputs(self) -> Float64[np.ndarray, "outputs states"]:
-        """C_f: what the estimated flexible modes put into each measurement."""
-        return self.read(self.model.output_shapes[:, self.model.rigid_modes :])
 
     @checked
     def estimator(self, rows: ArrayLike, form: str = "filter", delay: int = 0) -> StateModel:
@@ -113,11 +97,8 @@ def discrete_kalman_observer(
     g, q = b, noise.process / step * np.eye(inputs)
     if noise_model is not None:
         require_number("noise_model", noise_model, above=0.0)
-        a = np.block([[a, b], [np.zeros((inputs, len(a))), np.eye(inputs)]])
-        g = linalg.block_diag(b, np.eye(inputs))
+        a, b, g, c = with_walk(a, b, c, np.eye(inputs))
         q = linalg.block_diag(q, noise_model * step * np.eye(inputs))
-        b = np.vstack([b, np.zeros((inputs, inputs))])
-        c = np.hstack([c, np.zeros((len(c), inputs))])
     solved = discrete_gain(a, g, c, q, noise.sensor / step)
     return DiscreteObserver(model, a, b, c, solved.filter_gain, solved.covariance, step)
 
@@ -145,10 +126,7 @@ def discrete_compensator(
         gain = damping_gain(model, application.damping, application.selection)
     compensation = application.compensate * observer.flexible_outputs
     if application.selectivity is None:
-        force = observer.read(gain[:, 2 * rigid :: 2]) + observer.read(
-            gain[:, 2 * rigid + 1 :: 2], "velocity"
-        )
-        return observer.estimator(np.vstack([force, compensation]), form, delay)
+        return observer.estimator(np.vstack([observer.feedback(gain), compensation]), form, delay)
     if np.any(gain[:, ::2]):
         raise InputError("selection: the band-pass is for gains on velocities; choose another one")
     velocities = observer.read(np.eye(flexible), "velocity")

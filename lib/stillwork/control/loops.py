@@ -9,7 +9,7 @@ from jaxtyping import Complex128
 from stillwork.base.checks import InputError
 from stillwork.base.front_door import checked
 from stillwork.lti.modal import ModalModel
-from stillwork.lti.state_space import StateModel, constant, interconnect
+from stillwork.lti.state_space import StateModel, blocks, constant, interconnect
 
 INPUTS = ("r", "u_ff", "w", "v", "d")
 OUTPUTS = ("e_true", "e_meas", "u", "f")
@@ -72,15 +72,6 @@ def _wiring(m: int, p: int) -> tuple[np.ndarray, ...]:
     """Constant matrices of `closed_loop` for m inputs and p outputs, as `interconnect` takes them."""
     found, made = (p, m, p, m), (m, m, p, p)  # y0 = P(f + w), u_d, y_flex, u_fb; f + w, f, y + d, e_meas
     given, wanted = (p, m, m, p, p), (p, p, m, m)  # `INPUTS`, `OUTPUTS`
-
-    def blocks(rows, columns, *signs) -> np.ndarray:
-        return np.block(
-            [
-                [s * np.eye(r, c) for s, c in zip(each, columns, strict=True)]
-                for each, r in zip(signs, rows, strict=True)
-            ]
-        )
-
     return (
         blocks(made, found, (0, 1, 0, 1), (0, 1, 0, 1), (1, 0, 0, 0), (-1, 0, 1, 0)),
         blocks(made, given, (0, 1, 1, 0, 0), (0, 1, 0, 0, 0), (0, 0, 0, -1, 1), (1, 0, 0, 1, -1)),

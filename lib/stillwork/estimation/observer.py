@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy import linalg
 
-from stillwork.base.checks import InputError, require_number
+from stillwork.base.checks import InputError, require_choice, require_number
 from stillwork.base.front_door import check_fields, checked
 from stillwork.estimation.riccati import continuous_gain
 from stillwork.lti.modal import ModalModel
@@ -36,8 +36,39 @@ class NoiseIntensities:
         require_number("sensor", self.sensor, above=0.0)
 
 
+class FlexibleEstimates:
+    """Of an observer of a modal model: rows that read the flexible modes off its states."""
+
+    model: ModalModel
+    a: Float64[np.ndarray, "states states"]
+
+    @checked
+    def read(
+        self, flexible: Float64[np.ndarray, "signals flexible_modes"], quantity: str = "position"
+    ) -> Float64[np.ndarray, "signals states"]:
+        """Rows that weight the estimated positions (or velocities) of the flexible modes."""
+        require_choice("quantity", quantity, ("position", "velocity"))
+        rigid = self.model.rigid_modes
+        first = rigid if self.model.measures == "velocity" else 2 * rigid
+        rows = np.zeros((len(flexible), len(self.a)))
+        rows[:, first + (quantity == "velocity") : first + 2 * flexible.shape[1] : 2] = flexible
+        return rows
+
+    @property
+    def flexible_outputs(self) -> Float64[np.ndarray, "outputs states"]:
+        """C_f: what the estimated flexible modes put into each measurement."""
+        return self.read(self.model.output_shapes[:, self.model.rigid_modes :], self.model.measures)
+
+    def feedback(
+        self, gain: Float64[np.ndarray, "inputs modal_states"]
+    ) -> Float64[np.ndarray, "inputs states"]:
+        """Rows for a gain on the modal states of form 1, whose part on the rigid-body modes is left out."""
+        flexible = gain[:, 2 * self.model.rigid_modes :]
+        return self.read(flexible[:, ::2]) + self.read(flexible[:, 1::2], "velocity")
+
+
 @dataclass(frozen=True)
-class Observer:
+class Observer(FlexibleEstimates):
     r"""Observer :math:`\dot{\hat x} = (A - LC)\hat x + (B - LD)u + Ly` of a reduced modal model.
 
     The states are the rigid-body states, those of the flexible modes (position and velocity of each), then
@@ -68,22 +99,6 @@ class Observer:
                 )
         if np.any(linalg.eigvals(self.a - self.gain @ self.c).real >= 0):
             raise InputError("the observer is unstable; its gain must stabilise A - LC")
-
-    @checked
-    def read(
-        self, flexible: Float64[np.ndarray, "signals flexible_modes"], quantity: str = "position"
-    ) -> Float64[np.ndarray, "signals states"]:
-        """Rows that weight the estimated positions (or velocities) of the flexible modes."""
-        rigid = self.model.rigid_modes
-        first = rigid if self.model.measures == "velocity" else 2 * rigid
-        rows = np.zeros((len(flexible), len(self.a)))
-        rows[:, first + (quantity == "velocity") : first + 2 * flexible.shape[1] : 2] = flexible
-        return rows
-
-    @property
-    def flexible_outputs(self) -> Float64[np.ndarray, "outputs states"]:
-        """C_f: what the estimated flexible modes put into each measurement."""
-        return self.read(self.model.output_shapes[:, self.model.rigid_modes :], self.model.measures)
 
     @checked
     def estimator(self, rows: Float64[np.ndarray, "signals states"]) -> StateModel:
@@ -126,14 +141,20 @@ def kalman_observer(model: ModalModel, noise: NoiseIntensities, noise_model: flo
     if model.measures == "velocity":
         seen = np.r_[1 : 2 * model.rigid_modes : 2, 2 * model.rigid_modes : len(a)]
         a, b, c = a[np.ix_(seen, seen)], b[seen], c[:, seen]
-    n, inputs = b.shape
+    inputs = b.shape[1]
     g, q = b, noise.process * np.eye(inputs)
     if noise_model is not None:
         require_number("noise_model", noise_model, above=0.0)
-        a = np.block([[a, b], [np.zeros((inputs, n + inputs))]])
-        g = linalg.block_diag(b, np.eye(inputs))
+        walk = np.zeros((inputs, inputs))
+        a, b, g, c = with_walk(a, b, c, walk)
         q = linalg.block_diag(q, noise_model * np.eye(inputs))
-        b = np.vstack([b, np.zeros((inputs, inputs))])
-        c = np.hstack([c, np.zeros((len(c), inputs))])
     solved = continuous_gain(a, g, c, q, noise.sensor)
     return Observer(model, a, b, c, solved.gain, solved.residual)
+
+
+def with_walk(a, b, c, walk) -> tuple[np.ndarray, ...]:
+    """A, B, G and C with a random walk added to each plant input; `walk` says how it goes on without its noise."""
+    inputs = b.shape[1]
+    a = np.block([[a, b], [np.zeros((inputs, len(a))), walk]])
+    g = linalg.block_diag(b, np.eye(inputs))
+    return a, np.vstack([b, np.zeros((inputs, inputs))]), g, np.hstack([c, np.zeros((len(c), inputs))])

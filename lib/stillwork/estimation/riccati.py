@@ -48,30 +48,14 @@ def _checked(a, g, c, q, r):
     return a, g @ factors[0], np.linalg.solve(factors[1], c), factors[1]
 
 
-def _require_observable(a: np.ndarray, c: np.ndarray, stable) -> None:
-    """Popov-Belevitch-Hautus test (3.16) of every mode that the observer cannot leave alone."""
+def _require_seen(a: np.ndarray, c: np.ndarray, values: np.ndarray, advice: str) -> None:
+    """Popov-Belevitch-Hautus test (3.16) of modes with these eigenvalues; of A' and G' whether they are driven."""
     size = np.linalg.norm(a) or 1.0
-    for value in linalg.eigvals(a):
-        if not stable(value):
-            pencil = np.vstack([(a - value * np.eye(len(a))) / size, c / np.linalg.norm(c)])
-            columns = np.maximum(np.linalg.norm(pencil, axis=0), 1e-14)
-            if np.linalg.svd(pencil / columns, compute_uv=False)[-1] < 1e-10:
-                raise InputError(
-                    f"the mode at s = {value:.3g} is not observable and not stable; measure it or leave it out"
-                )
-
-
-def _require_driven(a: np.ndarray, g: np.ndarray, on_boundary) -> None:
-    """No stabilising solution exists when a mode on the stability boundary gets no noise."""
-    size = np.linalg.norm(a) or 1.0
-    for value in linalg.eigvals(a):
-        if on_boundary(value):
-            pencil = np.hstack([(a - value * np.eye(len(a))) / size, g / np.linalg.norm(g)])
-            rows = np.maximum(np.linalg.norm(pencil, axis=1), 1e-14)
-            if np.linalg.svd(pencil / rows[:, None], compute_uv=False)[-1] < 1e-10:
-                raise InputError(
-                    f"the mode at s = {value:.3g} is not driven and not stable; let noise_input reach it"
-                )
+    for value in values:
+        pencil = np.vstack([(a - value * np.eye(len(a))) / size, c / np.linalg.norm(c)])
+        columns = np.maximum(np.linalg.norm(pencil, axis=0), 1e-14)
+        if np.linalg.svd(pencil / columns, compute_uv=False)[-1] < 1e-10:
+            raise InputError(f"the mode at s = {value:.3g} is not {advice}")
 
 
 @checked
@@ -84,28 +68,43 @@ def continuous_gain(
     trusted solution: an intensity that is not positive definite, a mode on or right of the imaginary axis that is not
     observable, one on the axis that the noise does not drive, a large residual or an unstable observer.
     """
+    return KalmanGain(*_stationary(a, noise_input, c, process, sensor, discrete=False))
+
+
+def _stationary(
+    a, noise_input, c, process, sensor, *, discrete: bool
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Gain that corrects, covariance and residual."""
     a, g, c, root = _checked(a, noise_input, c, process, sensor)
     scale = _state_scale(a, g, c)
-    rate = np.linalg.norm(a * scale[None, :] / scale[:, None]) or 1.0  # its eigenvalues may all be zero
+    # The eigenvalues may all be zero.
+    rate = 1.0 if discrete else np.linalg.norm(a * scale[None, :] / scale[:, None]) or 1.0
+    solve = linalg.solve_discrete_are if discrete else linalg.solve_continuous_are
+    check = _discrete_check if discrete else _continuous_check
     for last in (False, True):  # the second time every state is scaled by its own standard deviation
         a_s = a * scale[None, :] / scale[:, None] / rate
         g_s, c_s = g / scale[:, None] / np.sqrt(rate), c * scale / np.sqrt(rate)
         # Divide noise and multiply output alike: the gain stays, the covariance becomes of order one.
         size = np.sqrt(np.linalg.norm(g_s) / np.linalg.norm(c_s))
         g_s, c_s = g_s / size, c_s * size
-        _require_observable(a_s, c_s, stable=lambda value: value.real < -1e-12)
-        _require_driven(a_s, g_s, on_boundary=lambda value: abs(value.real) <= 1e-12)
-        p = _solved(linalg.solve_continuous_are, a_s, g_s, c_s)
-        residual, stable = _continuous_check(a_s, g_s, c_s, p)
-        if last and not (stable and residual < WORST_RESIDUAL):
-            p = _doubled(*_cayley(a_s, g_s, c_s))
-            residual, stable = _continuous_check(a_s, g_s, c_s, p)
-        gain_s, covariance = p @ c_s.T, p
-        gain = scale[:, None] * gain_s * size * np.sqrt(rate)
-        full = covariance * size**2 * scale[:, None] * scale
+        values = linalg.eigvals(a_s)
+        values = values[values.imag >= 0]  # of a pair one
+        beyond = np.abs(values) - 1 if discrete else values.real  # the boundary of stability
+        measured = "observable and not stable; measure it or leave it out"
+        _require_seen(a_s, c_s, values[~(beyond < -1e-12)], measured)
+        driven = "driven and not stable; let noise_input reach it"
+        _require_seen(a_s.T, g_s.T, values[np.abs(beyond) <= 1e-12], driven)
+        p = _solved(solve, a_s, g_s, c_s)
+        if last:
+            update, residual, stable = check(a_s, g_s, c_s, p)
+            if not (stable and residual < WORST_RESIDUAL):
+                p = _doubled(*((a_s.T, c_s.T @ c_s, g_s @ g_s.T) if discrete else _cayley(a_s, g_s, c_s)))
+                update, residual, stable = check(a_s, g_s, c_s, p)
+            gain = scale[:, None] * update * size * np.sqrt(rate)
+        full = p * size**2 * scale[:, None] * scale
         scale = np.sqrt(np.maximum(np.diag(full), 1e-300))
     _require_solved(residual, stable)
-    return KalmanGain(np.linalg.solve(root.T, gain.T).T, full, float(residual))
+    return np.linalg.solve(root.T, gain.T).T, full, float(residual)
 
 
 def _solved(solve, a: np.ndarray, g: np.ndarray, c: np.ndarray) -> np.ndarray:
@@ -116,17 +115,17 @@ def _solved(solve, a: np.ndarray, g: np.ndarray, c: np.ndarray) -> np.ndarray:
         return np.full_like(a, np.nan)
 
 
-def _continuous_check(a, g, c, p) -> tuple[float, bool]:
-    """Relative residual of a solution, and whether its observer is stable: neither follows from the other."""
+def _continuous_check(a, g, c, p) -> tuple[np.ndarray, float, bool]:
+    """The gain of a solution, its relative residual, and whether its observer is stable: neither follows from the other."""
     if not np.isfinite(p).all():
-        return np.inf, False
+        return p @ c.T, np.inf, False
     terms = (a @ p, g @ g.T, p @ c.T @ c @ p)
     residual = np.abs(terms[0] + terms[0].T + terms[1] - terms[2]).max() / max(np.abs(t).max() for t in terms)
-    return residual, bool(np.all(linalg.eigvals(a - p @ c.T @ c).real < 0))
+    return p @ c.T, residual, bool(np.all(linalg.eigvals(a - p @ c.T @ c).real < 0))
 
 
 def _discrete_check(a, g, c, p) -> tuple[np.ndarray, float, bool]:
-    """The filter gain of a solution, its relative residual, and whether its observer is stable."""
+    """Likewise in discrete time, of the filter."""
     if not np.isfinite(p).all():
         return np.zeros_like(c.T), np.inf, False
     innovation = c @ p @ c.T + np.eye(len(c))
@@ -202,23 +201,5 @@ def discrete_gain(
 
     Parameters and errors as for `continuous_gain`; the intensities are now covariances per sample.
     """
-    a, g, c, root = _checked(a, noise_input, c, process, sensor)
-    scale = _state_scale(a, g, c)
-    for last in (False, True):
-        a_s = a * scale[None, :] / scale[:, None]
-        g_s, c_s = g / scale[:, None], c * scale
-        size = np.sqrt(np.linalg.norm(g_s) / np.linalg.norm(c_s))
-        g_s, c_s = g_s / size, c_s * size
-        _require_observable(a_s, c_s, stable=lambda value: abs(value) < 1 - 1e-12)
-        _require_driven(a_s, g_s, on_boundary=lambda value: abs(abs(value) - 1) <= 1e-12)
-        p = _solved(linalg.solve_discrete_are, a_s, g_s, c_s)
-        update, residual, stable = _discrete_check(a_s, g_s, c_s, p)
-        if last and not (stable and residual < WORST_RESIDUAL):
-            p = _doubled(a_s.T, c_s.T @ c_s, g_s @ g_s.T)
-            update, residual, stable = _discrete_check(a_s, g_s, c_s, p)
-        gain = scale[:, None] * update * size
-        full = p * size**2 * scale[:, None] * scale
-        scale = np.sqrt(np.maximum(np.diag(full), 1e-300))
-    _require_solved(residual, stable)
-    gain = np.linalg.solve(root.T, gain.T).T
-    return KalmanGain(a @ gain, full, float(residual), gain)
+    gain, covariance, residual = _stationary(a, noise_input, c, process, sensor, discrete=True)
+    return KalmanGain(require_array("a", a) @ gain, covariance, residual, gain)

@@ -74,7 +74,7 @@ class FilterGains:
     inputs: Float64[np.ndarray, "samples states inputs"]  # B_hat
     gain: Float64[np.ndarray, "samples states outputs"]  # K
     outputs: Float64[np.ndarray, "samples outputs states"]  # C
-    covariance: Float64[np.ndarray, "samples states states"]  # P(k|k) of the design
+    covariance: Float64[np.ndarray, "samples states states"] | None = None  # P(k|k) of a Riccati equation
 
     @checked
     def __post_init__(self):

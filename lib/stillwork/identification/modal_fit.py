@@ -16,7 +16,8 @@ from stillwork.lti.discretisation import sampled_modes
 from stillwork.lti.modal import ModalModel
 
 POWERS = (0, 2, 4)  # of the frequency, in the series for the compliance of the modes above the band
-DAMPING = (1e-5, 0.3)  # range of the damping ratios that the fit looks for
+DAMPING = (1e-5, 0.3)  # range of the damping ratios that the fit of a matrix looks for
+DAMPING_GUESS = 0.005  # where it begins
 FIXED = 3  # columns of an accelerance beside its modes: rigid body, compliance and its growth towards higher modes
 # times its suspension's frequency that a machine's first resonance must have, or it is no rigid body
 SUSPENDED = 3.0
@@ -62,7 +63,6 @@ def fit_modal_matrix(
     modes: int,
     step: float,
     rigid_modes: int,
-    damping_guess: float = 0.005,
 ) -> ModalMatrixFit:
     r"""Fit frequencies, damping and residue matrices by weighted least squares over all entries at once.
 
@@ -80,7 +80,6 @@ def fit_modal_matrix(
     deviation = require_array("deviation", deviation, shape=omega.shape)
     require_count("modes", modes)
     require_number("step", step, above=0.0)
-    require_number("damping_guess", damping_guess, above=0.0, below=1.0)
     outputs, inputs = response.shape[1:]
     if not 0 <= rigid_modes <= min(outputs, inputs):
         raise InputError(f"rigid_modes is {rigid_modes}; it cannot exceed the numbers of inputs and outputs")
@@ -93,7 +92,7 @@ def fit_modal_matrix(
     for count in range(1, modes + 1):
         left = problem.residual(parameters).reshape(2, len(omega), -1)
         where = omega[(left**2).sum(axis=(0, 2)).argmax()]
-        parameters = np.column_stack([parameters, np.log([where, damping_guess])])
+        parameters = np.column_stack([parameters, np.log([where, DAMPING_GUESS])])
         # A mode may move by 2 % at a time: further away it would take the place of another.
         low = np.stack([parameters[0] - 0.02, np.full(count, np.log(DAMPING[0]))])
         high = np.stack([parameters[0] + 0.02, np.full(count, np.log(DAMPING[1]))])

@@ -266,6 +266,24 @@ def interconnect(
     )
 
 
+def blocks(
+    rows: Sequence[int], columns: Sequence[int], *entries: Sequence[float | np.ndarray]
+) -> Float64[np.ndarray, "rows columns"]:
+    """A matrix of blocks, one of `entries` for each of `rows`; a number in it is so many times the unit matrix.
+
+    Of the connections of `interconnect`, with the widths of what is joined.
+    """
+    return np.block(
+        [
+            [
+                each if isinstance(each, np.ndarray) else each * np.eye(height, width)
+                for each, width in zip(row, columns, strict=True)
+            ]
+            for row, height in zip(entries, rows, strict=True)
+        ]
+    )
+
+
 def _block_diagonal(blocks: Sequence[np.ndarray]) -> np.ndarray:
     """As `scipy.linalg.block_diag`, which takes ten times as long for blocks as small as these."""
     whole = np.zeros(np.sum([block.shape for block in blocks], axis=0))

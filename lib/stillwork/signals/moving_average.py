@@ -79,6 +79,6 @@ def average_filter(omega: ArrayLike, exposure: float) -> Float64[np.ndarray, " f
     return np.sinc(omega * require_number("exposure", exposure, above=0.0) / (2 * np.pi))
 
 
-def average_reduction(bandwidth_ratio: float, exponent: float = 2.5) -> float:
+def average_reduction(bandwidth_ratio: float) -> float:
     """Part by which MA falls when the bandwidth grows by this ratio, by the rule MA ~ f_bw^-2.5."""
-    return 1 - require_number("bandwidth_ratio", bandwidth_ratio, above=0.0) ** -exponent
+    return 1 - require_number("bandwidth_ratio", bandwidth_ratio, above=0.0) ** -2.5

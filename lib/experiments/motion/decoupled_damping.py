@@ -10,7 +10,7 @@ from scipy.optimize import linear_sum_assignment
 
 from stillwork.base.checks import InputError, require_choice, require_count
 from stillwork.base.front_door import checked
-from stillwork.control.decoupling import WORST_CONDITION
+from stillwork.control.decoupling import WORST_CONDITION, Decoupling
 from stillwork.control.feedback import band_pass, per_flexible_mode, stiffening
 from stillwork.control.pid import series
 from stillwork.lti.modal import ModalModel
@@ -120,3 +120,42 @@ def added_damping(
     _, chosen = linear_sum_assignment(np.abs(upper[None, :] - before[:, None]))
     after = upper[chosen]
     return -after.real / np.abs(after) - plant.damping[rigid:], np.abs(after) / plant.frequencies[rigid:] - 1
+
+
+@checked
+def rigid_coupling(
+    plant: ModalModel, gain: Float64[np.ndarray, "inputs states"], decoupling: Decoupling
+) -> Float64[np.ndarray, "axes axes"]:
+    r"""Factor of 1/s from u to q that a velocity feedback on the flexible modes adds: (4.15) for all modes.
+
+    At rest a flexible mode follows u by :math:`\Theta_j/\omega_j^2`; its velocity, fed back, drives the
+    rigid-body modes by :math:`\phi_{ai}^T K_{dj}`.
+    """
+    rigid = plant.rigid_modes
+    inputs, modes = plant.input_shapes.shape[1], len(plant.frequencies)
+    if len(gain) != inputs or gain.shape[1] > 2 * modes:
+        raise InputError(f"gain has shape {gain.shape}; give {inputs} x at most {2 * modes}")
+    if np.any(gain[:, ::2]) or np.any(gain[:, : 2 * rigid]):
+        raise InputError(
+            "gain must act on the velocities of flexible modes only, for a coupling that goes as 1/s"
+        )
+    velocities = gain[:, 2 * rigid + 1 :: 2]
+    fed = slice(rigid, rigid + velocities.shape[1])
+    static = plant.input_shapes[fed] @ decoupling.actuation / plant.frequencies[fed, None] ** 2
+    return plant.input_shapes[:rigid] @ velocities @ static
+
+
+@checked(infinite=True)
+def coupling_onset(
+    plant: ModalModel, gain: Float64[np.ndarray, "inputs states"], decoupling: Decoupling
+) -> Float64[np.ndarray, "axes axes"]:
+    r"""Frequency (rad/s) below which `rigid_coupling` exceeds the compliance of the undamped machine.
+
+    The compliance is :math:`\sum_j\Psi_j\Theta_j/\omega_j^2` of (4.13), off the diagonal what is there without
+    damping. The slope -1 shows below the onset only; symmetry brings it to 0.
+    """
+    coupling, both = np.abs(rigid_coupling(plant, gain, decoupling)), decoupling.apply(plant)
+    flexible = slice(plant.rigid_modes, None)
+    shapes = both.output_shapes[:, flexible], both.input_shapes[flexible]
+    compliance = np.abs(shapes[0] / plant.frequencies[flexible] ** 2 @ shapes[1] + both.feedthrough)
+    return np.divide(coupling, compliance, out=np.full_like(coupling, np.inf), where=compliance > 0)

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import linalg
 
+from experiments.motion.generalised_plant import GeneralisedPlant
 from stillwork.base.checks import InputError, require_array
 from stillwork.base.front_door import checked
-from stillwork.estimation.generalised_plant import GeneralisedPlant
 from stillwork.lti.norms import h2_norm
 from stillwork.lti.state_space import StateModel
 

@@ -7,9 +7,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from stillwork.base.algebra import add_multiplied, copy_vector, multiply
 from stillwork.base.checks import InputError, require_array
-from stillwork.base.kernels import kernel
 from stillwork.estimation.riccati import discrete_gain
 from stillwork.estimation.time_varying import FilterGains, TimeVaryingModel
 
@@ -82,40 +80,8 @@ def require_observable_along(model: TimeVaryingModel, places: ArrayLike) -> None
 
 
 def scheduled_gains(model: TimeVaryingModel, table: GainTable, places: ArrayLike) -> FilterGains:
-    """Filter whose gain is looked up at every sample; everything else is the time-varying filter's.
-
-    Its covariances are those that the looked-up gains really give (Joseph's form), not a Riccati solution.
-    """
+    """Filter whose gain is looked up at every sample; everything else is the time-varying filter's."""
     gains = table.at(require_array("places", places, shape=(model.samples,)))
     require_observable_along(model, places)
     require_array("table.gains", gains, shape=(None, *model.c.shape[:0:-1]))
-    covariance = np.zeros_like(model.a)
-    covariance[0] = model.initial_covariance
-    disturbed = model.g @ model.process @ np.swapaxes(model.g, 1, 2)
-    _spread(model.a, disturbed, np.ascontiguousarray(gains), model.c, model.sensor, covariance)
-    return FilterGains(model.a, model.b, gains, model.c, covariance)
-
-
-@kernel
-def _spread(a, disturbed, gains, c, sensor, covariance):
-    samples, n, outputs = gains.shape
-    half, rest, predicted = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
-    for k in range(1, samples):
-        multiply(a[k], covariance[k - 1], half)
-        for i in range(n):
-            copy_vector(disturbed[k, i], predicted[i])
-        add_multiplied(half, a[k], predicted)
-        for i in range(n):
-            for j in range(n):
-                rest[i, j] = 1.0 if i == j else 0.0
-                for o in range(outputs):
-                    rest[i, j] -= gains[k, i, o] * c[k, o, j]
-        multiply(rest, predicted, half)
-        add_multiplied(half, rest, covariance[k])
-        for i in range(n):
-            for j in range(n):
-                total = covariance[k, i, j]
-                for o in range(outputs):
-                    for p in range(outputs):
-                        total += gains[k, i, o] * sensor[o, p] * gains[k, j, p]
-                covariance[k, i, j] = total
+    return FilterGains(model.a, model.b, gains, model.c)

@@ -1,0 +1,43 @@
+"""What commands do that write web pages, what follows from the ledger, or a new result."""
+
+
+def accept() -> int:
+    """Take the built results over, and what follows from them."""
+    from stillwork.site.derived import refresh
+    from stillwork.workbook.accept import accept
+
+    return accept(refresh)
+
+
+def site() -> int:
+    """Write the static site."""
+    from stillwork.site.build import build_site
+    from stillwork.workbook.lock import settle
+
+    settle()
+    return build_site()
+
+
+def release() -> int:
+    """Write wheel, site and archive."""
+    from stillwork.site.release import release
+    from stillwork.workbook.lock import settle
+
+    settle()
+    return release()
+
+
+def refresh() -> str:
+    """Rewrite what follows from ledger and notebooks; returns what was not current."""
+    from stillwork.site.derived import refresh
+    from stillwork.workbook.lock import settle
+
+    settle()
+    return ", ".join(refresh()) or "all current"
+
+
+def new(room: str, name: str) -> list[str]:
+    """Write the files of a new result; returns their paths, and what comes next."""
+    from stillwork.site.scaffold import new_result
+
+    return [*new_result(room, name), f'fill them in, then: make figures ARGS="{room}/{name}"']
