@@ -118,8 +118,8 @@ def rankings(
         if size == "large":
             ranking, claim = said.LOW_PASS_BEST, "low-pass-best"
         else:
-            found[smooth] = _both(by_q, said.SMOOTHEST)
-        found[f"{speed}.kalman-hectic"] = _both(by_q, said.HECTIC)
+            found[smooth] = float(said.in_both_forms(study, said.SMOOTHEST).mean())
+        found[f"{speed}.kalman-hectic"] = float(said.in_both_forms(study, said.HECTIC).mean())
         for form in forms:
             found[f"{q}.{claim}.{form}"] = float(by_q[form][ranking].mean())
             found[f"{speed}.{claim}.{form}"] = float(by_speed[form][ranking].mean())
@@ -135,22 +135,15 @@ def rankings(
     return {f"fixedpoint.{name}": value for name, value in found.items()}
 
 
-def _both(forms: dict[str, dict[str, np.ndarray]], name: str) -> float:
-    """Fraction of the records that obey with either form of the Kalman filter."""
-    return float(np.logical_and(*(each[name] for each in forms.values())).mean())
-
-
 def _judged(run: ControlledRun, settle: float, hectic_by: str, error_measure: str) -> dict[str, float]:
     """A run in the quantities of `metrics.judge`, by other measures of an error and of what is hectic."""
     found = judge(run, settle)
-    if run.diverged_at is not None:
-        return found
-    part = slice(round(settle / run.trajectory.time_step), None)
-    if error_measure == "largest":
+    if hectic_by == "velocity":
+        found["roughness"] = found["velocity_roughness"]
+    if error_measure == "largest" and run.diverged_at is None:
+        part = slice(round(settle / run.trajectory.time_step), None)
         found["position"] = float(np.abs(run.position_error[part]).max())
         found["velocity"] = float(np.abs(run.velocity_error[part]).max())
-    if hectic_by == "velocity":
-        found["roughness"] = float(np.sqrt(np.mean(np.diff(run.velocity_error[part]) ** 2)))
     return found
 
 

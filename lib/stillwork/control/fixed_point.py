@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
 from stillwork.base.front_door import check_fields, checked
-from stillwork.base.kernels import inlined_kernel, kernel
+from stillwork.base.kernels import borrowing_kernel, inlined_kernel
 from stillwork.control.kinematics import KinematicDesign
 from stillwork.control.mechanism import Mechanism
 from stillwork.control.trajectory import Trajectory
@@ -230,7 +230,9 @@ def simulate(
         noise,
         np.inf if force_limit is None else require_number("force_limit", force_limit, above=0),
         integration == "semi-implicit",
-        start,
+        np.array([*start, trajectory.acceleration[0]]),
+        np.zeros(len(controller.kinematics.gains) - 1),
+        np.zeros(4),
         np.array(limits),
         record,
     )
@@ -327,7 +329,7 @@ def record_sample(record, i, position, velocity, acceleration, estimate, memory,
     record[9, i] = force
 
 
-@kernel
+@borrowing_kernel
 def _closed_loop(
     device,
     filter_acceleration,
@@ -344,17 +346,16 @@ def _closed_loop(
     noise,
     force_limit,
     semi_implicit,
-    start,
+    estimate,
+    chain,
+    memory,
     limits,
     record,
 ):
-    """Fill `record` (COLUMNS x samples); returns the samples done and how it ended."""
-    _, _, gains, measurement = parts
+    """Fill `record` (COLUMNS x samples) from the state in `estimate`; returns the samples done and how it ended."""
+    measurement = parts[3]
     positions, velocities, accelerations = nominal
-    chain = np.zeros(len(gains) - 1)
-    estimate = np.array([start[0], start[1], accelerations[0]])
-    memory = np.zeros(4)
-    position, velocity = start[0], start[1]
+    position, velocity = estimate[0], estimate[1]
     force, held = 0.0, False
     for i in range(len(noise)):
         now = positions[i], velocities[i], accelerations[i]
