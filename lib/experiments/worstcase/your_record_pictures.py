@@ -5,7 +5,8 @@ from collections.abc import Callable
 import numpy as np
 
 from experiments.worstcase.measured_pictures import paint_windows
-from experiments.worstcase.your_record import Fitted, Pair, Spectra, parts, residual, weighted_corner
+from experiments.worstcase.pairs import Pair, Spectra, residual
+from experiments.worstcase.your_record import Fitted, parts, weighted_corner
 from stillwork.estimation.min_max import solve_silently
 from stillwork.identification.regressors import fir_regressors
 from stillwork.workbook import figures
@@ -131,7 +132,7 @@ def record_explorer(pair: Pair, memory: int) -> Callable:
         }
         figure, axes = figures.new(1, 1, height=3.0)
         for (name, estimate), label in zip(estimates.items(), ("least squares", "min-max"), strict=True):
-            left = residual(regressors[:, later], scaled.output[later], estimate)
+            left = residual(regressors[:, later].T, scaled.output[later], estimate)
             axes.plot(
                 np.arange(taps) / pair.sample_rate * 1e3,
                 pair.gain * estimate,
