@@ -1,7 +1,6 @@
 """The controller's loop, Fig. 1: measure, filter, desire, deform, push, move; one kernel for every filter."""
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, fields
 
 import numpy as np
 from jaxtyping import Float64
@@ -20,24 +19,13 @@ from stillwork.estimation.plant import Plant, force_slope
 
 INTEGRATIONS = ("semi-implicit", "explicit")
 LOSSES = ("predict", "hold")  # what stands for a sample that is lost
-COLUMNS = (
-    "position",
-    "velocity",
-    "acceleration",
-    "measured",
-    "position_estimate",
-    "velocity_estimate",
-    "acceleration_estimate",
-    "desired",
-    "deformed",
-    "force",
-)
 RUNNING, TOO_FAR, NOT_FINITE, NOT_DEFINITE, NO_INERTIA = range(5)
 HOLD, EXTEND, SKIP = range(3)  # of a lost sample
 SEEN, MEASURED, DESIRED, DEFORMED = range(4)  # what a coordinate's `memory` holds
 CAUSES = {
     NOT_FINITE: "the commanded force is not finite",
     NOT_DEFINITE: "the filter's covariance is no longer positive definite",
+    NO_INERTIA: "the inertia of a model is not positive definite",
 }
 
 
@@ -122,6 +110,9 @@ class ControlledRun:
     def velocity_error(self) -> Float64[np.ndarray, " samples"]:
         """Nominal minus true velocity, m/s."""
         return self.trajectory.velocity - self.velocity
+
+
+COLUMNS = tuple(field.name for field in fields(ControlledRun)[1:-2])  # the arrays, in the order of a record
 
 
 @checked(missing=True)
@@ -236,20 +227,19 @@ def simulate(
         np.array(limits),
         record,
     )
-    found: dict[str, Any] = dict(zip(COLUMNS, record, strict=True))
-    if status != RUNNING:
-        causes = {
-            TOO_FAR: f"the plant left the bound of {limits[0]:g} in position and {limits[1]:g} in velocity",
-            **CAUSES,
-        }
-        found |= {"diverged_at": float(done * trajectory.time_step), "cause": causes[status]}
-    return ControlledRun(trajectory, **found)
+    left = f"the plant left the bound of {limits[0]:g} in position and {limits[1]:g} in velocity"
+    return ControlledRun(trajectory, *record, *ending(status, done * trajectory.time_step, left))
 
 
 @checked
 def response_gain(plant: Plant, model: Plant) -> float:
     """f': acceleration realised per acceleration commanded through an imperfect model, at rest."""
     return force_slope(plant, 0.0, 0.0, 0.0) / force_slope(model, 0.0, 0.0, 0.0)
+
+
+def ending(status: int, time: float, left: str) -> tuple[float | None, str]:
+    """When a run diverged, in s, and why, with what is said of a plant that left its bounds; None and nothing else."""
+    return (None, "") if status == RUNNING else (float(time), {TOO_FAR: left, **CAUSES}[status])
 
 
 def require_noise(noise: ArrayLike | None, shape: tuple[int, ...]) -> np.ndarray:

@@ -68,10 +68,10 @@ def linear_filter(
 def _finite_impulse_response(rows) -> LinearFilter:
     length = max(len(row) for row in rows)
     weights = np.array([np.pad(row, (0, length - len(row))) for row in rows])
-    A = np.eye(length - 1, k=-1)
-    B = np.zeros((length - 1, 2))
-    B[0, 0] = 1.0
-    return LinearFilter(A, B, weights[:, 1:].copy(), np.column_stack([weights[:, 0], np.zeros(3)]))
+    D = np.column_stack([weights[:, 0], np.zeros(3)])
+    return LinearFilter(
+        np.eye(length - 1, k=-1), np.eye(length - 1, 2) * [1.0, 0.0], weights[:, 1:].copy(), D
+    )
 
 
 def _motion(slopes, time_step):
@@ -98,13 +98,8 @@ def _linear_unscented(signal_filter, slopes, time_step) -> LinearFilter:
         forward = (np.eye(2) - K) @ F
         push = (np.eye(2) - K) @ push
     # States: velocity, position, last measurement; the measurement is [(z - last) / dt, z].
-    A = np.zeros((3, 3))
-    A[:2, :2] = forward
-    A[:2, 2] = -K[:, 0] / time_step
-    B = np.zeros((3, 2))
-    B[:2, 0] = K[:, 0] / time_step + K[:, 1]
-    B[:2, 1] = push
-    B[2, 0] = 1.0
+    A = np.vstack([np.column_stack([forward, -K[:, 0] / time_step]), np.zeros(3)])
+    B = np.vstack([np.column_stack([K[:, 0] / time_step + K[:, 1], push]), [1.0, 0.0]])
     now = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [1 / time_step, 0.0, 0.0]])
     C = now @ A
     C[2, 0] -= 1 / time_step  # acceleration: difference of the velocity estimate

@@ -1,7 +1,5 @@
 """The controller's loop on a plant with several coordinates: each has its own filter, (1) and (6) or (8)."""
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -9,7 +7,6 @@ from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.base.front_door import checked
 from stillwork.base.kernels import borrowing_kernel
 from stillwork.control.fixed_point import (
-    CAUSES,
     COLUMNS,
     DEFORMED,
     MEASURED,
@@ -22,6 +19,7 @@ from stillwork.control.fixed_point import (
     ControlledRun,
     Controller,
     command_step,
+    ending,
     measure_position,
     packed_parts,
     record_sample,
@@ -109,11 +107,8 @@ def simulate_mechanism(
     >>> bool(np.abs(along.position_error).max() < 2e-3 and np.abs(up.position_error).max() < 2e-2)  # m
     True
     """
-    model, count, samples = (
-        controller.model,
-        plant.coordinates,
-        len(trajectories[0].position) if trajectories else 0,
-    )
+    model, count = controller.model, plant.coordinates
+    samples = len(trajectories[0].position) if trajectories else 0
     if not isinstance(model, Mechanism):
         raise InputError(
             "the controller's model is a Plant; give it a Mechanism, or drive the plant with simulate"
@@ -159,16 +154,9 @@ def simulate_mechanism(
         limits,
         record,
     )
-    ended: dict[str, Any] = {}
-    if status != RUNNING:
-        causes = {
-            TOO_FAR: "a coordinate left its bound",
-            NO_INERTIA: "the inertia of a model is not positive definite",
-            **CAUSES,
-        }
-        ended = {"diverged_at": float(done * step), "cause": causes[status]}
+    ended = ending(status, done * step, "a coordinate left its bound")
     return [
-        ControlledRun(trajectory, **dict(zip(COLUMNS, rows, strict=True)), **ended)
+        ControlledRun(trajectory, *rows, *ended)
         for trajectory, rows in zip(trajectories, record, strict=True)
     ]
 
