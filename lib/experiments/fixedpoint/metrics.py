@@ -65,16 +65,9 @@ def compare(
     }
 
 
-def trial(
-    rng: np.random.Generator,
-    plant: Plant,
-    controller: Controller,
-    trajectory: Trajectory,
-    noise: Noise,
-    **options,
-) -> dict[str, float]:
-    """One run with noise from `rng`, judged."""
-    return judge(noisy_run(plant, controller, trajectory, noise, rng, **options))
+def trial(rng: np.random.Generator, **settings) -> dict[str, float]:
+    """One run of `noisy_run` with noise from `rng`, judged."""
+    return judge(noisy_run(rng=rng, **settings))
 
 
 def noisy_run(
@@ -91,15 +84,8 @@ def noisy_run(
     """One run with noise from a generator or a seed, signals lost as in `noise.lose`, other options of `control.simulate`."""
     rng = np.random.default_rng(rng)
     added = lose(noise.sample(rng, len(trajectory.position)), trajectory.time_step, lost_every, lost_for)
-    return simulate(
-        plant,
-        controller,
-        trajectory,
-        added,
-        resolution=noise.resolution,
-        grid=noise.sample_grid(rng),
-        **options,
-    )
+    encoder = {"resolution": noise.resolution, "grid": noise.sample_grid(rng)}
+    return simulate(plant, controller, trajectory, added, **encoder, **options)
 
 
 def sweep(

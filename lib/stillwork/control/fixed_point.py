@@ -1,6 +1,7 @@
 """The controller's loop, Fig. 1: measure, filter, desire, deform, push, move; one kernel for every filter."""
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
@@ -228,7 +229,7 @@ def simulate(
         record,
     )
     left = f"the plant left the bound of {limits[0]:g} in position and {limits[1]:g} in velocity"
-    return ControlledRun(trajectory, *record, *ending(status, done * trajectory.time_step, left))
+    return ControlledRun(trajectory, *record, **ending(status, done * trajectory.time_step, left))
 
 
 @checked
@@ -237,9 +238,11 @@ def response_gain(plant: Plant, model: Plant) -> float:
     return force_slope(plant, 0.0, 0.0, 0.0) / force_slope(model, 0.0, 0.0, 0.0)
 
 
-def ending(status: int, time: float, left: str) -> tuple[float | None, str]:
-    """When a run diverged, in s, and why, with what is said of a plant that left its bounds; None and nothing else."""
-    return (None, "") if status == RUNNING else (float(time), {TOO_FAR: left, **CAUSES}[status])
+def ending(status: int, time: float, left: str) -> dict[str, Any]:
+    """When a run diverged, in s, and why, with what is said of a plant that left its bounds; empty if it did not."""
+    if status == RUNNING:
+        return {}
+    return {"diverged_at": float(time), "cause": {TOO_FAR: left, **CAUSES}[status]}
 
 
 def require_noise(noise: ArrayLike | None, shape: tuple[int, ...]) -> np.ndarray:

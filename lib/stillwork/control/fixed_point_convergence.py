@@ -201,8 +201,8 @@ def limit_cycles(
         change = abs(edge.local_gain) * scaled * transformation.width
         rate = np.array([2 * np.pi * edge.frequency_hz])
         sizes = (abs(loop.response(rate, row)[0]) * change for row in np.eye(len(loop.A))[:2])
-        error = float(scaled * transformation.width)
-        cycles.append(LimitCycle(edge.frequency_hz, error, *map(float, sizes), stable))
+        error, position, velocity = (float(each) for each in (scaled * transformation.width, *sizes))
+        cycles.append(LimitCycle(edge.frequency_hz, error, position, velocity, stable))
     return cycles
 
 

@@ -156,7 +156,7 @@ def simulate_mechanism(
     )
     ended = ending(status, done * step, "a coordinate left its bound")
     return [
-        ControlledRun(trajectory, *rows, *ended)
+        ControlledRun(trajectory, *rows, **ended)
         for trajectory, rows in zip(trajectories, record, strict=True)
     ]
 
