@@ -42,13 +42,8 @@ def paint_filter_responses(filters: dict[str, LinearFilter], time_step: float):
     """Frequency responses from the measured position to the three estimates, over the ideal derivatives."""
     figure, panels = figures.new(2, 3, height=5.2, sharex=True)
     frequency = np.geomspace(0.5, 499, 90)
-    z = np.exp(2j * np.pi * frequency * time_step)
     for name, device in filters.items():
-        states = np.linalg.solve(
-            z[:, None, None] * np.eye(len(device.A)) - device.A,
-            np.broadcast_to(device.B[:, :1], (len(z), *device.B[:, :1].shape)),
-        )[..., 0]
-        response = states @ device.C.T + device.D[:, 0]
+        response = device.response(2 * np.pi * frequency, time_step)
         line = "--" if name == LITERAL else "-"  # in places it covers its neighbour
         for column in range(3):
             ratio = response[:, column] / (2j * np.pi * frequency) ** column

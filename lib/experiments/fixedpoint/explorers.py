@@ -13,7 +13,7 @@ from experiments.fixedpoint.published import KALMAN, LITERAL, LOW_PASS, WINDOW, 
 from experiments.fixedpoint.run_pictures import COLOURS, METRICS, log_axis
 from stillwork.control.fixed_point import Controller
 from stillwork.control.fixed_point_convergence import limit_cycles, stable_range
-from stillwork.control.fixed_point_linear import linear_loop
+from stillwork.control.fixed_point_linear import linear_loop, semi_implicit_motion
 from stillwork.control.kinematics import KinematicDesign
 from stillwork.control.trajectory import asin_trajectory
 from stillwork.control.transformation import FlowTransformation, RobustTransformation
@@ -99,9 +99,8 @@ def paint_ranking(frequency_hz: float, sharpness: float, amplitude: float):
 
 def motion_at_rest(time_step: float):
     """F of x = [velocity, position] for the approximate model at rest, semi-implicit."""
-    by_position, by_velocity, _ = partial_derivatives(_approximate(), 0.0, 0.0, 0.0)
-    row = np.array([1 + time_step * by_velocity, time_step * by_position])
-    return np.array([row, time_step * row + [0.0, 1.0]])
+    slopes = partial_derivatives(_approximate(), 0.0, 0.0, 0.0)
+    return semi_implicit_motion(slopes, time_step)[0]
 
 
 def paint_expected_beliefs(assumed_scale: float, noise_deviation: float):

@@ -35,6 +35,13 @@ class LinearFilter:
     C: Float64[np.ndarray, "3 states"]
     D: Float64[np.ndarray, "3 2"]
 
+    def response(self, rate: ArrayLike, time_step: float) -> np.ndarray:
+        """Frequency responses from z to the three estimates at angular frequencies, rad/s, shape (rates, 3)."""
+        z = np.exp(1j * np.atleast_1d(rate) * time_step)[:, None, None]
+        inputs = np.broadcast_to(self.B[:, :1], (len(z), len(self.A), 1))
+        states = np.linalg.solve(z * np.eye(len(self.A)) - self.A, inputs)[..., 0]
+        return states @ self.C.T + self.D[:, 0]
+
 
 @checked
 def linear_filter(
@@ -74,7 +81,7 @@ def _finite_impulse_response(rows) -> LinearFilter:
     )
 
 
-def _motion(slopes, time_step):
+def semi_implicit_motion(slopes: tuple[float, ...], time_step: float) -> tuple[np.ndarray, np.ndarray]:
     """F and the column of the force of x = [velocity, position] in the semi-implicit model (10)."""
     by_position, by_velocity, by_force = slopes
     row = np.array([1 + time_step * by_velocity, time_step * by_position])
@@ -83,7 +90,7 @@ def _motion(slopes, time_step):
 
 
 def _linear_unscented(signal_filter, slopes, time_step) -> LinearFilter:
-    F, push = _motion(slopes, time_step)
+    F, push = semi_implicit_motion(slopes, time_step)
     Q, R = signal_filter.process, signal_filter.noise
     if signal_filter.literal:  # innovation about the previous estimate: z - x, not z - F x
         P = np.eye(2) * signal_filter.initial_variance
@@ -107,7 +114,7 @@ def _linear_unscented(signal_filter, slopes, time_step) -> LinearFilter:
 
 
 def _linear_extended(signal_filter, slopes, time_step) -> LinearFilter:
-    motion, push = _motion(slopes, time_step)
+    motion, push = semi_implicit_motion(slopes, time_step)
     F = np.eye(3)
     F[:2, :2] = motion
     F[:2, 2] = time_step * np.array([1.0, time_step])
