@@ -10,7 +10,7 @@ from experiments.worstcase.pairs import MeasuredPair, residual
 from experiments.worstcase.total import total_least_squares
 from stillwork.base import paths
 from stillwork.base.checks import InputError, require_count, require_number
-from stillwork.estimation.min_max import solve_silently, solve_sweep
+from stillwork.estimation.min_max import solve_silently, solve_sweep, triangle
 from stillwork.estimation.recursive import run_silently
 from stillwork.estimation.recursive_settings import LeastSquares, MinMax, Ridge
 from stillwork.identification.regressors import fir_regressors
@@ -176,7 +176,7 @@ def bound_sweep(pair: MeasuredPair, taps: int, length: int, factors: np.ndarray,
     found = np.zeros((len(windows), len(factors)))
     for i, (matrix, target, later, goal) in enumerate(windows):
         # a rotation of the rows changes no residual: taps + 1 of them say all
-        corner = np.linalg.qr(np.column_stack([matrix, target]), mode="r")
+        corner = triangle(np.column_stack([matrix, target]))
         for j, solution in enumerate(solve_sweep(corner[:, :-1], corner[:, -1], factors * typical)):
             found[i, j] = residual(later, goal, solution.estimate)
     return np.median(found, axis=0)

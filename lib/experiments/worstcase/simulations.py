@@ -216,10 +216,14 @@ def tracking_trial(
     }
     found = {name: np.linalg.norm(truth - values, axis=0) for name, values in tracks.items()}
     found["norm"] = np.linalg.norm(regressors, 2)
-    weights = forgetting ** (np.arange(samples - 1, -1, -1) / 2)
-    found["weighted_norm"] = np.linalg.norm(regressors * weights, 2)
+    found["weighted_norm"] = np.linalg.norm(regressors * exponential_weights(samples, forgetting), 2)
     found["vanished"] = np.isinf(min_max.alphas[unknowns:]).mean()
     return found
+
+
+def exponential_weights(rows: int, forgetting: float) -> np.ndarray:
+    """Of the rows of A and b, oldest first: forgetting^((t - j) / 2)."""
+    return forgetting ** (np.arange(rows - 1, -1, -1) / 2)
 
 
 def settled(errors: np.ndarray, forgetting: float, memories: float = 3.0) -> np.ndarray:

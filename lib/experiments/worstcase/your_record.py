@@ -6,9 +6,10 @@ import numpy as np
 from jaxtyping import Float64
 
 from experiments.worstcase.pairs import Pair, residual
+from experiments.worstcase.simulations import exponential_weights
 from experiments.worstcase.total import total_least_squares
 from stillwork.base.checks import InputError, require_array, require_count
-from stillwork.estimation.min_max import solve_sweep
+from stillwork.estimation.min_max import solve_sweep, triangle
 from stillwork.estimation.recursive import run_silently
 from stillwork.estimation.recursive_settings import LeastSquares, MinMax
 from stillwork.identification.regressors import exponential_bound, fir_regressors
@@ -103,8 +104,8 @@ def parts(samples: int) -> tuple[slice, slice, slice]:
 
 def weighted_corner(regressors, output, forgetting: float) -> tuple[np.ndarray, np.ndarray]:
     """Square A and b that say the same as all exponentially weighted rows: a rotation changes no residual."""
-    weights = forgetting ** (np.arange(len(output) - 1, -1, -1) / 2)
-    corner = np.linalg.qr(np.column_stack([regressors.T, output]) * weights[:, None], mode="r")
+    weights = exponential_weights(len(output), forgetting)[:, None]
+    corner = triangle(np.column_stack([regressors.T, output]) * weights)
     return corner[:, :-1].copy(), corner[:, -1].copy()
 
 
