@@ -14,6 +14,7 @@ from experiments.worstcase import (
     tracking_pictures,
     update_pictures,
 )
+from experiments.worstcase.pairs import load_pair
 from experiments.worstcase.simulations import (
     FIG_2_PARAMETERS,
     criterion_trial,
@@ -162,11 +163,11 @@ def test_recursion_trial_finds_the_misprint():
 
 
 def test_measured_pair_is_the_shipped_record():
-    pair, spectra = measured.load_pair((100.0, 1500.0), (300.0, 600.0))
+    pair, spectra = load_pair((100.0, 1500.0), (300.0, 600.0))
     assert pair.input.shape == pair.output.shape == (60_800,)
     assert pair.sample_rate == 3200
     assert 0.25 * pair.input.std() < pair.noise < pair.input.std()
-    loud = spectra["frequency"][np.argmax(spectra["coherence"] * (spectra["frequency"] > 50))]
+    loud = spectra.frequency[np.argmax(spectra.coherence * (spectra.frequency > 50))]
     assert 100 < loud < 300  # the machine's line, see SOURCE.md
     found = measured.window_residuals(pair, 8, [64], 5)
     start = 8
@@ -226,9 +227,7 @@ def test_extreme_settings_of_the_explorers_draw_without_warnings():
         (lambda: path("drift", (1.0,), 10), "two parameters or more"),
         (lambda: settled(np.ones(10), 0.95), "errors has 10 samples; give more than 60"),
         (
-            lambda: measured.window_residuals(
-                measured.load_pair((100.0, 1500.0), (300.0, 600.0))[0], 8, [8], 5
-            ),
+            lambda: measured.window_residuals(load_pair((100.0, 1500.0), (300.0, 600.0))[0], 8, [8], 5),
             "lengths holds 8; give more than 8",
         ),
     ],

@@ -5,12 +5,11 @@ import pytest
 from scipy.optimize import minimize
 
 from experiments.worstcase import your_record_pictures as draw
-from experiments.worstcase.measured import MeasuredPair, load_pair, window_residuals
+from experiments.worstcase.measured import window_residuals
+from experiments.worstcase.pairs import MeasuredPair, load_pair, open_pair, residual
 from experiments.worstcase.your_record import (
     fit_pair,
-    open_pair,
     parts,
-    residual,
     weighted_corner,
     window_lengths,
 )
@@ -121,7 +120,7 @@ def test_the_zero_model_leaves_everything_and_the_threshold_is_where_it_begins(t
     assert np.all(fitted.judging[etas > fitted.threshold] == 1.0)
     assert np.all(fitted.judging[etas < 0.9 * fitted.threshold] < 1.0)
     assert fitted.chosen == fitted.factors[fitted.choosing.argmin()]
-    assert residual(np.ones((1, 3)), np.ones(3), np.zeros(1)) == 1.0
+    assert residual(np.ones((3, 1)), np.ones(3), np.zeros(1)) == 1.0
 
 
 def test_parts_cover_the_record_once():

@@ -1,6 +1,7 @@
 """The fixed-point paper's statements at any reading of what it leaves open (``readings.toml``)."""
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 from scipy import special
@@ -63,6 +64,7 @@ def noise_of(kind: str, size: str, amplitude: str) -> Noise:
 
 # --- Sections III.B, III.C and IV: rankings ---------------------------------------------------------------------
 
+FORMS = ("printed", LITERAL), ("corrected", KALMAN)  # of (14)
 RECORDS = 2  # of noise, of a call; the notebooks take 40
 
 
@@ -93,38 +95,33 @@ def rankings(
         run = noisy_run(exact, controller, nominal, noise, rng, **options)
         return _judged(run, judged_from, hectic_by, error_measure)
 
-    studies = {}
-    for size in PRINTED_NOISE:
-        for kind in ("gaussian", "logistic"):
-            noise = noise_of(kind, size, noise_amplitude)
-            studies[f"{size} {kind}"] = {
-                name: run_study(
-                    ranked_trial, RECORDS if lean else 40, seed, progress=False, controller=each, noise=noise
-                )
-                for name, each in who.items()
-            }
+    runs = RECORDS if lean else 40
+    studies = {
+        f"{size} {kind}": {
+            name: run_study(ranked_trial, runs, seed, progress=False, controller=each, noise=noise)
+            for name, each in who.items()
+        }
+        for size, kind in product(PRINTED_NOISE, ("gaussian", "logistic"))
+        for noise in [noise_of(kind, size, noise_amplitude)]
+    }
     found: Values = {}
-    for size, kind, smooth, q, speed in (
-        ("small", "gaussian", "fig-5.smoothest", "fig-5", "fig-6"),
-        ("small", "logistic", "fig-8.smoothest", "fig-8", "fig-9"),
-        ("large", "gaussian", "", "fig-11", "fig-12"),
-        ("large", "logistic", "", "fig-14", "fig-15"),
+    for case, q, speed in (
+        ("small gaussian", "fig-5", "fig-6"),
+        ("small logistic", "fig-8", "fig-9"),
+        ("large gaussian", "fig-11", "fig-12"),
+        ("large logistic", "fig-14", "fig-15"),
     ):
-        study = studies[f"{size} {kind}"]
-        forms = {"printed": LITERAL, "corrected": KALMAN}
-        by_q = {form: said.statements(study, name) for form, name in forms.items()}
-        by_speed = {form: said.statements(study, name, "velocity") for form, name in forms.items()}
-        ranking, claim = said.WINDOW_PRECISE, "window-most-precise"
-        if size == "large":
-            ranking, claim = said.LOW_PASS_BEST, "low-pass-best"
-        else:
-            found[smooth] = _both(by_q, said.SMOOTHEST)
-        found[f"{speed}.kalman-hectic"] = _both(by_q, said.HECTIC)
-        for form in forms:
-            found[f"{q}.{claim}.{form}"] = float(by_q[form][ranking].mean())
-            found[f"{speed}.{claim}.{form}"] = float(by_speed[form][ranking].mean())
+        study = studies[case]
+        ranking, claim = said.LOW_PASS_BEST, "low-pass-best"
+        if case.startswith("small"):
+            ranking, claim = said.WINDOW_PRECISE, "window-most-precise"
+            found[f"{q}.smoothest"] = float(said.in_both_forms(study, said.SMOOTHEST).mean())
+        found[f"{speed}.kalman-hectic"] = float(said.in_both_forms(study, said.HECTIC).mean())
+        for (form, name), (figure, quantity) in product(FORMS, ((q, "position"), (speed, "velocity"))):
+            obeyed = said.statements(study, name, quantity)[ranking]
+            found[f"{figure}.{claim}.{form}"] = float(obeyed.mean())
     last = studies["large logistic"]
-    for form, name in (("printed", LITERAL), ("corrected", KALMAN)):
+    for form, name in FORMS:
         found[f"section-4.kalman-worst.{form}"] = float(said.pooled(studies, name)[said.KALMAN_WORST].mean())
         for claim, quantity in (
             ("fig-14.offset-q", "position_shift"),
@@ -135,22 +132,15 @@ def rankings(
     return {f"fixedpoint.{name}": value for name, value in found.items()}
 
 
-def _both(forms: dict[str, dict[str, np.ndarray]], name: str) -> float:
-    """Fraction of the records that obey with either form of the Kalman filter."""
-    return float(np.logical_and(*(each[name] for each in forms.values())).mean())
-
-
 def _judged(run: ControlledRun, settle: float, hectic_by: str, error_measure: str) -> dict[str, float]:
     """A run in the quantities of `metrics.judge`, by other measures of an error and of what is hectic."""
     found = judge(run, settle)
-    if run.diverged_at is not None:
-        return found
-    part = slice(round(settle / run.trajectory.time_step), None)
-    if error_measure == "largest":
+    if hectic_by == "velocity":
+        found["roughness"] = found["velocity_roughness"]
+    if error_measure == "largest" and run.diverged_at is None:
+        part = slice(round(settle / run.trajectory.time_step), None)
         found["position"] = float(np.abs(run.position_error[part]).max())
         found["velocity"] = float(np.abs(run.velocity_error[part]).max())
-    if hectic_by == "velocity":
-        found["roughness"] = float(np.sqrt(np.mean(np.diff(run.velocity_error[part]) ** 2)))
     return found
 
 
@@ -222,16 +212,12 @@ def neutral(
     who = controllers("estimate", "(11)", window_samples)
 
     def speed_trial(rng, controller, size, coupled) -> dict[str, float]:
-        gaussian, logistic = (Noise(kind, PRINTED_NOISE[size]) for kind in ("gaussian", "logistic"))
-        samples = len(nominal.position)
+        laws = [Noise(kind, PRINTED_NOISE[size]) for kind in ("gaussian", "logistic")]
         stream = rng.bit_generator.seed_seq
-        first = gaussian.sample(np.random.default_rng(stream), samples)
-        second = logistic.sample(np.random.default_rng(stream), samples)
+        added = [law.sample(np.random.default_rng(stream), len(nominal.position)) for law in laws]
         if coupled:
-            second = coupled_logistic(first, gaussian.amplitude)
-        runs = [
-            simulate(exact, controller, nominal, added, integration=integration) for added in (first, second)
-        ]
+            added[1] = coupled_logistic(added[0], PRINTED_NOISE[size])
+        runs = (simulate(exact, controller, nominal, each, integration=integration) for each in added)
         return dict(zip(("before", "after"), (judge(run)["velocity"] for run in runs), strict=True))
 
     found: Values = {}

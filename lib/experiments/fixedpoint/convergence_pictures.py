@@ -4,7 +4,7 @@ import numpy as np
 
 from experiments.fixedpoint.published import LITERAL
 from experiments.fixedpoint.run_pictures import COLOURS, legend_above
-from stillwork.control.fixed_point_convergence import Crossing, StableRange, describing_function, iterate
+from stillwork.control.fixed_point_convergence import StableRange, describing_function, iterate
 from stillwork.control.fixed_point_linear import LinearFilter, LinearLoop
 from stillwork.control.transformation import FlowTransformation, Transformation
 from stillwork.workbook import figures
@@ -13,22 +13,21 @@ from stillwork.workbook import figures
 def paint_contraction(transformations: dict[str, Transformation], response_gain: float, steps: int = 40):
     """Error of the static iteration, step by step, and its multiplier against the size of the error."""
     figure, (decay, multiplier) = figures.new(1, 2, height=3.0)
+
+    def errors(transformation, start, count):
+        found = iterate(transformation, 0.0, count, response_gain=response_gain, start=start / response_gain)
+        return found * response_gain
+
     for (name, transformation), colour in zip(
         transformations.items(), (figures.BLUE, figures.GREEN), strict=False
     ):
         for start, line in ((1.0, "-"), (30.0, "--")):
-            errors = response_gain * iterate(
-                transformation, 0.0, steps, response_gain=response_gain, start=start / response_gain
-            )
             label = f"{name}, start {start:g} m/s²"
-            decay.semilogy(range(steps), np.abs(errors), line, color=colour, label=label)
+            decay.semilogy(
+                range(steps), np.abs(errors(transformation, start, steps)), line, color=colour, label=label
+            )
         sizes = np.geomspace(1e-2, 1e3, 60)
-        ratio = [
-            iterate(transformation, 0.0, 2, response_gain=response_gain, start=size / response_gain)[1]
-            * response_gain
-            / size
-            for size in sizes
-        ]
+        ratio = [errors(transformation, size, 2)[1] / size for size in sizes]
         multiplier.semilogx(sizes, ratio, color=colour, label=name)
     decay.set(xlabel="iteration (1)", ylabel="|response - desired| (m/s²)", title="static iteration")
     decay.set(ylim=(1e-4, 60))
@@ -43,13 +42,8 @@ def paint_filter_responses(filters: dict[str, LinearFilter], time_step: float):
     """Frequency responses from the measured position to the three estimates, over the ideal derivatives."""
     figure, panels = figures.new(2, 3, height=5.2, sharex=True)
     frequency = np.geomspace(0.5, 499, 90)
-    z = np.exp(2j * np.pi * frequency * time_step)
     for name, device in filters.items():
-        states = np.linalg.solve(
-            z[:, None, None] * np.eye(len(device.A)) - device.A,
-            np.broadcast_to(device.B[:, :1], (len(z), *device.B[:, :1].shape)),
-        )[..., 0]
-        response = states @ device.C.T + device.D[:, 0]
+        response = device.response(2 * np.pi * frequency, time_step)
         line = "--" if name == LITERAL else "-"  # in places it covers its neighbour
         for column in range(3):
             ratio = response[:, column] / (2j * np.pi * frequency) ** column
@@ -74,8 +68,11 @@ def paint_stability_ranges(ranges: dict[str, StableRange], gains: dict[str, floa
         axes.plot(
             [-gains[name]], [row], "|", markersize=16, markeredgewidth=2.5, color="k", label="_gain in use"
         )
-        for crossing, side in ((region.strongest, "left"), (region.weakest, "right")):
-            _name_edge(axes, crossing, row, side)
+        for crossing, side, away in ((region.strongest, "left", 4), (region.weakest, "right", -4)):
+            look = {"textcoords": "offset points", "ha": side, "va": "center", "fontsize": 7}
+            axes.annotate(
+                f"{crossing.frequency_hz:.0f} Hz", (-crossing.local_gain, row), xytext=(away, 0), **look
+            )
     axes.plot([], [], "k|", markersize=10, markeredgewidth=2.5, label="gain in use")
     axes.axvline(-banach, color=figures.GREY, linestyle=":")
     axes.text(-banach * 0.97, len(ranges) - 0.45, "Banach's edge", ha="right", va="center", fontsize=7)
@@ -84,12 +81,6 @@ def paint_stability_ranges(ranges: dict[str, StableRange], gains: dict[str, floa
     axes.set_ylim(len(ranges) - 0.3, -0.6)
     axes.legend([axes.lines[-2]], ["gain in use"], loc="upper right")
     return figure
-
-
-def _name_edge(axes, crossing: Crossing, row: int, side: str):
-    look = {"textcoords": "offset points", "ha": side, "va": "center", "fontsize": 7}
-    away = (4 if side == "left" else -4, 0)
-    axes.annotate(f"{crossing.frequency_hz:.0f} Hz", (-crossing.local_gain, row), xytext=away, **look)
 
 
 def paint_limit_cycle_condition(loop: LinearLoop, transformation: FlowTransformation, drawn_on=None):
@@ -106,17 +97,15 @@ def paint_limit_cycle_condition(loop: LinearLoop, transformation: FlowTransforma
     axes.plot(
         inverse, np.zeros_like(inverse), color=figures.RED, label="1 / (local gain x describing function)"
     )
-    for place, point in zip(marks, points, strict=True):
-        axes.plot(point.real, point.imag, "o", color=figures.BLUE, markersize=4, label=f"{place:g} Hz")
-        axes.annotate(
-            f"{place:g} Hz", (point.real, point.imag), xytext=(5, 3), textcoords="offset points", fontsize=8
-        )
+    for hertz, point in zip(marks, points, strict=True):
+        place, name = (point.real, point.imag), f"{hertz:g} Hz"
+        axes.plot(*place, "o", color=figures.BLUE, markersize=4, label=name)
+        axes.annotate(name, place, xytext=(5, 3), textcoords="offset points", fontsize=8)
     for size in (3, 10, 30, 100):
-        x = 1 / (transformation.local_gain * describing_function(size / transformation.width))
-        axes.plot(x, 0, "s", color=figures.RED, markersize=4, label=f"error {size} m/s²")
-        axes.annotate(
-            f"{size} m/s²", (x, 0), xytext=(0, -12), textcoords="offset points", fontsize=7, ha="center"
-        )
+        place = 1 / (transformation.local_gain * describing_function(size / transformation.width)), 0
+        axes.plot(*place, "s", color=figures.RED, markersize=4, label=f"error {size} m/s²")
+        look = {"xytext": (0, -12), "textcoords": "offset points", "fontsize": 7, "ha": "center"}
+        axes.annotate(f"{size} m/s²", place, **look)
     axes.set(xlabel="real part of the response (1)", ylabel="imaginary part (1)", xlim=(-75, 10))
     axes.set(ylim=(-45, 45))
     axes.legend(handles=axes.lines[:2], loc="upper right")

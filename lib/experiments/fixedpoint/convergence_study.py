@@ -9,7 +9,7 @@ from experiments.fixedpoint.metrics import noisy_run
 from experiments.fixedpoint.noise import Noise
 from stillwork.control.fixed_point import Controller, simulate
 from stillwork.control.fixed_point_convergence import limit_cycles, strongest_oscillation
-from stillwork.control.fixed_point_linear import LinearFilter, linear_loop
+from stillwork.control.fixed_point_linear import linear_loop
 from stillwork.control.trajectory import Trajectory
 from stillwork.control.transformation import FlowTransformation
 from stillwork.estimation.plant import Plant
@@ -72,10 +72,3 @@ def response_noise(
     still = at_rest(round(6 / time_step), time_step)
     run = noisy_run(plant, controller, still, Noise("gaussian", deviation), seed)
     return float(np.std((run.acceleration_estimate - run.desired)[round(1 / time_step) :]))
-
-
-def position_gain(device: LinearFilter, rate: float, time_step: float) -> float:
-    """Gain from the measured position to its estimate at an angular frequency, rad/s."""
-    z = np.exp(1j * rate * time_step)
-    states = np.linalg.solve(z * np.eye(len(device.A)) - device.A, device.B[:, 0])
-    return float(abs(device.C[0] @ states + device.D[0, 0]))

@@ -143,12 +143,9 @@ def steady_errors(
     # of the true position is the velocity of the semi-implicit model. States: e and n_{k-1}.
     fresh = gain @ np.array([1 / time_step, 1.0])
     stale = gain @ np.array([-1 / time_step, 0.0])
-    step = np.zeros((3, 3))
-    step[:2, :2] = left @ transition
-    step[:2, 2] = -stale
-    drive = np.zeros((3, 3))
-    drive[:2, :2] = left @ true_process @ left.T
+    step = np.vstack([np.column_stack([left @ transition, -stale]), np.zeros(3)])
     enters = np.append(-fresh, 1.0)
-    drive += deviation**2 * np.outer(enters, enters)
+    drive = deviation**2 * np.outer(enters, enters)
+    drive[:2, :2] += left @ true_process @ left.T
     true = solve_discrete_lyapunov(step, drive)[:2, :2]
     return SteadyErrors(gain, left @ prior, true)

@@ -1,5 +1,7 @@
 """Drawing functions for the notebooks' explorers: one simulation or calculation, one small picture."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from experiments.fixedpoint.convergence_pictures import paint_limit_cycle_condition
@@ -7,11 +9,11 @@ from experiments.fixedpoint.differentiation import steady_errors
 from experiments.fixedpoint.metrics import compare, judge, noisy_run
 from experiments.fixedpoint.noise import Noise
 from experiments.fixedpoint.oscillator import load_oscillator
-from experiments.fixedpoint.published import KALMAN, LITERAL, published_controllers
+from experiments.fixedpoint.published import KALMAN, LITERAL, LOW_PASS, WINDOW, published_controllers
 from experiments.fixedpoint.run_pictures import COLOURS, METRICS, log_axis
-from stillwork.control.fixed_point import Controller, simulate
+from stillwork.control.fixed_point import Controller
 from stillwork.control.fixed_point_convergence import limit_cycles, stable_range
-from stillwork.control.fixed_point_linear import linear_loop
+from stillwork.control.fixed_point_linear import linear_loop, semi_implicit_motion
 from stillwork.control.kinematics import KinematicDesign
 from stillwork.control.trajectory import asin_trajectory
 from stillwork.control.transformation import FlowTransformation, RobustTransformation
@@ -20,9 +22,16 @@ from stillwork.estimation.plant import partial_derivatives
 from stillwork.workbook import figures
 
 
-def _models():
-    models = load_oscillator()
-    return models["exact"].plant, models["approximate"].plant
+def _approximate():
+    return load_oscillator()["approximate"].plant
+
+
+def _driven(controllers, trajectory, noise, **options):
+    """A run of each controller on the exact plant, in noise of one seed."""
+    exact = load_oscillator()["exact"].plant
+    return {
+        name: noisy_run(exact, each, trajectory, noise, 0, **options) for name, each in controllers.items()
+    }
 
 
 def _new(panels=1, height=3.2, left=0.1, title_lines=1):
@@ -52,57 +61,46 @@ def _error_lines(runs, title, seconds=(6.0, 6.5)):
 
 def paint_noise_free(frequency_hz: float, sharpness: float, window_length: int, bandwidth: float):
     """Tracking error without noise of the three filters, with other settings of two of them."""
-    exact, approximate = _models()
-    controllers = published_controllers(approximate)
-    filters = {"moving window": MovingWindow(int(window_length)), "low pass": LowPass(float(bandwidth))}
-    trajectory = asin_trajectory(sharpness=float(sharpness), frequency_hz=float(frequency_hz))
-    runs = {}
-    for name in ("moving window", "low pass", KALMAN):
-        own = controllers[name]
-        signal_filter = filters.get(name, own.signal_filter)
-        runs[name] = simulate(
-            exact, Controller(signal_filter, own.transformation, own.kinematics, own.model), trajectory
-        )
-    return _error_lines(runs, "without noise")
+    chosen = published_controllers(_approximate())
+    del chosen[LITERAL]
+    for name, other in ((WINDOW, MovingWindow(int(window_length))), (LOW_PASS, LowPass(bandwidth))):
+        chosen[name] = replace(chosen[name], signal_filter=other)
+    trajectory = asin_trajectory(sharpness=sharpness, frequency_hz=frequency_hz)
+    return _error_lines(_driven(chosen, trajectory, Noise()), "without noise")
 
 
 def paint_noisy(kind: str, amplitude: float, frequency_hz: float, integration: str):
     """Tracking error of the four controllers in noise of another size and kind."""
-    exact, approximate = _models()
-    trajectory = asin_trajectory(frequency_hz=float(frequency_hz))
-    noise = Noise(kind, float(amplitude))
-    runs = {
-        name: noisy_run(exact, controller, trajectory, noise, 0, integration=integration)
-        for name, controller in published_controllers(approximate).items()
-    }
+    chosen, trajectory = published_controllers(_approximate()), asin_trajectory(frequency_hz=frequency_hz)
+    runs = _driven(chosen, trajectory, Noise(kind, amplitude), integration=integration)
     return _error_lines(runs, f"{kind} noise")
 
 
 def paint_ranking(frequency_hz: float, sharpness: float, amplitude: float):
     """RMS errors of the four controllers, mean over two noise records."""
-    exact, approximate = _models()
-    trajectory = asin_trajectory(sharpness=float(sharpness), frequency_hz=float(frequency_hz))
-    noise = Noise("gaussian", float(amplitude))
-    found = compare(exact, published_controllers(approximate), trajectory, noise, runs=2, seed=0)
+    exact, trajectory = (
+        load_oscillator()["exact"].plant,
+        asin_trajectory(sharpness=sharpness, frequency_hz=frequency_hz),
+    )
+    noise = Noise("gaussian", amplitude)
+    found = compare(exact, published_controllers(_approximate()), trajectory, noise, runs=2, seed=0)
     figure, panels = _new(2, height=2.2, left=0.21)
-    for axes, quantity in zip(panels, ("position", "roughness"), strict=True):
+    for axes, quantity, ticks in zip(
+        panels, ("position", "roughness"), (list(found), [""] * len(found)), strict=True
+    ):
         for place, (name, study) in enumerate(found.items()):
-            axes.plot(
-                METRICS[quantity][2] * study[quantity].mean(), place, "o", color=COLOURS[name], label=name
-            )
-        axes.set(xscale="log", xlabel=METRICS[quantity][0])
+            mean = METRICS[quantity][2] * study[quantity].mean()
+            axes.plot(mean, place, "o", color=COLOURS[name], label=name)
+        axes.set(xscale="log", xlabel=METRICS[quantity][0], ylim=(len(found) - 0.5, -0.5))
+        axes.set_yticks(range(len(found)), ticks)
         log_axis(axes.xaxis)
-    for axes, names in zip(panels, (list(found), [""] * len(found)), strict=True):
-        axes.set_yticks(range(len(found)), names)
-        axes.set_ylim(len(found) - 0.5, -0.5)
     return figure
 
 
 def motion_at_rest(time_step: float):
     """F of x = [velocity, position] for the approximate model at rest, semi-implicit."""
-    by_position, by_velocity, _ = partial_derivatives(_models()[1], 0.0, 0.0, 0.0)
-    row = np.array([1 + time_step * by_velocity, time_step * by_position])
-    return np.array([row, time_step * row + [0.0, 1.0]])
+    slopes = partial_derivatives(_approximate(), 0.0, 0.0, 0.0)
+    return semi_implicit_motion(slopes, time_step)[0]
 
 
 def paint_expected_beliefs(assumed_scale: float, noise_deviation: float):
@@ -112,15 +110,14 @@ def paint_expected_beliefs(assumed_scale: float, noise_deviation: float):
     process, assumed = np.diag([1e-1, 1e-3]), np.diag([1e-2, 1e-3])
     still = motion_at_rest(step)
     settled = [
-        steady_errors(still, process, s * assumed, float(noise_deviation), step, np.zeros((2, 2)))
-        for s in scales
+        steady_errors(still, process, s * assumed, noise_deviation, step, np.zeros((2, 2))) for s in scales
     ]
     figure, panels = _new(2, height=3.0, left=0.12)
     for axes, column, estimate in zip(panels, (1, 0), ("q (m)", "q' (m/s)"), strict=True):
         for name, colour, line in (("believed", figures.RED, "--"), ("true", figures.BLUE, "-")):
             values = [np.sqrt(getattr(s, name)[column, column]) for s in settled]
             axes.plot(scales, values, line, color=colour, label=name)
-        axes.axvline(float(assumed_scale), color=figures.BLACK, linestyle=":")
+        axes.axvline(assumed_scale, color=figures.BLACK, linestyle=":")
         axes.set(xscale="log", yscale="log", xlabel="factor on the assumed R (1)")
         axes.set_ylabel(f"standard deviation of {estimate}")
         log_axis(axes.xaxis)
@@ -131,12 +128,9 @@ def paint_expected_beliefs(assumed_scale: float, noise_deviation: float):
 
 def paint_limit_cycle(gain: float, window_length: int, exponent: float):
     """Where the window's loop and transformation (6) balance."""
-    exact, approximate = _models()
-    transformation = FlowTransformation(-float(gain))
-    controller = Controller(
-        MovingWindow(int(window_length)), transformation, KinematicDesign(float(exponent)), approximate
-    )
-    loop = linear_loop(exact, controller, 1e-3)
+    transformation = FlowTransformation(-gain)
+    parts = MovingWindow(int(window_length)), transformation, KinematicDesign(exponent), _approximate()
+    loop = linear_loop(load_oscillator()["exact"].plant, Controller(*parts), 1e-3)
     region = stable_range(loop)
     figure = paint_limit_cycle_condition(loop, transformation, _new(height=4.0, title_lines=2))
     cycles = [
@@ -153,36 +147,21 @@ def paint_limit_cycle(gain: float, window_length: int, exponent: float):
 
 def paint_low_pass(exponent: float, bandwidth: float, strength: float):
     """The low pass with other settings than the paper's, in large Gaussian noise."""
-    exact, approximate = _models()
-    trajectory = asin_trajectory()
-    controller = Controller(
-        LowPass(float(bandwidth)),
-        RobustTransformation(slope=float(strength) / (4e7 * 1.05)),
-        KinematicDesign(float(exponent)),
-        approximate,
-    )
-    return _error_lines(
-        {"low pass": noisy_run(exact, controller, trajectory, Noise("gaussian", 1e-4), 0)},
-        "large Gaussian noise",
-    )
+    transformation = RobustTransformation(slope=strength / (4e7 * 1.05))
+    chosen = Controller(LowPass(bandwidth), transformation, KinematicDesign(exponent), _approximate())
+    runs = _driven({LOW_PASS: chosen}, asin_trajectory(), Noise("gaussian", 1e-4))
+    return _error_lines(runs, "large Gaussian noise")
 
 
 def paint_shift(frequency_hz: float, exponent: float):
     """Both forms of the Kalman filter without noise: the printed one tracks late by one sample."""
-    exact, approximate = _models()
-    trajectory = asin_trajectory(frequency_hz=float(frequency_hz))
-    runs = {}
-    for name in (KALMAN, LITERAL):
-        own = published_controllers(approximate)[name]
-        runs[name] = simulate(
-            exact,
-            Controller(own.signal_filter, own.transformation, KinematicDesign(float(exponent)), own.model),
-            trajectory,
-        )
-    figure = _error_lines(runs, "without noise", (0.0, 12.0))
-    axes = figure.axes[0]
-    axes.plot(
-        trajectory.time[::20], trajectory.velocity[::20], "k:", lw=1, label="1 ms times the nominal velocity"
-    )
+    trajectory, published = asin_trajectory(frequency_hz=frequency_hz), published_controllers(_approximate())
+    moved = {
+        name: replace(published[name], kinematics=KinematicDesign(exponent)) for name in (KALMAN, LITERAL)
+    }
+    figure = _error_lines(_driven(moved, trajectory, Noise()), "without noise", (0.0, 12.0))
+    [axes] = figure.axes
+    nominal = trajectory.time[::20], trajectory.velocity[::20]
+    axes.plot(*nominal, "k:", lw=1, label="1 ms times the nominal velocity")
     axes.legend(fontsize=7)
     return figure

@@ -1,7 +1,6 @@
 """What a run is judged by, and the Monte Carlo over noise seeds."""
 
 from collections.abc import Sequence
-from concurrent.futures import Executor
 
 import numpy as np
 
@@ -12,14 +11,15 @@ from stillwork.control.trajectory import Trajectory, asin_trajectory
 from stillwork.estimation.plant import Plant
 from stillwork.workbook.studies import Study, run_study
 
-QUANTITIES = ("position", "velocity", "roughness", "position_shift", "velocity_shift")
+QUANTITIES = ("position", "velocity", "roughness", "velocity_roughness", "position_shift", "velocity_shift")
 
 
 def judge(run: ControlledRun, settle: float = 2.0) -> dict[str, float]:
     """Numbers of one run, from `settle` seconds on; all are infinite when the run diverged.
 
     position, velocity: RMS tracking error, m and m/s. roughness: RMS change of the true acceleration
-    from sample to sample, m/s^2: what "hectic" means here, and the opposite of smooth. position_shift,
+    from sample to sample, m/s^2: what "hectic" means here, and the opposite of smooth. velocity_roughness: the
+    same of the velocity's error, m/s. position_shift,
     velocity_shift: by how many seconds the filter's estimate runs ahead of the truth (behind: negative):
     regression of its error on the true velocity, and on the deformed acceleration, which is what the
     controller's model believes the acceleration to be; both averaged over 50 samples against the noise.
@@ -34,6 +34,7 @@ def judge(run: ControlledRun, settle: float = 2.0) -> dict[str, float]:
         "position": _rms(run.position_error[part]),
         "velocity": _rms(run.velocity_error[part]),
         "roughness": _rms(np.diff(run.acceleration[part])),
+        "velocity_roughness": _rms(np.diff(run.velocity_error[part])),
         "position_shift": _shift(run.position_estimate - run.position, run.velocity, part),
         "velocity_shift": _shift(run.velocity_estimate - run.velocity, run.deformed, part),
     }
@@ -47,32 +48,26 @@ def compare(
     *,
     runs: int,
     seed: int,
-    executor: Executor | None = None,
     **options,
 ) -> dict[str, Study]:
     """Judge every controller over the same `runs` noise records: a study a controller, with the quantities of `judge`.
 
-    The options are those of `noisy_run`.
+    The options are those of `noisy_run`. Without noise all records are one, which is run once.
     """
-    settings = {"plant": plant, "trajectory": trajectory, "noise": noise, **options}
+    drawn = 1 if noise.kind == "none" else runs
+    settings = {"plant": plant, "trajectory": trajectory, "noise": noise, "progress": False, **options}
     return {
-        name: run_study(
-            trial, runs, seed, executor=executor, progress=False, controller=controller, **settings
+        name: Study(
+            seed, {quantity: np.repeat(values, runs // drawn) for quantity, values in found.values.items()}
         )
         for name, controller in controllers.items()
+        for found in [run_study(trial, drawn, seed, controller=controller, **settings)]
     }
 
 
-def trial(
-    rng: np.random.Generator,
-    plant: Plant,
-    controller: Controller,
-    trajectory: Trajectory,
-    noise: Noise,
-    **options,
-) -> dict[str, float]:
-    """One run with noise from `rng`, judged."""
-    return judge(noisy_run(plant, controller, trajectory, noise, rng, **options))
+def trial(rng: np.random.Generator, **settings) -> dict[str, float]:
+    """One run of `noisy_run` with noise from `rng`, judged."""
+    return judge(noisy_run(rng=rng, **settings))
 
 
 def noisy_run(
@@ -89,15 +84,8 @@ def noisy_run(
     """One run with noise from a generator or a seed, signals lost as in `noise.lose`, other options of `control.simulate`."""
     rng = np.random.default_rng(rng)
     added = lose(noise.sample(rng, len(trajectory.position)), trajectory.time_step, lost_every, lost_for)
-    return simulate(
-        plant,
-        controller,
-        trajectory,
-        added,
-        resolution=noise.resolution,
-        grid=noise.sample_grid(rng),
-        **options,
-    )
+    encoder = {"resolution": noise.resolution, "grid": noise.sample_grid(rng)}
+    return simulate(plant, controller, trajectory, added, **encoder, **options)
 
 
 def sweep(

@@ -63,10 +63,9 @@ def paint_tuned_errors(
         for axes, quantity in zip(row, quantities, strict=True):
             for place, (name, runs) in enumerate(study.items()):
                 points_with_intervals(axes, [METRICS[quantity][2] * runs[quantity]], [place], name)
-            axes.set(xlabel=METRICS[quantity][0], title=case if quantity == quantities[0] else "")
-            axes.set_yticks(
-                range(len(study)), list(study) if quantity == quantities[0] else [""] * len(study)
-            )
+            first = quantity == quantities[0]
+            axes.set(xlabel=METRICS[quantity][0], title=case if first else "")
+            axes.set_yticks(range(len(study)), list(study) if first else [""] * len(study))
             axes.set(ylim=(len(study) - 0.5, -0.5), xlim=(0, 1.06 * axes.get_xlim()[1]))
     return figure
 

@@ -21,34 +21,39 @@ COLOURS = {
 
 def paint_tracking(runs: dict[str, ControlledRun], quantity: str = "position"):
     """Nominal and true motion; the tracking error's range over the run; the error where the motion turns hardest."""
-    unit, small, factor = {"position": ("m", "mm", 1e3), "velocity": ("m/s", "mm/s", 1e3)}[quantity]
-    name = {"position": "q", "velocity": "q'"}[quantity]
+    name, unit = {"position": ("q", "m"), "velocity": ("q'", "m/s")}[quantity]
     figure, (motion, envelope, stretch) = figures.new(3, height=7.2)
     nominal = next(iter(runs.values())).trajectory
     step = nominal.time_step
     # Every 10 ms: coarser, the window's 40 Hz would show as a slow wander.
     coarse = slice(None, None, max(1, round(0.01 / step)))
     motion.plot(nominal.time[coarse], getattr(nominal, quantity)[coarse], "k--", label="nominal", zorder=5)
-    bin_samples = max(1, round(0.06 / step))
     corner = hardest_turn(nominal)
     part = slice(max(0, round((corner - 0.15) / step)), round((corner + 0.15) / step))
     for label, run in runs.items():
         style = {"color": COLOURS[label], "label": label}
         time, true = run.time, getattr(run, quantity)
-        error = factor * getattr(run, f"{quantity}_error")
+        error = 1e3 * getattr(run, f"{quantity}_error")
         motion.plot(time[coarse], true[coarse], linewidth=1, **style)
-        whole = len(time) // bin_samples * bin_samples
-        middle = time[:whole].reshape(-1, bin_samples)[:, bin_samples // 2]
-        blocks = error[:whole].reshape(-1, bin_samples)
-        envelope.fill_between(middle, blocks.min(axis=1), blocks.max(axis=1), alpha=0.6, lw=0.8, **style)
+        paint_range(envelope, time, error, max(1, round(0.06 / step)), **style)
         stretch.plot(time[part], error[part], **style)
     motion.set(xlabel="time (s)", ylabel=f"{name} ({unit})", title="motion")
-    envelope.set(xlabel="time (s)", ylabel=f"error of {name} ({small})", title="error, range in 60 ms")
-    envelope.set_ylim(*_range_after(runs, quantity, factor))
+    envelope.set(xlabel="time (s)", ylabel=f"error of {name} (m{unit})", title="error, range in 60 ms")
+    settled = [1e3 * getattr(run, f"{quantity}_error")[run.time >= 2.0] for run in runs.values()]
+    reach = 1.15 * max(np.nanmax(np.abs(error)) for error in settled)  # the start may be off by far more
+    envelope.set_ylim(-reach, reach)
     envelope.set_xlim(motion.get_xlim())
-    stretch.set(xlabel="time (s)", ylabel=f"error of {name} ({small})", title="error at a corner")
+    stretch.set(xlabel="time (s)", ylabel=f"error of {name} (m{unit})", title="error at a corner")
     legend_above(motion)
     return figure
+
+
+def paint_range(axes, time: np.ndarray, error: np.ndarray, length: int, **style):
+    """From the smallest to the largest error in stretches of so many samples, over the middle of each."""
+    whole = len(time) // length * length
+    blocks = error[:whole].reshape(-1, length)
+    middle = time[:whole].reshape(-1, length)[:, length // 2]
+    axes.fill_between(middle, blocks.min(axis=1), blocks.max(axis=1), alpha=0.6, lw=0.8, **style)
 
 
 def legend_above(axes, columns: int | None = None):
@@ -62,13 +67,6 @@ def hardest_turn(nominal: Trajectory) -> float:
     half = len(nominal.position) // 2
     size = np.abs(nominal.acceleration[half:])
     return float(nominal.time[half + first_largest(size, 1e-4)])
-
-
-def _range_after(runs, quantity, factor, settle=2.0):
-    """Limits that show the settled errors: the start may be off by far more."""
-    settled = [factor * getattr(run, f"{quantity}_error")[run.time >= settle] for run in runs.values()]
-    reach = 1.15 * max(np.nanmax(np.abs(error)) for error in settled)
-    return -reach, reach
 
 
 def paint_phase(runs: dict[str, ControlledRun], last: float = 5.0):

@@ -16,15 +16,16 @@ KALMAN_WORST = "Kalman filter tracks worst"
 
 
 def statements(
-    study: dict[str, Study], kalman: str, quantity: str = "position"
+    study: dict[str, Study], kalman: str, quantity: str = "position", hectic_by: str = "roughness"
 ) -> dict[str, Bool[np.ndarray, " runs"]]:
     """Which runs obey each statement, among window, low pass and one form of the Kalman filter.
 
-    Smooth and hectic are judged by the roughness of the motion, precise and best by the RMS error of `quantity`. The
-    paper shows errors of q and of q' and does not say which it ranks by. A run that diverged is neither.
+    Smooth and hectic are judged by the roughness of the motion or another quantity, precise and best by the RMS error
+    of `quantity`. The paper shows errors of q and of q' and does not say which it ranks by. A run that diverged is
+    neither.
     """
     names = (WINDOW, LOW_PASS, kalman)
-    rough = np.array([study[name]["roughness"] for name in names])
+    rough = np.array([study[name][hectic_by] for name in names])
     error = np.array([study[name][quantity] for name in names])
     return {
         SMOOTHEST: (rough.argmin(axis=0) == 1) & np.isfinite(rough[1]),
@@ -33,6 +34,14 @@ def statements(
         LOW_PASS_BEST: (error.argmin(axis=0) == 1) & np.isfinite(error[1]),
         KALMAN_WORST: error.argmax(axis=0) == 2,
     }
+
+
+def in_both_forms(
+    study: dict[str, Study], name: str, hectic_by: str = "roughness"
+) -> Bool[np.ndarray, " runs"]:
+    """Which runs obey a statement with (14) as printed and with it corrected."""
+    printed, corrected = (statements(study, form, hectic_by=hectic_by)[name] for form in (LITERAL, KALMAN))
+    return printed & corrected
 
 
 def fraction(obeyed: Bool[np.ndarray, " runs"]) -> tuple[float, tuple[float, float]]:

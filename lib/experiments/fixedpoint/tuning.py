@@ -9,7 +9,7 @@ from jaxtyping import Float64
 from experiments.fixedpoint.metrics import QUANTITIES, judge
 from experiments.fixedpoint.noise import Noise
 from experiments.fixedpoint.published import EXTENDED, KALMAN, LOW_PASS, POLYNOMIAL, WINDOW
-from stillwork.base.checks import InputError, require_count
+from stillwork.base.checks import InputError, require_choice, require_count
 from stillwork.control.fixed_point import Controller, simulate
 from stillwork.control.kinematics import KinematicDesign
 from stillwork.control.trajectory import Trajectory
@@ -132,69 +132,69 @@ def tune(
     budget: int,
     runs: int,
     seed: int,
-    criterion: str = "velocity",
-) -> Tuned:
-    """Search by a Sobol sequence, then by Nelder and Mead's simplex from each of the best points.
+    criteria: tuple[str, ...] = ("velocity",),
+) -> list[Tuned]:
+    """Search by a Sobol sequence, then by Nelder and Mead's simplex from each of the best points, once a criterion.
 
     The sequence takes the largest power of two within half the budget, the same for every family whatever its number
-    of knobs; the simplexes share the rest. What is made small is the mean of `criterion`, a quantity of
-    `metrics.judge`, over the noise records of one seed; test on another one.
+    of knobs and run once for all criteria; the simplexes share the rest. What is made small is the mean of a criterion,
+    a quantity of `metrics.judge`, over the noise records of one seed; test on another one.
     """
     from scipy.optimize import minimize
     from scipy.stats import qmc
 
     require_count("budget", budget, at_least=8)
     require_count("runs", runs)
-    if criterion not in QUANTITIES[:3]:
-        raise InputError(f"criterion is {criterion!r}; use one of {', '.join(QUANTITIES[:3])}")
+    for criterion in criteria:
+        require_choice("criterion", criterion, QUANTITIES[:3])
     low, high = family.bounds.T
     records = []  # drawn once: every evaluation sees the same
     for stream in np.random.SeedSequence(seed).spawn(runs):
         rng = np.random.default_rng(stream)
         records.append((noise.sample(rng, len(trajectory.position)), noise.sample_grid(rng)))
-    tried: list[tuple[float, np.ndarray]] = []
 
-    def cost(knobs):
-        knobs = np.clip(knobs, low, high)
+    def means(knobs) -> dict[str, float]:
         controller = family.controller(model, trajectory.time_step, knobs)
-        total = 0.0
+        total = np.zeros(len(criteria))
         for record, grid in records:
             run = simulate(plant, controller, trajectory, record, resolution=noise.resolution, grid=grid)
-            total += judge(run)[criterion]
-            if np.isinf(total):  # one divergence spoils the mean
+            total += [judge(run)[criterion] for criterion in criteria]
+            if np.isinf(total).any():  # one divergence spoils the mean
                 break
-        tried.append((total / runs, knobs))
-        return min(tried[-1][0], 1e3)  # the simplex needs finite numbers
+        return dict(zip(criteria, (total / runs).tolist(), strict=True))
 
     sobol = qmc.Sobol(len(low), rng=np.random.default_rng(seed)).random_base2(int(np.log2(budget / 2)))
-    for point in low + sobol * (high - low):
-        cost(point)
-    starts = [knobs for _, knobs in sorted(tried, key=lambda t: t[0])[:STARTS]]
-    for number, start in enumerate(starts):
-        left = (budget - len(tried)) // (len(starts) - number)
-        steps = 0.1 * (high - low) * np.where(start + 0.1 * (high - low) > high, -1.0, 1.0)
-        minimize(
-            cost,
-            start,
-            method="Nelder-Mead",
-            options={
-                "initial_simplex": np.vstack([start, start + np.diag(steps)]),
-                "maxfev": left,
-                "xatol": 1e-12,
-                "fatol": 0.0,
-            },
+    points = np.clip(low + sobol * (high - low), low, high)
+    seen = [means(point) for point in points]
+
+    def best_by(criterion) -> Tuned:
+        tried = [(each[criterion], point) for each, point in zip(seen, points, strict=True)]
+
+        def cost(knobs):
+            knobs = np.clip(knobs, low, high)
+            tried.append((means(knobs)[criterion], knobs))
+            return min(tried[-1][0], 1e3)  # the simplex needs finite numbers
+
+        starts = [knobs for _, knobs in sorted(tried, key=lambda t: t[0])[:STARTS]]
+        for number, start in enumerate(starts):
+            left = (budget - len(tried)) // (len(starts) - number)
+            steps = 0.1 * (high - low) * np.where(start + 0.1 * (high - low) > high, -1.0, 1.0)
+            simplex = np.vstack([start, start + np.diag(steps)])
+            options = {"initial_simplex": simplex, "maxfev": left, "xatol": 1e-12, "fatol": 0.0}
+            minimize(cost, start, method="Nelder-Mead", options=options)
+        best, knobs = min(tried, key=lambda t: t[0])
+        if np.isinf(best):
+            raise InputError(f"{family.name}: every one of {len(tried)} settings diverged; widen the ranges")
+        return Tuned(
+            family.controller(model, trajectory.time_step, knobs),
+            family.numbers(knobs),
+            float(best),
+            len(tried),
+            int(sum(np.isinf(value) for value, _ in tried)),
+            _at_edge(family, knobs),
         )
-    best, knobs = min(tried, key=lambda t: t[0])
-    if np.isinf(best):
-        raise InputError(f"{family.name}: every one of {len(tried)} settings diverged; widen the ranges")
-    return Tuned(
-        family.controller(model, trajectory.time_step, knobs),
-        family.numbers(knobs),
-        float(best),
-        len(tried),
-        int(sum(np.isinf(value) for value, _ in tried)),
-        _at_edge(family, knobs),
-    )
+
+    return [best_by(criterion) for criterion in criteria]
 
 
 def _at_edge(family: Family, knobs: np.ndarray) -> tuple[str, ...]:

@@ -36,7 +36,7 @@ from stillwork.control.transformation import (
     contraction_range,
 )
 from stillwork.estimation.filtering import UNIT_MASS
-from stillwork.estimation.plant import Plant, partial_derivatives
+from stillwork.estimation.plant import Plant, force_slope
 from stillwork.inspecting import TABLES, outline, plant_form
 from stillwork.signals.records import load_record
 
@@ -187,9 +187,8 @@ def open_trajectory(
             return sine_trajectory(amplitude, **common)
         if shape == "asin":
             return asin_trajectory(amplitude, sharpness, **common)
-        return trapezoid_trajectory(
-            amplitude, 1 - require_number("sharpness", sharpness, above=0, below=1), **common
-        )
+        rounding = 1 - require_number("sharpness", sharpness, above=0, below=1)
+        return trapezoid_trajectory(amplitude, rounding, **common)
     read = load_record(
         record, unit, sample_rate=sample_rate, channels=[channel] if channel else None, most_channels=1
     )
@@ -283,24 +282,19 @@ def contraction_along(models: Models, trajectories: list[Trajectory]) -> Contrac
     """Gains f' of the approximate model's command at the states that the trajectories visit."""
     time = trajectories[0].time
     at = np.unique(np.linspace(0, len(time) - 1, _PLACES).astype(int))
+    motion = np.array([[each.position, each.velocity, each.acceleration] for each in trajectories])[..., at]
     if isinstance(models.exact, Mechanism):
-        positions = np.array([each.position for each in trajectories]).T
-        return Contraction(
-            time[at], np.array([response_gains(models.exact, models.approximate, positions[i]) for i in at])
-        )
-    [trajectory] = trajectories
-    gains = [
-        _response_gain(models, trajectory.position[i], trajectory.velocity[i], trajectory.acceleration[i])
-        for i in at
-    ]
-    return Contraction(time[at], np.array(gains)[:, None])
+        gains = [response_gains(models.exact, models.approximate, place) for place in motion[:, 0].T]
+    else:
+        gains = [[_response_gain(models, *point)] for point in motion[0].T]
+    return Contraction(time[at], np.array(gains))
 
 
 def _response_gain(models: Models, position: float, velocity: float, wanted: float) -> float:
     slopes = []
     for model in (models.exact, models.approximate):
         force = model.force(position, velocity, wanted, model.parameters)
-        slopes.append(partial_derivatives(model, position, velocity, force)[2])
+        slopes.append(force_slope(model, position, velocity, force))
     if slopes[1] == 0 or not np.isfinite(slopes).all() or slopes[0] == 0:
         unit = models.units[0]
         raise InputError(
@@ -357,25 +351,20 @@ def drive(
     Contraction is judged by `warnings_of`, not here. `lost_every`, `lost_for` (s): see `noise.lose`; `lost`: what stands
     for a lost sample, see `control.simulate`; `force_limit` (N or N m): of every actuator, 0 for none.
     """
-    rng = np.random.default_rng(seed)
-    count, samples = len(trajectories), len(trajectories[0].position)
-    added = noise.sample(rng, count * samples).reshape(count, samples)
+    rng, count = np.random.default_rng(seed), len(trajectories)
+    added = noise.sample(rng, count * len(trajectories[0].position)).reshape(count, -1)
     added = lose(added, trajectories[0].time_step, lost_every, lost_for)
     options = {"resolution": noise.resolution, "grid": noise.sample_grid(rng), "lost": lost}
-    runs = {}
+
+    def run(controller) -> list[ControlledRun]:
+        if isinstance(models.exact, Mechanism):
+            limits = [force_limit] * count if force_limit else None
+            return simulate_mechanism(
+                models.exact, controller, trajectories, added, force_limits=limits, **options
+            )
+        limit = force_limit or None
+        return [simulate(models.exact, controller, trajectories[0], added[0], force_limit=limit, **options)]
+
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ContractionWarning)
-        for name, controller in chosen.items():
-            if isinstance(models.exact, Mechanism):
-                limits = [force_limit] * count if force_limit else None
-                runs[name] = simulate_mechanism(
-                    models.exact, controller, trajectories, added, force_limits=limits, **options
-                )
-            else:
-                limit = force_limit or None
-                runs[name] = [
-                    simulate(
-                        models.exact, controller, trajectories[0], added[0], force_limit=limit, **options
-                    )
-                ]
-    return runs
+        return {name: run(controller) for name, controller in chosen.items()}

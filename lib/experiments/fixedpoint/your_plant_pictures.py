@@ -7,7 +7,7 @@ import numpy as np
 
 from experiments.fixedpoint.metrics import judge
 from experiments.fixedpoint.noise import Noise
-from experiments.fixedpoint.run_pictures import COLOURS
+from experiments.fixedpoint.run_pictures import COLOURS, paint_range
 from experiments.fixedpoint.your_plant import Contraction, Models, contraction_along, drive
 from stillwork.control.fixed_point import ControlledRun, Controller
 from stillwork.control.kinematics import KinematicDesign
@@ -63,8 +63,7 @@ def _paint_coordinate(motion, error, runs: Mapping[str, ControlledRun], settle: 
     for name, run in runs.items():
         label = name if run.diverged_at is None else f"{name}, diverges at {run.diverged_at:.2f} s"
         motion.plot(run.time[coarse], run.position[coarse], color=COLOURS[name], lw=1, label=label)
-        time, low, high = _envelope(run)
-        error.fill_between(time, low, high, alpha=0.6, lw=0.8, color=COLOURS[name], label=f"_{name}")
+        _paint_error(error, run, color=COLOURS[name], label=f"_{name}")
         if run.diverged_at is None:
             reach = max(reach, 1.15e3 * np.abs(run.position_error[run.time >= settle]).max())
     margin = 0.2 * np.ptp(nominal.position)
@@ -73,12 +72,9 @@ def _paint_coordinate(motion, error, runs: Mapping[str, ControlledRun], settle: 
         error.set_ylim(-reach, reach)
 
 
-def _envelope(run: ControlledRun) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Middle of each stretch in s, smallest and largest error in it in mm or mrad."""
-    length = max(1, len(run.time) // _BINS)
-    whole = len(run.time) // length * length
-    blocks = 1e3 * run.position_error[:whole].reshape(-1, length)
-    return run.time[:whole].reshape(-1, length)[:, length // 2], blocks.min(axis=1), blocks.max(axis=1)
+def _paint_error(axes, run: ControlledRun, **style):
+    # in mm or mrad
+    paint_range(axes, run.time, 1e3 * run.position_error, max(1, len(run.time) // _BINS), **style)
 
 
 def plant_explorer(
@@ -101,16 +97,10 @@ def plant_explorer(
         moved = {}
         for name, controller in chosen.items():
             old = controller.transformation
-            factor = (
-                {"gain": gain * old.gain}
-                if isinstance(old, FlowTransformation)
-                else {"slope": gain * old.slope}
-            )
-            moved[name] = replace(
-                controller,
-                transformation=replace(old, **factor),
-                kinematics=KinematicDesign(stiffness * controller.kinematics.exponent),
-            )
+            knob = "gain" if isinstance(old, FlowTransformation) else "slope"
+            stronger = replace(old, **{knob: gain * getattr(old, knob)})
+            stiffer = KinematicDesign(stiffness * controller.kinematics.exponent)
+            moved[name] = replace(controller, transformation=stronger, kinematics=stiffer)
         noise = Noise() if noise_kind == "none" else Noise(noise_kind, noise_size)
         runs = drive(models, moved, trajectories, noise, seed)
         count = len(models.units)
@@ -118,16 +108,13 @@ def plant_explorer(
         for number, (axes, unit) in enumerate(zip(panels[:, 0], models.units, strict=True)):
             for name, each in runs.items():
                 run = each[number]
-                time, low, high = _envelope(run)
                 if run.diverged_at is None:
                     said = f"{1e3 * judge(run, settle)['position']:.3g} m{unit} rms"
                 else:
                     said = f"diverges at {run.diverged_at:.2f} s"
                 if found.outside(moved[name].transformation.local_gain).any():
                     said += ", outside the contraction range"
-                axes.fill_between(
-                    time, low, high, alpha=0.6, lw=0.8, color=COLOURS[name], label=f"{name}: {said}"
-                )
+                _paint_error(axes, run, color=COLOURS[name], label=f"{name}: {said}")
             axes.set(xlabel="time (s)", ylabel=f"error of {symbol(number, models.units)} (m{unit})")
             axes.margins(y=0.4)  # room for the legend
             axes.legend(loc="upper right")

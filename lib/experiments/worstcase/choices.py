@@ -6,6 +6,7 @@ import numpy as np
 
 from experiments.worstcase.simulations import (
     FIG_2_PARAMETERS,
+    exponential_weights,
     fir_trial,
     path,
     settled,
@@ -181,8 +182,8 @@ WEIGHTED = "of the weighted data"
 def weighted_excitation(forgetting: float) -> tuple[float, int]:
     """Regressors of which the weighted data have the published norm, in the mean over 200 draws at 375 samples."""
     samples = 375
-    weights = forgetting ** (np.arange(samples - 1, -1, -1) / 2)
-    rows = np.random.default_rng(1).standard_normal((200, len(FIG_2_PARAMETERS), samples)) * weights
+    rows = np.random.default_rng(1).standard_normal((200, len(FIG_2_PARAMETERS), samples))
+    rows *= exponential_weights(samples, forgetting)
     return PUBLISHED_NORM / float(np.linalg.norm(rows, 2, axis=(1, 2)).mean()), samples
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy import signal
 
+from experiments.worstcase.simulations import exponential_weights
 from experiments.worstcase.total import total_least_squares
 from stillwork.base.checks import InputError, require_array, require_choice
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
@@ -141,7 +142,7 @@ def comparison_trial(
     """By method: ``errors``, distances from the true parameters, and ``worst``, worst-case residuals |A x - b| + eta |x|."""
     record = sample_record(rng, setting, excitation, taps, rows)
     found = np.array(list(estimates(record, forgetting).values()))
-    weights = _weights(rows, forgetting)
+    weights = exponential_weights(rows, forgetting)[:, None]
     bound = np.linalg.norm(weights * record.perturbation, 2)
     residuals = np.linalg.norm(weights * (record.matrix @ found.T - record.target[:, None]), axis=0)
     return {
@@ -157,7 +158,7 @@ def estimates(record: FlawedRecord, forgetting: float) -> dict[str, np.ndarray]:
     and subtract it, its mean square; scaled total least squares this and that of the noise; the other ridge and the
     H-infinity filter, which start from parameters of norm 1, the sum of the two.
     """
-    weights = _weights(len(record.target), forgetting)
+    weights = exponential_weights(len(record.target), forgetting)[:, None]
     matrix, perturbation = weights * record.matrix, weights * record.perturbation
     target, noise = weights[:, 0] * record.target, weights[:, 0] * record.noise
     taps, memory = matrix.shape[1], np.sum(weights**2)
@@ -177,10 +178,6 @@ def estimates(record: FlawedRecord, forgetting: float) -> dict[str, np.ndarray]:
         "min_max": solve_silently(matrix, target, bound).estimate,
         "approximate": recursion.estimates[:, -1],
     }
-
-
-def _weights(rows, forgetting) -> np.ndarray:
-    return forgetting ** (np.arange(rows - 1, -1, -1) / 2)[:, None]
 
 
 def instrumental_variables(matrix: np.ndarray, target: np.ndarray, instruments: np.ndarray) -> np.ndarray:

@@ -42,12 +42,9 @@ def paint_ratios(names: list[str], errors: np.ndarray):
     ratios = logs - logs[..., order.index("least"), None]
     for number, (axes, title) in enumerate(zip(panels, EXCITATIONS, strict=True)):
         for place, (method, colour) in enumerate(AGAINST):
-            runs = ratios[:, number, :, order.index(method)]
-            ends = np.exp([mean_interval(each) for each in runs]).T
-            mean = np.exp(runs.mean(axis=1))
             rows = np.arange(len(names)) + 0.2 * (place - 1.5)
-            style = {"xerr": np.abs(ends - mean), "fmt": "o", "markersize": 3, "color": colour}
-            axes.errorbar(mean, rows, label=METHODS[method], **style)
+            style = {"markersize": 3, "color": colour, "label": METHODS[method]}
+            _geometric_means(axes, ratios[:, number, :, order.index(method)], rows, **style)
         axes.axvline(1, color=figures.BLACK, linestyle="--", linewidth=1)
         axes.set(xscale="log", xlim=(0.2, 8), title=title)
         axes.set_xticks([0.25, 0.5, 1, 2, 4], ["1/4", "1/2", "1", "2", "4"])
@@ -59,6 +56,12 @@ def paint_ratios(names: list[str], errors: np.ndarray):
     return figure
 
 
+def _geometric_means(axes, logs: np.ndarray, rows: np.ndarray, **style):
+    # of the runs in every row of `logs`, with their 95 % intervals
+    mean, ends = np.exp(logs.mean(axis=1)), np.exp([mean_interval(each) for each in logs]).T
+    axes.errorbar(mean, rows, xerr=np.abs(ends - mean), fmt="o", **style)
+
+
 def explore_comparison(
     input_noise: float, output_noise: float, gain: float, delay: float, taps: int, seed: int = 1
 ):
@@ -68,10 +71,8 @@ def explore_comparison(
     figure, axes = figures.new(height=3.6)
     colours = (figures.BLACK, figures.GREEN, figures.BLUE, figures.RED)
     for number, (name, colour) in enumerate(zip(EXCITATIONS, colours, strict=True)):
-        logs = np.log(errors[number]).T
-        mean, ends = np.exp(logs.mean(axis=1)), np.exp([mean_interval(each) for each in logs]).T
         rows = np.arange(len(METHODS)) + 0.2 * (number - 1.5)
-        axes.errorbar(mean, rows, xerr=np.abs(ends - mean), fmt="o", markersize=4, color=colour, label=name)
+        _geometric_means(axes, np.log(errors[number]).T, rows, markersize=4, color=colour, label=name)
     axes.set_yticks(np.arange(len(METHODS)), METHODS.values())
     axes.axvline(1, color=figures.GREY, linestyle=":", label="the estimate zero")
     axes.set(xscale="log", xlabel="|x − estimate| over |x|")

@@ -13,12 +13,9 @@ def paint_scalar(function: SecularFunction):
     root, _ = function.root()
     beta = function.bound / function.threshold
     alpha = np.geomspace(1e-3, 1e3, 301) * root
-    left.loglog(alpha, function(alpha), label="f(α)")
-    left.loglog(alpha, alpha, color=figures.BLACK, linewidth=0.8, label="α")
     path = function.iterates(root * 300, 12)
-    left.loglog(path[:-1], path[1:], "o", markersize=3.5, color=figures.RED, label="iterates of (21)")
-    left.set(xlabel="α", ylabel="f(α)")
-    left.legend()
+    style = {"markersize": 3.5, "color": figures.RED, "label": "iterates of (21)"}
+    _paint_map(left, function, alpha, path[:-1], path[1:], **style)
     right.semilogx(alpha, function.slope(alpha), label="f′(α)")
     figures.mark_published(right, alpha[-1], beta, "limit β at infinity")
     figures.mark_published(right, alpha[0], function.slope(0.0), "β √(κ/a′a) at zero", marker="s")
@@ -32,15 +29,19 @@ def paint_counter_example(function: SecularFunction):
     figure, (left, middle, right) = figures.new(1, 3, height=3.0)
     root, _ = function.root()
     alpha = np.geomspace(1e-6, 1e3, 401) * root
-    left.loglog(alpha, function(alpha), label="f(α)")
-    left.loglog(alpha, alpha, color=figures.BLACK, linewidth=0.8, label="α")
-    left.loglog(root, root, "o", color=figures.RED, label="root")
-    left.set(xlabel="α", ylabel="f(α)")
-    left.legend()
+    _paint_map(left, function, alpha, root, root, color=figures.RED, label="root")
     left.minorticks_off()  # over many decades they take longer to draw than all else
     _paint_slope(middle, function, alpha)
     _paint_iterates(right, function, root)
     return figure
+
+
+def _paint_map(axes, function: SecularFunction, alpha: np.ndarray, first, second, **style):
+    axes.loglog(alpha, function(alpha), label="f(α)")
+    axes.loglog(alpha, alpha, color=figures.BLACK, linewidth=0.8, label="α")
+    axes.loglog(first, second, "o", **style)
+    axes.set(xlabel="α", ylabel="f(α)")
+    axes.legend()
 
 
 def _paint_slope(axes, function: SecularFunction, alpha: np.ndarray):

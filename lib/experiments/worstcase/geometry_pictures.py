@@ -3,7 +3,7 @@
 import numpy as np
 
 from stillwork.estimation.min_max import solve_silently
-from stillwork.estimation.secular import SecularFunction, secular_function
+from stillwork.estimation.secular import secular_function
 from stillwork.workbook import figures
 
 
@@ -103,8 +103,3 @@ def explore_geometry(share: float, noise: float, seed: int = 1):
     """`paint_two_unknowns` with the bound given as a share of the threshold."""
     matrix, target = example(seed, 8, 2, noise)
     return paint_two_unknowns(matrix, target, share * solve_silently(matrix, target, 0.0).threshold)
-
-
-def shifted(function: SecularFunction, bound: float) -> SecularFunction:
-    """The same data under another bound."""
-    return SecularFunction(function.eigenvalues, function.coefficients, function.excess, float(bound))

@@ -36,14 +36,11 @@ def _paint_estimates(axes, study: Study, number: int, truth: float):
         axes.plot(time, study[name][:, number].mean(0), style, color=colour, label=label)
     axes.axhline(truth, color=figures.GREY, linewidth=2.5, alpha=0.5, zorder=1)
     axes.set(ylabel=f"estimate of x{number + 1}", title=f"({'ab'[number]})")
-    axes.set(ylim=_window(study, number, truth))
-
-
-def _window(study, number, truth):
-    # the first samples of total least squares run off any scale
-    late = study["min_max"][:, number].mean(0)[10:]
+    late = study["min_max"][:, number].mean(0)[
+        10:
+    ]  # the first samples of total least squares run off any scale
     reach = max(0.6, 1.3 * np.abs(late - truth).max())
-    return truth - reach, truth + reach
+    axes.set(ylim=(truth - reach, truth + reach))
 
 
 def paint_corrections(study: Study):
@@ -58,23 +55,15 @@ def paint_corrections(study: Study):
     return figure
 
 
-def error_norms(study: Study, parameters: tuple[float, ...]) -> dict[str, np.ndarray]:
-    """|x - estimate| of every realisation, shape (runs, samples), by method."""
-    truth = np.asarray(parameters, float)[:, None]
-    return {name: np.linalg.norm(study[name] - truth, axis=1) for name, *_ in METHODS}
-
-
-def group_errors(study: Study, parameters: tuple[float, ...], group: int) -> dict[str, np.ndarray]:
-    """Error of the averages over groups of realisations, as the paper averages: (groups, samples), by method."""
-    truth = np.asarray(parameters, float)[:, None]
-    groups = study.runs // group
-    return {
-        name: np.linalg.norm(
-            study[name][: groups * group].reshape(groups, group, *study[name].shape[1:]).mean(1) - truth,
-            axis=1,
-        )
-        for name, *_ in METHODS
-    }
+def error_norms(study: Study, parameters: tuple[float, ...], group: int = 1) -> dict[str, np.ndarray]:
+    """|x - estimate| of the averages over groups of realisations, shape (groups, samples), by method."""
+    truth, groups = np.asarray(parameters, float)[:, None], study.runs // group
+    found = {}
+    for name, *_ in METHODS:
+        values = study[name][: groups * group]
+        averages = values.reshape(groups, group, *values.shape[1:]).mean(axis=1)
+        found[name] = np.linalg.norm(averages - truth, axis=1)
+    return found
 
 
 def paint_long(study: Study, parameters: tuple[float, ...], least_limit: np.ndarray):
@@ -107,17 +96,9 @@ def win_shares(
     """
     shares = []
     for parameters, period in cases:
-        study = run_study(
-            fir_trial,
-            runs,
-            seed,
-            progress=False,
-            parameters=parameters,
-            period=period,
-            samples=samples,
-            **noise,
-        )
-        errors = {name: e[:, first:].mean(1) for name, e in group_errors(study, parameters, group).items()}
+        record = {"parameters": parameters, "period": period, "samples": samples, **noise}
+        study = run_study(fir_trial, runs, seed, progress=False, **record)
+        errors = {name: e[:, first:].mean(1) for name, e in error_norms(study, parameters, group).items()}
         shares.append([np.mean(errors["min_max"] < errors[other]) for other in ("total", "least")])
     return tuple(np.array(shares).T)
 

@@ -1,19 +1,19 @@
 """Measured cases: an accelerometer predicted from another, both noisy, and from the force of hammer blows."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float64
-from scipy import linalg, signal
+from scipy import signal
 
+from experiments.worstcase.pairs import MeasuredPair, residual
 from experiments.worstcase.total import total_least_squares
 from stillwork.base import paths
 from stillwork.base.checks import InputError, require_count, require_number
-from stillwork.estimation.min_max import solve_silently, solve_sweep
+from stillwork.estimation.min_max import solve_silently, solve_sweep, triangle
 from stillwork.estimation.recursive import run_silently
 from stillwork.estimation.recursive_settings import LeastSquares, MinMax, Ridge
 from stillwork.identification.regressors import fir_regressors
-from stillwork.signals.records import load_record
 from stillwork.workbook import figures
 
 METHODS = (
@@ -23,53 +23,6 @@ METHODS = (
     ("min-max, typical bound", figures.BLUE, "o-"),
     ("min-max, guaranteed bound", figures.PURPLE, "^-"),
 )
-
-
-@dataclass(frozen=True)
-class MeasuredPair:
-    """Two channels of one structure, band-passed alike, and the noise of the input's sensor."""
-
-    # acceleration or force (m/s^2, N), and acceleration; band-passed to `band_hz`, so that the offsets and drifts of
-    # the sensors are gone
-    input: Float64[np.ndarray, " samples"]
-    output: Float64[np.ndarray, " samples"]
-    sample_rate: float  # Hz
-    band_hz: tuple[float, float]  # pass band
-    noise: float  # standard deviation of the input's sensor noise, taken as white over the band
-
-    def typical_bound(self, taps: int, forgetting: float) -> float:
-        """Norm of the weighted perturbation that noise of this band has; for white noise that of `noise_bound`.
-
-        noise (sqrt(m r) + sqrt(taps)) with m = 1 / (1 - forgetting) and r the largest eigenvalue of the noise's
-        correlation over the taps (Gordon's inequality): noise in a narrow band leans all rows in one direction.
-        """
-        low, high = 2 * np.array(self.band_hz) / self.sample_rate
-        lags = np.arange(require_count("taps", taps))
-        correlation = (high * np.sinc(high * lags) - low * np.sinc(low * lags)) / (high - low)
-        largest = np.linalg.eigvalsh(linalg.toeplitz(correlation))[-1]
-        memory = 1 / (1 - require_number("forgetting", forgetting, above=0.0, below=1.0))
-        return float(self.noise * (np.sqrt(memory * largest) + np.sqrt(taps)))
-
-
-def load_pair(
-    band_hz: tuple[float, float], quiet_hz: tuple[float, float]
-) -> tuple[MeasuredPair, dict[str, np.ndarray]]:
-    """The shipped record `structure_accel_3k2`, channels 2 (input) and 3 (output), and its spectra.
-
-    ``frequency`` in Hz, ``input`` and ``output``: densities in (m/s^2)^2/Hz, ``coherence``.
-    """
-    record = load_record(paths.data("worstcase", "structure_accel_3k2/structure_accel_20s.npz"), "m/s^2")
-    rate = record.sample_rate
-    filtered = signal.butter(4, band_hz, "bandpass", fs=rate, output="sos")
-    raw = record.signals - record.signals.mean(axis=1, keepdims=True)
-    settled = int(rate)  # the first second holds the filter's start
-    quiet, loud = signal.sosfilt(filtered, raw)[:, settled:]
-    frequency, (power, other) = signal.welch(raw, rate, nperseg=4096)
-    coherence = signal.coherence(*raw, rate, nperseg=4096)[1]
-    still = (frequency >= quiet_hz[0]) & (frequency <= quiet_hz[1])
-    noise = float(np.sqrt(power[still].mean() * (band_hz[1] - band_hz[0])))
-    spectra = {"frequency": frequency, "input": power, "output": other, "coherence": coherence}
-    return MeasuredPair(quiet, loud, rate, tuple(band_hz), noise), spectra
 
 
 def load_blows(thinning: int = 8) -> list[MeasuredPair]:
@@ -106,7 +59,7 @@ def blow_trial(
         models = _estimates(matrix, target, replace(blows[0], noise=noisier * noise))
         for other, (later, goal) in enumerate(windows):
             for name, estimate in models.items() if other != number else ():
-                found[name].append(np.linalg.norm(goal - later @ estimate) / np.linalg.norm(goal))
+                found[name].append(residual(later, goal, estimate))
     return {name: np.array(values) for name, values in found.items()}
 
 
@@ -137,11 +90,7 @@ def total_trial(
         "total": total_least_squares(matrix[:length], output[:length]).estimate,
         "least": np.linalg.lstsq(matrix[:length], output[:length])[0],
     }
-    goal = output[length:]
-    return {
-        name: float(np.linalg.norm(goal - matrix[length:] @ each) / np.linalg.norm(goal))
-        for name, each in estimates.items()
-    }
+    return {name: residual(matrix[length:], output[length:], each) for name, each in estimates.items()}
 
 
 def window_residuals(
@@ -159,7 +108,7 @@ def window_residuals(
         residuals = {name: [] for name in found}
         for matrix, target, later, goal in _windows(pair, regressors, length, most):
             for name, estimate in _estimates(matrix, target, pair).items():
-                residuals[name].append(np.linalg.norm(goal - later @ estimate) / np.linalg.norm(goal))
+                residuals[name].append(residual(later, goal, estimate))
         for name, values in residuals.items():
             found[name].append(np.array(values))
     return found
@@ -227,7 +176,7 @@ def bound_sweep(pair: MeasuredPair, taps: int, length: int, factors: np.ndarray,
     found = np.zeros((len(windows), len(factors)))
     for i, (matrix, target, later, goal) in enumerate(windows):
         # a rotation of the rows changes no residual: taps + 1 of them say all
-        corner = np.linalg.qr(np.column_stack([matrix, target]), mode="r")
+        corner = triangle(np.column_stack([matrix, target]))
         for j, solution in enumerate(solve_sweep(corner[:, :-1], corner[:, -1], factors * typical)):
-            found[i, j] = np.linalg.norm(goal - later @ solution.estimate) / np.linalg.norm(goal)
+            found[i, j] = residual(later, goal, solution.estimate)
     return np.median(found, axis=0)

@@ -2,26 +2,25 @@
 
 import numpy as np
 
-from experiments.worstcase.measured import METHODS, MeasuredPair, bound_sweep, load_pair
+from experiments.worstcase.measured import METHODS, bound_sweep
+from experiments.worstcase.pairs import MeasuredPair, Spectra, load_pair
 from stillwork.workbook import figures
 
 
-def paint_spectra(pair: MeasuredPair, spectra: dict[str, np.ndarray], quiet_hz: tuple[float, float]):
+def paint_spectra(pair: MeasuredPair, spectra: Spectra, quiet_hz: tuple[float, float]):
     """Densities of both channels with the sensor noise read from the quiet band, and their coherence."""
     figure, (upper, lower) = figures.new(2, 1, height=4.4, sharex=True)
-    shown = spectra["frequency"] > 5
-    frequency = spectra["frequency"][shown]
-    upper.loglog(frequency, spectra["input"][shown], linewidth=0.8, label="input, channel 2")
-    upper.loglog(frequency, spectra["output"][shown], linewidth=0.8, label="output, channel 3")
+    shown = spectra.frequency > 5
+    frequency = spectra.frequency[shown]
+    upper.loglog(frequency, spectra.input[shown], linewidth=0.8, label="input, channel 2")
+    upper.loglog(frequency, spectra.output[shown], linewidth=0.8, label="output, channel 3")
     level = pair.noise**2 / (pair.band_hz[1] - pair.band_hz[0])
     upper.loglog(
         pair.band_hz, [level, level], color=figures.BLACK, label="sensor noise taken, over the pass band"
     )
     upper.set(ylabel="density ((m/s²)²/Hz)")
     upper.legend()
-    lower.semilogx(
-        frequency, spectra["coherence"][shown], linewidth=0.8, color=figures.GREEN, label="coherence"
-    )
+    lower.semilogx(frequency, spectra.coherence[shown], linewidth=0.8, color=figures.GREEN, label="coherence")
     lower.axvspan(
         *quiet_hz, color=figures.GREY, alpha=0.25, linewidth=0, label="band where the noise is read"
     )

@@ -45,10 +45,12 @@ def fir_trial(
     bounds = estimator.bounds(0, samples)
     estimates = {"min_max": run_silently(estimator, regressors, outputs).estimates}
     estimates["least"], estimates["total"], correction = _growing_windows(regressors, outputs)
-    found = {}
-    for name, values in estimates.items():
-        found[f"{name}_worst"] = worst_case_residuals(regressors, outputs, values, bounds, 1.0)
-    found = {name: _after(values, taps) for name, values in {**estimates, **found}.items()}
+    found = {
+        f"{name}_worst": worst_case_residuals(regressors, outputs, values, bounds, 1.0)
+        for name, values in estimates.items()
+    }
+    early = np.arange(samples) < taps
+    found = {name: np.where(early, np.nan, values) for name, values in {**estimates, **found}.items()}
     length = np.linalg.norm(found["total"], axis=0)
     found["total_matrix"] = correction * length / np.hypot(1, length)
     found["total_target"] = correction / np.hypot(1, length)
@@ -138,20 +140,13 @@ def _growing_windows(regressors, outputs):
     unknowns = len(regressors)
     values, vectors = np.linalg.eigh(products)
     smallest = vectors[:, :, 0]
-    least = np.zeros(regressors.shape)
-    total = np.zeros(regressors.shape)
-    late = slice(unknowns, None)  # from there on A has more rows than columns
-    least[:, late] = np.linalg.solve(
-        products[late, :unknowns, :unknowns], products[late, :unknowns, unknowns:]
-    )[..., 0].T
-    total[:, late] = -(smallest[late, :unknowns] / smallest[late, unknowns:]).T
+    least, total = np.zeros((2, *regressors.shape))
+    late = products[unknowns:]  # from there on A has more rows than columns
+    least[:, unknowns:] = np.linalg.solve(late[:, :unknowns, :unknowns], late[:, :unknowns, unknowns:])[
+        ..., 0
+    ].T
+    total[:, unknowns:] = -(smallest[unknowns:, :unknowns] / smallest[unknowns:, unknowns:]).T
     return least, total, np.sqrt(np.maximum(values[:, 0], 0))
-
-
-def _after(values, first):
-    values = values.copy()
-    values[..., :first] = np.nan
-    return values
 
 
 def path(kind: str, parameters: tuple[float, ...], samples: int) -> np.ndarray:
@@ -169,11 +164,9 @@ def path(kind: str, parameters: tuple[float, ...], samples: int) -> np.ndarray:
         return values
     if kind != "drift" or len(parameters) < 2:
         raise InputError(f"kind is {kind!r}; use 'constant', 'jump' or, for two parameters or more, 'drift'")
-    angle = 2 * np.pi * np.arange(samples) / samples
-    cosine, sine = np.cos(angle), np.sin(angle)
-    first, second = parameters[:2]
-    values[0] = cosine * first - sine * second
-    values[1] = sine * first + cosine * second
+    angle, (first, second) = 2 * np.pi * np.arange(samples) / samples, parameters[:2]
+    values[0] = np.cos(angle) * first - np.sin(angle) * second
+    values[1] = np.sin(angle) * first + np.cos(angle) * second
     return values
 
 
@@ -223,10 +216,14 @@ def tracking_trial(
     }
     found = {name: np.linalg.norm(truth - values, axis=0) for name, values in tracks.items()}
     found["norm"] = np.linalg.norm(regressors, 2)
-    weights = forgetting ** (np.arange(samples - 1, -1, -1) / 2)
-    found["weighted_norm"] = np.linalg.norm(regressors * weights, 2)
+    found["weighted_norm"] = np.linalg.norm(regressors * exponential_weights(samples, forgetting), 2)
     found["vanished"] = np.isinf(min_max.alphas[unknowns:]).mean()
     return found
+
+
+def exponential_weights(rows: int, forgetting: float) -> np.ndarray:
+    """Of the rows of A and b, oldest first: forgetting^((t - j) / 2)."""
+    return forgetting ** (np.arange(rows - 1, -1, -1) / 2)
 
 
 def settled(errors: np.ndarray, forgetting: float, memories: float = 3.0) -> np.ndarray:

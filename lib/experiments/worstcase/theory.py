@@ -3,6 +3,7 @@
 import numpy as np
 
 from experiments.worstcase.cone import solve_cone_program
+from experiments.worstcase.simulations import exponential_weights
 from stillwork.estimation.min_max import solve_silently
 from stillwork.estimation.recursive import run_silently
 from stillwork.estimation.recursive_settings import MinMax
@@ -67,7 +68,7 @@ def weighting_trial(rng: np.random.Generator, row_error: float, forgetting: floa
     unknowns = int(rng.integers(1, 7))
     rows = rng.standard_normal((samples, unknowns)) + rng.uniform(0, 3) * rng.standard_normal(unknowns)
     rows *= row_error / np.linalg.norm(rows, axis=1, keepdims=True)
-    rows *= forgetting ** (np.arange(samples - 1, -1, -1) / 2)[:, None]
+    rows *= exponential_weights(samples, forgetting)[:, None]
     size = np.linalg.norm(rows, 2)
     return {
         "over_sum": size / exponential_bound(row_error, forgetting, samples),
@@ -156,7 +157,7 @@ def recursion_trial(
     alphas = np.full(samples, np.inf)
     weighted = []
     for t in range(samples):
-        weights = forgetting ** (np.arange(t, -1, -1) / 2)
+        weights = exponential_weights(t + 1, forgetting)
         weighted.append((regressors[:, : t + 1].T * weights[:, None], outputs[: t + 1] * weights))
         if t >= unknowns:
             found = solve_silently(*weighted[t], bound)

@@ -23,11 +23,9 @@ def paint_exactness(found: dict[str, np.ndarray]):
     figure, axes = figures.new(height=2.8)
     time = np.arange(len(found["size"]))
     axes.plot(time, found["size"], color=figures.BLACK, linewidth=0.9, label="batch solution at every sample")
-    style = {"markersize": 3, "color": COLOURS["exact"]}
-    axes.plot(time[::8], found["size_exact"][::8], "o", label="exact recursion", **style)
-    axes.plot(
-        time[4::8], found["size_fast"][4::8], "x", markersize=4, color=COLOURS["fast"], label="fast recursion"
-    )
+    for update, first, marker, size in (("exact", 0, "o", 3), ("fast", 4, "x", 4)):
+        style = {"markersize": size, "color": COLOURS[update], "label": f"{update} recursion"}
+        axes.plot(time[first::8], found[f"size_{update}"][first::8], marker, **style)
     axes.set(xlabel="time (samples)", ylabel="|x|")
     axes.legend()
     return figure
@@ -37,28 +35,22 @@ def paint_accuracy(records: dict[str, dict[str, np.ndarray]]):
     """Error of alpha and of the estimate of (20) with 1, 2 and 3 iterations; one row of axes a record."""
     figure, grid = figures.new(len(records), 2, sharex=True, squeeze=False)
     for (title, found), (left, right) in zip(records.items(), grid, strict=True):
-        for iterations, colour in ((1, figures.BLUE), (2, figures.ORANGE), (3, figures.GREEN)):
-            label = f"{iterations} iteration{'s' * (iterations > 1)}"
-            left.semilogy(
-                _above_rounding(found[f"alpha_{iterations}"]), color=colour, linewidth=0.8, label=label
-            )
-            values = _above_rounding(found[f"approximate_{iterations}"])
-            right.semilogy(values, color=colour, linewidth=0.8, label=label)
+        for axes, name in ((left, "alpha"), (right, "approximate")):
+            for iterations, colour in ((1, figures.BLUE), (2, figures.ORANGE), (3, figures.GREEN)):
+                label = f"{iterations} iteration{'s' * (iterations > 1)}"
+                errors = found[f"{name}_{iterations}"]
+                # where (20) starts from the exact solution its error is rounding, which differs between machines
+                axes.semilogy(
+                    np.where(errors > 1e-11, errors, np.nan), color=colour, linewidth=0.8, label=label
+                )
+            axes.minorticks_off()
+            axes.set_ylim(bottom=1e-10)
         left.set(ylabel="relative error of α", title=title)
         right.set(ylabel="|x − batch| / max |batch|", title=f"{title}: estimate")
-        left.minorticks_off()
-        right.minorticks_off()
-        left.set_ylim(bottom=1e-10)
-        right.set_ylim(bottom=1e-10)
     for axes in grid[-1]:
         axes.set_xlabel("time (samples)")
     figures.legend_below(grid[0, 0], 3)
     return figure
-
-
-def _above_rounding(errors: np.ndarray) -> np.ndarray:
-    # where (20) starts from the exact solution its error is rounding, which differs between machines
-    return np.where(errors > 1e-11, errors, np.nan)
 
 
 def paint_counts(sizes: list[int], evaluations: float):

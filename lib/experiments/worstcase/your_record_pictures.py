@@ -5,7 +5,8 @@ from collections.abc import Callable
 import numpy as np
 
 from experiments.worstcase.measured_pictures import paint_windows
-from experiments.worstcase.your_record import Fitted, Pair, Spectra, parts, residual, weighted_corner
+from experiments.worstcase.pairs import Pair, Spectra, residual
+from experiments.worstcase.your_record import Fitted, parts, weighted_corner
 from stillwork.estimation.min_max import solve_silently
 from stillwork.identification.regressors import fir_regressors
 from stillwork.workbook import figures
@@ -26,15 +27,8 @@ def paint_pair(pair: Pair, spectra: Spectra):
     shown = spectra.frequency > 0
     level = np.array(pair.noise) ** 2 / (pair.band_hz[1] - pair.band_hz[0])
     band = max(pair.band_hz[0], spectra.frequency[1]), pair.band_hz[1]
-    for axes, side, name, unit, noise, colour in zip(
-        panels[:2],
-        ("input", "output"),
-        pair.names,
-        pair.units,
-        level,
-        (figures.BLUE, figures.RED),
-        strict=True,
-    ):
+    rows = zip(("input", "output"), pair.names, pair.units, level, (figures.BLUE, figures.RED), strict=True)
+    for axes, (side, name, unit, noise, colour) in zip(panels[:2], rows, strict=True):
         style = {"lw": 0.8, "color": colour, "label": f"{side}: {name}"}
         axes.loglog(spectra.frequency[shown], getattr(spectra, side)[shown], **style)
         axes.loglog(band, [noise, noise], color=figures.BLACK, label="sensor noise taken, over the pass band")
@@ -88,12 +82,9 @@ def paint_bounds(pair: Pair, fitted: Fitted):
     axes.semilogx(etas, fitted.choosing, "o-", markersize=3, color=figures.GREEN, label="part for choosing")
     axes.semilogx(etas, fitted.judging, "o-", markersize=3, color=figures.BLUE, label="part that is judged")
     axes.axhline(fitted.held_out["RLS"], color=figures.BLACK, lw=0.9, label="RLS, judged")
-    for name, label in (
-        ("min-max, typical bound", "typical"),
-        ("min-max, guaranteed bound", "guaranteed"),
-        ("min-max, chosen bound", "chosen"),
-    ):
-        axes.axvline(fitted.bounds[name], color=STYLES[name][0], ls="--", lw=0.9, label=f"{label} bound")
+    for kind in ("typical", "guaranteed", "chosen"):
+        name = f"min-max, {kind} bound"
+        axes.axvline(fitted.bounds[name], color=STYLES[name][0], ls="--", lw=0.9, label=f"{kind} bound")
     axes.axvline(fitted.threshold, color=figures.GREY, ls=":", lw=0.9, label="from here on zero")
     axes.set(xlabel=f"bound η ({_nice(pair.units[0])})", ylabel="rms residual / rms output")
     axes.legend(ncols=2)
@@ -131,15 +122,10 @@ def record_explorer(pair: Pair, memory: int) -> Callable:
         }
         figure, axes = figures.new(1, 1, height=3.0)
         for (name, estimate), label in zip(estimates.items(), ("least squares", "min-max"), strict=True):
-            left = residual(regressors[:, later], scaled.output[later], estimate)
-            axes.plot(
-                np.arange(taps) / pair.sample_rate * 1e3,
-                pair.gain * estimate,
-                "o-",
-                markersize=3,
-                color=STYLES[name][0],
-                label=f"{label}: leaves {100 * left:.1f} % of the output",
-            )
+            left = residual(regressors[:, later].T, scaled.output[later], estimate)
+            style = {"markersize": 3, "color": STYLES[name][0]}
+            lags, said = np.arange(taps) / pair.sample_rate * 1e3, f"leaves {100 * left:.1f} % of the output"
+            axes.plot(lags, pair.gain * estimate, "o-", label=f"{label}: {said}", **style)
         axes.set(xlabel="lag (ms)", ylabel=f"impulse response ({_per(pair)})")
         axes.legend()
         return figure

@@ -1,6 +1,6 @@
 """The controller's loop, Fig. 1: measure, filter, desire, deform, push, move; one kernel for every filter."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
 from stillwork.base.front_door import check_fields, checked
-from stillwork.base.kernels import inlined_kernel, kernel
+from stillwork.base.kernels import borrowing_kernel, inlined_kernel
 from stillwork.control.kinematics import KinematicDesign
 from stillwork.control.mechanism import Mechanism
 from stillwork.control.trajectory import Trajectory
@@ -20,24 +20,13 @@ from stillwork.estimation.plant import Plant, force_slope
 
 INTEGRATIONS = ("semi-implicit", "explicit")
 LOSSES = ("predict", "hold")  # what stands for a sample that is lost
-COLUMNS = (
-    "position",
-    "velocity",
-    "acceleration",
-    "measured",
-    "position_estimate",
-    "velocity_estimate",
-    "acceleration_estimate",
-    "desired",
-    "deformed",
-    "force",
-)
 RUNNING, TOO_FAR, NOT_FINITE, NOT_DEFINITE, NO_INERTIA = range(5)
 HOLD, EXTEND, SKIP = range(3)  # of a lost sample
 SEEN, MEASURED, DESIRED, DEFORMED = range(4)  # what a coordinate's `memory` holds
 CAUSES = {
     NOT_FINITE: "the commanded force is not finite",
     NOT_DEFINITE: "the filter's covariance is no longer positive definite",
+    NO_INERTIA: "the inertia of a model is not positive definite",
 }
 
 
@@ -122,6 +111,9 @@ class ControlledRun:
     def velocity_error(self) -> Float64[np.ndarray, " samples"]:
         """Nominal minus true velocity, m/s."""
         return self.trajectory.velocity - self.velocity
+
+
+COLUMNS = tuple(field.name for field in fields(ControlledRun)[1:-2])  # the arrays, in the order of a record
 
 
 @checked(missing=True)
@@ -230,24 +222,27 @@ def simulate(
         noise,
         np.inf if force_limit is None else require_number("force_limit", force_limit, above=0),
         integration == "semi-implicit",
-        start,
+        np.array([*start, trajectory.acceleration[0]]),
+        np.zeros(len(controller.kinematics.gains) - 1),
+        np.zeros(4),
         np.array(limits),
         record,
     )
-    found: dict[str, Any] = dict(zip(COLUMNS, record, strict=True))
-    if status != RUNNING:
-        causes = {
-            TOO_FAR: f"the plant left the bound of {limits[0]:g} in position and {limits[1]:g} in velocity",
-            **CAUSES,
-        }
-        found |= {"diverged_at": float(done * trajectory.time_step), "cause": causes[status]}
-    return ControlledRun(trajectory, **found)
+    left = f"the plant left the bound of {limits[0]:g} in position and {limits[1]:g} in velocity"
+    return ControlledRun(trajectory, *record, **ending(status, done * trajectory.time_step, left))
 
 
 @checked
 def response_gain(plant: Plant, model: Plant) -> float:
     """f': acceleration realised per acceleration commanded through an imperfect model, at rest."""
     return force_slope(plant, 0.0, 0.0, 0.0) / force_slope(model, 0.0, 0.0, 0.0)
+
+
+def ending(status: int, time: float, left: str) -> dict[str, Any]:
+    """When a run diverged, in s, and why, with what is said of a plant that left its bounds; empty if it did not."""
+    if status == RUNNING:
+        return {}
+    return {"diverged_at": float(time), "cause": {TOO_FAR: left, **CAUSES}[status]}
 
 
 def require_noise(noise: ArrayLike | None, shape: tuple[int, ...]) -> np.ndarray:
@@ -327,7 +322,7 @@ def record_sample(record, i, position, velocity, acceleration, estimate, memory,
     record[9, i] = force
 
 
-@kernel
+@borrowing_kernel
 def _closed_loop(
     device,
     filter_acceleration,
@@ -344,17 +339,16 @@ def _closed_loop(
     noise,
     force_limit,
     semi_implicit,
-    start,
+    estimate,
+    chain,
+    memory,
     limits,
     record,
 ):
-    """Fill `record` (COLUMNS x samples); returns the samples done and how it ended."""
-    _, _, gains, measurement = parts
+    """Fill `record` (COLUMNS x samples) from the state in `estimate`; returns the samples done and how it ended."""
+    measurement = parts[3]
     positions, velocities, accelerations = nominal
-    chain = np.zeros(len(gains) - 1)
-    estimate = np.array([start[0], start[1], accelerations[0]])
-    memory = np.zeros(4)
-    position, velocity = start[0], start[1]
+    position, velocity = estimate[0], estimate[1]
     force, held = 0.0, False
     for i in range(len(noise)):
         now = positions[i], velocities[i], accelerations[i]

@@ -119,10 +119,11 @@ def _scanned_range(loop: LinearLoop) -> StableRange:
 
     gains = -np.geomspace(10.0, 1e-3, 161)
     excess = np.array([loop.radius(gain) for gain in gains]) - 1
-    edges = [float(gains[0])]
-    for i in np.flatnonzero(excess[:-1] * excess[1:] < 0):
-        edges.append(brentq(lambda gain: loop.radius(gain) - 1, gains[i], gains[i + 1], xtol=1e-9))
-    edges.append(float(gains[-1]))
+    inner = [
+        brentq(lambda gain: loop.radius(gain) - 1, gains[i], gains[i + 1], xtol=1e-9)
+        for i in np.flatnonzero(excess[:-1] * excess[1:] < 0)
+    ]
+    edges = [float(gains[0]), *inner, float(gains[-1])]
     ranges = [pair for pair in pairwise(edges) if loop.radius(sum(pair) / 2) < 1]
     if not ranges:
         return StableRange(None, None)
@@ -199,16 +200,9 @@ def limit_cycles(
         scaled = brentq(lambda a, ratio=ratio: describing_function(a) - ratio, 0.0, reach)
         change = abs(edge.local_gain) * scaled * transformation.width
         rate = np.array([2 * np.pi * edge.frequency_hz])
-        position, velocity = (abs(loop.response(rate, row)[0]) * change for row in np.eye(len(loop.A))[:2])
-        cycles.append(
-            LimitCycle(
-                edge.frequency_hz,
-                float(scaled * transformation.width),
-                float(position),
-                float(velocity),
-                stable,
-            )
-        )
+        sizes = (abs(loop.response(rate, row)[0]) * change for row in np.eye(len(loop.A))[:2])
+        error, position, velocity = (float(each) for each in (scaled * transformation.width, *sizes))
+        cycles.append(LimitCycle(edge.frequency_hz, error, position, velocity, stable))
     return cycles
 
 
@@ -240,10 +234,6 @@ def strongest_oscillation(values: ArrayLike, time_step: float) -> Oscillation:
 
     lines = np.fft.rfftfreq(len(values), time_step)
     peak = int(np.abs(np.fft.rfft(weighted))[1:].argmax()) + 1
-    best = minimize_scalar(
-        lambda f: -height(f),
-        bounds=(lines[peak] - lines[1], lines[peak] + lines[1]),
-        method="bounded",
-        options={"xatol": 1e-6 * lines[1]},
-    )
+    ends, options = (lines[peak] - lines[1], lines[peak] + lines[1]), {"xatol": 1e-6 * lines[1]}
+    best = minimize_scalar(lambda f: -height(f), bounds=ends, method="bounded", options=options)
     return Oscillation(float(best.x), float(height(best.x)))

@@ -35,6 +35,13 @@ class LinearFilter:
     C: Float64[np.ndarray, "3 states"]
     D: Float64[np.ndarray, "3 2"]
 
+    def response(self, rate: ArrayLike, time_step: float) -> np.ndarray:
+        """Frequency responses from z to the three estimates at angular frequencies, rad/s, shape (rates, 3)."""
+        z = np.exp(1j * np.atleast_1d(rate) * time_step)[:, None, None]
+        inputs = np.broadcast_to(self.B[:, :1], (len(z), len(self.A), 1))
+        states = np.linalg.solve(z * np.eye(len(self.A)) - self.A, inputs)[..., 0]
+        return states @ self.C.T + self.D[:, 0]
+
 
 @checked
 def linear_filter(
@@ -68,13 +75,13 @@ def linear_filter(
 def _finite_impulse_response(rows) -> LinearFilter:
     length = max(len(row) for row in rows)
     weights = np.array([np.pad(row, (0, length - len(row))) for row in rows])
-    A = np.eye(length - 1, k=-1)
-    B = np.zeros((length - 1, 2))
-    B[0, 0] = 1.0
-    return LinearFilter(A, B, weights[:, 1:].copy(), np.column_stack([weights[:, 0], np.zeros(3)]))
+    D = np.column_stack([weights[:, 0], np.zeros(3)])
+    return LinearFilter(
+        np.eye(length - 1, k=-1), np.eye(length - 1, 2) * [1.0, 0.0], weights[:, 1:].copy(), D
+    )
 
 
-def _motion(slopes, time_step):
+def semi_implicit_motion(slopes: tuple[float, ...], time_step: float) -> tuple[np.ndarray, np.ndarray]:
     """F and the column of the force of x = [velocity, position] in the semi-implicit model (10)."""
     by_position, by_velocity, by_force = slopes
     row = np.array([1 + time_step * by_velocity, time_step * by_position])
@@ -83,7 +90,7 @@ def _motion(slopes, time_step):
 
 
 def _linear_unscented(signal_filter, slopes, time_step) -> LinearFilter:
-    F, push = _motion(slopes, time_step)
+    F, push = semi_implicit_motion(slopes, time_step)
     Q, R = signal_filter.process, signal_filter.noise
     if signal_filter.literal:  # innovation about the previous estimate: z - x, not z - F x
         P = np.eye(2) * signal_filter.initial_variance
@@ -98,13 +105,8 @@ def _linear_unscented(signal_filter, slopes, time_step) -> LinearFilter:
         forward = (np.eye(2) - K) @ F
         push = (np.eye(2) - K) @ push
     # States: velocity, position, last measurement; the measurement is [(z - last) / dt, z].
-    A = np.zeros((3, 3))
-    A[:2, :2] = forward
-    A[:2, 2] = -K[:, 0] / time_step
-    B = np.zeros((3, 2))
-    B[:2, 0] = K[:, 0] / time_step + K[:, 1]
-    B[:2, 1] = push
-    B[2, 0] = 1.0
+    A = np.vstack([np.column_stack([forward, -K[:, 0] / time_step]), np.zeros(3)])
+    B = np.vstack([np.column_stack([K[:, 0] / time_step + K[:, 1], push]), [1.0, 0.0]])
     now = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [1 / time_step, 0.0, 0.0]])
     C = now @ A
     C[2, 0] -= 1 / time_step  # acceleration: difference of the velocity estimate
@@ -112,7 +114,7 @@ def _linear_unscented(signal_filter, slopes, time_step) -> LinearFilter:
 
 
 def _linear_extended(signal_filter, slopes, time_step) -> LinearFilter:
-    motion, push = _motion(slopes, time_step)
+    motion, push = semi_implicit_motion(slopes, time_step)
     F = np.eye(3)
     F[:2, :2] = motion
     F[:2, 2] = time_step * np.array([1.0, time_step])

@@ -1,15 +1,12 @@
 """The controller's loop on a plant with several coordinates: each has its own filter, (1) and (6) or (8)."""
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.base.front_door import checked
-from stillwork.base.kernels import kernel
+from stillwork.base.kernels import borrowing_kernel
 from stillwork.control.fixed_point import (
-    CAUSES,
     COLUMNS,
     DEFORMED,
     MEASURED,
@@ -22,6 +19,7 @@ from stillwork.control.fixed_point import (
     ControlledRun,
     Controller,
     command_step,
+    ending,
     measure_position,
     packed_parts,
     record_sample,
@@ -30,7 +28,7 @@ from stillwork.control.fixed_point import (
 from stillwork.control.mechanism import Mechanism, forward_dynamics, inverse_dynamics, response_gains
 from stillwork.control.trajectory import Trajectory
 from stillwork.control.transformation import warn_outside_contraction
-from stillwork.estimation.coordinate_filters import require_step
+from stillwork.estimation.coordinate_filters import Packed, require_step
 from stillwork.estimation.filtering import filter_step, model_of
 
 
@@ -109,11 +107,8 @@ def simulate_mechanism(
     >>> bool(np.abs(along.position_error).max() < 2e-3 and np.abs(up.position_error).max() < 2e-2)  # m
     True
     """
-    model, count, samples = (
-        controller.model,
-        plant.coordinates,
-        len(trajectories[0].position) if trajectories else 0,
-    )
+    model, count = controller.model, plant.coordinates
+    samples = len(trajectories[0].position) if trajectories else 0
     if not isinstance(model, Mechanism):
         raise InputError(
             "the controller's model is a Plant; give it a Mechanism, or drive the plant with simulate"
@@ -139,8 +134,10 @@ def simulate_mechanism(
             raise InputError(f"force_limits is {forces}; give numbers above 0")
     warn_outside_contraction(controller.transformation, response_gains(plant, model, start[0])[-1])
     record = np.full((count, len(COLUMNS), samples), np.nan)
+    device = controller.signal_filter.packed()
     done, status = _closed_mechanism(
-        tuple(controller.signal_filter.packed() for _ in range(count)),
+        device,
+        np.tile(device.work, (count, 1, 1, 1)),
         *model_of(controller.signal_filter),
         packed_parts(controller, resolution, grid, lost),
         *plant.compiled,
@@ -150,26 +147,24 @@ def simulate_mechanism(
         noise,
         forces,
         np.array(start),
+        np.column_stack([start.T, nominal[:, 2, 0]]),
+        np.zeros((count, len(controller.kinematics.gains) - 1)),
+        np.zeros((count, 4)),
+        np.zeros((2 * count + 7, count)),
         limits,
         record,
     )
-    ended: dict[str, Any] = {}
-    if status != RUNNING:
-        causes = {
-            TOO_FAR: "a coordinate left its bound",
-            NO_INERTIA: "the inertia of a model is not positive definite",
-            **CAUSES,
-        }
-        ended = {"diverged_at": float(done * step), "cause": causes[status]}
+    ended = ending(status, done * step, "a coordinate left its bound")
     return [
-        ControlledRun(trajectory, **dict(zip(COLUMNS, rows, strict=True)), **ended)
+        ControlledRun(trajectory, *rows, **ended)
         for trajectory, rows in zip(trajectories, record, strict=True)
     ]
 
 
-@kernel
+@borrowing_kernel
 def _closed_mechanism(
-    devices,
+    device,
+    devices_work,
     filter_acceleration,
     filter_plant,
     parts,
@@ -183,44 +178,49 @@ def _closed_mechanism(
     nominal,
     noise,
     force_limits,
-    start,
+    motion,
+    estimate,
+    chain,
+    memory,
+    work,
     limits,
     record,
 ):
     """Fill `record` (coordinates x COLUMNS x samples); returns the samples done and how it ended."""
     count, samples = noise.shape
-    _, _, gains, measurement = parts
-    chain, estimate, memory = np.zeros((count, len(gains) - 1)), np.zeros((count, 3)), np.zeros((count, 4))
-    position, velocity = start[0].copy(), start[1].copy()
-    estimate[:, 0], estimate[:, 1], estimate[:, 2] = position, velocity, nominal[:, 2, 0]
-    force, acceleration, deformed = np.zeros(count), np.zeros(count), np.zeros(count)
-    seen, held, work = np.zeros(count), np.zeros(count, dtype=np.bool_), np.zeros((2 * count + 1, count))
+    kind, options, process, covariance, _ = device
+    measurement, position, velocity = parts[3], motion[0], motion[1]
+    force, acceleration, deformed, seen, speed, held = work[0], work[1], work[2], work[3], work[4], work[5]
+    work = work[6:]
     for i in range(samples):
         for j in range(count):
             now = nominal[j, 0, i], nominal[j, 1, i], nominal[j, 2, i]
             measured = measure_position(
                 measurement, position[j], noise[j, i], time_step, estimate[j, 1], memory[j, MEASURED]
             )
+            own = Packed(kind, options, process, covariance, devices_work[j])
             if not filter_step(
-                devices[j], filter_acceleration, filter_plant, time_step, measured, deformed[j], estimate[j]
+                own, filter_acceleration, filter_plant, time_step, measured, deformed[j], estimate[j]
             ):
                 return i, NOT_DEFINITE
-            command_step(parts, time_step, now, measured, i == 0, held[j], chain[j], estimate[j], memory[j])
-            seen[j], deformed[j] = memory[j, SEEN], memory[j, DEFORMED]
-        speed = estimate[:, 1].copy()
+            command_step(
+                parts, time_step, now, measured, i == 0, held[j] > 0.0, chain[j], estimate[j], memory[j]
+            )
+            seen[j], deformed[j], speed[j] = memory[j, SEEN], memory[j, DEFORMED], estimate[j, 1]
         inverse_dynamics(model_inertia, model_bias, model, seen, speed, deformed, work, force)
         limited = False
         for j in range(count):
             if not np.isfinite(force[j]):
                 return i, NOT_FINITE
-            held[j] = abs(force[j]) > force_limits[j]
-            if held[j]:
+            held[j] = 0.0
+            if abs(force[j]) > force_limits[j]:
                 force[j] = np.copysign(force_limits[j], force[j])
-                limited = True
+                held[j], limited = 1.0, True
         if limited:
             if not forward_dynamics(model_inertia, model_bias, model, seen, speed, force, work, deformed):
                 return i, NO_INERTIA
-            memory[:, DEFORMED] = deformed
+            for j in range(count):
+                memory[j, DEFORMED] = deformed[j]
         if not forward_dynamics(inertia, bias, plant, position, velocity, force, work, acceleration):
             return i, NO_INERTIA
         for j in range(count):

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from stillwork.base.algebra import cholesky_root
 from stillwork.base.checks import InputError, require_array, require_count
 from stillwork.base.front_door import check_fields, checked
-from stillwork.base.kernels import callback, kernel
+from stillwork.base.kernels import borrowing_kernel, callback
 
 INERTIA = "void(float64[::1], float64[::1], float64[:, ::1])"  # signatures of the two functions
 BIAS = "void(float64[::1], float64[::1], float64[::1], float64[::1])"
@@ -150,7 +150,7 @@ def response_gains(
     return np.sort(np.linalg.eigvals(response_matrix(plant, model, position)).real)
 
 
-@kernel
+@borrowing_kernel
 def inverse_dynamics(inertia, bias, parameters, position, velocity, acceleration, work, force):
     """force = M acceleration + h; work: (2 n + 1, n) numbers."""
     size = len(position)
@@ -161,7 +161,7 @@ def inverse_dynamics(inertia, bias, parameters, position, velocity, acceleration
             force[i] += work[i, j] * acceleration[j]
 
 
-@kernel
+@borrowing_kernel
 def forward_dynamics(inertia, bias, parameters, position, velocity, force, work, acceleration):
     """acceleration = M^-1 (force - h); false where M is not positive definite."""
     size = len(position)

@@ -8,7 +8,7 @@ from jaxtyping import Float64
 
 from stillwork.base.checks import InputError, require_number
 from stillwork.base.front_door import checked
-from stillwork.base.kernels import kernel
+from stillwork.base.kernels import pasted_kernel
 
 
 class ContractionWarning(UserWarning):
@@ -124,7 +124,7 @@ def deform(transformation: Transformation, previous: float, response: float, des
     return float(deform_packed(transformation.packed, float(previous), float(response), float(desired)))
 
 
-@kernel
+@pasted_kernel
 def deform_packed(packed, previous, response, desired):
     if packed[0] == 0.0:  # (6)
         x = (response - desired) / packed[2]

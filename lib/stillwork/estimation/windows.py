@@ -23,18 +23,14 @@ def end_point_weights(samples: int, degree: int, derivative: int = 0) -> Float64
 
 
 @borrowing_kernel
-def _window_push(buffer, value):
-    for i in range(buffer.shape[0] - 1):
+def _slide(weights, buffer, value):
+    """Push a value into a buffer; the weighted sum of what it then holds."""
+    total, last = 0.0, buffer.shape[0] - 1
+    for i in range(last):
         buffer[i] = buffer[i + 1]
-    buffer[-1] = value
-
-
-@borrowing_kernel
-def _window_dot(weights, buffer):
-    total = 0.0
-    for i in range(buffer.shape[0]):
         total += weights[i] * buffer[i]
-    return total
+    buffer[last] = value
+    return total + weights[last] * value
 
 
 @borrowing_kernel
@@ -53,8 +49,7 @@ def moving_window_step(weights, state, time_step, measured, estimate):
         estimate[0] = measured - time_step * estimate[1]
     value = measured
     for level in range(3):
-        _window_push(buffers[level], value)
-        fitted = _window_dot(weights, buffers[level])
+        fitted = _slide(weights, buffers[level], value)
         value = (fitted - estimate[level]) / time_step
         estimate[level] = fitted
 
@@ -67,6 +62,9 @@ def savitzky_golay_step(weights, state, time_step, measured, estimate):
         state[1, 0, 0] = 1.0
         for i in range(samples):
             state[0, 0, i] = measured + (i - samples) * time_step * estimate[1]
-    _window_push(state[0, 0], measured)
-    for row in range(3):
-        estimate[row] = _window_dot(weights[row * samples : (row + 1) * samples], state[0, 0])
+    estimate[0] = _slide(weights[:samples], state[0, 0], measured)
+    for row in range(1, 3):
+        total = 0.0
+        for i in range(samples):
+            total += weights[row * samples + i] * state[0, 0, i]
+        estimate[row] = total
