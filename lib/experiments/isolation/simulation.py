@@ -142,7 +142,6 @@ def simulate_together(
 
 def _advance(twin: Twin, sources: Sources, sides: list, total: int, first: int, start: np.ndarray) -> None:
     """Run the algorithms of `sides` over the same samples, block by block, as many runs at a time as the sources are."""
-    together = None if sources.runs == 1 else (0,) * sources.runs
     done = 0
     while done < total:
         # A block ends where the signals start.
@@ -162,7 +161,7 @@ def _advance(twin: Twin, sources: Sources, sides: list, total: int, first: int, 
                 *numbers,
                 *closed.recursion[-2:],
                 twin.instruments.force_limit,
-                together,
+                sources.together,
             )
             if status != loop.STABLE:
                 peak = np.abs(floor_block[:, stopped :: sources.runs]).max()
