@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from experiments.isolation.cures import CURES, run_cure, run_to_the_end
+from experiments.isolation.cures import CURES, run_cure, run_to_the_end, smallest_loop
 from experiments.isolation.floors import flat_floor
 from experiments.isolation.shaping import NoiseShaping, SecondaryPath, noise_shaping, weak_integrator
 from experiments.isolation.stability import (
@@ -144,9 +144,7 @@ def closed_loop(cure, samples=400):
     optimum, start = np.array([0.3, -0.2, 0.5, 1.0]), np.array([0.02, 0.02, 0.5, 0.5])
     run = run_cure(
         cure,
-        [(floor, optimum)],
-        integrator,
-        shaping,
+        smallest_loop([(floor, optimum)], integrator, shaping),
         start,
         FORGETTING,
         growth=1.5,
@@ -176,9 +174,8 @@ def test_closed_loop_with_each_cure_is_its_naive_twin(cure):
 
 def test_resetting_settles_where_nothing_is_excited():
     start = np.array([0.2, 0.7])
-    run = run_cure(
-        "resetting", [(np.zeros((1, 6000)), np.ones(2))], np.ones((1, 6)), np.ones((1, 6)), start, 0.99
-    )
+    loop = smallest_loop([(np.zeros((1, 6000)), np.ones(2))], np.ones((1, 6)), np.ones((1, 6)))
+    run = run_cure("resetting", loop, start, 0.99)
     # p / lambda + b - d p^2 = p in units of the start: p^2 / growth - p - 0.01 = 0.
     assert run.growth[-1] == pytest.approx(5 + np.sqrt(25 + 0.1), rel=1e-6)
 
@@ -206,7 +203,7 @@ def test_limit_protects_the_twin_where_the_printed_algorithm_breaks():
         (lambda: covariance_run("triangle", np.ones((2, 1)), 0.9, np.eye(2), 2), "give at least 2"),
         (lambda: covariance_run("triangle", np.ones((2, 50)), 0.9, np.eye(2), 2, "float16"), "precision is"),
         (
-            lambda: run_cure("leak", [], np.ones((1, 6)), np.ones((1, 6)), np.ones(1), 0.9),
+            lambda: run_cure("leak", None, np.ones(1), 0.9),
             "did you mean 'leakage'",
         ),
     ],

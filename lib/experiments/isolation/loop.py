@@ -12,11 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.isolation.lanes import put, runs_of, same, take
-from experiments.isolation.together import ferls_updates
+from experiments.isolation.lanes import at_most, put, runs_of, same, take
+from experiments.isolation.together import ferls_updates, first_below, hold_each
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import InputError
-from stillwork.base.kernels import borrowing_kernel, inlined_kernel, kernel
+from stillwork.base.kernels import borrowing_kernel, kernel, pasted_kernel
 from stillwork.estimation.adaptive import Recursion, ferls_step
 
 FROZEN, FELMS, FERLS = 0, 1, 2  # what the kernel does with the weights
@@ -184,7 +184,7 @@ def side_by_side(array: np.ndarray, runs: int) -> np.ndarray:
     return wide
 
 
-@inlined_kernel
+@pasted_kernel
 def _filter(sections, first, second, values, together):
     """One sample of every channel of a bank, in place.
 
@@ -202,7 +202,7 @@ def _filter(sections, first, second, values, together):
             put(values, c, out, together)
 
 
-@inlined_kernel
+@pasted_kernel
 def _filter_each(sections, first, second, values, together):
     """The same where every channel has a cascade of its own, (sections, 5, channels)."""
     for s in range(sections.shape[0]):
@@ -222,7 +222,21 @@ def filter_block(sections, first, second, signals, together):
         _filter_each(sections, first, second, signals[k], together)
 
 
-@inlined_kernel
+@pasted_kernel
+def _copy(source, first, target, place, channels, together):
+    """So many channels of one array to a place in another."""
+    for i in range(channels):
+        put(target, place + i, take(source, first + i, together), together)
+
+
+@pasted_kernel
+def _keep(source, first, kept, k):
+    """Row k of a signal that is kept: the numbers of every run from `first` on."""
+    for i in range(kept.shape[1]):
+        kept[k, i] = source[first + i]
+
+
+@pasted_kernel
 def _multiply(matrix, vector, product, together):
     """product = matrix' vector, four inputs at a time: one pass through memory where there would be four."""
     for i in range(matrix.shape[1]):
@@ -235,7 +249,7 @@ def _multiply(matrix, vector, product, together):
             put(product, i, take(product, i, together) + total, together)
 
 
-@inlined_kernel
+@pasted_kernel
 def _add_product(matrix, vector, out, together):
     """Out = matrix vector, of a few channels."""
     for i in range(matrix.shape[0]):
@@ -245,7 +259,17 @@ def _add_product(matrix, vector, out, together):
         put(out, i, total, together)
 
 
-@inlined_kernel
+@pasted_kernel
+def _command(weights, regressor, damping, command, together):
+    """u = W psi less the damping."""
+    for i in range(weights.shape[0]):
+        total = -take(damping, i, together)
+        for j in range(weights.shape[1] // runs_of(together)):
+            total += take(weights, (i, j), together) * take(regressor, j, together)
+        put(command, i, total, together)
+
+
+@pasted_kernel
 def _felms(weights, regressor, error, step_size, regularisation, trace_copies, together):
     """`felms_update` of every run."""
     count = weights.shape[1] // runs_of(together)
@@ -314,10 +338,8 @@ def advance(
     for k in range(samples):
         # Force: the command of the sample before, through the actuator's lag.
         _filter(actuator, actuator_1, actuator_2, command, together)
-        for i in range(actuators):
-            force = take(command, i, together)
-            put(vector, states + i, force, together)
-            put(resonance, i, force, together)
+        _copy(command, 0, vector, states, actuators, together)
+        _copy(command, 0, resonance, 0, actuators, together)
         _filter(parasitic, parasitic_1, parasitic_2, resonance, together)
 
         # Plant and sensors.
@@ -326,8 +348,7 @@ def advance(
             put(vector, states + actuators + i, motion, together)
             put(readings, outputs + i, motion + take(noise, (k, outputs + i), together), together)
         _multiply(plant, vector, product, together)
-        for i in range(states):
-            put(vector, i, take(product, i, together), together)
+        _copy(product, 0, vector, 0, states, together)
         for i in range(outputs):
             moved = take(product, states + i, together) + take(resonance, i, together)
             put(product, states + i, moved, together)
@@ -335,10 +356,8 @@ def advance(
         _filter(conditioning, conditioning_1, conditioning_2, readings, together)
 
         # Filtered error, eq. (16).
-        for i in range(outputs):
-            reading = take(readings, i, together)
-            put(damping, i, reading, together)
-            put(error, i, reading, together)
+        _copy(readings, 0, damping, 0, outputs, together)
+        _copy(readings, 0, error, 0, outputs, together)
         if full:
             _add_product(before, readings, axes, together)
             _filter_each(modes, error_1, error_2, axes, together)
@@ -347,32 +366,24 @@ def advance(
             _filter(error_sections, error_1, error_2, error, together)
 
         # Regressors psi and psi_N: N acts on the sensors, before the integrators.
-        for i in range(sensors):
-            put(shaped, i, take(readings, outputs + i, together), together)
+        _copy(readings, outputs, shaped, 0, sensors, together)
         _filter(shaping, shaping_1, shaping_2, shaped, together)
-        for i in range(sensors):
-            direct, band = take(readings, outputs + i, together), take(shaped, i, together)
-            put(both, i, direct, together)
-            put(both, sensors + i, band, together)
-            put(regressor, i, direct, together)
-            put(filtered, i, band, together)
+        _copy(readings, outputs, both, 0, sensors, together)
+        _copy(shaped, 0, both, sensors, sensors, together)
+        _copy(both, 0, regressor, 0, sensors, together)
+        _copy(both, sensors, filtered, 0, sensors, together)
         for power_of in range(1, count // sensors):
             first = (power_of - 1) * through
             last = first + through
             _filter(
                 integrator[first:last], integrator_1[first:last], integrator_2[first:last], both, together
             )
-            for i in range(sensors):
-                put(regressor, power_of * sensors + i, take(both, i, together), together)
-                put(filtered, power_of * sensors + i, take(both, sensors + i, together), together)
+            _copy(both, 0, regressor, power_of * sensors, sensors, together)
+            _copy(both, sensors, filtered, power_of * sensors, sensors, together)
 
         # Command: feedforward (13), skyhook (1), and what the floor's inertia adds on the same way.
         _filter(skyhook, skyhook_1, skyhook_2, damping, together)
-        for i in range(actuators):
-            total = -take(damping, i, together)
-            for j in range(count):
-                total += take(weights, (i, j), together) * take(regressor, j, together)
-            put(command, i, total, together)
+        _command(weights, regressor, damping, command, together)
         for i in range(len(command)):
             if not abs(command[i]) <= force_limit:  # true for NaN as well
                 return OVERLOAD, k, i % runs
@@ -381,16 +392,12 @@ def advance(
             squares += take(error, i, together) * take(error, i, together)
         put(power, 0, take(power, 0, together) + squares, together)
         if keep:
-            for i in range(outputs * runs):
-                kept_platform[k, i] = product[states * runs + i]
-                kept_measured[k, i] = readings[i]
-            for i in range(sensors * runs):
-                kept_sensed[k, i] = readings[outputs * runs + i]
-            for i in range(len(command)):
-                kept_command[k, i] = command[i]
-                kept_error[k, i] = error[i]
-            for i in range(len(filtered)):
-                kept_regressors[k, i] = filtered[i]
+            _keep(product, states * runs, kept_platform, k)
+            _keep(readings, 0, kept_measured, k)
+            _keep(readings, outputs * runs, kept_sensed, k)
+            _keep(command, 0, kept_command, k)
+            _keep(filtered, 0, kept_regressors, k)
+            _keep(error, 0, kept_error, k)
         for i in range(actuators):
             for j in range(sensors):
                 inertia = floor_inertia[i, j] * take(floor, (k, j), together)
@@ -400,14 +407,15 @@ def advance(
             _felms(weights, filtered, error, step_size, regularisation, trace_copies, together)
         elif adaptation == FERLS:
             if together is not None:
-                lost = ferls_updates(
+                leverage, within = ferls_updates(
                     weights, matrix, forgetting, levels, allowance, gain, filtered, error, together
                 )
-                if lost >= 0:
-                    return INDEFINITE, k, lost
+                if not at_most(forgetting, leverage):
+                    return INDEFINITE, k, first_below(forgetting, gain, filtered, runs)
+                if not within:
+                    hold_each(matrix, forgetting, levels, runs)
             else:
-                for i in range(actuators):
-                    rounded[i] = error[i]
+                _copy(error, 0, rounded, 0, actuators, together)
                 leverage = ferls_step(
                     weights,
                     matrix,

@@ -51,6 +51,7 @@ class Run:
     command: Float64[np.ndarray, "actuators _"]  # u, N
     filtered_regressors: Float64[np.ndarray, "regressors _"]  # psi_N
     error: Float64[np.ndarray, "actuators _"]  # e, N
+    broke_s: float | None = None  # when it was stopped as unstable; what is kept ends before
 
 
 def simulate(
@@ -90,13 +91,14 @@ def simulate_together(
     keep_every_s: float = 0.1,
     signals_from_s: float | None = None,
     signals: Collection[str] = SIGNALS,
+    to_the_break: bool = False,
 ) -> list[dict[str, Run]]:
     """For each seed what `simulate` gives for each of several algorithms, on a floor and noises that are drawn once.
 
     Several seeds go through one kernel side by side, with the same bits in half the time. Weights and error power are kept
     every `keep_every_s`; from `signals_from_s` on `signals` are, at the full rate. `weights` are those of all runs, or
     one W for each seed. Several seeds take FeRLS in the triangle's form and float64. The first run that diverges ends
-    them all.
+    them all; `to_the_break` keeps a single seed's up to there instead of raising.
     """
     seeds = [require_count("seed", seed, at_least=0) for seed in seeds]
     if len(seeds) > 1:
@@ -132,9 +134,18 @@ def simulate_together(
             closed = loop.loop_of(twin, feedback, begin, recursion, runs)
             kept = _Kept(twin, total, every, first, runs, signals)
             sides.append((adaptation, code, numbers, closed, kept))
-        _advance(twin, Sources(twin, segments, noise, batch, runs), sides, total, first, start)
+        until, broke_s = total, None
+        try:
+            _advance(twin, Sources(twin, segments, noise, batch, runs), sides, total, first, start)
+        except UnstableAdaptation as error:
+            if not to_the_break or runs > 1:
+                raise
+            until, broke_s = error.sample, error.sample * twin.sample_time
         found += [
-            {name: side[-1].run(rate, side[-2], run) for name, side in zip(adaptations, sides, strict=True)}
+            {
+                name: side[-1].run(rate, side[-2], run, until, broke_s)
+                for name, side in zip(adaptations, sides, strict=True)
+            }
             for run in range(len(batch))
         ]
     return found
@@ -284,8 +295,9 @@ class _Kept:
         start = done - self.first if name in self.signals else 0
         return self.long[name][start : start + samples]
 
-    def run(self, rate: float, closed: loop.ClosedLoop, run: int) -> Run:
-        """One of the runs."""
+    def run(self, rate: float, closed: loop.ClosedLoop, run: int, until: int, broke_s: float | None) -> Run:
+        """One of the runs, its first `until` samples."""
+        rows = until // self.every
 
         def of(array):
             return np.ascontiguousarray(array[..., run :: self.runs])
@@ -293,17 +305,19 @@ class _Kept:
         recursion = closed.recursion._replace(
             matrix=of(closed.recursion.matrix), levels=of(closed.recursion.levels)
         )
+        long = max(until - self.first, 0)
         signals = {
-            name: of(array if name in self.signals else array[:0]).T for name, array in self.long.items()
+            name: of(array[: long if name in self.signals else 0]).T for name, array in self.long.items()
         }
         return Run(
             sample_rate=rate,
-            time_s=self.every / rate * np.arange(1, len(self.power) + 1),
-            weights=of(self.weights),
-            error_power=of(self.power)[:, 0],
+            time_s=self.every / rate * np.arange(1, rows + 1),
+            weights=of(self.weights[:rows]),
+            error_power=of(self.power[:rows])[:, 0],
             final_weights=of(closed.weights).astype(float),
             covariance=recursion.covariance,
             held=recursion.held,
             signals_start_s=self.first / rate,
+            broke_s=broke_s,
             **signals,
         )

@@ -3,14 +3,14 @@
 import numpy as np
 
 from experiments.isolation.lanes import at_most, put, runs_of, same, take
-from stillwork.base.kernels import inlined_kernel, kernel
+from stillwork.base.kernels import kernel, pasted_kernel
 from stillwork.estimation.adaptive import hold_covariance
 from stillwork.estimation.covariance_forms import TRIANGLE
 
 
-@inlined_kernel
+@pasted_kernel
 def ferls_updates(weights, matrix, forgetting, levels, allowance, gain, regressor, error, together):
-    """`ferls_update` of every run, its limit included; returns a run that lost definiteness, or -1."""
+    """`ferls_update` of every run; returns the leverage, and whether `hold_each` has nothing to do."""
     runs = runs_of(together)
     count = weights.shape[1] // runs
     leverage = same(forgetting, together)
@@ -21,7 +21,7 @@ def ferls_updates(weights, matrix, forgetting, levels, allowance, gain, regresso
         put(gain, i, total, together)
         leverage += total * take(regressor, i, together)
     if not at_most(forgetting, leverage):
-        return _first_below(forgetting, gain, regressor, runs)
+        return leverage, True
     shrink = 1.0 / leverage
     forget = 1.0 / forgetting
     for i in range(count):
@@ -48,13 +48,11 @@ def ferls_updates(weights, matrix, forgetting, levels, allowance, gain, regresso
                 if levels[0, at] * levels[1, at] > allowance:
                     levels[0, at] = allowance / levels[1, at]
         within &= at_most(take(matrix, (i, i), together), take(levels, (0, i), together))
-    if not within:
-        _hold_each(matrix, forgetting, levels, runs)
-    return -1
+    return leverage, within
 
 
 @kernel
-def _first_below(forgetting, gain, regressor, runs):
+def first_below(forgetting, gain, regressor, runs):
     """The run whose leverage fell below the forgetting, or is no number."""
     for run in range(runs):
         leverage = forgetting
@@ -66,7 +64,7 @@ def _first_below(forgetting, gain, regressor, runs):
 
 
 @kernel
-def _hold_each(matrix, forgetting, levels, runs):
+def hold_each(matrix, forgetting, levels, runs):
     """`hold_covariance` of every run, by copies: it is rare."""
     count = len(matrix)
     one, limits, work = np.empty((count, count)), np.empty((3, count)), np.empty(count)
