@@ -172,10 +172,13 @@ def test_closed_loop_with_each_cure_is_its_naive_twin(cure):
         assert np.abs(run.growth - free.growth).max() > 0.1
 
 
+def still_loop(samples):
+    return smallest_loop([(np.zeros((1, samples)), np.ones(2))], np.ones((1, 6)), np.ones((1, 6)))
+
+
 def test_resetting_settles_where_nothing_is_excited():
     start = np.array([0.2, 0.7])
-    loop = smallest_loop([(np.zeros((1, 6000)), np.ones(2))], np.ones((1, 6)), np.ones((1, 6)))
-    run = run_cure("resetting", loop, start, 0.99)
+    run = run_cure("resetting", still_loop(6000), start, 0.99)
     # p / lambda + b - d p^2 = p in units of the start: p^2 / growth - p - 0.01 = 0.
     assert run.growth[-1] == pytest.approx(5 + np.sqrt(25 + 0.1), rel=1e-6)
 
@@ -203,7 +206,7 @@ def test_limit_protects_the_twin_where_the_printed_algorithm_breaks():
         (lambda: covariance_run("triangle", np.ones((2, 1)), 0.9, np.eye(2), 2), "give at least 2"),
         (lambda: covariance_run("triangle", np.ones((2, 50)), 0.9, np.eye(2), 2, "float16"), "precision is"),
         (
-            lambda: run_cure("leak", None, np.ones(1), 0.9),
+            lambda: run_cure("leak", still_loop(10), np.ones(2), 0.9),
             "did you mean 'leakage'",
         ),
     ],

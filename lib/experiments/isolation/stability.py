@@ -11,7 +11,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
-from stillwork.base.kernels import inlined_kernel, kernel
+from stillwork.base.kernels import borrowing_kernel, inlined_kernel
 from stillwork.estimation import covariance_forms
 from stillwork.estimation.covariance_forms import factor_of, update_form
 
@@ -189,7 +189,7 @@ def stability_map(
     return found
 
 
-@kernel
+@borrowing_kernel
 def _recur(form, matrix, regressors, forgetting, column, row):
     """Update what the form keeps over a block in place, in the arrays' precision."""
     # A loop a form: asked at every sample for its form, the compiler would optimise none of them.
@@ -236,7 +236,8 @@ def _both_products(matrix, psi, forgetting, column, row):
     forget = one / forgetting
     for i in range(n):
         row[i] = matrix[0, i] * psi[0]
-        for j in range(1, n):
+    for j in range(1, n):
+        for i in range(n):
             row[i] += matrix[j, i] * psi[j]
     for i in range(n):
         gain = column[i] * shrink
