@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
 
-from experiments.isolation.cures import CURES, run_cure, run_to_the_end, smallest_loop
+from experiments.isolation.cures import CURES, peak_error, run_cure, smallest_loop
 from experiments.isolation.floors import flat_floor
 from experiments.isolation.shaping import NoiseShaping, SecondaryPath, noise_shaping, weak_integrator
+from experiments.isolation.simulation import simulate
 from experiments.isolation.stability import (
     FORMS,
     _recur,
@@ -190,11 +191,12 @@ def test_limit_protects_the_twin_where_the_printed_algorithm_breaks():
     floor, quiet = flat_floor(), flat_floor(level=[1.5e-3, 1.5e-3, 0.0])
     start = 10 * np.array([0.48, 0.48, 0.48, 0.6, 0.6, 0.6, 0.79, 0.79, 0.79])
     stages = [(2.0, floor), (12.0, quiet), (2.0, floor)]
-    broken = run_to_the_end(twin, stages, FeRls(start, forgetting, np.inf), seed=3)
-    assert 14.0 < broken.broke_s < 15.0 and broken.peak(14.0) == np.inf
+    options = {"seed": 3, "keep_every_s": 0.02, "to_the_break": True}
+    broken = simulate(twin, stages, adaptation=FeRls(start, forgetting, np.inf), **options)
+    assert 14.0 < broken.broke_s < 15.0 and peak_error(broken, 14.0) == np.inf
     assert broken.time_s[-1] <= broken.broke_s
-    kept = run_to_the_end(twin, stages, FeRls(start, forgetting), seed=3)
-    assert kept.broke_s is None and kept.peak(14.0) < 3
+    kept = simulate(twin, stages, adaptation=FeRls(start, forgetting), **options)
+    assert kept.broke_s is None and peak_error(kept, 14.0) < 3
 
 
 @pytest.mark.parametrize(

@@ -14,12 +14,10 @@ from jaxtyping import Float64, Int64
 from numpy.typing import ArrayLike
 from scipy import signal
 
-from experiments.isolation.floors import ShapedFloor
-from experiments.isolation.simulation import simulate
-from experiments.isolation.twin import Twin
+from experiments.isolation.simulation import Run
 from stillwork.base.checks import require_array, require_choice, require_count, require_number
 from stillwork.base.kernels import inlined_kernel, kernel
-from stillwork.estimation.adaptive import FeLms, FeRls, ferls_update, hold_covariance
+from stillwork.estimation.adaptive import ferls_update, hold_covariance
 from stillwork.estimation.covariance_forms import TRIANGLE, add_information
 
 CURES = ("none", "trace bound", "leakage", "limit", "directional", "no forgetting", "variable", "resetting")
@@ -70,7 +68,6 @@ class CureRun:
     growth: Float64[np.ndarray, "kept n"]  # diagonal of P over that of P(-1)
     misalignment: Float64[np.ndarray, "kept"]  # size of W - w in the metric of P(-1), over its start
     error_power: Float64[np.ndarray, "kept"]  # mean square of e over the interval
-    overload: int | None  # sample at which the command left the actuator's range
 
     def decay(self, start: int, stop: int) -> float:
         """Time constant of the misalignment in samples, fitted to the kept moments `start` to `stop`."""
@@ -112,9 +109,8 @@ def run_cure(
     noise = np.broadcast_to(require_array("noise", noise), samples).astype(float)
     kept = np.full((samples // every, len(start) + 2), np.nan)
     excited = loop.regressors, loop.filtered, noise, loop.segment, loop.optima, loop.shaping
-    reached = _cure_run(code, *excited, start, forgetting, growth, noise_power, every, kept)
-    overload = None if reached == samples else int(reached)
-    return CureRun(every * np.arange(1.0, len(kept) + 1), kept[:, 2:], kept[:, 0], kept[:, 1], overload)
+    _cure_run(code, *excited, start, forgetting, growth, noise_power, every, kept)
+    return CureRun(every * np.arange(1.0, len(kept) + 1), kept[:, 2:], kept[:, 0], kept[:, 1])
 
 
 @inlined_kernel
@@ -216,7 +212,7 @@ def _cure_run(
             wanted += optimum[i] * psi[i]
         largest = max(largest, abs(wanted))
         if not abs(command) <= OVERLOAD * largest:
-            return k
+            return
 
         reached = False
         if cure == DIRECTIONAL:
@@ -253,28 +249,11 @@ def _cure_run(
             kept[row, 0] = np.sqrt(distance / first)
             kept[row, 1] = squares / every
             squares = 0.0
-    return len(noise)
 
 
-@dataclass(frozen=True)
-class ErrorRecord:
-    """Filtered error of one closed-loop run, to its end or to where it broke."""
-
-    time_s: Float64[np.ndarray, "kept"]  # end of each interval
-    error: Float64[np.ndarray, "kept"]  # filtered error, root mean square over the interval, N
-    broke_s: float | None  # when the adaptation was stopped as unstable
-
-    def peak(self, from_s: float) -> float:
-        """Largest error from a moment on over the mean of the ten seconds before it; infinite if it broke."""
-        if self.broke_s is not None:
-            return float("inf")
-        before = (self.time_s > from_s - 10) & (self.time_s <= from_s)
-        return float(self.error[self.time_s > from_s].max() / self.error[before].mean())
-
-
-def run_to_the_end(
-    twin: Twin, stages: list[tuple[float, ShapedFloor]], adaptation: FeLms | FeRls, seed: int
-) -> ErrorRecord:
-    """Run stages of (seconds, floor) as `simulate` does; an unstable run is kept up to where it broke."""
-    run = simulate(twin, stages, adaptation=adaptation, seed=seed, keep_every_s=0.02, to_the_break=True)
-    return ErrorRecord(run.time_s, np.sqrt(run.error_power), run.broke_s)
+def peak_error(run: Run, from_s: float) -> float:
+    """Largest filtered error from a moment on over its mean in the ten seconds before; infinite if the run broke."""
+    if run.broke_s is not None:
+        return float("inf")
+    error, before = np.sqrt(run.error_power), (run.time_s > from_s - 10) & (run.time_s <= from_s)
+    return float(error[run.time_s > from_s].max() / error[before].mean())

@@ -41,7 +41,7 @@ class Run:
     covariance: Float64[np.ndarray, "regressors regressors"]  # P after the last sample; one unless FeRLS ran
     # share of the last time constant in which FeRLS's `growth_limit` acted on each regressor
     held: Float64[np.ndarray, "regressors"]
-    signals_start_s: float  # time of the first sample of the signals below; those not asked for are empty
+    # from `signals_from_s` on; those not asked for are empty
     floor: Float64[np.ndarray, "sensors _"]  # a0 without noise, m/s^2
     platform: Float64[np.ndarray, "outputs _"]  # a1 without noise, m/s^2
     # sensed_floor, measured_platform: the same through noisy sensors and their conditioners: what the
@@ -317,7 +317,6 @@ class _Kept:
             final_weights=of(closed.weights).astype(float),
             covariance=recursion.covariance,
             held=recursion.held,
-            signals_start_s=self.first / rate,
             broke_s=broke_s,
             **signals,
         )
