@@ -3,6 +3,9 @@
 Channel c of run r stands at c * runs + r. `together` is a tuple as long as the runs are many, so that the compiler
 knows their number, or None for a single run, whose numbers are plain. A kernel written with `take` and `put` serves
 both: every lane goes through the operations of a single run in their order, to the same bits.
+
+What stands here becomes part of kernels' machine code, whose folder (`stillwork.base.kernel_folder`) is named after
+every file that says ``stillwork.base.kernel``, as this sentence does.
 """
 
 import operator
