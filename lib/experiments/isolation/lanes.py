@@ -29,19 +29,21 @@ class Lanes(types.Type):
         super().__init__(name=f"Lanes({count})")
 
 
-@register_default(Lanes)
 class _LanesModel(models.PrimitiveModel):
     def __init__(self, manager, kind):
         super().__init__(manager, kind, ir.VectorType(ir.DoubleType(), kind.count))
 
 
-@lower_cast(types.Float, Lanes)
 def _broadcast(context, builder, source, target, value):
     number = context.cast(builder, value, source, types.float64)
     vector = ir.VectorType(ir.DoubleType(), target.count)
     first = builder.insert_element(ir.Constant(vector, ir.Undefined), number, ir.IntType(32)(0))
     places = ir.Constant(ir.VectorType(ir.IntType(32), target.count), [0] * target.count)
     return builder.shuffle_vector(first, first, places)
+
+
+register_default(Lanes)(_LanesModel)
+lower_cast(types.Float, Lanes)(_broadcast)
 
 
 class _Arithmetic(AbstractTemplate):
