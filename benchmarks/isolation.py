@@ -60,7 +60,7 @@ import sys, time
 start = time.thread_time()
 import numpy as np
 from stillwork.estimation.adaptive import FeLms, FeRls
-from experiments.isolation.cures import run_cure
+from experiments.isolation.cures import run_cure, smallest_loop
 from experiments.isolation.floors import flat_floor
 from stillwork.estimation.online import AdaptationStepper, identify
 from experiments.isolation.simulation import simulate
@@ -77,7 +77,8 @@ for settings in (FeLms(), FeRls(1.0)):
 simulate(twin.varied(estimate="full"), flat_floor(), 0.2)
 for precision in ("float64", "float32"):
     covariance_run("triangle", psi, 0.99, np.eye(9), 2, precision)
-run_cure("limit", [(psi[:3], np.ones(9))], twin.integrator, twin.noise_shaping, np.ones(9), 0.99)
+loop = smallest_loop([(psi[:3], np.ones(9))], twin.integrator, twin.noise_shaping)
+run_cure("limit", loop, np.ones(9), 0.99)
 total = time.thread_time() - start
 import numba, stillwork
 kernels = {

@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
 
-from experiments.isolation.cures import CURES, run_cure, run_to_the_end
+from experiments.isolation.cures import CURES, peak_error, run_cure, smallest_loop
 from experiments.isolation.floors import flat_floor
 from experiments.isolation.shaping import NoiseShaping, SecondaryPath, noise_shaping, weak_integrator
+from experiments.isolation.simulation import simulate
 from experiments.isolation.stability import (
     FORMS,
     _recur,
@@ -144,9 +145,7 @@ def closed_loop(cure, samples=400):
     optimum, start = np.array([0.3, -0.2, 0.5, 1.0]), np.array([0.02, 0.02, 0.5, 0.5])
     run = run_cure(
         cure,
-        [(floor, optimum)],
-        integrator,
-        shaping,
+        smallest_loop([(floor, optimum)], integrator, shaping),
         start,
         FORGETTING,
         growth=1.5,
@@ -174,11 +173,13 @@ def test_closed_loop_with_each_cure_is_its_naive_twin(cure):
         assert np.abs(run.growth - free.growth).max() > 0.1
 
 
+def still_loop(samples):
+    return smallest_loop([(np.zeros((1, samples)), np.ones(2))], np.ones((1, 6)), np.ones((1, 6)))
+
+
 def test_resetting_settles_where_nothing_is_excited():
     start = np.array([0.2, 0.7])
-    run = run_cure(
-        "resetting", [(np.zeros((1, 6000)), np.ones(2))], np.ones((1, 6)), np.ones((1, 6)), start, 0.99
-    )
+    run = run_cure("resetting", still_loop(6000), start, 0.99)
     # p / lambda + b - d p^2 = p in units of the start: p^2 / growth - p - 0.01 = 0.
     assert run.growth[-1] == pytest.approx(5 + np.sqrt(25 + 0.1), rel=1e-6)
 
@@ -190,11 +191,12 @@ def test_limit_protects_the_twin_where_the_printed_algorithm_breaks():
     floor, quiet = flat_floor(), flat_floor(level=[1.5e-3, 1.5e-3, 0.0])
     start = 10 * np.array([0.48, 0.48, 0.48, 0.6, 0.6, 0.6, 0.79, 0.79, 0.79])
     stages = [(2.0, floor), (12.0, quiet), (2.0, floor)]
-    broken = run_to_the_end(twin, stages, FeRls(start, forgetting, np.inf), seed=3)
-    assert 14.0 < broken.broke_s < 15.0 and broken.peak(14.0) == np.inf
+    options = {"seed": 3, "keep_every_s": 0.02, "to_the_break": True}
+    broken = simulate(twin, stages, adaptation=FeRls(start, forgetting, np.inf), **options)
+    assert 14.0 < broken.broke_s < 15.0 and peak_error(broken, 14.0) == np.inf
     assert broken.time_s[-1] <= broken.broke_s
-    kept = run_to_the_end(twin, stages, FeRls(start, forgetting), seed=3)
-    assert kept.broke_s is None and kept.peak(14.0) < 3
+    kept = simulate(twin, stages, adaptation=FeRls(start, forgetting), **options)
+    assert kept.broke_s is None and peak_error(kept, 14.0) < 3
 
 
 @pytest.mark.parametrize(
@@ -206,7 +208,7 @@ def test_limit_protects_the_twin_where_the_printed_algorithm_breaks():
         (lambda: covariance_run("triangle", np.ones((2, 1)), 0.9, np.eye(2), 2), "give at least 2"),
         (lambda: covariance_run("triangle", np.ones((2, 50)), 0.9, np.eye(2), 2, "float16"), "precision is"),
         (
-            lambda: run_cure("leak", [], np.ones((1, 6)), np.ones((1, 6)), np.ones(1), 0.9),
+            lambda: run_cure("leak", still_loop(10), np.ones(2), 0.9),
             "did you mean 'leakage'",
         ),
     ],

@@ -203,8 +203,4 @@ def _settling(
         name: tracking.expected_response(twin, switch, name, step_size, MEMORY_S)
         for name in tracking.ALGORITHMS
     }
-    return {
-        f"{name} {group}": course.settling_s(group)
-        for name, course in courses.items()
-        for group in tracking.GROUPS
-    }
+    return tracking.settling_times(courses)

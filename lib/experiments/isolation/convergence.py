@@ -13,7 +13,6 @@ from experiments.isolation.steady import Steady
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import require_array, require_number
 from stillwork.estimation.adaptive import FeLms, FeRls
-from stillwork.estimation.online import UnstableAdaptation
 
 ALGORITHMS = ("FeLMS", "FeRLS")
 SHARE = 0.63  # half width of the band around the final value, Table 1
@@ -200,13 +199,8 @@ def try_starts(
         adaptation = FeRls(
             1 / require_number("epsilons", epsilon, above=0.0), forgetting, growth_limit=np.inf
         )
-        options = {"adaptation": adaptation, "seed": seed, "signals_from_s": 0.0, "signals": ["command"]}
-        stopped = np.nan
-        try:
-            run = simulate(twin, floor, duration_s, **options)
-        except UnstableAdaptation as error:
-            stopped = error.sample * twin.sample_time
-            run = simulate(twin, floor, stopped, **options)
+        options = {"signals_from_s": 0.0, "signals": ["command"], "to_the_break": True}
+        run = simulate(twin, floor, duration_s, adaptation=adaptation, seed=seed, **options)
         peaks.append(np.abs(run.command).max())
-        stops.append(stopped)
+        stops.append(np.nan if run.broke_s is None else run.broke_s)
     return Starts(epsilons, np.array(peaks), np.array(stops))

@@ -10,17 +10,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int64
 from numpy.typing import ArrayLike
+from scipy import signal
 
-from experiments.isolation.floors import ShapedFloor
-from experiments.isolation.simulation import simulate
-from experiments.isolation.twin import Twin
+from experiments.isolation.simulation import Run
 from stillwork.base.checks import require_array, require_choice, require_count, require_number
-from stillwork.base.kernels import kernel
-from stillwork.estimation.adaptive import FeLms, FeRls, ferls_update, hold_covariance
+from stillwork.base.kernels import inlined_kernel, kernel
+from stillwork.estimation.adaptive import ferls_update, hold_covariance
 from stillwork.estimation.covariance_forms import TRIANGLE, add_information
-from stillwork.estimation.online import UnstableAdaptation
 
 CURES = ("none", "trace bound", "leakage", "limit", "directional", "no forgetting", "variable", "resetting")
 NONE, TRACE_BOUND, LEAKAGE, LIMIT, DIRECTIONAL, NO_FORGETTING, VARIABLE, RESETTING = range(8)
@@ -32,6 +30,37 @@ OVERLOAD = 1e3
 
 
 @dataclass(frozen=True)
+class SmallestLoop:
+    """What the floor alone decides of the loop above, the same whatever becomes of P."""
+
+    regressors: Float64[np.ndarray, "samples n"]  # psi
+    filtered: Float64[np.ndarray, "samples n"]  # psi_N
+    optima: Float64[np.ndarray, "segments n"]  # w of each segment
+    segment: Int64[np.ndarray, "samples"]  # to which a sample belongs
+    shaping: Float64[np.ndarray, "sections 6"]  # N
+
+
+def smallest_loop(
+    segments: Sequence[tuple[ArrayLike, ArrayLike]], integrator: ArrayLike, shaping: ArrayLike
+) -> SmallestLoop:
+    """Loop on (floor (sensors, samples) in m/s², optimum w) that follow one another, from rest."""
+    floors = [require_array("floor", floor, ndim=2) for floor, _ in segments]
+    optima = np.array([require_array("optimum", w, ndim=1) for _, w in segments])
+    integrator = require_array("integrator", integrator, shape=(None, 6))
+    shaping = require_array("shaping", shaping, shape=(None, 6))
+    direct = np.concatenate(floors, axis=1)
+    band, (sensors, samples) = signal.sosfilt(shaping, direct), direct.shape
+    regressors, filtered = np.empty((2, samples, optima.shape[1]))
+    for first in range(0, optima.shape[1], sensors):
+        if first:
+            direct, band = signal.sosfilt(integrator, direct), signal.sosfilt(integrator, band)
+        columns = slice(first, first + sensors)
+        regressors[:, columns], filtered[:, columns] = direct.T, band.T
+    segment = np.repeat(np.arange(len(floors)), [part.shape[1] for part in floors])
+    return SmallestLoop(regressors, filtered, optima, segment, shaping)
+
+
+@dataclass(frozen=True)
 class CureRun:
     """Closed-loop adaptation with one cure, at equally spaced moments; NaN after an overload."""
 
@@ -39,7 +68,6 @@ class CureRun:
     growth: Float64[np.ndarray, "kept n"]  # diagonal of P over that of P(-1)
     misalignment: Float64[np.ndarray, "kept"]  # size of W - w in the metric of P(-1), over its start
     error_power: Float64[np.ndarray, "kept"]  # mean square of e over the interval
-    overload: int | None  # sample at which the command left the actuator's range
 
     def decay(self, start: int, stop: int) -> float:
         """Time constant of the misalignment in samples, fitted to the kept moments `start` to `stop`."""
@@ -49,9 +77,7 @@ class CureRun:
 
 def run_cure(
     cure: str,
-    segments: Sequence[tuple[ArrayLike, ArrayLike]],
-    integrator: ArrayLike,
-    shaping: ArrayLike,
+    loop: SmallestLoop,
     covariance: ArrayLike,
     forgetting: float,
     *,
@@ -60,7 +86,7 @@ def run_cure(
     noise_power: float = 1.0,
     keep_every: int = 1000,
 ) -> CureRun:
-    """Adapt in closed loop from zero weights over (floor (sensors, samples) in m/s², optimum w) that follow one another.
+    """Adapt in closed loop from zero weights.
 
     Of the cures, ``limit`` is the library's: the diagonal of P stays below `growth` times its start;
     ``leakage`` after Levenberg and Marquardt: every sample adds information along every axis, so that a
@@ -74,33 +100,20 @@ def run_cure(
     segments together (N).
     """
     code = CURES.index(require_choice("cure", cure, CURES))
-    floors = [require_array("floor", floor, ndim=2) for floor, _ in segments]
-    start = require_array("covariance", covariance, ndim=1)
-    optima = np.array([require_array("optimum", w, shape=start.shape) for _, w in segments])
+    start = require_array("covariance", covariance, shape=loop.optima.shape[1:])
     forgetting = require_number("forgetting", forgetting, above=0.0, below=1.0)
     growth = require_number("growth", growth, above=1.0)
     every = require_count("keep_every", keep_every)
     noise_power = require_number("noise_power", noise_power, above=0.0)
-    floor = np.ascontiguousarray(np.concatenate(floors, axis=1).T)
-    samples, sensors = floor.shape
+    samples = len(loop.segment)
     noise = np.broadcast_to(require_array("noise", noise), samples).astype(float)
-    which = np.repeat(np.arange(len(floors)), [part.shape[1] for part in floors])
     kept = np.full((samples // every, len(start) + 2), np.nan)
-    integrator = require_array("integrator", integrator, shape=(None, 6))
-    shaping = require_array("shaping", shaping, shape=(None, 6))
-    powers = len(start) // sensors - 1
-    memories = (
-        np.zeros((2, powers, sensors, len(integrator), 2)),
-        np.zeros((sensors, len(shaping), 2)),
-        np.zeros((len(shaping), 2)),
-    )
-    loop = floor, noise, which, optima, integrator, shaping, *memories
-    reached = _cure_run(code, loop, start, forgetting, growth, noise_power, every, kept)
-    overload = None if reached == samples else int(reached)
-    return CureRun(every * np.arange(1.0, len(kept) + 1), kept[:, 2:], kept[:, 0], kept[:, 1], overload)
+    excited = loop.regressors, loop.filtered, noise, loop.segment, loop.optima, loop.shaping
+    _cure_run(code, *excited, start, forgetting, growth, noise_power, every, kept)
+    return CureRun(every * np.arange(1.0, len(kept) + 1), kept[:, 2:], kept[:, 0], kept[:, 1])
 
 
-@kernel
+@inlined_kernel
 def _cascade(sections, state, value):
     """One sample through second-order sections in transposed direct form II."""
     for s in range(len(sections)):
@@ -161,39 +174,45 @@ def _forget_along(weights, covariance, psi, error, forgetting, gain):
 
 
 @kernel
-def _cure_run(cure, loop, start, forgetting, growth, noise_power, every, kept):
-    floor, noise, which, optima, integrator, shaping, stacks, memory, error_memory = loop
-    n, sensors = len(start), floor.shape[1]
+def _cure_run(
+    cure,
+    regressors,
+    filtered,
+    noise,
+    segment,
+    optima,
+    shaping,
+    start,
+    forgetting,
+    growth,
+    noise_power,
+    every,
+    kept,
+):
+    n, memory = len(start), np.zeros((len(shaping), 2))
     weights, covariance, levels = np.zeros((1, n)), np.zeros((n, n)), np.zeros((3, n))
     bound = 0.0
     for i in range(n):
         covariance[i, i] = start[i]
         levels[0, i] = growth * start[i] if cure == LIMIT else np.inf
         bound += growth * start[i]
-    psi, shaped, gain, spare = np.empty(n), np.empty(n), np.empty(n), np.empty((n, n))
+    gain, spare = np.empty(n), np.empty((n, n))
     error = np.empty(1)
     command, wanted, squares, largest, first = 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(n):
         first += optima[0, i] ** 2 / start[i]
-    for k in range(len(floor)):
-        for i in range(sensors):
-            direct, band = floor[k, i], _cascade(shaping, memory[i], floor[k, i])
-            psi[i], shaped[i] = direct, band
-            for power in range(1, n // sensors):
-                direct = _cascade(integrator, stacks[0, power - 1, i], direct)
-                band = _cascade(integrator, stacks[1, power - 1, i], band)
-                psi[power * sensors + i], shaped[power * sensors + i] = direct, band
-
-        error[0] = _cascade(shaping, error_memory, command - wanted + noise[k])
+    for k in range(len(noise)):
+        psi, shaped = regressors[k], filtered[k]
+        error[0] = _cascade(shaping, memory, command - wanted + noise[k])
         squares += error[0] * error[0]
-        optimum = optima[which[k]]
+        optimum = optima[segment[k]]
         command, wanted = 0.0, 0.0
         for i in range(n):
             command += weights[0, i] * psi[i]
             wanted += optimum[i] * psi[i]
         largest = max(largest, abs(wanted))
         if not abs(command) <= OVERLOAD * largest:
-            return k
+            return
 
         reached = False
         if cure == DIRECTIONAL:
@@ -230,38 +249,11 @@ def _cure_run(cure, loop, start, forgetting, growth, noise_power, every, kept):
             kept[row, 0] = np.sqrt(distance / first)
             kept[row, 1] = squares / every
             squares = 0.0
-    return len(floor)
 
 
-@dataclass(frozen=True)
-class ErrorRecord:
-    """Filtered error of one closed-loop run, to its end or to where it broke."""
-
-    time_s: Float64[np.ndarray, "kept"]  # end of each interval
-    error: Float64[np.ndarray, "kept"]  # filtered error, root mean square over the interval, N
-    broke_s: float | None  # when the adaptation was stopped as unstable
-
-    def peak(self, from_s: float) -> float:
-        """Largest error from a moment on over the mean of the ten seconds before it; infinite if it broke."""
-        if self.broke_s is not None:
-            return float("inf")
-        before = (self.time_s > from_s - 10) & (self.time_s <= from_s)
-        return float(self.error[self.time_s > from_s].max() / self.error[before].mean())
-
-
-def run_to_the_end(
-    twin: Twin, stages: list[tuple[float, ShapedFloor]], adaptation: FeLms | FeRls, seed: int
-) -> ErrorRecord:
-    """Run stages of (seconds, floor) as `simulate` does; an unstable run is kept up to where it broke."""
-    settings = {"adaptation": adaptation, "seed": seed, "keep_every_s": 0.02}
-    try:
-        run, broke_s = simulate(twin, stages, **settings), None
-    except UnstableAdaptation as error:
-        broke_s = error.sample * twin.sample_time
-        cut, left = [], broke_s - twin.sample_time
-        for seconds, floor in stages:
-            if left > 0:
-                cut.append((min(seconds, left), floor))
-            left -= seconds
-        run = simulate(twin, cut, **settings)
-    return ErrorRecord(run.time_s, np.sqrt(run.error_power), broke_s)
+def peak_error(run: Run, from_s: float) -> float:
+    """Largest filtered error from a moment on over its mean in the ten seconds before; infinite if the run broke."""
+    if run.broke_s is not None:
+        return float("inf")
+    error, before = np.sqrt(run.error_power), (run.time_s > from_s - 10) & (run.time_s <= from_s)
+    return float(error[run.time_s > from_s].max() / error[before].mean())

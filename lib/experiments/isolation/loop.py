@@ -12,15 +12,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.isolation.together import COLUMNS, command_of, felms_updates, ferls_updates, multiply_runs
+from experiments.isolation.lanes import at_most, put, runs_of, same, take
+from experiments.isolation.together import ferls_updates, first_below, hold_each
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import InputError
-from stillwork.base.kernels import inlined_kernel, kernel
-from stillwork.estimation.adaptive import Recursion, felms_update, ferls_step
+from stillwork.base.kernels import borrowing_kernel, kernel, pasted_kernel
+from stillwork.estimation.adaptive import Recursion, ferls_step
 
 FROZEN, FELMS, FERLS = 0, 1, 2  # what the kernel does with the weights
 STABLE, OVERLOAD, INDEFINITE = 0, 1, 2  # why it stopped
 
+LANES = 8  # numbers in a vector of the processor
+COLUMNS = 4  # of the plant's matrix that a product takes at a time
 CACHE_LINE = 64  # bytes
 
 
@@ -32,6 +35,22 @@ class Bank(NamedTuple):
     second: np.ndarray  # (sections, channels)
 
 
+class Room(NamedTuple):
+    """Room for what one sample needs."""
+
+    product: np.ndarray  # (outputs,) of the plant
+    readings: np.ndarray  # (outputs + sensors,): what the sensors tell
+    resonance: np.ndarray  # (actuators,)
+    damping: np.ndarray  # (outputs,)
+    error: np.ndarray  # (outputs,)
+    axes: np.ndarray  # (outputs,)
+    shaped: np.ndarray  # (sensors,)
+    both: np.ndarray  # (2 sensors,)
+    regressor: np.ndarray  # (regressors,), psi
+    filtered: np.ndarray  # (regressors,), psi_N in the precision of the weights
+    rounded: np.ndarray  # (actuators,), e in the precision of the weights
+
+
 class ClosedLoop(NamedTuple):
     """Coefficients and memory of a closed loop; the kernel changes the memory in place.
 
@@ -41,8 +60,7 @@ class ClosedLoop(NamedTuple):
     plant: np.ndarray  # (inputs, outputs): [A B; C D]' padded, from [states, force, floor] to [states, a1]
     states: int  # of the plant
     vector: np.ndarray  # (inputs,): states of the plant and room for its inputs
-    product: np.ndarray  # (outputs,): room for its outputs
-    readings: np.ndarray  # (outputs + sensors,): room for what the sensors tell
+    room: Room
     floor_inertia: np.ndarray  # (actuators, sensors)
     command: np.ndarray  # (actuators,): u on its way through the sample of delay
     actuator: Bank
@@ -82,7 +100,9 @@ def loop_of(
     """Loop of a twin at rest, with its skyhook closed or open, for a number of runs side by side, each with its `weights`."""
     model = twin.plant.discrete(twin.sample_time)
     matrix = np.block([[model.a, model.b], [model.c, model.d]]).T
-    inputs, outputs = (padded(size) for size in matrix.shape)
+    # Vectors of the processor hold the channels of a single run, and are to be full.
+    whole = LANES if runs == 1 else COLUMNS
+    inputs, outputs = (padded(size, whole) for size in matrix.shape)
     plant = aligned(inputs, outputs)
     plant[: len(matrix), : matrix.shape[1]] = matrix
     filters = twin.error_filter
@@ -91,17 +111,27 @@ def loop_of(
     skyhook = rows_of(twin.skyhook_filter)
     if runs > 1:
         recursion = recursion._replace(
-            **{
-                name: np.repeat(getattr(recursion, name), runs, axis=-1)
-                for name in ("matrix", "levels", "gain")
-            }
+            **{name: side_by_side(getattr(recursion, name), runs) for name in ("matrix", "levels", "gain")}
         )
+    precision = recursion.matrix.dtype
+    errors, floors = padded(twin.outputs * runs, LANES), padded(2 * twin.sensors * runs, LANES)
     return ClosedLoop(
         plant=plant,
         states=len(model.a),
         vector=aligned(inputs * runs),
-        product=aligned(outputs * runs),
-        readings=aligned((twin.outputs + twin.sensors) * runs),
+        room=Room(
+            product=aligned(outputs * runs),
+            readings=aligned((twin.outputs + twin.sensors) * runs),
+            resonance=aligned(twin.actuators * runs),
+            damping=aligned(twin.outputs * runs),
+            error=aligned(errors),
+            axes=aligned(twin.outputs * runs),
+            shaped=aligned(twin.sensors * runs),
+            both=aligned(floors),
+            regressor=aligned(twin.regressors * runs),
+            filtered=aligned(twin.regressors * runs).astype(precision, copy=False),
+            rounded=np.zeros(twin.actuators * runs, precision),
+        ),
         floor_inertia=twin.plant.floor_inertia,
         command=aligned(twin.actuators * runs),
         actuator=bank_of(rows_of(twin.instruments.actuator), twin.actuators * runs),
@@ -109,14 +139,14 @@ def loop_of(
         conditioning=bank_of(rows_of(twin.instruments.conditioning), (twin.outputs + twin.sensors) * runs),
         skyhook=bank_of(skyhook if feedback else 0 * skyhook, twin.outputs * runs),
         shaping=bank_of(rows_of(twin.noise_shaping), twin.sensors * runs),
-        integrator=bank_of(np.tile(rows_of(twin.integrator), (powers, 1)), padded(2 * twin.sensors * runs)),
-        error=bank_of(rows_of(filters.sections[0]), padded(twin.outputs * runs)),
+        integrator=bank_of(np.tile(rows_of(twin.integrator), (powers, 1)), floors),
+        error=bank_of(rows_of(filters.sections[0]), errors),
         modes=np.zeros((0, 5, 0))
         if diagonal
-        else np.repeat(np.stack([rows_of(each) for each in filters.sections], axis=2), runs, axis=2),
+        else np.stack([rows_of(each) for each in filters.sections], axis=2),
         before=np.zeros((0, 0)) if diagonal else np.ascontiguousarray(filters.before),
         after=np.zeros((0, 0)) if diagonal else np.ascontiguousarray(filters.after),
-        weights=np.array(weights, dtype=recursion.matrix.dtype),
+        weights=side_by_side(weights, 1).astype(precision, copy=False),
         recursion=recursion,
         power=np.zeros(runs),
     )
@@ -134,9 +164,9 @@ def bank_of(rows: np.ndarray, channels: int) -> Bank:
     return Bank(np.ascontiguousarray(rows), aligned(len(rows), channels), aligned(len(rows), channels))
 
 
-def padded(size: int) -> int:
-    """Next multiple of eight: whole vectors take less time than a part of one."""
-    return -(-size // 8) * 8
+def padded(size: int, whole: int) -> int:
+    """Next multiple: whole vectors take less time than a part of one."""
+    return -(-size // whole) * whole
 
 
 def aligned(*shape: int) -> np.ndarray:
@@ -147,8 +177,15 @@ def aligned(*shape: int) -> np.ndarray:
     return raw[offset : offset + size].reshape(shape)
 
 
-@inlined_kernel
-def _filter(sections, first, second, values):
+def side_by_side(array: np.ndarray, runs: int) -> np.ndarray:
+    """Copy with every channel of the last axis once a run."""
+    wide = aligned(*array.shape[:-1], array.shape[-1] * runs)
+    wide[:] = np.repeat(array, runs, axis=-1)
+    return wide
+
+
+@pasted_kernel
+def _filter(sections, first, second, values, together):
     """One sample of every channel of a bank, in place.
 
     The two halves of the memory are arrays of their own: interleaved, they would overlap for all that the
@@ -157,44 +194,94 @@ def _filter(sections, first, second, values):
     for s in range(sections.shape[0]):
         b0, b1, b2 = sections[s, 0], sections[s, 1], sections[s, 2]
         a1, a2 = sections[s, 3], sections[s, 4]
-        for c in range(len(values)):
-            value = values[c]
-            out = b0 * value + first[s, c]
-            first[s, c] = b1 * value - a1 * out + second[s, c]
-            second[s, c] = b2 * value - a2 * out
-            values[c] = out
+        for c in range(len(values) // runs_of(together)):
+            value = take(values, c, together)
+            out = b0 * value + take(first, (s, c), together)
+            put(first, (s, c), b1 * value - a1 * out + take(second, (s, c), together), together)
+            put(second, (s, c), b2 * value - a2 * out, together)
+            put(values, c, out, together)
 
 
-@inlined_kernel
-def _filter_each(sections, first, second, values):
-    """The same where every channel has a cascade of its own."""
+@pasted_kernel
+def _filter_each(sections, first, second, values, together):
+    """The same where every channel has a cascade of its own, (sections, 5, channels)."""
     for s in range(sections.shape[0]):
-        for c in range(len(values)):
-            value = values[c]
-            out = sections[s, 0, c] * value + first[s, c]
-            first[s, c] = sections[s, 1, c] * value - sections[s, 3, c] * out + second[s, c]
-            second[s, c] = sections[s, 2, c] * value - sections[s, 4, c] * out
-            values[c] = out
+        for c in range(sections.shape[2]):
+            value = take(values, c, together)
+            out = sections[s, 0, c] * value + take(first, (s, c), together)
+            following = sections[s, 1, c] * value - sections[s, 3, c] * out + take(second, (s, c), together)
+            put(first, (s, c), following, together)
+            put(second, (s, c), sections[s, 2, c] * value - sections[s, 4, c] * out, together)
+            put(values, c, out, together)
 
 
-@kernel
-def filter_block(sections, first, second, signals):
+@borrowing_kernel
+def filter_block(sections, first, second, signals, together):
     """A block of samples, (samples, channels), through a bank with a cascade for each channel, in place."""
     for k in range(len(signals)):
-        _filter_each(sections, first, second, signals[k])
+        _filter_each(sections, first, second, signals[k], together)
 
 
-@inlined_kernel
-def _multiply(matrix, vector, product):
+@pasted_kernel
+def _copy(source, first, target, place, channels, together):
+    """So many channels of one array to a place in another."""
+    for i in range(channels):
+        put(target, place + i, take(source, first + i, together), together)
+
+
+@pasted_kernel
+def _keep(source, first, kept, k):
+    """Row k of a signal that is kept: the numbers of every run from `first` on."""
+    for i in range(kept.shape[1]):
+        kept[k, i] = source[first + i]
+
+
+@pasted_kernel
+def _multiply(matrix, vector, product, together):
     """product = matrix' vector, four inputs at a time: one pass through memory where there would be four."""
-    for i in range(len(product)):
-        product[i] = 0.0
-    for j in range(0, len(vector), COLUMNS):
-        a, b, c, d = vector[j], vector[j + 1], vector[j + 2], vector[j + 3]
-        for i in range(len(product)):
-            product[i] += (matrix[j, i] * a + matrix[j + 1, i] * b) + (
-                matrix[j + 2, i] * c + matrix[j + 3, i] * d
-            )
+    for i in range(matrix.shape[1]):
+        put(product, i, 0.0, together)
+    for j in range(0, matrix.shape[0], COLUMNS):
+        a, b = take(vector, j, together), take(vector, j + 1, together)
+        c, d = take(vector, j + 2, together), take(vector, j + 3, together)
+        for i in range(matrix.shape[1]):
+            total = (matrix[j, i] * a + matrix[j + 1, i] * b) + (matrix[j + 2, i] * c + matrix[j + 3, i] * d)
+            put(product, i, take(product, i, together) + total, together)
+
+
+@pasted_kernel
+def _add_product(matrix, vector, out, together):
+    """Out = matrix vector, of a few channels."""
+    for i in range(matrix.shape[0]):
+        total = same(0.0, together)
+        for j in range(matrix.shape[1]):
+            total += matrix[i, j] * take(vector, j, together)
+        put(out, i, total, together)
+
+
+@pasted_kernel
+def _command(weights, regressor, damping, command, together):
+    """u = W psi less the damping."""
+    for i in range(weights.shape[0]):
+        total = -take(damping, i, together)
+        for j in range(weights.shape[1] // runs_of(together)):
+            total += take(weights, (i, j), together) * take(regressor, j, together)
+        put(command, i, total, together)
+
+
+@pasted_kernel
+def _felms(weights, regressor, error, step_size, regularisation, trace_copies, together):
+    """`felms_update` of every run."""
+    count = weights.shape[1] // runs_of(together)
+    power = same(0.0, together)
+    for j in range(count):
+        power += take(regressor, j, together) * take(regressor, j, together)
+    rate = step_size / (regularisation + trace_copies * power)
+    for i in range(weights.shape[0]):
+        scaled = rate * take(error, i, together)
+        for j in range(count):
+            step = scaled * take(regressor, j, together)
+            put(weights, (i, j), take(weights, (i, j), together) - step, together)
 
 
 @kernel
@@ -224,14 +311,12 @@ def advance(
     the runs side by side are many, which the compiler then knows; each channel of every array stands for that many,
     and P has the triangle's form.
     """
-    if together is None:
-        runs = 1
-    else:
-        runs = len(together)
+    runs = runs_of(together)
     samples, sensors = floor.shape[0], floor.shape[1] // runs
-    # Local names: numba counts references at every access of a field.
+    # Local names: what is read from a field anew at every sample costs time.
     plant, vector, floor_inertia, command = loop.plant, loop.vector, loop.floor_inertia, loop.command
-    before, after, weights, power = loop.before, loop.after, loop.weights, loop.power
+    modes, before, after, weights, power = loop.modes, loop.before, loop.after, loop.weights, loop.power
+    product, readings, resonance, damping, error, axes, shaped, both, regressor, filtered, rounded = loop.room
     matrix, form, forgetting, levels, allowance, gain, _, _ = loop.recursion
     actuator, actuator_1, actuator_2 = loop.actuator
     parasitic, parasitic_1, parasitic_2 = loop.parasitic
@@ -244,153 +329,109 @@ def advance(
     kept_command, kept_regressors, kept_error = signals.command, signals.regressors, signals.error
     kept_weights, kept_power = signals.weights, signals.error_power
 
-    vector, product, readings = loop.vector, loop.product, loop.readings
-    modes = loop.modes
     actuators, count = weights.shape[0], weights.shape[1] // runs
-    outputs = skyhook_1.shape[1] // runs
+    outputs, states = skyhook_1.shape[1] // runs, loop.states
     through = len(integrator) * sensors // max(count - sensors, 1)  # sections of one power of beta H
     full = len(modes) > 0
     keep = len(kept_platform) > 0
-    # Where groups of channels end in arrays that hold every run.
-    states, forces, floors, outs = loop.states * runs, actuators * runs, sensors * runs, outputs * runs
-
-    resonance = np.empty(forces)
-    damping = np.empty(outs)
-    error = np.zeros(error_1.shape[1])
-    axes = np.empty(outs)
-    shaped = np.empty(floors)
-    both = np.zeros(integrator_1.shape[1])
-    regressor = np.empty(count * runs)
-    filtered = np.empty(count * runs, weights.dtype)
-    rounded = np.empty(forces, weights.dtype)
-    totals, shrink = np.empty(runs), np.empty(runs)
 
     for k in range(samples):
         # Force: the command of the sample before, through the actuator's lag.
-        _filter(actuator, actuator_1, actuator_2, command)
-        for i in range(forces):
-            vector[states + i] = command[i]
-            resonance[i] = command[i]
-        _filter(parasitic, parasitic_1, parasitic_2, resonance)
+        _filter(actuator, actuator_1, actuator_2, command, together)
+        _copy(command, 0, vector, states, actuators, together)
+        _copy(command, 0, resonance, 0, actuators, together)
+        _filter(parasitic, parasitic_1, parasitic_2, resonance, together)
 
         # Plant and sensors.
-        for i in range(floors):
-            vector[states + forces + i] = floor[k, i]
-            readings[outs + i] = floor[k, i] + noise[k, outs + i]
-        if together is None:
-            _multiply(plant, vector, product)
-        else:
-            multiply_runs(plant, vector, product, together)
-        for i in range(states):
-            vector[i] = product[i]
-        for i in range(outs):
-            product[states + i] += resonance[i]
-            readings[i] = product[states + i] + noise[k, i]
-        _filter(conditioning, conditioning_1, conditioning_2, readings)
+        for i in range(sensors):
+            motion = take(floor, (k, i), together)
+            put(vector, states + actuators + i, motion, together)
+            put(readings, outputs + i, motion + take(noise, (k, outputs + i), together), together)
+        _multiply(plant, vector, product, together)
+        _copy(product, 0, vector, 0, states, together)
+        for i in range(outputs):
+            moved = take(product, states + i, together) + take(resonance, i, together)
+            put(product, states + i, moved, together)
+            put(readings, i, moved + take(noise, (k, i), together), together)
+        _filter(conditioning, conditioning_1, conditioning_2, readings, together)
 
         # Filtered error, eq. (16).
-        for i in range(outs):
-            damping[i] = readings[i]
-            error[i] = readings[i]
+        _copy(readings, 0, damping, 0, outputs, together)
+        _copy(readings, 0, error, 0, outputs, together)
         if full:
-            for i in range(outputs):
-                for run in range(runs):
-                    total = 0.0
-                    for j in range(outputs):
-                        total += before[i, j] * readings[j * runs + run]
-                    axes[i * runs + run] = total
-            _filter_each(modes, error_1, error_2, axes)
-            for i in range(actuators):
-                for run in range(runs):
-                    total = 0.0
-                    for j in range(outputs):
-                        total += after[i, j] * axes[j * runs + run]
-                    error[i * runs + run] = total
+            _add_product(before, readings, axes, together)
+            _filter_each(modes, error_1, error_2, axes, together)
+            _add_product(after, axes, error, together)
         else:
-            _filter(error_sections, error_1, error_2, error)
+            _filter(error_sections, error_1, error_2, error, together)
 
         # Regressors psi and psi_N: N acts on the sensors, before the integrators.
-        for i in range(floors):
-            shaped[i] = readings[outs + i]
-        _filter(shaping, shaping_1, shaping_2, shaped)
-        for i in range(floors):
-            both[i] = readings[outs + i]
-            both[floors + i] = shaped[i]
-            regressor[i] = both[i]
-            filtered[i] = shaped[i]
+        _copy(readings, outputs, shaped, 0, sensors, together)
+        _filter(shaping, shaping_1, shaping_2, shaped, together)
+        _copy(readings, outputs, both, 0, sensors, together)
+        _copy(shaped, 0, both, sensors, sensors, together)
+        _copy(both, 0, regressor, 0, sensors, together)
+        _copy(both, sensors, filtered, 0, sensors, together)
         for power_of in range(1, count // sensors):
             first = (power_of - 1) * through
             last = first + through
-            _filter(integrator[first:last], integrator_1[first:last], integrator_2[first:last], both)
-            for i in range(floors):
-                regressor[power_of * floors + i] = both[i]
-                filtered[power_of * floors + i] = both[floors + i]
+            _filter(
+                integrator[first:last], integrator_1[first:last], integrator_2[first:last], both, together
+            )
+            _copy(both, 0, regressor, power_of * sensors, sensors, together)
+            _copy(both, sensors, filtered, power_of * sensors, sensors, together)
 
         # Command: feedforward (13), skyhook (1), and what the floor's inertia adds on the same way.
-        _filter(skyhook, skyhook_1, skyhook_2, damping)
-        if together is None:
-            for i in range(actuators):
-                total = -damping[i]
-                for j in range(count):
-                    total += weights[i, j] * regressor[j]
-                command[i] = total
-        else:
-            command_of(weights, regressor, damping, command, totals, together)
-        for i in range(forces):
+        _filter(skyhook, skyhook_1, skyhook_2, damping, together)
+        _command(weights, regressor, damping, command, together)
+        for i in range(len(command)):
             if not abs(command[i]) <= force_limit:  # true for NaN as well
                 return OVERLOAD, k, i % runs
-        for run in range(runs):
-            squares = 0.0
-            for i in range(actuators):
-                squares += error[i * runs + run] * error[i * runs + run]
-            power[run] += squares
+        squares = same(0.0, together)
+        for i in range(actuators):
+            squares += take(error, i, together) * take(error, i, together)
+        put(power, 0, take(power, 0, together) + squares, together)
         if keep:
-            for i in range(outs):
-                kept_platform[k, i] = product[states + i]
-                kept_measured[k, i] = readings[i]
-            for i in range(floors):
-                kept_sensed[k, i] = readings[outs + i]
-            for i in range(forces):
-                kept_command[k, i] = command[i]
-                kept_error[k, i] = error[i]
-            for i in range(count * runs):
-                kept_regressors[k, i] = filtered[i]
+            _keep(product, states * runs, kept_platform, k)
+            _keep(readings, 0, kept_measured, k)
+            _keep(readings, outputs * runs, kept_sensed, k)
+            _keep(command, 0, kept_command, k)
+            _keep(filtered, 0, kept_regressors, k)
+            _keep(error, 0, kept_error, k)
         for i in range(actuators):
             for j in range(sensors):
-                for run in range(runs):
-                    command[i * runs + run] += floor_inertia[i, j] * floor[k, j * runs + run]
+                inertia = floor_inertia[i, j] * take(floor, (k, j), together)
+                put(command, i, take(command, i, together) + inertia, together)
 
-        if together is not None:
-            if adaptation == FELMS:
-                felms_updates(
-                    weights, filtered, error, step_size, regularisation, trace_copies, totals, together
+        if adaptation == FELMS:
+            _felms(weights, filtered, error, step_size, regularisation, trace_copies, together)
+        elif adaptation == FERLS:
+            if together is not None:
+                leverage, within = ferls_updates(
+                    weights, matrix, forgetting, levels, allowance, gain, filtered, error, together
                 )
-            elif adaptation == FERLS:
-                lost = ferls_updates(
+                if not at_most(forgetting, leverage):
+                    return INDEFINITE, k, first_below(forgetting, gain, filtered, runs)
+                if not within:
+                    hold_each(matrix, forgetting, levels, runs)
+            else:
+                _copy(error, 0, rounded, 0, actuators, together)
+                leverage = ferls_step(
                     weights,
                     matrix,
+                    form,
                     forgetting,
                     levels,
                     allowance,
                     gain,
+                    inner,
+                    other,
                     filtered,
-                    error,
-                    totals,
-                    shrink,
-                    together,
+                    rounded,
+                    k,
                 )
-                if lost >= 0:
-                    return INDEFINITE, k, lost
-        elif adaptation == FELMS:
-            felms_update(weights, filtered, error, step_size, regularisation, trace_copies)
-        elif adaptation == FERLS:
-            for i in range(actuators):
-                rounded[i] = error[i]
-            leverage = ferls_step(
-                weights, matrix, form, forgetting, levels, allowance, gain, inner, other, filtered, rounded, k
-            )
-            if not leverage >= forgetting:
-                return INDEFINITE, k, 0
+                if not leverage >= forgetting:
+                    return INDEFINITE, k, 0
 
         if (phase + k + 1) % keep_every == 0:
             row = (phase + k) // keep_every

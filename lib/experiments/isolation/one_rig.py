@@ -12,7 +12,7 @@ from scipy import stats
 from experiments.isolation.convergence import SHARE
 from experiments.isolation.floors import ShapedFloor, flat_floor
 from experiments.isolation.mean_convergence import mean_course
-from experiments.isolation.performance import exact_transmissibility, expected_density
+from experiments.isolation.performance import exact_reduction_db, expected_density
 from experiments.isolation.plant import plant_of_rig
 from experiments.isolation.power import BAND_HZ, reduction_percent
 from experiments.isolation.rig import Lines, Rig
@@ -138,11 +138,7 @@ def edges(given: dict[str, float]) -> tuple[float, float, float]:
     twin, floor = build(given)
     weights = steady_state(twin, floor, frequencies_hz=_GRID).weights
     f = np.arange(0.5, 450.0, 0.5)
-    before, after = (
-        np.abs(np.einsum("iif->if", exact_transmissibility(twin, f, weights=each)))
-        for each in (None, weights)
-    )
-    reduction = 20 * np.log10(before / after).min(axis=0)
+    reduction = exact_reduction_db(twin, f, weights)
     found = [f[reduction > limit] for limit in (20.0, 0.0)]
     ends = (found[0][:1], found[0][-1:], found[1][:1])
     return tuple(float(each[0]) if len(each) else np.nan for each in ends)

@@ -18,6 +18,9 @@ _STYLES = {
     "FeRLS": {"color": figures.BLACK},
     "output noise": {"color": figures.RED, "ls": ":"},
 }
+COARSE_HZ = np.geomspace(
+    0.05, 2400, 500
+)  # gives an explorer its weights in time; the notebooks use a dense grid
 PUBLISHED_BAND_HZ = (3.0, 200.0)  # where the paper states 20 to 40 dB
 # Below this a transmissibility is rounding: the rig's symmetry makes the element zero.
 _ROUNDING = 1e-9
@@ -145,7 +148,7 @@ def explore_transmissibility(integrator_cutoff_hz: float, lowpass_hz: float, low
     shaping = twin.feedforward.shaping
     twin = twin.varied(shaping=type(shaping)(**{**vars(shaping), "lowpass_hz": lowpass_hz}))
     f = np.geomspace(0.5, 1000, 250)
-    weights = steady_state(twin, flat_floor(low_pass_hz), frequencies_hz=_coarse()).weights
+    weights = steady_state(twin, flat_floor(low_pass_hz), frequencies_hz=COARSE_HZ).weights
     figure, axes = figures.new(1, 1, height=3.0)
     for name, given in (("feedback", None), ("FeRLS", weights)):
         z = exact_transmissibility(twin, f, weights=given)[0, 0]
@@ -164,7 +167,7 @@ def explore_power(output_noise: float, floor_noise: float, low_pass_hz: float):
     )  # fmt: skip
     floor = flat_floor(low_pass_hz)
     f = np.geomspace(*BAND_HZ, 250)
-    weights = steady_state(twin, floor, frequencies_hz=_coarse()).weights
+    weights = steady_state(twin, floor, frequencies_hz=COARSE_HZ).weights
     before = sum(expected_density(twin, floor, f).values())
     after = expected_density(twin, floor, f, weights=weights)
     removed = reduction_percent(f, before, sum(after.values()))
@@ -184,11 +187,6 @@ def explore_power(output_noise: float, floor_noise: float, low_pass_hz: float):
     axes[0].set_ylabel("PSD ((m/s²)²/Hz, (rad/s²)²/Hz)")
     figures.legend_below(axes[0], 3)
     return figure
-
-
-def _coarse() -> np.ndarray:
-    """Grid that gives an explorer its weights in time; the notebooks use the dense one."""
-    return np.geomspace(0.05, 2400, 500)
 
 
 def thinned(frequencies_hz: np.ndarray, values: np.ndarray) -> np.ndarray:

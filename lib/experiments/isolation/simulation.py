@@ -41,7 +41,7 @@ class Run:
     covariance: Float64[np.ndarray, "regressors regressors"]  # P after the last sample; one unless FeRLS ran
     # share of the last time constant in which FeRLS's `growth_limit` acted on each regressor
     held: Float64[np.ndarray, "regressors"]
-    signals_start_s: float  # time of the first sample of the signals below; those not asked for are empty
+    # from `signals_from_s` on; those not asked for are empty
     floor: Float64[np.ndarray, "sensors _"]  # a0 without noise, m/s^2
     platform: Float64[np.ndarray, "outputs _"]  # a1 without noise, m/s^2
     # sensed_floor, measured_platform: the same through noisy sensors and their conditioners: what the
@@ -51,6 +51,7 @@ class Run:
     command: Float64[np.ndarray, "actuators _"]  # u, N
     filtered_regressors: Float64[np.ndarray, "regressors _"]  # psi_N
     error: Float64[np.ndarray, "actuators _"]  # e, N
+    broke_s: float | None = None  # when it was stopped as unstable; what is kept ends before
 
 
 def simulate(
@@ -90,13 +91,14 @@ def simulate_together(
     keep_every_s: float = 0.1,
     signals_from_s: float | None = None,
     signals: Collection[str] = SIGNALS,
+    to_the_break: bool = False,
 ) -> list[dict[str, Run]]:
     """For each seed what `simulate` gives for each of several algorithms, on a floor and noises that are drawn once.
 
-    Several seeds go through one kernel side by side, with the same bits in half the time. Weights and error power are kept
+    Several seeds go through one kernel side by side, with the same bits in a third of the time. Weights and error power are kept
     every `keep_every_s`; from `signals_from_s` on `signals` are, at the full rate. `weights` are those of all runs, or
     one W for each seed. Several seeds take FeRLS in the triangle's form and float64. The first run that diverges ends
-    them all.
+    them all; `to_the_break` keeps a single seed's up to there instead of raising.
     """
     seeds = [require_count("seed", seed, at_least=0) for seed in seeds]
     if len(seeds) > 1:
@@ -132,9 +134,18 @@ def simulate_together(
             closed = loop.loop_of(twin, feedback, begin, recursion, runs)
             kept = _Kept(twin, total, every, first, runs, signals)
             sides.append((adaptation, code, numbers, closed, kept))
-        _advance(twin, Sources(twin, segments, noise, batch, runs), sides, total, first, start)
+        until, broke_s = total, None
+        try:
+            _advance(twin, Sources(twin, segments, noise, batch, runs), sides, total, first, start)
+        except UnstableAdaptation as error:
+            if not to_the_break or runs > 1:
+                raise
+            until, broke_s = error.sample, error.sample * twin.sample_time
         found += [
-            {name: side[-1].run(rate, side[-2], run) for name, side in zip(adaptations, sides, strict=True)}
+            {
+                name: side[-1].run(rate, side[-2], run, until, broke_s)
+                for name, side in zip(adaptations, sides, strict=True)
+            }
             for run in range(len(batch))
         ]
     return found
@@ -142,7 +153,6 @@ def simulate_together(
 
 def _advance(twin: Twin, sources: Sources, sides: list, total: int, first: int, start: np.ndarray) -> None:
     """Run the algorithms of `sides` over the same samples, block by block, as many runs at a time as the sources are."""
-    together = None if sources.runs == 1 else (0,) * sources.runs
     done = 0
     while done < total:
         # A block ends where the signals start.
@@ -162,7 +172,7 @@ def _advance(twin: Twin, sources: Sources, sides: list, total: int, first: int, 
                 *numbers,
                 *closed.recursion[-2:],
                 twin.instruments.force_limit,
-                together,
+                sources.together,
             )
             if status != loop.STABLE:
                 peak = np.abs(floor_block[:, stopped :: sources.runs]).max()
@@ -285,8 +295,9 @@ class _Kept:
         start = done - self.first if name in self.signals else 0
         return self.long[name][start : start + samples]
 
-    def run(self, rate: float, closed: loop.ClosedLoop, run: int) -> Run:
-        """One of the runs."""
+    def run(self, rate: float, closed: loop.ClosedLoop, run: int, until: int, broke_s: float | None) -> Run:
+        """One of the runs, its first `until` samples."""
+        rows = until // self.every
 
         def of(array):
             return np.ascontiguousarray(array[..., run :: self.runs])
@@ -294,17 +305,18 @@ class _Kept:
         recursion = closed.recursion._replace(
             matrix=of(closed.recursion.matrix), levels=of(closed.recursion.levels)
         )
+        long = max(until - self.first, 0)
         signals = {
-            name: of(array if name in self.signals else array[:0]).T for name, array in self.long.items()
+            name: of(array[: long if name in self.signals else 0]).T for name, array in self.long.items()
         }
         return Run(
             sample_rate=rate,
-            time_s=self.every / rate * np.arange(1, len(self.power) + 1),
-            weights=of(self.weights),
-            error_power=of(self.power)[:, 0],
+            time_s=self.every / rate * np.arange(1, rows + 1),
+            weights=of(self.weights[:rows]),
+            error_power=of(self.power[:rows])[:, 0],
             final_weights=of(closed.weights).astype(float),
             covariance=recursion.covariance,
             held=recursion.held,
-            signals_start_s=self.first / rate,
+            broke_s=broke_s,
             **signals,
         )

@@ -26,7 +26,7 @@ class Sources:
         self.floor_streams, self.noise_streams = (
             [np.random.Generator(np.random.SFC64(s)) for s in each] for each in zip(*streams, strict=True)
         )
-        self.runs = runs
+        self.runs, self.together = runs, None if runs == 1 else (0,) * runs
         instruments = twin.instruments
         self.rate = instruments.sample_rate
         each = [twin.outputs, twin.sensors]
@@ -48,7 +48,7 @@ class Sources:
         self.position = 0
         if isinstance(self.part, ShapedFloor):
             rows = np.stack([loop.rows_of(each) for each in self.part.sections], axis=2)
-            self.shaping = loop.bank_of(np.repeat(rows, self.runs, axis=2), self.sensors * self.runs)
+            self.shaping = loop.bank_of(rows, self.sensors * self.runs)
 
     def sample(self, samples: int) -> tuple[np.ndarray, np.ndarray]:
         """Next block of a0, (samples, sensors * runs), and of (n1, n0), (samples, (outputs + sensors) * runs)."""
@@ -77,7 +77,7 @@ class Sources:
             return
         nothing = np.zeros((len(floor), self.sensors))
         _interleave(self._sample(self.floor_streams, nothing.shape), self.part.scale, nothing, floor)
-        loop.filter_block(*self.shaping, floor)
+        loop.filter_block(*self.shaping, floor, self.together)
 
     def _sample(self, streams: list[np.random.Generator], shape: tuple[int, int]) -> np.ndarray:
         """White noise of variance 1, (runs, samples, channels), until the next call: fresh memory would cost as much."""

@@ -11,7 +11,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
-from stillwork.base.kernels import inlined_kernel, kernel
+from stillwork.base.kernels import borrowing_kernel, inlined_kernel
 from stillwork.estimation import covariance_forms
 from stillwork.estimation.covariance_forms import factor_of, update_form
 
@@ -82,15 +82,15 @@ def covariance_run(
     matrix = (start if form in FORMS[:2] else factor_of(form, start)).astype(dtype)
     information, rounded = np.linalg.inv(start), float(dtype.type(forgetting))
     weights = rounded ** (np.arange(step)[::-1] / 2)
-    rows, place = [], 0
+    # Rounded once for both, so that the error is the recursion's and not the data's.
+    blocks = [record[at : at + step].astype(dtype) for at in range(0, len(record) - step + 1, step)]
+    weighted = [block.astype(np.float64) * weights[:, None] for block in blocks]
+    seen = [each.T @ each for each in weighted]
+    rows = []
     for k in range(int(time_constants * per_time_constant)):
-        place = 0 if place + step > len(record) else place
-        # Rounded once for both, so that the error is the recursion's and not the data's.
-        block = record[place : place + step].astype(dtype)
-        place += step
-        _recur(code, matrix, block, dtype.type(forgetting), np.empty(n, dtype), np.empty(n, dtype))
-        weighted = block.astype(np.float64) * weights[:, None]
-        information = rounded**step * information + weighted.T @ weighted
+        at = k % len(blocks)
+        _recur(code, matrix, blocks[at], dtype.type(forgetting), np.empty(n, dtype), np.empty(n, dtype))
+        information = rounded**step * information + seen[at]
         rows.append(((k + 1) * step * (1 - forgetting), *_health(form, matrix, information)))
         if not np.isfinite(rows[-1][2]):
             break
@@ -189,7 +189,7 @@ def stability_map(
     return found
 
 
-@kernel
+@borrowing_kernel
 def _recur(form, matrix, regressors, forgetting, column, row):
     """Update what the form keeps over a block in place, in the arrays' precision."""
     # A loop a form: asked at every sample for its form, the compiler would optimise none of them.
@@ -236,7 +236,8 @@ def _both_products(matrix, psi, forgetting, column, row):
     forget = one / forgetting
     for i in range(n):
         row[i] = matrix[0, i] * psi[0]
-        for j in range(1, n):
+    for j in range(1, n):
+        for i in range(n):
             row[i] += matrix[j, i] * psi[j]
     for i in range(n):
         gain = column[i] * shrink

@@ -5,7 +5,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from experiments.isolation.cures import CureRun, ErrorRecord
+from experiments.isolation.cures import CureRun
+from experiments.isolation.simulation import Run
 from experiments.isolation.stability import CovarianceRun, condition_bounds, covariance_run
 from stillwork.workbook import figures
 from stillwork.workbook.palette import COLOURS
@@ -114,15 +115,15 @@ def paint_windup(runs: Mapping[str, CovarianceRun]):
     return figure
 
 
-def paint_return(outcomes: Mapping[str, Sequence[ErrorRecord]], return_s: float):
+def paint_return(outcomes: Mapping[str, Sequence[Run]], return_s: float):
     """Filtered error around the return of a silent sensor; a cross marks where a run broke."""
     figure, grid = figures.new(1, len(outcomes), height=3.0, sharey=True, squeeze=False)
     for axes, (name, runs) in zip(grid[0], outcomes.items(), strict=True):
         for number, run in enumerate(runs, 1):
-            near = run.time_s > return_s - 5
-            axes.semilogy(run.time_s[near] - return_s, run.error[near], lw=0.9, label=f"floor {number}")
+            near, error = run.time_s > return_s - 5, np.sqrt(run.error_power)
+            axes.semilogy(run.time_s[near] - return_s, error[near], lw=0.9, label=f"floor {number}")
             if run.broke_s is not None:
-                end = (run.broke_s - return_s, run.error[-1])
+                end = (run.broke_s - return_s, error[-1])
                 axes.plot(
                     *end, "x", color=axes.lines[-1].get_color(), ms=9, mew=2, label=f"floor {number}, broke"
                 )

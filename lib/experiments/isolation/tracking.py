@@ -1,6 +1,6 @@
 """Response of the weights to a change of the floor (section 5.1.2, Fig. 6)."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -124,10 +124,12 @@ def tracking_trial(
     ``"FeLMS noise"``, ...
     """
     seeds = [int(rng.integers(2**31)) for rng in draws]
-    found = []
-    for responses in respond(twin, switch, both, duration_s, seeds):
-        times = {
-            f"{name} {group}": responses[name].settling_s(group) for name in ALGORITHMS for group in GROUPS
-        }
-        found.append(times | {f"{name} noise": responses[name].noise for name in ALGORITHMS})
-    return found
+    return [
+        settling_times(responses) | {f"{name} noise": each.noise for name, each in responses.items()}
+        for responses in respond(twin, switch, both, duration_s, seeds)
+    ]
+
+
+def settling_times(responses: Mapping[str, Response]) -> dict[str, float]:
+    """``"FeLMS all"``, ``"FeRLS w4-w6"``, ...: settling time of each group of weights, s."""
+    return {f"{name} {group}": responses[name].settling_s(group) for name in ALGORITHMS for group in GROUPS}

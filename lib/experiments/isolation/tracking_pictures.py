@@ -83,8 +83,7 @@ def expected_switch_painter(twin: Twin, switches: Mapping[str, Switch], duration
             expected = mean_course(
                 twin, switch.end, name, time, step_size=step_size, memory_s=memory_s, start=switch.start
             )
-            shift = switch.shift
-            left = (switch.end.weights[0] - expected) @ shift / (shift @ shift)
+            left = Response(time, expected, switch).left()
             axes.plot(
                 np.append(0.0, time), np.append(1.0, left), STYLES[name], color=COLORS[name], label=name
             )

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float64
 from numpy.typing import ArrayLike
 
 from experiments.isolation.performance import DIRECTIONS, central_axes, expected_density
-from experiments.isolation.performance_pictures import thinned
+from experiments.isolation.performance_pictures import COARSE_HZ, thinned
 from experiments.isolation.power import BAND_HZ
 from experiments.isolation.recorded_floors import RecordedFloor, SpectralFloor
 from experiments.isolation.simulation import Run, simulate
@@ -102,9 +102,7 @@ def isolate(twin: Twin, floor: RecordedFloor, seed: int, start: float = 1.0) -> 
     settings = steady_start(before.filtered_regressors[:, : settled + training], start)
     adaptation = simulate(twin, floor, training_s, adaptation=settings, seed=seed, keep_every_s=KEEP_EVERY_S)
     cases = {
-        "passive": run(seed=seed + 1, feedback=False),
-        "feedback": run(seed=seed + 1),
-        "FeRLS": run(seed=seed + 1, weights=adaptation.final_weights),
+        name: run(seed=seed + 1, **options) for name, options in _cases(adaptation.final_weights).items()
     }
     return Isolated(
         axes.floor @ spread @ before.floor[:, settled:],
@@ -115,6 +113,11 @@ def isolate(twin: Twin, floor: RecordedFloor, seed: int, start: float = 1.0) -> 
         adaptation.error_power / before.error_power[: len(adaptation.error_power)],
         rate,
     )
+
+
+def _cases(weights) -> dict[str, dict]:
+    """What tells a run of each case from the others."""
+    return {"passive": {"feedback": False}, "feedback": {}, "FeRLS": {"weights": weights}}
 
 
 def steady_start(regressors: Float64[np.ndarray, "regressors samples"], start: float = 1.0) -> FeRls:
@@ -142,11 +145,7 @@ def optimum_left(
         scaled = replace(floor, levels=gain**2 * floor.levels)
         moved = band_power(f, scaled.density(f)[0], f[0], f[-1])
         weights = steady_state(twin, scaled, frequencies_hz=_GRID).weights
-        for name, options in (
-            ("passive", {"feedback": False}),
-            ("feedback", {}),
-            ("FeRLS", {"weights": weights}),
-        ):
+        for name, options in _cases(weights).items():
             density = sum(expected_density(twin, scaled, f, sensed=False, **options).values())[0]
             left[name].append(np.sqrt(band_power(f, density, f[0], f[-1]) / moved))
     return {name: np.array(values) for name, values in left.items()}
@@ -316,14 +315,10 @@ def explore_floor(twin: Twin, floor: SpectralFloor):
     def paint(gain: float, output_noise: float):
         changed = twin.varied(platform_noise=output_noise * 1e-4)
         louder = replace(floor, levels=gain**2 * floor.levels)
-        weights = steady_state(changed, louder, frequencies_hz=np.geomspace(0.05, 2400, 500)).weights
+        weights = steady_state(changed, louder, frequencies_hz=COARSE_HZ).weights
         figure, axes = figures.new(1, 1, height=3.2)
         curves = {"floor": louder.density(f)[0]}
-        for name, options in (
-            ("passive", {"feedback": False}),
-            ("feedback", {}),
-            ("FeRLS", {"weights": weights}),
-        ):
+        for name, options in _cases(weights).items():
             causes = expected_density(changed, louder, f, sensed=False, **options)
             curves[name] = sum(causes.values())[0]
         for name, density in curves.items():

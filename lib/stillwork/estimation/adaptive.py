@@ -21,7 +21,7 @@ from stillwork.base.checks import (
     require_number,
 )
 from stillwork.base.front_door import checked
-from stillwork.base.kernels import inlined_kernel, kernel
+from stillwork.base.kernels import inlined_kernel, kernel, pasted_kernel
 from stillwork.estimation.covariance_forms import (
     FORMS,
     TRIANGLE,
@@ -222,7 +222,7 @@ class FeRls:
         )
 
 
-@inlined_kernel
+@pasted_kernel
 def ferls_update(weights, matrix, forgetting, levels, allowance, gain, regressor, error):
     """One sample of FeRLS in the triangle's form in place, eq. (29)-(30), in the precision of the arrays.
 
@@ -240,7 +240,7 @@ def ferls_update(weights, matrix, forgetting, levels, allowance, gain, regressor
     return denominator, reached
 
 
-@inlined_kernel
+@pasted_kernel
 def ferls_ud_update(weights, matrix, forgetting, levels, allowance, gain, inner, regressor, error, sample):
     """`ferls_update` with Bierman's factors.
 

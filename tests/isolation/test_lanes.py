@@ -1,0 +1,46 @@
+import numpy as np
+import pytest
+
+from experiments.isolation.lanes import at_most, put, runs_of, same, take
+from stillwork.base.kernels import kernel
+
+RUNS, CHANNELS = 8, 3
+
+
+@kernel
+def blend(first, second, out, limit, together):
+    """Every operation once; returns the channel at which a run exceeds the limit, or -1."""
+    for c in range(first.shape[1] // runs_of(together)):
+        total = same(0.5, together)
+        total += take(first, (1, c), together) * take(second, c, together)
+        total -= 3.0 / take(second, c, together)
+        total *= 1.5
+        put(out, c, -total + (total - 2.0 * take(first, (0, c), together)), together)
+        if not at_most(total, limit):
+            return c
+    return -1
+
+
+def arrays(seed=0):
+    rng = np.random.default_rng(seed)
+    return rng.standard_normal((2, CHANNELS * RUNS)), rng.uniform(1, 2, CHANNELS * RUNS)
+
+
+def test_every_lane_gives_what_a_run_alone_gives_to_the_last_bit():
+    first, second = arrays()
+    found = np.zeros(CHANNELS * RUNS)
+    assert blend(first, second, found, 1e9, (0,) * RUNS) == -1
+    for run in range(RUNS):
+        alone = np.zeros(CHANNELS)
+        one = np.ascontiguousarray(first[:, run::RUNS])
+        assert blend(one, np.ascontiguousarray(second[run::RUNS]), alone, 1e9, None) == -1
+        np.testing.assert_array_equal(found[run::RUNS], alone)
+    total = 1.5 * (0.5 + first[1] * second - 3.0 / second)
+    np.testing.assert_array_equal(found, -total + (total - 2.0 * first[0]))
+
+
+@pytest.mark.parametrize("bad", [1e3, np.nan])
+def test_one_lane_beyond_a_limit_is_noticed(bad):
+    first, second = arrays()
+    first[1, RUNS + 5] = bad
+    assert blend(first, second, np.zeros(CHANNELS * RUNS), 100.0, (0,) * RUNS) == 1
