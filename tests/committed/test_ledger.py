@@ -7,32 +7,37 @@ from decimal import Decimal
 import pytest
 
 from stillwork.base import paths
-from stillwork.workbook.claims import AGREEMENT, ledger
+from stillwork.workbook.claims import AGREEMENT, Claim, ledger
 from stillwork.workbook.compare import same_value
 from stillwork.workbook.publish import digest
 
 from .test_figures import COMMITTED, REBUILT
 
 ENTRIES = ledger()
-IDS = [claim.entry.id for claim in ENTRIES]
+LEDGER = [claim.entry for claim in ENTRIES]
 
 
 def test_there_is_a_ledger():
     assert ENTRIES
 
 
-@pytest.mark.parametrize("claim", ENTRIES, ids=IDS)
-def test_every_entry_is_built_accepted_and_explained(claim):
-    assert claim.verdict != "not built", "no notebook claims it"
-    assert claim.entry.ours is not None, "run `make accept`"
-    assert not claim.moved, f"accepted {claim.entry.ours}, the committed figures have {claim.ours}"
-    assert claim.verdict in AGREEMENT or claim.entry.reason, "give the reason"
+def lacking(claim: Claim) -> str:
+    if claim.verdict == "not built":
+        return "no notebook claims it"
+    if claim.entry.ours is None:
+        return "run `make accept`"
+    if claim.moved:
+        return f"accepted {claim.entry.ours}, the committed figures have {claim.ours}"
+    return "" if claim.verdict in AGREEMENT or claim.entry.reason else "give the reason"
 
 
-@pytest.mark.parametrize("claim", ENTRIES, ids=IDS)
-def test_every_tolerance_says_in_words_where_it_comes_from(claim):
-    tolerance = claim.entry.tolerance
-    assert tolerance is None or any(map(str.isalpha, tolerance.source))
+def test_every_entry_is_built_accepted_and_explained():
+    assert {claim.entry.id: what for claim in ENTRIES if (what := lacking(claim))} == {}
+
+
+def test_every_tolerance_says_in_words_where_it_comes_from():
+    sources = {each.id: each.tolerance.source for each in LEDGER if each.tolerance}
+    assert [name for name, source in sources.items() if not any(map(str.isalpha, source))] == []
 
 
 # The works are at hand as texts. What only a picture shows cannot be where a number comes from.
@@ -42,11 +47,9 @@ FROM_A_PICTURE = re.compile(
 )
 
 
-@pytest.mark.parametrize("claim", ENTRIES, ids=IDS)
-def test_no_tolerance_comes_from_a_picture(claim):
-    entry = claim.entry
-    for rule in filter(None, (entry.tolerance, entry.drift)):
-        assert not FROM_A_PICTURE.search(rule.source)
+def test_no_tolerance_comes_from_a_picture():
+    rules = [(each.id, rule) for each in LEDGER for rule in (each.tolerance, each.drift) if rule]
+    assert [name for name, rule in rules if FROM_A_PICTURE.search(rule.source)] == []
 
 
 @pytest.mark.parametrize(
@@ -85,43 +88,53 @@ def test_half_a_digit_is_half_a_power_of_ten_that_the_number_is_a_multiple_of(pu
     assert is_half_a_digit(published, half) == whole
 
 
-@pytest.mark.parametrize("claim", ENTRIES, ids=IDS)
-def test_half_the_last_printed_digit_is_that(claim):
-    entry = claim.entry
-    if entry.tolerance and entry.tolerance.source.startswith("half the last printed digit"):
-        assert is_half_a_digit(entry.published, entry.tolerance.width(entry.published))
+def test_half_the_last_printed_digit_is_that():
+    stated = "half the last printed digit"
+    printed = [each for each in LEDGER if each.tolerance and each.tolerance.source.startswith(stated)]
+    wrong = [
+        each.id
+        for each in printed
+        if not is_half_a_digit(each.published, each.tolerance.width(each.published))
+    ]
+    assert wrong == []
 
 
-@pytest.mark.parametrize("claim", ENTRIES, ids=IDS)
-def test_a_published_number_stands_for_no_word(claim):
-    entry = claim.entry
-    if entry.kind == "reported" and entry.published is not None:
-        assert not re.search(r"stands? for|gives? no number|is no number|without a number", entry.reason)
+NO_NUMBER = re.compile(r"stands? for|gives? no number|is no number|without a number")
 
 
-@pytest.mark.parametrize("claim", ENTRIES, ids=IDS)
-def test_what_was_chosen_after_a_look_is_no_prediction(claim):
-    entry = claim.entry
-    said = f"{entry.reason} {entry.tolerance.source if entry.tolerance else ''}"
-    if entry.is_replication and re.search(
-        r"chosen after|added after|after a first look|sized by|was sized", said, re.IGNORECASE
-    ):
-        assert entry.basis != "predicted"
+def test_a_published_number_stands_for_no_word():
+    reported = [each for each in LEDGER if each.kind == "reported" and each.published is not None]
+    assert [each.id for each in reported if NO_NUMBER.search(each.reason)] == []
+
+
+AFTER_A_LOOK = re.compile(r"chosen after|added after|after a first look|sized by|was sized", re.IGNORECASE)
+
+
+def test_what_was_chosen_after_a_look_is_no_prediction():
+    predicted = [each for each in LEDGER if each.is_replication and each.basis == "predicted"]
+    said = {each.id: f"{each.reason} {each.tolerance.source if each.tolerance else ''}" for each in predicted}
+    assert [name for name, text in said.items() if AFTER_A_LOOK.search(text)] == []
 
 
 def test_corrected_filters_are_counterfactuals():
-    corrected = [claim.entry for claim in ENTRIES if claim.entry.id.endswith(".corrected")]
+    corrected = [each for each in LEDGER if each.id.endswith(".corrected")]
     assert all(entry.counterfactual for entry in corrected)
 
 
-@pytest.mark.parametrize("claim", ledger(REBUILT), ids=IDS)
-def test_a_fresh_run_finds_the_accepted_value_and_verdict(claim):
-    committed = ENTRIES[IDS.index(claim.entry.id)]
-    assert not claim.moved, f"accepted {claim.entry.ours}, now {claim.ours}"
-    assert claim.verdict == committed.verdict
-    assert claim.notebook == committed.notebook
-    if claim.verdict != "not built":
-        assert same_value(claim, committed)
+def found_otherwise(now: Claim, committed: Claim) -> str:
+    if now.moved:
+        return f"accepted {now.entry.ours}, now {now.ours}"
+    if (now.verdict, now.notebook) != (committed.verdict, committed.notebook):
+        return f"was {committed.verdict} by {committed.notebook}, now {now.verdict} by {now.notebook}"
+    if now.verdict != "not built" and not same_value(now, committed):
+        return f"was {committed.ours}, now {now.ours}"
+    return ""
+
+
+def test_a_fresh_run_finds_the_accepted_value_and_verdict():
+    committed = {claim.entry.id: claim for claim in ENTRIES}
+    found = {now.entry.id: found_otherwise(now, committed[now.entry.id]) for now in ledger(REBUILT)}
+    assert {name: what for name, what in found.items() if what} == {}
 
 
 @pytest.mark.parametrize("file", sorted(COMMITTED.glob("*/*/provenance.json")), ids=lambda f: f.parent.name)

@@ -6,6 +6,7 @@ import json
 import re
 import tomllib
 from collections import Counter
+from functools import cache
 from html.parser import HTMLParser
 from urllib.parse import unquote
 
@@ -16,9 +17,11 @@ from PIL import Image
 
 from stillwork.base import paths
 from stillwork.base.checks import InputError
+from stillwork.site import reference
 from stillwork.site.build import site_files
 from stillwork.site.derived import works
 from stillwork.site.links import broken_links
+from stillwork.site.mathematics import markdown
 from stillwork.site.standing import class_of, stands
 from stillwork.workbook.claims import Claim, Entry, Tolerance, ledger
 from stillwork.workbook.notebooks import select
@@ -33,16 +36,21 @@ HOSTILE = "<script>alert('x')</script><img src=x onerror=alert(1)> & \"quoted\""
 
 
 class Elements(HTMLParser):
+    """A page's elements, without the colours of source code, which carry nothing and are most of them."""
+
     def __init__(self, text: bytes):
         super().__init__()
         self.found: list[tuple[str, dict]] = []
-        self.feed(text.decode())
+        self.feed(re.sub(r'<span class="[^"<>]*">', "", text.decode()))
 
     def handle_starttag(self, tag, attributes):
         self.found.append((tag, dict(attributes)))
 
     def of(self, *tags: str) -> list[dict]:
         return [attributes for tag, attributes in self.found if tag in tags]
+
+
+elements = cache(Elements)
 
 
 @pytest.fixture(scope="module")
@@ -111,7 +119,7 @@ def test_every_notebook_number_and_module_is_there(files):
     for notebook in select():
         assert f"notebooks/{notebook.name}.html" in files
         assert files[f"notebooks/{notebook.name}.ipynb"].decode() == notebook.source
-    rows = {each["id"] for each in Elements(files["ledger.html"]).of("tr") if "id" in each}
+    rows = {each["id"] for each in elements(files["ledger.html"]).of("tr") if "id" in each}
     assert rows == {f"row-{claim.entry.id}" for claim in ledger()}
     assert "reference/stillwork.signals.spectra.html" in files
 
@@ -119,7 +127,7 @@ def test_every_notebook_number_and_module_is_there(files):
 def test_every_built_number_has_one_place(files):
     claims = [claim for claim in ledger() if claim.notebook]
     for notebook in {claim.notebook for claim in claims}:
-        places = [each.get("id") for each in Elements(files[f"notebooks/{notebook}.html"]).of("li")]
+        places = [each.get("id") for each in elements(files[f"notebooks/{notebook}.html"]).of("li")]
         for claim in claims:
             assert places.count(f"claim-{claim.entry.id}") == (claim.notebook == notebook)
 
@@ -129,7 +137,7 @@ def test_every_committed_figure_is_shown(files):
         src
         for name in files
         if name.startswith("notebooks/") and name.endswith(".html")
-        for src in [each["src"].removeprefix("../../") for each in Elements(files[name]).of("img")]
+        for src in [each["src"].removeprefix("../../") for each in elements(files[name]).of("img")]
     }
     committed = {
         file.relative_to(paths.root()).as_posix() for file in (paths.root() / "figures").glob("*/*/[!.]*.png")
@@ -173,7 +181,7 @@ def test_advice_rests_on_verdicts_that_stand():
 
 
 def test_the_front_page_shows_each_work_by_its_picture_and_what_came_out(files):
-    page = Elements(files["index.html"])
+    page = elements(files["index.html"])
     text = " ".join(re.sub(r"<[^>]*>", " ", files["index.html"].decode()).split())
     pictures = {each["src"] for each in page.of("img")}
     for work in works().values():
@@ -241,7 +249,7 @@ def test_the_search_index_leads_to_places_that_are_there(files):
     for title, _, address, _ in found:
         page, _, place = address.partition("#")
         if page not in places:
-            places[page] = {values.get("id") for _, values in Elements(files[page]).found}
+            places[page] = {values.get("id") for _, values in elements(files[page]).found}
         assert title, address
         assert place in places[page], address
 
@@ -250,7 +258,7 @@ def test_every_page_describes_itself(files):
     for name, content in files.items():
         if name.endswith(".html"):
             described = [
-                each["content"] for each in Elements(content).of("meta") if each.get("name") == "description"
+                each["content"] for each in elements(content).of("meta") if each.get("name") == "description"
             ]
             assert len(described) == 1, name
             assert len(described[0]) > 20, name
@@ -275,6 +283,8 @@ def test_how_a_statement_stands_is_told_by_its_readings_else_by_its_verdict():
 
 
 def test_two_builds_give_the_same_bytes(files):
+    for kept in (reference.doc_html, reference.read_source, markdown):
+        kept.cache_clear()
     assert site_files() == files
 
 
@@ -282,7 +292,7 @@ def test_foreign_text_is_escaped(toy):
     files = site_files()
     for name, content in files.items():
         if name.endswith(".html"):
-            page = Elements(content)
+            page = elements(content)
             assert [each for each in page.of("script") if "src" not in each] == [], name
             assert [each for each in page.of("img") if each["src"] == "x"] == [], name
             assert page.of("b") == [], name
@@ -305,7 +315,7 @@ def test_the_command_of_a_figure_stands_on_its_page(files):
 
 def test_pages_lead_to_binder_and_the_source_once_there_is_an_address(toy):
     def leading(page: str) -> list[str]:
-        links = [each["href"] for each in Elements(site_files()[page]).of("a")]
+        links = [each["href"] for each in elements(site_files()[page]).of("a")]
         return [unquote(each) for each in links if each.startswith("https://")]
 
     assert leading("notebooks/isolation/01-first.html") == []
@@ -330,7 +340,7 @@ def test_the_front_page_counts_what_was_predicted_apart(toy):
     toy.write("figures/isolation/01-first/claims.json", json.dumps({"isolation.gain": {"ours": 2.0}}))
     for field, column in counted.items():
         toy.write(file, before + field)
-        links = Elements(site_files()["index.html"]).of("a")
+        links = elements(site_files()["index.html"]).of("a")
         shown = [unquote(each["href"].partition("?")[2]) for each in links if "?" in each["href"]]
         assert [each for each in shown if "not built" not in each] == [
             f"counted={column}",

@@ -97,10 +97,8 @@ def test_it_tells_what_is_left_to_a_person(workbook):
 
 
 @pytest.mark.slow
-def test_a_stranger_installs_the_wheel_and_runs_its_tests(monkeypatch):
-    monkeypatch.setattr(release, "STRANGER", ("rounding",))
+def test_a_stranger_installs_the_wheel_and_runs_its_tests():
     ((name, content),) = release.wheel(paths.root()).items()
-    source = release.archive("0.1.0")
-    assert release.try_wheel(name, content, source) == 0
-    monkeypatch.setattr(release, "STRANGER", ("house",))  # asks for the checkout, which is not there
-    assert release.try_wheel(name, content, source) != 0
+    with release.installed(name, content, release.archive("0.1.0")) as tested:
+        assert tested(("rounding",)) == 0
+        assert tested(("house",)) != 0  # asks for the checkout, which is not there

@@ -193,7 +193,7 @@ def test_a_setting_without_a_picture_says_why():
             raise InputError("x is too large; take less")
         return paint(x=x)
 
-    found = states(Explorer(refuse, {"x": Slider(0.0, 10.0, 1.0)}))
+    found = states(Explorer(refuse, {"x": Slider(0.0, 10.0, 1.0)}), 8)
     last = found["pictures"][found["states"][str(len(found["controls"][0]["stops"]) - 1)]]
     assert last == {"message": "no picture: x is too large; take less"}
 
@@ -227,6 +227,7 @@ def explorer(monkeypatch):
 @pytest.mark.slow
 def test_what_does_not_fit_has_fewer_pictures_or_says_so(explorer, monkeypatch):
     explorer(random_lines)
+    monkeypatch.setattr(states_of, "STATES", (16, 8, 4))
     whole = compute("a")
     monkeypatch.setattr(states_of, "LARGEST", len(whole["states"]) - 1)
     assert compute("a")["count"] < whole["count"]
@@ -234,6 +235,7 @@ def test_what_does_not_fit_has_fewer_pictures_or_says_so(explorer, monkeypatch):
     assert compute("a") == {"reason": "its pictures take more than 2 kB"}
 
 
+@pytest.mark.slow
 def test_what_takes_long_has_fewer_pictures(explorer, monkeypatch):
     """A clock that runs a second a picture: 45 of them are too few for all stops, and enough for forty."""
     drawn = []

@@ -9,11 +9,45 @@ import tomllib
 import pytest
 
 from stillwork.workbook.notebooks import cleaned
+from workbook import toy as toys
 from workbook.toy import LEDGER, cell
 
 pytestmark = pytest.mark.slow
 
 README = "# Toy\n\n<!-- ledger:begin -->\nold\n<!-- ledger:end -->\n\nThe end.\n"
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    """A workbook of one page, built once and not accepted."""
+    made = toys.make(tmp_path_factory.mktemp("page"))
+    made.add_page("isolation/01-first")
+    made.write("README.md", README)
+    (made.root / "data/motion/published.toml").unlink()
+    assert made.run("figures").returncode == 0
+    yield made
+    toys.clean_up(made)
+
+
+@pytest.fixture(scope="module")
+def accepted_page(page, tmp_path_factory):
+    with toys.copy_of(page, tmp_path_factory.mktemp("accepted")) as copy:
+        assert copy.run("accept").returncode == 0
+        yield copy
+
+
+@pytest.fixture
+def built(page, tmp_path):
+    """A copy of the built workbook that a test may change."""
+    with toys.copy_of(page, tmp_path) as copy:
+        yield copy
+
+
+@pytest.fixture
+def accepted(accepted_page, tmp_path):
+    """A copy of the accepted workbook that a test may change."""
+    with toys.copy_of(accepted_page, tmp_path) as copy:
+        yield copy
 
 
 def test_accepts_a_build(toy):
@@ -61,12 +95,9 @@ def test_accepts_a_build(toy):
     assert toy.leftovers() == []
 
 
-def test_what_agrees_keeps_its_bytes_whatever_the_last_bits(toy):
+def test_what_agrees_keeps_its_bytes_whatever_the_last_bits(accepted):
     """As on another processor: the library gives the same within rounding, at another commit."""
-    toy.add_page("isolation/01-first")
-    toy.write("README.md", README)
-    (toy.root / "data/motion/published.toml").unlink()
-    assert toy.run("figures").returncode == toy.run("accept").returncode == 0
+    toy = accepted
     before = toy.stamps("notebooks", "data", "figures", "README.md")
     toy.replace("lib/experiments/isolation/model.py", "2.0", "2.0 * (1 + 1e-9)")
     done = toy.run("figures")
@@ -77,10 +108,8 @@ def test_what_agrees_keeps_its_bytes_whatever_the_last_bits(toy):
     assert toy.stamps("notebooks", "data", "figures", "README.md") == before
 
 
-def test_what_moved_is_said_by_the_build_and_taken_over(toy):
-    toy.add_page("isolation/01-first")
-    (toy.root / "data/motion/published.toml").unlink()
-    assert toy.run("figures").returncode == toy.run("accept").returncode == 0
+def test_what_moved_is_said_by_the_build_and_taken_over(accepted):
+    toy = accepted
     toy.replace("lib/experiments/isolation/model.py", "2.0", "2.1")
     toy.replace("notebooks/isolation/01-first.ipynb", "size=3)", "size=3) + gain(level)")
     said = toy.run("figures").stdout.splitlines()
@@ -96,10 +125,8 @@ def test_what_moved_is_said_by_the_build_and_taken_over(toy):
     assert "ours = 2.1" in (toy.root / "data/isolation/published.toml").read_text()
 
 
-def test_an_entry_that_comes_to_ask_for_an_interval_gets_it_with_the_next_accept(toy):
-    toy.add_page("isolation/01-first")
-    (toy.root / "data/motion/published.toml").unlink()
-    assert toy.run("figures").returncode == toy.run("accept").returncode == 0
+def test_an_entry_that_comes_to_ask_for_an_interval_gets_it_with_the_next_accept(accepted):
+    toy = accepted
     toy.replace("data/isolation/published.toml", "relative = 0.01", "interval = 0.95")
     toy.replace("notebooks/isolation/01-first.ipynb", "gain(level))", "gain(level), (1.9, 2.2))")
     assert "1 not built" in toy.run("claims").stdout
@@ -109,9 +136,8 @@ def test_an_entry_that_comes_to_ask_for_an_interval_gets_it_with_the_next_accept
     assert "1 replicated, predicted" in toy.run("claims").stdout
 
 
-def test_a_full_disk_leaves_everything_as_it_was(toy):
-    toy.add_page("isolation/01-first")
-    assert toy.run("figures").returncode == 0
+def test_a_full_disk_leaves_everything_as_it_was(built):
+    toy = built
     before = toy.stamps("notebooks", "data", "figures")
     limit = "import resource, signal\nsignal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
     limit += "resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"

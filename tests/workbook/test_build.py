@@ -258,8 +258,8 @@ def test_builds_are_byte_identical_whatever_the_number_of_kernels(toy):
     assert {name.rpartition(".")[2] for name in with_three} == {"png", "csv", "json", "ipynb"}
     assert toy.run("figures", "--force", "--jobs", "1").returncode == 0
     assert toy.results() == with_three
-    for name in ALL:  # one by one: kernels that are started, not forked
-        assert toy.run("figures", name, "--force").returncode == 0
+    for part in ("isolation", "motion"):  # fewer than three: kernels that are started, not forked
+        assert toy.run("figures", part, "--force").returncode == 0
     assert toy.results() == with_three
 
 

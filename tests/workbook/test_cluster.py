@@ -9,6 +9,8 @@ from pathlib import Path
 import psutil
 import pytest
 
+from stillwork.__main__ import main
+from stillwork.workbook import workers
 from workbook import toy as toys
 from workbook.test_failures import WAIT
 from workbook.toy import until
@@ -107,8 +109,9 @@ def test_a_worker_with_another_checkout_is_refused(toy, scheduler):
     assert "not as the kernel read them: lib/experiments/isolation/model.py changed" in done.stdout
 
 
-def test_a_scheduler_that_does_not_answer(toy):
+def test_a_scheduler_that_does_not_answer(toy, monkeypatch, capsys):
     toy.add("isolation/01-first")
-    done = toy.run("figures", "--scheduler", "tcp://127.0.0.1:1")
-    assert done.returncode == 2
-    assert "scheduler 'tcp://127.0.0.1:1' does not answer" in done.stderr
+    monkeypatch.setenv("STILLWORK_ROOT", str(toy.root))
+    monkeypatch.setattr(workers, "ANSWER_S", 0.2)
+    assert main(["figures", "--scheduler", "tcp://127.0.0.1:1"]) == 2
+    assert "scheduler 'tcp://127.0.0.1:1' does not answer" in capsys.readouterr().err

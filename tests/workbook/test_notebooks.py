@@ -164,6 +164,7 @@ def test_refuses_another_type(annotation, text):
         Parameter("x", annotation, None).read(text)
 
 
+@pytest.mark.slow
 @given(
     st.one_of(
         st.integers().map(lambda v: ("int", v)),

@@ -189,8 +189,8 @@ def _citation() -> str:
     return f"{authors}, {about['name']}: {about['description']}, version {about['version']}."
 
 
-def _renderer(**shared):
-    """``render(template, root, **values)``; `root` leads from the page to the site's front."""
+@cache
+def _templates() -> jinja2.Environment:
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(HERE / "templates"),
         autoescape=True,
@@ -208,6 +208,11 @@ def _renderer(**shared):
     environment.filters["tally"] = tally
     environment.filters["stands"] = stands
     environment.filters["class_of"] = class_of
+    return environment
+
+
+def _renderer(**shared):
+    """``render(template, root, **values)``; `root` leads from the page to the site's front."""
     site = {
         "version": stillwork.__version__,
         "address": address(),
@@ -218,7 +223,7 @@ def _renderer(**shared):
     }
 
     def render(template: str, root: str, **values) -> bytes:
-        page = environment.get_template(template)
+        page = _templates().get_template(template)
         return page.render(root=root, site=site, **shared, **values).encode()
 
     return render

@@ -78,11 +78,12 @@ def imports(trees: dict[str, ast.Module]) -> dict[str, set[str]]:
 
 def face_names(tree: ast.Module) -> dict[str, str]:
     """The names that a package hands out, with the module that defines each."""
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Call) and ast.unparse(node.func) == "face":
-            return {
-                name: module for module, names in ast.literal_eval(node.args[1]).items() for name in names
-            }
+    for statement in tree.body:
+        match statement:
+            case ast.Assign(value=ast.Call(func=ast.Name(id="face"), args=[_, by_module])):
+                return {
+                    name: module for module, names in ast.literal_eval(by_module).items() for name in names
+                }
     return {}
 
 

@@ -1,6 +1,8 @@
 """A plain check of a site's files: every link, picture, style and script leads to a file and a place in it."""
 
 import re
+from collections.abc import Callable
+from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
@@ -29,21 +31,28 @@ def broken_links(site: Path) -> list[str]:
         pages[file] = _Page()
         # Most tags are the colours of source code, which carry neither link nor place.
         pages[file].feed(re.sub(r'</?span(?: class="[^"<>]*")?>', "", file.read_text(encoding="utf-8")))
+    inside = site.resolve()
+
+    @cache  # of the thousands that the pages' navigation repeats
+    def file_at(folder: Path, path: str) -> Path | None:
+        target = (folder / unquote(path)).resolve()
+        return target if target.is_relative_to(inside) and target.is_file() else None
+
     wrong = []
     for file, page in pages.items():
         for where, address in page.links:
-            if reason := _fault(site, file, where, address, pages):
+            if reason := _fault(file, where, address, pages, file_at):
                 wrong.append(f"{file.relative_to(site)}: {where} {address!r}: {reason}")
     return wrong
 
 
-def _fault(site: Path, file: Path, where: str, address: str, pages: dict[Path, _Page]) -> str:
+def _fault(file: Path, where: str, address: str, pages: dict[Path, _Page], file_at: Callable) -> str:
     parts = urlsplit(address)
     if parts.scheme or parts.netloc:
         plain = where == "a href" and parts.scheme in ("http", "https", "mailto")
         return "" if plain else "leaves the site"
-    target = (file.parent / unquote(parts.path)).resolve() if parts.path else file
-    if not target.is_relative_to(site.resolve()) or not target.is_file():
+    target = file_at(file.parent, parts.path) if parts.path else file
+    if target is None:
         return "no such file"
     if not parts.fragment or target.suffix != ".html":
         return ""

@@ -1,6 +1,7 @@
 """Markdown with formulas to HTML with MathML: the browser needs no script and no network to show them."""
 
 import re
+from functools import cache
 from html import unescape
 from xml.etree.ElementTree import tostring
 
@@ -70,6 +71,7 @@ class _Renderer(IPythonRenderer):
         return super().link(text, url, title)
 
 
+@cache
 def markdown(text: str) -> str:
     """HTML of a markdown text with ``$...$`` and ``$$...$$`` formulas."""
     return MarkdownWithMath(renderer=_Renderer()).render(text)

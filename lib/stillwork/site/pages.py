@@ -10,11 +10,9 @@ from functools import cache
 from pathlib import Path
 
 from markupsafe import Markup
-from nbconvert.filters.highlight import Highlight2HTML
 
 from stillwork.base import paths
 from stillwork.base.checks import InputError
-from stillwork.site.mathematics import markdown
 from stillwork.site.outline import Section, plain, sections
 from stillwork.site.thumbnails import thumbnail
 from stillwork.workbook import reading
@@ -71,14 +69,20 @@ class Figure:
 
 @dataclass(frozen=True)
 class PageCell:
-    """One cell as HTML; `claims` are those that it judges."""
+    """One cell; `claims` are those that it judges."""
 
+    notebook: str
     id: str
     code: bool
-    html: Markup
+    source: str
     outputs: tuple[str, ...] = ()
     figures: tuple[Figure, ...] = ()
     claims: tuple[Claim, ...] = ()
+
+    @property
+    def html(self) -> Markup:
+        """For a site's page; who derives a README or a manifest from a page does not wait for it."""
+        return _highlighted(self.source) if self.code else Markup(_prose(self.notebook, self.source))
 
 
 @dataclass(frozen=True)
@@ -197,7 +201,7 @@ def _cells(name: str, raw: list[dict], folder: Path, claims: list[Claim]) -> lis
         source, anchor = _text(cell), f"cell-{cell.get('id', number)}"
         if cell["cell_type"] == "markdown":
             heading = next(iter(re.findall(r"^#+ (.+)$", source, re.MULTILINE)), heading)
-            cells.append(PageCell(anchor, False, Markup(_prose(name, source))))
+            cells.append(PageCell(name, anchor, False, source))
         elif cell["cell_type"] == "code":
             here = [each for each in reading.saved(source, pictures) if each not in drawn]
             ids = [each for each in reading.checked(source, list(by_id)) if each not in judged]
@@ -212,18 +216,20 @@ def _cells(name: str, raw: list[dict], folder: Path, claims: list[Claim]) -> lis
                 elif (left := FILE_NAMES.sub("", text).strip("\n")) and left not in VERDICTS_ALONE:
                     outputs.append(left)
             judgements = tuple(by_id[each] for each in ids)
-            cells.append(
-                PageCell(anchor, True, _highlighted(source), tuple(outputs), tuple(figures), judgements)
-            )
+            cells.append(PageCell(name, anchor, True, source, tuple(outputs), tuple(figures), judgements))
     return cells
 
 
 @cache
 def _highlighted(source: str) -> Markup:
+    from nbconvert.filters.highlight import Highlight2HTML
+
     return Markup(Highlight2HTML(pygments_lexer="python")(source))
 
 
 def _prose(name: str, source: str) -> str:
+    from stillwork.site.mathematics import markdown
+
     try:
         return markdown(source)
     except InputError as error:

@@ -4,6 +4,7 @@ import ast
 import inspect
 import re
 from dataclasses import dataclass
+from functools import cache
 from html import escape, unescape
 from pathlib import Path
 
@@ -130,7 +131,12 @@ def index(modules: list[Module]) -> dict[str, str]:
 def _module(file: Path) -> Module:
     parts = file.relative_to(LIBRARY.parent).with_suffix("").parts
     name = ".".join(part for part in parts if part != "__init__")
-    source = file.read_text(encoding="utf-8")
+    return read_source(name, file, file.read_text(encoding="utf-8"))
+
+
+@cache
+def read_source(name: str, file: Path, source: str) -> Module:
+    """A module by its text, read once."""
     read = griffe.visit(name, filepath=file, code=source)
     constants = {each.name: each.lineno or 1 for each in _public(read) if each.is_attribute}
     return Module(name, _text(read), source, _items(read), constants)
@@ -170,6 +176,7 @@ def _signature(read: griffe.Object) -> str:
     return re.sub(r"\((?:self|cls)(?:, )?", "(", shown, count=1) if read.parent.is_class else shown
 
 
+@cache
 def doc_html(doc: str) -> str:
     """HTML of a numpydoc docstring: paragraphs, indented blocks and sections of definitions."""
     html = []

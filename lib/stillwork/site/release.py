@@ -1,5 +1,6 @@
 """``make release``: wheel, site and archive in ``build/release``, the wheel tried as a stranger would."""
 
+import contextlib
 import hashlib
 import io
 import os
@@ -11,6 +12,7 @@ import tarfile
 import tempfile
 import venv
 import zipfile
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import yaml
@@ -120,7 +122,14 @@ def zipped(folder: Path, name: str) -> bytes:
 
 
 def try_wheel(name: str, content: bytes, source: bytes) -> int:
-    """Install a wheel into a fresh environment and run its tests there; returns pytest's exit code.
+    """Install a wheel into a fresh environment and run its tests there; returns pytest's exit code."""
+    with installed(name, content, source) as tested:
+        return tested(STRANGER)
+
+
+@contextlib.contextmanager
+def installed(name: str, content: bytes, source: bytes) -> Iterator[Callable[[tuple[str, ...]], int]]:
+    """A fresh environment with a wheel; runs tests of `tests/shared` there, by name, and returns pytest's exit code.
 
     Its requirements are lent by the environment at hand, so that this needs no network; of the checkout it sees a
     copy of the tests alone.
@@ -151,21 +160,14 @@ def try_wheel(name: str, content: bytes, source: bytes) -> int:
             ]
             whole.extractall(place / "source", inside, filter="data")
         (checkout,) = (place / "source").iterdir()
-        tests = [f"tests/shared/test_{each}.py" for each in STRANGER]
-        command = [
-            python,
-            "-P",
-            "-m",
-            "pytest",
-            *tests,
-            "-p",
-            "no:nbval",
-            "-p",
-            "no:anyio",
-            "-p",
-            "no:cacheprovider",
-        ]
-        return subprocess.run(command, cwd=checkout, env=alone).returncode
+        quiet = [f"-pno:{each}" for each in ("nbval", "anyio", "cacheprovider")]
+
+        def tested(names: tuple[str, ...]) -> int:
+            tests = [f"tests/shared/test_{each}.py" for each in names]
+            command = [python, "-P", "-m", "pytest", *tests, *quiet]
+            return subprocess.run(command, cwd=checkout, env=alone).returncode
+
+        yield tested
 
 
 def _lend(python: Path, environment: dict[str, str]) -> None:

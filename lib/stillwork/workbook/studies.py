@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtrit
 
 from stillwork.base.checks import InputError, require_array, require_count, require_number
 from stillwork.base.paths import in_batch
@@ -113,7 +113,7 @@ def mean_interval(values, level: float = 0.95) -> tuple[float, float]:
     require_number("level", level, above=0, below=1)
     if len(values) < 2:
         raise InputError("values holds one run; an interval takes at least 2")
-    half = stats.t.ppf(0.5 + level / 2, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values))
+    half = stdtrit(len(values) - 1, 0.5 + level / 2) * values.std(ddof=1) / np.sqrt(len(values))
     return float(values.mean() - half), float(values.mean() + half)
 
 
@@ -130,5 +130,7 @@ def spread_interval(values, level: float = 0.95) -> tuple[float, float]:
 
 def proportion_interval(successes: int, runs: int, level: float = 0.95) -> tuple[float, float]:
     """Wilson's confidence interval of a proportion."""
-    interval = stats.binomtest(int(successes), int(runs)).proportion_ci(level, method="wilson")
+    from scipy.stats import binomtest  # its import takes longer than most studies
+
+    interval = binomtest(int(successes), int(runs)).proportion_ci(level, method="wilson")
     return float(interval.low), float(interval.high)

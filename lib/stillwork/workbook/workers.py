@@ -11,6 +11,8 @@ from stillwork.base.checks import InputError
 from stillwork.base.kernel_folder import FOLDER_VARIABLE, cache_folder
 from stillwork.workbook.pinned import environment
 
+ANSWER_S = 5.0  # within which a scheduler answers
+
 
 def cores() -> int:
     """Cores that this process may use."""
@@ -28,7 +30,7 @@ def client_of(address: str):
     from distributed import Client
 
     try:
-        return Client(address, timeout=5)
+        return Client(address, timeout=ANSWER_S)
     except (OSError, ValueError) as error:
         raise InputError(f"scheduler {address!r} does not answer ({error}); give host:port") from None
 
