@@ -392,7 +392,7 @@ def _export(options) -> int:
 def _contest(options) -> int:
     from importlib import import_module  # the experiments stand above the package, in a checkout alone
 
-    command = import_module("experiments.motion.observer_contest.command")
+    command = import_module("experiments.motion.observer_contest.table")
     chosen = {name: value for name, value in vars(options).items() if name not in ("run", "files")}
     return command.hold_contest(options.files, **chosen)
 

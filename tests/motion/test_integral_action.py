@@ -4,9 +4,15 @@ import numpy as np
 import pytest
 
 from experiments.motion.designs import DESIGNS, RETAINED, stage_compensator, stage_observer
-from experiments.motion.integral_action import keeps_integral_action, required_integrators, slope, static_gain
+from experiments.motion.loop_conditions import (
+    keeps_integral_action,
+    required_integrators,
+    slope,
+    small_gain,
+    static_gain,
+    without_compliance,
+)
 from experiments.motion.machines import stage, stage_mass
-from experiments.motion.small_gain import small_gain, without_compliance
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application, compensator
 from stillwork.control.bandwidth import make_loop

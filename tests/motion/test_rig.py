@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy import linalg, signal
 
-from experiments.motion.plate import plate_modes
 from experiments.motion.rig import (
     POSITIONS,
     Geometry,
@@ -15,6 +14,7 @@ from experiments.motion.rig import (
     decoupling,
     detuned,
     excitation,
+    plate_modes,
     published,
     rig_model,
     rigid_shapes,

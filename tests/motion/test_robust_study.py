@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 
 from experiments.motion import contest as contests
-from experiments.motion.machines import stage
-from experiments.motion.model_bank import bank_estimate
+from experiments.motion.contest import bank_estimate, figure_statements, output_errors
+from experiments.motion.machines import shapes_along, stage
 from experiments.motion.perturbed_tracking import CASES, published_loops, tracking_trial
-from experiments.motion.positions import shapes_along
-from experiments.motion.robust_statements import figure_statements, output_errors
 from experiments.motion.scan_study import (
     filter_model,
     judge,

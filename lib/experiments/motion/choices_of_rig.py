@@ -7,8 +7,7 @@ import numpy as np
 from experiments.motion.rig import assumed_geometry
 from experiments.motion.rig_designs import CASES, bandwidths, model_errors, published_settings, rig_loops
 from experiments.motion.rig_loops import RigBandwidth
-from experiments.motion.rig_study import Rig, levelling_errors, sample_geometry
-from experiments.motion.rig_tracking import levelling
+from experiments.motion.rig_study import Rig, levelling, levelling_errors, sample_geometry
 
 DIRECTIONS = ("z", "rx", "ry")
 GEOMETRIES = 36

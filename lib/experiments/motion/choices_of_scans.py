@@ -4,11 +4,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from experiments.motion.contest import prepare, run_entrant, sample_scans
+from experiments.motion.contest import figure_statements, prepare, run_entrant, sample_scans
 from experiments.motion.location_study import CASES as LOCATION_CASES
 from experiments.motion.location_study import ranges, read_table
 from experiments.motion.perturbed_tracking import CASES, published_loops, tracking_trial
-from experiments.motion.robust_statements import figure_statements
 from experiments.motion.scan_study import judge, published_scan
 from stillwork.workbook.studies import proportion_interval, run_study
 

@@ -5,27 +5,85 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
+from scipy import linalg
 
 from experiments.motion.beam import beam, beam_parameters
-from experiments.motion.common_band_pass import common_band_passed, half_power_selectivity
-from experiments.motion.integral_action import slope
+from experiments.motion.loop_conditions import slope
 from experiments.motion.machines import published_noise
 from stillwork.base.checks import InputError, require_choice, require_count, require_number
+from stillwork.base.front_door import checked
 from stillwork.control.applications import Application, compensator
 from stillwork.control.decoupled_damping import (
     added_damping,
     band_passed,
     constrained_damping,
     constrained_stiffness,
+    fed_back_states,
 )
 from stillwork.control.decoupling import coupling_onset, decouple, decoupled_plant, rigid_coupling
-from stillwork.control.feedback import damping_gain, stiffness_gain
+from stillwork.control.feedback import band_pass, damping_gain, stiffness_gain
 from stillwork.control.loops import channel, closed_loop
 from stillwork.estimation.observer import Observer, kalman_observer
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.peaks import refine_peak, resonance_grid
 from stillwork.lti.reduction import truncate
 from stillwork.lti.state_space import StateModel, constant
+
+
+def common_centre(model: ModalModel, gain: Float64[np.ndarray, "inputs states"]) -> float:
+    """Centre of a band-pass for all damped modes, rad/s: the geometric mean of the first and the last.
+
+    Remark 4.3.2, whose index of the last mode is read as that of the last damped flexible mode.
+    """
+    damped = model.frequencies[[j // 2 for j in fed_back_states(model, gain)]]
+    return float(np.sqrt(damped.min() * damped.max()))
+
+
+def half_power_selectivity(model: ModalModel, gain: Float64[np.ndarray, "inputs states"]) -> float:
+    """Q that puts the half-power points of the common band-pass on the first and the last damped mode."""
+    damped = model.frequencies[[j // 2 for j in fed_back_states(model, gain)]]
+    if damped.min() == damped.max():
+        raise InputError("gain feeds back one mode only; its own band-pass serves it")
+    return float(common_centre(model, gain) / (damped.max() - damped.min()))
+
+
+@checked
+def common_band_passed(
+    model: ModalModel, gain: Float64[np.ndarray, "inputs states"], selectivity: float
+) -> StateModel:
+    """Dynamic gain K(s) with one band-pass for all damped modes (Remark 4.3.2).
+
+    The gains make up for the magnitude of the filter at each resonance, not for its phase. One filter an
+    actuator or one a fed-back state, whichever is fewer: a single filter serves a gain of rank one only.
+    """
+    fed = fed_back_states(model, gain)
+    centre = common_centre(model, gain)
+    one = band_pass(centre, selectivity)
+    magnitude = np.abs(one.frequency_response(model.frequencies[[j // 2 for j in fed]])[0, 0])
+    mended = gain.copy()
+    mended[:, fed] /= magnitude
+    on_states = len(fed) <= len(gain)
+    a, b, c = (np.kron(np.eye(len(fed) if on_states else len(gain)), getattr(one, name)) for name in "abc")
+    if on_states:
+        b, c = b @ np.eye(gain.shape[1])[fed], mended[:, fed] @ c
+    else:
+        b = b @ mended
+    return StateModel(a, b, c, np.zeros_like(gain))
+
+
+def minimal_order(gain: StateModel) -> int:
+    """Order of a minimal realisation of a stable model, by the rank of its Hankel operator."""
+    if gain.step or not gain.is_stable:
+        raise InputError("gain must be stable and in continuous time; its order is counted by Gramians")
+    rate = np.abs(gain.poles).max()
+    a = gain.a / rate
+    # Of unit size: the rank is judged against rounding.
+    b, c = (matrix / np.linalg.norm(matrix) for matrix in (gain.b, gain.c))
+    reach = linalg.solve_continuous_lyapunov(a, -b @ b.T)
+    seen = linalg.solve_continuous_lyapunov(a.T, -c.T @ c)
+    hankel = np.sqrt(np.maximum(linalg.eigvals(reach @ seen).real, 0))
+    return int(np.count_nonzero(hankel > 1e-6 * hankel.max()))
+
 
 # Name to the number of actuators beyond that of the rigid-body modes; None: one a mode.
 SCHEMES = {

@@ -14,7 +14,7 @@ from jaxtyping import Float64
 
 from experiments.motion.designs import DESIGNS, stage_bandwidth, stage_compensator
 from experiments.motion.machines import published_setpoint, stage, stage_mass
-from experiments.motion.performance_pictures import paint_errors
+from experiments.motion.performance import paint_errors
 from experiments.motion.pictures import CASES
 from experiments.motion.uncertainty import perturbed, sample_errors
 from stillwork.base.checks import InputError, require_choice, require_count

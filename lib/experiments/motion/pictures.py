@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from experiments.motion.integral_action import slope
+from experiments.motion.loop_conditions import slope
 from stillwork.base.rounding import in_order
 from stillwork.control.bandwidth import SIX_DB, Loop
 from stillwork.control.loops import channel

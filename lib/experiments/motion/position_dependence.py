@@ -8,8 +8,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from experiments.motion.designs import COMPENSATED, RETAINED, Design
-from experiments.motion.machines import published_noise, stage
-from experiments.motion.positions import shapes_along
+from experiments.motion.machines import published_noise, shapes_along, stage
 from experiments.motion.scan_study import along_scan
 from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
 from stillwork.control.applications import compensator

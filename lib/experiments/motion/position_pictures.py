@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from experiments.motion.designs import Design
 from experiments.motion.location_study import LocationStudy, location_loops, stage_error, study_locations
 from experiments.motion.machines import published_setpoint, stage, stage_mass
-from experiments.motion.performance_pictures import paint_errors
+from experiments.motion.performance import paint_errors
 from experiments.motion.pictures import (
     LABELS,
     add_magnitude,

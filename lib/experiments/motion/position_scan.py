@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from experiments.motion.positions import shapes_along
+from experiments.motion.machines import shapes_along
 from experiments.motion.scan_study import along_scan, contiguous, output_rows
 from stillwork.base.algebra import advance_state
 from stillwork.base.checks import InputError, require_array, require_choice, require_number

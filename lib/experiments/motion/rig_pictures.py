@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from experiments.motion.pictures import add_magnitude, paint_magnitudes
-from experiments.motion.plate import plate_modes
-from experiments.motion.rig import POSITIONS, Geometry, assumed_geometry, published, rig_model
+from experiments.motion.rig import POSITIONS, Geometry, assumed_geometry, plate_modes, published, rig_model
 from experiments.motion.rig_designs import CASES, published_settings, rig_loops
 from experiments.motion.rig_identification import predicted_deviation, true_response
 from experiments.motion.rig_loops import RigLoop

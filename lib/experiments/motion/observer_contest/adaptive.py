@@ -3,7 +3,7 @@
 import numpy as np
 
 from experiments.motion.observer_contest.fixed_gain import stationary
-from experiments.motion.observer_contest.modes import predict_mode, propagate
+from experiments.motion.observer_contest.parametric import predict_mode, propagate
 from experiments.motion.observer_contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
 from stillwork.base.algebra import copy_vector
 from stillwork.base.kernels import inlined_kernel, kernel

@@ -6,8 +6,16 @@ the fine bank takes the gains as told, so that its filters stand still from the 
 
 import numpy as np
 
-from experiments.motion.observer_contest.modes import dominant, predict_mode, sampled_mode
-from experiments.motion.observer_contest.parametric import KNOBS, WIDEST, measure_in_turn, parts, predict
+from experiments.motion.observer_contest.parametric import (
+    KNOBS,
+    WIDEST,
+    dominant,
+    measure_in_turn,
+    parts,
+    predict,
+    predict_mode,
+    sampled_mode,
+)
 from experiments.motion.observer_contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
 from stillwork.base.kernels import inlined_kernel, kernel
 from stillwork.estimation.riccati import discrete_gain

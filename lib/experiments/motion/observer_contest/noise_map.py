@@ -12,8 +12,8 @@ import pandas as pd
 
 from experiments.motion.observer_contest import bench
 from experiments.motion.observer_contest.doubts import Doubt, hidden_seed, sample_truth
-from experiments.motion.observer_contest.entrants import ENTRANTS
 from experiments.motion.observer_contest.plants import ContestPlant, sample_plant
+from experiments.motion.observer_contest.scores import ENTRANTS
 from experiments.motion.observer_contest.told import OwnObserver, told_of
 from experiments.motion.observer_contest.tuning import TRAINING, capped_mean, positions
 from stillwork.base import paths

@@ -6,7 +6,6 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import isotonic_regression
 
-from experiments.motion.observer_contest.entrants import ENTRANTS
 from experiments.motion.observer_contest.noise_map import (
     MAPPED,
     NOISES,
@@ -18,6 +17,7 @@ from experiments.motion.observer_contest.noise_map import (
     leads,
 )
 from experiments.motion.observer_contest.plants import sample_plant
+from experiments.motion.observer_contest.scores import ENTRANTS
 from experiments.motion.observer_contest.told import OwnObserver
 from experiments.motion.observer_contest.tuning import settings_for
 from stillwork.workbook import figures

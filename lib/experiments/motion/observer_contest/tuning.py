@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import qmc
 
-from experiments.motion.observer_contest.entrants import ENTRANTS
 from experiments.motion.observer_contest.plants import PLANTS
-from experiments.motion.observer_contest.scores import contest_trial
+from experiments.motion.observer_contest.scores import ENTRANTS, contest_trial
 from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.base.toml_files import read_toml
