@@ -12,7 +12,6 @@ from experiments.motion.rig import (
     Geometry,
     assumed_geometry,
     decoupling,
-    detuned,
     excitation,
     plate_modes,
     published,
@@ -23,6 +22,7 @@ from experiments.motion.rig import (
 from experiments.motion.rig_control import pid_response, rig_compensator, rig_observer
 from experiments.motion.rig_designs import observer_model, published_settings, rig_controllers, rig_loops
 from experiments.motion.rig_loops import MEASURES, make_rig_loop, maximise_rig_bandwidth, peaks, sizes
+from experiments.motion.uncertainty import detuned
 from stillwork.base.checks import InputError
 from stillwork.control.bandwidth import SIX_DB
 from stillwork.control.loops import channel

@@ -22,6 +22,7 @@ from experiments.motion.drive import (
 )
 from experiments.motion.machines import drive, published_deviations, published_setpoint, stage, stage_mass
 from experiments.motion.perturbed_tracking import CASES, MEASURED, noisy_scan_trial
+from experiments.motion.shares import Values
 from stillwork.control.bandwidth import SIX_DB, Bandwidth, Loop
 from stillwork.control.crossover import crossover
 from stillwork.control.feedforward import error_loop, fit_feedforward
@@ -57,7 +58,7 @@ SIX = {"6 dB": SIX_DB, "2": 2.0}
 
 def bandwidths(
     *, open_loop: str, mass: int, six: str, compensation: str, stage_damping: float, seed: int, lean: bool
-) -> dict[str, float | tuple[float, tuple[float, float]]]:
+) -> Values:
     """Bandwidths of chapter 3 at one mass, each with the half hertz that its print rounds off; it has no leaner form.
 
     `open_loop` is one of `OPEN_LOOPS` or ``f_bw``, `six` of `SIX`, `compensation` of `COMPENSATIONS`, and
@@ -136,7 +137,7 @@ def tracking(
     stage_damping: float,
     seed: int,
     lean: bool,
-) -> dict[str, float | tuple[float, tuple[float, float]]]:
+) -> Values:
     """Table 3.7 (nm); its lean form takes 20 realisations of the noise instead of 100.
 
     `feedforward_fit` is ``once``, in the original loop, or ``each loop``; `scan_noise` ``section 3.1`` or ``none``;

@@ -8,11 +8,10 @@ from experiments.motion.rig import assumed_geometry
 from experiments.motion.rig_designs import CASES, bandwidths, model_errors, published_settings, rig_loops
 from experiments.motion.rig_loops import RigBandwidth
 from experiments.motion.rig_study import Rig, levelling, levelling_errors, sample_geometry
+from experiments.motion.shares import Values, central
 
 DIRECTIONS = ("z", "rx", "ry")
 GEOMETRIES = 36
-
-Values = dict[str, float | tuple[float, tuple[float, float]]]
 
 
 def rig_tables(
@@ -48,11 +47,11 @@ def rig_tables(
     for k, case in enumerate(CASES):
         name = case.lower().replace(" and ", "-")
         for d, direction in enumerate(DIRECTIONS):
-            found[f"motion.table-6-2.{name}.{direction}"] = _over(crossing[:, k, d])
+            found[f"motion.table-6-2.{name}.{direction}"] = central(crossing[:, k, d])
             if k:
                 for t, table in enumerate(("6-3", "6-4")):
                     entry = f"motion.table-{table}.ratio.{name}.{direction}"
-                    found[entry] = _over(ratios[:, t, k - 1, d])
+                    found[entry] = central(ratios[:, t, k - 1, d])
     return found
 
 
@@ -69,10 +68,3 @@ def _rigs(plates: str, seed: int) -> list[Rig]:
 @lru_cache(maxsize=8)  # readings that differ in the levelling share the designs
 def _study(plates: str, measure: str, seed: int) -> list[tuple[Rig, dict[str, RigBandwidth | None]]]:
     return [(rig, bandwidths(rig[1], rig[0], measure)) for rig in _rigs(plates, seed)]
-
-
-def _over(sample: np.ndarray) -> float | tuple[float, tuple[float, float]]:
-    if not np.isfinite(sample).any():
-        return float("nan")
-    low, middle, high = np.nanquantile(sample, [0.025, 0.5, 0.975])
-    return float(middle), (float(low), float(high))

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float64
 from numpy.typing import ArrayLike
 
 from experiments.motion.scan_study import Errors, Records, Scan, filter_model, judge, record_scans, rms
-from experiments.motion.uncertainty import norm_bound, perturbed, sample_errors, sampled_derivatives
+from experiments.motion.uncertainty import detuned, norm_bound, sample_errors, sampled_derivatives
 from stillwork.base.checks import InputError, require_array, require_choice, require_count
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
 from stillwork.estimation.robust import Derivatives, kalman_gains, regularised_gains, sensitivity_gains
@@ -17,16 +17,10 @@ from stillwork.estimation.time_varying import FilterGains, TimeVaryingModel, est
 from stillwork.lti.discretisation import zoh_modes
 
 
-@dataclass(frozen=True)
-class BankEstimate:
-    """Estimates of a bank and its beliefs."""
-
-    states: Float64[np.ndarray, "runs states samples"]
-    weights: Float64[np.ndarray, "models runs samples"]  # posterior probability of each model
-
-
-def bank_estimate(models: Sequence[TimeVaryingModel], u: ArrayLike, y: ArrayLike) -> BankEstimate:
-    """Mean over the models, each with its posterior probability (static multiple-model estimation, Magill 1965)."""
+def bank_estimate(
+    models: Sequence[TimeVaryingModel], u: ArrayLike, y: ArrayLike
+) -> tuple[Float64[np.ndarray, "runs states samples"], Float64[np.ndarray, "models runs samples"]]:
+    """Mean over the models and the posterior probability of each (static multiple-model estimation, Magill 1965)."""
     if not models:
         raise InputError("models is empty; give at least one")
     y, u = require_array("y", y, ndim=3), require_array("u", u, ndim=3)
@@ -39,7 +33,7 @@ def bank_estimate(models: Sequence[TimeVaryingModel], u: ArrayLike, y: ArrayLike
     scores = np.array(scores)
     weights = np.exp(scores - scores.max(axis=0))
     weights /= weights.sum(axis=0)
-    return BankEstimate(np.einsum("mrk,mrnk->rnk", weights, np.array(states)), weights)
+    return np.einsum("mrk,mrnk->rnk", weights, np.array(states)), weights
 
 
 def log_likelihood(
@@ -121,18 +115,15 @@ def hinfinity(contest: Contest, ratio: float, u, y):
 
 
 def bank(contest: Contest, spread: float, u, y, grid=(3, 3), factor: float = 1.0):
-    """Kalman filters on a grid of the first two flexible frequencies, off by up to `spread`, with Q times `factor`."""
+    """Kalman filters on a grid of both flexible frequencies, off by up to `spread`, with Q times `factor`."""
     nominal = contest.scan.nominal
     models = []
     for place in np.ndindex(grid):
-        errors = np.zeros((len(nominal.frequencies), 4))
-        errors[1:3, 0] = [
-            spread * np.linspace(-1, 1, points)[k] for points, k in zip(grid, place, strict=True)
-        ]
-        sampled = zoh_modes(perturbed(nominal, errors), contest.scan.step)
+        errors = [spread * np.linspace(-1, 1, points)[k] for points, k in zip(grid, place, strict=True)]
+        sampled = zoh_modes(detuned(nominal, errors), contest.scan.step)
         process = factor * contest.model.process
         models.append(replace(contest.model, a=sampled.a, b=sampled.b, g=sampled.b, process=process))
-    return bank_estimate(models, u, y).states
+    return bank_estimate(models, u, y)[0]
 
 
 class Entrant(NamedTuple):

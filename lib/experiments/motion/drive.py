@@ -14,7 +14,6 @@ from stillwork.estimation.observer import Observer
 from stillwork.estimation.riccati import continuous_gain
 from stillwork.identification.frequency_response import Identified, closed_loop_response
 from stillwork.lti.discretisation import zoh
-from stillwork.lti.modal import ModalModel
 from stillwork.lti.simulation import simulate
 from stillwork.lti.state_space import StateModel
 
@@ -30,15 +29,7 @@ def drive_observer(drive: Drive, weights: str = "angles first") -> Observer:
     # (theta1, theta2, speed1, speed2) of the modal states (eta1, speed of eta1, eta2, speed of eta2)
     physical = shape * np.array([[1, 0, 1, 0], [1, 0, -1, 0], [0, 1, 0, 1], [0, 1, 0, -1]], dtype=float)
     solved = continuous_gain(states.a, np.linalg.inv(physical), states.c, np.diag(WEIGHTS[weights]), SENSOR)
-    ratio = -states.a[3, 3] / (2 * drive.resonance)
-    model = ModalModel(
-        np.array([0.0, drive.resonance]),
-        np.array([0.0, ratio]),
-        states.b[1::2],
-        states.c[:, ::2],
-        np.zeros((1, 1)),
-    )
-    return Observer(model, states.a, states.b, states.c, solved.gain, solved.residual)
+    return Observer(drive.modes(), states.a, states.b, states.c, solved.gain, solved.residual)
 
 
 def drive_applications(damping: float) -> dict[str, Application | None]:

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from experiments.motion.designs import DESIGNS, stage_bandwidth, stage_compensator
-from experiments.motion.machines import published_setpoint, stage, stage_mass
+from experiments.motion.machines import published_setpoint, stage
 from experiments.motion.performance import paint_errors
 from experiments.motion.pictures import CASES
 from experiments.motion.uncertainty import perturbed, sample_errors
@@ -28,7 +28,6 @@ from stillwork.control.feedforward import (
     tracking_model,
 )
 from stillwork.control.loops import INPUTS, OUTPUTS, closed_loop
-from stillwork.control.pid import PidFamily
 from stillwork.control.setpoint import Setpoint
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.simulation import simulate
@@ -247,7 +246,7 @@ def paint_errors_over_plants(studies: Mapping[str, Mapping[str, np.ndarray]]):
 def _prepared(name: str) -> tuple[object, list[LowOrder]]:
     """The redesigned loop of mass 5 and its low-order feedforwards."""
     setpoint, block = published_setpoint(), stage_compensator(5, DESIGNS[name])
-    controller = PidFamily(stage_mass())(stage_bandwidth(name).design_hz).state_space()
+    controller = stage_bandwidth(name).controller.state_space()
     loop = direct_loop(closed_loop(stage().at([0], [4]), block, controller))
     return loop, pick_poles(loop, setpoint, copy_poles(modified_feedforward(block, controller)), 8)
 

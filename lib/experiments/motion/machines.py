@@ -118,6 +118,12 @@ class Drive:
         b = np.array([[0], [shape], [0], [shape]]) * self.motor_constant
         return StateModel(a, b, np.array([[shape, 0, -shape, 0]]), np.zeros((1, 1)))
 
+    def modes(self) -> ModalModel:
+        """The same without the friction of the rigid body."""
+        states, frequencies = self.modal_states(), np.array([0.0, self.resonance])
+        damping = np.array([0.0, -states.a[3, 3] / (2 * self.resonance)])
+        return ModalModel(frequencies, damping, states.b[1::2], states.c[:, ::2], np.zeros((1, 1)))
+
 
 def drive() -> Drive:
     """The two-inertia drive with the parameters of Table 3.8."""

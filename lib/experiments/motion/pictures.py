@@ -96,6 +96,14 @@ def paint_bode(
     return figure, axes
 
 
+def plain(panels: int = 1, height: float = 2.8, **margins: float):
+    """Panels beside each other without the constrained layout, which takes longer than an explorer may."""
+    figure, axes = figures.new(1, panels, height=height)
+    figure.set_layout_engine(None)
+    figure.subplots_adjust(**{"left": 0.1, "bottom": 0.18, "right": 0.98, "top": 0.9} | margins)
+    return figure, axes
+
+
 def drawn(axis) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """What a panel shows: x and y of its labelled lines, by label."""
     lines = {str(line.get_label()): line.get_data() for line in axis.lines}

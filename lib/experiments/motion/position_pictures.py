@@ -17,6 +17,7 @@ from experiments.motion.pictures import (
     mark_limit,
     paint_limited,
     paint_magnitudes,
+    plain,
     plain_numbers,
 )
 from experiments.motion.position_dependence import place_loops, stage_grid
@@ -175,7 +176,8 @@ def paint_place(place: float, damping: float, compensate: str, noise_exponent: f
     shown = (loop.omega > 2 * np.pi * 5) & (loop.omega < 2 * np.pi * 3e3)
     omega = loop.omega[shown]
     response = loop.at(controller, omega)
-    figure, (left, right) = figures.new(1, 2, height=3.0)
+    margins = {"left": 0.09, "bottom": 0.16, "right": 0.985, "top": 0.91, "wspace": 0.2}
+    figure, (left, right) = plain(2, 3.0, **margins)
     original = controller.frequency_response(omega)
     add_magnitude(left, omega, original, color=figures.GREY, linewidth=2.5, label="controller")
     add_magnitude(left, omega, response.output_controller, label="equivalent, $y$ to $f$")
@@ -187,9 +189,6 @@ def paint_place(place: float, damping: float, compensate: str, noise_exponent: f
         axis.set(xlabel="frequency (Hz)", ylabel=f"magnitude ({unit})")
         axis.xaxis.set_minor_locator(NullLocator())
         axis.legend(fontsize=7)
-    # The automatic layout, small ticks and formulas would take longer than the drawing.
-    figure.set_layout_engine(None)
-    figure.subplots_adjust(0.09, 0.16, 0.985, 0.91, wspace=0.2)
     return figure
 
 

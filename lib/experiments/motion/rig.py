@@ -229,23 +229,6 @@ def scaled_inertia(geometry: Geometry) -> Float64[np.ndarray, "3"]:
     return geometry.inertia / geometry.edges**2
 
 
-def detuned(model: ModalModel, errors: Float64[np.ndarray, " flexible"]) -> ModalModel:
-    """The model with its flexible frequencies off by these relative errors."""
-    factors = np.ones(len(model.frequencies))
-    factors[model.rigid_modes :] += require_array("errors", errors, shape=(len(factors) - model.rigid_modes,))
-    if np.any(factors <= 0):
-        raise InputError("errors must be above -1; a frequency cannot become negative")
-    frequencies = model.frequencies * factors
-    order = np.argsort(frequencies, kind="stable")  # an error may let two modes change places
-    return ModalModel(
-        frequencies[order],
-        model.damping[order],
-        model.input_shapes[order],
-        model.output_shapes[:, order],
-        model.feedthrough,
-    )
-
-
 def excitation(geometry: Geometry, actuators: tuple[int, ...]) -> Float64[np.ndarray, "flexible 3"]:
     """What a unit command along each direction puts into the eight published modes (1/sqrt(kg))."""
     shapes = rig_model(geometry, higher_modes=0).input_shapes[3:, list(actuators)]

@@ -11,7 +11,6 @@ from experiments.motion.rig import (
     Geometry,
     assumed,
     decoupling,
-    detuned,
     published,
     rig_model,
     scaled_inertia,
@@ -25,6 +24,7 @@ from experiments.motion.rig_loops import (
     make_rig_loop,
     maximise_rig_bandwidth,
 )
+from experiments.motion.uncertainty import detuned
 from stillwork.control.pid import Pid
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti.modal import ModalModel

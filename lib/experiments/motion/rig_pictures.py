@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from experiments.motion.pictures import add_magnitude, paint_magnitudes
+from experiments.motion.pictures import add_magnitude, paint_magnitudes, plain
 from experiments.motion.rig import POSITIONS, Geometry, assumed_geometry, plate_modes, published, rig_model
 from experiments.motion.rig_designs import CASES, published_settings, rig_loops
 from experiments.motion.rig_identification import predicted_deviation, true_response
@@ -188,7 +188,7 @@ def paint_rig(
     settings = replace(settings, noise=noise, target_damping=target_damping)
     omega = frequencies(20.0, points=80, around=5)
     loops = rig_loops(geometry, settings, None, [POSITIONS[position - 1]], omega, ("Original", use))
-    figure, axis = _plain(1)
+    figure, axis = plain()
     for name, (loop, *_) in loops.items():
         response = physical_plant(loop, geometry)[row, 0]
         add_magnitude(axis, omega, response, color=COLOURS[name], label=name)
@@ -206,7 +206,7 @@ def paint_geometry(
     geometry = replace(geometry, width=width, actuators=actuators, sensors=(along_x, along_y))
     model = rig_model(geometry, higher_modes=0)
     size = np.sqrt(geometry.mass)
-    figure, axes = _plain(2)
+    figure, axes = plain(2, wspace=0.3)
     x, y = geometry.half
     axes[0].plot([-x, x, x, -x, -x], [-y, -y, y, y, -y], color=figures.GREY)
     axes[0].plot(
@@ -255,17 +255,9 @@ def paint_identification(
     omega = frequencies(1.0, 1500.0, points=90, around=5)
     response = true_response(geometry, settings, omega)
     deviation = predicted_deviation(geometry, settings, bandwidth_hz, omega, rms, averages)
-    figure, axis = _plain(1)
+    figure, axis = plain()
     add_magnitude(axis, omega, response[:, 2, 0], color=figures.BLUE, label="response")
     add_magnitude(axis, omega, deviation[:, 2, 0], ls="--", color=figures.BLACK, label="least deviation")
     axis.set(xlabel="frequency (Hz)", ylabel="actuator 1 to sensor 3 (dB re 1 m/N)")
     axis.legend()
     return figure
-
-
-def _plain(panels: int):
-    """Panels without the constrained layout, which takes longer than an explorer may."""
-    figure, axes = figures.new(1, panels, height=2.8)
-    figure.set_layout_engine(None)
-    figure.subplots_adjust(left=0.1, right=0.98, bottom=0.18, top=0.9, wspace=0.3)
-    return figure, axes

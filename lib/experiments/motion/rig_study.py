@@ -75,13 +75,10 @@ def _to_error(loop: RigLoop, pids: Sequence[Pid], geometry: Geometry) -> StateMo
         closed.step,
     )
     balanced, (scale, _) = linalg.matrix_balance(model.a, permute=False, separate=True)
-    return StateModel(balanced, model.b / scale[:, None], model.c * scale, model.d, model.step)
-
-
-def _require_stable(model: StateModel) -> None:
-    radius = np.abs(model.poles).max()
-    if radius >= 1:
+    model = StateModel(balanced, model.b / scale[:, None], model.c * scale, model.d, model.step)
+    if (radius := np.abs(model.poles).max()) >= 1:
         raise InputError(f"the loop is unstable (a pole of magnitude {radius:.6f}); lower the bandwidth")
+    return model
 
 
 def _lines(
@@ -112,7 +109,6 @@ def levelling_rms(
     The feedforward takes the rig for heavier by `mass_error`, relative.
     """
     model = _to_error(loop, pids, geometry)
-    _require_stable(model)
     z = np.exp(1j * trajectory.omega * loop.step)
     drive = _lines(trajectory, loop, geometry, mass_error)
     periodic = np.zeros(3)
@@ -151,7 +147,6 @@ def levelling_error(
 ) -> Float64[np.ndarray, "3 samples"]:
     """True error over the last period (m, rad, rad), simulated with noise after `periods` periods of settling."""
     model = _to_error(loop, pids, geometry)
-    _require_stable(model)
     count = round(trajectory.period / loop.step)
     if abs(count * loop.step - trajectory.period) > 1e-9 * trajectory.period:
         raise InputError("period of the trajectory is not a multiple of the sample time; change one of them")

@@ -38,9 +38,9 @@ def paint_machine(machine: Machine):
     return figure
 
 
-def envelope(x: np.ndarray, magnitude: np.ndarray, bins: int = 500) -> np.ndarray:
-    """Index of the largest and the smallest magnitude in each of `bins` logarithmic stretches: no peak is lost."""
-    place = np.searchsorted(np.geomspace(x[0], x[-1], bins + 1)[1:-1], x)
+def envelope(x: np.ndarray, magnitude: np.ndarray) -> np.ndarray:
+    """Index of the largest and the smallest magnitude in each of 500 logarithmic stretches: no peak is lost."""
+    place = np.searchsorted(np.geomspace(x[0], x[-1], 501)[1:-1], x)
     starts = np.flatnonzero(np.diff(place, prepend=-1))
     stretches = np.split(np.arange(len(x)), starts[1:])
     return np.unique([each[pick(magnitude[each])] for each in stretches for pick in (np.argmin, np.argmax)])

@@ -3,6 +3,8 @@ r"""Entrants that carry parameters beside the states: three frequencies, the rig
 With :math:`z = (x, \theta)` the model is :math:`x_k = A(\theta) x_{k-1} + B(\theta) (u_{k-1} + w)`, and
 :math:`\theta` walks: relative errors of the frequencies, then of the gains."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from experiments.motion.observer_contest.fixed_gain import stationary
@@ -264,13 +266,6 @@ def parts(model, noise, sample_time, deviation, walk, factor, considered=False, 
     return data, (np.zeros(size), covariance)
 
 
-def extended(
-    model: ToldModel, noise: ToldNoise, sample_time: float, deviation: float, walk: float, factor: float
-) -> MadeObserver:
-    """Extended Kalman filter of states and parameters."""
-    return MadeObserver(_advance_extended, *parts(model, noise, sample_time, deviation, walk, factor))
-
-
 def considering(model: ToldModel, noise: ToldNoise, sample_time: float, deviation: float) -> MadeObserver:
     """Schmidt-Kalman filter: the parameters are never estimated, but the states know how uncertain they are."""
     return MadeObserver(
@@ -278,11 +273,9 @@ def considering(model: ToldModel, noise: ToldNoise, sample_time: float, deviatio
     )
 
 
-def unscented(
-    model: ToldModel, noise: ToldNoise, sample_time: float, deviation: float, walk: float, factor: float
-) -> MadeObserver:
-    """Unscented Kalman filter of states and parameters."""
-    return MadeObserver(_advance_unscented, *parts(model, noise, sample_time, deviation, walk, factor))
+def of_parameters(advance: Callable) -> Callable[..., MadeObserver]:
+    """Design of a Kalman filter of states and parameters, extended or unscented as it advances."""
+    return lambda *told_and_knobs: MadeObserver(advance, *parts(*told_and_knobs))
 
 
 KNOBS = (
@@ -292,6 +285,8 @@ KNOBS = (
 )
 PARAMETRIC = {
     "Schmidt-Kalman": Rival(considering, (Knob("deviation of parameters", 1e-4, 0.3, 0.03),), "Schmidt 1966"),
-    "extended Kalman": Rival(extended, KNOBS, "Jazwinski 1970, section 8.3"),
-    "unscented Kalman": Rival(unscented, KNOBS, "Julier and Uhlmann 2004", heavy=True),
+    "extended Kalman": Rival(of_parameters(_advance_extended), KNOBS, "Jazwinski 1970, section 8.3"),
+    "unscented Kalman": Rival(
+        of_parameters(_advance_unscented), KNOBS, "Julier and Uhlmann 2004", heavy=True
+    ),
 }

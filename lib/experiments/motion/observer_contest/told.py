@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Float64
 
 from experiments.motion.observer_contest.plants import ContestPlant
-from stillwork.estimation.time_varying import TimeVaryingModel
 from stillwork.lti.discretisation import zoh_modes
 
 
@@ -47,12 +46,6 @@ def told_of(plant: ContestPlant, noise: float) -> tuple[ToldModel, ToldNoise]:
     )
     sensor = (plant.sensor * noise) ** 2
     return model, ToldNoise(plant.process**2 * np.eye(sampled.b.shape[1]), sensor * np.eye(len(sampled.c)))
-
-
-def over_samples(model: ToldModel, noise: ToldNoise, samples: int, initial: np.ndarray) -> TimeVaryingModel:
-    """The model as the toolbox's filters take it."""
-    c = np.tile(model.c, (samples, 1, 1))
-    return TimeVaryingModel(model.a, model.b, model.b, c, noise.process, noise.sensor, initial)
 
 
 class Knob(NamedTuple):
