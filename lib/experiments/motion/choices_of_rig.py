@@ -34,13 +34,8 @@ def rig_tables(
         crossing.append(
             [[np.nan] * 3 if each[case] is None else each[case].crossing_hz.mean(axis=0) for case in CASES]
         )
-        errors = levelling_errors(
-            rig,
-            each,
-            rig_controllers_at,
-            rig_noise_floor,
-            0.05 if rig_feedforward == "5 % too heavy" else 0.0,
-        )
+        mass_error = 0.05 if rig_feedforward == "5 % too heavy" else 0.0
+        errors = levelling_errors(rig, each, rig_controllers_at, rig_noise_floor, mass_error)
         ratios.append(errors[:, 1:] / errors[0, 0])
     crossing, ratios = np.array(crossing), np.array(ratios)
     found: Values = {}

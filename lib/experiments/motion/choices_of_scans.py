@@ -7,14 +7,8 @@ from experiments.motion.location_study import CASES as LOCATION_CASES
 from experiments.motion.location_study import ranges, read_table
 from experiments.motion.perturbed_tracking import CASES, published_blocks, tracking_trial
 from experiments.motion.scan_study import judge, published_scan
-from experiments.motion.shares import Values, central, share
+from experiments.motion.shares import Values, central, key, share
 from stillwork.workbook.studies import run_study
-
-
-def key(case: str) -> str:
-    """A case as the ledger writes it."""
-    return case.lower().replace(",", "").replace(" ", "-")
-
 
 # --- Section 4.2.5: Table 4.1 ------------------------------------------------------------------------------------
 
@@ -45,10 +39,8 @@ def locations(
     for case in LOCATION_CASES:
         over = 1e9 * np.array([study.over(case, *each) for each in ranges(study.places, 0.5)])
         for part, value, each in zip(("min", "mean", "max"), study.over(case, *ends), over.T, strict=True):
-            found[f"motion.table-4-1.{key(case)}.{part}"] = (
-                float(1e9 * value),
-                (float(each.min()), float(each.max())),
-            )
+            ends_nm = float(each.min()), float(each.max())
+            found[f"motion.table-4-1.{key(case)}.{part}"] = float(1e9 * value), ends_nm
     return found
 
 

@@ -146,7 +146,9 @@ ENTRANTS: Mapping[str, Entrant] = {
 }
 
 
-def sample_scans(scan: Scan, plants: int, seed: int, size: float, law: str, rigid: bool) -> Records:
+def sample_scans(
+    scan: Scan, plants: int, seed: int | np.random.Generator, size: float, law: str, rigid: bool
+) -> Records:
     """Recorded scans of randomly perturbed plants, see `uncertainty.sample_errors`."""
     rng = np.random.default_rng(seed)
     errors = [sample_errors(rng, scan.nominal, size, law, rigid) for _ in range(plants)]
@@ -180,10 +182,8 @@ def tune(name: str, contest: Contest, records: Records, tries: int) -> Tuning:
     if tries < 2:
         raise InputError(f"tries is {tries}; give at least 2, the ends of the range")
     knobs = np.geomspace(ENTRANTS[name].low, ENTRANTS[name].high, tries)
-    costs = []
-    for knob in knobs:
-        errors = judge(contest.scan, records, run_entrant(name, contest, float(knob), records))
-        costs.append(float(np.median(errors.flexible())))
+    tried = (run_entrant(name, contest, float(knob), records) for knob in knobs)
+    costs = [np.median(judge(contest.scan, records, each).flexible()) for each in tried]
     return Tuning(knobs, np.array(costs))
 
 
@@ -197,10 +197,7 @@ def contest_trial(
     `knobs` says where the knob of every observer stands. Flexible modes err, by the contest's size and `law`.
     """
     scan = contest.scan
-    errors = [
-        sample_errors(rng, scan.nominal, contest.size, law) for _ in range(require_count("plants", plants))
-    ]
-    records = record_scans(scan, errors, rng)
+    records = sample_scans(scan, require_count("plants", plants), rng, contest.size, law, False)
     return {
         name: judge(scan, records, run_entrant(name, contest, knob, records)).flexible()
         for name, knob in knobs.items()

@@ -104,12 +104,9 @@ def paint_slope_ranges(
     axes[0].set_yticks(rows, list(slopes))
     axes[0].invert_yaxis()
     lines = axes[0].lines
-    figure.legend(
-        [lines[-2], lines[-3], lines[-1]],
-        ["machines, in the limit", "machines, 0.03 to 0.3 Hz", "published"],
-        loc="outside lower center",
-        ncols=3,
-    )
+    shown = [lines[-2], lines[-3], lines[-1]]
+    names = ["machines, in the limit", "machines, 0.03 to 0.3 Hz", "published"]
+    figure.legend(shown, names, loc="outside lower center", ncols=3)
     return figure
 
 

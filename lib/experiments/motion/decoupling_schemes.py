@@ -157,15 +157,14 @@ def scheme_gain(name: str, plant: ModalModel, settings: Settings) -> np.ndarray 
     fed = slice(0, 2 * len(retained.frequencies))
     if name == "undamped":
         return np.zeros((actuators, fed.stop))
-    if name in ("each mode", "minimal interaction"):
+    if name in STATIC:
         return damping_gain(retained, settings.increase, name)
     if name == "band-passes":
         return band_passed(plant, damping_gain(retained, settings.increase), settings.selectivity)
     if name == "common band-pass":
         gain = damping_gain(retained, settings.increase)
-        return common_band_passed(
-            plant, gain, settings.common_selectivity or half_power_selectivity(plant, gain)
-        )
+        selectivity = settings.common_selectivity or half_power_selectivity(plant, gain)
+        return common_band_passed(plant, gain, selectivity)
     if name == "band-passes and over-actuation":
         gain = constrained_damping(plant, increase, range(plant.rigid_modes, modes))[:, fed]
         return band_passed(plant, gain, settings.selectivity)
@@ -264,11 +263,8 @@ def geometry_trial(
             found[f"{name}: limit"] = reached / rigid_coupling(plant, gain, both)
             found[f"{name}: onset_hz"] = coupling_onset(plant, gain, both) / (2 * np.pi)
         if name in DAMPING:
-            damping, shift = added_damping(plant, system)
-            found |= {
-                f"{name}: added": damping[: settings.damped],
-                f"{name}: shift": shift[: settings.damped],
-            }
+            both = added_damping(plant, system)
+            found[f"{name}: added"], found[f"{name}: shift"] = (each[: settings.damped] for each in both)
         if name in FILTERED:
             found[f"{name}: crosswise"] = crosswise_force(plant, scheme_gain(name, plant, settings), damped)
     return found

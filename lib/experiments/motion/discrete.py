@@ -10,7 +10,7 @@ from scipy import linalg
 
 from experiments.motion.designs import COMPENSATED, RETAINED
 from experiments.motion.machines import published_noise, stage
-from experiments.motion.pictures import add_magnitude
+from experiments.motion.pictures import add_magnitude, paint_magnitudes
 from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
 from stillwork.control.applications import Application
 from stillwork.control.discrete_damping import damped_poles, discrete_damping_gain
@@ -120,16 +120,15 @@ def sampled_frequencies(step: float) -> np.ndarray:
 
 def paint_equivalent_plants(panels: Mapping[str, Mapping[str, StateModel]]):
     """Magnitude of sampled plants, one panel a group; lines that coincide are told apart by their dashes."""
-    figure, axes = figures.new(1, len(panels), height=3.4, sharey=True, squeeze=False)
-    styles = ({"color": figures.GREY, "linewidth": 2.5}, {}, {}, {"linestyle": "--"})
-    colours = (figures.GREY, figures.BLUE, figures.RED, figures.GREEN)
-    for axis, (title, plants) in zip(axes[0], panels.items(), strict=True):
-        for (name, plant), style, colour in zip(plants.items(), styles, colours, strict=False):
+    styles = [{"color": figures.GREY, "linewidth": 2.5}]
+    styles += [{"color": colour, "linewidth": 1.1} for colour in (figures.BLUE, figures.RED, figures.GREEN)]
+    styles[3]["linestyle"] = "--"
+    curves = {title: {} for title in panels}
+    for title, plants in panels.items():
+        for (name, plant), style in zip(plants.items(), styles, strict=False):
             omega = sampled_frequencies(plant.step)
-            response = plant.frequency_response(omega)[0, 0]
-            add_magnitude(axis, omega, response, label=name, **{"color": colour, "linewidth": 1.1, **style})
-        axis.set_title(title)
-    figures.label(axes, "frequency (Hz)", "magnitude (dB re 1 m/N)")
+            curves[title][name] = omega, plant.frequency_response(omega)[0, 0], style
+    figure, axes = paint_magnitudes(curves, "magnitude (dB re 1 m/N)", height=3.4, sharey=True)
     figures.legend_below(axes[0, 0], len(axes[0, 0].lines), fontsize=7)
     return figure
 
@@ -151,7 +150,7 @@ def paint_sampled(rate_khz: float, damping: float, compensate: str, timing: str)
         add_magnitude(axis, omega, each.frequency_response(omega)[0, 0], label=name, color=colour)
     # Two poles of the rigid body stay at z = 1; everything else must decay.
     grows = np.sort(np.abs(seen.poles))[-1] > 1 + 1e-4
-    axis.set(title="the damping loop is unstable" if grows else timing, xlabel="frequency (Hz)")
-    axis.set_ylabel("magnitude (dB re 1 m/N)")
+    axis.set_title("the damping loop is unstable" if grows else timing)
+    figures.label(axis, "frequency (Hz)", "magnitude (dB re 1 m/N)")
     axis.legend()
     return figure

@@ -8,7 +8,7 @@ from jaxtyping import Float64
 
 from experiments.motion.machines import Drive
 from stillwork.control.applications import Application, compensator
-from stillwork.control.loops import INPUTS, OUTPUTS, closed_loop
+from stillwork.control.loops import channel, closed_loop
 from stillwork.control.pid import PidFamily
 from stillwork.estimation.observer import Observer
 from stillwork.estimation.riccati import continuous_gain
@@ -57,8 +57,8 @@ def drive_loop(
 
 def seen_by_controller(loop: StateModel, omega: Float64[np.ndarray, " frequencies"]) -> np.ndarray:
     """Exact response that the controller sees, u to the compensated output, from a `closed_loop`."""
-    response = loop.frequency_response(omega)[:, INPUTS.index("u_ff")]
-    return -response[OUTPUTS.index("e_meas")] / response[OUTPUTS.index("u")]
+    measured, force = channel(loop, "u_ff", ("e_meas", "u")).frequency_response(omega)[:, 0]
+    return -measured / force
 
 
 def identify(
@@ -80,9 +80,7 @@ def identify(
     noise = excitation * rng.standard_normal(samples)
     swing = imbalance * np.sin(2 * np.pi * turns_hz * step * np.arange(samples))
     sensor = sensor_noise * rng.standard_normal(samples)
-    chosen = loop.select(
-        [INPUTS.index(name) for name in ("u_ff", "w", "d")], [OUTPUTS.index("u"), OUTPUTS.index("e_meas")]
-    )
+    chosen = channel(loop, ("u_ff", "w", "d"), ("u", "e_meas"))
     u, e = simulate(zoh(chosen, step), np.array([noise, swing, sensor]))
     return closed_loop_response(noise, u, -e, step, segment)
 
@@ -117,11 +115,9 @@ def residual_trial(
 
     And the largest distance from the rigid body, up or down (dB), by ``<case>, distance``.
     """
+    names = ("stiffness", "inertia", "damper")
     wrong = replace(
-        plant,
-        stiffness=plant.stiffness * (1 + rng.uniform(-error, error)),
-        inertia=plant.inertia * (1 + rng.uniform(-error, error)),
-        damper=plant.damper * (1 + rng.uniform(-error, error)),
+        plant, **{name: getattr(plant, name) * (1 + rng.uniform(-error, error)) for name in names}
     )
     omega = plant.resonance * np.linspace(0.5, 1.6, 800)
     found = {}

@@ -21,7 +21,7 @@ from stillwork.control.ideal_feedforward import (
     respond,
     sampled_ideal_force,
 )
-from stillwork.control.loops import INPUTS, OUTPUTS, closed_loop, require_stable
+from stillwork.control.loops import channel, closed_loop, require_stable
 from stillwork.control.pid import Pid
 from stillwork.control.setpoint import Setpoint
 from stillwork.lti.modal import ModalModel
@@ -243,8 +243,8 @@ def _quiet_study(loops: Loops, force: Force, setpoint: Setpoint, source: str) ->
     errors: dict[str, list[np.ndarray]] = {}
     for cases in loops.values():
         for name, loop in cases.items():
-            channel = loop.select([INPUTS.index(source)], [OUTPUTS.index("e_true")])
-            errors.setdefault(name, []).append(-respond(channel, force)[0, ahead:])
+            missed = respond(channel(loop, source, "e_true"), force)[0, ahead:]
+            errors.setdefault(name, []).append(-missed)
     return LocationStudy(np.array(list(loops)), setpoint, {name: np.array(e) for name, e in errors.items()})
 
 
@@ -280,7 +280,7 @@ def bare_error(controller: Pid, measured: int = 5) -> StateModel:
     if require_count("measured", measured) > len(stage().output_shapes):
         raise InputError(f"measured is {measured}; the stage has masses 1 to {len(stage().output_shapes)}")
     loop = closed_loop(stage().at([0], [measured - 1]), None, controller.state_space())
-    return loop.select([INPUTS.index("w")], [OUTPUTS.index("e_true")])
+    return channel(loop, "w", "e_true")
 
 
 def stage_error(

@@ -27,7 +27,7 @@ from stillwork.control.feedforward import (
     tracking_error,
     tracking_model,
 )
-from stillwork.control.loops import INPUTS, OUTPUTS, closed_loop
+from stillwork.control.loops import channel, closed_loop
 from stillwork.control.setpoint import Setpoint
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.simulation import simulate
@@ -38,7 +38,7 @@ from stillwork.workbook import figures
 
 def direct_loop(loop: StateModel) -> StateModel:
     """Of a single `closed_loop`, the model from (r, u_ff) to e_true: the feedforward that the observer sees."""
-    return loop.select([INPUTS.index("r"), INPUTS.index("u_ff")], [OUTPUTS.index("e_true")])
+    return channel(loop, ("r", "u_ff"), "e_true")
 
 
 def copy_poles(feedforward: StateModel) -> tuple[complex, ...]:
@@ -104,14 +104,9 @@ class MoveResponses:
         if pole not in self._filtered:
             feedback, external = np.zeros((3, 2)), np.zeros((3, 2))
             feedback[1, 1] = external[2, 1] = 1  # the setpoint itself stays out
-            self._filtered[pole] = [
-                tracking_error(
-                    interconnect([self._loop, each], feedback, external, np.array([[1.0, 0.0]])),
-                    self._setpoint,
-                    Feedforward(acceleration=1.0),
-                )
-                for each in filters(pole)
-            ]
+            wanted, unit = np.array([[1.0, 0.0]]), Feedforward(acceleration=1.0)
+            through = (interconnect([self._loop, each], feedback, external, wanted) for each in filters(pole))
+            self._filtered[pole] = [tracking_error(each, self._setpoint, unit) for each in through]
         return self._filtered[pole]
 
     def error(self, feedforward: LowOrder) -> Float64[np.ndarray, " samples"]:

@@ -37,12 +37,8 @@ def stage(damping_ratio: float | None = None) -> ModalModel:
     Flexible modes are damped by 0.005, which Table 3.4 shows (Table 3.2 prints 0.001), unless told otherwise.
     """
     p = parameters("stage")
-    ratio = require_number(
-        "damping_ratio",
-        p["damping_ratio"] if damping_ratio is None else damping_ratio,
-        at_least=0.0,
-        below=1.0,
-    )
+    ratio = p["damping_ratio"] if damping_ratio is None else damping_ratio
+    require_number("damping_ratio", ratio, at_least=0.0, below=1.0)
     masses = require_count("masses", p["masses"], at_least=2)
     mass = np.diag([p["actuator_mass"], *[p["mass"]] * masses])
     stiffness = chain_matrix([p["actuator_stiffness"], *[p["stiffness"]] * (masses - 1)])
@@ -66,13 +62,10 @@ def chain(masses: ArrayLike) -> ModalModel:
         raise InputError("masses must hold at least two positive masses in kg")
     p = parameters("chain")
     links, places = np.ones(len(masses) - 1), np.eye(len(masses))
-    return modal_model(
-        np.diag(masses),
-        chain_matrix(require_number("chain: stiffness", p["stiffness"]) * links),
-        places,
-        places,
-        damping_matrix=chain_matrix(require_number("chain: damper", p["damper"]) * links),
+    stiffness, damping = (
+        chain_matrix(require_number(f"chain: {name}", p[name]) * links) for name in ("stiffness", "damper")
     )
+    return modal_model(np.diag(masses), stiffness, places, places, damping_matrix=damping)
 
 
 def loaded_modes(place: float) -> tuple[np.ndarray, np.ndarray]:

@@ -151,14 +151,14 @@ def paint_reduction(retained: int, cutoff_hz: float):
     omega = resonance_grid(full.poles, 0.3, 300.0, 300, 20)
     exact = full.frequency_response(omega)[0, 0]
     compensated = truncate(full, int(retained), 10 - int(retained))
-    curves = {
-        "full": (omega, exact),
-        "error, truncated": (omega, exact - truncate(full, int(retained)).frequency_response(omega)[0, 0]),
-        "error, with compliance": (omega, exact - compensated.frequency_response(omega)[0, 0]),
-        "error, rolled off": (
-            omega,
-            exact - roll_off(compensated, cutoff_hz).frequency_response(omega)[0, 0],
-        ),
+    reduced = {
+        "truncated": truncate(full, int(retained)),
+        "with compliance": compensated,
+        "rolled off": roll_off(compensated, cutoff_hz),
+    }
+    curves = {"full": (omega, exact)} | {
+        f"error, {name}": (omega, exact - each.frequency_response(omega)[0, 0])
+        for name, each in reduced.items()
     }
     return paint_bode(
         curves, "magnitude (dB re 1 m/N)", styles={"full": {"color": figures.GREY}}, height=3.2
@@ -181,13 +181,11 @@ def paint_transition_error(frequency_hz: float, damping: float):
     """Explorer: error of the printed and of the lightly damped transition matrix over the sample time."""
     steps = np.geomspace(1e-6, 0.4 / frequency_hz, 200)
     figure, axis = figures.new(1, 1, height=2.8)
+    w = 2 * np.pi * frequency_hz
+    size = np.array([[1, 1 / w], [w, 1]])  # of each entry, which itself passes zero
     for variant in VARIANTS[1:]:
-        w = 2 * np.pi * frequency_hz
-        error = []
-        for step in steps:
-            exact = transition(w, damping, step)
-            size = np.array([[1, 1 / w], [w, 1]])  # the size of each entry, which itself passes zero
-            error.append((np.abs(transition(w, damping, step, variant) - exact) / size).max())
+        pairs = ([transition(w, damping, step, each) for each in (variant, "exact")] for step in steps)
+        error = [(np.abs(given - exact) / size).max() for given, exact in pairs]
         axis.loglog(1e3 * steps, error, label=variant)
     axis.set(xlabel="sample time (ms)", ylabel="largest error, scaled entries")
     axis.legend()

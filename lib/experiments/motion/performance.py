@@ -12,7 +12,7 @@ from experiments.motion.pictures import case_styles
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
 from stillwork.control.applications import Application
 from stillwork.control.feedforward import Feedforward, error_loop, tracking_error
-from stillwork.control.loops import INPUTS, closed_loop, require_stable
+from stillwork.control.loops import channel, closed_loop, require_stable
 from stillwork.control.pid import PidFamily
 from stillwork.control.setpoint import Setpoint
 from stillwork.lti.discretisation import zoh
@@ -46,8 +46,8 @@ def cumulative_power(
         require_choice("deviations", name, ("w", "v", "d"))
         require_number(f"deviations[{name!r}]", deviations[name], at_least=0.0)
     require_stable(loop)
-    places = [INPUTS.index(name) for name in deviations]
-    response = zoh(loop.select(places, [0, 1]), step).frequency_response(omega)
+    both = channel(loop, list(deviations), ("e_true", "e_meas"))
+    response = zoh(both, step).frequency_response(omega)
     weights = 2 * step * np.array(list(deviations.values())) ** 2
     density = np.einsum("oif,i->of", np.abs(response) ** 2, weights)  # m^2/Hz
     pieces = (density[:, 1:] + density[:, :-1]) / 2 * np.diff(omega) / (2 * np.pi)
@@ -67,17 +67,15 @@ def band_power(power: CumulativePower, centre: float, width: float = 0.1) -> tup
 def paint_tracking(setpoint: Setpoint, errors: Mapping[str, np.ndarray]):
     """Tracking errors in nm over the move, one panel a case, with the scaled acceleration and the scan."""
     figure, axes = figures.new(2, 2, height=4.4, sharex=True, sharey=True)
-    shown = setpoint.time <= setpoint.scan[1]
     scaled = setpoint.derivatives[2] / np.abs(setpoint.derivatives[2]).max()
     top = 1e9 * max(np.abs(error).max() for error in errors.values())
     for axis, (name, error) in zip(axes.ravel(), errors.items(), strict=True):
-        axis.plot(
-            setpoint.time, top * scaled, color=figures.GREY, linewidth=0.8, label="acceleration, scaled"
-        )
+        style = {"color": figures.GREY, "linewidth": 0.8, "label": "acceleration, scaled"}
+        axis.plot(setpoint.time, top * scaled, **style)
         axis.plot(setpoint.time, 1e9 * error, linewidth=0.9, color=figures.BLUE, label="error")
         axis.axvspan(*setpoint.scan, color=figures.GREY, alpha=0.12, linewidth=0)
         axis.set_title(f"{name}: {1e9 * rms(error[setpoint.scanning]):.2f} nm rms in the scan")
-    axes[0, 0].set_xlim(0, setpoint.time[shown][-1] + 0.02)
+    axes[0, 0].set_xlim(0, setpoint.time[setpoint.time <= setpoint.scan[1]][-1] + 0.02)
     axes[0, 0].legend(loc="upper right", fontsize=7)
     figures.label(axes, "time (s)", "error (nm)")
     return figure

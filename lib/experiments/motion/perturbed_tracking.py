@@ -16,7 +16,7 @@ from stillwork.control.feedforward import (
     noise_error,
     tracking_error,
 )
-from stillwork.control.loops import INPUTS, OUTPUTS, closed_loop
+from stillwork.control.loops import channel, closed_loop
 from stillwork.control.setpoint import Setpoint
 from stillwork.lti.discretisation import zoh
 from stillwork.lti.simulation import simulate
@@ -67,7 +67,6 @@ def tracking_trial(
     noise = (
         rng.standard_normal((3, setpoint.derivatives.shape[1])) * np.array([*deviations.values()])[:, None]
     )
-    places = [INPUTS.index(name) for name in deviations]
     feedforward: Feedforward | None = None
     found = {}
     for case, (
@@ -82,7 +81,7 @@ def tracking_trial(
             tuned_on = plant if retune else nominal
             feedforward = fit_feedforward(error_loop(closed_loop(tuned_on, None, controller)), setpoint)
         error = tracking_error(error_loop(loop), setpoint, feedforward)
-        error = error + simulate(zoh(loop.select(places, [OUTPUTS.index("e_true")]), step), noise)[0]
+        error = error + simulate(zoh(channel(loop, list(deviations), "e_true"), step), noise)[0]
         found[case] = rms(error[setpoint.scanning])
     return found
 

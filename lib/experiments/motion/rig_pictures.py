@@ -86,8 +86,7 @@ def paint_decoupled_plants(loops: Sequence[RigLoop], geometry: Geometry):
     # Nine panels with axes of their own: the constrained layout would take longer than all the rest.
     figure.set_layout_engine(None)
     figure.subplots_adjust(left=0.09, right=0.99, bottom=0.12, top=0.96, wspace=0.4, hspace=0.28)
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="lower center", ncols=4)
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="lower center", ncols=4)
     return figure
 
 
@@ -129,14 +128,9 @@ def paint_error_spectra(spectra: Mapping[str, Spectrum]):
     figure, axes = figures.new(1, 3, height=2.7, sharex=True)
     for order, (case, each) in enumerate(spectra.items()):
         drawn = (each.frequencies_hz >= 2) & (each.frequencies_hz <= 2000)
+        style = {"color": COLOURS[case], "linewidth": 2.4 - 0.6 * order, "label": case}  # all stay visible
         for axis, density in zip(axes, each.density, strict=True):
-            axis.loglog(
-                each.frequencies_hz[drawn],
-                1e6 * np.sqrt(density[drawn]),
-                color=COLOURS[case],
-                linewidth=2.4 - 0.6 * order,  # lines that coincide stay visible
-                label=case,
-            )
+            axis.loglog(each.frequencies_hz[drawn], 1e6 * np.sqrt(density[drawn]), **style)
     figures.label(axes, "frequency (Hz)")
     for k, axis in enumerate(axes):
         axis.set(title=f"${MOTIONS[k]}$", ylabel=f"error ({'µm' if k == 0 else 'µrad'}/√Hz)")
@@ -209,9 +203,8 @@ def paint_geometry(
     figure, axes = plain(2, wspace=0.3)
     x, y = geometry.half
     axes[0].plot([-x, x, x, -x, -x], [-y, -y, y, y, -y], color=figures.GREY)
-    axes[0].plot(
-        *geometry.actuator_places[list(geometry.used)].T, "o", color=figures.BLACK, markerfacecolor="none"
-    )
+    used = geometry.actuator_places[list(geometry.used)]
+    axes[0].plot(*used.T, "o", color=figures.BLACK, markerfacecolor="none")
     axes[0].plot(*geometry.sensor_places.T, "x", color=figures.BLACK)
     axes[0].set_aspect("equal")
     axes[0].set(xlabel="x (m)", ylabel="y (m)", title="circles: actuators, crosses: sensors")

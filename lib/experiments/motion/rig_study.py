@@ -64,18 +64,10 @@ def _to_error(loop: RigLoop, pids: Sequence[Pid], geometry: Geometry) -> StateMo
 
     Under the modified feedforward of Appendix A the setpoint acts like v, the original feedforward like w.
     """
-    closed = loop.closed(pids)
-    blocks = [channel(closed, name, "e_true", 3, 3) for name in ("v", "w", "d")]
+    seen = channel(loop.closed(pids), ("v", "w", "d"), "e_true", 3, 3)
     read = loop.decoupling.sensing / geometry.edges[:, None]
-    model = StateModel(
-        closed.a,
-        np.hstack([block.b for block in blocks]),
-        read @ blocks[0].c,
-        read @ np.hstack([block.d for block in blocks]),
-        closed.step,
-    )
-    balanced, (scale, _) = linalg.matrix_balance(model.a, permute=False, separate=True)
-    model = StateModel(balanced, model.b / scale[:, None], model.c * scale, model.d, model.step)
+    balanced, (scale, _) = linalg.matrix_balance(seen.a, permute=False, separate=True)
+    model = StateModel(balanced, seen.b / scale[:, None], read @ seen.c * scale, read @ seen.d, seen.step)
     if (radius := np.abs(model.poles).max()) >= 1:
         raise InputError(f"the loop is unstable (a pole of magnitude {radius:.6f}); lower the bandwidth")
     return model
@@ -260,6 +252,7 @@ def rig_trial(rng: np.random.Generator, settings: RigSettings) -> dict[str, np.n
         rig = geometry, loops, trajectory
         original[m], redesigned[m] = levelling_errors(rig, found, "own limit", 0.0, noise=settings.noise)
     flexible = [flexible_peaks(loops[case], scaled_inertia(geometry)) for case in CASES]
+    excited = [excitation(geometry, used) for used in ((0, 1, 2, 3), geometry.used)]
     return {
         "crossing": crossing,
         "peaks": peaks,
@@ -273,7 +266,5 @@ def rig_trial(rng: np.random.Generator, settings: RigSettings) -> dict[str, np.n
         "aspect": np.array(geometry.width / geometry.length),
         "actuators": np.array(geometry.actuators),
         "sensors": np.array(geometry.sensors),
-        "excitation": np.array(
-            [np.abs(excitation(geometry, used)).max(axis=1) for used in ((0, 1, 2, 3), geometry.used)]
-        ),
+        "excitation": np.abs(excited).max(axis=2),
     }

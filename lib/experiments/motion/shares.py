@@ -9,6 +9,11 @@ from stillwork.workbook.studies import proportion_interval
 Values = dict[str, float | tuple[float, tuple[float, float]]]  # by entry
 
 
+def key(case: str) -> str:
+    """A case as the ledger writes it."""
+    return case.lower().replace(",", "").replace(" ", "-")
+
+
 def central(sample: np.ndarray) -> float | tuple[float, tuple[float, float]]:
     """Median and the central 95 % of the runs that gave a number; NaN where none did."""
     if not np.isfinite(sample).any():

@@ -76,19 +76,12 @@ def paint_sensitivities(found: Mapping[str, Reached], machine: Machine):
         )
     furthest = max(reached, key=lambda name: reached[name].recommended.crossing_hz.min())
     chosen = list(dict.fromkeys([next(iter(reached)), furthest]))
-    return paint_over_masses(
-        {
-            f"{name}, $S_O$": (
-                reached[name].loops,
-                reached[name].recommended.controller,
-                "output_sensitivity",
-            )
-            for name in chosen
-        },
-        low_hz=machine.resonances_hz[0] / 80,
-        high_hz=1.2 * machine.resonances_hz[-1],
-        label="sensor",
-    )
+    panels = {
+        f"{name}, $S_O$": (reached[name].loops, reached[name].recommended.controller, "output_sensitivity")
+        for name in chosen
+    }
+    low, high = machine.resonances_hz[0] / 80, 1.2 * machine.resonances_hz[-1]
+    return paint_over_masses(panels, low_hz=low, high_hz=high, label="sensor")
 
 
 def machine_explorer(

@@ -17,7 +17,6 @@ from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
 from stillwork.estimation.riccati import discrete_gain
 from stillwork.estimation.robust import Derivatives, regularised_gains, sensitivity_gains
 from stillwork.estimation.time_varying import FilterGains, TimeVaryingModel
-from stillwork.lti.modal import ModalModel
 
 HORIZON = 800  # samples until a recursion's gain is taken as its last
 
@@ -98,14 +97,7 @@ def fictitious(model: ToldModel, noise: ToldNoise, sample_time: float, force: fl
 
 def derivatives(model: ToldModel, sample_time: float, samples: int, frequency: float = 1.0):
     """Derivatives by the flexible modes' frequency, which counts so much, damping, input and output shape."""
-    machine = ModalModel(
-        model.frequencies,
-        model.damping,
-        model.input_shapes,
-        model.output_shapes,
-        np.zeros((len(model.c), model.b.shape[1])),
-    )
-    by = sampled_derivatives(machine, sample_time)
+    by = sampled_derivatives(model.machine, sample_time)
     factors = np.tile([frequency, 1.0, 1.0, 1.0], len(by.modes))[:, None, None]
     c = np.zeros((len(by.a), *model.c.shape))
     for k, mode in enumerate(by.modes):
@@ -191,11 +183,8 @@ def _advance_window(data, memory, inputs, measurements, estimates):
         x[:] = 0.0
         for back in range(horizon):
             at = (now - back) % horizon
-            for i in range(len(x)):
-                for o in range(seen.shape[1]):
-                    x[i] += of_measured[back, i, o] * seen[at, o]
-                for j in range(forces.shape[1]):
-                    x[i] += of_forces[back, i, j] * forces[at, j]
+            add_product(of_measured[back], seen[at], x)
+            add_product(of_forces[back], forces[at], x)
         copy_vector(x, estimates[k])
 
 

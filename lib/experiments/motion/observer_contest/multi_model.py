@@ -17,6 +17,7 @@ from experiments.motion.observer_contest.parametric import (
     sampled_mode,
 )
 from experiments.motion.observer_contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
+from stillwork.base.algebra import add_product
 from stillwork.base.kernels import inlined_kernel, kernel
 from stillwork.estimation.riccati import discrete_gain
 
@@ -126,8 +127,7 @@ def _advance_fine(data, memory, inputs, measurements, estimates):
                 for q in range(o + 1):
                     white += whitening[m, o, q] * innovation[q]
                 scores[m] -= white * white / 2
-                for i in range(z.shape[1]):
-                    z[m, i] += gain[m, i, o] * innovation[o]
+            add_product(gain[m], innovation, z[m])
         _weigh(scores, weights, z, estimates[k])
 
 

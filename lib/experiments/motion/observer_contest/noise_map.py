@@ -145,12 +145,8 @@ def main() -> None:
                 errors = flexible_errors(plant, size, noise, PUBLIC, SEEDS, chosen)
                 for seed in range(SEEDS):
                     writer.writerow((size, noise, seed, *(f"{errors[name][seed]:.4g}" for name in MAPPED)))
-                print(
-                    size,
-                    noise,
-                    {name: np.median(values).round(2) for name, values in errors.items()},
-                    flush=True,
-                )
+                medians = {name: np.median(values).round(2) for name, values in errors.items()}
+                print(size, noise, medians, flush=True)
 
 
 if __name__ == "__main__":

@@ -259,36 +259,24 @@ def hold_contest(
     *,
     seeds: int,
     public: str,
-    only: Sequence[str] = (),
-    loops: int | None = None,
-    heavy: int | None = None,
     jobs: int | None = None,
     scheduler: str | None = None,
     out: str | None = None,
+    **choices,
 ) -> int:
     """Run the contest and print who stands where; returns 1 when an observer of the reader's was disqualified.
 
-    With `only` some of ours, the rows of all others are those that the file `out` holds, if it is there.
+    `choices` are those of `run_contest`. With `only` some of ours, the rows of all others are those that the file
+    `out` holds, if it is there.
     """
     began = time.monotonic()
     jobs = min(jobs or cores(), seeds * len(PLANTS))
-    if scheduler:
-        context = client_of(scheduler)
-        executor = context.get_executor()
-    else:
-        context = processes(jobs) if jobs > 1 else nullcontext()
-    with context as pool:
-        contest = run_contest(
-            public,
-            seeds,
-            files,
-            only=only,
-            loops=loops,
-            heavy=heavy,
-            executor=executor if scheduler else pool,
-        )
+    alone = processes(jobs) if jobs > 1 else nullcontext()
+    with client_of(scheduler) if scheduler else alone as pool:
+        executor = pool.get_executor() if scheduler else pool
+        contest = run_contest(public, seeds, files, executor=executor, **choices)
     table = measured(contest)
-    late = only and out and Path(out).exists()
+    late = choices.get("only") and out and Path(out).exists()
     table = joined(pd.read_csv(out), table) if late else ranked(table)
     print(standings(table).to_string(index=False))
     for name, reason in contest.disqualified.items():

@@ -9,6 +9,7 @@ from jaxtyping import Float64
 
 from experiments.motion.observer_contest.plants import ContestPlant
 from stillwork.lti.discretisation import zoh_modes
+from stillwork.lti.modal import ModalModel
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,13 @@ class ToldModel:
     @property
     def rigid_modes(self) -> int:
         """Number of modes of zero frequency."""
-        return int(np.count_nonzero(self.frequencies == 0))
+        return self.machine.rigid_modes
+
+    @property
+    def machine(self) -> ModalModel:
+        """In continuous time."""
+        shapes = self.input_shapes, self.output_shapes
+        return ModalModel(self.frequencies, self.damping, *shapes, np.zeros((len(self.c), self.b.shape[1])))
 
 
 @dataclass(frozen=True)

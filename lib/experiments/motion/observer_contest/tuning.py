@@ -13,11 +13,8 @@ from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.base.toml_files import read_toml
 
-TRAINING, SEEDS, TRIES = (
-    "training",
-    2,
-    12,
-)  # the word in a public number's place, seeds a plant, settings tried
+TRAINING = "training"  # in a public number's place
+SEEDS, TRIES = 2, 12  # a plant, and settings of each entrant
 DOUBTS_TUNED_ON = (
     "none",
     "all 2 %",
