@@ -68,13 +68,8 @@ def beam(actuators: ArrayLike, sensors: ArrayLike, *, taper: float = 0.0) -> Mod
     scale = 1 / np.sqrt(require_number("beam.toml: mass", assumed["mass"], above=0.0))
     inputs = scale * beam_shapes(actuators, modes, taper).T
     outputs = scale * beam_shapes(sensors, modes, taper)
-    return ModalModel(
-        frequencies,
-        np.where(frequencies > 0, assumed["damping_ratio"], 0.0),
-        inputs,
-        outputs,
-        np.zeros((len(outputs), inputs.shape[1])),
-    )
+    damping = np.where(frequencies > 0, assumed["damping_ratio"], 0.0)
+    return ModalModel(frequencies, damping, inputs, outputs, np.zeros((len(outputs), inputs.shape[1])))
 
 
 @checked

@@ -75,9 +75,8 @@ class LocationStudy:
 
 Loops = Mapping[float, Mapping[str, StateModel]]
 
-CASES = {
-    name.replace("none", "original"): case for name, case in perturbed_tracking.CASES.items()
-}  # Table 4.1
+# Table 4.1
+CASES = {name.replace("none", "original"): case for name, case in perturbed_tracking.CASES.items()}
 
 
 def structure(masses: int = 8, spacing: float = 0.05) -> tuple[ModalModel, Float64[np.ndarray, " masses"]]:
@@ -153,9 +152,8 @@ def table_statements(study: LocationStudy) -> dict[str, bool]:
     """Whether one run of Table 4.1's cases says what section 4.2.5 says of it."""
     size = {name: study.rms(name) for name in CASES}
     mean = {name: each.mean() for name, each in size.items()}
-    settling = (study.setpoint.time >= study.setpoint.acceleration_end) & (
-        study.setpoint.time < study.setpoint.scan[0]
-    )
+    time, start = study.setpoint.time, study.setpoint.acceleration_end
+    settling = (time >= start) & (time < study.setpoint.scan[0])
     transient = {name: np.mean(study.errors[name][:, settling] ** 2) for name in ("MC", "MC, redesigned")}
     settled = {name: np.median(study.settled(name, 2e-8)) for name in ("original", "AD, redesigned")}
     damped = ("AD", "MC and AD")

@@ -54,9 +54,7 @@ def filters(pole: complex) -> list[StateModel]:
     if pole.imag == 0:
         return [StateModel(np.array([[-w]]), np.array([[w]]), np.ones((1, 1)), np.zeros((1, 1)))]
     a, b = np.array([[0, w], [-w, 2 * pole.real]]), np.array([[0.0], [w]])
-    return [
-        StateModel(a, b, row, np.zeros((1, 1))) for row in (np.array([[1.0, 0.0]]), np.array([[0.0, 1.0]]))
-    ]
+    return [StateModel(a, b, row[None], np.zeros((1, 1))) for row in np.eye(2)]
 
 
 @dataclass(frozen=True)
@@ -86,9 +84,8 @@ class MoveResponses:
         self._filtered: dict[complex, list[np.ndarray]] = {}
         self.alone = tracking_error(loop, setpoint, Feedforward())
         # One model for the four derivatives: its inputs are the force and its own derivatives, in each sample.
-        forced = tracking_model(
-            StateModel(loop.a, loop.b[:, ::-1], loop.c, loop.d[:, ::-1]), Feedforward(), setpoint.step
-        )
+        turned = StateModel(loop.a, loop.b[:, ::-1], loop.c, loop.d[:, ::-1])
+        forced = tracking_model(turned, Feedforward(), setpoint.step)
         rows = setpoint.derivatives
         self._direct = {
             name: simulate(forced, np.vstack([rows[k:], np.zeros_like(rows[:k])]))[0]

@@ -62,9 +62,8 @@ def chain(masses: ArrayLike) -> ModalModel:
         raise InputError("masses must hold at least two positive masses in kg")
     p = parameters("chain")
     links, places = np.ones(len(masses) - 1), np.eye(len(masses))
-    stiffness, damping = (
-        chain_matrix(require_number(f"chain: {name}", p[name]) * links) for name in ("stiffness", "damper")
-    )
+    names = ("stiffness", "damper")
+    stiffness, damping = (chain_matrix(require_number(f"chain: {n}", p[n]) * links) for n in names)
     return modal_model(np.diag(masses), stiffness, places, places, damping_matrix=damping)
 
 

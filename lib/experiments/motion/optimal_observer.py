@@ -223,9 +223,8 @@ def paint_responses(
     omega = 2 * np.pi * np.geomspace(0.1, 2000, 1500)
     figure, (left, right) = figures.new(1, 2, height=3.2)
     for name, observer in observers.items():
-        loop = closed_loop(
-            problem.plant, problem.compensator(observer), problem.controller.state_space()
-        ).frequency_response(omega)
+        closed = closed_loop(problem.plant, problem.compensator(observer), problem.controller.state_space())
+        loop = closed.frequency_response(omega)
         style = {"label": name, "color": COLOURS.get(name, figures.BLUE)}
         # Opened at the plant, f = C_y y: from d (added to y alone) the loop gives f = -C_y d / (1 + P C_y).
         to_force, to_output = loop[3, INPUTS.index("d")], loop[0, INPUTS.index("d")]

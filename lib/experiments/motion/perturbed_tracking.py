@@ -64,9 +64,8 @@ def tracking_trial(
     nominal = stage().at([0], [MEASURED - 1])
     plant = perturbed(nominal, sample_errors(rng, nominal, size, law, rigid))
     deviations = published_deviations()
-    noise = (
-        rng.standard_normal((3, setpoint.derivatives.shape[1])) * np.array([*deviations.values()])[:, None]
-    )
+    sizes = np.array([*deviations.values()])[:, None]
+    noise = rng.standard_normal((3, setpoint.derivatives.shape[1])) * sizes
     feedforward: Feedforward | None = None
     found = {}
     for case, (
@@ -101,9 +100,8 @@ def noisy_scan_trial(
     samples = WARM_UP + setpoint.derivatives.shape[1]
     found = {}
     for name, loop in loops.items():
-        noise = noise_error(loop, setpoint.step, samples, deviations, np.random.default_rng(seed))[
-            0, WARM_UP:
-        ]
+        draws = np.random.default_rng(seed)
+        noise = noise_error(loop, setpoint.step, samples, deviations, draws)[0, WARM_UP:]
         own = feedforward if isinstance(feedforward, Feedforward) else feedforward[name]
         error = tracking_error(error_loop(loop), setpoint, own) + noise
         found[name] = rms(error[setpoint.scanning])

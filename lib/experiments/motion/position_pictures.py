@@ -154,9 +154,8 @@ def paint_table_of_ranges(
         middle = np.array([whole[n][k] for n in names])
         axis.vlines(place, low, high, color=colour, linewidth=4, alpha=0.4, label=f"{part}, over the ranges")
         axis.plot(place, middle, "_", color=colour, markersize=9, label=f"{part}, whole structure")
-        figures.mark_published(
-            axis, place, [np.asarray(published[n])[k] for n in names], label="published" if k == 0 else None
-        )
+        marks = [np.asarray(published[n])[k] for n in names]
+        figures.mark_published(axis, place, marks, label="published" if k == 0 else None)
     axis.set_yscale("log")
     axis.set_xticks(np.arange(len(names)), [n.replace(", ", ",\n") for n in names], fontsize=7)
     axis.set(ylabel="rms error in the scan (nm)", ylim=(0.3, None))

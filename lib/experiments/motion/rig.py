@@ -195,13 +195,8 @@ def rig_model(geometry: Geometry, higher_modes: int | None = None) -> ModalModel
     for name, places in (("actuators", geometry.actuator_places), ("sensors", geometry.sensor_places)):
         flexible = plate.shapes(*(places / geometry.half).T) / np.sqrt(geometry.mass)
         at[name] = np.hstack([rigid_shapes(places) / np.sqrt(geometry.inertia), flexible])
-    return ModalModel(
-        np.concatenate([np.zeros(3), omega]),
-        np.concatenate([np.zeros(3), damping]),
-        at["actuators"].T,
-        at["sensors"],
-        np.zeros((4, 4)),
-    )
+    frequencies, damping = (np.concatenate([np.zeros(3), each]) for each in (omega, damping))
+    return ModalModel(frequencies, damping, at["actuators"].T, at["sensors"], np.zeros((4, 4)))
 
 
 def decoupling(geometry: Geometry, actuators: tuple[int, ...], sensors: tuple[int, ...]) -> Decoupling:

@@ -47,13 +47,8 @@ class RigCompensator:
     selectivity: float | None  # Q of the band-passes; None: none
 
     def _read(self) -> Float64[np.ndarray, "signals states"]:
-        flexible = self.gains.shape[1]
-        return np.vstack(
-            [
-                self.compensate * self.observer.flexible_outputs,
-                self.observer.read(np.eye(flexible), "velocity"),
-            ]
-        )
+        velocities = self.observer.read(np.eye(self.gains.shape[1]), "velocity")
+        return np.vstack([self.compensate * self.observer.flexible_outputs, velocities])
 
     @cached_property
     def _estimator(self) -> StateModel:

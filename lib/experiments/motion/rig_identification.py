@@ -32,9 +32,8 @@ def identification_loop(geometry: Geometry, settings: RigSettings, bandwidth_hz:
     controller = four_sensor_controller(geometry, settings, bandwidth_hz)
     closed = closed_loop(plant, None, controller)
     seen = channel(closed, ("u_ff", "w", "d"), ("f", "e_meas"), 4, 4)
-    signs = np.repeat(
-        [[1.0], [-1.0]], 4, axis=0
-    )  # without a setpoint the measured error is minus the measurement
+    # Without a setpoint the measured error is minus the measurement.
+    signs = np.repeat([[1.0], [-1.0]], 4, axis=0)
     return StateModel(seen.a, seen.b, signs * seen.c, signs * seen.d, seen.step)
 
 

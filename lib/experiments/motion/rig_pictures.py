@@ -150,18 +150,14 @@ def paint_over_geometries(
             style = {"markersize": 4, "color": COLOURS[case]}
             axis.plot(place + rank, np.sort(found), ".", label=f"one geometry, {case}", **style)
             if case in marks:
-                figures.mark_published(
-                    axis, place, marks[case][k], "published" if not place else f"_published, {case}"
-                )
+                label = f"_published, {case}" if place else "published"
+                figures.mark_published(axis, place, marks[case][k], label)
         axis.set_ylim(0, 1.08 * axis.dataLim.y1)
         axis.set_xticks(range(len(values)), [case.replace(" and ", "\nand ") for case in values])
         axis.set(title=f"${MOTIONS[k]}$", xlabel="use of the observer")
     axes[0].set_ylabel(quantity)
-    handles, labels = axes[0].get_legend_handles_labels()
-    shown = {
-        "published" if label == "published" else "one geometry": h
-        for h, label in zip(handles, labels, strict=True)
-    }
+    pairs = zip(*axes[0].get_legend_handles_labels(), strict=True)
+    shown = {"published" if label == "published" else "one geometry": handle for handle, label in pairs}
     figure.legend(shown.values(), shown.keys(), loc="outside lower center", ncols=2)
     return figure
 
@@ -228,9 +224,7 @@ def paint_identified(omega: np.ndarray, measured: np.ndarray, model: np.ndarray,
         "least from noise": (deviation, {"color": figures.BLACK, "linewidth": 0.8, "linestyle": "--"}),
     }
     panels = {
-        f"sensor {k + 1}": {
-            label: (omega, values[:, k, 0], style) for label, (values, style) in lines.items()
-        }
+        f"sensor {k + 1}": {name: (omega, values[:, k, 0], style) for name, (values, style) in lines.items()}
         for k in range(4)
     }
     quantity = "actuator 1 to sensor\n(dB re 1 m/N)"

@@ -141,9 +141,8 @@ def fine_bank(
     for own_a, own_b, errors in zip(a, b, grid, strict=True):
         for mode, error in zip(bent, errors, strict=True):
             pair = slice(2 * mode, 2 * mode + 2)
-            sampled_mode(
-                model.frequencies[mode] * (1 + error), model.damping[mode], sample_time, block, lever
-            )
+            omega = model.frequencies[mode] * (1 + error)
+            sampled_mode(omega, model.damping[mode], sample_time, block, lever)
             own_a[pair, pair], own_b[pair] = block, np.outer(lever, model.input_shapes[mode])
         solved = discrete_gain(own_a, own_b, model.c, factor * noise.process, noise.sensor)
         gains.append(solved.filter_gain)

@@ -45,9 +45,8 @@ class ForeignObserver:
         self.said = tempfile.TemporaryFile()
         down, self.requests = os.pipe()
         self.answers, up = os.pipe()
-        library = Path(__file__).parents[
-            3
-        ]  # the toolbox may be used; the contest's own files may not be read
+        # The toolbox may be used; the contest's own files may not be read.
+        library = Path(__file__).parents[3]
         environment = {
             name: os.environ[name]
             for name in ("PATH", "LANG", "SYSTEMROOT", "LD_LIBRARY_PATH")

@@ -32,9 +32,7 @@ class Scored(NamedTuple):
     seed: int
     rigid: float  # errors of the states relative to those of the estimate zero
     flexible: float
-    tracking: (
-        float  # rms error of the loop with the observer over the cautious loop's; infinite where it runs away
-    )
+    tracking: float  # rms error in the loop over the cautious loop's; infinite where it runs away
     peak: float  # the same of the largest error
     microseconds: float  # a sample, on the scan outside the loop
     bytes: int  # that the observer holds; 0 for a foreign one
