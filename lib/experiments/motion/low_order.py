@@ -87,14 +87,10 @@ class MoveResponses:
         turned = StateModel(loop.a, loop.b[:, ::-1], loop.c, loop.d[:, ::-1])
         forced = tracking_model(turned, Feedforward(), setpoint.step)
         rows = setpoint.derivatives
-        self._direct = {
+        self._direct = {  # error that one unit of a derivative causes as a force
             name: simulate(forced, np.vstack([rows[k:], np.zeros_like(rows[:k])]))[0]
             for k, name in enumerate(BASIS, 1)
         }
-
-    def direct(self, name: str) -> Float64[np.ndarray, " samples"]:
-        """Error that one unit of a derivative causes as a force."""
-        return self._direct[require_choice("basis", name, BASIS)]
 
     def filtered(self, pole: complex) -> list[Float64[np.ndarray, " samples"]]:
         """Errors that the acceleration causes through each of the `filters` of a pole, exactly."""
@@ -120,9 +116,8 @@ class MoveResponses:
         return LowOrder(Feedforward(**dict(zip(basis, direct, strict=True))), poles, weights)
 
     def _columns(self, basis, poles) -> Float64[np.ndarray, "gains samples"]:
-        return np.array(
-            [self.direct(name) for name in basis] + [c for pole in poles for c in self.filtered(pole)]
-        )
+        direct = [self._direct[require_choice("basis", name, BASIS)] for name in basis]
+        return np.array(direct + [each for pole in poles for each in self.filtered(pole)])
 
 
 def fit_low_order(

@@ -140,7 +140,6 @@ class Passage:
     """True and estimated modal position of one mode while the sensor follows a trajectory."""
 
     time: Float64[np.ndarray, " samples"]  # s
-    places: Float64[np.ndarray, " samples"]  # m
     truth: Float64[np.ndarray, " samples"]  # m sqrt(kg)
     estimate: Float64[np.ndarray, " samples"]  # m sqrt(kg)
 
@@ -187,4 +186,4 @@ def pass_node(
     states = simulate(StateModel(a, b, np.eye(len(a)), np.zeros_like(b), step), force[None])
     y = np.einsum("koi,ik->ok", model.c, states)
     found = estimate(kalman_gains(model), np.zeros((1, len(places))), y)
-    return Passage(time, places, states[2 * mode], found[2 * mode])
+    return Passage(time, states[2 * mode], found[2 * mode])
