@@ -15,12 +15,7 @@ from experiments.motion.perturbed_tracking import APPLICATIONS, WARM_UP
 from experiments.motion.position_dependence import at_place, compensator_at, stage_grid
 from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
 from stillwork.control.feedforward import BASIS, Feedforward, least_squares, noise_error, noise_errors
-from stillwork.control.ideal_feedforward import (
-    Force,
-    feedforward_error,
-    respond,
-    sampled_ideal_force,
-)
+from stillwork.control.ideal_feedforward import Force, feedforward_error, respond, sampled_ideal_force
 from stillwork.control.loops import channel, closed_loop, require_stable
 from stillwork.control.pid import Pid
 from stillwork.control.setpoint import Setpoint

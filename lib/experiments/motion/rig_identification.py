@@ -7,11 +7,7 @@ from experiments.motion.rig import Geometry, decoupling, rig_model
 from experiments.motion.rig_designs import RigSettings, rig_controllers
 from stillwork.base.checks import InputError, require_array, require_count, require_number
 from stillwork.control.loops import channel, closed_loop
-from stillwork.identification.multisine import (
-    MultisineRecords,
-    ResponseMatrix,
-    joint_input_output,
-)
+from stillwork.identification.multisine import MultisineRecords, ResponseMatrix, joint_input_output
 from stillwork.lti.discretisation import tustin, zoh_modes, zoh_response
 from stillwork.lti.state_space import StateModel, interconnect
 

@@ -63,19 +63,13 @@ def run_contest(
     names = [name for name in ENTRANTS if not only or name in ("Kalman", *only)]
     light = [name for name in names if not ENTRANTS[name].heavy]
     settings = {plant: settings_for(plant, names) for plant in plants}
-    trials = [
-        (
-            plant,
-            seed,
-            public,
-            {name: settings[plant][name] for name in (names if heavy is None or seed < heavy else light)},
-            named,
-            doubts,
-            loops is None or seed < loops,
-        )
-        for seed in range(require_count("seeds", seeds))
-        for plant in plants
-    ]
+
+    def trial(plant: str, seed: int) -> tuple:
+        ours = names if heavy is None or seed < heavy else light
+        knobs = {name: settings[plant][name] for name in ours}
+        return plant, seed, public, knobs, named, doubts, loops is None or seed < loops
+
+    trials = [trial(plant, seed) for seed in range(require_count("seeds", seeds)) for plant in plants]
     # Whoever is out on the first is not waited for on all others.
     reasons = contest_trial(plants[0], 0, public, {}, named, doubts[:1])[1] if named else {}
     for name in reasons:
