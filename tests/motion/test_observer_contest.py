@@ -10,7 +10,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.motion.observer_contest import bench, command
+from experiments.motion.observer_contest import bench
+from experiments.motion.observer_contest import table as command
 from experiments.motion.observer_contest.doubts import DOUBTS, hidden_seed, sample_truth
 from experiments.motion.observer_contest.noise_map import (
     FILE,
