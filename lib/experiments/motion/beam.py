@@ -63,12 +63,15 @@ def beam(actuators: ArrayLike, sensors: ArrayLike, *, taper: float = 0.0) -> Mod
     p = beam_parameters()
     published, assumed = p.table("published"), p.table("assumed")
     flexible = require_array("beam.toml: frequencies_hz", published["frequencies_hz"], ndim=1)
+    if np.any(flexible <= 0):
+        raise InputError("beam.toml: frequencies_hz holds a value that is not positive")
+    ratio = require_number("beam.toml: damping_ratio", assumed["damping_ratio"], at_least=0.0, below=1.0)
     frequencies = 2 * np.pi * np.concatenate([[0.0, 0.0], flexible])
     modes = len(frequencies)
     scale = 1 / np.sqrt(require_number("beam.toml: mass", assumed["mass"], above=0.0))
     inputs = scale * beam_shapes(actuators, modes, taper).T
     outputs = scale * beam_shapes(sensors, modes, taper)
-    damping = np.where(frequencies > 0, assumed["damping_ratio"], 0.0)
+    damping = np.where(frequencies > 0, ratio, 0.0)
     return ModalModel(frequencies, damping, inputs, outputs, np.zeros((len(outputs), inputs.shape[1])))
 
 
