@@ -8,9 +8,9 @@ from filterpy.kalman import IMMEstimator, KalmanFilter
 
 from experiments.motion.observer_contest import bench
 from experiments.motion.observer_contest.doubts import DOUBTS, sample_truth
-from experiments.motion.observer_contest.entrants import ENTRANTS
 from experiments.motion.observer_contest.multi_model import FINE, GRID
 from experiments.motion.observer_contest.plants import sample_plant
+from experiments.motion.observer_contest.scores import ENTRANTS
 from experiments.motion.observer_contest.told import OwnObserver, told_of
 from naive.fixedpoint import kalman_step, unscented_step
 

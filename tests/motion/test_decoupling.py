@@ -9,12 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from experiments.motion.beam import beam, published_beam
-from experiments.motion.common_band_pass import (
-    common_band_passed,
-    common_centre,
-    half_power_selectivity,
-    minimal_order,
-)
 from experiments.motion.decoupled_damping import (
     added_damping,
     band_passed,
@@ -29,10 +23,14 @@ from experiments.motion.decoupling_schemes import (
     SCHEMES,
     Settings,
     actuators_of,
+    common_band_passed,
+    common_centre,
     crosswise_force,
     geometry_trial,
+    half_power_selectivity,
     kept_out_trial,
     low_frequency_slopes,
+    minimal_order,
     off_diagonal_peak,
     oscillates_stably,
     published_settings,
@@ -42,7 +40,7 @@ from experiments.motion.decoupling_schemes import (
     with_compensation,
     with_scheme,
 )
-from experiments.motion.integral_action import observable_noise_models
+from experiments.motion.loop_conditions import observable_noise_models
 from experiments.motion.machines import published_noise
 from stillwork.base.checks import InputError
 from stillwork.control.decoupling import decouple, decoupled_plant

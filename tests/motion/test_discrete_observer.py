@@ -7,9 +7,14 @@ from hypothesis import strategies as st
 from scipy import linalg, signal
 
 from experiments.motion.designs import stage_observer
-from experiments.motion.discrete_pictures import equivalent_plant, paint_sampled
+from experiments.motion.discrete import (
+    equivalent_plant,
+    gain_by_placement,
+    paint_sampled,
+    placement_error,
+    typical_placement_error,
+)
 from experiments.motion.machines import published_noise, stage
-from experiments.motion.placement import gain_by_placement, placement_error, typical_placement_error
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
 from stillwork.control.discrete_damping import discrete_damping_gain, sampled_feedback

@@ -4,9 +4,15 @@ import numpy as np
 import pytest
 
 from experiments.motion.designs import DESIGNS, RETAINED, stage_compensator, stage_observer
-from experiments.motion.integral_action import keeps_integral_action, required_integrators, slope, static_gain
+from experiments.motion.loop_conditions import (
+    keeps_integral_action,
+    required_integrators,
+    slope,
+    small_gain,
+    static_gain,
+    without_compliance,
+)
 from experiments.motion.machines import stage, stage_mass
-from experiments.motion.small_gain import small_gain, without_compliance
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application, compensator
 from stillwork.control.bandwidth import make_loop
@@ -70,7 +76,7 @@ def test_small_gain_loop_is_the_whole_loop_opened_at_the_unknown_modes():
     whole = closed_loop(PLANT, compensator(observer, application), CONTROLLER.state_space())
     known = closed_loop(PLANT.modes(slice(0, RETAINED)), nominal, CONTROLLER.state_space())
     opened = channel(known, "u_ff", "f").frequency_response(omega)[0, 0]
-    closed = opened / (1 - (found.nominal * found.discarded).sum(axis=0))
+    closed = opened / (1 - found)
     # u_ff reaches f through u, and f + nothing else drives the unknown modes.
     np.testing.assert_allclose(closed, channel(whole, "u_ff", "f").frequency_response(omega)[0, 0], rtol=1e-5)
 

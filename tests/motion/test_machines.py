@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from experiments.motion import machines
-from experiments.motion.discretisation import (
+from experiments.motion.machines import chain, chain_matrix, drive, parameters, stage, stage_mass
+from experiments.motion.modelling import (
     discrete_compliance,
     disturbance_matrix,
     transition,
     undamped_disturbance,
     undamped_input,
 )
-from experiments.motion.machines import chain, chain_matrix, drive, parameters, stage, stage_mass
 from stillwork.base.checks import InputError
 from stillwork.base.toml_files import Table
 from stillwork.lti.discretisation import zoh_modes

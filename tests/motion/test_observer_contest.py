@@ -10,9 +10,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.motion.observer_contest import bench, command
+from experiments.motion.observer_contest import bench
+from experiments.motion.observer_contest import table as command
 from experiments.motion.observer_contest.doubts import DOUBTS, hidden_seed, sample_truth
-from experiments.motion.observer_contest.entrants import ENTRANTS
 from experiments.motion.observer_contest.noise_map import (
     FILE,
     MAPPED,
@@ -27,7 +27,7 @@ from experiments.motion.observer_contest.noise_map import (
 )
 from experiments.motion.observer_contest.plants import PLANTS, sample_plant
 from experiments.motion.observer_contest.referee import Disqualified, ForeignObserver
-from experiments.motion.observer_contest.scores import contest_trial
+from experiments.motion.observer_contest.scores import ENTRANTS, contest_trial
 from experiments.motion.observer_contest.table import (
     COLUMNS,
     ContestResult,

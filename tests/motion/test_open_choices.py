@@ -6,8 +6,8 @@ import pytest
 from experiments.motion import (
     bandwidth_pictures,
     filter_pictures,
-    model_pictures,
-    performance_pictures,
+    modelling,
+    performance,
     pictures,
 )
 from experiments.motion.open_choices import bandwidth_map, open_choices
@@ -40,13 +40,13 @@ def test_the_limit_rises_with_the_noise_model_beyond_the_printed_optimum():
     "draw",
     [
         lambda: bandwidth_pictures.paint_design(60.0, 0.035, 2.0, "yes"),
-        lambda: model_pictures.paint_reduction(3, 100.0),
-        lambda: model_pictures.paint_heavy_mass(2, 2.6),
-        lambda: model_pictures.paint_transition_error(470.0, 0.005),
-        lambda: performance_pictures.paint_feedforward(12.5, 1.66, 35.0),
-        lambda: performance_pictures.paint_disturbance(35.0, 0.01, 0.035),
+        lambda: modelling.paint_reduction(3, 100.0),
+        lambda: modelling.paint_heavy_mass(2, 2.6),
+        lambda: modelling.paint_transition_error(470.0, 0.005),
+        lambda: performance.paint_feedforward(12.5, 1.66, 35.0),
+        lambda: performance.paint_disturbance(35.0, 0.01, 0.035),
         lambda: bandwidth_pictures.paint_drive(0.05, 0.1, 4.0),
-        lambda: model_pictures.paint_three_masses(40.0),
+        lambda: modelling.paint_three_masses(40.0),
     ],
 )
 def test_explorers_draw_labelled_curves(draw):

@@ -8,7 +8,7 @@ from experiments.motion.designs import (
     stage_loops,
     stage_observer,
 )
-from experiments.motion.machines import published_noise, stage, stage_mass
+from experiments.motion.machines import published_noise, shapes_along, stage, stage_mass
 from experiments.motion.position_dependence import (
     at_place,
     damping_along,
@@ -22,7 +22,6 @@ from experiments.motion.position_dependence import (
     stage_grid,
 )
 from experiments.motion.position_pictures import paint_place
-from experiments.motion.positions import shapes_along
 from experiments.motion.scan_study import output_rows
 from stillwork.base.checks import InputError
 from stillwork.control.discrete_damping import sampled_feedback

@@ -7,22 +7,22 @@ import numpy as np
 import pytest
 from scipy import linalg, signal
 
-from experiments.motion.plate import plate_modes
 from experiments.motion.rig import (
     POSITIONS,
     Geometry,
     assumed_geometry,
     decoupling,
-    detuned,
     excitation,
+    plate_modes,
     published,
     rig_model,
     rigid_shapes,
     scaled_inertia,
 )
-from experiments.motion.rig_control import pid_response, rig_compensator, rig_observer
+from experiments.motion.rig_control import rig_compensator, rig_observer, warped
 from experiments.motion.rig_designs import observer_model, published_settings, rig_controllers, rig_loops
 from experiments.motion.rig_loops import MEASURES, make_rig_loop, maximise_rig_bandwidth, peaks, sizes
+from experiments.motion.uncertainty import detuned
 from stillwork.base.checks import InputError
 from stillwork.control.bandwidth import SIX_DB
 from stillwork.control.loops import channel
@@ -158,7 +158,7 @@ def test_tustin_is_the_bilinear_rule_and_holds_the_frequency_asked_for():
     omega = 2 * np.pi * np.array([1.0, 30.0, 2000.0])
     _, theirs = signal.dfreqresp((a, b, c, d, STEP), omega * STEP)
     np.testing.assert_allclose(ours.frequency_response(omega)[0, 0], theirs.ravel(), rtol=1e-6)
-    np.testing.assert_allclose(pid_response(pid, STEP, omega), theirs.ravel(), rtol=1e-6)
+    np.testing.assert_allclose(pid.frequency_response(warped(STEP, omega)), theirs.ravel(), rtol=1e-6)
     held = tustin(model, STEP, omega[2]).frequency_response(omega[2:])[0, 0, 0]
     assert held == pytest.approx(pid.frequency_response(omega[2:])[0])
 
@@ -257,7 +257,7 @@ def test_bandwidth_is_the_largest_by_brute_force(loops, measure):
     assert all(peaks([dense], pids, measure).max() > SIX_DB for pids in higher)
     plant = dense.equivalent_plant()
     for k, (hertz, pid) in enumerate(zip(found.crossing_hz[0], found.pids, strict=True)):
-        gain = np.abs(plant[k, k] * pid_response(pid, STEP, dense.omega))
+        gain = np.abs(plant[k, k] * pid.frequency_response(warped(STEP, dense.omega)))
         first = dense.omega[np.flatnonzero(gain < 1)[0]] / (2 * np.pi)
         assert hertz == pytest.approx(first, rel=3e-3)
 

@@ -26,13 +26,15 @@ from experiments.motion.rig_designs import (
     rig_loops,
 )
 from experiments.motion.rig_loops import MEASURES
-from experiments.motion.rig_study import flexible_peaks, rig_trial, sample_geometry
-from experiments.motion.rig_tracking import (
+from experiments.motion.rig_study import (
     Levelling,
+    flexible_peaks,
     levelling,
     levelling_error,
     levelling_rms,
     output_variance,
+    rig_trial,
+    sample_geometry,
 )
 from stillwork.base.checks import InputError
 from stillwork.control.loops import channel

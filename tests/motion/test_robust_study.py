@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 
 from experiments.motion import contest as contests
-from experiments.motion.machines import stage
-from experiments.motion.model_bank import bank_estimate
-from experiments.motion.perturbed_tracking import CASES, published_loops, tracking_trial
-from experiments.motion.positions import shapes_along
-from experiments.motion.robust_statements import figure_statements, output_errors
+from experiments.motion.contest import bank_estimate, figure_statements, output_errors
+from experiments.motion.machines import shapes_along, stage
+from experiments.motion.perturbed_tracking import CASES, published_blocks, tracking_trial
 from experiments.motion.scan_study import (
     filter_model,
     judge,
@@ -212,9 +210,9 @@ def test_bank_is_bayes_rule():
         }
         for m in others
     ]
-    ours = bank_estimate(others, u[None], y[None])
-    np.testing.assert_allclose(ours.states[0], naive.bank(twins, u, y), rtol=1e-8, atol=1e-9)
-    np.testing.assert_allclose(ours.weights.sum(axis=0), 1, rtol=1e-12)
+    states, weights = bank_estimate(others, u[None], y[None])
+    np.testing.assert_allclose(states[0], naive.bank(twins, u, y), rtol=1e-8, atol=1e-9)
+    np.testing.assert_allclose(weights.sum(axis=0), 1, rtol=1e-12)
     with pytest.raises(InputError, match="models is empty"):
         bank_estimate([], u[None], y[None])
 
@@ -287,12 +285,12 @@ def test_output_rows_pick_positions():
 
 @pytest.mark.slow
 def test_tracking_trial_repeats_and_compares_all_cases():
-    loops = published_loops()
-    one = tracking_trial(np.random.default_rng(1), loops, 0.05)
-    two = tracking_trial(np.random.default_rng(1), loops, 0.05)
+    blocks = published_blocks()
+    one = tracking_trial(np.random.default_rng(1), blocks, 0.05)
+    two = tracking_trial(np.random.default_rng(1), blocks, 0.05)
     assert one == two
     assert list(one) == list(CASES)
-    exact = tracking_trial(np.random.default_rng(1), loops, 0.0)
+    exact = tracking_trial(np.random.default_rng(1), blocks, 0.0)
     # Damping the modes must pay on the exact plant.
     assert exact["AD"] < exact["none"]
 

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.motion.machines import stage, stage_mass
+from experiments.motion.machines import shapes_along, stage, stage_mass
 from experiments.motion.position_scan import (
     compare_schedules,
     observer_model,
@@ -11,7 +11,6 @@ from experiments.motion.position_scan import (
     published_fast_setpoint,
     run_applied,
 )
-from experiments.motion.positions import shapes_along
 from experiments.motion.scan_study import output_rows
 from experiments.motion.scheduled import GainTable, gain_table, require_observable_along, scheduled_gains
 from stillwork.base.checks import InputError

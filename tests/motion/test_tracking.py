@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from experiments.motion.designs import DESIGNS, stage_compensator
-from experiments.motion.disturbance import band_power, cumulative_power
 from experiments.motion.machines import published_setpoint, stage, stage_mass
+from experiments.motion.performance import band_power, cumulative_power
 from experiments.motion.perturbed_tracking import noisy_scan_trial
 from naive.motion import integrate_setpoint, moving_windows
 from stillwork.base.checks import InputError

@@ -48,13 +48,9 @@ def paint_design(
     application = Application(compensate == "yes", damping, selectivity=selectivity) if used else None
     loops = _loops(Design(application, noise_model))
     controller = PidFamily(stage_mass())(bandwidth_hz)
-    figure = paint_over_masses(
-        {LABELS[name]: (loops, controller, name) for name in ("input_sensitivity", "output_sensitivity")}
-    )
-    peaks = [
-        max(loop.peak(controller, name).magnitude for loop in loops)
-        for name in ("input_sensitivity", "output_sensitivity")
-    ]
+    names = ("input_sensitivity", "output_sensitivity")
+    figure = paint_over_masses({LABELS[name]: (loops, controller, name) for name in names})
+    peaks = [max(loop.peak(controller, name).magnitude for loop in loops) for name in names]
     stable = all(np.all(loop.poles(controller).real < 0) for loop in loops)
     for axis, peak in zip(figure.axes, peaks, strict=True):
         verdict = f"peak {20 * np.log10(peak):.1f} dB" if stable else "unstable"

@@ -54,39 +54,25 @@ def beam_shapes(places: ArrayLike, modes: int, taper: float = 0.0) -> Float64[np
 
 
 @checked
-def beam(
-    actuators: ArrayLike,
-    sensors: ArrayLike,
-    *,
-    frequencies_hz: ArrayLike | None = None,
-    damping_ratio: float | None = None,
-    taper: float = 0.0,
-) -> ModalModel:
-    """Forces on a free beam to positions along it: shapes of the beam, frequencies as given.
+def beam(actuators: ArrayLike, sensors: ArrayLike, *, taper: float = 0.0) -> ModalModel:
+    """Forces on a free beam to positions along it: shapes of the beam, frequencies as published.
 
-    `actuators` and `sensors` are places along the beam, 0 to 1. The published frequencies, which it has by default,
-    are not in the ratios of a uniform beam.
+    `actuators` and `sensors` are places along the beam, 0 to 1. The published frequencies are not in the ratios of a
+    uniform beam.
     """
     p = beam_parameters()
     published, assumed = p.table("published"), p.table("assumed")
-    flexible = require_array(
-        "frequencies_hz", published["frequencies_hz"] if frequencies_hz is None else frequencies_hz, ndim=1
-    )
+    flexible = require_array("beam.toml: frequencies_hz", published["frequencies_hz"], ndim=1)
     if np.any(flexible <= 0):
-        raise InputError("frequencies_hz holds a value that is not positive; give the flexible modes only")
-    ratio = assumed["damping_ratio"] if damping_ratio is None else damping_ratio
+        raise InputError("beam.toml: frequencies_hz holds a value that is not positive")
+    ratio = require_number("beam.toml: damping_ratio", assumed["damping_ratio"], at_least=0.0, below=1.0)
     frequencies = 2 * np.pi * np.concatenate([[0.0, 0.0], flexible])
     modes = len(frequencies)
     scale = 1 / np.sqrt(require_number("beam.toml: mass", assumed["mass"], above=0.0))
     inputs = scale * beam_shapes(actuators, modes, taper).T
     outputs = scale * beam_shapes(sensors, modes, taper)
-    return ModalModel(
-        frequencies,
-        np.where(frequencies > 0, require_number("damping_ratio", ratio, at_least=0.0, below=1.0), 0.0),
-        inputs,
-        outputs,
-        np.zeros((len(outputs), inputs.shape[1])),
-    )
+    damping = np.where(frequencies > 0, ratio, 0.0)
+    return ModalModel(frequencies, damping, inputs, outputs, np.zeros((len(outputs), inputs.shape[1])))
 
 
 @checked

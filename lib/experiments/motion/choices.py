@@ -22,6 +22,7 @@ from experiments.motion.drive import (
 )
 from experiments.motion.machines import drive, published_deviations, published_setpoint, stage, stage_mass
 from experiments.motion.perturbed_tracking import CASES, MEASURED, noisy_scan_trial
+from experiments.motion.shares import Values, key
 from stillwork.control.bandwidth import SIX_DB, Bandwidth, Loop
 from stillwork.control.crossover import crossover
 from stillwork.control.feedforward import error_loop, fit_feedforward
@@ -57,7 +58,7 @@ SIX = {"6 dB": SIX_DB, "2": 2.0}
 
 def bandwidths(
     *, open_loop: str, mass: int, six: str, compensation: str, stage_damping: float, seed: int, lean: bool
-) -> dict[str, float | tuple[float, tuple[float, float]]]:
+) -> Values:
     """Bandwidths of chapter 3 at one mass, each with the half hertz that its print rounds off; it has no leaner form.
 
     `open_loop` is one of `OPEN_LOOPS` or ``f_bw``, `six` of `SIX`, `compensation` of `COMPENSATIONS`, and
@@ -114,15 +115,7 @@ def _as_read(design: Design, compensation: str, stage_damping: float) -> Design:
 
 # --- Section 3.5.2: Table 3.7 ------------------------------------------------------------------------------------
 
-TRACKING = {  # entries of Table 3.7
-    "original": "none",
-    "mc": "MC",
-    "ad": "AD",
-    "mc-and-ad": "MC and AD",
-    "mc-redesigned": "MC, redesigned",
-    "ad-redesigned": "AD, redesigned",
-    "mc-and-ad-redesigned": "MC and AD, redesigned",
-}
+TRACKING = {key(case.replace("none", "original")): case for case in CASES}  # entries of Table 3.7
 PRINTED_HZ = {"PID": 37.0, "MC": 46.0, "AD": 77.0, "MC and AD": 83.0}  # Table 3.5
 RUNS, LEAN_RUNS = 100, 20  # noise realisations; of the notebook and of its lean form
 
@@ -136,7 +129,7 @@ def tracking(
     stage_damping: float,
     seed: int,
     lean: bool,
-) -> dict[str, float | tuple[float, tuple[float, float]]]:
+) -> Values:
     """Table 3.7 (nm); its lean form takes 20 realisations of the noise instead of 100.
 
     `feedforward_fit` is ``once``, in the original loop, or ``each loop``; `scan_noise` ``section 3.1`` or ``none``;
@@ -182,13 +175,11 @@ def tracking_loop(case: str, redesign: str, stage_damping: float):
     plant = stage(stage_damping)
     design = _as_read(DESIGNS[observer], "noise model", stage_damping)
     block = stage_compensator(MEASURED, design, plant=plant)
-    hz = (
-        PRINTED_HZ[controlled]
-        if redesign == "printed"
-        else limit(controlled, "6 dB", "noise model", stage_damping)[1].design_hz
-    )
-    controller = PidFamily(stage_mass())(hz).state_space()
-    return closed_loop(plant.at([0], [MEASURED - 1]), block, controller)
+    if redesign == "printed":
+        controller = PidFamily(stage_mass())(PRINTED_HZ[controlled])
+    else:
+        controller = limit(controlled, "6 dB", "noise model", stage_damping)[1].controller
+    return closed_loop(plant.at([0], [MEASURED - 1]), block, controller.state_space())
 
 
 # --- Section 3.6: Fig. 3.36 --------------------------------------------------------------------------------------

@@ -7,13 +7,11 @@ import numpy as np
 from experiments.motion.rig import assumed_geometry
 from experiments.motion.rig_designs import CASES, bandwidths, model_errors, published_settings, rig_loops
 from experiments.motion.rig_loops import RigBandwidth
-from experiments.motion.rig_study import Rig, levelling_errors, sample_geometry
-from experiments.motion.rig_tracking import levelling
+from experiments.motion.rig_study import Rig, levelling, levelling_errors, sample_geometry
+from experiments.motion.shares import Values, central
 
 DIRECTIONS = ("z", "rx", "ry")
 GEOMETRIES = 36
-
-Values = dict[str, float | tuple[float, tuple[float, float]]]
 
 
 def rig_tables(
@@ -36,24 +34,19 @@ def rig_tables(
         crossing.append(
             [[np.nan] * 3 if each[case] is None else each[case].crossing_hz.mean(axis=0) for case in CASES]
         )
-        errors = levelling_errors(
-            rig,
-            each,
-            rig_controllers_at,
-            rig_noise_floor,
-            0.05 if rig_feedforward == "5 % too heavy" else 0.0,
-        )
+        mass_error = 0.05 if rig_feedforward == "5 % too heavy" else 0.0
+        errors = levelling_errors(rig, each, rig_controllers_at, rig_noise_floor, mass_error)
         ratios.append(errors[:, 1:] / errors[0, 0])
     crossing, ratios = np.array(crossing), np.array(ratios)
     found: Values = {}
     for k, case in enumerate(CASES):
         name = case.lower().replace(" and ", "-")
         for d, direction in enumerate(DIRECTIONS):
-            found[f"motion.table-6-2.{name}.{direction}"] = _over(crossing[:, k, d])
+            found[f"motion.table-6-2.{name}.{direction}"] = central(crossing[:, k, d])
             if k:
                 for t, table in enumerate(("6-3", "6-4")):
                     entry = f"motion.table-{table}.ratio.{name}.{direction}"
-                    found[entry] = _over(ratios[:, t, k - 1, d])
+                    found[entry] = central(ratios[:, t, k - 1, d])
     return found
 
 
@@ -70,10 +63,3 @@ def _rigs(plates: str, seed: int) -> list[Rig]:
 @lru_cache(maxsize=8)  # readings that differ in the levelling share the designs
 def _study(plates: str, measure: str, seed: int) -> list[tuple[Rig, dict[str, RigBandwidth | None]]]:
     return [(rig, bandwidths(rig[1], rig[0], measure)) for rig in _rigs(plates, seed)]
-
-
-def _over(sample: np.ndarray) -> float | tuple[float, tuple[float, float]]:
-    if not np.isfinite(sample).any():
-        return float("nan")
-    low, middle, high = np.nanquantile(sample, [0.025, 0.5, 0.975])
-    return float(middle), (float(low), float(high))

@@ -1,24 +1,14 @@
 """Chapters 4 to 6 of the observer thesis at any reading of what it leaves open (``readings.toml``)."""
 
-from functools import lru_cache
-
 import numpy as np
 
-from experiments.motion.contest import prepare, run_entrant, sample_scans
+from experiments.motion.contest import figure_statements, prepare, run_entrant, sample_scans
 from experiments.motion.location_study import CASES as LOCATION_CASES
 from experiments.motion.location_study import ranges, read_table
-from experiments.motion.perturbed_tracking import CASES, published_loops, tracking_trial
-from experiments.motion.robust_statements import figure_statements
+from experiments.motion.perturbed_tracking import CASES, published_blocks, tracking_trial
 from experiments.motion.scan_study import judge, published_scan
-from stillwork.workbook.studies import proportion_interval, run_study
-
-Values = dict[str, float | tuple[float, tuple[float, float]]]
-
-
-def key(case: str) -> str:
-    """A case as the ledger writes it."""
-    return case.lower().replace(",", "").replace(" ", "-")
-
+from experiments.motion.shares import Values, central, key, share
+from stillwork.workbook.studies import run_study
 
 # --- Section 4.2.5: Table 4.1 ------------------------------------------------------------------------------------
 
@@ -49,10 +39,8 @@ def locations(
     for case in LOCATION_CASES:
         over = 1e9 * np.array([study.over(case, *each) for each in ranges(study.places, 0.5)])
         for part, value, each in zip(("min", "mean", "max"), study.over(case, *ends), over.T, strict=True):
-            found[f"motion.table-4-1.{key(case)}.{part}"] = (
-                float(1e9 * value),
-                (float(each.min()), float(each.max())),
-            )
+            ends_nm = float(each.min()), float(each.max())
+            found[f"motion.table-4-1.{key(case)}.{part}"] = float(1e9 * value), ends_nm
     return found
 
 
@@ -79,13 +67,10 @@ def estimation(
     said = figure_statements(*errors)
     kalman, penalised, _ = errors
     ratio, bias = penalised.rms[:, 0] / kalman.rms[:, 0], kalman.bias[:, 2] / kalman.rms[:, 2]
-    found: Values = {
-        f"motion.fig-5-10.{claim}": (float(holds.mean()), proportion_interval(int(holds.sum()), PLANTS))
-        for claim, holds in said.items()
-    }
+    found: Values = {f"motion.fig-5-10.{claim}": share(holds) for claim, holds in said.items()}
     return found | {
-        "motion.fig-5-10.sensitivity-rigid-as-kalman": _central(ratio),
-        "motion.fig-5-10.kalman-unbiased": _central(bias),
+        "motion.fig-5-10.sensitivity-rigid-as-kalman": central(ratio),
+        "motion.fig-5-10.kalman-unbiased": central(bias),
     }
 
 
@@ -99,21 +84,21 @@ def perturbed_scans(
     lean: bool,
 ) -> Values:
     """The perturbed values of Table 5.2 and what is said of them; the lean form draws 40 plants instead of 100."""
-    settings = {"loops": loops_of_table(), "step": perturbed_sample_time, "progress": False}
-    plants = LEAN_PLANTS if lean else PLANTS
     off = run_study(
         tracking_trial,
-        plants,
+        LEAN_PLANTS if lean else PLANTS,
         seed,
+        blocks=published_blocks(),
         size=0.05,
         law=error_law,
         rigid=rigid_body_errs,
         retune=perturbed_feedforward == "refitted",
-        **settings,
+        step=perturbed_sample_time,
+        progress=False,
     )
     percent = {case: 100 * off[case] / off["none"] for case in CASES if case != "none"}
     found: Values = {
-        f"motion.table-5-2.perturbed.{key(case).replace('and-', '')}": _central(each)
+        f"motion.table-5-2.perturbed.{key(case).replace('and-', '')}": central(each)
         for case, each in percent.items()
     }
     better = {case: each < 100 for case, each in percent.items()}
@@ -123,15 +108,4 @@ def perturbed_scans(
         "mc-ad-beats-ad": percent["MC and AD, redesigned"] < percent["AD, redesigned"],
         "redesign-beats-original": percent["AD, redesigned"] < percent["AD"],
     }
-    return found | {
-        f"motion.table-5-2.{claim}": (float(holds.mean()), proportion_interval(int(holds.sum()), plants))
-        for claim, holds in said.items()
-    }
-
-
-loops_of_table = lru_cache(published_loops)
-
-
-def _central(sample: np.ndarray) -> tuple[float, tuple[float, float]]:
-    low, middle, high = np.quantile(sample, [0.025, 0.5, 0.975])
-    return float(middle), (float(low), float(high))
+    return found | {f"motion.table-5-2.{claim}": share(holds) for claim, holds in said.items()}

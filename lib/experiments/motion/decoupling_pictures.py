@@ -6,7 +6,7 @@ import numpy as np
 
 from experiments.motion.beam import beam, beam_parameters, beam_shapes
 from experiments.motion.decoupling_schemes import Settings, actuators_of, published_settings, with_scheme
-from experiments.motion.pictures import decibel
+from experiments.motion.pictures import decibel, plain
 from stillwork.lti.peaks import resonance_grid
 from stillwork.lti.state_space import StateModel
 from stillwork.workbook import figures
@@ -104,12 +104,9 @@ def paint_slope_ranges(
     axes[0].set_yticks(rows, list(slopes))
     axes[0].invert_yaxis()
     lines = axes[0].lines
-    figure.legend(
-        [lines[-2], lines[-3], lines[-1]],
-        ["machines, in the limit", "machines, 0.03 to 0.3 Hz", "published"],
-        loc="outside lower center",
-        ncols=3,
-    )
+    shown = [lines[-2], lines[-3], lines[-1]]
+    names = ["machines, in the limit", "machines, 0.03 to 0.3 Hz", "published"]
+    figure.legend(shown, names, loc="outside lower center", ncols=3)
     return figure
 
 
@@ -121,9 +118,7 @@ def paint_decoupling(scheme: str, increase: float, selectivity: float, second: f
     plant = machine.at(range(actuators_of(scheme, machine)), range(2))
     printed = published_settings()
     settings = Settings(increase, printed.damped, selectivity, printed.stiffness_factor, selectivity)
-    figure, axis = figures.new(1, 1, height=2.8)
-    figure.set_layout_engine(None)  # laying out takes longer than all the rest
-    figure.subplots_adjust(left=0.09, right=0.98, bottom=0.18, top=0.95)
+    figure, axis = plain(left=0.09, top=0.95)
     omega = resonance_grid(plant.poles, 1.0, 2e3, 120, 12)
     for name, colour in (("undamped", figures.GREY), (scheme, figures.BLUE)):
         response = decibel(with_scheme(name, plant, settings).frequency_response(omega))

@@ -5,29 +5,87 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
+from scipy import linalg
 
 from experiments.motion.beam import beam, beam_parameters
-from experiments.motion.common_band_pass import common_band_passed, half_power_selectivity
 from experiments.motion.decoupled_damping import (
     added_damping,
     band_passed,
     constrained_damping,
     constrained_stiffness,
     coupling_onset,
+    fed_back_states,
     rigid_coupling,
 )
-from experiments.motion.integral_action import slope
+from experiments.motion.loop_conditions import slope
 from experiments.motion.machines import published_noise
 from stillwork.base.checks import InputError, require_choice, require_count, require_number
+from stillwork.base.front_door import checked
 from stillwork.control.applications import Application, compensator
 from stillwork.control.decoupling import decouple, decoupled_plant
-from stillwork.control.feedback import damping_gain, stiffness_gain
+from stillwork.control.feedback import band_pass, damping_gain, stiffness_gain
 from stillwork.control.loops import channel, closed_loop
 from stillwork.estimation.observer import Observer, kalman_observer
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.peaks import refine_peak, resonance_grid
 from stillwork.lti.reduction import truncate
 from stillwork.lti.state_space import StateModel, constant
+
+
+def common_centre(model: ModalModel, gain: Float64[np.ndarray, "inputs states"]) -> float:
+    """Centre of a band-pass for all damped modes, rad/s: the geometric mean of the first and the last.
+
+    Remark 4.3.2, whose index of the last mode is read as that of the last damped flexible mode.
+    """
+    damped = model.frequencies[[j // 2 for j in fed_back_states(model, gain)]]
+    return float(np.sqrt(damped.min() * damped.max()))
+
+
+def half_power_selectivity(model: ModalModel, gain: Float64[np.ndarray, "inputs states"]) -> float:
+    """Q that puts the half-power points of the common band-pass on the first and the last damped mode."""
+    damped = model.frequencies[[j // 2 for j in fed_back_states(model, gain)]]
+    if damped.min() == damped.max():
+        raise InputError("gain feeds back one mode only; its own band-pass serves it")
+    return float(common_centre(model, gain) / (damped.max() - damped.min()))
+
+
+@checked
+def common_band_passed(
+    model: ModalModel, gain: Float64[np.ndarray, "inputs states"], selectivity: float
+) -> StateModel:
+    """Dynamic gain K(s) with one band-pass for all damped modes (Remark 4.3.2).
+
+    The gains make up for the magnitude of the filter at each resonance, not for its phase. One filter an
+    actuator or one a fed-back state, whichever is fewer: a single filter serves a gain of rank one only.
+    """
+    fed = fed_back_states(model, gain)
+    centre = common_centre(model, gain)
+    one = band_pass(centre, selectivity)
+    magnitude = np.abs(one.frequency_response(model.frequencies[[j // 2 for j in fed]])[0, 0])
+    mended = gain.copy()
+    mended[:, fed] /= magnitude
+    on_states = len(fed) <= len(gain)
+    a, b, c = (np.kron(np.eye(len(fed) if on_states else len(gain)), getattr(one, name)) for name in "abc")
+    if on_states:
+        b, c = b @ np.eye(gain.shape[1])[fed], mended[:, fed] @ c
+    else:
+        b = b @ mended
+    return StateModel(a, b, c, np.zeros_like(gain))
+
+
+def minimal_order(gain: StateModel) -> int:
+    """Order of a minimal realisation of a stable model, by the rank of its Hankel operator."""
+    if gain.step or not gain.is_stable:
+        raise InputError("gain must be stable and in continuous time; its order is counted by Gramians")
+    rate = np.abs(gain.poles).max()
+    a = gain.a / rate
+    # Of unit size: the rank is judged against rounding.
+    b, c = (matrix / np.linalg.norm(matrix) for matrix in (gain.b, gain.c))
+    reach = linalg.solve_continuous_lyapunov(a, -b @ b.T)
+    seen = linalg.solve_continuous_lyapunov(a.T, -c.T @ c)
+    hankel = np.sqrt(np.maximum(linalg.eigvals(reach @ seen).real, 0))
+    return int(np.count_nonzero(hankel > 1e-6 * hankel.max()))
+
 
 # Name to the number of actuators beyond that of the rigid-body modes; None: one a mode.
 SCHEMES = {
@@ -101,15 +159,14 @@ def scheme_gain(name: str, plant: ModalModel, settings: Settings) -> np.ndarray 
     fed = slice(0, 2 * len(retained.frequencies))
     if name == "undamped":
         return np.zeros((actuators, fed.stop))
-    if name in ("each mode", "minimal interaction"):
+    if name in STATIC:
         return damping_gain(retained, settings.increase, name)
     if name == "band-passes":
         return band_passed(plant, damping_gain(retained, settings.increase), settings.selectivity)
     if name == "common band-pass":
         gain = damping_gain(retained, settings.increase)
-        return common_band_passed(
-            plant, gain, settings.common_selectivity or half_power_selectivity(plant, gain)
-        )
+        selectivity = settings.common_selectivity or half_power_selectivity(plant, gain)
+        return common_band_passed(plant, gain, selectivity)
     if name == "band-passes and over-actuation":
         gain = constrained_damping(plant, increase, range(plant.rigid_modes, modes))[:, fed]
         return band_passed(plant, gain, settings.selectivity)
@@ -208,11 +265,8 @@ def geometry_trial(
             found[f"{name}: limit"] = reached / rigid_coupling(plant, gain, both)
             found[f"{name}: onset_hz"] = coupling_onset(plant, gain, both) / (2 * np.pi)
         if name in DAMPING:
-            damping, shift = added_damping(plant, system)
-            found |= {
-                f"{name}: added": damping[: settings.damped],
-                f"{name}: shift": shift[: settings.damped],
-            }
+            both = added_damping(plant, system)
+            found[f"{name}: added"], found[f"{name}: shift"] = (each[: settings.damped] for each in both)
         if name in FILTERED:
             found[f"{name}: crosswise"] = crosswise_force(plant, scheme_gain(name, plant, settings), damped)
     return found

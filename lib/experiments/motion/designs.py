@@ -34,11 +34,7 @@ DESIGNS = {
     "PID": Design(constraints=("input_sensitivity",)),
     "PID with notches": Design(constraints=("input_sensitivity",), notches=True),
     "MC, two constraints": Design(Application(compensate=True), NOISE_MODEL),
-    "MC": Design(
-        Application(compensate=True),
-        NOISE_MODEL,
-        ("input_sensitivity", "output_sensitivity", "true_tracking"),
-    ),
+    "MC": Design(Application(compensate=True), NOISE_MODEL, (*Design.constraints, "true_tracking")),
     "AD, no band-pass": Design(Application(damping=DAMPING)),
     "AD": Design(Application(damping=DAMPING, selectivity=2.0)),
     "MC and AD, no band-pass": Design(Application(compensate=True, damping=DAMPING), NOISE_MODEL),

@@ -8,13 +8,12 @@ from jaxtyping import Float64
 
 from experiments.motion.machines import Drive
 from stillwork.control.applications import Application, compensator
-from stillwork.control.loops import INPUTS, OUTPUTS, closed_loop
+from stillwork.control.loops import channel, closed_loop
 from stillwork.control.pid import PidFamily
 from stillwork.estimation.observer import Observer
 from stillwork.estimation.riccati import continuous_gain
 from stillwork.identification.frequency_response import Identified, closed_loop_response
 from stillwork.lti.discretisation import zoh
-from stillwork.lti.modal import ModalModel
 from stillwork.lti.simulation import simulate
 from stillwork.lti.state_space import StateModel
 
@@ -30,15 +29,7 @@ def drive_observer(drive: Drive, weights: str = "angles first") -> Observer:
     # (theta1, theta2, speed1, speed2) of the modal states (eta1, speed of eta1, eta2, speed of eta2)
     physical = shape * np.array([[1, 0, 1, 0], [1, 0, -1, 0], [0, 1, 0, 1], [0, 1, 0, -1]], dtype=float)
     solved = continuous_gain(states.a, np.linalg.inv(physical), states.c, np.diag(WEIGHTS[weights]), SENSOR)
-    ratio = -states.a[3, 3] / (2 * drive.resonance)
-    model = ModalModel(
-        np.array([0.0, drive.resonance]),
-        np.array([0.0, ratio]),
-        states.b[1::2],
-        states.c[:, ::2],
-        np.zeros((1, 1)),
-    )
-    return Observer(model, states.a, states.b, states.c, solved.gain, solved.residual)
+    return Observer(drive.modes(), states.a, states.b, states.c, solved.gain, solved.residual)
 
 
 def drive_applications(damping: float) -> dict[str, Application | None]:
@@ -66,8 +57,8 @@ def drive_loop(
 
 def seen_by_controller(loop: StateModel, omega: Float64[np.ndarray, " frequencies"]) -> np.ndarray:
     """Exact response that the controller sees, u to the compensated output, from a `closed_loop`."""
-    response = loop.frequency_response(omega)[:, INPUTS.index("u_ff")]
-    return -response[OUTPUTS.index("e_meas")] / response[OUTPUTS.index("u")]
+    measured, force = channel(loop, "u_ff", ("e_meas", "u")).frequency_response(omega)[:, 0]
+    return -measured / force
 
 
 def identify(
@@ -89,9 +80,7 @@ def identify(
     noise = excitation * rng.standard_normal(samples)
     swing = imbalance * np.sin(2 * np.pi * turns_hz * step * np.arange(samples))
     sensor = sensor_noise * rng.standard_normal(samples)
-    chosen = loop.select(
-        [INPUTS.index(name) for name in ("u_ff", "w", "d")], [OUTPUTS.index("u"), OUTPUTS.index("e_meas")]
-    )
+    chosen = channel(loop, ("u_ff", "w", "d"), ("u", "e_meas"))
     u, e = simulate(zoh(chosen, step), np.array([noise, swing, sensor]))
     return closed_loop_response(noise, u, -e, step, segment)
 
@@ -126,11 +115,9 @@ def residual_trial(
 
     And the largest distance from the rigid body, up or down (dB), by ``<case>, distance``.
     """
+    names = ("stiffness", "inertia", "damper")
     wrong = replace(
-        plant,
-        stiffness=plant.stiffness * (1 + rng.uniform(-error, error)),
-        inertia=plant.inertia * (1 + rng.uniform(-error, error)),
-        damper=plant.damper * (1 + rng.uniform(-error, error)),
+        plant, **{name: getattr(plant, name) * (1 + rng.uniform(-error, error)) for name in names}
     )
     omega = plant.resonance * np.linspace(0.5, 1.6, 800)
     found = {}

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 
 from experiments.motion.energy_to_peak import error_system, generalised_h2_norm, predictor_gains
-from experiments.motion.machines import published_setpoint, stage, stage_mass
+from experiments.motion.machines import published_setpoint, shapes_along, stage, stage_mass
 from experiments.motion.position_scan import (
     APPLICATIONS,
     RETAINED,
@@ -14,7 +14,6 @@ from experiments.motion.position_scan import (
     published_fast_setpoint,
     run_applied,
 )
-from experiments.motion.positions import shapes_along
 from experiments.motion.scan_study import output_rows, published_scan
 from experiments.motion.scheduled import gain_table, scheduled_gains
 from stillwork.control.pid import PidFamily

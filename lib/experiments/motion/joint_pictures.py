@@ -10,9 +10,8 @@ from experiments.motion.joint import JointDesign, compensated
 from experiments.motion.joint_designs import Stored
 from experiments.motion.joint_search import PEAKS, Judged, grid, judge, serve, six
 from experiments.motion.machines import stage
-from experiments.motion.pictures import add_magnitude, mark_limit
-from experiments.motion.uncertainty import perturbed
-from stillwork.lti.modal import ModalModel
+from experiments.motion.pictures import add_magnitude, mark_limit, plain
+from experiments.motion.uncertainty import detuned
 from stillwork.workbook import figures
 
 SIZES = {0.0: figures.RED, 0.02: figures.BLUE, 0.05: figures.GREEN}  # of the errors that a design serves
@@ -88,12 +87,10 @@ def paint_joint(
     """Explorer: the six functions, of the worst mass each, with frequencies, bandwidth (%) and delay (samples) moved."""
     chosen = designs[design]
     chosen = replace(chosen, bandwidth_hz=chosen.bandwidth_hz * bandwidth / 100)
-    plant = _shifted(frequency_error / 100)
+    plant = detuned(stage(), np.full(7, frequency_error / 100))
     judged = judge(chosen, [plant], delay)
     values = six(serve(plant, delay).plant, compensated(chosen, grid(), delay)).max(axis=1)
-    figure, axis = figures.new(1, 1, height=2.8)
-    figure.set_layout_engine(None)
-    figure.subplots_adjust(left=0.1, right=0.98, bottom=0.17, top=0.9)
+    figure, axis = plain(bottom=0.17)
     for name, magnitude in zip(PEAKS, values, strict=True):
         add_magnitude(axis, grid()[1:-1], magnitude[1:-1], label=name)
     mark_limit(axis)
@@ -104,11 +101,3 @@ def paint_joint(
     axis.set_ylim(-40, 20)
     axis.legend(loc="lower left", ncols=2)
     return figure
-
-
-def _shifted(error: float) -> ModalModel:
-    """The stage with all its flexible frequencies off by one relative error."""
-    nominal = stage()
-    errors = np.zeros((len(nominal.frequencies), 4))
-    errors[nominal.rigid_modes :, 0] = error
-    return perturbed(nominal, errors)

@@ -21,7 +21,7 @@ from experiments.motion.perturbed_tracking import APPLICATIONS, WARM_UP
 from experiments.motion.position_dependence import at_place, compensator_at, stage_grid
 from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
 from stillwork.control.feedforward import BASIS, Feedforward, least_squares, noise_error, noise_errors
-from stillwork.control.loops import INPUTS, OUTPUTS, closed_loop, require_stable
+from stillwork.control.loops import channel, closed_loop, require_stable
 from stillwork.control.pid import Pid
 from stillwork.control.setpoint import Setpoint
 from stillwork.lti.modal import ModalModel
@@ -37,6 +37,10 @@ class LocationStudy:
     places: Float64[np.ndarray, " places"]  # m
     setpoint: Setpoint
     errors: ErrorsByCase  # m, at the samples of the setpoint
+
+    def noisy(self, noise: ErrorsByCase) -> "LocationStudy":
+        """The same with noise on the errors."""
+        return replace(self, errors={name: each + noise[name] for name, each in self.errors.items()})
 
     def rms(self, case: str) -> Float64[np.ndarray, " places"]:
         """Root mean square in the scanning phase (m)."""
@@ -71,9 +75,8 @@ class LocationStudy:
 
 Loops = Mapping[float, Mapping[str, StateModel]]
 
-CASES = {
-    name.replace("none", "original"): case for name, case in perturbed_tracking.CASES.items()
-}  # Table 4.1
+# Table 4.1
+CASES = {name.replace("none", "original"): case for name, case in perturbed_tracking.CASES.items()}
 
 
 def structure(masses: int = 8, spacing: float = 0.05) -> tuple[ModalModel, Float64[np.ndarray, " masses"]]:
@@ -96,10 +99,10 @@ def table_cases() -> dict[str, tuple[str, Pid]]:
 
 
 @cache
-def table_loops(masses: int = 8, scans: int = 29) -> dict[float, dict[str, StateModel]]:
-    """Closed loops of the seven cases at equally spaced places from the first to the last of the masses."""
+def table_loops(masses: int) -> dict[float, dict[str, StateModel]]:
+    """Closed loops of the seven cases at 29 equally spaced places from the first to the last of the masses."""
     plant, grid = structure(masses)
-    return location_loops(plant, grid, np.linspace(grid[0], grid[-1], scans), table_cases())
+    return location_loops(plant, grid, np.linspace(grid[0], grid[-1], 29), table_cases())
 
 
 def read_table(
@@ -111,7 +114,7 @@ def read_table(
     the gains are fitted to a move with noise or without (`fit_noise`), in the loop with the controller of `fit_loop`.
     """
     study = _quiet_table(channel, masses, fit_noise, fit_loop, step, seed)
-    return _with_noise(study, _table_noise(masses, step, seed)) if noise else study
+    return study.noisy(_table_noise(masses, step, seed)) if noise else study
 
 
 # Readings that differ in one choice alone share the rest.
@@ -127,14 +130,12 @@ def _quiet_table(
     channel: str, masses: int, fit_noise: bool, fit_loop: str, step: float, seed: int
 ) -> LocationStudy:
     setpoint, deviations = published_setpoint(step), published_deviations()
-    controller = stage_bandwidth(fit_loop).controller
-    machine = stage().at([0], [4])
-    ideal, measured = sampled_ideal_force(machine, setpoint), None
+    controller, noise = stage_bandwidth(fit_loop).controller, None
     if fit_noise:
-        loop = closed_loop(machine, None, controller.state_space())
+        loop = closed_loop(stage().at([0], [4]), None, controller.state_space())
         draws = np.random.default_rng((seed, 0))
-        measured = noise_error(loop, step, WARM_UP + len(setpoint.time), deviations, draws)[1, WARM_UP:]
-    force = feedforward_error(ideal, fit_to_force(bare_error(controller), ideal, measured))
+        noise = noise_error(loop, step, WARM_UP + len(setpoint.time), deviations, draws)[1, WARM_UP:]
+    force = stage_error(setpoint, controller, noise=noise)
     return study_locations(table_loops(masses), force, setpoint, channel)
 
 
@@ -147,14 +148,14 @@ def table_agreement(
     return np.abs(found / np.array(list(published.values())) - 1)
 
 
-def table_statements(study: LocationStudy, settled_band: float = 2e-8) -> dict[str, bool]:
+def table_statements(study: LocationStudy) -> dict[str, bool]:
     """Whether one run of Table 4.1's cases says what section 4.2.5 says of it."""
     size = {name: study.rms(name) for name in CASES}
     mean = {name: each.mean() for name, each in size.items()}
-    settling = (study.setpoint.time >= study.setpoint.acceleration_end) & (
-        study.setpoint.time < study.setpoint.scan[0]
-    )
+    time, start = study.setpoint.time, study.setpoint.acceleration_end
+    settling = (time >= start) & (time < study.setpoint.scan[0])
     transient = {name: np.mean(study.errors[name][:, settling] ** 2) for name in ("MC", "MC, redesigned")}
+    settled = {name: np.median(study.settled(name, 2e-8)) for name in ("original", "AD, redesigned")}
     damped = ("AD", "MC and AD")
     return {
         "damping-mean": all(mean[name] < mean["original"] for name in damped),
@@ -164,8 +165,7 @@ def table_statements(study: LocationStudy, settled_band: float = 2e-8) -> dict[s
         and mean["MC and AD, redesigned"] < mean["AD, redesigned"],
         "redesign": all(mean[f"{name}, redesigned"] < mean[name] for name in APPLICATIONS),
         "transient": transient["MC, redesigned"] < transient["MC"],
-        "settling": np.median(study.settled("AD, redesigned", settled_band))
-        < np.median(study.settled("original", settled_band)),
+        "settling": settled["AD, redesigned"] < settled["original"],
     }
 
 
@@ -230,7 +230,7 @@ def study_runs(
     quiet = _quiet_study(loops, force, setpoint, source)
     if deviations is None:
         return [quiet for _ in seeds]
-    return [_with_noise(quiet, noise) for noise in _location_noise(loops, setpoint, deviations, seeds)]
+    return [quiet.noisy(noise) for noise in _location_noise(loops, setpoint, deviations, seeds)]
 
 
 def _quiet_study(loops: Loops, force: Force, setpoint: Setpoint, source: str) -> LocationStudy:
@@ -241,8 +241,8 @@ def _quiet_study(loops: Loops, force: Force, setpoint: Setpoint, source: str) ->
     errors: dict[str, list[np.ndarray]] = {}
     for cases in loops.values():
         for name, loop in cases.items():
-            channel = loop.select([INPUTS.index(source)], [OUTPUTS.index("e_true")])
-            errors.setdefault(name, []).append(-respond(channel, force)[0, ahead:])
+            missed = respond(channel(loop, source, "e_true"), force)[0, ahead:]
+            errors.setdefault(name, []).append(-missed)
     return LocationStudy(np.array(list(loops)), setpoint, {name: np.array(e) for name, e in errors.items()})
 
 
@@ -263,10 +263,6 @@ def _location_noise(
     return [{name: np.array(each) for name, each in run.items()} for run in found]
 
 
-def _with_noise(study: LocationStudy, noise: ErrorsByCase) -> LocationStudy:
-    return replace(study, errors={name: each + noise[name] for name, each in study.errors.items()})
-
-
 def ranges(places: ArrayLike, shortest: float, points: int = 11) -> Float64[np.ndarray, "ranges 2"]:
     """All ranges (m) between `points` equally spaced places of the structure, of at least `shortest` of its length."""
     places = require_array("places", places, ndim=1)
@@ -282,17 +278,19 @@ def bare_error(controller: Pid, measured: int = 5) -> StateModel:
     if require_count("measured", measured) > len(stage().output_shapes):
         raise InputError(f"measured is {measured}; the stage has masses 1 to {len(stage().output_shapes)}")
     loop = closed_loop(stage().at([0], [measured - 1]), None, controller.state_space())
-    return loop.select([INPUTS.index("w")], [OUTPUTS.index("e_true")])
+    return channel(loop, "w", "e_true")
 
 
-def stage_error(setpoint: Setpoint, controller: Pid, measured: int = 5) -> Force:
+def stage_error(
+    setpoint: Setpoint, controller: Pid, measured: int = 5, noise: ArrayLike | None = None
+) -> Force:
     """Feedforward error of the stage for one measured mass, in samples that are held.
 
-    Ideal force less the gains fitted to the loop without observer.
+    Ideal force less the gains fitted to the loop without observer, see `fit_to_force`.
     """
     loop = bare_error(controller, measured)
     ideal = sampled_ideal_force(stage().at([0], [measured - 1]), setpoint)
-    return feedforward_error(ideal, fit_to_force(loop, ideal))
+    return feedforward_error(ideal, fit_to_force(loop, ideal, noise))
 
 
 def fit_to_force(loop: StateModel, ideal: Force, noise: ArrayLike | None = None) -> Feedforward:

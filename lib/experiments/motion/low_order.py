@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from experiments.motion.designs import DESIGNS, stage_bandwidth, stage_compensator
-from experiments.motion.machines import published_setpoint, stage, stage_mass
-from experiments.motion.performance_pictures import paint_errors
+from experiments.motion.machines import published_setpoint, stage
+from experiments.motion.performance import paint_errors
 from experiments.motion.pictures import CASES
 from experiments.motion.uncertainty import perturbed, sample_errors
 from stillwork.base.checks import InputError, require_choice, require_count
@@ -27,8 +27,7 @@ from stillwork.control.feedforward import (
     tracking_error,
     tracking_model,
 )
-from stillwork.control.loops import INPUTS, OUTPUTS, closed_loop
-from stillwork.control.pid import PidFamily
+from stillwork.control.loops import channel, closed_loop
 from stillwork.control.setpoint import Setpoint
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.simulation import simulate
@@ -39,7 +38,7 @@ from stillwork.workbook import figures
 
 def direct_loop(loop: StateModel) -> StateModel:
     """Of a single `closed_loop`, the model from (r, u_ff) to e_true: the feedforward that the observer sees."""
-    return loop.select([INPUTS.index("r"), INPUTS.index("u_ff")], [OUTPUTS.index("e_true")])
+    return channel(loop, ("r", "u_ff"), "e_true")
 
 
 def copy_poles(feedforward: StateModel) -> tuple[complex, ...]:
@@ -55,9 +54,7 @@ def filters(pole: complex) -> list[StateModel]:
     if pole.imag == 0:
         return [StateModel(np.array([[-w]]), np.array([[w]]), np.ones((1, 1)), np.zeros((1, 1)))]
     a, b = np.array([[0, w], [-w, 2 * pole.real]]), np.array([[0.0], [w]])
-    return [
-        StateModel(a, b, row, np.zeros((1, 1))) for row in (np.array([[1.0, 0.0]]), np.array([[0.0, 1.0]]))
-    ]
+    return [StateModel(a, b, row[None], np.zeros((1, 1))) for row in np.eye(2)]
 
 
 @dataclass(frozen=True)
@@ -87,32 +84,22 @@ class MoveResponses:
         self._filtered: dict[complex, list[np.ndarray]] = {}
         self.alone = tracking_error(loop, setpoint, Feedforward())
         # One model for the four derivatives: its inputs are the force and its own derivatives, in each sample.
-        forced = tracking_model(
-            StateModel(loop.a, loop.b[:, ::-1], loop.c, loop.d[:, ::-1]), Feedforward(), setpoint.step
-        )
+        turned = StateModel(loop.a, loop.b[:, ::-1], loop.c, loop.d[:, ::-1])
+        forced = tracking_model(turned, Feedforward(), setpoint.step)
         rows = setpoint.derivatives
-        self._direct = {
+        self._direct = {  # error that one unit of a derivative causes as a force
             name: simulate(forced, np.vstack([rows[k:], np.zeros_like(rows[:k])]))[0]
             for k, name in enumerate(BASIS, 1)
         }
-
-    def direct(self, name: str) -> Float64[np.ndarray, " samples"]:
-        """Error that one unit of a derivative causes as a force."""
-        return self._direct[require_choice("basis", name, BASIS)]
 
     def filtered(self, pole: complex) -> list[Float64[np.ndarray, " samples"]]:
         """Errors that the acceleration causes through each of the `filters` of a pole, exactly."""
         if pole not in self._filtered:
             feedback, external = np.zeros((3, 2)), np.zeros((3, 2))
             feedback[1, 1] = external[2, 1] = 1  # the setpoint itself stays out
-            self._filtered[pole] = [
-                tracking_error(
-                    interconnect([self._loop, each], feedback, external, np.array([[1.0, 0.0]])),
-                    self._setpoint,
-                    Feedforward(acceleration=1.0),
-                )
-                for each in filters(pole)
-            ]
+            wanted, unit = np.array([[1.0, 0.0]]), Feedforward(acceleration=1.0)
+            through = (interconnect([self._loop, each], feedback, external, wanted) for each in filters(pole))
+            self._filtered[pole] = [tracking_error(each, self._setpoint, unit) for each in through]
         return self._filtered[pole]
 
     def error(self, feedforward: LowOrder) -> Float64[np.ndarray, " samples"]:
@@ -129,9 +116,8 @@ class MoveResponses:
         return LowOrder(Feedforward(**dict(zip(basis, direct, strict=True))), poles, weights)
 
     def _columns(self, basis, poles) -> Float64[np.ndarray, "gains samples"]:
-        return np.array(
-            [self.direct(name) for name in basis] + [c for pole in poles for c in self.filtered(pole)]
-        )
+        direct = [self._direct[require_choice("basis", name, BASIS)] for name in basis]
+        return np.array(direct + [each for pole in poles for each in self.filtered(pole)])
 
 
 def fit_low_order(
@@ -247,7 +233,7 @@ def paint_errors_over_plants(studies: Mapping[str, Mapping[str, np.ndarray]]):
 def _prepared(name: str) -> tuple[object, list[LowOrder]]:
     """The redesigned loop of mass 5 and its low-order feedforwards."""
     setpoint, block = published_setpoint(), stage_compensator(5, DESIGNS[name])
-    controller = PidFamily(stage_mass())(stage_bandwidth(name).design_hz).state_space()
+    controller = stage_bandwidth(name).controller.state_space()
     loop = direct_loop(closed_loop(stage().at([0], [4]), block, controller))
     return loop, pick_poles(loop, setpoint, copy_poles(modified_feedforward(block, controller)), 8)
 

@@ -37,12 +37,8 @@ def stage(damping_ratio: float | None = None) -> ModalModel:
     Flexible modes are damped by 0.005, which Table 3.4 shows (Table 3.2 prints 0.001), unless told otherwise.
     """
     p = parameters("stage")
-    ratio = require_number(
-        "damping_ratio",
-        p["damping_ratio"] if damping_ratio is None else damping_ratio,
-        at_least=0.0,
-        below=1.0,
-    )
+    ratio = p["damping_ratio"] if damping_ratio is None else damping_ratio
+    require_number("damping_ratio", ratio, at_least=0.0, below=1.0)
     masses = require_count("masses", p["masses"], at_least=2)
     mass = np.diag([p["actuator_mass"], *[p["mass"]] * masses])
     stiffness = chain_matrix([p["actuator_stiffness"], *[p["stiffness"]] * (masses - 1)])
@@ -66,13 +62,9 @@ def chain(masses: ArrayLike) -> ModalModel:
         raise InputError("masses must hold at least two positive masses in kg")
     p = parameters("chain")
     links, places = np.ones(len(masses) - 1), np.eye(len(masses))
-    return modal_model(
-        np.diag(masses),
-        chain_matrix(require_number("chain: stiffness", p["stiffness"]) * links),
-        places,
-        places,
-        damping_matrix=chain_matrix(require_number("chain: damper", p["damper"]) * links),
-    )
+    names = ("stiffness", "damper")
+    stiffness, damping = (chain_matrix(require_number(f"chain: {n}", p[n]) * links) for n in names)
+    return modal_model(np.diag(masses), stiffness, places, places, damping_matrix=damping)
 
 
 def loaded_modes(place: float) -> tuple[np.ndarray, np.ndarray]:
@@ -118,6 +110,12 @@ class Drive:
         b = np.array([[0], [shape], [0], [shape]]) * self.motor_constant
         return StateModel(a, b, np.array([[shape, 0, -shape, 0]]), np.zeros((1, 1)))
 
+    def modes(self) -> ModalModel:
+        """The same without the friction of the rigid body."""
+        states, frequencies = self.modal_states(), np.array([0.0, self.resonance])
+        damping = np.array([0.0, -states.a[3, 3] / (2 * self.resonance)])
+        return ModalModel(frequencies, damping, states.b[1::2], states.c[:, ::2], np.zeros((1, 1)))
+
 
 def drive() -> Drive:
     """The two-inertia drive with the parameters of Table 3.8."""
@@ -146,3 +144,23 @@ def published_setpoint(step: float = 1e-4) -> Setpoint:
     p = parameters("setpoint")
     limits = (p[name] for name in ("snap", "jerk", "acceleration", "velocity", "cruise", "settling"))
     return point_to_point(*limits, step)
+
+
+def shapes_along(
+    model: ModalModel, grid: ArrayLike, places: ArrayLike
+) -> Float64[np.ndarray, "samples modes"]:
+    """Mode shapes at places (m) between the outputs of a model, which sit on a `grid`, by cubic splines through them."""
+    from scipy.interpolate import CubicSpline
+
+    grid = require_array("grid", grid, shape=(len(model.output_shapes),))
+    places = require_array("places", places, ndim=1)
+    if np.any(np.diff(grid) <= 0):
+        raise InputError("grid must ascend; sort the outputs along the structure")
+    if not len(places):
+        raise InputError("places is empty; give the position at every sample in m")
+    if places.min() < grid[0] or places.max() > grid[-1]:
+        raise InputError(
+            f"places run from {places.min():g} to {places.max():g} m, outside the grid from {grid[0]:g} to "
+            f"{grid[-1]:g} m; shift or shorten the move"
+        )
+    return CubicSpline(grid, model.output_shapes)(places)

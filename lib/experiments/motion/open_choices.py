@@ -72,31 +72,24 @@ def open_choices(name: str) -> OpenChoices:
     return OpenChoices(found)
 
 
-def fastest(setting: Design) -> Bandwidth | None:
-    """The largest bandwidth of a design by a quicker search on a coarser grid; None where nothing is feasible."""
+def first_crossing(setting: Design, position: int) -> float:
+    """First crossing at one mass (Hz) of a design's largest bandwidth, searched quicker on a coarser grid; NaN: there is none."""
     loops = stage_loops(setting, points=300, around=15)
     limits = [PeakConstraint(function) for function in setting.constraints]
     try:
-        return maximise_bandwidth(
-            loops, PidFamily(stage_mass()), limits, 20.0, 110.0, scan=46, tolerance_hz=0.02
-        )
+        family = PidFamily(stage_mass())
+        found = maximise_bandwidth(loops, family, limits, 20.0, 110.0, scan=46, tolerance_hz=0.02)
     except InputError:  # no feasible bandwidth is a result here
-        return None
-
-
-def first_crossing(setting: Design, position: int) -> float:
-    """First crossing of `fastest` at one mass (Hz); NaN where nothing is feasible."""
-    found = fastest(setting)
-    return np.nan if found is None else float(found.crossing_hz[position - 1])
+        return np.nan
+    return float(found.crossing_hz[position - 1])
 
 
 @dataclass(frozen=True)
 class BandwidthMap:
-    """Design bandwidth over the selectivity and the noise model; NaN where nothing in the range is feasible."""
+    """Bandwidth over the selectivity and the noise model; NaN where nothing in the range is feasible."""
 
     selectivity: Float64[np.ndarray, " rows"]
     noise_model: Float64[np.ndarray, " columns"]
-    design_hz: Float64[np.ndarray, "rows columns"]
     crossing_hz: Float64[np.ndarray, "rows columns"]  # for mass 5
 
 
@@ -107,11 +100,6 @@ def bandwidth_map(selectivity, noise_model) -> BandwidthMap:
     for name, values in (("selectivity", rows), ("noise_model", columns)):
         if not len(values) or np.any(values <= 0):
             raise InputError(f"{name} must hold at least one value, all of them positive")
-    design = np.full((len(rows), len(columns)), np.nan)
-    crossing = design.copy()
-    for i, q in enumerate(rows):
-        for j, intensity in enumerate(columns):
-            found = fastest(Design(Application(True, DAMPING, selectivity=float(q)), float(intensity)))
-            if found is not None:
-                design[i, j], crossing[i, j] = found.design_hz, found.crossing_hz[4]
-    return BandwidthMap(rows, columns, design, crossing)
+    uses = [Application(True, DAMPING, selectivity=float(q)) for q in rows]
+    crossing = [[first_crossing(Design(used, float(size)), 5) for size in columns] for used in uses]
+    return BandwidthMap(rows, columns, np.array(crossing))

@@ -13,6 +13,7 @@ from experiments.motion.generalised_plant import GeneralisedPlant, low_pass
 from experiments.motion.h2 import Synthesis, h2_riccati
 from experiments.motion.ideal_feedforward import invert
 from experiments.motion.machines import published_noise, stage, stage_mass
+from experiments.motion.pictures import add_magnitude
 from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.control.applications import filtered_estimates
 from stillwork.control.bandwidth import SIX_DB
@@ -220,20 +221,18 @@ def paint_responses(
 ):
     """Sensitivity from r to e_true and equivalent controller from y to f of several observers."""
     omega = 2 * np.pi * np.geomspace(0.1, 2000, 1500)
-    hertz = omega / (2 * np.pi)
     figure, (left, right) = figures.new(1, 2, height=3.2)
     for name, observer in observers.items():
-        loop = closed_loop(
-            problem.plant, problem.compensator(observer), problem.controller.state_space()
-        ).frequency_response(omega)
+        closed = closed_loop(problem.plant, problem.compensator(observer), problem.controller.state_space())
+        loop = closed.frequency_response(omega)
         style = {"label": name, "color": COLOURS.get(name, figures.BLUE)}
         # Opened at the plant, f = C_y y: from d (added to y alone) the loop gives f = -C_y d / (1 + P C_y).
         to_force, to_output = loop[3, INPUTS.index("d")], loop[0, INPUTS.index("d")]
-        left.semilogx(hertz, 20 * np.log10(np.abs(loop[0, INPUTS.index("r")])), **style)
-        right.semilogx(hertz, 20 * np.log10(np.abs(to_force / (1 - to_output))), **style)
+        add_magnitude(left, omega, loop[0, INPUTS.index("r")], **style)
+        add_magnitude(right, omega, to_force / (1 - to_output), **style)
     if weight is not None:
-        bound = 1 / np.abs(weight.frequency_response(omega)[0, 0])
-        left.semilogx(hertz, 20 * np.log10(bound), color=figures.BLACK, linewidth=0.8, label="1 / $W_{sens}$")
+        style = {"color": figures.BLACK, "linewidth": 0.8, "label": "1 / $W_{sens}$"}
+        add_magnitude(left, omega, 1 / weight.frequency_response(omega)[0, 0], **style)
     left.set_ylabel("$r$ to $e_{true}$ (dB)")
     right.set_ylabel("equivalent controller (dB re 1 N/m)")
     figures.label((left, right), "frequency (Hz)")

@@ -1,12 +1,12 @@
 """Tracking under the published designs: with noise (Table 3.7), and of perturbed plants (Table 5.2)."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
 from experiments.motion.designs import DESIGNS, stage_bandwidth, stage_compensator
-from experiments.motion.machines import published_deviations, published_setpoint, stage, stage_mass
+from experiments.motion.machines import published_deviations, published_setpoint, stage
 from experiments.motion.uncertainty import perturbed, sample_errors
 from stillwork.base.checks import require_number
 from stillwork.control.feedforward import (
@@ -16,11 +16,9 @@ from stillwork.control.feedforward import (
     noise_error,
     tracking_error,
 )
-from stillwork.control.loops import INPUTS, OUTPUTS, closed_loop
-from stillwork.control.pid import PidFamily
+from stillwork.control.loops import channel, closed_loop
 from stillwork.control.setpoint import Setpoint
 from stillwork.lti.discretisation import zoh
-from stillwork.lti.modal import ModalModel
 from stillwork.lti.simulation import simulate
 from stillwork.lti.state_space import StateModel
 from stillwork.signals.moving_average import rms
@@ -34,32 +32,22 @@ CASES |= {name: (name, "PID") for name in APPLICATIONS}
 CASES |= {f"{name}, redesigned": (name, name) for name in APPLICATIONS}
 
 
-@dataclass(frozen=True)
-class PublishedLoops:
-    """Compensators and controllers of all cases, designed once on the nominal stage."""
-
-    plant: ModalModel  # nominal, measured at y5
-    compensators: Mapping[str, object]
-    controllers: Mapping[str, object]
-    design_hz: Mapping[str, float]  # design parameter of each controller
+Blocks = Mapping[str, tuple[StateModel | None, StateModel]]  # compensator and controller of each case
 
 
-def published_loops() -> PublishedLoops:
+@cache
+def published_blocks() -> Blocks:
     """The designs of Table 3.5: the largest bandwidth that each application allows on the nominal stage."""
-    plant = stage().at([0], [MEASURED - 1])
-    designs = sorted({controller for _, controller in CASES.values()})
-    design_hz = {name: stage_bandwidth(name).design_hz for name in designs}
-    family = PidFamily(stage_mass())
-    compensators, controllers = {}, {}
-    for case, (observer, controller) in CASES.items():
-        compensators[case] = stage_compensator(MEASURED, DESIGNS[observer])
-        controllers[case] = family(design_hz[controller]).state_space()
-    return PublishedLoops(plant, compensators, controllers, design_hz)
+    controllers = {name: stage_bandwidth(name).controller.state_space() for name in ("PID", *APPLICATIONS)}
+    return {
+        case: (stage_compensator(MEASURED, DESIGNS[observer]), controllers[controller])
+        for case, (observer, controller) in CASES.items()
+    }
 
 
 def tracking_trial(
     rng: np.random.Generator,
-    loops: PublishedLoops,
+    blocks: Blocks,
     size: float,
     law: str = "ends",
     rigid: bool = True,
@@ -73,26 +61,26 @@ def tracking_trial(
     """
     require_number("step", step, above=0.0)
     setpoint = published_setpoint(step)
-    plant = perturbed(loops.plant, sample_errors(rng, loops.plant, size, law, rigid))
+    nominal = stage().at([0], [MEASURED - 1])
+    plant = perturbed(nominal, sample_errors(rng, nominal, size, law, rigid))
     deviations = published_deviations()
-    noise = (
-        rng.standard_normal((3, setpoint.derivatives.shape[1])) * np.array([*deviations.values()])[:, None]
-    )
-    places = [INPUTS.index(name) for name in deviations]
+    sizes = np.array([*deviations.values()])[:, None]
+    noise = rng.standard_normal((3, setpoint.derivatives.shape[1])) * sizes
     feedforward: Feedforward | None = None
     found = {}
-    for case in CASES:  # the case without observer comes first: its loop is the one that is tuned
-        loop = closed_loop(plant, loops.compensators[case], loops.controllers[case])
+    for case, (
+        block,
+        controller,
+    ) in blocks.items():  # without observer first: its loop is the one that is tuned
+        loop = closed_loop(plant, block, controller)
         if not loop.is_stable:
             found[case] = np.inf
             continue
         if feedforward is None:
-            tuned_on = plant if retune else loops.plant
-            feedforward = fit_feedforward(
-                error_loop(closed_loop(tuned_on, None, loops.controllers[case])), setpoint
-            )
+            tuned_on = plant if retune else nominal
+            feedforward = fit_feedforward(error_loop(closed_loop(tuned_on, None, controller)), setpoint)
         error = tracking_error(error_loop(loop), setpoint, feedforward)
-        error = error + simulate(zoh(loop.select(places, [OUTPUTS.index("e_true")]), step), noise)[0]
+        error = error + simulate(zoh(channel(loop, list(deviations), "e_true"), step), noise)[0]
         found[case] = rms(error[setpoint.scanning])
     return found
 
@@ -112,9 +100,8 @@ def noisy_scan_trial(
     samples = WARM_UP + setpoint.derivatives.shape[1]
     found = {}
     for name, loop in loops.items():
-        noise = noise_error(loop, setpoint.step, samples, deviations, np.random.default_rng(seed))[
-            0, WARM_UP:
-        ]
+        draws = np.random.default_rng(seed)
+        noise = noise_error(loop, setpoint.step, samples, deviations, draws)[0, WARM_UP:]
         own = feedforward if isinstance(feedforward, Feedforward) else feedforward[name]
         error = tracking_error(error_loop(loop), setpoint, own) + noise
         found[name] = rms(error[setpoint.scanning])

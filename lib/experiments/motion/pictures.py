@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from experiments.motion.integral_action import slope
+from experiments.motion.loop_conditions import slope
 from stillwork.base.rounding import in_order
 from stillwork.control.bandwidth import SIX_DB, Loop
 from stillwork.control.loops import channel
@@ -93,6 +93,14 @@ def paint_bode(
     axes[0].set(**{name: ends for name, ends in (("xlim", xlim), ("ylim", ylim)) if ends})
     axes[-1].set_xlabel("frequency (Hz)")
     axes[0].legend()
+    return figure, axes
+
+
+def plain(panels: int = 1, height: float = 2.8, **margins: float):
+    """Panels beside each other without the constrained layout, which takes longer than an explorer may."""
+    figure, axes = figures.new(1, panels, height=height)
+    figure.set_layout_engine(None)
+    figure.subplots_adjust(**{"left": 0.1, "bottom": 0.18, "right": 0.98, "top": 0.9} | margins)
     return figure, axes
 
 

@@ -8,8 +8,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from experiments.motion.designs import COMPENSATED, RETAINED, Design
-from experiments.motion.machines import published_noise, stage
-from experiments.motion.positions import shapes_along
+from experiments.motion.machines import published_noise, shapes_along, stage
 from experiments.motion.scan_study import along_scan
 from experiments.motion.scheduled import GainTable
 from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
@@ -141,7 +140,6 @@ class Passage:
     """True and estimated modal position of one mode while the sensor follows a trajectory."""
 
     time: Float64[np.ndarray, " samples"]  # s
-    places: Float64[np.ndarray, " samples"]  # m
     truth: Float64[np.ndarray, " samples"]  # m sqrt(kg)
     estimate: Float64[np.ndarray, " samples"]  # m sqrt(kg)
 
@@ -188,4 +186,4 @@ def pass_node(
     states = simulate(StateModel(a, b, np.eye(len(a)), np.zeros_like(b), step), force[None])
     y = np.einsum("koi,ik->ok", model.c, states)
     found = estimate(kalman_gains(model), np.zeros((1, len(places))), y)
-    return Passage(time, places, states[2 * mode], found[2 * mode])
+    return Passage(time, states[2 * mode], found[2 * mode])

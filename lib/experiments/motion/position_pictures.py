@@ -10,7 +10,7 @@ from experiments.motion.designs import Design
 from experiments.motion.ideal_feedforward import Force
 from experiments.motion.location_study import LocationStudy, location_loops, stage_error, study_locations
 from experiments.motion.machines import published_setpoint, stage, stage_mass
-from experiments.motion.performance_pictures import paint_errors
+from experiments.motion.performance import paint_errors
 from experiments.motion.pictures import (
     LABELS,
     add_magnitude,
@@ -18,6 +18,7 @@ from experiments.motion.pictures import (
     mark_limit,
     paint_limited,
     paint_magnitudes,
+    plain,
     plain_numbers,
 )
 from experiments.motion.position_dependence import place_loops, stage_grid
@@ -153,9 +154,8 @@ def paint_table_of_ranges(
         middle = np.array([whole[n][k] for n in names])
         axis.vlines(place, low, high, color=colour, linewidth=4, alpha=0.4, label=f"{part}, over the ranges")
         axis.plot(place, middle, "_", color=colour, markersize=9, label=f"{part}, whole structure")
-        figures.mark_published(
-            axis, place, [np.asarray(published[n])[k] for n in names], label="published" if k == 0 else None
-        )
+        marks = [np.asarray(published[n])[k] for n in names]
+        figures.mark_published(axis, place, marks, label="published" if k == 0 else None)
     axis.set_yscale("log")
     axis.set_xticks(np.arange(len(names)), [n.replace(", ", ",\n") for n in names], fontsize=7)
     axis.set(ylabel="rms error in the scan (nm)", ylim=(0.3, None))
@@ -175,7 +175,8 @@ def paint_place(place: float, damping: float, compensate: str, noise_exponent: f
     shown = (loop.omega > 2 * np.pi * 5) & (loop.omega < 2 * np.pi * 3e3)
     omega = loop.omega[shown]
     response = loop.at(controller, omega)
-    figure, (left, right) = figures.new(1, 2, height=3.0)
+    margins = {"left": 0.09, "bottom": 0.16, "right": 0.985, "top": 0.91, "wspace": 0.2}
+    figure, (left, right) = plain(2, 3.0, **margins)
     original = controller.frequency_response(omega)
     add_magnitude(left, omega, original, color=figures.GREY, linewidth=2.5, label="controller")
     add_magnitude(left, omega, response.output_controller, label="equivalent, $y$ to $f$")
@@ -187,9 +188,6 @@ def paint_place(place: float, damping: float, compensate: str, noise_exponent: f
         axis.set(xlabel="frequency (Hz)", ylabel=f"magnitude ({unit})")
         axis.xaxis.set_minor_locator(NullLocator())
         axis.legend(fontsize=7)
-    # The automatic layout, small ticks and formulas would take longer than the drawing.
-    figure.set_layout_engine(None)
-    figure.subplots_adjust(0.09, 0.16, 0.985, 0.91, wspace=0.2)
     return figure
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from experiments.motion.positions import shapes_along
+from experiments.motion.machines import shapes_along
 from experiments.motion.scan_study import along_scan, contiguous, output_rows
 from experiments.motion.scheduled import gain_table, scheduled_gains
 from stillwork.base.algebra import advance_state

@@ -14,22 +14,14 @@ from stillwork.control.applications import filtered_estimates
 from stillwork.control.discrete_damping import sampled_feedback
 from stillwork.control.discrete_observer import DiscreteObserver, discrete_kalman_observer
 from stillwork.control.feedback import band_pass, damping_gain, fed_back
-from stillwork.control.pid import Pid
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti.discretisation import tustin, zoh_modes
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
 
 
-def pid_response(
-    pid: Pid, step: float, omega: Float64[np.ndarray, " frequencies"]
-) -> Complex128[np.ndarray, " frequencies"]:
-    """Response of the PID after the bilinear rule, from its continuous one at the warped frequencies."""
-    return pid.frequency_response(warped(step, omega))
-
-
 def warped(step: float, omega: Float64[np.ndarray, " frequencies"]) -> Float64[np.ndarray, " frequencies"]:
-    """Frequencies that the bilinear rule takes to `omega` (rad/s)."""
+    """Frequencies that the bilinear rule takes to `omega` (rad/s): there a continuous controller responds like its rule."""
     return 2 / step * np.tan(omega * step / 2)
 
 
@@ -55,13 +47,8 @@ class RigCompensator:
     selectivity: float | None  # Q of the band-passes; None: none
 
     def _read(self) -> Float64[np.ndarray, "signals states"]:
-        flexible = self.gains.shape[1]
-        return np.vstack(
-            [
-                self.compensate * self.observer.flexible_outputs,
-                self.observer.read(np.eye(flexible), "velocity"),
-            ]
-        )
+        velocities = self.observer.read(np.eye(self.gains.shape[1]), "velocity")
+        return np.vstack([self.compensate * self.observer.flexible_outputs, velocities])
 
     @cached_property
     def _estimator(self) -> StateModel:

@@ -11,12 +11,11 @@ from experiments.motion.rig import (
     Geometry,
     assumed,
     decoupling,
-    detuned,
     published,
     rig_model,
     scaled_inertia,
 )
-from experiments.motion.rig_control import pid_response, rig_compensator, rig_observer
+from experiments.motion.rig_control import rig_compensator, rig_observer
 from experiments.motion.rig_loops import (
     Infeasible,
     RigBandwidth,
@@ -25,6 +24,7 @@ from experiments.motion.rig_loops import (
     make_rig_loop,
     maximise_rig_bandwidth,
 )
+from experiments.motion.uncertainty import detuned
 from stillwork.control.pid import Pid
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti.modal import ModalModel
@@ -86,6 +86,7 @@ def rig_loops(
     """
     full, used = rig_model(geometry), geometry.used
     loops = {case: [] for case in cases}
+    intensities = {"MC": settings.noise_model, "AD": None, "MC and AD": settings.noise_model_both}
     for position in positions:
         plant = full.at(used, position)
         matrices = decoupling(geometry, used, position)
@@ -93,19 +94,12 @@ def rig_loops(
         model = model if errors is None else detuned(model, errors)
         observers = {}
         for case in cases:
-            compensate, damp = "MC" in case, "AD" in case
             block = None
-            if compensate or damp:
-                intensity = settings.noise_model_both if damp else settings.noise_model
-                intensity = intensity if compensate else None
-                if intensity not in observers:
+            if case in intensities:
+                if (intensity := intensities[case]) not in observers:
                     observers[intensity] = rig_observer(model, settings.noise, settings.step, intensity)
-                block = rig_compensator(
-                    observers[intensity],
-                    compensate,
-                    settings.target_damping if damp else None,
-                    settings.selectivity,
-                )
+                target = settings.target_damping if "AD" in case else None
+                block = rig_compensator(observers[intensity], "MC" in case, target, settings.selectivity)
             loops[case].append(make_rig_loop(plant, block, matrices, settings.step, omega))
     return loops
 
@@ -131,6 +125,6 @@ def bandwidths(
 def compensated_feedback(loop: RigLoop, pids: Sequence[Pid]) -> float:
     """Largest singular value over frequency of O_yu C_fb, which section 6.3 keeps below 1 (scaled directions)."""
     o_yu = np.moveaxis(loop.compensator.frequency_response(loop.omega)[3:, :3], -1, 0)
-    control = np.stack([pid_response(pid, loop.step, loop.omega) for pid in pids], axis=1)
+    control = np.stack([pid.frequency_response(loop.warped) for pid in pids], axis=1)
     seen = loop.decoupling.sensing @ o_yu @ loop.decoupling.actuation * control[:, None, :]
     return float(np.linalg.norm(seen, 2, axis=(1, 2)).max())

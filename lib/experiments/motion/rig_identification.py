@@ -7,11 +7,7 @@ from experiments.motion.rig import Geometry, decoupling, rig_model
 from experiments.motion.rig_designs import RigSettings, rig_controllers
 from stillwork.base.checks import InputError, require_array, require_count, require_number
 from stillwork.control.loops import channel, closed_loop
-from stillwork.identification.multisine import (
-    MultisineRecords,
-    ResponseMatrix,
-    joint_input_output,
-)
+from stillwork.identification.multisine import MultisineRecords, ResponseMatrix, joint_input_output
 from stillwork.lti.discretisation import tustin, zoh_modes, zoh_response
 from stillwork.lti.state_space import StateModel, interconnect
 
@@ -31,16 +27,10 @@ def identification_loop(geometry: Geometry, settings: RigSettings, bandwidth_hz:
     plant = zoh_modes(rig_model(geometry), settings.step)
     controller = four_sensor_controller(geometry, settings, bandwidth_hz)
     closed = closed_loop(plant, None, controller)
-    inputs = [channel(closed, name, "f", 4, 4) for name in ("u_ff", "w", "d")]
-    outputs = [channel(closed, name, "e_meas", 4, 4) for name in ("u_ff", "w", "d")]
+    seen = channel(closed, ("u_ff", "w", "d"), ("f", "e_meas"), 4, 4)
     # Without a setpoint the measured error is minus the measurement.
-    return StateModel(
-        closed.a,
-        np.hstack([each.b for each in inputs]),
-        np.vstack([inputs[0].c, -outputs[0].c]),
-        np.vstack([np.hstack([each.d for each in inputs]), -np.hstack([each.d for each in outputs])]),
-        closed.step,
-    )
+    signs = np.repeat([[1.0], [-1.0]], 4, axis=0)
+    return StateModel(seen.a, seen.b, signs * seen.c, signs * seen.d, seen.step)
 
 
 def true_response(

@@ -5,9 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from experiments.motion.pictures import add_magnitude, paint_magnitudes
-from experiments.motion.plate import plate_modes
-from experiments.motion.rig import POSITIONS, Geometry, assumed_geometry, published, rig_model
+from experiments.motion.pictures import add_magnitude, paint_magnitudes, plain
+from experiments.motion.rig import POSITIONS, Geometry, assumed_geometry, plate_modes, published, rig_model
 from experiments.motion.rig_designs import CASES, published_settings, rig_loops
 from experiments.motion.rig_identification import predicted_deviation, true_response
 from experiments.motion.rig_loops import RigLoop
@@ -87,8 +86,7 @@ def paint_decoupled_plants(loops: Sequence[RigLoop], geometry: Geometry):
     # Nine panels with axes of their own: the constrained layout would take longer than all the rest.
     figure.set_layout_engine(None)
     figure.subplots_adjust(left=0.09, right=0.99, bottom=0.12, top=0.96, wspace=0.4, hspace=0.28)
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="lower center", ncols=4)
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="lower center", ncols=4)
     return figure
 
 
@@ -130,14 +128,9 @@ def paint_error_spectra(spectra: Mapping[str, Spectrum]):
     figure, axes = figures.new(1, 3, height=2.7, sharex=True)
     for order, (case, each) in enumerate(spectra.items()):
         drawn = (each.frequencies_hz >= 2) & (each.frequencies_hz <= 2000)
+        style = {"color": COLOURS[case], "linewidth": 2.4 - 0.6 * order, "label": case}  # all stay visible
         for axis, density in zip(axes, each.density, strict=True):
-            axis.loglog(
-                each.frequencies_hz[drawn],
-                1e6 * np.sqrt(density[drawn]),
-                color=COLOURS[case],
-                linewidth=2.4 - 0.6 * order,  # lines that coincide stay visible
-                label=case,
-            )
+            axis.loglog(each.frequencies_hz[drawn], 1e6 * np.sqrt(density[drawn]), **style)
     figures.label(axes, "frequency (Hz)")
     for k, axis in enumerate(axes):
         axis.set(title=f"${MOTIONS[k]}$", ylabel=f"error ({'µm' if k == 0 else 'µrad'}/√Hz)")
@@ -157,18 +150,14 @@ def paint_over_geometries(
             style = {"markersize": 4, "color": COLOURS[case]}
             axis.plot(place + rank, np.sort(found), ".", label=f"one geometry, {case}", **style)
             if case in marks:
-                figures.mark_published(
-                    axis, place, marks[case][k], "published" if not place else f"_published, {case}"
-                )
+                label = f"_published, {case}" if place else "published"
+                figures.mark_published(axis, place, marks[case][k], label)
         axis.set_ylim(0, 1.08 * axis.dataLim.y1)
         axis.set_xticks(range(len(values)), [case.replace(" and ", "\nand ") for case in values])
         axis.set(title=f"${MOTIONS[k]}$", xlabel="use of the observer")
     axes[0].set_ylabel(quantity)
-    handles, labels = axes[0].get_legend_handles_labels()
-    shown = {
-        "published" if label == "published" else "one geometry": h
-        for h, label in zip(handles, labels, strict=True)
-    }
+    pairs = zip(*axes[0].get_legend_handles_labels(), strict=True)
+    shown = {"published" if label == "published" else "one geometry": handle for handle, label in pairs}
     figure.legend(shown.values(), shown.keys(), loc="outside lower center", ncols=2)
     return figure
 
@@ -189,7 +178,7 @@ def paint_rig(
     settings = replace(settings, noise=noise, target_damping=target_damping)
     omega = frequencies(20.0, points=80, around=5)
     loops = rig_loops(geometry, settings, None, [POSITIONS[position - 1]], omega, ("Original", use))
-    figure, axis = _plain(1)
+    figure, axis = plain()
     for name, (loop, *_) in loops.items():
         response = physical_plant(loop, geometry)[row, 0]
         add_magnitude(axis, omega, response, color=COLOURS[name], label=name)
@@ -207,12 +196,11 @@ def paint_geometry(
     geometry = replace(geometry, width=width, actuators=actuators, sensors=(along_x, along_y))
     model = rig_model(geometry, higher_modes=0)
     size = np.sqrt(geometry.mass)
-    figure, axes = _plain(2)
+    figure, axes = plain(2, wspace=0.3)
     x, y = geometry.half
     axes[0].plot([-x, x, x, -x, -x], [-y, -y, y, y, -y], color=figures.GREY)
-    axes[0].plot(
-        *geometry.actuator_places[list(geometry.used)].T, "o", color=figures.BLACK, markerfacecolor="none"
-    )
+    used = geometry.actuator_places[list(geometry.used)]
+    axes[0].plot(*used.T, "o", color=figures.BLACK, markerfacecolor="none")
     axes[0].plot(*geometry.sensor_places.T, "x", color=figures.BLACK)
     axes[0].set_aspect("equal")
     axes[0].set(xlabel="x (m)", ylabel="y (m)", title="circles: actuators, crosses: sensors")
@@ -236,9 +224,7 @@ def paint_identified(omega: np.ndarray, measured: np.ndarray, model: np.ndarray,
         "least from noise": (deviation, {"color": figures.BLACK, "linewidth": 0.8, "linestyle": "--"}),
     }
     panels = {
-        f"sensor {k + 1}": {
-            label: (omega, values[:, k, 0], style) for label, (values, style) in lines.items()
-        }
+        f"sensor {k + 1}": {name: (omega, values[:, k, 0], style) for name, (values, style) in lines.items()}
         for k in range(4)
     }
     quantity = "actuator 1 to sensor\n(dB re 1 m/N)"
@@ -256,17 +242,9 @@ def paint_identification(
     omega = frequencies(1.0, 1500.0, points=90, around=5)
     response = true_response(geometry, settings, omega)
     deviation = predicted_deviation(geometry, settings, bandwidth_hz, omega, rms, averages)
-    figure, axis = _plain(1)
+    figure, axis = plain()
     add_magnitude(axis, omega, response[:, 2, 0], color=figures.BLUE, label="response")
     add_magnitude(axis, omega, deviation[:, 2, 0], ls="--", color=figures.BLACK, label="least deviation")
     axis.set(xlabel="frequency (Hz)", ylabel="actuator 1 to sensor 3 (dB re 1 m/N)")
     axis.legend()
     return figure
-
-
-def _plain(panels: int):
-    """Panels without the constrained layout, which takes longer than an explorer may."""
-    figure, axes = figures.new(1, panels, height=2.8)
-    figure.set_layout_engine(None)
-    figure.subplots_adjust(left=0.1, right=0.98, bottom=0.18, top=0.9, wspace=0.3)
-    return figure, axes

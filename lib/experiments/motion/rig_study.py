@@ -1,11 +1,13 @@
-"""The rig over geometries that are not published: one trial of the study behind Tables 6.2 to 6.4."""
+"""The rig on a levelling trajectory, and over geometries that are not published: one trial of the study behind Tables 6.2 to 6.4."""
 
 import contextlib
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Complex128, Float64
+from scipy import linalg
 
 from experiments.motion.rig import Geometry, assumed, assumed_geometry, excitation, published, scaled_inertia
 from experiments.motion.rig_designs import (
@@ -18,11 +20,135 @@ from experiments.motion.rig_designs import (
     rig_loops,
 )
 from experiments.motion.rig_loops import FUNCTIONS, MEASURES, RigBandwidth, RigLoop
-from experiments.motion.rig_tracking import Levelling, levelling, levelling_rms
-from stillwork.base.checks import InputError
+from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.base.front_door import checked
+from stillwork.control.loops import channel
 from stillwork.control.pid import Pid
 from stillwork.estimation.observer import NoiseIntensities
+from stillwork.lti.simulation import simulate
+from stillwork.lti.state_space import StateModel
+
+
+@dataclass(frozen=True)
+class Levelling:
+    """A periodic trajectory in z, rx and ry: sines at the lowest harmonics of its period, with random phases."""
+
+    period: float  # s
+    lines: Complex128[np.ndarray, "3 harmonics"]  # complex amplitudes of cosines; m, rad, rad
+
+    def __post_init__(self):
+        require_number("period", self.period, above=0.0)
+
+    @property
+    def omega(self) -> Float64[np.ndarray, " harmonics"]:
+        """Frequencies of the lines (rad/s)."""
+        return 2 * np.pi / self.period * np.arange(1, self.lines.shape[1] + 1)
+
+    def samples(self, step: float) -> Float64[np.ndarray, "3 samples"]:
+        """One period (m, rad, rad)."""
+        time = np.arange(round(self.period / step)) * step
+        return (self.lines @ np.exp(1j * np.outer(self.omega, time))).real
+
+
+def levelling(rng: np.random.Generator) -> Levelling:
+    """The assumed trajectory: lines of equal size up to 2 Hz, with the rms values of ``rig.toml``."""
+    a = assumed()["levelling"]
+    harmonics = int(np.floor(a["highest_hz"] * a["period"] + 1e-9))
+    phases = np.exp(2j * np.pi * rng.random((3, harmonics)))
+    sizes = np.array(a["amplitudes"]) * np.sqrt(2 / harmonics)
+    return Levelling(a["period"], sizes[:, None] * phases)
+
+
+def _to_error(loop: RigLoop, pids: Sequence[Pid], geometry: Geometry) -> StateModel:
+    """From (v, w, d) at sensors and actuators to the true error in (z, rx, ry).
+
+    Under the modified feedforward of Appendix A the setpoint acts like v, the original feedforward like w.
+    """
+    seen = channel(loop.closed(pids), ("v", "w", "d"), "e_true", 3, 3)
+    read = loop.decoupling.sensing / geometry.edges[:, None]
+    balanced, (scale, _) = linalg.matrix_balance(seen.a, permute=False, separate=True)
+    model = StateModel(balanced, seen.b / scale[:, None], read @ seen.c * scale, read @ seen.d, seen.step)
+    if (radius := np.abs(model.poles).max()) >= 1:
+        raise InputError(f"the loop is unstable (a pole of magnitude {radius:.6f}); lower the bandwidth")
+    return model
+
+
+def _lines(
+    trajectory: Levelling, loop: RigLoop, geometry: Geometry, mass_error: float
+) -> Complex128[np.ndarray, "6 harmonics"]:
+    """Amplitudes of (v, w): the trajectory at the sensors, and the rigid-body forces that would follow it.
+
+    The force is held over a sample; the rigid body then passes through the trajectory at every sample.
+    """
+    turned = np.exp(1j * trajectory.omega * loop.step)
+    held = loop.step**2 * (turned + 1) / (2 * (turned - 1) ** 2)
+    scaled = geometry.edges[:, None] * trajectory.lines
+    force = (1 + mass_error) * scaled_inertia(geometry)[:, None] * scaled / held
+    at_sensors = np.linalg.solve(loop.decoupling.sensing, scaled)
+    return np.vstack([at_sensors, loop.decoupling.actuation @ force])
+
+
+def levelling_rms(
+    loop: RigLoop,
+    pids: Sequence[Pid],
+    geometry: Geometry,
+    trajectory: Levelling,
+    noise: NoiseIntensities,
+    mass_error: float = 0.0,
+) -> Float64[np.ndarray, "3"]:
+    """Expected rms of the true error in z (m), rx and ry (rad), in steady state: lines plus noise.
+
+    The feedforward takes the rig for heavier by `mass_error`, relative.
+    """
+    model = _to_error(loop, pids, geometry)
+    z = np.exp(1j * trajectory.omega * loop.step)
+    drive = _lines(trajectory, loop, geometry, mass_error)
+    periodic = np.zeros(3)
+    for point, amplitudes in zip(z, drive.T, strict=True):
+        state = np.linalg.solve(point * np.eye(len(model.a)) - model.a, model.b[:, :6] @ amplitudes)
+        periodic += np.abs(model.c @ state + model.d[:, :6] @ amplitudes) ** 2 / 2
+    sizes = np.sqrt(np.repeat([noise.process, noise.sensor], 3))
+    random = output_variance(model.a, model.b[:, 3:] * sizes, model.c, model.d[:, 3:] * sizes)
+    return np.sqrt(periodic + random)
+
+
+def output_variance(a, b, c, d) -> Float64[np.ndarray, " outputs"]:
+    """Variance of every output of a stable discrete model driven by unit white noise.
+
+    The state covariance is the sum over all past samples, doubled in length at every turn, so that only
+    positive terms are added.
+    """
+    covariance, power = b @ b.T, np.array(a)
+    for _ in range(60):
+        more = power @ covariance @ power.T
+        covariance = covariance + more
+        power = power @ power
+        if np.abs(more).max() < 1e-14 * np.abs(covariance).max():
+            return np.einsum("ij,jk,ik->i", c, covariance, c) + (d**2).sum(axis=1)
+    raise InputError("a: the model is not stable enough for its noise to settle; lower the bandwidth")
+
+
+def levelling_error(
+    loop: RigLoop,
+    pids: Sequence[Pid],
+    geometry: Geometry,
+    trajectory: Levelling,
+    noise: NoiseIntensities,
+    rng: np.random.Generator,
+    periods: int = 1,
+) -> Float64[np.ndarray, "3 samples"]:
+    """True error over the last period (m, rad, rad), simulated with noise after `periods` periods of settling."""
+    model = _to_error(loop, pids, geometry)
+    count = round(trajectory.period / loop.step)
+    if abs(count * loop.step - trajectory.period) > 1e-9 * trajectory.period:
+        raise InputError("period of the trajectory is not a multiple of the sample time; change one of them")
+    time = np.arange((periods + 1) * count) * loop.step
+    known = (_lines(trajectory, loop, geometry, 0.0) @ np.exp(1j * np.outer(trajectory.omega, time))).real
+    sizes = np.sqrt(np.repeat([noise.process, noise.sensor], 3))
+    random = sizes[:, None] * rng.standard_normal((6, len(time)))
+    inputs = np.vstack([known[:3], known[3:] + random[:3], random[3:]])
+    return simulate(model, require_array("inputs", inputs))[:, -count:]
+
 
 PRINTED_HZ = {"Original": (6.0, 8.0), "MC": (9.0, 11.0), "AD": (12.0, 13.0), "MC and AD": (17.0, 21.0)}
 
@@ -126,6 +252,7 @@ def rig_trial(rng: np.random.Generator, settings: RigSettings) -> dict[str, np.n
         rig = geometry, loops, trajectory
         original[m], redesigned[m] = levelling_errors(rig, found, "own limit", 0.0, noise=settings.noise)
     flexible = [flexible_peaks(loops[case], scaled_inertia(geometry)) for case in CASES]
+    excited = [excitation(geometry, used) for used in ((0, 1, 2, 3), geometry.used)]
     return {
         "crossing": crossing,
         "peaks": peaks,
@@ -139,7 +266,5 @@ def rig_trial(rng: np.random.Generator, settings: RigSettings) -> dict[str, np.n
         "aspect": np.array(geometry.width / geometry.length),
         "actuators": np.array(geometry.actuators),
         "sensors": np.array(geometry.sensors),
-        "excitation": np.array(
-            [np.abs(excitation(geometry, used)).max(axis=1) for used in ((0, 1, 2, 3), geometry.used)]
-        ),
+        "excitation": np.abs(excited).max(axis=2),
     }

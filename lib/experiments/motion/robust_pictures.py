@@ -9,14 +9,11 @@ from experiments.motion.contest import ENTRANTS, Contest, prepare, run_entrant, 
 from experiments.motion.scan_study import Errors, Records, Scan, published_scan
 from stillwork.workbook import figures
 
-STATES = (
-    ("rigid body", "position error (nm √kg)", 1e9),
-    ("rigid body", "velocity error (µm/s √kg)", 1e6),
-    ("first flexible mode", "position error (nm √kg)", 1e9),
-    ("first flexible mode", "velocity error (µm/s √kg)", 1e6),
-    ("second flexible mode", "position error (nm √kg)", 1e9),
-    ("second flexible mode", "velocity error (µm/s √kg)", 1e6),
-)
+STATES = [
+    (mode, *error)
+    for mode in ("rigid body", "first flexible mode", "second flexible mode")
+    for error in (("position error (nm √kg)", 1e9), ("velocity error (µm/s √kg)", 1e6))
+]
 SAID = {  # of Fig. 5.10, what hangs on the weight, by claim
     "sensitivity-rigid-as-kalman": "penalised filter's rigid body as Kalman's",
     "regularised-worst-on-flexible": "regularised filter worst on flexible states",

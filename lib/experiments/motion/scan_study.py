@@ -11,8 +11,13 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from experiments.motion.machines import published_deviations, published_setpoint, stage, stage_mass
-from experiments.motion.positions import shapes_along
+from experiments.motion.machines import (
+    published_deviations,
+    published_setpoint,
+    shapes_along,
+    stage,
+    stage_mass,
+)
 from experiments.motion.uncertainty import perturbed
 from stillwork.base.algebra import advance_state
 from stillwork.base.checks import InputError, require_array, require_number

@@ -1,10 +1,25 @@
-"""How often something holds over independent runs."""
+"""What a reading gives an entry of the ledger: a number and its interval over independent runs."""
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import require_array
 from stillwork.workbook.studies import proportion_interval
+
+Values = dict[str, float | tuple[float, tuple[float, float]]]  # by entry
+
+
+def key(case: str) -> str:
+    """A case as the ledger writes it."""
+    return case.lower().replace(",", "").replace(" ", "-")
+
+
+def central(sample: np.ndarray) -> float | tuple[float, tuple[float, float]]:
+    """Median and the central 95 % of the runs that gave a number; NaN where none did."""
+    if not np.isfinite(sample).any():
+        return float("nan")
+    low, middle, high = np.nanquantile(sample, [0.025, 0.5, 0.975])
+    return float(middle), (float(low), float(high))
 
 
 def share(holds: ArrayLike) -> tuple[float, tuple[float, float]]:

@@ -38,10 +38,5 @@ def as_stage(fit: ModalFit, mass: float) -> tuple[ModalModel, float]:
     factor = 1 / (mass * float(fit.model.input_shapes[0, 0] * fit.model.output_shapes[0, 0]))
     root = np.sqrt(factor)
     model = fit.model
-    scaled = replace(
-        model,
-        input_shapes=root * model.input_shapes,
-        output_shapes=root * model.output_shapes,
-        feedthrough=factor * model.feedthrough,
-    )
-    return scaled, factor
+    shapes = {name: root * getattr(model, name) for name in ("input_shapes", "output_shapes")}
+    return replace(model, **shapes, feedthrough=factor * model.feedthrough), factor

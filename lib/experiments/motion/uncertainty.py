@@ -27,14 +27,21 @@ def perturbed(model: ModalModel, errors: ArrayLike) -> ModalModel:
     factors = 1 + require_array("errors", errors, shape=(len(model.frequencies), 4))
     if np.any(factors <= 0):
         raise InputError("errors reach -1, which takes a parameter away; give relative errors above -1")
-    order = np.argsort(model.frequencies * factors[:, 0], kind="stable")  # errors may swap two modes
-    return replace(
+    there = replace(
         model,
-        input_shapes=(model.input_shapes * factors[:, 2:3])[order],
-        output_shapes=(model.output_shapes * factors[:, 3])[:, order],
-        damping=(model.damping * factors[:, 1])[order],
-        frequencies=(model.frequencies * factors[:, 0])[order],
+        damping=model.damping * factors[:, 1],
+        input_shapes=model.input_shapes * factors[:, 2:3],
+        output_shapes=model.output_shapes * factors[:, 3],
     )
+    return there.moved(model.frequencies * factors[:, 0])
+
+
+def detuned(model: ModalModel, errors: ArrayLike) -> ModalModel:
+    """The model with its flexible frequencies off by these relative errors."""
+    off = np.zeros((len(model.frequencies), 4))
+    flexible = len(off) - model.rigid_modes
+    off[model.rigid_modes :, 0] = require_array("errors", errors, shape=(flexible,))
+    return perturbed(model, off)
 
 
 @checked

@@ -38,9 +38,9 @@ def paint_machine(machine: Machine):
     return figure
 
 
-def envelope(x: np.ndarray, magnitude: np.ndarray, bins: int = 500) -> np.ndarray:
-    """Index of the largest and the smallest magnitude in each of `bins` logarithmic stretches: no peak is lost."""
-    place = np.searchsorted(np.geomspace(x[0], x[-1], bins + 1)[1:-1], x)
+def envelope(x: np.ndarray, magnitude: np.ndarray) -> np.ndarray:
+    """Index of the largest and the smallest magnitude in each of 500 logarithmic stretches: no peak is lost."""
+    place = np.searchsorted(np.geomspace(x[0], x[-1], 501)[1:-1], x)
     starts = np.flatnonzero(np.diff(place, prepend=-1))
     stretches = np.split(np.arange(len(x)), starts[1:])
     return np.unique([each[pick(magnitude[each])] for each in stretches for pick in (np.argmin, np.argmax)])
@@ -76,19 +76,12 @@ def paint_sensitivities(found: Mapping[str, Reached], machine: Machine):
         )
     furthest = max(reached, key=lambda name: reached[name].recommended.crossing_hz.min())
     chosen = list(dict.fromkeys([next(iter(reached)), furthest]))
-    return paint_over_masses(
-        {
-            f"{name}, $S_O$": (
-                reached[name].loops,
-                reached[name].recommended.controller,
-                "output_sensitivity",
-            )
-            for name in chosen
-        },
-        low_hz=machine.resonances_hz[0] / 80,
-        high_hz=1.2 * machine.resonances_hz[-1],
-        label="sensor",
-    )
+    panels = {
+        f"{name}, $S_O$": (reached[name].loops, reached[name].recommended.controller, "output_sensitivity")
+        for name in chosen
+    }
+    low, high = machine.resonances_hz[0] / 80, 1.2 * machine.resonances_hz[-1]
+    return paint_over_masses(panels, low_hz=low, high_hz=high, label="sensor")
 
 
 def machine_explorer(

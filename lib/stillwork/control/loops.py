@@ -1,5 +1,6 @@
 """Closed loops of plant, compensator and controller: state-space models for any size, responses for one loop."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 
@@ -81,20 +82,28 @@ def _wiring(m: int, p: int) -> tuple[np.ndarray, ...]:
 
 
 @checked
-def channel(loop: StateModel, source: str, target: str, inputs: int = 1, outputs: int = 1) -> StateModel:
-    """Transfer between named signals of a `closed_loop` model.
+def channel(
+    loop: StateModel,
+    source: str | Sequence[str],
+    target: str | Sequence[str],
+    inputs: int = 1,
+    outputs: int = 1,
+) -> StateModel:
+    """Transfer between named signals of a `closed_loop` model, or between several of them in this order.
 
     S_I is u_ff to u, S_O is v to e_true, and r to e_true holds both T and the tracking behaviour.
     """
-    widths_in = {"r": outputs, "u_ff": inputs, "w": inputs, "v": outputs, "d": outputs}
-    widths_out = {"e_true": outputs, "e_meas": outputs, "u": inputs, "f": inputs}
-    if source not in widths_in or target not in widths_out:
-        raise InputError(f"channel {source!r} to {target!r} is unknown; use {INPUTS} and {OUTPUTS}")
-    start_in = sum(widths_in[name] for name in INPUTS[: INPUTS.index(source)])
-    start_out = sum(widths_out[name] for name in OUTPUTS[: OUTPUTS.index(target)])
-    return loop.select(
-        range(start_in, start_in + widths_in[source]), range(start_out, start_out + widths_out[target])
-    )
+    chosen = []
+    for names, known, of_plant in ((source, INPUTS, ("u_ff", "w")), (target, OUTPUTS, ("u", "f"))):
+        places: dict[str, range] = {}
+        for name in known:
+            start = sum(map(len, places.values()))
+            places[name] = range(start, start + (inputs if name in of_plant else outputs))
+        wanted = (names,) if isinstance(names, str) else names
+        if not set(wanted) <= set(known):
+            raise InputError(f"channel {source!r} to {target!r} is unknown; use {INPUTS} and {OUTPUTS}")
+        chosen.append([place for name in wanted for place in places[name]])
+    return loop.select(*chosen)
 
 
 def require_stable(loop: StateModel) -> None:

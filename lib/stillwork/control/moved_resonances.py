@@ -13,7 +13,6 @@ from stillwork.control.bandwidth import FUNCTIONS, Loop, PeakConstraint, make_lo
 from stillwork.control.loops import LoopResponse
 from stillwork.control.pid import Pid
 from stillwork.lti.discretisation import sampled_modes
-from stillwork.lti.modal import ModalModel
 
 STEPS = np.linspace(-1, 1, 25)  # to places of a mode beside its resonance, dense at its width, that are tried
 SWEEPS = 2
@@ -29,15 +28,7 @@ def moved_loop(loop: Loop, factors: Float64[np.ndarray, " modes"]) -> Loop:
     factors = require_array("factors", factors, shape=loop.plant.frequencies.shape)
     if not factors.min() > 0:
         raise InputError("factors must be above 0")
-    moved, plant = factors * loop.plant.frequencies, loop.plant
-    order = np.argsort(moved, kind="stable")
-    plant = ModalModel(
-        moved[order],
-        plant.damping[order],
-        plant.input_shapes[order],
-        plant.output_shapes[:, order],
-        plant.feedthrough,
-    )
+    plant = loop.plant.moved(factors * loop.plant.frequencies)
     return make_loop(plant, loop.compensator, step=loop.step, delay=loop.delay)
 
 

@@ -79,6 +79,17 @@ class ModalModel:
             output_shapes=self.output_shapes[:, chosen],
         )
 
+    def moved(self, frequencies: Float64[np.ndarray, " modes"]) -> "ModalModel":
+        """The same modes at other frequencies (rad/s), in ascending order: two of them may change places."""
+        order = np.argsort(frequencies, kind="stable")
+        return replace(
+            self,
+            frequencies=frequencies[order],
+            damping=self.damping[order],
+            input_shapes=self.input_shapes[order],
+            output_shapes=self.output_shapes[:, order],
+        )
+
     @checked
     def at(self, inputs: Sequence[int], outputs: Sequence[int]) -> "ModalModel":
         """Keep only these inputs and outputs: actuators and sensors at other places."""

@@ -3,9 +3,9 @@
 import numpy as np
 
 from experiments.motion.observer_contest.fixed_gain import stationary
-from experiments.motion.observer_contest.modes import predict_mode, propagate
+from experiments.motion.observer_contest.parametric import predict_mode, propagate
 from experiments.motion.observer_contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
-from stillwork.base.algebra import copy_vector
+from stillwork.base.algebra import condition, copy_vector, measure
 from stillwork.base.kernels import inlined_kernel, kernel
 
 MOST = 1e12  # factor on the process noise
@@ -22,15 +22,10 @@ def _predict(a, b, force, x, p, alone):
 @inlined_kernel
 def _see(p, c, o, x, measured, cross):
     # Innovation of output o and its variance without the sensor's; `cross` becomes P c.
-    variance, innovation = 0.0, measured
+    innovation = measured
     for i in range(len(x)):
-        total = 0.0
-        for j in range(len(x)):
-            total += p[i, j] * c[o, j]
-        cross[i] = total
-        variance += c[o, i] * total
         innovation -= c[o, i] * x[i]
-    return innovation, variance
+    return innovation, measure(p, c, o, 0.0, cross)
 
 
 @kernel
@@ -53,8 +48,7 @@ def _advance_adaptive(data, memory, inputs, measurements, estimates):
                 surprise += innovation * innovation / variance / outputs
                 for i in range(n):
                     x[i] += cross[i] * innovation / variance
-                    for j in range(n):
-                        p[i, j] -= cross[i] * cross[j] / variance
+                condition(p, cross, variance)
             # The innovations should have the variance that the filter expects; the noise follows until they do.
             factor[0] = min(max(factor[0] * np.exp(rate * (min(surprise, 10.0) - 1)), 1.0), MOST)
         copy_vector(x, estimates[k])
@@ -62,16 +56,14 @@ def _advance_adaptive(data, memory, inputs, measurements, estimates):
 
 def adaptive(model: ToldModel, noise: ToldNoise, sample_time: float, rate: float) -> MadeObserver:
     """Kalman filter whose process noise follows its innovations: by `rate` a sample for each excess variance."""
-    data = (
-        model.a,
-        model.b,
-        np.ascontiguousarray(model.c),
-        np.diag(noise.sensor).copy(),
-        model.b @ noise.process @ model.b.T,
-        np.array([rate]),
-    )
+    added = model.b @ noise.process @ model.b.T
+    data = (*_machine(model), np.diag(noise.sensor).copy(), added, np.array([rate]))
     memory = (np.zeros(len(model.a)), stationary(model, noise)[1], np.ones(1))
     return MadeObserver(_advance_adaptive, data, memory)
+
+
+def _machine(model: ToldModel) -> tuple[np.ndarray, ...]:
+    return model.a, model.b, np.ascontiguousarray(model.c)
 
 
 @kernel
@@ -131,14 +123,8 @@ def set_membership(
 ) -> MadeObserver:
     """Ellipsoids that hold every state the bounds allow: so many deviations of the sensor, and of the force."""
     after = stationary(model, noise)[1]
-    data = (
-        model.a,
-        model.b,
-        np.ascontiguousarray(model.c),
-        sensor * np.sqrt(np.diag(noise.sensor)),
-        process**2 * model.b @ noise.process @ model.b.T,
-        np.sqrt(np.diag(after)),
-    )
+    bounds, added = sensor * np.sqrt(np.diag(noise.sensor)), process**2 * model.b @ noise.process @ model.b.T
+    data = (*_machine(model), bounds, added, np.sqrt(np.diag(after)))
     return MadeObserver(_advance_sets, data, (np.zeros(len(model.a)), sensor**2 * after))
 
 

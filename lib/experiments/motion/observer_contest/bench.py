@@ -12,7 +12,7 @@ from jaxtyping import Float64
 
 from experiments.motion.observer_contest.doubts import Truth
 from experiments.motion.observer_contest.plants import ContestPlant
-from stillwork.base.algebra import copy_vector
+from stillwork.base.algebra import add_product, copy_vector
 from stillwork.base.kernels import inlined_kernel, kernel
 from stillwork.control.pid import PidFamily
 from stillwork.lti.discretisation import zoh
@@ -88,11 +88,9 @@ def _observe(k, system, delay, memory, measured):
     # The measurement of sample k, NaN where it is lost; the controller keeps the last one.
     c, sensor, lost = system[2], system[4], system[5]
     x, held, seen = memory[0], memory[2], memory[4]
+    copy_vector(sensor[k], seen[k])
+    add_product(c, x, seen[k])
     for o in range(c.shape[0]):
-        total = sensor[k, o]
-        for i in range(len(x)):
-            total += c[o, i] * x[i]
-        seen[k, o] = total
         measured[o] = np.nan if lost[k] else seen[max(k - delay, 0), o]
         if not lost[k]:
             held[o] = measured[o]

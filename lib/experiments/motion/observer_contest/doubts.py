@@ -12,7 +12,6 @@ from experiments.motion.observer_contest.plants import ContestPlant
 from stillwork.base import paths
 from stillwork.base.toml_files import read_numbers
 from stillwork.lti.discretisation import zoh_modes
-from stillwork.lti.modal import ModalModel
 
 PIECES = 20  # of a record, over each of which the machine stays as it is
 
@@ -114,21 +113,19 @@ def sample_truth(plant: ContestPlant, doubt: Doubt, samples: int, rng: np.random
         factors[2] *= nine["gains"][gain]
     place = np.arange(PIECES) / (PIECES - 1)
     change = 1 + direction * (doubt.drift * place + doubt.jump * (place > 0.5))
+    true = replace(
+        model,
+        damping=np.minimum(model.damping * factors[1], 0.9),
+        input_shapes=model.input_shapes * factors[2][:, None],
+        output_shapes=model.output_shapes * factors[3:],
+    )
     sampled = []
     different, piece = np.unique(change, return_inverse=True)
     for each in different:
-        # Ascending order is the model's rule and nothing to physics: modes that change places are sorted apart.
+        # Ascending order is the model's rule and nothing to physics: modes that change places go back to theirs.
         frequencies = model.frequencies * factors[0] * each
-        order = np.argsort(frequencies, kind="stable")
-        true = ModalModel(
-            frequencies[order],
-            np.minimum(model.damping * factors[1], 0.9)[order],
-            (model.input_shapes * factors[2][:, None])[order],
-            (model.output_shapes * factors[3:])[:, order],
-            model.feedthrough,
-        )
-        step = zoh_modes(true, plant.sample_time)
-        back = np.argsort(order)
+        step = zoh_modes(true.moved(frequencies), plant.sample_time)
+        back = np.argsort(np.argsort(frequencies, kind="stable"))
         states = np.stack([2 * back, 2 * back + 1], axis=1).ravel()
         sampled.append((step.a[np.ix_(states, states)], step.b[states], step.c[:, states]))
     a, b, c = (np.array(x)[piece] for x in zip(*sampled, strict=True))

@@ -3,14 +3,7 @@
 import numpy as np
 from scipy.linalg import block_diag, solve_triangular
 
-from experiments.motion.observer_contest.told import (
-    Knob,
-    MadeObserver,
-    Rival,
-    ToldModel,
-    ToldNoise,
-    over_samples,
-)
+from experiments.motion.observer_contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
 from experiments.motion.uncertainty import norm_bound, sampled_derivatives
 from stillwork.base.algebra import add_product, copy_vector
 from stillwork.base.kernels import kernel
@@ -18,7 +11,6 @@ from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
 from stillwork.estimation.riccati import discrete_gain
 from stillwork.estimation.robust import Derivatives, regularised_gains, sensitivity_gains
 from stillwork.estimation.time_varying import FilterGains, TimeVaryingModel
-from stillwork.lti.modal import ModalModel
 
 HORIZON = 800  # samples until a recursion's gain is taken as its last
 
@@ -61,7 +53,9 @@ def stationary(model: ToldModel, noise: ToldNoise) -> tuple[np.ndarray, np.ndarr
 
 def recursion(model: ToldModel, noise: ToldNoise) -> TimeVaryingModel:
     """The model over the horizon of a design, begun where the Kalman filter ends."""
-    return over_samples(model, noise, HORIZON, stationary(model, noise)[1])
+    c = np.tile(model.c, (HORIZON, 1, 1))
+    start = stationary(model, noise)[1]
+    return TimeVaryingModel(model.a, model.b, model.b, c, noise.process, noise.sensor, start)
 
 
 def zero(model: ToldModel, noise: ToldNoise, sample_time: float) -> MadeObserver:
@@ -95,17 +89,10 @@ def fictitious(model: ToldModel, noise: ToldNoise, sample_time: float, force: fl
     return fixed(model.a, model.b, solved.filter_gain, model.c)
 
 
-def derivatives(model: ToldModel, sample_time: float, samples: int, weights=(1.0, 1.0, 1.0, 1.0)):
-    """Derivatives by the flexible modes' frequency, damping, input and output shape, each times its weight."""
-    machine = ModalModel(
-        model.frequencies,
-        model.damping,
-        model.input_shapes,
-        model.output_shapes,
-        np.zeros((len(model.c), model.b.shape[1])),
-    )
-    by = sampled_derivatives(machine, sample_time)
-    factors = np.tile(weights, len(by.modes))[:, None, None]
+def derivatives(model: ToldModel, sample_time: float, samples: int, frequency: float = 1.0):
+    """Derivatives by the flexible modes' frequency, which counts so much, damping, input and output shape."""
+    by = sampled_derivatives(model.machine, sample_time)
+    factors = np.tile([frequency, 1.0, 1.0, 1.0], len(by.modes))[:, None, None]
     c = np.zeros((len(by.a), *model.c.shape))
     for k, mode in enumerate(by.modes):
         c[4 * k + 3, :, 2 * mode] = model.output_shapes[:, mode]
@@ -113,18 +100,14 @@ def derivatives(model: ToldModel, sample_time: float, samples: int, weights=(1.0
     return Derivatives(a, b, b, np.tile(factors * c, (samples, 1, 1, 1)))
 
 
-def sensitivity(model: ToldModel, noise: ToldNoise, sample_time: float, weight: float) -> MadeObserver:
-    """Sensitivity penalisation (5.25) with gamma = `weight` times the variance of the sensor."""
-    by = derivatives(model, sample_time, HORIZON)
-    gamma = min(weight * noise.sensor[0, 0], 1.0)
-    return last(sensitivity_gains(recursion(model, noise), by, gamma))
-
-
-def non_uniform(
-    model: ToldModel, noise: ToldNoise, sample_time: float, weight: float, frequency: float
+def sensitivity(
+    model: ToldModel, noise: ToldNoise, sample_time: float, weight: float, frequency: float = 1.0
 ) -> MadeObserver:
-    """The same with unlike errors: the derivative by the frequency counts `frequency` times the others."""
-    by = derivatives(model, sample_time, HORIZON, (frequency, 1.0, 1.0, 1.0))
+    """Sensitivity penalisation (5.25) with gamma = `weight` times the variance of the sensor.
+
+    The derivative by the frequency counts `frequency` times the others.
+    """
+    by = derivatives(model, sample_time, HORIZON, frequency)
     gamma = min(weight * noise.sensor[0, 0], 1.0)
     return last(sensitivity_gains(recursion(model, noise), by, gamma))
 
@@ -136,15 +119,10 @@ def regularised(model: ToldModel, noise: ToldNoise, sample_time: float, size: fl
     return last(regularised_gains(long, bound))
 
 
-def _wanted(model: ToldModel, noise: ToldNoise) -> np.ndarray:
-    """The flexible states in units of the deviations that the Kalman filter believes in."""
-    scale = np.sqrt(np.diag(stationary(model, noise)[1]))
-    return np.diag(1 / scale)[2 * model.rigid_modes :]
-
-
 def hinfinity(model: ToldModel, noise: ToldNoise, sample_time: float, ratio: float) -> MadeObserver:
-    """H-infinity filter for the flexible states at `ratio` times the smallest level."""
-    long, wanted = recursion(model, noise), _wanted(model, noise)
+    """H-infinity filter for the flexible states, in deviations of the Kalman filter, at `ratio` times the least level."""
+    long = recursion(model, noise)
+    wanted = np.diag(1 / np.sqrt(np.diag(long.initial_covariance)))[2 * model.rigid_modes :]
     return last(hinfinity_gains(long, wanted, ratio * smallest_level(long, wanted)))
 
 
@@ -199,11 +177,8 @@ def _advance_window(data, memory, inputs, measurements, estimates):
         x[:] = 0.0
         for back in range(horizon):
             at = (now - back) % horizon
-            for i in range(len(x)):
-                for o in range(seen.shape[1]):
-                    x[i] += of_measured[back, i, o] * seen[at, o]
-                for j in range(forces.shape[1]):
-                    x[i] += of_forces[back, i, j] * forces[at, j]
+            add_product(of_measured[back], seen[at], x)
+            add_product(of_forces[back], forces[at], x)
         copy_vector(x, estimates[k])
 
 
@@ -257,7 +232,7 @@ FIXED = {
         sensitivity, (Knob("gamma over R", 1e-6, 1e8, 1.0),), "Zhou 2010; the thesis, (5.25)"
     ),
     "sensitivity penalised, unlike errors": Rival(
-        non_uniform,
+        sensitivity,
         (Knob("gamma over R", 1e-6, 1e8, 1.0), Knob("weight of frequencies", 0.1, 100.0, 1.0)),
         "Zhou 2010, with a weight of its own on the frequencies",
     ),

@@ -6,9 +6,18 @@ the fine bank takes the gains as told, so that its filters stand still from the 
 
 import numpy as np
 
-from experiments.motion.observer_contest.modes import dominant, predict_mode, sampled_mode
-from experiments.motion.observer_contest.parametric import KNOBS, WIDEST, measure_in_turn, parts, predict
+from experiments.motion.observer_contest.parametric import (
+    KNOBS,
+    WIDEST,
+    dominant,
+    measure_in_turn,
+    parts,
+    predict,
+    predict_mode,
+    sampled_mode,
+)
 from experiments.motion.observer_contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
+from stillwork.base.algebra import add_product
 from stillwork.base.kernels import inlined_kernel, kernel
 from stillwork.estimation.riccati import discrete_gain
 
@@ -118,8 +127,7 @@ def _advance_fine(data, memory, inputs, measurements, estimates):
                 for q in range(o + 1):
                     white += whitening[m, o, q] * innovation[q]
                 scores[m] -= white * white / 2
-                for i in range(z.shape[1]):
-                    z[m, i] += gain[m, i, o] * innovation[o]
+            add_product(gain[m], innovation, z[m])
         _weigh(scores, weights, z, estimates[k])
 
 
@@ -133,9 +141,8 @@ def fine_bank(
     for own_a, own_b, errors in zip(a, b, grid, strict=True):
         for mode, error in zip(bent, errors, strict=True):
             pair = slice(2 * mode, 2 * mode + 2)
-            sampled_mode(
-                model.frequencies[mode] * (1 + error), model.damping[mode], sample_time, block, lever
-            )
+            omega = model.frequencies[mode] * (1 + error)
+            sampled_mode(omega, model.damping[mode], sample_time, block, lever)
             own_a[pair, pair], own_b[pair] = block, np.outer(lever, model.input_shapes[mode])
         solved = discrete_gain(own_a, own_b, model.c, factor * noise.process, noise.sensor)
         gains.append(solved.filter_gain)

@@ -12,8 +12,8 @@ import pandas as pd
 
 from experiments.motion.observer_contest import bench
 from experiments.motion.observer_contest.doubts import Doubt, hidden_seed, sample_truth
-from experiments.motion.observer_contest.entrants import ENTRANTS
 from experiments.motion.observer_contest.plants import ContestPlant, sample_plant
+from experiments.motion.observer_contest.scores import ENTRANTS
 from experiments.motion.observer_contest.told import OwnObserver, told_of
 from experiments.motion.observer_contest.tuning import TRAINING, capped_mean, positions
 from stillwork.base import paths
@@ -145,12 +145,8 @@ def main() -> None:
                 errors = flexible_errors(plant, size, noise, PUBLIC, SEEDS, chosen)
                 for seed in range(SEEDS):
                     writer.writerow((size, noise, seed, *(f"{errors[name][seed]:.4g}" for name in MAPPED)))
-                print(
-                    size,
-                    noise,
-                    {name: np.median(values).round(2) for name, values in errors.items()},
-                    flush=True,
-                )
+                medians = {name: np.median(values).round(2) for name, values in errors.items()}
+                print(size, noise, medians, flush=True)
 
 
 if __name__ == "__main__":

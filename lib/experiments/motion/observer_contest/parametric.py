@@ -1,16 +1,81 @@
 r"""Entrants that carry parameters beside the states: three frequencies, the rigid body's gain and two more, at most.
 
 With :math:`z = (x, \theta)` the model is :math:`x_k = A(\theta) x_{k-1} + B(\theta) (u_{k-1} + w)`, and
-:math:`\theta` walks: relative errors of the frequencies, then of the gains.
-"""
+:math:`\theta` walks: relative errors of the frequencies, then of the gains."""
+
+from collections.abc import Callable
 
 import numpy as np
 
 from experiments.motion.observer_contest.fixed_gain import stationary
-from experiments.motion.observer_contest.modes import dominant, predict_mode, propagate, sampled_mode
 from experiments.motion.observer_contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
 from stillwork.base.algebra import cholesky_root
 from stillwork.base.kernels import inlined_kernel, kernel
+
+
+def dominant(model: ToldModel, most: int) -> np.ndarray:
+    """The flexible modes with the largest share in the static deflection, at most so many, in order of frequency."""
+    rigid = model.rigid_modes
+    shares = np.abs(model.output_shapes[:, rigid:]).max(axis=0) * np.abs(model.input_shapes[rigid:]).max(
+        axis=1
+    )
+    shares = shares / model.frequencies[rigid:] ** 2
+    return np.sort(np.argsort(-shares, kind="stable")[:most]) + rigid
+
+
+@inlined_kernel
+def predict_mode(a, b, force, i, x):
+    """Position and velocity of one mode, at `i` and after it, one sample on: modes do not move each other."""
+    first, second = x[i], x[i + 1]
+    for r in range(i, i + 2):
+        x[r] = a[r, i] * first + a[r, i + 1] * second
+        for q in range(len(force)):
+            x[r] += b[r, q] * force[q]
+
+
+@kernel
+def sampled_mode(omega, damping, step, block, lever):
+    """Transition of one mode over a step, 2 x 2, and what a unit force on it does, held over the step."""
+    if omega == 0.0:
+        block[0, 0] = block[1, 1] = 1.0
+        block[0, 1], block[1, 0] = step, 0.0
+        lever[0], lever[1] = step * step / 2, step
+        return
+    root = np.sqrt(1 - damping * damping)
+    angle, decay = omega * root * step, np.exp(-damping * omega * step)
+    sine, cosine = np.sin(angle), np.cos(angle)
+    block[0, 0] = decay * (cosine + damping / root * sine)
+    block[0, 1] = decay * sine / (omega * root)
+    block[1, 0] = -decay * omega * sine / root
+    block[1, 1] = decay * (cosine - damping / root * sine)
+    lever[0] = (1 - block[0, 0]) / (omega * omega)
+    lever[1] = block[0, 1]
+
+
+@kernel
+def propagate(a, by, p):
+    """P = F P F' where F = (A, D; 0, I): blocks of 2 x 2 along A, and D, `by`, what constants beside the states do."""
+    n, constants = by.shape
+    for i in range(0, n, 2):
+        for j in range(n + constants):
+            first, second = p[i, j], p[i + 1, j]
+            p[i, j] = a[i, i] * first + a[i, i + 1] * second
+            p[i + 1, j] = a[i + 1, i] * first + a[i + 1, i + 1] * second
+            for q in range(constants):
+                p[i, j] += by[i, q] * p[n + q, j]
+                p[i + 1, j] += by[i + 1, q] * p[n + q, j]
+    for j in range(n + constants):
+        for i in range(0, n, 2):
+            first, second = p[j, i], p[j, i + 1]
+            p[j, i] = a[i, i] * first + a[i, i + 1] * second
+            p[j, i + 1] = a[i + 1, i] * first + a[i + 1, i + 1] * second
+            for q in range(constants):
+                p[j, i] += by[i, q] * p[j, n + q]
+                p[j, i + 1] += by[i + 1, q] * p[j, n + q]
+    for i in range(n + constants):  # what rounding leaves of asymmetry would grow where nothing forgets
+        for j in range(i):
+            p[i, j] = p[j, i] = (p[i, j] + p[j, i]) / 2
+
 
 NUDGE = 1e-5  # of a relative error, for a central difference of one mode's block
 WIDEST = 0.5  # relative error at which a parameter is held
@@ -201,13 +266,6 @@ def parts(model, noise, sample_time, deviation, walk, factor, considered=False, 
     return data, (np.zeros(size), covariance)
 
 
-def extended(
-    model: ToldModel, noise: ToldNoise, sample_time: float, deviation: float, walk: float, factor: float
-) -> MadeObserver:
-    """Extended Kalman filter of states and parameters."""
-    return MadeObserver(_advance_extended, *parts(model, noise, sample_time, deviation, walk, factor))
-
-
 def considering(model: ToldModel, noise: ToldNoise, sample_time: float, deviation: float) -> MadeObserver:
     """Schmidt-Kalman filter: the parameters are never estimated, but the states know how uncertain they are."""
     return MadeObserver(
@@ -215,11 +273,9 @@ def considering(model: ToldModel, noise: ToldNoise, sample_time: float, deviatio
     )
 
 
-def unscented(
-    model: ToldModel, noise: ToldNoise, sample_time: float, deviation: float, walk: float, factor: float
-) -> MadeObserver:
-    """Unscented Kalman filter of states and parameters."""
-    return MadeObserver(_advance_unscented, *parts(model, noise, sample_time, deviation, walk, factor))
+def of_parameters(advance: Callable) -> Callable[..., MadeObserver]:
+    """Design of a Kalman filter of states and parameters, extended or unscented as it advances."""
+    return lambda *told_and_knobs: MadeObserver(advance, *parts(*told_and_knobs))
 
 
 KNOBS = (
@@ -229,6 +285,8 @@ KNOBS = (
 )
 PARAMETRIC = {
     "Schmidt-Kalman": Rival(considering, (Knob("deviation of parameters", 1e-4, 0.3, 0.03),), "Schmidt 1966"),
-    "extended Kalman": Rival(extended, KNOBS, "Jazwinski 1970, section 8.3"),
-    "unscented Kalman": Rival(unscented, KNOBS, "Julier and Uhlmann 2004", heavy=True),
+    "extended Kalman": Rival(of_parameters(_advance_extended), KNOBS, "Jazwinski 1970, section 8.3"),
+    "unscented Kalman": Rival(
+        of_parameters(_advance_unscented), KNOBS, "Julier and Uhlmann 2004", heavy=True
+    ),
 }

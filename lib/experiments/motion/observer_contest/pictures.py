@@ -6,7 +6,6 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import isotonic_regression
 
-from experiments.motion.observer_contest.entrants import ENTRANTS
 from experiments.motion.observer_contest.noise_map import (
     MAPPED,
     NOISES,
@@ -18,6 +17,7 @@ from experiments.motion.observer_contest.noise_map import (
     leads,
 )
 from experiments.motion.observer_contest.plants import sample_plant
+from experiments.motion.observer_contest.scores import ENTRANTS
 from experiments.motion.observer_contest.told import OwnObserver
 from experiments.motion.observer_contest.tuning import settings_for
 from stillwork.workbook import figures
@@ -32,16 +32,8 @@ def paint_leaderboard(ranked: pd.DataFrame):
     figure, axis = figures.new(1, 1, height=3.8)
     places = np.arange(len(ranked))
     ends = [ranked["median"] - ranked["low"], ranked["high"] - ranked["median"]]
-    axis.errorbar(
-        ranked["median"],
-        places,
-        xerr=ends,
-        fmt="o",
-        color=figures.BLUE,
-        capsize=3,
-        markersize=4,
-        label="mean error",
-    )
+    style = {"fmt": "o", "color": figures.BLUE, "capsize": 3, "markersize": 4, "label": "mean error"}
+    axis.errorbar(ranked["median"], places, xerr=ends, **style)
     axis.set_yticks(places, ranked["entrant"])
     axis.axvline(1, color=figures.BLACK, linewidth=0.8)
     axis.axvspan(0.9, 1.1, color=figures.GREY, alpha=0.2)
@@ -58,8 +50,7 @@ def paint_matrix(table: pd.DataFrame, over: str):
     axis.set_xticks(columns, table.columns, rotation=60, ha="right")
     axis.set_yticks(rows, table.index)
     axis.invert_yaxis()
-    axis.set_xlabel(over)
-    axis.set_ylabel("observer")
+    axis.set(xlabel=over, ylabel="observer")
     figure.colorbar(mesh, ax=axis, label="error over that of zero")
     return figure
 
@@ -68,30 +59,17 @@ def paint_cost(speed: pd.Series, error: pd.Series, unstable: pd.Series):
     """Error over time a sample; the larger the dot, the more loops ran away."""
     figure, axis = figures.new(1, 1, height=3.6)
     error = error.sort_values()
+    arrow = {"arrowstyle": "-", "color": figures.GREY, "lw": 0.4, "alpha": 0.6, "shrinkA": 1}
+    arrow["relpos"] = (0, 0.5)  # to the name's left end
+    style = {"textcoords": ("axes fraction", "data"), "va": "center", "fontsize": 7, "arrowprops": arrow}
     apart = 0.04 * np.arange(len(error))  # names in a column, each as near its dot as the others let it
     places = isotonic_regression(error - apart).x + apart
     for name, place in zip(error.index, places, strict=True):
         at, size = (speed[name], error[name]), 3 + 14 * unstable[name]
         axis.semilogx(*at, "o", markersize=size, color=figures.BLUE, alpha=0.6, label=name)
-        axis.annotate(
-            name,
-            at,
-            xytext=(1.04, place),
-            textcoords=("axes fraction", "data"),
-            va="center",
-            fontsize=7,
-            arrowprops={
-                "arrowstyle": "-",
-                "color": figures.GREY,
-                "lw": 0.4,
-                "alpha": 0.6,
-                "relpos": (0, 0.5),  # to the name's left end
-                "shrinkA": 1,
-            },
-        )
+        axis.annotate(name, at, xytext=(1.04, place), **style)
     axis.set_ylim(places[0] - 0.03, places[-1] + 0.03)
-    axis.set_xlabel("time a sample (µs)")
-    axis.set_ylabel("mean error over that of zero")
+    axis.set(xlabel="time a sample (µs)", ylabel="mean error over that of zero")
     return figure
 
 
@@ -104,9 +82,7 @@ def paint_noise(errors: pd.DataFrame, size: float):
         axis.semilogx(quartiles.index, quartiles[0.5], "o-", color=COLOURS[name], markersize=3, label=name)
         axis.fill_between(quartiles.index, quartiles[0.25], quartiles[0.75], color=COLOURS[name], alpha=0.12)
     axis.axhline(1, color=figures.BLACK, linewidth=0.8)
-    axis.set_ylim(0, 2)
-    axis.set_xlabel("sensor's noise over the thesis's")
-    axis.set_ylabel("error over that of zero")
+    axis.set(xlabel="sensor's noise over the thesis's", ylabel="error over that of zero", ylim=(0, 2))
     figures.legend_below(axis, 3)
     return figure
 
@@ -143,10 +119,7 @@ def paint_leads(errors: pd.DataFrame, over: tuple[str, ...]):
             axis.set_xticks(columns, [f"{noise:g}" for noise in lead.columns])
             axis.set_yticks(rows, [f"{100 * size:g}" for size in lead.index])
             axis.set_title(f"{name} over {rival}", fontsize=8)
-    for axis in axes[-1]:
-        axis.set_xlabel("sensor's noise")
-    for axis in axes[:, 0]:
-        axis.set_ylabel("size of the errors (%)")
+    figures.label(axes, "sensor's noise", "size of the errors (%)")
     figure.colorbar(mesh, ax=axes, label="lead")
     return figure
 
@@ -163,9 +136,8 @@ def paint_cell(size_percent: float, noise_exponent: float):
     errors = flexible_errors(_stage(), size_percent / 100, 10.0**noise_exponent, "explorer", 8, observers)
     figure, axis = figures.new(1, 1, height=2.8)
     for place, name in enumerate(MAPPED):
-        axis.semilogx(
-            errors[name], np.full(8, place), "o", color=COLOURS[name], markersize=5, alpha=0.6, label=name
-        )
+        style = {"color": COLOURS[name], "markersize": 5, "alpha": 0.6, "label": name}
+        axis.semilogx(errors[name], np.full(8, place), "o", **style)
     axis.axvline(1, color=figures.BLACK, linewidth=0.8)
     axis.set_yticks(range(len(MAPPED)), MAPPED)
     axis.set_xlabel("error of the flexible states over that of the estimate zero")

@@ -57,17 +57,15 @@ def _stage(_rng) -> ContestPlant:
 
 def _drive(_rng) -> ContestPlant:
     """Table 3.8, angle across the rod, without the friction of its rigid body; a second flexible mode is assumed."""
-    each = drive()
-    states = each.modal_states()
-    ratio = -states.a[3, 3] / (2 * each.resonance)
-    machine = ModalModel(
-        np.array([0.0, each.resonance, 4 * each.resonance]),
-        np.array([0.0, ratio, ratio]),
-        np.vstack([states.b[1::2], 0.3 * states.b[1:2]]),
-        np.hstack([states.c[:, ::2], 0.3 * states.c[:, :1]]),
-        np.zeros((1, 1)),
+    known = drive().modes()
+    machine = replace(
+        known,
+        frequencies=np.append(known.frequencies, 4 * known.frequencies[1]),
+        damping=np.append(known.damping, known.damping[1]),
+        input_shapes=np.vstack([known.input_shapes, 0.3 * known.input_shapes[:1]]),
+        output_shapes=np.hstack([known.output_shapes, 0.3 * known.output_shapes[:, :1]]),
     )
-    return _plant(machine, 2, 2e-3, float(states.b[1, 0]))  # the move takes one ampere
+    return _plant(machine, 2, 2e-3, float(known.input_shapes[0, 0]))  # the move takes one ampere
 
 
 def _plate(_rng) -> ContestPlant:

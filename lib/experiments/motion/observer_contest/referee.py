@@ -19,6 +19,10 @@ from stillwork.base.kernel_folder import FOLDER_VARIABLE
 
 SCAN_SECONDS = 120.0  # that one seed's scans of a plant may take, with their start
 SERVER = Path(__file__).with_name("child.py")
+# What of the environment an observer's process keeps, what is its folder, and what is "1" there.
+KEPT = ("PATH", "LANG", "SYSTEMROOT", "LD_LIBRARY_PATH")
+OWN = ("HOME", "TMPDIR", "NUMBA_CACHE_DIR", FOLDER_VARIABLE)
+SWITCHED_ON = ("PYTHONDONTWRITEBYTECODE", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
 
 
 class Disqualified(Exception):
@@ -45,30 +49,14 @@ class ForeignObserver:
         self.said = tempfile.TemporaryFile()
         down, self.requests = os.pipe()
         self.answers, up = os.pipe()
-        library = Path(__file__).parents[
-            3
-        ]  # the toolbox may be used; the contest's own files may not be read
-        environment = {
-            name: os.environ[name]
-            for name in ("PATH", "LANG", "SYSTEMROOT", "LD_LIBRARY_PATH")
-            if name in os.environ
-        }
-        environment |= {
-            "PYTHONPATH": str(library),
-            "HOME": self.folder.name,
-            "TMPDIR": self.folder.name,
-            "NUMBA_CACHE_DIR": self.folder.name,
-            FOLDER_VARIABLE: self.folder.name,
-            "PYTHONDONTWRITEBYTECODE": "1",
-            "OPENBLAS_NUM_THREADS": "1",
-            "OMP_NUM_THREADS": "1",
-        }
+        # The toolbox may be used; the contest's own files may not be read.
+        library = Path(__file__).parents[3]
+        environment = {name: os.environ[name] for name in KEPT if name in os.environ}
+        environment |= dict.fromkeys(OWN, self.folder.name) | dict.fromkeys(SWITCHED_ON, "1")
+        environment["PYTHONPATH"] = str(library)
+        told = map(str, (SERVER, self.file, self.folder.name, library / "stillwork", down, up))
         self.process = subprocess.Popen(
-            [
-                sys.executable,
-                "-P",
-                *map(str, (SERVER, self.file, self.folder.name, library / "stillwork", down, up)),
-            ],
+            [sys.executable, "-P", *told],
             pass_fds=(down, up),
             stdin=subprocess.DEVNULL,
             stdout=self.said,

@@ -8,11 +8,17 @@ from typing import NamedTuple
 import numpy as np
 
 from experiments.motion.observer_contest import bench
+from experiments.motion.observer_contest.adaptive import ADAPTIVE
 from experiments.motion.observer_contest.doubts import DOUBTS, hidden_seed, sample_truth
-from experiments.motion.observer_contest.entrants import ENTRANTS
+from experiments.motion.observer_contest.fixed_gain import FIXED
+from experiments.motion.observer_contest.multi_model import MULTI_MODEL
+from experiments.motion.observer_contest.parametric import PARAMETRIC
 from experiments.motion.observer_contest.plants import ContestPlant, sample_plant
 from experiments.motion.observer_contest.referee import Disqualified, ForeignObserver
-from experiments.motion.observer_contest.told import OwnObserver, told_of
+from experiments.motion.observer_contest.told import OwnObserver, Rival, told_of
+
+ENTRANTS: Mapping[str, Rival] = {**FIXED, **PARAMETRIC, **ADAPTIVE, **MULTI_MODEL}
+
 
 SCORES = ("rigid", "flexible", "tracking", "peak")
 
@@ -26,9 +32,7 @@ class Scored(NamedTuple):
     seed: int
     rigid: float  # errors of the states relative to those of the estimate zero
     flexible: float
-    tracking: (
-        float  # rms error of the loop with the observer over the cautious loop's; infinite where it runs away
-    )
+    tracking: float  # rms error in the loop over the cautious loop's; infinite where it runs away
     peak: float  # the same of the largest error
     microseconds: float  # a sample, on the scan outside the loop
     bytes: int  # that the observer holds; 0 for a foreign one

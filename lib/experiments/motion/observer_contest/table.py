@@ -1,9 +1,10 @@
 """The contest over all plants, doubts and seeds: its table, and its ranking with intervals.
 
-``python -m experiments.motion.observer_contest.table`` writes the committed table's ranking into ``docs/contest.md``.
-"""
+``python -m experiments.motion.observer_contest.table`` writes the committed table's ranking into ``docs/contest.md``."""
 
+import time
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,12 +14,12 @@ from numpy.typing import ArrayLike
 from scipy import stats
 
 from experiments.motion.observer_contest.doubts import DOUBTS
-from experiments.motion.observer_contest.entrants import ENTRANTS
 from experiments.motion.observer_contest.plants import PLANTS
-from experiments.motion.observer_contest.scores import SCORES, Scored, contest_trial
+from experiments.motion.observer_contest.scores import ENTRANTS, SCORES, Scored, contest_trial
 from experiments.motion.observer_contest.tuning import capped_mean, settings_for
 from stillwork.base import paths
 from stillwork.base.checks import InputError, require_choice, require_count
+from stillwork.workbook.workers import client_of, cores, processes
 
 COLUMNS = ("entrant", "plant", "doubt", "score", "median", "low", "high", "microseconds")
 RESAMPLES = 1000
@@ -62,19 +63,13 @@ def run_contest(
     names = [name for name in ENTRANTS if not only or name in ("Kalman", *only)]
     light = [name for name in names if not ENTRANTS[name].heavy]
     settings = {plant: settings_for(plant, names) for plant in plants}
-    trials = [
-        (
-            plant,
-            seed,
-            public,
-            {name: settings[plant][name] for name in (names if heavy is None or seed < heavy else light)},
-            named,
-            doubts,
-            loops is None or seed < loops,
-        )
-        for seed in range(require_count("seeds", seeds))
-        for plant in plants
-    ]
+
+    def trial(plant: str, seed: int) -> tuple:
+        ours = names if heavy is None or seed < heavy else light
+        knobs = {name: settings[plant][name] for name in ours}
+        return plant, seed, public, knobs, named, doubts, loops is None or seed < loops
+
+    trials = [trial(plant, seed) for seed in range(require_count("seeds", seeds)) for plant in plants]
     # Whoever is out on the first is not waited for on all others.
     reasons = contest_trial(plants[0], 0, public, {}, named, doubts[:1])[1] if named else {}
     for name in reasons:
@@ -251,3 +246,39 @@ def main() -> None:
 
 if __name__ == "__main__":
     main()
+
+
+def hold_contest(
+    files: list[str],
+    *,
+    seeds: int,
+    public: str,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    out: str | None = None,
+    **choices,
+) -> int:
+    """Run the contest and print who stands where; returns 1 when an observer of the reader's was disqualified.
+
+    `choices` are those of `run_contest`. With `only` some of ours, the rows of all others are those that the file
+    `out` holds, if it is there.
+    """
+    began = time.monotonic()
+    jobs = min(jobs or cores(), seeds * len(PLANTS))
+    alone = processes(jobs) if jobs > 1 else nullcontext()
+    with client_of(scheduler) if scheduler else alone as pool:
+        executor = pool.get_executor() if scheduler else pool
+        contest = run_contest(public, seeds, files, executor=executor, **choices)
+    table = measured(contest)
+    late = choices.get("only") and out and Path(out).exists()
+    table = joined(pd.read_csv(out), table) if late else ranked(table)
+    print(standings(table).to_string(index=False))
+    for name, reason in contest.disqualified.items():
+        print(f"{name} is disqualified: {reason}")
+    print(
+        f"{seeds} seeds a plant from the public number {public}, {len(contest.scores)} scans, "
+        f"{time.monotonic() - began:.0f} s. Error: of the flexible states over that of the estimate zero."
+    )
+    if out:
+        write_table(table, out)
+    return int(bool(contest.disqualified))

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from experiments.motion.observer_contest.plants import ContestPlant
-from stillwork.estimation.time_varying import TimeVaryingModel
 from stillwork.lti.discretisation import zoh_modes
+from stillwork.lti.modal import ModalModel
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,13 @@ class ToldModel:
     @property
     def rigid_modes(self) -> int:
         """Number of modes of zero frequency."""
-        return int(np.count_nonzero(self.frequencies == 0))
+        return self.machine.rigid_modes
+
+    @property
+    def machine(self) -> ModalModel:
+        """In continuous time."""
+        shapes = self.input_shapes, self.output_shapes
+        return ModalModel(self.frequencies, self.damping, *shapes, np.zeros((len(self.c), self.b.shape[1])))
 
 
 @dataclass(frozen=True)
@@ -47,12 +53,6 @@ def told_of(plant: ContestPlant, noise: float) -> tuple[ToldModel, ToldNoise]:
     )
     sensor = (plant.sensor * noise) ** 2
     return model, ToldNoise(plant.process**2 * np.eye(sampled.b.shape[1]), sensor * np.eye(len(sampled.c)))
-
-
-def over_samples(model: ToldModel, noise: ToldNoise, samples: int, initial: np.ndarray) -> TimeVaryingModel:
-    """The model as the toolbox's filters take it."""
-    c = np.tile(model.c, (samples, 1, 1))
-    return TimeVaryingModel(model.a, model.b, model.b, c, noise.process, noise.sensor, initial)
 
 
 class Knob(NamedTuple):

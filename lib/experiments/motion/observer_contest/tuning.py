@@ -7,18 +7,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import qmc
 
-from experiments.motion.observer_contest.entrants import ENTRANTS
 from experiments.motion.observer_contest.plants import PLANTS
-from experiments.motion.observer_contest.scores import contest_trial
+from experiments.motion.observer_contest.scores import ENTRANTS, contest_trial
 from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.base.toml_files import read_toml
 
-TRAINING, SEEDS, TRIES = (
-    "training",
-    2,
-    12,
-)  # the word in a public number's place, seeds a plant, settings tried
+TRAINING = "training"  # in a public number's place
+SEEDS, TRIES = 2, 12  # a plant, and settings of each entrant
 DOUBTS_TUNED_ON = (
     "none",
     "all 2 %",

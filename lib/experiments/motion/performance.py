@@ -1,38 +1,81 @@
-"""Figures and explorers of the performance during a scan: tracking, and rejection of disturbances."""
+"""The performance during a scan: rejection of disturbances (section 3.5.1), and the pictures and explorers of both."""
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float64
 
 from experiments.motion.designs import Design, stage_compensator
-from experiments.motion.disturbance import CumulativePower, cumulative_power
 from experiments.motion.machines import published_setpoint, stage, stage_mass
 from experiments.motion.pictures import case_styles
-from stillwork.base.checks import InputError
+from stillwork.base.checks import InputError, require_array, require_choice, require_number
 from stillwork.control.applications import Application
 from stillwork.control.feedforward import Feedforward, error_loop, tracking_error
-from stillwork.control.loops import closed_loop
+from stillwork.control.loops import channel, closed_loop, require_stable
 from stillwork.control.pid import PidFamily
 from stillwork.control.setpoint import Setpoint
+from stillwork.lti.discretisation import zoh
 from stillwork.lti.peaks import resonance_grid
+from stillwork.lti.state_space import StateModel
 from stillwork.signals.moving_average import rms
 from stillwork.workbook import figures
+
+
+class CumulativePower(NamedTuple):
+    """Power of the errors below each frequency (m^2)."""
+
+    omega: Float64[np.ndarray, " frequencies"]  # rad/s
+    true: Float64[np.ndarray, " frequencies"]
+    measured: Float64[np.ndarray, " frequencies"]
+
+
+def cumulative_power(
+    loop: StateModel, step: float, deviations: dict[str, float], omega: Float64[np.ndarray, " frequencies"]
+) -> CumulativePower:
+    """Cumulative power of true and measured error under independent white noise held over each sample.
+
+    It comes from the discrete frequency responses, not from a simulated record, so it has no scatter. `deviations`
+    are those of the inputs ``w``, ``v``, ``d`` (N and m): a standard deviation sigma has the one-sided density 2
+    sigma^2 step. `omega` ascends to the Nyquist frequency at most and is fine at every resonance.
+    """
+    omega = require_array("omega", omega, ndim=1)
+    if np.any(np.diff(omega) <= 0) or omega[-1] > np.pi / step * (1 + 1e-12):
+        raise InputError(f"omega must ascend and end at the Nyquist frequency {np.pi / step:g} rad/s at most")
+    for name in deviations:
+        require_choice("deviations", name, ("w", "v", "d"))
+        require_number(f"deviations[{name!r}]", deviations[name], at_least=0.0)
+    require_stable(loop)
+    both = channel(loop, list(deviations), ("e_true", "e_meas"))
+    response = zoh(both, step).frequency_response(omega)
+    weights = 2 * step * np.array(list(deviations.values())) ** 2
+    density = np.einsum("oif,i->of", np.abs(response) ** 2, weights)  # m^2/Hz
+    pieces = (density[:, 1:] + density[:, :-1]) / 2 * np.diff(omega) / (2 * np.pi)
+    total = np.cumsum(np.hstack([density[:, :1] * omega[0] / (2 * np.pi), pieces]), axis=1)
+    return CumulativePower(omega, total[0], total[1])
+
+
+def band_power(power: CumulativePower, centre: float, width: float = 0.1) -> tuple[float, float]:
+    """True and measured power in the band of relative half-width `width` around `centre` (rad/s)."""
+    low, high = centre * (1 - width), centre * (1 + width)
+    rise = [
+        np.interp(high, power.omega, p) - np.interp(low, power.omega, p) for p in (power.true, power.measured)
+    ]
+    return float(rise[0]), float(rise[1])
 
 
 def paint_tracking(setpoint: Setpoint, errors: Mapping[str, np.ndarray]):
     """Tracking errors in nm over the move, one panel a case, with the scaled acceleration and the scan."""
     figure, axes = figures.new(2, 2, height=4.4, sharex=True, sharey=True)
-    shown = setpoint.time <= setpoint.scan[1]
     scaled = setpoint.derivatives[2] / np.abs(setpoint.derivatives[2]).max()
     top = 1e9 * max(np.abs(error).max() for error in errors.values())
     for axis, (name, error) in zip(axes.ravel(), errors.items(), strict=True):
-        axis.plot(
-            setpoint.time, top * scaled, color=figures.GREY, linewidth=0.8, label="acceleration, scaled"
-        )
+        style = {"color": figures.GREY, "linewidth": 0.8, "label": "acceleration, scaled"}
+        axis.plot(setpoint.time, top * scaled, **style)
         axis.plot(setpoint.time, 1e9 * error, linewidth=0.9, color=figures.BLUE, label="error")
         axis.axvspan(*setpoint.scan, color=figures.GREY, alpha=0.12, linewidth=0)
         axis.set_title(f"{name}: {1e9 * rms(error[setpoint.scanning]):.2f} nm rms in the scan")
-    axes[0, 0].set_xlim(0, setpoint.time[shown][-1] + 0.02)
+    axes[0, 0].set_xlim(0, setpoint.time[setpoint.time <= setpoint.scan[1]][-1] + 0.02)
     axes[0, 0].legend(loc="upper right", fontsize=7)
     figures.label(axes, "time (s)", "error (nm)")
     return figure
