@@ -48,30 +48,32 @@ def _checked(a, g, c, q, r):
     return a, g @ factors[0], np.linalg.solve(factors[1], c), factors[1]
 
 
-def _require_observable(a: np.ndarray, c: np.ndarray, stable) -> None:
-    """Popov-Belevitch-Hautus test (3.16) of every mode that the observer cannot leave alone."""
-    size = np.linalg.norm(a) or 1.0
-    for value in linalg.eigvals(a):
-        if not stable(value):
-            pencil = np.vstack([(a - value * np.eye(len(a))) / size, c / np.linalg.norm(c)])
-            columns = np.maximum(np.linalg.norm(pencil, axis=0), 1e-14)
-            if np.linalg.svd(pencil / columns, compute_uv=False)[-1] < 1e-10:
-                raise InputError(
-                    f"the mode at s = {value:.3g} is not observable and not stable; measure it or leave it out"
-                )
+def _require_solvable(a: np.ndarray, g: np.ndarray, c: np.ndarray, outside) -> None:
+    """Popov-Belevitch-Hautus tests (3.16) of the modes that an observer cannot leave alone.
+
+    Those that are not stable must be observable; no stabilising solution exists, either, when one on the stability
+    boundary gets no noise. `outside` says how far beyond the boundary an eigenvalue lies.
+    """
+    values = linalg.eigvals(a)
+    values = values[values.imag >= 0]  # of a pair one
+    for value in values:
+        if outside(value) >= -1e-12 and _rank_lost(a, value, c):
+            raise InputError(
+                f"the mode at s = {value:.3g} is not observable and not stable; measure it or leave it out"
+            )
+    for value in values:
+        if abs(outside(value)) <= 1e-12 and _rank_lost(a.T, value, g.T):
+            raise InputError(
+                f"the mode at s = {value:.3g} is not driven and not stable; let noise_input reach it"
+            )
 
 
-def _require_driven(a: np.ndarray, g: np.ndarray, on_boundary) -> None:
-    """No stabilising solution exists when a mode on the stability boundary gets no noise."""
+def _rank_lost(a: np.ndarray, value: complex, c: np.ndarray) -> bool:
+    """Whether A - value I above C has dependent columns."""
     size = np.linalg.norm(a) or 1.0
-    for value in linalg.eigvals(a):
-        if on_boundary(value):
-            pencil = np.hstack([(a - value * np.eye(len(a))) / size, g / np.linalg.norm(g)])
-            rows = np.maximum(np.linalg.norm(pencil, axis=1), 1e-14)
-            if np.linalg.svd(pencil / rows[:, None], compute_uv=False)[-1] < 1e-10:
-                raise InputError(
-                    f"the mode at s = {value:.3g} is not driven and not stable; let noise_input reach it"
-                )
+    pencil = np.vstack([(a - value * np.eye(len(a))) / size, c / np.linalg.norm(c)])
+    columns = np.maximum(np.linalg.norm(pencil, axis=0), 1e-14)
+    return bool(np.linalg.svd(pencil / columns, compute_uv=False)[-1] < 1e-10)
 
 
 @checked
@@ -93,16 +95,15 @@ def continuous_gain(
         # Divide noise and multiply output alike: the gain stays, the covariance becomes of order one.
         size = np.sqrt(np.linalg.norm(g_s) / np.linalg.norm(c_s))
         g_s, c_s = g_s / size, c_s * size
-        _require_observable(a_s, c_s, stable=lambda value: value.real < -1e-12)
-        _require_driven(a_s, g_s, on_boundary=lambda value: abs(value.real) <= 1e-12)
+        _require_solvable(a_s, g_s, c_s, outside=lambda value: value.real)
         p = _solved(linalg.solve_continuous_are, a_s, g_s, c_s)
-        residual, stable = _continuous_check(a_s, g_s, c_s, p)
-        if last and not (stable and residual < WORST_RESIDUAL):
-            p = _doubled(*_cayley(a_s, g_s, c_s))
+        if last:
             residual, stable = _continuous_check(a_s, g_s, c_s, p)
-        gain_s, covariance = p @ c_s.T, p
-        gain = scale[:, None] * gain_s * size * np.sqrt(rate)
-        full = covariance * size**2 * scale[:, None] * scale
+            if not (stable and residual < WORST_RESIDUAL):
+                p = _doubled(*_cayley(a_s, g_s, c_s))
+                residual, stable = _continuous_check(a_s, g_s, c_s, p)
+        gain = scale[:, None] * (p @ c_s.T) * size * np.sqrt(rate)
+        full = p * size**2 * scale[:, None] * scale
         scale = np.sqrt(np.maximum(np.diag(full), 1e-300))
     _require_solved(residual, stable)
     return KalmanGain(np.linalg.solve(root.T, gain.T).T, full, float(residual))
@@ -209,14 +210,14 @@ def discrete_gain(
         g_s, c_s = g / scale[:, None], c * scale
         size = np.sqrt(np.linalg.norm(g_s) / np.linalg.norm(c_s))
         g_s, c_s = g_s / size, c_s * size
-        _require_observable(a_s, c_s, stable=lambda value: abs(value) < 1 - 1e-12)
-        _require_driven(a_s, g_s, on_boundary=lambda value: abs(abs(value) - 1) <= 1e-12)
+        _require_solvable(a_s, g_s, c_s, outside=lambda value: abs(value) - 1)
         p = _solved(linalg.solve_discrete_are, a_s, g_s, c_s)
-        update, residual, stable = _discrete_check(a_s, g_s, c_s, p)
-        if last and not (stable and residual < WORST_RESIDUAL):
-            p = _doubled(a_s.T, c_s.T @ c_s, g_s @ g_s.T)
+        if last:
             update, residual, stable = _discrete_check(a_s, g_s, c_s, p)
-        gain = scale[:, None] * update * size
+            if not (stable and residual < WORST_RESIDUAL):
+                p = _doubled(a_s.T, c_s.T @ c_s, g_s @ g_s.T)
+                update, residual, stable = _discrete_check(a_s, g_s, c_s, p)
+            gain = scale[:, None] * update * size
         full = p * size**2 * scale[:, None] * scale
         scale = np.sqrt(np.maximum(np.diag(full), 1e-300))
     _require_solved(residual, stable)
