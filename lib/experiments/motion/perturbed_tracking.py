@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -9,6 +10,7 @@ from experiments.motion.designs import DESIGNS, stage_bandwidth, stage_compensat
 from experiments.motion.machines import published_deviations, published_setpoint, stage, stage_mass
 from experiments.motion.uncertainty import perturbed, sample_errors
 from stillwork.base.checks import require_number
+from stillwork.base.front_door import checked
 from stillwork.control.feedforward import (
     Feedforward,
     error_loop,
@@ -32,6 +34,8 @@ APPLICATIONS = ("MC", "AD", "MC and AD")
 CASES = {"none": ("PID", "PID")}
 CASES |= {name: (name, "PID") for name in APPLICATIONS}
 CASES |= {f"{name}, redesigned": (name, name) for name in APPLICATIONS}
+
+_setpoint, _deviations = cache(published_setpoint), cache(published_deviations)  # every trial asks for them
 
 
 @dataclass(frozen=True)
@@ -57,6 +61,7 @@ def published_loops() -> PublishedLoops:
     return PublishedLoops(plant, compensators, controllers, design_hz)
 
 
+@checked(infinite=True)
 def tracking_trial(
     rng: np.random.Generator,
     loops: PublishedLoops,
@@ -72,9 +77,9 @@ def tracking_trial(
     else it keeps the gains of the nominal plant. The noise is white from sample to sample and held between them.
     """
     require_number("step", step, above=0.0)
-    setpoint = published_setpoint(step)
+    setpoint = _setpoint(step)
     plant = perturbed(loops.plant, sample_errors(rng, loops.plant, size, law, rigid))
-    deviations = published_deviations()
+    deviations = _deviations()
     noise = (
         rng.standard_normal((3, setpoint.derivatives.shape[1])) * np.array([*deviations.values()])[:, None]
     )

@@ -28,10 +28,14 @@ def _filter_all(force, measured, data, omegas, z, p, scores, a, by):
 @kernel
 def _weigh(scores, weights, z, estimate):
     """Turn scores into weights that sum to one; the estimate is the weighted mean."""
-    best = scores.max()
+    best, total = scores[0], 0.0
+    for m in range(len(scores)):
+        best = max(best, scores[m])
     for m in range(len(scores)):
         weights[m] = np.exp(scores[m] - best)
-    weights /= weights.sum()
+        total += weights[m]
+    for m in range(len(scores)):
+        weights[m] /= total
     for i in range(len(estimate)):
         estimate[i] = 0.0
         for m in range(len(scores)):
