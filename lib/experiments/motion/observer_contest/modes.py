@@ -3,7 +3,7 @@
 import numpy as np
 
 from experiments.motion.observer_contest.told import ToldModel
-from stillwork.base.kernels import inlined_kernel, kernel
+from stillwork.base.kernels import borrowing_kernel, kernel, pasted_kernel
 
 
 def dominant(model: ToldModel, most: int) -> np.ndarray:
@@ -16,7 +16,7 @@ def dominant(model: ToldModel, most: int) -> np.ndarray:
     return np.sort(np.argsort(-shares, kind="stable")[:most]) + rigid
 
 
-@inlined_kernel
+@pasted_kernel
 def predict_mode(a, b, force, i, x):
     """Position and velocity of one mode, at `i` and after it, one sample on: modes do not move each other."""
     first, second = x[i], x[i + 1]
@@ -26,7 +26,7 @@ def predict_mode(a, b, force, i, x):
             x[r] += b[r, q] * force[q]
 
 
-@kernel
+@borrowing_kernel
 def sampled_mode(omega, damping, step, block, lever):
     """Transition of one mode over a step, 2 x 2, and what a unit force on it does, held over the step."""
     if omega == 0.0:

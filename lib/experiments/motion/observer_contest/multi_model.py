@@ -16,7 +16,7 @@ GRID, FINE = (9, 3), (11, 5)  # models along the frequencies of the first and se
 PARTICLES = 24
 
 
-@kernel
+@inlined_kernel
 def _filter_all(force, measured, data, omegas, z, p, scores, a, by):
     """One sample of every model's filter; its score grows by the logarithm of the measurement's density."""
     for m in range(len(omegas)):

@@ -10,13 +10,13 @@ from experiments.motion.observer_contest.fixed_gain import stationary
 from experiments.motion.observer_contest.modes import dominant, predict_mode, propagate, sampled_mode
 from experiments.motion.observer_contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
 from stillwork.base.algebra import cholesky_root
-from stillwork.base.kernels import inlined_kernel, kernel
+from stillwork.base.kernels import inlined_kernel, kernel, pasted_kernel
 
 NUDGE = 1e-5  # of a relative error, for a central difference of one mode's block
 WIDEST = 0.5  # relative error at which a parameter is held
 
 
-@inlined_kernel
+@pasted_kernel
 def _doubted(force, omega, damping, shapes, places, step, z, j, block, lever):
     """Fill the transition of mode `j` of those in doubt; what pushes it, the same by its gain, its frequency's error."""
     push = 0.0
