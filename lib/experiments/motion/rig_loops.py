@@ -141,8 +141,12 @@ class RigControllers:
 
     def __call__(self, z_hz: float, rotation_hz: float) -> tuple[Pid, Pid, Pid]:
         """The three controllers, on scaled directions."""
-        each = (z_hz, rotation_hz, rotation_hz)
-        return tuple(PidFamily(mass)(f) for mass, f in zip(self.masses, each, strict=True))
+        z, rx, ry = self._families
+        return z(z_hz), rx(rotation_hz), ry(rotation_hz)
+
+    @cached_property
+    def _families(self) -> tuple[PidFamily, ...]:
+        return tuple(PidFamily(mass) for mass in self.masses)
 
 
 def peaks(
@@ -161,7 +165,15 @@ def sizes(
 
 
 def _arrays(loop: RigLoop, pids: Sequence[Pid]):
-    return loop.parts, np.stack([pid.frequency_response(loop.warped) for pid in pids], axis=1)
+    """All but the controller, and the controller; of PIDs that differ in their gains alone one is evaluated."""
+    control, alike = np.empty((len(loop.omega), len(pids)), complex), {}
+    for k, pid in enumerate(pids):
+        shape = (pid.integrator, pid.differentiator, pid.low_pass, pid.low_pass_damping, pid.notches)
+        if shape not in alike:
+            alike[shape] = pid.gain, pid.frequency_response(loop.warped)
+        gain, response = alike[shape]
+        control[:, k] = response * (pid.gain / gain)
+    return loop.parts, control
 
 
 class Infeasible(InputError):
