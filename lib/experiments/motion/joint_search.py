@@ -4,7 +4,7 @@ One grid of frequencies, that of the fast Fourier transform, serves the error of
 peaks. A search trusts it; a verdict does not: `judge` looks between its points, at the closed loop's poles too.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import NamedTuple
@@ -30,6 +30,7 @@ from experiments.motion.joint import (
 from experiments.motion.machines import published_deviations, published_noise, published_setpoint, stage
 from experiments.motion.uncertainty import perturbed, sample_errors
 from stillwork.base.checks import InputError, require_choice, require_count, require_number
+from stillwork.base.front_door import checked
 from stillwork.base.kernels import kernel
 from stillwork.control.bandwidth import SIX_DB
 from stillwork.estimation.riccati import discrete_gain
@@ -250,9 +251,25 @@ class Judged:
         return self.stable & (self.peaks.max(axis=1) <= 20 * np.log10(SIX_DB) + 1e-6)
 
 
+@checked
 def stable_on(design: JointDesign, plants: Sequence[ModalModel]) -> Bool[np.ndarray, " plants"]:
     """Whether the loops of all masses are stable on every plant."""
     return np.all(np.abs(closed_poles(design, plants)) < 1, axis=(1, 2))
+
+
+class _Stand(NamedTuple):
+    """A stage as a verdict meets it, whatever the design."""
+
+    moved: Late
+    plant: Complex128[np.ndarray, "masses frequencies"]  # on the grid of a search
+    fine: Complex128[np.ndarray, " frequencies"]  # mass 5 on that of a verdict
+    pushed: Float64[np.ndarray, " frequencies"]  # size of its response to a force that is not late
+
+
+def _stand(model: ModalModel, delay: float) -> _Stand:
+    moved, one, fine = late(model, delay), model.at([0], [MEASURED]), grid(JUDGED)
+    pushed = np.abs(zoh_response(one, STEP, fine)[0, 0])
+    return _Stand(moved, late_response(moved, grid()), late_response(late(one, delay), fine)[0], pushed)
 
 
 def judge(
@@ -267,20 +284,32 @@ def judge(
     `delay` is that of the whole control force in samples, of which the observer is `told` all if nothing else is said;
     `alone` one more of the controller's output by itself.
     """
-    poles = closed_poles(design, plants, delay, alone, told)
-    stable = np.all(np.abs(poles) < 1, axis=(1, 2))
-    around = partial(compensated, design, delay=delay if told is None else told, alone=alone)
-    fine, on_grid = grid(JUDGED), around(grid())
-    feedback = around(fine, masses=slice(MEASURED, MEASURED + 1)).feedback[0]
-    peaks, scans = np.full((len(plants), len(PEAKS)), np.inf), np.full((3, len(plants)), np.inf)
-    for k in np.flatnonzero(stable):
-        moved = late(plants[k], delay)
-        first = six(late_response(moved, grid()), on_grid)
-        peaks[k] = 20 * np.log10(_highest(around, moved, first, poles[k]))
-        one = plants[k].at([0], [MEASURED])
-        response, pushed = late_response(late(one, delay), fine)[0], zoh_response(one, STEP, fine)[0, 0]
-        scans[:, k] = scanned(feedback, response, np.abs(pushed), delay, JUDGED)
-    return Judged(stable, peaks, *scans)
+    return judge_all({"": design}, plants, delay, alone, told)[""]
+
+
+@checked(infinite=True)
+def judge_all(
+    designs: Mapping[str, JointDesign],
+    plants: Sequence[ModalModel],
+    delay: float = DELAY,
+    alone: int = 0,
+    told: float | None = None,
+) -> dict[str, Judged]:
+    """`judge` for each of several designs; the plants' responses are computed once for all."""
+    stands = [_stand(plant, delay) for plant in plants]
+    told, fine, judged = delay if told is None else told, grid(JUDGED), {}
+    for name, design in designs.items():
+        poles = closed_poles(design, plants, delay, alone, told)
+        stable = np.all(np.abs(poles) < 1, axis=(1, 2))
+        around = partial(compensated, design, delay=told, alone=alone)
+        on_grid, feedback = around(grid()), around(fine, masses=slice(MEASURED, MEASURED + 1)).feedback[0]
+        peaks, scans = np.full((len(plants), len(PEAKS)), np.inf), np.full((3, len(plants)), np.inf)
+        for k in np.flatnonzero(stable):
+            moved, plant, response, pushed = stands[k]
+            peaks[k] = 20 * np.log10(_highest(around, moved, six(plant, on_grid), poles[k]))
+            scans[:, k] = scanned(feedback, response, pushed, delay, JUDGED)
+        judged[name] = Judged(stable, peaks, *scans)
+    return judged
 
 
 def _highest(around: Callable, moved: Late, first: np.ndarray, poles: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ from experiments.motion.designs import DESIGNS, stage_bandwidth, stage_compensat
 from experiments.motion.machines import published_deviations, published_setpoint, stage
 from experiments.motion.uncertainty import perturbed, sample_errors
 from stillwork.base.checks import require_number
+from stillwork.base.front_door import checked
 from stillwork.control.feedforward import (
     Feedforward,
     error_loop,
@@ -31,8 +32,9 @@ CASES = {"none": ("PID", "PID")}
 CASES |= {name: (name, "PID") for name in APPLICATIONS}
 CASES |= {f"{name}, redesigned": (name, name) for name in APPLICATIONS}
 
-
 Blocks = Mapping[str, tuple[StateModel | None, StateModel]]  # compensator and controller of each case
+
+_setpoint, _deviations = cache(published_setpoint), cache(published_deviations)  # every trial asks for them
 
 
 @cache
@@ -45,6 +47,7 @@ def published_blocks() -> Blocks:
     }
 
 
+@checked(infinite=True)
 def tracking_trial(
     rng: np.random.Generator,
     blocks: Blocks,
@@ -60,10 +63,10 @@ def tracking_trial(
     else it keeps the gains of the nominal plant. The noise is white from sample to sample and held between them.
     """
     require_number("step", step, above=0.0)
-    setpoint = published_setpoint(step)
+    setpoint = _setpoint(step)
     nominal = stage().at([0], [MEASURED - 1])
     plant = perturbed(nominal, sample_errors(rng, nominal, size, law, rigid))
-    deviations = published_deviations()
+    deviations = _deviations()
     sizes = np.array([*deviations.values()])[:, None]
     noise = rng.standard_normal((3, setpoint.derivatives.shape[1])) * sizes
     feedforward: Feedforward | None = None
@@ -71,7 +74,7 @@ def tracking_trial(
     for case, (
         block,
         controller,
-    ) in blocks.items():  # without observer first: its loop is the one that is tuned
+    ) in blocks.items():  # the first has no observer: its loop is the one that is tuned
         loop = closed_loop(plant, block, controller)
         if not loop.is_stable:
             found[case] = np.inf

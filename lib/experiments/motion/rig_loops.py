@@ -11,7 +11,7 @@ from scipy import linalg
 
 from experiments.motion.rig_control import RigCompensator, warped
 from stillwork.base.checks import InputError, require_choice, require_number
-from stillwork.base.kernels import kernel
+from stillwork.base.kernels import kernel, pasted_kernel
 from stillwork.base.rounding import first_largest
 from stillwork.control.bandwidth import SIX_DB
 from stillwork.control.crossover import crossover
@@ -141,8 +141,12 @@ class RigControllers:
 
     def __call__(self, z_hz: float, rotation_hz: float) -> tuple[Pid, Pid, Pid]:
         """The three controllers, on scaled directions."""
-        each = (z_hz, rotation_hz, rotation_hz)
-        return tuple(PidFamily(mass)(f) for mass, f in zip(self.masses, each, strict=True))
+        z, rx, ry = self._families
+        return z(z_hz), rx(rotation_hz), ry(rotation_hz)
+
+    @cached_property
+    def _families(self) -> tuple[PidFamily, ...]:
+        return tuple(PidFamily(mass) for mass in self.masses)
 
 
 def peaks(
@@ -161,7 +165,15 @@ def sizes(
 
 
 def _arrays(loop: RigLoop, pids: Sequence[Pid]):
-    return loop.parts, np.stack([pid.frequency_response(loop.warped) for pid in pids], axis=1)
+    """All but the controller, and the controller; of PIDs that differ in their gains alone one is evaluated."""
+    control, alike = np.empty((len(loop.omega), len(pids)), complex), {}
+    for k, pid in enumerate(pids):
+        shape = (pid.integrator, pid.differentiator, pid.low_pass, pid.low_pass_damping, pid.notches)
+        if shape not in alike:
+            alike[shape] = pid.gain, pid.frequency_response(loop.warped)
+        gain, response = alike[shape]
+        control[:, k] = response * (pid.gain / gain)
+    return loop.parts, control
 
 
 class Infeasible(InputError):
@@ -323,7 +335,7 @@ def _exceeded(parts, control, entries, limit, first):
     return -1
 
 
-@kernel
+@pasted_kernel
 def _functions(part, control, work):
     """S_I, S_I2, S_O, S_O2 and r to e_true at one frequency, in the first five places of `work`."""
     turned, product = work[5], work[6]
@@ -348,14 +360,14 @@ def _functions(part, control, work):
             work[4, i, j] = (1.0 if i == j else 0.0) - work[4, i, j]
 
 
-@kernel
+@pasted_kernel
 def _times(a, b, out):
     for i in range(3):
         for j in range(3):
             out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
 
 
-@kernel
+@pasted_kernel
 def _inverse(a, out):
     """Inverse of a 3 x 3 matrix by cofactors."""
     for i in range(3):
@@ -369,7 +381,7 @@ def _inverse(a, out):
             out[i, j] /= determinant
 
 
-@kernel
+@pasted_kernel
 def _largest_entry_square(a):
     """Square of the largest magnitude on the diagonal."""
     largest = 0.0
@@ -380,7 +392,7 @@ def _largest_entry_square(a):
     return largest
 
 
-@kernel
+@pasted_kernel
 def _sum_of_squares(a):
     total = 0.0
     for i in range(3):
@@ -389,7 +401,7 @@ def _sum_of_squares(a):
     return total
 
 
-@kernel
+@pasted_kernel
 def _largest_square(a):
     """Square of the largest singular value: the largest root of the cubic of A^H A."""
     h00, h11, h22 = 0.0, 0.0, 0.0

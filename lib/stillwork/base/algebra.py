@@ -3,7 +3,7 @@
 Every sum runs in index order, whatever calls it, so that two kernels that compute one thing agree to the last bit.
 """
 
-from stillwork.base.kernels import inlined_kernel
+from stillwork.base.kernels import inlined_kernel, pasted_kernel
 
 
 @inlined_kernel
@@ -34,7 +34,7 @@ def advance_state(a, b, drive, state, following):
     copy_vector(following, state)
 
 
-@inlined_kernel
+@pasted_kernel
 def multiply(left, right, out):
     """Out = left right."""
     for i in range(left.shape[0]):
@@ -45,7 +45,7 @@ def multiply(left, right, out):
             out[i, j] = total
 
 
-@inlined_kernel
+@pasted_kernel
 def congruence(matrix, middle, half, out):
     """Out = matrix middle matrix', exactly symmetric; `half` is scratch, `out` may be `middle`."""
     multiply(matrix, middle, half)
@@ -57,7 +57,7 @@ def congruence(matrix, middle, half, out):
             out[i, j] = out[j, i] = total
 
 
-@inlined_kernel
+@pasted_kernel
 def add_square(factor, out):
     """Out += factor factor', on an exactly symmetric `out`."""
     for i in range(factor.shape[0]):
@@ -68,7 +68,7 @@ def add_square(factor, out):
             out[i, j] = out[j, i] = total
 
 
-@inlined_kernel
+@pasted_kernel
 def measure(covariance, rows, o, noise, cross):
     """Fill cross = covariance row' with row o; returns the variance of what is measured, row covariance row' + noise."""
     variance = noise
@@ -81,7 +81,7 @@ def measure(covariance, rows, o, noise, cross):
     return variance
 
 
-@inlined_kernel
+@pasted_kernel
 def condition(covariance, cross, variance):
     """Covariance once the measurement is taken in: -= cross cross' / variance."""
     for i in range(len(cross)):
@@ -89,7 +89,7 @@ def condition(covariance, cross, variance):
             covariance[i, j] -= cross[i] * cross[j] / variance
 
 
-@inlined_kernel
+@pasted_kernel
 def take_in_turn(covariance, rows, noise, gain, cross):
     """Take in independent measurements one after the other; `gain` becomes that of all of them together."""
     for o in range(rows.shape[0]):

@@ -1,7 +1,6 @@
 """Gain crossover: where the magnitude of a loop's response first falls through 1."""
 
 from collections.abc import Callable
-from functools import cache
 
 import numpy as np
 from jaxtyping import Float64
@@ -17,7 +16,7 @@ def crossover(
 ) -> float:
     """First frequency (rad/s) at which ``abs(response(omega))`` falls through 1, Definition 1.2.1.
 
-    A grid and the magnitudes on it bracket the crossing, the response itself finds it: between two points of a grid a
+    The magnitudes on a grid bracket the crossing, the response itself finds it: between two points of a grid a
     magnitude is no straight line, in logarithms either.
     """
     falls = np.flatnonzero((magnitude[1:] < 1) & (magnitude[:-1] >= 1))
@@ -26,12 +25,13 @@ def crossover(
             f"the loop gain does not fall through 0 dB from {omega[0] / (2 * np.pi):g} to "
             f"{omega[-1] / (2 * np.pi):g} Hz; widen the grid, or raise the gain"
         )
-    low, high = omega[falls[0]], omega[falls[0] + 1]
+    ends = slice(falls[0], falls[0] + 2)
+    known = dict(zip(np.log(omega[ends]), np.log(magnitude[ends]), strict=True))
 
-    @cache  # both ends are asked for twice
-    def excess(frequency: float) -> float:
-        return float(np.log(np.abs(response(np.array([frequency]))[0])))
+    def excess(logarithm: float) -> float:
+        """Logarithm of the gain over that of the frequency, which is nearly a straight line."""
+        if logarithm in known:
+            return known[logarithm]
+        return float(np.log(np.abs(response(np.exp([logarithm]))[0])))
 
-    if not excess(low) > 0 > excess(high):  # a point of the grid is the crossing, but for rounding
-        return float(min((low, high), key=lambda end: abs(excess(end))))
-    return float(optimize.brentq(excess, low, high))
+    return float(np.exp(optimize.brentq(excess, *known)))

@@ -252,7 +252,7 @@ def require_noise(noise: ArrayLike | None, shape: tuple[int, ...]) -> np.ndarray
     noise = require_array("noise", noise, shape=shape, missing=True)
     if np.isnan(noise[..., 0]).any():
         raise InputError("noise is NaN at the first sample; start with one that was measured")
-    return noise
+    return np.ascontiguousarray(noise)
 
 
 def packed_parts(controller: Controller, resolution: float, grid: float, lost: str) -> tuple:

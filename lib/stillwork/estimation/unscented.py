@@ -110,9 +110,10 @@ def correct_unscented(work, weights, noise, size, outputs):
         observed, expected, observed, expected, innovation, count, outputs, outputs, first, other
     )
     _weighted_product(points, mean, observed, expected, work[CROSS], count, size, outputs, first, other)
+    missing = len(noise) - outputs  # the first ones, where a measurement lacks them
     for i in range(outputs):
         for j in range(outputs):
-            innovation[i, j] += noise[i, j]
+            innovation[i, j] += noise[missing + i, missing + j]
     return correct_gaussian(work, size, outputs)
 
 
@@ -163,7 +164,7 @@ def plant_unscented_step(
         for i in range(5):
             observed[i, 0] = observed[i, 1]
         means[MEASURED, 0] = measured
-        if not correct_unscented(work, options, noise[1:, 1:], 2, 1):
+        if not correct_unscented(work, options, noise, 2, 1):
             return False
         means[PAST, 0], means[PAST, 1] = measured, 1.0
     else:

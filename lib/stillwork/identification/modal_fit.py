@@ -419,13 +419,14 @@ class _Accelerance:
         both = np.hstack([linear, moving])
         q = np.linalg.qr(both / np.linalg.norm(both, axis=0))[0]
 
-        def left(delay: float) -> float:
-            goal = _stacked(self.target * self.weight * np.exp(1j * self.omega * delay))
-            return float(np.sum((goal - q @ (q.T @ goal)) ** 2))
+        def left(delay):
+            turned = np.exp(1j * np.multiply.outer(self.omega, delay))
+            goal = _stacked((turned.T * (self.target * self.weight)).T)
+            return np.sum((goal - q @ (q.T @ goal)) ** 2, axis=0)
 
         cycle = 2 * np.pi / self.omega[-1]
         tried = cycle * np.arange(-CYCLES, CYCLES + 1e-9, 1 / 16)
-        near = tried[np.argmin([left(delay) for delay in tried])]
+        near = tried[np.argmin(left(tried))]  # one product of matrices instead of many with a vector
         found = minimize_scalar(
             left,
             bounds=(near - cycle / 16, near + cycle / 16),
@@ -471,18 +472,21 @@ class _Accelerance:
         """Without the spurious modes, which go one by one."""
         linear, _ = self.columns(modes, derivatives=False)
         linear = linear / np.linalg.norm(linear, axis=0)
+        gram, right = linear.T @ linear, linear.T @ self.goal
         while modes.size:
-            standing = self._standing(modes, linear)
+            standing = self._standing(modes, linear, gram, right)
             worst = int(standing.argmin())
             if standing[worst] >= least:
                 break
-            modes, linear = np.delete(modes, worst, axis=1), np.delete(linear, FIXED + worst, axis=1)
+            place = FIXED + worst
+            modes, linear = np.delete(modes, worst, axis=1), np.delete(linear, place, axis=1)
+            gram, right = np.delete(np.delete(gram, place, axis=0), place, axis=1), np.delete(right, place)
         return modes
 
-    def _standing(self, modes, linear):
+    def _standing(self, modes, linear, gram, right):
         """Relative error that each mode prevents over its own width; 0 for one that noise or cancelling could make."""
-        inverse = np.linalg.pinv(linear.T @ linear, rcond=1e-13, hermitian=True)
-        gains = inverse @ (linear.T @ self.goal)
+        inverse = np.linalg.pinv(gram, rcond=1e-13, hermitian=True)
+        gains = inverse @ right
         growth = (gains**2 / np.diag(inverse))[FIXED:]
         error = np.sum((linear @ gains - self.goal).reshape(2, -1) ** 2, axis=0)
         found = np.zeros(len(growth))

@@ -25,7 +25,7 @@ GRID, FINE = (9, 3), (11, 5)  # models along the frequencies of the first and se
 PARTICLES = 24
 
 
-@kernel
+@inlined_kernel
 def _filter_all(force, measured, data, omegas, z, p, scores, a, by):
     """One sample of every model's filter; its score grows by the logarithm of the measurement's density."""
     for m in range(len(omegas)):
@@ -37,10 +37,14 @@ def _filter_all(force, measured, data, omegas, z, p, scores, a, by):
 @kernel
 def _weigh(scores, weights, z, estimate):
     """Turn scores into weights that sum to one; the estimate is the weighted mean."""
-    best = scores.max()
+    best, total = scores[0], 0.0
+    for m in range(len(scores)):
+        best = max(best, scores[m])
     for m in range(len(scores)):
         weights[m] = np.exp(scores[m] - best)
-    weights /= weights.sum()
+        total += weights[m]
+    for m in range(len(scores)):
+        weights[m] /= total
     for i in range(len(estimate)):
         estimate[i] = 0.0
         for m in range(len(scores)):

@@ -10,7 +10,7 @@ import numpy as np
 from experiments.motion.observer_contest.fixed_gain import stationary
 from experiments.motion.observer_contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
 from stillwork.base.algebra import cholesky_root
-from stillwork.base.kernels import inlined_kernel, kernel
+from stillwork.base.kernels import borrowing_kernel, inlined_kernel, kernel, pasted_kernel
 
 
 def dominant(model: ToldModel, most: int) -> np.ndarray:
@@ -23,7 +23,7 @@ def dominant(model: ToldModel, most: int) -> np.ndarray:
     return np.sort(np.argsort(-shares, kind="stable")[:most]) + rigid
 
 
-@inlined_kernel
+@pasted_kernel
 def predict_mode(a, b, force, i, x):
     """Position and velocity of one mode, at `i` and after it, one sample on: modes do not move each other."""
     first, second = x[i], x[i + 1]
@@ -33,7 +33,7 @@ def predict_mode(a, b, force, i, x):
             x[r] += b[r, q] * force[q]
 
 
-@kernel
+@borrowing_kernel
 def sampled_mode(omega, damping, step, block, lever):
     """Transition of one mode over a step, 2 x 2, and what a unit force on it does, held over the step."""
     if omega == 0.0:
@@ -81,7 +81,7 @@ NUDGE = 1e-5  # of a relative error, for a central difference of one mode's bloc
 WIDEST = 0.5  # relative error at which a parameter is held
 
 
-@inlined_kernel
+@pasted_kernel
 def _doubted(force, omega, damping, shapes, places, step, z, j, block, lever):
     """Fill the transition of mode `j` of those in doubt; what pushes it, the same by its gain, its frequency's error."""
     push = 0.0
