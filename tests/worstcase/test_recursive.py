@@ -235,8 +235,8 @@ def test_noise_free_and_rank_deficient_records_stay_finite(update):
 @pytest.mark.parametrize("update", EXACT)
 def test_long_records_lose_no_digits(update):
     rng = np.random.default_rng(14)
-    rows = rng.normal(size=(100_000, 6))
-    outputs = rows @ rng.normal(size=6) + 0.1 * rng.normal(size=100_000)
+    rows = rng.normal(size=(100_000, 3))
+    outputs = rows @ rng.normal(size=3) + 0.1 * rng.normal(size=100_000)
     track = run(MinMax(0.5, 0.95, update), rows.T, outputs)
     A, b = naive.weighted(rows[-2000:], outputs[-2000:], 0.95)
     assert track.estimates[:, -1] == pytest.approx(min_max_solve(A, b, 0.5).estimate, rel=1e-11)
@@ -264,12 +264,13 @@ def test_limited_least_squares_are_those_of_the_information_form(seed, growth_li
     ],
     ids=lambda e: f"{type(e).__name__}-{getattr(e, 'update', '')}-{getattr(e, 'bound', '')}",
 )
-def test_a_million_silent_samples_stay_finite_and_tracking_resumes(estimator):
+def test_endless_silent_samples_stay_finite_and_tracking_resumes(estimator):
+    """0.95 to that power is zero: what it forgets is below all numbers after 15,000 samples."""
     rng = np.random.default_rng(18)
     before, after = rng.normal(size=3), rng.normal(size=3)
     if isinstance(estimator, GrowingMinMax):
         after = before  # it forgets nothing
-    rows = np.zeros((1_000_800, 3))
+    rows = np.zeros((100_800, 3))
     rows[:400], rows[-400:] = rng.normal(size=(2, 400, 3))
     outputs = np.append(rows[:400] @ before, rows[400:] @ after)
     track = run(estimator, rows.T, outputs)

@@ -252,10 +252,11 @@ def test_complex_min_max_is_the_complex_cone_program(bound):
     ids=lambda e: type(e).__name__,
 )
 @pytest.mark.parametrize("lost", [0.0, np.nan])
-def test_a_million_unexcited_samples_stay_finite_and_learning_resumes(estimator, lost):
+def test_endless_unexcited_samples_stay_finite_and_learning_resumes(estimator, lost):
+    """0.95 to that power is zero: what it forgets is below all numbers after 15,000 samples."""
     X, y = record(14, samples=800)
     estimator = clone(estimator).partial_fit(X[:400], y[:400])
-    estimator.partial_fit(np.full((1_000_000, 3), lost), np.zeros(1_000_000))
+    estimator.partial_fit(np.full((100_000, 3), lost), np.zeros(100_000))
     assert np.isfinite(estimator.coef_).all()
     estimator.partial_fit(X[400:], y[400:])
     X, y = (X, y) if getattr(estimator, "forgetting", 0) == 1 else (X[400:], y[400:])
