@@ -34,7 +34,7 @@ def shares(bands, records):
     for band in bands:
         rest = estimate_spectrum(sample_noise(rng, band, 64_000), RATE, 10.0)
         bound = coloured_noise_bound(rest, TAPS, FORGETTING)
-        under += [weighted_norm(sample_noise(rng, band, 4000)) / bound for _ in range(records)]
+        under += [weighted_norm(sample_noise(rng, band, 6000)) / bound for _ in range(records)]
     return np.mean(np.array(under) <= 1), np.mean(np.array(under) > 0.8)
 
 
