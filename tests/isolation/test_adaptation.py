@@ -47,7 +47,6 @@ def test_efficient_form_is_the_full_inverse(n, actuators, samples):
     np.testing.assert_allclose(np.kron(np.eye(actuators), run.covariance), gain, atol=1e-11 * gain.max())
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("forgetting", [0.97, 1.0])
 def test_newton_form_with_its_gain_is_the_same(forgetting):
     regressors, disturbance, _ = record(samples=60)
@@ -57,7 +56,6 @@ def test_newton_form_with_its_gain_is_the_same(forgetting):
     )
 
 
-@pytest.mark.slow
 @given(
     seed=st.integers(0, 10**6),
     forgetting=st.floats(0.9, 1.0),
@@ -74,7 +72,6 @@ def test_identification_is_weighted_least_squares(seed, forgetting, n, actuators
     np.testing.assert_allclose(run.covariance, covariance, atol=1e-10 * np.abs(covariance).max())
 
 
-@pytest.mark.slow
 @given(
     seed=st.integers(0, 10**6),
     scale=st.floats(-6, 6),

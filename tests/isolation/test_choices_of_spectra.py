@@ -46,6 +46,7 @@ def test_mains_power_is_that_of_a_simulated_record():
         assert np.all(expected[1:] < 0.05 * expected[0])
 
 
+@pytest.mark.slow
 def test_the_suspension_is_what_was_accepted():
     require_accepted("isolation", "suspension")
 

@@ -159,7 +159,6 @@ def closed_loop(cure, samples=400):
     return run, history, errors, optimum, start
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("cure", CURES)
 def test_closed_loop_with_each_cure_is_its_naive_twin(cure):
     run, history, errors, optimum, start = closed_loop(cure)
@@ -184,7 +183,6 @@ def test_resetting_settles_where_nothing_is_excited():
     assert run.growth[-1] == pytest.approx(5 + np.sqrt(25 + 0.1), rel=1e-6)
 
 
-@pytest.mark.slow
 def test_limit_protects_the_twin_where_the_printed_algorithm_breaks():
     # A tenth of the published time constant: ten times the gain, so that a short silence is enough.
     twin, forgetting = load_twin("rigid_body"), float(np.exp(-2e-4))

@@ -121,7 +121,6 @@ def test_the_weights_never_see_the_part_they_are_judged_on(twin):
     )
 
 
-@pytest.mark.slow
 def test_a_csv_in_mm_per_s_moves_the_platform_as_the_same_motion_in_si(twin, tmp_path):
     rng = np.random.default_rng(0)
     t = np.arange(16_000) / 1000.0
@@ -143,7 +142,6 @@ def test_ground_stands_in_for_a_missing_record(twin):
     assert floor.duration == 20.0 and "measured ground" in floor.source
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("rows", "options", "message"),
     [

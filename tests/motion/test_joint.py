@@ -184,8 +184,8 @@ def test_a_peak_between_poles_that_all_but_coincide_is_found():
 def test_python_control_agrees_with_every_stored_design():
     """Poles, peaks and scan error without a line of the toolbox: the numbers of the files go in.
 
-    At the mass of the largest peak, at the one of the scan and at each in turn, which must not be higher; the command
-    `verify joint` takes all.
+    At the mass of the largest peak and at the one of the scan; the first seven designs at another in turn as well, which
+    must not be higher. The command `verify joint` takes all.
     """
     machines = tomllib.loads((_data() / "machines.toml").read_text())
     designs = tomllib.loads((_data() / "joint.toml").read_text())
@@ -195,7 +195,8 @@ def test_python_control_agrees_with_every_stored_design():
     for turn, (name, numbers) in enumerate(designs.items()):
         design = STORED[name].design
         highest = six(plant, compensated(design, fine)).max(axis=(0, 2)).argmax()
-        radius, peak, error = verify_joint.check(machines, numbers, {1 + int(highest), 5, 1 + turn % 7})
+        masses = {1 + int(highest), 5} | ({1 + turn} if turn < 7 else set())
+        radius, peak, error = verify_joint.check(machines, numbers, masses)
         found = judge(design, [stage()])
         assert found.stable[0] and radius < 1
         # Python-control's peaks are met to 0.0003 dB, see there, ours to steps of 0.15 Hz: 0.0001 dB here.

@@ -171,7 +171,7 @@ def test_ten_main_modes_of_the_shipped_structure_and_none_spurious():
 
 def hammered(hits, noise=0.0):
     """Force and acceleration of hits on a machine of 40 kg with two modes, by its exact response; and their rate."""
-    rate, samples, rng = 5000.0, 8000, np.random.default_rng(hits)
+    rate, samples, rng = 5000.0, 4000, np.random.default_rng(hits)
     t = np.arange(samples) / rate
     hertz = np.fft.rfftfreq(8 * samples, 1 / rate)
     response = accelerance(hertz, 40.0, [(120.0, 0.01, 0.8), (310.0, 0.015, -0.6)])

@@ -107,6 +107,7 @@ def test_riccati_and_inequalities_find_the_same_optimum(seed):
     assert lmi.status == "optimal"
     np.testing.assert_allclose(lmi.claimed, riccati.regular_norm, rtol=1e-4)
     np.testing.assert_allclose(riccati.claimed, riccati.regular_norm, rtol=1e-9)
+    assert lmi.regular_norm >= riccati.regular_norm * (1 - 1e-6)
     loop = regularised(plant, 0.7, 0.4).close(riccati.observer)
     np.testing.assert_allclose(frequency_norm(loop), riccati.regular_norm, rtol=1e-5)
 
@@ -128,14 +129,11 @@ def test_no_observer_nearby_is_better_than_the_optimum(seed):
         assert h2_norm(regular.close(moved)) >= best.regular_norm * (1 - 1e-9)
 
 
-@pytest.mark.slow
-def test_the_optimum_of_the_stage_tracks_nothing_and_is_reached_by_inequalities(problem):
+def test_the_optimum_of_the_stage_tracks_nothing(problem):
+    """Inequalities reach it in notebook 20, within a thousandth, and on small plants above."""
     generalised = problem.generalised()
     riccati = h2_riccati(generalised, *regularisation(problem))
-    lmi = h2_lmi(generalised, *regularisation(problem))
     assert riccati.norm < np.sqrt(700 * np.pi)
-    np.testing.assert_allclose(lmi.regular_norm, riccati.regular_norm, rtol=1e-3)
-    assert lmi.regular_norm >= riccati.regular_norm * (1 - 1e-6)
     np.testing.assert_allclose(frequency_norm(generalised.close(riccati.observer)), riccati.norm, rtol=1e-5)
 
 
@@ -236,15 +234,6 @@ def meeting(problem, level, ratio, emphases):
 
 # Neither road is exact, one for its common Lyapunov matrix, one for its single emphasis: they meet to 5 parts in 1000.
 MEETING = 5e-3
-
-
-@pytest.mark.slow
-def test_mixed_inequalities_and_emphasis_meet_on_the_first_two_modes(problem):
-    plant = truncate(stage().at([0], [4]), 2, 0)
-    small = ObserverProblem(plant, problem.controller, DAMPING, 2.0, SCALES)
-    peak, norm, beside = meeting(small, 3.0, 100.0, [0.3, 0.4, 0.5])
-    assert peak <= 3.0
-    assert norm == pytest.approx(beside, rel=MEETING)
 
 
 @pytest.mark.slow

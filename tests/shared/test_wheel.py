@@ -2,11 +2,14 @@
 
 import subprocess
 import sys
+import tomllib
 import zipfile
 from email.parser import Parser
 from pathlib import Path
 
 import pytest
+
+from stillwork.base.extras import BY_PACKAGE
 
 ROOT = Path(__file__).parents[2]
 
@@ -109,3 +112,13 @@ def test_a_package_is_missed_by_who_has_a_checkout_alone(wheel, tmp_path):
     done = _run(wheel, tmp_path, "site", STILLWORK_ROOT=str(ROOT))
     assert done.returncode == 2, done.stderr
     assert "pip install 'stillwork[site]'" in done.stderr and "Traceback" not in done.stderr
+
+
+def test_what_is_missing_is_asked_of_the_extra_that_brings_it():
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    imported = {"griffelib": "griffe"}
+    for extra in ("data", "control", "site"):
+        brought = {each.partition(">")[0] for each in extras[extra] if not each.startswith("stillwork")}
+        assert {imported.get(each, each) for each in brought} == {
+            name for name, of in BY_PACKAGE.items() if of == extra
+        }

@@ -98,7 +98,6 @@ def test_cross_validation_written_out():
     assert found.best == bounds[np.argmin(squares)]
 
 
-@pytest.mark.slow
 def test_an_edge_is_flagged():
     rng = np.random.default_rng(2)
     matrix = rng.standard_normal((400, 3))

@@ -33,7 +33,6 @@ def through_zero():
     return rows, outputs
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("update", EXACT)
 @pytest.mark.parametrize("bound", [0.05, 0.8, 1.5])
 @pytest.mark.parametrize("unknowns", [1, 2, 5])
@@ -79,7 +78,6 @@ def test_approximate_update_is_algorithm_20(iterations, bound):
     assert track.estimates.T == pytest.approx(estimates, rel=1e-7, abs=1e-10)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("update", ["exact", "approximate"])
 def test_a_kernel_for_one_number_of_unknowns_gives_the_bits_of_the_one_for_all(update):
     rows, outputs = record(9, unknowns=3, samples=LONG)
@@ -186,7 +184,6 @@ def test_stepper_is_unchanged_by_a_refused_sample():
     assert np.array_equal(stepper.update(rows[20], outputs[20]), twin.update(rows[20], outputs[20]))
 
 
-@pytest.mark.slow
 @settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1), st.floats(-8, 8), st.floats(-8, 8))
 def test_tracks_do_not_depend_on_units(seed, unit_a, unit_y):
@@ -198,7 +195,6 @@ def test_tracks_do_not_depend_on_units(seed, unit_a, unit_y):
         assert second.estimates * (p / q) == pytest.approx(first.estimates, rel=1e-6, abs=1e-9)
 
 
-@pytest.mark.slow
 @settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1))
 def test_tracks_rotate_with_the_parameters(seed):
@@ -235,14 +231,13 @@ def test_noise_free_and_rank_deficient_records_stay_finite(update):
 @pytest.mark.parametrize("update", EXACT)
 def test_long_records_lose_no_digits(update):
     rng = np.random.default_rng(14)
-    rows = rng.normal(size=(100_000, 6))
-    outputs = rows @ rng.normal(size=6) + 0.1 * rng.normal(size=100_000)
+    rows = rng.normal(size=(100_000, 3))
+    outputs = rows @ rng.normal(size=3) + 0.1 * rng.normal(size=100_000)
     track = run(MinMax(0.5, 0.95, update), rows.T, outputs)
     A, b = naive.weighted(rows[-2000:], outputs[-2000:], 0.95)
     assert track.estimates[:, -1] == pytest.approx(min_max_solve(A, b, 0.5).estimate, rel=1e-11)
 
 
-@pytest.mark.slow
 @settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1), st.floats(1.0, 30.0))
 def test_limited_least_squares_are_those_of_the_information_form(seed, growth_limit):
@@ -253,7 +248,6 @@ def test_limited_least_squares_are_those_of_the_information_form(seed, growth_li
     assert track.estimates.T == pytest.approx(expected, rel=1e-8, abs=1e-10)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "estimator",
     [
@@ -264,12 +258,13 @@ def test_limited_least_squares_are_those_of_the_information_form(seed, growth_li
     ],
     ids=lambda e: f"{type(e).__name__}-{getattr(e, 'update', '')}-{getattr(e, 'bound', '')}",
 )
-def test_a_million_silent_samples_stay_finite_and_tracking_resumes(estimator):
+def test_endless_silent_samples_stay_finite_and_tracking_resumes(estimator):
+    """0.95 to that power is zero: what it forgets is below all numbers after 15,000 samples."""
     rng = np.random.default_rng(18)
     before, after = rng.normal(size=3), rng.normal(size=3)
     if isinstance(estimator, GrowingMinMax):
         after = before  # it forgets nothing
-    rows = np.zeros((1_000_800, 3))
+    rows = np.zeros((100_800, 3))
     rows[:400], rows[-400:] = rng.normal(size=(2, 400, 3))
     outputs = np.append(rows[:400] @ before, rows[400:] @ after)
     track = run(estimator, rows.T, outputs)
@@ -290,7 +285,6 @@ def test_least_squares_resume_with_the_digits_they_had(scale):
     assert track.estimates[:, -1] == pytest.approx(expected, rel=1e-5)
 
 
-@pytest.mark.slow
 def test_the_sample_at_which_an_estimate_leaves_the_finite_numbers_is_named():
     rows = np.ones((20_000, 1))
     rows[100:19_000] = 0

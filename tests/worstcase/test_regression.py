@@ -160,7 +160,6 @@ def test_a_known_column_that_says_nothing_new_does_no_harm():
     assert found.coef_[3] == pytest.approx(MinMaxRegressor([0, 0, 0.5]).fit(X, y).coef_[2], rel=1e-10)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("estimator", KINDS, ids=lambda e: type(e).__name__)
 @pytest.mark.parametrize("outputs", [None, 2])
 def test_a_stream_is_its_batch(estimator, outputs):
@@ -238,7 +237,6 @@ def test_complex_min_max_is_the_complex_cone_program(bound):
     assert_cone_program(found.coef_, X, y, np.sqrt(12) * np.broadcast_to(bound, 3))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "estimator",
     [
@@ -252,10 +250,11 @@ def test_complex_min_max_is_the_complex_cone_program(bound):
     ids=lambda e: type(e).__name__,
 )
 @pytest.mark.parametrize("lost", [0.0, np.nan])
-def test_a_million_unexcited_samples_stay_finite_and_learning_resumes(estimator, lost):
+def test_endless_unexcited_samples_stay_finite_and_learning_resumes(estimator, lost):
+    """0.95 to that power is zero: what it forgets is below all numbers after 15,000 samples."""
     X, y = record(14, samples=800)
     estimator = clone(estimator).partial_fit(X[:400], y[:400])
-    estimator.partial_fit(np.full((1_000_000, 3), lost), np.zeros(1_000_000))
+    estimator.partial_fit(np.full((100_000, 3), lost), np.zeros(100_000))
     assert np.isfinite(estimator.coef_).all()
     estimator.partial_fit(X[400:], y[400:])
     X, y = (X, y) if getattr(estimator, "forgetting", 0) == 1 else (X[400:], y[400:])
@@ -329,7 +328,6 @@ def test_it_stands_in_a_search_and_in_a_pickle():
     assert np.array_equal(again.partial_fit(X, y).coef_, search.best_estimator_.partial_fit(X, y).coef_)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "estimator", [LeastMeanSquares(), RecursiveLeastSquares(), MinMaxRegressor(0.1)], ids=repr
 )
@@ -360,6 +358,7 @@ def test_what_a_frame_calls_missing_is_lost(estimator):
     assert np.array_equal(clone(estimator).fit(*missing).coef_, clone(estimator).fit(X, y).coef_)
 
 
+@pytest.mark.slow
 def test_it_needs_no_scikit_learn():
     script = (
         "import sys; sys.modules['sklearn'] = None\n"

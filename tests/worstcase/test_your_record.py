@@ -17,6 +17,7 @@ from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.estimation.min_max import solve_silently
 from stillwork.estimation.recursive import run_silently
+from stillwork.estimation.recursive_kernels import FEW
 from stillwork.estimation.recursive_settings import MinMax
 from stillwork.identification.regressors import fir_regressors, noise_bound
 
@@ -155,7 +156,7 @@ def test_pictures_and_explorer(template):
 
 def test_a_useless_model_is_named_and_not_drawn():
     pair, _ = open_pair(SHIPPED, band_hz=(100.0, 1500.0), quiet_hz=(300.0, 600.0))
-    fitted = fit_pair(pair, 8, 100, np.array([1.0]))
+    fitted = fit_pair(pair, FEW + 1, 100, np.array([1.0]))  # by the kernel of every length
     fitted.held_out["total least squares"] = 9.0
     labels = [line.get_label() for line in draw.paint_models(pair, fitted).axes[0].lines]
     assert "total least squares: too far off to draw" in labels

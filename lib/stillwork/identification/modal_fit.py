@@ -315,7 +315,7 @@ def identify_modes(
     diagram = stabilisation(problem.omega, problem.target[:, None, None])
     settled = np.log(diagram.settled())
     ends = CUT + np.log([[problem.omega[-1]], [1.0]])
-    problem.bring_forward(np.hstack([settled, ends]))
+    problem.bring_forward(np.hstack([settled[:, :MOST_FITTED], ends]))
     modes = np.zeros((2, 0))
     if len(guesses):
         modes = np.log([2 * np.pi * guesses, np.full(len(guesses), damping_guess)])
@@ -326,7 +326,8 @@ def identify_modes(
         modes = problem.refined(modes, 60)
     else:
         modes = problem.found(modes, settled)
-        cut = problem.pruned(problem.refined(problem.extended(modes, ends, most=1), 20), LEAST)
+        beyond = problem.columns(ends, derivatives=False)[0][:, FIXED:]
+        cut = problem.pruned(problem.refined(problem.extended(modes, ends, beyond, most=1), 20), LEAST)
         if cut.shape[1] > modes.shape[1]:
             modes = problem.found(cut, settled)
     problem.grounded = problem.on_springs(modes)
@@ -441,17 +442,18 @@ class _Accelerance:
 
     def found(self, modes, settled):
         """These modes and those of the settled poles that stand, in rounds."""
+        columns = self.columns(settled, derivatives=False)[0][:, FIXED:]
         for _ in range(ROUNDS):
-            more = self.extended(modes, settled)
+            more = self.extended(modes, settled, columns)
             if more.shape[1] == modes.shape[1]:
                 break
             modes = self.pruned(self.refined(self.pruned(more, LEAST / 2), 20), LEAST)
         return modes
 
-    def extended(self, modes, settled, most=MOST_FITTED):
+    def extended(self, modes, settled, settled_columns, most=MOST_FITTED):
         """The modes and of the settled poles those that lower the error most, one after the other."""
         both = np.hstack([modes, settled])
-        columns, _ = self.columns(both, derivatives=False)
+        columns = np.hstack([self.columns(modes, derivatives=False)[0], settled_columns])
         columns = np.column_stack([columns / np.linalg.norm(columns, axis=0), self.goal])
         gram = columns.T @ columns
         taken = list(range(FIXED + modes.shape[1]))
