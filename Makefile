@@ -83,7 +83,7 @@ bench: $(READY) ## Measure speed beside named peers
 faults: $(READY) ## Inject 2,000 random faults into builds of a toy workbook; ARGS="--faults N --seed N --jobs N"
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/faults.py $(ARGS)
 
-portable: $(READY) ## Build under other processors' settings and compare; ARGS="--sample" a few notebooks
+portable: $(READY) ## Build under other processors' settings and compare; ARGS="ROOM/NOTEBOOK --processor 2004" or "--sample"
 	@$(BIN)/python -m stillwork portable $(ARGS)
 
 accept: $(READY) ## Take a build over into the notebooks, the ledger and the README

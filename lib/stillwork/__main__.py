@@ -106,6 +106,7 @@ def _band(name: str, help: str) -> Option:
     return _option(f"--{name}", type=float, nargs=2, metavar=("LOW", "HIGH"), default=(0.0, 0.0), help=help)
 
 
+_TARGETS = _option("targets", nargs="*", metavar="ROOM[/NOTEBOOK]", help="by default everything")
 _ROOM = _option("room", nargs="?", metavar="ROOM")
 _KERNELS = _number("jobs", "N", "kernels at once (default: one a core)")
 _PROCESSES = _number("jobs", "N", "processes (default: one a core)")
@@ -128,7 +129,7 @@ COMMANDS = {
         "build the figures that are stale",
         "stillwork.workbook.commands:figures",
         (
-            _option("targets", nargs="*", metavar="ROOM[/NOTEBOOK]", help="by default everything"),
+            _TARGETS,
             _option(
                 "-p",
                 dest="settings",
@@ -172,7 +173,11 @@ COMMANDS = {
     "portable": Command(
         "build under other processors' settings and compare",
         "stillwork.workbook.portable:portable",
-        (_option("--sample", action="store_true", help="a few notebooks under two of them"),),
+        (
+            _TARGETS,
+            _option("--processor", default="", metavar="NAME", help="part of a stand-in's name, e.g. 2004"),
+            _option("--sample", action="store_true", help="a few notebooks under two of them"),
+        ),
     ),
     "accept": Command(
         "take the built results over into notebooks/ and the ledger", "stillwork.site.commands:accept"

@@ -8,11 +8,14 @@ that is not pinned at all.
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from stillwork.base import paths
+from stillwork.base.checks import InputError
 from stillwork.workbook.compare import Comparison, compare
+from stillwork.workbook.notebooks import select
 from stillwork.workbook.pinned import OTHER
 from stillwork.workbook.tasks import BUILT, tasks
 
@@ -74,26 +77,43 @@ SAMPLE = (
 SAMPLED = ("2011, AVX (Sandy Bridge)", "2013, AVX2 (Haswell)")
 
 
-def portable(sample: bool = False) -> int:
+def portable(targets: Sequence[str] = (), processor: str = "", sample: bool = False) -> int:
     """Build under each stand-in that runs here and print the table; returns 1 when something moved or failed.
 
     Parameters
     ----------
+    targets : sequence of str
+        Rooms and notebooks; all without any.
+    processor : str
+        Of the stand-ins those with this in their name.
     sample : bool
-        A few notebooks under two of them.
+        Where nothing else is said, a few notebooks under two stand-ins.
+
+    Raises
+    ------
+    InputError
+        When there is no such stand-in, room or notebook.
     """
+    chosen = [
+        each
+        for each in PROCESSORS
+        if processor in each.name and (processor or not sample or each.name in SAMPLED)
+    ]
+    if not chosen:
+        raise InputError(
+            f"no stand-in is named {processor!r}; there are: {'; '.join(p.name for p in PROCESSORS)}"
+        )
+    names = tuple(each.name for each in select(*(targets or (SAMPLE if sample else ()))))
     flags = _flags()
     rows, moved, failed = [], [], False
-    for processor in PROCESSORS:
-        if sample and processor.name not in SAMPLED:
+    for stand_in in chosen:
+        if missing := [flag for flag in stand_in.needs if flag not in flags]:
+            rows.append((stand_in.name, f"not run: this machine lacks {', '.join(missing)}"))
             continue
-        if missing := [flag for flag in processor.needs if flag not in flags]:
-            rows.append((processor.name, f"not run: this machine lacks {', '.join(missing)}"))
-            continue
-        found, complete = _build(processor, SAMPLE if sample else ())
+        found, complete = _build(stand_in, names)
         failed |= not complete
-        rows.append((processor.name, *_row(found)))
-        moved += [(processor.name, each) for each in found if not each.agrees]
+        rows.append((stand_in.name, *_row(found)))
+        moved += [(stand_in.name, each) for each in found if not each.agrees]
     _print(rows)
     for name, each in moved:
         what = (*each.files, *each.cells, *each.claims, *each.verdicts)
@@ -118,8 +138,7 @@ def _build(processor: Processor, names: tuple[str, ...]) -> tuple[list[Compariso
         print(done.stdout, done.stderr, sep="\n")
     os.environ[BUILT] = str(folder)
     try:
-        wanted = [task for task in tasks() if not names or task.notebook.name in names]
-        return [compare(task) for task in wanted if task.executed.is_file()], not done.returncode
+        return [compare(task) for task in tasks(*names) if task.executed.is_file()], not done.returncode
     finally:
         del os.environ[BUILT]
 
