@@ -170,6 +170,7 @@ def catalogue() -> dict:
         "ModalModel": (lti.ModalModel, fields(model)),
         "ModalModel.frequency_response": (model.frequency_response, {"omega": omega}),
         "ModalModel.at": (model.at, {"inputs": [0], "outputs": [0]}),
+        "ModalModel.moved": (model.moved, {"frequencies": model.frequencies}),
         "ModalModel.modes": (model.modes, {"chosen": [0, 1]}),
         "ModalModel.state_space": (model.state_space, {}),
         "lti.StateModel": (lti.StateModel, fields(state)),

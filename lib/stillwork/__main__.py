@@ -41,7 +41,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _run(command: "Command", **chosen) -> int:
-    """Call what a command stands for with its options; it returns the exit code, or what is to be printed."""
+    """Call the function of a command with its options and print what it returns, unless that is the exit code."""
     if command.needs_checkout:
         paths.root()  # who has none misses no package
     module, _, name = command.target.partition(":")

@@ -17,7 +17,7 @@ from stillwork.signals.records import (
     stated_unit,
     unit_factor,
 )
-from stillwork.workbook.own_files import command, in_checkout, model_file, own_file
+from stillwork.workbook.own_files import figures_command, in_checkout, model_file, own_file
 
 # What a Python file must define to be a plant, with one coordinate or with several: functions with their numbers of
 # arguments, tables of parameters.
@@ -88,20 +88,20 @@ def _record(path: Path) -> Iterator[str]:
         settings = {"floor_record": path.resolve(), "floor_unit": unit or "UNIT"}
         if len(record.names) > 1:
             settings["floor_channels"] = json.dumps([name], ensure_ascii=False)
-        yield command("isolation/08-your-floor", settings)
+        yield figures_command("isolation/08-your-floor", settings)
     if len(record.names) >= 2:
         settings = {"record_file": path.resolve()}
         for side, name, unit in zip(("input", "output"), record.names, units, strict=False):
             settings |= {f"{side}_channel": name, f"{side}_unit": unit or "UNIT"}
         settings |= {"band_hz": "0,0", "quiet_hz": "0,0"}  # the defaults are those of the shipped record
-        yield command("worstcase/07-your-record", settings)
+        yield figures_command("worstcase/07-your-record", settings)
     positions = measuring(("m", "rad"))
     if positions:
         name, unit = positions[0]
         settings = {"trajectory_record": path.resolve(), "trajectory_unit": unit or "UNIT"}
         if len(record.names) > 1:
             settings["trajectory_channel"] = name
-        yield command("fixedpoint/09-your-plant", settings)
+        yield figures_command("fixedpoint/09-your-plant", settings)
 
 
 def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
@@ -143,7 +143,7 @@ def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
     except InputError as error:
         yield f"not a machine as it stands: {error}"
         return
-    yield command("motion/29-your-machine", settings)
+    yield figures_command("motion/29-your-machine", settings)
 
 
 def _plant(path: Path) -> Iterator[str]:
@@ -152,7 +152,7 @@ def _plant(path: Path) -> Iterator[str]:
         yield f"{path.name}: not a plant as it stands: {', '.join(missing)}; see data/fixedpoint/your_plant.py and arm.py"
         return
     yield f"{path.name}: the model functions of a plant; the notebook executes the file, this command did not"
-    yield command("fixedpoint/09-your-plant", {"plant": path.resolve()})
+    yield figures_command("fixedpoint/09-your-plant", {"plant": path.resolve()})
 
 
 def _described(values: np.ndarray) -> str:

@@ -169,6 +169,15 @@ def test_every_controller_sees_the_same_noise(exact, approximate):
     assert len(set(found["one"]["position"])) == 3
 
 
+def test_without_noise_every_record_is_the_one_run(exact, approximate):
+    controllers, trajectory = published_controllers(approximate), asin_trajectory(duration=2.2)
+    found = compare(exact, {"low pass": controllers["low pass"]}, trajectory, Noise(), runs=3, seed=1)[
+        "low pass"
+    ]
+    for quantity, value in judge(simulate(exact, controllers["low pass"], trajectory)).items():
+        np.testing.assert_array_equal(found[quantity], np.full(3, value), err_msg=quantity)
+
+
 def test_judge_by_hand(exact, approximate, short):
     run = simulate(exact, published_controllers(approximate)["Kalman filter"], short)
     numbers = judge(run, settle=0.3)

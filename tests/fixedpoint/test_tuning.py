@@ -81,13 +81,19 @@ def test_whole_numbers_are_shown_as_they_are_used(approximate):
 
 
 def test_same_seed_same_result(exact, approximate, training):
-    twice = [
-        tune(families()["low pass"], exact, approximate, training, NOISE, budget=12, runs=1, seed=5)[
-            0
-        ].settings
-        for _ in range(2)
-    ]
-    assert twice[0] == twice[1]
+    arguments = families()["low pass"], exact, approximate, training, NOISE
+    [once], [again] = (tune(*arguments, budget=12, runs=1, seed=5) for _ in range(2))
+    assert once.settings == again.settings
+
+
+def test_criteria_share_a_sequence_and_find_what_each_finds_alone(exact, approximate, training):
+    arguments = families()["low pass"], exact, approximate, training, NOISE
+    how = {"budget": 16, "runs": 1, "seed": 5}
+    both = tune(*arguments, criteria=("velocity", "position"), **how)
+    for found, criterion in zip(both, ("velocity", "position"), strict=True):
+        [alone] = tune(*arguments, criteria=(criterion,), **how)
+        assert (found.settings, found.evaluations) == (alone.settings, alone.evaluations)
+    assert both[0].settings != both[1].settings
 
 
 def test_bad_input(exact, approximate, training):

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from numba.core.errors import TypingError
 
 from experiments.isolation.lanes import at_most, put, runs_of, same, take
 from stillwork.base.kernels import kernel
@@ -44,3 +45,19 @@ def test_one_lane_beyond_a_limit_is_noticed(bad):
     first, second = arrays()
     first[1, RUNS + 5] = bad
     assert blend(first, second, np.zeros(CHANNELS * RUNS), 100.0, (0,) * RUNS) == 1
+
+
+@pytest.mark.parametrize("changed", [lambda a: a.astype(np.float32), lambda a: np.repeat(a, 2)[::2]])
+def test_lanes_of_other_memory_are_refused(changed):
+    first, second = arrays()
+    with pytest.raises(TypingError, match="contiguous arrays of float64"):
+        blend(first, changed(second), np.zeros(CHANNELS * RUNS), 1e9, (0,) * RUNS)
+
+
+@pytest.mark.parametrize("runs", [2, 3, 5])
+def test_any_number_of_runs(runs):
+    first, second = (each[..., : CHANNELS * runs].copy() for each in arrays(4))
+    found = np.zeros(CHANNELS * runs)
+    assert blend(first, second, found, 1e9, (0,) * runs) == -1
+    total = 1.5 * (0.5 + first[1] * second - 3.0 / second)
+    np.testing.assert_array_equal(found, -total + (total - 2.0 * first[0]))

@@ -4,7 +4,7 @@ import pytest
 from experiments.isolation.cures import CURES, peak_error, run_cure, smallest_loop
 from experiments.isolation.floors import flat_floor
 from experiments.isolation.shaping import NoiseShaping, SecondaryPath, noise_shaping, weak_integrator
-from experiments.isolation.simulation import simulate
+from experiments.isolation.simulation import simulate, simulate_together
 from experiments.isolation.stability import (
     FORMS,
     _recur,
@@ -193,6 +193,12 @@ def test_limit_protects_the_twin_where_the_printed_algorithm_breaks():
     broken = simulate(twin, stages, adaptation=FeRls(start, forgetting, np.inf), **options)
     assert 14.0 < broken.broke_s < 15.0 and peak_error(broken, 14.0) == np.inf
     assert broken.time_s[-1] <= broken.broke_s
+    same = options | {"signals_from_s": broken.broke_s - 1.0}
+    again = simulate(twin, stages, adaptation=FeRls(start, forgetting, np.inf), **same)
+    alone = simulate(twin, stages, weights=None, feedback=False, seed=3, signals_from_s=broken.broke_s - 1.0)
+    np.testing.assert_array_equal(again.floor, alone.floor[:, : again.floor.shape[1]])  # to the last sample
+    with pytest.raises(InputError, match="one seed and one algorithm"):
+        simulate_together(twin, stages, seeds=[1, 2], adaptations={"": None}, to_the_break=True)
     kept = simulate(twin, stages, adaptation=FeRls(start, forgetting), **options)
     assert kept.broke_s is None and peak_error(kept, 14.0) < 3
 

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from experiments.motion.observer_contest import bench
-from experiments.motion.observer_contest import table as command
+from experiments.motion.observer_contest import table as tables
 from experiments.motion.observer_contest.doubts import DOUBTS, hidden_seed, sample_truth
 from experiments.motion.observer_contest.noise_map import (
     FILE,
@@ -441,12 +441,12 @@ def test_workers_that_share_a_process_do_not_share_an_observer():
 def test_a_cluster_gives_the_table_that_this_machine_gives(written, tmp_path, monkeypatch):
     from distributed import LocalCluster
 
-    monkeypatch.setattr(command, "run_contest", partial(run_contest, plants=("drive",), doubts=("all 2 %",)))
+    monkeypatch.setattr(tables, "run_contest", partial(run_contest, plants=("drive",), doubts=("all 2 %",)))
     given = {"seeds": 2, "public": "a test", "only": ["unscented Kalman"], "loops": 1, "heavy": 1}
     mine, here, there = [str(written(KALMAN))], str(tmp_path / "here.csv"), str(tmp_path / "there.csv")
     with LocalCluster(n_workers=1, threads_per_worker=2, dashboard_address=None) as cluster:
-        assert command.hold_contest(mine, scheduler=cluster.scheduler_address, out=there, **given) == 0
-    assert command.hold_contest(mine, jobs=1, out=here, **given) == 0
+        assert tables.hold_contest(mine, scheduler=cluster.scheduler_address, out=there, **given) == 0
+    assert tables.hold_contest(mine, jobs=1, out=here, **given) == 0
     one, other = (pd.read_csv(file).drop(columns="microseconds") for file in (here, there))
     assert one.equals(other) and set(one["entrant"]) == {"Kalman", "unscented Kalman", "mine"}
 

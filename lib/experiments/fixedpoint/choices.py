@@ -96,14 +96,13 @@ def rankings(
         return _judged(run, judged_from, hectic_by, error_measure)
 
     runs = RECORDS if lean else 40
-    studies = {
-        f"{size} {kind}": {
+    studies = {}
+    for size, kind in product(PRINTED_NOISE, ("gaussian", "logistic")):
+        noise = noise_of(kind, size, noise_amplitude)
+        studies[f"{size} {kind}"] = {
             name: run_study(ranked_trial, runs, seed, progress=False, controller=each, noise=noise)
             for name, each in who.items()
         }
-        for size, kind in product(PRINTED_NOISE, ("gaussian", "logistic"))
-        for noise in [noise_of(kind, size, noise_amplitude)]
-    }
     found: Values = {}
     for case, q, speed in (
         ("small gaussian", "fig-5", "fig-6"),

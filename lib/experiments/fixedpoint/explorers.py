@@ -78,10 +78,8 @@ def paint_noisy(kind: str, amplitude: float, frequency_hz: float, integration: s
 
 def paint_ranking(frequency_hz: float, sharpness: float, amplitude: float):
     """RMS errors of the four controllers, mean over two noise records."""
-    exact, trajectory = (
-        load_oscillator()["exact"].plant,
-        asin_trajectory(sharpness=sharpness, frequency_hz=frequency_hz),
-    )
+    exact = load_oscillator()["exact"].plant
+    trajectory = asin_trajectory(sharpness=sharpness, frequency_hz=frequency_hz)
     noise = Noise("gaussian", amplitude)
     found = compare(exact, published_controllers(_approximate()), trajectory, noise, runs=2, seed=0)
     figure, panels = _new(2, height=2.2, left=0.21)

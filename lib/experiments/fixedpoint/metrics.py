@@ -56,13 +56,13 @@ def compare(
     """
     drawn = 1 if noise.kind == "none" else runs
     settings = {"plant": plant, "trajectory": trajectory, "noise": noise, "progress": False, **options}
-    return {
-        name: Study(
-            seed, {quantity: np.repeat(values, runs // drawn) for quantity, values in found.values.items()}
+    studies = {}
+    for name, controller in controllers.items():
+        found = run_study(trial, drawn, seed, controller=controller, **settings).values
+        studies[name] = Study(
+            seed, {quantity: np.repeat(each, runs // drawn) for quantity, each in found.items()}
         )
-        for name, controller in controllers.items()
-        for found in [run_study(trial, drawn, seed, controller=controller, **settings)]
-    }
+    return studies
 
 
 def trial(rng: np.random.Generator, **settings) -> dict[str, float]:

@@ -73,7 +73,7 @@ def _paint_coordinate(motion, error, runs: Mapping[str, ControlledRun], settle: 
 
 
 def _paint_error(axes, run: ControlledRun, **style):
-    # in mm or mrad
+    """In mm or mrad, each bin's extremes."""
     paint_range(axes, run.time, 1e3 * run.position_error, max(1, len(run.time) // _BINS), **style)
 
 

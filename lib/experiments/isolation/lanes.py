@@ -13,6 +13,7 @@ import operator
 from llvmlite import ir
 from numba.core import cgutils, types
 from numba.core.datamodel import models, register_default
+from numba.core.errors import TypingError
 from numba.core.imputils import lower_builtin, lower_cast
 from numba.core.typing.templates import AbstractTemplate, infer_global
 from numba.extending import intrinsic
@@ -74,7 +75,11 @@ _lower("fneg", 1, operator.neg)
 
 def _kind(array, together):
     """Type of a channel's numbers."""
-    return array.dtype if isinstance(together, types.NoneType) else Lanes(len(together))
+    if isinstance(together, types.NoneType):
+        return array.dtype
+    if array.dtype != types.float64 or array.layout != "C":
+        raise TypingError(f"lanes are taken from contiguous arrays of float64, not from {array}")
+    return Lanes(len(together))
 
 
 def _pointer(context, builder, signature, arguments):

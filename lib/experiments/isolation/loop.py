@@ -22,7 +22,7 @@ from stillwork.estimation.adaptive import Recursion, ferls_step
 FROZEN, FELMS, FERLS = 0, 1, 2  # what the kernel does with the weights
 STABLE, OVERLOAD, INDEFINITE = 0, 1, 2  # why it stopped
 
-LANES = 8  # numbers in a vector of the processor
+VECTOR = 8  # numbers in a vector of the processor
 COLUMNS = 4  # of the plant's matrix that a product takes at a time
 CACHE_LINE = 64  # bytes
 
@@ -101,7 +101,7 @@ def loop_of(
     model = twin.plant.discrete(twin.sample_time)
     matrix = np.block([[model.a, model.b], [model.c, model.d]]).T
     # Vectors of the processor hold the channels of a single run, and are to be full.
-    whole = LANES if runs == 1 else COLUMNS
+    whole = VECTOR if runs == 1 else COLUMNS
     inputs, outputs = (padded(size, whole) for size in matrix.shape)
     plant = aligned(inputs, outputs)
     plant[: len(matrix), : matrix.shape[1]] = matrix
@@ -114,7 +114,7 @@ def loop_of(
             **{name: side_by_side(getattr(recursion, name), runs) for name in ("matrix", "levels", "gain")}
         )
     precision = recursion.matrix.dtype
-    errors, floors = padded(twin.outputs * runs, LANES), padded(2 * twin.sensors * runs, LANES)
+    errors, floors = padded(twin.outputs * runs, VECTOR), padded(2 * twin.sensors * runs, VECTOR)
     return ClosedLoop(
         plant=plant,
         states=len(model.a),
@@ -250,7 +250,7 @@ def _multiply(matrix, vector, product, together):
 
 
 @pasted_kernel
-def _add_product(matrix, vector, out, together):
+def _set_product(matrix, vector, out, together):
     """Out = matrix vector, of a few channels."""
     for i in range(matrix.shape[0]):
         total = same(0.0, together)
@@ -359,9 +359,9 @@ def advance(
         _copy(readings, 0, damping, 0, outputs, together)
         _copy(readings, 0, error, 0, outputs, together)
         if full:
-            _add_product(before, readings, axes, together)
+            _set_product(before, readings, axes, together)
             _filter_each(modes, error_1, error_2, axes, together)
-            _add_product(after, axes, error, together)
+            _set_product(after, axes, error, together)
         else:
             _filter(error_sections, error_1, error_2, error, together)
 

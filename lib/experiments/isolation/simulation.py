@@ -37,7 +37,7 @@ class Run:
     time_s: Float64[np.ndarray, "kept"]  # end of each interval of the two histories below
     weights: Float64[np.ndarray, "kept actuators regressors"]  # W, N per (m/s^2)
     error_power: Float64[np.ndarray, "kept"]  # quadratic filtered error e'e, mean over the interval, N^2
-    final_weights: Float64[np.ndarray, "actuators regressors"]  # W after the last sample
+    final_weights: Float64[np.ndarray, "actuators regressors"]  # W after the last sample, or at the break
     covariance: Float64[np.ndarray, "regressors regressors"]  # P after the last sample; one unless FeRLS ran
     # share of the last time constant in which FeRLS's `growth_limit` acted on each regressor
     held: Float64[np.ndarray, "regressors"]
@@ -98,11 +98,13 @@ def simulate_together(
     Several seeds go through one kernel side by side, with the same bits in a third of the time. Weights and error power are kept
     every `keep_every_s`; from `signals_from_s` on `signals` are, at the full rate. `weights` are those of all runs, or
     one W for each seed. Several seeds take FeRLS in the triangle's form and float64. The first run that diverges ends
-    them all; `to_the_break` keeps a single seed's up to there instead of raising.
+    them all; `to_the_break` keeps that of one seed and one algorithm up to there instead of raising.
     """
     seeds = [require_count("seed", seed, at_least=0) for seed in seeds]
     if len(seeds) > 1:
         _require_triangle(adaptations)
+    if to_the_break and (len(seeds) > 1 or len(adaptations) > 1):
+        raise InputError("to_the_break keeps one run; give one seed and one algorithm")
     rate = twin.instruments.sample_rate
     every = require_count("keep_every_s times the sample rate", round(keep_every_s * rate))
     segments = _segments(twin, floor, duration_s)
@@ -138,7 +140,7 @@ def simulate_together(
         try:
             _advance(twin, Sources(twin, segments, noise, batch, runs), sides, total, first, start)
         except UnstableAdaptation as error:
-            if not to_the_break or runs > 1:
+            if not to_the_break:
                 raise
             until, broke_s = error.sample, error.sample * twin.sample_time
         found += [
@@ -161,6 +163,8 @@ def _advance(twin: Twin, sources: Sources, sides: list, total: int, first: int, 
             samples = min(samples, first - done)
         floor_block, noise_block = sources.sample(samples)
         for adaptation, code, numbers, closed, kept in sides:
+            room = kept.room("floor", done, samples)
+            room[:] = floor_block[: len(room)]
             status, reached, stopped = loop.advance(
                 floor_block,
                 noise_block,
@@ -177,8 +181,6 @@ def _advance(twin: Twin, sources: Sources, sides: list, total: int, first: int, 
             if status != loop.STABLE:
                 peak = np.abs(floor_block[:, stopped :: sources.runs]).max()
                 raise _unstable(status, done + reached, twin, adaptation, start, peak)
-            room = kept.room("floor", done, samples)
-            room[:] = floor_block[: len(room)]
         done += samples
 
 

@@ -64,7 +64,9 @@ def beam(actuators: ArrayLike, sensors: ArrayLike, *, taper: float = 0.0) -> Mod
     published, assumed = p.table("published"), p.table("assumed")
     flexible = require_array("beam.toml: frequencies_hz", published["frequencies_hz"], ndim=1)
     if np.any(flexible <= 0):
-        raise InputError("beam.toml: frequencies_hz holds a value that is not positive")
+        raise InputError(
+            "beam.toml: frequencies_hz holds a value that is not positive; give the flexible modes alone"
+        )
     ratio = require_number("beam.toml: damping_ratio", assumed["damping_ratio"], at_least=0.0, below=1.0)
     frequencies = 2 * np.pi * np.concatenate([[0.0, 0.0], flexible])
     modes = len(frequencies)

@@ -42,12 +42,17 @@ def rig_tables(
     for k, case in enumerate(CASES):
         name = case.lower().replace(" and ", "-")
         for d, direction in enumerate(DIRECTIONS):
-            found[f"motion.table-6-2.{name}.{direction}"] = central(crossing[:, k, d])
+            found[f"motion.table-6-2.{name}.{direction}"] = _of_feasible(crossing[:, k, d])
             if k:
                 for t, table in enumerate(("6-3", "6-4")):
                     entry = f"motion.table-{table}.ratio.{name}.{direction}"
-                    found[entry] = central(ratios[:, t, k - 1, d])
+                    found[entry] = _of_feasible(ratios[:, t, k - 1, d])
     return found
+
+
+def _of_feasible(sample: np.ndarray) -> float | tuple[float, tuple[float, float]]:
+    """Of the geometries on which the case has a controller."""
+    return central(sample[~np.isnan(sample)])
 
 
 @lru_cache(maxsize=8)

@@ -39,8 +39,8 @@ def locations(
     for case in LOCATION_CASES:
         over = 1e9 * np.array([study.over(case, *each) for each in ranges(study.places, 0.5)])
         for part, value, each in zip(("min", "mean", "max"), study.over(case, *ends), over.T, strict=True):
-            ends_nm = float(each.min()), float(each.max())
-            found[f"motion.table-4-1.{key(case)}.{part}"] = float(1e9 * value), ends_nm
+            over_places_nm = float(each.min()), float(each.max())
+            found[f"motion.table-4-1.{key(case)}.{part}"] = float(1e9 * value), over_places_nm
     return found
 
 

@@ -265,8 +265,11 @@ def geometry_trial(
             found[f"{name}: limit"] = reached / rigid_coupling(plant, gain, both)
             found[f"{name}: onset_hz"] = coupling_onset(plant, gain, both) / (2 * np.pi)
         if name in DAMPING:
-            both = added_damping(plant, system)
-            found[f"{name}: added"], found[f"{name}: shift"] = (each[: settings.damped] for each in both)
+            added, shift = added_damping(plant, system)
+            found[f"{name}: added"], found[f"{name}: shift"] = (
+                added[: settings.damped],
+                shift[: settings.damped],
+            )
         if name in FILTERED:
             found[f"{name}: crosswise"] = crosswise_force(plant, scheme_gain(name, plant, settings), damped)
     return found

@@ -87,7 +87,8 @@ def paint_joint(
     """Explorer: the six functions, of the worst mass each, with frequencies, bandwidth (%) and delay (samples) moved."""
     chosen = designs[design]
     chosen = replace(chosen, bandwidth_hz=chosen.bandwidth_hz * bandwidth / 100)
-    plant = detuned(stage(), np.full(7, frequency_error / 100))
+    nominal = stage()
+    plant = detuned(nominal, np.full(len(nominal.frequencies) - nominal.rigid_modes, frequency_error / 100))
     judged = judge(chosen, [plant], delay)
     values = six(serve(plant, delay).plant, compensated(chosen, grid(), delay)).max(axis=1)
     figure, axis = plain(bottom=0.17)

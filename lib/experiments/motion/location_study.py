@@ -27,6 +27,7 @@ from stillwork.control.setpoint import Setpoint
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
 
+SETTLED = 2e-8  # m, within which an error has settled
 ErrorsByCase = Mapping[str, Float64[np.ndarray, "places samples"]]
 
 
@@ -155,7 +156,7 @@ def table_statements(study: LocationStudy) -> dict[str, bool]:
     time, start = study.setpoint.time, study.setpoint.acceleration_end
     settling = (time >= start) & (time < study.setpoint.scan[0])
     transient = {name: np.mean(study.errors[name][:, settling] ** 2) for name in ("MC", "MC, redesigned")}
-    settled = {name: np.median(study.settled(name, 2e-8)) for name in ("original", "AD, redesigned")}
+    settled = {name: np.median(study.settled(name, SETTLED)) for name in ("original", "AD, redesigned")}
     damped = ("AD", "MC and AD")
     return {
         "damping-mean": all(mean[name] < mean["original"] for name in damped),

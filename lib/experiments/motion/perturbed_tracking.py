@@ -34,7 +34,7 @@ CASES |= {f"{name}, redesigned": (name, name) for name in APPLICATIONS}
 
 Blocks = Mapping[str, tuple[StateModel | None, StateModel]]  # compensator and controller of each case
 
-_setpoint, _deviations = cache(published_setpoint), cache(published_deviations)  # every trial asks for them
+_setpoint = cache(published_setpoint)  # every trial asks for it
 
 
 @cache
@@ -66,15 +66,13 @@ def tracking_trial(
     setpoint = _setpoint(step)
     nominal = stage().at([0], [MEASURED - 1])
     plant = perturbed(nominal, sample_errors(rng, nominal, size, law, rigid))
-    deviations = _deviations()
+    deviations = published_deviations()
     sizes = np.array([*deviations.values()])[:, None]
     noise = rng.standard_normal((3, setpoint.derivatives.shape[1])) * sizes
     feedforward: Feedforward | None = None
     found = {}
-    for case, (
-        block,
-        controller,
-    ) in blocks.items():  # the first has no observer: its loop is the one that is tuned
+    # The first case has no observer: its loop is the one that is tuned.
+    for case, (block, controller) in blocks.items():
         loop = closed_loop(plant, block, controller)
         if not loop.is_stable:
             found[case] = np.inf

@@ -15,10 +15,10 @@ def key(case: str) -> str:
 
 
 def central(sample: np.ndarray) -> float | tuple[float, tuple[float, float]]:
-    """Median and the central 95 % of the runs that gave a number; NaN where none did."""
-    if not np.isfinite(sample).any():
+    """Median and the central 95 % of the runs; NaN where one of them gave no number, or there is none."""
+    if not len(sample) or np.isnan(sample).any():
         return float("nan")
-    low, middle, high = np.nanquantile(sample, [0.025, 0.5, 0.975])
+    low, middle, high = np.quantile(sample, [0.025, 0.5, 0.975])
     return float(middle), (float(low), float(high))
 
 

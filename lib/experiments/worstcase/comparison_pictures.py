@@ -44,7 +44,7 @@ def paint_ratios(names: list[str], errors: np.ndarray):
         for place, (method, colour) in enumerate(AGAINST):
             rows = np.arange(len(names)) + 0.2 * (place - 1.5)
             style = {"markersize": 3, "color": colour, "label": METHODS[method]}
-            _geometric_means(axes, ratios[:, number, :, order.index(method)], rows, **style)
+            _paint_geometric_means(axes, ratios[:, number, :, order.index(method)], rows, **style)
         axes.axvline(1, color=figures.BLACK, linestyle="--", linewidth=1)
         axes.set(xscale="log", xlim=(0.2, 8), title=title)
         axes.set_xticks([0.25, 0.5, 1, 2, 4], ["1/4", "1/2", "1", "2", "4"])
@@ -56,8 +56,8 @@ def paint_ratios(names: list[str], errors: np.ndarray):
     return figure
 
 
-def _geometric_means(axes, logs: np.ndarray, rows: np.ndarray, **style):
-    # of the runs in every row of `logs`, with their 95 % intervals
+def _paint_geometric_means(axes, logs: np.ndarray, rows: np.ndarray, **style):
+    """Of the runs in every row of `logs`, with their 95 % intervals."""
     mean, ends = np.exp(logs.mean(axis=1)), np.exp([mean_interval(each) for each in logs]).T
     axes.errorbar(mean, rows, xerr=np.abs(ends - mean), fmt="o", **style)
 
@@ -72,7 +72,7 @@ def explore_comparison(
     colours = (figures.BLACK, figures.GREEN, figures.BLUE, figures.RED)
     for number, (name, colour) in enumerate(zip(EXCITATIONS, colours, strict=True)):
         rows = np.arange(len(METHODS)) + 0.2 * (number - 1.5)
-        _geometric_means(axes, np.log(errors[number]).T, rows, markersize=4, color=colour, label=name)
+        _paint_geometric_means(axes, np.log(errors[number]).T, rows, markersize=4, color=colour, label=name)
     axes.set_yticks(np.arange(len(METHODS)), METHODS.values())
     axes.axvline(1, color=figures.GREY, linestyle=":", label="the estimate zero")
     axes.set(xscale="log", xlabel="|x − estimate| over |x|")

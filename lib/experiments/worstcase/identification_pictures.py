@@ -36,9 +36,8 @@ def _paint_estimates(axes, study: Study, number: int, truth: float):
         axes.plot(time, study[name][:, number].mean(0), style, color=colour, label=label)
     axes.axhline(truth, color=figures.GREY, linewidth=2.5, alpha=0.5, zorder=1)
     axes.set(ylabel=f"estimate of x{number + 1}", title=f"({'ab'[number]})")
-    late = study["min_max"][:, number].mean(0)[
-        10:
-    ]  # the first samples of total least squares run off any scale
+    # The first samples of total least squares run off any scale.
+    late = study["min_max"][:, number].mean(0)[10:]
     reach = max(0.6, 1.3 * np.abs(late - truth).max())
     axes.set(ylim=(truth - reach, truth + reach))
 

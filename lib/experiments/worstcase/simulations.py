@@ -142,9 +142,8 @@ def _growing_windows(regressors, outputs):
     smallest = vectors[:, :, 0]
     least, total = np.zeros((2, *regressors.shape))
     late = products[unknowns:]  # from there on A has more rows than columns
-    least[:, unknowns:] = np.linalg.solve(late[:, :unknowns, :unknowns], late[:, :unknowns, unknowns:])[
-        ..., 0
-    ].T
+    information, correlation = late[:, :unknowns, :unknowns], late[:, :unknowns, unknowns:]
+    least[:, unknowns:] = np.linalg.solve(information, correlation)[..., 0].T
     total[:, unknowns:] = -(smallest[unknowns:, :unknowns] / smallest[unknowns:, unknowns:]).T
     return least, total, np.sqrt(np.maximum(values[:, 0], 0))
 

@@ -1,4 +1,4 @@
-"""An input-output record of one's own: opened, its sensor noise read, models fitted and judged on unseen data."""
+"""Models of an input-output record of one's own: fitted, the bound chosen, and judged on unseen data."""
 
 from dataclasses import dataclass
 

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def no_collection() -> Iterator[None]:
-    """No search for cycles inside: nested ones and one that was off before stay off until the outermost ends."""
+    """No search for cycles inside; afterwards as it was before, so that nested ones wait for the outermost."""
     enabled = gc.isenabled()
     gc.disable()
     try:

@@ -40,7 +40,7 @@ def borrowing_kernel(function):
 
 
 def pasted_kernel(function):
-    """As `borrowing_kernel`, but its machine code is copied into its callers: for long ones that few places call.
+    """As `borrowing_kernel`, but its machine code is copied into its callers: for what other kernels contain.
 
     Numba analyses it once, an `inlined_kernel` again in everything that calls it.
     """

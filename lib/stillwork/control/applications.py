@@ -10,7 +10,7 @@ from stillwork.base.checks import InputError, require_array, require_choice, req
 from stillwork.base.front_door import check_fields, checked
 from stillwork.control.feedback import SELECTIONS, band_pass, damping_gain, stiffness_gain
 from stillwork.estimation.observer import Observer
-from stillwork.lti.state_space import StateModel, blocks, interconnect
+from stillwork.lti.state_space import StateModel, block_matrix, interconnect
 
 
 @dataclass(frozen=True)
@@ -138,11 +138,11 @@ def filtered_estimates(
     outputs = len(estimator.c) - direct - count
     external = np.eye(inputs + outputs + count + len(high_pass), inputs + outputs)
     found = (outputs, direct, count, count, len(high_pass))
-    feedback = blocks(
+    feedback = block_matrix(
         (inputs + outputs, count, len(high_pass)), found, (0, 0, 0, 0, 0), (0, 0, 1, 0, 0), (1, 0, 0, 0, 0)
     )
     whole = 0 if high_pass else 1
-    take = blocks((inputs, outputs), found, (0, 1, 0, gain, 0), (whole, 0, 0, 0, 1 - whole))
+    take = block_matrix((inputs, outputs), found, (0, 1, 0, gain, 0), (whole, 0, 0, 0, 1 - whole))
     return interconnect([estimator, *filters, *high_pass], feedback, external, take)
 
 

@@ -10,7 +10,7 @@ from stillwork.base.checks import InputError
 from stillwork.base.front_door import check_fields, checked
 from stillwork.estimation.observer import Observer
 from stillwork.lti.modal import ModalModel
-from stillwork.lti.state_space import StateModel, blocks, constant, interconnect
+from stillwork.lti.state_space import StateModel, block_matrix, constant, interconnect
 
 # Above this condition of mode shapes at actuators or sensors, a decoupling loses half of the digits.
 WORST_CONDITION = 1e8
@@ -149,8 +149,8 @@ def decoupled_plant(
         c, d = np.vstack([seen.c, rows]), np.vstack([both, np.zeros((read, inputs + axes))])
         models = [StateModel(machine.a, b, c, d), force]
         taken, given = (inputs, axes, read), (axes, read, inputs)  # f_d, u | rows; q, rows | f_d
-        feedback = blocks(taken, given, (0, 0, 1), (0, 0, 0), (0, 1, 0))
-        external = blocks(taken, (axes,), (0,), (1,), (0,))
+        feedback = block_matrix(taken, given, (0, 0, 1), (0, 0, 0), (0, 1, 0))
+        external = block_matrix(taken, (axes,), (0,), (1,), (0,))
     else:
         own = np.hstack([machine.d, machine.d @ decoupling.actuation])
         c, d = np.vstack([seen.c, machine.c]), np.vstack([both, own])
@@ -158,6 +158,6 @@ def decoupled_plant(
         # f_d, u | f, y | rows; q, y | rows | f_d
         taken, given = (inputs, axes, inputs, outputs, read), (axes, outputs, read, inputs)
         nothing, f_d, y, estimates = (0, 0, 0, 0), (0, 0, 0, 1), (0, 1, 0, 0), (0, 0, 1, 0)
-        feedback = blocks(taken, given, f_d, nothing, f_d, y, estimates)
-        external = blocks(taken, (axes,), (0,), (1,), (decoupling.actuation,), (0,), (0,))
+        feedback = block_matrix(taken, given, f_d, nothing, f_d, y, estimates)
+        external = block_matrix(taken, (axes,), (0,), (1,), (decoupling.actuation,), (0,), (0,))
     return interconnect(models, feedback, external, np.eye(axes, feedback.shape[1]))

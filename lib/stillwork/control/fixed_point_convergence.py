@@ -200,8 +200,10 @@ def limit_cycles(
         scaled = brentq(lambda a, ratio=ratio: describing_function(a) - ratio, 0.0, reach)
         change = abs(edge.local_gain) * scaled * transformation.width
         rate = np.array([2 * np.pi * edge.frequency_hz])
-        sizes = (abs(loop.response(rate, row)[0]) * change for row in np.eye(len(loop.A))[:2])
-        error, position, velocity = (float(each) for each in (scaled * transformation.width, *sizes))
+        position, velocity = (
+            float(abs(loop.response(rate, row)[0]) * change) for row in np.eye(len(loop.A))[:2]
+        )
+        error = float(scaled * transformation.width)
         cycles.append(LimitCycle(edge.frequency_hz, error, position, velocity, stable))
     return cycles
 

@@ -188,7 +188,7 @@ def _closed_mechanism(
 ):
     """Fill `record` (coordinates x COLUMNS x samples); returns the samples done and how it ended."""
     count, samples = noise.shape
-    kind, options, process, covariance, _ = device
+    kind, options, process, sensor, _ = device
     measurement, position, velocity = parts[3], motion[0], motion[1]
     force, acceleration, deformed, seen, speed, held = work[0], work[1], work[2], work[3], work[4], work[5]
     work = work[6:]
@@ -198,7 +198,7 @@ def _closed_mechanism(
             measured = measure_position(
                 measurement, position[j], noise[j, i], time_step, estimate[j, 1], memory[j, MEASURED]
             )
-            own = Packed(kind, options, process, covariance, devices_work[j])
+            own = Packed(kind, options, process, sensor, devices_work[j])
             if not filter_step(
                 own, filter_acceleration, filter_plant, time_step, measured, deformed[j], estimate[j]
             ):

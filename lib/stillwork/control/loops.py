@@ -10,7 +10,7 @@ from jaxtyping import Complex128
 from stillwork.base.checks import InputError
 from stillwork.base.front_door import checked
 from stillwork.lti.modal import ModalModel
-from stillwork.lti.state_space import StateModel, blocks, constant, interconnect
+from stillwork.lti.state_space import StateModel, block_matrix, constant, interconnect
 
 INPUTS = ("r", "u_ff", "w", "v", "d")
 OUTPUTS = ("e_true", "e_meas", "u", "f")
@@ -74,10 +74,10 @@ def _wiring(m: int, p: int) -> tuple[np.ndarray, ...]:
     found, made = (p, m, p, m), (m, m, p, p)  # y0 = P(f + w), u_d, y_flex, u_fb; f + w, f, y + d, e_meas
     given, wanted = (p, m, m, p, p), (p, p, m, m)  # `INPUTS`, `OUTPUTS`
     return (
-        blocks(made, found, (0, 1, 0, 1), (0, 1, 0, 1), (1, 0, 0, 0), (-1, 0, 1, 0)),
-        blocks(made, given, (0, 1, 1, 0, 0), (0, 1, 0, 0, 0), (0, 0, 0, -1, 1), (1, 0, 0, 1, -1)),
-        blocks(wanted, found, (-1, 0, 0, 0), (-1, 0, 1, 0), (0, 0, 0, 1), (0, 1, 0, 1)),
-        blocks(wanted, given, (1, 0, 0, 1, 0), (1, 0, 0, 1, -1), (0, 1, 0, 0, 0), (0, 1, 0, 0, 0)),
+        block_matrix(made, found, (0, 1, 0, 1), (0, 1, 0, 1), (1, 0, 0, 0), (-1, 0, 1, 0)),
+        block_matrix(made, given, (0, 1, 1, 0, 0), (0, 1, 0, 0, 0), (0, 0, 0, -1, 1), (1, 0, 0, 1, -1)),
+        block_matrix(wanted, found, (-1, 0, 0, 0), (-1, 0, 1, 0), (0, 0, 0, 1), (0, 1, 0, 1)),
+        block_matrix(wanted, given, (1, 0, 0, 1, 0), (1, 0, 0, 1, -1), (0, 1, 0, 0, 0), (0, 1, 0, 0, 0)),
     )
 
 

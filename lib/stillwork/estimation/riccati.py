@@ -118,7 +118,7 @@ def _solved(solve, a: np.ndarray, g: np.ndarray, c: np.ndarray) -> np.ndarray:
 def _continuous_check(a, g, c, p) -> tuple[np.ndarray, float, bool]:
     """The gain of a solution, its relative residual, and whether its observer is stable: neither follows from the other."""
     if not np.isfinite(p).all():
-        return p @ c.T, np.inf, False
+        return np.zeros_like(c.T), np.inf, False
     terms = (a @ p, g @ g.T, p @ c.T @ c @ p)
     residual = np.abs(terms[0] + terms[0].T + terms[1] - terms[2]).max() / max(np.abs(t).max() for t in terms)
     return p @ c.T, residual, bool(np.all(linalg.eigvals(a - p @ c.T @ c).real < 0))

@@ -79,8 +79,10 @@ class ModalModel:
             output_shapes=self.output_shapes[:, chosen],
         )
 
+    @checked
     def moved(self, frequencies: Float64[np.ndarray, " modes"]) -> "ModalModel":
         """The same modes at other frequencies (rad/s), in ascending order: two of them may change places."""
+        frequencies = require_array("frequencies", frequencies, shape=self.frequencies.shape)
         order = np.argsort(frequencies, kind="stable")
         return replace(
             self,

@@ -266,7 +266,7 @@ def interconnect(
     )
 
 
-def blocks(
+def block_matrix(
     rows: Sequence[int], columns: Sequence[int], *entries: Sequence[float | np.ndarray]
 ) -> Float64[np.ndarray, "rows columns"]:
     """A matrix of blocks, one of `entries` for each of `rows`; a number in it is so many times the unit matrix.

@@ -50,6 +50,7 @@ def own_file(path: Path) -> str:
 
 
 def model_file(path: Path) -> Iterator[str]:
+    """What a TOML file holds, and the rooms and commands that take it as a machine."""
     table = read_toml(path)
     yield f"{path.name}: {len(table)} entries"
     for name, value in table.items():
@@ -82,10 +83,10 @@ def _takers(path: Path, room: str) -> Iterator[str]:
     for notebook in select(room):
         for name, comment in comments(notebook).items():
             if re.search(r"\bpath\b.*\bTOML\b", comment):
-                yield command(notebook.name, {name: path.resolve()})
+                yield figures_command(notebook.name, {name: path.resolve()})
 
 
-def command(notebook: str, settings: dict) -> str:
+def figures_command(notebook: str, settings: dict) -> str:
     """The line for a shell, with every name as one word of it."""
     words = ["python", "-m", "stillwork", "figures", notebook]
     for key, value in settings.items():

@@ -78,7 +78,7 @@ SAMPLED = ("2011, AVX (Sandy Bridge)", "2013, AVX2 (Haswell)")
 
 
 def portable(targets: Sequence[str] = (), processor: str = "", sample: bool = False) -> int:
-    """Build under each stand-in that runs here and print the table; returns 1 when something moved or failed.
+    """Build under each stand-in that runs here and print the table; returns 1 when something moved or failed, or none runs.
 
     Parameters
     ----------
@@ -119,8 +119,9 @@ def portable(targets: Sequence[str] = (), processor: str = "", sample: bool = Fa
         what = (*each.files, *each.cells, *each.claims, *each.verdicts)
         print(f"{name}: {each.notebook}: {', '.join(what)}")
     ran = sum(len(row) > 2 for row in rows)
-    print(f"{ran} of {len(rows)} stand-ins ran: {'not all agree' if moved or failed else 'all agree'}")
-    return int(bool(moved) or failed)
+    told = "not all agree" if moved or failed else "all agree" if ran else "nothing was compared"
+    print(f"{ran} of {len(rows)} stand-ins ran: {told}")
+    return int(bool(moved) or failed or not ran)
 
 
 def _build(processor: Processor, names: tuple[str, ...]) -> tuple[list[Comparison], bool]:

@@ -1,6 +1,8 @@
-"""The contest over all plants, doubts and seeds: its table, and its ranking with intervals.
+"""The contest over all plants, doubts and seeds: its command, its table, and its ranking with intervals.
 
-``python -m experiments.motion.observer_contest.table`` writes the committed table's ranking into ``docs/contest.md``."""
+``python -m stillwork contest`` holds it; ``python -m experiments.motion.observer_contest.table`` writes the committed
+table's ranking into ``docs/contest.md``.
+"""
 
 import time
 from collections.abc import Mapping, Sequence
@@ -236,18 +238,6 @@ def as_markdown(found: pd.DataFrame) -> str:
     return "\n".join([lines[0], "|" + "---|" * found.shape[1], *lines[1:]])
 
 
-def main() -> None:
-    """Write the committed table's ranking into its guide."""
-    before, _, rest = GUIDE.read_text(encoding="utf-8").partition(BEGIN)
-    after = rest.partition(END)[2]
-    shown = as_markdown(standings(pd.read_csv(FILE)))
-    GUIDE.write_text(f"{before}{BEGIN}\n{shown}\n{END}{after}", encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()
-
-
 def hold_contest(
     files: list[str],
     *,
@@ -282,3 +272,15 @@ def hold_contest(
     if out:
         write_table(table, out)
     return int(bool(contest.disqualified))
+
+
+def main() -> None:
+    """Write the committed table's ranking into its guide."""
+    before, _, rest = GUIDE.read_text(encoding="utf-8").partition(BEGIN)
+    after = rest.partition(END)[2]
+    shown = as_markdown(standings(pd.read_csv(FILE)))
+    GUIDE.write_text(f"{before}{BEGIN}\n{shown}\n{END}{after}", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
