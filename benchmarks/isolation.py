@@ -102,7 +102,7 @@ def main() -> None:
     for peer, name in (("padasip", "padasip FilterRLS"), ("pyroomacoustics", "pyroomacoustics RLS")):
         if peer in updates:
             rows.append((f"update 9 x 6: {name} per output / numba", updates[peer][0] / recursion, ">= 400"))
-    safe = updates["recursion in float32, safe form"][0]
+    safe = updates["recursion in float32"][0]
     rows.append(("update 9 x 6: float32 safe form / triangle in float64", safe / recursion, "<= 1.5"))
     rows.append(("update 9 x 6: FeRLS / FeLMS alone", recursion / updates["FeLMS"][0], ""))
     loops = loop_times()
@@ -202,7 +202,7 @@ def update_times() -> dict[str, tuple[float, float, float]]:
 
     contenders = {
         "recursion": recursion(),
-        "recursion in float32, safe form": recursion(dtype="float32"),
+        "recursion in float32": recursion(dtype="float32"),
         "FeLMS": felms,
         "block inverse": inverse(1),
         "full inverse": inverse(ACTUATORS),
