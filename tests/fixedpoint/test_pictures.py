@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from experiments.fixedpoint import explorers, published_controllers, run_pictures
+from experiments.fixedpoint.noise_pictures import paint_cost_against_error
 from experiments.fixedpoint.published import KALMAN, LITERAL, LOW_PASS, WINDOW
 from stillwork.base.checks import InputError
 from stillwork.control import asin_trajectory, simulate
@@ -112,3 +113,12 @@ def test_motion_at_rest_is_the_semi_implicit_model(approximate):
     # The quadratic and cubic terms are of the order of 1e-4 of the state here.
     expected = [velocity, state[1] + step * velocity]
     assert explorers.motion_at_rest(step) @ state == pytest.approx(expected, rel=2e-3)
+
+
+@pytest.mark.parametrize("scale", [0.01, 1.0, 100.0])
+def test_every_filter_stands_in_the_picture_of_costs_on_a_slow_machine_and_on_a_fast_one(scale):
+    errors = {LOW_PASS: 3.5, WINDOW: 4.0, KALMAN: 2.6}
+    cost = dict(zip(errors, scale * np.array([20.0, 40.0, 150.0]), strict=True))
+    [axes] = paint_cost_against_error(cost, errors, "error (mm/s)").axes
+    low, high = axes.get_xlim()
+    assert low < min(cost.values()) and 2 * max(cost.values()) < high
