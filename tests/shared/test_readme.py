@@ -8,6 +8,7 @@ import pytest
 
 from stillwork.__main__ import main
 from stillwork.base import paths
+from stillwork.workbook.tasks import built
 
 README = (paths.root() / "README.md").read_text(encoding="utf-8")
 SETTINGS = [text for text in re.findall(r'ARGS="([^"]*)"', README) if "-p" in text]
@@ -31,3 +32,7 @@ def test_the_snippet_finds_the_weights_it_announces(capsys):
         np.array(re.findall(r"-?\d+\.?\d*", text), float) for text in (announced, capsys.readouterr().out)
     ]
     np.testing.assert_allclose(numbers[1], numbers[0], atol=1e-3)
+
+
+def test_it_says_where_a_build_writes():
+    assert f"`{built().relative_to(paths.root())}/<room>/<notebook>/`" in README
