@@ -373,6 +373,12 @@ def test_only_finite_values_are_claimed(workbook, interval):
         make_claim("motion.order", math.nan if interval is None else 1.0, interval)
 
 
+def test_an_interval_begins_with_its_lower_end(workbook):
+    workbook()
+    with pytest.raises(InputError, match=r"motion.order: interval is \(2, 1\); give the lower end first"):
+        make_claim("motion.order", 1.0, (2.0, 1.0))
+
+
 def test_the_ledger_joins_entries_with_what_was_found(workbook):
     workbook(**{"01-x": {"motion.table-1.pid": {"ours": 37.5, "interval": [37, 38]}}})
     pid, order = ledger()

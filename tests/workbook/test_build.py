@@ -188,6 +188,24 @@ def test_what_a_notebook_read_is_what_makes_it_stale(toy):
 
 
 @pytest.mark.slow
+def test_what_is_read_is_watched_wherever_the_checkout_lies(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    toy = toys.make(tmp_path / ".cache" / "toy")  # what packages keep lies there, too
+    try:
+        toy.add("motion/01-a", "assert paths.data('motion', 'rig.toml').read_text()")
+        done = toy.run("figures")
+        assert done.returncode == 0, done.stdout + done.stderr
+        assert reasons(toy) == {}
+        for name in ("lib/experiments/motion/model.py", "data/motion/rig.toml"):
+            before = (toy.root / name).read_text()
+            toy.write(name, before + "\n")
+            assert reasons(toy) == {"motion/01-a": f"{name} changed"}
+            toy.write(name, before)
+    finally:
+        toys.clean_up(toy)
+
+
+@pytest.mark.slow
 def test_a_library_that_was_edited_and_put_back_in_mid_build_is_noticed(toy):
     edit = (
         "from pathlib import Path\nfile = Path(paths.root(), 'lib/experiments/motion/late.py')\n"
@@ -228,9 +246,9 @@ def test_what_was_read_is_not_guessed(tmp_path, text):
 @pytest.mark.parametrize(("room", "noted"), [(10_000, True), (10, False)])
 def test_a_log_that_does_not_fit_on_the_disk_is_removed(toy, room, noted):
     script = (
-        "import os, resource, sys\nfrom stillwork.workbook.kernel_process import watch\n"
+        "import os, resource, sys\nfrom stillwork.workbook.kernel_process import Installed, watch\n"
         f"resource.setrlimit(resource.RLIMIT_FSIZE, ({room}, {room}))\n"
-        "watch('reads', ())\nopen('environment.txt').close()"
+        "watch('reads', Installed('/nowhere/reads'))\nopen('environment.txt').close()"
     )
     environment = toy.environment() | {"STILLWORK_ROOT": str(toy.root)}
     subprocess.run([sys.executable, "-c", script], cwd=toy.root, env=environment, check=True)

@@ -415,10 +415,10 @@ def make_claim(
         raise InputError(f"the ledger has no entry {name!r}{nearest(name, entries)}")
     value = require_number(name, ours)
     if interval is not None:
-        interval = (
-            _rounded(require_number(f"{name}: interval", interval[0])),
-            _rounded(require_number(f"{name}: interval", interval[1])),
-        )
+        low, high = require_array(f"{name}: interval", interval, shape=(2,)).tolist()
+        if low > high:
+            raise InputError(f"{name}: interval is ({low:g}, {high:g}); give the lower end first")
+        interval = _rounded(low), _rounded(high)
     return Claim(entries[name], _rounded(value), interval, notebook)
 
 

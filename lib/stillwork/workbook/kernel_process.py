@@ -40,20 +40,33 @@ SLOW = (
 )
 
 
-def installed(log: str) -> tuple[str, ...]:
-    """What Python, its packages and the system hold, and what a build writes: no notebook's inputs."""
-    home = os.path.expanduser("~")
-    places = {sys.prefix, sys.base_prefix, sys.exec_prefix, os.path.dirname(log)}
-    places |= {os.path.realpath(each) for each in places}
-    places |= {"/dev", "/etc", "/lib", "/lib64", "/proc", "/run", "/sys", "/usr"}
-    places |= {os.path.join(home, each) for each in (".cache", ".config", ".ipython", ".jupyter", ".local")}
-    places |= {each for each in sys.path if "site-packages" in each or "dist-packages" in each}
-    root = os.environ["STILLWORK_ROOT"]
-    places |= {os.path.join(root, each) for each in (".git", "build")}
-    return tuple(each.rstrip("/") + "/" for each in places)
+class Installed:
+    """What Python, its packages and the system hold, and what a build writes: no notebook's inputs.
+
+    Of what lies in the checkout only that counts which has its place there, wherever the checkout itself lies.
+    """
+
+    def __init__(self, log: str):
+        home = os.path.expanduser("~")
+        places = {sys.prefix, sys.base_prefix, sys.exec_prefix, os.path.dirname(log)}
+        places |= {os.path.realpath(each) for each in places}
+        places |= {"/dev", "/etc", "/lib", "/lib64", "/proc", "/run", "/sys", "/usr"}
+        places |= {
+            os.path.join(home, each) for each in (".cache", ".config", ".ipython", ".jupyter", ".local")
+        }
+        places |= {each for each in sys.path if "site-packages" in each or "dist-packages" in each}
+        self._root = os.environ["STILLWORK_ROOT"].rstrip("/") + "/"
+        places |= {os.path.join(self._root, each) for each in (".git", "build")}
+        self._places = tuple(each.rstrip("/") + "/" for each in places)
+        self._inner = tuple(
+            each for each in self._places if each.startswith(self._root) and each != self._root
+        )
+
+    def holds(self, path: str) -> bool:
+        return path.startswith(self._inner if path.startswith(self._root) else self._places)
 
 
-def watch(log: str, left_out: tuple[str, ...]) -> None:
+def watch(log: str, left_out: Installed) -> None:
     """Append to `log`, from now on, a line of JSON for each file that is read and each folder that is listed.
 
     The pins of the environment speak for what is left out. A log that cannot be written is removed: without one
@@ -91,7 +104,7 @@ def watch(log: str, left_out: tuple[str, ...]) -> None:
                 if writes:
                     return
                 # Machine code that a compiler keeps beside a source follows from it.
-                if path.startswith(left_out) or os.path.basename(os.path.dirname(path)) == "__pycache__":
+                if left_out.holds(path) or os.path.basename(os.path.dirname(path)) == "__pycache__":
                     return
                 now = os.stat(path)
                 stamp = (now.st_ino, now.st_size, now.st_mtime_ns, now.st_ctime_ns)
@@ -112,7 +125,7 @@ def watch(log: str, left_out: tuple[str, ...]) -> None:
     sys.addaudithook(hook)
 
 
-def compile_sources(left_out: tuple[str, ...]) -> None:
+def compile_sources(left_out: Installed) -> None:
     """Import the workbook's modules from their sources only.
 
     Python takes kept bytecode for a source's when both have one size and one second of change, so an edit right
@@ -122,7 +135,7 @@ def compile_sources(left_out: tuple[str, ...]) -> None:
 
     def get_code(self, name):
         path = os.path.abspath(self.get_filename(name))
-        if path.startswith(left_out):
+        if left_out.holds(path):
             return usual(self, name)
         return self.source_to_code(self.get_data(path), path)
 
@@ -133,7 +146,7 @@ def kernel(log: str, *options: str) -> None:
     """Serve a notebook until it says that it is done."""
     folder = os.path.dirname(log)
     try:
-        left_out = installed(log)
+        left_out = Installed(log)
         watch(log, left_out)
         compile_sources(left_out)
         tempfile.tempdir = folder  # what is left in it goes with the kernel
