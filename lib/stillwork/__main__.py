@@ -44,6 +44,8 @@ def _run(command: "Command", **chosen) -> int:
     """Call the function of a command with its options and print what it returns, unless that is the exit code."""
     if command.needs_checkout:
         paths.root()  # who has none misses no package
+    if command.settles:
+        import_module("stillwork.workbook.lock").settle()
     module, _, name = command.target.partition(":")
     told = getattr(import_module(module), name)(**chosen)
     if isinstance(told, int):
@@ -96,6 +98,7 @@ class Command(NamedTuple):
     target: str  # ``module:function``, imported when it is called
     options: tuple[Option, ...] = ()
     needs_checkout: bool = True
+    settles: bool = False  # an accept that was killed is finished first
 
 
 def _number(name: str, metavar: str, help: str, type: Callable = _count, **how) -> Option:
@@ -169,6 +172,7 @@ COMMANDS = {
             _option("--json", action="store_true"),
             _option("--built", action="store_true", help="with what the last build found, accepted or not"),
         ),
+        settles=True,
     ),
     "portable": Command(
         "build under other processors' settings and compare",
@@ -182,13 +186,16 @@ COMMANDS = {
     "accept": Command(
         "take the built results over into notebooks/ and the ledger", "stillwork.site.commands:accept"
     ),
-    "site": Command("write the static site to build/site", "stillwork.site.commands:site"),
+    "site": Command("write the static site to build/site", "stillwork.site.build:build_site", settles=True),
     "release": Command(
-        "write wheel, site and archive to build/release, and try the wheel", "stillwork.site.commands:release"
+        "write wheel, site and archive to build/release, and try the wheel",
+        "stillwork.site.release:release",
+        settles=True,
     ),
     "refresh": Command(
         "rewrite what follows from ledger and notebooks: README tables, index, manifests",
         "stillwork.site.commands:refresh",
+        settles=True,
     ),
     "inspect": Command(
         "say what a file of yours holds and which notebooks can use it",

@@ -20,7 +20,7 @@ _STYLES = {
 }
 COARSE_HZ = np.geomspace(
     0.05, 2400, 500
-)  # gives an explorer its weights in time; the notebooks use a dense grid
+)  # gives an explorer its weights in time; notebooks take a dense grid
 PUBLISHED_BAND_HZ = (3.0, 200.0)  # where the paper states 20 to 40 dB
 # Below this a transmissibility is rounding: the rig's symmetry makes the element zero.
 _ROUNDING = 1e-9

@@ -95,7 +95,7 @@ def simulate_together(
 ) -> list[dict[str, Run]]:
     """For each seed what `simulate` gives for each of several algorithms, on a floor and noises that are drawn once.
 
-    Several seeds go through one kernel side by side, with the same bits in a third of the time. Weights and error power are kept
+    Several seeds go through one kernel side by side, with the same bits in less time. Weights and error power are kept
     every `keep_every_s`; from `signals_from_s` on `signals` are, at the full rate. `weights` are those of all runs, or
     one W for each seed. Several seeds take FeRLS in the triangle's form and float64. The first run that diverges ends
     them all; `to_the_break` keeps that of one seed and one algorithm up to there instead of raising.

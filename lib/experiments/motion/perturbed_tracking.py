@@ -20,6 +20,7 @@ from stillwork.control.feedforward import (
 from stillwork.control.loops import channel, closed_loop
 from stillwork.control.setpoint import Setpoint
 from stillwork.lti.discretisation import zoh
+from stillwork.lti.modal import ModalModel
 from stillwork.lti.simulation import simulate
 from stillwork.lti.state_space import StateModel
 from stillwork.signals.moving_average import rms
@@ -34,7 +35,13 @@ CASES |= {f"{name}, redesigned": (name, name) for name in APPLICATIONS}
 
 Blocks = Mapping[str, tuple[StateModel | None, StateModel]]  # compensator and controller of each case
 
-_setpoint = cache(published_setpoint)  # every trial asks for it
+_setpoint = cache(published_setpoint)  # every trial asks for it, and for the nominal stage
+
+
+@cache
+def _nominal() -> ModalModel:
+    """The stage as its observers know it, from the force to y5."""
+    return stage().at([0], [MEASURED - 1])
 
 
 @cache
@@ -64,7 +71,7 @@ def tracking_trial(
     """
     require_number("step", step, above=0.0)
     setpoint = _setpoint(step)
-    nominal = stage().at([0], [MEASURED - 1])
+    nominal = _nominal()
     plant = perturbed(nominal, sample_errors(rng, nominal, size, law, rigid))
     deviations = published_deviations()
     sizes = np.array([*deviations.values()])[:, None]

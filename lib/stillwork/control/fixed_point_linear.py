@@ -75,10 +75,9 @@ def linear_filter(
 def _finite_impulse_response(rows) -> LinearFilter:
     length = max(len(row) for row in rows)
     weights = np.array([np.pad(row, (0, length - len(row))) for row in rows])
-    D = np.column_stack([weights[:, 0], np.zeros(3)])
-    return LinearFilter(
-        np.eye(length - 1, k=-1), np.eye(length - 1, 2) * [1.0, 0.0], weights[:, 1:].copy(), D
-    )
+    A, B = np.eye(length - 1, k=-1), np.zeros((length - 1, 2))
+    B[:1, 0] = 1.0
+    return LinearFilter(A, B, weights[:, 1:].copy(), np.column_stack([weights[:, 0], np.zeros(3)]))
 
 
 def semi_implicit_motion(slopes: tuple[float, ...], time_step: float) -> tuple[np.ndarray, np.ndarray]:

@@ -1,4 +1,4 @@
-"""What commands do that write web pages, what follows from the ledger, or a new result."""
+"""What commands do that take results over, rewrite what follows from the ledger, or begin a new result."""
 
 
 def accept() -> int:
@@ -9,30 +9,10 @@ def accept() -> int:
     return accept(refresh)
 
 
-def site() -> int:
-    """Write the static site."""
-    from stillwork.site.build import build_site
-    from stillwork.workbook.lock import settle
-
-    settle()
-    return build_site()
-
-
-def release() -> int:
-    """Write wheel, site and archive."""
-    from stillwork.site.release import release
-    from stillwork.workbook.lock import settle
-
-    settle()
-    return release()
-
-
 def refresh() -> str:
     """Rewrite what follows from ledger and notebooks; returns what was not current."""
     from stillwork.site.derived import refresh
-    from stillwork.workbook.lock import settle
 
-    settle()
     return ", ".join(refresh()) or "all current"
 
 

@@ -26,11 +26,9 @@ def claims(room: str | None, entry: str | None, json: bool, built: bool) -> str:
     """The ledger, or one entry of it, as text."""
     from stillwork.workbook import report, tasks
     from stillwork.workbook.claims import ledger
-    from stillwork.workbook.lock import settle
 
     if room not in (None, *paths.ROOMS):
         raise InputError(f"there is no room {room!r}{nearest(room, paths.ROOMS)}")
-    settle()
     found = ledger(tasks.built() if built else None, room)
     if entry:
         found = [report.find(found, entry)]
