@@ -24,8 +24,8 @@ sys.path.insert(0, str(ROOT / "lib"))
 import control  # noqa: E402
 import numpy as np  # noqa: E402
 
-from experiments.motion.bandwidth_pictures import paint_design  # noqa: E402
 from experiments.motion.contest import ENTRANTS, contest_trial, prepare  # noqa: E402
+from experiments.motion.design_explorer import paint_design  # noqa: E402
 from experiments.motion.designs import DESIGNS, stage_bandwidth, stage_compensator  # noqa: E402
 from experiments.motion.machines import (  # noqa: E402
     published_setpoint,

@@ -7,8 +7,8 @@ import pytest
 
 from experiments.motion.drive import drive_loop, drive_observer, identify, residual_trial, seen_by_controller
 from experiments.motion.machines import Drive, drive, published_noise
-from experiments.motion.modelling import designed_for_second, scaled_springs, stability_trial, three_masses
 from experiments.motion.structure import as_stage, measured_accelerance
+from experiments.motion.three_masses import designed_for_second, scaled_springs, stability_trial, three_masses
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
 from stillwork.control.machine_loops import extra_turns, observed_loops, on_measurement

@@ -12,6 +12,7 @@ from experiments.motion.ideal_feedforward import (
     respond,
     sampled_ideal_force,
 )
+from experiments.motion.location_pictures import paint_location
 from experiments.motion.location_study import (
     LocationStudy,
     bare_error,
@@ -24,7 +25,6 @@ from experiments.motion.location_study import (
 )
 from experiments.motion.machines import chain, published_setpoint, stage, stage_mass
 from experiments.motion.position_dependence import stage_grid
-from experiments.motion.position_pictures import paint_location
 from stillwork.base.checks import InputError
 from stillwork.control.feedforward import (
     Feedforward,

@@ -4,11 +4,17 @@ import numpy as np
 import pytest
 
 from experiments.motion import (
-    bandwidth_pictures,
-    filter_pictures,
-    modelling,
+    chain_pictures,
+    design_explorer,
+    drive_pictures,
+    energy_to_peak,
+    panels,
     performance,
-    pictures,
+    position_scan,
+    printed_matrices,
+    read_off,
+    three_masses,
+    tracking_pictures,
 )
 from experiments.motion.open_choices import bandwidth_map, open_choices
 from stillwork.base.checks import InputError
@@ -39,14 +45,14 @@ def test_the_limit_rises_with_the_noise_model_beyond_the_printed_optimum():
 @pytest.mark.parametrize(
     "draw",
     [
-        lambda: bandwidth_pictures.paint_design(60.0, 0.035, 2.0, "yes"),
-        lambda: modelling.paint_reduction(3, 100.0),
-        lambda: modelling.paint_heavy_mass(2, 2.6),
-        lambda: modelling.paint_transition_error(470.0, 0.005),
-        lambda: performance.paint_feedforward(12.5, 1.66, 35.0),
+        lambda: design_explorer.paint_design(60.0, 0.035, 2.0, "yes"),
+        lambda: chain_pictures.paint_reduction(3, 100.0),
+        lambda: chain_pictures.paint_heavy_mass(2, 2.6),
+        lambda: printed_matrices.paint_transition_error(470.0, 0.005),
+        lambda: tracking_pictures.paint_feedforward(12.5, 1.66, 35.0),
         lambda: performance.paint_disturbance(35.0, 0.01, 0.035),
-        lambda: bandwidth_pictures.paint_drive(0.05, 0.1, 4.0),
-        lambda: modelling.paint_three_masses(40.0),
+        lambda: drive_pictures.paint_drive(0.05, 0.1, 4.0),
+        lambda: three_masses.paint_three_masses(40.0),
     ],
 )
 def test_explorers_draw_labelled_curves(draw):
@@ -75,10 +81,10 @@ def test_an_empty_map_is_refused(selectivity, noise_model, named):
 @pytest.mark.slow
 def test_filter_explorers_draw_what_their_filters_give():
     """The Kalman filter's own norm is the smaller one, and a fine table comes close to the online gains."""
-    labels = [t.get_text() for t in filter_pictures.paint_worst(0.01, 10.0).axes[0].get_legend().get_texts()]
+    labels = [t.get_text() for t in energy_to_peak.paint_worst(0.01, 10.0).axes[0].get_legend().get_texts()]
     kalman, detuned = (float(text.partition(": ")[2]) for text in labels)
     assert kalman <= detuned
-    lines = filter_pictures.paint_schedules("1 m/s", 0.05, 5.0).axes[0].lines
+    lines = position_scan.paint_schedules("1 m/s", 0.05, 5.0).axes[0].lines
     online, scheduled = (np.abs(line.get_ydata()).max() for line in lines)
     assert abs(scheduled / online - 1) < 0.05
 
@@ -88,16 +94,16 @@ def test_what_is_drawn_is_read_off_by_line():
     axis.plot([1.0, 2.0, 3.0], [0.0, 5.0, 1.0], label="first")
     axis.plot([1.0, 2.0, 3.0], [7.0, 2.0, 4.0], label="second")
     axis.axhline(6.0)  # without a label
-    assert list(pictures.drawn(axis)) == ["first", "second"]
-    np.testing.assert_array_equal(pictures.drawn(axis)["second"], [[1, 2, 3], [7, 2, 4]])
-    np.testing.assert_array_equal(pictures.highest(axis), [[2, 5], [1, 7]])
-    np.testing.assert_array_equal(pictures.highest(axis, 1.5), [[2, 5], [3, 4]])
+    assert list(read_off.drawn(axis)) == ["first", "second"]
+    np.testing.assert_array_equal(read_off.drawn(axis)["second"], [[1, 2, 3], [7, 2, 4]])
+    np.testing.assert_array_equal(read_off.highest(axis), [[2, 5], [1, 7]])
+    np.testing.assert_array_equal(read_off.highest(axis, 1.5), [[2, 5], [3, 4]])
 
 
 def test_a_logarithmic_axis_of_a_decade_shows_plain_numbers():
     figure, axis = figures.new()
     axis.semilogy([2.0, 30.0])
-    pictures.plain_numbers(axis.yaxis)
+    panels.plain_numbers(axis.yaxis)
     figure.draw_without_rendering()
     texts = [label.get_text() for label in axis.get_yticklabels(which="both") if label.get_text()]
     assert {"3", "10"} <= set(texts)

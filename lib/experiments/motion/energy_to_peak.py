@@ -6,14 +6,18 @@ The error :math:`e_{k+1} = F_ke_k + D_kn_k` answers energy-bounded disturbances 
 """
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
+from experiments.motion.scan_study import output_rows, published_scan
 from stillwork.base.algebra import add_square, congruence
 from stillwork.base.checks import InputError, require_array
 from stillwork.base.kernels import kernel
+from stillwork.lti.discretisation import zoh_modes
+from stillwork.workbook import figures
 
 
 @dataclass(frozen=True)
@@ -142,3 +146,35 @@ def response_peak(system: ErrorSystem, disturbance: ArrayLike) -> float:
         e = f @ e + d @ n
         peak = max(peak, float(np.linalg.norm(e)))
     return peak
+
+
+@cache
+def _scaled_scan(step: float):
+    """Sampled model and output rows of the published scan, states in displacements, lengths in nanometres."""
+    scan = published_scan(step=step)
+    sampled = zoh_modes(scan.nominal, step)
+    flexible = scan.nominal.frequencies[1:]
+    scale = np.array([1.0, flexible[0], *np.repeat(flexible, 2) ** np.array([0, 1, 0, 1])])
+    c = 1e9 * output_rows(scan.shapes) * scale
+    return sampled.a * scale / scale[:, None], sampled.b / scale[:, None], c, scan.deviations
+
+
+def paint_worst(force: float, detuning: float):
+    """Explorer: what the worst disturbance does to a filter designed for `detuning` times the `force` (N)."""
+    step = 1e-3
+    a, b, c, (_, reference, sensor) = _scaled_scan(step)
+    noise = 1e18 * np.array([[reference**2 + sensor**2]])
+    process = np.array([[force**2]])
+    figure, (left, right) = figures.new(1, 2, height=2.8)
+    time = step * np.arange(len(c))
+    for name, designed in (("Kalman", 1.0), ("detuned", detuning)):
+        gains = predictor_gains(a, b, c, designed**2 * process, noise)
+        found = generalised_h2_norm(error_system(a, b, c, process, noise, gains))
+        peak = np.sqrt(np.linalg.eigvalsh(found.gramians[1:])[:, -1])
+        left.semilogy(time, 1e9 * peak, label=f"{name}: {1e9 * found.norm:.3g}")
+        right.plot(time, found.worst[:, 0], label=name)
+    left.set_ylabel("largest possible error ($10^{-9}$ m√kg)")
+    right.set_ylabel("worst force (in deviations)")
+    figures.label((left, right), "time (s)")
+    left.legend()
+    return figure

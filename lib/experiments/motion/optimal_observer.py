@@ -13,7 +13,7 @@ from experiments.motion.generalised_plant import GeneralisedPlant, low_pass
 from experiments.motion.h2 import Synthesis, h2_riccati
 from experiments.motion.ideal_feedforward import invert
 from experiments.motion.machines import published_noise, stage, stage_mass
-from experiments.motion.pictures import add_magnitude
+from experiments.motion.magnitudes import add_magnitude
 from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.control.applications import filtered_estimates
 from stillwork.control.bandwidth import SIX_DB

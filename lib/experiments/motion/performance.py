@@ -1,4 +1,4 @@
-"""The performance during a scan: rejection of disturbances (section 3.5.1), and the pictures and explorers of both."""
+"""The rejection of disturbances at rest, section 3.5.1: its power over frequency, its figure and explorer (notebook 10)."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -6,19 +6,16 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
+from experiments.motion.cases import case_styles
 from experiments.motion.designs import Design, stage_compensator
-from experiments.motion.machines import published_setpoint, stage, stage_mass
-from experiments.motion.pictures import case_styles
+from experiments.motion.machines import stage, stage_mass
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
 from stillwork.control.applications import Application
-from stillwork.control.feedforward import Feedforward, error_loop, tracking_error
 from stillwork.control.loops import channel, closed_loop, require_stable
 from stillwork.control.pid import PidFamily
-from stillwork.control.setpoint import Setpoint
 from stillwork.lti.discretisation import zoh
 from stillwork.lti.peaks import resonance_grid
 from stillwork.lti.state_space import StateModel
-from stillwork.signals.moving_average import rms
 from stillwork.workbook import figures
 
 
@@ -62,45 +59,6 @@ def band_power(power: CumulativePower, centre: float, width: float = 0.1) -> tup
         np.interp(high, power.omega, p) - np.interp(low, power.omega, p) for p in (power.true, power.measured)
     ]
     return float(rise[0]), float(rise[1])
-
-
-def paint_tracking(setpoint: Setpoint, errors: Mapping[str, np.ndarray]):
-    """Tracking errors in nm over the move, one panel a case, with the scaled acceleration and the scan."""
-    figure, axes = figures.new(2, 2, height=4.4, sharex=True, sharey=True)
-    scaled = setpoint.derivatives[2] / np.abs(setpoint.derivatives[2]).max()
-    top = 1e9 * max(np.abs(error).max() for error in errors.values())
-    for axis, (name, error) in zip(axes.ravel(), errors.items(), strict=True):
-        style = {"color": figures.GREY, "linewidth": 0.8, "label": "acceleration, scaled"}
-        axis.plot(setpoint.time, top * scaled, **style)
-        axis.plot(setpoint.time, 1e9 * error, linewidth=0.9, color=figures.BLUE, label="error")
-        axis.axvspan(*setpoint.scan, color=figures.GREY, alpha=0.12, linewidth=0)
-        axis.set_title(f"{name}: {1e9 * rms(error[setpoint.scanning]):.2f} nm rms in the scan")
-    axes[0, 0].set_xlim(0, setpoint.time[setpoint.time <= setpoint.scan[1]][-1] + 0.02)
-    axes[0, 0].legend(loc="upper right", fontsize=7)
-    figures.label(axes, "time (s)", "error (nm)")
-    return figure
-
-
-def paint_errors(setpoint: Setpoint, errors: Mapping[str, np.ndarray], title: str = ""):
-    """Tracking errors in nm over the move by label, the scan in grey: what explorers show."""
-    figure, axis = figures.new(1, 1, height=2.8)
-    for label, error in errors.items():
-        axis.plot(setpoint.time, 1e9 * error, linewidth=0.9, label=label)
-    axis.axvspan(*setpoint.scan, color=figures.GREY, alpha=0.12, linewidth=0)
-    axis.set_title(title)
-    figures.label(axis, "time (s)", "error (nm)")
-    axis.legend(fontsize=7)
-    return figure
-
-
-def paint_feedforward(acceleration_kg: float, snap: float, bandwidth_hz: float):
-    """Explorer: the error of the loop without observer for given feedforward gains."""
-    setpoint = published_setpoint()
-    controller = PidFamily(stage_mass())(bandwidth_hz).state_space()
-    loop = error_loop(closed_loop(stage().at([0], [4]), None, controller))
-    error = tracking_error(loop, setpoint, Feedforward(acceleration=acceleration_kg, snap=1e-6 * snap))
-    size = 1e9 * rms(error[setpoint.scanning])
-    return paint_errors(setpoint, {"error": error}, f"{size:.1f} nm rms in the scan (grey)")
 
 
 def paint_cumulative(power: Mapping[str, CumulativePower], low_hz: float = 1.0):

@@ -1,31 +1,19 @@
-"""Figures of the position-dependent observers (section 4.2), one line a place, coloured along the structure."""
+"""Position-dependent observers (section 4.2), one line a place, coloured along the structure (notebook 15)."""
 
 from collections.abc import Mapping, Sequence
-from functools import cache
 
 import numpy as np
-from numpy.typing import ArrayLike
 
+from experiments.motion.cases import LABELS
 from experiments.motion.designs import Design
-from experiments.motion.ideal_feedforward import Force
-from experiments.motion.location_study import LocationStudy, location_loops, stage_error, study_locations
-from experiments.motion.machines import published_setpoint, stage, stage_mass
-from experiments.motion.performance import paint_errors
-from experiments.motion.pictures import (
-    LABELS,
-    add_magnitude,
-    case_styles,
-    mark_limit,
-    paint_limited,
-    paint_magnitudes,
-    plain,
-    plain_numbers,
-)
+from experiments.motion.machines import stage, stage_mass
+from experiments.motion.magnitudes import add_magnitude, mark_limit, paint_magnitudes
+from experiments.motion.over_masses import paint_limited
+from experiments.motion.panels import plain
 from experiments.motion.position_dependence import place_loops, stage_grid
 from stillwork.control.applications import Application
 from stillwork.control.bandwidth import Loop
 from stillwork.control.pid import Pid, PidFamily
-from stillwork.control.setpoint import Setpoint
 from stillwork.lti.peaks import resonance_grid
 from stillwork.workbook import figures
 
@@ -104,65 +92,6 @@ def paint_observers(loops: Mapping[float, Loop]):
     return figure
 
 
-def paint_location_errors(study: LocationStudy, panels: Mapping[str, str]):
-    """Tracking errors at all places, a panel a case: the band they fill in half a millisecond, and three of them (Figs 4.10, 4.11)."""
-    figure, axes = figures.new(2, 2, height=4.6, sharex=True, sharey=True)
-    time = study.setpoint.time
-    starts = np.arange(0, len(time), max(round(5e-4 / study.setpoint.step), 1))  # a pixel of the picture each
-    for axis, (title, case) in zip(axes.ravel(), panels.items(), strict=True):
-        errors, size = 1e9 * study.errors[case], study.rms(case)
-        low, high = (
-            extreme.reduceat(extreme.reduce(errors, axis=0), starts) for extreme in (np.minimum, np.maximum)
-        )
-        axis.fill_between(time[starts], low, high, color=figures.GREY, alpha=0.35, linewidth=0)
-        order = np.argsort(size)
-        chosen = {"largest": order[-1], "middle": order[len(order) // 2], "smallest": order[0]}
-        for (name, k), colour in zip(chosen.items(), (figures.RED, figures.BLUE, figures.GREEN), strict=True):
-            axis.plot(time, errors[k], color=colour, linewidth=0.5, label=f"{name} rms")
-        for edge in (study.setpoint.acceleration_end, study.setpoint.scan[1]):
-            axis.axvline(edge, color=figures.BLACK, linewidth=0.8)
-        axis.set_title(f"{title}: {1e9 * size.min():.1f} to {1e9 * size.max():.1f} nm rms")
-    figures.legend_below(axes[0, 0], 3, fontsize=7)
-    figures.label(axes, "time (s)", "error (nm)")
-    return figure
-
-
-def paint_rms_along(study: LocationStudy, cases: Sequence[str]):
-    """Rms error in the scan over the place; dashed with a redesigned controller."""
-    figure, axis = figures.new(1, 1, height=3.2)
-    styles = case_styles(cases)
-    for case in cases:
-        axis.semilogy(study.places, 1e9 * study.rms(case), label=case, linewidth=1.2, **styles.get(case, {}))
-    axis.set(xlabel="place of the sensor (m)", ylabel="rms error in the scan (nm)")
-    plain_numbers(axis.yaxis)
-    axis.legend(ncols=3, fontsize=7, loc="upper center")
-    return figure
-
-
-def paint_table_of_ranges(
-    names: Sequence[str],
-    whole: Mapping[str, np.ndarray],
-    spread: Mapping[str, np.ndarray],
-    published: Mapping[str, ArrayLike],
-):
-    """Smallest, mean and largest rms error (nm) of every case, their spread over the ranges, and the published values."""
-    figure, axis = figures.new(1, 1, height=3.4)
-    parts = (("smallest", -0.22, figures.GREEN), ("mean", 0.0, figures.BLUE), ("largest", 0.22, figures.RED))
-    for k, (part, offset, colour) in enumerate(parts):
-        place = np.arange(len(names)) + offset
-        low, high = (np.array([f(spread[n][:, k]) for n in names]) for f in (np.min, np.max))
-        middle = np.array([whole[n][k] for n in names])
-        axis.vlines(place, low, high, color=colour, linewidth=4, alpha=0.4, label=f"{part}, over the ranges")
-        axis.plot(place, middle, "_", color=colour, markersize=9, label=f"{part}, whole structure")
-        marks = [np.asarray(published[n])[k] for n in names]
-        figures.mark_published(axis, place, marks, label="published" if k == 0 else None)
-    axis.set_yscale("log")
-    axis.set_xticks(np.arange(len(names)), [n.replace(", ", ",\n") for n in names], fontsize=7)
-    axis.set(ylabel="rms error in the scan (nm)", ylim=(0.3, None))
-    axis.legend(ncols=3, fontsize=7, loc="lower left")
-    return figure
-
-
 def paint_place(place: float, damping: float, compensate: str, noise_exponent: float, bandwidth_hz: float):
     """Explorer: equivalent controller and output sensitivity with the sensor at one place of the stage."""
     from matplotlib.ticker import NullLocator
@@ -189,23 +118,3 @@ def paint_place(place: float, damping: float, compensate: str, noise_exponent: f
         axis.xaxis.set_minor_locator(NullLocator())
         axis.legend(fontsize=7)
     return figure
-
-
-@cache
-def _explored() -> tuple[Setpoint, Force]:
-    setpoint = published_setpoint(2e-4)
-    return setpoint, stage_error(setpoint, PidFamily(stage_mass())(35.6))
-
-
-def paint_location(place: float, damping: float, compensate: str, bandwidth_hz: float):
-    """Explorer: the tracking error at one place under the feedforward error, bare and with an observer."""
-    setpoint, force = _explored()
-    controller = PidFamily(stage_mass())(bandwidth_hz)
-    application = Application(compensate == "yes", damping, selectivity=2.0 if damping else None)
-    used = damping > 0 or compensate == "yes"
-    cases = {"no observer": (Design(), controller)}
-    if used:
-        cases["observer"] = (Design(application, 0.03), controller)
-    study = study_locations(location_loops(stage(), stage_grid(), [place], cases), force, setpoint)
-    labels = {name: f"{name}: {1e9 * study.rms(name)[0]:.2f} nm rms in the scan" for name in cases}
-    return paint_errors(setpoint, {labels[name]: study.errors[name][0] for name in cases})

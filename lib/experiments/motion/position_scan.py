@@ -2,25 +2,27 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from experiments.motion.machines import shapes_along
+from experiments.motion.machines import published_setpoint, shapes_along, stage, stage_mass
 from experiments.motion.scan_study import along_scan, contiguous, output_rows
 from experiments.motion.scheduled import gain_table, scheduled_gains
 from stillwork.base.algebra import advance_state
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
 from stillwork.base.kernels import kernel
 from stillwork.control.feedback import band_pass, damping_gain
-from stillwork.control.pid import Pid
+from stillwork.control.pid import Pid, PidFamily
 from stillwork.control.setpoint import Setpoint, point_to_point
 from stillwork.estimation.robust import kalman_gains
 from stillwork.estimation.time_varying import FilterGains, TimeVaryingModel
 from stillwork.lti.discretisation import zoh, zoh_modes
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.reduction import truncate
+from stillwork.workbook import figures
 
 RETAINED, COMPENSATED = 4, 3
 
@@ -229,3 +231,45 @@ def published_fast_setpoint(step: float) -> Setpoint:
     Snap and jerk are not published; these reach the acceleration in two snap segments, as the normal move does.
     """
     return point_to_point(4e10, 2e7, 1e4, 10.0, 0.015, 0.002, step)
+
+
+SPACING = 0.05  # m, of the masses; unpublished
+
+
+STEP = 1e-4  # s
+
+
+@cache
+def _table(spacing: float):
+    plant = stage()
+    grid = SPACING * np.arange(len(plant.output_shapes))
+    scan = position_scan(plant, grid, published_setpoint(STEP), 0.0)
+    model = observer_model(scan, 1e-4, 2e-18)
+    places = np.linspace(grid[0], grid[-1], 1 + int(np.ceil(round((grid[-1] - grid[0]) / spacing, 9))))
+    rows = output_rows(shapes_along(plant, grid, places)[:, :RETAINED])
+    return gain_table(model.a[1], model.g[1], rows, places, model.process, model.sensor)
+
+
+def paint_schedules(speed: str, start: float, spacing: float):
+    """Explorer: error of the first flexible mode with online gains and with a table of this `spacing` (mm); AD, 36 Hz."""
+    setpoint = published_setpoint(STEP) if speed == "1 m/s" else published_fast_setpoint(STEP)
+    plant = stage()
+    grid = SPACING * np.arange(len(plant.output_shapes))
+    scan = position_scan(plant, grid, setpoint, start)
+    model = observer_model(scan, 1e-4, 2e-18)
+    deviations = np.array([0.01, 1e-9, 1e-9])[:, None]
+    noise = np.random.default_rng(1).standard_normal((3, len(scan.places))) * deviations
+    figure, axis = figures.new(1, 1, height=2.8)
+    for name, gains in (
+        ("online", kalman_gains(model)),
+        ("scheduled", scheduled_gains(model, _table(1e-3 * spacing), scan.places)),
+    ):
+        ran = run_applied(
+            scan, gains, PidFamily(stage_mass())(35.6), stage_mass(), noise, *APPLICATIONS["AD"]
+        )
+        error = ran.states[2] - ran.estimates[2]
+        style = {"linewidth": 0.9, "label": f"{name}: largest {1e9 * np.abs(error).max():.3g}"}
+        axis.plot(setpoint.time, 1e9 * error, **style)
+    axis.set(xlabel="time (s)", ylabel="error of mode 1 (nm√kg)")
+    axis.legend()
+    return figure

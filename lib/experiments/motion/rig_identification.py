@@ -1,15 +1,27 @@
 """Identification of the rig as in section 6.2: four multisine experiments in closed loop, one modal model."""
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Complex128, Float64
 
-from experiments.motion.rig import Geometry, decoupling, rig_model
-from experiments.motion.rig_designs import RigSettings, rig_controllers
+from experiments.motion.magnitudes import add_magnitude, paint_magnitudes
+from experiments.motion.panels import plain
+from experiments.motion.rig import (
+    Geometry,
+    assumed_geometry,
+    decoupling,
+    rig_model,
+)
+from experiments.motion.rig_axes import frequencies
+from experiments.motion.rig_designs import RigSettings, published_settings, rig_controllers
 from stillwork.base.checks import InputError, require_array, require_count, require_number
 from stillwork.control.loops import channel, closed_loop
+from stillwork.estimation.observer import NoiseIntensities
 from stillwork.identification.multisine import MultisineRecords, ResponseMatrix, joint_input_output
 from stillwork.lti.discretisation import tustin, zoh_modes, zoh_response
 from stillwork.lti.state_space import StateModel, interconnect
+from stillwork.workbook import figures
 
 ALL = (0, 1, 2, 3)
 
@@ -116,3 +128,38 @@ def smoothed_deviation(estimate: ResponseMatrix) -> Float64[np.ndarray, " lines"
     kernel = np.ones(15)
     sums = np.convolve(power, kernel, mode="same") / np.convolve(np.ones_like(power), kernel, mode="same")
     return np.sqrt(require_array("deviation", sums))
+
+
+def paint_identified(omega: np.ndarray, measured: np.ndarray, model: np.ndarray, deviation: np.ndarray):
+    """Actuator 1 to all sensors: measured, fitted, what is left, and what the noise explains: Fig. 6.4."""
+    lines = {
+        "measured": (measured, {"color": figures.GREEN, "linewidth": 1.6}),
+        "model": (model, {"color": figures.BLUE, "linewidth": 0.8}),
+        "difference": (measured - model, {"color": figures.GREY, "linewidth": 0.4}),
+        "least from noise": (deviation, {"color": figures.BLACK, "linewidth": 0.8, "linestyle": "--"}),
+    }
+    panels = {
+        f"sensor {k + 1}": {name: (omega, values[:, k, 0], style) for name, (values, style) in lines.items()}
+        for k in range(4)
+    }
+    quantity = "actuator 1 to sensor\n(dB re 1 m/N)"
+    figure, axes = paint_magnitudes(panels, quantity, rows=2, height=5.0, sharex=True, sharey=True)
+    figures.legend_below(axes[0, 0], 4)
+    return figure
+
+
+def paint_identification(
+    rms: float = 1.0, averages: int = 20, bandwidth_hz: float = 4.0, sensor_exponent: float = -18.0
+):
+    """Explorer: response of the rig, and the deviation that an identification in closed loop leaves."""
+    geometry, settings = assumed_geometry(), published_settings()
+    settings = replace(settings, noise=NoiseIntensities(settings.noise.process, 10**sensor_exponent))
+    omega = frequencies(1.0, 1500.0, points=90, around=5)
+    response = true_response(geometry, settings, omega)
+    deviation = predicted_deviation(geometry, settings, bandwidth_hz, omega, rms, averages)
+    figure, axis = plain()
+    add_magnitude(axis, omega, response[:, 2, 0], color=figures.BLUE, label="response")
+    add_magnitude(axis, omega, deviation[:, 2, 0], ls="--", color=figures.BLACK, label="least deviation")
+    axis.set(xlabel="frequency (Hz)", ylabel="actuator 1 to sensor 3 (dB re 1 m/N)")
+    axis.legend()
+    return figure

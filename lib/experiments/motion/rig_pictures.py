@@ -1,32 +1,19 @@
-"""Figures of the over-actuated rig, and the drawings behind its explorers."""
+"""The loops of the over-actuated rig and its tracking, and an explorer of one entry (notebook 24)."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from experiments.motion.pictures import add_magnitude, paint_magnitudes, plain
-from experiments.motion.rig import POSITIONS, Geometry, assumed_geometry, plate_modes, published, rig_model
-from experiments.motion.rig_designs import CASES, published_settings, rig_loops
-from experiments.motion.rig_identification import predicted_deviation, true_response
+from experiments.motion.magnitudes import add_magnitude
+from experiments.motion.panels import plain
+from experiments.motion.rig import POSITIONS, Geometry, assumed_geometry, plate_modes, published
+from experiments.motion.rig_axes import COLOURS, FORCES, MOTIONS, UNITS, frequencies
+from experiments.motion.rig_designs import published_settings, rig_loops
 from experiments.motion.rig_loops import RigLoop
 from stillwork.estimation.observer import NoiseIntensities
-from stillwork.lti.peaks import resonance_grid
 from stillwork.signals.spectra import Spectrum
 from stillwork.workbook import figures
-
-COLOURS = dict(zip(CASES, (figures.BLACK, figures.BLUE, figures.GREEN, figures.RED), strict=True))
-FORCES, MOTIONS = ("F_z", "M_x", "M_y"), ("z", "r_x", "r_y")
-UNITS = (("m/N", "m/Nm", "m/Nm"), ("rad/N", "rad/Nm", "rad/Nm"), ("rad/N", "rad/Nm", "rad/Nm"))
-
-
-def frequencies(
-    low_hz: float = 5.0, high_hz: float = 2000.0, points: int = 200, around: int = 15
-) -> np.ndarray:
-    """Frequencies of the figures (rad/s), dense around the published modes."""
-    p = published()
-    w, z = 2 * np.pi * np.array(p["frequencies_hz"]), np.array(p["damping"])
-    return resonance_grid(w * (-z + 1j), low_hz, high_hz, points, around)
 
 
 def physical_plant(loop: RigLoop, geometry: Geometry) -> np.ndarray:
@@ -138,30 +125,6 @@ def paint_error_spectra(spectra: Mapping[str, Spectrum]):
     return figure
 
 
-def paint_over_geometries(
-    values: Mapping[str, np.ndarray], marks: Mapping[str, Sequence[float]], quantity: str
-):
-    """Spread over geometries of a quantity in three directions (NaN: none), one panel each, with the published values."""
-    figure, axes = figures.new(1, 3, height=2.9, sharey=False)
-    for k, axis in enumerate(axes):
-        for place, (case, each) in enumerate(values.items()):
-            found = each[np.isfinite(each[:, k]), k]
-            rank = np.linspace(-0.22, 0.22, len(found))
-            style = {"markersize": 4, "color": COLOURS[case]}
-            axis.plot(place + rank, np.sort(found), ".", label=f"one geometry, {case}", **style)
-            if case in marks:
-                label = f"_published, {case}" if place else "published"
-                figures.mark_published(axis, place, marks[case][k], label)
-        axis.set_ylim(0, 1.08 * axis.dataLim.y1)
-        axis.set_xticks(range(len(values)), [case.replace(" and ", "\nand ") for case in values])
-        axis.set(title=f"${MOTIONS[k]}$", xlabel="use of the observer")
-    axes[0].set_ylabel(quantity)
-    pairs = zip(*axes[0].get_legend_handles_labels(), strict=True)
-    shown = {"published" if label == "published" else "one geometry": handle for handle, label in pairs}
-    figure.legend(shown.values(), shown.keys(), loc="outside lower center", ncols=2)
-    return figure
-
-
 ENTRIES = {"Fz to z": 0, "Fz to rx": 1}
 
 
@@ -183,68 +146,5 @@ def paint_rig(
         response = physical_plant(loop, geometry)[row, 0]
         add_magnitude(axis, omega, response, color=COLOURS[name], label=name)
     axis.set(xlabel="frequency (Hz)", ylabel=f"$F_z$ to ${MOTIONS[row]}$ (dB re 1 {UNITS[row][0]})")
-    axis.legend()
-    return figure
-
-
-def paint_geometry(
-    aspect: float = 0.83, along_x: float = 0.85, along_y: float = 0.75, actuators: float = 0.9
-):
-    """Explorer: what a geometry lets three actuators and four sensors do with the eight modes."""
-    geometry = assumed_geometry()
-    width = geometry.length * aspect
-    geometry = replace(geometry, width=width, actuators=actuators, sensors=(along_x, along_y))
-    model = rig_model(geometry, higher_modes=0)
-    size = np.sqrt(geometry.mass)
-    figure, axes = plain(2, wspace=0.3)
-    x, y = geometry.half
-    axes[0].plot([-x, x, x, -x, -x], [-y, -y, y, y, -y], color=figures.GREY)
-    used = geometry.actuator_places[list(geometry.used)]
-    axes[0].plot(*used.T, "o", color=figures.BLACK, markerfacecolor="none")
-    axes[0].plot(*geometry.sensor_places.T, "x", color=figures.BLACK)
-    axes[0].set_aspect("equal")
-    axes[0].set(xlabel="x (m)", ylabel="y (m)", title="circles: actuators, crosses: sensors")
-    number = np.arange(1, 9)
-    for shift, shapes, colour, label in (
-        (-0.15, np.abs(model.input_shapes[3:]).max(axis=1), figures.RED, "largest at an actuator"),
-        (0.15, np.abs(model.output_shapes[:, 3:]).max(axis=0), figures.BLUE, "largest at a sensor"),
-    ):
-        axes[1].bar(number + shift, shapes * size, 0.3, color=colour, label=label)
-    axes[1].set(xlabel="flexible mode", ylabel=r"mode shape, rms over the plate = 1 (1)", ylim=(0, 3))
-    axes[1].legend()
-    return figure
-
-
-def paint_identified(omega: np.ndarray, measured: np.ndarray, model: np.ndarray, deviation: np.ndarray):
-    """Actuator 1 to all sensors: measured, fitted, what is left, and what the noise explains: Fig. 6.4."""
-    lines = {
-        "measured": (measured, {"color": figures.GREEN, "linewidth": 1.6}),
-        "model": (model, {"color": figures.BLUE, "linewidth": 0.8}),
-        "difference": (measured - model, {"color": figures.GREY, "linewidth": 0.4}),
-        "least from noise": (deviation, {"color": figures.BLACK, "linewidth": 0.8, "linestyle": "--"}),
-    }
-    panels = {
-        f"sensor {k + 1}": {name: (omega, values[:, k, 0], style) for name, (values, style) in lines.items()}
-        for k in range(4)
-    }
-    quantity = "actuator 1 to sensor\n(dB re 1 m/N)"
-    figure, axes = paint_magnitudes(panels, quantity, rows=2, height=5.0, sharex=True, sharey=True)
-    figures.legend_below(axes[0, 0], 4)
-    return figure
-
-
-def paint_identification(
-    rms: float = 1.0, averages: int = 20, bandwidth_hz: float = 4.0, sensor_exponent: float = -18.0
-):
-    """Explorer: response of the rig, and the deviation that an identification in closed loop leaves."""
-    geometry, settings = assumed_geometry(), published_settings()
-    settings = replace(settings, noise=NoiseIntensities(settings.noise.process, 10**sensor_exponent))
-    omega = frequencies(1.0, 1500.0, points=90, around=5)
-    response = true_response(geometry, settings, omega)
-    deviation = predicted_deviation(geometry, settings, bandwidth_hz, omega, rms, averages)
-    figure, axis = plain()
-    add_magnitude(axis, omega, response[:, 2, 0], color=figures.BLUE, label="response")
-    add_magnitude(axis, omega, deviation[:, 2, 0], ls="--", color=figures.BLACK, label="least deviation")
-    axis.set(xlabel="frequency (Hz)", ylabel="actuator 1 to sensor 3 (dB re 1 m/N)")
     axis.legend()
     return figure

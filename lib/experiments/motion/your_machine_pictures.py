@@ -4,7 +4,9 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from experiments.motion.pictures import decibel, paint_bode, paint_over_masses
+from experiments.motion.bode import paint_bode
+from experiments.motion.magnitudes import decibel
+from experiments.motion.over_masses import paint_over_masses
 from stillwork import designing
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application

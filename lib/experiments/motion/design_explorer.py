@@ -1,0 +1,41 @@
+"""Explorer of the stage's bandwidth: one controller and one use of the observer."""
+
+from functools import lru_cache
+
+import numpy as np
+
+from experiments.motion.cases import LABELS
+from experiments.motion.designs import Design, stage_loops
+from experiments.motion.machines import stage_mass
+from experiments.motion.over_masses import paint_over_masses
+from stillwork.control.applications import Application
+from stillwork.control.bandwidth import Loop
+from stillwork.control.pid import PidFamily
+
+
+@lru_cache(maxsize=8)
+def _loops(design: Design) -> list[Loop]:
+    """Loops of the seven masses: they stay while the bandwidth alone moves."""
+    return stage_loops(design, points=250, around=8)
+
+
+def paint_design(
+    bandwidth_hz: float,
+    damping: float = 0.0,
+    selectivity: float = 2.0,
+    compensate: str = "no",
+    noise_model: float = 0.03,
+):
+    """Explorer: S_I and S_O of the seven loops for one controller and one use of the observer."""
+    used = damping > 0 or compensate == "yes"
+    application = Application(compensate == "yes", damping, selectivity=selectivity) if used else None
+    loops = _loops(Design(application, noise_model))
+    controller = PidFamily(stage_mass())(bandwidth_hz)
+    names = ("input_sensitivity", "output_sensitivity")
+    figure = paint_over_masses({LABELS[name]: (loops, controller, name) for name in names})
+    peaks = [max(loop.peak(controller, name).magnitude for loop in loops) for name in names]
+    stable = all(np.all(loop.poles(controller).real < 0) for loop in loops)
+    for axis, peak in zip(figure.axes, peaks, strict=True):
+        verdict = f"peak {20 * np.log10(peak):.1f} dB" if stable else "unstable"
+        axis.set_title(f"{axis.get_title(loc='left')}: {verdict}")
+    return figure

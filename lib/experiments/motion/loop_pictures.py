@@ -1,0 +1,71 @@
+"""Closed loops with different uses of the observer: what they reject, and their equivalent controllers."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from experiments.motion.cases import case_styles
+from experiments.motion.loop_conditions import slope
+from experiments.motion.magnitudes import add_magnitude
+from experiments.motion.read_off import drawn
+from stillwork.control.bandwidth import Loop
+from stillwork.control.loops import channel
+from stillwork.control.pid import Pid
+from stillwork.lti.state_space import StateModel
+from stillwork.workbook import figures
+
+
+def paint_rejections(
+    cases: Mapping[str, StateModel], omega: np.ndarray, sources: Sequence[str] = ("u_ff", "w", "v", "d")
+):
+    """Transfers from each disturbance to the true error for several closed loops, one panel a disturbance."""
+    from matplotlib.ticker import NullFormatter
+
+    rows = (len(sources) + 1) // 2
+    figure, axes = figures.new(rows, 2, sharex=True, squeeze=False)
+    colours = case_styles(cases)
+    names = {"u_ff": "$u_{ff}$", "w": "$w$", "v": "$v$", "d": "$d$", "r": "$r$"}
+    for axis, source in zip(axes.ravel(), sources, strict=False):
+        for number, (label, loop) in enumerate(cases.items()):
+            response = channel(loop, source, "e_true").frequency_response(omega)[0, 0]
+            # The differences are local: the first case lies broad and grey below the others.
+            style = {"color": figures.GREY, "linewidth": 2.5} if number == 0 else {"linewidth": 1.0}
+            style |= {"linestyle": "--" if number > 1 else "-"}
+            style |= {"color": colours[label]["color"]} if number and colours else {}
+            add_magnitude(axis, omega, response, label=label, **style)
+        axis.set_title(f"{names[source]} to $e_{{true}}$")
+        axis.set_ylabel("magnitude (dB re 1 m/N)" if source in ("u_ff", "w") else "magnitude (dB)")
+    figures.label(axes, "frequency (Hz)")
+    for axis in axes[-1]:
+        axis.xaxis.set_minor_formatter(NullFormatter())
+    for axis in axes.ravel()[len(sources) :]:
+        axis.set_axis_off()
+    figures.legend_below(axes[0, 0], len(cases))
+    return figure
+
+
+def paint_controllers(cases: Mapping[str, tuple[Loop, Pid]], omega: np.ndarray):
+    """Equivalent controllers of several loops, from r and from y to the plant input, with their phase."""
+    figure, axes = figures.new(2, 2, sharex=True, sharey="row", height=4.6)
+    styles = case_styles(cases)
+    for label, (loop, controller) in cases.items():
+        style = {"label": label, **styles.get(label, {})}
+        response = loop.at(controller, omega)
+        for column, c in enumerate((response.reference_controller, response.output_controller)):
+            add_magnitude(axes[0, column], omega, c, **style)
+            phase = np.degrees(np.unwrap(np.angle(c)))
+            axes[1, column].semilogx(omega / (2 * np.pi), phase - 360 * np.round(phase[0] / 360), **style)
+    for axis, title in zip(axes[0], ("from $r$", "from $y$ (sign turned)"), strict=True):
+        axis.set_title(title)
+    axes[0, 0].set_ylabel("magnitude (dB re 1 N/m)")
+    axes[1, 0].set_ylabel("phase (deg)")
+    figures.label(axes, "frequency (Hz)")
+    axes[0, 0].legend(loc="best", fontsize=7)
+    return figure
+
+
+def drawn_slope(axis, label: str, low: float, high: float) -> float:
+    """Slope of a line in dB between two x, in decades a decade."""
+    x, level = drawn(axis)[label]
+    part = (x >= low) & (x <= high)
+    return slope(x[part], 10 ** (level[part] / 20))

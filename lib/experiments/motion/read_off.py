@@ -1,0 +1,19 @@
+"""Numbers read off the lines of a panel, as one reads them off a printed figure."""
+
+import numpy as np
+
+
+def drawn(axis) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """What a panel shows: x and y of its labelled lines, by label."""
+    lines = {str(line.get_label()): line.get_data() for line in axis.lines}
+    return {
+        label: tuple(np.asarray(values, dtype=float) for values in data)
+        for label, data in lines.items()
+        if not label.startswith("_")
+    }
+
+
+def highest(axis, low: float = 0.0, high: float = np.inf) -> np.ndarray:
+    """Place and height of the largest value of each line of a panel, for x from `low` to `high`: (lines, 2)."""
+    parts = [(x, np.where((x >= low) & (x <= high), y, -np.inf)) for x, y in drawn(axis).values()]
+    return np.array([(x[y.argmax()], y.max()) for x, y in parts])
