@@ -18,10 +18,10 @@ from experiments.motion.location_study import (
     bare_error,
     fit_to_force,
     location_loops,
+    location_noise,
     ranges,
     stage_error,
     study_locations,
-    study_runs,
 )
 from experiments.motion.machines import chain, published_setpoint, stage, stage_mass
 from experiments.motion.position_dependence import stage_grid
@@ -133,13 +133,11 @@ def test_noise_adds_to_the_error_and_is_the_same_for_all_cases(setpoint, force):
     pid = PidFamily(stage_mass())(30.0)
     cases = {"a": ("PID", pid), "b": ("PID", pid)}
     loops = location_loops(stage(), GRID, [0.1], cases)
-    noise = {"d": 1e-9}
-    noisy, quiet = (study_locations(loops, force, setpoint, "w", *extra) for extra in ((noise, 1), ()))
+    quiet = study_locations(loops, force, setpoint)
+    noisy = quiet.noisy(location_noise(loops, setpoint, {"d": 1e-9}, [1])[0])
     np.testing.assert_array_equal(noisy.errors["a"], noisy.errors["b"])
     added = (noisy.errors["a"] - quiet.errors["a"])[0]
     assert 1e-11 < added.std() < 5e-10  # the true error follows 1 nm of sensor noise to the bandwidth only
-    with pytest.raises(InputError, match="seed is missing"):
-        study_locations(loops, force, setpoint, "w", noise)
 
 
 def test_runs_together_are_the_runs_by_themselves(setpoint, force):
@@ -148,7 +146,7 @@ def test_runs_together_are_the_runs_by_themselves(setpoint, force):
     loops = location_loops(stage(), GRID, [0.07, 0.1], {"bare": ("PID", pid), "AD": ("AD", pid)})
     noise, seeds = {"w": 0.01, "d": 1e-9}, [(1, 0), (1, 7)]
     quiet = study_locations(loops, force, setpoint)
-    runs = study_runs(loops, force, setpoint, "w", noise, seeds)
+    runs = [quiet.noisy(each) for each in location_noise(loops, setpoint, noise, seeds)]
     for seed, run in zip(seeds, runs, strict=True):
         rng, samples = np.random.default_rng(seed), 3000 + len(setpoint.time)
         for k, cases in enumerate(loops.values()):
@@ -156,8 +154,6 @@ def test_runs_together_are_the_runs_by_themselves(setpoint, force):
             for name, loop in cases.items():
                 alone = noise_error(loop, setpoint.step, samples, noise, np.random.default_rng(draw))
                 np.testing.assert_array_equal(run.errors[name][k], quiet.errors[name][k] + alone[0, 3000:])
-    (still,) = study_runs(loops, force, setpoint, "w", None, [1])
-    np.testing.assert_array_equal(still.errors["AD"], quiet.errors["AD"])
 
 
 def test_whether_the_observer_sees_the_force_matters_to_it_alone(setpoint, force):

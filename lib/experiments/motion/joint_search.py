@@ -174,9 +174,9 @@ def meet(design: JointDesign, served: Sequence[Served], delay: float = DELAY) ->
     return found
 
 
-def crossing_hz(design: JointDesign, served: Served, delay: float = DELAY) -> Float64[np.ndarray, " masses"]:
+def crossing_hz(design: JointDesign, served: Served) -> Float64[np.ndarray, " masses"]:
     """First 0 dB crossing of the loop that the controller sees, of every mass (Definition 1.2.1)."""
-    around = compensated(design, grid(), delay)
+    around = compensated(design, grid())
     output = 1 / (1 + served.plant * around.feedback)
     gain = np.log(np.abs(1 / ((around.share - around.seen * served.plant) * output) - 1))
     first = np.argmax(gain < 0, axis=1)[:, None]
@@ -272,19 +272,9 @@ def _stand(model: ModalModel, delay: float) -> _Stand:
     return _Stand(moved, late_response(moved, grid()), late_response(late(one, delay), fine)[0], pushed)
 
 
-def judge(
-    design: JointDesign,
-    plants: Sequence[ModalModel],
-    delay: float = DELAY,
-    alone: int = 0,
-    told: float | None = None,
-) -> Judged:
-    """Stability by eigenvalues, peaks looked for between grid points and at closed-loop poles, the scan's error.
-
-    `delay` is that of the whole control force in samples, of which the observer is `told` all if nothing else is said;
-    `alone` one more of the controller's output by itself.
-    """
-    return judge_all({"": design}, plants, delay, alone, told)[""]
+def judge(design: JointDesign, plants: Sequence[ModalModel], delay: float = DELAY) -> Judged:
+    """What a design does on every plant, see `judge_all`."""
+    return judge_all({"": design}, plants, delay)[""]
 
 
 @checked(infinite=True)
@@ -295,7 +285,11 @@ def judge_all(
     alone: int = 0,
     told: float | None = None,
 ) -> dict[str, Judged]:
-    """`judge` for each of several designs; the plants' responses are computed once for all."""
+    """Stability by eigenvalues, peaks looked for between grid points and at closed-loop poles, the scan's error.
+
+    `delay` is that of the whole control force in samples, of which the observer is `told` all if nothing else is said;
+    `alone` one more of the controller's output by itself. The plants' responses are computed once for all designs.
+    """
     stands = [_stand(plant, delay) for plant in plants]
     told, fine, judged = delay if told is None else told, grid(JUDGED), {}
     for name, design in designs.items():

@@ -123,7 +123,7 @@ def read_table(
 
 @lru_cache(maxsize=2)
 def _table_noise(masses: int, step: float, seed: int) -> ErrorsByCase:
-    return _location_noise(table_loops(masses), published_setpoint(step), published_deviations(), [seed])[0]
+    return location_noise(table_loops(masses), published_setpoint(step), published_deviations(), [seed])[0]
 
 
 @lru_cache(maxsize=2)
@@ -200,41 +200,12 @@ def location_loops(
     return found
 
 
-def study_locations(
-    loops: Loops,
-    force: Force,
-    setpoint: Setpoint,
-    source: str = "w",
-    deviations: dict[str, float] | None = None,
-    seed: int | Sequence[int] | np.random.Generator | None = None,
-) -> LocationStudy:
-    """Send the same force into the loops of every place.
+def study_locations(loops: Loops, force: Force, setpoint: Setpoint, source: str = "w") -> LocationStudy:
+    """Send the same force into the loops of every place, without noise.
 
     The force is a feedforward error, ideal less applied: the plant gets that much too little. Through ``w`` the
-    observer does not see it, through ``u_ff`` it does. Noise of these `deviations`, drawn from `seed`, is fresh at
-    every place, the same for all cases.
+    observer does not see it, through ``u_ff`` it does.
     """
-    if deviations is not None and seed is None:
-        raise InputError("seed is missing: deviations are drawn from it; give it, too")
-    return study_runs(loops, force, setpoint, source, deviations, [seed])[0]
-
-
-def study_runs(
-    loops: Loops,
-    force: Force,
-    setpoint: Setpoint,
-    source: str,
-    deviations: dict[str, float] | None,
-    seeds: Sequence[int | Sequence[int] | np.random.Generator | None],
-) -> list[LocationStudy]:
-    """`study_locations` for each of several seeds; all but the noise is computed once."""
-    quiet = _quiet_study(loops, force, setpoint, source)
-    if deviations is None:
-        return [quiet for _ in seeds]
-    return [quiet.noisy(noise) for noise in _location_noise(loops, setpoint, deviations, seeds)]
-
-
-def _quiet_study(loops: Loops, force: Force, setpoint: Setpoint, source: str) -> LocationStudy:
     require_choice("source", source, ("w", "u_ff"))
     ahead = len(force.time) - len(setpoint.time)
     if ahead < 0 or not np.allclose(force.time[ahead:], setpoint.time, rtol=0, atol=1e-6 * setpoint.step):
@@ -247,10 +218,10 @@ def _quiet_study(loops: Loops, force: Force, setpoint: Setpoint, source: str) ->
     return LocationStudy(np.array(list(loops)), setpoint, {name: np.array(e) for name, e in errors.items()})
 
 
-def _location_noise(
+def location_noise(
     loops: Loops, setpoint: Setpoint, deviations: dict[str, float], seeds: Sequence
 ) -> list[ErrorsByCase]:
-    """What noise adds to the errors, for each seed: fresh at every place, the same for all cases."""
+    """What noise of these deviations adds to the errors, for each seed: fresh at every place, the same for all cases."""
     samples = WARM_UP + len(setpoint.time)
     streams = [np.random.default_rng(seed) for seed in seeds]
     found: list[dict[str, list[np.ndarray]]] = [{} for _ in seeds]

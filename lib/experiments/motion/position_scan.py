@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from experiments.motion.machines import published_setpoint, shapes_along, stage, stage_mass
 from experiments.motion.scan_study import along_scan, contiguous, output_rows
 from experiments.motion.scheduled import gain_table, scheduled_gains
-from stillwork.base.algebra import advance_state
+from stillwork.base.algebra import add_product, advance_state, copy_vector
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
 from stillwork.base.kernels import kernel
 from stillwork.control.feedback import band_pass, damping_gain
@@ -131,10 +131,8 @@ def _applied(plant, observer, control, filters, compensate, given, found):
         measured = output + noise[2, k]
         if k > 0:
             for i in range(r):
-                total = inputs[k, i] * last
-                for j in range(r):
-                    total += forward[k, i, j] * estimates[k - 1, j]
-                hat[i] = total
+                hat[i] = inputs[k, i] * last
+            add_product(forward[k], estimates[k - 1], hat)
             innovation = measured - compliance[k] * last
             for i in range(r):
                 innovation -= outputs[k, i] * hat[i]
@@ -157,11 +155,9 @@ def _applied(plant, observer, control, filters, compensate, given, found):
             band[i, 1] = fa[i, 1, 0] * band[i, 0] + fa[i, 1, 1] * band[i, 1] + fb[i, 1] * velocity
             band[i, 0] = first
         error[k] = reference[k] - output
-        for i in range(n):
-            states[k, i] = x[i]
+        copy_vector(x, states[k])
         advance_state(a, b, force + noise[0, k], x, x_next)
-        for i in range(r):
-            estimates[k, i] = hat[i]
+        copy_vector(hat, estimates[k])
         last = force
 
 

@@ -73,6 +73,12 @@ def _to_error(loop: RigLoop, pids: Sequence[Pid], geometry: Geometry) -> StateMo
     return model
 
 
+def held_mass(omega: Float64[np.ndarray, " frequencies"], step: float) -> np.ndarray:
+    """Response of a mass of 1 kg to a force that is held over each sample."""
+    turned = np.exp(1j * omega * step)
+    return step**2 * (turned + 1) / (2 * (turned - 1) ** 2)
+
+
 def _lines(
     trajectory: Levelling, loop: RigLoop, geometry: Geometry, mass_error: float
 ) -> Complex128[np.ndarray, "6 harmonics"]:
@@ -80,10 +86,10 @@ def _lines(
 
     The force is held over a sample; the rigid body then passes through the trajectory at every sample.
     """
-    turned = np.exp(1j * trajectory.omega * loop.step)
-    held = loop.step**2 * (turned + 1) / (2 * (turned - 1) ** 2)
     scaled = geometry.edges[:, None] * trajectory.lines
-    force = (1 + mass_error) * scaled_inertia(geometry)[:, None] * scaled / held
+    force = (
+        (1 + mass_error) * scaled_inertia(geometry)[:, None] * scaled / held_mass(trajectory.omega, loop.step)
+    )
     at_sensors = np.linalg.solve(loop.decoupling.sensing, scaled)
     return np.vstack([at_sensors, loop.decoupling.actuation @ force])
 
@@ -183,8 +189,7 @@ def flexible_peaks(loops: list[RigLoop], inertia: Float64[np.ndarray, "3"]) -> F
     high = np.minimum(1.05 * modes, np.append(middle, np.inf))
     found, coupling = [], []
     for loop in loops:
-        turned = np.exp(1j * loop.omega * loop.step)
-        rigid = loop.step**2 * (turned + 1) / (2 * (turned - 1) ** 2)
+        rigid = held_mass(loop.omega, loop.step)
         seen = np.moveaxis(loop.equivalent_plant(), -1, 0)
         bands = np.array([(loop.omega >= a) & (loop.omega <= b) for a, b in zip(low, high, strict=True)])
         used = bands.any(axis=0)

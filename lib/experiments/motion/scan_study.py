@@ -19,7 +19,7 @@ from experiments.motion.machines import (
     stage_mass,
 )
 from experiments.motion.uncertainty import perturbed
-from stillwork.base.algebra import advance_state
+from stillwork.base.algebra import advance_state, copy_vector
 from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.base.kernels import kernel
 from stillwork.control.pid import PidFamily
@@ -153,8 +153,7 @@ def _scan(a, b, shapes, given, control, noise, states, u, y):
             force = forward[k]
             for i in range(m):
                 force += cc[i] * z[i]
-            for i in range(n):
-                states[run, k, i] = x[i]
+            copy_vector(x, states[run, k])
             y[run, k], u[run, k] = output, force
             error = reference[k] - output
             advance_state(ca, cb, error, z, z_following)
