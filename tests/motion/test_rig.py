@@ -191,7 +191,7 @@ def test_gain_is_where_the_printed_riccati_recursion_settles(plant, noise_model)
 def test_compensator_response_is_that_of_its_states(loops):
     block = loops["MC and AD"][0].compensator
     omega = 2 * np.pi * np.array([1.0, 50.0, 138.0, 512.0, 3000.0])
-    response, states = block.frequency_response(omega), block.state_space()
+    response, states = block.frequency_response(omega), block.realised
     dense = states.d + states.c @ np.linalg.solve(
         np.exp(1j * omega * STEP)[:, None, None] * np.eye(len(states.a)) - states.a, states.b.astype(complex)
     )
@@ -278,7 +278,7 @@ def test_each_use_of_the_observer_does_only_its_own(loops):
     blocks = {case: loops[case][0].compensator for case in ("MC", "AD", "MC and AD")}
     assert loops["Original"][0].compensator is None
     for case, block in blocks.items():
-        states = block.state_space()
+        states = block.realised
         forces, compensation = np.split(states.c, 2)
         assert np.any(forces) == ("AD" in case)
         assert np.any(compensation) == ("MC" in case)

@@ -114,7 +114,7 @@ def test_expected_rms_is_that_of_simulations(loops, case):
 def test_modified_feedforward_hides_the_setpoint_from_the_observer(loops):
     """Fig. A.2 by hand: an observer copy on (u0, r) inside, the real one in the loop; same error as v and w give."""
     loop = loops["MC and AD"][0]
-    block, controller = loop.compensator.state_space(), loop.controller(PIDS)
+    block, controller = loop.compensator.realised, loop.controller(PIDS)
     plant = zoh_modes(loop.plant, loop.step)
     rng = np.random.default_rng(5)
     r, u0 = 1e-6 * rng.standard_normal((3, 60)), rng.standard_normal((3, 60))

@@ -35,13 +35,13 @@ def constrained_damping(
 
 @checked
 def constrained_stiffness(
-    model: ModalModel, factor: float | ArrayLike
+    model: ModalModel, factor: float | ArrayLike, undisturbed: Collection[int] | None = None
 ) -> Float64[np.ndarray, "inputs states"]:
-    """Gain of active stiffness, (3.42), under the constraints that `constrained_damping` takes by default (Remark 4.3.5).
+    """Gain of active stiffness, (3.42), under the constraints of `constrained_damping` (Remark 4.3.5).
 
-    A factor of 1 on a resonance frequency gives no feedback.
+    Parameters and errors as there, with a factor on each resonance frequency; 1 gives no feedback.
     """
-    return _constrained(model, stiffening(model, factor), None, 0)
+    return _constrained(model, stiffening(model, factor), undisturbed, 0)
 
 
 def _constrained(model: ModalModel, wanted: np.ndarray, undisturbed, state: int) -> np.ndarray:

@@ -69,12 +69,9 @@ class RigCompensator:
             velocities = velocities * passed[:, None, :]
         return np.concatenate([np.einsum("if,fjw->ijw", self.gains, velocities), flexible])
 
-    def state_space(self) -> StateModel:
-        """The same block with its states, for closed loops; without damping the filters are left out."""
-        return self._realised
-
     @cached_property  # one compensator closes the loop with every controller
-    def _realised(self) -> StateModel:
+    def realised(self) -> StateModel:
+        """The same block with its states, for closed loops; without damping the filters are left out."""
         if not np.any(self.gains) or self.selectivity is None:
             damping, outputs = self.observer.read(self.gains, "velocity"), len(self.observer.c)
             return self.observer.estimator(np.vstack([damping, self._read()[:outputs]]), "predictor", 1)

@@ -1,6 +1,6 @@
 """The four uses of the observer on the rig (Table 6.2) for one geometry."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,14 +19,13 @@ from experiments.motion.rig_control import rig_compensator, rig_observer
 from experiments.motion.rig_loops import (
     Infeasible,
     RigBandwidth,
-    RigControllers,
     RigLoop,
     make_rig_loop,
     maximise_rig_bandwidth,
 )
 from experiments.motion.uncertainty import detuned
 from stillwork.base.checks import require_choice
-from stillwork.control.pid import Pid
+from stillwork.control.pid import Pid, PidFamily
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.reduction import truncate
@@ -107,9 +106,10 @@ def rig_loops(
     return loops
 
 
-def rig_controllers(geometry: Geometry) -> RigControllers:
-    """The family of controllers, for what the plate's directions weigh."""
-    return RigControllers(tuple(scaled_inertia(geometry).tolist()))
+def rig_controllers(geometry: Geometry) -> Callable[[float, float], tuple[Pid, Pid, Pid]]:
+    """PIDs on the scaled directions from the design bandwidths of z and of both rotations (Hz)."""
+    z, rx, ry = (PidFamily(mass) for mass in scaled_inertia(geometry).tolist())
+    return lambda z_hz, rotation_hz: (z(z_hz), rx(rotation_hz), ry(rotation_hz))
 
 
 def bandwidths(

@@ -1,6 +1,6 @@
 """Bandwidth of the rig: one diagonal discrete PID for four sensor positions, every MIMO sensitivity below 6 dB."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import NamedTuple
@@ -17,7 +17,7 @@ from stillwork.control.bandwidth import SIX_DB
 from stillwork.control.crossover import crossover
 from stillwork.control.decoupling import Decoupling
 from stillwork.control.loops import closed_loop
-from stillwork.control.pid import Pid, PidFamily
+from stillwork.control.pid import Pid
 from stillwork.lti.discretisation import tustin, zoh_modes, zoh_response
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.peaks import resonance_grid
@@ -57,7 +57,7 @@ class RigLoop:
 
     def closed(self, pids: Sequence[Pid]) -> StateModel:
         """Closed loop in discrete time; its signals are `stillwork.control.loops.INPUTS` and ``OUTPUTS``."""
-        block = None if self.compensator is None else self.compensator.state_space()
+        block = None if self.compensator is None else self.compensator.realised
         return closed_loop(zoh_modes(self.plant, self.step), block, self.controller(pids))
 
     def controller(self, pids: Sequence[Pid]) -> StateModel:
@@ -133,22 +133,6 @@ def _parts(p, o, n, seen, decoupling: Decoupling) -> Complex128[np.ndarray, "fre
     return np.ascontiguousarray(np.stack(np.broadcast_arrays(*terms), axis=1))
 
 
-@dataclass(frozen=True)
-class RigControllers:
-    """PIDs of the three directions from two design bandwidths, for z and for both rotations."""
-
-    masses: tuple[float, float, float]  # kg, what each scaled direction feels
-
-    def __call__(self, z_hz: float, rotation_hz: float) -> tuple[Pid, Pid, Pid]:
-        """The three controllers, on scaled directions."""
-        z, rx, ry = self._families
-        return z(z_hz), rx(rotation_hz), ry(rotation_hz)
-
-    @cached_property
-    def _families(self) -> tuple[PidFamily, ...]:
-        return tuple(PidFamily(mass) for mass in self.masses)
-
-
 def peaks(
     loops: Sequence[RigLoop], pids: Sequence[Pid], measure: str = "singular values"
 ) -> Float64[np.ndarray, "loops functions"]:
@@ -197,12 +181,14 @@ class RigBandwidth(NamedTuple):
 
 def maximise_rig_bandwidth(
     loops: Sequence[RigLoop],
-    family: RigControllers,
+    family: Callable[[float, float], tuple[Pid, Pid, Pid]],
     measure: str = "singular values",
     low_hz: float = 1.5,
     high_hz: float = 60.0,
 ) -> RigBandwidth:
     """Largest bandwidths for which every position is stable and every loop function stays below 6 dB.
+
+    `family` gives the three PIDs from the design bandwidths of z and of both rotations (Hz).
 
     All directions are raised together first; then the rotations alone, then z alone, as far as each still can.
     Along the way no peak exceeds the limit, so no pole can cross the unit circle; the start and the end are

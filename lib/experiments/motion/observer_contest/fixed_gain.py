@@ -89,15 +89,12 @@ def fictitious(model: ToldModel, noise: ToldNoise, sample_time: float, force: fl
     return fixed(model.a, model.b, solved.filter_gain, model.c)
 
 
-def derivatives(model: ToldModel, sample_time: float, samples: int, frequency: float = 1.0):
-    """Derivatives by the flexible modes' frequency, which counts so much, damping, input and output shape."""
-    by = sampled_derivatives(model.machine, sample_time)
-    factors = np.tile([frequency, 1.0, 1.0, 1.0], len(by.modes))[:, None, None]
-    c = np.zeros((len(by.a), *model.c.shape))
-    for k, mode in enumerate(by.modes):
-        c[4 * k + 3, :, 2 * mode] = model.output_shapes[:, mode]
-    a, b = factors * by.a, factors * by.b
-    return Derivatives(a, b, b, np.tile(factors * c, (samples, 1, 1, 1)))
+def derivatives(model: ToldModel, long: TimeVaryingModel, sample_time: float, frequency: float = 1.0):
+    """Derivatives of a recursion's model by the flexible modes' frequency, which counts so much, damping, input and output shape."""
+    shapes = np.tile(model.output_shapes, (long.samples, 1, 1))
+    by = sampled_derivatives(model.machine, sample_time).along(long, shapes)
+    factors = np.tile([frequency, 1.0, 1.0, 1.0], len(by.a) // 4)[:, None, None]
+    return Derivatives(*(factors * each for each in (by.a, by.b, by.g, by.c)))
 
 
 def sensitivity(
@@ -107,16 +104,15 @@ def sensitivity(
 
     The derivative by the frequency counts `frequency` times the others.
     """
-    by = derivatives(model, sample_time, HORIZON, frequency)
+    long = recursion(model, noise)
     gamma = min(weight * noise.sensor[0, 0], 1.0)
-    return last(sensitivity_gains(recursion(model, noise), by, gamma))
+    return last(sensitivity_gains(long, derivatives(model, long, sample_time, frequency), gamma))
 
 
 def regularised(model: ToldModel, noise: ToldNoise, sample_time: float, size: float) -> MadeObserver:
     """Regularised least squares (5.21), told of errors up to `size`; lambda by the rule of thumb."""
     long = recursion(model, noise)
-    bound = norm_bound(long, derivatives(model, sample_time, HORIZON), size)
-    return last(regularised_gains(long, bound))
+    return last(regularised_gains(long, norm_bound(long, derivatives(model, long, sample_time), size)))
 
 
 def hinfinity(model: ToldModel, noise: ToldNoise, sample_time: float, ratio: float) -> MadeObserver:
@@ -145,7 +141,8 @@ def guaranteed_cost(
     the `multiplier`: it is that of H-infinity which wants K x, and takes z besides as measured zero, at a negative
     variance.
     """
-    by, long = derivatives(model, sample_time, 1), recursion(model, noise)
+    long = recursion(model, noise)
+    by = derivatives(model, long, sample_time)
     scale = np.sqrt(np.diag(long.initial_covariance))
     flexible = np.arange(len(by.a) // 4)[:, None]
     chosen = (4 * flexible + np.arange(3)).reshape(-1, 1)  # by frequency, damping and input shape

@@ -57,9 +57,7 @@ def _mix(switching, weights, z, p, scores, mean, spread):
     models, size = z.shape
     leaving = switching / max(models - 1, 1)
     mean[:], spread[:] = 0.0, 0.0
-    for m in range(models):
-        for i in range(size):
-            mean[i] += weights[m] * z[m, i]
+    add_product(z.T, weights, mean)
     for m in range(models):
         for i in range(size):
             for j in range(size):
