@@ -90,7 +90,7 @@ def test_accepts_a_build(toy):
     assert "| `isolation` | 1 | 1 | 0 | 0 | 0 | 0 |" in readme
     assert readme.endswith("<!-- ledger:end -->\n\nThe end.\n")
 
-    assert toy.run("figures").stdout == "nothing to do: 2 up to date\n"
+    assert toy.run("figures").stdout == "nothing to do: 2 up to date in build/figures/\n"
     before = toy.stamps("notebooks", "data", "figures", "README.md")
     assert toy.run("accept").stdout.endswith("2 ledger entries: 0 files changed\n")
     assert toy.stamps("notebooks", "data", "figures", "README.md") == before
