@@ -1029,12 +1029,12 @@ def damaged_meanwhile(bench: Bench, draw: random.Random) -> str:
     return judged(bench, before, [old, bench.states()], [run], set(), harmed=True)
 
 
-# Of every 2,200.
+# Of every 2,000.
 KINDS: dict[str, tuple[int, Callable[[Bench, random.Random], str]]] = {
-    "publish: killed at a step": (300, lambda b, d: publish_fault(b, d, "killed")),
-    "publish: killed in a write": (200, lambda b, d: publish_fault(b, d, "half")),
+    "publish: killed at a step": (200, lambda b, d: publish_fault(b, d, "killed")),
+    "publish: killed in a write": (150, lambda b, d: publish_fault(b, d, "half")),
     "publish: a step finds no room": (150, lambda b, d: publish_fault(b, d, "fails")),
-    "publish: disk full": (150, lambda b, d: publish_fault(b, d, "full")),
+    "publish: disk full": (100, lambda b, d: publish_fault(b, d, "full")),
     "journal: killed at a step": (200, lambda b, d: journal_fault(b, d, "killed")),
     "journal: killed in a write": (100, lambda b, d: journal_fault(b, d, "half")),
     "journal: a step finds no room": (100, lambda b, d: journal_fault(b, d, "fails")),
