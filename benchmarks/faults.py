@@ -49,7 +49,7 @@ STALL_S = 200.0  # a kernel that does not come up is given up after 120 s
 NOISE = re.compile(r"^Traceback|asyncio|Task was destroyed|Exception ignored", re.MULTILINE)
 # What a kernel that cannot start says of itself.
 LAST_WORDS = re.compile(
-    r"^Traceback .*\n  File .*kernel_process.py.*, in <module>\n(?!    warm)(?: .*\n)*(?:\S.*\n?)?",
+    r"^Traceback .*\n  File .*kernel_process.py.*, in (?:<module>|_become_kernel)\n(?!    warm)(?: .*\n)*(?:\S.*\n?)?",
     re.MULTILINE,
 )
 CHANGED = ("notebooks", "data", "figures", "build", "lib/experiments/isolation", "lib/experiments/motion")
