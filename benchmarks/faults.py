@@ -482,7 +482,7 @@ def journal_fault(bench: Bench, draw: random.Random, way: str) -> str:
 
 
 def harmed_journal(bench: Bench, draw: random.Random) -> str:
-    """The journal of a change that was killed, harmed before the next command."""
+    """The journal of a change that was killed, harmed before the next command; half may stand where it is set aside."""
     from stillwork.base.checks import InputError
     from stillwork.workbook.publish import finish, replace_all, unfinished
 
@@ -492,8 +492,8 @@ def harmed_journal(bench: Bench, draw: random.Random) -> str:
         replace_all(place, changed)
         return 0
 
-    at_most = 20 + 4 * len(changed)
-    disturbed(bench, draw, "killed", lambda install: bench.fork_call(call, install), place, at_most)
+    places = step_hook(place / ".accepting/new", draw.randint(1, len(changed)), killer(signal.SIGKILL), [0])
+    bench.fork_call(call, places).wait()
     half, journal, old_file = shelves(place), place / ".accepting", ""
     if journal.is_dir():
         manifest = journal / "manifest.json"

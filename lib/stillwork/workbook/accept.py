@@ -1,6 +1,8 @@
 """Takes a build's results over: figures, outputs into the notebooks, our values into the ledger, what follows from it.
 
 What agrees with the committed results keeps its committed bytes, so an accept that moves nothing changes nothing.
+What somebody changes in the tree meanwhile stays: accepting writes only what it changed itself, and nothing at all
+where that is no longer what it read (`stillwork.workbook.publish.replace_all`).
 """
 
 import contextlib
@@ -34,7 +36,7 @@ def accept(refresh: Callable[[], object]) -> int:
     Returns
     -------
     int
-        1 when the build is missing or stale, or the results cannot be written; 128 + signal when a signal came
+        1 when the build is missing or stale, or the results cannot be written, or were edited meanwhile; 128 + signal when a signal came
         while they were put in their places.
     """
     with alone():
