@@ -17,6 +17,7 @@ import gc
 import hashlib
 import json
 import os
+import pickle
 import py_compile
 import random
 import re
@@ -48,7 +49,7 @@ STALL_S = 200.0  # a kernel that does not come up is given up after 120 s
 NOISE = re.compile(r"^Traceback|asyncio|Task was destroyed|Exception ignored", re.MULTILINE)
 # What a kernel that cannot start says of itself.
 LAST_WORDS = re.compile(
-    r"^Traceback .*\n  File .*kernel_process.py.*, in <module>\n(?!    warm)(?: .*\n)*(?:\S.*\n?)?",
+    r"^Traceback .*\n  File .*kernel_process.py.*, in (?:<module>|_become_kernel)\n(?!    warm)(?: .*\n)*(?:\S.*\n?)?",
     re.MULTILINE,
 )
 CHANGED = ("notebooks", "data", "figures", "build", "lib/experiments/isolation", "lib/experiments/motion")
@@ -293,7 +294,7 @@ def step_hook(place: Path, at: int, act: Callable, count: list[int]) -> Callable
                 return
             count[0] += 1
             if count[0] == at:
-                act(event)
+                act(event, *map(Path, paths))
 
         sys.addaudithook(hook)
 
@@ -301,10 +302,10 @@ def step_hook(place: Path, at: int, act: Callable, count: list[int]) -> Callable
 
 
 def killer(number: int) -> Callable:
-    return lambda event: os.kill(os.getpid(), number)
+    return lambda *_: os.kill(os.getpid(), number)
 
 
-def no_room(event: str) -> None:
+def no_room(event: str, *_paths: Path) -> None:
     if event not in ("os.remove", "os.rmdir"):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -316,7 +317,7 @@ def count_steps(bench: Bench, what: str, start: Callable[[Callable], Run], place
         count = [0]
 
         def install():
-            step_hook(place, 0, lambda event: None, count)()
+            step_hook(place, 0, lambda *_: None, count)()
             atexit.register(lambda: note.write_text(str(count[0])))
 
         start(install).wait()
@@ -426,11 +427,8 @@ def disturbed(
         return start(lambda: None).wait()
 
 
-def journal_fault(bench: Bench, draw: random.Random, way: str) -> str:
-    """Many files as one, cut."""
-    from stillwork.base.checks import InputError
-    from stillwork.workbook.publish import finish, replace_all
-
+def many_files(bench: Bench, draw: random.Random) -> tuple[Path, Files, Files, dict]:
+    """A folder, what stands on its shelves, what shall, and what differs."""
     place = bench.root / "bench"
     shutil.rmtree(place, ignore_errors=True)
     old = {
@@ -446,7 +444,16 @@ def journal_fault(bench: Bench, draw: random.Random, way: str) -> str:
     for name, text in old.items():
         (place / name).parent.mkdir(parents=True, exist_ok=True)
         (place / name).write_bytes(text)
-    changed = {**dict.fromkeys(name for name in old if name not in new), **new}
+    names = [name for name in {**old, **new} if old.get(name) != new.get(name)]
+    return place, old, new, {name: (old.get(name), new.get(name)) for name in names}
+
+
+def journal_fault(bench: Bench, draw: random.Random, way: str) -> str:
+    """Many files as one, cut."""
+    from stillwork.base.checks import InputError
+    from stillwork.workbook.publish import finish, replace_all
+
+    place, old, new, changed = many_files(bench, draw)
 
     def call() -> int:
         try:
@@ -474,6 +481,53 @@ def journal_fault(bench: Bench, draw: random.Random, way: str) -> str:
     return stands
 
 
+def harmed_journal(bench: Bench, draw: random.Random) -> str:
+    """The journal of a change that was killed, harmed before the next command; half may stand where it is set aside."""
+    from stillwork.base.checks import InputError
+    from stillwork.workbook.publish import finish, replace_all, unfinished
+
+    place, old, new, changed = many_files(bench, draw)
+
+    def call() -> int:
+        replace_all(place, changed)
+        return 0
+
+    places = step_hook(place / ".accepting/new", draw.randint(1, len(changed)), killer(signal.SIGKILL), [0])
+    bench.fork_call(call, places).wait()
+    half, journal, old_file = shelves(place), place / ".accepting", ""
+    if journal.is_dir():
+        manifest = journal / "manifest.json"
+        file = draw.choice([manifest, *sorted(p for p in journal.rglob("*") if p.is_file())])
+        text = file.read_bytes()
+        harms = [b"", b"null", b"[]", b"{}", text[: len(text) // 2], text[:-1], b"\xff" + text[1:], None]
+        file.unlink()  # what is kept of the old has two names
+        if file.is_relative_to(journal / "old"):  # as if somebody had written to it: it is put back as it is
+            old_file = file.relative_to(journal / "old").as_posix()
+        if (harm := draw.choice(harms)) is not None:
+            file.write_bytes(harm)
+        if draw.random() < 0.1:
+            shutil.rmtree(journal)
+            journal.mkdir()
+    said = ""
+    try:
+        finish(place)
+    except InputError as error:
+        said = str(error)
+        if "set aside" in said and shelves(place) != half:
+            raise Broken(f"set aside, but files were changed: {said}") from error
+    finish(place)
+    aside = list(place.glob(".accepting.damaged"))
+    if len(aside) != ("set aside" in said) or unfinished(place):
+        raise Broken(f"{[each.name for each in place.glob('.*')]} is left, and it was said: {said}")
+    now = shelves(place)
+    if f"changed since: {old_file};" in said:
+        now[old_file] = old[old_file]
+    if not aside and now not in (old, new):
+        raise Broken(f"half of the files: {said}")
+    shutil.rmtree(place)
+    return "new" if now == new else "old"
+
+
 def shelves(root: Path) -> Files:
     return {
         n: t
@@ -482,12 +536,17 @@ def shelves(root: Path) -> Files:
     }
 
 
-def accept_fault(bench: Bench, draw: random.Random, way: str) -> str:
-    """A whole accept, cut."""
+def accept_again(bench: Bench) -> tuple[Path, Files, Files]:
+    """The toy that is to be accepted, what stands on its shelves, and what shall."""
     root = bench.root / "accept"
     bench.restore("accepted", root, CHANGED[:4])
     shutil.copy(bench.home / "accepted" / "README.md", root)
-    old, new = shelves(root), bench.clean["accepted"]
+    return root, shelves(root), bench.clean["accepted"]
+
+
+def accept_fault(bench: Bench, draw: random.Random, way: str) -> str:
+    """A whole accept, cut."""
+    root, old, new = accept_again(bench)
 
     def start(install) -> Run:
         return bench.fork("accept", before=install, root=root)
@@ -537,6 +596,85 @@ def accept_fault(bench: Bench, draw: random.Random, way: str) -> str:
     if code or shelves(root) != new:
         raise Broken(f"the next accept: {code} {said[-300:]}")
     return "old" if now == old else "new"
+
+
+def edited_accept(bench: Bench, draw: random.Random) -> str:
+    """Somebody changes, adds or removes a file at a step of an accept; what they leave must stay.
+
+    A file that comes in the moment between the last look at its place and the accept's own rename is left out, and
+    what is written to a file that was opened before, when the accept is done.
+    """
+    root, old, new = accept_again(bench)
+    if "edits" not in bench.steps:  # those after the tree has been read
+        count_steps(
+            bench, "edits", lambda hook: bench.fork("accept", before=hook, root=root), root / ".accepting"
+        )
+        root, old, new = accept_again(bench)
+    steps = bench.steps["edits"]
+    name = draw.choice(
+        [*(n for n in {**old, **new} if old.get(n) != new.get(n)), "data/motion/rig.toml", "data/own"]
+    )
+    way = draw.choice(["in place", "in place", "by a rename", "removed", "held open"])
+    file, note, mine = root / name, bench.home / "edited", b"\n"
+    note.unlink(missing_ok=True)
+    opened = []
+
+    def edit(event: str, *paths: Path) -> None:
+        base = file.read_bytes() if file.exists() else None
+        safe = event not in ("os.rename", "os.remove") or file not in paths
+        if way == "removed" and (base is None or not safe):
+            return
+        if way == "removed":
+            file.unlink()
+        elif way == "in place" and base is not None:
+            with file.open("ab") as stream:
+                stream.write(mine)
+        elif safe:
+            beside = file.with_name("~")
+            beside.write_bytes((base or b"") + mine)
+            beside.rename(file)
+        else:
+            return
+        note.write_bytes(pickle.dumps((base, None if way == "removed" else (base or b"") + mine)))
+
+    def hold(_event: str, *_paths: Path) -> None:
+        if file.exists():
+            opened.append(file.open("r+b", buffering=0))
+
+    def write(event: str, *paths: Path) -> None:
+        journal = root / ".accepting"
+        stands = opened and file.exists() and file.samefile(f"/dev/fd/{opened[0].fileno()}")
+        if stands or (opened and journal.exists() and (event, paths[:1]) != ("os.rename", (journal,))):
+            base = opened[0].read()
+            opened[0].write(mine)
+            note.write_bytes(pickle.dumps((base, base + mine)))
+
+    at = draw.choice([draw.randint(1, steps), draw.randint(steps // 2, steps)])  # the places come late
+    hooks = [(at, edit)] if way != "held open" else [(at, hold), (at + draw.randint(1, 60), write)]
+    installs = [step_hook(root / ".accepting", step, act, [0]) for step, act in hooks]
+    run = bench.fork("accept", before=lambda: [install() for install in installs], root=root)
+    code, said, now = run.wait(), run.said(), shelves(root)
+    if NOISE.search(said):
+        raise Broken(said[-500:])
+    base, theirs = pickle.loads(note.read_bytes()) if note.exists() else (now.get(name), now.get(name))
+    what = f"{name} {way} at step {at}, exit code {code}: {said[-300:]}"
+    if now.get(name) != theirs:
+        raise Broken(f"what they left is gone: {what}")
+    others = [{n: text for n, text in files.items() if n != name} for files in (now, old, new)]
+    if others[0] != others[2 if code == 0 else 1]:
+        raise Broken(f"half accepted: {what}")
+    if (
+        code == 0
+        and name in {**old, **new}
+        and new.get(name) not in (base, theirs)
+        and old.get(name) != new.get(name)
+    ):
+        raise Broken(f"accepted beside an older file: {what}")
+    if code and "changed while accepting: " + name not in said and "stale: " not in said and code != 2:
+        raise Broken(f"refused for another reason: {what}")
+    if left := [p.name for p in root.glob(".accepting*")]:
+        raise Broken(f"left behind: {left}: {what}")
+    return "new" if code == 0 else "old"
 
 
 def damage(draw: random.Random, place: Path) -> str:
@@ -893,19 +1031,21 @@ def damaged_meanwhile(bench: Bench, draw: random.Random) -> str:
 
 # Of every 2,000.
 KINDS: dict[str, tuple[int, Callable[[Bench, random.Random], str]]] = {
-    "publish: killed at a step": (300, lambda b, d: publish_fault(b, d, "killed")),
-    "publish: killed in a write": (200, lambda b, d: publish_fault(b, d, "half")),
+    "publish: killed at a step": (200, lambda b, d: publish_fault(b, d, "killed")),
+    "publish: killed in a write": (150, lambda b, d: publish_fault(b, d, "half")),
     "publish: a step finds no room": (150, lambda b, d: publish_fault(b, d, "fails")),
-    "publish: disk full": (150, lambda b, d: publish_fault(b, d, "full")),
+    "publish: disk full": (100, lambda b, d: publish_fault(b, d, "full")),
     "journal: killed at a step": (200, lambda b, d: journal_fault(b, d, "killed")),
     "journal: killed in a write": (100, lambda b, d: journal_fault(b, d, "half")),
     "journal: a step finds no room": (100, lambda b, d: journal_fault(b, d, "fails")),
     "journal: disk full": (100, lambda b, d: journal_fault(b, d, "full")),
+    "journal: harmed after a kill": (100, harmed_journal),
     "accept: signal at a step": (100, lambda b, d: accept_fault(b, d, "signal")),
     "accept: killed in a write": (50, lambda b, d: accept_fault(b, d, "half")),
     "accept: a step finds no room": (50, lambda b, d: accept_fault(b, d, "fails")),
     "accept: disk full": (50, lambda b, d: accept_fault(b, d, "full")),
     "accept: parallel build": (30, lambda b, d: accept_fault(b, d, "parallel")),
+    "accept: edited meanwhile": (100, edited_accept),
     "build: signal at a step": (60, lambda b, d: signalled(b, d, "step")),
     "build: signal to the driver": (60, lambda b, d: signalled(b, d, "driver")),
     "build: signal while it starts": (20, lambda b, d: signalled(b, d, "started")),

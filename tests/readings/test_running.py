@@ -19,6 +19,7 @@ from readings import toy_work
 from readings.toy_work import SEEDS, A, B, axis, study
 from stillwork.__main__ import main
 from stillwork.base.checks import InputError
+from stillwork.workbook.lock import held
 from stillwork.workbook.readings.command import standings_of
 from stillwork.workbook.readings.journal import Journal
 from stillwork.workbook.readings.results import results_text
@@ -258,8 +259,9 @@ def test_a_killed_run_goes_on_where_it_stopped(workbook, tmp_path):
 
 @pytest.mark.slow
 def test_the_command_paints_and_the_ledger_tells_of_readings(workbook, tmp_path, monkeypatch, capsys):
+    """While a build runs."""
     workbook(NOISY)
-    with command(tmp_path) as process:
+    with held("lock", ""), command(tmp_path) as process:
         text = process.communicate(timeout=120)[0]
     assert process.returncode == 0, text
     assert (tmp_path / "build/readings/motion/readings.png").exists()

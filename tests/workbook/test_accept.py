@@ -2,6 +2,7 @@
 
 import fcntl
 import json
+import os
 import subprocess
 import sys
 import tomllib
@@ -9,6 +10,7 @@ import tomllib
 import pytest
 
 from stillwork.workbook.notebooks import cleaned
+from stillwork.workbook.publish import replace_all
 from workbook import toy as toys
 from workbook.toy import LEDGER, cell
 
@@ -88,7 +90,7 @@ def test_accepts_a_build(toy):
     assert "| `isolation` | 1 | 1 | 0 | 0 | 0 | 0 |" in readme
     assert readme.endswith("<!-- ledger:end -->\n\nThe end.\n")
 
-    assert toy.run("figures").stdout == "nothing to do: 2 up to date\n"
+    assert toy.run("figures").stdout == "nothing to do: 2 up to date in build/figures/\n"
     before = toy.stamps("notebooks", "data", "figures", "README.md")
     assert toy.run("accept").stdout.endswith("2 ledger entries: 0 files changed\n")
     assert toy.stamps("notebooks", "data", "figures", "README.md") == before
@@ -152,16 +154,122 @@ def test_a_full_disk_leaves_everything_as_it_was(built):
     assert toy.leftovers() == []
 
 
-def test_an_accept_that_was_killed_is_finished_before_anybody_reads(toy):
-    """What is decided stands beside; what was only tried goes."""
-    toy.write(".accepting/gone.json", '["figures/isolation/00-gone/a.csv"]')
-    toy.write(".accepting/files/data/isolation/published.toml", LEDGER.format(room="isolation"))
-    toy.replace(".accepting/files/data/isolation/published.toml", "published = 2.0", "published = 7.0")
-    toy.write(".accepting.trial/figures/x", "")
+def cut_short(toy: toys.Toy, monkeypatch, entry: bytes) -> None:
+    """An accept of another ledger that was killed before the first of its files was in its place."""
+    names = {"data/isolation/published.toml": entry, "figures/isolation/00-gone/a.csv": None}
     toy.write("figures/isolation/00-gone/a.csv", "")
+    toy.write(".accepting.trial/figures/x", "")
+
+    def killed(*_arguments):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(os, "replace", killed)
+        replace_all(
+            toy.root, {name: ((toy.root / name).read_bytes(), after) for name, after in names.items()}
+        )
+
+
+def test_an_accept_that_was_killed_is_finished_before_anybody_reads(toy, monkeypatch):
+    """What is decided stands beside; what was only tried goes."""
+    cut_short(toy, monkeypatch, LEDGER.format(room="isolation").replace("= 2.0", "= 7.0").encode())
     done = toy.run("claims", "isolation", "--json")
     assert json.loads(done.stdout)[0]["published"] == 7.0
     assert not list((toy.root / "figures").rglob("a.csv"))
+    assert toy.leftovers() == []
+
+
+def test_an_accept_that_was_killed_does_not_undo_what_was_written_since(toy, monkeypatch):
+    cut_short(toy, monkeypatch, LEDGER.format(room="isolation").replace("= 2.0", "= 7.0").encode())
+    toy.replace("data/isolation/published.toml", "published = 2.0", "published = 3.0")
+    done = toy.run("claims", "isolation", "--json")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "is taken back, as these were changed since: data/isolation/published.toml" in done.stderr
+    assert json.loads(toy.run("claims", "isolation", "--json").stdout)[0]["published"] == 3.0
+    assert (toy.root / "figures/isolation/00-gone/a.csv").exists()
+
+
+@pytest.mark.parametrize("harm", ["", "null", "[]", "{}", '{"files":', None])
+def test_a_damaged_journal_is_named_and_set_aside_once(toy, harm):
+    toy.write(".accepting/manifest.json", harm or "")
+    if harm is None:
+        (toy.root / ".accepting/manifest.json").unlink()
+    refused = toy.run("claims", "isolation")
+    assert (refused.returncode, refused.stdout) == (2, "")
+    assert "its journal is damaged (manifest.json): it is set aside as .accepting.damaged/" in refused.stderr
+    assert "Traceback" not in refused.stderr
+    assert toy.run("claims", "isolation").returncode == 0
+
+
+EDITS = {
+    "in place": "with open(file, 'a') as stream: stream.write('# mine\\n')",
+    "by a rename": "(root / '~').write_text(file.read_text() + '# mine\\n'); (root / '~').rename(file)",
+    "removed": "file.unlink()",
+}
+
+
+@pytest.mark.parametrize("name", ["data/isolation/published.toml", "README.md"])
+@pytest.mark.parametrize("edit", EDITS)
+def test_what_somebody_changes_meanwhile_is_not_undone(built, edit, name):
+    """Files are changed, added and removed when all has been read, and before any is put in its place."""
+    toy = built
+    toy.write("figures/isolation/01-first/gone.csv", "")
+    toy.write("data/motion/note.md", "")
+    script = f"""
+from pathlib import Path
+from stillwork.__main__ import main
+from stillwork.site import derived
+refresh = derived.refresh
+def edited():
+    root = Path({str(toy.root)!r})
+    file = root / {name!r}
+    {EDITS[edit]}
+    (root / "data/isolation/own.csv").write_text("mine")
+    (root / "data/motion/note.md").unlink()
+    return refresh()
+derived.refresh = edited
+raise SystemExit(main(["accept"]))
+"""
+    before = toy.files("notebooks", "data", "figures") | {"README.md": (toy.root / "README.md").read_bytes()}
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=toy.root, env=toy.environment(), capture_output=True, text=True
+    )
+    said = f"nothing accepted: changed while accepting: {name}; nothing was written, repeat\n"
+    assert (done.returncode, done.stdout, done.stderr) == (1, said, "")
+    now = toy.files("notebooks", "data", "figures")
+    if (toy.root / "README.md").exists():
+        now["README.md"] = (toy.root / "README.md").read_bytes()
+    text = None if edit == "removed" else before[name] + b"# mine\n"
+    wanted = before | {name: text, "data/isolation/own.csv": b"mine", "data/motion/note.md": None}
+    assert now == {each: content for each, content in wanted.items() if content is not None}
+    assert toy.leftovers() == []
+    if edit != "removed":
+        assert toy.run("accept").returncode == 0
+        assert b"# mine" in (toy.root / name).read_bytes()
+
+
+def test_what_somebody_changes_meanwhile_elsewhere_stays_beside_what_is_accepted(built):
+    toy = built
+    script = f"""
+from pathlib import Path
+from stillwork.__main__ import main
+from stillwork.site import derived
+refresh = derived.refresh
+def edited():
+    Path({str(toy.root)!r}, "data/isolation/own.csv").write_text("mine")
+    Path({str(toy.root)!r}, "data/motion/rig.toml").write_text("mass = 3.0")
+    Path({str(toy.root)!r}, "environment.txt").unlink()
+    return refresh()
+derived.refresh = edited
+raise SystemExit(main(["accept"]))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=toy.root, env=toy.environment(), capture_output=True, text=True
+    )
+    assert "accepted 1 notebooks" in done.stdout
+    assert (toy.root / "data/isolation/own.csv").read_text() == "mine"
+    assert (toy.root / "data/motion/rig.toml").read_text() == "mass = 3.0"
+    assert not (toy.root / "environment.txt").exists()
     assert toy.leftovers() == []
 
 

@@ -61,7 +61,7 @@ def test_a_second_build_touches_nothing_and_loads_little(toy):
     )
     command = [sys.executable, "-c", script]
     done = subprocess.run(command, cwd=toy.root, env=toy.environment(), capture_output=True, text=True)
-    assert done.stdout == "nothing to do: 3 up to date\n[]\n", done.stderr
+    assert done.stdout == "nothing to do: 3 up to date in build/figures/\n[]\n", done.stderr
     assert toy.stamps() == before
 
 

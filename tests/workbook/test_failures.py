@@ -70,11 +70,16 @@ def test_a_notebook_that_raises(built):
         table.split()
         == "isolation/01-first cell [4] ratio = 1 / 0 ZeroDivisionError: division by zero".split()
     )
+    assert done.stdout.endswith("\nthe last good results of these stand untouched\n")
     assert_only_second_was_built(built, good)
     assert built.run("figures", "--why").stdout.splitlines() == [
         "isolation/01-first: cell cell-1 added",
         "isolation/02-second: up to date",
     ]
+    built.add("isolation/03-third", "ratio = 1 / 0")
+    both = built.run("figures")
+    assert both.stdout.endswith("\nthe last good results of 1 of these stand untouched\n")
+    assert "last good results" not in built.run("figures", "isolation/03-third").stdout
 
 
 def test_wrong_input_is_told_once_and_without_a_traceback(built):

@@ -14,7 +14,7 @@ FAULTS = Path(__file__).parents[2] / "benchmarks/faults.py"
 
 @pytest.mark.parametrize(
     ("kinds", "faults", "at_least"),
-    [("publish", 125, 40), ("journal", 120, 30), ("accept", 100, 12), ("build", 50, 12)],
+    [("publish", 140, 40), ("journal", 120, 30), ("accept", 100, 16), ("build", 50, 12)],
 )
 def test_what_stands_after_a_fault_is_whole(kinds, faults, at_least):
     command = [sys.executable, str(FAULTS), "--faults", str(faults), "--jobs", "1", "--kinds", kinds]

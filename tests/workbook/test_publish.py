@@ -1,13 +1,19 @@
 """Whole or not at all, also when the swap itself is cut short."""
 
+import contextlib
 import os
+import shutil
+from collections.abc import Callable
+from itertools import count
 from pathlib import Path
 
 import pytest
 
 from stillwork.base.checks import InputError
 from stillwork.workbook.publish import (
+    MANIFEST,
     RECORD,
+    Edited,
     finish,
     read_record,
     recover,
@@ -18,6 +24,13 @@ from stillwork.workbook.publish import (
     tidy,
     unfinished,
 )
+
+
+@pytest.fixture(autouse=True)
+def quick_disk(monkeypatch):
+    """Nothing here waits for the disk."""
+    monkeypatch.setattr(os, "fsync", lambda _: None)
+
 
 OLD = {"a.csv": b"old"}
 NEW = {"a.csv": b"new", "deep/b.csv": b"b"}
@@ -101,26 +114,40 @@ class Killed(BaseException):
     """Stands for SIGKILL: no handler of the code under test may take it for an error."""
 
 
-STEPS = ("mkdir", "write_bytes", "symlink_to", "rename", "unlink")
+STEPS = ("mkdir", "write_bytes", "symlink_to", "rename", "unlink", "rmdir")
 
 
 def cut_after(monkeypatch, steps: int) -> list[str]:
     """Let this many changes of the file system happen, then nothing any more: neither repairs nor removals."""
+
+    def killed(*_arguments):
+        raise Killed
+
+    rmtree = "stillwork.workbook.publish.shutil.rmtree"
+    monkeypatch.setattr(rmtree, lambda *_, **__: None)
+    return before_step(monkeypatch, lambda step: step >= steps, killed, rmtree)
+
+
+def before_step(
+    monkeypatch, wanted: Callable[[int], bool], act: Callable, rmtree: str = "shutil.rmtree"
+) -> list[str]:
+    """Call `act` with the name and the arguments of a change of the file system before it happens."""
     done: list[str] = []
 
     def counted(name, call):
         def step(*arguments, **options):
-            if len(done) >= steps:
-                raise Killed
             done.append(name)
+            if wanted(len(done) - 1):
+                act(name, *arguments)
             return call(*arguments, **options)
 
         return step
 
     for name in STEPS:
         monkeypatch.setattr(Path, name, counted(name, getattr(Path, name)))
-    monkeypatch.setattr(os, "replace", counted("replace", os.replace))
-    monkeypatch.setattr("stillwork.workbook.publish.shutil.rmtree", counted("rmtree", lambda *_, **__: None))
+    for name in ("replace", "link", "fsync"):
+        monkeypatch.setattr(os, name, counted(name, getattr(os, name)))
+    monkeypatch.setattr(rmtree, counted("rmtree", shutil.rmtree))
     return done
 
 
@@ -184,18 +211,24 @@ def test_what_is_not_as_it_was_written_is_named(tmp_path, harm, complaint):
     assert read_record(target)[1] == [complaint]
 
 
+def change(root: Path, after: dict[str, bytes | None]) -> None:
+    """Make some files hold this, whatever stands there now."""
+    there = {name: (root / name).read_bytes() if (root / name).exists() else None for name in after}
+    replace_all(root, {name: (there[name], after[name]) for name in after})
+
+
 def test_a_change_that_was_made_is_not_begun_again_when_its_journal_is_removed_in_part(tmp_path, monkeypatch):
     """A kill while the journal is removed: some of its files are gone by then."""
 
     def killed(folder, **_options):
-        (folder / "gone.json").unlink(missing_ok=True)
+        (folder / MANIFEST).unlink(missing_ok=True)
         if not folder.is_dir():
             return
         raise Killed
 
     monkeypatch.setattr("stillwork.workbook.publish.shutil.rmtree", killed)
     with pytest.raises(Killed):
-        replace_all(tmp_path, {"notebooks/a": b"1"})
+        change(tmp_path, {"notebooks/a": b"1"})
     monkeypatch.undo()
     (tmp_path / "notebooks/a").write_bytes(b"written since")
     finish(tmp_path)
@@ -203,39 +236,266 @@ def test_a_change_that_was_made_is_not_begun_again_when_its_journal_is_removed_i
     assert not list(tmp_path.glob(".accepting*"))
 
 
-def test_a_change_that_cannot_be_put_in_place_says_so_and_is_done_later(tmp_path):
-    (tmp_path / "notebooks").write_text("in the way")
+def test_a_change_that_cannot_be_put_in_place_says_so_and_is_done_later(tmp_path, monkeypatch):
+    replace = os.replace
+
+    def refused(source, target):
+        if target == tmp_path / "notebooks/a":
+            raise OSError(30, "Read-only file system", "notebooks/a")
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", refused)
     with pytest.raises(InputError, match=r"accepted, but not all of it is in its place \(.*notebooks"):
-        replace_all(tmp_path, {"figures/a": b"1", "notebooks/a": b"1"})
+        change(tmp_path, {"figures/a": b"1", "notebooks/a": b"1"})
+    monkeypatch.undo()
     assert unfinished(tmp_path)
-    (tmp_path / "notebooks").unlink()
     finish(tmp_path)
     assert content(tmp_path) == {"figures/a": b"1", "notebooks/a": b"1"}
     assert not unfinished(tmp_path)
 
 
+BEFORE = {"notebooks/a": b"1", "figures/b": b"1", "figures/gone": b"1"}
+AFTER = {"notebooks/a": b"2", "figures/b": b"2", "figures/new/c": b"new"}
+CHANGED = {**AFTER, "figures/gone": None}
+
+
+def shelves(root: Path) -> dict[str, bytes]:
+    return {name: text for name, text in content(root).items() if not name.startswith(".")}
+
+
 def test_many_files_change_as_one_wherever_it_is_cut(tmp_path, monkeypatch):
-    before = {"notebooks/a": b"1", "figures/b": b"1", "figures/gone": b"1"}
-    after = {"notebooks/a": b"2", "figures/b": b"2", "README": b"new"}
-    changed = {**after, "figures/gone": None}
-
-    def shelves():
-        return {name: text for name, text in content(tmp_path).items() if not name.startswith(".")}
-
     seen = set()
-    for steps in range(60):
-        replace_all(tmp_path, {**before, "README": None})
+    for steps in count():
+        change(tmp_path, {**BEFORE, "figures/new/c": None})
         with monkeypatch.context() as patch:
             cut_after(patch, steps)
             try:
-                replace_all(tmp_path, changed)
+                change(tmp_path, CHANGED)
             except Killed:
                 pass
             else:
                 break
         finish(tmp_path)
-        assert shelves() in (before, after)
-        seen.add(shelves() == after)
+        assert shelves(tmp_path) in (BEFORE, AFTER)
+        seen.add(shelves(tmp_path) == AFTER)
         assert not list(tmp_path.glob(".accepting*"))
     assert seen == {False, True}
-    assert shelves() == after
+    assert shelves(tmp_path) == AFTER
+
+
+MINE = b" mine"
+
+
+def edited(edit: Callable, file: Path) -> list[bytes | None]:
+    """What stands there after an edit; nothing where it found nothing to remove."""
+    if edit is remove and not file.exists():
+        return []
+    os.makedirs(file.parent, exist_ok=True)
+    edit(file)
+    return [file.read_bytes() if file.exists() else None]
+
+
+def edit_in_place(file: Path) -> None:
+    with file.open("ab") as stream:
+        stream.write(MINE)
+
+
+def edit_by_rename(file: Path) -> None:
+    beside = file.with_name("~")
+    with beside.open("wb") as stream:
+        stream.write((file.read_bytes() if file.exists() else b"") + MINE)
+    os.rename(beside, file)
+
+
+def remove(file: Path) -> None:
+    os.remove(file)
+
+
+EDITS = (edit_in_place, edit_by_rename, remove)
+
+
+@pytest.mark.parametrize("edit", EDITS)
+@pytest.mark.parametrize("name", [*CHANGED, "figures/own"])
+def test_what_somebody_changes_meanwhile_stays_and_nothing_else_is_changed(tmp_path, monkeypatch, edit, name):
+    """At every step; a file that comes in the moment between the last look and our rename is left out."""
+    seen, file = set(), tmp_path / name
+    for steps in count():
+        shutil.rmtree(tmp_path)
+        tmp_path.mkdir()
+        change(tmp_path, {**BEFORE, "figures/own": b"1"})
+        theirs: list[bytes | None] = []
+
+        def act(step, *arguments, theirs=theirs):
+            kept = edit is edit_in_place and file.exists()
+            if kept or step not in ("replace", "unlink") or file not in arguments:
+                theirs += edited(edit, file)
+
+        with monkeypatch.context() as patch:
+            done = before_step(patch, steps.__eq__, act)
+            try:
+                change(tmp_path, CHANGED)
+            except Edited as error:
+                assert str(error) == f"changed while accepting: {name}; nothing was written, repeat"
+                base = BEFORE
+            else:
+                base = AFTER
+        if steps >= len(done):
+            break
+        wanted = {**base, "figures/own": b"1", **dict(zip([name], theirs, strict=False))}
+        if base is AFTER and theirs and theirs[0] and name in AFTER:
+            assert theirs[0].startswith(AFTER[name])  # on top of the new one
+        assert shelves(tmp_path) == {each: text for each, text in wanted.items() if text is not None}
+        assert not list(tmp_path.glob(".accepting*"))
+        seen.add(base is AFTER)
+    untouched = name == "figures/own" or (name == "figures/new/c" and edit is remove)
+    assert seen == ({True} if untouched else {False, True})
+
+
+@pytest.mark.parametrize("edit", EDITS)
+@pytest.mark.parametrize("name", CHANGED)
+def test_what_is_changed_after_a_kill_stays_and_the_rest_is_whole(tmp_path, monkeypatch, edit, name):
+    for steps in count():
+        shutil.rmtree(tmp_path)
+        tmp_path.mkdir()
+        change(tmp_path, BEFORE)
+        with monkeypatch.context() as patch:
+            cut_after(patch, steps)
+            try:
+                change(tmp_path, CHANGED)
+            except Killed:
+                pass
+            else:
+                break
+        if not (theirs := edited(edit, tmp_path / name)):
+            continue
+        decided = unfinished(tmp_path)
+        try:
+            finish(tmp_path)
+        except InputError as error:
+            assert f"is taken back, as these were changed since: {name}; repeat" in str(error)
+            finish(tmp_path)
+        else:
+            assert not decided or theirs == [CHANGED[name]]
+        now = shelves(tmp_path)
+        assert [now.pop(name, None)] == theirs
+        assert now in [{each: base[each] for each in base if each != name} for base in (BEFORE, AFTER)]
+        assert not list(tmp_path.glob(".accepting*"))
+
+
+@pytest.mark.parametrize("taken", range(12))
+def test_what_is_taken_back_is_taken_back_whole_wherever_it_is_cut(tmp_path, monkeypatch, taken):
+    """Killed when all but the last file are in their places; that is edited; then taking back is killed, too."""
+    change(tmp_path, BEFORE)
+    with monkeypatch.context() as patch:
+
+        def killed(step, *arguments):
+            if step == "replace" and tmp_path / "notebooks/a" in arguments:
+                raise Killed
+
+        before_step(patch, lambda _: True, killed)
+        with pytest.raises(Killed):
+            change(tmp_path, CHANGED)
+    edit_in_place(tmp_path / "notebooks/a")
+    with monkeypatch.context() as patch, pytest.raises((Killed, InputError)):
+        cut_after(patch, taken)
+        finish(tmp_path)
+    with pytest.raises(InputError, match="taken back") if unfinished(tmp_path) else contextlib.nullcontext():
+        finish(tmp_path)
+    finish(tmp_path)
+    assert shelves(tmp_path) == {**BEFORE, "notebooks/a": b"1 mine"}
+    assert not list(tmp_path.glob(".accepting*"))
+
+
+def test_all_is_on_the_disk_before_the_first_file_is_put_in_its_place(tmp_path, monkeypatch):
+    change(tmp_path, BEFORE)
+    flushed, fsync, replace = set(), os.fsync, os.replace
+
+    def noted(descriptor):
+        flushed.add(os.fstat(descriptor).st_ino)
+        fsync(descriptor)
+
+    def checked(source, target):
+        journal = tmp_path / ".accepting"
+        wanted = [tmp_path, journal, *journal.rglob("*")]
+        assert [each for each in wanted if each.stat().st_ino not in flushed] == []
+        monkeypatch.setattr(os, "replace", replace)
+        replace(source, target)
+
+    monkeypatch.setattr(os, "fsync", noted)
+    monkeypatch.setattr(os, "replace", checked)
+    change(tmp_path, CHANGED)
+    assert os.replace is replace
+
+
+@pytest.fixture
+def half(tmp_path, monkeypatch):
+    """A change that was killed after its first file."""
+    change(tmp_path, BEFORE)
+
+    def killed(step, *arguments):
+        if step == "replace" and tmp_path / "notebooks/a" in arguments:
+            raise Killed
+
+    with monkeypatch.context() as patch:
+        before_step(patch, lambda _: True, killed)
+        with pytest.raises(Killed):
+            change(tmp_path, CHANGED)
+    assert shelves(tmp_path)["figures/b"] == b"2"
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    "harm",
+    [
+        lambda journal: (journal / MANIFEST).write_text(""),
+        lambda journal: (journal / MANIFEST).write_text("null"),
+        lambda journal: (journal / MANIFEST).write_text("[]"),
+        lambda journal: (journal / MANIFEST).write_text("{}"),
+        lambda journal: (journal / MANIFEST).write_text('{"files": {}, "seal": ""}'),
+        lambda journal: (journal / MANIFEST).write_text((journal / MANIFEST).read_text()[:-20]),
+        lambda journal: (journal / MANIFEST).write_text(
+            (journal / MANIFEST).read_text().replace("gone", "gona")
+        ),
+        lambda journal: (journal / MANIFEST).write_bytes(b"\xff\xfe"),
+        lambda journal: (journal / MANIFEST).unlink(),
+        lambda journal: ((journal / MANIFEST).unlink(), (journal / MANIFEST).mkdir()),
+        lambda journal: (shutil.rmtree(journal), journal.mkdir()),
+        lambda journal: (
+            (journal / "new/notebooks/a").write_text("rot"),
+            (journal / "old/figures/b").unlink(),
+        ),
+    ],
+)
+def test_a_damaged_journal_is_set_aside_and_nothing_is_touched(half, harm):
+    before = shelves(half)
+    harm(half / ".accepting")
+    (half / ".accepting.damaged").mkdir()  # an older one
+    journal = content(half / ".accepting")
+    with pytest.raises(InputError, match=r"set aside as \.accepting\.damaged1/\. `git"):
+        finish(half)
+    assert shelves(half) == before
+    assert content(half / ".accepting.damaged1") == journal
+    finish(half)
+    change(half, {"figures/new/c": b"3"})
+    assert shelves(half) == {**before, "figures/new/c": b"3"}
+
+
+def test_a_journal_whose_new_file_is_damaged_is_taken_back(half):
+    (half / ".accepting/new/notebooks/a").write_text("rot")
+    with pytest.raises(InputError, match="taken back, as these were changed since: notebooks/a"):
+        finish(half)
+    assert shelves(half) == BEFORE
+
+
+def test_a_journal_that_lacks_what_it_no_longer_needs_is_finished(half):
+    (half / ".accepting/old/notebooks/a").unlink()
+    (half / ".accepting/old/figures/b").unlink()
+    finish(half)
+    assert shelves(half) == AFTER
+
+
+def test_a_file_in_the_place_of_a_folder_is_left_and_nothing_is_changed(tmp_path):
+    (tmp_path / "notebooks").write_text("in the way")
+    with pytest.raises(Edited, match="notebooks/a"):
+        change(tmp_path, {"figures/a": b"1", "notebooks/a": b"1"})
+    assert content(tmp_path) == {"notebooks": b"in the way"}

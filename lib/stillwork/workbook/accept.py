@@ -1,6 +1,8 @@
 """Takes a build's results over: figures, outputs into the notebooks, our values into the ledger, what follows from it.
 
 What agrees with the committed results keeps its committed bytes, so an accept that moves nothing changes nothing.
+What somebody changes in the tree meanwhile stays: accepting writes only what it changed itself, and nothing at all
+where that is no longer what it read (`stillwork.workbook.publish.replace_all`).
 """
 
 import contextlib
@@ -16,8 +18,8 @@ from stillwork.base import paths
 from stillwork.workbook.claims import Claim, ledger
 from stillwork.workbook.compare import Comparison, compare, same_outputs
 from stillwork.workbook.lock import alone, interrupts
-from stillwork.workbook.notebooks import cleaned, notebook_text
-from stillwork.workbook.publish import RECORD, replace_all, replace_file, trial
+from stillwork.workbook.notebooks import cleaned, notebook_text, select
+from stillwork.workbook.publish import RECORD, Edited, replace_all, replace_file, trial
 from stillwork.workbook.tasks import Task, tasks
 
 SHELVES = ("notebooks", "data", "figures")  # of what is committed, where accepting writes
@@ -34,35 +36,35 @@ def accept(refresh: Callable[[], object]) -> int:
     Returns
     -------
     int
-        1 when the build is missing or stale, or the results cannot be written; 128 + signal when a signal came
+        1 when the build is missing or stale, or the results cannot be written, or were edited meanwhile; 128 + signal when a signal came
         while they were put in their places.
     """
     with alone():
-        built = tasks()
-        stale = [(task, reasons) for task in built if (reasons := task.reasons())]
-        if stale:
-            for task, reasons in stale:
-                print(f"stale: {task.label}: {'; '.join(reasons[:3])}")
-            print("nothing accepted; run `make figures` first")
-            return 1
-        found = [compare(task) for task in built]
         try:
-            with _copy() as copy:
-                for task, comparison in zip(built, found, strict=True):
+            with _copy() as (copy, before):
+                built = _built(copy)
+                stale = [(task, reasons) for task in built if (reasons := task.reasons())]
+                if stale:
+                    for task, reasons in stale:
+                        print(f"stale: {task.label}: {'; '.join(reasons[:3])}")
+                    print("nothing accepted; run `make figures` first")
+                    return 1
+                for task, comparison in [(task, compare(task)) for task in built]:
                     _take_over(task, comparison, copy)
                 with _rooted(copy):
                     claims = ledger()
                     for room in paths.ROOMS:
                         _write_ours(room, [claim for claim in claims if claim.entry.room == room])
                     refresh()
-                changed = _changes(copy)
+                after = _committed(copy)
             with interrupts() as caught:
-                replace_all(paths.root(), changed)
-        except OSError as error:
+                names = [name for name in before | after if before.get(name) != after.get(name)]
+                replace_all(paths.root(), {name: (before.get(name), after.get(name)) for name in names})
+        except (OSError, Edited) as error:
             print(f"nothing accepted: {error}")
             return 1
     _say(claims, built)
-    print(f"accepted {len(built)} notebooks and {len(claims)} ledger entries: {len(changed)} files changed")
+    print(f"accepted {len(built)} notebooks and {len(claims)} ledger entries: {len(names)} files changed")
     return 128 + caught[0] if caught else 0
 
 
@@ -81,27 +83,35 @@ def _say(claims: list[Claim], built: list[Task]) -> None:
 
 
 @contextlib.contextmanager
-def _copy() -> Iterator[Path]:
-    """A copy of what is committed, to try the whole change on; its files are the same ones until they are replaced."""
+def _copy() -> Iterator[tuple[Path, dict[str, bytes]]]:
+    """A copy of what is committed, to try the whole change on, and its files as they were.
+
+    No file of it is one that stands in the tree, since an editor may write into that at any time.
+    """
     root, copy = paths.root(), trial(paths.root())
-    copy.mkdir()
+    before: dict[str, bytes] = {}
+    while (now := _committed(root)) != before:  # until nobody is in the midst of writing one
+        before = now
     try:
-        for shelf in SHELVES:
-            if (root / shelf).is_dir():
-                shutil.copytree(root / shelf, copy / shelf, copy_function=_link)
-        for file in root.iterdir():
-            if file.is_file():
-                _link(file, copy / file.name)
-        yield copy
+        for name, content in before.items():
+            (copy / name).parent.mkdir(parents=True, exist_ok=True)
+            (copy / name).write_bytes(content)
+        yield copy, before
     finally:
         shutil.rmtree(copy, ignore_errors=True)
 
 
-def _link(source, target) -> None:
-    try:
-        os.link(source, target)
-    except OSError:  # a file system without links
-        shutil.copy2(source, target)
+def _committed(folder: Path) -> dict[str, bytes]:
+    """What stands on the shelves and beside them, by path below `folder`."""
+    files = [file for file in folder.iterdir() if file.is_file()]
+    for shelf in SHELVES:
+        for place, _, names in os.walk(folder / shelf, followlinks=True):
+            files += [Path(place, name) for name in names]
+    found = {}
+    for file in files:
+        with contextlib.suppress(FileNotFoundError):  # an editor's own, gone since
+            found[file.relative_to(folder).as_posix()] = file.read_bytes()
+    return found
 
 
 @contextlib.contextmanager
@@ -116,6 +126,16 @@ def _rooted(folder: Path) -> Iterator[None]:
             del os.environ[paths.ROOT_VARIABLE]
         else:
             os.environ[paths.ROOT_VARIABLE] = before
+
+
+def _built(copy: Path) -> list[Task]:
+    """The tasks of the notebooks that are in the copy, all of them."""
+    built = tasks()
+    with _rooted(copy):
+        others = {each.name for each in select()} ^ {task.notebook.name for task in built}
+    if others:
+        raise Edited([f"notebooks/{name}.ipynb" for name in sorted(others)])
+    return built
 
 
 def _take_over(task: Task, comparison: Comparison, copy: Path) -> None:
@@ -182,25 +202,3 @@ def _set_ours(entry: tomlkit.items.Table, value: float) -> None:
         following.insert(0, body.pop())
     entry["ours"] = value
     body.extend(following)
-
-
-def _changes(copy: Path) -> dict[str, bytes | None]:
-    """What differs between the copy and what is committed: new content by path, None for what is gone."""
-    root = paths.root()
-    files = [
-        {
-            file.relative_to(folder).as_posix()
-            for shelf in SHELVES
-            for file in (folder / shelf).rglob("*")
-            if file.is_file()
-        }
-        for folder in (copy, root)
-    ]
-    files[0] |= {file.name for file in copy.iterdir() if file.is_file()}
-    changed: dict[str, bytes | None] = dict.fromkeys(sorted(files[1] - files[0]))
-    for name in sorted(files[0]):
-        mine, theirs = copy / name, root / name
-        if not theirs.is_file() or not mine.samefile(theirs):
-            if not _same(theirs, mine):
-                changed[name] = mine.read_bytes()
-    return changed

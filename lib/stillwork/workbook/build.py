@@ -1,12 +1,14 @@
 """The build: stale notebooks in many kernels at once, one writer of their results."""
 
 import contextlib
+import os
 import shutil
 import uuid
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from itertools import zip_longest
 
+from stillwork.base import paths
 from stillwork.base.kernel_folder import cache_folder
 from stillwork.workbook.execution import Failure, Job, Outcome, execute, sweep
 from stillwork.workbook.inputs import ENVIRONMENT, changes, environment_inputs, present, with_ledger
@@ -15,7 +17,7 @@ from stillwork.workbook.lock import alone, interrupts, settle
 from stillwork.workbook.progress import Progress
 from stillwork.workbook.provenance import commit, modified, provenance
 from stillwork.workbook.publish import read_record, replace_record, tidy
-from stillwork.workbook.tasks import Task, tasks
+from stillwork.workbook.tasks import Task, built, tasks
 from stillwork.workbook.warm import warmed
 from stillwork.workbook.workers import client_of, cores
 
@@ -60,7 +62,8 @@ def build_figures(
         stale = [(task, reasons) for task in wanted if (reasons := task.reasons() or ["forced"] * force)]
         fresh = len(wanted) - len(stale)
         if not stale:
-            print(f"nothing to do: {fresh} up to date")
+            place = os.path.relpath(built(), paths.root())
+            print(f"nothing to do: {fresh} up to date" + f" in {place}/" * (not settings))
             if settings:
                 _tell(wanted)
             return 0
@@ -70,8 +73,8 @@ def build_figures(
             failures, caught = _build(stale, submit, halt)
     code = _close(failures, len(stale), fresh, caught)
     if not caught:
-        built = [task for task in wanted if task not in [failed for failed, _ in failures]]
-        (_tell if settings else _compare)(built)
+        good = [task for task in wanted if task not in [failed for failed, _ in failures]]
+        (_tell if settings else _compare)(good)
     return code
 
 
@@ -151,7 +154,9 @@ def _close(failures: list[tuple[Task, Failure]], stale: int, fresh: int, caught:
         widths = [max(len(row[i]) for row in rows) for i in range(2)]
         for label, where, error in rows:
             print(f"  {label:{widths[0]}}  {where:{widths[1]}}  {error}")
-        print("the last good results of these stand untouched")
+        if kept := sum(task.target.is_dir() for task, _ in failures):
+            some = "" if kept == len(failures) else f"{kept} of "
+            print(f"the last good results of {some}these stand untouched")
     return 128 + caught[0] if caught else int(bool(failures))
 
 

@@ -14,12 +14,12 @@ from stillwork.workbook.publish import finish, unfinished
 def alone() -> Iterator[None]:
     """Hold the checkout's lock; two writers would swap the same files.
 
-    What an accept had decided when it was killed is done first.
+    What an accept had decided when it was killed is done first (`stillwork.workbook.publish.finish`).
 
     Raises
     ------
     InputError
-        When another command holds it.
+        When another command holds it, or a killed accept had to be taken back.
     """
     refusal = "another build or accept of this checkout is running; wait for it or stop it"
     with held("lock", refusal):

@@ -1,15 +1,18 @@
 """Results appear whole or not at all: written beside their place, then put in it by one step."""
 
+import contextlib
 import hashlib
 import json
 import os
 import shutil
 import uuid
+from itertools import count
 from pathlib import Path
+from typing import NoReturn
 
 from stillwork.base.checks import InputError
 
-RECORD = "record.json"
+RECORD, MANIFEST = "record.json", "manifest.json"
 
 
 def replace_record(target: Path, files: dict[str, bytes], inputs: dict[str, str]) -> None:
@@ -35,9 +38,7 @@ def replace_record(target: Path, files: dict[str, bytes], inputs: dict[str, str]
     record = _sealed({"inputs": inputs, "outputs": outputs})
     try:
         for name, content in {**files, RECORD: record}.items():
-            file = new / name
-            file.parent.mkdir(parents=True, exist_ok=True)
-            file.write_bytes(content)
+            _write(new / name, content)
         link.unlink(missing_ok=True)
         link.symlink_to(Path(home.name, new.name))
         if target.is_dir() and not target.is_symlink():  # not ours: out of the way, and removed with the rest
@@ -62,14 +63,14 @@ def read_record(target: Path) -> tuple[dict[str, str], list[str]] | None:
         text = (target / RECORD).read_bytes()
     except OSError:
         return None if not target.exists() else ({}, ["its record is missing"])
-    if (record := _unsealed(text)) is None:
+    if (record := _unsealed(text, "inputs", "outputs")) is None:
         return {}, ["its record is damaged"]
     complaints = []
     there = {path for path in _files(target) if path != RECORD}
     for name, wanted in record["outputs"].items():
         if name not in there:
             complaints.append(f"output {name} missing")
-        elif _digest_of(target / name) != wanted:
+        elif _state(target / name) != wanted:
             complaints.append(f"output {name} was changed by hand")
     complaints += [f"output {name} is not the build's" for name in sorted(there - set(record["outputs"]))]
     return record["inputs"], complaints
@@ -96,9 +97,7 @@ def replace_folder(target: Path, files: dict[str, bytes]) -> None:
     new, old = _beside(target, "new"), _beside(target, "old")
     try:
         for name, content in files.items():
-            file = new / name
-            file.parent.mkdir(parents=True, exist_ok=True)
-            file.write_bytes(content)
+            _write(new / name, content)
     except BaseException:
         shutil.rmtree(new, ignore_errors=True)
         raise
@@ -132,41 +131,62 @@ def replace_file(target: Path, content: bytes) -> None:
         raise
 
 
-def replace_all(root: Path, changed: dict[str, bytes | None]) -> None:
-    """Change many files below `root` as one: all of them are written beside before the first is put in its place.
+def replace_all(root: Path, changed: dict[str, tuple[bytes | None, bytes | None]]) -> None:
+    """Change many files below `root` as one, unless somebody else has changed one of them.
 
-    A kill before that leaves everything as it was. After it, `finish` does the rest; whoever reads or writes these
-    files calls it first (`stillwork.workbook.lock`).
+    All are written beside, and are on the disk, before the first is put in its place. A kill before that leaves
+    everything as it was. After it, `finish` does the rest; whoever reads or writes these files calls it first
+    (`stillwork.workbook.lock`).
+
+    What stands in a place is looked at until just before it is replaced, and kept until all is done: where it is not
+    what it should be, all that was put in its place is taken back, and what somebody wrote is left, or put back.
+    What remains: a file that an editor makes or renames into a place in the microseconds between the last look and
+    our own rename is replaced unseen, and one that an editor opened before may be written to when all is done.
 
     Parameters
     ----------
     root : Path
-    changed : dict of str to bytes or None
-        New content by path below `root`; None removes a file.
+    changed : dict of str to (bytes or None, bytes or None)
+        By path below `root`, what must stand there and what shall; None for no file.
 
     Raises
     ------
     OSError
         When nothing was changed.
+    Edited
+        When somebody else changed a file, and nothing of this stands.
     InputError
         When it was decided, but not all could be put in its place.
     """
     new, decided = _journal(root)
+    planned = {name: [_digest(before), _digest(after)] for name, (before, after) in sorted(changed.items())}
+    if others := [name for name, (before, _) in planned.items() if _state(root / name) != before]:
+        raise Edited(others)
     try:
         shutil.rmtree(new, ignore_errors=True)
-        (new / "files").mkdir(parents=True)
-        for name, content in changed.items():
-            if content is not None:
-                file = new / "files" / name
-                file.parent.mkdir(parents=True, exist_ok=True)
-                file.write_bytes(content)
-        gone = [name for name, content in changed.items() if content is None]
-        (new / "gone.json").write_text(json.dumps(gone))
+        for name, (before, after) in changed.items():
+            if after is not None:
+                _write(new / "new" / name, after)
+            if before is not None:
+                _keep(root, name, new / "old")
+        _write(new / MANIFEST, _sealed({"files": planned}))
+        for place, _, names in os.walk(new):
+            for each in (*names, "."):
+                _flush(Path(place, each))
         new.rename(decided)
     except BaseException:
         shutil.rmtree(new, ignore_errors=True)
         raise
-    finish(root)
+    _flush(root)
+    if others := _carry_out(root):
+        raise Edited(others)
+
+
+class Edited(InputError):
+    """Somebody else changed what was to be replaced."""
+
+    def __init__(self, names: list[str]):
+        super().__init__(f"changed while accepting: {_listed(names)}; nothing was written, repeat")
 
 
 def finish(root: Path) -> None:
@@ -175,25 +195,102 @@ def finish(root: Path) -> None:
     Raises
     ------
     InputError
-        When a file cannot be put in its place; the next call tries again.
+        When a file cannot be put in its place (the next call tries again); when one was changed since, for which
+        all is taken back; when the journal is damaged, which is then set aside.
     """
-    new, decided = _journal(root)
-    if decided.is_dir():
-        try:
-            for name in sorted(_files(decided / "files")):
-                target = root / name
-                target.parent.mkdir(parents=True, exist_ok=True)
-                os.replace(decided / "files" / name, target)
-            for name in json.loads((decided / "gone.json").read_text()):
-                (root / name).unlink(missing_ok=True)
-            shutil.rmtree(new, ignore_errors=True)
-            decided.rename(new)  # done: what is removed piece by piece must not be taken for a journal
-        except OSError as error:
-            raise InputError(
-                f"accepted, but not all of it is in its place ({error}); mend that and repeat the command"
-            ) from None
-    for left in (new, trial(root)):
+    if unfinished(root) and (others := _carry_out(root)):
+        raise InputError(
+            f"an accept that was cut short is taken back, as these were changed since: {_listed(others)}; "
+            "repeat the command, and the accept when you want it"
+        )
+    for left in (_journal(root)[0], trial(root)):
         shutil.rmtree(left, ignore_errors=True)
+
+
+def _carry_out(root: Path) -> list[str]:
+    """Put what was decided in its place, or take it back for what others changed; returns the names of that."""
+    new, decided = _journal(root)
+    record = _unsealed(_content(decided / MANIFEST), "files")
+    if record is None:
+        _set_aside(decided, MANIFEST)
+    try:
+        if others := _put(root, record["files"]):
+            _take_back(root, record["files"])
+        for folder in {folder for name in record["files"] for folder in Path(name).parents}:
+            _flush(root / folder)
+        shutil.rmtree(new, ignore_errors=True)
+        decided.rename(new)  # done: what is removed piece by piece must not be taken for a journal
+        shutil.rmtree(new, ignore_errors=True)
+    except OSError as error:
+        raise InputError(
+            f"accepted, but not all of it is in its place ({error}); mend that and repeat the command"
+        ) from None
+    return others
+
+
+def _put(root: Path, planned: dict[str, list]) -> list[str]:
+    """Put all in its place; returns the names of what stands in the way, or came in between."""
+    decided = _journal(root)[1]
+    others = [
+        name
+        for name, (before, after) in planned.items()
+        if (state := _state(root / name)) not in (before, after)
+        or (state == before and after not in (None, _state(decided / "new" / name)))
+    ]
+    if others:
+        return others
+    for name, (before, after) in planned.items():
+        target = root / name
+        try:
+            if after is not None:
+                target.parent.mkdir(parents=True, exist_ok=True)
+        except FileExistsError:  # somebody's file in the place of a folder
+            return [name]
+        seen = _stamp(target)
+        if (state := _state(target)) == after:
+            continue
+        if state != before or _stamp(target) != seen:
+            return [name]
+        if after is None:
+            target.unlink()
+        else:
+            os.replace(decided / "new" / name, target)
+    kept = {name: before for name, (before, _) in planned.items() if before is not None}
+    return [name for name, before in kept.items() if _state(decided / "old" / name) not in (before, None)]
+
+
+def _take_back(root: Path, planned: dict[str, list]) -> None:
+    """Put back what stood in each place, apart from what others have put there since."""
+    decided = _journal(root)[1]
+    for name, (before, after) in planned.items():
+        if before is not None and _state(root / name) == after and _state(decided / "old" / name) is None:
+            _set_aside(decided, f"old/{name}")
+    for name, (before, after) in planned.items():
+        if _state(root / name) != after:
+            continue
+        if before is not None:
+            (root / name).parent.mkdir(parents=True, exist_ok=True)
+            os.replace(decided / "old" / name, root / name)
+            continue
+        (root / name).unlink()
+        with contextlib.suppress(OSError):  # not empty
+            for folder in Path(name).parents:
+                (root / folder).rmdir()
+
+
+def _listed(names: list[str]) -> str:
+    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
+
+
+def _set_aside(decided: Path, lacking: str) -> NoReturn:
+    names = (decided.with_name(f"{decided.name}.damaged{number or ''}") for number in count())
+    aside = next(name for name in names if not name.exists())
+    decided.rename(aside)
+    raise InputError(
+        f"an accept was cut short, and its journal is damaged ({lacking}): it is set aside as {aside.name}/. `git "
+        "status` shows what the accept wrote: `make accept` writes all of it, `git restore` takes it back. Then "
+        f"remove {aside.name}/, and repeat the command"
+    )
 
 
 def trial(root: Path) -> Path:
@@ -214,12 +311,57 @@ def digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def _digest_of(file: Path) -> str | None:
+def _digest(content: bytes | None) -> str | None:
+    return None if content is None else digest(content)
+
+
+def _content(file: Path) -> bytes | None:
     """None for what cannot be read, such as a link to nowhere."""
     try:
-        return digest(file.read_bytes())
+        return file.read_bytes()
     except OSError:
         return None
+
+
+def _state(file: Path) -> str | None:
+    """Digest of what stands there: None for nothing, empty for what is no file."""
+    return (_digest(_content(file)) or "") if os.path.lexists(file) else None
+
+
+def _stamp(file: Path) -> tuple[int, ...] | None:
+    """What changes with every change of a file."""
+    try:
+        found = os.stat(file)
+    except OSError:
+        return None
+    return found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
+
+
+def _write(file: Path, content: bytes) -> None:
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_bytes(content)
+
+
+def _keep(root: Path, name: str, folder: Path) -> None:
+    """Give a file a second name, through which what is written to it later is seen, too."""
+    beside = folder / name
+    beside.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        os.link(os.path.realpath(root / name), beside)
+    except FileNotFoundError:
+        raise Edited([name]) from None
+    except OSError:  # a file system without links
+        beside.write_bytes((root / name).read_bytes())
+
+
+def _flush(place: Path) -> None:
+    """Wait until a file, or which names a folder holds, is on the disk."""
+    with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+        descriptor = os.open(place, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
 
 
 def _beside(target: Path, suffix: str) -> Path:
@@ -241,14 +383,14 @@ def _sealed(record: dict) -> bytes:
     return json.dumps({**record, "seal": _seal(record)}, indent=1).encode()
 
 
-def _unsealed(text: bytes) -> dict | None:
-    """The record that was sealed; None when a byte of it is another."""
+def _unsealed(text: bytes | None, *keys: str) -> dict | None:
+    """The record that was sealed; None when there is none, or a byte of it is another."""
     try:
         record = json.loads(text)
         seal = record.pop("seal")
     except (ValueError, TypeError, AttributeError, KeyError, RecursionError):
         return None
-    return record if seal == _seal(record) and {"inputs", "outputs"} <= set(record) else None
+    return record if seal == _seal(record) and set(keys) <= set(record) else None
 
 
 def _seal(record: dict) -> str:

@@ -9,7 +9,7 @@ from collections import Counter
 from stillwork.base import paths
 from stillwork.base.checks import InputError, nearest
 from stillwork.workbook.claims import load_entries
-from stillwork.workbook.lock import alone, held, interrupts, settle
+from stillwork.workbook.lock import held, interrupts, settle
 from stillwork.workbook.publish import replace_file
 from stillwork.workbook.readings.axes import load_axes
 from stillwork.workbook.readings.journal import Journal
@@ -80,8 +80,8 @@ def _compute_room(room: str, executor, at_once: int, end: float, stopped) -> boo
         names = {each.study for each in multiverses} - {each.multiverse.study for each in done}
         print(f"{room}: not whole yet: {', '.join(sorted(names))}; run the same again to go on")
         return False
-    with alone():  # an accept copies what is committed, and puts it back
-        replace_file(paths.data(room, "readings.csv"), results_text(done).encode())
+    # Whatever build or accept runs: neither writes this file, nor makes anything of it.
+    replace_file(paths.data(room, "readings.csv"), results_text(done).encode())
     done = read_results(multiverses)  # what is judged is what was written
     standings = judge(done, load_entries(room), axes)
     print(standings_text(room, done, standings, screen()))
