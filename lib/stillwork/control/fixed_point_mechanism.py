@@ -147,7 +147,7 @@ def simulate_mechanism(
         noise,
         forces,
         np.array(start),
-        np.vstack([start, nominal[:, 2, 0]]).T.copy(),  # rows in one piece, as the filters of one coordinate have them
+        np.vstack([start, nominal[:, 2, 0]]).T.copy(),  # rows in one piece, as for one coordinate
         np.zeros((count, len(controller.kinematics.gains) - 1)),
         np.zeros((count, 4)),
         np.zeros((2 * count + 7, count)),
