@@ -1,4 +1,5 @@
 import gc
+import os
 import sys
 from pathlib import Path
 
@@ -21,6 +22,14 @@ sys.modules.setdefault("rfc3987_syntax", None)
 settings.register_profile("workbook", deadline=None, derandomize=True)
 settings.register_profile("search", deadline=None, derandomize=False)
 settings.load_profile("workbook")
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers(config):
+    """One worker more than processors for all tests: a tenth of the time some wait for processes that they started."""
+    if config.option.dist == "loadfile" and not config.option.markexpr:
+        return (os.cpu_count() or 1) + 1
+    return None  # as many as processors
 
 
 def pytest_collection_modifyitems(items):
