@@ -158,6 +158,7 @@ def test_noise_floor_is_what_all_measurements_together_leave_unknown():
         assert 1e9 * noise_floor(stage(), delay) == pytest.approx(np.sqrt(unknown), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_peaks_are_found_between_the_points_of_the_grid():
     """A design near its end of stability, whose peak of a few hertz the grid of 2.4 Hz steps over."""
     fragile = STORED["largest bandwidth, for 0%"].design

@@ -265,7 +265,11 @@ def test_scans_follow_the_equations_of_the_machine(name, doubt):
         assert np.allclose(record.measurements[k], seen, rtol=1e-9, atol=1e-12 * np.abs(seen).max())
 
 
-@pytest.mark.parametrize("name", PLANTS)
+@pytest.mark.parametrize(
+    "name",
+    # The machine of the measured structure is fitted first, for a second.
+    [pytest.param(each, marks=[pytest.mark.slow] * (each == "measured structure")) for each in PLANTS],
+)
 def test_without_doubt_the_machine_is_the_one_told_of_and_the_cautious_loop_holds(name):
     plant, truth, record = scan(name, "none")
     model, _ = told_of(plant, 1.0)

@@ -31,7 +31,11 @@ SCALES = (0.06, 6e-9, 6e-9)
 
 @pytest.fixture(scope="module")
 def problem():
-    plant = truncate(stage().at([0], [4]), 4, 0)
+    return on_stage(4)
+
+
+def on_stage(modes):
+    plant = truncate(stage().at([0], [4]), modes, 0)
     return ObserverProblem(plant, PidFamily(stage_mass())(83.0), DAMPING, 2.0, SCALES)
 
 
@@ -237,8 +241,9 @@ MEETING = 5e-3
 
 
 @pytest.mark.slow
-def test_mixed_inequalities_and_emphasis_meet_on_the_stage(problem):
-    peak, norm, beside = meeting(problem, 3.0, 100.0, [0.3, 0.5, 1.0])
+def test_mixed_inequalities_and_emphasis_meet_on_the_stage():
+    """With its first bending mode alone: with two more they meet no worse, and the solver takes nine times as long."""
+    peak, norm, beside = meeting(on_stage(2), 3.0, 100.0, [0.3, 0.5, 1.0])
     assert peak <= 3.0
     assert norm == pytest.approx(beside, rel=MEETING)
 

@@ -184,6 +184,7 @@ def test_matrices_with_damping_and_two_sensors_respond_as_the_equation_of_motion
         assert np.abs(response / solved(HERTZ, place) - 1).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_the_shipped_record_gives_the_machine_of_the_structure_module():
     machine = build_machine(load_machine(HAMMER), modes_hz=[], fit_hz=(300.0, 1200.0), mirrored_sensor=True)
     assert "counted against the force, turned" in machine.notes

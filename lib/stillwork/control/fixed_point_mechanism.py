@@ -147,7 +147,7 @@ def simulate_mechanism(
         noise,
         forces,
         np.array(start),
-        np.column_stack([start.T, nominal[:, 2, 0]]),
+        np.vstack([start, nominal[:, 2, 0]]).T.copy(),  # rows in one piece, as for one coordinate
         np.zeros((count, len(controller.kinematics.gains) - 1)),
         np.zeros((count, 4)),
         np.zeros((2 * count + 7, count)),

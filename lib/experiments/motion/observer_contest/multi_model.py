@@ -17,7 +17,7 @@ from experiments.motion.observer_contest.parametric import (
     sampled_mode,
 )
 from experiments.motion.observer_contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
-from stillwork.base.algebra import add_product
+from stillwork.base.algebra import add_product, copy_vector
 from stillwork.base.kernels import inlined_kernel, kernel
 from stillwork.estimation.riccati import discrete_gain
 
@@ -184,7 +184,10 @@ def _resample(weights, scores, bent, z, p):
         while passed < (m + 0.5) / count and chosen < count - 1:
             chosen += 1
             passed += weights[chosen]
-        bent[m], z[m], p[m] = old[chosen], states[chosen], covariances[chosen]
+        copy_vector(old[chosen], bent[m])
+        copy_vector(states[chosen], z[m])
+        for i in range(p.shape[1]):
+            copy_vector(covariances[chosen, i], p[m, i])
     scores[:] = 0.0
 
 
