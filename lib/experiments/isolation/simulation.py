@@ -177,6 +177,7 @@ def _advance(twin: Twin, sources: Sources, sides: list, total: int, first: int, 
                 *closed.recursion[-2:],
                 twin.instruments.force_limit,
                 sources.together,
+                () if sources.together is None else None,
             )
             if status != loop.STABLE:
                 peak = np.abs(floor_block[:, stopped :: sources.runs]).max()
