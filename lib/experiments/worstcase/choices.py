@@ -6,7 +6,6 @@ import numpy as np
 
 from experiments.worstcase.simulations import (
     FIG_2_PARAMETERS,
-    exponential_weights,
     fir_trial,
     path,
     settled,
@@ -14,7 +13,7 @@ from experiments.worstcase.simulations import (
     tracking_trial,
 )
 from experiments.worstcase.theory import convergence_trial
-from stillwork.identification.regressors import exponential_bound
+from stillwork.identification.regressors import exponential_bound, exponential_weights
 from stillwork.workbook.studies import Study, run_study, spread_interval
 
 # --- Section 8: Theorem 3 on random problems ----------------------------------------------------------------------

@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Float64
 from scipy import signal
 
-from experiments.worstcase.simulations import exponential_weights
 from experiments.worstcase.total import total_least_squares
 from stillwork.base.checks import InputError, require_array, require_choice
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
@@ -19,7 +18,7 @@ from stillwork.estimation.min_max import solve_silently
 from stillwork.estimation.recursive import run_silently
 from stillwork.estimation.recursive_settings import MinMax
 from stillwork.estimation.time_varying import TimeVaryingModel, estimate
-from stillwork.identification.regressors import fir_regressors
+from stillwork.identification.regressors import exponential_weights, fir_regressors
 from stillwork.workbook.studies import mean_interval, run_study
 
 METHODS = {
