@@ -68,7 +68,7 @@ def suspension(
     damping, shares = suspension_modes(twin).damping, twin.rig.mass * twin.rig.modes[1] ** 2
     kinds = {"horizontal": shares[0] + shares[1] > 0.5, "vertical": shares[2] > 0.5}
     kinds["rotations"] = ~(kinds["horizontal"] | kinds["vertical"])
-    return {f"isolation.setup.damping-{kind}": float(damping[rows].mean()) for kind, rows in kinds.items()}
+    return {f"isolation.setup.damping-{kind}": damping[rows].mean() for kind, rows in kinds.items()}
 
 
 def power(
@@ -108,16 +108,14 @@ def power(
     after = late[-1] + 1 if len(late) else 0
     return {
         **{
-            f"isolation.fig-8.removed.{ENTRIES[name]}": float(value)
+            f"isolation.fig-8.removed.{ENTRIES[name]}": value
             for name, value in zip(DIRECTIONS, removed, strict=True)
         },
-        "isolation.fig-8.removed.range": float(np.mean((removed > 89.5) & (removed < 94.5))),
-        "isolation.fig-8.reaches-the-limit": float(
-            np.mean(found["removed limit"] - found["removed FeRLS"] < 1.0)
-        ),
-        "isolation.fig-8.low-end-lost": float(np.mean(found["low end"] > 1)),
-        "isolation.fig-8.no-limit-above-300-hz": float(np.mean(found["above band"] > found["in band"])),
-        "isolation.fig-8.limit-in-band": float(bands[after]) if after < len(bands) else np.nan,
+        "isolation.fig-8.removed.range": np.mean((removed > 89.5) & (removed < 94.5)),
+        "isolation.fig-8.reaches-the-limit": np.mean(found["removed limit"] - found["removed FeRLS"] < 1.0),
+        "isolation.fig-8.low-end-lost": np.mean(found["low end"] > 1),
+        "isolation.fig-8.no-limit-above-300-hz": np.mean(found["above band"] > found["in band"]),
+        "isolation.fig-8.limit-in-band": bands[after] if after < len(bands) else np.nan,
     }
 
 
@@ -185,10 +183,10 @@ def follow(
     )
     gains = [times["FeLMS all"] / times["FeRLS all"] for times in (into, back)]
     return {
-        "isolation.tracking.flat-to-colored": float(into["FeRLS all"] < into["FeLMS all"]),
-        "isolation.tracking.colored-to-flat": float(back["FeLMS all"] <= back["FeRLS all"]),
-        "isolation.tracking.colored-to-flat-w4-w6": float(back["FeLMS w4-w6"] <= back["FeRLS w4-w6"]),
-        "isolation.tracking.benefit-shrinks": float(gains[1] < gains[0]),
+        "isolation.tracking.flat-to-colored": into["FeRLS all"] < into["FeLMS all"],
+        "isolation.tracking.colored-to-flat": back["FeLMS all"] <= back["FeRLS all"],
+        "isolation.tracking.colored-to-flat-w4-w6": back["FeLMS w4-w6"] <= back["FeRLS w4-w6"],
+        "isolation.tracking.benefit-shrinks": gains[1] < gains[0],
     }
 
 
