@@ -10,11 +10,11 @@ from experiments.isolation import one_rig, tracking
 from experiments.isolation.floors import FLAT_LEVEL, ShapedFloor, colored_floor, flat_floor
 from experiments.isolation.modes import suspension_modes
 from experiments.isolation.performance import DIRECTIONS, central_axes, expected_density
-from experiments.isolation.power import BAND_HZ, limit_ratio_db, power_trial, reduction_percent
+from experiments.isolation.power import BAND_HZ, limit_ratio_db, measures, power_trial
 from experiments.isolation.responses import responses
 from experiments.isolation.steady import FORGETTING, steady_state
 from experiments.isolation.twin import Twin, load_twin
-from stillwork.signals.spectra import band_power
+from stillwork.signals.spectra import Spectrum
 
 STEP_SIZE, MEMORY_S = 1e-4, 10.0  # section 5.1.1
 FELMS_S, FERLS_S, RECORD_S = 250.0, 60.0, 40.0  # s, of a run of notebook 05
@@ -136,23 +136,16 @@ def _expected(twin: Twin, floor: ShapedFloor) -> dict[str, np.ndarray]:
     weights = steady_state(twin, floor).weights
     before = expected_density(twin, floor, LINES_HZ)
     after = expected_density(twin, floor, LINES_HZ, weights=weights)
-    limit = before["output noise"]
-    total, left = sum(before.values()), sum(after.values())
-
-    def within(density, low, high):
-        return np.array([band_power(LINES_HZ, row, low, high) for row in density])
-
+    total, left, limit = (
+        Spectrum(LINES_HZ, density, 1)
+        for density in (sum(before.values()), sum(after.values()), before["output noise"])
+    )
     lines = [mains_power(twin, given) for given in (np.zeros_like(weights), weights)]
-    whole, rest = (within(each, *BAND_HZ) for each in (total, left))
-    return {
-        "removed FeRLS": reduction_percent(LINES_HZ, total, left),
-        "removed limit": reduction_percent(LINES_HZ, total, limit),
-        "removed with mains": 100 * (1 - (rest + lines[1]) / (whole + lines[0])),
-        "in band": within(left, 3.0, 200.0) / within(limit, 3.0, 200.0),
-        "above band": within(left, 300.0, 500.0) / within(limit, 300.0, 500.0),
-        "low end": within(left, 1.0, 2.0) / within(total, 1.0, 2.0),
-        "density FeRLS": left,
-        "density output noise": limit,
+    return measures(total, left, limit) | {
+        "removed with mains": 100
+        * (1 - (left.power(*BAND_HZ) + lines[1]) / (total.power(*BAND_HZ) + lines[0])),
+        "density FeRLS": left.density,
+        "density output noise": limit.density,
         "lines": LINES_HZ,
     }
 

@@ -70,7 +70,7 @@ def fit_pair(pair: Pair, taps: int, memory: int, factors: np.ndarray | None = No
         for name, estimator in estimators.items()
     }
     last = slice(fit.stop - memory, fit.stop)
-    estimates["total least squares"] = total_least_squares(regressors[:, last].T, output[last]).estimate
+    estimates["total least squares"] = total_least_squares(regressors[:, last].T, output[last])
     matrix, target = weighted_corner(regressors[:, fit], output[fit], forgetting)
     factors = np.geomspace(0.01, 10, 25) if factors is None else require_array("factors", factors, ndim=1)
     swept = solve_sweep(matrix, target, factors * typical)
