@@ -64,7 +64,7 @@ def _course(
         initial_covariance=initial_covariance,
         sample_time=twin.sample_time,
     )
-    return con.converge(twin, floor, both[name], DURATION_S, seed)
+    return con.converge(twin, floor, {name: both[name]}, DURATION_S, [seed])[0][name]
 
 
 def transmissibility(
