@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from experiments.isolation.lanes import at_most, lanes
-from experiments.isolation.together import ferls_updates, first_below, hold_each
+from experiments.isolation.together import ferls_updates, hold_each
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import InputError
 from stillwork.base.kernels import borrowing_kernel, inlined_kernel, kernel, pasted_kernel
@@ -85,10 +85,10 @@ class Signals(NamedTuple):
     """
 
     platform: np.ndarray  # (samples, outputs), a1 without noise
-    measured: np.ndarray  # (samples, outputs), noisy and conditioned
-    sensed: np.ndarray  # (samples, sensors), floor, noisy and conditioned
+    measured_platform: np.ndarray  # (samples, outputs), noisy and conditioned
+    sensed_floor: np.ndarray  # (samples, sensors), floor, noisy and conditioned
     command: np.ndarray  # (samples, actuators)
-    regressors: np.ndarray  # (samples, regressors), psi_N
+    filtered_regressors: np.ndarray  # (samples, regressors), psi_N
     error: np.ndarray  # (samples, actuators), e
     weights: np.ndarray  # (kept, actuators, regressors)
     error_power: np.ndarray  # (kept, runs), mean of e'e since the last kept
@@ -301,7 +301,7 @@ def advance(
     together,
     alone,
 ):
-    """Advance the loop over a block of samples; returns (status, samples done, run that stopped).
+    """Advance the loop over a block of samples; returns (status, samples done, run whose command was too large).
 
     The floor is a0 (samples, sensors), the noise n1 and n0 (samples, outputs + sensors), before the conditioners;
     `loop` and `signals` are changed in place. `keep_every` samples lie between two kept weights, `phase` since the
@@ -427,8 +427,7 @@ def advance(
                     weights, matrix, forgetting, levels, each, allowance, gain, filtered, error
                 )
                 if not at_most(forgetting, leverage):
-                    gain[0] = leverage
-                    return INDEFINITE, k, first_below(forgetting, loop.recursion.gain[:runs])
+                    return INDEFINITE, k, 0
                 if not within:
                     hold_each(loop.recursion.matrix, forgetting, each, runs)
             if alone is not None:

@@ -30,15 +30,6 @@ def ferls_updates(weights, matrix, forgetting, levels, each, allowance, gain, re
 
 
 @kernel
-def first_below(forgetting, leverages):
-    """The run whose leverage fell below the forgetting, or is no number."""
-    for run in range(len(leverages)):
-        if not leverages[run] >= forgetting:
-            return run
-    return -1
-
-
-@kernel
 def hold_each(matrix, forgetting, levels, runs):
     """`hold_covariance` of every run, by copies: it is rare."""
     count = len(matrix)
