@@ -34,7 +34,7 @@ def _driven(controllers, trajectory, noise, **options):
     }
 
 
-def _error_lines(runs, title, seconds=(6.0, 6.5)):
+def _paint_error_lines(runs, title, seconds=(6.0, 6.5)):
     figure, axes = figures.new(height=3.2)
     for name, run in runs.items():
         part = (run.time >= seconds[0]) & (run.time < seconds[1])
@@ -57,14 +57,14 @@ def paint_noise_free(frequency_hz: float, sharpness: float, window_length: int, 
     for name, other in ((WINDOW, MovingWindow(int(window_length))), (LOW_PASS, LowPass(bandwidth))):
         chosen[name] = replace(chosen[name], signal_filter=other)
     trajectory = asin_trajectory(sharpness=sharpness, frequency_hz=frequency_hz)
-    return _error_lines(_driven(chosen, trajectory, Noise()), "without noise")
+    return _paint_error_lines(_driven(chosen, trajectory, Noise()), "without noise")
 
 
 def paint_noisy(kind: str, amplitude: float, frequency_hz: float, integration: str):
     """Tracking error of the four controllers in noise of another size and kind."""
     chosen, trajectory = published_controllers(_approximate()), asin_trajectory(frequency_hz=frequency_hz)
     runs = _driven(chosen, trajectory, Noise(kind, amplitude), integration=integration)
-    return _error_lines(runs, f"{kind} noise")
+    return _paint_error_lines(runs, f"{kind} noise")
 
 
 def paint_ranking(frequency_hz: float, sharpness: float, amplitude: float):
@@ -139,7 +139,7 @@ def paint_low_pass(exponent: float, bandwidth: float, strength: float):
     transformation = RobustTransformation(slope=strength / (4e7 * 1.05))
     chosen = Controller(LowPass(bandwidth), transformation, KinematicDesign(exponent), _approximate())
     runs = _driven({LOW_PASS: chosen}, asin_trajectory(), Noise("gaussian", 1e-4))
-    return _error_lines(runs, "large Gaussian noise")
+    return _paint_error_lines(runs, "large Gaussian noise")
 
 
 def paint_shift(frequency_hz: float, exponent: float):
@@ -148,7 +148,7 @@ def paint_shift(frequency_hz: float, exponent: float):
     moved = {
         name: replace(published[name], kinematics=KinematicDesign(exponent)) for name in (KALMAN, LITERAL)
     }
-    figure = _error_lines(_driven(moved, trajectory, Noise()), "without noise", (0.0, 12.0))
+    figure = _paint_error_lines(_driven(moved, trajectory, Noise()), "without noise", (0.0, 12.0))
     [axes] = figure.axes
     nominal = trajectory.time[::20], trajectory.velocity[::20]
     axes.plot(*nominal, "k:", lw=1, label="1 ms times the nominal velocity")
