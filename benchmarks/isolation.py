@@ -311,6 +311,7 @@ def loop_times() -> dict[str, tuple[float, float, float]]:
                     *closed.recursion[-2:],
                     np.inf,
                     None,
+                    (),
                 )
             return time.thread_time() - begin, len(blocks) * simulation.BLOCK
 

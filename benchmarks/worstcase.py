@@ -30,6 +30,7 @@ from experiments.worstcase import solve_cone_program  # noqa: E402
 from experiments.worstcase.costs import slope  # noqa: E402
 from stillwork.estimation import LeastSquares, MinMax  # noqa: E402
 from stillwork.estimation.recursive import RecursiveStepper  # noqa: E402
+from stillwork.estimation.recursive_kernels import FEW, LONG  # noqa: E402
 from stillwork.estimation.recursive_settings import Ridge  # noqa: E402
 
 FORGETTING, BOUND = 0.95, 1.34  # of Fig. 2
@@ -96,14 +97,16 @@ def update_times(n: int) -> dict[str, list[float]]:
     """CPU microseconds a sample of every kernel, over a record."""
     rng = np.random.default_rng(n)
     first = 4 * n
-    rows = rng.standard_normal((first + 4000, n))
+    # Unknowns as few as those that get a kernel of their own get records that are long enough for it.
+    longest = LONG if n <= FEW else 4000
+    rows = rng.standard_normal((first + longest, n))
     outputs = rows @ rng.standard_normal(n) + 0.3 * rng.standard_normal(len(rows))
     lengths, states = {}, {}
     for name, estimator in UPDATES.items():
         states[name] = estimator.start(n)
         estimator.advance(states[name], 0, rows[:first], outputs[:first])  # past the start, where all is zero
         cost = min(run(estimator, states[name], rows[first:], outputs[first:], 20) for _ in range(3))
-        lengths[name] = int(np.clip(RUN_SECONDS * 1e6 / cost, 5, 4000))
+        lengths[name] = longest if n <= FEW else int(np.clip(RUN_SECONDS * 1e6 / cost, 5, longest))
     times = {name: [] for name in UPDATES}
     for _ in range(REPEATS):
         for name, estimator in UPDATES.items():

@@ -94,8 +94,8 @@ WHOLE = "[exact]\nmass = 1.5\nstiffness = 1\nseparator = 1\nexcitation = 1\ndamp
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("[exact]\nmass = 1", "lacks stiffness"),
-        ("[exakt]\nmass = 1", r"no table \[exact\]; did you mean 'exakt'"),
+        ("[exact]\nmass = 1", "exact: 'stiffness' is missing"),
+        ("[exakt]\nmass = 1", "'exact' is missing; did you mean 'exakt'"),
         ("[exact]\nmas = 1", "unknown parameter 'mas'; did you mean 'mass'"),
         ("[exact", "not valid TOML"),
         ("exact = 3", r"exact is 3; make it a table \[exact\]"),

@@ -57,11 +57,15 @@ def test_final_values_are_those_of_the_last_tenth():
     assert (course.final[0], course.deviation[0], course.final_error) == (5.0, 1.0, 2.0)
 
 
+def course_of(adaptation, duration, seed):
+    return converge(FITTED, FLOOR, {"": adaptation}, duration, [seed])[0][""]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "duration"), [("FeLMS", 60.0), ("FeRLS", 30.0)])
 def test_expected_course_is_the_mean_of_simulations(name, duration):
     adaptation = algorithms(STEADY, **SETTINGS)[name]
-    runs = [converge(FITTED, FLOOR, adaptation, duration, seed) for seed in range(4)]
+    runs = [course_of(adaptation, duration, seed) for seed in range(4)]
     mean = np.mean([run.weights for run in runs], axis=0)[49::50]
     expected = mean_course(FITTED, STEADY, name, runs[0].time_s[49::50])
     # The course of FeLMS is for weights that follow slowly; its step is normalised with a noisy trace.
@@ -71,8 +75,8 @@ def test_expected_course_is_the_mean_of_simulations(name, duration):
 
 @pytest.mark.slow
 def test_literal_trace_is_six_times_slower():
-    quick = converge(FITTED, FLOOR, FeLms(), 20.0, 1)
-    slow = converge(FITTED, FLOOR, FeLms(trace="literal"), 120.0, 1)
+    quick = course_of(FeLms(), 20.0, 1)
+    slow = course_of(FeLms(trace="literal"), 120.0, 1)
     assert slow.weights[-1, 6:] == pytest.approx(quick.weights[-1, 6:], rel=0.15)
 
 
@@ -102,7 +106,7 @@ def test_a_short_run_is_judged_by_where_the_weights_settle():
     own, given = (
         convergence_trial([np.random.default_rng(3)], **options, final=each)[0] for each in (None, final)
     )
-    course = converge(FITTED, FLOOR, both["FeRLS"], 6.0, int(np.random.default_rng(3).integers(2**31)))
+    course = course_of(both["FeRLS"], 6.0, int(np.random.default_rng(3).integers(2**31)))
     for found, towards in ((own, course.final), (given, final)):
         for key, share in (("FeRLS tau", 0.63), ("FeRLS tau 37", 0.37)):
             assert found[key] == pytest.approx(settling_times(course.time_s, course.weights, towards, share))

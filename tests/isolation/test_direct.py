@@ -67,7 +67,7 @@ def test_multiplications_are_those_of_the_update_written_out(actuators, n, monke
         return np.array(counting.counted(array), dtype=object)
 
     monkeypatch.setattr(adaptive, "update_covariance", adaptive.update_covariance.py_func)
-    monkeypatch.setattr(adaptive, "_step", adaptive._step.py_func)
+    monkeypatch.setattr(adaptive, "step_weights", adaptive.step_weights.py_func)
     monkeypatch.setattr(adaptive, "watch_power", lambda *_: None)  # of the limit, which is not the paper's
     counting.Counted.count = 0
     adaptive.ferls_update.py_func(

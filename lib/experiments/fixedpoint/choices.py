@@ -114,20 +114,20 @@ def rankings(
         ranking, claim = said.LOW_PASS_BEST, "low-pass-best"
         if case.startswith("small"):
             ranking, claim = said.WINDOW_PRECISE, "window-most-precise"
-            found[f"{q}.smoothest"] = float(said.in_both_forms(study, said.SMOOTHEST).mean())
-        found[f"{speed}.kalman-hectic"] = float(said.in_both_forms(study, said.HECTIC).mean())
+            found[f"{q}.smoothest"] = said.in_both_forms(study, said.SMOOTHEST).mean()
+        found[f"{speed}.kalman-hectic"] = said.in_both_forms(study, said.HECTIC).mean()
         for (form, name), (figure, quantity) in product(FORMS, ((q, "position"), (speed, "velocity"))):
             obeyed = said.statements(study, name, quantity)[ranking]
-            found[f"{figure}.{claim}.{form}"] = float(obeyed.mean())
+            found[f"{figure}.{claim}.{form}"] = obeyed.mean()
     last = studies["large logistic"]
     for form, name in FORMS:
-        found[f"section-4.kalman-worst.{form}"] = float(said.pooled(studies, name)[said.KALMAN_WORST].mean())
+        found[f"section-4.kalman-worst.{form}"] = said.pooled(studies, name)[said.KALMAN_WORST].mean()
         for claim, quantity in (
             ("fig-14.offset-q", "position_shift"),
             ("fig-15.offset-dq", "velocity_shift"),
         ):
             shift = np.abs(last[name][quantity]) / TIME_STEP
-            found[f"{claim}.{form}"] = float(np.mean((shift > 0.5) & np.isfinite(shift)))
+            found[f"{claim}.{form}"] = np.mean((shift > 0.5) & np.isfinite(shift))
     return {f"fixedpoint.{name}": value for name, value in found.items()}
 
 
@@ -180,8 +180,8 @@ def noise_free(
     ]
     return {
         "fixedpoint.fig-2.comparable": max(errors.values()) / min(errors.values()),
-        "fixedpoint.fig-3.fluctuation": float(np.mean(roughest)),
-        "fixedpoint.fig-2.property-of-the-iteration": float(np.mean(np.array(kept) > 1)),
+        "fixedpoint.fig-3.fluctuation": np.mean(roughest),
+        "fixedpoint.fig-2.property-of-the-iteration": np.mean(np.array(kept) > 1),
     }
 
 
@@ -229,7 +229,7 @@ def neutral(
             found[key] = np.nan
             if np.isfinite([study["before"], study["after"]]).all():
                 change = (study["after"] - study["before"]) / study["before"].mean()
-                found[key] = float(change.mean()), mean_interval(change)
+                found[key] = change.mean(), mean_interval(change)
     return found
 
 
@@ -259,7 +259,7 @@ def differentiation(
         time_step=TIME_STEP,
     )  # fmt: skip
     found: Values = {
-        f"fixedpoint.{claim}": (float(study[quantity].mean()), mean_interval(study[quantity]))
+        f"fixedpoint.{claim}": (study[quantity].mean(), mean_interval(study[quantity]))
         for claim, quantity in (("eq-20.mean", "mean"), ("eq-21.variance", "variance"))
     }
     beyond = np.abs(study["correlation"]) > 10 / np.sqrt(record_samples)

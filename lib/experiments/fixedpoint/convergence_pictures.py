@@ -83,12 +83,9 @@ def paint_stability_ranges(ranges: dict[str, StableRange], gains: dict[str, floa
     return figure
 
 
-def paint_limit_cycle_condition(loop: LinearLoop, transformation: FlowTransformation, drawn_on=None):
-    """The open loop's locus and the inverse of gain times describing function; where they meet is a cycle.
-
-    `drawn_on` is a figure and its axes, where these shall not be new.
-    """
-    figure, axes = drawn_on or figures.new(1, height=4.0)
+def paint_limit_cycle_condition(loop: LinearLoop, transformation: FlowTransformation):
+    """The open loop's locus and the inverse of gain times describing function; where they meet is a cycle."""
+    figure, axes = figures.new(1, height=4.0)
     frequency, marks = np.geomspace(3, 120, 180), np.array([5.0, 10.0, 20.0, 40.0, 80.0])
     locus, points = np.split(loop.response(2 * np.pi * np.append(frequency, marks)), [len(frequency)])
     axes.plot(locus.real, locus.imag, color=figures.BLUE, label="linear loop, 3 to 120 Hz")

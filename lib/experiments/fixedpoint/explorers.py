@@ -34,17 +34,8 @@ def _driven(controllers, trajectory, noise, **options):
     }
 
 
-def _new(panels=1, height=3.2, left=0.1, title_lines=1):
-    """A figure with fixed margins: a layout that is solved would double the time of a redraw."""
-    figure, axes = figures.new(1, panels, height=height)
-    figure.set_layout_engine(None)
-    top = 1 - (0.14 + 0.16 * title_lines) / height
-    figure.subplots_adjust(left=left, right=0.98, bottom=0.5 / height, top=top, wspace=0.3)
-    return figure, axes
-
-
-def _error_lines(runs, title, seconds=(6.0, 6.5)):
-    figure, axes = _new()
+def _paint_error_lines(runs, title, seconds=(6.0, 6.5)):
+    figure, axes = figures.new(height=3.2)
     for name, run in runs.items():
         part = (run.time >= seconds[0]) & (run.time < seconds[1])
         error = judge(run)["position"]
@@ -66,14 +57,14 @@ def paint_noise_free(frequency_hz: float, sharpness: float, window_length: int, 
     for name, other in ((WINDOW, MovingWindow(int(window_length))), (LOW_PASS, LowPass(bandwidth))):
         chosen[name] = replace(chosen[name], signal_filter=other)
     trajectory = asin_trajectory(sharpness=sharpness, frequency_hz=frequency_hz)
-    return _error_lines(_driven(chosen, trajectory, Noise()), "without noise")
+    return _paint_error_lines(_driven(chosen, trajectory, Noise()), "without noise")
 
 
 def paint_noisy(kind: str, amplitude: float, frequency_hz: float, integration: str):
     """Tracking error of the four controllers in noise of another size and kind."""
     chosen, trajectory = published_controllers(_approximate()), asin_trajectory(frequency_hz=frequency_hz)
     runs = _driven(chosen, trajectory, Noise(kind, amplitude), integration=integration)
-    return _error_lines(runs, f"{kind} noise")
+    return _paint_error_lines(runs, f"{kind} noise")
 
 
 def paint_ranking(frequency_hz: float, sharpness: float, amplitude: float):
@@ -82,7 +73,7 @@ def paint_ranking(frequency_hz: float, sharpness: float, amplitude: float):
     trajectory = asin_trajectory(sharpness=sharpness, frequency_hz=frequency_hz)
     noise = Noise("gaussian", amplitude)
     found = compare(exact, published_controllers(_approximate()), trajectory, noise, runs=2, seed=0)
-    figure, panels = _new(2, height=2.2, left=0.21)
+    figure, panels = figures.new(1, 2, height=2.2)
     for axes, quantity, ticks in zip(
         panels, ("position", "roughness"), (list(found), [""] * len(found)), strict=True
     ):
@@ -110,7 +101,7 @@ def paint_expected_beliefs(assumed_scale: float, noise_deviation: float):
     settled = [
         steady_errors(still, process, s * assumed, noise_deviation, step, np.zeros((2, 2))) for s in scales
     ]
-    figure, panels = _new(2, height=3.0, left=0.12)
+    figure, panels = figures.new(1, 2, height=3.0)
     for axes, column, estimate in zip(panels, (1, 0), ("q (m)", "q' (m/s)"), strict=True):
         for name, colour, line in (("believed", figures.RED, "--"), ("true", figures.BLUE, "-")):
             values = [np.sqrt(getattr(s, name)[column, column]) for s in settled]
@@ -130,7 +121,7 @@ def paint_limit_cycle(gain: float, window_length: int, exponent: float):
     parts = MovingWindow(int(window_length)), transformation, KinematicDesign(exponent), _approximate()
     loop = linear_loop(load_oscillator()["exact"].plant, Controller(*parts), 1e-3)
     region = stable_range(loop)
-    figure = paint_limit_cycle_condition(loop, transformation, _new(height=4.0, title_lines=2))
+    figure = paint_limit_cycle_condition(loop, transformation)
     cycles = [
         f"{c.frequency_hz:.1f} Hz at {c.iteration_error:.3g} m/s² ({'stable' if c.stable else 'unstable'})"
         for c in limit_cycles(loop, transformation, region)
@@ -148,7 +139,7 @@ def paint_low_pass(exponent: float, bandwidth: float, strength: float):
     transformation = RobustTransformation(slope=strength / (4e7 * 1.05))
     chosen = Controller(LowPass(bandwidth), transformation, KinematicDesign(exponent), _approximate())
     runs = _driven({LOW_PASS: chosen}, asin_trajectory(), Noise("gaussian", 1e-4))
-    return _error_lines(runs, "large Gaussian noise")
+    return _paint_error_lines(runs, "large Gaussian noise")
 
 
 def paint_shift(frequency_hz: float, exponent: float):
@@ -157,7 +148,7 @@ def paint_shift(frequency_hz: float, exponent: float):
     moved = {
         name: replace(published[name], kinematics=KinematicDesign(exponent)) for name in (KALMAN, LITERAL)
     }
-    figure = _error_lines(_driven(moved, trajectory, Noise()), "without noise", (0.0, 12.0))
+    figure = _paint_error_lines(_driven(moved, trajectory, Noise()), "without noise", (0.0, 12.0))
     [axes] = figure.axes
     nominal = trajectory.time[::20], trajectory.velocity[::20]
     axes.plot(*nominal, "k:", lw=1, label="1 ms times the nominal velocity")

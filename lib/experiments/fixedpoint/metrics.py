@@ -113,6 +113,5 @@ def _shift(error, derivative, part) -> float:
     return float(error @ derivative / (derivative @ derivative))
 
 
-def _averaged(values, samples=50):
-    whole = len(values) // samples * samples
-    return values[:whole].reshape(-1, samples).mean(axis=1)
+def _averaged(values):
+    return values[: len(values) // 50 * 50].reshape(-1, 50).mean(axis=1)

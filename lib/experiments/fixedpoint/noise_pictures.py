@@ -54,10 +54,9 @@ def paint_beliefs(deviations, believed, true):
     return figure
 
 
-def paint_tuned_errors(
-    studies: dict[str, dict[str, Study]], quantities=("velocity", "position", "roughness")
-):
+def paint_tuned_errors(studies: dict[str, dict[str, Study]]):
     """Errors on fresh noise of the tuned filters, mean and 95 % interval, a row a noise."""
+    quantities = ("velocity", "position", "roughness")
     figure, panels = figures.new(len(studies), len(quantities), height=2.0 * len(studies) + 0.6)
     for row, (case, study) in zip(np.atleast_2d(panels), studies.items(), strict=True):
         for axes, quantity in zip(row, quantities, strict=True):

@@ -63,17 +63,12 @@ def load_oscillator(file: Path | str | None = None) -> dict[str, VanDerPol]:
     known = [field.name for field in fields(VanDerPol)]
     models = {}
     for name in ("exact", "approximate"):
-        if name not in tree:
-            raise InputError(f"{file}: no table [{name}]{nearest(name, tree)}; add it")
-        if not isinstance(tree[name], dict):
-            raise InputError(f"{file}: {name} is {tree[name]!r}; make it a table [{name}] of parameters")
-        for key in tree[name]:
+        table = tree.table(name)
+        for key in table:
             if key not in known:
                 raise InputError(f"{file}: [{name}] has an unknown parameter {key!r}{nearest(key, known)}")
-        if missing := [key for key in known if key not in tree[name]]:
-            raise InputError(f"{file}: [{name}] lacks {', '.join(missing)}; add them")
         try:
-            models[name] = VanDerPol(**tree[name])
+            models[name] = VanDerPol(*(table[key] for key in known))
         except InputError as error:
             raise InputError(f"{file}: [{name}] {error}") from None
     return models

@@ -114,17 +114,15 @@ def points_with_intervals(axes, runs: list[np.ndarray], places, name: str):
     axes.hlines(places, *zip(*intervals, strict=True), color=COLOURS[name], label=label)
 
 
-def paint_errors_by_case(
-    studies: dict[str, dict[str, Study]], quantities=("position", "velocity", "roughness")
-):
+def paint_errors_by_case(studies: dict[str, dict[str, Study]]):
     """Mean and 95 % interval of each filter's errors, one row of points a noise case."""
-    figure, panels = figures.new(1, len(quantities), height=0.55 * len(studies) + 1.5, sharey=True)
+    figure, panels = figures.new(1, len(METRICS), height=0.55 * len(studies) + 1.5, sharey=True)
     names = list(next(iter(studies.values())))
-    for axes, quantity in zip(panels, quantities, strict=True):
+    for axes, (quantity, (label, title, factor)) in zip(panels, METRICS.items(), strict=True):
         for number, name in enumerate(names):
-            runs = [METRICS[quantity][2] * study[name][quantity] for study in studies.values()]
+            runs = [factor * study[name][quantity] for study in studies.values()]
             points_with_intervals(axes, runs, np.arange(len(runs)) + 0.12 * (number - 1.5), name)
-        axes.set(xscale="log", xlabel=METRICS[quantity][0], title=METRICS[quantity][1])
+        axes.set(xscale="log", xlabel=label, title=title)
         log_axis(axes.xaxis)
     panels[0].set_yticks(range(len(studies)), list(studies))
     panels[0].invert_yaxis()

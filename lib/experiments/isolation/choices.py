@@ -41,12 +41,12 @@ def convergence(
         times[name] = con.settling_times(course.time_s, course.weights, course.final, settling_band)
         for quantity, values in (("tau", times[name]), ("final", course.final)):
             for k, value in enumerate(values, 1):
-                found[f"isolation.table-1.{name.lower()}.{quantity}-w{k}"] = float(value)
+                found[f"isolation.table-1.{name.lower()}.{quantity}-w{k}"] = value
     ratios = times["FeLMS"] / times["FeRLS"]
     return found | {
-        "isolation.convergence.speed-up": float(np.exp(np.log(ratios[3:]).mean())),
-        "isolation.convergence.faster-each": float(np.all(ratios[3:] > 1)),
-        "isolation.convergence.largest-speed-up-ours": float(ratios.max()),
+        "isolation.convergence.speed-up": np.exp(np.log(ratios[3:]).mean()),
+        "isolation.convergence.faster-each": np.all(ratios[3:] > 1),
+        "isolation.convergence.largest-speed-up-ours": ratios.max(),
     }
 
 
@@ -64,7 +64,7 @@ def _course(
         initial_covariance=initial_covariance,
         sample_time=twin.sample_time,
     )
-    return con.converge(twin, floor, both[name], DURATION_S, seed)
+    return con.converge(twin, floor, {name: both[name]}, DURATION_S, [seed])[0][name]
 
 
 def transmissibility(
@@ -111,10 +111,10 @@ def transmissibility(
         "isolation.fig-7.upper-end": _edge(frequencies, enough, -1),
         "isolation.fig-7.low-frequency-loss": _edge(frequencies, less, 0),
         "isolation.fig-7.high-frequency-loss": _edge(frequencies, less, -1),
-        "isolation.fig-7.largest-reduction": float(bands.max(axis=1).mean()),
-        "isolation.fig-7.passive-low-frequency": float(miss > 1),
-        "isolation.fig-7.mains-peak": float(np.mean(peak > 6)),
-        "isolation.fig-7.roll-off": float(np.polyfit(np.log10(share[rolling]), left, 1)[0]),
+        "isolation.fig-7.largest-reduction": bands.max(axis=1).mean(),
+        "isolation.fig-7.passive-low-frequency": miss > 1,
+        "isolation.fig-7.mains-peak": np.mean(peak > 6),
+        "isolation.fig-7.roll-off": np.polyfit(np.log10(share[rolling]), left, 1)[0],
     }
 
 

@@ -10,11 +10,11 @@ from experiments.isolation import one_rig, tracking
 from experiments.isolation.floors import FLAT_LEVEL, ShapedFloor, colored_floor, flat_floor
 from experiments.isolation.modes import suspension_modes
 from experiments.isolation.performance import DIRECTIONS, central_axes, expected_density
-from experiments.isolation.power import BAND_HZ, limit_ratio_db, power_trial, reduction_percent
+from experiments.isolation.power import BAND_HZ, limit_ratio_db, measures, power_trial
 from experiments.isolation.responses import responses
 from experiments.isolation.steady import FORGETTING, steady_state
 from experiments.isolation.twin import Twin, load_twin
-from stillwork.signals.spectra import band_power
+from stillwork.signals.spectra import Spectrum
 
 STEP_SIZE, MEMORY_S = 1e-4, 10.0  # section 5.1.1
 FELMS_S, FERLS_S, RECORD_S = 250.0, 60.0, 40.0  # s, of a run of notebook 05
@@ -68,7 +68,7 @@ def suspension(
     damping, shares = suspension_modes(twin).damping, twin.rig.mass * twin.rig.modes[1] ** 2
     kinds = {"horizontal": shares[0] + shares[1] > 0.5, "vertical": shares[2] > 0.5}
     kinds["rotations"] = ~(kinds["horizontal"] | kinds["vertical"])
-    return {f"isolation.setup.damping-{kind}": float(damping[rows].mean()) for kind, rows in kinds.items()}
+    return {f"isolation.setup.damping-{kind}": damping[rows].mean() for kind, rows in kinds.items()}
 
 
 def power(
@@ -108,16 +108,14 @@ def power(
     after = late[-1] + 1 if len(late) else 0
     return {
         **{
-            f"isolation.fig-8.removed.{ENTRIES[name]}": float(value)
+            f"isolation.fig-8.removed.{ENTRIES[name]}": value
             for name, value in zip(DIRECTIONS, removed, strict=True)
         },
-        "isolation.fig-8.removed.range": float(np.mean((removed > 89.5) & (removed < 94.5))),
-        "isolation.fig-8.reaches-the-limit": float(
-            np.mean(found["removed limit"] - found["removed FeRLS"] < 1.0)
-        ),
-        "isolation.fig-8.low-end-lost": float(np.mean(found["low end"] > 1)),
-        "isolation.fig-8.no-limit-above-300-hz": float(np.mean(found["above band"] > found["in band"])),
-        "isolation.fig-8.limit-in-band": float(bands[after]) if after < len(bands) else np.nan,
+        "isolation.fig-8.removed.range": np.mean((removed > 89.5) & (removed < 94.5)),
+        "isolation.fig-8.reaches-the-limit": np.mean(found["removed limit"] - found["removed FeRLS"] < 1.0),
+        "isolation.fig-8.low-end-lost": np.mean(found["low end"] > 1),
+        "isolation.fig-8.no-limit-above-300-hz": np.mean(found["above band"] > found["in band"]),
+        "isolation.fig-8.limit-in-band": bands[after] if after < len(bands) else np.nan,
     }
 
 
@@ -138,23 +136,16 @@ def _expected(twin: Twin, floor: ShapedFloor) -> dict[str, np.ndarray]:
     weights = steady_state(twin, floor).weights
     before = expected_density(twin, floor, LINES_HZ)
     after = expected_density(twin, floor, LINES_HZ, weights=weights)
-    limit = before["output noise"]
-    total, left = sum(before.values()), sum(after.values())
-
-    def within(density, low, high):
-        return np.array([band_power(LINES_HZ, row, low, high) for row in density])
-
+    total, left, limit = (
+        Spectrum(LINES_HZ, density, 1)
+        for density in (sum(before.values()), sum(after.values()), before["output noise"])
+    )
     lines = [mains_power(twin, given) for given in (np.zeros_like(weights), weights)]
-    whole, rest = (within(each, *BAND_HZ) for each in (total, left))
-    return {
-        "removed FeRLS": reduction_percent(LINES_HZ, total, left),
-        "removed limit": reduction_percent(LINES_HZ, total, limit),
-        "removed with mains": 100 * (1 - (rest + lines[1]) / (whole + lines[0])),
-        "in band": within(left, 3.0, 200.0) / within(limit, 3.0, 200.0),
-        "above band": within(left, 300.0, 500.0) / within(limit, 300.0, 500.0),
-        "low end": within(left, 1.0, 2.0) / within(total, 1.0, 2.0),
-        "density FeRLS": left,
-        "density output noise": limit,
+    return measures(total, left, limit) | {
+        "removed with mains": 100
+        * (1 - (left.power(*BAND_HZ) + lines[1]) / (total.power(*BAND_HZ) + lines[0])),
+        "density FeRLS": left.density,
+        "density output noise": limit.density,
         "lines": LINES_HZ,
     }
 
@@ -185,10 +176,10 @@ def follow(
     )
     gains = [times["FeLMS all"] / times["FeRLS all"] for times in (into, back)]
     return {
-        "isolation.tracking.flat-to-colored": float(into["FeRLS all"] < into["FeLMS all"]),
-        "isolation.tracking.colored-to-flat": float(back["FeLMS all"] <= back["FeRLS all"]),
-        "isolation.tracking.colored-to-flat-w4-w6": float(back["FeLMS w4-w6"] <= back["FeRLS w4-w6"]),
-        "isolation.tracking.benefit-shrinks": float(gains[1] < gains[0]),
+        "isolation.tracking.flat-to-colored": into["FeRLS all"] < into["FeLMS all"],
+        "isolation.tracking.colored-to-flat": back["FeLMS all"] <= back["FeRLS all"],
+        "isolation.tracking.colored-to-flat-w4-w6": back["FeLMS w4-w6"] <= back["FeRLS w4-w6"],
+        "isolation.tracking.benefit-shrinks": gains[1] < gains[0],
     }
 
 

@@ -8,7 +8,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from experiments.isolation.floors import ShapedFloor
-from experiments.isolation.simulation import Run, simulate, simulate_together
+from experiments.isolation.simulation import simulate, simulate_together
 from experiments.isolation.steady import Steady
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import require_array, require_number
@@ -91,26 +91,21 @@ def algorithms(
 
 
 def converge(
-    twin: Twin, floor: ShapedFloor, adaptation: FeLms | FeRls, duration_s: float, seed: int
-) -> Course:
-    """Adaptation from zero weights; keeps the first actuator's parameters every 0.1 s."""
-    return converge_each(twin, floor, {"": adaptation}, duration_s, [seed])[0][""]
-
-
-def converge_each(
     twin: Twin,
     floor: ShapedFloor,
     adaptations: Mapping[str, FeLms | FeRls],
     duration_s: float,
     seeds: Sequence[int],
 ) -> list[dict[str, Course]]:
-    """For each seed what `converge` gives for each of several algorithms, side by side on one floor."""
+    """For each seed the course of each of several algorithms from zero weights, on one floor; kept every 0.1 s."""
     runs = simulate_together(twin, floor, duration_s, seeds=seeds, adaptations=adaptations)
-    return [{name: _course(run) for name, run in each.items()} for each in runs]
-
-
-def _course(run: Run) -> Course:
-    return Course(run.time_s, np.ascontiguousarray(run.weights[:, 0]), run.error_power)
+    return [
+        {
+            name: Course(run.time_s, np.ascontiguousarray(run.weights[:, 0]), run.error_power)
+            for name, run in each.items()
+        }
+        for each in runs
+    ]
 
 
 def convergence_trial(
@@ -131,7 +126,7 @@ def convergence_trial(
     """
     seeds = [int(rng.integers(2**31)) for rng in draws]
     still = simulate_together(twin, floor, FINAL_SHARE * duration_s, seeds=seeds, adaptations={"": None})
-    moving = converge_each(twin, floor, both, duration_s, seeds)
+    moving = converge(twin, floor, both, duration_s, seeds)
     return [
         _measures(courses, before[""].error_power.mean(), final)
         for courses, before in zip(moving, still, strict=True)

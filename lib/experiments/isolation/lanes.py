@@ -1,8 +1,9 @@
 """Numbers of several runs as one: inside kernels, vectors of the processor with a lane for each run.
 
-Channel c of run r stands at c * runs + r. `together` is a tuple as long as the runs are many, so that the compiler
-knows their number, or None for a single run, whose numbers are plain. A kernel written with `take` and `put` serves
-both: every lane goes through the operations of a single run in their order, to the same bits.
+Channel c of run r stands at c * runs + r. `lanes` shows such arrays as arrays of channels, whose items hold that channel
+of every run: a kernel written for one run then serves several, and every lane goes through the operations of a single
+run in their order, to the same bits. `together` is a tuple as long as the runs are many, so that the compiler knows
+their number, or None for a single run, whose arrays stay as they are.
 
 What stands here becomes part of kernels' machine code, whose folder (`stillwork.base.kernel_folder`) is named after
 every file that says ``stillwork.base.kernel``, as this sentence does.
@@ -14,20 +15,25 @@ from llvmlite import ir
 from numba.core import cgutils, types
 from numba.core.datamodel import models, register_default
 from numba.core.errors import TypingError
-from numba.core.imputils import lower_builtin, lower_cast
+from numba.core.imputils import impl_ret_borrowed, lower_builtin, lower_cast
+from numba.core.typeconv import Conversion
 from numba.core.typing.templates import AbstractTemplate, infer_global
 from numba.extending import intrinsic
-from numba.np.arrayobj import make_array
+from numba.np.arrayobj import make_array, populate_array
 
-NUMBER = 8  # bytes; an array's lanes need not start at a multiple of their size
+NUMBER = 8  # bytes
 
 
 class Lanes(types.Type):
-    """Vector of so many float64."""
+    """Vector of so many float64; one number is taken for all of them."""
 
     def __init__(self, count: int):
         self.count = count
         super().__init__(name=f"Lanes({count})")
+
+    def can_convert_from(self, context, other):
+        """What a variable may hold before it holds lanes."""
+        return Conversion.safe if isinstance(other, types.Float) else None
 
 
 class _LanesModel(models.PrimitiveModel):
@@ -45,6 +51,7 @@ def _broadcast(context, builder, source, target, value):
 
 register_default(Lanes)(_LanesModel)
 lower_cast(types.Float, Lanes)(_broadcast)
+lower_cast(types.Integer, Lanes)(_broadcast)
 
 
 class _Arithmetic(AbstractTemplate):
@@ -73,72 +80,55 @@ _lower("fdiv", 2, operator.truediv)
 _lower("fneg", 1, operator.neg)
 
 
-def _kind(array, together):
-    """Type of a channel's numbers."""
+@intrinsic
+def lanes(context, array, together):
+    """The same memory, with the numbers of all runs as one item; of a tuple each array."""
     if isinstance(together, types.NoneType):
-        return array.dtype
-    if array.dtype != types.float64 or array.layout != "C":
-        raise TypingError(f"lanes are taken from contiguous arrays of float64, not from {array}")
-    return Lanes(len(together))
+
+        def as_it_is(context, builder, signature, arguments):
+            return impl_ret_borrowed(context, builder, array, arguments[0])
+
+        return array(array, together), as_it_is
+    count = len(together)
+    if count & (count - 1):
+        raise TypingError(f"together holds {count} runs; give a power of two, as vectors are long")
+    if not isinstance(array, types.BaseTuple):
+        shown = _shown(array, count)
+        return shown(array, together), lambda context, builder, signature, arguments: impl_ret_borrowed(
+            context, builder, shown, _show(context, builder, array, arguments[0], count)
+        )
+    shown = types.Tuple([_shown(each, count) for each in array])
+
+    def each_shown(context, builder, signature, arguments):
+        parts = zip(array, cgutils.unpack_tuple(builder, arguments[0]), strict=True)
+        views = [_show(context, builder, kind, value, count) for kind, value in parts]
+        return impl_ret_borrowed(context, builder, shown, context.make_tuple(builder, shown, views))
+
+    return shown(array, together), each_shown
 
 
-def _pointer(context, builder, signature, arguments):
-    """Where a channel's first number stands."""
-    kind, place, together = signature.args[0], signature.args[1], signature.args[-1]
-    places = (
-        [arguments[1]] if isinstance(place, types.Integer) else cgutils.unpack_tuple(builder, arguments[1])
+def _shown(kind, count):
+    """Type of an array whose items are lanes, which need not start at a multiple of their size."""
+    if kind.dtype != types.float64 or kind.layout != "C":
+        raise TypingError(f"lanes are taken from contiguous arrays of float64, not from {kind}")
+    return types.Array(Lanes(count), kind.ndim, "C", aligned=False)
+
+
+def _show(context, builder, kind, array, count):
+    """An array of `kind` with a last axis as much shorter as an item is longer."""
+    wide = make_array(kind)(context, builder, array)
+    view = make_array(_shown(kind, count))(context, builder)
+    *before, last = cgutils.unpack_tuple(builder, wide.shape)
+    populate_array(
+        view,
+        data=builder.bitcast(wide.data, view.data.type),
+        shape=[*before, builder.udiv(last, last.type(count))],
+        strides=[*cgutils.unpack_tuple(builder, wide.strides)[:-1], last.type(NUMBER * count)],
+        itemsize=NUMBER * count,
+        meminfo=wide.meminfo,
+        parent=wide.parent,
     )
-    if not isinstance(together, types.NoneType):
-        places[-1] = builder.mul(places[-1], context.get_constant(types.intp, len(together)))
-    array = make_array(kind)(context, builder, arguments[0])
-    return cgutils.get_item_pointer(context, builder, kind, array, places)
-
-
-def _room(context, builder, signature, arguments, kind):
-    """The pointer of its kind, and the alignment."""
-    pointer = _pointer(context, builder, signature, arguments)
-    if not isinstance(kind, Lanes):
-        return pointer, None
-    return builder.bitcast(pointer, context.get_value_type(kind).as_pointer()), NUMBER
-
-
-@intrinsic
-def runs_of(context, together):
-    """How many runs there are, a constant for the compiler."""
-    count = 1 if isinstance(together, types.NoneType) else len(together)
-    return types.intp(together), lambda context, *given: context.get_constant(types.intp, count)
-
-
-@intrinsic
-def same(context, number, together):
-    """One number for every run."""
-    kind = types.float64 if isinstance(together, types.NoneType) else Lanes(len(together))
-    return kind(kind, together), lambda context, builder, signature, arguments: arguments[0]
-
-
-@intrinsic
-def take(context, array, place, together):
-    """The numbers of a channel at `place`, an index or one for each axis, of which the last counts channels."""
-    kind = _kind(array, together)
-
-    def generate(context, builder, signature, arguments):
-        pointer, align = _room(context, builder, signature, arguments, kind)
-        return builder.load(pointer, align=align)
-
-    return kind(array, types.unliteral(place), together), generate
-
-
-@intrinsic
-def put(context, array, place, numbers, together):
-    """Write the numbers of a channel, or one number for all runs."""
-    kind = _kind(array, together)
-
-    def generate(context, builder, signature, arguments):
-        pointer, align = _room(context, builder, signature, arguments, kind)
-        builder.store(arguments[2], pointer, align=align)
-        return context.get_dummy_value()
-
-    return types.void(array, types.unliteral(place), kind, together), generate
+    return view._getvalue()
 
 
 @intrinsic

@@ -12,12 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.isolation.lanes import at_most, put, runs_of, same, take
-from experiments.isolation.together import ferls_updates, first_below, hold_each
+from experiments.isolation.lanes import at_most, lanes
+from experiments.isolation.together import ferls_updates, hold_each
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import InputError
-from stillwork.base.kernels import borrowing_kernel, kernel, pasted_kernel
-from stillwork.estimation.adaptive import Recursion, ferls_step
+from stillwork.base.kernels import borrowing_kernel, inlined_kernel, kernel, pasted_kernel
+from stillwork.estimation.adaptive import Recursion, felms_update, ferls_step
 
 FROZEN, FELMS, FERLS = 0, 1, 2  # what the kernel does with the weights
 STABLE, OVERLOAD, INDEFINITE = 0, 1, 2  # why it stopped
@@ -85,10 +85,10 @@ class Signals(NamedTuple):
     """
 
     platform: np.ndarray  # (samples, outputs), a1 without noise
-    measured: np.ndarray  # (samples, outputs), noisy and conditioned
-    sensed: np.ndarray  # (samples, sensors), floor, noisy and conditioned
+    measured_platform: np.ndarray  # (samples, outputs), noisy and conditioned
+    sensed_floor: np.ndarray  # (samples, sensors), floor, noisy and conditioned
     command: np.ndarray  # (samples, actuators)
-    regressors: np.ndarray  # (samples, regressors), psi_N
+    filtered_regressors: np.ndarray  # (samples, regressors), psi_N
     error: np.ndarray  # (samples, actuators), e
     weights: np.ndarray  # (kept, actuators, regressors)
     error_power: np.ndarray  # (kept, runs), mean of e'e since the last kept
@@ -185,103 +185,102 @@ def side_by_side(array: np.ndarray, runs: int) -> np.ndarray:
 
 
 @pasted_kernel
-def _filter(sections, first, second, values, together):
+def _filter(bank, values):
     """One sample of every channel of a bank, in place.
 
     The two halves of the memory are arrays of their own: interleaved, they would overlap for all that the
     compiler can tell, and it would not vectorise.
     """
+    sections, first, second = bank
     for s in range(sections.shape[0]):
         b0, b1, b2 = sections[s, 0], sections[s, 1], sections[s, 2]
         a1, a2 = sections[s, 3], sections[s, 4]
-        for c in range(len(values) // runs_of(together)):
-            value = take(values, c, together)
-            out = b0 * value + take(first, (s, c), together)
-            put(first, (s, c), b1 * value - a1 * out + take(second, (s, c), together), together)
-            put(second, (s, c), b2 * value - a2 * out, together)
-            put(values, c, out, together)
+        for c in range(len(values)):
+            value = values[c]
+            out = b0 * value + first[s, c]
+            first[s, c] = b1 * value - a1 * out + second[s, c]
+            second[s, c] = b2 * value - a2 * out
+            values[c] = out
 
 
 @pasted_kernel
-def _filter_each(sections, first, second, values, together):
+def _filter_each(bank, values):
     """The same where every channel has a cascade of its own, (sections, 5, channels)."""
+    sections, first, second = bank
     for s in range(sections.shape[0]):
         for c in range(sections.shape[2]):
-            value = take(values, c, together)
-            out = sections[s, 0, c] * value + take(first, (s, c), together)
-            following = sections[s, 1, c] * value - sections[s, 3, c] * out + take(second, (s, c), together)
-            put(first, (s, c), following, together)
-            put(second, (s, c), sections[s, 2, c] * value - sections[s, 4, c] * out, together)
-            put(values, c, out, together)
+            value = values[c]
+            out = sections[s, 0, c] * value + first[s, c]
+            first[s, c] = sections[s, 1, c] * value - sections[s, 3, c] * out + second[s, c]
+            second[s, c] = sections[s, 2, c] * value - sections[s, 4, c] * out
+            values[c] = out
 
 
 @borrowing_kernel
-def filter_block(sections, first, second, signals, together):
+def filter_block(bank, signals, together):
     """A block of samples, (samples, channels), through a bank with a cascade for each channel, in place."""
+    bank, signals = _bank_in_lanes(bank, together), lanes(signals, together)
     for k in range(len(signals)):
-        _filter_each(sections, first, second, signals[k], together)
+        _filter_each(bank, signals[k])
+
+
+@inlined_kernel
+def _bank_in_lanes(bank, together):
+    return bank.sections, lanes(bank.first, together), lanes(bank.second, together)
 
 
 @pasted_kernel
-def _copy(source, first, target, place, channels, together):
-    """So many channels of one array to a place in another."""
-    for i in range(channels):
-        put(target, place + i, take(source, first + i, together), together)
+def _copy(source, target):
+    """The channels of one array, or the first of them, to all of another."""
+    for i in range(len(target)):
+        target[i] = source[i]
 
 
 @pasted_kernel
-def _keep(source, first, kept, k):
-    """Row k of a signal that is kept: the numbers of every run from `first` on."""
+def _place(source, target, place):
+    """All channels of one array into another, from a place on."""
+    for i in range(len(source)):
+        target[place + i] = source[i]
+
+
+@pasted_kernel
+def _keep(source, kept, k):
+    """Row k of a signal that is kept."""
     for i in range(kept.shape[1]):
-        kept[k, i] = source[first + i]
+        kept[k, i] = source[i]
 
 
 @pasted_kernel
-def _multiply(matrix, vector, product, together):
+def _multiply(matrix, vector, product):
     """product = matrix' vector, four inputs at a time: one pass through memory where there would be four."""
     for i in range(matrix.shape[1]):
-        put(product, i, 0.0, together)
+        product[i] = 0.0
     for j in range(0, matrix.shape[0], COLUMNS):
-        a, b = take(vector, j, together), take(vector, j + 1, together)
-        c, d = take(vector, j + 2, together), take(vector, j + 3, together)
+        a, b, c, d = vector[j], vector[j + 1], vector[j + 2], vector[j + 3]
         for i in range(matrix.shape[1]):
-            total = (matrix[j, i] * a + matrix[j + 1, i] * b) + (matrix[j + 2, i] * c + matrix[j + 3, i] * d)
-            put(product, i, take(product, i, together) + total, together)
+            product[i] += (matrix[j, i] * a + matrix[j + 1, i] * b) + (
+                matrix[j + 2, i] * c + matrix[j + 3, i] * d
+            )
 
 
 @pasted_kernel
-def _set_product(matrix, vector, out, together):
+def _set_product(matrix, vector, out):
     """Out = matrix vector, of a few channels."""
     for i in range(matrix.shape[0]):
-        total = same(0.0, together)
+        total = 0.0
         for j in range(matrix.shape[1]):
-            total += matrix[i, j] * take(vector, j, together)
-        put(out, i, total, together)
+            total += matrix[i, j] * vector[j]
+        out[i] = total
 
 
 @pasted_kernel
-def _command(weights, regressor, damping, command, together):
+def _command(weights, regressor, damping, command):
     """u = W psi less the damping."""
     for i in range(weights.shape[0]):
-        total = -take(damping, i, together)
-        for j in range(weights.shape[1] // runs_of(together)):
-            total += take(weights, (i, j), together) * take(regressor, j, together)
-        put(command, i, total, together)
-
-
-@pasted_kernel
-def _felms(weights, regressor, error, step_size, regularisation, trace_copies, together):
-    """`felms_update` of every run."""
-    count = weights.shape[1] // runs_of(together)
-    power = same(0.0, together)
-    for j in range(count):
-        power += take(regressor, j, together) * take(regressor, j, together)
-    rate = step_size / (regularisation + trace_copies * power)
-    for i in range(weights.shape[0]):
-        scaled = rate * take(error, i, together)
-        for j in range(count):
-            step = scaled * take(regressor, j, together)
-            put(weights, (i, j), take(weights, (i, j), together) - step, together)
+        total = -damping[i]
+        for j in range(weights.shape[1]):
+            total += weights[i, j] * regressor[j]
+        command[i] = total
 
 
 @kernel
@@ -300,8 +299,9 @@ def advance(
     other,
     force_limit,
     together,
+    alone,
 ):
-    """Advance the loop over a block of samples; returns (status, samples done, run that stopped).
+    """Advance the loop over a block of samples; returns (status, samples done, run whose command was too large).
 
     The floor is a0 (samples, sensors), the noise n1 and n0 (samples, outputs + sensors), before the conditioners;
     `loop` and `signals` are changed in place. `keep_every` samples lie between two kept weights, `phase` since the
@@ -309,113 +309,129 @@ def advance(
     trace counts the regressors. `inner` and `other`, of the loop's recursion, decide when this is compiled which
     forms it knows. A command beyond `force_limit`, or NaN, stops the run. `together` is None or a tuple as long as
     the runs side by side are many, which the compiler then knows; each channel of every array stands for that many,
-    and P has the triangle's form.
+    and P has the triangle's form. `alone` is None where `together` is not: the compiler leaves out what asks for it.
     """
-    runs = runs_of(together)
-    samples, sensors = floor.shape[0], floor.shape[1] // runs
+    runs, commands, each = len(loop.power), loop.command, loop.recursion.levels
     # Local names: what is read from a field anew at every sample costs time.
-    plant, vector, floor_inertia, command = loop.plant, loop.vector, loop.floor_inertia, loop.command
-    modes, before, after, weights, power = loop.modes, loop.before, loop.after, loop.weights, loop.power
-    product, readings, resonance, damping, error, axes, shaped, both, regressor, filtered, rounded = loop.room
-    matrix, form, forgetting, levels, allowance, gain, _, _ = loop.recursion
-    actuator, actuator_1, actuator_2 = loop.actuator
-    parasitic, parasitic_1, parasitic_2 = loop.parasitic
-    conditioning, conditioning_1, conditioning_2 = loop.conditioning
-    skyhook, skyhook_1, skyhook_2 = loop.skyhook
-    shaping, shaping_1, shaping_2 = loop.shaping
-    integrator, integrator_1, integrator_2 = loop.integrator
-    error_sections, error_1, error_2 = loop.error
-    kept_platform, kept_measured, kept_sensed = signals.platform, signals.measured, signals.sensed
-    kept_command, kept_regressors, kept_error = signals.command, signals.regressors, signals.error
-    kept_weights, kept_power = signals.weights, signals.error_power
+    floor, noise = lanes(floor, together), lanes(noise, together)
+    plant, floor_inertia, before, after = loop.plant, loop.floor_inertia, loop.before, loop.after
+    vector, command, weights, power = lanes((loop.vector, loop.command, loop.weights, loop.power), together)
+    product, readings, resonance, damping, error, axes, shaped, both, regressor, filtered, rounded = lanes(
+        loop.room, together
+    )
+    _, form, forgetting, _, allowance, _, _, _ = loop.recursion
+    matrix, levels, gain = lanes((loop.recursion.matrix, each, loop.recursion.gain), together)
+    actuator = _bank_in_lanes(loop.actuator, together)
+    parasitic = _bank_in_lanes(loop.parasitic, together)
+    conditioning = _bank_in_lanes(loop.conditioning, together)
+    skyhook = _bank_in_lanes(loop.skyhook, together)
+    shaping = _bank_in_lanes(loop.shaping, together)
+    integrator, integrator_1, integrator_2 = _bank_in_lanes(loop.integrator, together)
+    errors = _bank_in_lanes(loop.error, together)
+    modes = (loop.modes, errors[1], errors[2])
+    (
+        kept_platform,
+        kept_measured,
+        kept_sensed,
+        kept_command,
+        kept_regressors,
+        kept_error,
+        kept_weights,
+        kept_power,
+    ) = lanes(signals, together)
 
-    actuators, count = weights.shape[0], weights.shape[1] // runs
-    outputs, states = skyhook_1.shape[1] // runs, loop.states
+    samples, sensors = floor.shape
+    actuators, count = weights.shape
+    outputs, states = skyhook[1].shape[1], loop.states
     through = len(integrator) * sensors // max(count - sensors, 1)  # sections of one power of beta H
-    full = len(modes) > 0
+    full = len(loop.modes) > 0
     keep = len(kept_platform) > 0
+    # Parts of them, which have their meaning: an index from within a whole is looked at for its sign.
+    motion, forces, ground = (
+        vector[:states],
+        vector[states : states + actuators],
+        vector[states + actuators :],
+    )
+    unfiltered = error[:outputs]
+    platform, platform_readings, floor_readings = product[states:], readings[:outputs], readings[outputs:]
+    direct, band = both[:sensors], both[sensors : 2 * sensors]
 
     for k in range(samples):
         # Force: the command of the sample before, through the actuator's lag.
-        _filter(actuator, actuator_1, actuator_2, command, together)
-        _copy(command, 0, vector, states, actuators, together)
-        _copy(command, 0, resonance, 0, actuators, together)
-        _filter(parasitic, parasitic_1, parasitic_2, resonance, together)
+        _filter(actuator, command)
+        _copy(command, forces)
+        _copy(command, resonance)
+        _filter(parasitic, resonance)
 
         # Plant and sensors.
         for i in range(sensors):
-            motion = take(floor, (k, i), together)
-            put(vector, states + actuators + i, motion, together)
-            put(readings, outputs + i, motion + take(noise, (k, outputs + i), together), together)
-        _multiply(plant, vector, product, together)
-        _copy(product, 0, vector, 0, states, together)
+            ground[i] = floor[k, i]
+            floor_readings[i] = floor[k, i] + noise[k, outputs + i]
+        _multiply(plant, vector, product)
+        _copy(product, motion)
         for i in range(outputs):
-            moved = take(product, states + i, together) + take(resonance, i, together)
-            put(product, states + i, moved, together)
-            put(readings, i, moved + take(noise, (k, i), together), together)
-        _filter(conditioning, conditioning_1, conditioning_2, readings, together)
+            platform[i] += resonance[i]
+            platform_readings[i] = platform[i] + noise[k, i]
+        _filter(conditioning, readings)
 
         # Filtered error, eq. (16).
-        _copy(readings, 0, damping, 0, outputs, together)
-        _copy(readings, 0, error, 0, outputs, together)
+        _copy(readings, damping)
+        _copy(readings, unfiltered)
         if full:
-            _set_product(before, readings, axes, together)
-            _filter_each(modes, error_1, error_2, axes, together)
-            _set_product(after, axes, error, together)
+            _set_product(before, readings, axes)
+            _filter_each(modes, axes)
+            _set_product(after, axes, error)
         else:
-            _filter(error_sections, error_1, error_2, error, together)
+            _filter(errors, error)
 
         # Regressors psi and psi_N: N acts on the sensors, before the integrators.
-        _copy(readings, outputs, shaped, 0, sensors, together)
-        _filter(shaping, shaping_1, shaping_2, shaped, together)
-        _copy(readings, outputs, both, 0, sensors, together)
-        _copy(shaped, 0, both, sensors, sensors, together)
-        _copy(both, 0, regressor, 0, sensors, together)
-        _copy(both, sensors, filtered, 0, sensors, together)
+        _copy(floor_readings, shaped)
+        _filter(shaping, shaped)
+        _copy(floor_readings, direct)
+        _copy(shaped, band)
+        _place(direct, regressor, 0)
+        _place(band, filtered, 0)
         for power_of in range(1, count // sensors):
             first = (power_of - 1) * through
             last = first + through
-            _filter(
-                integrator[first:last], integrator_1[first:last], integrator_2[first:last], both, together
-            )
-            _copy(both, 0, regressor, power_of * sensors, sensors, together)
-            _copy(both, sensors, filtered, power_of * sensors, sensors, together)
+            _filter((integrator[first:last], integrator_1[first:last], integrator_2[first:last]), both)
+            _place(direct, regressor, power_of * sensors)
+            _place(band, filtered, power_of * sensors)
 
         # Command: feedforward (13), skyhook (1), and what the floor's inertia adds on the same way.
-        _filter(skyhook, skyhook_1, skyhook_2, damping, together)
-        _command(weights, regressor, damping, command, together)
-        for i in range(len(command)):
-            if not abs(command[i]) <= force_limit:  # true for NaN as well
+        _filter(skyhook, damping)
+        _command(weights, regressor, damping, command)
+        for i in range(len(commands)):
+            if not abs(commands[i]) <= force_limit:  # true for NaN as well
                 return OVERLOAD, k, i % runs
-        squares = same(0.0, together)
+        squares = 0.0
         for i in range(actuators):
-            squares += take(error, i, together) * take(error, i, together)
-        put(power, 0, take(power, 0, together) + squares, together)
+            squares += error[i] * error[i]
+        power[0] += squares
         if keep:
-            _keep(product, states * runs, kept_platform, k)
-            _keep(readings, 0, kept_measured, k)
-            _keep(readings, outputs * runs, kept_sensed, k)
-            _keep(command, 0, kept_command, k)
-            _keep(filtered, 0, kept_regressors, k)
-            _keep(error, 0, kept_error, k)
+            _keep(platform, kept_platform, k)
+            _keep(platform_readings, kept_measured, k)
+            _keep(floor_readings, kept_sensed, k)
+            _keep(command, kept_command, k)
+            _keep(filtered, kept_regressors, k)
+            _keep(error, kept_error, k)
         for i in range(actuators):
             for j in range(sensors):
-                inertia = floor_inertia[i, j] * take(floor, (k, j), together)
-                put(command, i, take(command, i, together) + inertia, together)
+                command[i] += floor_inertia[i, j] * floor[k, j]
 
         if adaptation == FELMS:
-            _felms(weights, filtered, error, step_size, regularisation, trace_copies, together)
+            felms_update(weights, filtered, error, step_size, regularisation, trace_copies)
         elif adaptation == FERLS:
             if together is not None:
                 leverage, within = ferls_updates(
-                    weights, matrix, forgetting, levels, allowance, gain, filtered, error, together
+                    weights, matrix, forgetting, levels, each, allowance, gain, filtered, error
                 )
                 if not at_most(forgetting, leverage):
-                    return INDEFINITE, k, first_below(forgetting, gain, filtered, runs)
+                    return INDEFINITE, k, 0
                 if not within:
-                    hold_each(matrix, forgetting, levels, runs)
-            else:
-                _copy(error, 0, rounded, 0, actuators, together)
+                    hold_each(loop.recursion.matrix, forgetting, each, runs)
+            if alone is not None:
+                _copy(error, rounded)
                 leverage = ferls_step(
                     weights,
                     matrix,
@@ -436,9 +452,8 @@ def advance(
         if (phase + k + 1) % keep_every == 0:
             row = (phase + k) // keep_every
             for i in range(actuators):
-                for j in range(count * runs):
+                for j in range(count):
                     kept_weights[row, i, j] = weights[i, j]
-            for run in range(runs):
-                kept_power[row, run] = power[run] / keep_every
-                power[run] = 0.0
+            kept_power[row, 0] = power[0] / float(keep_every)
+            power[0] = 0.0
     return STABLE, samples, 0

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from experiments.isolation.responses import control_paths
+from experiments.isolation.responses import control_paths, series
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import InputError
 
@@ -23,9 +23,7 @@ def suspension_modes(twin: Twin, feedback: bool = True) -> Modes:
     import control
 
     open_path = control_paths(twin, feedback=False)[1]
-    skyhook = control.ss([], [], [], [[1.0]], twin.sample_time)
-    for row in twin.skyhook_filter:
-        skyhook = control.ss(control.tf(row[:3], row[3:], twin.sample_time)) * skyhook
+    skyhook = series(twin.skyhook_filter, twin.sample_time)
     gain = control.append(*[skyhook * float(feedback)] * twin.outputs)
     poles = np.linalg.eigvals(control.feedback(np.eye(twin.outputs), open_path * gain).A)
     poles = np.log(poles[np.abs(poles) > 1e-6].astype(complex)) / twin.sample_time

@@ -31,27 +31,25 @@ class Platform:
     floor_inertia: ArrayLike
 
     def __post_init__(self):
-        mass = require_array("mass", self.mass, ndim=2)
-        n = len(mass)
-        actuation = require_array("actuation", self.actuation, shape=(n, None))
-        floor_damping = require_array("floor_damping", self.floor_damping, shape=(n, None))
-        actuators, sensors = actuation.shape[1], floor_damping.shape[1]
+        n = len(require_array("mass", self.mass, ndim=2))
+        actuators = require_array("actuation", self.actuation, shape=(n, None)).shape[1]
+        sensors = require_array("floor_damping", self.floor_damping, shape=(n, None)).shape[1]
         shapes = {
             "mass": (n, n),
             "damping": (n, n),
             "stiffness": (n, n),
+            "actuation": (n, actuators),
             "observation": (None, n),
+            "floor_damping": (n, sensors),
             "floor_stiffness": (n, sensors),
             "floor_inertia": (actuators, sensors),
         }
         for name, shape in shapes.items():
             object.__setattr__(self, name, require_array(name, getattr(self, name), shape=shape))
-        object.__setattr__(self, "actuation", actuation)
-        object.__setattr__(self, "floor_damping", floor_damping)
-        for name, wanted in (("mass", "positive definite"), ("stiffness", "positive definite")):
+        for name in ("mass", "stiffness"):
             matrix = getattr(self, name)
             if not np.allclose(matrix, matrix.T, rtol=1e-9) or np.linalg.eigvalsh(matrix)[0] <= 0:
-                raise InputError(f"{name} is not symmetric and {wanted}; give a physical matrix")
+                raise InputError(f"{name} is not symmetric and positive definite; give a physical matrix")
         if np.linalg.eigvalsh(self.damping + self.damping.T)[0] < 0:
             raise InputError("damping feeds energy into a motion; give a positive semidefinite matrix")
 

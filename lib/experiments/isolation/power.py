@@ -115,14 +115,20 @@ def _removed(twin: Twin, records: dict[str, CaseRecord]) -> dict[str, np.ndarray
     measured["output noise"] = records["feedback"].output_noise(RESOLUTION_HZ)
     bridged = {name: without_lines(each, twin.instruments.mains_hz) for name, each in measured.items()}
     f = measured["feedback"].frequencies_hz
-    before, after, limit = (bridged[name] for name in ("feedback", "FeRLS", "output noise"))
+    return measures(bridged["feedback"], bridged["FeRLS"], bridged["output noise"]) | {
+        "removed FeLMS": reduction_percent(f, bridged["feedback"].density, bridged["FeLMS"].density),
+        "removed with mains": reduction_percent(f, measured["feedback"].density, measured["FeRLS"].density),
+        **{f"density {name}": spectrum.density for name, spectrum in measured.items()},
+    }
+
+
+def measures(before: Spectrum, after: Spectrum, limit: Spectrum) -> dict[str, np.ndarray]:
+    """Of FeRLS, in the words of `power_trial`, from spectra with feedback alone, with it, and of the output noise."""
+    f = before.frequencies_hz
     return {
-        "removed FeLMS": reduction_percent(f, before.density, bridged["FeLMS"].density),
         "removed FeRLS": reduction_percent(f, before.density, after.density),
         "removed limit": reduction_percent(f, before.density, limit.density),
-        "removed with mains": reduction_percent(f, measured["feedback"].density, measured["FeRLS"].density),
         "in band": after.power(3.0, 200.0) / limit.power(3.0, 200.0),
         "above band": after.power(300.0, 500.0) / limit.power(300.0, 500.0),
         "low end": after.power(1.0, 2.0) / before.power(1.0, 2.0),
-        **{f"density {name}": spectrum.density for name, spectrum in measured.items()},
     }

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from experiments.isolation.floors import SAMPLE_RATE, SENSORS
 from stillwork.base import paths
-from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
+from stillwork.base.checks import InputError, require_array, require_count, require_number
 from stillwork.signals.criteria import criterion_density
 from stillwork.signals.records import STANDARD_GRAVITY, Record, resample, to_acceleration
 
@@ -104,42 +104,36 @@ def synthesise_floor(
     return RecordedFloor(motion, float(sample_rate), source)
 
 
-def measured_ground_density(
-    axis: str = "Z",
-) -> tuple[Float64[np.ndarray, " frequencies"], Float64[np.ndarray, " frequencies"]]:
-    """Measured ground (`data/isolation/ligo_llo_ground`), mean over four days: Hz from 0.01 to 100, and PSD."""
-    require_choice("axis", axis, ("X", "Y", "Z"))
+def measured_ground_density() -> tuple[
+    Float64[np.ndarray, " frequencies"], Float64[np.ndarray, " frequencies"]
+]:
+    """Measured vertical ground (`data/isolation/ligo_llo_ground`), mean over four days: Hz from 0.01 to 100, and PSD."""
     file = paths.data("isolation", "ligo_llo_ground/ground_velocity_density.npz")
     with np.load(file, allow_pickle=False) as ground:
         f = ground["frequencies_hz"]
-        velocity = ground[f"velocity_density_{axis}"].astype(float).mean(axis=0)
+        velocity = ground["velocity_density_Z"].astype(float).mean(axis=0)
     return f, velocity * (2 * np.pi * f) ** 2
 
 
-def ground_spectrum(
-    *, gain: float = 1.0, criterion: str = GROUND_CRITERION, upper_hz: float = UPPER_HZ
-) -> SpectralFloor:
+def ground_spectrum(*, gain: float = 1.0) -> SpectralFloor:
     """Measured vertical ground spectrum below 100 Hz and a vibration criterion above.
 
-    The records end at 100 Hz; above it the floor is assumed to follow the criterion's curve, up to `upper_hz`.
+    The records end at 100 Hz; above it the floor is assumed to follow the criterion's curve.
     """
     require_number("gain", gain, above=0.0)
-    require_number("upper_hz", upper_hz, above=GROUND_UPPER_HZ)
-    f, density = measured_ground_density("Z")
+    f, density = measured_ground_density()
     below = f < GROUND_UPPER_HZ
-    above = np.geomspace(GROUND_UPPER_HZ, upper_hz, 50)
+    above = np.geomspace(GROUND_UPPER_HZ, UPPER_HZ, 50)
     return SpectralFloor(
         np.concatenate([f[below], above]),
-        gain**2 * np.concatenate([density[below], criterion_density(criterion, above)]),
-        f"measured ground to 100 Hz, {criterion} above",
+        gain**2 * np.concatenate([density[below], criterion_density(GROUND_CRITERION, above)]),
+        f"measured ground to 100 Hz, {GROUND_CRITERION} above",
     )
 
 
-def ground_floor(
-    duration: float, seed: int, *, gain: float = 1.0, upper_hz: float = UPPER_HZ, **options
-) -> RecordedFloor:
+def ground_floor(duration: float, seed: int, *, gain: float = 1.0, **options) -> RecordedFloor:
     """Motion with the spectrum of `ground_spectrum`; the record has no phase, so the motion is synthesised."""
-    ground = ground_spectrum(gain=gain, upper_hz=upper_hz)
+    ground = ground_spectrum(gain=gain)
     return synthesise_floor(
         ground.frequencies_hz, ground.levels, duration, seed, source=ground.source, **options
     )

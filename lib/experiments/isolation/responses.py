@@ -90,6 +90,16 @@ def _of_sections(sections: np.ndarray, f: np.ndarray, rate: float) -> np.ndarray
     return signal.freqz_sos(sections, f, fs=rate)[1]
 
 
+def series(sections: np.ndarray, sample_time: float):
+    """Sections one after another, as a `control.StateSpace`."""
+    import control
+
+    whole = control.ss([], [], [], [[1.0]], sample_time)
+    for row in sections:
+        whole = control.ss(control.tf(row[:3], row[3:], sample_time)) * whole
+    return whole
+
+
 def control_paths(twin: Twin, feedback: bool = True):
     """Primary and secondary path, a0 to a1 and u to a1 (a1 behind its conditioner), as discrete `control.StateSpace`."""
     import control
@@ -98,10 +108,7 @@ def control_paths(twin: Twin, feedback: bool = True):
     n = twin.actuators
 
     def bank(sections, channels):
-        each = control.ss([], [], [], [[1.0]], dt)
-        for row in sections:
-            each = control.ss(control.tf(row[:3], row[3:], dt)) * each
-        return control.append(*[each] * channels)
+        return control.append(*[series(sections, dt)] * channels)
 
     delay = control.append(*[control.ss(0, 1, 1, 0, dt)] * n)
     force_path = bank(twin.instruments.actuator, n) * delay

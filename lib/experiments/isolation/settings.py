@@ -33,16 +33,12 @@ class Instruments:
     platform_mains: list[float] = field(default_factory=list)
 
     def __post_init__(self):
-        require_number("sample_rate", self.sample_rate, above=0.0)
-        half = self.sample_rate / 2
-        require_number("actuator_pole_hz", self.actuator_pole_hz, above=0.0)
-        require_number("force_limit", self.force_limit, above=0.0)
-        require_number("parasitic_hz", self.parasitic_hz, above=0.0, below=half)
-        require_number("parasitic_damping", self.parasitic_damping, above=0.0)
+        conditioning = ("conditioning_highpass_hz", "conditioning_lowpass_hz")
+        for name in ("sample_rate", "actuator_pole_hz", "force_limit", "parasitic_damping", *conditioning):
+            require_number(name, getattr(self, name), above=0.0)
+        require_number("parasitic_hz", self.parasitic_hz, above=0.0, below=self.sample_rate / 2)
         for name in ("parasitic_gain", "floor_noise", "platform_noise"):
             require_number(name, getattr(self, name), at_least=0.0)
-        require_number("conditioning_highpass_hz", self.conditioning_highpass_hz, above=0.0)
-        require_number("conditioning_lowpass_hz", self.conditioning_lowpass_hz, above=0.0)
         lines = len(require_array("mains_hz", self.mains_hz, ndim=1))
         for name in ("floor_mains", "platform_mains"):
             if len(require_array(name, getattr(self, name), ndim=1)) != lines:

@@ -17,16 +17,7 @@ from stillwork.estimation.online import UnstableAdaptation
 
 TOGETHER = 8  # runs in one kernel: two vectors of AVX2, one of AVX-512
 
-# Of a `Run`, in the order in which the kernel takes them, and the floor.
-SIGNALS = (
-    "platform",
-    "measured_platform",
-    "sensed_floor",
-    "command",
-    "filtered_regressors",
-    "error",
-    "floor",
-)
+SIGNALS = (*loop.Signals._fields[:6], "floor")  # of a `Run`: what the kernel leaves behind, and the floor
 
 
 @dataclass(frozen=True)
@@ -177,6 +168,7 @@ def _advance(twin: Twin, sources: Sources, sides: list, total: int, first: int, 
                 *closed.recursion[-2:],
                 twin.instruments.force_limit,
                 sources.together,
+                () if sources.together is None else None,
             )
             if status != loop.STABLE:
                 peak = np.abs(floor_block[:, stopped :: sources.runs]).max()

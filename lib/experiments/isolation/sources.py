@@ -77,7 +77,7 @@ class Sources:
             return
         nothing = np.zeros((len(floor), self.sensors))
         _interleave(self._sample(self.floor_streams, nothing.shape), self.part.scale, nothing, floor)
-        loop.filter_block(*self.shaping, floor, self.together)
+        loop.filter_block(self.shaping, floor, self.together)
 
     def _sample(self, streams: list[np.random.Generator], shape: tuple[int, int]) -> np.ndarray:
         """White noise of variance 1, (runs, samples, channels), until the next call: fresh memory would cost as much."""

@@ -47,9 +47,9 @@ class CovarianceRun:
         """`breakdown` to tens: rounding errors decide it, and another processor's are of the same size alone."""
         return round(self.breakdown, -1) if np.isfinite(self.breakdown) else self.breakdown
 
-    def growth_rate(self, low: float = 1e-12, high: float = 1e-3) -> float:
-        """Growth rate of the asymmetry per time constant, fitted where it lies between `low` and `high`."""
-        inside = (self.asymmetry > low) & (self.asymmetry < high) & (self.time_constants < self.breakdown)
+    def growth_rate(self) -> float:
+        """Growth rate of the asymmetry per time constant, fitted where it lies between 1e-12 and 1e-3."""
+        inside = (self.asymmetry > 1e-12) & (self.asymmetry < 1e-3) & (self.time_constants < self.breakdown)
         if inside.sum() < 3:
             return 0.0
         return float(np.polyfit(self.time_constants[inside], np.log(self.asymmetry[inside]), 1)[0])

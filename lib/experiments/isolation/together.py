@@ -2,65 +2,31 @@
 
 import numpy as np
 
-from experiments.isolation.lanes import at_most, put, runs_of, same, take
+from experiments.isolation.lanes import at_most
 from stillwork.base.kernels import kernel, pasted_kernel
-from stillwork.estimation.adaptive import hold_covariance
-from stillwork.estimation.covariance_forms import TRIANGLE
+from stillwork.estimation.adaptive import hold_covariance, step_weights
+from stillwork.estimation.covariance_forms import TRIANGLE, update_covariance
 
 
 @pasted_kernel
-def ferls_updates(weights, matrix, forgetting, levels, allowance, gain, regressor, error, together):
-    """`ferls_update` of every run; returns the leverage, and whether `hold_each` has nothing to do."""
-    runs = runs_of(together)
-    count = weights.shape[1] // runs
-    leverage = same(forgetting, together)
-    for i in range(count):
-        total = same(0.0, together)
-        for j in range(count):
-            total += take(matrix, (i, j), together) * take(regressor, j, together)
-        put(gain, i, total, together)
-        leverage += total * take(regressor, i, together)
-    if not at_most(forgetting, leverage):
-        return leverage, True
-    shrink = 1.0 / leverage
-    forget = 1.0 / forgetting
-    for i in range(count):
-        scaled = take(gain, i, together) * shrink
-        for j in range(i + 1):
-            value = (take(matrix, (i, j), together) - scaled * take(gain, j, together)) * forget
-            put(matrix, (i, j), value, together)
-            put(matrix, (j, i), value, together)
-    for i in range(count):
-        put(gain, i, take(gain, i, together) * shrink, together)
-    for a in range(weights.shape[0]):
-        scaled = take(error, a, together)
-        for j in range(count):
-            step = scaled * take(gain, j, together)
-            put(weights, (a, j), take(weights, (a, j), together) - step, together)
-    within = True
-    for i in range(count):
-        value = take(regressor, i, together)
-        power = forgetting * take(levels, (1, i), together) + value * value
-        put(levels, (1, i), power, together)
-        put(levels, (2, i), forgetting * take(levels, (2, i), together), together)
-        if not at_most(take(levels, (0, i), together) * power, allowance):
+def ferls_updates(weights, matrix, forgetting, levels, each, allowance, gain, regressor, error):
+    """`ferls_update` of every run, `each` being the same memory as `levels`, run by run.
+
+    Returns the leverage, and whether `hold_each` has nothing to do.
+    """
+    leverage, shrink = update_covariance(matrix, regressor, forgetting, gain)
+    step_weights(weights, gain, shrink, error)
+    runs, within = each.shape[1] // levels.shape[1], True
+    for i in range(len(gain)):
+        power = forgetting * levels[1, i] + regressor[i] * regressor[i]
+        levels[1, i] = power
+        levels[2, i] *= forgetting
+        if not at_most(levels[0, i] * power, allowance):
             for at in range(i * runs, (i + 1) * runs):
-                if levels[0, at] * levels[1, at] > allowance:
-                    levels[0, at] = allowance / levels[1, at]
-        within &= at_most(take(matrix, (i, i), together), take(levels, (0, i), together))
+                if each[0, at] * each[1, at] > allowance:
+                    each[0, at] = allowance / each[1, at]
+        within &= at_most(matrix[i, i], levels[0, i])
     return leverage, within
-
-
-@kernel
-def first_below(forgetting, gain, regressor, runs):
-    """The run whose leverage fell below the forgetting, or is no number."""
-    for run in range(runs):
-        leverage = forgetting
-        for at in range(run, len(gain), runs):
-            leverage += gain[at] * regressor[at]
-        if not leverage >= forgetting:
-            return run
-    return -1
 
 
 @kernel

@@ -6,6 +6,6 @@ __all__, __getattr__, __dir__ = face(
     __name__,
     {
         "cone": ("solve_cone_program",),
-        "total": ("TotalLeastSquaresSolution", "total_least_squares"),
+        "total": ("total_least_squares",),
     },
 )

@@ -6,7 +6,6 @@ import numpy as np
 
 from experiments.worstcase.simulations import (
     FIG_2_PARAMETERS,
-    exponential_weights,
     fir_trial,
     path,
     settled,
@@ -14,7 +13,7 @@ from experiments.worstcase.simulations import (
     tracking_trial,
 )
 from experiments.worstcase.theory import convergence_trial
-from stillwork.identification.regressors import exponential_bound
+from stillwork.identification.regressors import exponential_bound, exponential_weights
 from stillwork.workbook.studies import Study, run_study, spread_interval
 
 # --- Section 8: Theorem 3 on random problems ----------------------------------------------------------------------
@@ -42,9 +41,9 @@ def contraction(
         run_study(convergence_trial, runs, seed, unknowns=n, progress=False, **settings) for n in (1, 2, 4, 8)
     ]
     return {
-        "worstcase.contraction.theorem-3": float(np.mean([study["converged"].mean() for study in found])),
-        "worstcase.contraction.mapping": float(np.mean([study["slope"] < 1 for study in found[1:]])),
-        "worstcase.contraction.few-iterations": float(np.median([study["few"] for study in found[1:]])),
+        "worstcase.contraction.theorem-3": np.mean([study["converged"].mean() for study in found]),
+        "worstcase.contraction.mapping": np.mean([study["slope"] < 1 for study in found[1:]]),
+        "worstcase.contraction.few-iterations": np.median([study["few"] for study in found[1:]]),
     }
 
 
@@ -86,24 +85,19 @@ def identification(
     error = {m: _parameter_errors(many[m], truth, fig_1_error)[..., first:].mean(-1) for m in COMPETITORS}
     wins = error["min_max"] < error["total"]
     growth = [(each["total_matrix"] / each["bound"])[:compared, -1] for each in (one, three, many)]
-    return {
-        "worstcase.identification.fig-1a": float(wins[:, 0].mean()),
-        "worstcase.identification.fig-1b": float(wins[:, 1].mean()),
-        "worstcase.identification.fig-1c": float(
-            np.mean((many["total_matrix"] > many["bound"])[:, first - 1 :])
-        ),
-        "worstcase.identification.row-bound": float(
-            np.mean((many["perturbation"] <= many["bound"]).all(axis=1))
-        ),
-        "worstcase.identification.much-greater": float(np.mean(np.diff(growth, axis=0) > 0)),
-        "worstcase.identification.least-squares": float((error["min_max"] < error["least"]).all(1).mean()),
-        "worstcase.identification.least-squares-both": float(
-            (error["least"] < error["min_max"]).all(1).mean()
-        ),
-        "worstcase.identification.square-error": float(
-            np.median((many["total_target"][:, -1] ** 2 / many["min_max_worst"][:, -1])[:AVERAGED])
+    found = {
+        "fig-1a": wins[:, 0].mean(),
+        "fig-1b": wins[:, 1].mean(),
+        "fig-1c": np.mean((many["total_matrix"] > many["bound"])[:, first - 1 :]),
+        "row-bound": np.mean((many["perturbation"] <= many["bound"]).all(axis=1)),
+        "much-greater": np.mean(np.diff(growth, axis=0) > 0),
+        "least-squares": (error["min_max"] < error["least"]).all(1).mean(),
+        "least-squares-both": (error["least"] < error["min_max"]).all(1).mean(),
+        "square-error": np.median(
+            (many["total_target"][:, -1] ** 2 / many["min_max_worst"][:, -1])[:AVERAGED]
         ),
     }
+    return {f"worstcase.identification.{name}": value for name, value in found.items()}
 
 
 def _parameter_errors(estimates: np.ndarray, truth: tuple[float, ...], error: str) -> np.ndarray:
@@ -155,24 +149,25 @@ def tracking(
     jump = path("jump", FIG_2_PARAMETERS, samples)
     jumped = run_study(tracking_trial, TRIALS, seed, truth=jump, bound=PUBLISHED_BOUND, **settings)
     late = settled_from(forgetting, fig_2_from)
-    found = {"worstcase.tracking.bound": derived}
+    found = {"bound": derived}
     for study, name in ((printed, "fig-2"), (consistent, "fig-2-consistent")):
         below, median = _below(study, late, fig_2_average)
-        found[f"worstcase.tracking.{name}"] = float(below[0].mean())
-        found[f"worstcase.tracking.{name}-repeated"] = float(below.all(axis=1).mean())
-        found[f"worstcase.tracking.{name}-median"] = float(median.mean())
+        found[f"{name}"] = below[0].mean()
+        found[f"{name}-repeated"] = below.all(axis=1).mean()
+        found[f"{name}-median"] = median.mean()
     own = {
         name: settled(printed[name][:TRIALS], forgetting, fig_2_from) for name in ("min_max", "rls", "ridge")
     }
     moved = [settled(jumped[name], forgetting, fig_2_from) for name in ("min_max", "rls")]
     norm = printed["weighted_norm" if fig_2_excitation == WEIGHTED else "norm"][:TRIALS]
-    return found | {
-        "worstcase.tracking.trials": float(np.mean(own["min_max"] < own["rls"])),
-        "worstcase.tracking.ridge": float(np.mean(own["min_max"] / own["ridge"])),
-        "worstcase.tracking.fig-3-4": float(np.mean(moved[0] / moved[1])),
-        "worstcase.tracking.norm": (float(norm.mean()), spread_interval(norm)),
-        "worstcase.tracking.norm-weighted": float(printed["weighted_norm"][:TRIALS].max()),
+    found |= {
+        "trials": np.mean(own["min_max"] < own["rls"]),
+        "ridge": np.mean(own["min_max"] / own["ridge"]),
+        "fig-3-4": np.mean(moved[0] / moved[1]),
+        "norm": (norm.mean(), spread_interval(norm)),
+        "norm-weighted": printed["weighted_norm"][:TRIALS].max(),
     }
+    return {f"worstcase.tracking.{name}": value for name, value in found.items()}
 
 
 WEIGHTED = "of the weighted data"

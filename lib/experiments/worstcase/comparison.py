@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Float64
 from scipy import signal
 
-from experiments.worstcase.simulations import exponential_weights
 from experiments.worstcase.total import total_least_squares
 from stillwork.base.checks import InputError, require_array, require_choice
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
@@ -19,7 +18,7 @@ from stillwork.estimation.min_max import solve_silently
 from stillwork.estimation.recursive import run_silently
 from stillwork.estimation.recursive_settings import MinMax
 from stillwork.estimation.time_varying import TimeVaryingModel, estimate
-from stillwork.identification.regressors import fir_regressors
+from stillwork.identification.regressors import exponential_weights, fir_regressors
 from stillwork.workbook.studies import mean_interval, run_study
 
 METHODS = {
@@ -171,7 +170,7 @@ def estimates(record: FlawedRecord, forgetting: float) -> dict[str, np.ndarray]:
         "least": np.linalg.solve(products, correlation),
         "ridge": np.linalg.solve(products + square * identity, correlation),
         "bayes": np.linalg.solve(products + taps * variance * identity, correlation),
-        "total": total_least_squares(matrix, ratio * target).estimate / ratio,
+        "total": total_least_squares(matrix, ratio * target) / ratio,
         "compensated": np.linalg.solve(products - square * identity, correlation),
         "instrumental": instrumental_variables(matrix, target, weights * record.instruments),
         "hinfinity": hinfinity_estimate(record.matrix, record.target, np.sqrt(variance), forgetting),
@@ -237,15 +236,15 @@ def over_best(errors: np.ndarray) -> np.ndarray:
     return np.exp(logs - logs.min(axis=-1, keepdims=True))
 
 
-def among_best(errors: np.ndarray, margin: float = 1.02, level: float = 0.99) -> np.ndarray:
+def among_best(errors: np.ndarray) -> np.ndarray:
     """Whether a method is level with the best of its cell; shape (..., methods).
 
-    That is where the interval, at `level`, of its error over that of the best, run by run, reaches down to `margin`.
+    That is where the 99 % interval of its error over that of the best, run by run, reaches down to 1.02.
     """
     logs = np.log(require_array("errors", errors))
     best = logs.mean(axis=-2).argmin(axis=-1)[..., None, None]
     behind = logs - np.take_along_axis(logs, best, axis=-1)
-    return np.apply_along_axis(lambda runs: mean_interval(runs, level)[0] <= np.log(margin), -2, behind)
+    return np.apply_along_axis(lambda runs: mean_interval(runs, 0.99)[0] <= np.log(1.02), -2, behind)
 
 
 DOUBTED = (

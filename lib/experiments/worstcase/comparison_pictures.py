@@ -62,12 +62,10 @@ def _paint_geometric_means(axes, logs: np.ndarray, rows: np.ndarray, **style):
     axes.errorbar(mean, rows, xerr=np.abs(ends - mean), fmt="o", **style)
 
 
-def explore_comparison(
-    input_noise: float, output_noise: float, gain: float, delay: float, taps: int, seed: int = 1
-):
+def explore_comparison(input_noise: float, output_noise: float, gain: float, delay: float, taps: int):
     """Errors of all methods in a setting of one's own, with the 95 % interval of their geometric mean."""
     setting = {"yours": Setting(input_noise, output_noise, gain, delay)}
-    errors = compare(setting, 20, seed, int(taps), 200, 0.98)["errors"][0]
+    errors = compare(setting, 20, 1, int(taps), 200, 0.98)["errors"][0]
     figure, axes = figures.new(height=3.6)
     colours = (figures.BLACK, figures.GREEN, figures.BLUE, figures.RED)
     for number, (name, colour) in enumerate(zip(EXCITATIONS, colours, strict=True)):

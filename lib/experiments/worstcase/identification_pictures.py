@@ -116,11 +116,11 @@ def paint_wins(cases: list[tuple[tuple[float, ...], int]], against_total, agains
     return figure
 
 
-def explore_fig_1(period: int, input_noise: float, output_noise: float, second: float, seed: int = 1):
+def explore_fig_1(period: int, input_noise: float, output_noise: float, second: float):
     """Estimates of Fig. 1 with other unpublished choices: period, noise amplitudes, second parameter."""
     parameters = (1.0, second)
     study = run_study(
-        fir_trial, 10, seed, progress=False, parameters=parameters, period=int(period), samples=200,
+        fir_trial, 10, 1, progress=False, parameters=parameters, period=int(period), samples=200,
         input_noise=input_noise, output_noise=output_noise,
     )  # fmt: skip
     figure, panels = figures.new(1, 2, height=3.2)

@@ -87,7 +87,7 @@ def total_trial(
     matrix = fir_regressors(motion + noise * rng.standard_normal(len(motion)), taps)[:, taps:].T
     output = output[taps:]
     estimates = {
-        "total": total_least_squares(matrix[:length], output[:length]).estimate,
+        "total": total_least_squares(matrix[:length], output[:length]),
         "least": np.linalg.lstsq(matrix[:length], output[:length])[0],
     }
     return {name: residual(matrix[length:], output[length:], each) for name, each in estimates.items()}
@@ -139,7 +139,7 @@ def _estimates(matrix, target, pair) -> dict[str, np.ndarray]:
     penalised = matrix.T @ matrix + rows * noise**2 * np.eye(taps)
     return {
         "least squares": np.linalg.lstsq(matrix, target, rcond=None)[0],
-        "total least squares": total_least_squares(matrix, target).estimate,
+        "total least squares": total_least_squares(matrix, target),
         "ridge": np.linalg.solve(penalised, matrix.T @ target),
         "min-max, typical bound": solve_silently(matrix, target, typical).estimate,
         "min-max, guaranteed bound": solve_silently(matrix, target, guaranteed).estimate,

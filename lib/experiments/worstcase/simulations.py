@@ -11,7 +11,7 @@ from stillwork.base.checks import InputError, require_array, require_choice, req
 from stillwork.estimation.min_max import min_max_solve
 from stillwork.estimation.recursive import run_silently, worst_case_residuals
 from stillwork.estimation.recursive_settings import GrowingMinMax, LeastSquares, MinMax, Ridge
-from stillwork.identification.regressors import fir_regressors
+from stillwork.identification.regressors import exponential_weights, fir_regressors
 
 FIG_2_PARAMETERS = (-0.0134, -0.0316, 0.0265, -0.0114, 0.0132)
 NOISE_LAWS = ("uniform", "cut Gaussian")
@@ -218,11 +218,6 @@ def tracking_trial(
     found["weighted_norm"] = np.linalg.norm(regressors * exponential_weights(samples, forgetting), 2)
     found["vanished"] = np.isinf(min_max.alphas[unknowns:]).mean()
     return found
-
-
-def exponential_weights(rows: int, forgetting: float) -> np.ndarray:
-    """Of the rows of A and b, oldest first: forgetting^((t - j) / 2)."""
-    return forgetting ** (np.arange(rows - 1, -1, -1) / 2)
 
 
 def settled(errors: np.ndarray, forgetting: float, memories: float = 3.0) -> np.ndarray:

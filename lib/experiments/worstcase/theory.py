@@ -3,12 +3,11 @@
 import numpy as np
 
 from experiments.worstcase.cone import solve_cone_program
-from experiments.worstcase.simulations import exponential_weights
 from stillwork.estimation.min_max import solve_silently
 from stillwork.estimation.recursive import run_silently
 from stillwork.estimation.recursive_settings import MinMax
 from stillwork.estimation.secular import SecularFunction, secular_function
-from stillwork.identification.regressors import exponential_bound
+from stillwork.identification.regressors import exponential_bound, exponential_weights
 
 
 def random_problem(

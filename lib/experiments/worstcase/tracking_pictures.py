@@ -100,11 +100,11 @@ def paint_win_map(
     return figure
 
 
-def explore_tracking(bound: float, noise: float, scale: float, kind: str, seed: int = 1):
+def explore_tracking(bound: float, noise: float, scale: float, kind: str):
     """Fig. 2 with another bound, noise, size of the parameters, or with a jump or a drift."""
     truth = scale * path(kind, FIG_2_PARAMETERS, 375)
     study = run_study(
-        tracking_trial, 40, seed, progress=False, truth=truth, bound=bound, forgetting=0.95, row_error=0.25,
+        tracking_trial, 40, 1, progress=False, truth=truth, bound=bound, forgetting=0.95, row_error=0.25,
         noise=noise, penalty=14.0,
     )  # fmt: skip
     return paint_fig_2(

@@ -28,4 +28,4 @@ def updates(*, fig_2_noise: float, update_bound: float, seed: int, lean: bool) -
         "single-iteration-tail": np.nanquantile(large["alpha_1"], 0.95),
         "single-iteration-largest": np.nanmax(large["alpha_1"]),
     }
-    return {f"worstcase.updates.{name}": float(value) for name, value in found.items()}
+    return {f"worstcase.updates.{name}": value for name, value in found.items()}

@@ -6,13 +6,12 @@ import numpy as np
 from jaxtyping import Float64
 
 from experiments.worstcase.pairs import Pair, residual
-from experiments.worstcase.simulations import exponential_weights
 from experiments.worstcase.total import total_least_squares
 from stillwork.base.checks import InputError, require_array, require_count
 from stillwork.estimation.min_max import solve_sweep, triangle
 from stillwork.estimation.recursive import run_silently
 from stillwork.estimation.recursive_settings import LeastSquares, MinMax
-from stillwork.identification.regressors import exponential_bound, fir_regressors
+from stillwork.identification.regressors import exponential_bound, exponential_weights, fir_regressors
 
 PARTS = (0.5, 0.25, 0.25)  # of the record: to fit, to choose the bound, to judge
 
@@ -71,7 +70,7 @@ def fit_pair(pair: Pair, taps: int, memory: int, factors: np.ndarray | None = No
         for name, estimator in estimators.items()
     }
     last = slice(fit.stop - memory, fit.stop)
-    estimates["total least squares"] = total_least_squares(regressors[:, last].T, output[last]).estimate
+    estimates["total least squares"] = total_least_squares(regressors[:, last].T, output[last])
     matrix, target = weighted_corner(regressors[:, fit], output[fit], forgetting)
     factors = np.geomspace(0.01, 10, 25) if factors is None else require_array("factors", factors, ndim=1)
     swept = solve_sweep(matrix, target, factors * typical)

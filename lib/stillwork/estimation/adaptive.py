@@ -232,7 +232,7 @@ def ferls_update(weights, matrix, forgetting, levels, allowance, gain, regressor
     """
     n, forget = len(regressor), matrix.dtype.type(forgetting)
     denominator, shrink = update_covariance(matrix, regressor, forget, gain)
-    _step(weights, gain, shrink, error)
+    step_weights(weights, gain, shrink, error)
     reached = False
     for i in range(n):
         watch_power(levels, i, regressor[i], forget, allowance)
@@ -248,7 +248,7 @@ def ferls_ud_update(weights, matrix, forgetting, levels, allowance, gain, inner,
     """
     n, forget = len(regressor), matrix.dtype.type(forgetting)
     denominator = update_ud(matrix, regressor, forget, gain, inner)
-    _step(weights, gain, matrix.dtype.type(1) / denominator, error)
+    step_weights(weights, gain, matrix.dtype.type(1) / denominator, error)
     for i in range(n):
         watch_power(levels, i, regressor[i], forget, allowance)
     axis = sample % n
@@ -262,7 +262,7 @@ def ferls_form_update(
     """One sample in any form with its limit, by a call; returns the leverage."""
     n, forget, axis = len(regressor), matrix.dtype.type(forgetting), sample % len(regressor)
     denominator = update_form(form, matrix, regressor, forget, gain, inner)
-    _step(weights, gain, matrix.dtype.type(1) / denominator, error)
+    step_weights(weights, gain, matrix.dtype.type(1) / denominator, error)
     reached = False
     for i in range(n):
         watch_power(levels, i, regressor[i], forget, allowance)
@@ -274,7 +274,7 @@ def ferls_form_update(
 
 
 @inlined_kernel
-def _step(weights, gain, shrink, error):
+def step_weights(weights, gain, shrink, error):
     """W; the gain becomes P psi of after, which is that of before over the denominator."""
     for i in range(len(gain)):
         gain[i] *= shrink
@@ -330,7 +330,7 @@ def ferls_step(
     return leverage
 
 
-@kernel
+@pasted_kernel
 def felms_update(weights, regressor, error, step_size, regularisation, trace_copies):
     """One sample of FeLMS in place, eq. (18)-(19).
 

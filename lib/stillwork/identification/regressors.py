@@ -86,6 +86,11 @@ def exponential_bound(row: float, forgetting: float, samples: int | None = None)
     return float(row * np.sqrt(memory))
 
 
+def exponential_weights(rows: int, forgetting: float) -> np.ndarray:
+    """Of the rows of A and b, oldest first: forgetting^((t - j) / 2)."""
+    return forgetting ** (np.arange(rows - 1, -1, -1) / 2)
+
+
 @checked
 def noise_bound(deviation: float, unknowns: int, forgetting: float) -> float:
     """Typical 2-norm of the weighted perturbation when its entries are independent noise.
@@ -152,7 +157,7 @@ def coloured_noise_bound(
     lines = np.linspace(0, noise.frequencies_hz[-1], length // 2 + 1)
     density = np.interp(lines, noise.frequencies_hz, noise.density[0])
     scale = np.sqrt(density * noise.frequencies_hz[-1] * length / 2)
-    weights = forgetting ** (np.arange(rows) / 2)[:, None]
+    weights = exponential_weights(rows, forgetting)[::-1, None]
     norms = np.empty(draws)
     for draw in range(draws):
         parts = rng.standard_normal((2, len(lines)))
