@@ -151,7 +151,18 @@ def _archive(rng):
     """Members that numpy would not write, and sizes that are not so."""
     contents = [np.arange(3.0), np.zeros(10**5), np.array([object()]), np.array(["text"]), np.zeros(0)]
     packed = io.BytesIO()
-    names = ("a.npy", "../x.npy", "/x.npy", "x\ny.npy", "read.me", ".npy", "fs.npy", "t.npy", "\x1b[2J.npy", "n" * 3000)
+    names = (
+        "a.npy",
+        "../x.npy",
+        "/x.npy",
+        "x\ny.npy",
+        "read.me",
+        ".npy",
+        "fs.npy",
+        "t.npy",
+        "\x1b[2J.npy",
+        "n" * 3000,
+    )
     ways = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA)
     with zipfile.ZipFile(packed, "w", ways[rng.choice(4, p=[0.4, 0.4, 0.1, 0.1])]) as file:
         for number in range(int(rng.choice([0, 1, 2, 3, 11_000], p=[0.05, 0.35, 0.3, 0.28, 0.02]))):
