@@ -11,7 +11,9 @@ from jaxtyping import Float64
 
 from stillwork.base.checks import InputError
 from stillwork.base.front_door import check_fields, checked
+from stillwork.control import PeakConstraint, make_loop, maximise_bandwidth
 from stillwork.estimation import FeLms, FeRls, adapt, identify
+from stillwork.lti import ModalModel
 
 
 @dataclass(frozen=True)
@@ -105,6 +107,32 @@ def test_a_result_that_is_not_finite_is_an_error():
     assert endless(1.0) == np.inf
     with pytest.raises(InputError, match="endless has no result"):
         endless(0.0)
+
+
+def test_a_model_keeps_what_it_was_given():
+    rows = np.ones((3, 2))
+    part = Part(1.0, rows)
+    rows[:] = 7.0
+    np.testing.assert_array_equal(part.rows, np.ones((3, 2)))
+
+
+@pytest.mark.parametrize("error", [ValueError, IndexError, ZeroDivisionError, np.linalg.LinAlgError])
+def test_an_error_of_a_readers_own_function_comes_through(error):
+    def family(bandwidth):
+        raise error("mine")
+
+    numbers = ([0.0, 300.0], [0.0, 0.01], [[0.3], [0.4]], [[0.3, -0.4]], [[0.0]])
+    loop = make_loop(ModalModel(*map(np.array, numbers)), points=50, around=3)
+    with pytest.raises(error, match=r"^mine$"):
+        maximise_bandwidth([loop], family, [PeakConstraint("input_sensitivity")], 1.0, 20.0)
+
+
+def test_a_record_without_rows_is_named():
+    regressors, disturbance = np.ones((3, 200)), np.ones((1, 200))
+    with pytest.raises(InputError, match="disturbance has no rows"):
+        identify(FeRls(1.0), regressors, disturbance[:0])
+    with pytest.raises(InputError, match="regressors has no rows"):
+        adapt(FeLms(0.1), regressors[:0], disturbance)
 
 
 @pytest.mark.parametrize("settings", [FeRls(1.0), FeLms(0.1)])

@@ -5,7 +5,9 @@ A function keeps to its own what no annotation says: bounds, which sizes fit tog
 
 import inspect
 import math
+import sys
 import threading
+import traceback
 import types
 import typing
 from collections.abc import Callable, Collection, Iterable, Sequence
@@ -41,6 +43,9 @@ _PLAIN: dict[Any, Callable] = {
 
 _NUMBERS = (complex, np.ndarray, np.inexact)  # that may be NaN
 
+# Which modules' errors are about the numbers that the toolbox gave them.
+_OURS = sys.stdlib_module_names | {"stillwork", "numpy", "scipy", "numba", "control", "pandas", "jaxtyping"}
+
 _BY_PLACE = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 
 
@@ -58,7 +63,8 @@ def checked(function: Callable | None = None, *, infinite: bool = False, missing
 
     Lists, other number types, read-only and strided arrays become what the annotation says; a value that cannot is an
     `InputError` that names it. So is a number that leaves the range of floating point on the way. A result may be
-    `infinite`, or NaN where something is `missing`, such as the samples after a divergence.
+    `infinite`, or NaN where something is `missing`, such as the samples after a divergence. What a reader's own
+    function raises, called on the way, comes through as it is.
     """
     if function is None:
         return lambda each: checked(each, infinite=infinite, missing=missing)
@@ -81,10 +87,14 @@ def checked(function: Callable | None = None, *, infinite: bool = False, missing
         try:
             result = function(*values, **named)
         except (np.linalg.LinAlgError, OverflowError, ZeroDivisionError, MemoryError) as error:
+            if _readers(error):
+                raise
             raise _beyond(function, error) from None
         except InputError:
             raise
         except (ValueError, IndexError) as error:
+            if _readers(error):
+                raise
             if "infs or NaNs" in str(error):  # scipy's word for numbers that overflowed on the way
                 raise _beyond(function, error) from None
             raise InputError(
@@ -108,6 +118,24 @@ def check_fields(instance) -> None:
         value = getattr(instance, name)
         if (fit := check(name, value)) is not value:
             object.__setattr__(instance, name, fit)
+    own_arrays(instance)
+
+
+def own_arrays(instance) -> None:
+    """Copy the arrays that a frozen model was given: who changes theirs later does not change the model."""
+    for name in instance.__dataclass_fields__:
+        value = getattr(instance, name)
+        if isinstance(value, np.ndarray) and not isinstance(value, np.ma.MaskedArray):
+            object.__setattr__(instance, name, np.array(value))
+
+
+def _readers(error: Exception) -> bool:
+    """Whether it was raised within a function of a reader's own, which ours called: it says best what is wrong.
+
+    The first two frames are the door and what it leads to.
+    """
+    modules = [frame.f_globals.get("__name__", "") for frame, _ in traceback.walk_tb(error.__traceback__)]
+    return any(name.partition(".")[0] not in _OURS for name in modules[2:])
 
 
 def _named(function: Callable) -> str:

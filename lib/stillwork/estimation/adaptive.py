@@ -20,7 +20,7 @@ from stillwork.base.checks import (
     require_count,
     require_number,
 )
-from stillwork.base.front_door import checked
+from stillwork.base.front_door import checked, own_arrays
 from stillwork.base.kernels import inlined_kernel, kernel, pasted_kernel
 from stillwork.estimation.covariance_forms import (
     FORMS,
@@ -191,6 +191,7 @@ class FeRls:
         if np.min(np.linalg.eigvalsh(initial) if initial.ndim == 2 else initial) <= 0:
             raise InputError("initial_covariance is not positive definite; give a covariance")
         object.__setattr__(self, "initial_covariance", initial)
+        own_arrays(self)
 
     @checked(infinite=True)
     def start(self, regressors: int) -> Recursion:

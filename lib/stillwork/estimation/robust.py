@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from stillwork.base.algebra import condition, congruence, measure, multiply, take_in_turn
 from stillwork.base.checks import InputError, require_array, require_number
-from stillwork.base.front_door import checked
+from stillwork.base.front_door import check_fields, checked
 from stillwork.base.kernels import inlined_kernel, kernel
 from stillwork.estimation.time_varying import FilterGains, TimeVaryingModel
 
@@ -35,6 +35,9 @@ class NormBound:
     e_b: ArrayLike  # (samples, rows, inputs)
     e_g: ArrayLike  # (samples, rows, disturbances)
 
+    def __post_init__(self):
+        check_fields(self)
+
 
 @dataclass(frozen=True)
 class Derivatives:
@@ -44,6 +47,9 @@ class Derivatives:
     b: ArrayLike  # (parameters, states, inputs)
     g: ArrayLike  # (parameters, states, disturbances)
     c: ArrayLike  # (samples, parameters, outputs, states)
+
+    def __post_init__(self):
+        check_fields(self)
 
     def rows(self, model: TimeVaryingModel):
         """S, T and M of (5.24), with the rows of all parameters stacked: both kinds, all outputs."""

@@ -34,6 +34,7 @@ class TimeVaryingModel:
 
     @checked
     def __post_init__(self):
+        check_fields(self)
         c = require_array("c", self.c, ndim=3)
         samples, outputs, states = c.shape
         if samples < 2:
