@@ -10,7 +10,7 @@ import threading
 import traceback
 import types
 import typing
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache, wraps
 from pathlib import Path
@@ -44,7 +44,16 @@ _PLAIN: dict[Any, Callable] = {
 _NUMBERS = (complex, np.ndarray, np.inexact)  # that may be NaN
 
 # Which modules' errors are about the numbers that the toolbox gave them.
-_OURS = sys.stdlib_module_names | {"stillwork", "numpy", "scipy", "numba", "control", "pandas", "jaxtyping"}
+_OURS = sys.stdlib_module_names | {
+    "stillwork",
+    "numpy",
+    "scipy",
+    "numba",
+    "control",
+    "pandas",
+    "pyuff",
+    "jaxtyping",
+}
 
 _BY_PLACE = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 
@@ -135,7 +144,8 @@ def _readers(error: Exception) -> bool:
     The first two frames are the door and what it leads to.
     """
     modules = [frame.f_globals.get("__name__", "") for frame, _ in traceback.walk_tb(error.__traceback__)]
-    return any(name.partition(".")[0] not in _OURS for name in modules[2:])
+    packages = [name.partition(".")[0] for name in modules]
+    return not set(packages[2:]) <= _OURS | {packages[1]}
 
 
 def _named(function: Callable) -> str:
@@ -171,7 +181,9 @@ def _check(hint) -> Callable | None:
         return require_callable
     if origin in (types.UnionType, typing.Union):
         return _union(parts)
-    if origin in (list, tuple, Sequence, Collection):
+    if origin in (dict, Mapping):
+        return lambda name, value: require_kind(name, value, origin)
+    if origin in (list, tuple, Sequence, Collection, Iterable):
         return _sequence(origin, parts)
     if inspect.isclass(hint) and issubclass(hint, AbstractArray):
         return _array(hint)

@@ -76,7 +76,13 @@ class Mechanism:
 
     @checked
     def mass(self, position: ArrayLike) -> Float64[np.ndarray, "coordinates coordinates"]:
-        """M at a position; an `InputError` where it is not positive definite."""
+        """M at a position; an `InputError` where it is not positive definite.
+
+        Parameters
+        ----------
+        position : array_like, shape (coordinates,)
+            q.
+        """
         matrix = self._mass(require_array("position", position, shape=(self.coordinates,)))
         if not (np.isfinite(matrix).all() and np.linalg.eigvalsh(matrix)[0] > 0):
             raise InputError(
@@ -88,7 +94,18 @@ class Mechanism:
     def force(
         self, position: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike
     ) -> Float64[np.ndarray, " coordinates"]:
-        """u that an acceleration takes."""
+        """u that an acceleration takes.
+
+        Parameters
+        ----------
+        position, velocity, acceleration : array_like, shape (coordinates,)
+            q, q' and q''.
+
+        Raises
+        ------
+        InputError
+            When there is not one of each for every coordinate.
+        """
         place, speed, wanted = (
             require_array(name, values, shape=(self.coordinates,))
             for name, values in (
@@ -103,7 +120,18 @@ class Mechanism:
     def acceleration(
         self, position: ArrayLike, velocity: ArrayLike, force: ArrayLike
     ) -> Float64[np.ndarray, " coordinates"]:
-        """q'' that a force gives."""
+        """q'' that a force gives.
+
+        Parameters
+        ----------
+        position, velocity, force : array_like, shape (coordinates,)
+            q, q' and u.
+
+        Raises
+        ------
+        InputError
+            When there is not one of each for every coordinate, or M is not positive definite.
+        """
         pushed = require_array("force", force, shape=(self.coordinates,))
         resisted = self.force(position, velocity, np.zeros(self.coordinates))
         return np.linalg.solve(self.mass(position), pushed - resisted)

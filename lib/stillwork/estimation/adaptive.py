@@ -195,7 +195,18 @@ class FeRls:
 
     @checked(infinite=True)
     def start(self, regressors: int) -> Recursion:
-        """P(-1), exactly symmetric, and the limits of its diagonal for a number of regressors."""
+        """P(-1), exactly symmetric, and the limits of its diagonal for a number of regressors.
+
+        Parameters
+        ----------
+        regressors : int
+            n, how many there are.
+
+        Raises
+        ------
+        InputError
+            When `initial_covariance` is of another size.
+        """
         require_count("regressors", regressors)
         initial = self.initial_covariance
         if initial.ndim and len(initial) != regressors:

@@ -184,6 +184,13 @@ class AdaptationStepper:
 
         After an exception weights and covariance are those of the sample before: safe to hold or to fade out.
 
+        Parameters
+        ----------
+        regressor : array_like, shape (n,)
+            psi_N.
+        error : array_like, shape (actuators,)
+            e.
+
         Raises
         ------
         InputError

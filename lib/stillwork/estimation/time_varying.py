@@ -62,6 +62,7 @@ class TimeVaryingModel:
         """Number of samples."""
         return len(self.c)
 
+    @checked
     def with_process(self, g: ArrayLike, process: ArrayLike) -> "TimeVaryingModel":
         """The same model with other process noise: fictitious noise stands in for model errors."""
         return replace(self, g=g, process=process)

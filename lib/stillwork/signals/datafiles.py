@@ -8,6 +8,7 @@ import numpy as np
 
 from stillwork.base.checks import InputError, one_line, shown
 from stillwork.base.extras import require_package
+from stillwork.base.front_door import checked
 from stillwork.signals.matfiles import MOST_BYTES, read_mat
 from stillwork.signals.universal import read_universal
 
@@ -15,6 +16,7 @@ LONGEST_LINE = 2**17  # characters; the csv module takes no longer field
 MOST_MEMBERS = 10_000  # of an archive
 
 
+@checked
 def read_arrays(path: Path) -> dict[str, np.ndarray]:
     """Every array of numbers of a file by name, real or complex, in the shape in which it is stored.
 
@@ -41,6 +43,7 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
     return {name: array for name, array in arrays.items() if array.dtype.kind in "fiuc"}
 
 
+@checked
 def is_file(path: Path) -> bool:
     """Whether there is such a file; a name that no system takes names none."""
     try:
@@ -49,6 +52,7 @@ def is_file(path: Path) -> bool:
         return False
 
 
+@checked
 def is_folder(path: Path) -> bool:
     """Likewise for a folder."""
     try:
@@ -57,6 +61,7 @@ def is_folder(path: Path) -> bool:
         return False
 
 
+@checked
 def read_columns(path: Path) -> dict[str, np.ndarray]:
     """Every real array of a file by name, each one-dimensional; a matrix gives one a channel."""
     columns: dict[str, np.ndarray] = {}
