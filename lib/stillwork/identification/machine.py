@@ -39,7 +39,7 @@ class Machine:
         return self.sensors[0].frequencies[1:] / (2 * np.pi)
 
 
-@checked
+@checked(missing=True)
 def brought_forward(machine: Machine, delay: float) -> Machine:
     """The machine with its measurement earlier by a delay (s) that a loop then holds instead."""
     if machine.measured is None:
