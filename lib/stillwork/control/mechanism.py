@@ -8,12 +8,13 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.algebra import cholesky_root
-from stillwork.base.checks import InputError, require_array, require_count
+from stillwork.base.checks import InputError, require_array, require_count, require_number
 from stillwork.base.front_door import check_fields, checked
 from stillwork.base.kernels import borrowing_kernel, callback
 
 INERTIA = "void(float64[::1], float64[::1], float64[:, ::1])"  # signatures of the two functions
 BIAS = "void(float64[::1], float64[::1], float64[::1], float64[::1])"
+MOST_COORDINATES = 1000  # M holds their square, and the controller solves with it in every sample
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class Mechanism:
     bias : callable
         ``bias(position, velocity, parameters, out)``: h, all forces but the inertial ones, N or N m.
     coordinates : int
-        How many.
+        How many, at most 1000.
     parameters : ndarray, shape (parameters,)
         Passed to both; changing them recompiles nothing.
 
@@ -57,7 +58,9 @@ class Mechanism:
 
     def __post_init__(self):
         check_fields(self)
-        require_count("coordinates", self.coordinates)
+        require_number(
+            "coordinates", require_count("coordinates", self.coordinates), at_most=MOST_COORDINATES
+        )
         object.__setattr__(self, "parameters", require_array("parameters", self.parameters, ndim=1))
         place = np.linspace(0.3, 0.7, self.coordinates)
         try:
