@@ -209,13 +209,14 @@ def observed_controller(controller: StateModel, compensator: StateModel) -> Stat
     return interconnect([compensator, controller], feedback, outside, np.array([[1.0, 0, 1]]))
 
 
-@checked
-def runnable(pid: Pid, compensator: StateModel, limit: float, about: dict) -> DigitalController:
+@checked(infinite=True)
+def runnable(pid: Pid, compensator: StateModel, limit: float | ArrayLike, about: dict) -> DigitalController:
     """A sampled loop's controller as a processor runs it: Tustin's PID with the compensator, limits to both sides.
 
     The integrator tracks a limited force within the root of integral and differential time; the observer is told it.
     The compensator is that of a sampled `bandwidth.Loop`, the limit, N, may be infinite.
     """
+    limit = require_array("limit", limit, shape=(), infinite=True)
     step = compensator.step
     feedback = tustin(pid.state_space(), step)
     tracking_time = 1 / np.sqrt(pid.integrator * pid.differentiator)
