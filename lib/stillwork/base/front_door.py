@@ -230,12 +230,14 @@ def _union(parts: tuple) -> Callable | None:
 
 def _sequence(origin, parts: tuple) -> Callable | None:
     counted = origin is tuple and parts[-1] is not ...
+    # Of a dict's names one may ask, but they are no sequence.
+    refused = (str, bytes, Path) if origin is Iterable else (str, bytes, Path, dict)
     found: list[Any] = [_check(part) for part in parts if part is not ...]
     if not found or None in found:
         return None
 
     def check(name: str, value):
-        plain = isinstance(value, str | bytes | dict | Path) or getattr(value, "ndim", 1) == 0
+        plain = isinstance(value, refused) or getattr(value, "ndim", 1) == 0
         if plain or not isinstance(value, Iterable):
             raise InputError(f"{name} is {shown(value)}; give a list of values")
         values = list(value)
