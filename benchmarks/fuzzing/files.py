@@ -1,6 +1,7 @@
 """Damaged data files for every reader, and for ``stillwork inspect``."""
 
 import io
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -50,7 +51,7 @@ SPOILS = (
 
 def case(rng: np.random.Generator) -> tuple:
     """A file with a few spoiled places, for one of its readers."""
-    maker = (_table, _table, _table, _arrays, _universal)[rng.integers(5)]
+    maker = (_table, _table, _table, _arrays, _archive, _universal)[rng.integers(6)]
     name, content = maker(rng)
     readers = {
         "load_record": lambda: load_record(name, "m/s^2", sample_rate=100.0),
@@ -144,6 +145,37 @@ def _arrays(rng):
     np.savez(file, **arrays)
     content = file.getvalue()
     return "arrays.npz", _damaged(rng, content) if rng.random() < 0.3 else content
+
+
+def _archive(rng):
+    """Members that numpy would not write, and sizes that are not so."""
+    contents = [np.arange(3.0), np.zeros(10**5), np.array([object()]), np.array(["text"]), np.zeros(0)]
+    packed = io.BytesIO()
+    names = (
+        "a.npy",
+        "../x.npy",
+        "/x.npy",
+        "x\ny.npy",
+        "read.me",
+        ".npy",
+        "fs.npy",
+        "t.npy",
+        "\x1b[2J.npy",
+        "n" * 3000,
+    )
+    ways = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA)
+    with zipfile.ZipFile(packed, "w", ways[rng.choice(4, p=[0.4, 0.4, 0.1, 0.1])]) as file:
+        for number in range(int(rng.choice([0, 1, 2, 3, 11_000], p=[0.05, 0.35, 0.3, 0.28, 0.02]))):
+            member = io.BytesIO()
+            np.save(member, contents[rng.integers(5)], allow_pickle=True)
+            content = member.getvalue() if number < 100 and rng.random() < 0.8 else b"no array"
+            if rng.random() < 0.2:
+                content = content.replace(b"(3,), }       ", b"(9999999999,)}")
+            file.writestr(names[rng.integers(len(names))] if number < 100 else str(number), content)
+        for each in file.infolist():
+            if rng.random() < 0.1:
+                each.file_size = int(rng.choice([0, 10, 2**31, 2**40]))
+    return "archive.npz", packed.getvalue()
 
 
 def _universal(rng):

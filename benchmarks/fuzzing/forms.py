@@ -3,6 +3,7 @@
 import copy
 import tempfile
 from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 
 import numpy as np
@@ -52,7 +53,18 @@ def _difference(function, good: dict, key: str, other, plain: np.ndarray) -> str
     if not same_value(arguments, before):
         return "the call changes its arguments"
     expected = _result(function, copy.deepcopy(good) | {key: plain})
+    if is_dataclass(expected) and isinstance(function, type) and _shares(expected, plain):
+        return "the model keeps the caller's array, and changes with it"
     return "" if same_value(result, expected) else f"another result than of a plain array: {result!r:.200}"
+
+
+def _shares(value, array: np.ndarray) -> bool:
+    """Whether a model, or one of its parts, holds memory of an array."""
+    if isinstance(value, tuple | list):
+        return any(_shares(each, array) for each in value)
+    if is_dataclass(value):
+        return any(_shares(getattr(value, each.name), array) for each in fields(value))
+    return isinstance(value, np.ndarray) and np.shares_memory(value, array)
 
 
 def _result(function, arguments: dict):

@@ -383,6 +383,8 @@ def test_models_that_do_not_fit(arm, exact, approximate, short):
     three = Mechanism(cart_inertia, cart_bias, 3, [1.0, 0.0, 0.0])
     with pytest.raises(InputError, match="plant has 2 coordinates, model 3"):
         response_gains(arm.exact, three, [0.0, 0.0])
+    with pytest.raises(InputError, match=r"coordinates is 1e[+]12; give a finite number at most 1000"):
+        Mechanism(cart_inertia, cart_bias, 10**12, [1.0])
     with pytest.raises(InputError, match="fails on 2 coordinates"):
         Mechanism(cart_inertia, cart_bias, 2, [1.0])
     with pytest.raises(InputError, match="not symmetric"):

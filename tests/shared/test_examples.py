@@ -7,6 +7,7 @@ import json
 import re
 import subprocess
 import sys
+import typing
 from importlib import import_module
 from textwrap import dedent
 
@@ -100,6 +101,30 @@ def test_the_methods_of_a_face_say_what_they_do(face):
         methods = {name: each for name, each in vars(thing).items() if not name.startswith("_")}
         called = {n: m for n, m in methods.items() if inspect.isfunction(m) or isinstance(m, property)}
         assert [name for name, method in called.items() if not inspect.getdoc(method)] == []
+
+
+def given_back():
+    """Classes of the toolbox that a face hands out, or that it returns, under their names."""
+    found = {}
+    for face in FACES:
+        thing = handed_out(face)
+        if not inspect.isclass(thing):
+            thing = typing.get_type_hints(thing).get("return")
+        if inspect.isclass(thing) and thing.__module__.startswith("stillwork"):
+            found[thing.__name__] = thing
+    return found
+
+
+@pytest.mark.parametrize("name", given_back())
+def test_a_method_that_takes_something_says_what(name):
+    gaps = {}
+    for method, function in vars(given_back()[name]).items():
+        if not method.startswith("_") and inspect.isfunction(function):
+            wanted = set(inspect.signature(function).parameters) - {"self"}
+            if missing := wanted - listed(sections(inspect.unwrap(function)).get("Parameters", "")):
+                gaps[method] = missing
+    own_recursion = {"trace_copies", "bounds", "start", "fill"}  # parts of a recursion, for its stepper alone
+    assert {method: each for method, each in gaps.items() if method not in own_recursion} == {}
 
 
 def run_examples():

@@ -115,6 +115,59 @@ def test_saving_leaves_the_figure_as_it_is(tmp_path):
     assert (tmp_path / "b.csv").read_bytes() == (tmp_path / "a.csv").read_bytes()
 
 
+def looks(figure):
+    """What a layout or a drawing could change of a figure and of its parts."""
+    parts = [figure]
+    for part in parts:
+        parts += part.subfigs
+    panels = [panel for axes in figure.axes for panel in (axes, *axes.child_axes)]
+    return {
+        "margins": [dict(vars(part.subplotpars)) for part in parts],
+        "parts": [part.bbox.bounds for part in parts],
+        "titles": [text.get_position() for part in parts for text in part.texts],
+        "places": [(panel.get_position(True).bounds, panel.get_position().bounds) for panel in panels],
+        "views": [(panel.get_xlim(), panel.get_ylim()) for panel in panels],
+        "free": [(panel.get_autoscalex_on(), panel.get_in_layout(), panel.get_aspect()) for panel in panels],
+        "boxes": [(panel.get_anchor(), panel.get_box_aspect(), panel.get_adjustable()) for panel in panels],
+        "artists": [len(thing.get_children()) for thing in (*parts, *panels)],
+        "figure": (figure.dpi, tuple(figure.get_size_inches()), figure.canvas, figure.get_layout_engine()),
+        "settings": dict(matplotlib.rcParams),
+    }
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("layout", [None, "none", "tight", "constrained", "compressed"])
+@pytest.mark.parametrize("parts", [0, 1, 2], ids=["one figure", "parts", "parts of parts"])
+@pytest.mark.parametrize("drawn", [False, True], ids=["new", "drawn before"])
+def test_saving_leaves_a_readers_own_figure_as_it_is(tmp_path, layout, parts, drawn):
+    figure = Figure(layout=layout, figsize=(12, 8))
+    figure.suptitle("of all")
+    grids = [figure]
+    for _ in range(parts):
+        *kept, last = grids
+        grids = [*kept, *last.subfigures(1, 2)]
+    for grid in grids:
+        panels = grid.subplots(2, 2).ravel()
+        grid.supxlabel("x (m)")
+        panels[1].set_aspect("equal")
+        panels[2].set_aspect("equal", adjustable="datalim")
+        panels[3].inset_axes([0.5, 0.5, 0.3, 0.3]).plot([1, 2])
+        figure.colorbar(panels[0].pcolormesh([1, 2, 3], [1, 2, 3], [[1, 2], [3, 4]]), ax=panels[0])
+        for panel in panels:
+            panel.plot([1, 2, 4], [1, 3, 2])
+            panel.set(xlabel="t (s)", ylabel="y (m)")
+    if parts and layout == "compressed":  # matplotlib has none
+        with pytest.raises(InputError, match="figure has no such layout"):
+            figures.save(figure, tmp_path / "a")
+        return
+    if drawn:
+        figure.draw_without_rendering()
+    before = looks(figure)
+    figures.save(figure, tmp_path / "a")
+    after = looks(figure)
+    assert {name: after[name] for name in before if after[name] != before[name]} == {}
+
+
 def test_scatter_fill_steps_and_error_bars():
     figure, axes = labelled()
     x = np.arange(4.0)

@@ -1,17 +1,25 @@
 """Arguments and fields against their annotations: what is taken as it is meant, what is refused by name."""
 
+import inspect
+import pkgutil
+import re
 import subprocess
 import sys
+import typing
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 
 import numpy as np
 import pytest
 from jaxtyping import Float64
 
+from stillwork.base import front_door
 from stillwork.base.checks import InputError
 from stillwork.base.front_door import check_fields, checked
+from stillwork.control import PeakConstraint, make_loop, maximise_bandwidth
 from stillwork.estimation import FeLms, FeRls, adapt, identify
+from stillwork.lti import ModalModel
 
 
 @dataclass(frozen=True)
@@ -107,6 +115,32 @@ def test_a_result_that_is_not_finite_is_an_error():
         endless(0.0)
 
 
+def test_a_model_keeps_what_it_was_given():
+    rows = np.ones((3, 2))
+    part = Part(1.0, rows)
+    rows[:] = 7.0
+    np.testing.assert_array_equal(part.rows, np.ones((3, 2)))
+
+
+@pytest.mark.parametrize("error", [ValueError, IndexError, ZeroDivisionError, np.linalg.LinAlgError])
+def test_an_error_of_a_readers_own_function_comes_through(error):
+    def family(bandwidth):
+        raise error("mine")
+
+    numbers = ([0.0, 300.0], [0.0, 0.01], [[0.3], [0.4]], [[0.3, -0.4]], [[0.0]])
+    loop = make_loop(ModalModel(*map(np.array, numbers)), points=50, around=3)
+    with pytest.raises(error, match=r"^mine$"):
+        maximise_bandwidth([loop], family, [PeakConstraint("input_sensitivity")], 1.0, 20.0)
+
+
+def test_a_record_without_rows_is_named():
+    regressors, disturbance = np.ones((3, 200)), np.ones((1, 200))
+    with pytest.raises(InputError, match="disturbance has no rows"):
+        identify(FeRls(1.0), regressors, disturbance[:0])
+    with pytest.raises(InputError, match="regressors has no rows"):
+        adapt(FeLms(0.1), regressors[:0], disturbance)
+
+
 @pytest.mark.parametrize("settings", [FeRls(1.0), FeLms(0.1)])
 @pytest.mark.parametrize("run", [adapt, identify])
 def test_read_only_records_of_one_actuator_are_taken(settings, run, tmp_path):
@@ -119,6 +153,75 @@ def test_read_only_records_of_one_actuator_are_taken(settings, run, tmp_path):
     frozen.flags.writeable = False
     wanted = run(settings, regressors, signal)
     np.testing.assert_array_equal(run(settings, mapped, frozen).weights, wanted.weights)
+
+
+# What asks each value itself: the checks, what a loop calls for each of its samples, the interface of scikit-learn.
+OWN_DOORS = re.compile(r"from_control|require_\w+|(Adaptation|Recursive)Stepper\.update|\w+Regressor\.fit")
+# What hands the parts of a recursion to its kernels, a sample at a time: `run` and the steppers have asked before.
+PARTS = {
+    *("FeLms.trace_copies", "MinMax.bounds", "GrowingMinMax.bounds", "known_length", "empty_track"),
+    *("LeastSquares.start", "LeastSquares.fill", "Ridge.start", "Ridge.fill"),
+}
+FOLDERS = ("signals", "lti", "identification", "estimation", "control")
+
+
+def public_callables():
+    """Name, and the function, of all that a stranger can import from the toolbox and call with arguments."""
+    for folder in FOLDERS:
+        package = import_module(f"stillwork.{folder}")
+        for each in pkgutil.iter_modules(package.__path__):
+            module = import_module(f"{package.__name__}.{each.name}")
+            for name, thing in vars(module).items():
+                if name.startswith("_") or getattr(thing, "__module__", "") != module.__name__:
+                    continue
+                if inspect.isfunction(thing):
+                    yield name, thing
+                elif inspect.isclass(thing):
+                    for method, function in vars(thing).items():
+                        function = getattr(function, "__func__", function)
+                        if not method.startswith("_") and inspect.isfunction(function):
+                            yield f"{name}.{method}", function
+
+
+def unasked(function):
+    """Parameters of which nobody asks whether they are what they should be; all of them where there is no door."""
+    parameters = [name for name in inspect.signature(function).parameters if name != "self"]
+    if "door" not in through(function):
+        return parameters
+    hints = typing.get_type_hints(inspect.unwrap(function))
+    known = front_door._checks(inspect.unwrap(function)).keys()
+    return [
+        name
+        for name in parameters  # what is like an array, `require_array` asks where it is used
+        if name not in known and not front_door._OPEN & set(typing.get_args(hints.get(name)))
+    ]
+
+
+def through(function):
+    """Names of the functions through which a call reaches what was written."""
+    while True:
+        yield function.__code__.co_name
+        if (function := getattr(function, "__wrapped__", None)) is None:
+            return
+
+
+def test_every_public_function_has_a_front_door():
+    found = dict(public_callables())
+    assert len(found) > 200 and found.keys() >= PARTS
+    doorless = {
+        name: gaps
+        for name, function in found.items()
+        if name not in PARTS and not OWN_DOORS.fullmatch(name) and (gaps := unasked(function))
+    }
+    assert doorless == {}
+
+
+def test_what_nobody_asks_is_found():
+    def open_to_all(number: float, other):
+        return number, other
+
+    assert unasked(open_to_all) == ["number", "other"]
+    assert unasked(checked(open_to_all)) == ["other"]
 
 
 MODELS = """

@@ -1,6 +1,7 @@
 import json
 
 import pytest
+from matplotlib.figure import Figure
 
 from stillwork.base import paths
 from stillwork.base.checks import InputError
@@ -15,6 +16,12 @@ unit = ""
 published = 2.0
 kind = "value"
 tolerance = { relative = 0.01, source = "digits" }
+[motion.order]
+place = "Table 1"
+quantity = "runs in this order"
+unit = ""
+published = 1.0
+kind = "ordering"
 """
 
 
@@ -57,16 +64,53 @@ def test_in_a_build_it_writes_where_the_runner_says(workbook, monkeypatch, tmp_p
 
 
 @pytest.mark.parametrize(
-    "name", ["", "../x", "a/b", "/tmp/x", "a\\b", ".x", "x.", "a..b", "..", "-x", "a b", "é", "a\n", "a:b"]
+    "name",
+    [
+        "",
+        "../x",
+        "a/b",
+        "/tmp/x",
+        "a\\b",
+        ".x",
+        "x.",
+        "a..b",
+        "..",
+        "-x",
+        "a b",
+        "é",
+        "a\n",
+        "a:b",
+        "n" * 300,
+    ],
 )
 def test_a_figure_has_a_name_and_no_path(workbook, name):
     page, figure = Page("motion/01-x"), drawing()
-    with pytest.raises(InputError, match=r"name is .*; give letters, digits"):
+    with pytest.raises(InputError, match=r"name is .*; give at most 100 letters, digits"):
         page.save(name, figure)
     assert [file for file in workbook.rglob("*") if file.is_file()] == [
         workbook / "data/motion/published.toml"
     ]
     page.save("Fig_1-2.a", figure)
+
+
+@pytest.mark.parametrize("wrong", [None, "fig-1", drawing().axes[0], Figure().subfigures(1, 1)])
+def test_only_a_whole_figure_is_saved(workbook, wrong):
+    with pytest.raises(InputError, match=r"figure is .*; give Figure"):
+        Page("motion/01-x").save("fig-1", wrong)
+
+
+@pytest.mark.parametrize(
+    ("claim", "value", "interval", "message"),
+    [
+        ("n" * 300, 1.0, None, "room is 'nnn"),
+        ("motion.order", 1.5, None, "motion.order is 1.5; give a finite number at least 0 and at most 1"),
+        ("motion.order", 1.0, (-0.1, 1.0), "lower end of the interval is -0.1"),
+        ("motion.order", 1.0, (0.9, 1.1), "upper end of the interval is 1.1"),
+    ],
+)
+def test_a_claim_that_cannot_be_is_refused(workbook, claim, value, interval, message):
+    with pytest.raises(InputError, match=message):
+        Page("motion/01-x").check(claim, value, interval)
 
 
 def test_series_that_are_rounding_are_noted_with_the_reason(workbook):
@@ -91,7 +135,18 @@ def test_a_note_names_a_series_and_a_reason(workbook, rounding, message):
 
 
 @pytest.mark.parametrize(
-    "name", ["motion", "moton/01-x", "motion/", "", "motion/../x", "motion/a/b", "motion/..", "motion/ x"]
+    "name",
+    [
+        "motion",
+        "moton/01-x",
+        "motion/",
+        "",
+        "motion/../x",
+        "motion/a/b",
+        "motion/..",
+        "motion/ x",
+        "motion/" + "n" * 300,
+    ],
 )
 def test_a_page_has_a_room_and_a_name(name):
     with pytest.raises(InputError, match="give 'room/name'"):

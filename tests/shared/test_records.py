@@ -2,6 +2,7 @@
 
 import io
 import pickle
+import zipfile
 
 import numpy as np
 import pytest
@@ -219,6 +220,51 @@ def test_reading_executes_nothing(tmp_path):
     for name in ("a.npz", "b.npz"):
         with pytest.raises(InputError, match=r"cannot be read .* save plain numeric arrays"):
             load_record(tmp_path / name, "m/s^2")
+
+
+def archive(path, members, compression=zipfile.ZIP_DEFLATED, said=None):
+    """An archive of these members, each of which is `said` to unpack to so many bytes."""
+    path.parent.mkdir(exist_ok=True)
+    with zipfile.ZipFile(path, "w", compression) as file:
+        for name, content in members:
+            file.writestr(name, content)
+        for each in file.infolist():
+            each.file_size = each.file_size if said is None else said
+    return path
+
+
+def npy(array):
+    file = io.BytesIO()
+    np.save(file, array)
+    return file.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("members", "options", "message"),
+    [
+        ([("a.npy", npy(SIGNALS)), ("read.me", b"notes")], {}, "its member 'read.me' is no array"),
+        ([("a.npy", b"no array")], {}, "its member 'a' is no array"),
+        ([("a.npy", npy(np.zeros(10**6)))], {"said": 2**33}, "it unpacks to 8.6e[+]09 bytes, more than 4 GB"),
+        ([("a.npy", npy(np.zeros(10**6)))] * 2, {"compression": zipfile.ZIP_BZIP2}, "'a.npy' is compressed"),
+        ([(f"{n}.npy", b"") for n in range(10_001)], {}, "it holds 10001 members, more than 10000"),
+        ([("a.npy", npy(SIGNALS).replace(b"(2, 1000)", b"(2, 10**9"))], {}, "cannot be read"),
+        ([("a.npy", npy(SIGNALS).replace(b"(2, 1000), }   ", b"(2, 10000000),}"))], {}, "cannot be read"),
+        ([], {}, "holds no"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+def test_an_archive_that_is_no_file_of_arrays_is_refused(tmp_path, members, options, message):
+    """Before it fills the memory: an archive of a few kB may unpack to any size."""
+    path = archive(tmp_path / "a.npz", members, **options)
+    with pytest.raises(InputError, match=message) as refusal:
+        load_record(path, "m/s^2", sample_rate=RATE)
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_members_name_is_no_path(tmp_path):
+    path = archive(tmp_path / "in" / "a.npz", [("../x.npy", npy(SIGNALS[0]))])
+    assert load_record(path, "m/s^2", sample_rate=RATE).names == ("../x",)
+    assert [file.name for file in tmp_path.rglob("*")] == ["in", "a.npz"]
 
 
 @settings(max_examples=60, deadline=None)

@@ -5,7 +5,7 @@ import pytest
 from jaxtyping import Float, TypeCheckError, jaxtyped
 
 import typecheck
-from stillwork.control.setpoint import segment_times
+from stillwork.estimation.recursive_kernels import known_length
 
 
 @jaxtyped(typechecker=typecheck.check)
@@ -22,7 +22,7 @@ def test_arguments_results_and_sizes_are_checked():
 
 def test_the_toolbox_is_checked():
     with pytest.raises(TypeCheckError):
-        segment_times("10 m/s^4", 1.0, 1.0, 1.0)
+        known_length("3", 1)
 
 
 def test_a_function_is_trusted_after_its_first_calls_and_checked_again_in_the_next_test():

@@ -5,10 +5,12 @@ A function keeps to its own what no annotation says: bounds, which sizes fit tog
 
 import inspect
 import math
+import sys
 import threading
+import traceback
 import types
 import typing
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache, wraps
 from pathlib import Path
@@ -41,6 +43,18 @@ _PLAIN: dict[Any, Callable] = {
 
 _NUMBERS = (complex, np.ndarray, np.inexact)  # that may be NaN
 
+# Which modules' errors are about the numbers that the toolbox gave them.
+_OURS = sys.stdlib_module_names | {
+    "stillwork",
+    "numpy",
+    "scipy",
+    "numba",
+    "control",
+    "pandas",
+    "pyuff",
+    "jaxtyping",
+}
+
 _BY_PLACE = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 
 
@@ -58,7 +72,8 @@ def checked(function: Callable | None = None, *, infinite: bool = False, missing
 
     Lists, other number types, read-only and strided arrays become what the annotation says; a value that cannot is an
     `InputError` that names it. So is a number that leaves the range of floating point on the way. A result may be
-    `infinite`, or NaN where something is `missing`, such as the samples after a divergence.
+    `infinite`, or NaN where something is `missing`, such as the samples after a divergence. What a reader's own
+    function raises, called on the way, comes through as it is.
     """
     if function is None:
         return lambda each: checked(each, infinite=infinite, missing=missing)
@@ -81,10 +96,14 @@ def checked(function: Callable | None = None, *, infinite: bool = False, missing
         try:
             result = function(*values, **named)
         except (np.linalg.LinAlgError, OverflowError, ZeroDivisionError, MemoryError) as error:
+            if _readers(error):
+                raise
             raise _beyond(function, error) from None
         except InputError:
             raise
         except (ValueError, IndexError) as error:
+            if _readers(error):
+                raise
             if "infs or NaNs" in str(error):  # scipy's word for numbers that overflowed on the way
                 raise _beyond(function, error) from None
             raise InputError(
@@ -108,6 +127,25 @@ def check_fields(instance) -> None:
         value = getattr(instance, name)
         if (fit := check(name, value)) is not value:
             object.__setattr__(instance, name, fit)
+    own_arrays(instance)
+
+
+def own_arrays(instance) -> None:
+    """Copy the arrays that a frozen model was given: who changes theirs later does not change the model."""
+    for name in instance.__dataclass_fields__:
+        value = getattr(instance, name)
+        if isinstance(value, np.ndarray) and not isinstance(value, np.ma.MaskedArray):
+            object.__setattr__(instance, name, np.array(value))
+
+
+def _readers(error: Exception) -> bool:
+    """Whether it was raised within a function of a reader's own, which ours called: it says best what is wrong.
+
+    The first two frames are the door and what it leads to.
+    """
+    modules = [frame.f_globals.get("__name__", "") for frame, _ in traceback.walk_tb(error.__traceback__)]
+    packages = [name.partition(".")[0] for name in modules]
+    return not set(packages[2:]) <= _OURS | {packages[1]}
 
 
 def _named(function: Callable) -> str:
@@ -143,7 +181,9 @@ def _check(hint) -> Callable | None:
         return require_callable
     if origin in (types.UnionType, typing.Union):
         return _union(parts)
-    if origin in (list, tuple, Sequence, Collection):
+    if origin in (dict, Mapping):
+        return lambda name, value: require_kind(name, value, origin)
+    if origin in (list, tuple, Sequence, Collection, Iterable):
         return _sequence(origin, parts)
     if inspect.isclass(hint) and issubclass(hint, AbstractArray):
         return _array(hint)
@@ -190,12 +230,14 @@ def _union(parts: tuple) -> Callable | None:
 
 def _sequence(origin, parts: tuple) -> Callable | None:
     counted = origin is tuple and parts[-1] is not ...
+    # Of a dict's names one may ask, but they are no sequence.
+    refused = (str, bytes, Path) if origin is Iterable else (str, bytes, Path, dict)
     found: list[Any] = [_check(part) for part in parts if part is not ...]
     if not found or None in found:
         return None
 
     def check(name: str, value):
-        plain = isinstance(value, str | bytes | dict | Path) or getattr(value, "ndim", 1) == 0
+        plain = isinstance(value, refused) or getattr(value, "ndim", 1) == 0
         if plain or not isinstance(value, Iterable):
             raise InputError(f"{name} is {shown(value)}; give a list of values")
         values = list(value)

@@ -122,6 +122,7 @@ def _high_pass(corner_hz: float) -> StateModel:
     return StateModel(np.array([[-w]]), np.array([[w]]), np.array([[-1.0]]), np.ones((1, 1)))
 
 
+@checked
 def filtered_estimates(
     estimator: StateModel,
     filters: Sequence[StateModel],

@@ -67,8 +67,17 @@ class Loop:
     def __post_init__(self):
         check_fields(self)
 
+    @checked
     def plant_at(self, omega: np.ndarray, held: bool = True) -> Complex128[np.ndarray, " frequencies"]:
-        """Response of the plant as the controller meets it; not `held`: of a sampled one before aliasing."""
+        """Response of the plant as the controller meets it; not `held`: of a sampled one before aliasing.
+
+        Parameters
+        ----------
+        omega : array_like, shape (frequencies,)
+            Frequencies, rad/s.
+        held : bool
+            With what sampling adds: the hold and the aliases.
+        """
         if not self.step:
             return self.plant.frequency_response(omega)[0, 0]
         turn = 1j * omega * self.step
@@ -85,14 +94,31 @@ class Loop:
 
     @checked
     def at(self, controller: Pid, omega: np.ndarray | None = None) -> LoopResponse:
-        """Loop functions on the loop's own grid, or at other frequencies (rad/s)."""
+        """Loop functions on the loop's own grid, or at other frequencies (rad/s).
+
+        Parameters
+        ----------
+        controller : Pid
+            C of this loop.
+        omega : array_like, shape (frequencies,), optional
+            Frequencies, rad/s; by default the loop's own grid.
+        """
         if omega is None:
             return self.within(controller, slice(None))
         observer = self.compensator.frequency_response(omega)
         return LoopResponse(self.plant_at(omega), observer, self._controlled(controller, omega))
 
+    @checked(missing=True)
     def within(self, controller: Pid, part: slice) -> LoopResponse:
-        """Loop functions on a part of the loop's own grid."""
+        """Loop functions on a part of the loop's own grid.
+
+        Parameters
+        ----------
+        controller : Pid
+            C of this loop.
+        part : slice
+            Of `omega`.
+        """
         return LoopResponse(
             self.plant_response[part],
             self.compensator_response[..., part],
@@ -101,14 +127,33 @@ class Loop:
 
     @checked
     def peak(self, controller: Pid, function: str) -> Peak:
-        """Refined peak of a loop function, one of `FUNCTIONS`."""
+        """Refined peak of a loop function, one of `FUNCTIONS`.
+
+        Parameters
+        ----------
+        controller : Pid
+            C of this loop.
+        function : str
+            Which of them.
+
+        Raises
+        ------
+        InputError
+            When there is no such function.
+        """
         require_choice("function", function, FUNCTIONS)
         magnitude = np.abs(getattr(self.at(controller), function))
         return refine_peak(lambda w: getattr(self.at(controller, w), function), self.omega, magnitude)
 
     @checked
     def poles(self, controller: Pid) -> Complex128[np.ndarray, " states"]:
-        """Closed-loop poles, rad/s; of a sampled loop ln(z) over the sample time."""
+        """Closed-loop poles, rad/s; of a sampled loop ln(z) over the sample time.
+
+        Parameters
+        ----------
+        controller : Pid
+            C of this loop.
+        """
         if not self.step:
             a = closed_loop(self.plant, self.compensator, controller.state_space()).a
             return linalg.eigvals(a).astype(complex)
@@ -132,7 +177,18 @@ class Loop:
 
     @checked
     def crossing_hz(self, controller: Pid) -> float:
-        """First 0 dB crossing of the open loop that the controller sees (Definition 1.2.1), Hz."""
+        """First 0 dB crossing of the open loop that the controller sees (Definition 1.2.1), Hz.
+
+        Parameters
+        ----------
+        controller : Pid
+            C of this loop.
+
+        Raises
+        ------
+        InputError
+            When the loop gain does not fall through 0 dB on the grid.
+        """
         gain = np.abs(self.at(controller).loop)
         return crossover(lambda w: self.at(controller, w).loop, self.omega, gain) / (2 * np.pi)
 

@@ -222,6 +222,7 @@ def adaptation_code(
     return write.files("adaptation.h", "ferls.c", values)
 
 
+@checked
 def require_names(name: str, precision: str) -> None:
     """Refuse what cannot begin names in C, and a precision that there is not."""
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,30}", name):

@@ -7,8 +7,10 @@ from jaxtyping import Float64
 from scipy import optimize
 
 from stillwork.base.checks import InputError
+from stillwork.base.front_door import checked
 
 
+@checked
 def crossover(
     response: Callable[[np.ndarray], np.ndarray],
     omega: Float64[np.ndarray, " frequencies"],

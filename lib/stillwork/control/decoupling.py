@@ -34,6 +34,16 @@ class Decoupling:
 
         On the rigid-body modes they are unit matrices where actuators and sensors stand as designed for, and
         written as such: their rounding would grow as 1/s^2. Elsewhere they are what is left of the decoupling.
+
+        Parameters
+        ----------
+        model : ModalModel
+            The machine, from its actuators to its sensors.
+
+        Raises
+        ------
+        InputError
+            When it has other numbers of actuators or sensors.
         """
         outputs, inputs = model.feedthrough.shape
         if (outputs, inputs) != (self.sensing.shape[1], len(self.actuation)):

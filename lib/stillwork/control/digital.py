@@ -209,12 +209,14 @@ def observed_controller(controller: StateModel, compensator: StateModel) -> Stat
     return interconnect([compensator, controller], feedback, outside, np.array([[1.0, 0, 1]]))
 
 
-def runnable(pid: Pid, compensator: StateModel, limit: float, about: dict) -> DigitalController:
+@checked(infinite=True)
+def runnable(pid: Pid, compensator: StateModel, limit: float | ArrayLike, about: dict) -> DigitalController:
     """A sampled loop's controller as a processor runs it: Tustin's PID with the compensator, limits to both sides.
 
     The integrator tracks a limited force within the root of integral and differential time; the observer is told it.
     The compensator is that of a sampled `bandwidth.Loop`, the limit, N, may be infinite.
     """
+    limit = require_array("limit", limit, shape=(), infinite=True)
     step = compensator.step
     feedback = tustin(pid.state_space(), step)
     tracking_time = 1 / np.sqrt(pid.integrator * pid.differentiator)
@@ -254,6 +256,7 @@ def anti_windup(model: StateModel, tracking_time: float) -> Float64[np.ndarray, 
     return -np.expm1(-model.step / tracking_time) * right @ np.linalg.pinv(seen)
 
 
+@checked
 def from_biquads(sections: ArrayLike, step: float) -> StateModel:
     """Model of biquads in a row, (b0, b1, b2, 1, a1, a2) each as SciPy has them, in a form that single precision can hold.
 
@@ -278,6 +281,7 @@ def from_biquads(sections: ArrayLike, step: float) -> StateModel:
     return series(models)
 
 
+@checked
 def biquads(model: StateModel) -> np.ndarray | None:
     """Second-order sections of a model with one input and one output; None where they would not agree with it."""
     omega = np.geomspace(1e-4, 0.99, 200) * np.pi / model.step

@@ -14,6 +14,7 @@ from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
 
 
+@checked
 def damped_poles(model: ModalModel, increase: float | ArrayLike) -> Complex128[np.ndarray, " flexible_modes"]:
     """Continuous upper poles of the flexible modes with `increase` added to each damping ratio, (3.33)."""
     increase = per_flexible_mode(model, "increase", increase)

@@ -60,6 +60,20 @@ class DiscreteObserver(FlexibleEstimates):
 
         ``filter``: at sample k there is x(k-d|k-d), which is old. ``predictor``: there is x(k-d+1|k-d), for d = 1 the
         state of this very sample; it has a delay of one at least, the sample that it looks ahead.
+
+        Parameters
+        ----------
+        rows : array_like, shape (signals, states)
+            Weights of the estimated states, e.g. of `read`.
+        form : str
+            ``filter`` or ``predictor``.
+        delay : int
+            d, samples.
+
+        Raises
+        ------
+        InputError
+            When the rows do not fit the states, or the form has no such delay.
         """
         require_choice("form", form, FORMS)
         rows = require_array("rows", rows, shape=(None, len(self.a)))

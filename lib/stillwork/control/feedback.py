@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 from scipy import linalg
 
@@ -15,6 +15,7 @@ from stillwork.lti.state_space import StateModel
 SELECTIONS = ("each mode", "minimal interaction", "pole placement")
 
 
+@checked
 def per_flexible_mode(
     model: ModalModel, name: str, value: float | ArrayLike
 ) -> Float64[np.ndarray, " flexible"]:
@@ -28,6 +29,7 @@ def per_flexible_mode(
     return require_array(name, value, shape=(len(flexible.frequencies),))
 
 
+@checked
 def require_reach(model: ModalModel) -> None:
     """Refuse an actuator on a node of a flexible mode."""
     reach = np.linalg.norm(model.input_shapes[model.rigid_modes :], axis=1)
@@ -100,6 +102,7 @@ def _each(shapes: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     return np.hstack(columns)
 
 
+@checked
 def place(model: StateModel, poles: ArrayLike) -> Float64[np.ndarray, "1 states"]:
     """Gain K that gives A + BK these poles, by Ackermann's formula on a scaled model with one input.
 
@@ -108,7 +111,7 @@ def place(model: StateModel, poles: ArrayLike) -> Float64[np.ndarray, "1 states"
     n = len(model.a)
     if model.b.shape[1] != 1:
         raise InputError(f"model has {model.b.shape[1]} inputs; this formula is for one")
-    poles = np.asarray(poles, dtype=complex)
+    poles = require_array("poles", poles, dtype=np.complex128)
     if poles.shape != (n,):
         raise InputError(f"poles has shape {poles.shape}; give {n}, one a state")
     polynomial = np.poly(poles)
@@ -148,6 +151,7 @@ def stiffness_gain(model: ModalModel, factor: float | ArrayLike) -> Float64[np.n
     return gain
 
 
+@checked
 def stiffening(model: ModalModel, factor: float | ArrayLike) -> Float64[np.ndarray, " flexible"]:
     """What is added to the square of each resonance frequency to multiply it by `factor`, one for all or each."""
     factor = per_flexible_mode(model, "factor", factor)
@@ -180,7 +184,8 @@ def fed_back(model: ModalModel, gain: Float64[np.ndarray, "inputs states"]) -> D
     return damped_modes(upper, still // 2)
 
 
-def damped_modes(upper: np.ndarray, rigid: int) -> DampedModes:
+@checked
+def damped_modes(upper: Complex128[np.ndarray, " modes"], rigid: int) -> DampedModes:
     """Modes with these poles in the upper half-plane, behind the rigid-body modes."""
     rest = np.zeros(rigid)
     return DampedModes(np.append(rest, -upper.real / np.abs(upper)), np.append(rest, np.abs(upper)))

@@ -36,7 +36,13 @@ class Feedforward:
 
     @checked
     def force(self, setpoint: Setpoint) -> Float64[np.ndarray, " samples"]:
-        """Feedforward force at the samples (N)."""
+        """Feedforward force at the samples (N).
+
+        Parameters
+        ----------
+        setpoint : Setpoint
+            The move.
+        """
         return self.gains @ setpoint.derivatives[1:]
 
 
@@ -106,6 +112,7 @@ def _held(loop: StateModel, source: int, step: float) -> tuple[np.ndarray, np.nd
     return whole.a[:n, :n], np.hstack([whole.a[:n, n:], whole.b[:n]])
 
 
+@checked
 def tracking_model(loop: StateModel, feedforward: Feedforward, step: float) -> StateModel:
     """Discrete model from the setpoint and its derivatives (5 inputs) to the error, exact for constant snap."""
     return _driven(_moved(loop, step), feedforward)
@@ -222,6 +229,7 @@ def fit_feedforward(loop: StateModel, setpoint: Setpoint, basis: tuple[str, ...]
     return Feedforward(**dict(zip(basis, gains, strict=True)))
 
 
+@checked
 def least_squares(
     matrix: Float64[np.ndarray, "samples gains"], wanted: Float64[np.ndarray, " samples"]
 ) -> list[float]:
@@ -235,6 +243,7 @@ def least_squares(
     return (gains / sizes).tolist()
 
 
+@checked
 def noise_error(
     loop: StateModel, step: float, samples: int, deviations: dict[str, float], rng: np.random.Generator
 ) -> Float64[np.ndarray, "2 samples"]:
@@ -246,6 +255,7 @@ def noise_error(
     return noise_errors(loop, step, samples, deviations, [rng])[0]
 
 
+@checked
 def noise_errors(
     loop: StateModel,
     step: float,

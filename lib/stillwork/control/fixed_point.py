@@ -238,6 +238,7 @@ def response_gain(plant: Plant, model: Plant) -> float:
     return force_slope(plant, 0.0, 0.0, 0.0) / force_slope(model, 0.0, 0.0, 0.0)
 
 
+@checked
 def ending(status: int, time: float, left: str) -> dict[str, Any]:
     """When a run diverged, in s, and why, with what is said of a plant that left its bounds; empty if it did not."""
     if status == RUNNING:
@@ -255,6 +256,7 @@ def require_noise(noise: ArrayLike | None, shape: tuple[int, ...]) -> np.ndarray
     return np.ascontiguousarray(noise)
 
 
+@checked
 def packed_parts(controller: Controller, resolution: float, grid: float, lost: str) -> tuple:
     """What `command_step` takes beside the filter itself."""
     predicts = isinstance(controller.signal_filter, UnscentedKalman | ExtendedKalman)

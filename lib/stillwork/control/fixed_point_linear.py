@@ -35,9 +35,10 @@ class LinearFilter:
     C: Float64[np.ndarray, "3 states"]
     D: Float64[np.ndarray, "3 2"]
 
+    @checked(infinite=True)
     def response(self, rate: ArrayLike, time_step: float) -> np.ndarray:
         """Frequency responses from z to the three estimates at angular frequencies, rad/s, shape (rates, 3)."""
-        z = np.exp(1j * np.atleast_1d(rate) * time_step)[:, None, None]
+        z = np.exp(1j * np.atleast_1d(require_array("rate", rate)) * time_step)[:, None, None]
         inputs = np.broadcast_to(self.B[:, :1], (len(z), len(self.A), 1))
         states = np.linalg.solve(z * np.eye(len(self.A)) - self.A, inputs)[..., 0]
         return states @ self.C.T + self.D[:, 0]
@@ -80,6 +81,7 @@ def _finite_impulse_response(rows) -> LinearFilter:
     return LinearFilter(A, B, weights[:, 1:].copy(), np.column_stack([weights[:, 0], np.zeros(3)]))
 
 
+@checked
 def semi_implicit_motion(slopes: tuple[float, ...], time_step: float) -> tuple[np.ndarray, np.ndarray]:
     """F and the column of the force of x = [velocity, position] in the semi-implicit model (10)."""
     by_position, by_velocity, by_force = slopes
@@ -181,12 +183,13 @@ class LinearLoop:
 
         return schur(self.A, output="complex")
 
+    @checked(infinite=True)
     def response(self, rate: ArrayLike, row: np.ndarray | None = None) -> np.ndarray:
         """Frequency response from c to s (or to ``row @ x``) at angular frequencies `rate`, rad/s; of one coordinate.
 
         By back substitution in Schur's form, all frequencies at once.
         """
-        z = np.exp(1j * np.atleast_1d(np.asarray(rate, dtype=float)) * self.time_step)
+        z = np.exp(1j * np.atleast_1d(require_array("rate", rate)) * self.time_step)
         triangular, basis = self._schur
         drive = basis.conj().T @ self.B[:, 0]
         states = np.zeros((len(z), len(drive)), dtype=complex)
@@ -195,10 +198,12 @@ class LinearLoop:
             states[:, k] = (drive[k] + known) / (z - triangular[k, k])
         return states @ (basis.T @ (self.C[0] if row is None else row))
 
+    @checked(infinite=True)
     def radius(self, local_gain: float) -> float:
         """Spectral radius of the closed loop; stable below 1."""
         return float(np.abs(self.poles(local_gain)).max())
 
+    @checked(infinite=True)
     def poles(self, local_gain: float) -> np.ndarray:
         """Eigenvalues of the closed loop."""
         return np.linalg.eigvals(self.A + local_gain * self.B @ self.C)

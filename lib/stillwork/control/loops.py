@@ -16,6 +16,7 @@ INPUTS = ("r", "u_ff", "w", "v", "d")
 OUTPUTS = ("e_true", "e_meas", "u", "f")
 
 
+@checked
 def no_observer(plant: StateModel | ModalModel) -> StateModel:
     """The compensator of a loop without observer: (u_d, y_flex) = 0."""
     gain, step = (plant.feedthrough, 0.0) if isinstance(plant, ModalModel) else (plant.d, plant.step)
@@ -106,6 +107,7 @@ def channel(
     return loop.select(*chosen)
 
 
+@checked
 def require_stable(loop: StateModel) -> None:
     """Refuse a closed loop that is unstable: its errors grow without bound and have no spectrum."""
     if not loop.is_stable:

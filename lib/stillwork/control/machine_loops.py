@@ -59,11 +59,13 @@ class Intensities:
         for name in ("disturbance", "sensor", "drift"):
             require_number(name, getattr(self, name), above=0.0)
 
+    @checked
     def noise(self, mass: float) -> NoiseIntensities:
         """The same for a machine of `mass` (kg)."""
         return NoiseIntensities((self.disturbance * mass) ** 2, self.sensor**2)
 
 
+@checked
 def applications(added_damping: float, selectivity: float) -> dict[str, Application | None]:
     """PID alone, measurement compensation (MC), active damping (AD), and both."""
     damped = Application(damping=added_damping, selectivity=selectivity)
@@ -75,6 +77,7 @@ def applications(added_damping: float, selectivity: float) -> dict[str, Applicat
     }
 
 
+@checked
 def observer_settings(
     machine: Machine, application: Application | None, retained: int, intensities: Intensities
 ) -> tuple[int, NoiseIntensities, float | None]:
@@ -85,6 +88,7 @@ def observer_settings(
     return retained, intensities.noise(machine.mass), drift
 
 
+@checked
 def on_measurement(
     loop: Loop, measured: Identified, factor: float, band_hz: tuple[float, float], mirror: bool = False
 ) -> Loop:
@@ -114,6 +118,7 @@ def on_measurement(
     )
 
 
+@checked(infinite=True)
 def extra_turns(measured: Loop, controller: Pid) -> int:
     """Turns around -1 that the measured open loop makes more than that of the model, on the measured band.
 
@@ -124,6 +129,7 @@ def extra_turns(measured: Loop, controller: Pid) -> int:
     return round(float(np.sum(np.angle(ratio[1:] / ratio[:-1]))) / (2 * np.pi))
 
 
+@checked
 def observed_loops(
     plants: Sequence[ModalModel],
     application: Application | None,
@@ -146,6 +152,7 @@ def observed_loops(
     ]
 
 
+@checked
 def observing_compensator(
     plant: ModalModel,
     application: Application,
@@ -250,6 +257,7 @@ class Reached:
             found[name] = float(20 * np.log10(model)), float(20 * np.log10(seen)) if measured else None
         return found
 
+    @checked(infinite=True)
     def highest_db(self, function: str) -> str:
         """The higher of both, rounded."""
         return (
@@ -385,6 +393,7 @@ def reach(
     return found
 
 
+@checked
 def search_range(machine: Machine, step: float) -> tuple[float, float]:
     """Where bandwidths are sought, Hz: below the first resonance, above a suspension, to a tenth of the rate."""
     low, high = (share * float(machine.resonances_hz[0]) for share in SEARCH)
@@ -392,6 +401,7 @@ def search_range(machine: Machine, step: float) -> tuple[float, float]:
     return low, min(high, 0.1 / step) if step else high
 
 
+@checked
 def pid_family(machine: Machine, lead: float, modes: int, step: float) -> PidFamily:
     """PID rules, with notches at the resonances among the first modes; where Tustin puts them, with a `step`."""
     omega = machine.sensors[0].frequencies[1:modes]

@@ -88,6 +88,7 @@ def tuned(
     return settings
 
 
+@checked
 def varied(settings: DesignSettings, name: str, factor: float) -> DesignSettings | None:
     """The settings with one of them changed by a factor; None where they have no such thing, or no more of it."""
     application, intensities = settings.application, settings.intensities

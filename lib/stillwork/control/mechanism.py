@@ -8,12 +8,13 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.algebra import cholesky_root
-from stillwork.base.checks import InputError, require_array, require_count
+from stillwork.base.checks import InputError, require_array, require_count, require_number
 from stillwork.base.front_door import check_fields, checked
 from stillwork.base.kernels import borrowing_kernel, callback
 
 INERTIA = "void(float64[::1], float64[::1], float64[:, ::1])"  # signatures of the two functions
 BIAS = "void(float64[::1], float64[::1], float64[::1], float64[::1])"
+MOST_COORDINATES = 1000  # M holds their square, and the controller solves with it in every sample
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class Mechanism:
     bias : callable
         ``bias(position, velocity, parameters, out)``: h, all forces but the inertial ones, N or N m.
     coordinates : int
-        How many.
+        How many, at most 1000.
     parameters : ndarray, shape (parameters,)
         Passed to both; changing them recompiles nothing.
 
@@ -57,7 +58,9 @@ class Mechanism:
 
     def __post_init__(self):
         check_fields(self)
-        require_count("coordinates", self.coordinates)
+        require_number(
+            "coordinates", require_count("coordinates", self.coordinates), at_most=MOST_COORDINATES
+        )
         object.__setattr__(self, "parameters", require_array("parameters", self.parameters, ndim=1))
         place = np.linspace(0.3, 0.7, self.coordinates)
         try:
@@ -76,7 +79,13 @@ class Mechanism:
 
     @checked
     def mass(self, position: ArrayLike) -> Float64[np.ndarray, "coordinates coordinates"]:
-        """M at a position; an `InputError` where it is not positive definite."""
+        """M at a position; an `InputError` where it is not positive definite.
+
+        Parameters
+        ----------
+        position : array_like, shape (coordinates,)
+            q.
+        """
         matrix = self._mass(require_array("position", position, shape=(self.coordinates,)))
         if not (np.isfinite(matrix).all() and np.linalg.eigvalsh(matrix)[0] > 0):
             raise InputError(
@@ -88,7 +97,18 @@ class Mechanism:
     def force(
         self, position: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike
     ) -> Float64[np.ndarray, " coordinates"]:
-        """u that an acceleration takes."""
+        """u that an acceleration takes.
+
+        Parameters
+        ----------
+        position, velocity, acceleration : array_like, shape (coordinates,)
+            q, q' and q''.
+
+        Raises
+        ------
+        InputError
+            When there is not one of each for every coordinate.
+        """
         place, speed, wanted = (
             require_array(name, values, shape=(self.coordinates,))
             for name, values in (
@@ -103,7 +123,18 @@ class Mechanism:
     def acceleration(
         self, position: ArrayLike, velocity: ArrayLike, force: ArrayLike
     ) -> Float64[np.ndarray, " coordinates"]:
-        """q'' that a force gives."""
+        """q'' that a force gives.
+
+        Parameters
+        ----------
+        position, velocity, force : array_like, shape (coordinates,)
+            q, q' and u.
+
+        Raises
+        ------
+        InputError
+            When there is not one of each for every coordinate, or M is not positive definite.
+        """
         pushed = require_array("force", force, shape=(self.coordinates,))
         resisted = self.force(position, velocity, np.zeros(self.coordinates))
         return np.linalg.solve(self.mass(position), pushed - resisted)

@@ -151,6 +151,7 @@ def _unit(loop: Loop, frequencies: np.ndarray, damping: np.ndarray) -> np.ndarra
     return flat.reshape(frequencies.shape) * np.exp(-1j * loop.omega * loop.step * loop.delay)
 
 
+@checked
 def harmful_factors(
     loops: Sequence[Loop], controller: Pid, constraints: Sequence[PeakConstraint], shares: np.ndarray
 ) -> list[np.ndarray]:

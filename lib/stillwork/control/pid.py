@@ -24,7 +24,15 @@ class Notch:
         require_number("depth", self.depth, at_least=0.0)
         require_number("width", self.width, above=0.0)
 
-    def at(self, s: np.ndarray) -> np.ndarray:
+    @checked
+    def at(self, s: Complex128[np.ndarray, "..."]) -> Complex128[np.ndarray, "..."]:
+        """Response at complex frequencies.
+
+        Parameters
+        ----------
+        s : array_like of complex
+            Where, rad/s.
+        """
         w = self.omega
         return (s * s + 2 * self.depth * w * s + w**2) / (s * s + 2 * self.width * w * s + w**2)
 
@@ -56,7 +64,13 @@ class Pid:
     def frequency_response(
         self, omega: Float64[np.ndarray, " frequencies"]
     ) -> Complex128[np.ndarray, " frequencies"]:
-        """Response at `omega` (rad/s)."""
+        """Response at `omega` (rad/s).
+
+        Parameters
+        ----------
+        omega : array_like, shape (frequencies,)
+            Frequencies, rad/s.
+        """
         s, w = 1j * omega, self.low_pass
         response = self.gain * (s + self.integrator) / s * (s / self.differentiator + 1)
         response *= w**2 / (s * s + 2 * self.low_pass_damping * w * s + w**2)
@@ -79,6 +93,7 @@ class Pid:
         return series([model, *(notch.state_space() for notch in self.notches)])
 
 
+@checked
 def series(models: list[StateModel]) -> StateModel:
     """Single-input single-output models in a row."""
     if len(models) == 1:

@@ -46,6 +46,7 @@ class Setpoint:
         return (self.time >= self.scan[0] - slack) & (self.time <= self.scan[1] + slack)
 
 
+@checked
 def from_snap(segments: ArrayLike, durations: ArrayLike, step: float) -> Float64[np.ndarray, "5 samples"]:
     """Position, velocity, acceleration, jerk and snap at every sample, from constant-snap segments."""
     segments = require_array("segments", segments, ndim=1)
@@ -139,8 +140,13 @@ def point_to_point(
     return Setpoint(step, derivatives, (rise + settling, rise + cruise), rise)
 
 
+@checked
 def segment_times(snap: float, jerk: float, acceleration: float, velocity: float) -> tuple[float, ...]:
     """Lengths of the snap, jerk-plateau and acceleration-plateau segments (s)."""
+    for name, limit in zip(
+        ("snap", "jerk", "acceleration", "velocity"), (snap, jerk, acceleration, velocity), strict=True
+    ):
+        require_number(name, limit, above=0.0)
     t_snap = min(jerk / snap, np.sqrt(acceleration / snap), np.cbrt(velocity / (2 * snap)))
     top = snap * t_snap
     # Acceleration limit: top (t_snap + t_jerk); velocity limit: that times (2 t_snap + t_jerk).

@@ -49,6 +49,7 @@ class Trajectory:
         return np.arange(len(self.position)) * self.time_step
 
 
+@checked
 def sampled(duration: float, time_step: float) -> Float64[np.ndarray, " samples"]:
     """Sample times 0, time_step, ... below `duration`, s."""
     require_number("time_step", time_step, above=0)

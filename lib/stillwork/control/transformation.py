@@ -106,6 +106,7 @@ def contraction_range(response_gain: float) -> tuple[float, float]:
     return min(edge, 0.0), max(edge, 0.0)
 
 
+@checked
 def warn_outside_contraction(transformation: Transformation, response_gain: float) -> None:
     """Warn when a transformation cannot converge on a plant, even with perfect measurements."""
     low, high = contraction_range(response_gain)
@@ -114,7 +115,7 @@ def warn_outside_contraction(transformation: Transformation, response_gain: floa
             f"{type(transformation).__name__} has local gain {transformation.local_gain:.4g}, outside the "
             f"contraction range ({low:.4g}, {high:.4g}) of this plant; the iteration will not converge",
             ContractionWarning,
-            stacklevel=4,
+            stacklevel=5,
         )
 
 

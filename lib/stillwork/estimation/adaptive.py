@@ -20,7 +20,7 @@ from stillwork.base.checks import (
     require_count,
     require_number,
 )
-from stillwork.base.front_door import checked
+from stillwork.base.front_door import checked, own_arrays
 from stillwork.base.kernels import inlined_kernel, kernel, pasted_kernel
 from stillwork.estimation.covariance_forms import (
     FORMS,
@@ -191,10 +191,22 @@ class FeRls:
         if np.min(np.linalg.eigvalsh(initial) if initial.ndim == 2 else initial) <= 0:
             raise InputError("initial_covariance is not positive definite; give a covariance")
         object.__setattr__(self, "initial_covariance", initial)
+        own_arrays(self)
 
     @checked(infinite=True)
     def start(self, regressors: int) -> Recursion:
-        """P(-1), exactly symmetric, and the limits of its diagonal for a number of regressors."""
+        """P(-1), exactly symmetric, and the limits of its diagonal for a number of regressors.
+
+        Parameters
+        ----------
+        regressors : int
+            n, how many there are.
+
+        Raises
+        ------
+        InputError
+            When `initial_covariance` is of another size.
+        """
         require_count("regressors", regressors)
         initial = self.initial_covariance
         if initial.ndim and len(initial) != regressors:

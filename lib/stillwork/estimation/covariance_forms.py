@@ -15,12 +15,14 @@ Bierman, Factorization Methods for Discrete Sequential Estimation (1977); Haykin
 import numpy as np
 
 from stillwork.base.checks import require_choice
+from stillwork.base.front_door import checked
 from stillwork.base.kernels import inlined_kernel, kernel
 
 FORMS = ("triangle", "Joseph", "square root", "UD", "inverse QR")
 TRIANGLE, JOSEPH, SQUARE_ROOT, UD, INVERSE_QR = range(5)
 
 
+@checked
 def factor_of(form: str, covariance: np.ndarray) -> np.ndarray:
     """The array that a form stores for a covariance P, in the precision of P."""
     code = FORMS.index(require_choice("form", form, FORMS))
@@ -36,6 +38,7 @@ def factor_of(form: str, covariance: np.ndarray) -> np.ndarray:
     return (upper / root).T - np.eye(len(root)) + np.diag(root**2)
 
 
+@checked
 def covariance_of(form: str, matrix: np.ndarray) -> np.ndarray:
     """P from the array that a form stores."""
     code = FORMS.index(require_choice("form", form, FORMS))

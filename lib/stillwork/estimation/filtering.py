@@ -95,23 +95,24 @@ def filter_signal(
     return Estimate(*np.ascontiguousarray(estimates.T))
 
 
+@checked
 def model_of(signal_filter: Filter):
     """Compiled acceleration and parameters of a filter's model; a stand-in where it has none."""
     acceleration, _, parameters = getattr(signal_filter, "plant", UNIT_MASS).compiled
     return acceleration, parameters
 
 
-def unit_mass_acceleration(position, velocity, force, parameters):
+def _unit_mass_acceleration(position, velocity, force, parameters):
     """A free unit mass."""
     return force
 
 
-def unit_mass_force(position, velocity, acceleration, parameters):
+def _unit_mass_force(position, velocity, acceleration, parameters):
     """A free unit mass, inverted."""
     return acceleration
 
 
-UNIT_MASS = Plant(unit_mass_acceleration, unit_mass_force, np.zeros(0))
+UNIT_MASS = Plant(_unit_mass_acceleration, _unit_mass_force, np.zeros(0))
 
 
 @borrowing_kernel

@@ -92,11 +92,13 @@ def min_max_solve(matrix: ArrayLike, target: ArrayLike, bound: float) -> MinMaxS
     return solution
 
 
+@checked(infinite=True)
 def solve_silently(matrix: ArrayLike, target: ArrayLike, bound: float) -> MinMaxSolution:
     """`min_max_solve` without its warning, where a zero estimate is a result."""
     return solve_sweep(matrix, target, [bound])[0]
 
 
+@checked(infinite=True)
 def solve_sweep(matrix: ArrayLike, target: ArrayLike, bounds: Iterable[float]) -> list[MinMaxSolution]:
     """`solve_silently` for several bounds, with one decomposition of the data."""
     matrix = require_array("matrix", matrix, ndim=2)
@@ -161,6 +163,7 @@ def _solution(
     )
 
 
+@checked
 def triangle(rows: np.ndarray) -> np.ndarray:
     """Triangle with the norm of every combination of the columns: what least squares and min-max need of rows."""
     return np.asarray(np.linalg.qr(rows, mode="r"))

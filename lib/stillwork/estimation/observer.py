@@ -46,7 +46,20 @@ class FlexibleEstimates:
     def read(
         self, flexible: Float64[np.ndarray, "signals flexible_modes"], quantity: str = "position"
     ) -> Float64[np.ndarray, "signals states"]:
-        """Rows that weight the estimated positions (or velocities) of the flexible modes."""
+        """Rows that weight the estimated positions (or velocities) of the flexible modes.
+
+        Parameters
+        ----------
+        flexible : array_like, shape (signals, flexible_modes)
+            The weights.
+        quantity : str
+            ``position`` or ``velocity``.
+
+        Raises
+        ------
+        InputError
+            When the weights do not fit the modes of the model.
+        """
         require_choice("quantity", quantity, ("position", "velocity"))
         rigid = self.model.rigid_modes
         first = rigid if self.model.measures == "velocity" else 2 * rigid
@@ -59,10 +72,22 @@ class FlexibleEstimates:
         """C_f: what the estimated flexible modes put into each measurement."""
         return self.read(self.model.output_shapes[:, self.model.rigid_modes :], self.model.measures)
 
+    @checked
     def feedback(
         self, gain: Float64[np.ndarray, "inputs modal_states"]
     ) -> Float64[np.ndarray, "inputs states"]:
-        """Rows for a gain on the modal states of form 1, whose part on the rigid-body modes is left out."""
+        """Rows for a gain on the modal states of form 1, whose part on the rigid-body modes is left out.
+
+        Parameters
+        ----------
+        gain : array_like, shape (inputs, modal states)
+            On positions and velocities in turn.
+
+        Raises
+        ------
+        InputError
+            When the gain does not fit the modes of the model.
+        """
         flexible = gain[:, 2 * self.model.rigid_modes :]
         return self.read(flexible[:, ::2]) + self.read(flexible[:, 1::2], "velocity")
 
@@ -102,7 +127,18 @@ class Observer(FlexibleEstimates):
 
     @checked
     def estimator(self, rows: Float64[np.ndarray, "signals states"]) -> StateModel:
-        """Model from (u, y) to the signals ``rows @ x_hat``."""
+        """Model from (u, y) to the signals ``rows @ x_hat``.
+
+        Parameters
+        ----------
+        rows : array_like, shape (signals, states)
+            Weights of the estimated states, e.g. of `read`.
+
+        Raises
+        ------
+        InputError
+            When the rows do not fit the states.
+        """
         b = np.hstack([self.b - self.gain @ self.model.feedthrough, self.gain])
         return StateModel(self.a - self.gain @ self.c, b, rows, np.zeros((len(rows), b.shape[1])))
 
@@ -152,7 +188,13 @@ def kalman_observer(model: ModalModel, noise: NoiseIntensities, noise_model: flo
     return Observer(model, a, b, c, solved.gain, solved.residual)
 
 
-def with_walk(a, b, c, walk) -> tuple[np.ndarray, ...]:
+@checked
+def with_walk(
+    a: Float64[np.ndarray, "states states"],
+    b: Float64[np.ndarray, "states inputs"],
+    c: Float64[np.ndarray, "outputs states"],
+    walk: Float64[np.ndarray, "inputs inputs"],
+) -> tuple[np.ndarray, ...]:
     """A, B, G and C with a random walk added to each plant input; `walk` says how it goes on without its noise."""
     inputs = b.shape[1]
     a = np.block([[a, b], [np.zeros((inputs, len(a))), walk]])

@@ -184,6 +184,13 @@ class AdaptationStepper:
 
         After an exception weights and covariance are those of the sample before: safe to hold or to fade out.
 
+        Parameters
+        ----------
+        regressor : array_like, shape (n,)
+            psi_N.
+        error : array_like, shape (actuators,)
+            e.
+
         Raises
         ------
         InputError
@@ -242,6 +249,9 @@ def _run(settings, regressors, name, signals, weights, every) -> Adaptation:
     signals = require_array(name, signals, ndim=2)
     n, samples = regressors.shape
     actuators = len(signals)
+    for each, rows in (("regressors", n), (name, actuators)):
+        if not rows:
+            raise InputError(f"{each} has no rows; give at least one, with time along the last axis")
     if signals.shape[1] != samples:
         raise InputError(
             f"{name} has {signals.shape[1]} samples but regressors has {samples}; "

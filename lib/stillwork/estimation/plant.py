@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array
-from stillwork.base.front_door import check_fields
+from stillwork.base.front_door import check_fields, checked
 from stillwork.base.kernels import callback
 
 SIGNATURE = "float64(float64, float64, float64, float64[::1])"  # of a plant's two functions
@@ -72,11 +72,13 @@ class Plant:
         return callback(self.acceleration, SIGNATURE), callback(self.force, SIGNATURE), self.parameters
 
 
+@checked(missing=True)
 def partial_derivatives(plant: Plant, position: float, velocity: float, force: float) -> tuple[float, ...]:
     """Derivatives of the acceleration with respect to position, velocity and force, by central differences."""
     return tuple(_slope(plant, axis, position, velocity, force) for axis in range(3))
 
 
+@checked(missing=True)
 def force_slope(plant: Plant, position: float, velocity: float, force: float) -> float:
     """Derivative of the acceleration with respect to the force alone, as `partial_derivatives` gives it."""
     return _slope(plant, 2, position, velocity, force)

@@ -65,6 +65,7 @@ def run(estimator: Estimator, regressors: ArrayLike, outputs: ArrayLike) -> Trac
     return track
 
 
+@checked(missing=True)
 def run_silently(estimator: Estimator, regressors: ArrayLike, outputs: ArrayLike) -> Track:
     """`run` without its warning, for sweeps in which a zero estimate is a result."""
     regressors = require_array("regressors", regressors, ndim=2)
@@ -170,6 +171,13 @@ class RecursiveStepper:
 
     def update(self, regressor: ArrayLike, output: float) -> np.ndarray:
         """Use one sample; returns the new estimate, shape (unknowns,).
+
+        Parameters
+        ----------
+        regressor : array_like, shape (unknowns,)
+            Of this sample.
+        output : float
+            What was measured with it.
 
         Raises
         ------

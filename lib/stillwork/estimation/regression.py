@@ -454,7 +454,15 @@ class MinMaxRegressor(_WeightedRegressor):
     complex_data: Any = False
 
     def fit(self, X, y, sample_weight=None):
-        """As of every regressor here, with a warning where the bound explains all of the data away."""
+        """As of every regressor here, with a warning where the bound explains all of the data away.
+
+        Parameters
+        ----------
+        X : array_like, shape (samples, features)
+        y : array_like, shape (samples,) or (samples, targets)
+        sample_weight : array_like, shape (samples,), optional
+            Weight of each squared residual.
+        """
         super().fit(X, y, sample_weight)
         if self._state[2]:
             warnings.warn(

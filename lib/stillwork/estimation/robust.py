@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from stillwork.base.algebra import condition, congruence, measure, multiply, take_in_turn
 from stillwork.base.checks import InputError, require_array, require_number
-from stillwork.base.front_door import checked
+from stillwork.base.front_door import check_fields, checked
 from stillwork.base.kernels import inlined_kernel, kernel
 from stillwork.estimation.time_varying import FilterGains, TimeVaryingModel
 
@@ -35,6 +35,9 @@ class NormBound:
     e_b: ArrayLike  # (samples, rows, inputs)
     e_g: ArrayLike  # (samples, rows, disturbances)
 
+    def __post_init__(self):
+        check_fields(self)
+
 
 @dataclass(frozen=True)
 class Derivatives:
@@ -45,6 +48,10 @@ class Derivatives:
     g: ArrayLike  # (parameters, states, disturbances)
     c: ArrayLike  # (samples, parameters, outputs, states)
 
+    def __post_init__(self):
+        check_fields(self)
+
+    @checked
     def rows(self, model: TimeVaryingModel):
         """S, T and M of (5.24), with the rows of all parameters stacked: both kinds, all outputs."""
         samples, outputs, states = model.c.shape
@@ -101,6 +108,7 @@ def regularised_gains(model: TimeVaryingModel, bound: NormBound, margin: float =
     return _penalised(model, rows, (1 + margin) * lower_limit(model, rows, m), m)
 
 
+@checked
 def bound_rows(model: TimeVaryingModel, bound: NormBound):
     """S, T and M of a norm bound at every sample, as `Derivatives.rows` gives them, and its directions."""
     samples, outputs, states = model.c.shape
@@ -117,6 +125,7 @@ def bound_rows(model: TimeVaryingModel, bound: NormBound):
     return (e_a, e_g, e_b), m
 
 
+@checked
 def principal(model: TimeVaryingModel, m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Turn the whitened measurement so that R_hat = R - M M' / lambda is diagonal: I - spread / lambda."""
     whiten = np.linalg.inv(np.linalg.cholesky(model.sensor))
@@ -125,7 +134,8 @@ def principal(model: TimeVaryingModel, m: np.ndarray) -> tuple[np.ndarray, np.nd
     return np.swapaxes(vectors, 1, 2) @ whiten, np.maximum(values, 0)
 
 
-def lower_limit(model: TimeVaryingModel, rows, m: np.ndarray) -> np.ndarray:
+@checked
+def lower_limit(model: TimeVaryingModel, rows: tuple[np.ndarray, ...], m: np.ndarray) -> np.ndarray:
     """lambda_l = |M' R^-1 M| at every sample; 0 where there is no uncertainty."""
     certain = np.ones(model.samples, bool)
     for each in rows:
@@ -133,7 +143,10 @@ def lower_limit(model: TimeVaryingModel, rows, m: np.ndarray) -> np.ndarray:
     return np.where(certain, 0.0, principal(model, m)[1].max(axis=1))
 
 
-def step_data(model: TimeVaryingModel, rows, turn: np.ndarray) -> tuple[np.ndarray, ...]:
+@checked
+def step_data(
+    model: TimeVaryingModel, rows: tuple[np.ndarray, ...], turn: np.ndarray
+) -> tuple[np.ndarray, ...]:
     """[A G], B, C, [S T] and M of every sample as the step takes them: unit process noise, outputs turned."""
     rows_x, rows_w, rows_u = rows
     root = np.linalg.cholesky(model.process)

@@ -131,14 +131,38 @@ class SecularFunction:
 
     @checked
     def slope(self, alpha: float | ArrayLike) -> np.ndarray | float:
-        """f'(alpha), elementwise: f (q / |x|^2 + alpha q / |r|^2) with q = x'(A'A + alpha I)^-1 x."""
+        """f'(alpha), elementwise: f (q / |x|^2 + alpha q / |r|^2) with q = x'(A'A + alpha I)^-1 x.
+
+        Parameters
+        ----------
+        alpha : float or array_like
+            Where, above 0 or at it.
+
+        Raises
+        ------
+        InputError
+            When it leaves the finite numbers there.
+        """
         alpha = require_array("alpha", alpha)
         norm, residual, slope = self._terms(alpha)
         return self.bound * np.sqrt(residual / norm) * slope * (1 / norm + alpha / residual)
 
     @checked
     def iterates(self, start: float, steps: int) -> np.ndarray:
-        """start, f(start), f(f(start)), ...: the iteration (21), `steps` + 1 values."""
+        """start, f(start), f(f(start)), ...: the iteration (21), `steps` + 1 values.
+
+        Parameters
+        ----------
+        start : float
+            First value.
+        steps : int
+            How often f is taken.
+
+        Raises
+        ------
+        InputError
+            When an iterate leaves the finite numbers.
+        """
         values = [require_number("start", start, above=0.0)]
         for _ in range(require_samples("steps", require_count("steps", steps))):
             values.append(float(self(values[-1])))
@@ -147,6 +171,11 @@ class SecularFunction:
     @checked
     def root(self, start: float | None = None) -> tuple[float, int]:
         """Unique positive fixed point and the number of evaluations of f it took.
+
+        Parameters
+        ----------
+        start : float, optional
+            Where the search begins; by default its lower limit.
 
         Raises
         ------
@@ -191,6 +220,7 @@ def secular_function(matrix: ArrayLike, target: ArrayLike, bound: float) -> Secu
     return function
 
 
+@checked(infinite=True)
 def decompose(matrix: ArrayLike, target: ArrayLike, bound: float) -> tuple[SecularFunction, np.ndarray, int]:
     """Secular function, right singular vectors (unknowns x rank) and rank of a checked problem."""
     matrix = require_array("matrix", matrix, ndim=2)

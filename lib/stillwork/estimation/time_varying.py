@@ -34,6 +34,7 @@ class TimeVaryingModel:
 
     @checked
     def __post_init__(self):
+        check_fields(self)
         c = require_array("c", self.c, ndim=3)
         samples, outputs, states = c.shape
         if samples < 2:
@@ -61,6 +62,7 @@ class TimeVaryingModel:
         """Number of samples."""
         return len(self.c)
 
+    @checked
     def with_process(self, g: ArrayLike, process: ArrayLike) -> "TimeVaryingModel":
         """The same model with other process noise: fictitious noise stands in for model errors."""
         return replace(self, g=g, process=process)

@@ -5,14 +5,20 @@ import math
 import numpy as np
 from jaxtyping import Float64
 
+from stillwork.base.checks import require_count
+from stillwork.base.front_door import checked
 from stillwork.base.kernels import borrowing_kernel
 
 
+@checked
 def end_point_weights(samples: int, degree: int, derivative: int = 0) -> Float64[np.ndarray, " samples"]:
     """Weights of a least-squares polynomial's value or derivative (a sample, not a second) at the last sample.
 
     The first weight belongs to the oldest sample.
     """
+    require_count("samples", samples)
+    require_count("degree", degree, at_least=0)
+    require_count("derivative", derivative, at_least=0)
     place = np.arange(1 - samples, 1) / max(samples - 1, 1)  # scaled to [-1, 0]: well conditioned
     powers = np.vander(place, degree + 1, increasing=True)
     fit = np.linalg.pinv(powers)[derivative]

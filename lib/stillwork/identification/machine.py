@@ -39,6 +39,7 @@ class Machine:
         return self.sensors[0].frequencies[1:] / (2 * np.pi)
 
 
+@checked(missing=True)
 def brought_forward(machine: Machine, delay: float) -> Machine:
     """The machine with its measurement earlier by a delay (s) that a loop then holds instead."""
     if machine.measured is None:
@@ -47,6 +48,7 @@ def brought_forward(machine: Machine, delay: float) -> Machine:
     return replace(machine, measured=machine.measured._replace(response=turned))
 
 
+@checked
 def whole_band(measured: Identified, band_hz: tuple[float, float]) -> tuple[float, float]:
     """The band, or for (0, 0) all that was measured; `InputError` for a band in which too little was."""
     hertz = measured.omega / (2 * np.pi)

@@ -38,6 +38,7 @@ class MachineFile:
     notes: tuple[str, ...] = ()  # what was done to it
 
 
+@checked
 def kind_of(arrays: dict[str, np.ndarray]) -> str:
     """``frequency response``, ``hammer records`` or ``matrices``; `InputError` when it is none of them."""
     words = {_word(name) for name in arrays}
@@ -140,6 +141,7 @@ def load_machine(
     return MachineFile(kind, file.name, found._replace(response=scaled), notes=notes)
 
 
+@checked
 def complex_responses(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Every complex response by name; those of a matrix of outputs by inputs as ``h[1,1]``, ``h[2,1]``, ..."""
     lines = arrays[str(_frequency_name(arrays))].size
@@ -155,6 +157,7 @@ def complex_responses(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     return found
 
 
+@checked
 def stated_units(names: Iterable[str]) -> tuple[str, str]:
     """Units of response and force from brackets such as ``(m/s^2/N)``, ``((m/s2)/N)``, ``(g)`` and ``(N)``; empty: none.
 
@@ -199,6 +202,7 @@ def _unknown_unit(names: Iterable[str]) -> str:
     )
 
 
+@checked
 def is_unit(text: str, wanted: tuple[str, ...]) -> bool:
     """Whether `text` is a unit of one of these SI units."""
     try:

@@ -213,7 +213,7 @@ class ModalFit:
 
 @checked
 def fit_modes(
-    measured: Identified, guesses_hz, band_hz: tuple[float, float], damping_guess: float = 1e-3
+    measured: Identified, guesses_hz: ArrayLike, band_hz: tuple[float, float], damping_guess: float = 1e-3
 ) -> ModalFit:
     r"""Fit rigid body, modes and compliance to an accelerance, by least squares of the relative error.
 
@@ -266,7 +266,10 @@ def fit_modes(
 
 @checked
 def identify_modes(
-    measured: Identified, band_hz: tuple[float, float], guesses_hz=(), damping_guess: float = 1e-3
+    measured: Identified,
+    band_hz: tuple[float, float],
+    guesses_hz: ArrayLike = (),
+    damping_guess: float = 1e-3,
 ) -> ModalFit:
     """Find the modes of an accelerance, leave out the spurious ones, and fit as `fit_modes` does.
 

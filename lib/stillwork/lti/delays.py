@@ -3,10 +3,12 @@
 import numpy as np
 
 from stillwork.base.checks import InputError, require_count
+from stillwork.base.front_door import checked
 from stillwork.lti.state_space import StateModel
 
 
-def delayed(model: StateModel, samples: float) -> StateModel:
+@checked
+def delayed(model: StateModel, samples: int) -> StateModel:
     """The model with every output late by a whole number of samples."""
     samples = require_count("samples", samples, at_least=0)
     if not model.step:

@@ -70,7 +70,18 @@ class ModalModel:
 
     @checked
     def modes(self, chosen: Sequence[int] | slice) -> "ModalModel":
-        """Keep only these modes (and the feedthrough)."""
+        """Keep only these modes (and the feedthrough).
+
+        Parameters
+        ----------
+        chosen : sequence of int or slice
+            Their places in `frequencies`, from 0.
+
+        Raises
+        ------
+        InputError
+            When a place does not exist.
+        """
         return replace(
             self,
             frequencies=self.frequencies[chosen],
@@ -81,7 +92,18 @@ class ModalModel:
 
     @checked
     def moved(self, frequencies: Float64[np.ndarray, " modes"]) -> "ModalModel":
-        """The same modes at other frequencies (rad/s), in ascending order: two of them may change places."""
+        """The same modes at other frequencies (rad/s), in ascending order: two of them may change places.
+
+        Parameters
+        ----------
+        frequencies : array_like, shape (modes,)
+            One for each mode, in the order of the model.
+
+        Raises
+        ------
+        InputError
+            When there is not one for each mode, or one is negative.
+        """
         frequencies = require_array("frequencies", frequencies, shape=self.frequencies.shape)
         order = np.argsort(frequencies, kind="stable")
         return replace(
@@ -94,7 +116,18 @@ class ModalModel:
 
     @checked
     def at(self, inputs: Sequence[int], outputs: Sequence[int]) -> "ModalModel":
-        """Keep only these inputs and outputs: actuators and sensors at other places."""
+        """Keep only these inputs and outputs: actuators and sensors at other places.
+
+        Parameters
+        ----------
+        inputs, outputs : sequence of int
+            Their places, from 0, in the order that is wanted.
+
+        Raises
+        ------
+        InputError
+            When a place does not exist.
+        """
         return replace(
             self,
             input_shapes=self.input_shapes[:, list(inputs)],
@@ -111,7 +144,18 @@ class ModalModel:
 
     @checked
     def frequency_response(self, omega: ArrayLike) -> Complex128[np.ndarray, "outputs inputs frequencies"]:
-        """Response at `omega` (rad/s) from the closed-form residues of each mode."""
+        """Response at `omega` (rad/s) from the closed-form residues of each mode.
+
+        Parameters
+        ----------
+        omega : array_like, shape (frequencies,)
+            Frequencies, rad/s.
+
+        Raises
+        ------
+        InputError
+            When one of them is a pole, e.g. 0 of a rigid-body mode.
+        """
         omega = require_array("omega", omega, ndim=1)
         if self.rigid_modes and np.any(omega == 0):
             raise InputError("omega holds 0, where a rigid-body mode has no finite response; leave it out")
@@ -214,6 +258,7 @@ def modal_model(
     )
 
 
+@checked
 def mirrored(model: ModalModel) -> ModalModel:
     """The same structure seen by a second sensor, at which every flexible mode has the other sign."""
     shapes = model.output_shapes.copy()

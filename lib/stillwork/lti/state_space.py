@@ -77,13 +77,30 @@ class StateModel:
 
     @checked
     def select(self, inputs: Sequence[int], outputs: Sequence[int]) -> "StateModel":
-        """Keep only these inputs and outputs."""
+        """Keep only these inputs and outputs.
+
+        Parameters
+        ----------
+        inputs, outputs : sequence of int
+            Their places, from 0, in the order that is wanted.
+
+        Raises
+        ------
+        InputError
+            When a place does not exist.
+        """
         i, o = list(inputs), list(outputs)
         return StateModel(self.a, self.b[:, i], self.c[o], self.d[np.ix_(o, i)], self.step)
 
     @checked
     def frequency_response(self, omega: ArrayLike) -> Complex128[np.ndarray, "outputs inputs frequencies"]:
-        """Response at `omega` (rad/s): by residues, or by solving where the eigenvectors are too skew."""
+        """Response at `omega` (rad/s): by residues, or by solving where the eigenvectors are too skew.
+
+        Parameters
+        ----------
+        omega : array_like, shape (frequencies,)
+            Frequencies, rad/s.
+        """
         omega = require_array("omega", omega, ndim=1)
         point = np.exp(1j * omega * self.step) if self.step else 1j * omega
         response = np.repeat(self.d[:, :, None].astype(complex), len(omega), axis=2)
@@ -154,6 +171,7 @@ def _matrix(a: bytes, states: int) -> Float64[np.ndarray, "states states"]:
     return np.frombuffer(a).reshape(states, states)
 
 
+@checked
 def constant(gain: Float64[np.ndarray, "outputs inputs"], step: float = 0.0) -> StateModel:
     """A gain without states."""
     outputs, inputs = gain.shape
@@ -266,6 +284,7 @@ def interconnect(
     )
 
 
+@checked
 def block_matrix(
     rows: Sequence[int], columns: Sequence[int], *entries: Sequence[float | np.ndarray]
 ) -> Float64[np.ndarray, "rows columns"]:

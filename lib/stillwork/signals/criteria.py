@@ -5,6 +5,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_choice
+from stillwork.base.front_door import checked
 from stillwork.signals.spectra import band_power
 
 # One-third-octave band at f: from 2^(-1/6) f to 2^(1/6) f.
@@ -31,6 +32,7 @@ _LEVELS.update({f"BBN-{letter}": _LEVELS[f"VC-{letter}"] for letter in "ABCDE"})
 CRITERIA = tuple(_LEVELS)
 
 
+@checked
 def one_third_octave_velocity(
     frequencies_hz: ArrayLike, acceleration_density: ArrayLike
 ) -> tuple[Float64[np.ndarray, " bands"], Float64[np.ndarray, " bands"]]:
@@ -56,6 +58,7 @@ def one_third_octave_velocity(
     return centres, np.sqrt(powers)
 
 
+@checked
 def criterion_velocity(name: str, frequencies_hz: ArrayLike) -> Float64[np.ndarray, " frequencies"]:
     """Limit of a vibration criterion: rms velocity in m/s per one-third-octave band.
 
@@ -71,6 +74,7 @@ def criterion_velocity(name: str, frequencies_hz: ArrayLike) -> Float64[np.ndarr
     return level
 
 
+@checked
 def criterion_density(name: str, frequencies_hz: ArrayLike) -> Float64[np.ndarray, " frequencies"]:
     """Acceleration PSD in (m/s^2)^2/Hz that just meets a vibration criterion in every band.
 
@@ -80,6 +84,7 @@ def criterion_density(name: str, frequencies_hz: ArrayLike) -> Float64[np.ndarra
     return (2 * np.pi * criterion_velocity(name, f)) ** 2 * f / BAND_WIDTH
 
 
+@checked
 def criterion_met(centres_hz: ArrayLike, velocity: ArrayLike) -> str:
     """Finest of VC-A to VC-M that one-third-octave velocities meet in every band from 8 to 80 Hz, or ``none``."""
     f = require_array("centres_hz", centres_hz, ndim=1)

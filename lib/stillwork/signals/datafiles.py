@@ -1,18 +1,22 @@
 """Named arrays of numbers out of CSV, MAT, NPZ and universal files; reading one executes nothing."""
 
 import csv
+import zipfile
 from pathlib import Path
 
 import numpy as np
 
-from stillwork.base.checks import InputError, shown
+from stillwork.base.checks import InputError, one_line, shown
 from stillwork.base.extras import require_package
-from stillwork.signals.matfiles import read_mat
+from stillwork.base.front_door import checked
+from stillwork.signals.matfiles import MOST_BYTES, read_mat
 from stillwork.signals.universal import read_universal
 
 LONGEST_LINE = 2**17  # characters; the csv module takes no longer field
+MOST_MEMBERS = 10_000  # of an archive
 
 
+@checked
 def read_arrays(path: Path) -> dict[str, np.ndarray]:
     """Every array of numbers of a file by name, real or complex, in the shape in which it is stored.
 
@@ -39,6 +43,7 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
     return {name: array for name, array in arrays.items() if array.dtype.kind in "fiuc"}
 
 
+@checked
 def is_file(path: Path) -> bool:
     """Whether there is such a file; a name that no system takes names none."""
     try:
@@ -47,6 +52,7 @@ def is_file(path: Path) -> bool:
         return False
 
 
+@checked
 def is_folder(path: Path) -> bool:
     """Likewise for a folder."""
     try:
@@ -55,6 +61,7 @@ def is_folder(path: Path) -> bool:
         return False
 
 
+@checked
 def read_columns(path: Path) -> dict[str, np.ndarray]:
     """Every real array of a file by name, each one-dimensional; a matrix gives one a channel."""
     columns: dict[str, np.ndarray] = {}
@@ -147,16 +154,35 @@ def _is_number(text: str) -> bool:
 
 
 def _npz(path: Path) -> dict[str, np.ndarray]:
-    columns = {}
+    if not zipfile.is_zipfile(path):
+        raise _no_archive(path, "it is no archive")
     try:
         with np.load(path, allow_pickle=False) as file:
-            for name in file.files:
-                columns[name] = file[name]
+            _require_size(path, file.zip.infolist())
+            members = {name: file[name] for name in file.files}
+    except InputError:
+        raise
     except Exception as error:  # a damaged archive raises from zipfile, zlib or numpy
-        raise InputError(
-            f"{path.name} cannot be read ({error}); save plain numeric arrays with numpy.savez"
-        ) from None
-    return columns
+        raise _no_archive(path, one_line(str(error))) from None
+    for name, member in members.items():
+        if not isinstance(member, np.ndarray):
+            raise _no_archive(path, f"its member {shown(name)} is no array")
+    return members
+
+
+def _require_size(path: Path, members: list[zipfile.ZipInfo]) -> None:
+    """Refuse what would fill the memory; a member never unpacks to more than its archive says."""
+    if len(members) > MOST_MEMBERS:
+        raise _no_archive(path, f"it holds {len(members)} members, more than {MOST_MEMBERS}")
+    if (size := sum(each.file_size for each in members)) > MOST_BYTES:
+        raise _no_archive(path, f"it unpacks to {size:.2g} bytes, more than {MOST_BYTES >> 30} GB")
+    for each in members:  # others unpack a thousandfold of what is asked of them at a time
+        if each.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise _no_archive(path, f"its member {shown(each.filename)} is compressed as numpy does not")
+
+
+def _no_archive(path: Path, why: str) -> InputError:
+    return InputError(f"{path.name} cannot be read ({why}); save plain numeric arrays with numpy.savez")
 
 
 def _add(columns: dict, name: str, array: np.ndarray) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from stillwork.base.checks import InputError, nearest
+from stillwork.base.front_door import checked
 from stillwork.signals.datafiles import read_columns
 from stillwork.signals.records import MOTION_UNITS, unit_factor
 
@@ -13,6 +14,7 @@ DENSITIES_SAID = "(m/s^2)^2/Hz, (m/s)^2/Hz, g^2/Hz or m/s^2/sqrt(Hz), say, with 
 _FREQUENCY_WORDS = ("frequency", "frequencies", "freq", "f", "hz")
 
 
+@checked
 def density_unit(unit: str) -> tuple[str, int] | None:
     """Unit of the motion in a unit of a density, and the power to which the density has it; None for a record's."""
     plain = unit.strip().replace("²", "^2").replace("√Hz", "sqrt(Hz)").replace(" ", "")
@@ -28,6 +30,7 @@ def density_unit(unit: str) -> tuple[str, int] | None:
     return None
 
 
+@checked
 def read_densities(path: Path, unit: str, channels: list[str], most: int) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies in Hz and acceleration PSDs in (m/s^2)^2/Hz, (channels, frequencies), of a file of spectra.
 
@@ -73,6 +76,7 @@ def read_densities(path: Path, unit: str, channels: list[str], most: int) -> tup
     return f, squares * (2 * np.pi * f) ** (2 * MOTION_UNITS.index(si_unit))
 
 
+@checked
 def frequency_axis(columns: dict[str, np.ndarray]) -> str:
     """Name of the column of frequencies; empty where there is none."""
     for name, column in columns.items():

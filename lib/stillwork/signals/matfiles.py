@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from stillwork.base.checks import InputError
+from stillwork.base.front_door import checked
 
 # A record of an hour at 10 kHz on ten channels takes 3 GB and ten seconds.
 MOST_BYTES = 4 * 2**30
@@ -19,6 +20,7 @@ MOST_SECONDS = 60
 _REFUSED = 2  # exit code of the process that says on stderr why
 
 
+@checked
 def read_mat(path: Path) -> dict[str, np.ndarray]:
     """Every array of numbers of a MAT file up to version 7 by name; members of a structure as ``name.member``.
 

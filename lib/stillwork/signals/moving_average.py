@@ -73,12 +73,14 @@ def rms(error: ArrayLike) -> float:
     return float(np.sqrt(np.mean(error**2)))
 
 
+@checked
 def average_filter(omega: ArrayLike, exposure: float) -> Float64[np.ndarray, " frequencies"]:
     """Response of the moving average, a sinc with zeros at multiples of 1/T (section 1.5.3)."""
     omega = require_array("omega", omega, ndim=1)
     return np.sinc(omega * require_number("exposure", exposure, above=0.0) / (2 * np.pi))
 
 
+@checked
 def average_reduction(bandwidth_ratio: float) -> float:
     """Part by which MA falls when the bandwidth grows by this ratio, by the rule MA ~ f_bw^-2.5."""
     return 1 - require_number("bandwidth_ratio", bandwidth_ratio, above=0.0) ** -2.5

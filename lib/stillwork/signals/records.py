@@ -189,6 +189,7 @@ def load_record(
     return Record(np.array(list(columns.values())) * factor, rate, si_unit, tuple(columns), path.name)
 
 
+@checked
 def unit_factor(unit: str) -> tuple[float, str]:
     """Factor to SI and the SI unit of `unit`; an unknown one raises `InputError` that names the nearest."""
     plain = unit.strip().replace("µ", "u").replace("μ", "u").replace("²", "^2").replace("s2", "s^2")
@@ -197,6 +198,7 @@ def unit_factor(unit: str) -> tuple[float, str]:
     return UNITS[plain]
 
 
+@checked
 def stated_unit(name: str) -> str:
     """The unit in the brackets of a channel's name; empty when there is none that is known."""
     found = re.search(r"[(\[](.+?)[)\]]", name)
@@ -233,6 +235,7 @@ def resample(record: Record, sample_rate: float) -> Record:
     return replace(record, signals=moved, sample_rate=float(sample_rate))
 
 
+@checked
 def to_acceleration(record: Record) -> Record:
     """Record as acceleration in m/s^2: velocity is differentiated once, displacement twice.
 
@@ -251,6 +254,7 @@ def to_acceleration(record: Record) -> Record:
     return replace(record, signals=moved, unit="m/s^2")
 
 
+@checked
 def sample_rate_of(times: ArrayLike, source: str = "time") -> float:
     """Rate in Hz of evenly spaced instants in s.
 
@@ -289,6 +293,7 @@ def sample_rate_of(times: ArrayLike, source: str = "time") -> float:
     return 1 / float(slope)
 
 
+@checked
 def sampling_rate(source: str, columns: dict[str, np.ndarray], stated: float | None = None) -> float:
     """Rate in Hz that a file's columns tell, by a time or a scalar, or that is stated; the two must agree to 1 %."""
     if stated is not None:
@@ -310,6 +315,7 @@ def sampling_rate(source: str, columns: dict[str, np.ndarray], stated: float | N
     return float(found)
 
 
+@checked
 def is_time(name: str) -> bool:
     """Whether a column of that name holds the time."""
     words = name.lower().rpartition(".")[2].replace("(", " ").replace("[", " ").replace("_", " ").split()

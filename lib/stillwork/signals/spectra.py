@@ -28,7 +28,18 @@ class Spectrum:
 
     @checked
     def power(self, low_hz: float, high_hz: float) -> Float64[np.ndarray, " channels"]:
-        """Power of each channel between two frequencies."""
+        """Power of each channel between two frequencies.
+
+        Parameters
+        ----------
+        low_hz, high_hz : float
+            The two frequencies, within those of the spectrum.
+
+        Raises
+        ------
+        InputError
+            When the band is empty or leaves the spectrum.
+        """
         return np.array([band_power(self.frequencies_hz, row, low_hz, high_hz) for row in self.density])
 
 
@@ -145,6 +156,7 @@ def estimate_response(
     )
 
 
+@checked
 def band_power(frequencies_hz: ArrayLike, density: ArrayLike, low_hz: float, high_hz: float) -> float:
     """Integral of a density between two frequencies (trapezoids; the ends are interpolated)."""
     f = require_array("frequencies_hz", frequencies_hz, ndim=1)

@@ -10,6 +10,7 @@ import numpy as np
 
 from stillwork.base.checks import InputError
 from stillwork.base.extras import require_package
+from stillwork.base.front_door import checked
 
 _FUNCTION = 58
 _UNITS = 164
@@ -32,6 +33,7 @@ _DIRECTIONS = {
 _SAME = 1e-5
 
 
+@checked
 def read_universal(path: Path) -> dict[str, np.ndarray]:
     """Every measured function of a universal file by name, and the axes that they stand over.
 

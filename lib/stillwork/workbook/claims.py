@@ -13,7 +13,15 @@ from functools import lru_cache
 from pathlib import Path
 
 from stillwork.base import paths
-from stillwork.base.checks import InputError, nearest, require_array, require_choice, require_number, shown
+from stillwork.base.checks import (
+    InputError,
+    nearest,
+    require_array,
+    require_choice,
+    require_kind,
+    require_number,
+    shown,
+)
 
 KINDS = ("value", "exact", "ordering", "slope", "reported", "check")
 VERDICTS = ("replicated", "better", "deviates", "reported", "passes", "fails", "not built")
@@ -407,17 +415,21 @@ def make_claim(
     Raises
     ------
     InputError
-        When the ledger has no such entry (the nearest is named) or the value is not finite.
+        When the ledger has no such entry (the nearest is named), the value is not finite, or a fraction of runs
+        leaves 0 to 1.
     """
-    room = name.partition(".")[0]
+    room = require_kind("claim", name, str).partition(".")[0]
     entries = load_entries(room)
     if name not in entries:
-        raise InputError(f"the ledger has no entry {name!r}{nearest(name, entries)}")
-    value = require_number(name, ours)
+        raise InputError(f"the ledger has no entry {shown(name)}{nearest(name, entries)}")
+    within = {"at_least": 0, "at_most": 1} if entries[name].is_fraction else {}
+    value = require_number(name, ours, **within)
     if interval is not None:
         low, high = require_array(f"{name}: interval", interval, shape=(2,)).tolist()
         if low > high:
             raise InputError(f"{name}: interval is ({low:g}, {high:g}); give the lower end first")
+        require_number(f"{name}: lower end of the interval", low, **within)
+        require_number(f"{name}: upper end of the interval", high, **within)
         interval = _rounded(low), _rounded(high)
     return Claim(entries[name], _rounded(value), interval, notebook)
 

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from stillwork.base import paths
-from stillwork.base.checks import InputError, require_choice
+from stillwork.base.checks import InputError, require_choice, require_kind, shown
 from stillwork.workbook.claims import ClaimsTable, make_claim
 from stillwork.workbook.figures import SavedFigure, plotted, save
 
 # Letters, digits, - and _, with dots inside: a name that is a file's on every system, and no path.
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*(\.[A-Za-z0-9_-]+)*")
+_NAME = re.compile(r"(?=.{1,100}$)[A-Za-z0-9][A-Za-z0-9_-]*(\.[A-Za-z0-9_-]+)*")
 
 
 @dataclass
@@ -33,10 +33,10 @@ class Page:
     _rounding: dict[str, dict[str, str]] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self):
-        room, _, name = self.notebook.partition("/")
+        room, _, name = require_kind("notebook", self.notebook, str).partition("/")
         if room not in paths.ROOMS or not _NAME.fullmatch(name):
             raise InputError(
-                f"notebook is {self.notebook!r}; give 'room/name', e.g. 'isolation/02-convergence'"
+                f"notebook is {shown(self.notebook)}; give 'room/name', e.g. 'isolation/02-convergence'"
             )
 
     def save(self, name: str, figure, rounding: Mapping[str, str] | None = None) -> SavedFigure:
@@ -55,12 +55,16 @@ class Page:
         Raises
         ------
         InputError
-            When the name is none of letters, digits, ``-``, ``_`` and dots inside, no series has such a label, or
-            a reason is empty.
+            When the name is none of letters, digits, ``-``, ``_`` and dots inside, `figure` is no whole figure, no
+            series has such a label, or a reason is empty.
         """
+        from matplotlib.figure import Figure
+
         if not isinstance(name, str) or not _NAME.fullmatch(name):
-            raise InputError(f"name is {name!r}; give letters, digits, - or _, e.g. 'fig-5'")
+            raise InputError(f"name is {shown(name)}; give at most 100 letters, digits, - or _, e.g. 'fig-5'")
+        require_kind("figure", figure, Figure)
         if rounding:
+            require_kind("rounding", rounding, Mapping)
             drawn = {series for _, series, *_ in plotted(figure)}
             for series, why in rounding.items():
                 require_choice("rounding", series, drawn)

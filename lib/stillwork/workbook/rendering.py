@@ -5,6 +5,7 @@ from contextlib import ExitStack, contextmanager, nullcontext
 
 import numpy as np
 
+from stillwork.base.checks import InputError
 from stillwork.base.garbage import no_collection
 from stillwork.workbook.house_style import HouseFigure, house_style
 
@@ -33,11 +34,11 @@ def pixels(figure, dpi: float) -> np.ndarray:
         canvas = stack.enter_context(_canvas(figure, dpi))
         groups = _bare_groups(figure)
         stack.enter_context(_ticks_once(figure))
+        stack.enter_context(_places(figure))
         engine = figure.get_layout_engine()
         if engine is not None:
-            stack.enter_context(_places(figure))
             with _without_minor_ticks(groups):
-                engine.execute(figure)
+                _lay_out(figure, engine)
             stack.callback(figure.set_layout_engine, engine)
             figure.set_layout_engine("none")
         for axis in (axis for group in groups for axis in group if _drawn(axis)):
@@ -48,6 +49,13 @@ def pixels(figure, dpi: float) -> np.ndarray:
         with _without_minor_ticks(groups):
             canvas.draw()
         return np.array(canvas.buffer_rgba())
+
+
+def _lay_out(figure, engine) -> None:
+    try:
+        engine.execute(figure)
+    except ValueError as error:  # it has rules of its own, such as panels from one grid alone
+        raise InputError(f"figure has no such layout ({error}); make it with layout='constrained'") from None
 
 
 @contextmanager
@@ -66,14 +74,33 @@ def _canvas(figure, dpi: float) -> Iterator:
 
 @contextmanager
 def _places(figure) -> Iterator[None]:
-    """Put the panels back where they were before the layout."""
-    before = [(axes, axes.get_position(original=True), axes.get_in_layout()) for axes in figure.axes]
+    """Put back what a layout and a drawing move: margins, parts, panels, their views, the figure's titles."""
+    figures = [figure]
+    for each in figures:
+        figures += each.subfigs
+    panels = [panel for axes in figure.axes for panel in (axes, *axes.child_axes)]
+    boxes = [part.bbox_relative for part in figures[1:]] + [panel.viewLim for panel in panels]
+    boxes = [(box, box.frozen()) for box in boxes]
+    margins = [(each.subplotpars, dict(vars(each.subplotpars))) for each in figures]
+    titles = [(text, text.get_position()) for each in figures for text in each.texts]
+    places = [
+        # Where a locator put it last; without one a panel finds its place from the original one when asked.
+        (each, each.get_in_layout(), each.get_position(True), each.get_position(not each.get_axes_locator()))
+        for each in panels
+    ]
     try:
         yield
     finally:
-        for axes, place, in_layout in before:
-            axes.set_position(place)  # takes it out of later layouts
-            axes.set_in_layout(in_layout)
+        for margin, before in margins:
+            margin.update(**before)
+        for text, place in titles:
+            text.set_position(place)
+        for panel, in_layout, place, located in places:
+            panel.set_position(place)  # takes it out of later layouts
+            panel.set_position(located, which="active")
+            panel.set_in_layout(in_layout)
+        for box, before in boxes:
+            box.set(before)
 
 
 @contextmanager
