@@ -9,11 +9,13 @@ import subprocess
 import sys
 import termios
 
+import numpy as np
 import pytest
 
 from stillwork.workbook import publish
 from stillwork.workbook.build import in_turn
 from stillwork.workbook.inputs import read_inputs
+from stillwork.workbook.kernel_process import Installed
 from stillwork.workbook.notebooks import Notebook
 from stillwork.workbook.tasks import Task
 from workbook import toy as toys
@@ -203,6 +205,69 @@ def test_what_is_read_is_watched_wherever_the_checkout_lies(tmp_path, monkeypatc
             toy.write(name, before)
     finally:
         toys.clean_up(toy)
+
+
+@pytest.mark.slow
+def test_a_plant_s_own_modules_and_data_are_watched_wherever_they_lie(toy, tmp_path, monkeypatch):
+    home = tmp_path / "home"
+    monkeypatch.setenv("HOME", str(home))
+    own = {
+        ".local/share/lab/plant.py": "from lab_parts import mass\nfrom pathlib import Path\n"
+        "stiffness = float(Path.home().joinpath('.cache/lab/stiffness').read_text())\n",
+        ".local/share/lab/lab_parts.py": "from lab_units import kg\nmass = 2 * kg\n",
+        ".config/lab/lab_units.py": "kg = 1.0\n",
+        ".cache/lab/stiffness": "3.0\n",
+    }
+    for name, text in own.items():
+        toy.write(home / name, text)
+    toy.add(
+        "motion/02-own",
+        "import runpy, sys\nfrom pathlib import Path\n"
+        "sys.path += [str(Path(plant).parent), str(Path.home() / '.config/lab')]\n"
+        "level = runpy.run_path(plant)['mass']",
+        parameters="seed: int = 1  # of the noise\nlevel: float = 1.0  # V\nplant: str = ''  # file",
+    )
+    given = ("motion/02-own", "-p", f"plant={home}/.local/share/lab/plant.py")
+    done = toy.run("figures", *given)
+    assert done.returncode == 0, done.stdout
+    assert reasons(toy, *given) == {}
+    for name, text in own.items():
+        toy.write(home / name, f"{text}\n")
+        (reason,) = reasons(toy, *given).values()
+        assert reason.removeprefix("file ") == f"{home / name} changed"
+        toy.write(home / name, text)
+
+
+@pytest.mark.parametrize(
+    ("path", "left_out"),
+    [
+        ("{home}/.local/share/lab/plant.py", False),
+        ("{home}/.cache/x/record.csv", False),
+        ("{home}/.config/lab/rig.toml", False),
+        ("{home}/.ipython/lab.py", False),
+        ("/run/media/me/disk/record.csv", False),
+        ("/run/user/1000/gvfs/share/record.csv", False),
+        ("/usr/local/share/lab/plant.py", False),
+        (json.__file__, True),
+        (np.__file__, True),
+        ("/usr/share/zoneinfo/UTC", True),
+        ("/proc/cpuinfo", True),
+        ("{home}/.cache/matplotlib/fontlist-v390.json", True),
+        ("{home}/.config/matplotlib/stylelib/mine.mplstyle", True),
+        ("{home}/.local/share/fonts/Mine.TTF", True),
+        ("{home}/.cache/numba/plant-1.py311.nbi", True),
+        ("/tmp/stillwork-1/ipython/profile_default/history.sqlite", True),
+        ("{root}/build/kernels/0/a.nbi", True),
+        ("{root}/lib/experiments/motion/model.py", False),
+    ],
+)
+def test_what_is_left_out_has_a_reason(path, left_out, tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.setenv("STILLWORK_ROOT", str(tmp_path / "root"))
+    for name in ("XDG_CACHE_HOME", "XDG_CONFIG_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    path = path.format(home=tmp_path / "home", root=tmp_path / "root")
+    assert Installed("/tmp/stillwork-1/reads").holds(path) == left_out
 
 
 @pytest.mark.slow
