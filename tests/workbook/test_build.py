@@ -320,6 +320,23 @@ def test_a_log_that_does_not_fit_on_the_disk_is_removed(toy, room, noted):
     assert (toy.root / "reads").exists() == noted
 
 
+@pytest.mark.parametrize(
+    "load", ["ctypes.CDLL('model.so')", "ExtensionFileLoader('model', 'model.so').create_module(spec)"]
+)
+def test_a_library_of_machine_code_is_read_without_being_opened(tmp_path, load):
+    script = (
+        "import contextlib, ctypes\nfrom importlib.machinery import ExtensionFileLoader, ModuleSpec\n"
+        "from stillwork.workbook.kernel_process import Installed, watch\n"
+        "spec = ModuleSpec('model', None, origin='model.so')\n"
+        f"watch('reads', Installed('/nowhere/reads'))\nwith contextlib.suppress(OSError, ImportError):\n    {load}"
+    )
+    (tmp_path / "model.so").write_bytes(b"no machine code")
+    environment = os.environ | {"STILLWORK_ROOT": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=environment, check=True)
+    (read,) = map(json.loads, (tmp_path / "reads").read_text().splitlines())
+    assert read == {"path": str(tmp_path / "model.so"), "digest": publish.digest(b"no machine code")}
+
+
 @pytest.mark.slow
 def test_a_build_builds_what_why_says_and_nothing_else(toy):
     before = toy.stamps()

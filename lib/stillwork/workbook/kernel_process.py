@@ -106,6 +106,8 @@ def watch(log: str, left_out: Installed) -> None:
     data = os.path.join(root, "data")
     seen: dict[str, tuple] = {}
     state = {"busy": False}
+    # What is watched, and which of its arguments is the path; `import` has one where it loads machine code.
+    place = {"open": 0, "import": 1, "ctypes.dlopen": 0, "os.listdir": 0, "os.scandir": 0}
 
     def note(path: str, digest: str) -> None:
         line = (json.dumps({"path": path, "digest": digest}) + "\n").encode()
@@ -116,21 +118,22 @@ def watch(log: str, left_out: Installed) -> None:
         if not noted:
             os.unlink(log)
 
+    def writes(mode: str | None, flags: int) -> bool:
+        return bool(
+            set("wax+") & set(mode) if isinstance(mode, str) else flags & (os.O_WRONLY | os.O_RDWR)
+        )
+
     def hook(event: str, arguments: tuple) -> None:
-        if state["busy"] or event not in ("open", "os.listdir", "os.scandir"):
+        if state["busy"] or event not in place:
             return
-        path = arguments[0]
+        path = arguments[place[event]]
         if not isinstance(path, str | bytes | os.PathLike):
             return
         state["busy"] = True
         try:
             path = os.path.abspath(os.fsdecode(path))
-            if event == "open":
-                mode, flags = arguments[1], arguments[2]
-                writes = (
-                    set("wax+") & set(mode) if isinstance(mode, str) else flags & (os.O_WRONLY | os.O_RDWR)
-                )
-                if writes:
+            if event in ("open", "import", "ctypes.dlopen"):
+                if event == "open" and writes(*arguments[1:]):
                     return
                 # Machine code that a compiler keeps beside a source follows from it.
                 if left_out.holds(path) or os.path.basename(os.path.dirname(path)) == "__pycache__":
