@@ -4,6 +4,7 @@ import json
 import os
 import pty
 import py_compile
+import re
 import shutil
 import subprocess
 import sys
@@ -17,6 +18,7 @@ from stillwork.workbook.build import in_turn
 from stillwork.workbook.inputs import read_inputs
 from stillwork.workbook.kernel_process import Installed
 from stillwork.workbook.notebooks import Notebook
+from stillwork.workbook.progress import Progress
 from stillwork.workbook.tasks import Task
 from workbook import toy as toys
 
@@ -530,6 +532,27 @@ def test_a_terminal_shows_a_bar_with_the_time_left(toy):
     assert b"figures:" in shown
     assert b"<" in shown  # elapsed<left
     assert b"cell" in shown
+
+
+@pytest.mark.slow
+def test_a_file_gets_a_line_for_each_notebook_with_the_time_left(toy):
+    for name in ("motion/02-b", "motion/03-c"):
+        toy.add(name, "import time\ntime.sleep(0.5)")
+    toy.add("motion/04-d", "assert False", "never = 1")
+    done = toy.run("figures", "motion", "--force", "--jobs", "1")
+    ends = [line for line in done.stdout.splitlines() if line.startswith(("built ", "FAILED "))]
+    for number, line in enumerate(ends[:3], 1):
+        assert re.fullmatch(rf"built .*\({number} of 4, \d+ s left\)", line), ends
+    assert ends[3:] == ["FAILED motion/04-d (4 of 4)"]
+
+
+def test_nothing_is_left_at_the_end_and_nothing_known_at_the_beginning():
+    progress = Progress(4)
+    assert progress.left() == ""
+    progress.step(2)
+    assert re.fullmatch(r", \d+ s left", progress.left())
+    progress.step(2)
+    assert progress.left() == ""
 
 
 def test_rooms_take_turns():

@@ -92,11 +92,13 @@ def _build(stale: list[tuple[Task, list[str]]], submit: Callable, halt: Callable
                 task = running.pop(future)
                 outcome = _outcome(future)
                 failure = outcome.failure or _publish(task, outcome, made_from)
+                so_far = f"{len(stale) - len(running)} of {len(stale)}{progress.left() if running else ''}"
                 if failure:
                     failures.append((task, failure))
-                    progress.say("\n".join(filter(None, [f"FAILED {task.label}", failure.traceback])))
+                    told = [f"FAILED {task.label} ({so_far})", failure.traceback]
+                    progress.say("\n".join(filter(None, told)))
                 else:
-                    progress.say(f"built {task.label} in {outcome.seconds:.0f} s")
+                    progress.say(f"built {task.label} in {outcome.seconds:.0f} s ({so_far})")
         if caught:
             started = [future for future in running if not future.cancel()]
             halt(build)
