@@ -66,9 +66,7 @@ class Installed:
         yield from (
             sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib", "include")
         )
-        yield from (
-            each for each in sys.path if os.path.basename(each) in ("site-packages", "dist-packages")
-        )
+        yield from (each for each in sys.path if os.path.basename(each) in ("site-packages", "dist-packages"))
         # The system's libraries, time zones and settings, another on each worker: what of them moves numbers is
         # pinned (`pinned.env`). What somebody put into /usr/local or /opt is not the system's.
         yield from ("/etc", "/lib", "/lib64", "/usr/lib", "/usr/lib64", "/usr/share", "/Library", "/System")
@@ -119,9 +117,7 @@ def watch(log: str, left_out: Installed) -> None:
             os.unlink(log)
 
     def writes(mode: str | None, flags: int) -> bool:
-        return bool(
-            set("wax+") & set(mode) if isinstance(mode, str) else flags & (os.O_WRONLY | os.O_RDWR)
-        )
+        return bool(set("wax+") & set(mode) if isinstance(mode, str) else flags & (os.O_WRONLY | os.O_RDWR))
 
     def hook(event: str, arguments: tuple) -> None:
         if state["busy"] or event not in place:
