@@ -454,7 +454,10 @@ def test_a_file_named_by_a_parameter_is_an_input(toy):
         (["isolaton"], "no notebook or room 'isolaton'; did you mean 'isolation'?"),
         (["isolation/01-frst"], "did you mean 'isolation/01-first'?"),
         (["isolation/01"], "no notebook or room 'isolation/01'; did you mean 'isolation/01-first'?"),
-        (["--jobs", "0"], "'0' is not a number of kernels"),
+        (["--jobs", "0"], "argument --jobs: '0' is no whole number; give 1 or more"),
+        (["--jobs", "²"], "argument --jobs: '²' is no whole number; give 1 or more"),
+        (["--jobs", "9" * 5000], "is no whole number; give 1 or more"),
+        (["--scheduler", ""], "argument --scheduler: '' names nothing"),
         (["--job", "1"], "did you mean '--jobs'?"),
     ],
 )
