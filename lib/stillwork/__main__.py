@@ -190,7 +190,12 @@ COMMANDS = {
         "stillwork.workbook.portable:portable",
         (
             _TARGETS,
-            _option("--processor", default="", metavar="NAME", help="part of a stand-in's name, e.g. 2004"),
+            _option(
+                "--processor",
+                default="",
+                metavar="NAME",
+                help="part of a stand-in's name, e.g. 2004; qemu emulates one",
+            ),
             _option("--sample", action="store_true", help="a few notebooks under two of them"),
         ),
     ),

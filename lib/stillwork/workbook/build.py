@@ -12,6 +12,7 @@ from stillwork.workbook.execution import Failure, Job, Outcome, execute, sweep
 from stillwork.workbook.inputs import ENVIRONMENT, changes, environment_inputs, present, with_ledger
 from stillwork.workbook.jupyter_kernel import stop
 from stillwork.workbook.lock import alone, interrupts, settle
+from stillwork.workbook.pinned import EMULATOR, environment
 from stillwork.workbook.progress import Progress
 from stillwork.workbook.provenance import commit, modified, provenance
 from stillwork.workbook.publish import read_record, replace_record, tidy
@@ -65,7 +66,9 @@ def build_figures(
                 _tell(wanted)
             return 0
         sweep()
-        workers = _cluster(scheduler) if scheduler else _threads(jobs or cores(), len(stale) >= WARM_FROM)
+        # An emulator stands before a kernel's own program: nothing is forked under it.
+        warm = len(stale) >= WARM_FROM and EMULATOR not in environment()
+        workers = _cluster(scheduler) if scheduler else _threads(jobs or cores(), warm)
         with workers as (submit, halt):
             failures, caught = _build(stale, submit, halt)
     code = _close(failures, len(stale), fresh, caught)
