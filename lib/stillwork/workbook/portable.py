@@ -108,7 +108,9 @@ def portable(targets: Sequence[str] = (), processor: str = "", sample: bool = Fa
         raise InputError(f"no stand-in is named {processor!r}; there are: {names}")
     if EMULATED in chosen:
         if not targets:
-            raise InputError(f"{EMULATED.name} runs what is named, some fifteen times slower; give ROOM/NOTEBOOK")
+            raise InputError(
+                f"{EMULATED.name} runs what is named, some fifteen times slower; give ROOM/NOTEBOOK"
+            )
         if not shutil.which(EMULATED.settings[EMULATOR]):
             raise InputError(
                 f"there is no {EMULATED.settings[EMULATOR]}; install qemu-user (Debian's package)"
