@@ -4,6 +4,9 @@ First every notebook's code runs in a process of its own, under the settings of 
 work. Then, unless rooms or notebooks are named, everything is built from nothing into a folder that is thrown away;
 what that costs beyond the notebooks' own work is the runner's. Processor time, which other programs disturb less
 than the clock; the clock counts on a machine that has nothing else to do.
+
+``--pins`` measures instead what the pins of the processor (`pinned.env`) cost: the same notebooks, by default the
+sample of `make portable`, with all of them, without each one and without any, in turn.
 """
 
 import argparse
@@ -13,6 +16,7 @@ import json
 import os
 import platform
 import resource
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -24,8 +28,16 @@ sys.path.insert(0, str(ROOT / "lib"))
 
 from stillwork.workbook.notebooks import read_notebook, select  # noqa: E402
 from stillwork.workbook.pinned import environment  # noqa: E402
+from stillwork.workbook.portable import BLAS, LIBC, NUMPY, SAMPLE  # noqa: E402
 
 KINDS = ("imports", "compile", "compute", "draw", "save")
+WITHOUT = {
+    "none": (),
+    "numpy": (NUMPY,),
+    "OpenBLAS": (BLAS,),
+    "C library": (LIBC,),
+    "all": (NUMPY, BLAS, LIBC),
+}
 
 
 class Watch:
@@ -94,11 +106,12 @@ def measure(name: str) -> dict[str, float]:
     return watch.seconds
 
 
-def in_a_process_of_its_own(name: str) -> dict[str, float]:
+def in_a_process_of_its_own(name: str, without: tuple[str, ...] = ()) -> dict[str, float]:
+    under = {key: value for key, value in environment().items() if key not in without}
     with tempfile.TemporaryDirectory() as folder:
         done = subprocess.run(
             [sys.executable, __file__, "--measure", name],
-            env=environment() | {"STILLWORK_OUTPUT": folder},
+            env=under | {"STILLWORK_OUTPUT": folder},
             capture_output=True,
             text=True,
         )
@@ -120,6 +133,30 @@ def from_nothing() -> tuple[float, float]:
     return spent, time.monotonic() - begin
 
 
+def work(name: str, without: tuple[str, ...]) -> float:
+    """Seconds of a notebook's own work; what is imported and compiled, no pin touches."""
+    seconds = in_a_process_of_its_own(name, without)
+    return sum(seconds[kind] for kind in ("compute", "draw", "save"))
+
+
+def print_pins(targets: list[str], rounds: int) -> None:
+    """A row a notebook: seconds under all pins, and these over the seconds without one of them and without any."""
+    print(f"{'notebook':40}{'pinned':>9}" + "".join(f"{f'x {name}':>12}" for name in list(WITHOUT)[1:]))
+    total = dict.fromkeys(WITHOUT, 0.0)
+    for notebook in select(*(targets or SAMPLE)):
+        in_a_process_of_its_own(notebook.name)  # compiles what is not kept
+        taken = [{pin: work(notebook.name, names) for pin, names in WITHOUT.items()} for _ in range(rounds)]
+        middle = {pin: statistics.median(each[pin] for each in taken) for pin in WITHOUT}
+        print(pins_row(notebook.name, middle), flush=True)
+        total = {pin: total[pin] + middle[pin] for pin in WITHOUT}
+    print(pins_row("all of them", total))
+
+
+def pins_row(label: str, seconds: dict[str, float]) -> str:
+    pinned, *others = seconds.values()
+    return f"{label:40}{pinned:9.2f}" + "".join(f"{pinned / each:12.2f}" for each in others)
+
+
 def row(label: str, seconds: dict[str, float]) -> str:
     shown = "".join(f"{seconds[kind]:9.1f}" for kind in KINDS)
     return f"{label:40}{shown}{sum(seconds.values()):9.1f}"
@@ -128,6 +165,10 @@ def row(label: str, seconds: dict[str, float]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("targets", nargs="*", metavar="ROOM[/NOTEBOOK]")
+    parser.add_argument("--pins", action="store_true", help="what each pin of the processor costs")
+    parser.add_argument(
+        "--rounds", type=int, default=3, metavar="N", help="of --pins; medians of them are shown"
+    )
     parser.add_argument("--measure", metavar="NOTEBOOK", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.measure:
@@ -136,6 +177,9 @@ def main() -> None:
     print(
         f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}; seconds of the processor"
     )
+    if options.pins:
+        print_pins(options.targets, options.rounds)
+        return
     print(f"{'notebook':40}" + "".join(f"{kind:>9}" for kind in (*KINDS, "all")))
     total = dict.fromkeys(KINDS, 0.0)
     for notebook in select(*options.targets):

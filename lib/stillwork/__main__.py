@@ -22,7 +22,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser, words = _parser()
     options, unknown = parser.parse_known_args(arguments)
     if unknown:
-        parser.error(f"unknown {unknown[0]!r}{nearest(unknown[0], words)}")
+        parser.error(f"unknown {unknown[0]!r}{nearest(unknown[0], words if unknown[0][:1] == '-' else ())}")
     try:
         return _run(**vars(options))
     except BrokenPipeError:  # the reader, e.g. `head`, has seen enough
@@ -32,6 +32,8 @@ def main(arguments: list[str] | None = None) -> int:
         told = missing(error) if isinstance(error, ModuleNotFoundError) else error
         if isinstance(told, ImportError) and not isinstance(told, MissingPackage):
             raise
+        if isinstance(told, OSError) and told.filename and told.strerror:
+            told = f"{os.fsdecode(told.filename)}: {told.strerror}"
         print(f"stillwork: {one_line(str(told))}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
@@ -79,9 +81,16 @@ def _option(*names: str, **how) -> Option:
 
 
 def _count(text: str) -> int:
-    if not text.isdigit() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number of kernels; give 1 or more")
+    # Decimal alone: int() takes no superscripts, and not more than some thousand digits.
+    if not text.isdecimal() or len(text) > 9 or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number; give 1 or more")
     return int(text)
+
+
+def _named(text: str) -> str:
+    if not text:
+        raise argparse.ArgumentTypeError("'' names nothing; give a name")
+    return text
 
 
 def _minutes(text: str) -> float:
@@ -113,9 +122,11 @@ _TARGETS = _option("targets", nargs="*", metavar="ROOM[/NOTEBOOK]", help="by def
 _ROOM = _option("room", nargs="?", metavar="ROOM")
 _KERNELS = _number("jobs", "N", "kernels at once (default: one a core)")
 _PROCESSES = _number("jobs", "N", "processes (default: one a core)")
-_SCHEDULER = _option("--scheduler", metavar="ADDRESS", help="run on the workers of a Dask cluster")
+_SCHEDULER = _option(
+    "--scheduler", type=_named, metavar="ADDRESS", help="run on the workers of a Dask cluster"
+)
 _C_FOLDER = (
-    _option("--out", dest="folder", metavar="DIR", required=True, help="a new or empty folder"),
+    _option("--out", dest="folder", type=_named, metavar="DIR", required=True, help="a new or empty folder"),
     _option("--name", default="controller", help="what all names in C begin with"),
     _option("--precision", default="double", metavar="double|single"),
 )
@@ -168,7 +179,7 @@ COMMANDS = {
         "stillwork.workbook.commands:claims",
         (
             _ROOM,
-            _option("--entry", metavar="ID", help="one entry whole, with its readings"),
+            _option("--entry", type=_named, metavar="ID", help="one entry whole, with its readings"),
             _option("--json", action="store_true"),
             _option("--built", action="store_true", help="with what the last build found, accepted or not"),
         ),
@@ -179,7 +190,12 @@ COMMANDS = {
         "stillwork.workbook.portable:portable",
         (
             _TARGETS,
-            _option("--processor", default="", metavar="NAME", help="part of a stand-in's name, e.g. 2004"),
+            _option(
+                "--processor",
+                default="",
+                metavar="NAME",
+                help="part of a stand-in's name, e.g. 2004; qemu emulates one",
+            ),
             _option("--sample", action="store_true", help="a few notebooks under two of them"),
         ),
     ),
@@ -200,14 +216,19 @@ COMMANDS = {
     "inspect": Command(
         "say what a file of yours holds and which notebooks can use it",
         "stillwork.inspecting:inspect_file",
-        (_option("name", metavar="FILE"),),
+        (_option("name", type=_named, metavar="FILE"),),
         needs_checkout=False,
     ),
     "report": Command(
         "write one page about a measurement of yours; what is missing, it asks",
         "stillwork.reporting:report_asking",
         (
-            _option("file", metavar="FILE", help="of a machine, a record, or power spectral densities"),
+            _option(
+                "file",
+                type=_named,
+                metavar="FILE",
+                help="of a machine, a record, or power spectral densities",
+            ),
             _option("--out", default="", metavar="PAGE", help="by default FILE.html, here"),
             _option("--unit", default="", help="of a record's channels, or of densities"),
             *_OF_A_MACHINE,
@@ -218,7 +239,9 @@ COMMANDS = {
         "from a machine's file to a controller in C, and a page about it",
         "stillwork.designing:design_file",
         (
-            _option("file", metavar="FILE", help="frequency response, hammer records, or M and K"),
+            _option(
+                "file", type=_named, metavar="FILE", help="frequency response, hammer records, or M and K"
+            ),
             _number("rate", "HZ", "of the controller", float, required=True),
             *_C_FOLDER,
             _number("delay", "SAMPLES", "from measurement to force", int, default=1),
@@ -234,7 +257,7 @@ COMMANDS = {
     "export": Command(
         "write C99 of a controller, or of FeRls or FeLms, from a file",
         "stillwork.exporting:export_file",
-        (_option("file", metavar="FILE", help="controller.json, or TOML"), *_C_FOLDER),
+        (_option("file", type=_named, metavar="FILE", help="controller.json, or TOML"), *_C_FOLDER),
         needs_checkout=False,
     ),
     "contest": Command(
@@ -245,6 +268,7 @@ COMMANDS = {
             _number("seeds", "N", "scans a plant and doubt (default: 2)", default=2),
             _option(
                 "--public",
+                type=_named,
                 metavar="NUMBER",
                 default="20180628",
                 help="what the hidden seeds follow from, e.g. a lottery's draw",
@@ -260,7 +284,7 @@ COMMANDS = {
             ),
             _PROCESSES,
             _SCHEDULER,
-            _option("--out", metavar="FILE.csv", help="write the table there"),
+            _option("--out", type=_named, metavar="FILE.csv", help="write the table there"),
         ),
         needs_checkout=False,
     ),

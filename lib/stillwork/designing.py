@@ -94,6 +94,13 @@ def design_file(
     source = Path(file)
     taken = load_machine(source, **reading)
     machine = build_machine(taken, modes_hz=[], fit_hz=fit_hz, mirrored_sensor=mirrored_sensor)
+    lowest, resonance = search_range(machine, 0.0)[0], float(machine.resonances_hz[0])
+    # Bandwidths are sought to a tenth of the rate; a mode's part in the coefficients is the square of its angle a sample.
+    require_number("rate", rate, above=10 * lowest, at_most=resonance / np.sqrt(np.finfo(float).eps))
+    if delay * step * lowest >= 1:
+        raise InputError(
+            f"delay is {delay}, a period of the lowest bandwidth ({lowest:.3g} Hz) or more; give fewer samples"
+        )
     late = max(int(np.ceil(machine.fit.delay / step - WHOLE)), 0) if machine.fit else 0
     machine, delay = brought_forward(machine, late * step), delay + late
     how = {"doubt": doubt, "step": step, "delay": delay}

@@ -44,7 +44,8 @@ def inspect_file(name: str) -> str:
         raise InputError(f"{shown(name)}: no such file; give a CSV, MAT, NPZ, UFF, TOML or Python file")
     kinds = {".toml": model_file, ".py": _plant}
     own = own_file(path)
-    lines = [f"{path.name}: {own}"] if own else list(kinds.get(path.suffix.lower(), _data)(path))
+    with np.errstate(all="ignore"):  # what is not finite, a line says
+        lines = [f"{path.name}: {own}"] if own else list(kinds.get(path.suffix.lower(), _data)(path))
     if not in_checkout() and any(line.startswith("for ") for line in lines):
         lines.append("these commands are run in a checkout of stillwork")
     return "\n".join(map(one_line, lines))

@@ -212,6 +212,22 @@ def test_a_machine_that_has_no_safe_loop_is_told_so_and_nothing_is_written(tmp_p
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"rate": 1e308}, r"rate is 1e\+308; give a finite number above 8\d.* and at most 2.*e\+10"),
+        ({"rate": 1e15}, r"rate is 1e\+15; give"),
+        ({"rate": 1.0}, "rate is 1; give a finite number above 8"),
+        ({"rate": 1e-300}, "rate is 1e-300; give a finite number above 8"),
+        ({"rate": RATE, "delay": 100_000}, "delay is 100000, a period of the lowest bandwidth"),
+    ],
+)
+@pytest.mark.filterwarnings("error")
+def test_a_rate_or_a_delay_beyond_all_sense_is_refused_by_its_name(tmp_path, wrong, said):
+    with pytest.raises(InputError, match=said):
+        design_file(str(TEMPLATES / "matrices.csv"), str(tmp_path / "out"), **wrong)
+
+
 def test_a_folder_with_something_in_it_is_refused_first(tmp_path):
     (tmp_path / "mine.txt").write_text("mine")
     with pytest.raises(InputError, match="is not empty; nothing is overwritten"):

@@ -467,6 +467,46 @@ def test_a_file_that_cannot_be_read_is_refused(tmp_path, capsys, name, content, 
     assert message in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["inspect", ""],
+        ["report", ""],
+        ["design", "", "--rate", "5000", "--out", "x"],
+        ["export", "", "--out", "x"],
+        ["export", "a.json", "--out", ""],
+        ["claims", "--entry", ""],
+        ["readings", "--scheduler", ""],
+        ["contest", "--public", ""],
+        ["contest", "--out", ""],
+    ],
+)
+def test_an_empty_name_is_refused_with_its_argument(words, capsys):
+    with pytest.raises(SystemExit):
+        main(words)
+    assert re.search(r"error: argument \S+: '' names nothing", capsys.readouterr().err)
+
+
+def test_a_word_too_many_is_not_taken_for_an_option(capsys):
+    with pytest.raises(SystemExit):
+        main(["verify", "joint", "extra"])
+    assert capsys.readouterr().err.endswith("error: unknown 'extra'\n")
+
+
+def test_an_error_of_the_system_is_told_without_its_number(tmp_path, capsys):
+    assert main(["report", str(SLAB), "--out", str(tmp_path / "none/a.html")]) == 2
+    assert capsys.readouterr().err == f"stillwork: {tmp_path}/none/a.html: No such file or directory\n"
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("row", ["{0},{1},,\n", "{0},1e308\n", "{0},{2}\n"])
+def test_what_a_file_holds_is_told_without_a_warning_of_others(tmp_path, row):
+    file = tmp_path / "a.csv"
+    rows = "".join(row.format(i, i % 3, (-1) ** i * 1e308) for i in range(60))
+    file.write_text(f"time,a\n{rows}")
+    assert "60 values from" in inspect_file(str(file))
+
+
 @pytest.mark.slow
 def test_a_new_result_builds_claims_and_passes_its_test(toy):
     before = toy.files("data/isolation")["data/isolation/published.toml"]

@@ -4,17 +4,21 @@ import json
 import os
 import pty
 import py_compile
+import re
 import shutil
 import subprocess
 import sys
 import termios
 
+import numpy as np
 import pytest
 
 from stillwork.workbook import publish
 from stillwork.workbook.build import in_turn
 from stillwork.workbook.inputs import read_inputs
+from stillwork.workbook.kernel_process import Installed
 from stillwork.workbook.notebooks import Notebook
+from stillwork.workbook.progress import Progress
 from stillwork.workbook.tasks import Task
 from workbook import toy as toys
 
@@ -206,6 +210,69 @@ def test_what_is_read_is_watched_wherever_the_checkout_lies(tmp_path, monkeypatc
 
 
 @pytest.mark.slow
+def test_a_plant_s_own_modules_and_data_are_watched_wherever_they_lie(toy, tmp_path, monkeypatch):
+    home = tmp_path / "home"
+    monkeypatch.setenv("HOME", str(home))
+    own = {
+        ".local/share/lab/plant.py": "from lab_parts import mass\nfrom pathlib import Path\n"
+        "stiffness = float(Path.home().joinpath('.cache/lab/stiffness').read_text())\n",
+        ".local/share/lab/lab_parts.py": "from lab_units import kg\nmass = 2 * kg\n",
+        ".config/lab/lab_units.py": "kg = 1.0\n",
+        ".cache/lab/stiffness": "3.0\n",
+    }
+    for name, text in own.items():
+        toy.write(home / name, text)
+    toy.add(
+        "motion/02-own",
+        "import runpy, sys\nfrom pathlib import Path\n"
+        "sys.path += [str(Path(plant).parent), str(Path.home() / '.config/lab')]\n"
+        "level = runpy.run_path(plant)['mass']",
+        parameters="seed: int = 1  # of the noise\nlevel: float = 1.0  # V\nplant: str = ''  # file",
+    )
+    given = ("motion/02-own", "-p", f"plant={home}/.local/share/lab/plant.py")
+    done = toy.run("figures", *given)
+    assert done.returncode == 0, done.stdout
+    assert reasons(toy, *given) == {}
+    for name, text in own.items():
+        toy.write(home / name, f"{text}\n")
+        (reason,) = reasons(toy, *given).values()
+        assert reason.removeprefix("file ") == f"{home / name} changed"
+        toy.write(home / name, text)
+
+
+@pytest.mark.parametrize(
+    ("path", "left_out"),
+    [
+        ("{home}/.local/share/lab/plant.py", False),
+        ("{home}/.cache/x/record.csv", False),
+        ("{home}/.config/lab/rig.toml", False),
+        ("{home}/.ipython/lab.py", False),
+        ("/run/media/me/disk/record.csv", False),
+        ("/run/user/1000/gvfs/share/record.csv", False),
+        ("/usr/local/share/lab/plant.py", False),
+        (json.__file__, True),
+        (np.__file__, True),
+        ("/usr/share/zoneinfo/UTC", True),
+        ("/proc/cpuinfo", True),
+        ("{home}/.cache/matplotlib/fontlist-v390.json", True),
+        ("{home}/.config/matplotlib/stylelib/mine.mplstyle", True),
+        ("{home}/.local/share/fonts/Mine.TTF", True),
+        ("{home}/.cache/numba/plant-1.py311.nbi", True),
+        ("/tmp/stillwork-1/ipython/profile_default/history.sqlite", True),
+        ("{root}/build/kernels/0/a.nbi", True),
+        ("{root}/lib/experiments/motion/model.py", False),
+    ],
+)
+def test_what_is_left_out_has_a_reason(path, left_out, tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.setenv("STILLWORK_ROOT", str(tmp_path / "root"))
+    for name in ("XDG_CACHE_HOME", "XDG_CONFIG_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    path = path.format(home=tmp_path / "home", root=tmp_path / "root")
+    assert Installed("/tmp/stillwork-1/reads").holds(path) == left_out
+
+
+@pytest.mark.slow
 def test_a_library_that_was_edited_and_put_back_in_mid_build_is_noticed(toy):
     edit = (
         "from pathlib import Path\nfile = Path(paths.root(), 'lib/experiments/motion/late.py')\n"
@@ -253,6 +320,23 @@ def test_a_log_that_does_not_fit_on_the_disk_is_removed(toy, room, noted):
     environment = toy.environment() | {"STILLWORK_ROOT": str(toy.root)}
     subprocess.run([sys.executable, "-c", script], cwd=toy.root, env=environment, check=True)
     assert (toy.root / "reads").exists() == noted
+
+
+@pytest.mark.parametrize(
+    "load", ["ctypes.CDLL('model.so')", "ExtensionFileLoader('model', 'model.so').create_module(spec)"]
+)
+def test_a_library_of_machine_code_is_read_without_being_opened(tmp_path, load):
+    script = (
+        "import contextlib, ctypes\nfrom importlib.machinery import ExtensionFileLoader, ModuleSpec\n"
+        "from stillwork.workbook.kernel_process import Installed, watch\n"
+        "spec = ModuleSpec('model', None, origin='model.so')\n"
+        f"watch('reads', Installed('/nowhere/reads'))\nwith contextlib.suppress(OSError, ImportError):\n    {load}"
+    )
+    (tmp_path / "model.so").write_bytes(b"no machine code")
+    environment = os.environ | {"STILLWORK_ROOT": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=environment, check=True)
+    (read,) = map(json.loads, (tmp_path / "reads").read_text().splitlines())
+    assert read == {"path": str(tmp_path / "model.so"), "digest": publish.digest(b"no machine code")}
 
 
 @pytest.mark.slow
@@ -370,7 +454,10 @@ def test_a_file_named_by_a_parameter_is_an_input(toy):
         (["isolaton"], "no notebook or room 'isolaton'; did you mean 'isolation'?"),
         (["isolation/01-frst"], "did you mean 'isolation/01-first'?"),
         (["isolation/01"], "no notebook or room 'isolation/01'; did you mean 'isolation/01-first'?"),
-        (["--jobs", "0"], "'0' is not a number of kernels"),
+        (["--jobs", "0"], "argument --jobs: '0' is no whole number; give 1 or more"),
+        (["--jobs", "²"], "argument --jobs: '²' is no whole number; give 1 or more"),
+        (["--jobs", "9" * 5000], "is no whole number; give 1 or more"),
+        (["--scheduler", ""], "argument --scheduler: '' names nothing"),
         (["--job", "1"], "did you mean '--jobs'?"),
     ],
 )
@@ -448,6 +535,27 @@ def test_a_terminal_shows_a_bar_with_the_time_left(toy):
     assert b"figures:" in shown
     assert b"<" in shown  # elapsed<left
     assert b"cell" in shown
+
+
+@pytest.mark.slow
+def test_a_file_gets_a_line_for_each_notebook_with_the_time_left(toy):
+    for name in ("motion/02-b", "motion/03-c"):
+        toy.add(name, "import time\ntime.sleep(0.5)")
+    toy.add("motion/04-d", "assert False", "never = 1")
+    done = toy.run("figures", "motion", "--force", "--jobs", "1")
+    ends = [line for line in done.stdout.splitlines() if line.startswith(("built ", "FAILED "))]
+    for number, line in enumerate(ends[:3], 1):
+        assert re.fullmatch(rf"built .*\({number} of 4, \d+ s left\)", line), ends
+    assert ends[3:] == ["FAILED motion/04-d (4 of 4)"]
+
+
+def test_nothing_is_left_at_the_end_and_nothing_known_at_the_beginning():
+    progress = Progress(4)
+    assert progress.left() == ""
+    progress.step(2)
+    assert re.fullmatch(r", \d+ s left", progress.left())
+    progress.step(2)
+    assert progress.left() == ""
 
 
 def test_rooms_take_turns():

@@ -1,6 +1,7 @@
 """Named arrays of numbers out of CSV, MAT, NPZ and universal files; reading one executes nothing."""
 
 import csv
+import warnings
 import zipfile
 from pathlib import Path
 
@@ -101,16 +102,19 @@ def _csv(path: Path) -> dict[str, np.ndarray]:
                 f"{path.name} is not a table: row {row} holds {widths[row - 1]} values for {names} columns; mend it"
             )
     try:
-        table = pd.read_csv(
-            path,
-            sep=separator,
-            decimal=decimal,
-            comment="#",
-            header=0 if named else None,
-            index_col=False,
-            skipinitialspace=True,
-            encoding="utf-8-sig",
-        )
+        with warnings.catch_warnings():
+            # It warns of columns without a name that it drops: they were seen to be empty.
+            warnings.simplefilter("ignore", pd.errors.ParserWarning)
+            table = pd.read_csv(
+                path,
+                sep=separator,
+                decimal=decimal,
+                comment="#",
+                header=0 if named else None,
+                index_col=False,
+                skipinitialspace=True,
+                encoding="utf-8-sig",
+            )
     except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
         raise InputError(f"{path.name} is not a table ({error}); give rows of equally many numbers") from None
     # A separator at the end of every row makes one more, empty column.

@@ -124,7 +124,8 @@ def _index(pages: list[NotebookPage], claims: list[Claim]) -> str:
     parts.append(
         "## The shelves\n\nThe same room name stands on every shelf of the checkout: `notebooks/` the results, "
         "`lib/experiments/` their machines, studies and pictures, `data/` the published numbers and "
-        "measured records, `figures/` what was built, `tests/` and `benchmarks/`. The methods themselves are in `lib/stillwork/`, by concepts of the "
+        "measured records, `figures/` the accepted pictures and their numbers (a build writes to `build/figures/`), "
+        "`tests/` and `benchmarks/`. The methods themselves are in `lib/stillwork/`, by concepts of the "
         "field: signals, linear models, identification, estimation, control. `make help` lists the commands, "
         "`make site` writes the same as web pages, [From your rig to a figure](../docs/your-rig.md) leads from a "
         "measurement of yours to a figure, and the [course](../docs/course/index.md) through the notebooks in four tracks "

@@ -14,6 +14,7 @@ from stillwork.workbook.execution import Failure, Job, Outcome, execute, sweep
 from stillwork.workbook.inputs import ENVIRONMENT, changes, environment_inputs, present, with_ledger
 from stillwork.workbook.jupyter_kernel import stop
 from stillwork.workbook.lock import alone, interrupts, settle
+from stillwork.workbook.pinned import EMULATOR, environment
 from stillwork.workbook.progress import Progress
 from stillwork.workbook.provenance import commit, modified, provenance
 from stillwork.workbook.publish import read_record, replace_record, tidy
@@ -68,7 +69,9 @@ def build_figures(
                 _tell(wanted)
             return 0
         sweep()
-        workers = _cluster(scheduler) if scheduler else _threads(jobs or cores(), len(stale) >= WARM_FROM)
+        # An emulator stands before a kernel's own program: nothing is forked under it.
+        warm = len(stale) >= WARM_FROM and EMULATOR not in environment()
+        workers = _cluster(scheduler) if scheduler else _threads(jobs or cores(), warm)
         with workers as (submit, halt):
             failures, caught = _build(stale, submit, halt)
     code = _close(failures, len(stale), fresh, caught)
@@ -95,11 +98,13 @@ def _build(stale: list[tuple[Task, list[str]]], submit: Callable, halt: Callable
                 task = running.pop(future)
                 outcome = _outcome(future)
                 failure = outcome.failure or _publish(task, outcome, made_from)
+                so_far = f"{len(stale) - len(running)} of {len(stale)}{progress.left() if running else ''}"
                 if failure:
                     failures.append((task, failure))
-                    progress.say("\n".join(filter(None, [f"FAILED {task.label}", failure.traceback])))
+                    told = [f"FAILED {task.label} ({so_far})", failure.traceback]
+                    progress.say("\n".join(filter(None, told)))
                 else:
-                    progress.say(f"built {task.label} in {outcome.seconds:.0f} s")
+                    progress.say(f"built {task.label} in {outcome.seconds:.0f} s ({so_far})")
         if caught:
             started = [future for future in running if not future.cancel()]
             halt(build)

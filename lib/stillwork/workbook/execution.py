@@ -78,7 +78,7 @@ def execute(job: Job, on_cell: Callable[[], object] = lambda: None, warm: Warm |
     ----------
     job : Job
     on_cell : callable
-        Called when a code cell begins.
+        Called when a code cell has run.
     warm : Warm, optional
         The process to fork the kernel from; without, one is started.
     """
@@ -130,9 +130,15 @@ def _execute(job: Job, folder: Path, on_cell: Callable[[], object], warm: Warm |
     source.metadata.setdefault("language_info", {"name": "python"})
     begun = []
 
+    def counts(cell) -> bool:
+        return cell.cell_type == "code" and "injected-parameters" not in cell.metadata.get("tags", [])
+
     def note(cell, cell_index):
-        if cell.cell_type == "code" and "injected-parameters" not in cell.metadata.get("tags", []):
+        if counts(cell):
             begun.append(cell.source)
+
+    def step(cell, cell_index, execute_reply):
+        if counts(cell):
             on_cell()
 
     output, reads = folder / "output", folder / "reads"
@@ -149,6 +155,7 @@ def _execute(job: Job, folder: Path, on_cell: Callable[[], object], warm: Warm |
             shutdown_kernel="immediate",
             resources={"metadata": {"path": str(paths.root())}},
             on_cell_start=note,
+            on_cell_executed=step,
             record_timing=False,
             iopub_timeout=60,
         )

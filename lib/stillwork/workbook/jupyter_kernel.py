@@ -9,7 +9,7 @@ from pathlib import Path
 import stillwork
 from stillwork.base import paths
 from stillwork.base.kernel_folder import FOLDER_VARIABLE, cache_folder
-from stillwork.workbook.pinned import environment
+from stillwork.workbook.pinned import EMULATOR, environment
 from stillwork.workbook.warm import PROGRAM, Warm
 
 _lock = threading.Lock()
@@ -75,6 +75,8 @@ def kernel_manager(build: str, folder: Path, output: Path, reads: Path, warm: Wa
 
     variables, connection = kernel_environment(folder, output), folder / "kernel"
     command = [sys.executable, "-P", str(PROGRAM), "kernel", str(reads), "-f", "{connection_file}"]
+    if emulator := variables.get(EMULATOR):
+        command.insert(0, emulator)
 
     class Provisioner(LocalProvisioner):
         async def launch_kernel(self, cmd, **options):

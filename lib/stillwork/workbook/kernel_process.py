@@ -18,7 +18,9 @@ import signal
 import socket
 import stat
 import sys
+import sysconfig
 import tempfile
+from collections.abc import Iterator
 from importlib.machinery import SourceFileLoader
 
 # Where the notebooks spend their imports.
@@ -41,29 +43,54 @@ SLOW = (
 
 
 class Installed:
-    """What Python, its packages and the system hold, and what a build writes: no notebook's inputs.
+    """What is no notebook's input although it is read: `places` and `FONTS` name it, with the reason.
 
-    Of what lies in the checkout only that counts which has its place there, wherever the checkout itself lies.
+    All else counts, wherever it lies. Of what lies in the checkout only that is left out which has its place there:
+    the checkout itself may lie in one of the places.
     """
 
+    # Matplotlib looks into every font of the machine when it makes its list anew, and draws with its own.
+    FONTS = (".afm", ".otf", ".ttc", ".ttf")
+
     def __init__(self, log: str):
-        home = os.path.expanduser("~")
-        places = {sys.prefix, sys.base_prefix, sys.exec_prefix, os.path.dirname(log)}
-        places |= {os.path.realpath(each) for each in places}
-        places |= {"/dev", "/etc", "/lib", "/lib64", "/proc", "/run", "/sys", "/usr"}
-        places |= {
-            os.path.join(home, each) for each in (".cache", ".config", ".ipython", ".jupyter", ".local")
-        }
-        places |= {each for each in sys.path if "site-packages" in each or "dist-packages" in each}
         self._root = os.environ["STILLWORK_ROOT"].rstrip("/") + "/"
-        places |= {os.path.join(self._root, each) for each in (".git", "build")}
-        self._places = tuple(each.rstrip("/") + "/" for each in places)
+        found = {each for each in self.places(log) if each}
+        found |= {os.path.realpath(each) for each in found}
+        self._places = tuple(each.rstrip("/") + "/" for each in found)
         self._inner = tuple(
             each for each in self._places if each.startswith(self._root) and each != self._root
         )
 
+    def places(self, log: str) -> Iterator[str | None]:
+        # Python and its packages: the pins of environment.txt are inputs in their stead.
+        yield from (
+            sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib", "include")
+        )
+        yield from (each for each in sys.path if os.path.basename(each) in ("site-packages", "dist-packages"))
+        # The system's libraries, time zones and settings, another on each worker: what of them moves numbers is
+        # pinned (`pinned.env`). What somebody put into /usr/local or /opt is not the system's.
+        yield from ("/etc", "/lib", "/lib64", "/usr/lib", "/usr/lib64", "/usr/share", "/Library", "/System")
+        # What the system says of itself at this moment, devices, and memory that processes share until they end.
+        yield from ("/dev", "/proc", "/sys")
+        # The kernel's own folder: its connection file, IPython's settings and history, temporary files, results.
+        yield os.path.dirname(log)
+        # What builds write, and what git keeps of all that is committed.
+        yield from (os.path.join(self._root, each) for each in ("build", ".git"))
+        # Bytecode and machine code, which follow from sources that count.
+        yield sys.pycache_prefix
+        yield from (os.environ.get(name) for name in ("STILLWORK_KERNELS", "NUMBA_CACHE_DIR"))
+        home = os.path.expanduser("~")
+        caches = os.environ.get("XDG_CACHE_HOME") or os.path.join(home, ".cache")
+        yield from (os.path.join(each, "numba") for each in (caches, os.path.join(home, "Library", "Caches")))
+        # Matplotlib's list of fonts, and styles of the user's own, which are turned off (`pinned.env`).
+        yield os.environ.get("MPLCONFIGDIR")
+        settings = os.environ.get("XDG_CONFIG_HOME") or os.path.join(home, ".config")
+        yield from (os.path.join(each, "matplotlib") for each in (caches, settings))
+        yield os.path.join(home, ".matplotlib")
+
     def holds(self, path: str) -> bool:
-        return path.startswith(self._inner if path.startswith(self._root) else self._places)
+        inside = self._inner if path.startswith(self._root) else self._places
+        return path.startswith(inside) or path.lower().endswith(self.FONTS)
 
 
 def watch(log: str, left_out: Installed) -> None:
@@ -77,6 +104,8 @@ def watch(log: str, left_out: Installed) -> None:
     data = os.path.join(root, "data")
     seen: dict[str, tuple] = {}
     state = {"busy": False}
+    # What is watched, and which of its arguments is the path; `import` has one where it loads machine code.
+    place = {"open": 0, "import": 1, "ctypes.dlopen": 0, "os.listdir": 0, "os.scandir": 0}
 
     def note(path: str, digest: str) -> None:
         line = (json.dumps({"path": path, "digest": digest}) + "\n").encode()
@@ -87,21 +116,20 @@ def watch(log: str, left_out: Installed) -> None:
         if not noted:
             os.unlink(log)
 
+    def writes(mode: str | None, flags: int) -> bool:
+        return bool(set("wax+") & set(mode) if isinstance(mode, str) else flags & (os.O_WRONLY | os.O_RDWR))
+
     def hook(event: str, arguments: tuple) -> None:
-        if state["busy"] or event not in ("open", "os.listdir", "os.scandir"):
+        if state["busy"] or event not in place:
             return
-        path = arguments[0]
+        path = arguments[place[event]]
         if not isinstance(path, str | bytes | os.PathLike):
             return
         state["busy"] = True
         try:
             path = os.path.abspath(os.fsdecode(path))
-            if event == "open":
-                mode, flags = arguments[1], arguments[2]
-                writes = (
-                    set("wax+") & set(mode) if isinstance(mode, str) else flags & (os.O_WRONLY | os.O_RDWR)
-                )
-                if writes:
+            if event in ("open", "import", "ctypes.dlopen"):
+                if event == "open" and writes(*arguments[1:]):
                     return
                 # Machine code that a compiler keeps beside a source follows from it.
                 if left_out.holds(path) or os.path.basename(os.path.dirname(path)) == "__pycache__":

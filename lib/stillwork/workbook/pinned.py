@@ -9,6 +9,9 @@ FILE = Path(__file__).with_name("pinned.env")
 # Other processors' settings in place of some pins, as ``NAME=VALUE`` words: what `make portable` turns.
 OTHER = "STILLWORK_PROCESSOR"
 
+# Among these: a program that the kernels' Python runs under, in place of the processor itself.
+EMULATOR = "STILLWORK_EMULATOR"
+
 
 @cache
 def pins() -> dict[str, str]:

@@ -2,10 +2,11 @@
 
 Each stand-in processor puts its own choices in the place of the pins (`stillwork.workbook.pinned`): numpy's kernels,
 OpenBLAS's, the C library's, and the instructions that numba may use. What then still agrees, agrees on a machine
-that is not pinned at all.
+that is not pinned at all. One more is emulated, which keeps the pins: whether they hold on an old processor.
 """
 
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -16,7 +17,7 @@ from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.workbook.compare import Comparison, compare
 from stillwork.workbook.notebooks import select
-from stillwork.workbook.pinned import OTHER
+from stillwork.workbook.pinned import EMULATOR, OTHER
 from stillwork.workbook.tasks import BUILT, tasks
 
 NUMPY, BLAS, LIBC = "NPY_DISABLE_CPU_FEATURES", "OPENBLAS_CORETYPE", "GLIBC_TUNABLES"
@@ -64,6 +65,10 @@ PROCESSORS = (
     Processor("this machine, nothing held", {BLAS: "", NUMPY: "", LIBC: ""}),
 )
 
+# Instructions that the named processor lacks end the kernel. Emulation takes some fifteen times as long, so it runs only
+# where it and the notebooks are named.
+EMULATED = Processor("qemu, 2008 (Nehalem)", {EMULATOR: "qemu-x86_64", "QEMU_CPU": "Nehalem"})
+
 # Notebooks that were seen to move between processors, or whose subject is rounding; quick enough to run often.
 SAMPLE = (
     "isolation/06-efficient-update",
@@ -85,24 +90,31 @@ def portable(targets: Sequence[str] = (), processor: str = "", sample: bool = Fa
     targets : sequence of str
         Rooms and notebooks; all without any.
     processor : str
-        Of the stand-ins those with this in their name.
+        Of the stand-ins those with this in their name; the emulated one by ``qemu``, with notebooks named.
     sample : bool
         Where nothing else is said, a few notebooks under two stand-ins.
 
     Raises
     ------
     InputError
-        When there is no such stand-in, room or notebook.
+        When there is no such stand-in, room or notebook, or no emulator.
     """
+    known = (*PROCESSORS, EMULATED) if "qemu" in processor else PROCESSORS
     chosen = [
-        each
-        for each in PROCESSORS
-        if processor in each.name and (processor or not sample or each.name in SAMPLED)
+        each for each in known if processor in each.name and (processor or not sample or each.name in SAMPLED)
     ]
     if not chosen:
-        raise InputError(
-            f"no stand-in is named {processor!r}; there are: {'; '.join(p.name for p in PROCESSORS)}"
-        )
+        names = "; ".join(each.name for each in (*PROCESSORS, EMULATED))
+        raise InputError(f"no stand-in is named {processor!r}; there are: {names}")
+    if EMULATED in chosen:
+        if not targets:
+            raise InputError(
+                f"{EMULATED.name} runs what is named, some fifteen times slower; give ROOM/NOTEBOOK"
+            )
+        if not shutil.which(EMULATED.settings[EMULATOR]):
+            raise InputError(
+                f"there is no {EMULATED.settings[EMULATOR]}; install qemu-user (Debian's package)"
+            )
     names = tuple(each.name for each in select(*(targets or (SAMPLE if sample else ()))))
     flags = _flags()
     rows, moved, failed = [], [], False

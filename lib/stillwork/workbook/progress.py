@@ -31,8 +31,13 @@ class Progress:
         if self._bar is not None:
             self._bar.update(steps)
         elif self._tell and 10 * self._done // self._total > 10 * before // self._total:
-            left = (time.monotonic() - self._begin) * (self._total / self._done - 1)
-            self.say(f"{self._task}: {self._done} of {self._total}, {left:.0f} s left")
+            self.say(f"{self._task}: {self._done} of {self._total}{self.left()}")
+
+    def left(self) -> str:
+        """The time left as the end of a line; empty where the bar shows it, and while nothing is known."""
+        if self._bar is not None or not 0 < self._done < self._total:
+            return ""
+        return f", {(time.monotonic() - self._begin) * (self._total / self._done - 1):.0f} s left"
 
     def say(self, line: str) -> None:
         if self._bar is not None:
