@@ -77,7 +77,7 @@ def sample_machine(rng: np.random.Generator) -> tuple[dict[str, np.ndarray], flo
     return arrays, float(rng.choice([4e3, 1e4, 2e4])), int(rng.integers(0, 3))
 
 
-def worst(arrays, held, step: float, delay: int, rng: np.random.Generator) -> tuple[np.ndarray, float]:
+def worst(arrays, held, sample_time: float, delay: int, rng: np.random.Generator) -> tuple[np.ndarray, float]:
     """Largest S_O and r to e_true in dB, and the largest closed-loop pole, over corners and draws of the errors."""
     a, b, c, d = (np.array(held["state_space"][key]) for key in "abcd")
     # What it sets is fed back into its third input, and does not pass through at once.
@@ -93,12 +93,14 @@ def worst(arrays, held, step: float, delay: int, rng: np.random.Generator) -> tu
             rng.uniform(-ERROR, ERROR, len(gains)) if draw % 2 else ERROR * rng.choice([-1, 1], len(gains))
         )
         moved = frequencies * (1 + errors)
-        plant = _held(moved, ratios, gains, step, delay)
+        plant = _held(moved, ratios, gains, sample_time, delay)
         near = moved[1:, None] * (1 + np.linspace(-0.03, 0.03, 101))
-        poles = np.angle(linalg.eigvals(a)) / step
-        omega = np.concatenate([np.geomspace(1, 0.99 * np.pi / step, 600), near.ravel(), np.abs(poles)])
-        omega = omega[(omega > 1) & (omega < np.pi / step)]
-        z = np.exp(1j * omega * step)
+        poles = np.angle(linalg.eigvals(a)) / sample_time
+        omega = np.concatenate(
+            [np.geomspace(1, 0.99 * np.pi / sample_time, 600), near.ravel(), np.abs(poles)]
+        )
+        omega = omega[(omega > 1) & (omega < np.pi / sample_time)]
+        z = np.exp(1j * omega * sample_time)
         p = _response(*plant, z)[:, 0]
         k = _response(a, b, c, d, z)
         turn = 1 - k[:, 1] * p
@@ -114,7 +116,7 @@ def worst(arrays, held, step: float, delay: int, rng: np.random.Generator) -> tu
     return 20 * np.log10(peaks), radius
 
 
-def _held(frequencies, ratios, gains, step: float, delay: int):
+def _held(frequencies, ratios, gains, sample_time: float, delay: int):
     """Sampled modes between a zero-order hold and the sensor, the force `delay` samples late."""
     count = len(gains)
     a = np.zeros((2 * count, 2 * count))
@@ -123,7 +125,7 @@ def _held(frequencies, ratios, gains, step: float, delay: int):
     a[np.arange(1, 2 * count, 2), np.arange(1, 2 * count, 2)] = -2 * ratios * frequencies
     b, c = np.zeros((2 * count, 1)), np.zeros((1, 2 * count))
     b[1::2, 0], c[0, ::2] = gains, 1.0
-    a, b, c, d, _ = signal.cont2discrete((a, b, c, np.zeros((1, 1))), step)
+    a, b, c, d, _ = signal.cont2discrete((a, b, c, np.zeros((1, 1))), sample_time)
     for _ in range(delay):
         a = np.block([[a, b], [np.zeros((1, len(a) + 1))]])
         b = np.append(np.zeros(len(b)), 1.0)[:, None]

@@ -88,7 +88,7 @@ def design_file(
     require_names(name, precision)
     if limit != np.inf:
         require_number("limit", limit, above=0.0)
-    step = 1 / require_number("rate", rate, above=0.0)
+    sample_time = 1 / require_number("rate", rate, above=0.0)
     delay = require_count("delay", delay, at_least=0)
     require_number("doubt", doubt, at_least=0.0, below=1.0)
     source = Path(file)
@@ -97,13 +97,13 @@ def design_file(
     lowest, resonance = search_range(machine, 0.0)[0], float(machine.resonances_hz[0])
     # Bandwidths are sought to a tenth of the rate; a mode's part in the coefficients is the square of its angle a sample.
     require_number("rate", rate, above=10 * lowest, at_most=resonance / np.sqrt(np.finfo(float).eps))
-    if delay * step * lowest >= 1:
+    if delay * sample_time * lowest >= 1:
         raise InputError(
             f"delay is {delay}, a period of the lowest bandwidth ({lowest:.3g} Hz) or more; give fewer samples"
         )
-    late = max(int(np.ceil(machine.fit.delay / step - WHOLE)), 0) if machine.fit else 0
-    machine, delay = brought_forward(machine, late * step), delay + late
-    how = {"doubt": doubt, "step": step, "delay": delay}
+    late = max(int(np.ceil(machine.fit.delay / sample_time - WHOLE)), 0) if machine.fit else 0
+    machine, delay = brought_forward(machine, late * sample_time), delay + late
+    how = {"doubt": doubt, "sample_time": sample_time, "delay": delay}
     settings, found = {}, {}
     for use, application in ({"PID": None, NOTCHED: None} | applications(ADDED_DAMPING, SELECTIVITY)).items():
         first = DesignSettings(application, RETAINED, INTENSITIES, use == NOTCHED)
@@ -119,7 +119,7 @@ def design_file(
     # In the order of the uses, so that of equals the simplest is taken.
     best = max(safe, key=lambda use: round(_crossing(safe[use]), 2))
     pid, loops = safe[best].recommended.controller, safe[best].model_loops
-    sections = biquads(tustin(pid.state_space(), step))
+    sections = biquads(tustin(pid.state_space(), sample_time))
     about = {
         "gains": asdict(pid),
         "units": "SI: m, N, s, rad/s; gain N/m, integrator, differentiator and low_pass rad/s",
@@ -175,7 +175,7 @@ def _furthest(
 ) -> tuple[DesignSettings, Reached]:
     """The settings, tuned where that leads further, and how far they get."""
     found = _reached(machine, settings, how | {"loop_hz": loop_hz})
-    lowest, _ = search_range(machine, how["step"])
+    lowest, _ = search_range(machine, how["sample_time"])
     trial = tuned(machine, settings, found.recommended.design_hz if found.recommended else lowest, **how)
     further = found if trial == settings else _reached(machine, trial, how | {"loop_hz": loop_hz})
     if further.recommended is None or _crossing(further) <= _crossing(found):
@@ -204,7 +204,7 @@ def _improvements(machine: Machine, settings: DesignSettings, how: dict, reached
     trials = {
         "twice the damping of its modes:": (changed(damped), how),
         "the sensor where the force acts:": (changed(beside), how),
-        "twice the rate:": (changed(lambda model: model), how | {"step": how["step"] / 2}),
+        "twice the rate:": (changed(lambda model: model), how | {"sample_time": how["sample_time"] / 2}),
         "no delay:": (changed(lambda model: model), how | {"delay": 0}),
     }
     if not how["delay"]:

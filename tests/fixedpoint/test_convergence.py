@@ -196,11 +196,11 @@ def test_bad_input(exact, approximate):
         describing_function(-1.0)
     with pytest.raises(InputError, match="give one record"):
         strongest_oscillation(np.zeros((20, 20)), STEP)
-    with pytest.raises(InputError, match="time_step"):
+    with pytest.raises(InputError, match="sample_time"):
         strongest_oscillation(np.zeros(20), 0.0)
     with pytest.raises(InputError, match=r"the filter was made for 0\.001 s"):
         linear_filter(SavitzkyGolay(), 2e-3)
-    with pytest.raises(InputError, match="time_step"):
+    with pytest.raises(InputError, match="sample_time"):
         linear_loop(exact, published_controllers(approximate)["low pass"], 0.0)
     with pytest.raises(InputError, match="cut the record"):
         strongest_oscillation(np.full(100, np.nan), STEP)

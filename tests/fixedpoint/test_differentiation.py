@@ -89,7 +89,7 @@ def test_white_and_independent_noise_is_what_the_filter_believes():
     ("call", "message"),
     [
         (lambda: quotient_covariance(-1.0, STEP), "deviation"),
-        (lambda: quotient_covariance(1.0, 0.0), "time_step"),
+        (lambda: quotient_covariance(1.0, 0.0), "sample_time"),
         (lambda: correlations(np.zeros((2, 2)), STEP), "error has shape"),
         (lambda: rejects_gaussian(np.zeros(9), level=2.0), "level"),
         (lambda: correlations(np.arange(9.0), STEP), "error is a straight line"),

@@ -60,7 +60,7 @@ NAMES = ["window", "short window", "low pass", "Savitzky-Golay", "UKF", "literal
 def test_naive_twin(name, approximate, record):
     measured, force = record
     fast, slow = twins(approximate)[name]
-    found = filter_signal(fast, measured, force, time_step=STEP, start_velocity=1.5)
+    found = filter_signal(fast, measured, force, sample_time=STEP, start_velocity=1.5)
     last, expected = 0.0, []
     for z, u in zip(measured, force, strict=True):
         expected.append(np.array(slow(z, last, np.array([0.0, 1.5, 0.0]))))
@@ -91,7 +91,7 @@ def test_savitzky_golay_weights(samples, degree, derivative):
 def test_savitzky_golay_reproduces_a_parabola(position, velocity, acceleration):
     time = np.arange(60) * STEP
     found = filter_signal(
-        SavitzkyGolay(15, 2, STEP), position + velocity * time + acceleration * time**2 / 2, time_step=STEP
+        SavitzkyGolay(15, 2, STEP), position + velocity * time + acceleration * time**2 / 2, sample_time=STEP
     )
     end = time[-1]
     assert found.position[-1] == pytest.approx(
@@ -270,12 +270,12 @@ def test_lost_definiteness_is_reported_with_the_sample(approximate):
             "state is none of ExtendedKalman",
         ),
         (lambda m: ExtendedKalman(m).step(ExtendedKalman(m).start(), [0.0, 1.0]), "measured has shape"),
-        (lambda m: UnscentedKalman(m).step(UnscentedKalman(m).start(), 0.0, time_step=0.0), "time_step"),
+        (lambda m: UnscentedKalman(m).step(UnscentedKalman(m).start(), 0.0, sample_time=0.0), "sample_time"),
         (lambda m: filter_signal(LowPass(), np.zeros(5), np.zeros(4)), "force has shape"),
-        (lambda m: filter_signal(SavitzkyGolay(), np.zeros(5), time_step=2e-3), "made for 0.001 s"),
-        (lambda m: filter_signal(LowPass(), np.zeros(5), time_step=0.0), "time_step"),
+        (lambda m: filter_signal(SavitzkyGolay(), np.zeros(5), sample_time=2e-3), "made for 0.001 s"),
+        (lambda m: filter_signal(LowPass(), np.zeros(5), sample_time=0.0), "sample_time"),
         (lambda m: filter_signal(LowPass(), np.repeat([0.0, 1e308], 50)), "finite numbers at sample"),
-        (lambda m: SavitzkyGolay(time_step=1e-200).packed(), "packed has no result"),
+        (lambda m: SavitzkyGolay(sample_time=1e-200).packed(), "packed has no result"),
         (lambda m: filter_signal(LowPass(2000.0), np.ones(5)), "wants less than 2000 rad/s, or it diverges"),
     ],
 )

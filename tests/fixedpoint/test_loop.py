@@ -148,7 +148,7 @@ def test_wrong_controllers(exact, approximate, short):
     with pytest.raises(InputError, match="kinematics has order 1"):
         Controller(LowPass(), FlowTransformation(), KinematicDesign(1.0, order=1), approximate)
     slow = Controller(
-        SavitzkyGolay(time_step=2e-3), RobustTransformation(), KinematicDesign(9.0), approximate
+        SavitzkyGolay(sample_time=2e-3), RobustTransformation(), KinematicDesign(9.0), approximate
     )
     with pytest.raises(InputError, match=r"the filter was made for 0\.002 s"):
         simulate(exact, slow, short)

@@ -89,7 +89,7 @@ def test_the_arm_is_its_lagrangian_and_friction(arm, rng):
 
 
 def test_without_friction_and_torque_the_loop_keeps_the_energy_as_well_as_a_solver_finds_it(arm):
-    """Motors of no torque leave a double pendulum; the loop's error is of the order of its step."""
+    """Motors of no torque leave a double pendulum; the loop's error is of the order of its sample time."""
     free = frictionless(arm.exact)
     start = np.array([[-1.0, 0.8], [0.0, 0.0]])
     energy = lagrangian(*start, free.parameters)[1]
@@ -105,8 +105,8 @@ def test_without_friction_and_torque_the_loop_keeps_the_energy_as_well_as_a_solv
         energy, rel=1e-8
     )
     errors = []
-    for step in (1e-3, 5e-4):
-        still = asin_trajectory(duration=1.0, time_step=step)
+    for sample_time in (1e-3, 5e-4):
+        still = asin_trajectory(duration=1.0, sample_time=sample_time)
         parts = Controller(LowPass(), RobustTransformation(), KinematicDesign(1.0), arm.approximate)
         runs = simulate_mechanism(free, parts, [still] * 2, start=start, force_limits=[1e-12] * 2)
         moved = np.array([[run.position, run.velocity] for run in runs])
@@ -364,7 +364,7 @@ def test_a_limited_force_does_not_wind_up(exact, approximate, short):
         ({"trajectories": [asin_trajectory(duration=0.6)]}, "trajectories holds 1; give one for each of 2"),
         (
             {"trajectories": [asin_trajectory(duration=0.6), asin_trajectory(duration=0.5)]},
-            "of one length and time step",
+            "of one length and sample time",
         ),
     ],
 )

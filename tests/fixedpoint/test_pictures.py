@@ -79,14 +79,14 @@ def test_tracking_shows_the_window_s_cycle(exact, approximate):
 
 def test_hardest_turn():
     assert run_pictures.hardest_turn(asin_trajectory()) == pytest.approx(6.25, abs=0.01)
-    assert run_pictures.hardest_turn(asin_trajectory(frequency_hz=0.5, time_step=2e-3)) == pytest.approx(
+    assert run_pictures.hardest_turn(asin_trajectory(frequency_hz=0.5, sample_time=2e-3)) == pytest.approx(
         6.5, abs=0.01
     )
 
 
 def test_one_sample_ahead_is_the_run_s_sample(exact, approximate):
     literal = published_controllers(approximate)[LITERAL]
-    trajectory = asin_trajectory(time_step=2e-3, frequency_hz=0.1)
+    trajectory = asin_trajectory(sample_time=2e-3, frequency_hz=0.1)
     figure = run_pictures.paint_estimate_shift({LITERAL: simulate(exact, literal, trajectory)})
     (low, high) = lines(figure, 0)["one sample (2 ms) ahead"]
     assert (high - low)[1] / (high - low)[0] == pytest.approx(2.0)  # mm a m/s
@@ -107,12 +107,12 @@ def test_missing_cost_table(tmp_path, monkeypatch):
 
 
 def test_motion_at_rest_is_the_semi_implicit_model(approximate):
-    step, state = 1e-3, np.array([0.01, 0.002])
+    sample_time, state = 1e-3, np.array([0.01, 0.002])
     acceleration = approximate.acceleration(state[1], state[0], 0.0, approximate.parameters)
-    velocity = state[0] + step * acceleration
+    velocity = state[0] + sample_time * acceleration
     # The quadratic and cubic terms are of the order of 1e-4 of the state here.
-    expected = [velocity, state[1] + step * velocity]
-    assert explorers.motion_at_rest(step) @ state == pytest.approx(expected, rel=2e-3)
+    expected = [velocity, state[1] + sample_time * velocity]
+    assert explorers.motion_at_rest(sample_time) @ state == pytest.approx(expected, rel=2e-3)
 
 
 @pytest.mark.parametrize("scale", [0.01, 1.0, 100.0])

@@ -10,14 +10,14 @@ MAKERS = [sine_trajectory, asin_trajectory, trapezoid_trajectory]
 
 @pytest.mark.parametrize("make", MAKERS)
 def test_derivatives_are_exact(make):
-    """The error of a central difference falls with the square of the step: the observed order is 2."""
+    """The error of a central difference falls with the square of the sample time: the observed order is 2."""
     errors = []
-    for step in (1e-3, 5e-4):
-        t = make(duration=5.0, time_step=step)
-        velocity = (t.position[2:] - t.position[:-2]) / (2 * step)
+    for sample_time in (1e-3, 5e-4):
+        t = make(duration=5.0, sample_time=sample_time)
+        velocity = (t.position[2:] - t.position[:-2]) / (2 * sample_time)
         errors.append(np.sqrt(np.mean((velocity - t.velocity[1:-1]) ** 2)))
         assert np.abs(velocity - t.velocity[1:-1]).max() < 2e-3
-        bend = (t.position[2:] - 2 * t.position[1:-1] + t.position[:-2]) / step**2
+        bend = (t.position[2:] - 2 * t.position[1:-1] + t.position[:-2]) / sample_time**2
         assert np.sqrt(np.mean((bend - t.acceleration[1:-1]) ** 2)) < 2e-2
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.05)
 
@@ -70,7 +70,7 @@ def test_trajectory_without_derivatives():
         (lambda: asin_trajectory(frequency_hz=0.0), "frequency_hz"),
         (lambda: trapezoid_trajectory(rounding=0.0), "rounding"),
         (lambda: sine_trajectory(duration=-1.0), "duration"),
-        (lambda: sine_trajectory(time_step=0.0), "time_step"),
+        (lambda: sine_trajectory(sample_time=0.0), "sample_time"),
         (lambda: record_trajectory(np.array([0, 1, 1, 2, 3, 4]), np.zeros(6)), "time must rise"),
         (lambda: record_trajectory(np.arange(6), np.zeros(5)), "position has shape"),
     ],

@@ -23,7 +23,7 @@ def test_tuning_spends_its_budget_and_helps(name, exact, approximate, training):
     check = compare(exact, {name: found.controller}, training, NOISE, runs=2, seed=3)[name]
     assert check["velocity"].mean() == pytest.approx(found.cost)
     # Better than the middle of the ranges.
-    middle = family.controller(approximate, training.time_step, family.bounds.mean(axis=1))
+    middle = family.controller(approximate, training.sample_time, family.bounds.mean(axis=1))
     other = compare(exact, {name: middle}, training, NOISE, runs=2, seed=3)[name]
     assert found.cost <= other["velocity"].mean() + 1e-12
 

@@ -28,25 +28,25 @@ def test_control_objects_have_the_exact_responses(name, feedback):
 @pytest.mark.parametrize("name", TWINS)
 def test_loop_built_from_continuous_parts_agrees(name):
     """The same loop from the paper's continuous transfer functions, Tustin by python-control."""
-    twin, dt = TWINS[name], TWINS[name].sample_time
+    twin, sample_time = TWINS[name], TWINS[name].sample_time
     s = control.tf("s")
 
     def sampled(system):
-        return control.sample_system(system, dt, "tustin")
+        return control.sample_system(system, sample_time, "tustin")
 
     def at(system):
         return control.frequency_response(system, 2 * np.pi * F).complex
 
     wa, wh, wl = 2 * np.pi * 300, 2 * np.pi * 0.1, 2 * np.pi * 3000
-    wn = 2 / dt * np.tan(np.pi * 962 * dt)  # prewarped
+    wn = 2 / sample_time * np.tan(np.pi * 962 * sample_time)  # prewarped
     lag = at(sampled(control.tf([wa], [1, wa])))
     parasitic = at(sampled(0.02 * s**2 / (s**2 + 0.01 * wn * s + wn**2)))
     conditioning = at(
         sampled(s**2 / (s**2 + np.sqrt(2) * wh * s + wh**2) * wl**2 / (s**2 + np.sqrt(2) * wl * s + wl**2))
     )
     skyhook = at(sampled(225 / (s + 1) * (s**2 + 0.01 * wn * s + wn**2) / (s**2 + wn * s + wn**2)))
-    delay = np.exp(-2j * np.pi * F * dt)
-    bilinear = 2 / dt * (1 - delay) / (1 + delay)
+    delay = np.exp(-2j * np.pi * F * sample_time)
+    bilinear = 2 / sample_time * (1 - delay) / (1 + delay)
     plant = twin.plant
     primary, secondary = [], []
     for k, z in enumerate(bilinear):

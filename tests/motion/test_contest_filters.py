@@ -96,7 +96,7 @@ def test_without_doubt_every_filter_is_the_kalman_filter(plant, name, settings):
 
 def drive_transition(state, inputs, parameters, out):
     """The drive with the errors of its frequency, its rigid body's gain and its flexible mode's gain as states."""
-    step, omega, damping, rigid, flexible = (
+    sample_time, omega, damping, rigid, flexible = (
         parameters[0],
         parameters[1] * (1 + state[4]),
         parameters[2],
@@ -104,14 +104,14 @@ def drive_transition(state, inputs, parameters, out):
         parameters[4],
     )
     push = rigid * (1 + state[5]) * inputs[0]
-    out[0] = state[0] + step * state[1] + step * step / 2 * push
-    out[1] = state[1] + step * push
+    out[0] = state[0] + sample_time * state[1] + sample_time * sample_time / 2 * push
+    out[1] = state[1] + sample_time * push
     push = flexible * (1 + state[6]) * inputs[0]
     # The exact solution about the deflection that the force holds.
     rest = push / (omega * omega)
     turning = omega * math.sqrt(1 - damping * damping)
-    decay = math.exp(-damping * omega * step)
-    cosine, sine = math.cos(turning * step), math.sin(turning * step)
+    decay = math.exp(-damping * omega * sample_time)
+    cosine, sine = math.cos(turning * sample_time), math.sin(turning * sample_time)
     from_rest = state[2] - rest
     swing = (state[3] + damping * omega * from_rest) / turning
     out[2] = rest + decay * (from_rest * cosine + swing * sine)
@@ -124,9 +124,9 @@ def drive_measurement(state, inputs, parameters, out):
 
 
 def parameters_of(told):
-    model, _, step = told
+    model, _, sample_time = told
     shapes = *model.input_shapes[:, 0], *model.output_shapes[0]
-    return step, model.frequencies[1], model.damping[1], *shapes
+    return sample_time, model.frequencies[1], model.damping[1], *shapes
 
 
 def written_otherwise(told):

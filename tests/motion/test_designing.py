@@ -92,7 +92,7 @@ def test_what_would_help_is_what_it_would_give(written, tmp_path):
     use = {"": held["application"] and Application(**held["application"])}
     own = {each: held[each] for each in ("retained", "notches", "lead")}
     own["intensities"] = Intensities(**held["intensities"])
-    found = reach(machine, use, step=1 / RATE, delay=1, doubt=0.05, **own)[""].on_model
+    found = reach(machine, use, sample_time=1 / RATE, delay=1, doubt=0.05, **own)[""].on_model
     assert f"{found.crossing_hz[0]:.1f}" == hertz
     page = (folder / "report.html").read_text()
     assert f"<td>{words}</td><td>{hertz}</td>" in page and "with resonances moved (dB)" in page
@@ -106,7 +106,7 @@ def test_settings_are_varied_and_never_for_less(written):
     gained = []
     for name in ("PID", "MC"):
         application = applications(ADDED_DAMPING, SELECTIVITY)[name]
-        how = {"retained": 5, "intensities": INTENSITIES, "step": 1 / RATE, "delay": 1, "doubt": 0.05}
+        how = {"retained": 5, "intensities": INTENSITIES, "sample_time": 1 / RATE, "delay": 1, "doubt": 0.05}
         first = reach(machine, {name: application}, **how)[name].on_model
         found = float(re.search(r"on the model \(Hz\) ([0-9.]+)", said[name])[1])
         gained.append(found / first.crossing_hz[0])

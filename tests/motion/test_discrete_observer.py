@@ -42,11 +42,11 @@ def observer(reduced):
 # --- damping gains -------------------------------------------------------------------------------------------
 
 
-@given(step=st.floats(1e-6, 3e-4), increase=st.floats(1e-3, 0.5))
+@given(sample_time=st.floats(1e-6, 3e-4), increase=st.floats(1e-3, 0.5))
 @settings(max_examples=40)
-def test_the_closed_form_places_the_poles_at_any_rate(reduced, step, increase):
-    gain = discrete_damping_gain(reduced, increase, step)
-    assert placement_error(reduced, gain, increase, step) < 1e-6
+def test_the_closed_form_places_the_poles_at_any_rate(reduced, sample_time, increase):
+    gain = discrete_damping_gain(reduced, increase, sample_time)
+    assert placement_error(reduced, gain, increase, sample_time) < 1e-6
 
 
 def test_the_closed_form_is_what_general_placement_finds(reduced):
@@ -63,15 +63,17 @@ def test_the_closed_form_is_what_general_placement_finds(reduced):
 
 def test_the_typical_error_is_rounding_times_the_condition_of_the_poles(reduced):
     # First-order perturbation theory of the balanced matrix, over the way that the poles move.
-    for step in (1e-4, 1e-5, 1e-6):
-        flexible = zoh_modes(reduced.modes([1, 2, 3]), step)
-        closed = flexible.a + flexible.b @ discrete_damping_gain(reduced, 0.035, step)[:, 2:]
+    for sample_time in (1e-4, 1e-5, 1e-6):
+        flexible = zoh_modes(reduced.modes([1, 2, 3]), sample_time)
+        closed = flexible.a + flexible.b @ discrete_damping_gain(reduced, 0.035, sample_time)[:, 2:]
         _, left, right = linalg.eig(linalg.matrix_balance(closed)[0], left=True)
         condition = 1 / np.abs((left.conj() * right).sum(axis=0)).min()
         w, z = reduced.frequencies[1:], reduced.damping[1:]
-        before, after = (np.exp(w * (-ratio + 1j * np.sqrt(1 - ratio**2)) * step) for ratio in (z, z + 0.035))
+        before, after = (
+            np.exp(w * (-ratio + 1j * np.sqrt(1 - ratio**2)) * sample_time) for ratio in (z, z + 0.035)
+        )
         expected = np.finfo(float).eps * condition / np.abs(after - before).min()
-        found = typical_placement_error(reduced, 0.035, step, "closed form")
+        found = typical_placement_error(reduced, 0.035, sample_time, "closed form")
         assert expected / 10 < found < 10 * expected
 
 
@@ -88,7 +90,8 @@ def test_fast_sampling_leads_to_the_continuous_gain(reduced):
     continuous = damping_gain(reduced, 0.035, "pole placement")
     size = np.abs(continuous).max()
     far = [
-        np.abs(discrete_damping_gain(reduced, 0.035, step) - continuous).max() / size for step in (1e-7, 1e-8)
+        np.abs(discrete_damping_gain(reduced, 0.035, sample_time) - continuous).max() / size
+        for sample_time in (1e-7, 1e-8)
     ]
     assert far[1] < 1e-2
     assert far[1] == pytest.approx(far[0] / 10, rel=0.05)  # in proportion to the sampling time
@@ -165,9 +168,9 @@ def test_gain_is_where_the_printed_recursion_ends():
 def test_fast_sampling_leads_to_the_continuous_observer(reduced):
     continuous = stage_observer(5, noise_model=0.03)
     far = []
-    for step in (1e-6, 5e-7):
-        found = discrete_kalman_observer(reduced, published_noise(), step, 0.03)
-        far.append(np.abs(found.a @ found.gain / step / continuous.gain - 1).max())
+    for sample_time in (1e-6, 5e-7):
+        found = discrete_kalman_observer(reduced, published_noise(), sample_time, 0.03)
+        far.append(np.abs(found.a @ found.gain / sample_time / continuous.gain - 1).max())
     assert far[1] < 0.03
     assert far[1] == pytest.approx(far[0] / 2, rel=0.1)
 

@@ -83,7 +83,7 @@ def test_identified_drive_is_the_exact_one_without_noise():
     found = identify(
         loop,
         np.random.default_rng(1),
-        step=2.5e-4,
+        sample_time=2.5e-4,
         samples=400_000,
         segment=16000,
         excitation=0.02,

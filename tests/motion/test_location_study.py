@@ -116,7 +116,7 @@ def test_rms_settling_and_ranges_by_hand(setpoint):
     study = LocationStudy(places, setpoint, {"one": decay * (1 + places[:, None])})
     np.testing.assert_allclose(study.rms("one")[0], rms(decay[setpoint.scanning]))
     expected = 0.01 * np.log(1.3 / 0.1)
-    assert study.settled("one", 0.1)[-1] == pytest.approx(expected, abs=setpoint.step)
+    assert study.settled("one", 0.1)[-1] == pytest.approx(expected, abs=setpoint.sample_time)
     low, mean, high = study.over("one", 0.1, 0.3, 29)
     first = study.rms("one")[0]
     np.testing.assert_allclose([low, mean, high], first * np.array([1.1, 1.2, 1.3]), rtol=1e-9)
@@ -152,7 +152,7 @@ def test_runs_together_are_the_runs_by_themselves(setpoint, force):
         for k, cases in enumerate(loops.values()):
             draw = int(rng.integers(2**63))
             for name, loop in cases.items():
-                alone = noise_error(loop, setpoint.step, samples, noise, np.random.default_rng(draw))
+                alone = noise_error(loop, setpoint.sample_time, samples, noise, np.random.default_rng(draw))
                 np.testing.assert_array_equal(run.errors[name][k], quiet.errors[name][k] + alone[0, 3000:])
 
 
@@ -207,7 +207,7 @@ def test_the_held_ideal_force_meets_the_setpoint_at_every_sample(mass):
     whole = np.zeros((17, 17))
     whole[:16, :16] = states.a * scale[None, :] / scale[:, None]
     whole[:16, 16:] = states.b / scale[:, None]
-    held = linalg.expm(whole * setpoint.step)
+    held = linalg.expm(whole * setpoint.sample_time)
     x, reached = np.zeros(16), []
     for value in force.values:
         reached.append(float(states.c[0] * scale @ x))

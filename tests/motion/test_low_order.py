@@ -104,7 +104,7 @@ def test_the_small_error_of_two_states_with_damping_alone_is_that_of_an_integrat
     seen = np.r_[loop.d[0, 0], np.zeros(5), loop.c[0]]
 
     snaps, edges = SETPOINT.derivatives[4], [0]
-    last = round(0.06 / SETPOINT.step)
+    last = round(0.06 / SETPOINT.sample_time)
     edges += [*(k for k in np.flatnonzero(np.diff(snaps)) + 1 if k < last), last]
     x, errors = np.zeros(n + 6), []
     for start, end in itertools.pairwise(edges):

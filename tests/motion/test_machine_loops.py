@@ -20,7 +20,7 @@ MACHINES = {
     "non-collocated": (PAIR | {"sensors": (1,)}, {}),
     "lightly damped": (CHAIN | {"damping": 5e-4}, {}),
     "strongly damped": (CHAIN | {"damping": 0.1}, {}),
-    "late": (PAIR | {"sensors": (1,)}, {"step": 1e-4, "delay": 1}),
+    "late": (PAIR | {"sensors": (1,)}, {"sample_time": 1e-4, "delay": 1}),
     "on springs to the ground": (PAIR | {"sensors": (1,), "ground": 4e4}, {}),
 }
 
@@ -82,7 +82,7 @@ def test_no_recommended_loop_exceeds_six_decibels(tmp_path, name):
     for each in found.values():
         best = each.recommended
         assert best is not None and not each.reason
-        step, pid = options.get("step", 0.0), best.controller
+        sample_time, pid = options.get("sample_time", 0.0), best.controller
         for number, loop in enumerate(each.model_loops):
             assert np.all(loop.poles(pid).real < 0)
             top = min(loop.omega[-1], 2 * np.pi * 2000)
@@ -90,13 +90,15 @@ def test_no_recommended_loop_exceeds_six_decibels(tmp_path, name):
             omega = np.concatenate([2 * np.pi * np.geomspace(0.5, top / (2 * np.pi), 300), *peaks])
             omega = omega[(omega > 0) & (omega <= top)]
             plant, s = responses(name, omega)[number], 1j * omega
-            if step:  # held, late, and folded: the images from the rates around
-                rates = 2 * np.pi / step * np.arange(-6, 7)
+            if sample_time:  # held, late, and folded: the images from the rates around
+                rates = 2 * np.pi / sample_time * np.arange(-6, 7)
                 plant = sum(
-                    responses(name, omega + rate)[number] * -np.expm1(-s * step) / ((s + 1j * rate) * step)
+                    responses(name, omega + rate)[number]
+                    * -np.expm1(-s * sample_time)
+                    / ((s + 1j * rate) * sample_time)
                     for rate in rates
-                ) * np.exp(-s * step * options["delay"])
-                s = 2 / step * np.tanh(s * step / 2)
+                ) * np.exp(-s * sample_time * options["delay"])
+                s = 2 / sample_time * np.tanh(s * sample_time / 2)
             controller = pid.gain * (s + pid.integrator) / s * (s / pid.differentiator + 1)
             controller *= pid.low_pass**2 / (
                 s**2 + 2 * pid.low_pass_damping * pid.low_pass * s + pid.low_pass**2
@@ -163,17 +165,17 @@ def test_the_lowest_of_two_intervals_is_taken():
 def test_a_sampled_loop_is_that_of_python_control(tmp_path):
     import control
 
-    step, delay = 1e-4, 2
+    sample_time, delay = 1e-4, 2
     plant = machine_of(tmp_path, "non-collocated").sensors[0]
-    loop, pid = make_loop(plant, step=step, delay=delay), PidFamily(40.0)(20.0)
-    held = control.sample_system(plant.to_control(), step, "zoh")
-    late = control.tf([1.0], [1.0, 0.0, 0.0], step)
-    sampled = control.sample_system(pid.state_space().to_control(), step, "tustin")
+    loop, pid = make_loop(plant, sample_time=sample_time, delay=delay), PidFamily(40.0)(20.0)
+    held = control.sample_system(plant.to_control(), sample_time, "zoh")
+    late = control.tf([1.0], [1.0, 0.0, 0.0], sample_time)
+    sampled = control.sample_system(pid.state_space().to_control(), sample_time, "tustin")
     omega = 2 * np.pi * np.geomspace(5, 1000, 50)
-    whole = [each(np.exp(1j * omega * step)) for each in (held, late, sampled)]
+    whole = [each(np.exp(1j * omega * sample_time)) for each in (held, late, sampled)]
     assert loop.at(pid, omega).loop == pytest.approx(whole[0] * whole[1] * whole[2], rel=1e-6)
     poles = control.feedback(held * control.ss(late) * sampled, 1).poles()
-    wanted = np.log(poles[np.abs(poles) > 1e-3].astype(complex)) / step
+    wanted = np.log(poles[np.abs(poles) > 1e-3].astype(complex)) / sample_time
     for pole in wanted:
         assert np.abs(loop.poles(pid) - pole).min() < 1e-3 * abs(pole) + 1e-2
 
@@ -183,7 +185,7 @@ def test_a_measurement_of_the_model_gives_the_model_sampled_or_not(tmp_path):
     omega = 2 * np.pi * np.arange(20.0, 800.0)
     accelerance = -(omega**2) * plant.frequency_response(omega)[0, 0]
     measured = Identified(omega, accelerance, np.ones(len(omega)))
-    for options in ({}, {"step": 2e-4, "delay": 1}):
+    for options in ({}, {"sample_time": 2e-4, "delay": 1}):
         loop = on_measurement(make_loop(plant, **options), measured, 1.0, (30.0, 700.0))
         assert loop.plant_response == pytest.approx(loop.plant_at(loop.omega), rel=1e-9)
         assert loop.omega[-1] == pytest.approx(2 * np.pi * 700)

@@ -89,15 +89,15 @@ def test_reduction_and_discretisation_commute():
 
 
 def test_printed_transition_lacks_a_factor():
-    w, z, step = 3e3, 0.3, 1e-4
-    exact, printed = (transition(w, z, step, name) for name in ("exact", "printed"))
+    w, z, sample_time = 3e3, 0.3, 1e-4
+    exact, printed = (transition(w, z, sample_time, name) for name in ("exact", "printed"))
     np.testing.assert_allclose(np.diag(printed), np.diag(exact), rtol=1e-14)
     assert printed[0, 1] / exact[0, 1] == pytest.approx(np.sqrt(1 - z**2), rel=1e-12)
-    small = [transition(w, 1e-4, step, name) for name in ("exact", "lightly damped")]
+    small = [transition(w, 1e-4, sample_time, name) for name in ("exact", "lightly damped")]
     assert np.allclose(*small, rtol=1e-3, atol=1e-3 * np.abs(small[0]).max())
     mode = stage().modes([3])
     z, w = mode.damping[0], mode.frequencies[0]
-    np.testing.assert_allclose(zoh_modes(mode, step).a, transition(w, z, step), rtol=1e-12)
+    np.testing.assert_allclose(zoh_modes(mode, sample_time).a, transition(w, z, sample_time), rtol=1e-12)
 
 
 def test_undamped_matrices_are_the_limit_of_small_damping():

@@ -29,10 +29,10 @@ SHARES = [0.0, 0.05, 0.05]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("options", [{}, {"step": 1e-4, "delay": 1}, {"step": 1.4e-3}])
+@pytest.mark.parametrize("options", [{}, {"sample_time": 1e-4, "delay": 1}, {"sample_time": 1.4e-3}])
 @pytest.mark.parametrize("function", FUNCTIONS)
 def test_the_worst_place_is_the_worst_of_a_grid(options, function):
-    """The last step folds the second mode back below half the rate."""
+    """The last sample time folds the second mode back below half the rate."""
     loop, pid = make_loop(CHAIN, **options), PidFamily(40.0)(12.0)
     size, factors = worst_factors(loop, pid, function, SHARES)
     sides = itertools.product(np.linspace(0.95, 1.05, 9), repeat=2)
@@ -62,7 +62,7 @@ def test_where_no_mode_moves_the_worst_is_the_peak():
 def test_a_mode_that_is_seen_folded_back_is_worst_where_it_meets_another():
     """Of 412 Hz sampled at 625 Hz 213 Hz are seen, beside the first mode: no end of the interval is the worst place."""
     light = replace(CHAIN, damping=0.2 * CHAIN.damping)
-    loop, pid = make_loop(light, step=1.6e-3), PidFamily(40.0)(40.0)
+    loop, pid = make_loop(light, sample_time=1.6e-3), PidFamily(40.0)(40.0)
     size, factors = worst_factors(loop, pid, "input_sensitivity", [0.0, 0.0, 0.05])
     sizes = {
         place: moved_loop(loop, np.array([1.0, 1.0, place])).peak(pid, "input_sensitivity").magnitude
@@ -102,8 +102,8 @@ def test_other_forms_of_numbers_are_taken_and_nonsense_is_named():
 
 def test_settings_are_not_tuned_for_nonsense():
     machine, settings = Machine((CHAIN,), 40.0, "chain"), DesignSettings(None, 5, INTENSITIES)
-    good = {"design_hz": 10.0, "doubt": 0.05, "step": 1e-4, "delay": 1}
-    for name, value in {"design_hz": np.nan, "doubt": 1.5, "step": 0.0, "delay": -1}.items():
+    good = {"design_hz": 10.0, "doubt": 0.05, "sample_time": 1e-4, "delay": 1}
+    for name, value in {"design_hz": np.nan, "doubt": 1.5, "sample_time": 0.0, "delay": -1}.items():
         with pytest.raises(InputError, match=name):
             tuned(machine, settings, **good | {name: value})
 
@@ -130,7 +130,7 @@ def test_six_decibels_hold_for_errors_of_single_resonances(tmp_path):
     file = load_machine(tmp_path / "machine.npz")
     machine = build_machine(file, modes_hz=[], fit_hz=(0.0, 0.0), mirrored_sensor=False)
     use = {"MC": Application(compensate=True)}
-    how = {"step": 1 / rate, "delay": delay, "doubt": 0.05}
+    how = {"sample_time": 1 / rate, "delay": delay, "doubt": 0.05}
     found = reach(machine, use, retained=5, intensities=INTENSITIES, **how)["MC"]
     assert len(found.doubted_loops) > 2
     controller = runnable(found.recommended.controller, found.loops[0].compensator, np.inf, {})

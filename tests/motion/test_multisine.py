@@ -49,7 +49,7 @@ def test_identification_loop_is_the_loop_by_hand():
     rng = np.random.default_rng(2)
     signals = rng.standard_normal((12, 40)) * np.repeat([1.0, 0.5, 1e-7], 4)[:, None]
     ours = simulate(loop, signals)
-    plant = zoh_modes(rig_model(GEOMETRY), SETTINGS.step)
+    plant = zoh_modes(rig_model(GEOMETRY), SETTINGS.sample_time)
     controller = four_sensor_controller(GEOMETRY, SETTINGS, 4.0)
     x, s = np.zeros(len(plant.a)), np.zeros(len(controller.a))
     for k in range(40):
@@ -120,10 +120,10 @@ def _small_plant():
 
 
 def test_exact_response_gives_back_the_modes():
-    plant, step = _small_plant(), 2e-4
+    plant, sample_time = _small_plant(), 2e-4
     omega = 2 * np.pi * np.linspace(5, 600, 600)
-    response = _held(plant, step, omega)
-    fit = fit_modal_matrix(omega, response, np.full(len(omega), 1e-9), 3, step, 2)
+    response = _held(plant, sample_time, omega)
+    fit = fit_modal_matrix(omega, response, np.full(len(omega), 1e-9), 3, sample_time, 2)
     np.testing.assert_allclose(fit.model.frequencies[2:], plant.frequencies[2:], rtol=1e-6)
     np.testing.assert_allclose(fit.model.damping[2:], plant.damping[2:], rtol=1e-4)
     np.testing.assert_allclose(fit.model.feedthrough, plant.feedthrough, atol=1e-10)
@@ -135,23 +135,23 @@ def test_exact_response_gives_back_the_modes():
     assert fit.rank_one.max() < 1e-3
 
 
-def _held(plant, step, omega):
+def _held(plant, sample_time, omega):
     """Sampled response, the compliance late by half a sample."""
-    modes = zoh_response(replace(plant, feedthrough=0 * plant.feedthrough), step, omega)
-    late = (1 + np.exp(-1j * omega * step)) / 2
+    modes = zoh_response(replace(plant, feedthrough=0 * plant.feedthrough), sample_time, omega)
+    late = (1 + np.exp(-1j * omega * sample_time)) / 2
     return np.moveaxis(modes + plant.feedthrough[:, :, None] * late, -1, 0)
 
 
 @pytest.mark.slow
 def test_stated_deviations_are_those_of_many_draws():
-    plant, step, rng = _small_plant(), 2e-4, np.random.default_rng(5)
+    plant, sample_time, rng = _small_plant(), 2e-4, np.random.default_rng(5)
     omega = 2 * np.pi * np.linspace(20, 500, 120)
-    response = _held(plant, step, omega)
+    response = _held(plant, sample_time, omega)
     size = np.full(len(omega), 2e-8)
     found = []
     for _ in range(9):
         noise = (rng.standard_normal(response.shape) + 1j * rng.standard_normal(response.shape)) / np.sqrt(2)
-        found.append(fit_modal_matrix(omega, response + 2e-8 * noise, size, 3, step, 2))
+        found.append(fit_modal_matrix(omega, response + 2e-8 * noise, size, 3, sample_time, 2))
     frequencies = np.array([each.model.frequencies[2:] for each in found])
     spread = np.sqrt(np.mean((frequencies - plant.frequencies[2:]) ** 2, axis=0))
     stated = np.mean([each.deviation for each in found], axis=0)
@@ -166,19 +166,19 @@ def test_stated_deviations_are_those_of_many_draws():
 
 
 def test_the_hold_delays_the_compliance_of_an_undamped_mode_by_half_a_sample():
-    omega, step, mode = 2 * np.pi * np.array([10.0, 500.0, 1300.0]), 1e-4, 2 * np.pi * 2200.0
-    found = sampled_modes(np.array([mode]), np.zeros(1), step, omega)[0] * mode**2
-    np.testing.assert_allclose(np.angle(found), -omega * step / 2, rtol=1e-9)
+    omega, sample_time, mode = 2 * np.pi * np.array([10.0, 500.0, 1300.0]), 1e-4, 2 * np.pi * 2200.0
+    found = sampled_modes(np.array([mode]), np.zeros(1), sample_time, omega)[0] * mode**2
+    np.testing.assert_allclose(np.angle(found), -omega * sample_time / 2, rtol=1e-9)
     assert found[0] == pytest.approx(1, rel=0.005)
 
 
 def test_compliance_of_a_mode_above_the_band_is_found():
     """A constant would take the growth towards the resonance for compliance: 26 % off."""
-    plant, step = _small_plant(), 1e-4
+    plant, sample_time = _small_plant(), 1e-4
     plant = replace(plant, feedthrough=0 * plant.feedthrough)
     omega = 2 * np.pi * np.linspace(5, 280, 200)  # the last mode stands at 398 Hz
-    response = np.moveaxis(zoh_response(plant, step, omega), -1, 0)
-    fit = fit_modal_matrix(omega, response, np.full(len(omega), 1e-9), 2, step, 2)
+    response = np.moveaxis(zoh_response(plant, sample_time, omega), -1, 0)
+    fit = fit_modal_matrix(omega, response, np.full(len(omega), 1e-9), 2, sample_time, 2)
     exact = plant.modes([4]).compliance()
     assert np.linalg.norm(fit.model.feedthrough - exact) < 0.015 * np.linalg.norm(exact)  # two terms: 5 %
 

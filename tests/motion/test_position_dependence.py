@@ -138,15 +138,21 @@ def test_observability_lost_along_a_trajectory_is_named(plant):
 
 @pytest.mark.slow
 def test_online_filter_follows_the_continuous_riccati_equation(plant):
-    model, noise, step = plant.modes([0, 1]), NoiseIntensities(1e-4, 2e-16), 2e-5
-    places = move(0.05, 0.0, 1.0, 0.006, 0.0, step)
+    model, noise, sample_time = plant.modes([0, 1]), NoiseIntensities(1e-4, 2e-16), 2e-5
+    places = move(0.05, 0.0, 1.0, 0.006, 0.0, sample_time)
     states = model.state_space()
     rows = output_rows(shapes_along(model, GRID, places))
     start = np.diag([1e-16, 1e-11, 1e-16, 1e-11])
-    sampled = zoh(states, step)
+    sampled = zoh(states, sample_time)
     filters = kalman_gains(
         TimeVaryingModel(
-            sampled.a, sampled.b, sampled.b, rows, [[noise.process / step]], [[noise.sensor / step]], start
+            sampled.a,
+            sampled.b,
+            sampled.b,
+            rows,
+            [[noise.process / sample_time]],
+            [[noise.sensor / sample_time]],
+            start,
         )
     )
     scale = np.sqrt(np.diag(start))
@@ -157,11 +163,12 @@ def test_online_filter_follows_the_continuous_riccati_equation(plant):
         c = output_rows(shapes_along(model, GRID, [0.05 + t]))[0] * scale
         return (a @ p + p @ a.T + g @ g.T * noise.process - p @ c.T @ c @ p / noise.sensor).ravel()
 
-    end = (len(places) - 1) * step
+    end = (len(places) - 1) * sample_time
     solved = integrate.solve_ivp(riccati, (0, end), np.eye(4).ravel(), rtol=1e-6, atol=1e-8)
     wanted = solved.y[:, -1].reshape(4, 4) * scale[:, None] * scale
     predicted = (
-        sampled.a @ filters.covariance[-2] @ sampled.a.T + sampled.b @ sampled.b.T * noise.process / step
+        sampled.a @ filters.covariance[-2] @ sampled.a.T
+        + sampled.b @ sampled.b.T * noise.process / sample_time
     )
     found = (filters.covariance[-1] + predicted) / 2  # before and after the last update
     np.testing.assert_allclose(np.diag(found), np.diag(wanted), rtol=0.03)
@@ -169,20 +176,20 @@ def test_online_filter_follows_the_continuous_riccati_equation(plant):
 
 def test_standing_on_a_node_loses_the_mode_and_passing_it_faster_loses_less(plant):
     known, node = plant.modes([0, 1]), float(nodes(plant, GRID, 1)[0])
-    step = 2e-4
-    stood = pass_node(known, GRID, np.full(1500, node), 1, published_noise(), step)
+    sample_time = 2e-4
+    stood = pass_node(known, GRID, np.full(1500, node), 1, published_noise(), sample_time)
     assert stood.worst(0.25, 0.3) == pytest.approx(1.0, abs=0.02)
     slow, fast = (
-        pass_node(known, GRID, move(node - 0.03, 0.2, v, 0.06, 0.02, step), 1, published_noise(), step).worst(
-            0.2, 0.22 + 0.06 / v
-        )
+        pass_node(
+            known, GRID, move(node - 0.03, 0.2, v, 0.06, 0.02, sample_time), 1, published_noise(), sample_time
+        ).worst(0.2, 0.22 + 0.06 / v)
         for v in (0.5, 5.0)
     )
     assert fast < slow < 1
     with pytest.raises(InputError, match="no sample"):
         stood.worst(0.5, 0.6)
     with pytest.raises(InputError, match="mode"):
-        pass_node(known, GRID, np.full(10, node), 0, published_noise(), step)
+        pass_node(known, GRID, np.full(10, node), 0, published_noise(), sample_time)
 
 
 def test_the_explorer_draws_a_place_between_the_masses():

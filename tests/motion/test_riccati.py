@@ -76,10 +76,12 @@ def test_discrete_gain_approaches_the_continuous_one_with_order_one():
     states = reduced.state_space()
     continuous = continuous_gain(states.a, states.b, states.c, 1e-4, 2e-18).gain[:, 0]
     errors = []
-    for step in (4e-6, 2e-6, 1e-6):
-        held = zoh_modes(reduced, step)
-        discrete = discrete_gain(held.a, held.b, held.c, 1e-4 / step, 2e-18 / step).filter_gain[:, 0]
-        errors.append(np.abs(discrete / step - continuous).max() / np.abs(continuous).max())
+    for sample_time in (4e-6, 2e-6, 1e-6):
+        held = zoh_modes(reduced, sample_time)
+        discrete = discrete_gain(held.a, held.b, held.c, 1e-4 / sample_time, 2e-18 / sample_time).filter_gain[
+            :, 0
+        ]
+        errors.append(np.abs(discrete / sample_time - continuous).max() / np.abs(continuous).max())
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     assert np.allclose(orders, 1.0, atol=0.1)
 

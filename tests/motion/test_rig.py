@@ -354,7 +354,7 @@ def test_channels_of_the_closed_loop_are_three_wide(loops):
             ),
             "target_damping is 0.001",
         ),
-        (lambda: rig_observer(rig_model(GEOMETRY, 0), SETTINGS.noise, 0.0), "step is 0"),
+        (lambda: rig_observer(rig_model(GEOMETRY, 0), SETTINGS.noise, 0.0), "sample_time is 0"),
         (lambda: rig_observer(rig_model(GEOMETRY, 0), SETTINGS.noise, STEP, 0.0), "noise_model is 0"),
     ],
 )

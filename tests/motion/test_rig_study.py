@@ -115,7 +115,7 @@ def test_modified_feedforward_hides_the_setpoint_from_the_observer(loops):
     """Fig. A.2 by hand: an observer copy on (u0, r) inside, the real one in the loop; same error as v and w give."""
     loop = loops["MC and AD"][0]
     block, controller = loop.compensator.realised, loop.controller(PIDS)
-    plant = zoh_modes(loop.plant, loop.step)
+    plant = zoh_modes(loop.plant, loop.sample_time)
     rng = np.random.default_rng(5)
     r, u0 = 1e-6 * rng.standard_normal((3, 60)), rng.standard_normal((3, 60))
     x, o, copy = np.zeros(len(plant.a)), np.zeros(len(block.a)), np.zeros(len(block.a))
@@ -174,7 +174,7 @@ def test_one_sampled_mode_is_damped_as_its_matrix_exponential_says():
 
 def test_placed_poles_have_the_wanted_damping_and_equal_modes_are_refused():
     model = observer_model(rig_model(GEOMETRY)).at(GEOMETRY.used, POSITIONS[0])
-    np.testing.assert_allclose(placed_damping(model, 0.04, SETTINGS.step), 0.04, atol=1e-6)
+    np.testing.assert_allclose(placed_damping(model, 0.04, SETTINGS.sample_time), 0.04, atol=1e-6)
     twins = ModalModel(
         np.array([600.0, 600.0]), np.zeros(2), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1))
     )

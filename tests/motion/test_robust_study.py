@@ -41,11 +41,11 @@ def small_model(seed=0, samples=30):
 @pytest.mark.parametrize("parameter", range(4))
 @pytest.mark.parametrize("mode", [1, 2])
 def test_derivatives_are_the_limit_of_perturbed_models(scan, mode, parameter):
-    derivatives = sampled_derivatives(scan.nominal, scan.step)
+    derivatives = sampled_derivatives(scan.nominal, scan.sample_time)
     errors, size = np.zeros((3, 4)), 1e-5
     errors[mode, parameter] = size
-    up = zoh_modes(perturbed(scan.nominal, errors), scan.step)
-    down = zoh_modes(perturbed(scan.nominal, -errors), scan.step)
+    up = zoh_modes(perturbed(scan.nominal, errors), scan.sample_time)
+    down = zoh_modes(perturbed(scan.nominal, -errors), scan.sample_time)
     number = 4 * (mode - 1) + parameter
     for name in ("a", "b"):
         central = (getattr(up, name) - getattr(down, name)) / (2 * size)
@@ -63,7 +63,7 @@ def rows_of(model, derivatives, errors, k):
 @pytest.mark.slow
 def test_the_norm_bound_covers_every_corner_of_the_errors(scan):
     model = filter_model(scan)
-    derivatives = sampled_derivatives(scan.nominal, scan.step).along(model, scan.shapes[:, None, :])
+    derivatives = sampled_derivatives(scan.nominal, scan.sample_time).along(model, scan.shapes[:, None, :])
     bound = norm_bound(model, derivatives, 0.05)
     rng = np.random.default_rng(3)
     for k in (1, 700, 1900):
@@ -124,7 +124,7 @@ def test_recorded_scan_is_its_naive_twin(scan):
     records = record_scans(scan, errors, np.random.default_rng(7))
     noise = np.random.default_rng(7).standard_normal((2, 3, 1901)) * np.array(scan.deviations)[:, None]
     for run in range(2):
-        plant = zoh_modes(perturbed(scan.nominal, errors[run]), scan.step)
+        plant = zoh_modes(perturbed(scan.nominal, errors[run]), scan.sample_time)
         forward = scan.mass * scan.setpoint.derivatives[2]
         shapes = scan.shapes * (1 + errors[run][:, 3])
         reference = scan.setpoint.derivatives[0]
@@ -240,7 +240,7 @@ def test_a_bank_that_holds_the_plant_is_the_filter_told_of_it(scan):
     errors = np.zeros((len(scan.nominal.frequencies), 4))
     errors[1:3, 0] = -0.03, 0.025
     records = record_scans(scan, [errors], np.random.default_rng(3))
-    true = zoh_modes(perturbed(scan.nominal, errors), scan.step)
+    true = zoh_modes(perturbed(scan.nominal, errors), scan.sample_time)
     for factor in (1.0, 50.0):
         process = factor * told.model.process
         knowing = replace(told.model, a=true.a, b=true.b, g=true.b, process=process)
@@ -297,7 +297,7 @@ def test_tracking_trial_repeats_and_compares_all_cases():
 
 def test_shapes_that_do_not_fit_the_uncertain_modes_are_named(scan):
     model = filter_model(scan)
-    sampled = sampled_derivatives(scan.nominal, scan.step)
+    sampled = sampled_derivatives(scan.nominal, scan.sample_time)
     with pytest.raises(InputError, match="shapes has shape"):
         sampled.along(model, scan.shapes)
     with pytest.raises(InputError, match="shapes has shape"):
@@ -311,7 +311,7 @@ def test_the_contest_on_a_cluster_gives_identical_numbers():
     """Two workers, trials in any order: the same bits as one after the other."""
     from distributed import Client, LocalCluster
 
-    contest = contests.prepare(published_scan(step=1e-3), 0.05, rigid=False)
+    contest = contests.prepare(published_scan(sample_time=1e-3), 0.05, rigid=False)
     knobs = {name: contests.ENTRANTS[name].given for name in ("Kalman", "fictitious noise")}
     settings = {"contest": contest, "knobs": knobs, "plants": 2}
     here = run_study(contests.contest_trial, 3, 5, progress=False, **settings)

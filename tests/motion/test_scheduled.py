@@ -118,14 +118,14 @@ def test_what_looked_up_gains_leave_is_never_below_what_the_online_ones_do(scan,
 @pytest.mark.parametrize(("increase", "compensate"), [(0.0, True), (0.035, False), (0.035, True)])
 def test_applied_scan_is_its_naive_twin(scan, increase, compensate):
     rng = np.random.default_rng(0)
-    samples, step = len(scan.places), scan.setpoint.step
+    samples, sample_time = len(scan.places), scan.setpoint.sample_time
     noise = rng.standard_normal((3, samples)) * np.array([0.01, 1e-9, 1e-9])[:, None]
     gains = kalman_gains(observer_model(scan, 1e-4, 2e-18))
     controller = PidFamily(stage_mass())(40.0)
     ran = run_applied(scan, gains, controller, stage_mass(), noise, increase, compensate)
 
-    plant, control = zoh_modes(scan.plant, step), zoh(controller.state_space(), step)
-    filters = [zoh(band_pass(float(w), 2.0), step) for w in scan.plant.frequencies[1:4]]
+    plant, control = zoh_modes(scan.plant, sample_time), zoh(controller.state_space(), sample_time)
+    filters = [zoh(band_pass(float(w), 2.0), sample_time) for w in scan.plant.frequencies[1:4]]
     gain = damping_gain(scan.reduced, increase)[0, 3::2] if increase else np.zeros(3)
     x, z, bands, last = np.zeros(16), np.zeros(3), np.zeros((3, 2)), 0.0
     u, y, errors = [], [], []

@@ -107,10 +107,12 @@ def test_ideal_feedforward_of_a_rigid_body_is_its_mass():
 
 
 def test_errors_do_not_depend_on_the_sample_time():
-    """The simulation is exact: a finer step gives the same error at the common samples."""
+    """The simulation is exact: a shorter sample time gives the same error at the common samples."""
     loop = error_loop(closed_loop(PLANT, stage_compensator(5, DESIGNS["AD"]), CONTROLLER))
     gains = Feedforward(acceleration=12.5, snap=1.66e-6)
-    coarse, fine = (tracking_error(loop, published_setpoint(step), gains) for step in (1e-4, 2.5e-5))
+    coarse, fine = (
+        tracking_error(loop, published_setpoint(sample_time), gains) for sample_time in (1e-4, 2.5e-5)
+    )
     assert np.abs(coarse - fine[::4]).max() < 1e-12
 
 
@@ -162,11 +164,13 @@ def test_perfect_feedforward_gives_no_error_with_an_observer():
 
 def test_noise_has_the_power_that_the_norm_predicts():
     loop = closed_loop(PLANT, None, CONTROLLER)
-    step = 1e-4
-    error = noise_error(loop, step, 300_000, {"w": 0.01}, np.random.default_rng(3))[0, 5000:]
+    sample_time = 1e-4
+    error = noise_error(loop, sample_time, 300_000, {"w": 0.01}, np.random.default_rng(3))[0, 5000:]
 
-    held = zoh(channel(loop, "w", "e_true"), step)
-    impulse = control.impulse_response(held.to_control(), T=np.arange(6000) * step).outputs * step
+    held = zoh(channel(loop, "w", "e_true"), sample_time)
+    impulse = (
+        control.impulse_response(held.to_control(), T=np.arange(6000) * sample_time).outputs * sample_time
+    )
     # Variance of white noise through a filter: the energy of its impulse response.
     expected = 0.01 * np.sqrt((impulse**2).sum())
     assert rms(error) == pytest.approx(expected, rel=0.05)
@@ -176,8 +180,8 @@ def test_noise_has_the_power_that_the_norm_predicts():
     ("call", "message"),
     [
         (lambda: from_snap([], [], 1e-3), "segments is empty"),
-        (lambda: from_snap([1.0], [1.5e-3], 1e-3), "multiples of step"),
-        (lambda: from_snap([1.0], [0.0], 1e-3), "multiples of step"),
+        (lambda: from_snap([1.0], [1.5e-3], 1e-3), "multiples of sample_time"),
+        (lambda: from_snap([1.0], [0.0], 1e-3), "multiples of sample_time"),
         (
             lambda: Setpoint(1e-3, from_snap([1.0, -3.0], [0.01, 0.02], 1e-3), (0.0, 0.01), 0.01),
             "moves backwards",
@@ -234,17 +238,17 @@ def test_bad_input_is_named(call, message):
 
 def test_cumulative_power_is_that_of_a_long_record():
     loop = closed_loop(PLANT, stage_compensator(5, DESIGNS["MC"]), CONTROLLER)
-    step, noise = 1e-4, {"w": 0.01, "v": 1e-9, "d": 1e-9}
+    sample_time, noise = 1e-4, {"w": 0.01, "v": 1e-9, "d": 1e-9}
     grid = resonance_grid(np.concatenate([PLANT.poles, loop.poles]), 0.01, 5e3, 2000, 60)
-    power = cumulative_power(loop, step, noise, grid)
-    record = noise_error(loop, step, 400_000, noise, np.random.default_rng(8))[:, 5000:]
+    power = cumulative_power(loop, sample_time, noise, grid)
+    record = noise_error(loop, sample_time, 400_000, noise, np.random.default_rng(8))[:, 5000:]
     assert np.sqrt(power.true[-1]) == pytest.approx(rms(record[0]), rel=0.05)
     # d is white and direct: what the measured error has more is above the bandwidth.
     assert np.sqrt(power.measured[-1]) == pytest.approx(rms(record[1]), rel=0.05)
     low, high = band_power(power, PLANT.frequencies[1])
     assert 0 < high and 0 < low < power.true[-1]
     with pytest.raises(InputError, match="Nyquist"):
-        cumulative_power(loop, step, noise, np.array([1.0, 1e6]))
+        cumulative_power(loop, sample_time, noise, np.array([1.0, 1e6]))
 
 
 def test_noisy_scans_share_their_noise():

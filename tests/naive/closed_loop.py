@@ -40,8 +40,8 @@ def run(twin, floor, noise, *, feedback=True, weights=None, felms=None, ferls=No
     floor : (samples, sensors); noise : (samples, outputs + sensors).
     """
     instruments, sensors, outputs = twin.instruments, twin.sensors, twin.outputs
-    dt = twin.sample_time
-    plant = step_tustin(twin.plant.continuous, dt)
+    sample_time = twin.sample_time
+    plant = step_tustin(twin.plant.continuous, sample_time)
     actuator = Cascade(instruments.actuator, outputs)
     parasitic = Cascade(instruments.parasitic, outputs)
     platform_conditioning = Cascade(instruments.conditioning, outputs)

@@ -36,20 +36,20 @@ def robust(offset, factor, slope):
 class MovingWindow:
     """Three cascaded straight-line fits by polyfit, with lists that forget."""
 
-    def __init__(self, length, time_step):
-        self.samples, self.time_step, self.lists = length + 1, time_step, None
+    def __init__(self, length, sample_time):
+        self.samples, self.sample_time, self.lists = length + 1, sample_time, None
 
     def __call__(self, measured, _force, presumed):
         if self.lists is None:
-            ramp = [measured - presumed[1] * self.time_step * back for back in range(self.samples, 0, -1)]
+            ramp = [measured - presumed[1] * self.sample_time * back for back in range(self.samples, 0, -1)]
             self.lists = [ramp, [presumed[1]] * self.samples, [presumed[2]] * self.samples]
-            self.last = [measured - presumed[1] * self.time_step, presumed[1], presumed[2]]
+            self.last = [measured - presumed[1] * self.sample_time, presumed[1], presumed[2]]
         value, out = measured, []
         for level in range(3):
             self.lists[level] = [*self.lists[level][1:], value]
             slope, base = np.polyfit(np.arange(self.samples), self.lists[level], 1)
             fitted = slope * (self.samples - 1) + base
-            value = (fitted - self.last[level]) / self.time_step
+            value = (fitted - self.last[level]) / self.sample_time
             self.last[level] = fitted
             out.append(fitted)
         return np.array(out)
@@ -58,14 +58,14 @@ class MovingWindow:
 class SavitzkyGolay:
     """A polynomial fit by polyfit, and its derivatives by polyder."""
 
-    def __init__(self, samples, degree, time_step):
-        self.samples, self.degree, self.time_step, self.window = samples, degree, time_step, None
+    def __init__(self, samples, degree, sample_time):
+        self.samples, self.degree, self.sample_time, self.window = samples, degree, sample_time, None
 
     def __call__(self, measured, _force, presumed):
         if self.window is None:
-            self.window = [measured - presumed[1] * self.time_step * b for b in range(self.samples, 0, -1)]
+            self.window = [measured - presumed[1] * self.sample_time * b for b in range(self.samples, 0, -1)]
         self.window = [*self.window[1:], measured]
-        time = np.arange(1 - self.samples, 1) * self.time_step
+        time = np.arange(1 - self.samples, 1) * self.sample_time
         fit = np.polynomial.Polynomial.fit(time, self.window, self.degree)
         return np.array([fit(0.0), fit.deriv(1)(0.0), fit.deriv(2)(0.0)])
 
@@ -73,14 +73,14 @@ class SavitzkyGolay:
 class LowPass:
     """(7) in companion form, Euler's rule."""
 
-    def __init__(self, bandwidth, time_step):
+    def __init__(self, bandwidth, sample_time):
         w = bandwidth
         self.A = np.array([[0, 1, 0], [0, 0, 1], [-(w**3), -3 * w**2, -3 * w]])
         self.B = np.array([0, 0, w**3])
-        self.x, self.time_step = np.zeros(3), time_step
+        self.x, self.sample_time = np.zeros(3), sample_time
 
     def __call__(self, measured, _force, _presumed):
-        self.x = self.x + self.time_step * (self.A @ self.x + self.B * measured)
+        self.x = self.x + self.sample_time * (self.A @ self.x + self.B * measured)
         return self.x
 
 
@@ -128,49 +128,49 @@ def kalman_step(x, P, z, predicted, F, H, expected, Q, R):
 
 
 class PlantUnscented:
-    def __init__(self, parameters, Q, R, initial_variance, time_step, literal=False):
-        self.parameters, self.Q, self.R, self.time_step = parameters, Q, R, time_step
+    def __init__(self, parameters, Q, R, initial_variance, sample_time, literal=False):
+        self.parameters, self.Q, self.R, self.sample_time = parameters, Q, R, sample_time
         self.P, self.x, self.literal = initial_variance * np.eye(2), None, literal
 
     def __call__(self, measured, force, presumed):
-        dt = self.time_step
+        sample_time = self.sample_time
         if self.x is None:
-            self.past = measured - dt * presumed[1]
+            self.past = measured - sample_time * presumed[1]
             self.x = np.array([presumed[1], self.past])
 
         def move(x):
-            velocity = x[0] + dt * oscillator(self.parameters, x[1], x[0], force)
-            return np.array([velocity, x[1] + dt * velocity])
+            velocity = x[0] + sample_time * oscillator(self.parameters, x[1], x[0], force)
+            return np.array([velocity, x[1] + sample_time * velocity])
 
-        z = np.array([(measured - self.past) / dt, measured])
+        z = np.array([(measured - self.past) / sample_time, measured])
         before = self.x[0]
         self.x, self.P = unscented_step(
             self.x, self.P, z, move, lambda x: x, self.Q, self.R, 1e-2, 1e-3, 0.0, self.literal
         )
         self.past = measured
-        return np.array([self.x[1], self.x[0], (self.x[0] - before) / dt])
+        return np.array([self.x[1], self.x[0], (self.x[0] - before) / sample_time])
 
 
 class PlantExtended:
     """With the derivatives of (11) by hand."""
 
-    def __init__(self, parameters, Q, R, initial_deviation, time_step):
-        self.parameters, self.Q, self.R, self.time_step = parameters, Q, R, time_step
+    def __init__(self, parameters, Q, R, initial_deviation, sample_time):
+        self.parameters, self.Q, self.R, self.sample_time = parameters, Q, R, sample_time
         position, velocity, disturbance = initial_deviation
         self.P, self.x = np.diag([velocity**2, position**2, disturbance**2]), None
 
     def __call__(self, measured, force, presumed):
         m, k, a, b1, b2, d = self.parameters
-        dt = self.time_step
+        sample_time = self.sample_time
         if self.x is None:
-            self.x = np.array([presumed[1], measured - dt * presumed[1], 0.0])
+            self.x = np.array([presumed[1], measured - sample_time * presumed[1], 0.0])
         v, q, w = self.x
         by_v = (b1 * (a**2 - q**2) - b2 - 2 * d * abs(v)) / m
         by_q = (-k - 2 * b1 * q * v) / m
-        F = np.array([[1 + dt * by_v, dt * by_q, dt], [0, 0, 0], [0, 0, 1]])
-        F[1] = dt * F[0] + [0, 1, 0]
-        velocity = v + dt * (oscillator(self.parameters, q, v, force) + w)
-        predicted = np.array([velocity, q + dt * velocity, w])
+        F = np.array([[1 + sample_time * by_v, sample_time * by_q, sample_time], [0, 0, 0], [0, 0, 1]])
+        F[1] = sample_time * F[0] + [0, 1, 0]
+        velocity = v + sample_time * (oscillator(self.parameters, q, v, force) + w)
+        predicted = np.array([velocity, q + sample_time * velocity, w])
         H = np.array([[0.0, 1.0, 0.0]])
         self.x, self.P = kalman_step(
             self.x, self.P, np.array([measured]), predicted, F, H, predicted[1:2], self.Q, self.R
@@ -188,7 +188,7 @@ def closed_loop(
     approximate,
     nominal,
     noise,
-    time_step,
+    sample_time,
     semi_implicit=True,
     resolution=0.0,
 ):
@@ -205,7 +205,7 @@ def closed_loop(
         seen = measured if error_from_measurement else estimate[0]
         chain = [qn - seen]
         for j in range(len(integrals)):
-            integrals[j] += time_step * chain[-1]
+            integrals[j] += sample_time * chain[-1]
             chain.append(integrals[j])
         desired = an + gains[-1] * (vn - estimate[1]) + np.dot(gains[:-1], chain[::-1])
         deformed = desired if deformed is None else transformation(deformed, estimate[2], desired)
@@ -213,6 +213,6 @@ def closed_loop(
         acceleration = oscillator(exact, q, v, force)
         rows.append([q, v, acceleration, deformed, force])
         before = v
-        v = v + time_step * acceleration
-        q = q + time_step * (v if semi_implicit else before)
+        v = v + sample_time * acceleration
+        q = q + sample_time * (v if semi_implicit else before)
     return np.array(rows).T

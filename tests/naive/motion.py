@@ -5,13 +5,13 @@ from fractions import Fraction
 import numpy as np
 
 
-def exponential(a, b, step):
+def exponential(a, b, sample_time):
     """Zero-order hold exp([A B; 0 0] T) in fixed-point arithmetic of 400 binary places."""
     places, halvings = 400, 30
     n, m = b.shape
     whole = np.zeros((n + m, n + m), dtype=object)
     for (i, j), value in np.ndenumerate(np.hstack([a, b])):
-        whole[i, j] = int(Fraction(float(value)) * Fraction(step) * 2 ** (places - halvings))
+        whole[i, j] = int(Fraction(float(value)) * Fraction(sample_time) * 2 ** (places - halvings))
     one = np.array([[int(i == j) << places for j in range(n + m)] for i in range(n + m)], dtype=object)
     total, term = one, one
     for k in range(1, 30):
@@ -38,9 +38,9 @@ def moving_windows(error, width):
     return np.array([w.mean() for w in windows]), np.array([w.std() for w in windows])
 
 
-def integrate_setpoint(snap, step, substeps=200):
+def integrate_setpoint(snap, sample_time, substeps=200):
     """Position to jerk by brute-force summation of a sampled snap, midpoint rule within a sample."""
-    state, rows, h = np.zeros(4), [], step / substeps
+    state, rows, h = np.zeros(4), [], sample_time / substeps
     for s in snap:
         rows.append(state.copy())
         for _ in range(substeps):

@@ -101,11 +101,11 @@ def test_proportional_damping_decouples_and_other_damping_is_refused():
         lti.modal_model(mass, stiffness, np.eye(2), np.eye(2), damping_matrix=np.diag([1.0, 5.0]))
 
 
-@pytest.mark.parametrize("step", [1e-5, 1e-4, 1e-3])
-def test_discretisation_mode_by_mode_is_the_exact_exponential(step):
+@pytest.mark.parametrize("sample_time", [1e-5, 1e-4, 1e-3])
+def test_discretisation_mode_by_mode_is_the_exact_exponential(sample_time):
     model = random_modal(11)
-    discrete, states = zoh_modes(model, step), model.state_space()
-    transition, drive = exponential(states.a, states.b, step)
+    discrete, states = zoh_modes(model, sample_time), model.state_space()
+    transition, drive = exponential(states.a, states.b, sample_time)
     assert np.allclose(discrete.a, transition, rtol=1e-11, atol=1e-15 * np.abs(transition).max())
     assert np.allclose(discrete.b, drive, rtol=1e-9, atol=1e-16 * np.abs(drive).max())
 
@@ -241,7 +241,7 @@ def test_zeros_are_those_of_python_control_and_of_the_response(feedthrough):
         ),
         (lambda: stage().frequency_response([0.0, 1.0]), "rigid-body"),
         (lambda: stage().frequency_response([np.nan]), "omega holds"),
-        (lambda: zoh_modes(stage(), 0.0), "step"),
+        (lambda: zoh_modes(stage(), 0.0), "sample_time"),
         (lambda: lti.zoh(zoh_modes(stage(), 1e-4), 1e-4), "discrete time already"),
         (lambda: lti.simulate(stage().state_space(), np.zeros((1, 3))), "continuous time"),
         (lambda: lti.hinf_norm(stage().state_space()), "stable"),
@@ -254,7 +254,7 @@ def test_zeros_are_those_of_python_control_and_of_the_response(feedthrough):
         (lambda: lti.modal_model(np.eye(2), -np.eye(2), np.eye(2), np.eye(2)), "negative eigenvalue"),
         (lambda: lti.resonance_grid([1j], 10.0, 5.0), "high_hz"),
         (lambda: lti.resonance_grid([1j, np.nan], 1.0, 5.0), "poles holds 1 NaN"),
-        (lambda: tustin(stage().state_space(), 0.0), "step is 0"),
+        (lambda: tustin(stage().state_space(), 0.0), "sample_time is 0"),
         (
             lambda: tustin(stage().state_space(), 1e-3, 4e3),
             "omega is 4000; give a finite number above 0 and below",

@@ -60,6 +60,34 @@ def test_a_private_name_is_used_in_its_own_file_alone(modules):
     assert reached == []
 
 
+# Where such a name means something else: when the optimum jumps; a function, an observer's next sample.
+NO_SAMPLE_TIME = {
+    ("experiments.isolation.stability_pictures", "paint_cures", "step"),
+    ("experiments.motion.observer_contest.bench", "run_scans", "step"),
+}
+
+
+@pytest.mark.slow
+def test_the_interval_between_samples_is_called_sample_time(modules):
+    """As a parameter or a field; it had three names, and a caller had to look up which one a function takes."""
+    others = {"step", "time_step", "dt", "Ts", "sampling_time"}
+    found = set()
+    for module, tree in modules.items():
+        if module.startswith(("stillwork.workbook", "stillwork.site")):
+            continue
+        for node in ast.walk(tree):
+            names = []
+            if isinstance(node, (ast.FunctionDef, ast.Lambda)):
+                given = node.args
+                names = [each.arg for each in (*given.posonlyargs, *given.args, *given.kwonlyargs)]
+                if any(ast.unparse(each) == "property" for each in getattr(node, "decorator_list", ())):
+                    names.append(node.name)
+            elif isinstance(node, ast.ClassDef):
+                names = [ast.unparse(each.target) for each in node.body if isinstance(each, ast.AnnAssign)]
+            found |= {(module, getattr(node, "name", "lambda"), name) for name in names if name in others}
+    assert found == NO_SAMPLE_TIME
+
+
 def functions(tree):
     return [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
 

@@ -29,7 +29,7 @@ def exercise_1() -> str:
     """How late a third-order low pass is, from a ramp."""
     speed = 0.2  # m/s
     position = speed * 1e-4 * np.arange(20_000)
-    found = filter_signal(LowPass(350.0), position, time_step=1e-4)
+    found = filter_signal(LowPass(350.0), position, sample_time=1e-4)
     late = (position - found.position)[-1] / speed
     assert np.isclose(late, 3 / 350, atol=1.01e-4)  # three lags of one over the bandwidth; a sample is lost
     assert np.isclose(found.velocity[-1], speed)
@@ -58,7 +58,7 @@ def exercise_3() -> str:
 
 def exercise_4() -> str:
     """The velocity of a parabola through a window, against the difference quotient."""
-    window = SavitzkyGolay(samples=12, degree=2, time_step=1e-3)
+    window = SavitzkyGolay(samples=12, degree=2, sample_time=1e-3)
     errors = Noise("gaussian", 1e-5).sample(np.random.default_rng(4), 200_000)
     found = filter_signal(window, errors).velocity[100:]
     ratio = np.std(found) / (np.sqrt(2) * 1e-5 / 1e-3)
@@ -117,7 +117,7 @@ def exercise_9() -> str:
     """An encoder's rounding as noise: its size, and where it stops being noise."""
     step = 2e-4
     rng = np.random.default_rng(9)
-    moving = asin_trajectory(duration=12.0, time_step=1e-3).position
+    moving = asin_trajectory(duration=12.0, sample_time=1e-3).position
     errors = Noise("encoder", step).measure(moving, rng) - moving
     assert np.isclose(np.std(errors), step / np.sqrt(12), rtol=0.02)
     slow = 0.1 * step * np.arange(12_000) / 10  # a step each hundred samples
@@ -156,7 +156,7 @@ def exercise_11() -> str:
     ratio = noise(350.0) / noise(175.0)
     errors = 1e-5 * np.random.default_rng(11).standard_normal(400_000)
     found = [
-        np.std(filter_signal(LowPass(bandwidth), errors, time_step=1e-4).acceleration[2000:])
+        np.std(filter_signal(LowPass(bandwidth), errors, sample_time=1e-4).acceleration[2000:])
         for bandwidth in (350.0, 175.0)
     ]
     assert np.isclose(found[0] / found[1], ratio, rtol=0.1)  # Euler's rule at 10 kHz
@@ -167,7 +167,7 @@ def exercise_11() -> str:
 def exercise_12() -> str:
     """The window's limit cycle with another gain: its amplitude moves, its frequency stays."""
     exact, approximate = (model.plant for model in load_oscillator().values())
-    trajectory = asin_trajectory(duration=6.0, time_step=1e-3)
+    trajectory = asin_trajectory(duration=6.0, sample_time=1e-3)
     window = published_controllers(approximate)[WINDOW]
     seen = []
     for gain in (-0.7, -1.1, -1.8):
@@ -185,7 +185,7 @@ def exercise_12() -> str:
 def exercise_13() -> str:
     """The printed (14) and its shift: the way that the plant travels in a sample."""
     exact, approximate = (model.plant for model in load_oscillator().values())
-    trajectory = asin_trajectory(duration=6.0, time_step=1e-3)
+    trajectory = asin_trajectory(duration=6.0, sample_time=1e-3)
     run = simulate(exact, published_controllers(approximate)[LITERAL], trajectory)
     error = (run.position - trajectory.position)[1000:]
     way = trajectory.velocity[1000:] * 1e-3

@@ -32,12 +32,12 @@ from stillwork.signals import moving
 
 def exercise_1() -> str:
     """The moving average of a vibration at half the frequency that the slit filters out."""
-    step, exposure = 1e-5, 5e-3
-    error = 10 * np.sin(2 * np.pi * 100 * step * np.arange(20_000))  # nm
-    largest = np.abs(moving(error, step, exposure).average).max()
+    sample_time, exposure = 1e-5, 5e-3
+    error = 10 * np.sin(2 * np.pi * 100 * sample_time * np.arange(20_000))  # nm
+    largest = np.abs(moving(error, sample_time, exposure).average).max()
 
     assert np.isclose(largest, 10 * 2 / np.pi, rtol=1e-3)  # the mean of half a period
-    silent = moving(10 * np.sin(2 * np.pi * 200 * step * np.arange(20_000)), step, exposure)
+    silent = moving(10 * np.sin(2 * np.pi * 200 * sample_time * np.arange(20_000)), sample_time, exposure)
     assert np.abs(silent.average).max() < 1e-9 and np.isclose(silent.deviation.max(), 10 / np.sqrt(2))
     return f"{largest:.2f}"
 
@@ -227,7 +227,7 @@ def exercise_13() -> str:
         PidFamily(10.0)(50.0).state_space(),
     )
     loop = error_loop(closed_loop(mass, None, controller))
-    move = point_to_point(1e4, 100.0, 2.0, 0.1, cruise=0.02, settling=0.005, step=1e-4)
+    move = point_to_point(1e4, 100.0, 2.0, 0.1, cruise=0.02, settling=0.005, sample_time=1e-4)
     fitted = fit_feedforward(loop, move)
     wrong = tracking_error(loop, move, replace(fitted, acceleration=0.99 * fitted.acceleration))
     largest = np.abs(wrong[move.scanning]).max()  # m, for one per cent

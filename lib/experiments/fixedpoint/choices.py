@@ -21,7 +21,7 @@ from stillwork.workbook.studies import mean_interval, run_study
 
 Values = dict[str, float | tuple[float, tuple[float, float]]]
 
-TIME_STEP = 1e-3  # s, section III
+SAMPLE_TIME = 1e-3  # s, section III
 PRINTED_NOISE = {"small": 1e-5, "large": 1e-4}  # m, sections III.B and III.C
 SHAPES = {"asin 0.9": 0.9, "asin 0.98": 0.98, "asin 0.999": 0.999}
 ROUNDINGS = {"trapezoid 1/2": 0.5, "trapezoid 1/5": 0.2}
@@ -29,7 +29,7 @@ ROUNDINGS = {"trapezoid 1/2": 0.5, "trapezoid 1/5": 0.2}
 
 def trajectory(shape: str, frequency_hz: float, amplitude: float) -> Trajectory:
     """A nominal motion of 12 s with corners; `amplitude` in m."""
-    timing = {"frequency_hz": frequency_hz, "time_step": TIME_STEP}
+    timing = {"frequency_hz": frequency_hz, "sample_time": SAMPLE_TIME}
     if shape in SHAPES:
         return asin_trajectory(amplitude, SHAPES[shape], **timing)
     return trapezoid_trajectory(amplitude, ROUNDINGS[shape], **timing)
@@ -126,7 +126,7 @@ def rankings(
             ("fig-14.offset-q", "position_shift"),
             ("fig-15.offset-dq", "velocity_shift"),
         ):
-            shift = np.abs(last[name][quantity]) / TIME_STEP
+            shift = np.abs(last[name][quantity]) / SAMPLE_TIME
             found[f"{claim}.{form}"] = np.mean((shift > 0.5) & np.isfinite(shift))
     return {f"fixedpoint.{name}": value for name, value in found.items()}
 
@@ -137,7 +137,7 @@ def _judged(run: ControlledRun, settle: float, hectic_by: str, error_measure: st
     if hectic_by == "velocity":
         found["roughness"] = found["velocity_roughness"]
     if error_measure == "largest" and run.diverged_at is None:
-        part = slice(round(settle / run.trajectory.time_step), None)
+        part = slice(round(settle / run.trajectory.sample_time), None)
         found["position"] = float(np.abs(run.position_error[part]).max())
         found["velocity"] = float(np.abs(run.velocity_error[part]).max())
     return found
@@ -175,7 +175,7 @@ def noise_free(
             errors = {name: found[name]["position"] for name in (WINDOW, LOW_PASS, LITERAL)}
     flow = FlowTransformation()
     kept = [
-        remaining_motion(exact, replace(who[name], transformation=flow), kick, TIME_STEP)
+        remaining_motion(exact, replace(who[name], transformation=flow), kick, SAMPLE_TIME)
         for name in (WINDOW, LOW_PASS, KALMAN)
     ]
     return {
@@ -256,7 +256,7 @@ def differentiation(
     records, deviation = 40, PRINTED_NOISE["large"]
     study = run_study(
         quotient_trial, records, seed, progress=False, noise=Noise(noise_law, deviation), samples=record_samples,
-        time_step=TIME_STEP,
+        sample_time=SAMPLE_TIME,
     )  # fmt: skip
     found: Values = {
         f"fixedpoint.{claim}": (study[quantity].mean(), mean_interval(study[quantity]))
@@ -267,7 +267,7 @@ def differentiation(
     encoder = Noise("encoder", encoder_step)
     told = [
         rejects_gaussian(
-            difference_quotient(encoder.measure(motion, np.random.default_rng(stream)) - motion, TIME_STEP)
+            difference_quotient(encoder.measure(motion, np.random.default_rng(stream)) - motion, SAMPLE_TIME)
         )
         for stream in np.random.SeedSequence(seed).spawn(records)
     ]

@@ -38,12 +38,12 @@ def paint_contraction(transformations: dict[str, Transformation], response_gain:
     return figure
 
 
-def paint_filter_responses(filters: dict[str, LinearFilter], time_step: float):
+def paint_filter_responses(filters: dict[str, LinearFilter], sample_time: float):
     """Frequency responses from the measured position to the three estimates, over the ideal derivatives."""
     figure, panels = figures.new(2, 3, height=5.2, sharex=True)
     frequency = np.geomspace(0.5, 499, 90)
     for name, device in filters.items():
-        response = device.response(2 * np.pi * frequency, time_step)
+        response = device.response(2 * np.pi * frequency, sample_time)
         line = "--" if name == LITERAL else "-"  # in places it covers its neighbour
         for column in range(3):
             ratio = response[:, column] / (2j * np.pi * frequency) ** column

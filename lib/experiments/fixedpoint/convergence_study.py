@@ -15,34 +15,34 @@ from stillwork.control.transformation import FlowTransformation
 from stillwork.estimation.plant import Plant
 
 
-def at_rest(samples: int, time_step: float) -> Trajectory:
+def at_rest(samples: int, sample_time: float) -> Trajectory:
     """A nominal motion that stands still at zero."""
-    return Trajectory(time_step, *np.zeros((3, samples)))
+    return Trajectory(sample_time, *np.zeros((3, samples)))
 
 
 def cycles_over_gain(
-    plant: Plant, controller: Controller, strengths: Sequence[float], width: float, time_step: float
+    plant: Plant, controller: Controller, strengths: Sequence[float], width: float, sample_time: float
 ) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
     """Predicted and simulated limit cycle for each -A: frequency in Hz, amplitude in m/s^2; NaN without one."""
-    loop, predicted, simulated = linear_loop(plant, controller, time_step), [], []
+    loop, predicted, simulated = linear_loop(plant, controller, sample_time), [], []
     for strength in strengths:
         transformation = FlowTransformation(-strength, width)
         stable = [cycle for cycle in limit_cycles(loop, transformation) if cycle.stable]
         predicted.append((stable[0].frequency_hz, stable[0].iteration_error) if stable else (np.nan, np.nan))
         moved = replace(controller, transformation=transformation)
-        run = simulate(plant, moved, at_rest(round(8 / time_step), time_step), start=(0.0, 1e-3))
-        tail = slice(round(4 / time_step), None)
-        found = strongest_oscillation(run.acceleration_estimate[tail] - run.desired[tail], time_step)
+        run = simulate(plant, moved, at_rest(round(8 / sample_time), sample_time), start=(0.0, 1e-3))
+        tail = slice(round(4 / sample_time), None)
+        found = strongest_oscillation(run.acceleration_estimate[tail] - run.desired[tail], sample_time)
         simulated.append((found.frequency_hz, found.amplitude))
     return predicted, simulated
 
 
-def remaining_motion(plant: Plant, controller: Controller, kick: float, time_step: float) -> float:
+def remaining_motion(plant: Plant, controller: Controller, kick: float, sample_time: float) -> float:
     """Largest velocity in the last of 8 s at rest after a kick (m/s), over the kick; infinite when it diverged."""
-    run = simulate(plant, controller, at_rest(round(8 / time_step), time_step), start=(0.0, kick))
+    run = simulate(plant, controller, at_rest(round(8 / sample_time), sample_time), start=(0.0, kick))
     if run.diverged_at is not None:
         return np.inf
-    return float(np.abs(run.velocity[round(7 / time_step) :]).max() / kick)
+    return float(np.abs(run.velocity[round(7 / sample_time) :]).max() / kick)
 
 
 def divergence_by_noise(
@@ -51,10 +51,10 @@ def divergence_by_noise(
     deviations: Sequence[float],
     runs: int,
     seed: int,
-    time_step: float = 1e-3,
+    sample_time: float = 1e-3,
 ) -> list[float]:
     """Fraction of runs of 12 s at rest that diverge, for each standard deviation of Gaussian noise."""
-    still = at_rest(round(12 / time_step), time_step)
+    still = at_rest(round(12 / sample_time), sample_time)
 
     def diverges(stream, deviation) -> bool:
         noise = Noise("gaussian", deviation)
@@ -66,9 +66,9 @@ def divergence_by_noise(
 
 
 def response_noise(
-    plant: Plant, controller: Controller, deviation: float, seed: int, time_step: float = 1e-3
+    plant: Plant, controller: Controller, deviation: float, seed: int, sample_time: float = 1e-3
 ) -> float:
     """Standard deviation of response - desired at rest in Gaussian noise, m/s^2; 5 s after the first."""
-    still = at_rest(round(6 / time_step), time_step)
+    still = at_rest(round(6 / sample_time), sample_time)
     run = noisy_run(plant, controller, still, Noise("gaussian", deviation), seed)
-    return float(np.std((run.acceleration_estimate - run.desired)[round(1 / time_step) :]))
+    return float(np.std((run.acceleration_estimate - run.desired)[round(1 / sample_time) :]))

@@ -12,12 +12,12 @@ from stillwork.estimation.gaussian import require_covariance
 
 
 def quotient_trial(
-    rng: np.random.Generator, noise: Noise, samples: int, time_step: float
+    rng: np.random.Generator, noise: Noise, samples: int, sample_time: float
 ) -> dict[str, float]:
     """One record of noise: mean of the quotient over its deviation, variance over (s / dt)^2, correlation."""
     error = noise.sample(rng, samples)
-    quotient = difference_quotient(error, time_step)
-    scale = noise.standard_deviation / time_step
+    quotient = difference_quotient(error, sample_time)
+    scale = noise.standard_deviation / sample_time
     return {
         "mean": float(quotient.mean() / (np.sqrt(2) * scale)),
         "variance": float(quotient.var() / scale**2),
@@ -33,21 +33,21 @@ def rejects_gaussian(values: ArrayLike, level: float = 1e-3) -> bool:
     return bool(jarque_bera(require_array("values", values, ndim=1)).pvalue < level)
 
 
-def difference_quotient(measured: ArrayLike, time_step: float) -> Float64[np.ndarray, " quotients"]:
-    """(z_i - z_{i-1}) / time_step of a record, shape (samples - 1,), in m/s."""
-    require_number("time_step", time_step, above=0)
-    return np.diff(require_array("measured", measured, ndim=1)) / time_step
+def difference_quotient(measured: ArrayLike, sample_time: float) -> Float64[np.ndarray, " quotients"]:
+    """(z_i - z_{i-1}) / sample_time of a record, shape (samples - 1,), in m/s."""
+    require_number("sample_time", sample_time, above=0)
+    return np.diff(require_array("measured", measured, ndim=1)) / sample_time
 
 
-def quotient_covariance(deviation: float, time_step: float) -> Float64[np.ndarray, "2 2"]:
+def quotient_covariance(deviation: float, sample_time: float) -> Float64[np.ndarray, "2 2"]:
     """Covariance of the errors of [difference quotient, position] at one instant.
 
     The first entry is (21), 2 s^2 / dt^2 (a variance, which the paper calls a standard deviation); the
     others follow in the same way: s^2 / dt between the two, s^2 of the position.
     """
     variance = require_number("deviation", deviation, at_least=0) ** 2
-    require_number("time_step", time_step, above=0)
-    return variance * np.array([[2 / time_step**2, 1 / time_step], [1 / time_step, 1.0]])
+    require_number("sample_time", sample_time, above=0)
+    return variance * np.array([[2 / sample_time**2, 1 / sample_time], [1 / sample_time, 1.0]])
 
 
 def quotient_autocorrelation(lag: int) -> float:
@@ -73,13 +73,13 @@ class Correlations:
     variance: float  # of the quotient, m^2/s^2
 
 
-def correlations(error: ArrayLike, time_step: float, reach: int = 4) -> Correlations:
+def correlations(error: ArrayLike, sample_time: float, reach: int = 4) -> Correlations:
     """Correlations found in a record of measurement errors (m), up to a lag of `reach` samples."""
     error = require_array("error", error, ndim=1)
     require_count("reach", reach, at_least=0)
     if len(error) < reach + 3:
         raise InputError(f"error holds {len(error)} samples; lags up to {reach} take {reach + 3} at least")
-    quotient = difference_quotient(error, time_step)
+    quotient = difference_quotient(error, sample_time)
     if np.ptp(quotient) == 0:
         raise InputError("error is a straight line; correlations are of what differs from sample to sample")
     position = error[1:] - error[1:].mean()
@@ -114,7 +114,7 @@ def steady_errors(
     process: ArrayLike,
     assumed: ArrayLike,
     deviation: float,
-    time_step: float,
+    sample_time: float,
     true_process: ArrayLike | None = None,
 ) -> SteadyErrors:
     """Steady state of a filter of x = [velocity, position] fed with z = [difference quotient, position].
@@ -132,7 +132,7 @@ def steady_errors(
         true_process = process
     true_process = require_covariance("true_process", true_process, 2, definite=False)
     require_number("deviation", deviation, at_least=0)
-    require_number("time_step", time_step, above=0)
+    require_number("sample_time", sample_time, above=0)
     try:
         prior = solve_discrete_are(transition.T, np.eye(2), process, assumed)
     except np.linalg.LinAlgError as error:
@@ -141,8 +141,8 @@ def steady_errors(
     left = np.eye(2) - gain
     # e_k = left (F e_{k-1} + w) - gain v_k with v_k = [(n_k - n_{k-1}) / dt, n_k], and the difference quotient
     # of the true position is the velocity of the semi-implicit model. States: e and n_{k-1}.
-    fresh = gain @ np.array([1 / time_step, 1.0])
-    stale = gain @ np.array([-1 / time_step, 0.0])
+    fresh = gain @ np.array([1 / sample_time, 1.0])
+    stale = gain @ np.array([-1 / sample_time, 0.0])
     step = np.vstack([np.column_stack([left @ transition, -stale]), np.zeros(3)])
     enters = np.append(-fresh, 1.0)
     drive = deviation**2 * np.outer(enters, enters)

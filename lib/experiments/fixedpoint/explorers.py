@@ -86,20 +86,21 @@ def paint_ranking(frequency_hz: float, sharpness: float, amplitude: float):
     return figure
 
 
-def motion_at_rest(time_step: float):
+def motion_at_rest(sample_time: float):
     """F of x = [velocity, position] for the approximate model at rest, semi-implicit."""
     slopes = partial_derivatives(_approximate(), 0.0, 0.0, 0.0)
-    return semi_implicit_motion(slopes, time_step)[0]
+    return semi_implicit_motion(slopes, sample_time)[0]
 
 
 def paint_expected_beliefs(assumed_scale: float, noise_deviation: float):
     """Believed and true standard deviation of the Kalman filter's errors when its R is scaled."""
     scales = np.geomspace(1e-4, 1e4, 25)
-    step = 1e-3
+    sample_time = 1e-3
     process, assumed = np.diag([1e-1, 1e-3]), np.diag([1e-2, 1e-3])
-    still = motion_at_rest(step)
+    still = motion_at_rest(sample_time)
     settled = [
-        steady_errors(still, process, s * assumed, noise_deviation, step, np.zeros((2, 2))) for s in scales
+        steady_errors(still, process, s * assumed, noise_deviation, sample_time, np.zeros((2, 2)))
+        for s in scales
     ]
     figure, panels = figures.new(1, 2, height=3.0)
     for axes, column, estimate in zip(panels, (1, 0), ("q (m)", "q' (m/s)"), strict=True):

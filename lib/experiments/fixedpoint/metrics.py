@@ -24,7 +24,7 @@ def judge(run: ControlledRun, settle: float = 2.0) -> dict[str, float]:
     acceleration, which is what the controller's model believes the acceleration to be; both averaged over 50
     samples against the noise.
     """
-    first = round(require_number("settle", settle, at_least=0) / run.trajectory.time_step)
+    first = round(require_number("settle", settle, at_least=0) / run.trajectory.sample_time)
     if first > len(run.position) - 51:
         raise InputError(f"settle is {settle:g} s, the run lasts {run.time[-1]:g} s; leave 51 samples")
     if run.diverged_at is not None:
@@ -83,7 +83,7 @@ def noisy_run(
 ) -> ControlledRun:
     """One run with noise from a generator or a seed, signals lost as in `noise.lose`, other options of `control.simulate`."""
     rng = np.random.default_rng(rng)
-    added = lose(noise.sample(rng, len(trajectory.position)), trajectory.time_step, lost_every, lost_for)
+    added = lose(noise.sample(rng, len(trajectory.position)), trajectory.sample_time, lost_every, lost_for)
     encoder = {"resolution": noise.resolution, "grid": noise.sample_grid(rng)}
     return simulate(plant, controller, trajectory, added, **encoder, **options)
 

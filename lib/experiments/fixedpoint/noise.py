@@ -68,15 +68,15 @@ class Noise:
 
 
 def lose(
-    noise: Float64[np.ndarray, "*coordinates samples"], time_step: float, every: float, length: float
+    noise: Float64[np.ndarray, "*coordinates samples"], sample_time: float, every: float, length: float
 ) -> Float64[np.ndarray, "*coordinates samples"]:
     """The same noise with NaN, a lost signal, in the last `length` seconds of each `every` seconds; 0: none is lost."""
     require_number("lost_every", every, at_least=0)
     require_number("lost_for", length, at_least=0)
     if not (every and length):
         return noise
-    if length > every - time_step:
+    if length > every - sample_time:
         raise InputError(f"lost_for is {length:g} s of every {every:g} s; leave a sample between two losses")
-    period, lost = round(every / time_step), round(length / time_step)
+    period, lost = round(every / sample_time), round(length / sample_time)
     gone = np.arange(noise.shape[-1]) % period >= period - lost
     return np.where(gone, np.nan, noise)

@@ -24,18 +24,18 @@ def paint_tracking(runs: dict[str, ControlledRun], quantity: str = "position"):
     name, unit = {"position": ("q", "m"), "velocity": ("q'", "m/s")}[quantity]
     figure, (motion, envelope, stretch) = figures.new(3, height=7.2)
     nominal = next(iter(runs.values())).trajectory
-    step = nominal.time_step
+    sample_time = nominal.sample_time
     # Every 10 ms: coarser, the window's 40 Hz would show as a slow wander.
-    coarse = slice(None, None, max(1, round(0.01 / step)))
+    coarse = slice(None, None, max(1, round(0.01 / sample_time)))
     motion.plot(nominal.time[coarse], getattr(nominal, quantity)[coarse], "k--", label="nominal", zorder=5)
     corner = hardest_turn(nominal)
-    part = slice(max(0, round((corner - 0.15) / step)), round((corner + 0.15) / step))
+    part = slice(max(0, round((corner - 0.15) / sample_time)), round((corner + 0.15) / sample_time))
     for label, run in runs.items():
         style = {"color": COLOURS[label], "label": label}
         time, true = run.time, getattr(run, quantity)
         error = 1e3 * getattr(run, f"{quantity}_error")
         motion.plot(time[coarse], true[coarse], linewidth=1, **style)
-        paint_range(envelope, time, error, max(1, round(0.06 / step)), **style)
+        paint_range(envelope, time, error, max(1, round(0.06 / sample_time)), **style)
         stretch.plot(time[part], error[part], **style)
     motion.set(xlabel="time (s)", ylabel=f"{name} ({unit})", title="motion")
     envelope.set(xlabel="time (s)", ylabel=f"error of {name} (m{unit})", title="error, range in 60 ms")
@@ -73,8 +73,8 @@ def paint_phase(runs: dict[str, ControlledRun], last: float = 5.0):
     """Phase trajectories over the last seconds, whole and where the coordinate is largest."""
     figure, (whole, corner) = figures.new(1, 2, height=3.6)
     nominal = next(iter(runs.values())).trajectory
-    first = max(0, len(nominal.position) - round(last / nominal.time_step))
-    step = max(1, round(0.005 / nominal.time_step))  # five points a cycle of 40 Hz
+    first = max(0, len(nominal.position) - round(last / nominal.sample_time))
+    step = max(1, round(0.005 / nominal.sample_time))  # five points a cycle of 40 Hz
     whole.plot(nominal.position[first::step], nominal.velocity[first::step], "k--", label="nominal", zorder=5)
     near = np.flatnonzero(nominal.position[first:] > 0.93 * nominal.position.max())[::3] + first
     corner.plot(nominal.position[near], nominal.velocity[near], "k--", label="nominal", zorder=5)
@@ -179,14 +179,20 @@ def paint_estimate_shift(runs: dict[str, ControlledRun], settle: float = 2.0):
         ("position", "velocity", "velocity q' (m/s)", "error of the estimate of q (mm)"),
         ("velocity", "deformed", "the model's acceleration (m/s²)", "error of the estimate of q' (mm/s)"),
     )
-    step = next(iter(runs.values())).trajectory.time_step
+    sample_time = next(iter(runs.values())).trajectory.sample_time
     for axes, (quantity, derivative, across, up) in zip(panels, rows, strict=True):
         for name, run in runs.items():
-            part = slice(round(settle / step), None, 40)
+            part = slice(round(settle / sample_time), None, 40)
             error = 1e3 * (getattr(run, f"{quantity}_estimate") - getattr(run, quantity))[part]
             axes.plot(getattr(run, derivative)[part], error, ".", ms=3, color=COLOURS[name], label=name)
         reach = np.array(axes.get_xlim())
-        axes.plot(reach, 1e3 * step * reach, "k:", linewidth=1, label=f"one sample ({1e3 * step:g} ms) ahead")
+        axes.plot(
+            reach,
+            1e3 * sample_time * reach,
+            "k:",
+            linewidth=1,
+            label=f"one sample ({1e3 * sample_time:g} ms) ahead",
+        )
         axes.set(xlabel=across, ylabel=up)
     legend_above(panels[0])
     return figure

@@ -35,7 +35,7 @@ class Family:
 
     name: str
     ranges: dict[str, tuple[float, float]]
-    build: Callable  # (model, time_step, **numbers) -> Filter
+    build: Callable  # (model, sample_time, **numbers) -> Filter
     whole: tuple[str, ...] = ()  # numbers that are rounded before use
 
     @property
@@ -54,12 +54,12 @@ class Family:
             for name, value in zip(self.names, np.exp(knobs).tolist(), strict=True)
         }
 
-    def controller(self, model: Plant, time_step: float, knobs: np.ndarray) -> Controller:
+    def controller(self, model: Plant, sample_time: float, knobs: np.ndarray) -> Controller:
         """The controller at a point of the search, with transformation (8)."""
         numbers = self.numbers(knobs)
         exponent, strength = numbers.pop("exponent"), numbers.pop("strength")
         transformation = RobustTransformation(slope=strength / (4e7 * 1.05))
-        signal_filter = self.build(model, time_step, **numbers)
+        signal_filter = self.build(model, sample_time, **numbers)
         return Controller(signal_filter, transformation, KinematicDesign(exponent), model)
 
 
@@ -71,14 +71,14 @@ def families() -> dict[str, Family]:
             Family(
                 WINDOW,
                 {"length": (1.0, 40.0)},
-                lambda model, time_step, length: MovingWindow(length),
+                lambda model, sample_time, length: MovingWindow(length),
                 whole=("length",),
             ),
             Family(
                 LOW_PASS,
                 {"bandwidth": (60.0, 1500.0)},
-                # Euler's rule diverges at 2 / time_step.
-                lambda model, time_step, bandwidth: LowPass(min(bandwidth, 1.9 / time_step)),
+                # Euler's rule diverges at 2 / sample_time.
+                lambda model, sample_time, bandwidth: LowPass(min(bandwidth, 1.9 / sample_time)),
             ),
             Family(
                 KALMAN,
@@ -87,23 +87,25 @@ def families() -> dict[str, Family]:
                     "position_process": (1e-10, 1e1),
                     "position_noise": (1e-10, 1e1),
                 },
-                lambda model, time_step, velocity_process, position_process, position_noise: UnscentedKalman(
-                    model,
-                    process=np.array([velocity_process, position_process]),
-                    noise=np.array([1e-2, position_noise]),
+                lambda model, sample_time, velocity_process, position_process, position_noise: (
+                    UnscentedKalman(
+                        model,
+                        process=np.array([velocity_process, position_process]),
+                        noise=np.array([1e-2, position_noise]),
+                    )
                 ),
             ),
             Family(
                 EXTENDED,
                 {"disturbance_step": (1e-3, 1e2), "velocity_step": (1e-6, 1.0)},
-                lambda model, time_step, disturbance_step, velocity_step: ExtendedKalman(
+                lambda model, sample_time, disturbance_step, velocity_step: ExtendedKalman(
                     model, disturbance_step=disturbance_step, velocity_step=velocity_step
                 ),
             ),
             Family(
                 POLYNOMIAL,
                 {"samples": (5.0, 60.0), "degree": (2.0, 3.4)},
-                lambda model, time_step, samples, degree: SavitzkyGolay(samples, degree, time_step),
+                lambda model, sample_time, samples, degree: SavitzkyGolay(samples, degree, sample_time),
                 whole=("samples", "degree"),
             ),
         )
@@ -154,7 +156,7 @@ def tune(
         records.append((noise.sample(rng, len(trajectory.position)), noise.sample_grid(rng)))
 
     def means(knobs) -> dict[str, float]:
-        controller = family.controller(model, trajectory.time_step, knobs)
+        controller = family.controller(model, trajectory.sample_time, knobs)
         total = np.zeros(len(criteria))
         for record, grid in records:
             run = simulate(plant, controller, trajectory, record, resolution=noise.resolution, grid=grid)
@@ -186,7 +188,7 @@ def tune(
         if np.isinf(best):
             raise InputError(f"{family.name}: every one of {len(tried)} settings diverged; widen the ranges")
         return Tuned(
-            family.controller(model, trajectory.time_step, knobs),
+            family.controller(model, trajectory.sample_time, knobs),
             family.numbers(knobs),
             float(best),
             len(tried),

@@ -171,7 +171,7 @@ def open_trajectory(
     sharpness: float = 0.98,
     frequency_hz: float = 0.2,
     duration: float = 12.0,
-    time_step: float = 1e-3,
+    sample_time: float = 1e-3,
     quantity: str = "m",
 ) -> Trajectory:
     """Nominal motion from a record of positions, or from a formula where none is named.
@@ -182,7 +182,7 @@ def open_trajectory(
     """
     if not record:
         require_choice("shape", shape, SHAPES)
-        common = {"frequency_hz": frequency_hz, "duration": duration, "time_step": time_step}
+        common = {"frequency_hz": frequency_hz, "duration": duration, "sample_time": sample_time}
         if shape == "sine":
             return sine_trajectory(amplitude, **common)
         if shape == "asin":
@@ -203,7 +203,7 @@ def open_trajectory(
 
         require_number("low_pass_hz", low_pass_hz, above=0, below=read.sample_rate / 2)
         position = sosfiltfilt(butter(4, low_pass_hz, fs=read.sample_rate, output="sos"), position)
-    return record_trajectory(np.arange(len(position)) / read.sample_rate, position, time_step)
+    return record_trajectory(np.arange(len(position)) / read.sample_rate, position, sample_time)
 
 
 def open_trajectories(
@@ -328,7 +328,7 @@ def stable_ranges(
     )
     return {
         name: stable_range(
-            linear_loop(models.exact, controller, trajectories[0].time_step, position, velocity)
+            linear_loop(models.exact, controller, trajectories[0].sample_time, position, velocity)
         )
         for name, controller in chosen.items()
     }
@@ -353,7 +353,7 @@ def drive(
     """
     rng, count = np.random.default_rng(seed), len(trajectories)
     added = noise.sample(rng, count * len(trajectories[0].position)).reshape(count, -1)
-    added = lose(added, trajectories[0].time_step, lost_every, lost_for)
+    added = lose(added, trajectories[0].sample_time, lost_every, lost_for)
     options = {"resolution": noise.resolution, "grid": noise.sample_grid(rng), "lost": lost}
 
     def run(controller) -> list[ControlledRun]:

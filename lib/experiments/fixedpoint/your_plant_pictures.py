@@ -88,7 +88,9 @@ def plant_explorer(
     """Drawing function of the explorer: all filters with another gain, stiffness of tracking and noise."""
     found = contraction_along(models, trajectories)
     trajectories = [  # a long record would take too long to redraw
-        Trajectory(each.time_step, each.position[:_SHOWN], each.velocity[:_SHOWN], each.acceleration[:_SHOWN])
+        Trajectory(
+            each.sample_time, each.position[:_SHOWN], each.velocity[:_SHOWN], each.acceleration[:_SHOWN]
+        )
         for each in trajectories
     ]
 

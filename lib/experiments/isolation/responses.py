@@ -104,18 +104,18 @@ def control_paths(twin: Twin, feedback: bool = True):
     """Primary and secondary path, a0 to a1 and u to a1 (a1 behind its conditioner), as discrete `control.StateSpace`."""
     import control
 
-    dt = twin.sample_time
+    sample_time = twin.sample_time
     n = twin.actuators
 
     def bank(sections, channels):
-        return control.append(*[series(sections, dt)] * channels)
+        return control.append(*[series(sections, sample_time)] * channels)
 
-    delay = control.append(*[control.ss(0, 1, 1, 0, dt)] * n)
+    delay = control.append(*[control.ss(0, 1, 1, 0, sample_time)] * n)
     force_path = bank(twin.instruments.actuator, n) * delay
-    plant = twin.plant.discrete(dt).to_control()
+    plant = twin.plant.discrete(sample_time).to_control()
     from_force, from_floor = plant[:, :n], plant[:, n:]
     open_path = (from_force + bank(twin.instruments.parasitic, n)) * force_path
-    disturbance = from_floor + open_path * control.ss([], [], [], twin.plant.floor_inertia, dt)
+    disturbance = from_floor + open_path * control.ss([], [], [], twin.plant.floor_inertia, sample_time)
     conditioning = bank(twin.instruments.conditioning, twin.outputs)
     if feedback:
         skyhook = bank(twin.skyhook_filter, twin.outputs)

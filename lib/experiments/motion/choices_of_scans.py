@@ -31,7 +31,7 @@ def locations(
         masses=location_masses,
         fit_noise=gains_from == "noisy move",
         fit_loop={"37 Hz": "PID", "83 Hz": "MC and AD"}[gains_in],
-        step=location_sample_time,
+        sample_time=location_sample_time,
         seed=seed,
     )
     found: Values = {}
@@ -59,7 +59,7 @@ def estimation(
     lean: bool,
 ) -> Values:
     """Statements about Fig. 5.10, as fractions of 100 plants; it has no leaner form."""
-    scan = published_scan(step=estimation_sample_time)
+    scan = published_scan(sample_time=estimation_sample_time)
     contest = prepare(scan, 0.05, rigid_body_errs)
     records = sample_scans(scan, PLANTS, seed, 0.05, error_law, rigid_body_errs)
     knobs = {"Kalman": 1.0, "sensitivity penalised": penalty_weight, "regularised least squares": 0.05}
@@ -93,7 +93,7 @@ def perturbed_scans(
         law=error_law,
         rigid=rigid_body_errs,
         retune=perturbed_feedforward == "refitted",
-        step=perturbed_sample_time,
+        sample_time=perturbed_sample_time,
         progress=False,
     )
     percent = {case: 100 * off[case] / off["none"] for case in CASES if case != "none"}

@@ -73,7 +73,9 @@ def prepare(scan: Scan, size: float, rigid: bool) -> Contest:
     """Contest with errors up to `size` in all modes, or (`rigid` false) in the flexible ones."""
     model = filter_model(scan)
     modes = range(0 if rigid else scan.nominal.rigid_modes, len(scan.nominal.frequencies))
-    derivatives = sampled_derivatives(scan.nominal, scan.step, modes).along(model, scan.shapes[:, None, :])
+    derivatives = sampled_derivatives(scan.nominal, scan.sample_time, modes).along(
+        model, scan.shapes[:, None, :]
+    )
     still = record_scans(scan, [np.zeros((len(scan.nominal.frequencies), 4))], np.random.default_rng(0))
     return Contest(scan, model, derivatives, size, judge(scan, still, np.zeros_like(still.states)).size[0])
 
@@ -120,7 +122,7 @@ def bank(contest: Contest, spread: float, u, y, grid=(3, 3), factor: float = 1.0
     models = []
     for place in np.ndindex(grid):
         errors = [spread * np.linspace(-1, 1, points)[k] for points, k in zip(grid, place, strict=True)]
-        sampled = zoh_modes(detuned(nominal, errors), contest.scan.step)
+        sampled = zoh_modes(detuned(nominal, errors), contest.scan.sample_time)
         process = factor * contest.model.process
         models.append(replace(contest.model, a=sampled.a, b=sampled.b, g=sampled.b, process=process))
     return bank_estimate(models, u, y)[0]

@@ -75,7 +75,7 @@ def common_band_passed(
 
 def minimal_order(gain: StateModel) -> int:
     """Order of a minimal realisation of a stable model, by the rank of its Hankel operator."""
-    if gain.step or not gain.is_stable:
+    if gain.sample_time or not gain.is_stable:
         raise InputError("gain must be stable and in continuous time; its order is counted by Gramians")
     rate = np.abs(gain.poles).max()
     a = gain.a / rate

@@ -28,14 +28,14 @@ Z_METHODS = ("Ackermann", "robust")
 
 
 def gain_by_placement(
-    model: ModalModel, increase: float | ArrayLike, step: float, method: str
+    model: ModalModel, increase: float | ArrayLike, sample_time: float, method: str
 ) -> Float64[np.ndarray, "1 states"]:
     """The gain of (4.3) by a general pole-placement method in z, for comparison: it loses digits at high rates."""
     require_choice("method", method, Z_METHODS)
-    upper = np.exp(damped_poles(model, increase) * step)
+    upper = np.exp(damped_poles(model, increase) * sample_time)
     wanted = np.concatenate([upper, upper.conj()])
     rigid = model.rigid_modes
-    sampled = zoh_modes(model.modes(slice(rigid, None)), step)
+    sampled = zoh_modes(model.modes(slice(rigid, None)), sample_time)
     gain = np.zeros((1, 2 * len(model.frequencies)))
     if method == "Ackermann":
         gain[:, 2 * rigid :] = place(sampled, wanted)
@@ -49,15 +49,18 @@ def gain_by_placement(
     return gain
 
 
-def placement_error(model: ModalModel, gain: ArrayLike, increase: float | ArrayLike, step: float) -> float:
+def placement_error(
+    model: ModalModel, gain: ArrayLike, increase: float | ArrayLike, sample_time: float
+) -> float:
     """Largest distance of a pole of A + BK from the wanted one, relative to the distance it had to move."""
     rigid = model.rigid_modes
     gain = require_array("gain", gain, shape=(1, 2 * len(model.frequencies)))
     flexible = model.modes(slice(rigid, None))
-    sampled = zoh_modes(flexible, step)
+    sampled = zoh_modes(flexible, sample_time)
     poles = linalg.eigvals(sampled.a + sampled.b @ gain[:, 2 * rigid :])
     wanted, before = (
-        np.exp(p * step) for p in (damped_poles(model, increase), flexible.poles[: len(flexible.frequencies)])
+        np.exp(p * sample_time)
+        for p in (damped_poles(model, increase), flexible.poles[: len(flexible.frequencies)])
     )
     return float((np.abs(poles[:, None] - wanted).min(axis=0) / np.abs(before - wanted)).max())
 
@@ -65,7 +68,7 @@ def placement_error(model: ModalModel, gain: ArrayLike, increase: float | ArrayL
 def typical_placement_error(
     model: ModalModel,
     increase: float | ArrayLike,
-    step: float,
+    sample_time: float,
     method: str,
     machines: int = 21,
     spread: float = 0.01,
@@ -82,14 +85,14 @@ def typical_placement_error(
     for shift in np.linspace(-spread, spread, require_count("machines", machines)):
         machine = replace(model, frequencies=(1 + shift) * model.frequencies)
         if method == "closed form":
-            gain = discrete_damping_gain(machine, increase, step)
+            gain = discrete_damping_gain(machine, increase, sample_time)
         else:
             try:
-                gain = gain_by_placement(machine, increase, step, method)
+                gain = gain_by_placement(machine, increase, sample_time, method)
             except InputError:
                 errors.append(np.inf)
                 continue
-        errors.append(placement_error(machine, gain, increase, step))
+        errors.append(placement_error(machine, gain, increase, sample_time))
     middle = float(np.median(errors))
     return middle if np.isfinite(middle) else np.nan
 
@@ -104,18 +107,18 @@ TIMINGS = {
 
 def equivalent_plant(plant: StateModel, block: StateModel) -> StateModel:
     """What a controller of a sampled machine sees: from u to y - y_flex, with the damping loop closed."""
-    seen = channel(closed_loop(plant, block, constant(np.zeros((1, 1)), plant.step)), "u_ff", "e_meas")
-    return StateModel(seen.a, seen.b, -seen.c, -seen.d, seen.step)
+    seen = channel(closed_loop(plant, block, constant(np.zeros((1, 1)), plant.sample_time)), "u_ff", "e_meas")
+    return StateModel(seen.a, seen.b, -seen.c, -seen.d, seen.sample_time)
 
 
 LOW_HZ = 100.0  # where the pictures begin
 
 
-def sampled_frequencies(step: float) -> np.ndarray:
+def sampled_frequencies(sample_time: float) -> np.ndarray:
     """Grid around the resonances of the stage, up to half the sampling frequency (rad/s)."""
-    if 0.5 / step <= LOW_HZ:
-        raise InputError(f"step is {step:g} s, too long for frequencies above {LOW_HZ:g} Hz")
-    return resonance_grid(stage().poles, LOW_HZ, min(2.5e3, 0.499 / step), 250, 20)
+    if 0.5 / sample_time <= LOW_HZ:
+        raise InputError(f"sample_time is {sample_time:g} s, too long for frequencies above {LOW_HZ:g} Hz")
+    return resonance_grid(stage().poles, LOW_HZ, min(2.5e3, 0.499 / sample_time), 250, 20)
 
 
 def paint_equivalent_plants(panels: Mapping[str, Mapping[str, StateModel]]):
@@ -126,7 +129,7 @@ def paint_equivalent_plants(panels: Mapping[str, Mapping[str, StateModel]]):
     curves = {title: {} for title in panels}
     for title, plants in panels.items():
         for (name, plant), style in zip(plants.items(), styles, strict=False):
-            omega = sampled_frequencies(plant.step)
+            omega = sampled_frequencies(plant.sample_time)
             curves[title][name] = omega, plant.frequency_response(omega)[0, 0], style
     figure, axes = paint_magnitudes(curves, "magnitude (dB re 1 m/N)", height=3.4, sharey=True)
     figures.legend_below(axes[0, 0], len(axes[0, 0].lines), fontsize=7)
@@ -135,17 +138,17 @@ def paint_equivalent_plants(panels: Mapping[str, Mapping[str, StateModel]]):
 
 def paint_sampled(rate_khz: float, damping: float, compensate: str, timing: str):
     """Explorer: what the controller sees of the sampled stage at mass 5, bare and with a sampled observer."""
-    step = 1e-3 / rate_khz
+    sample_time = 1e-3 / rate_khz
     machine = stage().at([0], [4])
-    plant = zoh_modes(machine, step)
+    plant = zoh_modes(machine, sample_time)
     observer = discrete_kalman_observer(
-        truncate(machine, RETAINED, COMPENSATED), published_noise(), step, 0.03
+        truncate(machine, RETAINED, COMPENSATED), published_noise(), sample_time, 0.03
     )
     application = Application(compensate == "yes", damping, "pole placement")
     block = discrete_compensator(observer, application, *TIMINGS[timing])
     seen = equivalent_plant(plant, block)
     figure, axis = figures.new(1, 1, height=3.0)
-    omega = sampled_frequencies(step)
+    omega = sampled_frequencies(sample_time)
     for name, each, colour in (("plant", plant, figures.GREY), ("with the observer", seen, figures.BLUE)):
         add_magnitude(axis, omega, each.frequency_response(omega)[0, 0], label=name, color=colour)
     # Two poles of the rigid body stay at z = 1; everything else must decay.

@@ -65,7 +65,7 @@ def identify(
     loop: StateModel,
     rng: np.random.Generator,
     *,
-    step: float,
+    sample_time: float,
     samples: int,
     segment: int,
     excitation: float,
@@ -78,11 +78,11 @@ def identify(
     `excitation` (A) and `sensor_noise` (rad) are standard deviations, `imbalance` an amplitude (A at the motor).
     """
     noise = excitation * rng.standard_normal(samples)
-    swing = imbalance * np.sin(2 * np.pi * turns_hz * step * np.arange(samples))
+    swing = imbalance * np.sin(2 * np.pi * turns_hz * sample_time * np.arange(samples))
     sensor = sensor_noise * rng.standard_normal(samples)
     chosen = channel(loop, ("u_ff", "w", "d"), ("u", "e_meas"))
-    u, e = simulate(zoh(chosen, step), np.array([noise, swing, sensor]))
-    return closed_loop_response(noise, u, -e, step, segment)
+    u, e = simulate(zoh(chosen, sample_time), np.array([noise, swing, sensor]))
+    return closed_loop_response(noise, u, -e, sample_time, segment)
 
 
 def rigid_response(plant: Drive, omega: Float64[np.ndarray, " frequencies"]) -> np.ndarray:

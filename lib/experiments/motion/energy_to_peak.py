@@ -149,10 +149,10 @@ def response_peak(system: ErrorSystem, disturbance: ArrayLike) -> float:
 
 
 @cache
-def _scaled_scan(step: float):
+def _scaled_scan(sample_time: float):
     """Sampled model and output rows of the published scan, states in displacements, lengths in nanometres."""
-    scan = published_scan(step=step)
-    sampled = zoh_modes(scan.nominal, step)
+    scan = published_scan(sample_time=sample_time)
+    sampled = zoh_modes(scan.nominal, sample_time)
     flexible = scan.nominal.frequencies[1:]
     scale = np.array([1.0, flexible[0], *np.repeat(flexible, 2) ** np.array([0, 1, 0, 1])])
     c = 1e9 * output_rows(scan.shapes) * scale
@@ -161,12 +161,12 @@ def _scaled_scan(step: float):
 
 def paint_worst(force: float, detuning: float):
     """Explorer: what the worst disturbance does to a filter designed for `detuning` times the `force` (N)."""
-    step = 1e-3
-    a, b, c, (_, reference, sensor) = _scaled_scan(step)
+    sample_time = 1e-3
+    a, b, c, (_, reference, sensor) = _scaled_scan(sample_time)
     noise = 1e18 * np.array([[reference**2 + sensor**2]])
     process = np.array([[force**2]])
     figure, (left, right) = figures.new(1, 2, height=2.8)
-    time = step * np.arange(len(c))
+    time = sample_time * np.arange(len(c))
     for name, designed in (("Kalman", 1.0), ("detuned", detuning)):
         gains = predictor_gains(a, b, c, designed**2 * process, noise)
         found = generalised_h2_norm(error_system(a, b, c, process, noise, gains))

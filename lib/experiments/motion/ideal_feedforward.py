@@ -118,13 +118,13 @@ def ideal_force(inverse: Inverse, setpoint: Setpoint) -> Force:
     Zeros in the left half-plane are run forwards in time, those in the right half-plane backwards from rest at
     the end. Between samples the snap is constant, so nothing is approximated.
     """
-    step = setpoint.step
-    ahead = require_samples("inverse", np.ceil(inverse.lead / step))
+    sample_time = setpoint.sample_time
+    ahead = require_samples("inverse", np.ceil(inverse.lead / sample_time))
     moved = np.pad(setpoint.derivatives[1:], ((0, 0), (ahead, 0)))  # velocity to snap
     one = inverse.zeros.imag >= 0
     blocks, rows, inputs = [], [], []
     for zero, residue in zip(inverse.zeros[one], inverse.residues[one], strict=True):
-        x = _filtered(zero, moved[1:], step)
+        x = _filtered(zero, moved[1:], sample_time)
         if zero.imag:
             blocks.append(np.array([[zero.real, -zero.imag], [zero.imag, zero.real]]))
             rows += [x.real, x.imag]
@@ -137,16 +137,16 @@ def ideal_force(inverse: Inverse, setpoint: Setpoint) -> Force:
     generator = linalg.block_diag(*blocks, np.eye(4, k=1))
     generator[:n, n + 1] = [drive for drive, _ in inputs]  # every filter is driven by the acceleration
     row = np.concatenate([[read for _, read in inputs], [0.0], inverse.polynomial])
-    time = (np.arange(moved.shape[1]) - ahead) * step
+    time = (np.arange(moved.shape[1]) - ahead) * sample_time
     return Force(time, np.vstack([*rows, moved]) if rows else moved, generator, row)
 
 
-def _filtered(zero: complex, rows: np.ndarray, step: float) -> np.ndarray:
+def _filtered(zero: complex, rows: np.ndarray, sample_time: float) -> np.ndarray:
     """Bounded solution of x' = zero x + acceleration, for acceleration, jerk and snap at the samples."""
     from scipy.signal import lfilter
 
     chain = np.diag([zero, 0, 0, 0]) + np.diag([1.0, 1.0, 1.0], k=1)
-    held = linalg.expm(chain * step)[0]
+    held = linalg.expm(chain * sample_time)[0]
     driven = held[1:] @ rows[:, :-1]
     x = np.zeros(rows.shape[1], dtype=complex)
     if zero.real < 0:
@@ -163,8 +163,8 @@ def sampled_ideal_force(plant: ModalModel, setpoint: Setpoint) -> Force:
     transformation of :math:`(z-1)^2r = (z-1)^2P(z)f` over a record so long that nothing is left at its ends.
     """
     _require_single(plant)
-    step = setpoint.step
-    sampled = zoh_modes(plant, step)
+    sample_time = setpoint.sample_time
+    sampled = zoh_modes(plant, sample_time)
     distance = np.log(np.abs(sampled.zeros))
     if np.any(np.abs(distance) < 1e-6):
         raise InputError("plant has a zero on the unit circle at this sample time; take another one")
@@ -173,17 +173,19 @@ def sampled_ideal_force(plant: ModalModel, setpoint: Setpoint) -> Force:
     moved = np.pad(setpoint.derivatives[1:], ((0, 0), (ahead, 0)))
     size = moved.shape[1]
     # Second differences of the position, from the first ones: those of the positions themselves would be rounding.
-    steps = np.append(step ** np.arange(1, 5) / [1, 2, 6, 24] @ moved, 0.0)
+    steps = np.append(sample_time ** np.arange(1, 5) / [1, 2, 6, 24] @ moved, 0.0)
     whole = 1 << int(np.ceil(np.log2(size + longest.max())))
     angle = 2 * np.pi * np.fft.rfftfreq(whole)
     z = np.exp(1j * angle)
-    rigid = plant.output_shapes[0, 0] * plant.input_shapes[0, 0] * step**2 / 2
-    flexible = zoh_modes(plant.modes(slice(1, None)), step).frequency_response(angle / step)[0, 0]
+    rigid = plant.output_shapes[0, 0] * plant.input_shapes[0, 0] * sample_time**2 / 2
+    flexible = zoh_modes(plant.modes(slice(1, None)), sample_time).frequency_response(angle / sample_time)[
+        0, 0
+    ]
     values = np.fft.irfft(
         np.fft.rfft(np.diff(steps), whole) / (rigid * (z + 1) + (z - 1) ** 2 * flexible), whole
     )
     states = np.vstack([values[:size], moved])
-    return Force((np.arange(size) - ahead) * step, states, np.zeros((5, 5)), np.eye(5)[0])
+    return Force((np.arange(size) - ahead) * sample_time, states, np.zeros((5, 5)), np.eye(5)[0])
 
 
 @checked
@@ -201,7 +203,9 @@ def respond(model: StateModel, force: Force) -> Float64[np.ndarray, "outputs sam
     n, size = len(model.a), len(force.generator)
     chain = np.zeros((n + size, n + size))
     chain[:n, :n], chain[:n, n:], chain[n:, n:] = model.a, model.b * force.row, force.generator
-    step = float(force.time[1] - force.time[0])
-    held = zoh(StateModel(chain, np.zeros((n + size, 0)), np.zeros((0, n + size)), np.zeros((0, 0))), step).a
-    exact = StateModel(held[:n, :n], held[:n, n:], model.c, model.d * force.row, step)
+    sample_time = float(force.time[1] - force.time[0])
+    held = zoh(
+        StateModel(chain, np.zeros((n + size, 0)), np.zeros((0, n + size)), np.zeros((0, 0))), sample_time
+    ).a
+    exact = StateModel(held[:n, :n], held[:n, n:], model.c, model.d * force.row, sample_time)
     return simulate(exact, force.states)

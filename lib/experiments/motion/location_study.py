@@ -55,7 +55,7 @@ class LocationStudy:
         window = (time >= self.setpoint.acceleration_end) & (time <= self.setpoint.scan[1])
         outside = np.abs(self.errors[require_choice("case", case, self.errors)][:, window]) > band
         last = np.where(outside.any(axis=1), outside.shape[1] - np.argmax(outside[:, ::-1], axis=1), 0)
-        return last * self.setpoint.step
+        return last * self.setpoint.sample_time
 
     def over(self, case: str, low: float, high: float, count: int = 29) -> Float64[np.ndarray, "3"]:
         """Smallest, mean and largest rms error (m) at `count` equally spaced places from `low` to `high` (m).
@@ -107,35 +107,37 @@ def table_loops(masses: int) -> dict[float, dict[str, StateModel]]:
 
 
 def read_table(
-    *, channel: str, noise: bool, masses: int, fit_noise: bool, fit_loop: str, step: float, seed: int
+    *, channel: str, noise: bool, masses: int, fit_noise: bool, fit_loop: str, sample_time: float, seed: int
 ) -> LocationStudy:
     """The study of Table 4.1 at one reading of all that the thesis leaves open.
 
     The error acts through `channel`; the loops run with `noise` or without; the sensor moves along 7 or 8 `masses`;
     the gains are fitted to a move with noise or without (`fit_noise`), in the loop with the controller of `fit_loop`.
     """
-    study = _quiet_table(channel, masses, fit_noise, fit_loop, step, seed)
-    return study.noisy(_table_noise(masses, step, seed)) if noise else study
+    study = _quiet_table(channel, masses, fit_noise, fit_loop, sample_time, seed)
+    return study.noisy(_table_noise(masses, sample_time, seed)) if noise else study
 
 
 # Readings that differ in one choice alone share the rest.
 
 
 @lru_cache(maxsize=2)
-def _table_noise(masses: int, step: float, seed: int) -> ErrorsByCase:
-    return location_noise(table_loops(masses), published_setpoint(step), published_deviations(), [seed])[0]
+def _table_noise(masses: int, sample_time: float, seed: int) -> ErrorsByCase:
+    return location_noise(
+        table_loops(masses), published_setpoint(sample_time), published_deviations(), [seed]
+    )[0]
 
 
 @lru_cache(maxsize=2)
 def _quiet_table(
-    channel: str, masses: int, fit_noise: bool, fit_loop: str, step: float, seed: int
+    channel: str, masses: int, fit_noise: bool, fit_loop: str, sample_time: float, seed: int
 ) -> LocationStudy:
-    setpoint, deviations = published_setpoint(step), published_deviations()
+    setpoint, deviations = published_setpoint(sample_time), published_deviations()
     controller, noise = stage_bandwidth(fit_loop).controller, None
     if fit_noise:
         loop = closed_loop(stage().at([0], [4]), None, controller.state_space())
         draws = np.random.default_rng((seed, 0))
-        noise = noise_error(loop, step, WARM_UP + len(setpoint.time), deviations, draws)[1, WARM_UP:]
+        noise = noise_error(loop, sample_time, WARM_UP + len(setpoint.time), deviations, draws)[1, WARM_UP:]
     force = stage_error(setpoint, controller, noise=noise)
     return study_locations(table_loops(masses), force, setpoint, channel)
 
@@ -208,8 +210,10 @@ def study_locations(loops: Loops, force: Force, setpoint: Setpoint, source: str 
     """
     require_choice("source", source, ("w", "u_ff"))
     ahead = len(force.time) - len(setpoint.time)
-    if ahead < 0 or not np.allclose(force.time[ahead:], setpoint.time, rtol=0, atol=1e-6 * setpoint.step):
-        raise InputError("force and setpoint do not have the same samples; make both with one step")
+    if ahead < 0 or not np.allclose(
+        force.time[ahead:], setpoint.time, rtol=0, atol=1e-6 * setpoint.sample_time
+    ):
+        raise InputError("force and setpoint do not have the same samples; make both with one sample time")
     errors: dict[str, list[np.ndarray]] = {}
     for cases in loops.values():
         for name, loop in cases.items():
@@ -229,7 +233,7 @@ def location_noise(
         places = [int(rng.integers(2**63)) for rng in streams]
         for name, loop in cases.items():
             draws = [np.random.default_rng(place) for place in places]
-            noises = noise_errors(loop, setpoint.step, samples, deviations, draws)
+            noises = noise_errors(loop, setpoint.sample_time, samples, deviations, draws)
             for run, noise in zip(found, noises, strict=True):
                 run.setdefault(name, []).append(noise[0, WARM_UP:].copy())
     return [{name: np.array(each) for name, each in run.items()} for run in found]

@@ -85,7 +85,7 @@ class MoveResponses:
         self.alone = tracking_error(loop, setpoint, Feedforward())
         # One model for the four derivatives: its inputs are the force and its own derivatives, in each sample.
         turned = StateModel(loop.a, loop.b[:, ::-1], loop.c, loop.d[:, ::-1])
-        forced = tracking_model(turned, Feedforward(), setpoint.step)
+        forced = tracking_model(turned, Feedforward(), setpoint.sample_time)
         rows = setpoint.derivatives
         self._direct = {  # error that one unit of a derivative causes as a force
             name: simulate(forced, np.vstack([rows[k:], np.zeros_like(rows[:k])]))[0]

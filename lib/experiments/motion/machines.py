@@ -139,11 +139,11 @@ def published_noise() -> NoiseIntensities:
     return NoiseIntensities(sigma["w"] ** 2, sigma["d"] ** 2 + sigma["v"] ** 2)
 
 
-def published_setpoint(step: float = 1e-4) -> Setpoint:
+def published_setpoint(sample_time: float = 1e-4) -> Setpoint:
     """The move of Table 3.6 and Fig. 3.32: 0.17 m, 1 m/s, scanning from 0.04 to 0.17 s."""
     p = parameters("setpoint")
     limits = (p[name] for name in ("snap", "jerk", "acceleration", "velocity", "cruise", "settling"))
-    return point_to_point(*limits, step)
+    return point_to_point(*limits, sample_time)
 
 
 def shapes_along(

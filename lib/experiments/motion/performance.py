@@ -28,24 +28,29 @@ class CumulativePower(NamedTuple):
 
 
 def cumulative_power(
-    loop: StateModel, step: float, deviations: dict[str, float], omega: Float64[np.ndarray, " frequencies"]
+    loop: StateModel,
+    sample_time: float,
+    deviations: dict[str, float],
+    omega: Float64[np.ndarray, " frequencies"],
 ) -> CumulativePower:
     """Cumulative power of true and measured error under independent white noise held over each sample.
 
     It comes from the discrete frequency responses, not from a simulated record, so it has no scatter. `deviations`
     are those of the inputs ``w``, ``v``, ``d`` (N and m): a standard deviation sigma has the one-sided density 2
-    sigma^2 step. `omega` ascends to the Nyquist frequency at most and is fine at every resonance.
+    sigma^2 sample_time. `omega` ascends to the Nyquist frequency at most and is fine at every resonance.
     """
     omega = require_array("omega", omega, ndim=1)
-    if np.any(np.diff(omega) <= 0) or omega[-1] > np.pi / step * (1 + 1e-12):
-        raise InputError(f"omega must ascend and end at the Nyquist frequency {np.pi / step:g} rad/s at most")
+    if np.any(np.diff(omega) <= 0) or omega[-1] > np.pi / sample_time * (1 + 1e-12):
+        raise InputError(
+            f"omega must ascend and end at the Nyquist frequency {np.pi / sample_time:g} rad/s at most"
+        )
     for name in deviations:
         require_choice("deviations", name, ("w", "v", "d"))
         require_number(f"deviations[{name!r}]", deviations[name], at_least=0.0)
     require_stable(loop)
     both = channel(loop, list(deviations), ("e_true", "e_meas"))
-    response = zoh(both, step).frequency_response(omega)
-    weights = 2 * step * np.array(list(deviations.values())) ** 2
+    response = zoh(both, sample_time).frequency_response(omega)
+    weights = 2 * sample_time * np.array(list(deviations.values())) ** 2
     density = np.einsum("oif,i->of", np.abs(response) ** 2, weights)  # m^2/Hz
     pieces = (density[:, 1:] + density[:, :-1]) / 2 * np.diff(omega) / (2 * np.pi)
     total = np.cumsum(np.hstack([density[:, :1] * omega[0] / (2 * np.pi), pieces]), axis=1)
@@ -82,15 +87,15 @@ def paint_cumulative(power: Mapping[str, CumulativePower], low_hz: float = 1.0):
 
 def paint_disturbance(bandwidth_hz: float, process_noise: float, damping: float):
     """Explorer: cumulative power of the errors at rest without observer and with active damping."""
-    plant, step = stage().at([0], [4]), 1e-4
+    plant, sample_time = stage().at([0], [4]), 1e-4
     controller = PidFamily(stage_mass())(bandwidth_hz).state_space()
     designs = {"PID": Design(), "AD": Design(Application(damping=damping, selectivity=2.0))}
     noise = {"w": process_noise, "v": 1e-9, "d": 1e-9}
-    grid = resonance_grid(plant.poles, 0.01, 0.5 / step, 300, 15)
+    grid = resonance_grid(plant.poles, 0.01, 0.5 / sample_time, 300, 15)
     power = {}
     for name, design in designs.items():
         loop = closed_loop(plant, stage_compensator(5, design), controller)
         if not loop.is_stable:
             raise InputError(f"{name} is unstable at {bandwidth_hz:g} Hz; lower the bandwidth")
-        power[name] = cumulative_power(loop, step, noise, grid)
+        power[name] = cumulative_power(loop, sample_time, noise, grid)
     return paint_cumulative(power)

@@ -62,15 +62,15 @@ def tracking_trial(
     law: str = "ends",
     rigid: bool = True,
     retune: bool = True,
-    step: float = 1e-4,
+    sample_time: float = 1e-4,
 ) -> dict[str, float]:
     """Rms of the true error in the scanning phase (m) of every case, on one perturbed plant and one draw of the noise.
 
     With `retune` the feedforward is fitted to the perturbed plant without observer, as the data-based tuning would;
     else it keeps the gains of the nominal plant. The noise is white from sample to sample and held between them.
     """
-    require_number("step", step, above=0.0)
-    setpoint = _setpoint(step)
+    require_number("sample_time", sample_time, above=0.0)
+    setpoint = _setpoint(sample_time)
     nominal = _nominal()
     plant = perturbed(nominal, sample_errors(rng, nominal, size, law, rigid))
     deviations = published_deviations()
@@ -88,7 +88,7 @@ def tracking_trial(
             tuned_on = plant if retune else nominal
             feedforward = fit_feedforward(error_loop(closed_loop(tuned_on, None, controller)), setpoint)
         error = tracking_error(error_loop(loop), setpoint, feedforward)
-        error = error + simulate(zoh(channel(loop, list(deviations), "e_true"), step), noise)[0]
+        error = error + simulate(zoh(channel(loop, list(deviations), "e_true"), sample_time), noise)[0]
         found[case] = rms(error[setpoint.scanning])
     return found
 
@@ -109,7 +109,7 @@ def noisy_scan_trial(
     found = {}
     for name, loop in loops.items():
         draws = np.random.default_rng(seed)
-        noise = noise_error(loop, setpoint.step, samples, deviations, draws)[0, WARM_UP:]
+        noise = noise_error(loop, setpoint.sample_time, samples, deviations, draws)[0, WARM_UP:]
         own = feedforward if isinstance(feedforward, Feedforward) else feedforward[name]
         error = tracking_error(error_loop(loop), setpoint, own) + noise
         found[name] = rms(error[setpoint.scanning])

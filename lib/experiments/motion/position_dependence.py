@@ -99,7 +99,7 @@ def place_loops(
 
 
 def damping_along(
-    plant: ModalModel, grid: ArrayLike, places: ArrayLike, increase: float | ArrayLike, step: float
+    plant: ModalModel, grid: ArrayLike, places: ArrayLike, increase: float | ArrayLike, sample_time: float
 ) -> Float64[np.ndarray, "places 1 states"]:
     """Discrete damping gains (4.3) of an actuator that moves along the structure, solved at every place.
 
@@ -109,14 +109,14 @@ def damping_along(
     for place in require_array("places", places, ndim=1):
         try:
             model = at_place(plant, grid, float(place), "actuator").modes(slice(0, RETAINED))
-            gains.append(discrete_damping_gain(model, increase, step))
+            gains.append(discrete_damping_gain(model, increase, sample_time))
         except InputError as error:
             raise InputError(f"at {place:g} m: {error}") from None
     return np.array(gains)
 
 
 def damping_table(
-    plant: ModalModel, grid: ArrayLike, places: ArrayLike, increase: float | ArrayLike, step: float
+    plant: ModalModel, grid: ArrayLike, places: ArrayLike, increase: float | ArrayLike, sample_time: float
 ) -> GainTable:
     """The same gains computed beforehand on a grid of places, for linear interpolation; a node in between is refused."""
     places = require_array("places", places, ndim=1)
@@ -129,7 +129,7 @@ def damping_table(
                 f"places pass a node of mode {mode} at {inside[0]:.4g} m, where its damping gain is infinite; "
                 "end the table before it"
             )
-    return GainTable(places, damping_along(plant, grid, places, increase, step))
+    return GainTable(places, damping_along(plant, grid, places, increase, sample_time))
 
 
 AMPLITUDE = 0.01  # N, of the force
@@ -152,11 +152,13 @@ class Passage:
         return float(np.abs(self.truth - self.estimate)[window].max() / size)
 
 
-def move(start: float, wait: float, speed: float, length: float, rest: float, step: float) -> np.ndarray:
+def move(
+    start: float, wait: float, speed: float, length: float, rest: float, sample_time: float
+) -> np.ndarray:
     """Places (m): stand at `start` for `wait` s, move `length` m at `speed` m/s, stand for `rest` s."""
-    for name, value in (("speed", speed), ("length", length), ("step", step)):
+    for name, value in (("speed", speed), ("length", length), ("sample_time", sample_time)):
         require_number(name, value, above=0.0)
-    time = np.arange(round((wait + length / speed + rest) / step) + 1) * step
+    time = np.arange(round((wait + length / speed + rest) / sample_time) + 1) * sample_time
     return start + np.clip(speed * (time - wait), 0.0, length)
 
 
@@ -166,7 +168,7 @@ def pass_node(
     places: ArrayLike,
     mode: int,
     noise: NoiseIntensities,
-    step: float,
+    sample_time: float,
     phase: float = 0.0,
 ) -> Passage:
     """Run the time-varying Kalman filter while a force that it does not know excites one mode at its resonance.
@@ -178,12 +180,16 @@ def pass_node(
         raise InputError(f"mode is {mode}; the plant has modes 0 to {len(plant.frequencies) - 1}")
     require_seen(plant, grid, places, range(plant.rigid_modes))
     model = along_scan(
-        plant, step, shapes_along(plant, grid, places), noise.process / step, noise.sensor / step
+        plant,
+        sample_time,
+        shapes_along(plant, grid, places),
+        noise.process / sample_time,
+        noise.sensor / sample_time,
     )
-    time = np.arange(len(places)) * step
+    time = np.arange(len(places)) * sample_time
     force = AMPLITUDE * np.sin(plant.frequencies[mode] * time + phase)
     a, b = model.a[0], model.b[0]
-    states = simulate(StateModel(a, b, np.eye(len(a)), np.zeros_like(b), step), force[None])
+    states = simulate(StateModel(a, b, np.eye(len(a)), np.zeros_like(b), sample_time), force[None])
     y = np.einsum("koi,ik->ok", model.c, states)
     found = estimate(kalman_gains(model), np.zeros((1, len(places))), y)
     return Passage(time, states[2 * mode], found[2 * mode])

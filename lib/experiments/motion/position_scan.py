@@ -61,7 +61,7 @@ def position_scan(plant: ModalModel, grid: ArrayLike, setpoint: Setpoint, start:
 
 def observer_model(scan: PositionScan, process: float, sensor: float) -> TimeVaryingModel:
     """Four-mode model along the scan for the filters; variances of w (N^2) and of the measurement (m^2)."""
-    return along_scan(scan.reduced, scan.setpoint.step, scan.shapes[:, :RETAINED], process, sensor)
+    return along_scan(scan.reduced, scan.setpoint.sample_time, scan.shapes[:, :RETAINED], process, sensor)
 
 
 @dataclass(frozen=True)
@@ -87,14 +87,14 @@ def run_applied(
     The compliance T_DC is taken off with the last held force. `noise` holds w (N), v and d (m); `mass` (kg) is that
     of the acceleration feedforward.
     """
-    setpoint, step = scan.setpoint, scan.setpoint.step
+    setpoint, sample_time = scan.setpoint, scan.setpoint.sample_time
     samples = setpoint.derivatives.shape[1]
     noise = require_array("noise", noise, shape=(3, samples))
-    plant = zoh_modes(scan.plant, step)
+    plant = zoh_modes(scan.plant, sample_time)
     flexible = scan.reduced.frequencies[1:]
     gain = damping_gain(scan.reduced, increase)[0, 3::2] if increase else np.zeros(len(flexible))
-    filters = [zoh(band_pass(float(w), 2.0), step) for w in flexible]
-    control = zoh(controller.state_space(), step)
+    filters = [zoh(band_pass(float(w), 2.0), sample_time) for w in flexible]
+    control = zoh(controller.state_space(), sample_time)
     n = len(plant.a)
     estimates, states, error = np.zeros((samples, 2 * RETAINED)), np.zeros((samples, n)), np.zeros(samples)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -221,12 +221,12 @@ def compare_schedules(
     return {name: ScheduleComparison(starts, *both) for name, both in found.items()}
 
 
-def published_fast_setpoint(step: float) -> Setpoint:
+def published_fast_setpoint(sample_time: float) -> Setpoint:
     """The aggressive move of Example 5.6.1, 10 m/s at 10000 m/s^2, over the same 0.17 m.
 
     Snap and jerk are not published; these reach the acceleration in two snap segments, as the normal move does.
     """
-    return point_to_point(4e10, 2e7, 1e4, 10.0, 0.015, 0.002, step)
+    return point_to_point(4e10, 2e7, 1e4, 10.0, 0.015, 0.002, sample_time)
 
 
 SPACING = 0.05  # m, of the masses; unpublished

@@ -13,7 +13,7 @@ VARIANTS = ("exact", "printed", "lightly damped")
 
 
 def transition(
-    omega: float, damping: float, step: float, variant: str = "exact"
+    omega: float, damping: float, sample_time: float, variant: str = "exact"
 ) -> Float64[np.ndarray, "2 2"]:
     r"""Transition matrix of one flexible mode, states :math:`(\eta, \dot\eta)`.
 
@@ -22,56 +22,58 @@ def transition(
     """
     require_number("omega", omega, above=0.0)
     require_number("damping", damping, at_least=0.0, below=1.0)
-    require_number("step", step, above=0.0)
+    require_number("sample_time", sample_time, above=0.0)
     require_choice("variant", variant, VARIANTS)
     root = np.sqrt(1 - damping**2)
-    decay = np.exp(-damping * omega * step)
+    decay = np.exp(-damping * omega * sample_time)
     if variant == "lightly damped":
-        sine, cosine = np.sin(omega * step), np.cos(omega * step)
+        sine, cosine = np.sin(omega * sample_time), np.cos(omega * sample_time)
         return decay * np.array([[cosine, sine / omega], [-omega * sine, cosine]])
-    sine, cosine = np.sin(omega * root * step), np.cos(omega * root * step)
+    sine, cosine = np.sin(omega * root * sample_time), np.cos(omega * root * sample_time)
     ratio = damping / root
     off = sine / root if variant == "exact" else sine
     return decay * np.array([[ratio * sine + cosine, off / omega], [-omega * off, cosine - ratio * sine]])
 
 
-def transition_error(omega: float, ratios, step: float, variant: str, row: int) -> list[float]:
+def transition_error(omega: float, ratios, sample_time: float, variant: str, row: int) -> list[float]:
     """Relative error of an entry in the second column of a variant's transition matrix, by damping ratio."""
-    pairs = ([transition(omega, ratio, step, each) for each in (variant, "exact")] for ratio in ratios)
+    pairs = ([transition(omega, ratio, sample_time, each) for each in (variant, "exact")] for ratio in ratios)
     return [float(np.abs(given / exact - 1)[row, 1]) for given, exact in pairs]
 
 
-def undamped_input(omega: float, shapes, step: float) -> Float64[np.ndarray, "2 inputs"]:
+def undamped_input(omega: float, shapes, sample_time: float) -> Float64[np.ndarray, "2 inputs"]:
     """Input matrix of one flexible mode without its damping, (2.33)."""
     require_number("omega", omega, above=0.0)
     shapes = require_array("shapes", shapes, ndim=1)
-    return np.array([(1 - np.cos(omega * step)) / omega**2 * shapes, np.sin(omega * step) / omega * shapes])
+    return np.array(
+        [(1 - np.cos(omega * sample_time)) / omega**2 * shapes, np.sin(omega * sample_time) / omega * shapes]
+    )
 
 
 def undamped_disturbance(
-    omega: float, on_position, on_velocity, step: float
+    omega: float, on_position, on_velocity, sample_time: float
 ) -> Float64[np.ndarray, "2 disturbances"]:
     """Disturbance matrix of one flexible mode without its damping, (2.34), for G_i = (g_i1, g_i2)."""
     require_number("omega", omega, above=0.0)
     g1 = require_array("on_position", on_position, ndim=1)
     g2 = require_array("on_velocity", on_velocity, ndim=1)
-    sine, cosine = np.sin(omega * step), np.cos(omega * step)
+    sine, cosine = np.sin(omega * sample_time), np.cos(omega * sample_time)
     return np.array([(1 - cosine) / omega**2 * g2 + sine / omega * g1, sine / omega * g2 + (cosine - 1) * g1])
 
 
 def disturbance_matrix(
-    model: ModalModel, disturbance, step: float
+    model: ModalModel, disturbance, sample_time: float
 ) -> Float64[np.ndarray, "states disturbances"]:
     """Exact zero-order-hold disturbance matrix for any G (form 1), by the matrix exponential."""
     states = model.state_space()
     g = require_array("disturbance", disturbance, shape=(len(states.a), None))
-    held = zoh(StateModel(states.a, g, states.c, np.zeros((len(states.c), g.shape[1]))), step)
+    held = zoh(StateModel(states.a, g, states.c, np.zeros((len(states.c), g.shape[1]))), sample_time)
     return held.b
 
 
 def discrete_compliance(model: StateModel) -> Float64[np.ndarray, "outputs inputs"]:
     """Static gain C (I - A)^-1 B + D of a discrete model without rigid-body modes, (2.22)."""
-    if not model.step:
+    if not model.sample_time:
         raise InputError("model is in continuous time; discretise it first")
     return model.c @ np.linalg.solve(np.eye(len(model.a)) - model.a, model.b) + model.d
 
@@ -83,7 +85,10 @@ def paint_transition_error(frequency_hz: float, damping: float):
     w = 2 * np.pi * frequency_hz
     size = np.array([[1, 1 / w], [w, 1]])  # of each entry, which itself passes zero
     for variant in VARIANTS[1:]:
-        pairs = ([transition(w, damping, step, each) for each in (variant, "exact")] for step in steps)
+        pairs = (
+            [transition(w, damping, sample_time, each) for each in (variant, "exact")]
+            for sample_time in steps
+        )
         error = [(np.abs(given - exact) / size).max() for given, exact in pairs]
         axis.loglog(1e3 * steps, error, label=variant)
     axis.set(xlabel="sample time (ms)", ylabel="largest error, scaled entries")

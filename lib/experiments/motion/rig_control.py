@@ -20,20 +20,25 @@ from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
 
 
-def warped(step: float, omega: Float64[np.ndarray, " frequencies"]) -> Float64[np.ndarray, " frequencies"]:
+def warped(
+    sample_time: float, omega: Float64[np.ndarray, " frequencies"]
+) -> Float64[np.ndarray, " frequencies"]:
     """Frequencies that the bilinear rule takes to `omega` (rad/s): there a continuous controller responds like its rule."""
-    return 2 / step * np.tan(omega * step / 2)
+    return 2 / sample_time * np.tan(omega * sample_time / 2)
 
 
 def rig_observer(
-    model: ModalModel, noise: NoiseIntensities, step: float, noise_model: float | None = None
+    model: ModalModel, noise: NoiseIntensities, sample_time: float, noise_model: float | None = None
 ) -> DiscreteObserver:
     """Stationary Kalman observer of chapter 6, from covariances a sample as (6.2) prints them (N^2, m^2, N^2)."""
-    require_number("step", step, above=0.0)
+    require_number("sample_time", sample_time, above=0.0)
     if noise_model is not None:
-        noise_model = require_number("noise_model", noise_model, above=0.0) / step
+        noise_model = require_number("noise_model", noise_model, above=0.0) / sample_time
     return discrete_kalman_observer(
-        model, NoiseIntensities(noise.process * step, noise.sensor * step), step, noise_model
+        model,
+        NoiseIntensities(noise.process * sample_time, noise.sensor * sample_time),
+        sample_time,
+        noise_model,
     )
 
 
@@ -63,7 +68,7 @@ class RigCompensator:
         flexible, velocities = estimates[:outputs], estimates[outputs:]
         if self.selectivity is not None:
             centres = self.observer.model.frequencies[self.observer.model.rigid_modes :, None]
-            half = self.observer.step / 2
+            half = self.observer.sample_time / 2
             ratio = 1j * np.tan(omega * half) / np.tan(centres * half)  # s over the centre, both warped
             passed = ratio / self.selectivity / (ratio**2 + ratio / self.selectivity + 1)
             velocities = velocities * passed[:, None, :]
@@ -75,8 +80,11 @@ class RigCompensator:
         if not np.any(self.gains) or self.selectivity is None:
             damping, outputs = self.observer.read(self.gains, "velocity"), len(self.observer.c)
             return self.observer.estimator(np.vstack([damping, self._read()[:outputs]]), "predictor", 1)
-        omega, step = self.observer.model.frequencies[self.observer.model.rigid_modes :], self.observer.step
-        filters = [tustin(band_pass(float(w), self.selectivity), step, float(w)) for w in omega]
+        omega, sample_time = (
+            self.observer.model.frequencies[self.observer.model.rigid_modes :],
+            self.observer.sample_time,
+        )
+        filters = [tustin(band_pass(float(w), self.selectivity), sample_time, float(w)) for w in omega]
         return filtered_estimates(self._estimator, filters, self.gains)
 
 
@@ -102,7 +110,7 @@ def rig_compensator(
 
 
 def sampled_damping(
-    model: ModalModel, gains: Float64[np.ndarray, "inputs flexible"], step: float
+    model: ModalModel, gains: Float64[np.ndarray, "inputs flexible"], sample_time: float
 ) -> tuple[Float64[np.ndarray, " flexible"], Float64[np.ndarray, " flexible"]]:
     """Damping ratios under u = K eta_dot on true states: of the continuous and of the sampled flexible modes.
 
@@ -112,7 +120,7 @@ def sampled_damping(
     rigid = model.rigid_modes
     gain = np.zeros((gains.shape[0], 2 * len(model.frequencies)))
     gain[:, 2 * rigid + 1 :: 2] = gains
-    continuous, sampled = fed_back(model, gain), sampled_feedback(model, gain, step)
+    continuous, sampled = fed_back(model, gain), sampled_feedback(model, gain, sample_time)
     poles = [
         (each.frequencies * (-each.damping + 1j * np.sqrt(1 - each.damping**2)))[rigid:]
         for each in (continuous, sampled)
@@ -121,15 +129,15 @@ def sampled_damping(
     return continuous.damping[rigid:], sampled.damping[rigid:][nearest]
 
 
-def placed_damping(model: ModalModel, target: float, step: float) -> Float64[np.ndarray, " flexible"]:
+def placed_damping(model: ModalModel, target: float, sample_time: float) -> Float64[np.ndarray, " flexible"]:
     """Damping ratios that pole placement on the sampled flexible modes reaches (section 4.1.2), ascending frequency.
 
     The frequencies stay, all damping ratios shall become `target`. The gain acts on positions too.
     """
     flexible = model.modes(slice(model.rigid_modes, None))
     require_number("target", target, above=0.0, below=1.0)
-    held = zoh_modes(flexible, require_number("step", step, above=0.0))
-    upper = np.exp(flexible.frequencies * (-target + 1j * np.sqrt(1 - target**2)) * step)
+    held = zoh_modes(flexible, require_number("sample_time", sample_time, above=0.0))
+    upper = np.exp(flexible.frequencies * (-target + 1j * np.sqrt(1 - target**2)) * sample_time)
     with warnings.catch_warnings():
         # The poles are placed all the same; only their most robust eigenvectors were still being looked for.
         warnings.filterwarnings("ignore", message="Convergence was not reached")
@@ -137,7 +145,7 @@ def placed_damping(model: ModalModel, target: float, step: float) -> Float64[np.
             gain = signal.place_poles(held.a, held.b, np.concatenate([upper, upper.conj()])).gain_matrix
         except ValueError as error:
             raise InputError(f"the poles of model cannot be placed ({error}); leave modes out") from None
-    poles = np.log(linalg.eigvals(held.a - held.b @ gain).astype(complex)) / step
+    poles = np.log(linalg.eigvals(held.a - held.b @ gain).astype(complex)) / sample_time
     poles = poles[poles.imag > 0]
     poles = poles[np.argsort(np.abs(poles))]
     return -poles.real / np.abs(poles)

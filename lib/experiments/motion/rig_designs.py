@@ -38,7 +38,7 @@ CASES = ("Original", "MC", "AD", "MC and AD")  # rows of Tables 6.2 to 6.4
 class RigSettings:
     """What chapter 6 prints about the observer and its uses."""
 
-    step: float  # s
+    sample_time: float  # s
     noise: NoiseIntensities  # covariances a sample, N^2 and m^2
     noise_model: float  # N^2, Q_nu with MC alone
     noise_model_both: float  # N^2, Q_nu with MC and AD
@@ -99,10 +99,12 @@ def rig_loops(
             block = None
             if case in intensities:
                 if (intensity := intensities[case]) not in observers:
-                    observers[intensity] = rig_observer(model, settings.noise, settings.step, intensity)
+                    observers[intensity] = rig_observer(
+                        model, settings.noise, settings.sample_time, intensity
+                    )
                 target = settings.target_damping if "AD" in case else None
                 block = rig_compensator(observers[intensity], "MC" in case, target, settings.selectivity)
-            loops[case].append(make_rig_loop(plant, block, matrices, settings.step, omega))
+            loops[case].append(make_rig_loop(plant, block, matrices, settings.sample_time, omega))
     return loops
 
 

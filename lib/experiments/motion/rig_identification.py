@@ -30,26 +30,26 @@ def four_sensor_controller(geometry: Geometry, settings: RigSettings, bandwidth_
     """From the errors at four sensors to four forces."""
     matrices = decoupling(geometry, ALL, ALL)
     pids = rig_controllers(geometry)(bandwidth_hz, bandwidth_hz)
-    blocks = [tustin(pid.state_space(), settings.step) for pid in pids]
+    blocks = [tustin(pid.state_space(), settings.sample_time) for pid in pids]
     return interconnect(blocks, np.zeros((3, 3)), matrices.sensing, matrices.actuation)
 
 
 def identification_loop(geometry: Geometry, settings: RigSettings, bandwidth_hz: float) -> StateModel:
     """All four actuators and sensors under a slow controller, as `run_multisine` takes it."""
-    plant = zoh_modes(rig_model(geometry), settings.step)
+    plant = zoh_modes(rig_model(geometry), settings.sample_time)
     controller = four_sensor_controller(geometry, settings, bandwidth_hz)
     closed = closed_loop(plant, None, controller)
     seen = channel(closed, ("u_ff", "w", "d"), ("f", "e_meas"), 4, 4)
     # Without a setpoint the measured error is minus the measurement.
     signs = np.repeat([[1.0], [-1.0]], 4, axis=0)
-    return StateModel(seen.a, seen.b, signs * seen.c, signs * seen.d, seen.step)
+    return StateModel(seen.a, seen.b, signs * seen.c, signs * seen.d, seen.sample_time)
 
 
 def true_response(
     geometry: Geometry, settings: RigSettings, omega: Float64[np.ndarray, " lines"]
 ) -> np.ndarray:
     """Sampled response of the rig at `omega` (rad/s), shape (lines, sensors, actuators)."""
-    return np.moveaxis(zoh_response(rig_model(geometry), settings.step, omega), -1, 0)
+    return np.moveaxis(zoh_response(rig_model(geometry), settings.sample_time, omega), -1, 0)
 
 
 def predicted_deviation(

@@ -38,18 +38,18 @@ class RigLoop:
     plant: ModalModel  # three actuators, three sensors
     compensator: RigCompensator | None
     decoupling: Decoupling
-    step: float  # s
+    sample_time: float  # s
     omega: Float64[np.ndarray, " frequencies"] = field(repr=False)  # rad/s
     parts: Complex128[np.ndarray, "frequencies 8 3 3"] = field(repr=False)  # all but the controller, `_parts`
 
     @cached_property
     def warped(self) -> Float64[np.ndarray, " frequencies"]:
         """Where continuous controllers are evaluated for the grid: the same in every step of a search (rad/s)."""
-        return warped(self.step, self.omega)
+        return warped(self.sample_time, self.omega)
 
     def on(self, omega: Float64[np.ndarray, " frequencies"]) -> "RigLoop":
         """The same loop on another grid (rad/s)."""
-        return make_rig_loop(self.plant, self.compensator, self.decoupling, self.step, omega)
+        return make_rig_loop(self.plant, self.compensator, self.decoupling, self.sample_time, omega)
 
     def equivalent_plant(self) -> Complex128[np.ndarray, "3 3 frequencies"]:
         """Decoupled plant that the controller sees, u to q_comp: of Figs 6.3 and 6.5 to 6.9 (scaled directions)."""
@@ -58,11 +58,11 @@ class RigLoop:
     def closed(self, pids: Sequence[Pid]) -> StateModel:
         """Closed loop in discrete time; its signals are `stillwork.control.loops.INPUTS` and ``OUTPUTS``."""
         block = None if self.compensator is None else self.compensator.realised
-        return closed_loop(zoh_modes(self.plant, self.step), block, self.controller(pids))
+        return closed_loop(zoh_modes(self.plant, self.sample_time), block, self.controller(pids))
 
     def controller(self, pids: Sequence[Pid]) -> StateModel:
         """Gamma C_fb Upsilon, from the errors at the sensors to forces."""
-        blocks = [tustin(pid.state_space(), self.step) for pid in pids]
+        blocks = [tustin(pid.state_space(), self.sample_time) for pid in pids]
         return interconnect(blocks, np.zeros((3, 3)), self.decoupling.sensing, self.decoupling.actuation)
 
     def radius(self, pids: Sequence[Pid]) -> float:
@@ -75,7 +75,7 @@ def make_rig_loop(
     plant: ModalModel,
     compensator: RigCompensator | None,
     decoupling: Decoupling,
-    step: float,
+    sample_time: float,
     omega: Float64[np.ndarray, " frequencies"] | None = None,
 ) -> RigLoop:
     """Prepare one position: three actuators to three sensors.
@@ -90,16 +90,16 @@ def make_rig_loop(
         if compensator is not None:
             observer = compensator.observer
             sampled = linalg.eigvals(observer.a - observer.a @ observer.gain @ observer.c)
-            own = np.log(sampled[np.abs(sampled) > 1e-3].astype(complex)) / step
+            own = np.log(sampled[np.abs(sampled) > 1e-3].astype(complex)) / sample_time
             poles = np.concatenate([poles, own[np.abs(own.real) < 0.1 * np.abs(own)]])
-        omega = resonance_grid(poles, 0.3, 0.499 / step, 80, 8)
-    around = _around(plant, compensator, step, omega)
-    return RigLoop(plant, compensator, decoupling, step, omega, _parts(*around, decoupling))
+        omega = resonance_grid(poles, 0.3, 0.499 / sample_time, 80, 8)
+    around = _around(plant, compensator, sample_time, omega)
+    return RigLoop(plant, compensator, decoupling, sample_time, omega, _parts(*around, decoupling))
 
 
-def _around(plant: ModalModel, compensator: RigCompensator | None, step: float, omega):
+def _around(plant: ModalModel, compensator: RigCompensator | None, sample_time: float, omega):
     """Plant P and compensator O of every frequency, and N = (I - O_uu - O_uy P)^-1 and Z = (I - O_yy) P - O_yu."""
-    p = np.moveaxis(zoh_response(plant, step, omega), -1, 0)
+    p = np.moveaxis(zoh_response(plant, sample_time, omega), -1, 0)
     o = np.zeros((len(omega), 6, 6), complex)
     if compensator is not None:
         o = np.moveaxis(compensator.frequency_response(omega), -1, 0)
@@ -276,9 +276,11 @@ def _crossings(loop: RigLoop, pids: Sequence[Pid]) -> Float64[np.ndarray, "3"]:
 
     def gain(w, k: int) -> Complex128[np.ndarray, " frequencies"]:
         _, _, n, seen = _around(
-            loop.plant, loop.compensator, loop.step, w
+            loop.plant, loop.compensator, loop.sample_time, w
         )  # P_eq alone: a search asks for one point
-        return (upsilon @ seen @ (n @ gamma))[:, k, k] * pids[k].frequency_response(warped(loop.step, w))
+        return (upsilon @ seen @ (n @ gamma))[:, k, k] * pids[k].frequency_response(
+            warped(loop.sample_time, w)
+        )
 
     grid = loop.equivalent_plant()
     found = [

@@ -91,11 +91,11 @@ def paint_one_entry(loops: Mapping[str, Sequence[RigLoop]], geometry: Geometry, 
     return figure
 
 
-def paint_tracking_errors(errors: Mapping[str, np.ndarray], reference: np.ndarray, step: float):
+def paint_tracking_errors(errors: Mapping[str, np.ndarray], reference: np.ndarray, sample_time: float):
     """True errors (m and rad) over one period with the scaled trajectory in black: Figs 6.10 and 6.11."""
     figure, axes = figures.new(3, 1, height=5.2, sharex=True)
     every = 10  # samples between those drawn: the errors are slow
-    time = np.arange(reference.shape[1])[::every] * step
+    time = np.arange(reference.shape[1])[::every] * sample_time
     for k, axis in enumerate(axes):
         largest = max(np.abs(error[k]).max() for error in errors.values()) * 1e6
         scale = largest / np.abs(reference[k]).max()

@@ -44,9 +44,9 @@ class Levelling:
         """Frequencies of the lines (rad/s)."""
         return 2 * np.pi / self.period * np.arange(1, self.lines.shape[1] + 1)
 
-    def samples(self, step: float) -> Float64[np.ndarray, "3 samples"]:
+    def samples(self, sample_time: float) -> Float64[np.ndarray, "3 samples"]:
         """One period (m, rad, rad)."""
-        time = np.arange(round(self.period / step)) * step
+        time = np.arange(round(self.period / sample_time)) * sample_time
         return (self.lines @ np.exp(1j * np.outer(self.omega, time))).real
 
 
@@ -67,16 +67,18 @@ def _to_error(loop: RigLoop, pids: Sequence[Pid], geometry: Geometry) -> StateMo
     seen = channel(loop.closed(pids), ("v", "w", "d"), "e_true", 3, 3)
     read = loop.decoupling.sensing / geometry.edges[:, None]
     balanced, (scale, _) = linalg.matrix_balance(seen.a, permute=False, separate=True)
-    model = StateModel(balanced, seen.b / scale[:, None], read @ seen.c * scale, read @ seen.d, seen.step)
+    model = StateModel(
+        balanced, seen.b / scale[:, None], read @ seen.c * scale, read @ seen.d, seen.sample_time
+    )
     if (radius := np.abs(model.poles).max()) >= 1:
         raise InputError(f"the loop is unstable (a pole of magnitude {radius:.6f}); lower the bandwidth")
     return model
 
 
-def held_mass(omega: Float64[np.ndarray, " frequencies"], step: float) -> np.ndarray:
+def held_mass(omega: Float64[np.ndarray, " frequencies"], sample_time: float) -> np.ndarray:
     """Response of a mass of 1 kg to a force that is held over each sample."""
-    turned = np.exp(1j * omega * step)
-    return step**2 * (turned + 1) / (2 * (turned - 1) ** 2)
+    turned = np.exp(1j * omega * sample_time)
+    return sample_time**2 * (turned + 1) / (2 * (turned - 1) ** 2)
 
 
 def _lines(
@@ -88,7 +90,10 @@ def _lines(
     """
     scaled = geometry.edges[:, None] * trajectory.lines
     force = (
-        (1 + mass_error) * scaled_inertia(geometry)[:, None] * scaled / held_mass(trajectory.omega, loop.step)
+        (1 + mass_error)
+        * scaled_inertia(geometry)[:, None]
+        * scaled
+        / held_mass(trajectory.omega, loop.sample_time)
     )
     at_sensors = np.linalg.solve(loop.decoupling.sensing, scaled)
     return np.vstack([at_sensors, loop.decoupling.actuation @ force])
@@ -107,7 +112,7 @@ def levelling_rms(
     The feedforward takes the rig for heavier by `mass_error`, relative.
     """
     model = _to_error(loop, pids, geometry)
-    z = np.exp(1j * trajectory.omega * loop.step)
+    z = np.exp(1j * trajectory.omega * loop.sample_time)
     drive = _lines(trajectory, loop, geometry, mass_error)
     periodic = np.zeros(3)
     for point, amplitudes in zip(z, drive.T, strict=True):
@@ -145,10 +150,10 @@ def levelling_error(
 ) -> Float64[np.ndarray, "3 samples"]:
     """True error over the last period (m, rad, rad), simulated with noise after `periods` periods of settling."""
     model = _to_error(loop, pids, geometry)
-    count = round(trajectory.period / loop.step)
-    if abs(count * loop.step - trajectory.period) > 1e-9 * trajectory.period:
+    count = round(trajectory.period / loop.sample_time)
+    if abs(count * loop.sample_time - trajectory.period) > 1e-9 * trajectory.period:
         raise InputError("period of the trajectory is not a multiple of the sample time; change one of them")
-    time = np.arange((periods + 1) * count) * loop.step
+    time = np.arange((periods + 1) * count) * loop.sample_time
     known = (_lines(trajectory, loop, geometry, 0.0) @ np.exp(1j * np.outer(trajectory.omega, time))).real
     sizes = np.sqrt(np.repeat([noise.process, noise.sensor], 3))
     random = sizes[:, None] * rng.standard_normal((6, len(time)))
@@ -189,7 +194,7 @@ def flexible_peaks(loops: list[RigLoop], inertia: Float64[np.ndarray, "3"]) -> F
     high = np.minimum(1.05 * modes, np.append(middle, np.inf))
     found, coupling = [], []
     for loop in loops:
-        rigid = held_mass(loop.omega, loop.step)
+        rigid = held_mass(loop.omega, loop.sample_time)
         seen = np.moveaxis(loop.equivalent_plant(), -1, 0)
         bands = np.array([(loop.omega >= a) & (loop.omega <= b) for a, b in zip(low, high, strict=True)])
         used = bands.any(axis=0)

@@ -43,9 +43,9 @@ class Scan:
     deviations: tuple[float, float, float]  # of w (N), v (m) and d (m), each sample anew
 
     @property
-    def step(self) -> float:
+    def sample_time(self) -> float:
         """Sample time, s."""
-        return self.setpoint.step
+        return self.setpoint.sample_time
 
 
 @dataclass(frozen=True)
@@ -57,14 +57,14 @@ class Records:
     states: Float64[np.ndarray, "runs states samples"]  # true modal states, form 1
 
 
-def published_scan(spacing: float = 0.05, bandwidth_hz: float = 30.0, step: float = 1e-4) -> Scan:
+def published_scan(spacing: float = 0.05, bandwidth_hz: float = 30.0, sample_time: float = 1e-4) -> Scan:
     """Section 5.4.3: the first three modes of the stage on the setpoint of Fig. 3.32.
 
     Not published, and set here: the masses stand `spacing` metres apart, the move is centred on them, the
-    controller is (3.1) at `bandwidth_hz`, the sample time is `step`.
+    controller is (3.1) at `bandwidth_hz`, the sample time is `sample_time`.
     """
     plant = stage().modes(slice(0, 3))
-    setpoint = published_setpoint(step)
+    setpoint = published_setpoint(sample_time)
     grid = require_number("spacing", spacing, above=0.0) * np.arange(len(plant.output_shapes))
     position = setpoint.derivatives[0]
     start = (grid[-1] - position[-1]) / 2
@@ -72,7 +72,7 @@ def published_scan(spacing: float = 0.05, bandwidth_hz: float = 30.0, step: floa
         plant,
         shapes_along(plant, grid, start + position),
         setpoint,
-        zoh(PidFamily(stage_mass())(bandwidth_hz).state_space(), step),
+        zoh(PidFamily(stage_mass())(bandwidth_hz).state_space(), sample_time),
         stage_mass(),
         tuple(published_deviations().values()),
     )
@@ -81,12 +81,12 @@ def published_scan(spacing: float = 0.05, bandwidth_hz: float = 30.0, step: floa
 def filter_model(scan: Scan) -> TimeVaryingModel:
     """Nominal model for the filters."""
     w, v, d = scan.deviations
-    return along_scan(scan.nominal, scan.step, scan.shapes, w**2, v**2 + d**2)
+    return along_scan(scan.nominal, scan.sample_time, scan.shapes, w**2, v**2 + d**2)
 
 
 def along_scan(
     machine: ModalModel,
-    step: float,
+    sample_time: float,
     shapes: Float64[np.ndarray, "samples modes"],
     process: float,
     sensor: float,
@@ -95,7 +95,7 @@ def along_scan(
 
     `process` and `sensor` are the variances of w (N^2) and of the measurement (m^2).
     """
-    sampled, c = zoh_modes(machine, step), output_rows(shapes)
+    sampled, c = zoh_modes(machine, sample_time), output_rows(shapes)
     q, r = np.array([[process]]), np.array([[sensor]])
     start = discrete_gain(sampled.a, sampled.b, c[0], q, r)
     initial = start.covariance - start.filter_gain @ c[0] @ start.covariance
@@ -115,7 +115,7 @@ def record_scans(scan: Scan, errors: Sequence[ArrayLike], rng: np.random.Generat
     if any(np.any(np.diff(scan.nominal.frequencies * (1 + e[:, 0])) < 0) for e in map(np.asarray, errors)):
         raise InputError("errors are so large that two modes change places; give smaller ones")
     plants = [perturbed(scan.nominal, e) for e in errors]
-    sampled = [zoh_modes(plant, scan.step) for plant in plants]
+    sampled = [zoh_modes(plant, scan.sample_time) for plant in plants]
     factors = np.array([1 + require_array("errors", e, ndim=2)[:, 3] for e in errors])
     noise = rng.standard_normal((runs, 3, samples)) * np.array(scan.deviations)[:, None]
     states = np.zeros((runs, samples, len(sampled[0].a)))

@@ -95,10 +95,10 @@ class SampledDerivatives:
 
 @checked
 def sampled_derivatives(
-    model: ModalModel, step: float, modes: Sequence[int] | None = None
+    model: ModalModel, sample_time: float, modes: Sequence[int] | None = None
 ) -> SampledDerivatives:
     """Derivatives of the zero-order-hold model in modal form 1 for chosen modes (by default all flexible ones)."""
-    step = require_number("step", step, above=0.0)
+    sample_time = require_number("sample_time", sample_time, above=0.0)
     modes = tuple(range(model.rigid_modes, len(model.frequencies)) if modes is None else modes)
     if not modes or min(modes) < 0 or max(modes) >= len(model.frequencies):
         raise InputError(f"modes is {modes}; choose from 0 to {len(model.frequencies) - 1}")
@@ -114,7 +114,7 @@ def sampled_derivatives(
         by_input[1, 2:] = shape
         place = slice(2 * mode, 2 * mode + 2)
         for number, direction in enumerate((by_frequency, by_damping, by_input)):
-            moved = linalg.expm_frechet(whole * step, direction * step, compute_expm=False)
+            moved = linalg.expm_frechet(whole * sample_time, direction * sample_time, compute_expm=False)
             a[4 * k + number, place, place] = moved[:2, :2]
             b[4 * k + number, place] = moved[:2, 2:]
     return SampledDerivatives(modes, a, b)

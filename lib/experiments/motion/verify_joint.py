@@ -63,8 +63,8 @@ def modes(stage: Mapping):
     return np.sqrt(np.maximum(squares, 0.0)) * (np.arange(8) > 0), shapes[0], NANO * shapes[1:]
 
 
-def sampled(w, push, ratio, force: bool, step: float):
-    """Modes (positions and velocities in turn), with a constant force as a last state if wanted, held for a step."""
+def sampled(w, push, ratio, force: bool, sample_time: float):
+    """Modes (positions and velocities in turn), with a constant force as a last state if wanted, held for a sample."""
     n = 2 * len(w)
     a, b = np.zeros((n + force, n + force)), np.zeros((n + force, 1))
     for i, frequency in enumerate(w):
@@ -72,7 +72,7 @@ def sampled(w, push, ratio, force: bool, step: float):
         b[2 * i + 1] = push[i]
     if force:
         a[:, -1] = b[:, 0]
-    held = control.c2d(control.ss(a, b, np.eye(n + force), 0), step, "zoh")
+    held = control.c2d(control.ss(a, b, np.eye(n + force), 0), sample_time, "zoh")
     return held.A, held.B
 
 

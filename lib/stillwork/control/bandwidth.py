@@ -52,7 +52,7 @@ class PeakConstraint:
 class Loop:
     """One plant with its compensator; the controller is what is searched for.
 
-    With a `step` the loop is sampled: the plant is held and late, a measurement is taken before the force of its
+    With a `sample_time` the loop is sampled: the plant is held and late, a measurement is taken before the force of its
     sample acts, the controller is Tustin's.
     """
 
@@ -61,7 +61,7 @@ class Loop:
     omega: Float64[np.ndarray, " frequencies"] = field(repr=False)  # rad/s, refined around every pole
     plant_response: Complex128[np.ndarray, " frequencies"] = field(repr=False)
     compensator_response: Complex128[np.ndarray, "2 2 frequencies"] = field(repr=False)
-    step: float = 0.0  # s, sample time; 0: continuous time
+    sample_time: float = 0.0  # s; 0: continuous time
     delay: int = 0  # samples from command to force
 
     def __post_init__(self):
@@ -78,18 +78,20 @@ class Loop:
         held : bool
             With what sampling adds: the hold and the aliases.
         """
-        if not self.step:
+        if not self.sample_time:
             return self.plant.frequency_response(omega)[0, 0]
-        turn = 1j * omega * self.step
+        turn = 1j * omega * self.sample_time
         if not held:
             hold = -np.expm1(-turn) / turn
             return self.plant.frequency_response(omega)[0, 0] * hold * np.exp(-turn * self.delay)
         compliance = self.plant.feedthrough[0, 0] * np.expm1(-turn)  # it shows the force of the sample before
-        return (zoh_response(self.plant, self.step, omega)[0, 0] + compliance) * np.exp(-turn * self.delay)
+        return (zoh_response(self.plant, self.sample_time, omega)[0, 0] + compliance) * np.exp(
+            -turn * self.delay
+        )
 
     def _controlled(self, controller: Pid, omega: np.ndarray) -> np.ndarray:
         return controller.frequency_response(
-            2 / self.step * np.tan(omega * self.step / 2) if self.step else omega
+            2 / self.sample_time * np.tan(omega * self.sample_time / 2) if self.sample_time else omega
         )
 
     @checked
@@ -154,24 +156,24 @@ class Loop:
         controller : Pid
             C of this loop.
         """
-        if not self.step:
+        if not self.sample_time:
             a = closed_loop(self.plant, self.compensator, controller.state_space()).a
             return linalg.eigvals(a).astype(complex)
-        pid = tustin(controller.state_space(), self.step)
+        pid = tustin(controller.state_space(), self.sample_time)
         unit = float(np.abs(pid.d[0, 0]))  # N/m: with forces in it no part of the loop is larger than another
         loop = closed_loop(
             _scaled(self._held, [unit], [1.0]),
             _scaled(self.compensator, [unit, 1.0], [unit, 1.0]),
             _scaled(pid, [1.0], [unit]),
         )
-        return _continuous(linalg.eigvals(loop.a), self.step)
+        return _continuous(linalg.eigvals(loop.a), self.sample_time)
 
     @cached_property
     def _held(self) -> StateModel:
         """The sampled plant, late, its compliance showing the force of the sample before."""
-        held = zoh_modes(self.plant, self.step)
-        last = StateModel(np.zeros((1, 1)), np.ones((1, 1)), held.d, np.zeros((1, 1)), self.step)
-        modes = StateModel(held.a, held.b, held.c, np.zeros((1, 1)), self.step)
+        held = zoh_modes(self.plant, self.sample_time)
+        last = StateModel(np.zeros((1, 1)), np.ones((1, 1)), held.d, np.zeros((1, 1)), self.sample_time)
+        modes = StateModel(held.a, held.b, held.c, np.zeros((1, 1)), self.sample_time)
         plant = interconnect([modes, last], np.zeros((2, 2)), np.ones((2, 1)), np.ones((1, 2)))
         return delayed(plant, self.delay)
 
@@ -196,12 +198,12 @@ class Loop:
 def _scaled(model: StateModel, inputs: list[float], outputs: list[float]) -> StateModel:
     """The model with its inputs and outputs in other units."""
     into, out = np.array(inputs), np.array(outputs)[:, None]
-    return StateModel(model.a, model.b * into, model.c / out, model.d * into / out, model.step)
+    return StateModel(model.a, model.b * into, model.c / out, model.d * into / out, model.sample_time)
 
 
-def _continuous(poles: np.ndarray, step: float) -> np.ndarray:
+def _continuous(poles: np.ndarray, sample_time: float) -> np.ndarray:
     """Discrete poles as a continuous model would have them, without those of pure delays at 0."""
-    return np.log(poles[np.abs(poles) > 1e-6].astype(complex)) / step
+    return np.log(poles[np.abs(poles) > 1e-6].astype(complex)) / sample_time
 
 
 @checked
@@ -213,7 +215,7 @@ def make_loop(
     high_hz: float = 2e4,
     points: int = 600,
     around: int = 40,
-    step: float = 0.0,
+    sample_time: float = 0.0,
     delay: int = 0,
 ) -> Loop:
     """Prepare a loop: responses of everything but the controller, on a grid refined around every pole.
@@ -226,7 +228,7 @@ def make_loop(
         From (u, y) to (u_d, y_flex); None: no observer.
     low_hz, high_hz, points, around
         Grid, see `stillwork.lti.resonance_grid`; that of a sampled loop ends at half of its rate.
-    step : float
+    sample_time : float
         Sample time, s; 0: continuous time.
     delay : int
         Samples that the force is late; of a sampled loop alone.
@@ -246,15 +248,23 @@ def make_loop(
         raise InputError("plant must have one input and one output; pick them with plant.at")
     observer = no_observer(plant) if compensator is None else compensator
     if compensator is None:
-        observer = replace(observer, step=step)
+        observer = replace(observer, sample_time=sample_time)
     require_count("delay", delay, at_least=0)
-    if observer.step != step or (delay and not step):
-        raise InputError("compensator has another sample time than step, or there is a delay without one")
-    poles = _continuous(observer.poles, step) if step else observer.poles
-    high_hz = min(high_hz, 0.499 / step) if step else high_hz
+    if observer.sample_time != sample_time or (delay and not sample_time):
+        raise InputError(
+            "compensator has another sample time than sample_time, or there is a delay without one"
+        )
+    poles = _continuous(observer.poles, sample_time) if sample_time else observer.poles
+    high_hz = min(high_hz, 0.499 / sample_time) if sample_time else high_hz
     omega = resonance_grid(np.concatenate([plant.poles, poles]), low_hz, high_hz, points, around)
     loop = Loop(
-        plant, observer, omega, np.zeros(len(omega), complex), observer.frequency_response(omega), step, delay
+        plant,
+        observer,
+        omega,
+        np.zeros(len(omega), complex),
+        observer.frequency_response(omega),
+        sample_time,
+        delay,
     )
     return replace(loop, plant_response=loop.plant_at(omega))
 

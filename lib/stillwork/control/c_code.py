@@ -80,7 +80,7 @@ def controller_code(controller: DigitalController, name: str, precision: str = "
         commands += [f"w[{k}] += f[{k}];"] if winds else []
         clipped += [f"f[{k}] = out[{k}];", *limits]
     values = {
-        "title": f"{name}: {states} states, {1 / m.step:g} samples a second, {precision} precision.",
+        "title": f"{name}: {states} states, {1 / m.sample_time:g} samples a second, {precision} precision.",
         "signals": "\n   ".join(
             [f"in[{k}]: {_comment(text)}" for k, text in enumerate(controller.inputs)]
             + [f"out[{k}]: {_comment(text)}" for k, text in enumerate(controller.outputs)]
@@ -88,7 +88,7 @@ def controller_code(controller: DigitalController, name: str, precision: str = "
         "inputs": n,
         "outputs": outputs,
         "states": max(states, 1),
-        "step": repr(m.step),
+        "sample_time": repr(m.sample_time),
         "late": f", {controller.delay} samples late" if controller.delay else "",
         "ring": f"\n    {name}_real ring[{controller.delay}][{outputs}]; /* on its way out */\n    int place;"
         if controller.delay

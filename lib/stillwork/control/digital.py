@@ -78,7 +78,7 @@ class DigitalController:
     def __post_init__(self):
         check_fields(self)
         states, outputs = len(self.model.a), len(self.outputs)
-        if not self.model.step:
+        if not self.model.sample_time:
             raise InputError("model is in continuous time; discretise it first")
         if not self.inputs or len(self.model.c) != outputs or self.fed_back not in (0, outputs):
             raise InputError(
@@ -128,7 +128,7 @@ class DigitalController:
     def linear(self) -> StateModel:
         """From the inputs to the outputs while no limit is reached, without `delay`."""
         m, n, back = self.model, len(self.inputs), self._back
-        return StateModel(m.a + back @ m.c, m.b[:, :n] + back @ m.d[:, :n], m.c, m.d[:, :n], m.step)
+        return StateModel(m.a + back @ m.c, m.b[:, :n] + back @ m.d[:, :n], m.c, m.d[:, :n], m.sample_time)
 
     @property
     @checked
@@ -187,7 +187,7 @@ class DigitalController:
         }
         return self.about | {
             "format": FORMAT,
-            "sample_time_s": self.model.step,
+            "sample_time_s": self.model.sample_time,
             "inputs": list(self.inputs),
             "outputs": list(self.outputs),
             "state_space": {name: getattr(self.model, name).tolist() for name in "abcd"},
@@ -217,8 +217,8 @@ def runnable(pid: Pid, compensator: StateModel, limit: float | ArrayLike, about:
     The compensator is that of a sampled `bandwidth.Loop`, the limit, N, may be infinite.
     """
     limit = require_array("limit", limit, shape=(), infinite=True)
-    step = compensator.step
-    feedback = tustin(pid.state_space(), step)
+    sample_time = compensator.sample_time
+    feedback = tustin(pid.state_space(), sample_time)
     tracking_time = 1 / np.sqrt(pid.integrator * pid.differentiator)
     winding = np.vstack([np.zeros((len(compensator.a), 1)), anti_windup(feedback, tracking_time)])
     return DigitalController(
@@ -236,8 +236,8 @@ def runnable(pid: Pid, compensator: StateModel, limit: float | ArrayLike, about:
 def anti_windup(model: StateModel, tracking_time: float) -> Float64[np.ndarray, "states outputs"]:
     """Back-calculation L that takes every integrator to the limited output within `tracking_time` (s).
 
-    It acts on the poles at 1 alone, which become exp(-step/tracking_time) in A - LC; the others stay. For a PID the
-    root of integral and differential time is usual: Astrom and Hagglund, PID Controllers (1995), section 3.5.
+    It acts on the poles at 1 alone, which become exp(-sample_time/tracking_time) in A - LC; the others stay. For a PID
+    the root of integral and differential time is usual: Astrom and Hagglund, PID Controllers (1995), section 3.5.
     """
     require_number("tracking_time", tracking_time, above=0.0)
     poles, left, right = (
@@ -253,17 +253,17 @@ def anti_windup(model: StateModel, tracking_time: float) -> Float64[np.ndarray, 
         raise InputError(
             "model has integrators in a row, or more of them than outputs; give the gain anti_windup yourself"
         )
-    return -np.expm1(-model.step / tracking_time) * right @ np.linalg.pinv(seen)
+    return -np.expm1(-model.sample_time / tracking_time) * right @ np.linalg.pinv(seen)
 
 
 @checked
-def from_biquads(sections: ArrayLike, step: float) -> StateModel:
+def from_biquads(sections: ArrayLike, sample_time: float) -> StateModel:
     """Model of biquads in a row, (b0, b1, b2, 1, a1, a2) each as SciPy has them, in a form that single precision can hold.
 
     The states turn as the poles do; of b and a themselves a few digits near z = 1 would be all that is left.
     """
     sections = require_array("sections", sections, shape=(None, 6))
-    require_number("step", step, above=0.0)
+    require_number("sample_time", sample_time, above=0.0)
     if not len(sections) or np.any(sections[:, 3] != 1):
         raise InputError("sections must hold at least one (b0, b1, b2, 1, a1, a2)")
     models = []
@@ -277,20 +277,22 @@ def from_biquads(sections: ArrayLike, step: float) -> StateModel:
             outer = -a1 / 2 - np.copysign(np.sqrt(square), a1)
             inner = a2 / outer if outer else 0.0
             a, c = [[outer, 1.0], [0.0, inner]], [[n0 + n1 * outer, n1]]
-        models.append(StateModel(np.array(a), np.array([[0.0], [1.0]]), np.array(c), np.array([[b0]]), step))
+        models.append(
+            StateModel(np.array(a), np.array([[0.0], [1.0]]), np.array(c), np.array([[b0]]), sample_time)
+        )
     return series(models)
 
 
 @checked
 def biquads(model: StateModel) -> np.ndarray | None:
     """Second-order sections of a model with one input and one output; None where they would not agree with it."""
-    omega = np.geomspace(1e-4, 0.99, 200) * np.pi / model.step
+    omega = np.geomspace(1e-4, 0.99, 200) * np.pi / model.sample_time
     wanted = model.frequency_response(omega)[0, 0]
     zeros, poles = model.zeros, model.poles
-    shape = signal.freqz_zpk(zeros, poles, 1.0, omega * model.step)[1]
+    shape = signal.freqz_zpk(zeros, poles, 1.0, omega * model.sample_time)[1]
     gain = float(np.median((wanted / shape).real))
     sections = signal.zpk2sos(zeros, poles, gain)
-    found = signal.sosfreqz(sections, omega * model.step)[1]
+    found = signal.sosfreqz(sections, omega * model.sample_time)[1]
     return sections if np.abs(found - wanted).max() <= SAME * np.abs(wanted).max() else None
 
 
@@ -323,7 +325,7 @@ def as_libraries(controller: DigitalController) -> LibraryObjects:
     """
     require_package("control")
     model = controller.linear
-    discrete = signal.StateSpace(model.a, model.b, model.c, model.d, dt=model.step)
+    discrete = signal.StateSpace(model.a, model.b, model.c, model.d, dt=model.sample_time)
     return LibraryObjects(model.to_control(), discrete, biquads(model) if model.d.shape == (1, 1) else None)
 
 
@@ -379,8 +381,8 @@ def load_controller(file: str | Path) -> DigitalController:
 
 
 def _from_table(table: Table) -> DigitalController:
-    step = 1 / require_number("rate_hz", table["rate_hz"], above=0.0)
-    model = from_biquads(table["biquads"], step) if "biquads" in table else _model(table, step)
+    sample_time = 1 / require_number("rate_hz", table["rate_hz"], above=0.0)
+    model = from_biquads(table["biquads"], sample_time) if "biquads" in table else _model(table, sample_time)
     outputs, inputs = model.d.shape
     read: dict[str, Any] = {
         name: tuple(table.get(name, [f"{name[:-1]} {k + 1}" for k in range(count)]))
@@ -392,11 +394,11 @@ def _from_table(table: Table) -> DigitalController:
     return DigitalController(model, delay=table.get("delay_samples", 0), **read)
 
 
-def _model(table: Table, step: float) -> StateModel:
+def _model(table: Table, sample_time: float) -> StateModel:
     a, b, c, d = (require_array(f"{table.where}: {name}", table[name]) for name in "abcd")
     if d.ndim == 2 and not a.size:  # without states the other lists are empty
         a, b, c = np.zeros((0, 0)), np.zeros((0, d.shape[1])), np.zeros((len(d), 0))
-    return StateModel(a, b, c, d, step)
+    return StateModel(a, b, c, d, sample_time)
 
 
 def _list(table: Table, name: str) -> list:

@@ -29,7 +29,7 @@ def damped_poles(model: ModalModel, increase: float | ArrayLike) -> Complex128[n
 
 @checked
 def discrete_damping_gain(
-    model: ModalModel, increase: float | ArrayLike, step: float
+    model: ModalModel, increase: float | ArrayLike, sample_time: float
 ) -> Float64[np.ndarray, "1 states"]:
     r"""Gain K of (4.3): :math:`\lambda(A^d + B^dK) = e^{p^*T_s}` with the damped continuous poles :math:`p^*`.
 
@@ -38,22 +38,24 @@ def discrete_damping_gain(
     :math:`\delta = (z-1)/T_s`, no difference of nearly equal poles remains, so that the numerical trouble of
     Remark 4.1.1 does not arise at any sampling rate. The rigid body stays as it is.
     """
-    require_number("step", step, above=0.0)
+    require_number("sample_time", sample_time, above=0.0)
     if model.input_shapes.shape[1] != 1:
         raise InputError(f"model has {model.input_shapes.shape[1]} inputs; this formula is for one")
     wanted = damped_poles(model, increase)
     rigid = model.rigid_modes
     w, z, shapes = model.frequencies[rigid:], model.damping[rigid:], model.input_shapes[rigid:, 0]
     require_reach(model)
-    if w[-1] * step >= np.pi:
+    if w[-1] * sample_time >= np.pi:
         raise InputError(
-            f"step is {step:g} s, too long for a mode at {w[-1] / (2 * np.pi):.4g} Hz; sample more than twice a period"
+            f"sample_time is {sample_time:g} s, too long for a mode at {w[-1] / (2 * np.pi):.4g} Hz; sample more than twice a period"
         )
     if np.any(np.diff(w) < 1e-9 * w[-1]):
         raise InputError("model has two modes of one frequency; one input cannot damp both")
     upper = w * (-z + 1j * np.sqrt(1 - z**2))
     poles = np.concatenate([upper, upper.conj()])
-    here, there = (np.expm1(p * step) / step for p in (poles, np.concatenate([wanted, wanted.conj()])))
+    here, there = (
+        np.expm1(p * sample_time) / sample_time for p in (poles, np.concatenate([wanted, wanted.conj()]))
+    )
     drive = shapes * here[: len(w)] / upper  # left eigenvectors (-conj(p), 1) on B^d, over the sample time
     gain = np.zeros((1, 2 * len(model.frequencies)))
     for i, pole in enumerate(upper):
@@ -67,7 +69,7 @@ def discrete_damping_gain(
 
 
 @checked
-def sampled_feedback(model: ModalModel, gain: ArrayLike, step: float, delay: int = 0) -> DampedModes:
+def sampled_feedback(model: ModalModel, gain: ArrayLike, sample_time: float, delay: int = 0) -> DampedModes:
     """Damping ratios and frequencies that a gain gives the sampled machine, (4.2), with perfect estimates.
 
     The eigenvalues z are read as those of a continuous machine, ln(z)/T_s. The force comes late by `delay` samples.
@@ -76,14 +78,14 @@ def sampled_feedback(model: ModalModel, gain: ArrayLike, step: float, delay: int
     still = 2 * model.rigid_modes
     if np.any(gain[:, :still]):
         raise InputError("gain acts on the rigid body; set those columns to zero")
-    flexible = zoh_modes(model.modes(slice(model.rigid_modes, None)), step)
+    flexible = zoh_modes(model.modes(slice(model.rigid_modes, None)), sample_time)
     n, inputs = flexible.b.shape
-    read = StateModel(flexible.a, flexible.b, gain[:, still:], np.zeros((inputs, inputs)), step)
+    read = StateModel(flexible.a, flexible.b, gain[:, still:], np.zeros((inputs, inputs)), sample_time)
     late = delayed(read, delay)
     poles = linalg.eigvals(late.a + late.b @ late.c)
     # A delayed force adds poles near z = 0, real or far beyond the modes: they belong to none.
-    poles = np.log(poles[poles != 0].astype(complex)) / step
-    upper = poles[(poles.imag > 1e-6 * np.abs(poles)) & (poles.imag < (1 - 1e-9) * np.pi / step)]
+    poles = np.log(poles[poles != 0].astype(complex)) / sample_time
+    upper = poles[(poles.imag > 1e-6 * np.abs(poles)) & (poles.imag < (1 - 1e-9) * np.pi / sample_time)]
     upper = upper[np.argsort(np.abs(upper))][: n // 2]
     if len(upper) < n // 2:
         raise InputError("gain is so large that a mode no longer oscillates; it has no damping ratio below 1")

@@ -36,7 +36,7 @@ class DiscreteObserver(FlexibleEstimates):
     c: Float64[np.ndarray, "outputs states"]
     gain: ArrayLike  # (states, outputs), of the filter, K; the predictor's is L = AK
     covariance: Float64[np.ndarray, "states states"]  # P(k|k-1)
-    step: float  # s
+    sample_time: float  # s
 
     @checked
     def __post_init__(self):
@@ -44,7 +44,7 @@ class DiscreteObserver(FlexibleEstimates):
         gain = require_array("gain", self.gain, shape=(len(self.a), len(self.c)))
         object.__setattr__(self, "gain", gain)
         require_array("covariance", self.covariance, shape=self.a.shape)
-        require_number("step", self.step, above=0.0)
+        require_number("sample_time", self.sample_time, above=0.0)
         if np.any(np.abs(linalg.eigvals(self.a - self.a @ self.gain @ self.c)) >= 1):
             raise InputError("the observer is unstable; its gain must stabilise A - AKC")
 
@@ -86,16 +86,20 @@ class DiscreteObserver(FlexibleEstimates):
         none = np.zeros((len(rows), inputs))
         if form == "predictor":
             predicted = StateModel(
-                a, b, np.hstack([rows, none]), np.hstack([none, np.zeros((len(rows), outputs))]), self.step
+                a,
+                b,
+                np.hstack([rows, none]),
+                np.hstack([none, np.zeros((len(rows), outputs))]),
+                self.sample_time,
             )
             return delayed(predicted, delay - 1)
         c = np.hstack([rows @ kept, -rows @ self.gain @ d])
-        return delayed(StateModel(a, b, c, np.hstack([none, rows @ self.gain]), self.step), delay)
+        return delayed(StateModel(a, b, c, np.hstack([none, rows @ self.gain]), self.sample_time), delay)
 
 
 @checked
 def discrete_kalman_observer(
-    model: ModalModel, noise: NoiseIntensities, step: float, noise_model: float | None = None
+    model: ModalModel, noise: NoiseIntensities, sample_time: float, noise_model: float | None = None
 ) -> DiscreteObserver:
     r"""Stationary discrete Kalman observer, (4.7) and section 4.1.3, with the process noise at the plant input.
 
@@ -105,16 +109,16 @@ def discrete_kalman_observer(
     """
     if model.measures != "position":
         raise InputError("model measures velocities; this observer is for positions")
-    sampled = zoh_modes(model, step)
+    sampled = zoh_modes(model, sample_time)
     a, b, c = sampled.a, sampled.b, sampled.c
     inputs = b.shape[1]
-    g, q = b, noise.process / step * np.eye(inputs)
+    g, q = b, noise.process / sample_time * np.eye(inputs)
     if noise_model is not None:
         require_number("noise_model", noise_model, above=0.0)
         a, b, g, c = with_walk(a, b, c, np.eye(inputs))
-        q = linalg.block_diag(q, noise_model * step * np.eye(inputs))
-    solved = discrete_gain(a, g, c, q, noise.sensor / step)
-    return DiscreteObserver(model, a, b, c, solved.filter_gain, solved.covariance, step)
+        q = linalg.block_diag(q, noise_model * sample_time * np.eye(inputs))
+    solved = discrete_gain(a, g, c, q, noise.sensor / sample_time)
+    return DiscreteObserver(model, a, b, c, solved.filter_gain, solved.covariance, sample_time)
 
 
 @checked
@@ -135,7 +139,7 @@ def discrete_compensator(
         raise InputError("observer.model has no flexible modes; there is nothing to compensate or to damp")
     gain = np.zeros((inputs, 2 * len(model.frequencies)))
     if application.damping and application.selection == "pole placement":
-        gain = discrete_damping_gain(model, application.damping, observer.step)
+        gain = discrete_damping_gain(model, application.damping, observer.sample_time)
     elif application.damping:
         gain = damping_gain(model, application.damping, application.selection)
     compensation = application.compensate * observer.flexible_outputs
@@ -146,6 +150,7 @@ def discrete_compensator(
     velocities = observer.read(np.eye(flexible), "velocity")
     estimator = observer.estimator(np.vstack([compensation, velocities]), form, delay)
     filters = [
-        zoh(band_pass(float(w), application.selectivity), observer.step) for w in model.frequencies[rigid:]
+        zoh(band_pass(float(w), application.selectivity), observer.sample_time)
+        for w in model.frequencies[rigid:]
     ]
     return filtered_estimates(estimator, filters, gain[:, 2 * rigid + 1 :: 2])

@@ -101,21 +101,21 @@ def error_loop(loop: StateModel) -> StateModel:
     return loop.select([INPUTS.index("v"), INPUTS.index("w")], [OUTPUTS.index("e_true")])
 
 
-def _held(loop: StateModel, source: int, step: float) -> tuple[np.ndarray, np.ndarray]:
+def _held(loop: StateModel, source: int, sample_time: float) -> tuple[np.ndarray, np.ndarray]:
     """Transition matrix, and input matrix for an input and its derivatives up to the constant fourth."""
     n = len(loop.a)
     chain = np.zeros((n + 4, n + 4))
     chain[:n, :n], chain[:n, n] = loop.a, loop.b[:, source]
     chain[n:, n:] = np.eye(4, k=1)
     last = np.eye(n + 4)[:, -1:]
-    whole = zoh(StateModel(chain, last, np.zeros((1, n + 4)), np.zeros((1, 1))), step)
+    whole = zoh(StateModel(chain, last, np.zeros((1, n + 4)), np.zeros((1, 1))), sample_time)
     return whole.a[:n, :n], np.hstack([whole.a[:n, n:], whole.b[:n]])
 
 
 @checked
-def tracking_model(loop: StateModel, feedforward: Feedforward, step: float) -> StateModel:
+def tracking_model(loop: StateModel, feedforward: Feedforward, sample_time: float) -> StateModel:
     """Discrete model from the setpoint and its derivatives (5 inputs) to the error, exact for constant snap."""
-    return _driven(_moved(loop, step), feedforward)
+    return _driven(_moved(loop, sample_time), feedforward)
 
 
 class _Moved(NamedTuple):
@@ -125,16 +125,16 @@ class _Moved(NamedTuple):
     a: Float64[np.ndarray, "states states"]
     drive: Float64[np.ndarray, "states 5"]  # of r and its derivatives
     force: Float64[np.ndarray, "states 5"]  # of u0 and its derivatives
-    step: float
+    sample_time: float
 
 
-def _moved(loop: StateModel, step: float) -> _Moved:
+def _moved(loop: StateModel, sample_time: float) -> _Moved:
     if loop.b.shape[1] != 2:
         raise InputError(f"loop has {loop.b.shape[1]} inputs; give error_loop(closed_loop(...))")
     require_stable(loop)
-    a, drive = _held(loop, 0, step)
-    _, force = _held(loop, 1, step)
-    return _Moved(loop, a, drive, force, step)
+    a, drive = _held(loop, 0, sample_time)
+    _, force = _held(loop, 1, sample_time)
+    return _Moved(loop, a, drive, force, sample_time)
 
 
 def _driven(moved: _Moved, feedforward: Feedforward) -> StateModel:
@@ -144,7 +144,7 @@ def _driven(moved: _Moved, feedforward: Feedforward) -> StateModel:
     for order, gain in enumerate(feedforward.gains, 1):
         drive[:, order:] += gain * moved.force[:, : 5 - order]
         direct[:, order] += gain * loop.d[:, 1]
-    return StateModel(moved.a, drive, loop.c, direct, moved.step)
+    return StateModel(moved.a, drive, loop.c, direct, moved.sample_time)
 
 
 @checked
@@ -173,13 +173,13 @@ def tracking_error(
     --------
     >>> mass = lti.ModalModel([0.0], [0.0], [[1.0]], [[0.1]], [[0.0]])
     >>> loop = control.closed_loop(mass, None, control.PidFamily(10.0)(50.0).state_space())
-    >>> move = control.point_to_point(1e4, 100.0, 2.0, 0.1, cruise=0.02, settling=0.005, step=1e-3)
+    >>> move = control.point_to_point(1e4, 100.0, 2.0, 0.1, cruise=0.02, settling=0.005, sample_time=1e-3)
     >>> loop = control.error_loop(loop)
     >>> error = control.tracking_error(loop, move, control.fit_feedforward(loop, move))
     >>> bool(np.abs(error).max() < 1e-12)  # m: the mass is known
     True
     """
-    return simulate(tracking_model(loop, feedforward, setpoint.step), setpoint.derivatives)[0]
+    return simulate(tracking_model(loop, feedforward, setpoint.sample_time), setpoint.derivatives)[0]
 
 
 @checked
@@ -210,7 +210,7 @@ def fit_feedforward(loop: StateModel, setpoint: Setpoint, basis: tuple[str, ...]
     --------
     >>> mass = lti.ModalModel([0.0], [0.0], [[1.0]], [[0.1]], [[0.0]])
     >>> loop = control.closed_loop(mass, None, control.PidFamily(10.0)(50.0).state_space())
-    >>> move = control.point_to_point(1e4, 100.0, 2.0, 0.1, cruise=0.02, settling=0.005, step=1e-3)
+    >>> move = control.point_to_point(1e4, 100.0, 2.0, 0.1, cruise=0.02, settling=0.005, sample_time=1e-3)
     >>> round(control.fit_feedforward(control.error_loop(loop), move).acceleration, 6)  # kg
     10.0
     """
@@ -218,7 +218,7 @@ def fit_feedforward(loop: StateModel, setpoint: Setpoint, basis: tuple[str, ...]
         raise InputError(f"basis is empty; choose from {BASIS}")
     for name in basis:
         require_choice("basis", name, BASIS)
-    moved = _moved(loop, setpoint.step)
+    moved = _moved(loop, setpoint.sample_time)
 
     def error(**gains: float) -> Float64[np.ndarray, " samples"]:
         return simulate(_driven(moved, Feedforward(**gains)), setpoint.derivatives)[0]
@@ -245,20 +245,20 @@ def least_squares(
 
 @checked
 def noise_error(
-    loop: StateModel, step: float, samples: int, deviations: dict[str, float], rng: np.random.Generator
+    loop: StateModel, sample_time: float, samples: int, deviations: dict[str, float], rng: np.random.Generator
 ) -> Float64[np.ndarray, "2 samples"]:
     """True and measured error of a single `closed_loop` under white noise held over each sample.
 
-    The standard deviations of the inputs ``w``, ``v``, ``d`` (N and m) set with the step (s) the noise's power,
-    step x deviation^2 a hertz, two-sided.
+    The standard deviations of the inputs ``w``, ``v``, ``d`` (N and m) set with the sample time (s) the noise's power,
+    sample_time x deviation^2 a hertz, two-sided.
     """
-    return noise_errors(loop, step, samples, deviations, [rng])[0]
+    return noise_errors(loop, sample_time, samples, deviations, [rng])[0]
 
 
 @checked
 def noise_errors(
     loop: StateModel,
-    step: float,
+    sample_time: float,
     samples: int,
     deviations: dict[str, float],
     draws: Sequence[np.random.Generator],
@@ -269,6 +269,6 @@ def noise_errors(
         require_number(f"deviations[{name!r}]", deviations[name], at_least=0.0)
     require_stable(loop)
     places = [INPUTS.index(name) for name in deviations]
-    model = zoh(loop.select(places, [0, 1]), step)
+    model = zoh(loop.select(places, [0, 1]), sample_time)
     sizes = np.array(list(deviations.values()))[:, None]
     return [simulate(model, rng.standard_normal((len(places), samples)) * sizes) for rng in draws]

@@ -14,7 +14,12 @@ from stillwork.control.kinematics import KinematicDesign
 from stillwork.control.mechanism import Mechanism
 from stillwork.control.trajectory import Trajectory
 from stillwork.control.transformation import Transformation, deform_packed, warn_outside_contraction
-from stillwork.estimation.coordinate_filters import ExtendedKalman, Filter, UnscentedKalman, require_step
+from stillwork.estimation.coordinate_filters import (
+    ExtendedKalman,
+    Filter,
+    UnscentedKalman,
+    require_sample_time,
+)
 from stillwork.estimation.filtering import filter_step, model_of
 from stillwork.estimation.plant import Plant, force_slope
 
@@ -203,7 +208,7 @@ def simulate(
     require_number("grid", grid)
     require_number("bound", bound, above=1)
     require_choice("integration", integration, INTEGRATIONS)
-    require_step(controller.signal_filter, trajectory.time_step)
+    require_sample_time(controller.signal_filter, trajectory.sample_time)
     start = (trajectory.position[0], trajectory.velocity[0]) if start is None else start
     start = require_array("start", start, shape=(2,))
     warn_outside_contraction(controller.transformation, response_gain(plant, controller.model))
@@ -217,7 +222,7 @@ def simulate(
         plant.compiled[0],
         plant.parameters,
         *controller.model.compiled,
-        trajectory.time_step,
+        trajectory.sample_time,
         (trajectory.position, trajectory.velocity, trajectory.acceleration),
         noise,
         np.inf if force_limit is None else require_number("force_limit", force_limit, above=0),
@@ -229,7 +234,7 @@ def simulate(
         record,
     )
     left = f"the plant left the bound of {limits[0]:g} in position and {limits[1]:g} in velocity"
-    return ControlledRun(trajectory, *record, **ending(status, done * trajectory.time_step, left))
+    return ControlledRun(trajectory, *record, **ending(status, done * trajectory.sample_time, left))
 
 
 @checked
@@ -275,7 +280,7 @@ def packed_parts(controller: Controller, resolution: float, grid: float, lost: s
 # The filter itself is stepped between the next two by the loop that holds it: handed on through another function, its
 # arrays would be counted again at every sample, which takes as long as all the rest.
 @inlined_kernel
-def measure_position(measurement, position, noise, time_step, speed, last):
+def measure_position(measurement, position, noise, sample_time, speed, last):
     """Position as it is measured, or what stands for it where it is lost; `speed` is the estimated one."""
     resolution, grid, loss = measurement
     measured = position + noise
@@ -284,12 +289,12 @@ def measure_position(measurement, position, noise, time_step, speed, last):
     if np.isnan(noise) and loss == HOLD:
         measured = last
     elif np.isnan(noise) and loss == EXTEND:
-        measured = last + time_step * speed
+        measured = last + sample_time * speed
     return measured
 
 
 @inlined_kernel
-def command_step(parts, time_step, nominal, measured, first, held, chain, estimate, memory):
+def command_step(parts, sample_time, nominal, measured, first, held, chain, estimate, memory):
     """Desire and deform the acceleration of one coordinate for one sample, with `packed_parts`.
 
     held: the force is at its limit, nothing is integrated.
@@ -302,7 +307,7 @@ def command_step(parts, time_step, nominal, measured, first, held, chain, estima
     desired += gains[integrals] * chain[0]
     for j in range(1, integrals + 1):
         if not held:
-            chain[j] += time_step * chain[j - 1]
+            chain[j] += sample_time * chain[j - 1]
         desired += gains[integrals - j] * chain[j]
     deformed = memory[DEFORMED]
     memory[DEFORMED] = desired if first else deform_packed(transformation, deformed, estimate[2], desired)
@@ -336,7 +341,7 @@ def _closed_loop(
     model_acceleration,
     model_force,
     model,
-    time_step,
+    sample_time,
     nominal,
     noise,
     force_limit,
@@ -354,10 +359,12 @@ def _closed_loop(
     force, held = 0.0, False
     for i in range(len(noise)):
         now = positions[i], velocities[i], accelerations[i]
-        measured = measure_position(measurement, position, noise[i], time_step, estimate[1], memory[MEASURED])
-        if not filter_step(device, filter_acceleration, filter_plant, time_step, measured, force, estimate):
+        measured = measure_position(
+            measurement, position, noise[i], sample_time, estimate[1], memory[MEASURED]
+        )
+        if not filter_step(device, filter_acceleration, filter_plant, sample_time, measured, force, estimate):
             return i, NOT_DEFINITE
-        command_step(parts, time_step, now, measured, i == 0, held, chain, estimate, memory)
+        command_step(parts, sample_time, now, measured, i == 0, held, chain, estimate, memory)
         place = estimate[0] if force_from_estimate else memory[SEEN]
         force = model_force(place, estimate[1], memory[DEFORMED], model)
         if not np.isfinite(force):
@@ -369,8 +376,8 @@ def _closed_loop(
         acceleration = plant_acceleration(position, velocity, force, plant)
         record_sample(record, i, position, velocity, acceleration, estimate, memory, force)
         before = velocity
-        velocity += time_step * acceleration
-        position += time_step * (velocity if semi_implicit else before)
+        velocity += sample_time * acceleration
+        position += sample_time * (velocity if semi_implicit else before)
         if not (abs(position) < limits[0] and abs(velocity) < limits[1]):
             return i, TOO_FAR
     return len(noise), RUNNING

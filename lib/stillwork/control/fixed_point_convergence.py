@@ -82,7 +82,7 @@ def crossings(loop: LinearLoop, points: int = 300) -> list[Crossing]:
     """
     from scipy.optimize import brentq
 
-    nyquist = np.pi / loop.time_step
+    nyquist = np.pi / loop.sample_time
     rate = np.geomspace(nyquist * 1e-4, nyquist * (1 - 1e-9), require_count("points", points, at_least=10))
     phase = loop.response(rate).imag
     places = [
@@ -131,7 +131,7 @@ def _scanned_range(loop: LinearLoop) -> StableRange:
     def crossing(gain):
         poles = loop.poles(gain)
         angle = abs(np.angle(poles[np.abs(poles).argmax()]))
-        return Crossing(float(gain), float(angle / (2 * np.pi * loop.time_step)))
+        return Crossing(float(gain), float(angle / (2 * np.pi * loop.sample_time)))
 
     low, high = max(ranges, key=lambda pair: pair[1] - pair[0])
     return StableRange(crossing(low), crossing(high))
@@ -217,11 +217,11 @@ class Oscillation:
 
 
 @checked
-def strongest_oscillation(values: ArrayLike, time_step: float) -> Oscillation:
+def strongest_oscillation(values: ArrayLike, sample_time: float) -> Oscillation:
     """Frequency and amplitude of the strongest sine in a record, refined between the FFT's lines."""
     from scipy.optimize import minimize_scalar
 
-    require_number("time_step", time_step, above=0)
+    require_number("sample_time", sample_time, above=0)
     values = require_array("values", values, advice="cut the record before it diverges")
     if values.ndim != 1:
         raise InputError(f"values has shape {values.shape}; give one record")
@@ -229,12 +229,12 @@ def strongest_oscillation(values: ArrayLike, time_step: float) -> Oscillation:
         raise InputError(f"values holds {len(values)} samples; give 16 at least")
     window = np.hanning(len(values))
     weighted = (values - values.mean()) * window
-    time = np.arange(len(values)) * time_step
+    time = np.arange(len(values)) * sample_time
 
     def height(frequency):
         return abs(weighted @ np.exp(-2j * np.pi * frequency * time)) * 2 / window.sum()
 
-    lines = np.fft.rfftfreq(len(values), time_step)
+    lines = np.fft.rfftfreq(len(values), sample_time)
     peak = int(np.abs(np.fft.rfft(weighted))[1:].argmax()) + 1
     ends, options = (lines[peak] - lines[1], lines[peak] + lines[1]), {"xatol": 1e-6 * lines[1]}
     best = minimize_scalar(lambda f: -height(f), bounds=ends, method="bounded", options=options)

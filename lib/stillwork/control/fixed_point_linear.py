@@ -17,7 +17,7 @@ from stillwork.estimation.coordinate_filters import (
     MovingWindow,
     SavitzkyGolay,
     UnscentedKalman,
-    require_step,
+    require_sample_time,
 )
 from stillwork.estimation.plant import Plant, partial_derivatives
 from stillwork.estimation.windows import end_point_weights
@@ -36,9 +36,9 @@ class LinearFilter:
     D: Float64[np.ndarray, "3 2"]
 
     @checked(infinite=True)
-    def response(self, rate: ArrayLike, time_step: float) -> np.ndarray:
+    def response(self, rate: ArrayLike, sample_time: float) -> np.ndarray:
         """Frequency responses from z to the three estimates at angular frequencies, rad/s, shape (rates, 3)."""
-        z = np.exp(1j * np.atleast_1d(require_array("rate", rate)) * time_step)[:, None, None]
+        z = np.exp(1j * np.atleast_1d(require_array("rate", rate)) * sample_time)[:, None, None]
         inputs = np.broadcast_to(self.B[:, :1], (len(z), len(self.A), 1))
         states = np.linalg.solve(z * np.eye(len(self.A)) - self.A, inputs)[..., 0]
         return states @ self.C.T + self.D[:, 0]
@@ -46,31 +46,31 @@ class LinearFilter:
 
 @checked
 def linear_filter(
-    signal_filter: Filter, time_step: float, position: float = 0.0, velocity: float = 0.0
+    signal_filter: Filter, sample_time: float, position: float = 0.0, velocity: float = 0.0
 ) -> LinearFilter:
     """A filter near an operating point; of a Kalman filter the steady state that it settles to there."""
-    require_step(signal_filter, time_step)
+    require_sample_time(signal_filter, sample_time)
     if isinstance(signal_filter, MovingWindow):
         fit = end_point_weights(signal_filter.length + 1, 1)[::-1]
         rows, row = [], fit
         for _ in range(3):
             rows.append(row)
-            row = np.convolve(np.convolve(row, [1 / time_step, -1 / time_step]), fit)
+            row = np.convolve(np.convolve(row, [1 / sample_time, -1 / sample_time]), fit)
         return _finite_impulse_response(rows)
     if isinstance(signal_filter, SavitzkyGolay):
         n, degree = signal_filter.samples, signal_filter.degree
         return _finite_impulse_response(
-            [end_point_weights(n, degree, order)[::-1] / time_step**order for order in range(3)]
+            [end_point_weights(n, degree, order)[::-1] / sample_time**order for order in range(3)]
         )
     if isinstance(signal_filter, LowPass):
         w = signal_filter.bandwidth
-        A = np.eye(3) + time_step * np.array([[0, 1, 0], [0, 0, 1], [-(w**3), -3 * w**2, -3 * w]])
-        B = time_step * np.array([[0.0, 0.0], [0.0, 0.0], [w**3, 0.0]])
+        A = np.eye(3) + sample_time * np.array([[0, 1, 0], [0, 0, 1], [-(w**3), -3 * w**2, -3 * w]])
+        B = sample_time * np.array([[0.0, 0.0], [0.0, 0.0], [w**3, 0.0]])
         return LinearFilter(A, B, A, B)
     slopes = _slopes(signal_filter.plant, position, velocity)
     if isinstance(signal_filter, UnscentedKalman):
-        return _linear_unscented(signal_filter, slopes, time_step)
-    return _linear_extended(signal_filter, slopes, time_step)
+        return _linear_unscented(signal_filter, slopes, sample_time)
+    return _linear_extended(signal_filter, slopes, sample_time)
 
 
 def _finite_impulse_response(rows) -> LinearFilter:
@@ -82,16 +82,16 @@ def _finite_impulse_response(rows) -> LinearFilter:
 
 
 @checked
-def semi_implicit_motion(slopes: tuple[float, ...], time_step: float) -> tuple[np.ndarray, np.ndarray]:
+def semi_implicit_motion(slopes: tuple[float, ...], sample_time: float) -> tuple[np.ndarray, np.ndarray]:
     """F and the column of the force of x = [velocity, position] in the semi-implicit model (10)."""
     by_position, by_velocity, by_force = slopes
-    row = np.array([1 + time_step * by_velocity, time_step * by_position])
-    column = time_step * by_force * np.array([1.0, time_step])
-    return np.array([row, time_step * row + [0.0, 1.0]]), column
+    row = np.array([1 + sample_time * by_velocity, sample_time * by_position])
+    column = sample_time * by_force * np.array([1.0, sample_time])
+    return np.array([row, sample_time * row + [0.0, 1.0]]), column
 
 
-def _linear_unscented(signal_filter, slopes, time_step) -> LinearFilter:
-    F, push = semi_implicit_motion(slopes, time_step)
+def _linear_unscented(signal_filter, slopes, sample_time) -> LinearFilter:
+    F, push = semi_implicit_motion(slopes, sample_time)
     Q, R = signal_filter.process, signal_filter.noise
     if signal_filter.literal:  # innovation about the previous estimate: z - x, not z - F x
         P = np.eye(2) * signal_filter.initial_variance
@@ -106,19 +106,19 @@ def _linear_unscented(signal_filter, slopes, time_step) -> LinearFilter:
         forward = (np.eye(2) - K) @ F
         push = (np.eye(2) - K) @ push
     # States: velocity, position, last measurement; the measurement is [(z - last) / dt, z].
-    A = np.vstack([np.column_stack([forward, -K[:, 0] / time_step]), np.zeros(3)])
-    B = np.vstack([np.column_stack([K[:, 0] / time_step + K[:, 1], push]), [1.0, 0.0]])
-    now = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [1 / time_step, 0.0, 0.0]])
+    A = np.vstack([np.column_stack([forward, -K[:, 0] / sample_time]), np.zeros(3)])
+    B = np.vstack([np.column_stack([K[:, 0] / sample_time + K[:, 1], push]), [1.0, 0.0]])
+    now = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [1 / sample_time, 0.0, 0.0]])
     C = now @ A
-    C[2, 0] -= 1 / time_step  # acceleration: difference of the velocity estimate
+    C[2, 0] -= 1 / sample_time  # acceleration: difference of the velocity estimate
     return LinearFilter(A, B, C, now @ B)
 
 
-def _linear_extended(signal_filter, slopes, time_step) -> LinearFilter:
-    motion, push = semi_implicit_motion(slopes, time_step)
+def _linear_extended(signal_filter, slopes, sample_time) -> LinearFilter:
+    motion, push = semi_implicit_motion(slopes, sample_time)
     F = np.eye(3)
     F[:2, :2] = motion
-    F[:2, 2] = time_step * np.array([1.0, time_step])
+    F[:2, 2] = sample_time * np.array([1.0, sample_time])
     H = np.array([[0.0, 1.0, 0.0]])
     packed = signal_filter.packed()
     K = _steady_gain(F, packed.process, H, packed.noise)
@@ -172,7 +172,7 @@ class LinearLoop:
     A: Float64[np.ndarray, "states states"]
     B: Float64[np.ndarray, "states coordinates"]
     C: Float64[np.ndarray, "coordinates states"]
-    time_step: float  # s
+    sample_time: float  # s
 
     def __post_init__(self):
         check_fields(self)
@@ -189,7 +189,7 @@ class LinearLoop:
 
         By back substitution in Schur's form, all frequencies at once.
         """
-        z = np.exp(1j * np.atleast_1d(require_array("rate", rate)) * self.time_step)
+        z = np.exp(1j * np.atleast_1d(require_array("rate", rate)) * self.sample_time)
         triangular, basis = self._schur
         drive = basis.conj().T @ self.B[:, 0]
         states = np.zeros((len(z), len(drive)), dtype=complex)
@@ -213,7 +213,7 @@ class LinearLoop:
 def linear_loop(
     plant: Plant | Mechanism,
     controller: Controller,
-    time_step: float,
+    sample_time: float,
     position: ArrayLike = 0.0,
     velocity: ArrayLike = 0.0,
 ) -> LinearLoop:
@@ -226,7 +226,7 @@ def linear_loop(
     several = isinstance(plant, Mechanism)
     # Of a mechanism the filters know nothing but unit masses, which are alike everywhere.
     at = (0.0, 0.0) if several else (float(place[0]), float(speed[0]))
-    device = linear_filter(controller.signal_filter, time_step, *at)
+    device = linear_filter(controller.signal_filter, sample_time, *at)
     by_position, by_velocity, by_force = _slope_matrices(plant, place, speed)
     model_position, model_velocity, model_force = _slope_matrices(controller.model, place, speed)
     gains, integrals = controller.kinematics.gains, controller.kinematics.integrals
@@ -239,12 +239,12 @@ def linear_loop(
         seen = x[0] if controller.signal_filter.error_from_measurement else estimate[0]
         chain = [-seen]
         for j in range(integrals):
-            chain.append(x[4 + j] + time_step * chain[j])
+            chain.append(x[4 + j] + sample_time * chain[j])
         desired = gains[:-1] @ np.array(chain)[::-1] - gains[-1] * estimate[1]
         deformed = x[2] + change
         force = np.linalg.solve(model_force, deformed - model_position @ seen - model_velocity @ estimate[1])
-        speed = x[1] + time_step * (by_position @ x[0] + by_velocity @ x[1] + by_force @ force)
-        after = np.array([x[0] + time_step * speed, speed, deformed, force, *chain[1:]])
+        speed = x[1] + sample_time * (by_position @ x[0] + by_velocity @ x[1] + by_force @ force)
+        after = np.array([x[0] + sample_time * speed, speed, deformed, force, *chain[1:]])
         after = np.concatenate([after, device.A @ x[first:] + device.B @ inputs])
         return after.ravel(), estimate[2] - desired
 
@@ -253,4 +253,4 @@ def linear_loop(
     A = np.column_stack([column for column, _ in columns])
     B = np.column_stack([step(np.zeros((states, count)), unit)[0] for unit in np.eye(count)])
     C = np.column_stack([output for _, output in columns])
-    return LinearLoop(A, B, C, float(time_step))
+    return LinearLoop(A, B, C, float(sample_time))

@@ -28,7 +28,7 @@ from stillwork.control.fixed_point import (
 from stillwork.control.mechanism import Mechanism, forward_dynamics, inverse_dynamics, response_gains
 from stillwork.control.trajectory import Trajectory
 from stillwork.control.transformation import warn_outside_contraction
-from stillwork.estimation.coordinate_filters import Packed, require_step
+from stillwork.estimation.coordinate_filters import Packed, require_sample_time
 from stillwork.estimation.filtering import filter_step, model_of
 
 
@@ -59,7 +59,7 @@ def simulate_mechanism(
     controller : Controller
         The same for every coordinate; its `model` is a Mechanism.
     trajectories : list of Trajectory
-        One for each coordinate, of one length and time step.
+        One for each coordinate, of one length and sample time.
     noise : array_like, shape (coordinates, samples), optional
         Added to the positions when they are measured; NaN where a sample is lost.
     resolution, grid : float
@@ -115,12 +115,12 @@ def simulate_mechanism(
         )
     if (
         len(trajectories) != count
-        or len({(each.time_step, len(each.position)) for each in trajectories}) != 1
+        or len({(each.sample_time, len(each.position)) for each in trajectories}) != 1
     ):
         raise InputError(
-            f"trajectories holds {len(trajectories)}; give one for each of {count} coordinates, of one length and time step"
+            f"trajectories holds {len(trajectories)}; give one for each of {count} coordinates, of one length and sample time"
         )
-    step = require_step(controller.signal_filter, trajectories[0].time_step)
+    sample_time = require_sample_time(controller.signal_filter, trajectories[0].sample_time)
     noise = require_noise(noise, (count, samples))
     require_number("grid", grid)
     require_number("bound", bound, above=1)
@@ -142,7 +142,7 @@ def simulate_mechanism(
         packed_parts(controller, resolution, grid, lost),
         *plant.compiled,
         *model.compiled,
-        step,
+        sample_time,
         nominal,
         noise,
         forces,
@@ -154,7 +154,7 @@ def simulate_mechanism(
         limits,
         record,
     )
-    ended = ending(status, done * step, "a coordinate left its bound")
+    ended = ending(status, done * sample_time, "a coordinate left its bound")
     return [
         ControlledRun(trajectory, *rows, **ended)
         for trajectory, rows in zip(trajectories, record, strict=True)
@@ -174,7 +174,7 @@ def _closed_mechanism(
     model_inertia,
     model_bias,
     model,
-    time_step,
+    sample_time,
     nominal,
     noise,
     force_limits,
@@ -196,15 +196,15 @@ def _closed_mechanism(
         for j in range(count):
             now = nominal[j, 0, i], nominal[j, 1, i], nominal[j, 2, i]
             measured = measure_position(
-                measurement, position[j], noise[j, i], time_step, estimate[j, 1], memory[j, MEASURED]
+                measurement, position[j], noise[j, i], sample_time, estimate[j, 1], memory[j, MEASURED]
             )
             own = Packed(kind, options, process, sensor, devices_work[j])
             if not filter_step(
-                own, filter_acceleration, filter_plant, time_step, measured, deformed[j], estimate[j]
+                own, filter_acceleration, filter_plant, sample_time, measured, deformed[j], estimate[j]
             ):
                 return i, NOT_DEFINITE
             command_step(
-                parts, time_step, now, measured, i == 0, held[j] > 0.0, chain[j], estimate[j], memory[j]
+                parts, sample_time, now, measured, i == 0, held[j] > 0.0, chain[j], estimate[j], memory[j]
             )
             seen[j], deformed[j], speed[j] = memory[j, SEEN], memory[j, DEFORMED], estimate[j, 1]
         inverse_dynamics(model_inertia, model_bias, model, seen, speed, deformed, work, force)
@@ -227,8 +227,8 @@ def _closed_mechanism(
             record_sample(
                 record[j], i, position[j], velocity[j], acceleration[j], estimate[j], memory[j], force[j]
             )
-            velocity[j] += time_step * acceleration[j]
-            position[j] += time_step * velocity[j]
+            velocity[j] += sample_time * acceleration[j]
+            position[j] += sample_time * velocity[j]
             if not (abs(position[j]) < limits[j, 0] and abs(velocity[j]) < limits[j, 1]):
                 return i, TOO_FAR
     return samples, RUNNING

@@ -19,8 +19,10 @@ OUTPUTS = ("e_true", "e_meas", "u", "f")
 @checked
 def no_observer(plant: StateModel | ModalModel) -> StateModel:
     """The compensator of a loop without observer: (u_d, y_flex) = 0."""
-    gain, step = (plant.feedthrough, 0.0) if isinstance(plant, ModalModel) else (plant.d, plant.step)
-    return constant(np.zeros((sum(gain.shape), sum(gain.shape))), step)
+    gain, sample_time = (
+        (plant.feedthrough, 0.0) if isinstance(plant, ModalModel) else (plant.d, plant.sample_time)
+    )
+    return constant(np.zeros((sum(gain.shape), sum(gain.shape))), sample_time)
 
 
 @checked

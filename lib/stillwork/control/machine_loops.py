@@ -106,7 +106,7 @@ def on_measurement(
     if mirror:
         mobility = float(loop.plant.input_shapes[0, 0] * loop.plant.output_shapes[0, 0])
         position = -2 * mobility / seen**2 - position
-    if loop.step:
+    if loop.sample_time:
         before = loop.plant_at(seen, held=False)
         position *= before / loop.plant.frequency_response(seen)[0, 0]
         position += loop.plant_at(seen) - before
@@ -136,16 +136,16 @@ def observed_loops(
     retained: int,
     noise: NoiseIntensities,
     noise_model: float | None,
-    step: float = 0.0,
+    sample_time: float = 0.0,
     delay: int = 0,
 ) -> list[Loop]:
-    """One loop a plant, each with its own observer; sampled where there is a `step` (s)."""
+    """One loop a plant, each with its own observer; sampled where there is a `sample_time` (s)."""
     return [
         make_loop(
             plant,
             application
-            and observing_compensator(plant, application, retained, noise, noise_model, step, delay),
-            step=step,
+            and observing_compensator(plant, application, retained, noise, noise_model, sample_time, delay),
+            sample_time=sample_time,
             delay=delay,
         )
         for plant in plants
@@ -159,13 +159,13 @@ def observing_compensator(
     retained: int,
     noise: NoiseIntensities,
     noise_model: float | None,
-    step: float = 0.0,
+    sample_time: float = 0.0,
     delay: int = 0,
 ) -> StateModel:
     """Compensator on an observer of the plant's first `retained` modes and the compliance of the others.
 
-    The suspension of a machine on springs to the ground counts as its rigid body. With a `step` it is sampled, takes
-    the newest measurement, and knows the `delay` of the force in samples.
+    The suspension of a machine on springs to the ground counts as its rigid body. With a `sample_time` it is
+    sampled, takes the newest measurement, and knows the `delay` of the force in samples.
     """
     reduced = truncate(plant, retained, len(plant.frequencies) - retained)
     if not reduced.rigid_modes:
@@ -173,13 +173,13 @@ def observing_compensator(
             name: np.concatenate([[0.0], getattr(reduced, name)[1:]]) for name in ("frequencies", "damping")
         }
         reduced = replace(reduced, **free)
-    if not step:
+    if not sample_time:
         return compensator(kalman_observer(reduced, noise, noise_model), application)
-    observer = discrete_kalman_observer(reduced, noise, step, noise_model)
+    observer = discrete_kalman_observer(reduced, noise, sample_time, noise_model)
     block = discrete_compensator(observer, application, "filter", 0)
     if not delay:
         return block
-    line = delayed(constant(np.ones((1, 1)), step), delay)
+    line = delayed(constant(np.ones((1, 1)), sample_time), delay)
     feedback, outside = np.zeros((3, 3)), np.zeros((3, 2))
     feedback[0, 2] = outside[1, 1] = outside[2, 0] = 1
     return interconnect([block, line], feedback, outside, np.eye(2, 3))
@@ -301,7 +301,7 @@ def reach(
     loop_hz: tuple[float, float] = (0.0, 0.0),
     search_hz: tuple[float, float] = (0.0, 0.0),
     constraints: Sequence[PeakConstraint] = SAFE,
-    step: float = 0.0,
+    sample_time: float = 0.0,
     delay: int = 0,
     doubt: float = 0.0,
     notches: bool = False,
@@ -327,7 +327,7 @@ def reach(
         and to a tenth of the rate.
     constraints : sequence of PeakConstraint
         By default both sensitivities and r to e_true, each at most 6 dB.
-    step : float
+    sample_time : float
         Sample time, s; 0: continuous time.
     delay : int
         Samples from command to force.
@@ -348,13 +348,13 @@ def reach(
     if measured is not None and machine.fit is not None:
         ends = machine.fit.omega[[0, -1]] / (2 * np.pi)
         band = whole_band(measured, loop_hz if any(loop_hz) else (float(ends[0]), float(ends[1])))
-    low, high = search_hz if any(search_hz) else search_range(machine, step)
+    low, high = search_hz if any(search_hz) else search_range(machine, sample_time)
     shares = doubted_shares(machine, doubt)
-    family = pid_family(machine, lead, retained if notches else 1, step)
+    family = pid_family(machine, lead, retained if notches else 1, sample_time)
     found = {}
     for name, application in chosen.items():
         settings = observer_settings(machine, application, retained, intensities)
-        modelled = tuple(observed_loops(machine.sensors, application, *settings, step, delay))
+        modelled = tuple(observed_loops(machine.sensors, application, *settings, sample_time, delay))
         loops, on_data, turns = modelled, None, None
         doubted = doubted_loops(modelled, (1 - shares, 1 + shares) if doubt else ())
         search = partial(_search, family=family, limits=constraints, refine=True)
@@ -394,19 +394,19 @@ def reach(
 
 
 @checked
-def search_range(machine: Machine, step: float) -> tuple[float, float]:
+def search_range(machine: Machine, sample_time: float) -> tuple[float, float]:
     """Where bandwidths are sought, Hz: below the first resonance, above a suspension, to a tenth of the rate."""
     low, high = (share * float(machine.resonances_hz[0]) for share in SEARCH)
     low = max(low, ABOVE_SUSPENSION * float(machine.sensors[0].frequencies[0]) / (2 * np.pi))
-    return low, min(high, 0.1 / step) if step else high
+    return low, min(high, 0.1 / sample_time) if sample_time else high
 
 
 @checked
-def pid_family(machine: Machine, lead: float, modes: int, step: float) -> PidFamily:
-    """PID rules, with notches at the resonances among the first modes; where Tustin puts them, with a `step`."""
+def pid_family(machine: Machine, lead: float, modes: int, sample_time: float) -> PidFamily:
+    """PID rules, with notches at the resonances among the first modes; where Tustin puts them, with a `sample_time`."""
     omega = machine.sensors[0].frequencies[1:modes]
-    if step:
-        omega = 2 / step * np.tan(omega[omega < HIGHEST_NOTCH * np.pi / step] * step / 2)
+    if sample_time:
+        omega = 2 / sample_time * np.tan(omega[omega < HIGHEST_NOTCH * np.pi / sample_time] * sample_time / 2)
     return PidFamily(machine.mass, tuple(omega.tolist()), lead)
 
 

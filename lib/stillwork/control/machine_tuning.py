@@ -46,7 +46,7 @@ def tuned(
     design_hz: float,
     *,
     doubt: float,
-    step: float,
+    sample_time: float,
     delay: int,
     constraints: Sequence[PeakConstraint] = SAFE,
 ) -> DesignSettings:
@@ -54,7 +54,7 @@ def tuned(
 
     def loops_of(each: DesignSettings) -> tuple[list[Loop], list[Loop]]:
         chosen = observer_settings(machine, each.application, each.retained, each.intensities)
-        loops = observed_loops(machine.sensors, each.application, *chosen, step, delay)
+        loops = observed_loops(machine.sensors, each.application, *chosen, sample_time, delay)
         return loops, [*loops, *doubted_loops(loops, (1 - shares, 1 + shares) if doubt else ())]
 
     def pushed(each: DesignSettings) -> float:
@@ -63,7 +63,7 @@ def tuned(
             modelled, loops = loops_of(each)
         except InputError:  # no observer can be made with these
             return design_hz
-        family = pid_family(machine, each.lead, each.retained if each.notches else 1, step)
+        family = pid_family(machine, each.lead, each.retained if each.notches else 1, sample_time)
         reached = design_hz
         while (
             PUSH * reached < highest
@@ -74,10 +74,10 @@ def tuned(
         return reached
 
     require_number("design_hz", design_hz, above=0.0)
-    require_number("step", step, above=0.0)
+    require_number("sample_time", sample_time, above=0.0)
     require_count("delay", delay, at_least=0)
     shares = doubted_shares(machine, doubt)
-    _, highest = search_range(machine, step)
+    _, highest = search_range(machine, sample_time)
     for name, size in STEPS.items():
         for factor in (size, 1 / size):
             while (trial := varied(settings, name, factor)) is not None:

@@ -29,7 +29,7 @@ def moved_loop(loop: Loop, factors: Float64[np.ndarray, " modes"]) -> Loop:
     if not factors.min() > 0:
         raise InputError("factors must be above 0")
     plant = loop.plant.moved(factors * loop.plant.frequencies)
-    return make_loop(plant, loop.compensator, step=loop.step, delay=loop.delay)
+    return make_loop(plant, loop.compensator, sample_time=loop.sample_time, delay=loop.delay)
 
 
 @checked
@@ -101,8 +101,8 @@ def _box(loop: Loop, shares: np.ndarray) -> _Box:
     centre, damping = plant.frequencies[moving, None, None], plant.damping[moving, None, None]
     low, high = centre * (1 - shares[moving, None, None]), centre * (1 + shares[moving, None, None])
     # Sampled, a mode above half the rate is seen folded back.
-    turns = np.round(centre * loop.step / (2 * np.pi))
-    folded = 2 * np.pi * turns / loop.step if loop.step else 0 * centre
+    turns = np.round(centre * loop.sample_time / (2 * np.pi))
+    folded = 2 * np.pi * turns / loop.sample_time if loop.sample_time else 0 * centre
     seen = np.abs(folded + np.where((centre < folded), -1, 1) * omega)
     width = np.maximum(damping, 1e-7)
     reach = np.arcsinh(2 * shares[moving, None, None] / width)
@@ -144,11 +144,11 @@ def _worst(box: _Box, controller: Pid, function: str) -> tuple[float, np.ndarray
 def _unit(loop: Loop, frequencies: np.ndarray, damping: np.ndarray) -> np.ndarray:
     """Responses of modes of mass 1 on the loop's grid, each element of it with a frequency of its own."""
     omega = np.broadcast_to(loop.omega, frequencies.shape)
-    if not loop.step:
+    if not loop.sample_time:
         return 1 / (frequencies**2 - omega**2 + 2j * damping * frequencies * omega)
     ratios = np.broadcast_to(damping, frequencies.shape)
-    flat = sampled_modes(frequencies.ravel(), ratios.ravel(), loop.step, omega.reshape(-1, 1))
-    return flat.reshape(frequencies.shape) * np.exp(-1j * loop.omega * loop.step * loop.delay)
+    flat = sampled_modes(frequencies.ravel(), ratios.ravel(), loop.sample_time, omega.reshape(-1, 1))
+    return flat.reshape(frequencies.shape) * np.exp(-1j * loop.omega * loop.sample_time * loop.delay)
 
 
 @checked

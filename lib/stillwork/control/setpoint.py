@@ -14,7 +14,7 @@ from stillwork.base.front_door import check_fields, checked
 class Setpoint:
     """A sampled setpoint; between samples the snap is constant, so every row is exact."""
 
-    step: float  # s
+    sample_time: float  # s
     derivatives: Float64[np.ndarray, "5 samples"]  # position, velocity, acceleration, jerk, snap (SI)
     scan: tuple[float, float]  # s, start and end of the scanning phase
     acceleration_end: float  # s, where the constant velocity begins
@@ -22,13 +22,13 @@ class Setpoint:
     @checked
     def __post_init__(self):
         check_fields(self)
-        require_number("step", self.step, above=0.0)
+        require_number("sample_time", self.sample_time, above=0.0)
         rows = require_array("derivatives", self.derivatives, shape=(5, None))
         # Positions are sums of many steps: allow them the rounding of the longest one.
         backwards = np.diff(rows[0], prepend=rows[0, :1]) < -1e-12 * np.abs(rows[0]).max()
         if np.any(rows[1] < -1e-9 * max(np.abs(rows[1]).max(), 1e-300)) or np.any(backwards):
             raise InputError("derivatives: the setpoint moves backwards; a scan needs a monotone position")
-        end = (rows.shape[1] - 1) * self.step
+        end = (rows.shape[1] - 1) * self.sample_time
         if not 0 <= self.scan[0] < self.scan[1] <= end * (1 + 1e-9):
             raise InputError(
                 f"scan is {self.scan}; give its start and its end in s, within the {end:g} s of the move"
@@ -37,32 +37,34 @@ class Setpoint:
     @property
     def time(self) -> Float64[np.ndarray, " samples"]:
         """Seconds from the start of the move."""
-        return np.arange(self.derivatives.shape[1]) * self.step
+        return np.arange(self.derivatives.shape[1]) * self.sample_time
 
     @property
     def scanning(self) -> np.ndarray:
         """Mask of the samples in the scanning phase, both ends included."""
-        slack = 1e-6 * self.step
+        slack = 1e-6 * self.sample_time
         return (self.time >= self.scan[0] - slack) & (self.time <= self.scan[1] + slack)
 
 
 @checked
-def from_snap(segments: ArrayLike, durations: ArrayLike, step: float) -> Float64[np.ndarray, "5 samples"]:
+def from_snap(
+    segments: ArrayLike, durations: ArrayLike, sample_time: float
+) -> Float64[np.ndarray, "5 samples"]:
     """Position, velocity, acceleration, jerk and snap at every sample, from constant-snap segments."""
     segments = require_array("segments", segments, ndim=1)
     if not len(segments):
         raise InputError("segments is empty; give the snap of at least one segment in m/s^4")
     durations = require_array("durations", durations, shape=segments.shape)
-    step = require_number("step", step, above=0.0)
-    require_samples("step", float(np.sum(durations / step)))
-    counts = np.rint(durations / step).astype(int)
-    if np.any(counts < 1) or np.any(np.abs(counts * step - durations) > 1e-9 * durations):
+    sample_time = require_number("sample_time", sample_time, above=0.0)
+    require_samples("sample_time", float(np.sum(durations / sample_time)))
+    counts = np.rint(durations / sample_time).astype(int)
+    if np.any(counts < 1) or np.any(np.abs(counts * sample_time - durations) > 1e-9 * durations):
         raise InputError(
-            f"durations must be positive multiples of step = {step:g} s; choose a step that divides them"
+            f"durations must be positive multiples of sample_time = {sample_time:g} s; choose one that divides them"
         )
     rows, state = [], np.zeros(4)
     for snap, count in zip(segments, counts, strict=True):
-        t = np.arange(count + 1) * step
+        t = np.arange(count + 1) * sample_time
         p, v, a, j = state
         whole = np.array(
             [
@@ -86,7 +88,7 @@ def point_to_point(
     velocity: float,
     cruise: float,
     settling: float,
-    step: float,
+    sample_time: float,
 ) -> Setpoint:
     """Fourth-order move: accelerate within the limits, cruise, decelerate (Fig. 3.32).
 
@@ -99,13 +101,13 @@ def point_to_point(
         Limits in SI units, all reached where they can be.
     cruise, settling : float
         Length of the constant-velocity phase, and of the settling at its start (s).
-    step : float
+    sample_time : float
         Sample time (s).
 
     Raises
     ------
     InputError
-        When a limit is not positive, the settling is longer than the cruise, or `step` does not divide
+        When a limit is not positive, the settling is longer than the cruise, or `sample_time` does not divide
         the segments.
 
     References
@@ -114,7 +116,7 @@ def point_to_point(
 
     Examples
     --------
-    >>> move = control.point_to_point(1e4, 100.0, 2.0, 0.1, cruise=0.02, settling=0.005, step=1e-3)
+    >>> move = control.point_to_point(1e4, 100.0, 2.0, 0.1, cruise=0.02, settling=0.005, sample_time=1e-3)
     >>> float(move.derivatives[1].max().round(6))  # m/s
     0.1
     """
@@ -136,8 +138,8 @@ def point_to_point(
     rise = float(sum(t for _, t in moving))
     segments = [*moving, (0.0, cruise), *((-s, t) for s, t in moving)]
     snaps, times = np.array(segments).T
-    derivatives = from_snap(snaps, times, step)
-    return Setpoint(step, derivatives, (rise + settling, rise + cruise), rise)
+    derivatives = from_snap(snaps, times, sample_time)
+    return Setpoint(sample_time, derivatives, (rise + settling, rise + cruise), rise)
 
 
 @checked

@@ -14,14 +14,14 @@ from stillwork.base.front_door import check_fields, checked
 class Trajectory:
     """What the coordinate shall do, sampled, with both derivatives, each that of what stands before it."""
 
-    time_step: float  # s
+    sample_time: float  # s
     position: Converted  # q^N, m, shape (samples,)
     velocity: Converted = ()  # m/s, shape (samples,)
     acceleration: Converted = ()  # m/s^2, shape (samples,)
 
     def __post_init__(self):
         check_fields(self)
-        require_number("time_step", self.time_step, above=0)
+        require_number("sample_time", self.sample_time, above=0)
         for name in ("position", "velocity", "acceleration"):
             object.__setattr__(self, name, require_array(name, getattr(self, name), ndim=1))
         if len(self.position) < 2:
@@ -33,10 +33,10 @@ class Trajectory:
                     f"{name} has shape {values.shape}, {below} has {base.shape}; a trajectory needs both "
                     "derivatives at every sample: record_trajectory() takes them from a record of positions"
                 )
-            # The trapezoid rule integrates a smooth derivative to about (its change a step) x time_step.
-            grown = np.cumsum((values[1:] + values[:-1]) / 2) * self.time_step
+            # The trapezoid rule integrates a smooth derivative to about (its change a step) x sample_time.
+            grown = np.cumsum((values[1:] + values[:-1]) / 2) * self.sample_time
             error = np.abs(base[1:] - base[0] - grown).max()
-            allowed = self.time_step * np.abs(np.diff(values)).sum() + 1e-9 * (1 + np.abs(base).max())
+            allowed = self.sample_time * np.abs(np.diff(values)).sum() + 1e-9 * (1 + np.abs(base).max())
             if error > allowed:
                 raise InputError(
                     f"{name} is not the derivative of {below}: integrated, it misses by {error:.3g}; "
@@ -46,25 +46,25 @@ class Trajectory:
     @property
     def time(self) -> Float64[np.ndarray, " samples"]:
         """Times of the samples, s."""
-        return np.arange(len(self.position)) * self.time_step
+        return np.arange(len(self.position)) * self.sample_time
 
 
 @checked
-def sampled(duration: float, time_step: float) -> Float64[np.ndarray, " samples"]:
-    """Sample times 0, time_step, ... below `duration`, s."""
-    require_number("time_step", time_step, above=0)
-    require_number("duration", duration, above=2 * time_step)
-    return np.arange(require_samples("time_step", duration / time_step)) * time_step
+def sampled(duration: float, sample_time: float) -> Float64[np.ndarray, " samples"]:
+    """Sample times 0, sample_time, ... below `duration`, s."""
+    require_number("sample_time", sample_time, above=0)
+    require_number("duration", duration, above=2 * sample_time)
+    return np.arange(require_samples("sample_time", duration / sample_time)) * sample_time
 
 
 @checked
 def sine_trajectory(
-    amplitude: float = 1.0, frequency_hz: float = 0.2, duration: float = 12.0, time_step: float = 1e-3
+    amplitude: float = 1.0, frequency_hz: float = 0.2, duration: float = 12.0, sample_time: float = 1e-3
 ) -> Trajectory:
     """q = A sin(w t)."""
-    phase, rate = _phase(amplitude, frequency_hz, duration, time_step)
+    phase, rate = _phase(amplitude, frequency_hz, duration, sample_time)
     return Trajectory(
-        time_step,
+        sample_time,
         amplitude * np.sin(phase),
         amplitude * rate * np.cos(phase),
         -amplitude * rate**2 * np.sin(phase),
@@ -77,7 +77,7 @@ def asin_trajectory(
     sharpness: float = 0.98,
     frequency_hz: float = 0.2,
     duration: float = 12.0,
-    time_step: float = 1e-3,
+    sample_time: float = 1e-3,
 ) -> Trajectory:
     """q = A asin(k sin w t) / asin k: a sine for small k, a triangle with corners as k nears 1.
 
@@ -90,7 +90,7 @@ def asin_trajectory(
         A, m.
     sharpness : float
         k, between 0 and 1.
-    frequency_hz, duration, time_step : float
+    frequency_hz, duration, sample_time : float
         Hz, s, s.
 
     Raises
@@ -105,11 +105,11 @@ def asin_trajectory(
     0.1
     """
     require_number("sharpness", sharpness, above=0, below=1)
-    phase, rate = _phase(amplitude, frequency_hz, duration, time_step)
+    phase, rate = _phase(amplitude, frequency_hz, duration, sample_time)
     scale = amplitude / np.arcsin(sharpness)
     inner = 1 - (sharpness * np.sin(phase)) ** 2
     return Trajectory(
-        time_step,
+        sample_time,
         scale * np.arcsin(sharpness * np.sin(phase)),
         scale * sharpness * rate * np.cos(phase) / np.sqrt(inner),
         -scale * sharpness * rate**2 * (1 - sharpness**2) * np.sin(phase) / inner**1.5,
@@ -122,7 +122,7 @@ def trapezoid_trajectory(
     rounding: float = 0.5,
     frequency_hz: float = 0.2,
     duration: float = 12.0,
-    time_step: float = 1e-3,
+    sample_time: float = 1e-3,
 ) -> Trajectory:
     """A trapezoid between -A and A whose corners are rounded, so that the acceleration is continuous.
 
@@ -130,7 +130,7 @@ def trapezoid_trajectory(
     velocity follows 3 x^2 - 2 x^3.
     """
     require_number("rounding", rounding, above=0, at_most=1)
-    phase, rate = _phase(amplitude, frequency_hz, duration, time_step)
+    phase, rate = _phase(amplitude, frequency_hz, duration, sample_time)
     time, period = phase / rate, 2 * np.pi / rate
     ramp = period / 4
     corner = rounding * ramp
@@ -145,26 +145,26 @@ def trapezoid_trajectory(
         position += change * (corner * (x**3 - x**4 / 2) + beyond)
         velocity += change * (3 * x**2 - 2 * x**3)
         acceleration += change * 6 * x * (1 - x) / corner
-    return Trajectory(time_step, position, velocity, acceleration)
+    return Trajectory(sample_time, position, velocity, acceleration)
 
 
 @checked
-def record_trajectory(time: ArrayLike, position: ArrayLike, time_step: float = 1e-3) -> Trajectory:
+def record_trajectory(time: ArrayLike, position: ArrayLike, sample_time: float = 1e-3) -> Trajectory:
     """A recorded motion as a trajectory: the quintic spline through the record, and its exact derivatives."""
     from scipy.interpolate import make_interp_spline
 
-    require_number("time_step", time_step, above=0)
+    require_number("sample_time", sample_time, above=0)
     time = require_array("time", time, ndim=1)
     position = require_array("position", position, shape=time.shape)
     if len(time) < 6 or np.any(np.diff(time) <= 0):
         raise InputError("time must rise from sample to sample, with at least 6 samples; sort the record")
-    require_samples("time_step", (time[-1] - time[0]) / time_step)
+    require_samples("sample_time", (time[-1] - time[0]) / sample_time)
     spline = make_interp_spline(time, position, k=5)
-    at = time[0] + np.arange(int((time[-1] - time[0]) / time_step * (1 + 1e-12)) + 1) * time_step
-    return Trajectory(time_step, spline(at), spline(at, 1), spline(at, 2))
+    at = time[0] + np.arange(int((time[-1] - time[0]) / sample_time * (1 + 1e-12)) + 1) * sample_time
+    return Trajectory(sample_time, spline(at), spline(at, 1), spline(at, 2))
 
 
-def _phase(amplitude, frequency_hz, duration, time_step):
+def _phase(amplitude, frequency_hz, duration, sample_time):
     require_number("amplitude", amplitude)
     rate = 2 * np.pi * require_number("frequency_hz", frequency_hz, above=0)
-    return rate * sampled(duration, time_step), rate
+    return rate * sampled(duration, sample_time), rate

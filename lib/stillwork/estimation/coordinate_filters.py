@@ -74,7 +74,7 @@ class LowPass:
 
     Examples
     --------
-    >>> held = estimation.filter_signal(estimation.LowPass(100.0), np.ones(1000), time_step=1e-3)
+    >>> held = estimation.filter_signal(estimation.LowPass(100.0), np.ones(1000), sample_time=1e-3)
     >>> bool(held.position[10] < 0.1 and abs(held.position[-1] - 1) < 1e-6)  # from zero, to what is measured
     True
     """
@@ -97,18 +97,19 @@ class SavitzkyGolay:
 
     samples: int = 15  # in the window
     degree: int = 2  # of the polynomial, 2 at least: an acceleration is wanted
-    time_step: float = 1e-3  # s; the weights of the derivatives depend on it
+    sample_time: float = 1e-3  # s; the weights of the derivatives depend on it
     error_from_measurement = True
 
     def __post_init__(self):
         require_count("degree", self.degree, at_least=2)
         require_count("samples", self.samples, at_least=self.degree + 1)
-        require_number("time_step", self.time_step, above=0)
+        require_number("sample_time", self.sample_time, above=0)
 
     @checked
     def packed(self) -> Packed:
         rows = [
-            end_point_weights(self.samples, self.degree, order) / self.time_step**order for order in range(3)
+            end_point_weights(self.samples, self.degree, order) / self.sample_time**order
+            for order in range(3)
         ]
         return _packed(SAVITZKY_GOLAY, np.concatenate(rows), (2, 1, self.samples))
 
@@ -145,7 +146,7 @@ class _KalmanFilter:
 
     @checked
     def step(
-        self, state: FilterState, measured: ArrayLike, force: float = 0.0, *, time_step: float = 1e-3
+        self, state: FilterState, measured: ArrayLike, force: float = 0.0, *, sample_time: float = 1e-3
     ) -> FilterState:
         """State after one sample; the numbers of `filter_signal`.
 
@@ -157,7 +158,7 @@ class _KalmanFilter:
             Position in m; NaN where it is missing, then the filter predicts.
         force : float
             That acted since the sample before, N.
-        time_step : float
+        sample_time : float
             Since the sample before, s.
 
         Raises
@@ -175,7 +176,11 @@ class _KalmanFilter:
         advance = plant_unscented_step if kind == UNSCENTED else plant_extended_step
         acceleration, _, parameters = self.plant.compiled
         estimate, work = state.estimate.copy(), state.work.copy()
-        numbers = require_number("time_step", time_step, above=0), measured, require_number("force", force)
+        numbers = (
+            require_number("sample_time", sample_time, above=0),
+            measured,
+            require_number("force", force),
+        )
         definite = advance(options, process, noise, work, acceleration, parameters, *numbers, estimate)
         if not (definite and np.isfinite(estimate).all()):
             raise InputError(
@@ -307,19 +312,21 @@ class ExtendedKalman(_KalmanFilter):
         return _packed(EXTENDED, options, (BLOCKS, 5, 3), process, [[self.noise_deviation**2]])
 
 
-def require_step(signal_filter, time_step: float) -> float:
-    """Return a time step at which a filter can run, else raise `InputError`."""
-    require_number("time_step", time_step, above=0)
-    own = getattr(signal_filter, "time_step", time_step)  # its weights hold one
-    if own != time_step:
-        raise InputError(f"time_step is {time_step:g} s, the filter was made for {own:g} s; use one of them")
-    bandwidth = getattr(signal_filter, "bandwidth", 0.0)
-    if bandwidth * time_step >= 2:
+def require_sample_time(signal_filter, sample_time: float) -> float:
+    """Return a sample time at which a filter can run, else raise `InputError`."""
+    require_number("sample_time", sample_time, above=0)
+    own = getattr(signal_filter, "sample_time", sample_time)  # its weights hold one
+    if own != sample_time:
         raise InputError(
-            f"bandwidth is {bandwidth:g} rad/s; Euler's rule with steps of {time_step:g} s wants less than "
-            f"{2 / time_step:g} rad/s, or it diverges"
+            f"sample_time is {sample_time:g} s, the filter was made for {own:g} s; use one of them"
         )
-    return float(time_step)
+    bandwidth = getattr(signal_filter, "bandwidth", 0.0)
+    if bandwidth * sample_time >= 2:
+        raise InputError(
+            f"bandwidth is {bandwidth:g} rad/s; Euler's rule with steps of {sample_time:g} s wants less than "
+            f"{2 / sample_time:g} rad/s, or it diverges"
+        )
+    return float(sample_time)
 
 
 Filter = MovingWindow | LowPass | SavitzkyGolay | UnscentedKalman | ExtendedKalman

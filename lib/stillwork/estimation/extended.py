@@ -60,7 +60,7 @@ def correct_extended(work, noise, size, outputs):
 
 @borrowing_kernel
 def plant_extended_step(
-    options, process, noise, work, acceleration, plant, time_step, measured, force, estimate
+    options, process, noise, work, acceleration, plant, sample_time, measured, force, estimate
 ):
     """One sample for a second-order plant: x = [velocity, position, disturbance], z = position.
 
@@ -72,7 +72,7 @@ def plant_extended_step(
     if means[PAST, 0] == 0.0:
         means[PAST, 0] = 1.0
         means[ESTIMATE, 0] = estimate[1]
-        means[ESTIMATE, 1] = measured - time_step * estimate[1]
+        means[ESTIMATE, 1] = measured - sample_time * estimate[1]
         work[COVARIANCE, 0, 0] = options[1]
         work[COVARIANCE, 1, 1] = options[0]
         work[COVARIANCE, 2, 2] = options[2]
@@ -89,17 +89,17 @@ def plant_extended_step(
         acceleration(position, velocity + step_v, force, plant)
         - acceleration(position, velocity - step_v, force, plant)
     ) / (2.0 * step_v)
-    jacobian[0, 0] = 1.0 + time_step * slope_v
-    jacobian[0, 1] = time_step * slope_q
-    jacobian[0, 2] = time_step
+    jacobian[0, 0] = 1.0 + sample_time * slope_v
+    jacobian[0, 1] = sample_time * slope_q
+    jacobian[0, 2] = sample_time
     for j in range(3):
-        jacobian[1, j] = time_step * jacobian[0, j]
+        jacobian[1, j] = sample_time * jacobian[0, j]
         jacobian[2, j] = 0.0
     jacobian[1, 1] += 1.0
     jacobian[2, 2] = 1.0
     change = acceleration(position, velocity, force, plant) + disturbance
-    means[ESTIMATE, 0] = velocity + time_step * change
-    means[ESTIMATE, 1] = position + time_step * means[ESTIMATE, 0]
+    means[ESTIMATE, 0] = velocity + sample_time * change
+    means[ESTIMATE, 1] = position + sample_time * means[ESTIMATE, 0]
     predict_extended(work, process, 3)
     if not np.isnan(measured):
         means[MEASURED, 0] = measured

@@ -17,7 +17,7 @@ from stillwork.estimation.coordinate_filters import (
     ExtendedKalman,
     Filter,
     UnscentedKalman,
-    require_step,
+    require_sample_time,
 )
 from stillwork.estimation.extended import plant_extended_step
 from stillwork.estimation.low_pass import low_pass_step
@@ -41,7 +41,7 @@ def filter_signal(
     measured: ArrayLike,
     force: ArrayLike | None = None,
     *,
-    time_step: float = 1e-3,
+    sample_time: float = 1e-3,
     start_velocity: float = 0.0,
 ) -> Estimate:
     """Run a filter over a record.
@@ -54,7 +54,7 @@ def filter_signal(
         Noisy coordinate, m. The Kalman filters take NaN after the first sample, and predict where it stands.
     force : array_like, shape (samples,), optional
         Force that acts from each sample to the next, N; the Kalman filters need it, without it it is zero.
-    time_step : float
+    sample_time : float
         s.
     start_velocity : float
         Velocity that the filter presumes before the first sample, m/s (the low pass starts from zero).
@@ -62,7 +62,7 @@ def filter_signal(
     Raises
     ------
     InputError
-        When the filter cannot run at this time step, or a covariance loses its definiteness on the way;
+        When the filter cannot run at this sample time, or a covariance loses its definiteness on the way;
         the message names the sample.
 
     Examples
@@ -72,7 +72,7 @@ def filter_signal(
     >>> float(estimate.velocity[-1].round(6))
     0.01
     """
-    require_step(signal_filter, time_step)
+    require_sample_time(signal_filter, sample_time)
     predicts = isinstance(signal_filter, UnscentedKalman | ExtendedKalman)
     measured = require_array("measured", measured, ndim=1, missing=predicts)
     if len(measured) and np.isnan(measured[0]):
@@ -82,7 +82,7 @@ def filter_signal(
     start = np.array([0.0, require_number("start_velocity", start_velocity), 0.0])
     device = signal_filter.packed()
     done = filter_record(
-        device, *model_of(signal_filter), measured, force, float(time_step), start, estimates
+        device, *model_of(signal_filter), measured, force, float(sample_time), start, estimates
     )
     if done < len(measured):
         raise InputError(
@@ -116,33 +116,33 @@ UNIT_MASS = Plant(_unit_mass_acceleration, _unit_mass_force, np.zeros(0))
 
 
 @borrowing_kernel
-def filter_step(device, acceleration, plant, time_step, measured, force, estimate):
+def filter_step(device, acceleration, plant, sample_time, measured, force, estimate):
     """Advance one filter by one sample; `estimate` (position, velocity, acceleration) is read and written."""
     kind, options, process, noise, work = device
     if kind == WINDOW:
-        moving_window_step(options, work, time_step, measured, estimate)
+        moving_window_step(options, work, sample_time, measured, estimate)
         return True
     if kind == LOW_PASS:
-        low_pass_step(options[0], work, time_step, measured, estimate)
+        low_pass_step(options[0], work, sample_time, measured, estimate)
         return True
     if kind == SAVITZKY_GOLAY:
-        savitzky_golay_step(options, work, time_step, measured, estimate)
+        savitzky_golay_step(options, work, sample_time, measured, estimate)
         return True
     if kind == UNSCENTED:
         return plant_unscented_step(
-            options, process, noise, work, acceleration, plant, time_step, measured, force, estimate
+            options, process, noise, work, acceleration, plant, sample_time, measured, force, estimate
         )
     return plant_extended_step(
-        options, process, noise, work, acceleration, plant, time_step, measured, force, estimate
+        options, process, noise, work, acceleration, plant, sample_time, measured, force, estimate
     )
 
 
 @borrowing_kernel
-def filter_record(device, acceleration, plant, measured, force, time_step, estimate, estimates):
+def filter_record(device, acceleration, plant, measured, force, sample_time, estimate, estimates):
     """Filter a record; returns the number of samples done."""
     last_force = 0.0
     for i in range(len(measured)):
-        if not filter_step(device, acceleration, plant, time_step, measured[i], last_force, estimate):
+        if not filter_step(device, acceleration, plant, sample_time, measured[i], last_force, estimate):
             return i
         last_force = force[i]
         for j in range(3):

@@ -4,16 +4,16 @@ from stillwork.base.kernels import borrowing_kernel
 
 
 @borrowing_kernel
-def low_pass_step(bandwidth, state, time_step, measured, estimate):
+def low_pass_step(bandwidth, state, sample_time, measured, estimate):
     """(bandwidth + d/dt)^3 filtered = bandwidth^3 measured; state[0, 0, :3]: filtered and two derivatives.
 
     The estimate is the state that Euler's step with this measurement reaches; it starts from zero.
     """
     filtered, rate, curvature = state[0, 0, 0], state[0, 0, 1], state[0, 0, 2]
     jerk = bandwidth**3 * (measured - filtered) - 3.0 * bandwidth**2 * rate - 3.0 * bandwidth * curvature
-    state[0, 0, 0] = filtered + time_step * rate
-    state[0, 0, 1] = rate + time_step * curvature
-    state[0, 0, 2] = curvature + time_step * jerk
+    state[0, 0, 0] = filtered + sample_time * rate
+    state[0, 0, 1] = rate + sample_time * curvature
+    state[0, 0, 2] = curvature + sample_time * jerk
     estimate[0] = state[0, 0, 0]
     estimate[1] = state[0, 0, 1]
     estimate[2] = state[0, 0, 2]

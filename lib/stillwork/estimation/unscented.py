@@ -126,7 +126,7 @@ def _copy_points(source, target):
 
 @borrowing_kernel
 def plant_unscented_step(
-    options, process, noise, work, acceleration, plant, time_step, measured, force, estimate
+    options, process, noise, work, acceleration, plant, sample_time, measured, force, estimate
 ):
     """One sample for a second-order plant: x = [velocity, position], z = [difference quotient, position].
 
@@ -136,10 +136,10 @@ def plant_unscented_step(
     """
     points, observed, means = work[POINTS], work[OBSERVED], work[MEANS]
     if means[PAST, 1] == 0.0:
-        means[PAST, 0] = measured - time_step * estimate[1]
+        means[PAST, 0] = measured - sample_time * estimate[1]
         means[PAST, 1] = 1.0
         means[ESTIMATE, 0] = estimate[1]
-        means[ESTIMATE, 1] = measured - time_step * estimate[1]
+        means[ESTIMATE, 1] = measured - sample_time * estimate[1]
         work[COVARIANCE, 0, 0] = options[5]
         work[COVARIANCE, 1, 1] = options[5]
     last_velocity = means[ESTIMATE, 0]
@@ -149,8 +149,8 @@ def plant_unscented_step(
     if literal:  # (14) as printed: the correction uses the points around the *previous* estimate
         _copy_points(points, observed)
     for i in range(5):  # (10), with all terms of (11)
-        points[i, 0] += time_step * acceleration(points[i, 1], points[i, 0], force, plant)
-        points[i, 1] += time_step * points[i, 0]
+        points[i, 0] += sample_time * acceleration(points[i, 1], points[i, 0], force, plant)
+        points[i, 1] += sample_time * points[i, 0]
     predict_unscented(work, options, process, 2)
     if literal:
         _copy_points(observed, points)
@@ -168,12 +168,12 @@ def plant_unscented_step(
             return False
         means[PAST, 0], means[PAST, 1] = measured, 1.0
     else:
-        means[MEASURED, 0] = (measured - means[PAST, 0]) / time_step
+        means[MEASURED, 0] = (measured - means[PAST, 0]) / sample_time
         means[MEASURED, 1] = measured
         means[PAST, 0] = measured
         if not correct_unscented(work, options, noise, 2, 2):
             return False
     estimate[0] = means[ESTIMATE, 1]
     estimate[1] = means[ESTIMATE, 0]
-    estimate[2] = (means[ESTIMATE, 0] - last_velocity) / time_step
+    estimate[2] = (means[ESTIMATE, 0] - last_velocity) / sample_time
     return True

@@ -40,7 +40,7 @@ def _slide(weights, buffer, value):
 
 
 @borrowing_kernel
-def moving_window_step(weights, state, time_step, measured, estimate):
+def moving_window_step(weights, state, sample_time, measured, estimate):
     """Section II.A: fit, difference, fit, difference, fit.
 
     `estimate` holds the last one on entry: at the first sample the motion that is presumed before it.
@@ -49,25 +49,25 @@ def moving_window_step(weights, state, time_step, measured, estimate):
     if state[1, 0, 0] == 0.0:
         state[1, 0, 0] = 1.0
         for i in range(buffers.shape[1]):
-            buffers[0, i] = measured + (i - buffers.shape[1]) * time_step * estimate[1]
+            buffers[0, i] = measured + (i - buffers.shape[1]) * sample_time * estimate[1]
         buffers[1, :] = estimate[1]
         buffers[2, :] = estimate[2]
-        estimate[0] = measured - time_step * estimate[1]
+        estimate[0] = measured - sample_time * estimate[1]
     value = measured
     for level in range(3):
         fitted = _slide(weights, buffers[level], value)
-        value = (fitted - estimate[level]) / time_step
+        value = (fitted - estimate[level]) / sample_time
         estimate[level] = fitted
 
 
 @borrowing_kernel
-def savitzky_golay_step(weights, state, time_step, measured, estimate):
+def savitzky_golay_step(weights, state, sample_time, measured, estimate):
     """Three rows of weights on one buffer: position, velocity, acceleration; starts as the moving window."""
     samples = state.shape[2]
     if state[1, 0, 0] == 0.0:
         state[1, 0, 0] = 1.0
         for i in range(samples):
-            state[0, 0, i] = measured + (i - samples) * time_step * estimate[1]
+            state[0, 0, i] = measured + (i - samples) * sample_time * estimate[1]
     estimate[0] = _slide(weights[:samples], state[0, 0], measured)
     for row in range(1, 3):
         total = 0.0

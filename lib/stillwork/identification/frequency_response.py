@@ -29,7 +29,7 @@ class Identified(NamedTuple):
 
 @checked
 def closed_loop_response(
-    excitation: ArrayLike, inputs: ArrayLike, outputs: ArrayLike, step: float, segment: int
+    excitation: ArrayLike, inputs: ArrayLike, outputs: ArrayLike, sample_time: float, segment: int
 ) -> Identified:
     """Plant response in closed loop, as the ratio of the cross spectra with the excitation.
 
@@ -39,12 +39,12 @@ def closed_loop_response(
     excitation = require_array("excitation", excitation, ndim=1)
     inputs = require_array("inputs", inputs, shape=excitation.shape)
     outputs = require_array("outputs", outputs, shape=excitation.shape)
-    require_number("step", step, above=0.0)
+    require_number("sample_time", sample_time, above=0.0)
     if require_count("segment", segment, at_least=8) > len(excitation) // 2:
         raise InputError(
             f"segment is {segment} of {len(excitation)} samples; averaging takes at least two segments"
         )
-    settings = {"fs": 1 / step, "nperseg": segment, "detrend": "constant"}
+    settings = {"fs": 1 / sample_time, "nperseg": segment, "detrend": "constant"}
     hertz, to_input = csd(excitation, inputs, **settings)
     _, to_output = csd(excitation, outputs, **settings)
     power, out_power = (welch(signal, **settings)[1] for signal in (excitation, outputs))

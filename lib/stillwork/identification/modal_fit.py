@@ -61,7 +61,7 @@ def fit_modal_matrix(
     response: ArrayLike,
     deviation: ArrayLike,
     modes: int,
-    step: float,
+    sample_time: float,
     rigid_modes: int,
 ) -> ModalMatrixFit:
     r"""Fit frequencies, damping and residue matrices by weighted least squares over all entries at once.
@@ -79,7 +79,7 @@ def fit_modal_matrix(
     response = require_array("response", response, shape=(len(omega), None, None), dtype=np.complex128)
     deviation = require_array("deviation", deviation, shape=omega.shape)
     require_count("modes", modes)
-    require_number("step", step, above=0.0)
+    require_number("sample_time", sample_time, above=0.0)
     outputs, inputs = response.shape[1:]
     if not 0 <= rigid_modes <= min(outputs, inputs):
         raise InputError(f"rigid_modes is {rigid_modes}; it cannot exceed the numbers of inputs and outputs")
@@ -87,7 +87,7 @@ def fit_modal_matrix(
         raise InputError("deviation must be positive at every line")
     if len(omega) < 10 * (modes + 3) or np.any(np.diff(omega) <= 0) or omega[0] <= 0:
         raise InputError(f"omega must ascend from above 0 and hold at least {10 * (modes + 3)} lines")
-    problem = _Problem(omega, response, deviation, step)
+    problem = _Problem(omega, response, deviation, sample_time)
     parameters = np.zeros((2, 0))
     for count in range(1, modes + 1):
         left = problem.residual(parameters).reshape(2, len(omega), -1)
@@ -141,17 +141,22 @@ def fit_modal_matrix(
 class _Problem:
     """Weighted data, and what is linear in the residues."""
 
-    def __init__(self, omega, response, deviation, step):
-        self.omega, self.deviation, self.step, self.shape = omega, deviation, step, response.shape[1:]
+    def __init__(self, omega, response, deviation, sample_time):
+        self.omega, self.deviation, self.sample_time, self.shape = (
+            omega,
+            deviation,
+            sample_time,
+            response.shape[1:],
+        )
         target = (response / deviation[:, None, None]).reshape(len(omega), -1)
         self.goal = np.vstack([target.real, target.imag])
-        held = (1 + np.exp(-1j * omega * step)) / 2
+        held = (1 + np.exp(-1j * omega * sample_time)) / 2
         self.fixed = held * (omega / omega.max()) ** np.array(POWERS)[:, None]
 
     def _columns(self, parameters):
         """Orthogonal columns (rigid body, compliance terms, modes), their triangle and their sizes."""
         modes, ratios = np.exp(parameters)
-        each = sampled_modes(np.append(0.0, modes), np.append(0.0, ratios), self.step, self.omega)
+        each = sampled_modes(np.append(0.0, modes), np.append(0.0, ratios), self.sample_time, self.omega)
         whole = (np.vstack([each[:1], self.fixed, each[1:]]) / self.deviation).T
         stacked = np.vstack([whole.real, whole.imag])
         sizes = np.linalg.norm(stacked, axis=0)

@@ -92,7 +92,7 @@ def run_multisine(
             outputs.append(np.moveaxis(spectra[actuators:], 0, 1))
     shape = (actuators, realisations)
     return MultisineRecords(
-        2 * np.pi * np.fft.rfftfreq(samples, loop.step)[lines],
+        2 * np.pi * np.fft.rfftfreq(samples, loop.sample_time)[lines],
         np.array(reference).reshape(*shape, -1),
         np.array(inputs).reshape(*shape, *inputs[0].shape),
         np.array(outputs).reshape(*shape, *outputs[0].shape),

@@ -11,7 +11,7 @@ from stillwork.lti.state_space import StateModel
 def delayed(model: StateModel, samples: int) -> StateModel:
     """The model with every output late by a whole number of samples."""
     samples = require_count("samples", samples, at_least=0)
-    if not model.step:
+    if not model.sample_time:
         raise InputError("model is in continuous time; discretise it first")
     if not samples:
         return model
@@ -22,4 +22,4 @@ def delayed(model: StateModel, samples: int) -> StateModel:
     a[n : n + outputs, :n], b[n : n + outputs] = model.c, model.d
     a[n + outputs :, n:-outputs] = np.eye((samples - 1) * outputs)
     c = np.eye(outputs, size, k=size - outputs)
-    return StateModel(a, b, c, np.zeros_like(model.d), model.step)
+    return StateModel(a, b, c, np.zeros_like(model.d), model.sample_time)

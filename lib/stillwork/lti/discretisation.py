@@ -11,29 +11,31 @@ from stillwork.lti.state_space import StateModel
 
 
 @checked
-def zoh_modes(model: ModalModel, step: float) -> StateModel:
+def zoh_modes(model: ModalModel, sample_time: float) -> StateModel:
     """Exact zero-order-hold discretisation in closed form, mode by mode, in modal form 1.
 
     The transition matrix is (2.29) of the observer thesis taken to the modal states; the input matrix keeps
     the damping that (2.33) leaves out.
     """
-    require_number("step", step, above=0.0)
+    require_number("sample_time", sample_time, above=0.0)
     n = len(model.frequencies)
-    blocks, gains = _held(model.frequencies, model.damping, step)
+    blocks, gains = _held(model.frequencies, model.damping, sample_time)
     a = np.zeros((n, 2, n, 2))
     a[np.arange(n), :, np.arange(n), :] = blocks
     b = gains[:, :, None] * model.input_shapes[:, None, :]
     continuous = model.state_space()
-    return StateModel(a.reshape(2 * n, 2 * n), b.reshape(2 * n, -1), continuous.c, continuous.d, step)
+    return StateModel(a.reshape(2 * n, 2 * n), b.reshape(2 * n, -1), continuous.c, continuous.d, sample_time)
 
 
-def _held(w, z, step: float) -> tuple[Float64[np.ndarray, "modes 2 2"], Float64[np.ndarray, "modes 2"]]:
-    """Transition matrix and input gains of each mode for itself, over one step with its force held."""
+def _held(
+    w, z, sample_time: float
+) -> tuple[Float64[np.ndarray, "modes 2 2"], Float64[np.ndarray, "modes 2"]]:
+    """Transition matrix and input gains of each mode for itself, over one sample with its force held."""
     s = np.sqrt(1 - z**2)
-    angle, decay = w * s * step, np.exp(-z * w * step)
+    angle, decay = w * s * sample_time, np.exp(-z * w * sample_time)
     ratio, cosine = z / s, np.cos(angle)
     # sin(wd T)/wd, with its limit T for a rigid body
-    sinc = step * np.sinc(angle / np.pi)
+    sinc = sample_time * np.sinc(angle / np.pi)
     sine = np.sin(angle)
     blocks = np.empty((len(w), 2, 2))
     blocks[:, 0, 0] = decay * (cosine + ratio * sine)
@@ -41,22 +43,22 @@ def _held(w, z, step: float) -> tuple[Float64[np.ndarray, "modes 2 2"], Float64[
     blocks[:, 1, 0] = -decay * w**2 * sinc
     blocks[:, 1, 1] = decay * (cosine - ratio * sine)
     flexible = w > 0
-    lifted = -np.expm1(-z * w * step) + decay * (2 * np.sin(angle / 2) ** 2 - ratio * sine)
+    lifted = -np.expm1(-z * w * sample_time) + decay * (2 * np.sin(angle / 2) ** 2 - ratio * sine)
     gains = np.empty((len(w), 2))
-    gains[:, 0] = np.divide(lifted, w**2, out=np.full(len(w), step**2 / 2), where=flexible)
+    gains[:, 0] = np.divide(lifted, w**2, out=np.full(len(w), sample_time**2 / 2), where=flexible)
     gains[:, 1] = decay * sinc
     return blocks, gains
 
 
 @checked
-def zoh(model: StateModel, step: float) -> StateModel:
+def zoh(model: StateModel, sample_time: float) -> StateModel:
     """Zero-order-hold discretisation by the exponential of the balanced [A B; 0 0].
 
     Parameters
     ----------
     model : StateModel
         In continuous time.
-    step : float
+    sample_time : float
         Sample time, s.
 
     Raises
@@ -71,29 +73,29 @@ def zoh(model: StateModel, step: float) -> StateModel:
     Examples
     --------
     >>> lag = lti.StateModel([[-100.0]], [[100.0]], [[1.0]], [[0.0]])  # time constant 10 ms
-    >>> lti.zoh(lag, step=0.01).a.round(3)  # exp(-1)
+    >>> lti.zoh(lag, sample_time=0.01).a.round(3)  # exp(-1)
     array([[0.368]])
     """
-    require_number("step", step, above=0.0)
+    require_number("sample_time", sample_time, above=0.0)
     _require_continuous(model)
     n, m = model.b.shape
     whole = np.zeros((n + m, n + m))
-    whole[:n, :n], whole[:n, n:] = model.a * step, model.b * step
+    whole[:n, :n], whole[:n, n:] = model.a * sample_time, model.b * sample_time
     # Unbalanced, the exponential of a stiff motion system is silently wrong.
     balanced, (scale, _) = linalg.matrix_balance(whole, permute=False, separate=True)
     held = linalg.expm(balanced) * scale[:, None] / scale
-    return StateModel(held[:n, :n], held[:n, n:], model.c, model.d, step)
+    return StateModel(held[:n, :n], held[:n, n:], model.c, model.d, sample_time)
 
 
 @checked
-def tustin(model: StateModel, step: float, omega: float | None = None) -> StateModel:
+def tustin(model: StateModel, sample_time: float, omega: float | None = None) -> StateModel:
     """Discretise by the bilinear rule, as controllers are.
 
     Parameters
     ----------
     model : StateModel
         In continuous time.
-    step : float
+    sample_time : float
         Sample time, s.
     omega : float, optional
         rad/s; where the response stays exactly what it was.
@@ -110,15 +112,17 @@ def tustin(model: StateModel, step: float, omega: float | None = None) -> StateM
     Examples
     --------
     >>> integrator = lti.StateModel([[0.0]], [[1.0]], [[1.0]], [[0.0]])
-    >>> lti.tustin(integrator, step=0.1).d  # half a sample of its input at once
+    >>> lti.tustin(integrator, sample_time=0.1).d  # half a sample of its input at once
     array([[0.05]])
     """
-    require_number("step", step, above=0.0)
+    require_number("sample_time", sample_time, above=0.0)
     _require_continuous(model)
     if omega is None:
-        rate = 2 / step
+        rate = 2 / sample_time
     else:
-        rate = require_number("omega", omega, above=0.0, below=np.pi / step) / np.tan(omega * step / 2)
+        rate = require_number("omega", omega, above=0.0, below=np.pi / sample_time) / np.tan(
+            omega * sample_time / 2
+        )
     inverse = np.linalg.inv(rate * np.eye(len(model.a)) - model.a)
     c = model.c @ inverse
     return StateModel(
@@ -126,12 +130,12 @@ def tustin(model: StateModel, step: float, omega: float | None = None) -> StateM
         2 * rate * inverse @ model.b,
         c,
         model.d + c @ model.b,
-        step,
+        sample_time,
     )
 
 
 def _require_continuous(model: StateModel) -> None:
-    if model.step:
+    if model.sample_time:
         raise InputError("model is in discrete time already; give the continuous model")
 
 
@@ -139,16 +143,16 @@ def _require_continuous(model: StateModel) -> None:
 def sampled_modes(
     frequencies: Float64[np.ndarray, " modes"],
     damping: Float64[np.ndarray, " modes"],
-    step: float,
+    sample_time: float,
     omega: Float64[np.ndarray, "... frequencies"],
 ) -> Complex128[np.ndarray, "modes frequencies"]:
     """Force to position of each mode for itself (mass 1), sampled with a zero-order hold, in closed form.
 
     `omega` is the same for all modes, or holds a row for each.
     """
-    blocks, gains = _held(frequencies, damping, step)
+    blocks, gains = _held(frequencies, damping, sample_time)
     # The trace near 2 and the determinant near 1 cancel at low frequencies: write them as differences from 1.
-    lifted = np.exp(1j * omega * step) - 1
+    lifted = np.exp(1j * omega * sample_time) - 1
     first, second = blocks[:, 0, 0, None] - 1, blocks[:, 1, 1, None] - 1
     cross = blocks[:, 0, 1, None] * blocks[:, 1, 0, None]
     determinant = lifted**2 - lifted * (first + second) + first * second - cross
@@ -157,9 +161,9 @@ def sampled_modes(
 
 @checked
 def zoh_response(
-    model: ModalModel, step: float, omega: Float64[np.ndarray, " frequencies"]
+    model: ModalModel, sample_time: float, omega: Float64[np.ndarray, " frequencies"]
 ) -> Complex128[np.ndarray, "outputs inputs frequencies"]:
     """Response of the zero-order-hold equivalent, mode by mode in closed form."""
     residues = model.output_shapes[:, None, :] * model.input_shapes.T[None]
-    modes = sampled_modes(model.frequencies, model.damping, step, omega)
+    modes = sampled_modes(model.frequencies, model.damping, sample_time, omega)
     return residues @ modes + model.feedthrough[:, :, None]

@@ -45,7 +45,7 @@ def hinf_norm(model: StateModel, tolerance: float = 1e-10) -> Peak:
     >>> round(peak.magnitude * 100.0**2, 2)  # times the static compliance: 1 / (2 zeta)
     50.0
     """
-    if model.step or not model.is_stable:
+    if model.sample_time or not model.is_stable:
         raise InputError("model must be stable and in continuous time for this norm")
     if not (np.any(model.b) and np.any(model.c)):
         return Peak(_finite(float(np.linalg.norm(model.d, 2))) if model.d.size else 0.0, 0.0)
@@ -135,7 +135,7 @@ def h2_norm(model: StateModel) -> float:
     >>> round(lti.h2_norm(lag) ** 2, 6)  # variance under white noise of unit intensity
     0.5
     """
-    if model.step or not model.is_stable or np.any(model.d):
+    if model.sample_time or not model.is_stable or np.any(model.d):
         raise InputError("model must be stable, strictly proper and in continuous time for this norm")
     if not (np.any(model.b) and np.any(model.c)):
         return 0.0

@@ -38,11 +38,11 @@ def simulate(
 
     Examples
     --------
-    >>> lag = lti.zoh(lti.StateModel([[-100.0]], [[100.0]], [[1.0]], [[0.0]]), step=0.01)
+    >>> lag = lti.zoh(lti.StateModel([[-100.0]], [[100.0]], [[1.0]], [[0.0]]), sample_time=0.01)
     >>> lti.simulate(lag, np.ones((1, 4))).round(3)
     array([[0.   , 0.632, 0.865, 0.95 ]])
     """
-    if not model.step:
+    if not model.sample_time:
         raise InputError("model is in continuous time; discretise it with zoh first")
     inputs = require_array("inputs", inputs, shape=(model.b.shape[1], None))
     initial = np.zeros(len(model.a)) if initial is None else initial

@@ -19,7 +19,7 @@ WORST_CONDITION = 1e6
 
 @dataclass(frozen=True)
 class StateModel:
-    r"""Model :math:`\dot x = Ax + Bu,\; y = Cx + Du`, or :math:`x_{k+1} = Ax_k + Bu_k` when `step` > 0.
+    r"""Model :math:`\dot x = Ax + Bu,\; y = Cx + Du`, or :math:`x_{k+1} = Ax_k + Bu_k` when `sample_time` > 0.
 
     Raises
     ------
@@ -37,7 +37,7 @@ class StateModel:
     b: Float64[np.ndarray, "states inputs"]
     c: Float64[np.ndarray, "outputs states"]
     d: Float64[np.ndarray, "outputs inputs"]
-    step: float = 0.0  # s, sample time; 0: continuous time
+    sample_time: float = 0.0  # s; 0: continuous time
 
     def __post_init__(self):
         check_fields(self)
@@ -45,7 +45,7 @@ class StateModel:
         if self.a.shape != (n, n) or self.b.shape != (n, inputs) or self.c.shape != (outputs, n):
             shapes = ", ".join(str(getattr(self, name).shape) for name in "abcd")
             raise InputError(f"a, b, c, d have shapes {shapes}, which do not fit together")
-        require_number("step", self.step, at_least=0.0)
+        require_number("sample_time", self.sample_time, at_least=0.0)
 
     @property
     def poles(self) -> Complex128[np.ndarray, " states"]:
@@ -55,7 +55,7 @@ class StateModel:
     @property
     def is_stable(self) -> bool:
         """Whether every pole lies strictly inside the stability region."""
-        if self.step:
+        if self.sample_time:
             return bool(np.all(np.abs(self.poles) < 1))
         return bool(np.all(self.poles.real < 0))
 
@@ -90,7 +90,7 @@ class StateModel:
             When a place does not exist.
         """
         i, o = list(inputs), list(outputs)
-        return StateModel(self.a, self.b[:, i], self.c[o], self.d[np.ix_(o, i)], self.step)
+        return StateModel(self.a, self.b[:, i], self.c[o], self.d[np.ix_(o, i)], self.sample_time)
 
     @checked
     def frequency_response(self, omega: ArrayLike) -> Complex128[np.ndarray, "outputs inputs frequencies"]:
@@ -102,7 +102,7 @@ class StateModel:
             Frequencies, rad/s.
         """
         omega = require_array("omega", omega, ndim=1)
-        point = np.exp(1j * omega * self.step) if self.step else 1j * omega
+        point = np.exp(1j * omega * self.sample_time) if self.sample_time else 1j * omega
         response = np.repeat(self.d[:, :, None].astype(complex), len(omega), axis=2)
         if not len(self.a):
             return response
@@ -146,7 +146,7 @@ class StateModel:
         """The same model as `control.StateSpace`."""
         control = require_package("control")
 
-        return control.StateSpace(self.a, self.b, self.c, self.d, self.step or 0)
+        return control.StateSpace(self.a, self.b, self.c, self.d, self.sample_time or 0)
 
 
 # Models that differ in their inputs and outputs alone, as the channels of a loop or the gains of a feedforward, have
@@ -172,10 +172,10 @@ def _matrix(a: bytes, states: int) -> Float64[np.ndarray, "states states"]:
 
 
 @checked
-def constant(gain: Float64[np.ndarray, "outputs inputs"], step: float = 0.0) -> StateModel:
+def constant(gain: Float64[np.ndarray, "outputs inputs"], sample_time: float = 0.0) -> StateModel:
     """A gain without states."""
     outputs, inputs = gain.shape
-    return StateModel(np.zeros((0, 0)), np.zeros((0, inputs)), np.zeros((outputs, 0)), gain, step)
+    return StateModel(np.zeros((0, 0)), np.zeros((0, inputs)), np.zeros((outputs, 0)), gain, sample_time)
 
 
 @checked
@@ -202,7 +202,7 @@ def from_control(system) -> StateModel:
     if system.dt is None or system.dt is True:
         raise InputError("system.dt is unspecified; give 0 for continuous time or the sample time in s")
     a, b, c, d = (np.array(m, dtype=float, ndmin=2) for m in (system.A, system.B, system.C, system.D))
-    return StateModel(a, b, c, d, step=float(system.dt))
+    return StateModel(a, b, c, d, sample_time=float(system.dt))
 
 
 def _least_condition(matrix: np.ndarray) -> float:
@@ -257,8 +257,8 @@ def interconnect(
     """
     if not models:
         raise InputError("models is empty; give at least one")
-    if len({model.step for model in models}) != 1:
-        raise InputError("models have different sample times; discretise them with the same step first")
+    if len({model.sample_time for model in models}) != 1:
+        raise InputError("models have different sample times; discretise them with the same one first")
     a, b, c, d = (_block_diagonal([getattr(model, name) for model in models]) for name in "abcd")
     for name, matrix, wanted in (
         ("feedback", feedback, d.shape[::-1]),
@@ -280,7 +280,7 @@ def interconnect(
         b @ (inputs + feedback @ d_in),
         outputs @ c,
         outputs @ d_in + direct,
-        models[0].step,
+        models[0].sample_time,
     )
 
 

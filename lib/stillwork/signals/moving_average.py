@@ -19,13 +19,13 @@ class Moving(NamedTuple):
 
 
 @checked
-def moving(error: ArrayLike, step: float, exposure: float) -> Moving:
+def moving(error: ArrayLike, sample_time: float, exposure: float) -> Moving:
     """MA, MSD and rms of an error over every window of `exposure` seconds (sums for the integrals).
 
     Parameters
     ----------
     error : array_like, shape (samples,)
-    step, exposure : float
+    sample_time, exposure : float
         Sample time and exposure time T (s); the exposure must cover at least two samples and fit the record.
 
     Returns
@@ -44,11 +44,14 @@ def moving(error: ArrayLike, step: float, exposure: float) -> Moving:
 
     Examples
     --------
-    >>> signals.moving([3.0, 1.0, -1.0, -3.0], step=1e-3, exposure=2e-3).average
+    >>> signals.moving([3.0, 1.0, -1.0, -3.0], sample_time=1e-3, exposure=2e-3).average
     array([ 2.,  0., -2.])
     """
     error = require_array("error", error, ndim=1)
-    width = round(require_number("exposure", exposure, above=0.0) / require_number("step", step, above=0.0))
+    width = round(
+        require_number("exposure", exposure, above=0.0)
+        / require_number("sample_time", sample_time, above=0.0)
+    )
     if not 2 <= width <= len(error):
         raise InputError(
             f"exposure covers {width} samples of {len(error)}; choose at least 2 and at most all"

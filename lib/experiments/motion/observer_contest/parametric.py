@@ -34,15 +34,15 @@ def predict_mode(a, b, force, i, x):
 
 
 @borrowing_kernel
-def sampled_mode(omega, damping, step, block, lever):
-    """Transition of one mode over a step, 2 x 2, and what a unit force on it does, held over the step."""
+def sampled_mode(omega, damping, sample_time, block, lever):
+    """Transition of one mode over a sample, 2 x 2, and what a unit force on it does, held meanwhile."""
     if omega == 0.0:
         block[0, 0] = block[1, 1] = 1.0
-        block[0, 1], block[1, 0] = step, 0.0
-        lever[0], lever[1] = step * step / 2, step
+        block[0, 1], block[1, 0] = sample_time, 0.0
+        lever[0], lever[1] = sample_time * sample_time / 2, sample_time
         return
     root = np.sqrt(1 - damping * damping)
-    angle, decay = omega * root * step, np.exp(-damping * omega * step)
+    angle, decay = omega * root * sample_time, np.exp(-damping * omega * sample_time)
     sine, cosine = np.sin(angle), np.cos(angle)
     block[0, 0] = decay * (cosine + damping / root * sine)
     block[0, 1] = decay * sine / (omega * root)
@@ -82,14 +82,14 @@ WIDEST = 0.5  # relative error at which a parameter is held
 
 
 @pasted_kernel
-def _doubted(force, omega, damping, shapes, places, step, z, j, block, lever):
+def _doubted(force, omega, damping, shapes, places, sample_time, z, j, block, lever):
     """Fill the transition of mode `j` of those in doubt; what pushes it, the same by its gain, its frequency's error."""
     push = 0.0
     for q in range(len(force)):
         push += shapes[j, q] * force[q]
     frequency, gain = places[j, 0], places[j, 1]
     bent = z[frequency] if frequency >= 0 else 0.0
-    sampled_mode(omega[j] * (1 + bent), damping[j], step, block, lever)
+    sampled_mode(omega[j] * (1 + bent), damping[j], sample_time, block, lever)
     return push, push * (1 + z[gain] if gain >= 0 else 1.0), bent
 
 

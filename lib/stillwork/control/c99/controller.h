@@ -9,7 +9,7 @@
 
 #define ${guard}_INPUTS $inputs
 #define ${guard}_OUTPUTS $outputs
-#define ${guard}_SAMPLE_TIME $step /* s */
+#define ${guard}_SAMPLE_TIME $sample_time /* s */
 
 typedef $real ${name}_real;
 
