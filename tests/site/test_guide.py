@@ -180,7 +180,16 @@ def test_the_feedforward_in_c_learns_in_the_loop_with_the_twin(tmp_path, monkeyp
     for first in range(0, samples, BLOCK):
         moved, noise = sources.sample(min(BLOCK, samples - first))
         for k in range(len(moved)):
-            frozen = (loop.FROZEN, 0.0, 1.0, 1.0, *closed.recursion[-2:], heard.instruments.force_limit, None)
+            frozen = (
+                loop.FROZEN,
+                0.0,
+                1.0,
+                1.0,
+                *closed.recursion[-2:],
+                heard.instruments.force_limit,
+                None,
+                (),
+            )
             status, *_ = loop.advance(moved[k : k + 1], noise[k : k + 1], closed, kept, 1, 0, *frozen)
             assert status == loop.STABLE
             assert library.adapt(*map(pointer, (kept.regressors, kept.error, closed.weights)))

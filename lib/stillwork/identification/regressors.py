@@ -86,6 +86,7 @@ def exponential_bound(row: float, forgetting: float, samples: int | None = None)
     return float(row * np.sqrt(memory))
 
 
+@checked
 def exponential_weights(rows: int, forgetting: float) -> np.ndarray:
     """Of the rows of A and b, oldest first: forgetting^((t - j) / 2)."""
     return forgetting ** (np.arange(rows - 1, -1, -1) / 2)
