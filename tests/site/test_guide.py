@@ -180,19 +180,11 @@ def test_the_feedforward_in_c_learns_in_the_loop_with_the_twin(tmp_path, monkeyp
     for first in range(0, samples, BLOCK):
         moved, noise = sources.sample(min(BLOCK, samples - first))
         for k in range(len(moved)):
-            frozen = (
-                loop.FROZEN,
-                0.0,
-                1.0,
-                1.0,
-                *closed.recursion[-2:],
-                heard.instruments.force_limit,
-                None,
-                (),
-            )
+            limit = heard.instruments.force_limit
+            frozen = (loop.FROZEN, 0.0, 1.0, 1.0, *closed.recursion[-2:], limit, None, ())
             status, *_ = loop.advance(moved[k : k + 1], noise[k : k + 1], closed, kept, 1, 0, *frozen)
             assert status == loop.STABLE
-            assert library.adapt(*map(pointer, (kept.regressors, kept.error, closed.weights)))
+            assert library.adapt(*map(pointer, (kept.filtered_regressors, kept.error, closed.weights)))
             power[first + k] = kept.error[0] @ kept.error[0]
 
     table = read_toml(tmp_path / "feed.toml").table("FeRls")
