@@ -56,6 +56,11 @@ class TestNotebook:
         last = {node.target.id: lines[node.end_lineno - 1] for node in ast.parse(text(cell)).body}
         assert not [line for line in last.values() if not re.search(r"#\s*\S", line)]
 
+    def test_a_cell_is_read_at_a_glance(self, notebook):
+        """None is empty, and none but the list of parameters has more lines than fit on a screen beside its figure."""
+        own = [c for c in cells(notebook) if "parameters" not in c["metadata"].get("tags", [])]
+        assert not [cell["id"] for cell in own if not 1 <= len(text(cell).splitlines()) <= 25]
+
     def test_defines_no_algorithm(self, notebook):
         for cell in cells(notebook):
             for node in ast.walk(ast.parse(text(cell))):
