@@ -9,6 +9,7 @@ import tomllib
 
 import pytest
 
+from stillwork.workbook import accept, publish
 from stillwork.workbook.notebooks import cleaned
 from stillwork.workbook.publish import replace_all
 from workbook import toy as toys
@@ -108,6 +109,34 @@ def test_what_agrees_keeps_its_bytes_whatever_the_last_bits(accepted):
     )
     assert toy.run("accept").stdout.endswith("0 files changed\n")
     assert toy.stamps("notebooks", "data", "figures", "README.md") == before
+
+
+def test_a_parameter_that_is_renamed_is_renamed_in_the_provenance(accepted):
+    toy = accepted
+    toy.replace("notebooks/isolation/01-first.ipynb", "level", "gain_level")
+    assert toy.run("figures").returncode == 0
+    assert toy.run("accept").returncode == 0
+    kept = json.loads((toy.root / "figures/isolation/01-first/provenance.json").read_text())
+    assert "gain_level" in kept["parameters"] and "level" not in kept["parameters"]
+
+
+def test_a_file_that_somebody_writes_all_the_time_is_named(accepted, monkeypatch):
+    monkeypatch.chdir(accepted.root)
+    monkeypatch.setenv("STILLWORK_ROOT", str(accepted.root))
+    read = accept._committed
+
+    def growing(folder):
+        log = folder / "data/isolation/log.csv"
+        log.write_text(log.read_text() + "1" if log.exists() else "")
+        return read(folder)
+
+    monkeypatch.setattr(accept, "_committed", growing)
+    with (
+        pytest.raises(publish.Edited, match=r"changed while accepting: data/isolation/log.csv; "),
+        accept._copy(),
+    ):
+        pass
+    assert accepted.leftovers() == []
 
 
 def test_what_moved_is_said_by_the_build_and_taken_over(accepted):

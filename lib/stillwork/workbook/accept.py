@@ -23,6 +23,7 @@ from stillwork.workbook.publish import RECORD, Edited, replace_all, replace_file
 from stillwork.workbook.tasks import Task, tasks
 
 SHELVES = ("notebooks", "data", "figures")  # of what is committed, where accepting writes
+READINGS = 20  # of the tree, before somebody who writes in it all the time is asked to stop
 
 
 def accept(refresh: Callable[[], object]) -> int:
@@ -89,9 +90,14 @@ def _copy() -> Iterator[tuple[Path, dict[str, bytes]]]:
     No file of it is one that stands in the tree, since an editor may write into that at any time.
     """
     root, copy = paths.root(), trial(paths.root())
-    before: dict[str, bytes] = {}
-    while (now := _committed(root)) != before:  # until nobody is in the midst of writing one
+    before = _committed(root)
+    for _ in range(READINGS):  # until nobody is in the midst of writing one
+        now, last = _committed(root), before
         before = now
+        if now == last:
+            break
+    else:
+        raise Edited(sorted(name for name in now | last if now.get(name) != last.get(name)))
     try:
         for name, content in before.items():
             (copy / name).parent.mkdir(parents=True, exist_ok=True)
@@ -151,7 +157,7 @@ def _take_over(task: Task, comparison: Comparison, copy: Path) -> None:
     if comparison.claims or "claims.json" not in before:
         taken.add("claims.json")
     taken = {name for name in taken & now if not _same(home / name, task.target / name)}
-    if taken or now - before or _environment(home) != _environment(task.target):
+    if taken or now - before or _made_under(home) != _made_under(task.target):
         taken |= (now - before) | {"provenance.json"}
     for name in taken:
         replace_file(home / name, (task.target / name).read_bytes())
@@ -160,10 +166,13 @@ def _take_over(task: Task, comparison: Comparison, copy: Path) -> None:
     _take_over_outputs(task, copy / "notebooks" / f"{task.notebook.name}.ipynb")
 
 
-def _environment(folder: Path) -> str | None:
-    """Which pins the results in a folder were made under."""
+def _made_under(folder: Path) -> list | None:
+    """The pins and the parameters, by their present names, that the results in a folder were made under."""
     file = folder / "provenance.json"
-    return json.loads(file.read_text(encoding="utf-8"))["environment_sha256"] if file.is_file() else None
+    if not file.is_file():
+        return None
+    provenance = json.loads(file.read_text(encoding="utf-8"))
+    return [provenance.get("environment_sha256"), provenance.get("parameters")]
 
 
 def _same(one: Path, other: Path) -> bool:
