@@ -31,7 +31,7 @@ import threading
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -746,8 +746,12 @@ def judged(
     harmed: bool = False,
     changing: bool = False,
     ending: bool = False,
+    harmed_since: Collection[str] = (),
 ) -> str:
-    """Hold what stands after a fault against what must; returns which version stands."""
+    """Hold what stands after a fault against what must; returns which version stands.
+
+    What was harmed when it had been built (`harmed_since`) may have been told to be built; the next build sees it.
+    """
     for run in runs:
         run.wait()
     with contextlib.suppress(AssertionError):
@@ -764,7 +768,7 @@ def judged(
         versions[name] = "old" if files == before[name] else "new" if new else "half"
         if versions[name] == "half" and not harmed:
             raise Broken(f"half of {name}: {sorted(files or {})}")
-    for name in re.findall(r"^built (\S+) in", said, re.MULTILINE):
+    for name in set(re.findall(r"^built (\S+) in", said, re.MULTILINE)) - set(harmed_since):
         if versions[name] == "half" or (
             not changing and not harmed and not holds(now[name] or {}, sources(bench.root, name))
         ):
@@ -1022,11 +1026,19 @@ def damaged_meanwhile(bench: Bench, draw: random.Random) -> str:
     bench.restore("built")
     before, old = bench.results(), bench.states()
     edit(bench, draw)
+    shown = versions_shown(bench)
     run = bench.fork("figures", "--jobs", "2")
     time.sleep(draw.uniform(0.02, bench.seconds))
+    done = {name for name, version in versions_shown(bench).items() if version != shown[name]}
     with contextlib.suppress(OSError):
         damage(draw, bench.root / "build/figures")
-    return judged(bench, before, [old, bench.states()], [run], set(), harmed=True)
+    return judged(bench, before, [old, bench.states()], [run], set(), harmed=True, harmed_since=done)
+
+
+def versions_shown(bench: Bench) -> dict[str, str]:
+    """By notebook, which version of its results stands in its place."""
+    places = {name: bench.root / "build/figures" / name for name in bench.results()}
+    return {name: os.readlink(place) if place.is_symlink() else "" for name, place in places.items()}
 
 
 # Of every 2,000.

@@ -3,6 +3,7 @@
 import fcntl
 import json
 import os
+import signal
 import subprocess
 import sys
 import tomllib
@@ -137,6 +138,46 @@ def test_a_file_that_somebody_writes_all_the_time_is_named(accepted, monkeypatch
     ):
         pass
     assert accepted.leftovers() == []
+
+
+def test_what_no_build_wrote_is_named_and_stays_as_it_is(accepted):
+    """Notes beside the pictures, a pipe and links that lead back, and the modes of what is replaced."""
+    toy = accepted
+    toy.write("figures/isolation/01-first/notes.txt", "mine")
+    os.mkfifo(toy.root / "data/isolation/pipe")
+    (toy.root / "data/isolation/back").symlink_to("..")
+    (toy.root / "README.md").chmod(0o600)
+    before = (toy.root / "README.md").read_bytes()
+    toy.replace("lib/experiments/isolation/model.py", "2.0", "2.1")
+    assert toy.run("figures").returncode == 0
+    done = toy.run("accept")
+    assert done.returncode == 0 and " files changed" in done.stdout
+    assert "of no build, and left there: figures/isolation/01-first/notes.txt\n" in done.stdout
+    assert (toy.root / "figures/isolation/01-first/notes.txt").read_text() == "mine"
+    assert (toy.root / "README.md").stat().st_mode & 0o777 == 0o600
+    assert (toy.root / "README.md").read_bytes() != before
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT, signal.SIGKILL])
+def test_an_accept_that_is_ended_leaves_nothing_to_the_next_reader(built, number):
+    script = f"""
+import os
+from stillwork.__main__ import main
+from stillwork.site import derived
+derived.refresh = lambda: os.kill(os.getpid(), {int(number)})
+raise SystemExit(main(["accept"]))
+"""
+    toy = built
+    before = toy.stamps("notebooks", "data", "figures", "README.md")
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=toy.root, env=toy.environment(), capture_output=True, text=True
+    )
+    assert done.returncode == (-number if number == signal.SIGKILL else 128 + number)
+    assert "Traceback" not in done.stderr
+    assert number == signal.SIGKILL or not list(toy.root.glob(".accepting*"))
+    assert toy.run("claims").returncode == 0
+    assert not list(toy.root.glob(".accepting*"))
+    assert toy.stamps("notebooks", "data", "figures", "README.md") == before
 
 
 def test_what_moved_is_said_by_the_build_and_taken_over(accepted):

@@ -17,12 +17,13 @@ import tomlkit
 from stillwork.base import paths
 from stillwork.workbook.claims import Claim, ledger
 from stillwork.workbook.compare import Comparison, compare, same_outputs
-from stillwork.workbook.lock import alone, interrupts
+from stillwork.workbook.lock import alone, interrupts, unwound
 from stillwork.workbook.notebooks import cleaned, notebook_text, select
 from stillwork.workbook.publish import RECORD, Edited, replace_all, replace_file, trial
 from stillwork.workbook.tasks import Task, tasks
 
 SHELVES = ("notebooks", "data", "figures")  # of what is committed, where accepting writes
+OWN = (".png", ".csv", ".json")  # what builds write there; anything else is somebody's
 READINGS = 20  # of the tree, before somebody who writes in it all the time is asked to stop
 
 
@@ -37,10 +38,10 @@ def accept(refresh: Callable[[], object]) -> int:
     Returns
     -------
     int
-        1 when the build is missing or stale, or the results cannot be written, or were edited meanwhile; 128 + signal when a signal came
-        while they were put in their places.
+        1 when the build is missing or stale, or the results cannot be written, or were edited meanwhile; 128 + signal
+        when a signal came while they were put in their places.
     """
-    with alone():
+    with unwound(), alone():
         try:
             with _copy() as (copy, before):
                 built = _built(copy)
@@ -81,6 +82,14 @@ def _say(claims: list[Claim], built: list[Task]) -> None:
     for folder in sorted((paths.root() / "figures").glob("[!.]*/[!.]*/")):
         if folder not in {task.committed for task in built}:
             print(f"belongs to no notebook, remove it: {folder.relative_to(paths.root())}")
+    for task in built:
+        for file in sorted(task.committed.rglob("*")):
+            if (
+                file.is_file()
+                and not file.name.endswith(OWN)
+                and not (task.target / file.relative_to(task.committed)).exists()
+            ):
+                print(f"of no build, and left there: {file.relative_to(paths.root())}")
 
 
 @contextlib.contextmanager
@@ -109,12 +118,17 @@ def _copy() -> Iterator[tuple[Path, dict[str, bytes]]]:
 
 def _committed(folder: Path) -> dict[str, bytes]:
     """What stands on the shelves and beside them, by path below `folder`."""
-    files = [file for file in folder.iterdir() if file.is_file()]
+    files, seen = list(folder.iterdir()), set()
     for shelf in SHELVES:
-        for place, _, names in os.walk(folder / shelf, followlinks=True):
+        for place, below, names in os.walk(folder / shelf, followlinks=True):
             files += [Path(place, name) for name in names]
+            if (real := os.path.realpath(place)) in seen:  # a link that leads back
+                below.clear()
+            seen.add(real)
     found = {}
     for file in files:
+        if not file.is_file():  # but a pipe, a socket, a link to nowhere
+            continue
         with contextlib.suppress(FileNotFoundError):  # an editor's own, gone since
             found[file.relative_to(folder).as_posix()] = file.read_bytes()
     return found
@@ -162,7 +176,8 @@ def _take_over(task: Task, comparison: Comparison, copy: Path) -> None:
     for name in taken:
         replace_file(home / name, (task.target / name).read_bytes())
     for name in before - now:
-        (home / name).unlink()
+        if name.endswith(OWN):
+            (home / name).unlink()
     _take_over_outputs(task, copy / "notebooks" / f"{task.notebook.name}.ipynb")
 
 

@@ -8,6 +8,7 @@ import contextlib
 import fcntl
 import json
 import logging
+import os
 import platform
 import re
 import shutil
@@ -106,6 +107,7 @@ def _folder():
 
 def sweep() -> None:
     """Remove the folders of runners that were killed; one that has just been made may not be locked yet."""
+    _take_temporary()
     for folder in Path(tempfile.gettempdir()).glob(f"{PREFIX}*"):
         try:
             if time.time() - folder.stat().st_mtime > 60:
@@ -114,6 +116,14 @@ def sweep() -> None:
                     shutil.rmtree(folder, ignore_errors=True)
         except OSError:  # in use, gone meanwhile, or somebody else's
             continue
+
+
+def _take_temporary() -> None:
+    """Take the folder for temporary files by its name: `tempfile` writes one to try it, which a kill would leave there."""
+    places = (*(os.environ.get(name) for name in ("TMPDIR", "TEMP", "TMP")), "/tmp")
+    usable = (each for each in places if each and os.path.isdir(each) and os.access(each, os.W_OK | os.X_OK))
+    if tempfile.tempdir is None:
+        tempfile.tempdir = next(map(os.path.abspath, usable), None)
 
 
 def _execute(job: Job, folder: Path, on_cell: Callable[[], object], warm: Warm | None) -> Outcome:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from stillwork.base import paths
 from stillwork.base.checks import InputError
-from stillwork.workbook.publish import finish, unfinished
+from stillwork.workbook.publish import finish, leftovers, unfinished
 
 
 @contextlib.contextmanager
@@ -51,6 +51,24 @@ def settle() -> None:
     if unfinished(paths.root()):
         with alone():
             pass
+    elif leftovers(paths.root()):
+        with contextlib.suppress(InputError), alone():  # or they are those of an accept at work
+            pass
+
+
+@contextlib.contextmanager
+def unwound() -> Iterator[None]:
+    """Let a signal that asks to end do so as an exception does, so that what lies about is cleared away."""
+
+    def leave(number: int, _frame) -> None:
+        raise SystemExit(128 + number)
+
+    before = {each: signal.signal(each, leave) for each in (signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, handler)
 
 
 @contextlib.contextmanager

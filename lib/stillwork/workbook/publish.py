@@ -167,6 +167,8 @@ def replace_all(root: Path, changed: dict[str, tuple[bytes | None, bytes | None]
         for name, (before, after) in changed.items():
             if after is not None:
                 _write(new / "new" / name, after)
+                with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+                    shutil.copymode(root / name, new / "new" / name)
             if before is not None:
                 _keep(root, name, new / "old")
         _write(new / MANIFEST, _sealed({"files": planned}))
@@ -301,6 +303,11 @@ def trial(root: Path) -> Path:
 def unfinished(root: Path) -> bool:
     """Whether a `replace_all` was decided and then cut short."""
     return _journal(root)[1].is_dir()
+
+
+def leftovers(root: Path) -> bool:
+    """Whether something lies about that `finish` removes."""
+    return _journal(root)[0].exists() or trial(root).exists()
 
 
 def _journal(root: Path) -> tuple[Path, Path]:
