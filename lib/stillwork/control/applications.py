@@ -17,6 +17,23 @@ from stillwork.lti.state_space import StateModel, block_matrix, interconnect
 class Application:
     """What is done with the estimate; the defaults do nothing.
 
+    Parameters
+    ----------
+    compensate : bool
+        MC: subtract the estimated flexible part from the measurement.
+    damping : float or tuple of float
+        AD: wanted increase of the damping ratios, one for all modes or each.
+    selection : str
+        One of `SELECTIONS`: how the damping gains are chosen.
+    stiffness : float
+        Active stiffness: wanted factor on the resonance frequencies.
+    selectivity : float or tuple of float, optional
+        Q of the band-pass on the damping gains, one for all modes or each; None: no filter.
+    common : float, optional
+        rad/s, centre of one band-pass for all gains; None: one a mode at its resonance.
+    high_pass_hz : float, optional
+        Corner of a high-pass on the compensation, instead of a noise model.
+
     Raises
     ------
     InputError
@@ -66,6 +83,11 @@ def compensator(observer: Observer, application: Application) -> StateModel:
     observer : Observer
         See `stillwork.estimation.kalman_observer`.
     application : Application
+
+    Returns
+    -------
+    StateModel
+        Inputs (u, y), outputs (u_d, y_flex), in the observer's time.
 
     Raises
     ------

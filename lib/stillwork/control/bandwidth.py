@@ -29,6 +29,13 @@ FUNCTIONS = ("input_sensitivity", "output_sensitivity", "true_tracking")
 class PeakConstraint:
     """An upper bound on the peak magnitude of one loop function.
 
+    Parameters
+    ----------
+    function : str
+        One of `FUNCTIONS`, such as "output_sensitivity".
+    limit : float
+        Largest magnitude, above 1; 6 dB by default.
+
     Raises
     ------
     InputError
@@ -233,6 +240,11 @@ def make_loop(
     delay : int
         Samples that the force is late; of a sampled loop alone.
 
+    Returns
+    -------
+    Loop
+        For `maximise_bandwidth`, which asks it again and again.
+
     Raises
     ------
     InputError
@@ -318,6 +330,11 @@ def maximise_bandwidth(
         never below the true one.
     lowest : bool
         Take the lowest interval, in steps of 2 % at most; one without an upper end stops at `high_hz`.
+
+    Returns
+    -------
+    Bandwidth
+        The design parameter with its controller, the first crossing of each loop, and which constraint ended it.
 
     Raises
     ------

@@ -77,6 +77,11 @@ def decouple(
         Modes that the inputs and the outputs tell apart, counted from 0, the rigid-body modes among them; by
         default the first ones, as many as there are actuators and sensors.
 
+    Returns
+    -------
+    Decoupling
+        The matrices Gamma and Upsilon before the actuators and behind the sensors.
+
     Raises
     ------
     InputError

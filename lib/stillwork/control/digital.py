@@ -312,6 +312,11 @@ def as_libraries(controller: DigitalController) -> LibraryObjects:
     ----------
     controller : DigitalController
 
+    Returns
+    -------
+    LibraryObjects
+        The same controller as objects of both.
+
     Raises
     ------
     MissingPackage
@@ -339,6 +344,11 @@ def load_controller(file: str | Path) -> DigitalController:
     Parameters
     ----------
     file : str or Path
+
+    Returns
+    -------
+    DigitalController
+        Ready to run sample by sample, or to be exported.
 
     Raises
     ------

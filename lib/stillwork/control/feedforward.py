@@ -77,6 +77,11 @@ def error_loop(loop: StateModel) -> StateModel:
     loop : StateModel
         See `closed_loop`.
 
+    Returns
+    -------
+    StateModel
+        Inputs (r, u0), output e_true.
+
     Raises
     ------
     InputError
@@ -196,6 +201,11 @@ def fit_feedforward(loop: StateModel, setpoint: Setpoint, basis: tuple[str, ...]
     setpoint : Setpoint
     basis : tuple of str
         Gains to be fitted; the others are zero.
+
+    Returns
+    -------
+    Feedforward
+        Gains of velocity, acceleration, jerk and snap.
 
     Raises
     ------

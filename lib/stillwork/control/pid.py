@@ -107,6 +107,15 @@ def series(models: list[StateModel]) -> StateModel:
 class PidFamily:
     """Controllers with one parameter left, the design bandwidth: the rules of Table 3.3, where `lead` is 3.
 
+    Parameters
+    ----------
+    mass : float
+        kg.
+    notch_frequencies : tuple of float
+        rad/s.
+    lead : float
+        Of the bandwidth to the zero below it, and of the low-pass above it; above 1.
+
     Raises
     ------
     InputError

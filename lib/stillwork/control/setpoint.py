@@ -104,6 +104,11 @@ def point_to_point(
     sample_time : float
         Sample time (s).
 
+    Returns
+    -------
+    Setpoint
+        Position and its first four derivatives at every sample.
+
     Raises
     ------
     InputError

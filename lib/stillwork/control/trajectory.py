@@ -93,6 +93,11 @@ def asin_trajectory(
     frequency_hz, duration, sample_time : float
         Hz, s, s.
 
+    Returns
+    -------
+    Trajectory
+        Position, velocity and acceleration at each sample.
+
     Raises
     ------
     InputError

@@ -59,6 +59,11 @@ def filter_signal(
     start_velocity : float
         Velocity that the filter presumes before the first sample, m/s (the low pass starts from zero).
 
+    Returns
+    -------
+    Estimate
+        Position, velocity and acceleration at each sample, from what was measured up to it.
+
     Raises
     ------
     InputError

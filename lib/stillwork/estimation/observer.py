@@ -17,6 +17,13 @@ from stillwork.lti.state_space import StateModel
 class NoiseIntensities:
     """Intensities that the observer is designed for; without a noise model only their ratio matters.
 
+    Parameters
+    ----------
+    process : float
+        Q, N^2, above zero.
+    sensor : float
+        R, m^2, above zero.
+
     Raises
     ------
     InputError
@@ -155,6 +162,11 @@ def kalman_observer(model: ModalModel, noise: NoiseIntensities, noise_model: flo
     noise_model : float, optional
         Intensity Q_nu of the random walk z that is added to the plant input, with U = B: (3.14) and
         Theorem 3.2.4.
+
+    Returns
+    -------
+    Observer
+        With its gain, and the relative residual of the Riccati equation.
 
     Raises
     ------

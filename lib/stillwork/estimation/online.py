@@ -66,6 +66,11 @@ def adapt(
     every : int
         Keep the weights each so many samples.
 
+    Returns
+    -------
+    Adaptation
+        Weights after the last sample and every so many before, FeRLS's covariance, and where its limit held it.
+
     Raises
     ------
     InputError
@@ -110,6 +115,11 @@ def identify(
         d: the filtered error that the machine shows with zero weights.
     weights, every
         As in `adapt`.
+
+    Returns
+    -------
+    Adaptation
+        As of `adapt`.
 
     Raises
     ------

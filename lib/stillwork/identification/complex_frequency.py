@@ -113,6 +113,11 @@ def stabilisation(omega: ArrayLike, response: ArrayLike) -> Stabilisation:
     response : array_like, shape (lines, outputs, inputs)
         Accelerances, or others.
 
+    Returns
+    -------
+    Stabilisation
+        Poles of every order, and which of them are stable.
+
     Raises
     ------
     InputError

@@ -14,6 +14,15 @@ from stillwork.base.front_door import checked
 class Identified(NamedTuple):
     """An estimated response.
 
+    Parameters
+    ----------
+    omega : array_like, shape (frequencies,)
+        rad/s, without zero.
+    response : array_like, shape (frequencies,)
+        Complex, output per input.
+    coherence : array_like, shape (frequencies,)
+        Of the excitation with the output, between 0 and 1.
+
     Examples
     --------
     >>> omega = 2 * np.pi * np.arange(20.0, 200.0)

@@ -78,6 +78,11 @@ def build_machine(
     mirrored_sensor : bool
         Add a second sensor at which every flexible mode has the other sign, when the file has one sensor.
 
+    Returns
+    -------
+    Machine
+        Models from force to position, one a sensor, with the fit that they came of.
+
     Raises
     ------
     InputError

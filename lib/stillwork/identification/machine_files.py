@@ -85,6 +85,11 @@ def load_machine(
     damping_ratio : float
         Of the flexible modes, for matrices without damping.
 
+    Returns
+    -------
+    MachineFile
+        What was measured, in SI units, and in which of the three forms.
+
     Raises
     ------
     InputError

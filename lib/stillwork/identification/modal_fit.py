@@ -238,6 +238,11 @@ def fit_modes(
     damping_guess : float
         Where the search for the damping ratio starts of a mode at which no pole settles.
 
+    Returns
+    -------
+    ModalFit
+        The model, its relative error at each line, and standard deviations of frequencies, damping ratios and mass.
+
     Raises
     ------
     InputError
@@ -295,6 +300,11 @@ def identify_modes(
         Where the modes are; empty to find them.
     damping_guess : float
         Relative damping of a guess that no pole of the diagram is near.
+
+    Returns
+    -------
+    ModalFit
+        As of `fit_modes`, of the modes that were found.
 
     Raises
     ------

@@ -61,6 +61,11 @@ def zoh(model: StateModel, sample_time: float) -> StateModel:
     sample_time : float
         Sample time, s.
 
+    Returns
+    -------
+    StateModel
+        In discrete time, of as many states; exact for an input that is held between samples.
+
     Raises
     ------
     InputError
@@ -99,6 +104,11 @@ def tustin(model: StateModel, sample_time: float, omega: float | None = None) ->
         Sample time, s.
     omega : float, optional
         rad/s; where the response stays exactly what it was.
+
+    Returns
+    -------
+    StateModel
+        In discrete time, of as many states.
 
     Raises
     ------

@@ -20,6 +20,21 @@ class ModalModel:
     The output is :math:`y = \sum_i \phi_{si}\eta_i + D f`, or its velocity counterpart with
     :math:`\dot\eta_i`. A rigid-body mode has zero frequency and zero damping.
 
+    Parameters
+    ----------
+    frequencies : array_like, shape (modes,)
+        omega_i, rad/s, ascending; zero for a rigid-body mode.
+    damping : array_like, shape (modes,)
+        zeta_i, each in [0, 1).
+    input_shapes : array_like, shape (modes, inputs)
+        phi_a, mass-normalised.
+    output_shapes : array_like, shape (outputs, modes)
+        phi_s, mass-normalised.
+    feedthrough : array_like, shape (outputs, inputs)
+        D, the compliance of modes that are left out.
+    measures : str
+        "position" or "velocity".
+
     Raises
     ------
     InputError
@@ -206,6 +221,11 @@ def modal_model(
         Modal damping of the flexible modes; used when there is no `damping_matrix`.
     damping_matrix : array_like, shape (nodes, nodes), optional
         Damping that the mode shapes decouple (proportional damping), N s/m.
+
+    Returns
+    -------
+    ModalModel
+        With mass-normalised shapes, rigid-body modes first.
 
     Raises
     ------

@@ -120,6 +120,11 @@ def h2_norm(model: StateModel) -> float:
     ----------
     model : StateModel
 
+    Returns
+    -------
+    float
+        Square root of the output's variance under white noise of unit intensity on every input.
+
     Raises
     ------
     InputError

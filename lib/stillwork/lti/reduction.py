@@ -22,6 +22,11 @@ def truncate(model: ModalModel, modes: int, compensated: int = 0) -> ModalModel:
     compensated : int
         How many of the discarded modes the compliance T_DC (2.13) covers.
 
+    Returns
+    -------
+    ModalModel
+        Of `modes` modes, with the compliance of those left out.
+
     Raises
     ------
     InputError

@@ -21,6 +21,13 @@ WORST_CONDITION = 1e6
 class StateModel:
     r"""Model :math:`\dot x = Ax + Bu,\; y = Cx + Du`, or :math:`x_{k+1} = Ax_k + Bu_k` when `sample_time` > 0.
 
+    Parameters
+    ----------
+    a, b, c, d : array_like
+        Shapes (states, states), (states, inputs), (outputs, states) and (outputs, inputs).
+    sample_time : float
+        s; 0 in continuous time.
+
     Raises
     ------
     InputError
@@ -185,6 +192,11 @@ def from_control(system) -> StateModel:
     Parameters
     ----------
     system : control.StateSpace
+
+    Returns
+    -------
+    StateModel
+        The same matrices; `sample_time` 0 in continuous time.
 
     Raises
     ------

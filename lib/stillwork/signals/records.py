@@ -143,6 +143,11 @@ def load_record(
     most_channels : int, optional
         More channels than this are refused.
 
+    Returns
+    -------
+    Record
+        Channels by samples, with their unit, names and sample rate.
+
     Raises
     ------
     InputError

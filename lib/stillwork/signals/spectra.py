@@ -69,6 +69,11 @@ def estimate_spectrum(signals: ArrayLike, sample_rate: float, resolution_hz: flo
     resolution_hz : float
         Distance of the frequencies; a segment lasts its inverse.
 
+    Returns
+    -------
+    Spectrum
+        One-sided density of each signal, in its unit squared per Hz.
+
     Raises
     ------
     InputError
@@ -104,6 +109,11 @@ def estimate_response(
         Samples per second.
     resolution_hz : float
         Distance of the frequencies; a segment lasts its inverse.
+
+    Returns
+    -------
+    ResponseEstimate
+        Responses over rising frequencies, with coherences, the residual's density and the number of averages.
 
     Raises
     ------
