@@ -1,5 +1,4 @@
 import gc
-import os
 import sys
 from pathlib import Path
 
@@ -28,7 +27,9 @@ settings.load_profile("workbook")
 def pytest_xdist_auto_num_workers(config):
     """One worker more than processors for all tests: a tenth of the time some wait for processes that they started."""
     if config.option.dist == "loadfile" and not config.option.markexpr:
-        return (os.cpu_count() or 1) + 1
+        from stillwork.workbook.workers import cores  # not before the types of what it imports can be checked
+
+        return cores() + 1
     return None  # as many as processors
 
 

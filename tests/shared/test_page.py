@@ -125,9 +125,37 @@ def test_series_that_are_rounding_are_noted_with_the_reason(workbook):
     }
 
 
+def test_a_figure_that_is_saved_anew_without_a_note_loses_it(workbook):
+    page = Page("motion/01-x")
+    page.save("fig-1", drawing(), rounding={"line": "residual"})
+    page.save("fig-2", drawing(), rounding={"line": "residual"})
+    page.save("fig-1", drawing())
+    noted = workbook / "build" / "interactive" / "motion" / "01-x" / "rounding.json"
+    assert json.loads(noted.read_text(encoding="utf-8")) == {"fig-2": {"line": "residual"}}
+    Page("motion/01-x").save("fig-2", drawing())  # a notebook that is run again
+    assert not noted.exists()
+
+
+@pytest.mark.parametrize("layout", ["constrained", None])
+@pytest.mark.parametrize("wrong", [r"$\frac{$", "good\n$x^{$", r"$\nothing$"])
+def test_a_formula_that_cannot_be_set_is_named(workbook, wrong, layout):
+    figure = drawing()
+    figure.set_layout_engine(layout or "none")
+    figure.axes[0].set_ylabel(wrong)
+    with pytest.raises(
+        InputError, match=r"figure has the text .*, which cannot be set; mend its formula"
+    ) as told:
+        Page("motion/01-x").save("fig-1", figure)
+    assert repr(wrong) in str(told.value)
+
+
 @pytest.mark.parametrize(
     ("rounding", "message"),
-    [({"lime": "residual"}, "rounding is 'lime'.*did you mean 'line'"), ({"line": ""}, "say why 'line'")],
+    [
+        ({"lime": "residual"}, "rounding is 'lime'.*did you mean 'line'"),
+        ({"line": ""}, "say why 'line'"),
+        ({"line": " "}, "say why 'line'"),
+    ],
 )
 def test_a_note_names_a_series_and_a_reason(workbook, rounding, message):
     with pytest.raises(InputError, match=message):

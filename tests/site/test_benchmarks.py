@@ -1,6 +1,10 @@
 """The page of benchmarks: its ratios are those of the committed tables, and it names no place on a machine."""
 
 import csv
+import subprocess
+import sys
+
+import pytest
 
 from stillwork.base import paths
 from stillwork.site.benchmarks import benchmarks
@@ -34,3 +38,17 @@ def test_a_table_says_on_what_it_was_measured_and_how_to_measure_it():
     for table in benchmarks():
         assert "Python" in table.machine and "/" not in table.machine
         assert (paths.root() / table.command.split()[1]).is_file()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["motion/99-none"], "there is no notebook or room 'motion/99-none'"),
+        (["--pins", "--rounds", "0"], "--rounds is 0; give 1 or more"),
+    ],
+)
+def test_what_cannot_be_measured_is_refused_in_a_sentence(arguments, told):
+    command = [sys.executable, paths.root() / "benchmarks" / "build.py", *arguments]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert f"error: {told}" in done.stderr and "Traceback" not in done.stderr

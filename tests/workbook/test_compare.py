@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
+from stillwork.base import paths
 from stillwork.workbook.claims import Claim, Entry, Tolerance
 from stillwork.workbook.compare import (
     difference,
@@ -17,9 +18,11 @@ from stillwork.workbook.compare import (
     same_size,
     same_text,
     same_value,
+    summary,
     table_difference,
 )
 from stillwork.workbook.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, SKY
+from stillwork.workbook.tasks import BUILT
 
 HEADER = "panel,series,x,y,z\n"
 
@@ -224,3 +227,9 @@ def test_the_ends_of_an_interval_may_move_by_the_drift_of_the_larger():
     assert same_value(claim(5.0, (0.001, 10.0)), claim(5.0, (0.009, 10.0)))
     assert not same_value(claim(5.0, (0.001, 10.0)), claim(5.0, (0.02, 10.0)))
     assert not same_value(claim(5.0), claim(5.0, (4.0, 6.0)))
+
+
+def test_a_build_says_where_its_pictures_are(monkeypatch):
+    assert summary([])[-1].endswith("pictures and tables: build/figures/")
+    monkeypatch.setenv(BUILT, str(paths.root() / "build" / "portable" / "x"))
+    assert summary([])[-1].endswith("pictures and tables: build/portable/x/")

@@ -5,6 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stillwork.base.checks import InputError
+from stillwork.workbook import pinned
 from stillwork.workbook.notebooks import assign, read_notebook, select
 from stillwork.workbook.parameters import Parameter
 from stillwork.workbook.tasks import Task
@@ -206,3 +207,28 @@ def test_a_variant_has_a_folder_whatever_its_values(workbook, tmp_path):
         folder.mkdir(parents=True)
         assert folder.parent == tmp_path / "build" / "variants" / "motion" / "01-x"
     assert len(set(folders)) == len(names)
+
+
+def test_of_many_parameters_the_nearest_are_named(workbook):
+    many = workbook("\n".join(f"level_{k}: int = {k}  # of the noise" for k in range(20)))
+    with pytest.raises(
+        InputError, match=r"no parameter 'x'; it has 20, nearest are level_\d+, level_\d+, level_\d+$"
+    ):
+        assign([many], {"x": "1"})
+
+
+def test_a_number_that_a_room_lacks_gets_the_nearest_of_the_room(workbook):
+    for name in ("03-a", "09-longer-words", "12-b", "13-c"):
+        workbook("seed: int = 1  # of the noise", f"motion/{name}")
+    with pytest.raises(
+        InputError, match=r"'motion/99'; did you mean 'motion/09-longer-words' or 'motion/\S+' or"
+    ):
+        select("motion/99")
+
+
+def test_a_setting_of_the_processor_is_a_name_and_a_value(monkeypatch):
+    monkeypatch.setenv(pinned.OTHER, "QEMU_CPU=Nehalem foo")
+    with pytest.raises(
+        InputError, match=r"holds 'foo'; give NAME=VALUE words, of NPY_.*portable --processor NAME$"
+    ):
+        pinned.settings()

@@ -1,6 +1,10 @@
 """Which notebooks are built under which stand-ins, and what is told; the builds themselves are left out."""
 
+import os
+import signal
+import subprocess
 import sys
+import time
 
 import pytest
 
@@ -10,6 +14,8 @@ from stillwork.workbook.compare import Comparison
 from stillwork.workbook.jupyter_kernel import kernel_environment, kernel_manager
 from stillwork.workbook.notebooks import select
 from stillwork.workbook.pinned import OTHER
+
+BUILD = module._build
 
 
 @pytest.fixture
@@ -24,7 +30,7 @@ def built(monkeypatch):
             Comparison(name, 3, 1e-9, apart * (name == "motion/02-model-reduction"), (), (), ())
             for name in names
         ]
-        return found, True
+        return found, 0
 
     monkeypatch.setattr(module, "_build", build)
     monkeypatch.setattr(module, "_flags", lambda: {"avx", "avx2", "fma"})
@@ -91,3 +97,46 @@ def test_a_kernel_runs_under_the_emulator_and_as_its_processor(monkeypatch, tmp_
     assert command[: len(command) - 7] == [emulator] * bool(emulator)
     assert command[-7] == sys.executable
     assert kernel_environment(tmp_path, tmp_path)["QEMU_CPU"] == "Nehalem"
+
+
+# Tidies for longer than a Ctrl-C is usually given, and notes which interrupts came.
+TIDY = """
+import pathlib, signal, sys, time
+came = []
+for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    signal.signal(each, lambda number, _: came.append(number))
+pathlib.Path("begun").touch()
+print("as it comes", flush=True)
+while not came:
+    time.sleep(0.01)
+time.sleep(1)
+pathlib.Path("tidied").write_text(repr([int(each) for each in came]))
+"""
+RUN = f"""
+import sys
+from stillwork.workbook.lock import run_whole
+sys.exit(run_whole([sys.executable, "-c", {TIDY!r}]))
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_build_that_is_interrupted_tidies_up_and_is_told_once(tmp_path, number):
+    process = subprocess.Popen(
+        [sys.executable, "-c", RUN], cwd=tmp_path, start_new_session=True, stdout=subprocess.PIPE, text=True
+    )
+    while not (tmp_path / "begun").exists():
+        assert process.poll() is None
+        time.sleep(0.01)
+    os.killpg(process.pid, number)  # as a terminal does
+    assert process.communicate() == ("as it comes\n", None)
+    assert process.returncode == 128 + number
+    assert (tmp_path / "tidied").read_text() == repr([int(number)])
+
+
+def test_nothing_is_built_or_compared_after_an_interrupt(built, monkeypatch, capsys):
+    begun = []
+    monkeypatch.setattr(module, "run_whole", lambda command, env: begun.append(command) or 128 + 15)
+    monkeypatch.setattr(module, "_build", BUILD)
+    assert module.portable(["motion/02-model-reduction"]) == 128 + 15
+    assert len(begun) == 1
+    assert "stand-ins ran" not in capsys.readouterr().out

@@ -6,6 +6,7 @@ tolerances here is the same result; each says where it comes from.
 
 import itertools
 import json
+import os
 import re
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -14,11 +15,12 @@ from pathlib import Path
 
 import numpy as np
 
+from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.workbook.claims import Claim, load_entries
 from stillwork.workbook.figures import read_table
 from stillwork.workbook.notebooks import cleaned, joined
-from stillwork.workbook.tasks import Task
+from stillwork.workbook.tasks import Task, built
 
 # Of the range that a series spans: chosen, a ninth of a pixel in the tallest picture (1155 pixels with its frame), so
 # what agrees looks the same. How much of it is used is the `worst` of a build and of `make portable`: 4.4e-5 in
@@ -118,7 +120,7 @@ def summary(found: list[Comparison]) -> list[str]:
     verdicts = sum(len(each.verdicts) for each in found)
     lines.append(
         f"{which} with the committed ones (worst {worst:.0e} of the range), {verdicts} verdicts moved; "
-        "pictures and tables: build/figures/"
+        f"pictures and tables: {os.path.relpath(built(), paths.root())}/"
     )
     return lines
 

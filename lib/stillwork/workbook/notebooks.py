@@ -1,5 +1,6 @@
 """The workbook's notebooks, and which of them a command means."""
 
+import difflib
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,6 +8,9 @@ from pathlib import Path
 from stillwork.base import paths
 from stillwork.base.checks import InputError, nearest
 from stillwork.workbook.parameters import Parameter, read_parameters
+
+NEAREST = 3  # how many are suggested where none is near
+LISTED = 12  # parameters that are all named in a line
 
 # A notebook's own, in the form that is committed: no version of whatever ran it.
 METADATA = {
@@ -87,12 +91,23 @@ def select(*targets: str) -> list[Notebook]:
     }
     for target, name in wanted.items():
         if not any(name in (each, each.partition("/")[0]) for each in names):
-            rooms = {each.partition("/")[0] for each in names}
-            begun = [each for each in names if each.startswith(name)]  # a number without its words
-            hint = f"; did you mean {begun[0]!r}?" if len(begun) == 1 else nearest(name, [*names, *rooms])
-            raise InputError(f"there is no notebook or room {target!r}{hint}")
+            raise InputError(f"there is no notebook or room {target!r}{_meant(name, names)}")
     chosen = {name for name in names if {name, name.partition("/")[0]} & set(wanted.values())}
     return [read_notebook(name) for name in names if name in chosen or not targets]
+
+
+def _meant(name: str, names: list[str]) -> str:
+    """Suggestion of notebooks or a room, as `nearest` writes it."""
+    begun = [each for each in names if each.startswith(name)]  # a number without its words
+    if len(begun) == 1:
+        return f"; did you mean {begun[0]!r}?"
+    room, slash, number = name.partition("/")
+    inside = [each.partition("/")[2] for each in names if each.startswith(f"{room}/")]
+    if slash and inside:
+        close = difflib.get_close_matches
+        found = close(number, inside, 1, cutoff=0.5) or close(number, inside, NEAREST, cutoff=0)
+        return f"; did you mean {' or '.join(repr(f'{room}/{each}') for each in found)}?"
+    return nearest(name, [*names, *{each.partition("/")[0] for each in names}])
 
 
 def assign(notebooks: list[Notebook], settings: dict[str, str]) -> list[tuple[Notebook, dict[str, object]]]:
@@ -115,7 +130,11 @@ def assign(notebooks: list[Notebook], settings: dict[str, str]) -> list[tuple[No
             has = "has no" if len(notebooks) == 1 else "has a"
             hint = nearest(name, known)
             if known and not hint:
-                hint = f"; {'it has' if len(notebooks) == 1 else 'they have'} {', '.join(known)}"
+                has_them = "it has" if len(notebooks) == 1 else "they have"
+                close = difflib.get_close_matches(name, known, NEAREST, cutoff=0)
+                hint = f"; {has_them} {len(known)}, nearest are {', '.join(close)}"
+                if len(known) <= LISTED:
+                    hint = f"; {has_them} {', '.join(known)}"
             raise InputError(f"{where} {has} parameter {name!r}{hint}")
     chosen = []
     for notebook in notebooks:

@@ -55,8 +55,8 @@ class Page:
         Raises
         ------
         InputError
-            When the name is none of letters, digits, ``-``, ``_`` and dots inside, `figure` is no whole figure, no
-            series has such a label, or a reason is empty.
+            When the name is none of letters, digits, ``-``, ``_`` and dots inside, `figure` is no whole figure, a
+            formula in it cannot be set, no series has such a label, or a reason is no text or empty.
         """
         from matplotlib.figure import Figure
 
@@ -68,13 +68,19 @@ class Page:
             drawn = {series for _, series, *_ in plotted(figure)}
             for series, why in rounding.items():
                 require_choice("rounding", series, drawn)
-                if not why:
+                if not isinstance(why, str) or not why.strip():
                     raise InputError(f"rounding: say why {series!r} is rounding")
         saved = save(figure, paths.output(self.notebook) / name)
         if rounding:
             self._rounding[name] = dict(rounding)
+        else:
+            self._rounding.pop(name, None)
+        notes = saved.path.with_name("rounding.json")
+        if self._rounding:
             noted = json.dumps(self._rounding, indent=1, ensure_ascii=False)
-            saved.path.with_name("rounding.json").write_text(noted + "\n", encoding="utf-8")
+            notes.write_text(noted + "\n", encoding="utf-8")
+        else:
+            notes.unlink(missing_ok=True)
         return saved
 
     def check(self, claim: str, ours: float, interval: tuple[float, float] | None = None) -> str:

@@ -4,6 +4,8 @@ import os
 from functools import cache
 from pathlib import Path
 
+from stillwork.base.checks import InputError, shown
+
 FILE = Path(__file__).with_name("pinned.env")
 
 # Other processors' settings in place of some pins, as ``NAME=VALUE`` words: what `make portable` turns.
@@ -21,9 +23,21 @@ def pins() -> dict[str, str]:
 
 
 def settings() -> dict[str, str]:
-    """The pins, with what `OTHER` puts in their place; a variable set to nothing is left to the machine."""
-    other = dict(word.split("=", 1) for word in os.environ.get(OTHER, "").split())
-    return {**pins(), **other}
+    """The pins, with what `OTHER` puts in their place; a variable set to nothing is left to the machine.
+
+    Raises
+    ------
+    InputError
+        When a word of `OTHER` is no setting.
+    """
+    words = os.environ.get(OTHER, "").split()
+    for word in words:
+        if not word.partition("=")[0].isidentifier() or "=" not in word:
+            raise InputError(
+                f"{OTHER} holds {shown(word)}; give NAME=VALUE words, of {', '.join(pins())}, {EMULATOR} and others, "
+                "or name a stand-in: python -m stillwork portable --processor NAME"
+            )
+    return {**pins(), **dict(word.split("=", 1) for word in words)}
 
 
 def environment() -> dict[str, str]:

@@ -7,7 +7,6 @@ that is not pinned at all. One more is emulated, which keeps the pins: whether t
 
 import os
 import shutil
-import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from pathlib import Path
 from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.workbook.compare import Comparison, compare
+from stillwork.workbook.lock import run_whole
 from stillwork.workbook.notebooks import select
 from stillwork.workbook.pinned import EMULATOR, OTHER
 from stillwork.workbook.tasks import BUILT, tasks
@@ -83,7 +83,9 @@ SAMPLED = ("2011, AVX (Sandy Bridge)", "2013, AVX2 (Haswell)")
 
 
 def portable(targets: Sequence[str] = (), processor: str = "", sample: bool = False) -> int:
-    """Build under each stand-in that runs here and print the table; returns 1 when something moved or failed, or none runs.
+    """Build under each stand-in that runs here and print the table; returns the exit code.
+
+    It is 0 when all agrees, 1 when something moved or failed or none runs, 128 + signal when interrupted.
 
     Parameters
     ----------
@@ -122,8 +124,10 @@ def portable(targets: Sequence[str] = (), processor: str = "", sample: bool = Fa
         if missing := [flag for flag in stand_in.needs if flag not in flags]:
             rows.append((stand_in.name, f"not run: this machine lacks {', '.join(missing)}"))
             continue
-        found, complete = _build(stand_in, names)
-        failed |= not complete
+        found, code = _build(stand_in, names)
+        if code > 128:  # interrupted
+            return code
+        failed |= bool(code)
         rows.append((stand_in.name, *_row(found)))
         moved += [(stand_in.name, each) for each in found if not each.agrees]
     _print(rows)
@@ -136,8 +140,8 @@ def portable(targets: Sequence[str] = (), processor: str = "", sample: bool = Fa
     return int(bool(moved) or failed or not ran)
 
 
-def _build(processor: Processor, names: tuple[str, ...]) -> tuple[list[Comparison], bool]:
-    """How the results compare, and whether all of them could be made."""
+def _build(processor: Processor, names: tuple[str, ...]) -> tuple[list[Comparison], int]:
+    """How the results compare, and the exit code of the build; it tells of itself."""
     folder = paths.root() / "build" / "portable" / "".join(c if c.isalnum() else "-" for c in processor.name)
     variables = {
         **os.environ,
@@ -146,12 +150,12 @@ def _build(processor: Processor, names: tuple[str, ...]) -> tuple[list[Compariso
     }
     print(f"{processor.name}: building", flush=True)
     command = [sys.executable, "-m", "stillwork", "figures", *names]
-    done = subprocess.run(command, env=variables, capture_output=True, text=True)
-    if done.returncode:
-        print(done.stdout, done.stderr, sep="\n")
+    code = run_whole(command, env=variables)
+    if code > 128:
+        return [], code
     os.environ[BUILT] = str(folder)
     try:
-        return [compare(task) for task in tasks(*names) if task.executed.is_file()], not done.returncode
+        return [compare(task) for task in tasks(*names) if task.executed.is_file()], code
     finally:
         del os.environ[BUILT]
 

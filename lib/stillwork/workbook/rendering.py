@@ -5,7 +5,7 @@ from contextlib import ExitStack, contextmanager, nullcontext
 
 import numpy as np
 
-from stillwork.base.checks import InputError
+from stillwork.base.checks import InputError, shown
 from stillwork.base.garbage import no_collection
 from stillwork.workbook.house_style import HouseFigure, house_style
 
@@ -27,9 +27,15 @@ def pixels(figure, dpi: float) -> np.ndarray:
     -------
     ndarray of uint8, shape (height, width, 4)
         Red, green, blue and alpha; rows from the top.
+
+    Raises
+    ------
+    InputError
+        When a formula in the figure cannot be set, or its layout cannot be found.
     """
     with ExitStack() as stack:
         stack.enter_context(no_collection())
+        stack.enter_context(_text_named(figure))
         stack.enter_context(house_style() if isinstance(figure, HouseFigure) else nullcontext())
         canvas = stack.enter_context(_canvas(figure, dpi))
         groups = _bare_groups(figure)
@@ -49,6 +55,36 @@ def pixels(figure, dpi: float) -> np.ndarray:
         with _without_minor_ticks(groups):
             canvas.draw()
         return np.array(canvas.buffer_rgba())
+
+
+@contextmanager
+def _text_named(figure) -> Iterator[None]:
+    """Formulas are read only when they are set: say which text it is that could not be."""
+    try:
+        yield
+    except ValueError:
+        if (text := _unset(figure)) is not None:
+            raise InputError(
+                f"figure has the text {shown(text)}, which cannot be set; mend its formula, or write \\$ for a dollar"
+            ) from None
+        raise
+
+
+def _unset(figure) -> str | None:
+    """The first text of a figure whose formula cannot be read."""
+    from matplotlib.mathtext import MathTextParser
+    from matplotlib.text import Text
+
+    parser = MathTextParser("path")
+    for each in figure.findobj(Text):
+        text, is_formula = each._preprocess_math(each.get_text())
+        if is_formula is True:
+            for line in text.split("\n"):
+                try:
+                    parser.parse(line)
+                except ValueError:
+                    return each.get_text()
+    return None
 
 
 def _lay_out(figure, engine) -> None:
