@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
+from experiments.isolation.algorithm_styles import COLORS, STYLES
 from experiments.isolation.convergence import ALGORITHMS, Course, Starts
 from experiments.isolation.floors import ShapedFloor
 from experiments.isolation.mean_convergence import Sideways, mean_course
@@ -17,8 +18,6 @@ from stillwork.workbook.claims import load_entries
 from stillwork.workbook.studies import Study, spread_interval
 
 SHOWN = {0: figures.BLUE, 3: figures.GREEN, 6: figures.RED}  # w1, w4, w7: the colours of Fig. 5
-STYLES = {"FeLMS": "--", "FeRLS": "-"}
-COLORS = {"FeLMS": figures.GREEN, "FeRLS": figures.BLACK}  # as in Figs. 7 and 8
 
 
 def published_row(algorithm: str, quantity: str) -> np.ndarray:

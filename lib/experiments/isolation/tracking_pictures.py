@@ -4,8 +4,8 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from experiments.isolation.algorithm_styles import COLORS, STYLES
 from experiments.isolation.convergence import ALGORITHMS
-from experiments.isolation.convergence_pictures import COLORS, STYLES
 from experiments.isolation.mean_convergence import mean_course
 from experiments.isolation.tracking import GROUPS, SHARE, Response, Switch
 from experiments.isolation.twin import Twin

@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from experiments.worstcase.measured_pictures import paint_windows
 from experiments.worstcase.pairs import Pair, Spectra, residual
+from experiments.worstcase.window_pictures import paint_windows
 from experiments.worstcase.your_record import Fitted, parts, weighted_corner
 from stillwork.estimation.min_max import solve_silently
 from stillwork.identification.regressors import fir_regressors
