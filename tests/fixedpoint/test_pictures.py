@@ -5,8 +5,11 @@ import pytest
 
 from experiments.fixedpoint import error_lines, published_controllers, run_pictures
 from experiments.fixedpoint.convergence_pictures import paint_limit_cycle
-from experiments.fixedpoint.differentiation import motion_at_rest
-from experiments.fixedpoint.noise_pictures import paint_cost_against_error, paint_expected_beliefs
+from experiments.fixedpoint.noise_pictures import (
+    motion_at_rest,
+    paint_cost_against_error,
+    paint_expected_beliefs,
+)
 from experiments.fixedpoint.published import KALMAN, LITERAL, LOW_PASS, WINDOW
 from stillwork.base.checks import InputError
 from stillwork.control import asin_trajectory, simulate

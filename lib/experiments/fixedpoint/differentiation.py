@@ -7,11 +7,8 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from experiments.fixedpoint.noise import Noise
-from experiments.fixedpoint.oscillator import load_oscillator
 from stillwork.base.checks import InputError, require_array, require_count, require_number
-from stillwork.control.fixed_point_linear import semi_implicit_motion
 from stillwork.estimation.gaussian import require_covariance
-from stillwork.estimation.plant import partial_derivatives
 
 
 def quotient_trial(
@@ -152,9 +149,3 @@ def steady_errors(
     drive[:2, :2] += left @ true_process @ left.T
     true = solve_discrete_lyapunov(step, drive)[:2, :2]
     return SteadyErrors(gain, left @ prior, true)
-
-
-def motion_at_rest(sample_time: float):
-    """F of x = [velocity, position] for the approximate model at rest, semi-implicit."""
-    slopes = partial_derivatives(load_oscillator()["approximate"].plant, 0.0, 0.0, 0.0)
-    return semi_implicit_motion(slopes, sample_time)[0]

@@ -11,12 +11,14 @@ from experiments.fixedpoint.axes import (
 )
 from experiments.fixedpoint.differentiation import (
     Correlations,
-    motion_at_rest,
     quotient_autocorrelation,
     quotient_cross_correlation,
     steady_errors,
 )
+from experiments.fixedpoint.oscillator import load_oscillator
 from experiments.fixedpoint.published import EXTENDED
+from stillwork.control.fixed_point_linear import semi_implicit_motion
+from stillwork.estimation.plant import partial_derivatives
 from stillwork.workbook import figures
 from stillwork.workbook.studies import Study
 
@@ -83,6 +85,12 @@ def paint_cost_against_error(cost_ns: dict[str, float], errors: dict[str, float]
     axes.set_ylim(0, 1.15 * max(errors.values()))
     log_axis(axes.xaxis)
     return figure
+
+
+def motion_at_rest(sample_time: float):
+    """F of x = [velocity, position] for the approximate model at rest, semi-implicit."""
+    slopes = partial_derivatives(load_oscillator()["approximate"].plant, 0.0, 0.0, 0.0)
+    return semi_implicit_motion(slopes, sample_time)[0]
 
 
 def paint_expected_beliefs(assumed_scale: float, noise_deviation: float):
