@@ -8,7 +8,7 @@ import re
 import pytest
 
 from stillwork.base import paths
-from stillwork.site.house import TOOLBOX, arrows, folder, imports, modules
+from stillwork.site.house import TOOLBOX, arrows, face_names, folder, imports, modules
 
 ORDER = (*TOOLBOX, "workbook", "site")
 ABOVE = len(ORDER)  # the command line, then the rooms, then the notebooks
@@ -57,6 +57,64 @@ def between_rooms(imported):
     return [(a, b) for a in rooms for b in imported[a] if b in rooms and rooms[a] != rooms[b]]
 
 
+def reached(start, below):
+    found, new = set(), {start}
+    while new:
+        found |= new
+        new = {other for each in new for other in below.get(each, ())} - found
+    return found
+
+
+def uses(module, trees):
+    """Each name at a module's top with the names, of any module, that its statement uses; so the whole notebook."""
+    tree, own, named = trees[module], {}, {}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.module in trees:
+            face = face_names(trees[node.module])
+            for alias in node.names:
+                home = ".".join([node.module, *filter(None, [face.get(alias.name)])])
+                named[alias.asname or alias.name] = f"{home}.{alias.name}"
+    for statement in tree.body:
+        if isinstance(statement, ast.FunctionDef | ast.ClassDef):
+            own[statement.name] = statement
+        elif isinstance(statement, ast.Assign | ast.AnnAssign):
+            bound = (node for node in ast.walk(statement) if isinstance(node, ast.Name))
+            own |= {node.id: statement for node in bound if isinstance(node.ctx, ast.Store)}
+    named |= {name: f"{module}.{name}" for name in own}
+    found = {}
+    for name, statement in [*own.items(), ("", tree if module.startswith("notebooks.") else ast.Module([]))]:
+        nodes = list(ast.walk(statement))
+        plain = {named[node.id] for node in nodes if isinstance(node, ast.Name) and node.id in named}
+        dotted = {
+            f"{named[node.value.id]}.{node.attr}"
+            for node in nodes
+            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in named
+        }
+        found[f"{module}.{name}".rstrip(".")] = plain | dotted
+    return found
+
+
+def idle_pictures(trees, imported):
+    """A notebook with a module that paints, which it imports in some way, but of which it uses no picture."""
+    below = {name: others for module in trees for name, others in uses(module, trees).items()}
+    pictures = {
+        module: {
+            f"{module}.{node.name}"
+            for node in tree.body
+            if isinstance(node, ast.FunctionDef) and node.name.startswith(("paint_", "explore_"))
+        }
+        for module, tree in trees.items()
+        if module.startswith("experiments.")
+    }
+    return [
+        (notebook, module)
+        for notebook in trees
+        if notebook.startswith("notebooks.")
+        for module in reached(notebook, imported)
+        if pictures.get(module) and not pictures[module] & reached(notebook, below)
+    ]
+
+
 @pytest.mark.slow
 def test_every_folder_has_its_place(trees):
     folders = {file.name for file in (paths.root() / "lib" / "stillwork").iterdir() if file.is_dir()}
@@ -100,6 +158,11 @@ def test_a_room_imports_no_other_room_and_nothing_of_the_site(imported):
     assert not [(a, b) for a in below for b in imported[a] if folder(b) == "stillwork.site"]
 
 
+@pytest.mark.slow
+def test_an_edit_of_a_picture_makes_only_its_own_notebooks_stale(trees, imported):
+    assert idle_pictures(trees, imported) == []
+
+
 def test_the_toolbox_reads_no_ledger_and_no_work():
     library = paths.root() / "lib" / "stillwork"
     files = [file for name in TOOLBOX if name != "base" for file in (library / name).glob("**/*.py")]
@@ -137,6 +200,20 @@ def test_the_rules_find_what_breaks_them():
     assert {"stillwork.signals.spectra", "stillwork.lti.zoh"} <= circles(broken)
     assert between_rooms(broken) == [("experiments.motion.rig", "experiments.isolation.twin")]
     assert LEDGER.search('file = paths.data("motion", "rig.toml")')
+
+
+def test_a_picture_that_is_only_imported_is_found():
+    sources = {
+        "experiments__a": "COLOUR = 1\ndef paint_a():\n    pass",
+        "experiments__b": "from experiments import a\ndef paint_b():\n    pass\ndef paint_c():\n    a.paint_a()",
+        "experiments": "",
+        "notebooks__room__one": "from experiments.b import paint_b\npaint_b()",
+        "notebooks__room__two": "from experiments import b as draw\ndraw.paint_c()",
+        "notebooks__room__three": "from experiments.a import COLOUR\nCOLOUR",
+    }
+    trees = written(**sources)
+    wanted = [("notebooks.room.one", "experiments.a"), ("notebooks.room.three", "experiments.a")]
+    assert idle_pictures(trees, imports(trees)) == wanted
 
 
 def test_an_arrow_that_follows_from_others_is_not_drawn():
