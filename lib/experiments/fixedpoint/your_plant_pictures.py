@@ -85,7 +85,7 @@ def plant_explorer(
     settle: float,
     seed: int,
 ) -> Callable:
-    """Drawing function of the explorer: all filters with another gain, stiffness of tracking and noise."""
+    """Explorer: all filters with another gain, stiffness of tracking and noise."""
     found = contraction_along(models, trajectories)
     trajectories = [  # a long record would take too long to redraw
         Trajectory(

@@ -162,7 +162,7 @@ def paint_sideways(courses: Mapping[str, Sideways]):
 
 
 def expected_course_painter(twin: Twin, steady: Steady, duration_s: float) -> Callable:
-    """Drawing function for an explorer: expected w1, w4, w7 for a step size, a memory and a start."""
+    """Explorer: expected w1, w4, w7 for a step size, a memory and a start."""
     time = np.linspace(duration_s / 60, duration_s, 60)
 
     def paint(step_size: float, memory_s: float, initial_covariance: float):

@@ -73,7 +73,7 @@ def paint_settling(
 
 
 def expected_switch_painter(twin: Twin, switches: Mapping[str, Switch], duration_s: float) -> Callable:
-    """Drawing function for an explorer: expected share of the shift still to go, all weights."""
+    """Explorer: expected share of the shift still to go, all weights."""
     time = np.linspace(duration_s / 60, duration_s, 60)
 
     def paint(direction: str, step_size: float, memory_s: float):

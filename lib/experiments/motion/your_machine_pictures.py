@@ -89,7 +89,7 @@ def paint_sensitivities(found: Mapping[str, Reached], machine: Machine):
 def machine_explorer(
     machine: Machine, intensities: Intensities, retained: int, selectivity: float
 ) -> Callable:
-    """Drawing function of the explorer: what the controller sees at the last sensor, bare and with MC and AD."""
+    """Explorer: what the controller sees at the last sensor, bare and with MC and AD."""
     last = machine.sensors[-1]
     low, high = machine.resonances_hz[0] * 0.05, machine.resonances_hz[-1] * 1.2
     shown = resonance_grid(last.poles, low, high, 200, 16)  # coarse enough to redraw quickly

@@ -104,7 +104,7 @@ def paint_lengths(lengths: list[int], found: dict[str, list[np.ndarray]]):
 
 
 def record_explorer(pair: Pair, memory: int) -> Callable:
-    """Drawing function of the explorer: the model for another length and another bound."""
+    """Explorer: the model for another length and another bound."""
     scaled = pair.normalised
     fit, _, judge = parts(len(scaled.input))
     forgetting = 1 - 1 / memory
