@@ -14,6 +14,7 @@ ORDER = (*TOOLBOX, "workbook", "site")
 ABOVE = len(ORDER)  # the command line, then the rooms, then the notebooks
 LEDGER = re.compile(r"\bload_entries\b|\bpaths\.(data|root)\(")
 PICTURE = (paths.root() / "docs" / "house.svg").read_text(encoding="utf-8")
+PAINTS = re.compile("^(paint|explore)_|_(painter|explorer)$")  # the last give a function that paints
 GUIDE = (paths.root() / "CONTRIBUTING.md").read_text(encoding="utf-8")
 
 
@@ -101,7 +102,7 @@ def idle_pictures(trees, imported):
         module: {
             f"{module}.{node.name}"
             for node in tree.body
-            if isinstance(node, ast.FunctionDef) and node.name.startswith(("paint_", "explore_"))
+            if isinstance(node, ast.FunctionDef) and PAINTS.search(node.name)
         }
         for module, tree in trees.items()
         if module.startswith("experiments.")
