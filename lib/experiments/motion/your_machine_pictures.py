@@ -5,8 +5,8 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from experiments.motion.bode import paint_bode
+from experiments.motion.loop_functions import paint_over_masses
 from experiments.motion.magnitudes import decibel
-from experiments.motion.over_masses import paint_over_masses
 from stillwork import designing
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
