@@ -66,33 +66,35 @@ def reached(start, below):
     return found
 
 
+def mentions(statement, named):
+    for node in ast.walk(statement):
+        match node:
+            case ast.Name(id=name) if name in named:
+                yield named[name]
+            case ast.Attribute(value=ast.Name(id=name), attr=part) if name in named:
+                yield f"{named[name]}.{part}"
+
+
 def uses(module, trees):
-    """Each name at a module's top with the names, of any module, that its statement uses; so the whole notebook."""
-    tree, own, named = trees[module], {}, {}
+    """Each name that a module binds at its top, with the names that its statement uses; of a notebook, all of them."""
+    tree, named = trees[module], {}
+    bound = {module: tree} if module.startswith("notebooks.") else {}
+    for statement in tree.body:
+        match statement:
+            case ast.FunctionDef(name=name) | ast.ClassDef(name=name):
+                named[name] = f"{module}.{name}"
+            case ast.Assign(targets=[ast.Name(id=name)]) | ast.AnnAssign(target=ast.Name(id=name)):
+                named[name] = f"{module}.{name}"
+            case _:
+                continue
+        bound[named[name]] = statement
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and node.module in trees:
             face = face_names(trees[node.module])
             for alias in node.names:
                 home = ".".join([node.module, *filter(None, [face.get(alias.name)])])
                 named[alias.asname or alias.name] = f"{home}.{alias.name}"
-    for statement in tree.body:
-        if isinstance(statement, ast.FunctionDef | ast.ClassDef):
-            own[statement.name] = statement
-        elif isinstance(statement, ast.Assign | ast.AnnAssign):
-            bound = (node for node in ast.walk(statement) if isinstance(node, ast.Name))
-            own |= {node.id: statement for node in bound if isinstance(node.ctx, ast.Store)}
-    named |= {name: f"{module}.{name}" for name in own}
-    found = {}
-    for name, statement in [*own.items(), ("", tree if module.startswith("notebooks.") else ast.Module([]))]:
-        nodes = list(ast.walk(statement))
-        plain = {named[node.id] for node in nodes if isinstance(node, ast.Name) and node.id in named}
-        dotted = {
-            f"{named[node.value.id]}.{node.attr}"
-            for node in nodes
-            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in named
-        }
-        found[f"{module}.{name}".rstrip(".")] = plain | dotted
-    return found
+    return {name: set(mentions(statement, named)) for name, statement in bound.items()}
 
 
 def idle_pictures(trees, imported):
