@@ -21,7 +21,7 @@ from stillwork.control.pid import PidFamily  # noqa: E402
 from stillwork.estimation import FeRls, NoiseIntensities, adapt  # noqa: E402
 from stillwork.lti import ModalModel, simulate, tustin  # noqa: E402
 
-SAMPLES, STEP = 50_000, 1e-4
+SAMPLES, SAMPLE_TIME = 50_000, 1e-4
 # The same linear controller with all its zeros, as a loop over matrices: what one writes by hand.
 DENSE = """
 void run(long samples, const double *a, const double *b, const double *c, const double *d, const double *in, double *out)
@@ -118,9 +118,9 @@ def observing() -> DigitalController:
     """A PID behind an observer of two flexible modes that compensates and damps, with limits."""
     shapes = np.array([[0.3], [0.3], [0.2]])
     stage = ModalModel([0.0, 2000.0, 5000.0], [0.0, 0.01, 0.01], shapes, shapes.T * [1, -1, 1], [[0.0]])
-    observer = discrete_kalman_observer(stage, NoiseIntensities(1.0, 1e-12), STEP)
+    observer = discrete_kalman_observer(stage, NoiseIntensities(1.0, 1e-12), SAMPLE_TIME)
     application = Application(compensate=True, damping=0.05, selectivity=2.0)
-    pid = tustin(PidFamily(11.0)(50.0).state_space(), STEP)
+    pid = tustin(PidFamily(11.0)(50.0).state_space(), SAMPLE_TIME)
     model = observed_controller(pid, discrete_compensator(observer, application, "filter", 0))
     return DigitalController(model, ("r (m)", "y (m)"), ("f (N)",), -1e3, 1e3, anti_windup(model, 0.02))
 

@@ -31,7 +31,7 @@ from stillwork.control import asin_trajectory  # noqa: E402
 from stillwork.estimation.coordinate_filters import UnscentedKalman  # noqa: E402
 from stillwork.estimation.filtering import filter_record, model_of  # noqa: E402
 
-STEP = 1e-3
+SAMPLE_TIME = 1e-3
 SAMPLES = 20_000
 REPEATS = 9
 
@@ -151,7 +151,7 @@ def main() -> None:
 
 def record() -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(0)
-    time_axis = np.arange(SAMPLES) * STEP
+    time_axis = np.arange(SAMPLES) * SAMPLE_TIME
     measured = np.sin(2 * np.pi * 0.2 * time_axis) + 1e-4 * rng.standard_normal(SAMPLES)
     return measured, 100 * np.sin(2 * np.pi * 0.2 * time_axis)
 
@@ -162,7 +162,9 @@ def runner(signal_filter):
     model, estimates = model_of(signal_filter), np.empty((SAMPLES, 3))
 
     def run():
-        done = filter_record(signal_filter.packed(), *model, measured, force, STEP, np.zeros(3), estimates)
+        done = filter_record(
+            signal_filter.packed(), *model, measured, force, SAMPLE_TIME, np.zeros(3), estimates
+        )
         assert done == SAMPLES
         return estimates
 
@@ -232,7 +234,7 @@ def c_filter(signal_filter, expected):
         done = library.run(
             *pointers[:3],
             ctypes.c_long(SAMPLES),
-            ctypes.c_double(STEP),
+            ctypes.c_double(SAMPLE_TIME),
             pointers[3],
             *matrices,
             ctypes.c_double(signal_filter.initial_variance),
@@ -257,13 +259,13 @@ def filterpy_time(signal_filter, expected, samples: int = 400) -> float:
         return np.array([velocity, x[1] + dt * velocity])
 
     points = MerweScaledSigmaPoints(2, 1e-2, 1e-3, 0.0)
-    peer = UnscentedKalmanFilter(2, 2, STEP, lambda x: x, move, points)
+    peer = UnscentedKalmanFilter(2, 2, SAMPLE_TIME, lambda x: x, move, points)
     peer.x, peer.P = np.array([0.0, measured[0]]), signal_filter.initial_variance * np.eye(2)
     peer.Q, peer.R = signal_filter.process, signal_filter.noise
     last, start = measured[0], time.process_time()
     for k in range(samples):
         peer.predict(u=force[k - 1] if k else 0.0)
-        peer.update(np.array([(measured[k] - last) / STEP, measured[k]]))
+        peer.update(np.array([(measured[k] - last) / SAMPLE_TIME, measured[k]]))
         last = measured[k]
     taken = (time.process_time() - start) / samples * 1e9
     assert np.abs(peer.x - expected[samples - 1, [1, 0]]).max() < 1e-9

@@ -35,11 +35,11 @@ from stillwork.estimation.coordinate_filters import (
     UnscentedKalman,
 )
 
-STEP = 1e-3
+SAMPLE_TIME = 1e-3
 
 
 def at_rest(samples):
-    return Trajectory(STEP, np.zeros(samples), np.zeros(samples), np.zeros(samples))
+    return Trajectory(SAMPLE_TIME, np.zeros(samples), np.zeros(samples), np.zeros(samples))
 
 
 @pytest.mark.parametrize(
@@ -50,7 +50,7 @@ def at_rest(samples):
 def test_linear_filter_is_the_kernel(signal_filter, rng):
     z = rng.standard_normal(80)
     z[:30] = 0.0
-    model = linear_filter(signal_filter, STEP)
+    model = linear_filter(signal_filter, SAMPLE_TIME)
     x, expected = np.zeros(len(model.A)), []
     for value in z:
         inputs = np.array([value, 0.0])
@@ -72,7 +72,7 @@ def test_linear_kalman_is_the_settled_kernel(kind, models, rng):
         "EKF": ExtendedKalman(linear),
     }[kind]
     z, u = 1e-3 * rng.standard_normal(4000), rng.standard_normal(4000)
-    model = linear_filter(signal_filter, STEP)
+    model = linear_filter(signal_filter, SAMPLE_TIME)
     x, last, expected = np.zeros(len(model.A)), 0.0, []
     for value, force in zip(z, u, strict=True):
         inputs = np.array([value, last])
@@ -92,7 +92,7 @@ NAMES = ["moving window", "low pass", "Kalman filter", "Kalman, literal (14)", "
 def test_stability_is_what_the_simulation_does(name, inside, exact, approximate):
     """Just within the strongest stable gain a small kick decays, just beyond it grows."""
     controller = (published_controllers(approximate) | added_controllers(approximate))[name]
-    strongest, _ = stable_range(linear_loop(exact, controller, STEP)).limits
+    strongest, _ = stable_range(linear_loop(exact, controller, SAMPLE_TIME)).limits
     gain = strongest * (0.97 if inside else 1.03)
     controller = replace(controller, transformation=FlowTransformation(gain * 3.0, 3.0))
     with warnings.catch_warnings():
@@ -103,16 +103,16 @@ def test_stability_is_what_the_simulation_does(name, inside, exact, approximate)
 
 
 def test_open_loop_response_matches_python_control(exact, approximate):
-    loop = linear_loop(exact, published_controllers(approximate)["low pass"], STEP)
-    peer = control.ss(loop.A, loop.B, loop.C, 0, STEP)
+    loop = linear_loop(exact, published_controllers(approximate)["low pass"], SAMPLE_TIME)
+    peer = control.ss(loop.A, loop.B, loop.C, 0, SAMPLE_TIME)
     rates = np.array([5.0, 50.0, 500.0, 3000.0])
-    assert loop.response(rates) == pytest.approx(peer(np.exp(1j * rates * STEP)), rel=1e-9)
+    assert loop.response(rates) == pytest.approx(peer(np.exp(1j * rates * SAMPLE_TIME)), rel=1e-9)
 
 
 def test_without_delay_the_edge_is_banach_s(exact, approximate):
     """A low pass that settles in one sample and a slow kinematic block leave the bare iteration: -2 / f'."""
     quick = Controller(LowPass(999.0), RobustTransformation(), KinematicDesign(1.0), approximate)
-    strongest, _ = stable_range(linear_loop(exact, quick, STEP)).limits
+    strongest, _ = stable_range(linear_loop(exact, quick, SAMPLE_TIME)).limits
     assert strongest == pytest.approx(contraction_range(response_gain(exact, approximate))[0], rel=0.01)
 
 
@@ -138,21 +138,21 @@ def test_random_gain_is_the_mean_slope(rng):
 def test_predicted_limit_cycle_is_the_simulated_one(exact, approximate):
     """A describing function keeps one harmonic of three filters' worth of low pass: a per cent is its size."""
     controller = published_controllers(approximate)["moving window"]
-    stable, unstable = limit_cycles(linear_loop(exact, controller, STEP), controller.transformation)
+    stable, unstable = limit_cycles(linear_loop(exact, controller, SAMPLE_TIME), controller.transformation)
     assert stable.stable and not unstable.stable
     run = simulate(exact, controller, at_rest(8000), start=(0.0, 1e-3))
     part = slice(4000, None)
-    error = strongest_oscillation(run.acceleration_estimate[part] - run.desired[part], STEP)
+    error = strongest_oscillation(run.acceleration_estimate[part] - run.desired[part], SAMPLE_TIME)
     assert error.frequency_hz == pytest.approx(stable.frequency_hz, rel=0.01)
     assert error.amplitude == pytest.approx(stable.iteration_error, rel=0.01)
-    speed = strongest_oscillation(run.velocity[part], STEP)
+    speed = strongest_oscillation(run.velocity[part], SAMPLE_TIME)
     assert speed.amplitude == pytest.approx(stable.velocity, rel=0.01)
 
 
 def test_the_unstable_cycle_separates_return_from_divergence(exact, approximate):
     controller = published_controllers(approximate)["Kalman filter"]
     controller = replace(controller, transformation=FlowTransformation())
-    (cycle,) = limit_cycles(linear_loop(exact, controller, STEP), controller.transformation)
+    (cycle,) = limit_cycles(linear_loop(exact, controller, SAMPLE_TIME), controller.transformation)
     assert not cycle.stable
     calm = simulate(exact, controller, at_rest(3000), start=(0.0, 0.3 * cycle.velocity))
     wild = simulate(exact, controller, at_rest(3000), start=(0.0, 4 * cycle.velocity))
@@ -169,33 +169,33 @@ def test_the_widest_stable_range_counts(monkeypatch, exact, approximate):
             return 1.5 if -4.5 < local_gain < -2.0 else 0.5
 
     monkeypatch.setattr(fixed_point_convergence, "crossings", lambda loop: edges)
-    stub = Stub(np.eye(1), np.zeros((1, 1)), np.zeros((1, 1)), STEP)
+    stub = Stub(np.eye(1), np.zeros((1, 1)), np.zeros((1, 1)), SAMPLE_TIME)
     assert stable_range(stub).limits == (-2.0, 0.0)
 
 
 def test_no_stable_gain_and_no_cycle(exact, approximate):
     slow = Controller(LowPass(20.0), FlowTransformation(), KinematicDesign(36.0), approximate)
-    region = stable_range(linear_loop(exact, slow, STEP))
+    region = stable_range(linear_loop(exact, slow, SAMPLE_TIME))
     assert np.isnan(region.limits).all() and -0.1 not in region
-    assert limit_cycles(linear_loop(exact, slow, STEP), slow.transformation) == []
+    assert limit_cycles(linear_loop(exact, slow, SAMPLE_TIME), slow.transformation) == []
 
 
 def test_strongest_oscillation_finds_a_sine(rng):
-    time = np.arange(3000) * STEP
+    time = np.arange(3000) * SAMPLE_TIME
     values = 0.3 + 0.02 * np.sin(2 * np.pi * 41.37 * time + 0.4) + 1e-4 * rng.standard_normal(3000)
-    found = strongest_oscillation(values, STEP)
+    found = strongest_oscillation(values, SAMPLE_TIME)
     assert found.frequency_hz == pytest.approx(41.37, abs=1e-2)
     assert found.amplitude == pytest.approx(0.02, rel=1e-2)
 
 
 def test_bad_input(exact, approximate):
-    loop = linear_loop(exact, published_controllers(approximate)["low pass"], STEP)
+    loop = linear_loop(exact, published_controllers(approximate)["low pass"], SAMPLE_TIME)
     with pytest.raises(InputError, match="has no limit cycle"):
         limit_cycles(loop, RobustTransformation())
     with pytest.raises(InputError, match="amplitude"):
         describing_function(-1.0)
     with pytest.raises(InputError, match="give one record"):
-        strongest_oscillation(np.zeros((20, 20)), STEP)
+        strongest_oscillation(np.zeros((20, 20)), SAMPLE_TIME)
     with pytest.raises(InputError, match="sample_time"):
         strongest_oscillation(np.zeros(20), 0.0)
     with pytest.raises(InputError, match=r"the filter was made for 0\.001 s"):
@@ -203,7 +203,7 @@ def test_bad_input(exact, approximate):
     with pytest.raises(InputError, match="sample_time"):
         linear_loop(exact, published_controllers(approximate)["low pass"], 0.0)
     with pytest.raises(InputError, match="cut the record"):
-        strongest_oscillation(np.full(100, np.nan), STEP)
+        strongest_oscillation(np.full(100, np.nan), SAMPLE_TIME)
 
 
 def test_a_range_of_one_edge_holds_no_gain():

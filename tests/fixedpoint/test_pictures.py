@@ -3,8 +3,13 @@
 import numpy as np
 import pytest
 
-from experiments.fixedpoint import explorers, published_controllers, run_pictures
-from experiments.fixedpoint.noise_pictures import paint_cost_against_error
+from experiments.fixedpoint import error_lines, published_controllers, run_pictures
+from experiments.fixedpoint.convergence_pictures import paint_limit_cycle
+from experiments.fixedpoint.noise_pictures import (
+    motion_at_rest,
+    paint_cost_against_error,
+    paint_expected_beliefs,
+)
 from experiments.fixedpoint.published import KALMAN, LITERAL, LOW_PASS, WINDOW
 from stillwork.base.checks import InputError
 from stillwork.control import asin_trajectory, simulate
@@ -14,23 +19,23 @@ from stillwork.workbook.timings import measured_times
 
 DRAWINGS = [
     (
-        explorers.paint_noise_free,
+        error_lines.paint_noise_free,
         {"frequency_hz": 0.2, "sharpness": 0.98, "window_length": 12, "bandwidth": 350.0},
     ),
     (
-        explorers.paint_noise_free,
+        error_lines.paint_noise_free,
         {"frequency_hz": 0.6, "sharpness": 0.1, "window_length": 20, "bandwidth": 150.0},
     ),
     (
-        explorers.paint_noisy,
+        error_lines.paint_noisy,
         {"kind": "encoder", "amplitude": 1e-3, "frequency_hz": 0.5, "integration": "explicit"},
     ),
-    (explorers.paint_ranking, {"frequency_hz": 0.2, "sharpness": 0.98, "amplitude": 1e-4}),
-    (explorers.paint_expected_beliefs, {"assumed_scale": 1.0, "noise_deviation": 1e-4}),
-    (explorers.paint_limit_cycle, {"gain": 1.1, "window_length": 12, "exponent": 24.0}),
-    (explorers.paint_limit_cycle, {"gain": 0.1, "window_length": 3, "exponent": 4.0}),
-    (explorers.paint_low_pass, {"exponent": 60.0, "bandwidth": 100.0, "strength": 0.5}),
-    (explorers.paint_shift, {"frequency_hz": 0.2, "exponent": 36.0}),
+    (run_pictures.paint_ranking, {"frequency_hz": 0.2, "sharpness": 0.98, "amplitude": 1e-4}),
+    (paint_expected_beliefs, {"assumed_scale": 1.0, "noise_deviation": 1e-4}),
+    (paint_limit_cycle, {"gain": 1.1, "window_length": 12, "exponent": 24.0}),
+    (paint_limit_cycle, {"gain": 0.1, "window_length": 3, "exponent": 4.0}),
+    (error_lines.paint_low_pass, {"exponent": 60.0, "bandwidth": 100.0, "strength": 0.5}),
+    (error_lines.paint_shift, {"frequency_hz": 0.2, "exponent": 36.0}),
 ]
 
 
@@ -42,7 +47,7 @@ def test_explorer_draws_labelled_numbers(draw, settings):
 
 
 def test_a_diverged_run_is_named_in_the_legend():
-    figure = explorers.paint_low_pass(exponent=60.0, bandwidth=100.0, strength=0.5)
+    figure = error_lines.paint_low_pass(exponent=60.0, bandwidth=100.0, strength=0.5)
     (text,) = [t.get_text() for t in figure.axes[0].get_legend().get_texts()]
     assert "diverged at" in text
 
@@ -112,7 +117,7 @@ def test_motion_at_rest_is_the_semi_implicit_model(approximate):
     velocity = state[0] + sample_time * acceleration
     # The quadratic and cubic terms are of the order of 1e-4 of the state here.
     expected = [velocity, state[1] + sample_time * velocity]
-    assert explorers.motion_at_rest(sample_time) @ state == pytest.approx(expected, rel=2e-3)
+    assert motion_at_rest(sample_time) @ state == pytest.approx(expected, rel=2e-3)
 
 
 @pytest.mark.parametrize("scale", [0.01, 1.0, 100.0])

@@ -94,7 +94,7 @@ def test_fast_sampling_leads_to_the_continuous_gain(reduced):
         for sample_time in (1e-7, 1e-8)
     ]
     assert far[1] < 1e-2
-    assert far[1] == pytest.approx(far[0] / 10, rel=0.05)  # in proportion to the sampling time
+    assert far[1] == pytest.approx(far[0] / 10, rel=0.05)  # in proportion to the sample time
 
 
 def test_sampled_feedback_reads_the_damping_of_the_held_loop(reduced):

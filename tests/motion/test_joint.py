@@ -11,7 +11,7 @@ from experiments.motion import verify_joint
 from experiments.motion.designs import DESIGNS, stage_compensator
 from experiments.motion.joint import (
     DELAY,
-    STEP,
+    SAMPLE_TIME,
     JointDesign,
     closed_poles,
     compensated,
@@ -69,7 +69,7 @@ def joint_loop(
 ) -> StateModel:
     """The closed loop of one mass in discrete time; `plant` is what the nominal stage's observer really meets."""
     met = late_plant(late(stage() if plant is None else plant, delay), mass)
-    controller = tustin(design.controller.state_space(), STEP)
+    controller = tustin(design.controller.state_space(), SAMPLE_TIME)
     return closed_loop(met, sampled_compensator(design, mass, delay), controller)
 
 
@@ -111,13 +111,13 @@ def test_a_late_force_is_the_one_that_a_fine_simulation_holds():
 def _at_half_steps() -> StateModel:
     """Mass 5 by the matrix exponential, for half a sample."""
     model = stage().at([0], [4]).state_space()
-    a, b, c, d, _ = signal.cont2discrete((model.a, model.b, model.c, model.d), STEP / 2)
-    return StateModel(a, b, c, d, STEP / 2)
+    a, b, c, d, _ = signal.cont2discrete((model.a, model.b, model.c, model.d), SAMPLE_TIME / 2)
+    return StateModel(a, b, c, d, SAMPLE_TIME / 2)
 
 
 def test_scan_error_is_that_of_the_exact_simulation_in_continuous_time():
     """Hardly late and hardly held the loop is that of notebook 11: within what half a sample of lag may cost."""
-    setpoint = published_setpoint(STEP)
+    setpoint = published_setpoint(SAMPLE_TIME)
     plant = stage().at([0], [4])
     loop = error_loop(
         closed_loop(plant, stage_compensator(5, DESIGNS["MC and AD"]), PUBLISHED.controller.state_space())
@@ -145,7 +145,7 @@ def test_noise_is_that_of_the_lyapunov_equation():
 @pytest.mark.slow
 def test_noise_floor_is_what_all_measurements_together_leave_unknown():
     """Conditional variance in the joint Gaussian of all positions and measurements: no recursion, no Riccati equation."""
-    measured, plant = 1000, zoh(stage().at([0], [4]).state_space(), STEP)
+    measured, plant = 1000, zoh(stage().at([0], [4]).state_space(), SAMPLE_TIME)
     pulses, state = np.zeros(measured + 2), plant.b[:, 0]
     for k in range(1, len(pulses)):
         pulses[k], state = plant.c[0] @ state, plant.a @ state

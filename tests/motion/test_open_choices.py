@@ -94,8 +94,8 @@ def test_what_is_drawn_is_read_off_by_line():
     axis.plot([1.0, 2.0, 3.0], [0.0, 5.0, 1.0], label="first")
     axis.plot([1.0, 2.0, 3.0], [7.0, 2.0, 4.0], label="second")
     axis.axhline(6.0)  # without a label
-    assert list(read_off.drawn(axis)) == ["first", "second"]
-    np.testing.assert_array_equal(read_off.drawn(axis)["second"], [[1, 2, 3], [7, 2, 4]])
+    assert list(read_off.labelled_lines(axis)) == ["first", "second"]
+    np.testing.assert_array_equal(read_off.labelled_lines(axis)["second"], [[1, 2, 3], [7, 2, 4]])
     np.testing.assert_array_equal(read_off.highest(axis), [[2, 5], [1, 7]])
     np.testing.assert_array_equal(read_off.highest(axis, 1.5), [[2, 5], [3, 4]])
 

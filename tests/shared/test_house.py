@@ -8,12 +8,13 @@ import re
 import pytest
 
 from stillwork.base import paths
-from stillwork.site.house import TOOLBOX, arrows, folder, imports, modules
+from stillwork.site.house import TOOLBOX, arrows, face_names, folder, imports, modules
 
 ORDER = (*TOOLBOX, "workbook", "site")
 ABOVE = len(ORDER)  # the command line, then the rooms, then the notebooks
 LEDGER = re.compile(r"\bload_entries\b|\bpaths\.(data|root)\(")
 PICTURE = (paths.root() / "docs" / "house.svg").read_text(encoding="utf-8")
+PAINTS = re.compile("^(paint|explore)_|_(painter|explorer)$")  # the last give a function that paints
 GUIDE = (paths.root() / "CONTRIBUTING.md").read_text(encoding="utf-8")
 
 
@@ -55,6 +56,66 @@ def between_rooms(imported):
         if module.startswith(("experiments.", "notebooks."))
     }
     return [(a, b) for a in rooms for b in imported[a] if b in rooms and rooms[a] != rooms[b]]
+
+
+def reached(start, below):
+    found, new = set(), {start}
+    while new:
+        found |= new
+        new = {other for each in new for other in below.get(each, ())} - found
+    return found
+
+
+def mentions(statement, named):
+    for node in ast.walk(statement):
+        match node:
+            case ast.Name(id=name) if name in named:
+                yield named[name]
+            case ast.Attribute(value=ast.Name(id=name), attr=part) if name in named:
+                yield f"{named[name]}.{part}"
+
+
+def uses(module, trees):
+    """Each name that a module binds at its top, with the names that its statement uses; of a notebook, all of them."""
+    tree, named = trees[module], {}
+    bound = {module: tree} if module.startswith("notebooks.") else {}
+    for statement in tree.body:
+        match statement:
+            case ast.FunctionDef(name=name) | ast.ClassDef(name=name):
+                named[name] = f"{module}.{name}"
+            case ast.Assign(targets=[ast.Name(id=name)]) | ast.AnnAssign(target=ast.Name(id=name)):
+                named[name] = f"{module}.{name}"
+            case _:
+                continue
+        bound[named[name]] = statement
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.module in trees:
+            face = face_names(trees[node.module])
+            for alias in node.names:
+                home = ".".join([node.module, *filter(None, [face.get(alias.name)])])
+                named[alias.asname or alias.name] = f"{home}.{alias.name}"
+    return {name: set(mentions(statement, named)) for name, statement in bound.items()}
+
+
+def idle_pictures(trees, imported):
+    """A notebook with a module that paints, which it imports in some way, but of which it uses no picture."""
+    below = {name: others for module in trees for name, others in uses(module, trees).items()}
+    pictures = {
+        module: {
+            f"{module}.{node.name}"
+            for node in tree.body
+            if isinstance(node, ast.FunctionDef) and PAINTS.search(node.name)
+        }
+        for module, tree in trees.items()
+        if module.startswith("experiments.")
+    }
+    return [
+        (notebook, module)
+        for notebook in trees
+        if notebook.startswith("notebooks.")
+        for module in reached(notebook, imported)
+        if pictures.get(module) and not pictures[module] & reached(notebook, below)
+    ]
 
 
 @pytest.mark.slow
@@ -100,6 +161,11 @@ def test_a_room_imports_no_other_room_and_nothing_of_the_site(imported):
     assert not [(a, b) for a in below for b in imported[a] if folder(b) == "stillwork.site"]
 
 
+@pytest.mark.slow
+def test_an_edit_of_a_picture_makes_only_its_own_notebooks_stale(trees, imported):
+    assert idle_pictures(trees, imported) == []
+
+
 def test_the_toolbox_reads_no_ledger_and_no_work():
     library = paths.root() / "lib" / "stillwork"
     files = [file for name in TOOLBOX if name != "base" for file in (library / name).glob("**/*.py")]
@@ -137,6 +203,20 @@ def test_the_rules_find_what_breaks_them():
     assert {"stillwork.signals.spectra", "stillwork.lti.zoh"} <= circles(broken)
     assert between_rooms(broken) == [("experiments.motion.rig", "experiments.isolation.twin")]
     assert LEDGER.search('file = paths.data("motion", "rig.toml")')
+
+
+def test_a_picture_that_is_only_imported_is_found():
+    sources = {
+        "experiments__a": "COLOUR = 1\ndef paint_a():\n    pass",
+        "experiments__b": "from experiments import a\ndef paint_b():\n    pass\ndef paint_c():\n    a.paint_a()",
+        "experiments": "",
+        "notebooks__room__one": "from experiments.b import paint_b\npaint_b()",
+        "notebooks__room__two": "from experiments import b as draw\ndraw.paint_c()",
+        "notebooks__room__three": "from experiments.a import COLOUR\nCOLOUR",
+    }
+    trees = written(**sources)
+    wanted = [("notebooks.room.one", "experiments.a"), ("notebooks.room.three", "experiments.a")]
+    assert idle_pictures(trees, imports(trees)) == wanted
 
 
 def test_an_arrow_that_follows_from_others_is_not_drawn():

@@ -133,8 +133,8 @@ def exercise_10() -> str:
     for exponent in (6.0, 24.0):
         integral, error, derivative = KinematicDesign(exponent).gains
         a = np.array([[0.0, 1, 0], [0, 0, 1], [-integral, -error, -derivative]])
-        step = 1e-3 / exponent
-        transition = np.linalg.matrix_power(np.eye(3) + step * a / 64, 64)
+        sample_time = 1e-3 / exponent
+        transition = np.linalg.matrix_power(np.eye(3) + sample_time * a / 64, 64)
         state, course = np.array([0.0, 1.0, 0.0]), []
         for _ in range(10_000):
             course.append(state[1])

@@ -2,11 +2,21 @@
 
 import numpy as np
 
+from experiments.fixedpoint.axes import COLOURS, legend_above
+from experiments.fixedpoint.oscillator import load_oscillator
 from experiments.fixedpoint.published import LITERAL
-from experiments.fixedpoint.run_pictures import COLOURS, legend_above
-from stillwork.control.fixed_point_convergence import StableRange, describing_function, iterate
-from stillwork.control.fixed_point_linear import LinearFilter, LinearLoop
+from stillwork.control.fixed_point import Controller
+from stillwork.control.fixed_point_convergence import (
+    StableRange,
+    describing_function,
+    iterate,
+    limit_cycles,
+    stable_range,
+)
+from stillwork.control.fixed_point_linear import LinearFilter, LinearLoop, linear_loop
+from stillwork.control.kinematics import KinematicDesign
 from stillwork.control.transformation import FlowTransformation, Transformation
+from stillwork.estimation.coordinate_filters import MovingWindow
 from stillwork.workbook import figures
 
 
@@ -139,4 +149,28 @@ def paint_noise_gain(deviations, remaining, weakest: float, marks: dict[str, flo
         axes.text(place * 1.06, remaining.max(), name, rotation=90, ha="left", va="top", fontsize=8)
     axes.set(xlabel="standard deviation of response - desired (m/s²)")
     axes.set(ylabel="strength, minus the local gain (1)")
+    return figure
+
+
+def paint_limit_cycle(gain: float, window_length: int, exponent: float):
+    """Where the window's loop and transformation (6) balance."""
+    transformation = FlowTransformation(-gain)
+    parts = (
+        MovingWindow(int(window_length)),
+        transformation,
+        KinematicDesign(exponent),
+        load_oscillator()["approximate"].plant,
+    )
+    loop = linear_loop(load_oscillator()["exact"].plant, Controller(*parts), 1e-3)
+    region = stable_range(loop)
+    figure = paint_limit_cycle_condition(loop, transformation)
+    cycles = [
+        f"{c.frequency_hz:.1f} Hz at {c.iteration_error:.3g} m/s² ({'stable' if c.stable else 'unstable'})"
+        for c in limit_cycles(loop, transformation, region)
+    ]
+    low, high = region.limits
+    figure.axes[0].set_title(
+        f"stable gains {low:.3g} to {high:.3g}, here {transformation.local_gain:.3g}\n"
+        f"cycles: {', '.join(cycles) or 'none'}"
+    )
     return figure

@@ -2,19 +2,23 @@
 
 import numpy as np
 
-from experiments.fixedpoint.differentiation import (
-    Correlations,
-    quotient_autocorrelation,
-    quotient_cross_correlation,
-)
-from experiments.fixedpoint.published import EXTENDED
-from experiments.fixedpoint.run_pictures import (
+from experiments.fixedpoint.axes import (
     COLOURS,
     METRICS,
     legend_above,
     log_axis,
     points_with_intervals,
 )
+from experiments.fixedpoint.differentiation import (
+    Correlations,
+    quotient_autocorrelation,
+    quotient_cross_correlation,
+    steady_errors,
+)
+from experiments.fixedpoint.oscillator import load_oscillator
+from experiments.fixedpoint.published import EXTENDED
+from stillwork.control.fixed_point_linear import semi_implicit_motion
+from stillwork.estimation.plant import partial_derivatives
 from stillwork.workbook import figures
 from stillwork.workbook.studies import Study
 
@@ -80,4 +84,34 @@ def paint_cost_against_error(cost_ns: dict[str, float], errors: dict[str, float]
     axes.set(xlim=(0.7 * min(cost_ns.values()), 3 * max(cost_ns.values())))  # the names stand to the right
     axes.set_ylim(0, 1.15 * max(errors.values()))
     log_axis(axes.xaxis)
+    return figure
+
+
+def motion_at_rest(sample_time: float):
+    """F of x = [velocity, position] for the approximate model at rest, semi-implicit."""
+    slopes = partial_derivatives(load_oscillator()["approximate"].plant, 0.0, 0.0, 0.0)
+    return semi_implicit_motion(slopes, sample_time)[0]
+
+
+def paint_expected_beliefs(assumed_scale: float, noise_deviation: float):
+    """Believed and true standard deviation of the Kalman filter's errors when its R is scaled."""
+    scales = np.geomspace(1e-4, 1e4, 25)
+    sample_time = 1e-3
+    process, assumed = np.diag([1e-1, 1e-3]), np.diag([1e-2, 1e-3])
+    still = motion_at_rest(sample_time)
+    settled = [
+        steady_errors(still, process, s * assumed, noise_deviation, sample_time, np.zeros((2, 2)))
+        for s in scales
+    ]
+    figure, panels = figures.new(1, 2, height=3.0)
+    for axes, column, estimate in zip(panels, (1, 0), ("q (m)", "q' (m/s)"), strict=True):
+        for name, colour, line in (("believed", figures.RED, "--"), ("true", figures.BLUE, "-")):
+            values = [np.sqrt(getattr(s, name)[column, column]) for s in settled]
+            axes.plot(scales, values, line, color=colour, label=name)
+        axes.axvline(assumed_scale, color=figures.BLACK, linestyle=":")
+        axes.set(xscale="log", yscale="log", xlabel="factor on the assumed R (1)")
+        axes.set_ylabel(f"standard deviation of {estimate}")
+        log_axis(axes.xaxis)
+        log_axis(axes.yaxis)
+    panels[0].legend()
     return figure

@@ -2,21 +2,25 @@
 
 import numpy as np
 
-from experiments.fixedpoint.published import EXTENDED, KALMAN, LITERAL, LOW_PASS, POLYNOMIAL, WINDOW
+from experiments.fixedpoint.axes import (
+    COLOURS,
+    METRICS,
+    fill_range,
+    legend_above,
+    log_axis,
+    points_with_intervals,
+)
+from experiments.fixedpoint.metrics import compare
+from experiments.fixedpoint.noise import Noise
+from experiments.fixedpoint.oscillator import load_oscillator
+from experiments.fixedpoint.published import (
+    published_controllers,
+)
 from stillwork.base.rounding import first_largest
 from stillwork.control.fixed_point import ControlledRun
-from stillwork.control.trajectory import Trajectory
+from stillwork.control.trajectory import Trajectory, asin_trajectory
 from stillwork.workbook import figures
-from stillwork.workbook.studies import Study, mean_interval
-
-COLOURS = {
-    WINDOW: figures.BLUE,
-    LOW_PASS: figures.GREEN,
-    KALMAN: figures.RED,
-    LITERAL: figures.ORANGE,
-    EXTENDED: figures.PURPLE,
-    POLYNOMIAL: figures.SKY,
-}
+from stillwork.workbook.studies import Study
 
 
 def paint_tracking(runs: dict[str, ControlledRun], quantity: str = "position"):
@@ -35,7 +39,7 @@ def paint_tracking(runs: dict[str, ControlledRun], quantity: str = "position"):
         time, true = run.time, getattr(run, quantity)
         error = 1e3 * getattr(run, f"{quantity}_error")
         motion.plot(time[coarse], true[coarse], linewidth=1, **style)
-        paint_range(envelope, time, error, max(1, round(0.06 / sample_time)), **style)
+        fill_range(envelope, time, error, max(1, round(0.06 / sample_time)), **style)
         stretch.plot(time[part], error[part], **style)
     motion.set(xlabel="time (s)", ylabel=f"{name} ({unit})", title="motion")
     envelope.set(xlabel="time (s)", ylabel=f"error of {name} (m{unit})", title="error, range in 60 ms")
@@ -46,20 +50,6 @@ def paint_tracking(runs: dict[str, ControlledRun], quantity: str = "position"):
     stretch.set(xlabel="time (s)", ylabel=f"error of {name} (m{unit})", title="error at a corner")
     legend_above(motion)
     return figure
-
-
-def paint_range(axes, time: np.ndarray, error: np.ndarray, length: int, **style):
-    """From the smallest to the largest error in stretches of so many samples, over the middle of each."""
-    whole = len(time) // length * length
-    blocks = error[:whole].reshape(-1, length)
-    middle = time[:whole].reshape(-1, length)[:, length // 2]
-    axes.fill_between(middle, blocks.min(axis=1), blocks.max(axis=1), alpha=0.6, lw=0.8, **style)
-
-
-def legend_above(axes, columns: int | None = None):
-    """What a panel's lines mean, above the whole figure; by default in one row."""
-    handles, labels = axes.get_legend_handles_labels()
-    axes.figure.legend(handles, labels, loc="outside upper center", ncols=columns or len(labels))
 
 
 def hardest_turn(nominal: Trajectory) -> float:
@@ -86,32 +76,6 @@ def paint_phase(runs: dict[str, ControlledRun], last: float = 5.0):
         axes.set(xlabel="q (m)", ylabel="q' (m/s)", title=title)
     legend_above(whole)
     return figure
-
-
-# Label, title, and factor to the label's unit.
-METRICS = {
-    "position": ("RMS error of q (mm)", "position", 1e3),
-    "velocity": ("RMS error of q' (mm/s)", "velocity", 1e3),
-    "roughness": ("roughness (m/s²)", "change of q'' a sample", 1.0),
-}
-
-
-def log_axis(axis):
-    """A logarithmic axis with few, plain numbers: decades, or 1, 2 and 5 where it spans less than two."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
-
-    low, high = axis.get_view_interval()
-    axis.set_major_locator(LogLocator(subs=(1.0,) if high / low > 80 else (1.0, 2.0, 5.0)))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_locator(NullLocator())
-
-
-def points_with_intervals(axes, runs: list[np.ndarray], places, name: str):
-    """Means of the runs as points, their 95 % intervals as bars."""
-    intervals = [mean_interval(values) for values in runs]
-    axes.plot([values.mean() for values in runs], places, "o", ms=4, color=COLOURS[name], label=name)
-    label = f"{name}, 95 % interval"
-    axes.hlines(places, *zip(*intervals, strict=True), color=COLOURS[name], label=label)
 
 
 def paint_errors_by_case(studies: dict[str, dict[str, Study]]):
@@ -195,4 +159,30 @@ def paint_estimate_shift(runs: dict[str, ControlledRun], settle: float = 2.0):
         )
         axes.set(xlabel=across, ylabel=up)
     legend_above(panels[0])
+    return figure
+
+
+def paint_ranking(frequency_hz: float, sharpness: float, amplitude: float):
+    """RMS errors of the four controllers, mean over two noise records."""
+    exact = load_oscillator()["exact"].plant
+    trajectory = asin_trajectory(sharpness=sharpness, frequency_hz=frequency_hz)
+    noise = Noise("gaussian", amplitude)
+    found = compare(
+        exact,
+        published_controllers(load_oscillator()["approximate"].plant),
+        trajectory,
+        noise,
+        runs=2,
+        seed=0,
+    )
+    figure, panels = figures.new(1, 2, height=2.2)
+    for axes, quantity, ticks in zip(
+        panels, ("position", "roughness"), (list(found), [""] * len(found)), strict=True
+    ):
+        for place, (name, study) in enumerate(found.items()):
+            mean = METRICS[quantity][2] * study[quantity].mean()
+            axes.plot(mean, place, "o", color=COLOURS[name], label=name)
+        axes.set(xscale="log", xlabel=METRICS[quantity][0], ylim=(len(found) - 0.5, -0.5))
+        axes.set_yticks(range(len(found)), ticks)
+        log_axis(axes.xaxis)
     return figure

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from experiments.fixedpoint.axes import COLOURS, fill_range
 from experiments.fixedpoint.metrics import judge
 from experiments.fixedpoint.noise import Noise
-from experiments.fixedpoint.run_pictures import COLOURS, paint_range
 from experiments.fixedpoint.your_plant import Contraction, Models, contraction_along, drive
 from stillwork.control.fixed_point import ControlledRun, Controller
 from stillwork.control.kinematics import KinematicDesign
@@ -74,7 +74,7 @@ def _paint_coordinate(motion, error, runs: Mapping[str, ControlledRun], settle: 
 
 def _paint_error(axes, run: ControlledRun, **style):
     """In mm or mrad, each bin's extremes."""
-    paint_range(axes, run.time, 1e3 * run.position_error, max(1, len(run.time) // _BINS), **style)
+    fill_range(axes, run.time, 1e3 * run.position_error, max(1, len(run.time) // _BINS), **style)
 
 
 def plant_explorer(
@@ -85,7 +85,7 @@ def plant_explorer(
     settle: float,
     seed: int,
 ) -> Callable:
-    """Drawing function of the explorer: all filters with another gain, stiffness of tracking and noise."""
+    """Explorer: all filters with another gain, stiffness of tracking and noise."""
     found = contraction_along(models, trajectories)
     trajectories = [  # a long record would take too long to redraw
         Trajectory(

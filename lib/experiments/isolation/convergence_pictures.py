@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
+from experiments.isolation.algorithm_styles import COLORS, STYLES
 from experiments.isolation.convergence import ALGORITHMS, Course, Starts
 from experiments.isolation.floors import ShapedFloor
 from experiments.isolation.mean_convergence import Sideways, mean_course
@@ -17,8 +18,6 @@ from stillwork.workbook.claims import load_entries
 from stillwork.workbook.studies import Study, spread_interval
 
 SHOWN = {0: figures.BLUE, 3: figures.GREEN, 6: figures.RED}  # w1, w4, w7: the colours of Fig. 5
-STYLES = {"FeLMS": "--", "FeRLS": "-"}
-COLORS = {"FeLMS": figures.GREEN, "FeRLS": figures.BLACK}  # as in Figs. 7 and 8
 
 
 def published_row(algorithm: str, quantity: str) -> np.ndarray:
@@ -163,7 +162,7 @@ def paint_sideways(courses: Mapping[str, Sideways]):
 
 
 def expected_course_painter(twin: Twin, steady: Steady, duration_s: float) -> Callable:
-    """Drawing function for an explorer: expected w1, w4, w7 for a step size, a memory and a start."""
+    """Explorer: expected w1, w4, w7 for a step size, a memory and a start."""
     time = np.linspace(duration_s / 60, duration_s, 60)
 
     def paint(step_size: float, memory_s: float, initial_covariance: float):

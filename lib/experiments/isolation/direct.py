@@ -164,7 +164,7 @@ def paint_gain(forgetting: float, samples: int, sample_time: float):
 def paint_costs(
     actuators: int, regressors: int, times: Mapping[str, Mapping[str, float]], sample_time: float
 ):
-    """Multiplications of each form, and measured times against the sampling interval."""
+    """Multiplications of each form, and measured times against the sample time."""
     figure, (upper, lower) = figures.new(2, 1, height=4.6)
     counts = multiplications(actuators, regressors)
     _bars(upper, {_NAMES[name]: count for name, count in counts.items()}, "{:,.0f}")
@@ -174,7 +174,7 @@ def paint_costs(
     _bars(lower, {text: times[name]["median_us"] for name, text in shown.items() if name in times}, "{:.2g}")
     lower.axvline(1e6 * sample_time, color=figures.BLACK, lw=1, ls="--")
     style = {"ha": "right", "va": "center", "fontsize": 8, "xytext": (-3, 0), "textcoords": "offset points"}
-    lower.annotate(f"sampling interval, {1e6 * sample_time:.0f} µs", (1e6 * sample_time, 3.0), **style)
+    lower.annotate(f"sample time, {1e6 * sample_time:.0f} µs", (1e6 * sample_time, 3.0), **style)
     lower.set(xlabel="measured time per update (µs)", title="measured, 6 outputs × 9 regressors")
     return figure
 

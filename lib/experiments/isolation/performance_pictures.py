@@ -5,6 +5,7 @@ from itertools import pairwise
 import numpy as np
 
 from experiments.isolation.floors import flat_floor
+from experiments.isolation.frequency_axes import COARSE_HZ, thinned
 from experiments.isolation.performance import DIRECTIONS, exact_transmissibility, expected_density
 from experiments.isolation.power import BAND_HZ, reduction_percent
 from experiments.isolation.steady import steady_state
@@ -18,9 +19,6 @@ _STYLES = {
     "FeRLS": {"color": figures.BLACK},
     "output noise": {"color": figures.RED, "ls": ":"},
 }
-COARSE_HZ = np.geomspace(
-    0.05, 2400, 500
-)  # gives an explorer its weights in time; notebooks take a dense grid
 PUBLISHED_BAND_HZ = (3.0, 200.0)  # where the paper states 20 to 40 dB
 # Below this a transmissibility is rounding: the rig's symmetry makes the element zero.
 _ROUNDING = 1e-9
@@ -187,16 +185,3 @@ def explore_power(output_noise: float, floor_noise: float, low_pass_hz: float):
     axes[0].set_ylabel("PSD ((m/s²)²/Hz, (rad/s²)²/Hz)")
     figures.legend_below(axes[0], 3)
     return figure
-
-
-def thinned(frequencies_hz: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Indices that draw a curve over a logarithmic axis without losing a peak, at most 480.
-
-    Of 240 bins even in the logarithm the smallest and the largest value are kept, so that a mains line one bin
-    wide is drawn at its full height.
-    """
-    positive = np.flatnonzero(frequencies_hz > 0)
-    f = frequencies_hz[positive]
-    starts = np.unique(np.searchsorted(f, np.geomspace(f[0], f[-1], 240) * (1 - 1e-12)))
-    bins = np.split(positive, starts[1:])
-    return np.unique([pick(values[each]) + each[0] for each in bins for pick in (np.argmin, np.argmax)])

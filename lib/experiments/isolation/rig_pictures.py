@@ -3,9 +3,9 @@
 import numpy as np
 
 from experiments.isolation.floors import ShapedFloor, colored_floor
+from experiments.isolation.frequency_axes import thinned
 from experiments.isolation.modes import Modes
 from experiments.isolation.path_fit import diagonal_path, fit_error_db, parametric_fit
-from experiments.isolation.performance_pictures import thinned
 from experiments.isolation.rig import Rig
 from experiments.isolation.twin import Twin
 from stillwork.signals.criteria import criterion_density

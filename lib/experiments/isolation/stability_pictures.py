@@ -162,7 +162,7 @@ def paint_cures(
 
 
 def explore_forms(regressors: ArrayLike, initial: ArrayLike):
-    """Drawing function for sliders: asymmetry of every form, with another forgetting or precision."""
+    """Explorer: asymmetry of every form, with another forgetting or precision."""
 
     def paint(precision: str, samples_per_constant: float, time_constants: float):
         figure, axes = figures.new(1, 1, height=3.0)

@@ -4,8 +4,8 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from experiments.isolation.algorithm_styles import COLORS, STYLES
 from experiments.isolation.convergence import ALGORITHMS
-from experiments.isolation.convergence_pictures import COLORS, STYLES
 from experiments.isolation.mean_convergence import mean_course
 from experiments.isolation.tracking import GROUPS, SHARE, Response, Switch
 from experiments.isolation.twin import Twin
@@ -73,7 +73,7 @@ def paint_settling(
 
 
 def expected_switch_painter(twin: Twin, switches: Mapping[str, Switch], duration_s: float) -> Callable:
-    """Drawing function for an explorer: expected share of the shift still to go, all weights."""
+    """Explorer: expected share of the shift still to go, all weights."""
     time = np.linspace(duration_s / 60, duration_s, 60)
 
     def paint(direction: str, step_size: float, memory_s: float):

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Bool, Float64
 from numpy.typing import ArrayLike
 
+from experiments.isolation.frequency_axes import COARSE_HZ, thinned
 from experiments.isolation.performance import DIRECTIONS, central_axes, expected_density
-from experiments.isolation.performance_pictures import COARSE_HZ, thinned
 from experiments.isolation.power import BAND_HZ
 from experiments.isolation.recorded_floors import RecordedFloor, SpectralFloor
 from experiments.isolation.simulation import Run, simulate

@@ -6,8 +6,8 @@ import numpy as np
 
 from experiments.motion.cases import LABELS
 from experiments.motion.designs import Design, stage_loops
+from experiments.motion.loop_functions import paint_over_masses
 from experiments.motion.machines import stage_mass
-from experiments.motion.over_masses import paint_over_masses
 from stillwork.control.applications import Application
 from stillwork.control.bandwidth import Loop
 from stillwork.control.pid import PidFamily

@@ -29,7 +29,7 @@ from stillwork.lti.modal import ModalModel
 from stillwork.lti.reduction import truncate
 from stillwork.lti.state_space import StateModel
 
-STEP, DELAY = 1e-4, 1.5  # s, as in notebook 11; samples from command to force
+SAMPLE_TIME, DELAY = 1e-4, 1.5  # s, as in notebook 11; samples from command to force
 CONTROLLER = ("bandwidth_hz", "integrator", "differentiator", "low_pass", "low_pass_damping")
 OBSERVER = ("process", "noise_model", "damping", "selectivity")
 NUMBERS = CONTROLLER + OBSERVER
@@ -86,14 +86,14 @@ def late(model: ModalModel, delay: float = DELAY) -> Late:
     """Exact sampled modes of a model with one input; the delay in samples need not be whole."""
     whole = int(delay)
     part = delay - whole
-    full, rest = zoh_modes(model, STEP), zoh_modes(model, (1 - part) * STEP)
-    old = rest.a @ zoh_modes(model, part * STEP).b[:, 0] if part else np.zeros(len(full.a))
+    full, rest = zoh_modes(model, SAMPLE_TIME), zoh_modes(model, (1 - part) * SAMPLE_TIME)
+    old = rest.a @ zoh_modes(model, part * SAMPLE_TIME).b[:, 0] if part else np.zeros(len(full.a))
     return Late(full.a, rest.b[:, 0], old, whole, model.output_shapes)
 
 
 def late_response(moved: Late, omega: np.ndarray) -> Complex128[np.ndarray, "outputs frequencies"]:
     """From the command to all outputs at some frequencies (rad/s), mode by mode in closed form."""
-    z = np.exp(1j * omega * STEP)
+    z = np.exp(1j * omega * SAMPLE_TIME)
     rows = np.arange(0, len(moved.a), 2)
     # The trace near 2 and the determinant near 1 cancel at low frequencies: write them as differences from 1.
     first, second = moved.a[rows, rows, None] - 1, moved.a[rows + 1, rows + 1, None] - 1
@@ -119,7 +119,7 @@ def late_plant(moved: Late, mass: int) -> StateModel:
         b[:n, 0] = moved.new
     c = np.zeros((1, n + kept))
     c[0, :n:2] = moved.shapes[mass - 1]
-    return StateModel(a, b, c, np.zeros((1, 1)), STEP)
+    return StateModel(a, b, c, np.zeros((1, 1)), SAMPLE_TIME)
 
 
 @cache
@@ -143,7 +143,7 @@ def estimators(process: float, noise_model: float, delay: float) -> tuple[Estima
     """The sampled Kalman observers of all seven masses."""
     model = _observed()
     whole, part = int(delay), delay - int(delay)
-    modes, moved = zoh_modes(model, STEP), late(model, delay)
+    modes, moved = zoh_modes(model, SAMPLE_TIME), late(model, delay)
     n = len(modes.a)
 
     def walked(a, b):  # a constant force, the noise model, pushes along
@@ -157,17 +157,17 @@ def estimators(process: float, noise_model: float, delay: float) -> tuple[Estima
         forces[:n, whole - k] += moved.new
         forces[:n, whole - k + 1] += moved.old
     if part:
-        short = zoh_modes(model, part * STEP)
+        short = zoh_modes(model, part * SAMPLE_TIME)
         tail = walked(short.a, short.b)
         ahead, forces = tail @ ahead, tail @ forces
         forces[:n, 1] += short.b[:, 0]
     rows = np.eye(n + 1)[[3, 5, 7]]
-    variances = np.diag([process * _noise().process / STEP, noise_model * STEP])
+    variances = np.diag([process * _noise().process / SAMPLE_TIME, noise_model * SAMPLE_TIME])
     found = []
     for shape, compliance in zip(model.output_shapes, model.feedthrough[:, 0], strict=True):
         c, flexible = np.zeros((1, n + 1)), np.zeros((1, n + 1))
         c[0, :n:2], flexible[0, 2:n:2] = shape, shape[1:]
-        gain = discrete_gain(a, drive, c, variances, _noise().sensor / STEP).filter_gain
+        gain = discrete_gain(a, drive, c, variances, _noise().sensor / SAMPLE_TIME).filter_gain
         kept = np.eye(n + 1) - gain @ c
         # The compliance shows the force that acts when the sample is taken, f(k-n-1).
         acts = np.zeros((1, whole + 2))
@@ -196,10 +196,10 @@ def sampled_compensator(design: JointDesign, mass: int, delay: float = DELAY) ->
     c, d = np.hstack([found.c, found.direct[:, 2:]]), found.direct[:, 1::-1]
     model, gain = _observed(), _gain(design)
     filters = [
-        tustin(band_pass(float(w), q), STEP, float(w))
+        tustin(band_pass(float(w), q), SAMPLE_TIME, float(w))
         for w, q in zip(model.frequencies[1:], design.selectivity, strict=True)
     ]
-    return filtered_estimates(StateModel(a, b, c, d, STEP), filters, gain[None])
+    return filtered_estimates(StateModel(a, b, c, d, SAMPLE_TIME), filters, gain[None])
 
 
 def _gain(design: JointDesign) -> np.ndarray:
@@ -224,7 +224,7 @@ def closed_poles(
     that the observer knows of, by default `delay`.
     """
     told = delay if told is None else told
-    controller, found = delayed(tustin(design.controller.state_space(), STEP), alone), []
+    controller, found = delayed(tustin(design.controller.state_space(), SAMPLE_TIME), alone), []
     moved = [late(plant, delay) for plant in plants]
     for mass in range(1, 8):
         seen = observed_controller(controller, sampled_compensator(design, mass, told))  # from r, y and f
@@ -248,11 +248,11 @@ def compensated(
     design: JointDesign, omega: np.ndarray, delay: float = DELAY, alone: int = 0, masses: slice = slice(None)
 ) -> Compensated:
     """The design's responses at some frequencies (rad/s), with an observer that is told of `delay`."""
-    z = np.exp(1j * omega * STEP)
+    z = np.exp(1j * omega * SAMPLE_TIME)
     estimates = _estimates(design.process, design.noise_model, delay, omega.tobytes())[:, masses]
-    s = 2 / STEP * np.tan(omega * STEP / 2)
+    s = 2 / SAMPLE_TIME * np.tan(omega * SAMPLE_TIME / 2)
     w, q = _observed().frequencies[1:, None], np.array(design.selectivity)[:, None]
-    warped = 1j * s * w * STEP / 2 / np.tan(w * STEP / 2)
+    warped = 1j * s * w * SAMPLE_TIME / 2 / np.tan(w * SAMPLE_TIME / 2)
     band = _gain(design)[:, None] * (w / q) * warped / (warped**2 + (w / q) * warped + w**2)
     (o_yy, o_yu) = estimates[:, :, 0]
     o_uy, o_uu = np.einsum("impf,pf->imf", estimates[:, :, 1:], band)
@@ -264,7 +264,7 @@ def compensated(
 @lru_cache(maxsize=8)
 def _estimates(process: float, noise_model: float, delay: float, omega: bytes) -> np.ndarray:
     """From y and from f: y_flex and the velocities ahead, (2, masses, 4, frequencies), by the observers' eigenvectors."""
-    z = np.exp(1j * np.frombuffer(omega) * STEP)
+    z = np.exp(1j * np.frombuffer(omega) * SAMPLE_TIME)
     past = z ** -np.arange(int(delay) + 2)[:, None]
     out = []
     for each in estimators(process, noise_model, delay):

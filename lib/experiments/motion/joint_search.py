@@ -18,7 +18,7 @@ from experiments.motion.joint import (
     DELAY,
     NUMBERS,
     OBSERVER,
-    STEP,
+    SAMPLE_TIME,
     Compensated,
     JointDesign,
     Late,
@@ -73,7 +73,7 @@ PENALTY = 10.0  # a peak 1 % too high costs as much as 10 % of error
 @cache
 def grid(samples: int = SAMPLES) -> Float64[np.ndarray, " frequencies"]:
     """Frequencies of the transform, rad/s; the first, at which a rigid body has no response, a little above 0."""
-    omega = 2 * np.pi * np.fft.rfftfreq(samples, STEP)
+    omega = 2 * np.pi * np.fft.rfftfreq(samples, SAMPLE_TIME)
     omega[0] = 1e-4 * omega[1]
     return omega
 
@@ -90,14 +90,14 @@ def _move(delay: float, samples: int):
     """
     if delay % 0.5 or not 0 <= delay < AHEAD - 2:
         raise InputError(f"delay is {delay:g}; give a multiple of half a sample, below {AHEAD - 2}")
-    setpoint, half = published_setpoint(STEP), published_setpoint(STEP / 2).derivatives
+    setpoint, half = published_setpoint(SAMPLE_TIME), published_setpoint(SAMPLE_TIME / 2).derivatives
     rest = samples - setpoint.derivatives.shape[1] - AHEAD
     steps = np.diff(np.pad(setpoint.derivatives[0], (AHEAD, rest), "edge"), prepend=0.0)
     shift = round(2 * delay)
     rows = np.pad(half[:4], ((0, 0), (2 * AHEAD - shift, 2 * rest + 2 + shift)), "edge")[
         :, : 2 * samples + 2 : 2
     ]
-    commands = np.diff(rows, axis=1)[:, :samples] / STEP
+    commands = np.diff(rows, axis=1)[:, :samples] / SAMPLE_TIME
     move = slice(AHEAD, AHEAD + len(setpoint.time))
     return np.fft.rfft(steps), np.fft.rfft(commands, axis=1), move, setpoint.scanning
 
@@ -112,7 +112,7 @@ class Served(NamedTuple):
 
 def serve(model: ModalModel, delay: float = DELAY) -> Served:
     """Prepare the responses of a stage."""
-    pushed = np.abs(zoh_response(model, STEP, grid())[:, 0])
+    pushed = np.abs(zoh_response(model, SAMPLE_TIME, grid())[:, 0])
     return Served(model, late_response(late(model, delay), grid()), pushed)
 
 
@@ -207,7 +207,7 @@ def scanned(
     """
     steps, ahead, move, scanning = _move(delay, samples)
     sensitivity = 1 / (1 + plant * feedback)
-    position = steps / -np.expm1(-1j * grid(samples) * STEP)
+    position = steps / -np.expm1(-1j * grid(samples) * SAMPLE_TIME)
     errors = np.fft.irfft(sensitivity * np.vstack([position, plant * ahead]), samples)[:, move]
     columns = errors[1:] / np.linalg.norm(errors[1:], axis=1)[:, None]
     gains = np.linalg.solve(columns @ columns.T, columns @ errors[0])
@@ -227,7 +227,7 @@ def noise_floor(model: ModalModel, delay: float = DELAY) -> float:
     The first position that a command moves is that of sample `1 + int(delay)` from it; what the measurements up to the
     command leave unknown of that position no command takes away.
     """
-    plant, noise = zoh_modes(model.at([0], [MEASURED]), STEP), published_noise()
+    plant, noise = zoh_modes(model.at([0], [MEASURED]), SAMPLE_TIME), published_noise()
     unknown = discrete_gain(plant.a, plant.b, plant.c, noise.process, noise.sensor).covariance
     for _ in range(int(delay)):
         unknown = plant.a @ unknown @ plant.a.T + noise.process * plant.b @ plant.b.T
@@ -268,7 +268,7 @@ class _Stand(NamedTuple):
 
 def _stand(model: ModalModel, delay: float) -> _Stand:
     moved, one, fine = late(model, delay), model.at([0], [MEASURED]), grid(JUDGED)
-    pushed = np.abs(zoh_response(one, STEP, fine)[0, 0])
+    pushed = np.abs(zoh_response(one, SAMPLE_TIME, fine)[0, 0])
     return _Stand(moved, late_response(moved, grid()), late_response(late(one, delay), fine)[0], pushed)
 
 
@@ -308,7 +308,7 @@ def judge_all(
 
 def _highest(around: Callable, moved: Late, first: np.ndarray, poles: np.ndarray) -> np.ndarray:
     """The largest magnitude of each of the six functions over all masses; `first` is what the grid shows."""
-    angles = np.abs(np.angle(poles[np.abs(poles) > 0.5])) / STEP
+    angles = np.abs(np.angle(poles[np.abs(poles) > 0.5])) / SAMPLE_TIME
     omega = _apart(np.union1d(_between(grid(), first, 3), angles[angles > 1.0]))
     for _ in range(5):
         values = six(late_response(moved, omega), around(omega))

@@ -7,7 +7,7 @@ import numpy as np
 from experiments.motion.cases import case_styles
 from experiments.motion.loop_conditions import slope
 from experiments.motion.magnitudes import add_magnitude
-from experiments.motion.read_off import drawn
+from experiments.motion.read_off import labelled_lines
 from stillwork.control.bandwidth import Loop
 from stillwork.control.loops import channel
 from stillwork.control.pid import Pid
@@ -64,8 +64,8 @@ def paint_controllers(cases: Mapping[str, tuple[Loop, Pid]], omega: np.ndarray):
     return figure
 
 
-def drawn_slope(axis, label: str, low: float, high: float) -> float:
+def line_slope(axis, label: str, low: float, high: float) -> float:
     """Slope of a line in dB between two x, in decades a decade."""
-    x, level = drawn(axis)[label]
+    x, level = labelled_lines(axis)[label]
     part = (x >= low) & (x <= high)
     return slope(x[part], 10 ** (level[part] / 20))

@@ -1,4 +1,4 @@
-"""Poles and zeros of notebook 07."""
+"""Poles and zeros beside the magnitude."""
 
 from collections.abc import Mapping
 

@@ -232,14 +232,14 @@ def published_fast_setpoint(sample_time: float) -> Setpoint:
 SPACING = 0.05  # m, of the masses; unpublished
 
 
-STEP = 1e-4  # s
+SAMPLE_TIME = 1e-4  # s
 
 
 @cache
 def _table(spacing: float):
     plant = stage()
     grid = SPACING * np.arange(len(plant.output_shapes))
-    scan = position_scan(plant, grid, published_setpoint(STEP), 0.0)
+    scan = position_scan(plant, grid, published_setpoint(SAMPLE_TIME), 0.0)
     model = observer_model(scan, 1e-4, 2e-18)
     places = np.linspace(grid[0], grid[-1], 1 + int(np.ceil(round((grid[-1] - grid[0]) / spacing, 9))))
     rows = output_rows(shapes_along(plant, grid, places)[:, :RETAINED])
@@ -248,7 +248,7 @@ def _table(spacing: float):
 
 def paint_schedules(speed: str, start: float, spacing: float):
     """Explorer: error of the first flexible mode with online gains and with a table of this `spacing` (mm); AD, 36 Hz."""
-    setpoint = published_setpoint(STEP) if speed == "1 m/s" else published_fast_setpoint(STEP)
+    setpoint = published_setpoint(SAMPLE_TIME) if speed == "1 m/s" else published_fast_setpoint(SAMPLE_TIME)
     plant = stage()
     grid = SPACING * np.arange(len(plant.output_shapes))
     scan = position_scan(plant, grid, setpoint, start)

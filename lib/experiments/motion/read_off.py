@@ -3,7 +3,7 @@
 import numpy as np
 
 
-def drawn(axis) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def labelled_lines(axis) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """What a panel shows: x and y of its labelled lines, by label."""
     lines = {str(line.get_label()): line.get_data() for line in axis.lines}
     return {
@@ -15,5 +15,5 @@ def drawn(axis) -> dict[str, tuple[np.ndarray, np.ndarray]]:
 
 def highest(axis, low: float = 0.0, high: float = np.inf) -> np.ndarray:
     """Place and height of the largest value of each line of a panel, for x from `low` to `high`: (lines, 2)."""
-    parts = [(x, np.where((x >= low) & (x <= high), y, -np.inf)) for x, y in drawn(axis).values()]
+    parts = [(x, np.where((x >= low) & (x <= high), y, -np.inf)) for x, y in labelled_lines(axis).values()]
     return np.array([(x[y.argmax()], y.max()) for x, y in parts])

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Complex128, Float64
 
-from experiments.motion.magnitudes import add_magnitude, paint_magnitudes
+from experiments.motion.magnitude_panels import paint_magnitudes
+from experiments.motion.magnitudes import add_magnitude
 from experiments.motion.panels import plain
 from experiments.motion.rig import (
     Geometry,

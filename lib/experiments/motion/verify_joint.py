@@ -13,7 +13,7 @@ from scipy import linalg
 
 from stillwork.base import paths
 
-STEP, HALF = 1e-4, 0.5e-4  # s; the force is late by three halves of a sample
+SAMPLE_TIME, HALF = 1e-4, 0.5e-4  # s; the force is late by three halves of a sample
 NANO = 1e9  # lengths in nm: no entry of a matrix is larger than it need be
 LARGEST_DB = 6.005  # 6 dB and half of the last digit that is printed
 NAMES = ("r", "u_ff", "v", "w", "d", "u0")
@@ -90,7 +90,7 @@ def closed(stage: Mapping, design: Mapping, mass: int):
     s = control.tf("s")
     pid = kp / NANO * (s + wi) / s * (s / wd + 1) * wl**2
     pid = control.c2d(
-        control.ss(pid / (s**2 + 2 * design["low_pass_damping"] * wl * s + wl**2)), STEP, "tustin"
+        control.ss(pid / (s**2 + 2 * design["low_pass_damping"] * wl * s + wl**2)), SAMPLE_TIME, "tustin"
     )
     parts = [
         _plant(w, push, see, ratio),
@@ -99,7 +99,7 @@ def closed(stage: Mapping, design: Mapping, mass: int):
     ]
     for i, (zeta, q) in enumerate(zip(design["damping"], design["selectivity"], strict=True), 1):
         band = -2 * zeta * w[i] / push[i] * (w[i] / q) * s / (s**2 + w[i] / q * s + w[i] ** 2)
-        held = control.c2d(control.ss(band), STEP, "tustin", prewarp_frequency=w[i])
+        held = control.c2d(control.ss(band), SAMPLE_TIME, "tustin", prewarp_frequency=w[i])
         parts.append(control.ss(held, inputs=f"v{i}", outputs=f"d{i}", name=f"band{i}"))
     sums = {
         "e": ["r", "-y", "-d", "flex"],
@@ -116,19 +116,19 @@ def closed(stage: Mapping, design: Mapping, mass: int):
 
 def _plant(w, push, see, ratio):
     """All modes; the command acts from 1.5 samples later on for one sample, the disturbance w from now."""
-    whole, at_once = sampled(w, push, ratio, False, STEP)
+    whole, at_once = sampled(w, push, ratio, False, SAMPLE_TIME)
     half, late = sampled(w, push, ratio, False, HALF)
     a = np.block([[whole, late, half @ late], [np.zeros((2, 16)), np.eye(2, k=-1)]])
     b = np.zeros((18, 2))
     b[16, 0], b[:16, 1] = 1.0, at_once[:, 0]
     c = np.zeros((1, 18))
     c[0, :16:2] = see
-    return control.ss(a, b, c, 0, STEP, inputs=["command", "w"], outputs="position", name="plant")
+    return control.ss(a, b, c, 0, SAMPLE_TIME, inputs=["command", "w"], outputs="position", name="plant")
 
 
 def _observer(noise, design, w, push, see, ratio):
     """Kalman filter of four modes and a random walk; it knows the forces that act and looks 1.5 samples ahead."""
-    whole, held = sampled(w[:4], push, ratio, True, STEP)
+    whole, held = sampled(w[:4], push, ratio, True, SAMPLE_TIME)
     half, late = sampled(w[:4], push, ratio, True, HALF)
     compliance = np.sum(push[4:7] * see[4:7] / w[4:7] ** 2)
     c = np.zeros((1, 9))
@@ -136,8 +136,8 @@ def _observer(noise, design, w, push, see, ratio):
     unit = np.diag([1e-6, 1e-3] * 4 + [1.0])  # states of like size
     into = np.diag(1 / np.diag(unit))
     drive = into @ np.hstack([held, np.eye(9)[:, 8:]])
-    variances = [design["process"] * noise["process"] ** 2 / STEP, design["noise_model"] * STEP]
-    sensor = np.array([[NANO**2 * (noise["sensor"] ** 2 + noise["reference"] ** 2) / STEP]])
+    variances = [design["process"] * noise["process"] ** 2 / SAMPLE_TIME, design["noise_model"] * SAMPLE_TIME]
+    sensor = np.array([[NANO**2 * (noise["sensor"] ** 2 + noise["reference"] ** 2) / SAMPLE_TIME]])
     _, p, _ = control.dlqe(into @ whole @ unit, drive, c @ unit, np.diag(variances), sensor)
     gain = unit @ p @ unit @ c.T / (c @ unit @ p @ unit @ c.T + sensor)
     # States: x before the measurement, f(k-1), f(k-2); first what the measurement makes of them.
@@ -158,7 +158,7 @@ def _observer(noise, design, w, push, see, ratio):
         b,
         rows @ update,
         np.hstack([np.zeros((4, 1)), rows @ taken]),
-        STEP,
+        SAMPLE_TIME,
         inputs=["f", "seen"],
         outputs=["flex", "v1", "v2", "v3"],
         name="observer",
@@ -170,13 +170,13 @@ def highest(loop, poles: np.ndarray) -> float:
 
     A grid and points all over every resonance, as far apart as half of it is wide; then ever closer around all tops.
     """
-    near = np.log(poles[np.abs(poles) > 0.5]) / STEP
+    near = np.log(poles[np.abs(poles) > 0.5]) / SAMPLE_TIME
     near = (np.abs(near.imag) + np.arange(-4, 5)[:, None] * near.real).ravel()
-    first, last = 2 * np.pi, 0.999 * np.pi / STEP
+    first, last = 2 * np.pi, 0.999 * np.pi / SAMPLE_TIME
     omega = np.union1d(np.geomspace(first, last, 500), near[(near > first) & (near < last)])
     largest = 0.0
     for _ in range(4):  # to a 64th of half a width: a top is met to 0.0003 dB
-        response = loop(np.exp(1j * omega * STEP), squeeze=False)
+        response = loop(np.exp(1j * omega * SAMPLE_TIME), squeeze=False)
         three = np.array([response[1, 1], response[0, 2], response[0, 0]])
         values = np.abs(np.vstack([three, 1 - three]))
         largest = max(largest, float(values.max()))
@@ -204,7 +204,7 @@ def moved(loop, limits: Mapping) -> float:
     r = np.pad(NANO * rows[0, ::2], (AHEAD, SAMPLES), "edge")[:SAMPLES]
     # The setpoint acts where the noise v does; a command acts three halves of a sample later, as a mean over one.
     shifted = np.pad(rows[:4], ((0, 0), (2 * AHEAD - 3, 2 * SAMPLES)), "edge")[:, : 2 * SAMPLES + 1 : 2]
-    means = np.diff(shifted, axis=1) / STEP
+    means = np.diff(shifted, axis=1) / SAMPLE_TIME
     signals = [("v", r), *(("u0", each / np.abs(each).max()) for each in means)]
     hit = {}
     for name in ("v", "u0"):

@@ -5,8 +5,8 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from experiments.motion.bode import paint_bode
+from experiments.motion.loop_functions import paint_over_masses
 from experiments.motion.magnitudes import decibel
-from experiments.motion.over_masses import paint_over_masses
 from stillwork import designing
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
@@ -89,7 +89,7 @@ def paint_sensitivities(found: Mapping[str, Reached], machine: Machine):
 def machine_explorer(
     machine: Machine, intensities: Intensities, retained: int, selectivity: float
 ) -> Callable:
-    """Drawing function of the explorer: what the controller sees at the last sensor, bare and with MC and AD."""
+    """Explorer: what the controller sees at the last sensor, bare and with MC and AD."""
     last = machine.sensors[-1]
     low, high = machine.resonances_hz[0] * 0.05, machine.resonances_hz[-1] * 1.2
     shown = resonance_grid(last.poles, low, high, 200, 16)  # coarse enough to redraw quickly

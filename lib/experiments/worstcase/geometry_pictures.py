@@ -2,17 +2,10 @@
 
 import numpy as np
 
+from experiments.worstcase.random_problem import sample_problem
 from stillwork.estimation.min_max import solve_silently
 from stillwork.estimation.secular import secular_function
 from stillwork.workbook import figures
-
-
-def example(seed: int, rows: int, unknowns: int, noise: float) -> tuple[np.ndarray, np.ndarray]:
-    """Data A, b with standard normal regressors, parameters 1, -1/2, 1/3, ... and Gaussian noise on b."""
-    rng = np.random.default_rng(seed)
-    matrix = rng.standard_normal((rows, unknowns))
-    truth = (-1.0) ** np.arange(unknowns) / np.arange(1.0, unknowns + 1)
-    return matrix, matrix @ truth + noise * rng.standard_normal(rows)
 
 
 def costs(matrix: np.ndarray, target: np.ndarray, bound: float, points: np.ndarray) -> np.ndarray:
@@ -101,5 +94,5 @@ def paint_secular(matrix: np.ndarray, target: np.ndarray, shares: list[float]):
 
 def explore_geometry(share: float, noise: float):
     """`paint_two_unknowns` with the bound given as a share of the threshold."""
-    matrix, target = example(1, 8, 2, noise)
+    matrix, target = sample_problem(1, 8, 2, noise)
     return paint_two_unknowns(matrix, target, share * solve_silently(matrix, target, 0.0).threshold)

@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from experiments.worstcase.measured_pictures import paint_windows
 from experiments.worstcase.pairs import Pair, Spectra, residual
+from experiments.worstcase.window_pictures import paint_windows
 from experiments.worstcase.your_record import Fitted, parts, weighted_corner
 from stillwork.estimation.min_max import solve_silently
 from stillwork.identification.regressors import fir_regressors
@@ -104,7 +104,7 @@ def paint_lengths(lengths: list[int], found: dict[str, list[np.ndarray]]):
 
 
 def record_explorer(pair: Pair, memory: int) -> Callable:
-    """Drawing function of the explorer: the model for another length and another bound."""
+    """Explorer: the model for another length and another bound."""
     scaled = pair.normalised
     fit, _, judge = parts(len(scaled.input))
     forgetting = 1 - 1 / memory

@@ -4,7 +4,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from experiments.motion.magnitudes import mark_limit, paint_magnitudes
+from experiments.motion.magnitude_panels import paint_magnitudes
+from experiments.motion.magnitudes import mark_limit
 from stillwork.control.bandwidth import Loop
 from stillwork.control.pid import Pid
 

@@ -1,0 +1,84 @@
+"""Tracking errors as lines over time, each with its RMS: what one setting gives, for the explorers."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from experiments.fixedpoint.axes import COLOURS
+from experiments.fixedpoint.metrics import judge, noisy_run
+from experiments.fixedpoint.noise import Noise
+from experiments.fixedpoint.oscillator import load_oscillator
+from experiments.fixedpoint.published import KALMAN, LITERAL, LOW_PASS, WINDOW, published_controllers
+from stillwork.control.fixed_point import Controller
+from stillwork.control.kinematics import KinematicDesign
+from stillwork.control.trajectory import asin_trajectory
+from stillwork.control.transformation import RobustTransformation
+from stillwork.estimation.coordinate_filters import LowPass, MovingWindow
+from stillwork.workbook import figures
+
+
+def _approximate():
+    return load_oscillator()["approximate"].plant
+
+
+def _driven(controllers, trajectory, noise, **options):
+    """A run of each controller on the exact plant, in noise of one seed."""
+    exact = load_oscillator()["exact"].plant
+    return {
+        name: noisy_run(exact, each, trajectory, noise, 0, **options) for name, each in controllers.items()
+    }
+
+
+def _paint_error_lines(runs, title, seconds=(6.0, 6.5)):
+    figure, axes = figures.new(height=3.2)
+    for name, run in runs.items():
+        part = (run.time >= seconds[0]) & (run.time < seconds[1])
+        error = judge(run)["position"]
+        label = (
+            f"{name}: {error * 1e3:.3g} mm"
+            if np.isfinite(error)
+            else f"{name}: diverged at {run.diverged_at:.2f} s"
+        )
+        axes.plot(run.time[part], 1e3 * run.position_error[part], color=COLOURS[name], label=label)
+    axes.set(xlabel="time (s)", ylabel="error of q (mm)", title=title)
+    axes.legend(title="RMS after 2 s", title_fontsize=8)
+    return figure
+
+
+def paint_noise_free(frequency_hz: float, sharpness: float, window_length: int, bandwidth: float):
+    """Tracking error without noise of the three filters, with other settings of two of them."""
+    chosen = published_controllers(_approximate())
+    del chosen[LITERAL]
+    for name, other in ((WINDOW, MovingWindow(int(window_length))), (LOW_PASS, LowPass(bandwidth))):
+        chosen[name] = replace(chosen[name], signal_filter=other)
+    trajectory = asin_trajectory(sharpness=sharpness, frequency_hz=frequency_hz)
+    return _paint_error_lines(_driven(chosen, trajectory, Noise()), "without noise")
+
+
+def paint_noisy(kind: str, amplitude: float, frequency_hz: float, integration: str):
+    """Tracking error of the four controllers in noise of another size and kind."""
+    chosen, trajectory = published_controllers(_approximate()), asin_trajectory(frequency_hz=frequency_hz)
+    runs = _driven(chosen, trajectory, Noise(kind, amplitude), integration=integration)
+    return _paint_error_lines(runs, f"{kind} noise")
+
+
+def paint_low_pass(exponent: float, bandwidth: float, strength: float):
+    """The low pass with other settings than the paper's, in large Gaussian noise."""
+    transformation = RobustTransformation(slope=strength / (4e7 * 1.05))
+    chosen = Controller(LowPass(bandwidth), transformation, KinematicDesign(exponent), _approximate())
+    runs = _driven({LOW_PASS: chosen}, asin_trajectory(), Noise("gaussian", 1e-4))
+    return _paint_error_lines(runs, "large Gaussian noise")
+
+
+def paint_shift(frequency_hz: float, exponent: float):
+    """Both forms of the Kalman filter without noise: the printed one tracks late by one sample."""
+    trajectory, published = asin_trajectory(frequency_hz=frequency_hz), published_controllers(_approximate())
+    moved = {
+        name: replace(published[name], kinematics=KinematicDesign(exponent)) for name in (KALMAN, LITERAL)
+    }
+    figure = _paint_error_lines(_driven(moved, trajectory, Noise()), "without noise", (0.0, 12.0))
+    [axes] = figure.axes
+    nominal = trajectory.time[::20], trajectory.velocity[::20]
+    axes.plot(*nominal, "k:", lw=1, label="1 ms times the nominal velocity")
+    axes.legend(fontsize=7)
+    return figure
