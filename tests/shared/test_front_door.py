@@ -13,6 +13,7 @@ from importlib import import_module
 import numpy as np
 import pytest
 from jaxtyping import Float64
+from scipy import interpolate
 
 from stillwork.base import front_door
 from stillwork.base.checks import InputError
@@ -20,6 +21,7 @@ from stillwork.base.front_door import check_fields, checked
 from stillwork.control import PeakConstraint, make_loop, maximise_bandwidth
 from stillwork.estimation import FeLms, FeRls, adapt, identify
 from stillwork.lti import ModalModel
+from stillwork.lti.peaks import refine_peak
 
 
 @dataclass(frozen=True)
@@ -122,15 +124,48 @@ def test_a_model_keeps_what_it_was_given():
     np.testing.assert_array_equal(part.rows, np.ones((3, 2)))
 
 
+def searched(family):
+    """The largest bandwidth of a stage, or what its search raises."""
+    numbers = ([0.0, 300.0], [0.0, 0.01], [[0.3], [0.4]], [[0.3, -0.4]], [[0.0]])
+    loop = make_loop(ModalModel(*map(np.array, numbers)), points=50, around=3)
+    return maximise_bandwidth([loop], family, [PeakConstraint("input_sensitivity")], 1.0, 20.0)
+
+
 @pytest.mark.parametrize("error", [ValueError, IndexError, ZeroDivisionError, np.linalg.LinAlgError])
 def test_an_error_of_a_readers_own_function_comes_through(error):
     def family(bandwidth):
         raise error("mine")
 
-    numbers = ([0.0, 300.0], [0.0, 0.01], [[0.3], [0.4]], [[0.3, -0.4]], [[0.0]])
-    loop = make_loop(ModalModel(*map(np.array, numbers)), points=50, around=3)
     with pytest.raises(error, match=r"^mine$"):
-        maximise_bandwidth([loop], family, [PeakConstraint("input_sensitivity")], 1.0, 20.0)
+        searched(family)
+
+
+def test_an_error_of_a_library_that_a_reader_calls_comes_through():
+    table = interpolate.interp1d([1.0, 2.0], [1.0, 2.0])
+    with pytest.raises(ValueError, match="interpolation range") as raised:
+        refine_peak(table, np.array([1.0, 2.0, 3.0]), np.array([1.0, 1.5, 2.0]))
+    assert not isinstance(raised.value, InputError)
+
+
+def test_the_toolbox_asks_within_a_readers_own_function_too():
+    @checked
+    def rows_of(matrix: Float64[np.ndarray, "a b"]) -> int:
+        return matrix.shape[0]
+
+    omega = np.array([0.1, 1.0])
+    assert refine_peak(lambda w: rows_of([[1.0]]) / w, omega, 1 / omega).omega == 0.1
+    with pytest.raises(InputError, match="matrix is not an array"):
+        refine_peak(lambda w: rows_of([["text"]]) / w, omega, 1 / omega)
+
+
+def test_what_a_readers_own_function_returns_is_asked():
+    with pytest.raises(InputError, match="what family returns is None; give Pid"):
+        searched(lambda bandwidth: None)
+    for response in (lambda omega: None, lambda omega: "text", lambda omega: np.full(len(omega), np.nan)):
+        with pytest.raises(InputError, match="what response returns"):
+            refine_peak(response, np.array([1.0, 2.0]), np.array([1.0, 2.0]))
+    with pytest.raises(InputError, match=r"what response returns has shape \(\) for 9 frequencies"):
+        refine_peak(lambda omega: 1.0, np.array([1.0, 2.0]), np.array([1.0, 2.0]))
 
 
 def test_a_record_without_rows_is_named():
@@ -228,6 +263,7 @@ MODELS = """
 import numpy as np
 from stillwork.base.checks import InputError
 from stillwork.control import FlowTransformation
+from stillwork.control.crossover import crossover
 from stillwork.control.feedback import fed_back
 from stillwork.control.feedforward import Feedforward
 from stillwork.control.fixed_point_convergence import iterate
@@ -247,6 +283,7 @@ for call, message in (
     (lambda: Observer(None, np.eye(2), np.eye(2), np.eye(2), np.eye(2)), "model is None; give ModalModel"),
     (lambda: Observer(model, -np.eye(2), np.ones((2, 1)), np.ones((1, 2)), np.ones((3, 1))), "gain has shape (3, 1)"),
     (lambda: refine_peak(np.sin, np.ones(3), np.ones(2)), "omega has 3 frequencies, magnitude 2"),
+    (lambda: crossover(np.sin, np.ones(3), np.ones(2)), "omega has 3 frequencies, magnitude 2"),
     (lambda: SecularFunction([2.0, 1.0], [1.0, 1.0, 1.0], 1.0, 0.1), "one for each of the coefficients"),
     (lambda: Spectrum([0.0, 1.0], [[1.0]], 1), "density has not one value at each"),
     (lambda: AdaptationStepper("rls", np.zeros((1, 2))), "settings is 'rls'; give FeLms or FeRls"),

@@ -5,14 +5,12 @@ A function keeps to its own what no annotation says: bounds, which sizes fit tog
 
 import inspect
 import math
-import sys
 import threading
-import traceback
 import types
 import typing
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
-from functools import cache, wraps
+from functools import cache, partial, wraps
 from pathlib import Path
 from typing import Any
 
@@ -43,18 +41,6 @@ _PLAIN: dict[Any, Callable] = {
 
 _NUMBERS = (complex, np.ndarray, np.inexact)  # that may be NaN
 
-# Which modules' errors are about the numbers that the toolbox gave them.
-_OURS = sys.stdlib_module_names | {
-    "stillwork",
-    "numpy",
-    "scipy",
-    "numba",
-    "control",
-    "pandas",
-    "pyuff",
-    "jaxtyping",
-}
-
 _BY_PLACE = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 
 
@@ -62,6 +48,7 @@ class _Inside(threading.local):
     """Whether this thread is within a checked function: what these call among themselves is not asked again."""
 
     now = False
+    theirs: Exception | None = None  # what a reader's own function raised on the way
 
 
 _inside = _Inside()
@@ -96,13 +83,13 @@ def checked(function: Callable | None = None, *, infinite: bool = False, missing
         try:
             result = function(*values, **named)
         except (np.linalg.LinAlgError, OverflowError, ZeroDivisionError, MemoryError) as error:
-            if _readers(error):
+            if error is _inside.theirs:
                 raise
             raise _beyond(function, error) from None
         except InputError:
             raise
         except (ValueError, IndexError) as error:
-            if _readers(error):
+            if error is _inside.theirs:
                 raise
             if "infs or NaNs" in str(error):  # scipy's word for numbers that overflowed on the way
                 raise _beyond(function, error) from None
@@ -110,7 +97,7 @@ def checked(function: Callable | None = None, *, infinite: bool = False, missing
                 f"the arguments of {_named(function)} do not fit together ({error}); look at their sizes"
             ) from error
         finally:
-            _inside.now = False
+            _inside.now, _inside.theirs = False, None
         if not missing and _spoiled(result, infinite):
             raise _beyond(function, "it is not finite")
         return result
@@ -138,14 +125,22 @@ def own_arrays(instance) -> None:
             object.__setattr__(instance, name, np.array(value))
 
 
-def _readers(error: Exception) -> bool:
-    """Whether it was raised within a function of a reader's own, which ours called: it says best what is wrong.
+def outside(function: Callable, check: Callable = lambda value: value) -> Callable:
+    """A reader's own function, as the toolbox calls it: what it calls of ours is asked, its errors are its own."""
 
-    The first two frames are the door and what it leads to.
-    """
-    modules = [frame.f_globals.get("__name__", "") for frame, _ in traceback.walk_tb(error.__traceback__)]
-    packages = [name.partition(".")[0] for name in modules]
-    return not set(packages[2:]) <= _OURS | {packages[1]}
+    def call(*values, **named):
+        inside, _inside.now = _inside.now, False
+        try:
+            result = function(*values, **named)
+        except Exception as error:
+            if inside:
+                _inside.theirs = error
+            raise
+        finally:
+            _inside.now = inside
+        return check(result)
+
+    return call
 
 
 def _named(function: Callable) -> str:
@@ -168,8 +163,23 @@ def _checks(owner) -> dict[str, Callable]:
     """A check for every parameter or field whose annotation says what it takes."""
     hints = typing.get_type_hints(inspect.unwrap(owner) if inspect.isfunction(owner) else owner)
     names = hints if inspect.isfunction(owner) else {field.name for field in fields(owner)}
-    found = {name: _check(hints[name]) for name in names if name != "return"}
+    # A model keeps a reader's function as it is: kernels compile it.
+    how = _argument if inspect.isfunction(owner) else _check
+    found = {name: how(hints[name]) for name in names if name != "return"}
     return {name: check for name, check in found.items() if check is not None}
+
+
+def _argument(hint) -> Callable | None:
+    """Check of an argument; of a function that `hint` says what it returns, its results are asked, too."""
+    if hint is not Callable and typing.get_origin(hint) is not Callable:
+        return _check(hint)
+    result = _check(typing.get_args(hint)[1]) if typing.get_args(hint) else None
+
+    def check(name: str, value):
+        require_callable(name, value)
+        return outside(value, partial(result, f"what {name} returns")) if result else outside(value)
+
+    return check
 
 
 def _check(hint) -> Callable | None:

@@ -8,7 +8,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import require_array
-from stillwork.base.front_door import check_fields, checked
+from stillwork.base.front_door import check_fields, checked, outside
 from stillwork.control.fixed_point import Controller
 from stillwork.control.mechanism import Mechanism
 from stillwork.estimation.coordinate_filters import (
@@ -141,7 +141,7 @@ def _steady_gain(F, Q, H, R):
 
 def _slopes(plant: Plant, position: float, velocity: float):
     """Partial derivatives of the acceleration where it is zero."""
-    force = plant.force(position, velocity, 0.0, plant.parameters)
+    force = outside(plant.force)(position, velocity, 0.0, plant.parameters)
     return partial_derivatives(plant, position, velocity, force)
 
 
