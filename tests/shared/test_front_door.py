@@ -7,8 +7,9 @@ import subprocess
 import sys
 import typing
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from importlib import import_module
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from scipy import interpolate
 
 from stillwork.base import front_door
 from stillwork.base.checks import InputError
-from stillwork.base.front_door import check_fields, checked
+from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.control import PeakConstraint, make_loop, maximise_bandwidth
 from stillwork.estimation import FeLms, FeRls, adapt, identify
 from stillwork.lti import ModalModel
@@ -122,6 +123,62 @@ def test_a_model_keeps_what_it_was_given():
     part = Part(1.0, rows)
     rows[:] = 7.0
     np.testing.assert_array_equal(part.rows, np.ones((3, 2)))
+
+
+@pytest.fixture(scope="module")
+def models():
+    """Instances of the toolbox's frozen dataclasses that the fuzz knows a good call of."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(Path(__file__).parents[2] / "benchmarks")
+        calls = import_module("fuzzing.calls").catalogue().values()
+    values = [value for _, good in calls for value in good.values()]
+    made = [make(**good) for make, good in calls if inspect.isclass(make) and is_dataclass(make)]
+    made = [each for each in values + made if is_dataclass(each) and each.__dataclass_params__.frozen]
+    return [each for each in made if type(each).__module__.startswith("stillwork.")]
+
+
+def test_a_model_equals_another_of_the_same_values(models):
+    assert len({type(model) for model in models}) > 30
+    for model in models:
+        twin = replace(model)
+        assert twin == model and model in [twin] and [None, twin].index(model) == 1
+        assert model != 1 and model is not None
+        for field in fields(model):
+            value = getattr(model, field.name)
+            if isinstance(value, np.ndarray) and value.size:
+                other = value.copy()
+                other.flat[-1] += 1
+                for change in (other, value[None], value.tolist()):
+                    object.__setattr__(twin, field.name, change)
+                    assert twin != model, (model, field.name)
+                object.__setattr__(twin, field.name, value)
+
+
+def test_a_lost_value_is_as_lost_in_an_equal_model():
+    @by_value
+    @dataclass(frozen=True)
+    class Kept:
+        parts: tuple
+        named: dict
+
+    assert Kept((np.array([np.nan]), [1.0]), {"a": np.ones(2)}) == Kept(
+        (np.array([np.nan]), [1.0]), {"a": np.ones(2)}
+    )
+    assert Kept((), {"a": np.ones(2)}) != Kept((), {"a": np.ones(3)})
+    assert Kept((np.ones(2),), {}) != Kept((np.ones(2, dtype=int),), {})
+    assert hash(PeakConstraint("input_sensitivity")) == hash(PeakConstraint("input_sensitivity"))
+
+
+def test_every_frozen_class_of_the_toolbox_is_equal_by_value():
+    classes = {
+        thing
+        for folder in FOLDERS
+        for each in pkgutil.iter_modules(import_module(f"stillwork.{folder}").__path__)
+        for thing in vars(import_module(f"stillwork.{folder}.{each.name}")).values()
+        if inspect.isclass(thing) and is_dataclass(thing) and thing.__dataclass_params__.frozen
+    }
+    assert len(classes) > 60
+    assert [each.__name__ for each in classes if each.__eq__.__module__ != by_value.__module__] == []
 
 
 def searched(family):

@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache, partial, wraps
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import AbstractArray
@@ -40,6 +40,8 @@ _PLAIN: dict[Any, Callable] = {
 }
 
 _NUMBERS = (complex, np.ndarray, np.inexact)  # that may be NaN
+
+_Model = TypeVar("_Model")
 
 _BY_PLACE = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 
@@ -115,6 +117,34 @@ def check_fields(instance) -> None:
         if (fit := check(name, value)) is not value:
             object.__setattr__(instance, name, fit)
     own_arrays(instance)
+
+
+def by_value(model: type[_Model]) -> type[_Model]:
+    """Instances of a frozen dataclass are equal when their fields are, arrays among them; its hash stays."""
+    names = [field.name for field in fields(model) if field.compare]  # type: ignore[arg-type]
+
+    def equal(self, other):
+        if type(other) is not type(self):
+            return NotImplemented
+        return all(_equal(getattr(self, name), getattr(other, name)) for name in names)
+
+    model.__eq__ = equal  # type: ignore[method-assign,assignment]
+    return model
+
+
+def _equal(one, other) -> bool:
+    """Whether two fields hold the same; NaN stands in an array for a lost value, and is equal to another."""
+    if one is other:
+        return True
+    if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
+        if type(one) is not type(other) or one.dtype != other.dtype:
+            return False
+        return np.array_equal(one, other, equal_nan=one.dtype.kind in "fc")
+    if isinstance(one, tuple | list) and type(one) is type(other):
+        return len(one) == len(other) and all(map(_equal, one, other))
+    if isinstance(one, dict) and isinstance(other, dict):
+        return one.keys() == other.keys() and all(_equal(one[key], other[key]) for key in one)
+    return bool(one == other)
 
 
 def own_arrays(instance) -> None:

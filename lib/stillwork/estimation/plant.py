@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array
-from stillwork.base.front_door import check_fields, checked, outside
+from stillwork.base.front_door import by_value, check_fields, checked, outside
 from stillwork.base.kernels import callback
 
 SIGNATURE = "float64(float64, float64, float64, float64[::1])"  # of a plant's two functions
 
 
+@by_value
 @dataclass(frozen=True)
 class Plant:
     """A second-order plant with one coordinate, and its inverse.
