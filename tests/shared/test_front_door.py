@@ -44,6 +44,8 @@ def taken(
     word: str = "",
     call: Callable = abs,
     either: float | Part = 0.0,
+    places: Sequence[int] | slice = (),
+    flag: bool = False,
 ):
     return number, count, matrix, parts, pair, word, call, either
 
@@ -70,7 +72,11 @@ def taken(
         ("pair", (1.0, "2"), r"pair\[1\] is '2'"),
         ("word", None, "word is None; give str"),
         ("call", 3, "call is 3; give a function"),
-        ("either", "x", "either is 'x'; give Part"),
+        ("either", "x", "either is 'x'; give a number or Part"),
+        ("places", [True], r"places is \[True\]; give a list of values or slice"),
+        ("places", "x", "places is 'x'; give a list of values or slice"),
+        ("flag", 1, "flag is 1; give bool"),
+        ("flag", np.array(True), "flag is array"),
     ],
 )
 def test_a_wrong_argument_is_named(name, value, message):
@@ -92,6 +98,15 @@ def test_other_forms_of_the_same_numbers_become_what_the_annotation_says():
         assert result[:2] == (2.0, 3) and result[4] == (0.0, 1.0)
         assert result[2].dtype == np.float64 and result[2].flags.c_contiguous and result[2].flags.writeable
         np.testing.assert_array_equal(result[2], frozen)
+
+
+def test_a_flag_of_numpy_is_taken():
+    @checked
+    def opposite(flag: bool) -> bool:
+        assert type(flag) is bool
+        return not flag
+
+    assert opposite(np.True_) is False and opposite(np.False_) is True and opposite(True) is False
 
 
 def test_a_field_is_checked_and_converted():

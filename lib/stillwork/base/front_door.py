@@ -22,6 +22,7 @@ from stillwork.base.checks import (
     InputError,
     require_array,
     require_callable,
+    require_flag,
     require_kind,
     require_number,
     require_whole,
@@ -35,8 +36,17 @@ _OPEN = frozenset(typing.get_args(ArrayLike)) - {bool, int, float, complex, str,
 _PLAIN: dict[Any, Callable] = {
     float: require_number,
     int: require_whole,
+    bool: require_flag,
     np.ndarray: require_array,
     Callable: require_callable,
+}
+
+_WORDS = {
+    float: "a number",
+    int: "a whole number",
+    bool: "True or False",
+    np.ndarray: "an array",
+    Callable: "a function",
 }
 
 _NUMBERS = (complex, np.ndarray, np.inexact)  # that may be NaN
@@ -246,7 +256,6 @@ def _union(parts: tuple) -> Callable | None:
     found: list[Any] = [_check(part) for part in rest]
     if not rest or None in found:
         return None
-    classes = tuple(part for part in rest if inspect.isclass(part) and part not in (float, int))
     optional = len(rest) < len(parts)
     kinds = tuple(part for part in rest if _is_kind(part))
 
@@ -262,10 +271,17 @@ def _union(parts: tuple) -> Callable | None:
                 return each(name, value)
             except InputError:
                 continue
-        wanted = " or ".join(getattr(part, "__name__", str(part)) for part in classes or rest)
-        raise InputError(f"{name} is {shown(value)}; give {wanted}")
+        raise InputError(f"{name} is {shown(value)}; give {' or '.join(map(_words, rest))}")
 
     return check
+
+
+def _words(hint) -> str:
+    """How a refusal names what is wanted."""
+    kind = typing.get_origin(hint) or hint
+    if kind in (list, tuple, Sequence, Collection, Iterable):
+        return "a list of values"
+    return _WORDS.get(kind) or ("an array" if issubclass(kind, AbstractArray) else kind.__name__)
 
 
 def _sequence(origin, parts: tuple) -> Callable | None:
