@@ -280,7 +280,7 @@ def _words(hint) -> str:
     """How a refusal names what is wanted."""
     kind = typing.get_origin(hint) or hint
     if kind in (list, tuple, Sequence, Collection, Iterable):
-        return "a list of values"
+        return "a list of whole numbers" if int in typing.get_args(hint) else "a list of values"
     return _WORDS.get(kind) or ("an array" if issubclass(kind, AbstractArray) else kind.__name__)
 
 
