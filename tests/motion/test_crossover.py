@@ -40,3 +40,20 @@ def test_a_loop_that_does_not_cross_is_refused(gain):
     grid = 2 * np.pi * np.array([1.0, 10.0])
     with pytest.raises(InputError, match="does not fall through 0 dB from 1 to 10 Hz"):
         found(lambda w: gain * np.ones_like(w, dtype=complex), grid)
+
+
+FALLING = np.array([2.0, 1.5, 0.5])
+
+
+@pytest.mark.parametrize(
+    ("response", "magnitude", "message"),
+    [
+        (lambda w: None, FALLING, "what response returns "),
+        (lambda w: np.full_like(w, np.nan), FALLING, "what response returns holds 1 NaN"),
+        (lambda w: np.ones(3), FALLING, r"what response returns has shape \(3,\) for 1 frequencies"),
+        (np.zeros_like, FALLING, "response is 0 at"),
+    ],
+)
+def test_a_response_that_is_none_is_refused_by_name(response, magnitude, message):
+    with pytest.raises(InputError, match=message):
+        crossover(response, np.array([0.5, 1.0, 2.0]), magnitude)

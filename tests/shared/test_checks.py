@@ -133,3 +133,12 @@ def test_wrong_shapes_are_told(value, options, message):
 
 def test_a_free_axis():
     assert require_array("x", np.zeros((2, 3)), shape=(None, 3)).shape == (2, 3)
+
+
+def test_an_object_that_fails_when_asked_for_its_number_is_named():
+    class Broken:
+        def __float__(self):
+            raise RuntimeError("no number today")
+
+    with pytest.raises(InputError, match=r"gain is .*not a number; give a finite number"):
+        require_number("gain", Broken())

@@ -7,19 +7,22 @@ import subprocess
 import sys
 import typing
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from importlib import import_module
+from pathlib import Path
 
 import numpy as np
 import pytest
 from jaxtyping import Float64
+from scipy import interpolate
 
 from stillwork.base import front_door
 from stillwork.base.checks import InputError
-from stillwork.base.front_door import check_fields, checked
+from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.control import PeakConstraint, make_loop, maximise_bandwidth
 from stillwork.estimation import FeLms, FeRls, adapt, identify
 from stillwork.lti import ModalModel
+from stillwork.lti.peaks import refine_peak
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,8 @@ def taken(
     word: str = "",
     call: Callable = abs,
     either: float | Part = 0.0,
+    places: Sequence[int] | slice = (),
+    flag: bool = False,
 ):
     return number, count, matrix, parts, pair, word, call, either
 
@@ -67,7 +72,11 @@ def taken(
         ("pair", (1.0, "2"), r"pair\[1\] is '2'"),
         ("word", None, "word is None; give str"),
         ("call", 3, "call is 3; give a function"),
-        ("either", "x", "either is 'x'; give Part"),
+        ("either", "x", "either is 'x'; give a number or Part"),
+        ("places", [True], r"places is \[True\]; give a list of whole numbers or slice"),
+        ("places", "x", "places is 'x'; give a list of whole numbers or slice"),
+        ("flag", 1, "flag is 1; give bool"),
+        ("flag", np.array(True), "flag is array"),
     ],
 )
 def test_a_wrong_argument_is_named(name, value, message):
@@ -89,6 +98,15 @@ def test_other_forms_of_the_same_numbers_become_what_the_annotation_says():
         assert result[:2] == (2.0, 3) and result[4] == (0.0, 1.0)
         assert result[2].dtype == np.float64 and result[2].flags.c_contiguous and result[2].flags.writeable
         np.testing.assert_array_equal(result[2], frozen)
+
+
+def test_a_flag_of_numpy_is_taken():
+    @checked
+    def opposite(flag: bool) -> bool:
+        assert type(flag) is bool
+        return not flag
+
+    assert opposite(np.True_) is False and opposite(np.False_) is True and opposite(True) is False
 
 
 def test_a_field_is_checked_and_converted():
@@ -122,15 +140,104 @@ def test_a_model_keeps_what_it_was_given():
     np.testing.assert_array_equal(part.rows, np.ones((3, 2)))
 
 
+@pytest.fixture(scope="module")
+def models():
+    """Instances of the toolbox's frozen dataclasses that the fuzz knows a good call of."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(Path(__file__).parents[2] / "benchmarks")
+        calls = import_module("fuzzing.calls").catalogue().values()
+    values = [value for _, good in calls for value in good.values()]
+    made = [make(**good) for make, good in calls if inspect.isclass(make) and is_dataclass(make)]
+    made = [each for each in values + made if is_dataclass(each) and each.__dataclass_params__.frozen]
+    return [each for each in made if type(each).__module__.startswith("stillwork.")]
+
+
+def test_a_model_equals_another_of_the_same_values(models):
+    assert len({type(model) for model in models}) > 30
+    for model in models:
+        twin = replace(model)
+        assert twin == model and model in [twin] and [None, twin].index(model) == 1
+        assert model != 1 and model is not None
+        for field in fields(model):
+            value = getattr(model, field.name)
+            if isinstance(value, np.ndarray) and value.size:
+                other = value.copy()
+                other.flat[-1] += 1
+                for change in (other, value[None], value.tolist()):
+                    object.__setattr__(twin, field.name, change)
+                    assert twin != model, (model, field.name)
+                object.__setattr__(twin, field.name, value)
+
+
+def test_a_lost_value_is_as_lost_in_an_equal_model():
+    @by_value
+    @dataclass(frozen=True)
+    class Kept:
+        parts: tuple
+        named: dict
+
+    assert Kept((np.array([np.nan]), [1.0]), {"a": np.ones(2)}) == Kept(
+        (np.array([np.nan]), [1.0]), {"a": np.ones(2)}
+    )
+    assert Kept((), {"a": np.ones(2)}) != Kept((), {"a": np.ones(3)})
+    assert Kept((np.ones(2),), {}) != Kept((np.ones(2, dtype=int),), {})
+    assert hash(PeakConstraint("input_sensitivity")) == hash(PeakConstraint("input_sensitivity"))
+
+
+def test_every_frozen_class_of_the_toolbox_is_equal_by_value():
+    classes = {
+        thing
+        for folder in FOLDERS
+        for each in pkgutil.iter_modules(import_module(f"stillwork.{folder}").__path__)
+        for thing in vars(import_module(f"stillwork.{folder}.{each.name}")).values()
+        if inspect.isclass(thing) and is_dataclass(thing) and thing.__dataclass_params__.frozen
+    }
+    assert len(classes) > 60
+    assert [each.__name__ for each in classes if each.__eq__.__module__ != by_value.__module__] == []
+
+
+def searched(family):
+    """The largest bandwidth of a stage, or what its search raises."""
+    numbers = ([0.0, 300.0], [0.0, 0.01], [[0.3], [0.4]], [[0.3, -0.4]], [[0.0]])
+    loop = make_loop(ModalModel(*map(np.array, numbers)), points=50, around=3)
+    return maximise_bandwidth([loop], family, [PeakConstraint("input_sensitivity")], 1.0, 20.0)
+
+
 @pytest.mark.parametrize("error", [ValueError, IndexError, ZeroDivisionError, np.linalg.LinAlgError])
 def test_an_error_of_a_readers_own_function_comes_through(error):
     def family(bandwidth):
         raise error("mine")
 
-    numbers = ([0.0, 300.0], [0.0, 0.01], [[0.3], [0.4]], [[0.3, -0.4]], [[0.0]])
-    loop = make_loop(ModalModel(*map(np.array, numbers)), points=50, around=3)
     with pytest.raises(error, match=r"^mine$"):
-        maximise_bandwidth([loop], family, [PeakConstraint("input_sensitivity")], 1.0, 20.0)
+        searched(family)
+
+
+def test_an_error_of_a_library_that_a_reader_calls_comes_through():
+    table = interpolate.interp1d([1.0, 2.0], [1.0, 2.0])
+    with pytest.raises(ValueError, match="interpolation range") as raised:
+        refine_peak(table, np.array([1.0, 2.0, 3.0]), np.array([1.0, 1.5, 2.0]))
+    assert not isinstance(raised.value, InputError)
+
+
+def test_the_toolbox_asks_within_a_readers_own_function_too():
+    @checked
+    def rows_of(matrix: Float64[np.ndarray, "a b"]) -> int:
+        return matrix.shape[0]
+
+    omega = np.array([0.1, 1.0])
+    assert refine_peak(lambda w: rows_of([[1.0]]) / w, omega, 1 / omega).omega == 0.1
+    with pytest.raises(InputError, match="matrix is not an array"):
+        refine_peak(lambda w: rows_of([["text"]]) / w, omega, 1 / omega)
+
+
+def test_what_a_readers_own_function_returns_is_asked():
+    with pytest.raises(InputError, match="what family returns is None; give Pid"):
+        searched(lambda bandwidth: None)
+    for response in (lambda omega: None, lambda omega: "text", lambda omega: np.full(len(omega), np.nan)):
+        with pytest.raises(InputError, match="what response returns"):
+            refine_peak(response, np.array([1.0, 2.0]), np.array([1.0, 2.0]))
+    with pytest.raises(InputError, match=r"what response returns has shape \(\) for 9 frequencies"):
+        refine_peak(lambda omega: 1.0, np.array([1.0, 2.0]), np.array([1.0, 2.0]))
 
 
 def test_a_record_without_rows_is_named():
@@ -228,6 +335,7 @@ MODELS = """
 import numpy as np
 from stillwork.base.checks import InputError
 from stillwork.control import FlowTransformation
+from stillwork.control.crossover import crossover
 from stillwork.control.feedback import fed_back
 from stillwork.control.feedforward import Feedforward
 from stillwork.control.fixed_point_convergence import iterate
@@ -247,6 +355,7 @@ for call, message in (
     (lambda: Observer(None, np.eye(2), np.eye(2), np.eye(2), np.eye(2)), "model is None; give ModalModel"),
     (lambda: Observer(model, -np.eye(2), np.ones((2, 1)), np.ones((1, 2)), np.ones((3, 1))), "gain has shape (3, 1)"),
     (lambda: refine_peak(np.sin, np.ones(3), np.ones(2)), "omega has 3 frequencies, magnitude 2"),
+    (lambda: crossover(np.sin, np.ones(3), np.ones(2)), "omega has 3 frequencies, magnitude 2"),
     (lambda: SecularFunction([2.0, 1.0], [1.0, 1.0, 1.0], 1.0, 0.1), "one for each of the coefficients"),
     (lambda: Spectrum([0.0, 1.0], [[1.0]], 1), "density has not one value at each"),
     (lambda: AdaptationStepper("rls", np.zeros((1, 2))), "settings is 'rls'; give FeLms or FeRls"),

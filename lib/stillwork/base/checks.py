@@ -67,7 +67,7 @@ def require_number(
         raise InputError(
             f"{name} is beyond the largest floating-point number; {_within(above, at_least, below, at_most)}"
         ) from None
-    except (TypeError, ValueError):
+    except Exception:  # a reader's own object may raise anything when it is asked
         raise InputError(
             f"{name} is {shown(value)}, not a number; {_within(above, at_least, below, at_most)}"
         ) from None
@@ -130,6 +130,11 @@ def require_samples(name: str, count: float) -> int:
 def require_whole(name: str, value) -> int:
     """Return `value` as an int of any sign, else raise `InputError`."""
     return require_count(name, value, at_least=-MOST_COUNT)
+
+
+def require_flag(name: str, value) -> bool:
+    """Return `value` as a bool when it is one, numpy's or Python's, else raise `InputError`."""
+    return bool(require_kind(name, value.item() if isinstance(value, np.bool_) else value, bool))
 
 
 def require_callable(name: str, value):

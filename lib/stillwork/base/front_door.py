@@ -5,16 +5,14 @@ A function keeps to its own what no annotation says: bounds, which sizes fit tog
 
 import inspect
 import math
-import sys
 import threading
-import traceback
 import types
 import typing
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
-from functools import cache, wraps
+from functools import cache, partial, wraps
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import AbstractArray
@@ -24,6 +22,7 @@ from stillwork.base.checks import (
     InputError,
     require_array,
     require_callable,
+    require_flag,
     require_kind,
     require_number,
     require_whole,
@@ -37,23 +36,22 @@ _OPEN = frozenset(typing.get_args(ArrayLike)) - {bool, int, float, complex, str,
 _PLAIN: dict[Any, Callable] = {
     float: require_number,
     int: require_whole,
+    bool: require_flag,
     np.ndarray: require_array,
     Callable: require_callable,
 }
 
+_WORDS = {
+    float: "a number",
+    int: "a whole number",
+    bool: "True or False",
+    np.ndarray: "an array",
+    Callable: "a function",
+}
+
 _NUMBERS = (complex, np.ndarray, np.inexact)  # that may be NaN
 
-# Which modules' errors are about the numbers that the toolbox gave them.
-_OURS = sys.stdlib_module_names | {
-    "stillwork",
-    "numpy",
-    "scipy",
-    "numba",
-    "control",
-    "pandas",
-    "pyuff",
-    "jaxtyping",
-}
+_Model = TypeVar("_Model")
 
 _BY_PLACE = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 
@@ -62,6 +60,7 @@ class _Inside(threading.local):
     """Whether this thread is within a checked function: what these call among themselves is not asked again."""
 
     now = False
+    theirs: Exception | None = None  # what a reader's own function raised on the way
 
 
 _inside = _Inside()
@@ -96,13 +95,13 @@ def checked(function: Callable | None = None, *, infinite: bool = False, missing
         try:
             result = function(*values, **named)
         except (np.linalg.LinAlgError, OverflowError, ZeroDivisionError, MemoryError) as error:
-            if _readers(error):
+            if error is _inside.theirs:
                 raise
             raise _beyond(function, error) from None
         except InputError:
             raise
         except (ValueError, IndexError) as error:
-            if _readers(error):
+            if error is _inside.theirs:
                 raise
             if "infs or NaNs" in str(error):  # scipy's word for numbers that overflowed on the way
                 raise _beyond(function, error) from None
@@ -110,7 +109,7 @@ def checked(function: Callable | None = None, *, infinite: bool = False, missing
                 f"the arguments of {_named(function)} do not fit together ({error}); look at their sizes"
             ) from error
         finally:
-            _inside.now = False
+            _inside.now, _inside.theirs = False, None
         if not missing and _spoiled(result, infinite):
             raise _beyond(function, "it is not finite")
         return result
@@ -130,6 +129,34 @@ def check_fields(instance) -> None:
     own_arrays(instance)
 
 
+def by_value(model: type[_Model]) -> type[_Model]:
+    """Instances of a frozen dataclass are equal when their fields are, arrays among them; its hash stays."""
+    names = [field.name for field in fields(model) if field.compare]  # type: ignore[arg-type]
+
+    def equal(self, other):
+        if type(other) is not type(self):
+            return NotImplemented
+        return all(_equal(getattr(self, name), getattr(other, name)) for name in names)
+
+    model.__eq__ = equal  # type: ignore[method-assign,assignment]
+    return model
+
+
+def _equal(one, other) -> bool:
+    """Whether two fields hold the same; NaN stands in an array for a lost value, and is equal to another."""
+    if one is other:
+        return True
+    if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
+        if type(one) is not type(other) or one.dtype != other.dtype:
+            return False
+        return np.array_equal(one, other, equal_nan=one.dtype.kind in "fc")
+    if isinstance(one, tuple | list) and type(one) is type(other):
+        return len(one) == len(other) and all(map(_equal, one, other))
+    if isinstance(one, dict) and isinstance(other, dict):
+        return one.keys() == other.keys() and all(_equal(one[key], other[key]) for key in one)
+    return bool(one == other)
+
+
 def own_arrays(instance) -> None:
     """Copy the arrays that a frozen model was given: who changes theirs later does not change the model."""
     for name in instance.__dataclass_fields__:
@@ -138,14 +165,22 @@ def own_arrays(instance) -> None:
             object.__setattr__(instance, name, np.array(value))
 
 
-def _readers(error: Exception) -> bool:
-    """Whether it was raised within a function of a reader's own, which ours called: it says best what is wrong.
+def outside(function: Callable, check: Callable = lambda value: value) -> Callable:
+    """A reader's own function, as the toolbox calls it: what it calls of ours is asked, its errors are its own."""
 
-    The first two frames are the door and what it leads to.
-    """
-    modules = [frame.f_globals.get("__name__", "") for frame, _ in traceback.walk_tb(error.__traceback__)]
-    packages = [name.partition(".")[0] for name in modules]
-    return not set(packages[2:]) <= _OURS | {packages[1]}
+    def call(*values, **named):
+        inside, _inside.now = _inside.now, False
+        try:
+            result = function(*values, **named)
+        except Exception as error:
+            if inside:
+                _inside.theirs = error
+            raise
+        finally:
+            _inside.now = inside
+        return check(result)
+
+    return call
 
 
 def _named(function: Callable) -> str:
@@ -168,8 +203,23 @@ def _checks(owner) -> dict[str, Callable]:
     """A check for every parameter or field whose annotation says what it takes."""
     hints = typing.get_type_hints(inspect.unwrap(owner) if inspect.isfunction(owner) else owner)
     names = hints if inspect.isfunction(owner) else {field.name for field in fields(owner)}
-    found = {name: _check(hints[name]) for name in names if name != "return"}
+    # A model keeps a reader's function as it is: kernels compile it.
+    how = _argument if inspect.isfunction(owner) else _check
+    found = {name: how(hints[name]) for name in names if name != "return"}
     return {name: check for name, check in found.items() if check is not None}
+
+
+def _argument(hint) -> Callable | None:
+    """Check of an argument; of a function that `hint` says what it returns, its results are asked, too."""
+    if hint is not Callable and typing.get_origin(hint) is not Callable:
+        return _check(hint)
+    result = _check(typing.get_args(hint)[1]) if typing.get_args(hint) else None
+
+    def check(name: str, value):
+        require_callable(name, value)
+        return outside(value, partial(result, f"what {name} returns")) if result else outside(value)
+
+    return check
 
 
 def _check(hint) -> Callable | None:
@@ -206,7 +256,6 @@ def _union(parts: tuple) -> Callable | None:
     found: list[Any] = [_check(part) for part in rest]
     if not rest or None in found:
         return None
-    classes = tuple(part for part in rest if inspect.isclass(part) and part not in (float, int))
     optional = len(rest) < len(parts)
     kinds = tuple(part for part in rest if _is_kind(part))
 
@@ -222,10 +271,17 @@ def _union(parts: tuple) -> Callable | None:
                 return each(name, value)
             except InputError:
                 continue
-        wanted = " or ".join(getattr(part, "__name__", str(part)) for part in classes or rest)
-        raise InputError(f"{name} is {shown(value)}; give {wanted}")
+        raise InputError(f"{name} is {shown(value)}; give {' or '.join(map(_words, rest))}")
 
     return check
+
+
+def _words(hint) -> str:
+    """How a refusal names what is wanted."""
+    kind = typing.get_origin(hint) or hint
+    if kind in (list, tuple, Sequence, Collection, Iterable):
+        return "a list of whole numbers" if int in typing.get_args(hint) else "a list of values"
+    return _WORDS.get(kind) or ("an array" if issubclass(kind, AbstractArray) else kind.__name__)
 
 
 def _sequence(origin, parts: tuple) -> Callable | None:

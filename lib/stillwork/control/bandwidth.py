@@ -9,7 +9,7 @@ from jaxtyping import Complex128, Float64
 from scipy import linalg
 
 from stillwork.base.checks import InputError, require_choice, require_count, require_number
-from stillwork.base.front_door import check_fields, checked
+from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.base.rounding import TIE
 from stillwork.control.crossover import crossover
 from stillwork.control.loops import LoopResponse, closed_loop, no_observer
@@ -25,6 +25,7 @@ SIX_DB = 10 ** (6 / 20)  # not 2
 FUNCTIONS = ("input_sensitivity", "output_sensitivity", "true_tracking")
 
 
+@by_value
 @dataclass(frozen=True)
 class PeakConstraint:
     """An upper bound on the peak magnitude of one loop function.
@@ -55,6 +56,7 @@ class PeakConstraint:
         require_number("limit", self.limit, above=1.0)
 
 
+@by_value
 @dataclass(frozen=True)
 class Loop:
     """One plant with its compensator; the controller is what is searched for.
@@ -281,6 +283,7 @@ def make_loop(
     return replace(loop, plant_response=loop.plant_at(omega))
 
 
+@by_value
 @dataclass(frozen=True)
 class Bandwidth:
     """The largest feasible design, and what stops it."""

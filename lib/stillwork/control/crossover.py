@@ -3,16 +3,17 @@
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Complex128, Float64
 from scipy import optimize
 
 from stillwork.base.checks import InputError
 from stillwork.base.front_door import checked
+from stillwork.lti.peaks import require_one_each
 
 
 @checked
 def crossover(
-    response: Callable[[np.ndarray], np.ndarray],
+    response: Callable[[np.ndarray], Complex128[np.ndarray, "..."]],
     omega: Float64[np.ndarray, " frequencies"],
     magnitude: Float64[np.ndarray, " frequencies"],
 ) -> float:
@@ -21,6 +22,8 @@ def crossover(
     The magnitudes on a grid bracket the crossing, the response itself finds it: between two points of a grid a
     magnitude is no straight line, in logarithms either.
     """
+    if len(omega) != len(magnitude):
+        raise InputError(f"omega has {len(omega)} frequencies, magnitude {len(magnitude)}; give one of each")
     falls = np.flatnonzero((magnitude[1:] < 1) & (magnitude[:-1] >= 1))
     if not len(falls):
         raise InputError(
@@ -34,6 +37,13 @@ def crossover(
         """Logarithm of the gain over that of the frequency, which is nearly a straight line."""
         if logarithm in known:
             return known[logarithm]
-        return float(np.log(np.abs(response(np.exp([logarithm]))[0])))
+        omega = np.exp([logarithm])
+        gain = np.abs(require_one_each(response(omega), omega).item())
+        if not gain > 0:
+            raise InputError(
+                f"response is {gain:g} at {omega[0] / (2 * np.pi):g} Hz, where magnitude falls through 1; "
+                "give the magnitudes of the same response"
+            )
+        return float(np.log(gain))
 
     return float(np.exp(optimize.brentq(excess, *known)))

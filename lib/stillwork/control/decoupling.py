@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from stillwork.base.checks import InputError
-from stillwork.base.front_door import check_fields, checked
+from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.estimation.observer import Observer
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel, block_matrix, constant, interconnect
@@ -18,6 +18,7 @@ WORST_CONDITION = 1e8
 ROUNDING = 1e-6
 
 
+@by_value
 @dataclass(frozen=True)
 class Decoupling:
     r"""Matrices of :math:`f = \Gamma u,\; q = \Upsilon y`, one u and one q a rigid-body mode (Fig. 4.12)."""

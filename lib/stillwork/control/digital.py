@@ -12,7 +12,7 @@ from scipy import linalg, signal
 
 from stillwork.base.checks import Converted, InputError, require_array, require_count, require_number, shown
 from stillwork.base.extras import require_package
-from stillwork.base.front_door import check_fields, checked
+from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.base.toml_files import Table, read_toml
 from stillwork.control.pid import Pid, series
 from stillwork.lti.discretisation import tustin
@@ -28,6 +28,7 @@ KEPT = (
 SAME = 1e-6  # to which biquads must agree with their model, or they are left out
 
 
+@by_value
 @dataclass(frozen=True)
 class DigitalController:
     r"""A sampled controller, :math:`v = Cx + De`, :math:`f = \mathrm{sat}(v)`, :math:`x^+ = Ax + B_ee + B_ff + L(f - v)`.

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
-from stillwork.base.front_door import check_fields, checked
+from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.control.applications import Application, filtered_estimates
 from stillwork.control.discrete_damping import discrete_damping_gain
 from stillwork.control.feedback import band_pass, damping_gain
@@ -22,6 +22,7 @@ from stillwork.lti.state_space import StateModel
 FORMS = ("filter", "predictor")
 
 
+@by_value
 @dataclass(frozen=True)
 class DiscreteObserver(FlexibleEstimates):
     r"""Observer of a sampled reduced modal model, the force of the last period among its states.

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from stillwork.base.checks import InputError, require_choice, require_number
-from stillwork.base.front_door import check_fields, checked
+from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.control.loops import INPUTS, OUTPUTS, require_stable
 from stillwork.control.setpoint import Setpoint
 from stillwork.lti.discretisation import zoh
@@ -18,6 +18,7 @@ from stillwork.lti.state_space import StateModel, interconnect
 BASIS = ("velocity", "acceleration", "jerk", "snap")
 
 
+@by_value
 @dataclass(frozen=True)
 class Feedforward:
     r"""Gains of :math:`C_{ff} = \Theta_{vel}s + \Theta_{acc}s^2 + \Theta_{jerk}s^3 + \Theta_{snap}s^4`."""

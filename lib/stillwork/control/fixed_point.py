@@ -8,7 +8,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
-from stillwork.base.front_door import check_fields, checked
+from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.base.kernels import borrowing_kernel, inlined_kernel
 from stillwork.control.kinematics import KinematicDesign
 from stillwork.control.mechanism import Mechanism
@@ -35,6 +35,7 @@ CAUSES = {
 }
 
 
+@by_value
 @dataclass(frozen=True)
 class Controller:
     """What stands between the measurement and the force.
@@ -81,6 +82,7 @@ class Controller:
             )
 
 
+@by_value
 @dataclass(frozen=True)
 class ControlledRun:
     """One coordinate of a simulated run; all arrays of shape (samples,), NaN after a divergence.

@@ -8,7 +8,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_count, require_number
-from stillwork.base.front_door import check_fields, checked
+from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.control.fixed_point_linear import LinearLoop
 from stillwork.control.transformation import FlowTransformation, Transformation, deform_packed
 
@@ -36,6 +36,7 @@ def iterate(
     return sequence
 
 
+@by_value
 @dataclass(frozen=True)
 class Crossing:
     """A gain at which a pair of poles of the closed loop stands on the unit circle."""
@@ -47,6 +48,7 @@ class Crossing:
         check_fields(self)
 
 
+@by_value
 @dataclass(frozen=True)
 class StableRange:
     """Open range of `local_gain` in which the linear loop is stable; edges with the frequency found there.
@@ -163,6 +165,7 @@ def random_gain(deviation: float) -> float:
     return float(np.sqrt(2 / np.pi) * value)
 
 
+@by_value
 @dataclass(frozen=True)
 class LimitCycle:
     """A predicted periodic motion. Amplitudes of the first harmonic."""
@@ -208,6 +211,7 @@ def limit_cycles(
     return cycles
 
 
+@by_value
 @dataclass(frozen=True)
 class Oscillation:
     """The strongest line in a record."""

@@ -8,7 +8,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import require_array
-from stillwork.base.front_door import check_fields, checked
+from stillwork.base.front_door import by_value, check_fields, checked, outside
 from stillwork.control.fixed_point import Controller
 from stillwork.control.mechanism import Mechanism
 from stillwork.estimation.coordinate_filters import (
@@ -23,6 +23,7 @@ from stillwork.estimation.plant import Plant, partial_derivatives
 from stillwork.estimation.windows import end_point_weights
 
 
+@by_value
 @dataclass(frozen=True)
 class LinearFilter:
     """x+ = A x + B [z, u]; estimate of (position, velocity, acceleration) = C x + D [z, u].
@@ -141,7 +142,7 @@ def _steady_gain(F, Q, H, R):
 
 def _slopes(plant: Plant, position: float, velocity: float):
     """Partial derivatives of the acceleration where it is zero."""
-    force = plant.force(position, velocity, 0.0, plant.parameters)
+    force = outside(plant.force)(position, velocity, 0.0, plant.parameters)
     return partial_derivatives(plant, position, velocity, force)
 
 
@@ -160,6 +161,7 @@ def _slope_matrices(plant: Plant | Mechanism, position: np.ndarray, velocity: np
     return matrices
 
 
+@by_value
 @dataclass(frozen=True)
 class LinearLoop:
     """The loop cut open at the transformation: x+ = A x + B c, s = C x.

@@ -7,9 +7,10 @@ import numpy as np
 from jaxtyping import Float64
 
 from stillwork.base.checks import require_count, require_number
-from stillwork.base.front_door import checked
+from stillwork.base.front_door import by_value, checked
 
 
+@by_value
 @dataclass(frozen=True)
 class KinematicDesign:
     """(Lambda + d/dt)^p of the `integrals`-fold integral of the error is zero, with p = order + integrals.

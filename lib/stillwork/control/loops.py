@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Complex128
 
 from stillwork.base.checks import InputError
-from stillwork.base.front_door import checked
+from stillwork.base.front_door import by_value, checked
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel, block_matrix, constant, interconnect
 
@@ -119,6 +119,7 @@ def require_stable(loop: StateModel) -> None:
         )
 
 
+@by_value
 @dataclass(frozen=True)
 class LoopResponse:
     """Frequency responses of single loops, the frequencies last; each function is computed when it is asked for."""

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from stillwork.base.checks import InputError, require_count, require_number
-from stillwork.base.front_door import checked
+from stillwork.base.front_door import by_value, checked
 from stillwork.control.applications import Application, compensator
 from stillwork.control.bandwidth import (
     FUNCTIONS,
@@ -37,6 +37,7 @@ WIDEST = 0.9  # share by which a resonance may be lower at most
 SEARCH = (1 / 40, 1.0)  # of the first resonance: where bandwidths are sought
 
 
+@by_value
 @dataclass(frozen=True)
 class Intensities:
     """What the observer is designed for, as accelerations of the rigid body, so that it fits any mass.
@@ -206,6 +207,7 @@ def doubted_loops(loops: Sequence[Loop], moves: Sequence[np.ndarray]) -> tuple[L
     return tuple(moved_loop(loop, factors) for factors in moves for loop in loops)
 
 
+@by_value
 @dataclass(frozen=True)
 class Reached:
     """How far one use of the observer gets.

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from stillwork.base.checks import InputError, require_count, require_number
-from stillwork.base.front_door import checked
+from stillwork.base.front_door import by_value, checked
 from stillwork.control.applications import Application
 from stillwork.control.bandwidth import Loop, PeakConstraint, holds
 from stillwork.control.machine_loops import (
@@ -28,6 +28,7 @@ MOST = {"damping": 0.5, "selectivity": 16.0}
 PUSH = 1.03  # of the bandwidth, at a time
 
 
+@by_value
 @dataclass(frozen=True)
 class DesignSettings:
     """What one use of an observer is made of."""

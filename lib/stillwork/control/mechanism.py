@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from stillwork.base.algebra import cholesky_root
 from stillwork.base.checks import InputError, require_array, require_count, require_number
-from stillwork.base.front_door import check_fields, checked
+from stillwork.base.front_door import by_value, check_fields, checked, outside
 from stillwork.base.kernels import borrowing_kernel, callback
 
 INERTIA = "void(float64[::1], float64[::1], float64[:, ::1])"  # signatures of the two functions
@@ -17,6 +17,7 @@ BIAS = "void(float64[::1], float64[::1], float64[::1], float64[::1])"
 MOST_COORDINATES = 1000  # M holds their square, and the controller solves with it in every sample
 
 
+@by_value
 @dataclass(frozen=True)
 class Mechanism:
     """M(q) q'' + h(q, q') = u, one force (or torque) for each coordinate.
@@ -146,12 +147,12 @@ class Mechanism:
 
     def _mass(self, position):
         matrix = np.full((self.coordinates, self.coordinates), np.nan)
-        self.inertia(position, self.parameters, matrix)
+        outside(self.inertia)(position, self.parameters, matrix)
         return matrix
 
     def _resistance(self, position, velocity):
         forces = np.full(self.coordinates, np.nan)
-        self.bias(position, velocity, self.parameters, forces)
+        outside(self.bias)(position, velocity, self.parameters, forces)
         return forces
 
 

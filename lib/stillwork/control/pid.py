@@ -7,10 +7,11 @@ import numpy as np
 from jaxtyping import Complex128, Float64
 
 from stillwork.base.checks import require_number
-from stillwork.base.front_door import check_fields, checked
+from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.lti.state_space import StateModel, interconnect
 
 
+@by_value
 @dataclass(frozen=True)
 class Notch:
     r"""Notch :math:`(s^2 + 2\zeta_1\omega s + \omega^2)/(s^2 + 2\zeta_2\omega s + \omega^2)`."""
@@ -44,6 +45,7 @@ class Notch:
         return StateModel(a, np.array([[0.0], [1.0]]), c, np.ones((1, 1)))
 
 
+@by_value
 @dataclass(frozen=True)
 class Pid:
     r"""Controller (3.1), :math:`K_p\frac{s+\omega_i}{s}(\frac{s}{\omega_d}+1)\frac{\omega_{lp}^2}{s^2+2z\omega_{lp}s+\omega_{lp}^2}`."""
@@ -103,6 +105,7 @@ def series(models: list[StateModel]) -> StateModel:
     return interconnect(models, np.eye(n, k=-1), first, last)
 
 
+@by_value
 @dataclass(frozen=True)
 class PidFamily:
     """Controllers with one parameter left, the design bandwidth: the rules of Table 3.3, where `lead` is 3.

@@ -7,9 +7,10 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_number, require_samples
-from stillwork.base.front_door import check_fields, checked
+from stillwork.base.front_door import by_value, check_fields, checked
 
 
+@by_value
 @dataclass(frozen=True)
 class Setpoint:
     """A sampled setpoint; between samples the snap is constant, so every row is exact."""

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from stillwork.base.checks import InputError, require_number
-from stillwork.base.front_door import checked
+from stillwork.base.front_door import by_value, checked
 from stillwork.base.kernels import pasted_kernel
 
 
@@ -15,6 +15,7 @@ class ContractionWarning(UserWarning):
     """The iteration is no contraction with this gain; the message gives the range in which it is."""
 
 
+@by_value
 @dataclass(frozen=True)
 class FlowTransformation:
     """Transformation (6): deformed += A sigma((response - desired) / w), sigma(x) = x / (1 + |x|).
@@ -63,6 +64,7 @@ class FlowTransformation:
         return np.array([0.0, self.gain, self.width, 0.0])
 
 
+@by_value
 @dataclass(frozen=True)
 class RobustTransformation:
     """Transformation (8): deformed = (deformed + K) (1 + B sigma(A (response - desired))) - K."""

@@ -20,7 +20,7 @@ from stillwork.base.checks import (
     require_count,
     require_number,
 )
-from stillwork.base.front_door import checked, own_arrays
+from stillwork.base.front_door import by_value, checked, own_arrays
 from stillwork.base.kernels import inlined_kernel, kernel, pasted_kernel
 from stillwork.estimation.covariance_forms import (
     FORMS,
@@ -39,6 +39,7 @@ from stillwork.estimation.covariance_forms import (
 INFLATION = 10.0
 
 
+@by_value
 @dataclass(frozen=True)
 class FeLms:
     """Settings of filtered-error LMS, eq. (18)-(19); the defaults are the published ones.
@@ -119,6 +120,7 @@ class Recursion(NamedTuple):
         return self.levels[2].astype(np.float64)
 
 
+@by_value
 @dataclass(frozen=True)
 class FeRls:
     """Settings of filtered-error RLS, eq. (29)-(30).

@@ -7,11 +7,12 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_count, require_number
-from stillwork.base.front_door import checked
+from stillwork.base.front_door import by_value, checked
 from stillwork.estimation.min_max import solve_sweep, triangle
 from stillwork.estimation.secular import secular_function
 
 
+@by_value
 @dataclass(frozen=True)
 class BoundChoice:
     """What cross-validation says of the bounds that were tried.

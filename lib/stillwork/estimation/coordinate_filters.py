@@ -13,7 +13,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_count, require_number
-from stillwork.base.front_door import check_fields, checked
+from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.estimation.extended import plant_extended_step
 from stillwork.estimation.gaussian import BLOCKS, COVARIANCE, require_covariance
 from stillwork.estimation.plant import Plant
@@ -38,6 +38,7 @@ def _packed(kind, options, work_shape, process=((),), noise=((),)):
     return Packed(kind, *arrays, np.zeros(work_shape))
 
 
+@by_value
 @dataclass(frozen=True)
 class MovingWindow:
     """Section II.A: three cascaded affine fits over `length` + 1 samples, read at the newest sample."""
@@ -53,6 +54,7 @@ class MovingWindow:
         return _packed(WINDOW, end_point_weights(self.length + 1, 1), (2, 3, self.length + 1))
 
 
+@by_value
 @dataclass(frozen=True)
 class LowPass:
     """Section II.B: (bandwidth + d/dt)^3 filtered = bandwidth^3 measured, by Euler's rule, from zero.
@@ -91,6 +93,7 @@ class LowPass:
         return _packed(LOW_PASS, [self.bandwidth], (1, 1, 3))
 
 
+@by_value
 @dataclass(frozen=True)
 class SavitzkyGolay:
     """Least-squares polynomial over the latest samples; its value and derivatives at the newest one."""
@@ -114,6 +117,7 @@ class SavitzkyGolay:
         return _packed(SAVITZKY_GOLAY, np.concatenate(rows), (2, 1, self.samples))
 
 
+@by_value
 @dataclass(frozen=True)
 class FilterState:
     """What a Kalman filter knows after a sample, from `start` and `step`."""
@@ -190,6 +194,7 @@ class _KalmanFilter:
         return FilterState(estimate, work)
 
 
+@by_value
 @dataclass(frozen=True)
 class UnscentedKalman(_KalmanFilter):
     """Section II.C: state [velocity, position], measured as [difference quotient, position].
@@ -251,6 +256,7 @@ class UnscentedKalman(_KalmanFilter):
         return _packed(UNSCENTED, options, (BLOCKS, 5, 2), self.process, self.noise)
 
 
+@by_value
 @dataclass(frozen=True)
 class ExtendedKalman(_KalmanFilter):
     """Extended Kalman filter with a disturbance state, measured by the position alone.

@@ -7,7 +7,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_finite_run, require_number
-from stillwork.base.front_door import checked
+from stillwork.base.front_door import by_value, checked
 from stillwork.base.kernels import borrowing_kernel
 from stillwork.estimation.coordinate_filters import (
     LOW_PASS,
@@ -26,6 +26,7 @@ from stillwork.estimation.unscented import plant_unscented_step
 from stillwork.estimation.windows import moving_window_step, savitzky_golay_step
 
 
+@by_value
 @dataclass(frozen=True)
 class Estimate:
     """What a filter made of a record; each of shape (samples,)."""

@@ -9,7 +9,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import require_array, require_number
-from stillwork.base.front_door import checked
+from stillwork.base.front_door import by_value, checked
 from stillwork.estimation.secular import ROUNDING, SecularFunction, decompose
 
 
@@ -17,6 +17,7 @@ class ZeroEstimateWarning(UserWarning):
     """The bound admits a perturbation that explains all of the data away: the estimate is zero."""
 
 
+@by_value
 @dataclass(frozen=True)
 class MinMaxSolution:
     """Solution of min over x of max over |dA| <= eta of |(A + dA) x - b|, Theorem 1.

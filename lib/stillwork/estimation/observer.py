@@ -7,12 +7,13 @@ from jaxtyping import Float64
 from scipy import linalg
 
 from stillwork.base.checks import InputError, require_choice, require_number
-from stillwork.base.front_door import check_fields, checked
+from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.estimation.riccati import continuous_gain
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
 
 
+@by_value
 @dataclass(frozen=True)
 class NoiseIntensities:
     """Intensities that the observer is designed for; without a noise model only their ratio matters.
@@ -99,6 +100,7 @@ class FlexibleEstimates:
         return self.read(flexible[:, ::2]) + self.read(flexible[:, 1::2], "velocity")
 
 
+@by_value
 @dataclass(frozen=True)
 class Observer(FlexibleEstimates):
     r"""Observer :math:`\dot{\hat x} = (A - LC)\hat x + (B - LD)u + Ly` of a reduced modal model.

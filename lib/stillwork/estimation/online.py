@@ -7,7 +7,7 @@ from jaxtyping import Float, Float64, Int64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_count, require_kind, require_number
-from stillwork.base.front_door import checked
+from stillwork.base.front_door import by_value, checked
 from stillwork.base.kernels import kernel
 from stillwork.estimation.adaptive import FeLms, FeRls, felms_update, ferls_form_update, ferls_step
 
@@ -24,6 +24,7 @@ class UnstableAdaptation(ArithmeticError):
         self.cause = cause
 
 
+@by_value
 @dataclass(frozen=True)
 class Adaptation:
     """What an adaptation over a record gave.

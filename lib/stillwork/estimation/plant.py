@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array
-from stillwork.base.front_door import check_fields, checked
+from stillwork.base.front_door import by_value, check_fields, checked, outside
 from stillwork.base.kernels import callback
 
 SIGNATURE = "float64(float64, float64, float64, float64[::1])"  # of a plant's two functions
 
 
+@by_value
 @dataclass(frozen=True)
 class Plant:
     """A second-order plant with one coordinate, and its inverse.
@@ -87,6 +88,7 @@ def force_slope(plant: Plant, position: float, velocity: float, force: float) ->
 def _slope(plant: Plant, axis: int, *point: float) -> float:
     at = np.array(point, dtype=float)
     step = 1e-6 * max(1.0, abs(at[axis])) * np.eye(3)[axis]
-    high = plant.acceleration(*(at + step), plant.parameters)
-    low = plant.acceleration(*(at - step), plant.parameters)
+    acceleration = outside(plant.acceleration)
+    high = acceleration(*(at + step), plant.parameters)
+    low = acceleration(*(at - step), plant.parameters)
     return float((high - low) / (2 * step[axis]))

@@ -6,12 +6,14 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from stillwork.base.checks import InputError, require_choice, require_count, require_number
+from stillwork.base.front_door import by_value
 from stillwork.estimation import rank_one
 from stillwork.estimation.recursive_kernels import known_length, run_least_squares, run_min_max, run_ridge
 
 UPDATES = ("exact", "approximate", "fast")
 
 
+@by_value
 @dataclass(frozen=True)
 class Track:
     """What an estimator gave along a record."""
@@ -71,6 +73,7 @@ class _MinMaxUpdate(_Recursion):
             raise InputError("iterations is for update 'approximate'; the others solve for alpha exactly")
 
 
+@by_value
 @dataclass(frozen=True)
 class MinMax(_MinMaxUpdate):
     """Exponentially weighted min-max estimator: constant bound on the perturbation of the weighted data.
@@ -134,6 +137,7 @@ class MinMax(_MinMaxUpdate):
         return np.full(count, float(self.bound))
 
 
+@by_value
 @dataclass(frozen=True)
 class GrowingMinMax(_MinMaxUpdate):
     """Min-max estimator in which all rows count alike and the bound grows: eta_t = row_bound sqrt(t).
@@ -153,6 +157,7 @@ class GrowingMinMax(_MinMaxUpdate):
         return self.row_bound * np.sqrt(np.arange(first + 1.0, first + count + 1))
 
 
+@by_value
 @dataclass(frozen=True)
 class LeastSquares(_Recursion):
     """Exponentially weighted recursive least squares (RLS) in covariance form.
@@ -205,6 +210,7 @@ class LeastSquares(_Recursion):
         run_least_squares(rows, outputs, float(self.forgetting), *state, *track[:2])
 
 
+@by_value
 @dataclass(frozen=True)
 class Ridge(_Recursion):
     """Exponentially weighted ridge regression with a constant penalty: x = (R + penalty I)^-1 s."""

@@ -18,11 +18,12 @@ from numpy.typing import ArrayLike
 
 from stillwork.base.algebra import condition, congruence, measure, multiply, take_in_turn
 from stillwork.base.checks import InputError, require_array, require_number
-from stillwork.base.front_door import check_fields, checked
+from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.base.kernels import inlined_kernel, kernel
 from stillwork.estimation.time_varying import FilterGains, TimeVaryingModel
 
 
+@by_value
 @dataclass(frozen=True)
 class NormBound:
     r"""Norm-bounded errors :math:`[\delta(C_kA)\;\delta(C_kB)\;\delta(C_kG)] = M_k\Delta[E_A\;E_B\;E_G]`, |Δ| ≤ 1.
@@ -39,6 +40,7 @@ class NormBound:
         check_fields(self)
 
 
+@by_value
 @dataclass(frozen=True)
 class Derivatives:
     """Derivatives of A, B, G and C by every uncertain parameter, (5.22) and after."""

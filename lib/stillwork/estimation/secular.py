@@ -7,7 +7,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_count, require_number, require_samples
-from stillwork.base.front_door import check_fields, checked
+from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.base.kernels import kernel
 
 # A singular value (or a part of b outside the column space) below this share of the largest is rounding.
@@ -89,6 +89,7 @@ def secular_root(eigenvalues, c_squared, d_squared, bound, start):
     return alpha, evaluations
 
 
+@by_value
 @dataclass(frozen=True)
 class SecularFunction:
     """The map f of eq. (4) for one problem: its fixed point is the min-max regularisation."""

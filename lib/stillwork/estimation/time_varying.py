@@ -12,10 +12,11 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import Converted, InputError, require_array, require_finite_run
-from stillwork.base.front_door import check_fields, checked
+from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.base.kernels import kernel
 
 
+@by_value
 @dataclass(frozen=True)
 class TimeVaryingModel:
     r"""Model :math:`x_k = A_k x_{k-1} + B_k u_{k-1} + G_k w_{k-1},\; y_k = C_k x_k + v_k`, (5.20).
@@ -68,6 +69,7 @@ class TimeVaryingModel:
         return replace(self, g=g, process=process)
 
 
+@by_value
 @dataclass(frozen=True)
 class FilterGains:
     """Matrices of a filter at every sample."""

@@ -11,7 +11,7 @@ from jaxtyping import Float64
 
 from stillwork.base.algebra import cholesky_root
 from stillwork.base.checks import require_number
-from stillwork.base.front_door import checked
+from stillwork.base.front_door import by_value, checked
 from stillwork.base.kernels import borrowing_kernel, pasted_kernel
 from stillwork.estimation.gaussian import (
     COVARIANCE,
@@ -29,6 +29,7 @@ from stillwork.estimation.gaussian import (
 )
 
 
+@by_value
 @dataclass(frozen=True)
 class SigmaPoints:
     """Scaling of the sigma points, Table II (which prints 1 - alpha where 1 - alpha^2 belongs).

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import toeplitz
 
 from stillwork.base.checks import InputError, require_array, require_count
-from stillwork.base.front_door import check_fields, checked
+from stillwork.base.front_door import by_value, check_fields, checked
 
 ORDERS = range(6, 41, 2)  # of the denominators, in each part of a band
 WIDTH = 2.0  # highest over lowest frequency of a part; parts overlap by half
@@ -21,6 +21,7 @@ STEADY = (5e-4, 0.3, 1.5)
 SEEN = 3  # orders at which a pole must be stable
 
 
+@by_value
 @dataclass(frozen=True)
 class Stabilisation:
     """A stabilisation diagram: the poles of every order, and which of them stay from order to order."""

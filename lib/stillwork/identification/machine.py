@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from stillwork.base.checks import InputError, require_kind
-from stillwork.base.front_door import check_fields, checked
+from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine_files import MachineFile
 from stillwork.identification.modal_fit import SUSPENDED, ModalFit, identify_modes
@@ -18,6 +18,7 @@ END = 0.01  # of the band's highest frequency
 MOST_MODES = 12  # of a matrix model: the others enter as compliance
 
 
+@by_value
 @dataclass(frozen=True)
 class Machine:
     """A machine as the search takes it."""

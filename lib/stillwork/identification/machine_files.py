@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from stillwork.base.checks import InputError, nearest, require_array, require_choice, require_number
-from stillwork.base.front_door import checked
+from stillwork.base.front_door import by_value, checked
 from stillwork.identification.frequency_response import Identified, impact_response
 from stillwork.lti.modal import ModalModel, modal_model
 from stillwork.signals.datafiles import read_arrays
@@ -26,6 +26,7 @@ _PLAIN = ("", "-", "1", "s", "ms", "rad", "deg", "degrees", "°")  # in brackets
 _HERTZ = {"hz": 1.0, "khz": 1e3, "rad/s": 1 / (2 * np.pi)}
 
 
+@by_value
 @dataclass(frozen=True)
 class MachineFile:
     """What a file says about a machine: either its accelerance, or a modal model."""

@@ -9,7 +9,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares, minimize_scalar
 
 from stillwork.base.checks import InputError, require_array, require_count, require_number
-from stillwork.base.front_door import check_fields, checked
+from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.identification.complex_frequency import STRONGEST, Stabilisation, stabilisation
 from stillwork.identification.frequency_response import Identified
 from stillwork.lti.discretisation import sampled_modes
@@ -43,6 +43,7 @@ CYCLES = 2.0  # of the band's end, that a response may be late or early at most
 LAGS = 8  # lines over which errors may depend on each other, zeros appended to a record among the reasons
 
 
+@by_value
 @dataclass(frozen=True)
 class ModalMatrixFit:
     """A modal model with rigid body and compliance, and how well it fits."""
@@ -187,6 +188,7 @@ class _Problem:
         return np.sqrt(np.diag(np.linalg.inv(jacobian @ jacobian.T)) / 2).reshape(parameters.shape)
 
 
+@by_value
 @dataclass(frozen=True)
 class ModalFit:
     """A modal model fitted to a measured accelerance.

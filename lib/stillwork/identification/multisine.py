@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Complex128, Float64
 
 from stillwork.base.checks import InputError, require_count, require_number
-from stillwork.base.front_door import check_fields, checked
+from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.lti.simulation import simulate
 from stillwork.lti.state_space import StateModel
 
@@ -26,6 +26,7 @@ def random_phase_multisine(
     return np.fft.irfft(spectrum) * (samples * rms / np.sqrt(2 * lines))
 
 
+@by_value
 @dataclass(frozen=True)
 class MultisineRecords:
     """Spectra of the measured periods; one experiment an actuator, several realisations of the phases each."""

@@ -9,10 +9,11 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from stillwork.base.checks import InputError, require_array, require_choice
-from stillwork.base.front_door import check_fields, checked
+from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.lti.state_space import StateModel
 
 
+@by_value
 @dataclass(frozen=True)
 class ModalModel:
     r"""Decoupled modes :math:`\ddot\eta_i + 2\zeta_i\omega_i\dot\eta_i + \omega_i^2\eta_i = \phi_{ai}^T f`.

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.checks import InputError, require_array, require_count, require_number
@@ -66,9 +66,18 @@ class Peak(NamedTuple):
     omega: float  # rad/s
 
 
+def require_one_each(values: np.ndarray, omega: np.ndarray) -> np.ndarray:
+    """What a response returned for frequencies, else `InputError`."""
+    if values.size != omega.size:
+        raise InputError(
+            f"what response returns has shape {values.shape} for {omega.size} frequencies; give one value at each"
+        )
+    return values
+
+
 @checked
 def refine_peak(
-    response: Callable[[np.ndarray], np.ndarray],
+    response: Callable[[np.ndarray], Complex128[np.ndarray, "..."]],
     omega: Float64[np.ndarray, " frequencies"],
     magnitude: Float64[np.ndarray, " frequencies"],
     near: float = 0.7,
@@ -84,7 +93,7 @@ def refine_peak(
     rows = np.arange(len(places))
     for _ in range(5):  # each round shrinks the bracket by 4: a thousand times in all
         grid = np.linspace(low, high, 9, axis=1)
-        values = np.abs(response(grid.ravel())).reshape(grid.shape)
+        values = np.abs(require_one_each(response(grid.ravel()), grid)).reshape(grid.shape)
         best = values.argmax(axis=1)
         low, high = grid[rows, np.maximum(best - 1, 0)], grid[rows, np.minimum(best + 1, 8)]
     winner = values.max(axis=1).argmax()

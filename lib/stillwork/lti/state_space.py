@@ -11,12 +11,13 @@ from scipy import linalg
 
 from stillwork.base.checks import InputError, require_array, require_number, shown
 from stillwork.base.extras import require_package
-from stillwork.base.front_door import check_fields, checked
+from stillwork.base.front_door import by_value, check_fields, checked
 
 # Above this condition of the eigenvectors, residues would lose more than half of the digits.
 WORST_CONDITION = 1e6
 
 
+@by_value
 @dataclass(frozen=True)
 class StateModel:
     r"""Model :math:`\dot x = Ax + Bu,\; y = Cx + Du`, or :math:`x_{k+1} = Ax_k + Bu_k` when `sample_time` > 0.

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from scipy import signal
 
 from stillwork.base.checks import InputError, nearest, require_array, require_count, require_number
-from stillwork.base.front_door import check_fields, checked
+from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.signals.datafiles import read_columns
 
 STANDARD_GRAVITY = 9.80665  # m/s^2
@@ -52,6 +52,7 @@ PASS_SHARE = 0.8
 STOP_DB = 80.0
 
 
+@by_value
 @dataclass(frozen=True)
 class Record:
     """Evenly sampled measured signals.

@@ -8,9 +8,10 @@ from numpy.typing import ArrayLike
 from scipy import signal
 
 from stillwork.base.checks import InputError, require_array, require_number
-from stillwork.base.front_door import check_fields, checked
+from stillwork.base.front_door import by_value, check_fields, checked
 
 
+@by_value
 @dataclass(frozen=True)
 class Spectrum:
     """One-sided power spectral densities of one or more channels."""
@@ -43,6 +44,7 @@ class Spectrum:
         return np.array([band_power(self.frequencies_hz, row, low_hz, high_hz) for row in self.density])
 
 
+@by_value
 @dataclass(frozen=True)
 class ResponseEstimate:
     """Frequency response estimated from measured inputs and outputs (H1: noise at the outputs only)."""
