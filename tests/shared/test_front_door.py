@@ -300,7 +300,7 @@ def unasked(function):
     return [
         name
         for name in parameters  # what is like an array, `require_array` asks where it is used
-        if name not in known and not front_door._OPEN & set(typing.get_args(hints.get(name)))
+        if name not in known and not front_door._OPEN & {hints.get(name), *typing.get_args(hints.get(name))}
     ]
 
 

@@ -30,7 +30,10 @@ from stillwork.base.checks import (
 )
 
 # Checked where they are used, by `require_array`, which is told there what is wanted of them.
-_OPEN = frozenset(typing.get_args(ArrayLike)) - {bool, int, float, complex, str, bytes}
+# From Python 3.12 on numpy gives the union under a name of its own.
+_OPEN = {ArrayLike, *typing.get_args(getattr(ArrayLike, "__value__", ArrayLike))} - {
+    *(bool, int, float, complex, str, bytes)
+}
 
 
 _PLAIN: dict[Any, Callable] = {
