@@ -260,6 +260,9 @@ def test_a_plant_s_own_modules_and_data_are_watched_wherever_they_lie(toy, tmp_p
         ("{home}/.cache/numba/plant-1.py311.nbi", True),
         ("/tmp/stillwork-1/ipython/profile_default/history.sqlite", True),
         ("{root}/build/kernels/0/a.nbi", True),
+        ("{home}/lab/__pycache__/plant.cpython-312.pyc", True),
+        ("{home}/lab/__pycache__/record.csv", False),
+        ("{home}/lab/plant.pyc", False),
         ("{root}/lib/experiments/motion/model.py", False),
     ],
 )
@@ -270,6 +273,25 @@ def test_what_is_left_out_has_a_reason(path, left_out, tmp_path, monkeypatch):
         monkeypatch.delenv(name, raising=False)
     path = path.format(home=tmp_path / "home", root=tmp_path / "root")
     assert Installed("/tmp/stillwork-1/reads").holds(path) == left_out
+
+
+def test_a_variable_of_the_user_s_hides_no_tree(tmp_path, monkeypatch):
+    monkeypatch.setenv("STILLWORK_ROOT", str(tmp_path / "root"))
+    monkeypatch.setattr(sys, "pycache_prefix", str(tmp_path))
+    for name in ("MPLCONFIGDIR", "NUMBA_CACHE_DIR", "STILLWORK_KERNELS"):
+        monkeypatch.setenv(name, str(tmp_path))
+    left_out = Installed("/nowhere/reads")
+    for name in ("record.csv", "lab/plant.py", "root/lib/experiments/motion/model.py"):
+        assert not left_out.holds(str(tmp_path / name))
+    for name in (
+        "fontlist-v390.json",
+        "stylelib/a.mplstyle",
+        "matplotlibrc",
+        "base_0/a.nbi",
+        "lab/a.nbc",
+        "a.pyc",
+    ):
+        assert left_out.holds(str(tmp_path / name))
 
 
 @pytest.mark.slow

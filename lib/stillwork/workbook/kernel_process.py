@@ -13,6 +13,7 @@ import hashlib
 import importlib
 import json
 import os
+import re
 import select
 import signal
 import socket
@@ -43,14 +44,22 @@ SLOW = (
 
 
 class Installed:
-    """What is no notebook's input although it is read: `places` and `FONTS` name it, with the reason.
+    """What is no notebook's input although it is read: `places` and `KINDS` name it, with the reason.
 
     All else counts, wherever it lies. Of what lies in the checkout only that is left out which has its place there:
-    the checkout itself may lie in one of the places.
+    the checkout itself may lie in one of the places. A place that a variable of the user's names (a cache of
+    numba's or matplotlib's) may hold anything: there, and anywhere, files are left out by kind.
     """
 
-    # Matplotlib looks into every font of the machine when it makes its list anew, and draws with its own.
-    FONTS = (".afm", ".otf", ".ttc", ".ttf")
+    KINDS = re.compile(
+        # Matplotlib looks into every font of the machine when it makes its list anew, and draws with its own.
+        r".*\.(afm|otf|ttc|ttf)|fontlist-[^/]*\.json"
+        # The user's settings of matplotlib are turned off (`pinned.env`).
+        r"|matplotlibrc"
+        # Machine code that numba keeps follows from sources that count.
+        r"|.*\.nb[ci]",
+        re.IGNORECASE,
+    )
 
     def __init__(self, log: str):
         self._root = os.environ["STILLWORK_ROOT"].rstrip("/") + "/"
@@ -76,21 +85,28 @@ class Installed:
         yield os.path.dirname(log)
         # What builds write, and what git keeps of all that is committed.
         yield from (os.path.join(self._root, each) for each in ("build", ".git"))
-        # Bytecode and machine code, which follow from sources that count.
-        yield sys.pycache_prefix
-        yield from (os.environ.get(name) for name in ("STILLWORK_KERNELS", "NUMBA_CACHE_DIR"))
         home = os.path.expanduser("~")
         caches = os.environ.get("XDG_CACHE_HOME") or os.path.join(home, ".cache")
-        yield from (os.path.join(each, "numba") for each in (caches, os.path.join(home, "Library", "Caches")))
         # Matplotlib's list of fonts, and styles of the user's own, which are turned off (`pinned.env`).
-        yield os.environ.get("MPLCONFIGDIR")
+        own = os.environ.get("MPLCONFIGDIR")
+        yield own and os.path.join(own, "stylelib")
         settings = os.environ.get("XDG_CONFIG_HOME") or os.path.join(home, ".config")
         yield from (os.path.join(each, "matplotlib") for each in (caches, settings))
         yield os.path.join(home, ".matplotlib")
 
     def holds(self, path: str) -> bool:
         inside = self._inner if path.startswith(self._root) else self._places
-        return path.startswith(inside) or path.lower().endswith(self.FONTS)
+        return (
+            path.startswith(inside)
+            or self._follows(path)
+            or bool(self.KINDS.fullmatch(os.path.basename(path)))
+        )
+
+    @staticmethod
+    def _follows(path: str) -> bool:
+        """Whether it is the bytecode of a source, which counts; without a source beside it bytecode counts itself."""
+        kept = os.path.basename(os.path.dirname(path)) == "__pycache__"
+        return path.endswith(".pyc") and (kept or path.startswith(f"{sys.pycache_prefix or os.devnull}/"))
 
 
 def watch(log: str, left_out: Installed) -> None:
@@ -131,8 +147,7 @@ def watch(log: str, left_out: Installed) -> None:
             if event in ("open", "import", "ctypes.dlopen"):
                 if event == "open" and writes(*arguments[1:]):
                     return
-                # Machine code that a compiler keeps beside a source follows from it.
-                if left_out.holds(path) or os.path.basename(os.path.dirname(path)) == "__pycache__":
+                if left_out.holds(path):
                     return
                 now = os.stat(path)
                 stamp = (now.st_ino, now.st_size, now.st_mtime_ns, now.st_ctime_ns)
