@@ -361,6 +361,44 @@ def test_a_library_of_machine_code_is_read_without_being_opened(tmp_path, load):
     assert read == {"path": str(tmp_path / "model.so"), "digest": publish.digest(b"no machine code")}
 
 
+@pytest.mark.parametrize(
+    ("code", "noted"),
+    [
+        ("np.memmap('record.bin')", True),
+        ("open('record.bin', 'r+b').close()", True),
+        ("open('record.bin', 'a+b').close()", True),
+        ("os.open('record.bin', os.O_RDWR)", True),
+        ("os.open('record.bin', os.O_RDWR | os.O_CREAT)", True),
+        ("sqlite3.connect('record.bin')", True),
+        ("sqlite3.connect(f'file:{os.getcwd()}/record.bin?mode=ro', uri=True)", True),
+        ("open('record.bin', 'ab').close()\nopen('record.bin').close()", True),
+        ("open('record.bin').close()\nopen('record.bin', 'w').close()", True),
+        (
+            "os.rename('record.bin', 'a')\ntry: open('record.bin')\n"
+            "except OSError: os.rename('a', 'record.bin')\nopen('record.bin').close()",
+            True,
+        ),
+        ("open('record.bin', 'ab').close()", False),
+        ("os.open('record.bin', os.O_WRONLY)", False),
+        ("open('record.bin', 'wb').close()\nopen('record.bin').close()", False),
+        ("os.open('record.bin', os.O_RDWR | os.O_TRUNC)\nopen('record.bin').close()", False),
+        ("np.memmap('new.bin', mode='w+', shape=9)[:] = 1\nnp.memmap('new.bin')", False),
+        ("sqlite3.connect('new.bin').execute('create table a (b)')\nsqlite3.connect('new.bin')", False),
+    ],
+)
+def test_what_is_opened_for_reading_too_is_read_unless_it_was_made_here(tmp_path, code, noted):
+    script = (
+        "import os, sqlite3\nimport numpy as np\nfrom stillwork.workbook.kernel_process import Installed, watch\n"
+        f"watch('reads', Installed('/nowhere/reads'))\n{code}"
+    )
+    (tmp_path / "record.bin").write_bytes(b"volts")
+    environment = os.environ | {"STILLWORK_ROOT": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=environment, check=True)
+    read = [json.loads(line) for line in (tmp_path / "reads").read_text().splitlines()]
+    expected = [{"path": str(tmp_path / "record.bin"), "digest": publish.digest(b"volts")}] * noted
+    assert [each for each in read if each["path"].startswith(str(tmp_path))] == expected
+
+
 @pytest.mark.slow
 def test_a_build_builds_what_why_says_and_nothing_else(toy):
     before = toy.stamps()

@@ -23,6 +23,7 @@ import sysconfig
 import tempfile
 from collections.abc import Iterator
 from importlib.machinery import SourceFileLoader
+from urllib.parse import unquote, urlsplit
 
 # Where the notebooks spend their imports.
 SLOW = (
@@ -112,16 +113,24 @@ class Installed:
 def watch(log: str, left_out: Installed) -> None:
     """Append to `log`, from now on, a line of JSON for each file that is read and each folder that is listed.
 
-    The pins of the environment speak for what is left out. A log that cannot be written is removed: without one
-    the results are not taken.
+    The pins of the environment speak for what is left out, and the notebook's code for what it made itself. A log
+    that cannot be written is removed: without one the results are not taken.
     """
     out = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
     root = os.environ["STILLWORK_ROOT"]
     data = os.path.join(root, "data")
     seen: dict[str, tuple] = {}
+    made: dict[str, tuple | None] = {}  # by this process, with the stamp of what was there before
     state = {"busy": False}
     # What is watched, and which of its arguments is the path; `import` has one where it loads machine code.
-    place = {"open": 0, "import": 1, "ctypes.dlopen": 0, "os.listdir": 0, "os.scandir": 0}
+    place = {
+        "open": 0,
+        "import": 1,
+        "ctypes.dlopen": 0,
+        "sqlite3.connect": 0,
+        "os.listdir": 0,
+        "os.scandir": 0,
+    }
 
     def note(path: str, digest: str) -> None:
         line = (json.dumps({"path": path, "digest": digest}) + "\n").encode()
@@ -132,8 +141,29 @@ def watch(log: str, left_out: Installed) -> None:
         if not noted:
             os.unlink(log)
 
-    def writes(mode: str | None, flags: int) -> bool:
-        return bool(set("wax+") & set(mode) if isinstance(mode, str) else flags & (os.O_WRONLY | os.O_RDWR))
+    def note_file(path: str, event: str, mode: str | None = None, flags: int = 0) -> None:
+        if left_out.holds(path):
+            return
+        now = _stamp(path)
+        if event == "sqlite3.connect":
+            flags = os.O_RDWR | os.O_CREAT
+        if _empties(mode, flags) or (now is None and _creates(mode, flags)):
+            if path not in seen:
+                made.setdefault(path, now)
+            return
+        if now is None or _only_writes(mode, flags):
+            return
+        if seen.get(path) == now or made.get(path, now) != now:
+            return
+        seen[path] = now
+        with open(path, "rb") as file:
+            note(path, hashlib.file_digest(file, "sha256").hexdigest())
+
+    def note_folder(path: str) -> None:
+        if f"{path}/" not in seen and (path == data or path.startswith(data + "/")):
+            seen[f"{path}/"] = ()
+            names = "\n".join(sorted(os.listdir(path)))
+            note(f"{path}/", hashlib.sha256(names.encode()).hexdigest())
 
     def hook(event: str, arguments: tuple) -> None:
         if state["busy"] or event not in place:
@@ -143,29 +173,54 @@ def watch(log: str, left_out: Installed) -> None:
             return
         state["busy"] = True
         try:
-            path = os.path.abspath(os.fsdecode(path))
-            if event in ("open", "import", "ctypes.dlopen"):
-                if event == "open" and writes(*arguments[1:]):
-                    return
-                if left_out.holds(path):
-                    return
-                now = os.stat(path)
-                stamp = (now.st_ino, now.st_size, now.st_mtime_ns, now.st_ctime_ns)
-                if seen.get(path) == stamp or not stat.S_ISREG(now.st_mode):
-                    return
-                seen[path] = stamp
-                with open(path, "rb") as file:
-                    note(path, hashlib.file_digest(file, "sha256").hexdigest())
-            elif f"{path}/" not in seen and (path == data or path.startswith(data + "/")):
-                seen[f"{path}/"] = ()
-                names = "\n".join(sorted(os.listdir(path)))
-                note(f"{path}/", hashlib.sha256(names.encode()).hexdigest())
+            path = os.fsdecode(path)
+            if event == "sqlite3.connect" and path.startswith("file:"):
+                path = unquote(urlsplit(path).path)
+            path = os.path.abspath(path)
+            if event in ("os.listdir", "os.scandir"):
+                note_folder(path)
+            else:
+                note_file(path, event, *arguments[1:] if event == "open" else ())
         except (OSError, ValueError):  # what is not there was not read
             return
         finally:
             state["busy"] = False
 
     sys.addaudithook(hook)
+
+
+def _stamp(path: str) -> tuple | None:
+    """What tells a file's states apart; None where there is none.
+
+    Raises
+    ------
+    ValueError
+        When something else is there.
+    """
+    try:
+        now = os.stat(path)
+    except FileNotFoundError:
+        return None
+    if not stat.S_ISREG(now.st_mode):
+        raise ValueError("no file")
+    return now.st_ino, now.st_size, now.st_mtime_ns, now.st_ctime_ns
+
+
+def _empties(mode: str | None, flags: int) -> bool:
+    """Whether what was in a file that is opened so goes first."""
+    return bool(flags & os.O_TRUNC) or "w" in (mode or "")
+
+
+def _creates(mode: str | None, flags: int) -> bool:
+    """Whether a file that is opened so comes to be where there was none."""
+    return bool(flags & os.O_CREAT) or bool({"a", "x"} & set(mode or ""))
+
+
+def _only_writes(mode: str | None, flags: int) -> bool:
+    """Whether a file that is opened so, with all that is in it, cannot be read."""
+    if mode is None:
+        return flags & (os.O_WRONLY | os.O_RDWR) == os.O_WRONLY
+    return "+" not in mode and bool({"a", "x"} & set(mode))
 
 
 def compile_sources(left_out: Installed) -> None:
