@@ -399,6 +399,33 @@ def test_what_is_opened_for_reading_too_is_read_unless_it_was_made_here(tmp_path
     assert [each for each in read if each["path"].startswith(str(tmp_path))] == expected
 
 
+@pytest.mark.parametrize(
+    ("code", "noted"),
+    [
+        ("os.listdir('records')", True),
+        ("os.chdir('records')\nos.listdir()", True),
+        ("glob.glob('records/*.csv')", True),
+        ("sorted(Path('records').glob('*.csv'))", True),
+        ("list(os.walk('records'))", True),
+        ("sys.path.append('records')\nimport plant", False),
+        ("sys.path.append('records')\nlist(pkgutil.iter_modules())\nlist(metadata.distributions())", False),
+        ("os.mkdir('mine')\nos.listdir('mine')", False),
+    ],
+)
+def test_a_folder_that_is_listed_is_read_wherever_it_lies(tmp_path, code, noted):
+    script = (
+        "import glob, os, pkgutil, sys\nfrom importlib import metadata\nfrom pathlib import Path\n"
+        "from stillwork.workbook.kernel_process import Installed, watch\n"
+        f"watch('reads', Installed('/nowhere/reads'))\n{code}"
+    )
+    (tmp_path / "records").mkdir()
+    (tmp_path / "records" / "plant.py").touch()
+    environment = os.environ | {"STILLWORK_ROOT": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=environment, check=True)
+    read = [json.loads(line)["path"] for line in (tmp_path / "reads").read_text().splitlines()]
+    assert [path for path in read if path.endswith("/")] == [f"{tmp_path}/records/"] * noted
+
+
 @pytest.mark.slow
 def test_a_build_builds_what_why_says_and_nothing_else(toy):
     before = toy.stamps()

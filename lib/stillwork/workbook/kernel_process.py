@@ -21,6 +21,7 @@ import stat
 import sys
 import sysconfig
 import tempfile
+import types
 from collections.abc import Iterator
 from importlib.machinery import SourceFileLoader
 from urllib.parse import unquote, urlsplit
@@ -42,6 +43,10 @@ SLOW = (
     "ipywidgets",
     "ipykernel.kernelapp",
 )
+
+# Modules that list folders for others, and those that look for modules or fonts there.
+LISTERS = ("glob", "os", "pathlib", "pathlib._abc", "pathlib._local", "posixpath")
+SEARCHERS = ("importlib", "_frozen_importlib", "pkgutil", "matplotlib.font_manager")
 
 
 class Installed:
@@ -117,8 +122,6 @@ def watch(log: str, left_out: Installed) -> None:
     that cannot be written is removed: without one the results are not taken.
     """
     out = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
-    root = os.environ["STILLWORK_ROOT"]
-    data = os.path.join(root, "data")
     seen: dict[str, tuple] = {}
     made: dict[str, tuple | None] = {}  # by this process, with the stamp of what was there before
     state = {"busy": False}
@@ -130,6 +133,7 @@ def watch(log: str, left_out: Installed) -> None:
         "sqlite3.connect": 0,
         "os.listdir": 0,
         "os.scandir": 0,
+        "os.mkdir": 0,
     }
 
     def note(path: str, digest: str) -> None:
@@ -159,16 +163,19 @@ def watch(log: str, left_out: Installed) -> None:
         with open(path, "rb") as file:
             note(path, hashlib.file_digest(file, "sha256").hexdigest())
 
-    def note_folder(path: str) -> None:
-        if f"{path}/" not in seen and (path == data or path.startswith(data + "/")):
-            seen[f"{path}/"] = ()
-            names = "\n".join(sorted(os.listdir(path)))
-            note(f"{path}/", hashlib.sha256(names.encode()).hexdigest())
+    def note_folder(path: str, frame: types.FrameType) -> None:
+        if f"{path}/" in seen or path in made or left_out.holds(f"{path}/") or _searches(frame):
+            return
+        names = "\n".join(sorted(os.listdir(path)))
+        seen[f"{path}/"] = ()
+        note(f"{path}/", hashlib.sha256(names.encode()).hexdigest())
 
     def hook(event: str, arguments: tuple) -> None:
         if state["busy"] or event not in place:
             return
         path = arguments[place[event]]
+        if path is None and event in ("os.listdir", "os.scandir"):
+            path = "."
         if not isinstance(path, str | bytes | os.PathLike):
             return
         state["busy"] = True
@@ -178,7 +185,10 @@ def watch(log: str, left_out: Installed) -> None:
                 path = unquote(urlsplit(path).path)
             path = os.path.abspath(path)
             if event in ("os.listdir", "os.scandir"):
-                note_folder(path)
+                note_folder(path, sys._getframe(1))
+            elif event == "os.mkdir":
+                if not os.path.exists(path):
+                    made[path] = None
             else:
                 note_file(path, event, *arguments[1:] if event == "open" else ())
         except (OSError, ValueError):  # what is not there was not read
@@ -187,6 +197,13 @@ def watch(log: str, left_out: Installed) -> None:
             state["busy"] = False
 
     sys.addaudithook(hook)
+
+
+def _searches(frame: types.FrameType | None) -> bool:
+    """Whether who lists a folder looks for modules or for fonts: a new file there is no news until it is opened."""
+    while frame is not None and frame.f_globals.get("__name__") in LISTERS:
+        frame = frame.f_back
+    return frame is not None and str(frame.f_globals.get("__name__")).startswith(SEARCHERS)
 
 
 def _stamp(path: str) -> tuple | None:
