@@ -275,6 +275,26 @@ def test_what_is_left_out_has_a_reason(path, left_out, tmp_path, monkeypatch):
     assert Installed("/tmp/stillwork-1/reads").holds(path) == left_out
 
 
+def test_an_installed_package_that_no_pin_speaks_for_is_watched(tmp_path, monkeypatch):
+    packages = tmp_path / "venv" / "site-packages"
+    for name, record in {
+        "My_Lab-1.0": "mylab/__init__.py,,\nmylab_units.py,,\n../../bin/mylab,,\n",
+        "Pinned_One-2.0": "pinned/__init__.py,,\n",
+    }.items():
+        (packages / f"{name}.dist-info").mkdir(parents=True)
+        (packages / f"{name}.dist-info" / "RECORD").write_text(record)
+    (tmp_path / "root").mkdir()
+    pins = "--only-binary :all:\nnumpy==2.4.5\npinned-one==2.0 ; x \\\n    --hash=a\n"
+    (tmp_path / "root" / "environment.txt").write_text(pins)
+    monkeypatch.setenv("STILLWORK_ROOT", str(tmp_path / "root"))
+    monkeypatch.syspath_prepend(packages)
+    left_out = Installed("/nowhere/reads")
+    for name in ("mylab/stage.py", "mylab_units.py"):
+        assert not left_out.holds(str(packages / name))
+    for name in ("pinned/__init__.py", "mylab/__pycache__/stage.cpython-312.pyc", "mylab_other/a.py"):
+        assert left_out.holds(str(packages / name))
+
+
 def test_a_variable_of_the_user_s_hides_no_tree(tmp_path, monkeypatch):
     monkeypatch.setenv("STILLWORK_ROOT", str(tmp_path / "root"))
     monkeypatch.setattr(sys, "pycache_prefix", str(tmp_path))

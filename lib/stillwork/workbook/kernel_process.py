@@ -75,13 +75,15 @@ class Installed:
         self._inner = tuple(
             each for each in self._places if each.startswith(self._root) and each != self._root
         )
+        folders = set(self._packages())
+        folders |= {os.path.realpath(each) for each in folders}
+        self.packages = tuple(each.rstrip("/") + "/" for each in folders)
+        self._own = tuple(self._unpinned(folders))
 
     def places(self, log: str) -> Iterator[str | None]:
         # Python and its packages: the pins of environment.txt are inputs in their stead.
-        yield from (
-            sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib", "include")
-        )
-        yield from (each for each in sys.path if os.path.basename(each) in ("site-packages", "dist-packages"))
+        yield from (sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "include"))
+        yield from self._packages()
         # The system's libraries, time zones and settings, another on each worker: what of them moves numbers is
         # pinned (`pinned.env`). What somebody put into /usr/local or /opt is not the system's.
         yield from ("/etc", "/lib", "/lib64", "/usr/lib", "/usr/lib64", "/usr/share", "/Library", "/System")
@@ -100,10 +102,30 @@ class Installed:
         yield from (os.path.join(each, "matplotlib") for each in (caches, settings))
         yield os.path.join(home, ".matplotlib")
 
+    @staticmethod
+    def _packages() -> Iterator[str]:
+        yield from (sysconfig.get_path(name) for name in ("purelib", "platlib"))
+        yield from (each for each in sys.path if os.path.basename(each) in ("site-packages", "dist-packages"))
+
+    def _unpinned(self, folders: set[str]) -> Iterator[str]:
+        """Files and folders of installed packages that environment.txt does not pin, say a laboratory's own."""
+        try:
+            with open(f"{self._root}environment.txt", encoding="utf-8") as file:
+                pins = {_normal(line.partition("==")[0]) for line in file if line[:1].isalnum()}
+        except OSError:
+            return
+        for folder in folders:
+            for name in os.listdir(folder) if os.path.isdir(folder) else ():
+                if not name.endswith(".dist-info") or _normal(name.partition("-")[0]) in pins:
+                    continue
+                with contextlib.suppress(OSError), open(f"{folder}/{name}/RECORD", encoding="utf-8") as file:
+                    tops = {"".join(line.partition(",")[0].partition("/")[:2]) for line in file}
+                    yield from (f"{folder}/{top}" for top in tops - {"", "/", "../", "__pycache__/"})
+
     def holds(self, path: str) -> bool:
         inside = self._inner if path.startswith(self._root) else self._places
         return (
-            path.startswith(inside)
+            (path.startswith(inside) and not path.startswith(self._own))
             or self._follows(path)
             or bool(self.KINDS.fullmatch(os.path.basename(path)))
         )
@@ -113,6 +135,11 @@ class Installed:
         """Whether it is the bytecode of a source, which counts; without a source beside it bytecode counts itself."""
         kept = os.path.basename(os.path.dirname(path)) == "__pycache__"
         return path.endswith(".pyc") and (kept or path.startswith(f"{sys.pycache_prefix or os.devnull}/"))
+
+
+def _normal(name: str) -> str:
+    """A package's name as the index compares it."""
+    return re.sub(r"[-_.]+", "-", name.strip()).lower()
 
 
 def watch(log: str, left_out: Installed) -> None:
@@ -250,7 +277,7 @@ def compile_sources(left_out: Installed) -> None:
 
     def get_code(self, name):
         path = os.path.abspath(self.get_filename(name))
-        if left_out.holds(path):
+        if left_out.holds(path) or path.startswith(left_out.packages):
             return usual(self, name)
         return self.source_to_code(self.get_data(path), path)
 
