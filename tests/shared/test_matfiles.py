@@ -1,6 +1,10 @@
 """MAT files: what a damaged one does to its reader, it does not do to us."""
 
 import io
+import json
+import os
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -68,6 +72,24 @@ def test_a_reader_that_dies_gives_our_error(other_reader, body, why):
         InputError, match=rf"^hers\.mat cannot be read \({why}\); save it with -v7, or export"
     ):
         read_mat(other_reader(body))
+
+
+def test_a_build_sees_the_file(tmp_path):
+    (tmp_path / "hers.mat").write_bytes(saved())
+    script = (
+        "from pathlib import Path\nfrom stillwork.signals.matfiles import read_mat\n"
+        "from stillwork.workbook.kernel_process import Installed, watch\n"
+        "watch('reads', Installed('/nowhere/reads'))\nread_mat(Path('hers.mat'))"
+    )
+    environment = os.environ | {"STILLWORK_ROOT": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=environment, check=True)
+    read = [json.loads(line)["path"] for line in (tmp_path / "reads").read_text().splitlines()]
+    assert str(tmp_path / "hers.mat") in read
+
+
+def test_a_file_that_is_not_there_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"^none\.mat cannot be read \(.*No such file.*\); save it with -v7"):
+        read_mat(tmp_path / "none.mat")
 
 
 @pytest.mark.slow

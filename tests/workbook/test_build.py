@@ -260,6 +260,9 @@ def test_a_plant_s_own_modules_and_data_are_watched_wherever_they_lie(toy, tmp_p
         ("{home}/.cache/numba/plant-1.py311.nbi", True),
         ("/tmp/stillwork-1/ipython/profile_default/history.sqlite", True),
         ("{root}/build/kernels/0/a.nbi", True),
+        ("{home}/lab/__pycache__/plant.cpython-312.pyc", True),
+        ("{home}/lab/__pycache__/record.csv", False),
+        ("{home}/lab/plant.pyc", False),
         ("{root}/lib/experiments/motion/model.py", False),
     ],
 )
@@ -270,6 +273,45 @@ def test_what_is_left_out_has_a_reason(path, left_out, tmp_path, monkeypatch):
         monkeypatch.delenv(name, raising=False)
     path = path.format(home=tmp_path / "home", root=tmp_path / "root")
     assert Installed("/tmp/stillwork-1/reads").holds(path) == left_out
+
+
+def test_an_installed_package_that_no_pin_speaks_for_is_watched(tmp_path, monkeypatch):
+    packages = tmp_path / "venv" / "site-packages"
+    for name, record in {
+        "My_Lab-1.0": "mylab/__init__.py,,\nmylab_units.py,,\n../../bin/mylab,,\n",
+        "Pinned_One-2.0": "pinned/__init__.py,,\n",
+    }.items():
+        (packages / f"{name}.dist-info").mkdir(parents=True)
+        (packages / f"{name}.dist-info" / "RECORD").write_text(record)
+    (tmp_path / "root").mkdir()
+    pins = "--only-binary :all:\nnumpy==2.4.5\npinned-one==2.0 ; x \\\n    --hash=a\n"
+    (tmp_path / "root" / "environment.txt").write_text(pins)
+    monkeypatch.setenv("STILLWORK_ROOT", str(tmp_path / "root"))
+    monkeypatch.syspath_prepend(packages)
+    left_out = Installed("/nowhere/reads")
+    for name in ("mylab/stage.py", "mylab_units.py"):
+        assert not left_out.holds(str(packages / name))
+    for name in ("pinned/__init__.py", "mylab/__pycache__/stage.cpython-312.pyc", "mylab_other/a.py"):
+        assert left_out.holds(str(packages / name))
+
+
+def test_a_variable_of_the_user_s_hides_no_tree(tmp_path, monkeypatch):
+    monkeypatch.setenv("STILLWORK_ROOT", str(tmp_path / "root"))
+    monkeypatch.setattr(sys, "pycache_prefix", str(tmp_path))
+    for name in ("MPLCONFIGDIR", "NUMBA_CACHE_DIR", "STILLWORK_KERNELS"):
+        monkeypatch.setenv(name, str(tmp_path))
+    left_out = Installed("/nowhere/reads")
+    for name in ("record.csv", "lab/plant.py", "root/lib/experiments/motion/model.py"):
+        assert not left_out.holds(str(tmp_path / name))
+    for name in (
+        "fontlist-v390.json",
+        "stylelib/a.mplstyle",
+        "matplotlibrc",
+        "base_0/a.nbi",
+        "lab/a.nbc",
+        "a.pyc",
+    ):
+        assert left_out.holds(str(tmp_path / name))
 
 
 @pytest.mark.slow
@@ -337,6 +379,71 @@ def test_a_library_of_machine_code_is_read_without_being_opened(tmp_path, load):
     subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=environment, check=True)
     (read,) = map(json.loads, (tmp_path / "reads").read_text().splitlines())
     assert read == {"path": str(tmp_path / "model.so"), "digest": publish.digest(b"no machine code")}
+
+
+@pytest.mark.parametrize(
+    ("code", "noted"),
+    [
+        ("np.memmap('record.bin')", True),
+        ("open('record.bin', 'r+b').close()", True),
+        ("open('record.bin', 'a+b').close()", True),
+        ("os.open('record.bin', os.O_RDWR)", True),
+        ("os.open('record.bin', os.O_RDWR | os.O_CREAT)", True),
+        ("sqlite3.connect('record.bin')", True),
+        ("sqlite3.connect(f'file:{os.getcwd()}/record.bin?mode=ro', uri=True)", True),
+        ("open('record.bin', 'ab').close()\nopen('record.bin').close()", True),
+        ("open('record.bin').close()\nopen('record.bin', 'w').close()", True),
+        (
+            "os.rename('record.bin', 'a')\ntry: open('record.bin')\n"
+            "except OSError: os.rename('a', 'record.bin')\nopen('record.bin').close()",
+            True,
+        ),
+        ("open('record.bin', 'ab').close()", False),
+        ("os.open('record.bin', os.O_WRONLY)", False),
+        ("open('record.bin', 'wb').close()\nopen('record.bin').close()", False),
+        ("os.open('record.bin', os.O_RDWR | os.O_TRUNC)\nopen('record.bin').close()", False),
+        ("np.memmap('new.bin', mode='w+', shape=9)[:] = 1\nnp.memmap('new.bin')", False),
+        ("sqlite3.connect('new.bin').execute('create table a (b)')\nsqlite3.connect('new.bin')", False),
+    ],
+)
+def test_what_is_opened_for_reading_too_is_read_unless_it_was_made_here(tmp_path, code, noted):
+    script = (
+        "import os, sqlite3\nimport numpy as np\nfrom stillwork.workbook.kernel_process import Installed, watch\n"
+        f"watch('reads', Installed('/nowhere/reads'))\n{code}"
+    )
+    (tmp_path / "record.bin").write_bytes(b"volts")
+    environment = os.environ | {"STILLWORK_ROOT": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=environment, check=True)
+    read = [json.loads(line) for line in (tmp_path / "reads").read_text().splitlines()]
+    expected = [{"path": str(tmp_path / "record.bin"), "digest": publish.digest(b"volts")}] * noted
+    assert [each for each in read if each["path"].startswith(str(tmp_path))] == expected
+
+
+@pytest.mark.parametrize(
+    ("code", "noted"),
+    [
+        ("os.listdir('records')", True),
+        ("os.chdir('records')\nos.listdir()", True),
+        ("glob.glob('records/*.csv')", True),
+        ("sorted(Path('records').glob('*.csv'))", True),
+        ("list(os.walk('records'))", True),
+        ("sys.path.append('records')\nimport plant", False),
+        ("sys.path.append('records')\nlist(pkgutil.iter_modules())\nlist(metadata.distributions())", False),
+        ("os.mkdir('mine')\nos.listdir('mine')", False),
+    ],
+)
+def test_a_folder_that_is_listed_is_read_wherever_it_lies(tmp_path, code, noted):
+    script = (
+        "import glob, os, pkgutil, sys\nfrom importlib import metadata\nfrom pathlib import Path\n"
+        "from stillwork.workbook.kernel_process import Installed, watch\n"
+        f"watch('reads', Installed('/nowhere/reads'))\n{code}"
+    )
+    (tmp_path / "records").mkdir()
+    (tmp_path / "records" / "plant.py").touch()
+    environment = os.environ | {"STILLWORK_ROOT": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=environment, check=True)
+    read = [json.loads(line)["path"] for line in (tmp_path / "reads").read_text().splitlines()]
+    assert [path for path in read if path.endswith("/")] == [f"{tmp_path}/records/"] * noted
 
 
 @pytest.mark.slow

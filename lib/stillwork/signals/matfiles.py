@@ -25,11 +25,17 @@ def read_mat(path: Path) -> dict[str, np.ndarray]:
     """Every array of numbers of a MAT file up to version 7 by name; members of a structure as ``name.member``.
 
     The file is read in a process of its own, with limits on time and, where the system has them, on memory:
-    whatever a damaged file does to the reader, it does not do to the caller.
+    whatever a damaged file does to the reader, it does not do to the caller. It is the caller who opens it, so that
+    a build sees what its kernel reads.
     """
-    with tempfile.TemporaryDirectory() as folder:
+    with contextlib.ExitStack() as stack:
+        folder = stack.enter_context(tempfile.TemporaryDirectory())
+        try:
+            opened = stack.enter_context(open(path, "rb"))
+        except OSError as error:
+            raise _refusal(path, str(error)) from None
         result = Path(folder) / "arrays.npz"
-        command = [sys.executable, "-P", "-W", "ignore", "-m", __name__, str(path), str(result)]
+        command = [sys.executable, "-P", "-W", "ignore", "-m", __name__, path.name, str(result)]
         # The process finds the packages where the caller did; the threads of a BLAS would reserve memory of their own.
         own = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "PYTHONUTF8": "1"}
         own |= {"OPENBLAS_NUM_THREADS": "1"}
@@ -37,7 +43,7 @@ def read_mat(path: Path) -> dict[str, np.ndarray]:
             done = subprocess.run(
                 command,
                 env=os.environ | own,
-                stdin=subprocess.DEVNULL,
+                stdin=opened,
                 capture_output=True,
                 timeout=MOST_SECONDS,
             )
@@ -60,7 +66,7 @@ def _refusal(path: Path, why: str) -> InputError:
 
 
 def _main(path: Path, result: Path) -> int:
-    """What the process does: the arrays into an NPZ file, or the reason why not."""
+    """What the process does: the arrays of its standard input into an NPZ file, or the reason why not."""
     _limit()
     try:
         arrays = _arrays(path)
@@ -92,7 +98,7 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
     from scipy.io import loadmat
 
     try:
-        tree = loadmat(path, simplify_cells=True)
+        tree = loadmat(sys.stdin.buffer, simplify_cells=True)
     except MemoryError:
         raise _refusal(path, f"it takes more than {MOST_BYTES >> 30} GB of memory") from None
     except Exception as error:  # on a damaged file scipy raises whatever its parser stumbles over

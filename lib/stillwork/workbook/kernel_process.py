@@ -13,6 +13,7 @@ import hashlib
 import importlib
 import json
 import os
+import re
 import select
 import signal
 import socket
@@ -20,8 +21,10 @@ import stat
 import sys
 import sysconfig
 import tempfile
+import types
 from collections.abc import Iterator
 from importlib.machinery import SourceFileLoader
+from urllib.parse import unquote, urlsplit
 
 # Where the notebooks spend their imports.
 SLOW = (
@@ -41,16 +44,28 @@ SLOW = (
     "ipykernel.kernelapp",
 )
 
+# Modules that list folders for others, and those that look for modules or fonts there.
+LISTERS = ("glob", "os", "pathlib", "pathlib._abc", "pathlib._local", "posixpath")
+SEARCHERS = ("importlib", "_frozen_importlib", "pkgutil", "matplotlib.font_manager")
+
 
 class Installed:
-    """What is no notebook's input although it is read: `places` and `FONTS` name it, with the reason.
+    """What is no notebook's input although it is read: `places` and `KINDS` name it, with the reason.
 
     All else counts, wherever it lies. Of what lies in the checkout only that is left out which has its place there:
-    the checkout itself may lie in one of the places.
+    the checkout itself may lie in one of the places. A place that a variable of the user's names (a cache of
+    numba's or matplotlib's) may hold anything: there, and anywhere, files are left out by kind.
     """
 
-    # Matplotlib looks into every font of the machine when it makes its list anew, and draws with its own.
-    FONTS = (".afm", ".otf", ".ttc", ".ttf")
+    KINDS = re.compile(
+        # Matplotlib looks into every font of the machine when it makes its list anew, and draws with its own.
+        r".*\.(afm|otf|ttc|ttf)|fontlist-[^/]*\.json"
+        # The user's settings of matplotlib are turned off (`pinned.env`).
+        r"|matplotlibrc"
+        # Machine code that numba keeps follows from sources that count.
+        r"|.*\.nb[ci]",
+        re.IGNORECASE,
+    )
 
     def __init__(self, log: str):
         self._root = os.environ["STILLWORK_ROOT"].rstrip("/") + "/"
@@ -60,13 +75,15 @@ class Installed:
         self._inner = tuple(
             each for each in self._places if each.startswith(self._root) and each != self._root
         )
+        folders = set(self._packages())
+        folders |= {os.path.realpath(each) for each in folders}
+        self.packages = tuple(each.rstrip("/") + "/" for each in folders)
+        self._own = tuple(self._unpinned(folders))
 
     def places(self, log: str) -> Iterator[str | None]:
         # Python and its packages: the pins of environment.txt are inputs in their stead.
-        yield from (
-            sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib", "include")
-        )
-        yield from (each for each in sys.path if os.path.basename(each) in ("site-packages", "dist-packages"))
+        yield from (sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "include"))
+        yield from self._packages()
         # The system's libraries, time zones and settings, another on each worker: what of them moves numbers is
         # pinned (`pinned.env`). What somebody put into /usr/local or /opt is not the system's.
         yield from ("/etc", "/lib", "/lib64", "/usr/lib", "/usr/lib64", "/usr/share", "/Library", "/System")
@@ -76,36 +93,75 @@ class Installed:
         yield os.path.dirname(log)
         # What builds write, and what git keeps of all that is committed.
         yield from (os.path.join(self._root, each) for each in ("build", ".git"))
-        # Bytecode and machine code, which follow from sources that count.
-        yield sys.pycache_prefix
-        yield from (os.environ.get(name) for name in ("STILLWORK_KERNELS", "NUMBA_CACHE_DIR"))
         home = os.path.expanduser("~")
         caches = os.environ.get("XDG_CACHE_HOME") or os.path.join(home, ".cache")
-        yield from (os.path.join(each, "numba") for each in (caches, os.path.join(home, "Library", "Caches")))
         # Matplotlib's list of fonts, and styles of the user's own, which are turned off (`pinned.env`).
-        yield os.environ.get("MPLCONFIGDIR")
+        own = os.environ.get("MPLCONFIGDIR")
+        yield own and os.path.join(own, "stylelib")
         settings = os.environ.get("XDG_CONFIG_HOME") or os.path.join(home, ".config")
         yield from (os.path.join(each, "matplotlib") for each in (caches, settings))
         yield os.path.join(home, ".matplotlib")
 
+    @staticmethod
+    def _packages() -> Iterator[str]:
+        yield from (sysconfig.get_path(name) for name in ("purelib", "platlib"))
+        yield from (each for each in sys.path if os.path.basename(each) in ("site-packages", "dist-packages"))
+
+    def _unpinned(self, folders: set[str]) -> Iterator[str]:
+        """Files and folders of installed packages that environment.txt does not pin, say a laboratory's own."""
+        try:
+            with open(f"{self._root}environment.txt", encoding="utf-8") as file:
+                pins = {_normal(line.partition("==")[0]) for line in file if line[:1].isalnum()}
+        except OSError:
+            return
+        for folder in folders:
+            for name in os.listdir(folder) if os.path.isdir(folder) else ():
+                if not name.endswith(".dist-info") or _normal(name.partition("-")[0]) in pins:
+                    continue
+                with contextlib.suppress(OSError), open(f"{folder}/{name}/RECORD", encoding="utf-8") as file:
+                    tops = {"".join(line.partition(",")[0].partition("/")[:2]) for line in file}
+                    yield from (f"{folder}/{top}" for top in tops - {"", "/", "../", "__pycache__/"})
+
     def holds(self, path: str) -> bool:
         inside = self._inner if path.startswith(self._root) else self._places
-        return path.startswith(inside) or path.lower().endswith(self.FONTS)
+        return (
+            (path.startswith(inside) and not path.startswith(self._own))
+            or self._follows(path)
+            or bool(self.KINDS.fullmatch(os.path.basename(path)))
+        )
+
+    @staticmethod
+    def _follows(path: str) -> bool:
+        """Whether it is the bytecode of a source, which counts; without a source beside it bytecode counts itself."""
+        kept = os.path.basename(os.path.dirname(path)) == "__pycache__"
+        return path.endswith(".pyc") and (kept or path.startswith(f"{sys.pycache_prefix or os.devnull}/"))
+
+
+def _normal(name: str) -> str:
+    """A package's name as the index compares it."""
+    return re.sub(r"[-_.]+", "-", name.strip()).lower()
 
 
 def watch(log: str, left_out: Installed) -> None:
     """Append to `log`, from now on, a line of JSON for each file that is read and each folder that is listed.
 
-    The pins of the environment speak for what is left out. A log that cannot be written is removed: without one
-    the results are not taken.
+    The pins of the environment speak for what is left out, and the notebook's code for what it made itself. A log
+    that cannot be written is removed: without one the results are not taken.
     """
     out = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
-    root = os.environ["STILLWORK_ROOT"]
-    data = os.path.join(root, "data")
     seen: dict[str, tuple] = {}
+    made: dict[str, tuple | None] = {}  # by this process, with the stamp of what was there before
     state = {"busy": False}
     # What is watched, and which of its arguments is the path; `import` has one where it loads machine code.
-    place = {"open": 0, "import": 1, "ctypes.dlopen": 0, "os.listdir": 0, "os.scandir": 0}
+    place = {
+        "open": 0,
+        "import": 1,
+        "ctypes.dlopen": 0,
+        "sqlite3.connect": 0,
+        "os.listdir": 0,
+        "os.scandir": 0,
+        "os.mkdir": 0,
+    }
 
     def note(path: str, digest: str) -> None:
         line = (json.dumps({"path": path, "digest": digest}) + "\n").encode()
@@ -116,41 +172,99 @@ def watch(log: str, left_out: Installed) -> None:
         if not noted:
             os.unlink(log)
 
-    def writes(mode: str | None, flags: int) -> bool:
-        return bool(set("wax+") & set(mode) if isinstance(mode, str) else flags & (os.O_WRONLY | os.O_RDWR))
+    def note_file(path: str, event: str, mode: str | None = None, flags: int = 0) -> None:
+        if left_out.holds(path):
+            return
+        now = _stamp(path)
+        if event == "sqlite3.connect":
+            flags = os.O_RDWR | os.O_CREAT
+        if _empties(mode, flags) or (now is None and _creates(mode, flags)):
+            if path not in seen:
+                made.setdefault(path, now)
+            return
+        if now is None or _only_writes(mode, flags):
+            return
+        if seen.get(path) == now or made.get(path, now) != now:
+            return
+        seen[path] = now
+        with open(path, "rb") as file:
+            note(path, hashlib.file_digest(file, "sha256").hexdigest())
+
+    def note_folder(path: str, frame: types.FrameType) -> None:
+        if f"{path}/" in seen or path in made or left_out.holds(f"{path}/") or _searches(frame):
+            return
+        names = "\n".join(sorted(os.listdir(path)))
+        seen[f"{path}/"] = ()
+        note(f"{path}/", hashlib.sha256(names.encode()).hexdigest())
 
     def hook(event: str, arguments: tuple) -> None:
         if state["busy"] or event not in place:
             return
         path = arguments[place[event]]
+        if path is None and event in ("os.listdir", "os.scandir"):
+            path = "."
         if not isinstance(path, str | bytes | os.PathLike):
             return
         state["busy"] = True
         try:
-            path = os.path.abspath(os.fsdecode(path))
-            if event in ("open", "import", "ctypes.dlopen"):
-                if event == "open" and writes(*arguments[1:]):
-                    return
-                # Machine code that a compiler keeps beside a source follows from it.
-                if left_out.holds(path) or os.path.basename(os.path.dirname(path)) == "__pycache__":
-                    return
-                now = os.stat(path)
-                stamp = (now.st_ino, now.st_size, now.st_mtime_ns, now.st_ctime_ns)
-                if seen.get(path) == stamp or not stat.S_ISREG(now.st_mode):
-                    return
-                seen[path] = stamp
-                with open(path, "rb") as file:
-                    note(path, hashlib.file_digest(file, "sha256").hexdigest())
-            elif f"{path}/" not in seen and (path == data or path.startswith(data + "/")):
-                seen[f"{path}/"] = ()
-                names = "\n".join(sorted(os.listdir(path)))
-                note(f"{path}/", hashlib.sha256(names.encode()).hexdigest())
+            path = os.fsdecode(path)
+            if event == "sqlite3.connect" and path.startswith("file:"):
+                path = unquote(urlsplit(path).path)
+            path = os.path.abspath(path)
+            if event in ("os.listdir", "os.scandir"):
+                note_folder(path, sys._getframe(1))
+            elif event == "os.mkdir":
+                if not os.path.exists(path):
+                    made[path] = None
+            else:
+                note_file(path, event, *arguments[1:] if event == "open" else ())
         except (OSError, ValueError):  # what is not there was not read
             return
         finally:
             state["busy"] = False
 
     sys.addaudithook(hook)
+
+
+def _searches(frame: types.FrameType | None) -> bool:
+    """Whether who lists a folder looks for modules or for fonts: a new file there is no news until it is opened."""
+    while frame is not None and frame.f_globals.get("__name__") in LISTERS:
+        frame = frame.f_back
+    return frame is not None and str(frame.f_globals.get("__name__")).startswith(SEARCHERS)
+
+
+def _stamp(path: str) -> tuple | None:
+    """What tells a file's states apart; None where there is none.
+
+    Raises
+    ------
+    ValueError
+        When something else is there.
+    """
+    try:
+        now = os.stat(path)
+    except FileNotFoundError:
+        return None
+    if not stat.S_ISREG(now.st_mode):
+        raise ValueError("no file")
+    return now.st_ino, now.st_size, now.st_mtime_ns, now.st_ctime_ns
+
+
+def _empties(mode: str | None, flags: int) -> bool:
+    """Whether what was in a file that is opened so goes first."""
+    return bool(flags & os.O_TRUNC) or "w" in (mode or "")
+
+
+def _creates(mode: str | None, flags: int) -> bool:
+    """Whether a file that is opened so comes to be where there was none."""
+    return bool(flags & os.O_CREAT) or bool({"a", "x"} & set(mode or ""))
+
+
+def _only_writes(mode: str | None, flags: int) -> bool:
+    """Whether a file that is opened so, with all that is in it, cannot be read."""
+    if mode is None:
+        return flags & (os.O_WRONLY | os.O_RDWR) == os.O_WRONLY
+    return "+" not in mode and bool({"a", "x"} & set(mode))
 
 
 def compile_sources(left_out: Installed) -> None:
@@ -163,7 +277,7 @@ def compile_sources(left_out: Installed) -> None:
 
     def get_code(self, name):
         path = os.path.abspath(self.get_filename(name))
-        if left_out.holds(path):
+        if left_out.holds(path) or path.startswith(left_out.packages):
             return usual(self, name)
         return self.source_to_code(self.get_data(path), path)
 
