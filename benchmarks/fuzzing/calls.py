@@ -1,8 +1,13 @@
-"""One good call of every public function, class and method of the toolbox's faces, to be spoiled, and of many behind."""
+"""A call of every public function and method of the toolbox and of every class of its faces, to be spoiled.
+
+Those of the `catalogue` are good and written out: all of the faces, and many behind them. The others, of `behind`, are
+made from the annotations.
+"""
 
 import copy
 import dataclasses
 import pkgutil
+from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from types import ModuleType, SimpleNamespace
@@ -14,6 +19,7 @@ from experiments.motion.generalised_plant import GeneralisedPlant
 from experiments.motion.h2 import h2_riccati
 from experiments.motion.line_search import regularised_line_search
 from experiments.motion.uncertainty import perturbed, sampled_derivatives
+from fuzzing.behind import calls as made_calls
 from fuzzing.hostile import same, same_value, wrong
 from stillwork import control, estimation, identification, lti, signals
 from stillwork.estimation import robust
@@ -368,24 +374,46 @@ def warm() -> None:
     for name, (function, good) in catalogue().items():
         if name not in REFUSED:
             function(**good)
+    for function, good in behind().values():
+        with suppress(Exception):  # a case of its own says what it is
+            function(**good)
 
 
 def missing() -> list[str]:
-    """Names of the faces that the catalogue does not call."""
-    called = {name.split(",")[0] for name in catalogue()}
-    return [
+    """What of the toolbox nothing calls: of the faces without a call written out, of the rest without one made."""
+    absent = [
         f"{folder}.{name}"
         for folder, face in FACES.items()
         for name in face.__all__
-        if name not in RESULTS and name not in called and f"{folder}.{name}" not in called
+        if not _called(folder, name)
     ]
+    return [*absent, *_behind()[1]]
+
+
+def behind() -> dict:
+    """Name to (callable, arguments by name) of the public functions and methods that the catalogue does not call."""
+    return _behind()[0]
+
+
+@cache
+def _behind() -> tuple[dict, list[str]]:
+    folders = {folder: _whole(face) for folder, face in FACES.items()}
+    return made_calls(catalogue(), folders, _called)
+
+
+@cache
+def _called(folder: str, name: str) -> bool:
+    written = {each.split(",")[0] for each in catalogue()} | RESULTS
+    return name in written or f"{folder}.{name}" in written
 
 
 def case(rng: np.random.Generator) -> tuple:
     """A call with one or two arguments in another form, or spoiled: (what, whether it must work, call)."""
-    names = list(catalogue())
-    name = names[rng.integers(len(names))]
-    function, good = catalogue()[name]
+    calls = catalogue() | behind()
+    name = list(calls)[rng.integers(len(calls))]
+    function, good = calls[name]
+    if not good:
+        return name, [], False, function
     benign = rng.random() < 0.2
     arguments, told = dict(good), []
     for key in rng.choice(list(good), size=min(len(good), 1 + int(rng.random() < 0.25)), replace=False):
@@ -395,7 +423,7 @@ def case(rng: np.random.Generator) -> tuple:
             arguments[key] = same(rng, good[key])
         else:
             arguments[key] = Spoiled(rng, good[key])
-    must_work = benign and name not in REFUSED
+    must_work = benign and name in catalogue() and name not in REFUSED
 
     def call():
         built = {key: each.make() if isinstance(each, Spoiled) else each for key, each in arguments.items()}
