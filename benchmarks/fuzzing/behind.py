@@ -24,6 +24,9 @@ PLAIN = {
     Path: Path("missing.csv"),
     Callable: np.sin,
     np.ndarray: np.eye(2),
+    None: np.eye(2),  # of no annotation
+    typing.Any: np.eye(2),
+    slice: slice(0, 2),
     np.random.Generator: np.random.default_rng(1),
 }
 OPEN = set(typing.get_args(ArrayLike))
@@ -94,6 +97,10 @@ class Values:
         origin, parts = typing.get_origin(hint), typing.get_args(hint)
         if hint in self.by_kind:
             return self.by_kind[hint]
+        if inspect.isclass(hint) and (
+            fit := [each for each in self.by_kind.values() if isinstance(each, hint)]
+        ):
+            return fit[0]
         if inspect.isclass(hint) and issubclass(hint, AbstractArray):
             sizes = [int(axis) if axis.isdigit() else 2 for axis in hint.dim_str.split()]
             return np.ones(sizes, hint.dtypes[0])
@@ -109,12 +116,13 @@ class Values:
             return [self.made(parts[0])] * 2
         if dataclasses.is_dataclass(hint) or hasattr(hint, "_fields"):
             hints = typing.get_type_hints(hint)
+            checks = front_door._checks(hint) if dataclasses.is_dataclass(hint) else {}
             names = (
                 [each.name for each in dataclasses.fields(hint)]
                 if dataclasses.is_dataclass(hint)
                 else hint._fields
             )
-            return hint(**{name: self._argument(name, hints[name], None) for name in names})
+            return hint(**{name: self._argument(name, hints[name], checks.get(name)) for name in names})
         raise NotMade(f"no value of {hint}")
 
     def _first(self, parts):

@@ -39,6 +39,11 @@ RESULTS = {
     "Peak", "Identified", "Machine", "ModalFit", "Adaptation", "KalmanGain", "MinMaxSolution", "Track", "Bandwidth",
     "LoopResponse", "ControlledRun", "Loop", "UnstableAdaptation", "ZeroEstimateWarning", "ContractionWarning",
 }  # fmt: skip
+# No calls: what hands the parts of a recursion to its kernels, a sample at a time; `run` and the steppers ask before.
+PARTS = {
+    *("FeLms.trace_copies", "MinMax.bounds", "GrowingMinMax.bounds", "known_length", "empty_track"),
+    *("LeastSquares.start", "LeastSquares.fill", "Ridge.start", "Ridge.fill"),
+}
 # Calls whose good arguments stand for a file or a machine that is not there.
 REFUSED = {"load_record", "load_machine", "build_machine", "from_control", "load_controller"}
 # Of these NaN (after a divergence, without coherence) or infinity (no estimate, no crossing) is a stated result.
@@ -198,6 +203,7 @@ def catalogue() -> dict:
         "zoh": (lti.zoh, {"model": state, "sample_time": 0.01}),
         "zoh_modes": (lti.zoh_modes, {"model": model, "sample_time": 1e-4}),
         "arx_regressors": (i.arx_regressors, {"signal": signal, "output": signal, "output_lags": 2, "input_lags": 2, "delay": 1}),
+        "brought_forward": (i.brought_forward, {"machine": i.Machine((model,), 10.0, "x"), "delay": 1e-4}),
         "build_machine": (i.build_machine, {"file": None, "modes_hz": [50.0], "fit_hz": (10.0, 200.0), "mirrored_sensor": True}),
         "closed_loop_response": (i.closed_loop_response, {"excitation": noise(512), "inputs": noise(512), "outputs": noise(512), "sample_time": 0.01, "segment": 64}),
         "exponential_bound": (i.exponential_bound, {"row": 1.0, "forgetting": 0.9, "samples": 10}),
@@ -205,6 +211,7 @@ def catalogue() -> dict:
         "fit_modal_matrix": (i.fit_modal_matrix, {"omega": modes, "response": residues, "deviation": np.full(len(modes), 1e-6), "modes": 2, "sample_time": 1e-4, "rigid_modes": 1}),
         "complex_frequency_poles": (i.complex_frequency_poles, {"omega": measured.omega, "response": measured.response[:, None, None], "weight": np.ones(len(measured.omega)), "order": 4}),
         "stabilisation": (i.stabilisation, {"omega": measured.omega, "response": measured.response[:, None, None]}),
+        "Stabilisation.settled": (i.stabilisation(measured.omega, measured.response[:, None, None]).settled, {}),
         "identify_modes": (i.identify_modes, {"measured": measured, "band_hz": (10.0, 200.0), "guesses_hz": [48.0, 143.0], "damping_guess": 1e-2}),
         "fit_modes": (i.fit_modes, {"measured": measured, "guesses_hz": [48.0, 143.0], "band_hz": (10.0, 200.0), "damping_guess": 1e-2}),
         "impact_response": (i.impact_response, impulse),
@@ -254,6 +261,7 @@ def catalogue() -> dict:
         "kalman_observer": (e.kalman_observer, {"model": model, "noise": e.NoiseIntensities(1.0, 1e-12), "noise_model": 1.0}),
         "min_max_solve": (e.min_max_solve, block),
         "RecursiveStepper": (e.RecursiveStepper, {"estimator": e.LeastSquares(0.9), "unknowns": 3}),
+        "RecursiveStepper.update": (lambda regressor, output: e.RecursiveStepper(e.LeastSquares(0.9), 3).update(regressor, output), {"regressor": rows[:, 0], "output": 1.0}),
         "LeastMeanSquares": (lambda X, y, **named: e.LeastMeanSquares(**named).fit(X, y).coef_, {"X": rows.T, "y": signal, **fields(e.LeastMeanSquares())}),
         "RecursiveLeastSquares": (lambda X, y, **named: e.RecursiveLeastSquares(**named).fit(X, y).coef_, {"X": rows.T, "y": signal, **fields(e.RecursiveLeastSquares(forgetting=0.9))}),
         "MinMaxRegressor": (lambda X, y, sample_weight, **named: e.MinMaxRegressor(**named).fit(X, y, sample_weight).coef_, {"X": rows.T, "y": signal, "sample_weight": np.ones(60), **fields(e.MinMaxRegressor(0.1))}),
@@ -403,7 +411,8 @@ def _behind() -> tuple[dict, list[str]]:
 
 @cache
 def _called(folder: str, name: str) -> bool:
-    written = {each.split(",")[0] for each in catalogue()} | RESULTS
+    written = {each.split(",")[0] for each in catalogue()} | RESULTS | PARTS
+    name = name.removesuffix(".fit")  # a regressor is called by its fit
     return name in written or f"{folder}.{name}" in written
 
 

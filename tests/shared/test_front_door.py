@@ -243,6 +243,7 @@ from stillwork.estimation.observer import Observer
 from stillwork.estimation.plant import Plant, force_slope, partial_derivatives
 from stillwork.estimation.secular import SecularFunction
 from stillwork.estimation.windows import end_point_weights
+from stillwork.identification.complex_frequency import Stabilisation
 from stillwork.identification.frequency_response import impact_response
 from stillwork.identification.machine_files import MachineFile, complex_responses, kind_of
 from stillwork.identification.regressors import exponential_weights
@@ -285,6 +286,7 @@ for call, message in (
         lambda: LinearFilter(np.eye(2), np.ones((3, 2)), np.ones((3, 2)), np.ones((3, 2))),
         "do not fit together",
     ),
+    (lambda: Stabilisation([1], [1.0, 2.0], [0.1], [True]), "differ in length"),
     (lambda: MachineFile("response", "x", accelerance="x"), "give Identified"),
     (lambda: DesignSettings(None, 10**400, noises), "give a whole number"),
     (
