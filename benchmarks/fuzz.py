@@ -172,9 +172,9 @@ def _properties(result) -> list:
 
 
 def _unbounded() -> set[str]:
-    from fuzzing.calls import MAY_BE_INFINITE
+    from fuzzing.calls import MAY_BE_INFINITE, behind
 
-    return MAY_BE_INFINITE
+    return MAY_BE_INFINITE | behind().keys()  # of these their own door asks
 
 
 def _has_nan(value, depth: int = 0) -> bool:

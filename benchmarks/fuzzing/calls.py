@@ -1,8 +1,13 @@
-"""One good call of every public function, class and method of the toolbox's faces, to be spoiled, and of many behind."""
+"""A call of every public function and method of the toolbox and of every class of its faces, to be spoiled.
+
+Those of the `catalogue` are good and written out: all of the faces, and many behind them. The others, of `behind`, are
+made from the annotations.
+"""
 
 import copy
 import dataclasses
 import pkgutil
+from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from types import ModuleType, SimpleNamespace
@@ -14,6 +19,7 @@ from experiments.motion.generalised_plant import GeneralisedPlant
 from experiments.motion.h2 import h2_riccati
 from experiments.motion.line_search import regularised_line_search
 from experiments.motion.uncertainty import perturbed, sampled_derivatives
+from fuzzing.behind import calls as made_calls
 from fuzzing.hostile import same, same_value, wrong
 from stillwork import control, estimation, identification, lti, signals
 from stillwork.estimation import robust
@@ -33,6 +39,12 @@ RESULTS = {
     "Peak", "Identified", "Machine", "ModalFit", "Adaptation", "KalmanGain", "MinMaxSolution", "Track", "Bandwidth",
     "LoopResponse", "ControlledRun", "Loop", "UnstableAdaptation", "ZeroEstimateWarning", "ContractionWarning",
 }  # fmt: skip
+# No calls: what hands the parts of a recursion to its kernels, a sample at a time; `run` and the steppers ask before.
+PARTS = {
+    *("FeLms.trace_copies", "MinMax.bounds", "GrowingMinMax.bounds", "known_length", "empty_track"),
+    *("LeastSquares.start", "LeastSquares.fill", "Ridge.start", "Ridge.fill"),
+    "require_covariance",  # a check itself
+}
 # Calls whose good arguments stand for a file or a machine that is not there.
 REFUSED = {"load_record", "load_machine", "build_machine", "from_control", "load_controller"}
 # Of these NaN (after a divergence, without coherence) or infinity (no estimate, no crossing) is a stated result.
@@ -192,6 +204,7 @@ def catalogue() -> dict:
         "zoh": (lti.zoh, {"model": state, "sample_time": 0.01}),
         "zoh_modes": (lti.zoh_modes, {"model": model, "sample_time": 1e-4}),
         "arx_regressors": (i.arx_regressors, {"signal": signal, "output": signal, "output_lags": 2, "input_lags": 2, "delay": 1}),
+        "brought_forward": (i.brought_forward, {"machine": i.Machine((model,), 10.0, "x"), "delay": 1e-4}),
         "build_machine": (i.build_machine, {"file": None, "modes_hz": [50.0], "fit_hz": (10.0, 200.0), "mirrored_sensor": True}),
         "closed_loop_response": (i.closed_loop_response, {"excitation": noise(512), "inputs": noise(512), "outputs": noise(512), "sample_time": 0.01, "segment": 64}),
         "exponential_bound": (i.exponential_bound, {"row": 1.0, "forgetting": 0.9, "samples": 10}),
@@ -199,6 +212,7 @@ def catalogue() -> dict:
         "fit_modal_matrix": (i.fit_modal_matrix, {"omega": modes, "response": residues, "deviation": np.full(len(modes), 1e-6), "modes": 2, "sample_time": 1e-4, "rigid_modes": 1}),
         "complex_frequency_poles": (i.complex_frequency_poles, {"omega": measured.omega, "response": measured.response[:, None, None], "weight": np.ones(len(measured.omega)), "order": 4}),
         "stabilisation": (i.stabilisation, {"omega": measured.omega, "response": measured.response[:, None, None]}),
+        "Stabilisation.settled": (i.stabilisation(measured.omega, measured.response[:, None, None]).settled, {}),
         "identify_modes": (i.identify_modes, {"measured": measured, "band_hz": (10.0, 200.0), "guesses_hz": [48.0, 143.0], "damping_guess": 1e-2}),
         "fit_modes": (i.fit_modes, {"measured": measured, "guesses_hz": [48.0, 143.0], "band_hz": (10.0, 200.0), "damping_guess": 1e-2}),
         "impact_response": (i.impact_response, impulse),
@@ -248,6 +262,7 @@ def catalogue() -> dict:
         "kalman_observer": (e.kalman_observer, {"model": model, "noise": e.NoiseIntensities(1.0, 1e-12), "noise_model": 1.0}),
         "min_max_solve": (e.min_max_solve, block),
         "RecursiveStepper": (e.RecursiveStepper, {"estimator": e.LeastSquares(0.9), "unknowns": 3}),
+        "RecursiveStepper.update": (lambda regressor, output: e.RecursiveStepper(e.LeastSquares(0.9), 3).update(regressor, output), {"regressor": rows[:, 0], "output": 1.0}),
         "LeastMeanSquares": (lambda X, y, **named: e.LeastMeanSquares(**named).fit(X, y).coef_, {"X": rows.T, "y": signal, **fields(e.LeastMeanSquares())}),
         "RecursiveLeastSquares": (lambda X, y, **named: e.RecursiveLeastSquares(**named).fit(X, y).coef_, {"X": rows.T, "y": signal, **fields(e.RecursiveLeastSquares(forgetting=0.9))}),
         "MinMaxRegressor": (lambda X, y, sample_weight, **named: e.MinMaxRegressor(**named).fit(X, y, sample_weight).coef_, {"X": rows.T, "y": signal, "sample_weight": np.ones(60), **fields(e.MinMaxRegressor(0.1))}),
@@ -368,24 +383,47 @@ def warm() -> None:
     for name, (function, good) in catalogue().items():
         if name not in REFUSED:
             function(**good)
+    for function, good in behind().values():
+        with suppress(Exception):  # a case of its own says what it is
+            function(**good)
 
 
 def missing() -> list[str]:
-    """Names of the faces that the catalogue does not call."""
-    called = {name.split(",")[0] for name in catalogue()}
-    return [
+    """What of the toolbox nothing calls: of the faces without a call written out, of the rest without one made."""
+    absent = [
         f"{folder}.{name}"
         for folder, face in FACES.items()
         for name in face.__all__
-        if name not in RESULTS and name not in called and f"{folder}.{name}" not in called
+        if not _called(folder, name)
     ]
+    return [*absent, *_behind()[1]]
+
+
+def behind() -> dict:
+    """Name to (callable, arguments by name) of the public functions and methods that the catalogue does not call."""
+    return _behind()[0]
+
+
+@cache
+def _behind() -> tuple[dict, list[str]]:
+    folders = {folder: _whole(face) for folder, face in FACES.items()}
+    return made_calls(catalogue(), folders, _called)
+
+
+@cache
+def _called(folder: str, name: str) -> bool:
+    written = {each.split(",")[0] for each in catalogue()} | RESULTS | PARTS
+    name = name.removesuffix(".fit")  # a regressor is called by its fit
+    return name in written or f"{folder}.{name}" in written
 
 
 def case(rng: np.random.Generator) -> tuple:
     """A call with one or two arguments in another form, or spoiled: (what, whether it must work, call)."""
-    names = list(catalogue())
-    name = names[rng.integers(len(names))]
-    function, good = catalogue()[name]
+    calls = catalogue() | behind()
+    name = list(calls)[rng.integers(len(calls))]
+    function, good = calls[name]
+    if not good:
+        return name, [], False, function
     benign = rng.random() < 0.2
     arguments, told = dict(good), []
     for key in rng.choice(list(good), size=min(len(good), 1 + int(rng.random() < 0.25)), replace=False):
@@ -395,7 +433,7 @@ def case(rng: np.random.Generator) -> tuple:
             arguments[key] = same(rng, good[key])
         else:
             arguments[key] = Spoiled(rng, good[key])
-    must_work = benign and name not in REFUSED
+    must_work = benign and name in catalogue() and name not in REFUSED
 
     def call():
         built = {key: each.make() if isinstance(each, Spoiled) else each for key, each in arguments.items()}

@@ -336,20 +336,40 @@ import numpy as np
 from stillwork.base.checks import InputError
 from stillwork.control import FlowTransformation
 from stillwork.control.crossover import crossover
+from stillwork.control.digital import biquads
 from stillwork.control.feedback import fed_back
 from stillwork.control.feedforward import Feedforward
-from stillwork.control.fixed_point_convergence import iterate
+from stillwork.control.fixed_point import ending
+from stillwork.control.fixed_point_convergence import LimitCycle, Oscillation, iterate
+from stillwork.control.fixed_point_linear import LinearFilter, semi_implicit_motion
+from stillwork.control.machine_loops import Intensities
+from stillwork.control.machine_tuning import DesignSettings, varied
 from stillwork.control.setpoint import Setpoint
-from stillwork.estimation import AdaptationStepper
+from stillwork.estimation import AdaptationStepper, FeLms, adapt
+from stillwork.estimation.covariance_forms import factor_of
 from stillwork.estimation.observer import Observer
-from stillwork.lti import ModalModel, StateModel, interconnect
+from stillwork.estimation.plant import Plant, force_slope, partial_derivatives
 from stillwork.estimation.secular import SecularFunction
+from stillwork.estimation.windows import end_point_weights
+from stillwork.identification.complex_frequency import Stabilisation
+from stillwork.identification.frequency_response import impact_response
+from stillwork.identification.machine_files import MachineFile, complex_responses, kind_of
+from stillwork.identification.regressors import exponential_weights
+from stillwork.lti import ModalModel, StateModel, interconnect
 from stillwork.lti.peaks import refine_peak
-from stillwork.signals.spectra import Spectrum
+from stillwork.lti.state_space import constant
+from stillwork.signals.criteria import criterion_velocity
+from stillwork.signals.densities import frequency_axis
+from stillwork.signals.records import sampling_rate
+from stillwork.signals.spectra import ResponseEstimate, Spectrum, band_power
 
 model = ModalModel([0, 10], [0, 0.01], [[1], [1]], [[1, -1]], [[0]])
 assert model.frequencies.dtype == np.float64
 one = StateModel([[-1]], [[1]], [[1]], [[0]])
+noises = Intensities(1.0, 1.0, 1.0)
+stage = ModalModel([0.0, 300.0], [0.0, 0.01], [[0.3], [0.4]], [[0.3, -0.4]], [[0.0]])
+hits = np.random.default_rng(1).standard_normal((2, 64))
+ending_plant = Plant(lambda q, v, f, p: f / p[0] if q < 1 else np.nan, lambda q, v, a, p: a * p[0], [2.0])
 for call, message in (
     (lambda: ModalModel([0.0], [0.0], [[1.0]], [[1.0]], 0.0), "feedthrough has shape ()"),
     (lambda: Observer(None, np.eye(2), np.eye(2), np.eye(2), np.eye(2)), "model is None; give ModalModel"),
@@ -366,6 +386,46 @@ for call, message in (
     (lambda: interconnect([one], np.eye(2), [[1.0]], [[1.0]]), "feedback has shape (2, 2)"),
     (lambda: interconnect([], [[1.0]], [[1.0]], [[1.0]]), "models is empty"),
     (lambda: iterate(FlowTransformation(), 1e300, 5, response_gain=1e300), "iterate has no result"),
+    (lambda: kind_of({1: 2}), "a name in arrays is 1; give str"),
+    (lambda: frequency_axis({1: 2}), "a name in columns is 1; give str"),
+    (lambda: sampling_rate("x", {"rate": "fast"}), "rate'] is not an array"),
+    (lambda: complex_responses({}), "holds nothing, and no frequency"),
+    (lambda: ending(99, 0.0, "x"), "status is 99"),
+    (
+        lambda: LinearFilter(np.eye(2), np.ones((3, 2)), np.ones((3, 2)), np.ones((3, 2))),
+        "do not fit together",
+    ),
+    (lambda: Stabilisation([1], [1.0, 2.0], [0.1], [True]), "differ in length"),
+    (lambda: MachineFile("response", "x", accelerance="x"), "give Identified"),
+    (lambda: DesignSettings(None, 10**400, noises), "give a whole number"),
+    (
+        lambda: varied(DesignSettings(None, 2, noises), "foo", 2.0),
+        "name is 'foo'; use one of",
+    ),
+    (lambda: Oscillation(np.nan, 1.0), "frequency_hz is nan"),
+    (lambda: LimitCycle(np.nan, 1.0, 1.0, 1.0, True), "frequency_hz is nan"),
+    (lambda: ResponseEstimate("x", *np.ones((3, 1, 1, 1)), 1), "not an array"),
+    (lambda: force_slope(ending_plant, 9.0, 0.0, 0.0), "force_slope has no result"),
+    (lambda: partial_derivatives(ending_plant, 9.0, 0.0, 0.0), "has no result"),
+    (lambda: impact_response(hits, hits, 1e308), "rate is 1e+308"),
+    (lambda: biquads(constant([[1, 2], [3, 4]], 1e-3)), "give one of each"),
+    (lambda: biquads(constant([[1]])), "model is in continuous time"),
+    (lambda: exponential_weights(0, 0.9), "rows is 0"),
+    (lambda: exponential_weights(3, 1.5), "forgetting is 1.5"),
+    (lambda: semi_implicit_motion((1.0, 2.0, 3.0), 0.0), "sample_time is 0"),
+    (lambda: criterion_velocity("VC-A", [-1.0]), "frequencies_hz holds negative"),
+    (lambda: factor_of("triangle", np.ones((2, 3))), "give a square one"),
+    (lambda: end_point_weights(3, 5), "give a degree below the samples"),
+    (lambda: constant(np.zeros((0, 0))), "give it an input and an output"),
+    (lambda: stage.state_space().select([], []), "choose one of each"),
+    (lambda: stage.at([], []), "give a model an input"),
+    (lambda: stage.frequency_response([]), "omega is empty"),
+    (lambda: stage.state_space().frequency_response([]), "omega is empty"),
+    (lambda: adapt(FeLms(0.1), np.ones((3, 0)), np.ones((1, 0))), "hold no samples"),
+    (
+        lambda: band_power([1, 2, 3], [1, 1, 1], 3, 1),
+        "high_hz is 1; give a finite number above 1",
+    ),
 ):
     try:
         result = call()
@@ -373,6 +433,8 @@ for call, message in (
         assert message in str(error), (message, error)
     else:
         raise AssertionError((message, result))
+assert abs(sampling_rate("x", {"time": [0, 0.1, 0.2]}) - 10.0) < 1e-9
+assert complex_responses({"frequency": [1, 2], "h": [1j, 2]})["h"].dtype == complex
 """
 
 

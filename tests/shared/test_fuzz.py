@@ -21,3 +21,21 @@ def test_nothing_goes_wrong(cases):
     done = subprocess.run([sys.executable, str(FUZZ), *cases], capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     assert ", 0 wrong" in done.stdout
+
+
+COVERED = """
+from fuzzing import behind, calls
+
+asked = calls.catalogue() | calls.behind()
+names = {name.split(",")[0].rpartition(".")[2] for name in asked}
+public = [f"{folder}.{name}" for folder, face in calls.FACES.items() for name, _ in behind.public(calls._whole(face))]
+assert len(public) > 200 and calls.missing() == []
+assert not {each for each in public if each.rpartition(".")[2] not in names | {"fit"} | {n.rpartition(".")[2] for n in calls.PARTS}}
+"""
+
+
+@pytest.mark.slow
+def test_every_public_function_is_called():
+    command = [sys.executable, "-W", "ignore", "-c", COVERED]
+    done = subprocess.run(command, cwd=FUZZ.parent, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

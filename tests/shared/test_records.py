@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.io import savemat
 
 from stillwork.base.checks import InputError
+from stillwork.signals import datafiles
 from stillwork.signals.records import (
     UNITS,
     Record,
@@ -20,6 +21,7 @@ from stillwork.signals.records import (
     to_acceleration,
     unit_factor,
 )
+from stillwork.signals.universal import read_universal
 
 RATE = 500.0
 SAMPLES = 1000
@@ -259,6 +261,30 @@ def test_an_archive_that_is_no_file_of_arrays_is_refused(tmp_path, members, opti
     with pytest.raises(InputError, match=message) as refusal:
         load_record(path, "m/s^2", sample_rate=RATE)
     assert "\n" not in str(refusal.value)
+
+
+def test_an_archive_behind_something_else_is_none(tmp_path):
+    np.savez(tmp_path / "a.npz", a=SIGNALS)
+    path = tmp_path / "a.npz"
+    path.write_bytes(b"prefix" + path.read_bytes())
+    with pytest.raises(InputError, match="it is no archive") as refusal:
+        load_record(path, "m/s^2", sample_rate=RATE)
+    assert "pickle" not in str(refusal.value)
+
+
+def test_the_memory_of_the_numbers_is_limited_not_that_of_the_file_alone(tmp_path, monkeypatch):
+    np.savez(tmp_path / "a.npz", a=np.zeros((2, 1000), np.int8))
+    monkeypatch.setattr(datafiles, "MOST_BYTES", 8_000)  # the archive takes 2,000 bytes and a line of names
+    with pytest.raises(InputError, match=r"a\.npz makes 1\.6e\+04 bytes of numbers"):
+        datafiles.read_columns(tmp_path / "a.npz")
+
+
+def test_a_path_may_be_a_text(tmp_path):
+    write_csv(tmp_path / "a.csv", SIGNALS, ["left", "right"])
+    for read in (datafiles.read_arrays, datafiles.read_columns):
+        np.testing.assert_array_equal(read(str(tmp_path / "a.csv"))["left"], SIGNALS[0])
+    with pytest.raises(InputError, match="holds no measured function"):
+        read_universal(str(tmp_path / "a.uff"))
 
 
 def test_a_members_name_is_no_path(tmp_path):

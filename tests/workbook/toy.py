@@ -13,6 +13,7 @@ import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from importlib import metadata
 from pathlib import Path
 
 import psutil
@@ -233,7 +234,11 @@ def make(root: Path) -> Toy:
         toy.write(f"data/{room}/rig.toml", "mass = 1.0\n")
         toy.write(f"data/{room}/published.toml", LEDGER.format(room=room))
     toy.write("pyproject.toml", (LIBRARY.parents[1] / "pyproject.toml").read_text(encoding="utf-8"))
-    toy.write("environment.txt", "numpy==2.4.5 \\\n    --hash=sha256:0\n    # via a\nscipy==1.17.1\n")
+    # As in the workbook itself all that is installed is pinned; a kernel watches what is not.
+    others = {each.name for each in metadata.distributions()} - {"numpy", "scipy", "stillwork"}
+    pins = [f"{name}==1.0" for name in sorted(others)]
+    pins += ["numpy==2.4.5 \\", "    --hash=sha256:0", "    # via a", "scipy==1.17.1"]
+    toy.write("environment.txt", "\n".join(pins) + "\n")
     return toy
 
 

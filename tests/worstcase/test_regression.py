@@ -399,6 +399,8 @@ def test_a_bound_that_explains_everything_away_warns():
         (lambda: LeastMeanSquares().fit(np.ones((5, 2)), np.ones(4)), "y has 4 samples but X has 5"),
         (lambda: LeastMeanSquares().fit([["a"]], [1.0]), "X is not an array of numbers"),
         (lambda: LeastMeanSquares().fit(np.ma.masked_equal([[1.0], [2.0]], 2), [1.0, 2.0]), "X has masked"),
+        (lambda: LeastMeanSquares().fit(np.array([["1"], ["2"]]), [1.0, 2.0]), "X is no"),
+        (lambda: LeastMeanSquares().fit(np.array([["1"], ["2"]], object), [1.0, 2.0]), "X is no"),
         (lambda: RecursiveLeastSquares().fit(*record(), -np.ones(60)), "sample_weight holds a negative"),
     ],
 )

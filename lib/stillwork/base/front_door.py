@@ -235,7 +235,7 @@ def _check(hint) -> Callable | None:
     if origin in (types.UnionType, typing.Union):
         return _union(parts)
     if origin in (dict, Mapping):
-        return lambda name, value: require_kind(name, value, origin)
+        return _mapping(origin, parts)
     if origin in (list, tuple, Sequence, Collection, Iterable):
         return _sequence(origin, parts)
     if inspect.isclass(hint) and issubclass(hint, AbstractArray):
@@ -309,6 +309,30 @@ def _sequence(origin, parts: tuple) -> Callable | None:
         return fit if origin is not tuple else tuple(fit)
 
     return check
+
+
+def _mapping(origin, parts: tuple) -> Callable:
+    keys, values = (_measured if part is np.ndarray else _check(part) for part in parts)
+
+    def check(name: str, value):
+        require_kind(name, value, origin)
+        return {
+            keys(f"a name in {name}", key) if keys else key: values(f"{name}[{shown(key)}]", item)
+            if values
+            else item
+            for key, item in value.items()
+        }
+
+    return check
+
+
+def _measured(name: str, value) -> np.ndarray:
+    """What a file holds under a name: an array of any shape, real or complex, with what is missing."""
+    try:
+        dtype = complex if np.asarray(value).dtype.kind == "c" else float
+    except ValueError:  # rows of different lengths, which is said below
+        dtype = float
+    return require_array(name, value, dtype=dtype, missing=True, infinite=True)
 
 
 def _array(hint) -> Callable:

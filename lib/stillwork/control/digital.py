@@ -287,6 +287,10 @@ def from_biquads(sections: ArrayLike, sample_time: float) -> StateModel:
 @checked
 def biquads(model: StateModel) -> np.ndarray | None:
     """Second-order sections of a model with one input and one output; None where they would not agree with it."""
+    if model.d.shape != (1, 1):
+        raise InputError(f"model has {model.d.shape[1]} inputs and {len(model.d)} outputs; give one of each")
+    if not model.sample_time:
+        raise InputError("model is in continuous time; discretise it first")
     omega = np.geomspace(1e-4, 0.99, 200) * np.pi / model.sample_time
     wanted = model.frequency_response(omega)[0, 0]
     zeros, poles = model.zeros, model.poles

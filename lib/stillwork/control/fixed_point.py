@@ -250,7 +250,10 @@ def ending(status: int, time: float, left: str) -> dict[str, Any]:
     """When a run diverged, in s, and why, with what is said of a plant that left its bounds; empty if it did not."""
     if status == RUNNING:
         return {}
-    return {"diverged_at": float(time), "cause": {TOO_FAR: left, **CAUSES}[status]}
+    causes = {TOO_FAR: left, **CAUSES}
+    if status not in causes:
+        raise InputError(f"status is {status}; give {RUNNING} or one of {', '.join(map(str, causes))}")
+    return {"diverged_at": float(time), "cause": causes[status]}
 
 
 def require_noise(noise: ArrayLike | None, shape: tuple[int, ...]) -> np.ndarray:

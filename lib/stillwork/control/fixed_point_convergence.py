@@ -176,6 +176,9 @@ class LimitCycle:
     velocity: float  # m/s
     stable: bool  # attracts its neighbours; an unstable one is the border of divergence
 
+    def __post_init__(self):
+        check_fields(self)
+
 
 @checked
 def limit_cycles(
@@ -218,6 +221,9 @@ class Oscillation:
 
     frequency_hz: float
     amplitude: float  # of that line, in the record's unit
+
+    def __post_init__(self):
+        check_fields(self)
 
 
 @checked

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import require_array
+from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.base.front_door import by_value, check_fields, checked, outside
 from stillwork.control.fixed_point import Controller
 from stillwork.control.mechanism import Mechanism
@@ -35,6 +35,13 @@ class LinearFilter:
     B: Float64[np.ndarray, "states 2"]
     C: Float64[np.ndarray, "3 states"]
     D: Float64[np.ndarray, "3 2"]
+
+    def __post_init__(self):
+        check_fields(self)
+        if not len(self.A) == self.A.shape[1] == len(self.B) == self.C.shape[1]:
+            raise InputError(
+                f"A, B, C have shapes {self.A.shape}, {self.B.shape}, {self.C.shape}, which do not fit together"
+            )
 
     @checked(infinite=True)
     def response(self, rate: ArrayLike, sample_time: float) -> np.ndarray:
@@ -85,6 +92,7 @@ def _finite_impulse_response(rows) -> LinearFilter:
 @checked
 def semi_implicit_motion(slopes: tuple[float, ...], sample_time: float) -> tuple[np.ndarray, np.ndarray]:
     """F and the column of the force of x = [velocity, position] in the semi-implicit model (10)."""
+    require_number("sample_time", sample_time, above=0.0)
     by_position, by_velocity, by_force = slopes
     row = np.array([1 + sample_time * by_velocity, sample_time * by_position])
     column = sample_time * by_force * np.array([1.0, sample_time])

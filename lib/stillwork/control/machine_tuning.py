@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from stillwork.base.checks import InputError, require_count, require_number
-from stillwork.base.front_door import by_value, checked
+from stillwork.base.checks import InputError, require_choice, require_count, require_number
+from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.control.applications import Application
 from stillwork.control.bandwidth import Loop, PeakConstraint, holds
 from stillwork.control.machine_loops import (
@@ -38,6 +38,9 @@ class DesignSettings:
     intensities: Intensities
     notches: bool = False
     lead: float = 3.0
+
+    def __post_init__(self):
+        check_fields(self)
 
 
 @checked(infinite=True)
@@ -92,6 +95,7 @@ def tuned(
 @checked
 def varied(settings: DesignSettings, name: str, factor: float) -> DesignSettings | None:
     """The settings with one of them changed by a factor; None where they have no such thing, or no more of it."""
+    require_choice("name", name, STEPS)
     application, intensities = settings.application, settings.intensities
     if name == "lead":
         lead = factor * settings.lead

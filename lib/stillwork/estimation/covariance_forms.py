@@ -14,7 +14,7 @@ Bierman, Factorization Methods for Discrete Sequential Estimation (1977); Haykin
 
 import numpy as np
 
-from stillwork.base.checks import require_choice
+from stillwork.base.checks import InputError, require_choice
 from stillwork.base.front_door import checked
 from stillwork.base.kernels import inlined_kernel, kernel
 
@@ -26,6 +26,8 @@ TRIANGLE, JOSEPH, SQUARE_ROOT, UD, INVERSE_QR = range(5)
 def factor_of(form: str, covariance: np.ndarray) -> np.ndarray:
     """The array that a form stores for a covariance P, in the precision of P."""
     code = FORMS.index(require_choice("form", form, FORMS))
+    if covariance.ndim != 2 or covariance.shape[0] != covariance.shape[1]:
+        raise InputError(f"covariance has shape {covariance.shape}; give a square one")
     if code in (TRIANGLE, JOSEPH):
         return covariance.copy()
     # Upper triangular: Cholesky's factor of the matrix read backwards, read backwards.

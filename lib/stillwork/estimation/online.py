@@ -268,6 +268,8 @@ def _run(settings, regressors, name, signals, weights, every) -> Adaptation:
             f"{name} has {signals.shape[1]} samples but regressors has {samples}; "
             "give both with time along the last axis"
         )
+    if not samples:
+        raise InputError(f"regressors and {name} hold no samples; give at least one")
     every = require_count("every", every)
     start = np.zeros((actuators, n)) if weights is None else weights
     start = require_array("weights", start, shape=(actuators, n))

@@ -73,13 +73,13 @@ class Plant:
         return callback(self.acceleration, SIGNATURE), callback(self.force, SIGNATURE), self.parameters
 
 
-@checked(missing=True)
+@checked
 def partial_derivatives(plant: Plant, position: float, velocity: float, force: float) -> tuple[float, ...]:
     """Derivatives of the acceleration with respect to position, velocity and force, by central differences."""
     return tuple(_slope(plant, axis, position, velocity, force) for axis in range(3))
 
 
-@checked(missing=True)
+@checked
 def force_slope(plant: Plant, position: float, velocity: float, force: float) -> float:
     """Derivative of the acceleration with respect to the force alone, as `partial_derivatives` gives it."""
     return _slope(plant, 2, position, velocity, force)

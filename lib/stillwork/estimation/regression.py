@@ -175,6 +175,8 @@ class _LinearRegressor:
         )
         try:
             given = np.asanyarray(value)
+            if given.dtype.kind == "O" and any(isinstance(each, str | bytes) for each in given.flat):
+                raise TypeError("it holds texts")
             if given.dtype.kind == "O":  # a frame's own conversion knows its missing values
                 given = (
                     value.to_numpy(dtype, na_value=np.nan) if hasattr(value, "iloc") else given.astype(dtype)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.base.checks import require_count
+from stillwork.base.checks import InputError, require_count
 from stillwork.base.front_door import checked
 from stillwork.base.kernels import borrowing_kernel
 
@@ -19,6 +19,11 @@ def end_point_weights(samples: int, degree: int, derivative: int = 0) -> Float64
     require_count("samples", samples)
     require_count("degree", degree, at_least=0)
     require_count("derivative", derivative, at_least=0)
+    if not derivative <= degree < samples:
+        raise InputError(
+            f"derivative, degree and samples are {derivative}, {degree} and {samples}; "
+            "give a degree below the samples and a derivative of at most the degree"
+        )
     place = np.arange(1 - samples, 1) / max(samples - 1, 1)  # scaled to [-1, 0]: well conditioned
     powers = np.vander(place, degree + 1, increasing=True)
     fit = np.linalg.pinv(powers)[derivative]

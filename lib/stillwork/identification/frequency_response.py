@@ -89,6 +89,8 @@ def impact_response(force: ArrayLike, response: ArrayLike, rate: float) -> Ident
         )
     coherence = np.abs(s_fa) ** 2 / (s_ff * s_aa) if len(force) > 1 else np.full(len(omega), np.nan)
     found = Identified(omega[keep], (s_fa / s_ff)[keep], coherence[keep])
+    if not np.isfinite(omega).all():
+        raise InputError(f"rate is {rate:g}, too large for frequencies in rad/s; give it in Hz")
     if not np.isfinite(found.response).all() or (len(force) > 1 and not np.isfinite(found.coherence).all()):
         raise InputError("force or response is too large or too small for its power; give them in SI units")
     return found

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from stillwork.base.checks import InputError, nearest, require_array, require_choice, require_number
-from stillwork.base.front_door import by_value, checked
+from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.identification.frequency_response import Identified, impact_response
 from stillwork.lti.modal import ModalModel, modal_model
 from stillwork.signals.datafiles import read_arrays
@@ -37,6 +37,9 @@ class MachineFile:
     accelerance: Identified | None = None
     model: ModalModel | None = None  # from force to the position of every sensor
     notes: tuple[str, ...] = ()  # what was done to it
+
+    def __post_init__(self):
+        check_fields(self)
 
 
 @checked
@@ -150,7 +153,10 @@ def load_machine(
 @checked
 def complex_responses(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Every complex response by name; those of a matrix of outputs by inputs as ``h[1,1]``, ``h[2,1]``, ..."""
-    lines = arrays[str(_frequency_name(arrays))].size
+    axis = _frequency_name(arrays)
+    if axis is None:
+        raise InputError(f"arrays holds {', '.join(arrays) or 'nothing'}, and no frequency; name it so")
+    lines = arrays[axis].size
     found = {}
     for name, array in arrays.items():
         axes = [axis for axis, length in enumerate(array.shape) if length == lines]

@@ -89,6 +89,8 @@ def exponential_bound(row: float, forgetting: float, samples: int | None = None)
 @checked
 def exponential_weights(rows: int, forgetting: float) -> np.ndarray:
     """Of the rows of A and b, oldest first: forgetting^((t - j) / 2)."""
+    require_count("rows", rows)
+    require_number("forgetting", forgetting, above=0.0, at_most=1.0)
     return forgetting ** (np.arange(rows - 1, -1, -1) / 2)
 
 

@@ -64,6 +64,10 @@ class ModalModel:
         n = len(self.frequencies)
         if self.input_shapes.shape[0] != n or self.output_shapes.shape[1] != n or self.damping.shape != (n,):
             raise InputError(f"shapes and damping do not fit {n} frequencies; give one of each a mode")
+        if not self.feedthrough.size:
+            raise InputError(
+                f"feedthrough has shape {self.feedthrough.shape}; give a model an input and an output at least"
+            )
         if np.any(self.frequencies < 0) or np.any(np.diff(self.frequencies) < 0):
             raise InputError("frequencies must be ascending and not negative, in rad/s")
         if np.any(self.damping < 0) or np.any(self.damping >= 1):
@@ -173,6 +177,8 @@ class ModalModel:
             When one of them is a pole, e.g. 0 of a rigid-body mode.
         """
         omega = require_array("omega", omega, ndim=1)
+        if not len(omega):
+            raise InputError("omega is empty; give at least one frequency")
         if self.rigid_modes and np.any(omega == 0):
             raise InputError("omega holds 0, where a rigid-body mode has no finite response; leave it out")
         w, z = self.frequencies[:, None], self.damping[:, None]

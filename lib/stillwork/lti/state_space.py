@@ -98,6 +98,8 @@ class StateModel:
             When a place does not exist.
         """
         i, o = list(inputs), list(outputs)
+        if not i or not o:
+            raise InputError("inputs or outputs is empty; choose one of each at least")
         return StateModel(self.a, self.b[:, i], self.c[o], self.d[np.ix_(o, i)], self.sample_time)
 
     @checked
@@ -110,6 +112,8 @@ class StateModel:
             Frequencies, rad/s.
         """
         omega = require_array("omega", omega, ndim=1)
+        if not len(omega):
+            raise InputError("omega is empty; give at least one frequency")
         point = np.exp(1j * omega * self.sample_time) if self.sample_time else 1j * omega
         response = np.repeat(self.d[:, :, None].astype(complex), len(omega), axis=2)
         if not len(self.a):
@@ -183,6 +187,8 @@ def _matrix(a: bytes, states: int) -> Float64[np.ndarray, "states states"]:
 def constant(gain: Float64[np.ndarray, "outputs inputs"], sample_time: float = 0.0) -> StateModel:
     """A gain without states."""
     outputs, inputs = gain.shape
+    if not gain.size:
+        raise InputError(f"gain has shape {gain.shape}; give it an input and an output at least")
     return StateModel(np.zeros((0, 0)), np.zeros((0, inputs)), np.zeros((outputs, 0)), gain, sample_time)
 
 

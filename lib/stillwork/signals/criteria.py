@@ -68,6 +68,8 @@ def criterion_velocity(name: str, frequencies_hz: ArrayLike) -> Float64[np.ndarr
     """
     require_choice("name", name, CRITERIA)
     f = require_array("frequencies_hz", frequencies_hz, ndim=1)
+    if np.any(f < 0):
+        raise InputError("frequencies_hz holds negative ones; give them from 0 on")
     level = np.full(f.shape, _LEVELS[name])
     if _LEVELS[name] >= _LEVELS["VC-B"]:
         level *= np.maximum(1.0, 8.0 / np.where(f > 0, f, np.inf))

@@ -18,12 +18,13 @@ MOST_MEMBERS = 10_000  # of an archive
 
 
 @checked
-def read_arrays(path: Path) -> dict[str, np.ndarray]:
+def read_arrays(path: str | Path) -> dict[str, np.ndarray]:
     """Every array of numbers of a file by name, real or complex, in the shape in which it is stored.
 
     Of a CSV file each column is an array; of a universal file (UFF, UNV) each measured function, see
     `stillwork.signals.universal`.
     """
+    path = Path(path)
     readers = {
         ".csv": _csv,
         ".txt": _csv,
@@ -63,12 +64,17 @@ def is_folder(path: Path) -> bool:
 
 
 @checked
-def read_columns(path: Path) -> dict[str, np.ndarray]:
+def read_columns(path: str | Path) -> dict[str, np.ndarray]:
     """Every real array of a file by name, each one-dimensional; a matrix gives one a channel."""
     columns: dict[str, np.ndarray] = {}
-    for name, array in read_arrays(path).items():
-        if array.dtype.kind != "c":  # no measurement over time
-            _add(columns, name, array)
+    # A complex array is no measurement over time.
+    arrays = {name: array for name, array in read_arrays(path).items() if array.dtype.kind != "c"}
+    if (size := 8 * sum(array.size for array in arrays.values())) > MOST_BYTES:
+        raise InputError(
+            f"{Path(path).name} makes {size:.2g} bytes of numbers, more than {MOST_BYTES >> 30} GB; cut it"
+        )
+    for name, array in arrays.items():
+        _add(columns, name, array)
     return columns
 
 
@@ -158,7 +164,9 @@ def _is_number(text: str) -> bool:
 
 
 def _npz(path: Path) -> dict[str, np.ndarray]:
-    if not zipfile.is_zipfile(path):
+    with path.open("rb") as file:  # numpy, unlike zipfile, takes no archive behind something else
+        begins = file.read(2) == b"PK"
+    if not begins or not zipfile.is_zipfile(path):
         raise _no_archive(path, "it is no archive")
     try:
         with np.load(path, allow_pickle=False) as file:

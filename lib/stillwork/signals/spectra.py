@@ -57,6 +57,9 @@ class ResponseEstimate:
     residual: Float64[np.ndarray, "outputs frequencies"]
     averages: int  # segments averaged
 
+    def __post_init__(self):
+        check_fields(self)
+
 
 @checked
 def estimate_spectrum(signals: ArrayLike, sample_rate: float, resolution_hz: float) -> Spectrum:
@@ -173,8 +176,8 @@ def band_power(frequencies_hz: ArrayLike, density: ArrayLike, low_hz: float, hig
     """Integral of a density between two frequencies (trapezoids; the ends are interpolated)."""
     f = require_array("frequencies_hz", frequencies_hz, ndim=1)
     s = require_array("density", density, shape=f.shape)
+    require_number("high_hz", high_hz, above=f[0], at_most=f[-1])
     require_number("low_hz", low_hz, at_least=f[0], below=high_hz)
-    require_number("high_hz", high_hz, at_most=f[-1])
     inside = f[(f > low_hz) & (f < high_hz)]
     grid = np.concatenate(([low_hz], inside, [high_hz]))
     return float(np.trapezoid(np.interp(grid, f, s), grid))

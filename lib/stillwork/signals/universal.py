@@ -34,7 +34,7 @@ _SAME = 1e-5
 
 
 @checked
-def read_universal(path: Path) -> dict[str, np.ndarray]:
+def read_universal(path: str | Path) -> dict[str, np.ndarray]:
     """Every measured function of a universal file by name, and the axes that they stand over.
 
     Time responses stand over ``time (s)``; frequency responses (complex, named ``frf ...``), spectra and
@@ -42,7 +42,7 @@ def read_universal(path: Path) -> dict[str, np.ndarray]:
     labels it: ``acceleration 2+Z (m/s2)``, ``frf 2+Z/1+Z ((m/s2)/N)``. A second function of a name gets a number.
     """
     pyuff = require_package("pyuff")
-
+    path = Path(path)
     try:
         # pyuff prints where it is in doubt, and numpy warns; what counts is checked below.
         with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
