@@ -231,3 +231,12 @@ def _numbers(name: str, value, dtype: np.dtype) -> np.ndarray:
         raise InputError(f"{name} holds a number beyond the largest floating-point number") from None
     except Exception:  # numpy asks the object, which may raise anything
         raise InputError(f"{name} is not an array of numbers; give a rectangular array") from None
+
+
+def require_one_each(values: np.ndarray, omega: np.ndarray) -> np.ndarray:
+    """What a response returned for frequencies, else `InputError`."""
+    if values.size != omega.size:
+        raise InputError(
+            f"what response returns has shape {values.shape} for {omega.size} frequencies; give one value at each"
+        )
+    return values

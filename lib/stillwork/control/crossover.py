@@ -6,9 +6,8 @@ import numpy as np
 from jaxtyping import Complex128, Float64
 from scipy import optimize
 
-from stillwork.base.checks import InputError
+from stillwork.base.checks import InputError, require_one_each
 from stillwork.base.front_door import checked
-from stillwork.lti.peaks import require_one_each
 
 
 @checked

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.base.checks import InputError, require_array, require_count, require_number, require_one_each
 from stillwork.base.front_door import checked
 
 
@@ -64,15 +64,6 @@ class Peak(NamedTuple):
 
     magnitude: float
     omega: float  # rad/s
-
-
-def require_one_each(values: np.ndarray, omega: np.ndarray) -> np.ndarray:
-    """What a response returned for frequencies, else `InputError`."""
-    if values.size != omega.size:
-        raise InputError(
-            f"what response returns has shape {values.shape} for {omega.size} frequencies; give one value at each"
-        )
-    return values
 
 
 @checked
