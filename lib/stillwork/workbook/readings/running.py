@@ -12,6 +12,8 @@ from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from dataclasses import dataclass
 
+import numpy as np
+
 from stillwork.base.checks import InputError
 from stillwork.workbook.progress import Progress
 from stillwork.workbook.readings.axes import Multiverse, Option
@@ -103,8 +105,8 @@ def compute(run: Call) -> dict[str, Value] | str:
     return {entry: _kept(given[entry]) for entry in run.entries}
 
 
-def _kept(value: Value) -> Value:
-    """Rounded; NaN for what is not finite."""
+def _kept(value: Value | np.bool_) -> Value:
+    """Rounded; NaN for what is not finite; 1 for what is true."""
     if isinstance(value, tuple):
         middle, (low, high) = value
         ends = (_kept(low), _kept(high))
