@@ -364,20 +364,27 @@ def test_a_log_that_does_not_fit_on_the_disk_is_removed(toy, room, noted):
     assert (toy.root / "reads").exists() == noted
 
 
+def read_by(folder, imports, code):
+    """What a kernel notes as read by some code that runs in a folder, once all is imported that the code needs."""
+    script = (
+        f"{imports}\nfrom stillwork.workbook.kernel_process import Installed, watch\n"
+        f"watch('reads', Installed('/nowhere/reads'))\n{code}"
+    )
+    environment = os.environ | {"STILLWORK_ROOT": str(folder)}
+    subprocess.run([sys.executable, "-c", script], cwd=folder, env=environment, check=True)
+    return [json.loads(line) for line in (folder / "reads").read_text().splitlines()]
+
+
 @pytest.mark.parametrize(
     "load", ["ctypes.CDLL('model.so')", "ExtensionFileLoader('model', 'model.so').create_module(spec)"]
 )
 def test_a_library_of_machine_code_is_read_without_being_opened(tmp_path, load):
-    script = (
-        "import contextlib, ctypes\nfrom importlib.machinery import ExtensionFileLoader, ModuleSpec\n"
-        "from stillwork.workbook.kernel_process import Installed, watch\n"
-        "spec = ModuleSpec('model', None, origin='model.so')\n"
-        f"watch('reads', Installed('/nowhere/reads'))\nwith contextlib.suppress(OSError, ImportError):\n    {load}"
-    )
     (tmp_path / "model.so").write_bytes(b"no machine code")
-    environment = os.environ | {"STILLWORK_ROOT": str(tmp_path)}
-    subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=environment, check=True)
-    (read,) = map(json.loads, (tmp_path / "reads").read_text().splitlines())
+    imports = (
+        "import contextlib, ctypes\nfrom importlib.machinery import ExtensionFileLoader, ModuleSpec\n"
+        "spec = ModuleSpec('model', None, origin='model.so')"
+    )
+    (read,) = read_by(tmp_path, imports, f"with contextlib.suppress(OSError, ImportError):\n    {load}")
     assert read == {"path": str(tmp_path / "model.so"), "digest": publish.digest(b"no machine code")}
 
 
@@ -407,14 +414,8 @@ def test_a_library_of_machine_code_is_read_without_being_opened(tmp_path, load):
     ],
 )
 def test_what_is_opened_for_reading_too_is_read_unless_it_was_made_here(tmp_path, code, noted):
-    script = (
-        "import os, sqlite3\nimport numpy as np\nfrom stillwork.workbook.kernel_process import Installed, watch\n"
-        f"watch('reads', Installed('/nowhere/reads'))\n{code}"
-    )
     (tmp_path / "record.bin").write_bytes(b"volts")
-    environment = os.environ | {"STILLWORK_ROOT": str(tmp_path)}
-    subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=environment, check=True)
-    read = [json.loads(line) for line in (tmp_path / "reads").read_text().splitlines()]
+    read = read_by(tmp_path, "import os, sqlite3\nimport numpy as np", code)
     expected = [{"path": str(tmp_path / "record.bin"), "digest": publish.digest(b"volts")}] * noted
     assert [each for each in read if each["path"].startswith(str(tmp_path))] == expected
 
@@ -433,16 +434,10 @@ def test_what_is_opened_for_reading_too_is_read_unless_it_was_made_here(tmp_path
     ],
 )
 def test_a_folder_that_is_listed_is_read_wherever_it_lies(tmp_path, code, noted):
-    script = (
-        "import glob, os, pkgutil, sys\nfrom importlib import metadata\nfrom pathlib import Path\n"
-        "from stillwork.workbook.kernel_process import Installed, watch\n"
-        f"watch('reads', Installed('/nowhere/reads'))\n{code}"
-    )
     (tmp_path / "records").mkdir()
     (tmp_path / "records" / "plant.py").touch()
-    environment = os.environ | {"STILLWORK_ROOT": str(tmp_path)}
-    subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=environment, check=True)
-    read = [json.loads(line)["path"] for line in (tmp_path / "reads").read_text().splitlines()]
+    imports = "import glob, os, pkgutil, sys\nfrom importlib import metadata\nfrom pathlib import Path"
+    read = [each["path"] for each in read_by(tmp_path, imports, code)]
     assert [path for path in read if path.endswith("/")] == [f"{tmp_path}/records/"] * noted
 
 

@@ -263,18 +263,23 @@ def shelves(root: Path) -> dict[str, bytes]:
     return {name: text for name, text in content(root).items() if not name.startswith(".")}
 
 
+def killed_after(steps, folder, monkeypatch) -> bool:
+    """Whether a change of many files was cut short by a kill after so many steps, or came to its end."""
+    with monkeypatch.context() as patch:
+        cut_after(patch, steps)
+        try:
+            change(folder, CHANGED)
+        except Killed:
+            return True
+    return False
+
+
 def test_many_files_change_as_one_wherever_it_is_cut(tmp_path, monkeypatch):
     seen = set()
     for steps in count():
         change(tmp_path, {**BEFORE, "figures/new/c": None})
-        with monkeypatch.context() as patch:
-            cut_after(patch, steps)
-            try:
-                change(tmp_path, CHANGED)
-            except Killed:
-                pass
-            else:
-                break
+        if not killed_after(steps, tmp_path, monkeypatch):
+            break
         finish(tmp_path)
         assert shelves(tmp_path) in (BEFORE, AFTER)
         seen.add(shelves(tmp_path) == AFTER)
@@ -358,14 +363,8 @@ def test_what_is_changed_after_a_kill_stays_and_the_rest_is_whole(tmp_path, monk
         shutil.rmtree(tmp_path)
         tmp_path.mkdir()
         change(tmp_path, BEFORE)
-        with monkeypatch.context() as patch:
-            cut_after(patch, steps)
-            try:
-                change(tmp_path, CHANGED)
-            except Killed:
-                pass
-            else:
-                break
+        if not killed_after(steps, tmp_path, monkeypatch):
+            break
         if not (theirs := edited(edit, tmp_path / name)):
             continue
         decided = unfinished(tmp_path)
