@@ -11,7 +11,6 @@ from types import SimpleNamespace
 
 import numpy as np
 from jaxtyping import AbstractArray
-from numpy.typing import ArrayLike
 
 from stillwork.base import front_door
 from stillwork.base.checks import InputError
@@ -29,7 +28,6 @@ PLAIN = {
     slice: slice(0, 2),
     np.random.Generator: np.random.default_rng(1),
 }
-OPEN = set(typing.get_args(ArrayLike))
 
 
 class NotMade(Exception):
@@ -104,8 +102,10 @@ class Values:
         if inspect.isclass(hint) and issubclass(hint, AbstractArray):
             sizes = [int(axis) if axis.isdigit() else 2 for axis in hint.dim_str.split()]
             return np.ones(sizes, hint.dtypes[0])
+        if hint in front_door._OPEN:
+            return np.ones(2)
         if origin in (types.UnionType, typing.Union):
-            return np.ones(2) if OPEN & set(parts) - {*PLAIN, complex} else self._first(parts)
+            return np.ones(2) if front_door._OPEN & set(parts) else self._first(parts)
         if origin is Callable:
             return np.sin
         if origin in (dict, Mapping):

@@ -60,7 +60,7 @@ def accept(refresh: Callable[[], object]) -> int:
                     refresh()
                 after = _committed(copy)
             with interrupts() as caught:
-                names = [name for name in before | after if before.get(name) != after.get(name)]
+                names = _differing(before, after)
                 replace_all(paths.root(), {name: (before.get(name), after.get(name)) for name in names})
         except (OSError, Edited) as error:
             print(f"nothing accepted: {error}")
@@ -99,14 +99,13 @@ def _copy() -> Iterator[tuple[Path, dict[str, bytes]]]:
     No file of it is one that stands in the tree, since an editor may write into that at any time.
     """
     root, copy = paths.root(), trial(paths.root())
-    before = _committed(root)
+    last, before = {}, _committed(root)
     for _ in range(READINGS):  # until nobody is in the midst of writing one
-        now, last = _committed(root), before
-        before = now
-        if now == last:
+        last, before = before, _committed(root)
+        if last == before:
             break
     else:
-        raise Edited(sorted(name for name in now | last if now.get(name) != last.get(name)))
+        raise Edited(_differing(last, before))
     try:
         for name, content in before.items():
             (copy / name).parent.mkdir(parents=True, exist_ok=True)
@@ -114,6 +113,10 @@ def _copy() -> Iterator[tuple[Path, dict[str, bytes]]]:
         yield copy, before
     finally:
         shutil.rmtree(copy, ignore_errors=True)
+
+
+def _differing(one: dict[str, bytes], other: dict[str, bytes]) -> list[str]:
+    return sorted(name for name in one | other if one.get(name) != other.get(name))
 
 
 def _committed(folder: Path) -> dict[str, bytes]:

@@ -23,8 +23,8 @@ from stillwork.workbook.notebooks import cleaned, joined
 from stillwork.workbook.tasks import Task, built
 
 # Of the range that a series spans: chosen, a ninth of a pixel in the tallest picture (1155 pixels with its frame), so
-# what agrees looks the same. How much of it is used is the `worst` of a build and of `make portable`: 4.4e-5 in
-# isolation/08, whose adaptive filter carries rounding on. The rest is room for another system's libm.
+# what agrees looks the same. How much of it is used is the `worst` that a build and `make portable` print, and most
+# where an adaptive filter carries rounding on. The rest is room for another system's libm.
 TABLE = 1e-4
 
 # A line that was thinned may have kept other points of the same curve where a value lay on the edge: then the

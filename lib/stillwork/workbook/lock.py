@@ -4,7 +4,7 @@ import contextlib
 import fcntl
 import signal
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from stillwork.base import paths
 from stillwork.base.checks import InputError
@@ -64,25 +64,27 @@ def unwound() -> Iterator[None]:
     def leave(number: int, _frame) -> None:
         raise SystemExit(128 + number)
 
-    before = {each: signal.signal(each, leave) for each in (signal.SIGTERM, signal.SIGHUP)}
-    try:
+    with _handled(leave, signal.SIGTERM, signal.SIGHUP):
         yield
-    finally:
-        for each, handler in before.items():
-            signal.signal(each, handler)
 
 
 @contextlib.contextmanager
 def interrupts() -> Iterator[list[int]]:
     """Note an interrupt instead of raising it, so that it tears nothing halfway; yields what came."""
     caught: list[int] = []
-    wanted = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {each: signal.signal(each, lambda number, _frame: caught.append(number)) for each in wanted}
-    try:
+    with _handled(lambda number, _frame: caught.append(number), signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         yield caught
+
+
+@contextlib.contextmanager
+def _handled(handler: Callable, *numbers: signal.Signals) -> Iterator[None]:
+    """Let `handler` take these signals for a while."""
+    before = {each: signal.signal(each, handler) for each in numbers}
+    try:
+        yield
     finally:
-        for each, handler in before.items():
-            signal.signal(each, handler)
+        for each, usual in before.items():
+            signal.signal(each, usual)
 
 
 def run_whole(command: list[str], **how) -> int:

@@ -130,11 +130,12 @@ def assign(notebooks: list[Notebook], settings: dict[str, str]) -> list[tuple[No
             has = "has no" if len(notebooks) == 1 else "has a"
             hint = nearest(name, known)
             if known and not hint:
-                has_them = "it has" if len(notebooks) == 1 else "they have"
-                close = difflib.get_close_matches(name, known, NEAREST, cutoff=0)
-                hint = f"; {has_them} {len(known)}, nearest are {', '.join(close)}"
+                hint = f"; {'it has' if len(notebooks) == 1 else 'they have'} "
                 if len(known) <= LISTED:
-                    hint = f"; {has_them} {', '.join(known)}"
+                    hint += ", ".join(known)
+                else:
+                    close = difflib.get_close_matches(name, known, NEAREST, cutoff=0)
+                    hint += f"{len(known)}, nearest are {', '.join(close)}"
             raise InputError(f"{where} {has} parameter {name!r}{hint}")
     chosen = []
     for notebook in notebooks:
