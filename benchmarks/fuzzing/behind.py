@@ -36,13 +36,13 @@ class NotMade(Exception):
 
 def public(folder: SimpleNamespace) -> Iterator[tuple[str, Callable]]:
     """Name and function of all that a stranger can import from a folder and call: functions and methods."""
-    for name, thing in vars(folder).items():
+    for name, thing in list(vars(folder).items()):
         if name.startswith("_"):
             continue
         if inspect.isfunction(thing):
             yield name, thing
         elif inspect.isclass(thing):
-            for method, value in vars(thing).items():
+            for method, value in list(vars(thing).items()):
                 function = getattr(value, "__func__", value)
                 if not method.startswith("_") and inspect.isfunction(function):
                     yield f"{name}.{method}", getattr(thing, method)

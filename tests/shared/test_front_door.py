@@ -278,13 +278,13 @@ def public_callables():
         package = import_module(f"stillwork.{folder}")
         for each in pkgutil.iter_modules(package.__path__):
             module = import_module(f"{package.__name__}.{each.name}")
-            for name, thing in vars(module).items():
+            for name, thing in list(vars(module).items()):
                 if name.startswith("_") or getattr(thing, "__module__", "") != module.__name__:
                     continue
                 if inspect.isfunction(thing):
                     yield name, thing
                 elif inspect.isclass(thing):
-                    for method, function in vars(thing).items():
+                    for method, function in list(vars(thing).items()):
                         function = getattr(function, "__func__", function)
                         if not method.startswith("_") and inspect.isfunction(function):
                             yield f"{name}.{method}", function
