@@ -26,9 +26,27 @@ def test_products_are_numpys(rng):
     out = start.copy()
     algebra.add_product(a, x, out)
     np.testing.assert_allclose(out, start + a @ x, rtol=1e-13)
+    algebra.set_product(a, x, out)
+    np.testing.assert_allclose(out, a @ x, rtol=1e-12)
     product = np.empty((3, 2))
     algebra.multiply(a, b, product)
     np.testing.assert_allclose(product, a @ b, rtol=1e-12)
+    algebra.multiply_transposed(a, np.ascontiguousarray(b.T), product)
+    np.testing.assert_allclose(product, a @ b, rtol=1e-12)
+
+
+@given(rows=st.integers(1, 5), columns=st.integers(1, 5), seed=st.integers(0, 1000))
+def test_sums_of_products_are_numpys(rows, columns, seed):
+    rng = np.random.default_rng(seed)
+    a, x, y = (rng.standard_normal(size) for size in ((rows, columns), columns, rows))
+    i, j = rng.integers(rows), rng.integers(columns)
+    assert algebra.inner(a[i], x) == pytest.approx(a[i] @ x, abs=1e-13)
+    assert algebra.plus_row(0.3, a, i, x) == pytest.approx(0.3 + a[i] @ x, abs=1e-13)
+    assert algebra.minus_row(0.3, a, i, x) == pytest.approx(0.3 - a[i] @ x, abs=1e-13)
+    assert algebra.plus_column(0.3, a, j, y) == pytest.approx(0.3 + a[:, j] @ y, abs=1e-13)
+    target = y.copy()
+    algebra.add_scaled(0.7, a[:, j], target)
+    np.testing.assert_allclose(target, y + 0.7 * a[:, j], rtol=0, atol=1e-14)
 
 
 def test_a_state_moves_on_with_its_input(rng):

@@ -13,24 +13,65 @@ def copy_vector(source, target):
         target[i] = source[i]
 
 
+@pasted_kernel
+def inner(left, right):
+    """Left' right."""
+    total = 0.0
+    for i in range(len(left)):
+        total += left[i] * right[i]
+    return total
+
+
+@pasted_kernel
+def plus_row(start, matrix, i, vector):
+    """Start + row `i` of the matrix times the vector; no view of the row is made, which a `kernel` would count."""
+    for j in range(matrix.shape[1]):
+        start += matrix[i, j] * vector[j]
+    return start
+
+
+@pasted_kernel
+def minus_row(start, matrix, i, vector):
+    """Start - row `i` of the matrix times the vector."""
+    for j in range(matrix.shape[1]):
+        start -= matrix[i, j] * vector[j]
+    return start
+
+
+@pasted_kernel
+def plus_column(start, matrix, j, vector):
+    """Start + column `j` of the matrix, transposed, times the vector."""
+    for i in range(matrix.shape[0]):
+        start += matrix[i, j] * vector[i]
+    return start
+
+
+@inlined_kernel
+def add_scaled(factor, vector, target):
+    """Target += factor vector."""
+    for i in range(len(vector)):
+        target[i] += factor * vector[i]
+
+
+@pasted_kernel
+def set_product(matrix, vector, out):
+    """Out = matrix vector."""
+    for i in range(matrix.shape[0]):
+        out[i] = plus_row(0.0, matrix, i, vector)
+
+
 @inlined_kernel
 def add_product(matrix, vector, out):
     """Out += matrix vector."""
     for i in range(matrix.shape[0]):
-        total = out[i]
-        for j in range(matrix.shape[1]):
-            total += matrix[i, j] * vector[j]
-        out[i] = total
+        out[i] = plus_row(out[i], matrix, i, vector)
 
 
 @inlined_kernel
 def advance_state(a, b, drive, state, following):
     """State = b drive + a state, for one input; `following` is scratch."""
     for i in range(len(state)):
-        total = b[i] * drive
-        for j in range(len(state)):
-            total += a[i, j] * state[j]
-        following[i] = total
+        following[i] = plus_row(b[i] * drive, a, i, state)
     copy_vector(following, state)
 
 
@@ -55,6 +96,17 @@ def congruence(matrix, middle, half, out):
             for k in range(matrix.shape[1]):
                 total += half[i, k] * matrix[j, k]
             out[i, j] = out[j, i] = total
+
+
+@pasted_kernel
+def multiply_transposed(left, right, out):
+    """Out = left right'."""
+    for i in range(left.shape[0]):
+        for j in range(right.shape[0]):
+            total = 0.0
+            for k in range(left.shape[1]):
+                total += left[i, k] * right[j, k]
+            out[i, j] = total
 
 
 @pasted_kernel
