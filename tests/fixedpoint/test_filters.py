@@ -22,14 +22,14 @@ from stillwork.estimation.filtering import filter_record, model_of
 from stillwork.estimation.unscented import SigmaPoints
 from stillwork.estimation.windows import end_point_weights
 
-STEP = 1e-3
+SAMPLE_TIME = 1e-3
 LOST = (1, 50, 51, 52, 100, 102, 398, 399)
 
 
 @pytest.fixture
 def record(approximate, rng):
     """A noisy motion and a force that explains part of it."""
-    time = np.arange(400) * STEP
+    time = np.arange(400) * SAMPLE_TIME
     measured = 0.5 * np.sin(3 * time) + 0.1 * np.sin(40 * time) + 1e-4 * rng.standard_normal(400)
     force = 20 * np.cos(3 * time) + rng.standard_normal(400)
     return measured, force
@@ -40,16 +40,16 @@ def twins(approximate):
     kalman, extended = UnscentedKalman(approximate), ExtendedKalman(approximate)
     process, noise = extended.packed().process, extended.packed().noise
     return {
-        "window": (MovingWindow(), naive.MovingWindow(12, STEP)),
-        "short window": (MovingWindow(1), naive.MovingWindow(1, STEP)),
-        "low pass": (LowPass(), naive.LowPass(350.0, STEP)),
-        "Savitzky-Golay": (SavitzkyGolay(15, 3, STEP), naive.SavitzkyGolay(15, 3, STEP)),
-        "UKF": (kalman, naive.PlantUnscented(p, kalman.process, kalman.noise, 1e-3, STEP)),
+        "window": (MovingWindow(), naive.MovingWindow(12, SAMPLE_TIME)),
+        "short window": (MovingWindow(1), naive.MovingWindow(1, SAMPLE_TIME)),
+        "low pass": (LowPass(), naive.LowPass(350.0, SAMPLE_TIME)),
+        "Savitzky-Golay": (SavitzkyGolay(15, 3, SAMPLE_TIME), naive.SavitzkyGolay(15, 3, SAMPLE_TIME)),
+        "UKF": (kalman, naive.PlantUnscented(p, kalman.process, kalman.noise, 1e-3, SAMPLE_TIME)),
         "literal UKF": (
             UnscentedKalman(approximate, literal=True),
-            naive.PlantUnscented(p, kalman.process, kalman.noise, 1e-3, STEP, literal=True),
+            naive.PlantUnscented(p, kalman.process, kalman.noise, 1e-3, SAMPLE_TIME, literal=True),
         ),
-        "EKF": (extended, naive.PlantExtended(p, process, noise, (1e-2, 1.0, 10.0), STEP)),
+        "EKF": (extended, naive.PlantExtended(p, process, noise, (1e-2, 1.0, 10.0), SAMPLE_TIME)),
     }
 
 
@@ -60,7 +60,7 @@ NAMES = ["window", "short window", "low pass", "Savitzky-Golay", "UKF", "literal
 def test_naive_twin(name, approximate, record):
     measured, force = record
     fast, slow = twins(approximate)[name]
-    found = filter_signal(fast, measured, force, sample_time=STEP, start_velocity=1.5)
+    found = filter_signal(fast, measured, force, sample_time=SAMPLE_TIME, start_velocity=1.5)
     last, expected = 0.0, []
     for z, u in zip(measured, force, strict=True):
         expected.append(np.array(slow(z, last, np.array([0.0, 1.5, 0.0]))))
@@ -89,9 +89,11 @@ def test_savitzky_golay_weights(samples, degree, derivative):
 @pytest.mark.slow
 @given(st.floats(-2, 2), st.floats(-2, 2), st.floats(-5, 5))
 def test_savitzky_golay_reproduces_a_parabola(position, velocity, acceleration):
-    time = np.arange(60) * STEP
+    time = np.arange(60) * SAMPLE_TIME
     found = filter_signal(
-        SavitzkyGolay(15, 2, STEP), position + velocity * time + acceleration * time**2 / 2, sample_time=STEP
+        SavitzkyGolay(15, 2, SAMPLE_TIME),
+        position + velocity * time + acceleration * time**2 / 2,
+        sample_time=SAMPLE_TIME,
     )
     end = time[-1]
     assert found.position[-1] == pytest.approx(
@@ -105,7 +107,7 @@ def test_savitzky_golay_reproduces_a_parabola(position, velocity, acceleration):
 @given(st.floats(-2, 2), st.floats(-2, 2))
 def test_steady_motion_passes_every_filter_that_presumes_it(position, velocity):
     """A known steady motion leaves no transient: the start of the buffers is right."""
-    measured = position + velocity * np.arange(100) * STEP
+    measured = position + velocity * np.arange(100) * SAMPLE_TIME
     for signal_filter in (MovingWindow(), SavitzkyGolay()):
         found = filter_signal(signal_filter, measured, start_velocity=velocity)
         assert found.position == pytest.approx(measured, abs=1e-9)
@@ -136,7 +138,7 @@ def test_unscented_is_filterpy_s(lost, approximate, record):
         return np.array([velocity, x[1] + dt * velocity])
 
     points = MerweScaledSigmaPoints(2, 1e-2, 1e-3, 0.0)
-    peer = UnscentedKalmanFilter(2, 2, STEP, lambda x: x, move, points)
+    peer = UnscentedKalmanFilter(2, 2, SAMPLE_TIME, lambda x: x, move, points)
     peer.x, peer.P = np.array([0.0, measured[0]]), 1e-3 * np.eye(2)
     peer.Q, peer.R = kalman.process, kalman.noise
     found = filter_signal(kalman, measured, force)
@@ -146,7 +148,7 @@ def test_unscented_is_filterpy_s(lost, approximate, record):
         if not np.isnan(z) and np.isnan(last_z):  # no difference quotient yet: the position alone
             peer.update(np.array([z]), R=kalman.noise[1:, 1:], hx=lambda x: x[1:])
         elif not np.isnan(z):
-            peer.update(np.array([(z - last_z) / STEP, z]))
+            peer.update(np.array([(z - last_z) / SAMPLE_TIME, z]))
         expected.append(peer.x.copy())
         last_z, last_u = z, u
     expected = np.array(expected)
@@ -170,10 +172,10 @@ def test_extended_is_filterpy_s(lost, approximate, record):
         v, q, w = peer.x
         by_v = (b1 * (a**2 - q**2) - b2 - 2 * d * abs(v)) / m
         by_q = (-k - 2 * b1 * q * v) / m
-        row = np.array([1 + STEP * by_v, STEP * by_q, STEP])
-        peer.F = np.array([row, STEP * row + [0, 1, 0], [0, 0, 1]])
-        velocity = v + STEP * (naive.oscillator(p, q, v, last) + w)
-        moved = np.array([velocity, q + STEP * velocity, w])
+        row = np.array([1 + SAMPLE_TIME * by_v, SAMPLE_TIME * by_q, SAMPLE_TIME])
+        peer.F = np.array([row, SAMPLE_TIME * row + [0, 1, 0], [0, 0, 1]])
+        velocity = v + SAMPLE_TIME * (naive.oscillator(p, q, v, last) + w)
+        moved = np.array([velocity, q + SAMPLE_TIME * velocity, w])
         peer.x = moved
         peer.P = peer.F @ peer.P @ peer.F.T + peer.Q
         if not np.isnan(z):
@@ -206,15 +208,15 @@ def test_a_step_gives_the_numbers_of_the_record(kind, approximate, record):
 
 def test_the_literal_filter_runs_one_step_ahead(approximate):
     """(14) as printed compares z_k with the estimate of k-1: on a ramp it settles dt v ahead."""
-    ramp = 0.3 * np.arange(3000) * STEP
+    ramp = 0.3 * np.arange(3000) * SAMPLE_TIME
     # A force that holds the model on the ramp, so that only (14) can shift the estimate.
     force = approximate.force(np.append(ramp[1:], ramp[-1]), 0.3, 0.0, approximate.parameters)
     shift = {}
     for literal in (False, True):
         found = filter_signal(UnscentedKalman(approximate, literal=literal), ramp, force, start_velocity=0.3)
         shift[literal] = (found.position[-1] - ramp[-1]) / 0.3
-    assert shift[True] == pytest.approx(STEP, rel=0.05)
-    assert abs(shift[False]) < 0.02 * STEP
+    assert shift[True] == pytest.approx(SAMPLE_TIME, rel=0.05)
+    assert abs(shift[False]) < 0.02 * SAMPLE_TIME
 
 
 @pytest.mark.parametrize("size", [1, 2, 5])

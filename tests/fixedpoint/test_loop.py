@@ -10,24 +10,24 @@ from stillwork.estimation import LowPass, Plant
 from stillwork.estimation.coordinate_filters import MovingWindow, SavitzkyGolay, UnscentedKalman
 from stillwork.workbook.studies import Study
 
-STEP = 1e-3
+SAMPLE_TIME = 1e-3
 
 
 def twin_filter(controller, parameters):
     signal_filter = controller.signal_filter
     if isinstance(signal_filter, MovingWindow):
-        return naive.MovingWindow(signal_filter.length, STEP)
+        return naive.MovingWindow(signal_filter.length, SAMPLE_TIME)
     if isinstance(signal_filter, LowPass):
-        return naive.LowPass(signal_filter.bandwidth, STEP)
+        return naive.LowPass(signal_filter.bandwidth, SAMPLE_TIME)
     if isinstance(signal_filter, SavitzkyGolay):
-        return naive.SavitzkyGolay(signal_filter.samples, signal_filter.degree, STEP)
+        return naive.SavitzkyGolay(signal_filter.samples, signal_filter.degree, SAMPLE_TIME)
     packed = signal_filter.packed()
     if isinstance(signal_filter, UnscentedKalman):
         return naive.PlantUnscented(
-            parameters, packed.process, packed.noise, 1e-3, STEP, signal_filter.literal
+            parameters, packed.process, packed.noise, 1e-3, SAMPLE_TIME, signal_filter.literal
         )
     return naive.PlantExtended(
-        parameters, packed.process, packed.noise, signal_filter.initial_deviation, STEP
+        parameters, packed.process, packed.noise, signal_filter.initial_deviation, SAMPLE_TIME
     )
 
 
@@ -57,7 +57,7 @@ def test_loop_is_its_naive_twin(name, integration, exact, approximate, short, rn
         approximate.parameters,
         (short.position, short.velocity, short.acceleration),
         noise,
-        STEP,
+        SAMPLE_TIME,
         integration == "semi-implicit",
     )
     found = (run.position, run.velocity, run.acceleration, run.deformed, run.force)
@@ -71,7 +71,7 @@ def test_any_order_of_kinematics(integrals, exact, approximate, short):
     controller = Controller(LowPass(), RobustTransformation(), KinematicDesign(16.0, integrals), approximate)
     run = simulate(exact, controller, short, resolution=1e-4)
     expected = naive.closed_loop(
-        naive.LowPass(350.0, STEP),
+        naive.LowPass(350.0, SAMPLE_TIME),
         naive.robust(4e7, -1.05, 9e-2 / 4e7),
         controller.kinematics.gains,
         True,
@@ -79,7 +79,7 @@ def test_any_order_of_kinematics(integrals, exact, approximate, short):
         approximate.parameters,
         (short.position, short.velocity, short.acceleration),
         np.zeros(len(short.position)),
-        STEP,
+        SAMPLE_TIME,
         resolution=1e-4,
     )
     assert run.position == pytest.approx(expected[0], abs=1e-7)
@@ -98,7 +98,7 @@ def test_divergence_is_reported_with_time_and_cause(exact, approximate, short):
     run = simulate(exact, wild, short, start=(0.0, 0.0))
     assert run.diverged_at == pytest.approx(0.1, abs=0.1)
     assert run.cause == "the plant left the bound of 10 in position and 10 in velocity"
-    done = round(run.diverged_at / STEP)
+    done = round(run.diverged_at / SAMPLE_TIME)
     assert np.isfinite(run.position[:done]).all() and np.isnan(run.position[done + 1 :]).all()
     assert all(np.isinf(value) for value in judge(run, settle=0.1).values())
 
@@ -108,7 +108,7 @@ def test_a_lost_covariance_is_reported(exact, approximate, short):
     run = simulate(
         exact, Controller(kalman, RobustTransformation(), KinematicDesign(36.0), approximate), short
     )
-    assert run.diverged_at == pytest.approx(STEP)
+    assert run.diverged_at == pytest.approx(SAMPLE_TIME)
     assert run.cause == "the filter's covariance is no longer positive definite"
 
 
@@ -186,7 +186,7 @@ def test_judge_by_hand(exact, approximate, short):
     assert numbers["roughness"] == pytest.approx(np.sqrt(np.mean(np.diff(run.acceleration[300:]) ** 2)))
     literal = simulate(exact, published_controllers(approximate)["Kalman, literal (14)"], short)
     numbers = judge(literal, settle=0.3)
-    assert numbers["position_shift"] == pytest.approx(STEP, rel=0.05)
+    assert numbers["position_shift"] == pytest.approx(SAMPLE_TIME, rel=0.05)
     # A straight line through the origin, over means of 50 samples.
     means = np.array([literal.velocity_estimate - literal.velocity, literal.deformed])[:, 300:]
     error, believed = means.reshape(2, -1, 50).mean(axis=2)

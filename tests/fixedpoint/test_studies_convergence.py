@@ -16,12 +16,12 @@ from experiments.fixedpoint.convergence_study import (
 from experiments.fixedpoint.published import KALMAN, LOW_PASS, WINDOW
 from stillwork.control import FlowTransformation, simulate
 
-STEP = 1e-3
+SAMPLE_TIME = 1e-3
 
 
 def test_cycles_are_predicted_and_found_together(exact, approximate):
     window = published_controllers(approximate)[WINDOW]
-    predicted, simulated = cycles_over_gain(exact, window, [0.2, 1.1], 3.0, STEP)
+    predicted, simulated = cycles_over_gain(exact, window, [0.2, 1.1], 3.0, SAMPLE_TIME)
     assert np.isnan(predicted[0]).all()  # 0.2 / 3 is within the stable range
     assert simulated[0][1] < 1e-2
     assert predicted[1] == pytest.approx(simulated[1], rel=5e-3)
@@ -33,9 +33,9 @@ def test_a_kick_stays_or_dies(exact, approximate):
         name: replace(controller, transformation=FlowTransformation())
         for name, controller in published_controllers(approximate).items()
     }
-    assert remaining_motion(exact, controllers[WINDOW], 1e-3, STEP) > 1
-    assert remaining_motion(exact, controllers[KALMAN], 1e-3, STEP) < 1e-6
-    assert remaining_motion(exact, controllers[WINDOW], 5.0, STEP) == np.inf
+    assert remaining_motion(exact, controllers[WINDOW], 1e-3, SAMPLE_TIME) > 1
+    assert remaining_motion(exact, controllers[KALMAN], 1e-3, SAMPLE_TIME) < 1e-6
+    assert remaining_motion(exact, controllers[WINDOW], 5.0, SAMPLE_TIME) == np.inf
 
 
 def test_noise_starves_the_kalman_loop_of_six(exact, approximate):
@@ -51,5 +51,5 @@ def test_response_noise_is_proportional_to_the_noise(exact, approximate):
     small, large = (response_noise(exact, controller, s, 4) for s in (1e-6, 1e-5))
     assert large == pytest.approx(10 * small, rel=1e-3)
     noise = Noise("gaussian", 1e-5).sample(np.random.default_rng(4), 6000)
-    run = simulate(exact, controller, at_rest(6000, STEP), noise)
+    run = simulate(exact, controller, at_rest(6000, SAMPLE_TIME), noise)
     assert large == pytest.approx((run.acceleration_estimate - run.desired)[1000:].std())

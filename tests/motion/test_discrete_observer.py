@@ -26,7 +26,7 @@ from stillwork.lti.delays import delayed
 from stillwork.lti.discretisation import zoh_modes
 from stillwork.lti.reduction import truncate
 
-STEP = 1e-4
+SAMPLE_TIME = 1e-4
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,7 @@ def reduced():
 
 @pytest.fixture(scope="module")
 def observer(reduced):
-    return discrete_kalman_observer(reduced, published_noise(), STEP, 0.03)
+    return discrete_kalman_observer(reduced, published_noise(), SAMPLE_TIME, 0.03)
 
 
 # --- damping gains -------------------------------------------------------------------------------------------
@@ -50,14 +50,14 @@ def test_the_closed_form_places_the_poles_at_any_rate(reduced, sample_time, incr
 
 
 def test_the_closed_form_is_what_general_placement_finds(reduced):
-    gain = discrete_damping_gain(reduced, [0.03, 0.05, 0.01], STEP)
-    flexible = zoh_modes(reduced.modes([1, 2, 3]), STEP)
+    gain = discrete_damping_gain(reduced, [0.03, 0.05, 0.01], SAMPLE_TIME)
+    flexible = zoh_modes(reduced.modes([1, 2, 3]), SAMPLE_TIME)
     w, z = reduced.frequencies[1:], reduced.damping[1:] + np.array([0.03, 0.05, 0.01])
-    wanted = np.exp(w * (-z + 1j * np.sqrt(1 - z**2)) * STEP)
+    wanted = np.exp(w * (-z + 1j * np.sqrt(1 - z**2)) * SAMPLE_TIME)
     placed = signal.place_poles(flexible.a, flexible.b, np.concatenate([wanted, wanted.conj()]))
     np.testing.assert_allclose(gain[:, 2:], -placed.gain_matrix, rtol=1e-6, atol=1e-6 * np.abs(gain).max())
     for method in ("Ackermann", "robust"):
-        other = gain_by_placement(reduced, [0.03, 0.05, 0.01], STEP, method)
+        other = gain_by_placement(reduced, [0.03, 0.05, 0.01], SAMPLE_TIME, method)
         np.testing.assert_allclose(other, gain, rtol=1e-6, atol=1e-6 * np.abs(gain).max())
 
 
@@ -78,12 +78,12 @@ def test_the_typical_error_is_rounding_times_the_condition_of_the_poles(reduced)
 
 
 def test_the_typical_error_of_one_machine_is_its_own_and_of_none_unknown(reduced):
-    gain = gain_by_placement(reduced, 0.035, STEP, "robust")
-    alone = typical_placement_error(reduced, 0.035, STEP, "robust", machines=1, spread=0.0)
-    assert alone == placement_error(reduced, gain, 0.035, STEP)
+    gain = gain_by_placement(reduced, 0.035, SAMPLE_TIME, "robust")
+    alone = typical_placement_error(reduced, 0.035, SAMPLE_TIME, "robust", machines=1, spread=0.0)
+    assert alone == placement_error(reduced, gain, 0.035, SAMPLE_TIME)
     assert np.isnan(typical_placement_error(reduced, 0.035, 1e-7, "Ackermann", machines=5))
     with pytest.raises(InputError, match=r"method is 'robst'.*did you mean 'robust'"):
-        typical_placement_error(reduced, 0.035, STEP, "robst")
+        typical_placement_error(reduced, 0.035, SAMPLE_TIME, "robst")
 
 
 def test_fast_sampling_leads_to_the_continuous_gain(reduced):
@@ -98,8 +98,8 @@ def test_fast_sampling_leads_to_the_continuous_gain(reduced):
 
 
 def test_sampled_feedback_reads_the_damping_of_the_held_loop(reduced):
-    gain = discrete_damping_gain(reduced, 0.035, STEP)
-    found = sampled_feedback(reduced, gain, STEP)
+    gain = discrete_damping_gain(reduced, 0.035, SAMPLE_TIME)
+    found = sampled_feedback(reduced, gain, SAMPLE_TIME)
     np.testing.assert_allclose(found.damping, [0, 0.04, 0.04, 0.04], atol=1e-10)
     np.testing.assert_allclose(found.frequencies, reduced.frequencies, rtol=1e-10)
     slow = damping_gain(reduced, 0.035, "minimal interaction")
@@ -110,41 +110,45 @@ def test_sampled_feedback_reads_the_damping_of_the_held_loop(reduced):
 
 def test_a_late_force_damps_as_the_loop_stepped_by_hand_decays(reduced):
     one = reduced.modes([0, 1])
-    gain = discrete_damping_gain(one, 0.035, STEP)
-    sampled = zoh_modes(one, STEP)
+    gain = discrete_damping_gain(one, 0.035, SAMPLE_TIME)
+    sampled = zoh_modes(one, SAMPLE_TIME)
     x, before, track = np.array([0.0, 0.0, 1.0, 0.0]), 0.0, []
     for _ in range(1500):
         now = float(gain[0] @ x)
         x, before = sampled.a @ x + sampled.b[:, 0] * before, now
         track.append(np.hypot(x[2], x[3] / one.frequencies[1]))
-    late = sampled_feedback(one, gain, STEP, delay=1)
-    rate = np.polyfit(np.arange(500, 1500) * STEP, np.log(track[500:]), 1)[0]
+    late = sampled_feedback(one, gain, SAMPLE_TIME, delay=1)
+    rate = np.polyfit(np.arange(500, 1500) * SAMPLE_TIME, np.log(track[500:]), 1)[0]
     assert -rate == pytest.approx(late.damping[1] * late.frequencies[1], rel=1e-2)
 
 
 def test_bad_gains_and_machines_are_refused(reduced):
     with pytest.raises(InputError, match="shape"):
-        sampled_feedback(reduced, np.zeros((1, 6)), STEP)
+        sampled_feedback(reduced, np.zeros((1, 6)), SAMPLE_TIME)
     with pytest.raises(InputError, match="shape"):
-        placement_error(reduced, np.zeros((2, 8)), 0.03, STEP)
+        placement_error(reduced, np.zeros((2, 8)), 0.03, SAMPLE_TIME)
     with pytest.raises(InputError, match="rigid body"):
-        sampled_feedback(reduced, np.ones((1, 8)), STEP)
+        sampled_feedback(reduced, np.ones((1, 8)), SAMPLE_TIME)
     with pytest.raises(InputError, match="no longer oscillates"):
-        sampled_feedback(reduced, 50 * damping_gain(reduced, 0.035), STEP)
+        sampled_feedback(reduced, 50 * damping_gain(reduced, 0.035), SAMPLE_TIME)
     with pytest.raises(InputError, match="2 inputs"):
         discrete_damping_gain(
-            replace(reduced, input_shapes=np.ones((4, 2)), feedthrough=np.zeros((1, 2))), 0.03, STEP
+            replace(reduced, input_shapes=np.ones((4, 2)), feedthrough=np.zeros((1, 2))), 0.03, SAMPLE_TIME
         )
     with pytest.raises(InputError, match="node"):
-        discrete_damping_gain(replace(reduced, input_shapes=np.array([[1.0], [1], [0], [1]])), 0.03, STEP)
+        discrete_damping_gain(
+            replace(reduced, input_shapes=np.array([[1.0], [1], [0], [1]])), 0.03, SAMPLE_TIME
+        )
     with pytest.raises(InputError, match="too long"):
         discrete_damping_gain(reduced, 0.03, 4e-4)
     with pytest.raises(InputError, match="damping ratios"):
-        discrete_damping_gain(reduced, 1.0, STEP)
+        discrete_damping_gain(reduced, 1.0, SAMPLE_TIME)
     with pytest.raises(InputError, match="no flexible modes"):
-        discrete_damping_gain(reduced.modes([0]), 0.03, STEP)
+        discrete_damping_gain(reduced.modes([0]), 0.03, SAMPLE_TIME)
     with pytest.raises(InputError, match="one frequency"):
-        discrete_damping_gain(replace(reduced, frequencies=reduced.frequencies[[0, 1, 1, 2]]), 0.03, STEP)
+        discrete_damping_gain(
+            replace(reduced, frequencies=reduced.frequencies[[0, 1, 1, 2]]), 0.03, SAMPLE_TIME
+        )
 
 
 # --- the observer --------------------------------------------------------------------------------------------
@@ -153,10 +157,10 @@ def test_bad_gains_and_machines_are_refused(reduced):
 def test_gain_is_where_the_printed_recursion_ends():
     model = truncate(stage().at([0], [4]), 2, 0)
     noise = NoiseIntensities(1e-2, 1e-16)
-    found = discrete_kalman_observer(model, noise, STEP)
-    sampled = zoh_modes(model, STEP)
+    found = discrete_kalman_observer(model, noise, SAMPLE_TIME)
+    sampled = zoh_modes(model, SAMPLE_TIME)
     a, g, c = sampled.a, sampled.b, sampled.c
-    q, r = noise.process / STEP, noise.sensor / STEP
+    q, r = noise.process / SAMPLE_TIME, noise.sensor / SAMPLE_TIME
     p = found.covariance * 3
     for _ in range(6000):  # (4.7)
         p = g @ g.T * q + a @ (p - p @ c.T @ np.linalg.inv(c @ p @ c.T + r) @ c @ p) @ a.T
@@ -203,15 +207,15 @@ def test_the_noise_model_takes_the_compensation_out_at_rest(reduced, observer):
         block = discrete_compensator(one, Application(compensate=True))
         return np.abs(block.frequency_response(np.array([1e-4]))[1, 0, 0])
 
-    assert still(observer) < 1e-3 * still(discrete_kalman_observer(reduced, published_noise(), STEP))
+    assert still(observer) < 1e-3 * still(discrete_kalman_observer(reduced, published_noise(), SAMPLE_TIME))
 
 
 def test_plant_and_predictor_have_the_poles_of_both_alone():
     model = stage().at([0], [4]).modes([0, 1, 2])
-    found = discrete_kalman_observer(model, published_noise(), STEP)
+    found = discrete_kalman_observer(model, published_noise(), SAMPLE_TIME)
     application = Application(damping=0.035, selection="pole placement")
-    plant = zoh_modes(model, STEP)
-    gain = discrete_damping_gain(model, 0.035, STEP)
+    plant = zoh_modes(model, SAMPLE_TIME)
+    gain = discrete_damping_gain(model, 0.035, SAMPLE_TIME)
     separate = np.concatenate(
         [
             np.linalg.eigvals(plant.a + plant.b @ gain),
@@ -236,7 +240,7 @@ def test_a_compensator_with_band_passes_is_its_parts_in_a_row(observer):
     parts = velocities.frequency_response(omega)
     gain = damping_gain(observer.model, 0.035)[0, 3::2]
     wanted = sum(
-        k * zoh(band_pass(w, 2.0), STEP).frequency_response(omega)[0, 0] * parts[i]
+        k * zoh(band_pass(w, 2.0), SAMPLE_TIME).frequency_response(omega)[0, 0] * parts[i]
         for i, (k, w) in enumerate(zip(gain, observer.model.frequencies[1:], strict=True))
     )
     np.testing.assert_allclose(block.frequency_response(omega)[0], wanted, rtol=1e-6)
@@ -269,7 +273,7 @@ def test_bad_delays_forms_and_models_are_refused(reduced, observer):
     with pytest.raises(InputError, match="unstable"):
         replace(observer, gain=np.zeros_like(observer.gain))
     with pytest.raises(InputError, match="velocities"):
-        discrete_kalman_observer(replace(reduced, measures="velocity"), published_noise(), STEP)
+        discrete_kalman_observer(replace(reduced, measures="velocity"), published_noise(), SAMPLE_TIME)
     with pytest.raises(InputError, match="band-pass"):
         discrete_compensator(observer, Application(damping=0.03, selectivity=2.0, selection="pole placement"))
     with pytest.raises(InputError, match="only MC and AD"):
@@ -277,7 +281,7 @@ def test_bad_delays_forms_and_models_are_refused(reduced, observer):
     with pytest.raises(InputError, match="observable"):
         blind = reduced.output_shapes.copy()
         blind[:, 0] = 0
-        discrete_kalman_observer(replace(reduced, output_shapes=blind), published_noise(), STEP)
+        discrete_kalman_observer(replace(reduced, output_shapes=blind), published_noise(), SAMPLE_TIME)
 
 
 def test_the_explorer_draws_a_late_loop():

@@ -32,7 +32,7 @@ from stillwork.estimation.time_varying import TimeVaryingModel
 from stillwork.lti import modal_model, zoh
 
 GRID = stage_grid()
-STEP = 1e-4
+SAMPLE_TIME = 1e-4
 
 
 @pytest.fixture(scope="module")
@@ -81,21 +81,23 @@ def test_shapes_vanish_at_their_nodes(plant):
 
 def test_a_gain_solved_at_every_place_damps_alike_and_goes_with_one_over_the_shape(plant):
     places = np.array([0.02, 0.05, 0.08, 0.15])
-    gains = damping_along(plant, GRID, places, DAMPING, STEP)
+    gains = damping_along(plant, GRID, places, DAMPING, SAMPLE_TIME)
     shapes = shapes_along(plant, GRID, places)[:, 1:4]
     for k in range(3):
         columns = gains[:, 0, 2 + 2 * k : 4 + 2 * k] * shapes[:, k : k + 1]
         np.testing.assert_allclose(columns, np.broadcast_to(columns[0], columns.shape), rtol=1e-9)
     for place, gain in zip(places, gains, strict=True):
         model = at_place(plant, GRID, place, "actuator").modes([0, 1, 2, 3])
-        np.testing.assert_allclose(sampled_feedback(model, gain, STEP).damping[1:], 0.04, atol=1e-9)
+        np.testing.assert_allclose(sampled_feedback(model, gain, SAMPLE_TIME).damping[1:], 0.04, atol=1e-9)
 
 
 def test_a_table_errs_with_the_square_of_its_spacing(plant):
     fine = np.linspace(0.03, 0.09, 61)
-    exact = damping_along(plant, GRID, fine, DAMPING, STEP)
+    exact = damping_along(plant, GRID, fine, DAMPING, SAMPLE_TIME)
     errors = [
-        np.abs(damping_table(plant, GRID, np.linspace(0.03, 0.09, n), DAMPING, STEP).at(fine) - exact).max()
+        np.abs(
+            damping_table(plant, GRID, np.linspace(0.03, 0.09, n), DAMPING, SAMPLE_TIME).at(fine) - exact
+        ).max()
         for n in (11, 21)
     ]
     assert errors[0] / errors[1] == pytest.approx(4, rel=0.25)
@@ -105,14 +107,14 @@ def test_places_off_the_structure_and_on_nodes_are_refused(plant):
     with pytest.raises(InputError, match="outside the grid"):
         at_place(plant, GRID, 0.31)
     with pytest.raises(InputError, match="outside the table"):
-        damping_table(plant, GRID, [0.03, 0.05], DAMPING, STEP).at([0.04, 0.06])
+        damping_table(plant, GRID, [0.03, 0.05], DAMPING, SAMPLE_TIME).at([0.04, 0.06])
     with pytest.raises(InputError, match=r"node of mode 1 at 0\.108"):
-        damping_table(plant, GRID, [0.05, 0.15], DAMPING, STEP)
+        damping_table(plant, GRID, [0.05, 0.15], DAMPING, SAMPLE_TIME)
     node = nodes(plant, GRID, 2)[0]
     with pytest.raises(InputError, match=f"at {node:g} m"):
-        damping_along(plant, GRID, [0.05, node], DAMPING, STEP)
+        damping_along(plant, GRID, [0.05, node], DAMPING, SAMPLE_TIME)
     with pytest.raises(InputError, match="ascending"):
-        damping_table(plant, GRID, [0.05, 0.03], DAMPING, STEP)
+        damping_table(plant, GRID, [0.05, 0.03], DAMPING, SAMPLE_TIME)
     with pytest.raises(InputError, match="moves"):
         at_place(plant, GRID, 0.1, "table")
     with pytest.raises(InputError, match="one input"):

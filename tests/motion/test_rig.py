@@ -30,7 +30,7 @@ from stillwork.control.pid import PidFamily
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti.discretisation import tustin, zoh_modes, zoh_response
 
-STEP = 1e-4
+SAMPLE_TIME = 1e-4
 GEOMETRY = assumed_geometry()
 SETTINGS = published_settings()
 
@@ -137,14 +137,14 @@ def test_four_actuators_leave_the_twisting_modes_alone():
 
 def test_zoh_response_is_that_of_the_state_space_model(plant):
     omega = 2 * np.pi * np.array([0.5, 6.0, 137.0, 138.0, 900.0, 4500.0])
-    held = zoh_modes(plant, STEP)
+    held = zoh_modes(plant, SAMPLE_TIME)
     dense = held.c @ np.linalg.solve(
-        np.exp(1j * omega * STEP)[:, None, None] * np.eye(len(held.a)) - held.a, held.b.astype(complex)
+        np.exp(1j * omega * SAMPLE_TIME)[:, None, None] * np.eye(len(held.a)) - held.a, held.b.astype(complex)
     )
-    ours = zoh_response(plant, STEP, omega)
+    ours = zoh_response(plant, SAMPLE_TIME, omega)
     np.testing.assert_allclose(np.moveaxis(ours, -1, 0)[1:], dense[1:], rtol=1e-6)
     # Far below the first mode only the masses remain, where the dense solution has lost its digits.
-    slow = zoh_response(plant.modes(slice(0, 3)), STEP, np.array([1e-3]))[:, :, 0]
+    slow = zoh_response(plant.modes(slice(0, 3)), SAMPLE_TIME, np.array([1e-3]))[:, :, 0]
     np.testing.assert_allclose(
         slow.real, -plant.output_shapes[:, :3] @ plant.input_shapes[:3] / 1e-6, rtol=1e-6
     )
@@ -153,13 +153,13 @@ def test_zoh_response_is_that_of_the_state_space_model(plant):
 def test_tustin_is_the_bilinear_rule_and_holds_the_frequency_asked_for():
     pid = PidFamily(20.0)(8.0)
     model = pid.state_space()
-    ours = tustin(model, STEP)
-    a, b, c, d, _ = signal.cont2discrete((model.a, model.b, model.c, model.d), STEP, "bilinear")
+    ours = tustin(model, SAMPLE_TIME)
+    a, b, c, d, _ = signal.cont2discrete((model.a, model.b, model.c, model.d), SAMPLE_TIME, "bilinear")
     omega = 2 * np.pi * np.array([1.0, 30.0, 2000.0])
-    _, theirs = signal.dfreqresp((a, b, c, d, STEP), omega * STEP)
+    _, theirs = signal.dfreqresp((a, b, c, d, SAMPLE_TIME), omega * SAMPLE_TIME)
     np.testing.assert_allclose(ours.frequency_response(omega)[0, 0], theirs.ravel(), rtol=1e-6)
-    np.testing.assert_allclose(pid.frequency_response(warped(STEP, omega)), theirs.ravel(), rtol=1e-6)
-    held = tustin(model, STEP, omega[2]).frequency_response(omega[2:])[0, 0, 0]
+    np.testing.assert_allclose(pid.frequency_response(warped(SAMPLE_TIME, omega)), theirs.ravel(), rtol=1e-6)
+    held = tustin(model, SAMPLE_TIME, omega[2]).frequency_response(omega[2:])[0, 0, 0]
     assert held == pytest.approx(pid.frequency_response(omega[2:])[0])
 
 
@@ -169,8 +169,8 @@ def test_gain_is_where_the_printed_riccati_recursion_settles(plant, noise_model)
     """The difference equation of section 6.3, iterated from rest, in units that keep it well scaled."""
     model = observer_model(plant).modes(slice(0, 5))
     noise = NoiseIntensities(1e-4, 1e-14)
-    observer = rig_observer(model, noise, STEP, noise_model)
-    held = zoh_modes(model, STEP)
+    observer = rig_observer(model, noise, SAMPLE_TIME, noise_model)
+    held = zoh_modes(model, SAMPLE_TIME)
     a, g, c, q = held.a, held.b, held.c * 1e7, noise.process * np.eye(3)
     if noise_model is not None:
         zero = np.zeros((3, 3))
@@ -193,7 +193,8 @@ def test_compensator_response_is_that_of_its_states(loops):
     omega = 2 * np.pi * np.array([1.0, 50.0, 138.0, 512.0, 3000.0])
     response, states = block.frequency_response(omega), block.realised
     dense = states.d + states.c @ np.linalg.solve(
-        np.exp(1j * omega * STEP)[:, None, None] * np.eye(len(states.a)) - states.a, states.b.astype(complex)
+        np.exp(1j * omega * SAMPLE_TIME)[:, None, None] * np.eye(len(states.a)) - states.a,
+        states.b.astype(complex),
     )
     assert len(states.a) == 22 + 3 + 3 + 16
     for rows in (slice(0, 3), slice(3, 6)):
@@ -208,7 +209,7 @@ def test_loop_functions_are_those_of_the_simulated_loop(loops, case):
     pids = rig_controllers(GEOMETRY)(4.0, 5.0)
     some = loop.on(2 * np.pi * np.array([0.7, 4.0, 9.0, 100.0, 138.0, 410.0, 2000.0]))
     closed = loop.closed(pids)
-    z = np.exp(1j * some.omega * STEP)[:, None, None]
+    z = np.exp(1j * some.omega * SAMPLE_TIME)[:, None, None]
     states = np.linalg.solve(z * np.eye(len(closed.a)) - closed.a, closed.b.astype(complex))
     whole = closed.c @ states + closed.d
     at = {name: 3 * k for k, name in enumerate(("r", "u_ff", "w", "v", "d"))}
@@ -237,10 +238,10 @@ def test_loop_functions_are_those_of_the_simulated_loop(loops, case):
 def test_loop_without_observer_is_that_of_python_control(loops):
     loop = loops["Original"][0]
     pids = rig_controllers(GEOMETRY)(4.0, 4.0)
-    plant, controller = (m.to_control() for m in (zoh_modes(loop.plant, STEP), loop.controller(pids)))
-    sensitivity = control.feedback(control.ss([], [], [], np.eye(3), STEP), plant * controller)
+    plant, controller = (m.to_control() for m in (zoh_modes(loop.plant, SAMPLE_TIME), loop.controller(pids)))
+    sensitivity = control.feedback(control.ss([], [], [], np.eye(3), SAMPLE_TIME), plant * controller)
     omega = loop.omega[:: len(loop.omega) // 12]
-    response = np.moveaxis(sensitivity(np.exp(1j * omega * STEP)), -1, 0)
+    response = np.moveaxis(sensitivity(np.exp(1j * omega * SAMPLE_TIME)), -1, 0)
     found = sizes(loop.on(omega), pids)[2]
     np.testing.assert_allclose(found, np.linalg.norm(response, 2, axis=(1, 2)), rtol=1e-4)
     assert loop.radius(pids) == pytest.approx(np.abs(sensitivity.poles()).max(), abs=1e-7)
@@ -257,7 +258,7 @@ def test_bandwidth_is_the_largest_by_brute_force(loops, measure):
     assert all(peaks([dense], pids, measure).max() > SIX_DB for pids in higher)
     plant = dense.equivalent_plant()
     for k, (hertz, pid) in enumerate(zip(found.crossing_hz[0], found.pids, strict=True)):
-        gain = np.abs(plant[k, k] * pid.frequency_response(warped(STEP, dense.omega)))
+        gain = np.abs(plant[k, k] * pid.frequency_response(warped(SAMPLE_TIME, dense.omega)))
         first = dense.omega[np.flatnonzero(gain < 1)[0]] / (2 * np.pi)
         assert hertz == pytest.approx(first, rel=3e-3)
 
@@ -294,7 +295,7 @@ def test_observer_knows_eight_modes_and_the_compliance_of_the_others(plant):
 
 def test_damping_gain_gives_a_mode_alone_the_wanted_ratio(plant):
     one = plant.modes([0, 1, 2, 3])
-    block = rig_compensator(rig_observer(one, SETTINGS.noise, STEP), target_damping=0.04)
+    block = rig_compensator(rig_observer(one, SETTINGS.noise, SAMPLE_TIME), target_damping=0.04)
     w, phi = one.frequencies[3], one.input_shapes[3]
     rate = 2 * one.damping[3] * w - phi @ block.gains[:, 0]
     assert rate / (2 * w) == pytest.approx(0.04)
@@ -316,11 +317,11 @@ def test_equal_peaks_name_the_first_function(loops):
 def test_an_exact_observer_without_sensor_noise_takes_the_modes_out(plant):
     """MC on a plant without unknown modes: what the controller sees is the rigid body."""
     eight = plant.modes(slice(0, 11))
-    observer = rig_observer(eight, NoiseIntensities(1e-4, 1e-18), STEP)
+    observer = rig_observer(eight, NoiseIntensities(1e-4, 1e-18), SAMPLE_TIME)
     d = decoupling(GEOMETRY, GEOMETRY.used, POSITIONS[1])
     omega = 2 * np.pi * np.array([10.0, 137.9, 138.0, 512.0, 1178.0])
-    seen = make_rig_loop(eight, rig_compensator(observer, True), d, STEP, omega).equivalent_plant()
-    rigid = zoh_response(eight.modes(slice(0, 3)), STEP, omega)
+    seen = make_rig_loop(eight, rig_compensator(observer, True), d, SAMPLE_TIME, omega).equivalent_plant()
+    rigid = zoh_response(eight.modes(slice(0, 3)), SAMPLE_TIME, omega)
     rigid = np.einsum("ij,jkw,kl->ilw", d.sensing, rigid, d.actuation)
     np.testing.assert_allclose(seen, rigid, atol=2e-6 * np.abs(rigid[0, 0]).max())
 
@@ -344,18 +345,18 @@ def test_channels_of_the_closed_loop_are_three_wide(loops):
         (lambda: detuned(rig_model(GEOMETRY, 0), np.full(8, -1.0)), "above -1"),
         (
             lambda: make_rig_loop(
-                rig_model(GEOMETRY), None, decoupling(GEOMETRY, (0, 1, 2), (0, 1, 2)), STEP
+                rig_model(GEOMETRY), None, decoupling(GEOMETRY, (0, 1, 2), (0, 1, 2)), SAMPLE_TIME
             ),
             "three inputs",
         ),
         (
             lambda: rig_compensator(
-                rig_observer(rig_model(GEOMETRY, 0), SETTINGS.noise, STEP), target_damping=0.001
+                rig_observer(rig_model(GEOMETRY, 0), SETTINGS.noise, SAMPLE_TIME), target_damping=0.001
             ),
             "target_damping is 0.001",
         ),
         (lambda: rig_observer(rig_model(GEOMETRY, 0), SETTINGS.noise, 0.0), "sample_time is 0"),
-        (lambda: rig_observer(rig_model(GEOMETRY, 0), SETTINGS.noise, STEP, 0.0), "noise_model is 0"),
+        (lambda: rig_observer(rig_model(GEOMETRY, 0), SETTINGS.noise, SAMPLE_TIME, 0.0), "noise_model is 0"),
     ],
 )
 def test_bad_input_is_named(call, message):
@@ -374,7 +375,9 @@ def test_infeasible_and_unbounded_searches_say_so(loops):
 def test_actuators_on_a_nodal_line_are_refused():
     square = Geometry(0.5, 0.5, 20.0, 0.33, 0.9, (0.8, 0.7))
     model = rig_model(square, 0).at(square.used, (0, 1, 2))
-    observer = rig_observer(model.modes(slice(0, 4)), SETTINGS.noise, STEP)
+    observer = rig_observer(model.modes(slice(0, 4)), SETTINGS.noise, SAMPLE_TIME)
     assert rig_compensator(observer, target_damping=0.04).gains.shape == (3, 1)
     with pytest.raises(InputError):  # mode 2 of a square has its nodes on the diagonals
-        rig_compensator(rig_observer(model.modes(slice(0, 5)), SETTINGS.noise, STEP), target_damping=0.04)
+        rig_compensator(
+            rig_observer(model.modes(slice(0, 5)), SETTINGS.noise, SAMPLE_TIME), target_damping=0.04
+        )

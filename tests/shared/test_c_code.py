@@ -22,7 +22,7 @@ from stillwork.lti.simulation import simulate
 from stillwork.lti.state_space import StateModel
 
 SAMPLES = 100_000
-STEP = 1e-4
+SAMPLE_TIME = 1e-4
 EPS = 2.0**-24  # half a unit in the last place of single precision
 
 
@@ -30,7 +30,7 @@ def pid(gain=1e4):
     controller = Pid(
         gain, 2 * np.pi * 2, 2 * np.pi * 20, 2 * np.pi * 200, notches=(Notch(2 * np.pi * 300.0),)
     )
-    return tustin(controller.state_space(), STEP)
+    return tustin(controller.state_space(), SAMPLE_TIME)
 
 
 def observing():
@@ -39,14 +39,16 @@ def observing():
     stage = ModalModel(
         np.array([0.0, 2000.0]), np.array([0.0, 0.01]), shapes, shapes.T * [[1, -1]], np.zeros((1, 1))
     )
-    observer = discrete_kalman_observer(stage, NoiseIntensities(1.0, 1e-12), STEP)
+    observer = discrete_kalman_observer(stage, NoiseIntensities(1.0, 1e-12), SAMPLE_TIME)
     application = Application(compensate=True, damping=0.05, selectivity=2.0)
     return observed_controller(pid(), discrete_compensator(observer, application, "filter", 0))
 
 
 def turning():
     a, b = np.array([[0.9, 0.2], [-0.2, 0.9]]), np.array([[1.0, 0.0], [0.5, 1.0]])
-    return StateModel(a, b, np.array([[1.0, 2.0], [0.0, 1.0]]), np.array([[0.0, 1.0], [2.0, 0.0]]), STEP)
+    return StateModel(
+        a, b, np.array([[1.0, 2.0], [0.0, 1.0]]), np.array([[0.0, 1.0], [2.0, 0.0]]), SAMPLE_TIME
+    )
 
 
 def noise(rows, seed=1, samples=SAMPLES):
@@ -57,7 +59,10 @@ CONTROLLERS = {
     "PID with a notch": (pid(), 1),
     "observer in the loop": (observing(), 2),
     "late and of two outputs": (delayed(turning(), 3), 2),
-    "a gain": (StateModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.array([[2.5]]), STEP), 1),
+    "a gain": (
+        StateModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.array([[2.5]]), SAMPLE_TIME),
+        1,
+    ),
 }
 
 
@@ -131,7 +136,7 @@ def test_single_precision_stays_within_its_rounding(tmp_path, which):
 @pytest.mark.slow
 def test_an_integrator_in_single_precision_takes_in_steps_below_its_last_place(tmp_path):
     """A held input of 1 beside 1e8 of state: a plain sum would stay where it is."""
-    model = StateModel(np.eye(1), np.array([[1.0]]), np.array([[1.0]]), np.zeros((1, 1)), STEP)
+    model = StateModel(np.eye(1), np.array([[1.0]]), np.array([[1.0]]), np.zeros((1, 1)), SAMPLE_TIME)
     controller = named(model, 1)
     inputs = np.ones((1, SAMPLES))
     code = controller_code(controller, "sum", "single")
@@ -189,14 +194,14 @@ def test_anti_windup_moves_the_integrator_alone():
     kept = np.abs(before - 1) > 1e-6
     assert np.count_nonzero(~kept) == 1
     assert np.abs(after[:, None] - before[None, kept]).min(axis=0).max() < 1e-7
-    assert np.abs(after - np.exp(-STEP / 0.01)).min() < 1e-9
+    assert np.abs(after - np.exp(-SAMPLE_TIME / 0.01)).min() < 1e-9
 
 
 @pytest.mark.slow
 def test_a_limited_integrator_lets_go_at_once():
     """After a second at the limit the output leaves it within two tracking times of the sign's change."""
     inputs = 1e-6 * np.where(np.arange(12_000) < 10_000, 1.0, -1.0)[None]
-    model = tustin(Pid(1e6, 20.0, 100.0, 2000.0).state_space(), STEP)
+    model = tustin(Pid(1e6, 20.0, 100.0, 2000.0).state_space(), SAMPLE_TIME)
     options = {"low": [-0.5], "high": [0.5]}
     wound = named(model, 1, **options).run(inputs)[0]
     free = named(model, 1, anti_windup=anti_windup(model, 0.02), **options).run(inputs)[0]

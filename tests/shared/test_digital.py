@@ -22,9 +22,9 @@ from stillwork.lti.discretisation import tustin
 from stillwork.lti.simulation import simulate
 from stillwork.lti.state_space import StateModel
 
-STEP = 1e-4
+SAMPLE_TIME = 1e-4
 PID = Pid(1e4, 12.0, 120.0, 1200.0, notches=(Notch(2000.0),))
-MODEL = tustin(PID.state_space(), STEP)
+MODEL = tustin(PID.state_space(), SAMPLE_TIME)
 INPUTS = np.random.default_rng(3).standard_normal((1, 3000))
 LIMITED = DigitalController(
     MODEL,
@@ -52,7 +52,7 @@ def test_biquads_filter_as_scipy_does(sections):
         sections = np.hstack(sections)[None]
     sections = np.array(sections)
     wanted = signal.sosfilt(sections, INPUTS[0])
-    model = from_biquads(sections, STEP)
+    model = from_biquads(sections, SAMPLE_TIME)
     assert simulate(model, INPUTS)[0] == pytest.approx(wanted, abs=1e-8 * np.abs(wanted).max())
     if np.all(np.abs(model.poles) > 0.1):
         again = signal.sosfilt(biquads(model), INPUTS[0])
@@ -77,7 +77,7 @@ def test_an_observed_controller_is_the_block_diagram():
     """By substitution at one frequency: e = r - y + y_flex, v = C e + u_d, (u_d, y_flex) = O(f, y)."""
     rng = np.random.default_rng(0)
     other = StateModel(
-        np.diag([0.5, 0.8]), rng.standard_normal((2, 2)), rng.standard_normal((2, 2)), np.array([[0.0, 0.3], [0.0, 0.2]]), STEP
+        np.diag([0.5, 0.8]), rng.standard_normal((2, 2)), rng.standard_normal((2, 2)), np.array([[0.0, 0.3], [0.0, 0.2]]), SAMPLE_TIME
     )  # fmt: skip
     omega = np.array([900.0])
     (o_uf, o_uy), (o_yf, o_yy) = other.frequency_response(omega)[..., 0]
@@ -96,7 +96,9 @@ def test_a_file_gives_the_controller_back(tmp_path):
 
 
 def test_a_gain_comes_back_from_its_file(tmp_path):
-    gain = StateModel(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), np.array([[2.0, -1.0]]), STEP)
+    gain = StateModel(
+        np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), np.array([[2.0, -1.0]]), SAMPLE_TIME
+    )
     controller = DigitalController(gain, ("r", "y"), ("f",))
     (tmp_path / "a.json").write_text(json.dumps(controller.as_dict()))
     assert load_controller(tmp_path / "a.json").run(np.ones((2, 2))) == pytest.approx(np.ones((1, 2)))
@@ -161,16 +163,16 @@ def test_limits_are_numbers_or_infinite_and_corrections_finite(change):
 
 def test_integrators_in_a_row_and_outputs_that_show_none_have_no_back_calculation():
     double = StateModel(
-        np.array([[1.0, 1.0], [0.0, 1.0]]), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1)), STEP
+        np.array([[1.0, 1.0], [0.0, 1.0]]), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1)), SAMPLE_TIME
     )
     with pytest.raises(InputError, match="integrators in a row"):
         anti_windup(double, 0.1)
-    hidden = StateModel(np.eye(1), np.ones((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)), STEP)
+    hidden = StateModel(np.eye(1), np.ones((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)), SAMPLE_TIME)
     with pytest.raises(InputError, match="integrators in a row"):
         anti_windup(hidden, 0.1)
 
 
 def test_an_output_that_follows_from_itself_is_refused():
-    model = StateModel(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), np.ones((1, 2)), STEP)
+    model = StateModel(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), np.ones((1, 2)), SAMPLE_TIME)
     with pytest.raises(InputError, match="follows from the limited output of the same sample"):
         DigitalController(model, ("e",), ("f",))
