@@ -6,8 +6,14 @@ import numpy as np
 
 from experiments.motion.rig import assumed_geometry
 from experiments.motion.rig_designs import CASES, bandwidths, model_errors, published_settings, rig_loops
-from experiments.motion.rig_loops import RigBandwidth
-from experiments.motion.rig_study import Rig, levelling, levelling_errors, sample_geometry
+from experiments.motion.rig_loops import RigBandwidth, RigLoop
+from experiments.motion.rig_study import (
+    Levelling,
+    levelling,
+    levelling_errors,
+    printed_controllers,
+    sample_geometry,
+)
 from experiments.motion.shares import Values, central
 
 DIRECTIONS = ("z", "rx", "ry")
@@ -26,16 +32,23 @@ def rig_tables(
 ) -> Values:
     """Bandwidths of Table 6.2 and ratios of Tables 6.3 and 6.4 over geometries; it has no leaner form.
 
-    `six_db_of_a_matrix` is one of `rig_loops.MEASURES`; `rig_noise_floor` (m at the edges) is in every error;
-    `rig_feedforward` is ``exact`` or ``5 % too heavy``.
+    `six_db_of_a_matrix` is one of `rig_loops.MEASURES`; the controllers are those of the search (``own limit``) or have
+    the ``printed`` bandwidths; `rig_noise_floor` (m at the edges) is in every error; `rig_feedforward` is ``exact`` or
+    ``5 % too heavy``.
     """
+    noise, mass_error = published_settings().noise, 0.05 if rig_feedforward == "5 % too heavy" else 0.0
     crossing, ratios = [], []
-    for rig, each in _study(rig_plates, six_db_of_a_matrix, seed):
+    for loops, trajectory, designs in _study(rig_plates, six_db_of_a_matrix, seed):
         crossing.append(
-            [[np.nan] * 3 if each[case] is None else each[case].crossing_hz.mean(axis=0) for case in CASES]
+            [[np.nan] * 3 if each is None else each.crossing_hz.mean(axis=0) for each in designs.values()]
         )
-        mass_error = 0.05 if rig_feedforward == "5 % too heavy" else 0.0
-        errors = levelling_errors(rig, each, rig_controllers_at, rig_noise_floor, mass_error)
+        first = loops["Original"][0]
+        if rig_controllers_at == "printed":
+            pids = printed_controllers(first)
+        else:
+            pids = {case: each and each.pids for case, each in designs.items()}
+        errors = levelling_errors(loops, pids, trajectory, noise, mass_error)
+        errors = np.hypot(errors, rig_noise_floor / first.decoupling.edges)
         ratios.append(errors[:, 1:] / errors[0, 0])
     crossing, ratios = np.array(crossing), np.array(ratios)
     found: Values = {}
@@ -55,16 +68,19 @@ def _of_feasible(sample: np.ndarray) -> float | tuple[float, tuple[float, float]
     return central(sample[~np.isnan(sample)])
 
 
+Rig = tuple[dict[str, list[RigLoop]], Levelling]
+
+
 @lru_cache(maxsize=8)
 def _rigs(plates: str, seed: int) -> list[Rig]:
     settings, rigs = published_settings(), []
     for stream in np.random.SeedSequence(seed).spawn(GEOMETRIES):
         rng = np.random.default_rng(stream)
         geometry = assumed_geometry() if plates == "one" else sample_geometry(rng)
-        rigs.append((geometry, rig_loops(geometry, settings, model_errors(rng)), levelling(rng)))
+        rigs.append((rig_loops(geometry, settings, model_errors(rng)), levelling(rng)))
     return rigs
 
 
 @lru_cache(maxsize=8)  # readings that differ in the levelling share the designs
-def _study(plates: str, measure: str, seed: int) -> list[tuple[Rig, dict[str, RigBandwidth | None]]]:
-    return [(rig, bandwidths(rig[1], rig[0], measure)) for rig in _rigs(plates, seed)]
+def _study(plates: str, measure: str, seed: int) -> list[tuple[*Rig, dict[str, RigBandwidth | None]]]:
+    return [(*rig, bandwidths(rig[0], measure)) for rig in _rigs(plates, seed)]

@@ -160,6 +160,11 @@ class Geometry:
         """Scales that turn (z, rx, ry) into motions of the edges in m: 1, half the width, half the length."""
         return np.array([1, self.half[1], self.half[0]])
 
+    @property
+    def edge_masses(self) -> Float64[np.ndarray, "3"]:
+        """Mass that each motion of the edges feels (kg): M, M/3 and M/3 for a uniform plate."""
+        return self.inertia / self.edges**2
+
 
 def assumed_geometry() -> Geometry:
     """The geometry of ``data/motion/rig.toml``."""
@@ -199,12 +204,20 @@ def rig_model(geometry: Geometry, higher_modes: int | None = None) -> ModalModel
     return ModalModel(frequencies, damping, at["actuators"].T, at["sensors"], np.zeros((4, 4)))
 
 
-def decoupling(geometry: Geometry, actuators: tuple[int, ...], sensors: tuple[int, ...]) -> Decoupling:
-    """Rigid-body decoupling (4.12): pseudo-inverses of the rigid shapes at actuators and sensors.
+@dataclass(frozen=True)
+class EdgeDecoupling(Decoupling):
+    """Decoupling whose directions are motions of the edges, all in m.
 
-    The directions are scaled to motions of the edges, all in m: u and q hold z, and rx and ry times half the
-    width and half the length. So singular values over directions compare like with like.
+    u and q hold z, and rx and ry times half the width and half the length. So singular values over directions compare
+    like with like.
     """
+
+    edges: Float64[np.ndarray, "3"]  # `Geometry.edges`
+    masses: Float64[np.ndarray, "3"]  # kg, `Geometry.edge_masses`
+
+
+def decoupling(geometry: Geometry, actuators: tuple[int, ...], sensors: tuple[int, ...]) -> EdgeDecoupling:
+    """Rigid-body decoupling (4.12): pseudo-inverses of the rigid shapes at actuators and sensors."""
     matrices = []
     for name, places, chosen in (
         ("actuators", geometry.actuator_places, actuators),
@@ -216,12 +229,7 @@ def decoupling(geometry: Geometry, actuators: tuple[int, ...], sensors: tuple[in
                 f"{name} {chosen} do not see all of z, rx and ry; use three that are not in line"
             )
         matrices.append(np.linalg.pinv(shapes))
-    return Decoupling(matrices[0].T, matrices[1])
-
-
-def scaled_inertia(geometry: Geometry) -> Float64[np.ndarray, "3"]:
-    """Mass that each scaled direction feels (kg): M, M/3 and M/3 for a uniform plate."""
-    return geometry.inertia / geometry.edges**2
+    return EdgeDecoupling(matrices[0].T, matrices[1], geometry.edges, geometry.edge_masses)
 
 
 def excitation(geometry: Geometry, actuators: tuple[int, ...]) -> Float64[np.ndarray, "flexible 3"]:

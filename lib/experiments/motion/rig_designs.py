@@ -1,6 +1,7 @@
 """The four uses of the observer on the rig (Table 6.2) for one geometry."""
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +14,6 @@ from experiments.motion.rig import (
     decoupling,
     published,
     rig_model,
-    scaled_inertia,
 )
 from experiments.motion.rig_control import rig_compensator, rig_observer
 from experiments.motion.rig_loops import (
@@ -108,22 +108,18 @@ def rig_loops(
     return loops
 
 
-def rig_controllers(geometry: Geometry) -> Callable[[float, float], tuple[Pid, Pid, Pid]]:
-    """PIDs on the scaled directions from the design bandwidths of z and of both rotations (Hz)."""
-    z, rx, ry = (PidFamily(mass) for mass in scaled_inertia(geometry).tolist())
+def rig_controllers(masses: Float64[np.ndarray, "3"]) -> Callable[[float, float], tuple[Pid, Pid, Pid]]:
+    """PIDs on the motions of the edges from the design bandwidths of z and of both rotations (Hz)."""
+    z, rx, ry = (PidFamily(mass) for mass in masses.tolist())
     return lambda z_hz, rotation_hz: (z(z_hz), rx(rotation_hz), ry(rotation_hz))
 
 
-def bandwidths(
-    loops: dict[str, list[RigLoop]], geometry: Geometry, measure: str
-) -> dict[str, RigBandwidth | None]:
+def bandwidths(loops: dict[str, list[RigLoop]], measure: str) -> dict[str, RigBandwidth | None]:
     """Largest bandwidth of every case; None where no bandwidth passes."""
-    family, found = rig_controllers(geometry), {}
+    found = dict.fromkeys(loops)
     for case, each in loops.items():
-        try:
-            found[case] = maximise_rig_bandwidth(each, family, measure)
-        except Infeasible:
-            found[case] = None
+        with suppress(Infeasible):
+            found[case] = maximise_rig_bandwidth(each, rig_controllers(each[0].decoupling.masses), measure)
     return found
 
 

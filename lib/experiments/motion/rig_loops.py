@@ -9,13 +9,13 @@ import numpy as np
 from jaxtyping import Complex128, Float64
 from scipy import linalg
 
+from experiments.motion.rig import EdgeDecoupling
 from experiments.motion.rig_control import RigCompensator, warped
 from stillwork.base.checks import InputError, require_choice, require_number
 from stillwork.base.kernels import kernel, pasted_kernel
 from stillwork.base.rounding import first_largest
 from stillwork.control.bandwidth import SIX_DB
 from stillwork.control.crossover import crossover
-from stillwork.control.decoupling import Decoupling
 from stillwork.control.loops import closed_loop
 from stillwork.control.pid import Pid
 from stillwork.lti.discretisation import tustin, zoh_modes, zoh_response
@@ -31,13 +31,19 @@ RATIO = 1.1  # of the search, a step on its way up
 TOLERANCE = 1e-3  # relative width at which its bisection stops
 
 
+def sampled_controller(pids: Sequence[Pid], decoupling: EdgeDecoupling, sample_time: float) -> StateModel:
+    """Gamma C_fb Upsilon, from the errors at the sensors to forces."""
+    blocks = [tustin(pid.state_space(), sample_time) for pid in pids]
+    return interconnect(blocks, np.zeros((3, 3)), decoupling.sensing, decoupling.actuation)
+
+
 @dataclass(frozen=True)
 class RigLoop:
     """One position: plant, compensator and decoupling, with their responses on a frequency grid."""
 
     plant: ModalModel  # three actuators, three sensors
     compensator: RigCompensator | None
-    decoupling: Decoupling
+    decoupling: EdgeDecoupling
     sample_time: float  # s
     omega: Float64[np.ndarray, " frequencies"] = field(repr=False)  # rad/s
     parts: Complex128[np.ndarray, "frequencies 8 3 3"] = field(repr=False)  # all but the controller, `_parts`
@@ -58,12 +64,8 @@ class RigLoop:
     def closed(self, pids: Sequence[Pid]) -> StateModel:
         """Closed loop in discrete time; its signals are `stillwork.control.loops.INPUTS` and ``OUTPUTS``."""
         block = None if self.compensator is None else self.compensator.realised
-        return closed_loop(zoh_modes(self.plant, self.sample_time), block, self.controller(pids))
-
-    def controller(self, pids: Sequence[Pid]) -> StateModel:
-        """Gamma C_fb Upsilon, from the errors at the sensors to forces."""
-        blocks = [tustin(pid.state_space(), self.sample_time) for pid in pids]
-        return interconnect(blocks, np.zeros((3, 3)), self.decoupling.sensing, self.decoupling.actuation)
+        controller = sampled_controller(pids, self.decoupling, self.sample_time)
+        return closed_loop(zoh_modes(self.plant, self.sample_time), block, controller)
 
     def radius(self, pids: Sequence[Pid]) -> float:
         """Largest magnitude of the closed-loop poles; below 1 the loop is stable."""
@@ -74,7 +76,7 @@ class RigLoop:
 def make_rig_loop(
     plant: ModalModel,
     compensator: RigCompensator | None,
-    decoupling: Decoupling,
+    decoupling: EdgeDecoupling,
     sample_time: float,
     omega: Float64[np.ndarray, " frequencies"] | None = None,
 ) -> RigLoop:
@@ -108,7 +110,7 @@ def _around(plant: ModalModel, compensator: RigCompensator | None, sample_time: 
     return p, o, np.linalg.inv(one - o_uu - o_uy @ p), (one - o_yy) @ p - o_yu
 
 
-def _parts(p, o, n, seen, decoupling: Decoupling) -> Complex128[np.ndarray, "frequencies 8 3 3"]:
+def _parts(p, o, n, seen, decoupling: EdgeDecoupling) -> Complex128[np.ndarray, "frequencies 8 3 3"]:
     """What the loop functions are made of.
 
     The plant's input is f = N Gamma u, so that P_eq = Upsilon Z N Gamma. Noise at the sensors enters q_comp by
