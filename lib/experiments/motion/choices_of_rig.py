@@ -4,6 +4,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from experiments.motion.intervals import Values, central
 from experiments.motion.rig import assumed_geometry
 from experiments.motion.rig_designs import CASES, bandwidths, model_errors, published_settings, rig_loops
 from experiments.motion.rig_loops import RigBandwidth, RigLoop
@@ -14,7 +15,6 @@ from experiments.motion.rig_study import (
     printed_controllers,
     sample_geometry,
 )
-from experiments.motion.shares import Values, central
 
 DIRECTIONS = ("z", "rx", "ry")
 GEOMETRIES = 36

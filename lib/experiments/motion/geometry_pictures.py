@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from experiments.motion.panels import plain
+from experiments.motion.explorer_panels import plain
 from experiments.motion.rig import assumed_geometry, rig_model
 from experiments.motion.rig_axes import COLOURS, MOTIONS
 from stillwork.workbook import figures

@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 from matplotlib.lines import Line2D
 
+from experiments.motion.explorer_panels import plain
 from experiments.motion.joint import JointDesign, compensated
 from experiments.motion.joint_designs import Stored
 from experiments.motion.joint_search import PEAKS, Judged, grid, judge, serve, six
 from experiments.motion.machines import stage
 from experiments.motion.magnitudes import add_magnitude, mark_limit
-from experiments.motion.panels import plain
 from experiments.motion.uncertainty import detuned
 from stillwork.workbook import figures
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from experiments.motion.explorer_panels import plain
 from experiments.motion.magnitudes import add_magnitude
-from experiments.motion.panels import plain
 from experiments.motion.rig import POSITIONS, Geometry, assumed_geometry, plate_modes, published
 from experiments.motion.rig_axes import COLOURS, FORCES, MOTIONS, UNITS, frequencies
 from experiments.motion.rig_designs import published_settings, rig_loops
