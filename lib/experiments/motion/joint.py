@@ -194,16 +194,14 @@ def sampled_compensator(design: JointDesign, mass: int, delay: float = DELAY) ->
     a[n:, n:] = np.eye(kept, k=-1)
     b[:n, 0], b[:n, 1], b[n, 0] = found.drive[:, 1], found.drive[:, 0], 1.0
     c, d = np.hstack([found.c, found.direct[:, 2:]]), found.direct[:, 1::-1]
-    model, gain = _observed(), _gain(design)
+    model = _observed()
     filters = [
         tustin(band_pass(float(w), q), SAMPLE_TIME, float(w))
         for w, q in zip(model.frequencies[1:], design.selectivity, strict=True)
     ]
-    return filtered_estimates(StateModel(a, b, c, d, SAMPLE_TIME), filters, gain[None])
-
-
-def _gain(design: JointDesign) -> np.ndarray:
-    return _unit_gain() * design.damping
+    return filtered_estimates(
+        StateModel(a, b, c, d, SAMPLE_TIME), filters, (_unit_gain() * design.damping)[None]
+    )
 
 
 @cache
@@ -253,7 +251,7 @@ def compensated(
     s = 2 / SAMPLE_TIME * np.tan(omega * SAMPLE_TIME / 2)
     w, q = _observed().frequencies[1:, None], np.array(design.selectivity)[:, None]
     warped = 1j * s * w * SAMPLE_TIME / 2 / np.tan(w * SAMPLE_TIME / 2)
-    band = _gain(design)[:, None] * (w / q) * warped / (warped**2 + (w / q) * warped + w**2)
+    band = (_unit_gain() * design.damping)[:, None] * (w / q) * warped / (warped**2 + (w / q) * warped + w**2)
     (o_yy, o_yu) = estimates[:, :, 0]
     o_uy, o_uu = np.einsum("impf,pf->imf", estimates[:, :, 1:], band)
     pid = design.controller.frequency_response(s) / z**alone

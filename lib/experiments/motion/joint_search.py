@@ -103,17 +103,18 @@ def _move(delay: float, samples: int):
 
 
 class Served(NamedTuple):
-    """A stage as the search meets it."""
+    """A stage on the grid of a transform."""
 
     model: ModalModel
     plant: Complex128[np.ndarray, "masses frequencies"]  # from the command, late
     pushed: Float64[np.ndarray, "masses frequencies"]  # size of that from a force that is not late
 
 
-def serve(model: ModalModel, delay: float = DELAY) -> Served:
+def serve(model: ModalModel, delay: float = DELAY, samples: int = SAMPLES) -> Served:
     """Prepare the responses of a stage."""
-    pushed = np.abs(zoh_response(model, SAMPLE_TIME, grid())[:, 0])
-    return Served(model, late_response(late(model, delay), grid()), pushed)
+    omega = grid(samples)
+    pushed = np.abs(zoh_response(model, SAMPLE_TIME, omega)[:, 0])
+    return Served(model, late_response(late(model, delay), omega), pushed)
 
 
 @kernel
@@ -185,22 +186,14 @@ def crossing_hz(design: JointDesign, served: Served) -> Float64[np.ndarray, " ma
     return np.exp(low + (high - low) * above / (above - below))[:, 0] / (2 * np.pi)
 
 
-class Scanned(NamedTuple):
-    """What one mass does in a scan."""
-
-    error: float  # m, rms of the true error, the noise's mean power included
-    quiet: float  # m, without noise
-    force: float  # N, rms of the whole control force under noise
-
-
 def scanned(
     feedback: Complex128[np.ndarray, " frequencies"],
     plant: Complex128[np.ndarray, " frequencies"],
     pushed: Float64[np.ndarray, " frequencies"],
     delay: float,
     samples: int = SAMPLES,
-) -> Scanned:
-    """Error in the scan, its feedforward's four gains fitted in this very loop, and the noise of section 3.1.
+) -> tuple[float, float, float]:
+    """Error, quiet and force of `Met` for one mass, its feedforward's four gains fitted in this very loop.
 
     With the modified feedforward of appendix A the setpoint acts like v and the original feedforward like a force
     that no observer sees: e = S_O (r - P u0).
@@ -218,7 +211,7 @@ def scanned(
     weights[[0, -1]] /= 2
     error = weights @ (s * given + np.abs(1 - sensitivity) ** 2 * noise["d"] ** 2)
     force = weights @ (np.abs(feedback) ** 2 * s * (given + noise["d"] ** 2))
-    return Scanned(float(np.hypot(quiet, np.sqrt(error))), quiet, float(np.sqrt(force)))
+    return float(np.hypot(quiet, np.sqrt(error))), quiet, float(np.sqrt(force))
 
 
 def noise_floor(model: ModalModel, delay: float = DELAY) -> float:
@@ -257,21 +250,6 @@ def stable_on(design: JointDesign, plants: Sequence[ModalModel]) -> Bool[np.ndar
     return np.all(np.abs(closed_poles(design, plants)) < 1, axis=(1, 2))
 
 
-class _Stand(NamedTuple):
-    """A stage as a verdict meets it, whatever the design."""
-
-    moved: Late
-    plant: Complex128[np.ndarray, "masses frequencies"]  # on the grid of a search
-    fine: Complex128[np.ndarray, " frequencies"]  # mass 5 on that of a verdict
-    pushed: Float64[np.ndarray, " frequencies"]  # size of its response to a force that is not late
-
-
-def _stand(model: ModalModel, delay: float) -> _Stand:
-    moved, one, fine = late(model, delay), model.at([0], [MEASURED]), grid(JUDGED)
-    pushed = np.abs(zoh_response(one, SAMPLE_TIME, fine)[0, 0])
-    return _Stand(moved, late_response(moved, grid()), late_response(late(one, delay), fine)[0], pushed)
-
-
 def judge(design: JointDesign, plants: Sequence[ModalModel], delay: float = DELAY) -> Judged:
     """What a design does on every plant, see `judge_all`."""
     return judge_all({"": design}, plants, delay)[""]
@@ -290,17 +268,20 @@ def judge_all(
     `delay` is that of the whole control force in samples, of which the observer is `told` all if nothing else is said;
     `alone` one more of the controller's output by itself. The plants' responses are computed once for all designs.
     """
-    stands = [_stand(plant, delay) for plant in plants]
-    told, fine, judged = delay if told is None else told, grid(JUDGED), {}
+    moved = [late(plant, delay) for plant in plants]
+    coarse = [late_response(each, grid()) for each in moved]
+    scanning = [serve(plant.at([0], [MEASURED]), delay, JUDGED) for plant in plants]
+    told, judged = delay if told is None else told, {}
     for name, design in designs.items():
         poles = closed_poles(design, plants, delay, alone, told)
         stable = np.all(np.abs(poles) < 1, axis=(1, 2))
         around = partial(compensated, design, delay=told, alone=alone)
-        on_grid, feedback = around(grid()), around(fine, masses=slice(MEASURED, MEASURED + 1)).feedback[0]
+        on_grid = around(grid())
+        feedback = around(grid(JUDGED), masses=slice(MEASURED, MEASURED + 1)).feedback[0]
         peaks, scans = np.full((len(plants), len(PEAKS)), np.inf), np.full((3, len(plants)), np.inf)
         for k in np.flatnonzero(stable):
-            moved, plant, response, pushed = stands[k]
-            peaks[k] = 20 * np.log10(_highest(around, moved, six(plant, on_grid), poles[k]))
+            peaks[k] = 20 * np.log10(_highest(around, moved[k], six(coarse[k], on_grid), poles[k]))
+            _, (response,), (pushed,) = scanning[k]
             scans[:, k] = scanned(feedback, response, pushed, delay, JUDGED)
         judged[name] = Judged(stable, peaks, *scans)
     return judged
@@ -384,10 +365,23 @@ def search(
         raise InputError("start has an unstable loop; lower its bandwidth_hz")
     sizes = [np.size(getattr(start, name)) for name in names]
     low, high = np.log(np.repeat([LIMITS[name] for name in names], sizes, axis=0)).T
-    x = np.clip(_vector(start, names), low, high)
-    ask = partial(
-        _logarithms, start, names, served=served, limit=limit, force=force, counted=counted, aim=aim
-    )
+    x = np.clip(np.log(np.hstack([getattr(start, name) for name in names])), low, high)
+
+    def at(x: np.ndarray) -> JointDesign:
+        parts = np.split(np.exp(x), np.cumsum(sizes)[:-1])
+        values = (tuple(part.tolist()) if len(part) > 1 else part.item() for part in parts)
+        return replace(start, **dict(zip(names, values, strict=True)))
+
+    def ask(x: np.ndarray) -> tuple[float, np.ndarray]:
+        """Logarithm of what is to become small, and `_excesses`."""
+        design = at(x)
+        met = meet(design, served)
+        if aim == "bandwidth":
+            wanted = 1 / min(crossing_hz(design, each).min() for each in served[:counted])
+        else:
+            wanted = _mean_error(met[:counted])
+        return float(np.log(wanted)), _excesses(met, limit, force)
+
     error, others = ask(x)
     radius, meetings = RADIUS, len(served)
     for _ in range(require_count("steps", steps)):
@@ -407,7 +401,7 @@ def search(
             e, o = ask(x + step)
             meetings += len(served)
             gained = _merit(error, others) - _merit(e, o)
-            if gained > 0.1 * foreseen and np.all(stable_on(_design(start, names, x + step), plants)):
+            if gained > 0.1 * foreseen and np.all(stable_on(at(x + step), plants)):
                 break
             radius /= 3
         else:
@@ -417,9 +411,8 @@ def search(
             radius = min(2 * radius, 0.7)
         if gained < SMALLEST_GAIN:
             break
-    design = _design(start, names, x)
-    ended = _mean([each.error for each in meet(design, served[:counted])])
-    return Found(design, ended, float(others.max()), meetings)
+    ended = _mean_error(meet(at(x), served[:counted]))
+    return Found(at(x), ended, float(others.max()), meetings)
 
 
 def _merit(error: float, others: np.ndarray) -> float:
@@ -439,37 +432,14 @@ def _program(cost, others, slopes, low, high) -> tuple[np.ndarray, float]:
     return found.x[:-1], PENALTY * max(float(others.max()), 0.0) - found.fun
 
 
-def _logarithms(start, names, x, *, served, limit, force, counted, aim) -> tuple[float, np.ndarray]:
-    """Of what is to become small, and of what must not be positive: peaks over their limit, force over its."""
-    design = _design(start, names, x)
-    met = meet(design, served)
+def _mean_error(met: Sequence[Met]) -> float:
+    return float(np.sqrt(np.mean(np.square([each.error for each in met]))))
+
+
+def _excesses(met: Sequence[Met], limit: float, force: float | None) -> np.ndarray:
+    """Logarithms of peaks over their limit, and of the force over its; what keeps them is not positive."""
     tops = np.array([each.tops for each in met]) - np.log(limit)
-    forces = np.log([each.force / force for each in met]) if force else np.zeros(0)
-    if aim == "bandwidth":
-        wanted = 1 / min(crossing_hz(design, each).min() for each in served[:counted])
-    else:
-        wanted = _mean([each.error for each in met[:counted]])
-    return float(np.log(wanted)), np.concatenate([tops.ravel(), forces])
-
-
-def _mean(errors) -> float:
-    return float(np.sqrt(np.mean(np.square(errors))))
-
-
-def _vector(design: JointDesign, names: Sequence[str]) -> np.ndarray:
-    return np.log(np.concatenate([np.atleast_1d(getattr(design, name)) for name in names]))
-
-
-def _design(start: JointDesign, names: Sequence[str], x: np.ndarray) -> JointDesign:
-    values, place = {}, 0
-    for name in names:
-        if isinstance(getattr(start, name), tuple):
-            values[name] = tuple(np.exp(x[place : place + 3]).tolist())
-            place += 3
-        else:
-            values[name] = float(np.exp(x[place]))
-            place += 1
-    return replace(start, **values)
+    return np.concatenate([tops.ravel(), np.log([each.force / force for each in met]) if force else []])
 
 
 def starts(count: int, seed: int) -> list[JointDesign]:
@@ -478,10 +448,10 @@ def starts(count: int, seed: int) -> list[JointDesign]:
     published = JointDesign()
     found = [replace(published, bandwidth_hz=published.bandwidth_hz / 2)]
     while len(found) < require_count("count", count):
-        spread = {name: float(np.exp(rng.normal(0.0, 0.5))) for name in ("bandwidth_hz", *CONTROLLER[1:])}
+        moved = {name: getattr(found[0], name) * np.exp(rng.normal(0.0, 0.5)) for name in CONTROLLER}
         tried = replace(
             found[0],
-            **{name: _within(name, getattr(found[0], name) * factor) for name, factor in spread.items()},
+            **{name: float(np.clip(value, *LIMITS[name])) for name, value in moved.items()},
             process=float(np.exp(rng.normal(0.0, 1.5))),
             noise_model=float(10 ** rng.uniform(1.0, 6.0)),
             damping=tuple((0.035 * np.exp(rng.normal(0.0, 0.7, 3))).tolist()),
@@ -490,10 +460,6 @@ def starts(count: int, seed: int) -> list[JointDesign]:
         if stable_on(tried, [stage()])[0]:
             found.append(tried)
     return found
-
-
-def _within(name: str, value: float) -> float:
-    return float(np.clip(value, *LIMITS[name]))
 
 
 def robust_search(
@@ -519,10 +485,8 @@ def robust_search(
         found = search(start, free, [pool[k] for k in served], limit, force, steps, counted)
         met = meet(found.design, pool)
         meetings += found.meetings + len(pool)
-        over = np.array([each.tops.max() for each in met]) - np.log(limit)
-        if force:
-            over = np.maximum(over, np.log([each.force / force for each in met]))
-        whole = Found(found.design, _mean([each.error for each in met]), float(over.max()), 0)
+        over = np.array([_excesses([each], limit, force).max() for each in met])
+        whole = Found(found.design, _mean_error(met), float(over.max()), 0)
         if best is None or cost(whole) < cost(best):
             best = whole
         more = [int(k) for k in np.argsort(-over)[:3] if k not in served and over[k] > 0]
