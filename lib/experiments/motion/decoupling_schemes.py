@@ -37,13 +37,13 @@ def common_centre(model: ModalModel, gain: Float64[np.ndarray, "inputs states"])
 
     Remark 4.3.2, whose index of the last mode is read as that of the last damped flexible mode.
     """
-    damped = model.frequencies[[j // 2 for j in fed_back_states(model, gain)]]
+    damped = model.frequencies[fed_back_states(model, gain) // 2]
     return float(np.sqrt(damped.min() * damped.max()))
 
 
 def half_power_selectivity(model: ModalModel, gain: Float64[np.ndarray, "inputs states"]) -> float:
     """Q that puts the half-power points of the common band-pass on the first and the last damped mode."""
-    damped = model.frequencies[[j // 2 for j in fed_back_states(model, gain)]]
+    damped = model.frequencies[fed_back_states(model, gain) // 2]
     if damped.min() == damped.max():
         raise InputError("gain feeds back one mode only; its own band-pass serves it")
     return float(common_centre(model, gain) / (damped.max() - damped.min()))
@@ -59,18 +59,15 @@ def common_band_passed(
     actuator or one a fed-back state, whichever is fewer: a single filter serves a gain of rank one only.
     """
     fed = fed_back_states(model, gain)
-    centre = common_centre(model, gain)
-    one = band_pass(centre, selectivity)
-    magnitude = np.abs(one.frequency_response(model.frequencies[[j // 2 for j in fed]])[0, 0])
+    one = band_pass(common_centre(model, gain), selectivity)
     mended = gain.copy()
-    mended[:, fed] /= magnitude
-    on_states = len(fed) <= len(gain)
-    a, b, c = (np.kron(np.eye(len(fed) if on_states else len(gain)), getattr(one, name)) for name in "abc")
-    if on_states:
-        b, c = b @ np.eye(gain.shape[1])[fed], mended[:, fed] @ c
+    mended[:, fed] /= np.abs(one.frequency_response(model.frequencies[fed // 2])[0, 0])
+    if len(fed) <= len(gain):
+        before, behind = np.eye(gain.shape[1])[fed], mended[:, fed]
     else:
-        b = b @ mended
-    return StateModel(a, b, c, np.zeros_like(gain))
+        before, behind = mended, np.eye(len(gain))
+    a, b, c = (np.kron(np.eye(len(before)), getattr(one, name)) for name in "abc")
+    return StateModel(a, b @ before, behind @ c, np.zeros_like(gain))
 
 
 def minimal_order(gain: StateModel) -> int:
@@ -265,11 +262,8 @@ def geometry_trial(
             found[f"{name}: limit"] = reached / rigid_coupling(plant, gain, both)
             found[f"{name}: onset_hz"] = coupling_onset(plant, gain, both) / (2 * np.pi)
         if name in DAMPING:
-            added, shift = added_damping(plant, system)
-            found[f"{name}: added"], found[f"{name}: shift"] = (
-                added[: settings.damped],
-                shift[: settings.damped],
-            )
+            for quantity, values in zip(("added", "shift"), added_damping(plant, system), strict=True):
+                found[f"{name}: {quantity}"] = values[: settings.damped]
         if name in FILTERED:
             found[f"{name}: crosswise"] = crosswise_force(plant, scheme_gain(name, plant, settings), damped)
     return found

@@ -29,6 +29,7 @@ from experiments.motion.joint import (
 )
 from experiments.motion.machines import published_deviations, published_noise, published_setpoint, stage
 from experiments.motion.uncertainty import perturbed, sample_errors
+from stillwork.base.algebra import squared_size
 from stillwork.base.checks import InputError, require_choice, require_count, require_number
 from stillwork.base.front_door import checked
 from stillwork.base.kernels import kernel
@@ -128,9 +129,9 @@ def _tops(plant, feedback, reference, share, seen, ends, tops):
             s = 1 / (1 + p * feedback[m, k])
             t = 1 - p * reference[m, k] * s
             i = (share[m, k] - seen[m, k] * p) * s
-            squares[0, k] = i.real * i.real + i.imag * i.imag
-            squares[1, k] = s.real * s.real + s.imag * s.imag
-            squares[2, k] = t.real * t.real + t.imag * t.imag
+            squares[0, k] = squared_size(i)
+            squares[1, k] = squared_size(s)
+            squares[2, k] = squared_size(t)
             squares[3, k] = squares[0, k] - 2 * i.real + 1
             squares[4, k] = squares[1, k] - 2 * s.real + 1
             squares[5, k] = squares[2, k] - 2 * t.real + 1

@@ -11,6 +11,7 @@ from scipy import linalg
 
 from experiments.motion.rig import EdgeDecoupling
 from experiments.motion.rig_control import RigCompensator, warped
+from stillwork.base.algebra import squared_size
 from stillwork.base.checks import InputError, require_choice, require_number
 from stillwork.base.kernels import kernel, pasted_kernel
 from stillwork.base.rounding import first_largest
@@ -376,7 +377,7 @@ def _largest_entry_square(a):
     """Square of the largest magnitude on the diagonal."""
     largest = 0.0
     for k in range(3):
-        size = a[k, k].real * a[k, k].real + a[k, k].imag * a[k, k].imag
+        size = squared_size(a[k, k])
         if not size <= largest:
             largest = size
     return largest
@@ -387,7 +388,7 @@ def _sum_of_squares(a):
     total = 0.0
     for i in range(3):
         for j in range(3):
-            total += a[i, j].real * a[i, j].real + a[i, j].imag * a[i, j].imag
+            total += squared_size(a[i, j])
     return total
 
 
@@ -398,16 +399,16 @@ def _largest_square(a):
     h01, h02, h12 = 0j, 0j, 0j
     for k in range(3):
         x, y, z = a[k, 0], a[k, 1], a[k, 2]
-        h00 += x.real * x.real + x.imag * x.imag
-        h11 += y.real * y.real + y.imag * y.imag
-        h22 += z.real * z.real + z.imag * z.imag
+        h00 += squared_size(x)
+        h11 += squared_size(y)
+        h22 += squared_size(z)
         h01 += x.conjugate() * y
         h02 += x.conjugate() * z
         h12 += y.conjugate() * z
     mean = (h00 + h11 + h22) / 3
-    s01 = h01.real * h01.real + h01.imag * h01.imag
-    s02 = h02.real * h02.real + h02.imag * h02.imag
-    s12 = h12.real * h12.real + h12.imag * h12.imag
+    s01 = squared_size(h01)
+    s02 = squared_size(h02)
+    s12 = squared_size(h12)
     d0, d1, d2 = h00 - mean, h11 - mean, h22 - mean
     spread = np.sqrt((d0 * d0 + d1 * d1 + d2 * d2 + 2 * (s01 + s02 + s12)) / 6)
     if not spread > 1e-15 * mean:
