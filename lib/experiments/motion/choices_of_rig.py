@@ -7,14 +7,7 @@ import numpy as np
 from experiments.motion.intervals import Values, central
 from experiments.motion.rig import assumed_geometry
 from experiments.motion.rig_designs import CASES, bandwidths, model_errors, published_settings, rig_loops
-from experiments.motion.rig_loops import RigBandwidth, RigLoop
-from experiments.motion.rig_study import (
-    Levelling,
-    levelling,
-    levelling_errors,
-    printed_controllers,
-    sample_geometry,
-)
+from experiments.motion.rig_study import levelling, levelling_errors, printed_controllers, sample_geometry
 
 DIRECTIONS = ("z", "rx", "ry")
 GEOMETRIES = 36
@@ -39,14 +32,12 @@ def rig_tables(
     noise, mass_error = published_settings().noise, 0.05 if rig_feedforward == "5 % too heavy" else 0.0
     crossing, ratios = [], []
     for loops, trajectory, designs in _study(rig_plates, six_db_of_a_matrix, seed):
-        crossing.append(
-            [[np.nan] * 3 if each is None else each.crossing_hz.mean(axis=0) for each in designs.values()]
-        )
+        crossing.append([each.crossing_hz.mean(axis=0) for each in designs.values()])
         first = loops["Original"][0]
         if rig_controllers_at == "printed":
             pids = printed_controllers(first)
         else:
-            pids = {case: each and each.pids for case, each in designs.items()}
+            pids = {case: each.pids for case, each in designs.items()}
         errors = levelling_errors(loops, pids, trajectory, noise, mass_error)
         errors = np.hypot(errors, rig_noise_floor / first.decoupling.edges)
         ratios.append(errors[:, 1:] / errors[0, 0])
@@ -68,11 +59,9 @@ def _of_feasible(sample: np.ndarray) -> float | tuple[float, tuple[float, float]
     return central(sample[~np.isnan(sample)])
 
 
-Rig = tuple[dict[str, list[RigLoop]], Levelling]
-
-
 @lru_cache(maxsize=8)
-def _rigs(plates: str, seed: int) -> list[Rig]:
+def _rigs(plates: str, seed: int) -> list[tuple]:
+    """Loops and trajectory of each geometry."""
     settings, rigs = published_settings(), []
     for stream in np.random.SeedSequence(seed).spawn(GEOMETRIES):
         rng = np.random.default_rng(stream)
@@ -82,5 +71,6 @@ def _rigs(plates: str, seed: int) -> list[Rig]:
 
 
 @lru_cache(maxsize=8)  # readings that differ in the levelling share the designs
-def _study(plates: str, measure: str, seed: int) -> list[tuple[*Rig, dict[str, RigBandwidth | None]]]:
+def _study(plates: str, measure: str, seed: int) -> list[tuple]:
+    """And the designs."""
     return [(*rig, bandwidths(rig[0], measure)) for rig in _rigs(plates, seed)]

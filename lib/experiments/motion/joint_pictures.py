@@ -16,13 +16,14 @@ from experiments.motion.uncertainty import detuned
 from stillwork.workbook import figures
 
 SIZES = {0.0: figures.RED, 0.02: figures.BLUE, 0.05: figures.GREEN}  # of the errors that a design serves
+# of what a search was free to change
 MARKS = {
     "joint": "o",
     "two steps": "^",
     "observer free": "D",
     "controller free": "s",
     "largest bandwidth": "v",
-}  # of what a search was free to change
+}
 TOP_DB = 20.0  # where larger peaks are cut
 
 

@@ -194,14 +194,17 @@ def rig_model(geometry: Geometry, higher_modes: int | None = None) -> ModalModel
     known = len(table)
     more = assumed()["higher_modes"] if higher_modes is None else higher_modes
     plate = plate_modes(geometry.width / geometry.length, geometry.poisson, known + more)
-    omega = np.concatenate([table, table[-1] * plate.parameters[known:] / plate.parameters[known - 1]])
-    damping = np.concatenate([p["damping"], np.full(more, p["damping"][-1])])
-    at = {}
-    for name, places in (("actuators", geometry.actuator_places), ("sensors", geometry.sensor_places)):
+    higher = table[-1] * plate.parameters[known:] / plate.parameters[known - 1]
+    damping = np.concatenate([np.zeros(3), p["damping"], np.full(more, p["damping"][-1])])
+
+    def shapes(places: Float64[np.ndarray, "4 2"]) -> Float64[np.ndarray, "4 modes"]:
         flexible = plate.shapes(*(places / geometry.half).T) / np.sqrt(geometry.mass)
-        at[name] = np.hstack([rigid_shapes(places) / np.sqrt(geometry.inertia), flexible])
-    frequencies, damping = (np.concatenate([np.zeros(3), each]) for each in (omega, damping))
-    return ModalModel(frequencies, damping, at["actuators"].T, at["sensors"], np.zeros((4, 4)))
+        return np.hstack([rigid_shapes(places) / np.sqrt(geometry.inertia), flexible])
+
+    inputs, outputs = shapes(geometry.actuator_places).T, shapes(geometry.sensor_places)
+    return ModalModel(
+        np.concatenate([np.zeros(3), table, higher]), damping, inputs, outputs, np.zeros((4, 4))
+    )
 
 
 @dataclass(frozen=True)

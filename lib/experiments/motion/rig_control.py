@@ -51,6 +51,10 @@ class RigCompensator:
     gains: Float64[np.ndarray, "inputs flexible"]  # K_i on the modal velocities, zero without damping
     selectivity: float | None  # Q of the band-passes; None: none
 
+    @property
+    def _centres(self) -> Float64[np.ndarray, " flexible"]:
+        return self.observer.model.frequencies[self.observer.model.rigid_modes :]
+
     def _read(self) -> Float64[np.ndarray, "signals states"]:
         velocities = self.observer.read(np.eye(self.gains.shape[1]), "velocity")
         return np.vstack([self.compensate * self.observer.flexible_outputs, velocities])
@@ -67,9 +71,10 @@ class RigCompensator:
         estimates = self._estimator.frequency_response(omega)
         flexible, velocities = estimates[:outputs], estimates[outputs:]
         if self.selectivity is not None:
-            centres = self.observer.model.frequencies[self.observer.model.rigid_modes :, None]
             half = self.observer.sample_time / 2
-            ratio = 1j * np.tan(omega * half) / np.tan(centres * half)  # s over the centre, both warped
+            ratio = (
+                1j * np.tan(omega * half) / np.tan(self._centres[:, None] * half)
+            )  # s over the centre, both warped
             passed = ratio / self.selectivity / (ratio**2 + ratio / self.selectivity + 1)
             velocities = velocities * passed[:, None, :]
         return np.concatenate([np.einsum("if,fjw->ijw", self.gains, velocities), flexible])
@@ -80,11 +85,10 @@ class RigCompensator:
         if not np.any(self.gains) or self.selectivity is None:
             damping, outputs = self.observer.read(self.gains, "velocity"), len(self.observer.c)
             return self.observer.estimator(np.vstack([damping, self._read()[:outputs]]), "predictor", 1)
-        omega, sample_time = (
-            self.observer.model.frequencies[self.observer.model.rigid_modes :],
-            self.observer.sample_time,
-        )
-        filters = [tustin(band_pass(float(w), self.selectivity), sample_time, float(w)) for w in omega]
+        filters = [
+            tustin(band_pass(w, self.selectivity), self.observer.sample_time, w)
+            for w in self._centres.tolist()
+        ]
         return filtered_estimates(self._estimator, filters, self.gains)
 
 

@@ -172,7 +172,7 @@ class RigBandwidth(NamedTuple):
 
     design_hz: tuple[float, float]  # of z and of the rotations
     crossing_hz: Float64[np.ndarray, "loops 3"]  # first 0 dB crossing of each direction's own loop
-    pids: tuple[Pid, Pid, Pid]
+    pids: tuple[Pid, Pid, Pid] | None
     peaks: Float64[np.ndarray, "loops functions"]  # at that design, refined
     radius: Float64[np.ndarray, " loops"]  # of the closed-loop poles
 
@@ -180,6 +180,9 @@ class RigBandwidth(NamedTuple):
     def active(self) -> str:
         """The loop function with the largest peak; the first of those that are equal but for rounding."""
         return FUNCTIONS[first_largest(self.peaks.max(axis=0))]
+
+
+NONE = RigBandwidth((np.nan,) * 2, np.full((1, 3), np.nan), None, np.full((1, 5), np.nan), np.full(1, np.nan))
 
 
 def maximise_rig_bandwidth(
@@ -274,16 +277,13 @@ def _refined(loop: RigLoop, pids: Sequence[Pid], measure: str) -> RigLoop:
 
 def _crossings(loop: RigLoop, pids: Sequence[Pid]) -> Float64[np.ndarray, "3"]:
     """First 0 dB crossing (Hz) of the diagonal entries of P_eq C_fb (Definition 1.2.1)."""
-
     upsilon, gamma = loop.decoupling.sensing, loop.decoupling.actuation
 
     def gain(w, k: int) -> Complex128[np.ndarray, " frequencies"]:
-        _, _, n, seen = _around(
-            loop.plant, loop.compensator, loop.sample_time, w
-        )  # P_eq alone: a search asks for one point
-        return (upsilon @ seen @ (n @ gamma))[:, k, k] * pids[k].frequency_response(
-            warped(loop.sample_time, w)
-        )
+        # P_eq alone: a search asks for one point
+        _, _, n, seen = _around(loop.plant, loop.compensator, loop.sample_time, w)
+        control = pids[k].frequency_response(warped(loop.sample_time, w))
+        return (upsilon @ seen @ (n @ gamma))[:, k, k] * control
 
     grid = loop.equivalent_plant()
     found = [
@@ -406,9 +406,7 @@ def _largest_square(a):
         h02 += x.conjugate() * z
         h12 += y.conjugate() * z
     mean = (h00 + h11 + h22) / 3
-    s01 = squared_size(h01)
-    s02 = squared_size(h02)
-    s12 = squared_size(h12)
+    s01, s02, s12 = squared_size(h01), squared_size(h02), squared_size(h12)
     d0, d1, d2 = h00 - mean, h11 - mean, h22 - mean
     spread = np.sqrt((d0 * d0 + d1 * d1 + d2 * d2 + 2 * (s01 + s02 + s12)) / 6)
     if not spread > 1e-15 * mean:

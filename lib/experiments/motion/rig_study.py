@@ -18,7 +18,7 @@ from experiments.motion.rig_designs import (
     rig_controllers,
     rig_loops,
 )
-from experiments.motion.rig_loops import FUNCTIONS, MEASURES, RigLoop
+from experiments.motion.rig_loops import MEASURES, RigLoop
 from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.base.front_door import checked
 from stillwork.control.loops import channel
@@ -238,23 +238,16 @@ def rig_trial(rng: np.random.Generator, settings: RigSettings) -> dict[str, np.n
     geometry = sample_geometry(rng)
     loops = rig_loops(geometry, settings, model_errors(rng))
     trajectory = levelling(rng)
-    shape = (len(MEASURES), len(CASES), 3)
-    crossing, original, redesigned = (np.full(shape, np.nan) for _ in range(3))
-    peaks = np.full((*shape[:2], len(FUNCTIONS)), np.nan)
-    for m, measure in enumerate(MEASURES):
-        found = bandwidths(loops, measure)
-        for k, design in enumerate(found.values()):
-            if design is not None:
-                crossing[m, k] = design.crossing_hz.mean(axis=0)
-                peaks[m, k] = design.peaks.max(axis=0)
-        pids = {case: design and design.pids for case, design in found.items()}
-        original[m], redesigned[m] = levelling_errors(loops, pids, trajectory, settings.noise)
+    found = [bandwidths(loops, measure).values() for measure in MEASURES]
+    pids = [{case: each.pids for case, each in zip(CASES, designs, strict=True)} for designs in found]
+    errors = [levelling_errors(loops, each, trajectory, settings.noise) for each in pids]
+    original, redesigned = np.swapaxes(errors, 0, 1)
     flexible = [flexible_peaks(each) for each in loops.values()]
     printed = printed_controllers(loops["Original"][0])
     excited = [excitation(geometry, used) for used in ((0, 1, 2, 3), geometry.used)]
     return {
-        "crossing": crossing,
-        "peaks": peaks,
+        "crossing": np.array([[each.crossing_hz.mean(axis=0) for each in designs] for designs in found]),
+        "peaks": np.array([[each.peaks.max(axis=0) for each in designs] for designs in found]),
         "original": original,
         "redesigned": redesigned,
         "printed": levelling_errors(loops, printed, trajectory, settings.noise),
