@@ -95,10 +95,8 @@ def _move(delay: float, samples: int):
     rest = samples - setpoint.derivatives.shape[1] - AHEAD
     steps = np.diff(np.pad(setpoint.derivatives[0], (AHEAD, rest), "edge"), prepend=0.0)
     shift = round(2 * delay)
-    rows = np.pad(half[:4], ((0, 0), (2 * AHEAD - shift, 2 * rest + 2 + shift)), "edge")[
-        :, : 2 * samples + 2 : 2
-    ]
-    commands = np.diff(rows, axis=1)[:, :samples] / SAMPLE_TIME
+    rows = np.pad(half[:4], ((0, 0), (2 * AHEAD - shift, 2 * rest + 2 + shift)), "edge")
+    commands = np.diff(rows[:, : 2 * samples + 2 : 2], axis=1)[:, :samples] / SAMPLE_TIME
     move = slice(AHEAD, AHEAD + len(setpoint.time))
     return np.fft.rfft(steps), np.fft.rfft(commands, axis=1), move, setpoint.scanning
 
@@ -129,12 +127,9 @@ def _tops(plant, feedback, reference, share, seen, ends, tops):
             s = 1 / (1 + p * feedback[m, k])
             t = 1 - p * reference[m, k] * s
             i = (share[m, k] - seen[m, k] * p) * s
-            squares[0, k] = squared_size(i)
-            squares[1, k] = squared_size(s)
-            squares[2, k] = squared_size(t)
-            squares[3, k] = squares[0, k] - 2 * i.real + 1
-            squares[4, k] = squares[1, k] - 2 * s.real + 1
-            squares[5, k] = squares[2, k] - 2 * t.real + 1
+            for f, value in enumerate((i, s, t)):
+                squares[f, k] = squared_size(value)
+                squares[f + 3, k] = squares[f, k] - 2 * value.real + 1
         for f in range(6):
             for band in range(len(ends) - 1):
                 top = ends[band]
@@ -396,9 +391,8 @@ def search(
             slopes[:, k] = (o - others)[near] / (moved[k] - x[k])
         meetings += len(x) * len(served)
         while radius > SMALLEST_RADIUS:
-            step, foreseen = _program(
-                cost, others[near], slopes, np.maximum(low - x, -radius), np.minimum(high - x, radius)
-            )
+            region = np.maximum(low - x, -radius), np.minimum(high - x, radius)
+            step, foreseen = _program(cost, others[near], slopes, *region)
             e, o = ask(x + step)
             meetings += len(served)
             gained = _merit(error, others) - _merit(e, o)
@@ -423,13 +417,8 @@ def _merit(error: float, others: np.ndarray) -> float:
 def _program(cost, others, slopes, low, high) -> tuple[np.ndarray, float]:
     """Step that the linear program takes, and how much of the merit it promises."""
     bounds = [*zip(low, high, strict=True), (0.0, None)]  # the last one: the largest excess
-    found = optimize.linprog(
-        np.r_[cost, PENALTY],
-        np.hstack([slopes, -np.ones((len(slopes), 1))]),
-        -others,
-        bounds=bounds,
-        method="highs",
-    )
+    columns = np.hstack([slopes, -np.ones((len(slopes), 1))])
+    found = optimize.linprog(np.r_[cost, PENALTY], columns, -others, bounds=bounds, method="highs")
     return found.x[:-1], PENALTY * max(float(others.max()), 0.0) - found.fun
 
 

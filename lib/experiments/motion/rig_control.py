@@ -34,12 +34,8 @@ def rig_observer(
     require_number("sample_time", sample_time, above=0.0)
     if noise_model is not None:
         noise_model = require_number("noise_model", noise_model, above=0.0) / sample_time
-    return discrete_kalman_observer(
-        model,
-        NoiseIntensities(noise.process * sample_time, noise.sensor * sample_time),
-        sample_time,
-        noise_model,
-    )
+    intensities = NoiseIntensities(noise.process * sample_time, noise.sensor * sample_time)
+    return discrete_kalman_observer(model, intensities, sample_time, noise_model)
 
 
 @dataclass(frozen=True)

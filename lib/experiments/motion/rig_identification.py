@@ -104,11 +104,9 @@ def rig_experiment(geometry: Geometry, settings: RigSettings, bandwidth_hz: floa
 
 def direct_response(records: MultisineRecords) -> Complex128[np.ndarray, "lines sensors actuators"]:
     """Plant from inputs and outputs alone, S_yf S_ff^-1: biased in closed loop, for comparison."""
-    pairs = [
-        np.einsum("ermal,ermbl->lab", left, records.inputs.conj())
-        for left in (records.outputs, records.inputs)
-    ]
-    return pairs[0] @ np.linalg.inv(pairs[1])
+    inputs, outputs = records.inputs, records.outputs
+    cross, power = (np.einsum("ermal,ermbl->lab", left, inputs.conj()) for left in (outputs, inputs))
+    return cross @ np.linalg.inv(power)
 
 
 def smoothed_deviation(estimate: ResponseMatrix) -> Float64[np.ndarray, " lines"]:

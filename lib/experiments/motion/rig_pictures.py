@@ -82,9 +82,8 @@ def paint_one_entry(loops: Mapping[str, Sequence[RigLoop]], to: int):
     figure, axes = figures.new(2, 2, height=4.6, sharex=True, sharey=True)
     for case, each in loops.items():
         for axis, loop in zip(axes.ravel(), each, strict=True):
-            add_magnitude(
-                axis, loop.omega, physical_plant(loop)[to, 0], color=COLOURS[case], linewidth=0.9, label=case
-            )
+            entry = physical_plant(loop)[to, 0]
+            add_magnitude(axis, loop.omega, entry, color=COLOURS[case], linewidth=0.9, label=case)
     for number, axis in enumerate(axes.ravel(), 1):
         axis.set_title(f"position {number}")
     figures.label(axes, "frequency (Hz)", f"$F_z$ to ${MOTIONS[to]}$\n(dB re 1 {UNITS[to][0]})")

@@ -66,9 +66,8 @@ def _to_error(loop: RigLoop, pids: Sequence[Pid]) -> StateModel:
     seen = channel(loop.closed(pids), ("v", "w", "d"), "e_true", 3, 3)
     read = loop.decoupling.sensing / loop.decoupling.edges[:, None]
     balanced, (scale, _) = linalg.matrix_balance(seen.a, permute=False, separate=True)
-    model = StateModel(
-        balanced, seen.b / scale[:, None], read @ seen.c * scale, read @ seen.d, seen.sample_time
-    )
+    b, c = seen.b / scale[:, None], read @ seen.c * scale
+    model = StateModel(balanced, b, c, read @ seen.d, seen.sample_time)
     if (radius := np.abs(model.poles).max()) >= 1:
         raise InputError(f"the loop is unstable (a pole of magnitude {radius:.6f}); lower the bandwidth")
     return model

@@ -82,9 +82,8 @@ def closed(stage: Mapping, design: Mapping, mass: int):
     wd, wl = design["differentiator"] * f, design["low_pass"] * f
     s = control.tf("s")
     pid = kp / NANO * (s + wi) / s * (s / wd + 1) * wl**2
-    pid = control.c2d(
-        control.ss(pid / (s**2 + 2 * design["low_pass_damping"] * wl * s + wl**2)), SAMPLE_TIME, "tustin"
-    )
+    pid = control.ss(pid / (s**2 + 2 * design["low_pass_damping"] * wl * s + wl**2))
+    pid = control.c2d(pid, SAMPLE_TIME, "tustin")
     parts = [
         _plant(w, push, see, ratio),
         _observer(stage["noise"], design, w, push, see, ratio),
@@ -134,9 +133,8 @@ def _observer(noise, design, w, push, see, ratio):
     _, p, _ = control.dlqe(into @ whole @ unit, drive, c @ unit, np.diag(variances), sensor)
     gain = unit @ p @ unit @ c.T / (c @ unit @ p @ unit @ c.T + sensor)
     # States: x before the measurement, f(k-1), f(k-2); first what the measurement makes of them.
-    update = np.block(
-        [[np.eye(9) - gain @ c, np.zeros((9, 1)), -gain * compliance], [np.zeros((2, 9)), np.eye(2)]]
-    )
+    taken_in = [np.eye(9) - gain @ c, np.zeros((9, 1)), -gain * compliance]
+    update = np.block([taken_in, [np.zeros((2, 9)), np.eye(2)]])
     taken = np.vstack([gain, np.zeros((2, 1))])
     advance = np.block([[whole, late, half @ late], [np.zeros((2, 9)), np.eye(2, k=-1)]])
     # half a sample more, on which f(k-1) acts ...
