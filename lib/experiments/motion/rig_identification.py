@@ -135,9 +135,7 @@ def paint_identified(omega: np.ndarray, measured: np.ndarray, model: np.ndarray,
     return figure
 
 
-def paint_identification(
-    rms: float = 1.0, averages: int = 20, bandwidth_hz: float = 4.0, sensor_exponent: float = -18.0
-):
+def paint_identification(rms: float, averages: int, bandwidth_hz: float, sensor_exponent: float):
     """Explorer: response of the rig, and the deviation that an identification in closed loop leaves."""
     settings = published_settings()
     settings = replace(settings, noise=NoiseIntensities(settings.noise.process, 10**sensor_exponent))

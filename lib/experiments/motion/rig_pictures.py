@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from experiments.motion.explorer_panels import plain
+from experiments.motion.magnitude_panels import paint_magnitudes
 from experiments.motion.magnitudes import add_magnitude
 from experiments.motion.rig import POSITIONS, Geometry, assumed_geometry, plate_modes, published
 from experiments.motion.rig_axes import COLOURS, FORCES, MOTIONS, UNITS, frequencies
@@ -79,14 +80,12 @@ def paint_decoupled_plants(loops: Sequence[RigLoop]):
 
 def paint_one_entry(loops: Mapping[str, Sequence[RigLoop]], to: int):
     """From F_z to one direction of the decoupled plant under the four uses of the observer: Figs 6.8 and 6.9."""
-    figure, axes = figures.new(2, 2, height=4.6, sharex=True, sharey=True)
+    panels = {f"position {number}": {} for number in range(1, 5)}
     for case, each in loops.items():
-        for axis, loop in zip(axes.ravel(), each, strict=True):
-            entry = physical_plant(loop)[to, 0]
-            add_magnitude(axis, loop.omega, entry, color=COLOURS[case], linewidth=0.9, label=case)
-    for number, axis in enumerate(axes.ravel(), 1):
-        axis.set_title(f"position {number}")
-    figures.label(axes, "frequency (Hz)", f"$F_z$ to ${MOTIONS[to]}$\n(dB re 1 {UNITS[to][0]})")
+        for lines, loop in zip(panels.values(), each, strict=True):
+            lines[case] = loop.omega, physical_plant(loop)[to, 0], {"color": COLOURS[case], "linewidth": 0.9}
+    quantity = f"$F_z$ to ${MOTIONS[to]}$\n(dB re 1 {UNITS[to][0]})"
+    figure, axes = paint_magnitudes(panels, quantity, rows=2, height=4.6, sharex=True, sharey=True)
     figures.legend_below(axes[0, 0], 4)
     return figure
 
@@ -128,13 +127,7 @@ def paint_error_spectra(spectra: Mapping[str, Spectrum]):
 ENTRIES = {"Fz to z": 0, "Fz to rx": 1}
 
 
-def paint_rig(
-    use: str = "MC and AD",
-    entry: str = "Fz to z",
-    target_damping: float = 0.04,
-    sensor_exponent: float = -18.0,
-    position: int = 1,
-):
+def paint_rig(use: str, entry: str, target_damping: float, sensor_exponent: float, position: int):
     """Explorer: one entry of what the controller sees, with and without one use of the observer."""
     settings, row = published_settings(), ENTRIES[entry]
     noise = NoiseIntensities(settings.noise.process, 10**sensor_exponent)
