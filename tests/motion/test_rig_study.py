@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
+from experiments.motion import rig_designs
 from experiments.motion.rig import (
     POSITIONS,
     assumed,
@@ -24,12 +25,13 @@ from experiments.motion.rig_designs import (
     rig_controllers,
     rig_loops,
 )
-from experiments.motion.rig_loops import MEASURES, sampled_controller
+from experiments.motion.rig_loops import MEASURES, Infeasible, sampled_controller
 from experiments.motion.rig_study import (
     Levelling,
     flexible_peaks,
     levelling,
     levelling_error,
+    levelling_errors,
     levelling_rms,
     output_variance,
     rig_trial,
@@ -189,6 +191,20 @@ def test_a_known_model_takes_the_place_of_the_rigs_own(loops):
     np.testing.assert_allclose(
         again.compensator.observer.gain, loops["AD"][0].compensator.observer.gain, rtol=1e-6
     )
+
+
+def test_a_case_that_no_bandwidth_serves_has_numbers_that_are_none(loops, monkeypatch):
+    def refuse(*_):
+        raise Infeasible("low_hz")
+
+    monkeypatch.setattr(rig_designs, "maximise_rig_bandwidth", refuse)
+    found = bandwidths(loops, "diagonal")
+    assert all(np.isnan(each.crossing_hz).all() and np.isnan(each.peaks).all() for each in found.values())
+    pids = {case: each.pids for case, each in found.items()} | {"Original": PIDS}
+    with_original, with_own = levelling_errors(loops, pids, levelling(np.random.default_rng(6)), SILENT)
+    assert np.isfinite(with_original).all()
+    np.testing.assert_array_equal(with_own[0], with_original[0])
+    assert np.isnan(with_own[1:]).all()
 
 
 def test_drawn_geometries_stay_in_their_ranges_and_see_all_directions():
