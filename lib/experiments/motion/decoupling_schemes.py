@@ -217,9 +217,9 @@ def sample_places(rng: np.random.Generator, count: int, spacing: float) -> Float
 
 
 def geometry_trial(
-    rng: np.random.Generator, schemes: Sequence[str], settings: Settings, compensate: bool = False
+    rng: np.random.Generator, schemes: Sequence[str], settings: Settings
 ) -> Mapping[str, float | np.ndarray]:
-    """One machine of the study, and with `compensate` measurement compensation on it: what its decoupled plants are like.
+    """One machine of the study: what its decoupled plants are like under some `SCHEMES` or ``compensation``.
 
     Of each scheme the ``slopes`` in the limit and ``slopes above``, at 0.03 to 0.3 Hz (axes, axes), ``low`` (entries
     at 1 Hz), ``peak`` (largest off-diagonal entry around the second flexible mode over the undamped one with these
@@ -232,7 +232,7 @@ def geometry_trial(
     modes = machine.frequencies[machine.rigid_modes :]
     damped = modes[: settings.damped]
     found, bare = {}, {}
-    for name in [*schemes, *["compensation"] * compensate]:
+    for name in schemes:
         actuators = actuators_of("undamped" if name == "compensation" else name, machine)
         plant = machine.at(range(actuators), range(machine.rigid_modes))
         if actuators not in bare:

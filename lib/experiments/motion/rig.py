@@ -221,18 +221,18 @@ class EdgeDecoupling(Decoupling):
 
 def decoupling(geometry: Geometry, actuators: tuple[int, ...], sensors: tuple[int, ...]) -> EdgeDecoupling:
     """Rigid-body decoupling (4.12): pseudo-inverses of the rigid shapes at actuators and sensors."""
-    matrices = []
-    for name, places, chosen in (
-        ("actuators", geometry.actuator_places, actuators),
-        ("sensors", geometry.sensor_places, sensors),
-    ):
+
+    def inverse(name: str, places: Float64[np.ndarray, "4 2"], chosen: tuple[int, ...]) -> np.ndarray:
         shapes = rigid_shapes(places[list(chosen)]) / geometry.edges
         if len(shapes) < 3 or np.linalg.cond(shapes) > 1e6:
             raise InputError(
                 f"{name} {chosen} do not see all of z, rx and ry; use three that are not in line"
             )
-        matrices.append(np.linalg.pinv(shapes))
-    return EdgeDecoupling(matrices[0].T, matrices[1], geometry.edges, geometry.edge_masses)
+        return np.linalg.pinv(shapes)
+
+    actuation = inverse("actuators", geometry.actuator_places, actuators).T
+    sensing = inverse("sensors", geometry.sensor_places, sensors)
+    return EdgeDecoupling(actuation, sensing, geometry.edges, geometry.edge_masses)
 
 
 def excitation(geometry: Geometry, actuators: tuple[int, ...]) -> Float64[np.ndarray, "flexible 3"]:
