@@ -350,7 +350,8 @@ def test_band_passed_stiffness_takes_damping_away(name, sections):
 
 def test_trials_depend_on_their_stream_alone():
     first, again = (
-        geometry_trial(np.random.default_rng(4), ("undamped", "band-passes"), SETTINGS, True) for _ in "ab"
+        geometry_trial(np.random.default_rng(4), ("undamped", "band-passes", "compensation"), SETTINGS)
+        for _ in "ab"
     )
     assert first.keys() == again.keys()
     assert all(np.array_equal(first[key], again[key]) for key in first)
@@ -362,7 +363,7 @@ def test_trials_depend_on_their_stream_alone():
 def test_trial_measures_what_it_says():
     """One machine of the study again, on a dense grid."""
     names = ("each mode", "common band-pass", "over-actuation", "stiffness, fourth order")
-    found = geometry_trial(np.random.default_rng(4), names, SETTINGS, True)
+    found = geometry_trial(np.random.default_rng(4), (*names, "compensation"), SETTINGS)
     machine = sample_beam(np.random.default_rng(4))
     damped = machine.frequencies[2:4]
     dense = damped[1] * np.linspace(0.8, 1.2, 3001)

@@ -13,7 +13,7 @@ from experiments.motion.energy_to_peak import (
     response_peak,
     settled_covariance,
 )
-from experiments.motion.shares import share
+from experiments.motion.intervals import share
 from stillwork.base.checks import InputError
 from stillwork.workbook.studies import proportion_interval
 

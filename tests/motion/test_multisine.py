@@ -8,13 +8,9 @@ import pytest
 from experiments.motion.rig import assumed_geometry, rig_model
 from experiments.motion.rig_designs import published_settings
 from experiments.motion.rig_identification import (
-    convergence,
     direct_response,
-    four_sensor_controller,
-    identification_loop,
-    predicted_deviation,
+    rig_experiment,
     smoothed_deviation,
-    true_response,
 )
 from stillwork.base.checks import InputError
 from stillwork.estimation.observer import NoiseIntensities
@@ -30,7 +26,7 @@ QUIET = replace(SETTINGS, noise=NoiseIntensities(1e-24, 1e-36))
 
 def records_of(settings, bandwidth_hz, seed, rms, realisations, **experiment):
     """The four experiments with the noise of the settings, at every actuator and sensor."""
-    loop, rng = identification_loop(GEOMETRY, settings, bandwidth_hz), np.random.default_rng(seed)
+    loop, rng = rig_experiment(GEOMETRY, settings, bandwidth_hz).loop(), np.random.default_rng(seed)
     deviations = tuple(np.sqrt(astuple(settings.noise)))
     return run_multisine(loop, 4, 4, deviations, rng, rms=rms, realisations=realisations, **experiment)
 
@@ -45,12 +41,13 @@ def test_multisine_has_its_rms_and_a_flat_spectrum():
 
 def test_identification_loop_is_the_loop_by_hand():
     """Sample by sample: plant, controller in difference form, every signal where it belongs."""
-    loop = identification_loop(GEOMETRY, SETTINGS, 4.0)
+    experiment = rig_experiment(GEOMETRY, SETTINGS, 4.0)
+    loop = experiment.loop()
     rng = np.random.default_rng(2)
     signals = rng.standard_normal((12, 40)) * np.repeat([1.0, 0.5, 1e-7], 4)[:, None]
     ours = simulate(loop, signals)
     plant = zoh_modes(rig_model(GEOMETRY), SETTINGS.sample_time)
-    controller = four_sensor_controller(GEOMETRY, SETTINGS, 4.0)
+    controller = experiment.controller
     x, s = np.zeros(len(plant.a)), np.zeros(len(controller.a))
     for k in range(40):
         added, disturbance, noise = signals[:4, k], signals[4:8, k], signals[8:, k]
@@ -70,8 +67,9 @@ def noisy():
 
 
 def test_without_noise_the_plant_comes_out():
+    experiment = rig_experiment(GEOMETRY, QUIET, 5.0)
     records = run_multisine(
-        identification_loop(GEOMETRY, QUIET, 5.0),
+        experiment.loop(),
         4,
         4,
         (0.0, 0.0),
@@ -82,7 +80,7 @@ def test_without_noise_the_plant_comes_out():
         settling=8,  # 3.3 s: the first mode has died out to 1e-3
     )
     for estimate in (joint_input_output(records).response, direct_response(records)):
-        truth = true_response(GEOMETRY, QUIET, records.omega)
+        truth = experiment.response(records.omega)
         assert np.linalg.norm(estimate - truth) < 2e-3 * np.linalg.norm(truth)
 
 
@@ -90,13 +88,14 @@ def test_without_noise_the_plant_comes_out():
 def test_deviation_is_what_the_noise_predicts(noisy):
     estimate = joint_input_output(noisy)
     noise = replace(SETTINGS, noise=NoiseIntensities(1e-20, 1e-18))
-    expected = predicted_deviation(GEOMETRY, noise, 4.0, estimate.omega, 0.3, 6 * 2)
+    experiment = rig_experiment(GEOMETRY, noise, 4.0)
+    expected = experiment.deviation(estimate.omega, 0.3, 6 * 2)
     chosen = estimate.omega > 2 * np.pi * 20
     ratio = np.mean((estimate.deviation / expected)[chosen] ** 2)
     assert ratio == pytest.approx(1, abs=0.05)
     slow = (estimate.omega > 2 * np.pi * 2) & (estimate.omega < 2 * np.pi * 20)  # where the loop acts
     assert np.mean((estimate.deviation / expected)[slow] ** 2) == pytest.approx(1, abs=0.3)
-    error = np.abs(estimate.response - true_response(GEOMETRY, SETTINGS, estimate.omega))
+    error = np.abs(estimate.response - experiment.response(estimate.omega))
     assert np.mean((error / expected)[chosen] ** 2) == pytest.approx(1, abs=0.1)
 
 
@@ -104,7 +103,7 @@ def test_deviation_is_what_the_noise_predicts(noisy):
 def test_direct_ratio_keeps_the_bias_of_the_loop_and_the_joint_one_does_not():
     weak = replace(SETTINGS, noise=NoiseIntensities(4e-4, 1e-18))
     records = records_of(weak, 5.0, 4, 0.2, 12, samples=8192, periods=2, settling=1)
-    found = convergence(records, GEOMETRY, weak, 5.5, (12,))
+    found = rig_experiment(GEOMETRY, weak, 5.0).convergence(records, 5.5, (12,))
     assert found["direct"][0] > 0.1
     assert found["joint input-output"][0] < 0.03
 
@@ -210,7 +209,10 @@ def test_smoothing_keeps_a_constant(noisy):
         (lambda: _fit(deviation=np.zeros(200)), "deviation must be positive"),
         (lambda: _fit(rigid=3), "rigid_modes is 3"),
         (lambda: _fit(modes=50), "at least 530 lines"),
-        (lambda: predicted_deviation(GEOMETRY, SETTINGS, 4.0, np.array([10.0]), 1.0, 0), "averages is 0"),
+        (
+            lambda: rig_experiment(GEOMETRY, SETTINGS, 4.0).deviation(np.array([10.0]), 1.0, 0),
+            "averages is 0",
+        ),
     ],
 )
 def test_bad_input_is_named(call, message):
@@ -225,7 +227,7 @@ def test_unstable_loop_is_refused():
 
 def _run(sensors=4, **options):
     settings = {"samples": 16, "realisations": 2, "periods": 1, "settling": 1, **options}
-    loop = identification_loop(GEOMETRY, SETTINGS, 4.0)
+    loop = rig_experiment(GEOMETRY, SETTINGS, 4.0).loop()
     return run_multisine(loop, 4, sensors, (0.0, 0.0), np.random.default_rng(0), **settings)
 
 

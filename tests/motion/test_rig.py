@@ -17,11 +17,17 @@ from experiments.motion.rig import (
     published,
     rig_model,
     rigid_shapes,
-    scaled_inertia,
 )
 from experiments.motion.rig_control import rig_compensator, rig_observer, warped
 from experiments.motion.rig_designs import observer_model, published_settings, rig_controllers, rig_loops
-from experiments.motion.rig_loops import MEASURES, make_rig_loop, maximise_rig_bandwidth, peaks, sizes
+from experiments.motion.rig_loops import (
+    MEASURES,
+    make_rig_loop,
+    maximise_rig_bandwidth,
+    peaks,
+    sampled_controller,
+    sizes,
+)
 from experiments.motion.uncertainty import detuned
 from stillwork.base.checks import InputError
 from stillwork.control.bandwidth import SIX_DB
@@ -117,8 +123,8 @@ def test_decoupling_leaves_only_mass_and_inertias(position):
     d = decoupling(GEOMETRY, GEOMETRY.used, position)
     rigid = rig_model(GEOMETRY).at(GEOMETRY.used, position).modes(slice(0, 3))
     mobility = d.sensing @ rigid.output_shapes @ rigid.input_shapes @ d.actuation
-    np.testing.assert_allclose(mobility, np.diag(1 / scaled_inertia(GEOMETRY)), atol=1e-14)
-    np.testing.assert_allclose(scaled_inertia(GEOMETRY), 20.0 * np.array([1, 1 / 3, 1 / 3]))
+    np.testing.assert_allclose(mobility, np.diag(1 / d.masses), atol=1e-14)
+    np.testing.assert_allclose(GEOMETRY.edge_masses, 20.0 * np.array([1, 1 / 3, 1 / 3]))
 
 
 def test_decoupling_by_hand_for_a_tilt():
@@ -206,7 +212,7 @@ def test_compensator_response_is_that_of_its_states(loops):
 @pytest.mark.parametrize("case", ["Original", "MC", "AD", "MC and AD"])
 def test_loop_functions_are_those_of_the_simulated_loop(loops, case):
     loop = loops[case][0]
-    pids = rig_controllers(GEOMETRY)(4.0, 5.0)
+    pids = rig_controllers(GEOMETRY.edge_masses)(4.0, 5.0)
     some = loop.on(2 * np.pi * np.array([0.7, 4.0, 9.0, 100.0, 138.0, 410.0, 2000.0]))
     closed = loop.closed(pids)
     z = np.exp(1j * some.omega * SAMPLE_TIME)[:, None, None]
@@ -237,8 +243,9 @@ def test_loop_functions_are_those_of_the_simulated_loop(loops, case):
 
 def test_loop_without_observer_is_that_of_python_control(loops):
     loop = loops["Original"][0]
-    pids = rig_controllers(GEOMETRY)(4.0, 4.0)
-    plant, controller = (m.to_control() for m in (zoh_modes(loop.plant, SAMPLE_TIME), loop.controller(pids)))
+    pids = rig_controllers(GEOMETRY.edge_masses)(4.0, 4.0)
+    models = zoh_modes(loop.plant, SAMPLE_TIME), sampled_controller(pids, loop.decoupling, SAMPLE_TIME)
+    plant, controller = (model.to_control() for model in models)
     sensitivity = control.feedback(control.ss([], [], [], np.eye(3), SAMPLE_TIME), plant * controller)
     omega = loop.omega[:: len(loop.omega) // 12]
     response = np.moveaxis(sensitivity(np.exp(1j * omega * SAMPLE_TIME)), -1, 0)
@@ -249,7 +256,7 @@ def test_loop_without_observer_is_that_of_python_control(loops):
 
 @pytest.mark.parametrize("measure", MEASURES)
 def test_bandwidth_is_the_largest_by_brute_force(loops, measure):
-    family = rig_controllers(GEOMETRY)
+    family = rig_controllers(GEOMETRY.edge_masses)
     found = maximise_rig_bandwidth(loops["AD"], family, measure)
     dense = loops["AD"][0].on(2 * np.pi * np.geomspace(0.5, 4900, 8000))
     assert peaks([dense], found.pids, measure).max() < SIX_DB * 1.006
@@ -302,7 +309,7 @@ def test_damping_gain_gives_a_mode_alone_the_wanted_ratio(plant):
 
 
 def test_search_on_a_coarse_grid_finds_the_peaks_between_its_points(loops):
-    family, fine = rig_controllers(GEOMETRY), loops["Original"][0]
+    family, fine = rig_controllers(GEOMETRY.edge_masses), loops["Original"][0]
     coarse = fine.on(2 * np.pi * np.geomspace(0.5, 4900, 150))
     assert np.abs(coarse.omega / (2 * np.pi * 138) - 1).min() > 0.005  # two widths of the first resonance
     found = maximise_rig_bandwidth([coarse], family)
@@ -310,7 +317,7 @@ def test_search_on_a_coarse_grid_finds_the_peaks_between_its_points(loops):
 
 
 def test_equal_peaks_name_the_first_function(loops):
-    family = rig_controllers(GEOMETRY)
+    family = rig_controllers(GEOMETRY.edge_masses)
     assert maximise_rig_bandwidth(loops["AD"], family, "diagonal").active == "S_I"  # equal to r to e_true
 
 
@@ -327,7 +334,7 @@ def test_an_exact_observer_without_sensor_noise_takes_the_modes_out(plant):
 
 
 def test_channels_of_the_closed_loop_are_three_wide(loops):
-    closed = loops["Original"][0].closed(rig_controllers(GEOMETRY)(3.0, 3.0))
+    closed = loops["Original"][0].closed(rig_controllers(GEOMETRY.edge_masses)(3.0, 3.0))
     assert channel(closed, "v", "e_true", 3, 3).d.shape == (3, 3)
 
 
@@ -365,7 +372,7 @@ def test_bad_input_is_named(call, message):
 
 
 def test_infeasible_and_unbounded_searches_say_so(loops):
-    family = rig_controllers(GEOMETRY)
+    family = rig_controllers(GEOMETRY.edge_masses)
     with pytest.raises(InputError, match="exceeds the limit at low_hz"):
         maximise_rig_bandwidth(loops["Original"], family, low_hz=20.0)
     with pytest.raises(InputError, match="raise it to find the limit"):

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy import linalg
 
+from experiments.motion import rig_designs
 from experiments.motion.rig import (
     POSITIONS,
     assumed,
     assumed_geometry,
     rig_model,
     rigid_shapes,
-    scaled_inertia,
 )
 from experiments.motion.rig_control import placed_damping, sampled_damping
 from experiments.motion.rig_designs import (
@@ -25,12 +25,13 @@ from experiments.motion.rig_designs import (
     rig_controllers,
     rig_loops,
 )
-from experiments.motion.rig_loops import MEASURES
+from experiments.motion.rig_loops import MEASURES, Infeasible, sampled_controller
 from experiments.motion.rig_study import (
     Levelling,
     flexible_peaks,
     levelling,
     levelling_error,
+    levelling_errors,
     levelling_rms,
     output_variance,
     rig_trial,
@@ -45,7 +46,7 @@ from stillwork.workbook.studies import run_study
 
 GEOMETRY = assumed_geometry()
 SETTINGS = published_settings()
-PIDS = rig_controllers(GEOMETRY)(4.0, 5.0)
+PIDS = rig_controllers(GEOMETRY.edge_masses)(4.0, 5.0)
 SILENT = NoiseIntensities(1e-30, 1e-40)
 
 
@@ -86,8 +87,8 @@ def test_rigid_plate_follows_the_trajectory_exactly(loops):
     original = loops["Original"][0]
     rigid = replace(original, plant=original.plant.modes(slice(0, 3)))
     trajectory = levelling(np.random.default_rng(3))
-    assert np.all(levelling_rms(rigid, PIDS, GEOMETRY, trajectory, SILENT) < 1e-10)
-    flexible = levelling_rms(original, PIDS, GEOMETRY, trajectory, SILENT)
+    assert np.all(levelling_rms(rigid, PIDS, trajectory, SILENT) < 1e-10)
+    flexible = levelling_rms(original, PIDS, trajectory, SILENT)
     assert np.all(flexible > 1e-9)
 
 
@@ -97,24 +98,20 @@ def test_expected_rms_is_that_of_simulations(loops, case):
     """Without noise to the digits that settling leaves, with noise within the scatter of a few periods."""
     loop = loops[case][0]
     trajectory = levelling(np.random.default_rng(4))
-    error = levelling_error(loop, PIDS, GEOMETRY, trajectory, SILENT, np.random.default_rng(0), periods=2)
+    error = levelling_error(loop, PIDS, trajectory, SILENT, np.random.default_rng(0), periods=2)
     np.testing.assert_allclose(
-        np.sqrt((error**2).mean(axis=1)), levelling_rms(loop, PIDS, GEOMETRY, trajectory, SILENT), rtol=2e-3
+        np.sqrt((error**2).mean(axis=1)), levelling_rms(loop, PIDS, trajectory, SILENT), rtol=2e-3
     )
     noise = NoiseIntensities(1e-4, 1e-18)
-    errors = [
-        levelling_error(loop, PIDS, GEOMETRY, trajectory, noise, np.random.default_rng(k)) for k in range(6)
-    ]
-    ratio = np.sqrt(np.mean(np.square(errors), axis=(0, 2))) / levelling_rms(
-        loop, PIDS, GEOMETRY, trajectory, noise
-    )
+    errors = [levelling_error(loop, PIDS, trajectory, noise, np.random.default_rng(k)) for k in range(6)]
+    ratio = np.sqrt(np.mean(np.square(errors), axis=(0, 2))) / levelling_rms(loop, PIDS, trajectory, noise)
     np.testing.assert_allclose(ratio, 1, atol=0.25)
 
 
 def test_modified_feedforward_hides_the_setpoint_from_the_observer(loops):
     """Fig. A.2 by hand: an observer copy on (u0, r) inside, the real one in the loop; same error as v and w give."""
     loop = loops["MC and AD"][0]
-    block, controller = loop.compensator.realised, loop.controller(PIDS)
+    block, controller = loop.compensator.realised, sampled_controller(PIDS, loop.decoupling, loop.sample_time)
     plant = zoh_modes(loop.plant, loop.sample_time)
     rng = np.random.default_rng(5)
     r, u0 = 1e-6 * rng.standard_normal((3, 60)), rng.standard_normal((3, 60))
@@ -144,7 +141,7 @@ def test_modified_feedforward_hides_the_setpoint_from_the_observer(loops):
 
 def test_flexible_part_is_that_of_the_modes(loops):
     """Without observer: the difference from the rigid body, mode by mode, at the first resonance."""
-    found = flexible_peaks(loops["Original"], scaled_inertia(GEOMETRY))
+    found = flexible_peaks(loops["Original"])
     plant, d = loops["Original"][0].plant, loops["Original"][0].decoupling
     residue = d.sensing @ np.outer(plant.output_shapes[:, 3], plant.input_shapes[3]) @ d.actuation
     peak = np.linalg.norm(residue, 2) / (2 * plant.damping[3] * plant.frequencies[3] ** 2)
@@ -156,7 +153,7 @@ def test_flexible_part_is_that_of_the_modes(loops):
 def test_a_rigid_plate_has_no_flexible_part(loops):
     loop = loops["Original"][0]
     rigid = replace(loop, plant=loop.plant.modes(slice(0, 3))).on(loop.omega)
-    found, flexible = (flexible_peaks([each], scaled_inertia(GEOMETRY)) for each in (rigid, loop))
+    found, flexible = (flexible_peaks([each]) for each in (rigid, loop))
     assert np.all(found.peaks < 1e-6 * flexible.peaks)
 
 
@@ -183,7 +180,7 @@ def test_placed_poles_have_the_wanted_damping_and_equal_modes_are_refused():
 
 
 def test_compensated_feedback_rises_with_the_controller(loops):
-    family = rig_controllers(GEOMETRY)
+    family = rig_controllers(GEOMETRY.edge_masses)
     slow, fast = (compensated_feedback(loops["MC"][0], family(f, f)) for f in (2.0, 8.0))
     assert 0 < slow < fast
 
@@ -194,6 +191,20 @@ def test_a_known_model_takes_the_place_of_the_rigs_own(loops):
     np.testing.assert_allclose(
         again.compensator.observer.gain, loops["AD"][0].compensator.observer.gain, rtol=1e-6
     )
+
+
+def test_a_case_that_no_bandwidth_serves_has_numbers_that_are_none(loops, monkeypatch):
+    def refuse(*_):
+        raise Infeasible("low_hz")
+
+    monkeypatch.setattr(rig_designs, "maximise_rig_bandwidth", refuse)
+    found = bandwidths(loops, "diagonal")
+    assert all(np.isnan(each.crossing_hz).all() and np.isnan(each.peaks).all() for each in found.values())
+    pids = {case: each.pids for case, each in found.items()} | {"Original": PIDS}
+    with_original, with_own = levelling_errors(loops, pids, levelling(np.random.default_rng(6)), SILENT)
+    assert np.isfinite(with_original).all()
+    np.testing.assert_array_equal(with_own[0], with_original[0])
+    assert np.isnan(with_own[1:]).all()
 
 
 def test_drawn_geometries_stay_in_their_ranges_and_see_all_directions():
@@ -221,9 +232,9 @@ def test_errors_of_a_trial_are_those_of_its_designs(study):
     geometry = sample_geometry(rng)
     loops = rig_loops(geometry, SETTINGS, model_errors(rng), cases=("Original", "MC"))
     trajectory = levelling(rng)
-    found = bandwidths(loops, geometry, "diagonal")
+    found = bandwidths(loops, "diagonal")
     for name, design in (("original", "Original"), ("redesigned", "MC")):
-        expected = levelling_rms(loops["MC"][0], found[design].pids, geometry, trajectory, SETTINGS.noise)
+        expected = levelling_rms(loops["MC"][0], found[design].pids, trajectory, SETTINGS.noise)
         np.testing.assert_allclose(study[name][0, 1, 1], expected, rtol=1e-9)
     np.testing.assert_allclose(study["crossing"][0, 1, 1], found["MC"].crossing_hz.mean(axis=0))
     np.testing.assert_array_equal(study["original"][:, :, 0], study["redesigned"][:, :, 0])
@@ -239,9 +250,9 @@ def test_diagonal_entries_never_exceed_singular_values(study):
 def test_bad_input_is_named(loops):
     trajectory = Levelling(0.33335, np.ones((3, 1), complex))
     with pytest.raises(InputError, match="not a multiple"):
-        levelling_error(loops["Original"][0], PIDS, GEOMETRY, trajectory, SILENT, np.random.default_rng(0))
+        levelling_error(loops["Original"][0], PIDS, trajectory, SILENT, np.random.default_rng(0))
     with pytest.raises(InputError, match="period is 0"):
         Levelling(0.0, np.ones((3, 1), complex))
-    fast = rig_controllers(GEOMETRY)(60.0, 60.0)
+    fast = rig_controllers(GEOMETRY.edge_masses)(60.0, 60.0)
     with pytest.raises(InputError, match="unstable"):
-        levelling_rms(loops["Original"][0], fast, GEOMETRY, levelling(np.random.default_rng(0)), SILENT)
+        levelling_rms(loops["Original"][0], fast, levelling(np.random.default_rng(0)), SILENT)

@@ -96,6 +96,11 @@ def test_factorisations_solve(rng):
     assert not algebra.cholesky_root(p - 2 * np.linalg.norm(p) * np.eye(5), root, 5)
 
 
+def test_squared_size_of_a_complex_number(rng):
+    for real, imag in rng.standard_normal((9, 2)):
+        assert algebra.squared_size(complex(real, imag)) == real * real + imag * imag
+
+
 def test_inlining_into_a_caller_keeps_every_bit(rng):
     p, rows = definite(rng, 4), rng.standard_normal((2, 4))
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from experiments.motion.cases import case_styles
+from experiments.motion.legends import case_styles
 from experiments.motion.magnitudes import decibel
 from stillwork.workbook import figures
 

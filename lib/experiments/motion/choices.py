@@ -20,9 +20,9 @@ from experiments.motion.drive import (
     seen_by_controller,
     statements,
 )
+from experiments.motion.intervals import Values, key
 from experiments.motion.machines import drive, published_deviations, published_setpoint, stage, stage_mass
 from experiments.motion.perturbed_tracking import CASES, MEASURED, noisy_scan_trial
-from experiments.motion.shares import Values, key
 from stillwork.control.bandwidth import SIX_DB, Bandwidth, Loop
 from stillwork.control.crossover import crossover
 from stillwork.control.feedforward import error_loop, fit_feedforward

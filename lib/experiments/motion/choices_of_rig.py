@@ -4,11 +4,10 @@ from functools import lru_cache
 
 import numpy as np
 
+from experiments.motion.intervals import Values, central
 from experiments.motion.rig import assumed_geometry
 from experiments.motion.rig_designs import CASES, bandwidths, model_errors, published_settings, rig_loops
-from experiments.motion.rig_loops import RigBandwidth
-from experiments.motion.rig_study import Rig, levelling, levelling_errors, sample_geometry
-from experiments.motion.shares import Values, central
+from experiments.motion.rig_study import levelling, levelling_errors, printed_controllers, sample_geometry
 
 DIRECTIONS = ("z", "rx", "ry")
 GEOMETRIES = 36
@@ -26,16 +25,21 @@ def rig_tables(
 ) -> Values:
     """Bandwidths of Table 6.2 and ratios of Tables 6.3 and 6.4 over geometries; it has no leaner form.
 
-    `six_db_of_a_matrix` is one of `rig_loops.MEASURES`; `rig_noise_floor` (m at the edges) is in every error;
-    `rig_feedforward` is ``exact`` or ``5 % too heavy``.
+    `six_db_of_a_matrix` is one of `rig_loops.MEASURES`; the controllers are those of the search (``own limit``) or have
+    the ``printed`` bandwidths; `rig_noise_floor` (m at the edges) is in every error; `rig_feedforward` is ``exact`` or
+    ``5 % too heavy``.
     """
+    noise, mass_error = published_settings().noise, 0.05 if rig_feedforward == "5 % too heavy" else 0.0
     crossing, ratios = [], []
-    for rig, each in _study(rig_plates, six_db_of_a_matrix, seed):
-        crossing.append(
-            [[np.nan] * 3 if each[case] is None else each[case].crossing_hz.mean(axis=0) for case in CASES]
-        )
-        mass_error = 0.05 if rig_feedforward == "5 % too heavy" else 0.0
-        errors = levelling_errors(rig, each, rig_controllers_at, rig_noise_floor, mass_error)
+    for loops, trajectory, designs in _study(rig_plates, six_db_of_a_matrix, seed):
+        crossing.append([each.crossing_hz.mean(axis=0) for each in designs.values()])
+        first = loops["Original"][0]
+        if rig_controllers_at == "printed":
+            pids = printed_controllers(first)
+        else:
+            pids = {case: each.pids for case, each in designs.items()}
+        errors = levelling_errors(loops, pids, trajectory, noise, mass_error)
+        errors = np.hypot(errors, rig_noise_floor / first.decoupling.edges)
         ratios.append(errors[:, 1:] / errors[0, 0])
     crossing, ratios = np.array(crossing), np.array(ratios)
     found: Values = {}
@@ -56,15 +60,17 @@ def _of_feasible(sample: np.ndarray) -> float | tuple[float, tuple[float, float]
 
 
 @lru_cache(maxsize=8)
-def _rigs(plates: str, seed: int) -> list[Rig]:
+def _rigs(plates: str, seed: int) -> list[tuple]:
+    """Loops and trajectory of each geometry."""
     settings, rigs = published_settings(), []
     for stream in np.random.SeedSequence(seed).spawn(GEOMETRIES):
         rng = np.random.default_rng(stream)
         geometry = assumed_geometry() if plates == "one" else sample_geometry(rng)
-        rigs.append((geometry, rig_loops(geometry, settings, model_errors(rng)), levelling(rng)))
+        rigs.append((rig_loops(geometry, settings, model_errors(rng)), levelling(rng)))
     return rigs
 
 
 @lru_cache(maxsize=8)  # readings that differ in the levelling share the designs
-def _study(plates: str, measure: str, seed: int) -> list[tuple[Rig, dict[str, RigBandwidth | None]]]:
-    return [(rig, bandwidths(rig[1], rig[0], measure)) for rig in _rigs(plates, seed)]
+def _study(plates: str, measure: str, seed: int) -> list[tuple]:
+    """And the designs."""
+    return [(*rig, bandwidths(rig[0], measure)) for rig in _rigs(plates, seed)]

@@ -3,11 +3,11 @@
 import numpy as np
 
 from experiments.motion.contest import figure_statements, prepare, run_entrant, sample_scans
+from experiments.motion.intervals import Values, central, key, share
 from experiments.motion.location_study import CASES as LOCATION_CASES
 from experiments.motion.location_study import ranges, read_table
 from experiments.motion.perturbed_tracking import CASES, published_blocks, tracking_trial
 from experiments.motion.scan_study import judge, published_scan
-from experiments.motion.shares import Values, central, key, share
 from stillwork.workbook.studies import run_study
 
 # --- Section 4.2.5: Table 4.1 ------------------------------------------------------------------------------------

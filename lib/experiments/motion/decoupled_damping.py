@@ -47,13 +47,12 @@ def constrained_stiffness(
 def _constrained(model: ModalModel, wanted: np.ndarray, undisturbed, state: int) -> np.ndarray:
     modes, actuators = model.input_shapes.shape
     rigid = model.rigid_modes
-    if undisturbed is not None and not all(
-        require_count("undisturbed", i, at_least=0) < modes for i in undisturbed
-    ):
-        raise InputError(f"undisturbed is {list(undisturbed)}; count modes from 0 to {modes - 1}")
+    chosen = range(modes) if undisturbed is None else undisturbed
+    if not all(require_count("undisturbed", i, at_least=0) < modes for i in chosen):
+        raise InputError(f"undisturbed is {list(chosen)}; count modes from 0 to {modes - 1}")
     gain = np.zeros((actuators, 2 * modes))
     for j in (rigid + np.flatnonzero(wanted)).tolist():
-        others = [i for i in range(modes) if i != j and (undisturbed is None or i in undisturbed)]
+        others = [i for i in range(modes) if i != j and i in chosen]
         if undisturbed is None:
             others = others[: actuators - 1]
         if len(others) >= actuators:
@@ -88,13 +87,15 @@ def band_passed(
     return StateModel(a, b @ select, gain[:, fed] @ c, np.zeros_like(gain))
 
 
+def _require_fit(model: ModalModel, gain: np.ndarray) -> None:
+    inputs, states = model.input_shapes.shape[1], 2 * len(model.frequencies)
+    if len(gain) != inputs or gain.shape[1] > states:
+        raise InputError(f"gain has shape {gain.shape}; give {inputs} x at most {states}")
+
+
 def fed_back_states(model: ModalModel, gain: np.ndarray) -> np.ndarray:
     """Indices of the states that the gain feeds back, of flexible modes only."""
-    inputs, states = gain.shape
-    if states > 2 * len(model.frequencies) or inputs != model.input_shapes.shape[1]:
-        raise InputError(
-            f"gain has shape {gain.shape}; give {model.input_shapes.shape[1]} x at most {2 * len(model.frequencies)}"
-        )
+    _require_fit(model, gain)
     fed = np.flatnonzero(np.any(gain, axis=0))
     if not len(fed) or fed[0] < 2 * model.rigid_modes:
         raise InputError(
@@ -131,10 +132,8 @@ def rigid_coupling(
     At rest a flexible mode follows u by :math:`\Theta_j/\omega_j^2`; its velocity, fed back, drives the
     rigid-body modes by :math:`\phi_{ai}^T K_{dj}`.
     """
+    _require_fit(plant, gain)
     rigid = plant.rigid_modes
-    inputs, modes = plant.input_shapes.shape[1], len(plant.frequencies)
-    if len(gain) != inputs or gain.shape[1] > 2 * modes:
-        raise InputError(f"gain has shape {gain.shape}; give {inputs} x at most {2 * modes}")
     if np.any(gain[:, ::2]) or np.any(gain[:, : 2 * rigid]):
         raise InputError(
             "gain must act on the velocities of flexible modes only, for a coupling that goes as 1/s"

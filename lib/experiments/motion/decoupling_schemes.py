@@ -37,13 +37,13 @@ def common_centre(model: ModalModel, gain: Float64[np.ndarray, "inputs states"])
 
     Remark 4.3.2, whose index of the last mode is read as that of the last damped flexible mode.
     """
-    damped = model.frequencies[[j // 2 for j in fed_back_states(model, gain)]]
+    damped = model.frequencies[fed_back_states(model, gain) // 2]
     return float(np.sqrt(damped.min() * damped.max()))
 
 
 def half_power_selectivity(model: ModalModel, gain: Float64[np.ndarray, "inputs states"]) -> float:
     """Q that puts the half-power points of the common band-pass on the first and the last damped mode."""
-    damped = model.frequencies[[j // 2 for j in fed_back_states(model, gain)]]
+    damped = model.frequencies[fed_back_states(model, gain) // 2]
     if damped.min() == damped.max():
         raise InputError("gain feeds back one mode only; its own band-pass serves it")
     return float(common_centre(model, gain) / (damped.max() - damped.min()))
@@ -59,18 +59,15 @@ def common_band_passed(
     actuator or one a fed-back state, whichever is fewer: a single filter serves a gain of rank one only.
     """
     fed = fed_back_states(model, gain)
-    centre = common_centre(model, gain)
-    one = band_pass(centre, selectivity)
-    magnitude = np.abs(one.frequency_response(model.frequencies[[j // 2 for j in fed]])[0, 0])
+    one = band_pass(common_centre(model, gain), selectivity)
     mended = gain.copy()
-    mended[:, fed] /= magnitude
-    on_states = len(fed) <= len(gain)
-    a, b, c = (np.kron(np.eye(len(fed) if on_states else len(gain)), getattr(one, name)) for name in "abc")
-    if on_states:
-        b, c = b @ np.eye(gain.shape[1])[fed], mended[:, fed] @ c
+    mended[:, fed] /= np.abs(one.frequency_response(model.frequencies[fed // 2])[0, 0])
+    if len(fed) <= len(gain):
+        before, behind = np.eye(gain.shape[1])[fed], mended[:, fed]
     else:
-        b = b @ mended
-    return StateModel(a, b, c, np.zeros_like(gain))
+        before, behind = mended, np.eye(len(gain))
+    a, b, c = (np.kron(np.eye(len(before)), getattr(one, name)) for name in "abc")
+    return StateModel(a, b @ before, behind @ c, np.zeros_like(gain))
 
 
 def minimal_order(gain: StateModel) -> int:
@@ -220,9 +217,9 @@ def sample_places(rng: np.random.Generator, count: int, spacing: float) -> Float
 
 
 def geometry_trial(
-    rng: np.random.Generator, schemes: Sequence[str], settings: Settings, compensate: bool = False
+    rng: np.random.Generator, schemes: Sequence[str], settings: Settings
 ) -> Mapping[str, float | np.ndarray]:
-    """One machine of the study, and with `compensate` measurement compensation on it: what its decoupled plants are like.
+    """One machine of the study: what its decoupled plants are like under some `SCHEMES` or ``compensation``.
 
     Of each scheme the ``slopes`` in the limit and ``slopes above``, at 0.03 to 0.3 Hz (axes, axes), ``low`` (entries
     at 1 Hz), ``peak`` (largest off-diagonal entry around the second flexible mode over the undamped one with these
@@ -235,7 +232,7 @@ def geometry_trial(
     modes = machine.frequencies[machine.rigid_modes :]
     damped = modes[: settings.damped]
     found, bare = {}, {}
-    for name in [*schemes, *["compensation"] * compensate]:
+    for name in schemes:
         actuators = actuators_of("undamped" if name == "compensation" else name, machine)
         plant = machine.at(range(actuators), range(machine.rigid_modes))
         if actuators not in bare:
@@ -265,11 +262,8 @@ def geometry_trial(
             found[f"{name}: limit"] = reached / rigid_coupling(plant, gain, both)
             found[f"{name}: onset_hz"] = coupling_onset(plant, gain, both) / (2 * np.pi)
         if name in DAMPING:
-            added, shift = added_damping(plant, system)
-            found[f"{name}: added"], found[f"{name}: shift"] = (
-                added[: settings.damped],
-                shift[: settings.damped],
-            )
+            for quantity, values in zip(("added", "shift"), added_damping(plant, system), strict=True):
+                found[f"{name}: {quantity}"] = values[: settings.damped]
         if name in FILTERED:
             found[f"{name}: crosswise"] = crosswise_force(plant, scheme_gain(name, plant, settings), damped)
     return found

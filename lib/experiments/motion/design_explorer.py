@@ -4,8 +4,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from experiments.motion.cases import LABELS
 from experiments.motion.designs import Design, stage_loops
+from experiments.motion.legends import LABELS
 from experiments.motion.loop_functions import paint_over_masses
 from experiments.motion.machines import stage_mass
 from stillwork.control.applications import Application

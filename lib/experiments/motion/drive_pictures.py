@@ -6,11 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from experiments.motion.bode import paint_bode
-from experiments.motion.cases import CASES
 from experiments.motion.drive import drive_applications, drive_loop, rigid_response, seen_by_controller
+from experiments.motion.legends import CASES
 from experiments.motion.machines import Drive, drive
-from experiments.motion.magnitudes import add_magnitude
-from experiments.motion.panels import plain_numbers
+from experiments.motion.magnitudes import add_magnitude, plain_numbers
 from stillwork.identification.frequency_response import Identified
 from stillwork.lti.state_space import StateModel
 from stillwork.workbook import figures

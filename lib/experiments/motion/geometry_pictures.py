@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from experiments.motion.panels import plain
+from experiments.motion.explorer_panels import plain
 from experiments.motion.rig import assumed_geometry, rig_model
 from experiments.motion.rig_axes import COLOURS, MOTIONS
 from stillwork.workbook import figures
@@ -35,9 +35,7 @@ def paint_over_geometries(
     return figure
 
 
-def paint_geometry(
-    aspect: float = 0.83, along_x: float = 0.85, along_y: float = 0.75, actuators: float = 0.9
-):
+def paint_geometry(aspect: float, along_x: float, along_y: float, actuators: float):
     """Explorer: what a geometry lets three actuators and four sensors do with the eight modes."""
     geometry = assumed_geometry()
     width = geometry.length * aspect

@@ -60,13 +60,8 @@ class JointDesign:
     def controller(self) -> Pid:
         """The PID controller."""
         w = 2 * np.pi * self.bandwidth_hz
-        return Pid(
-            _mass() * w**2 / 3,
-            self.integrator * w / 9,
-            self.differentiator * w,
-            self.low_pass * w,
-            self.low_pass_damping,
-        )
+        rates = self.integrator * w / 9, self.differentiator * w, self.low_pass * w
+        return Pid(_mass() * w**2 / 3, *rates, self.low_pass_damping)
 
 
 _mass, _noise = cache(stage_mass), cache(published_noise)  # a search asks for them thousands of times
@@ -101,22 +96,17 @@ def late_response(moved: Late, omega: np.ndarray) -> Complex128[np.ndarray, "out
     determinant = lifted**2 - lifted * (first + second) + first * second
     determinant -= cross * moved.a[rows + 1, rows, None]
     force = moved.new[:, None] + moved.old[:, None] / z
-    return moved.shapes @ (
-        ((lifted - second) * force[::2] + cross * force[1::2]) / determinant / z**moved.whole
-    )
+    position = ((lifted - second) * force[::2] + cross * force[1::2]) / determinant
+    return moved.shapes @ (position / z**moved.whole)
 
 
 def late_plant(moved: Late, mass: int) -> StateModel:
     """The plant as the processor meets it, measured at one mass: from the command to the position."""
     n, kept = len(moved.a), moved.whole + 1
-    a, b = np.zeros((n + kept, n + kept)), np.zeros((n + kept, 1))
-    a[:n, :n], a[:n, -1] = moved.a, moved.old
-    a[n:, n:] = np.eye(kept, k=-1)
-    b[n] = 1.0
-    if moved.whole:
-        a[:n, n + moved.whole - 1] = moved.new
-    else:
-        b[:n, 0] = moved.new
+    forces = np.zeros((n, kept + 1))  # f(k), ... f(k-n-1)
+    forces[:, -2], forces[:, -1] = moved.new, moved.old
+    a = np.block([[moved.a, forces[:, 1:]], [np.zeros((kept, n)), np.eye(kept, k=-1)]])
+    b = np.vstack([forces[:, :1], np.eye(kept, 1)])
     c = np.zeros((1, n + kept))
     c[0, :n:2] = moved.shapes[mass - 1]
     return StateModel(a, b, c, np.zeros((1, 1)), SAMPLE_TIME)
@@ -189,21 +179,16 @@ def sampled_compensator(design: JointDesign, mass: int, delay: float = DELAY) ->
     """The block from (f, y) to (u_d, y_flex), see `stillwork.control.loops.closed_loop`."""
     found = estimators(design.process, design.noise_model, delay)[mass - 1]
     n, kept = len(found.a), int(delay) + 1
-    a, b = np.zeros((n + kept, n + kept)), np.zeros((n + kept, 2))
-    a[:n, :n], a[:n, n:] = found.a, found.drive[:, 2:]
-    a[n:, n:] = np.eye(kept, k=-1)
-    b[:n, 0], b[:n, 1], b[n, 0] = found.drive[:, 1], found.drive[:, 0], 1.0
+    a = np.block([[found.a, found.drive[:, 2:]], [np.zeros((kept, n)), np.eye(kept, k=-1)]])
+    b = np.zeros((n + kept, 2))
+    b[:n], b[n, 0] = found.drive[:, 1::-1], 1.0
     c, d = np.hstack([found.c, found.direct[:, 2:]]), found.direct[:, 1::-1]
-    model, gain = _observed(), _gain(design)
+    estimator, gain = StateModel(a, b, c, d, SAMPLE_TIME), _unit_gain() * design.damping
+    centres = _observed().frequencies[1:].tolist()
     filters = [
-        tustin(band_pass(float(w), q), SAMPLE_TIME, float(w))
-        for w, q in zip(model.frequencies[1:], design.selectivity, strict=True)
+        tustin(band_pass(w, q), SAMPLE_TIME, w) for w, q in zip(centres, design.selectivity, strict=True)
     ]
-    return filtered_estimates(StateModel(a, b, c, d, SAMPLE_TIME), filters, gain[None])
-
-
-def _gain(design: JointDesign) -> np.ndarray:
-    return _unit_gain() * design.damping
+    return filtered_estimates(estimator, filters, gain[None])
 
 
 @cache
@@ -253,7 +238,7 @@ def compensated(
     s = 2 / SAMPLE_TIME * np.tan(omega * SAMPLE_TIME / 2)
     w, q = _observed().frequencies[1:, None], np.array(design.selectivity)[:, None]
     warped = 1j * s * w * SAMPLE_TIME / 2 / np.tan(w * SAMPLE_TIME / 2)
-    band = _gain(design)[:, None] * (w / q) * warped / (warped**2 + (w / q) * warped + w**2)
+    band = (_unit_gain() * design.damping)[:, None] * (w / q) * warped / (warped**2 + (w / q) * warped + w**2)
     (o_yy, o_yu) = estimates[:, :, 0]
     o_uy, o_uu = np.einsum("impf,pf->imf", estimates[:, :, 1:], band)
     pid = design.controller.frequency_response(s) / z**alone

@@ -5,7 +5,7 @@ can hang on the rounding of a machine, so results are stored, and everything sai
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -143,9 +143,8 @@ def _from_all(begin: list[JointDesign], free: str, pool: list[Served]) -> list[F
 def _stored(found: list[Found], size: float, force: float = 0.0) -> Stored:
     """The first of the designs that were found, and where each start ended."""
     ends = tuple(sorted(_six(each.error) for each in found if each.excess <= KEPT))
-    return Stored(
-        rounded(found[0].design), size, force, ends, len(found), sum(each.meetings for each in found)
-    )
+    meetings = sum(each.meetings for each in found)
+    return Stored(rounded(found[0].design), size, force, ends, len(found), meetings)
 
 
 def _six(value):
@@ -159,8 +158,8 @@ def rounded(design: JointDesign) -> JointDesign:
 
 def as_toml(name: str, stored: Stored) -> str:
     """One table of ``joint.toml``."""
-    values = {field.name: getattr(stored.design, field.name) for field in fields(stored.design)}
-    values |= {field.name: getattr(stored, field.name) for field in fields(stored)[1:]}
+    values = asdict(stored)
+    values = values.pop("design") | values
     lines = (f"{key} = {list(value) if isinstance(value, tuple) else value}" for key, value in values.items())
     return "\n".join([f"[{name!r}]", *lines])
 

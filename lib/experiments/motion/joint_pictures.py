@@ -6,23 +6,24 @@ from dataclasses import replace
 import numpy as np
 from matplotlib.lines import Line2D
 
+from experiments.motion.explorer_panels import plain
 from experiments.motion.joint import JointDesign, compensated
 from experiments.motion.joint_designs import Stored
 from experiments.motion.joint_search import PEAKS, Judged, grid, judge, serve, six
 from experiments.motion.machines import stage
 from experiments.motion.magnitudes import add_magnitude, mark_limit
-from experiments.motion.panels import plain
 from experiments.motion.uncertainty import detuned
 from stillwork.workbook import figures
 
 SIZES = {0.0: figures.RED, 0.02: figures.BLUE, 0.05: figures.GREEN}  # of the errors that a design serves
+# of what a search was free to change
 MARKS = {
     "joint": "o",
     "two steps": "^",
     "observer free": "D",
     "controller free": "s",
     "largest bandwidth": "v",
-}  # of what a search was free to change
+}
 TOP_DB = 20.0  # where larger peaks are cut
 
 

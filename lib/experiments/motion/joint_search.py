@@ -29,6 +29,7 @@ from experiments.motion.joint import (
 )
 from experiments.motion.machines import published_deviations, published_noise, published_setpoint, stage
 from experiments.motion.uncertainty import perturbed, sample_errors
+from stillwork.base.algebra import squared_size
 from stillwork.base.checks import InputError, require_choice, require_count, require_number
 from stillwork.base.front_door import checked
 from stillwork.base.kernels import kernel
@@ -94,26 +95,25 @@ def _move(delay: float, samples: int):
     rest = samples - setpoint.derivatives.shape[1] - AHEAD
     steps = np.diff(np.pad(setpoint.derivatives[0], (AHEAD, rest), "edge"), prepend=0.0)
     shift = round(2 * delay)
-    rows = np.pad(half[:4], ((0, 0), (2 * AHEAD - shift, 2 * rest + 2 + shift)), "edge")[
-        :, : 2 * samples + 2 : 2
-    ]
-    commands = np.diff(rows, axis=1)[:, :samples] / SAMPLE_TIME
+    rows = np.pad(half[:4], ((0, 0), (2 * AHEAD - shift, 2 * rest + 2 + shift)), "edge")
+    commands = np.diff(rows[:, : 2 * samples + 2 : 2], axis=1)[:, :samples] / SAMPLE_TIME
     move = slice(AHEAD, AHEAD + len(setpoint.time))
     return np.fft.rfft(steps), np.fft.rfft(commands, axis=1), move, setpoint.scanning
 
 
 class Served(NamedTuple):
-    """A stage as the search meets it."""
+    """A stage on the grid of a transform."""
 
     model: ModalModel
     plant: Complex128[np.ndarray, "masses frequencies"]  # from the command, late
     pushed: Float64[np.ndarray, "masses frequencies"]  # size of that from a force that is not late
 
 
-def serve(model: ModalModel, delay: float = DELAY) -> Served:
+def serve(model: ModalModel, delay: float = DELAY, samples: int = SAMPLES) -> Served:
     """Prepare the responses of a stage."""
-    pushed = np.abs(zoh_response(model, SAMPLE_TIME, grid())[:, 0])
-    return Served(model, late_response(late(model, delay), grid()), pushed)
+    omega = grid(samples)
+    pushed = np.abs(zoh_response(model, SAMPLE_TIME, omega)[:, 0])
+    return Served(model, late_response(late(model, delay), omega), pushed)
 
 
 @kernel
@@ -127,12 +127,9 @@ def _tops(plant, feedback, reference, share, seen, ends, tops):
             s = 1 / (1 + p * feedback[m, k])
             t = 1 - p * reference[m, k] * s
             i = (share[m, k] - seen[m, k] * p) * s
-            squares[0, k] = i.real * i.real + i.imag * i.imag
-            squares[1, k] = s.real * s.real + s.imag * s.imag
-            squares[2, k] = t.real * t.real + t.imag * t.imag
-            squares[3, k] = squares[0, k] - 2 * i.real + 1
-            squares[4, k] = squares[1, k] - 2 * s.real + 1
-            squares[5, k] = squares[2, k] - 2 * t.real + 1
+            for f, value in enumerate((i, s, t)):
+                squares[f, k] = squared_size(value)
+                squares[f + 3, k] = squares[f, k] - 2 * value.real + 1
         for f in range(6):
             for band in range(len(ends) - 1):
                 top = ends[band]
@@ -185,22 +182,14 @@ def crossing_hz(design: JointDesign, served: Served) -> Float64[np.ndarray, " ma
     return np.exp(low + (high - low) * above / (above - below))[:, 0] / (2 * np.pi)
 
 
-class Scanned(NamedTuple):
-    """What one mass does in a scan."""
-
-    error: float  # m, rms of the true error, the noise's mean power included
-    quiet: float  # m, without noise
-    force: float  # N, rms of the whole control force under noise
-
-
 def scanned(
     feedback: Complex128[np.ndarray, " frequencies"],
     plant: Complex128[np.ndarray, " frequencies"],
     pushed: Float64[np.ndarray, " frequencies"],
     delay: float,
     samples: int = SAMPLES,
-) -> Scanned:
-    """Error in the scan, its feedforward's four gains fitted in this very loop, and the noise of section 3.1.
+) -> tuple[float, float, float]:
+    """Error, quiet and force of `Met` for one mass, its feedforward's four gains fitted in this very loop.
 
     With the modified feedforward of appendix A the setpoint acts like v and the original feedforward like a force
     that no observer sees: e = S_O (r - P u0).
@@ -218,7 +207,7 @@ def scanned(
     weights[[0, -1]] /= 2
     error = weights @ (s * given + np.abs(1 - sensitivity) ** 2 * noise["d"] ** 2)
     force = weights @ (np.abs(feedback) ** 2 * s * (given + noise["d"] ** 2))
-    return Scanned(float(np.hypot(quiet, np.sqrt(error))), quiet, float(np.sqrt(force)))
+    return float(np.hypot(quiet, np.sqrt(error))), quiet, float(np.sqrt(force))
 
 
 def noise_floor(model: ModalModel, delay: float = DELAY) -> float:
@@ -257,21 +246,6 @@ def stable_on(design: JointDesign, plants: Sequence[ModalModel]) -> Bool[np.ndar
     return np.all(np.abs(closed_poles(design, plants)) < 1, axis=(1, 2))
 
 
-class _Stand(NamedTuple):
-    """A stage as a verdict meets it, whatever the design."""
-
-    moved: Late
-    plant: Complex128[np.ndarray, "masses frequencies"]  # on the grid of a search
-    fine: Complex128[np.ndarray, " frequencies"]  # mass 5 on that of a verdict
-    pushed: Float64[np.ndarray, " frequencies"]  # size of its response to a force that is not late
-
-
-def _stand(model: ModalModel, delay: float) -> _Stand:
-    moved, one, fine = late(model, delay), model.at([0], [MEASURED]), grid(JUDGED)
-    pushed = np.abs(zoh_response(one, SAMPLE_TIME, fine)[0, 0])
-    return _Stand(moved, late_response(moved, grid()), late_response(late(one, delay), fine)[0], pushed)
-
-
 def judge(design: JointDesign, plants: Sequence[ModalModel], delay: float = DELAY) -> Judged:
     """What a design does on every plant, see `judge_all`."""
     return judge_all({"": design}, plants, delay)[""]
@@ -290,17 +264,20 @@ def judge_all(
     `delay` is that of the whole control force in samples, of which the observer is `told` all if nothing else is said;
     `alone` one more of the controller's output by itself. The plants' responses are computed once for all designs.
     """
-    stands = [_stand(plant, delay) for plant in plants]
-    told, fine, judged = delay if told is None else told, grid(JUDGED), {}
+    moved = [late(plant, delay) for plant in plants]
+    coarse = [late_response(each, grid()) for each in moved]
+    scanning = [serve(plant.at([0], [MEASURED]), delay, JUDGED) for plant in plants]
+    told, judged = delay if told is None else told, {}
     for name, design in designs.items():
         poles = closed_poles(design, plants, delay, alone, told)
         stable = np.all(np.abs(poles) < 1, axis=(1, 2))
         around = partial(compensated, design, delay=told, alone=alone)
-        on_grid, feedback = around(grid()), around(fine, masses=slice(MEASURED, MEASURED + 1)).feedback[0]
+        on_grid = around(grid())
+        feedback = around(grid(JUDGED), masses=slice(MEASURED, MEASURED + 1)).feedback[0]
         peaks, scans = np.full((len(plants), len(PEAKS)), np.inf), np.full((3, len(plants)), np.inf)
         for k in np.flatnonzero(stable):
-            moved, plant, response, pushed = stands[k]
-            peaks[k] = 20 * np.log10(_highest(around, moved, six(plant, on_grid), poles[k]))
+            peaks[k] = 20 * np.log10(_highest(around, moved[k], six(coarse[k], on_grid), poles[k]))
+            _, (response,), (pushed,) = scanning[k]
             scans[:, k] = scanned(feedback, response, pushed, delay, JUDGED)
         judged[name] = Judged(stable, peaks, *scans)
     return judged
@@ -384,10 +361,23 @@ def search(
         raise InputError("start has an unstable loop; lower its bandwidth_hz")
     sizes = [np.size(getattr(start, name)) for name in names]
     low, high = np.log(np.repeat([LIMITS[name] for name in names], sizes, axis=0)).T
-    x = np.clip(_vector(start, names), low, high)
-    ask = partial(
-        _logarithms, start, names, served=served, limit=limit, force=force, counted=counted, aim=aim
-    )
+    x = np.clip(np.log(np.hstack([getattr(start, name) for name in names])), low, high)
+
+    def at(x: np.ndarray) -> JointDesign:
+        parts = np.split(np.exp(x), np.cumsum(sizes)[:-1])
+        values = (tuple(part.tolist()) if len(part) > 1 else part.item() for part in parts)
+        return replace(start, **dict(zip(names, values, strict=True)))
+
+    def ask(x: np.ndarray) -> tuple[float, np.ndarray]:
+        """Logarithm of what is to become small, and `_excesses`."""
+        design = at(x)
+        met = meet(design, served)
+        if aim == "bandwidth":
+            wanted = 1 / min(crossing_hz(design, each).min() for each in served[:counted])
+        else:
+            wanted = _mean_error(met[:counted])
+        return float(np.log(wanted)), _excesses(met, limit, force)
+
     error, others = ask(x)
     radius, meetings = RADIUS, len(served)
     for _ in range(require_count("steps", steps)):
@@ -401,13 +391,12 @@ def search(
             slopes[:, k] = (o - others)[near] / (moved[k] - x[k])
         meetings += len(x) * len(served)
         while radius > SMALLEST_RADIUS:
-            step, foreseen = _program(
-                cost, others[near], slopes, np.maximum(low - x, -radius), np.minimum(high - x, radius)
-            )
+            region = np.maximum(low - x, -radius), np.minimum(high - x, radius)
+            step, foreseen = _program(cost, others[near], slopes, *region)
             e, o = ask(x + step)
             meetings += len(served)
             gained = _merit(error, others) - _merit(e, o)
-            if gained > 0.1 * foreseen and np.all(stable_on(_design(start, names, x + step), plants)):
+            if gained > 0.1 * foreseen and np.all(stable_on(at(x + step), plants)):
                 break
             radius /= 3
         else:
@@ -417,9 +406,8 @@ def search(
             radius = min(2 * radius, 0.7)
         if gained < SMALLEST_GAIN:
             break
-    design = _design(start, names, x)
-    ended = _mean([each.error for each in meet(design, served[:counted])])
-    return Found(design, ended, float(others.max()), meetings)
+    ended = _mean_error(meet(at(x), served[:counted]))
+    return Found(at(x), ended, float(others.max()), meetings)
 
 
 def _merit(error: float, others: np.ndarray) -> float:
@@ -429,47 +417,19 @@ def _merit(error: float, others: np.ndarray) -> float:
 def _program(cost, others, slopes, low, high) -> tuple[np.ndarray, float]:
     """Step that the linear program takes, and how much of the merit it promises."""
     bounds = [*zip(low, high, strict=True), (0.0, None)]  # the last one: the largest excess
-    found = optimize.linprog(
-        np.r_[cost, PENALTY],
-        np.hstack([slopes, -np.ones((len(slopes), 1))]),
-        -others,
-        bounds=bounds,
-        method="highs",
-    )
+    columns = np.hstack([slopes, -np.ones((len(slopes), 1))])
+    found = optimize.linprog(np.r_[cost, PENALTY], columns, -others, bounds=bounds, method="highs")
     return found.x[:-1], PENALTY * max(float(others.max()), 0.0) - found.fun
 
 
-def _logarithms(start, names, x, *, served, limit, force, counted, aim) -> tuple[float, np.ndarray]:
-    """Of what is to become small, and of what must not be positive: peaks over their limit, force over its."""
-    design = _design(start, names, x)
-    met = meet(design, served)
+def _mean_error(met: Sequence[Met]) -> float:
+    return float(np.sqrt(np.mean(np.square([each.error for each in met]))))
+
+
+def _excesses(met: Sequence[Met], limit: float, force: float | None) -> np.ndarray:
+    """Logarithms of peaks over their limit, and of the force over its; what keeps them is not positive."""
     tops = np.array([each.tops for each in met]) - np.log(limit)
-    forces = np.log([each.force / force for each in met]) if force else np.zeros(0)
-    if aim == "bandwidth":
-        wanted = 1 / min(crossing_hz(design, each).min() for each in served[:counted])
-    else:
-        wanted = _mean([each.error for each in met[:counted]])
-    return float(np.log(wanted)), np.concatenate([tops.ravel(), forces])
-
-
-def _mean(errors) -> float:
-    return float(np.sqrt(np.mean(np.square(errors))))
-
-
-def _vector(design: JointDesign, names: Sequence[str]) -> np.ndarray:
-    return np.log(np.concatenate([np.atleast_1d(getattr(design, name)) for name in names]))
-
-
-def _design(start: JointDesign, names: Sequence[str], x: np.ndarray) -> JointDesign:
-    values, place = {}, 0
-    for name in names:
-        if isinstance(getattr(start, name), tuple):
-            values[name] = tuple(np.exp(x[place : place + 3]).tolist())
-            place += 3
-        else:
-            values[name] = float(np.exp(x[place]))
-            place += 1
-    return replace(start, **values)
+    return np.concatenate([tops.ravel(), np.log([each.force / force for each in met]) if force else []])
 
 
 def starts(count: int, seed: int) -> list[JointDesign]:
@@ -478,10 +438,10 @@ def starts(count: int, seed: int) -> list[JointDesign]:
     published = JointDesign()
     found = [replace(published, bandwidth_hz=published.bandwidth_hz / 2)]
     while len(found) < require_count("count", count):
-        spread = {name: float(np.exp(rng.normal(0.0, 0.5))) for name in ("bandwidth_hz", *CONTROLLER[1:])}
+        moved = {name: getattr(found[0], name) * np.exp(rng.normal(0.0, 0.5)) for name in CONTROLLER}
         tried = replace(
             found[0],
-            **{name: _within(name, getattr(found[0], name) * factor) for name, factor in spread.items()},
+            **{name: float(np.clip(value, *LIMITS[name])) for name, value in moved.items()},
             process=float(np.exp(rng.normal(0.0, 1.5))),
             noise_model=float(10 ** rng.uniform(1.0, 6.0)),
             damping=tuple((0.035 * np.exp(rng.normal(0.0, 0.7, 3))).tolist()),
@@ -490,10 +450,6 @@ def starts(count: int, seed: int) -> list[JointDesign]:
         if stable_on(tried, [stage()])[0]:
             found.append(tried)
     return found
-
-
-def _within(name: str, value: float) -> float:
-    return float(np.clip(value, *LIMITS[name]))
 
 
 def robust_search(
@@ -519,10 +475,8 @@ def robust_search(
         found = search(start, free, [pool[k] for k in served], limit, force, steps, counted)
         met = meet(found.design, pool)
         meetings += found.meetings + len(pool)
-        over = np.array([each.tops.max() for each in met]) - np.log(limit)
-        if force:
-            over = np.maximum(over, np.log([each.force / force for each in met]))
-        whole = Found(found.design, _mean([each.error for each in met]), float(over.max()), 0)
+        over = np.array([_excesses([each], limit, force).max() for each in met])
+        whole = Found(found.design, _mean_error(met), float(over.max()), 0)
         if best is None or cost(whole) < cost(best):
             best = whole
         more = [int(k) for k in np.argsort(-over)[:3] if k not in served and over[k] > 0]

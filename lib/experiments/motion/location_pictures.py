@@ -6,12 +6,12 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from experiments.motion.cases import case_styles
 from experiments.motion.designs import Design
 from experiments.motion.ideal_feedforward import Force
+from experiments.motion.legends import case_styles
 from experiments.motion.location_study import LocationStudy, location_loops, stage_error, study_locations
 from experiments.motion.machines import published_setpoint, stage, stage_mass
-from experiments.motion.panels import plain_numbers
+from experiments.motion.magnitudes import plain_numbers
 from experiments.motion.position_dependence import stage_grid
 from experiments.motion.scan_errors import paint_errors
 from stillwork.control.applications import Application

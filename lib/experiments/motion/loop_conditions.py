@@ -52,13 +52,12 @@ def keeps_integral_action(compensator: StateModel, application: str) -> Observer
     numbers, exact only to rounding.
     """
     require_choice("application", application, ("compensation", "damping"))
-    row = 1 if application == "compensation" else 0
-    gains = static_gain(compensator)[row]
+    compensates = application == "compensation"
+    gains = static_gain(compensator)[int(compensates)]
     omega = np.unique(np.abs(compensator.poles))
-    peak = np.abs(compensator.frequency_response(omega)[row]).max(axis=1)
-    zero = np.abs(gains) <= 1e-9 * peak
-    keeps = bool(zero[1] and zero[0]) if application == "compensation" else bool(zero[1])
-    return ObserverConditions(float(gains[0]), float(gains[1]), keeps)
+    peak = np.abs(compensator.frequency_response(omega)[int(compensates)]).max(axis=1)
+    from_force, from_output = np.abs(gains) <= 1e-9 * peak
+    return ObserverConditions(*gains.tolist(), bool(from_output and (from_force or not compensates)))
 
 
 def observable_noise_models(plant: ModalModel) -> int:

@@ -12,8 +12,8 @@ from functools import cache
 import numpy as np
 from jaxtyping import Float64
 
-from experiments.motion.cases import CASES
 from experiments.motion.designs import DESIGNS, stage_bandwidth, stage_compensator
+from experiments.motion.legends import CASES
 from experiments.motion.machines import published_setpoint, stage
 from experiments.motion.scan_errors import paint_errors
 from experiments.motion.uncertainty import perturbed, sample_errors

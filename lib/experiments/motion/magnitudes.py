@@ -1,4 +1,4 @@
-"""Lines of magnitude in dB over frequency, and of the allowed peak."""
+"""Lines of magnitude in dB over frequency and of the allowed peak, and plain numbers beside an axis."""
 
 import numpy as np
 
@@ -19,3 +19,11 @@ def add_magnitude(axis, omega, response, **style) -> None:
 def mark_limit(axis) -> None:
     """The peak that the thesis allows, 6 dB."""
     axis.axhline(20 * np.log10(SIX_DB), color=figures.BLACK, linestyle=":", linewidth=1.0)
+
+
+def plain_numbers(axis) -> None:
+    """Numbers beside a logarithmic axis of about a decade as 6 and 20, not as multiples of powers of ten."""
+    from matplotlib.ticker import LogFormatter
+
+    axis.set_major_formatter(LogFormatter())
+    axis.set_minor_formatter(LogFormatter())

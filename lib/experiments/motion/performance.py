@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from experiments.motion.cases import case_styles
 from experiments.motion.designs import Design, stage_compensator
+from experiments.motion.legends import case_styles
 from experiments.motion.machines import stage, stage_mass
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
 from stillwork.control.applications import Application

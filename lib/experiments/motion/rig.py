@@ -160,6 +160,11 @@ class Geometry:
         """Scales that turn (z, rx, ry) into motions of the edges in m: 1, half the width, half the length."""
         return np.array([1, self.half[1], self.half[0]])
 
+    @property
+    def edge_masses(self) -> Float64[np.ndarray, "3"]:
+        """Mass that each motion of the edges feels (kg): M, M/3 and M/3 for a uniform plate."""
+        return self.inertia / self.edges**2
+
 
 def assumed_geometry() -> Geometry:
     """The geometry of ``data/motion/rig.toml``."""
@@ -189,39 +194,45 @@ def rig_model(geometry: Geometry, higher_modes: int | None = None) -> ModalModel
     known = len(table)
     more = assumed()["higher_modes"] if higher_modes is None else higher_modes
     plate = plate_modes(geometry.width / geometry.length, geometry.poisson, known + more)
-    omega = np.concatenate([table, table[-1] * plate.parameters[known:] / plate.parameters[known - 1]])
-    damping = np.concatenate([p["damping"], np.full(more, p["damping"][-1])])
-    at = {}
-    for name, places in (("actuators", geometry.actuator_places), ("sensors", geometry.sensor_places)):
+    higher = table[-1] * plate.parameters[known:] / plate.parameters[known - 1]
+    damping = np.concatenate([np.zeros(3), p["damping"], np.full(more, p["damping"][-1])])
+
+    def shapes(places: Float64[np.ndarray, "4 2"]) -> Float64[np.ndarray, "4 modes"]:
         flexible = plate.shapes(*(places / geometry.half).T) / np.sqrt(geometry.mass)
-        at[name] = np.hstack([rigid_shapes(places) / np.sqrt(geometry.inertia), flexible])
-    frequencies, damping = (np.concatenate([np.zeros(3), each]) for each in (omega, damping))
-    return ModalModel(frequencies, damping, at["actuators"].T, at["sensors"], np.zeros((4, 4)))
+        return np.hstack([rigid_shapes(places) / np.sqrt(geometry.inertia), flexible])
+
+    inputs, outputs = shapes(geometry.actuator_places).T, shapes(geometry.sensor_places)
+    return ModalModel(
+        np.concatenate([np.zeros(3), table, higher]), damping, inputs, outputs, np.zeros((4, 4))
+    )
 
 
-def decoupling(geometry: Geometry, actuators: tuple[int, ...], sensors: tuple[int, ...]) -> Decoupling:
-    """Rigid-body decoupling (4.12): pseudo-inverses of the rigid shapes at actuators and sensors.
+@dataclass(frozen=True)
+class EdgeDecoupling(Decoupling):
+    """Decoupling whose directions are motions of the edges, all in m.
 
-    The directions are scaled to motions of the edges, all in m: u and q hold z, and rx and ry times half the
-    width and half the length. So singular values over directions compare like with like.
+    u and q hold z, and rx and ry times half the width and half the length. So singular values over directions compare
+    like with like.
     """
-    matrices = []
-    for name, places, chosen in (
-        ("actuators", geometry.actuator_places, actuators),
-        ("sensors", geometry.sensor_places, sensors),
-    ):
+
+    edges: Float64[np.ndarray, "3"]  # `Geometry.edges`
+    masses: Float64[np.ndarray, "3"]  # kg, `Geometry.edge_masses`
+
+
+def decoupling(geometry: Geometry, actuators: tuple[int, ...], sensors: tuple[int, ...]) -> EdgeDecoupling:
+    """Rigid-body decoupling (4.12): pseudo-inverses of the rigid shapes at actuators and sensors."""
+
+    def inverse(name: str, places: Float64[np.ndarray, "4 2"], chosen: tuple[int, ...]) -> np.ndarray:
         shapes = rigid_shapes(places[list(chosen)]) / geometry.edges
         if len(shapes) < 3 or np.linalg.cond(shapes) > 1e6:
             raise InputError(
                 f"{name} {chosen} do not see all of z, rx and ry; use three that are not in line"
             )
-        matrices.append(np.linalg.pinv(shapes))
-    return Decoupling(matrices[0].T, matrices[1])
+        return np.linalg.pinv(shapes)
 
-
-def scaled_inertia(geometry: Geometry) -> Float64[np.ndarray, "3"]:
-    """Mass that each scaled direction feels (kg): M, M/3 and M/3 for a uniform plate."""
-    return geometry.inertia / geometry.edges**2
+    actuation = inverse("actuators", geometry.actuator_places, actuators).T
+    sensing = inverse("sensors", geometry.sensor_places, sensors)
+    return EdgeDecoupling(actuation, sensing, geometry.edges, geometry.edge_masses)
 
 
 def excitation(geometry: Geometry, actuators: tuple[int, ...]) -> Float64[np.ndarray, "flexible 3"]:

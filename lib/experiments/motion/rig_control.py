@@ -34,12 +34,8 @@ def rig_observer(
     require_number("sample_time", sample_time, above=0.0)
     if noise_model is not None:
         noise_model = require_number("noise_model", noise_model, above=0.0) / sample_time
-    return discrete_kalman_observer(
-        model,
-        NoiseIntensities(noise.process * sample_time, noise.sensor * sample_time),
-        sample_time,
-        noise_model,
-    )
+    intensities = NoiseIntensities(noise.process * sample_time, noise.sensor * sample_time)
+    return discrete_kalman_observer(model, intensities, sample_time, noise_model)
 
 
 @dataclass(frozen=True)
@@ -50,6 +46,10 @@ class RigCompensator:
     compensate: bool
     gains: Float64[np.ndarray, "inputs flexible"]  # K_i on the modal velocities, zero without damping
     selectivity: float | None  # Q of the band-passes; None: none
+
+    @property
+    def _centres(self) -> Float64[np.ndarray, " flexible"]:
+        return self.observer.model.frequencies[self.observer.model.rigid_modes :]
 
     def _read(self) -> Float64[np.ndarray, "signals states"]:
         velocities = self.observer.read(np.eye(self.gains.shape[1]), "velocity")
@@ -67,9 +67,10 @@ class RigCompensator:
         estimates = self._estimator.frequency_response(omega)
         flexible, velocities = estimates[:outputs], estimates[outputs:]
         if self.selectivity is not None:
-            centres = self.observer.model.frequencies[self.observer.model.rigid_modes :, None]
             half = self.observer.sample_time / 2
-            ratio = 1j * np.tan(omega * half) / np.tan(centres * half)  # s over the centre, both warped
+            ratio = (
+                1j * np.tan(omega * half) / np.tan(self._centres[:, None] * half)
+            )  # s over the centre, both warped
             passed = ratio / self.selectivity / (ratio**2 + ratio / self.selectivity + 1)
             velocities = velocities * passed[:, None, :]
         return np.concatenate([np.einsum("if,fjw->ijw", self.gains, velocities), flexible])
@@ -80,11 +81,10 @@ class RigCompensator:
         if not np.any(self.gains) or self.selectivity is None:
             damping, outputs = self.observer.read(self.gains, "velocity"), len(self.observer.c)
             return self.observer.estimator(np.vstack([damping, self._read()[:outputs]]), "predictor", 1)
-        omega, sample_time = (
-            self.observer.model.frequencies[self.observer.model.rigid_modes :],
-            self.observer.sample_time,
-        )
-        filters = [tustin(band_pass(float(w), self.selectivity), sample_time, float(w)) for w in omega]
+        filters = [
+            tustin(band_pass(w, self.selectivity), self.observer.sample_time, w)
+            for w in self._centres.tolist()
+        ]
         return filtered_estimates(self._estimator, filters, self.gains)
 
 

@@ -1,7 +1,9 @@
 """The four uses of the observer on the rig (Table 6.2) for one geometry."""
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache, partial
 
 import numpy as np
 from jaxtyping import Float64
@@ -13,10 +15,10 @@ from experiments.motion.rig import (
     decoupling,
     published,
     rig_model,
-    scaled_inertia,
 )
 from experiments.motion.rig_control import rig_compensator, rig_observer
 from experiments.motion.rig_loops import (
+    NONE,
     Infeasible,
     RigBandwidth,
     RigLoop,
@@ -94,36 +96,29 @@ def rig_loops(
         matrices = decoupling(geometry, used, position)
         model = observer_model(plant) if known is None else known.at(used, position)
         model = model if errors is None else detuned(model, errors)
-        observers = {}
+        observer = cache(partial(rig_observer, model, settings.noise, settings.sample_time))
         for case in cases:
             block = None
             if case in intensities:
-                if (intensity := intensities[case]) not in observers:
-                    observers[intensity] = rig_observer(
-                        model, settings.noise, settings.sample_time, intensity
-                    )
                 target = settings.target_damping if "AD" in case else None
-                block = rig_compensator(observers[intensity], "MC" in case, target, settings.selectivity)
+                each = observer(intensities[case])
+                block = rig_compensator(each, "MC" in case, target, settings.selectivity)
             loops[case].append(make_rig_loop(plant, block, matrices, settings.sample_time, omega))
     return loops
 
 
-def rig_controllers(geometry: Geometry) -> Callable[[float, float], tuple[Pid, Pid, Pid]]:
-    """PIDs on the scaled directions from the design bandwidths of z and of both rotations (Hz)."""
-    z, rx, ry = (PidFamily(mass) for mass in scaled_inertia(geometry).tolist())
+def rig_controllers(masses: Float64[np.ndarray, "3"]) -> Callable[[float, float], tuple[Pid, Pid, Pid]]:
+    """PIDs on the motions of the edges from the design bandwidths of z and of both rotations (Hz)."""
+    z, rx, ry = (PidFamily(mass) for mass in masses.tolist())
     return lambda z_hz, rotation_hz: (z(z_hz), rx(rotation_hz), ry(rotation_hz))
 
 
-def bandwidths(
-    loops: dict[str, list[RigLoop]], geometry: Geometry, measure: str
-) -> dict[str, RigBandwidth | None]:
-    """Largest bandwidth of every case; None where no bandwidth passes."""
-    family, found = rig_controllers(geometry), {}
+def bandwidths(loops: dict[str, list[RigLoop]], measure: str) -> dict[str, RigBandwidth]:
+    """Largest bandwidth of every case; `NONE` where no bandwidth passes."""
+    found = dict.fromkeys(loops, NONE)
     for case, each in loops.items():
-        try:
-            found[case] = maximise_rig_bandwidth(each, family, measure)
-        except Infeasible:
-            found[case] = None
+        with suppress(Infeasible):
+            found[case] = maximise_rig_bandwidth(each, rig_controllers(each[0].decoupling.masses), measure)
     return found
 
 

@@ -1,126 +1,112 @@
 """Identification of the rig as in section 6.2: four multisine experiments in closed loop, one modal model."""
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Complex128, Float64
 
+from experiments.motion.explorer_panels import plain
 from experiments.motion.magnitude_panels import paint_magnitudes
 from experiments.motion.magnitudes import add_magnitude
-from experiments.motion.panels import plain
-from experiments.motion.rig import (
-    Geometry,
-    assumed_geometry,
-    decoupling,
-    rig_model,
-)
+from experiments.motion.rig import EdgeDecoupling, Geometry, assumed_geometry, decoupling, rig_model
 from experiments.motion.rig_axes import frequencies
 from experiments.motion.rig_designs import RigSettings, published_settings, rig_controllers
+from experiments.motion.rig_loops import sampled_controller
 from stillwork.base.checks import InputError, require_array, require_count, require_number
 from stillwork.control.loops import channel, closed_loop
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.identification.multisine import MultisineRecords, ResponseMatrix, joint_input_output
-from stillwork.lti.discretisation import tustin, zoh_modes, zoh_response
-from stillwork.lti.state_space import StateModel, interconnect
+from stillwork.lti.discretisation import zoh_modes, zoh_response
+from stillwork.lti.modal import ModalModel
+from stillwork.lti.state_space import StateModel
 from stillwork.workbook import figures
 
 ALL = (0, 1, 2, 3)
 
 
-def four_sensor_controller(geometry: Geometry, settings: RigSettings, bandwidth_hz: float) -> StateModel:
-    """From the errors at four sensors to four forces."""
-    matrices = decoupling(geometry, ALL, ALL)
-    pids = rig_controllers(geometry)(bandwidth_hz, bandwidth_hz)
-    blocks = [tustin(pid.state_space(), settings.sample_time) for pid in pids]
-    return interconnect(blocks, np.zeros((3, 3)), matrices.sensing, matrices.actuation)
+@dataclass(frozen=True)
+class Experiment:
+    """All four actuators and sensors of the rig under a slow controller."""
 
+    plant: ModalModel
+    decoupling: EdgeDecoupling
+    controller: StateModel  # from the errors at the sensors to forces
+    noise: NoiseIntensities  # covariances a sample, N^2 and m^2
 
-def identification_loop(geometry: Geometry, settings: RigSettings, bandwidth_hz: float) -> StateModel:
-    """All four actuators and sensors under a slow controller, as `run_multisine` takes it."""
-    plant = zoh_modes(rig_model(geometry), settings.sample_time)
-    controller = four_sensor_controller(geometry, settings, bandwidth_hz)
-    closed = closed_loop(plant, None, controller)
-    seen = channel(closed, ("u_ff", "w", "d"), ("f", "e_meas"), 4, 4)
-    # Without a setpoint the measured error is minus the measurement.
-    signs = np.repeat([[1.0], [-1.0]], 4, axis=0)
-    return StateModel(seen.a, seen.b, signs * seen.c, signs * seen.d, seen.sample_time)
+    def loop(self) -> StateModel:
+        """From what is added to the force, w and d to f and y, as `run_multisine` takes it."""
+        closed = closed_loop(zoh_modes(self.plant, self.controller.sample_time), None, self.controller)
+        seen = channel(closed, ("u_ff", "w", "d"), ("f", "e_meas"), 4, 4)
+        # Without a setpoint the measured error is minus the measurement.
+        signs = np.repeat([[1.0], [-1.0]], 4, axis=0)
+        return StateModel(seen.a, seen.b, signs * seen.c, signs * seen.d, seen.sample_time)
 
+    def response(
+        self, omega: Float64[np.ndarray, " lines"]
+    ) -> Complex128[np.ndarray, "lines sensors actuators"]:
+        """Sampled response of the rig at `omega` (rad/s)."""
+        return np.moveaxis(zoh_response(self.plant, self.controller.sample_time, omega), -1, 0)
 
-def true_response(
-    geometry: Geometry, settings: RigSettings, omega: Float64[np.ndarray, " lines"]
-) -> np.ndarray:
-    """Sampled response of the rig at `omega` (rad/s), shape (lines, sensors, actuators)."""
-    return np.moveaxis(zoh_response(rig_model(geometry), settings.sample_time, omega), -1, 0)
+    def deviation(
+        self, omega: Float64[np.ndarray, " lines"], rms: float, averages: int
+    ) -> Float64[np.ndarray, "lines sensors actuators"]:
+        """Standard deviation that `joint_input_output` must have: exactly what the noise leaves after averaging.
 
+        The error of an experiment is (G w + d) over the excitation, turned by the inverse of the input responses,
+        I + C G.
+        """
+        require_number("rms", rms, above=0.0)
+        require_count("averages", averages)
+        response = self.response(omega)
+        turn = np.eye(4) + np.moveaxis(self.controller.frequency_response(omega), -1, 0) @ response
+        seen = self.noise.process * (np.abs(response) ** 2).sum(axis=2) + self.noise.sensor
+        return np.sqrt(seen[:, :, None] * (np.abs(turn) ** 2).sum(axis=1)[:, None, :] / (averages * rms**2))
 
-def predicted_deviation(
-    geometry: Geometry,
-    settings: RigSettings,
-    bandwidth_hz: float,
-    omega: Float64[np.ndarray, " lines"],
-    rms: float,
-    averages: int,
-) -> Float64[np.ndarray, "lines sensors actuators"]:
-    """Standard deviation that `joint_input_output` must have: exactly what the noise leaves after averaging.
+    def bias(self, omega: np.ndarray, response: np.ndarray, top_hz: float) -> float:
+        """Mean over the lines up to `top_hz` and over z, rx, ry of the relative error of the decoupled plant.
 
-    The error of an experiment is (G w + d) over the excitation, turned by the inverse of the input responses,
-    I + C G.
-    """
-    require_number("rms", rms, above=0.0)
-    require_count("averages", averages)
-    response = true_response(geometry, settings, omega)
-    control = np.moveaxis(
-        four_sensor_controller(geometry, settings, bandwidth_hz).frequency_response(omega), -1, 0
-    )
-    turn = np.eye(4) + control @ response
-    seen = settings.noise.process * (np.abs(response) ** 2).sum(axis=2) + settings.noise.sensor
-    return np.sqrt(seen[:, :, None] * (np.abs(turn) ** 2).sum(axis=1)[:, None, :] / (averages * rms**2))
-
-
-def mean_relative_error(geometry: Geometry, settings: RigSettings, omega, response, top_hz: float) -> float:
-    """Mean over the lines up to `top_hz` and over z, rx, ry of the relative error of the decoupled plant.
-
-    Noise averages out of this mean, a bias stays.
-    """
-    slow = omega <= 2 * np.pi * require_number("top_hz", top_hz, above=0.0)
-    if not np.any(slow):
-        raise InputError(f"top_hz is {top_hz:g}, below the first line; raise it or take longer periods")
-    d = decoupling(geometry, ALL, ALL)
-    ours, true = (
-        np.diagonal(d.sensing @ each @ d.actuation, axis1=1, axis2=2)
-        for each in (response[slow], true_response(geometry, settings, omega[slow]))
-    )
-    return float(abs(np.mean(ours / true - 1)))
-
-
-def convergence(
-    records: MultisineRecords,
-    geometry: Geometry,
-    settings: RigSettings,
-    top_hz: float,
-    counts: tuple[int, ...],
-) -> dict[str, list[float]]:
-    """`mean_relative_error` of the joint and of the direct estimate from the first realisations."""
-    found = {"joint input-output": [], "direct": []}
-    for count in counts:
-        part = MultisineRecords(
-            records.omega, records.reference[:, :count], records.inputs[:, :count], records.outputs[:, :count]
+        Noise averages out of this mean, a bias stays.
+        """
+        slow = omega <= 2 * np.pi * require_number("top_hz", top_hz, above=0.0)
+        if not np.any(slow):
+            raise InputError(f"top_hz is {top_hz:g}, below the first line; raise it or take longer periods")
+        d = self.decoupling
+        ours, true = (
+            np.diagonal(d.sensing @ each @ d.actuation, axis1=1, axis2=2)
+            for each in (response[slow], self.response(omega[slow]))
         )
-        for name, response in (
-            ("joint input-output", joint_input_output(part).response),
-            ("direct", direct_response(part)),
-        ):
-            found[name].append(mean_relative_error(geometry, settings, part.omega, response, top_hz))
-    return found
+        return float(abs(np.mean(ours / true - 1)))
+
+    def convergence(
+        self, records: MultisineRecords, top_hz: float, counts: Sequence[int]
+    ) -> dict[str, list[float]]:
+        """`bias` of the joint and of the direct estimate from the first realisations."""
+        found = {"joint input-output": [], "direct": []}
+        for count in counts:
+            kept = (each[:, :count] for each in (records.reference, records.inputs, records.outputs))
+            part = MultisineRecords(records.omega, *kept)
+            for name, response in (
+                ("joint input-output", joint_input_output(part).response),
+                ("direct", direct_response(part)),
+            ):
+                found[name].append(self.bias(part.omega, response, top_hz))
+        return found
+
+
+def rig_experiment(geometry: Geometry, settings: RigSettings, bandwidth_hz: float) -> Experiment:
+    """The experiment with controllers of that design bandwidth in all directions."""
+    directions = decoupling(geometry, ALL, ALL)
+    pids = rig_controllers(directions.masses)(bandwidth_hz, bandwidth_hz)
+    controller = sampled_controller(pids, directions, settings.sample_time)
+    return Experiment(rig_model(geometry), directions, controller, settings.noise)
 
 
 def direct_response(records: MultisineRecords) -> Complex128[np.ndarray, "lines sensors actuators"]:
     """Plant from inputs and outputs alone, S_yf S_ff^-1: biased in closed loop, for comparison."""
-    pairs = [
-        np.einsum("ermal,ermbl->lab", left, records.inputs.conj())
-        for left in (records.outputs, records.inputs)
-    ]
-    return pairs[0] @ np.linalg.inv(pairs[1])
+    inputs, outputs = records.inputs, records.outputs
+    cross, power = (np.einsum("ermal,ermbl->lab", left, inputs.conj()) for left in (outputs, inputs))
+    return cross @ np.linalg.inv(power)
 
 
 def smoothed_deviation(estimate: ResponseMatrix) -> Float64[np.ndarray, " lines"]:
@@ -149,15 +135,13 @@ def paint_identified(omega: np.ndarray, measured: np.ndarray, model: np.ndarray,
     return figure
 
 
-def paint_identification(
-    rms: float = 1.0, averages: int = 20, bandwidth_hz: float = 4.0, sensor_exponent: float = -18.0
-):
+def paint_identification(rms: float, averages: int, bandwidth_hz: float, sensor_exponent: float):
     """Explorer: response of the rig, and the deviation that an identification in closed loop leaves."""
-    geometry, settings = assumed_geometry(), published_settings()
+    settings = published_settings()
     settings = replace(settings, noise=NoiseIntensities(settings.noise.process, 10**sensor_exponent))
+    experiment = rig_experiment(assumed_geometry(), settings, bandwidth_hz)
     omega = frequencies(1.0, 1500.0, points=90, around=5)
-    response = true_response(geometry, settings, omega)
-    deviation = predicted_deviation(geometry, settings, bandwidth_hz, omega, rms, averages)
+    response, deviation = experiment.response(omega), experiment.deviation(omega, rms, averages)
     figure, axis = plain()
     add_magnitude(axis, omega, response[:, 2, 0], color=figures.BLUE, label="response")
     add_magnitude(axis, omega, deviation[:, 2, 0], ls="--", color=figures.BLACK, label="least deviation")

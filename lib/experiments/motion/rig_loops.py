@@ -9,13 +9,14 @@ import numpy as np
 from jaxtyping import Complex128, Float64
 from scipy import linalg
 
+from experiments.motion.rig import EdgeDecoupling
 from experiments.motion.rig_control import RigCompensator, warped
+from stillwork.base.algebra import squared_size
 from stillwork.base.checks import InputError, require_choice, require_number
 from stillwork.base.kernels import kernel, pasted_kernel
 from stillwork.base.rounding import first_largest
 from stillwork.control.bandwidth import SIX_DB
 from stillwork.control.crossover import crossover
-from stillwork.control.decoupling import Decoupling
 from stillwork.control.loops import closed_loop
 from stillwork.control.pid import Pid
 from stillwork.lti.discretisation import tustin, zoh_modes, zoh_response
@@ -31,13 +32,19 @@ RATIO = 1.1  # of the search, a step on its way up
 TOLERANCE = 1e-3  # relative width at which its bisection stops
 
 
+def sampled_controller(pids: Sequence[Pid], decoupling: EdgeDecoupling, sample_time: float) -> StateModel:
+    """Gamma C_fb Upsilon, from the errors at the sensors to forces."""
+    blocks = [tustin(pid.state_space(), sample_time) for pid in pids]
+    return interconnect(blocks, np.zeros((3, 3)), decoupling.sensing, decoupling.actuation)
+
+
 @dataclass(frozen=True)
 class RigLoop:
     """One position: plant, compensator and decoupling, with their responses on a frequency grid."""
 
     plant: ModalModel  # three actuators, three sensors
     compensator: RigCompensator | None
-    decoupling: Decoupling
+    decoupling: EdgeDecoupling
     sample_time: float  # s
     omega: Float64[np.ndarray, " frequencies"] = field(repr=False)  # rad/s
     parts: Complex128[np.ndarray, "frequencies 8 3 3"] = field(repr=False)  # all but the controller, `_parts`
@@ -58,12 +65,8 @@ class RigLoop:
     def closed(self, pids: Sequence[Pid]) -> StateModel:
         """Closed loop in discrete time; its signals are `stillwork.control.loops.INPUTS` and ``OUTPUTS``."""
         block = None if self.compensator is None else self.compensator.realised
-        return closed_loop(zoh_modes(self.plant, self.sample_time), block, self.controller(pids))
-
-    def controller(self, pids: Sequence[Pid]) -> StateModel:
-        """Gamma C_fb Upsilon, from the errors at the sensors to forces."""
-        blocks = [tustin(pid.state_space(), self.sample_time) for pid in pids]
-        return interconnect(blocks, np.zeros((3, 3)), self.decoupling.sensing, self.decoupling.actuation)
+        controller = sampled_controller(pids, self.decoupling, self.sample_time)
+        return closed_loop(zoh_modes(self.plant, self.sample_time), block, controller)
 
     def radius(self, pids: Sequence[Pid]) -> float:
         """Largest magnitude of the closed-loop poles; below 1 the loop is stable."""
@@ -74,7 +77,7 @@ class RigLoop:
 def make_rig_loop(
     plant: ModalModel,
     compensator: RigCompensator | None,
-    decoupling: Decoupling,
+    decoupling: EdgeDecoupling,
     sample_time: float,
     omega: Float64[np.ndarray, " frequencies"] | None = None,
 ) -> RigLoop:
@@ -108,7 +111,7 @@ def _around(plant: ModalModel, compensator: RigCompensator | None, sample_time: 
     return p, o, np.linalg.inv(one - o_uu - o_uy @ p), (one - o_yy) @ p - o_yu
 
 
-def _parts(p, o, n, seen, decoupling: Decoupling) -> Complex128[np.ndarray, "frequencies 8 3 3"]:
+def _parts(p, o, n, seen, decoupling: EdgeDecoupling) -> Complex128[np.ndarray, "frequencies 8 3 3"]:
     """What the loop functions are made of.
 
     The plant's input is f = N Gamma u, so that P_eq = Upsilon Z N Gamma. Noise at the sensors enters q_comp by
@@ -169,7 +172,7 @@ class RigBandwidth(NamedTuple):
 
     design_hz: tuple[float, float]  # of z and of the rotations
     crossing_hz: Float64[np.ndarray, "loops 3"]  # first 0 dB crossing of each direction's own loop
-    pids: tuple[Pid, Pid, Pid]
+    pids: tuple[Pid, Pid, Pid] | None
     peaks: Float64[np.ndarray, "loops functions"]  # at that design, refined
     radius: Float64[np.ndarray, " loops"]  # of the closed-loop poles
 
@@ -177,6 +180,9 @@ class RigBandwidth(NamedTuple):
     def active(self) -> str:
         """The loop function with the largest peak; the first of those that are equal but for rounding."""
         return FUNCTIONS[first_largest(self.peaks.max(axis=0))]
+
+
+NONE = RigBandwidth((np.nan,) * 2, np.full((1, 3), np.nan), None, np.full((1, 5), np.nan), np.full(1, np.nan))
 
 
 def maximise_rig_bandwidth(
@@ -271,16 +277,13 @@ def _refined(loop: RigLoop, pids: Sequence[Pid], measure: str) -> RigLoop:
 
 def _crossings(loop: RigLoop, pids: Sequence[Pid]) -> Float64[np.ndarray, "3"]:
     """First 0 dB crossing (Hz) of the diagonal entries of P_eq C_fb (Definition 1.2.1)."""
-
     upsilon, gamma = loop.decoupling.sensing, loop.decoupling.actuation
 
     def gain(w, k: int) -> Complex128[np.ndarray, " frequencies"]:
-        _, _, n, seen = _around(
-            loop.plant, loop.compensator, loop.sample_time, w
-        )  # P_eq alone: a search asks for one point
-        return (upsilon @ seen @ (n @ gamma))[:, k, k] * pids[k].frequency_response(
-            warped(loop.sample_time, w)
-        )
+        # P_eq alone: a search asks for one point
+        _, _, n, seen = _around(loop.plant, loop.compensator, loop.sample_time, w)
+        control = pids[k].frequency_response(warped(loop.sample_time, w))
+        return (upsilon @ seen @ (n @ gamma))[:, k, k] * control
 
     grid = loop.equivalent_plant()
     found = [
@@ -374,7 +377,7 @@ def _largest_entry_square(a):
     """Square of the largest magnitude on the diagonal."""
     largest = 0.0
     for k in range(3):
-        size = a[k, k].real * a[k, k].real + a[k, k].imag * a[k, k].imag
+        size = squared_size(a[k, k])
         if not size <= largest:
             largest = size
     return largest
@@ -385,7 +388,7 @@ def _sum_of_squares(a):
     total = 0.0
     for i in range(3):
         for j in range(3):
-            total += a[i, j].real * a[i, j].real + a[i, j].imag * a[i, j].imag
+            total += squared_size(a[i, j])
     return total
 
 
@@ -396,16 +399,14 @@ def _largest_square(a):
     h01, h02, h12 = 0j, 0j, 0j
     for k in range(3):
         x, y, z = a[k, 0], a[k, 1], a[k, 2]
-        h00 += x.real * x.real + x.imag * x.imag
-        h11 += y.real * y.real + y.imag * y.imag
-        h22 += z.real * z.real + z.imag * z.imag
+        h00 += squared_size(x)
+        h11 += squared_size(y)
+        h22 += squared_size(z)
         h01 += x.conjugate() * y
         h02 += x.conjugate() * z
         h12 += y.conjugate() * z
     mean = (h00 + h11 + h22) / 3
-    s01 = h01.real * h01.real + h01.imag * h01.imag
-    s02 = h02.real * h02.real + h02.imag * h02.imag
-    s12 = h12.real * h12.real + h12.imag * h12.imag
+    s01, s02, s12 = squared_size(h01), squared_size(h02), squared_size(h12)
     d0, d1, d2 = h00 - mean, h11 - mean, h22 - mean
     spread = np.sqrt((d0 * d0 + d1 * d1 + d2 * d2 + 2 * (s01 + s02 + s12)) / 6)
     if not spread > 1e-15 * mean:

@@ -5,8 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from experiments.motion.explorer_panels import plain
+from experiments.motion.magnitude_panels import paint_magnitudes
 from experiments.motion.magnitudes import add_magnitude
-from experiments.motion.panels import plain
 from experiments.motion.rig import POSITIONS, Geometry, assumed_geometry, plate_modes, published
 from experiments.motion.rig_axes import COLOURS, FORCES, MOTIONS, UNITS, frequencies
 from experiments.motion.rig_designs import published_settings, rig_loops
@@ -16,9 +17,9 @@ from stillwork.signals.spectra import Spectrum
 from stillwork.workbook import figures
 
 
-def physical_plant(loop: RigLoop, geometry: Geometry) -> np.ndarray:
+def physical_plant(loop: RigLoop) -> np.ndarray:
     """Decoupled plant from (Fz, Mx, My) to (z, rx, ry) in SI units, shape (3, 3, frequencies)."""
-    edges = geometry.edges
+    edges = loop.decoupling.edges
     return loop.equivalent_plant() / edges[:, None, None] / edges[None, :, None]
 
 
@@ -57,11 +58,11 @@ def paint_mode_shapes(geometry: Geometry):
     return figure
 
 
-def paint_decoupled_plants(loops: Sequence[RigLoop], geometry: Geometry):
+def paint_decoupled_plants(loops: Sequence[RigLoop]):
     """All nine entries of the decoupled plant at the four positions: Figs 6.3 and 6.5 to 6.7."""
     figure, axes = figures.new(3, 3, height=6.2, sharex=True, sharey=False)
     for number, loop in enumerate(loops, 1):
-        plant = physical_plant(loop, geometry)
+        plant = physical_plant(loop)
         for place in np.ndindex(3, 3):
             # Thinner and thinner: on a symmetric plate positions coincide.
             width = (4.0, 2.6, 1.4, 0.6)[number - 1]
@@ -77,16 +78,14 @@ def paint_decoupled_plants(loops: Sequence[RigLoop], geometry: Geometry):
     return figure
 
 
-def paint_one_entry(loops: Mapping[str, Sequence[RigLoop]], geometry: Geometry, to: int):
+def paint_one_entry(loops: Mapping[str, Sequence[RigLoop]], to: int):
     """From F_z to one direction of the decoupled plant under the four uses of the observer: Figs 6.8 and 6.9."""
-    figure, axes = figures.new(2, 2, height=4.6, sharex=True, sharey=True)
+    panels = {f"position {number}": {} for number in range(1, 5)}
     for case, each in loops.items():
-        for axis, loop in zip(axes.ravel(), each, strict=True):
-            response = physical_plant(loop, geometry)[to, 0]
-            add_magnitude(axis, loop.omega, response, color=COLOURS[case], linewidth=0.9, label=case)
-    for number, axis in enumerate(axes.ravel(), 1):
-        axis.set_title(f"position {number}")
-    figures.label(axes, "frequency (Hz)", f"$F_z$ to ${MOTIONS[to]}$\n(dB re 1 {UNITS[to][0]})")
+        for lines, loop in zip(panels.values(), each, strict=True):
+            lines[case] = loop.omega, physical_plant(loop)[to, 0], {"color": COLOURS[case], "linewidth": 0.9}
+    quantity = f"$F_z$ to ${MOTIONS[to]}$\n(dB re 1 {UNITS[to][0]})"
+    figure, axes = paint_magnitudes(panels, quantity, rows=2, height=4.6, sharex=True, sharey=True)
     figures.legend_below(axes[0, 0], 4)
     return figure
 
@@ -128,23 +127,16 @@ def paint_error_spectra(spectra: Mapping[str, Spectrum]):
 ENTRIES = {"Fz to z": 0, "Fz to rx": 1}
 
 
-def paint_rig(
-    use: str = "MC and AD",
-    entry: str = "Fz to z",
-    target_damping: float = 0.04,
-    sensor_exponent: float = -18.0,
-    position: int = 1,
-):
+def paint_rig(use: str, entry: str, target_damping: float, sensor_exponent: float, position: int):
     """Explorer: one entry of what the controller sees, with and without one use of the observer."""
-    geometry, settings, row = assumed_geometry(), published_settings(), ENTRIES[entry]
+    settings, row = published_settings(), ENTRIES[entry]
     noise = NoiseIntensities(settings.noise.process, 10**sensor_exponent)
     settings = replace(settings, noise=noise, target_damping=target_damping)
     omega = frequencies(20.0, points=80, around=5)
-    loops = rig_loops(geometry, settings, None, [POSITIONS[position - 1]], omega, ("Original", use))
+    loops = rig_loops(assumed_geometry(), settings, None, [POSITIONS[position - 1]], omega, ("Original", use))
     figure, axis = plain()
     for name, (loop, *_) in loops.items():
-        response = physical_plant(loop, geometry)[row, 0]
-        add_magnitude(axis, omega, response, color=COLOURS[name], label=name)
+        add_magnitude(axis, omega, physical_plant(loop)[row, 0], color=COLOURS[name], label=name)
     axis.set(xlabel="frequency (Hz)", ylabel=f"$F_z$ to ${MOTIONS[row]}$ (dB re 1 {UNITS[row][0]})")
     axis.legend()
     return figure

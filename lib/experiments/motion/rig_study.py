@@ -1,7 +1,7 @@
 """The rig on a levelling trajectory, and over geometries that are not published: one trial of the study behind Tables 6.2 to 6.4."""
 
-import contextlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -9,17 +9,16 @@ import numpy as np
 from jaxtyping import Complex128, Float64
 from scipy import linalg
 
-from experiments.motion.rig import Geometry, assumed, assumed_geometry, excitation, published, scaled_inertia
+from experiments.motion.rig import Geometry, assumed, assumed_geometry, excitation, published
 from experiments.motion.rig_designs import (
     CASES,
     RigSettings,
     bandwidths,
     model_errors,
-    published_settings,
     rig_controllers,
     rig_loops,
 )
-from experiments.motion.rig_loops import FUNCTIONS, MEASURES, RigBandwidth, RigLoop
+from experiments.motion.rig_loops import MEASURES, RigLoop
 from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.base.front_door import checked
 from stillwork.control.loops import channel
@@ -59,17 +58,16 @@ def levelling(rng: np.random.Generator) -> Levelling:
     return Levelling(a["period"], sizes[:, None] * phases)
 
 
-def _to_error(loop: RigLoop, pids: Sequence[Pid], geometry: Geometry) -> StateModel:
+def _to_error(loop: RigLoop, pids: Sequence[Pid]) -> StateModel:
     """From (v, w, d) at sensors and actuators to the true error in (z, rx, ry).
 
     Under the modified feedforward of Appendix A the setpoint acts like v, the original feedforward like w.
     """
     seen = channel(loop.closed(pids), ("v", "w", "d"), "e_true", 3, 3)
-    read = loop.decoupling.sensing / geometry.edges[:, None]
+    read = loop.decoupling.sensing / loop.decoupling.edges[:, None]
     balanced, (scale, _) = linalg.matrix_balance(seen.a, permute=False, separate=True)
-    model = StateModel(
-        balanced, seen.b / scale[:, None], read @ seen.c * scale, read @ seen.d, seen.sample_time
-    )
+    b, c = seen.b / scale[:, None], read @ seen.c * scale
+    model = StateModel(balanced, b, c, read @ seen.d, seen.sample_time)
     if (radius := np.abs(model.poles).max()) >= 1:
         raise InputError(f"the loop is unstable (a pole of magnitude {radius:.6f}); lower the bandwidth")
     return model
@@ -82,27 +80,22 @@ def held_mass(omega: Float64[np.ndarray, " frequencies"], sample_time: float) ->
 
 
 def _lines(
-    trajectory: Levelling, loop: RigLoop, geometry: Geometry, mass_error: float
+    trajectory: Levelling, loop: RigLoop, mass_error: float = 0.0
 ) -> Complex128[np.ndarray, "6 harmonics"]:
     """Amplitudes of (v, w): the trajectory at the sensors, and the rigid-body forces that would follow it.
 
     The force is held over a sample; the rigid body then passes through the trajectory at every sample.
     """
-    scaled = geometry.edges[:, None] * trajectory.lines
-    force = (
-        (1 + mass_error)
-        * scaled_inertia(geometry)[:, None]
-        * scaled
-        / held_mass(trajectory.omega, loop.sample_time)
-    )
-    at_sensors = np.linalg.solve(loop.decoupling.sensing, scaled)
-    return np.vstack([at_sensors, loop.decoupling.actuation @ force])
+    directions = loop.decoupling
+    edges = directions.edges[:, None] * trajectory.lines
+    masses = (1 + mass_error) * directions.masses[:, None]
+    force = masses * edges / held_mass(trajectory.omega, loop.sample_time)
+    return np.vstack([np.linalg.solve(directions.sensing, edges), directions.actuation @ force])
 
 
 def levelling_rms(
     loop: RigLoop,
     pids: Sequence[Pid],
-    geometry: Geometry,
     trajectory: Levelling,
     noise: NoiseIntensities,
     mass_error: float = 0.0,
@@ -111,9 +104,9 @@ def levelling_rms(
 
     The feedforward takes the rig for heavier by `mass_error`, relative.
     """
-    model = _to_error(loop, pids, geometry)
+    model = _to_error(loop, pids)
     z = np.exp(1j * trajectory.omega * loop.sample_time)
-    drive = _lines(trajectory, loop, geometry, mass_error)
+    drive = _lines(trajectory, loop, mass_error)
     periodic = np.zeros(3)
     for point, amplitudes in zip(z, drive.T, strict=True):
         state = np.linalg.solve(point * np.eye(len(model.a)) - model.a, model.b[:, :6] @ amplitudes)
@@ -142,19 +135,18 @@ def output_variance(a, b, c, d) -> Float64[np.ndarray, " outputs"]:
 def levelling_error(
     loop: RigLoop,
     pids: Sequence[Pid],
-    geometry: Geometry,
     trajectory: Levelling,
     noise: NoiseIntensities,
     rng: np.random.Generator,
     periods: int = 1,
 ) -> Float64[np.ndarray, "3 samples"]:
     """True error over the last period (m, rad, rad), simulated with noise after `periods` periods of settling."""
-    model = _to_error(loop, pids, geometry)
+    model = _to_error(loop, pids)
     count = round(trajectory.period / loop.sample_time)
     if abs(count * loop.sample_time - trajectory.period) > 1e-9 * trajectory.period:
         raise InputError("period of the trajectory is not a multiple of the sample time; change one of them")
     time = np.arange((periods + 1) * count) * loop.sample_time
-    known = (_lines(trajectory, loop, geometry, 0.0) @ np.exp(1j * np.outer(trajectory.omega, time))).real
+    known = (_lines(trajectory, loop) @ np.exp(1j * np.outer(trajectory.omega, time))).real
     sizes = np.sqrt(np.repeat([noise.process, noise.sensor], 3))
     random = sizes[:, None] * rng.standard_normal((6, len(time)))
     inputs = np.vstack([known[:3], known[3:] + random[:3], random[3:]])
@@ -162,8 +154,6 @@ def levelling_error(
 
 
 PRINTED_HZ = {"Original": (6.0, 8.0), "MC": (9.0, 11.0), "AD": (12.0, 13.0), "MC and AD": (17.0, 21.0)}
-
-Rig = tuple[Geometry, dict[str, list[RigLoop]], Levelling]
 
 
 def sample_geometry(rng: np.random.Generator) -> Geometry:
@@ -185,8 +175,8 @@ class FlexiblePeaks(NamedTuple):
     coupling: float  # m/N, mean magnitude of the off-diagonal entries at a tenth of the first mode
 
 
-def flexible_peaks(loops: list[RigLoop], inertia: Float64[np.ndarray, "3"]) -> FlexiblePeaks:
-    """Peaks of the difference between the equivalent plant and a rigid body of that inertia (scaled directions)."""
+def flexible_peaks(loops: list[RigLoop]) -> FlexiblePeaks:
+    """Peaks of the difference between the equivalent plant and the rigid body (motions of the edges)."""
     modes = 2 * np.pi * np.array(published()["frequencies_hz"])
     middle = np.sqrt(modes[1:] * modes[:-1])
     # Within 5 % of each mode, and no nearer to another one; further away the tails of lower modes are larger.
@@ -198,7 +188,7 @@ def flexible_peaks(loops: list[RigLoop], inertia: Float64[np.ndarray, "3"]) -> F
         seen = np.moveaxis(loop.equivalent_plant(), -1, 0)
         bands = np.array([(loop.omega >= a) & (loop.omega <= b) for a, b in zip(low, high, strict=True)])
         used = bands.any(axis=0)
-        apart = seen[used] - rigid[used, None, None] * np.diag(1 / inertia)
+        apart = seen[used] - rigid[used, None, None] * np.diag(1 / loop.decoupling.masses)
         sizes = np.linalg.norm(apart, 2, axis=(1, 2))
         found.append([sizes[band].max() for band in bands[:, used]])
         slow = np.abs(seen[np.searchsorted(loop.omega, modes[0] / 10)])
@@ -206,35 +196,32 @@ def flexible_peaks(loops: list[RigLoop], inertia: Float64[np.ndarray, "3"]) -> F
     return FlexiblePeaks(np.max(found, axis=0), float(np.mean(coupling)))
 
 
+def printed_controllers(loop: RigLoop) -> dict[str, tuple[Pid, Pid, Pid]]:
+    """The controllers of all cases at the bandwidths of Table 6.2."""
+    family = rig_controllers(loop.decoupling.masses)
+    return {case: family(*hz) for case, hz in PRINTED_HZ.items()}
+
+
 def levelling_errors(
-    rig: Rig,
-    designs: dict[str, RigBandwidth | None],
-    controllers_at: str,
-    floor: float,
+    loops: Mapping[str, Sequence[RigLoop]],
+    pids: Mapping[str, Sequence[Pid] | None],
+    trajectory: Levelling,
+    noise: NoiseIntensities,
     mass_error: float = 0.0,
-    noise: NoiseIntensities | None = None,
 ) -> Float64[np.ndarray, "2 cases 3"]:
-    """True errors (m, rad, rad) with the original and with each case's own controller; NaN where there is none.
+    """`levelling_rms` at the first position, with the original's and with each case's own controllers.
 
-    The controllers are those of `designs` (``own limit``) or have the ``printed`` bandwidths; `floor` (m) is added to
-    the motion of the edges.
+    NaN where there is no controller, or the loop is unstable.
     """
-    geometry, loops, trajectory = rig
-    family, noise = rig_controllers(geometry), noise or published_settings().noise
-    if controllers_at == "printed":
-        pids = {case: family(*hz) for case, hz in PRINTED_HZ.items()}
-    else:
-        pids = {case: None if each is None else each.pids for case, each in designs.items()}
 
-    def rms(case: str, used: tuple[Pid, Pid, Pid] | None) -> Float64[np.ndarray, "3"]:
-        if used is not None:
-            with contextlib.suppress(InputError):  # of an unstable loop
-                return levelling_rms(loops[case][0], used, geometry, trajectory, noise, mass_error)
+    def rms(case: str, owner: str) -> Float64[np.ndarray, "3"]:
+        if pids[owner] is not None:
+            with suppress(InputError):  # of an unstable loop
+                return levelling_rms(loops[case][0], pids[owner], trajectory, noise, mass_error)
         return np.full(3, np.nan)
 
-    with_original = [rms(case, pids["Original"]) for case in CASES]
-    with_own = [with_original[0], *(rms(case, pids[case]) for case in CASES[1:])]
-    return np.hypot([with_original, with_own], floor / geometry.edges)
+    with_original = [rms(case, "Original") for case in CASES]
+    return np.array([with_original, [with_original[0], *(rms(case, case) for case in CASES[1:])]])
 
 
 @checked
@@ -250,25 +237,19 @@ def rig_trial(rng: np.random.Generator, settings: RigSettings) -> dict[str, np.n
     geometry = sample_geometry(rng)
     loops = rig_loops(geometry, settings, model_errors(rng))
     trajectory = levelling(rng)
-    shape = (len(MEASURES), len(CASES), 3)
-    crossing, original, redesigned = (np.full(shape, np.nan) for _ in range(3))
-    peaks = np.full((*shape[:2], len(FUNCTIONS)), np.nan)
-    for m, measure in enumerate(MEASURES):
-        found = bandwidths(loops, geometry, measure)
-        for k, case in enumerate(CASES):
-            if found[case] is not None:
-                crossing[m, k] = found[case].crossing_hz.mean(axis=0)
-                peaks[m, k] = found[case].peaks.max(axis=0)
-        rig = geometry, loops, trajectory
-        original[m], redesigned[m] = levelling_errors(rig, found, "own limit", 0.0, noise=settings.noise)
-    flexible = [flexible_peaks(loops[case], scaled_inertia(geometry)) for case in CASES]
+    found = [bandwidths(loops, measure).values() for measure in MEASURES]
+    pids = [{case: each.pids for case, each in zip(CASES, designs, strict=True)} for designs in found]
+    errors = [levelling_errors(loops, each, trajectory, settings.noise) for each in pids]
+    original, redesigned = np.swapaxes(errors, 0, 1)
+    flexible = [flexible_peaks(each) for each in loops.values()]
+    printed = printed_controllers(loops["Original"][0])
     excited = [excitation(geometry, used) for used in ((0, 1, 2, 3), geometry.used)]
     return {
-        "crossing": crossing,
-        "peaks": peaks,
+        "crossing": np.array([[each.crossing_hz.mean(axis=0) for each in designs] for designs in found]),
+        "peaks": np.array([[each.peaks.max(axis=0) for each in designs] for designs in found]),
         "original": original,
         "redesigned": redesigned,
-        "printed": levelling_errors((geometry, loops, trajectory), {}, "printed", 0.0, noise=settings.noise),
+        "printed": levelling_errors(loops, printed, trajectory, settings.noise),
         "edges": geometry.edges,
         "flexible": np.array([each.peaks for each in flexible]),
         "coupling": np.array([each.coupling for each in flexible]),

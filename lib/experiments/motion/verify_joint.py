@@ -22,14 +22,13 @@ SAMPLES, AHEAD = 4096, 10  # of a move: what follows until all is still, and the
 
 def main() -> bool:
     """Print one line a design; whether every one that says so is stable and keeps its limits."""
-    tree = {
-        name: tomllib.loads(paths.data("motion", f"{name}.toml").read_text())
-        for name in ("machines", "joint")
-    }
+    machines, designs = (
+        tomllib.loads(paths.data("motion", f"{name}.toml").read_text()) for name in ("machines", "joint")
+    )
     print(f"{'design':42s} largest |z|  largest peak (dB)  scan error (nm)")
     good = True
-    for name, design in tree["joint"].items():
-        radius, peak, error = check(tree["machines"], design)
+    for name, design in designs.items():
+        radius, peak, error = check(machines, design)
         kept = radius < 1 and (peak <= LARGEST_DB or not design["ends"])
         good &= kept
         note = "" if kept and design["ends"] else "  no start kept the limits" if kept else "  FAILS"
@@ -48,10 +47,8 @@ def check(
         radius = max(radius, float(np.abs(poles).max()))
         peak = max(peak, highest(loop, poles)) if radius < 1 else np.inf
         if mass == 5 and radius < 1:
-            error = float(
-                np.hypot(moved(loop, machines["setpoint"]), noisy(loop, machines["stage"]["noise"]))
-            )
-    return radius, 20 * np.log10(peak), error if radius < 1 else np.inf
+            error = np.hypot(moved(loop, machines["setpoint"]), noisy(loop, machines["stage"]["noise"]))
+    return radius, 20 * np.log10(peak), float(error) if radius < 1 else np.inf
 
 
 def modes(stage: Mapping):
@@ -81,17 +78,12 @@ def closed(stage: Mapping, design: Mapping, mass: int):
     w, push, shapes = modes(stage)
     see, ratio = shapes[mass - 1], stage["damping_ratio"]
     f = 2 * np.pi * design["bandwidth_hz"]
-    kp, wi, wd, wl = (
-        12.5 * f**2 / 3,
-        design["integrator"] * f / 9,
-        design["differentiator"] * f,
-        design["low_pass"] * f,
-    )
+    kp, wi = 12.5 * f**2 / 3, design["integrator"] * f / 9
+    wd, wl = design["differentiator"] * f, design["low_pass"] * f
     s = control.tf("s")
     pid = kp / NANO * (s + wi) / s * (s / wd + 1) * wl**2
-    pid = control.c2d(
-        control.ss(pid / (s**2 + 2 * design["low_pass_damping"] * wl * s + wl**2)), SAMPLE_TIME, "tustin"
-    )
+    pid = control.ss(pid / (s**2 + 2 * design["low_pass_damping"] * wl * s + wl**2))
+    pid = control.c2d(pid, SAMPLE_TIME, "tustin")
     parts = [
         _plant(w, push, see, ratio),
         _observer(stage["noise"], design, w, push, see, ratio),
@@ -141,9 +133,8 @@ def _observer(noise, design, w, push, see, ratio):
     _, p, _ = control.dlqe(into @ whole @ unit, drive, c @ unit, np.diag(variances), sensor)
     gain = unit @ p @ unit @ c.T / (c @ unit @ p @ unit @ c.T + sensor)
     # States: x before the measurement, f(k-1), f(k-2); first what the measurement makes of them.
-    update = np.block(
-        [[np.eye(9) - gain @ c, np.zeros((9, 1)), -gain * compliance], [np.zeros((2, 9)), np.eye(2)]]
-    )
+    taken_in = [np.eye(9) - gain @ c, np.zeros((9, 1)), -gain * compliance]
+    update = np.block([taken_in, [np.zeros((2, 9)), np.eye(2)]])
     taken = np.vstack([gain, np.zeros((2, 1))])
     advance = np.block([[whole, late, half @ late], [np.zeros((2, 9)), np.eye(2, k=-1)]])
     # half a sample more, on which f(k-1) acts ...
@@ -153,16 +144,9 @@ def _observer(noise, design, w, push, see, ratio):
     rows[0, 2:8:2] = see[1:4]
     rows[1:] = ahead[[3, 5, 7]]
     b = np.hstack([np.eye(11)[:, 9:10], advance @ taken])
-    return control.ss(
-        advance @ update,
-        b,
-        rows @ update,
-        np.hstack([np.zeros((4, 1)), rows @ taken]),
-        SAMPLE_TIME,
-        inputs=["f", "seen"],
-        outputs=["flex", "v1", "v2", "v3"],
-        name="observer",
-    )
+    d = np.hstack([np.zeros((4, 1)), rows @ taken])
+    ends = {"inputs": ["f", "seen"], "outputs": ["flex", "v1", "v2", "v3"]}
+    return control.ss(advance @ update, b, rows @ update, d, SAMPLE_TIME, **ends, name="observer")
 
 
 def highest(loop, poles: np.ndarray) -> float:
@@ -223,16 +207,12 @@ def setpoint(limits: Mapping):
     quarter = round(jerk / snap / HALF)  # half samples of constant snap; nothing but snap limits this move
     cruise, settling = round(limits["cruise"] / HALF), round(limits["settling"] / HALF)
     rise = np.repeat([snap, -snap, -snap, snap], quarter)
-    rows = [np.concatenate([rise, np.zeros(cruise), -rise, [0.0]])]
+    snaps = np.concatenate([rise, np.zeros(cruise), -rise, [0.0]])
     powers = np.array([1.0, HALF, HALF**2 / 2, HALF**3 / 6, HALF**4 / 24])
     state, all_states = np.zeros(4), []  # position, velocity, acceleration, jerk
-    for s in rows[0]:
+    for s in snaps:
         all_states.append(state)
         whole = np.append(state, s)
         state = np.array([whole[k:] @ powers[: 5 - k] for k in range(4)])
-    first = (len(rise) + settling) // 2
-    return (
-        np.vstack([np.array(all_states).T, rows[0]]),
-        (first, (len(rise) + cruise) // 2 + 1),
-        len(rows[0]) // 2 + 1,
-    )
+    scan = (len(rise) + settling) // 2, (len(rise) + cruise) // 2 + 1
+    return np.vstack([np.array(all_states).T, snaps]), scan, len(snaps) // 2 + 1

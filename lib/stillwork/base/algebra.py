@@ -211,3 +211,9 @@ def cholesky_root(matrix, root, size):
             else:
                 root[i, j] = total / root[j, j]
     return True
+
+
+@pasted_kernel
+def squared_size(number):
+    """Of a complex number: real^2 + imag^2."""
+    return number.real * number.real + number.imag * number.imag

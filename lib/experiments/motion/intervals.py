@@ -1,4 +1,4 @@
-"""What a reading gives an entry of the ledger: a number and its interval over independent runs."""
+"""A number with its interval over independent runs: what a reading gives an entry of the ledger."""
 
 import numpy as np
 from numpy.typing import ArrayLike

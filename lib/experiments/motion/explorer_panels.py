@@ -1,4 +1,4 @@
-"""Panels without the work that an explorer has no time for, and plain numbers beside an axis."""
+"""Panels without the work that an explorer has no time for."""
 
 from stillwork.workbook import figures
 
@@ -9,11 +9,3 @@ def plain(panels: int = 1, height: float = 2.8, **margins: float):
     figure.set_layout_engine(None)
     figure.subplots_adjust(**{"left": 0.1, "bottom": 0.18, "right": 0.98, "top": 0.9} | margins)
     return figure, axes
-
-
-def plain_numbers(axis) -> None:
-    """Numbers beside a logarithmic axis of about a decade as 6 and 20, not as multiples of powers of ten."""
-    from matplotlib.ticker import LogFormatter
-
-    axis.set_major_formatter(LogFormatter())
-    axis.set_minor_formatter(LogFormatter())
