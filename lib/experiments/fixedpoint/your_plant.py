@@ -212,7 +212,7 @@ def open_trajectories(
 ) -> list[Trajectory]:
     """`open_trajectory` for each coordinate: of its channel (names separated by ;), or with its amplitude."""
     channels = [name.strip() for name in channel.split(";")] if len(units) > 1 and record else [channel]
-    if len(channels) not in (1, len(units)) or (record and len(channels) != len(units)):
+    if record and len(channels) != len(units):
         raise InputError(
             f"trajectory_channel names {len(channels)}; give {len(units)} names for the coordinates, separated by ;"
         )
@@ -325,13 +325,10 @@ def stable_ranges(
     models: Models, chosen: Mapping[str, Controller], trajectories: list[Trajectory]
 ) -> dict[str, StableRange]:
     """Local gains for which the whole linear loop, filter and delay included, is stable where the motion starts."""
-    position, velocity = (
-        np.array([getattr(each, name)[0] for each in trajectories]) for name in ("position", "velocity")
-    )
+    start = np.array([[each.position[0], each.velocity[0]] for each in trajectories]).T
+    sample_time = trajectories[0].sample_time
     return {
-        name: stable_range(
-            linear_loop(models.exact, controller, trajectories[0].sample_time, position, velocity)
-        )
+        name: stable_range(linear_loop(models.exact, controller, sample_time, *start))
         for name, controller in chosen.items()
     }
 
@@ -360,10 +357,8 @@ def drive(
 
     def run(controller) -> list[ControlledRun]:
         if isinstance(models.exact, Mechanism):
-            limits = [force_limit] * count if force_limit else None
-            return simulate_mechanism(
-                models.exact, controller, trajectories, added, force_limits=limits, **options
-            )
+            limits = {"force_limits": [force_limit] * count if force_limit else None}
+            return simulate_mechanism(models.exact, controller, trajectories, added, **limits, **options)
         limit = force_limit or None
         return [simulate(models.exact, controller, trajectories[0], added[0], force_limit=limit, **options)]
 
