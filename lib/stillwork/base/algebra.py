@@ -211,3 +211,19 @@ def cholesky_root(matrix, root, size):
             else:
                 root[i, j] = total / root[j, j]
     return True
+
+
+@pasted_kernel
+def cholesky_solve(root, right, solution):
+    """Solution = (root root')^-1 right, with the lower root of `cholesky_root`; it may be `right`."""
+    n = len(solution)
+    for i in range(n):
+        total = right[i]
+        for j in range(i):
+            total -= root[i, j] * solution[j]
+        solution[i] = total / root[i, i]
+    for i in range(n - 1, -1, -1):
+        total = solution[i]
+        for j in range(i + 1, n):
+            total -= root[j, i] * solution[j]
+        solution[i] = total / root[i, i]
