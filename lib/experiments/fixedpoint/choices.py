@@ -105,7 +105,7 @@ def rankings(
     found: Values = {}
     for (size, kind), (q, speed) in FIGURES.items():
         noise = noise_of(kind, size, noise_amplitude)
-        studies[size, kind] = study = {
+        studies[f"{size} {kind}"] = study = {
             name: run_study(ranked_trial, runs, seed, progress=False, controller=each, noise=noise)
             for name, each in who.items()
         }
@@ -121,7 +121,7 @@ def rankings(
     for form, name in FORMS:
         found[f"section-4.kalman-worst.{form}"] = said.pooled(studies, name)[said.KALMAN_WORST].mean()
         for claim, quantity in offsets.items():
-            shift = np.abs(studies["large", "logistic"][name][quantity]) / SAMPLE_TIME
+            shift = np.abs(studies["large logistic"][name][quantity]) / SAMPLE_TIME
             found[f"{claim}.{form}"] = np.mean((shift > 0.5) & np.isfinite(shift))
     return {f"fixedpoint.{name}": value for name, value in found.items()}
 
