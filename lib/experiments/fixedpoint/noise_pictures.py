@@ -36,15 +36,20 @@ def paint_noise_correlations(found: dict[str, Correlations]):
     return figure
 
 
-def paint_beliefs(deviations, believed, true):
-    """Standard deviation of the estimates, by the filter's own covariance and in truth, over the noise."""
+def paint_beliefs(
+    deviations, believed, true, label="deviation of the measured position (m)", marks=(1e-5, 1e-4)
+):
+    """Standard deviation of the estimates, by the filter's own covariance and in truth, over the noise.
+
+    `marks` are what was published, or is looked at, of what `label` says.
+    """
     figure, panels = figures.new(1, 2, height=3.0)
     for axes, column, unit, name in zip(panels, (1, 0), ("m", "m/s"), ("position", "velocity"), strict=True):
         axes.loglog(deviations, np.sqrt(believed[:, column]), "--", color=figures.RED, label="believed")
         axes.loglog(deviations, np.sqrt(true[:, column]), color=figures.BLUE, label="true")
-        axes.set(xlabel="deviation of the measured position (m)", ylabel=f"error ({unit})", title=name)
-        for published in (1e-5, 1e-4):
-            axes.axvline(published, color=figures.BLACK, linestyle=":", linewidth=1)
+        axes.set(xlabel=label, ylabel=f"error ({unit})", title=name)
+        for mark in marks:
+            axes.axvline(mark, color=figures.BLACK, linestyle=":", linewidth=1)
     panels[0].legend()
     return figure
 
@@ -93,15 +98,9 @@ def paint_expected_beliefs(assumed_scale: float, noise_deviation: float):
         steady_errors(still, process, scale * assumed, noise_deviation, sample_time, nothing)
         for scale in scales
     ]
-    figure, panels = figures.new(1, 2, height=3.0)
-    for axes, column, estimate in zip(panels, (1, 0), ("q (m)", "q' (m/s)"), strict=True):
-        for name, colour, line in (("believed", figures.RED, "--"), ("true", figures.BLUE, "-")):
-            values = [np.sqrt(getattr(s, name)[column, column]) for s in settled]
-            axes.plot(scales, values, line, color=colour, label=name)
-        axes.axvline(assumed_scale, color=figures.BLACK, linestyle=":")
-        axes.set(xscale="log", yscale="log", xlabel="factor on the assumed R (1)")
-        axes.set_ylabel(f"standard deviation of {estimate}")
+    believed, true = (np.array([np.diag(getattr(s, n)) for s in settled]) for n in ("believed", "true"))
+    figure = paint_beliefs(scales, believed, true, "factor on the assumed R (1)", (assumed_scale,))
+    for axes in figure.axes:
         log_axis(axes.xaxis)
         log_axis(axes.yaxis)
-    panels[0].legend()
     return figure
