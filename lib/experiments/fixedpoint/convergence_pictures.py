@@ -22,7 +22,7 @@ from stillwork.workbook import figures
 SMALL = {"textcoords": "offset points", "fontsize": 7}  # words beside a mark
 
 
-def paint_contraction(transformations: dict[str, Transformation], response_gain: float, steps: int = 40):
+def paint_contraction(transformations: dict[str, Transformation], response_gain: float):
     """Error of the static iteration, step by step, and its multiplier against the size of the error."""
     figure, (decay, multiplier) = figures.new(1, 2, height=3.0)
 
@@ -33,8 +33,8 @@ def paint_contraction(transformations: dict[str, Transformation], response_gain:
     colours = (figures.BLUE, figures.GREEN)
     for (name, transformation), colour in zip(transformations.items(), colours, strict=False):
         for start, line in ((1.0, "-"), (30.0, "--")):
-            sizes = np.abs(errors(transformation, start, steps))
-            decay.semilogy(range(steps), sizes, line, color=colour, label=f"{name}, start {start:g} m/s²")
+            sizes = np.abs(errors(transformation, start, 40))
+            decay.semilogy(sizes, line, color=colour, label=f"{name}, start {start:g} m/s²")
         sizes = np.geomspace(1e-2, 1e3, 60)
         ratio = [errors(transformation, size, 2)[1] / size for size in sizes]
         multiplier.semilogx(sizes, ratio, color=colour, label=name)

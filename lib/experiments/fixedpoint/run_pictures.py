@@ -55,14 +55,14 @@ def hardest_turn(nominal: Trajectory) -> float:
     return float(nominal.time[half + first_largest(size, 1e-4)])
 
 
-def paint_phase(runs: dict[str, ControlledRun], last: float = 5.0):
-    """Phase trajectories over the last seconds, whole and where the coordinate is largest."""
+def paint_phase(runs: dict[str, ControlledRun]):
+    """Phase trajectories over the last five seconds, whole and where the coordinate is largest."""
     figure, (whole, corner) = figures.new(1, 2, height=3.6)
     nominal = next(iter(runs.values())).trajectory
-    first = max(0, len(nominal.position) - round(last / nominal.sample_time))
+    first = max(0, len(nominal.position) - round(5.0 / nominal.sample_time))
     step = max(1, round(0.005 / nominal.sample_time))  # five points a cycle of 40 Hz
     near = np.flatnonzero(nominal.position[first:] > 0.93 * nominal.position.max())[::3] + first
-    shown = ((whole, slice(first, None, step), f"the last {last:g} s"), (corner, near, "at a corner"))
+    shown = ((whole, slice(first, None, step), "the last 5 s"), (corner, near, "at a corner"))
     for axes, part, title in shown:
         axes.plot(nominal.position[part], nominal.velocity[part], "k--", label="nominal", zorder=5)
         for label, run in runs.items():
@@ -90,22 +90,20 @@ def paint_errors_by_case(studies: dict[str, dict[str, Study]]):
 
 
 def paint_errors_over_frequency(
-    frequencies_hz,
-    studies: dict[str, list[dict[str, Study]]],
-    quantity="position",
-    label="trajectory frequency (Hz)",
+    frequencies_hz, studies: dict[str, list[dict[str, Study]]], label="trajectory frequency (Hz)"
 ):
-    """RMS error against the trajectory's frequency, or what else `label` says, a panel a case; none where a run diverged."""
+    """RMS error of q against the trajectory's frequency, or what else `label` says, a panel a case; none where a run diverged."""
+    error, _, factor = METRICS["position"]
     figure, [panels] = figures.new(1, len(studies), height=3.3, sharex=True, sharey=True, squeeze=False)
     for axes, (case, sweep) in zip(panels, studies.items(), strict=True):
         for name in sweep[0]:
-            values = np.array([METRICS[quantity][2] * study[name][quantity].mean() for study in sweep])
+            values = np.array([factor * study[name]["position"].mean() for study in sweep])
             values[np.isinf(values)] = np.nan
             axes.loglog(frequencies_hz, values, "o-", markersize=3, color=COLOURS[name], label=name)
         axes.set(xlabel=label, title=case)
         log_axis(axes.xaxis)
         log_axis(axes.yaxis)
-    panels[0].set_ylabel(METRICS[quantity][0])
+    panels[0].set_ylabel(error)
     legend_above(panels[0])
     return figure
 
@@ -115,14 +113,13 @@ def paint_statement_map(columns: list[str], fractions: dict[str, list[float]], l
     figure, axes = figures.new(1, height=0.34 * len(fractions) + 1.2)
     grid = np.array(list(fractions.values()), dtype=float)
     rows = np.arange(len(fractions))
-    image = axes.pcolormesh(
-        np.arange(len(columns)), rows, grid, cmap="Blues", vmin=0, vmax=1, label="fraction of runs"
-    )
+    places, shades = np.arange(len(columns)), {"cmap": "Blues", "vmin": 0, "vmax": 1}
+    image = axes.pcolormesh(places, rows, grid, label="fraction of runs", **shades)
     axes.set_yticks(rows, list(fractions))
-    axes.set_xticks(range(len(columns)), columns)
+    axes.set_xticks(places, columns)
     axes.grid(False)
     axes.invert_yaxis()
-    axes.set(xlabel=label)
+    axes.set_xlabel(label)
     for (row, column), value in np.ndenumerate(grid):
         style = {"ha": "center", "va": "center", "fontsize": 7, "color": "w" if value > 0.5 else "k"}
         axes.text(column, row, f"{value:.2g}", **style)
@@ -130,15 +127,15 @@ def paint_statement_map(columns: list[str], fractions: dict[str, list[float]], l
     return figure
 
 
-def paint_estimate_shift(runs: dict[str, ControlledRun], settle: float = 2.0):
-    """Error of the filter's estimates against the derivative: a shift in time is a straight line."""
+def paint_estimate_shift(runs: dict[str, ControlledRun]):
+    """Error of the filter's estimates against the derivative, after 2 s: a shift in time is a straight line."""
     figure, panels = figures.new(1, 2, height=3.4)
     rows = (
         ("position", "velocity", "velocity q' (m/s)", "error of the estimate of q (mm)"),
         ("velocity", "deformed", "the model's acceleration (m/s²)", "error of the estimate of q' (mm/s)"),
     )
     step_ms = 1e3 * next(iter(runs.values())).trajectory.sample_time
-    part = slice(round(1e3 * settle / step_ms), None, 40)
+    part = slice(round(2e3 / step_ms), None, 40)
     for axes, (quantity, derivative, across, up) in zip(panels, rows, strict=True):
         for name, run in runs.items():
             error = 1e3 * (getattr(run, f"{quantity}_estimate") - getattr(run, quantity))[part]

@@ -25,17 +25,15 @@ METHODS = (
 )
 
 
-def load_blows(thinning: int = 8) -> list[MeasuredPair]:
-    """The shipped hammer blows on a light structure, force and acceleration, one of so many samples kept of 25.6 kHz.
+def load_blows() -> list[MeasuredPair]:
+    """The shipped hammer blows on a light structure, force and acceleration, one of eight samples kept of 25.6 kHz.
 
     A blow lasts a millisecond: what the force sensor shows in the second half of its record is noise.
     """
     file = paths.data("motion", "impact_frf_25k6/impact_hammer_5_hits.npz")
     with np.load(file, allow_pickle=False) as archive:
-        force, answer = (
-            signal.decimate(archive[name], thinning, ftype="fir") for name in ("force_n", "accel_m_s2")
-        )
-        rate = float(archive["fs_hz"]) / thinning
+        force, answer = (signal.decimate(archive[name], 8, ftype="fir") for name in ("force_n", "accel_m_s2"))
+        rate = float(archive["fs_hz"]) / 8
     noise = float(np.median(force[:, force.shape[1] // 2 :].std(axis=1)))
     return [MeasuredPair(*blow, rate, (0.0, rate / 2), noise) for blow in zip(force, answer, strict=True)]
 
@@ -58,10 +56,10 @@ def blow_trial(
     return _residuals(judged, replace(blows[0], noise=noisier * noise))
 
 
-def loudest_band(values: np.ndarray, sample_rate: float, width_hz: float = 8.0) -> tuple[float, float, float]:
-    """Where a signal's power lies: ends of the band of this width that holds most, Hz, and its share of the power."""
+def loudest_band(values: np.ndarray, sample_rate: float) -> tuple[float, float, float]:
+    """Where a signal's power lies: ends of the 8 Hz wide band that holds most, Hz, and its share of the power."""
     frequency, power = signal.welch(values, sample_rate, nperseg=min(len(values), 4096))
-    count = max(round(width_hz / frequency[1]), 1)
+    count = max(round(8.0 / frequency[1]), 1)
     held = np.convolve(power, np.ones(count), "valid")
     first = int(held.argmax())
     return float(frequency[first]), float(frequency[first + count - 1]), float(held[first] / power.sum())

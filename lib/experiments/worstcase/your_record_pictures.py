@@ -41,14 +41,14 @@ def paint_pair(pair: Pair, spectra: Spectra):
     return figure
 
 
-def paint_models(pair: Pair, fitted: Fitted, samples: int = 80):
-    """Impulse responses, and predictions of the output on the first samples of the part that is judged."""
+def paint_models(pair: Pair, fitted: Fitted):
+    """Impulse responses, and predictions of the output on the first 80 samples of the part that is judged."""
     figure, (left, right) = figures.new(1, 2, height=3.4)
     taps = len(next(iter(fitted.estimates.values())))
     lags = np.arange(taps) / pair.sample_rate * 1e3
     start = parts(len(pair.output))[2].start
     regressors = fir_regressors(pair.input, taps)
-    stretch = slice(start, min(start + samples, len(pair.output)))
+    stretch = slice(start, min(start + 80, len(pair.output)))
     times = np.arange(stretch.start, stretch.stop) / pair.sample_rate
     right.plot(times, pair.output[stretch], color=figures.GREY, lw=2.5, label="measured")
     useful = {name: one for name, one in fitted.estimates.items() if fitted.held_out[name] < USELESS}
