@@ -57,12 +57,9 @@ def paint_corrections(study: Study):
 def error_norms(study: Study, parameters: tuple[float, ...], group: int = 1) -> dict[str, np.ndarray]:
     """|x - estimate| of the averages over groups of realisations, shape (groups, samples), by method."""
     truth, groups = np.asarray(parameters, float)[:, None], study.runs // group
-    found = {}
-    for name, *_ in METHODS:
-        values = study[name][: groups * group]
-        averages = values.reshape(groups, group, *values.shape[1:]).mean(axis=1)
-        found[name] = np.linalg.norm(averages - truth, axis=1)
-    return found
+    found = {name: study[name][: groups * group] for name, *_ in METHODS}
+    means = {name: v.reshape(groups, group, *v.shape[1:]).mean(axis=1) for name, v in found.items()}
+    return {name: np.linalg.norm(mean - truth, axis=1) for name, mean in means.items()}
 
 
 def paint_long(study: Study, parameters: tuple[float, ...], least_limit: np.ndarray):

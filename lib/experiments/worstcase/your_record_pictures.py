@@ -116,16 +116,16 @@ def record_explorer(pair: Pair, memory: int) -> Callable:
         regressors = fir_regressors(scaled.input, taps)
         matrix, target = weighted_corner(regressors[:, recent], scaled.output[recent], forgetting)
         eta = bound * scaled.typical_bound(taps, forgetting)
-        estimates = {
-            "RLS": np.linalg.lstsq(matrix, target, rcond=None)[0],
-            "min-max, typical bound": solve_silently(matrix, target, eta).estimate,
-        }
+        found = (
+            ("least squares", figures.BLACK, np.linalg.lstsq(matrix, target, rcond=None)[0]),
+            ("min-max", figures.BLUE, solve_silently(matrix, target, eta).estimate),
+        )
+        lags = np.arange(taps) / pair.sample_rate * 1e3
         figure, axes = figures.new(1, 1, height=3.0)
-        for (name, estimate), label in zip(estimates.items(), ("least squares", "min-max"), strict=True):
+        for name, colour, estimate in found:
             left = residual(regressors[:, later].T, scaled.output[later], estimate)
-            style = {"markersize": 3, "color": STYLES[name][0]}
-            lags, said = np.arange(taps) / pair.sample_rate * 1e3, f"leaves {100 * left:.1f} % of the output"
-            axes.plot(lags, pair.gain * estimate, "o-", label=f"{label}: {said}", **style)
+            label = f"{name}: leaves {100 * left:.1f} % of the output"
+            axes.plot(lags, pair.gain * estimate, "o-", markersize=3, color=colour, label=label)
         axes.set(xlabel="lag (ms)", ylabel=f"impulse response ({_per(pair)})")
         axes.legend()
         return figure
