@@ -37,14 +37,11 @@ def paint_accuracy(records: dict[str, dict[str, np.ndarray]]):
     for (title, found), (left, right) in zip(records.items(), grid, strict=True):
         for axes, name in ((left, "alpha"), (right, "approximate")):
             for iterations, colour in ((1, figures.BLUE), (2, figures.ORANGE), (3, figures.GREEN)):
-                style = {
-                    "color": colour,
-                    "lw": 0.8,
-                    "label": f"{iterations} iteration{'s' * (iterations > 1)}",
-                }
+                label = f"{iterations} iteration{'s' * (iterations > 1)}"
                 errors = found[f"{name}_{iterations}"]
                 # where (20) starts from the exact solution its error is rounding, which differs between machines
-                axes.semilogy(np.where(errors > 1e-11, errors, np.nan), **style)
+                shown = np.where(errors > 1e-11, errors, np.nan)
+                axes.semilogy(shown, color=colour, linewidth=0.8, label=label)
             axes.minorticks_off()
             axes.set_ylim(bottom=1e-10)
         left.set(ylabel="relative error of α", title=title)
@@ -72,11 +69,10 @@ def paint_counts(sizes: list[int], evaluations: float):
 def times_by_name() -> dict[str, np.ndarray]:
     """The committed table of benchmark times: ``unknowns`` and microseconds an update, by name."""
     rows = measured_times("worstcase", "update_times/update_times.csv")
-    columns = {
-        heading.removesuffix(" (us)"): np.array([row[heading] for row in rows.values()])
-        for heading in next(iter(rows.values()))
-    }
-    return {"unknowns": np.array(list(map(float, rows)))} | columns
+    columns = {"unknowns": np.array(list(map(float, rows)))}
+    for heading in next(iter(rows.values())):
+        columns[heading.removesuffix(" (us)")] = np.array([row[heading] for row in rows.values()])
+    return columns
 
 
 def paint_times(times: dict[str, np.ndarray]):
