@@ -93,6 +93,10 @@ def test_factorisations_solve(rng):
     root = np.zeros((5, 5))
     assert algebra.cholesky_root(p, root, 5)
     np.testing.assert_allclose(root, linalg.cholesky(p, lower=True), rtol=1e-10, atol=1e-14)
+    algebra.cholesky_solve(root, right, solution)
+    np.testing.assert_allclose(solution, np.linalg.solve(p, right), rtol=1e-9)
+    algebra.cholesky_solve(root, right, right)  # in place
+    np.testing.assert_array_equal(right, solution)
     assert not algebra.cholesky_root(p - 2 * np.linalg.norm(p) * np.eye(5), root, 5)
 
 

@@ -56,15 +56,21 @@ def controllers(kalman_error: str, kalman_model: str, window_samples: int) -> di
 
 def noise_of(kind: str, size: str, amplitude: str) -> Noise:
     """Noise of a printed amplitude, which means its standard deviation, the law's scale or three deviations."""
-    factor = {"deviation": 1.0, "scale": LOGISTIC_DEVIATION, "three deviations": 1 / 3}[amplitude]
-    if kind == "gaussian" and amplitude == "scale":
-        factor = 1.0  # of a Gaussian the deviation is the scale
-    return Noise(kind, factor * PRINTED_NOISE[size])
+    if (kind, amplitude) == ("logistic", "scale"):  # of a Gaussian the deviation is the scale
+        kind = "logistic-scale"
+    return Noise(kind, PRINTED_NOISE[size] * (1 / 3 if amplitude == "three deviations" else 1.0))
 
 
 # --- Sections III.B, III.C and IV: rankings ---------------------------------------------------------------------
 
 FORMS = ("printed", LITERAL), ("corrected", KALMAN)  # of (14)
+# Where a noise's errors of q and of q' are shown.
+FIGURES = {
+    ("small", "gaussian"): ("fig-5", "fig-6"),
+    ("small", "logistic"): ("fig-8", "fig-9"),
+    ("large", "gaussian"): ("fig-11", "fig-12"),
+    ("large", "logistic"): ("fig-14", "fig-15"),
+}
 RECORDS = 2  # of noise, of a call; the notebooks take 40
 
 
@@ -95,38 +101,27 @@ def rankings(
         run = noisy_run(exact, controller, nominal, noise, rng, **options)
         return _judged(run, judged_from, hectic_by, error_measure)
 
-    runs = RECORDS if lean else 40
-    studies = {}
-    for size, kind in product(PRINTED_NOISE, ("gaussian", "logistic")):
+    runs, studies = RECORDS if lean else 40, {}
+    found: Values = {}
+    for (size, kind), (q, speed) in FIGURES.items():
         noise = noise_of(kind, size, noise_amplitude)
-        studies[f"{size} {kind}"] = {
+        studies[f"{size} {kind}"] = study = {
             name: run_study(ranked_trial, runs, seed, progress=False, controller=each, noise=noise)
             for name, each in who.items()
         }
-    found: Values = {}
-    for case, q, speed in (
-        ("small gaussian", "fig-5", "fig-6"),
-        ("small logistic", "fig-8", "fig-9"),
-        ("large gaussian", "fig-11", "fig-12"),
-        ("large logistic", "fig-14", "fig-15"),
-    ):
-        study = studies[case]
         ranking, claim = said.LOW_PASS_BEST, "low-pass-best"
-        if case.startswith("small"):
+        if size == "small":
             ranking, claim = said.WINDOW_PRECISE, "window-most-precise"
             found[f"{q}.smoothest"] = said.in_both_forms(study, said.SMOOTHEST).mean()
         found[f"{speed}.kalman-hectic"] = said.in_both_forms(study, said.HECTIC).mean()
         for (form, name), (figure, quantity) in product(FORMS, ((q, "position"), (speed, "velocity"))):
             obeyed = said.statements(study, name, quantity)[ranking]
             found[f"{figure}.{claim}.{form}"] = obeyed.mean()
-    last = studies["large logistic"]
+    offsets = {"fig-14.offset-q": "position_shift", "fig-15.offset-dq": "velocity_shift"}
     for form, name in FORMS:
         found[f"section-4.kalman-worst.{form}"] = said.pooled(studies, name)[said.KALMAN_WORST].mean()
-        for claim, quantity in (
-            ("fig-14.offset-q", "position_shift"),
-            ("fig-15.offset-dq", "velocity_shift"),
-        ):
-            shift = np.abs(last[name][quantity]) / SAMPLE_TIME
+        for claim, quantity in offsets.items():
+            shift = np.abs(studies["large logistic"][name][quantity]) / SAMPLE_TIME
             found[f"{claim}.{form}"] = np.mean((shift > 0.5) & np.isfinite(shift))
     return {f"fixedpoint.{name}": value for name, value in found.items()}
 
@@ -162,7 +157,7 @@ def noise_free(
     """The fluctuation and the comparable errors of Figs 2 to 4; it has no leaner form."""
     exact = load_oscillator()["exact"].plant
     who = controllers("estimate", "(11)", window_samples)
-    roughest, errors = [], {}
+    roughest = []
     for frequency in SWEEP_HZ:
         nominal = trajectory(trajectory_shape, frequency, trajectory_amplitude)
         found = {
@@ -172,14 +167,14 @@ def noise_free(
         rough = {name: each["roughness"] for name, each in found.items()}
         roughest.append(max(rough, key=rough.__getitem__) == WINDOW and np.isfinite(rough[WINDOW]))
         if frequency == 0.2:
-            errors = {name: found[name]["position"] for name in (WINDOW, LOW_PASS, LITERAL)}
+            errors = [found[name]["position"] for name in (WINDOW, LOW_PASS, LITERAL)]
     flow = FlowTransformation()
     kept = [
         remaining_motion(exact, replace(who[name], transformation=flow), kick, SAMPLE_TIME)
         for name in (WINDOW, LOW_PASS, KALMAN)
     ]
     return {
-        "fixedpoint.fig-2.comparable": max(errors.values()) / min(errors.values()),
+        "fixedpoint.fig-2.comparable": max(errors) / min(errors),
         "fixedpoint.fig-3.fluctuation": np.mean(roughest),
         "fixedpoint.fig-2.property-of-the-iteration": np.mean(np.array(kept) > 1),
     }
@@ -221,9 +216,10 @@ def neutral(
 
     found: Values = {}
     for section, (size, records) in zip(("3b", "3c"), NEUTRAL_RECORDS.items(), strict=True):
-        settings = {"size": size, "coupled": lean and size == "large", "progress": False}
+        coupled = lean and size == "large"
+        settings = {"size": size, "coupled": coupled, "progress": False}
         for name in (WINDOW, LOW_PASS):
-            runs = COUPLED_RECORDS if settings["coupled"] else records
+            runs = COUPLED_RECORDS if coupled else records
             study = run_study(speed_trial, runs, seed, controller=who[name], **settings)
             key = f"fixedpoint.section-{section}.neutral.{name.replace(' ', '-')}"
             found[key] = np.nan

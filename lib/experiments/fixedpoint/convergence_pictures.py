@@ -19,8 +19,10 @@ from stillwork.control.transformation import FlowTransformation, Transformation
 from stillwork.estimation.coordinate_filters import MovingWindow
 from stillwork.workbook import figures
 
+SMALL = {"textcoords": "offset points", "fontsize": 7}  # words beside a mark
 
-def paint_contraction(transformations: dict[str, Transformation], response_gain: float, steps: int = 40):
+
+def paint_contraction(transformations: dict[str, Transformation], response_gain: float):
     """Error of the static iteration, step by step, and its multiplier against the size of the error."""
     figure, (decay, multiplier) = figures.new(1, 2, height=3.0)
 
@@ -28,19 +30,16 @@ def paint_contraction(transformations: dict[str, Transformation], response_gain:
         found = iterate(transformation, 0.0, count, response_gain=response_gain, start=start / response_gain)
         return found * response_gain
 
-    for (name, transformation), colour in zip(
-        transformations.items(), (figures.BLUE, figures.GREEN), strict=False
-    ):
+    colours = (figures.BLUE, figures.GREEN)
+    for (name, transformation), colour in zip(transformations.items(), colours, strict=False):
         for start, line in ((1.0, "-"), (30.0, "--")):
-            label = f"{name}, start {start:g} m/s²"
-            decay.semilogy(
-                range(steps), np.abs(errors(transformation, start, steps)), line, color=colour, label=label
-            )
+            sizes = np.abs(errors(transformation, start, 40))
+            decay.semilogy(sizes, line, color=colour, label=f"{name}, start {start:g} m/s²")
         sizes = np.geomspace(1e-2, 1e3, 60)
         ratio = [errors(transformation, size, 2)[1] / size for size in sizes]
         multiplier.semilogx(sizes, ratio, color=colour, label=name)
-    decay.set(xlabel="iteration (1)", ylabel="|response - desired| (m/s²)", title="static iteration")
-    decay.set(ylim=(1e-4, 60))
+    decay.set(xlabel="iteration (1)", ylabel="|response - desired| (m/s²)", ylim=(1e-4, 60))
+    decay.set_title("static iteration")
     figure.legend(handles=decay.lines, loc="outside upper center", ncols=2)
     multiplier.set(xlabel="|response - desired| (m/s²)", ylabel="ratio of two errors (1)", ylim=(0, 1.05))
     multiplier.set_title("multiplier: below 1 contracts")
@@ -75,14 +74,10 @@ def paint_stability_ranges(ranges: dict[str, StableRange], gains: dict[str, floa
     for row, (name, region) in enumerate(ranges.items()):
         strong, weak = region.limits
         axes.plot([-strong, -weak], [row, row], "-", linewidth=7, color=COLOURS[name], alpha=0.5, label=name)
-        axes.plot(
-            [-gains[name]], [row], "|", markersize=16, markeredgewidth=2.5, color="k", label="_gain in use"
-        )
+        axes.plot(-gains[name], row, "k|", markersize=16, markeredgewidth=2.5, label="_gain in use")
         for crossing, side, away in ((region.strongest, "left", 4), (region.weakest, "right", -4)):
-            look = {"textcoords": "offset points", "ha": side, "va": "center", "fontsize": 7}
-            axes.annotate(
-                f"{crossing.frequency_hz:.0f} Hz", (-crossing.local_gain, row), xytext=(away, 0), **look
-            )
+            look = {"ha": side, "va": "center", "xytext": (away, 0), **SMALL}
+            axes.annotate(f"{crossing.frequency_hz:.0f} Hz", (-crossing.local_gain, row), **look)
     axes.plot([], [], "k|", markersize=10, markeredgewidth=2.5, label="gain in use")
     axes.axvline(-banach, color=figures.GREY, linestyle=":")
     axes.text(-banach * 0.97, len(ranges) - 0.45, "Banach's edge", ha="right", va="center", fontsize=7)
@@ -111,10 +106,9 @@ def paint_limit_cycle_condition(loop: LinearLoop, transformation: FlowTransforma
     for size in (3, 10, 30, 100):
         place = 1 / (transformation.local_gain * describing_function(size / transformation.width)), 0
         axes.plot(*place, "s", color=figures.RED, markersize=4, label=f"error {size} m/s²")
-        look = {"xytext": (0, -12), "textcoords": "offset points", "fontsize": 7, "ha": "center"}
-        axes.annotate(f"{size} m/s²", place, **look)
-    axes.set(xlabel="real part of the response (1)", ylabel="imaginary part (1)", xlim=(-75, 10))
-    axes.set(ylim=(-45, 45))
+        axes.annotate(f"{size} m/s²", place, xytext=(0, -12), ha="center", **SMALL)
+    axes.set(xlabel="real part of the response (1)", xlim=(-75, 10))
+    axes.set(ylabel="imaginary part (1)", ylim=(-45, 45))
     axes.legend(handles=axes.lines[:2], loc="upper right")
     return figure
 
@@ -125,9 +119,7 @@ def paint_limit_cycle_sweep(gains, predicted, simulated):
     titles = ("frequency (Hz)", "amplitude of response - desired (m/s²)")
     for column, (axes, title) in enumerate(zip(panels, titles, strict=True)):
         axes.plot(gains, [p[column] for p in predicted], color=figures.BLUE, label="describing function")
-        axes.plot(
-            gains, [s[column] for s in simulated], "o", markersize=4, color=figures.RED, label="simulated"
-        )
+        axes.plot(gains, [s[column] for s in simulated], "o", ms=4, color=figures.RED, label="simulated")
         axes.axvline(1.1, color=figures.BLACK, linestyle=":", linewidth=1)
         axes.set(xlabel="-A (m/s²), dotted: published", ylabel=title)
     middle = np.nanmean([p[0] for p in predicted])
@@ -141,9 +133,8 @@ def paint_noise_gain(deviations, remaining, weakest: float, marks: dict[str, flo
     figure, axes = figures.new(1, height=3.0)
     axes.loglog(deviations, remaining, color=figures.BLUE, label="gain of (6) left in noise")
     axes.axhline(weakest, color=figures.RED, linestyle="--")
-    axes.text(
-        deviations[0], weakest * 1.08, "the Kalman loop needs at least this", fontsize=8, color=figures.RED
-    )
+    needed = "the Kalman loop needs at least this"
+    axes.text(deviations[0], weakest * 1.08, needed, fontsize=8, color=figures.RED)
     for (name, place), line in zip(marks.items(), (":", "-."), strict=False):
         axes.axvline(place, color=figures.BLACK, linestyle=line, linewidth=1)
         axes.text(place * 1.06, remaining.max(), name, rotation=90, ha="left", va="top", fontsize=8)
@@ -154,14 +145,10 @@ def paint_noise_gain(deviations, remaining, weakest: float, marks: dict[str, flo
 
 def paint_limit_cycle(gain: float, window_length: int, exponent: float):
     """Where the window's loop and transformation (6) balance."""
-    transformation = FlowTransformation(-gain)
-    parts = (
-        MovingWindow(int(window_length)),
-        transformation,
-        KinematicDesign(exponent),
-        load_oscillator()["approximate"].plant,
-    )
-    loop = linear_loop(load_oscillator()["exact"].plant, Controller(*parts), 1e-3)
+    exact, approximate = (model.plant for model in load_oscillator().values())
+    transformation, window = FlowTransformation(-gain), MovingWindow(int(window_length))
+    controller = Controller(window, transformation, KinematicDesign(exponent), approximate)
+    loop = linear_loop(exact, controller, 1e-3)
     region = stable_range(loop)
     figure = paint_limit_cycle_condition(loop, transformation)
     cycles = [

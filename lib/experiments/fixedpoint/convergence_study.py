@@ -54,14 +54,12 @@ def divergence_by_noise(
     sample_time: float = 1e-3,
 ) -> list[float]:
     """Fraction of runs of 12 s at rest that diverge, for each standard deviation of Gaussian noise."""
-    still = at_rest(round(12 / sample_time), sample_time)
+    still, streams = at_rest(round(12 / sample_time), sample_time), np.random.SeedSequence(seed).spawn(runs)
 
     def diverges(stream, deviation) -> bool:
         noise = Noise("gaussian", deviation)
-        run = noisy_run(plant, controller, still, noise, np.random.default_rng(stream))
-        return run.diverged_at is not None
+        return noisy_run(plant, controller, still, noise, stream).diverged_at is not None
 
-    streams = np.random.SeedSequence(seed).spawn(runs)
     return [sum(diverges(stream, deviation) for stream in streams) / runs for deviation in deviations]
 
 

@@ -128,9 +128,8 @@ def steady_errors(
     transition = require_array("transition", transition, shape=(2, 2))
     process = require_covariance("process", process, 2, definite=False)
     assumed = require_covariance("assumed", assumed, 2)
-    if true_process is None:
-        true_process = process
-    true_process = require_covariance("true_process", true_process, 2, definite=False)
+    drives = process if true_process is None else true_process
+    drives = require_covariance("true_process", drives, 2, definite=False)
     require_number("deviation", deviation, at_least=0)
     require_number("sample_time", sample_time, above=0)
     try:
@@ -146,6 +145,6 @@ def steady_errors(
     step = np.vstack([np.column_stack([left @ transition, -stale]), np.zeros(3)])
     enters = np.append(-fresh, 1.0)
     drive = deviation**2 * np.outer(enters, enters)
-    drive[:2, :2] += left @ true_process @ left.T
+    drive[:2, :2] += left @ drives @ left.T
     true = solve_discrete_lyapunov(step, drive)[:2, :2]
     return SteadyErrors(gain, left @ prior, true)

@@ -2,8 +2,6 @@
 
 from dataclasses import replace
 
-import numpy as np
-
 from experiments.fixedpoint.axes import COLOURS
 from experiments.fixedpoint.metrics import judge, noisy_run
 from experiments.fixedpoint.noise import Noise
@@ -21,24 +19,17 @@ def _approximate():
     return load_oscillator()["approximate"].plant
 
 
-def _driven(controllers, trajectory, noise, **options):
+def _paint_error_lines(controllers, trajectory, noise, title, seconds=(6.0, 6.5), **options):
     """A run of each controller on the exact plant, in noise of one seed."""
-    exact = load_oscillator()["exact"].plant
-    return {
-        name: noisy_run(exact, each, trajectory, noise, 0, **options) for name, each in controllers.items()
-    }
-
-
-def _paint_error_lines(runs, title, seconds=(6.0, 6.5)):
     figure, axes = figures.new(height=3.2)
-    for name, run in runs.items():
+    exact = load_oscillator()["exact"].plant
+    for name, controller in controllers.items():
+        run = noisy_run(exact, controller, trajectory, noise, 0, **options)
         part = (run.time >= seconds[0]) & (run.time < seconds[1])
-        error = judge(run)["position"]
-        label = (
-            f"{name}: {error * 1e3:.3g} mm"
-            if np.isfinite(error)
-            else f"{name}: diverged at {run.diverged_at:.2f} s"
-        )
+        if run.diverged_at is None:
+            label = f"{name}: {judge(run)['position'] * 1e3:.3g} mm"
+        else:
+            label = f"{name}: diverged at {run.diverged_at:.2f} s"
         axes.plot(run.time[part], 1e3 * run.position_error[part], color=COLOURS[name], label=label)
     axes.set(xlabel="time (s)", ylabel="error of q (mm)", title=title)
     axes.legend(title="RMS after 2 s", title_fontsize=8)
@@ -52,22 +43,22 @@ def paint_noise_free(frequency_hz: float, sharpness: float, window_length: int, 
     for name, other in ((WINDOW, MovingWindow(int(window_length))), (LOW_PASS, LowPass(bandwidth))):
         chosen[name] = replace(chosen[name], signal_filter=other)
     trajectory = asin_trajectory(sharpness=sharpness, frequency_hz=frequency_hz)
-    return _paint_error_lines(_driven(chosen, trajectory, Noise()), "without noise")
+    return _paint_error_lines(chosen, trajectory, Noise(), "without noise")
 
 
 def paint_noisy(kind: str, amplitude: float, frequency_hz: float, integration: str):
     """Tracking error of the four controllers in noise of another size and kind."""
     chosen, trajectory = published_controllers(_approximate()), asin_trajectory(frequency_hz=frequency_hz)
-    runs = _driven(chosen, trajectory, Noise(kind, amplitude), integration=integration)
-    return _paint_error_lines(runs, f"{kind} noise")
+    noise = Noise(kind, amplitude)
+    return _paint_error_lines(chosen, trajectory, noise, f"{kind} noise", integration=integration)
 
 
 def paint_low_pass(exponent: float, bandwidth: float, strength: float):
     """The low pass with other settings than the paper's, in large Gaussian noise."""
     transformation = RobustTransformation(slope=strength / (4e7 * 1.05))
     chosen = Controller(LowPass(bandwidth), transformation, KinematicDesign(exponent), _approximate())
-    runs = _driven({LOW_PASS: chosen}, asin_trajectory(), Noise("gaussian", 1e-4))
-    return _paint_error_lines(runs, "large Gaussian noise")
+    noise = Noise("gaussian", 1e-4)
+    return _paint_error_lines({LOW_PASS: chosen}, asin_trajectory(), noise, "large Gaussian noise")
 
 
 def paint_shift(frequency_hz: float, exponent: float):
@@ -76,7 +67,7 @@ def paint_shift(frequency_hz: float, exponent: float):
     moved = {
         name: replace(published[name], kinematics=KinematicDesign(exponent)) for name in (KALMAN, LITERAL)
     }
-    figure = _paint_error_lines(_driven(moved, trajectory, Noise()), "without noise", (0.0, 12.0))
+    figure = _paint_error_lines(moved, trajectory, Noise(), "without noise", (0.0, 12.0))
     [axes] = figure.axes
     nominal = trajectory.time[::20], trajectory.velocity[::20]
     axes.plot(*nominal, "k:", lw=1, label="1 ms times the nominal velocity")

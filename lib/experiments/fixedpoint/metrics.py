@@ -59,9 +59,8 @@ def compare(
     studies = {}
     for name, controller in controllers.items():
         found = run_study(trial, drawn, seed, controller=controller, **settings).values
-        studies[name] = Study(
-            seed, {quantity: np.repeat(each, runs // drawn) for quantity, each in found.items()}
-        )
+        repeated = {quantity: np.repeat(each, runs // drawn) for quantity, each in found.items()}
+        studies[name] = Study(seed, repeated)
     return studies
 
 
@@ -75,7 +74,7 @@ def noisy_run(
     controller: Controller,
     trajectory: Trajectory,
     noise: Noise,
-    rng: np.random.Generator | int,
+    rng: np.random.Generator | np.random.SeedSequence | int,
     *,
     lost_every: float = 0.0,
     lost_for: float = 0.0,

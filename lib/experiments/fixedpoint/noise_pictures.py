@@ -2,13 +2,7 @@
 
 import numpy as np
 
-from experiments.fixedpoint.axes import (
-    COLOURS,
-    METRICS,
-    legend_above,
-    log_axis,
-    points_with_intervals,
-)
+from experiments.fixedpoint.axes import COLOURS, METRICS, legend_above, log_axis, points_with_intervals
 from experiments.fixedpoint.differentiation import (
     Correlations,
     quotient_autocorrelation,
@@ -29,31 +23,33 @@ def paint_noise_correlations(found: dict[str, Correlations]):
     lags = next(iter(found.values())).lags
     theories = (quotient_autocorrelation, quotient_cross_correlation)
     titles = ("quotient with itself", "quotient with the position")
-    colours = (figures.BLUE, figures.GREEN, figures.ORANGE)
+    looks = ((figures.BLUE, -0.12), (figures.GREEN, 0.0), (figures.ORANGE, 0.12))
     for axes, name, theory, title in zip(panels, ("quotient", "cross"), theories, titles, strict=True):
-        axes.plot(
-            lags, [theory(int(lag)) for lag in lags], "kD", mfc="none", ms=9, label="derived from (18)-(21)"
-        )
+        derived = [theory(int(lag)) for lag in lags]
+        axes.plot(lags, derived, "kD", mfc="none", ms=9, label="derived from (18)-(21)")
         style = {"color": figures.RED, "ms": 7, "label": "assumed: R diagonal, white"}
         axes.plot(lags, (lags == 0) * float(name == "quotient"), "x", **style)
-        for (label, correlations), colour, shift in zip(
-            found.items(), colours, (-0.12, 0.0, 0.12), strict=False
-        ):
-            axes.plot(lags + shift, getattr(correlations, name), ".", color=colour, ms=7, label=label)
+        for (label, seen), (colour, shift) in zip(found.items(), looks, strict=False):
+            axes.plot(lags + shift, getattr(seen, name), ".", color=colour, ms=7, label=label)
         axes.set(xlabel="lag (samples)", ylabel="correlation (1)", title=title)
     legend_above(panels[0], 3)
     return figure
 
 
-def paint_beliefs(deviations, believed, true):
-    """Standard deviation of the estimates, by the filter's own covariance and in truth, over the noise."""
+def paint_beliefs(
+    deviations, believed, true, label="deviation of the measured position (m)", marks=(1e-5, 1e-4)
+):
+    """Standard deviation of the estimates, by the filter's own covariance and in truth, over the noise.
+
+    `marks` are what was published, or is looked at, of what `label` says.
+    """
     figure, panels = figures.new(1, 2, height=3.0)
     for axes, column, unit, name in zip(panels, (1, 0), ("m", "m/s"), ("position", "velocity"), strict=True):
         axes.loglog(deviations, np.sqrt(believed[:, column]), "--", color=figures.RED, label="believed")
         axes.loglog(deviations, np.sqrt(true[:, column]), color=figures.BLUE, label="true")
-        axes.set(xlabel="deviation of the measured position (m)", ylabel=f"error ({unit})", title=name)
-        for published in (1e-5, 1e-4):
-            axes.axvline(published, color=figures.BLACK, linestyle=":", linewidth=1)
+        axes.set(xlabel=label, ylabel=f"error ({unit})", title=name)
+        for mark in marks:
+            axes.axvline(mark, color=figures.BLACK, linestyle=":", linewidth=1)
     panels[0].legend()
     return figure
 
@@ -61,8 +57,9 @@ def paint_beliefs(deviations, believed, true):
 def paint_tuned_errors(studies: dict[str, dict[str, Study]]):
     """Errors on fresh noise of the tuned filters, mean and 95 % interval, a row a noise."""
     quantities = ("velocity", "position", "roughness")
-    figure, panels = figures.new(len(studies), len(quantities), height=2.0 * len(studies) + 0.6)
-    for row, (case, study) in zip(np.atleast_2d(panels), studies.items(), strict=True):
+    height = 2.0 * len(studies) + 0.6
+    figure, panels = figures.new(len(studies), len(quantities), height=height, squeeze=False)
+    for row, (case, study) in zip(panels, studies.items(), strict=True):
         for axes, quantity in zip(row, quantities, strict=True):
             for place, (name, runs) in enumerate(study.items()):
                 points_with_intervals(axes, [METRICS[quantity][2] * runs[quantity]], [place], name)
@@ -95,23 +92,15 @@ def motion_at_rest(sample_time: float):
 
 def paint_expected_beliefs(assumed_scale: float, noise_deviation: float):
     """Believed and true standard deviation of the Kalman filter's errors when its R is scaled."""
-    scales = np.geomspace(1e-4, 1e4, 25)
-    sample_time = 1e-3
-    process, assumed = np.diag([1e-1, 1e-3]), np.diag([1e-2, 1e-3])
-    still = motion_at_rest(sample_time)
+    scales, sample_time, nothing = np.geomspace(1e-4, 1e4, 25), 1e-3, np.zeros((2, 2))
+    still, process, assumed = motion_at_rest(sample_time), np.diag([1e-1, 1e-3]), np.diag([1e-2, 1e-3])
     settled = [
-        steady_errors(still, process, s * assumed, noise_deviation, sample_time, np.zeros((2, 2)))
-        for s in scales
+        steady_errors(still, process, scale * assumed, noise_deviation, sample_time, nothing)
+        for scale in scales
     ]
-    figure, panels = figures.new(1, 2, height=3.0)
-    for axes, column, estimate in zip(panels, (1, 0), ("q (m)", "q' (m/s)"), strict=True):
-        for name, colour, line in (("believed", figures.RED, "--"), ("true", figures.BLUE, "-")):
-            values = [np.sqrt(getattr(s, name)[column, column]) for s in settled]
-            axes.plot(scales, values, line, color=colour, label=name)
-        axes.axvline(assumed_scale, color=figures.BLACK, linestyle=":")
-        axes.set(xscale="log", yscale="log", xlabel="factor on the assumed R (1)")
-        axes.set_ylabel(f"standard deviation of {estimate}")
+    believed, true = (np.array([np.diag(getattr(s, n)) for s in settled]) for n in ("believed", "true"))
+    figure = paint_beliefs(scales, believed, true, "factor on the assumed R (1)", (assumed_scale,))
+    for axes in figure.axes:
         log_axis(axes.xaxis)
         log_axis(axes.yaxis)
-    panels[0].legend()
     return figure

@@ -13,9 +13,7 @@ from experiments.fixedpoint.axes import (
 from experiments.fixedpoint.metrics import compare
 from experiments.fixedpoint.noise import Noise
 from experiments.fixedpoint.oscillator import load_oscillator
-from experiments.fixedpoint.published import (
-    published_controllers,
-)
+from experiments.fixedpoint.published import published_controllers
 from stillwork.base.rounding import first_largest
 from stillwork.control.fixed_point import ControlledRun
 from stillwork.control.trajectory import Trajectory, asin_trajectory
@@ -34,19 +32,17 @@ def paint_tracking(runs: dict[str, ControlledRun], quantity: str = "position"):
     motion.plot(nominal.time[coarse], getattr(nominal, quantity)[coarse], "k--", label="nominal", zorder=5)
     corner = hardest_turn(nominal)
     part = slice(max(0, round((corner - 0.15) / sample_time)), round((corner + 0.15) / sample_time))
+    reach = 0.0
     for label, run in runs.items():
         style = {"color": COLOURS[label], "label": label}
-        time, true = run.time, getattr(run, quantity)
-        error = 1e3 * getattr(run, f"{quantity}_error")
-        motion.plot(time[coarse], true[coarse], linewidth=1, **style)
+        time, error = run.time, 1e3 * getattr(run, f"{quantity}_error")
+        motion.plot(time[coarse], getattr(run, quantity)[coarse], linewidth=1, **style)
         fill_range(envelope, time, error, max(1, round(0.06 / sample_time)), **style)
         stretch.plot(time[part], error[part], **style)
+        reach = max(reach, 1.15 * np.nanmax(np.abs(error[time >= 2.0])))  # the start may be off by far more
     motion.set(xlabel="time (s)", ylabel=f"{name} ({unit})", title="motion")
     envelope.set(xlabel="time (s)", ylabel=f"error of {name} (m{unit})", title="error, range in 60 ms")
-    settled = [1e3 * getattr(run, f"{quantity}_error")[run.time >= 2.0] for run in runs.values()]
-    reach = 1.15 * max(np.nanmax(np.abs(error)) for error in settled)  # the start may be off by far more
-    envelope.set_ylim(-reach, reach)
-    envelope.set_xlim(motion.get_xlim())
+    envelope.set(ylim=(-reach, reach), xlim=motion.get_xlim())
     stretch.set(xlabel="time (s)", ylabel=f"error of {name} (m{unit})", title="error at a corner")
     legend_above(motion)
     return figure
@@ -59,20 +55,19 @@ def hardest_turn(nominal: Trajectory) -> float:
     return float(nominal.time[half + first_largest(size, 1e-4)])
 
 
-def paint_phase(runs: dict[str, ControlledRun], last: float = 5.0):
-    """Phase trajectories over the last seconds, whole and where the coordinate is largest."""
+def paint_phase(runs: dict[str, ControlledRun]):
+    """Phase trajectories over the last five seconds, whole and where the coordinate is largest."""
     figure, (whole, corner) = figures.new(1, 2, height=3.6)
     nominal = next(iter(runs.values())).trajectory
-    first = max(0, len(nominal.position) - round(last / nominal.sample_time))
+    first = max(0, len(nominal.position) - round(5.0 / nominal.sample_time))
     step = max(1, round(0.005 / nominal.sample_time))  # five points a cycle of 40 Hz
-    whole.plot(nominal.position[first::step], nominal.velocity[first::step], "k--", label="nominal", zorder=5)
     near = np.flatnonzero(nominal.position[first:] > 0.93 * nominal.position.max())[::3] + first
-    corner.plot(nominal.position[near], nominal.velocity[near], "k--", label="nominal", zorder=5)
-    for label, run in runs.items():
-        style = {"color": COLOURS[label], "label": label, "linewidth": 0.9}
-        whole.plot(run.position[first::step], run.velocity[first::step], **style)
-        corner.plot(run.position[near], run.velocity[near], **style)
-    for axes, title in ((whole, f"the last {last:g} s"), (corner, "at a corner")):
+    shown = ((whole, slice(first, None, step), "the last 5 s"), (corner, near, "at a corner"))
+    for axes, part, title in shown:
+        axes.plot(nominal.position[part], nominal.velocity[part], "k--", label="nominal", zorder=5)
+        for label, run in runs.items():
+            style = {"color": COLOURS[label], "label": label, "linewidth": 0.9}
+            axes.plot(run.position[part], run.velocity[part], **style)
         axes.set(xlabel="q (m)", ylabel="q' (m/s)", title=title)
     legend_above(whole)
     return figure
@@ -95,23 +90,21 @@ def paint_errors_by_case(studies: dict[str, dict[str, Study]]):
 
 
 def paint_errors_over_frequency(
-    frequencies_hz,
-    studies: dict[str, list[dict[str, Study]]],
-    quantity="position",
-    label="trajectory frequency (Hz)",
+    frequencies_hz, studies: dict[str, list[dict[str, Study]]], label="trajectory frequency (Hz)"
 ):
-    """RMS error against the trajectory's frequency, or what else `label` says, a panel a case; none where a run diverged."""
-    figure, panels = figures.new(1, len(studies), height=3.3, sharex=True, sharey=True)
-    for axes, (case, sweep) in zip(np.atleast_1d(panels), studies.items(), strict=True):
+    """RMS error of q against the trajectory's frequency, or what else `label` says, a panel a case; none where a run diverged."""
+    error, _, factor = METRICS["position"]
+    figure, [panels] = figures.new(1, len(studies), height=3.3, sharex=True, sharey=True, squeeze=False)
+    for axes, (case, sweep) in zip(panels, studies.items(), strict=True):
         for name in sweep[0]:
-            values = np.array([METRICS[quantity][2] * study[name][quantity].mean() for study in sweep])
+            values = np.array([factor * study[name]["position"].mean() for study in sweep])
             values[np.isinf(values)] = np.nan
             axes.loglog(frequencies_hz, values, "o-", markersize=3, color=COLOURS[name], label=name)
         axes.set(xlabel=label, title=case)
         log_axis(axes.xaxis)
         log_axis(axes.yaxis)
-    np.atleast_1d(panels)[0].set_ylabel(METRICS[quantity][0])
-    legend_above(np.atleast_1d(panels)[0])
+    panels[0].set_ylabel(error)
+    legend_above(panels[0])
     return figure
 
 
@@ -120,43 +113,35 @@ def paint_statement_map(columns: list[str], fractions: dict[str, list[float]], l
     figure, axes = figures.new(1, height=0.34 * len(fractions) + 1.2)
     grid = np.array(list(fractions.values()), dtype=float)
     rows = np.arange(len(fractions))
-    image = axes.pcolormesh(
-        np.arange(len(columns)), rows, grid, cmap="Blues", vmin=0, vmax=1, label="fraction of runs"
-    )
+    places, shades = np.arange(len(columns)), {"cmap": "Blues", "vmin": 0, "vmax": 1}
+    image = axes.pcolormesh(places, rows, grid, label="fraction of runs", **shades)
     axes.set_yticks(rows, list(fractions))
-    axes.set_xticks(range(len(columns)), columns)
+    axes.set_xticks(places, columns)
     axes.grid(False)
     axes.invert_yaxis()
-    axes.set(xlabel=label)
-    for row in rows:
-        for column, value in enumerate(grid[row]):
-            style = {"ha": "center", "va": "center", "fontsize": 7, "color": "w" if value > 0.5 else "k"}
-            axes.text(column, row, f"{value:.2g}", **style)
+    axes.set_xlabel(label)
+    for (row, column), value in np.ndenumerate(grid):
+        style = {"ha": "center", "va": "center", "fontsize": 7, "color": "w" if value > 0.5 else "k"}
+        axes.text(column, row, f"{value:.2g}", **style)
     figure.colorbar(image, ax=axes, label="fraction of runs that obey (1)")
     return figure
 
 
-def paint_estimate_shift(runs: dict[str, ControlledRun], settle: float = 2.0):
-    """Error of the filter's estimates against the derivative: a shift in time is a straight line."""
+def paint_estimate_shift(runs: dict[str, ControlledRun]):
+    """Error of the filter's estimates against the derivative, after 2 s: a shift in time is a straight line."""
     figure, panels = figures.new(1, 2, height=3.4)
     rows = (
         ("position", "velocity", "velocity q' (m/s)", "error of the estimate of q (mm)"),
         ("velocity", "deformed", "the model's acceleration (m/s²)", "error of the estimate of q' (mm/s)"),
     )
-    sample_time = next(iter(runs.values())).trajectory.sample_time
+    step_ms = 1e3 * next(iter(runs.values())).trajectory.sample_time
+    part = slice(round(2e3 / step_ms), None, 40)
     for axes, (quantity, derivative, across, up) in zip(panels, rows, strict=True):
         for name, run in runs.items():
-            part = slice(round(settle / sample_time), None, 40)
             error = 1e3 * (getattr(run, f"{quantity}_estimate") - getattr(run, quantity))[part]
             axes.plot(getattr(run, derivative)[part], error, ".", ms=3, color=COLOURS[name], label=name)
         reach = np.array(axes.get_xlim())
-        axes.plot(
-            reach,
-            1e3 * sample_time * reach,
-            "k:",
-            linewidth=1,
-            label=f"one sample ({1e3 * sample_time:g} ms) ahead",
-        )
+        axes.plot(reach, step_ms * reach, "k:", lw=1, label=f"one sample ({step_ms:g} ms) ahead")
         axes.set(xlabel=across, ylabel=up)
     legend_above(panels[0])
     return figure
@@ -164,25 +149,17 @@ def paint_estimate_shift(runs: dict[str, ControlledRun], settle: float = 2.0):
 
 def paint_ranking(frequency_hz: float, sharpness: float, amplitude: float):
     """RMS errors of the four controllers, mean over two noise records."""
-    exact = load_oscillator()["exact"].plant
+    exact, approximate = (model.plant for model in load_oscillator().values())
     trajectory = asin_trajectory(sharpness=sharpness, frequency_hz=frequency_hz)
-    noise = Noise("gaussian", amplitude)
-    found = compare(
-        exact,
-        published_controllers(load_oscillator()["approximate"].plant),
-        trajectory,
-        noise,
-        runs=2,
-        seed=0,
-    )
+    controllers, noise = published_controllers(approximate), Noise("gaussian", amplitude)
+    found = compare(exact, controllers, trajectory, noise, runs=2, seed=0)
     figure, panels = figures.new(1, 2, height=2.2)
-    for axes, quantity, ticks in zip(
-        panels, ("position", "roughness"), (list(found), [""] * len(found)), strict=True
-    ):
+    for axes, quantity in zip(panels, ("position", "roughness"), strict=True):
         for place, (name, study) in enumerate(found.items()):
             mean = METRICS[quantity][2] * study[quantity].mean()
             axes.plot(mean, place, "o", color=COLOURS[name], label=name)
         axes.set(xscale="log", xlabel=METRICS[quantity][0], ylim=(len(found) - 0.5, -0.5))
-        axes.set_yticks(range(len(found)), ticks)
+        axes.set_yticks(range(len(found)), [""] * len(found))
         log_axis(axes.xaxis)
+    panels[0].set_yticklabels(list(found))
     return figure

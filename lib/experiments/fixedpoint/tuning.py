@@ -45,7 +45,7 @@ class Family:
     @property
     def bounds(self) -> Float64[np.ndarray, "knobs 2"]:
         """Logarithms of the ranges."""
-        return np.log(np.array([*SHARED.values(), *self.ranges.values()], dtype=float))
+        return np.log([*SHARED.values(), *self.ranges.values()])
 
     def numbers(self, knobs: np.ndarray) -> dict[str, float]:
         """The settings at a point of the search."""
@@ -65,51 +65,46 @@ class Family:
 
 def families() -> dict[str, Family]:
     """The five filters of the comparison; of each covariance only ratios matter, so one entry is fixed."""
-    return {
-        family.name: family
-        for family in (
-            Family(
-                WINDOW,
-                {"length": (1.0, 40.0)},
-                lambda model, sample_time, length: MovingWindow(length),
-                whole=("length",),
-            ),
-            Family(
-                LOW_PASS,
-                {"bandwidth": (60.0, 1500.0)},
-                # Euler's rule diverges at 2 / sample_time.
-                lambda model, sample_time, bandwidth: LowPass(min(bandwidth, 1.9 / sample_time)),
-            ),
-            Family(
-                KALMAN,
-                {
-                    "velocity_process": (1e-6, 1e2),
-                    "position_process": (1e-10, 1e1),
-                    "position_noise": (1e-10, 1e1),
-                },
-                lambda model, sample_time, velocity_process, position_process, position_noise: (
-                    UnscentedKalman(
-                        model,
-                        process=np.array([velocity_process, position_process]),
-                        noise=np.array([1e-2, position_noise]),
-                    )
-                ),
-            ),
-            Family(
-                EXTENDED,
-                {"disturbance_step": (1e-3, 1e2), "velocity_step": (1e-6, 1.0)},
-                lambda model, sample_time, disturbance_step, velocity_step: ExtendedKalman(
-                    model, disturbance_step=disturbance_step, velocity_step=velocity_step
-                ),
-            ),
-            Family(
-                POLYNOMIAL,
-                {"samples": (5.0, 60.0), "degree": (2.0, 3.4)},
-                lambda model, sample_time, samples, degree: SavitzkyGolay(samples, degree, sample_time),
-                whole=("samples", "degree"),
-            ),
-        )
-    }
+    found = (
+        Family(
+            WINDOW,
+            {"length": (1.0, 40.0)},
+            lambda model, sample_time, **own: MovingWindow(**own),
+            ("length",),
+        ),
+        Family(
+            LOW_PASS,
+            {"bandwidth": (60.0, 1500.0)},
+            # Euler's rule diverges at 2 / sample_time.
+            lambda model, sample_time, bandwidth: LowPass(min(bandwidth, 1.9 / sample_time)),
+        ),
+        Family(
+            KALMAN,
+            {
+                "velocity_process": (1e-6, 1e2),
+                "position_process": (1e-10, 1e1),
+                "position_noise": (1e-10, 1e1),
+            },
+            _kalman,
+        ),
+        Family(
+            EXTENDED,
+            {"disturbance_step": (1e-3, 1e2), "velocity_step": (1e-6, 1.0)},
+            lambda model, sample_time, **own: ExtendedKalman(model, **own),
+        ),
+        Family(
+            POLYNOMIAL,
+            {"samples": (5.0, 60.0), "degree": (2.0, 3.4)},
+            lambda model, sample_time, **own: SavitzkyGolay(**own, sample_time=sample_time),
+            ("samples", "degree"),
+        ),
+    )
+    return {family.name: family for family in found}
+
+
+def _kalman(model, sample_time, velocity_process, position_process, position_noise) -> UnscentedKalman:
+    process, noise = (velocity_process, position_process), (1e-2, position_noise)
+    return UnscentedKalman(model, process=np.array(process), noise=np.array(noise))
 
 
 @dataclass(frozen=True)

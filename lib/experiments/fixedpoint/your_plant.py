@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -85,10 +84,10 @@ def load_models(plant: str = "") -> Models:
             f"plant is {plant!r}, no .py or .toml file, and cannot be imported ({error}); give the path of a file "
             "or the import path of a module"
         ) from None
-    return _models(module, plant)
+    return _models(vars(module), plant)
 
 
-def _executed(file: Path) -> SimpleNamespace:
+def _executed(file: Path) -> dict[str, Any]:
     if missing := outline(file):
         raise InputError(f"{file.name}: {', '.join(missing)}; {COPY}")
     space = {"__name__": file.stem}
@@ -97,47 +96,47 @@ def _executed(file: Path) -> SimpleNamespace:
         exec(compile(file.read_text(encoding="utf-8"), f"<{file.name}>", "exec"), space)
     except Exception as error:
         raise InputError(f"{file.name} stops with {type(error).__name__}: {error}; mend it") from None
-    return SimpleNamespace(**space)
+    return space
 
 
-def _models(space, source: str) -> Models:
-    form = [*plant_form(vars(space))]
+def _models(space: Mapping, source: str) -> Models:
+    form = [*plant_form(space)]
     for name in (*form, *TABLES):
-        if not hasattr(space, name):
-            raise InputError(f"{source} lacks {name}{nearest(name, vars(space))}; {COPY}")
-    tables = {name: getattr(space, name) for name in TABLES}
-    for name, table in tables.items():
+        if name not in space:
+            raise InputError(f"{source} lacks {name}{nearest(name, space)}; {COPY}")
+    for name in TABLES:
+        table = space[name]
         if not isinstance(table, Mapping) or not table:
             raise InputError(f"{source}: {name} is no table; give names and numbers, such as {{'mass': 1.5}}")
         for key, value in table.items():
             require_number(f"{source}: {name}[{key!r}]", value)
     own_form = [f"approximate_{name}" for name in form]
-    defined = [name for name in own_form if hasattr(space, name)]
+    defined = [name for name in own_form if name in space]
     if len(defined) == 1:
         raise InputError(
             f"{source} defines {defined[0]} alone; the approximate model takes both {' and '.join(own_form)}"
         )
-    if not defined and list(tables["EXACT"]) != list(tables["APPROXIMATE"]):
+    exact, approximate = (space[name] for name in TABLES)
+    if not defined and list(exact) != list(approximate):
         raise InputError(
-            f"{source}: EXACT has {', '.join(tables['EXACT'])} and APPROXIMATE has "
-            f"{', '.join(tables['APPROXIMATE'])}; give the same names in the same order, or an approximate model of "
-            f"its own form ({' and '.join(own_form)})"
+            f"{source}: EXACT has {', '.join(exact)} and APPROXIMATE has {', '.join(approximate)}; give the same "
+            f"names in the same order, or an approximate model of its own form ({' and '.join(own_form)})"
         )
     units = _units(space, form, source)
     try:
-        exact = _model(space, form, tables["EXACT"], len(units))
-        approximate = _model(space, defined or form, tables["APPROXIMATE"], len(units))
+        plant = _model(space, form, exact, len(units))
+        believed = _model(space, defined or form, approximate, len(units))
     except InputError as error:
         raise InputError(f"{source}: {error}") from None
     except Exception as error:
         raise InputError(
             f"{source}: a model function stops with {type(error).__name__}: {error}; mend it"
         ) from None
-    return Models(exact, approximate, source, units)
+    return Models(plant, believed, source, units)
 
 
-def _units(space, form: list[str], source: str) -> tuple[str, ...]:
-    units = getattr(space, "UNITS", ("m",) if "force" in form else ())
+def _units(space: Mapping, form: list[str], source: str) -> tuple[str, ...]:
+    units = space.get("UNITS", ("m",) if "force" in form else ())
     if not isinstance(units, tuple | list) or not units or any(unit not in UNITS for unit in units):
         raise InputError(
             f"{source}: UNITS is {units!r}; give the unit of each coordinate, m or rad, such as ('rad', 'rad')"
@@ -150,8 +149,8 @@ def _units(space, form: list[str], source: str) -> tuple[str, ...]:
     return tuple(units)
 
 
-def _model(space, names: list[str], table: Mapping, coordinates: int) -> Plant | Mechanism:
-    functions, numbers = [getattr(space, name) for name in names], list(table.values())
+def _model(space: Mapping, names: list[str], table: Mapping, coordinates: int) -> Plant | Mechanism:
+    functions, numbers = [space[name] for name in names], list(table.values())
     if names[0].endswith("inertia"):
         model = Mechanism(*functions, coordinates, numbers)
     else:
@@ -212,7 +211,7 @@ def open_trajectories(
 ) -> list[Trajectory]:
     """`open_trajectory` for each coordinate: of its channel (names separated by ;), or with its amplitude."""
     channels = [name.strip() for name in channel.split(";")] if len(units) > 1 and record else [channel]
-    if len(channels) not in (1, len(units)) or (record and len(channels) != len(units)):
+    if record and len(channels) != len(units):
         raise InputError(
             f"trajectory_channel names {len(channels)}; give {len(units)} names for the coordinates, separated by ;"
         )
@@ -325,13 +324,10 @@ def stable_ranges(
     models: Models, chosen: Mapping[str, Controller], trajectories: list[Trajectory]
 ) -> dict[str, StableRange]:
     """Local gains for which the whole linear loop, filter and delay included, is stable where the motion starts."""
-    position, velocity = (
-        np.array([getattr(each, name)[0] for each in trajectories]) for name in ("position", "velocity")
-    )
+    start = np.array([[each.position[0], each.velocity[0]] for each in trajectories]).T
+    sample_time = trajectories[0].sample_time
     return {
-        name: stable_range(
-            linear_loop(models.exact, controller, trajectories[0].sample_time, position, velocity)
-        )
+        name: stable_range(linear_loop(models.exact, controller, sample_time, *start))
         for name, controller in chosen.items()
     }
 
@@ -360,10 +356,8 @@ def drive(
 
     def run(controller) -> list[ControlledRun]:
         if isinstance(models.exact, Mechanism):
-            limits = [force_limit] * count if force_limit else None
-            return simulate_mechanism(
-                models.exact, controller, trajectories, added, force_limits=limits, **options
-            )
+            limits = {"force_limits": [force_limit] * count if force_limit else None}
+            return simulate_mechanism(models.exact, controller, trajectories, added, **limits, **options)
         limit = force_limit or None
         return [simulate(models.exact, controller, trajectories[0], added[0], force_limit=limit, **options)]
 

@@ -81,14 +81,14 @@ def identification(
             (compared, 1.0),
         )
     )
-    first = fig_1_from
-    error = {m: _parameter_errors(many[m], truth, fig_1_error)[..., first:].mean(-1) for m in COMPETITORS}
+    errors = {m: _parameter_errors(many[m], truth, fig_1_error) for m in COMPETITORS}
+    error = {name: each[..., fig_1_from:].mean(-1) for name, each in errors.items()}
     wins = error["min_max"] < error["total"]
     growth = [(each["total_matrix"] / each["bound"])[:compared, -1] for each in (one, three, many)]
     found = {
         "fig-1a": wins[:, 0].mean(),
         "fig-1b": wins[:, 1].mean(),
-        "fig-1c": np.mean((many["total_matrix"] > many["bound"])[:, first - 1 :]),
+        "fig-1c": np.mean((many["total_matrix"] > many["bound"])[:, fig_1_from - 1 :]),
         "row-bound": np.mean((many["perturbation"] <= many["bound"]).all(axis=1)),
         "much-greater": np.mean(np.diff(growth, axis=0) > 0),
         "least-squares": (error["min_max"] < error["least"]).all(1).mean(),
@@ -152,7 +152,7 @@ def tracking(
     found = {"bound": derived}
     for study, name in ((printed, "fig-2"), (consistent, "fig-2-consistent")):
         below, median = _below(study, late, fig_2_average)
-        found[f"{name}"] = below[0].mean()
+        found[name] = below[0].mean()
         found[f"{name}-repeated"] = below.all(axis=1).mean()
         found[f"{name}-median"] = median.mean()
     own = {

@@ -20,11 +20,10 @@ def paint_map(names: list[str], errors: np.ndarray):
     behind, best = np.log2(over_best(errors)), among_best(errors)
     columns, rows = np.arange(len(METHODS)), np.arange(len(names))
     for number, (axes, title) in enumerate(zip(panels, EXCITATIONS, strict=True)):
-        mesh = axes.pcolormesh(
-            columns, rows, behind[:, number], cmap="Reds", vmin=0, vmax=3, shading="nearest"
-        )
-        marked = np.nonzero(best[:, number])
-        axes.plot(marked[1], marked[0], "o", markersize=4, color=figures.BLACK, label="level with the best")
+        shades = {"cmap": "Reds", "vmin": 0, "vmax": 3, "shading": "nearest"}
+        mesh = axes.pcolormesh(columns, rows, behind[:, number], **shades)
+        level = np.nonzero(best[:, number])[::-1]
+        axes.plot(*level, "o", markersize=4, color=figures.BLACK, label="level with the best")
         axes.set_title(title)
         axes.set_xticks(columns, METHODS.values(), rotation=90)
     panels[0].set_yticks(rows, names)

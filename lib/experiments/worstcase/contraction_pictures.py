@@ -56,10 +56,8 @@ def _paint_slope(axes, function: SecularFunction, alpha: np.ndarray):
 
 def _paint_iterates(axes, function: SecularFunction, root: float):
     for decade, colour in ((-5, figures.BLUE), (-2, figures.SKY), (1, figures.ORANGE), (3, figures.RED)):
-        path = function.iterates(root * 10.0**decade, 25)
-        axes.semilogy(
-            path, "o-", markersize=2.5, linewidth=0.8, color=colour, label=f"from {10.0**decade:g} × root"
-        )
+        style = {"markersize": 2.5, "lw": 0.8, "color": colour, "label": f"from {10.0**decade:g} × root"}
+        axes.semilogy(function.iterates(root * 10.0**decade, 25), "o-", **style)
     axes.axhline(root, color=figures.BLACK, linewidth=0.8)
     axes.set(xlabel="iteration", ylabel="α")
     axes.minorticks_off()
@@ -69,10 +67,8 @@ def _paint_iterates(axes, function: SecularFunction, root: float):
 def paint_slopes(slopes: dict[int, np.ndarray], rates: dict[int, np.ndarray]):
     """Largest slope of f, and slope at the root, over random problems, by number of unknowns."""
     figure, (left, right) = figures.new(1, 2, height=3.0, sharey=True)
-    for axes, values, label in (
-        (left, slopes, "largest slope of f"),
-        (right, rates, "slope of f at the root"),
-    ):
+    sides = ((left, slopes, "largest slope of f"), (right, rates, "slope of f at the root"))
+    for axes, values, label in sides:
         for unknowns, found in values.items():
             share = np.arange(1, len(found) + 1) / len(found)
             axes.step(np.sort(found), share, where="post", label=f"n = {unknowns}")

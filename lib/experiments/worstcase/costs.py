@@ -39,4 +39,4 @@ def multiplications(update: str, unknowns: int, evaluations: float = 1.0) -> flo
 
 def slope(sizes, costs) -> float:
     """Exponent of growth: least-squares slope of log cost over log size."""
-    return float(np.polyfit(np.log(np.asarray(sizes, float)), np.log(np.asarray(costs, float)), 1)[0])
+    return float(np.polyfit(np.log(sizes), np.log(costs), 1)[0])

@@ -48,9 +48,8 @@ def paint_two_unknowns(matrix: np.ndarray, target: np.ndarray, bound: float):
     axes.plot(*start.estimate, "s", color=figures.BLACK, label="least squares, η = 0")
     axes.plot(*found.estimate, "o", color=figures.RED, label=f"min-max, η = {bound:.3g} ({found.case})")
     axes.plot(0, 0, "x", color=figures.BLACK, label="zero, η ≥ τ")
-    axes.set(xlabel="x₁", ylabel="x₂")
-    axes.set(title=f"contours of the worst-case residual, τ = {start.threshold:.3g}")
-    axes.set_aspect("equal")
+    title = f"contours of the worst-case residual, τ = {start.threshold:.3g}"
+    axes.set(xlabel="x₁", ylabel="x₂", title=title, aspect="equal")
     axes.legend(loc="center left", bbox_to_anchor=(1.02, 0.5))
     return figure
 
@@ -58,10 +57,8 @@ def paint_two_unknowns(matrix: np.ndarray, target: np.ndarray, bound: float):
 def paint_bounds(matrix: np.ndarray, target: np.ndarray, consistent: np.ndarray):
     """The bound that belongs to every regularisation: outside data (b off the column space) and consistent ones."""
     figure, (left, right) = figures.new(1, 2, height=3.0)
-    for axes, goal, title in (
-        (left, target, "b outside the column space"),
-        (right, consistent, "b in the column space"),
-    ):
+    sides = ((left, target, "b outside the column space"), (right, consistent, "b in the column space"))
+    for axes, goal, title in sides:
         function = secular_function(matrix, goal, 1.0)
         alpha = np.geomspace(1e-4, 1e4, 321) * function.eigenvalues[-1]
         axes.semilogx(alpha, alpha / function(alpha), label="η(α) = α |x| / |Ax − b|")

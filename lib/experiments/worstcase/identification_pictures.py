@@ -15,11 +15,9 @@ METHODS = (
 
 def paint_fig_1(study: Study, parameters: tuple[float, ...]):
     """Estimates averaged over the realisations (a), (b) and residuals (c), drawn as in Fig. 1."""
-    figure, (first, second, third) = figures.new(3, 1, height=7.2, sharex=True)
-    time = np.arange(1, study["bound"].shape[1] + 1)
-    for number, (axes, truth) in enumerate(zip((first, second), parameters, strict=True)):
-        _paint_estimates(axes, study, number, truth)
-    first.legend(ncols=3)
+    figure, (*panels, third) = figures.new(3, 1, height=7.2, sharex=True)
+    time = _paint_estimates(panels, study, parameters)
+    panels[0].legend(ncols=3)
     third.plot(time, study["min_max_worst"].mean(0), color=figures.BLUE, label="min-max: worst case")
     third.plot(time, study["total_target"].mean(0), "--", color=figures.RED, label="TLS: |(A + δA)x − b|")
     style = {"color": figures.RED, "label": "TLS: worst case under the same bound, median"}
@@ -30,16 +28,18 @@ def paint_fig_1(study: Study, parameters: tuple[float, ...]):
     return figure
 
 
-def _paint_estimates(axes, study: Study, number: int, truth: float):
+def _paint_estimates(panels, study: Study, parameters: tuple[float, ...]) -> np.ndarray:
     time = np.arange(1, study["bound"].shape[1] + 1)
-    for name, label, colour, style in METHODS:
-        axes.plot(time, study[name][:, number].mean(0), style, color=colour, label=label)
-    axes.axhline(truth, color=figures.GREY, linewidth=2.5, alpha=0.5, zorder=1)
-    axes.set(ylabel=f"estimate of x{number + 1}", title=f"({'ab'[number]})")
-    # The first samples of total least squares run off any scale.
-    late = study["min_max"][:, number].mean(0)[10:]
-    reach = max(0.6, 1.3 * np.abs(late - truth).max())
-    axes.set(ylim=(truth - reach, truth + reach))
+    for number, (axes, truth) in enumerate(zip(panels, parameters, strict=True)):
+        for name, label, colour, style in METHODS:
+            axes.plot(time, study[name][:, number].mean(0), style, color=colour, label=label)
+        axes.axhline(truth, color=figures.GREY, linewidth=2.5, alpha=0.5, zorder=1)
+        axes.set(ylabel=f"estimate of x{number + 1}", title=f"({'ab'[number]})")
+        # The first samples of total least squares run off any scale.
+        late = study["min_max"][:, number].mean(0)[10:]
+        reach = max(0.6, 1.3 * np.abs(late - truth).max())
+        axes.set(ylim=(truth - reach, truth + reach))
+    return time
 
 
 def paint_corrections(study: Study):
@@ -57,12 +57,9 @@ def paint_corrections(study: Study):
 def error_norms(study: Study, parameters: tuple[float, ...], group: int = 1) -> dict[str, np.ndarray]:
     """|x - estimate| of the averages over groups of realisations, shape (groups, samples), by method."""
     truth, groups = np.asarray(parameters, float)[:, None], study.runs // group
-    found = {}
-    for name, *_ in METHODS:
-        values = study[name][: groups * group]
-        averages = values.reshape(groups, group, *values.shape[1:]).mean(axis=1)
-        found[name] = np.linalg.norm(averages - truth, axis=1)
-    return found
+    found = {name: study[name][: groups * group] for name, *_ in METHODS}
+    means = {name: v.reshape(groups, group, *v.shape[1:]).mean(axis=1) for name, v in found.items()}
+    return {name: np.linalg.norm(mean - truth, axis=1) for name, mean in means.items()}
 
 
 def paint_long(study: Study, parameters: tuple[float, ...], least_limit: np.ndarray):
@@ -110,7 +107,7 @@ def paint_wins(cases: list[tuple[tuple[float, ...], int]], against_total, agains
     axes.bar(places + 0.2, against_least, 0.38, color=figures.BLACK, label="min-max beats least squares")
     names = [f"({', '.join(f'{p:g}' for p in parameters)})\n{period}" for parameters, period in cases]
     axes.set_xticks(places, names)
-    axes.set(xlabel="true parameters, and period of the square wave (samples)")
+    axes.set_xlabel("true parameters, and period of the square wave (samples)")
     axes.set(ylabel="share of experiments", ylim=(0, 1.25))
     axes.legend(ncols=2, loc="upper center")
     return figure
@@ -124,8 +121,7 @@ def explore_fig_1(period: int, input_noise: float, output_noise: float, second: 
         input_noise=input_noise, output_noise=output_noise,
     )  # fmt: skip
     figure, panels = figures.new(1, 2, height=3.2)
-    for number, (axes, truth) in enumerate(zip(panels, parameters, strict=True)):
-        _paint_estimates(axes, study, number, truth)
-        axes.set_xlabel("time (samples)")
+    _paint_estimates(panels, study, parameters)
+    figures.label(panels, "time (samples)")
     figures.legend_below(panels[0], 3)
     return figure

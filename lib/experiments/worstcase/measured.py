@@ -25,17 +25,15 @@ METHODS = (
 )
 
 
-def load_blows(thinning: int = 8) -> list[MeasuredPair]:
-    """The shipped hammer blows on a light structure, force and acceleration, one of so many samples kept of 25.6 kHz.
+def load_blows() -> list[MeasuredPair]:
+    """The shipped hammer blows on a light structure, force and acceleration, one of eight samples kept of 25.6 kHz.
 
     A blow lasts a millisecond: what the force sensor shows in the second half of its record is noise.
     """
     file = paths.data("motion", "impact_frf_25k6/impact_hammer_5_hits.npz")
     with np.load(file, allow_pickle=False) as archive:
-        force, answer = (
-            signal.decimate(archive[name], thinning, ftype="fir") for name in ("force_n", "accel_m_s2")
-        )
-        rate = float(archive["fs_hz"]) / thinning
+        force, answer = (signal.decimate(archive[name], 8, ftype="fir") for name in ("force_n", "accel_m_s2"))
+        rate = float(archive["fs_hz"]) / 8
     noise = float(np.median(force[:, force.shape[1] // 2 :].std(axis=1)))
     return [MeasuredPair(*blow, rate, (0.0, rate / 2), noise) for blow in zip(force, answer, strict=True)]
 
@@ -49,24 +47,19 @@ def blow_trial(
     """
     noise = blows[0].noise
     added = noise * np.sqrt(require_number("noisier", noisier, at_least=1.0) ** 2 - 1)
+    inputs = (each.input + added * rng.standard_normal(len(each.input)) for each in blows)
     windows = [
-        (fir_regressors(each.input + added * rng.standard_normal(len(each.input)), taps), each.output)
-        for each in blows
+        (fir_regressors(force, taps)[:, :length].T, each.output[:length])
+        for force, each in zip(inputs, blows, strict=True)
     ]
-    windows = [(regressors[:, :length].T, output[:length]) for regressors, output in windows]
-    found = {name: [] for name, *_ in METHODS}
-    for number, (matrix, target) in enumerate(windows):
-        models = _estimates(matrix, target, replace(blows[0], noise=noisier * noise))
-        for other, (later, goal) in enumerate(windows):
-            for name, estimate in models.items() if other != number else ():
-                found[name].append(residual(later, goal, estimate))
-    return {name: np.array(values) for name, values in found.items()}
+    judged = [(each, windows[:k] + windows[k + 1 :]) for k, each in enumerate(windows)]
+    return _residuals(judged, replace(blows[0], noise=noisier * noise))
 
 
-def loudest_band(values: np.ndarray, sample_rate: float, width_hz: float = 8.0) -> tuple[float, float, float]:
-    """Where a signal's power lies: ends of the band of this width that holds most, Hz, and its share of the power."""
+def loudest_band(values: np.ndarray, sample_rate: float) -> tuple[float, float, float]:
+    """Where a signal's power lies: ends of the 8 Hz wide band that holds most, Hz, and its share of the power."""
     frequency, power = signal.welch(values, sample_rate, nperseg=min(len(values), 4096))
-    count = max(round(width_hz / frequency[1]), 1)
+    count = max(round(8.0 / frequency[1]), 1)
     held = np.convolve(power, np.ones(count), "valid")
     first = int(held.argmax())
     return float(frequency[first]), float(frequency[first + count - 1]), float(held[first] / power.sum())
@@ -101,35 +94,39 @@ def window_residuals(
     By method, for each length: rms residual over rms output in every window; 1 is the zero model. At most `most`
     windows a length, spread over the record.
     """
-    taps = require_count("taps", taps)
-    regressors = fir_regressors(pair.input, taps)
-    found = {name: [] for name, *_ in METHODS}
-    for length in lengths:
-        residuals = {name: [] for name in found}
-        for matrix, target, later, goal in _windows(pair, regressors, length, most):
-            for name, estimate in _estimates(matrix, target, pair).items():
-                residuals[name].append(residual(later, goal, estimate))
-        for name, values in residuals.items():
-            found[name].append(np.array(values))
-    return found
+    regressors = fir_regressors(pair.input, require_count("taps", taps))
+    of_lengths = [
+        _residuals([(fit, [later]) for fit, later in _windows(pair, regressors, length, most)], pair)
+        for length in lengths
+    ]
+    return {name: [found[name] for found in of_lengths] for name, *_ in METHODS}
 
 
-def _windows(pair: MeasuredPair, regressors, length: int, most: int) -> list[tuple[np.ndarray, ...]]:
-    """Pairs of neighbouring windows, spread over the record: regressors and outputs to fit, then to predict."""
+Window = tuple[np.ndarray, np.ndarray]  # regressors, a row a sample, and outputs
+
+
+def _windows(pair: MeasuredPair, regressors, length: int, most: int) -> list[tuple[Window, Window]]:
+    """Pairs of neighbouring windows, spread over the record: to fit, then to predict."""
     taps, samples = regressors.shape
     if not taps < length <= (samples - taps) // 2:
         raise InputError(f"lengths holds {length}; give more than {taps} and at most half of the record")
     starts = np.arange(taps, samples - 2 * length + 1, 2 * length)
     starts = starts[np.unique(np.linspace(0, len(starts) - 1, most).astype(int))]
-    return [
-        (
-            regressors[:, start : start + length].T,
-            pair.output[start : start + length],
-            regressors[:, start + length : start + 2 * length].T,
-            pair.output[start + length : start + 2 * length],
-        )
-        for start in starts
-    ]
+
+    def window(start) -> Window:
+        part = slice(start, start + length)
+        return regressors[:, part].T, pair.output[part]
+
+    return [(window(start), window(start + length)) for start in starts]
+
+
+def _residuals(judged: list[tuple[Window, list[Window]]], pair: MeasuredPair) -> dict[str, np.ndarray]:
+    """By method: what the model of each window leaves of those that go with it."""
+    found = {name: [] for name, *_ in METHODS}
+    for fit, others in judged:
+        for name, estimate in _estimates(*fit, pair).items():
+            found[name] += [residual(*other, estimate) for other in others]
+    return {name: np.array(values) for name, values in found.items()}
 
 
 def _estimates(matrix, target, pair) -> dict[str, np.ndarray]:
@@ -172,11 +169,10 @@ def bound_sweep(pair: MeasuredPair, taps: int, length: int, factors: np.ndarray,
     """Median out-of-sample residual of min-max when the bound is `factors` times the typical one."""
     regressors = fir_regressors(pair.input, taps)
     typical = pair.typical_bound(taps, 1 - 1 / length)
-    windows = _windows(pair, regressors, length, most)
-    found = np.zeros((len(windows), len(factors)))
-    for i, (matrix, target, later, goal) in enumerate(windows):
+    windows, found = _windows(pair, regressors, length, most), []
+    for fit, later in windows:
         # a rotation of the rows changes no residual: taps + 1 of them say all
-        corner = triangle(np.column_stack([matrix, target]))
-        for j, solution in enumerate(solve_sweep(corner[:, :-1], corner[:, -1], factors * typical)):
-            found[i, j] = residual(later, goal, solution.estimate)
+        corner = triangle(np.column_stack(fit))
+        swept = solve_sweep(corner[:, :-1], corner[:, -1], factors * typical)
+        found.append([residual(*later, solution.estimate) for solution in swept])
     return np.median(found, axis=0)

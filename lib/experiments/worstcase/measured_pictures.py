@@ -15,15 +15,12 @@ def paint_spectra(pair: MeasuredPair, spectra: Spectra, quiet_hz: tuple[float, f
     upper.loglog(frequency, spectra.input[shown], linewidth=0.8, label="input, channel 2")
     upper.loglog(frequency, spectra.output[shown], linewidth=0.8, label="output, channel 3")
     level = pair.noise**2 / (pair.band_hz[1] - pair.band_hz[0])
-    upper.loglog(
-        pair.band_hz, [level, level], color=figures.BLACK, label="sensor noise taken, over the pass band"
-    )
-    upper.set(ylabel="density ((m/s²)²/Hz)")
+    taken = "sensor noise taken, over the pass band"
+    upper.loglog(pair.band_hz, [level, level], color=figures.BLACK, label=taken)
+    upper.set_ylabel("density ((m/s²)²/Hz)")
     upper.legend()
     lower.semilogx(frequency, spectra.coherence[shown], linewidth=0.8, color=figures.GREEN, label="coherence")
-    lower.axvspan(
-        *quiet_hz, color=figures.GREY, alpha=0.25, linewidth=0, label="band where the noise is read"
-    )
+    lower.axvspan(*quiet_hz, color=figures.GREY, alpha=0.25, lw=0, label="band where the noise is read")
     lower.set(xlabel="frequency (Hz)", ylabel="coherence", ylim=(0, 1))
     lower.legend(loc="upper left")
     return figure

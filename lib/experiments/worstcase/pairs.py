@@ -134,9 +134,7 @@ def open_pair(
     frequency, densities = signal.welch(raw, rate, nperseg=segment)
     coherence = signal.coherence(*raw, rate, nperseg=segment)[1]
     levels, where = _noise(frequency, densities, (low, high), quiet_hz)
-    given = [value * factor for value, factor in zip(noise, factors, strict=True)]
-    for value in given:
-        require_number("noise", value, at_least=0.0)
+    given = [require_number("noise", n * f, at_least=0.0) for n, f in zip(noise, factors, strict=True)]
     found = tuple(float(stated or read) for stated, read in zip(given, levels, strict=True))
     if all(given):
         where = "as given"

@@ -37,20 +37,18 @@ def fir_trial(
     residuals |A x - b| + eta |x|. ``total_target``: norm of the correction of b. ``total_matrix``: norm
     of the correction of A. ``perturbation``: norm of the true perturbation. ``bound``: eta_t.
     """
-    regressors, outputs, errors = _fir_record(
-        rng, parameters, period, samples, input_noise, output_noise, law
-    )
+    noises = {"input_noise": input_noise, "output_noise": output_noise, "law": law}
+    regressors, outputs, errors = _fir_record(rng, parameters, period, samples, **noises)
     taps = len(regressors)
     estimator = GrowingMinMax(np.sqrt(taps) * input_noise, update)
     bounds = estimator.bounds(0, samples)
-    estimates = {"min_max": run_silently(estimator, regressors, outputs).estimates}
-    estimates["least"], estimates["total"], correction = _growing_windows(regressors, outputs)
-    found = {
+    found = {"min_max": run_silently(estimator, regressors, outputs).estimates}
+    found["least"], found["total"], correction = _growing_windows(regressors, outputs)
+    found |= {
         f"{name}_worst": worst_case_residuals(regressors, outputs, values, bounds, 1.0)
-        for name, values in estimates.items()
+        for name, values in found.items()
     }
-    early = np.arange(samples) < taps
-    found = {name: np.where(early, np.nan, values) for name, values in {**estimates, **found}.items()}
+    found = {name: np.where(np.arange(samples) < taps, np.nan, values) for name, values in found.items()}
     length = np.linalg.norm(found["total"], axis=0)
     found["total_matrix"] = correction * length / np.hypot(1, length)
     found["total_target"] = correction / np.hypot(1, length)
@@ -156,16 +154,14 @@ def path(kind: str, parameters: tuple[float, ...], samples: int) -> np.ndarray:
     """
     parameters = require_array("parameters", parameters, ndim=1)
     values = np.repeat(parameters[:, None], samples, axis=1)
-    if kind == "constant":
-        return values
     if kind == "jump":
         values[:, samples // 2 :] *= -1
-        return values
-    if kind != "drift" or len(parameters) < 2:
+    elif kind == "drift" and len(parameters) > 1:
+        angle, (first, second) = 2 * np.pi * np.arange(samples) / samples, parameters[:2]
+        values[0] = np.cos(angle) * first - np.sin(angle) * second
+        values[1] = np.sin(angle) * first + np.cos(angle) * second
+    elif kind != "constant":
         raise InputError(f"kind is {kind!r}; use 'constant', 'jump' or, for two parameters or more, 'drift'")
-    angle, (first, second) = 2 * np.pi * np.arange(samples) / samples, parameters[:2]
-    values[0] = np.cos(angle) * first - np.sin(angle) * second
-    values[1] = np.sin(angle) * first + np.cos(angle) * second
     return values
 
 

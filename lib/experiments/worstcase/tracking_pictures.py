@@ -35,11 +35,8 @@ def paint_fig_2(studies: dict[str, Study]):
 def gains(study: Study, forgetting: float) -> dict[str, tuple[float, tuple[float, float]]]:
     """Mean over trials, with its 95 % interval, of the settled rms error over that of RLS, by method."""
     base = settled(study["rls"], forgetting)
-    found = {}
-    for name, *_ in METHODS:
-        ratios = settled(study[name], forgetting) / base
-        found[name] = float(ratios.mean()), mean_interval(ratios)
-    return found
+    ratios = {name: settled(study[name], forgetting) / base for name, *_ in METHODS}
+    return {name: (float(each.mean()), mean_interval(each)) for name, each in ratios.items()}
 
 
 def paint_gains(found: dict[str, dict[str, tuple[float, tuple[float, float]]]]):
@@ -47,10 +44,9 @@ def paint_gains(found: dict[str, dict[str, tuple[float, tuple[float, float]]]]):
     figure, axes = figures.new(height=0.42 * len(found) + 1.5)
     places = np.arange(len(found))
     for offset, (name, label, colour, _) in zip((0.24, 0.0, -0.24), [METHODS[0], *METHODS[2:]], strict=True):
-        means = np.array([row[name][0] for row in found.values()])
-        ends = np.array([row[name][1] for row in found.values()])
-        error = np.abs(ends.T - means)
-        axes.errorbar(means, places + offset, xerr=error, fmt="o", markersize=4, color=colour, label=label)
+        means, ends = map(np.array, zip(*(row[name] for row in found.values()), strict=True))
+        style = {"fmt": "o", "markersize": 4, "color": colour, "label": label}
+        axes.errorbar(means, places + offset, xerr=np.abs(ends.T - means), **style)
     axes.axvline(1, color=figures.BLACK, linestyle="--", linewidth=1, label="RLS")
     axes.set_xscale("log")
     axes.set_xticks([0.7, 1, 1.5, 2, 4, 8, 16], ["0.7", "1", "1.5", "2", "4", "8", "16"])
@@ -70,16 +66,14 @@ def win_map(
 
     All cells see the same trials: a cell's neighbours differ by the setting alone.
     """
-    truth = path("constant", parameters, samples)
-    ratios = np.zeros((len(bounds), len(noises)))
-    for i, bound in enumerate(bounds):
-        for j, noise in enumerate(noises):
-            study = run_study(
-                tracking_trial, runs, seed, progress=False, truth=truth, bound=float(bound), forgetting=forgetting,
-                row_error=row_error, noise=float(noise), penalty=1.0,
-            )  # fmt: skip
-            ratios[i, j] = np.mean(settled(study["min_max"], forgetting) / settled(study["rls"], forgetting))
-    return ratios
+    settings = {"forgetting": forgetting, "row_error": row_error, "penalty": 1.0, "progress": False}
+    settings["truth"] = path("constant", parameters, samples)
+
+    def ratio(bound, noise) -> float:
+        study = run_study(tracking_trial, runs, seed, bound=float(bound), noise=float(noise), **settings)
+        return np.mean(settled(study["min_max"], forgetting) / settled(study["rls"], forgetting))
+
+    return np.array([[ratio(bound, noise) for noise in noises] for bound in bounds])
 
 
 def paint_win_map(
@@ -92,9 +86,7 @@ def paint_win_map(
     figures.mark_published(axes, *zip(*published, strict=True), label="settings of Fig. 2 (noise assumed)")
     axes.set(xscale="log", yscale="log", xlabel="standard deviation of the output noise (unit of b)")
     axes.set(ylabel="bound η (unit of the regressors)")
-    bar = figure.colorbar(
-        mesh, ax=axes, label="error over that of RLS", extend="both", ticks=[-2, -1, 0, 1, 2]
-    )
+    bar = figure.colorbar(mesh, ax=axes, label="error over that of RLS", extend="both", ticks=range(-2, 3))
     bar.ax.set_yticklabels(["1/4", "1/2", "1", "2", "4"])
     axes.legend(loc="upper left", frameon=True)
     return figure
@@ -103,10 +95,7 @@ def paint_win_map(
 def explore_tracking(bound: float, noise: float, scale: float, kind: str):
     """Fig. 2 with another bound, noise, size of the parameters, or with a jump or a drift."""
     truth = scale * path(kind, FIG_2_PARAMETERS, 375)
-    study = run_study(
-        tracking_trial, 40, 1, progress=False, truth=truth, bound=bound, forgetting=0.95, row_error=0.25,
-        noise=noise, penalty=14.0,
-    )  # fmt: skip
-    return paint_fig_2(
-        {f"{kind}, |x| = {np.linalg.norm(truth[:, 0]):.3g}, η = {bound:.3g}, noise {noise:.3g}": study}
-    )
+    settings = {"forgetting": 0.95, "row_error": 0.25, "noise": noise, "penalty": 14.0, "progress": False}
+    study = run_study(tracking_trial, 40, 1, truth=truth, bound=bound, **settings)
+    size = np.linalg.norm(truth[:, 0])
+    return paint_fig_2({f"{kind}, |x| = {size:.3g}, η = {bound:.3g}, noise {noise:.3g}": study})

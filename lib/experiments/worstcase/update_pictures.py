@@ -40,15 +40,13 @@ def paint_accuracy(records: dict[str, dict[str, np.ndarray]]):
                 label = f"{iterations} iteration{'s' * (iterations > 1)}"
                 errors = found[f"{name}_{iterations}"]
                 # where (20) starts from the exact solution its error is rounding, which differs between machines
-                axes.semilogy(
-                    np.where(errors > 1e-11, errors, np.nan), color=colour, linewidth=0.8, label=label
-                )
+                shown = np.where(errors > 1e-11, errors, np.nan)
+                axes.semilogy(shown, color=colour, linewidth=0.8, label=label)
             axes.minorticks_off()
             axes.set_ylim(bottom=1e-10)
         left.set(ylabel="relative error of α", title=title)
         right.set(ylabel="|x − batch| / max |batch|", title=f"{title}: estimate")
-    for axes in grid[-1]:
-        axes.set_xlabel("time (samples)")
+    figures.label(grid, "time (samples)")
     figures.legend_below(grid[0, 0], 3)
     return figure
 

@@ -61,10 +61,8 @@ def fit_pair(pair: Pair, taps: int, memory: int, factors: np.ndarray | None = No
         "min-max, typical bound": typical,
         "min-max, guaranteed bound": exponential_bound(3 * np.sqrt(taps), forgetting),
     }
-    estimators = {
-        "RLS": LeastSquares(forgetting, 1.0),
-        **{name: MinMax(bound, forgetting) for name, bound in bounds.items()},
-    }
+    estimators = {"RLS": LeastSquares(forgetting, 1.0)}
+    estimators |= {name: MinMax(bound, forgetting) for name, bound in bounds.items()}
     estimates = {
         name: run_silently(estimator, regressors[:, fit], output[fit]).estimates[:, -1]
         for name, estimator in estimators.items()
@@ -78,9 +76,9 @@ def fit_pair(pair: Pair, taps: int, memory: int, factors: np.ndarray | None = No
         np.array([residual(regressors[:, part].T, output[part], one.estimate) for one in swept])
         for part in (choose, judge)
     )
-    best = float(factors[np.argmin(choosing)])
-    bounds["min-max, chosen bound"] = best * typical
-    estimates["min-max, chosen bound"] = swept[int(np.argmin(choosing))].estimate
+    best = int(np.argmin(choosing))
+    bounds["min-max, chosen bound"] = float(factors[best]) * typical
+    estimates["min-max, chosen bound"] = swept[best].estimate
     return Fitted(
         {name: pair.gain * estimate for name, estimate in estimates.items()},
         *(

@@ -41,14 +41,14 @@ def paint_pair(pair: Pair, spectra: Spectra):
     return figure
 
 
-def paint_models(pair: Pair, fitted: Fitted, samples: int = 80):
-    """Impulse responses, and predictions of the output on the first samples of the part that is judged."""
+def paint_models(pair: Pair, fitted: Fitted):
+    """Impulse responses, and predictions of the output on the first 80 samples of the part that is judged."""
     figure, (left, right) = figures.new(1, 2, height=3.4)
     taps = len(next(iter(fitted.estimates.values())))
     lags = np.arange(taps) / pair.sample_rate * 1e3
     start = parts(len(pair.output))[2].start
     regressors = fir_regressors(pair.input, taps)
-    stretch = slice(start, min(start + samples, len(pair.output)))
+    stretch = slice(start, min(start + 80, len(pair.output)))
     times = np.arange(stretch.start, stretch.stop) / pair.sample_rate
     right.plot(times, pair.output[stretch], color=figures.GREY, lw=2.5, label="measured")
     useful = {name: one for name, one in fitted.estimates.items() if fitted.held_out[name] < USELESS}
@@ -116,16 +116,16 @@ def record_explorer(pair: Pair, memory: int) -> Callable:
         regressors = fir_regressors(scaled.input, taps)
         matrix, target = weighted_corner(regressors[:, recent], scaled.output[recent], forgetting)
         eta = bound * scaled.typical_bound(taps, forgetting)
-        estimates = {
-            "RLS": np.linalg.lstsq(matrix, target, rcond=None)[0],
-            "min-max, typical bound": solve_silently(matrix, target, eta).estimate,
-        }
+        found = (
+            ("least squares", figures.BLACK, np.linalg.lstsq(matrix, target, rcond=None)[0]),
+            ("min-max", figures.BLUE, solve_silently(matrix, target, eta).estimate),
+        )
+        lags = np.arange(taps) / pair.sample_rate * 1e3
         figure, axes = figures.new(1, 1, height=3.0)
-        for (name, estimate), label in zip(estimates.items(), ("least squares", "min-max"), strict=True):
+        for name, colour, estimate in found:
             left = residual(regressors[:, later].T, scaled.output[later], estimate)
-            style = {"markersize": 3, "color": STYLES[name][0]}
-            lags, said = np.arange(taps) / pair.sample_rate * 1e3, f"leaves {100 * left:.1f} % of the output"
-            axes.plot(lags, pair.gain * estimate, "o-", label=f"{label}: {said}", **style)
+            label = f"{name}: leaves {100 * left:.1f} % of the output"
+            axes.plot(lags, pair.gain * estimate, "o-", markersize=3, color=colour, label=label)
         axes.set(xlabel="lag (ms)", ylabel=f"impulse response ({_per(pair)})")
         axes.legend()
         return figure

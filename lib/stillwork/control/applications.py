@@ -8,7 +8,7 @@ from jaxtyping import Float64
 
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
 from stillwork.base.front_door import by_value, check_fields, checked
-from stillwork.control.feedback import SELECTIONS, band_pass, damping_gain, stiffness_gain
+from stillwork.control.feedback import SELECTIONS, band_pass, damping_gain, per_flexible_mode, stiffness_gain
 from stillwork.estimation.observer import Observer
 from stillwork.lti.state_space import StateModel, block_matrix, interconnect
 
@@ -129,9 +129,7 @@ def compensator(observer: Observer, application: Application) -> StateModel:
             )
         velocities = observer.read(np.eye(flexible), "velocity")
         centres = model.frequencies[rigid:] if application.common is None else [application.common] * flexible
-        widths = require_array("selectivity", application.selectivity)
-        widths = np.full(flexible, float(widths)) if widths.ndim == 0 else widths
-        widths = require_array("selectivity", widths, shape=(flexible,))
+        widths = per_flexible_mode(model, "selectivity", application.selectivity)
         filters = [band_pass(float(w), float(q)) for w, q in zip(centres, widths, strict=True)]
     compensation = application.compensate * observer.flexible_outputs
     estimator = observer.estimator(np.vstack([compensation, observer.feedback(static), velocities]))

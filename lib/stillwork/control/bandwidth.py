@@ -377,7 +377,7 @@ def maximise_bandwidth(
     if k == len(grid) - 1:
         raise InputError(f"all constraints hold even at high_hz = {high_hz:g}; raise it to find the limit")
     stopped = _violation(loops, family(grid[k + 1]), constraints, refine)
-    assert stopped is not None  # `_rough` rejects nothing that is feasible
+    assert stopped is not None  # `_above` refuses nothing that is feasible
     return _bisected(loops, family, constraints, grid[k], grid[k + 1], stopped, tolerance_hz, refine)
 
 

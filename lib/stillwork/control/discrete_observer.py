@@ -84,18 +84,10 @@ class DiscreteObserver(FlexibleEstimates):
         kept = np.eye(len(self.a)) - self.gain @ self.c
         a = np.block([[self.a @ kept, -self.a @ self.gain @ d], [np.zeros((inputs, len(self.a) + inputs))]])
         b = np.block([[self.b, self.a @ self.gain], [np.eye(inputs), np.zeros((inputs, outputs))]])
-        none = np.zeros((len(rows), inputs))
-        if form == "predictor":
-            predicted = StateModel(
-                a,
-                b,
-                np.hstack([rows, none]),
-                np.hstack([none, np.zeros((len(rows), outputs))]),
-                self.sample_time,
-            )
-            return delayed(predicted, delay - 1)
-        c = np.hstack([rows @ kept, -rows @ self.gain @ d])
-        return delayed(StateModel(a, b, c, np.hstack([none, rows @ self.gain]), self.sample_time), delay)
+        predicts = form == "predictor"
+        read, now = (rows, np.zeros((len(rows), outputs))) if predicts else (rows @ kept, rows @ self.gain)
+        c, direct = np.hstack([read, -now @ d]), np.hstack([np.zeros((len(rows), inputs)), now])
+        return delayed(StateModel(a, b, c, direct, self.sample_time), delay - predicts)
 
 
 @checked

@@ -13,7 +13,7 @@ from stillwork.control.loops import INPUTS, OUTPUTS, require_stable
 from stillwork.control.setpoint import Setpoint
 from stillwork.lti.discretisation import zoh
 from stillwork.lti.simulation import simulate
-from stillwork.lti.state_space import StateModel, interconnect
+from stillwork.lti.state_space import StateModel, block_matrix, interconnect
 
 BASIS = ("velocity", "acceleration", "jerk", "snap")
 
@@ -54,15 +54,14 @@ def modified_feedforward(compensator: StateModel, controller: StateModel) -> Sta
     A copy of the observer runs on (u0, r) and takes out what the observer in the loop will add, (A.7).
     """
     inputs, outputs = controller.d.shape
-    im, ip = np.eye(inputs), np.eye(outputs)
-    zim, zip_ = np.zeros((inputs, inputs)), np.zeros((inputs, outputs))
-    # Outputs: u_d, y_flex, controller. Inputs: u0, r, y_flex into the controller.
-    feedback = np.block(
-        [[zim, zip_, zim], [zip_.T, np.zeros((outputs, outputs)), zip_.T], [zip_.T, ip, zip_.T]]
-    )
-    external = np.block([[im, zip_], [zip_.T, ip], [zip_.T, np.zeros((outputs, outputs))]])
+    given, found = (inputs, outputs), (inputs, outputs, inputs)  # u0, r; u_d, y_flex, controller
+    taken = (inputs, outputs, outputs)  # u0, r, y_flex into the controller
     return interconnect(
-        [compensator, controller], feedback, external, np.hstack([-im, zip_, -im]), np.hstack([im, zip_])
+        [compensator, controller],
+        block_matrix(taken, found, (0, 0, 0), (0, 0, 0), (0, 1, 0)),
+        block_matrix(taken, given, (1, 0), (0, 1), (0, 0)),
+        block_matrix((inputs,), found, (-1, 0, -1)),
+        block_matrix((inputs,), given, (1, 0)),
     )
 
 

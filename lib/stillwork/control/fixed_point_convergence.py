@@ -63,9 +63,8 @@ class StableRange:
         check_fields(self)
 
     def __contains__(self, local_gain: float) -> bool:
-        if self.strongest is None or self.weakest is None:
-            return False
-        return self.strongest.local_gain < local_gain < self.weakest.local_gain
+        strongest, weakest = self.limits
+        return strongest < local_gain < weakest
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -102,9 +101,7 @@ def crossings(loop: LinearLoop, points: int = 300) -> list[Crossing]:
 @checked
 def stable_range(loop: LinearLoop) -> StableRange:
     """The widest range of negative gains between two crossings in which all poles are inside the circle."""
-    if loop.B.shape[1] > 1:
-        return _scanned_range(loop)
-    edges = [*crossings(loop), Crossing(0.0, 0.0)]
+    edges = _scanned_edges(loop) if loop.B.shape[1] > 1 else [*crossings(loop), Crossing(0.0, 0.0)]
     ranges = [
         (strong, weak)
         for strong, weak in pairwise(edges)
@@ -115,8 +112,8 @@ def stable_range(loop: LinearLoop) -> StableRange:
     return StableRange(*max(ranges, key=lambda edges: edges[1].local_gain - edges[0].local_gain))
 
 
-def _scanned_range(loop: LinearLoop) -> StableRange:
-    """The same for several coordinates, by the poles themselves: sought on a grid of gains from -1e-3 to -10."""
+def _scanned_edges(loop: LinearLoop) -> list[Crossing]:
+    """Crossings of several coordinates, by the poles themselves: sought on a grid of gains from -10 to -1e-3."""
     from scipy.optimize import brentq
 
     gains = -np.geomspace(10.0, 1e-3, 161)
@@ -125,18 +122,12 @@ def _scanned_range(loop: LinearLoop) -> StableRange:
         brentq(lambda gain: loop.radius(gain) - 1, gains[i], gains[i + 1], xtol=1e-9)
         for i in np.flatnonzero(excess[:-1] * excess[1:] < 0)
     ]
-    edges = [float(gains[0]), *inner, float(gains[-1])]
-    ranges = [pair for pair in pairwise(edges) if loop.radius(sum(pair) / 2) < 1]
-    if not ranges:
-        return StableRange(None, None)
-
-    def crossing(gain):
+    edges = []
+    for gain in (float(gains[0]), *inner, float(gains[-1])):
         poles = loop.poles(gain)
         angle = abs(np.angle(poles[np.abs(poles).argmax()]))
-        return Crossing(float(gain), float(angle / (2 * np.pi * loop.sample_time)))
-
-    low, high = max(ranges, key=lambda pair: pair[1] - pair[0])
-    return StableRange(crossing(low), crossing(high))
+        edges.append(Crossing(gain, float(angle / (2 * np.pi * loop.sample_time))))
+    return edges
 
 
 @checked

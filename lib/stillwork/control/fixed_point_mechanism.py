@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
+from stillwork.base.algebra import copy_vector
 from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.base.front_door import checked
 from stillwork.base.kernels import borrowing_kernel
@@ -219,8 +220,7 @@ def _closed_mechanism(
         if limited:
             if not forward_dynamics(model_inertia, model_bias, model, seen, speed, force, work, deformed):
                 return i, NO_INERTIA
-            for j in range(count):
-                memory[j, DEFORMED] = deformed[j]
+            copy_vector(deformed, memory[:, DEFORMED])
         if not forward_dynamics(inertia, bias, plant, position, velocity, force, work, acceleration):
             return i, NO_INERTIA
         for j in range(count):

@@ -262,21 +262,14 @@ class Reached:
     @checked(infinite=True)
     def highest_db(self, function: str) -> str:
         """The higher of both, rounded."""
-        return (
-            f"{max(size for size in self.peaks_db()[function] if size is not None):.1f}"
-            if self.recommended
-            else ""
-        )
+        sizes = self.peaks_db()[function] if self.recommended else ()
+        return f"{max(size for size in sizes if size is not None):.1f}" if sizes else ""
 
     @property
     def summary(self) -> dict[str, str]:
         """One row of a table, rounded; bandwidths from the lowest sensor to the highest."""
         row = {"on the model (Hz)": _span(self.on_model)}
-        if (
-            self.on_measurement is not None
-            or self.extra_turns is not None
-            or self.loops is not self.model_loops
-        ):
+        if self.loops is not self.model_loops:
             row["on the measurement (Hz)"] = _span(self.on_measurement)
         stop = self.recommended or self.on_measurement or self.on_model
         if stop is not None:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.algebra import cholesky_root
+from stillwork.base.algebra import add_product, cholesky_root, cholesky_solve
 from stillwork.base.checks import InputError, require_array, require_count, require_number
 from stillwork.base.front_door import by_value, check_fields, checked, outside
 from stillwork.base.kernels import borrowing_kernel, callback
@@ -110,14 +110,10 @@ class Mechanism:
         InputError
             When there is not one of each for every coordinate.
         """
-        place, speed, wanted = (
-            require_array(name, values, shape=(self.coordinates,))
-            for name, values in (
-                ("position", position),
-                ("velocity", velocity),
-                ("acceleration", acceleration),
-            )
-        )
+        shape = (self.coordinates,)
+        place = require_array("position", position, shape=shape)
+        speed = require_array("velocity", velocity, shape=shape)
+        wanted = require_array("acceleration", acceleration, shape=shape)
         return self.mass(place) @ wanted + self._resistance(place, speed)
 
     @checked
@@ -188,9 +184,7 @@ def inverse_dynamics(inertia, bias, parameters, position, velocity, acceleration
     size = len(position)
     inertia(position, parameters, work[:size])
     bias(position, velocity, parameters, force)
-    for i in range(size):
-        for j in range(size):
-            force[i] += work[i, j] * acceleration[j]
+    add_product(work[:size], acceleration, force)
 
 
 @borrowing_kernel
@@ -203,13 +197,6 @@ def forward_dynamics(inertia, bias, parameters, position, velocity, force, work,
     if not cholesky_root(matrix, root, size):
         return False
     for i in range(size):
-        total = force[i] - rest[i]
-        for k in range(i):
-            total -= root[i, k] * rest[k]
-        rest[i] = total / root[i, i]
-    for i in range(size - 1, -1, -1):
-        total = rest[i]
-        for k in range(i + 1, size):
-            total -= root[k, i] * acceleration[k]
-        acceleration[i] = total / root[i, i]
+        rest[i] = force[i] - rest[i]
+    cholesky_solve(root, rest, acceleration)
     return True

@@ -126,13 +126,6 @@ def point_to_point(
     >>> float(move.derivatives[1].max().round(6))  # m/s
     0.1
     """
-    for name, value in (
-        ("snap", snap),
-        ("jerk", jerk),
-        ("acceleration", acceleration),
-        ("velocity", velocity),
-    ):
-        require_number(name, value, above=0.0)
     require_number("cruise", cruise, above=0.0)
     require_number("settling", settling, at_least=0.0, below=cruise)
     t_snap, t_jerk, t_acceleration = segment_times(snap, jerk, acceleration, velocity)
@@ -151,9 +144,8 @@ def point_to_point(
 @checked
 def segment_times(snap: float, jerk: float, acceleration: float, velocity: float) -> tuple[float, ...]:
     """Lengths of the snap, jerk-plateau and acceleration-plateau segments (s)."""
-    for name, limit in zip(
-        ("snap", "jerk", "acceleration", "velocity"), (snap, jerk, acceleration, velocity), strict=True
-    ):
+    limits = {"snap": snap, "jerk": jerk, "acceleration": acceleration, "velocity": velocity}
+    for name, limit in limits.items():
         require_number(name, limit, above=0.0)
     t_snap = min(jerk / snap, np.sqrt(acceleration / snap), np.cbrt(velocity / (2 * snap)))
     top = snap * t_snap
