@@ -131,10 +131,8 @@ def sensitivity_weight(corner_hz: float, floor: float = 0.02) -> StateModel:
     """
     w = 2 * np.pi * require_number("corner_hz", corner_hz, above=0.0)
     floor = require_number("floor", floor, above=0.0, below=1.0)
-    slope = StateModel(
-        np.array([[-floor * w]]), np.array([[w * (1 - floor)]]), np.array([[1.0]]), np.array([[1.0]])
-    )
-    whole = series([slope] * 3)
+    one = np.ones((1, 1))
+    whole = series([StateModel(-floor * w * one, w * (1 - floor) * one, one, one)] * 3)
     return StateModel(whole.a, whole.b, whole.c / SIX_DB, whole.d / SIX_DB)
 
 
@@ -227,9 +225,9 @@ def paint_responses(
         loop = closed.frequency_response(omega)
         style = {"label": name, "color": COLOURS.get(name, figures.BLUE)}
         # Opened at the plant, f = C_y y: from d (added to y alone) the loop gives f = -C_y d / (1 + P C_y).
-        to_force, to_output = loop[3, INPUTS.index("d")], loop[0, INPUTS.index("d")]
+        d = INPUTS.index("d")
         add_magnitude(left, omega, loop[0, INPUTS.index("r")], **style)
-        add_magnitude(right, omega, to_force / (1 - to_output), **style)
+        add_magnitude(right, omega, loop[3, d] / (1 - loop[0, d]), **style)
     if weight is not None:
         style = {"color": figures.BLACK, "linewidth": 0.8, "label": "1 / $W_{sens}$"}
         add_magnitude(left, omega, 1 / weight.frequency_response(omega)[0, 0], **style)
@@ -240,17 +238,12 @@ def paint_responses(
     return figure
 
 
-def published_problem() -> ObserverProblem:
-    """The generalised plant at the published settings, scaled to the length of the move."""
-    plant = truncate(stage().at([0], [4]), 4, 0)
-    scales = (0.01 / 0.17, 1e-9 / 0.17, 1e-9 / 0.17)
-    return ObserverProblem(plant, PidFamily(stage_mass())(83.0), DAMPING, 2.0, scales)
-
-
 @cache
 def _compared() -> tuple[ObserverProblem, GeneralisedPlant, StateModel, StateModel]:
     """The published problem, its generalised plant, the Kalman observer and the weight that it just keeps."""
-    problem = published_problem()
+    plant = truncate(stage().at([0], [4]), 4, 0)
+    scales = (0.01 / 0.17, 1e-9 / 0.17, 1e-9 / 0.17)  # over the length of the move
+    problem = ObserverProblem(plant, PidFamily(stage_mass())(83.0), DAMPING, 2.0, scales)
     generalised = problem.generalised()
     kalman = problem.read(kalman_observer(problem.plant, published_noise(), 1e3))
     return problem, generalised, kalman, sensitivity_weight(tipping_corner(generalised.close(kalman)))
