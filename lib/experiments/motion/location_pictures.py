@@ -24,9 +24,8 @@ def paint_location_errors(study: LocationStudy, panels: Mapping[str, str]):
     """Tracking errors at all places, a panel a case: the band they fill in half a millisecond, and three of them (Figs 4.10, 4.11)."""
     figure, axes = figures.new(2, 2, height=4.6, sharex=True, sharey=True)
     time = study.setpoint.time
-    starts = np.arange(
-        0, len(time), max(round(5e-4 / study.setpoint.sample_time), 1)
-    )  # a pixel of the picture each
+    pixel = max(round(5e-4 / study.setpoint.sample_time), 1)  # samples of one
+    starts = np.arange(0, len(time), pixel)
     for axis, (title, case) in zip(axes.ravel(), panels.items(), strict=True):
         errors, size = 1e9 * study.errors[case], study.rms(case)
         low, high = (
