@@ -24,9 +24,8 @@ def paint_reduction(retained: int, cutoff_hz: float):
         f"error, {name}": (omega, exact - each.frequency_response(omega)[0, 0])
         for name, each in reduced.items()
     }
-    return paint_bode(
-        curves, "magnitude (dB re 1 m/N)", styles={"full": {"color": figures.GREY}}, height=3.2
-    )[0]
+    grey = {"full": {"color": figures.GREY}}
+    return paint_bode(curves, "magnitude (dB re 1 m/N)", styles=grey, height=3.2)[0]
 
 
 def paint_heavy_mass(place: int, mass_kg: float):

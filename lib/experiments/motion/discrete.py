@@ -59,10 +59,8 @@ def placement_error(
     flexible = model.modes(slice(rigid, None))
     sampled = zoh_modes(flexible, sample_time)
     poles = linalg.eigvals(sampled.a + sampled.b @ gain[:, 2 * rigid :])
-    wanted, before = (
-        np.exp(p * sample_time)
-        for p in (damped_poles(model, increase), flexible.poles[: len(flexible.frequencies)])
-    )
+    free = flexible.poles[: len(flexible.frequencies)]
+    wanted, before = (np.exp(each * sample_time) for each in (damped_poles(model, increase), free))
     return float((np.abs(poles[:, None] - wanted).min(axis=0) / np.abs(before - wanted)).max())
 
 

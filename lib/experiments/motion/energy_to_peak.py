@@ -132,9 +132,9 @@ def inequality_margins(system: ErrorSystem, level: float, slack: float = 1e-9) -
 
 def settled_covariance(a, g, c, process, sensor, start, steps: int) -> Float64[np.ndarray, "states states"]:
     """Covariance of the Kalman predictor after so many steps of (5.37) with one C, from any `start`."""
-    a, g, c, process, sensor, p = (np.asarray(each, float) for each in (a, g, c, process, sensor, start))
+    p, driven = start, g @ process @ g.T
     for _ in range(steps):
-        _, p = _predicted(a, c, p, g @ process @ g.T, sensor)
+        _, p = _predicted(a, c, p, driven, sensor)
     return p
 
 

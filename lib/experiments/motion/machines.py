@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from stillwork.base import paths
-from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
 from stillwork.base.toml_files import read_numbers
 from stillwork.control.setpoint import Setpoint, point_to_point
 from stillwork.estimation.observer import NoiseIntensities
@@ -19,9 +19,7 @@ from stillwork.lti.state_space import StateModel
 def parameters(machine: str) -> dict:
     """Published parameters of a machine from ``data/motion/machines.toml``, SI units."""
     tree = read_numbers(paths.data("motion", "machines.toml"), lists=False)
-    if machine not in tree:
-        raise InputError(f"machine is {machine!r}; use one of {', '.join(map(repr, tree))}")
-    return tree.table(machine)
+    return tree.table(require_choice("machine", machine, tree))
 
 
 def chain_matrix(springs: ArrayLike) -> Float64[np.ndarray, "nodes nodes"]:

@@ -19,19 +19,14 @@ from stillwork.lti.peaks import resonance_grid
 from stillwork.workbook import figures
 
 
-def colours(count: int) -> list[str]:
-    """Colours from dark to light along the structure."""
-    from matplotlib import colormaps
-    from matplotlib.colors import to_hex
-
-    return [to_hex(colormaps["viridis"](0.92 * k / max(count - 1, 1))) for k in range(count)]
-
-
 def _along(loops: Mapping[float, Loop], low_hz: float, high_hz: float):
     """One grid for all places, dense at the poles of plants and compensators, and each loop's label and line."""
+    from matplotlib import colormaps
+
     each = list(loops.values())
     poles = np.concatenate([each[0].plant.poles, *(loop.compensator.poles for loop in each[::3])])
-    styles = [{"color": colour, "linewidth": 1.0} for colour in colours(len(loops))]
+    shades = colormaps["viridis"](np.linspace(0.0, 0.92, len(loops)))  # dark to light along the structure
+    styles = [{"color": shade, "linewidth": 1.0} for shade in shades]
     lines = zip([f"{place:g} m" for place in loops], each, styles, strict=True)
     return resonance_grid(poles, low_hz, high_hz, 250, 6), list(lines)
 

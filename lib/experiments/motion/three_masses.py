@@ -57,9 +57,7 @@ def paint_nyquist(loops: Mapping[str, Loop], controller: Pid):
             open_loop.real[near], open_loop.imag[near], label=f"{label}: {'stable' if stable else 'unstable'}"
         )
     axis.plot([-1], [0], "+", color=figures.BLACK, markersize=12, label="-1")
-    axis.set(xlim=(-6, 6), ylim=(-6, 6))
-    axis.set_aspect("equal")
-    axis.set(xlabel="real part", ylabel="imaginary part")
+    axis.set(xlim=(-6, 6), ylim=(-6, 6), aspect="equal", xlabel="real part", ylabel="imaginary part")
     axis.legend()
     return figure
 

@@ -10,6 +10,7 @@ from experiments.motion.magnitudes import decibel
 from stillwork import designing
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
+from stillwork.control.loops import LoopResponse
 from stillwork.control.machine_loops import Intensities, Reached, observer_settings, observing_compensator
 from stillwork.identification.machine import Machine
 from stillwork.lti.peaks import resonance_grid
@@ -101,8 +102,7 @@ def machine_explorer(
         application = Application(compensate=True, damping=damping, selectivity=selectivity)
         settings = observer_settings(machine, application, retained, moved)
         used = observing_compensator(last, application, *settings)
-        (o_uu, o_uy), (o_yu, o_yy) = used.frequency_response(shown)
-        seen = ((1 - o_yy) * plant - o_yu) / (1 - o_uu - o_uy * plant)
+        seen = LoopResponse(plant, used.frequency_response(shown), np.zeros_like(plant)).equivalent_plant
         figure, axes = paint_bode(
             {"plant": (shown, plant), "with MC and AD": (shown, seen)}, "magnitude (dB re 1 m/N)", height=3.2
         )
