@@ -142,16 +142,10 @@ def tracking(
         for case in CASES
     }
     quiet = scan_noise == "none"
-    study = run_study(
-        noisy_scan_trial,
-        1 if quiet else LEAN_RUNS if lean else RUNS,
-        seed,
-        loops=loops,
-        setpoint=setpoint,
-        feedforward=fitted,
-        deviations={name: 0.0 if quiet else size for name, size in published_deviations().items()},
-        progress=False,
-    )
+    runs = 1 if quiet else LEAN_RUNS if lean else RUNS
+    deviations = {name: 0.0 if quiet else size for name, size in published_deviations().items()}
+    scan = {"loops": loops, "setpoint": setpoint, "feedforward": fitted, "deviations": deviations}
+    study = run_study(noisy_scan_trial, runs, seed, progress=False, **scan)
     nm = {claim: 1e9 * study[case] for claim, case in TRACKING.items()}
     mean = {claim: float(each.mean()) for claim, each in nm.items()}
     found = {

@@ -140,9 +140,8 @@ def paint_sampled(rate_khz: float, damping: float, compensate: str, timing: str)
     sample_time = 1e-3 / rate_khz
     machine = stage().at([0], [4])
     plant = zoh_modes(machine, sample_time)
-    observer = discrete_kalman_observer(
-        truncate(machine, RETAINED, COMPENSATED), published_noise(), sample_time, 0.03
-    )
+    reduced = truncate(machine, RETAINED, COMPENSATED)
+    observer = discrete_kalman_observer(reduced, published_noise(), sample_time, 0.03)
     application = Application(compensate == "yes", damping, "pole placement")
     block = discrete_compensator(observer, application, *TIMINGS[timing])
     seen = equivalent_plant(plant, block)

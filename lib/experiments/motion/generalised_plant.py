@@ -30,15 +30,8 @@ class GeneralisedPlant:
     def blocks(self) -> tuple[np.ndarray, ...]:
         """A, B1, B2, C1, C2, D11, D12, D21, D22."""
         m, w, z = self.model, self.exogenous, self.performance
-        rows = m.d[:z], m.d[z:]
-        return (
-            m.a,
-            m.b[:, :w],
-            m.b[:, w:],
-            m.c[:z],
-            m.c[z:],
-            *(d for row in rows for d in np.split(row, [w], 1)),
-        )
+        d = [part for row in (m.d[:z], m.d[z:]) for part in np.split(row, [w], axis=1)]
+        return m.a, m.b[:, :w], m.b[:, w:], m.c[:z], m.c[z:], *d
 
     def close(self, observer: StateModel) -> StateModel:
         """The closed loop (5.3) from w to z, with the feedthrough D22 that (5.3) leaves out."""

@@ -129,10 +129,8 @@ def _filter_gain(a, b, c, d) -> np.ndarray:
 
 def in_units(units: "Units", a, b, c) -> StateModel:
     """An observer of the scaled plant in the plant's own units."""
-    silent = np.zeros((len(c), len(units.measurements)))
-    return StateModel(
-        a * units.rate, b * units.rate / units.measurements, c * units.controls[:, None], silent
-    )
+    b, c = b * units.rate / units.measurements, c * units.controls[:, None]
+    return StateModel(a * units.rate, b, c, np.zeros((len(c), b.shape[1])))
 
 
 @dataclass(frozen=True)

@@ -28,10 +28,8 @@ def paint_location_errors(study: LocationStudy, panels: Mapping[str, str]):
     starts = np.arange(0, len(time), pixel)
     for axis, (title, case) in zip(axes.ravel(), panels.items(), strict=True):
         errors, size = 1e9 * study.errors[case], study.rms(case)
-        low, high = (
-            extreme.reduceat(extreme.reduce(errors, axis=0), starts) for extreme in (np.minimum, np.maximum)
-        )
-        axis.fill_between(time[starts], low, high, color=figures.GREY, alpha=0.35, linewidth=0)
+        band = (each.reduceat(each.reduce(errors, axis=0), starts) for each in (np.minimum, np.maximum))
+        axis.fill_between(time[starts], *band, color=figures.GREY, alpha=0.35, linewidth=0)
         order = np.argsort(size)
         chosen = {"largest": order[-1], "middle": order[len(order) // 2], "smallest": order[0]}
         for (name, k), colour in zip(chosen.items(), (figures.RED, figures.BLUE, figures.GREEN), strict=True):

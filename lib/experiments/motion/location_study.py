@@ -118,9 +118,8 @@ def read_table(
 
 @lru_cache(maxsize=2)
 def _table_noise(masses: int, sample_time: float, seed: int) -> ErrorsByCase:
-    return location_noise(
-        table_loops(masses), published_setpoint(sample_time), published_deviations(), [seed]
-    )[0]
+    setpoint = published_setpoint(sample_time)
+    return location_noise(table_loops(masses), setpoint, published_deviations(), [seed])[0]
 
 
 @lru_cache(maxsize=2)
@@ -159,8 +158,7 @@ def table_statements(study: LocationStudy) -> dict[str, bool]:
         "damping-mean": all(mean[name] < mean["original"] for name in damped),
         "damping-variance": all(size[name].var() < size["original"].var() for name in damped),
         "compensation": mean["MC"] > mean["original"],
-        "both-best": mean["MC and AD"] < mean["AD"]
-        and mean["MC and AD, redesigned"] < mean["AD, redesigned"],
+        "both-best": all(mean[f"MC and {name}"] < mean[name] for name in ("AD", "AD, redesigned")),
         "redesign": all(mean[f"{name}, redesigned"] < mean[name] for name in APPLICATIONS),
         "transient": transient["MC, redesigned"] < transient["MC"],
         "settling": settled["AD, redesigned"] < settled["original"],

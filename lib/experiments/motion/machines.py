@@ -125,10 +125,8 @@ def published_deviations() -> dict[str, float]:
     """Standard deviations of w (N), v and d (m), section 3.1."""
     p = parameters("stage").table("noise")
     names = {"w": "process", "v": "reference", "d": "sensor"}
-    most = np.sqrt(np.finfo(float).max) / 2  # so that their squares are numbers
-    return {
-        k: require_number(f"machines.toml: {n}", p[n], at_least=0.0, at_most=most) for k, n in names.items()
-    }
+    bounds = {"at_least": 0.0, "at_most": np.sqrt(np.finfo(float).max) / 2}  # their squares are numbers
+    return {k: require_number(f"machines.toml: {n}", p[n], **bounds) for k, n in names.items()}
 
 
 def published_noise() -> NoiseIntensities:

@@ -54,13 +54,11 @@ def paint_equivalent_controllers(loops: Mapping[float, Loop], controller: Pid):
     """Equivalent controllers from r and from y to the plant input, a line a place (m), beside the controller."""
     omega, lines = _along(loops, 1.0, 3e3)
     broad = {"color": figures.GREY, "linewidth": 2.5}
+    both = {"reference $r$": "reference_controller", "position $y$": "output_controller"}
     panels = {
-        title: {"controller": (omega, controller.frequency_response(omega), broad)}
+        f"{source} to force $f$": {"controller": (omega, controller.frequency_response(omega), broad)}
         | {label: (omega, getattr(loop.at(controller, omega), name), style) for label, loop, style in lines}
-        for title, name in (
-            ("reference $r$ to force $f$", "reference_controller"),
-            ("position $y$ to force $f$", "output_controller"),
-        )
+        for source, name in both.items()
     }
     figure, axes = paint_magnitudes(panels, "magnitude (dB re 1 N/m)", height=3.4, sharey=True)
     axes[0, 0].legend(ncols=2, fontsize=7)

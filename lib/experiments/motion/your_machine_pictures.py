@@ -55,12 +55,8 @@ def paint_reached(found: Mapping[str, Reached]):
     for number, (attribute, label, marker) in enumerate(
         (("on_model", "on the model", "o"), ("on_measurement", "on the measurement", "s"))
     ):
-        points = [
-            (place + 0.1 * number, crossing)
-            for place, reached in enumerate(found.values())
-            if getattr(reached, attribute) is not None
-            for crossing in getattr(reached, attribute).crossing_hz
-        ]
+        limits = [getattr(reached, attribute) for reached in found.values()]
+        points = [(k + 0.1 * number, hz) for k, each in enumerate(limits) if each for hz in each.crossing_hz]
         if points:
             face = {} if number == 0 else {"markerfacecolor": "none"}
             axis.plot(*np.transpose(points), marker, label=label, **face)
