@@ -19,6 +19,8 @@ from stillwork.base.kernels import kernel
 from stillwork.lti.discretisation import zoh_modes
 from stillwork.workbook import figures
 
+SLACK = 1e-9  # relative, of what fulfils a strict inequality
+
 
 @dataclass(frozen=True)
 class ErrorSystem:
@@ -110,17 +112,17 @@ def _gramians(f, d, out):
         add_square(d[k], out[k + 1])
 
 
-def inequality_margins(system: ErrorSystem, level: float, slack: float = 1e-9) -> tuple[float, float]:
+def inequality_margins(system: ErrorSystem, level: float) -> tuple[float, float]:
     r"""Smallest eigenvalues of (5.30) and (5.31) over the samples for the matrices that fulfil them if any do.
 
-    With :math:`K_k=\gamma P_k^{-1}`, P the Gramian with a factor 1 + `slack` a step, (5.30) is P above what one step
+    With :math:`K_k=\gamma P_k^{-1}`, P the Gramian with a factor 1 + `SLACK` a step, (5.30) is P above what one step
     makes of it, and (5.31) :math:`P\prec\gamma^2I`. Both are scaled so that the diagonal blocks are unit matrices.
     """
     n = system.f.shape[1]
-    start = slack * np.abs(system.d[0] @ system.d[0].T).max() * np.eye(n)
+    start = SLACK * np.abs(system.d[0] @ system.d[0].T).max() * np.eye(n)
     p, first, second = start, np.inf, np.inf
     for f, d in zip(system.f, system.d, strict=True):
-        following = (1 + slack) * (f @ p @ f.T + d @ d.T) + start
+        following = (1 + SLACK) * (f @ p @ f.T + d @ d.T) + start
         root, next_root = np.linalg.cholesky(p), np.linalg.cholesky(following)
         coupling = np.linalg.solve(next_root, np.hstack([f @ root, d]))
         block = np.block([[np.eye(n), coupling], [coupling.T, np.eye(coupling.shape[1])]])

@@ -88,10 +88,9 @@ def paint_location(place: float, damping: float, compensate: str, bandwidth_hz: 
     """Explorer: the tracking error at one place under the feedforward error, bare and with an observer."""
     setpoint, force = _explored()
     controller = PidFamily(stage_mass())(bandwidth_hz)
-    application = Application(compensate == "yes", damping, selectivity=2.0 if damping else None)
-    used = damping > 0 or compensate == "yes"
     cases = {"no observer": (Design(), controller)}
-    if used:
+    if damping or compensate == "yes":
+        application = Application(compensate == "yes", damping, selectivity=2.0 if damping else None)
         cases["observer"] = (Design(application, 0.03), controller)
     study = study_locations(location_loops(stage(), stage_grid(), [place], cases), force, setpoint)
     labels = {name: f"{name}: {1e9 * study.rms(name)[0]:.2f} nm rms in the scan" for name in cases}

@@ -101,10 +101,9 @@ class Drive:
         Equal inertias and frictions decouple into the sum and the difference of both angles.
         """
         j, shape = self.inertia, 1 / np.sqrt(2 * self.inertia)
-        a = np.zeros((4, 4))
-        a[0, 1] = a[2, 3] = 1
-        a[1, 1] = -self.friction / j
-        a[3, 2:] = -2 * self.stiffness / j, -(self.friction + 2 * self.damper) / j
+        total = [[0, 1], [0, -self.friction / j]]
+        difference = [[0, 1], [-2 * self.stiffness / j, -(self.friction + 2 * self.damper) / j]]
+        a = linalg.block_diag(total, difference)
         b = np.array([[0], [shape], [0], [shape]]) * self.motor_constant
         return StateModel(a, b, np.array([[shape, 0, -shape, 0]]), np.zeros((1, 1)))
 

@@ -142,8 +142,7 @@ def weighted_peak(loop: StateModel, weight: StateModel) -> float:
     The other inputs stay out: no observer makes the sensor noise d smaller than the weight at low frequencies
     wants, since the loop must follow what it measures.
     """
-    chain = series([loop.select([0], [0]), weight])
-    return hinf_norm(chain).magnitude
+    return hinf_norm(series([loop.select([0], [0]), weight])).magnitude
 
 
 def tipping_corner(loop: StateModel) -> float:
@@ -164,9 +163,8 @@ def emphasised(plant: GeneralisedPlant, weight: StateModel, emphasis: float) -> 
     outputs, inputs = plant.model.d.shape
     feedback, external = np.zeros((inputs + 1, outputs + 1)), np.eye(inputs + 1, inputs)
     feedback[inputs, 0] = 1
-    read = np.zeros((outputs + 1, outputs + 1))
-    read[0, 0], read[1, outputs] = 1, emphasis
-    read[2:, 1:outputs] = np.eye(outputs - 1)
+    signals = np.eye(outputs + 1)  # of the plant, then the weighted error
+    read = np.insert(signals[:outputs], 1, emphasis * signals[outputs], axis=0)
     model = interconnect([plant.model, weight], feedback, external, read)
     return GeneralisedPlant(model, plant.exogenous, 2)
 

@@ -92,8 +92,7 @@ def paint_place(place: float, damping: float, compensate: str, noise_exponent: f
 
     application = Application(compensate == "yes", damping)
     design = Design(application if damping or compensate == "yes" else None, 10.0**noise_exponent)
-    plant = stage()
-    loop = place_loops(plant, stage_grid(), [place], design, points=150, around=6)[0]
+    loop = place_loops(stage(), stage_grid(), [place], design, points=150, around=6)[0]
     controller = PidFamily(stage_mass())(bandwidth_hz)
     shown = (loop.omega > 2 * np.pi * 5) & (loop.omega < 2 * np.pi * 3e3)
     omega = loop.omega[shown]
