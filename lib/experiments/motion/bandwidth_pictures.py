@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from stillwork.control.bandwidth import Bandwidth
 from stillwork.workbook import figures
@@ -28,9 +27,7 @@ def paint_bandwidths(found: Mapping[str, Bandwidth], position: int, published_hz
     return figure
 
 
-def paint_map(
-    crossing_hz: np.ndarray, selectivity: ArrayLike, noise_model: ArrayLike, best: tuple[float, float, str]
-):
+def paint_map(crossing_hz: np.ndarray, selectivity: Sequence, noise_model: Sequence, best: tuple):
     """A `bandwidth_map`, each cell as wide as the other; `best` is a printed place (Q_nu, Q) and what it says."""
     figure, axis = figures.new(1, 1, height=3.4)
     mesh = axis.pcolormesh(_edges(noise_model), _edges(selectivity), crossing_hz, cmap="viridis")
@@ -41,7 +38,7 @@ def paint_map(
     return figure
 
 
-def _edges(centres: ArrayLike) -> np.ndarray:
+def _edges(centres: Sequence[float]) -> np.ndarray:
     """Edges of cells around ascending positive centres, halfway in logarithms."""
     inner = np.sqrt(np.multiply(centres[1:], centres[:-1]))
     return np.concatenate([[centres[0] ** 2 / inner[0]], inner, [centres[-1] ** 2 / inner[-1]]])

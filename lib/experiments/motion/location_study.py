@@ -185,7 +185,7 @@ def location_loops(
         machine = at_place(plant, grid, place)
         blocks = {design: compensator_at(plant, grid, place, design) for design in set(designs.values())}
         found[place] = {
-            name: closed_loop(machine, blocks[design], controllers[name]) for name, design in designs.items()
+            name: closed_loop(machine, blocks[designs[name]], controllers[name]) for name in cases
         }
         for name, loop in found[place].items():
             try:

@@ -191,10 +191,8 @@ def paint_errors_over_order(
     for axis, (name, points) in zip(axes[0], low.items(), strict=True):
         states, errors = np.array(points).T
         order, copied = copies[name]
-        for alone, label, line, face in (
-            (noise[name], "with noise", "-", None),
-            (0.0, "without", "--", "none"),
-        ):
+        for alone, label, hollow in ((noise[name], "with noise", False), (0.0, "without", True)):
+            line, face = "--" if hollow else "-", "none" if hollow else None
             style = {"color": CASES[name], "markerfacecolor": face, "label": f"low order, {label}"}
             axis.semilogy(states, 1e9 * np.hypot(errors, alone), f"o{line}", **style)
             style = {"color": figures.BLACK, "markerfacecolor": face, "label": f"observer copy, {label}"}
