@@ -91,8 +91,7 @@ def bandwidth(
         return found.design_hz
     loop, function = loops[mass - 1], OPEN_LOOPS[open_loop]
     magnitude = np.abs(function(loop.at(found.controller)))
-    omega = crossover(lambda w: function(loop.at(found.controller, w)), loop.omega, magnitude)
-    return omega / (2 * np.pi)
+    return crossover(lambda w: function(loop.at(found.controller, w)), loop.omega, magnitude) / (2 * np.pi)
 
 
 @lru_cache(maxsize=128)  # readings that differ in the loop or the mass share the search

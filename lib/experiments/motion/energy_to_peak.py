@@ -94,9 +94,8 @@ def generalised_h2_norm(system: ErrorSystem) -> PeakGain:
     if not np.all(np.isfinite(largest)):
         raise InputError("the error grows without bound; give gains that keep it stable")
     sample = int(largest.argmax())
-    direction = np.linalg.eigh(gramians[sample])[1][:, -1]
     worst = np.zeros(system.d.shape[::2])
-    back = direction
+    back = np.linalg.eigh(gramians[sample])[1][:, -1]  # the direction of the peak
     for k in range(sample - 1, -1, -1):
         worst[k] = system.d[k].T @ back
         back = system.f[k].T @ back

@@ -45,8 +45,7 @@ class ObserverProblem:
     corners_hz: tuple[float, float, float] = (700.0, 200.0, 200.0)  # W_r, W_w, W_v
 
     def __post_init__(self):
-        outputs, inputs = self.plant.feedthrough.shape
-        if (inputs, outputs) != (1, 1) or np.any(self.plant.feedthrough):
+        if self.plant.feedthrough.shape != (1, 1) or np.any(self.plant.feedthrough):
             raise InputError("plant must have one input, one output and no feedthrough; pick them with at()")
 
     @property
@@ -165,8 +164,7 @@ def emphasised(plant: GeneralisedPlant, weight: StateModel, emphasis: float) -> 
     feedback[inputs, 0] = 1
     signals = np.eye(outputs + 1)  # of the plant, then the weighted error
     read = np.insert(signals[:outputs], 1, emphasis * signals[outputs], axis=0)
-    model = interconnect([plant.model, weight], feedback, external, read)
-    return GeneralisedPlant(model, plant.exogenous, 2)
+    return GeneralisedPlant(interconnect([plant.model, weight], feedback, external, read), plant.exogenous, 2)
 
 
 @dataclass(frozen=True)

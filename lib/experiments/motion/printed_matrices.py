@@ -24,14 +24,12 @@ def transition(
     require_number("damping", damping, at_least=0.0, below=1.0)
     require_number("sample_time", sample_time, above=0.0)
     require_choice("variant", variant, VARIANTS)
-    root = np.sqrt(1 - damping**2)
-    decay = np.exp(-damping * omega * sample_time)
-    if variant == "lightly damped":
-        sine, cosine = np.sin(omega * sample_time), np.cos(omega * sample_time)
-        return decay * np.array([[cosine, sine / omega], [-omega * sine, cosine]])
+    light = variant == "lightly damped"
+    root = 1.0 if light else np.sqrt(1 - damping**2)
+    ratio = 0.0 if light else damping / root
     sine, cosine = np.sin(omega * root * sample_time), np.cos(omega * root * sample_time)
-    ratio = damping / root
-    off = sine / root if variant == "exact" else sine
+    off = sine if variant == "printed" else sine / root
+    decay = np.exp(-damping * omega * sample_time)
     return decay * np.array([[ratio * sine + cosine, off / omega], [-omega * off, cosine - ratio * sine]])
 
 
