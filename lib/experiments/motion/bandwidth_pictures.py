@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from experiments.motion.open_choices import BandwidthMap
 from stillwork.control.bandwidth import Bandwidth
 from stillwork.workbook import figures
 
@@ -28,11 +27,10 @@ def paint_bandwidths(found: Mapping[str, Bandwidth], position: int, published_hz
     return figure
 
 
-def paint_map(chart: BandwidthMap, best: tuple[float, float, str]):
-    """First crossings over Q_nu and Q, each cell as wide as the other; `best` is a printed place and what it says."""
+def paint_map(crossing_hz: np.ndarray, selectivity: Sequence, noise_model: Sequence, best: tuple):
+    """A `bandwidth_map`, each cell as wide as the other; `best` is a printed place (Q_nu, Q) and what it says."""
     figure, axis = figures.new(1, 1, height=3.4)
-    edges = [_edges(chart.noise_model), _edges(chart.selectivity)]
-    mesh = axis.pcolormesh(*edges, chart.crossing_hz, cmap="viridis")
+    mesh = axis.pcolormesh(_edges(noise_model), _edges(selectivity), crossing_hz, cmap="viridis")
     figure.colorbar(mesh, ax=axis, label="first crossing (Hz)")
     axis.set(xscale="log", yscale="log", xlabel=r"noise model $Q_\nu$ (N²/s)", ylabel="selectivity $Q$")
     figures.mark_published(axis, *best[:2], label=best[2], markersize=9, color="white")
@@ -40,7 +38,7 @@ def paint_map(chart: BandwidthMap, best: tuple[float, float, str]):
     return figure
 
 
-def _edges(centres: np.ndarray) -> np.ndarray:
+def _edges(centres: Sequence[float]) -> np.ndarray:
     """Edges of cells around ascending positive centres, halfway in logarithms."""
-    inner = np.sqrt(centres[1:] * centres[:-1])
+    inner = np.sqrt(np.multiply(centres[1:], centres[:-1]))
     return np.concatenate([[centres[0] ** 2 / inner[0]], inner, [centres[-1] ** 2 / inner[-1]]])

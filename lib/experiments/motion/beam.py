@@ -45,8 +45,7 @@ def beam_shapes(places: ArrayLike, modes: int, taper: float = 0.0) -> Float64[np
     _, vectors = linalg.eigh(stiffness * weight[:, None] * weight, mass * weight[:, None] * weight)
     chosen = weight[:, None] * vectors[:, :modes]
     # The solver gives any two of the rigid-body motions: take translation and rotation about the centre of mass.
-    rigid = np.zeros((TERMS, 2))
-    rigid[0, 0] = rigid[1, 1] = 1
+    rigid = np.eye(TERMS, 2)
     rigid[0, 1] = -mass[0, 1] / mass[0, 0]
     chosen[:, :2] = rigid / np.sqrt(np.einsum("im,ij,jm->m", rigid, mass, rigid))
     chosen *= np.sign(chosen.sum(axis=0))  # positive at the far end

@@ -17,12 +17,11 @@ def paint_bode(
     unwrap: bool = True,
     styles: Mapping[str, dict] | None = None,
     height: float | None = None,
-    xlim: tuple[float, float] | None = None,
-    ylim: tuple[float, float] | None = None,
+    **limits: tuple[float, float],
 ):
     """Magnitude (and phase) of single responses, by label (omega in rad/s, response), on one pair of axes.
 
-    Without `unwrap` the phase stays between -270 and 90 degrees. `xlim` in Hz, `ylim` in dB.
+    Without `unwrap` the phase stays between -270 and 90 degrees. `limits` of the magnitude: `xlim` in Hz, `ylim` in dB.
     """
     from matplotlib.ticker import MultipleLocator
 
@@ -45,7 +44,7 @@ def paint_bode(
     if phase:
         axes[1].set_ylabel("phase (deg)")
         axes[1].yaxis.set_major_locator(MultipleLocator(180))
-    axes[0].set(**{name: ends for name, ends in (("xlim", xlim), ("ylim", ylim)) if ends})
+    axes[0].set(**limits)
     axes[-1].set_xlabel("frequency (Hz)")
     axes[0].legend()
     return figure, axes

@@ -91,8 +91,7 @@ def bandwidth(
         return found.design_hz
     loop, function = loops[mass - 1], OPEN_LOOPS[open_loop]
     magnitude = np.abs(function(loop.at(found.controller)))
-    omega = crossover(lambda w: function(loop.at(found.controller, w)), loop.omega, magnitude)
-    return omega / (2 * np.pi)
+    return crossover(lambda w: function(loop.at(found.controller, w)), loop.omega, magnitude) / (2 * np.pi)
 
 
 @lru_cache(maxsize=128)  # readings that differ in the loop or the mass share the search
@@ -142,16 +141,10 @@ def tracking(
         for case in CASES
     }
     quiet = scan_noise == "none"
-    study = run_study(
-        noisy_scan_trial,
-        1 if quiet else LEAN_RUNS if lean else RUNS,
-        seed,
-        loops=loops,
-        setpoint=setpoint,
-        feedforward=fitted,
-        deviations={name: 0.0 if quiet else size for name, size in published_deviations().items()},
-        progress=False,
-    )
+    runs = 1 if quiet else LEAN_RUNS if lean else RUNS
+    deviations = {name: 0.0 if quiet else size for name, size in published_deviations().items()}
+    scan = {"loops": loops, "setpoint": setpoint, "feedforward": fitted, "deviations": deviations}
+    study = run_study(noisy_scan_trial, runs, seed, progress=False, **scan)
     nm = {claim: 1e9 * study[case] for claim, case in TRACKING.items()}
     mean = {claim: float(each.mean()) for claim, each in nm.items()}
     found = {

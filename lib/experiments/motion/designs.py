@@ -77,10 +77,9 @@ def stage_loops(
     """The seven loops of the stage under one design; `grid` goes to `make_loop`."""
     machine = stage() if plant is None else plant
     noise = noise or published_noise()  # read once for all masses
-    positions = range(1, len(machine.output_shapes) + 1)
     return [
         make_loop(machine.at([0], [k - 1]), stage_compensator(k, design, noise, plant), **grid)
-        for k in positions
+        for k in range(1, len(machine.output_shapes) + 1)
     ]
 
 
@@ -93,9 +92,7 @@ def stage_bandwidth(
     **grid,
 ) -> Bandwidth:
     """Achievable bandwidth of a published design (a name in `DESIGNS`) or of one's own."""
-    if isinstance(name, str):
-        require_choice("name", name, DESIGNS)
-    design = DESIGNS[name] if isinstance(name, str) else name
+    design = DESIGNS[require_choice("name", name, DESIGNS)] if isinstance(name, str) else name
     plant = None if damping_ratio is None else stage(damping_ratio)
     notches = tuple(stage(damping_ratio).frequencies[1:RETAINED]) if design.notches else ()
     return maximise_bandwidth(

@@ -59,10 +59,8 @@ def placement_error(
     flexible = model.modes(slice(rigid, None))
     sampled = zoh_modes(flexible, sample_time)
     poles = linalg.eigvals(sampled.a + sampled.b @ gain[:, 2 * rigid :])
-    wanted, before = (
-        np.exp(p * sample_time)
-        for p in (damped_poles(model, increase), flexible.poles[: len(flexible.frequencies)])
-    )
+    free = flexible.poles[: len(flexible.frequencies)]
+    wanted, before = (np.exp(each * sample_time) for each in (damped_poles(model, increase), free))
     return float((np.abs(poles[:, None] - wanted).min(axis=0) / np.abs(before - wanted)).max())
 
 
@@ -142,9 +140,8 @@ def paint_sampled(rate_khz: float, damping: float, compensate: str, timing: str)
     sample_time = 1e-3 / rate_khz
     machine = stage().at([0], [4])
     plant = zoh_modes(machine, sample_time)
-    observer = discrete_kalman_observer(
-        truncate(machine, RETAINED, COMPENSATED), published_noise(), sample_time, 0.03
-    )
+    reduced = truncate(machine, RETAINED, COMPENSATED)
+    observer = discrete_kalman_observer(reduced, published_noise(), sample_time, 0.03)
     application = Application(compensate == "yes", damping, "pole placement")
     block = discrete_compensator(observer, application, *TIMINGS[timing])
     seen = equivalent_plant(plant, block)

@@ -5,11 +5,10 @@ import numpy as np
 
 def labelled_lines(axis) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """What a panel shows: x and y of its labelled lines, by label."""
-    lines = {str(line.get_label()): line.get_data() for line in axis.lines}
     return {
-        label: tuple(np.asarray(values, dtype=float) for values in data)
-        for label, data in lines.items()
-        if not label.startswith("_")
+        label: tuple(np.asarray(values, dtype=float) for values in line.get_data())
+        for line in axis.lines
+        if not (label := str(line.get_label())).startswith("_")
     }
 
 

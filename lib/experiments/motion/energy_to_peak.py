@@ -19,6 +19,8 @@ from stillwork.base.kernels import kernel
 from stillwork.lti.discretisation import zoh_modes
 from stillwork.workbook import figures
 
+SLACK = 1e-9  # relative, of what fulfils a strict inequality
+
 
 @dataclass(frozen=True)
 class ErrorSystem:
@@ -92,9 +94,8 @@ def generalised_h2_norm(system: ErrorSystem) -> PeakGain:
     if not np.all(np.isfinite(largest)):
         raise InputError("the error grows without bound; give gains that keep it stable")
     sample = int(largest.argmax())
-    direction = np.linalg.eigh(gramians[sample])[1][:, -1]
     worst = np.zeros(system.d.shape[::2])
-    back = direction
+    back = np.linalg.eigh(gramians[sample])[1][:, -1]  # the direction of the peak
     for k in range(sample - 1, -1, -1):
         worst[k] = system.d[k].T @ back
         back = system.f[k].T @ back
@@ -110,17 +111,17 @@ def _gramians(f, d, out):
         add_square(d[k], out[k + 1])
 
 
-def inequality_margins(system: ErrorSystem, level: float, slack: float = 1e-9) -> tuple[float, float]:
+def inequality_margins(system: ErrorSystem, level: float) -> tuple[float, float]:
     r"""Smallest eigenvalues of (5.30) and (5.31) over the samples for the matrices that fulfil them if any do.
 
-    With :math:`K_k=\gamma P_k^{-1}`, P the Gramian with a factor 1 + `slack` a step, (5.30) is P above what one step
+    With :math:`K_k=\gamma P_k^{-1}`, P the Gramian with a factor 1 + `SLACK` a step, (5.30) is P above what one step
     makes of it, and (5.31) :math:`P\prec\gamma^2I`. Both are scaled so that the diagonal blocks are unit matrices.
     """
     n = system.f.shape[1]
-    start = slack * np.abs(system.d[0] @ system.d[0].T).max() * np.eye(n)
+    start = SLACK * np.abs(system.d[0] @ system.d[0].T).max() * np.eye(n)
     p, first, second = start, np.inf, np.inf
     for f, d in zip(system.f, system.d, strict=True):
-        following = (1 + slack) * (f @ p @ f.T + d @ d.T) + start
+        following = (1 + SLACK) * (f @ p @ f.T + d @ d.T) + start
         root, next_root = np.linalg.cholesky(p), np.linalg.cholesky(following)
         coupling = np.linalg.solve(next_root, np.hstack([f @ root, d]))
         block = np.block([[np.eye(n), coupling], [coupling.T, np.eye(coupling.shape[1])]])
@@ -132,9 +133,9 @@ def inequality_margins(system: ErrorSystem, level: float, slack: float = 1e-9) -
 
 def settled_covariance(a, g, c, process, sensor, start, steps: int) -> Float64[np.ndarray, "states states"]:
     """Covariance of the Kalman predictor after so many steps of (5.37) with one C, from any `start`."""
-    a, g, c, process, sensor, p = (np.asarray(each, float) for each in (a, g, c, process, sensor, start))
+    p, driven = start, g @ process @ g.T
     for _ in range(steps):
-        _, p = _predicted(a, c, p, g @ process @ g.T, sensor)
+        _, p = _predicted(a, c, p, driven, sensor)
     return p
 
 

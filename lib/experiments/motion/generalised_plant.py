@@ -30,17 +30,8 @@ class GeneralisedPlant:
     def blocks(self) -> tuple[np.ndarray, ...]:
         """A, B1, B2, C1, C2, D11, D12, D21, D22."""
         m, w, z = self.model, self.exogenous, self.performance
-        return (
-            m.a,
-            m.b[:, :w],
-            m.b[:, w:],
-            m.c[:z],
-            m.c[z:],
-            m.d[:z, :w],
-            m.d[:z, w:],
-            m.d[z:, :w],
-            m.d[z:, w:],
-        )
+        d = [part for row in (m.d[:z], m.d[z:]) for part in np.split(row, [w], axis=1)]
+        return m.a, m.b[:, :w], m.b[:, w:], m.c[:z], m.c[z:], *d
 
     def close(self, observer: StateModel) -> StateModel:
         """The closed loop (5.3) from w to z, with the feedthrough D22 that (5.3) leaves out."""
@@ -49,7 +40,6 @@ class GeneralisedPlant:
             raise InputError(
                 f"observer has shape {observer.d.shape}; give {b2.shape[1]} outputs and {len(c2)} inputs"
             )
-        n, m = len(a), len(observer.a)
         turn = np.linalg.inv(np.eye(b2.shape[1]) - observer.d @ d22)
         # u = turn (C_o x_o + D_o (C2 x + D21 w)), y = C2 x + D21 w + D22 u
         u_x, u_o, u_w = turn @ observer.d @ c2, turn @ observer.c, turn @ observer.d @ d21
@@ -58,7 +48,6 @@ class GeneralisedPlant:
         )
         b = np.vstack([b1 + b2 @ u_w, observer.b @ (d21 + d22 @ u_w)])
         c = np.hstack([c1 + d12 @ u_x, d12 @ u_o])
-        assert whole.shape == (n + m, n + m)
         return StateModel(whole, b, c, d11 + d12 @ u_w)
 
 

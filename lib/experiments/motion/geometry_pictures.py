@@ -48,8 +48,7 @@ def paint_geometry(aspect: float, along_x: float, along_y: float, actuators: flo
     used = geometry.actuator_places[list(geometry.used)]
     axes[0].plot(*used.T, "o", color=figures.BLACK, markerfacecolor="none")
     axes[0].plot(*geometry.sensor_places.T, "x", color=figures.BLACK)
-    axes[0].set_aspect("equal")
-    axes[0].set(xlabel="x (m)", ylabel="y (m)", title="circles: actuators, crosses: sensors")
+    axes[0].set(aspect="equal", xlabel="x (m)", ylabel="y (m)", title="circles: actuators, crosses: sensors")
     number = np.arange(1, 9)
     for shift, shapes, colour, label in (
         (-0.15, np.abs(model.input_shapes[3:]).max(axis=1), figures.RED, "largest at an actuator"),

@@ -54,14 +54,13 @@ def regularised(
     )
     b = np.hstack([b1, np.zeros((len(a), measurements)), b2])
     c = np.vstack([c1, np.zeros((controls, len(a))), c2])
-    for name, matrix in (
-        ("effort", d[: z + controls, w + measurements :].T),
-        ("noise", d[z + controls :, :-controls]),
-    ):
+    regular = GeneralisedPlant(StateModel(a, b, c, d), w + measurements, z + controls)
+    *_, d12, d21, _ = regular.blocks
+    for name, matrix in (("effort", d12.T), ("noise", d21)):
         lengths = np.linalg.norm(matrix, axis=1)[:, None]
         if not np.all(lengths) or np.linalg.matrix_rank(matrix / lengths) < len(matrix):
             raise InputError(f"effort and noise must make the problem regular; it takes more {name}")
-    return GeneralisedPlant(StateModel(a, b, c, d), w + measurements, z + controls)
+    return regular
 
 
 @checked
@@ -130,12 +129,8 @@ def _filter_gain(a, b, c, d) -> np.ndarray:
 
 def in_units(units: "Units", a, b, c) -> StateModel:
     """An observer of the scaled plant in the plant's own units."""
-    return StateModel(
-        a * units.rate,
-        b * units.rate / units.measurements,
-        c * units.controls[:, None],
-        np.zeros((len(c), len(units.measurements))),
-    )
+    b, c = b * units.rate / units.measurements, c * units.controls[:, None]
+    return StateModel(a * units.rate, b, c, np.zeros((len(c), b.shape[1])))
 
 
 @dataclass(frozen=True)
@@ -153,14 +148,10 @@ def scaled_plant(plant: GeneralisedPlant) -> tuple[GeneralisedPlant, Units]:
     rate = float(np.median(np.abs(linalg.eigvals(a)))) or 1.0  # most of them may be zero
     controls = 1 / np.linalg.norm(d12, axis=0)
     measurements = np.linalg.norm(d21, axis=1) * np.sqrt(rate)
+    each = measurements[:, None]
     b = np.hstack([b1 / np.sqrt(rate), b2 * controls / rate])
-    c = np.vstack([c1, c2 / measurements[:, None]])
-    d = np.block(
-        [
-            [d11, d12 * controls],
-            [d21 * np.sqrt(rate) / measurements[:, None], d22 * controls / measurements[:, None]],
-        ]
-    )
+    c = np.vstack([c1, c2 / each])
+    d = np.block([[d11, d12 * controls], [d21 * np.sqrt(rate) / each, d22 * controls / each]])
     n, size = len(a), len(a) + max(b.shape[1], len(c))
     whole = np.zeros((size, size))
     whole[:n, :n], whole[:n, n : n + b.shape[1]], whole[n : n + len(c), :n] = a / rate, b, c

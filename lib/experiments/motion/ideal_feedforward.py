@@ -49,14 +49,14 @@ def invert(plant: ModalModel) -> Inverse:
     w, z = plant.frequencies, plant.damping
     residues = plant.output_shapes[0] * plant.input_shapes[:, 0]
 
+    def below(s):
+        return s[:, None] * (s[:, None] + 2 * z * w) + w**2
+
     def response(s):
-        return (residues / (s[:, None] * (s[:, None] + 2 * z * w) + w**2)).sum(axis=1) + plant.feedthrough[
-            0, 0
-        ]
+        return (residues / below(s)).sum(axis=1) + plant.feedthrough[0, 0]
 
     def slope(s):
-        below = s[:, None] * (s[:, None] + 2 * z * w) + w**2
-        return -(residues * 2 * (s[:, None] + z * w) / below**2).sum(axis=1)
+        return -(residues * 2 * (s[:, None] + z * w) / below(s) ** 2).sum(axis=1)
 
     zeros = plant.state_space().zeros
     for _ in range(3):  # what the eigenvalues of the pencil left
@@ -69,10 +69,7 @@ def invert(plant: ModalModel) -> Inverse:
     wanted = 1 / (s**2 * response(s))
     rest = wanted - (parts / (s[:, None] - zeros)).sum(axis=1)
     powers = (s[:, None] / scale) ** np.arange(3) / np.abs(wanted)[:, None]
-    stacked, goal = (
-        np.vstack([powers.real, powers.imag]),
-        np.concatenate([(rest / np.abs(wanted)).real, (rest / np.abs(wanted)).imag]),
-    )
+    stacked, goal = (np.concatenate([each.real, each.imag]) for each in (powers, rest / np.abs(wanted)))
     found, *_ = np.linalg.lstsq(stacked, goal, rcond=None)
     error = np.abs(stacked @ found - goal).max()
     if error > WORST_ERROR:
@@ -122,21 +119,18 @@ def ideal_force(inverse: Inverse, setpoint: Setpoint) -> Force:
     ahead = require_samples("inverse", np.ceil(inverse.lead / sample_time))
     moved = np.pad(setpoint.derivatives[1:], ((0, 0), (ahead, 0)))  # velocity to snap
     one = inverse.zeros.imag >= 0
-    blocks, rows, inputs = [], [], []
+    blocks, rows, drives, reads = [], [], [], []
     for zero, residue in zip(inverse.zeros[one], inverse.residues[one], strict=True):
         x = _filtered(zero, moved[1:], sample_time)
-        if zero.imag:
-            blocks.append(np.array([[zero.real, -zero.imag], [zero.imag, zero.real]]))
-            rows += [x.real, x.imag]
-            inputs += [(1.0, 2 * residue.real), (0.0, -2 * residue.imag)]
-        else:
-            blocks.append(np.array([[zero.real]]))
-            rows.append(x.real)
-            inputs.append((1.0, residue.real))
+        size = 2 if zero.imag else 1  # of a pair, or of a real zero alone
+        blocks.append(np.array([[zero.real, -zero.imag], [zero.imag, zero.real]])[:size, :size])
+        rows += [x.real, x.imag][:size]
+        drives += [1.0, 0.0][:size]
+        reads += [size * residue.real, -size * residue.imag][:size]
     n = len(rows)
     generator = linalg.block_diag(*blocks, np.eye(4, k=1))
-    generator[:n, n + 1] = [drive for drive, _ in inputs]  # every filter is driven by the acceleration
-    row = np.concatenate([[read for _, read in inputs], [0.0], inverse.polynomial])
+    generator[:n, n + 1] = drives  # every filter is driven by the acceleration
+    row = np.concatenate([reads, [0.0], inverse.polynomial])
     time = (np.arange(moved.shape[1]) - ahead) * sample_time
     return Force(time, np.vstack([*rows, moved]) if rows else moved, generator, row)
 
@@ -178,12 +172,9 @@ def sampled_ideal_force(plant: ModalModel, setpoint: Setpoint) -> Force:
     angle = 2 * np.pi * np.fft.rfftfreq(whole)
     z = np.exp(1j * angle)
     rigid = plant.output_shapes[0, 0] * plant.input_shapes[0, 0] * sample_time**2 / 2
-    flexible = zoh_modes(plant.modes(slice(1, None)), sample_time).frequency_response(angle / sample_time)[
-        0, 0
-    ]
-    values = np.fft.irfft(
-        np.fft.rfft(np.diff(steps), whole) / (rigid * (z + 1) + (z - 1) ** 2 * flexible), whole
-    )
+    flexible = zoh_modes(plant.modes(slice(1, None)), sample_time)
+    gain = rigid * (z + 1) + (z - 1) ** 2 * flexible.frequency_response(angle / sample_time)[0, 0]
+    values = np.fft.irfft(np.fft.rfft(np.diff(steps), whole) / gain, whole)
     states = np.vstack([values[:size], moved])
     return Force((np.arange(size) - ahead) * sample_time, states, np.zeros((5, 5)), np.eye(5)[0])
 
@@ -204,8 +195,7 @@ def respond(model: StateModel, force: Force) -> Float64[np.ndarray, "outputs sam
     chain = np.zeros((n + size, n + size))
     chain[:n, :n], chain[:n, n:], chain[n:, n:] = model.a, model.b * force.row, force.generator
     sample_time = float(force.time[1] - force.time[0])
-    held = zoh(
-        StateModel(chain, np.zeros((n + size, 0)), np.zeros((0, n + size)), np.zeros((0, 0))), sample_time
-    ).a
+    none = np.zeros((n + size, 0))
+    held = zoh(StateModel(chain, none, none.T, np.zeros((0, 0))), sample_time).a
     exact = StateModel(held[:n, :n], held[:n, n:], model.c, model.d * force.row, sample_time)
     return simulate(exact, force.states)

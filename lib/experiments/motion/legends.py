@@ -12,18 +12,9 @@ LABELS = {
 
 
 # One colour a use of the observer, in every figure.
-CASES = {
-    "PID": figures.BLACK,
-    "PID with notches": figures.BLACK,
-    "no observer": figures.BLACK,
-    "original": figures.BLACK,
-    "plant": figures.BLACK,
-    "plant $P$": figures.BLACK,
-    "MC": figures.BLUE,
-    "compensated $P_{eq}$": figures.BLUE,
-    "AD": figures.GREEN,
-    "MC and AD": figures.RED,
-}
+_WITHOUT = ("PID", "PID with notches", "no observer", "original", "plant", "plant $P$")
+CASES = dict.fromkeys(_WITHOUT, figures.BLACK) | dict.fromkeys(("MC", "compensated $P_{eq}$"), figures.BLUE)
+CASES |= {"AD": figures.GREEN, "MC and AD": figures.RED}
 
 
 def case_styles(labels: Iterable[str]) -> dict[str, dict]:

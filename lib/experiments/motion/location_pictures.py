@@ -24,15 +24,12 @@ def paint_location_errors(study: LocationStudy, panels: Mapping[str, str]):
     """Tracking errors at all places, a panel a case: the band they fill in half a millisecond, and three of them (Figs 4.10, 4.11)."""
     figure, axes = figures.new(2, 2, height=4.6, sharex=True, sharey=True)
     time = study.setpoint.time
-    starts = np.arange(
-        0, len(time), max(round(5e-4 / study.setpoint.sample_time), 1)
-    )  # a pixel of the picture each
+    pixel = max(round(5e-4 / study.setpoint.sample_time), 1)  # samples of one
+    starts = np.arange(0, len(time), pixel)
     for axis, (title, case) in zip(axes.ravel(), panels.items(), strict=True):
         errors, size = 1e9 * study.errors[case], study.rms(case)
-        low, high = (
-            extreme.reduceat(extreme.reduce(errors, axis=0), starts) for extreme in (np.minimum, np.maximum)
-        )
-        axis.fill_between(time[starts], low, high, color=figures.GREY, alpha=0.35, linewidth=0)
+        band = (each.reduceat(each.reduce(errors, axis=0), starts) for each in (np.minimum, np.maximum))
+        axis.fill_between(time[starts], *band, color=figures.GREY, alpha=0.35, linewidth=0)
         order = np.argsort(size)
         chosen = {"largest": order[-1], "middle": order[len(order) // 2], "smallest": order[0]}
         for (name, k), colour in zip(chosen.items(), (figures.RED, figures.BLUE, figures.GREEN), strict=True):
@@ -91,10 +88,9 @@ def paint_location(place: float, damping: float, compensate: str, bandwidth_hz: 
     """Explorer: the tracking error at one place under the feedforward error, bare and with an observer."""
     setpoint, force = _explored()
     controller = PidFamily(stage_mass())(bandwidth_hz)
-    application = Application(compensate == "yes", damping, selectivity=2.0 if damping else None)
-    used = damping > 0 or compensate == "yes"
     cases = {"no observer": (Design(), controller)}
-    if used:
+    if damping or compensate == "yes":
+        application = Application(compensate == "yes", damping, selectivity=2.0 if damping else None)
         cases["observer"] = (Design(application, 0.03), controller)
     study = study_locations(location_loops(stage(), stage_grid(), [place], cases), force, setpoint)
     labels = {name: f"{name}: {1e9 * study.rms(name)[0]:.2f} nm rms in the scan" for name in cases}

@@ -10,12 +10,7 @@ from numpy.typing import ArrayLike
 
 from experiments.motion import perturbed_tracking
 from experiments.motion.designs import DESIGNS, Design, stage_bandwidth
-from experiments.motion.ideal_feedforward import (
-    Force,
-    feedforward_error,
-    respond,
-    sampled_ideal_force,
-)
+from experiments.motion.ideal_feedforward import Force, feedforward_error, respond, sampled_ideal_force
 from experiments.motion.machines import published_deviations, published_setpoint, stage
 from experiments.motion.perturbed_tracking import APPLICATIONS, WARM_UP
 from experiments.motion.position_dependence import at_place, compensator_at, stage_grid
@@ -123,9 +118,8 @@ def read_table(
 
 @lru_cache(maxsize=2)
 def _table_noise(masses: int, sample_time: float, seed: int) -> ErrorsByCase:
-    return location_noise(
-        table_loops(masses), published_setpoint(sample_time), published_deviations(), [seed]
-    )[0]
+    setpoint = published_setpoint(sample_time)
+    return location_noise(table_loops(masses), setpoint, published_deviations(), [seed])[0]
 
 
 @lru_cache(maxsize=2)
@@ -164,8 +158,7 @@ def table_statements(study: LocationStudy) -> dict[str, bool]:
         "damping-mean": all(mean[name] < mean["original"] for name in damped),
         "damping-variance": all(size[name].var() < size["original"].var() for name in damped),
         "compensation": mean["MC"] > mean["original"],
-        "both-best": mean["MC and AD"] < mean["AD"]
-        and mean["MC and AD, redesigned"] < mean["AD, redesigned"],
+        "both-best": all(mean[f"MC and {name}"] < mean[name] for name in ("AD", "AD, redesigned")),
         "redesign": all(mean[f"{name}, redesigned"] < mean[name] for name in APPLICATIONS),
         "transient": transient["MC, redesigned"] < transient["MC"],
         "settling": settled["AD, redesigned"] < settled["original"],
@@ -187,18 +180,18 @@ def location_loops(
         for name, (d, _) in cases.items()
     }
     controllers = {name: controller.state_space() for name, (_, controller) in cases.items()}
-    found: dict[float, dict[str, StateModel]] = {}
+    found = {}
     for place in places.tolist():
         machine = at_place(plant, grid, place)
         blocks = {design: compensator_at(plant, grid, place, design) for design in set(designs.values())}
-        found[place] = {}
-        for name, design in designs.items():
-            loop = closed_loop(machine, blocks[design], controllers[name])
+        found[place] = {
+            name: closed_loop(machine, blocks[designs[name]], controllers[name]) for name in cases
+        }
+        for name, loop in found[place].items():
             try:
                 require_stable(loop)
             except InputError as error:
                 raise InputError(f"{name} at {place:g} m: {error}") from None
-            found[place][name] = loop
     return found
 
 
@@ -214,12 +207,15 @@ def study_locations(loops: Loops, force: Force, setpoint: Setpoint, source: str 
         force.time[ahead:], setpoint.time, rtol=0, atol=1e-6 * setpoint.sample_time
     ):
         raise InputError("force and setpoint do not have the same samples; make both with one sample time")
-    errors: dict[str, list[np.ndarray]] = {}
-    for cases in loops.values():
-        for name, loop in cases.items():
-            missed = respond(channel(loop, source, "e_true"), force)[0, ahead:]
-            errors.setdefault(name, []).append(-missed)
-    return LocationStudy(np.array(list(loops)), setpoint, {name: np.array(e) for name, e in errors.items()})
+    errors = {
+        name: -np.array([respond(channel(loop, source, "e_true"), force)[0, ahead:] for loop in each])
+        for name, each in _by_case(loops).items()
+    }
+    return LocationStudy(np.array(list(loops)), setpoint, errors)
+
+
+def _by_case(loops: Loops) -> dict[str, list[StateModel]]:
+    return {name: [cases[name] for cases in loops.values()] for name in next(iter(loops.values()))}
 
 
 def location_noise(
@@ -227,16 +223,16 @@ def location_noise(
 ) -> list[ErrorsByCase]:
     """What noise of these deviations adds to the errors, for each seed: fresh at every place, the same for all cases."""
     samples = WARM_UP + len(setpoint.time)
-    streams = [np.random.default_rng(seed) for seed in seeds]
-    found: list[dict[str, list[np.ndarray]]] = [{} for _ in seeds]
-    for cases in loops.values():
-        places = [int(rng.integers(2**63)) for rng in streams]
-        for name, loop in cases.items():
-            draws = [np.random.default_rng(place) for place in places]
-            noises = noise_errors(loop, setpoint.sample_time, samples, deviations, draws)
-            for run, noise in zip(found, noises, strict=True):
-                run.setdefault(name, []).append(noise[0, WARM_UP:].copy())
-    return [{name: np.array(each) for name, each in run.items()} for run in found]
+    starts = np.array([np.random.default_rng(seed).integers(2**63, size=len(loops)) for seed in seeds])
+    found = {}
+    for name, each in _by_case(loops).items():
+        drawn = (map(np.random.default_rng, row) for row in starts.T)  # a row a place
+        noises = [
+            noise_errors(loop, setpoint.sample_time, samples, deviations, list(draws))
+            for loop, draws in zip(each, drawn, strict=True)
+        ]
+        found[name] = np.array(noises)[:, :, 0, WARM_UP:]
+    return [{name: each[:, run] for name, each in found.items()} for run in range(len(seeds))]
 
 
 def ranges(places: ArrayLike, shortest: float, points: int = 11) -> Float64[np.ndarray, "ranges 2"]:

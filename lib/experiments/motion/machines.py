@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from stillwork.base import paths
-from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
 from stillwork.base.toml_files import read_numbers
 from stillwork.control.setpoint import Setpoint, point_to_point
 from stillwork.estimation.observer import NoiseIntensities
@@ -19,9 +19,7 @@ from stillwork.lti.state_space import StateModel
 def parameters(machine: str) -> dict:
     """Published parameters of a machine from ``data/motion/machines.toml``, SI units."""
     tree = read_numbers(paths.data("motion", "machines.toml"), lists=False)
-    if machine not in tree:
-        raise InputError(f"machine is {machine!r}; use one of {', '.join(map(repr, tree))}")
-    return tree.table(machine)
+    return tree.table(require_choice("machine", machine, tree))
 
 
 def chain_matrix(springs: ArrayLike) -> Float64[np.ndarray, "nodes nodes"]:
@@ -103,10 +101,9 @@ class Drive:
         Equal inertias and frictions decouple into the sum and the difference of both angles.
         """
         j, shape = self.inertia, 1 / np.sqrt(2 * self.inertia)
-        a = np.zeros((4, 4))
-        a[0, 1] = a[2, 3] = 1
-        a[1, 1] = -self.friction / j
-        a[3, 2:] = -2 * self.stiffness / j, -(self.friction + 2 * self.damper) / j
+        total = [[0, 1], [0, -self.friction / j]]
+        difference = [[0, 1], [-2 * self.stiffness / j, -(self.friction + 2 * self.damper) / j]]
+        a = linalg.block_diag(total, difference)
         b = np.array([[0], [shape], [0], [shape]]) * self.motor_constant
         return StateModel(a, b, np.array([[shape, 0, -shape, 0]]), np.zeros((1, 1)))
 
@@ -127,10 +124,8 @@ def published_deviations() -> dict[str, float]:
     """Standard deviations of w (N), v and d (m), section 3.1."""
     p = parameters("stage").table("noise")
     names = {"w": "process", "v": "reference", "d": "sensor"}
-    most = np.sqrt(np.finfo(float).max) / 2  # so that their squares are numbers
-    return {
-        k: require_number(f"machines.toml: {n}", p[n], at_least=0.0, at_most=most) for k, n in names.items()
-    }
+    bounds = {"at_least": 0.0, "at_most": np.sqrt(np.finfo(float).max) / 2}  # their squares are numbers
+    return {k: require_number(f"machines.toml: {n}", p[n], **bounds) for k, n in names.items()}
 
 
 def published_noise() -> NoiseIntensities:

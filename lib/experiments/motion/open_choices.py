@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
+from numpy.typing import ArrayLike
 
 from experiments.motion.designs import DAMPING, DESIGNS, Design, stage_bandwidth, stage_loops
 from experiments.motion.machines import published_deviations, stage_mass
@@ -84,22 +85,15 @@ def first_crossing(setting: Design, position: int) -> float:
     return float(found.crossing_hz[position - 1])
 
 
-@dataclass(frozen=True)
-class BandwidthMap:
-    """Bandwidth over the selectivity and the noise model; NaN where nothing in the range is feasible."""
+def bandwidth_map(selectivity: ArrayLike, noise_model: ArrayLike) -> Float64[np.ndarray, "rows columns"]:
+    """First crossings (Hz) at mass 5 of MC and AD together over (Q, Q_nu), the search of (3.47) as a map.
 
-    selectivity: Float64[np.ndarray, " rows"]
-    noise_model: Float64[np.ndarray, " columns"]
-    crossing_hz: Float64[np.ndarray, "rows columns"]  # for mass 5
-
-
-def bandwidth_map(selectivity, noise_model) -> BandwidthMap:
-    """Bandwidth of MC and AD together over (Q, Q_nu), the search of (3.47) as a map."""
+    NaN where nothing in the range is feasible.
+    """
     rows = require_array("selectivity", selectivity, ndim=1)
     columns = require_array("noise_model", noise_model, ndim=1)
     for name, values in (("selectivity", rows), ("noise_model", columns)):
         if not len(values) or np.any(values <= 0):
             raise InputError(f"{name} must hold at least one value, all of them positive")
     uses = [Application(True, DAMPING, selectivity=float(q)) for q in rows]
-    crossing = [[first_crossing(Design(used, float(size)), 5) for size in columns] for used in uses]
-    return BandwidthMap(rows, columns, np.array(crossing))
+    return np.array([[first_crossing(Design(used, float(size)), 5) for size in columns] for used in uses])

@@ -45,8 +45,7 @@ class ObserverProblem:
     corners_hz: tuple[float, float, float] = (700.0, 200.0, 200.0)  # W_r, W_w, W_v
 
     def __post_init__(self):
-        outputs, inputs = self.plant.feedthrough.shape
-        if (inputs, outputs) != (1, 1) or np.any(self.plant.feedthrough):
+        if self.plant.feedthrough.shape != (1, 1) or np.any(self.plant.feedthrough):
             raise InputError("plant must have one input, one output and no feedthrough; pick them with at()")
 
     @property
@@ -131,10 +130,8 @@ def sensitivity_weight(corner_hz: float, floor: float = 0.02) -> StateModel:
     """
     w = 2 * np.pi * require_number("corner_hz", corner_hz, above=0.0)
     floor = require_number("floor", floor, above=0.0, below=1.0)
-    slope = StateModel(
-        np.array([[-floor * w]]), np.array([[w * (1 - floor)]]), np.array([[1.0]]), np.array([[1.0]])
-    )
-    whole = series([slope] * 3)
+    one = np.ones((1, 1))
+    whole = series([StateModel(-floor * w * one, w * (1 - floor) * one, one, one)] * 3)
     return StateModel(whole.a, whole.b, whole.c / SIX_DB, whole.d / SIX_DB)
 
 
@@ -144,8 +141,7 @@ def weighted_peak(loop: StateModel, weight: StateModel) -> float:
     The other inputs stay out: no observer makes the sensor noise d smaller than the weight at low frequencies
     wants, since the loop must follow what it measures.
     """
-    chain = series([loop.select([0], [0]), weight])
-    return hinf_norm(chain).magnitude
+    return hinf_norm(series([loop.select([0], [0]), weight])).magnitude
 
 
 def tipping_corner(loop: StateModel) -> float:
@@ -166,11 +162,9 @@ def emphasised(plant: GeneralisedPlant, weight: StateModel, emphasis: float) -> 
     outputs, inputs = plant.model.d.shape
     feedback, external = np.zeros((inputs + 1, outputs + 1)), np.eye(inputs + 1, inputs)
     feedback[inputs, 0] = 1
-    read = np.zeros((outputs + 1, outputs + 1))
-    read[0, 0], read[1, outputs] = 1, emphasis
-    read[2:, 1:outputs] = np.eye(outputs - 1)
-    model = interconnect([plant.model, weight], feedback, external, read)
-    return GeneralisedPlant(model, plant.exogenous, 2)
+    signals = np.eye(outputs + 1)  # of the plant, then the weighted error
+    read = np.insert(signals[:outputs], 1, emphasis * signals[outputs], axis=0)
+    return GeneralisedPlant(interconnect([plant.model, weight], feedback, external, read), plant.exogenous, 2)
 
 
 @dataclass(frozen=True)
@@ -227,9 +221,9 @@ def paint_responses(
         loop = closed.frequency_response(omega)
         style = {"label": name, "color": COLOURS.get(name, figures.BLUE)}
         # Opened at the plant, f = C_y y: from d (added to y alone) the loop gives f = -C_y d / (1 + P C_y).
-        to_force, to_output = loop[3, INPUTS.index("d")], loop[0, INPUTS.index("d")]
+        d = INPUTS.index("d")
         add_magnitude(left, omega, loop[0, INPUTS.index("r")], **style)
-        add_magnitude(right, omega, to_force / (1 - to_output), **style)
+        add_magnitude(right, omega, loop[3, d] / (1 - loop[0, d]), **style)
     if weight is not None:
         style = {"color": figures.BLACK, "linewidth": 0.8, "label": "1 / $W_{sens}$"}
         add_magnitude(left, omega, 1 / weight.frequency_response(omega)[0, 0], **style)
@@ -240,17 +234,12 @@ def paint_responses(
     return figure
 
 
-def published_problem() -> ObserverProblem:
-    """The generalised plant at the published settings, scaled to the length of the move."""
-    plant = truncate(stage().at([0], [4]), 4, 0)
-    scales = (0.01 / 0.17, 1e-9 / 0.17, 1e-9 / 0.17)
-    return ObserverProblem(plant, PidFamily(stage_mass())(83.0), DAMPING, 2.0, scales)
-
-
 @cache
 def _compared() -> tuple[ObserverProblem, GeneralisedPlant, StateModel, StateModel]:
     """The published problem, its generalised plant, the Kalman observer and the weight that it just keeps."""
-    problem = published_problem()
+    plant = truncate(stage().at([0], [4]), 4, 0)
+    scales = (0.01 / 0.17, 1e-9 / 0.17, 1e-9 / 0.17)  # over the length of the move
+    problem = ObserverProblem(plant, PidFamily(stage_mass())(83.0), DAMPING, 2.0, scales)
     generalised = problem.generalised()
     kalman = problem.read(kalman_observer(problem.plant, published_noise(), 1e3))
     return problem, generalised, kalman, sensitivity_weight(tipping_corner(generalised.close(kalman)))

@@ -8,7 +8,6 @@ import numpy as np
 from experiments.motion.designs import DESIGNS, stage_bandwidth, stage_compensator
 from experiments.motion.machines import published_deviations, published_setpoint, stage
 from experiments.motion.uncertainty import perturbed, sample_errors
-from stillwork.base.checks import require_number
 from stillwork.base.front_door import checked
 from stillwork.control.feedforward import (
     Feedforward,
@@ -69,7 +68,6 @@ def tracking_trial(
     With `retune` the feedforward is fitted to the perturbed plant without observer, as the data-based tuning would;
     else it keeps the gains of the nominal plant. The noise is white from sample to sample and held between them.
     """
-    require_number("sample_time", sample_time, above=0.0)
     setpoint = _setpoint(sample_time)
     nominal = _nominal()
     plant = perturbed(nominal, sample_errors(rng, nominal, size, law, rigid))

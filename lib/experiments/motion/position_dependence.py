@@ -23,8 +23,6 @@ from stillwork.lti.reduction import truncate
 from stillwork.lti.simulation import simulate
 from stillwork.lti.state_space import StateModel
 
-MOVING = ("sensor", "actuator")
-
 
 def stage_grid(spacing: float = 0.05) -> Float64[np.ndarray, " masses"]:
     """Places of the masses of the stage (m); their distance is not published."""
@@ -37,7 +35,7 @@ def at_place(plant: ModalModel, grid: ArrayLike, place: float, moves: str = "sen
     A moving ``sensor`` is output position dependence, the force stays where it is. A moving ``actuator`` is input
     position dependence: the force acts at `place`, and the position is measured where the plant's own force acts.
     """
-    require_choice("moves", moves, MOVING)
+    require_choice("moves", moves, ("sensor", "actuator"))
     if plant.input_shapes.shape[1] != 1 or np.any(plant.feedthrough):
         raise InputError("plant must have one input and no feedthrough; reduce it after it is placed")
     shape = shapes_along(plant, grid, [require_number("place", place)])
@@ -179,13 +177,8 @@ def pass_node(
     if require_count("mode", mode, at_least=plant.rigid_modes) >= len(plant.frequencies):
         raise InputError(f"mode is {mode}; the plant has modes 0 to {len(plant.frequencies) - 1}")
     require_seen(plant, grid, places, range(plant.rigid_modes))
-    model = along_scan(
-        plant,
-        sample_time,
-        shapes_along(plant, grid, places),
-        noise.process / sample_time,
-        noise.sensor / sample_time,
-    )
+    shapes = shapes_along(plant, grid, places)
+    model = along_scan(plant, sample_time, shapes, noise.process / sample_time, noise.sensor / sample_time)
     time = np.arange(len(places)) * sample_time
     force = AMPLITUDE * np.sin(plant.frequencies[mode] * time + phase)
     a, b = model.a[0], model.b[0]

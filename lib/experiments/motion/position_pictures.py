@@ -19,19 +19,14 @@ from stillwork.lti.peaks import resonance_grid
 from stillwork.workbook import figures
 
 
-def colours(count: int) -> list[str]:
-    """Colours from dark to light along the structure."""
-    from matplotlib import colormaps
-    from matplotlib.colors import to_hex
-
-    return [to_hex(colormaps["viridis"](0.92 * k / max(count - 1, 1))) for k in range(count)]
-
-
 def _along(loops: Mapping[float, Loop], low_hz: float, high_hz: float):
     """One grid for all places, dense at the poles of plants and compensators, and each loop's label and line."""
+    from matplotlib import colormaps
+
     each = list(loops.values())
     poles = np.concatenate([each[0].plant.poles, *(loop.compensator.poles for loop in each[::3])])
-    styles = [{"color": colour, "linewidth": 1.0} for colour in colours(len(loops))]
+    shades = colormaps["viridis"](np.linspace(0.0, 0.92, len(loops)))  # dark to light along the structure
+    styles = [{"color": shade, "linewidth": 1.0} for shade in shades]
     lines = zip([f"{place:g} m" for place in loops], each, styles, strict=True)
     return resonance_grid(poles, low_hz, high_hz, 250, 6), list(lines)
 
@@ -59,13 +54,11 @@ def paint_equivalent_controllers(loops: Mapping[float, Loop], controller: Pid):
     """Equivalent controllers from r and from y to the plant input, a line a place (m), beside the controller."""
     omega, lines = _along(loops, 1.0, 3e3)
     broad = {"color": figures.GREY, "linewidth": 2.5}
+    both = {"reference $r$": "reference_controller", "position $y$": "output_controller"}
     panels = {
-        title: {"controller": (omega, controller.frequency_response(omega), broad)}
+        f"{source} to force $f$": {"controller": (omega, controller.frequency_response(omega), broad)}
         | {label: (omega, getattr(loop.at(controller, omega), name), style) for label, loop, style in lines}
-        for title, name in (
-            ("reference $r$ to force $f$", "reference_controller"),
-            ("position $y$ to force $f$", "output_controller"),
-        )
+        for source, name in both.items()
     }
     figure, axes = paint_magnitudes(panels, "magnitude (dB re 1 N/m)", height=3.4, sharey=True)
     axes[0, 0].legend(ncols=2, fontsize=7)
@@ -99,8 +92,7 @@ def paint_place(place: float, damping: float, compensate: str, noise_exponent: f
 
     application = Application(compensate == "yes", damping)
     design = Design(application if damping or compensate == "yes" else None, 10.0**noise_exponent)
-    plant = stage()
-    loop = place_loops(plant, stage_grid(), [place], design, points=150, around=6)[0]
+    loop = place_loops(stage(), stage_grid(), [place], design, points=150, around=6)[0]
     controller = PidFamily(stage_mass())(bandwidth_hz)
     shown = (loop.omega > 2 * np.pi * 5) & (loop.omega < 2 * np.pi * 3e3)
     omega = loop.omega[shown]

@@ -60,9 +60,8 @@ def paint_statements(
     rigid = [np.median(each.rms[:, 0] / kalman.rms[:, 0]) for each in sweep]
     sizes.loglog(weights, rigid, color=figures.BLACK, label="rigid body, over the Kalman filter's")
     flexible = [np.median(each.flexible()) for each in sweep]
-    sizes.loglog(
-        weights, flexible, color=COLOURS["sensitivity penalised"], label="flexible states, over their size"
-    )
+    style = {"color": COLOURS["sensitivity penalised"], "label": "flexible states, over their size"}
+    sizes.loglog(weights, flexible, **style)
     for name, each in (("regularised least squares", regularised), ("Kalman", kalman)):
         level = np.median(each.flexible())
         sizes.axhline(level, color=COLOURS[name], ls="--", linewidth=0.9, label=f"the same, {name}")

@@ -51,15 +51,11 @@ def paint_nyquist(loops: Mapping[str, Loop], controller: Pid):
     figure, axis = figures.new(1, 1, height=4.2)
     for label, loop in loops.items():
         open_loop = loop.at(controller).loop
-        stable = bool(np.all(loop.poles(controller).real < 0))
-        near = np.abs(open_loop) < 30
-        axis.plot(
-            open_loop.real[near], open_loop.imag[near], label=f"{label}: {'stable' if stable else 'unstable'}"
-        )
+        verdict = "stable" if np.all(loop.poles(controller).real < 0) else "unstable"
+        near = open_loop[np.abs(open_loop) < 30]
+        axis.plot(near.real, near.imag, label=f"{label}: {verdict}")
     axis.plot([-1], [0], "+", color=figures.BLACK, markersize=12, label="-1")
-    axis.set(xlim=(-6, 6), ylim=(-6, 6))
-    axis.set_aspect("equal")
-    axis.set(xlabel="real part", ylabel="imaginary part")
+    axis.set(xlim=(-6, 6), ylim=(-6, 6), aspect="equal", xlabel="real part", ylabel="imaginary part")
     axis.legend()
     return figure
 

@@ -10,6 +10,7 @@ from experiments.motion.magnitudes import decibel
 from stillwork import designing
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application
+from stillwork.control.loops import LoopResponse
 from stillwork.control.machine_loops import Intensities, Reached, observer_settings, observing_compensator
 from stillwork.identification.machine import Machine
 from stillwork.lti.peaks import resonance_grid
@@ -54,12 +55,8 @@ def paint_reached(found: Mapping[str, Reached]):
     for number, (attribute, label, marker) in enumerate(
         (("on_model", "on the model", "o"), ("on_measurement", "on the measurement", "s"))
     ):
-        points = [
-            (place + 0.1 * number, crossing)
-            for place, reached in enumerate(found.values())
-            if getattr(reached, attribute) is not None
-            for crossing in getattr(reached, attribute).crossing_hz
-        ]
+        limits = [getattr(reached, attribute) for reached in found.values()]
+        points = [(k + 0.1 * number, hz) for k, each in enumerate(limits) if each for hz in each.crossing_hz]
         if points:
             face = {} if number == 0 else {"markerfacecolor": "none"}
             axis.plot(*np.transpose(points), marker, label=label, **face)
@@ -101,8 +98,7 @@ def machine_explorer(
         application = Application(compensate=True, damping=damping, selectivity=selectivity)
         settings = observer_settings(machine, application, retained, moved)
         used = observing_compensator(last, application, *settings)
-        (o_uu, o_uy), (o_yu, o_yy) = used.frequency_response(shown)
-        seen = ((1 - o_yy) * plant - o_yu) / (1 - o_uu - o_uy * plant)
+        seen = LoopResponse(plant, used.frequency_response(shown), np.zeros_like(plant)).equivalent_plant
         figure, axes = paint_bode(
             {"plant": (shown, plant), "with MC and AD": (shown, seen)}, "magnitude (dB re 1 m/N)", height=3.2
         )
