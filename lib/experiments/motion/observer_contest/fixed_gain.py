@@ -5,7 +5,7 @@ from scipy.linalg import block_diag, solve_triangular
 
 from experiments.motion.observer_contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
 from experiments.motion.uncertainty import norm_bound, sampled_derivatives
-from stillwork.base.algebra import add_product, copy_vector
+from stillwork.base.algebra import add_product, copy_vector, plus_row, set_product
 from stillwork.base.kernels import kernel
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
 from stillwork.estimation.riccati import discrete_gain
@@ -20,15 +20,12 @@ def _advance_fixed(data, memory, inputs, measurements, estimates):
     forward, onward, gain, c = data
     x, predicted, innovation = memory[0], np.empty(len(forward)), np.empty(len(c))
     for k in range(len(inputs)):
-        predicted[:] = 0.0
-        add_product(forward, x, predicted)
+        set_product(forward, x, predicted)
         add_product(onward, inputs[k], predicted)
         copy_vector(predicted, x)
         if not np.isnan(measurements[k, 0]):
-            innovation[:] = 0.0
-            add_product(c, predicted, innovation)
             for o in range(len(c)):
-                innovation[o] = measurements[k, o] - innovation[o]
+                innovation[o] = measurements[k, o] - plus_row(0.0, c, o, predicted)
             add_product(gain, innovation, x)
         copy_vector(x, estimates[k])
 

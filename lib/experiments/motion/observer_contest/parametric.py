@@ -9,7 +9,7 @@ import numpy as np
 
 from experiments.motion.observer_contest.fixed_gain import stationary
 from experiments.motion.observer_contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
-from stillwork.base.algebra import cholesky_root
+from stillwork.base.algebra import cholesky_root, minus_row, plus_row
 from stillwork.base.kernels import borrowing_kernel, inlined_kernel, kernel, pasted_kernel
 
 
@@ -28,9 +28,14 @@ def predict_mode(a, b, force, i, x):
     """Position and velocity of one mode, at `i` and after it, one sample on: modes do not move each other."""
     first, second = x[i], x[i + 1]
     for r in range(i, i + 2):
-        x[r] = a[r, i] * first + a[r, i + 1] * second
-        for q in range(len(force)):
-            x[r] += b[r, q] * force[q]
+        x[r] = plus_row(a[r, i] * first + a[r, i + 1] * second, b, r, force)
+
+
+@pasted_kernel
+def predict_modes(a, b, force, x):
+    """All states one sample on."""
+    for i in range(0, len(x), 2):
+        predict_mode(a, b, force, i, x)
 
 
 @borrowing_kernel
@@ -84,9 +89,7 @@ WIDEST = 0.5  # relative error at which a parameter is held
 @pasted_kernel
 def _doubted(force, omega, damping, shapes, places, sample_time, z, j, block, lever):
     """Fill the transition of mode `j` of those in doubt; what pushes it, the same by its gain, its frequency's error."""
-    push = 0.0
-    for q in range(len(force)):
-        push += shapes[j, q] * force[q]
+    push = plus_row(0.0, shapes, j, force)
     frequency, gain = places[j, 0], places[j, 1]
     bent = z[frequency] if frequency >= 0 else 0.0
     sampled_mode(omega[j] * (1 + bent), damping[j], sample_time, block, lever)
@@ -120,19 +123,13 @@ def measure_in_turn(z, p, c, sensor, measured, considered):
 
     Returns the logarithm of their density, less a constant.
     """
-    size, n, score = len(z), c.shape[1], 0.0
+    size, score = len(z), 0.0
     kept = size - considered
     cross, gain = np.empty(size), np.zeros(size)
     for o in range(len(c)):
-        variance, innovation = sensor[o], measured[o]
         for i in range(size):
-            total = 0.0
-            for j in range(n):
-                total += p[i, j] * c[o, j]
-            cross[i] = total
-        for i in range(n):
-            variance += c[o, i] * cross[i]
-            innovation -= c[o, i] * z[i]
+            cross[i] = plus_row(0.0, c, o, p[i])
+        variance, innovation = plus_row(sensor[o], c, o, cross), minus_row(measured[o], c, o, z)
         score -= (innovation * innovation / variance + np.log(variance)) / 2
         for i in range(kept):
             gain[i] = cross[i] / variance
