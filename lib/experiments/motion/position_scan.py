@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from experiments.motion.machines import published_setpoint, shapes_along, stage, stage_mass
 from experiments.motion.scan_study import along_scan, contiguous, output_rows
 from experiments.motion.scheduled import gain_table, scheduled_gains
-from stillwork.base.algebra import add_product, advance_state, copy_vector
+from stillwork.base.algebra import add_scaled, advance_state, copy_vector, minus_row, plus_column, plus_row
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
 from stillwork.base.kernels import kernel
 from stillwork.control.feedback import band_pass, damping_gain
@@ -95,15 +95,17 @@ def run_applied(
     gain = damping_gain(scan.reduced, increase)[0, 3::2] if increase else np.zeros(len(flexible))
     filters = [zoh(band_pass(float(w), 2.0), sample_time) for w in flexible]
     control = zoh(controller.state_space(), sample_time)
+    compensation = compensate * gains.outputs[:, 0]
+    compensation[:, :2] = 0.0  # the rigid body is no deformation
     n = len(plant.a)
     estimates, states, error = np.zeros((samples, 2 * RETAINED)), np.zeros((samples, n)), np.zeros(samples)
     with np.errstate(over="ignore", invalid="ignore"):
         _applied(
             contiguous(plant.a, plant.b[:, 0], scan.shapes, scan.compliance),
             contiguous(gains.forward, gains.inputs[:, :, 0], gains.gain[:, :, 0], gains.outputs[:, 0]),
-            contiguous(control.a, control.b[:, 0], control.c[0]),
+            contiguous(control.a, control.b[:, 0], control.c),
             contiguous([f.a for f in filters], [f.b[:, 0] for f in filters], gain),
-            float(compensate),
+            compensation,
             contiguous(setpoint.derivatives[0], mass * setpoint.derivatives[2], noise),
             (estimates, states, error),
         )
@@ -114,7 +116,7 @@ def run_applied(
 
 
 @kernel
-def _applied(plant, observer, control, filters, compensate, given, found):
+def _applied(plant, observer, control, filters, compensation, given, found):
     a, b, shapes, compliance = plant
     forward, inputs, gain, outputs = observer
     (ca, cb, cc), (fa, fb, damping) = control, filters
@@ -122,32 +124,17 @@ def _applied(plant, observer, control, filters, compensate, given, found):
     samples, n, m, modes = len(reference), a.shape[0], ca.shape[0], fa.shape[0]
     r = forward.shape[1]
     x, x_next, z, z_next = np.zeros(n), np.zeros(n), np.zeros(m), np.zeros(m)
-    band, hat = np.zeros((modes, 2)), np.zeros(r)
-    last = 0.0
+    band, hat, hat_next = np.zeros((modes, 2)), np.zeros(r), np.zeros(r)
+    positions, last = x[::2], 0.0
     for k in range(samples):
-        output = -noise[1, k]
-        for i in range(n // 2):
-            output += shapes[k, i] * x[2 * i]
+        output = plus_row(-noise[1, k], shapes, k, positions)
         measured = output + noise[2, k]
         if k > 0:
-            for i in range(r):
-                hat[i] = inputs[k, i] * last
-            add_product(forward[k], estimates[k - 1], hat)
-            innovation = measured - compliance[k] * last
-            for i in range(r):
-                innovation -= outputs[k, i] * hat[i]
-            for i in range(r):
-                hat[i] += gain[k, i] * innovation
-        flexible = 0.0
-        for i in range(1, r // 2):
-            flexible += outputs[k, 2 * i] * hat[2 * i]
-        added = 0.0
-        for i in range(modes):
-            added += damping[i] * band[i, 1]
-        force = feedforward[k] + added
-        for i in range(m):
-            force += cc[i] * z[i]
-        difference = reference[k] - measured + compensate * flexible
+            advance_state(forward[k], inputs[k], last, hat, hat_next)
+            innovation = minus_row(measured - compliance[k] * last, outputs, k, hat)
+            add_scaled(innovation, gain[k], hat)
+        force = plus_row(feedforward[k] + plus_column(0.0, band, 1, damping), cc, 0, z)
+        difference = reference[k] - measured + plus_row(0.0, compensation, k, hat)
         advance_state(ca, cb, difference, z, z_next)
         for i in range(modes):
             velocity = hat[2 * (i + 1) + 1]

@@ -68,7 +68,10 @@ def assemble(plant: ContestPlant, truth: Truth, ratio: float, estimated: bool) -
         shapes, omega = model.input_shapes[rigid:], model.frequencies[rigid:]
         gains = 2 * ADDED * omega / np.sum(shapes**2, axis=1).max()
         damping[:, 2 * rigid + 1 :: 2] = shapes.T * gains
-    directions = (np.linalg.pinv(model.output_shapes[:, :rigid]), np.linalg.pinv(model.input_shapes[:rigid]).T)
+    directions = (
+        np.linalg.pinv(model.output_shapes[:, :rigid]),
+        np.linalg.pinv(model.input_shapes[:rigid]).T,
+    )
     setpoint = scan_setpoint(plant, len(truth.sensor))
     return Bench(
         truth, (control.a, control.b[:, 0], control.c[0]), directions, setpoint, compensation, damping
