@@ -112,18 +112,17 @@ def output_rows(shapes: Float64[np.ndarray, "samples modes"]) -> Float64[np.ndar
 def record_scans(scan: Scan, errors: Sequence[ArrayLike], rng: np.random.Generator) -> Records:
     """Simulate one scan for every plant, exactly at the samples, with fresh noise for each."""
     samples, runs, control = len(scan.shapes), len(errors), scan.controller
-    if any(np.any(np.diff(scan.nominal.frequencies * (1 + e[:, 0])) < 0) for e in map(np.asarray, errors)):
+    factors = 1 + require_array("errors", errors, shape=(runs, len(scan.nominal.frequencies), 4))
+    if np.any(np.diff(scan.nominal.frequencies * factors[:, :, 0]) < 0):
         raise InputError("errors are so large that two modes change places; give smaller ones")
-    plants = [perturbed(scan.nominal, e) for e in errors]
-    sampled = [zoh_modes(plant, scan.sample_time) for plant in plants]
-    factors = np.array([1 + require_array("errors", e, ndim=2)[:, 3] for e in errors])
+    sampled = [zoh_modes(perturbed(scan.nominal, each), scan.sample_time) for each in errors]
     noise = rng.standard_normal((runs, 3, samples)) * np.array(scan.deviations)[:, None]
     states = np.zeros((runs, samples, len(sampled[0].a)))
     u, y = np.zeros((runs, samples)), np.zeros((runs, samples))
     _scan(
         np.array([m.a for m in sampled]),
         np.array([m.b[:, 0] for m in sampled]),
-        scan.shapes[None] * factors[:, None, :],
+        scan.shapes * factors[:, None, :, 3],
         contiguous(scan.setpoint.derivatives[0], scan.mass * scan.setpoint.derivatives[2]),
         contiguous(control.a, control.b[:, 0], control.c),
         noise,

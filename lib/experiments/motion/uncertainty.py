@@ -56,13 +56,13 @@ def sample_errors(
     size = require_number("size", size, at_least=0.0, below=1.0)
     require_choice("law", law, LAWS)
     shape = (len(model.frequencies), 4)
-    if law == "uniform":
-        errors = size * rng.uniform(-1, 1, shape)
-    elif law == "normal":
-        errors = size * rng.standard_normal(shape)
-    else:
-        signs = rng.choice([-1.0, 1.0], shape if law == "ends" else 4)
-        errors = size * np.broadcast_to(signs, shape).copy()
+    draws = {
+        "ends": lambda: rng.choice([-1.0, 1.0], shape),
+        "uniform": lambda: rng.uniform(-1, 1, shape),
+        "normal": lambda: rng.standard_normal(shape),
+        "common": lambda: np.tile(rng.choice([-1.0, 1.0], 4), (len(model.frequencies), 1)),
+    }
+    errors = size * draws[law]()
     if not rigid:
         errors[: model.rigid_modes] = 0
     return errors
@@ -76,12 +76,8 @@ class SampledDerivatives:
     a: Float64[np.ndarray, "parameters states states"]
     b: Float64[np.ndarray, "parameters states inputs"]
 
-    def along(
-        self,
-        model: TimeVaryingModel,
-        shapes: ArrayLike,  # (samples, outputs, modes)
-    ) -> Derivatives:
-        """Derivatives for the filters, with input noise (G = B) and these output shapes at every sample."""
+    def along(self, model: TimeVaryingModel, shapes: ArrayLike) -> Derivatives:
+        """Derivatives for the filters, with input noise (G = B) and these output shapes (samples, outputs, modes)."""
         shapes = require_array("shapes", shapes, shape=(model.samples, model.c.shape[1], None))
         if shapes.shape[2] <= max(self.modes):
             raise InputError(
