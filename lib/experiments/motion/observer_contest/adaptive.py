@@ -41,13 +41,9 @@ def _advance_adaptive(data, memory, inputs, measurements, estimates):
 def adaptive(model: ToldModel, noise: ToldNoise, sample_time: float, rate: float) -> MadeObserver:
     """Kalman filter whose process noise follows its innovations: by `rate` a sample for each excess variance."""
     added = model.b @ noise.process @ model.b.T
-    data = (*_machine(model), np.diag(noise.sensor).copy(), added, np.array([rate]))
+    data = (model.a, model.b, model.c, np.diag(noise.sensor).copy(), added, np.array([rate]))
     memory = (np.zeros(len(model.a)), stationary(model, noise)[1], np.ones(1))
     return MadeObserver(_advance_adaptive, data, memory)
-
-
-def _machine(model: ToldModel) -> tuple[np.ndarray, ...]:
-    return model.a, model.b, np.ascontiguousarray(model.c)
 
 
 @kernel
@@ -109,7 +105,7 @@ def set_membership(
     """Ellipsoids that hold every state the bounds allow: so many deviations of the sensor, and of the force."""
     after = stationary(model, noise)[1]
     bounds, added = sensor * np.sqrt(np.diag(noise.sensor)), process**2 * model.b @ noise.process @ model.b.T
-    data = (*_machine(model), bounds, added, np.sqrt(np.diag(after)))
+    data = (model.a, model.b, model.c, bounds, added, np.sqrt(np.diag(after)))
     return MadeObserver(_advance_sets, data, (np.zeros(len(model.a)), sensor**2 * after))
 
 

@@ -44,15 +44,9 @@ class Bench:
 
     def memory(self) -> tuple:
         """States of machine and controllers, the last measurement and force, all outputs so far."""
-        t, rigid = self.truth, len(self.directions[0])
-        samples, outputs = t.sensor.shape
-        inputs = t.b.shape[2]
-        return (
-            np.zeros(t.a.shape[1]),
-            np.zeros((rigid, len(self.control[0]))),
-            np.zeros(outputs),
-            np.zeros(inputs),
-            np.zeros((samples, outputs)),
+        t, controllers = self.truth, (len(self.directions[0]), len(self.control[0]))
+        return tuple(
+            map(np.zeros, (t.a.shape[1], controllers, t.sensor.shape[1], t.b.shape[2], t.sensor.shape))
         )
 
 
@@ -72,10 +66,9 @@ def assemble(plant: ContestPlant, truth: Truth, ratio: float, estimated: bool) -
         np.linalg.pinv(model.output_shapes[:, :rigid]),
         np.linalg.pinv(model.input_shapes[:rigid]).T,
     )
+    controller = control.a, control.b[:, 0], control.c[0]
     setpoint = scan_setpoint(plant, len(truth.sensor))
-    return Bench(
-        truth, (control.a, control.b[:, 0], control.c[0]), directions, setpoint, compensation, damping
-    )
+    return Bench(truth, controller, directions, setpoint, compensation, damping)
 
 
 def scan_setpoint(plant: ContestPlant, samples: int) -> Float64[np.ndarray, "samples 2"]:
@@ -202,5 +195,4 @@ def state_errors(record: ScanRecord, estimates: np.ndarray, rigid: int) -> tuple
     """
     true = record.states[JUDGED, : estimates.shape[1]]
     ratios = np.mean((true - estimates[JUDGED]) ** 2, axis=0) / np.mean(true**2, axis=0)
-    ratios = np.sqrt([ratios[: 2 * rigid].mean(), ratios[2 * rigid :].mean()])
-    return float(ratios[0]), float(ratios[1])
+    return float(np.sqrt(ratios[: 2 * rigid].mean())), float(np.sqrt(ratios[2 * rigid :].mean()))

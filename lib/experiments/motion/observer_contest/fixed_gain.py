@@ -57,13 +57,12 @@ def recursion(model: ToldModel, noise: ToldNoise) -> TimeVaryingModel:
 
 def zero(model: ToldModel, noise: ToldNoise, sample_time: float) -> MadeObserver:
     """The estimate zero: it scores 1 by definition."""
-    n, (outputs, _), inputs = len(model.a), model.c.shape, model.b.shape[1]
-    return fixed(np.zeros((n, n)), np.zeros((n, inputs)), np.zeros((n, outputs)), model.c)
+    return fixed(*map(np.zeros_like, (model.a, model.b, model.c.T)), model.c)
 
 
 def open_model(model: ToldModel, noise: ToldNoise, sample_time: float) -> MadeObserver:
     """The model for the flexible states, driven by the force alone; the rigid body has the Kalman gain."""
-    gain = stationary(model, noise)[0].copy()
+    gain = stationary(model, noise)[0]
     gain[2 * model.rigid_modes :] = 0
     return fixed(model.a, model.b, gain, model.c)
 
@@ -121,10 +120,7 @@ def hinfinity(model: ToldModel, noise: ToldNoise, sample_time: float, ratio: flo
 
 def mixed(model: ToldModel, noise: ToldNoise, sample_time: float, share: float) -> MadeObserver:
     """The gain `share` of the way from the Kalman filter's to the H-infinity filter's near its smallest level."""
-    one, other = (
-        design.data[2]
-        for design in (kalman(model, noise, sample_time), hinfinity(model, noise, sample_time, 1.05))
-    )
+    one, other = stationary(model, noise)[0], hinfinity(model, noise, sample_time, 1.05).data[2]
     return fixed(model.a, model.b, (1 - share) * one + share * other, model.c)
 
 
@@ -183,8 +179,8 @@ def moving_horizon(
 
     A lost sample is taken as predicted; before the first all rested.
     """
-    horizon = max(round(samples), len(model.a))
-    n, (outputs, inputs) = len(model.a), (len(model.c), model.b.shape[1])
+    n, inputs, outputs = len(model.a), model.b.shape[1], len(model.c)
+    horizon = max(round(samples), n)
     push, root = model.b @ np.linalg.cholesky(factor * noise.process), np.linalg.cholesky(noise.sensor)
     # State k of the window from the first one, the forces held since and the noises on them.
     state = np.hstack([np.eye(n), np.zeros((n, 2 * horizon * inputs))])
@@ -207,9 +203,7 @@ def moving_horizon(
     of_measured, of_forces = map(np.ascontiguousarray, by_sample)
     of_measured = of_measured @ np.linalg.inv(root)
     memory = (np.zeros(n), np.zeros((horizon, outputs)), np.zeros((horizon, inputs)), np.zeros(1, np.int64))
-    return MadeObserver(
-        _advance_window, (model.a, model.b, np.ascontiguousarray(model.c), of_measured, of_forces), memory
-    )
+    return MadeObserver(_advance_window, (model.a, model.b, model.c, of_measured, of_forces), memory)
 
 
 FIXED = {

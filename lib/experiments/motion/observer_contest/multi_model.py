@@ -146,7 +146,7 @@ def fine_bank(
         whitening.append(np.tril(np.linalg.inv(root)))
     whitening = np.array(whitening)
     logs = -np.log(np.einsum("moo->mo", whitening)).sum(axis=1)
-    data = (a, b, np.ascontiguousarray(model.c), np.array(gains), whitening, logs, np.array([switching]))
+    data = (a, b, model.c, np.array(gains), whitening, logs, np.array([switching]))
     memory = (np.zeros((len(grid), len(model.a))), np.full(len(grid), 1 / len(grid)))
     return MadeObserver(_advance_fine, data, memory)
 

@@ -6,6 +6,7 @@ With :math:`z = (x, \theta)` the model is :math:`x_k = A(\theta) x_{k-1} + B(\th
 from collections.abc import Callable
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from experiments.motion.observer_contest.fixed_gain import stationary
 from experiments.motion.observer_contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
@@ -16,10 +17,8 @@ from stillwork.base.kernels import borrowing_kernel, inlined_kernel, kernel, pas
 def dominant(model: ToldModel, most: int) -> np.ndarray:
     """The flexible modes with the largest share in the static deflection, at most so many, in order of frequency."""
     rigid = model.rigid_modes
-    shares = np.abs(model.output_shapes[:, rigid:]).max(axis=0) * np.abs(model.input_shapes[rigid:]).max(
-        axis=1
-    )
-    shares = shares / model.frequencies[rigid:] ** 2
+    seen, pushed = np.abs(model.output_shapes[:, rigid:]), np.abs(model.input_shapes[rigid:])
+    shares = seen.max(axis=0) * pushed.max(axis=1) / model.frequencies[rigid:] ** 2
     return np.sort(np.argsort(-shares, kind="stable")[:most]) + rigid
 
 
@@ -242,21 +241,18 @@ def parts(model, noise, sample_time, deviation, walk, factor, considered=False, 
     places[: min(count, 3), 1] = max(n - 1, places.max()) + 1 + np.arange(min(count, 3))
     size = places.max() + 1
     fair = ToldNoise(factor * noise.process, noise.sensor)
-    added, covariance = np.zeros((2, size, size))
-    added[:n, :n] = model.b @ fair.process @ model.b.T
-    covariance[:n, :n] = stationary(model, fair)[1]
-    for i in range(n, size):
-        covariance[i, i], added[i, i] = deviation**2, walk**2
+    added = block_diag(model.b @ fair.process @ model.b.T, walk**2 * np.eye(size - n))
+    covariance = block_diag(stationary(model, fair)[1], deviation**2 * np.eye(size - n))
     data = (
         model.a,
         model.b,
         modes,
         model.frequencies[modes],
         model.damping[modes],
-        np.ascontiguousarray(model.input_shapes[modes]),
+        model.input_shapes[modes],
         places,
         np.array([sample_time, size - n if considered else 0.0]),
-        np.ascontiguousarray(model.c),
+        model.c,
         np.diag(noise.sensor).copy(),
         added,
     )
@@ -265,9 +261,8 @@ def parts(model, noise, sample_time, deviation, walk, factor, considered=False, 
 
 def considering(model: ToldModel, noise: ToldNoise, sample_time: float, deviation: float) -> MadeObserver:
     """Schmidt-Kalman filter: the parameters are never estimated, but the states know how uncertain they are."""
-    return MadeObserver(
-        _advance_extended, *parts(model, noise, sample_time, deviation, 0.0, 1.0, considered=True)
-    )
+    made = parts(model, noise, sample_time, deviation, 0.0, 1.0, considered=True)
+    return MadeObserver(_advance_extended, *made)
 
 
 def of_parameters(advance: Callable) -> Callable[..., MadeObserver]:
