@@ -104,12 +104,12 @@ def sampled_derivatives(
         w, z, shape = model.frequencies[mode], model.damping[mode], model.input_shapes[mode]
         whole = np.zeros((2 + inputs, 2 + inputs))
         whole[0, 1], whole[1, 0], whole[1, 1], whole[1, 2:] = 1, -(w**2), -2 * z * w, shape
-        by_frequency, by_damping, by_input = (np.zeros_like(whole) for _ in range(3))
-        by_frequency[1, :2] = -2 * w**2, -2 * z * w
-        by_damping[1, 1] = -2 * z * w
-        by_input[1, 2:] = shape
+        directions = np.zeros((3, *whole.shape))  # by frequency, damping and input shape
+        directions[0, 1, :2] = -2 * w**2, -2 * z * w
+        directions[1, 1, 1] = -2 * z * w
+        directions[2, 1, 2:] = shape
         place = slice(2 * mode, 2 * mode + 2)
-        for number, direction in enumerate((by_frequency, by_damping, by_input)):
+        for number, direction in enumerate(directions):
             moved = linalg.expm_frechet(whole * sample_time, direction * sample_time, compute_expm=False)
             a[4 * k + number, place, place] = moved[:2, :2]
             b[4 * k + number, place] = moved[:2, 2:]

@@ -134,11 +134,8 @@ def level(seen: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
         [rng.choice(np.flatnonzero(part), (RESAMPLES, part.sum())) for part in (whole, ~whole) if part.any()]
     )
     behind = errors - kalman
-    means, resampled = (
-        np.nanmean(behind[:, of], axis=-1) + kalman[of].mean(axis=-1)
-        for of in (np.arange(len(kalman)), chosen)
-    )
-    return means, resampled
+    every = np.arange(len(kalman))
+    return tuple(np.nanmean(behind[:, of], axis=-1) + kalman[of].mean(axis=-1) for of in (every, chosen))
 
 
 def ranked(table: pd.DataFrame) -> pd.DataFrame:
