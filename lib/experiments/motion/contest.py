@@ -180,8 +180,7 @@ def tune(name: str, contest: Contest, records: Records, tries: int) -> Tuning:
     The cost is the median over plants of `Errors.flexible`.
     """
     require_choice("name", name, ENTRANTS)
-    if tries < 2:
-        raise InputError(f"tries is {tries}; give at least 2, the ends of the range")
+    tries = require_count("tries", tries, at_least=2)  # the ends of the range
     knobs = np.geomspace(ENTRANTS[name].low, ENTRANTS[name].high, tries)
     tried = (run_entrant(name, contest, float(knob), records) for knob in knobs)
     costs = [np.median(judge(contest.scan, records, each).flexible()) for each in tried]

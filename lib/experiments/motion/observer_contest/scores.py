@@ -99,12 +99,9 @@ def _own_scans(observer: OwnObserver, prepared: Sequence[_Prepared], loops: bool
         began = time.thread_time()  # what else the machine does is not the observer's time
         estimates = observer.run(each.record.inputs, each.record.measurements)
         taken = 1e6 * (time.thread_time() - began) / len(estimates)
-        moved = None
-        if loops:
-            observer.start(*each.told)
-            [moved] = bench.run_scans(
-                [bench.loop_scan(each.bold)], lambda _, u, y: [observer.step(u[0], y[0])]
-            )
+        observer.start(*each.told)
+        scan = [bench.loop_scan(each.bold)] if loops else []
+        [moved] = bench.run_scans(scan, lambda _, u, y: [observer.step(u[0], y[0])]) or [None]
         results.append((estimates, taken, moved, observer.bytes))
     return results
 
