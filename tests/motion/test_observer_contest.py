@@ -31,7 +31,6 @@ from experiments.motion.observer_contest.referee import Disqualified, ForeignObs
 from experiments.motion.observer_contest.scores import ENTRANTS, contest_trial
 from experiments.motion.observer_contest.table import (
     COLUMNS,
-    ContestResult,
     as_markdown,
     joined,
     measured,
@@ -226,9 +225,9 @@ def test_the_contest_goes_on_without_the_disqualified(written, capsys):
         "hopeless.py",
     )
     given = {"only": ["zero"], "plants": ("drive",), "doubts": ("none", "all 2 %")}
-    contest = run_contest("a test", 1, [bad], **given)
-    assert contest.disqualified == {"hopeless": "estimates that are not finite"}
-    assert {each.entrant for each in contest.scores} == {"zero", "Kalman"}
+    scores, disqualified = run_contest("a test", 1, [bad], **given)
+    assert disqualified == {"hopeless": "estimates that are not finite"}
+    assert {each.entrant for each in scores} == {"zero", "Kalman"}
 
 
 def test_a_file_that_is_not_there_and_a_name_that_is_taken_are_told(written):
@@ -347,9 +346,8 @@ def test_the_interval_of_a_median_holds_it_as_often_as_it_says():
 @pytest.fixture(scope="module")
 def small():
     """Three entrants and the Kalman filter on two seeds."""
-    return run_contest(
-        "a test", 2, only=["zero", "open model"], plants=("drive",), doubts=("all 2 %",), loops=1
-    )
+    given = {"only": ["zero", "open model"], "plants": ("drive",), "doubts": ("all 2 %",), "loops": 1}
+    return run_contest("a test", 2, **given)[0]
 
 
 def test_the_table_and_the_ranking_say_what_the_scores_say(small, tmp_path):
@@ -359,10 +357,10 @@ def test_the_table_and_the_ranking_say_what_the_scores_say(small, tmp_path):
         header, *lines = csv.reader(stream)
     assert tuple(header) == COLUMNS
     # Three of the ranking, two seeds, the bytes; rigid and flexible, tracking and peak.
-    assert len(lines) == 10 * len({each.entrant for each in small.scores}) == 30
+    assert len(lines) == 10 * len({each.entrant for each in small}) == 30
     zero = [line for line in lines if line[0] == "zero" and line[3] in ("rigid", "flexible", "mean error")]
     assert {tuple(line[4:7]) for line in zero} == {("1", "1", "1")}
-    own = [each.flexible for each in small.scores if each.entrant == "Kalman"]
+    own = [each.flexible for each in small if each.entrant == "Kalman"]
     row = table[(table["entrant"] == "Kalman") & (table["doubt"] == "all")].set_index("score")
     assert row.loc["mean error", "median"] == pytest.approx(np.mean(own), rel=1e-3)
     assert row.loc["mean error", ["low", "high"]].tolist() == pytest.approx(sorted(own), rel=1e-3)
@@ -374,8 +372,8 @@ def test_the_table_and_the_ranking_say_what_the_scores_say(small, tmp_path):
     one = table[(table["entrant"] == "zero") & (table["score"] == "peak")]["median"].item()
     assert zero["peak"] == f"{one:.2g} to {one:.2g}"  # on one machine under one doubt
     # A tie is one place for both.
-    twins = [each._replace(entrant="twin") for each in small.scores if each.entrant == "Kalman"]
-    stood = ranked(measured(ContestResult(small.scores + twins, {})))
+    twins = [each._replace(entrant="twin") for each in small if each.entrant == "Kalman"]
+    stood = ranked(measured(small + twins))
     ranks = stood[stood["score"] == "rank"].set_index("entrant")["median"]
     assert ranks["twin"] == ranks["Kalman"]
 
@@ -384,11 +382,9 @@ def test_who_runs_on_fewer_seeds_is_compared_with_kalman_there(small):
     """A twin of the Kalman filter that ran on one seed alone stands where the filter does, whatever that seed."""
     for seed in (0, 1):
         twins = [
-            each._replace(entrant="twin")
-            for each in small.scores
-            if (each.entrant, each.seed) == ("Kalman", seed)
+            each._replace(entrant="twin") for each in small if (each.entrant, each.seed) == ("Kalman", seed)
         ]
-        both = ranked(measured(ContestResult(small.scores + twins, {})))
+        both = ranked(measured(small + twins))
         stood = both[both["score"].isin(["mean error", "rank", "less Kalman"]) & (both["doubt"] == "all")]
         columns = ["score", "median", "low", "high"]
         twin, kalman = (
@@ -400,7 +396,7 @@ def test_who_runs_on_fewer_seeds_is_compared_with_kalman_there(small):
 
 def test_heavy_entrants_run_on_the_first_seeds_alone():
     given = {"only": ["unscented Kalman"], "plants": ("drive",), "doubts": ("none",), "loops": 1}
-    found = {(each.entrant, each.seed) for each in run_contest("a test", 2, heavy=1, **given).scores}
+    found = {(each.entrant, each.seed) for each in run_contest("a test", 2, heavy=1, **given)[0]}
     assert found == {("Kalman", 0), ("Kalman", 1), ("unscented Kalman", 0)}
 
 
@@ -410,7 +406,7 @@ def test_an_entrant_that_comes_later_stands_where_it_would_have_stood(small):
         ranked(measured(each))
         for each in (
             small,
-            run_contest("a test", 2, only=["zero"], plants=("drive",), doubts=("all 2 %",), loops=1),
+            run_contest("a test", 2, only=["zero"], plants=("drive",), doubts=("all 2 %",), loops=1)[0],
         )
     )
     before = ranked(whole[whole["entrant"] != "zero"])
@@ -424,7 +420,7 @@ def test_an_entrant_that_comes_later_stands_where_it_would_have_stood(small):
     )
     assert of_seeds(found).shape == (3, 2)
     others = ranked(
-        measured(run_contest("another", 2, only=["zero"], plants=("drive",), doubts=("none",), loops=1))
+        measured(run_contest("another", 2, only=["zero"], plants=("drive",), doubts=("none",), loops=1)[0])
     )
     with pytest.raises(InputError, match="other scans"):
         joined(before, others)
@@ -434,11 +430,11 @@ def test_an_entrant_that_comes_later_stands_where_it_would_have_stood(small):
 def test_workers_that_share_a_process_do_not_share_an_observer():
     """As a cluster's workers with several threads do."""
     given = {"only": ["open model"], "plants": ("drive", "stage"), "doubts": ("all 2 %", "delay")}
-    alone = run_contest("a test", 2, **given)
+    alone, _ = run_contest("a test", 2, **given)
     with ThreadPoolExecutor(4) as pool:
-        together = run_contest("a test", 2, executor=pool, **given)
+        together, _ = run_contest("a test", 2, executor=pool, **given)
     kept = ["entrant", "plant", "doubt", "seed", "rigid", "flexible", "tracking", "peak"]
-    assert pd.DataFrame(together.scores)[kept].equals(pd.DataFrame(alone.scores)[kept])
+    assert pd.DataFrame(together)[kept].equals(pd.DataFrame(alone)[kept])
 
 
 @pytest.mark.slow
@@ -461,8 +457,10 @@ def test_whoever_is_out_is_not_waited_for_again(written, monkeypatch):
     starts, enter = [], ForeignObserver.__enter__
     monkeypatch.setattr(ForeignObserver, "__enter__", lambda self: starts.append(self) or enter(self))
     bad = written(step_of("raise ValueError('no idea')"), "hopeless.py")
-    contest = run_contest("a test", 2, [bad], only=["zero"], plants=("drive", "stage"), doubts=("none",))
-    assert list(contest.disqualified) == ["hopeless"] and len(starts) == 1
+    _, disqualified = run_contest(
+        "a test", 2, [bad], only=["zero"], plants=("drive", "stage"), doubts=("none",)
+    )
+    assert list(disqualified) == ["hopeless"] and len(starts) == 1
 
 
 def test_the_committed_table_holds_every_entrant_plant_and_doubt():

@@ -18,12 +18,13 @@ from stillwork.lti.discretisation import zoh_modes
 
 
 def bank_estimate(
-    models: Sequence[TimeVaryingModel], u: ArrayLike, y: ArrayLike
+    models: Sequence[TimeVaryingModel],
+    u: Float64[np.ndarray, "runs inputs samples"],
+    y: Float64[np.ndarray, "runs outputs samples"],
 ) -> tuple[Float64[np.ndarray, "runs states samples"], Float64[np.ndarray, "models runs samples"]]:
     """Mean over the models and the posterior probability of each (static multiple-model estimation, Magill 1965)."""
     if not models:
         raise InputError("models is empty; give at least one")
-    y, u = require_array("y", y, ndim=3), require_array("u", u, ndim=3)
     states, scores = [], []
     for model in models:
         gains = kalman_gains(model)
@@ -102,9 +103,7 @@ def fictitious(contest: Contest, deviation: float, u, y):
     model = contest.model
     states = model.a.shape[1]
     own = np.zeros((states, states // 2))
-    pairs = np.arange(states).reshape(-1, 2)
-    for mode, pair in enumerate(pairs):
-        own[pair, mode] = model.b[1, pair, 0]
+    own[np.arange(states), np.arange(states) // 2] = model.b[1, :, 0]
     process = np.diag([model.process[0, 0], *[deviation**2] * (states // 2)])
     return estimate(kalman_gains(model.with_process(np.hstack([model.b[1], own]), process)), u, y)
 
@@ -181,8 +180,7 @@ def tune(name: str, contest: Contest, records: Records, tries: int) -> Tuning:
     The cost is the median over plants of `Errors.flexible`.
     """
     require_choice("name", name, ENTRANTS)
-    if tries < 2:
-        raise InputError(f"tries is {tries}; give at least 2, the ends of the range")
+    tries = require_count("tries", tries, at_least=2)  # the ends of the range
     knobs = np.geomspace(ENTRANTS[name].low, ENTRANTS[name].high, tries)
     tried = (run_entrant(name, contest, float(knob), records) for knob in knobs)
     costs = [np.median(judge(contest.scan, records, each).flexible()) for each in tried]
@@ -214,22 +212,16 @@ def figure_statements(
     kalman: Errors, penalised: Errors, regularised: Errors
 ) -> dict[str, Bool[np.ndarray, " runs"]]:
     """On which plants each statement about Fig. 5.10 holds; the figure shows rigid body, first and second mode."""
-
-    def all_of(holds):
-        return np.all(holds, axis=1)
-
-    rigid = penalised.rms[:, :2] / kalman.rms[:, :2]
+    rigid, worse = penalised.rms[:, :2] / kalman.rms[:, :2], np.maximum(kalman.rms, penalised.rms)
     return {
         "regularised-best-on-rigid": regularised.rms[:, 0] < np.minimum(kalman.rms, penalised.rms)[:, 0],
-        "sensitivity-rigid-as-kalman": all_of(np.abs(rigid - 1) < AS_KALMAN),
-        "regularised-worst-on-flexible": all_of(
-            (regularised.rms > np.maximum(kalman.rms, penalised.rms))[:, _FLEXIBLE]
-        ),
-        "regularised-above-state": all_of((regularised.rms > regularised.size)[:, _FLEXIBLE]),
-        "sensitivity-drift": all_of((np.abs(penalised.drift) > np.abs(kalman.drift))[:, _POSITIONS]),
-        "sensitivity-end-above-state": all_of((np.abs(penalised.end) > penalised.size)[:, _POSITIONS]),
-        "kalman-below-state-move": all_of((kalman.move < kalman.move_size)[:, _FLEXIBLE]),
-        "kalman-below-state-scan": all_of((kalman.rms < kalman.size)[:, _FLEXIBLE]),
+        "sensitivity-rigid-as-kalman": (np.abs(rigid - 1) < AS_KALMAN).all(axis=1),
+        "regularised-worst-on-flexible": (regularised.rms > worse)[:, _FLEXIBLE].all(axis=1),
+        "regularised-above-state": (regularised.rms > regularised.size)[:, _FLEXIBLE].all(axis=1),
+        "sensitivity-drift": (np.abs(penalised.drift) > np.abs(kalman.drift))[:, _POSITIONS].all(axis=1),
+        "sensitivity-end-above-state": (np.abs(penalised.end) > penalised.size)[:, _POSITIONS].all(axis=1),
+        "kalman-below-state-move": (kalman.move < kalman.move_size)[:, _FLEXIBLE].all(axis=1),
+        "kalman-below-state-scan": (kalman.rms < kalman.size)[:, _FLEXIBLE].all(axis=1),
         "larger-in-acceleration": np.all(
             [(e.accelerating > e.rms)[:, _POSITIONS] for e in (kalman, penalised, regularised)], axis=(0, 2)
         ),

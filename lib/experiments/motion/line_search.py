@@ -6,10 +6,18 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.algebra import add_product, condition, copy_vector, measure
+from stillwork.base.algebra import (
+    add_product,
+    condition,
+    copy_vector,
+    measure,
+    minus_row,
+    multiply,
+    set_product,
+)
 from stillwork.base.checks import require_array, require_finite_run
 from stillwork.base.front_door import checked
-from stillwork.base.kernels import kernel
+from stillwork.base.kernels import kernel, pasted_kernel
 from stillwork.estimation.robust import (
     NormBound,
     bound_rows,
@@ -57,42 +65,44 @@ def regularised_line_search(
     return LineSearch(np.ascontiguousarray(out.T), ratio)
 
 
+@pasted_kernel
+def _noise(limit, spread, over):
+    """Variance 1 - spread / lambda of an output for lambda = limit (1 + over), without cancellation close to the limit."""
+    return ((limit - spread) / limit + over) / (1 + over)
+
+
 @kernel
-def _cost(logarithm, limit, spread, sample, p0, x, u, y):
-    # G(lambda): the sum of squared innovations, each over its variance, is the minimum of the cost.
+def _pose(sample, u, y, sight, told):
+    # The penalty's rows and the outputs as measurements `told` of the last state and the disturbance.
     step, b, c, rows, rows_u = sample
-    penalty = limit * (1 + np.exp(logarithm))
-    n, size = step.shape
-    sigma, z, v, row = joint_covariance(p0, size - n), np.zeros(size), np.zeros(size), np.zeros((1, size))
-    copy_vector(x, z)
-    total_cost = 0.0
-    for i in range(len(rows) + len(c)):
-        if i < len(rows):
-            innovation, noise = 0.0, 1 / penalty
-            for j in range(size):
-                row[0, j] = rows[i, j]
+    multiply(c, step, sight[len(rows) :])
+    for i in range(len(rows)):
+        copy_vector(rows[i], sight[i])
+        told[i] = minus_row(0.0, rows_u, i, u)
+    for o in range(len(c)):
+        known = y[o]
+        for q in range(len(b)):
             for j in range(len(u)):
-                innovation -= rows_u[i, j] * u[j]
-        else:
-            o = i - len(rows)
-            innovation = y[o]
-            # 1 - spread / penalty without cancellation close to the limit.
-            noise = ((limit - spread[o]) / limit + np.exp(logarithm)) / (1 + np.exp(logarithm))
-            for j in range(size):
-                row[0, j] = 0.0
-            for q in range(n):
-                for j in range(size):
-                    row[0, j] += c[o, q] * step[q, j]
-                for j in range(len(u)):
-                    innovation -= c[o, q] * b[q, j] * u[j]
-        s = measure(sigma, row, 0, noise, v)
-        for j in range(size):
-            innovation -= row[0, j] * z[j]
+                known -= c[o, q] * b[q, j] * u[j]
+        told[len(rows) + o] = known
+
+
+@kernel
+def _cost(logarithm, limit, spread, sight, told, p0, x):
+    # G(lambda): the sum of squared innovations, each over its variance, is the minimum of the cost.
+    over, size, rows = np.exp(logarithm), sight.shape[1], len(told) - len(spread)
+    sigma, z, v = joint_covariance(p0, size - len(x)), np.zeros(size), np.zeros(size)
+    copy_vector(x, z)
+    cost = 0.0
+    for i in range(len(told)):
+        noise = 1 / (limit * (1 + over)) if i < rows else _noise(limit, spread[i - rows], over)
+        s = measure(sigma, sight, i, noise, v)
+        innovation = minus_row(told[i], sight, i, z)
         for j in range(size):
             z[j] += v[j] / s * innovation
         condition(sigma, v, s)
-        total_cost += innovation * innovation / s
-    return total_cost
+        cost += innovation * innovation / s
+    return cost
 
 
 @kernel
@@ -100,15 +110,17 @@ def _search_filter(data, limit, spread, u, y, p0, out, ratio):
     (samples, n), nu, no = out.shape, u.shape[1], y.shape[1]
     forward, onward, gain = np.zeros((n, n)), np.zeros((n, nu)), np.zeros((n, no))
     p, noise, innovation = np.zeros((n, n)), np.ones(no), np.empty(no)
+    measurements = data[3].shape[1] + no
+    sight, told = np.empty((measurements, data[0].shape[2])), np.empty(measurements)
     shrink = (np.sqrt(5.0) - 1) / 2
     for k in range(1, samples):
         sample, penalty = sample_at(data, k), 0.0
-        for o in range(no):
-            noise[o] = 1.0
+        noise[:] = 1.0
         if limit[k] > 0:
+            _pose(sample, u[k - 1], y[k], sight, told)
+            posed = (limit[k], spread[k], sight, told, p0, out[k - 1])
             low, high = -18.0, 40.0  # of log(lambda / limit - 1); G has one minimum
             left, right = high - shrink * (high - low), low + shrink * (high - low)
-            posed = (limit[k], spread[k], sample, p0, out[k - 1], u[k - 1], y[k])
             at_left, at_right = _cost(left, *posed), _cost(right, *posed)
             while high - low > 1e-7:
                 if at_left <= at_right:
@@ -123,20 +135,11 @@ def _search_filter(data, limit, spread, u, y, p0, out, ratio):
             ratio[k] = 1 + over
             penalty = limit[k] * (1 + over)
             for o in range(no):
-                noise[o] = ((limit[k] - spread[k, o]) / limit[k] + over) / (1 + over)
+                noise[o] = _noise(limit[k], spread[k, o], over)
         robust_step(sample, penalty, noise, p0, forward, onward, gain, p)
-        add_product(forward, out[k - 1], out[k])
+        set_product(forward, out[k - 1], out[k])
         add_product(onward, u[k - 1], out[k])
-        for i in range(n):
-            for j in range(n):
-                p0[i, j] = p[i, j]
-        _correct(out[k], gain, sample[2], y[k], innovation)
-
-
-@kernel
-def _correct(x, gain, c, y, innovation):
-    for o in range(len(y)):
-        innovation[o] = y[o]
-        for i in range(len(x)):
-            innovation[o] -= c[o, i] * x[i]
-    add_product(gain, innovation, x)
+        for o in range(no):
+            innovation[o] = minus_row(y[k, o], sample[2], o, out[k])
+        add_product(gain, innovation, out[k])
+        p0, p = p, p0

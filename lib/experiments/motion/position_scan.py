@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 
 from experiments.motion.machines import published_setpoint, shapes_along, stage, stage_mass
 from experiments.motion.scan_study import along_scan, contiguous, output_rows
-from experiments.motion.scheduled import gain_table, scheduled_gains
-from stillwork.base.algebra import add_product, advance_state, copy_vector
+from experiments.motion.scheduled import GainTable, gain_table, scheduled_gains
+from stillwork.base.algebra import add_scaled, advance_state, copy_vector, minus_row, plus_column, plus_row
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
 from stillwork.base.kernels import kernel
 from stillwork.control.feedback import band_pass, damping_gain
@@ -45,18 +45,12 @@ class PositionScan:
 
 def position_scan(plant: ModalModel, grid: ArrayLike, setpoint: Setpoint, start: float) -> PositionScan:
     """A scan that begins with the sensor at `start` (m) along the `grid` of the plant's outputs."""
+    from scipy.interpolate import CubicSpline
+
     places = start + setpoint.derivatives[0]
     compliance = truncate(plant, RETAINED, COMPENSATED).feedthrough[:, 0]
-    along = ModalModel(
-        plant.frequencies[:1],
-        plant.damping[:1],
-        plant.input_shapes[:1],
-        compliance[:, None],
-        np.zeros_like(plant.feedthrough),
-    )
-    return PositionScan(
-        plant, setpoint, places, shapes_along(plant, grid, places), shapes_along(along, grid, places)[:, 0]
-    )
+    shapes = shapes_along(plant, grid, places)
+    return PositionScan(plant, setpoint, places, shapes, CubicSpline(grid, compliance)(places))
 
 
 def observer_model(scan: PositionScan, process: float, sensor: float) -> TimeVaryingModel:
@@ -92,21 +86,22 @@ def run_applied(
     noise = require_array("noise", noise, shape=(3, samples))
     plant = zoh_modes(scan.plant, sample_time)
     flexible = scan.reduced.frequencies[1:]
-    gain = damping_gain(scan.reduced, increase)[0, 3::2] if increase else np.zeros(len(flexible))
+    gain = damping_gain(scan.reduced, increase)[0, 3::2]
     filters = [zoh(band_pass(float(w), 2.0), sample_time) for w in flexible]
     control = zoh(controller.state_space(), sample_time)
-    n = len(plant.a)
-    estimates, states, error = np.zeros((samples, 2 * RETAINED)), np.zeros((samples, n)), np.zeros(samples)
-    with np.errstate(over="ignore", invalid="ignore"):
-        _applied(
-            contiguous(plant.a, plant.b[:, 0], scan.shapes, scan.compliance),
-            contiguous(gains.forward, gains.inputs[:, :, 0], gains.gain[:, :, 0], gains.outputs[:, 0]),
-            contiguous(control.a, control.b[:, 0], control.c[0]),
-            contiguous([f.a for f in filters], [f.b[:, 0] for f in filters], gain),
-            float(compensate),
-            contiguous(setpoint.derivatives[0], mass * setpoint.derivatives[2], noise),
-            (estimates, states, error),
-        )
+    compensation = compensate * gains.outputs[:, 0]
+    compensation[:, :2] = 0.0  # the rigid body is no deformation
+    estimates, states = np.zeros((samples, 2 * RETAINED)), np.zeros((samples, len(plant.a)))
+    error = np.zeros(samples)
+    _applied(
+        contiguous(plant.a, plant.b[:, 0], scan.shapes, scan.compliance),
+        contiguous(gains.forward, gains.inputs[:, :, 0], gains.gain[:, :, 0], gains.outputs[:, 0]),
+        contiguous(control.a, control.b[:, 0], control.c),
+        contiguous([f.a for f in filters], [f.b[:, 0] for f in filters], gain),
+        compensation,
+        contiguous(setpoint.derivatives[0], mass * setpoint.derivatives[2], noise),
+        (estimates, states, error),
+    )
     if not np.all(np.isfinite(error)) or np.abs(error).max() > 1.0:
         raise InputError("the loop with this observer is unstable; lower the controller's bandwidth")
     known = np.ascontiguousarray(states[:, : 2 * RETAINED].T)
@@ -114,7 +109,7 @@ def run_applied(
 
 
 @kernel
-def _applied(plant, observer, control, filters, compensate, given, found):
+def _applied(plant, observer, control, filters, compensation, given, found):
     a, b, shapes, compliance = plant
     forward, inputs, gain, outputs = observer
     (ca, cb, cc), (fa, fb, damping) = control, filters
@@ -122,32 +117,17 @@ def _applied(plant, observer, control, filters, compensate, given, found):
     samples, n, m, modes = len(reference), a.shape[0], ca.shape[0], fa.shape[0]
     r = forward.shape[1]
     x, x_next, z, z_next = np.zeros(n), np.zeros(n), np.zeros(m), np.zeros(m)
-    band, hat = np.zeros((modes, 2)), np.zeros(r)
-    last = 0.0
+    band, hat, hat_next = np.zeros((modes, 2)), np.zeros(r), np.zeros(r)
+    positions, last = x[::2], 0.0
     for k in range(samples):
-        output = -noise[1, k]
-        for i in range(n // 2):
-            output += shapes[k, i] * x[2 * i]
+        output = plus_row(-noise[1, k], shapes, k, positions)
         measured = output + noise[2, k]
         if k > 0:
-            for i in range(r):
-                hat[i] = inputs[k, i] * last
-            add_product(forward[k], estimates[k - 1], hat)
-            innovation = measured - compliance[k] * last
-            for i in range(r):
-                innovation -= outputs[k, i] * hat[i]
-            for i in range(r):
-                hat[i] += gain[k, i] * innovation
-        flexible = 0.0
-        for i in range(1, r // 2):
-            flexible += outputs[k, 2 * i] * hat[2 * i]
-        added = 0.0
-        for i in range(modes):
-            added += damping[i] * band[i, 1]
-        force = feedforward[k] + added
-        for i in range(m):
-            force += cc[i] * z[i]
-        difference = reference[k] - measured + compensate * flexible
+            advance_state(forward[k], inputs[k], last, hat, hat_next)
+            innovation = minus_row(measured - compliance[k] * last, outputs, k, hat)
+            add_scaled(innovation, gain[k], hat)
+        force = plus_row(feedforward[k] + plus_column(0.0, band, 1, damping), cc, 0, z)
+        difference = reference[k] - measured + plus_row(0.0, compensation, k, hat)
         advance_state(ca, cb, difference, z, z_next)
         for i in range(modes):
             velocity = hat[2 * (i + 1) + 1]
@@ -200,18 +180,15 @@ def compare_schedules(
         raise InputError(
             f"setpoint travels {travel:g} m on a structure of {grid[-1] - grid[0]:g} m; shorten it"
         )
-    count = int(np.ceil(round((grid[-1] - grid[0]) / require_number("spacing", spacing, above=0.0), 9)))
-    places = np.linspace(grid[0], grid[-1], count + 1)
-    rows = output_rows(shapes_along(plant, grid, places)[:, :RETAINED])
+    require_number("spacing", spacing, above=0.0)
     starts = np.linspace(grid[0], grid[-1] - travel * (1 + 1e-12), scans)
     w, v, d = deviations
     found = {name: np.zeros((2, 2, scans, 2 * RETAINED)) for name in cases}
-    table = None
     for k, start in enumerate(starts):
         scan = position_scan(plant, grid, setpoint, float(start))
         model = observer_model(scan, w**2, v**2 + d**2)
-        if table is None:
-            table = gain_table(model.a[1], model.g[1], rows, places, model.process, model.sensor)
+        if k == 0:
+            table = table_over(plant, grid, model, spacing)
         noise = rng.standard_normal((3, len(scan.places))) * np.array(deviations)[:, None]
         for which, gains in enumerate((kalman_gains(model), scheduled_gains(model, table, scan.places))):
             for name, (application, controller) in cases.items():
@@ -219,6 +196,16 @@ def compare_schedules(
                 error = ran.states - ran.estimates
                 found[name][which, :, k] = np.linalg.norm(error, axis=1), np.abs(error).max(axis=1)
     return {name: ScheduleComparison(starts, *both) for name, both in found.items()}
+
+
+def table_over(
+    plant: ModalModel, grid: Float64[np.ndarray, " outputs"], model: TimeVaryingModel, spacing: float
+) -> GainTable:
+    """Stationary gains over all of the structure, at places at most `spacing` (m) apart."""
+    count = int(np.ceil(round((grid[-1] - grid[0]) / spacing, 9)))
+    places = np.linspace(grid[0], grid[-1], count + 1)
+    rows = output_rows(shapes_along(plant, grid, places)[:, :RETAINED])
+    return gain_table(model.a[1], model.g[1], rows, places, model.process, model.sensor)
 
 
 def published_fast_setpoint(sample_time: float) -> Setpoint:
@@ -229,40 +216,31 @@ def published_fast_setpoint(sample_time: float) -> Setpoint:
     return point_to_point(4e10, 2e7, 1e4, 10.0, 0.015, 0.002, sample_time)
 
 
-SPACING = 0.05  # m, of the masses; unpublished
-
-
 SAMPLE_TIME = 1e-4  # s
+GRID = 0.05 * np.arange(7)  # m, the masses of the stage; unpublished
+
+
+def _scan(setpoint: Setpoint, start: float) -> tuple[PositionScan, TimeVaryingModel]:
+    scan = position_scan(stage(), GRID, setpoint, start)
+    return scan, observer_model(scan, 1e-4, 2e-18)
 
 
 @cache
-def _table(spacing: float):
-    plant = stage()
-    grid = SPACING * np.arange(len(plant.output_shapes))
-    scan = position_scan(plant, grid, published_setpoint(SAMPLE_TIME), 0.0)
-    model = observer_model(scan, 1e-4, 2e-18)
-    places = np.linspace(grid[0], grid[-1], 1 + int(np.ceil(round((grid[-1] - grid[0]) / spacing, 9))))
-    rows = output_rows(shapes_along(plant, grid, places)[:, :RETAINED])
-    return gain_table(model.a[1], model.g[1], rows, places, model.process, model.sensor)
+def _table(spacing: float) -> GainTable:
+    return table_over(stage(), GRID, _scan(published_setpoint(SAMPLE_TIME), 0.0)[1], spacing)
 
 
 def paint_schedules(speed: str, start: float, spacing: float):
     """Explorer: error of the first flexible mode with online gains and with a table of this `spacing` (mm); AD, 36 Hz."""
     setpoint = published_setpoint(SAMPLE_TIME) if speed == "1 m/s" else published_fast_setpoint(SAMPLE_TIME)
-    plant = stage()
-    grid = SPACING * np.arange(len(plant.output_shapes))
-    scan = position_scan(plant, grid, setpoint, start)
-    model = observer_model(scan, 1e-4, 2e-18)
+    scan, model = _scan(setpoint, start)
     deviations = np.array([0.01, 1e-9, 1e-9])[:, None]
     noise = np.random.default_rng(1).standard_normal((3, len(scan.places))) * deviations
     figure, axis = figures.new(1, 1, height=2.8)
-    for name, gains in (
-        ("online", kalman_gains(model)),
-        ("scheduled", scheduled_gains(model, _table(1e-3 * spacing), scan.places)),
-    ):
-        ran = run_applied(
-            scan, gains, PidFamily(stage_mass())(35.6), stage_mass(), noise, *APPLICATIONS["AD"]
-        )
+    scheduled = scheduled_gains(model, _table(1e-3 * spacing), scan.places)
+    controller = PidFamily(stage_mass())(35.6)
+    for name, gains in (("online", kalman_gains(model)), ("scheduled", scheduled)):
+        ran = run_applied(scan, gains, controller, stage_mass(), noise, *APPLICATIONS["AD"])
         error = ran.states[2] - ran.estimates[2]
         style = {"linewidth": 0.9, "label": f"{name}: largest {1e9 * np.abs(error).max():.3g}"}
         axis.plot(setpoint.time, 1e9 * error, **style)

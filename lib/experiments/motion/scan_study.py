@@ -19,7 +19,7 @@ from experiments.motion.machines import (
     stage_mass,
 )
 from experiments.motion.uncertainty import perturbed
-from stillwork.base.algebra import advance_state, copy_vector
+from stillwork.base.algebra import advance_state, copy_vector, plus_row
 from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.base.kernels import kernel
 from stillwork.control.pid import PidFamily
@@ -112,20 +112,19 @@ def output_rows(shapes: Float64[np.ndarray, "samples modes"]) -> Float64[np.ndar
 def record_scans(scan: Scan, errors: Sequence[ArrayLike], rng: np.random.Generator) -> Records:
     """Simulate one scan for every plant, exactly at the samples, with fresh noise for each."""
     samples, runs, control = len(scan.shapes), len(errors), scan.controller
-    if any(np.any(np.diff(scan.nominal.frequencies * (1 + e[:, 0])) < 0) for e in map(np.asarray, errors)):
+    factors = 1 + require_array("errors", errors, shape=(runs, len(scan.nominal.frequencies), 4))
+    if np.any(np.diff(scan.nominal.frequencies * factors[:, :, 0]) < 0):
         raise InputError("errors are so large that two modes change places; give smaller ones")
-    plants = [perturbed(scan.nominal, e) for e in errors]
-    sampled = [zoh_modes(plant, scan.sample_time) for plant in plants]
-    factors = np.array([1 + require_array("errors", e, ndim=2)[:, 3] for e in errors])
+    sampled = [zoh_modes(perturbed(scan.nominal, each), scan.sample_time) for each in errors]
     noise = rng.standard_normal((runs, 3, samples)) * np.array(scan.deviations)[:, None]
     states = np.zeros((runs, samples, len(sampled[0].a)))
     u, y = np.zeros((runs, samples)), np.zeros((runs, samples))
     _scan(
         np.array([m.a for m in sampled]),
         np.array([m.b[:, 0] for m in sampled]),
-        scan.shapes[None] * factors[:, None, :],
+        scan.shapes * factors[:, None, :, 3],
         contiguous(scan.setpoint.derivatives[0], scan.mass * scan.setpoint.derivatives[2]),
-        contiguous(control.a, control.b[:, 0], control.c[0]),
+        contiguous(control.a, control.b[:, 0], control.c),
         noise,
         states,
         u,
@@ -144,19 +143,14 @@ def _scan(a, b, shapes, given, control, noise, states, u, y):
     (runs, samples, n), (reference, forward), (ca, cb, cc) = states.shape, given, control
     m = ca.shape[0]
     for run in range(runs):
-        plant, into = a[run], b[run]
+        plant, into, seen = a[run], b[run], shapes[run]
         x, following, z, z_following = np.zeros(n), np.zeros(n), np.zeros(m), np.zeros(m)
+        positions = x[::2]
         for k in range(samples):
-            output = noise[run, 2, k] - noise[run, 1, k]
-            for i in range(n // 2):
-                output += shapes[run, k, i] * x[2 * i]
-            force = forward[k]
-            for i in range(m):
-                force += cc[i] * z[i]
             copy_vector(x, states[run, k])
-            y[run, k], u[run, k] = output, force
-            error = reference[k] - output
-            advance_state(ca, cb, error, z, z_following)
+            u[run, k] = force = plus_row(forward[k], cc, 0, z)
+            y[run, k] = output = plus_row(noise[run, 2, k] - noise[run, 1, k], seen, k, positions)
+            advance_state(ca, cb, reference[k] - output, z, z_following)
             advance_state(plant, into, force + noise[run, 0, k], x, following)
 
 

@@ -81,7 +81,6 @@ def require_observable_along(model: TimeVaryingModel, places: ArrayLike) -> None
 
 def scheduled_gains(model: TimeVaryingModel, table: GainTable, places: ArrayLike) -> FilterGains:
     """Filter whose gain is looked up at every sample; everything else is the time-varying filter's."""
-    gains = table.at(require_array("places", places, shape=(model.samples,)))
     require_observable_along(model, places)
-    require_array("table.gains", gains, shape=(None, *model.c.shape[:0:-1]))
+    gains = require_array("table.gains", table.at(places), shape=(None, *model.c.shape[:0:-1]))
     return FilterGains(model.a, model.b, gains, model.c)

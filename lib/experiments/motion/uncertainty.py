@@ -56,13 +56,13 @@ def sample_errors(
     size = require_number("size", size, at_least=0.0, below=1.0)
     require_choice("law", law, LAWS)
     shape = (len(model.frequencies), 4)
-    if law == "uniform":
-        errors = size * rng.uniform(-1, 1, shape)
-    elif law == "normal":
-        errors = size * rng.standard_normal(shape)
-    else:
-        signs = rng.choice([-1.0, 1.0], shape if law == "ends" else 4)
-        errors = size * np.broadcast_to(signs, shape).copy()
+    draws = {
+        "ends": lambda: rng.choice([-1.0, 1.0], shape),
+        "uniform": lambda: rng.uniform(-1, 1, shape),
+        "normal": lambda: rng.standard_normal(shape),
+        "common": lambda: np.tile(rng.choice([-1.0, 1.0], 4), (len(model.frequencies), 1)),
+    }
+    errors = size * draws[law]()
     if not rigid:
         errors[: model.rigid_modes] = 0
     return errors
@@ -76,12 +76,8 @@ class SampledDerivatives:
     a: Float64[np.ndarray, "parameters states states"]
     b: Float64[np.ndarray, "parameters states inputs"]
 
-    def along(
-        self,
-        model: TimeVaryingModel,
-        shapes: ArrayLike,  # (samples, outputs, modes)
-    ) -> Derivatives:
-        """Derivatives for the filters, with input noise (G = B) and these output shapes at every sample."""
+    def along(self, model: TimeVaryingModel, shapes: ArrayLike) -> Derivatives:
+        """Derivatives for the filters, with input noise (G = B) and these output shapes (samples, outputs, modes)."""
         shapes = require_array("shapes", shapes, shape=(model.samples, model.c.shape[1], None))
         if shapes.shape[2] <= max(self.modes):
             raise InputError(
@@ -108,12 +104,12 @@ def sampled_derivatives(
         w, z, shape = model.frequencies[mode], model.damping[mode], model.input_shapes[mode]
         whole = np.zeros((2 + inputs, 2 + inputs))
         whole[0, 1], whole[1, 0], whole[1, 1], whole[1, 2:] = 1, -(w**2), -2 * z * w, shape
-        by_frequency, by_damping, by_input = (np.zeros_like(whole) for _ in range(3))
-        by_frequency[1, :2] = -2 * w**2, -2 * z * w
-        by_damping[1, 1] = -2 * z * w
-        by_input[1, 2:] = shape
+        directions = np.zeros((3, *whole.shape))  # by frequency, damping and input shape
+        directions[0, 1, :2] = -2 * w**2, -2 * z * w
+        directions[1, 1, 1] = -2 * z * w
+        directions[2, 1, 2:] = shape
         place = slice(2 * mode, 2 * mode + 2)
-        for number, direction in enumerate((by_frequency, by_damping, by_input)):
+        for number, direction in enumerate(directions):
             moved = linalg.expm_frechet(whole * sample_time, direction * sample_time, compute_expm=False)
             a[4 * k + number, place, place] = moved[:2, :2]
             b[4 * k + number, place] = moved[:2, 2:]

@@ -3,29 +3,13 @@
 import numpy as np
 
 from experiments.motion.observer_contest.fixed_gain import stationary
-from experiments.motion.observer_contest.parametric import predict_mode, propagate
+from experiments.motion.observer_contest.parametric import predict_modes, propagate
 from experiments.motion.observer_contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
-from stillwork.base.algebra import condition, copy_vector, measure
-from stillwork.base.kernels import inlined_kernel, kernel
+from stillwork.base.algebra import add_scaled, condition, copy_vector, measure, minus_row
+from stillwork.base.kernels import kernel
 
 MOST = 1e12  # factor on the process noise
 MET = 0.9  # innovation over the reach of ellipsoid and bound together, at which they count as meeting
-
-
-@inlined_kernel
-def _predict(a, b, force, x, p, alone):
-    for i in range(0, len(x), 2):
-        predict_mode(a, b, force, i, x)
-    propagate(a, alone, p)
-
-
-@inlined_kernel
-def _see(p, c, o, x, measured, cross):
-    # Innovation of output o and its variance without the sensor's; `cross` becomes P c.
-    innovation = measured
-    for i in range(len(x)):
-        innovation -= c[o, i] * x[i]
-    return innovation, measure(p, c, o, 0.0, cross)
 
 
 @kernel
@@ -36,15 +20,15 @@ def _advance_adaptive(data, memory, inputs, measurements, estimates):
     n, outputs = len(x), len(c)
     cross, alone = np.empty(n), np.empty((n, 0))
     for k in range(len(inputs)):
-        _predict(a, b, inputs[k], x, p, alone)
+        predict_modes(a, b, inputs[k], x)
+        propagate(a, alone, p)
         for i in range(n):
-            for j in range(n):
-                p[i, j] += factor[0] * added[i, j]
+            add_scaled(factor[0], added[i], p[i])
         if not np.isnan(measurements[k, 0]):
             surprise = 0.0
             for o in range(outputs):
-                innovation, variance = _see(p, c, o, x, measurements[k, o], cross)
-                variance += sensor[o]
+                innovation = minus_row(measurements[k, o], c, o, x)
+                variance = measure(p, c, o, 0.0, cross) + sensor[o]
                 surprise += innovation * innovation / variance / outputs
                 for i in range(n):
                     x[i] += cross[i] * innovation / variance
@@ -57,13 +41,9 @@ def _advance_adaptive(data, memory, inputs, measurements, estimates):
 def adaptive(model: ToldModel, noise: ToldNoise, sample_time: float, rate: float) -> MadeObserver:
     """Kalman filter whose process noise follows its innovations: by `rate` a sample for each excess variance."""
     added = model.b @ noise.process @ model.b.T
-    data = (*_machine(model), np.diag(noise.sensor).copy(), added, np.array([rate]))
+    data = (model.a, model.b, model.c, np.diag(noise.sensor).copy(), added, np.array([rate]))
     memory = (np.zeros(len(model.a)), stationary(model, noise)[1], np.ones(1))
     return MadeObserver(_advance_adaptive, data, memory)
-
-
-def _machine(model: ToldModel) -> tuple[np.ndarray, ...]:
-    return model.a, model.b, np.ascontiguousarray(model.c)
 
 
 @kernel
@@ -73,7 +53,8 @@ def _advance_sets(data, memory, inputs, measurements, estimates):
     n = len(x)
     cross, alone = np.empty(n), np.empty((n, 0))
     for k in range(len(inputs)):
-        _predict(a, b, inputs[k], x, p, alone)
+        predict_modes(a, b, inputs[k], x)
+        propagate(a, alone, p)
         # The sum of two ellipsoids lies in one; this weight gives it the least trace, in the states' units.
         own, other = 0.0, 0.0
         for i in range(n):
@@ -85,8 +66,8 @@ def _advance_sets(data, memory, inputs, measurements, estimates):
                 p[i, j] = (1 + weight) * p[i, j] + (1 + 1 / weight) * added[i, j]
         if not np.isnan(measurements[k, 0]):
             for o in range(len(c)):
-                innovation, spread = _see(p, c, o, x, measurements[k, o], cross)
-                _cut(x, p, cross, innovation, spread, bounds[o] ** 2)
+                spread = measure(p, c, o, 0.0, cross)
+                _cut(x, p, cross, minus_row(measurements[k, o], c, o, x), spread, bounds[o] ** 2)
         copy_vector(x, estimates[k])
 
 
@@ -124,7 +105,7 @@ def set_membership(
     """Ellipsoids that hold every state the bounds allow: so many deviations of the sensor, and of the force."""
     after = stationary(model, noise)[1]
     bounds, added = sensor * np.sqrt(np.diag(noise.sensor)), process**2 * model.b @ noise.process @ model.b.T
-    data = (*_machine(model), bounds, added, np.sqrt(np.diag(after)))
+    data = (model.a, model.b, model.c, bounds, added, np.sqrt(np.diag(after)))
     return MadeObserver(_advance_sets, data, (np.zeros(len(model.a)), sensor**2 * after))
 
 

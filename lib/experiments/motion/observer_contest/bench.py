@@ -12,8 +12,8 @@ from jaxtyping import Float64
 
 from experiments.motion.observer_contest.doubts import Truth
 from experiments.motion.observer_contest.plants import ContestPlant
-from stillwork.base.algebra import add_product, copy_vector
-from stillwork.base.kernels import inlined_kernel, kernel
+from stillwork.base.algebra import add_product, add_scaled, copy_vector, minus_row, plus_row
+from stillwork.base.kernels import kernel, pasted_kernel
 from stillwork.control.pid import PidFamily
 from stillwork.lti.discretisation import zoh
 
@@ -30,7 +30,7 @@ class Bench:
 
     truth: Truth
     control: tuple  # sampled controller of one rigid-body coordinate: A, B, C
-    directions: tuple  # rigid-body coordinates of a measurement, forces of rigid-body commands
+    directions: tuple  # a row each: rigid-body coordinates of a measurement, forces of their commands
     setpoint: Float64[np.ndarray, "samples 2"]  # position and acceleration of the first coordinate
     compensation: Float64[np.ndarray, "outputs states"]  # what the flexible modes put into the measurements
     damping: Float64[np.ndarray, "inputs states"]
@@ -44,15 +44,9 @@ class Bench:
 
     def memory(self) -> tuple:
         """States of machine and controllers, the last measurement and force, all outputs so far."""
-        t, rigid = self.truth, len(self.directions[0])
-        samples, outputs = t.sensor.shape
-        inputs = t.b.shape[2]
-        return (
-            np.zeros(t.a.shape[1]),
-            np.zeros((rigid, len(self.control[0]))),
-            np.zeros(outputs),
-            np.zeros(inputs),
-            np.zeros((samples, outputs)),
+        t, controllers = self.truth, (len(self.directions[0]), len(self.control[0]))
+        return tuple(
+            map(np.zeros, (t.a.shape[1], controllers, t.sensor.shape[1], t.b.shape[2], t.sensor.shape))
         )
 
 
@@ -68,11 +62,13 @@ def assemble(plant: ContestPlant, truth: Truth, ratio: float, estimated: bool) -
         shapes, omega = model.input_shapes[rigid:], model.frequencies[rigid:]
         gains = 2 * ADDED * omega / np.sum(shapes**2, axis=1).max()
         damping[:, 2 * rigid + 1 :: 2] = shapes.T * gains
-    directions = (np.linalg.pinv(model.output_shapes[:, :rigid]), np.linalg.pinv(model.input_shapes[:rigid]))
-    setpoint = scan_setpoint(plant, len(truth.sensor))
-    return Bench(
-        truth, (control.a, control.b[:, 0], control.c[0]), directions, setpoint, compensation, damping
+    directions = (
+        np.linalg.pinv(model.output_shapes[:, :rigid]),
+        np.linalg.pinv(model.input_shapes[:rigid]).T,
     )
+    controller = control.a, control.b[:, 0], control.c[0]
+    setpoint = scan_setpoint(plant, len(truth.sensor))
+    return Bench(truth, controller, directions, setpoint, compensation, damping)
 
 
 def scan_setpoint(plant: ContestPlant, samples: int) -> Float64[np.ndarray, "samples 2"]:
@@ -83,7 +79,7 @@ def scan_setpoint(plant: ContestPlant, samples: int) -> Float64[np.ndarray, "sam
     return np.stack([np.cumsum(velocity) * plant.sample_time, acceleration], axis=1)
 
 
-@inlined_kernel
+@pasted_kernel
 def _observe(k, system, delay, memory, measured):
     # The measurement of sample k, NaN where it is lost; the controller keeps the last one.
     c, sensor, lost = system[2], system[4], system[5]
@@ -96,7 +92,7 @@ def _observe(k, system, delay, memory, measured):
             held[o] = measured[o]
 
 
-@inlined_kernel
+@kernel
 def _actuate(k, system, memory, estimate):
     # Controller, feedforward and what the estimate adds; then the machine goes on to sample k + 1.
     a, b, process = system[0], system[1], system[3]
@@ -106,27 +102,12 @@ def _actuate(k, system, memory, estimate):
     compensated = held - compensation @ estimate
     copy_vector(-(damping @ estimate), force)
     for r in range(to_rigid.shape[0]):
-        error, command = 0.0, 0.0
-        if r == 0:
-            error, command = setpoint[k, 0], setpoint[k, 1]
-        for o in range(len(held)):
-            error -= to_rigid[r, o] * compensated[o]
-        for i in range(len(cc)):
-            command += cc[i] * z[r, i]
+        position, acceleration = (setpoint[k, 0], setpoint[k, 1]) if r == 0 else (0.0, 0.0)
+        error = minus_row(position, to_rigid, r, compensated)
+        command = plus_row(acceleration, z, r, cc)
         copy_vector(ca @ z[r] + cb * error, z[r])
-        for j in range(len(force)):
-            force[j] += to_force[j, r] * command
+        add_scaled(command, to_force[r], force)
     copy_vector(a[piece] @ x + b[piece] @ (force + process[k]), x)
-
-
-@kernel
-def _observe_once(k, system, delay, memory, measured):
-    _observe(k, system, delay, memory, measured)
-
-
-@kernel
-def _actuate_once(k, system, memory, estimate):
-    _actuate(k, system, memory, estimate)
 
 
 @kernel
@@ -184,11 +165,11 @@ def loop_scan(machine: Bench) -> Scan:
     states = np.full((len(t.sensor), t.a.shape[1]), np.inf)
     limit = RUN_AWAY * np.abs(machine.setpoint[:, 0]).max()
     for k in range(len(states)):
-        _observe_once(k, system, t.delay, memory, measured)
+        _observe(k, system, t.delay, memory, measured)
         if not np.abs(machine.directions[0][0] @ memory[2] - machine.setpoint[k, 0]) < limit:
             break
         states[k] = memory[0]
-        _actuate_once(k, system, memory, (yield memory[3].copy(), measured.copy()))
+        _actuate(k, system, memory, (yield memory[3].copy(), measured.copy()))
     return states
 
 
@@ -214,5 +195,4 @@ def state_errors(record: ScanRecord, estimates: np.ndarray, rigid: int) -> tuple
     """
     true = record.states[JUDGED, : estimates.shape[1]]
     ratios = np.mean((true - estimates[JUDGED]) ** 2, axis=0) / np.mean(true**2, axis=0)
-    ratios = np.sqrt([ratios[: 2 * rigid].mean(), ratios[2 * rigid :].mean()])
-    return float(ratios[0]), float(ratios[1])
+    return float(np.sqrt(ratios[: 2 * rigid].mean())), float(np.sqrt(ratios[2 * rigid :].mean()))

@@ -77,18 +77,16 @@ def _serve(file: str, requests: Connection, answers: Connection, offences: list[
     observers, states = [], 0
     while True:
         kind, message = requests.recv()
+        answer = b""
         if kind == "load":
             exec(compile(message, file, "exec"), module.__dict__)
             module.Observer  # noqa: B018 - the name that a file has to define
-            answer = b""
         elif kind == "start":
             states = len(message[0][0]["a"])
             observers = [module.Observer() for _ in message]
             for observer, (model, noise, sample_time) in zip(observers, message, strict=True):
                 observer.start(types.SimpleNamespace(**model), types.SimpleNamespace(**noise), sample_time)
-            answer = b""
         else:
-            answer = b""
             for number, given, measured in zip(*message, strict=True):
                 estimate = observers[number].step(given, measured)
                 if estimate is None:

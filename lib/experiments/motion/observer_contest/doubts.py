@@ -96,13 +96,15 @@ def _nine_cases() -> dict[str, list[float]]:
 
 def sample_truth(plant: ContestPlant, doubt: Doubt, samples: int, rng: np.random.Generator) -> Truth:
     """A machine that the nominal one may be mistaken for, and its noises, from `rng`."""
-    model, rigid = plant.model, plant.model.rigid_modes
-    modes, inputs, outputs = len(model.frequencies), model.input_shapes.shape[1], len(model.output_shapes)
-    draws = rng.uniform(-1, 1, (3 + outputs, modes))
+    model = plant.machine if doubt.truncated else plant.model
+    rigid, inputs, outputs = model.rigid_modes, model.input_shapes.shape[1], len(model.output_shapes)
+    told = len(plant.model.frequencies)
+    draws = rng.uniform(-1, 1, (3 + outputs, told))
     if doubt.student:
         draws = rng.standard_t(3, draws.shape) / 3  # a variance of a third, the uniform law's
     sizes = np.array([doubt.frequency, doubt.damping, doubt.gain, *[doubt.shape] * outputs])
-    factors = np.maximum(1 + sizes[:, None] * draws, 0.3)  # Student's tail would turn a parameter's sign
+    factors = np.ones((3 + outputs, len(model.frequencies)))
+    factors[:, :told] = np.maximum(1 + sizes[:, None] * draws, 0.3)  # Student's tail would turn a sign
     factors[[0, 1, *range(3, 3 + outputs)], :rigid] = 1.0
     case, direction = rng.integers(9), rng.choice([-1.0, 1.0])
     if doubt.cases:
@@ -129,14 +131,6 @@ def sample_truth(plant: ContestPlant, doubt: Doubt, samples: int, rng: np.random
         states = np.stack([2 * back, 2 * back + 1], axis=1).ravel()
         sampled.append((step.a[np.ix_(states, states)], step.b[states], step.c[:, states]))
     a, b, c = (np.array(x)[piece] for x in zip(*sampled, strict=True))
-    if doubt.truncated:
-        high = zoh_modes(plant.higher, plant.sample_time)
-        n, m = a.shape[1], len(high.a)
-        a = np.block(
-            [[a, np.zeros((PIECES, n, m))], [np.zeros((PIECES, m, n)), np.tile(high.a, (PIECES, 1, 1))]]
-        )
-        b = np.concatenate([b, np.tile(high.b, (PIECES, 1, 1))], axis=1)
-        c = np.concatenate([c, np.tile(high.c, (PIECES, 1, 1))], axis=2)
     process = plant.process * rng.standard_normal((samples, inputs))
     sensor = plant.sensor * doubt.noise * rng.standard_normal((samples, outputs))
     sensor *= np.where(rng.uniform(size=(samples, 1)) < doubt.outliers, 30.0, 1.0)

@@ -5,7 +5,7 @@ from scipy.linalg import block_diag, solve_triangular
 
 from experiments.motion.observer_contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
 from experiments.motion.uncertainty import norm_bound, sampled_derivatives
-from stillwork.base.algebra import add_product, copy_vector
+from stillwork.base.algebra import add_product, copy_vector, plus_row, set_product
 from stillwork.base.kernels import kernel
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
 from stillwork.estimation.riccati import discrete_gain
@@ -20,15 +20,12 @@ def _advance_fixed(data, memory, inputs, measurements, estimates):
     forward, onward, gain, c = data
     x, predicted, innovation = memory[0], np.empty(len(forward)), np.empty(len(c))
     for k in range(len(inputs)):
-        predicted[:] = 0.0
-        add_product(forward, x, predicted)
+        set_product(forward, x, predicted)
         add_product(onward, inputs[k], predicted)
         copy_vector(predicted, x)
         if not np.isnan(measurements[k, 0]):
-            innovation[:] = 0.0
-            add_product(c, predicted, innovation)
             for o in range(len(c)):
-                innovation[o] = measurements[k, o] - innovation[o]
+                innovation[o] = measurements[k, o] - plus_row(0.0, c, o, predicted)
             add_product(gain, innovation, x)
         copy_vector(x, estimates[k])
 
@@ -60,13 +57,12 @@ def recursion(model: ToldModel, noise: ToldNoise) -> TimeVaryingModel:
 
 def zero(model: ToldModel, noise: ToldNoise, sample_time: float) -> MadeObserver:
     """The estimate zero: it scores 1 by definition."""
-    n, (outputs, _), inputs = len(model.a), model.c.shape, model.b.shape[1]
-    return fixed(np.zeros((n, n)), np.zeros((n, inputs)), np.zeros((n, outputs)), model.c)
+    return fixed(*map(np.zeros_like, (model.a, model.b, model.c.T)), model.c)
 
 
 def open_model(model: ToldModel, noise: ToldNoise, sample_time: float) -> MadeObserver:
     """The model for the flexible states, driven by the force alone; the rigid body has the Kalman gain."""
-    gain = stationary(model, noise)[0].copy()
+    gain = stationary(model, noise)[0]
     gain[2 * model.rigid_modes :] = 0
     return fixed(model.a, model.b, gain, model.c)
 
@@ -124,10 +120,7 @@ def hinfinity(model: ToldModel, noise: ToldNoise, sample_time: float, ratio: flo
 
 def mixed(model: ToldModel, noise: ToldNoise, sample_time: float, share: float) -> MadeObserver:
     """The gain `share` of the way from the Kalman filter's to the H-infinity filter's near its smallest level."""
-    one, other = (
-        design.data[2]
-        for design in (kalman(model, noise, sample_time), hinfinity(model, noise, sample_time, 1.05))
-    )
+    one, other = stationary(model, noise)[0], hinfinity(model, noise, sample_time, 1.05).data[2]
     return fixed(model.a, model.b, (1 - share) * one + share * other, model.c)
 
 
@@ -186,8 +179,8 @@ def moving_horizon(
 
     A lost sample is taken as predicted; before the first all rested.
     """
-    horizon = max(round(samples), len(model.a))
-    n, (outputs, inputs) = len(model.a), (len(model.c), model.b.shape[1])
+    n, inputs, outputs = len(model.a), model.b.shape[1], len(model.c)
+    horizon = max(round(samples), n)
     push, root = model.b @ np.linalg.cholesky(factor * noise.process), np.linalg.cholesky(noise.sensor)
     # State k of the window from the first one, the forces held since and the noises on them.
     state = np.hstack([np.eye(n), np.zeros((n, 2 * horizon * inputs))])
@@ -210,9 +203,7 @@ def moving_horizon(
     of_measured, of_forces = map(np.ascontiguousarray, by_sample)
     of_measured = of_measured @ np.linalg.inv(root)
     memory = (np.zeros(n), np.zeros((horizon, outputs)), np.zeros((horizon, inputs)), np.zeros(1, np.int64))
-    return MadeObserver(
-        _advance_window, (model.a, model.b, np.ascontiguousarray(model.c), of_measured, of_forces), memory
-    )
+    return MadeObserver(_advance_window, (model.a, model.b, model.c, of_measured, of_forces), memory)
 
 
 FIXED = {

@@ -13,11 +13,11 @@ from experiments.motion.observer_contest.parametric import (
     measure_in_turn,
     parts,
     predict,
-    predict_mode,
+    predict_modes,
     sampled_mode,
 )
 from experiments.motion.observer_contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
-from stillwork.base.algebra import add_product, copy_vector
+from stillwork.base.algebra import add_product, copy_vector, minus_row, plus_column, plus_row
 from stillwork.base.kernels import inlined_kernel, kernel
 from stillwork.estimation.riccati import discrete_gain
 
@@ -46,9 +46,7 @@ def _weigh(scores, weights, z, estimate):
     for m in range(len(scores)):
         weights[m] /= total
     for i in range(len(estimate)):
-        estimate[i] = 0.0
-        for m in range(len(scores)):
-            estimate[i] += weights[m] * z[m, i]
+        estimate[i] = plus_column(0.0, z, i, weights)
 
 
 @kernel
@@ -56,8 +54,9 @@ def _mix(switching, weights, z, p, scores, mean, spread):
     """Every model begins with what it holds if the machine switched to it: the moments of a mixture."""
     models, size = z.shape
     leaving = switching / max(models - 1, 1)
-    mean[:], spread[:] = 0.0, 0.0
-    add_product(z.T, weights, mean)
+    spread[:] = 0.0
+    for i in range(size):
+        mean[i] = plus_column(0.0, z, i, weights)
     for m in range(models):
         for i in range(size):
             for j in range(size):
@@ -114,20 +113,15 @@ def _advance_fine(data, memory, inputs, measurements, estimates):
     innovation, scores = np.empty(outputs), np.empty(models)
     for k in range(len(inputs)):
         for m in range(models):
-            for i in range(0, z.shape[1], 2):
-                predict_mode(a[m], b[m], inputs[k], i, z[m])
+            predict_modes(a[m], b[m], inputs[k], z[m])
             scores[m] = np.log((1 - switching[0]) * weights[m] + switching[0] / models)
             if np.isnan(measurements[k, 0]):
                 continue
             for o in range(outputs):
-                innovation[o] = measurements[k, o]
-                for i in range(z.shape[1]):
-                    innovation[o] -= c[o, i] * z[m, i]
+                innovation[o] = minus_row(measurements[k, o], c, o, z[m])
             scores[m] -= logs[m]
             for o in range(outputs):
-                white = 0.0
-                for q in range(o + 1):
-                    white += whitening[m, o, q] * innovation[q]
+                white = plus_row(0.0, whitening[m], o, innovation)
                 scores[m] -= white * white / 2
             add_product(gain[m], innovation, z[m])
         _weigh(scores, weights, z, estimates[k])
@@ -149,10 +143,10 @@ def fine_bank(
         solved = discrete_gain(own_a, own_b, model.c, factor * noise.process, noise.sensor)
         gains.append(solved.filter_gain)
         root = np.linalg.cholesky(model.c @ solved.covariance @ model.c.T + noise.sensor)
-        whitening.append(np.linalg.inv(root))
+        whitening.append(np.tril(np.linalg.inv(root)))
     whitening = np.array(whitening)
     logs = -np.log(np.einsum("moo->mo", whitening)).sum(axis=1)
-    data = (a, b, np.ascontiguousarray(model.c), np.array(gains), whitening, logs, np.array([switching]))
+    data = (a, b, model.c, np.array(gains), whitening, logs, np.array([switching]))
     memory = (np.zeros((len(grid), len(model.a))), np.full(len(grid), 1 / len(grid)))
     return MadeObserver(_advance_fine, data, memory)
 

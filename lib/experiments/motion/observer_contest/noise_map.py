@@ -6,6 +6,7 @@ states of the thesis's stage, a row a seed. Every cell has its own settings, tun
 
 import csv
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 
 import numpy as np
 import pandas as pd
@@ -129,17 +130,13 @@ def main() -> None:
         writer.writerow(("size", "noise", "seed", *MAPPED))
         for noise in NOISES:
             told = (*told_of(plant, noise), plant.sample_time)
-            candidates: dict[str, list[OwnObserver]] = {}
+            candidates: dict[str, list[OwnObserver]] = {name: [] for name in MAPPED}
             for name in MAPPED:
-                places = positions(name) if ENTRANTS[name].knobs else [()]
-                candidates[name] = []
-                for settings in places:
+                for settings in positions(name) if ENTRANTS[name].knobs else [()]:
                     observer = OwnObserver(ENTRANTS[name], tuple(map(float, settings)))
-                    try:
+                    with suppress(InputError):  # there may be no such design
                         observer.start(*told)
-                    except InputError:  # there is no such design
-                        continue
-                    candidates[name].append(observer)
+                        candidates[name].append(observer)
             for size in SIZES:
                 chosen = tuned(plant, size, noise, candidates)
                 errors = flexible_errors(plant, size, noise, PUBLIC, SEEDS, chosen)

@@ -6,20 +6,19 @@ With :math:`z = (x, \theta)` the model is :math:`x_k = A(\theta) x_{k-1} + B(\th
 from collections.abc import Callable
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from experiments.motion.observer_contest.fixed_gain import stationary
 from experiments.motion.observer_contest.told import Knob, MadeObserver, Rival, ToldModel, ToldNoise
-from stillwork.base.algebra import cholesky_root
+from stillwork.base.algebra import cholesky_root, minus_row, plus_row
 from stillwork.base.kernels import borrowing_kernel, inlined_kernel, kernel, pasted_kernel
 
 
 def dominant(model: ToldModel, most: int) -> np.ndarray:
     """The flexible modes with the largest share in the static deflection, at most so many, in order of frequency."""
     rigid = model.rigid_modes
-    shares = np.abs(model.output_shapes[:, rigid:]).max(axis=0) * np.abs(model.input_shapes[rigid:]).max(
-        axis=1
-    )
-    shares = shares / model.frequencies[rigid:] ** 2
+    seen, pushed = np.abs(model.output_shapes[:, rigid:]), np.abs(model.input_shapes[rigid:])
+    shares = seen.max(axis=0) * pushed.max(axis=1) / model.frequencies[rigid:] ** 2
     return np.sort(np.argsort(-shares, kind="stable")[:most]) + rigid
 
 
@@ -28,9 +27,14 @@ def predict_mode(a, b, force, i, x):
     """Position and velocity of one mode, at `i` and after it, one sample on: modes do not move each other."""
     first, second = x[i], x[i + 1]
     for r in range(i, i + 2):
-        x[r] = a[r, i] * first + a[r, i + 1] * second
-        for q in range(len(force)):
-            x[r] += b[r, q] * force[q]
+        x[r] = plus_row(a[r, i] * first + a[r, i + 1] * second, b, r, force)
+
+
+@pasted_kernel
+def predict_modes(a, b, force, x):
+    """All states one sample on."""
+    for i in range(0, len(x), 2):
+        predict_mode(a, b, force, i, x)
 
 
 @borrowing_kernel
@@ -84,9 +88,7 @@ WIDEST = 0.5  # relative error at which a parameter is held
 @pasted_kernel
 def _doubted(force, omega, damping, shapes, places, sample_time, z, j, block, lever):
     """Fill the transition of mode `j` of those in doubt; what pushes it, the same by its gain, its frequency's error."""
-    push = 0.0
-    for q in range(len(force)):
-        push += shapes[j, q] * force[q]
+    push = plus_row(0.0, shapes, j, force)
     frequency, gain = places[j, 0], places[j, 1]
     bent = z[frequency] if frequency >= 0 else 0.0
     sampled_mode(omega[j] * (1 + bent), damping[j], sample_time, block, lever)
@@ -120,19 +122,13 @@ def measure_in_turn(z, p, c, sensor, measured, considered):
 
     Returns the logarithm of their density, less a constant.
     """
-    size, n, score = len(z), c.shape[1], 0.0
+    size, score = len(z), 0.0
     kept = size - considered
     cross, gain = np.empty(size), np.zeros(size)
     for o in range(len(c)):
-        variance, innovation = sensor[o], measured[o]
         for i in range(size):
-            total = 0.0
-            for j in range(n):
-                total += p[i, j] * c[o, j]
-            cross[i] = total
-        for i in range(n):
-            variance += c[o, i] * cross[i]
-            innovation -= c[o, i] * z[i]
+            cross[i] = plus_row(0.0, c, o, p[i])
+        variance, innovation = plus_row(sensor[o], c, o, cross), minus_row(measured[o], c, o, z)
         score -= (innovation * innovation / variance + np.log(variance)) / 2
         for i in range(kept):
             gain[i] = cross[i] / variance
@@ -245,21 +241,18 @@ def parts(model, noise, sample_time, deviation, walk, factor, considered=False, 
     places[: min(count, 3), 1] = max(n - 1, places.max()) + 1 + np.arange(min(count, 3))
     size = places.max() + 1
     fair = ToldNoise(factor * noise.process, noise.sensor)
-    added, covariance = np.zeros((2, size, size))
-    added[:n, :n] = model.b @ fair.process @ model.b.T
-    covariance[:n, :n] = stationary(model, fair)[1]
-    for i in range(n, size):
-        covariance[i, i], added[i, i] = deviation**2, walk**2
+    added = block_diag(model.b @ fair.process @ model.b.T, walk**2 * np.eye(size - n))
+    covariance = block_diag(stationary(model, fair)[1], deviation**2 * np.eye(size - n))
     data = (
         model.a,
         model.b,
         modes,
         model.frequencies[modes],
         model.damping[modes],
-        np.ascontiguousarray(model.input_shapes[modes]),
+        model.input_shapes[modes],
         places,
         np.array([sample_time, size - n if considered else 0.0]),
-        np.ascontiguousarray(model.c),
+        model.c,
         np.diag(noise.sensor).copy(),
         added,
     )
@@ -268,9 +261,8 @@ def parts(model, noise, sample_time, deviation, walk, factor, considered=False, 
 
 def considering(model: ToldModel, noise: ToldNoise, sample_time: float, deviation: float) -> MadeObserver:
     """Schmidt-Kalman filter: the parameters are never estimated, but the states know how uncertain they are."""
-    return MadeObserver(
-        _advance_extended, *parts(model, noise, sample_time, deviation, 0.0, 1.0, considered=True)
-    )
+    made = parts(model, noise, sample_time, deviation, 0.0, 1.0, considered=True)
+    return MadeObserver(_advance_extended, *made)
 
 
 def of_parameters(advance: Callable) -> Callable[..., MadeObserver]:

@@ -1,5 +1,6 @@
 """Figures of the observer contest, from its two tables."""
 
+from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
@@ -22,24 +23,26 @@ from experiments.motion.observer_contest.told import OwnObserver
 from experiments.motion.observer_contest.tuning import settings_for
 from stillwork.workbook import figures
 
-COLOURS = dict(
-    zip(MAPPED, (figures.RED, figures.BLUE, figures.GREEN, figures.PURPLE, figures.ORANGE), strict=True)
-)
+INKS = figures.RED, figures.BLUE, figures.GREEN, figures.PURPLE, figures.ORANGE
+COLOURS = dict(zip(MAPPED, INKS, strict=True))
 
 
 def paint_leaderboard(ranked: pd.DataFrame):
     """Mean error of every entrant with its interval, the best on top; `ranked` holds the rows of the score."""
     figure, axis = figures.new(1, 1, height=3.8)
-    places = np.arange(len(ranked))
     ends = [ranked["median"] - ranked["low"], ranked["high"] - ranked["median"]]
     style = {"fmt": "o", "color": figures.BLUE, "capsize": 3, "markersize": 4, "label": "mean error"}
-    axis.errorbar(ranked["median"], places, xerr=ends, **style)
-    axis.set_yticks(places, ranked["entrant"])
-    axis.axvline(1, color=figures.BLACK, linewidth=0.8)
+    axis.errorbar(ranked["median"], range(len(ranked)), xerr=ends, **style)
+    _name_rows(axis, ranked["entrant"], " (grey: says nothing)")
     axis.axvspan(0.9, 1.1, color=figures.GREY, alpha=0.2)
-    axis.set_xlabel("error of the flexible states over that of the estimate zero (grey: says nothing)")
     axis.invert_yaxis()
     return figure
+
+
+def _name_rows(axis, observers: Sequence[str], remark: str = "") -> None:
+    axis.set_yticks(range(len(observers)), observers)
+    axis.axvline(1, color=figures.BLACK, linewidth=0.8)
+    axis.set_xlabel(f"error of the flexible states over that of the estimate zero{remark}")
 
 
 def paint_matrix(table: pd.DataFrame, over: str):
@@ -97,12 +100,11 @@ def paint_leads(errors: pd.DataFrame, over: tuple[str, ...]):
     for row, rival in zip(axes, over, strict=True):
         found = leads(errors, rival)
         for axis, name in zip(row, ROBUST, strict=True):
-            own = found[found["entrant"] == name]
-            lead = own.pivot(index="size", columns="noise", values="lead")
+            own = found[found["entrant"] == name].pivot(index="size", columns="noise")
+            lead, sure = own["lead"], (own["low"] > 0) & (own["error at most"] < SAYING)
             columns, rows = np.arange(lead.shape[1]), np.arange(lead.shape[0])
             mesh = axis.pcolormesh(columns, rows, lead.to_numpy(), cmap="coolwarm_r", vmin=-0.2, vmax=0.2)
-            sure = own.assign(sure=(own["low"] > 0) & (own["error at most"] < SAYING))
-            down, across = np.nonzero(sure.pivot(index="size", columns="noise", values="sure").to_numpy())
+            down, across = np.nonzero(sure.to_numpy())
             axis.plot(across, down, "o", color=figures.BLACK, markersize=3, label="ahead of both")
             for line, style, label in (
                 (crossings(errors, ahead_of(name, rival)), "-", "ahead from here on"),
@@ -113,9 +115,8 @@ def paint_leads(errors: pd.DataFrame, over: tuple[str, ...]):
                     np.interp(np.log(line[end].clip(NOISES[0], NOISES[-1])), np.log(NOISES), columns)[inside]
                     for end in ("low", "noise", "high")
                 )
-                axis.errorbar(
-                    at, rows[inside], xerr=[at - low, high - at], fmt=style, color=figures.GREEN, label=label
-                )
+                bars = {"xerr": [at - low, high - at], "fmt": style, "color": figures.GREEN}
+                axis.errorbar(at, rows[inside], **bars, label=label)
             axis.set_xticks(columns, [f"{noise:g}" for noise in lead.columns])
             axis.set_yticks(rows, [f"{100 * size:g}" for size in lead.index])
             axis.set_title(f"{name} over {rival}", fontsize=8)
@@ -138,7 +139,5 @@ def paint_cell(size_percent: float, noise_exponent: float):
     for place, name in enumerate(MAPPED):
         style = {"color": COLOURS[name], "markersize": 5, "alpha": 0.6, "label": name}
         axis.semilogx(errors[name], np.full(8, place), "o", **style)
-    axis.axvline(1, color=figures.BLACK, linewidth=0.8)
-    axis.set_yticks(range(len(MAPPED)), MAPPED)
-    axis.set_xlabel("error of the flexible states over that of the estimate zero")
+    _name_rows(axis, MAPPED)
     return figure

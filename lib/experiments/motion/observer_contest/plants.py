@@ -25,7 +25,7 @@ class ContestPlant:
     """A machine, how it is sampled and moved, and the noises on it."""
 
     model: ModalModel  # nominal, what the observers are told
-    higher: ModalModel  # the modes left out of it
+    machine: ModalModel  # with the modes left out of it
     sample_time: float  # s
     acceleration: float  # of the first rigid-body coordinate, mass-normalised: largest of the move
     process: float  # standard deviation of w at every input, each sample anew
@@ -38,12 +38,12 @@ class ContestPlant:
 
 
 def _plant(machine: ModalModel, retained: int, sample_time: float, acceleration: float, *noises: float):
-    model, higher = machine.modes(slice(0, retained)), machine.modes(slice(retained, None))
-    model = replace(model, feedthrough=np.zeros_like(model.feedthrough))
+    machine = replace(machine, feedthrough=np.zeros_like(machine.feedthrough))
+    model = machine.modes(slice(0, retained))
     if not noises:
         force = acceleration / np.linalg.norm(model.input_shapes[0])
         noises = PROCESS_RATIO * force, SENSOR_RATIO * force * float(np.abs(model.compliance()).max())
-    return ContestPlant(model, higher, sample_time, acceleration, *noises)
+    return ContestPlant(model, machine, sample_time, acceleration, *noises)
 
 
 def _stage(_rng) -> ContestPlant:

@@ -57,21 +57,19 @@ def contest_trial(
     out: dict[str, str] = {}
     for name, knobs in settings.items():
         own = OwnObserver(ENTRANTS[name], tuple(knobs), _designs(name, tuple(knobs)))
-        results = _own_scans(own, prepared, loops)
-        scores += _judged(name, plant, seed, doubts, prepared, results)
+        scores += _judged(name, plant, seed, prepared, _own_scans(own, prepared, loops))
     for name, file in files.items():
         try:
-            results = _foreign_scans(file, prepared, loops)
+            scores += _judged(name, plant, seed, prepared, _foreign_scans(file, prepared, loops))
         except Disqualified as reason:
             out[name] = str(reason)
-        else:
-            scores += _judged(name, plant, seed, doubts, prepared, results)
     return scores, out
 
 
 class _Prepared(NamedTuple):
     """One doubt's scan, and what the observers are told of it."""
 
+    doubt: str
     cautious: bench.Bench
     bold: bench.Bench
     record: bench.ScanRecord
@@ -83,7 +81,7 @@ def _prepare(machine: ContestPlant, doubt: str, stream: int) -> _Prepared:
     cautious = bench.assemble(machine, truth, bench.CAUTIOUS, estimated=False)
     bold = bench.assemble(machine, truth, bench.BOLD, estimated=True)
     told = (*told_of(machine, DOUBTS[doubt].noise), machine.sample_time)
-    return _Prepared(cautious, bold, bench.record(cautious), told)
+    return _Prepared(doubt, cautious, bold, bench.record(cautious), told)
 
 
 @cache  # they serve all seeds, and every thread of a worker
@@ -101,12 +99,9 @@ def _own_scans(observer: OwnObserver, prepared: Sequence[_Prepared], loops: bool
         began = time.thread_time()  # what else the machine does is not the observer's time
         estimates = observer.run(each.record.inputs, each.record.measurements)
         taken = 1e6 * (time.thread_time() - began) / len(estimates)
-        moved = None
-        if loops:
-            observer.start(*each.told)
-            [moved] = bench.run_scans(
-                [bench.loop_scan(each.bold)], lambda _, u, y: [observer.step(u[0], y[0])]
-            )
+        observer.start(*each.told)
+        scan = [bench.loop_scan(each.bold)] if loops else []
+        [moved] = bench.run_scans(scan, lambda _, u, y: [observer.step(u[0], y[0])]) or [None]
         results.append((estimates, taken, moved, observer.bytes))
     return results
 
@@ -125,13 +120,13 @@ def _foreign_scans(file: str, prepared: Sequence[_Prepared], loops: bool) -> lis
     return [(results[k], taken, moved[k], 0) for k in range(len(prepared))]
 
 
-def _judged(name, plant, seed, doubts, prepared, results) -> list[Scored]:
+def _judged(name, plant, seed, prepared, results) -> list[Scored]:
     found = []
-    for doubt, each, (estimates, taken, moved, held) in zip(doubts, prepared, results, strict=True):
+    for each, (estimates, taken, moved, held) in zip(prepared, results, strict=True):
         loop = np.full(2, np.nan)
         if moved is not None:
             steady = bench.tracking_errors(each.cautious, each.record.states)
             loop = bench.tracking_errors(each.bold, moved) / steady
         errors = bench.state_errors(each.record, estimates, each.told[0].rigid_modes)
-        found.append(Scored(name, plant, doubt, seed, *errors, *map(float, loop), taken, held))
+        found.append(Scored(name, plant, each.doubt, seed, *errors, *map(float, loop), taken, held))
     return found

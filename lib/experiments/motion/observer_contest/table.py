@@ -5,9 +5,8 @@ table's ranking into ``docs/contest.md``.
 """
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -30,14 +29,6 @@ FILE, GUIDE = paths.data("motion", "contest.csv"), paths.root() / "docs" / "cont
 BEGIN, END = "<!-- leaderboard:begin -->", "<!-- leaderboard:end -->"  # in the guide
 
 
-@dataclass(frozen=True)
-class ContestResult:
-    """What a contest gave."""
-
-    scores: list[Scored]
-    disqualified: Mapping[str, str]  # reasons by name
-
-
 def run_contest(
     public: str,
     seeds: int,
@@ -49,9 +40,10 @@ def run_contest(
     loops: int | None = None,
     heavy: int | None = None,
     executor=None,
-) -> ContestResult:
+) -> tuple[list[Scored], dict[str, str]]:
     """Run our entrants (`only` these and the Kalman filter) and the observers in these files over `seeds` hidden seeds.
 
+    Returns the scores, and why observers were disqualified, by name.
     Loops are run for the first `loops` of them, our heavy entrants on the first `heavy`, by default on all.
     The result does not depend on the executor, on its number of workers or on their order.
     """
@@ -81,30 +73,25 @@ def run_contest(
     else:
         done = [future.result() for future in [executor.submit(contest_trial, *each) for each in trials]]
     reasons |= {name: reason for _, out in done for name, reason in out.items()}
-    return ContestResult(
-        [each for found, _ in done for each in found if each.entrant not in reasons], reasons
-    )
+    return [each for found, _ in done for each in found if each.entrant not in reasons], reasons
 
 
-def median_interval(values: ArrayLike, level: float = 0.95) -> tuple[float, float, float]:
-    """Median and the interval that holds it whatever the law, between two values in order of size.
+def median_interval(values: ArrayLike) -> tuple[float, float, float]:
+    """Median and the interval that holds it with 95 % whatever the law, between two values in order of size.
 
-    Below six values no two of them hold it at this level: their ends are given.
+    Below six values no two of them hold it so surely: their ends are given.
     """
     ordered = np.sort(np.asarray(values, dtype=float))
-    rank = int(stats.binom.ppf((1 - level) / 2, len(ordered), 0.5))
-    low = max(rank - 1, 0)
-    upper, lower = ordered[len(ordered) // 2], ordered[(len(ordered) - 1) // 2]
-    middle = upper if upper == lower else (lower + upper) / 2
-    return float(middle), float(ordered[low]), float(ordered[-1 - low])
+    low = max(int(stats.binom.ppf(0.025, len(ordered), 0.5)) - 1, 0)
+    return float(np.median(ordered)), float(ordered[low]), float(ordered[-1 - low])
 
 
-def measured(contest: ContestResult) -> pd.DataFrame:
+def measured(scores: Sequence[Scored]) -> pd.DataFrame:
     """What was measured: a row an entrant, plant, doubt and score, with the median over the seeds and its interval.
 
     Over all plants and doubts there are the mean error of each seed and the bytes that the entrant holds at most.
     """
-    runs = pd.DataFrame(contest.scores)
+    runs = pd.DataFrame(scores)
     by_entrant = runs.groupby("entrant", sort=False)
     speed, held = by_entrant["microseconds"].median(), by_entrant["bytes"].max()
     errors = runs.groupby(["entrant", "seed"], sort=False)["flexible"].agg(capped_mean)
@@ -147,11 +134,8 @@ def level(seen: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
         [rng.choice(np.flatnonzero(part), (RESAMPLES, part.sum())) for part in (whole, ~whole) if part.any()]
     )
     behind = errors - kalman
-    means, resampled = (
-        np.nanmean(behind[:, of], axis=-1) + kalman[of].mean(axis=-1)
-        for of in (np.arange(len(kalman)), chosen)
-    )
-    return means, resampled
+    every = np.arange(len(kalman))
+    return tuple(np.nanmean(behind[:, of], axis=-1) + kalman[of].mean(axis=-1) for of in (every, chosen))
 
 
 def ranked(table: pd.DataFrame) -> pd.DataFrame:
@@ -258,20 +242,20 @@ def hold_contest(
     alone = processes(jobs) if jobs > 1 else nullcontext()
     with client_of(scheduler) if scheduler else alone as pool:
         executor = pool.get_executor() if scheduler else pool
-        contest = run_contest(public, seeds, files, executor=executor, **choices)
-    table = measured(contest)
+        scores, disqualified = run_contest(public, seeds, files, executor=executor, **choices)
+    table = measured(scores)
     late = choices.get("only") and out and Path(out).exists()
     table = joined(pd.read_csv(out), table) if late else ranked(table)
     print(standings(table).to_string(index=False))
-    for name, reason in contest.disqualified.items():
+    for name, reason in disqualified.items():
         print(f"{name} is disqualified: {reason}")
     print(
-        f"{seeds} seeds a plant from the public number {public}, {len(contest.scores)} scans, "
+        f"{seeds} seeds a plant from the public number {public}, {len(scores)} scans, "
         f"{time.monotonic() - began:.0f} s. Error: of the flexible states over that of the estimate zero."
     )
     if out:
         write_table(table, out)
-    return int(bool(contest.disqualified))
+    return int(bool(disqualified))
 
 
 def main() -> None:

@@ -44,16 +44,12 @@ def capped_mean(errors: ArrayLike) -> float:
 
 def tune(name: str, plant: str) -> list[float]:
     """The settings of an entrant on a plant with the least mean error of the flexible states; of equals the first."""
-    if not ENTRANTS[name].knobs:
-        return []
     costs = []
     for settings in positions(name):
         errors = []
         for seed in range(SEEDS):
             try:
-                run, _ = contest_trial(
-                    plant, seed, TRAINING, {name: settings}, {}, DOUBTS_TUNED_ON, loops=False
-                )
+                run, _ = contest_trial(plant, seed, TRAINING, {name: settings}, {}, DOUBTS_TUNED_ON, False)
                 errors += [each.flexible for each in run]
             except InputError:  # there is no such design
                 errors.append(np.inf)
