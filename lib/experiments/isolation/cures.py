@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from scipy import signal
 
 from experiments.isolation.simulation import Run
+from stillwork.base.algebra import inner, plus_row, set_product
 from stillwork.base.checks import require_array, require_choice, require_count, require_number
 from stillwork.base.kernels import inlined_kernel, kernel
 from stillwork.estimation.adaptive import ferls_update, hold_covariance
@@ -130,14 +131,8 @@ def _cascade(sections, state, value):
 @kernel
 def _leverage(covariance, psi, gain):
     """P psi into `gain`; returns psi' P psi."""
-    n, power = len(psi), 0.0
-    for i in range(n):
-        total = 0.0
-        for j in range(n):
-            total += covariance[i, j] * psi[j]
-        gain[i] = total
-        power += total * psi[i]
-    return power
+    set_product(covariance, psi, gain)
+    return inner(gain, psi)
 
 
 @kernel
@@ -209,10 +204,7 @@ def _cure_run(
         error[0] = _cascade(shaping, memory, command - wanted + noise[k])
         squares += error[0] * error[0]
         optimum = optima[segment[k]]
-        command, wanted = 0.0, 0.0
-        for i in range(n):
-            command += weights[0, i] * psi[i]
-            wanted += optimum[i] * psi[i]
+        command, wanted = plus_row(0.0, weights, 0, psi), inner(optimum, psi)
         largest = max(largest, abs(wanted))
         if not abs(command) <= OVERLOAD * largest:
             return

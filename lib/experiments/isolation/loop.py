@@ -15,6 +15,7 @@ import numpy as np
 from experiments.isolation.lanes import at_most, lanes
 from experiments.isolation.together import ferls_updates, hold_each
 from experiments.isolation.twin import Twin
+from stillwork.base.algebra import plus_row, set_product
 from stillwork.base.checks import InputError
 from stillwork.base.kernels import borrowing_kernel, inlined_kernel, kernel, pasted_kernel
 from stillwork.estimation.adaptive import Recursion, felms_update, ferls_step
@@ -264,23 +265,10 @@ def _multiply(matrix, vector, product):
 
 
 @pasted_kernel
-def _set_product(matrix, vector, out):
-    """Out = matrix vector, of a few channels."""
-    for i in range(matrix.shape[0]):
-        total = 0.0
-        for j in range(matrix.shape[1]):
-            total += matrix[i, j] * vector[j]
-        out[i] = total
-
-
-@pasted_kernel
 def _command(weights, regressor, damping, command):
     """u = W psi less the damping."""
     for i in range(weights.shape[0]):
-        total = -damping[i]
-        for j in range(weights.shape[1]):
-            total += weights[i, j] * regressor[j]
-        command[i] = total
+        command[i] = plus_row(-damping[i], weights, i, regressor)
 
 
 @kernel
@@ -378,9 +366,9 @@ def advance(
         _copy(readings, damping)
         _copy(readings, unfiltered)
         if full:
-            _set_product(before, readings, axes)
+            set_product(before, readings, axes)
             _filter_each(modes, axes)
-            _set_product(after, axes, error)
+            set_product(after, axes, error)
         else:
             _filter(errors, error)
 
@@ -416,8 +404,7 @@ def advance(
             _keep(filtered, kept_regressors, k)
             _keep(error, kept_error, k)
         for i in range(actuators):
-            for j in range(sensors):
-                command[i] += floor_inertia[i, j] * floor[k, j]
+            command[i] = plus_row(command[i], floor_inertia, i, ground)
 
         if adaptation == FELMS:
             felms_update(weights, filtered, error, step_size, regularisation, trace_copies)
