@@ -8,6 +8,7 @@ its sample of delay, and weights w that cancel the floor perfectly:
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64, Int64
@@ -30,8 +31,7 @@ RESET_SHARE = 0.01  # of its start, to which resetting lets P fall at most (chos
 OVERLOAD = 1e3
 
 
-@dataclass(frozen=True)
-class SmallestLoop:
+class SmallestLoop(NamedTuple):
     """What the floor alone decides of the module's loop, the same whatever becomes of P.
 
     Kept whole for all cures: 16 bytes a sample and regressor.
@@ -112,8 +112,7 @@ def run_cure(
     samples = len(loop.segment)
     noise = np.broadcast_to(require_array("noise", noise), samples).astype(float)
     kept = np.full((samples // every, len(start) + 2), np.nan)
-    excited = loop.regressors, loop.filtered, noise, loop.segment, loop.optima, loop.shaping
-    _cure_run(code, *excited, start, forgetting, growth, noise_power, every, kept)
+    _cure_run(code, loop, noise, start, forgetting, growth, noise_power, every, kept)
     return CureRun(every * np.arange(1.0, len(kept) + 1), kept[:, 2:], kept[:, 0], kept[:, 1])
 
 
@@ -172,21 +171,8 @@ def _forget_along(weights, covariance, psi, error, forgetting, gain):
 
 
 @kernel
-def _cure_run(
-    cure,
-    regressors,
-    filtered,
-    noise,
-    segment,
-    optima,
-    shaping,
-    start,
-    forgetting,
-    growth,
-    noise_power,
-    every,
-    kept,
-):
+def _cure_run(cure, loop, noise, start, forgetting, growth, noise_power, every, kept):
+    regressors, filtered, optima, segment, shaping = loop
     n, memory = len(start), np.zeros((len(shaping), 2))
     weights, covariance, levels = np.zeros((1, n)), np.zeros((n, n)), np.zeros((3, n))
     bound = 0.0
