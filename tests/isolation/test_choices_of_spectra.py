@@ -54,7 +54,7 @@ def test_the_suspension_is_what_was_accepted():
 @pytest.mark.slow
 def test_the_lean_form_of_fig_8_is_within_what_it_says_of_what_was_accepted():
     entries, found = load_entries("isolation"), at_the_defaults("isolation", "power", lean=True)
-    for direction in choices.ENTRIES.values():
+    for direction in choices.ENTRIES:
         name = f"isolation.fig-8.removed.{direction}"
         assert found[name] == pytest.approx(entries[name].ours, abs=0.15)  # 0.1 to the printed digit
     for name in ("removed.range", "reaches-the-limit", "limit-in-band"):

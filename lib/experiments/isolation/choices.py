@@ -6,7 +6,13 @@ import numpy as np
 
 from experiments.isolation import convergence as con
 from experiments.isolation.floors import flat_floor
-from experiments.isolation.performance import exact_transmissibility, record_case, reduction_db, tune
+from experiments.isolation.performance import (
+    diagonal_size,
+    exact_transmissibility,
+    record_case,
+    reduction_db,
+    tune,
+)
 from experiments.isolation.steady import steady_state
 from experiments.isolation.twin import Twin, load_twin, twin_from_table
 from stillwork.base import paths
@@ -85,8 +91,7 @@ def transmissibility(
     weights = ferls_weights(strut_damping, actuator_pole, floor_upper_end, seed)
     frequencies = np.arange(RESOLUTION_HZ, 1000 + RESOLUTION_HZ / 2, RESOLUTION_HZ)
     before, after = (
-        np.abs(np.einsum("iif->if", exact_transmissibility(twin, frequencies, weights=each)))
-        for each in (None, weights)
+        diagonal_size(exact_transmissibility(twin, frequencies, weights=each)) for each in (None, weights)
     )
     reduction = 20 * np.log10(before / after).min(axis=0)  # the worst of the three directions
     share = frequencies / twin.feedforward.integrator_cutoff_hz
@@ -99,10 +104,7 @@ def transmissibility(
     }
     lines = estimated["feedback"].frequencies_hz
     _, bands = reduction_db(lines, estimated["feedback"].response, estimated["FeRLS"].response)
-    levels = {
-        name: 20 * np.log10(np.abs(np.einsum("iif->if", each.response[:, :, 1:])))
-        for name, each in estimated.items()
-    }
+    levels = {name: 20 * np.log10(diagonal_size(each.response[:, :, 1:])) for name, each in estimated.items()}
     off = np.abs(lines[1:] - 100)
     peak = levels["FeRLS"][:, off.argmin()] - np.median(levels["FeRLS"][:, (off > 1) & (off < 10)], axis=1)
     miss = np.abs(levels["passive"][:, lines[1:] < 1]).max(axis=1).mean()

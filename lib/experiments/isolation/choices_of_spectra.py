@@ -9,7 +9,7 @@ from jaxtyping import Float64
 from experiments.isolation import one_rig, tracking
 from experiments.isolation.floors import FLAT_LEVEL, ShapedFloor, colored_floor, flat_floor
 from experiments.isolation.modes import suspension_modes
-from experiments.isolation.performance import DIRECTIONS, central_axes, expected_density
+from experiments.isolation.performance import ENTRIES, central_axes, expected_density
 from experiments.isolation.power import BAND_HZ, limit_ratio_db, measures, power_trial
 from experiments.isolation.responses import responses
 from experiments.isolation.steady import FORGETTING, steady_state
@@ -21,7 +21,6 @@ FELMS_S, FERLS_S, RECORD_S = 250.0, 60.0, 40.0  # s, of a run of notebook 05
 TRACKED_S = 90.0  # s after a switch in notebook 03
 QUIET = 1e-5  # m/s^2/sqrt(Hz), output noise of notebook 03's twin
 LINES_HZ = np.arange(0.25, 500.25, 0.25)  # as an estimate has them
-ENTRIES = {"z": "z", "θx": "theta-x", "θy": "theta-y"}
 
 
 def rig(
@@ -38,11 +37,11 @@ def rig(
     `strut_tilt` and `pair_angle` in degrees, from the vertical and half of what is between the struts of a pair;
     `rotations` in Hz, of all three.
     """
-    each = {"stiffness": 1.0, "damping": strut_damping}
-    given = {f"{name}{k}": value for name, value in each.items() for k in range(1, 7)}
-    each = {"sensor_radius": 0.0648, "sensor_angle": 0.0, "floor_level": FLAT_LEVEL}
-    given |= {f"{name}{k}": value for name, value in each.items() for k in (1, 2, 3)}
-    given |= {
+    struts = {"stiffness": 1.0, "damping": strut_damping}
+    sensors = {"sensor_radius": 0.0648, "sensor_angle": 0.0, "floor_level": FLAT_LEVEL}
+    given = {
+        **{f"{name}{k}": value for name, value in struts.items() for k in range(1, 7)},
+        **{f"{name}{k}": value for name, value in sensors.items() for k in (1, 2, 3)},
         "tilt": strut_tilt,
         "pair": pair_angle,
         "radius": 0.1,
@@ -107,10 +106,7 @@ def power(
     late = np.flatnonzero(above.max(axis=0) > 3.0)
     after = late[-1] + 1 if len(late) else 0
     return {
-        **{
-            f"isolation.fig-8.removed.{ENTRIES[name]}": value
-            for name, value in zip(DIRECTIONS, removed, strict=True)
-        },
+        **{f"isolation.fig-8.removed.{name}": value for name, value in zip(ENTRIES, removed, strict=True)},
         "isolation.fig-8.removed.range": np.mean((removed > 89.5) & (removed < 94.5)),
         "isolation.fig-8.reaches-the-limit": np.mean(found["removed limit"] - found["removed FeRLS"] < 1.0),
         "isolation.fig-8.low-end-lost": np.mean(found["low end"] > 1),
@@ -140,7 +136,7 @@ def _expected(twin: Twin, floor: ShapedFloor) -> dict[str, np.ndarray]:
         Spectrum(LINES_HZ, density, 1)
         for density in (sum(before.values()), sum(after.values()), before["output noise"])
     )
-    lines = [mains_power(twin, given) for given in (np.zeros_like(weights), weights)]
+    lines = [mains_power(twin, given) for given in (None, weights)]
     return measures(total, left, limit) | {
         "removed with mains": 100
         * (1 - (left.power(*BAND_HZ) + lines[1]) / (total.power(*BAND_HZ) + lines[0])),
@@ -150,16 +146,17 @@ def _expected(twin: Twin, floor: ShapedFloor) -> dict[str, np.ndarray]:
     }
 
 
-def mains_power(twin: Twin, weights: np.ndarray) -> Float64[np.ndarray, "3"]:
+def mains_power(twin: Twin, weights: np.ndarray | None) -> Float64[np.ndarray, "3"]:
     """Power of the mains lines in the platform's spectrum, (m/s^2)^2 and (rad/s^2)^2.
 
     Their sines enter all platform sensors alike, and all floor sensors.
     """
     instruments, axes = twin.instruments, central_axes(twin.rig)
     paths = responses(twin, instruments.mains_hz)
-    command = paths.secondary @ (weights @ paths.regressors)
     amplitude = paths.sensitivity.sum(axis=2) * np.array(instruments.platform_mains)[:, None]
-    amplitude = amplitude + command.sum(axis=2) * np.array(instruments.floor_mains)[:, None]
+    amplitude = (
+        amplitude + paths.feedforward(weights).sum(axis=2) * np.array(instruments.floor_mains)[:, None]
+    )
     return 0.5 * np.sum(np.abs(amplitude @ axes.platform.T) ** 2, axis=0)
 
 

@@ -136,11 +136,9 @@ def convergence_trial(
 def _measures(courses: dict[str, Course], before: float, final: np.ndarray | None) -> dict[str, np.ndarray]:
     found = {}
     for name, course in courses.items():
+        towards = course.final if final is None else final
         for key, share in (("tau", SHARE), ("tau 37", 1 - SHARE)):
-            settled = settling_times(
-                course.time_s, course.weights, course.final if final is None else final, share
-            )
-            found[f"{name} {key}"] = settled
+            found[f"{name} {key}"] = settling_times(course.time_s, course.weights, towards, share)
         found[f"{name} final"] = course.final
         found[f"{name} deviation"] = course.deviation
         found[f"{name} error"] = course.final_error / before
@@ -189,12 +187,11 @@ def try_starts(
 ) -> Starts:
     """Start FeRLS from zero weights and P(-1) = I / epsilon for several epsilon (squared units of the regressors)."""
     epsilons = require_array("epsilons", epsilons, ndim=1)
+    options = {"signals_from_s": 0.0, "signals": ["command"], "to_the_break": True}
     peaks, stops = [], []
     for epsilon in epsilons:
-        adaptation = FeRls(
-            1 / require_number("epsilons", epsilon, above=0.0), forgetting, growth_limit=np.inf
-        )
-        options = {"signals_from_s": 0.0, "signals": ["command"], "to_the_break": True}
+        start = 1 / require_number("epsilons", epsilon, above=0.0)
+        adaptation = FeRls(start, forgetting, growth_limit=np.inf)
         run = simulate(twin, floor, duration_s, adaptation=adaptation, seed=seed, **options)
         peaks.append(np.abs(run.command).max())
         stops.append(np.nan if run.broke_s is None else run.broke_s)

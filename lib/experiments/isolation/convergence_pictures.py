@@ -87,10 +87,9 @@ def run_interval(study: Study, algorithm: str, quantity: str) -> tuple[np.ndarra
     """Mean over the runs and the 95 % interval of one run, per parameter; time constants on a log scale."""
     values = study[f"{algorithm} {quantity}"]
     if quantity == "tau":
-        spans = np.exp([spread_interval(column) for column in np.log(values).T])
-        return np.exp(np.log(values).mean(axis=0)), spans[:, 0], spans[:, 1]
-    spans = np.array([spread_interval(column) for column in values.T])
-    return values.mean(axis=0), spans[:, 0], spans[:, 1]
+        values = np.log(values)
+    found = values.mean(axis=0), *np.array([spread_interval(column) for column in values.T]).T
+    return tuple(np.exp(each) for each in found) if quantity == "tau" else found
 
 
 def paint_readings(times: Mapping[str, np.ndarray]):
@@ -101,9 +100,8 @@ def paint_readings(times: Mapping[str, np.ndarray]):
     for panel, algorithm in zip(axes, ALGORITHMS, strict=True):
         mine = {name: each for name, each in times.items() if name.startswith(algorithm)}
         for (name, each), (color, marker) in zip(mine.items(), looks, strict=True):
-            panel.plot(
-                number, each[3:], marker, color=color, mfc="none", label=name.removeprefix(f"{algorithm}, ")
-            )
+            label = name.removeprefix(f"{algorithm}, ")
+            panel.plot(number, each[3:], marker, color=color, mfc="none", label=label)
         figures.mark_published(panel, number, published_row(algorithm, "tau")[3:])
         panel.set(title=algorithm, yscale="log")
         panel.set_ylim(top=6 * max(each[3:].max() for each in mine.values()))
@@ -132,13 +130,11 @@ def paint_path_error(twin: Twin, floor: ShapedFloor):
     figure, (left, right) = figures.new(1, 2, height=3.4)
     f = np.geomspace(2, 300, 400)
     for estimate, color, marker in (("diagonal", figures.BLUE, "o"), ("full", figures.ORANGE, "s")):
-        variant = twin.varied(estimate=estimate)
+        variant, style = twin.varied(estimate=estimate), {"color": color, "label": f"{estimate} estimate"}
         loci = in_order(np.linalg.eigvals(responses(variant, f).path_error))
-        left.plot(loci.real.ravel(), loci.imag.ravel(), ".", ms=2, color=color, label=f"{estimate} estimate")
+        left.plot(loci.real.ravel(), loci.imag.ravel(), ".", ms=2, **style)
         rates = in_order(steady_state(variant, floor, noise=False).rls_eigenvalues)
-        right.plot(
-            rates.real, rates.imag, marker, ms=4, color=color, mfc="none", label=f"{estimate} estimate"
-        )
+        right.plot(rates.real, rates.imag, marker, ms=4, mfc="none", **style)
     for axes in (left, right):
         axes.axvline(0, color=figures.BLACK, lw=0.8)
         axes.plot(1, 0, "+", markersize=9, color=figures.RED, label="perfect estimate")

@@ -8,6 +8,7 @@ its sample of delay, and weights w that cancel the floor perfectly:
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64, Int64
@@ -15,6 +16,7 @@ from numpy.typing import ArrayLike
 from scipy import signal
 
 from experiments.isolation.simulation import Run
+from stillwork.base.algebra import inner, plus_row, set_product
 from stillwork.base.checks import require_array, require_choice, require_count, require_number
 from stillwork.base.kernels import inlined_kernel, kernel
 from stillwork.estimation.adaptive import ferls_update, hold_covariance
@@ -29,8 +31,7 @@ RESET_SHARE = 0.01  # of its start, to which resetting lets P fall at most (chos
 OVERLOAD = 1e3
 
 
-@dataclass(frozen=True)
-class SmallestLoop:
+class SmallestLoop(NamedTuple):
     """What the floor alone decides of the module's loop, the same whatever becomes of P.
 
     Kept whole for all cures: 16 bytes a sample and regressor.
@@ -111,8 +112,7 @@ def run_cure(
     samples = len(loop.segment)
     noise = np.broadcast_to(require_array("noise", noise), samples).astype(float)
     kept = np.full((samples // every, len(start) + 2), np.nan)
-    excited = loop.regressors, loop.filtered, noise, loop.segment, loop.optima, loop.shaping
-    _cure_run(code, *excited, start, forgetting, growth, noise_power, every, kept)
+    _cure_run(code, loop, noise, start, forgetting, growth, noise_power, every, kept)
     return CureRun(every * np.arange(1.0, len(kept) + 1), kept[:, 2:], kept[:, 0], kept[:, 1])
 
 
@@ -130,14 +130,8 @@ def _cascade(sections, state, value):
 @kernel
 def _leverage(covariance, psi, gain):
     """P psi into `gain`; returns psi' P psi."""
-    n, power = len(psi), 0.0
-    for i in range(n):
-        total = 0.0
-        for j in range(n):
-            total += covariance[i, j] * psi[j]
-        gain[i] = total
-        power += total * psi[i]
-    return power
+    set_product(covariance, psi, gain)
+    return inner(gain, psi)
 
 
 @kernel
@@ -177,21 +171,8 @@ def _forget_along(weights, covariance, psi, error, forgetting, gain):
 
 
 @kernel
-def _cure_run(
-    cure,
-    regressors,
-    filtered,
-    noise,
-    segment,
-    optima,
-    shaping,
-    start,
-    forgetting,
-    growth,
-    noise_power,
-    every,
-    kept,
-):
+def _cure_run(cure, loop, noise, start, forgetting, growth, noise_power, every, kept):
+    regressors, filtered, optima, segment, shaping = loop
     n, memory = len(start), np.zeros((len(shaping), 2))
     weights, covariance, levels = np.zeros((1, n)), np.zeros((n, n)), np.zeros((3, n))
     bound = 0.0
@@ -209,10 +190,7 @@ def _cure_run(
         error[0] = _cascade(shaping, memory, command - wanted + noise[k])
         squares += error[0] * error[0]
         optimum = optima[segment[k]]
-        command, wanted = 0.0, 0.0
-        for i in range(n):
-            command += weights[0, i] * psi[i]
-            wanted += optimum[i] * psi[i]
+        command, wanted = plus_row(0.0, weights, 0, psi), inner(optimum, psi)
         largest = max(largest, abs(wanted))
         if not abs(command) <= OVERLOAD * largest:
             return

@@ -9,7 +9,7 @@ from scipy import linalg
 from experiments.isolation.recorded_floors import (
     LOUDEST,
     RecordedFloor,
-    ground_spectrum,
+    ground_floor,
     record_floor,
     synthesise_floor,
 )
@@ -72,11 +72,7 @@ def open_floor(
     lowest, highest = _suspension_hz(twin)
     measured = False
     if not floor_record:
-        ground = ground_spectrum(gain=ground_gain)
-        f, density, source = ground.frequencies_hz, ground.levels, ground.source
-        floor = synthesise_floor(
-            f, density, duration_s, seed, channels=twin.sensors, source=source, **options
-        )
+        floor = ground_floor(duration_s, seed, gain=ground_gain, channels=twin.sensors, **options)
     elif density_unit(unit):
         path = Path(floor_record)
         f, density = read_densities(path, unit, channels, twin.sensors)

@@ -68,15 +68,10 @@ def flat_floor(
     require_number("high_pass_hz", high_pass_hz, above=0.0)
     channels = require_count("channels", channels)
     level = np.broadcast_to(require_array("level", level), channels) * np.ones(channels)
-    sections = np.vstack(
-        [
-            signal.butter(2, high_pass_hz, "highpass", fs=sample_rate, output="sos"),
-            signal.butter(2, low_pass_hz, "lowpass", fs=sample_rate, output="sos"),
-        ]
-    )
-    return ShapedFloor(
-        np.repeat(sections[None], channels, axis=0), level * np.sqrt(sample_rate / 2), float(sample_rate)
-    )
+    ends = ((high_pass_hz, "highpass"), (low_pass_hz, "lowpass"))
+    sections = np.vstack([signal.butter(2, *end, fs=sample_rate, output="sos") for end in ends])
+    sections = np.repeat(sections[None], channels, axis=0)
+    return ShapedFloor(sections, level * np.sqrt(sample_rate / 2), float(sample_rate))
 
 
 def colored_floor(low_pass_hz: float = 80.0, *, gain: float = 4.0) -> ShapedFloor:

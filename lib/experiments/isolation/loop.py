@@ -15,6 +15,7 @@ import numpy as np
 from experiments.isolation.lanes import at_most, lanes
 from experiments.isolation.together import ferls_updates, hold_each
 from experiments.isolation.twin import Twin
+from stillwork.base.algebra import plus_row, set_product
 from stillwork.base.checks import InputError
 from stillwork.base.kernels import borrowing_kernel, inlined_kernel, kernel, pasted_kernel
 from stillwork.estimation.adaptive import Recursion, felms_update, ferls_step
@@ -70,7 +71,7 @@ class ClosedLoop(NamedTuple):
     shaping: Bank  # N on the floor sensors
     integrator: Bank  # beta H, power after power, on [a0, N a0]
     error: Bank  # N P2^-1
-    modes: np.ndarray  # (sections, 5, axes), N P2^-1 of a full estimate; empty, like its mixing, if diagonal
+    modes: np.ndarray  # (sections, 5, axes), N P2^-1 of a full estimate; empty if diagonal
     before: np.ndarray  # (axes, outputs)
     after: np.ndarray  # (actuators, axes)
     weights: np.ndarray  # (actuators, regressors), W
@@ -108,7 +109,8 @@ def loop_of(
     filters = twin.error_filter
     diagonal = twin.feedforward.estimate == "diagonal"
     powers = twin.feedforward.integrator_powers
-    skyhook = rows_of(twin.skyhook_filter)
+    skyhook = bank_of(twin.skyhook_filter, twin.outputs * runs)
+    skyhook.sections[:] *= feedback
     if runs > 1:
         recursion = recursion._replace(
             **{name: side_by_side(getattr(recursion, name), runs) for name in ("matrix", "levels", "gain")}
@@ -134,18 +136,16 @@ def loop_of(
         ),
         floor_inertia=twin.plant.floor_inertia,
         command=aligned(twin.actuators * runs),
-        actuator=bank_of(rows_of(twin.instruments.actuator), twin.actuators * runs),
-        parasitic=bank_of(rows_of(twin.instruments.parasitic), twin.actuators * runs),
-        conditioning=bank_of(rows_of(twin.instruments.conditioning), (twin.outputs + twin.sensors) * runs),
-        skyhook=bank_of(skyhook if feedback else 0 * skyhook, twin.outputs * runs),
-        shaping=bank_of(rows_of(twin.noise_shaping), twin.sensors * runs),
-        integrator=bank_of(np.tile(rows_of(twin.integrator), (powers, 1)), floors),
-        error=bank_of(rows_of(filters.sections[0]), errors),
-        modes=np.zeros((0, 5, 0))
-        if diagonal
-        else np.stack([rows_of(each) for each in filters.sections], axis=2),
-        before=np.zeros((0, 0)) if diagonal else np.ascontiguousarray(filters.before),
-        after=np.zeros((0, 0)) if diagonal else np.ascontiguousarray(filters.after),
+        actuator=bank_of(twin.instruments.actuator, twin.actuators * runs),
+        parasitic=bank_of(twin.instruments.parasitic, twin.actuators * runs),
+        conditioning=bank_of(twin.instruments.conditioning, (twin.outputs + twin.sensors) * runs),
+        skyhook=skyhook,
+        shaping=bank_of(twin.noise_shaping, twin.sensors * runs),
+        integrator=bank_of(np.tile(twin.integrator, (powers, 1)), floors),
+        error=bank_of(filters.sections[0], errors),
+        modes=np.zeros((0, 5, 0)) if diagonal else rows_of(np.moveaxis(filters.sections, 0, -1)),
+        before=np.ascontiguousarray(filters.before),
+        after=np.ascontiguousarray(filters.after),
         weights=side_by_side(weights, 1).astype(precision, copy=False),
         recursion=recursion,
         power=np.zeros(runs),
@@ -153,15 +153,15 @@ def loop_of(
 
 
 def rows_of(sections: np.ndarray) -> np.ndarray:
-    """Sections of scipy, (sections, 6), as the kernel's (sections, 5)."""
+    """Sections of scipy, (sections, 6, ...), as the kernel's (sections, 5, ...)."""
     if not np.allclose(sections[:, 3], 1):
         raise InputError("sections: a leading denominator coefficient is not 1; normalise them")
     return np.ascontiguousarray(np.delete(sections, 3, axis=1))
 
 
-def bank_of(rows: np.ndarray, channels: int) -> Bank:
-    """Bank at rest."""
-    return Bank(np.ascontiguousarray(rows), aligned(len(rows), channels), aligned(len(rows), channels))
+def bank_of(sections: np.ndarray, channels: int) -> Bank:
+    """Bank at rest with scipy's sections, of all channels or, along a last axis, of each."""
+    return Bank(rows_of(sections), aligned(len(sections), channels), aligned(len(sections), channels))
 
 
 def padded(size: int, whole: int) -> int:
@@ -264,23 +264,10 @@ def _multiply(matrix, vector, product):
 
 
 @pasted_kernel
-def _set_product(matrix, vector, out):
-    """Out = matrix vector, of a few channels."""
-    for i in range(matrix.shape[0]):
-        total = 0.0
-        for j in range(matrix.shape[1]):
-            total += matrix[i, j] * vector[j]
-        out[i] = total
-
-
-@pasted_kernel
 def _command(weights, regressor, damping, command):
     """u = W psi less the damping."""
     for i in range(weights.shape[0]):
-        total = -damping[i]
-        for j in range(weights.shape[1]):
-            total += weights[i, j] * regressor[j]
-        command[i] = total
+        command[i] = plus_row(-damping[i], weights, i, regressor)
 
 
 @kernel
@@ -347,11 +334,8 @@ def advance(
     full = len(loop.modes) > 0
     keep = len(kept_platform) > 0
     # Parts of them, which have their meaning: an index from within a whole is looked at for its sign.
-    motion, forces, ground = (
-        vector[:states],
-        vector[states : states + actuators],
-        vector[states + actuators :],
-    )
+    motion, forces = vector[:states], vector[states : states + actuators]
+    ground = vector[states + actuators :]
     unfiltered = error[:outputs]
     platform, platform_readings, floor_readings = product[states:], readings[:outputs], readings[outputs:]
     direct, band = both[:sensors], both[sensors : 2 * sensors]
@@ -378,9 +362,9 @@ def advance(
         _copy(readings, damping)
         _copy(readings, unfiltered)
         if full:
-            _set_product(before, readings, axes)
+            set_product(before, readings, axes)
             _filter_each(modes, axes)
-            _set_product(after, axes, error)
+            set_product(after, axes, error)
         else:
             _filter(errors, error)
 
@@ -416,8 +400,7 @@ def advance(
             _keep(filtered, kept_regressors, k)
             _keep(error, kept_error, k)
         for i in range(actuators):
-            for j in range(sensors):
-                command[i] += floor_inertia[i, j] * floor[k, j]
+            command[i] = plus_row(command[i], floor_inertia, i, ground)
 
         if adaptation == FELMS:
             felms_update(weights, filtered, error, step_size, regularisation, trace_copies)

@@ -12,7 +12,7 @@ from scipy import stats
 from experiments.isolation.convergence import SHARE
 from experiments.isolation.floors import ShapedFloor, flat_floor
 from experiments.isolation.mean_convergence import mean_course
-from experiments.isolation.performance import exact_reduction_db, expected_density
+from experiments.isolation.performance import ENTRIES, exact_reduction_db, expected_density
 from experiments.isolation.plant import plant_of_rig
 from experiments.isolation.power import BAND_HZ, reduction_percent
 from experiments.isolation.rig import Lines, Rig
@@ -109,9 +109,7 @@ def numbers(given: dict[str, float]) -> dict[str, float]:
     before, after = (
         sum(expected_density(twin, floor, f, weights=w).values()) for w in (None, steady.weights)
     )
-    for direction, value in zip(
-        ("z", "theta-x", "theta-y"), reduction_percent(f, before, after), strict=True
-    ):
+    for direction, value in zip(ENTRIES, reduction_percent(f, before, after), strict=True):
         found[f"fig-8.removed.{direction}"] = float(value)
     found["setup.equivalent-mass"] = float(twin.plant.equivalent_mass)
     return found
@@ -121,12 +119,9 @@ def _settling(time_s: np.ndarray, off: np.ndarray) -> list[float]:
     """Time from which each trace stays within 63 % of its final value, between the grid's points as well."""
     found = []
     for each in off.T:
-        outside = np.flatnonzero(each > SHARE)
-        last = int(outside[-1]) if len(outside) else 0
-        if last + 1 == len(each):
-            found.append(float(time_s[-1]))
-        else:
-            found.append(float(np.interp(-SHARE, -each[last : last + 2], time_s[last : last + 2])))
+        last = max(np.flatnonzero(each > SHARE), default=0)
+        # Of a trace that ends outside, the end alone.
+        found.append(float(np.interp(-SHARE, -each[last : last + 2], time_s[last : last + 2])))
     return found
 
 

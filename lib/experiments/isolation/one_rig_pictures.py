@@ -2,7 +2,9 @@
 
 from collections.abc import Mapping
 
-from experiments.isolation.performance import DIRECTIONS
+import numpy as np
+
+from experiments.isolation.performance import DIRECTIONS, ENTRIES
 from stillwork.workbook import figures
 
 _BANDS = {
@@ -13,7 +15,7 @@ _WEIGHTS = [f"w{k}" for k in range(1, 10)]
 _PANELS = [
     ("table-1.felms.tau-", _WEIGHTS, _WEIGHTS, "FeLMS", "time to stay within 63 % (s)"),
     ("table-1.ferls.tau-", _WEIGHTS, _WEIGHTS, "FeRLS", "time (s)"),
-    ("fig-8.removed.", ["z", "theta-x", "theta-y"], DIRECTIONS, "Fig. 8", "power removed (%)"),
+    ("fig-8.removed.", ENTRIES, DIRECTIONS, "Fig. 8", "power removed (%)"),
     ("table-1.felms.final-", _WEIGHTS, _WEIGHTS, "", "final value (N per m/s²)"),
     ("table-1.ferls.final-", _WEIGHTS, _WEIGHTS, "", "final value (N per m/s²)"),
     (
@@ -32,18 +34,15 @@ def paint_one_rig(found: Mapping[str, Mapping[str, tuple[float, float]]], printe
     for panel, (first, names, labels, title, unit) in zip(axes.flat, _PANELS, strict=True):
         for kind, (label, color, shift) in _BANDS.items():
             bands = [
-                (k, found[first + name][kind])
+                (k + shift, *found[first + name][kind])
                 for k, name in enumerate(names)
                 if kind in found.get(first + name, {})
             ]
             if bands:
-                at, ends = zip(*bands, strict=True)
-                low, high = zip(*ends, strict=True)
-                x, middle = [k + shift for k in at], [(a + b) / 2 for a, b in ends]
+                x, low, high = np.transpose(bands)
                 panel.vlines(x, low, high, color=color, lw=3, alpha=0.6, label=label)
-                panel.plot(
-                    x, middle, "o", ms=3, color=color, label=f"{label}, middle"
-                )  # some bands are a point
+                # Some bands are a point.
+                panel.plot(x, (low + high) / 2, "o", ms=3, color=color, label=f"{label}, middle")
         known = [(k, printed[first + name]) for k, name in enumerate(names) if first + name in printed]
         figures.mark_published(panel, *zip(*known, strict=True))
         panel.set_xticks(range(len(names)), labels)

@@ -13,6 +13,7 @@ from jaxtyping import Float64
 from scipy import optimize
 
 from experiments.isolation.one_rig import edges, numbers, parameters, ranges
+from experiments.isolation.performance import ENTRIES
 from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.base.toml_files import read_toml
@@ -22,7 +23,6 @@ DRAWS, STARTS, MEMBERS, SEED = 200, 3, 60, 1
 EVALUATIONS, STEP = 12, 0.02  # of a fit; step of its derivatives
 FAR = 1e3  # stands for a number of a rig that cannot be built
 FOLDS = 3
-DIRECTIONS = ("z", "theta-x", "theta-y")
 EDGES = ("fig-7.lower-end", "fig-7.upper-end", "fig-7.low-frequency-loss")  # no search sees them
 
 
@@ -39,7 +39,7 @@ def published() -> dict[str, float]:
         for k in range(1, 10)
         if quantity == "final" or k not in (1, 4)
     ]
-    names += [f"fig-8.removed.{direction}" for direction in DIRECTIONS]
+    names += [f"fig-8.removed.{direction}" for direction in ENTRIES]
     entries = load_entries("isolation")
     return {
         name: entries[f"isolation.{name}"].published for name in (*names, "setup.equivalent-mass", *EDGES)
@@ -54,7 +54,7 @@ def fold_of(name: str) -> int | None:
     if name.startswith("table-1"):
         kind, sensor = divmod(int(name[-1]) - 1, 3)
         return (kind + sensor) % FOLDS
-    return DIRECTIONS.index(name.rpartition(".")[2]) if name.startswith("fig-8") else None
+    return ENTRIES.index(name.rpartition(".")[2]) if name.startswith("fig-8") else None
 
 
 def scatter(seen: Collection[str]) -> Callable[[str], float]:

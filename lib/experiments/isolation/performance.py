@@ -21,6 +21,7 @@ from stillwork.signals.criteria import BAND_EDGE
 from stillwork.signals.spectra import ResponseEstimate, Spectrum, estimate_response, estimate_spectrum
 
 DIRECTIONS = ("z", "θx", "θy")
+ENTRIES = ("z", "theta-x", "theta-y")  # the ledger's words for them
 _ROWS = [2, 3, 4]  # of (x, y, z, θx, θy, θz)
 CASES = ("passive", "feedback", "FeLMS", "FeRLS")
 SETTLE_S = 5.0  # start of a record that is cut off: two dozen time constants of the weak integrators
@@ -48,7 +49,6 @@ def central_axes(rig: Rig | None) -> Axes:
 class CaseRecord:
     """What the sensors show of one case, in z, θx, θy (m/s^2 and rad/s^2), noise included."""
 
-    name: str  # one of `CASES`
     floor: Float64[np.ndarray, "3 samples"]  # accelerations
     platform: Float64[np.ndarray, "3 samples"]
     sample_rate: float  # Hz
@@ -77,9 +77,8 @@ def tune(
     covariance = 10 * np.diag(steady_state(twin, floor).covariance)
     found: list[dict] = [{} for _ in seeds]
     for name, settings, seconds in (("FeLMS", FeLms(), felms_s), ("FeRLS", FeRls(covariance), ferls_s)):
-        runs = simulate_together(
-            twin, floor, seconds, adaptations={name: settings}, seeds=seeds, keep_every_s=seconds
-        )
+        options = {"adaptations": {name: settings}, "seeds": seeds, "keep_every_s": seconds}
+        runs = simulate_together(twin, floor, seconds, **options)
         for weights, run in zip(found, runs, strict=True):
             weights[name] = run[name].final_weights
     return found
@@ -91,16 +90,14 @@ def record_case(
     name: str,
     duration_s: float,
     seed: int,
-    *,
-    weights: ArrayLike | None = None,
-    noise: bool = True,
+    **options,
 ) -> CaseRecord:
     """Record one of `CASES` with frozen weights; runs with the same seed see the same floor and sensor noise.
 
     ``passive`` opens the skyhook loop; without weights there is no feedforward. The first 5 s, of settling, are not
-    kept.
+    kept. The `options` are those of `record_cases`.
     """
-    return record_cases(twin, floor, name, duration_s, [seed], weights=weights, noise=noise)[0]
+    return record_cases(twin, floor, name, duration_s, [seed], **options)[0]
 
 
 def record_cases(
@@ -130,9 +127,7 @@ def record_cases(
         signals=("sensed_floor", "measured_platform"),
     )
     return [
-        CaseRecord(
-            name, axes.floor @ run.sensed_floor, axes.platform @ run.measured_platform, run.sample_rate
-        )
+        CaseRecord(axes.floor @ run.sensed_floor, axes.platform @ run.measured_platform, run.sample_rate)
         for run in (each[name] for each in runs)
     ]
 
@@ -147,8 +142,6 @@ def exact_transmissibility(
     axes = central_axes(twin.rig)
     if np.linalg.matrix_rank(axes.floor_readings, 1e-9) < 3:
         raise InputError("floor_sensors do not fix z, θx and θy of the plate; place three apart")
-    if weights is None:
-        weights = np.zeros((twin.actuators, twin.regressors))
     whole = responses(twin, frequencies_hz, feedback).transmissibility(weights)
     return (axes.platform @ whole @ axes.floor_readings).transpose(1, 2, 0)
 
@@ -158,10 +151,14 @@ def exact_reduction_db(
 ) -> Float64[np.ndarray, "frequencies"]:
     """What `weights` take off the transmissibility of feedback alone, in the worst of z, θx and θy, without noise."""
     before, after = (
-        np.abs(np.einsum("iif->if", exact_transmissibility(twin, frequencies_hz, weights=each)))
-        for each in (None, weights)
+        diagonal_size(exact_transmissibility(twin, frequencies_hz, weights=each)) for each in (None, weights)
     )
     return 20 * np.log10(before / after).min(axis=0)
+
+
+def diagonal_size(response: ArrayLike) -> Float64[np.ndarray, "3 frequencies"]:
+    """Magnitude from each motion of the floor to the same one of the platform."""
+    return np.abs(np.einsum("iif->if", np.asarray(response)))
 
 
 def expected_density(
@@ -181,9 +178,7 @@ def expected_density(
     """
     axes = central_axes(twin.rig)
     paths = responses(twin, frequencies_hz, feedback)
-    if weights is None:
-        weights = np.zeros((twin.actuators, twin.regressors))
-    command = paths.secondary @ (np.asarray(weights, dtype=float) @ paths.regressors)
+    command = paths.feedforward(weights)
     by_floor = axes.platform @ (paths.primary + command)
     by_sensors = axes.platform @ command
     # n1 reaches the reading directly and through the loop: (I + L)^-1 = I - P2 K.
@@ -227,7 +222,7 @@ def reduction_db(
     """
     f = require_array("frequencies_hz", frequencies_hz, ndim=1)
     centres, inside = third_octaves(f)
-    squares = [np.abs(np.einsum("iif->if", np.asarray(response))) ** 2 for response in (before, after)]
+    squares = [diagonal_size(response) ** 2 for response in (before, after)]
     means = [np.stack([square[:, band].mean(axis=1) for band in inside], axis=1) for square in squares]
     return centres, 10 * np.log10(means[0] / means[1])
 

@@ -1,5 +1,6 @@
 """Figures of transmissibility and power (notebooks 04 and 05)."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -19,17 +20,20 @@ _STYLES = {
     "FeRLS": {"color": figures.BLACK},
     "output noise": {"color": figures.RED, "ls": ":"},
 }
+_LOW_DB = -80.0  # where the panels of the diagonal end
 PUBLISHED_BAND_HZ = (3.0, 200.0)  # where the paper states 20 to 40 dB
+_REDUCTION_STYLES = (
+    {"color": figures.SKY, "lw": 0.8},
+    {"color": figures.BLACK},
+    {"color": figures.GREEN, "ls": "--"},
+)
 # Below this a transmissibility is rounding: the rig's symmetry makes the element zero.
 _ROUNDING = 1e-9
 
 
-def paint_transmissibility(
-    frequencies_hz: np.ndarray, cases: dict[str, np.ndarray], *, low_db: float = -80.0
-):
-    """Fig. 7: the 3x3 matrix of transmissibilities, platform direction down, floor direction across."""
+def paint_transmissibility(f: np.ndarray, cases: dict[str, np.ndarray]):
+    """Fig. 7: the 3x3 matrix of transmissibilities over Hz, platform direction down, floor direction across."""
     figure, axes = figures.new(3, 3, height=6.6, sharex=True)
-    f = frequencies_hz
     units = np.array([["", " (m/rad)", " (m/rad)"], [" (rad/m)", "", ""], [" (rad/m)", "", ""]])
     for i, to in enumerate(DIRECTIONS):
         for j, start in enumerate(DIRECTIONS):
@@ -40,18 +44,15 @@ def paint_transmissibility(
                 size = np.abs(response[i, j])
                 if size.max() > _ROUNDING:
                     # How deep a zero reaches below the panel hangs on the last bits.
-                    size = np.maximum(size, 10 ** ((low_db + shift - 10) / 20))
+                    size = np.maximum(size, 10 ** ((_LOW_DB + shift - 10) / 20))
                     shown = thinned(f, size)
                     decibels = 20 * np.log10(size[shown])
                     panel.semilogx(f[shown], decibels, label=name, lw=0.9, **_STYLES[name])
             if i == j:
                 _mark_reduction(panel, f, cases["feedback"][i, i])
-            panel.set(title=f"{start} → {to}{units[i, j]}", ylim=(low_db + shift, 25 + shift))
+            panel.set(title=f"{start} → {to}{units[i, j]}", ylim=(_LOW_DB + shift, 25 + shift))
             panel.set(xlim=(f[0], f[-1]))
-    for panel in axes[:, 0]:
-        panel.set_ylabel("magnitude (dB)")
-    for panel in axes[-1]:
-        panel.set_xlabel("frequency (Hz)")
+    figures.label(axes, "frequency (Hz)", "magnitude (dB)")
     figures.legend_below(axes[0, 0], 5)
     return figure
 
@@ -74,15 +75,7 @@ def paint_reduction(reductions: dict[str, tuple[np.ndarray, np.ndarray]]):
         panel.fill_between(
             PUBLISHED_BAND_HZ, 20, 40, color=figures.GREY, alpha=0.2, lw=0, label="published, 3-200 Hz"
         )
-        for (name, (f, reduction)), style in zip(
-            reductions.items(),
-            (
-                {"color": figures.SKY, "lw": 0.8},
-                {"color": figures.BLACK},
-                {"color": figures.GREEN, "ls": "--"},
-            ),
-            strict=False,
-        ):
+        for (name, (f, reduction)), style in zip(reductions.items(), _REDUCTION_STYLES, strict=False):
             shown = thinned(f, reduction[k])
             panel.semilogx(f[shown], reduction[k][shown], label=name, **style)
         panel.axhline(0, color=figures.GREY, lw=0.8)
@@ -130,10 +123,9 @@ def paint_removed(study, published: tuple[float, float, float]):
     where = np.arange(3.0)
     for name, shift in (("FeLMS", -0.2), ("FeRLS", 0.0), ("limit", 0.2)):
         values = study[f"removed {name}"]
-        label = "output-noise limit" if name == "limit" else name
-        color = _STYLES["output noise" if name == "limit" else name]["color"]
+        style, label = ("output noise", "output-noise limit") if name == "limit" else (name, name)
         x = np.repeat(where + shift, len(values))
-        axes.plot(x, values.T.ravel(), "o", ms=4, alpha=0.7, color=color, label=label)
+        axes.plot(x, values.T.ravel(), "o", ms=4, alpha=0.7, color=_STYLES[style]["color"], label=label)
     figures.mark_published(axes, where, published, "published, FeRLS")
     axes.set(xticks=where, xticklabels=DIRECTIONS, xlabel="direction", ylabel="power removed at 1-300 Hz (%)")
     axes.legend(loc="center left", bbox_to_anchor=(1, 0.5))
@@ -143,8 +135,7 @@ def paint_removed(study, published: tuple[float, float, float]):
 def explore_transmissibility(integrator_cutoff_hz: float, lowpass_hz: float, low_pass_hz: float):
     """Explorer: noise-free transmissibility with optimum weights over the cut-offs that bound it."""
     twin = load_twin("rigid_body").varied(integrator_cutoff_hz=integrator_cutoff_hz)
-    shaping = twin.feedforward.shaping
-    twin = twin.varied(shaping=type(shaping)(**{**vars(shaping), "lowpass_hz": lowpass_hz}))
+    twin = twin.varied(shaping=replace(twin.feedforward.shaping, lowpass_hz=lowpass_hz))
     f = np.geomspace(0.5, 1000, 250)
     weights = steady_state(twin, flat_floor(low_pass_hz), frequencies_hz=COARSE_HZ).weights
     figure, axes = figures.new(1, 1, height=3.0)
@@ -167,18 +158,16 @@ def explore_power(output_noise: float, floor_noise: float, low_pass_hz: float):
     f = np.geomspace(*BAND_HZ, 250)
     weights = steady_state(twin, floor, frequencies_hz=COARSE_HZ).weights
     before = sum(expected_density(twin, floor, f).values())
-    after = expected_density(twin, floor, f, weights=weights)
-    removed = reduction_percent(f, before, sum(after.values()))
+    causes = expected_density(twin, floor, f, weights=weights)
+    after = sum(causes.values())
+    removed = reduction_percent(f, before, after)
+    colors = {"floor": figures.GREEN, "floor noise": figures.ORANGE, "output noise": figures.RED}
     figure, axes = figures.new(1, 2, height=3.0)
     for k, panel in enumerate(axes):
         panel.loglog(f, before[k], color=figures.BLUE, label="feedback")
-        panel.loglog(f, sum(after.values())[k], color=figures.BLACK, label="with feedforward")
-        for cause, color in (
-            ("floor", figures.GREEN),
-            ("floor noise", figures.ORANGE),
-            ("output noise", figures.RED),
-        ):
-            panel.loglog(f, after[cause][k], ":", color=color, label=f"left by {cause}")
+        panel.loglog(f, after[k], color=figures.BLACK, label="with feedforward")
+        for cause, color in colors.items():
+            panel.loglog(f, causes[cause][k], ":", color=color, label=f"left by {cause}")
         top = before[k].max()
         panel.set(title=f"{DIRECTIONS[k]}: {removed[k]:.1f} % removed", xlabel="frequency (Hz)")
         panel.set(ylim=(top * 1e-7, top * 3))

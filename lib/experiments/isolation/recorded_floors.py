@@ -56,9 +56,8 @@ class SpectralFloor:
     def density(self, frequencies_hz: ArrayLike) -> Float64[np.ndarray, "channels frequencies"]:
         """Acceleration PSD of every sensor, (m/s^2)^2/Hz."""
         f = require_array("frequencies_hz", frequencies_hz, ndim=1)
-        return np.tile(
-            np.interp(f, self.frequencies_hz, self.levels, left=0.0, right=0.0), (self.channels, 1)
-        )
+        each = np.interp(f, self.frequencies_hz, self.levels, left=0.0, right=0.0)
+        return np.tile(each, (self.channels, 1))
 
 
 def synthesise_floor(

@@ -35,12 +35,17 @@ class Responses:
         """P2hat^-1 P2: the identity for a perfect estimate; a positive definite Hermitian part converges."""
         return self.error @ self.secondary / self.shaping[:, None, None]
 
-    def transmissibility(self, weights: ArrayLike) -> Complex128[np.ndarray, "frequencies outputs sensors"]:
-        """T from floor to platform acceleration, eq. (4), with frozen feedforward `weights` W."""
+    def feedforward(self, weights: ArrayLike | None) -> Complex128[np.ndarray, "frequencies outputs sensors"]:
+        """P2 W B: what frozen `weights` W make of the floor sensors' readings; nothing without them."""
         shape = (self.secondary.shape[2], self.regressors.shape[1])
-        weights = require_array("weights", weights, shape=shape)
-        both = self.primary + self.secondary @ (weights @ self.regressors)
-        return both / self.conditioning[:, None, None]
+        given = require_array("weights", np.zeros(shape) if weights is None else weights, shape=shape)
+        return self.secondary @ (given @ self.regressors)
+
+    def transmissibility(
+        self, weights: ArrayLike | None = None
+    ) -> Complex128[np.ndarray, "frequencies outputs sensors"]:
+        """T from floor to platform acceleration, eq. (4), with frozen feedforward `weights`."""
+        return (self.primary + self.feedforward(weights)) / self.conditioning[:, None, None]
 
 
 def responses(twin: Twin, frequencies_hz: ArrayLike, feedback: bool = True) -> Responses:

@@ -42,9 +42,8 @@ def paint_rig(rig: Rig):
             ends = view @ np.stack([top, foot]).T
             label = "strut: actuator and accelerometer" if number == 1 else f"_strut {number}"
             axes.plot(*ends, color=figures.BLUE, lw=2.5, marker="o", ms=3, label=label)
-            axes.annotate(
-                str(number), 1.09 * ends[:, 0], color=figures.BLUE, ha="center", va="center", fontsize=8
-            )
+            style = {"color": figures.BLUE, "ha": "center", "va": "center", "fontsize": 8}
+            axes.annotate(str(number), 1.09 * ends[:, 0], **style)
         axes.plot(*(view @ sensors.T), "^", color=figures.RED, ms=8, label="floor accelerometer (vertical)")
         for number, place in enumerate(sensors, 1):
             style = {"xytext": (7, -2), "textcoords": "offset points", "color": figures.RED, "fontsize": 8}
@@ -59,23 +58,16 @@ def paint_modes(rig: Rig, passive: Modes, closed: Modes, gain: float):
     figure, (left, right) = figures.new(1, 2, height=2.9)
     left.axvspan(15, 45, color=figures.GREY, alpha=0.15, lw=0)
     left.text(30, 0.02, "published range", ha="center", color=figures.GREY, fontsize=8)
-    for modes, style, color, label in (
-        (passive, "o", figures.BLUE, "passive"),
-        (closed, "s", figures.RED, "with skyhook loop"),
-    ):
-        left.plot(modes.frequencies_hz, modes.damping, style, color=color, ms=6, label=label)
+    left.plot(passive.frequencies_hz, passive.damping, "o", color=figures.BLUE, ms=6, label="passive")
+    left.plot(closed.frequencies_hz, closed.damping, "s", color=figures.RED, ms=6, label="with skyhook loop")
     left.set(xlabel="frequency (Hz)", ylabel="relative damping", xlim=(10, 53))
     gains = np.linspace(0, 350, 36)
     ideal = np.array([rig.damping_ratios(each) for each in gains])
-    for name, mode, color in (
-        ("x, y", 0, figures.BLUE),
-        ("z", 2, figures.GREEN),
-        ("θx, θy, θz", 5, figures.ORANGE),
-    ):
+    modes = {"x, y": (0, figures.BLUE), "z": (2, figures.GREEN), "θx, θy, θz": (5, figures.ORANGE)}
+    for name, (mode, color) in modes.items():
         right.plot(gains, ideal[:, mode], color=color, label=f"{name}, ideal skyhook")
-    right.plot(
-        np.full(6, gain), closed.damping, "s", color=figures.RED, label="real loop at the published gain"
-    )
+    style = {"color": figures.RED, "label": "real loop at the published gain"}
+    right.plot(np.full(6, gain), closed.damping, "s", **style)
     right.set(xlabel="skyhook gain (N s/m)", xlim=(0, 350))
     for axes in (left, right):
         axes.axhline(0.7, color=figures.BLACK, ls=":", lw=1)
@@ -138,11 +130,9 @@ def explore_floor(low_pass_hz: float, gain: float):
     floor = colored_floor(low_pass_hz, gain=gain)
     axes.loglog(f, floor.density(f)[0], color=figures.BLUE, label="floor")
     band = np.geomspace(1, 80, 60)
-    for name, color in zip(
-        ("BBN-A", "BBN-B", "BBN-C", "BBN-D"),
-        (figures.PURPLE, figures.RED, figures.ORANGE, figures.GREEN),
-        strict=True,
-    ):
+    colors = {"A": figures.PURPLE, "B": figures.RED, "C": figures.ORANGE, "D": figures.GREEN}
+    for letter, color in colors.items():
+        name = f"BBN-{letter}"
         axes.loglog(band, criterion_density(name, band), "--", color=color, label=name)
     axes.set(xlabel="frequency (Hz)", ylabel="acceleration PSD ((m/s²)²/Hz)", ylim=(1e-10, 1e-3))
     axes.legend(loc="upper left", ncols=2)

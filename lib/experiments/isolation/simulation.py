@@ -149,9 +149,7 @@ def _advance(twin: Twin, sources: Sources, sides: list, total: int, first: int, 
     done = 0
     while done < total:
         # A block ends where the signals start.
-        samples = min(BLOCK, total - done)
-        if done < first:
-            samples = min(samples, first - done)
+        samples = min(BLOCK, (first if done < first else total) - done)
         floor_block, noise_block = sources.sample(samples)
         for adaptation, code, numbers, closed, kept in sides:
             room = kept.room("floor", done, samples)
@@ -178,10 +176,9 @@ def _advance(twin: Twin, sources: Sources, sides: list, total: int, first: int, 
 
 def _require_triangle(adaptations) -> None:
     for name, adaptation in adaptations.items():
-        if isinstance(adaptation, FeRls) and (adaptation.dtype, adaptation.form) not in (
-            ("float64", "safe"),
-            ("float64", "triangle"),
-        ):
+        if not isinstance(adaptation, FeRls):
+            continue
+        if adaptation.dtype != "float64" or adaptation.form not in ("safe", "triangle"):
             raise InputError(
                 f"adaptations[{name!r}] has the form {adaptation.form!r} in {adaptation.dtype}; "
                 "several seeds take 'triangle' in float64, other forms run one seed at a time"
@@ -217,15 +214,14 @@ def _segments(twin: Twin, floor, duration_s) -> list[tuple[int, Floor]]:
             raise InputError(
                 f"floor is sampled at {part.sample_rate:g} Hz but the rig at {rate:g} Hz; resample it first"
             )
-        recorded = isinstance(part, RecordedFloor)
-        if seconds is None and not recorded:
+        longest = part.acceleration.shape[1] if isinstance(part, RecordedFloor) else None
+        if seconds is not None:
+            samples = round(require_number("duration_s", seconds, above=0.0) * rate)
+        elif longest is not None:
+            samples = longest
+        else:
             raise InputError("duration_s is missing; give the seconds to run")
-        samples = (
-            part.acceleration.shape[1]
-            if seconds is None
-            else round(require_number("duration_s", seconds, above=0.0) * rate)
-        )
-        if recorded and samples > part.acceleration.shape[1]:
+        if longest is not None and samples > longest:
             raise InputError(
                 f"floor record lasts {part.duration:g} s, shorter than the {seconds:g} s asked for; "
                 "shorten duration_s or give a longer record"

@@ -47,8 +47,8 @@ class Sources:
         self.left, self.part = self.segments.pop(0)
         self.position = 0
         if isinstance(self.part, ShapedFloor):
-            rows = np.stack([loop.rows_of(each) for each in self.part.sections], axis=2)
-            self.shaping = loop.bank_of(rows, self.sensors * self.runs)
+            each = np.moveaxis(self.part.sections, 0, -1)
+            self.shaping = loop.bank_of(each, self.sensors * self.runs)
 
     def sample(self, samples: int) -> tuple[np.ndarray, np.ndarray]:
         """Next block of a0, (samples, sensors * runs), and of (n1, n0), (samples, (outputs + sensors) * runs)."""

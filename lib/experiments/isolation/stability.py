@@ -5,6 +5,7 @@ antisymmetric, and of one that makes P indefinite.
 """
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from jaxtyping import Float64
@@ -18,6 +19,7 @@ from stillwork.estimation.covariance_forms import factor_of, update_form
 # What one writes first, and what (29) prints; then the library's forms.
 FORMS = ("one product", "both products", *covariance_forms.FORMS)
 ONE_PRODUCT, BOTH_PRODUCTS = 0, 1
+REGRESSORS = 9  # of the synthetic records, as the rig has
 OVERFLOW = 1e100  # so large that its square is still a number
 
 
@@ -104,7 +106,6 @@ def _health(form, matrix, information) -> tuple[float, ...]:
     if not np.all(np.abs(covariance) < OVERFLOW):
         return (np.nan,) * 5
     metric = np.linalg.cholesky(information)
-    root = None
     if form in ("square root", "UD", "inverse QR"):
         # A product has no negative eigenvalue; singular values keep the digits that forming it would lose.
         root = covariance if form == "square root" else covariance.T
@@ -123,14 +124,14 @@ def _health(form, matrix, information) -> tuple[float, ...]:
     return asymmetry, error, smallest, np.abs(relative - 1).max(), eigenvalues[-1]
 
 
-def shared_motion(condition: float, samples: int, seed: int, regressors: int = 9) -> np.ndarray:
-    """Regressors of power one that share a motion, each with a rest of its own, (regressors, samples).
+def shared_motion(condition: float, samples: int, seed: int) -> np.ndarray:
+    """Nine regressors of power one that share a motion, each with a rest of its own, (regressors, samples).
 
-    The `condition` of their correlation is 1 + n c / (1 - c) for the share c of the power that is common.
+    The `condition` of their correlation is 1 + 9 c / (1 - c) for the share c of the power that is common.
     """
-    ratio = (require_number("condition", condition, above=1.0) - 1) / regressors
+    ratio = (require_number("condition", condition, above=1.0) - 1) / REGRESSORS
     rng = np.random.default_rng(seed)
-    common, own = rng.standard_normal(samples), rng.standard_normal((regressors, samples))
+    common, own = rng.standard_normal(samples), rng.standard_normal((REGRESSORS, samples))
     return (np.sqrt(ratio) * common + own) / np.sqrt(1 + ratio)
 
 
@@ -175,10 +176,8 @@ def stability_map(
     conditions, precisions, forms, seeds: int, samples_per_constant: int, time_constants: float
 ) -> dict[tuple[str, str], Float64[np.ndarray, "2 conditions seeds"]]:
     """`worst` distance of P, and time constants to its breakdown, from the steady P on, by (precision, form)."""
-    forgetting, found = float(np.exp(-1 / samples_per_constant)), {}
-    for precision in precisions:
-        for form in forms:
-            found[precision, form] = np.empty((2, len(conditions), seeds))
+    forgetting = float(np.exp(-1 / samples_per_constant))
+    found = {each: np.empty((2, len(conditions), seeds)) for each in product(precisions, forms)}
     for i, condition in enumerate(conditions):
         for seed in range(seeds):
             psi = shared_motion(condition, samples_per_constant, seed)

@@ -42,17 +42,15 @@ def paint_map(
             lost += list(zip(np.asarray(conditions)[~held], middle[~held], strict=True))
             place += 1
         if lost:
-            axes.plot(
-                *np.transpose(lost), "x", color=figures.BLACK, ms=7, mew=1.5, label="P lost definiteness"
-            )
+            style = {"color": figures.BLACK, "ms": 7, "mew": 1.5, "label": "P lost definiteness"}
+            axes.plot(*np.transpose(lost), "x", **style)
         if precision == "float32":
             for mark, (name, (condition, runs)) in zip("osD", shipped.items(), strict=False):
                 values = [run.worst for run in runs.values()]
                 axes.plot(np.full(len(values), condition), values, mark, color=figures.GREY, label=name)
         certain, mean = condition_bounds(forgettings[0], precision)
-        axes.axvline(certain, color=figures.BLACK, lw=0.8, ls=":")
-        axes.axvline(mean, color=figures.BLACK, lw=0.8, ls="--")
-        for bound, text in ((certain, "errors of one sign "), (mean, "independent errors ")):
+        for bound, line, text in ((certain, ":", "errors of one sign "), (mean, "--", "independent errors ")):
+            axes.axvline(bound, color=figures.BLACK, lw=0.8, ls=line)
             axes.annotate(text, (bound, 1e-13), rotation=90, ha="right", va="bottom", fontsize=7)
         axes.axhline(1.0, color=figures.GREY, lw=0.8)
         axes.set(xscale="log", yscale="log", title=precision, ylim=(1e-13, 10))
@@ -80,19 +78,17 @@ def paint_forms(runs: Mapping[str, Mapping[str, CovarianceRun]], experiment: flo
                 lower.annotate(text, (run.breakdown, 1e-13), **look)
         unit = np.finfo(precision).eps
         guide = np.array([0.0, np.log(1 / unit)])
-        upper.semilogy(
-            guide, unit / 10 * np.exp(guide), color=figures.BLACK, lw=0.8, label="slope 1/λ a sample"
-        )
-        upper.axvspan(0, experiment, color=figures.GREY, alpha=0.12, lw=0)
-        lower.axvspan(0, experiment, color=figures.GREY, alpha=0.12, lw=0)
+        style = {"color": figures.BLACK, "lw": 0.8, "label": "slope 1/λ a sample"}
+        upper.semilogy(guide, unit / 10 * np.exp(guide), **style)
+        for axes in (upper, lower):
+            axes.axvspan(0, experiment, color=figures.GREY, alpha=0.12, lw=0)
         upper.set(title=precision, ylabel="antisymmetric part of P", ylim=(FLOOR / 3, 10))
         _name_zero(upper)
         lower.set(xlabel="time constants of the forgetting", ylabel="error of P", ylim=(1e-14, 1e3))
         upper.set_yticks(10.0 ** np.arange(-18, 4, 3))
         lower.set_yticks(10.0 ** np.arange(-12, 4, 3))
-    grid[0, 0].annotate(
-        "the paper's 200 s", (experiment / 2, 5.0), ha="center", va="top", fontsize=8, color=figures.GREY
-    )
+    style = {"ha": "center", "va": "top", "fontsize": 8, "color": figures.GREY}
+    grid[0, 0].annotate("the paper's 200 s", (experiment / 2, 5.0), **style)
     figures.legend_below(grid[0, 0], 3)
     return figure
 
@@ -123,10 +119,8 @@ def paint_return(outcomes: Mapping[str, Sequence[Run]], return_s: float):
             near, error = run.time_s > return_s - 5, np.sqrt(run.error_power)
             axes.semilogy(run.time_s[near] - return_s, error[near], lw=0.9, label=f"floor {number}")
             if run.broke_s is not None:
-                end = (run.broke_s - return_s, error[-1])
-                axes.plot(
-                    *end, "x", color=axes.lines[-1].get_color(), ms=9, mew=2, label=f"floor {number}, broke"
-                )
+                style = {"color": axes.lines[-1].get_color(), "label": f"floor {number}, broke"}
+                axes.plot(run.broke_s - return_s, error[-1], "x", ms=9, mew=2, **style)
         axes.axvspan(-5, 0, color=figures.GREY, alpha=0.12, lw=0)
         axes.set(xlabel="time since the sensor's return (s)", title=name, xlim=(-5, 15))
         axes.legend(loc="upper right")
@@ -168,22 +162,13 @@ def explore_forms(regressors: ArrayLike, initial: ArrayLike):
         figure, axes = figures.new(1, 1, height=3.0)
         forgetting = float(np.exp(-1 / samples_per_constant))
         for style, form in zip(_LINES, EXPLORED, strict=False):
-            run = covariance_run(
-                form, regressors, forgetting, initial, time_constants, precision, per_time_constant=2
-            )
-            ends = (
-                "stays definite"
-                if np.isinf(run.breakdown)
-                else f"indefinite at about {run.breakdown_tens():.0f}"
-            )
-            axes.semilogy(
-                run.time_constants, np.maximum(run.asymmetry, FLOOR), style, label=f"{form}: {ends}"
-            )
+            run = covariance_run(form, regressors, forgetting, initial, time_constants, precision, 2)
+            broke = f"indefinite at about {run.breakdown_tens():.0f}"
+            label = f"{form}: {'stays definite' if np.isinf(run.breakdown) else broke}"
+            axes.semilogy(run.time_constants, np.maximum(run.asymmetry, FLOOR), style, label=label)
+        axes.set(xlabel="time constants of the forgetting", ylabel="antisymmetric part of P")
         axes.set(
-            xlabel="time constants of the forgetting",
-            ylabel="antisymmetric part of P",
-            ylim=(FLOOR / 3, 10),
-            title=f"{precision}, time constant of {samples_per_constant:.0f} samples",
+            ylim=(FLOOR / 3, 10), title=f"{precision}, time constant of {samples_per_constant:.0f} samples"
         )
         axes.set_yticks(10.0 ** np.arange(-18, 1, 3), minor=False)
         _name_zero(axes)

@@ -80,13 +80,10 @@ def expected_switch_painter(twin: Twin, switches: Mapping[str, Switch], duration
         switch = switches[direction]
         figure, axes = figures.new(1, 1, height=3.2)
         for name in ALGORITHMS:
-            expected = mean_course(
-                twin, switch.end, name, time, step_size=step_size, memory_s=memory_s, start=switch.start
-            )
-            left = Response(time, expected, switch).left()
-            axes.plot(
-                np.append(0.0, time), np.append(1.0, left), STYLES[name], color=COLORS[name], label=name
-            )
+            moved = {"step_size": step_size, "memory_s": memory_s, "start": switch.start}
+            left = Response(time, mean_course(twin, switch.end, name, time, **moved), switch).left()
+            style = {"color": COLORS[name], "label": name}
+            axes.plot(np.append(0.0, time), np.append(1.0, left), STYLES[name], **style)
         axes.axhline(SHARE, color=figures.GREY, lw=0.8)
         axes.set(xlabel="time after the switch (s)", ylabel="share of the shift to go")
         axes.legend()

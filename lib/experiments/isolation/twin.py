@@ -76,15 +76,11 @@ class Twin:
 
         Names are those of `Instruments`, `Skyhook` and `SelfTunedFeedforward`.
         """
-        parts = {}
-        known = []
-        for part in ("instruments", "skyhook", "feedforward"):
-            record = getattr(self, part)
-            names = list(record.__dataclass_fields__)
-            known += names
-            own = {name: changes[name] for name in names if name in changes}
-            parts[part] = replace(record, **own)
-        require_names("varied", changes, (), known)
+        parts = {part: getattr(self, part) for part in ("instruments", "skyhook", "feedforward")}
+        names = {part: list(record.__dataclass_fields__) for part, record in parts.items()}
+        require_names("varied", changes, (), [name for each in names.values() for name in each])
+        for part, record in parts.items():
+            parts[part] = replace(record, **{name: changes[name] for name in names[part] if name in changes})
         return replace(self, **parts)
 
     @cached_property
@@ -113,9 +109,8 @@ class Twin:
         settings = self.feedforward
         if settings.estimate == "diagonal":
             each = shaping.inverse_secondary_shaping(settings.shaping, settings.path, self.sample_time)
-            return ErrorFilter(
-                np.eye(self.outputs), np.repeat(each[None], self.outputs, axis=0), np.eye(self.outputs)
-            )
+            direct = np.eye(self.outputs)
+            return ErrorFilter(direct, np.repeat(each[None], self.outputs, axis=0), direct)
         return self._full_error_filter()
 
     def _full_error_filter(self) -> ErrorFilter:

@@ -24,6 +24,7 @@ SETTLE_S = 5.0  # cut off before anything is judged
 TRAINING_SHARE = 2 / 3  # of the floor, its first part; the weights never see the rest
 KEEP_EVERY_S = 0.2
 RESOLUTION_HZ = 0.25
+WINDOW = 10  # kept values that the picture of the adaptation summarises
 SAME = 0.1  # a change of the motion by less is called none: chosen
 OTHER = 2.0  # so many times louder or quieter, a floor is called another one: chosen
 _GRID = np.unique(np.concatenate([np.geomspace(0.02, 2400, 600), np.arange(1.0, 300.0, 0.5)]))
@@ -140,15 +141,20 @@ def optimum_left(
     """
     f = np.geomspace(*BAND_HZ, 1500)[:-1]
     twin, _ = hear(twin, floor.channels)
-    left: dict[str, list[float]] = {"passive": [], "feedback": [], "FeRLS": []}
+    left: dict[str, list[float]] = {name: [] for name in _cases(None)}
     for gain in require_array("gains", gains, ndim=1):
         scaled = replace(floor, levels=gain**2 * floor.levels)
         moved = band_power(f, scaled.density(f)[0], f[0], f[-1])
         weights = steady_state(twin, scaled, frequencies_hz=_GRID).weights
         for name, options in _cases(weights).items():
-            density = sum(expected_density(twin, scaled, f, sensed=False, **options).values())[0]
+            density = _expected(twin, scaled, f, options)
             left[name].append(np.sqrt(band_power(f, density, f[0], f[-1]) / moved))
     return {name: np.array(values) for name, values in left.items()}
+
+
+def _expected(twin: Twin, floor: SpectralFloor, f: np.ndarray, case: dict) -> np.ndarray:
+    """Density of the platform's true motion in z."""
+    return sum(expected_density(twin, floor, f, sensed=False, **case).values())[0]
 
 
 def described(floor: RecordedFloor) -> Iterator[str]:
@@ -158,9 +164,8 @@ def described(floor: RecordedFloor) -> Iterator[str]:
     rms, peak = 1e3 * floor.acceleration.std(axis=1), 1e3 * np.abs(floor.acceleration).max()
     yield f"Rms acceleration {_list(f'{each:.3g}' for each in rms)} mm/s², peak {peak:.3g} mm/s²."
     spectrum = estimate_spectrum(floor.acceleration, floor.sample_rate, RESOLUTION_HZ)
-    met = [
-        criterion_met(*one_third_octave_velocity(spectrum.frequencies_hz, row)) for row in spectrum.density
-    ]
+    f = spectrum.frequencies_hz
+    met = [criterion_met(*one_third_octave_velocity(f, row)) for row in spectrum.density]
     yield f"Finest criterion met at 8-80 Hz, by sensor: {_list(met)}."
 
 
@@ -224,7 +229,7 @@ _GROUPS = {
 }
 
 
-def paint_floor(floor: RecordedFloor, resolution_hz: float = 0.25):
+def paint_floor(floor: RecordedFloor):
     """The sensors' mean and what one sees beside it, over time; each in one-third-octave velocity."""
     figure, (left, right) = figures.new(1, 2, height=3.4)
     time_s = np.arange(floor.acceleration.shape[1]) / floor.sample_rate
@@ -234,7 +239,7 @@ def paint_floor(floor: RecordedFloor, resolution_hz: float = 0.25):
     if np.abs(own).max() > 1e-9 * np.abs(common).max():
         left.plot(time_s, own, lw=0.6, color=figures.ORANGE, label="sensor 1 less the mean")
     left.set(xlabel="time (s)", ylabel="floor acceleration (m/s²)")
-    spectrum = estimate_spectrum(floor.acceleration, floor.sample_rate, resolution_hz)
+    spectrum = estimate_spectrum(floor.acceleration, floor.sample_rate, RESOLUTION_HZ)
     for number, row in enumerate(spectrum.density, 1):
         centres, velocity = one_third_octave_velocity(spectrum.frequencies_hz, row)
         shown = (centres >= _SHOWN_HZ[0]) & (centres <= _SHOWN_HZ[1]) & (velocity > 1e-4 * velocity.max())
@@ -247,12 +252,12 @@ def paint_floor(floor: RecordedFloor, resolution_hz: float = 0.25):
     return figure
 
 
-def paint_isolated(isolated: Isolated, resolution_hz: float = 0.5):
+def paint_isolated(isolated: Isolated):
     """Spectra of floor and platform on the test part, by case; directions in which the floor rests are left out."""
     figure, axes = figures.new(1, int(np.sum(isolated.moving)), height=3.0, squeeze=False)
     signals = {"floor": isolated.floor, **isolated.platform}
     spectra = {
-        name: estimate_spectrum(rows[:, isolated.training :], isolated.sample_rate, resolution_hz)
+        name: estimate_spectrum(rows[:, isolated.training :], isolated.sample_rate, 2 * RESOLUTION_HZ)
         for name, rows in signals.items()
     }
     units = ("(m/s²)²/Hz", "(rad/s²)²/Hz", "(rad/s²)²/Hz")
@@ -269,19 +274,19 @@ def paint_isolated(isolated: Isolated, resolution_hz: float = 0.5):
     return figure
 
 
-def paint_adaptation(isolated: Isolated, window: int = 10):
+def paint_adaptation(isolated: Isolated):
     """How far the feedforward brings the filtered error down while it learns, and how far its weights still move.
 
-    Left the median and the central 80 % of `window` kept values; right the distance of each group of weights from
+    Left the median and the central 80 % of `WINDOW` kept values; right the distance of each group of weights from
     where the training part ends, over its size there.
     """
     figure, (left, right) = figures.new(1, 2, height=2.9)
     run = isolated.adaptation
-    whole = len(isolated.progress) // window * window
-    time_s = run.time_s[:whole].reshape(-1, window).mean(axis=1)
-    low, middle, high = np.quantile(isolated.progress[:whole].reshape(-1, window), [0.1, 0.5, 0.9], axis=1)
+    whole = len(isolated.progress) // WINDOW * WINDOW
+    time_s = run.time_s[:whole].reshape(-1, WINDOW).mean(axis=1)
+    low, middle, high = np.quantile(isolated.progress[:whole].reshape(-1, WINDOW), [0.1, 0.5, 0.9], axis=1)
     left.fill_between(time_s, low, high, color=_COLORS["FeRLS"], alpha=0.2, lw=0, label="central 80 %")
-    left.plot(time_s, middle, color=_COLORS["FeRLS"], lw=1.2, label="median of 2 s")
+    left.plot(time_s, middle, color=_COLORS["FeRLS"], lw=1.2, label=f"median of {WINDOW * KEEP_EVERY_S:g} s")
     left.axhline(1, color=figures.GREY, lw=0.8)
     left.set(xlabel="time (s)", ylabel="filtered error, power over\nthat without feedforward", ylim=(0, None))
     left.legend(loc="best")
@@ -319,8 +324,7 @@ def explore_floor(twin: Twin, floor: SpectralFloor):
         figure, axes = figures.new(1, 1, height=3.2)
         curves = {"floor": louder.density(f)[0]}
         for name, options in _cases(weights).items():
-            causes = expected_density(changed, louder, f, sensed=False, **options)
-            curves[name] = sum(causes.values())[0]
+            curves[name] = _expected(changed, louder, f, options)
         for name, density in curves.items():
             centres, velocity = one_third_octave_velocity(f, density)
             axes.loglog(centres, velocity, "o-", ms=2.5, lw=0.9, color=_COLORS[name], label=name)
