@@ -46,6 +46,22 @@ def plus_column(start, matrix, j, vector):
     return start
 
 
+@pasted_kernel
+def plus_left(start, matrix, i, vector):
+    """Start + what stands left of the diagonal in row `i`, times the vector."""
+    for j in range(i):
+        start += matrix[i, j] * vector[j]
+    return start
+
+
+@pasted_kernel
+def minus_left(start, matrix, i, vector):
+    """Start - what stands left of the diagonal in row `i`, times the vector."""
+    for j in range(i):
+        start -= matrix[i, j] * vector[j]
+    return start
+
+
 @inlined_kernel
 def add_scaled(factor, vector, target):
     """Target += factor vector."""
@@ -58,6 +74,16 @@ def set_product(matrix, vector, out):
     """Out = matrix vector."""
     for i in range(matrix.shape[0]):
         out[i] = plus_row(0.0, matrix, i, vector)
+
+
+@pasted_kernel
+def project(matrix, vector, start, out):
+    """Out = matrix vector; returns start + vector' out. In the precision of the matrix, as what calls it."""
+    zero = matrix.dtype.type(0)
+    for i in range(len(vector)):
+        out[i] = plus_row(zero, matrix, i, vector)
+        start += out[i] * vector[i]
+    return start
 
 
 @inlined_kernel
@@ -92,10 +118,7 @@ def congruence(matrix, middle, half, out):
     multiply(matrix, middle, half)
     for i in range(matrix.shape[0]):
         for j in range(i + 1):
-            total = 0.0
-            for k in range(matrix.shape[1]):
-                total += half[i, k] * matrix[j, k]
-            out[i, j] = out[j, i] = total
+            out[i, j] = out[j, i] = plus_row(0.0, half, i, matrix[j])
 
 
 @pasted_kernel
@@ -103,10 +126,7 @@ def multiply_transposed(left, right, out):
     """Out = left right'."""
     for i in range(left.shape[0]):
         for j in range(right.shape[0]):
-            total = 0.0
-            for k in range(left.shape[1]):
-                total += left[i, k] * right[j, k]
-            out[i, j] = total
+            out[i, j] = plus_row(0.0, left, i, right[j])
 
 
 @pasted_kernel
@@ -114,23 +134,13 @@ def add_square(factor, out):
     """Out += factor factor', on an exactly symmetric `out`."""
     for i in range(factor.shape[0]):
         for j in range(i + 1):
-            total = out[i, j]
-            for k in range(factor.shape[1]):
-                total += factor[i, k] * factor[j, k]
-            out[i, j] = out[j, i] = total
+            out[i, j] = out[j, i] = plus_row(out[i, j], factor, i, factor[j])
 
 
 @pasted_kernel
 def measure(covariance, rows, o, noise, cross):
     """Fill cross = covariance row' with row o; returns the variance of what is measured, row covariance row' + noise."""
-    variance = noise
-    for i in range(rows.shape[1]):
-        total = 0.0
-        for j in range(rows.shape[1]):
-            total += covariance[i, j] * rows[o, j]
-        cross[i] = total
-        variance += rows[o, i] * total
-    return variance
+    return project(covariance, rows[o], noise, cross)
 
 
 @pasted_kernel
@@ -147,9 +157,7 @@ def take_in_turn(covariance, rows, noise, gain, cross):
     for o in range(rows.shape[0]):
         variance = measure(covariance, rows, o, noise[o], cross)
         for j in range(o):
-            seen = 0.0
-            for i in range(rows.shape[1]):
-                seen += rows[o, i] * gain[i, j]
+            seen = plus_column(0.0, gain, j, rows[o])
             for i in range(rows.shape[1]):
                 gain[i, j] -= cross[i] / variance * seen
         for i in range(rows.shape[1]):
@@ -180,10 +188,7 @@ def factorise(information, alpha, right, factor, inverse_pivots, half, work):
 @inlined_kernel
 def solve_forward(factor, right, half):
     for i in range(len(half)):
-        rest = right[i]
-        for j in range(i):
-            rest -= factor[i, j] * half[j]
-        half[i] = rest
+        half[i] = minus_left(right[i], factor, i, half)
 
 
 @inlined_kernel
@@ -196,14 +201,12 @@ def solve_backward(factor, inverse_pivots, half, solution):
         solution[i] = rest
 
 
-@inlined_kernel
+@pasted_kernel
 def cholesky_root(matrix, root, size):
     """Lower root of a symmetric matrix; false when it is not positive definite."""
     for i in range(size):
         for j in range(i + 1):
-            total = matrix[i, j]
-            for k in range(j):
-                total -= root[i, k] * root[j, k]
+            total = minus_left(matrix[i, j], root, j, root[i])
             if i == j:
                 if not total > 0.0:
                     return False
@@ -211,3 +214,24 @@ def cholesky_root(matrix, root, size):
             else:
                 root[i, j] = total / root[j, j]
     return True
+
+
+@pasted_kernel
+def cholesky_solve(root, right, solution):
+    """Solution = (root root')^-1 right, with the lower root of `cholesky_root`; it may be `right`."""
+    n = len(solution)
+    for i in range(n):
+        solution[i] = minus_left(right[i], root, i, solution) / root[i, i]
+    for i in range(n - 1, -1, -1):
+        total = solution[i]
+        for j in range(i + 1, n):
+            total -= root[j, i] * solution[j]
+        solution[i] = total / root[i, i]
+
+
+@pasted_kernel
+def copy_matrix(source, target):
+    """In loops: a slice assignment would triple the time to compile."""
+    for i in range(source.shape[0]):
+        for j in range(source.shape[1]):
+            target[i, j] = source[i, j]
