@@ -14,9 +14,9 @@ Bierman, Factorization Methods for Discrete Sequential Estimation (1977); Haykin
 
 import numpy as np
 
+from stillwork.base.algebra import add_scaled, copy_vector, plus_column, plus_left, plus_row, project
 from stillwork.base.checks import InputError, require_choice
 from stillwork.base.front_door import checked
-from stillwork.base.algebra import add_scaled, copy_vector, plus_column, plus_left, plus_row, project
 from stillwork.base.kernels import borrowing_kernel, inlined_kernel, kernel, pasted_kernel
 
 FORMS = ("triangle", "Joseph", "square root", "UD", "inverse QR")
