@@ -122,7 +122,7 @@ def _update_eigenpairs(values, vectors, row, forgetting):
     O(n^2) but for the last product of the vectors, which costs 2 n^3.
     """
     n = len(values)
-    weights = np.empty(n)
+    weights = np.zeros(n)
     set_product(vectors, row, weights)
     length = inner(weights, weights)
     for i in range(n):
