@@ -11,10 +11,9 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.algebra import add_product, minus_row, plus_row, set_product
 from stillwork.base.checks import Converted, InputError, require_array, require_finite_run
 from stillwork.base.front_door import by_value, check_fields, checked
-from stillwork.base.kernels import borrowing_kernel
+from stillwork.base.kernels import kernel
 
 
 @by_value
@@ -118,22 +117,31 @@ def estimate(
     u = require_array("u", u, shape=(len(y), inputs, samples))
     initial = np.zeros(states) if initial is None else require_array("initial", initial, shape=(states,))
     out = np.zeros((len(y), samples, states))
-    out[:, 0] = initial
-    scratch = np.empty(states), np.empty(y.shape[1])
-    _estimate(gains.forward, gains.inputs, gains.gain, gains.outputs, u, y, *scratch, out)
+    _estimate(gains.forward, gains.inputs, gains.gain, gains.outputs, u, y, initial, out)
     require_finite_run("the estimate", out, "check the gains and the size of the record", axis=1)
     out = np.moveaxis(out, 1, 2)
     return np.ascontiguousarray(out[0] if single else out)
 
 
-@borrowing_kernel
-def _estimate(forward, inputs, gain, outputs, u, y, predicted, innovation, out):
-    runs, samples, _ = out.shape
+@kernel
+def _estimate(forward, inputs, gain, outputs, u, y, initial, out):
+    runs, samples, n = out.shape
+    predicted = np.zeros(n)
     for run in range(runs):
+        for i in range(n):
+            out[run, 0, i] = initial[i]
         for k in range(1, samples):
-            set_product(forward[k], out[run, k - 1], predicted)
-            add_product(inputs[k], u[run, :, k - 1], predicted)
-            for j in range(len(innovation)):
-                innovation[j] = minus_row(y[run, j, k], outputs[k], j, predicted)
-            for i in range(len(predicted)):
-                out[run, k, i] = plus_row(predicted[i], gain[k], i, innovation)
+            for i in range(n):
+                total = 0.0
+                for j in range(n):
+                    total += forward[k, i, j] * out[run, k - 1, j]
+                for j in range(u.shape[1]):
+                    total += inputs[k, i, j] * u[run, j, k - 1]
+                predicted[i] = total
+                out[run, k, i] = total
+            for j in range(y.shape[1]):
+                innovation = y[run, j, k]
+                for i in range(n):
+                    innovation -= outputs[k, j, i] * predicted[i]
+                for i in range(n):
+                    out[run, k, i] += gain[k, i, j] * innovation
