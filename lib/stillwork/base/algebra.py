@@ -221,19 +221,6 @@ def cholesky_root(matrix, root, size):
 
 
 @pasted_kernel
-def cholesky_solve(root, right, solution):
-    """Solution = (root root')^-1 right, with the lower root of `cholesky_root`; it may be `right`."""
-    n = len(solution)
-    for i in range(n):
-        solution[i] = minus_left(right[i], root, i, solution) / root[i, i]
-    for i in range(n - 1, -1, -1):
-        total = solution[i]
-        for j in range(i + 1, n):
-            total -= root[j, i] * solution[j]
-        solution[i] = total / root[i, i]
-
-
-@pasted_kernel
 def copy_matrix(source, target):
     """In loops: a slice assignment would triple the time to compile."""
     for i in range(source.shape[0]):

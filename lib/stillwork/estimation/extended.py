@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from stillwork.base.algebra import multiply, multiply_transposed, plus_column, plus_row
-from stillwork.base.kernels import borrowing_kernel, pasted_kernel
+from stillwork.base.kernels import borrowing_kernel
 from stillwork.estimation.gaussian import (
     COVARIANCE,
     CROSS,
@@ -21,25 +20,41 @@ from stillwork.estimation.gaussian import (
 JACOBIAN, OBSERVATION = POINTS, OBSERVED  # the two blocks that the unscented filter fills with points
 
 
-@pasted_kernel
+@borrowing_kernel
 def predict_extended(work, process, size):
     """P = F P F' + Q."""
-    covariance, jacobian = work[COVARIANCE, :size], work[JACOBIAN, :size]
-    product = work[CROSS, :size]
-    multiply(jacobian, covariance, product)
+    covariance, jacobian, product = work[COVARIANCE], work[JACOBIAN], work[CROSS]
+    for i in range(size):
+        for j in range(size):
+            total = 0.0
+            for k in range(size):
+                total += jacobian[i, k] * covariance[k, j]
+            product[i, j] = total
     for i in range(size):
         for j in range(i + 1):
-            covariance[i, j] = covariance[j, i] = plus_row(process[i, j], product, i, jacobian[j])
+            total = process[i, j]
+            for k in range(size):
+                total += product[i, k] * jacobian[j, k]
+            covariance[i, j] = total
+            covariance[j, i] = total
 
 
-@pasted_kernel
+@borrowing_kernel
 def correct_extended(work, noise, size, outputs):
     """Cross covariance P H', innovation H P H' + R, and the correction."""
-    observation, cross = work[OBSERVATION, :outputs], work[CROSS, :size, :outputs]
-    multiply_transposed(work[COVARIANCE, :size], observation, cross)
+    covariance, observation, cross = work[COVARIANCE], work[OBSERVATION], work[CROSS]
+    for i in range(size):
+        for j in range(outputs):
+            total = 0.0
+            for k in range(size):
+                total += covariance[i, k] * observation[j, k]
+            cross[i, j] = total
     for i in range(outputs):
         for j in range(outputs):
-            work[INNOVATION, i, j] = plus_column(noise[i, j], cross, j, observation[i])
+            total = noise[i, j]
+            for k in range(size):
+                total += observation[i, k] * cross[k, j]
+            work[INNOVATION, i, j] = total
     return correct_gaussian(work, size, outputs)
 
 

@@ -5,13 +5,13 @@ Their workspace is a stack of square blocks, one a name below; the block MEANS h
 
 import numpy as np
 
-from stillwork.base.algebra import cholesky_root, cholesky_solve, minus_row, plus_row
+from stillwork.base.algebra import cholesky_root
 from stillwork.base.checks import InputError, require_array
 from stillwork.base.kernels import pasted_kernel
 
 POINTS, OBSERVED, COVARIANCE, ROOT, INNOVATION, CROSS, GAIN, MEANS = range(8)
 BLOCKS = 8
-ESTIMATE, EXPECTED, MEASURED, SURPRISE, PAST = range(5)  # rows of MEANS
+ESTIMATE, EXPECTED, MEASURED, SCRATCH, PAST = range(5)  # rows of MEANS
 
 
 def require_covariance(name: str, value, size: int, *, definite: bool = True) -> np.ndarray:
@@ -37,16 +37,28 @@ def require_covariance(name: str, value, size: int, *, definite: bool = True) ->
 @pasted_kernel
 def correct_gaussian(work, size, outputs):
     """(17): gain = cross innovation^-1, mean += gain (z - expected), P -= gain innovation gain'."""
-    covariance, root, means = work[COVARIANCE], work[ROOT], work[MEANS]
-    cross, gain = work[CROSS, :, :outputs], work[GAIN, :, :outputs]
-    surprise = means[SURPRISE]
-    if not cholesky_root(work[INNOVATION], root, outputs):
+    covariance, innovation, cross = work[COVARIANCE], work[INNOVATION], work[CROSS]
+    gain, root, means = work[GAIN], work[ROOT], work[MEANS]
+    if not cholesky_root(innovation, root, outputs):
         return False
-    for j in range(outputs):
-        surprise[j] = means[MEASURED, j] - means[EXPECTED, j]
     for i in range(size):
-        cholesky_solve(root, cross[i], gain[i])
-        means[ESTIMATE, i] = plus_row(means[ESTIMATE, i], gain, i, surprise)
+        for j in range(outputs):
+            total = cross[i, j]
+            for k in range(j):
+                total -= root[j, k] * means[SCRATCH, k]
+            means[SCRATCH, j] = total / root[j, j]
+        for j in range(outputs - 1, -1, -1):
+            total = means[SCRATCH, j]
+            for k in range(j + 1, outputs):
+                total -= root[k, j] * gain[i, k]
+            gain[i, j] = total / root[j, j]
+    for i in range(size):
+        for j in range(outputs):
+            means[ESTIMATE, i] += gain[i, j] * (means[MEASURED, j] - means[EXPECTED, j])
         for j in range(i + 1):  # gain innovation gain' = cross gain'
-            covariance[i, j] = covariance[j, i] = minus_row(covariance[i, j], cross, i, gain[j])
+            total = covariance[i, j]
+            for k in range(outputs):
+                total -= cross[i, k] * gain[j, k]
+            covariance[i, j] = total
+            covariance[j, i] = total
     return True
