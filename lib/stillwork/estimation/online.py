@@ -276,9 +276,7 @@ def _run(settings, regressors, name, signals, weights, every) -> Adaptation:
     start = require_array("weights", start, shape=(actuators, n))
     history = np.empty((samples // every, actuators, n))
     fits = name == "disturbance"
-    ceiling = (
-        RUNAWAY * (np.abs(signals).max() + np.abs(signals + start @ regressors).max()) if samples else 0.0
-    )
+    ceiling = RUNAWAY * (np.abs(signals).max() + np.abs(signals + start @ regressors).max())
     dtype = settings.dtype if isinstance(settings, FeRls) else "float64"
     inputs = (
         np.ascontiguousarray(regressors.T, dtype),

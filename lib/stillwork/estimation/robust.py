@@ -30,7 +30,7 @@ from stillwork.base.algebra import (
 from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.base.kernels import inlined_kernel, kernel, pasted_kernel
-from stillwork.estimation.time_varying import FilterGains, TimeVaryingModel
+from stillwork.estimation.time_varying import FilterGains, TimeVaryingModel, require_per_sample
 
 
 @by_value
@@ -68,8 +68,8 @@ class Derivatives:
         """S, T and M of (5.24), with the rows of all parameters stacked: both kinds, all outputs."""
         samples, outputs, states = model.c.shape
         inputs, disturbances = model.b.shape[2], model.g.shape[2]
-        count = len(require_array("derivatives.a", self.a, shape=(None, states, states)))
-        a = require_array("derivatives.a", self.a, ndim=3)
+        a = require_array("derivatives.a", self.a, shape=(None, states, states))
+        count = len(a)
         b = require_array("derivatives.b", self.b, shape=(count, states, inputs))
         g = require_array("derivatives.g", self.g, shape=(count, states, disturbances))
         c = require_array("derivatives.c", self.c, shape=(samples, count, outputs, states))
@@ -125,10 +125,8 @@ def bound_rows(model: TimeVaryingModel, bound: NormBound):
     """S, T and M of a norm bound at every sample, as `Derivatives.rows` gives them, and its directions."""
     samples, outputs, states = model.c.shape
 
-    def spread(name, columns):
-        value = require_array(f"bound.{name}", getattr(bound, name))
-        value = np.broadcast_to(value, (samples, *value.shape)) if value.ndim == 2 else value
-        return require_array(f"bound.{name}", value, shape=(samples, *columns))
+    def spread(name, shape):
+        return require_per_sample(f"bound.{name}", getattr(bound, name), samples, shape)
 
     m = spread("m", (outputs, None))
     e_a = spread("e_a", (None, states))
