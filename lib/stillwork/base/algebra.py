@@ -78,7 +78,7 @@ def set_product(matrix, vector, out):
 
 @pasted_kernel
 def project(matrix, vector, start, out):
-    """Out = matrix vector; returns start + vector' out, all in the precision of the matrix."""
+    """Out = matrix vector; returns start + vector' out. In the precision of the matrix, as what calls it."""
     zero = matrix.dtype.type(0)
     for i in range(len(vector)):
         out[i] = plus_row(zero, matrix, i, vector)
@@ -189,10 +189,10 @@ def factorise(information, alpha, right, factor, inverse_pivots, half, work):
 def solve_forward(factor, right, half):
     # Written out: of a call, a kernel compiled for its number of unknowns would not unroll the loop.
     for i in range(len(half)):
-        rest = right[i]
+        total = right[i]
         for j in range(i):
-            rest -= factor[i, j] * half[j]
-        half[i] = rest
+            total -= factor[i, j] * half[j]
+        half[i] = total
 
 
 @inlined_kernel
@@ -221,8 +221,27 @@ def cholesky_root(matrix, root, size):
 
 
 @pasted_kernel
+def cholesky_solve(root, right, solution):
+    """Solution = (root root')^-1 right, with the lower root of `cholesky_root`; it may be `right`."""
+    n = len(solution)
+    for i in range(n):
+        solution[i] = minus_left(right[i], root, i, solution) / root[i, i]
+    for i in range(n - 1, -1, -1):
+        total = solution[i]
+        for j in range(i + 1, n):
+            total -= root[j, i] * solution[j]
+        solution[i] = total / root[i, i]
+
+
+@pasted_kernel
 def copy_matrix(source, target):
     """In loops: a slice assignment would triple the time to compile."""
     for i in range(source.shape[0]):
         for j in range(source.shape[1]):
             target[i, j] = source[i, j]
+
+
+@pasted_kernel
+def squared_size(number):
+    """Of a complex number: real^2 + imag^2."""
+    return number.real * number.real + number.imag * number.imag
