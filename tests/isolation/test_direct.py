@@ -6,8 +6,9 @@ from hypothesis import strategies as st
 from experiments.isolation.direct import FORMS, average_gain, direct_run, largest_condition, multiplications
 from naive import adaptation as naive
 from naive import counting
+from stillwork.base import algebra
 from stillwork.base.checks import InputError
-from stillwork.estimation import adaptive
+from stillwork.estimation import adaptive, covariance_forms
 
 
 def record(n=3, actuators=2, samples=60):
@@ -66,8 +67,16 @@ def test_multiplications_are_those_of_the_update_written_out(actuators, n, monke
     def objects(array):
         return np.array(counting.counted(array), dtype=object)
 
-    monkeypatch.setattr(adaptive, "update_covariance", adaptive.update_covariance.py_func)
-    monkeypatch.setattr(adaptive, "step_weights", adaptive.step_weights.py_func)
+    for module, name in (
+        (adaptive, "update_covariance"),
+        (adaptive, "step_weights"),
+        (adaptive, "add_scaled"),
+        (adaptive, "inner"),
+        (covariance_forms, "project"),
+        (covariance_forms, "shrink_along"),
+        (algebra, "plus_row"),
+    ):
+        monkeypatch.setattr(module, name, getattr(module, name).py_func)
     monkeypatch.setattr(adaptive, "watch_power", lambda *_: None)  # of the limit, which is not the paper's
     counting.Counted.count = 0
     adaptive.ferls_update.py_func(

@@ -17,6 +17,9 @@ class Counted:
     def __sub__(self, other):
         return Counted(self.value - value_of(other))
 
+    def __neg__(self):
+        return Counted(-self.value)
+
     def __mul__(self, other):
         Counted.count += 1
         return Counted(self.value * value_of(other))

@@ -44,9 +44,34 @@ def test_sums_of_products_are_numpys(rows, columns, seed):
     assert algebra.plus_row(0.3, a, i, x) == pytest.approx(0.3 + a[i] @ x, abs=1e-13)
     assert algebra.minus_row(0.3, a, i, x) == pytest.approx(0.3 - a[i] @ x, abs=1e-13)
     assert algebra.plus_column(0.3, a, j, y) == pytest.approx(0.3 + a[:, j] @ y, abs=1e-13)
+    size = min(rows, columns)
+    left = np.tril(a, -1)[size - 1] @ x
+    assert algebra.plus_left(0.3, a, size - 1, x) == pytest.approx(0.3 + left, abs=1e-13)
+    assert algebra.minus_left(0.3, a, size - 1, x) == pytest.approx(0.3 - left, abs=1e-13)
     target = y.copy()
     algebra.add_scaled(0.7, a[:, j], target)
     np.testing.assert_allclose(target, y + 0.7 * a[:, j], rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("precision", [np.float64, np.float32])
+def test_projection_keeps_the_precision_of_the_matrix(precision, rng):
+    matrix, vector = rng.standard_normal((3, 3)).astype(precision), rng.standard_normal(3).astype(precision)
+    out = np.empty(3, precision)
+    found = algebra.project(matrix, vector, precision(0.5), out)
+    summed = precision(0.5)
+    for i in range(3):
+        total = precision(0)
+        for j in range(3):
+            total += matrix[i, j] * vector[j]
+        assert out[i] == total
+        summed += total * vector[i]
+    assert found == summed
+
+
+def test_a_matrix_is_copied(rng):
+    source, target = rng.standard_normal((2, 3)), np.zeros((2, 3))
+    algebra.copy_matrix(source, target)
+    np.testing.assert_array_equal(target, source)
 
 
 def test_a_state_moves_on_with_its_input(rng):

@@ -187,8 +187,12 @@ def factorise(information, alpha, right, factor, inverse_pivots, half, work):
 
 @inlined_kernel
 def solve_forward(factor, right, half):
+    # Written out: of a call, a kernel compiled for its number of unknowns would not unroll the loop.
     for i in range(len(half)):
-        half[i] = minus_left(right[i], factor, i, half)
+        total = right[i]
+        for j in range(i):
+            total -= factor[i, j] * half[j]
+        half[i] = total
 
 
 @inlined_kernel

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
+from stillwork.base.algebra import add_scaled, inner
 from stillwork.base.checks import (
     Converted,
     InputError,
@@ -21,7 +22,7 @@ from stillwork.base.checks import (
     require_number,
 )
 from stillwork.base.front_door import by_value, checked, own_arrays
-from stillwork.base.kernels import inlined_kernel, kernel, pasted_kernel
+from stillwork.base.kernels import borrowing_kernel, inlined_kernel, kernel, pasted_kernel
 from stillwork.estimation.covariance_forms import (
     FORMS,
     TRIANGLE,
@@ -269,7 +270,7 @@ def ferls_ud_update(weights, matrix, forgetting, levels, allowance, gain, inner,
     return denominator, variance(UD, matrix, axis) > levels[0, axis]
 
 
-@kernel
+@borrowing_kernel
 def ferls_form_update(
     weights, matrix, form, forgetting, levels, allowance, gain, inner, other, regressor, error, sample
 ):
@@ -293,9 +294,7 @@ def step_weights(weights, gain, shrink, error):
     for i in range(len(gain)):
         gain[i] *= shrink
     for a in range(weights.shape[0]):
-        scaled = error[a]
-        for i in range(len(gain)):
-            weights[a, i] -= scaled * gain[i]
+        add_scaled(-error[a], gain, weights[a])
 
 
 @inlined_kernel
@@ -351,12 +350,6 @@ def felms_update(weights, regressor, error, step_size, regularisation, trace_cop
     The trace counts psi_N' psi_N `trace_copies` times: the number of actuators for the literal trace of eq. (18), 1
     for the trace over the regressors.
     """
-    n = len(regressor)
-    power = 0.0
-    for i in range(n):
-        power += regressor[i] * regressor[i]
-    rate = step_size / (regularisation + trace_copies * power)
+    rate = step_size / (regularisation + trace_copies * inner(regressor, regressor))
     for a in range(weights.shape[0]):
-        scaled = rate * error[a]
-        for i in range(n):
-            weights[a, i] -= scaled * regressor[i]
+        add_scaled(-rate * error[a], regressor, weights[a])

@@ -14,9 +14,10 @@ Bierman, Factorization Methods for Discrete Sequential Estimation (1977); Haykin
 
 import numpy as np
 
+from stillwork.base.algebra import add_scaled, copy_vector, plus_column, plus_left, plus_row, project
 from stillwork.base.checks import InputError, require_choice
 from stillwork.base.front_door import checked
-from stillwork.base.kernels import inlined_kernel, kernel
+from stillwork.base.kernels import borrowing_kernel, inlined_kernel, kernel, pasted_kernel
 
 FORMS = ("triangle", "Joseph", "square root", "UD", "inverse QR")
 TRIANGLE, JOSEPH, SQUARE_ROOT, UD, INVERSE_QR = range(5)
@@ -61,72 +62,57 @@ def update_covariance(covariance, regressor, forgetting, gain):
     One triangle is computed and mirrored: rounding that differs between the two grows as 1 / lambda^t.
     Returns lambda + psi' P psi and its inverse, which takes `gain` to P psi with the new P.
     """
-    one = covariance.dtype.type(1)
-    n = len(regressor)
-    denominator = forgetting
-    for i in range(n):
-        total = covariance.dtype.type(0)
-        for j in range(n):
-            total += covariance[i, j] * regressor[j]
-        gain[i] = total
-        denominator += total * regressor[i]
+    one, denominator = covariance.dtype.type(1), project(covariance, regressor, forgetting, gain)
     shrink = one / denominator
-    forget = one / forgetting
-    for i in range(n):
-        scaled = gain[i] * shrink
-        for j in range(i + 1):
-            value = (covariance[i, j] - scaled * gain[j]) * forget
-            covariance[i, j] = value
-            covariance[j, i] = value
+    shrink_along(covariance, gain, shrink, one / forgetting)
     return denominator, shrink
 
 
-@kernel
+@pasted_kernel
+def shrink_along(covariance, gain, share, forget):
+    """P <- (P - share gain gain') forget."""
+    for i in range(len(gain)):
+        scaled = gain[i] * share
+        for j in range(i + 1):
+            covariance[i, j] = covariance[j, i] = (covariance[i, j] - scaled * gain[j]) * forget
+
+
+@borrowing_kernel
 def update_joseph(covariance, regressor, forgetting, gain, row):
     """(I - k psi') P (I - k psi')' / lambda + k k' with k = g / den, in place."""
-    one, n = covariance.dtype.type(1), len(regressor)
-    denominator = forgetting
+    zero, one, n = covariance.dtype.type(0), covariance.dtype.type(1), len(regressor)
+    denominator = project(covariance, regressor, forgetting, gain)
     for i in range(n):
-        total, left = covariance.dtype.type(0), covariance.dtype.type(0)
-        for j in range(n):
-            total += covariance[i, j] * regressor[j]
-            left += covariance[j, i] * regressor[j]
-        gain[i], row[i] = total, left
-        denominator += total * regressor[i]
+        row[i] = plus_column(zero, covariance, i, regressor)
     shrink, forget = one / denominator, one / forgetting
     for i in range(n):
-        share, back = gain[i] * shrink, covariance.dtype.type(0)
-        for j in range(n):
-            covariance[i, j] -= share * row[j]
-            back += covariance[i, j] * regressor[j]
+        share = gain[i] * shrink
+        add_scaled(-share, row, covariance[i])
+        back = plus_row(zero, covariance, i, regressor)
         for j in range(n):
             step = gain[j] * shrink
             covariance[i, j] = (covariance[i, j] - back * step) * forget + share * step
     return denominator
 
 
-@kernel
+@borrowing_kernel
 def update_square_root(root, regressor, forgetting, gain, inner):
     """Potter's update of S in place."""
-    one, n = root.dtype.type(1), len(regressor)
+    zero, one, n = root.dtype.type(0), root.dtype.type(1), len(regressor)
     for j in range(n):
         inner[j] = 0
     for i in range(n):
-        for j in range(n):
-            inner[j] += root[i, j] * regressor[i]
+        add_scaled(regressor[i], root[i], inner)
     denominator = forgetting
     for j in range(n):
         denominator += inner[j] * inner[j]
     share = one / (denominator + np.sqrt(forgetting * denominator))
     forget = one / np.sqrt(forgetting)
     for i in range(n):
-        total = root.dtype.type(0)
+        gain[i] = plus_row(zero, root, i, inner)
+        scaled = gain[i] * share
         for j in range(n):
-            total += root[i, j] * inner[j]
-        gain[i] = total
-        total *= share
-        for j in range(n):
-            root[i, j] = (root[i, j] - total * inner[j]) * forget
+            root[i, j] = (root[i, j] - scaled * inner[j]) * forget
     return denominator
 
 
@@ -136,10 +122,7 @@ def update_ud(factor, regressor, forgetting, gain, inner):
     n = len(regressor)
     forget = factor.dtype.type(1) / forgetting
     for j in range(n):
-        total = regressor[j]
-        for i in range(j):
-            total += factor[j, i] * regressor[i]
-        inner[j] = total
+        inner[j] = plus_left(regressor[j], factor, j, regressor)
     denominator = forgetting
     for j in range(n):
         share = factor[j, j] * inner[j]
@@ -155,17 +138,14 @@ def update_ud(factor, regressor, forgetting, gain, inner):
     return denominator
 
 
-@kernel
+@borrowing_kernel
 def update_inverse_qr(factor, regressor, forgetting, gain, inner):
     """Givens rotations of [sqrt(lambda), psi' U; 0, U] to [sqrt(den), 0; g / sqrt(den), sqrt(lambda) U], in place."""
-    n = len(regressor)
+    n, zero = len(regressor), factor.dtype.type(0)
     root = np.sqrt(forgetting)
     forget = factor.dtype.type(1) / root
     for j in range(n):
-        total = factor.dtype.type(0)
-        for i in range(j + 1):
-            total += factor[j, i] * regressor[i]
-        inner[j] = total
+        inner[j] = plus_left(zero, factor, j, regressor) + factor[j, j] * regressor[j]
         gain[j] = 0
     denominator = forgetting
     for j in range(n):
@@ -200,39 +180,26 @@ def update_form(form, matrix, regressor, forgetting, gain, inner):
     return update_inverse_qr(matrix, regressor, forgetting, gain, inner)
 
 
-@inlined_kernel
+@pasted_kernel
 def variance(form, matrix, axis):
     """Diagonal element of P."""
-    n = len(matrix)
-    total = matrix.dtype.type(0)
-    if form == TRIANGLE or form == JOSEPH:
-        total = matrix[axis, axis]
-    elif form == SQUARE_ROOT:
-        for j in range(n):
-            total += matrix[axis, j] * matrix[axis, j]
-    elif form == INVERSE_QR:
-        for j in range(axis, n):
-            total += matrix[j, axis] * matrix[j, axis]
-    else:
-        total = matrix[axis, axis]
-        for j in range(axis + 1, n):
+    zero, total = matrix.dtype.type(0), matrix[axis, axis]
+    if form == SQUARE_ROOT:
+        return plus_row(zero, matrix, axis, matrix[axis])
+    if form == INVERSE_QR:
+        return plus_column(zero, matrix, axis, matrix[:, axis])
+    if form == UD:
+        for j in range(axis + 1, len(matrix)):
             total += matrix[j, axis] * matrix[j, axis] * matrix[j, j]
     return total
 
 
-@kernel
+@borrowing_kernel
 def add_triangle_information(covariance, axis, information, gain):
     """`add_information` of the triangle: P stays symmetric."""
-    one, n = covariance.dtype.type(1), len(covariance)
-    for j in range(n):
-        gain[j] = covariance[axis, j]
-    share = information / (one + information * gain[axis])
-    for j in range(n):
-        scaled = gain[j] * share
-        for k in range(j + 1):
-            value = covariance[j, k] - scaled * gain[k]
-            covariance[j, k] = value
-            covariance[k, j] = value
+    copy_vector(covariance[axis], gain)
+    one = covariance.dtype.type(1)
+    shrink_along(covariance, gain, information / (one + information * gain[axis]), one)
 
 
 @kernel

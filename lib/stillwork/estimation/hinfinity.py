@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stillwork.base.algebra import add_square, condition, congruence, measure, take_in_turn
+from stillwork.base.algebra import add_square, condition, congruence, copy_matrix, measure, take_in_turn
 from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.base.front_door import checked
 from stillwork.base.kernels import kernel
@@ -82,7 +82,5 @@ def _riccati(a, g, c, wanted, gain, covariance):
         congruence(a[k], p, half, p)
         add_square(g[k], p)
         take_in_turn(p, c[k], noise, gain[k], v)
-        for i in range(n):
-            for j in range(n):
-                covariance[k, i, j] = p[i, j]
+        copy_matrix(p, covariance[k])
     return 0

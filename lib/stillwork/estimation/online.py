@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float, Float64, Int64
 from numpy.typing import ArrayLike
 
+from stillwork.base.algebra import copy_matrix, plus_row
 from stillwork.base.checks import InputError, require_array, require_count, require_kind, require_number
 from stillwork.base.front_door import by_value, checked
 from stillwork.base.kernels import kernel
@@ -275,9 +276,7 @@ def _run(settings, regressors, name, signals, weights, every) -> Adaptation:
     start = require_array("weights", start, shape=(actuators, n))
     history = np.empty((samples // every, actuators, n))
     fits = name == "disturbance"
-    ceiling = (
-        RUNAWAY * (np.abs(signals).max() + np.abs(signals + start @ regressors).max()) if samples else 0.0
-    )
+    ceiling = RUNAWAY * (np.abs(signals).max() + np.abs(signals + start @ regressors).max())
     dtype = settings.dtype if isinstance(settings, FeRls) else "float64"
     inputs = (
         np.ascontiguousarray(regressors.T, dtype),
@@ -329,12 +328,9 @@ def _error_of(weights, regressor, disturbance, error):
     """Fill e = d + W psi; returns its largest magnitude, NaN if any is."""
     largest = 0.0
     for a in range(len(error)):
-        total = disturbance[a]
-        for i in range(len(regressor)):
-            total += weights[a, i] * regressor[i]
-        error[a] = total
-        if not abs(total) <= largest:
-            largest = abs(total)
+        error[a] = plus_row(disturbance[a], weights, a, regressor)
+        if not abs(error[a]) <= largest:
+            largest = abs(error[a])
     return largest
 
 
@@ -346,14 +342,6 @@ def _all_finite(matrix):
         for j in range(matrix.shape[1]):
             bad += not abs(matrix[i, j]) < np.inf
     return bad == 0
-
-
-@kernel
-def _keep(weights, entry):
-    """Copy, in loops: assigning whole arrays takes the compiler two seconds."""
-    for a in range(weights.shape[0]):
-        for i in range(weights.shape[1]):
-            entry[a, i] = weights[a, i]
 
 
 @kernel
@@ -374,7 +362,7 @@ def run_ferls(weights, recursion, inner, other, regressors, signals, fits, ceili
         if not leverage < np.inf or (watch and not (_all_finite(matrix) and _all_finite(weights))):
             return k, True
         if k == due:
-            _keep(weights, history[k // every])
+            copy_matrix(weights, history[k // every])
             due += every
     return len(regressors), True
 
@@ -404,6 +392,6 @@ def run_felms(
         if watch and not _all_finite(weights):
             return k
         if k == due:
-            _keep(weights, history[k // every])
+            copy_matrix(weights, history[k // every])
             due += every
     return len(regressors)

@@ -7,6 +7,7 @@ that belong exactly to the computed eigenvalues, so that they are orthogonal to 
 
 import numpy as np
 
+from stillwork.base.algebra import add_scaled, copy_vector, inner, minus_row, set_product
 from stillwork.base.kernels import kernel
 from stillwork.estimation.recursive_kernels import ALPHA, COUNT, ENERGY
 from stillwork.estimation.secular import secular_root
@@ -25,10 +26,7 @@ def _eigenvalue(poles, weights, j, differences):
     """
     k = len(poles)
     last = j == k - 1
-    size = 0.0
-    for i in range(k):
-        size += weights[i] * weights[i]
-    width = size if last else poles[j + 1] - poles[j]
+    width = inner(weights, weights) if last else poles[j + 1] - poles[j]
     middle = 1.0
     for i in range(k):
         middle += weights[i] * weights[i] / ((poles[i] - poles[j]) - 0.5 * width)
@@ -125,12 +123,10 @@ def _update_eigenpairs(values, vectors, row, forgetting):
     """
     n = len(values)
     weights = np.zeros(n)
-    length = 0.0
+    set_product(vectors, row, weights)
+    length = inner(weights, weights)
     for i in range(n):
         values[i] *= forgetting
-        for m in range(n):
-            weights[i] += vectors[i, m] * row[m]
-        length += weights[i] * weights[i]
     if length == 0.0:
         return
     scale = max(values[n - 1], length)
@@ -158,20 +154,17 @@ def _update_eigenpairs(values, vectors, row, forgetting):
         poles_weights[i] = np.copysign(np.sqrt(max(product, 0.0)), poles_weights[i])
     old = np.zeros((count, n))
     for j in range(count):
-        size = 0.0
+        vector = new_vectors[j]
         for i in range(count):
-            new_vectors[j, i] = poles_weights[i] / new_vectors[j, i]
-            size += new_vectors[j, i] * new_vectors[j, i]
-        size = np.sqrt(size)
+            vector[i] = poles_weights[i] / vector[i]
+        size = np.sqrt(inner(vector, vector))
         for i in range(count):
-            new_vectors[j, i] /= size
-        for m in range(n):
-            old[j, m] = vectors[kept[j], m]
+            vector[i] /= size
+        copy_vector(vectors[kept[j]], old[j])
     turned = np.dot(new_vectors, old)
     for j in range(count):
         values[kept[j]] = new_values[j]
-        for m in range(n):
-            vectors[kept[j], m] = turned[j, m]
+        copy_vector(turned[j], vectors[kept[j]])
     for i in range(n):
         values[i] *= scale
         # into ascending order: few are out of place, for only those that the update left alone can be passed
@@ -193,13 +186,10 @@ def run_fast(
     shares = np.zeros(n)
     squares = np.zeros(n)
     for t in range(len(outputs)):
-        error = outputs[t]
-        size = 0.0
+        errors[t] = minus_row(outputs[t], rows, t, estimate)
         for i in range(n):
-            error -= rows[t, i] * estimate[i]
             correlation[i] = forgetting * correlation[i] + rows[t, i] * outputs[t]
-            size += correlation[i] * correlation[i]
-        errors[t] = error
+        size = inner(correlation, correlation)
         scalars[ENERGY] = forgetting * scalars[ENERGY] + outputs[t] * outputs[t]
         scalars[COUNT] += 1.0
         _update_eigenpairs(values, vectors, rows[t], forgetting)
@@ -210,10 +200,8 @@ def run_fast(
         if scalars[COUNT] > n and max(bounds[t] * bounds[t] * scalars[ENERGY], FORGOTTEN) < size:
             excess = scalars[ENERGY]
             mean = 0.0
+            set_product(vectors, correlation, shares)
             for i in range(n):
-                shares[i] = 0.0
-                for m in range(n):
-                    shares[i] += vectors[i, m] * correlation[m]
                 mean += values[i] / n
             # below rounding an eigenvalue holds no information; after a silence all but one are
             first = 0
@@ -225,11 +213,8 @@ def run_fast(
             start = scalars[ALPHA] if scalars[ALPHA] < np.inf else mean
             alpha, count = secular_root(values[first:], squares[first:], max(excess, 0.0), bounds[t], start)
             for i in range(first, n):
-                share = shares[i] / (values[i] + alpha)
-                for m in range(n):
-                    estimate[m] += share * vectors[i, m]
+                add_scaled(shares[i] / (values[i] + alpha), vectors[i], estimate)
         scalars[ALPHA] = alpha
         alphas[t] = alpha
         evaluations[t] = count
-        for i in range(n):
-            estimates[t, i] = estimate[i]
+        copy_vector(estimate, estimates[t])

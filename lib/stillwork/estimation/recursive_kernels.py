@@ -6,7 +6,15 @@ s <- lam s + a y, `energy` z <- lam z + y^2, the regularisation alpha, the numbe
 
 import numpy as np
 
-from stillwork.base.algebra import copy_vector, factorise, solve_backward, solve_forward
+from stillwork.base.algebra import (
+    add_scaled,
+    copy_vector,
+    factorise,
+    minus_row,
+    plus_left,
+    solve_backward,
+    solve_forward,
+)
 from stillwork.base.kernels import inlined_kernel, kernel
 from stillwork.estimation.covariance_forms import add_triangle_information, update_covariance
 from stillwork.estimation.secular import ROUNDING, narrow_bracket, next_alpha
@@ -45,10 +53,8 @@ def _squared_norms(information, correlation, energy, solution):
     norm = 0.0
     residual = energy
     for i in range(len(solution)):
-        inner = 0.5 * information[i, i] * solution[i] - correlation[i]
-        for j in range(i):
-            inner += information[i, j] * solution[j]
-        residual += 2.0 * inner * solution[i]
+        half = 0.5 * information[i, i] * solution[i] - correlation[i]
+        residual += 2.0 * plus_left(half, information, i, solution) * solution[i]
         norm += solution[i] * solution[i]
     return norm, max(residual, 0.0)
 
@@ -148,8 +154,7 @@ def run_min_max(
                 weight += half[i] * half[i] * inverse_pivots[i]
             share = error / weight
             solve_backward(factor, inverse_pivots, half, gain)
-            for i in range(n):  # h = x + P a e / (lam + a'P a)
-                x[i] += gain[i] * share
+            add_scaled(share, gain, x)  # h = x + P a e / (lam + a'P a)
             for _ in range(iterations):
                 norm, residual = _squared_norms(information, correlation, energy, x)
                 alpha = max(bound * np.sqrt(residual / norm), least)
@@ -158,8 +163,7 @@ def run_min_max(
             count = iterations
         alphas[t] = alpha
         evaluations[t] = count
-        for i in range(n):
-            estimates[t, i] = x[i]
+        copy_vector(x, estimates[t])
     copy_vector(x, estimate)
     scalars[ALPHA] = alpha
     scalars[ENERGY] = energy
@@ -174,18 +178,12 @@ def run_ridge(rows, outputs, penalty, forgetting, information, correlation, esti
     inverse_pivots = np.zeros(n)
     half = np.zeros(n)
     work = np.zeros(n)
-    row = np.zeros(n)
     for t in range(len(outputs)):
-        error = outputs[t]
-        for i in range(n):
-            row[i] = rows[t, i]
-            error -= row[i] * estimate[i]
-        errors[t] = error
-        _accumulate_row(row, outputs[t], forgetting, information, correlation)
+        errors[t] = minus_row(outputs[t], rows, t, estimate)
+        _accumulate_row(rows[t], outputs[t], forgetting, information, correlation)
         factorise(information, penalty, correlation, factor, inverse_pivots, half, work)
         solve_backward(factor, inverse_pivots, half, estimate)
-        for i in range(n):
-            estimates[t, i] = estimate[i]
+        copy_vector(estimate, estimates[t])
 
 
 @kernel
@@ -196,11 +194,8 @@ def run_least_squares(rows, outputs, forgetting, covariance, estimate, limits, e
     for t in range(len(outputs)):
         row = rows[t]
         _, shrink = update_covariance(covariance, row, forgetting, gain)
-        error = outputs[t]
-        for i in range(n):
-            error -= row[i] * estimate[i]
-        errors[t] = error
-        share = error * shrink
+        errors[t] = minus_row(outputs[t], rows, t, estimate)
+        share = errors[t] * shrink
         for i in range(n):
             estimate[i] += gain[i] * share
             estimates[t, i] = estimate[i]

@@ -16,11 +16,21 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stillwork.base.algebra import condition, congruence, measure, multiply, take_in_turn
+from stillwork.base.algebra import (
+    add_scaled,
+    condition,
+    congruence,
+    copy_matrix,
+    measure,
+    multiply,
+    plus_column,
+    plus_row,
+    take_in_turn,
+)
 from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.base.front_door import by_value, check_fields, checked
-from stillwork.base.kernels import inlined_kernel, kernel
-from stillwork.estimation.time_varying import FilterGains, TimeVaryingModel
+from stillwork.base.kernels import inlined_kernel, kernel, pasted_kernel
+from stillwork.estimation.time_varying import FilterGains, TimeVaryingModel, require_per_sample
 
 
 @by_value
@@ -58,8 +68,8 @@ class Derivatives:
         """S, T and M of (5.24), with the rows of all parameters stacked: both kinds, all outputs."""
         samples, outputs, states = model.c.shape
         inputs, disturbances = model.b.shape[2], model.g.shape[2]
-        count = len(require_array("derivatives.a", self.a, shape=(None, states, states)))
-        a = require_array("derivatives.a", self.a, ndim=3)
+        a = require_array("derivatives.a", self.a, shape=(None, states, states))
+        count = len(a)
         b = require_array("derivatives.b", self.b, shape=(count, states, inputs))
         g = require_array("derivatives.g", self.g, shape=(count, states, disturbances))
         c = require_array("derivatives.c", self.c, shape=(samples, count, outputs, states))
@@ -115,10 +125,8 @@ def bound_rows(model: TimeVaryingModel, bound: NormBound):
     """S, T and M of a norm bound at every sample, as `Derivatives.rows` gives them, and its directions."""
     samples, outputs, states = model.c.shape
 
-    def spread(name, columns):
-        value = require_array(f"bound.{name}", getattr(bound, name))
-        value = np.broadcast_to(value, (samples, *value.shape)) if value.ndim == 2 else value
-        return require_array(f"bound.{name}", value, shape=(samples, *columns))
+    def spread(name, shape):
+        return require_per_sample(f"bound.{name}", getattr(bound, name), samples, shape)
 
     m = spread("m", (outputs, None))
     e_a = spread("e_a", (None, states))
@@ -251,26 +259,20 @@ def _kalman_kernel(states: int, outputs: int):
     return recursion
 
 
-@kernel
-def _regularise(sigma, map_x, map_u, rows, rows_u, variance):
+@pasted_kernel
+def _regularise(sigma, map_x, map_u, rows, rows_u, variance, v):
     # The penalty as measurements 0 = S x + T w + M u, one row after the other: z = map_x x_hat + map_u u.
-    size = sigma.shape[0]
-    v = np.empty(size)
     for i in range(rows.shape[0]):
         s = measure(sigma, rows, i, variance, v)
-        for q in range(map_x.shape[1]):
-            total = 0.0
-            for p in range(size):
-                total += rows[i, p] * map_x[p, q]
-            for p in range(size):
-                map_x[p, q] -= v[p] / s * total
-        for q in range(map_u.shape[1]):
-            total = rows_u[i, q]
-            for p in range(size):
-                total += rows[i, p] * map_u[p, q]
-            for p in range(size):
-                map_u[p, q] -= v[p] / s * total
         condition(sigma, v, s)
+        for p in range(len(v)):
+            v[p] /= s
+        for q in range(map_x.shape[1]):
+            seen = plus_column(0.0, map_x, q, rows[i])
+            add_scaled(-seen, v, map_x[:, q])
+        for q in range(map_u.shape[1]):
+            seen = plus_column(rows_u[i, q], map_u, q, rows[i])
+            add_scaled(-seen, v, map_u[:, q])
 
 
 @inlined_kernel
@@ -284,12 +286,8 @@ def sample_at(data, k):
 def joint_covariance(p0, causes):
     """Of the last state and the disturbance, which has unit covariance here."""
     n = len(p0)
-    sigma = np.zeros((n + causes, n + causes))
-    for i in range(n):
-        for j in range(n):
-            sigma[i, j] = p0[i, j]
-    for i in range(n, n + causes):
-        sigma[i, i] = 1.0
+    sigma = np.eye(n + causes)
+    copy_matrix(p0, sigma)
     return sigma
 
 
@@ -302,14 +300,11 @@ def robust_step(sample, penalty, noise, p0, forward, onward, gain, p):
     for i in range(n):
         map_x[i, i] = 1.0
     if penalty > 0:
-        _regularise(sigma, map_x, map_u, rows, rows_u, 1 / penalty)
+        _regularise(sigma, map_x, map_u, rows, rows_u, 1 / penalty, np.empty(size))
     multiply(step, map_x, forward)
     for i in range(n):
         for j in range(nu):
-            total = b[i, j]
-            for q in range(size):
-                total += step[i, q] * map_u[q, j]
-            onward[i, j] = total
+            onward[i, j] = plus_row(b[i, j], step, i, map_u[:, j])
     congruence(step, sigma, np.empty((n, size)), p)
     take_in_turn(p, c, noise, gain, np.empty(n))
 

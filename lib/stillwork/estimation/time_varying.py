@@ -16,6 +16,14 @@ from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.base.kernels import kernel
 
 
+def require_per_sample(name: str, value: ArrayLike, samples: int, shape: tuple) -> np.ndarray:
+    """Return a matrix for each sample; one without the leading axis stands for all of them."""
+    matrix = require_array(name, value)
+    if matrix.ndim == 2:
+        matrix = np.broadcast_to(matrix, (samples, *matrix.shape))
+    return require_array(name, matrix, shape=(samples, *shape))
+
+
 @by_value
 @dataclass(frozen=True)
 class TimeVaryingModel:
@@ -40,9 +48,9 @@ class TimeVaryingModel:
         samples, outputs, states = c.shape
         if samples < 2:
             raise InputError(f"c holds {samples} samples; give the start and at least one measurement")
-        a = self._per_sample("a", samples, (states, states))
-        b = self._per_sample("b", samples, (states, None))
-        g = self._per_sample("g", samples, (states, None))
+        a = require_per_sample("a", self.a, samples, (states, states))
+        b = require_per_sample("b", self.b, samples, (states, None))
+        g = require_per_sample("g", self.g, samples, (states, None))
         for name, array in (("a", a), ("b", b), ("c", c), ("g", g)):
             object.__setattr__(self, name, array)
         sizes = {"process": g.shape[2], "sensor": outputs, "initial_covariance": states}
@@ -51,12 +59,6 @@ class TimeVaryingModel:
             if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0) or np.linalg.eigvalsh(matrix)[0] <= 0:
                 raise InputError(f"{name} is not symmetric and positive definite; give a covariance")
             object.__setattr__(self, name, matrix)
-
-    def _per_sample(self, name: str, samples: int, shape: tuple) -> np.ndarray:
-        matrix = require_array(name, getattr(self, name))
-        if matrix.ndim == 2:
-            matrix = np.broadcast_to(matrix, (samples, *matrix.shape))
-        return require_array(name, matrix, shape=(samples, *shape))
 
     @property
     def samples(self) -> int:

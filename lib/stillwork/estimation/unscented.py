@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.base.algebra import cholesky_root
+from stillwork.base.algebra import cholesky_root, copy_matrix
 from stillwork.base.checks import require_number
 from stillwork.base.front_door import by_value, checked
 from stillwork.base.kernels import borrowing_kernel, pasted_kernel
@@ -119,13 +119,6 @@ def correct_unscented(work, weights, noise, size, outputs):
 
 
 @borrowing_kernel
-def _copy_points(source, target):
-    for i in range(source.shape[0]):  # a slice assignment would triple the time to compile
-        for j in range(source.shape[1]):
-            target[i, j] = source[i, j]
-
-
-@borrowing_kernel
 def plant_unscented_step(
     options, process, noise, work, acceleration, plant, sample_time, measured, force, estimate
 ):
@@ -148,17 +141,17 @@ def plant_unscented_step(
     if not spread_points(work, 2, options[0]):
         return False
     if literal:  # (14) as printed: the correction uses the points around the *previous* estimate
-        _copy_points(points, observed)
+        copy_matrix(points, observed)
     for i in range(5):  # (10), with all terms of (11)
         points[i, 0] += sample_time * acceleration(points[i, 1], points[i, 0], force, plant)
         points[i, 1] += sample_time * points[i, 0]
     predict_unscented(work, options, process, 2)
     if literal:
-        _copy_points(observed, points)
+        copy_matrix(observed, points)
     else:
         if not spread_points(work, 2, options[0]):
             return False
-        _copy_points(points, observed)
+        copy_matrix(points, observed)
     if np.isnan(measured):
         means[PAST, 1] = 2.0
     elif means[PAST, 1] == 2.0:
