@@ -196,7 +196,7 @@ def _named(function: Callable) -> str:
 
 def _beyond(function: Callable, why) -> InputError:
     return InputError(
-        f"{_named(function)} has no result for these numbers ({str(why).strip().lower() or 'out of range'}); "
+        f"{_named(function)} has no result for these numbers ({str(why).strip() or 'out of range'}); "
         "they are too large, too small or too close to singular"
     )
 
