@@ -102,9 +102,12 @@ class ModalModel:
         InputError
             When a place does not exist.
         """
+        return self._taken(chosen, self.frequencies)
+
+    def _taken(self, chosen, frequencies) -> "ModalModel":
         return replace(
             self,
-            frequencies=self.frequencies[chosen],
+            frequencies=frequencies[chosen],
             damping=self.damping[chosen],
             input_shapes=self.input_shapes[chosen],
             output_shapes=self.output_shapes[:, chosen],
@@ -125,14 +128,7 @@ class ModalModel:
             When there is not one for each mode, or one is negative.
         """
         frequencies = require_array("frequencies", frequencies, shape=self.frequencies.shape)
-        order = np.argsort(frequencies, kind="stable")
-        return replace(
-            self,
-            frequencies=frequencies[order],
-            damping=self.damping[order],
-            input_shapes=self.input_shapes[order],
-            output_shapes=self.output_shapes[:, order],
-        )
+        return self._taken(np.argsort(frequencies, kind="stable"), frequencies)
 
     @checked
     def at(self, inputs: Sequence[int], outputs: Sequence[int]) -> "ModalModel":
