@@ -4,7 +4,7 @@ from dataclasses import MISSING, fields
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from stillwork.base.checks import InputError, nearest, require_choice
+from stillwork.base.checks import InputError, require_choice
 from stillwork.base.toml_files import Table, read_toml
 from stillwork.control.c_code import adaptation_code, controller_code
 from stillwork.control.digital import load_controller
@@ -40,9 +40,8 @@ def export_file(file: str, folder: str, name: str, precision: str) -> list[str]:
         known = {each.name: each for each in fields(ADAPTATIONS[kind])}
         sizes = {size: given[size] for size in ("actuators", "regressors")}
         needed = {name: given[name] for name, each in known.items() if each.default is MISSING}
-        for name_given in given:
-            if name_given not in (*sizes, *known):
-                raise InputError(f"{table.where}: {kind} has no {name_given!r}{nearest(name_given, known)}")
+        for each in given:
+            require_choice(f"{table.where}: a setting of {kind}", each, [*sizes, *known])
         settings = ADAPTATIONS[kind](**needed | {each: given[each] for each in given if each in known})
         files = adaptation_code(settings, **sizes, name=name, precision=precision)
     write_folder(folder, {each: text.encode() for each, text in files.items()})

@@ -1,6 +1,7 @@
 """Named arrays of numbers out of CSV, MAT, NPZ and universal files; reading one executes nothing."""
 
 import csv
+import os
 import warnings
 import zipfile
 from pathlib import Path
@@ -39,28 +40,10 @@ def read_arrays(path: str | Path) -> dict[str, np.ndarray]:
             f"{path.name}: files of type {path.suffix or '(none)'!r} are not read; "
             "export CSV, MAT (version 7), NPZ or UFF"
         )
-    if not is_file(path):
+    if not os.path.isfile(path):  # False as well for a name that no system takes
         raise InputError(f"{shown(str(path))}: no such file; give the path of a CSV, MAT, NPZ or UFF file")
     arrays = readers[path.suffix.lower()](path)
     return {name: array for name, array in arrays.items() if array.dtype.kind in "fiuc"}
-
-
-@checked
-def is_file(path: Path) -> bool:
-    """Whether there is such a file; a name that no system takes names none."""
-    try:
-        return path.is_file()
-    except (OSError, ValueError):
-        return False
-
-
-@checked
-def is_folder(path: Path) -> bool:
-    """Likewise for a folder."""
-    try:
-        return path.is_dir()
-    except (OSError, ValueError):
-        return False
 
 
 @checked

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stillwork.base.checks import InputError, nearest
+from stillwork.base.checks import InputError, require_choice
 from stillwork.base.front_door import checked
 from stillwork.signals.datafiles import read_columns
 from stillwork.signals.records import MOTION_UNITS, unit_factor
@@ -49,10 +49,7 @@ def read_densities(path: Path, unit: str, channels: list[str], most: int) -> tup
     f = columns.pop(axis)
     named = {name: column for name, column in columns.items() if column.size == f.size}
     for name in channels:
-        if name not in named:
-            raise InputError(
-                f"{path.name} has no spectrum {name!r}{nearest(name, named)}; it has {', '.join(named)}"
-            )
+        require_choice(f"a spectrum of {path.name}", name, named)
     named = {name: named[name] for name in channels} if channels else named
     if not 0 < len(named) <= most:
         raise InputError(
