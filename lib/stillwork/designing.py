@@ -5,7 +5,6 @@ import html
 import json
 from dataclasses import asdict, fields, replace
 from pathlib import Path
-from string import Template
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from stillwork.control.digital import DigitalController, biquads, runnable
 from stillwork.control.machine_loops import SHOWN, Intensities, Reached, applications, reach, search_range
 from stillwork.control.machine_tuning import DesignSettings, tuned
 from stillwork.exporting import require_free, write_folder
-from stillwork.html_page import picture, table
+from stillwork.html_page import page, picture, table
 from stillwork.identification.machine import Machine, brought_forward, build_machine
 from stillwork.identification.machine_files import load_machine
 from stillwork.identification.modal_fit import ModalFit
@@ -267,8 +266,8 @@ def report(
         ["limit of the force", f"{limit:g} N" if np.isfinite(limit) else "none: give --limit"],
         *(["note", note] for note in machine.notes),
     ]
-    page = Template((Path(__file__).parent / "design.html").read_text(encoding="utf-8"))
-    return page.substitute(
+    return page(
+        "design.html",
         source=html.escape(machine.source),
         taken=html.escape(best),
         stopped=html.escape(reached.summary["stopped by"]),
@@ -276,8 +275,10 @@ def report(
         uses=uses_table(found),
         peaks=table(["peak", *where], sizes),
         helps=table(["change", "bandwidth (Hz)"], helps or [["nothing that was tried", ""]]),
-        machine=picture(paint_machine(machine)),
-        loops=picture(paint_loops(reached, controllers)),
+        machine=picture(paint_machine(machine), "accelerance of the model and of the measurement"),
+        loops=picture(
+            paint_loops(reached, controllers), "sensitivities and true tracking of the sampled loop"
+        ),
         files=html.escape(", ".join(files)),
     )
 

@@ -6,7 +6,6 @@ import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from string import Template
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from stillwork.designing import (
     paint_stabilisation,
     uses_table,
 )
-from stillwork.html_page import picture, table
+from stillwork.html_page import page, picture, table
 from stillwork.identification.machine import Machine, build_machine
 from stillwork.identification.machine_files import (
     complex_responses,
@@ -51,8 +50,8 @@ NORMAL = 1.96  # standard deviations either side of a number, 95 %
 class Missing(InputError):
     """What a file does not say and nobody has said: ask for `name`."""
 
-    def __init__(self, name: str, question: str, option: str):
-        super().__init__(f"{question}; give {option}")
+    def __init__(self, name: str, question: str, value: str = "UNIT"):
+        super().__init__(f"{question}; give --{name.replace('_', '-')} {value}")
         self.name, self.question = name, question
 
 
@@ -107,9 +106,9 @@ def report_file(file: str, out: str = "", **said) -> list[str]:
         raise InputError(
             f"{source.name} is a model, not a measurement; `stillwork inspect` says what takes it"
         )
-    page = Path(out or f"{source.name}.html")
-    if page.exists():
-        raise InputError(f"{page} exists; move it away, or give another --out")
+    target = Path(out or f"{source.name}.html")
+    if target.exists():
+        raise InputError(f"{target} exists; move it away, or give another --out")
     arrays = read_arrays(source)
     if all(array.size < 2 for array in arrays.values()):
         raise InputError(f"{source.name} holds no rows of numbers; export the measurement again")
@@ -126,10 +125,9 @@ def report_file(file: str, out: str = "", **said) -> list[str]:
         (lines if isinstance(part, str) else sections).append(part)
     body = [f"<p>{html.escape(line)}</p>" for line in lines]
     body += [f"<h2>{html.escape(title)}</h2>\n{content}" for title, content in sections]
-    template = Template((Path(__file__).parent / "report.html").read_text(encoding="utf-8"))
-    text = template.substitute(source=html.escape(source.name), body="\n".join(body), held=html.escape(held))
-    page.write_text(text, encoding="utf-8")
-    return [*lines, f"written: {page}"]
+    text = page("report.html", source=html.escape(source.name), body="\n".join(body), held=html.escape(held))
+    target.write_text(text, encoding="utf-8")
+    return [*lines, f"written: {target}"]
 
 
 def _machine(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
@@ -140,9 +138,7 @@ def _machine(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
     if kind == "frequency response":
         several = list(complex_responses(arrays))
         if len(several) > 1 and "response" not in said:
-            raise Missing(
-                "response", f"{source.name} holds {', '.join(several)}; which one", "--response NAME"
-            )
+            raise Missing("response", f"{source.name} holds {', '.join(several)}; which one", "NAME")
     if kind == "hammer records":
         _rate(source, arrays, said)
     if kind != "matrices":
@@ -150,20 +146,17 @@ def _machine(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
             ("response_unit", "force_unit"), stated_units(arrays), ("m/s^2, g or um", "N or kN"), strict=True
         ):
             if not stated and name not in said:
-                raise Missing(
-                    name,
-                    f"{source.name} does not say the unit of the {name.partition('_')[0]} ({usual}, say)",
-                    f"--{name.replace('_', '-')} UNIT",
-                )
+                whose = name.partition("_")[0]
+                raise Missing(name, f"{source.name} does not say the unit of the {whose} ({usual}, say)")
     file = load_machine(source, **options)
     band = said.get("fit_hz", (0.0, 0.0))
     machine = build_machine(file, modes_hz=[], fit_hz=band, mirrored_sensor=False)
     known = f" ± {100 * NORMAL * machine.fit.mass_deviation:.2g} %" if machine.fit else ""
     yield f"{kind} of a machine of {machine.mass:.4g} kg{known}"
     yield from machine.notes
-    yield "Modes", _modes(machine) + _image(paint_machine(machine), "accelerance")
+    yield "Modes", _modes(machine) + picture(paint_machine(machine), "accelerance")
     if machine.fit:
-        yield "Stabilisation", _image(paint_stabilisation(machine.fit), "poles over the order")
+        yield "Stabilisation", picture(paint_stabilisation(machine.fit), "poles over the order")
     try:
         found = reach(
             machine, applications(ADDED_DAMPING, SELECTIVITY), retained=RETAINED, intensities=INTENSITIES
@@ -196,7 +189,7 @@ def _record(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
     units = [stated_unit(name) or said.get("unit", "") for name in record.names]
     if "" in units:
         name = record.names[units.index("")]
-        raise Missing("unit", f"{source.name} does not say the unit of {name} ({UNITS_SAID})", "--unit UNIT")
+        raise Missing("unit", f"{source.name} does not say the unit of {name} ({UNITS_SAID})")
     factors, units = zip(*map(unit_factor, units), strict=True)
     signals = record.signals * np.array(factors)[:, None]
     signals -= signals.mean(axis=1, keepdims=True)
@@ -212,7 +205,7 @@ def _record(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
     yield "Spectra", _densities_of(hertz, spectrum.density[:, 1:], record.names, unit)
     if len(signals) > 1:
         figure = paint_response(replace(record, signals=signals), resolution)
-        yield "From the first channel to the others", _image(figure, "coherence")
+        yield "From the first channel to the others", picture(figure, "coherence")
 
 
 def _densities(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
@@ -220,9 +213,7 @@ def _densities(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
     found = {each[1] for name in names if (each := re.search(r"[(\[](.+)[)\]]$", name.strip()))}
     unit = said.get("unit") or (found.pop() if len(found) == 1 else "")
     if not unit or not density_unit(unit):
-        raise Missing(
-            "unit", f"{source.name} does not say the unit of its densities ({DENSITIES_SAID})", "--unit UNIT"
-        )
+        raise Missing("unit", f"{source.name} does not say the unit of its densities ({DENSITIES_SAID})")
     hertz, density = read_densities(source, unit, [], MOST_CHANNELS)
     yield f"power spectral densities, {len(hertz)} frequencies from {hertz[0]:.4g} to {hertz[-1]:.4g} Hz, as accelerations"
     rows = []
@@ -235,7 +226,7 @@ def _densities(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
 
 
 def _densities_of(hertz, density, names, unit: str) -> str:
-    return _image(paint_densities(hertz, density, names, unit), "power spectral densities")
+    return picture(paint_densities(hertz, density, names, unit), "power spectral densities")
 
 
 def paint_densities(hertz, density, names, unit: str):
@@ -272,11 +263,5 @@ def _rate(source: Path, arrays, said) -> float:
     stated = said.get("sample_rate")
     timed = any(is_time(name) and array.size > 1 for name, array in arrays.items())
     if stated is None and not timed and not any(array.size == 1 for array in arrays.values()):
-        raise Missing(
-            "sample_rate", f"{source.name} has no time and no rate; its rate in Hz", "--sample-rate HZ"
-        )
+        raise Missing("sample_rate", f"{source.name} has no time and no rate; its rate in Hz", "HZ")
     return sampling_rate(source.name, arrays, stated)
-
-
-def _image(figure, words: str) -> str:
-    return f'<p><img src="data:image/png;base64,{picture(figure)}" alt="{words}"></p>'
