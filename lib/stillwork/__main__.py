@@ -95,8 +95,8 @@ def _named(text: str) -> str:
 
 def _minutes(text: str) -> float:
     try:
-        return require_number("budget", text, above=0)
-    except InputError:
+        return require_number("budget", float(text), above=0)
+    except ValueError:  # an `InputError` among them
         raise argparse.ArgumentTypeError(f"{text!r} is not a time; give minutes, more than 0") from None
 
 
