@@ -22,6 +22,7 @@ from stillwork.identification.machine_files import load_machine
 from stillwork.identification.modal_fit import ModalFit
 from stillwork.lti.discretisation import tustin
 from stillwork.lti.modal import ModalModel
+from stillwork.workbook import figures
 
 # What the observer is made for where nothing is known: accelerations and noise of a machine that moves by nanometres.
 INTENSITIES = Intensities(disturbance=8e-4, sensor=1.41e-9, drift=1.92e-4)
@@ -294,8 +295,6 @@ def uses_table(found: dict[str, Reached]) -> str:
 
 def paint_machine(machine: Machine):
     """Accelerance of the model at every sensor, and of the measurement at the first."""
-    from stillwork.workbook import figures
-
     figure, axis = figures.new(1, 1, height=3.0)
     resonances = machine.resonances_hz
     hertz = np.unique(
@@ -317,8 +316,6 @@ def paint_machine(machine: Machine):
 
 def paint_stabilisation(fit: ModalFit):
     """Poles over their orders: those that stay from order to order stand out, and those that were taken for modes."""
-    from stillwork.workbook import figures
-
     diagram = fit.diagram
     figure, axis = figures.new(1, 1, height=3.0)
     for hertz in fit.model.frequencies[fit.model.rigid_modes :] / (2 * np.pi):
@@ -336,8 +333,6 @@ def paint_stabilisation(fit: ModalFit):
 
 def paint_loops(reached: Reached, controllers: list[DigitalController]):
     """The three loop functions of every sensor with the controllers' own numbers, and what they may reach."""
-    from stillwork.workbook import figures
-
     figure, axes = figures.new(1, 3, height=2.8, sharey=True)
     colours = (figures.RED, figures.BLUE, figures.GREEN, figures.ORANGE)
     for number, pair in enumerate(zip(reached.loops, controllers, strict=True)):

@@ -14,22 +14,10 @@ ADAPTATIONS = {"FeRls": FeRls, "FeLms": FeLms}
 
 
 def export_file(file: str, folder: str, name: str, precision: str) -> list[str]:
-    """Write C99 of what `file` describes into a new folder; returns a line that says what was written.
+    """Write C99 of what `file` describes into a new or empty folder; returns a line that says what was written.
 
-    Parameters
-    ----------
-    file : str
-        ``controller.json`` of the command ``design``; or TOML with a table [controller], see
-        `stillwork.control.load_controller`, or [FeRls] or [FeLms] with their settings, ``actuators`` and ``regressors``.
-    folder : str
-        New, or empty.
-    name, precision : str
-        See `stillwork.control.controller_code`.
-
-    Raises
-    ------
-    InputError
-        When the file describes neither, or there is something in the folder.
+    The file is ``controller.json`` of the command ``design``; or TOML with a table [controller], see
+    `stillwork.control.load_controller`, or [FeRls] or [FeLms] with their settings, ``actuators`` and ``regressors``.
     """
     table = read_toml(file) if file.lower().endswith(".toml") else Table({"controller": None}, file)
     if "controller" in table:

@@ -172,13 +172,7 @@ def plant_form(names: Collection[str]) -> dict[str, int]:
 
 
 def outline(file: Path) -> list[str]:
-    """What a Python file lacks to be a plant, read from its source without executing it; empty: nothing.
-
-    Raises
-    ------
-    InputError
-        When there is no such file, or it is not Python.
-    """
+    """What a Python file lacks to be a plant, read from its source without executing it; empty: nothing."""
     try:
         tree = ast.parse(file.read_text(encoding="utf-8"))
     except FileNotFoundError:

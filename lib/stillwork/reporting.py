@@ -41,6 +41,7 @@ from stillwork.signals.records import (
     unit_factor,
 )
 from stillwork.signals.spectra import band_power, estimate_response, estimate_spectrum
+from stillwork.workbook import figures
 
 SEGMENTS = 16  # of a record, at least, in its spectra
 MOST_CHANNELS = 8  # of a record or of spectra on one page
@@ -75,29 +76,10 @@ def _number(text: str) -> float:
 
 
 def report_file(file: str, out: str = "", **said) -> list[str]:
-    """Write one page about the measurement in `file`.
+    """Write one page about the measurement in `file`, a new one; returns what was found, a line each.
 
-    Parameters
-    ----------
-    file : str
-        A frequency response, hammer records, or M and K; a record over time; power spectral densities.
-    out : str
-        The page, a new file; by default the file's name with ``.html`` behind it.
-    **said
-        What the file may leave out: `unit` of a record or of densities, `response_unit`, `force_unit`, `response`,
-        `sample_rate` (Hz), `fit_hz`; empty or None where nothing is said.
-
-    Returns
-    -------
-    list of str
-        What was found, a line each.
-
-    Raises
-    ------
-    Missing
-        When the file does not say something that is needed.
-    InputError
-        When the file cannot be used, or the page exists.
+    `said` is what the file may leave out: `unit` of a record or of densities, `response_unit`, `force_unit`, `response`,
+    `sample_rate` (Hz), `fit_hz`; empty or None where nothing is said. What is needed and said nowhere is `Missing`.
     """
     source = Path(file)
     said = {name: value for name, value in said.items() if value}
@@ -231,8 +213,6 @@ def _densities_of(hertz, density, names, unit: str) -> str:
 
 def paint_densities(hertz, density, names, unit: str):
     """Power spectral densities over frequency, and the rms that gathers from the lowest one on."""
-    from stillwork.workbook import figures
-
     figure, (upper, lower) = figures.new(2, 1, height=4.6, sharex=True)
     for name, row in zip(names, density, strict=True):
         upper.loglog(hertz, np.maximum(row, row.max() * 1e-12), linewidth=0.8, label=name)
@@ -246,8 +226,6 @@ def paint_densities(hertz, density, names, unit: str):
 
 def paint_response(record: Record, resolution: float):
     """Size of the response of every other channel to the first, and its coherence."""
-    from stillwork.workbook import figures
-
     found = estimate_response(record.signals[:1], record.signals[1:], record.sample_rate, resolution)
     figure, (upper, lower) = figures.new(2, 1, height=4.6, sharex=True)
     for k, name in enumerate(record.names[1:]):

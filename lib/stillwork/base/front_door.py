@@ -305,14 +305,14 @@ def _sequence(origin, parts: tuple) -> Callable | None:
 
 
 def _mapping(origin, parts: tuple) -> Callable:
-    keys, values = (_measured if part is np.ndarray else _check(part) for part in parts)
+    keys, values = (
+        _measured if part is np.ndarray else _check(part) or (lambda _, value: value) for part in parts
+    )
 
     def check(name: str, value):
         require_kind(name, value, origin)
         return {
-            keys(f"a name in {name}", key) if keys else key: values(f"{name}[{shown(key)}]", item)
-            if values
-            else item
+            keys(f"a name in {name}", key): values(f"{name}[{shown(key)}]", item)
             for key, item in value.items()
         }
 

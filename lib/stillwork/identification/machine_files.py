@@ -166,13 +166,7 @@ def complex_responses(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 @checked
 def stated_units(names: Iterable[str]) -> tuple[str, str]:
-    """Units of response and force from brackets such as ``(m/s^2/N)``, ``((m/s2)/N)``, ``(g)`` and ``(N)``; empty: none.
-
-    Raises
-    ------
-    InputError
-        When two names contradict each other.
-    """
+    """Units of response and force from brackets such as ``(m/s^2/N)``, ``((m/s2)/N)``, ``(g)`` and ``(N)``; empty: none."""
     units: dict[str, str] = {}
     for name in names:
         whole = _in_brackets(name)

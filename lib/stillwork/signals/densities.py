@@ -32,13 +32,7 @@ def density_unit(unit: str) -> tuple[str, int] | None:
 
 @checked
 def read_densities(path: Path, unit: str, channels: list[str], most: int) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies in Hz and acceleration PSDs in (m/s^2)^2/Hz, (channels, frequencies), of a file of spectra.
-
-    Raises
-    ------
-    InputError
-        When there is no column of frequencies, or a spectrum cannot be one of a motion.
-    """
+    """Frequencies in Hz and acceleration PSDs in (m/s^2)^2/Hz, (channels, frequencies), of a file of spectra."""
     columns = read_columns(path)
     axis = frequency_axis(columns)
     if not axis:
