@@ -5,6 +5,7 @@ A function keeps to its own what no annotation says: bounds, which sizes fit tog
 
 import inspect
 import math
+import re
 import threading
 import types
 import typing
@@ -178,11 +179,7 @@ def outside(function: Callable, check: Callable = lambda value: value) -> Callab
 
 
 def _named(function: Callable) -> str:
-    return (
-        function.__qualname__.rpartition("<locals>.")[2]
-        .removesuffix(".__post_init__")
-        .removesuffix(".__init__")
-    )
+    return re.sub(r".*<locals>\.|\.__(post_)?init__$", "", function.__qualname__)
 
 
 def _beyond(function: Callable, why) -> InputError:

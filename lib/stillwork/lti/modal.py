@@ -266,14 +266,12 @@ def modal_model(
         ratio = np.where(w > 0, ratio, 0.0)
     else:
         modal = shapes.T @ require_array("damping_matrix", damping_matrix, shape=(n, n)) @ shapes
-        rest = np.abs(modal - np.diag(np.diag(modal))).max()
-        if rest > 1e-8 * np.abs(modal).max() or np.any(
-            np.abs(np.diag(modal)[w == 0]) > 1e-8 * np.abs(modal).max()
-        ):
+        own = np.where(w > 0, np.diag(modal), 0.0)
+        if np.abs(modal - np.diag(own)).max() > 1e-8 * np.abs(modal).max():
             raise InputError(
                 "damping_matrix does not decouple in the mode shapes; give damping_ratio instead"
             )
-        ratio = np.divide(np.diag(modal), 2 * w, out=np.zeros(n), where=w > 0)
+        ratio = np.divide(own, 2 * w, out=np.zeros(n), where=w > 0)
     input_map = require_array("input_map", input_map, shape=(n, None))
     output_map = require_array("output_map", output_map, shape=(None, n))
     return ModalModel(

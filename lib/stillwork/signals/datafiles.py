@@ -57,7 +57,15 @@ def read_columns(path: str | Path) -> dict[str, np.ndarray]:
             f"{Path(path).name} makes {size:.2g} bytes of numbers, more than {MOST_BYTES >> 30} GB; cut it"
         )
     for name, array in arrays.items():
-        _add(columns, name, array)
+        rows = np.atleast_1d(np.squeeze(array)).astype(float)
+        if rows.ndim > 2:
+            raise InputError(f"array {name!r} has shape {array.shape}; give channels by samples")
+        if rows.ndim == 1:
+            columns[name] = rows
+            continue
+        if rows.shape[0] > rows.shape[1]:  # samples outnumber channels
+            rows = rows.T
+        columns.update({f"{name} {number}": row for number, row in enumerate(rows, 1)})
     return columns
 
 
@@ -178,16 +186,3 @@ def _require_size(path: Path, members: list[zipfile.ZipInfo]) -> None:
 
 def _no_archive(path: Path, why: str) -> InputError:
     return InputError(f"{path.name} cannot be read ({why}); save plain numeric arrays with numpy.savez")
-
-
-def _add(columns: dict, name: str, array: np.ndarray) -> None:
-    """Add an array as one or several channels."""
-    rows = np.atleast_1d(np.squeeze(array)).astype(float)
-    if rows.ndim > 2:
-        raise InputError(f"array {name!r} has shape {array.shape}; give channels by samples")
-    if rows.ndim == 1:
-        columns[name] = rows
-        return
-    if rows.shape[0] > rows.shape[1]:  # samples outnumber channels
-        rows = rows.T
-    columns.update({f"{name} {number}": row for number, row in enumerate(rows, 1)})
