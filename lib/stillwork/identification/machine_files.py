@@ -264,7 +264,7 @@ def _from_hammer(
     forces = [name for name in arrays if _word(name) in ("force", "hammer") and arrays[name].size > 1]
     if not forces:
         raise InputError("the force holds one number; give its samples, hits by samples")
-    length = max(arrays[name].shape[-1] if arrays[name].ndim > 1 else arrays[name].size for name in forces)
+    length = max(arrays[name].shape[-1] for name in forces)
     responses = [
         name
         for name, array in arrays.items()

@@ -145,7 +145,7 @@ class _Problem:
         self.omega, self.deviation, self.sample_time = omega, deviation, sample_time
         self.shape = response.shape[1:]
         target = (response / deviation[:, None, None]).reshape(len(omega), -1)
-        self.goal = np.vstack([target.real, target.imag])
+        self.goal = _stacked(target)
         held = (1 + np.exp(-1j * omega * sample_time)) / 2
         self.fixed = held * (omega / omega.max()) ** np.array(POWERS)[:, None]
 
@@ -154,9 +154,7 @@ class _Problem:
         modes, ratios = np.exp(parameters)
         each = sampled_modes(np.append(0.0, modes), np.append(0.0, ratios), self.sample_time, self.omega)
         whole = (np.vstack([each[:1], self.fixed, each[1:]]) / self.deviation).T
-        stacked = np.vstack([whole.real, whole.imag])
-        sizes = np.linalg.norm(stacked, axis=0)
-        return *np.linalg.qr(stacked / sizes), sizes
+        return _orthogonal(_stacked(whole))
 
     def residual(self, parameters) -> np.ndarray:
         q, _, _ = self._columns(parameters)
@@ -173,13 +171,9 @@ class _Problem:
 
     def spread(self, parameters) -> np.ndarray:
         """Standard deviations of the logarithms; each of the two parts of an error has half its variance."""
-        small = 1e-6
-        jacobian = [
-            self.residual(parameters + small * direction.reshape(parameters.shape))
-            - self.residual(parameters - small * direction.reshape(parameters.shape))
-            for direction in np.eye(parameters.size)
-        ]
-        jacobian = np.array(jacobian) / (2 * small)
+        moves = 1e-6 * np.eye(parameters.size).reshape(-1, *parameters.shape)
+        jacobian = [self.residual(parameters + move) - self.residual(parameters - move) for move in moves]
+        jacobian = np.array(jacobian) / 2e-6
         return np.sqrt(np.diag(np.linalg.inv(jacobian @ jacobian.T)) / 2).reshape(parameters.shape)
 
 
@@ -390,8 +384,7 @@ class _Accelerance:
     def solved(self, modes):
         """Gains, residual and its derivative by the modes' parameters, what the gains take up left out (Kaufman)."""
         linear, moving = self.columns(modes)
-        sizes = np.linalg.norm(linear, axis=0)
-        q, r = np.linalg.qr(linear / sizes)
+        q, r, sizes = _orthogonal(linear)
         gains = np.linalg.solve(r, q.T @ self.goal) / sizes
         moving = moving * np.tile(gains[FIXED:], 2)
         return gains, linear @ gains - self.goal, moving - q @ (q.T @ moving)
@@ -422,8 +415,7 @@ class _Accelerance:
     def bring_forward(self, modes):
         """Take the delay out of the response with which these modes, moved a little, leave least of it."""
         linear, moving = self.columns(modes)
-        both = np.hstack([linear, moving])
-        q = np.linalg.qr(both / np.linalg.norm(both, axis=0))[0]
+        q, _, _ = _orthogonal(np.hstack([linear, moving]))
 
         def left(delay):
             turned = np.exp(1j * np.multiply.outer(self.omega, delay))
@@ -567,6 +559,12 @@ def _stacked(values: np.ndarray) -> np.ndarray:
     return np.concatenate([values.real, values.imag])
 
 
+def _orthogonal(columns: np.ndarray):
+    """Orthonormal columns, their triangle, and the sizes by which the columns were divided."""
+    sizes = np.linalg.norm(columns, axis=0)
+    return *np.linalg.qr(columns / sizes), sizes
+
+
 def _swept(gram, pivot):
     """What is left of normal equations when one column is taken."""
     if gram[pivot, pivot] < 1e-12:
@@ -576,8 +574,7 @@ def _swept(gram, pivot):
 
 def _spread(jacobian, residual):
     """Standard deviations of parameters when errors differ from line to line and depend on their neighbours'."""
-    sizes = np.linalg.norm(jacobian, axis=0)
-    q, r = np.linalg.qr(jacobian / sizes)
+    q, r, sizes = _orthogonal(jacobian)
     residual = residual / (1 - np.sum(q**2, axis=1))  # what a line draws the fit to itself
     scores = (q * residual[:, None]).reshape(2, -1, q.shape[1]).sum(axis=0)
     middle = scores.T @ scores
