@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy import integrate
 
 from stillwork.base.checks import InputError, one_line
 from stillwork.control.machine_loops import applications, reach
@@ -213,28 +214,33 @@ def _densities_of(hertz, density, names, unit: str) -> str:
 
 def paint_densities(hertz, density, names, unit: str):
     """Power spectral densities over frequency, and the rms that gathers from the lowest one on."""
-    figure, (upper, lower) = figures.new(2, 1, height=4.6, sharex=True)
-    for name, row in zip(names, density, strict=True):
-        upper.loglog(hertz, np.maximum(row, row.max() * 1e-12), linewidth=0.8, label=name)
-        steps = np.diff(hertz) * (row[1:] + row[:-1]) / 2
-        lower.semilogx(hertz[1:], np.sqrt(np.cumsum(steps)), linewidth=0.9)
+    power = integrate.cumulative_trapezoid(density, hertz, initial=0.0)
+    seen = np.maximum(density, 1e-12 * density.max(axis=1, keepdims=True))
+    figure, upper, lower = _two_panels(hertz, seen, np.sqrt(power), names)
     upper.set_ylabel(f"density (({unit})²/Hz)")
-    upper.legend()
-    lower.set(xlabel="frequency (Hz)", ylabel=f"rms up to there ({unit})")
+    lower.set_ylabel(f"rms up to there ({unit})")
     return figure
 
 
 def paint_response(record: Record, resolution: float):
     """Size of the response of every other channel to the first, and its coherence."""
     found = estimate_response(record.signals[:1], record.signals[1:], record.sample_rate, resolution)
-    figure, (upper, lower) = figures.new(2, 1, height=4.6, sharex=True)
-    for k, name in enumerate(record.names[1:]):
-        upper.loglog(found.frequencies_hz[1:], np.abs(found.response[k, 0, 1:]), linewidth=0.8, label=name)
-        lower.semilogx(found.frequencies_hz[1:], found.coherence[k, 1:], linewidth=0.8)
+    size, hertz = np.abs(found.response[:, 0, 1:]), found.frequencies_hz[1:]
+    figure, upper, lower = _two_panels(hertz, size, found.coherence[:, 1:], record.names[1:])
     upper.set_ylabel(f"over {record.names[0]}")
-    upper.legend()
-    lower.set(xlabel="frequency (Hz)", ylabel="coherence", ylim=(0, 1.05))
+    lower.set(ylabel="coherence", ylim=(0, 1.05))
     return figure
+
+
+def _two_panels(hertz, above, below, names):
+    """Rows over frequency on two panels, the upper ones in decades."""
+    figure, (upper, lower) = figures.new(2, 1, height=4.6, sharex=True)
+    for name, high, low in zip(names, above, below, strict=True):
+        upper.loglog(hertz, high, linewidth=0.8, label=name)
+        lower.semilogx(hertz, low, linewidth=0.8)
+    upper.legend()
+    lower.set_xlabel("frequency (Hz)")
+    return figure, upper, lower
 
 
 def _rate(source: Path, arrays, said) -> float:
