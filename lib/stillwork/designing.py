@@ -151,7 +151,7 @@ def design_file(
         files[f"{own}.json"] = json.dumps(controller.as_dict(), indent=1, allow_nan=False) + "\n"
         files |= controller_code(controller, own, precision)
     files["report.html"] = report(machine, found, best, controllers, peaks, helps, doubt, rate, sorted(files))
-    write_folder(folder, {each: text.encode() for each, text in files.items()})
+    write_folder(folder, files)
     rows = {
         use: ", ".join(f"{key} {value}" for key, value in each.summary.items()) for use, each in found.items()
     }

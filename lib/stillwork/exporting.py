@@ -32,20 +32,20 @@ def export_file(file: str, folder: str, name: str, precision: str) -> list[str]:
             require_choice(f"{table.where}: a setting of {kind}", each, [*sizes, *known])
         settings = ADAPTATIONS[kind](**needed | {each: given[each] for each in given if each in known})
         files = adaptation_code(settings, **sizes, name=name, precision=precision)
-    write_folder(folder, {each: text.encode() for each, text in files.items()})
+    write_folder(folder, files)
     return [f"{folder}: {', '.join(files)}"]
 
 
-def write_folder(folder: str | Path, files: dict[str, bytes]) -> None:
-    """Write files into a new or empty folder: all of them, put in place by one step, or none."""
+def write_folder(folder: str | Path, files: dict[str, str]) -> None:
+    """Write texts as files into a new or empty folder: all of them, put in place by one step, or none."""
     require_free(folder)
     folder = Path(folder).resolve()
     folder.parent.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}-") as beside:
         new = Path(beside) / folder.name
         new.mkdir()
-        for name, content in files.items():
-            (new / name).write_bytes(content)
+        for name, text in files.items():
+            (new / name).write_bytes(text.encode())
         if folder.exists():
             folder.rmdir()  # fails if it was filled meanwhile
         new.rename(folder)
