@@ -95,8 +95,8 @@ def _named(text: str) -> str:
 
 def _minutes(text: str) -> float:
     try:
-        return require_number("budget", text, above=0)
-    except InputError:
+        return require_number("budget", float(text), above=0)
+    except ValueError:  # an `InputError` among them
         raise argparse.ArgumentTypeError(f"{text!r} is not a time; give minutes, more than 0") from None
 
 
@@ -114,6 +114,18 @@ def _number(name: str, metavar: str, help: str, type: Callable = _count, **how) 
     return _option(f"--{name}", type=type, metavar=metavar, help=help, **how)
 
 
+def _text(name: str, metavar: str, help: str, **how) -> Option:
+    return _option(f"--{name}", type=_named, metavar=metavar, help=help, **how)
+
+
+def _flag(name: str, help: str) -> Option:
+    return _option(f"--{name}", action="store_true", help=help)
+
+
+def _file(help: str) -> Option:
+    return _option("file", type=_named, metavar="FILE", help=help)
+
+
 def _band(name: str, help: str) -> Option:
     return _option(f"--{name}", type=float, nargs=2, metavar=("LOW", "HIGH"), default=(0.0, 0.0), help=help)
 
@@ -122,11 +134,9 @@ _TARGETS = _option("targets", nargs="*", metavar="ROOM[/NOTEBOOK]", help="by def
 _ROOM = _option("room", nargs="?", metavar="ROOM")
 _KERNELS = _number("jobs", "N", "kernels at once (default: one a core)")
 _PROCESSES = _number("jobs", "N", "processes (default: one a core)")
-_SCHEDULER = _option(
-    "--scheduler", type=_named, metavar="ADDRESS", help="run on the workers of a Dask cluster"
-)
+_SCHEDULER = _text("scheduler", "ADDRESS", "run on the workers of a Dask cluster")
 _C_FOLDER = (
-    _option("--out", dest="folder", type=_named, metavar="DIR", required=True, help="a new or empty folder"),
+    _text("out", "DIR", "a new or empty folder", dest="folder", required=True),
     _option("--name", default="controller", help="what all names in C begin with"),
     _option("--precision", default="double", metavar="double|single"),
 )
@@ -154,8 +164,8 @@ COMMANDS = {
             ),
             _KERNELS,
             _SCHEDULER,
-            _option("--force", action="store_true", help="build what is up to date, too"),
-            _option("--why", action="store_true", help="only say what would be built, and why"),
+            _flag("force", "build what is up to date, too"),
+            _flag("why", "only say what would be built, and why"),
         ),
     ),
     "readings": Command(
@@ -179,9 +189,9 @@ COMMANDS = {
         "stillwork.workbook.commands:claims",
         (
             _ROOM,
-            _option("--entry", type=_named, metavar="ID", help="one entry whole, with its readings"),
-            _option("--json", action="store_true"),
-            _option("--built", action="store_true", help="with what the last build found, accepted or not"),
+            _text("entry", "ID", "one entry whole, with its readings"),
+            _flag("json", "as JSON"),
+            _flag("built", "with what the last build found, accepted or not"),
         ),
         settles=True,
     ),
@@ -196,7 +206,7 @@ COMMANDS = {
                 metavar="NAME",
                 help="part of a stand-in's name, e.g. 2004; qemu emulates one",
             ),
-            _option("--sample", action="store_true", help="a few notebooks under two of them"),
+            _flag("sample", "a few notebooks under two of them"),
         ),
     ),
     "accept": Command(
@@ -216,19 +226,14 @@ COMMANDS = {
     "inspect": Command(
         "say what a file of yours holds and which notebooks can use it",
         "stillwork.inspecting:inspect_file",
-        (_option("name", type=_named, metavar="FILE"),),
+        (_file("one of yours"),),
         needs_checkout=False,
     ),
     "report": Command(
         "write one page about a measurement of yours; what is missing, it asks",
         "stillwork.reporting:report_asking",
         (
-            _option(
-                "file",
-                type=_named,
-                metavar="FILE",
-                help="of a machine, a record, or power spectral densities",
-            ),
+            _file("of a machine, a record, or power spectral densities"),
             _option("--out", default="", metavar="PAGE", help="by default FILE.html, here"),
             _option("--unit", default="", help="of a record's channels, or of densities"),
             *_OF_A_MACHINE,
@@ -239,16 +244,14 @@ COMMANDS = {
         "from a machine's file to a controller in C, and a page about it",
         "stillwork.designing:design_file",
         (
-            _option(
-                "file", type=_named, metavar="FILE", help="frequency response, hammer records, or M and K"
-            ),
+            _file("frequency response, hammer records, or M and K"),
             _number("rate", "HZ", "of the controller", float, required=True),
             *_C_FOLDER,
             _number("delay", "SAMPLES", "from measurement to force", int, default=1),
             _number("limit", "N", "largest force", float, default=float("inf")),
             *_OF_A_MACHINE,
             _band("loop-hz", "where the measurement can be trusted"),
-            _option("--mirrored-sensor", action="store_true", help="serve a mirrored sensor, too"),
+            _flag("mirrored-sensor", "serve a mirrored sensor, too"),
             _number("doubt", "SHARE", "by which resonances may differ", float, default=0.05),
             _option("--damping-ratio", type=float, default=0.005, help="of matrices without damping"),
         ),
@@ -257,7 +260,7 @@ COMMANDS = {
     "export": Command(
         "write C99 of a controller, or of FeRls or FeLms, from a file",
         "stillwork.exporting:export_file",
-        (_option("file", type=_named, metavar="FILE", help="controller.json, or TOML"), *_C_FOLDER),
+        (_file("controller.json, or TOML"), *_C_FOLDER),
         needs_checkout=False,
     ),
     "contest": Command(
@@ -266,12 +269,11 @@ COMMANDS = {
         (
             _option("files", nargs="*", metavar="MY_OBSERVER.py", help="each defines a class Observer"),
             _number("seeds", "N", "scans a plant and doubt (default: 2)", default=2),
-            _option(
-                "--public",
-                type=_named,
-                metavar="NUMBER",
+            _text(
+                "public",
+                "NUMBER",
+                "what the hidden seeds follow from, e.g. a lottery's draw",
                 default="20180628",
-                help="what the hidden seeds follow from, e.g. a lottery's draw",
             ),
             _number("loops", "N", "seeds of which the loops are run, too (default: all)"),
             _number("heavy", "N", "seeds on which our heavy entrants run (default: all)"),
@@ -284,7 +286,7 @@ COMMANDS = {
             ),
             _PROCESSES,
             _SCHEDULER,
-            _option("--out", type=_named, metavar="FILE.csv", help="write the table there"),
+            _text("out", "FILE.csv", "write the table there"),
         ),
         needs_checkout=False,
     ),

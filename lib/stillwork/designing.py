@@ -5,7 +5,6 @@ import html
 import json
 from dataclasses import asdict, fields, replace
 from pathlib import Path
-from string import Template
 
 import numpy as np
 
@@ -17,12 +16,13 @@ from stillwork.control.digital import DigitalController, biquads, runnable
 from stillwork.control.machine_loops import SHOWN, Intensities, Reached, applications, reach, search_range
 from stillwork.control.machine_tuning import DesignSettings, tuned
 from stillwork.exporting import require_free, write_folder
-from stillwork.html_page import picture, table
+from stillwork.html_page import page, picture, table
 from stillwork.identification.machine import Machine, brought_forward, build_machine
 from stillwork.identification.machine_files import load_machine
 from stillwork.identification.modal_fit import ModalFit
 from stillwork.lti.discretisation import tustin
 from stillwork.lti.modal import ModalModel
+from stillwork.workbook import figures
 
 # What the observer is made for where nothing is known: accelerations and noise of a machine that moves by nanometres.
 INTENSITIES = Intensities(disturbance=8e-4, sensor=1.41e-9, drift=1.92e-4)
@@ -151,7 +151,7 @@ def design_file(
         files[f"{own}.json"] = json.dumps(controller.as_dict(), indent=1, allow_nan=False) + "\n"
         files |= controller_code(controller, own, precision)
     files["report.html"] = report(machine, found, best, controllers, peaks, helps, doubt, rate, sorted(files))
-    write_folder(folder, {each: text.encode() for each, text in files.items()})
+    write_folder(folder, files)
     rows = {
         use: ", ".join(f"{key} {value}" for key, value in each.summary.items()) for use, each in found.items()
     }
@@ -267,8 +267,8 @@ def report(
         ["limit of the force", f"{limit:g} N" if np.isfinite(limit) else "none: give --limit"],
         *(["note", note] for note in machine.notes),
     ]
-    page = Template((Path(__file__).parent / "design.html").read_text(encoding="utf-8"))
-    return page.substitute(
+    return page(
+        "design.html",
         source=html.escape(machine.source),
         taken=html.escape(best),
         stopped=html.escape(reached.summary["stopped by"]),
@@ -276,8 +276,10 @@ def report(
         uses=uses_table(found),
         peaks=table(["peak", *where], sizes),
         helps=table(["change", "bandwidth (Hz)"], helps or [["nothing that was tried", ""]]),
-        machine=picture(paint_machine(machine)),
-        loops=picture(paint_loops(reached, controllers)),
+        machine=picture(paint_machine(machine), "accelerance of the model and of the measurement"),
+        loops=picture(
+            paint_loops(reached, controllers), "sensitivities and true tracking of the sampled loop"
+        ),
         files=html.escape(", ".join(files)),
     )
 
@@ -293,8 +295,6 @@ def uses_table(found: dict[str, Reached]) -> str:
 
 def paint_machine(machine: Machine):
     """Accelerance of the model at every sensor, and of the measurement at the first."""
-    from stillwork.workbook import figures
-
     figure, axis = figures.new(1, 1, height=3.0)
     resonances = machine.resonances_hz
     hertz = np.unique(
@@ -316,8 +316,6 @@ def paint_machine(machine: Machine):
 
 def paint_stabilisation(fit: ModalFit):
     """Poles over their orders: those that stay from order to order stand out, and those that were taken for modes."""
-    from stillwork.workbook import figures
-
     diagram = fit.diagram
     figure, axis = figures.new(1, 1, height=3.0)
     for hertz in fit.model.frequencies[fit.model.rigid_modes :] / (2 * np.pi):
@@ -335,8 +333,6 @@ def paint_stabilisation(fit: ModalFit):
 
 def paint_loops(reached: Reached, controllers: list[DigitalController]):
     """The three loop functions of every sensor with the controllers' own numbers, and what they may reach."""
-    from stillwork.workbook import figures
-
     figure, axes = figures.new(1, 3, height=2.8, sharey=True)
     colours = (figures.RED, figures.BLUE, figures.GREEN, figures.ORANGE)
     for number, pair in enumerate(zip(reached.loops, controllers, strict=True)):

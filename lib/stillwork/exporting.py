@@ -4,7 +4,7 @@ from dataclasses import MISSING, fields
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from stillwork.base.checks import InputError, nearest, require_choice
+from stillwork.base.checks import InputError, require_choice
 from stillwork.base.toml_files import Table, read_toml
 from stillwork.control.c_code import adaptation_code, controller_code
 from stillwork.control.digital import load_controller
@@ -14,22 +14,10 @@ ADAPTATIONS = {"FeRls": FeRls, "FeLms": FeLms}
 
 
 def export_file(file: str, folder: str, name: str, precision: str) -> list[str]:
-    """Write C99 of what `file` describes into a new folder; returns a line that says what was written.
+    """Write C99 of what `file` describes into a new or empty folder; returns a line that says what was written.
 
-    Parameters
-    ----------
-    file : str
-        ``controller.json`` of the command ``design``; or TOML with a table [controller], see
-        `stillwork.control.load_controller`, or [FeRls] or [FeLms] with their settings, ``actuators`` and ``regressors``.
-    folder : str
-        New, or empty.
-    name, precision : str
-        See `stillwork.control.controller_code`.
-
-    Raises
-    ------
-    InputError
-        When the file describes neither, or there is something in the folder.
+    The file is ``controller.json`` of the command ``design``; or TOML with a table [controller], see
+    `stillwork.control.load_controller`, or [FeRls] or [FeLms] with their settings, ``actuators`` and ``regressors``.
     """
     table = read_toml(file) if file.lower().endswith(".toml") else Table({"controller": None}, file)
     if "controller" in table:
@@ -40,25 +28,24 @@ def export_file(file: str, folder: str, name: str, precision: str) -> list[str]:
         known = {each.name: each for each in fields(ADAPTATIONS[kind])}
         sizes = {size: given[size] for size in ("actuators", "regressors")}
         needed = {name: given[name] for name, each in known.items() if each.default is MISSING}
-        for name_given in given:
-            if name_given not in (*sizes, *known):
-                raise InputError(f"{table.where}: {kind} has no {name_given!r}{nearest(name_given, known)}")
+        for each in given:
+            require_choice(f"{table.where}: a setting of {kind}", each, [*sizes, *known])
         settings = ADAPTATIONS[kind](**needed | {each: given[each] for each in given if each in known})
         files = adaptation_code(settings, **sizes, name=name, precision=precision)
-    write_folder(folder, {each: text.encode() for each, text in files.items()})
+    write_folder(folder, files)
     return [f"{folder}: {', '.join(files)}"]
 
 
-def write_folder(folder: str | Path, files: dict[str, bytes]) -> None:
-    """Write files into a new or empty folder: all of them, put in place by one step, or none."""
+def write_folder(folder: str | Path, files: dict[str, str]) -> None:
+    """Write texts as files into a new or empty folder: all of them, put in place by one step, or none."""
     require_free(folder)
     folder = Path(folder).resolve()
     folder.parent.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}-") as beside:
         new = Path(beside) / folder.name
         new.mkdir()
-        for name, content in files.items():
-            (new / name).write_bytes(content)
+        for name, text in files.items():
+            (new / name).write_bytes(text.encode())
         if folder.exists():
             folder.rmdir()  # fails if it was filled meanwhile
         new.rename(folder)

@@ -2,13 +2,14 @@
 
 import ast
 import json
+import os
 from collections.abc import Collection, Iterator
 from pathlib import Path
 
 import numpy as np
 
 from stillwork.base.checks import InputError, one_line, shown
-from stillwork.signals.datafiles import is_file, is_folder, read_arrays
+from stillwork.signals.datafiles import read_arrays
 from stillwork.signals.records import (
     MOTION_UNITS,
     UNITS_SAID,
@@ -27,21 +28,13 @@ TABLES = ("EXACT", "APPROXIMATE")
 SHORTEST_FLOOR_S = 15.0  # what the floor's notebook takes; its module would cost seconds to import
 
 
-def inspect_file(name: str) -> str:
-    """Report of what the file `name` holds, what is wrong with it, and the commands that use it.
-
-    Nothing in the file is executed.
-
-    Raises
-    ------
-    InputError
-        When there is no such file or it cannot be read as what its name says.
-    """
-    path = Path(name)
-    if not is_file(path):
-        if is_folder(path):
-            raise InputError(f"{name}: this is a folder; name a file in it")
-        raise InputError(f"{shown(name)}: no such file; give a CSV, MAT, NPZ, UFF, TOML or Python file")
+def inspect_file(file: str) -> str:
+    """Report of what a file holds, what is wrong with it, and the commands that use it; nothing in it is executed."""
+    path = Path(file)
+    if not os.path.isfile(path):  # False as well, as for a folder, for a name that no system takes
+        if os.path.isdir(path):
+            raise InputError(f"{file}: this is a folder; name a file in it")
+        raise InputError(f"{shown(file)}: no such file; give a CSV, MAT, NPZ, UFF, TOML or Python file")
     kinds = {".toml": model_file, ".py": _plant}
     own = own_file(path)
     with np.errstate(all="ignore"):  # what is not finite, a line says
@@ -179,13 +172,7 @@ def plant_form(names: Collection[str]) -> dict[str, int]:
 
 
 def outline(file: Path) -> list[str]:
-    """What a Python file lacks to be a plant, read from its source without executing it; empty: nothing.
-
-    Raises
-    ------
-    InputError
-        When there is no such file, or it is not Python.
-    """
+    """What a Python file lacks to be a plant, read from its source without executing it; empty: nothing."""
     try:
         tree = ast.parse(file.read_text(encoding="utf-8"))
     except FileNotFoundError:

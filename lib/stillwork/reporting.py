@@ -6,9 +6,9 @@ import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from string import Template
 
 import numpy as np
+from scipy import integrate
 
 from stillwork.base.checks import InputError, one_line
 from stillwork.control.machine_loops import applications, reach
@@ -21,7 +21,7 @@ from stillwork.designing import (
     paint_stabilisation,
     uses_table,
 )
-from stillwork.html_page import picture, table
+from stillwork.html_page import page, picture, table
 from stillwork.identification.machine import Machine, build_machine
 from stillwork.identification.machine_files import (
     complex_responses,
@@ -42,6 +42,7 @@ from stillwork.signals.records import (
     unit_factor,
 )
 from stillwork.signals.spectra import band_power, estimate_response, estimate_spectrum
+from stillwork.workbook import figures
 
 SEGMENTS = 16  # of a record, at least, in its spectra
 MOST_CHANNELS = 8  # of a record or of spectra on one page
@@ -51,8 +52,8 @@ NORMAL = 1.96  # standard deviations either side of a number, 95 %
 class Missing(InputError):
     """What a file does not say and nobody has said: ask for `name`."""
 
-    def __init__(self, name: str, question: str, option: str):
-        super().__init__(f"{question}; give {option}")
+    def __init__(self, name: str, question: str, value: str = "UNIT"):
+        super().__init__(f"{question}; give --{name.replace('_', '-')} {value}")
         self.name, self.question = name, question
 
 
@@ -76,29 +77,10 @@ def _number(text: str) -> float:
 
 
 def report_file(file: str, out: str = "", **said) -> list[str]:
-    """Write one page about the measurement in `file`.
+    """Write one page about the measurement in `file`, a new one; returns what was found, a line each.
 
-    Parameters
-    ----------
-    file : str
-        A frequency response, hammer records, or M and K; a record over time; power spectral densities.
-    out : str
-        The page, a new file; by default the file's name with ``.html`` behind it.
-    **said
-        What the file may leave out: `unit` of a record or of densities, `response_unit`, `force_unit`, `response`,
-        `sample_rate` (Hz), `fit_hz`; empty or None where nothing is said.
-
-    Returns
-    -------
-    list of str
-        What was found, a line each.
-
-    Raises
-    ------
-    Missing
-        When the file does not say something that is needed.
-    InputError
-        When the file cannot be used, or the page exists.
+    `said` is what the file may leave out: `unit` of a record or of densities, `response_unit`, `force_unit`, `response`,
+    `sample_rate` (Hz), `fit_hz`; empty or None where nothing is said. What is needed and said nowhere is `Missing`.
     """
     source = Path(file)
     said = {name: value for name, value in said.items() if value}
@@ -107,9 +89,9 @@ def report_file(file: str, out: str = "", **said) -> list[str]:
         raise InputError(
             f"{source.name} is a model, not a measurement; `stillwork inspect` says what takes it"
         )
-    page = Path(out or f"{source.name}.html")
-    if page.exists():
-        raise InputError(f"{page} exists; move it away, or give another --out")
+    target = Path(out or f"{source.name}.html")
+    if target.exists():
+        raise InputError(f"{target} exists; move it away, or give another --out")
     arrays = read_arrays(source)
     if all(array.size < 2 for array in arrays.values()):
         raise InputError(f"{source.name} holds no rows of numbers; export the measurement again")
@@ -126,10 +108,9 @@ def report_file(file: str, out: str = "", **said) -> list[str]:
         (lines if isinstance(part, str) else sections).append(part)
     body = [f"<p>{html.escape(line)}</p>" for line in lines]
     body += [f"<h2>{html.escape(title)}</h2>\n{content}" for title, content in sections]
-    template = Template((Path(__file__).parent / "report.html").read_text(encoding="utf-8"))
-    text = template.substitute(source=html.escape(source.name), body="\n".join(body), held=html.escape(held))
-    page.write_text(text, encoding="utf-8")
-    return [*lines, f"written: {page}"]
+    text = page("report.html", source=html.escape(source.name), body="\n".join(body), held=html.escape(held))
+    target.write_text(text, encoding="utf-8")
+    return [*lines, f"written: {target}"]
 
 
 def _machine(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
@@ -140,9 +121,7 @@ def _machine(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
     if kind == "frequency response":
         several = list(complex_responses(arrays))
         if len(several) > 1 and "response" not in said:
-            raise Missing(
-                "response", f"{source.name} holds {', '.join(several)}; which one", "--response NAME"
-            )
+            raise Missing("response", f"{source.name} holds {', '.join(several)}; which one", "NAME")
     if kind == "hammer records":
         _rate(source, arrays, said)
     if kind != "matrices":
@@ -150,20 +129,17 @@ def _machine(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
             ("response_unit", "force_unit"), stated_units(arrays), ("m/s^2, g or um", "N or kN"), strict=True
         ):
             if not stated and name not in said:
-                raise Missing(
-                    name,
-                    f"{source.name} does not say the unit of the {name.partition('_')[0]} ({usual}, say)",
-                    f"--{name.replace('_', '-')} UNIT",
-                )
+                whose = name.partition("_")[0]
+                raise Missing(name, f"{source.name} does not say the unit of the {whose} ({usual}, say)")
     file = load_machine(source, **options)
     band = said.get("fit_hz", (0.0, 0.0))
     machine = build_machine(file, modes_hz=[], fit_hz=band, mirrored_sensor=False)
     known = f" ± {100 * NORMAL * machine.fit.mass_deviation:.2g} %" if machine.fit else ""
     yield f"{kind} of a machine of {machine.mass:.4g} kg{known}"
     yield from machine.notes
-    yield "Modes", _modes(machine) + _image(paint_machine(machine), "accelerance")
+    yield "Modes", _modes(machine) + picture(paint_machine(machine), "accelerance")
     if machine.fit:
-        yield "Stabilisation", _image(paint_stabilisation(machine.fit), "poles over the order")
+        yield "Stabilisation", picture(paint_stabilisation(machine.fit), "poles over the order")
     try:
         found = reach(
             machine, applications(ADDED_DAMPING, SELECTIVITY), retained=RETAINED, intensities=INTENSITIES
@@ -196,7 +172,7 @@ def _record(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
     units = [stated_unit(name) or said.get("unit", "") for name in record.names]
     if "" in units:
         name = record.names[units.index("")]
-        raise Missing("unit", f"{source.name} does not say the unit of {name} ({UNITS_SAID})", "--unit UNIT")
+        raise Missing("unit", f"{source.name} does not say the unit of {name} ({UNITS_SAID})")
     factors, units = zip(*map(unit_factor, units), strict=True)
     signals = record.signals * np.array(factors)[:, None]
     signals -= signals.mean(axis=1, keepdims=True)
@@ -212,7 +188,7 @@ def _record(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
     yield "Spectra", _densities_of(hertz, spectrum.density[:, 1:], record.names, unit)
     if len(signals) > 1:
         figure = paint_response(replace(record, signals=signals), resolution)
-        yield "From the first channel to the others", _image(figure, "coherence")
+        yield "From the first channel to the others", picture(figure, "coherence")
 
 
 def _densities(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
@@ -220,9 +196,7 @@ def _densities(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
     found = {each[1] for name in names if (each := re.search(r"[(\[](.+)[)\]]$", name.strip()))}
     unit = said.get("unit") or (found.pop() if len(found) == 1 else "")
     if not unit or not density_unit(unit):
-        raise Missing(
-            "unit", f"{source.name} does not say the unit of its densities ({DENSITIES_SAID})", "--unit UNIT"
-        )
+        raise Missing("unit", f"{source.name} does not say the unit of its densities ({DENSITIES_SAID})")
     hertz, density = read_densities(source, unit, [], MOST_CHANNELS)
     yield f"power spectral densities, {len(hertz)} frequencies from {hertz[0]:.4g} to {hertz[-1]:.4g} Hz, as accelerations"
     rows = []
@@ -235,48 +209,43 @@ def _densities(source: Path, arrays, said) -> Iterator[str | tuple[str, str]]:
 
 
 def _densities_of(hertz, density, names, unit: str) -> str:
-    return _image(paint_densities(hertz, density, names, unit), "power spectral densities")
+    return picture(paint_densities(hertz, density, names, unit), "power spectral densities")
 
 
 def paint_densities(hertz, density, names, unit: str):
     """Power spectral densities over frequency, and the rms that gathers from the lowest one on."""
-    from stillwork.workbook import figures
-
-    figure, (upper, lower) = figures.new(2, 1, height=4.6, sharex=True)
-    for name, row in zip(names, density, strict=True):
-        upper.loglog(hertz, np.maximum(row, row.max() * 1e-12), linewidth=0.8, label=name)
-        steps = np.diff(hertz) * (row[1:] + row[:-1]) / 2
-        lower.semilogx(hertz[1:], np.sqrt(np.cumsum(steps)), linewidth=0.9)
+    power = integrate.cumulative_trapezoid(density, hertz, initial=0.0)
+    seen = np.maximum(density, 1e-12 * density.max(axis=1, keepdims=True))
+    figure, upper, lower = _two_panels(hertz, seen, np.sqrt(power), names)
     upper.set_ylabel(f"density (({unit})²/Hz)")
-    upper.legend()
-    lower.set(xlabel="frequency (Hz)", ylabel=f"rms up to there ({unit})")
+    lower.set_ylabel(f"rms up to there ({unit})")
     return figure
 
 
 def paint_response(record: Record, resolution: float):
     """Size of the response of every other channel to the first, and its coherence."""
-    from stillwork.workbook import figures
-
     found = estimate_response(record.signals[:1], record.signals[1:], record.sample_rate, resolution)
-    figure, (upper, lower) = figures.new(2, 1, height=4.6, sharex=True)
-    for k, name in enumerate(record.names[1:]):
-        upper.loglog(found.frequencies_hz[1:], np.abs(found.response[k, 0, 1:]), linewidth=0.8, label=name)
-        lower.semilogx(found.frequencies_hz[1:], found.coherence[k, 1:], linewidth=0.8)
+    size, hertz = np.abs(found.response[:, 0, 1:]), found.frequencies_hz[1:]
+    figure, upper, lower = _two_panels(hertz, size, found.coherence[:, 1:], record.names[1:])
     upper.set_ylabel(f"over {record.names[0]}")
-    upper.legend()
-    lower.set(xlabel="frequency (Hz)", ylabel="coherence", ylim=(0, 1.05))
+    lower.set(ylabel="coherence", ylim=(0, 1.05))
     return figure
+
+
+def _two_panels(hertz, above, below, names):
+    """Rows over frequency on two panels, the upper ones in decades."""
+    figure, (upper, lower) = figures.new(2, 1, height=4.6, sharex=True)
+    for name, high, low in zip(names, above, below, strict=True):
+        upper.loglog(hertz, high, linewidth=0.8, label=name)
+        lower.semilogx(hertz, low, linewidth=0.8)
+    upper.legend()
+    lower.set_xlabel("frequency (Hz)")
+    return figure, upper, lower
 
 
 def _rate(source: Path, arrays, said) -> float:
     stated = said.get("sample_rate")
     timed = any(is_time(name) and array.size > 1 for name, array in arrays.items())
     if stated is None and not timed and not any(array.size == 1 for array in arrays.values()):
-        raise Missing(
-            "sample_rate", f"{source.name} has no time and no rate; its rate in Hz", "--sample-rate HZ"
-        )
+        raise Missing("sample_rate", f"{source.name} has no time and no rate; its rate in Hz", "HZ")
     return sampling_rate(source.name, arrays, stated)
-
-
-def _image(figure, words: str) -> str:
-    return f'<p><img src="data:image/png;base64,{picture(figure)}" alt="{words}"></p>'

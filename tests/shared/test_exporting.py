@@ -49,7 +49,7 @@ def test_an_adaptation_is_written_as_the_library_gives_it(tmp_path, text, settin
 BAD = {
     "[FeRls]\nactuators = 2\nregressors = 3\n": "initial_covariance",
     "[FeRls]\ninitial_covariance = 1.0\nregressors = 3\n": "'actuators' is missing",
-    "[FeLms]\nactuators = 2\nregressors = 3\nstepsize = 0.1\n": "FeLms has no 'stepsize'; did you mean 'step_size'?",
+    "[FeLms]\nactuators = 2\nregressors = 3\nstepsize = 0.1\n": "FeLms is 'stepsize'; use one of 'actuators', 'regressors', 'step_size'",
     "[FeRsl]\nactuators = 2\n": "did you mean 'FeRls'?",
     "": "table is None; use one of",
     "[controller]\nbiquads = []\n": "'rate_hz' is missing",
@@ -68,10 +68,10 @@ def test_files_that_describe_nothing_say_why_and_leave_nothing(tmp_path, capsys,
 
 def test_nothing_is_overwritten_and_nothing_half_written(tmp_path):
     out = tmp_path / "out"
-    write_folder(out, {"a.c": b"1"})
+    write_folder(out, {"a.c": "1"})
     with pytest.raises(InputError, match="is not empty; nothing is overwritten"):
-        write_folder(out, {"a.c": b"2"})
+        write_folder(out, {"a.c": "2"})
     assert read(out) == {"a.c": "1"}
-    with pytest.raises(TypeError):
-        write_folder(tmp_path / "half", {"a.c": b"1", "b.c": None})
+    with pytest.raises(AttributeError):
+        write_folder(tmp_path / "half", {"a.c": "1", "b.c": None})
     assert [each.name for each in tmp_path.iterdir()] == ["out"]

@@ -133,6 +133,15 @@ def test_a_result_that_is_not_finite_is_an_error():
         endless(0.0)
 
 
+def test_what_a_library_said_is_quoted_as_it_said_it():
+    @checked
+    def solved(number: float):
+        raise np.linalg.LinAlgError("SVD did not converge")
+
+    with pytest.raises(InputError, match=r"\(SVD did not converge\)"):
+        solved(1.0)
+
+
 def test_a_model_keeps_what_it_was_given():
     rows = np.ones((3, 2))
     part = Part(1.0, rows)

@@ -20,6 +20,7 @@ from stillwork.inspecting import inspect_file
 from stillwork.site.scaffold import new_result
 from stillwork.workbook.claims import load_entries
 from stillwork.workbook.notebooks import read_notebook
+from stillwork.workbook.readings import command
 from workbook import toy as toys
 
 SLAB = paths.data("isolation", "slab_footfall/slab_vertical.csv")
@@ -485,6 +486,16 @@ def test_an_empty_name_is_refused_with_its_argument(words, capsys):
     with pytest.raises(SystemExit):
         main(words)
     assert re.search(r"error: argument \S+: '' names nothing", capsys.readouterr().err)
+
+
+def test_a_budget_is_a_time_in_minutes(monkeypatch, capsys):
+    monkeypatch.setattr(command, "compute_readings", lambda budget_min, **_: [f"{budget_min:g} min"])
+    assert main(["readings", "--budget", "2.5"]) == 0
+    assert capsys.readouterr().out == "2.5 min\n"
+    for text in ("0", "-1", "nan", "soon"):
+        with pytest.raises(SystemExit):
+            main(["readings", "--budget", text])
+        assert "is not a time; give minutes, more than 0" in capsys.readouterr().err
 
 
 def test_a_word_too_many_is_not_taken_for_an_option(capsys):

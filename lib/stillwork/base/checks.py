@@ -64,31 +64,22 @@ def require_number(
     try:
         number = _float(value)
     except OverflowError:
-        raise InputError(
-            f"{name} is beyond the largest floating-point number; {_within(above, at_least, below, at_most)}"
-        ) from None
+        found = "beyond the largest floating-point number"
     except Exception:  # a reader's own object may raise anything when it is asked
-        raise InputError(
-            f"{name} is {shown(value)}, not a number; {_within(above, at_least, below, at_most)}"
-        ) from None
-    if (
-        not math.isfinite(number)
-        or (above is not None and not number > above)
-        or (at_least is not None and not number >= at_least)
-        or (below is not None and not number < below)
-        or (at_most is not None and not number <= at_most)
-    ):
-        raise InputError(f"{name} is {number:g}; {_within(above, at_least, below, at_most)}")
-    return number
-
-
-def _within(*bounds: float | int | None) -> str:
-    """What to give instead: a number above, of at least, below and of at most `bounds`."""
-    words = ("above", "at least", "below", "at most")
-    wanted = " and ".join(
-        f"{word} {bound:g}" for word, bound in zip(words, bounds, strict=True) if bound is not None
-    )
-    return f"give a finite number{' ' + wanted if wanted else ''}"
+        found = f"{shown(value)}, not a number"
+    else:
+        if (
+            math.isfinite(number)
+            and (above is None or number > above)
+            and (at_least is None or number >= at_least)
+            and (below is None or number < below)
+            and (at_most is None or number <= at_most)
+        ):
+            return number
+        found = f"{number:g}"
+    bounds = {"above": above, "at least": at_least, "below": below, "at most": at_most}
+    wanted = " and ".join(f"{word} {bound:g}" for word, bound in bounds.items() if bound is not None)
+    raise InputError(f"{name} is {found}; give a finite number{wanted and ' ' + wanted}")
 
 
 def _float(value) -> float:

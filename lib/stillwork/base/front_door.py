@@ -5,6 +5,7 @@ A function keeps to its own what no annotation says: bounds, which sizes fit tog
 
 import inspect
 import math
+import re
 import threading
 import types
 import typing
@@ -36,20 +37,13 @@ _OPEN = {ArrayLike, *typing.get_args(getattr(ArrayLike, "__value__", ArrayLike))
 }
 
 
-_PLAIN: dict[Any, Callable] = {
-    float: require_number,
-    int: require_whole,
-    bool: require_flag,
-    np.ndarray: require_array,
-    Callable: require_callable,
-}
-
-_WORDS = {
-    float: "a number",
-    int: "a whole number",
-    bool: "True or False",
-    np.ndarray: "an array",
-    Callable: "a function",
+# The check of an annotation, and how a refusal names what it wants.
+_PLAIN: dict[Any, tuple[Callable, str]] = {
+    float: (require_number, "a number"),
+    int: (require_whole, "a whole number"),
+    bool: (require_flag, "True or False"),
+    np.ndarray: (require_array, "an array"),
+    Callable: (require_callable, "a function"),
 }
 
 _NUMBERS = (complex, np.ndarray, np.inexact)  # that may be NaN
@@ -78,7 +72,7 @@ def checked(function: Callable | None = None, *, infinite: bool = False, missing
     function raises, called on the way, comes through as it is.
     """
     if function is None:
-        return lambda each: checked(each, infinite=infinite, missing=missing)
+        return partial(checked, infinite=infinite, missing=missing)
     names = [name for name, each in inspect.signature(function).parameters.items() if each.kind in _BY_PLACE]
 
     @wraps(function)
@@ -86,14 +80,12 @@ def checked(function: Callable | None = None, *, infinite: bool = False, missing
         if _inside.now:
             return function(*values, **named)
         checks = _checks(function)
-        by_place = [
-            checks[name](name, value) if name in checks else value
-            for name, value in zip(names, values, strict=False)
-        ]
-        values = (*by_place, *values[len(by_place) :])
-        named = {
-            name: checks[name](name, value) if name in checks else value for name, value in named.items()
-        }
+
+        def asked(name: str, value):
+            return checks[name](name, value) if name in checks else value
+
+        values = (*map(asked, names, values), *values[len(names) :])
+        named = {name: asked(name, value) for name, value in named.items()}
         _inside.now = True
         try:
             result = function(*values, **named)
@@ -187,16 +179,12 @@ def outside(function: Callable, check: Callable = lambda value: value) -> Callab
 
 
 def _named(function: Callable) -> str:
-    return (
-        function.__qualname__.rpartition("<locals>.")[2]
-        .removesuffix(".__post_init__")
-        .removesuffix(".__init__")
-    )
+    return re.sub(r".*<locals>\.|\.__(post_)?init__$", "", function.__qualname__)
 
 
 def _beyond(function: Callable, why) -> InputError:
     return InputError(
-        f"{_named(function)} has no result for these numbers ({str(why).strip().lower() or 'out of range'}); "
+        f"{_named(function)} has no result for these numbers ({str(why).strip() or 'out of range'}); "
         "they are too large, too small or too close to singular"
     )
 
@@ -228,7 +216,7 @@ def _argument(hint) -> Callable | None:
 def _check(hint) -> Callable | None:
     """``check(name, value)`` that returns the value as `hint` has it; None for what is not checked here."""
     if hint in _PLAIN:
-        return _PLAIN[hint]
+        return _PLAIN[hint][0]
     origin, parts = typing.get_origin(hint), typing.get_args(hint)
     if origin is Callable:
         return require_callable
@@ -284,7 +272,9 @@ def _words(hint) -> str:
     kind = typing.get_origin(hint) or hint
     if kind in (list, tuple, Sequence, Collection, Iterable):
         return "a list of whole numbers" if int in typing.get_args(hint) else "a list of values"
-    return _WORDS.get(kind) or ("an array" if issubclass(kind, AbstractArray) else kind.__name__)
+    if issubclass(kind, AbstractArray):
+        kind = np.ndarray
+    return _PLAIN[kind][1] if kind in _PLAIN else kind.__name__
 
 
 def _sequence(origin, parts: tuple) -> Callable | None:
@@ -312,14 +302,14 @@ def _sequence(origin, parts: tuple) -> Callable | None:
 
 
 def _mapping(origin, parts: tuple) -> Callable:
-    keys, values = (_measured if part is np.ndarray else _check(part) for part in parts)
+    keys, values = (
+        _measured if part is np.ndarray else _check(part) or (lambda _, value: value) for part in parts
+    )
 
     def check(name: str, value):
         require_kind(name, value, origin)
         return {
-            keys(f"a name in {name}", key) if keys else key: values(f"{name}[{shown(key)}]", item)
-            if values
-            else item
+            keys(f"a name in {name}", key): values(f"{name}[{shown(key)}]", item)
             for key, item in value.items()
         }
 

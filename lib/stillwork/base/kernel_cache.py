@@ -134,25 +134,16 @@ def _locked(path: str):
     if fcntl is None:
         return None
     until = time.monotonic() + PATIENCE
-    with contextlib.ExitStack() as opened:
-        try:
-            file = opened.enter_context(open(path, "ab"))
-            while not _try_lock(file):
-                if time.monotonic() > until:
-                    return None
-                time.sleep(0.02)
-        except OSError:  # no folder to write to, or one without locks
-            return None
-        opened.pop_all()
-        return file
-
-
-def _try_lock(file) -> bool:
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True
+    # An error: no folder to write to, or one without locks.
+    with contextlib.suppress(OSError), contextlib.ExitStack() as opened:
+        file = opened.enter_context(open(path, "ab"))
+        while time.monotonic() < until:
+            with contextlib.suppress(BlockingIOError):
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                opened.pop_all()
+                return file
+            time.sleep(0.02)
+    return None
 
 
 def _unlock(file) -> None:

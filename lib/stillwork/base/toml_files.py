@@ -37,8 +37,6 @@ def read_toml(file: str | Path) -> Table:
         raise InputError(f"{file} is not text; give a TOML file in UTF-8") from None
     except RecursionError:
         raise InputError(f"{file}: nested too deeply; give tables of values") from None
-    except InputError:
-        raise
     except ValueError as error:  # not TOML, a null in the path, or more digits than Python takes
         raise InputError(f"{shown(str(file))}: not valid TOML ({error}); mend that line") from None
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.base.checks import InputError, nearest, require_array, require_choice, require_number
+from stillwork.base.checks import InputError, require_array, require_choice, require_number
 from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.identification.frequency_response import Identified, impact_response
 from stillwork.lti.modal import ModalModel, modal_model
@@ -114,15 +114,10 @@ def load_machine(
             return MachineFile(kind, file.name, model=_from_matrices(arrays, damping_ratio))
         named = response.partition("[")[0]
         stated = stated_units([each for each in (response, named) if each in arrays] or arrays)
-        silent = [
-            name
-            for name, said, given in zip(
-                ("response", "force"), stated, (response_unit, force_unit), strict=True
-            )
-            if not said and not given
-        ]
-        response_unit = _agreed("response_unit", response_unit, stated[0]) or "m/s^2"
-        force_unit = _agreed("force_unit", force_unit, stated[1]) or "N"
+        response_unit = _agreed("response_unit", response_unit, stated[0])
+        force_unit = _agreed("force_unit", force_unit, stated[1])
+        silent = [name for name, unit in (("response", response_unit), ("force", force_unit)) if not unit]
+        response_unit, force_unit = response_unit or "m/s^2", force_unit or "N"
         factor, unit = unit_factor(response_unit)
         force, force_si = unit_factor(force_unit)
         if silent and (unknown := _unknown_unit(arrays)):
@@ -171,13 +166,7 @@ def complex_responses(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 @checked
 def stated_units(names: Iterable[str]) -> tuple[str, str]:
-    """Units of response and force from brackets such as ``(m/s^2/N)``, ``((m/s2)/N)``, ``(g)`` and ``(N)``; empty: none.
-
-    Raises
-    ------
-    InputError
-        When two names contradict each other.
-    """
+    """Units of response and force from brackets such as ``(m/s^2/N)``, ``((m/s2)/N)``, ``(g)`` and ``(N)``; empty: none."""
     units: dict[str, str] = {}
     for name in names:
         whole = _in_brackets(name)
@@ -204,14 +193,10 @@ def _in_brackets(name: str) -> str:
 
 def _unknown_unit(names: Iterable[str]) -> str:
     """The first name whose brackets hold nothing that is known of a machine; empty when there is none."""
-    return next(
-        (
-            name
-            for name in names
-            if _in_brackets(name).lower() not in (*_PLAIN, *_HERTZ) and stated_units([name]) == ("", "")
-        ),
-        "",
-    )
+    for name in names:
+        if _in_brackets(name).lower() not in (*_PLAIN, *_HERTZ) and stated_units([name]) == ("", ""):
+            return name
+    return ""
 
 
 @checked
@@ -242,15 +227,11 @@ def _from_response(arrays: dict[str, np.ndarray], response: str) -> tuple[Identi
     same |= complex_responses(arrays)
     complex_ones = [name for name in same if np.iscomplexobj(same[name])]
     if complex_ones:
-        if response and response not in complex_ones:
-            raise InputError(
-                f"no response {response!r}{nearest(response, complex_ones)}; it has {', '.join(complex_ones)}"
-            )
         if len(complex_ones) > 1 and not response:
             raise InputError(
                 f"it holds {len(complex_ones)} responses; choose with response={complex_ones[0]!r}"
             )
-        name = response or complex_ones[0]
+        name = require_choice("response", response or complex_ones[0], complex_ones)
         values = same[name]
         notes.append(f"taken: {name}")
     elif (real := _named(same, "real", "re")) and (imaginary := _named(same, "imaginary", "imag", "im")):
@@ -283,7 +264,7 @@ def _from_hammer(
     forces = [name for name in arrays if _word(name) in ("force", "hammer") and arrays[name].size > 1]
     if not forces:
         raise InputError("the force holds one number; give its samples, hits by samples")
-    length = max(arrays[name].shape[-1] if arrays[name].ndim > 1 else arrays[name].size for name in forces)
+    length = max(arrays[name].shape[-1] for name in forces)
     responses = [
         name
         for name, array in arrays.items()

@@ -30,6 +30,7 @@ LEAST = 0.5  # relative error that a mode must prevent, root mean square over it
 SURE = 30.0  # times the mean square error beside it, that the sum of squares without a mode must grow by
 CANCELLED = 3.0  # times the response at its frequency, that a mode's own part may have
 NEAR_GUESS = 5e-3  # of a frequency, within which a pole that settles takes the place of a guess
+UNSETTLED = 1e-3  # damping ratio of a guess that no such pole is near
 LITTLE = 1e-4  # part of the error that a candidate must take away to be tried
 EXACT = 1e-16  # part of the response's square that is rounding
 LEAST_LINES, HUGE = 32, 1e30  # of a measurement; what its response stays below, and its inverse above
@@ -114,19 +115,17 @@ def fit_modal_matrix(
     gains = problem.residues(parameters)
     spread = problem.spread(parameters)
     u, s, v = np.linalg.svd(np.concatenate([gains[:1], gains[1 + len(POWERS) :]]))
-    ranks = [rigid_modes] + [1] * modes
-    pairs = [
-        (u[k][:, i] * np.sqrt(s[k, i]), v[k][i] * np.sqrt(s[k, i]))
-        for k, rank in enumerate(ranks)
-        for i in range(rank)
-    ]
+    # Of the rigid body as many singular vectors as it has modes, of every other residue the first.
+    which = np.append(np.zeros(rigid_modes, int), np.arange(1, modes + 1))
+    first = np.append(np.arange(rigid_modes), np.zeros(modes, int))
+    sizes = np.sqrt(s[which, first])
     still = np.zeros(rigid_modes)
     frequencies, damping = np.exp(parameters)
     model = ModalModel(
         np.concatenate([still, frequencies]),
         np.concatenate([still, damping]),
-        np.array([into for _, into in pairs]),
-        np.array([out for out, _ in pairs]).T,
+        v[which, first] * sizes[:, None],
+        u[which, :, first].T * sizes,
         gains[1],
     )
     return ModalMatrixFit(
@@ -143,14 +142,10 @@ class _Problem:
     """Weighted data, and what is linear in the residues."""
 
     def __init__(self, omega, response, deviation, sample_time):
-        self.omega, self.deviation, self.sample_time, self.shape = (
-            omega,
-            deviation,
-            sample_time,
-            response.shape[1:],
-        )
+        self.omega, self.deviation, self.sample_time = omega, deviation, sample_time
+        self.shape = response.shape[1:]
         target = (response / deviation[:, None, None]).reshape(len(omega), -1)
-        self.goal = np.vstack([target.real, target.imag])
+        self.goal = _stacked(target)
         held = (1 + np.exp(-1j * omega * sample_time)) / 2
         self.fixed = held * (omega / omega.max()) ** np.array(POWERS)[:, None]
 
@@ -159,9 +154,7 @@ class _Problem:
         modes, ratios = np.exp(parameters)
         each = sampled_modes(np.append(0.0, modes), np.append(0.0, ratios), self.sample_time, self.omega)
         whole = (np.vstack([each[:1], self.fixed, each[1:]]) / self.deviation).T
-        stacked = np.vstack([whole.real, whole.imag])
-        sizes = np.linalg.norm(stacked, axis=0)
-        return *np.linalg.qr(stacked / sizes), sizes
+        return _orthogonal(_stacked(whole))
 
     def residual(self, parameters) -> np.ndarray:
         q, _, _ = self._columns(parameters)
@@ -178,13 +171,9 @@ class _Problem:
 
     def spread(self, parameters) -> np.ndarray:
         """Standard deviations of the logarithms; each of the two parts of an error has half its variance."""
-        small = 1e-6
-        jacobian = [
-            self.residual(parameters + small * direction.reshape(parameters.shape))
-            - self.residual(parameters - small * direction.reshape(parameters.shape))
-            for direction in np.eye(parameters.size)
-        ]
-        jacobian = np.array(jacobian) / (2 * small)
+        moves = 1e-6 * np.eye(parameters.size).reshape(-1, *parameters.shape)
+        jacobian = [self.residual(parameters + move) - self.residual(parameters - move) for move in moves]
+        jacobian = np.array(jacobian) / 2e-6
         return np.sqrt(np.diag(np.linalg.inv(jacobian @ jacobian.T)) / 2).reshape(parameters.shape)
 
 
@@ -219,9 +208,7 @@ class ModalFit:
 
 
 @checked
-def fit_modes(
-    measured: Identified, guesses_hz: ArrayLike, band_hz: tuple[float, float], damping_guess: float = 1e-3
-) -> ModalFit:
+def fit_modes(measured: Identified, guesses_hz: ArrayLike, band_hz: tuple[float, float]) -> ModalFit:
     r"""Fit rigid body, modes and compliance to an accelerance, by least squares of the relative error.
 
     :math:`A(\omega) = \frac1M + \sum_i\frac{-\omega^2 r_i}{\omega_i^2 - \omega^2 + 2j\zeta_i\omega_i\omega}
@@ -237,8 +224,6 @@ def fit_modes(
         Where the modes are, one entry a mode.
     band_hz : tuple of float
         Band of the fit.
-    damping_guess : float
-        Where the search for the damping ratio starts of a mode at which no pole settles.
 
     Returns
     -------
@@ -270,7 +255,7 @@ def fit_modes(
         raise InputError(
             "guesses_hz must hold at least one frequency; identify_modes finds the modes by itself"
         )
-    fit = identify_modes(measured, band_hz, guesses, damping_guess)
+    fit = identify_modes(measured, band_hz, guesses)
     if fit.turned:
         raise InputError("the fitted mass is not positive; check the sign of the response and the band")
     return fit
@@ -278,10 +263,7 @@ def fit_modes(
 
 @checked
 def identify_modes(
-    measured: Identified,
-    band_hz: tuple[float, float],
-    guesses_hz: ArrayLike = (),
-    damping_guess: float = 1e-3,
+    measured: Identified, band_hz: tuple[float, float], guesses_hz: ArrayLike = ()
 ) -> ModalFit:
     """Find the modes of an accelerance, leave out the spurious ones, and fit as `fit_modes` does.
 
@@ -300,8 +282,6 @@ def identify_modes(
         Lines that count; the mass comes from those below half the first resonance.
     guesses_hz : array_like, shape (modes,)
         Where the modes are; empty to find them.
-    damping_guess : float
-        Relative damping of a guess that no pole of the diagram is near.
 
     Returns
     -------
@@ -330,7 +310,6 @@ def identify_modes(
     guesses = np.sort(require_array("guesses_hz", guesses_hz, ndim=1))
     if len(guesses) and (guesses[0] <= band_hz[0] or guesses[-1] >= band_hz[1]):
         raise InputError("guesses_hz must be empty or hold frequencies all inside band_hz")
-    require_number("damping_guess", damping_guess, above=0.0, below=1.0)
     problem = _Accelerance(measured, band_hz)
     diagram = stabilisation(problem.omega, problem.target[:, None, None])
     settled = np.log(diagram.settled())
@@ -338,7 +317,7 @@ def identify_modes(
     problem.bring_forward(np.hstack([settled[:, :MOST_FITTED], ends]))
     modes = np.zeros((2, 0))
     if len(guesses):
-        modes = np.log([2 * np.pi * guesses, np.full(len(guesses), damping_guess)])
+        modes = np.log([2 * np.pi * guesses, np.full(len(guesses), UNSETTLED)])
         for mode in modes.T:
             apart = np.abs(settled[0] - mode[0])
             if apart.size and apart.min() < NEAR_GUESS:
@@ -405,8 +384,7 @@ class _Accelerance:
     def solved(self, modes):
         """Gains, residual and its derivative by the modes' parameters, what the gains take up left out (Kaufman)."""
         linear, moving = self.columns(modes)
-        sizes = np.linalg.norm(linear, axis=0)
-        q, r = np.linalg.qr(linear / sizes)
+        q, r, sizes = _orthogonal(linear)
         gains = np.linalg.solve(r, q.T @ self.goal) / sizes
         moving = moving * np.tile(gains[FIXED:], 2)
         return gains, linear @ gains - self.goal, moving - q @ (q.T @ moving)
@@ -437,8 +415,7 @@ class _Accelerance:
     def bring_forward(self, modes):
         """Take the delay out of the response with which these modes, moved a little, leave least of it."""
         linear, moving = self.columns(modes)
-        both = np.hstack([linear, moving])
-        q = np.linalg.qr(both / np.linalg.norm(both, axis=0))[0]
+        q, _, _ = _orthogonal(np.hstack([linear, moving]))
 
         def left(delay):
             turned = np.exp(1j * np.multiply.outer(self.omega, delay))
@@ -582,6 +559,12 @@ def _stacked(values: np.ndarray) -> np.ndarray:
     return np.concatenate([values.real, values.imag])
 
 
+def _orthogonal(columns: np.ndarray):
+    """Orthonormal columns, their triangle, and the sizes by which the columns were divided."""
+    sizes = np.linalg.norm(columns, axis=0)
+    return *np.linalg.qr(columns / sizes), sizes
+
+
 def _swept(gram, pivot):
     """What is left of normal equations when one column is taken."""
     if gram[pivot, pivot] < 1e-12:
@@ -591,8 +574,7 @@ def _swept(gram, pivot):
 
 def _spread(jacobian, residual):
     """Standard deviations of parameters when errors differ from line to line and depend on their neighbours'."""
-    sizes = np.linalg.norm(jacobian, axis=0)
-    q, r = np.linalg.qr(jacobian / sizes)
+    q, r, sizes = _orthogonal(jacobian)
     residual = residual / (1 - np.sum(q**2, axis=1))  # what a line draws the fit to itself
     scores = (q * residual[:, None]).reshape(2, -1, q.shape[1]).sum(axis=0)
     middle = scores.T @ scores

@@ -75,7 +75,7 @@ def run_multisine(
         )
     if not loop.is_stable:
         raise InputError("loop is unstable; identify it with a controller that stabilises it")
-    sizes = np.repeat([deviations[0], deviations[1]], [actuators, sensors])
+    sizes = np.repeat(deviations, [actuators, sensors])
     lines = slice(1, samples // 2)
     reference, inputs, outputs = [], [], []
     for actuator in range(actuators):

@@ -127,12 +127,10 @@ def tustin(model: StateModel, sample_time: float, omega: float | None = None) ->
     """
     require_number("sample_time", sample_time, above=0.0)
     _require_continuous(model)
-    if omega is None:
-        rate = 2 / sample_time
-    else:
-        rate = require_number("omega", omega, above=0.0, below=np.pi / sample_time) / np.tan(
-            omega * sample_time / 2
-        )
+    rate = 2 / sample_time
+    if omega is not None:
+        require_number("omega", omega, above=0.0, below=np.pi / sample_time)
+        rate = omega / np.tan(omega * sample_time / 2)
     inverse = np.linalg.inv(rate * np.eye(len(model.a)) - model.a)
     c = model.c @ inverse
     return StateModel(

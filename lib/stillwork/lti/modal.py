@@ -102,9 +102,12 @@ class ModalModel:
         InputError
             When a place does not exist.
         """
+        return self._taken(chosen, self.frequencies)
+
+    def _taken(self, chosen, frequencies) -> "ModalModel":
         return replace(
             self,
-            frequencies=self.frequencies[chosen],
+            frequencies=frequencies[chosen],
             damping=self.damping[chosen],
             input_shapes=self.input_shapes[chosen],
             output_shapes=self.output_shapes[:, chosen],
@@ -125,14 +128,7 @@ class ModalModel:
             When there is not one for each mode, or one is negative.
         """
         frequencies = require_array("frequencies", frequencies, shape=self.frequencies.shape)
-        order = np.argsort(frequencies, kind="stable")
-        return replace(
-            self,
-            frequencies=frequencies[order],
-            damping=self.damping[order],
-            input_shapes=self.input_shapes[order],
-            output_shapes=self.output_shapes[:, order],
-        )
+        return self._taken(np.argsort(frequencies, kind="stable"), frequencies)
 
     @checked
     def at(self, inputs: Sequence[int], outputs: Sequence[int]) -> "ModalModel":
@@ -270,14 +266,12 @@ def modal_model(
         ratio = np.where(w > 0, ratio, 0.0)
     else:
         modal = shapes.T @ require_array("damping_matrix", damping_matrix, shape=(n, n)) @ shapes
-        rest = np.abs(modal - np.diag(np.diag(modal))).max()
-        if rest > 1e-8 * np.abs(modal).max() or np.any(
-            np.abs(np.diag(modal)[w == 0]) > 1e-8 * np.abs(modal).max()
-        ):
+        own = np.where(w > 0, np.diag(modal), 0.0)
+        if np.abs(modal - np.diag(own)).max() > 1e-8 * np.abs(modal).max():
             raise InputError(
                 "damping_matrix does not decouple in the mode shapes; give damping_ratio instead"
             )
-        ratio = np.divide(np.diag(modal), 2 * w, out=np.zeros(n), where=w > 0)
+        ratio = np.divide(own, 2 * w, out=np.zeros(n), where=w > 0)
     input_map = require_array("input_map", input_map, shape=(n, None))
     output_map = require_array("output_map", output_map, shape=(None, n))
     return ModalModel(

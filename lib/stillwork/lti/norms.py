@@ -10,10 +10,11 @@ from stillwork.lti.state_space import StateModel
 
 # A gain this far below |B| |C|, in slow time and balanced, is the rounding of a model that passes nothing.
 NOTHING = 1e-15
+TOLERANCE = 1e-10  # of the H-infinity norm, relative
 
 
 @checked
-def hinf_norm(model: StateModel, tolerance: float = 1e-10) -> Peak:
+def hinf_norm(model: StateModel) -> Peak:
     """H-infinity norm of a stable continuous model, and its frequency, by the eigenvalues of a Hamiltonian.
 
     No frequency grid: a level is exceeded exactly when the Hamiltonian has imaginary eigenvalues there.
@@ -21,8 +22,6 @@ def hinf_norm(model: StateModel, tolerance: float = 1e-10) -> Peak:
     Parameters
     ----------
     model : StateModel
-    tolerance : float
-        Relative, of the magnitude.
 
     Returns
     -------
@@ -49,11 +48,8 @@ def hinf_norm(model: StateModel, tolerance: float = 1e-10) -> Peak:
         raise InputError("model must be stable and in continuous time for this norm")
     if not (np.any(model.b) and np.any(model.c)):
         return Peak(_finite(float(np.linalg.norm(model.d, 2))) if model.d.size else 0.0, 0.0)
-    units = _unit(model.b), _unit(model.c)
-    rate = np.abs(model.poles).max()
-    a, (scale, _) = linalg.matrix_balance(model.a / rate, permute=False, separate=True)
-    b, c = model.b / units[0] / scale[:, None] / rate, model.c / units[1] * scale
-    d = model.d / units[0] / units[1]
+    units, rate, a, b, c = _balanced(model)
+    b, d = b / rate, model.d / units[0] / units[1]
     _finite(np.abs(d).max())
     size = np.sqrt(np.linalg.norm(b) / np.linalg.norm(c)) if np.any(b) and np.any(c) else 1.0
     scaled = StateModel(a, b / size, c * size, d)
@@ -66,7 +62,7 @@ def hinf_norm(model: StateModel, tolerance: float = 1e-10) -> Peak:
     level, where = max(values.max(), np.linalg.norm(d, 2)), start[values.argmax()]
     passes = level > NOTHING * np.linalg.norm(b) * np.linalg.norm(c)
     for _ in range(60 if passes else 0):
-        raised = (1 + 2 * tolerance) * level
+        raised = (1 + 2 * TOLERANCE) * level
         crossings = _crossings(scaled, raised)
         if len(crossings) < 2:
             break
@@ -80,6 +76,14 @@ def hinf_norm(model: StateModel, tolerance: float = 1e-10) -> Peak:
             break
         level, where = values.max(), middle[values.argmax()]
     return Peak(_finite(level * units[0] * units[1]), float(where * rate))
+
+
+def _balanced(model: StateModel):
+    """Units of B and C, the rate of the fastest pole, A in slow time, and B and C in these units; balanced."""
+    units = _unit(model.b), _unit(model.c)
+    rate = np.abs(model.poles).max()
+    a, (scale, _) = linalg.matrix_balance(model.a / rate, permute=False, separate=True)
+    return units, rate, a, model.b / units[0] / scale[:, None], model.c / units[1] * scale
 
 
 def _unit(matrix: np.ndarray) -> float:
@@ -144,10 +148,8 @@ def h2_norm(model: StateModel) -> float:
         raise InputError("model must be stable, strictly proper and in continuous time for this norm")
     if not (np.any(model.b) and np.any(model.c)):
         return 0.0
-    units = _unit(model.b), _unit(model.c)
-    rate = np.abs(model.poles).max()
-    a, (scale, _) = linalg.matrix_balance(model.a / rate, permute=False, separate=True)
-    b, c = model.b / units[0] / scale[:, None] / np.sqrt(rate), model.c / units[1] * scale
+    units, rate, a, b, c = _balanced(model)
+    b = b / np.sqrt(rate)
     driven = b @ b.T
     gramian = linalg.solve_continuous_lyapunov(a, -driven)
     for _ in range(REFINEMENTS):

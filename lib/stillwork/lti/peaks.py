@@ -47,10 +47,10 @@ def resonance_grid(
     require_number("high_hz", high_hz, above=low_hz)
     require_count("points", points, at_least=2)
     require_count("around", around, at_least=0)
-    poles = np.atleast_1d(require_array("poles", poles, dtype=complex))
-    centre = np.unique(np.abs(poles[np.abs(poles) > 0]))
-    pole = poles[np.abs(poles) > 0][np.unique(np.abs(poles[np.abs(poles) > 0]), return_index=True)[1]]
-    width = np.maximum(np.abs(pole.real), 1e-7 * centre)
+    poles = np.ravel(require_array("poles", poles, dtype=complex))
+    centre, first = np.unique(np.abs(poles), return_index=True)
+    centre, poles = centre[centre > 0], poles[first[centre > 0]]
+    width = np.maximum(np.abs(poles.real), 1e-7 * centre)
     reach = np.arcsinh(0.5 * centre / width)
     steps = np.linspace(-1, 1, 2 * around + 1) if around else np.zeros(0)
     offsets = width[:, None] * np.sinh(reach[:, None] * steps)

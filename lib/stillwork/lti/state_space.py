@@ -279,13 +279,15 @@ def interconnect(
     if len({model.sample_time for model in models}) != 1:
         raise InputError("models have different sample times; discretise them with the same one first")
     a, b, c, d = (_block_diagonal([getattr(model, name) for model in models]) for name in "abcd")
+    if direct is None:
+        direct = np.zeros((len(outputs), inputs.shape[1]))
     for name, matrix, wanted in (
         ("feedback", feedback, d.shape[::-1]),
         ("inputs", inputs, (d.shape[1], inputs.shape[1])),
         ("outputs", outputs, (len(outputs), len(d))),
         ("direct", direct, (len(outputs), inputs.shape[1])),
     ):
-        if matrix is not None and matrix.shape != wanted:
+        if matrix.shape != wanted:
             raise InputError(
                 f"{name} has shape {matrix.shape}; give {wanted[0]} x {wanted[1]} for these models"
             )
@@ -293,7 +295,6 @@ def interconnect(
     if np.linalg.cond(loop) > 1e12 and _least_condition(loop) > 1e12:
         raise InputError("the loop has direct feedthrough all around with gain 1; it has no unique solution")
     c, d_in = np.linalg.solve(loop, c), np.linalg.solve(loop, d @ inputs)  # y = C x + D_in r
-    direct = np.zeros((len(outputs), inputs.shape[1])) if direct is None else direct
     return StateModel(
         a + b @ feedback @ c,
         b @ (inputs + feedback @ d_in),

@@ -1,6 +1,7 @@
 """Named arrays of numbers out of CSV, MAT, NPZ and universal files; reading one executes nothing."""
 
 import csv
+import os
 import warnings
 import zipfile
 from pathlib import Path
@@ -39,28 +40,10 @@ def read_arrays(path: str | Path) -> dict[str, np.ndarray]:
             f"{path.name}: files of type {path.suffix or '(none)'!r} are not read; "
             "export CSV, MAT (version 7), NPZ or UFF"
         )
-    if not is_file(path):
+    if not os.path.isfile(path):  # False as well for a name that no system takes
         raise InputError(f"{shown(str(path))}: no such file; give the path of a CSV, MAT, NPZ or UFF file")
     arrays = readers[path.suffix.lower()](path)
     return {name: array for name, array in arrays.items() if array.dtype.kind in "fiuc"}
-
-
-@checked
-def is_file(path: Path) -> bool:
-    """Whether there is such a file; a name that no system takes names none."""
-    try:
-        return path.is_file()
-    except (OSError, ValueError):
-        return False
-
-
-@checked
-def is_folder(path: Path) -> bool:
-    """Likewise for a folder."""
-    try:
-        return path.is_dir()
-    except (OSError, ValueError):
-        return False
 
 
 @checked
@@ -74,7 +57,15 @@ def read_columns(path: str | Path) -> dict[str, np.ndarray]:
             f"{Path(path).name} makes {size:.2g} bytes of numbers, more than {MOST_BYTES >> 30} GB; cut it"
         )
     for name, array in arrays.items():
-        _add(columns, name, array)
+        rows = np.atleast_1d(np.squeeze(array)).astype(float)
+        if rows.ndim > 2:
+            raise InputError(f"array {name!r} has shape {array.shape}; give channels by samples")
+        if rows.ndim == 1:
+            columns[name] = rows
+            continue
+        if rows.shape[0] > rows.shape[1]:  # samples outnumber channels
+            rows = rows.T
+        columns.update({f"{name} {number}": row for number, row in enumerate(rows, 1)})
     return columns
 
 
@@ -195,16 +186,3 @@ def _require_size(path: Path, members: list[zipfile.ZipInfo]) -> None:
 
 def _no_archive(path: Path, why: str) -> InputError:
     return InputError(f"{path.name} cannot be read ({why}); save plain numeric arrays with numpy.savez")
-
-
-def _add(columns: dict, name: str, array: np.ndarray) -> None:
-    """Add an array as one or several channels."""
-    rows = np.atleast_1d(np.squeeze(array)).astype(float)
-    if rows.ndim > 2:
-        raise InputError(f"array {name!r} has shape {array.shape}; give channels by samples")
-    if rows.ndim == 1:
-        columns[name] = rows
-        return
-    if rows.shape[0] > rows.shape[1]:  # samples outnumber channels
-        rows = rows.T
-    columns.update({f"{name} {number}": row for number, row in enumerate(rows, 1)})

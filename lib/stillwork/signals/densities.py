@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stillwork.base.checks import InputError, nearest
+from stillwork.base.checks import InputError, require_choice
 from stillwork.base.front_door import checked
 from stillwork.signals.datafiles import read_columns
 from stillwork.signals.records import MOTION_UNITS, unit_factor
@@ -32,13 +32,7 @@ def density_unit(unit: str) -> tuple[str, int] | None:
 
 @checked
 def read_densities(path: Path, unit: str, channels: list[str], most: int) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies in Hz and acceleration PSDs in (m/s^2)^2/Hz, (channels, frequencies), of a file of spectra.
-
-    Raises
-    ------
-    InputError
-        When there is no column of frequencies, or a spectrum cannot be one of a motion.
-    """
+    """Frequencies in Hz and acceleration PSDs in (m/s^2)^2/Hz, (channels, frequencies), of a file of spectra."""
     columns = read_columns(path)
     axis = frequency_axis(columns)
     if not axis:
@@ -49,10 +43,7 @@ def read_densities(path: Path, unit: str, channels: list[str], most: int) -> tup
     f = columns.pop(axis)
     named = {name: column for name, column in columns.items() if column.size == f.size}
     for name in channels:
-        if name not in named:
-            raise InputError(
-                f"{path.name} has no spectrum {name!r}{nearest(name, named)}; it has {', '.join(named)}"
-            )
+        require_choice(f"a spectrum of {path.name}", name, named)
     named = {name: named[name] for name in channels} if channels else named
     if not 0 < len(named) <= most:
         raise InputError(

@@ -10,7 +10,14 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 from scipy import signal
 
-from stillwork.base.checks import InputError, nearest, require_array, require_count, require_number
+from stillwork.base.checks import (
+    InputError,
+    nearest,
+    require_array,
+    require_choice,
+    require_count,
+    require_number,
+)
 from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.signals.datafiles import read_columns
 
@@ -168,12 +175,9 @@ def load_record(
     rate = sampling_rate(path.name, columns, sample_rate)
     columns = {name: column for name, column in columns.items() if not is_time(name) and column.size > 1}
     if channels is not None:
-        for name in channels:
-            if name not in columns:
-                raise InputError(
-                    f"{path.name} has no channel {name!r}{nearest(name, columns)}; it has {', '.join(columns)}"
-                )
-        columns = {name: columns[name] for name in channels}
+        columns = {
+            name: columns[require_choice(f"a channel of {path.name}", name, columns)] for name in channels
+        }
     if not columns:
         raise InputError(f"{path.name} holds no channel; give numeric columns beside the time")
     if most_channels is not None and len(columns) > require_count("most_channels", most_channels):

@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import itertools
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -65,7 +66,11 @@ def read_universal(path: str | Path) -> dict[str, np.ndarray]:
             )
     found: dict[str, np.ndarray] = {}
     for one in (one for one in sets if one["type"] == _FUNCTION):
-        _check(path, one)
+        wanted, got = one["num_pts"], len(one.get("data", ()))  # none where its type is unknown
+        if got < wanted:
+            raise InputError(
+                f"{path.name}: a function announces {wanted} values and holds {got}; export it again"
+            )
         if one["func_type"] in _KINDS:
             _take(path, found, one)
     if not found:
@@ -73,14 +78,6 @@ def read_universal(path: str | Path) -> dict[str, np.ndarray]:
             f"{path.name} holds no measured function; export time responses or frequency responses (dataset 58)"
         )
     return found
-
-
-def _check(path: Path, one: dict) -> None:
-    wanted, got = one["num_pts"], len(one.get("data", ()))  # none where its type is unknown
-    if got < wanted:
-        raise InputError(
-            f"{path.name}: a function announces {wanted} values and holds {got}; export it again"
-        )
 
 
 def _take(path: Path, found: dict[str, np.ndarray], one: dict) -> None:
@@ -109,10 +106,7 @@ def _names(kind: str, one: dict) -> Iterator[str]:
     first = " ".join(filter(None, (quantity, place))) or "response"
     end = f" ({unit})" if unit else ""
     yield first + end
-    number = 2
-    while True:
-        yield f"{first} #{number}{end}"
-        number += 1
+    yield from (f"{first} #{number}{end}" for number in itertools.count(2))
 
 
 def _place(one: dict, side: str) -> str:
