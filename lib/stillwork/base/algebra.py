@@ -122,14 +122,6 @@ def congruence(matrix, middle, half, out):
 
 
 @pasted_kernel
-def multiply_transposed(left, right, out):
-    """Out = left right'."""
-    for i in range(left.shape[0]):
-        for j in range(right.shape[0]):
-            out[i, j] = plus_row(0.0, left, i, right[j])
-
-
-@pasted_kernel
 def add_square(factor, out):
     """Out += factor factor', on an exactly symmetric `out`."""
     for i in range(factor.shape[0]):
