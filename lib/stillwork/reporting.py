@@ -65,7 +65,10 @@ def report_asking(file: str, out: str, **said) -> list[str]:
         except Missing as missed:
             if not sys.stdin.isatty():
                 raise
-            answer = input(f"{one_line(missed.question)}: ").strip()
+            try:
+                answer = input(f"{one_line(missed.question)}: ").strip()
+            except EOFError:  # an end of the input instead of an answer
+                raise missed from None
             said[missed.name] = _number(answer) if missed.name == "sample_rate" else answer
 
 

@@ -150,6 +150,14 @@ def test_what_is_missing_is_asked(tmp_path, monkeypatch, capsys):
     assert "its rate in Hz" in said and "the unit of a" in said and "written: a.csv.html" in said
 
 
+def test_an_end_of_the_input_is_no_answer(tmp_path, monkeypatch, capsys):
+    (tmp_path / "a.csv").write_text(csv(**{"a": RINGS}))
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
+    monkeypatch.setattr("builtins.input", Mock(side_effect=EOFError))
+    assert main(["report", "a.csv"]) == 2
+    assert "--sample-rate HZ" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_the_shipped_hammer_records_get_a_page_within_a_minute():
     begun = time.process_time()
