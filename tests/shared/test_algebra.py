@@ -38,7 +38,7 @@ def test_sums_of_products_are_numpys(rows, columns, seed):
     rng = np.random.default_rng(seed)
     a, x, y = (rng.standard_normal(size) for size in ((rows, columns), columns, rows))
     i, j = rng.integers(rows), rng.integers(columns)
-    assert algebra.inner(a[i], x) == pytest.approx(a[i] @ x, abs=1e-13)
+    assert algebra.inner_product(a[i], x) == pytest.approx(a[i] @ x, abs=1e-13)
     assert algebra.plus_row(0.3, a, i, x) == pytest.approx(0.3 + a[i] @ x, abs=1e-13)
     assert algebra.minus_row(0.3, a, i, x) == pytest.approx(0.3 - a[i] @ x, abs=1e-13)
     assert algebra.plus_column(0.3, a, j, y) == pytest.approx(0.3 + a[:, j] @ y, abs=1e-13)

@@ -188,10 +188,7 @@ def test_every_notebook_writes_its_model_out():
 WRITTEN_OUT = {
     ("experiments.isolation.loop", "advance"),
     ("experiments.isolation.stability", "_multiply"),
-    (
-        "stillwork.estimation.covariance_forms",
-        "update_square_root",
-    ),  # begins at a number, with a vector and itself
+    ("stillwork.estimation.covariance_forms", "update_square_root"),
     ("stillwork.estimation.extended", "correct_extended"),
     ("stillwork.estimation.extended", "predict_extended"),
     ("stillwork.estimation.gaussian", "correct_gaussian"),
@@ -223,6 +220,27 @@ def sums_of_products(tree):
                         yield function.name
 
 
+def counted(trees):
+    """A kernel that counts no references, with one that it calls and that does: numba compiles that as its caller."""
+    kinds, named = {}, {}
+    for module, tree in trees.items():
+        for node in tree.body:
+            if isinstance(node, ast.FunctionDef):
+                for decorator in map(ast.unparse, node.decorator_list):
+                    if decorator.endswith("kernel"):
+                        kinds[module, node.name] = decorator, node
+            if isinstance(node, ast.ImportFrom):
+                for each in node.names:
+                    named[module, each.asname or each.name] = node.module, each.name
+    for (module, name), (kind, node) in kinds.items():
+        if kind in ("borrowing_kernel", "pasted_kernel"):
+            for call in ast.walk(node):
+                if isinstance(call, ast.Call) and isinstance(call.func, ast.Name):
+                    called = named.get((module, call.func.id), (module, call.func.id))
+                    if kinds.get(called, [""])[0] == "kernel":
+                        yield (module, name), called
+
+
 def written(**sources):
     return {name.replace("__", "."): ast.parse(source) for name, source in sources.items()}
 
@@ -249,6 +267,20 @@ def test_the_rules_find_what_breaks_them():
 def test_a_kernel_calls_its_sums_of_products(trees):
     found = {(module, name) for module, tree in trees.items() for name in sums_of_products(tree)}
     assert {each for each in found if each[0] != "stillwork.base.algebra"} == WRITTEN_OUT
+
+
+@pytest.mark.slow
+def test_what_counts_no_references_calls_nothing_that_does(trees):
+    """It would fail to compile where that makes an array and has not been compiled for another caller before."""
+    assert list(counted(trees)) == []
+
+
+def test_a_call_of_what_counts_references_is_found():
+    sources = {
+        "stillwork__a": "@kernel\ndef make():\n    return np.zeros(3)\n@pasted_kernel\ndef add():\n    pass",
+        "stillwork__b": "from stillwork.a import add, make\n@borrowing_kernel\ndef both():\n    add()\n    make()",
+    }
+    assert list(counted(written(**sources))) == [(("stillwork.b", "both"), ("stillwork.a", "make"))]
 
 
 def test_a_sum_of_products_that_is_written_out_is_found():

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from scipy import signal
 
 from experiments.isolation.simulation import Run
-from stillwork.base.algebra import inner, plus_row, set_product
+from stillwork.base.algebra import inner_product, plus_row, set_product
 from stillwork.base.checks import require_array, require_choice, require_count, require_number
 from stillwork.base.kernels import inlined_kernel, kernel
 from stillwork.estimation.adaptive import ferls_update, hold_covariance
@@ -131,7 +131,7 @@ def _cascade(sections, state, value):
 def _leverage(covariance, psi, gain):
     """P psi into `gain`; returns psi' P psi."""
     set_product(covariance, psi, gain)
-    return inner(gain, psi)
+    return inner_product(gain, psi)
 
 
 @kernel
@@ -190,7 +190,7 @@ def _cure_run(cure, loop, noise, start, forgetting, growth, noise_power, every, 
         error[0] = _cascade(shaping, memory, command - wanted + noise[k])
         squares += error[0] * error[0]
         optimum = optima[segment[k]]
-        command, wanted = plus_row(0.0, weights, 0, psi), inner(optimum, psi)
+        command, wanted = plus_row(0.0, weights, 0, psi), inner_product(optimum, psi)
         largest = max(largest, abs(wanted))
         if not abs(command) <= OVERLOAD * largest:
             return

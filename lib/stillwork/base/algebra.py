@@ -14,7 +14,7 @@ def copy_vector(source, target):
 
 
 @pasted_kernel
-def inner(left, right):
+def inner_product(left, right):
     """Left' right."""
     total = 0.0
     for i in range(len(left)):
@@ -78,7 +78,7 @@ def set_product(matrix, vector, out):
 
 @pasted_kernel
 def project(matrix, vector, start, out):
-    """Out = matrix vector; returns start + vector' out. In the precision of the matrix, as what calls it."""
+    """Out = matrix vector; returns start + vector' out. All in the precision of the matrix."""
     zero = matrix.dtype.type(0)
     for i in range(len(vector)):
         out[i] = plus_row(zero, matrix, i, vector)

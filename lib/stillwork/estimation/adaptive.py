@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.base.algebra import add_scaled, inner
+from stillwork.base.algebra import add_scaled, inner_product
 from stillwork.base.checks import (
     Converted,
     InputError,
@@ -22,7 +22,7 @@ from stillwork.base.checks import (
     require_number,
 )
 from stillwork.base.front_door import by_value, checked, own_arrays
-from stillwork.base.kernels import borrowing_kernel, inlined_kernel, kernel, pasted_kernel
+from stillwork.base.kernels import inlined_kernel, kernel, pasted_kernel
 from stillwork.estimation.covariance_forms import (
     FORMS,
     TRIANGLE,
@@ -270,7 +270,7 @@ def ferls_ud_update(weights, matrix, forgetting, levels, allowance, gain, inner,
     return denominator, variance(UD, matrix, axis) > levels[0, axis]
 
 
-@borrowing_kernel
+@kernel
 def ferls_form_update(
     weights, matrix, form, forgetting, levels, allowance, gain, inner, other, regressor, error, sample
 ):
@@ -350,6 +350,6 @@ def felms_update(weights, regressor, error, step_size, regularisation, trace_cop
     The trace counts psi_N' psi_N `trace_copies` times: the number of actuators for the literal trace of eq. (18), 1
     for the trace over the regressors.
     """
-    rate = step_size / (regularisation + trace_copies * inner(regressor, regressor))
+    rate = step_size / (regularisation + trace_copies * inner_product(regressor, regressor))
     for a in range(weights.shape[0]):
         add_scaled(-rate * error[a], regressor, weights[a])

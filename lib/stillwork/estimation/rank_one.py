@@ -7,7 +7,7 @@ that belong exactly to the computed eigenvalues, so that they are orthogonal to 
 
 import numpy as np
 
-from stillwork.base.algebra import add_scaled, copy_vector, inner, minus_row, set_product
+from stillwork.base.algebra import add_scaled, copy_vector, inner_product, minus_row, set_product
 from stillwork.base.kernels import kernel
 from stillwork.estimation.recursive_kernels import ALPHA, COUNT, ENERGY
 from stillwork.estimation.secular import secular_root
@@ -26,7 +26,7 @@ def _eigenvalue(poles, weights, j, differences):
     """
     k = len(poles)
     last = j == k - 1
-    width = inner(weights, weights) if last else poles[j + 1] - poles[j]
+    width = inner_product(weights, weights) if last else poles[j + 1] - poles[j]
     middle = 1.0
     for i in range(k):
         middle += weights[i] * weights[i] / ((poles[i] - poles[j]) - 0.5 * width)
@@ -124,7 +124,7 @@ def _update_eigenpairs(values, vectors, row, forgetting):
     n = len(values)
     weights = np.zeros(n)
     set_product(vectors, row, weights)
-    length = inner(weights, weights)
+    length = inner_product(weights, weights)
     for i in range(n):
         values[i] *= forgetting
     if length == 0.0:
@@ -157,7 +157,7 @@ def _update_eigenpairs(values, vectors, row, forgetting):
         vector = new_vectors[j]
         for i in range(count):
             vector[i] = poles_weights[i] / vector[i]
-        size = np.sqrt(inner(vector, vector))
+        size = np.sqrt(inner_product(vector, vector))
         for i in range(count):
             vector[i] /= size
         copy_vector(vectors[kept[j]], old[j])
@@ -189,7 +189,7 @@ def run_fast(
         errors[t] = minus_row(outputs[t], rows, t, estimate)
         for i in range(n):
             correlation[i] = forgetting * correlation[i] + rows[t, i] * outputs[t]
-        size = inner(correlation, correlation)
+        size = inner_product(correlation, correlation)
         scalars[ENERGY] = forgetting * scalars[ENERGY] + outputs[t] * outputs[t]
         scalars[COUNT] += 1.0
         _update_eigenpairs(values, vectors, rows[t], forgetting)

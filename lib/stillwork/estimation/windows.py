@@ -5,7 +5,7 @@ import math
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.base.algebra import inner
+from stillwork.base.algebra import inner_product
 from stillwork.base.checks import InputError, require_count
 from stillwork.base.front_door import checked
 from stillwork.base.kernels import borrowing_kernel
@@ -76,4 +76,4 @@ def savitzky_golay_step(weights, state, sample_time, measured, estimate):
             state[0, 0, i] = measured + (i - samples) * sample_time * estimate[1]
     estimate[0] = _slide(weights[:samples], state[0, 0], measured)
     for row in range(1, 3):
-        estimate[row] = inner(weights[row * samples : (row + 1) * samples], state[0, 0])
+        estimate[row] = inner_product(weights[row * samples : (row + 1) * samples], state[0, 0])
