@@ -11,6 +11,7 @@ from stillwork.lti.state_space import StateModel
 # A gain this far below |B| |C|, in slow time and balanced, is the rounding of a model that passes nothing.
 NOTHING = 1e-15
 TOLERANCE = 1e-10  # of the H-infinity norm, relative
+GRID = 200  # frequencies at which a model that no pole lifts above its feedthrough is looked at first
 
 
 @checked
@@ -26,7 +27,8 @@ def hinf_norm(model: StateModel) -> Peak:
     Returns
     -------
     Peak
-        `magnitude`, and the `omega` (rad/s) at which it is reached.
+        `magnitude`, and the `omega` (rad/s) at which it is reached; where the gain only approaches it
+        towards infinity, one at which it is as near as the norm is exact, 1e-10.
 
     Raises
     ------
@@ -58,12 +60,26 @@ def hinf_norm(model: StateModel) -> Peak:
         return np.linalg.norm(np.moveaxis(scaled.frequency_response(omega), -1, 0), ord=2, axis=(1, 2))
 
     start = np.concatenate([[0.0], np.abs(scaled.poles), np.abs(scaled.poles.imag)])
-    values = gains(start)
-    level, where = max(values.max(), np.linalg.norm(d, 2)), start[values.argmax()]
+    values, ends = gains(start), np.linalg.norm(d, 2)
+    level, where = values.max(), start[values.argmax()]
+    # Near the size of the feedthrough the Hamiltonian loses the crossings, which move to infinity. There the model is
+    # seen from the other end: as a function of 1 / s, whose feedthrough is the smaller static gain.
+    turned = ends > level
+    if turned:
+        slow, fast = np.abs(scaled.poles).min(), np.abs(scaled.poles).max()
+        start = np.append(np.geomspace(1e-3 * slow, 1e3 * fast, GRID), fast * np.array([1e6, 1e8, 1e10]))
+        values = gains(start)
+        level, where = (
+            max(values.max(), ends),
+            start[np.argmax(values >= (1 - TOLERANCE) * max(values.max(), ends))],
+        )
+    seen = _turned(scaled) if turned else scaled
     passes = level > NOTHING * np.linalg.norm(b) * np.linalg.norm(c)
     for _ in range(60 if passes else 0):
         raised = (1 + 2 * TOLERANCE) * level
-        crossings = _crossings(scaled, raised)
+        crossings = _crossings(seen, raised)
+        if turned:
+            crossings = 1 / crossings[crossings > 0][::-1]
         if len(crossings) < 2:
             break
         middle = (
@@ -76,6 +92,13 @@ def hinf_norm(model: StateModel) -> Peak:
             break
         level, where = values.max(), middle[values.argmax()]
     return Peak(_finite(level * units[0] * units[1]), float(where * rate))
+
+
+def _turned(model: StateModel) -> StateModel:
+    """The model as a function of 1 / s."""
+    inverse = np.linalg.inv(model.a)
+    static = model.d - model.c @ inverse @ model.b
+    return StateModel(inverse, -inverse @ model.b, model.c @ inverse, static)
 
 
 def _balanced(model: StateModel):
