@@ -194,3 +194,65 @@ def test_a_singular_plant_names_what_it_needs():
         h2_riccati(singular, 0.0, 0.0)
     with pytest.raises(InputError, match="takes more noise"):
         h2_riccati(plant(("-1", "1 1", "1; 1", "0 1; 0 0"), 1, 1), 0.0, 0.0)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_norm_of_a_model_with_feedthrough_is_the_largest_of_its_gains(seed):
+    """Integers, small and large feedthroughs; where the gain rises to that of the feedthrough, or above it a little."""
+    rng = np.random.default_rng(seed)
+    for _ in range(60):
+        states, inputs, outputs = rng.integers(1, 5, size=3)
+        a = rng.integers(-3, 4, size=(states, states)).astype(float)
+        a -= (np.linalg.eigvals(a).real.max() + 10.0 ** rng.uniform(-2, 0.5)) * np.eye(states)
+        b, c = (
+            rng.integers(-2, 3, size=size).astype(float) for size in ((states, inputs), (outputs, states))
+        )
+        d = rng.integers(-2, 3, size=(outputs, inputs)) * 10.0 ** rng.integers(-1, 2)
+        model = StateModel(a, b, c, d)
+        peak = hinf_norm(model)
+        omega = np.concatenate([[0.0, peak.omega], np.abs(model.poles), np.geomspace(1e-3, 1e4, 2000)])
+        gains = np.linalg.norm(np.moveaxis(model.frequency_response(omega), -1, 0), 2, axis=(1, 2))
+        size = max(gains.max(), np.linalg.norm(d, 2))
+        assert peak.magnitude == pytest.approx(size, rel=1e-9, abs=1e-12)
+        assert gains[1] == pytest.approx(peak.magnitude, rel=1e-9, abs=1e-12)
+
+
+def test_a_broad_rise_above_the_feedthrough_is_seen():
+    model = StateModel(
+        *map(np.array, ([[-2.0, -3.0], [0.0, -2.0]], [[2.0], [-1.0]], [[-2.0, -2.0]], [[2.0]]))
+    )
+    response = abs(model.frequency_response(np.linspace(3.7, 3.8, 10001)))
+    assert hinf_norm(model).magnitude == pytest.approx(response.max(), rel=1e-9)
+
+
+def energy_gain(model, wanted, gains):
+    """Largest error energy in what is wanted, at all samples, over that of the start and of both noises."""
+    samples, outputs, states = model.c.shape
+    process, sensor = np.linalg.cholesky(model.process), np.linalg.cholesky(model.sensor)
+    causes = process.shape[1]
+    error = np.zeros((states, states + (samples - 1) * (causes + outputs)))
+    error[:, :states] = np.linalg.cholesky(model.initial_covariance)
+    seen = [wanted @ error]
+    for k in range(1, samples):
+        first = states + (k - 1) * (causes + outputs)
+        error = model.a[k] @ error
+        error[:, first : first + causes] += model.g[k] @ process
+        measured = model.c[k] @ error
+        measured[:, first + causes : first + causes + outputs] += sensor
+        error = error - gains.gain[k] @ measured
+        seen.append(wanted @ error)
+    return np.linalg.norm(np.vstack(seen), 2)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_an_h_infinity_filter_keeps_its_level_to_the_last_sample(seed):
+    rng = np.random.default_rng(seed)
+    states, outputs, samples = int(rng.integers(1, 4)), int(rng.integers(1, 3)), int(rng.integers(2, 8))
+    a, g, c = (rng.standard_normal((samples, states, n)) for n in (states, 1, outputs))
+    model = TimeVaryingModel(
+        a, np.zeros_like(g), g, np.swapaxes(c, 1, 2), 2.0 * np.eye(1), 0.5 * np.eye(outputs), np.eye(states)
+    )
+    wanted = rng.standard_normal((1, states))
+    level = smallest_level(model, wanted, 1e-6)
+    found = energy_gain(model, wanted, hinfinity_gains(model, wanted, 1.001 * level))
+    assert 0.99 * level < found <= 1.001 * level

@@ -72,13 +72,16 @@ def _design(model: TimeVaryingModel, wanted: np.ndarray, level: float) -> tuple[
 def _riccati(a, g, c, wanted, gain, covariance):
     n = a.shape[1]
     p, half, v, noise = covariance[0].copy(), np.empty((n, n)), np.empty(n), np.ones(c.shape[1])
-    for k in range(1, len(a)):
-        # A negative measurement of what is wanted: certainty is taken back where errors would hurt most.
+    for k in range(1, len(a) + 1):
+        # A negative measurement of what is wanted: certainty is taken back where errors would hurt most. The last one
+        # changes no gain, but says whether the level is kept at the last sample as well.
         for o in range(len(wanted)):
             variance = measure(p, wanted, o, -1.0, v)
             if not variance < 0:
                 return k
             condition(p, v, variance)
+        if k == len(a):
+            break
         congruence(a[k], p, half, p)
         add_square(g[k], p)
         take_in_turn(p, c[k], noise, gain[k], v)
