@@ -226,7 +226,7 @@ COMMANDS = {
     "inspect": Command(
         "say what a file of yours holds and which notebooks can use it",
         "stillwork.inspecting:inspect_file",
-        (_file("one of yours"),),
+        (_file("a record, a frequency response, a machine or a trajectory of yours"),),
         needs_checkout=False,
     ),
     "report": Command(

@@ -29,7 +29,7 @@ def export_file(file: str, folder: str, name: str, precision: str) -> list[str]:
         sizes = {size: given[size] for size in ("actuators", "regressors")}
         needed = {name: given[name] for name, each in known.items() if each.default is MISSING}
         for each in given:
-            require_choice(f"{table.where}: a setting of {kind}", each, [*sizes, *known])
+            require_choice(f"{table.where}: setting of {kind}", each, [*sizes, *known])
         settings = ADAPTATIONS[kind](**needed | {each: given[each] for each in given if each in known})
         files = adaptation_code(settings, **sizes, name=name, precision=precision)
     write_folder(folder, files)

@@ -162,7 +162,8 @@ def _described(values: np.ndarray) -> str:
         return f"{values.size} values{shape}{missing}"
     if values.size == 1:
         return f"{values.item():.6g}"
-    spread = f"mean {good.mean():.4g}, standard deviation {good.std():.4g}"
+    size = np.abs(good).max() or 1.0  # sums of the largest numbers and of their squares would overflow
+    spread = f"mean {size * (good / size).mean():.4g}, standard deviation {size * (good / size).std():.4g}"
     return f"{values.size} values{shape} from {good.min():.4g} to {good.max():.4g}, {spread}{missing}"
 
 

@@ -6,13 +6,13 @@ import pytest
 from experiments.motion import (
     chain_pictures,
     design_explorer,
+    drawn_lines,
     drive_pictures,
     energy_to_peak,
-    panels,
+    magnitudes,
     performance,
     position_scan,
     printed_matrices,
-    read_off,
     three_masses,
     tracking_pictures,
 )
@@ -89,21 +89,21 @@ def test_filter_explorers_draw_what_their_filters_give():
     assert abs(scheduled / online - 1) < 0.05
 
 
-def test_what_is_drawn_is_read_off_by_line():
+def test_what_is_drawn_is_drawn_lines_by_line():
     _, axis = figures.new(1, 1)
     axis.plot([1.0, 2.0, 3.0], [0.0, 5.0, 1.0], label="first")
     axis.plot([1.0, 2.0, 3.0], [7.0, 2.0, 4.0], label="second")
     axis.axhline(6.0)  # without a label
-    assert list(read_off.labelled_lines(axis)) == ["first", "second"]
-    np.testing.assert_array_equal(read_off.labelled_lines(axis)["second"], [[1, 2, 3], [7, 2, 4]])
-    np.testing.assert_array_equal(read_off.highest(axis), [[2, 5], [1, 7]])
-    np.testing.assert_array_equal(read_off.highest(axis, 1.5), [[2, 5], [3, 4]])
+    assert list(drawn_lines.labelled_lines(axis)) == ["first", "second"]
+    np.testing.assert_array_equal(drawn_lines.labelled_lines(axis)["second"], [[1, 2, 3], [7, 2, 4]])
+    np.testing.assert_array_equal(drawn_lines.highest(axis), [[2, 5], [1, 7]])
+    np.testing.assert_array_equal(drawn_lines.highest(axis, 1.5), [[2, 5], [3, 4]])
 
 
 def test_a_logarithmic_axis_of_a_decade_shows_plain_numbers():
     figure, axis = figures.new()
     axis.semilogy([2.0, 30.0])
-    panels.plain_numbers(axis.yaxis)
+    magnitudes.plain_numbers(axis.yaxis)
     figure.draw_without_rendering()
     texts = [label.get_text() for label in axis.get_yticklabels(which="both") if label.get_text()]
     assert {"3", "10"} <= set(texts)

@@ -49,7 +49,7 @@ def test_an_adaptation_is_written_as_the_library_gives_it(tmp_path, text, settin
 BAD = {
     "[FeRls]\nactuators = 2\nregressors = 3\n": "initial_covariance",
     "[FeRls]\ninitial_covariance = 1.0\nregressors = 3\n": "'actuators' is missing",
-    "[FeLms]\nactuators = 2\nregressors = 3\nstepsize = 0.1\n": "FeLms is 'stepsize'; use one of 'actuators', 'regressors', 'step_size'",
+    "[FeLms]\nactuators = 2\nregressors = 3\nstepsize = 0.1\n": "did you mean 'step_size'?",
     "[FeRsl]\nactuators = 2\n": "did you mean 'FeRls'?",
     "": "table is None; use one of",
     "[controller]\nbiquads = []\n": "'rate_hz' is missing",

@@ -272,7 +272,9 @@ def test_read_only_records_of_one_actuator_are_taken(settings, run, tmp_path):
 
 
 # What asks each value itself: the checks, what a loop calls for each of its samples, the interface of scikit-learn.
-OWN_DOORS = re.compile(r"from_control|require_\w+|(Adaptation|Recursive)Stepper\.update|\w+Regressor\.fit")
+OWN_DOORS = re.compile(
+    r"from_control|require_(noise|covariance|per_sample|sample_time)|(Adaptation|Recursive)Stepper\.update|\w+Regressor\.fit"
+)
 # What hands the parts of a recursion to its kernels, a sample at a time: `run` and the steppers have asked before.
 PARTS = {
     *("FeLms.trace_copies", "MinMax.bounds", "GrowingMinMax.bounds", "known_length", "empty_track"),
@@ -348,7 +350,7 @@ from stillwork.control.crossover import crossover
 from stillwork.control.digital import biquads
 from stillwork.control.feedback import fed_back
 from stillwork.control.feedforward import Feedforward
-from stillwork.control.fixed_point import ending
+from stillwork.control.fixed_point import ending, require_noise
 from stillwork.control.fixed_point_convergence import LimitCycle, Oscillation, iterate
 from stillwork.control.fixed_point_linear import LinearFilter, semi_implicit_motion
 from stillwork.control.machine_loops import Intensities
@@ -400,6 +402,8 @@ for call, message in (
     (lambda: sampling_rate("x", {"rate": "fast"}), "rate'] is not an array"),
     (lambda: complex_responses({}), "holds nothing, and no frequency"),
     (lambda: ending(99, 0.0, "x"), "status is 99"),
+    (lambda: require_noise(0, ""), "shape is ''; give a tuple of sizes"),
+    (lambda: require_noise(0, ()), "shape is (); give a tuple of sizes"),
     (
         lambda: LinearFilter(np.eye(2), np.ones((3, 2)), np.ones((3, 2)), np.ones((3, 2))),
         "do not fit together",

@@ -381,6 +381,8 @@ def test_what_is_wrong_with_a_record_is_said(tmp_path):
     assert "stillwork figures" not in inspect_file(str(file))
     file.write_text("time,a\n0,1\n1,\n2,nan\n")
     assert "2 missing or infinite" in inspect_file(str(file))
+    file.write_text("time,a\n0,1e308\n1,-1e308\n2,1e308\n")
+    assert "mean 3.333e+307, standard deviation 9.428e+307" in inspect_file(str(file))
 
 
 def test_a_machine_is_recognised_by_the_room_that_reads_it(tmp_path):

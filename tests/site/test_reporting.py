@@ -2,6 +2,7 @@
 
 import re
 import time
+from unittest.mock import Mock
 
 import numpy as np
 import pytest

@@ -315,6 +315,9 @@ def test_a_refused_call_changes_nothing(estimator):
             refused.partial_fit(*bad)
     with pytest.raises(InputError, match="too large to be squared"):
         refused.partial_fit(1e200 * X, 1e200 * y)
+    for small in (1e-200 * X, y), (X, 1e-200 * y):
+        with pytest.raises(InputError, match="too small to be squared"):
+            refused.partial_fit(*small)
     assert np.array_equal(refused.partial_fit(X, y).coef_, twin.partial_fit(X, y).coef_)
 
 

@@ -41,7 +41,7 @@ def paint_beliefs(
 ):
     """Standard deviation of the estimates, by the filter's own covariance and in truth, over the noise.
 
-    `marks` are what was published, or is looked at, of what `label` says.
+    Along the quantity that `label` names; `marks` are its values that were published or are looked at.
     """
     figure, panels = figures.new(1, 2, height=3.0)
     for axes, column, unit, name in zip(panels, (1, 0), ("m", "m/s"), ("position", "velocity"), strict=True):

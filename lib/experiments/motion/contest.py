@@ -19,12 +19,13 @@ from stillwork.lti.discretisation import zoh_modes
 
 def bank_estimate(
     models: Sequence[TimeVaryingModel],
-    u: Float64[np.ndarray, "runs inputs samples"],
-    y: Float64[np.ndarray, "runs outputs samples"],
+    u: ArrayLike,
+    y: ArrayLike,
 ) -> tuple[Float64[np.ndarray, "runs states samples"], Float64[np.ndarray, "models runs samples"]]:
     """Mean over the models and the posterior probability of each (static multiple-model estimation, Magill 1965)."""
     if not models:
         raise InputError("models is empty; give at least one")
+    y, u = require_array("y", y, ndim=3), require_array("u", u, ndim=3)
     states, scores = [], []
     for model in models:
         gains = kalman_gains(model)

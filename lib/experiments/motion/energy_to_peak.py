@@ -133,7 +133,8 @@ def inequality_margins(system: ErrorSystem, level: float) -> tuple[float, float]
 
 def settled_covariance(a, g, c, process, sensor, start, steps: int) -> Float64[np.ndarray, "states states"]:
     """Covariance of the Kalman predictor after so many steps of (5.37) with one C, from any `start`."""
-    p, driven = start, g @ process @ g.T
+    a, g, c, process, sensor, p = map(np.asarray, (a, g, c, process, sensor, start))
+    driven = g @ process @ g.T
     for _ in range(steps):
         _, p = _predicted(a, c, p, driven, sensor)
     return p

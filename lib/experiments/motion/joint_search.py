@@ -177,6 +177,8 @@ def crossing_hz(design: JointDesign, served: Served) -> Float64[np.ndarray, " ma
     output = 1 / (1 + served.plant * around.feedback)
     gain = np.log(np.abs(1 / ((around.share - around.seen * served.plant) * output) - 1))
     first = np.argmax(gain < 0, axis=1)[:, None]
+    if not first.all():
+        raise InputError("a loop does not fall through 0 dB within the grid; it has no bandwidth")
     below, above = (np.take_along_axis(gain, first - k, axis=1) for k in (0, 1))
     low, high = (np.log(grid()[first - k]) for k in (1, 0))
     return np.exp(low + (high - low) * above / (above - below))[:, 0] / (2 * np.pi)

@@ -215,7 +215,7 @@ def study_locations(loops: Loops, force: Force, setpoint: Setpoint, source: str 
 
 
 def _by_case(loops: Loops) -> dict[str, list[StateModel]]:
-    return {name: [cases[name] for cases in loops.values()] for name in next(iter(loops.values()))}
+    return {name: [cases[name] for cases in loops.values()] for name in next(iter(loops.values()), ())}
 
 
 def location_noise(
@@ -231,7 +231,7 @@ def location_noise(
             noise_errors(loop, setpoint.sample_time, samples, deviations, list(draws))
             for loop, draws in zip(each, drawn, strict=True)
         ]
-        found[name] = np.array(noises)[:, :, 0, WARM_UP:]
+        found[name] = np.array([[run[0, WARM_UP:] for run in runs] for runs in noises])
     return [{name: each[:, run] for name, each in found.items()} for run in range(len(seeds))]
 
 

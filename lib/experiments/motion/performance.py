@@ -90,8 +90,10 @@ def paint_disturbance(bandwidth_hz: float, process_noise: float, damping: float)
     designs = {"PID": Design(), "AD": Design(Application(damping=damping, selectivity=2.0))}
     noise = {"w": process_noise, "v": 1e-9, "d": 1e-9}
     grid = resonance_grid(plant.poles, 0.01, 0.5 / sample_time, 300, 15)
-    loops = {
-        name: closed_loop(plant, stage_compensator(5, each), controller) for name, each in designs.items()
-    }
-    power = {name: cumulative_power(loop, sample_time, noise, grid) for name, loop in loops.items()}
+    power = {}
+    for name, design in designs.items():
+        loop = closed_loop(plant, stage_compensator(5, design), controller)
+        if not loop.is_stable:
+            raise InputError(f"{name} is unstable at {bandwidth_hz:g} Hz; lower the bandwidth")
+        power[name] = cumulative_power(loop, sample_time, noise, grid)
     return paint_cumulative(power)

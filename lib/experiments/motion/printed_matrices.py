@@ -41,7 +41,8 @@ def transition_error(omega: float, ratios, sample_time: float, variant: str, row
 
 def undamped_input(omega: float, shapes, sample_time: float) -> Float64[np.ndarray, "2 inputs"]:
     """Input matrix of one flexible mode without its damping, (2.33)."""
-    return undamped_disturbance(omega, np.zeros(np.shape(shapes)), shapes, sample_time)
+    shapes = require_array("shapes", shapes, ndim=1)
+    return undamped_disturbance(omega, np.zeros(len(shapes)), shapes, sample_time)
 
 
 def undamped_disturbance(

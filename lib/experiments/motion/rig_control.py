@@ -68,9 +68,8 @@ class RigCompensator:
         flexible, velocities = estimates[:outputs], estimates[outputs:]
         if self.selectivity is not None:
             half = self.observer.sample_time / 2
-            ratio = (
-                1j * np.tan(omega * half) / np.tan(self._centres[:, None] * half)
-            )  # s over the centre, both warped
+            # s over the centre, both warped
+            ratio = 1j * np.tan(omega * half) / np.tan(self._centres[:, None] * half)
             passed = ratio / self.selectivity / (ratio**2 + ratio / self.selectivity + 1)
             velocities = velocities * passed[:, None, :]
         return np.concatenate([np.einsum("if,fjw->ijw", self.gains, velocities), flexible])

@@ -18,7 +18,6 @@ from experiments.motion.rig import (
 )
 from experiments.motion.rig_control import rig_compensator, rig_observer
 from experiments.motion.rig_loops import (
-    NONE,
     Infeasible,
     RigBandwidth,
     RigLoop,
@@ -114,8 +113,8 @@ def rig_controllers(masses: Float64[np.ndarray, "3"]) -> Callable[[float, float]
 
 
 def bandwidths(loops: dict[str, list[RigLoop]], measure: str) -> dict[str, RigBandwidth]:
-    """Largest bandwidth of every case; `NONE` where no bandwidth passes."""
-    found = dict.fromkeys(loops, NONE)
+    """Largest bandwidth of every case; `no_bandwidth` where no bandwidth passes."""
+    found = dict.fromkeys(loops, no_bandwidth())
     for case, each in loops.items():
         with suppress(Infeasible):
             found[case] = maximise_rig_bandwidth(each, rig_controllers(each[0].decoupling.masses), measure)

@@ -179,10 +179,18 @@ class RigBandwidth(NamedTuple):
     @property
     def active(self) -> str:
         """The loop function with the largest peak; the first of those that are equal but for rounding."""
+        if self.pids is None:
+            raise Infeasible(
+                "there is no design, so none of its loop functions is the largest; take another case"
+            )
         return FUNCTIONS[first_largest(self.peaks.max(axis=0))]
 
 
-NONE = RigBandwidth((np.nan,) * 2, np.full((1, 3), np.nan), None, np.full((1, 5), np.nan), np.full(1, np.nan))
+def no_bandwidth() -> RigBandwidth:
+    """What stands for a design that there is not: all its numbers are NaN."""
+    sizes = (2, (1, 3), (1, len(FUNCTIONS)), 1)
+    design, crossing, peaks, radius = (np.full(size, np.nan) for size in sizes)
+    return RigBandwidth(tuple(design), crossing, None, peaks, radius)
 
 
 def maximise_rig_bandwidth(

@@ -44,7 +44,8 @@ def paint_gains(found: dict[str, dict[str, tuple[float, tuple[float, float]]]]):
     figure, axes = figures.new(height=0.42 * len(found) + 1.5)
     places = np.arange(len(found))
     for offset, (name, label, colour, _) in zip((0.24, 0.0, -0.24), [METHODS[0], *METHODS[2:]], strict=True):
-        means, ends = map(np.array, zip(*(row[name] for row in found.values()), strict=True))
+        means = np.array([row[name][0] for row in found.values()])
+        ends = np.array([row[name][1] for row in found.values()])
         style = {"fmt": "o", "markersize": 4, "color": colour, "label": label}
         axes.errorbar(means, places + offset, xerr=np.abs(ends.T - means), **style)
     axes.axvline(1, color=figures.BLACK, linestyle="--", linewidth=1, label="RLS")

@@ -193,7 +193,7 @@ def _beyond(function: Callable, why) -> InputError:
 def _checks(owner) -> dict[str, Callable]:
     """A check for every parameter or field whose annotation says what it takes."""
     hints = typing.get_type_hints(inspect.unwrap(owner) if inspect.isfunction(owner) else owner)
-    names = hints if inspect.isfunction(owner) else {field.name for field in fields(owner)}
+    names = hints if inspect.isfunction(owner) else [field.name for field in fields(owner)]
     # A model keeps a reader's function as it is: kernels compile it.
     how = _argument if inspect.isfunction(owner) else _check
     found = {name: how(hints[name]) for name in names if name != "return"}

@@ -84,10 +84,11 @@ class DiscreteObserver(FlexibleEstimates):
         kept = np.eye(len(self.a)) - self.gain @ self.c
         a = np.block([[self.a @ kept, -self.a @ self.gain @ d], [np.zeros((inputs, len(self.a) + inputs))]])
         b = np.block([[self.b, self.a @ self.gain], [np.eye(inputs), np.zeros((inputs, outputs))]])
-        predicts = form == "predictor"
-        read, now = (rows, np.zeros((len(rows), outputs))) if predicts else (rows @ kept, rows @ self.gain)
+        read, now = rows @ kept, rows @ self.gain  # of the filter, which sees the measurement of this sample
+        if form == "predictor":
+            read, now, delay = rows, np.zeros((len(rows), outputs)), delay - 1
         c, direct = np.hstack([read, -now @ d]), np.hstack([np.zeros((len(rows), inputs)), now])
-        return delayed(StateModel(a, b, c, direct, self.sample_time), delay - predicts)
+        return delayed(StateModel(a, b, c, direct, self.sample_time), delay)
 
 
 @checked

@@ -258,6 +258,8 @@ def ending(status: int, time: float, left: str) -> dict[str, Any]:
 
 def require_noise(noise: ArrayLike | None, shape: tuple[int, ...]) -> np.ndarray:
     """Noise of this shape, zero where none is given; NaN is a lost sample, and the first one is needed."""
+    if not (isinstance(shape, tuple) and shape and shape[-1]):
+        raise InputError(f"shape is {shape!r}; give a tuple of sizes, the last one of samples, at least 1")
     if noise is None:
         return np.zeros(shape)
     noise = require_array("noise", noise, shape=shape, missing=True)

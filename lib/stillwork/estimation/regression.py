@@ -205,8 +205,11 @@ class _LinearRegressor:
                 "1 is required; give more"
             )
         table = require_array(name, given, dtype=dtype, missing=True)
-        if np.any(np.abs(table) > LARGEST):
+        largest = np.nanmax(np.abs(table), initial=0.0)
+        if largest > LARGEST:
             raise InputError(f"{name} exceeds {LARGEST:g}, too large to be squared; use another unit")
+        if 0 < largest < 1 / LARGEST:
+            raise InputError(f"{name} stays below {largest:g}, too small to be squared; use another unit")
         return table
 
     def _initial(self, coef, features, outputs):

@@ -178,11 +178,12 @@ class ModalModel:
         if self.rigid_modes and np.any(omega == 0):
             raise InputError("omega holds 0, where a rigid-body mode has no finite response; leave it out")
         w, z = self.frequencies[:, None], self.damping[:, None]
-        modal = 1 / ((w - omega) * (w + omega) + 2j * z * w * omega)
-        if self.measures == "velocity":
-            modal = modal * (1j * omega)
         residues = self.output_shapes[:, None, :] * self.input_shapes.T[None]
-        return residues @ modal + self.feedthrough[:, :, None]
+        with np.errstate(all="ignore"):  # what is not finite is refused
+            modal = 1 / ((w - omega) * (w + omega) + 2j * z * w * omega)
+            if self.measures == "velocity":
+                modal = modal * (1j * omega)
+            return residues @ modal + self.feedthrough[:, :, None]
 
     @checked
     def state_space(self) -> StateModel:

@@ -120,7 +120,8 @@ class StateModel:
             return response
         poles, residues = self._residues
         if residues is not None:
-            return response + residues @ (1 / (point[None, :] - poles[:, None]))
+            with np.errstate(all="ignore"):  # what is not finite is refused
+                return response + residues @ (1 / (point[None, :] - poles[:, None]))
         scale, a, _, _ = self._decomposed
         b, c = self.b / scale[:, None], self.c * scale
         shifted = point[:, None, None] * np.eye(len(a)) - a

@@ -43,7 +43,7 @@ def read_densities(path: Path, unit: str, channels: list[str], most: int) -> tup
     f = columns.pop(axis)
     named = {name: column for name, column in columns.items() if column.size == f.size}
     for name in channels:
-        require_choice(f"a spectrum of {path.name}", name, named)
+        require_choice(f"spectrum of {path.name}", name, named)
     named = {name: named[name] for name in channels} if channels else named
     if not 0 < len(named) <= most:
         raise InputError(

@@ -176,7 +176,7 @@ def load_record(
     columns = {name: column for name, column in columns.items() if not is_time(name) and column.size > 1}
     if channels is not None:
         columns = {
-            name: columns[require_choice(f"a channel of {path.name}", name, columns)] for name in channels
+            name: columns[require_choice(f"channel of {path.name}", name, columns)] for name in channels
         }
     if not columns:
         raise InputError(f"{path.name} holds no channel; give numeric columns beside the time")

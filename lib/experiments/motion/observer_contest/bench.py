@@ -45,9 +45,8 @@ class Bench:
     def memory(self) -> tuple:
         """States of machine and controllers, the last measurement and force, all outputs so far."""
         t, controllers = self.truth, (len(self.directions[0]), len(self.control[0]))
-        return tuple(
-            map(np.zeros, (t.a.shape[1], controllers, t.sensor.shape[1], t.b.shape[2], t.sensor.shape))
-        )
+        sizes = (t.a.shape[1], controllers, t.sensor.shape[1], t.b.shape[2], t.sensor.shape)
+        return tuple(np.zeros(size) for size in sizes)
 
 
 def assemble(plant: ContestPlant, truth: Truth, ratio: float, estimated: bool) -> Bench:

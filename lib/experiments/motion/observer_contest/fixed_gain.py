@@ -57,7 +57,8 @@ def recursion(model: ToldModel, noise: ToldNoise) -> TimeVaryingModel:
 
 def zero(model: ToldModel, noise: ToldNoise, sample_time: float) -> MadeObserver:
     """The estimate zero: it scores 1 by definition."""
-    return fixed(*map(np.zeros_like, (model.a, model.b, model.c.T)), model.c)
+    a, b, gain = (np.zeros_like(each) for each in (model.a, model.b, model.c.T))
+    return fixed(a, b, gain, model.c)
 
 
 def open_model(model: ToldModel, noise: ToldNoise, sample_time: float) -> MadeObserver:

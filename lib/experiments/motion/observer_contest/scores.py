@@ -99,9 +99,11 @@ def _own_scans(observer: OwnObserver, prepared: Sequence[_Prepared], loops: bool
         began = time.thread_time()  # what else the machine does is not the observer's time
         estimates = observer.run(each.record.inputs, each.record.measurements)
         taken = 1e6 * (time.thread_time() - began) / len(estimates)
-        observer.start(*each.told)
-        scan = [bench.loop_scan(each.bold)] if loops else []
-        [moved] = bench.run_scans(scan, lambda _, u, y: [observer.step(u[0], y[0])]) or [None]
+        moved = None
+        if loops:
+            observer.start(*each.told)
+            scan = bench.loop_scan(each.bold)
+            [moved] = bench.run_scans([scan], lambda _, u, y: [observer.step(u[0], y[0])])
         results.append((estimates, taken, moved, observer.bytes))
     return results
 
