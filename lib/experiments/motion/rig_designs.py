@@ -23,6 +23,7 @@ from experiments.motion.rig_loops import (
     RigLoop,
     make_rig_loop,
     maximise_rig_bandwidth,
+    no_bandwidth,
 )
 from experiments.motion.uncertainty import detuned
 from stillwork.base.checks import require_choice
