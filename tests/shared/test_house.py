@@ -48,6 +48,23 @@ def circles(imported):
     return set(left)
 
 
+LOADERS = {"stillwork.base.faces", "stillwork.base.extras"}  # import what they are told by name
+
+
+def hidden(trees):
+    """Modules that import in a way that the rules do not read: relatively, or in the toolbox by a text."""
+    for module, tree in trees.items():
+        calls = {node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
+        calls |= {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
+        by_text = (
+            module.startswith("stillwork.") and module.split(".")[1] in TOOLBOX and module not in LOADERS
+        )
+        if any(isinstance(node, ast.ImportFrom) and node.level for node in ast.walk(tree)):
+            yield module
+        elif by_text and calls & {"import_module", "__import__"}:
+            yield module
+
+
 def between_rooms(imported):
     """A room or a notebook with the other room that it imports."""
     rooms = {
@@ -129,6 +146,11 @@ def test_every_folder_has_its_place(trees):
 @pytest.mark.slow
 def test_no_arrow_runs_up(imported):
     assert rising(imported) == []
+
+
+@pytest.mark.slow
+def test_imports_are_where_the_rules_read_them(trees):
+    assert list(hidden(trees)) == []
 
 
 @pytest.mark.slow
@@ -294,6 +316,15 @@ def test_a_sum_of_products_that_is_written_out_is_found():
     source = "".join(f"@kernel\ndef f{n}():\n" + loop.format(line) for n, line in enumerate(lines))
     assert list(sums_of_products(ast.parse(source))) == ["f0", "f1"]
     assert list(sums_of_products(ast.parse(source.replace("@kernel", "@cache")))) == []
+
+
+def test_an_import_that_the_rules_would_not_see_is_found():
+    sources = {
+        "stillwork__lti__a": "from ..control.pid import Pid",
+        "stillwork__lti__b": "import importlib\nimportlib.import_module('stillwork.control.pid')",
+        "stillwork__base__faces": "from importlib import import_module\nimport_module('x')",
+    }
+    assert list(hidden(written(**sources))) == ["stillwork.lti.a", "stillwork.lti.b"]
 
 
 def test_a_picture_that_is_only_imported_is_found():
