@@ -71,7 +71,7 @@ def test_multiplications_are_those_of_the_update_written_out(actuators, n, monke
         (adaptive, "update_covariance"),
         (adaptive, "step_weights"),
         (adaptive, "add_scaled"),
-        (adaptive, "inner"),
+        (adaptive, "inner_product"),
         (covariance_forms, "project"),
         (covariance_forms, "shrink_along"),
         (algebra, "plus_row"),
