@@ -284,6 +284,15 @@ def test_a_changed_coef_does_not_change_the_stream():
         )
 
 
+@pytest.mark.parametrize("estimator", KINDS, ids=lambda e: type(e).__name__)
+def test_a_part_of_a_stream_may_be_as_quiet_as_it_likes(estimator):
+    X, y = record(18)
+    stream, twin = (clone(estimator).partial_fit(X, y) for _ in range(2))
+    assert stream.predict(1e-200 * X) == pytest.approx(1e-200 * twin.predict(X), rel=1e-9, abs=0)
+    stream.partial_fit(1e-200 * X[:20], 1e-200 * y[:20])
+    assert np.isfinite(stream.coef_).all()
+
+
 def test_the_bound_may_change_between_two_calls():
     X, y = record(15)
     stream = MinMaxRegressor(0.1).partial_fit(X[:30], y[:30])
@@ -317,7 +326,7 @@ def test_a_refused_call_changes_nothing(estimator):
         refused.partial_fit(1e200 * X, 1e200 * y)
     for small in (1e-200 * X, y), (X, 1e-200 * y):
         with pytest.raises(InputError, match="too small to be squared"):
-            refused.partial_fit(*small)
+            refused.fit(*small)
     assert np.array_equal(refused.partial_fit(X, y).coef_, twin.partial_fit(X, y).coef_)
 
 

@@ -61,7 +61,7 @@ class _LinearRegressor:
         X : array_like, shape (samples, features)
         y : array_like, shape (samples,) or (samples, outputs)
         """
-        return self._learn(X, y, None, anew=True)
+        return self._learn(X, y, None, anew=True, whole=True)
 
     def partial_fit(self, X, y):
         """Learn from the samples that follow those of the calls before, as `fit` does of all at once."""
@@ -99,12 +99,15 @@ class _LinearRegressor:
     def _advance(self, state, rows, outputs, weights) -> tuple[Any, np.ndarray]:
         raise NotImplementedError
 
-    def _learn(self, X, y, sample_weight, anew):
+    def _learn(self, X, y, sample_weight, anew, whole=False):
         names = _column_names(X)
         X, targets, weights = self._samples(X, y, sample_weight, anew=anew)
         single, lost = np.asanyarray(y).ndim == 1, _lost(X, targets)
         if anew and lost.all():
             raise _nothing()
+        if whole:  # a part of a stream may be as quiet as it likes
+            _require_squares("X", X)
+            _require_squares("y", targets)
         weights[lost] = 0
         rows, outputs = (np.sqrt(weights)[:, None] * np.nan_to_num(part) for part in (X, targets))
         if self.complex_data:
@@ -205,11 +208,8 @@ class _LinearRegressor:
                 "1 is required; give more"
             )
         table = require_array(name, given, dtype=dtype, missing=True)
-        largest = np.nanmax(np.abs(table), initial=0.0)
-        if largest > LARGEST:
+        if np.any(np.abs(table) > LARGEST):
             raise InputError(f"{name} exceeds {LARGEST:g}, too large to be squared; use another unit")
-        if 0 < largest < 1 / LARGEST:
-            raise InputError(f"{name} stays below {largest:g}, too small to be squared; use another unit")
         return table
 
     def _initial(self, coef, features, outputs):
@@ -238,7 +238,7 @@ class _WeightedRegressor(_LinearRegressor):
         sample_weight : array_like, shape (samples,), optional
             How many samples each one stands for; a weight of zero is a lost sample.
         """
-        return self._learn(X, y, sample_weight, anew=True)
+        return self._learn(X, y, sample_weight, anew=True, whole=True)
 
     def partial_fit(self, X, y, sample_weight=None):
         """Learn from the samples that follow those of the calls before, as `fit` does of all at once."""
@@ -563,6 +563,12 @@ def _column_names(X) -> np.ndarray | None:
 
 def _lost(X, y) -> np.ndarray:
     return np.isnan(X).any(axis=1) | np.isnan(y).any(axis=1)
+
+
+def _require_squares(name, table):
+    largest = np.nanmax(np.abs(table), initial=0.0)
+    if 0 < largest < 1 / LARGEST:
+        raise InputError(f"{name} is nowhere above {largest:g}, too small to be squared; use another unit")
 
 
 def _nothing() -> InputError:
