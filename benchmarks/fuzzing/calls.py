@@ -47,7 +47,7 @@ PARTS = {
 }
 # Calls whose good arguments stand for a file or a machine that is not there.
 REFUSED = {"load_record", "load_machine", "build_machine", "from_control", "load_controller"}
-# Of these NaN (after a divergence, without coherence) or infinity (no estimate, no crossing) is a stated result.
+# Of these NaN (after a divergence, without coherence) or infinity (no estimate, no crossing, no limit) is a stated result.
 MAY_BE_INFINITE = {
     "min_max_solve",
     "run",
@@ -58,6 +58,7 @@ MAY_BE_INFINITE = {
     "ControlledRun",
     "control.simulate",
     "simulate_mechanism",
+    *("FeRls", "LeastSquares"),  # `growth_limit`
 }
 
 

@@ -16,7 +16,10 @@ from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.base.kernels import kernel
 
 
-def require_per_sample(name: str, value: ArrayLike, samples: int, shape: tuple) -> np.ndarray:
+@checked
+def require_per_sample(
+    name: str, value: ArrayLike, samples: int, shape: tuple[int | None, ...]
+) -> np.ndarray:
     """Return a matrix for each sample; one without the leading axis stands for all of them."""
     matrix = require_array(name, value)
     if matrix.ndim == 2:
