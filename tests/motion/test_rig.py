@@ -18,7 +18,7 @@ from experiments.motion.rig import (
     rig_model,
     rigid_shapes,
 )
-from experiments.motion.rig_control import rig_compensator, rig_observer, warped
+from experiments.motion.rig_control import rig_compensator, rig_observer
 from experiments.motion.rig_designs import observer_model, published_settings, rig_controllers, rig_loops
 from experiments.motion.rig_loops import (
     MEASURES,
@@ -34,7 +34,7 @@ from stillwork.control.bandwidth import SIX_DB
 from stillwork.control.loops import channel
 from stillwork.control.pid import PidFamily
 from stillwork.estimation.observer import NoiseIntensities
-from stillwork.lti.discretisation import tustin, zoh_modes, zoh_response
+from stillwork.lti.discretisation import prewarped, tustin, zoh_modes, zoh_response
 
 SAMPLE_TIME = 1e-4
 GEOMETRY = assumed_geometry()
@@ -164,7 +164,9 @@ def test_tustin_is_the_bilinear_rule_and_holds_the_frequency_asked_for():
     omega = 2 * np.pi * np.array([1.0, 30.0, 2000.0])
     _, theirs = signal.dfreqresp((a, b, c, d, SAMPLE_TIME), omega * SAMPLE_TIME)
     np.testing.assert_allclose(ours.frequency_response(omega)[0, 0], theirs.ravel(), rtol=1e-6)
-    np.testing.assert_allclose(pid.frequency_response(warped(SAMPLE_TIME, omega)), theirs.ravel(), rtol=1e-6)
+    np.testing.assert_allclose(
+        pid.frequency_response(prewarped(omega, SAMPLE_TIME)), theirs.ravel(), rtol=1e-6
+    )
     held = tustin(model, SAMPLE_TIME, omega[2]).frequency_response(omega[2:])[0, 0, 0]
     assert held == pytest.approx(pid.frequency_response(omega[2:])[0])
 
@@ -265,7 +267,7 @@ def test_bandwidth_is_the_largest_by_brute_force(loops, measure):
     assert all(peaks([dense], pids, measure).max() > SIX_DB for pids in higher)
     plant = dense.equivalent_plant()
     for k, (hertz, pid) in enumerate(zip(found.crossing_hz[0], found.pids, strict=True)):
-        gain = np.abs(plant[k, k] * pid.frequency_response(warped(SAMPLE_TIME, dense.omega)))
+        gain = np.abs(plant[k, k] * pid.frequency_response(prewarped(dense.omega, SAMPLE_TIME)))
         first = dense.omega[np.flatnonzero(gain < 1)[0]] / (2 * np.pi)
         assert hertz == pytest.approx(first, rel=3e-3)
 

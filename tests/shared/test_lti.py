@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import signal
 
 from experiments.motion.machines import chain, stage
 from naive.motion import exponential, step_by_step
 from stillwork import lti
 from stillwork.base.checks import InputError
-from stillwork.lti.discretisation import tustin, zoh_modes
+from stillwork.lti.discretisation import prewarped, tustin, tustin_sections, zoh_modes
 from stillwork.lti.peaks import refine_peak
 
 GRID = lti.resonance_grid(stage().poles, 1.0, 1e4, 400, 20)
@@ -271,3 +272,26 @@ def test_zeros_are_those_of_python_control_and_of_the_response(feedthrough):
 def test_bad_input_is_named(call, message):
     with pytest.raises(InputError, match=message):
         call()
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([1e-4, 2e-3, 0.5]))
+def test_a_rule_by_tustin_responds_at_a_frequency_as_it_did_at_the_prewarped_one(seed, sample_time):
+    rng = np.random.default_rng(seed)
+    pairs = rng.uniform(0.01, 3.0, 2) * np.exp(1j * rng.uniform(np.pi / 2, np.pi, 2)) / sample_time
+    poles = np.concatenate([pairs, pairs.conj(), -rng.uniform(0.01, 3.0, 1) / sample_time])
+    zeros, gain = rng.normal(size=rng.integers(0, 5)) / sample_time, rng.uniform(0.1, 10.0)
+    omega = rng.uniform(0.05, 0.95, 20) * np.pi / sample_time
+    s = 1j * prewarped(omega, sample_time)[:, None]
+    expected = gain * np.prod(s - zeros, axis=1) / np.prod(s - poles, axis=1)
+    digital = signal.freqz_sos(tustin_sections(zeros, poles, gain, sample_time), omega * sample_time)[1]
+    np.testing.assert_allclose(digital, expected, rtol=1e-8)
+    lag = tustin(unstable(float(poles[-1].real)), sample_time)
+    np.testing.assert_allclose(lag.frequency_response(omega)[0, 0], 1 / (s[:, 0] - poles[-1]), rtol=1e-9)
+
+
+def test_sections_refuse_a_filter_that_has_no_discrete_twin():
+    with pytest.raises(InputError, match="zeros holds 2 values for 1 poles"):
+        tustin_sections([-1.0, -2.0], [-3.0], 1.0, 0.1)
+    with pytest.raises(InputError, match="tustin_sections has no result"):
+        tustin_sections([], [20.0], 1.0, 0.1)

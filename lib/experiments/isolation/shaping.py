@@ -11,6 +11,7 @@ from jaxtyping import Float64
 from scipy import signal
 
 from stillwork.base.checks import InputError, require_count, require_number
+from stillwork.lti.discretisation import prewarped, tustin_sections
 
 Sections = Float64[np.ndarray, "sections 6"]
 
@@ -79,20 +80,20 @@ def weak_integrator(order: int, cutoff: float, beta: float, sample_time: float) 
     require_number("beta", beta, above=0.0)
     # (s + a)^n = a^n has the roots a (w - 1) with w the n-th roots of unity; the one at s = 0 is the integrator.
     unity = np.exp(2j * np.pi * np.arange(1, order) / order)
-    return _tustin(cutoff * (unity - 1), -cutoff * np.ones(order), beta, sample_time)
+    return tustin_sections(cutoff * (unity - 1), -cutoff * np.ones(order), beta, sample_time)
 
 
 def secondary_path(path: SecondaryPath, sample_time: float) -> Sections:
     """Secondary path of eq. (2), without the sample of delay that the paper adds for its Fig. 3."""
     poles = [*np.roots(path.suspension), -path.actuator_pole]
-    return _tustin([0, 0], poles, path.actuator_pole / path.mass, sample_time)
+    return tustin_sections([0, 0], poles, path.actuator_pole / path.mass, sample_time)
 
 
 def noise_shaping(shaping: NoiseShaping, path: SecondaryPath, sample_time: float) -> Sections:
     """Noise shaping N = band x notches x s² / (m s² + d s + k) of the path, Section 4.2."""
     zeros, poles, gain = _band(shaping, sample_time)
     poles = [*poles, *np.roots(path.suspension)]
-    return _tustin([*zeros, 0, 0], poles, gain / path.mass, sample_time)
+    return tustin_sections([*zeros, 0, 0], poles, gain / path.mass, sample_time)
 
 
 def inverse_secondary_shaping(
@@ -115,7 +116,7 @@ def inverse_secondary_shaping(
         zeros += list(np.roots(estimate.suspension))
         poles = [*poles, *np.roots(path.suspension)]
         gain *= estimate.mass / path.mass
-    return _tustin(zeros, poles, gain, sample_time)
+    return tustin_sections(zeros, poles, gain, sample_time)
 
 
 def conditioning(sample_time: float, highpass_hz: float = 0.1, lowpass_hz: float = 3000.0) -> Sections:
@@ -128,7 +129,7 @@ def conditioning(sample_time: float, highpass_hz: float = 0.1, lowpass_hz: float
     require_number("lowpass_hz", lowpass_hz, above=highpass_hz)
     high = signal.buttap(2)[1] * 2 * np.pi * highpass_hz
     low = signal.buttap(2)[1] * 2 * np.pi * lowpass_hz
-    return _tustin([0, 0], [*high, *low], (2 * np.pi * lowpass_hz) ** 2, sample_time)
+    return tustin_sections([0, 0], [*high, *low], (2 * np.pi * lowpass_hz) ** 2, sample_time)
 
 
 def skyhook(
@@ -142,14 +143,14 @@ def skyhook(
     require_number("gain", gain, at_least=0.0)
     require_number("cutoff", cutoff, above=0.0)
     zeros, poles = _notches(() if notch is None else (notch,), sample_time)
-    return _tustin(zeros, [-cutoff, *poles], gain, sample_time)
+    return tustin_sections(zeros, [-cutoff, *poles], gain, sample_time)
 
 
 def _band(shaping: NoiseShaping, sample_time: float) -> tuple[list, list, float]:
     """Zeros, poles and gain of band-pass and notches in continuous time, corners prewarped."""
     prototype = signal.buttap(shaping.order)
-    low = _prewarped("lowpass_hz", shaping.lowpass_hz, sample_time)
-    high = _prewarped("highpass_hz", shaping.highpass_hz, sample_time)
+    low = prewarped_corner("lowpass_hz", shaping.lowpass_hz, sample_time)
+    high = prewarped_corner("highpass_hz", shaping.highpass_hz, sample_time)
     zeros, poles = _notches(shaping.notches, sample_time)
     poles = [*signal.lp2hp_zpk(*prototype, wo=high)[1], *low * prototype[1], *poles]
     return [*np.zeros(shaping.order), *zeros], poles, low**shaping.order
@@ -158,21 +159,15 @@ def _band(shaping: NoiseShaping, sample_time: float) -> tuple[list, list, float]
 def _notches(notches: tuple[FrequencyNotch, ...], sample_time: float) -> tuple[list, list]:
     zeros, poles = [], []
     for notch in notches:
-        frequency = _prewarped("frequency_hz", notch.frequency_hz, sample_time)
+        frequency = prewarped_corner("frequency_hz", notch.frequency_hz, sample_time)
         # Width is a ratio of frequencies around the notch; the warp is a pure scaling there to first order.
         zeros += list(np.roots([1, notch.depth * notch.width * frequency, frequency**2]))
         poles += list(np.roots([1, notch.width * frequency, frequency**2]))
     return zeros, poles
 
 
-def _prewarped(name: str, frequency_hz: float, sample_time: float) -> float:
+def prewarped_corner(name: str, frequency_hz: float, sample_time: float) -> float:
     """Frequency, rad/s, that Tustin's rule moves to `frequency_hz`."""
     require_number("sample_time", sample_time, above=0.0)
     require_number(name, frequency_hz, below=0.5 / sample_time)
-    return 2 / sample_time * np.tan(np.pi * frequency_hz * sample_time)
-
-
-def _tustin(zeros, poles, gain: float, sample_time: float) -> Sections:
-    require_number("sample_time", sample_time, above=0.0)
-    digital = signal.bilinear_zpk(np.asarray(zeros), np.asarray(poles), gain, 1 / sample_time)
-    return signal.zpk2sos(*digital)
+    return prewarped(np.array([2 * np.pi * frequency_hz]), sample_time).item()

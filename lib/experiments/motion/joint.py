@@ -24,7 +24,7 @@ from stillwork.control.feedback import band_pass, damping_gain
 from stillwork.control.pid import Pid
 from stillwork.estimation.riccati import discrete_gain
 from stillwork.lti.delays import delayed
-from stillwork.lti.discretisation import tustin, zoh_modes
+from stillwork.lti.discretisation import prewarped, tustin, zoh_modes
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.reduction import truncate
 from stillwork.lti.state_space import StateModel
@@ -235,7 +235,7 @@ def compensated(
     """The design's responses at some frequencies (rad/s), with an observer that is told of `delay`."""
     z = np.exp(1j * omega * SAMPLE_TIME)
     estimates = _estimates(design.process, design.noise_model, delay, omega.tobytes())[:, masses]
-    s = 2 / SAMPLE_TIME * np.tan(omega * SAMPLE_TIME / 2)
+    s = prewarped(omega, SAMPLE_TIME)
     w, q = _observed().frequencies[1:, None], np.array(design.selectivity)[:, None]
     warped = 1j * s * w * SAMPLE_TIME / 2 / np.tan(w * SAMPLE_TIME / 2)
     band = (_unit_gain() * design.damping)[:, None] * (w / q) * warped / (warped**2 + (w / q) * warped + w**2)

@@ -20,13 +20,6 @@ from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
 
 
-def warped(
-    sample_time: float, omega: Float64[np.ndarray, " frequencies"]
-) -> Float64[np.ndarray, " frequencies"]:
-    """Frequencies that the bilinear rule takes to `omega` (rad/s): there a continuous controller responds like its rule."""
-    return 2 / sample_time * np.tan(omega * sample_time / 2)
-
-
 def rig_observer(
     model: ModalModel, noise: NoiseIntensities, sample_time: float, noise_model: float | None = None
 ) -> DiscreteObserver:

@@ -10,7 +10,7 @@ from jaxtyping import Complex128, Float64
 from scipy import linalg
 
 from experiments.motion.rig import EdgeDecoupling
-from experiments.motion.rig_control import RigCompensator, warped
+from experiments.motion.rig_control import RigCompensator
 from stillwork.base.algebra import squared_size
 from stillwork.base.checks import InputError, require_choice, require_number
 from stillwork.base.kernels import kernel, pasted_kernel
@@ -19,7 +19,7 @@ from stillwork.control.bandwidth import SIX_DB
 from stillwork.control.crossover import crossover
 from stillwork.control.loops import closed_loop
 from stillwork.control.pid import Pid
-from stillwork.lti.discretisation import tustin, zoh_modes, zoh_response
+from stillwork.lti.discretisation import prewarped, tustin, zoh_modes, zoh_response
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.peaks import resonance_grid
 from stillwork.lti.state_space import StateModel, interconnect
@@ -52,7 +52,7 @@ class RigLoop:
     @cached_property
     def warped(self) -> Float64[np.ndarray, " frequencies"]:
         """Where continuous controllers are evaluated for the grid: the same in every step of a search (rad/s)."""
-        return warped(self.sample_time, self.omega)
+        return prewarped(self.omega, self.sample_time)
 
     def on(self, omega: Float64[np.ndarray, " frequencies"]) -> "RigLoop":
         """The same loop on another grid (rad/s)."""
@@ -290,7 +290,7 @@ def _crossings(loop: RigLoop, pids: Sequence[Pid]) -> Float64[np.ndarray, "3"]:
     def gain(w, k: int) -> Complex128[np.ndarray, " frequencies"]:
         # P_eq alone: a search asks for one point
         _, _, n, seen = _around(loop.plant, loop.compensator, loop.sample_time, w)
-        control = pids[k].frequency_response(warped(loop.sample_time, w))
+        control = pids[k].frequency_response(prewarped(w, loop.sample_time))
         return (upsilon @ seen @ (n @ gamma))[:, k, k] * control
 
     grid = loop.equivalent_plant()

@@ -15,7 +15,7 @@ from stillwork.control.crossover import crossover
 from stillwork.control.loops import LoopResponse, closed_loop, no_observer
 from stillwork.control.pid import Pid
 from stillwork.lti.delays import delayed
-from stillwork.lti.discretisation import tustin, zoh_modes, zoh_response
+from stillwork.lti.discretisation import prewarped, tustin, zoh_modes, zoh_response
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.peaks import Peak, refine_peak, resonance_grid
 from stillwork.lti.state_space import StateModel, interconnect
@@ -100,7 +100,7 @@ class Loop:
 
     def _controlled(self, controller: Pid, omega: np.ndarray) -> np.ndarray:
         return controller.frequency_response(
-            2 / self.sample_time * np.tan(omega * self.sample_time / 2) if self.sample_time else omega
+            prewarped(omega, self.sample_time) if self.sample_time else omega
         )
 
     @checked

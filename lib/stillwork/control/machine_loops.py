@@ -24,6 +24,7 @@ from stillwork.estimation.observer import NoiseIntensities, kalman_observer
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine import Machine, whole_band
 from stillwork.lti.delays import delayed
+from stillwork.lti.discretisation import prewarped
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.reduction import truncate
 from stillwork.lti.state_space import StateModel, constant, interconnect
@@ -401,7 +402,7 @@ def pid_family(machine: Machine, lead: float, modes: int, sample_time: float) ->
     """PID rules, with notches at the resonances among the first modes; where Tustin puts them, with a `sample_time`."""
     omega = machine.sensors[0].frequencies[1:modes]
     if sample_time:
-        omega = 2 / sample_time * np.tan(omega[omega < HIGHEST_NOTCH * np.pi / sample_time] * sample_time / 2)
+        omega = prewarped(omega[omega < HIGHEST_NOTCH * np.pi / sample_time], sample_time)
     return PidFamily(machine.mass, tuple(omega.tolist()), lead)
 
 

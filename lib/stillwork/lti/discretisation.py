@@ -2,9 +2,10 @@
 
 import numpy as np
 from jaxtyping import Complex128, Float64
-from scipy import linalg
+from numpy.typing import ArrayLike
+from scipy import linalg, signal
 
-from stillwork.base.checks import InputError, require_number
+from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.base.front_door import checked
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
@@ -140,6 +141,30 @@ def tustin(model: StateModel, sample_time: float, omega: float | None = None) ->
         model.d + c @ model.b,
         sample_time,
     )
+
+
+@checked
+def tustin_sections(
+    zeros: ArrayLike, poles: ArrayLike, gain: float, sample_time: float
+) -> Float64[np.ndarray, "sections 6"]:
+    """Second-order sections, as `scipy.signal.sosfilt` takes them, of a filter's zeros and poles (rad/s) and its gain."""
+    require_number("sample_time", sample_time, above=0.0)
+    zeros, poles = (
+        require_array(name, value, ndim=1, dtype=complex)
+        for name, value in (("zeros", zeros), ("poles", poles))
+    )
+    zeros, poles = (each if each.imag.any() else each.real for each in (zeros, poles))
+    if len(zeros) > len(poles):
+        raise InputError(f"zeros holds {len(zeros)} values for {len(poles)} poles; give at most as many")
+    with np.errstate(all="ignore"):  # a pole at twice the rate has no twin, which the front door says
+        return signal.zpk2sos(*signal.bilinear_zpk(zeros, poles, gain, 1 / sample_time))
+
+
+@checked
+def prewarped(omega: Float64[np.ndarray, "..."], sample_time: float) -> Float64[np.ndarray, "..."]:
+    """Frequencies that Tustin's rule takes to `omega` (rad/s): there a continuous controller responds like its rule."""
+    require_number("sample_time", sample_time, above=0.0)
+    return 2 / sample_time * np.tan(omega * sample_time / 2)
 
 
 def _require_continuous(model: StateModel) -> None:
