@@ -86,7 +86,7 @@ def searched_designs() -> Iterator[tuple[str, Stored]]:
         for size in SIZES
     }
     fast = [_search(each, "joint", [nominal], aim="bandwidth") for each in begin]
-    fast.sort(key=lambda each: -crossing_hz(each.design, nominal).min())
+    fast.sort(key=lambda each: -crossing_hz(each.design, nominal.model).min())
     yield "largest bandwidth, for 0%", _stored(fast, 0.0)
     for size, pool in pools.items():
         for free, kept in (("controller", OBSERVER), ("observer", CONTROLLER[1:])):

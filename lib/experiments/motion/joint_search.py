@@ -34,6 +34,7 @@ from stillwork.base.checks import InputError, require_choice, require_count, req
 from stillwork.base.front_door import checked
 from stillwork.base.kernels import kernel
 from stillwork.control.bandwidth import SIX_DB
+from stillwork.control.crossover import crossover
 from stillwork.estimation.riccati import discrete_gain
 from stillwork.lti.discretisation import zoh_modes, zoh_response
 from stillwork.lti.modal import ModalModel
@@ -171,11 +172,30 @@ def meet(design: JointDesign, served: Sequence[Served], delay: float = DELAY) ->
     return found
 
 
-def crossing_hz(design: JointDesign, served: Served) -> Float64[np.ndarray, " masses"]:
+def _loop(plant: np.ndarray, around: Compensated) -> Complex128[np.ndarray, "masses frequencies"]:
+    """The loop that the controller sees, 1 / S_I - 1."""
+    output = 1 / (1 + plant * around.feedback)
+    return 1 / ((around.share - around.seen * plant) * output) - 1
+
+
+def crossing_hz(design: JointDesign, model: ModalModel) -> Float64[np.ndarray, " masses"]:
     """First 0 dB crossing of the loop that the controller sees, of every mass (Definition 1.2.1)."""
-    around = compensated(design, grid())
-    output = 1 / (1 + served.plant * around.feedback)
-    gain = np.log(np.abs(1 / ((around.share - around.seen * served.plant) * output) - 1))
+    moved = late(model)
+
+    def loop(omega: np.ndarray) -> np.ndarray:
+        return _loop(late_response(moved, omega), compensated(design, omega))
+
+    on_grid = np.abs(loop(grid()))
+    found = [
+        crossover(lambda omega, mass=mass: loop(omega)[mass], grid(), on_grid[mass])
+        for mass in range(len(on_grid))
+    ]
+    return np.array(found) / (2 * np.pi)
+
+
+def rough_crossing_hz(design: JointDesign, served: Served) -> Float64[np.ndarray, " masses"]:
+    """`crossing_hz` by the grid alone, a straight line between its points in logarithms: 1e-4 off, and quick."""
+    gain = np.log(np.abs(_loop(served.plant, compensated(design, grid()))))
     first = np.argmax(gain < 0, axis=1)[:, None]
     if not first.all():
         raise InputError("a loop does not fall through 0 dB within the grid; it has no bandwidth")
@@ -375,7 +395,7 @@ def search(
         design = at(x)
         met = meet(design, served)
         if aim == "bandwidth":
-            wanted = 1 / min(crossing_hz(design, each).min() for each in served[:counted])
+            wanted = 1 / min(rough_crossing_hz(design, each).min() for each in served[:counted])
         else:
             wanted = _mean_error(met[:counted])
         return float(np.log(wanted)), _excesses(met, limit, force)
