@@ -4,11 +4,11 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from scipy import signal
 
 from experiments.isolation import shaping
 from experiments.isolation.shaping import NoiseShaping, SecondaryPath
 from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
+from stillwork.lti.discretisation import tustin_sections
 
 
 @dataclass(frozen=True)
@@ -53,15 +53,14 @@ class Instruments:
     def actuator(self) -> np.ndarray:
         """Sections of the actuator's lag."""
         pole = 2 * np.pi * self.actuator_pole_hz
-        return signal.tf2sos(*signal.bilinear([pole], [1, pole], self.sample_rate))
+        return tustin_sections([], [-pole], pole, self.sample_time)
 
     @cached_property
     def parasitic(self) -> np.ndarray:
         """Sections from force to the acceleration of the parasitic resonance."""
-        omega = 2 * self.sample_rate * np.tan(np.pi * self.parasitic_hz / self.sample_rate)
-        denominator = [1, 2 * self.parasitic_damping * omega, omega**2]
-        sections = signal.tf2sos(*signal.bilinear([1, 0, 0], denominator, self.sample_rate))
-        return sections * [*[self.parasitic_gain] * 3, 1, 1, 1]
+        omega = shaping.prewarped_corner("parasitic_hz", self.parasitic_hz, self.sample_time)
+        poles = np.roots([1, 2 * self.parasitic_damping * omega, omega**2])
+        return tustin_sections([0, 0], poles, self.parasitic_gain, self.sample_time)
 
     @cached_property
     def conditioning(self) -> np.ndarray:
