@@ -16,7 +16,7 @@ from shared.universal_files import function, write_universal
 from stillwork.base import paths
 from stillwork.base.checks import InputError
 from stillwork.control.machine_loops import Intensities, applications, reach
-from stillwork.identification.machine import build_machine, whole_band
+from stillwork.identification.machine import Machine, build_machine, whole_band
 from stillwork.identification.machine_files import MachineFile, load_machine
 from stillwork.identification.modal_fit import fit_modes, identify_modes
 
@@ -170,6 +170,11 @@ def test_templates_are_one_machine():
         assert machine.resonances_hz == pytest.approx(wanted, rel=1e-5)
         assert machine.mass == pytest.approx(12.0, rel=1e-3)
         assert machine.sensors[0].damping[1:] == pytest.approx(0.01, rel=1e-3)
+
+
+def test_a_machine_without_sensors_is_refused():
+    with pytest.raises(InputError, match="sensors is empty"):
+        Machine((), 10.0, "nowhere")
 
 
 def test_matrices_with_damping_and_two_sensors_respond_as_the_equation_of_motion(tmp_path):

@@ -33,6 +33,8 @@ class Machine:
 
     def __post_init__(self):
         check_fields(self)
+        if not self.sensors:
+            raise InputError("sensors is empty; give the model of at least one sensor")
 
     @property
     def resonances_hz(self) -> Float64[np.ndarray, " modes"]:
