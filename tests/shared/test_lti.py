@@ -14,8 +14,10 @@ from experiments.motion.machines import chain, stage
 from naive.motion import exponential, step_by_step
 from stillwork import lti
 from stillwork.base.checks import InputError
+from stillwork.lti.delays import delayed
 from stillwork.lti.discretisation import prewarped, tustin, tustin_sections, zoh_modes
 from stillwork.lti.peaks import refine_peak
+from stillwork.lti.state_space import constant
 
 GRID = lti.resonance_grid(stage().poles, 1.0, 1e4, 400, 20)
 
@@ -51,6 +53,30 @@ def test_state_response_agrees_with_the_modal_one():
     # The rigid body makes A defective: the response then comes from solving.
     by_solving, expected = model.state_space().frequency_response(GRID), model.frequency_response(GRID)
     assert np.all(np.abs(by_solving - expected) <= 1e-8 * np.linalg.norm(expected, axis=(0, 1)))
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 12), st.floats(0.0, 0.5))
+def test_parts_that_drive_only_later_ones_respond_as_the_whole(seed, states, dense):
+    rng = np.random.default_rng(seed)
+    part = rng.normal(size=(states, states)) * (rng.random((states, states)) < dense)
+    a = np.block(
+        [[part, np.zeros_like(part)], [np.eye(states), part]]
+    )  # every pole twice, its eigenvector once
+    mixed = rng.permutation(2 * states)
+    a, b, c = a[np.ix_(mixed, mixed)], rng.normal(size=(2 * states, 2)), rng.normal(size=(3, 2 * states))
+    omega = rng.uniform(8.0, 20.0, 4)  # beyond the poles
+    whole = c @ np.linalg.solve(1j * omega[:, None, None] * np.eye(2 * states) - a, b[None] + 0j)
+    found = lti.StateModel(a, b, c, np.zeros((3, 2))).frequency_response(omega)
+    np.testing.assert_allclose(found, np.moveaxis(whole, 0, -1), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("samples", [1, 30, 400])
+def test_a_line_of_delays_responds_as_it_turns(samples):
+    line = delayed(constant(np.array([[2.0, 0.0], [-1.0, 3.0]]), 1e-3), samples)
+    omega = np.linspace(1.0, 3000.0, 700)
+    expected = np.array([[2.0, 0.0], [-1.0, 3.0]])[:, :, None] * np.exp(-1e-3j * samples * omega)
+    np.testing.assert_allclose(line.frequency_response(omega), expected, rtol=0, atol=1e-11)
 
 
 def test_a_grid_is_dense_where_a_pole_is_narrow():

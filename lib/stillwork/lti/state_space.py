@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 from scipy import linalg
+from scipy.sparse import csgraph
 
 from stillwork.base.checks import InputError, require_array, require_number, shown
 from stillwork.base.extras import require_package
@@ -124,8 +125,11 @@ class StateModel:
                 return response + residues @ (1 / (point[None, :] - poles[:, None]))
         scale, a, _, _ = self._decomposed
         b, c = self.b / scale[:, None], self.c * scale
-        shifted = point[:, None, None] * np.eye(len(a)) - a
-        return response + np.moveaxis(c @ np.linalg.solve(shifted, b[None].astype(complex)), 0, -1)
+        solved = np.zeros((len(omega), *b.shape), complex)
+        for part in _coupled(a):  # each drives only later ones: a line of delays is as many as it has samples
+            shifted = point[:, None, None] * np.eye(len(part)) - a[np.ix_(part, part)]
+            solved[:, part] = np.linalg.solve(shifted, b[part] + a[part] @ solved)
+        return response + np.moveaxis(c @ solved, 0, -1)
 
     @property
     def _decomposed(self):
@@ -160,6 +164,12 @@ class StateModel:
         control = require_package("control")
 
         return control.StateSpace(self.a, self.b, self.c, self.d, self.sample_time or 0)
+
+
+def _coupled(a: np.ndarray) -> list[np.ndarray]:
+    """States that drive each other, as parts of the whole in an order in which a part is driven by earlier ones alone."""
+    count, label = csgraph.connected_components(a != 0, connection="strong")
+    return [np.flatnonzero(label == part) for part in range(count)]
 
 
 # Models that differ in their inputs and outputs alone, as the channels of a loop or the gains of a feedforward, have
