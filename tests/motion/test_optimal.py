@@ -203,7 +203,7 @@ def test_the_bound_is_the_norm_of_the_shortest_error_that_the_zeros_allow(proble
 
 @pytest.mark.slow
 def test_a_norm_survives_weak_regularisation(problem):
-    """Where the equation loses digits its own residual corrects it."""
+    """Where the equation loses digits, what it says of the norm keeps them."""
     generalised = problem.generalised()
     found = h2_riccati(generalised, *regularisation(problem, 3e-5))
     loop = generalised.close(found.controller)
