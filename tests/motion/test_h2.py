@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import linalg
 
 from naive.motion import frequency_norm
 from stillwork.base.checks import InputError
@@ -160,3 +161,119 @@ def test_feedthrough_and_wrong_shapes_are_named():
         regularised(toy(), 0.0, 1.0)
     with pytest.raises(InputError, match="controller has shape"):
         toy().close(StateModel(np.eye(1), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1))))
+
+
+def least_norm(plant):
+    """The optimum by its closed form: what the start of the states costs, and what their estimation adds."""
+    a, b1, b2, c1, c2, _, d12, d21, _ = plant.blocks
+    x = linalg.solve_continuous_are(a, b2, c1.T @ c1, d12.T @ d12, s=c1.T @ d12)
+    y = linalg.solve_continuous_are(a.T, c2.T, b1 @ b1.T, d21 @ d21.T, s=b1 @ d21.T)
+    cost = d12.T @ d12
+    f = np.linalg.solve(cost, b2.T @ x + d12.T @ c1)
+    return np.sqrt(np.trace(b1.T @ x @ b1) + np.trace(f.T @ cost @ f @ y))
+
+
+def regular(seed, unstable):
+    """A random regular plant with correlated noises and costs, and a D22."""
+    rng = np.random.default_rng(seed)
+    n, controls, measurements = (int(rng.integers(*each)) for each in ((2, 10), (1, 4), (1, 4)))
+    w, z = measurements + int(rng.integers(1, 4)), controls + int(rng.integers(1, 4))
+    a = rng.normal(size=(n, n)) / np.sqrt(n) + unstable * np.eye(n)
+    b, c, d = (
+        rng.normal(size=size)
+        for size in ((n, w + controls), (z + measurements, n), (z + measurements, w + controls))
+    )
+    d[:z, :w] = 0
+    return GeneralisedPlant(StateModel(a, b, c, d), w, z)
+
+
+def in_other_units(plant, rng, decades):
+    """The same plant with other units for each state, control and measurement, and for time: norms stay."""
+    m, w, z = plant.model, plant.exogenous, plant.performance
+    (n, inputs), outputs, rate = m.b.shape, len(m.c), 10.0 ** rng.uniform(-decades, decades)
+    states, controls, measured = (
+        10.0 ** rng.uniform(-decades, decades, k) for k in (n, inputs - w, outputs - z)
+    )
+    into = np.concatenate(
+        [np.full(w, 1 / np.sqrt(rate)), controls]
+    )  # white noise of unit intensity stays one
+    out = np.concatenate([np.ones(z), measured])[:, None]
+    a, b, c = m.a * states / states[:, None], m.b * into / states[:, None], m.c * states * out
+    return GeneralisedPlant(StateModel(a * rate, b * rate, c, m.d * into * out), w, z)
+
+
+@pytest.mark.parametrize("unstable", [-1.0, 0.0, 0.5])
+@pytest.mark.parametrize("decades", [0, 3, 9])
+def test_the_optimum_has_its_closed_form_in_any_units(unstable, decades):
+    rng = np.random.default_rng(decades)
+    for seed in range(12):
+        plant = regular(seed, unstable)
+        found = h2_riccati(in_other_units(plant, rng, decades))
+        assert [found.norm, found.regular_norm, found.claimed] == pytest.approx(
+            [least_norm(plant)] * 3, rel=1e-5
+        )
+
+
+@pytest.mark.parametrize(("seed", "decades"), [(10, 3), (10, 9), (299, 3), (477, 9)])
+def test_the_norm_of_a_loop_that_amplifies_its_rounding_is_right_or_refused(seed, decades):
+    """Several unstable modes behind one measurement: the residual of the Lyapunov equation says nothing any more."""
+    plant = regular(seed, 1.0)
+    found = h2_riccati(in_other_units(plant, np.random.default_rng(seed), decades))
+    assert [found.norm, found.regular_norm] == pytest.approx([least_norm(plant)] * 2, rel=1e-5)
+
+
+def test_a_plant_in_discrete_time_is_refused_and_closed_in_its_own():
+    m = toy().model
+    sampled = GeneralisedPlant(StateModel(m.a, m.b, m.c, m.d, sample_time=0.1), exogenous=4, performance=2)
+    for synthesis in (h2_riccati, h2_lmi):
+        with pytest.raises(InputError, match="discrete time"):
+            synthesis(sampled, 0.7, 0.4)
+    gain = StateModel(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), -0.1 * np.ones((1, 2)))
+    with pytest.raises(InputError, match="sample times"):
+        sampled.close(gain)
+    assert toy().close(gain).sample_time == 0.0
+    assert sampled.close(StateModel(gain.a, gain.b, gain.c, gain.d, 0.1)).sample_time == 0.1
+
+
+def test_the_loop_has_the_response_of_the_linear_fractional_transformation():
+    plant, k = regular(4, 0.0), regular(5, 0.0).model.select([0], [0])
+    plant = GeneralisedPlant(
+        plant.model.select(range(plant.exogenous + 1), range(plant.performance + 1)),
+        plant.exogenous,
+        plant.performance,
+    )
+    w, z, omega = plant.exogenous, plant.performance, np.array([0.0, 0.7, 20.0])
+    whole, kk = plant.model.frequency_response(omega), k.frequency_response(omega)[0, 0]
+    expected = whole[:z, :w] + whole[:z, w:] * whole[z:, :w] * kk / (1 - whole[z, w] * kk)
+    np.testing.assert_allclose(plant.close(k).frequency_response(omega), expected, rtol=1e-9)
+
+
+def test_a_loop_of_feedthroughs_without_a_solution_is_refused():
+    plant = GeneralisedPlant(
+        StateModel(-np.eye(1), np.ones((1, 2)), np.ones((2, 1)), np.diag([0.0, 2.0])), 1, 1
+    )
+    with pytest.raises(InputError, match="no unique solution"):
+        plant.close(StateModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), 0.5 * np.eye(1)))
+
+
+@pytest.mark.parametrize(
+    "synthesis", [h2_riccati, h2_lmi, lambda plant, **cost: mixed_lmi(plant, 1.0, **cost)]
+)
+def test_what_no_synthesis_takes_is_named(synthesis):
+    """Efforts and noises of a wrong number or sign, and a plant whose norm no controller makes finite."""
+    _, two = weighed(0)
+    with pytest.raises(
+        InputError, match=r"effort has shape \(2,\); give a number, or one for each control: 1"
+    ):
+        synthesis(two, effort=[0.1, 0.2], noise=0.1)
+    with pytest.raises(InputError, match="noise is negative"):
+        synthesis(two, effort=0.1, noise=[0.1, -0.1])
+    with pytest.raises(InputError, match="takes more effort"):
+        synthesis(two)
+    m = two.model
+    fed = GeneralisedPlant(StateModel(m.a, m.b, m.c, np.eye(*m.d.shape)), two.exogenous, two.performance)
+    with pytest.raises(InputError, match="feedthrough from w to z"):
+        synthesis(fed, effort=0.1, noise=0.1)
+    static = StateModel(np.zeros((0, 0)), np.zeros((0, 5)), np.zeros((4, 0)), m.d)
+    with pytest.raises(InputError, match="no states"):
+        synthesis(GeneralisedPlant(static, 4, 2), effort=0.1, noise=0.1)

@@ -129,7 +129,7 @@ def h2_riccati(
     effort : float or array_like, shape (controls,)
         A performance output more for every control: so many times the control, in units of z a unit of u.
     noise : float or array_like, shape (measurements,)
-        White noise more in every measurement: the root of its intensity, in units of y a root of Hz.
+        White noise more in every measurement: the root of its intensity, in units of y times a root of s.
 
     Returns
     -------
@@ -148,7 +148,7 @@ def h2_riccati(
 
     Examples
     --------
-    A mass of 1 kg that white noise pushes, 1 N a root of Hz; its position counts, and is measured with noise.
+    A mass of 1 kg that white noise of unit intensity pushes; its position counts, and is measured with noise.
 
     >>> mass = lti.StateModel([[0, 1], [0, 0]], [[0, 0], [1, 1]], [[1, 0], [1, 0]], np.zeros((2, 2)))
     >>> plant = lti.GeneralisedPlant(mass, exogenous=1, performance=1)

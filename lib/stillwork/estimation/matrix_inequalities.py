@@ -34,7 +34,7 @@ def h2_lmi(
     effort : float or array_like, shape (controls,)
         A performance output more for every control: so many times the control, in units of z a unit of u.
     noise : float or array_like, shape (measurements,)
-        White noise more in every measurement: the root of its intensity, in units of y a root of Hz.
+        White noise more in every measurement: the root of its intensity, in units of y times a root of s.
     tolerance : float
         How far, relatively, the norm of the recovered loop may lie from what the solver claims.
 
@@ -97,7 +97,7 @@ def mixed_lmi(
     effort : float or array_like, shape (controls,)
         A performance output more for every control: so many times the control, in units of z a unit of u.
     noise : float or array_like, shape (measurements,)
-        White noise more in every measurement: the root of its intensity, in units of y a root of Hz.
+        White noise more in every measurement: the root of its intensity, in units of y times a root of s.
     tolerance : float
         How far, relatively, the loop's norm and peak may lie above what the solver claims.
 
