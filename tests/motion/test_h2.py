@@ -6,7 +6,7 @@ from scipy import linalg
 
 from naive.motion import frequency_norm
 from stillwork.base.checks import InputError
-from stillwork.estimation import h2_lmi, h2_riccati, matrix_inequalities, mixed_lmi
+from stillwork.estimation import H2Synthesis, h2_lmi, h2_riccati, matrix_inequalities, mixed_lmi
 from stillwork.estimation.h2 import regularised
 from stillwork.lti import GeneralisedPlant, StateModel, h2_norm, hinf_norm
 
@@ -277,3 +277,16 @@ def test_what_no_synthesis_takes_is_named(synthesis):
     static = StateModel(np.zeros((0, 0)), np.zeros((0, 5)), np.zeros((4, 0)), m.d)
     with pytest.raises(InputError, match="no states"):
         synthesis(GeneralisedPlant(static, 4, 2), effort=0.1, noise=0.1)
+
+
+@pytest.mark.parametrize("seed", [0, 2, 3])
+def test_a_solver_that_stops_a_little_short_is_judged_by_its_loop(seed):
+    plant = regular(seed, -1.0)
+    found = h2_lmi(plant)
+    assert found.status in ("optimal", "optimal_inaccurate")  # as the processor rounds
+    assert found.norm == pytest.approx(least_norm(plant), rel=1e-3)
+
+
+def test_a_norm_below_zero_is_refused():
+    with pytest.raises(InputError, match="claimed is -1; give a finite number at least 0"):
+        H2Synthesis(toy().model, 1.0, 1.0, -1.0)

@@ -11,7 +11,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from stillwork.base.checks import InputError, require_array
+from stillwork.base.checks import InputError, require_array, require_number
 from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.lti.generalised_plant import GeneralisedPlant
 from stillwork.lti.norms import h2_norm
@@ -39,7 +39,7 @@ class H2Synthesis:
     Raises
     ------
     InputError
-        When a field is not what it should be.
+        When a norm is below zero.
 
     References
     ----------
@@ -61,6 +61,8 @@ class H2Synthesis:
 
     def __post_init__(self):
         check_fields(self)
+        for name in ("regular_norm", "norm", "claimed"):
+            require_number(name, getattr(self, name), at_least=0.0)
 
 
 @checked

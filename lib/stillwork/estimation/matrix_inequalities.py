@@ -23,9 +23,9 @@ def h2_lmi(
 ) -> H2Synthesis:
     r"""Controller u = K y with the smallest H2 norm from w to z, from matrix inequalities that Clarabel solves.
 
-    A road apart from the Riccati equations of `h2_riccati`, slower and less exact. The controller's feedthrough is
-    zero: with a regular :math:`D_{12}` and :math:`D_{21}` any other makes the norm infinite. It needs cvxpy, which the
-    extra `control` brings.
+    A road apart from the Riccati equations of `h2_riccati`, to check them by: slower, less exact, and without an answer
+    for many plants with unstable modes that these solve. The controller's feedthrough is zero: with a regular
+    :math:`D_{12}` and :math:`D_{21}` any other makes the norm infinite. It needs cvxpy, which the extra `control` brings.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def h2_lmi(
     Returns
     -------
     H2Synthesis
-        `status` is the solver's.
+        `status` is ``optimal``, or ``optimal_inaccurate`` where the solver stopped a little short of that.
 
     Raises
     ------
@@ -189,7 +189,7 @@ def _by_inequalities(regular: GeneralisedPlant, level: float | None = None, rati
     problem = cp.Problem(cp.Minimize(cp.trace(q)), constraints)
     data, chain, inverse = problem.get_problem_data(cp.CLARABEL, solver_opts={})
     solution = chain.solve_via_data(problem, data)
-    if str(solution.status) != "Solved":
+    if str(solution.status) not in ("Solved", "AlmostSolved"):  # the loop is judged either way
         raise InputError(
             f"the matrix inequalities have no usable solution: Clarabel reports {str(solution.status)!r} after "
             f"{solution.iterations} iterations, residuals {solution.r_prim:.1e} (primal) and "
