@@ -3,6 +3,8 @@
 They take a bound on one weighted peak as well, with one Lyapunov matrix for both norms.
 """
 
+import warnings
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -195,7 +197,8 @@ def _by_inequalities(regular: GeneralisedPlant, level: float | None = None, rati
             f"{solution.iterations} iterations, residuals {solution.r_prim:.1e} (primal) and "
             f"{solution.r_dual:.1e} (dual); rescale the problem, regularise it more or ask for less"
         )
-    problem.unpack_results(solution, chain, inverse)
+    with warnings.catch_warnings(action="ignore"):  # the status says as much
+        problem.unpack_results(solution, chain, inverse)
     found = (variable.value for variable in (x, y, a_hat, b_hat, c_hat))
     return problem.status, float(np.sqrt(problem.value)), in_units(units, *_recover(plant, *found))
 
