@@ -290,3 +290,8 @@ def test_a_solver_that_stops_a_little_short_is_judged_by_its_loop(seed):
 def test_a_norm_below_zero_is_refused():
     with pytest.raises(InputError, match="claimed is -1; give a finite number at least 0"):
         H2Synthesis(toy().model, 1.0, 1.0, -1.0)
+
+
+def test_an_optimum_that_no_float_keeps_says_what_would_help():
+    with pytest.raises(InputError, match="the optimum is a loop without a trusted norm, add effort or noise"):
+        h2_riccati(regular(132, 1.0))

@@ -167,7 +167,7 @@ def h2_riccati(
     feedback = _filter_gain(a.T, c1.T, b2.T, d12.T).T
     driven = StateModel(a - b2 @ feedback, b1, c1 - d12 @ feedback, d11)
     missed = StateModel(a - gain @ c2, b1 - gain @ d21, d12 @ feedback, np.zeros_like(d11))
-    claimed = float(np.hypot(h2_norm(driven), h2_norm(missed)))
+    claimed = float(np.hypot(_trusted_norm(driven), _trusted_norm(missed)))
     core = a - b2 @ feedback - gain @ c2 + gain @ d22 @ feedback
     controller = in_units(units, core, gain, -feedback)
     return judged(plant, regular, controller, claimed, "solved", WORST_SEPARATION)
@@ -192,7 +192,7 @@ def judged(
 ) -> H2Synthesis:
     """A controller with its norms; `InputError` when its loop does not have the norm that its synthesis claims."""
     loop = regular.close(controller)
-    achieved = h2_norm(loop) if loop.is_stable else np.inf
+    achieved = _trusted_norm(loop) if loop.is_stable else np.inf
     _, b1, _, c1, *_ = scaled_plant(regular)[0].blocks
     scale = float(np.linalg.norm(b1) * np.linalg.norm(c1))
     size = max(claimed, LEAST_SHARE * scale)
@@ -203,7 +203,17 @@ def judged(
             f"the solver reports {status!r} with H2 norm {claimed:.6g}, but the loop of its controller has "
             f"{achieved:.6g}: relative residual {(achieved - claimed) / size:.1e}, allowed {tolerance:.1e}"
         )
-    return H2Synthesis(controller, achieved, h2_norm(plant.close(controller)), claimed, status)
+    return H2Synthesis(controller, achieved, _trusted_norm(plant.close(controller)), claimed, status)
+
+
+def _trusted_norm(loop: StateModel) -> float:
+    """H2 norm of a loop; where it has none that can be trusted, the reader's plant is not what is to be blamed."""
+    try:
+        return h2_norm(loop)
+    except InputError as error:
+        raise InputError(
+            f"the optimum is a loop without a trusted norm, add effort or noise, or other sensors: {error}"
+        ) from None
 
 
 def _filter_gain(a, b, c, d) -> np.ndarray:
@@ -213,7 +223,7 @@ def _filter_gain(a, b, c, d) -> np.ndarray:
         p = linalg.solve_continuous_are(a.T, c.T, b @ b.T, r, s=b @ d.T)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise InputError(
-            f"a Riccati equation has no stabilising solution ({error}); check the plant"
+            f"a Riccati equation has no stabilising solution ({error}); check the plant, or add effort or noise"
         ) from None
     gain = np.linalg.solve(r, (p @ c.T + b @ d.T).T).T
     if not np.all(linalg.eigvals(a - gain @ c).real < 0):
