@@ -15,8 +15,6 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 
 from experiments.motion import decoupled_damping, ideal_feedforward
-from experiments.motion.generalised_plant import GeneralisedPlant
-from experiments.motion.h2 import h2_riccati
 from experiments.motion.line_search import regularised_line_search
 from experiments.motion.uncertainty import perturbed, sampled_derivatives
 from fuzzing.behind import calls as made_calls
@@ -166,6 +164,7 @@ def catalogue() -> dict:
     posed = lti.StateModel(
         state.a, np.ones((2, 3)), np.ones((3, 2)), np.array([[0, 0, 0.0], [0, 0, 1.0], [0, 1.0, 0]])
     )
+    regular = lti.GeneralisedPlant(posed, 2, 2)
     two = {"u": rows[:1, :20], "y": rows[1:2, :20]}
     impulse = {"force": noise((2, 128)), "response": noise((2, 128)), "rate": 100.0}
     modes = np.linspace(50, 1200, 60)
@@ -288,8 +287,14 @@ def catalogue() -> dict:
         "smallest_level, model": (lambda **named: smallest_level(TimeVaryingModel(**named), np.eye(2)), matrices),
         "sampled_derivatives": (sampled_derivatives, {"model": model, "sample_time": 1e-4, "modes": [1, 2]}),
         "perturbed": (perturbed, {"model": model, "errors": np.full((3, 4), 0.01)}),
-        "h2_riccati": (lambda **named: h2_riccati(GeneralisedPlant(lti.StateModel(**named), 2, 2), 0.1, 0.1), fields(posed)),
-        "h2_riccati, singular": (h2_riccati, {"plant": GeneralisedPlant(posed, 2, 2), "effort": 0.1, "noise": 0.1}),
+        "GeneralisedPlant": (lti.GeneralisedPlant, fields(regular)),
+        "GeneralisedPlant.close": (regular.close, {"controller": state}),
+        "H2Synthesis": (e.H2Synthesis, fields(e.h2_riccati(regular, 0.1, 0.1))),
+        "h2_riccati": (e.h2_riccati, {"plant": regular, "effort": 0.1, "noise": 0.1}),
+        "h2_riccati, model": (lambda **named: e.h2_riccati(lti.GeneralisedPlant(lti.StateModel(**named), 2, 2)), fields(posed)),
+        "h2_lmi": (e.h2_lmi, {"plant": regular, "effort": 0.1, "noise": 0.1, "tolerance": 1e-3}),
+        "h2_lmi, model": (lambda **named: e.h2_lmi(lti.GeneralisedPlant(lti.StateModel(**named), 2, 2), 0.5, 0.5), fields(posed)),
+        "mixed_lmi": (e.mixed_lmi, {"plant": regular, "level": 2.0, "ratio": 10.0, "effort": 0.1, "noise": 0.1, "tolerance": 1e-3}),
         "Application": (c.Application, fields(c.Application(True, 0.1, selectivity=2.0, high_pass_hz=1.0))),
         "DigitalController": (c.DigitalController, fields(digital)),
         "DigitalController.run": (digital.run, {"inputs": signal[None], "first": np.ones(1)}),

@@ -4,14 +4,12 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from experiments.motion.generalised_plant import GeneralisedPlant
-from experiments.motion.h2 import h2_riccati
-from experiments.motion.matrix_inequalities import h2_lmi
 from stillwork.base.checks import InputError
+from stillwork.estimation import h2_lmi, h2_riccati
 from stillwork.estimation.hinfinity import hinfinity_gains, smallest_level
 from stillwork.estimation.riccati import continuous_gain, discrete_gain
 from stillwork.estimation.time_varying import TimeVaryingModel
-from stillwork.lti import StateModel, h2_norm, hinf_norm
+from stillwork.lti import GeneralisedPlant, StateModel, h2_norm, hinf_norm
 
 # SLICOT library, example data and results of SB10HD (continuous) and SB10ED (discrete): A, B, C and D.
 SB10HD = (
@@ -60,14 +58,14 @@ def test_h2_controller_of_slicot():
     for omega in (0.0, 0.3, 3.0, 30.0, 300.0):
         expected = responses(theirs, omega)
         size = np.abs(expected).max()
-        assert responses(found.observer, omega) == pytest.approx(expected, rel=5e-3, abs=5e-3 * size)
-    assert np.sort_complex(found.observer.poles) == pytest.approx(np.sort_complex(theirs.poles), rel=2e-3)
+        assert responses(found.controller, omega) == pytest.approx(expected, rel=5e-3, abs=5e-3 * size)
+    assert np.sort_complex(found.controller.poles) == pytest.approx(np.sort_complex(theirs.poles), rel=2e-3)
 
 
 def test_h2_controller_of_python_control():
     """`robust_test` of python-control, testH2syn: K = -1 / (s + 3) keeps w from z altogether, a norm of zero."""
     found = h2_riccati(plant(("-1", "1 1", "1; 1", "0 1; 1 0"), 1, 1), 0.0, 0.0)
-    k = found.observer
+    k = found.controller
     assert [k.a[0, 0], k.b[0, 0] * k.c[0, 0]] == pytest.approx([-3.0, -1.0], rel=1e-9)
     assert found.norm == pytest.approx(0.0, abs=1e-7)
     loop = StateModel(*matrices(("-1 -1; 1 -3", "1; 1", "1 -1", "0")))
@@ -167,7 +165,7 @@ def test_correlated_columns_are_no_reason_to_refuse(seed):
     found = h2_riccati(GeneralisedPlant(StateModel(a, b, c, d), 4, 4), 0.0, 0.0)
     # one hundredth more or less of any gain makes it no better
     for factor in (0.99, 1.01):
-        k = found.observer
+        k = found.controller
         other = GeneralisedPlant(StateModel(a, b, c, d), 4, 4).close(StateModel(k.a, factor * k.b, k.c, k.d))
         assert h2_norm(other) >= found.norm * (1 - 1e-9)
 

@@ -9,8 +9,6 @@ from numpy.typing import ArrayLike
 from scipy import optimize
 
 from experiments.motion.designs import DAMPING
-from experiments.motion.generalised_plant import GeneralisedPlant, low_pass
-from experiments.motion.h2 import Synthesis, h2_riccati
 from experiments.motion.ideal_feedforward import invert
 from experiments.motion.machines import published_noise, stage, stage_mass
 from experiments.motion.magnitudes import add_magnitude
@@ -20,7 +18,9 @@ from stillwork.control.bandwidth import SIX_DB
 from stillwork.control.feedback import band_pass, damping_gain
 from stillwork.control.loops import INPUTS, closed_loop
 from stillwork.control.pid import Pid, PidFamily, series
+from stillwork.estimation.h2 import H2Synthesis, h2_riccati
 from stillwork.estimation.observer import Observer, kalman_observer
+from stillwork.lti.generalised_plant import GeneralisedPlant
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.norms import h2_norm, hinf_norm
 from stillwork.lti.reduction import truncate
@@ -123,6 +123,12 @@ def problem_sizes(weight_states: int, axes: int, modes: int, flexible: int, sens
     return {"states": states, "inputs": axes + 3 * sensors + 2 * modes, "outputs": 2 * axes + 2 * sensors}
 
 
+def low_pass(corner_hz: float) -> StateModel:
+    """First-order low-pass of unit gain."""
+    w = 2 * np.pi * require_number("corner_hz", corner_hz, above=0.0)
+    return StateModel(np.array([[-w]]), np.array([[w]]), np.array([[1.0]]), np.zeros((1, 1)))
+
+
 def sensitivity_weight(corner_hz: float, floor: float = 0.02) -> StateModel:
     """Weight with slope -3 below the corner and the inverse of 6 dB above: 1 over a wanted sensitivity.
 
@@ -172,7 +178,7 @@ class FrontPoint:
     """One verified loop on the trade-off."""
 
     emphasis: float
-    synthesis: Synthesis
+    synthesis: H2Synthesis
     h2: float  # of the loop as posed
     weighted_peak: float  # H-infinity norm of the weighted error
 
@@ -188,7 +194,7 @@ def front(
     points = []
     for emphasis in require_array("emphases", emphases, ndim=1):
         found = h2_riccati(emphasised(plant, weight, float(emphasis)), effort, noise)
-        loop = plant.close(found.observer)
+        loop = plant.close(found.controller)
         points.append(FrontPoint(float(emphasis), found, h2_norm(loop), weighted_peak(loop, weight)))
     return points
 
@@ -249,4 +255,4 @@ def paint_emphasis(emphasis: float):
     """Explorer: the loop on the front at one emphasis, beside the Kalman loop."""
     problem, generalised, kalman, weight = _compared()
     found = h2_riccati(emphasised(generalised, weight, emphasis), *regularisation(problem, 0.01))
-    return paint_responses(problem, {"Kalman": kalman, f"emphasis {emphasis:.2g}": found.observer}, weight)
+    return paint_responses(problem, {"Kalman": kalman, f"emphasis {emphasis:.2g}": found.controller}, weight)

@@ -136,12 +136,12 @@ def _crossings(model: StateModel, level: float) -> np.ndarray:
     return np.unique(np.abs(values[imaginary].imag))
 
 
-LARGEST_RESIDUAL, REFINEMENTS = 1e-6, 6  # of a Lyapunov equation, relative to its right side
+MOST_DOUBT = 1e-6  # of the power that a Lyapunov equation gives, relative
 
 
 @checked
 def h2_norm(model: StateModel) -> float:
-    """H2 norm of a stable, strictly proper continuous model: a balanced Lyapunov equation, residual checked.
+    """H2 norm of a stable, strictly proper continuous model: from a balanced Lyapunov equation, checked.
 
     Parameters
     ----------
@@ -175,19 +175,19 @@ def h2_norm(model: StateModel) -> float:
     b = b / np.sqrt(rate)
     driven = b @ b.T
     gramian = linalg.solve_continuous_lyapunov(a, -driven)
-    for _ in range(REFINEMENTS):
-        # That of a model that passes nothing may round below zero.
-        power = max(np.trace(c @ gramian @ c.T), 0.0)
-        left = a @ gramian + gramian @ a.T + driven
-        residual = np.abs(left).max() / np.abs(driven).max()
-        if residual <= LARGEST_RESIDUAL:
-            break
-        correction = linalg.solve_continuous_lyapunov(a, -left)  # what rounding left is a right side again
-        if abs(np.trace(c @ correction @ c.T)) <= LARGEST_RESIDUAL * power:
-            break
-        gramian = gramian + correction
-    else:
+    # That of a model that passes nothing may round below zero.
+    power = max(np.trace(c @ gramian @ c.T), 0.0)
+    kept = MOST_DOUBT * power + NOTHING * np.linalg.norm(c) ** 2 * np.linalg.norm(gramian)
+    # What rounding left is a right side again. It tells too much where the loop amplifies the residual's own rounding;
+    # then the dual equation, which rounds otherwise, has the word.
+    left = a @ gramian + gramian @ a.T + driven
+    doubt = abs(np.trace(c @ linalg.solve_continuous_lyapunov(a, -left) @ c.T))
+    if not doubt <= kept:
+        dual = linalg.solve_continuous_lyapunov(a.T, -c.T @ c)
+        doubt = abs(np.trace(b.T @ dual @ b) - power)
+    if not doubt <= kept:
         raise InputError(
-            f"the Lyapunov equation left a relative residual of {residual:.1e}; rescale the model"
+            f"the Lyapunov equations leave a doubt of {doubt:.1e} in a squared norm of {power:.1e} (scaled); the model "
+            "is too close to instability, or needs other units"
         )
     return _finite(np.sqrt(power) * units[0] * units[1])

@@ -1,0 +1,278 @@
+"""H2-optimal controllers and observers of a generalised plant, by two scaled Riccati equations.
+
+They need a regular problem: every control costs, and noise reaches every measurement. Where a plant has not got that, a
+small cost and a small noise are added; what comes back is judged by the norm of the plant's own loop, computed apart.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import ArrayLike
+from scipy import linalg
+
+from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.base.front_door import by_value, check_fields, checked
+from stillwork.lti.generalised_plant import GeneralisedPlant
+from stillwork.lti.norms import h2_norm
+from stillwork.lti.state_space import StateModel
+
+
+@by_value
+@dataclass(frozen=True)
+class H2Synthesis:
+    """A controller, or an observer where the controls are estimates, and the two-norms of its loop.
+
+    Attributes
+    ----------
+    controller : StateModel
+        From the measurements y to the controls u, strictly proper.
+    regular_norm : float
+        H2 norm of the regularised plant's loop, computed on the closed loop.
+    norm : float
+        H2 norm of the loop as it was posed, without what was added.
+    claimed : float
+        What the synthesis itself says of the regularised loop: its optimum, or a bound of it.
+    status : str
+        What the solver says.
+
+    Raises
+    ------
+    InputError
+        When a norm is below zero.
+
+    References
+    ----------
+    Zhou, Doyle and Glover, Robust and Optimal Control (1996), chapter 14.
+
+    Examples
+    --------
+    >>> model = lti.StateModel([[-1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
+    >>> found = estimation.h2_riccati(lti.GeneralisedPlant(model, exogenous=2, performance=2))
+    >>> bool(abs(found.norm - found.claimed) < 1e-9)  # nothing was added
+    True
+    """
+
+    controller: StateModel  # from y to u
+    regular_norm: float  # H2 norm of the regularised loop, recomputed on the closed loop
+    norm: float  # H2 norm of the loop as it was posed
+    claimed: float  # what the synthesis itself says of the regularised loop
+    status: str = "solved"
+
+    def __post_init__(self):
+        check_fields(self)
+        for name in ("regular_norm", "norm", "claimed"):
+            require_number(name, getattr(self, name), at_least=0.0)
+
+
+@checked
+def regularised(
+    plant: GeneralisedPlant, effort: float | ArrayLike, noise: float | ArrayLike
+) -> GeneralisedPlant:
+    """Add `effort` times every control to the performance, and white noise to every measurement.
+
+    The effort is in performance units a unit of control, the noise the root of an intensity; they may be zero where
+    D12 has full column rank and D21 full row rank.
+    """
+    if plant.model.sample_time:
+        raise InputError("plant is in discrete time; H2 synthesis takes one in continuous time")
+    a, b1, b2, c1, c2, d11, d12, d21, d22 = plant.blocks
+    if np.any(d11):
+        raise InputError("the plant has feedthrough from w to z; its H2 norm is infinite, add a low-pass")
+    if not len(a):
+        raise InputError("plant has no states; there is nothing to control")
+    controls, measurements = b2.shape[1], len(c2)
+    effort = _each("effort", effort, controls, "control")
+    noise = _each("noise", noise, measurements, "measurement")
+    z, w = len(c1), b1.shape[1]
+    d = np.block(
+        [
+            [d11, np.zeros((z, measurements)), d12],
+            [np.zeros((controls, w + measurements)), np.diag(effort)],
+            [d21, np.diag(noise), d22],
+        ]
+    )
+    b = np.hstack([b1, np.zeros((len(a), measurements)), b2])
+    c = np.vstack([c1, np.zeros((controls, len(a))), c2])
+    regular = GeneralisedPlant(StateModel(a, b, c, d), w + measurements, z + controls)
+    *_, d12, d21, _ = regular.blocks
+    for name, matrix in (("effort", d12.T), ("noise", d21)):
+        lengths = np.linalg.norm(matrix, axis=1)[:, None]
+        if not np.all(lengths) or np.linalg.matrix_rank(matrix / lengths) < len(matrix):
+            raise InputError(f"effort and noise must make the problem regular; it takes more {name}")
+    return regular
+
+
+def _each(name: str, value: float | ArrayLike, count: int, what: str) -> np.ndarray:
+    """One number for each of so many, not below zero."""
+    given = require_array(name, value)
+    if given.shape not in ((), (count,)):
+        raise InputError(f"{name} has shape {given.shape}; give a number, or one for each {what}: {count}")
+    if np.any(given < 0):
+        raise InputError(f"{name} is negative; effort and noise make the problem regular from zero upwards")
+    return np.broadcast_to(given, (count,))
+
+
+@checked
+def h2_riccati(
+    plant: GeneralisedPlant, effort: float | ArrayLike = 0.0, noise: float | ArrayLike = 0.0
+) -> H2Synthesis:
+    r"""Controller u = K y with the smallest H2 norm from w to z, from two Riccati equations.
+
+    They are scaled before and checked after: the cost of full information and that of estimating, each from its own
+    half of the solution, must add up to the norm of the closed loop. A plant is regular, and needs neither `effort` nor
+    `noise`, where :math:`D_{12}` has full column rank and :math:`D_{21}` full row rank. They may share what drives the
+    states and what is controlled (correlated noise, products of state and control), and :math:`D_{22}` is free.
+
+    Parameters
+    ----------
+    plant : GeneralisedPlant
+        In continuous time, without feedthrough from w to z; it may be unstable.
+    effort : float or array_like, shape (controls,)
+        A performance output more for every control: so many times the control, in units of z a unit of u.
+    noise : float or array_like, shape (measurements,)
+        White noise more in every measurement: the root of its intensity, in units of y times a root of s.
+
+    Returns
+    -------
+    H2Synthesis
+        Its `norm` is that of the plant as given, `regular_norm` that with effort and noise, which is the smallest.
+
+    Raises
+    ------
+    InputError
+        When the problem is not regular, has no stabilising solution, or one that cannot be trusted.
+
+    References
+    ----------
+    Doyle, Glover, Khargonekar and Francis, IEEE Transactions on Automatic Control 34 (1989), 831-847; Zhou, Doyle and
+    Glover, Robust and Optimal Control (1996), chapter 14.
+
+    Examples
+    --------
+    A mass of 1 kg that white noise of unit intensity pushes; its position counts, and is measured with noise.
+
+    >>> mass = lti.StateModel([[0, 1], [0, 0]], [[0, 0], [1, 1]], [[1, 0], [1, 0]], np.zeros((2, 2)))
+    >>> plant = lti.GeneralisedPlant(mass, exogenous=1, performance=1)
+    >>> found = estimation.h2_riccati(plant, effort=0.01, noise=0.001)
+    >>> found.controller.c.shape, plant.close(found.controller).is_stable
+    ((1, 2), True)
+    >>> round(1e3 * found.norm, 1)  # mm, the root of the position's variance
+    32.3
+    """
+    regular = regularised(plant, effort, noise)
+    scaled, units = scaled_plant(regular)
+    a, b1, b2, c1, c2, d11, d12, d21, d22 = scaled.blocks
+    gain = _filter_gain(a, b1, c2, d21)
+    feedback = _filter_gain(a.T, c1.T, b2.T, d12.T).T
+    driven = StateModel(a - b2 @ feedback, b1, c1 - d12 @ feedback, d11)
+    missed = StateModel(a - gain @ c2, b1 - gain @ d21, d12 @ feedback, np.zeros_like(d11))
+    claimed = float(np.hypot(_trusted_norm(driven), _trusted_norm(missed)))
+    core = a - b2 @ feedback - gain @ c2 + gain @ d22 @ feedback
+    controller = in_units(units, core, gain, -feedback)
+    return judged(plant, regular, controller, claimed, "solved", WORST_SEPARATION)
+
+
+# A scaled pair of Riccati equations leaves 1e-8 at worst; the norms of unbalanced loops scatter above that.
+WORST_SEPARATION = 1e-5
+
+
+# Norms below this share of |B1| |C1| of the scaled plant are compared as if they were as large.
+LEAST_SHARE = 1e-6
+
+
+@checked
+def judged(
+    plant: GeneralisedPlant,
+    regular: GeneralisedPlant,
+    controller: StateModel,
+    claimed: float,
+    status: str,
+    tolerance: float,
+) -> H2Synthesis:
+    """A controller with its norms; `InputError` when its loop does not have the norm that its synthesis claims."""
+    loop = regular.close(controller)
+    achieved = _trusted_norm(loop) if loop.is_stable else np.inf
+    _, b1, _, c1, *_ = scaled_plant(regular)[0].blocks
+    scale = float(np.linalg.norm(b1) * np.linalg.norm(c1))
+    size = max(claimed, LEAST_SHARE * scale)
+    # A norm is the root of a sum that is known to rounding units: near zero to the root of these.
+    rounding = 4 * np.sqrt(np.finfo(float).eps) * scale
+    if not abs(achieved - claimed) <= tolerance * size + rounding:
+        raise InputError(
+            f"the solver reports {status!r} with H2 norm {claimed:.6g}, but the loop of its controller has "
+            f"{achieved:.6g}: relative residual {(achieved - claimed) / size:.1e}, allowed {tolerance:.1e}"
+        )
+    return H2Synthesis(controller, achieved, _trusted_norm(plant.close(controller)), claimed, status)
+
+
+def _trusted_norm(loop: StateModel) -> float:
+    """H2 norm of a loop; where it has none that can be trusted, the reader's plant is not what is to be blamed."""
+    try:
+        return h2_norm(loop)
+    except InputError as error:
+        raise InputError(
+            f"the optimum is a loop without a trusted norm, add effort or noise, or other sensors: {error}"
+        ) from None
+
+
+def _filter_gain(a, b, c, d) -> np.ndarray:
+    """Kalman gain for correlated noise, L = (P C' + B D') (D D')^-1."""
+    r = d @ d.T
+    try:
+        p = linalg.solve_continuous_are(a.T, c.T, b @ b.T, r, s=b @ d.T)
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise InputError(
+            f"a Riccati equation has no stabilising solution ({error}); check the plant, or add effort or noise"
+        ) from None
+    gain = np.linalg.solve(r, (p @ c.T + b @ d.T).T).T
+    if not np.all(linalg.eigvals(a - gain @ c).real < 0):
+        raise InputError(
+            "a Riccati equation has no stabilising solution that could be found; add effort or noise, or rescale"
+        )
+    return gain
+
+
+@by_value
+@dataclass(frozen=True)
+class Units:
+    """Units in which a synthesis is solved."""
+
+    rate: float  # rad/s: time runs in 1/rate
+    controls: Float64[np.ndarray, " controls"]  # their cost becomes 1
+    measurements: Float64[np.ndarray, " measurements"]  # their noise becomes 1
+
+    def __post_init__(self):
+        check_fields(self)
+
+
+@checked
+def in_units(
+    units: Units,
+    a: Float64[np.ndarray, "states states"],
+    b: Float64[np.ndarray, "states measurements"],
+    c: Float64[np.ndarray, "controls states"],
+) -> StateModel:
+    """A controller of the scaled plant in the plant's own units."""
+    b, c = b * units.rate / units.measurements, c * units.controls[:, None]
+    return StateModel(a * units.rate, b, c, np.zeros((len(c), b.shape[1])))
+
+
+@checked
+def scaled_plant(plant: GeneralisedPlant) -> tuple[GeneralisedPlant, Units]:
+    """Slow time, unit cost and noise, balanced states; H2 norms stay what they are."""
+    a, b1, b2, c1, c2, d11, d12, d21, d22 = plant.blocks
+    rate = float(np.median(np.abs(linalg.eigvals(a)))) or 1.0  # most of them may be zero
+    controls = 1 / np.linalg.norm(d12, axis=0)
+    measurements = np.linalg.norm(d21, axis=1) * np.sqrt(rate)
+    each = measurements[:, None]
+    b = np.hstack([b1 / np.sqrt(rate), b2 * controls / rate])
+    c = np.vstack([c1, c2 / each])
+    d = np.block([[d11, d12 * controls], [d21 * np.sqrt(rate) / each, d22 * controls / each]])
+    n, size = len(a), len(a) + max(b.shape[1], len(c))
+    whole = np.zeros((size, size))
+    whole[:n, :n], whole[:n, n : n + b.shape[1]], whole[n : n + len(c), :n] = a / rate, b, c
+    _, (scale, _) = linalg.matrix_balance(whole, permute=False, separate=True)
+    scale = scale[:n]
+    model = StateModel(a * scale / scale[:, None] / rate, b / scale[:, None], c * scale, d)
+    return GeneralisedPlant(model, plant.exogenous, plant.performance), Units(rate, controls, measurements)

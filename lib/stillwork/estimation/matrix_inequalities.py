@@ -1,0 +1,215 @@
+"""H2-optimal controllers and observers by linear matrix inequalities, solved by Clarabel.
+
+They take a bound on one weighted peak as well, with one Lyapunov matrix for both norms.
+"""
+
+import warnings
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from stillwork.base.checks import InputError, require_number
+from stillwork.base.extras import require_package
+from stillwork.base.front_door import checked
+from stillwork.estimation.h2 import H2Synthesis, in_units, judged, regularised, scaled_plant
+from stillwork.lti.generalised_plant import GeneralisedPlant
+from stillwork.lti.norms import h2_norm, hinf_norm
+
+
+@checked
+def h2_lmi(
+    plant: GeneralisedPlant,
+    effort: float | ArrayLike = 0.0,
+    noise: float | ArrayLike = 0.0,
+    tolerance: float = 1e-3,
+) -> H2Synthesis:
+    r"""Controller u = K y with the smallest H2 norm from w to z, from matrix inequalities that Clarabel solves.
+
+    A road apart from the Riccati equations of `h2_riccati`, to check them by: slower, less exact, and without an answer
+    for many plants with unstable modes that these solve. The controller's feedthrough is zero: with a regular
+    :math:`D_{12}` and :math:`D_{21}` any other makes the norm infinite. It needs cvxpy, which the extra `control` brings.
+
+    Parameters
+    ----------
+    plant : GeneralisedPlant
+        In continuous time, without feedthrough from w to z; it may be unstable.
+    effort : float or array_like, shape (controls,)
+        A performance output more for every control: so many times the control, in units of z a unit of u.
+    noise : float or array_like, shape (measurements,)
+        White noise more in every measurement: the root of its intensity, in units of y times a root of s.
+    tolerance : float
+        How far, relatively, the norm of the recovered loop may lie from what the solver claims.
+
+    Returns
+    -------
+    H2Synthesis
+        `status` is ``optimal``, or ``optimal_inaccurate`` where the solver stopped a little short of that.
+
+    Raises
+    ------
+    InputError
+        When the problem is not regular, the solver fails, or the loop has not the norm that the solver claims.
+    MissingPackage
+        Without cvxpy.
+
+    References
+    ----------
+    Scherer, Gahinet and Chilali, IEEE Transactions on Automatic Control 42 (1997), 896-911; Verkerk, Improved accuracy
+    of flexible systems by state estimation, thesis (2018), section 5.1.
+
+    Examples
+    --------
+    >>> mass = lti.StateModel([[0, 1], [0, 0]], [[0, 0], [1, 1]], [[1, 0], [1, 0]], np.zeros((2, 2)))
+    >>> plant = lti.GeneralisedPlant(mass, exogenous=1, performance=1)
+    >>> apart = estimation.h2_lmi(plant, effort=0.5, noise=0.5)
+    >>> round(apart.regular_norm / estimation.h2_riccati(plant, effort=0.5, noise=0.5).regular_norm, 2)
+    1.0
+    """
+    require_number("tolerance", tolerance, above=0.0)
+    regular = regularised(plant, effort, noise)
+    status, claimed, controller = _by_inequalities(regular)
+    return judged(plant, regular, controller, claimed, status, tolerance)
+
+
+@checked
+def mixed_lmi(
+    plant: GeneralisedPlant,
+    level: float,
+    ratio: float = 1.0,
+    effort: float | ArrayLike = 0.0,
+    noise: float | ArrayLike = 0.0,
+    tolerance: float = 1e-3,
+) -> H2Synthesis:
+    r"""Controller u = K y with a small H2 norm whose weighted error keeps a level, from matrix inequalities.
+
+    The plant has two performance outputs, an error and the same through a weight. The two-norm is that from all w to
+    the first (and to the efforts), the peak the H-infinity norm from the first w to the second. One change of variables
+    serves both norms only if their Lyapunov matrices are multiples of each other, by `ratio`. That makes `claimed` an
+    upper bound of both the loop's norm and the optimum: any ratio is valid, the least claim over ratios is the best, and
+    no ratio gives the true trade-off. It needs cvxpy, which the extra `control` brings.
+
+    Parameters
+    ----------
+    plant : GeneralisedPlant
+        In continuous time, without feedthrough from w to z; z are the error and the weighted error.
+    level : float
+        Largest magnitude from the first w to the weighted error, in their units.
+    ratio : float
+        Of the peak's Lyapunov matrix over the two-norm's, for the scaled problem; 1 in most texts.
+    effort : float or array_like, shape (controls,)
+        A performance output more for every control: so many times the control, in units of z a unit of u.
+    noise : float or array_like, shape (measurements,)
+        White noise more in every measurement: the root of its intensity, in units of y times a root of s.
+    tolerance : float
+        How far, relatively, the loop's norm and peak may lie above what the solver claims.
+
+    Returns
+    -------
+    H2Synthesis
+        Its norms are those to the error; `claimed` bounds `regular_norm` from above.
+
+    Raises
+    ------
+    InputError
+        When the problem is not regular, no controller with one Lyapunov matrix keeps the level, the solver fails, or
+        the loop has a larger norm or peak than the solver claims.
+    MissingPackage
+        Without cvxpy.
+
+    References
+    ----------
+    Scherer, Gahinet and Chilali, IEEE Transactions on Automatic Control 42 (1997), 896-911; Verkerk, Improved accuracy
+    of flexible systems by state estimation, thesis (2018), section 5.1.
+
+    Examples
+    --------
+    A lag with its error, and the error through a low-pass of 0.2 rad/s as the second state.
+
+    >>> a, b, c = [[-1.0, 0.0], [0.2, -0.2]], [[1.0, 1.0], [0.0, 0.0]], [[1.0, 0.0], [0.0, 1.0], [1.0, 0.0]]
+    >>> plant = lti.GeneralisedPlant(lti.StateModel(a, b, c, np.zeros((3, 2))), exogenous=1, performance=2)
+    >>> found = estimation.mixed_lmi(plant, level=0.5, ratio=10.0, effort=0.3, noise=0.3)
+    >>> bool(lti.hinf_norm(plant.close(found.controller).select([0], [1])).magnitude < 0.5)
+    True
+    """
+    for name, value in (("level", level), ("ratio", ratio), ("tolerance", tolerance)):
+        require_number(name, value, above=0.0)
+    if plant.performance != 2:
+        raise InputError(
+            f"plant has {plant.performance} performance outputs; give the error and the weighted"
+        )
+    regular = regularised(plant, effort, noise)
+    status, claimed, controller = _by_inequalities(regular, level, ratio)
+    loop = regular.close(controller)
+    achieved = peak = np.inf
+    if loop.is_stable:
+        achieved = h2_norm(loop.select(range(regular.exogenous), _unweighted(regular)))
+        peak = hinf_norm(loop.select([0], [1])).magnitude
+    excess = max(achieved / claimed, peak / level) - 1
+    if not excess <= tolerance:
+        raise InputError(
+            f"the solver reports {status!r} with H2 norm {claimed:.6g} at level {level:.6g}, but the loop of its "
+            f"controller has {achieved:.6g} and {peak:.6g}: relative residual {excess:.1e}, allowed {tolerance:.1e}"
+        )
+    posed = plant.close(controller).select(range(plant.exogenous), [0])
+    return H2Synthesis(controller, achieved, h2_norm(posed), claimed, status)
+
+
+def _unweighted(regular: GeneralisedPlant) -> list[int]:
+    """Performance outputs of a regularised plant that count for the two-norm when the second has a bound."""
+    return [0, *range(2, regular.performance)]
+
+
+def _by_inequalities(regular: GeneralisedPlant, level: float | None = None, ratio: float = 1.0):
+    """Status, claimed norm and controller of a regularised plant; with a level, the second output is bounded."""
+    cp = require_package("cvxpy")
+
+    plant, units = scaled_plant(regular)
+    a, b1, b2, c1, c2, _, d12, d21, _ = plant.blocks
+    n = len(a)
+    x, y = cp.Variable((n, n), symmetric=True), cp.Variable((n, n), symmetric=True)
+    a_hat, b_hat, c_hat = cp.Variable((n, n)), cp.Variable((n, len(c2))), cp.Variable((b2.shape[1], n))
+    upper, lower = a @ x + b2 @ c_hat, y @ a + b_hat @ c2
+    driven, seen = y @ b1 + b_hat @ d21, c1 @ x + d12 @ c_hat
+    stable = [[upper + upper.T, a_hat.T + a], [a_hat + a.T, lower + lower.T]]
+    kept = list(range(len(c1))) if level is None else _unweighted(plant)
+    q = cp.Variable((len(kept), len(kept)), symmetric=True)
+    dissipated = [[*stable[0], b1], [*stable[1], driven], [b1.T, driven.T, -np.eye(b1.shape[1])]]
+    bounded = [[x, np.eye(n), seen[kept].T], [np.eye(n), y, c1[kept].T], [seen[kept], c1[kept], q]]
+    constraints = [cp.bmat(dissipated) << 0, cp.bmat(bounded) >> 0]
+    if level is not None:
+        own = level * np.sqrt(units.rate)  # in slow time
+        into, out = np.sqrt(ratio / own), np.sqrt(1 / (ratio * own))
+        b, yb, cx, c = into * b1[:, :1], into * driven[:, :1], out * seen[1:2], out * c1[1:2]
+        zero = np.zeros((1, 1))
+        real = [
+            [*stable[0], b, cx.T],
+            [*stable[1], yb, c.T],
+            [b.T, yb.T, -np.eye(1), zero],
+            [cx, c, zero, -np.eye(1)],
+        ]
+        constraints.append(cp.bmat(real) << 0)
+    problem = cp.Problem(cp.Minimize(cp.trace(q)), constraints)
+    data, chain, inverse = problem.get_problem_data(cp.CLARABEL, solver_opts={})
+    solution = chain.solve_via_data(problem, data)
+    if str(solution.status) not in ("Solved", "AlmostSolved"):  # the loop is judged either way
+        raise InputError(
+            f"the matrix inequalities have no usable solution: Clarabel reports {str(solution.status)!r} after "
+            f"{solution.iterations} iterations, residuals {solution.r_prim:.1e} (primal) and "
+            f"{solution.r_dual:.1e} (dual); rescale the problem, regularise it more or ask for less"
+        )
+    with warnings.catch_warnings(action="ignore"):  # the status says as much
+        problem.unpack_results(solution, chain, inverse)
+    found = (variable.value for variable in (x, y, a_hat, b_hat, c_hat))
+    return problem.status, float(np.sqrt(problem.value)), in_units(units, *_recover(plant, *found))
+
+
+def _recover(plant: GeneralisedPlant, x, y, a_hat, b_hat, c_hat):
+    """Controller matrices (Lemma 5.1.1 of the thesis) without feedthrough, and with D22 taken out of the measurement."""
+    a, _, b2, _, c2, _, _, _, d22 = plant.blocks
+    left, values, right = np.linalg.svd(np.eye(len(x)) - x @ y)
+    m, n = left * np.sqrt(values), right.T * np.sqrt(values)
+    c_o = np.linalg.solve(m, c_hat.T).T
+    b_o = np.linalg.solve(n, b_hat)
+    core = a_hat - b_hat @ c2 @ x - y @ b2 @ c_hat - y @ a @ x
+    a_o = np.linalg.solve(n, np.linalg.solve(m, core.T).T)
+    return a_o - b_o @ d22 @ c_o, b_o, c_o
