@@ -307,11 +307,11 @@ def unasked(function):
     if "door" not in through(function):
         return parameters
     hints = typing.get_type_hints(inspect.unwrap(function))
-    known = front_door._checks(inspect.unwrap(function)).keys()
+    known = front_door.checks_of(inspect.unwrap(function)).keys()
     return [
         name
         for name in parameters  # what is like an array, `require_array` asks where it is used
-        if name not in known and not front_door._OPEN & {hints.get(name), *typing.get_args(hints.get(name))}
+        if name not in known and not front_door.OPEN & {hints.get(name), *typing.get_args(hints.get(name))}
     ]
 
 

@@ -123,9 +123,9 @@ def simulate_together(
         places = np.minimum(np.arange(at, at + runs), len(seeds) - 1)
         begin = np.moveaxis(each[places], 0, -1).reshape(twin.actuators, -1)
         for adaptation in adaptations.values():
-            code, numbers, recursion = _algorithm(twin, adaptation)
+            code, numbers, recursion = algorithm_of(twin, adaptation)
             closed = loop.loop_of(twin, feedback, begin, recursion, runs)
-            kept = _Kept(twin, total, every, first, runs, signals)
+            kept = KeptSignals(twin, total, every, first, runs, signals)
             sides.append((adaptation, code, numbers, closed, kept))
         until, broke_s = total, None
         try:
@@ -185,7 +185,7 @@ def _require_triangle(adaptations) -> None:
             )
 
 
-def _algorithm(twin: Twin, adaptation):
+def algorithm_of(twin: Twin, adaptation):
     """Code of the kernel, numbers of FeLMS, and the recursion of FeRLS at the start."""
     n = twin.regressors
     if isinstance(adaptation, FeRls):
@@ -254,7 +254,7 @@ def _unstable(status: int, sample: int, twin: Twin, adaptation, weights, peak: f
     return UnstableAdaptation(sample, cause, "give the skyhook a smaller gain", "the skyhook loop")
 
 
-class _Kept:
+class KeptSignals:
     """Arrays that outlive the blocks; of several runs side by side each channel stands once a run."""
 
     def __init__(

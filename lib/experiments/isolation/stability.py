@@ -91,7 +91,7 @@ def covariance_run(
     rows = []
     for k in range(int(time_constants * per_time_constant)):
         at = k % len(blocks)
-        _recur(code, matrix, blocks[at], dtype.type(forgetting), np.empty(n, dtype), np.empty(n, dtype))
+        recur(code, matrix, blocks[at], dtype.type(forgetting), np.empty(n, dtype), np.empty(n, dtype))
         information = rounded**step * information + seen[at]
         rows.append(((k + 1) * step * (1 - forgetting), *_health(form, matrix, information)))
         if not np.isfinite(rows[-1][2]):
@@ -189,7 +189,7 @@ def stability_map(
 
 
 @borrowing_kernel
-def _recur(form, matrix, regressors, forgetting, column, row):
+def recur(form, matrix, regressors, forgetting, column, row):
     """Update what the form keeps over a block in place, in the arrays' precision."""
     # A loop a form: asked at every sample for its form, the compiler would optimise none of them.
     if form == ONE_PRODUCT:
