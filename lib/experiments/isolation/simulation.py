@@ -69,6 +69,11 @@ def simulate(
     return together[0][""]
 
 
+def sample_seeds(draws: Sequence[np.random.Generator]) -> list[int]:
+    """A seed of each generator, for the runs of `simulate_together`."""
+    return [int(rng.integers(2**31)) for rng in draws]
+
+
 def simulate_together(
     twin: Twin,
     floor: Floor | list[tuple[float, Floor]],

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.base.checks import InputError, require_choice, require_number
+from stillwork.base.checks import InputError, require_choice
 from stillwork.base.front_door import by_value, check_fields, checked
-from stillwork.control.loops import INPUTS, OUTPUTS, require_stable
+from stillwork.control.loops import INPUTS, OUTPUTS, require_deviations, require_stable
 from stillwork.control.setpoint import Setpoint
 from stillwork.lti.discretisation import zoh
 from stillwork.lti.simulation import simulate
@@ -274,9 +274,7 @@ def noise_errors(
     draws: Sequence[np.random.Generator],
 ) -> list[Float64[np.ndarray, "2 samples"]]:
     """`noise_error` for each of several generators; the loop is discretised and decoupled once for all."""
-    for name in deviations:
-        require_choice("deviations", name, ("w", "v", "d"))
-        require_number(f"deviations[{name!r}]", deviations[name], at_least=0.0)
+    require_deviations(deviations)
     require_stable(loop)
     places = [INPUTS.index(name) for name in deviations]
     model = zoh(loop.select(places, [0, 1]), sample_time)
