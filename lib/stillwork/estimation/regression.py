@@ -26,7 +26,7 @@ from stillwork.base.checks import (
 from stillwork.estimation.adaptive import FeLms, FeRls
 from stillwork.estimation.min_max import ZeroEstimateWarning, solve_silently, triangle
 from stillwork.estimation.online import run_felms, run_ferls
-from stillwork.estimation.recursive import LARGEST
+from stillwork.estimation.recursive import require_finite_squares, require_squares
 from stillwork.estimation.secular import ROUNDING
 
 
@@ -106,8 +106,8 @@ class _LinearRegressor:
         if anew and lost.all():
             raise _nothing()
         if whole:  # a part of a stream may be as quiet as it likes
-            _require_squares("X", X)
-            _require_squares("y", targets)
+            require_squares("X", X)
+            require_squares("y", targets)
         weights[lost] = 0
         rows, outputs = (np.sqrt(weights)[:, None] * np.nan_to_num(part) for part in (X, targets))
         if self.complex_data:
@@ -208,8 +208,7 @@ class _LinearRegressor:
                 "1 is required; give more"
             )
         table = require_array(name, given, dtype=dtype, missing=True)
-        if np.any(np.abs(table) > LARGEST):
-            raise InputError(f"{name} exceeds {LARGEST:g}, too large to be squared; use another unit")
+        require_finite_squares(name, table)
         return table
 
     def _initial(self, coef, features, outputs):
@@ -563,12 +562,6 @@ def _column_names(X) -> np.ndarray | None:
 
 def _lost(X, y) -> np.ndarray:
     return np.isnan(X).any(axis=1) | np.isnan(y).any(axis=1)
-
-
-def _require_squares(name, table):
-    largest = np.nanmax(np.abs(table), initial=0.0)
-    if 0 < largest < 1 / LARGEST:
-        raise InputError(f"{name} is nowhere above {largest:g}, too small to be squared; use another unit")
 
 
 def _nothing() -> InputError:
