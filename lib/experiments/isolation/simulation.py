@@ -11,7 +11,14 @@ from experiments.isolation import loop
 from experiments.isolation.recorded_floors import LOUDEST, RecordedFloor
 from experiments.isolation.sources import BLOCK, Floor, Sources
 from experiments.isolation.twin import Twin
-from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
+from stillwork.base.checks import (
+    InputError,
+    counted,
+    require_array,
+    require_choice,
+    require_count,
+    require_number,
+)
 from stillwork.estimation.adaptive import FeLms, FeRls
 from stillwork.estimation.online import UnstableAdaptation
 
@@ -213,7 +220,7 @@ def _segments(twin: Twin, floor, duration_s) -> list[tuple[int, Floor]]:
     for seconds, part in given:
         if part.channels != twin.sensors:
             raise InputError(
-                f"floor has {part.channels} channels but the rig has {twin.sensors} floor sensors; give as many"
+                f"floor has {counted(part.channels, 'channel')} but the rig has {counted(twin.sensors, 'floor sensor')}; give as many"
             )
         if part.sample_rate != rate:
             raise InputError(

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 
 from stillwork.base.checks import (
     InputError,
+    counted,
     require_array,
     require_callable,
     require_flag,
@@ -278,7 +279,7 @@ def _words(hint) -> str:
 
 
 def _sequence(origin, parts: tuple) -> Callable | None:
-    counted = origin is tuple and parts[-1] is not ...
+    fixed = origin is tuple and parts[-1] is not ...
     # Of a dict's names one may ask, but they are no sequence.
     refused = (str, bytes, Path) if origin is Iterable else (str, bytes, Path, dict)
     found: list[Any] = [_check(part) for part in parts if part is not ...]
@@ -290,9 +291,9 @@ def _sequence(origin, parts: tuple) -> Callable | None:
         if plain or not isinstance(value, Iterable):
             raise InputError(f"{name} is {shown(value)}; give a list of values")
         values = list(value)
-        if counted and len(values) != len(found):
-            raise InputError(f"{name} has {len(values)} values; give {len(found)}")
-        each = found if counted else found * len(values)
+        if fixed and len(values) != len(found):
+            raise InputError(f"{name} has {counted(len(values), 'value')}; give {len(found)}")
+        each = found if fixed else found * len(values)
         fit = [
             one(f"{name}[{place}]", item) for place, (one, item) in enumerate(zip(each, values, strict=True))
         ]

@@ -119,6 +119,7 @@ def require_stable(loop: StateModel) -> None:
         )
 
 
+@checked
 def require_deviations(deviations: dict[str, float]) -> None:
     """Refuse standard deviations of anything but the disturbances of a closed loop, ``w``, ``v`` and ``d``."""
     for name, deviation in deviations.items():

@@ -6,7 +6,7 @@ import warnings
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, require_array, require_count, require_number, shown
+from stillwork.base.checks import InputError, counted, require_array, require_count, require_number, shown
 from stillwork.base.front_door import checked
 from stillwork.estimation import recursive_kernels
 from stillwork.estimation.min_max import ZeroEstimateWarning
@@ -75,7 +75,7 @@ def run_silently(estimator: Estimator, regressors: ArrayLike, outputs: ArrayLike
     outputs = require_array("outputs", outputs, shape=(samples,))
     if samples <= unknowns:
         raise InputError(
-            f"regressors has {samples} samples for {unknowns} unknowns; give more samples than unknowns"
+            f"regressors has {counted(samples, 'sample')} for {counted(unknowns, 'unknown')}; give more samples than unknowns"
         )
     for name, values in (("regressors", regressors), ("outputs", outputs)):
         require_squares(name, values)

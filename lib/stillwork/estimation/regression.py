@@ -17,6 +17,7 @@ import numpy as np
 
 from stillwork.base.checks import (
     InputError,
+    counted,
     nearest,
     require_array,
     require_choice,
@@ -118,7 +119,9 @@ class _LinearRegressor:
         elif single == (self.coef_.ndim == 1) and targets.shape[1] == len(np.atleast_2d(self.coef_)):
             state = self._state
         else:
-            raise InputError(f"y has {targets.shape[1]} outputs; give as many outputs as in the calls before")
+            raise InputError(
+                f"y has {counted(targets.shape[1], 'output')}; give as many outputs as in the calls before"
+            )
         state, found = self._advance(state, rows, outputs, weights)
         if not np.isfinite(found).all():
             raise InputError("X and y lead out of the finite numbers; give them in other units")
@@ -150,7 +153,9 @@ class _LinearRegressor:
             )
         y = self._table("y", y)
         if len(y) != len(X):
-            raise InputError(f"y has {len(y)} samples but X has {len(X)}; give one output for each")
+            raise InputError(
+                f"y has {counted(len(y), 'sample')} but X has {len(X)}; give one output for each"
+            )
         if sample_weight is None:
             return X, y, np.ones(len(X))
         weights = require_array("sample_weight", sample_weight, shape=(len(X),)).copy()
@@ -510,7 +515,7 @@ class MinMaxRegressor(_WeightedRegressor):
         wanted = features // 2 if self.complex_data else features
         if bounds.shape not in ((), (wanted,)):
             raise InputError(
-                f"bound has shape {bounds.shape}; give a number, or one for each of {wanted} features"
+                f"bound has shape {bounds.shape}; give a number, or one for each of {counted(wanted, 'feature')}"
             )
         if np.any(bounds < 0):
             raise InputError("bound holds a negative number; give bounds on a norm, zero or above")
