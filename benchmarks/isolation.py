@@ -291,8 +291,8 @@ def loop_times() -> dict[str, tuple[float, float, float]]:
     blocks = [drawn_from.sample(simulation.BLOCK) for _ in range(samples // simulation.BLOCK)]
 
     def alone(settings):
-        code, numbers, start = simulation._algorithm(twin, settings)
-        kept = simulation._Kept(twin, simulation.BLOCK, simulation.BLOCK, simulation.BLOCK, 1)
+        code, numbers, start = simulation.algorithm_of(twin, settings)
+        kept = simulation.KeptSignals(twin, simulation.BLOCK, simulation.BLOCK, simulation.BLOCK, 1)
 
         def run():
             closed = loop.loop_of(twin, True, np.zeros((twin.actuators, twin.regressors)), start)

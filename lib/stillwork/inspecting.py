@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stillwork.base.checks import InputError, one_line, shown
+from stillwork.base.checks import InputError, counted, one_line, shown
 from stillwork.signals.datafiles import read_arrays
 from stillwork.signals.records import (
     MOTION_UNITS,
@@ -46,7 +46,7 @@ def inspect_file(file: str) -> str:
 
 def _data(path: Path) -> Iterator[str]:
     arrays = read_arrays(path)
-    yield f"{path.name}: {len(arrays)} columns or arrays"
+    yield f"{path.name}: {'1 column or array' if len(arrays) == 1 else f'{len(arrays)} columns or arrays'}"
     width = max(map(len, arrays), default=0)
     for name, values in arrays.items():
         yield f"  {name:{width}}  {_described(values)}"
@@ -66,8 +66,7 @@ def _record(path: Path) -> Iterator[str]:
         yield f"not a record as it stands: {error}"
         return
     units = [stated_unit(name) for name in record.names]
-    channels = "1 channel" if len(record.names) == 1 else f"{len(record.names)} channels"
-    yield f"a record of {channels}: {record.sample_rate:.6g} Hz, {record.duration:.4g} s"
+    yield f"a record of {counted(len(record.names), 'channel')}: {record.sample_rate:.6g} Hz, {record.duration:.4g} s"
     if "" in units:
         yield f"it does not say every unit; put one of these for UNIT: {UNITS_SAID}"
 
@@ -126,7 +125,7 @@ def _machine(path: Path, arrays: dict[str, np.ndarray]) -> Iterator[str]:
             ).lower()
         else:
             hertz = file.accelerance.omega / (2 * np.pi)
-            yield f"{kind} of a machine: {len(hertz)} lines from {hertz[0]:.4g} to {hertz[-1]:.4g} Hz"
+            yield f"{kind} of a machine: {counted(len(hertz), 'line')} from {hertz[0]:.4g} to {hertz[-1]:.4g} Hz"
             response, force = stated_units(arrays)
             settings |= {"response_unit": response or "UNIT", "force_unit": force or "N"}
             if not response:
@@ -153,13 +152,13 @@ def _described(values: np.ndarray) -> str:
     shape = f" ({' x '.join(map(str, values.shape))})" if values.ndim > 1 else ""
     if values.dtype.kind == "c":
         sizes = np.abs(values[np.isfinite(values)])
-        return f"{values.size} complex values{shape}" + (
+        return f"{counted(values.size, 'complex value')}{shape}" + (
             f" of magnitude {sizes.min():.4g} to {sizes.max():.4g}" if sizes.size else ""
         )
     good = values[np.isfinite(values)]
     missing = f", {values.size - good.size} missing or infinite" if good.size < values.size else ""
     if not good.size:
-        return f"{values.size} values{shape}{missing}"
+        return f"{counted(values.size, 'value')}{shape}{missing}"
     if values.size == 1:
         return f"{values.item():.6g}"
     size = np.abs(good).max() or 1.0  # sums of the largest numbers and of their squares would overflow

@@ -6,7 +6,7 @@ from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import WebDriverWait
 
 from stillwork.base.checks import InputError
-from stillwork.site.build import _static
+from stillwork.site.build import static_files
 from stillwork.site.explorers import Explorer
 from stillwork.site.states import packed, states
 from stillwork.workbook import figures
@@ -52,7 +52,7 @@ def page(browser, tmp_path_factory):
     folder = tmp_path_factory.mktemp("explorer") / "site"
     found = states(Explorer(paint, controls))
     html = PAGE.format(states=packed(found))
-    replace_folder(folder, {**_static(), "page.html": html.encode()})
+    replace_folder(folder, {**static_files(), "page.html": html.encode()})
     browser.resize(1200)
     browser.requests()
     browser.open((folder / "page.html").as_uri())

@@ -23,7 +23,7 @@ def use(own_model):
         callback(own_model.cart_force, plant.SIGNATURE),
     ]
     return (
-        sum(fixed_point._closed_loop.stats.cache_misses.values()),
+        sum(fixed_point.run_closed_loop.stats.cache_misses.values()),
         sum(one.cache_hits for one in callbacks),
         float(np.abs(run.position_error[500:]).max()),
     )

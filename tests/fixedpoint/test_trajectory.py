@@ -68,6 +68,14 @@ def test_trajectory_without_derivatives():
     [
         (lambda: asin_trajectory(sharpness=1.0), "sharpness"),
         (lambda: asin_trajectory(frequency_hz=0.0), "frequency_hz"),
+        (
+            lambda: asin_trajectory(frequency_hz=1e9),
+            "frequency_hz is 1e.09; give a finite number above 0 and below 500",
+        ),
+        (
+            lambda: asin_trajectory(frequency_hz=700.0),
+            "frequency_hz is 700",
+        ),  # its samples are those of 300 Hz
         (lambda: trapezoid_trajectory(rounding=0.0), "rounding"),
         (lambda: sine_trajectory(duration=-1.0), "duration"),
         (lambda: sine_trajectory(sample_time=0.0), "sample_time"),

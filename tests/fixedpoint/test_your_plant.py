@@ -299,7 +299,7 @@ def test_one_angle_is_said_in_rad(tmp_path):
     [
         (("UNITS =", "UNIT ="), r"UNITS is \(\); give the unit of each coordinate"),
         (('UNITS = ("rad", "rad")', 'UNITS = ("deg", "deg")'), "UNITS is .*deg.*m or rad"),
-        (('UNITS = ("rad", "rad")', 'UNITS = ("rad",)'), "fails on 1 coordinates"),
+        (('UNITS = ("rad", "rad")', 'UNITS = ("rad",)'), "fails on 1 coordinate "),
         (("def bias(", "def biased("), "no function bias"),
         (
             ("def inertia(position, parameters, out)", "def inertia(position, out)"),

@@ -66,7 +66,7 @@ def test_parameters_fill_their_ranges():
 def test_an_exponential_settles_when_it_should():
     time = np.geomspace(0.1, 50, 400)
     off = np.exp(-np.outer(time, [1 / 3, 1 / 8, 0.0]))
-    settled = one_rig._settling(time, off)
+    settled = one_rig.times_to_settle(time, off)
     assert settled[:2] == pytest.approx(np.array([3, 8]) * np.log(1 / 0.63), rel=1e-3)
     assert settled[2] == 50
 

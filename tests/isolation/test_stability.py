@@ -7,10 +7,10 @@ from experiments.isolation.shaping import NoiseShaping, SecondaryPath, noise_sha
 from experiments.isolation.simulation import simulate, simulate_together
 from experiments.isolation.stability import (
     FORMS,
-    _recur,
     breakdowns_from_diagonal,
     condition_bounds,
     covariance_run,
+    recur,
     scaled_condition,
     shared_motion,
     stability_map,
@@ -38,7 +38,7 @@ def test_one_update_of_each_form_is_the_inverse(code, dtype, tolerance):
     start, psi = root @ root.T, rng.standard_normal((1, 4))
     form = FORMS[code] if code > 1 else "triangle"  # that keep P itself
     matrix = factor_of(form, start).astype(dtype)
-    _recur(code, matrix, psi.astype(dtype), dtype(0.9), np.empty(4, dtype), np.empty(4, dtype))
+    recur(code, matrix, psi.astype(dtype), dtype(0.9), np.empty(4, dtype), np.empty(4, dtype))
     found = covariance_of(form, matrix)
     expected = np.linalg.inv(0.9 * np.linalg.inv(start) + psi.T @ psi)
     assert matrix.dtype == dtype
@@ -53,7 +53,7 @@ def test_what_becomes_of_an_antisymmetric_error(form, rate):
     upper = np.triu(np.ones((5, 5)), 1)
     matrix = matrix + 1e-9 * np.linalg.norm(matrix) * (upper - upper.T)
     before, samples = np.linalg.norm(matrix - matrix.T), 500
-    _recur(code, matrix, np.ascontiguousarray(psi.T[:samples]), FORGETTING, np.empty(5), np.empty(5))
+    recur(code, matrix, np.ascontiguousarray(psi.T[:samples]), FORGETTING, np.empty(5), np.empty(5))
     growth = np.linalg.norm(matrix - matrix.T) / before
     found = np.log(growth) / (-samples * np.log(FORGETTING))
     if rate > 0:

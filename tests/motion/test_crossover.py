@@ -50,7 +50,7 @@ FALLING = np.array([2.0, 1.5, 0.5])
     [
         (lambda w: None, FALLING, "what response returns "),
         (lambda w: np.full_like(w, np.nan), FALLING, "what response returns holds 1 NaN"),
-        (lambda w: np.ones(3), FALLING, r"what response returns has shape \(3,\) for 1 frequencies"),
+        (lambda w: np.ones(3), FALLING, r"what response returns has shape \(3,\) for 1 frequency;"),
         (np.zeros_like, FALLING, "response is 0 at"),
     ],
 )

@@ -447,7 +447,7 @@ def test_entries_of_mere_rounding_are_not_drawn():
     ("call", "message"),
     [
         (lambda: decouple(PLANT.modes([2, 3])), "no rigid-body modes"),
-        (lambda: decouple(published_beam(1)), "model has 1 actuators"),
+        (lambda: decouple(published_beam(1)), "model has 1 actuator,"),
         (lambda: decouple(PLANT, (0, 1, 2)), "add actuators"),
         (lambda: decouple(PLANT, None, (0, 2)), "sensed"),
         (lambda: decouple(PLANT, (0, 1, 9)), "actuated"),

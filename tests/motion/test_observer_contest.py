@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.motion.observer_contest import bench
+from experiments.motion.observer_contest import bench, tuning
 from experiments.motion.observer_contest import table as tables
 from experiments.motion.observer_contest.doubts import DOUBTS, hidden_seed, sample_truth
 from experiments.motion.observer_contest.noise_map import (
@@ -42,6 +42,7 @@ from experiments.motion.observer_contest.table import (
     write_table,
 )
 from experiments.motion.observer_contest.told import OwnObserver, told_of
+from experiments.motion.observer_contest.tuning import WORST
 from stillwork.base import paths
 from stillwork.base.checks import InputError
 
@@ -280,6 +281,9 @@ def test_without_doubt_the_machine_is_the_one_told_of_and_the_cautious_loop_hold
     assert 0 < mean < peak < 0.01 * stroke
     assert bench.state_errors(record, np.zeros_like(record.states), model.rigid_modes) == (1.0, 1.0)
     perfect = bench.state_errors(record, record.states, model.rigid_modes)
+    lost = np.zeros_like(record.states)
+    lost[-1, -1] = np.nan
+    assert bench.state_errors(record, lost, model.rigid_modes) == (np.inf, np.inf)
     assert perfect == (0.0, 0.0)
 
 
@@ -376,6 +380,29 @@ def test_the_table_and_the_ranking_say_what_the_scores_say(small, tmp_path):
     stood = ranked(measured(small + twins))
     ranks = stood[stood["score"] == "rank"].set_index("entrant")["median"]
     assert ranks["twin"] == ranks["Kalman"]
+
+
+def test_a_seed_on_which_the_estimate_is_lost_counts(small):
+    """A median over the other seeds alone would stand too well."""
+    lost = [
+        each._replace(flexible=np.inf) if (each.entrant, each.seed) == ("Kalman", 1) else each
+        for each in small
+    ]
+    table = ranked(measured(lost)).set_index(["entrant", "doubt", "score"])
+    (doubt,) = {each.doubt for each in small}
+    own = [each.flexible for each in small if (each.entrant, each.seed) == ("Kalman", 0)]
+    found = table.loc[("Kalman", doubt, "flexible"), ["median", "low", "high"]]
+    assert found.to_numpy(float).ravel().tolist() == pytest.approx([np.inf, own[0], np.inf], rel=1e-3)
+    assert table.loc[("Kalman", "seed 1", "mean error"), "median"].item() == WORST
+
+
+def test_who_has_no_knobs_has_nothing_to_tune(tmp_path, monkeypatch):
+    assert tuning.positions("Kalman").shape == (1, 0)
+    monkeypatch.setattr(tuning, "FILE", tmp_path / "settings.toml")
+    for name in ("Kalman", "particle"):
+        with pytest.raises(InputError, match=f"name is '{name}'; use one of"):
+            tuning.main([name])
+    assert not tuning.FILE.exists()
 
 
 def test_who_runs_on_fewer_seeds_is_compared_with_kalman_there(small):

@@ -87,5 +87,5 @@ def digest(root):
         patch.setenv("STILLWORK_ROOT", str(root))
         patch.syspath_prepend(root / "lib")
         closure.study_digest.cache_clear()
-        closure._tree.cache_clear()
+        closure.syntax_tree.cache_clear()
         return closure.study_digest("study:f", "motion")

@@ -6,6 +6,7 @@ from hypothesis.extra import numpy as arrays
 
 from stillwork.base.checks import (
     InputError,
+    counted,
     nearest,
     require_array,
     require_choice,
@@ -35,6 +36,11 @@ def test_the_sample_at_which_a_run_overflows_is_named(axis, sample):
     with pytest.raises(InputError, match=f"^the run leaves the finite numbers at sample {sample}; stop$"):
         require_finite_run("the run", values, "stop", axis=axis)
     require_finite_run("the run", np.zeros((3, 4)), "stop", axis=axis)
+
+
+def test_one_of_a_thing_is_no_plural():
+    assert [counted(n, "row") for n in (0, 1, 2)] == ["0 rows", "1 row", "2 rows"]
+    assert [counted(np.int64(n), "frequency") for n in (1, 3)] == ["1 frequency", "3 frequencies"]
 
 
 def test_choice():

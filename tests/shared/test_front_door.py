@@ -68,7 +68,7 @@ def taken(
         ("matrix", np.ma.array([[1.0]], mask=[[True]]), "masked"),
         ("parts", 3, "parts is 3; give a list"),
         ("parts", [None], r"parts\[0\] is None; give Part"),
-        ("pair", (1.0,), "pair has 1 values; give 2"),
+        ("pair", (1.0,), "pair has 1 value; give 2"),
         ("pair", (1.0, "2"), r"pair\[1\] is '2'"),
         ("word", None, "word is None; give str"),
         ("call", 3, "call is 3; give a function"),
@@ -273,7 +273,7 @@ def test_read_only_records_of_one_actuator_are_taken(settings, run, tmp_path):
 
 # What asks each value itself: the checks, what a loop calls for each of its samples, the interface of scikit-learn.
 OWN_DOORS = re.compile(
-    r"from_control|require_(noise|covariance|per_sample|sample_time)|(Adaptation|Recursive)Stepper\.update|\w+Regressor\.fit"
+    r"from_control|require_(noise|covariance|per_sample|sample_time|squares|finite_squares)|(Adaptation|Recursive)Stepper\.update|\w+Regressor\.fit"
 )
 # What hands the parts of a recursion to its kernels, a sample at a time: `run` and the steppers have asked before.
 PARTS = {
@@ -307,11 +307,11 @@ def unasked(function):
     if "door" not in through(function):
         return parameters
     hints = typing.get_type_hints(inspect.unwrap(function))
-    known = front_door._checks(inspect.unwrap(function)).keys()
+    known = front_door.checks_of(inspect.unwrap(function)).keys()
     return [
         name
         for name in parameters  # what is like an array, `require_array` asks where it is used
-        if name not in known and not front_door._OPEN & {hints.get(name), *typing.get_args(hints.get(name))}
+        if name not in known and not front_door.OPEN & {hints.get(name), *typing.get_args(hints.get(name))}
     ]
 
 

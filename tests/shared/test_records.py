@@ -157,14 +157,14 @@ def defect(name, time=TIME, signals=SIGNALS):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("nan", r"channel right: 1 values are missing .* t = 0.154 s \(row 78\); cut"),
+        ("nan", r"channel right: 1 value missing .* t = 0.154 s \(row 78\); cut"),
         ("gap", r"1 gap\(s\) in time, the first of 0.502 s after t = 0.798 s; cut"),
         ("backwards", r"time does not rise after row 300 .*; sort or cut"),
         ("uneven", "time is uneven: a step .* interpolate"),
         ("drifting", "time is uneven: an instant .* interpolate"),
         ("milliseconds", "implausible .* time is wanted in s"),
         ("microseconds as seconds", "implausible"),
-        ("short", "100 samples are too short; give at least 256"),
+        ("short", "holds 100 samples, too short a record; give at least 256"),
     ],
 )
 def test_defects_are_named_with_the_way_out(tmp_path, name, message):
@@ -179,14 +179,14 @@ def test_missing_values_in_a_csv_are_found(tmp_path):
         for n, (t, a, b) in enumerate(zip(TIME, *SIGNALS, strict=True))
     ]
     (tmp_path / "a.csv").write_text("time,left,right\n" + "\n".join(rows))
-    with pytest.raises(InputError, match=r"channel right: 1 values are missing .*row 6"):
+    with pytest.raises(InputError, match=r"channel right: 1 value missing .*row 6"):
         load_record(tmp_path / "a.csv", "m/s^2")
 
 
 def test_an_empty_channel_is_not_dropped_in_silence(tmp_path):
     rows = [f"{t},{a},nan" for t, a in zip(TIME, SIGNALS[0], strict=True)]
     (tmp_path / "a.csv").write_text("time,left,right\n" + "\n".join(rows))
-    with pytest.raises(InputError, match="channel right: 1000 values are missing"):
+    with pytest.raises(InputError, match="channel right: 1000 values missing"):
         load_record(tmp_path / "a.csv", "m/s^2")
 
 
@@ -318,6 +318,10 @@ def test_cut_files_give_our_error(tmp_path):
     [
         ("a.csv", "", "is empty"),
         ("a.csv", "time,x\n0,1\n0.1,oops\n", "'oops' in row 2 is not a number"),
+        ("a.csv", "time,x\n2024-01-31T10:00:00.5,1\n", "row 1 is a date or a time of day; give seconds"),
+        ("a.csv", "time;x\n31.01.2024 10:00;1\n", "is a date or a time of day"),
+        ("a.csv", "time,x\n10:00:01.250,1\n", "is a date or a time of day"),
+        ("a.csv", "time,x\n1.2.3,1\n", "is not a number"),
         ("a.csv", "time,x\n0,1\n0.1,1,2,3\n", "not a table: row 2 holds 4 values for 2 columns"),
         ("a.csv", "time,x\n0,1,5\n0.1,1,2\n", "names 2 columns and holds 3"),
         ("a.tsv", "\r,", "is not a table"),

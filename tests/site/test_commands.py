@@ -438,7 +438,7 @@ def test_a_table_copied_elsewhere_names_no_notebook_and_a_harmed_one_its_line(tm
     file.write_text("panel,series,x,y,z\np,s,1,2,\n")
     assert (
         inspect_file(str(file))
-        == "a.csv: the numbers that the picture a.png shows, 1 points of 1 series in 1 panel"
+        == "a.csv: the numbers that the picture a.png shows, 1 point of 1 series in 1 panel"
     )
     file.write_text("panel,series,x,y,z\np,s,1,2,\np,s,1,two,\n")
     with pytest.raises(InputError, match="line 3 is no row"):

@@ -12,7 +12,7 @@ import stillwork.lti
 from stillwork.base.checks import InputError
 from stillwork.site import picture, reference
 from stillwork.site.mathematics import markdown, mathml
-from stillwork.site.pages import _with_outputs
+from stillwork.site.pages import with_outputs
 from stillwork.workbook import reading
 from stillwork.workbook.claims import Claim, Entry, Tolerance
 
@@ -24,7 +24,7 @@ def test_a_page_has_the_texts_of_now_and_the_outputs_of_the_build():
     code = {"cell_type": "code", "id": "a", "source": "1", "outputs": []}
     added = {"cell_type": "code", "id": "b", "source": "2", "outputs": ["kept"]}
     built = [{"output_type": "stream", "name": "stdout", "text": "built"}]
-    assert _with_outputs([title, code, added], {"a": built}) == [title, {**code, "outputs": built}, added]
+    assert with_outputs([title, code, added], {"a": built}) == [title, {**code, "outputs": built}, added]
 
 
 def test_claims_and_figures_are_found_in_their_order():

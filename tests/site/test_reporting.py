@@ -66,7 +66,7 @@ BROKEN = {
     "a gap in time": ("a.csv", lambda: csv(**record() | {"time": np.arange(600) + (np.arange(600) > 99)}), "gap"),
     "time that turns back": ("a.csv", lambda: csv(**record() | {"time": np.arange(600.0)[::-1]}), "does not rise"),
     "a dead channel": ("a.csv", lambda: csv(**record(b=np.ones(600))), "b stands at 1 throughout"),
-    "a short record": ("a.csv", lambda: csv(**record(n=100)), "100 samples are too short"),
+    "a short record": ("a.csv", lambda: csv(**record(n=100)), "holds 100 samples, too short"),
     "no rate": ("a.csv", lambda: csv(**{"a (g)": RINGS}), "no time and no rate; .* give --sample-rate HZ"),
     "no unit": ("a.csv", lambda: csv(**record(b=RINGS[np.arange(600) % 512])), "unit of b .*; give --unit UNIT"),
     "densities below zero": ("a.csv", lambda: csv(**densities(sign=-1.0)), "missing, infinite or negative"),

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from stillwork.site.specification import HEIGHT, TOP, _curve
+from stillwork.site.specification import HEIGHT, TOP, curve_of
 from stillwork.workbook.claims import Entry, Tolerance
 from stillwork.workbook.readings.axes import Axis, Multiverse
 from stillwork.workbook.readings.judging import Standing
@@ -27,7 +27,7 @@ def curve(values=VALUES, published=2.0, kind="value"):
     standing = Standing(entry, (SCALE, SIGN), values, agrees, np.zeros(values.shape, bool))
     seeds = tuple(range(1, values.shape[1] + 1))
     study = Multiverse("motion", "toy", "a:b", ("motion.size",), (SCALE, SIGN, OTHER), seeds)
-    return _curve(Outcomes(study, DESIGN, {"motion.size": values}), standing)
+    return curve_of(Outcomes(study, DESIGN, {"motion.size": values}), standing)
 
 
 def places(path):

@@ -134,7 +134,7 @@ def test_a_file_that_somebody_writes_all_the_time_is_named(accepted, monkeypatch
     monkeypatch.setattr(accept, "_committed", growing)
     with (
         pytest.raises(publish.Edited, match=r"changed while accepting: data/isolation/log.csv; "),
-        accept._copy(),
+        accept.committed_copy(),
     ):
         pass
     assert accepted.leftovers() == []

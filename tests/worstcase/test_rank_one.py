@@ -3,14 +3,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stillwork.estimation.rank_one import _update_eigenpairs
+from stillwork.estimation.rank_one import update_eigenpairs
 
 
 def check(values, vectors, row, forgetting=0.9, tolerance=1e-13):
     before = vectors.T @ np.diag(values) @ vectors
     expected = forgetting * before + np.outer(row, row)
     values, vectors = values.copy(), vectors.copy()
-    _update_eigenpairs(values, vectors, row, forgetting)
+    update_eigenpairs(values, vectors, row, forgetting)
     scale = max(np.linalg.norm(expected, 2), 1e-300)
     assert (np.diff(values) >= 0).all()
     assert vectors @ vectors.T == pytest.approx(np.eye(len(row)), abs=tolerance)
@@ -50,5 +50,5 @@ def test_a_thousand_updates_stay_orthogonal():
     rng = np.random.default_rng(0)
     values, vectors = np.zeros(30), np.eye(30)
     for _ in range(1000):
-        _update_eigenpairs(values, vectors, rng.normal(size=30), 0.98)
+        update_eigenpairs(values, vectors, rng.normal(size=30), 0.98)
     assert vectors @ vectors.T == pytest.approx(np.eye(30), abs=1e-12)

@@ -7,7 +7,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from experiments.fixedpoint.noise import Noise
-from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.base.checks import InputError, counted, require_array, require_count, require_number
 from stillwork.estimation.gaussian import require_covariance
 
 
@@ -78,7 +78,9 @@ def correlations(error: ArrayLike, sample_time: float, reach: int = 4) -> Correl
     error = require_array("error", error, ndim=1)
     require_count("reach", reach, at_least=0)
     if len(error) < reach + 3:
-        raise InputError(f"error holds {len(error)} samples; lags up to {reach} take {reach + 3} at least")
+        raise InputError(
+            f"error holds {counted(len(error), 'sample')}; lags up to {reach} take {reach + 3} at least"
+        )
     quotient = difference_quotient(error, sample_time)
     if np.ptp(quotient) == 0:
         raise InputError("error is a straight line; correlations are of what differs from sample to sample")

@@ -15,7 +15,7 @@ from experiments.fixedpoint.noise import Noise, lose
 from experiments.fixedpoint.oscillator import load_oscillator
 from experiments.fixedpoint.published import KALMAN, LOW_PASS, WINDOW, published_controllers
 from stillwork.base import paths
-from stillwork.base.checks import InputError, nearest, require_choice, require_number
+from stillwork.base.checks import InputError, counted, nearest, require_choice, require_number
 from stillwork.control.fixed_point import ControlledRun, Controller, simulate
 from stillwork.control.fixed_point_convergence import StableRange, stable_range
 from stillwork.control.fixed_point_linear import linear_loop
@@ -242,7 +242,9 @@ def controllers(
     """
     names = (WINDOW, LOW_PASS, KALMAN)
     if len(exponents) != len(names):
-        raise InputError(f"exponents holds {len(exponents)} numbers; give one each for {', '.join(names)}")
+        raise InputError(
+            f"exponents holds {counted(len(exponents), 'number')}; give one each for {', '.join(names)}"
+        )
     published = published_controllers(model if isinstance(model, Plant) else UNIT_MASS)
     return {
         name: replace(

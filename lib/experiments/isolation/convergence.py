@@ -8,7 +8,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from experiments.isolation.floors import ShapedFloor
-from experiments.isolation.simulation import simulate, simulate_together
+from experiments.isolation.simulation import sample_seeds, simulate, simulate_together
 from experiments.isolation.steady import Steady
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import require_array, require_number
@@ -124,7 +124,7 @@ def convergence_trial(
     ``"FeLMS deviation"`` at the end; and ``"FeLMS error"``, a number, the quadratic filtered error at the end over
     that without feedforward.
     """
-    seeds = [int(rng.integers(2**31)) for rng in draws]
+    seeds = sample_seeds(draws)
     still = simulate_together(twin, floor, FINAL_SHARE * duration_s, seeds=seeds, adaptations={"": None})
     moving = converge(twin, floor, both, duration_s, seeds)
     return [
@@ -159,7 +159,7 @@ def steady_trial(
     For `run_study` with `together`. Every run starts at the fixed point and its first half is left out, so no
     transient from zero is in it, and the deviation is taken from the oracle, so slow wandering counts in full.
     """
-    seeds = [int(rng.integers(2**31)) for rng in draws]
+    seeds = sample_seeds(draws)
     found = simulate_together(
         twin, floor, duration_s, adaptations=settled, weights=steady.weights, seeds=seeds
     )

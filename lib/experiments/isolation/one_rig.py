@@ -101,7 +101,7 @@ def numbers(given: dict[str, float]) -> dict[str, float]:
         setting = {"initial_covariance": given["initial_covariance"]} if name == "FeRLS" else {}
         course = mean_course(twin, steady, name, grid, **setting)
         final = settled if name == "FeRLS" else course[grid > 0.9 * DURATION_S].mean(axis=0)
-        times = _settling(grid, np.abs(course / final - 1))
+        times = times_to_settle(grid, np.abs(course / final - 1))
         for k in range(9):
             found[f"table-1.{name.lower()}.final-w{k + 1}"] = float(final[k])
             found[f"table-1.{name.lower()}.tau-w{k + 1}"] = float(times[k])
@@ -115,7 +115,7 @@ def numbers(given: dict[str, float]) -> dict[str, float]:
     return found
 
 
-def _settling(time_s: np.ndarray, off: np.ndarray) -> list[float]:
+def times_to_settle(time_s: np.ndarray, off: np.ndarray) -> list[float]:
     """Time from which each trace stays within 63 % of its final value, between the grid's points as well."""
     found = []
     for each in off.T:

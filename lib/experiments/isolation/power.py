@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 
 from experiments.isolation.floors import ShapedFloor
 from experiments.isolation.performance import CaseRecord, expected_density, record_cases, third_octaves, tune
+from experiments.isolation.simulation import sample_seeds
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import InputError, require_array
 from stillwork.signals.spectra import Spectrum, band_power
@@ -98,7 +99,7 @@ def power_trial(
     only at 1-2 Hz. ``density feedback``, ``... FeLMS``, ``... FeRLS``, ``... output noise``: spectra, (3,
     frequencies).
     """
-    seeds = [int(rng.integers(2**31)) for rng in draws]
+    seeds = sample_seeds(draws)
     tuned = tune(twin, floor, felms_s, ferls_s, seeds)
     records = {}
     for name in ("feedback", "FeLMS", "FeRLS"):

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from experiments.isolation.floors import SAMPLE_RATE, SENSORS
 from stillwork.base import paths
-from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.base.checks import InputError, counted, require_array, require_count, require_number
 from stillwork.signals.criteria import criterion_density
 from stillwork.signals.records import STANDARD_GRAVITY, Record, resample, to_acceleration
 
@@ -149,7 +149,7 @@ def record_floor(
     channels = require_count("channels", channels)
     if len(record.signals) > channels:
         raise InputError(
-            f"{record.source} holds {len(record.signals)} channels, the plate {channels} sensors; "
+            f"{record.source} holds {counted(len(record.signals), 'channel')}, the plate {counted(channels, 'sensor')}; "
             "choose channels when loading"
         )
     moved = resample(to_acceleration(record), sample_rate).signals

@@ -11,7 +11,14 @@ from experiments.isolation import loop
 from experiments.isolation.recorded_floors import LOUDEST, RecordedFloor
 from experiments.isolation.sources import BLOCK, Floor, Sources
 from experiments.isolation.twin import Twin
-from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
+from stillwork.base.checks import (
+    InputError,
+    counted,
+    require_array,
+    require_choice,
+    require_count,
+    require_number,
+)
 from stillwork.estimation.adaptive import FeLms, FeRls
 from stillwork.estimation.online import UnstableAdaptation
 
@@ -69,6 +76,11 @@ def simulate(
     return together[0][""]
 
 
+def sample_seeds(draws: Sequence[np.random.Generator]) -> list[int]:
+    """A seed of each generator, for the runs of `simulate_together`."""
+    return [int(rng.integers(2**31)) for rng in draws]
+
+
 def simulate_together(
     twin: Twin,
     floor: Floor | list[tuple[float, Floor]],
@@ -123,9 +135,9 @@ def simulate_together(
         places = np.minimum(np.arange(at, at + runs), len(seeds) - 1)
         begin = np.moveaxis(each[places], 0, -1).reshape(twin.actuators, -1)
         for adaptation in adaptations.values():
-            code, numbers, recursion = _algorithm(twin, adaptation)
+            code, numbers, recursion = algorithm_of(twin, adaptation)
             closed = loop.loop_of(twin, feedback, begin, recursion, runs)
-            kept = _Kept(twin, total, every, first, runs, signals)
+            kept = KeptSignals(twin, total, every, first, runs, signals)
             sides.append((adaptation, code, numbers, closed, kept))
         until, broke_s = total, None
         try:
@@ -185,7 +197,7 @@ def _require_triangle(adaptations) -> None:
             )
 
 
-def _algorithm(twin: Twin, adaptation):
+def algorithm_of(twin: Twin, adaptation):
     """Code of the kernel, numbers of FeLMS, and the recursion of FeRLS at the start."""
     n = twin.regressors
     if isinstance(adaptation, FeRls):
@@ -208,7 +220,7 @@ def _segments(twin: Twin, floor, duration_s) -> list[tuple[int, Floor]]:
     for seconds, part in given:
         if part.channels != twin.sensors:
             raise InputError(
-                f"floor has {part.channels} channels but the rig has {twin.sensors} floor sensors; give as many"
+                f"floor has {counted(part.channels, 'channel')} but the rig has {counted(twin.sensors, 'floor sensor')}; give as many"
             )
         if part.sample_rate != rate:
             raise InputError(
@@ -254,7 +266,7 @@ def _unstable(status: int, sample: int, twin: Twin, adaptation, weights, peak: f
     return UnstableAdaptation(sample, cause, "give the skyhook a smaller gain", "the skyhook loop")
 
 
-class _Kept:
+class KeptSignals:
     """Arrays that outlive the blocks; of several runs side by side each channel stands once a run."""
 
     def __init__(

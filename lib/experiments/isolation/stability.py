@@ -11,7 +11,14 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, require_array, require_choice, require_count, require_number
+from stillwork.base.checks import (
+    InputError,
+    counted,
+    require_array,
+    require_choice,
+    require_count,
+    require_number,
+)
 from stillwork.base.kernels import borrowing_kernel, inlined_kernel
 from stillwork.estimation import covariance_forms
 from stillwork.estimation.covariance_forms import factor_of, update_form
@@ -79,7 +86,9 @@ def covariance_run(
     forgetting = require_number("forgetting", forgetting, above=0.0, below=1.0)
     step = int(1 / (1 - forgetting) / require_count("per_time_constant", per_time_constant))
     if not 0 < step <= len(record):
-        raise InputError(f"regressors has {len(record)} samples; give at least {step}, or look more often")
+        raise InputError(
+            f"regressors has {counted(len(record), 'sample')}; give at least {step}, or look more often"
+        )
 
     matrix = (start if form in FORMS[:2] else factor_of(form, start)).astype(dtype)
     information, rounded = np.linalg.inv(start), float(dtype.type(forgetting))
@@ -91,7 +100,7 @@ def covariance_run(
     rows = []
     for k in range(int(time_constants * per_time_constant)):
         at = k % len(blocks)
-        _recur(code, matrix, blocks[at], dtype.type(forgetting), np.empty(n, dtype), np.empty(n, dtype))
+        recur(code, matrix, blocks[at], dtype.type(forgetting), np.empty(n, dtype), np.empty(n, dtype))
         information = rounded**step * information + seen[at]
         rows.append(((k + 1) * step * (1 - forgetting), *_health(form, matrix, information)))
         if not np.isfinite(rows[-1][2]):
@@ -189,7 +198,7 @@ def stability_map(
 
 
 @borrowing_kernel
-def _recur(form, matrix, regressors, forgetting, column, row):
+def recur(form, matrix, regressors, forgetting, column, row):
     """Update what the form keeps over a block in place, in the arrays' precision."""
     # A loop a form: asked at every sample for its form, the compiler would optimise none of them.
     if form == ONE_PRODUCT:

@@ -9,7 +9,7 @@ from jaxtyping import Float64
 from experiments.isolation.convergence import ALGORITHMS
 from experiments.isolation.floors import ShapedFloor
 from experiments.isolation.mean_convergence import mean_course
-from experiments.isolation.simulation import simulate_together
+from experiments.isolation.simulation import sample_seeds, simulate_together
 from experiments.isolation.steady import Steady, steady_state
 from experiments.isolation.twin import Twin
 from stillwork.base.checks import require_choice
@@ -123,7 +123,7 @@ def tracking_trial(
     ``"FeLMS all"``, ``"FeRLS w4-w6"``, ...: settling time of each group, s, infinite where it has not settled;
     ``"FeLMS noise"``, ...
     """
-    seeds = [int(rng.integers(2**31)) for rng in draws]
+    seeds = sample_seeds(draws)
     return [
         settling_times(responses) | {f"{name} noise": each.noise for name, each in responses.items()}
         for responses in respond(twin, switch, both, duration_s, seeds)

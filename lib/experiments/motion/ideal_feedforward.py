@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Complex128, Float64
 from scipy import linalg
 
-from stillwork.base.checks import InputError, require_samples
+from stillwork.base.checks import InputError, counted, require_samples
 from stillwork.base.front_door import check_fields, checked
 from stillwork.control.feedforward import Feedforward
 from stillwork.control.setpoint import Setpoint
@@ -190,7 +190,9 @@ def feedforward_error(ideal: Force, feedforward: Feedforward) -> Force:
 def respond(model: StateModel, force: Force) -> Float64[np.ndarray, "outputs samples"]:
     """Outputs of a continuous model driven by the force alone, exact at the samples."""
     if model.b.shape[1] != 1:
-        raise InputError(f"model has {model.b.shape[1]} inputs; select the one that the force drives")
+        raise InputError(
+            f"model has {counted(model.b.shape[1], 'input')}; select the one that the force drives"
+        )
     n, size = len(model.a), len(force.generator)
     chain = np.zeros((n + size, n + size))
     chain[:n, :n], chain[:n, n:], chain[n:, n:] = model.a, model.b * force.row, force.generator

@@ -9,9 +9,9 @@ from jaxtyping import Float64
 from experiments.motion.designs import Design, stage_compensator
 from experiments.motion.legends import case_styles
 from experiments.motion.machines import stage, stage_mass
-from stillwork.base.checks import InputError, require_array, require_choice, require_number
+from stillwork.base.checks import InputError, require_array
 from stillwork.control.applications import Application
-from stillwork.control.loops import channel, closed_loop, require_stable
+from stillwork.control.loops import channel, closed_loop, require_deviations, require_stable
 from stillwork.control.pid import PidFamily
 from stillwork.lti.discretisation import zoh
 from stillwork.lti.peaks import resonance_grid
@@ -44,9 +44,7 @@ def cumulative_power(
         raise InputError(
             f"omega must ascend and end at the Nyquist frequency {np.pi / sample_time:g} rad/s at most"
         )
-    for name in deviations:
-        require_choice("deviations", name, ("w", "v", "d"))
-        require_number(f"deviations[{name!r}]", deviations[name], at_least=0.0)
+    require_deviations(deviations)
     require_stable(loop)
     both = channel(loop, list(deviations), ("e_true", "e_meas"))
     response = zoh(both, sample_time).frequency_response(omega)

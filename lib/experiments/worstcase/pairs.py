@@ -9,7 +9,7 @@ from jaxtyping import Float64
 from scipy import linalg, signal
 
 from stillwork.base import paths
-from stillwork.base.checks import InputError, require_count, require_number
+from stillwork.base.checks import InputError, counted, require_count, require_number
 from stillwork.signals.records import load_record, stated_unit, unit_factor
 
 QUIETEST = 0.1  # share of the band whose density counts as sensor noise when nothing else is said
@@ -104,7 +104,7 @@ def open_pair(
     record = load_record(file, "1", sample_rate=sample_rate, channels=named or None)
     if len(record.names) != 2:
         raise InputError(
-            f"{record.source} holds {len(record.names)} channels ({', '.join(record.names)}); name the two with "
+            f"{record.source} holds {counted(len(record.names), 'channel')} ({', '.join(record.names)}); name the two with "
             "input_channel and output_channel"
         )
     for side, name, unit, quantity in zip(("input", "output"), record.names, units, si, strict=True):

@@ -7,7 +7,7 @@ from jaxtyping import Float64
 
 from experiments.worstcase.pairs import Pair, residual
 from experiments.worstcase.total import total_least_squares
-from stillwork.base.checks import InputError, require_array, require_count
+from stillwork.base.checks import InputError, counted, require_array, require_count
 from stillwork.estimation.min_max import solve_sweep, triangle
 from stillwork.estimation.recursive import run_silently
 from stillwork.estimation.recursive_settings import LeastSquares, MinMax
@@ -51,7 +51,7 @@ def fit_pair(pair: Pair, taps: int, memory: int, factors: np.ndarray | None = No
     fit, choose, judge = parts(len(scaled.input))
     if memory <= 2 * taps or memory > fit.stop:
         raise InputError(
-            f"memory is {memory} samples; give more than {2 * taps} (twice the taps) and at most {fit.stop} (the part "
+            f"memory is {counted(memory, 'sample')}; give more than {2 * taps} (twice the taps) and at most {fit.stop} (the part "
             "of the record that is fitted)"
         )
     regressors, output = fir_regressors(scaled.input, taps), scaled.output
@@ -111,7 +111,7 @@ def window_lengths(taps: int, samples: int) -> list[int]:
     longest = min(6400, samples // 8)
     if longest < 2 * taps:
         raise InputError(
-            f"the record holds {samples} samples, too few for {taps} taps; give {16 * taps} samples or at most "
+            f"the record holds {counted(samples, 'sample')}, too few for {counted(taps, 'tap')}; give {16 * taps} samples or at most "
             f"{samples // 16} taps"
         )
     return np.unique(np.geomspace(1.25 * taps, longest, 7).round().astype(int)).tolist()

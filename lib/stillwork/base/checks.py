@@ -32,6 +32,12 @@ def nearest(word, candidates: Iterable) -> str:
     return f"; did you mean {close[0]!r}?" if close else ""
 
 
+def counted(number: int, noun: str) -> str:
+    """``1 row``, ``2 rows``, ``3 entries``."""
+    several = f"{noun[:-1]}ies" if noun.endswith("y") else f"{noun}s"
+    return f"{number} {noun if number == 1 else several}"
+
+
 def one_line(text: str) -> str:
     """`text` with escapes for what is not printed: line breaks, control codes, halves of characters.
 
@@ -228,6 +234,6 @@ def require_one_each(values: np.ndarray, omega: np.ndarray) -> np.ndarray:
     """What a response returned for frequencies, else `InputError`."""
     if values.size != omega.size:
         raise InputError(
-            f"what response returns has shape {values.shape} for {omega.size} frequencies; give one value at each"
+            f"what response returns has shape {values.shape} for {counted(omega.size, 'frequency')}; give one value at each"
         )
     return values

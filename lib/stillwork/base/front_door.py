@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 
 from stillwork.base.checks import (
     InputError,
+    counted,
     require_array,
     require_callable,
     require_flag,
@@ -32,7 +33,7 @@ from stillwork.base.checks import (
 
 # Checked where they are used, by `require_array`, which is told there what is wanted of them.
 # From Python 3.12 on numpy gives the union under a name of its own.
-_OPEN = {ArrayLike, *typing.get_args(getattr(ArrayLike, "__value__", ArrayLike))} - {
+OPEN = {ArrayLike, *typing.get_args(getattr(ArrayLike, "__value__", ArrayLike))} - {
     *(bool, int, float, complex, str, bytes)
 }
 
@@ -79,7 +80,7 @@ def checked(function: Callable | None = None, *, infinite: bool = False, missing
     def door(*values, **named):
         if _inside.now:
             return function(*values, **named)
-        checks = _checks(function)
+        checks = checks_of(function)
 
         def asked(name: str, value):
             return checks[name](name, value) if name in checks else value
@@ -117,7 +118,7 @@ def check_fields(instance) -> None:
 
     One that computes with its fields is `checked` itself.
     """
-    for name, check in _checks(instance.__class__).items():
+    for name, check in checks_of(instance.__class__).items():
         value = getattr(instance, name)
         if (fit := check(name, value)) is not value:
             object.__setattr__(instance, name, fit)
@@ -190,7 +191,7 @@ def _beyond(function: Callable, why) -> InputError:
 
 
 @cache
-def _checks(owner) -> dict[str, Callable]:
+def checks_of(owner) -> dict[str, Callable]:
     """A check for every parameter or field whose annotation says what it takes."""
     hints = typing.get_type_hints(inspect.unwrap(owner) if inspect.isfunction(owner) else owner)
     names = hints if inspect.isfunction(owner) else [field.name for field in fields(owner)]
@@ -241,7 +242,7 @@ def _is_kind(hint) -> bool:
 
 
 def _union(parts: tuple) -> Callable | None:
-    if _OPEN & set(parts):
+    if OPEN & set(parts):
         return None
     rest = [part for part in parts if part is not types.NoneType]
     found: list[Any] = [_check(part) for part in rest]
@@ -278,7 +279,7 @@ def _words(hint) -> str:
 
 
 def _sequence(origin, parts: tuple) -> Callable | None:
-    counted = origin is tuple and parts[-1] is not ...
+    fixed = origin is tuple and parts[-1] is not ...
     # Of a dict's names one may ask, but they are no sequence.
     refused = (str, bytes, Path) if origin is Iterable else (str, bytes, Path, dict)
     found: list[Any] = [_check(part) for part in parts if part is not ...]
@@ -290,9 +291,9 @@ def _sequence(origin, parts: tuple) -> Callable | None:
         if plain or not isinstance(value, Iterable):
             raise InputError(f"{name} is {shown(value)}; give a list of values")
         values = list(value)
-        if counted and len(values) != len(found):
-            raise InputError(f"{name} has {len(values)} values; give {len(found)}")
-        each = found if counted else found * len(values)
+        if fixed and len(values) != len(found):
+            raise InputError(f"{name} has {counted(len(values), 'value')}; give {len(found)}")
+        each = found if fixed else found * len(values)
         fit = [
             one(f"{name}[{place}]", item) for place, (one, item) in enumerate(zip(each, values, strict=True))
         ]

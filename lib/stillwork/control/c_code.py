@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from stillwork.base.checks import InputError, require_choice, require_count, shown
+from stillwork.base.checks import InputError, counted, require_choice, require_count, shown
 from stillwork.base.front_door import checked
 from stillwork.control.digital import DigitalController
 from stillwork.estimation.adaptive import FeLms, FeRls
@@ -80,7 +80,7 @@ def controller_code(controller: DigitalController, name: str, precision: str = "
         commands += [f"w[{k}] += f[{k}];"] if winds else []
         clipped += [f"f[{k}] = out[{k}];", *limits]
     values = {
-        "title": f"{name}: {states} states, {1 / m.sample_time:g} samples a second, {precision} precision.",
+        "title": f"{name}: {counted(states, 'state')}, {1 / m.sample_time:g} samples a second, {precision} precision.",
         "signals": "\n   ".join(
             [f"in[{k}]: {_comment(text)}" for k, text in enumerate(controller.inputs)]
             + [f"out[{k}]: {_comment(text)}" for k, text in enumerate(controller.outputs)]
@@ -89,7 +89,7 @@ def controller_code(controller: DigitalController, name: str, precision: str = "
         "outputs": outputs,
         "states": max(states, 1),
         "sample_time": repr(m.sample_time),
-        "late": f", {controller.delay} samples late" if controller.delay else "",
+        "late": f", {counted(controller.delay, 'sample')} late" if controller.delay else "",
         "ring": f"\n    {name}_real ring[{controller.delay}][{outputs}]; /* on its way out */\n    int place;"
         if controller.delay
         else "",

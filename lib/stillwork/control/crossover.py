@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Complex128, Float64
 from scipy import optimize
 
-from stillwork.base.checks import InputError, require_one_each
+from stillwork.base.checks import InputError, counted, require_one_each
 from stillwork.base.front_door import checked
 
 
@@ -22,7 +22,9 @@ def crossover(
     magnitude is no straight line, in logarithms either.
     """
     if len(omega) != len(magnitude):
-        raise InputError(f"omega has {len(omega)} frequencies, magnitude {len(magnitude)}; give one of each")
+        raise InputError(
+            f"omega has {counted(len(omega), 'frequency')}, magnitude {len(magnitude)}; give one of each"
+        )
     falls = np.flatnonzero((magnitude[1:] < 1) & (magnitude[:-1] >= 1))
     if not len(falls):
         raise InputError(

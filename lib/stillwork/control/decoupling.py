@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.base.checks import InputError
+from stillwork.base.checks import InputError, counted
 from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.estimation.observer import Observer
 from stillwork.lti.modal import ModalModel
@@ -49,7 +49,7 @@ class Decoupling:
         outputs, inputs = model.feedthrough.shape
         if (outputs, inputs) != (self.sensing.shape[1], len(self.actuation)):
             raise InputError(
-                f"model has {inputs} inputs and {outputs} outputs; this decoupling is for {len(self.actuation)} "
+                f"model has {counted(inputs, 'input')} and {counted(outputs, 'output')}; this decoupling is for {len(self.actuation)} "
                 f"and {self.sensing.shape[1]}"
             )
         rigid = model.rigid_modes
@@ -116,7 +116,7 @@ def decouple(
             )
         if len(shapes) < len(chosen):
             raise InputError(
-                f"model has {len(shapes)} {what}, which do not tell {len(chosen)} modes apart; add {what}"
+                f"model has {counted(len(shapes), what[:-1])}, too few to tell {len(chosen)} modes apart; add {what}"
             )
         inverses.append(_inverse(shapes[:, list(chosen)], what)[:rigid])
     return Decoupling(np.ascontiguousarray(inverses[0].T), inverses[1])
@@ -153,7 +153,7 @@ def decoupled_plant(
         force, (forces, states), selected = constant(np.eye(inputs)), gain.shape, gain
     if forces != inputs or states > known:
         raise InputError(
-            f"gain goes from {states} states to {forces} forces; the plant takes {inputs} forces and "
+            f"gain goes from {counted(states, 'state')} to {counted(forces, 'force')}; the plant takes {counted(inputs, 'force')} and "
             f"{known} states are known"
         )
     read = len(selected)

@@ -10,7 +10,15 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 from scipy import linalg, signal
 
-from stillwork.base.checks import Converted, InputError, require_array, require_count, require_number, shown
+from stillwork.base.checks import (
+    Converted,
+    InputError,
+    counted,
+    require_array,
+    require_count,
+    require_number,
+    shown,
+)
 from stillwork.base.extras import require_package
 from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.base.toml_files import Table, read_toml
@@ -288,7 +296,9 @@ def from_biquads(sections: ArrayLike, sample_time: float) -> StateModel:
 def biquads(model: StateModel) -> np.ndarray | None:
     """Second-order sections of a model with one input and one output; None where they would not agree with it."""
     if model.d.shape != (1, 1):
-        raise InputError(f"model has {model.d.shape[1]} inputs and {len(model.d)} outputs; give one of each")
+        raise InputError(
+            f"model has {counted(model.d.shape[1], 'input')} and {counted(len(model.d), 'output')}; give one of each"
+        )
     if not model.sample_time:
         raise InputError("model is in continuous time; discretise it first")
     omega = np.geomspace(1e-4, 0.99, 200) * np.pi / model.sample_time

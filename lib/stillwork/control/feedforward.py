@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.base.checks import InputError, require_choice, require_number
+from stillwork.base.checks import InputError, counted, require_choice
 from stillwork.base.front_door import by_value, check_fields, checked
-from stillwork.control.loops import INPUTS, OUTPUTS, require_stable
+from stillwork.control.loops import INPUTS, OUTPUTS, require_deviations, require_stable
 from stillwork.control.setpoint import Setpoint
 from stillwork.lti.discretisation import zoh
 from stillwork.lti.simulation import simulate
@@ -101,7 +101,7 @@ def error_loop(loop: StateModel) -> StateModel:
     outputs, inputs = loop.d.shape
     if (inputs, outputs) != (len(INPUTS), len(OUTPUTS)):
         raise InputError(
-            f"loop has {inputs} inputs and {outputs} outputs; give closed_loop(...) of one actuator and sensor"
+            f"loop has {counted(inputs, 'input')} and {counted(outputs, 'output')}; give closed_loop(...) of one actuator and sensor"
         )
     return loop.select([INPUTS.index("v"), INPUTS.index("w")], [OUTPUTS.index("e_true")])
 
@@ -135,7 +135,7 @@ class _Moved(NamedTuple):
 
 def _moved(loop: StateModel, sample_time: float) -> _Moved:
     if loop.b.shape[1] != 2:
-        raise InputError(f"loop has {loop.b.shape[1]} inputs; give error_loop(closed_loop(...))")
+        raise InputError(f"loop has {counted(loop.b.shape[1], 'input')}; give error_loop(closed_loop(...))")
     require_stable(loop)
     a, drive = _held(loop, 0, sample_time)
     _, force = _held(loop, 1, sample_time)
@@ -274,9 +274,7 @@ def noise_errors(
     draws: Sequence[np.random.Generator],
 ) -> list[Float64[np.ndarray, "2 samples"]]:
     """`noise_error` for each of several generators; the loop is discretised and decoupled once for all."""
-    for name in deviations:
-        require_choice("deviations", name, ("w", "v", "d"))
-        require_number(f"deviations[{name!r}]", deviations[name], at_least=0.0)
+    require_deviations(deviations)
     require_stable(loop)
     places = [INPUTS.index(name) for name in deviations]
     model = zoh(loop.select(places, [0, 1]), sample_time)

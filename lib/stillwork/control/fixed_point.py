@@ -216,7 +216,7 @@ def simulate(
     warn_outside_contraction(controller.transformation, response_gain(plant, controller.model))
     limits = [bound * max(1.0, np.abs(x).max()) for x in (trajectory.position, trajectory.velocity)]
     record = np.full((len(COLUMNS), samples), np.nan)
-    done, status = _closed_loop(
+    done, status = run_closed_loop(
         controller.signal_filter.packed(),
         *model_of(controller.signal_filter),
         packed_parts(controller, resolution, grid, lost),
@@ -337,7 +337,7 @@ def record_sample(record, i, position, velocity, acceleration, estimate, memory,
 
 
 @borrowing_kernel
-def _closed_loop(
+def run_closed_loop(
     device,
     filter_acceleration,
     filter_plant,

@@ -7,7 +7,7 @@ from functools import cache, cached_property
 import numpy as np
 from jaxtyping import Complex128
 
-from stillwork.base.checks import InputError
+from stillwork.base.checks import InputError, require_choice, require_number
 from stillwork.base.front_door import by_value, checked
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel, block_matrix, constant, interconnect
@@ -117,6 +117,14 @@ def require_stable(loop: StateModel) -> None:
         raise InputError(
             f"the closed loop is unstable (a pole at {fastest:+.3g} 1/s); lower the bandwidth or the gains"
         )
+
+
+@checked
+def require_deviations(deviations: dict[str, float]) -> None:
+    """Refuse standard deviations of anything but the disturbances of a closed loop, ``w``, ``v`` and ``d``."""
+    for name, deviation in deviations.items():
+        require_choice("deviations", name, ("w", "v", "d"))
+        require_number(f"deviations[{name!r}]", deviation, at_least=0.0)
 
 
 @by_value

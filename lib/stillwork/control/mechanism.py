@@ -8,7 +8,7 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
 from stillwork.base.algebra import add_product, cholesky_root, cholesky_solve
-from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.base.checks import InputError, counted, require_array, require_count, require_number
 from stillwork.base.front_door import by_value, check_fields, checked, outside
 from stillwork.base.kernels import borrowing_kernel, callback
 
@@ -68,7 +68,7 @@ class Mechanism:
             matrix, forces = self._mass(place), self._resistance(place, -place)
         except Exception as error:  # a reader's function may raise anything
             raise InputError(
-                f"inertia or bias fails on {self.coordinates} coordinates and {len(self.parameters)} parameters ({error}); "
+                f"inertia or bias fails on {counted(self.coordinates, 'coordinate')} and {counted(len(self.parameters), 'parameter')} ({error}); "
                 "give inertia(position, parameters, out) and bias(position, velocity, parameters, out)"
             ) from None
         if not (np.isfinite(matrix).all() and np.isfinite(forces).all()):

@@ -102,7 +102,7 @@ def asin_trajectory(
     Raises
     ------
     InputError
-        When the sharpness is not between 0 and 1.
+        When the sharpness is not between 0 and 1, or the frequency not below half the sample rate.
 
     Examples
     --------
@@ -172,5 +172,7 @@ def record_trajectory(time: ArrayLike, position: ArrayLike, sample_time: float =
 
 def _phase(amplitude, frequency_hz, duration, sample_time):
     require_number("amplitude", amplitude)
-    rate = 2 * np.pi * require_number("frequency_hz", frequency_hz, above=0)
-    return rate * sampled(duration, sample_time), rate
+    time = sampled(duration, sample_time)
+    # From half the sample rate on the samples tell nothing of the motion between them.
+    rate = 2 * np.pi * require_number("frequency_hz", frequency_hz, above=0, below=0.5 / sample_time)
+    return rate * time, rate

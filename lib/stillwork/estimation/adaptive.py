@@ -16,6 +16,7 @@ from stillwork.base.algebra import add_scaled, inner_product
 from stillwork.base.checks import (
     Converted,
     InputError,
+    counted,
     require_array,
     require_choice,
     require_count,
@@ -214,7 +215,7 @@ class FeRls:
         initial = self.initial_covariance
         if initial.ndim and len(initial) != regressors:
             raise InputError(
-                f"initial_covariance has shape {initial.shape} but there are {regressors} regressors; "
+                f"initial_covariance has shape {initial.shape} for {counted(regressors, 'regressor')}; "
                 "give one value for each, or a single number"
             )
         covariance = initial if initial.ndim == 2 else np.diag(np.broadcast_to(initial, regressors))

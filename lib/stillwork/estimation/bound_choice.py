@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.base.checks import InputError, counted, require_array, require_count, require_number
 from stillwork.base.front_door import by_value, checked
 from stillwork.estimation.min_max import solve_sweep, triangle
 from stillwork.estimation.secular import secular_function
@@ -97,7 +97,7 @@ def choose_bound(
     tail = (1 - require_number("coverage", coverage, above=0.0, below=1.0)) / 2
     if rows - -(-rows // folds) <= unknowns:
         raise InputError(
-            f"matrix has {rows} rows, too few to fit {unknowns} unknowns without one of {folds} folds"
+            f"matrix has {counted(rows, 'row')}, too few to fit {counted(unknowns, 'unknown')} without one of {counted(folds, 'fold')}"
         )
     threshold = secular_function(matrix, target, 0.0).threshold
     tried = (

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, require_array
+from stillwork.base.checks import InputError, counted, require_array
 from stillwork.base.front_door import by_value, check_fields, checked, outside
 from stillwork.base.kernels import callback
 
@@ -58,7 +58,7 @@ class Plant:
             right = math.isclose(got, wanted, rel_tol=1e-6)
         except Exception as error:  # a reader's function may raise anything
             raise InputError(
-                f"acceleration or force fails on {len(self.parameters)} parameters ({error}); "
+                f"acceleration or force fails on {counted(len(self.parameters), 'parameter')} ({error}); "
                 "give functions of (position, velocity, force or acceleration, parameters) that return a number"
             ) from None
         if not right:

@@ -116,7 +116,7 @@ def _deflate(values, vectors, weights, tolerance, kept):
 
 
 @kernel
-def _update_eigenpairs(values, vectors, row, forgetting):
+def update_eigenpairs(values, vectors, row, forgetting):
     """Turn the eigenpairs of R (values ascending, vectors as rows) into those of lam R + a a', in place.
 
     O(n^2) but for the last product of the vectors, which costs 2 n^3.
@@ -192,7 +192,7 @@ def run_fast(
         size = inner_product(correlation, correlation)
         scalars[ENERGY] = forgetting * scalars[ENERGY] + outputs[t] * outputs[t]
         scalars[COUNT] += 1.0
-        _update_eigenpairs(values, vectors, rows[t], forgetting)
+        update_eigenpairs(values, vectors, rows[t], forgetting)
         count = 0
         alpha = np.inf
         for i in range(n):

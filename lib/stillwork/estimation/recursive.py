@@ -6,7 +6,7 @@ import warnings
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, require_array, require_count, require_number, shown
+from stillwork.base.checks import InputError, counted, require_array, require_count, require_number, shown
 from stillwork.base.front_door import checked
 from stillwork.estimation import recursive_kernels
 from stillwork.estimation.min_max import ZeroEstimateWarning
@@ -75,15 +75,10 @@ def run_silently(estimator: Estimator, regressors: ArrayLike, outputs: ArrayLike
     outputs = require_array("outputs", outputs, shape=(samples,))
     if samples <= unknowns:
         raise InputError(
-            f"regressors has {samples} samples for {unknowns} unknowns; give more samples than unknowns"
+            f"regressors has {counted(samples, 'sample')} for {counted(unknowns, 'unknown')}; give more samples than unknowns"
         )
     for name, values in (("regressors", regressors), ("outputs", outputs)):
-        largest = np.abs(values).max()
-        _require_size(name, largest)
-        if 0 < largest < 1 / LARGEST:
-            raise InputError(
-                f"{name} is nowhere above {largest:g}, too small to be squared; use another unit"
-            )
+        require_squares(name, values)
     track = estimator.advance(estimator.start(unknowns), 0, np.ascontiguousarray(regressors.T), outputs)
     _require_finite(track.estimates.T, track.errors, 0)
     return track
@@ -102,9 +97,19 @@ def _require_finite(estimates, errors, first: int) -> None:
         )
 
 
-def _require_size(name, largest) -> None:
+def require_finite_squares(name: str, values) -> float:
+    """Refuse numbers of which one is too large for the recursions; returns the largest, NaN left out."""
+    largest = np.fmax.reduce(np.abs(values), axis=None, initial=0.0)
     if largest > LARGEST:
         raise InputError(f"{name} reaches {largest:g}, too large to be squared; use another unit")
+    return largest
+
+
+def require_squares(name: str, values) -> None:
+    """As `require_finite_squares`, and refuse numbers that are all too small, but not zero."""
+    largest = require_finite_squares(name, values)
+    if 0 < largest < 1 / LARGEST:
+        raise InputError(f"{name} is nowhere above {largest:g}, too small to be squared; use another unit")
 
 
 def _side_by_side(parts: tuple[np.ndarray, ...]) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
@@ -200,10 +205,11 @@ class RecursiveStepper:
         row, place = self._row, self.samples % AHEAD
         row[:] = regressor
         size = math.hypot(*row.tolist())  # of a few numbers faster than numpy's norms
-        if not (size <= LARGEST and isinstance(output, float) and -LARGEST <= output <= LARGEST):
-            _require_size("regressor", max(map(abs, require_array("regressor", row).tolist())))
+        if not size <= LARGEST:
+            require_finite_squares("regressor", require_array("regressor", row))
+        if not (isinstance(output, float) and -LARGEST <= output <= LARGEST):
             output = require_number("output", output)
-            _require_size("output", abs(output))
+            require_finite_squares("output", output)
         self._outputs[0] = output
         if place == 0:
             self._bounds = self._estimator.bounds(self.samples, AHEAD)

@@ -10,6 +10,7 @@ from stillwork.base.algebra import (
     add_scaled,
     copy_vector,
     factorise,
+    inner_product,
     minus_row,
     plus_left,
     solve_backward,
@@ -36,15 +37,13 @@ def known_length(unknowns: int, samples: int) -> tuple[float, ...]:
 @inlined_kernel
 def _accumulate_row(row, output, forgetting, information, correlation):
     # returns |s|^2 and the trace of R
-    size = 0.0
     trace = 0.0
     for i in range(len(row)):
         for j in range(i + 1):
             information[i, j] = forgetting * information[i, j] + row[i] * row[j]
         correlation[i] = forgetting * correlation[i] + row[i] * output
-        size += correlation[i] * correlation[i]
         trace += information[i, i]
-    return size, trace
+    return inner_product(correlation, correlation), trace
 
 
 @inlined_kernel

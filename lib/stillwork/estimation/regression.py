@@ -17,6 +17,7 @@ import numpy as np
 
 from stillwork.base.checks import (
     InputError,
+    counted,
     nearest,
     require_array,
     require_choice,
@@ -26,7 +27,7 @@ from stillwork.base.checks import (
 from stillwork.estimation.adaptive import FeLms, FeRls
 from stillwork.estimation.min_max import ZeroEstimateWarning, solve_silently, triangle
 from stillwork.estimation.online import run_felms, run_ferls
-from stillwork.estimation.recursive import LARGEST
+from stillwork.estimation.recursive import require_finite_squares, require_squares
 from stillwork.estimation.secular import ROUNDING
 
 
@@ -106,8 +107,8 @@ class _LinearRegressor:
         if anew and lost.all():
             raise _nothing()
         if whole:  # a part of a stream may be as quiet as it likes
-            _require_squares("X", X)
-            _require_squares("y", targets)
+            require_squares("X", X)
+            require_squares("y", targets)
         weights[lost] = 0
         rows, outputs = (np.sqrt(weights)[:, None] * np.nan_to_num(part) for part in (X, targets))
         if self.complex_data:
@@ -118,7 +119,9 @@ class _LinearRegressor:
         elif single == (self.coef_.ndim == 1) and targets.shape[1] == len(np.atleast_2d(self.coef_)):
             state = self._state
         else:
-            raise InputError(f"y has {targets.shape[1]} outputs; give as many outputs as in the calls before")
+            raise InputError(
+                f"y has {counted(targets.shape[1], 'output')}; give as many outputs as in the calls before"
+            )
         state, found = self._advance(state, rows, outputs, weights)
         if not np.isfinite(found).all():
             raise InputError("X and y lead out of the finite numbers; give them in other units")
@@ -150,7 +153,9 @@ class _LinearRegressor:
             )
         y = self._table("y", y)
         if len(y) != len(X):
-            raise InputError(f"y has {len(y)} samples but X has {len(X)}; give one output for each")
+            raise InputError(
+                f"y has {counted(len(y), 'sample')} but X has {len(X)}; give one output for each"
+            )
         if sample_weight is None:
             return X, y, np.ones(len(X))
         weights = require_array("sample_weight", sample_weight, shape=(len(X),)).copy()
@@ -208,8 +213,7 @@ class _LinearRegressor:
                 "1 is required; give more"
             )
         table = require_array(name, given, dtype=dtype, missing=True)
-        if np.any(np.abs(table) > LARGEST):
-            raise InputError(f"{name} exceeds {LARGEST:g}, too large to be squared; use another unit")
+        require_finite_squares(name, table)
         return table
 
     def _initial(self, coef, features, outputs):
@@ -511,7 +515,7 @@ class MinMaxRegressor(_WeightedRegressor):
         wanted = features // 2 if self.complex_data else features
         if bounds.shape not in ((), (wanted,)):
             raise InputError(
-                f"bound has shape {bounds.shape}; give a number, or one for each of {wanted} features"
+                f"bound has shape {bounds.shape}; give a number, or one for each of {counted(wanted, 'feature')}"
             )
         if np.any(bounds < 0):
             raise InputError("bound holds a negative number; give bounds on a norm, zero or above")
@@ -563,12 +567,6 @@ def _column_names(X) -> np.ndarray | None:
 
 def _lost(X, y) -> np.ndarray:
     return np.isnan(X).any(axis=1) | np.isnan(y).any(axis=1)
-
-
-def _require_squares(name, table):
-    largest = np.nanmax(np.abs(table), initial=0.0)
-    if 0 < largest < 1 / LARGEST:
-        raise InputError(f"{name} is nowhere above {largest:g}, too small to be squared; use another unit")
 
 
 def _nothing() -> InputError:

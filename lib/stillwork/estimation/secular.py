@@ -6,7 +6,14 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, require_array, require_count, require_number, require_samples
+from stillwork.base.checks import (
+    InputError,
+    counted,
+    require_array,
+    require_count,
+    require_number,
+    require_samples,
+)
 from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.base.kernels import kernel
 
@@ -230,7 +237,7 @@ def decompose(matrix: ArrayLike, target: ArrayLike, bound: float) -> tuple[Secul
         raise InputError("matrix has no columns; give at least one unknown")
     if rows < unknowns:
         raise InputError(
-            f"matrix has {rows} rows for {unknowns} unknowns; give at least as many rows as unknowns"
+            f"matrix has {counted(rows, 'row')} for {counted(unknowns, 'unknown')}; give at least as many rows as unknowns"
         )
     target = require_array("target", target, shape=(rows,))
     bound = require_number("bound", bound, at_least=0.0)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from stillwork.base.checks import InputError, require_kind
+from stillwork.base.checks import InputError, counted, require_kind
 from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.identification.frequency_response import Identified
 from stillwork.identification.machine_files import MachineFile
@@ -59,7 +59,7 @@ def whole_band(measured: Identified, band_hz: tuple[float, float]) -> tuple[floa
     inside = int(np.sum((hertz >= low) & (hertz <= high)))
     if not low < high or inside < 32:
         raise InputError(
-            f"the band {low:g} to {high:g} Hz holds {inside} lines of the measurement, which runs from "
+            f"the band {low:g} to {high:g} Hz holds {counted(inside, 'line')} of the measurement, which runs from "
             f"{hertz[0]:.4g} to {hertz[-1]:.4g} Hz; give a band inside it, or (0, 0) for all of it"
         )
     return float(low), float(high)

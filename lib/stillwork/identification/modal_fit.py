@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares, minimize_scalar
 
-from stillwork.base.checks import InputError, require_array, require_count, require_number
+from stillwork.base.checks import InputError, counted, require_array, require_count, require_number
 from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.identification.complex_frequency import STRONGEST, Stabilisation, stabilisation
 from stillwork.identification.frequency_response import Identified
@@ -353,7 +353,7 @@ class _Accelerance:
             or not 1 / HUGE < np.abs(self.target).min() <= np.abs(self.target).max() < HUGE
         ):
             raise InputError(
-                f"measured holds {len(self.omega)} lines from {band_hz[0]:g} to {band_hz[1]:g} Hz, or a response of zero, "
+                f"measured holds {counted(len(self.omega), 'line')} from {band_hz[0]:g} to {band_hz[1]:g} Hz, or a response of zero, "
                 f"NaN or beyond {HUGE:g}; give at least {LEAST_LINES} lines of a response in 1/kg"
             )
         # A line that noise has made small by chance must not weigh more than its neighbours.

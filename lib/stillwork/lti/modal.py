@@ -8,7 +8,7 @@ from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-from stillwork.base.checks import InputError, require_array, require_choice
+from stillwork.base.checks import InputError, counted, require_array, require_choice
 from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.lti.state_space import StateModel
 
@@ -63,7 +63,9 @@ class ModalModel:
         check_fields(self)
         n = len(self.frequencies)
         if self.input_shapes.shape[0] != n or self.output_shapes.shape[1] != n or self.damping.shape != (n,):
-            raise InputError(f"shapes and damping do not fit {n} frequencies; give one of each a mode")
+            raise InputError(
+                f"shapes and damping do not fit {counted(n, 'frequency')}; give one of each a mode"
+            )
         if not self.feedthrough.size:
             raise InputError(
                 f"feedthrough has shape {self.feedthrough.shape}; give a model an input and an output at least"

@@ -69,10 +69,8 @@ def hinf_norm(model: StateModel) -> Peak:
         slow, fast = np.abs(scaled.poles).min(), np.abs(scaled.poles).max()
         start = np.append(np.geomspace(1e-3 * slow, 1e3 * fast, GRID), fast * np.array([1e6, 1e8, 1e10]))
         values = gains(start)
-        level, where = (
-            max(values.max(), ends),
-            start[np.argmax(values >= (1 - TOLERANCE) * max(values.max(), ends))],
-        )
+        level = max(values.max(), ends)
+        where = start[np.argmax(values >= (1 - TOLERANCE) * level)]
     seen = _turned(scaled) if turned else scaled
     passes = level > NOTHING * np.linalg.norm(b) * np.linalg.norm(c)
     for _ in range(60 if passes else 0):

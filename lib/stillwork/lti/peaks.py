@@ -7,7 +7,14 @@ import numpy as np
 from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, require_array, require_count, require_number, require_one_each
+from stillwork.base.checks import (
+    InputError,
+    counted,
+    require_array,
+    require_count,
+    require_number,
+    require_one_each,
+)
 from stillwork.base.front_door import checked
 
 
@@ -75,7 +82,9 @@ def refine_peak(
 ) -> Peak:
     """Peak of ``abs(response(omega))`` between grid points: zoom into every local maximum above `near` of the largest."""
     if not 0 < len(omega) == len(magnitude):
-        raise InputError(f"omega has {len(omega)} frequencies, magnitude {len(magnitude)}; give one of each")
+        raise InputError(
+            f"omega has {counted(len(omega), 'frequency')}, magnitude {len(magnitude)}; give one of each"
+        )
     last = len(omega) - 1
     inner = (magnitude[1:-1] >= magnitude[:-2]) & (magnitude[1:-1] >= magnitude[2:])
     places = np.concatenate([[0], 1 + np.flatnonzero(inner), [last]])

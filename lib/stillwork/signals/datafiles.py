@@ -2,13 +2,14 @@
 
 import csv
 import os
+import re
 import warnings
 import zipfile
 from pathlib import Path
 
 import numpy as np
 
-from stillwork.base.checks import InputError, one_line, shown
+from stillwork.base.checks import InputError, counted, one_line, shown
 from stillwork.base.extras import require_package
 from stillwork.base.front_door import checked
 from stillwork.signals.matfiles import MOST_BYTES, read_mat
@@ -16,6 +17,9 @@ from stillwork.signals.universal import read_universal
 
 LONGEST_LINE = 2**17  # characters; the csv module takes no longer field
 MOST_MEMBERS = 10_000  # of an archive
+MOMENT = re.compile(  # a date, a time of day
+    r"\s*(\d{1,4}[-/]\d{1,2}[-/]\d{1,4}|\d{1,2}\.\d{1,2}\.\d{4}|\d{1,2}:\d{2}).*"
+)
 
 
 @checked
@@ -35,13 +39,13 @@ def read_arrays(path: str | Path) -> dict[str, np.ndarray]:
         ".uff": read_universal,
         ".unv": read_universal,
     }
+    if not os.path.isfile(path):  # False as well for a name that no system takes
+        raise InputError(f"{shown(str(path))}: no such file; give the path of a CSV, MAT, NPZ or UFF file")
     if path.suffix.lower() not in readers:
         raise InputError(
             f"{path.name}: files of type {path.suffix or '(none)'!r} are not read; "
             "export CSV, MAT (version 7), NPZ or UFF"
         )
-    if not os.path.isfile(path):  # False as well for a name that no system takes
-        raise InputError(f"{shown(str(path))}: no such file; give the path of a CSV, MAT, NPZ or UFF file")
     arrays = readers[path.suffix.lower()](path)
     return {name: array for name, array in arrays.items() if array.dtype.kind in "fiuc"}
 
@@ -91,12 +95,12 @@ def _csv(path: Path) -> dict[str, np.ndarray]:
         widths = [len(_without_empty_end(_fields(line.split("#")[0], separator))) for line in head[1:]]
         if min(widths) > names:  # pandas would warn, and drop the columns without a name
             raise InputError(
-                f"{path.name} names {names} columns and holds {max(widths)}; give every column a name, or none"
+                f"{path.name} names {counted(names, 'column')} and holds {max(widths)}; give every column a name, or none"
             )
         if max(widths) > names:
             row = next(number for number, width in enumerate(widths, 1) if width > names)
             raise InputError(
-                f"{path.name} is not a table: row {row} holds {widths[row - 1]} values for {names} columns; mend it"
+                f"{path.name} is not a table: row {row} holds {counted(widths[row - 1], 'value')} for {counted(names, 'column')}; mend it"
             )
     try:
         with warnings.catch_warnings():
@@ -128,8 +132,11 @@ def _csv(path: Path) -> dict[str, np.ndarray]:
             ) from None
         text = column[np.isnan(numbers) & column.notna().to_numpy()]
         if len(text):
+            wrong = "not a number; mend it"
+            if MOMENT.fullmatch(text.iloc[0]):
+                wrong = "a date or a time of day; give seconds from any start, or leave the column out"
             raise InputError(
-                f"{path.name}, column {name}: {text.iloc[0]!r} in row {text.index[0] + 1} is not a number; mend it"
+                f"{path.name}, column {name}: {text.iloc[0]!r} in row {text.index[0] + 1} is {wrong}"
             )
         columns[str(name).strip() if named else f"column {number}"] = numbers
     return columns

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stillwork.base.checks import InputError, require_choice
+from stillwork.base.checks import InputError, counted, require_choice
 from stillwork.base.front_door import checked
 from stillwork.signals.datafiles import read_columns
 from stillwork.signals.records import MOTION_UNITS, unit_factor
@@ -57,7 +57,9 @@ def read_densities(path: Path, unit: str, channels: list[str], most: int) -> tup
         raise InputError(f"unit is {unit!r}; a floor needs a density of m/s^2, m/s or m")
     known = f > 0
     if known.sum() < 2:
-        raise InputError(f"{path.name}: {axis!r} holds {known.sum()} frequencies above zero; give at least 2")
+        raise InputError(
+            f"{path.name}: {axis!r} holds {counted(known.sum(), 'frequency')} above zero; give at least 2"
+        )
     rows = np.array(list(named.values()))[:, known]
     if not np.isfinite(rows).all() or np.any(rows < 0):
         raise InputError(f"{path.name} holds a density that is missing, infinite or negative; mend it")

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.base.checks import InputError, counted, require_array, require_number
 from stillwork.base.front_door import checked
 
 
@@ -54,7 +54,7 @@ def moving(error: ArrayLike, sample_time: float, exposure: float) -> Moving:
     )
     if not 2 <= width <= len(error):
         raise InputError(
-            f"exposure covers {width} samples of {len(error)}; choose at least 2 and at most all"
+            f"exposure covers {counted(width, 'sample')} of {len(error)}; choose at least 2 and at most all"
         )
     # Cumulative sums of small numbers on a large mean lose digits: take the mean out first.
     offset = error.mean()

@@ -12,6 +12,7 @@ from scipy import signal
 
 from stillwork.base.checks import (
     InputError,
+    counted,
     nearest,
     require_array,
     require_choice,
@@ -105,14 +106,14 @@ class Record:
             )
         if self.signals.shape[1] < SHORTEST_SAMPLES:
             raise InputError(
-                f"{self.source}: {self.signals.shape[1]} samples are too short; "
+                f"{self.source} holds {counted(self.signals.shape[1], 'sample')}, too short a record; "
                 f"give at least {SHORTEST_SAMPLES}"
             )
         if self.unit not in SI_UNITS:
             raise InputError(f"unit is {self.unit!r}; convert to {', '.join(_QUANTITIES)} or 1")
         if len(self.names) != len(self.signals):
             raise InputError(
-                f"names has {len(self.names)} entries for {len(self.signals)} channels; name each"
+                f"names has {counted(len(self.names), 'entry')} for {counted(len(self.signals), 'channel')}; name each"
             )
 
     @property
@@ -337,6 +338,6 @@ def _require_whole(source: str, column: np.ndarray, rate: float) -> None:
     if bad.any():
         first = int(bad.argmax())
         raise InputError(
-            f"{source}: {int(bad.sum())} values are missing or not finite, the first at t = {first / rate:.4g} s "
+            f"{source}: {counted(int(bad.sum()), 'value')} missing or not finite, the first at t = {first / rate:.4g} s "
             f"(row {first + 1}); cut the record there or repair it"
         )

@@ -7,7 +7,7 @@ from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 from scipy import signal
 
-from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.base.checks import InputError, counted, require_array, require_number
 from stillwork.base.front_door import by_value, check_fields, checked
 
 
@@ -139,11 +139,13 @@ def estimate_response(
     x, length = _segments("inputs", inputs, sample_rate, resolution_hz)
     y, _ = _segments("outputs", outputs, sample_rate, resolution_hz)
     if x.shape[1] != y.shape[1]:
-        raise InputError(f"outputs hold {y.shape[1]} samples, inputs {x.shape[1]}; record them together")
+        raise InputError(
+            f"outputs hold {counted(y.shape[1], 'sample')}, inputs {x.shape[1]}; record them together"
+        )
     averages, count = _averages(x.shape[1], length), len(x)
     if averages <= 2 * count:
         raise InputError(
-            f"{averages} segments cannot tell {count} inputs apart; record longer or take a coarser resolution_hz"
+            f"{counted(averages, 'segment')} cannot tell {count} inputs apart; record longer or take a coarser resolution_hz"
         )
     frequencies, fx = _segment_spectra(x, sample_rate, length)
     _, fy = _segment_spectra(y, sample_rate, length)

@@ -72,7 +72,7 @@ def site_files() -> dict[str, bytes]:
         counts=Counter(map(column, claims)),
     )
 
-    files = _static()
+    files = static_files()
     by_name = {page.name: page for page in pages}
     files["index.html"] = render("index.html", "", citation=_citation())
     files["ledger.html"] = render(
@@ -134,7 +134,7 @@ def site_files() -> dict[str, bytes]:
     return files
 
 
-def _static() -> dict[str, bytes]:
+def static_files() -> dict[str, bytes]:
     """Style, script and icon. The font goes into the style: from the disk not every browser loads it as a file."""
     files = {f"static/{file.name}": file.read_bytes() for file in sorted((HERE / "static").iterdir())}
     font = base64.b64encode(files.pop("static/mathematics.woff"))

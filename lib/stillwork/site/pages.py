@@ -160,7 +160,7 @@ def read_page(task: Task, claims: list[Claim]) -> NotebookPage:
     fresh = not task.reasons()
     raw = json.loads(notebook.source)["cells"]
     if fresh:  # of the build its outputs only: texts may have changed since
-        raw = _with_outputs(raw, task.outputs())
+        raw = with_outputs(raw, task.outputs())
     folder = paths.root() / "figures" / notebook.name
     mine = [claim for claim in claims if claim.notebook == notebook.name]
     cells = _cells(notebook.name, raw, folder, mine)
@@ -181,7 +181,7 @@ def read_page(task: Task, claims: list[Claim]) -> NotebookPage:
     )
 
 
-def _with_outputs(cells: list[dict], gave: dict[str, list[dict]]) -> list[dict]:
+def with_outputs(cells: list[dict], gave: dict[str, list[dict]]) -> list[dict]:
     """The cells with what the code cells of the same id gave when they were executed."""
     return [
         {**cell, "outputs": gave.get(cell.get("id"), cell["outputs"])}

@@ -59,7 +59,7 @@ class Curve:
 def curves(room: str, standings: dict[str, Standing]) -> list[Curve]:
     """Of the entries of a room that have a value under some reading: what depends first, then what fails and holds."""
     found = [
-        _curve(study, standings[entry])
+        curve_of(study, standings[entry])
         for study in read_results(load_axes(room)[1])
         for entry, values in study.values.items()
         if np.isfinite(values).any()
@@ -68,7 +68,7 @@ def curves(room: str, standings: dict[str, Standing]) -> list[Curve]:
     return sorted(found, key=lambda curve: order.index(curve.standing.class_))
 
 
-def _curve(study: Outcomes, standing: Standing) -> Curve:
+def curve_of(study: Outcomes, standing: Standing) -> Curve:
     points = np.flatnonzero(np.isfinite(standing.values).any(axis=1))
     middle = np.nanmean(standing.values[points], axis=1)
     order = np.argsort(middle, kind="stable")

@@ -43,7 +43,7 @@ def accept(refresh: Callable[[], object]) -> int:
     """
     with unwound(), alone():
         try:
-            with _copy() as (copy, before):
+            with committed_copy() as (copy, before):
                 built = _built(copy)
                 stale = [(task, reasons) for task in built if (reasons := task.reasons())]
                 if stale:
@@ -93,7 +93,7 @@ def _say(claims: list[Claim], built: list[Task]) -> None:
 
 
 @contextlib.contextmanager
-def _copy() -> Iterator[tuple[Path, dict[str, bytes]]]:
+def committed_copy() -> Iterator[tuple[Path, dict[str, bytes]]]:
     """A copy of what is committed, to try the whole change on, and its files as they were.
 
     No file of it is one that stands in the tree, since an editor may write into that at any time.

@@ -8,7 +8,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from stillwork.base import paths
-from stillwork.base.checks import InputError
+from stillwork.base.checks import InputError, counted
 from stillwork.base.toml_files import read_toml
 from stillwork.workbook.figures import HEADER, read_table
 from stillwork.workbook.notebooks import select
@@ -29,13 +29,11 @@ def own_file(path: Path) -> str:
         if tuple(first.split(",")) == HEADER:
             table = read_table(path)
             panels, points = len({panel for panel, _ in table}), sum(map(len, table.values()))
-            counted = (
-                f"{points} points of {len(table)} series in {panels} {'panel' if panels == 1 else 'panels'}"
-            )
+            held = f"{counted(points, 'point')} of {len(table)} series in {counted(panels, 'panel')}"
             notebook = "/".join(path.resolve().parts[-3:-1])
             known = in_checkout() and notebook in {each.name for each in select()}
             again = f"; to build it anew: python -m stillwork figures {notebook} --force" if known else ""
-            return f"the numbers that the picture {path.stem}.png shows, {counted}{again}"
+            return f"the numbers that the picture {path.stem}.png shows, {held}{again}"
         if first.startswith("# study "):
             return "what the ledger's entries come to under each reading; see python -m stillwork claims --entry ID"
     if path.name in ("published.toml", "readings.toml") and len(table := read_toml(path)) > 0:
@@ -52,7 +50,7 @@ def own_file(path: Path) -> str:
 def model_file(path: Path) -> Iterator[str]:
     """What a TOML file holds, and the rooms and commands that take it as a machine."""
     table = read_toml(path)
-    yield f"{path.name}: {len(table)} entries"
+    yield f"{path.name}: {counted(len(table), 'entry')}"
     for name, value in table.items():
         shown = f"table of {', '.join(value)}" if isinstance(value, dict) else repr(value)
         yield f"  {name}: {shown}"

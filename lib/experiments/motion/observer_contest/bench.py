@@ -190,8 +190,11 @@ def run_scans(scans: Sequence[Scan], step: Callable) -> list[np.ndarray]:
 def state_errors(record: ScanRecord, estimates: np.ndarray, rigid: int) -> tuple[float, float]:
     """Errors of the rigid-body and the flexible states over the scan, relative to those of the estimate zero.
 
-    Each state counts alike: root mean square over the states of the ratios of root mean squares.
+    Each state counts alike: root mean square over the states of the ratios of root mean squares. Infinite of
+    estimates that are not finite.
     """
+    if not np.isfinite(estimates[JUDGED]).all():
+        return np.inf, np.inf
     true = record.states[JUDGED, : estimates.shape[1]]
     ratios = np.mean((true - estimates[JUDGED]) ** 2, axis=0) / np.mean(true**2, axis=0)
     return float(np.sqrt(ratios[: 2 * rigid].mean())), float(np.sqrt(ratios[2 * rigid :].mean()))

@@ -132,7 +132,7 @@ def main() -> None:
             told = (*told_of(plant, noise), plant.sample_time)
             candidates: dict[str, list[OwnObserver]] = {name: [] for name in MAPPED}
             for name in MAPPED:
-                for settings in positions(name) if ENTRANTS[name].knobs else [()]:
+                for settings in positions(name):
                     observer = OwnObserver(ENTRANTS[name], tuple(map(float, settings)))
                     with suppress(InputError):  # there may be no such design
                         observer.start(*told)

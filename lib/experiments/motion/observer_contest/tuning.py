@@ -10,7 +10,7 @@ from scipy.stats import qmc
 from experiments.motion.observer_contest.plants import PLANTS
 from experiments.motion.observer_contest.scores import ENTRANTS, contest_trial
 from stillwork.base import paths
-from stillwork.base.checks import InputError
+from stillwork.base.checks import InputError, require_choice
 from stillwork.base.toml_files import read_toml
 
 TRAINING = "training"  # in a public number's place
@@ -30,8 +30,13 @@ FILE = paths.data("motion", "contest_settings.toml")
 
 
 def positions(name: str) -> np.ndarray:
-    """Settings that are tried: where the paper has the knobs, then Halton's points, equal in the logarithms."""
+    """Settings that are tried: where the paper has the knobs, then Halton's points, equal in the logarithms.
+
+    Who has no knobs has one, with nothing to set.
+    """
     knobs = ENTRANTS[name].knobs
+    if not knobs:
+        return np.empty((1, 0))
     low, high = np.log([[knob.low, knob.high] for knob in knobs]).T
     points = qmc.Halton(len(knobs), scramble=False).random(TRIES)[1:]
     return np.vstack([[knob.given for knob in knobs], np.exp(low + points * (high - low))])
@@ -65,13 +70,16 @@ def settings_for(plant: str, names: Iterable[str] = ENTRANTS) -> dict[str, list[
 
 def main(names: list[str]) -> None:
     """Tune the entrants of these names, by default all, and write the settings file."""
+    with_knobs = [name for name in ENTRANTS if ENTRANTS[name].knobs]
+    for name in names:
+        require_choice("name", name, with_knobs)
     before = read_toml(FILE) if FILE.exists() else {}
     lines = [
         "# Knobs of the contest's entrants, a list a plant, in the order of the entrants' knobs.",
         "# Made by `python -m experiments.motion.observer_contest.tuning`:",
         f'# {TRIES} settings each, on seeds 0 to {SEEDS - 1} of "{TRAINING}", mean over {len(DOUBTS_TUNED_ON)} doubts.',
     ]
-    for name in (each for each in ENTRANTS if ENTRANTS[each].knobs):
+    for name in with_knobs:
         lines += ["", f'["{name}"]']
         for plant in PLANTS:
             fresh = not names or name in names or plant not in before.get(name, {})

@@ -69,7 +69,7 @@ def _file(name: str, roots: list[Path]) -> Path | None:
 
 def _imports(name: str, file: Path, roots: list[Path]) -> Iterator[str]:
     package = name if file.name == "__init__.py" else name.rpartition(".")[0]
-    for node in ast.walk(_tree(file)):
+    for node in ast.walk(syntax_tree(file)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -88,7 +88,7 @@ def _imports(name: str, file: Path, roots: list[Path]) -> Iterator[str]:
 
 def _behind_face(package: str, file: Path, name: str, roots: list[Path]) -> Iterator[str]:
     """Modules from which a package's face may take a public name at first use: those named beside it."""
-    for node in ast.walk(_tree(file)):
+    for node in ast.walk(syntax_tree(file)):
         if isinstance(node, ast.Dict):
             for key, value in zip(node.keys, node.values, strict=True):
                 texts = _texts(key) + _texts(value)
@@ -102,5 +102,5 @@ def _texts(node) -> list[str]:
 
 
 @cache
-def _tree(file: Path) -> ast.AST:
+def syntax_tree(file: Path) -> ast.AST:
     return ast.parse(file.read_bytes())
