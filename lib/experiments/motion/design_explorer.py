@@ -34,7 +34,7 @@ def paint_design(
     names = ("input_sensitivity", "output_sensitivity")
     figure = paint_over_masses({LABELS[name]: (loops, controller, name) for name in names})
     peaks = [max(loop.peak(controller, name).magnitude for loop in loops) for name in names]
-    stable = all(np.all(loop.poles(controller).real < 0) for loop in loops)
+    stable = all(loop.is_stable(controller) for loop in loops)
     for axis, peak in zip(figure.axes, peaks, strict=True):
         verdict = f"peak {20 * np.log10(peak):.1f} dB" if stable else "unstable"
         axis.set_title(f"{axis.get_title(loc='left')}: {verdict}")

@@ -105,7 +105,7 @@ def paint_place(place: float, damping: float, compensate: str, noise_exponent: f
     add_magnitude(right, omega, response.input_sensitivity, label="input sensitivity")
     add_magnitude(right, omega, response.output_sensitivity, label="output sensitivity")
     mark_limit(right)
-    right.set(ylim=(-20, 15), title="stable" if np.all(loop.poles(controller).real < 0) else "unstable")
+    right.set(ylim=(-20, 15), title="stable" if loop.is_stable(controller) else "unstable")
     for axis, unit in ((left, "dB re 1 N/m"), (right, "dB")):
         axis.set(xlabel="frequency (Hz)", ylabel=f"magnitude ({unit})")
         axis.xaxis.set_minor_locator(NullLocator())

@@ -42,7 +42,7 @@ def stability_trial(rng: np.random.Generator, spread: float) -> dict[str, float]
     """One machine with masses and springs drawn within +-`spread`: is x2 stable, and x1 unstable?"""
     masses, springs = 4 * (1 + rng.uniform(-spread, spread, 3)), 1e7 * (1 + rng.uniform(-spread, spread, 2))
     loops, best = designed_for_second(three_masses(masses, springs), float(masses.sum()))
-    stable = [bool(np.all(loop.poles(best.controller).real < 0)) for loop in loops]
+    stable = [loop.is_stable(best.controller) for loop in loops]
     return {"first_unstable": float(not stable[0]), "second_stable": float(stable[1])}
 
 
@@ -51,7 +51,7 @@ def paint_nyquist(loops: Mapping[str, Loop], controller: Pid):
     figure, axis = figures.new(1, 1, height=4.2)
     for label, loop in loops.items():
         open_loop = loop.at(controller).loop
-        verdict = "stable" if np.all(loop.poles(controller).real < 0) else "unstable"
+        verdict = "stable" if loop.is_stable(controller) else "unstable"
         near = open_loop[np.abs(open_loop) < 30]
         axis.plot(near.real, near.imag, label=f"{label}: {verdict}")
     axis.plot([-1], [0], "+", color=figures.BLACK, markersize=12, label="-1")

@@ -177,6 +177,17 @@ class Loop:
         )
         return _continuous(linalg.eigvals(loop.a), self.sample_time)
 
+    @checked
+    def is_stable(self, controller: Pid) -> bool:
+        """Whether all closed-loop poles lie in the left half-plane, of a sampled loop within the unit circle.
+
+        Parameters
+        ----------
+        controller : Pid
+            C of this loop.
+        """
+        return bool(np.all(self.poles(controller).real < 0))
+
     @cached_property
     def _held(self) -> StateModel:
         """The sampled plant, late, its compliance showing the force of the sample before."""
