@@ -1,5 +1,7 @@
 """Loop functions and the bandwidth search, held against state-space loops, exact norms and python-control."""
 
+from types import SimpleNamespace
+
 import control
 import numpy as np
 import pytest
@@ -14,7 +16,15 @@ from experiments.motion.designs import (
 from experiments.motion.machines import chain, published_noise, stage, stage_mass
 from stillwork.base.checks import InputError
 from stillwork.control.applications import Application, compensator, soft_sensor
-from stillwork.control.bandwidth import SIX_DB, PeakConstraint, holds, make_loop, maximise_bandwidth
+from stillwork.control.bandwidth import (
+    SIX_DB,
+    Infeasible,
+    PeakConstraint,
+    SearchLoop,
+    holds,
+    make_loop,
+    maximise_bandwidth,
+)
 from stillwork.control.loops import channel, closed_loop
 from stillwork.control.pid import Notch, PidFamily
 from stillwork.estimation.observer import kalman_observer
@@ -139,6 +149,76 @@ def test_the_search_ends_where_looking_at_everything_at_every_step_ends(name):
         (loops[k].peak(FAMILY(bad), each.function), each.function, k) for each in limits for k in range(7)
     ]
     assert (found.peak, found.function, found.loop) == max(peaks)
+
+
+class CoupledCarts:
+    """A reader's own loop of two axes: two carts that one spring joins, each with a slow drive and its PID."""
+
+    omega = 2 * np.pi * np.geomspace(0.1, 500.0, 3000)
+    spring = 1e4 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    drive = StateModel(*map(np.array, ([[0.0, 1.0], [-9e4, -480.0]], [[0.0], [9e4]], [[1.0, 0.0]], [[0.0]])))
+
+    def at(self, pids, omega=None):
+        w = (self.omega if omega is None else omega)[:, None, None]
+        plant = (
+            np.linalg.inv(self.spring + (40j * w - 5.0 * w**2) * np.eye(2)) * 9e4 / (9e4 + 480j * w - w**2)
+        )
+        loop = plant * np.array([pid.frequency_response(w[:, 0, 0]) for pid in pids]).T[:, None, :]
+        return SimpleNamespace(
+            input_sensitivity=np.linalg.norm(np.linalg.inv(np.eye(2) + loop), 2, axis=(1, 2))
+        )
+
+    def within(self, pids, part):
+        return self.at(pids, self.omega[part])
+
+    def poles(self, pids):
+        a = np.block([[np.zeros((2, 2)), np.eye(2)], [-self.spring / 5.0, -8.0 * np.eye(2)]])
+        carts = StateModel(a, np.eye(4)[:, 2:] / 5.0, np.eye(4)[:2], np.zeros((2, 2)))
+        wired = np.kron([[0, 1, 0], [0, 0, 1], [-1, 0, 0]], np.eye(2))  # each takes the next one's output
+        blocks = [carts, self.drive, self.drive, *(pid.state_space() for pid in pids)]
+        return interconnect(blocks, wired, np.zeros((6, 1)), np.zeros((1, 6))).poles
+
+    def crossing_hz(self, pids):
+        return np.array([1.0, 2.0])
+
+
+@pytest.mark.parametrize("refine", [True, False])
+@pytest.mark.parametrize("lowest", [True, False])
+def test_a_loop_of_several_axes_is_searched_alike(lowest, refine):
+    loop, limits = CoupledCarts(), [PeakConstraint("input_sensitivity")]
+    assert isinstance(loop, SearchLoop)
+    axis = PidFamily(5.0)
+
+    def family(hertz):
+        return axis(hertz), axis(hertz / 2)
+
+    found = maximise_bandwidth([loop], family, limits, 1.5, 50.0, lowest=lowest, refine=refine)
+    assert found.controller == family(found.design_hz) and found.crossing_hz.shape == (1, 2)
+
+    def feasible(hertz):
+        return loop.at(family(hertz)).input_sensitivity.max() < SIX_DB and np.all(
+            loop.poles(family(hertz)).real < 0
+        )
+
+    scanned = np.geomspace(1.5, 50.0, 400)
+    kept = np.array([feasible(hertz) for hertz in scanned])
+    assert kept.any() and not kept.all()
+    last = np.flatnonzero(kept)[-1] if not lowest else np.flatnonzero(np.diff(kept.astype(int)) < 0)[0]
+    assert scanned[last] - 1e-3 <= found.design_hz <= scanned[last + 1]
+
+
+def test_a_search_does_not_end_at_an_unstable_design_whose_peaks_are_low():
+    unstable = SimpleNamespace(
+        omega=np.ones(3),
+        at=lambda pid, omega=None: SimpleNamespace(input_sensitivity=np.full(3, 1.5)),
+        within=lambda pid, part: None,
+        poles=lambda pid: np.array([-1.0 if pid.gain < FAMILY(30.0).gain else 1.0 + 0j]),
+        crossing_hz=lambda pid: 1.0,
+    )
+    with pytest.raises(InputError, match="is unstable, although its peaks are low"):
+        maximise_bandwidth([unstable], FAMILY, [PeakConstraint("input_sensitivity")], 20.0, 60.0, lowest=True)
+    with pytest.raises(Infeasible, match="stability of loop 1 fails"):
+        maximise_bandwidth([unstable], FAMILY, [PeakConstraint("input_sensitivity")], 40.0, 60.0, lowest=True)
 
 
 @pytest.mark.parametrize("hertz", [20.0, 30.0])

@@ -25,7 +25,7 @@ from experiments.motion.rig_designs import (
     rig_controllers,
     rig_loops,
 )
-from experiments.motion.rig_loops import MEASURES, Infeasible, sampled_controller
+from experiments.motion.rig_loops import MEASURES, sampled_controller
 from experiments.motion.rig_study import (
     Levelling,
     flexible_peaks,
@@ -38,6 +38,7 @@ from experiments.motion.rig_study import (
     sample_geometry,
 )
 from stillwork.base.checks import InputError
+from stillwork.control.bandwidth import Infeasible
 from stillwork.control.loops import channel
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti import ModalModel, simulate

@@ -18,7 +18,6 @@ from experiments.motion.rig import (
 )
 from experiments.motion.rig_control import rig_compensator, rig_observer
 from experiments.motion.rig_loops import (
-    Infeasible,
     RigBandwidth,
     RigLoop,
     make_rig_loop,
@@ -27,6 +26,7 @@ from experiments.motion.rig_loops import (
 )
 from experiments.motion.uncertainty import detuned
 from stillwork.base.checks import require_choice
+from stillwork.control.bandwidth import Infeasible
 from stillwork.control.pid import Pid, PidFamily
 from stillwork.estimation.observer import NoiseIntensities
 from stillwork.lti.modal import ModalModel
@@ -125,6 +125,5 @@ def bandwidths(loops: dict[str, list[RigLoop]], measure: str) -> dict[str, RigBa
 def compensated_feedback(loop: RigLoop, pids: Sequence[Pid]) -> float:
     """Largest singular value over frequency of O_yu C_fb, which section 6.3 keeps below 1 (scaled directions)."""
     o_yu = np.moveaxis(loop.compensator.frequency_response(loop.omega)[3:, :3], -1, 0)
-    control = np.stack([pid.frequency_response(loop.warped) for pid in pids], axis=1)
-    seen = loop.decoupling.sensing @ o_yu @ loop.decoupling.actuation * control[:, None, :]
+    seen = loop.decoupling.sensing @ o_yu @ loop.decoupling.actuation * loop.controlled(pids)[:, None, :]
     return float(np.linalg.norm(seen, 2, axis=(1, 2)).max())

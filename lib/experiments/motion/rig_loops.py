@@ -12,24 +12,32 @@ from scipy import linalg
 from experiments.motion.rig import EdgeDecoupling
 from experiments.motion.rig_control import RigCompensator
 from stillwork.base.algebra import squared_size
-from stillwork.base.checks import InputError, require_choice, require_number
+from stillwork.base.checks import InputError, require_choice
 from stillwork.base.kernels import kernel, pasted_kernel
 from stillwork.base.rounding import first_largest
-from stillwork.control.bandwidth import SIX_DB
+from stillwork.control.bandwidth import SIX_DB, Bandwidth, PeakConstraint, maximise_bandwidth
 from stillwork.control.crossover import crossover
 from stillwork.control.loops import closed_loop
 from stillwork.control.pid import Pid
-from stillwork.lti.discretisation import prewarped, tustin, zoh_modes, zoh_response
+from stillwork.lti.discretisation import continuous_poles, prewarped, tustin, zoh_modes, zoh_response
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.peaks import resonance_grid
 from stillwork.lti.state_space import StateModel, interconnect
 
 # Section 6.1: both orders of the plant with the controller, at the controller and at the plant, and the true error.
 MEASURES = ("singular values", "diagonal")  # what "peak below 6 dB" means for a matrix is not printed
-FUNCTIONS = ("S_I", "S_I2", "S_O", "S_O2", "true_tracking")
+FUNCTIONS = (
+    "input_sensitivity",
+    "input_sensitivity_2",
+    "output_sensitivity",
+    "output_sensitivity_2",
+    "true_tracking",
+)
+LIMITS = tuple(PeakConstraint(name) for name in FUNCTIONS)  # 6 dB
+SIGNS = dict(zip(FUNCTIONS, ("S_I", "S_I2", "S_O", "S_O2", "true_tracking"), strict=True))
 
-RATIO = 1.1  # of the search, a step on its way up
-TOLERANCE = 1e-3  # relative width at which its bisection stops
+TOLERANCE_HZ = 2e-3  # of a design
+PEAK_TOLERANCE = 1e-4  # relative, by which a peak may grow between the points of the last grid
 
 
 def sampled_controller(pids: Sequence[Pid], decoupling: EdgeDecoupling, sample_time: float) -> StateModel:
@@ -48,11 +56,44 @@ class RigLoop:
     sample_time: float  # s
     omega: Float64[np.ndarray, " frequencies"] = field(repr=False)  # rad/s
     parts: Complex128[np.ndarray, "frequencies 8 3 3"] = field(repr=False)  # all but the controller, `_parts`
+    measure: str = "singular values"  # largest one over directions, or "diagonal": largest entry on it
+
+    def controlled(self, pids: Sequence[Pid]) -> Complex128[np.ndarray, "frequencies 3"]:
+        """Responses of the controllers; of those that differ in their gains alone one is evaluated."""
+        found, alike = np.empty((len(self.omega), len(pids)), complex), {}
+        for k, pid in enumerate(pids):
+            shape = (pid.integrator, pid.differentiator, pid.low_pass, pid.low_pass_damping, pid.notches)
+            if shape not in alike:
+                alike[shape] = pid.gain, pid.frequency_response(self._warped)
+            gain, response = alike[shape]
+            found[:, k] = response * (pid.gain / gain)
+        return found
 
     @cached_property
-    def warped(self) -> Float64[np.ndarray, " frequencies"]:
-        """Where continuous controllers are evaluated for the grid: the same in every step of a search (rad/s)."""
+    def _warped(self) -> Float64[np.ndarray, " frequencies"]:
         return prewarped(self.omega, self.sample_time)
+
+    def at(self, pids: Sequence[Pid], omega: np.ndarray | None = None) -> "Sizes":
+        """Sizes of the loop functions on the grid, or at other frequencies (rad/s)."""
+        loop = self if omega is None else self.on(omega)
+        return Sizes(*_sizes(loop.parts, loop.controlled(pids), self.measure == "diagonal"))
+
+    def within(self, pids: Sequence[Pid], part: slice) -> "Sizes":
+        """Sizes on a part of the grid."""
+        return replace(self, omega=self.omega[part], parts=self.parts[part]).at(pids)
+
+    def denser(self, pids: Sequence[Pid]) -> "RigLoop":
+        """The loop on its grid with more points around every local maximum near the limit."""
+        values, w = np.array(self.at(pids)), self.omega
+        inner = (values[:, 1:-1] >= values[:, :-2]) & (values[:, 1:-1] >= values[:, 2:])
+        places = 1 + np.unique(np.nonzero(inner & (values[:, 1:-1] > 0.8 * SIX_DB))[1])
+        if not len(places):
+            return self
+        extra = np.concatenate([np.linspace(w[k - 1], w[k + 1], 19)[1:-1] for k in places])
+        more = self.on(np.setdiff1d(extra, w))
+        order = np.argsort(np.concatenate([w, more.omega]))
+        parts = np.concatenate([self.parts, more.parts])[order]
+        return replace(self, omega=np.concatenate([w, more.omega])[order], parts=parts)
 
     def on(self, omega: Float64[np.ndarray, " frequencies"]) -> "RigLoop":
         """The same loop on another grid (rad/s)."""
@@ -68,10 +109,38 @@ class RigLoop:
         controller = sampled_controller(pids, self.decoupling, self.sample_time)
         return closed_loop(zoh_modes(self.plant, self.sample_time), block, controller)
 
+    def poles(self, pids: Sequence[Pid]) -> Complex128[np.ndarray, " states"]:
+        """Closed-loop poles, rad/s."""
+        return continuous_poles(self.closed(pids).poles, self.sample_time)
+
     def radius(self, pids: Sequence[Pid]) -> float:
-        """Largest magnitude of the closed-loop poles; below 1 the loop is stable."""
-        balanced, _ = linalg.matrix_balance(self.closed(pids).a, permute=False)
-        return float(np.abs(linalg.eigvals(balanced)).max())
+        """Largest magnitude of the closed-loop poles in discrete time; below 1 the loop is stable."""
+        return float(np.exp(self.poles(pids).real.max() * self.sample_time))
+
+    def crossing_hz(self, pids: Sequence[Pid]) -> Float64[np.ndarray, "3"]:
+        """First 0 dB crossing of the diagonal entries of P_eq C_fb (Definition 1.2.1), Hz."""
+        upsilon, gamma = self.decoupling.sensing, self.decoupling.actuation
+
+        def gain(w, k: int) -> Complex128[np.ndarray, " frequencies"]:
+            # P_eq alone: a search asks for one point
+            _, _, n, seen = _around(self.plant, self.compensator, self.sample_time, w)
+            control = pids[k].frequency_response(prewarped(w, self.sample_time))
+            return (upsilon @ seen @ (n @ gamma))[:, k, k] * control
+
+        grid = np.abs(np.diagonal(self.parts[:, 0], axis1=1, axis2=2) * self.controlled(pids))
+        return np.array([crossover(partial(gain, k=k), self.omega, grid[:, k]) for k in range(3)]) / (
+            2 * np.pi
+        )
+
+
+class Sizes(NamedTuple):
+    """Largest singular value, or entry on the diagonal, of the loop functions over frequency, as `FUNCTIONS`."""
+
+    input_sensitivity: Float64[np.ndarray, " frequencies"]
+    input_sensitivity_2: Float64[np.ndarray, " frequencies"]
+    output_sensitivity: Float64[np.ndarray, " frequencies"]
+    output_sensitivity_2: Float64[np.ndarray, " frequencies"]
+    true_tracking: Float64[np.ndarray, " frequencies"]
 
 
 def make_rig_loop(
@@ -136,37 +205,6 @@ def _parts(p, o, n, seen, decoupling: EdgeDecoupling) -> Complex128[np.ndarray, 
     return np.ascontiguousarray(np.stack(np.broadcast_arrays(*terms), axis=1))
 
 
-def peaks(
-    loops: Sequence[RigLoop], pids: Sequence[Pid], measure: str = "singular values"
-) -> Float64[np.ndarray, "loops functions"]:
-    """Largest size of every loop function on the grid of every loop."""
-    return np.array([sizes(loop, pids, measure).max(axis=1) for loop in loops])
-
-
-def sizes(
-    loop: RigLoop, pids: Sequence[Pid], measure: str = "singular values"
-) -> Float64[np.ndarray, "functions frequencies"]:
-    """Size of the five loop functions over frequency: largest singular value, or magnitude on the diagonal."""
-    require_choice("measure", measure, MEASURES)
-    return _sizes(*_arrays(loop, pids), measure == "diagonal")
-
-
-def _arrays(loop: RigLoop, pids: Sequence[Pid]):
-    """All but the controller, and the controller; of PIDs that differ in their gains alone one is evaluated."""
-    control, alike = np.empty((len(loop.omega), len(pids)), complex), {}
-    for k, pid in enumerate(pids):
-        shape = (pid.integrator, pid.differentiator, pid.low_pass, pid.low_pass_damping, pid.notches)
-        if shape not in alike:
-            alike[shape] = pid.gain, pid.frequency_response(loop.warped)
-        gain, response = alike[shape]
-        control[:, k] = response * (pid.gain / gain)
-    return loop.parts, control
-
-
-class Infeasible(InputError):
-    """No bandwidth passes: a loop function exceeds its limit however slow the controller is."""
-
-
 class RigBandwidth(NamedTuple):
     """The largest feasible design of the rig."""
 
@@ -180,10 +218,10 @@ class RigBandwidth(NamedTuple):
     def active(self) -> str:
         """The loop function with the largest peak; the first of those that are equal but for rounding."""
         if self.pids is None:
-            raise Infeasible(
+            raise InputError(
                 "there is no design, so none of its loop functions is the largest; take another case"
             )
-        return FUNCTIONS[first_largest(self.peaks.max(axis=0))]
+        return SIGNS[FUNCTIONS[first_largest(self.peaks.max(axis=0))]]
 
 
 def no_bandwidth() -> RigBandwidth:
@@ -205,100 +243,41 @@ def maximise_rig_bandwidth(
     `family` gives the three PIDs from the design bandwidths of z and of both rotations (Hz).
 
     All directions are raised together first; then the rotations alone, then z alone, as far as each still can.
-    Along the way no peak exceeds the limit, so no pole can cross the unit circle; the start and the end are
-    checked by eigenvalues.
     """
-    require_choice("measure", measure, MEASURES)
-    if not loops:
-        raise InputError("loops is empty; give at least one position")
-    require_number("high_hz", high_hz, above=require_number("low_hz", low_hz, above=0.0))
-    loops, start = list(loops), low_hz
-    for _ in range(4):  # the grids gain points around the peaks that stop the search, until these stand
-        order, hints = list(range(len(loops))), [0] * len(loops)  # looked at first: what was exceeded last
+    loops = [replace(loop, measure=require_choice("measure", measure, MEASURES)) for loop in loops]
 
-        def feasible(z_hz: float, rotation_hz: float, order=order, hints=hints, loops=loops) -> bool:
-            pids = family(z_hz, rotation_hz)
-            for k in order:
-                found = _exceeded(*_arrays(loops[k], pids), measure == "diagonal", SIX_DB, hints[k])
-                if found >= 0:
-                    hints[k] = found
-                    order.remove(k)
-                    order.insert(0, k)
-                    return False
-            return True
+    def raised(along: Callable[[float], tuple[Pid, ...]], start: float) -> Bandwidth:
+        found = maximise_bandwidth(
+            loops,
+            along,
+            LIMITS,
+            start,
+            high_hz,
+            tolerance_hz=TOLERANCE_HZ,
+            refine=False,
+            lowest=True,
+            ratio=1.1,
+        )
+        if found.function == "the end of the search":
+            raise InputError(
+                f"all constraints hold even at high_hz = {high_hz:g}; raise it to find the limit"
+            )
+        return found
 
-        while not feasible(start, start):
-            if start == low_hz:
-                raise Infeasible(
-                    f"a loop function exceeds the limit at low_hz = {low_hz:g} already; lower it"
-                )
-            start = max(start / RATIO, low_hz)
-        z = rotation = _climb(lambda f: feasible(f, f), start, high_hz)
-        start = z / RATIO
-        rotation = _climb(lambda f, z=z: feasible(z, f), rotation, high_hz)
-        z = _climb(lambda f, r=rotation: feasible(f, r), z, high_hz)
-        pids = family(z, rotation)
-        finer = [_refined(loop, pids, measure) for loop in loops]
-        found = peaks(finer, pids, measure)
-        if found.max() <= SIX_DB * (1 + 5 * TOLERANCE):
+    for _ in range(6):  # the grids gain points around the peaks that stop the search, until these stand
+        together = raised(lambda hz: family(hz, hz), low_hz).design_hz
+        rotation = raised(lambda hz, z=together: family(z, hz), together).design_hz
+        last = raised(lambda hz, turned=rotation: family(hz, turned), together)
+        loops = [loop.denser(last.controller) for loop in loops]
+        found = np.array([np.max(loop.at(last.controller), axis=1) for loop in loops])
+        if found.max() <= SIX_DB * (1 + PEAK_TOLERANCE):
             break
-        loops = finer
-    if max(z, rotation) >= high_hz:
-        raise InputError(f"all constraints hold even at high_hz = {high_hz:g}; raise it to find the limit")
-    radius = np.array([loop.radius(pids) for loop in loops])
-    if np.any(radius >= 1):
-        raise InputError("the loop is unstable at low_hz already, although its peaks are low; lower low_hz")
-    crossings = np.array([_crossings(loop, pids) for loop in loops])
-    return RigBandwidth((z, rotation), crossings, pids, found, radius)
-
-
-def _climb(feasible, low: float, high: float) -> float:
-    """Step up from a feasible value until one is not, then bisect."""
-    good, bad = low, low * RATIO
-    while feasible(bad):
-        good, bad = bad, bad * RATIO
-        if good >= high:
-            return good
-    while bad > good * (1 + TOLERANCE):
-        middle = np.sqrt(good * bad)
-        good, bad = (middle, bad) if feasible(middle) else (good, middle)
-    return float(good)
-
-
-def _refined(loop: RigLoop, pids: Sequence[Pid], measure: str) -> RigLoop:
-    """The loop on its grid with more points around every local maximum near the limit."""
-    values = sizes(loop, pids, measure)
-    inner = (values[:, 1:-1] >= values[:, :-2]) & (values[:, 1:-1] >= values[:, 2:])
-    places = 1 + np.unique(np.nonzero(inner & (values[:, 1:-1] > 0.8 * SIX_DB))[1])
-    if not len(places):
-        return loop
-    w = loop.omega
-    extra = np.concatenate([np.linspace(w[k - 1], w[k + 1], 19)[1:-1] for k in places])
-    more = loop.on(np.setdiff1d(extra, w))
-    order = np.argsort(np.concatenate([w, more.omega]))
-    return replace(
-        loop,
-        omega=np.concatenate([w, more.omega])[order],
-        parts=np.concatenate([loop.parts, more.parts])[order],
-    )
-
-
-def _crossings(loop: RigLoop, pids: Sequence[Pid]) -> Float64[np.ndarray, "3"]:
-    """First 0 dB crossing (Hz) of the diagonal entries of P_eq C_fb (Definition 1.2.1)."""
-    upsilon, gamma = loop.decoupling.sensing, loop.decoupling.actuation
-
-    def gain(w, k: int) -> Complex128[np.ndarray, " frequencies"]:
-        # P_eq alone: a search asks for one point
-        _, _, n, seen = _around(loop.plant, loop.compensator, loop.sample_time, w)
-        control = pids[k].frequency_response(prewarped(w, loop.sample_time))
-        return (upsilon @ seen @ (n @ gamma))[:, k, k] * control
-
-    grid = loop.equivalent_plant()
-    found = [
-        crossover(partial(gain, k=k), loop.omega, np.abs(grid[k, k] * pid.frequency_response(loop.warped)))
-        for k, pid in enumerate(pids)
-    ]
-    return np.array(found) / (2 * np.pi)
+    else:
+        raise InputError(
+            "the peaks between the points of a grid do not settle; give loops with more frequencies"
+        )
+    radius = np.array([loop.radius(last.controller) for loop in loops])
+    return RigBandwidth((last.design_hz, rotation), last.crossing_hz, last.controller, found, radius)
 
 
 @kernel
@@ -312,26 +291,6 @@ def _sizes(parts, control, entries):
             square = _largest_entry_square(work[f]) if entries else _largest_square(work[f])
             found[f, k] = np.sqrt(square)
     return found
-
-
-@kernel
-def _exceeded(parts, control, entries, limit, first):
-    """Index of a frequency where a loop function exceeds the limit, or -1."""
-    count = parts.shape[0]
-    work = np.empty((8, 3, 3), np.complex128)
-    for i in range(count):
-        k = (first + i) % count
-        _functions(parts[k], control[k], work)
-        for f in range(5):
-            if entries:
-                square = _largest_entry_square(work[f])
-            else:
-                square = _sum_of_squares(work[f])  # no singular value exceeds its root
-                if not square <= limit * limit:
-                    square = _largest_square(work[f])
-            if not square <= limit * limit:
-                return k
-    return -1
 
 
 @pasted_kernel
@@ -389,15 +348,6 @@ def _largest_entry_square(a):
         if not size <= largest:
             largest = size
     return largest
-
-
-@pasted_kernel
-def _sum_of_squares(a):
-    total = 0.0
-    for i in range(3):
-        for j in range(3):
-            total += squared_size(a[i, j])
-    return total
 
 
 @pasted_kernel

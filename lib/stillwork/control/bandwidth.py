@@ -1,8 +1,9 @@
 """The largest bandwidth that keeps every loop stable and below its peak constraints: (3.2), (3.4), (3.35), (3.47)."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Complex128, Float64
@@ -15,7 +16,7 @@ from stillwork.control.crossover import crossover
 from stillwork.control.loops import LoopResponse, closed_loop, no_observer
 from stillwork.control.pid import Pid
 from stillwork.lti.delays import delayed
-from stillwork.lti.discretisation import prewarped, tustin, zoh_modes, zoh_response
+from stillwork.lti.discretisation import continuous_poles, prewarped, tustin, zoh_modes, zoh_response
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.peaks import Peak, refine_peak, resonance_grid
 from stillwork.lti.state_space import StateModel, interconnect
@@ -23,6 +24,12 @@ from stillwork.lti.state_space import StateModel, interconnect
 SIX_DB = 10 ** (6 / 20)  # not 2
 
 FUNCTIONS = ("input_sensitivity", "output_sensitivity", "true_tracking")
+# With plant and controller in the other order, (I + CP)^-1 beside (I + PC)^-1; a loop of one input has each once.
+OTHER_ORDER = ("input_sensitivity_2", "output_sensitivity_2")
+
+
+class Infeasible(InputError):
+    """No design within the range of a search is stable and below every constraint."""
 
 
 @by_value
@@ -33,7 +40,7 @@ class PeakConstraint:
     Parameters
     ----------
     function : str
-        One of `FUNCTIONS`, such as "output_sensitivity".
+        One of `FUNCTIONS`, such as "output_sensitivity", or of `OTHER_ORDER`.
     limit : float
         Largest magnitude, above 1; 6 dB by default.
 
@@ -48,12 +55,33 @@ class PeakConstraint:
     6.0
     """
 
-    function: str  # one of `FUNCTIONS`
+    function: str
     limit: float = SIX_DB  # largest magnitude, above 1
 
     def __post_init__(self):
-        require_choice("function", self.function, FUNCTIONS)
+        require_choice("function", self.function, (*FUNCTIONS, *OTHER_ORDER))
         require_number("limit", self.limit, above=1.0)
+
+
+@runtime_checkable
+class SearchLoop(Protocol):
+    """What a search asks of a loop, of any number of inputs and outputs; `Loop` is that of one."""
+
+    @property
+    def omega(self) -> Float64[np.ndarray, " frequencies"]:
+        """The loop's own grid, rad/s."""
+
+    def at(self, controller: Any, omega: np.ndarray | None = None) -> Any:
+        """The loop functions by their names, numbers or sizes of matrices, on a grid (rad/s)."""
+
+    def within(self, controller: Any, part: slice) -> Any:
+        """Likewise, on a part of the loop's own grid."""
+
+    def poles(self, controller: Any) -> Complex128[np.ndarray, " states"]:
+        """Closed-loop poles, rad/s."""
+
+    def crossing_hz(self, controller: Any) -> float | Float64[np.ndarray, " axes"]:
+        """First 0 dB crossings of what the controller sees, Hz."""
 
 
 @by_value
@@ -175,7 +203,7 @@ class Loop:
             _scaled(self.compensator, [unit, 1.0], [unit, 1.0]),
             _scaled(pid, [1.0], [unit]),
         )
-        return _continuous(linalg.eigvals(loop.a), self.sample_time)
+        return continuous_poles(linalg.eigvals(loop.a), self.sample_time)
 
     @checked
     def is_stable(self, controller: Pid) -> bool:
@@ -219,11 +247,6 @@ def _scaled(model: StateModel, inputs: list[float], outputs: list[float]) -> Sta
     """The model with its inputs and outputs in other units."""
     into, out = np.array(inputs), np.array(outputs)[:, None]
     return StateModel(model.a, model.b * into, model.c / out, model.d * into / out, model.sample_time)
-
-
-def _continuous(poles: np.ndarray, sample_time: float) -> np.ndarray:
-    """Discrete poles as a continuous model would have them, without those of pure delays at 0."""
-    return np.log(poles[np.abs(poles) > 1e-6].astype(complex)) / sample_time
 
 
 @checked
@@ -279,7 +302,7 @@ def make_loop(
         raise InputError(
             "compensator has another sample time than sample_time, or there is a delay without one"
         )
-    poles = _continuous(observer.poles, sample_time) if sample_time else observer.poles
+    poles = continuous_poles(observer.poles, sample_time) if sample_time else observer.poles
     high_hz = min(high_hz, 0.499 / sample_time) if sample_time else high_hz
     omega = resonance_grid(np.concatenate([plant.poles, poles]), low_hz, high_hz, points, around)
     loop = Loop(
@@ -300,8 +323,8 @@ class Bandwidth:
     """The largest feasible design, and what stops it."""
 
     design_hz: float  # parameter f_bw of the controller
-    crossing_hz: Float64[np.ndarray, " loops"]  # first 0 dB crossing of each loop
-    controller: Pid
+    crossing_hz: Float64[np.ndarray, "loops ..."]  # first 0 dB crossing of each loop, or of each of its axes
+    controller: Any  # what the family gave
     function: str  # the active constraint ...
     loop: int  # ... the loop it is active in ...
     peak: Peak  # ... and its peak there; "stability" and "the end of the search" have peak infinity
@@ -310,8 +333,8 @@ class Bandwidth:
 
 @checked(infinite=True)
 def maximise_bandwidth(
-    loops: Sequence[Loop],
-    family: Callable[[float], Pid],
+    loops: Sequence[SearchLoop],
+    family: Callable[[float], Pid | tuple[Pid, ...]],
     constraints: Sequence[PeakConstraint],
     low_hz: float = 10.0,
     high_hz: float = 150.0,
@@ -319,6 +342,7 @@ def maximise_bandwidth(
     tolerance_hz: float = 1e-4,
     refine: bool = True,
     lowest: bool = False,
+    ratio: float = 1.02,
 ) -> Bandwidth:
     """Largest design parameter for which every loop is stable and below every constraint.
 
@@ -329,9 +353,10 @@ def maximise_bandwidth(
     Parameters
     ----------
     loops : sequence of Loop
-        One a plant (position); the controller must serve all.
+        One a plant (position); the controller must serve all. Or of what answers as a `SearchLoop`, such as
+        loops of several inputs and outputs.
     family : callable
-        From the design parameter (Hz) to a controller.
+        From the design parameter (Hz) to a controller, or one for each axis.
     constraints : sequence of PeakConstraint
     low_hz, high_hz : float
         Range of the search.
@@ -343,7 +368,9 @@ def maximise_bandwidth(
         Search for the peaks between the grid points; without it the answer depends on the grid and is
         never below the true one.
     lowest : bool
-        Take the lowest interval, in steps of 2 % at most; one without an upper end stops at `high_hz`.
+        Take the lowest interval; one without an upper end stops at `high_hz`.
+    ratio : float
+        Ratio of two designs on the way up to the lowest interval's end, at most.
 
     Returns
     -------
@@ -370,25 +397,26 @@ def maximise_bandwidth(
     _require_some(loops, constraints)
     require_number("high_hz", high_hz, above=require_number("low_hz", low_hz, above=0.0))
     if lowest:
-        return _lowest(loops, family, constraints, low_hz, high_hz, tolerance_hz, refine)
+        require_number("ratio", ratio, above=1.0)
+        return _lowest(loops, family, constraints, low_hz, high_hz, tolerance_hz, refine, ratio)
     grid = np.linspace(low_hz, high_hz, require_count("scan", scan, at_least=2))
     above = None  # what was exceeded last, and is likely to be again
     for k in reversed(range(scan)):
-        controller = family(grid[k])
-        if above is not None and _still(*above, controller):
+        design = _Design(loops, family(grid[k]), constraints, refine)
+        if above is not None and _still(*above, design.controller):
             continue
-        above = _above(loops, controller, constraints)
-        if above is None and not _violation(loops, controller, constraints, refine):
+        above = design.above()
+        if above is None and not design.violation():
             break
     else:
-        raise InputError(
+        raise Infeasible(
             f"no bandwidth from {low_hz:g} to {high_hz:g} Hz is stable and below every constraint; "
             "lower low_hz, relax the constraints or look at the plants"
         )
     if k == len(grid) - 1:
         raise InputError(f"all constraints hold even at high_hz = {high_hz:g}; raise it to find the limit")
-    stopped = _violation(loops, family(grid[k + 1]), constraints, refine)
-    assert stopped is not None  # `_above` refuses nothing that is feasible
+    stopped = _Design(loops, family(grid[k + 1]), constraints, refine).violation()
+    assert stopped is not None  # `above` refuses nothing that is feasible
     return _bisected(loops, family, constraints, grid[k], grid[k + 1], stopped, tolerance_hz, refine)
 
 
@@ -413,43 +441,64 @@ def _bisected(
     resolved = max(require_number("tolerance_hz", tolerance_hz, above=0.0), np.spacing(bad))
     watched = {stopped[:2]}
     feasible, first = good, bad
+    designs: dict[float, _Design] = {}
+
+    def design(at: float) -> _Design:
+        return designs.setdefault(at, _Design(loops, family(at), constraints, refine))
+
     while True:
         good, bad = feasible, first
         while bad - good > resolved:
             middle = (good + bad) / 2
-            found = _violation(loops, family(middle), constraints, refine, watched)
-            good, bad = (middle, bad) if found is None else (good, middle)
-        found = None if good == feasible else _violation(loops, family(good), constraints, refine)
+            fails = design(middle).above(watched) or design(middle).violation(watched)
+            good, bad = (good, middle) if fails else (middle, bad)
+        found = design(good).violation()
         if found is None:
             break
+        if good == feasible:
+            raise InputError(
+                f"the design at {good:g} Hz is unstable, although its peaks are low; look at the plants"
+            )
         watched.add(found[:2])
     if bad < first:
-        stopped = _violation(loops, family(bad), constraints, refine) or stopped
-    controller = family(good)
+        stopped = design(bad).violation(watched) or stopped
+    controller = design(good).controller
     crossings = np.array([loop.crossing_hz(controller) for loop in loops])
     return Bandwidth(float(good), crossings, controller, *stopped)
 
 
 def _lowest(
-    loops, family, constraints, low_hz: float, high_hz: float, tolerance_hz: float, refine: bool
+    loops,
+    family,
+    constraints,
+    low_hz: float,
+    high_hz: float,
+    tolerance_hz: float,
+    refine: bool,
+    ratio: float,
 ) -> Bandwidth:
-    """See `maximise_bandwidth`."""
-    grid = np.geomspace(low_hz, high_hz, 2 + int(np.log(high_hz / low_hz) / np.log(1.02)))
-    first = None
+    """See `maximise_bandwidth`.
+
+    From a stable design no small step leads past the point -1 while the peaks at both of its ends are low: poles are
+    looked for at the first feasible design, and at the end.
+    """
+    grid = np.geomspace(low_hz, high_hz, 2 + int(np.log(high_hz / low_hz) / np.log(ratio)))
+    first, peaks = None, {(each.function, number) for each in constraints for number in range(len(loops))}
+    stopped: Violation | None = None
     for k, design_hz in enumerate(grid):
-        feasible = holds(loops, family(design_hz), constraints, refine)
-        if first is None and feasible:
-            first = k
-        if first is not None and not feasible:
+        design = _Design(loops, family(design_hz), constraints, refine)
+        fails = design.above() or design.violation(None if first is None else peaks)
+        if fails and (first is not None or not k):
+            stopped = design.violation()
+        if fails and first is not None:
             break
-    stopped = (
-        None if feasible else _violation(loops, family(grid[0 if first is None else k]), constraints, refine)
-    )
+        if first is None and not fails:
+            first, stopped = k, None
     if first is None:
         assert stopped is not None
         function, number, peak = stopped
         size = "" if np.isinf(peak.magnitude) else f" of {20 * np.log10(peak.magnitude):.1f} dB"
-        raise InputError(
+        raise Infeasible(
             f"no bandwidth from {low_hz:g} to {high_hz:g} Hz is stable and below every constraint; at {low_hz:g} Hz "
             f"{function.replace('_', ' ')} of loop {number + 1} fails at {peak.omega / (2 * np.pi):.4g} Hz"
             f"{f' with a peak{size}' if size else ''}"
@@ -465,73 +514,83 @@ def _lowest(
 
 @checked
 def holds(
-    loops: Sequence[Loop], controller: Pid, constraints: Sequence[PeakConstraint], refine: bool = True
+    loops: Sequence[SearchLoop],
+    controller: Pid | tuple[Pid, ...],
+    constraints: Sequence[PeakConstraint],
+    refine: bool = True,
 ) -> bool:
     """Whether every loop is stable and below every constraint, the cheapest refusal first."""
     _require_some(loops, constraints)
-    return _above(loops, controller, constraints) is None and not _violation(
-        loops, controller, constraints, refine
-    )
+    design = _Design(loops, controller, constraints, refine)
+    return design.above() is None and design.violation() is None
 
 
-def _above(
-    loops: Sequence[Loop], controller: Pid, constraints: Sequence[PeakConstraint]
-) -> tuple[Loop, PeakConstraint, slice] | None:
-    """The first loop and constraint that is exceeded on a grid, and where; None if there is none."""
-    for loop in loops:
-        response = loop.at(controller)
-        for constraint in constraints:
-            magnitude = np.abs(getattr(response, constraint.function))
-            place = int(magnitude.argmax())
-            if magnitude[place] > constraint.limit:
-                return loop, constraint, slice(place, place + 1)
-    return None
-
-
-def _still(loop: Loop, constraint: PeakConstraint, place: slice, controller: Pid) -> bool:
+def _still(loop: SearchLoop, constraint: PeakConstraint, place: slice, controller) -> bool:
     """Whether another controller exceeds the constraint at the same point of the grid."""
     response = getattr(loop.within(controller, place), constraint.function)
     return bool(np.abs(response[0]) > constraint.limit)
 
 
-def _violation(
-    loops: Sequence[Loop],
-    controller: Pid,
-    constraints: Sequence[PeakConstraint],
-    refine: bool,
-    watched: set[tuple[str, int]] | None = None,
-) -> Violation | None:
-    """The constraint that is exceeded most, or the loop that is unstable, or None; of the `watched` ones alone.
+class _Design:
+    """A controller under the constraints, and what its loops have answered: a search asks more than once."""
 
-    Of constraints that are exceeded equally, but for rounding, the first of the first loop: without an observer
-    S_I and S_O are one function.
-    """
-    worst, excess = None, 1.0
-    for number, loop in enumerate(loops):
-        asked = [each for each in constraints if watched is None or (each.function, number) in watched]
-        response = loop.at(controller) if asked else None
-        for constraint in asked:
-            name = constraint.function
-            magnitude = np.abs(getattr(response, name))
-            if magnitude.max() < 0.97 * constraint.limit * excess:  # no peak grows by 3 % between grid points
+    def __init__(
+        self, loops: Sequence[SearchLoop], controller, constraints: Sequence[PeakConstraint], refine: bool
+    ):
+        self.loops, self.controller, self.constraints, self.refine = loops, controller, constraints, refine
+        self._response = cache(lambda number: loops[number].at(controller))
+        self._poles = cache(lambda number: loops[number].poles(controller))
+        self._peak = cache(self._highest)
+
+    def _highest(self, number: int, name: str) -> Peak:
+        loop, magnitude = self.loops[number], self._magnitude(number, name)
+        if not self.refine:
+            return Peak(float(magnitude.max()), float(loop.omega[magnitude.argmax()]))
+        return refine_peak(
+            lambda w: getattr(loop.at(self.controller, w), name), loop.omega, magnitude, near=0.97
+        )
+
+    def _magnitude(self, number: int, name: str) -> np.ndarray:
+        return np.abs(getattr(self._response(number), name))
+
+    def _asked(self, watched: set[tuple[str, int]] | None) -> Iterator[tuple[int, PeakConstraint]]:
+        for number in range(len(self.loops)):
+            for constraint in self.constraints:
+                if watched is None or (constraint.function, number) in watched:
+                    yield number, constraint
+
+    def above(
+        self, watched: set[tuple[str, int]] | None = None
+    ) -> tuple[SearchLoop, PeakConstraint, slice] | None:
+        """The first loop and constraint that is exceeded on a grid, and where; None if there is none."""
+        for number, constraint in self._asked(watched):
+            magnitude = self._magnitude(number, constraint.function)
+            place = int(magnitude.argmax())
+            if magnitude[place] > constraint.limit:
+                return self.loops[number], constraint, slice(place, place + 1)
+        return None
+
+    def violation(self, watched: set[tuple[str, int]] | None = None) -> Violation | None:
+        """The constraint that is exceeded most, or the loop that is unstable, or None; of the `watched` ones alone.
+
+        Of constraints that are exceeded equally, but for rounding, the first of the first loop: without an observer
+        S_I and S_O are one function.
+        """
+        worst, excess = None, 1.0
+        for number, constraint in self._asked(watched):
+            name, limit = constraint.function, constraint.limit
+            if (
+                self._magnitude(number, name).max() < 0.97 * limit * excess
+            ):  # no peak grows by 3 % between grid points
                 continue
-            peak = Peak(float(magnitude.max()), float(loop.omega[magnitude.argmax()]))
-            if refine:
-                peak = refine_peak(
-                    lambda w, loop=loop, name=name: getattr(loop.at(controller, w), name),
-                    loop.omega,
-                    magnitude,
-                    near=0.97,
-                )
-            margin = 1.0 if worst is None else 1 + TIE
-            if peak.magnitude > margin * excess * constraint.limit:
-                worst, excess = (name, number, peak), peak.magnitude / constraint.limit
-    if worst is not None:
-        return worst
-    for number, loop in enumerate(loops):
-        if watched is not None and ("stability", number) not in watched:
-            continue
-        poles = loop.poles(controller)
-        if np.any(poles.real >= 0):
-            return "stability", number, Peak(np.inf, float(np.abs(poles[poles.real.argmax()].imag)))
-    return None
+            peak = self._peak(number, name)
+            if peak.magnitude > (1.0 if worst is None else 1 + TIE) * excess * limit:
+                worst, excess = (name, number, peak), peak.magnitude / limit
+        if worst is not None:
+            return worst
+        for number in range(len(self.loops)):
+            if watched is None or ("stability", number) in watched:
+                poles = self._poles(number)
+                if np.any(poles.real >= 0):
+                    return "stability", number, Peak(np.inf, float(np.abs(poles[poles.real.argmax()].imag)))
+        return None

@@ -178,6 +178,16 @@ class LoopResponse:
         """S_O."""
         return 1 / (1 + self.output_loop)
 
+    @property
+    def input_sensitivity_2(self) -> Complex128[np.ndarray, "... f"]:
+        """S_I in the other order of plant and controller, which is the same for one input and output."""
+        return self.input_sensitivity
+
+    @property
+    def output_sensitivity_2(self) -> Complex128[np.ndarray, "... f"]:
+        """S_O likewise."""
+        return self.output_sensitivity
+
     @cached_property
     def true_tracking(self) -> Complex128[np.ndarray, "... f"]:
         """From r to e_true."""

@@ -167,6 +167,14 @@ def prewarped(omega: Float64[np.ndarray, "..."], sample_time: float) -> Float64[
     return 2 / sample_time * np.tan(omega * sample_time / 2)
 
 
+@checked
+def continuous_poles(poles: ArrayLike, sample_time: float) -> Complex128[np.ndarray, " states"]:
+    """Discrete poles as a continuous model would have them (rad/s), without those of pure delays at 0."""
+    require_number("sample_time", sample_time, above=0.0)
+    poles = require_array("poles", poles, ndim=1, dtype=complex)
+    return np.log(poles[np.abs(poles) > 1e-6]) / sample_time
+
+
 def _require_continuous(model: StateModel) -> None:
     if model.sample_time:
         raise InputError("model is in discrete time already; give the continuous model")
