@@ -41,7 +41,7 @@ def public(folder: SimpleNamespace) -> Iterator[tuple[str, Callable]]:
             continue
         if inspect.isfunction(thing):
             yield name, thing
-        elif inspect.isclass(thing):
+        elif inspect.isclass(thing) and not getattr(thing, "_is_protocol", False):
             for method, value in list(vars(thing).items()):
                 function = getattr(value, "__func__", value)
                 if not method.startswith("_") and inspect.isfunction(function):

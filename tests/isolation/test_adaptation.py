@@ -312,7 +312,7 @@ def test_replay_and_stepper_name_the_same_sample(settings, burst):
         (lambda: FeRls([[1.0, 2.0], [0.0, 1.0]]), "initial_covariance is not symmetric"),
         (lambda: FeRls([[1.0, 2.0], [2.0, 1.0]]), "initial_covariance is not positive definite"),
         (lambda: FeRls(np.ones((2, 3))), "initial_covariance has shape"),
-        (lambda: FeRls([1.0, 1.0]).start(3), "there are 3 regressors"),
+        (lambda: FeRls([1.0, 1.0]).start(3), "for 3 regressors"),
         (lambda: FeRls(1.0).start(10**12), "do not fit together|too large"),
         (lambda: FeLms(0.0), "step_size is 0"),
         (lambda: FeLms(regularisation=-1.0), "regularisation is -1"),
@@ -324,7 +324,7 @@ def test_replay_and_stepper_name_the_same_sample(settings, burst):
         (lambda: identify(FeLms(), np.ones((2, 5)), np.ones((1, 5)), np.ones((2, 2))), "weights has shape"),
         (lambda: identify(FeLms(), np.ones((2, 5)), np.ones((1, 5)), every=0), "every is 0"),
         (lambda: AdaptationStepper(FeLms(), np.ones(3)), "weights has shape"),
-        (lambda: AdaptationStepper(FeRls([1.0, 1.0]), np.zeros((1, 3))), "there are 3 regressors"),
+        (lambda: AdaptationStepper(FeRls([1.0, 1.0]), np.zeros((1, 3))), "for 3 regressors"),
         (lambda: AdaptationStepper(FeLms(), np.zeros((1, 2))).update([1.0], [1.0]), "regressor has shape"),
         (
             lambda: AdaptationStepper(FeLms(), np.zeros((1, 2))).update([1.0, np.nan], [1.0]),

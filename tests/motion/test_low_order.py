@@ -212,7 +212,7 @@ def test_explorer_shows_the_states_it_has():
         (lambda: pick_poles(DIRECT, SETPOINT, (), -1), "order"),
         (
             lambda: fit_low_order(StateModel(DIRECT.a, DIRECT.b[:, :1], DIRECT.c, DIRECT.d[:, :1]), SETPOINT),
-            "inputs",
+            "loop has 1 input;",
         ),
     ],
 )

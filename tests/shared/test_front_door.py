@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -249,6 +250,14 @@ def test_what_a_readers_own_function_returns_is_asked():
         refine_peak(lambda omega: 1.0, np.array([1.0, 2.0]), np.array([1.0, 2.0]))
 
 
+def test_what_may_be_anything_is_taken_as_it_is():
+    @checked
+    def kept(value: Any, other: Any | None = None) -> list:
+        return [value, other]
+
+    assert kept("text") == ["text", None] and kept(None, kept) == [None, kept]
+
+
 def test_a_record_without_rows_is_named():
     regressors, disturbance = np.ones((3, 200)), np.ones((1, 200))
     with pytest.raises(InputError, match="disturbance has no rows"):
@@ -271,9 +280,9 @@ def test_read_only_records_of_one_actuator_are_taken(settings, run, tmp_path):
     np.testing.assert_array_equal(run(settings, mapped, frozen).weights, wanted.weights)
 
 
-# What is a form alone, and what asks each value itself: the checks, what a loop calls for each of its samples, the interface of scikit-learn.
+# What asks each value itself: the checks, what a loop calls for each of its samples, the interface of scikit-learn.
 OWN_DOORS = re.compile(
-    r"SearchLoop\.\w+|from_control|require_(noise|covariance|per_sample|sample_time|squares|finite_squares)|(Adaptation|Recursive)Stepper\.update|\w+Regressor\.fit"
+    r"from_control|require_(noise|covariance|per_sample|sample_time|squares|finite_squares)|(Adaptation|Recursive)Stepper\.update|\w+Regressor\.fit"
 )
 # What hands the parts of a recursion to its kernels, a sample at a time: `run` and the steppers have asked before.
 PARTS = {
@@ -294,7 +303,7 @@ def public_callables():
                     continue
                 if inspect.isfunction(thing):
                     yield name, thing
-                elif inspect.isclass(thing):
+                elif inspect.isclass(thing) and not getattr(thing, "_is_protocol", False):
                     for method, function in list(vars(thing).items()):
                         function = getattr(function, "__func__", function)
                         if not method.startswith("_") and inspect.isfunction(function):

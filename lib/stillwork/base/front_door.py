@@ -236,7 +236,8 @@ def _check(hint) -> Callable | None:
 
 def _is_kind(hint) -> bool:
     """Whether it is a class of which a value is taken as it is."""
-    if hint in _PLAIN or not inspect.isclass(hint) or typing.get_origin(hint) is not None:
+    # From Python 3.11 on `Any` is a class.
+    if hint in _PLAIN or hint is Any or not inspect.isclass(hint) or typing.get_origin(hint) is not None:
         return False
     return not issubclass(hint, AbstractArray)
 
