@@ -1,6 +1,7 @@
 """The shared linear models, held against python-control, high precision and closed forms."""
 
 import warnings
+from contextlib import suppress
 from dataclasses import replace
 
 import control
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 from scipy import signal
 
 from experiments.motion.machines import chain, stage
-from naive.motion import exponential, step_by_step
+from naive.motion import exact_h2_norm, exponential, step_by_step
 from stillwork import lti
 from stillwork.base.checks import InputError
 from stillwork.lti.delays import delayed
@@ -321,3 +322,30 @@ def test_sections_refuse_a_filter_that_has_no_discrete_twin():
         tustin_sections([-1.0, -2.0], [-3.0], 1.0, 0.1)
     with pytest.raises(InputError, match="tustin_sections has no result"):
         tustin_sections([], [20.0], 1.0, 0.1)
+
+
+def heat_capacities(rng, leak):
+    """Four in a row, driven and measured at the far end: A is symmetric, its slowest pole nearly an integrator."""
+    walls = 10 ** rng.uniform(-1, 1, 3)
+    a = np.diag(walls, 1) + np.diag(walls, -1)
+    a -= np.diag(a.sum(axis=1) + np.array([leak, 0, 0, 0]))
+    return a, np.eye(4)[:, 3:], np.eye(4)[3:]
+
+
+def nearly_integrating(rng, leak):
+    shapes, rates = rng.normal(size=(3, 3)), -np.array([leak, *rng.uniform(0.3, 2, 2)])
+    return shapes @ np.diag(rates) @ np.linalg.inv(shapes), rng.normal(size=(3, 1)), rng.normal(size=(1, 3))
+
+
+@pytest.mark.parametrize("make", [heat_capacities, nearly_integrating])
+@pytest.mark.parametrize("leak", [1e-3, 1e-5, 1e-7, 1e-9, 1e-11, 1e-13])
+def test_a_norm_beside_an_integrator_is_right_or_refused(make, leak):
+    rng, answered = np.random.default_rng(int(-np.log10(leak))), 0
+    for _ in range(6):
+        a, b, c = make(rng, leak)
+        model = lti.StateModel(a, b, c, np.zeros((1, 1)))
+        if model.is_stable:
+            with suppress(InputError):
+                assert lti.h2_norm(model) == pytest.approx(exact_h2_norm(a, b, c), rel=1e-6)
+                answered += 1
+    assert answered or leak < 1e-6
