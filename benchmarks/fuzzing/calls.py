@@ -41,7 +41,7 @@ RESULTS = {
 PARTS = {
     *("FeLms.trace_copies", "MinMax.bounds", "GrowingMinMax.bounds", "known_length", "empty_track"),
     *("LeastSquares.start", "LeastSquares.fill", "Ridge.start", "Ridge.fill"),
-    "require_covariance",  # a check itself
+    *("require_covariance", "require_squares", "require_finite_squares"),  # checks themselves
 }
 # Calls whose good arguments stand for a file or a machine that is not there.
 REFUSED = {"load_record", "load_machine", "build_machine", "from_control", "load_controller"}

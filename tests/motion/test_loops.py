@@ -215,10 +215,36 @@ def test_a_search_does_not_end_at_an_unstable_design_whose_peaks_are_low():
         poles=lambda pid: np.array([-1.0 if pid.gain < FAMILY(30.0).gain else 1.0 + 0j]),
         crossing_hz=lambda pid: 1.0,
     )
-    with pytest.raises(InputError, match="is unstable, although its peaks are low"):
-        maximise_bandwidth([unstable], FAMILY, [PeakConstraint("input_sensitivity")], 20.0, 60.0, lowest=True)
+    for limit in (SIX_DB, 100.0):
+        found = maximise_bandwidth(
+            [unstable], FAMILY, [PeakConstraint("input_sensitivity", limit)], 20.0, 60.0, lowest=True
+        )
+        assert found.design_hz == pytest.approx(30.0, abs=1e-3) and found.function == "stability"
     with pytest.raises(Infeasible, match="stability of loop 1 fails"):
         maximise_bandwidth([unstable], FAMILY, [PeakConstraint("input_sensitivity")], 40.0, 60.0, lowest=True)
+
+
+def test_a_loop_that_is_not_a_number_is_no_feasible_one():
+    class Broken(CoupledCarts):
+        def at(self, pids, omega=None):
+            found = super().at(pids, omega)
+            found.input_sensitivity[5:6] = np.nan
+            return found
+
+    limits, family = [PeakConstraint("input_sensitivity")], lambda hertz: (PidFamily(5.0)(hertz),) * 2
+    with pytest.raises(InputError, match=r"input_sensitivity of loop 1 is not a number at 0.1014 Hz"):
+        maximise_bandwidth([Broken()], family, limits, 1.5, 50.0, lowest=True)
+    with pytest.raises(InputError, match="is not a number"):
+        holds([Broken()], family(2.0), limits, refine=False)
+
+
+def test_an_error_of_a_readers_own_loop_comes_through():
+    class Empty(CoupledCarts):
+        def poles(self, pids):
+            raise ValueError("out of oil")
+
+    with pytest.raises(ValueError, match=r"^out of oil$"):
+        holds([Empty()], (PidFamily(5.0)(2.0),) * 2, [PeakConstraint("input_sensitivity")])
 
 
 @pytest.mark.parametrize("hertz", [20.0, 30.0])
@@ -252,6 +278,18 @@ def test_of_constraints_that_are_equal_but_for_rounding_the_first_is_active(firs
     ("call", "message"),
     [
         (lambda: maximise_bandwidth([], FAMILY, [PeakConstraint("input_sensitivity")]), "loops is empty"),
+        (
+            lambda: holds(
+                [make_loop(stage().at([0], [4]))], (FAMILY(20.0),), [PeakConstraint("true_tracking")]
+            ),
+            "give Pid",
+        ),
+        (
+            lambda: maximise_bandwidth(
+                [CoupledCarts()], FAMILY, [PeakConstraint("true_tracking")], ratio=1e6
+            ),
+            "ratio is 1e[+]06",
+        ),
         (lambda: maximise_bandwidth([make_loop(stage().at([0], [4]))], FAMILY, []), "constraints is empty"),
         (lambda: PeakConstraint("sensitivity"), "input_sensitivity"),
         (lambda: PeakConstraint("input_sensitivity", 0.9), "limit"),

@@ -318,7 +318,7 @@ def test_a_rule_by_tustin_responds_at_a_frequency_as_it_did_at_the_prewarped_one
 
 
 def test_sections_refuse_a_filter_that_has_no_discrete_twin():
-    with pytest.raises(InputError, match="zeros holds 2 values for 1 poles"):
+    with pytest.raises(InputError, match="zeros holds 2 values for 1 pole;"):
         tustin_sections([-1.0, -2.0], [-3.0], 1.0, 0.1)
     with pytest.raises(InputError, match="tustin_sections has no result"):
         tustin_sections([], [20.0], 1.0, 0.1)

@@ -26,15 +26,14 @@ from stillwork.lti.state_space import StateModel, interconnect
 
 # Section 6.1: both orders of the plant with the controller, at the controller and at the plant, and the true error.
 MEASURES = ("singular values", "diagonal")  # what "peak below 6 dB" means for a matrix is not printed
-FUNCTIONS = (
-    "input_sensitivity",
-    "input_sensitivity_2",
-    "output_sensitivity",
-    "output_sensitivity_2",
-    "true_tracking",
-)
-LIMITS = tuple(PeakConstraint(name) for name in FUNCTIONS)  # 6 dB
-SIGNS = dict(zip(FUNCTIONS, ("S_I", "S_I2", "S_O", "S_O2", "true_tracking"), strict=True))
+FUNCTIONS = {
+    "S_I": "input_sensitivity",
+    "S_I2": "input_sensitivity_2",
+    "S_O": "output_sensitivity",
+    "S_O2": "output_sensitivity_2",
+    "true_tracking": "true_tracking",
+}
+LIMITS = tuple(PeakConstraint(name) for name in FUNCTIONS.values())  # 6 dB
 
 TOLERANCE_HZ = 2e-3  # of a design
 PEAK_TOLERANCE = 1e-4  # relative, by which a peak may grow between the points of the last grid
@@ -134,7 +133,7 @@ class RigLoop:
 
 
 class Sizes(NamedTuple):
-    """Largest singular value, or entry on the diagonal, of the loop functions over frequency, as `FUNCTIONS`."""
+    """Largest singular value, or entry on the diagonal, of the loop functions over frequency, in the order of `FUNCTIONS`."""
 
     input_sensitivity: Float64[np.ndarray, " frequencies"]
     input_sensitivity_2: Float64[np.ndarray, " frequencies"]
@@ -221,7 +220,7 @@ class RigBandwidth(NamedTuple):
             raise InputError(
                 "there is no design, so none of its loop functions is the largest; take another case"
             )
-        return SIGNS[FUNCTIONS[first_largest(self.peaks.max(axis=0))]]
+        return list(FUNCTIONS)[first_largest(self.peaks.max(axis=0))]
 
 
 def no_bandwidth() -> RigBandwidth:

@@ -3,14 +3,15 @@
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
+from types import SimpleNamespace
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Complex128, Float64
 from scipy import linalg
 
-from stillwork.base.checks import InputError, require_choice, require_count, require_number
-from stillwork.base.front_door import by_value, check_fields, checked
+from stillwork.base.checks import InputError, require_choice, require_count, require_kind, require_number
+from stillwork.base.front_door import by_value, check_fields, checked, outside
 from stillwork.base.rounding import TIE
 from stillwork.control.crossover import crossover
 from stillwork.control.loops import LoopResponse, closed_loop, no_observer
@@ -28,8 +29,15 @@ FUNCTIONS = ("input_sensitivity", "output_sensitivity", "true_tracking")
 OTHER_ORDER = ("input_sensitivity_2", "output_sensitivity_2")
 
 
+SENSITIVITIES = tuple(name for name in (*FUNCTIONS, *OTHER_ORDER) if "sensitivity" in name)
+
+
 class Infeasible(InputError):
     """No design within the range of a search is stable and below every constraint."""
+
+
+class _Unstable(InputError):
+    """A design whose poles were not looked for on the way."""
 
 
 @by_value
@@ -394,12 +402,13 @@ def maximise_bandwidth(
     >>> round(best.design_hz, 2), best.function
     (19.06, 'input_sensitivity')
     """
-    _require_some(loops, constraints)
+    loops = _ready(loops, constraints)
     require_number("high_hz", high_hz, above=require_number("low_hz", low_hz, above=0.0))
+    require_number("ratio", ratio, at_least=1.001, at_most=2.0)
+    require_count("scan", scan, at_least=2)
     if lowest:
-        require_number("ratio", ratio, above=1.0)
         return _lowest(loops, family, constraints, low_hz, high_hz, tolerance_hz, refine, ratio)
-    grid = np.linspace(low_hz, high_hz, require_count("scan", scan, at_least=2))
+    grid = np.linspace(low_hz, high_hz, scan)
     above = None  # what was exceeded last, and is likely to be again
     for k in reversed(range(scan)):
         design = _Design(loops, family(grid[k]), constraints, refine)
@@ -420,11 +429,19 @@ def maximise_bandwidth(
     return _bisected(loops, family, constraints, grid[k], grid[k + 1], stopped, tolerance_hz, refine)
 
 
-def _require_some(loops, constraints) -> None:
+def _ready(loops, constraints) -> list[SearchLoop]:
+    """The loops, of which a reader's own raise errors of their own."""
     if not len(loops):
         raise InputError("loops is empty; give at least one plant")
     if not len(constraints):
         raise InputError("constraints is empty; without a peak constraint no bandwidth is the largest")
+    methods = ("at", "within", "poles", "crossing_hz")
+    return [
+        loop
+        if isinstance(loop, Loop)
+        else SimpleNamespace(omega=loop.omega, **{name: outside(getattr(loop, name)) for name in methods})
+        for loop in loops
+    ]
 
 
 Violation = tuple[str, int, Peak]  # function or "stability", number of the loop, peak
@@ -444,7 +461,9 @@ def _bisected(
     designs: dict[float, _Design] = {}
 
     def design(at: float) -> _Design:
-        return designs.setdefault(at, _Design(loops, family(at), constraints, refine))
+        if at not in designs:
+            designs[at] = _Design(loops, family(at), constraints, refine)
+        return designs[at]
 
     while True:
         good, bad = feasible, first
@@ -456,12 +475,10 @@ def _bisected(
         if found is None:
             break
         if good == feasible:
-            raise InputError(
-                f"the design at {good:g} Hz is unstable, although its peaks are low; look at the plants"
-            )
+            raise _Unstable(f"the design at {good:g} Hz is unstable, although its peaks are low")
         watched.add(found[:2])
     if bad < first:
-        stopped = design(bad).violation(watched) or stopped
+        stopped = design(bad).violation() or stopped
     controller = design(good).controller
     crossings = np.array([loop.crossing_hz(controller) for loop in loops])
     return Bandwidth(float(good), crossings, controller, *stopped)
@@ -476,18 +493,22 @@ def _lowest(
     tolerance_hz: float,
     refine: bool,
     ratio: float,
+    careful: bool = False,
 ) -> Bandwidth:
     """See `maximise_bandwidth`.
 
-    From a stable design no small step leads past the point -1 while the peaks at both of its ends are low: poles are
-    looked for at the first feasible design, and at the end.
+    A loop that keeps 1 / limit away from the point -1 does not get past it by a step of which its gain, in the square
+    of the bandwidth, grows by less: poles are looked for at the first feasible design and at the end alone, unless
+    `careful`.
     """
     grid = np.geomspace(low_hz, high_hz, 2 + int(np.log(high_hz / low_hz) / np.log(ratio)))
+    kept = [each.limit for each in constraints if each.function in SENSITIVITIES]
+    careful = careful or min(kept, default=np.inf) * (ratio**2 - 1) >= 1
     first, peaks = None, {(each.function, number) for each in constraints for number in range(len(loops))}
     stopped: Violation | None = None
     for k, design_hz in enumerate(grid):
         design = _Design(loops, family(design_hz), constraints, refine)
-        fails = design.above() or design.violation(None if first is None else peaks)
+        fails = design.above() or design.violation(None if first is None or careful else peaks)
         if fails and (first is not None or not k):
             stopped = design.violation()
         if fails and first is not None:
@@ -508,7 +529,10 @@ def _lowest(
         good = bad = grid[-1]
     else:
         good, bad = grid[k - 1], grid[k]
-    found = _bisected(loops, family, constraints, good, bad, stopped, tolerance_hz, refine)
+    try:
+        found = _bisected(loops, family, constraints, good, bad, stopped, tolerance_hz, refine)
+    except _Unstable:
+        return _lowest(loops, family, constraints, low_hz, high_hz, tolerance_hz, refine, ratio, careful=True)
     return replace(found, lowest_hz=float(grid[first]))
 
 
@@ -520,7 +544,7 @@ def holds(
     refine: bool = True,
 ) -> bool:
     """Whether every loop is stable and below every constraint, the cheapest refusal first."""
-    _require_some(loops, constraints)
+    loops = _ready(loops, constraints)
     design = _Design(loops, controller, constraints, refine)
     return design.above() is None and design.violation() is None
 
@@ -538,8 +562,11 @@ class _Design:
         self, loops: Sequence[SearchLoop], controller, constraints: Sequence[PeakConstraint], refine: bool
     ):
         self.loops, self.controller, self.constraints, self.refine = loops, controller, constraints, refine
+        if any(isinstance(loop, Loop) for loop in loops):
+            require_kind("controller", controller, Pid)  # that of several axes has one each
         self._response = cache(lambda number: loops[number].at(controller))
         self._poles = cache(lambda number: loops[number].poles(controller))
+        self._magnitude = cache(self._read)
         self._peak = cache(self._highest)
 
     def _highest(self, number: int, name: str) -> Peak:
@@ -550,8 +577,14 @@ class _Design:
             lambda w: getattr(loop.at(self.controller, w), name), loop.omega, magnitude, near=0.97
         )
 
-    def _magnitude(self, number: int, name: str) -> np.ndarray:
-        return np.abs(getattr(self._response(number), name))
+    def _read(self, number: int, name: str) -> np.ndarray:
+        magnitude = np.abs(getattr(self._response(number), name))
+        if np.isnan(magnitude.max()):
+            hertz = self.loops[number].omega[np.isnan(magnitude).argmax()] / (2 * np.pi)
+            raise InputError(
+                f"{name} of loop {number + 1} is not a number at {hertz:.4g} Hz; look at its plant"
+            )
+        return magnitude
 
     def _asked(self, watched: set[tuple[str, int]] | None) -> Iterator[tuple[int, PeakConstraint]]:
         for number in range(len(self.loops)):
@@ -566,7 +599,7 @@ class _Design:
         for number, constraint in self._asked(watched):
             magnitude = self._magnitude(number, constraint.function)
             place = int(magnitude.argmax())
-            if magnitude[place] > constraint.limit:
+            if not magnitude[place] <= constraint.limit:
                 return self.loops[number], constraint, slice(place, place + 1)
         return None
 
@@ -591,6 +624,6 @@ class _Design:
         for number in range(len(self.loops)):
             if watched is None or ("stability", number) in watched:
                 poles = self._poles(number)
-                if np.any(poles.real >= 0):
+                if not np.all(poles.real < 0):
                     return "stability", number, Peak(np.inf, float(np.abs(poles[poles.real.argmax()].imag)))
         return None

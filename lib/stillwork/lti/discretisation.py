@@ -5,7 +5,7 @@ from jaxtyping import Complex128, Float64
 from numpy.typing import ArrayLike
 from scipy import linalg, signal
 
-from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.base.checks import InputError, counted, require_array, require_number
 from stillwork.base.front_door import checked
 from stillwork.lti.modal import ModalModel
 from stillwork.lti.state_space import StateModel
@@ -155,14 +155,19 @@ def tustin_sections(
     )
     zeros, poles = (each if each.imag.any() else each.real for each in (zeros, poles))
     if len(zeros) > len(poles):
-        raise InputError(f"zeros holds {len(zeros)} values for {len(poles)} poles; give at most as many")
+        raise InputError(
+            f"zeros holds {len(zeros)} values for {counted(len(poles), 'pole')}; give at most as many"
+        )
     with np.errstate(all="ignore"):  # a pole at twice the rate has no twin, which the front door says
         return signal.zpk2sos(*signal.bilinear_zpk(zeros, poles, gain, 1 / sample_time))
 
 
 @checked
 def prewarped(omega: Float64[np.ndarray, "..."], sample_time: float) -> Float64[np.ndarray, "..."]:
-    """Frequencies that Tustin's rule takes to `omega` (rad/s): there a continuous controller responds like its rule."""
+    """Frequencies that Tustin's rule takes to `omega` (rad/s): there a continuous controller responds like its rule.
+
+    Beyond half of the sample rate, where a sampled response repeats itself, they repeat themselves, too.
+    """
     require_number("sample_time", sample_time, above=0.0)
     return 2 / sample_time * np.tan(omega * sample_time / 2)
 
