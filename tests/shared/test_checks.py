@@ -1,3 +1,6 @@
+from decimal import Decimal
+from fractions import Fraction
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -58,7 +61,21 @@ def test_a_finite_number_passes_unchanged(value):
 
 
 @pytest.mark.parametrize(
-    "value", [np.nan, np.inf, -np.inf, "three", None, [1.0, 2.0], True, np.True_, 1j, np.complex128(1 + 1j)]
+    "value",
+    [
+        np.nan,
+        np.inf,
+        -np.inf,
+        "three",
+        None,
+        [1.0, 2.0],
+        True,
+        np.True_,
+        1j,
+        np.complex128(1 + 1j),
+        Decimal("0.1"),
+        Fraction(1, 2),
+    ],
 )
 def test_what_is_no_finite_number_is_refused(value):
     with pytest.raises(InputError, match=r"x is .*give a finite number"):

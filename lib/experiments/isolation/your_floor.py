@@ -202,8 +202,11 @@ def crossing(gains: np.ndarray, left: dict[str, np.ndarray]) -> str:
         return f"Even {gains[0]:.2g} times as loud, the feedforward leaves less motion than the passive rig."
     if not pays.any():
         return f"Not even {gains[-1]:.2g} times as loud does the feedforward leave less motion than the passive rig."
+    if not pays[-1]:
+        some = _list(f"{gain:.2g}" for gain in gains[pays])
+        return f"Only {some} times as loud does the feedforward leave less motion than the passive rig."
     ratio = np.log(left["FeRLS"] / left["passive"])
-    at = int(np.argmax(pays))
+    at = 1 + int(np.flatnonzero(~pays)[-1])
     gain = np.exp(np.interp(0.0, -ratio[at - 1 : at + 1], np.log(gains[at - 1 : at + 1])))
     return f"The feedforward leaves less motion than the passive rig from {gain:.2g} times this floor's amplitude on."
 

@@ -92,7 +92,11 @@ def _float(value) -> float:
     """`value` as a float where it is one number: no text, no flag, no complex number, no missing one."""
     if isinstance(value, float) or type(value) is int:
         return float(value)
-    if np.ndim(value) or np.ma.is_masked(value) or np.asarray(value).dtype.kind not in "iufO":
+    if np.ndim(value) or np.ma.is_masked(value):
+        raise TypeError
+    if (
+        np.asarray(value).dtype.kind not in "iuf" and type(value) is not int
+    ):  # a decimal is kept where a float is wanted
         raise TypeError
     return float(value)
 

@@ -175,7 +175,7 @@ class FeRls:
     @checked
     def __post_init__(self):
         require_number("forgetting", self.forgetting, above=0.0, at_most=1.0)
-        if self.growth_limit != np.inf:
+        if not (isinstance(self.growth_limit, float) and self.growth_limit == np.inf):
             require_number("growth_limit", self.growth_limit, at_least=1.0)
         require_choice("form", self.form, ("safe", *FORMS))
         require_choice("dtype", self.dtype, ("float64", "float32"))
