@@ -14,23 +14,34 @@ from textwrap import dedent
 import numpy as np
 import pytest
 
+from stillwork.base.checks import require_number
+
 FOLDERS = ("signals", "lti", "identification", "estimation", "control")
 TOOLBOX = {name: import_module(f"stillwork.{name}") for name in FOLDERS}
 FACES = [f"{folder}.{name}" for folder, package in TOOLBOX.items() for name in package.__all__]
-# What holds, reads, runs or writes, and what was found for this toolbox: it has no source but itself.
-OUR_OWN = {
-    *("signals.Record", "signals.load_record", "lti.StateModel", "lti.from_control", "lti.resonance_grid"),
-    *(
-        "lti.simulate",
-        "identification.Identified",
-        "identification.build_machine",
-        "identification.load_machine",
+# What has no source but this toolbox, by the reason.
+NO_SOURCE = {
+    "holds what a person gives": (*("signals.Record", "estimation.Plant", "control.Mechanism"),),
+    "reads or writes what other programs hold": (
+        *(
+            "signals.load_record",
+            "lti.from_control",
+            "identification.load_machine",
+            "control.load_controller",
+        ),
+        "control.as_libraries",
     ),
-    *("identification.coloured_noise_bound", "estimation.AdaptationStepper", "estimation.NoiseIntensities"),
-    *("estimation.Plant", "estimation.RecursiveStepper", "estimation.filter_signal", "estimation.run"),
-    *("control.Mechanism", "control.PeakConstraint", "control.as_libraries", "control.asin_trajectory"),
-    *("control.load_controller", "control.make_loop", "control.tracking_error", "control.worst_factors"),
+    "runs what it is given, whose source stands there": (
+        *("lti.simulate", "identification.build_machine", "estimation.filter_signal", "estimation.run"),
+        "estimation.RecursiveStepper",
+    ),
+    "found for this toolbox": (
+        *("lti.resonance_grid", "identification.coloured_noise_bound", "control.asin_trajectory"),
+        "control.worst_factors",
+    ),
 }
+OUR_OWN = {face for faces in NO_SOURCE.values() for face in faces}
+REFUSES = re.compile(r"\braise \w|\brequire_\w+\(")
 SHAPED = re.compile(r'"[^"]*"')  # of a field: jaxtyping's sizes
 
 
@@ -95,15 +106,6 @@ def test_a_face_names_its_source(face):
     assert ("References" in sections(handed_out(face))) is not (face in OUR_OWN)
 
 
-@pytest.mark.parametrize("face", FACES)
-def test_the_methods_of_a_face_say_what_they_do(face):
-    thing = handed_out(face)
-    if inspect.isclass(thing):
-        methods = {name: each for name, each in vars(thing).items() if not name.startswith("_")}
-        called = {n: m for n, m in methods.items() if inspect.isfunction(m) or isinstance(m, property)}
-        assert [name for name, method in called.items() if not inspect.getdoc(method)] == []
-
-
 def given_back():
     """Classes of the toolbox that a face hands out, or that it returns, under their names."""
     found = {}
@@ -116,27 +118,59 @@ def given_back():
     return found
 
 
+def methods(thing):
+    """What people call of a class, by its name: its own, and what it has of a class of the toolbox."""
+    found = {name: inspect.unwrap(getattr(thing, name)) for name in dir(thing) if not name.startswith("_")}
+    homes = {
+        name: getattr(each, "__module__", None) or ""
+        for name, each in found.items()
+        if inspect.isroutine(each)
+    }
+    return {name: found[name] for name, home in homes.items() if home.startswith("stillwork.")}
+
+
+METHODS = {
+    f"{name}.{method}": each
+    for name, thing in given_back().items()
+    for method, each in methods(thing).items()
+}
+
+
+def untold_method(method):
+    """What is missing from a method's docstring: it refuses something where it says so, or has arguments checked."""
+    told, node = sections(method), ast.parse(dedent(inspect.getsource(method))).body[0]
+    wanted = [name for name in inspect.signature(method).parameters if name not in ("self", "cls")]
+    door = any("checked" in ast.unparse(each) for each in node.decorator_list)
+    gaps = [] if told[""].strip() else ["summary"]
+    if not (node.returns and ast.unparse(node.returns) == "None") and "Returns" not in told:
+        gaps.append("Returns")
+    if ((door and wanted) or REFUSES.search(ast.unparse(node))) and "Raises" not in told:
+        gaps.append("Raises")
+    if "Examples" not in told:
+        gaps.append("Examples")
+    return gaps + sorted(set(wanted) - listed(told.get("Parameters", "")))
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_a_method_tells_what_it_takes_gives_and_refuses(name):
+    assert untold_method(METHODS[name]) == []
+
+
 @pytest.mark.parametrize("name", given_back())
-def test_a_method_that_takes_something_says_what(name):
-    gaps = {}
-    for method, function in vars(given_back()[name]).items():
-        if not method.startswith("_") and inspect.isfunction(function):
-            wanted = set(inspect.signature(function).parameters) - {"self"}
-            if missing := wanted - listed(sections(inspect.unwrap(function)).get("Parameters", "")):
-                gaps[method] = missing
-    own_recursion = {"trace_copies", "bounds", "start", "fill"}  # parts of a recursion, for its stepper alone
-    assert {method: each for method, each in gaps.items() if method not in own_recursion} == {}
+def test_a_property_says_what_it_is(name):
+    held = {n: each for n, each in vars(given_back()[name]).items() if not n.startswith("_")}
+    assert [n for n, each in held.items() if isinstance(each, property) and not inspect.getdoc(each)] == []
 
 
 def run_examples():
-    """What went wrong in the example of each face; numpy is `np`, as everywhere, and the folders have their names."""
+    """What went wrong in each example; numpy is `np`, as everywhere, and the folders have their names."""
     found = {}
-    for face in FACES:
+    for name, thing in ({face: handed_out(face) for face in FACES} | METHODS).items():
         finder = doctest.DocTestFinder(recurse=False)
-        (example,) = finder.find(handed_out(face), face, globs={"np": np, **TOOLBOX})
+        (example,) = finder.find(thing, name, globs={"np": np, **TOOLBOX})
         said = [] if example.examples else ["no example\n"]
         doctest.DocTestRunner(verbose=False).run(example, out=said.append)
-        found[face] = "".join(said)
+        found[name] = "".join(said)
     return found
 
 
@@ -149,10 +183,9 @@ def outcomes(tmp_path_factory):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("face", FACES)
-def test_the_example_of_a_face_runs(face, outcomes):
-    assert "Examples" in sections(handed_out(face))
-    assert outcomes[face] == ""
+@pytest.mark.parametrize("name", [*FACES, *METHODS])
+def test_an_example_runs(name, outcomes):
+    assert outcomes[name] == ""
 
 
 def half_told(matrix, step) -> np.ndarray:
@@ -166,8 +199,16 @@ def half_told(matrix, step) -> np.ndarray:
     return np.zeros(2)
 
 
+class HalfTold:
+    def fit(self, matrix):
+        """One argument, which it may refuse."""
+        require_number("matrix", matrix)
+        return self
+
+
 def test_what_is_missing_is_found():
     assert untold(half_told) == ["Raises", "Returns", "step"]
+    assert untold_method(HalfTold.fit) == ["Returns", "Raises", "Examples", "matrix"]
 
 
 if __name__ == "__main__":

@@ -57,6 +57,10 @@ class PeakConstraint:
     InputError
         When there is no such loop function, or the limit is not above 1.
 
+    References
+    ----------
+    Verkerk, Improved accuracy of flexible systems by state estimation, thesis (2018), section 3.2, (3.4).
+
     Examples
     --------
     >>> round(float(20 * np.log10(control.PeakConstraint("output_sensitivity").limit)), 1)
@@ -122,6 +126,22 @@ class Loop:
             Frequencies, rad/s.
         held : bool
             With what sampling adds: the hold and the aliases.
+
+        Returns
+        -------
+        ndarray, shape (frequencies,)
+            Complex, m/N.
+
+        Raises
+        ------
+        InputError
+            When one of them is a pole, or is not finite.
+
+        Examples
+        --------
+        >>> mass = lti.ModalModel([0.0], [0.0], [[1.0]], [[0.1]], [[0.0]])  # 10 kg
+        >>> control.make_loop(mass).plant_at([10.0]).real.round(6)  # m/N: -1 / (10 kg (10 rad/s)^2)
+        array([-0.001])
         """
         if not self.sample_time:
             return self.plant.frequency_response(omega)[0, 0]
@@ -149,6 +169,23 @@ class Loop:
             C of this loop.
         omega : array_like, shape (frequencies,), optional
             Frequencies, rad/s; by default the loop's own grid.
+
+        Returns
+        -------
+        LoopResponse
+            The loop functions at these frequencies.
+
+        Raises
+        ------
+        InputError
+            When one of them is a pole, or is not finite.
+
+        Examples
+        --------
+        >>> mass = lti.ModalModel([0.0], [0.0], [[1.0]], [[0.1]], [[0.0]])  # 10 kg
+        >>> loop, pid = control.make_loop(mass), control.PidFamily(10.0)(50.0)
+        >>> np.abs(loop.at(pid, [1.0]).output_sensitivity) < 1e-3  # at 1 rad/s
+        array([ True])
         """
         if omega is None:
             return self.within(controller, slice(None))
@@ -165,6 +202,23 @@ class Loop:
             C of this loop.
         part : slice
             Of `omega`.
+
+        Returns
+        -------
+        LoopResponse
+            As of `at`.
+
+        Raises
+        ------
+        InputError
+            When an argument is not of its kind.
+
+        Examples
+        --------
+        >>> mass = lti.ModalModel([0.0], [0.0], [[1.0]], [[0.1]], [[0.0]])  # 10 kg
+        >>> loop, pid = control.make_loop(mass), control.PidFamily(10.0)(50.0)
+        >>> bool(np.abs(loop.within(pid, slice(0, 100)).loop).min() > 1)  # far below the crossing
+        True
         """
         return LoopResponse(
             self.plant_response[part],
@@ -183,10 +237,22 @@ class Loop:
         function : str
             Which of them.
 
+        Returns
+        -------
+        Peak
+            Its magnitude, and where it is, rad/s.
+
         Raises
         ------
         InputError
             When there is no such function.
+
+        Examples
+        --------
+        >>> mass = lti.ModalModel([0.0], [0.0], [[1.0]], [[0.1]], [[0.0]])  # 10 kg
+        >>> loop, pid = control.make_loop(mass), control.PidFamily(10.0)(50.0)
+        >>> round(loop.peak(pid, "output_sensitivity").magnitude, 3)  # below 6 dB
+        1.856
         """
         require_choice("function", function, FUNCTIONS)
         magnitude = np.abs(getattr(self.at(controller), function))
@@ -200,6 +266,23 @@ class Loop:
         ----------
         controller : Pid
             C of this loop.
+
+        Returns
+        -------
+        ndarray, shape (states,)
+            Of plant, compensator and controller.
+
+        Raises
+        ------
+        InputError
+            When an argument is not of its kind.
+
+        Examples
+        --------
+        >>> mass = lti.ModalModel([0.0], [0.0], [[1.0]], [[0.1]], [[0.0]])  # 10 kg
+        >>> loop, pid = control.make_loop(mass), control.PidFamily(10.0)(50.0)
+        >>> round(float(loop.poles(pid).real.max()), 1)  # the slowest, rad/s
+        -33.3
         """
         if not self.sample_time:
             a = closed_loop(self.plant, self.compensator, controller.state_space()).a
@@ -221,6 +304,24 @@ class Loop:
         ----------
         controller : Pid
             C of this loop.
+
+        Returns
+        -------
+        bool
+            False with a pole on the boundary.
+
+        Raises
+        ------
+        InputError
+            When an argument is not of its kind.
+
+        Examples
+        --------
+        >>> mass = lti.ModalModel([0.0], [0.0], [[1.0]], [[0.1]], [[0.0]])  # 10 kg
+        >>> loop, pid = control.make_loop(mass), control.PidFamily(10.0)(50.0)
+        >>> late = control.make_loop(mass, sample_time=1e-3, delay=10)
+        >>> loop.is_stable(pid), late.is_stable(pid)
+        (True, False)
         """
         return bool(np.all(self.poles(controller).real < 0))
 
@@ -242,10 +343,22 @@ class Loop:
         controller : Pid
             C of this loop.
 
+        Returns
+        -------
+        float
+            Hz.
+
         Raises
         ------
         InputError
             When the loop gain does not fall through 0 dB on the grid.
+
+        Examples
+        --------
+        >>> mass = lti.ModalModel([0.0], [0.0], [[1.0]], [[0.1]], [[0.0]])  # 10 kg
+        >>> loop, pid = control.make_loop(mass), control.PidFamily(10.0)(50.0)
+        >>> round(loop.crossing_hz(pid), 1)
+        52.5
         """
         gain = np.abs(self.at(controller).loop)
         return crossover(lambda w: self.at(controller, w).loop, self.omega, gain) / (2 * np.pi)
@@ -293,6 +406,10 @@ def make_loop(
     ------
     InputError
         When the plant has more than one input or output, or the compensator another sample time.
+
+    References
+    ----------
+    Verkerk, Improved accuracy of flexible systems by state estimation, thesis (2018), section 3.2.
 
     Examples
     --------

@@ -41,10 +41,23 @@ class Decoupling:
         model : ModalModel
             The machine, from its actuators to its sensors.
 
+        Returns
+        -------
+        ModalModel
+            As many inputs and outputs as modes that were told apart.
+
         Raises
         ------
         InputError
             When it has other numbers of actuators or sensors.
+
+        Examples
+        --------
+        >>> shapes = np.array([[0.3, 0.3], [0.5, -0.5]])  # translation and rotation, at two actuators
+        >>> beam = lti.ModalModel([0.0, 0.0], [0.0, 0.0], shapes, shapes.T, np.zeros((2, 2)))
+        >>> control.decouple(beam).apply(beam).input_shapes
+        array([[1., 0.],
+               [0., 1.]])
         """
         outputs, inputs = model.feedthrough.shape
         if (outputs, inputs) != (self.sensing.shape[1], len(self.actuation)):

@@ -167,8 +167,26 @@ class DigitalController:
         Parameters
         ----------
         inputs : ndarray, shape (inputs, samples)
+            e, in the units of their names.
         first : array_like, shape (outputs,), optional
             What acts when it takes over; without, it starts from a state of zero.
+
+        Returns
+        -------
+        ndarray, shape (outputs, samples)
+            f, limited and late by `delay`.
+
+        Raises
+        ------
+        InputError
+            When there is not one row an input, or one first output for each.
+
+        Examples
+        --------
+        >>> pid = lti.tustin(control.PidFamily(10.0)(50.0).state_space(), 1e-4)
+        >>> started = control.DigitalController(pid, ("e (m)",), ("f (N)",)).run(np.zeros((1, 3)), first=[5.0])
+        >>> started.round(9)  # N: it takes over without a bump
+        array([[5., 5., 5.]])
         """
         m, n = self.model, len(self.inputs)
         inputs = require_array("inputs", inputs, shape=(n, None))
@@ -189,7 +207,20 @@ class DigitalController:
         return outputs
 
     def as_dict(self) -> dict[str, Any]:
-        """What its file holds; an infinite limit is null."""
+        """What its file holds; an infinite limit is null.
+
+        Returns
+        -------
+        dict
+            Lists and numbers, as JSON holds them.
+
+        Examples
+        --------
+        >>> pid = lti.tustin(control.PidFamily(10.0)(50.0).state_space(), 1e-4)
+        >>> limited = control.DigitalController(pid, ("e (m)",), ("f (N)",), low=[-20.0])
+        >>> limited.as_dict()["low"], limited.as_dict()["high"]  # N
+        ([-20.0], [None])
+        """
         limits = {
             name: [None if np.isinf(x) else x for x in getattr(self, name).tolist()]
             for name in ("low", "high")

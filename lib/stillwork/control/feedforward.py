@@ -33,6 +33,7 @@ class Feedforward:
 
     @property
     def gains(self) -> Float64[np.ndarray, "4"]:
+        """Those of velocity, acceleration, jerk and snap."""
         return np.array([self.velocity, self.acceleration, self.jerk, self.snap], dtype=float)
 
     @checked
@@ -43,6 +44,25 @@ class Feedforward:
         ----------
         setpoint : Setpoint
             The move.
+
+        Returns
+        -------
+        ndarray, shape (samples,)
+            N.
+
+        Raises
+        ------
+        InputError
+            When it is no setpoint.
+
+        Examples
+        --------
+        >>> mass = lti.ModalModel([0.0], [0.0], [[1.0]], [[0.1]], [[0.0]])  # 10 kg
+        >>> loop = control.closed_loop(mass, None, control.PidFamily(10.0)(50.0).state_space())
+        >>> move = control.point_to_point(1e4, 100.0, 2.0, 0.1, cruise=0.02, settling=0.005, sample_time=1e-3)
+        >>> gains = control.fit_feedforward(control.error_loop(loop), move)
+        >>> float(gains.force(move).max().round(3))  # N: 10 kg at 2 m/s^2
+        20.0
         """
         return self.gains @ setpoint.derivatives[1:]
 
@@ -173,6 +193,10 @@ def tracking_error(
     ------
     InputError
         When the loop is unstable or none of `error_loop`.
+
+    References
+    ----------
+    Verkerk, Improved accuracy of flexible systems by state estimation, thesis (2018), (A.7).
 
     Examples
     --------

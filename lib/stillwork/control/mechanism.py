@@ -80,12 +80,32 @@ class Mechanism:
 
     @checked
     def mass(self, position: ArrayLike) -> Float64[np.ndarray, "coordinates coordinates"]:
-        """M at a position; an `InputError` where it is not positive definite.
+        """M at a position.
 
         Parameters
         ----------
         position : array_like, shape (coordinates,)
             q.
+
+        Returns
+        -------
+        ndarray, shape (coordinates, coordinates)
+            kg or kg m^2.
+
+        Raises
+        ------
+        InputError
+            When it is not positive definite there, or there is not one position for every coordinate.
+
+        Examples
+        --------
+        >>> def inertia(position, parameters, out):
+        ...     out[:] = parameters[0] * np.eye(2)
+        >>> def bias(position, velocity, parameters, out):
+        ...     out[:] = 0.0, 9.81 * parameters[0]
+        >>> load = control.Mechanism(inertia, bias, 2, [3.0])
+        >>> load.mass([0.0, 0.0]).diagonal()  # kg
+        array([3., 3.])
         """
         matrix = self._mass(require_array("position", position, shape=(self.coordinates,)))
         if not (np.isfinite(matrix).all() and np.linalg.eigvalsh(matrix)[0] > 0):
@@ -105,10 +125,25 @@ class Mechanism:
         position, velocity, acceleration : array_like, shape (coordinates,)
             q, q' and q''.
 
+        Returns
+        -------
+        ndarray, shape (coordinates,)
+            N or N m.
+
         Raises
         ------
         InputError
-            When there is not one of each for every coordinate.
+            When there is not one of each for every coordinate, or M is not positive definite.
+
+        Examples
+        --------
+        >>> def inertia(position, parameters, out):
+        ...     out[:] = parameters[0] * np.eye(2)
+        >>> def bias(position, velocity, parameters, out):
+        ...     out[:] = 0.0, 9.81 * parameters[0]
+        >>> load = control.Mechanism(inertia, bias, 2, [3.0])
+        >>> load.force([0.0, 0.0], [0.0, 0.0], [0.0, 0.0]).round(2)  # N: it is held up
+        array([ 0.  , 29.43])
         """
         shape = (self.coordinates,)
         place = require_array("position", position, shape=shape)
@@ -127,10 +162,25 @@ class Mechanism:
         position, velocity, force : array_like, shape (coordinates,)
             q, q' and u.
 
+        Returns
+        -------
+        ndarray, shape (coordinates,)
+            m/s^2 or rad/s^2.
+
         Raises
         ------
         InputError
             When there is not one of each for every coordinate, or M is not positive definite.
+
+        Examples
+        --------
+        >>> def inertia(position, parameters, out):
+        ...     out[:] = parameters[0] * np.eye(2)
+        >>> def bias(position, velocity, parameters, out):
+        ...     out[:] = 0.0, 9.81 * parameters[0]
+        >>> load = control.Mechanism(inertia, bias, 2, [3.0])
+        >>> load.acceleration([0.0, 0.0], [0.0, 0.0], [3.0, 0.0]).round(2)  # m/s^2: pushed, and falling
+        array([ 1.  , -9.81])
         """
         pushed = require_array("force", force, shape=(self.coordinates,))
         resisted = self.force(position, velocity, np.zeros(self.coordinates))

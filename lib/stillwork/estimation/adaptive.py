@@ -83,7 +83,23 @@ class FeLms:
         require_choice("trace", self.trace, ("regressors", "literal"))
 
     def trace_copies(self, actuators: int) -> float:
-        """How often the trace counts the power of the regressors."""
+        """How often the trace counts the power of the regressors.
+
+        Parameters
+        ----------
+        actuators : int
+            How many there are.
+
+        Returns
+        -------
+        float
+            1, or the number of actuators where the trace is read literally.
+
+        Examples
+        --------
+        >>> estimation.FeLms(0.5).trace_copies(6), estimation.FeLms(0.5, trace="literal").trace_copies(6)
+        (1.0, 6.0)
+        """
         return float(actuators) if self.trace == "literal" else 1.0
 
 
@@ -206,10 +222,21 @@ class FeRls:
         regressors : int
             n, how many there are.
 
+        Returns
+        -------
+        Recursion
+            What the recursion keeps before the first sample.
+
         Raises
         ------
         InputError
             When `initial_covariance` is of another size.
+
+        Examples
+        --------
+        >>> estimation.FeRls(1e3).start(2).covariance
+        array([[1000.,    0.],
+               [   0., 1000.]])
         """
         require_count("regressors", regressors)
         initial = self.initial_covariance

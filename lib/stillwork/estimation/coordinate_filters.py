@@ -89,7 +89,18 @@ class LowPass:
 
     @checked
     def packed(self) -> Packed:
-        """What the kernels take."""
+        """What the kernels take.
+
+        Returns
+        -------
+        Packed
+            For the kernel of `filter_signal`.
+
+        Examples
+        --------
+        >>> estimation.LowPass(100.0).packed().options  # rad/s
+        array([100.])
+        """
         return _packed(LOW_PASS, [self.bandwidth], (1, 1, 3))
 
 
@@ -145,7 +156,29 @@ class _KalmanFilter:
 
     @checked
     def start(self, velocity: float = 0.0) -> FilterState:
-        """State before the first sample, with the velocity that is presumed then, m/s."""
+        """State before the first sample.
+
+        Parameters
+        ----------
+        velocity : float
+            Presumed then, m/s.
+
+        Returns
+        -------
+        FilterState
+            For `step`.
+
+        Raises
+        ------
+        InputError
+            When the velocity is no number.
+
+        Examples
+        --------
+        >>> slide = estimation.Plant(lambda q, v, f, p: f / p[0], lambda q, v, a, p: p[0] * a, [2.0])
+        >>> estimation.UnscentedKalman(slide).start(velocity=1.0).estimate  # m, m/s, m/s^2
+        array([0., 1., 0.])
+        """
         return FilterState(np.array([0.0, require_number("velocity", velocity), 0.0]), self.packed().work)
 
     @checked
@@ -165,11 +198,24 @@ class _KalmanFilter:
         sample_time : float
             Since the sample before, s.
 
+        Returns
+        -------
+        FilterState
+            The estimate after it, and what the filter needs for the next.
+
         Raises
         ------
         InputError
             For a first measurement that is missing, numbers that cannot be used, or a covariance that is no longer
             positive definite.
+
+        Examples
+        --------
+        >>> slide = estimation.Plant(lambda q, v, f, p: f / p[0], lambda q, v, a, p: p[0] * a, [2.0])
+        >>> kalman = estimation.UnscentedKalman(slide)
+        >>> state = kalman.step(kalman.start(velocity=1.0), 0.001)
+        >>> kalman.step(state, np.nan).estimate[:2].round(6)  # a lost sample, a millisecond on: m, m/s
+        array([0.002, 1.   ])
         """
         measured = float(require_array("measured", measured, shape=(), missing=True))
         if math.isnan(measured) and not state.work.any():
@@ -251,7 +297,19 @@ class UnscentedKalman(_KalmanFilter):
 
     @checked
     def packed(self) -> Packed:
-        """What the kernels take."""
+        """What the kernels take.
+
+        Returns
+        -------
+        Packed
+            For the kernel of `filter_signal`.
+
+        Examples
+        --------
+        >>> slide = estimation.Plant(lambda q, v, f, p: f / p[0], lambda q, v, a, p: p[0] * a, [2.0])
+        >>> estimation.UnscentedKalman(slide, noise=(1e-2, 1e-6)).packed().noise.diagonal()
+        array([1.e-02, 1.e-06])
+        """
         options = [*self.points.weights(2), float(self.literal), self.initial_variance]
         return _packed(UNSCENTED, options, (BLOCKS, 5, 2), self.process, self.noise)
 
@@ -312,7 +370,19 @@ class ExtendedKalman(_KalmanFilter):
 
     @checked
     def packed(self) -> Packed:
-        """What the kernels take."""
+        """What the kernels take.
+
+        Returns
+        -------
+        Packed
+            For the kernel of `filter_signal`.
+
+        Examples
+        --------
+        >>> slide = estimation.Plant(lambda q, v, f, p: f / p[0], lambda q, v, a, p: p[0] * a, [2.0])
+        >>> estimation.ExtendedKalman(slide, noise_deviation=1e-3).packed().noise.round(9)  # m^2
+        array([[1.e-06]])
+        """
         process = np.diag([self.velocity_step**2, 0.0, self.disturbance_step**2])
         options = np.square(np.asarray(self.initial_deviation, dtype=float))
         return _packed(EXTENDED, options, (BLOCKS, 5, 3), process, [[self.noise_deviation**2]])

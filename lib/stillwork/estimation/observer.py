@@ -30,6 +30,10 @@ class NoiseIntensities:
     InputError
         When an intensity is not positive.
 
+    References
+    ----------
+    Verkerk, Improved accuracy of flexible systems by state estimation, thesis (2018), section 3.1.
+
     Examples
     --------
     >>> estimation.NoiseIntensities(process=1.0, sensor=1e-12).sensor  # m^2: 1 um
@@ -63,10 +67,22 @@ class FlexibleEstimates:
         quantity : str
             ``position`` or ``velocity``.
 
+        Returns
+        -------
+        ndarray, shape (signals, states)
+            One row a signal.
+
         Raises
         ------
         InputError
             When the weights do not fit the modes of the model.
+
+        Examples
+        --------
+        >>> stage = lti.ModalModel([0.0, 600.0], [0.0, 0.01], [[0.3], [0.3]], [[0.3, -0.3]], [[0.0]])
+        >>> observer = estimation.kalman_observer(stage, estimation.NoiseIntensities(process=1.0, sensor=1e-12))
+        >>> observer.read([[1.0]], "velocity")  # rigid-body position and velocity, then the flexible mode's
+        array([[0., 0., 0., 1.]])
         """
         require_choice("quantity", quantity, ("position", "velocity"))
         rigid = self.model.rigid_modes
@@ -91,10 +107,22 @@ class FlexibleEstimates:
         gain : array_like, shape (inputs, modal states)
             On positions and velocities in turn.
 
+        Returns
+        -------
+        ndarray, shape (inputs, states)
+            One row an input.
+
         Raises
         ------
         InputError
             When the gain does not fit the modes of the model.
+
+        Examples
+        --------
+        >>> stage = lti.ModalModel([0.0, 600.0], [0.0, 0.01], [[0.3], [0.3]], [[0.3, -0.3]], [[0.0]])
+        >>> observer = estimation.kalman_observer(stage, estimation.NoiseIntensities(process=1.0, sensor=1e-12))
+        >>> observer.feedback([[5.0, 6.0, 100.0, 2.0]])
+        array([[  0.,   0., 100.,   2.]])
         """
         flexible = gain[:, 2 * self.model.rigid_modes :]
         return self.read(flexible[:, ::2]) + self.read(flexible[:, 1::2], "velocity")
@@ -143,10 +171,22 @@ class Observer(FlexibleEstimates):
         rows : array_like, shape (signals, states)
             Weights of the estimated states, e.g. of `read`.
 
+        Returns
+        -------
+        StateModel
+            Inputs (u, y), as many outputs as rows.
+
         Raises
         ------
         InputError
             When the rows do not fit the states.
+
+        Examples
+        --------
+        >>> stage = lti.ModalModel([0.0, 600.0], [0.0, 0.01], [[0.3], [0.3]], [[0.3, -0.3]], [[0.0]])
+        >>> observer = estimation.kalman_observer(stage, estimation.NoiseIntensities(process=1.0, sensor=1e-12))
+        >>> observer.estimator(observer.read([[-0.3]])).d.shape  # position of the sensor by the flexible mode
+        (1, 2)
         """
         b = np.hstack([self.b - self.gain @ self.model.feedthrough, self.gain])
         return StateModel(self.a - self.gain @ self.c, b, rows, np.zeros((len(rows), b.shape[1])))

@@ -174,6 +174,11 @@ class AdaptationStepper:
     InputError
         When a sample is not finite or not of the size of the first.
 
+    References
+    ----------
+    The work that extends Beijen, Heertjes, van Dijk, Hakvoort, Control Engineering Practice 72 (2018), by FeRLS,
+    section 4.
+
     Examples
     --------
     >>> stepper = estimation.AdaptationStepper(estimation.FeRls(1e3), np.zeros((1, 1)))
@@ -210,12 +215,23 @@ class AdaptationStepper:
         error : array_like, shape (actuators,)
             e.
 
+        Returns
+        -------
+        ndarray, shape (actuators, n)
+            The new weights, a copy.
+
         Raises
         ------
         InputError
             Wrong shape or NaN.
         UnstableAdaptation
             The update could not be used.
+
+        Examples
+        --------
+        >>> stepper = estimation.AdaptationStepper(estimation.FeLms(1.0), [[0.0]])  # e = 0.5 psi: W should be -0.5
+        >>> stepper.update([2.0], [1.0]).round(3)
+        array([[-0.5]])
         """
         actuators, n = self.weights.shape
         regressor = require_array("regressor", regressor, shape=(n,))

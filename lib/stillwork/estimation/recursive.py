@@ -175,7 +175,7 @@ class RecursiveStepper:
         self._lay_out(state)
 
     def update(self, regressor: ArrayLike, output: float) -> np.ndarray:
-        """Use one sample; returns the new estimate, shape (unknowns,).
+        """Use one sample.
 
         Parameters
         ----------
@@ -183,6 +183,11 @@ class RecursiveStepper:
             Of this sample.
         output : float
             What was measured with it.
+
+        Returns
+        -------
+        ndarray, shape (unknowns,)
+            The new estimate.
 
         Raises
         ------
@@ -194,6 +199,13 @@ class RecursiveStepper:
         -----
         ZeroEstimateWarning
             At the first sample, once there are more than unknowns, at which a min-max bound makes the estimate zero.
+
+        Examples
+        --------
+        >>> stepper = estimation.RecursiveStepper(estimation.LeastSquares(0.98), unknowns=2)
+        >>> _ = stepper.update([1.0, 0.0], 2.0)
+        >>> stepper.update([1.0, 1.0], 5.0).round(2)
+        array([2., 3.])
         """
         # Nearly all samples come as they are wanted: for them the full checks would cost more than the update.
         if (

@@ -27,7 +27,23 @@ class Track:
 class _Recursion:
     # The state stands apart from the settings, so one estimator serves many records.
     def bounds(self, first: int, count: int) -> np.ndarray:
-        """eta of `count` samples from sample `first` on; zero where nothing is doubted."""
+        """eta of `count` samples from sample `first` on; zero where nothing is doubted.
+
+        Parameters
+        ----------
+        first, count : int
+            The first sample, from 0, and how many.
+
+        Returns
+        -------
+        ndarray, shape (count,)
+            In the unit of the regressors.
+
+        Examples
+        --------
+        >>> estimation.LeastSquares(0.98).bounds(0, 3)
+        array([0., 0., 0.])
+        """
         return np.zeros(count)
 
     def fill(self, state, bounds, rows, outputs, *track) -> None:
@@ -35,7 +51,31 @@ class _Recursion:
         raise NotImplementedError
 
     def advance(self, state, first: int, rows, outputs) -> Track:
-        """Take in rows from sample `first` on; the state is changed in place."""
+        """Take in rows from sample `first` on; the state is changed in place.
+
+        Parameters
+        ----------
+        state : tuple of ndarray
+            From `start`; changed in place.
+        first : int
+            Number of the first of these samples.
+        rows : ndarray, shape (rows, unknowns)
+            Regressors, one a sample.
+        outputs : ndarray, shape (rows,)
+            Measured with them.
+
+        Returns
+        -------
+        Track
+            Of these samples alone.
+
+        Examples
+        --------
+        >>> settings = estimation.LeastSquares(0.98)
+        >>> state = settings.start(unknowns=1)
+        >>> settings.advance(state, 0, np.ones((3, 1)), 2 * np.ones(3)).errors.round(2)
+        array([2., 0., 0.])
+        """
         out = empty_track(rows)
         self.fill(state, self.bounds(first, len(rows)), rows, outputs, *out)
         estimates, *others = out
@@ -52,6 +92,25 @@ class _MinMaxUpdate(_Recursion):
         return 1.0
 
     def start(self, unknowns: int) -> tuple[np.ndarray, ...]:
+        """State before the first sample.
+
+        Parameters
+        ----------
+        unknowns : int
+            Number of parameters.
+
+        Returns
+        -------
+        tuple of ndarray
+            R, s and what the update of alpha keeps; of ``fast`` the eigenvalues and eigenvectors of R.
+
+        Examples
+        --------
+        >>> settings = estimation.MinMax(bound=0.5, forgetting=0.98)
+        >>> settings.start(unknowns=2)[0]  # nothing is known
+        array([[0., 0.],
+               [0., 0.]])
+        """
         square = np.zeros((unknowns, unknowns))
         state = (square, np.zeros(unknowns), np.array([np.inf, 0.0, 0.0]), np.zeros(unknowns))
         if self.update == "fast":
@@ -59,6 +118,30 @@ class _MinMaxUpdate(_Recursion):
         return (*state, np.zeros((unknowns, unknowns)), np.zeros(unknowns))
 
     def fill(self, state, bounds, rows, outputs, *track) -> None:
+        """As `advance`, into arrays that are there.
+
+        Parameters
+        ----------
+        state : tuple of ndarray
+            From `start`; changed in place.
+        bounds : ndarray, shape (rows,)
+            From `bounds`.
+        rows : ndarray, shape (rows, unknowns)
+            Regressors, one a sample.
+        outputs : ndarray, shape (rows,)
+            Measured with them.
+        track : ndarray
+            The arrays of `empty_track`; changed in place.
+
+        Examples
+        --------
+        >>> settings = estimation.MinMax(bound=0.5, forgetting=0.98)
+        >>> state, estimates = settings.start(unknowns=1), np.zeros((3, 1))
+        >>> rows, track = np.ones((3, 1)), (estimates, np.zeros(3), np.zeros(3), np.zeros(3, int))
+        >>> settings.fill(state, settings.bounds(0, 3), rows, 2 * np.ones(3), *track)
+        >>> bool(0 < estimates[-1, 0] < 2)  # doubt shrinks
+        True
+        """
         if self.update == "fast":
             rank_one.run_fast(rows, outputs, bounds, self._weight, *state, *track)
         else:
@@ -133,7 +216,23 @@ class MinMax(_MinMaxUpdate):
         return float(self.forgetting)
 
     def bounds(self, first: int, count: int) -> np.ndarray:
-        """The bound at each of `count` samples."""
+        """The bound at each of `count` samples.
+
+        Parameters
+        ----------
+        first, count : int
+            The first sample, from 0, and how many.
+
+        Returns
+        -------
+        ndarray, shape (count,)
+            In the unit of the regressors.
+
+        Examples
+        --------
+        >>> estimation.MinMax(bound=0.5, forgetting=0.98).bounds(0, 3)
+        array([0.5, 0.5, 0.5])
+        """
         return np.full(count, float(self.bound))
 
 
@@ -200,13 +299,52 @@ class LeastSquares(_Recursion):
             require_number("growth_limit", self.growth_limit, at_least=1.0)
 
     def start(self, unknowns: int) -> tuple[np.ndarray, ...]:
-        """P, x and the limits of the diagonal of P before the first sample."""
+        """P, x and the limits of the diagonal of P before the first sample.
+
+        Parameters
+        ----------
+        unknowns : int
+            Number of parameters.
+
+        Returns
+        -------
+        tuple of ndarray
+            Of shapes (unknowns, unknowns), (unknowns,) and (unknowns,).
+
+        Examples
+        --------
+        >>> estimation.LeastSquares(0.98, initial_covariance=1e3).start(unknowns=1)[0]
+        array([[1000.]])
+        """
         initial = float(self.initial_covariance)
         limits = np.full(unknowns, initial * float(self.growth_limit))
         return initial * np.eye(unknowns), np.zeros(unknowns), limits
 
     def fill(self, state, bounds, rows, outputs, *track) -> None:
-        """As of all estimators, without bounds."""
+        """As of all estimators, without bounds.
+
+        Parameters
+        ----------
+        state : tuple of ndarray
+            From `start`; changed in place.
+        bounds : ndarray, shape (rows,)
+            From `bounds`.
+        rows : ndarray, shape (rows, unknowns)
+            Regressors, one a sample.
+        outputs : ndarray, shape (rows,)
+            Measured with them.
+        track : ndarray
+            The arrays of `empty_track`; changed in place.
+
+        Examples
+        --------
+        >>> settings = estimation.LeastSquares(0.98)
+        >>> state, estimates = settings.start(unknowns=1), np.zeros((3, 1))
+        >>> rows, track = np.ones((3, 1)), (estimates, np.zeros(3), np.zeros(3), np.zeros(3, int))
+        >>> settings.fill(state, settings.bounds(0, 3), rows, 2 * np.ones(3), *track)
+        >>> estimates[-1].round(3)
+        array([2.])
+        """
         run_least_squares(rows, outputs, float(self.forgetting), *state, *track[:2])
 
 

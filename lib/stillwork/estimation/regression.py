@@ -40,11 +40,48 @@ class _LinearRegressor:
     complex_data: Any
 
     def get_params(self, deep=True):
-        """Parameters by name; scikit-learn's `deep` asks for those of parts, of which there are none."""
+        """Parameters by name.
+
+        Parameters
+        ----------
+        deep : bool
+            For scikit-learn, which asks for parameters of parts; there are none.
+
+        Returns
+        -------
+        dict
+            For another estimator of this kind, or for `set_params`.
+
+        Examples
+        --------
+        >>> estimation.LeastMeanSquares(step_size=0.5).get_params()["step_size"]
+        0.5
+        """
         return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
 
     def set_params(self, **parameters):
-        """Change parameters by name; returns the estimator."""
+        """Change parameters by name.
+
+        Parameters
+        ----------
+        parameters : object
+            New values.
+
+        Returns
+        -------
+        estimator
+            Itself.
+
+        Raises
+        ------
+        InputError
+            When there is no such parameter; a value is judged by the next `fit` or `partial_fit`.
+
+        Examples
+        --------
+        >>> estimation.LeastMeanSquares().set_params(step_size=0.5).step_size
+        0.5
+        """
         known = self.get_params()
         for name, value in parameters.items():
             if name not in known:
@@ -55,25 +92,110 @@ class _LinearRegressor:
         return self
 
     def fit(self, X, y):
-        """Learn from samples in their order, from the start; returns the estimator.
+        """Learn from samples in their order, from the start.
 
         Parameters
         ----------
         X : array_like, shape (samples, features)
         y : array_like, shape (samples,) or (samples, outputs)
+
+        Returns
+        -------
+        estimator
+            Itself, with `coef_`.
+
+        Raises
+        ------
+        InputError
+            When a setting is out of its range, a table does not fit, or no sample is without NaN.
+
+        Examples
+        --------
+        >>> estimation.LeastMeanSquares(step_size=1.0).fit([[1.0], [2.0]], [3.0, 6.0]).coef_.round(3)
+        array([3.])
         """
         return self._learn(X, y, None, anew=True, whole=True)
 
     def partial_fit(self, X, y):
-        """Learn from the samples that follow those of the calls before, as `fit` does of all at once."""
+        """Learn from the samples that follow those of the calls before, as `fit` does of all at once.
+
+        Parameters
+        ----------
+        X : array_like, shape (samples, features)
+        y : array_like, shape (samples,) or (samples, outputs)
+
+        Returns
+        -------
+        estimator
+            Itself, with `coef_`.
+
+        Raises
+        ------
+        InputError
+            As `fit` does, and when the numbers of features or outputs differ from those before; nothing is then kept.
+
+        Examples
+        --------
+        >>> lms = estimation.LeastMeanSquares(step_size=1.0).partial_fit([[1.0]], [2.0])
+        >>> lms.partial_fit([[2.0]], [6.0]).coef_.round(3)  # the second sample meets 3
+        array([3.])
+        """
         return self._learn(X, y, None, anew=not hasattr(self, "coef_"))
 
     def predict(self, X):
-        """Outputs for X, shaped as `y` was; NaN for a sample with NaN."""
+        """Outputs for new samples.
+
+        Parameters
+        ----------
+        X : array_like, shape (samples, features)
+
+        Returns
+        -------
+        ndarray
+            Shaped as `y` was; NaN for a sample with NaN.
+
+        Raises
+        ------
+        InputError
+            When X does not fit what was learned.
+        NotFittedError
+            Before the first `fit` or `partial_fit`; `InputError` without scikit-learn.
+
+        Examples
+        --------
+        >>> estimation.LeastMeanSquares(step_size=1.0).fit([[1.0]], [3.0]).predict([[2.0], [np.nan]]).round(3)
+        array([ 6., nan])
+        """
         return self._features(X, anew=False) @ self.coef_.T
 
     def score(self, X, y, sample_weight=None):
-        """Coefficient of determination 1 - |y - prediction|^2 / |y - mean|^2, its mean over the outputs."""
+        """Coefficient of determination 1 - |y - prediction|^2 / |y - mean|^2, its mean over the outputs.
+
+        Parameters
+        ----------
+        X : array_like, shape (samples, features)
+        y : array_like, shape (samples,) or (samples, outputs)
+        sample_weight : array_like, shape (samples,), optional
+            How many samples each one stands for.
+
+        Returns
+        -------
+        float
+            1 for a perfect prediction, 0 for that of the mean.
+
+        Raises
+        ------
+        InputError
+            When a table does not fit, or no sample is without NaN.
+        NotFittedError
+            Before the first `fit` or `partial_fit`; `InputError` without scikit-learn.
+
+        Examples
+        --------
+        >>> lms = estimation.LeastMeanSquares(step_size=1.0).fit([[1.0]], [3.0])
+        >>> round(lms.score([[1.0], [2.0]], [3.0, 6.0]), 6)
+        1.0
+        """
         X, y, weights = self._samples(X, y, sample_weight, anew=False)
         used = ~_lost(X, y)
         if not weights[used].any():
@@ -233,7 +355,7 @@ class _LinearRegressor:
 
 class _WeightedRegressor(_LinearRegressor):
     def fit(self, X, y, sample_weight=None):
-        """Learn from samples in their order, from the start; returns the estimator.
+        """Learn from samples in their order, from the start.
 
         Parameters
         ----------
@@ -241,11 +363,51 @@ class _WeightedRegressor(_LinearRegressor):
         y : array_like, shape (samples,) or (samples, outputs)
         sample_weight : array_like, shape (samples,), optional
             How many samples each one stands for; a weight of zero is a lost sample.
+
+        Returns
+        -------
+        estimator
+            Itself, with `coef_`.
+
+        Raises
+        ------
+        InputError
+            When a setting is out of its range, a table does not fit, or no sample is without NaN.
+
+        Examples
+        --------
+        >>> X, y = [[1.0], [2.0], [3.0]], [2.0, 4.0, 99.0]
+        >>> estimation.RecursiveLeastSquares().fit(X, y, sample_weight=[1, 1, 0]).coef_.round(3)  # the last is lost
+        array([2.])
         """
         return self._learn(X, y, sample_weight, anew=True, whole=True)
 
     def partial_fit(self, X, y, sample_weight=None):
-        """Learn from the samples that follow those of the calls before, as `fit` does of all at once."""
+        """Learn from the samples that follow those of the calls before, as `fit` does of all at once.
+
+        Parameters
+        ----------
+        X : array_like, shape (samples, features)
+        y : array_like, shape (samples,) or (samples, outputs)
+        sample_weight : array_like, shape (samples,), optional
+            How many samples each one stands for; a weight of zero is a lost sample.
+
+        Returns
+        -------
+        estimator
+            Itself, with `coef_`.
+
+        Raises
+        ------
+        InputError
+            As `fit` does, and when the numbers of features or outputs differ from those before; nothing is then kept.
+
+        Examples
+        --------
+        >>> rls = estimation.RecursiveLeastSquares(forgetting=0.5).partial_fit(np.ones((20, 1)), 2 * np.ones(20))
+        >>> rls.partial_fit(np.ones((20, 1)), 3 * np.ones(20)).coef_.round(3)  # it has changed meanwhile
+        array([3.])
+        """
         return self._learn(X, y, sample_weight, anew=not hasattr(self, "coef_"))
 
 
@@ -471,6 +633,28 @@ class MinMaxRegressor(_WeightedRegressor):
         y : array_like, shape (samples,) or (samples, targets)
         sample_weight : array_like, shape (samples,), optional
             Weight of each squared residual.
+
+        Returns
+        -------
+        estimator
+            Itself, with `coef_`.
+
+        Raises
+        ------
+        InputError
+            When a setting is out of its range, a table does not fit, or no sample is without NaN.
+
+        Warns
+        -----
+        ZeroEstimateWarning
+            When the bound is so large that the estimate is zero.
+
+        Examples
+        --------
+        >>> X, y = [[1.0], [2.0], [4.0]], [2.1, 3.9, 8.0]
+        >>> loose, tight = (estimation.MinMaxRegressor(bound=b).fit(X, y).coef_[0] for b in (1.0, 0.0))
+        >>> bool(loose <= tight)  # doubt only shrinks
+        True
         """
         super().fit(X, y, sample_weight)
         if self._state[2]:

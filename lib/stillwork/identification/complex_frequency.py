@@ -37,7 +37,20 @@ class Stabilisation:
             raise InputError("order, frequency, damping and stable differ in length; give one of each a pole")
 
     def settled(self) -> Float64[np.ndarray, "2 modes"]:
-        """Frequency (rad/s) and damping ratio of what is stable at three orders or more, from the most often seen on."""
+        """Frequency (rad/s) and damping ratio of what is stable at three orders or more, from the most often seen on.
+
+        Returns
+        -------
+        ndarray, shape (2, modes)
+            Frequencies (rad/s) and damping ratios; no column where nothing stays.
+
+        Examples
+        --------
+        >>> omega = np.linspace(100.0, 200.0, 400)
+        >>> response = 1 / (150.0**2 - omega**2 + 2j * 0.01 * 150 * omega)
+        >>> identification.stabilisation(omega, response[:, None, None]).settled()[:, 0].round(3)  # rad/s, ratio
+        array([1.5e+02, 1.0e-02])
+        """
         poles = np.log([self.frequency[self.stable], self.damping[self.stable]])
         near, left = _near(poles, poles), np.ones(poles.shape[1], dtype=bool)
         found = [np.zeros((2, 0))]

@@ -12,7 +12,7 @@ from stillwork.base.front_door import checked
 
 
 class Identified(NamedTuple):
-    """An estimated response.
+    """An estimated response; as a named tuple it takes what it is given and refuses nothing.
 
     Parameters
     ----------
@@ -22,6 +22,10 @@ class Identified(NamedTuple):
         Complex, output per input.
     coherence : array_like, shape (frequencies,)
         Of the excitation with the output, between 0 and 1.
+
+    References
+    ----------
+    Bendat and Piersol, Random Data (2010), chapters 6, 7 and 9.
 
     Examples
     --------

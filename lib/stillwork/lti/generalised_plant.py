@@ -74,10 +74,24 @@ class GeneralisedPlant:
         controller : StateModel
             K, from y to u.
 
+        Returns
+        -------
+        StateModel
+            From w to z.
+
         Raises
         ------
         InputError
             When its sizes or its sample time are not the plant's, or the loop has no unique solution.
+
+        Examples
+        --------
+        A mass of 1 kg on a spring of 4 N/m.
+
+        >>> mass = lti.StateModel([[0, 1], [0, 0]], [[0, 0], [1, 1]], [[1, 0], [1, 0]], np.zeros((2, 2)))
+        >>> spring = lti.StateModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[-4.0]])
+        >>> np.abs(lti.GeneralisedPlant(mass, exogenous=1, performance=1).close(spring).poles).round(6)  # rad/s
+        array([2., 2.])
         """
         (outputs, inputs), w, z = self.model.d.shape, self.exogenous, self.performance
         if controller.d.shape != (inputs - w, outputs - z):

@@ -99,10 +99,21 @@ class ModalModel:
         chosen : sequence of int or slice
             Their places in `frequencies`, from 0.
 
+        Returns
+        -------
+        ModalModel
+            Of the chosen modes, in the order that is asked for.
+
         Raises
         ------
         InputError
             When a place does not exist.
+
+        Examples
+        --------
+        >>> stage = lti.ModalModel([0.0, 600.0], [0.0, 0.01], [[0.3], [0.3]], [[0.3, -0.3]], [[0.0]])
+        >>> stage.modes([1]).frequencies  # rad/s: the flexible one alone
+        array([600.])
         """
         return self._taken(chosen, self.frequencies)
 
@@ -124,10 +135,21 @@ class ModalModel:
         frequencies : array_like, shape (modes,)
             One for each mode, in the order of the model.
 
+        Returns
+        -------
+        ModalModel
+            With the shapes and damping ratios of this one.
+
         Raises
         ------
         InputError
             When there is not one for each mode, or one is negative.
+
+        Examples
+        --------
+        >>> stage = lti.ModalModel([0.0, 600.0], [0.0, 0.01], [[0.3], [0.3]], [[0.3, -0.3]], [[0.0]])
+        >>> stage.moved([0.0, 660.0]).frequencies  # rad/s: 10 % stiffer in frequency
+        array([  0., 660.])
         """
         frequencies = require_array("frequencies", frequencies, shape=self.frequencies.shape)
         return self._taken(np.argsort(frequencies, kind="stable"), frequencies)
@@ -141,10 +163,22 @@ class ModalModel:
         inputs, outputs : sequence of int
             Their places, from 0, in the order that is wanted.
 
+        Returns
+        -------
+        ModalModel
+            From the chosen inputs to the chosen outputs.
+
         Raises
         ------
         InputError
             When a place does not exist.
+
+        Examples
+        --------
+        >>> shapes = np.array([[0.3, 0.3], [0.5, -0.5]])  # translation and rotation, at two actuators
+        >>> beam = lti.ModalModel([0.0, 0.0], [0.0, 0.0], shapes, shapes.T, np.zeros((2, 2)))
+        >>> beam.at([1], [0]).input_shapes.ravel()  # from the second actuator
+        array([ 0.3, -0.5])
         """
         return replace(
             self,
@@ -155,7 +189,19 @@ class ModalModel:
 
     @checked
     def compliance(self) -> Float64[np.ndarray, "outputs inputs"]:
-        """Static gain of the flexible modes, eq. (2.13) of the observer thesis (m/N)."""
+        """Static gain of the flexible modes, eq. (2.13) of the observer thesis (m/N).
+
+        Returns
+        -------
+        ndarray, shape (outputs, inputs)
+            m/N; the rigid-body modes are left out.
+
+        Examples
+        --------
+        >>> stage = lti.ModalModel([0.0, 600.0], [0.0, 0.01], [[0.3], [0.3]], [[0.3, -0.3]], [[0.0]])
+        >>> (1e6 * stage.compliance()).round(3)  # um/N; the sensor moves against the force
+        array([[-0.25]])
+        """
         flexible = self.frequencies > 0
         gains = self.input_shapes[flexible] / self.frequencies[flexible, None] ** 2
         return self.output_shapes[:, flexible] @ gains
@@ -169,10 +215,21 @@ class ModalModel:
         omega : array_like, shape (frequencies,)
             Frequencies, rad/s.
 
+        Returns
+        -------
+        ndarray, shape (outputs, inputs, frequencies)
+            Complex, in m/N, or in m/s/N when it measures a velocity.
+
         Raises
         ------
         InputError
             When one of them is a pole, e.g. 0 of a rigid-body mode.
+
+        Examples
+        --------
+        >>> stage = lti.ModalModel([0.0, 600.0], [0.0, 0.01], [[0.3], [0.3]], [[0.3, -0.3]], [[0.0]])
+        >>> np.abs(stage.modes([0]).frequency_response([10.0])).round(6)  # 0.09 / 10^2: the rigid body
+        array([[[0.0009]]])
         """
         omega = require_array("omega", omega, ndim=1)
         if not len(omega):
@@ -189,7 +246,19 @@ class ModalModel:
 
     @checked
     def state_space(self) -> StateModel:
-        """State-space model of form 1 of the observer thesis: position and velocity of one mode after the other, (2.9)."""
+        """State-space model of form 1 of the observer thesis: position and velocity of one mode after the other, (2.9).
+
+        Returns
+        -------
+        StateModel
+            Of two states a mode.
+
+        Examples
+        --------
+        >>> stage = lti.ModalModel([0.0, 600.0], [0.0, 0.01], [[0.3], [0.3]], [[0.3, -0.3]], [[0.0]])
+        >>> stage.state_space().a[3]  # acceleration of the flexible mode
+        array([ 0.0e+00,  0.0e+00, -3.6e+05, -1.2e+01])
+        """
         n = len(self.frequencies)
         a, b = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, self.input_shapes.shape[1]))
         c = np.zeros((len(self.output_shapes), 2 * n))
@@ -202,7 +271,24 @@ class ModalModel:
         return StateModel(a, b, c, self.feedthrough)
 
     def to_control(self):
-        """The same model as `control.StateSpace`, in form 1."""
+        """The same model as `control.StateSpace`, in form 1.
+
+        Returns
+        -------
+        control.StateSpace
+            With the same states.
+
+        Raises
+        ------
+        MissingPackage
+            When python-control is not installed.
+
+        Examples
+        --------
+        >>> stage = lti.ModalModel([0.0, 600.0], [0.0, 0.01], [[0.3], [0.3]], [[0.3, -0.3]], [[0.0]])
+        >>> stage.to_control().nstates  # two a mode
+        4
+        """
         return self.state_space().to_control()
 
 

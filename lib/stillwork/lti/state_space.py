@@ -35,6 +35,10 @@ class StateModel:
     InputError
         When the shapes do not fit together.
 
+    References
+    ----------
+    Zhou, Doyle and Glover, Robust and Optimal Control (1996), chapter 3.
+
     Examples
     --------
     >>> low_pass = lti.StateModel([[-10.0]], [[10.0]], [[1.0]], [[0.0]])
@@ -93,10 +97,21 @@ class StateModel:
         inputs, outputs : sequence of int
             Their places, from 0, in the order that is wanted.
 
+        Returns
+        -------
+        StateModel
+            With all of the states.
+
         Raises
         ------
         InputError
             When a place does not exist.
+
+        Examples
+        --------
+        >>> lags = lti.StateModel(np.diag([-1.0, -10.0]), np.diag([1.0, 10.0]), np.eye(2), np.zeros((2, 2)))
+        >>> lags.select([1], [1]).frequency_response([10.0]).round(3)  # the faster one, at its corner
+        array([[[0.5-0.5j]]])
         """
         i, o = list(inputs), list(outputs)
         if not i or not o:
@@ -111,6 +126,22 @@ class StateModel:
         ----------
         omega : array_like, shape (frequencies,)
             Frequencies, rad/s.
+
+        Returns
+        -------
+        ndarray, shape (outputs, inputs, frequencies)
+            Complex, y per u.
+
+        Raises
+        ------
+        InputError
+            When there is no frequency, or one of them is a pole.
+
+        Examples
+        --------
+        >>> low_pass = lti.StateModel([[-10.0]], [[10.0]], [[1.0]], [[0.0]])
+        >>> low_pass.frequency_response([10.0]).round(3)  # at its corner, 10 rad/s
+        array([[[0.5-0.5j]]])
         """
         omega = require_array("omega", omega, ndim=1)
         if not len(omega):
@@ -160,7 +191,24 @@ class StateModel:
         return left / scale, [np.ascontiguousarray(half) for part in parts for half in (part.real, part.imag)]
 
     def to_control(self):
-        """The same model as `control.StateSpace`."""
+        """The same model as `control.StateSpace`.
+
+        Returns
+        -------
+        control.StateSpace
+            In discrete time when `sample_time` is above 0.
+
+        Raises
+        ------
+        MissingPackage
+            When python-control is not installed.
+
+        Examples
+        --------
+        >>> low_pass = lti.StateModel([[-10.0]], [[10.0]], [[1.0]], [[0.0]])
+        >>> float(low_pass.to_control().dcgain())
+        1.0
+        """
         control = require_package("control")
 
         return control.StateSpace(self.a, self.b, self.c, self.d, self.sample_time or 0)

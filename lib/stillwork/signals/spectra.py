@@ -36,10 +36,21 @@ class Spectrum:
         low_hz, high_hz : float
             The two frequencies, within those of the spectrum.
 
+        Returns
+        -------
+        ndarray, shape (channels,)
+            In the squared unit of the signals.
+
         Raises
         ------
         InputError
             When the band is empty or leaves the spectrum.
+
+        Examples
+        --------
+        >>> hum = 3 * np.sin(2 * np.pi * 50 * np.arange(20_000) / 1000)  # um, at 1 kHz
+        >>> signals.estimate_spectrum(hum, sample_rate=1000.0, resolution_hz=0.5).power(60.0, 100.0).round(6)  # um^2
+        array([0.])
         """
         return np.array([band_power(self.frequencies_hz, row, low_hz, high_hz) for row in self.density])
 
