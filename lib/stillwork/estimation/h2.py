@@ -167,7 +167,7 @@ def h2_riccati(
     feedback = _filter_gain(a.T, c1.T, b2.T, d12.T).T
     driven = StateModel(a - b2 @ feedback, b1, c1 - d12 @ feedback, d11)
     missed = StateModel(a - gain @ c2, b1 - gain @ d21, d12 @ feedback, np.zeros_like(d11))
-    claimed = float(np.hypot(_trusted_norm(driven), _trusted_norm(missed)))
+    claimed = float(np.hypot(trusted_norm(driven), trusted_norm(missed)))
     core = a - b2 @ feedback - gain @ c2 + gain @ d22 @ feedback
     controller = in_units(units, core, gain, -feedback)
     return judged(plant, regular, controller, claimed, "solved", WORST_SEPARATION)
@@ -192,7 +192,7 @@ def judged(
 ) -> H2Synthesis:
     """A controller with its norms; `InputError` when its loop does not have the norm that its synthesis claims."""
     loop = regular.close(controller)
-    achieved = _trusted_norm(loop) if loop.is_stable else np.inf
+    achieved = trusted_norm(loop) if loop.is_stable else np.inf
     _, b1, _, c1, *_ = scaled_plant(regular)[0].blocks
     scale = float(np.linalg.norm(b1) * np.linalg.norm(c1))
     size = max(claimed, LEAST_SHARE * scale)
@@ -203,10 +203,10 @@ def judged(
             f"the solver reports {status!r} with H2 norm {claimed:.6g}, but the loop of its controller has "
             f"{achieved:.6g}: relative residual {(achieved - claimed) / size:.1e}, allowed {tolerance:.1e}"
         )
-    return H2Synthesis(controller, achieved, _trusted_norm(plant.close(controller)), claimed, status)
+    return H2Synthesis(controller, achieved, trusted_norm(plant.close(controller)), claimed, status)
 
 
-def _trusted_norm(loop: StateModel) -> float:
+def trusted_norm(loop: StateModel) -> float:
     """H2 norm of a loop; where it has none that can be trusted, the reader's plant is not what is to be blamed."""
     try:
         return h2_norm(loop)
@@ -259,16 +259,16 @@ def in_units(
 
 
 @checked
-def scaled_plant(plant: GeneralisedPlant) -> tuple[GeneralisedPlant, Units]:
-    """Slow time, unit cost and noise, balanced states; H2 norms stay what they are."""
+def scaled_plant(plant: GeneralisedPlant, size: float = 1.0) -> tuple[GeneralisedPlant, Units]:
+    """Slow time, unit cost and noise, balanced states, the performance in units of `size`: an H2 norm of 1 was that."""
     a, b1, b2, c1, c2, d11, d12, d21, d22 = plant.blocks
     rate = float(np.median(np.abs(linalg.eigvals(a)))) or 1.0  # most of them may be zero
-    controls = 1 / np.linalg.norm(d12, axis=0)
+    controls = size / np.linalg.norm(d12, axis=0)
     measurements = np.linalg.norm(d21, axis=1) * np.sqrt(rate)
     each = measurements[:, None]
     b = np.hstack([b1 / np.sqrt(rate), b2 * controls / rate])
-    c = np.vstack([c1, c2 / each])
-    d = np.block([[d11, d12 * controls], [d21 * np.sqrt(rate) / each, d22 * controls / each]])
+    c = np.vstack([c1 / size, c2 / each])
+    d = np.block([[d11 / size, d12 * controls / size], [d21 * np.sqrt(rate) / each, d22 * controls / each]])
     n, size = len(a), len(a) + max(b.shape[1], len(c))
     whole = np.zeros((size, size))
     whole[:n, :n], whole[:n, n : n + b.shape[1]], whole[n : n + len(c), :n] = a / rate, b, c
