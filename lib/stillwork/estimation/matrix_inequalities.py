@@ -13,7 +13,6 @@ from stillwork.base.checks import InputError, require_number
 from stillwork.base.extras import require_package
 from stillwork.base.front_door import checked
 from stillwork.estimation.h2 import (
-    LEAST_SHARE,
     H2Synthesis,
     in_units,
     judged,
@@ -177,6 +176,7 @@ def _unweighted(regular: GeneralisedPlant) -> list[int]:
 
 
 MOST_SOLUTIONS = 6  # of one problem
+LEAST_SHARE = 1e-6  # of the first guess: an optimum below is counted in no finer units
 TIGHT = 1e-5  # a loop so near its claim needs no finer units
 NEAR = 3.0  # the unit of the performance is within this factor of the optimum
 
