@@ -198,13 +198,14 @@ def _solved(
     if not (np.any(b1) and np.any(c1)) and rest.is_stable:  # the optimum is zero, at rest
         return judge("optimal", 0.0, rest)
     guess = size = float(np.linalg.norm(b1) * np.linalg.norm(c1)) or 1.0
-    best = refusal = None
+    best: H2Synthesis | None = None
+    refusals: list[InputError] = []
     settled = False  # the optimum is known well enough to look finer
     for _ in range(MOST_SOLUTIONS):
         try:
             status, claimed, controller = _by_inequalities(regular, size, level, ratio)
         except InputError as error:
-            refusal = refusal or error  # that of a loop says more
+            refusals.insert(0, error)  # that of a loop says more
             if best or settled:
                 break
             size *= 10
@@ -215,7 +216,7 @@ def _solved(
         try:
             found = judge(status, claimed, controller)
         except InputError as error:
-            refusal = error
+            refusals.append(error)
         else:
             reached = max(found.claimed, found.regular_norm)
             if reached < bound:
@@ -225,7 +226,7 @@ def _solved(
                 break
         size = size / 10 if settled else least
     if best is None:
-        raise refusal
+        raise refusals[-1]
     return best
 
 
