@@ -4,6 +4,7 @@ They take a bound on one weighted peak as well, with one Lyapunov matrix for bot
 """
 
 import warnings
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,9 +12,17 @@ from numpy.typing import ArrayLike
 from stillwork.base.checks import InputError, require_number
 from stillwork.base.extras import require_package
 from stillwork.base.front_door import checked
-from stillwork.estimation.h2 import H2Synthesis, in_units, judged, regularised, scaled_plant
+from stillwork.estimation.h2 import (
+    H2Synthesis,
+    in_units,
+    judged,
+    regularised,
+    scaled_plant,
+    trusted_norm,
+)
 from stillwork.lti.generalised_plant import GeneralisedPlant
-from stillwork.lti.norms import h2_norm, hinf_norm
+from stillwork.lti.norms import hinf_norm
+from stillwork.lti.state_space import StateModel
 
 
 @checked
@@ -67,8 +76,10 @@ def h2_lmi(
     """
     require_number("tolerance", tolerance, above=0.0)
     regular = regularised(plant, effort, noise)
-    status, claimed, controller = _by_inequalities(regular)
-    return judged(plant, regular, controller, claimed, status, tolerance)
+    return _solved(
+        regular,
+        lambda status, claimed, controller: judged(plant, regular, controller, claimed, status, tolerance),
+    )
 
 
 @checked
@@ -95,7 +106,8 @@ def mixed_lmi(
     level : float
         Largest magnitude from the first w to the weighted error, in their units.
     ratio : float
-        Of the peak's Lyapunov matrix over the two-norm's, for the scaled problem; 1 in most texts.
+        Of the peak's Lyapunov matrix over the two-norm's, in slow time; 1 in most texts. It counts in units of z, as
+        `level` does.
     effort : float or array_like, shape (controls,)
         A performance output more for every control: so many times the control, in units of z a unit of u.
     noise : float or array_like, shape (measurements,)
@@ -138,20 +150,24 @@ def mixed_lmi(
             f"plant has {plant.performance} performance outputs; give the error and the weighted"
         )
     regular = regularised(plant, effort, noise)
-    status, claimed, controller = _by_inequalities(regular, level, ratio)
-    loop = regular.close(controller)
-    achieved = peak = np.inf
-    if loop.is_stable:
-        achieved = h2_norm(loop.select(range(regular.exogenous), _unweighted(regular)))
-        peak = hinf_norm(loop.select([0], [1])).magnitude
-    excess = max(achieved / claimed, peak / level) - 1
-    if not excess <= tolerance:
-        raise InputError(
-            f"the solver reports {status!r} with H2 norm {claimed:.6g} at level {level:.6g}, but the loop of its "
-            f"controller has {achieved:.6g} and {peak:.6g}: relative residual {excess:.1e}, allowed {tolerance:.1e}"
-        )
-    posed = plant.close(controller).select(range(plant.exogenous), [0])
-    return H2Synthesis(controller, achieved, h2_norm(posed), claimed, status)
+
+    def judge(status: str, claimed: float, controller: StateModel) -> H2Synthesis:
+        loop = regular.close(controller)
+        achieved = peak = np.inf
+        if loop.is_stable:
+            achieved = trusted_norm(loop.select(range(regular.exogenous), _unweighted(regular)))
+            peak = hinf_norm(loop.select([0], [1])).magnitude
+        excess = max((achieved - claimed) / (claimed or 1.0), peak / level - 1)
+        if not excess <= tolerance:
+            raise InputError(
+                f"the solver reports {status!r} with H2 norm {claimed:.6g} at level {level:.6g}, but the loop of its "
+                f"controller has {achieved:.6g} and {peak:.6g}: relative residual {excess:.1e}, "
+                f"allowed {tolerance:.1e}"
+            )
+        posed = plant.close(controller).select(range(plant.exogenous), [0])
+        return H2Synthesis(controller, achieved, trusted_norm(posed), claimed, status)
+
+    return _solved(regular, judge, level, ratio)
 
 
 def _unweighted(regular: GeneralisedPlant) -> list[int]:
@@ -159,11 +175,68 @@ def _unweighted(regular: GeneralisedPlant) -> list[int]:
     return [0, *range(2, regular.performance)]
 
 
-def _by_inequalities(regular: GeneralisedPlant, level: float | None = None, ratio: float = 1.0):
-    """Status, claimed norm and controller of a regularised plant; with a level, the second output is bounded."""
+MOST_SOLUTIONS = 6  # of one problem
+LEAST_SHARE = 1e-6  # of the first guess: an optimum below is counted in no finer units
+TIGHT = 1e-5  # a loop so near its claim needs no finer units
+NEAR = 3.0  # the unit of the performance is within this factor of the optimum
+
+
+def _solved(
+    regular: GeneralisedPlant,
+    judge: Callable[..., H2Synthesis],
+    level: float | None = None,
+    ratio: float = 1.0,
+) -> H2Synthesis:
+    """What `judge` accepts of the inequalities' solutions; its refusal, or the solver's, where that is none.
+
+    The solver's tolerances are absolute, so the performance is counted in units in which the optimum is about one: a
+    first guess, larger where the solver fails, then what it claims itself, and less while its loop is not near that.
+    """
+    plant, units = scaled_plant(regular)
+    a, b1, b2, c1, c2, *_ = plant.blocks
+    rest = in_units(units, a, np.zeros_like(c2.T), np.zeros_like(b2.T))
+    if not (np.any(b1) and np.any(c1)) and rest.is_stable:  # the optimum is zero, at rest
+        return judge("optimal", 0.0, rest)
+    guess = size = float(np.linalg.norm(b1) * np.linalg.norm(c1)) or 1.0
+    best: H2Synthesis | None = None
+    refusals: list[InputError] = []
+    settled = False  # the optimum is known well enough to look finer
+    for _ in range(MOST_SOLUTIONS):
+        try:
+            status, claimed, controller = _by_inequalities(regular, size, level, ratio)
+        except InputError as error:
+            refusals.insert(0, error)  # that of a loop says more
+            if best or settled:
+                break
+            size *= 10
+            continue
+        least = max(claimed, LEAST_SHARE * guess)
+        settled = settled or least / NEAR < size < least * NEAR
+        bound = np.inf if best is None else max(best.claimed, best.regular_norm)
+        try:
+            found = judge(status, claimed, controller)
+        except InputError as error:
+            refusals.append(error)
+        else:
+            reached = max(found.claimed, found.regular_norm)
+            if reached < bound:
+                best = found
+            tight = abs(found.regular_norm - found.claimed) <= TIGHT * found.claimed
+            if settled and (tight or bound < (1 + 10 * TIGHT) * reached):
+                break
+        size = size / 10 if settled else least
+    if best is None:
+        raise refusals[-1]
+    return best
+
+
+def _by_inequalities(regular: GeneralisedPlant, size: float, level: float | None, ratio: float):
+    """Status, claimed norm and controller of a plant with its performance in units of `size`; with a level, the second
+    output is bounded.
+    """
     cp = require_package("cvxpy")
 
-    plant, units = scaled_plant(regular)
+    plant, units = scaled_plant(regular, size)
     a, b1, b2, c1, c2, _, d12, d21, _ = plant.blocks
     n = len(a)
     x, y = cp.Variable((n, n), symmetric=True), cp.Variable((n, n), symmetric=True)
@@ -177,7 +250,7 @@ def _by_inequalities(regular: GeneralisedPlant, level: float | None = None, rati
     bounded = [[x, np.eye(n), seen[kept].T], [np.eye(n), y, c1[kept].T], [seen[kept], c1[kept], q]]
     constraints = [cp.bmat(dissipated) << 0, cp.bmat(bounded) >> 0]
     if level is not None:
-        own = level * np.sqrt(units.rate)  # in slow time
+        own, ratio = level / size * np.sqrt(units.rate), ratio / size  # in slow time and these units
         into, out = np.sqrt(ratio / own), np.sqrt(1 / (ratio * own))
         b, yb, cx, c = into * b1[:, :1], into * driven[:, :1], out * seen[1:2], out * c1[1:2]
         zero = np.zeros((1, 1))
@@ -200,7 +273,8 @@ def _by_inequalities(regular: GeneralisedPlant, level: float | None = None, rati
     with warnings.catch_warnings(action="ignore"):  # the status says as much
         problem.unpack_results(solution, chain, inverse)
     found = (variable.value for variable in (x, y, a_hat, b_hat, c_hat))
-    return problem.status, float(np.sqrt(problem.value)), in_units(units, *_recover(plant, *found))
+    claimed = size * float(np.sqrt(max(problem.value, 0.0)))  # a trace near zero may round below it
+    return problem.status, claimed, in_units(units, *_recover(plant, *found))
 
 
 def _recover(plant: GeneralisedPlant, x, y, a_hat, b_hat, c_hat):
