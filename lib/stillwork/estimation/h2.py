@@ -211,6 +211,7 @@ def _uncancelled(loop: StateModel, states: int) -> float:
     return trusted_norm(StateModel(loop.a, loop.b, apart, np.zeros((len(apart), loop.b.shape[1]))))
 
 
+@checked
 def trusted_norm(loop: StateModel) -> float:
     """H2 norm of a loop; where it has none that can be trusted, the reader's plant is not what is to be blamed."""
     try:
