@@ -10,7 +10,7 @@ from experiments.motion.machines import published_noise, stage
 from stillwork.base.checks import InputError
 from stillwork.estimation import riccati
 from stillwork.estimation.observer import NoiseIntensities, Observer, kalman_observer
-from stillwork.estimation.riccati import continuous_gain, discrete_gain
+from stillwork.estimation.riccati import continuous_gain, covariance_root, discrete_gain
 from stillwork.lti import ModalModel
 from stillwork.lti.discretisation import zoh_modes
 from stillwork.lti.reduction import truncate
@@ -193,3 +193,16 @@ def test_observers_are_stable_over_fourteen_decades_of_noise(first):
             difference = np.abs(found.covariance - expected) / np.outer(deviations, deviations)
             assert difference.max() < 1e-7, seed  # worst found: 5e-10
     assert settled > 20
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 5), st.integers(0, 4))
+def test_the_root_of_a_covariance_is_one_though_it_be_semidefinite(seed, size, rank):
+    factor = np.random.default_rng(seed).normal(size=(size, rank))
+    root = covariance_root(factor @ factor.T)
+    np.testing.assert_allclose(root @ root.T, factor @ factor.T, atol=1e-13)
+    if rank >= size:
+        a, c = 0.9 * np.eye(size), np.eye(size)
+        by_root = discrete_gain(a, root, c, 1.0, 0.5 * np.eye(size)).filter_gain
+        whole = discrete_gain(a, np.eye(size), c, factor @ factor.T, 0.5 * np.eye(size)).filter_gain
+        np.testing.assert_allclose(by_root, whole, rtol=1e-8, atol=1e-10)

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from experiments.fixedpoint.noise import Noise
 from stillwork.base.checks import InputError, counted, require_array, require_count, require_number
 from stillwork.estimation.gaussian import require_covariance
+from stillwork.estimation.riccati import covariance_root, discrete_gain
 
 
 def quotient_trial(
@@ -125,7 +126,7 @@ def steady_errors(
     uncorrelated in time. The true error follows from the fact that both measurements are made of the same two
     position errors, and from `true_process`, what really drives the state.
     """
-    from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
+    from scipy.linalg import solve_discrete_lyapunov
 
     transition = require_array("transition", transition, shape=(2, 2))
     process = require_covariance("process", process, 2, definite=False)
@@ -135,10 +136,10 @@ def steady_errors(
     require_number("deviation", deviation, at_least=0)
     require_number("sample_time", sample_time, above=0)
     try:
-        prior = solve_discrete_are(transition.T, np.eye(2), process, assumed)
-    except np.linalg.LinAlgError as error:
+        steady = discrete_gain(transition, covariance_root(process), np.eye(2), 1.0, assumed)
+    except InputError as error:
         raise InputError(f"process gives the filter no steady gain ({error}); raise its variances") from None
-    gain = prior @ np.linalg.inv(prior + assumed)
+    gain, prior = steady.filter_gain, steady.covariance
     left = np.eye(2) - gain
     # e_k = left (F e_{k-1} + w) - gain v_k with v_k = [(n_k - n_{k-1}) / dt, n_k], and the difference quotient
     # of the true position is the velocity of the semi-implicit model. States: e and n_{k-1}.

@@ -20,6 +20,7 @@ from stillwork.estimation.coordinate_filters import (
     require_sample_time,
 )
 from stillwork.estimation.plant import Plant, partial_derivatives
+from stillwork.estimation.riccati import covariance_root, discrete_gain
 from stillwork.estimation.windows import end_point_weights
 
 
@@ -141,11 +142,10 @@ def _linear_extended(signal_filter, slopes, sample_time) -> LinearFilter:
     return LinearFilter(A, B, now @ A, D)
 
 
-def _steady_gain(F, Q, H, R):
-    from scipy.linalg import solve_discrete_are
-
-    prior = solve_discrete_are(F.T, H.T, Q, R)
-    return prior @ H.T @ np.linalg.inv(H @ prior @ H.T + R)
+def _steady_gain(F, Q, H, R) -> np.ndarray:
+    gain = discrete_gain(F, covariance_root(Q), H, 1.0, R).filter_gain
+    assert gain is not None
+    return gain
 
 
 def _slopes(plant: Plant, position: float, velocity: float):

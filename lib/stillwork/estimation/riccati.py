@@ -195,6 +195,13 @@ def _state_scale(a: np.ndarray, g: np.ndarray, c: np.ndarray) -> np.ndarray:
 
 
 @checked
+def covariance_root(covariance: Float64[np.ndarray, "n n"]) -> Float64[np.ndarray, "n n"]:
+    """G of G G' = a covariance that may be semidefinite, to enter `discrete_gain` as the input of unit noises."""
+    values, vectors = linalg.eigh(covariance)
+    return vectors * np.sqrt(np.maximum(values, 0.0))
+
+
+@checked
 def discrete_gain(
     a: ArrayLike, noise_input: ArrayLike, c: ArrayLike, process: float | ArrayLike, sensor: float | ArrayLike
 ) -> KalmanGain:
