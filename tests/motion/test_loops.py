@@ -65,6 +65,13 @@ def test_closed_forms_agree_with_the_state_space_loop(name):
     )
 
 
+@pytest.mark.parametrize("name", ["PID", "MC and AD"])
+def test_a_loop_of_one_axis_knows_no_order_of_plant_and_controller(name):
+    loop = make_loop(stage().at([0], [4]), stage_compensator(5, DESIGNS[name]))
+    for each in ("input_sensitivity", "output_sensitivity"):
+        assert loop.peak(FAMILY(40.0), each) == loop.peak(FAMILY(40.0), f"{each}_2")
+
+
 def test_loop_without_observer_is_that_of_python_control():
     plant, pid = stage().at([0], [4]), FAMILY(30.0)
     loop = closed_loop(plant, None, pid.state_space())

@@ -146,7 +146,7 @@ def test_what_every_level_keeps_has_no_smallest_one(wanted):
 
 
 def test_a_model_without_a_measurement_is_refused():
-    with pytest.raises(InputError, match="c holds 1 samples"):
+    with pytest.raises(InputError, match="c holds 1 sample;"):
         random_walk(1)
 
 

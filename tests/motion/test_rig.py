@@ -258,6 +258,9 @@ def test_loop_without_observer_is_that_of_python_control(loops):
 def test_bandwidth_is_the_largest_by_brute_force(loops, measure):
     family = rig_controllers(GEOMETRY.edge_masses)
     found = maximise_rig_bandwidth(loops["AD"], family, measure)
+    again = maximise_rig_bandwidth([*loops["Original"], *loops["AD"]], family, measure)
+    radius = [np.abs(loop.closed(again.pids).poles).max() for loop in (loops["Original"][0], loops["AD"][0])]
+    np.testing.assert_allclose(again.radius, radius, rtol=1e-12)
     dense = replace(loops["AD"][0].on(2 * np.pi * np.geomspace(0.5, 4900, 20000)), measure=measure)
     assert np.max(dense.at(found.pids)) == pytest.approx(SIX_DB, rel=2e-3)
     np.testing.assert_allclose(found.peaks[0], np.max(dense.at(found.pids), axis=1), rtol=2e-4)

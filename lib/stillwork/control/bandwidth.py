@@ -228,7 +228,7 @@ class Loop:
 
     @checked
     def peak(self, controller: Pid, function: str) -> Peak:
-        """Refined peak of a loop function, one of `FUNCTIONS`.
+        """Refined peak of a loop function, one of `FUNCTIONS` or of `OTHER_ORDER`.
 
         Parameters
         ----------
@@ -254,7 +254,7 @@ class Loop:
         >>> round(loop.peak(pid, "output_sensitivity").magnitude, 3)  # below 6 dB
         1.856
         """
-        require_choice("function", function, FUNCTIONS)
+        require_choice("function", function, (*FUNCTIONS, *OTHER_ORDER))
         magnitude = np.abs(getattr(self.at(controller), function))
         return refine_peak(lambda w: getattr(self.at(controller, w), function), self.omega, magnitude)
 

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import Converted, InputError, require_array, require_finite_run
+from stillwork.base.checks import Converted, InputError, counted, require_array, require_finite_run
 from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.base.kernels import kernel
 
@@ -50,7 +50,9 @@ class TimeVaryingModel:
         c = require_array("c", self.c, ndim=3)
         samples, outputs, states = c.shape
         if samples < 2:
-            raise InputError(f"c holds {samples} samples; give the start and at least one measurement")
+            raise InputError(
+                f"c holds {counted(samples, 'sample')}; give the start and at least one measurement"
+            )
         a = require_per_sample("a", self.a, samples, (states, states))
         b = require_per_sample("b", self.b, samples, (states, None))
         g = require_per_sample("g", self.g, samples, (states, None))
