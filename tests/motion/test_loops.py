@@ -161,7 +161,7 @@ def test_the_search_ends_where_looking_at_everything_at_every_step_ends(name):
 class CoupledCarts:
     """A reader's own loop of two axes: two carts that one spring joins, each with a slow drive and its PID."""
 
-    omega = 2 * np.pi * np.geomspace(0.1, 500.0, 3000)
+    omega = 2 * np.pi * np.geomspace(0.1, 500.0, 800)
     spring = 1e4 * np.array([[1.0, -1.0], [-1.0, 1.0]])
     drive = StateModel(*map(np.array, ([[0.0, 1.0], [-9e4, -480.0]], [[0.0], [9e4]], [[1.0, 0.0]], [[0.0]])))
 
@@ -207,7 +207,7 @@ def test_a_loop_of_several_axes_is_searched_alike(lowest, refine):
             loop.poles(family(hertz)).real < 0
         )
 
-    scanned = np.geomspace(1.5, 50.0, 400)
+    scanned = np.geomspace(1.5, 50.0, 120)
     kept = np.array([feasible(hertz) for hertz in scanned])
     assert kept.any() and not kept.all()
     last = np.flatnonzero(kept)[-1] if not lowest else np.flatnonzero(np.diff(kept.astype(int)) < 0)[0]
@@ -239,7 +239,7 @@ def test_a_loop_that_is_not_a_number_is_no_feasible_one():
             return found
 
     limits, family = [PeakConstraint("input_sensitivity")], lambda hertz: (PidFamily(5.0)(hertz),) * 2
-    with pytest.raises(InputError, match=r"input_sensitivity of loop 1 is not a number at 0.1014 Hz"):
+    with pytest.raises(InputError, match=r"input_sensitivity of loop 1 is not a number at 0.1055 Hz"):
         maximise_bandwidth([Broken()], family, limits, 1.5, 50.0, lowest=True)
     with pytest.raises(InputError, match="is not a number"):
         holds([Broken()], family(2.0), limits, refine=False)
