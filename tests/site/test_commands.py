@@ -441,7 +441,7 @@ def test_a_table_copied_elsewhere_names_no_notebook_and_a_harmed_one_its_line(tm
         == "a.csv: the numbers that the picture a.png shows, 1 point of 1 series in 1 panel"
     )
     file.write_text("panel,series,x,y,z\np,s,1,2,\np,s,1,two,\n")
-    with pytest.raises(InputError, match="line 3 is no row"):
+    with pytest.raises(InputError, match=r"^path\b.*line 3\b"):
         inspect_file(str(file))
 
 
@@ -560,9 +560,9 @@ def test_a_new_result_builds_claims_and_passes_its_test(toy):
 @pytest.mark.parametrize(
     ("room", "name", "message"),
     [
-        ("isolaton", "09-a", "did you mean 'isolation'"),
-        ("isolation", "payload", "give a number and words"),
-        ("isolation", "../09-a", "give a number and words"),
+        ("isolaton", "09-a", r"^room\b.*'isolation'"),
+        ("isolation", "payload", r"^name\b"),
+        ("isolation", "../09-a", r"^name\b"),
     ],
 )
 def test_a_new_result_needs_a_room_and_a_name(toy, room, name, message):
@@ -574,9 +574,9 @@ def test_a_new_result_overwrites_nothing(toy):
     new_result("isolation", "09-a")
     before = toy.files("notebooks", "data", "tests")
     for name, message in [
-        ("09-a", "09-a.ipynb exists already; choose another name"),
-        ("10-a", "test_a.py exists already; choose another name"),
-        ("09-b", "the number 09 is taken by 09-a; the last one is 09"),
+        ("09-a", r"09-a\.ipynb"),
+        ("10-a", r"test_a\.py"),
+        ("09-b", r"\b09-a\b"),
     ]:
         with pytest.raises(InputError, match=message):
             new_result("isolation", name)
