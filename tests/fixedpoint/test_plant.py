@@ -1,3 +1,5 @@
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -107,7 +109,7 @@ def test_wrong_toml(tmp_path, text, message):
     file.write_text(text)
     with pytest.raises(InputError, match=message):
         load_oscillator(file)
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match=re.escape(tmp_path.name)):
         load_oscillator(tmp_path)
     file.write_bytes(b"\xff\xfe")
     with pytest.raises(InputError, match=r"own\.toml"):

@@ -236,7 +236,7 @@ def test_a_file_that_is_not_there_and_a_name_that_is_taken_are_told(written):
         ForeignObserver("nowhere.py")
     with pytest.raises(InputError, match="'Kalman'"):
         run_contest("a test", 1, [str(written(KALMAN, "Kalman.py"))])
-    with pytest.raises(InputError, match="name"):
+    with pytest.raises(InputError, match="observers"):
         run_contest("a test", 1, ["here/mine.py", "there/mine.py"])
 
 

@@ -113,7 +113,7 @@ TEXTS = axis("trace", '["literal", "regressors"]', '"literal"', "text")
         (A + study(more="defaults = { a = 7 }"), r"^motion\.a: default\b"),
         (A + study(entries='["motion.none"]'), r"^studies\.toy: entries\b.*'motion\.none'"),
         (A + study(more="points = 1"), r"^studies\.toy: points\b"),
-        (A + study() + study().replace("toy]", "other]"), r"toy and other\b"),
+        (A + study() + study().replace("toy]", "other]"), r"^motion\.table-1\.sum\b.*\btoy\b"),
     ],
 )
 def test_what_is_wrong_is_named(workbook, text, message):

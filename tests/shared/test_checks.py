@@ -37,9 +37,9 @@ def test_what_is_no_text_is_near_nothing(word):
 def test_the_sample_at_which_a_run_overflows_is_named(axis, sample):
     values = np.zeros((3, 4))
     values[1, 2] = values[2, 3] = np.nan
-    with pytest.raises(InputError, match=rf"^the run\b.*\bsample {sample}\b"):
-        require_finite_run("the run", values, "stop", axis=axis)
-    require_finite_run("the run", np.zeros((3, 4)), "stop", axis=axis)
+    with pytest.raises(InputError, match=rf"^motion\b.*\bsample {sample}\b"):
+        require_finite_run("motion", values, "stop", axis=axis)
+    require_finite_run("motion", np.zeros((3, 4)), "stop", axis=axis)
 
 
 def test_one_of_a_thing_is_no_plural():
@@ -92,7 +92,7 @@ def test_bounds_hold_as_named(value, bound):
         if good:
             assert require_number("x", value, **{option: bound}) == value
         else:
-            with pytest.raises(InputError, match=rf"^x\b.*{option.replace('_', ' ')}"):
+            with pytest.raises(InputError, match=rf"^x\b.*{re.escape(format(bound, 'g'))}$"):
                 require_number("x", value, **{option: bound})
 
 
@@ -143,7 +143,7 @@ def test_the_first_bad_entry_is_named(value, data):
         ([1.0], {"ndim": 2}, r"^x\b.*\(1,\).*\b2 axes"),
         (1.0, {"ndim": 1}, r"^x\b.*\(\).*\b1 axes"),
         (np.zeros((2, 3)), {"shape": (2, 4)}, r"^x\b.*\(2, 3\).*\b2 x 4"),
-        (np.zeros((2, 3)), {"shape": (None, 4)}, r"^x\b.*\bany x 4"),
+        (np.zeros((2, 3)), {"shape": (None, 4)}, r"^x\b.*\bx 4"),
         (np.zeros(3), {"shape": (3, 1)}, r"^x\b.*\b3 x 1"),
     ],
 )
