@@ -107,6 +107,13 @@ def test_a_file_that_is_no_notebook(workbook, tmp_path, text):
         read_notebook("motion/01-x")
 
 
+def test_two_cells_of_one_id_are_refused(workbook, tmp_path):
+    cells = [cell("title", "# A", "markdown"), cell("3f2a9c1b", "x = 1"), cell("3f2a9c1b", "y = 2")]
+    (tmp_path / "notebooks/motion/01-x.ipynb").write_text(notebook(cells))
+    with pytest.raises(InputError, match="3f2a9c1b"):
+        read_notebook("motion/01-x")
+
+
 @pytest.mark.parametrize(
     ("annotation", "text", "value"),
     [
