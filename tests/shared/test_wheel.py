@@ -28,7 +28,7 @@ import stillwork
 assert stillwork.__file__.startswith(sys.argv[1]), stillwork.__file__
 class Absent:
     def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] in ("jinja2", "matplotlib", "papermill", "tomlkit"):
+        if name.partition(".")[0] in ("jinja2", "matplotlib", "papermill"):
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 sys.meta_path.insert(0, Absent())
 from stillwork.__main__ import main

@@ -252,17 +252,6 @@ class Claim:
             return None
         return abs(self.ours - self.entry.published) / abs(self.entry.published)
 
-    @property
-    def moved(self) -> bool:
-        """Whether the value left the accepted one by more than a machine's rounding can explain."""
-        accepted = self.entry.ours
-        if accepted is None or self.ours is None:
-            return False
-        if self.entry.is_residual:
-            return False
-        drift = self.entry.drift
-        return abs(self.ours - accepted) > 1e-12 and not drift.allows(accepted, self.ours, None)
-
     def shown(self, digits: int) -> str:
         """Ours as text; of what is rounding the bound that it keeps: an identity's residual, or less than its drift."""
         entry = self.entry
@@ -386,7 +375,7 @@ class ClaimsTable:
             for claim in self.claims
         }
         file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+        file.write_text(claims_text(found), encoding="utf-8")
 
     def __repr__(self) -> str:
         rows = [("claim", "place", "published", "ours", "interval", "unit", "verdict")]
@@ -405,6 +394,11 @@ class ClaimsTable:
             if c.entry.reason and c.verdict not in AGREEMENT
         ]
         return "\n".join(lines + (["", *reasons] if reasons else []))
+
+
+def claims_text(found: dict[str, dict]) -> str:
+    """The text of a ``claims.json``."""
+    return json.dumps(found, indent=1) + "\n"
 
 
 def make_claim(
