@@ -1,7 +1,8 @@
 """The ledger: every published number, the value replicated here, and the verdict on the pair.
 
-A room's published numbers stand in ``data/<room>/published.toml``; what a notebook found stands in
-``figures/<room>/<notebook>/claims.json``. A verdict is computed from the two and never written down.
+A room's published numbers stand in ``data/<room>/published.toml``, entered by hand; what a notebook found stands in
+``figures/<room>/<notebook>/claims.json``, written by a build. A verdict is computed from the two and never written
+down.
 """
 
 import json
@@ -87,8 +88,6 @@ class Entry:
         difference of large ones, or a fit to rounding, moves by more than a part of itself.
     basis : str
         ``predicted``; ``fitted`` or ``calibrated`` when the published value itself went into the model.
-    ours : float or None
-        What the last accepted build gave.
     reason : str
         Why it deviates or cannot be judged.
     threshold : float or None
@@ -112,7 +111,6 @@ class Entry:
     tolerance: Tolerance | None = None
     drift: Tolerance = DRIFT
     basis: str = "predicted"
-    ours: float | None = None
     reason: str = ""
     threshold: float | None = None
     better: str | None = None
@@ -133,8 +131,6 @@ class Entry:
             raise InputError(
                 f"{self.id}: published is missing; only a check or what is reported goes without"
             )
-        if self.ours is not None:
-            require_number(f"{self.id}: ours", self.ours)
         if self.kind in ("value", "exact", "slope") and self.tolerance is None:
             raise InputError(f"{self.id}: a {self.kind} needs a tolerance with a source")
         if self.kind in ("reported", "ordering") and self.tolerance is not None:
