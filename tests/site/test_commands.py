@@ -506,6 +506,22 @@ def test_a_word_too_many_is_not_taken_for_an_option(capsys):
     assert capsys.readouterr().err.endswith("error: unknown 'extra'\n")
 
 
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        (["figures", "--out", "x"], "unknown '--out'; it is an option of report, design, export, contest"),
+        (["figures", "--out=x"], "unknown '--out=x'; it is an option of report, design, export, contest"),
+        (["doctor", "--sedes", "3"], "unknown '--sedes'"),  # near the contest's --seeds alone
+        (["contest", "--sedes", "3"], "unknown '--sedes'; did you mean '--seeds'?"),
+        (["claims", "-p", "a=1"], "unknown '-p'; it is an option of figures"),
+    ],
+)
+def test_an_unknown_option_is_one_of_another_command_or_near_one_of_its_own(words, hint, capsys):
+    with pytest.raises(SystemExit):
+        main(words)
+    assert capsys.readouterr().err.rpartition("error: ")[2] == f"{hint}\n"
+
+
 def test_an_error_of_the_system_is_told_without_its_number(tmp_path, capsys):
     assert main(["report", str(SLAB), "--out", str(tmp_path / "none/a.html")]) == 2
     assert capsys.readouterr().err == f"stillwork: {tmp_path}/none/a.html: No such file or directory\n"
