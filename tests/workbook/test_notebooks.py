@@ -15,7 +15,8 @@ from workbook.toy import cell, notebook
 @pytest.fixture
 def workbook(tmp_path, monkeypatch):
     """Write a notebook of the room `motion` with this parameters cell and read it."""
-    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "motion").mkdir(parents=True)
+    (tmp_path / "data" / "motion" / "published.toml").touch()
     (tmp_path / "notebooks" / "motion").mkdir(parents=True)
     monkeypatch.setenv("STILLWORK_ROOT", str(tmp_path))
 

@@ -73,8 +73,9 @@ class Folder:
 def folders(modules: list[Module]) -> list[Folder]:
     """The modules by folder, in the order of the house: the toolbox from the ground up, the workbook, the rooms."""
     found = []
-    for name in (*TOOLBOX, "workbook", *paths.ROOMS):
-        mine = [module for module in modules if module.folder == name]
+    for name in (*TOOLBOX, "workbook", *paths.rooms()):
+        if not (mine := [module for module in modules if module.folder == name]):
+            continue  # a room whose notebooks need nothing but the toolbox
         package = next(module for module in mine if module.name.count(".") == 1)
         names = face_names(ast.parse(package.source))
         by_name = {module.name: module for module in mine}
@@ -106,7 +107,7 @@ def library_files() -> list[Path]:
 def read_modules() -> list[Module]:
     """The toolbox's and the workbook's modules and those of the rooms, in this order, each sorted by name."""
     files = [file for file in library_files() if file != LIBRARY / "__init__.py"]
-    for room in paths.ROOMS:
+    for room in paths.rooms():
         files += sorted((LIBRARY.parent / "experiments" / room).rglob("*.py"))
     return [_module(file) for file in files]
 

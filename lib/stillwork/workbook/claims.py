@@ -296,12 +296,9 @@ def load_entries(room: str) -> dict[str, Entry]:
     Raises
     ------
     InputError
-        When an entry is incomplete or holds an unknown field; the message names it.
+        When there is no such room, or an entry is incomplete or holds an unknown field; the message names it.
     """
-    require_choice("room", room, paths.ROOMS)
-    file = paths.data(room, "published.toml")
-    if not file.exists():
-        return {}
+    file = paths.data(paths.require_room(room), "published.toml")
     try:
         text = file.read_text(encoding="utf-8")
     except UnicodeDecodeError:
@@ -309,7 +306,7 @@ def load_entries(room: str) -> dict[str, Entry]:
     return dict(_parsed(file, text))
 
 
-@lru_cache(maxsize=len(paths.ROOMS))  # a notebook reads the same text at every check
+@lru_cache(maxsize=32)  # a notebook reads the same text at every check
 def _parsed(file: Path, text: str) -> dict[str, Entry]:
     try:
         tree = tomllib.loads(text)
@@ -448,7 +445,7 @@ def ledger(figures: Path | None = None, room: str | None = None) -> list[Claim]:
     figures = figures or paths.root() / "figures"
     claims = {
         name: Claim(entry)
-        for each in ([room] if room else paths.ROOMS)
+        for each in ([room] if room else paths.rooms())
         for name, entry in load_entries(each).items()
     }
     pattern = f"{room or '[!.]*'}/[!.]*/claims.json"  # a build's half-written folders are hidden

@@ -9,6 +9,7 @@ leads to is no input, so an edit of it makes nothing stale.
 import json
 import os
 import platform
+import re
 import tomllib
 from functools import lru_cache
 from pathlib import Path
@@ -107,7 +108,7 @@ def with_ledger(reads: dict[str, str], claimed: set[str]) -> dict[str, str]:
 
     All of a room's entries where a module that it imported takes published values from the ledger by itself.
     """
-    rooms = {room for room in paths.ROOMS if f"data/{room}/published.toml" in reads}
+    rooms = {found[1] for name in reads if (found := re.fullmatch(r"data/(\w+)/published\.toml", name))}
     kept = {
         name: value
         for name, value in reads.items()
@@ -152,7 +153,7 @@ def ledger_inputs(room: str) -> dict[str, str]:
         return {}
 
 
-@lru_cache(maxsize=len(paths.ROOMS))  # every notebook of a room asks; parsing takes 20 ms
+@lru_cache(maxsize=32)  # every notebook of a room asks; parsing takes 20 ms
 def _entries(room: str, text: bytes) -> dict[str, str]:
     try:
         tree = tomllib.loads(text.decode())

@@ -90,7 +90,9 @@ def select(*targets: str) -> list[Notebook]:
     """
     folder = paths.root() / "notebooks"
     names = [
-        f"{room}/{file.stem}" for room in paths.ROOMS for file in sorted((folder / room).glob("[!.]*.ipynb"))
+        f"{room}/{file.stem}"
+        for room in paths.rooms()
+        for file in sorted((folder / room).glob("[!.]*.ipynb"))
     ]
     wanted = {
         target: target.removeprefix("notebooks/").removesuffix(".ipynb").rstrip("/") for target in targets
