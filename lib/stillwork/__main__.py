@@ -312,6 +312,7 @@ COMMANDS = {
         (
             _option("room", metavar="ROOM"),
             _option("name", metavar="NAME", help="a number and words, e.g. 09-payload"),
+            _flag("create", "in a room that is not there yet"),
         ),
     ),
     "doctor": Command("compare this environment with environment.txt", "stillwork.workbook.doctor:doctor"),

@@ -35,11 +35,8 @@ def rooms() -> tuple[str, ...]:
 
 def _order(room: str) -> float:
     file = data(room, "paper.toml")
-    return (
-        require_number(f"{file}: order", read_toml(file).get("order", math.inf))
-        if file.is_file()
-        else math.inf
-    )
+    given = read_toml(file) if file.is_file() else {}
+    return require_number(f"{file}: order", given["order"]) if "order" in given else math.inf
 
 
 def is_room(name: str) -> bool:

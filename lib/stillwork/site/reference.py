@@ -73,10 +73,12 @@ class Folder:
 def folders(modules: list[Module]) -> list[Folder]:
     """The modules by folder, in the order of the house: the toolbox from the ground up, the workbook, the rooms."""
     found = []
-    for name in (*TOOLBOX, "workbook", *paths.rooms()):
-        if not (mine := [module for module in modules if module.folder == name]):
-            continue  # a room whose notebooks need nothing but the toolbox
-        package = next(module for module in mine if module.name.count(".") == 1)
+    packages = {module.name: module for module in modules if module.name.count(".") == 1}
+    wanted = [f"stillwork.{name}" for name in (*TOOLBOX, "workbook")]
+    for name in [*wanted, *(f"experiments.{room}" for room in paths.rooms())]:
+        if not (package := packages.get(name)):
+            continue  # a room whose notebooks share nothing
+        mine = [module for module in modules if module.name == name or module.name.startswith(f"{name}.")]
         names = face_names(ast.parse(package.source))
         by_name = {module.name: module for module in mine}
         public = tuple(
@@ -84,7 +86,7 @@ def folders(modules: list[Module]) -> list[Folder]:
             for each in sorted(names, key=str.lower)
         )
         inner = tuple(module for module in mine if module is not package)
-        found.append(Folder(name, package.doc, public, inner))
+        found.append(Folder(package.folder, package.doc, public, inner))
     return found
 
 
