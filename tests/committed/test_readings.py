@@ -21,7 +21,7 @@ def studies(room: str) -> list[Multiverse]:
     return load_axes(room)[1] if paths.data(room, "readings.csv").exists() else []
 
 
-@pytest.mark.parametrize("room", paths.ROOMS)
+@pytest.mark.parametrize("room", paths.rooms())
 def test_they_are_of_these_axes_and_this_code(room):
     found = read_results(studies(room))
     assert [each.multiverse.study for each in found] == [each.study for each in studies(room)], (
@@ -33,7 +33,7 @@ def test_they_are_of_these_axes_and_this_code(room):
 
 
 @pytest.mark.parametrize("part", range(PARTS))
-@pytest.mark.parametrize("room", paths.ROOMS)
+@pytest.mark.parametrize("room", paths.rooms())
 def test_the_first_and_on_other_days_the_last_gives_the_same_again(room, part):
     """What the first test cannot see: another library, another processor, a table that was edited."""
     entries, day = load_entries(room), datetime.date.today().toordinal()
@@ -52,7 +52,7 @@ def test_the_first_and_on_other_days_the_last_gives_the_same_again(room, part):
             )
 
 
-@pytest.mark.parametrize("room", paths.ROOMS)
+@pytest.mark.parametrize("room", paths.rooms())
 def test_every_axis_that_moves_an_entry_says_so(room):
     moved = {name: standing.undeclared for name, standing in standings_of(room).items()}
     assert not {name: axes for name, axes in moved.items() if axes}

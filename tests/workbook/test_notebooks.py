@@ -15,7 +15,8 @@ from workbook.toy import cell, notebook
 @pytest.fixture
 def workbook(tmp_path, monkeypatch):
     """Write a notebook of the room `motion` with this parameters cell and read it."""
-    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "motion").mkdir(parents=True)
+    (tmp_path / "data" / "motion" / "published.toml").touch()
     (tmp_path / "notebooks" / "motion").mkdir(parents=True)
     monkeypatch.setenv("STILLWORK_ROOT", str(tmp_path))
 
@@ -104,6 +105,13 @@ CODE = '{"cell_type": "code", "id": "a", "metadata": {}, "source": "1"}'
 def test_a_file_that_is_no_notebook(workbook, tmp_path, text):
     (tmp_path / "notebooks/motion/01-x.ipynb").write_text(text)
     with pytest.raises(InputError, match="nbformat"):
+        read_notebook("motion/01-x")
+
+
+def test_two_cells_of_one_id_are_refused(workbook, tmp_path):
+    cells = [cell("title", "# A", "markdown"), cell("3f2a9c1b", "x = 1"), cell("3f2a9c1b", "y = 2")]
+    (tmp_path / "notebooks/motion/01-x.ipynb").write_text(notebook(cells))
+    with pytest.raises(InputError, match="3f2a9c1b"):
         read_notebook("motion/01-x")
 
 

@@ -27,7 +27,7 @@ def built(monkeypatch):
         asked[processor.name] = names
         apart = ("fig-2-3.png",) if processor.name.startswith("2004") else ()
         found = [
-            Comparison(name, 3, 1e-9, apart * (name == "motion/02-model-reduction"), (), (), ())
+            Comparison(name, 3, 1e-9, apart * (name == "motion/02-model-reduction"), (), (), (), ())
             for name in names
         ]
         return found, 0

@@ -9,6 +9,7 @@ leads to is no input, so an edit of it makes nothing stale.
 import json
 import os
 import platform
+import re
 import tomllib
 from functools import lru_cache
 from pathlib import Path
@@ -105,10 +106,9 @@ def present_again(before: dict[str, str]) -> dict[str, str]:
 def with_ledger(reads: dict[str, str], claimed: set[str]) -> dict[str, str]:
     """`reads` with the ledger's entries in place of its files: those that the notebook claims.
 
-    All of a room's entries where a module that it imported takes published values from the ledger by itself. What
-    the last accepted build gave (``ours``) is no input: it follows from the results.
+    All of a room's entries where a module that it imported takes published values from the ledger by itself.
     """
-    rooms = {room for room in paths.ROOMS if f"data/{room}/published.toml" in reads}
+    rooms = {found[1] for name in reads if (found := re.fullmatch(r"data/(\w+)/published\.toml", name))}
     kept = {
         name: value
         for name, value in reads.items()
@@ -146,14 +146,14 @@ def changes(before: dict[str, str], now: dict[str, str]) -> list[str]:
 
 
 def ledger_inputs(room: str) -> dict[str, str]:
-    """A digest of every entry of a room, without ``ours``; of the whole file where it is malformed."""
+    """A digest of every entry of a room; of the whole file where it is malformed."""
     try:
         return dict(_entries(room, paths.data(room, "published.toml").read_bytes()))
     except FileNotFoundError:
         return {}
 
 
-@lru_cache(maxsize=len(paths.ROOMS))  # every notebook of a room asks; parsing takes 20 ms
+@lru_cache(maxsize=32)  # every notebook of a room asks; parsing takes 20 ms
 def _entries(room: str, text: bytes) -> dict[str, str]:
     try:
         tree = tomllib.loads(text.decode())
@@ -163,8 +163,7 @@ def _entries(room: str, text: bytes) -> dict[str, str]:
 
     def walk(branch, path):
         if not isinstance(branch, dict) or "place" in branch:
-            kept = {k: v for k, v in branch.items() if k != "ours"} if isinstance(branch, dict) else branch
-            found[f"{LEDGER}{'.'.join(path)}"] = digest(json.dumps(kept, default=str).encode())
+            found[f"{LEDGER}{'.'.join(path)}"] = digest(json.dumps(branch, default=str).encode())
         else:
             for name, twig in branch.items():
                 walk(twig, (*path, name))

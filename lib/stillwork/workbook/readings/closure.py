@@ -12,7 +12,7 @@ from stillwork.base.checks import InputError
 from stillwork.workbook.publish import digest
 
 LIBRARY = Path(stillwork.__file__).parents[1]
-OWN_RESULTS = ("published.toml", "readings.toml", "readings.csv")
+OWN_RESULTS = ("paper.toml", "published.toml", "readings.toml", "readings.csv")
 
 
 @cache  # for the life of the process: what it has imported does not change under it either

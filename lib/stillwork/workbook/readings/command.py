@@ -7,7 +7,6 @@ import time
 from collections import Counter
 
 from stillwork.base import paths
-from stillwork.base.checks import InputError, nearest
 from stillwork.workbook.claims import load_entries
 from stillwork.workbook.lock import held, interrupts, settle
 from stillwork.workbook.publish import replace_file
@@ -41,14 +40,13 @@ def compute_readings(
     budget_min : float, optional
         After so many minutes, of all rooms together, no reading is begun; the next run goes on from there.
     """
-    if room not in (None, *paths.ROOMS):
-        raise InputError(f"there is no room {room!r}{nearest(room, paths.ROOMS)}")
+    rooms = paths.rooms() if room is None else [paths.require_room(room)]
     end = time.monotonic() + 60 * budget_min if budget_min is not None else math.inf
     whole = True
     settle()
     with held("readings/lock", RUNNING), interrupts() as caught, contextlib.ExitStack() as stack:
         executor, at_once = _executor(stack, jobs, scheduler)
-        for each in [room] if room else paths.ROOMS:
+        for each in rooms:
             if not caught:
                 whole &= _compute_room(each, executor, at_once, end, lambda: bool(caught))
     return 128 + caught[0] if caught else int(not whole)
