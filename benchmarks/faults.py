@@ -1205,7 +1205,8 @@ def _table(home: Path, jobs: int) -> tuple[list[dict], bool]:
         environment = toys.Toy(home / str(part) / "root", home / str(part) / "tmp").environment()
         del environment["TOY_MARK"], environment["TOY"]  # it is not one of the processes that it looks for
         command = [sys.executable, __file__, *sys.argv[1:], "--worker", str(part), str(home / str(part))]
-        workers.append(subprocess.Popen(command, env=environment, stdout=(home / f"{part}.json").open("w")))
+        out = (home / f"{part}.json").open("w")
+        workers.append(subprocess.Popen(command, env=environment, stdout=out, preexec_fn=toys.set_signals))
     try:
         for worker in workers:
             worker.wait()

@@ -170,7 +170,12 @@ raise SystemExit(main(["accept"]))
     toy = built
     before = toy.stamps("notebooks", "data", "figures", "README.md")
     done = subprocess.run(
-        [sys.executable, "-c", script], cwd=toy.root, env=toy.environment(), capture_output=True, text=True
+        [sys.executable, "-c", script],
+        cwd=toy.root,
+        env=toy.environment(),
+        capture_output=True,
+        text=True,
+        preexec_fn=toys.set_signals,
     )
     assert done.returncode == (-number if number == signal.SIGKILL else 128 + number)
     assert "Traceback" not in done.stderr
