@@ -4,8 +4,11 @@
 PYTHON ?= python3
 ARGS ?=
 
+# A path as the shell takes it, blanks and all.
+path = $(subst $() ,\ ,$(1))
+
 ifdef ENVIRONMENT
-BIN := $(ENVIRONMENT)/bin
+BIN := $(call path,$(ENVIRONMENT))/bin
 READY :=
 else
 BIN := .venv/bin
@@ -26,9 +29,11 @@ UNIT := tests -p no:nbval -p no:anyio --ignore=tests/committed --ignore=tests/br
 RERUN ?= 3
 BEGUN := build/test-begun
 
-# A part of `make test`, $(1) in words and $(2) to run: how long each took stands at the end.
-SECONDS := build/test-seconds
-part = @echo "$(1)"; begin=$$(date +%s); $(2) && echo "$$(($$(date +%s) - begin)) s: $(1)" >> $(SECONDS)
+# A part of `make test`, $(1) in words and $(2) to run, whatever became of those before it. How long each took and
+# whether it passed stands at the end.
+PARTS := build/test-parts
+part = @echo "$(1)"; begin=$$(date +%s); if $(2); then end=passed; else end=FAILED; fi; \
+	printf '%-20s%6d s  %s\n' "$(1)" $$(($$(date +%s) - begin)) $$end >> $(PARTS)
 
 # Kept bytecode halves the start of every worker, which reads all tests and checks all functions' types.
 test quick: export PYTHONDONTWRITEBYTECODE :=
@@ -48,8 +53,9 @@ contest: $(READY) ## Rank observers of flexible machines; ARGS="MY_OBSERVER.py -
 	@$(BIN)/python -m stillwork contest $(ARGS)
 
 test: $(READY) ## Style, types, unit tests, all notebooks, and what is committed against what they give now
-	@mkdir -p build && rm -f $(SECONDS) && touch $(BEGUN)
-	$(call part,style and types,$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/python -m mypy)
+	@mkdir -p build && rm -f $(PARTS) && touch $(BEGUN)
+	$(call part,style,$(BIN)/ruff check . && $(BIN)/ruff format --check .)
+	$(call part,types,$(BIN)/python -m mypy)
 	$(call part,unit tests,$(UNDER_PINS) $(BIN)/python -m pytest $(UNIT))
 	$(call part,build,$(BIN)/python -m stillwork figures)
 	@# The plugin lies in the package, so the package is imported before its types could be checked.
@@ -59,7 +65,7 @@ test: $(READY) ## Style, types, unit tests, all notebooks, and what is committed
 		--nbval-begun $(BEGUN) --nbval-current-env --nbval-cell-timeout 600 -n logical --dist loadfile)
 	$(call part,what is committed,$(UNDER_PINS) $(BIN)/python -m pytest tests/committed \
 		-p no:nbval -p no:anyio -n logical --dist worksteal)
-	@awk '{ all += $$1; print } END { print all " s in all" }' $(SECONDS)
+	@awk '{ all += $$(NF - 2); print } END { printf "%-20s%6d s\n", "all of them", all }' $(PARTS); ! grep -q FAILED $(PARTS)
 
 quick: $(READY) ## The unit tests that take less than half a second of CPU each
 	$(UNDER_PINS) $(BIN)/python -m pytest $(UNIT) -m "not slow" $(ARGS)
@@ -101,10 +107,10 @@ clean: ## Remove what can be made again (not .venv)
 
 # The last line marks the environment as whole: one that was interrupted is made anew.
 .venv/complete: environment.txt pyproject.toml
-	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 14))' || \
+	@$(call path,$(PYTHON)) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 14))' || \
 		{ echo "$(PYTHON) is not a Python 3.11, 3.12, 3.13 or 3.14; name one: make PYTHON=/path/to/python3.12"; exit 1; }
 	@echo "Making .venv with the pinned packages (a minute or two, once)"
-	@$(PYTHON) -m venv --clear .venv
+	@$(call path,$(PYTHON)) -m venv --clear .venv
 	@.venv/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r environment.txt
 	@.venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@touch .venv/complete

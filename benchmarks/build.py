@@ -6,6 +6,9 @@ what that costs beyond the notebooks' own work is the runner's. Either begins wi
 several notebooks call is compiled in the first of them. Processor time, which other programs disturb less
 than the clock; the clock counts on a machine that has nothing else to do.
 
+``--beside COMMIT`` builds instead everything, or what is named, from nothing in the checkout as it stands and as it was
+at a commit, in the same environment and the same run.
+
 ``--pins`` measures instead what the pins of the processor (`pinned.env`) cost: the same notebooks, by default the
 sample of `make portable`, with all of them, without each one and without any, in turn.
 """
@@ -13,15 +16,18 @@ sample of `make portable`, with all of them, without each one and without any, i
 import argparse
 import builtins
 import contextlib
+import io
 import json
 import os
 import platform
 import resource
 import statistics
+import subprocess
 import sys
+import tarfile
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -127,17 +133,39 @@ def in_a_process_of_its_own(name: str, kernels: str, without: tuple[str, ...] = 
         return json.loads(told.read_text())
 
 
-def from_nothing() -> tuple[float, float]:
-    """Seconds of the processor and of the clock that a build of everything takes."""
+def from_nothing(root: Path = ROOT, targets: Sequence[str] = ()) -> tuple[float, float]:
+    """Seconds of the processor and of the clock that a build of `targets`, or everything, takes in the checkout `root`."""
     before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
     with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryDirectory() as kernels:
-        under = _compiling(os.environ, kernels) | {BUILT: folder, "PYTHONPATH": str(ROOT / "lib")}
-        code = run_whole([sys.executable, "-m", "stillwork", "figures"], env=under)
+        plain = {name: value for name, value in os.environ.items() if not name.startswith("STILLWORK")}
+        under = _compiling(plain, kernels) | {BUILT: folder, "PYTHONPATH": str(root / "lib")}
+        code = run_whole([sys.executable, "-m", "stillwork", "figures", *targets], env=under, cwd=root)
     if code:
         raise SystemExit(code if code > 128 else f"the build failed with {code}: its time says nothing")
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     return spent, time.monotonic() - begin
+
+
+@contextlib.contextmanager
+def checkout(commit: str) -> Iterator[Path]:
+    """A folder with all that a commit holds."""
+    done = subprocess.run(["git", "archive", commit], cwd=ROOT, capture_output=True)
+    if done.returncode:
+        raise SystemExit(f"there is no checkout of {commit!r}: {done.stderr.decode().strip()}")
+    with tempfile.TemporaryDirectory() as folder:
+        with tarfile.open(fileobj=io.BytesIO(done.stdout)) as whole:
+            whole.extractall(folder, filter="data")
+        yield Path(folder)
+
+
+def print_beside(commit: str, targets: list[str]) -> None:
+    """A row for the checkout as it stands and one for the commit: seconds of the processor and of the clock."""
+    with checkout(commit) as other:
+        rows = {"as it stands": from_nothing(ROOT, targets), commit: from_nothing(other, targets)}
+    print(f"{'from nothing':40}{'processor':>11}{'clock':>9}")
+    for label, (spent, clock) in rows.items():
+        print(f"{label:40}{spent:11.1f}{clock:9.1f}")
 
 
 def _compiling(under: Mapping[str, str], kernels: str) -> dict[str, str]:
@@ -203,6 +231,7 @@ def main() -> None:
     parser.add_argument(
         "--rounds", type=int, default=3, metavar="N", help="of --pins; medians of them are shown"
     )
+    parser.add_argument("--beside", metavar="COMMIT", help="a build from nothing, and one of this commit")
     parser.add_argument("--measure", metavar="NOTEBOOK", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.measure:
@@ -217,6 +246,9 @@ def main() -> None:
     print(
         f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}; seconds of the processor"
     )
+    if options.beside:
+        print_beside(options.beside, options.targets)
+        return
     with tempfile.TemporaryDirectory() as kernels:
         if options.pins:
             print_pins(options.targets, options.rounds, kernels)

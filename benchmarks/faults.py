@@ -118,6 +118,7 @@ class Run:
     pid: int
     log: Path
     code: int | None = None
+    copying: subprocess.Popen | None = None
 
     def wait(self) -> int:
         """Its exit code, negative for a signal; it is killed when it stalls."""
@@ -132,6 +133,8 @@ class Run:
                 raise Broken(f"stalled: {self.said()[-300:]}")
             else:
                 time.sleep(0.005)
+        if self.copying:
+            self.copying.wait(STALL_S)
         return self.code
 
     def said(self) -> str:
@@ -192,15 +195,22 @@ class Bench:
         self.runs += 1
         log = self.home / "logs" / f"{self.runs % 4}"
         log.unlink(missing_ok=True)
+        descriptor, copying = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND), None
+        # Without a disk to fill it is files that are limited: then what is said goes through a process that writes it.
+        if not self.mounted:
+            copying = subprocess.Popen(["cat"], stdin=subprocess.PIPE, stdout=descriptor, bufsize=0)
+            os.dup2(copying.stdin.fileno(), descriptor)
+            copying.stdin.close()
         if pid := os.fork():
+            os.close(descriptor)
             with contextlib.suppress(OSError):
                 os.setpgid(pid, pid)
-            return Run(pid, log)
+            return Run(pid, log, copying=copying)
         with contextlib.suppress(OSError):
             os.setsid()
-        descriptor = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
         os.dup2(descriptor, 1)
         os.dup2(descriptor, 2)
+        os.close(descriptor)
         os.environ.update(TOY_MARK=self.toy.mark, TOY=str(self.root))
         if root:
             os.environ["STILLWORK_ROOT"] = str(root)
@@ -1205,7 +1215,8 @@ def _table(home: Path, jobs: int) -> tuple[list[dict], bool]:
         environment = toys.Toy(home / str(part) / "root", home / str(part) / "tmp").environment()
         del environment["TOY_MARK"], environment["TOY"]  # it is not one of the processes that it looks for
         command = [sys.executable, __file__, *sys.argv[1:], "--worker", str(part), str(home / str(part))]
-        workers.append(subprocess.Popen(command, env=environment, stdout=(home / f"{part}.json").open("w")))
+        out = (home / f"{part}.json").open("w")
+        workers.append(subprocess.Popen(command, env=environment, stdout=out, preexec_fn=toys.set_signals))
     try:
         for worker in workers:
             worker.wait()

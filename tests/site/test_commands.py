@@ -63,7 +63,7 @@ def meant(words):
 def test_a_record_gets_the_command_that_uses_it():
     report = inspect_file(str(SLAB))
     assert "a record of 1 channel: 425.077 Hz, 30 s" in report
-    wanted = f"isolation/08-your-floor -p floor_record={SLAB} -p 'floor_unit=m/s^2'"
+    wanted = f"isolation/08-your-floor -p {shlex.quote(f'floor_record={SLAB}')} -p 'floor_unit=m/s^2'"
     assert f"for isolation/08-your-floor: python -m stillwork figures {wanted}" in report
     assert commands(report) == {"isolation/08-your-floor": {"floor_record": str(SLAB), "floor_unit": "m/s^2"}}
 
@@ -389,9 +389,10 @@ def test_what_is_wrong_with_a_record_is_said(tmp_path):
 
 
 def test_a_machine_is_recognised_by_the_room_that_reads_it(tmp_path):
-    report = inspect_file(str(paths.data("isolation", "rigid_body.toml")))
+    machine = str(paths.data("isolation", "rigid_body.toml"))
+    report = inspect_file(machine)
     assert "a machine of the room isolation" in report
-    assert "-p model=" in report
+    assert commands(report) == {"isolation/08-your-floor": {"model": machine}}
     assert "not a machine" not in report  # one answer, without what it is not
     broken = tmp_path / "rig.toml"
     broken.write_text(

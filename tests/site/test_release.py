@@ -1,6 +1,7 @@
 """What a release refuses and holds, and that a stranger can install its wheel."""
 
 import io
+import shutil
 import subprocess
 import tarfile
 import zipfile
@@ -31,6 +32,13 @@ def workbook(tmp_path, monkeypatch):
 def test_what_is_not_committed_is_not_released(workbook):
     (workbook / "CITATION.cff").write_text("version: 0.1.0\ntitle: toy\n")
     with pytest.raises(InputError, match=r"^CITATION\.cff\b"):
+        release.release()
+
+
+def test_without_a_commit_there_is_no_release(workbook):
+    """As in an archive that was unpacked."""
+    shutil.rmtree(workbook / ".git")
+    with pytest.raises(InputError, match="git"):
         release.release()
 
 
@@ -99,6 +107,10 @@ def test_it_tells_what_is_left_to_a_person(workbook):
 @pytest.mark.slow
 def test_a_stranger_installs_the_wheel_and_runs_its_tests():
     ((name, content),) = release.wheel(paths.root()).items()
-    with release.installed(name, content, release.archive("0.1.0")) as tested:
+    archive = io.BytesIO()  # as `release.archive` makes one, of the files that stand here
+    with tarfile.open(fileobj=archive, mode="w") as whole:
+        for each in ("pyproject.toml", "tests"):
+            whole.add(paths.root() / each, f"stillwork-0.1.0/{each}")
+    with release.installed(name, content, archive.getvalue()) as tested:
         assert tested(("rounding",)) == 0
         assert tested(("house",)) != 0  # asks for the checkout, which is not there

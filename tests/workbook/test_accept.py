@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from stillwork.workbook import accept, publish
+from stillwork.workbook import accept, durations, publish
 from stillwork.workbook.notebooks import cleaned
 from stillwork.workbook.publish import replace_all
 from workbook import toy as toys
@@ -69,7 +69,7 @@ def test_accepts_a_build(toy):
     assert done.stdout.splitlines() == [
         "claimed by no notebook: motion.gain",
         "belongs to no notebook, remove it: figures/motion/00-gone",
-        "accepted 2 notebooks and 2 ledger entries: 12 files changed",
+        "accepted 2 notebooks and 2 ledger entries: 13 files changed",
     ]
 
     assert toy.files("data") == ledger
@@ -116,6 +116,18 @@ def test_a_parameter_that_is_renamed_is_renamed_in_the_provenance(accepted):
     assert toy.run("accept").returncode == 0
     kept = json.loads((toy.root / "figures/isolation/01-first/provenance.json").read_text())
     assert "gain_level" in kept["parameters"] and "level" not in kept["parameters"]
+
+
+def test_how_long_a_notebook_took_is_noted_and_makes_nothing_stale(accepted):
+    """On a machine of another pace it is no news."""
+    file = accepted.root / durations.FILE
+    noted = json.loads(file.read_text())
+    assert list(noted) == ["isolation/01-first"] and noted["isolation/01-first"] > 0
+    accepted.write(durations.FILE, json.dumps({"isolation/01-first": 1000.0}))
+    before = accepted.stamps("notebooks", "data", "figures", "README.md")
+    assert accepted.run("figures", "--why").stdout == "isolation/01-first: up to date\n"
+    assert accepted.run("accept").returncode == 0
+    assert accepted.stamps("notebooks", "data", "figures", "README.md") == before
 
 
 def test_a_file_that_somebody_writes_all_the_time_is_named(accepted, monkeypatch):
@@ -167,7 +179,12 @@ raise SystemExit(main(["accept"]))
     toy = built
     before = toy.stamps("notebooks", "data", "figures", "README.md")
     done = subprocess.run(
-        [sys.executable, "-c", script], cwd=toy.root, env=toy.environment(), capture_output=True, text=True
+        [sys.executable, "-c", script],
+        cwd=toy.root,
+        env=toy.environment(),
+        capture_output=True,
+        text=True,
+        preexec_fn=toys.set_signals,
     )
     assert done.returncode == (-number if number == signal.SIGKILL else 128 + number)
     assert "Traceback" not in done.stderr

@@ -14,12 +14,9 @@ import numpy as np
 import pytest
 
 from stillwork.workbook import publish
-from stillwork.workbook.build import in_turn
 from stillwork.workbook.inputs import read_inputs
 from stillwork.workbook.kernel_process import Installed
-from stillwork.workbook.notebooks import Notebook
 from stillwork.workbook.progress import Progress
-from stillwork.workbook.tasks import Task
 from workbook import toy as toys
 
 pytestmark = pytest.mark.slow
@@ -658,18 +655,3 @@ def test_nothing_is_left_at_the_end_and_nothing_known_at_the_beginning():
     assert re.fullmatch(r", \d+ s left", progress.left())
     progress.step(2)
     assert progress.left() == ""
-
-
-def test_rooms_take_turns():
-    def stale(name):
-        return Task(Notebook(name, "", {}, {}), {}, {}), ["never built"]
-
-    names = ["isolation/01", "isolation/02", "isolation/03", "motion/01", "worstcase/01", "worstcase/02"]
-    assert [task.notebook.name for task, _ in in_turn([stale(name) for name in names])] == [
-        "isolation/01",
-        "motion/01",
-        "worstcase/01",
-        "isolation/02",
-        "worstcase/02",
-        "isolation/03",
-    ]

@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -160,6 +161,20 @@ def test_an_interrupt_of_a_parallel_build(built, number):
     assert [line.split()[-1] for line in printed.splitlines()[-4:-1]] == ["interrupted"] * 3
     assert toy.results() == good
     assert toy.leftovers() == []
+
+
+def test_a_build_goes_on_through_signals_that_it_was_started_to_ignore(toy):
+    """As `nohup` and a shell's background jobs ask; the end of a session is no end of the build."""
+    go_on = "\nwhile not begun.with_suffix('.go').exists():\n    time.sleep(0.05)"
+    toy.add("isolation/01-first", WAIT.format("begun").replace("\ntime.sleep(1000)", go_on))
+    process = toy.start("figures", ignored=(signal.SIGINT, signal.SIGHUP))
+    toy.wait_for("begun")
+    for number in (signal.SIGINT, signal.SIGHUP):
+        os.killpg(process.pid, number)
+    time.sleep(0.5)  # longer than the build's look for what came
+    toy.write("begun.go", "")
+    assert "1 built, 0 failed" in process.communicate(timeout=60)[0]
+    assert process.returncode == 0
 
 
 def test_an_interrupt_while_kernels_start(toy):

@@ -14,6 +14,7 @@ from stillwork.workbook.compare import Comparison
 from stillwork.workbook.jupyter_kernel import kernel_environment, kernel_manager
 from stillwork.workbook.notebooks import select
 from stillwork.workbook.pinned import OTHER
+from workbook.toy import set_signals
 
 BUILD = module._build
 
@@ -122,7 +123,12 @@ sys.exit(run_whole([sys.executable, "-c", {TIDY!r}]))
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_build_that_is_interrupted_tidies_up_and_is_told_once(tmp_path, number):
     process = subprocess.Popen(
-        [sys.executable, "-c", RUN], cwd=tmp_path, start_new_session=True, stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", RUN],
+        cwd=tmp_path,
+        start_new_session=True,
+        stdout=subprocess.PIPE,
+        text=True,
+        preexec_fn=set_signals,
     )
     while not (tmp_path / "begun").exists():
         assert process.poll() is None

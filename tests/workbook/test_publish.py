@@ -21,6 +21,7 @@ from stillwork.workbook.publish import (
     replace_file,
     replace_folder,
     replace_record,
+    seconds_taken,
     tidy,
     unfinished,
 )
@@ -174,6 +175,17 @@ def test_a_record_is_whole_old_or_new_wherever_it_is_cut(tmp_path, monkeypatch):
         replace_record(target, OLD, {"cell a": "1"})
     assert seen == {"1", "2"}
     assert read_record(target) == ({"cell a": "2"}, [])
+
+
+def test_how_long_results_took_is_known_where_it_was_noted(tmp_path):
+    target = tmp_path / "notebook"
+    assert seconds_taken(target) is None
+    replace_record(target, NEW, {})
+    assert seconds_taken(target) is None
+    replace_record(target, NEW, {}, 12.5)
+    assert seconds_taken(target) == 12.5
+    (target / RECORD).write_text((target / RECORD).read_text().replace("12.5", "13.5"))
+    assert seconds_taken(target) is None
 
 
 def test_a_folder_that_stands_in_the_place_of_results_gives_way(tmp_path):

@@ -131,7 +131,7 @@ class Toy:
             **options,
         )
 
-    def start(self, *arguments: str) -> subprocess.Popen:
+    def start(self, *arguments: str, ignored: tuple[int, ...] = ()) -> subprocess.Popen:
         """Run in a session of its own, as a terminal does, and do not wait."""
         return subprocess.Popen(
             self.command(*arguments),
@@ -141,6 +141,7 @@ class Toy:
             stderr=subprocess.STDOUT,
             text=True,
             start_new_session=True,
+            preexec_fn=lambda: set_signals(*ignored),
         )
 
     def interrupt(self, process: subprocess.Popen, number: int) -> str:
@@ -199,6 +200,12 @@ class Toy:
                 hidden += [each for each in home.iterdir() if f"{home.name}/{each.name}" != shown]
         processes = [" ".join(process.cmdline()) for process in self.processes()]
         return [str(path) for path in [*self.temporary.iterdir(), *hidden]] + processes
+
+
+def set_signals(*ignored: int) -> None:
+    """Set how a process begins: a background job of a shell, and all that it starts, ignores interrupts."""
+    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN if number in ignored else signal.SIG_DFL)
 
 
 def until(condition, seconds: float = 60) -> None:

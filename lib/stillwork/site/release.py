@@ -37,7 +37,7 @@ def release() -> int:
     Raises
     ------
     InputError
-        When something is not committed or changes meanwhile, or the versions of the metadata differ.
+        Without a commit, when something is not committed or changes meanwhile, or when the versions of the metadata differ.
     """
     of = committed()
     version = same_version()
@@ -66,11 +66,15 @@ def release() -> int:
     return 0
 
 
-def committed() -> str | None:
+def committed() -> str:
     """The commit that is checked out, of which nothing is changed."""
+    if (checked_out := commit()) is None:
+        raise InputError(
+            "a release is made of a commit, and git knows none here; use a clone of the repository"
+        )
     if changed := sorted(name for name in modified() if not name.startswith("build/")):
         raise InputError(f"{changed[0]} is not committed, and {len(changed)} in all; commit before a release")
-    return commit()
+    return checked_out
 
 
 def same_version() -> str:

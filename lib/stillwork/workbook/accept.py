@@ -15,9 +15,10 @@ from pathlib import Path
 from stillwork.base import paths
 from stillwork.workbook.claims import Claim, claims_text, ledger
 from stillwork.workbook.compare import Comparison, compare, found_claims, same_outputs
+from stillwork.workbook.durations import FILE, durations, updated
 from stillwork.workbook.lock import alone, interrupts, unwound
 from stillwork.workbook.notebooks import cleaned, notebook_text, select
-from stillwork.workbook.publish import RECORD, Edited, replace_all, replace_file, trial
+from stillwork.workbook.publish import RECORD, Edited, replace_all, replace_file, seconds_taken, trial
 from stillwork.workbook.tasks import Task, tasks
 
 SHELVES = ("notebooks", "data", "figures")  # what accepting reads; it writes to the first and the last
@@ -52,6 +53,7 @@ def accept(refresh: Callable[[], object]) -> int:
                 compared = [(task, compare(task)) for task in built]
                 for task, comparison in compared:
                     _take_over(task, comparison, copy)
+                _note_durations(built, copy)
                 with _rooted(copy):
                     claims = ledger()
                     refresh()
@@ -181,6 +183,12 @@ def _take_over(task: Task, comparison: Comparison, copy: Path) -> None:
         if name.endswith(OWN):
             (home / name).unlink()
     _take_over_outputs(task, copy / "notebooks" / f"{task.notebook.name}.ipynb")
+
+
+def _note_durations(built: list[Task], copy: Path) -> None:
+    noted = updated(durations(), {task.notebook.name: seconds_taken(task.target) for task in built})
+    if noted != durations():
+        replace_file(copy / FILE, (json.dumps(noted, indent=1) + "\n").encode())
 
 
 def _made_under(folder: Path) -> list | None:

@@ -1,15 +1,16 @@
 """The build: stale notebooks in many kernels at once, one writer of their results."""
 
 import contextlib
+import math
 import os
 import shutil
 import uuid
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from itertools import zip_longest
 
 from stillwork.base import paths
 from stillwork.base.kernel_folder import cache_folder
+from stillwork.workbook.durations import durations
 from stillwork.workbook.execution import Failure, Job, Outcome, execute, sweep
 from stillwork.workbook.inputs import ENVIRONMENT, changes, environment_inputs, present, with_ledger
 from stillwork.workbook.jupyter_kernel import stop
@@ -88,7 +89,7 @@ def _build(stale: list[tuple[Task, list[str]]], submit: Callable, halt: Callable
     failures: list[tuple[Task, Failure]] = []
     running = {}
     with interrupts() as caught, Progress(sum(task.cells for task, _ in stale)) as progress:
-        for task, reasons in in_turn(stale):
+        for task, reasons in longest_first(stale):
             progress.say(f"build {task.label}: {_short(reasons)}")
             job = Job(build, task.notebook.name, task.notebook.source, task.settings)
             running[submit(job, task, progress)] = task
@@ -113,15 +114,10 @@ def _build(stale: list[tuple[Task, list[str]]], submit: Callable, halt: Callable
     return failures, caught
 
 
-def in_turn(stale: list[tuple[Task, list[str]]]) -> list[tuple[Task, list[str]]]:
-    """One notebook of each room in turn.
-
-    Neighbours in a room call the same machine code: where one compiles it, the other would wait with its core.
-    """
-    rooms: dict[str, list[tuple[Task, list[str]]]] = {}
-    for each in stale:
-        rooms.setdefault(each[0].notebook.room, []).append(each)
-    return [each for turn in zip_longest(*rooms.values()) for each in turn if each is not None]
+def longest_first(stale: list[tuple[Task, list[str]]]) -> list[tuple[Task, list[str]]]:
+    """Those that took longest first, before them those of which nothing is known."""
+    known = durations()
+    return sorted(stale, key=lambda each: -known.get(each[0].notebook.name, math.inf))
 
 
 def _outcome(future: Future) -> Outcome:
@@ -146,7 +142,7 @@ def _publish(task: Task, outcome: Outcome, made_from) -> Failure | None:
             return Failure("inputs", f"not as the kernel read them: {_short(different)}; build again")
         record = provenance(task.notebook, task.settings, inputs, outcome.software, made_from)
         files = {**outcome.files, "provenance.json": record, task.executed.name: outcome.executed}
-        replace_record(task.target, files, inputs)
+        replace_record(task.target, files, inputs, outcome.seconds)
     except OSError as error:
         return Failure("writing the results", str(error))
     return None

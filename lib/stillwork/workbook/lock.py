@@ -78,8 +78,12 @@ def interrupts() -> Iterator[list[int]]:
 
 @contextlib.contextmanager
 def _handled(handler: Callable, *numbers: signal.Signals) -> Iterator[None]:
-    """Let `handler` take these signals for a while."""
-    before = {each: signal.signal(each, handler) for each in numbers}
+    """Let `handler` take these signals for a while, apart from those that the process was started to ignore.
+
+    `nohup` ignores the end of a session so, and a shell the interrupts of its background jobs.
+    """
+    heard = [each for each in numbers if signal.getsignal(each) != signal.SIG_IGN]
+    before = {each: signal.signal(each, handler) for each in heard}
     try:
         yield
     finally:

@@ -15,7 +15,9 @@ from stillwork.base.checks import InputError
 RECORD, MANIFEST = "record.json", "manifest.json"
 
 
-def replace_record(target: Path, files: dict[str, bytes], inputs: dict[str, str]) -> None:
+def replace_record(
+    target: Path, files: dict[str, bytes], inputs: dict[str, str], seconds: float | None = None
+) -> None:
     """Make `target` a folder of exactly `files` and of the record that describes them.
 
     The folder itself stands hidden beside `target`, under a name of its own; `target` is a link to it, which one
@@ -30,12 +32,14 @@ def replace_record(target: Path, files: dict[str, bytes], inputs: dict[str, str]
         By path below `target`.
     inputs : dict of str to str
         What they were made from, by name, as a value or a digest.
+    seconds : float, optional
+        How long it took to make them.
     """
     home = _home(target)
     new = home / uuid.uuid4().hex[:12]
     link = home / "link"
     outputs = {name: digest(content) for name, content in files.items()}
-    record = _sealed({"inputs": inputs, "outputs": outputs})
+    record = _sealed({"inputs": inputs, "outputs": outputs, "seconds": seconds})
     try:
         for name, content in {**files, RECORD: record}.items():
             _write(new / name, content)
@@ -74,6 +78,12 @@ def read_record(target: Path) -> tuple[dict[str, str], list[str]] | None:
             complaints.append(f"output {name} was changed by hand")
     complaints += [f"output {name} is not the build's" for name in sorted(there - set(record["outputs"]))]
     return record["inputs"], complaints
+
+
+def seconds_taken(target: Path) -> float | None:
+    """How long it took to make the results in `target`; None where that is not known."""
+    record = _unsealed(_content(target / RECORD), "seconds")
+    return record and record["seconds"]
 
 
 def tidy(target: Path) -> None:
