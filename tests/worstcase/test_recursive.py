@@ -11,7 +11,7 @@ from naive import worstcase as naive
 from stillwork.base.checks import InputError
 from stillwork.estimation import LeastSquares, MinMax, min_max_solve, run
 from stillwork.estimation.min_max import ZeroEstimateWarning
-from stillwork.estimation.recursive import RecursiveStepper, worst_case_residuals
+from stillwork.estimation.recursive import GrowthLimitWarning, RecursiveStepper, worst_case_residuals
 from stillwork.estimation.recursive_kernels import FEW, LONG, known_length
 from stillwork.estimation.recursive_settings import UPDATES, GrowingMinMax, Ridge
 
@@ -248,6 +248,55 @@ def test_limited_least_squares_are_those_of_the_information_form(seed, growth_li
     assert track.estimates.T == pytest.approx(expected, rel=1e-8, abs=1e-10)
 
 
+@settings(max_examples=25)
+@given(st.integers(0, 2**32 - 1))
+def test_least_squares_that_start_from_the_data_are_those_of_the_information_form(seed):
+    rows, outputs = record(seed)
+    rows[:12, 2] = 0  # a regressor that comes later
+    rows[:, 1] *= np.linspace(0.05, 1.0, 60)  # and one that grows
+    track = run(LeastSquares(FORGETTING), rows.T, outputs)
+    expected = naive.least_squares_from_the_data(rows, outputs, FORGETTING, 1e6)
+    assert track.estimates.T == pytest.approx(expected, rel=1e-6, abs=1e-8)
+
+
+@settings(max_examples=25)
+@given(st.integers(0, 2**32 - 1), st.tuples(*4 * [st.integers(-9, 9)]), st.integers(-9, 9), st.booleans())
+def test_no_unit_of_a_regressor_or_an_output_matters_to_least_squares(seed, powers, power, quiet):
+    rows, outputs = record(seed)
+    if quiet:
+        rows[20:, 0] = 0
+    units, unit = 10.0 ** np.array(powers), 10.0**power
+    track, other = (
+        run(LeastSquares(0.8), a.T, b) for a, b in ((rows, outputs), (rows * units, outputs * unit))
+    )
+    assert other.errors / unit == pytest.approx(track.errors, rel=1e-6, abs=1e-8)
+    assert np.array_equal(track.held, other.held)
+
+
+@pytest.mark.parametrize("jump", [1e3, 1e8, 1e14])
+def test_a_start_from_a_sample_that_was_nearly_nothing_costs_no_digits(jump):
+    rows, _ = record(21)
+    rows[:3] /= jump
+    outputs = rows @ [1.0, -2.0, 3.0, 0.5]
+    track = run(LeastSquares(0.95), rows.T, outputs)
+    assert track.estimates[:, -1] == pytest.approx([1.0, -2.0, 3.0, 0.5], rel=1e-4)
+
+
+def test_a_limit_that_acts_at_the_end_is_reported():
+    rows, outputs = record(22, samples=300)
+    rows[100:, 1] = 0
+    with pytest.warns(GrowthLimitWarning, match="growth_limit"):
+        track = run(LeastSquares(0.8), rows.T, outputs)
+    assert track.held.tolist() == [False, True, False, False]
+    stepper = RecursiveStepper(LeastSquares(0.8), 4)
+    for row, output in zip(rows, outputs, strict=True):
+        stepper.update(row, output)
+    assert np.array_equal(stepper.held, track.held)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert not run(LeastSquares(0.8), rows[:100].T, outputs[:100]).held.any()
+
+
 @pytest.mark.parametrize(
     "estimator",
     [
@@ -281,7 +330,6 @@ def test_least_squares_resume_with_the_digits_they_had(scale):
     track = run(LeastSquares(0.95), rows.T, outputs)
     A, b = naive.weighted(rows[-400:], outputs[-400:], 0.95)
     expected = np.linalg.lstsq(A, b, rcond=None)[0]
-    # at 1e-3 the limit, P = 1e10, is itself a penalty of 1e-10 beside information of 1e-5 after 400 samples
     assert track.estimates[:, -1] == pytest.approx(expected, rel=1e-5)
 
 

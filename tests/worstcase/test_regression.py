@@ -27,6 +27,7 @@ from stillwork.estimation import (
     run,
 )
 from stillwork.estimation.min_max import ZeroEstimateWarning
+from stillwork.estimation.recursive import GrowthLimitWarning
 
 EVERY = [
     LeastMeanSquares(),
@@ -105,6 +106,46 @@ def test_the_default_guard_leaves_an_excited_estimate_alone(seed):
     X, y = record(seed, samples=400)
     A, b = weighted(X, y, 0.9)
     assert RecursiveLeastSquares(forgetting=0.9).fit(X, y).coef_ == pytest.approx(np.linalg.lstsq(A, b)[0])
+
+
+SCALED = [
+    LeastMeanSquares(),
+    RecursiveLeastSquares(),
+    RecursiveLeastSquares(forgetting=0.9),
+    RecursiveLeastSquares(forgetting=0.9, form="UD"),
+    MinMaxRegressor(0.0),
+    MinMaxRegressor(0.3, forgetting=0.9),
+]
+
+
+@pytest.mark.parametrize("complex_data", [False, True])
+@pytest.mark.parametrize("estimator", SCALED, ids=repr)
+def test_a_prediction_is_the_same_in_any_unit(estimator, complex_data):
+    X, y = complex_record(20) if complex_data else record(20)
+    estimator = clone(estimator).set_params(complex_data=complex_data)
+    expected = estimator.fit(X, y).predict(X)
+    for size in (1e-9, 1e-4, 1e-3, 1e3, 1e9):
+        bounds = {"bound": estimator.bound * size} if isinstance(estimator, MinMaxRegressor) else {}
+        again = clone(estimator).set_params(**bounds)
+        assert again.fit(X * size, y).predict(X * size) == pytest.approx(expected, rel=1e-9)
+        assert clone(estimator).fit(X, y * size).predict(X) / size == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("estimator", SCALED[1:4], ids=repr)
+def test_each_feature_may_have_a_unit_of_its_own(estimator):
+    X, y = record(21)
+    X[:5, 2] = 0
+    units = np.array([1e-9, 1.0, 1e7])
+    expected = clone(estimator).fit(X, y).predict(X)
+    assert clone(estimator).fit(X * units, y).predict(X * units) == pytest.approx(expected, rel=1e-7)
+
+
+def test_a_variance_that_was_held_down_is_reported():
+    X, y = record(22, samples=300)
+    X[100:, 1] = 0
+    with pytest.warns(GrowthLimitWarning, match="growth_limit"):
+        found = RecursiveLeastSquares(forgetting=0.8).fit(X, y)
+    assert found.held_ == pytest.approx([0, 1, 0], abs=1e-3)
 
 
 def test_least_mean_squares_take_the_published_step():
@@ -225,9 +266,8 @@ def test_complex_least_squares_and_least_mean_squares():
     coef = np.zeros(3, complex)
     for row, output in zip(X, y, strict=True):
         coef += 0.4 * (output - row @ coef) * row.conj() / (1e-5 + np.linalg.norm(row) ** 2)
-    assert LeastMeanSquares(step_size=0.4, complex_data=True).fit(X, y).coef_ == pytest.approx(
-        coef, rel=1e-12
-    )
+    found = LeastMeanSquares(step_size=0.4, regularisation=1e-5, complex_data=True).fit(X, y)
+    assert found.coef_ == pytest.approx(coef, rel=1e-12)
 
 
 @pytest.mark.parametrize("bound", [0.8, [0.0, 0.8, 0.3]])
