@@ -16,6 +16,7 @@ LONGEST = (
     "motion/test_designing.py",
     "workbook/test_cluster.py",
     "workbook/test_contributing.py",
+    "workbook/test_variables.py",
     "shared/test_rendering.py",
     "worstcase/test_regression.py",
     "motion/test_joint.py",

@@ -150,6 +150,25 @@ def test_the_folders_that_the_environment_names_are_obeyed(workbook, tmp_path):
     assert not (workbook / "build").exists()
 
 
+# The user's own places for machine code, numba's rule for them, and one where nothing of the workbook's can be written.
+PLACES = (
+    {"NUMBA_CACHE_DIR": "{own}"},
+    {"NUMBA_CACHE_LOCATOR_CLASSES": "InTreeCacheLocator"},
+    {"STILLWORK_ROOT": "{own}", "NUMBA_CACHE_DIR": ""},
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("place", PLACES)
+def test_a_change_of_a_called_kernel_is_seen_wherever_machine_code_is_kept(workbook, tmp_path, place):
+    own = {name: value.format(own=tmp_path / "own") for name, value in place.items()}
+    called = workbook / "lib" / "stillwork" / "called.py"
+    for factor, value in ((2, 21), (3, 31), (2, 21)):
+        called.write_text(CALLED.format(factor=factor))
+        assert run(workbook, **own)[0] == value
+    assert run(workbook, **own) == [21, 0]
+
+
 def test_the_cache_folder_is_the_one_that_the_driver_gives(monkeypatch):
     monkeypatch.setenv("STILLWORK_KERNELS", "/given")
     assert cache_folder() == "/given"

@@ -37,15 +37,21 @@ def cache_folder() -> str:
 
 
 @cache
-def _folder_by_content() -> str:
+def code_digest() -> str:
+    """Digest of every file that has kernels: a kernel's machine code follows from those that it calls, too."""
     digest = hashlib.sha256()
     library = Path(__file__).parents[2]
     for file in sorted(each for package in PACKAGES for each in (library / package).rglob("*.py")):
         text = file.read_bytes()
         if b"stillwork.base.kernel" in text:
             digest.update(text)
+    return digest.hexdigest()[:16]
+
+
+@cache
+def _folder_by_content() -> str:
     try:
-        folder = paths.root() / "build" / "kernels" / digest.hexdigest()[:16]
+        folder = paths.root() / "build" / "kernels" / code_digest()
         if not folder.exists():
             folder.mkdir(parents=True, exist_ok=True)
             _remove_unused(folder.parent)

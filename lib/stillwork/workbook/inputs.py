@@ -17,7 +17,7 @@ from pathlib import Path
 from stillwork.base import paths
 from stillwork.workbook.environment import pins
 from stillwork.workbook.notebooks import Notebook
-from stillwork.workbook.pinned import settings
+from stillwork.workbook.pinned import passed_inputs, settings
 from stillwork.workbook.publish import digest
 
 ENVIRONMENT = ("environment: ", "setting ")
@@ -29,10 +29,10 @@ _digests: dict[tuple, str] = {}
 
 
 def environment_inputs() -> dict[str, str]:
-    """The pins of environment.txt, the Python and the processor's settings."""
+    """The pins of environment.txt, the Python, the processor's settings and variables that may move numbers."""
     found = {f"environment: {name}": version for name, version in pins().items()}
     found["environment: Python"] = platform.python_version()
-    return found | {f"setting {name}": value for name, value in settings().items()}
+    return found | {f"setting {name}": value for name, value in {**passed_inputs(), **settings()}.items()}
 
 
 def notebook_inputs(notebook: Notebook, values: dict[str, object]) -> dict[str, str]:
