@@ -193,6 +193,7 @@ COMMANDS = {
                 _minutes,
                 dest="budget_min",
             ),
+            _flag("changed", "only studies with a value that moved, in a sample, and those never run"),
         ),
     ),
     "claims": Command(

@@ -79,7 +79,7 @@ def change_library(toy):
 
 
 def change_shared_module(toy):
-    toy.replace("lib/stillwork/base/checks.py", "import difflib", "import difflib  # again")
+    toy.replace("lib/stillwork/base/checks.py", "import difflib", "import cmath\nimport difflib")
 
 
 def change_data(toy):
@@ -156,6 +156,14 @@ def test_what_cannot_change_a_result_makes_nothing_stale(toy):
     toy.replace(f"notebooks/{FIRST}.ipynb", "# A toy", "# Another story")
     toy.replace("lib/stillwork/workbook/report.py", '"""The ledger', '"""A ledger')
     toy.replace("lib/stillwork/__main__.py", '"""Command line', '"""A command line')
+    # Of what all import, the wording and the layout, and annotations that nobody reads.
+    toy.replace("lib/stillwork/base/checks.py", '"""Input', '"""Otherwise: input')
+    toy.replace("lib/stillwork/base/checks.py", "import difflib", "import difflib  # again\n")
+    toy.replace(
+        "lib/experiments/isolation/model.py",
+        "def gain(level):\n    return 2.0 * level",
+        'def gain(level: float) -> float:\n    """In V."""\n\n    return (2.0 * level)',
+    )
     assert reasons(toy) == {}
 
 
@@ -181,7 +189,7 @@ def test_what_a_notebook_read_is_what_makes_it_stale(toy):
         "data/motion/records/floor.csv",
     ):
         before = (toy.root / name).read_text()
-        toy.write(name, before + "\n")
+        toy.write(name, before + "more = 1\n")
         assert reasons(toy) == {"motion/02-reads": f"{name} changed"}
         toy.write(name, before)
     toy.write("data/motion/records/second.csv", "1,2\n")
@@ -199,7 +207,7 @@ def test_what_is_read_is_watched_wherever_the_checkout_lies(tmp_path, monkeypatc
         assert reasons(toy) == {}
         for name in ("lib/experiments/motion/model.py", "data/motion/rig.toml"):
             before = (toy.root / name).read_text()
-            toy.write(name, before + "\n")
+            toy.write(name, before + "more = 1\n")
             assert reasons(toy) == {"motion/01-a": f"{name} changed"}
             toy.write(name, before)
     finally:

@@ -14,7 +14,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.serialize import dumps
 
 from stillwork.base.garbage import no_collection
-from stillwork.base.kernel_folder import cache_folder, code_digest
+from stillwork.base.kernel_folder import cache_folder, kernels_digest
 
 try:
     import fcntl
@@ -109,7 +109,7 @@ class _ContentLocator(_CacheLocator):
 
 def _folder() -> str:
     """The user's folder for machine code, NUMBA_CACHE_DIR, with one in it for the kernels as they are; else ours."""
-    return os.path.join(config.CACHE_DIR, code_digest()) if config.CACHE_DIR else cache_folder()
+    return os.path.join(config.CACHE_DIR, kernels_digest()) if config.CACHE_DIR else cache_folder()
 
 
 class _CheckedCode(CompileResultCacheImpl):
@@ -139,7 +139,7 @@ class KernelCache(CodeCache):
         if not isinstance(
             locator, _ContentLocator
         ):  # numba's own places, which look at the kernel's file alone
-            stamp = (locator.get_source_stamp(), code_digest())
+            stamp = (locator.get_source_stamp(), kernels_digest())
             self._cache_file = IndexDataCacheFile(self._cache_path, self._impl.filename_base, stamp)
 
 

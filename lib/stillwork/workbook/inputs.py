@@ -4,6 +4,9 @@ Some of it is known before anything runs: code cells, parameters, the pins of en
 settings. The rest is what the kernel was seen to read (`stillwork.workbook.kernel_process.watch`): the modules of
 the library that it imported, the data it opened, files and modules that a parameter led to. A module that no cell
 leads to is no input, so an edit of it makes nothing stale.
+
+A module below `MODULES` stands with two digests, of its bytes and of its code (`code_digest`): while its bytes are the
+same nothing is parsed, and when they are not, its code decides. All else stands with one, of its bytes.
 """
 
 import json
@@ -15,6 +18,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from stillwork.base import paths
+from stillwork.base.source_digest import code_digest
 from stillwork.workbook.environment import pins
 from stillwork.workbook.notebooks import Notebook
 from stillwork.workbook.pinned import passed_inputs, settings
@@ -24,8 +28,10 @@ ENVIRONMENT = ("environment: ", "setting ")
 KNOWN_BEFORE = ("cell ", "order ", "parameter ", "file ", *ENVIRONMENT)
 LEDGER = "ledger "
 VALUES = ("parameter ", *ENVIRONMENT)  # inputs kept as they are; of the others a digest
+MODULES = ("lib/", "notebooks/")
 
 _digests: dict[tuple, str] = {}
+_codes: dict[str, str] = {}  # of modules, by the digest of their bytes
 
 
 def environment_inputs() -> dict[str, str]:
@@ -48,7 +54,7 @@ def notebook_inputs(notebook: Notebook, values: dict[str, object]) -> dict[str, 
 
 
 def read_inputs(log: Path) -> dict[str, str]:
-    """What a kernel read, by its path below the workbook or whole, with the digest that it had then.
+    """What a kernel read, by its path below the workbook or whole, with the digests that it had then.
 
     A file that changed between two readings has no digest that any file could have: it will be found to differ.
 
@@ -69,7 +75,29 @@ def read_inputs(log: Path) -> dict[str, str]:
     for read in lines:
         name = _name(read["path"])
         found[name] = read["digest"] if found.get(name, read["digest"]) == read["digest"] else "two"
-    return found
+    return {name: " ".join(filter(None, (value, _code(name, value)))) for name, value in found.items()}
+
+
+def _code(name: str, wanted: str | None) -> str | None:
+    """Digest of a module's code, if its bytes have the digest `wanted`; None for anything else."""
+    if wanted is None or not (name.startswith(MODULES) and name.endswith(".py")):
+        return None
+    if wanted not in _codes:
+        try:
+            source = (paths.root() / name).read_bytes()
+        except OSError:
+            return None
+        if digest(source) != wanted:  # it changed meanwhile
+            return None
+        _codes[wanted] = code_digest(source)
+    return _codes[wanted]
+
+
+def still(name: str, before: str) -> str | None:
+    """`before`, if a file or the listing of a folder is still what had it; else what it has now, None without it."""
+    now = present(name)
+    content, _, code = before.partition(" ")
+    return before if now == content or (code and code == _code(name, now)) else now
 
 
 def present(name: str) -> str | None:
@@ -95,7 +123,7 @@ def present_again(before: dict[str, str]) -> dict[str, str]:
     for name in before:
         if name.startswith(LEDGER):
             continue
-        if not name.startswith(KNOWN_BEFORE) and (now := present(name)) is not None:
+        if not name.startswith(KNOWN_BEFORE) and (now := still(name, before[name])) is not None:
             found[name] = now
     entries: dict[str, str] = {}
     for room in {name.removeprefix(LEDGER).partition(".")[0] for name in before if name.startswith(LEDGER)}:
