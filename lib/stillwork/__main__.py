@@ -222,7 +222,7 @@ COMMANDS = {
         ),
     ),
     "accept": Command(
-        "take the built results over into notebooks/ and the ledger", "stillwork.site.commands:accept"
+        "copy the built results into notebooks/ and figures/", "stillwork.site.commands:accept"
     ),
     "site": Command("write the static site to build/site", "stillwork.site.build:build_site", settles=True),
     "release": Command(

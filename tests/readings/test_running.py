@@ -298,4 +298,5 @@ def test_a_budget_is_a_time(budget, capsys):
 
 def test_a_room_that_does_not_exist_is_named(capsys):
     assert main(["readings", "moton"]) == 2
-    assert "there is no room 'moton'; did you mean 'motion'?" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "room is 'moton'" in said and "did you mean 'motion'" in said
