@@ -116,7 +116,7 @@ def forget_state(toy):
         (change_parameter, {FIRST}, "parameter seed: 1 -> 2"),
         (change_cell, {FIRST}, "cell claim changed"),
         (change_library, {FIRST, SECOND}, "lib/experiments/isolation/model.py changed"),
-        (change_shared_module, {FIRST, OTHER}, "lib/stillwork/base/checks.py changed"),
+        (change_shared_module, ALL, "lib/stillwork/base/checks.py changed"),
         (change_data, {OTHER}, "data/motion/rig.toml changed"),
         (change_ledger, {OTHER}, "ledger motion.gain changed"),
         (change_pin, ALL, "environment: numpy 2.4.5 -> 2.4.6"),

@@ -52,9 +52,8 @@ def kernels_digest() -> str:
         name = known.read_text()
     if not NAME.fullmatch(name):
         name = _digest(code_digest(text).encode() for text in texts)
-        if known:
+        if known and known.parent.is_dir():
             with contextlib.suppress(OSError):
-                known.parent.mkdir(parents=True, exist_ok=True)
                 known.write_text(name)
     return name
 
