@@ -227,6 +227,8 @@ def test_the_shell_of_these_tests_notes_words_and_sees_harm(shell):
 @pytest.mark.slow
 def test_no_name_in_a_file_becomes_a_command(tmp_path, shell):
     samples = np.arange(300)
+    np.savez(tmp_path / "plain.npz", **{"fs": 10.0, "y": samples % 7.0, "z": samples % 3.0})
+    usual = len(inspect_file(str(tmp_path / "plain.npz")).split("\n"))
     for number, name in enumerate(hostile_names()):
         folder = tmp_path / str(number)
         folder.mkdir()
@@ -234,7 +236,7 @@ def test_no_name_in_a_file_becomes_a_command(tmp_path, shell):
         np.savez(file, **{"fs": 10.0, name: samples % 7.0, "z": samples % 3.0})
         report = inspect_file(str(file))
         lines = report.split("\n")
-        assert len(lines) == 9 and all(map(str.isprintable, lines)), name
+        assert len(lines) == usual and all(map(str.isprintable, lines)), name
         found = dict(map(meant, shell([line.partition(": ")[2] for line in lines if line[:4] == "for "])))
         assert len(found) == (3 if name.isprintable() else 0), name
         if found:
