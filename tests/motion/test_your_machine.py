@@ -154,7 +154,7 @@ def test_a_band_that_cuts_a_resonance_is_told(end, told):
     assert len(machine.resonances_hz) == (1 if told else 2)
     assert machine.mass == pytest.approx(12.0, rel=1e-3)
     given = build_machine(file, modes_hz=[355.9, 616.4][: 2 - told], fit_hz=(5.0, end), mirrored_sensor=False)
-    assert any("a resonance that the band cuts" in note for note in given.notes) == told
+    assert any("resonance" in note and "cut" in note for note in given.notes) == told
 
 
 def test_templates_are_one_machine():
@@ -345,7 +345,7 @@ def test_files_that_cannot_be_used_say_why(tmp_path, name):
 def test_a_record_that_is_cut_is_noted_and_not_padded(tmp_path):
     whole, cut = load_machine(hits(tmp_path)), load_machine(hits(tmp_path, tail=True))
     assert len(whole.accelerance.omega) == 4 * len(cut.accelerance.omega)
-    assert "of its peak at the end of a record" in cut.notes[1]
+    assert "peak" in cut.notes[1] and "end" in cut.notes[1]
 
 
 def test_two_responses_want_a_choice(tmp_path):
@@ -356,7 +356,7 @@ def test_two_responses_want_a_choice(tmp_path):
         load_machine(tmp_path / "a.npz", response="h2")
     chosen = load_machine(tmp_path / "a.npz", response="h21")
     assert chosen.notes[0] == "taken: h21"
-    assert chosen.notes[1] == "nothing says the unit of response and force; taken for m/s^2 over N"
+    assert "m/s^2 over N" in chosen.notes[1]
     assert np.abs(chosen.accelerance.response / solved(HERTZ, 1) - 1).max() < 1e-9
 
 

