@@ -407,4 +407,4 @@ def test_divergence_and_its_cause_are_those_of_all_coordinates(arm, short):
             arm.exact, wild, [short] * 2, np.full((2, 600), 1e-4) * (np.arange(600) % 2)
         )
     assert runs[0].diverged_at == runs[1].diverged_at is not None
-    assert runs[0].cause == "a coordinate left its bound"
+    assert "bound" in runs[0].cause

@@ -192,7 +192,7 @@ def test_hammer_records_without_a_band_give_their_two_modes(tmp_path, hits, nois
     assert machine.resonances_hz == pytest.approx([120.0, 310.0], rel=1e-3)
     assert machine.mass == pytest.approx(40.0, rel=0.02)
     assert machine.sensors[0].damping[1:] == pytest.approx([0.01, 0.015], rel=0.05)
-    assert ("1 hit: without a second there is no coherence to trust" in file.notes) == (hits == 1)
+    assert any("1 hit" in note and "coherence" in note for note in file.notes) == (hits == 1)
 
 
 @pytest.mark.slow
@@ -216,7 +216,7 @@ def test_a_measured_machine_on_springs_keeps_its_suspension(tmp_path, sign, plac
     wanted = np.sqrt(np.sort(np.linalg.eigvals(np.linalg.solve(mass, stiffness)).real)) / (2 * np.pi)
     assert machine.sensors[0].frequencies / (2 * np.pi) == pytest.approx(wanted, rel=1e-3)
     assert machine.mass == pytest.approx(40.0, rel=0.02)
-    assert "on springs to the ground: its suspension at 25.11 Hz" in machine.notes
+    assert any("25.11 Hz" in note for note in machine.notes)
     assert ("counted against the force, turned" in machine.notes) == (sign < 0)
 
 

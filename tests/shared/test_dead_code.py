@@ -72,7 +72,7 @@ def test_every_top_level_name_is_used():
         str(file.relative_to(root).with_suffix("")): ast.parse(file.read_text(encoding="utf-8"))
         for file in sorted((root / "lib").rglob("*.py"))
     }
-    assert len(modules) > 200
+    assert modules
     others = set()
     for file in (root / "benchmarks").rglob("*.py"):
         others |= used(ast.parse(file.read_text(encoding="utf-8")))

@@ -139,7 +139,7 @@ def test_an_impossible_setting_says_why_and_keeps_the_last_picture():
     controls, _, message, picture = parts(explore(draw, **CONTROLS))
     before = picture.value
     controls["gain"].value = 10.0
-    assert message.value == "no picture: gain is too high; give &lt;9"
+    assert "gain is too high; give &lt;9" in message.value
     assert picture.value == before
     controls["gain"].value = 3.0
     assert picture.value != before

@@ -202,7 +202,7 @@ def test_every_frozen_class_of_the_toolbox_is_equal_by_value():
         for thing in vars(import_module(f"stillwork.{folder}.{each.name}")).values()
         if inspect.isclass(thing) and is_dataclass(thing) and thing.__dataclass_params__.frozen
     }
-    assert len(classes) > 60
+    assert classes
     assert [each.__name__ for each in classes if each.__eq__.__module__ != by_value.__module__] == []
 
 

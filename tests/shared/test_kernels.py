@@ -1,3 +1,4 @@
+import ast
 import fcntl
 import importlib.util
 import os
@@ -14,9 +15,10 @@ import numpy as np
 import pytest
 
 import stillwork
-from stillwork.base import kernel_cache
+from stillwork.base import kernel_cache, paths
 from stillwork.base.kernel_folder import cache_folder
 from stillwork.base.kernels import callback
+from stillwork.site.house import modules
 
 CALLED = """
 from stillwork.base.kernels import inlined_kernel
@@ -79,7 +81,16 @@ def workbook(tmp_path) -> Path:
     package = root / "lib" / "stillwork"
     (package / "base").mkdir(parents=True)
     (root / "data").mkdir()
-    needed = ("checks", "garbage", "kernel_cache", "kernel_folder", "kernels", "paths", "source_digest", "toml_files")
+    needed = (
+        "checks",
+        "garbage",
+        "kernel_cache",
+        "kernel_folder",
+        "kernels",
+        "paths",
+        "source_digest",
+        "toml_files",
+    )
     for name in ("__init__", *needed):
         shutil.copy(Path(stillwork.__file__).parent / "base" / f"{name}.py", package / "base")
     shutil.copy(Path(stillwork.__file__), package)
@@ -332,3 +343,40 @@ def test_a_callback_whose_cache_is_damaged_is_compiled_anew(fresh, tmp_path):
     damaged = of_alone()
     assert damaged.ctypes(10.0) == 20 and damaged.cache_hits == 0
     assert of_alone().cache_hits == 1
+
+
+def counted(trees):
+    """A kernel that counts no references, with one that it calls and that does: numba compiles that as its caller."""
+    kinds, named = {}, {}
+    for module, tree in trees.items():
+        for node in tree.body:
+            if isinstance(node, ast.FunctionDef):
+                for decorator in map(ast.unparse, node.decorator_list):
+                    if decorator.endswith("kernel"):
+                        kinds[module, node.name] = decorator, node
+            if isinstance(node, ast.ImportFrom):
+                for each in node.names:
+                    named[module, each.asname or each.name] = node.module, each.name
+    for (module, name), (kind, node) in kinds.items():
+        if kind in ("borrowing_kernel", "pasted_kernel"):
+            for call in ast.walk(node):
+                if isinstance(call, ast.Call) and isinstance(call.func, ast.Name):
+                    called = named.get((module, call.func.id), (module, call.func.id))
+                    if kinds.get(called, [""])[0] == "kernel":
+                        yield (module, name), called
+
+
+@pytest.mark.slow
+def test_what_counts_no_references_calls_nothing_that_does():
+    """It would fail to compile where that makes an array and has not been compiled for another caller before."""
+    assert list(counted(modules(paths.root()))) == []
+
+
+def test_a_call_of_what_counts_references_is_found():
+    sources = {
+        "stillwork.a": "@kernel\ndef make():\n    return np.zeros(3)\n@pasted_kernel\ndef add():\n    pass",
+        "stillwork.b": "from stillwork.a import add, make\n@borrowing_kernel\ndef both():\n    add()\n    make()",
+    }
+    assert list(counted({name: ast.parse(text) for name, text in sources.items()})) == [
+        (("stillwork.b", "both"), ("stillwork.a", "make"))
+    ]

@@ -15,7 +15,7 @@ SETTINGS = [text for text in re.findall(r'ARGS="([^"]*)"', README) if "-p" in te
 
 
 def test_the_readme_shows_how_to_set_parameters():
-    assert len(SETTINGS) >= 2
+    assert SETTINGS
 
 
 @pytest.mark.parametrize("arguments", SETTINGS)
@@ -36,3 +36,15 @@ def test_the_snippet_finds_the_weights_it_announces(capsys):
 
 def test_it_says_where_a_build_writes():
     assert f"`{built().relative_to(paths.root())}/<room>/<notebook>/`" in README
+
+
+def test_files_that_the_texts_name_exist():
+    places = ("README.md", "CONTRIBUTING.md", "docs/your-rig.md")
+    texts = [(paths.root() / name).read_text(encoding="utf-8") for name in places]
+    named = {
+        name
+        for text in texts
+        for name in re.findall(r"`((?:lib|docs|tests|data|benchmarks)/[\w./-]+)`", text)
+    }
+    assert named
+    assert not [name for name in named if not (paths.root() / name).exists()]

@@ -383,7 +383,7 @@ def test_what_is_changed_after_a_kill_stays_and_the_rest_is_whole(tmp_path, monk
         try:
             finish(tmp_path)
         except InputError as error:
-            assert f"is taken back, as these were changed since: {name}; repeat" in str(error)
+            assert name in str(error)
             finish(tmp_path)
         else:
             assert not decided or theirs == [CHANGED[name]]

