@@ -55,12 +55,13 @@ def drawn(multiverse: Multiverse, runs: Iterable[At], day: int, parts: int = 1) 
 def compute_again(before: Outcomes, day: int, parts: int = 1) -> tuple[Outcomes, list[At]]:
     """What the runs of a day give here and now, and which they are; all runs, where the study is light."""
     runs = calls_of(before.multiverse)
-    found, least = {}, math.inf
+    found, spent = {}, []
     for at in drawn(before.multiverse, runs, day, parts):
         begin = time.process_time()
         found[at] = compute(runs[at])
-        least = min(least, time.process_time() - begin)  # the first one may compile
-    if least * len(runs) < LIGHT:
+        spent.append(time.process_time() - begin)
+    later = spent[1:] or spent  # the first one may compile
+    if sum(later) / len(later) * len(runs) < LIGHT:
         found |= {at: compute(run) for at, run in runs.items() if at not in found}
     return collect(before.multiverse, before.design, found), list(found)
 
