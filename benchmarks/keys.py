@@ -28,7 +28,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "lib"))
 
-from stillwork.base.source_digest import _Acting, code_digest  # noqa: E402
+from stillwork.base.source_digest import code, code_digest  # noqa: E402
 from stillwork.workbook.readings import closure  # noqa: E402
 
 SCHEMES = ("bytes", "code", "definitions", "names")
@@ -51,7 +51,7 @@ class Tree:
         self.folder, self.files = folder, {}
         closure.LIBRARY = folder / "lib"
         closure.syntax_tree = lambda file: parsed(self.content(file))
-        self._own_imports, closure._imports = closure._imports, self._imports
+        self._own_imports, closure.imports = closure.imports, self._imports
         self._known: dict[tuple, list[str]] = {}
         sys.path.insert(0, str(folder / "lib"))
 
@@ -145,8 +145,8 @@ def reached(text: bytes, sources: dict[str, bytes], faces: set[str], values: boo
     waiting = [name for name in names if name in defined]
     seen = set(waiting)
     while waiting:
-        for place, (code, used) in defined[waiting.pop()]:
-            lines.append(f"{place} {code}")
+        for place, (its_code, used) in defined[waiting.pop()]:
+            lines.append(f"{place} {its_code}")
             more = (used & defined.keys()) - seen
             seen |= more
             waiting += more
@@ -161,7 +161,7 @@ def fragments(
 
     The texts in a package's `face` are its public names: that they are listed reaches none of them.
     """
-    tree = _Acting().visit(ast.parse(source))
+    tree = code(source)
     kinds = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
     inside = [(node.name, node) for node in tree.body if isinstance(node, kinds)]
     if values:
