@@ -21,6 +21,7 @@ LONGEST = (
     "worstcase/test_regression.py",
     "motion/test_joint.py",
     "readings/test_running.py",
+    "readings/test_checking.py",
     "isolation/test_adaptation.py",
     "workbook/test_warm.py",
     "isolation/test_convergence.py",

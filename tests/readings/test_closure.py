@@ -88,6 +88,6 @@ def digest(root):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("STILLWORK_ROOT", str(root))
         patch.syspath_prepend(root / "lib")
-        for kept in (closure.study_digest, closure.syntax_tree, closure._code):
+        for kept in (closure.study_digest, closure.syntax_tree, closure.code_of):
             kept.cache_clear()
         return closure.study_digest("study:f", "motion")

@@ -8,20 +8,23 @@ import hashlib
 
 
 def code_digest(source: bytes) -> str:
-    """Digest of a module's code, without what cannot act when it runs.
+    """Digest of a module's `code`; source that Python cannot read has the digest of its bytes."""
+    try:
+        text = ast.dump(code(source)).encode(errors="surrogatepass")
+    except (SyntaxError, ValueError):
+        text = source
+    return hashlib.sha256(text).hexdigest()
+
+
+def code(source: bytes) -> ast.Module:
+    """A module's code without what cannot act when it runs.
 
     Left out are comments, blank lines, line breaks and brackets that change nothing, `pass`, strings that stand alone
     (docstrings among them), the annotations of functions that no decorator sees, and those of local variables. Kept
     are the annotations of decorated functions, of class bodies and of a module's own names: validation, dataclasses
     and whoever else reads annotations at run time find them there.
-
-    Source that Python cannot read has the digest of its bytes.
     """
-    try:
-        tree = _Acting().visit(ast.parse(source))
-    except (SyntaxError, ValueError):
-        return hashlib.sha256(source).hexdigest()
-    return hashlib.sha256(ast.dump(tree).encode(errors="surrogatepass")).hexdigest()
+    return _Acting().visit(ast.parse(source))
 
 
 class _Acting(ast.NodeTransformer):

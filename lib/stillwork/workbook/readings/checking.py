@@ -9,7 +9,6 @@ import json
 import math
 import os
 import random
-import time
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -19,11 +18,9 @@ from stillwork.workbook.claims import Entry
 from stillwork.workbook.publish import replace_file
 from stillwork.workbook.readings.axes import Multiverse
 from stillwork.workbook.readings.closure import study_digest
-from stillwork.workbook.readings.results import Outcomes, collect
-from stillwork.workbook.readings.running import calls_of, compute
+from stillwork.workbook.readings.results import Outcomes
 
 DAYS = 30
-LIGHT = 2.0  # s of CPU; a study that takes less is computed whole
 SAMPLE = "STILLWORK_SAMPLE"  # an environment variable: parts a day
 ROUNDING = 1e-12
 
@@ -50,19 +47,6 @@ def drawn(multiverse: Multiverse, runs: Iterable[At], day: int, parts: int = 1) 
     days = min(DAYS, len(order))
     turns = {(day + part * math.ceil(days / parts)) % days for part in range(parts)}
     return [at for place, at in enumerate(order) if place % days in turns]
-
-
-def compute_again(before: Outcomes, day: int, parts: int = 1) -> tuple[Outcomes, list[At]]:
-    """What the runs of a day give here and now, and which they are; all runs, where the study is light."""
-    runs = calls_of(before.multiverse)
-    found, least = {}, math.inf
-    for at in drawn(before.multiverse, runs, day, parts):
-        begin = time.process_time()
-        found[at] = compute(runs[at])
-        least = min(least, time.process_time() - begin)  # the first one may compile
-    if least * len(runs) < LIGHT:
-        found |= {at: compute(run) for at, run in runs.items() if at not in found}
-    return collect(before.multiverse, before.design, found), list(found)
 
 
 def moves(before: Outcomes, now: Outcomes, tried: list[At], entries: dict[str, Entry]) -> list[str]:

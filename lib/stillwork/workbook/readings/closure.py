@@ -24,7 +24,7 @@ def study_digest(function: str, room: str) -> str:
     """
     lines = [function]
     for name, file in sorted(modules(function.partition(":")[0]).items()):
-        lines.append(f"{name} {_code(file)}")
+        lines.append(f"{name} {code_of(file)}")
     folder = paths.data(room)
     for file in sorted(folder.rglob("*")):
         path = file.relative_to(folder).as_posix()
@@ -55,7 +55,7 @@ def modules(name: str) -> dict[str, Path]:
             continue
         found[each] = file
         waiting += [".".join(each.split(".")[:k]) for k in range(1, each.count(".") + 1)]
-        waiting += _imports(each, file, roots)
+        waiting += imports(each, file, roots)
     return found
 
 
@@ -68,7 +68,8 @@ def _file(name: str, roots: list[Path]) -> Path | None:
     return None
 
 
-def _imports(name: str, file: Path, roots: list[Path]) -> Iterator[str]:
+def imports(name: str, file: Path, roots: list[Path]) -> Iterator[str]:
+    """Modules that a module may import, anywhere in its text."""
     package = name if file.name == "__init__.py" else name.rpartition(".")[0]
     for node in ast.walk(syntax_tree(file)):
         if isinstance(node, ast.Import):
@@ -103,7 +104,8 @@ def _texts(node) -> list[str]:
 
 
 @cache
-def _code(file: Path) -> str:
+def code_of(file: Path) -> str:
+    """Digest of a module's code."""
     return code_digest(file.read_bytes())
 
 
