@@ -89,15 +89,16 @@ NAMES = ["moving window", "low pass", "Kalman filter", "Kalman, literal (14)", "
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("inside", [True, False])
-def test_stability_is_what_the_simulation_does(name, inside, exact, approximate):
+@pytest.mark.parametrize("integration", ["exact", "semi-implicit"])
+def test_stability_is_what_the_simulation_does(name, inside, integration, exact, approximate):
     """Just within the strongest stable gain a small kick decays, just beyond it grows."""
     controller = (published_controllers(approximate) | added_controllers(approximate))[name]
-    strongest, _ = stable_range(linear_loop(exact, controller, SAMPLE_TIME)).limits
+    strongest, _ = stable_range(linear_loop(exact, controller, SAMPLE_TIME, integration=integration)).limits
     gain = strongest * (0.97 if inside else 1.03)
     controller = replace(controller, transformation=FlowTransformation(gain * 3.0, 3.0))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ContractionWarning)  # a Kalman filter's edge is near Banach's
-        run = simulate(exact, controller, at_rest(8000), start=(0.0, 1e-6))
+        run = simulate(exact, controller, at_rest(8000), start=(0.0, 1e-6), integration=integration)
     rest = np.abs(run.deformed[7000:]).max()  # the kick itself moves it by 1e-4 m/s^2
     assert rest < 1e-7 if inside else rest > 2e-2
 

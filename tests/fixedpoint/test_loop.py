@@ -1,10 +1,12 @@
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from experiments.fixedpoint import Noise, added_controllers, compare, judge, published_controllers
 from naive import fixedpoint as naive
 from stillwork.base.checks import InputError
 from stillwork.control import Controller, FlowTransformation, KinematicDesign, asin_trajectory, simulate
+from stillwork.control.fixed_point import IntegrationWarning
 from stillwork.control.transformation import RobustTransformation
 from stillwork.estimation import LowPass, Plant
 from stillwork.estimation.coordinate_filters import MovingWindow, SavitzkyGolay, UnscentedKalman
@@ -69,7 +71,7 @@ def test_loop_is_its_naive_twin(name, integration, exact, approximate, short, rn
 @pytest.mark.parametrize("integrals", [0, 2])
 def test_any_order_of_kinematics(integrals, exact, approximate, short):
     controller = Controller(LowPass(), RobustTransformation(), KinematicDesign(16.0, integrals), approximate)
-    run = simulate(exact, controller, short, resolution=1e-4)
+    run = simulate(exact, controller, short, resolution=1e-4, integration="semi-implicit")
     expected = naive.closed_loop(
         naive.LowPass(350.0, SAMPLE_TIME),
         naive.robust(4e7, -1.05, 9e-2 / 4e7),
@@ -83,6 +85,38 @@ def test_any_order_of_kinematics(integrals, exact, approximate, short):
         resolution=1e-4,
     )
     assert run.position == pytest.approx(expected[0], abs=1e-7)
+
+
+def van_der_pol(position, velocity, force, parameters):
+    return (force - parameters[1] * position + (1.0 - position**2) * velocity) / parameters[0]
+
+
+def van_der_pol_force(position, velocity, acceleration, parameters):
+    return parameters[0] * acceleration + parameters[1] * position - (1.0 - position**2) * velocity
+
+
+@pytest.mark.parametrize("mode_hz", [1.0, 50.0, 150.0, 400.0])
+def test_the_plant_moves_as_a_solver_moves_it_under_the_held_force(mode_hz):
+    plant = Plant(van_der_pol, van_der_pol_force, [1.0, (2 * np.pi * mode_hz) ** 2])
+    controller = Controller(LowPass(), RobustTransformation(), KinematicDesign(16.0), plant)
+    run = simulate(plant, controller, asin_trajectory(amplitude=0.05, duration=0.3))
+    for i in range(0, 290, 7):
+        state = solve_ivp(
+            lambda t, x, i=i: [x[1], van_der_pol(x[0], x[1], run.force[i], plant.parameters)],
+            (0, SAMPLE_TIME),
+            [run.position[i], run.velocity[i]],
+            rtol=1e-11,
+            atol=1e-14,
+        ).y[:, -1]
+        assert run.position[i + 1] == pytest.approx(state[0], rel=1e-7, abs=1e-11)
+        assert run.velocity[i + 1] == pytest.approx(state[1], rel=1e-7, abs=1e-9)
+
+
+def test_a_long_euler_step_is_reported(short):
+    plant = Plant(van_der_pol, van_der_pol_force, [1.0, (2 * np.pi * 60) ** 2])
+    controller = Controller(LowPass(), RobustTransformation(), KinematicDesign(16.0), plant)
+    with pytest.warns(IntegrationWarning, match="integration"):
+        simulate(plant, controller, short, integration="semi-implicit")
 
 
 def test_a_perfect_model_without_noise_tracks_exactly(exact, short):
@@ -174,7 +208,9 @@ def test_without_noise_every_record_is_the_one_run(exact, approximate):
     found = compare(exact, {"low pass": controllers["low pass"]}, trajectory, Noise(), runs=3, seed=1)[
         "low pass"
     ]
-    for quantity, value in judge(simulate(exact, controllers["low pass"], trajectory)).items():
+    for quantity, value in judge(
+        simulate(exact, controllers["low pass"], trajectory, integration="semi-implicit")
+    ).items():
         np.testing.assert_array_equal(found[quantity], np.full(3, value), err_msg=quantity)
 
 

@@ -72,7 +72,12 @@ def lines(figure, panel):
 
 def test_tracking_shows_the_window_s_cycle(exact, approximate):
     """The drawn points keep the amplitude of 40 Hz: coarser ones would show another, slow motion."""
-    run = simulate(exact, published_controllers(approximate)[WINDOW], asin_trajectory(duration=4.0))
+    run = simulate(
+        exact,
+        published_controllers(approximate)[WINDOW],
+        asin_trajectory(duration=4.0),
+        integration="semi-implicit",
+    )
     figure = run_pictures.paint_tracking({WINDOW: run}, "velocity")
     drawn, nominal = lines(figure, 0)[WINDOW], lines(figure, 0)["nominal"]
     late = drawn[:, 0] > 2.0

@@ -171,7 +171,12 @@ def exercise_12() -> str:
     window = published_controllers(approximate)[WINDOW]
     seen = []
     for gain in (-0.7, -1.1, -1.8):
-        run = simulate(exact, replace(window, transformation=FlowTransformation(gain, 3.0)), trajectory)
+        run = simulate(
+            exact,
+            replace(window, transformation=FlowTransformation(gain, 3.0)),
+            trajectory,
+            integration="semi-implicit",
+        )
         tail = (run.acceleration_estimate - run.desired)[2000:]
         seen.append(strongest_oscillation(tail, 1e-3))
         spectrum = np.abs(np.fft.rfft(tail * np.hanning(len(tail))))
@@ -186,7 +191,9 @@ def exercise_13() -> str:
     """The printed (14) and its shift: the way that the plant travels in a sample."""
     exact, approximate = (model.plant for model in load_oscillator().values())
     trajectory = asin_trajectory(duration=6.0, sample_time=1e-3)
-    run = simulate(exact, published_controllers(approximate)[LITERAL], trajectory)
+    run = simulate(
+        exact, published_controllers(approximate)[LITERAL], trajectory, integration="semi-implicit"
+    )
     error = (run.position - trajectory.position)[1000:]
     way = trajectory.velocity[1000:] * 1e-3
     factor = float(error @ way / (way @ way))

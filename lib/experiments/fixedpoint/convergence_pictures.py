@@ -4,7 +4,7 @@ import numpy as np
 
 from experiments.fixedpoint.axes import COLOURS, legend_above
 from experiments.fixedpoint.oscillator import load_oscillator
-from experiments.fixedpoint.published import LITERAL
+from experiments.fixedpoint.published import INTEGRATION, LITERAL
 from stillwork.control.fixed_point import Controller
 from stillwork.control.fixed_point_convergence import (
     StableRange,
@@ -148,7 +148,7 @@ def paint_limit_cycle(gain: float, window_length: int, exponent: float):
     exact, approximate = (model.plant for model in load_oscillator().values())
     transformation, window = FlowTransformation(-gain), MovingWindow(int(window_length))
     controller = Controller(window, transformation, KinematicDesign(exponent), approximate)
-    loop = linear_loop(exact, controller, 1e-3)
+    loop = linear_loop(exact, controller, 1e-3, integration=INTEGRATION)
     region = stable_range(loop)
     figure = paint_limit_cycle_condition(loop, transformation)
     cycles = [

@@ -7,6 +7,7 @@ import numpy as np
 
 from experiments.fixedpoint.metrics import noisy_run
 from experiments.fixedpoint.noise import Noise
+from experiments.fixedpoint.published import INTEGRATION
 from stillwork.control.fixed_point import Controller, simulate
 from stillwork.control.fixed_point_convergence import limit_cycles, strongest_oscillation
 from stillwork.control.fixed_point_linear import linear_loop
@@ -24,13 +25,15 @@ def cycles_over_gain(
     plant: Plant, controller: Controller, strengths: Sequence[float], width: float, sample_time: float
 ) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
     """Predicted and simulated limit cycle for each -A: frequency in Hz, amplitude in m/s^2; NaN without one."""
-    loop, predicted, simulated = linear_loop(plant, controller, sample_time), [], []
+    predicted, simulated = [], []
+    loop = linear_loop(plant, controller, sample_time, integration=INTEGRATION)
     for strength in strengths:
         transformation = FlowTransformation(-strength, width)
         stable = [cycle for cycle in limit_cycles(loop, transformation) if cycle.stable]
         predicted.append((stable[0].frequency_hz, stable[0].iteration_error) if stable else (np.nan, np.nan))
         moved = replace(controller, transformation=transformation)
-        run = simulate(plant, moved, at_rest(round(8 / sample_time), sample_time), start=(0.0, 1e-3))
+        still = at_rest(round(8 / sample_time), sample_time)
+        run = simulate(plant, moved, still, start=(0.0, 1e-3), integration=INTEGRATION)
         tail = slice(round(4 / sample_time), None)
         found = strongest_oscillation(run.acceleration_estimate[tail] - run.desired[tail], sample_time)
         simulated.append((found.frequency_hz, found.amplitude))
@@ -39,7 +42,8 @@ def cycles_over_gain(
 
 def remaining_motion(plant: Plant, controller: Controller, kick: float, sample_time: float) -> float:
     """Largest velocity in the last of 8 s at rest after a kick (m/s), over the kick; infinite when it diverged."""
-    run = simulate(plant, controller, at_rest(round(8 / sample_time), sample_time), start=(0.0, kick))
+    still = at_rest(round(8 / sample_time), sample_time)
+    run = simulate(plant, controller, still, start=(0.0, kick), integration=INTEGRATION)
     if run.diverged_at is not None:
         return np.inf
     return float(np.abs(run.velocity[round(7 / sample_time) :]).max() / kick)

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from experiments.fixedpoint.noise import Noise, lose
+from experiments.fixedpoint.published import INTEGRATION
 from stillwork.base.checks import InputError, require_number
 from stillwork.control.fixed_point import ControlledRun, Controller, simulate
 from stillwork.control.trajectory import Trajectory, asin_trajectory
@@ -84,6 +85,7 @@ def noisy_run(
     rng = np.random.default_rng(rng)
     added = lose(noise.sample(rng, len(trajectory.position)), trajectory.sample_time, lost_every, lost_for)
     encoder = {"resolution": noise.resolution, "grid": noise.sample_grid(rng)}
+    options = {"integration": INTEGRATION, **options}
     return simulate(plant, controller, trajectory, added, **encoder, **options)
 
 

@@ -17,6 +17,7 @@ from stillwork.estimation.plant import Plant
 
 WINDOW, LOW_PASS, KALMAN = "moving window", "low pass", "Kalman filter"
 LITERAL, EXTENDED, POLYNOMIAL = "Kalman, literal (14)", "EKF with disturbance", "Savitzky-Golay"
+INTEGRATION = "semi-implicit"  # one Euler step a sample: assumed, the paper does not say how its plant moves
 PUBLISHED_CASES = {
     "no noise": Noise(),
     "small Gaussian": Noise("gaussian", 1e-5),

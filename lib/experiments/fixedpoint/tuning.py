@@ -8,7 +8,7 @@ from jaxtyping import Float64
 
 from experiments.fixedpoint.metrics import QUANTITIES, judge
 from experiments.fixedpoint.noise import Noise
-from experiments.fixedpoint.published import EXTENDED, KALMAN, LOW_PASS, POLYNOMIAL, WINDOW
+from experiments.fixedpoint.published import EXTENDED, INTEGRATION, KALMAN, LOW_PASS, POLYNOMIAL, WINDOW
 from stillwork.base.checks import InputError, require_choice, require_count
 from stillwork.control.fixed_point import Controller, simulate
 from stillwork.control.kinematics import KinematicDesign
@@ -154,7 +154,15 @@ def tune(
         controller = family.controller(model, trajectory.sample_time, knobs)
         total = np.zeros(len(criteria))
         for record, grid in records:
-            run = simulate(plant, controller, trajectory, record, resolution=noise.resolution, grid=grid)
+            run = simulate(
+                plant,
+                controller,
+                trajectory,
+                record,
+                resolution=noise.resolution,
+                grid=grid,
+                integration=INTEGRATION,
+            )
             total += [judge(run)[criterion] for criterion in criteria]
             if np.isinf(total).any():  # one divergence spoils the mean
                 break

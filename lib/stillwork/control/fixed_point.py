@@ -1,5 +1,6 @@
 """The controller's loop, Fig. 1: measure, filter, desire, deform, push, move; one kernel for every filter."""
 
+import warnings
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -10,6 +11,7 @@ from numpy.typing import ArrayLike
 from stillwork.base.checks import InputError, require_array, require_choice, require_number
 from stillwork.base.front_door import by_value, check_fields, checked
 from stillwork.base.kernels import borrowing_kernel, inlined_kernel
+from stillwork.control.held_force import move_held
 from stillwork.control.kinematics import KinematicDesign
 from stillwork.control.mechanism import Mechanism
 from stillwork.control.trajectory import Trajectory
@@ -21,10 +23,12 @@ from stillwork.estimation.coordinate_filters import (
     require_sample_time,
 )
 from stillwork.estimation.filtering import filter_step, model_of
-from stillwork.estimation.plant import Plant, force_slope
+from stillwork.estimation.plant import Plant, force_slope, partial_derivatives
 
-INTEGRATIONS = ("semi-implicit", "explicit")
+INTEGRATIONS = ("exact", "semi-implicit", "explicit")
+EXACT, SEMI_IMPLICIT, EXPLICIT = range(3)
 LOSSES = ("predict", "hold")  # what stands for a sample that is lost
+LONGEST_TURN = 0.3  # rad of free motion a sample, up to which an Euler step stands for the plant
 RUNNING, TOO_FAR, NOT_FINITE, NOT_DEFINITE, NO_INERTIA = range(5)
 HOLD, EXTEND, SKIP = range(3)  # of a lost sample
 SEEN, MEASURED, DESIRED, DEFORMED = range(4)  # what a coordinate's `memory` holds
@@ -93,7 +97,7 @@ class ControlledRun:
     trajectory: Trajectory
     position: Float64[np.ndarray, " samples"]  # m, true
     velocity: Float64[np.ndarray, " samples"]  # m/s, true
-    acceleration: Float64[np.ndarray, " samples"]  # m/s^2, true, over the coming step
+    acceleration: Float64[np.ndarray, " samples"]  # m/s^2, true, as the coming step begins
     measured: Float64[np.ndarray, " samples"]  # m; what stands for a lost sample, NaN where a filter predicts
     position_estimate: Float64[np.ndarray, " samples"]  # m
     velocity_estimate: Float64[np.ndarray, " samples"]  # m/s
@@ -132,7 +136,7 @@ def simulate(
     *,
     resolution: float = 0.0,
     grid: float = 0.0,
-    integration: str = "semi-implicit",
+    integration: str = "exact",
     start: tuple[float, float] | ArrayLike | None = None,
     bound: float = 10.0,
     lost: str = "predict",
@@ -160,7 +164,8 @@ def simulate(
     grid : float
         Where a line of the encoder stands, m.
     integration : str
-        ``semi-implicit`` moves the position with the new velocity, ``explicit`` with the old one.
+        ``exact`` moves the plant as it moves under a held force, by Runge-Kutta steps with error control. The others are
+        one Euler step a sample: ``semi-implicit`` moves the position with the new velocity, ``explicit`` with the old one.
     start : array_like, shape (2,), optional
         Initial position and velocity; by default on the trajectory.
     bound : float
@@ -188,6 +193,8 @@ def simulate(
     -----
     ContractionWarning
         When the transformation cannot contract even with perfect measurements.
+    IntegrationWarning
+        When an Euler step is too long for the plant: from 0.3 rad of its free motion, or its decay, a sample.
 
     References
     ----------
@@ -214,6 +221,8 @@ def simulate(
     start = (trajectory.position[0], trajectory.velocity[0]) if start is None else start
     start = require_array("start", start, shape=(2,))
     warn_outside_contraction(controller.transformation, response_gain(plant, controller.model))
+    if integration != "exact":
+        warn_long_steps(plant, start, trajectory.sample_time)
     limits = [bound * max(1.0, np.abs(x).max()) for x in (trajectory.position, trajectory.velocity)]
     record = np.full((len(COLUMNS), samples), np.nan)
     done, status = run_closed_loop(
@@ -228,7 +237,7 @@ def simulate(
         (trajectory.position, trajectory.velocity, trajectory.acceleration),
         noise,
         np.inf if force_limit is None else require_number("force_limit", force_limit, above=0),
-        integration == "semi-implicit",
+        INTEGRATIONS.index(integration),
         np.array([*start, trajectory.acceleration[0]]),
         np.zeros(len(controller.kinematics.gains) - 1),
         np.zeros(4),
@@ -237,6 +246,23 @@ def simulate(
     )
     left = f"the plant left the bound of {limits[0]:g} in position and {limits[1]:g} in velocity"
     return ControlledRun(trajectory, *record, **ending(status, done * trajectory.sample_time, left))
+
+
+class IntegrationWarning(UserWarning):
+    """A plant that is moved by one Euler step a sample is not the plant."""
+
+
+def warn_long_steps(plant: Plant, start, sample_time: float) -> None:
+    """Warn where an Euler step a sample is too long for the free motion of a plant around its start."""
+    by_position, by_velocity, _ = partial_derivatives(plant, float(start[0]), float(start[1]), 0.0)
+    turn = max(abs(by_position) ** 0.5, abs(by_velocity)) * sample_time
+    if turn >= LONGEST_TURN:
+        warnings.warn(
+            f"integration by one Euler step a sample is too coarse: the plant's free motion turns or decays by {turn:.2g} "
+            "rad in a sample; use integration='exact'",
+            IntegrationWarning,
+            stacklevel=4,
+        )
 
 
 @checked
@@ -352,7 +378,7 @@ def run_closed_loop(
     nominal,
     noise,
     force_limit,
-    semi_implicit,
+    integration,
     estimate,
     chain,
     memory,
@@ -363,7 +389,7 @@ def run_closed_loop(
     measurement = parts[3]
     positions, velocities, accelerations = nominal
     position, velocity = estimate[0], estimate[1]
-    force, held = 0.0, False
+    force, held, length = 0.0, False, sample_time
     for i in range(len(noise)):
         now = positions[i], velocities[i], accelerations[i]
         measured = measure_position(
@@ -382,9 +408,14 @@ def run_closed_loop(
             memory[DEFORMED] = model_acceleration(place, estimate[1], force, model)
         acceleration = plant_acceleration(position, velocity, force, plant)
         record_sample(record, i, position, velocity, acceleration, estimate, memory, force)
-        before = velocity
-        velocity += sample_time * acceleration
-        position += sample_time * (velocity if semi_implicit else before)
+        if integration == EXACT:
+            position, velocity, length = move_held(
+                plant_acceleration, plant, position, velocity, force, sample_time, length
+            )
+        else:
+            before = velocity
+            velocity += sample_time * acceleration
+            position += sample_time * (velocity if integration == SEMI_IMPLICIT else before)
         if not (abs(position) < limits[0] and abs(velocity) < limits[1]):
             return i, TOO_FAR
     return len(noise), RUNNING

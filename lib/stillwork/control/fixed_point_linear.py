@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 
-from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.base.checks import InputError, require_array, require_choice, require_number
 from stillwork.base.front_door import by_value, check_fields, checked, outside
-from stillwork.control.fixed_point import Controller
+from stillwork.control.fixed_point import INTEGRATIONS, Controller
 from stillwork.control.mechanism import Mechanism
 from stillwork.estimation.coordinate_filters import (
     Filter,
@@ -219,6 +219,24 @@ class LinearLoop:
         return np.linalg.eigvals(self.A + local_gain * self.B @ self.C)
 
 
+def _motion(by_position, by_velocity, by_force, sample_time, integration):
+    """What a sample makes of [position, velocity] and of the force that is held."""
+    from scipy.linalg import expm
+
+    size = len(by_position)
+    nothing, one = np.zeros((size, size)), np.eye(size)
+    if integration == "exact":
+        rates = np.block(
+            [[nothing, one, nothing], [by_position, by_velocity, by_force], [nothing, nothing, nothing]]
+        )
+        moved = expm(sample_time * rates)[: 2 * size]
+        return moved[:, : 2 * size], moved[:, 2 * size :]
+    speed = np.hstack([sample_time * by_position, one + sample_time * by_velocity])
+    force = sample_time * by_force
+    place = np.hstack([one, nothing]) + sample_time * speed
+    return np.vstack([place, speed]), np.vstack([sample_time * force, force])
+
+
 @checked
 def linear_loop(
     plant: Plant | Mechanism,
@@ -226,8 +244,13 @@ def linear_loop(
     sample_time: float,
     position: ArrayLike = 0.0,
     velocity: ArrayLike = 0.0,
+    integration: str = "exact",
 ) -> LinearLoop:
-    """The loop of `simulate` or `simulate_mechanism` near an operating point (m and m/s), semi-implicit order."""
+    """The loop of `simulate` or `simulate_mechanism` near an operating point (m and m/s).
+
+    `integration` is theirs: ``exact``, the plant under a force that is held for a sample, or ``semi-implicit``.
+    """
+    require_choice("integration", integration, INTEGRATIONS[:2])
     count = getattr(plant, "coordinates", 1)
     place, speed = (
         require_array(name, np.atleast_1d(values), shape=(count,))
@@ -240,6 +263,7 @@ def linear_loop(
     by_position, by_velocity, by_force = _slope_matrices(plant, place, speed)
     model_position, model_velocity, model_force = _slope_matrices(controller.model, place, speed)
     gains, integrals = controller.kinematics.gains, controller.kinematics.integrals
+    motion, push = _motion(by_position, by_velocity, by_force, sample_time, integration)
     first = 4 + integrals  # position, velocity, deformed, force, integrals, filter
     states = first + len(device.A)
 
@@ -253,8 +277,8 @@ def linear_loop(
         desired = gains[:-1] @ np.array(chain)[::-1] - gains[-1] * estimate[1]
         deformed = x[2] + change
         force = np.linalg.solve(model_force, deformed - model_position @ seen - model_velocity @ estimate[1])
-        speed = x[1] + sample_time * (by_position @ x[0] + by_velocity @ x[1] + by_force @ force)
-        after = np.array([x[0] + sample_time * speed, speed, deformed, force, *chain[1:]])
+        moved = (motion @ x[:2].ravel() + push @ force).reshape(2, count)
+        after = np.array([*moved, deformed, force, *chain[1:]])
         after = np.concatenate([after, device.A @ x[first:] + device.B @ inputs])
         return after.ravel(), estimate[2] - desired
 

@@ -4,18 +4,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stillwork.base.algebra import copy_vector
-from stillwork.base.checks import InputError, require_array, require_number
+from stillwork.base.checks import InputError, require_array, require_choice, require_number
 from stillwork.base.front_door import checked
 from stillwork.base.kernels import borrowing_kernel
 from stillwork.control.fixed_point import (
     COLUMNS,
     DEFORMED,
+    EXACT,
+    INTEGRATIONS,
     MEASURED,
     NO_INERTIA,
     NOT_DEFINITE,
     NOT_FINITE,
     RUNNING,
     SEEN,
+    SEMI_IMPLICIT,
     TOO_FAR,
     ControlledRun,
     Controller,
@@ -26,6 +29,7 @@ from stillwork.control.fixed_point import (
     record_sample,
     require_noise,
 )
+from stillwork.control.held_force import HELD_ROWS, move_mechanism_held
 from stillwork.control.mechanism import Mechanism, forward_dynamics, inverse_dynamics, response_gains
 from stillwork.control.trajectory import Trajectory
 from stillwork.control.transformation import warn_outside_contraction
@@ -42,6 +46,7 @@ def simulate_mechanism(
     *,
     resolution: float = 0.0,
     grid: float = 0.0,
+    integration: str = "exact",
     start: ArrayLike | None = None,
     bound: float = 10.0,
     lost: str = "predict",
@@ -65,6 +70,8 @@ def simulate_mechanism(
         Added to the positions when they are measured; NaN where a sample is lost.
     resolution, grid : float
         Of the encoders, as in `control.simulate`.
+    integration : str
+        As in `control.simulate`.
     start : array_like, shape (2, coordinates), optional
         Initial positions and velocities; by default on the trajectories.
     bound : float
@@ -125,6 +132,7 @@ def simulate_mechanism(
     noise = require_noise(noise, (count, samples))
     require_number("grid", grid)
     require_number("bound", bound, above=1)
+    require_choice("integration", integration, INTEGRATIONS)
     nominal = np.array([[each.position, each.velocity, each.acceleration] for each in trajectories])
     start = require_array("start", nominal[:, :2, 0].T if start is None else start, shape=(2, count))
     limits = bound * np.maximum(1.0, np.abs(nominal[:, :2]).max(axis=2))
@@ -147,11 +155,12 @@ def simulate_mechanism(
         nominal,
         noise,
         forces,
+        INTEGRATIONS.index(integration),
         np.array(start),
         np.vstack([start, nominal[:, 2, 0]]).T.copy(),  # rows in one piece, as for one coordinate
         np.zeros((count, len(controller.kinematics.gains) - 1)),
         np.zeros((count, 4)),
-        np.zeros((2 * count + 7, count)),
+        np.zeros((2 * count + 7 + HELD_ROWS, count)),
         limits,
         record,
     )
@@ -179,6 +188,7 @@ def _closed_mechanism(
     nominal,
     noise,
     force_limits,
+    integration,
     motion,
     estimate,
     chain,
@@ -192,7 +202,7 @@ def _closed_mechanism(
     kind, options, process, sensor, _ = device
     measurement, position, velocity = parts[3], motion[0], motion[1]
     force, acceleration, deformed, seen, speed, held = work[0], work[1], work[2], work[3], work[4], work[5]
-    work = work[6:]
+    rows, work, length = work[6 : 6 + HELD_ROWS], work[6 + HELD_ROWS :], sample_time
     for i in range(samples):
         for j in range(count):
             now = nominal[j, 0, i], nominal[j, 1, i], nominal[j, 2, i]
@@ -227,8 +237,17 @@ def _closed_mechanism(
             record_sample(
                 record[j], i, position[j], velocity[j], acceleration[j], estimate[j], memory[j], force[j]
             )
-            velocity[j] += sample_time * acceleration[j]
-            position[j] += sample_time * velocity[j]
+        if integration == EXACT:
+            length = move_mechanism_held(
+                inertia, bias, plant, position, velocity, force, sample_time, length, work, rows
+            )
+            if length == 0.0:
+                return i, NO_INERTIA
+        for j in range(count):
+            if integration != EXACT:
+                before = velocity[j]
+                velocity[j] += sample_time * acceleration[j]
+                position[j] += sample_time * (velocity[j] if integration == SEMI_IMPLICIT else before)
             if not (abs(position[j]) < limits[j, 0] and abs(velocity[j]) < limits[j, 1]):
                 return i, TOO_FAR
     return samples, RUNNING
